@@ -1,0 +1,123 @@
+//! Pixel grids: planar images of any number of channels.
+
+use crate::Real;
+
+/// A planar image: `data[(channel * height + row) * width + column]`.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Image<T> {
+    /// Width [px].
+    pub width: usize,
+    /// Height [px].
+    pub height: usize,
+    /// Number of planes.
+    pub channels: usize,
+    /// The planes, one after another, rows from top to bottom.
+    pub data: Vec<T>,
+}
+
+impl<T: Copy + Default> Image<T> {
+    /// An image filled with the type's default (zero).
+    pub fn new(width: usize, height: usize, channels: usize) -> Self {
+        Self { width, height, channels, data: vec![T::default(); width * height * channels] }
+    }
+
+    /// Number of pixels of one plane.
+    pub fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// One plane.
+    pub fn plane(&self, channel: usize) -> &[T] {
+        let n = self.pixels();
+        &self.data[channel * n..(channel + 1) * n]
+    }
+
+    /// One plane, to write.
+    pub fn plane_mut(&mut self, channel: usize) -> &mut [T] {
+        let n = self.pixels();
+        &mut self.data[channel * n..(channel + 1) * n]
+    }
+
+    /// The value at (`channel`, `column`, `row`).
+    pub fn at(&self, channel: usize, column: usize, row: usize) -> T {
+        self.data[(channel * self.height + row) * self.width + column]
+    }
+
+    /// Resize to `width x height x channels`, keeping the allocation, and fill with zero.
+    pub fn reset(&mut self, width: usize, height: usize, channels: usize) {
+        (self.width, self.height, self.channels) = (width, height, channels);
+        self.data.clear();
+        self.data.resize(width * height * channels, T::default());
+    }
+}
+
+impl<T: Real> Image<T> {
+    /// The image reduced by the average over blocks (`width` and `height` need not divide).
+    pub fn resized_by_area(&self, width: usize, height: usize) -> Self {
+        let mut out = Self::new(width, height, self.channels);
+        let spans = |from: usize, to: usize| -> Vec<(usize, usize, f64, f64)> {
+            let step = from as f64 / to as f64;
+            (0..to)
+                .map(|i| {
+                    let (a, b) = (i as f64 * step, (i as f64 + 1.0) * step);
+                    (a as usize, (b.ceil() as usize).min(from), a, b)
+                })
+                .collect()
+        };
+        let (columns, rows) = (spans(self.width, width), spans(self.height, height));
+        for channel in 0..self.channels {
+            for (row, &(r0, r1, ra, rb)) in rows.iter().enumerate() {
+                for (column, &(c0, c1, ca, cb)) in columns.iter().enumerate() {
+                    let (mut sum, mut weight) = (0.0, 0.0);
+                    for r in r0..r1 {
+                        let wr = (rb.min(r as f64 + 1.0) - ra.max(r as f64)).max(0.0);
+                        for c in c0..c1 {
+                            let w = wr * (cb.min(c as f64 + 1.0) - ca.max(c as f64)).max(0.0);
+                            sum += w * self.at(channel, c, r).to_f64();
+                            weight += w;
+                        }
+                    }
+                    out.data[(channel * height + row) * width + column] = T::of(sum / weight);
+                }
+            }
+        }
+        out
+    }
+
+    /// The image sampled at the nearest pixel: for depth, where averages invent surfaces.
+    pub fn resized_by_nearest(&self, width: usize, height: usize) -> Self {
+        let mut out = Self::new(width, height, self.channels);
+        for channel in 0..self.channels {
+            for row in 0..height {
+                let r = ((row as f64 + 0.5) * self.height as f64 / height as f64) as usize;
+                for column in 0..width {
+                    let c = ((column as f64 + 0.5) * self.width as f64 / width as f64) as usize;
+                    out.data[(channel * height + row) * width + column] = self.at(channel, c, r);
+                }
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn area_resize_keeps_the_mean() {
+        let mut image = Image::<f64>::new(7, 5, 2);
+        for (i, v) in image.data.iter_mut().enumerate() {
+            *v = (i * i % 13) as f64;
+        }
+        let small = image.resized_by_area(3, 2);
+        let mean = |i: &Image<f64>| i.data.iter().sum::<f64>() / i.data.len() as f64;
+        assert!((mean(&image) - mean(&small)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn halving_averages_two_by_two() {
+        let image = Image { width: 2, height: 2, channels: 1, data: vec![1.0, 2.0, 3.0, 6.0] };
+        assert_eq!(image.resized_by_area(1, 1).data, vec![3.0]);
+    }
+}

@@ -1,0 +1,20 @@
+//! Poses, cameras, pixel grids and trajectories: pure mathematics, no files, no threads.
+//!
+//! Everything is generic over [`Real`] (`f32` or `f64`), so that the same lines run and are
+//! checked against central differences. Conventions are listed in the project's CONVENTIONS.md.
+
+mod camera;
+mod image;
+mod pose;
+mod real;
+mod rotation;
+mod trajectory;
+mod vector;
+
+pub use camera::Camera;
+pub use image::Image;
+pub use pose::{Pose, Tangent};
+pub use real::Real;
+pub use rotation::{Rotation, left_jacobian_inverse, right_jacobian, right_jacobian_inverse};
+pub use trajectory::{StampedPose, Trajectory, nearest_stamp};
+pub use vector::{Mat3, Vec3};
