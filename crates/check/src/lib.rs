@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn accepts_the_right_gradient() {
-        let x = [0.3, -1.2];
+        let x = [0.3_f64, -1.2];
         let f = |x: &[f64]| x[0].sin() * x[1].exp();
         let gradient = [x[0].cos() * x[1].exp(), x[0].sin() * x[1].exp()];
         assert_gradient("sin exp", &x, &gradient, 1e-3, 1e-9, f);
