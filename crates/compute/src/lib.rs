@@ -1,1 +1,13 @@
-//! (being written)
+//! How to run here: optimisers, small linear systems, random numbers, fixed-order reductions.
+//!
+//! Everything gives the same bytes for any number of threads.
+
+mod adam;
+mod linear;
+mod random;
+mod reduce;
+
+pub use adam::{Adam, AdamSettings};
+pub use linear::{NormalEquations, solve_positive_definite};
+pub use random::Random;
+pub use reduce::reduce_in_order;

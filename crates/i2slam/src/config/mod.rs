@@ -1,0 +1,218 @@
+//! Every number of a run, with its unit, range and default; read from and written to TOML.
+
+mod presets;
+mod read;
+
+pub use presets::{PRESET_NAMES, Preset};
+pub use read::ConfigError;
+
+use serde::{Deserialize, Serialize};
+
+/// All settings of a session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Name of the preset these values started from.
+    pub preset: String,
+    /// Seed of every random choice; the same seed gives the same bytes.
+    pub seed: u64,
+    /// How a frame is formed from radiance.
+    pub formation: FormationConfig,
+    /// The map's representation.
+    pub map: MapConfig,
+    /// How the pose of a frame is found.
+    pub tracking: TrackingConfig,
+    /// How the map is built.
+    pub mapping: MappingConfig,
+}
+
+/// The image-formation module: its switches and parameters.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FormationConfig {
+    /// Average virtual cameras over the exposure (off: one camera at mid-exposure).
+    pub blur: bool,
+    /// Exposure, white balance and camera response (off: the map stores picture values).
+    pub tone: bool,
+    /// Regularise start and end pose by the global trajectory (eqs. 15 to 17).
+    pub trajectory_loss: bool,
+    /// Virtual cameras over the exposure (N_cam of eq. 6), at least 1.
+    pub virtual_cameras: usize,
+    /// Blur length per virtual camera [px]: a frame uses no more cameras than its blur needs.
+    /// Zero always uses `virtual_cameras`.
+    pub blur_per_camera: f32,
+    /// One gain per channel, or one gain in all.
+    pub white_balance: WhiteBalance,
+    /// One camera response for the sequence, or one for each frame.
+    pub response_scope: ResponseScope,
+    /// Curves of the response: 1 (monochrome) or 3.
+    pub response_curves: usize,
+    /// The curve that a response starts from.
+    pub response_start: ResponseStart,
+    /// Where the 256 nodes sit: 1 is uniform, 2.2 is even in display space.
+    pub response_node_power: f32,
+    /// Weight of the prior that ties the response to its start curve.
+    pub response_prior: f32,
+    /// Learning rate of exposure, white balance and response.
+    pub tone_rate: f32,
+}
+
+/// Which white-balance gains are free.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum WhiteBalance {
+    /// Red and blue gains; green is 1.
+    PerChannel,
+    /// One gain for all channels.
+    OneGain,
+    /// None: brightness is the exposure alone.
+    Fixed,
+}
+
+/// How many camera responses a sequence has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ResponseScope {
+    /// A camera has one response.
+    Sequence,
+    /// One for each frame, started from the previous frame's (the paper's CRF^i).
+    Frame,
+}
+
+/// The start curve of a camera response.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ResponseStart {
+    /// The sRGB encoding, for photographs.
+    Srgb,
+    /// A pure power of 1 / 2.2.
+    Gamma22,
+    /// A straight line.
+    Identity,
+}
+
+/// The map's representation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapConfig {
+    /// One standard deviation per Gaussian instead of three and a rotation.
+    pub isotropic: bool,
+    /// Initial standard deviation in pixels of the frame that adds the Gaussian.
+    pub initial_scale: f32,
+    /// Initial opacity, between 0 and 1.
+    pub initial_opacity: f32,
+    /// Variance added to every projected Gaussian [px²].
+    pub screen_variance: f32,
+    /// Most Gaussians the map may hold.
+    pub capacity: usize,
+}
+
+/// How the pose of a frame is found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrackingConfig {
+    /// The optimiser.
+    pub method: TrackingMethod,
+    /// Adam steps per frame (after the second-order alignment, with that method).
+    pub iterations: usize,
+    /// Learning rate of rotations [rad].
+    pub rotation_rate: f32,
+    /// Learning rate of translations [m].
+    pub translation_rate: f32,
+    /// The rate of the rotational velocity as a share of `rotation_rate`.
+    pub velocity_rotation_share: f32,
+    /// The rate of the translational velocity as a share of `translation_rate`.
+    pub velocity_translation_share: f32,
+    /// Pixels whose opacity is below do not count.
+    pub silhouette_threshold: f32,
+    /// λ_img of eq. 12 (a sum over pixels).
+    pub image_weight: f32,
+    /// λ_depth of eq. 12 (a sum over pixels).
+    pub depth_weight: f32,
+    /// λ_traj of eq. 12.
+    pub trajectory_weight: f32,
+    /// First distance of start and end pose, as a share of the motion since the last frame.
+    pub initial_split: f32,
+    /// Settings of the second-order alignment.
+    pub alignment: AlignmentConfig,
+}
+
+/// The optimiser of tracking.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TrackingMethod {
+    /// First-order analysis by synthesis, as SplaTAM and the paper.
+    Adam,
+    /// Gauss-Newton on the re-projected model image, then Adam.
+    SecondOrder,
+}
+
+/// Second-order alignment of a frame to the rendered model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AlignmentConfig {
+    /// Pyramid levels, each half the size of the one before.
+    pub levels: usize,
+    /// Most Gauss-Newton steps per level.
+    pub iterations: usize,
+    /// Times the model is rendered anew at the refined pose.
+    pub renders: usize,
+    /// Smallest scale of the depth residual [m at 1 m].
+    pub depth_scale_floor: f32,
+    /// Smallest scale of the image residual [display units].
+    pub image_scale_floor: f32,
+    /// Weight of the image residual against the depth residual, after both are normalised.
+    pub image_weight: f32,
+    /// Standard deviation of the blur motion's prior, as a share of the motion between frames.
+    pub motion_prior: f32,
+}
+
+/// How the map is built.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MappingConfig {
+    /// Frames between two mapping rounds.
+    pub interval: usize,
+    /// Adam steps per round.
+    pub iterations: usize,
+    /// Steps after the last frame, over all keyframes.
+    pub final_iterations: usize,
+    /// Keyframes in the window, current frame included.
+    pub window: usize,
+    /// Frames between two keyframes.
+    pub keyframe_interval: usize,
+    /// λ_img (a mean over pixels).
+    pub image_weight: f32,
+    /// λ_depth (a mean over pixels).
+    pub depth_weight: f32,
+    /// Share of 1 - SSIM in the image loss; the rest is L1.
+    pub ssim_share: f32,
+    /// Learning rate of means [m].
+    pub mean_rate: f32,
+    /// Learning rate of colours (log-radiance, or picture values with `tone` off).
+    pub colour_rate: f32,
+    /// Learning rate of opacity logits.
+    pub opacity_rate: f32,
+    /// Learning rate of log-scales.
+    pub scale_rate: f32,
+    /// Learning rate of rotations.
+    pub rotation_rate: f32,
+    /// Learning rate of the poses of keyframes: rotation [rad]; zero keeps them fixed.
+    pub pose_rotation_rate: f32,
+    /// Learning rate of the poses of keyframes: translation [m].
+    pub pose_translation_rate: f32,
+    /// Learning rate of exposure, white balance and response while mapping; zero keeps them.
+    pub tone_rate: f32,
+    /// Pixels below this opacity receive new Gaussians.
+    pub densify_opacity: f32,
+    /// Pixels whose depth error exceeds this many medians receive new Gaussians in front.
+    pub densify_depth_medians: f32,
+    /// Gaussians below this opacity are removed.
+    pub prune_opacity: f32,
+    /// Gaussians above this share of the scene's radius are removed.
+    pub prune_scale: f32,
+    /// Scene radius = largest depth of the first frame / this ratio.
+    pub scene_radius_ratio: f32,
+    /// Start each round with fresh optimiser moments, as SplaTAM does.
+    pub fresh_optimizer: bool,
+}

@@ -1,0 +1,78 @@
+//! What a session leaves behind: poses, tone, map and response of a sequence.
+
+use crate::config::Config;
+use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
+use i2slam_geometry::{Camera, Pose, StampedPose};
+use i2slam_radiance::gaussian::GaussianMap;
+
+/// The three terms of eq. 12 at the end of a frame's tracking, weighted as in the objective.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Losses {
+    /// Mean absolute difference of pictures, over the pixels that count.
+    pub image: f64,
+    /// Mean absolute difference of depth [m], over the pixels that count.
+    pub depth: f64,
+    /// Trajectory loss, eq. 15.
+    pub trajectory: f64,
+}
+
+/// Everything estimated about one frame.
+#[derive(Clone, Debug)]
+pub struct FrameEstimate {
+    /// Position in the associated stream of the dataset.
+    pub index: usize,
+    /// Time of the colour picture [s].
+    pub timestamp: f64,
+    /// World-from-camera poses at shutter open and close.
+    pub shutter: ShutterPoses<f64>,
+    /// Exposure and white balance.
+    pub tone: FrameTone<f32>,
+    /// Which of the reconstruction's responses forms this frame.
+    pub response: usize,
+    /// Whether the frame entered the mapping window for good.
+    pub keyframe: bool,
+    /// Whether tracking converged (otherwise the pose is an extrapolation).
+    pub tracked: bool,
+    /// Losses at the end of tracking.
+    pub losses: Losses,
+    /// Median length of the streak that a pixel draws during the exposure [px].
+    pub blur_length: f64,
+    /// Wall time of tracking [s].
+    pub tracking_seconds: f64,
+    /// Wall time of mapping [s].
+    pub mapping_seconds: f64,
+    /// Gaussians in the map after this frame.
+    pub gaussians: usize,
+}
+
+impl FrameEstimate {
+    /// World-from-camera at mid-exposure.
+    pub fn middle(&self) -> Pose<f64> {
+        self.shutter.middle()
+    }
+}
+
+/// A reconstructed sequence.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    /// Every setting of the run.
+    pub config: Config,
+    /// The camera of the processed frames.
+    pub camera: Camera<f64>,
+    /// One estimate per processed frame, in order of time.
+    pub frames: Vec<FrameEstimate>,
+    /// The map, in the frame of the first camera at mid-exposure.
+    pub map: GaussianMap<f32>,
+    /// Camera responses: one, or one per frame.
+    pub responses: Vec<CameraResponse<f32>>,
+}
+
+impl Reconstruction {
+    /// The trajectory at mid-exposure.
+    pub fn trajectory(&self) -> Vec<StampedPose> {
+        self.frames
+            .iter()
+            .map(|f| StampedPose { timestamp: f.timestamp, world_from_camera: f.middle() })
+            .collect()
+    }
+}
