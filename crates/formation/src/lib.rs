@@ -1,1 +1,16 @@
-//! (being written)
+#![doc = include_str!("../README.md")]
+
+pub mod form;
+pub mod gauge;
+pub mod shutter;
+pub mod tone;
+pub mod trajectory_loss;
+
+pub use form::{Formation, accumulate, scale_into};
+pub use gauge::ResponsePrior;
+pub use shutter::{CentreVelocity, ShutterPoses, ShutterTangent, VirtualCamera};
+pub use tone::{
+    CameraResponse, CurveGradient, FrameTone, FrameToneGradient, NodeSpacing, ResponseCurve,
+    StartCurve, WhiteBalanceModel,
+};
+pub use trajectory_loss::{TrajectoryGradient, TrajectoryLoss, TrajectoryPair, TrajectoryScale};

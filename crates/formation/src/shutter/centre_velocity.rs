@@ -1,0 +1,89 @@
+//! The exposure as its centre pose and a velocity (paper, appendix, RGBD-SLAM).
+//!
+//! The same twelve numbers as [`ShutterPoses`] in the chart that the RGB-D system optimises:
+//! where the camera is, and how far it moves while the shutter is open. The two converge at
+//! very different speeds, so each wants a learning rate of its own.
+
+use super::{ShutterPoses, ShutterTangent};
+use i2slam_geometry::{Pose, Real, Rotation, Tangent, Vec3, right_jacobian};
+
+/// Centre of the exposure and the motion over it.
+///
+/// `start = centre ⊞ (-v/2)`, `end = centre ⊞ (+v/2)`. The conversions to and from
+/// [`ShutterPoses`] are exact inverses for less than half a turn, and the middle of
+/// Slerp and Lerp is the centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CentreVelocity<T> {
+    /// `world_from_camera` halfway through the exposure.
+    pub centre: Pose<T>,
+    /// Motion from open to close, in the centre's frame [m, rad per exposure].
+    pub velocity: Tangent<T>,
+}
+
+impl<T: Real> CentreVelocity<T> {
+    /// Moves the centre by a tangent in its own frame and adds to the velocity.
+    pub fn retract(&self, centre: Tangent<T>, velocity: Tangent<T>) -> Self {
+        Self { centre: self.centre.retract(centre), velocity: self.velocity.plus(velocity) }
+    }
+
+    /// Pulls cotangents of the shutter poses back: `(centre cotangent, velocity cotangent)`.
+    ///
+    /// With `v = (ν, ω)`, `s = ±1/2` and `E = Exp(s ω)`, tangents `(ρ_c, φ_c)` of the centre and
+    /// changes `δν, δω` of the velocity move an end by
+    ///
+    /// ```text
+    /// ρ = Eᵀ (ρ_c - s ν × φ_c + s δν)
+    /// φ = Eᵀ φ_c + s J_r(s ω) δω
+    /// ```
+    ///
+    /// and this is the transpose, summed over both ends.
+    pub fn pull_back(&self, d_shutter: ShutterTangent<T>) -> (Tangent<T>, Tangent<T>) {
+        let half = T::of(0.5);
+        let (centre_s, velocity_s) = self.pull_back_end(-half, d_shutter.start);
+        let (centre_e, velocity_e) = self.pull_back_end(half, d_shutter.end);
+        (centre_s.plus(centre_e), velocity_s.plus(velocity_e))
+    }
+
+    fn pull_back_end(&self, s: T, d_end: Tangent<T>) -> (Tangent<T>, Tangent<T>) {
+        let turn: Vec3<T> = self.velocity.rotation * s;
+        let rotation = Rotation::exp(turn);
+        let d_position = rotation.rotate(d_end.translation);
+        let d_centre = Tangent {
+            translation: d_position,
+            rotation: self.velocity.translation.cross(d_position) * s
+                + rotation.rotate(d_end.rotation),
+        };
+        let d_velocity = Tangent {
+            translation: d_position * s,
+            rotation: right_jacobian(turn).transpose() * d_end.rotation * s,
+        };
+        (d_centre, d_velocity)
+    }
+
+    /// The same motion in another scalar type.
+    pub fn cast<U: Real>(&self) -> CentreVelocity<U> {
+        CentreVelocity { centre: self.centre.cast(), velocity: self.velocity.cast() }
+    }
+}
+
+impl<T: Real> From<CentreVelocity<T>> for ShutterPoses<T> {
+    fn from(motion: CentreVelocity<T>) -> Self {
+        let half = motion.velocity.scaled(T::of(0.5));
+        Self {
+            start: motion.centre.retract(half.scaled(-T::one())),
+            end: motion.centre.retract(half),
+        }
+    }
+}
+
+impl<T: Real> From<ShutterPoses<T>> for CentreVelocity<T> {
+    fn from(shutter: ShutterPoses<T>) -> Self {
+        let centre = shutter.middle();
+        let moved = shutter.end.translation - shutter.start.translation;
+        let velocity = Tangent {
+            translation: centre.rotation.inverse().rotate(moved),
+            rotation: (shutter.start.rotation.inverse() * shutter.end.rotation).log(),
+        };
+        Self { centre, velocity }
+    }
+}

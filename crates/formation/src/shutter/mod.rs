@@ -1,0 +1,22 @@
+//! Virtual cameras over the exposure (eqs. 5 to 7).
+//!
+//! The camera moves from the pose at shutter open to the pose at shutter close, its rotation
+//! along a great arc and its centre along a line:
+//!
+//! ```text
+//! R(u) = R_s Exp(u ω),   ω = Log(R_s⁻¹ R_e)          Slerp
+//! t(u) = (1 - u) t_s + u t_e                         Lerp,   u in [0, 1]
+//! ```
+//!
+//! Only the two end poses are parameters; what the poses between them want is pulled back onto
+//! those two by [`ShutterPoses::pull_back`].
+
+mod centre_velocity;
+mod poses;
+mod tangent;
+#[cfg(test)]
+mod tests;
+
+pub use centre_velocity::CentreVelocity;
+pub use poses::{ShutterPoses, VirtualCamera};
+pub use tangent::ShutterTangent;

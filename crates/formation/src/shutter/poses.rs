@@ -1,0 +1,113 @@
+//! The two poses that bound an exposure, and the virtual cameras between them.
+
+use super::ShutterTangent;
+use i2slam_geometry::{
+    Pose, Real, Rotation, Tangent, Vec3, left_jacobian_inverse, right_jacobian,
+    right_jacobian_inverse,
+};
+
+/// The camera at shutter open and at shutter close, both `world_from_camera`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShutterPoses<T> {
+    /// `T(t_s)`: when the shutter opens.
+    pub start: Pose<T>,
+    /// `T(t_e)`: when the shutter closes.
+    pub end: Pose<T>,
+}
+
+/// One sample of the exposure integral (eq. 6).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VirtualCamera<T> {
+    /// Moment of the exposure: 0 = open, 1 = close.
+    pub u: T,
+    /// Share of the exposure; the shares of one frame sum to 1.
+    pub weight: T,
+    /// Where the camera is at that moment.
+    pub world_from_camera: Pose<T>,
+}
+
+impl<T: Real> ShutterPoses<T> {
+    /// A camera that does not move during the exposure.
+    pub fn still(world_from_camera: Pose<T>) -> Self {
+        Self { start: world_from_camera, end: world_from_camera }
+    }
+
+    /// The pose at `u` (0 = open, 1 = close; outside, the motion is continued), eq. 7.
+    pub fn at(&self, u: T) -> Pose<T> {
+        self.start.interpolate(self.end, u)
+    }
+
+    /// The pose halfway through the exposure.
+    pub fn middle(&self) -> Pose<T> {
+        self.at(T::of(0.5))
+    }
+
+    /// `count` poses evenly spread from open to close, both included, of equal weight:
+    /// `u = (j - 1) / (N - 1)`, eq. 6. One camera (or none asked for) stands in the middle.
+    pub fn virtual_cameras(&self, count: usize) -> Vec<VirtualCamera<T>> {
+        let count = count.max(1);
+        let weight = T::of(1.0 / count as f64);
+        let moment = |j: usize| match count {
+            1 => T::of(0.5),
+            _ => T::of(j as f64 / (count - 1) as f64),
+        };
+        (0..count)
+            .map(|j| {
+                let u = moment(j);
+                VirtualCamera { u, weight, world_from_camera: self.at(u) }
+            })
+            .collect()
+    }
+
+    /// Pulls the cotangent of the pose at `u` back onto the two shutter poses.
+    ///
+    /// With `ω = Log(R_s⁻¹ R_e)`, tangents `(ρ, φ)` of the ends move the pose between them by
+    ///
+    /// ```text
+    /// ρ_v = R(u)ᵀ [(1 - u) R_s ρ_s + u R_e ρ_e]
+    /// φ_v = Exp(-u ω) φ_s + u J_r(u ω) [J_r⁻¹(ω) φ_e - J_l⁻¹(ω) φ_s]
+    /// ```
+    ///
+    /// and this is the transpose. All tangents are right perturbations of `world_from_camera`.
+    /// Holds for rotations of less than half a turn during the exposure.
+    pub fn pull_back(&self, u: T, d_pose: Tangent<T>) -> ShutterTangent<T> {
+        let omega = (self.start.rotation.inverse() * self.end.rotation).log();
+        let d_position = self.at(u).rotation.rotate(d_pose.translation);
+        let (d_start, d_end) = pull_back_slerp(omega, u, d_pose.rotation);
+        ShutterTangent {
+            start: Tangent {
+                translation: self.start.rotation.inverse().rotate(d_position) * (T::one() - u),
+                rotation: d_start,
+            },
+            end: Tangent {
+                translation: self.end.rotation.inverse().rotate(d_position) * u,
+                rotation: d_end,
+            },
+        }
+    }
+
+    /// Both poses moved by a tangent, each in its own frame.
+    pub fn retract(&self, tangent: &ShutterTangent<T>) -> Self {
+        Self { start: self.start.retract(tangent.start), end: self.end.retract(tangent.end) }
+    }
+
+    /// The same poses in another scalar type.
+    pub fn cast<U: Real>(&self) -> ShutterPoses<U> {
+        ShutterPoses { start: self.start.cast(), end: self.end.cast() }
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.start.is_finite() && self.end.is_finite()
+    }
+}
+
+/// The transpose of `φ_v(φ_s, φ_e)` above: cotangents of the rotations at open and close.
+fn pull_back_slerp<T: Real>(omega: Vec3<T>, u: T, d_phi: Vec3<T>) -> (Vec3<T>, Vec3<T>) {
+    let turn = omega * u;
+    let d_omega = right_jacobian(turn).transpose() * d_phi * u;
+    let carried = Rotation::exp(turn).rotate(d_phi);
+    let d_start = carried - left_jacobian_inverse(omega).transpose() * d_omega;
+    let d_end = right_jacobian_inverse(omega).transpose() * d_omega;
+    (d_start, d_end)
+}

@@ -1,0 +1,126 @@
+use super::{CentreVelocity, ShutterPoses, ShutterTangent};
+use i2slam_check::{assert_close, assert_gradient, noise};
+use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
+
+fn tangent(values: &[f64]) -> Tangent<f64> {
+    Tangent::from_array(std::array::from_fn(|i| values[i]))
+}
+
+fn shutter_tangent(values: &[f64]) -> ShutterTangent<f64> {
+    ShutterTangent::from_array(std::array::from_fn(|i| values[i]))
+}
+
+fn base() -> Pose<f64> {
+    Pose::new(Rotation::exp(Vec3::new(0.4, -0.9, 0.3)), Vec3::new(1.0, -2.0, 0.5))
+}
+
+/// Shutter poses from no motion to more than a quarter turn.
+fn examples() -> Vec<ShutterPoses<f64>> {
+    [0.0, 1e-9, 1e-4, 0.05, 0.8, 1.2]
+        .iter()
+        .zip(1..)
+        .map(|(&size, seed)| {
+            let motion = tangent(&noise(seed, 6)).scaled(size);
+            ShutterPoses { start: base(), end: base().retract(motion) }
+        })
+        .collect()
+}
+
+/// A smooth scalar of a pose whose gradient in the pose's own tangent is `weights`.
+fn probe(at: Pose<f64>, pose: Pose<f64>, weights: &[f64]) -> f64 {
+    at.local(pose).to_array().iter().zip(weights).map(|(a, w)| a * w).sum()
+}
+
+#[test]
+fn pull_back_agrees_with_differences() {
+    for (shutter, seed) in examples().into_iter().zip(10..) {
+        for u in [0.0, 0.25, 0.5, 0.9, 1.0] {
+            let weights = noise(seed, 6);
+            let gradient = shutter.pull_back(u, tangent(&weights)).to_array();
+            assert_gradient("shutter", &[0.0; 12], &gradient, 1e-3, 1e-6, |x| {
+                probe(shutter.at(u), shutter.retract(&shutter_tangent(x)).at(u), &weights)
+            });
+        }
+    }
+}
+
+#[test]
+fn centre_velocity_pull_back_agrees_with_differences() {
+    for (shutter, seed) in examples().into_iter().zip(30..) {
+        let motion = CentreVelocity::from(shutter);
+        let shutter = ShutterPoses::from(motion);
+        let weights = noise(seed, 12);
+        let (d_centre, d_velocity) = motion.pull_back(shutter_tangent(&weights));
+        let gradient = [d_centre.to_array(), d_velocity.to_array()].concat();
+        assert_gradient("centre and velocity", &[0.0; 12], &gradient, 1e-3, 1e-6, |x| {
+            let moved = ShutterPoses::from(motion.retract(tangent(&x[..6]), tangent(&x[6..])));
+            probe(shutter.start, moved.start, &weights[..6])
+                + probe(shutter.end, moved.end, &weights[6..])
+        });
+    }
+}
+
+#[test]
+fn centre_velocity_round_trip_is_exact() {
+    for shutter in examples() {
+        let motion = CentreVelocity::from(shutter);
+        let back = ShutterPoses::from(motion);
+        let d = ShutterTangent {
+            start: shutter.start.local(back.start),
+            end: shutter.end.local(back.end),
+        };
+        assert_close("round trip", &d.to_array().map(|v| 1.0 + v), &[1.0; 12], 1e-12);
+        let middle = back.middle().local(motion.centre).to_array();
+        assert_close("middle", &middle.map(|v| 1.0 + v), &[1.0; 6], 1e-12);
+    }
+}
+
+#[test]
+fn virtual_cameras_span_the_exposure_with_weights_that_sum_to_one() {
+    let shutter = examples()[4];
+    for count in [0, 1, 2, 5, 16] {
+        let cameras = shutter.virtual_cameras(count);
+        assert_eq!(cameras.len(), count.max(1));
+        let sum: f64 = cameras.iter().map(|c| c.weight).sum();
+        assert!((sum - 1.0).abs() < 1e-14);
+        assert!(cameras.iter().all(|c| c.world_from_camera == shutter.at(c.u)));
+        let moments: f64 = cameras.iter().map(|c| c.u * c.weight).sum();
+        assert!((moments - 0.5).abs() < 1e-14, "the exposure is centred");
+    }
+    let cameras = shutter.virtual_cameras(5);
+    assert_eq!((cameras[0].u, cameras[1].u, cameras[4].u), (0.0, 0.25, 1.0));
+    assert_eq!(shutter.virtual_cameras(1)[0].u, 0.5);
+}
+
+#[test]
+fn without_motion_all_virtual_cameras_are_equal() {
+    let still = ShutterPoses::still(base());
+    for camera in still.virtual_cameras(7) {
+        let d = base().local(camera.world_from_camera);
+        assert!(d.translation.norm() + d.rotation.norm() < 1e-14);
+    }
+}
+
+#[test]
+fn all_cotangents_of_a_pure_translation_add_up() {
+    let shutter = examples()[3];
+    let d_pose = tangent(&[0.3, -0.1, 0.7, 0.0, 0.0, 0.0]);
+    let pulled = shutter.pull_back(0.3, d_pose);
+    let in_world = |pose: Pose<f64>, t: Tangent<f64>| pose.rotation.rotate(t.translation);
+    let sum = in_world(shutter.start, pulled.start) + in_world(shutter.end, pulled.end);
+    let expected = in_world(shutter.at(0.3), d_pose);
+    assert_close("sum", &sum.to_array(), &expected.to_array(), 1e-12);
+}
+
+#[test]
+fn poison_is_passed_on_without_panic() {
+    let mut shutter = examples()[3];
+    shutter.end.translation.x = f64::NAN;
+    shutter.start.rotation.w = f64::INFINITY;
+    assert!(!shutter.is_finite());
+    assert_eq!(shutter.virtual_cameras(5).len(), 5);
+    let pulled = shutter.pull_back(0.5, tangent(&[f64::NAN; 6]));
+    assert!(pulled.to_array().iter().any(|v| v.is_nan()));
+    let (centre, _) = CentreVelocity::from(shutter).pull_back(pulled);
+    assert!(centre.to_array().iter().any(|v| v.is_nan()));
+}

@@ -1,0 +1,139 @@
+//! The response as a curve of straight pieces, ready to be looked up.
+
+use super::{Even, Grid, Locate, above_slope, above_value, below_slope, below_value};
+use i2slam_geometry::Real;
+use std::sync::Arc;
+
+/// The straight piece between two nodes, everything a pixel needs in one place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Segment<T> {
+    /// Position of the left node.
+    pub(crate) start: T,
+    /// Curve value at the left node.
+    pub(crate) value: T,
+    /// Rise per unit of linear value.
+    pub(crate) slope: T,
+    /// 1 / (right node - left node).
+    pub(crate) inverse_width: T,
+}
+
+/// A monotone response with CRF(0) = 0 and CRF(1) = 1, one curve for all channels or one each.
+///
+/// Made by [`CameraResponse::curve`](super::CameraResponse::curve).
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResponseCurve<T> {
+    pub(super) grid: Arc<Grid<T>>,
+    segments: Vec<Vec<Segment<T>>>,
+    values: Vec<Vec<T>>,
+}
+
+/// Gradient with respect to the curve's values at its nodes. Pixels add to it;
+/// [`CameraResponse::pull_back`](super::CameraResponse::pull_back) takes it to the free nodes.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct CurveGradient<T> {
+    /// One list per curve, one number per node.
+    pub values: Vec<Vec<T>>,
+}
+
+impl<T: Real> CurveGradient<T> {
+    /// Zero, in the shape of `curve`.
+    pub fn zero(curve: &ResponseCurve<T>) -> Self {
+        Self { values: curve.values.iter().map(|v| vec![T::zero(); v.len()]).collect() }
+    }
+
+    /// Sets every number to zero.
+    pub fn clear(&mut self) {
+        self.values.iter_mut().flatten().for_each(|v| *v = T::zero());
+    }
+}
+
+impl<T: Real> ResponseCurve<T> {
+    /// `values` holds one list per curve, as long as the grid.
+    pub(super) fn new(grid: Arc<Grid<T>>, values: Vec<Vec<f64>>) -> Self {
+        let segments = values.iter().map(|v| segments(&grid.positions, v)).collect();
+        let values = values.into_iter().map(|v| v.into_iter().map(T::of).collect()).collect();
+        Self { grid, segments, values }
+    }
+
+    /// Number of curves: 1 for all channels, or one per channel.
+    pub fn curves(&self) -> usize {
+        self.values.len()
+    }
+
+    /// Which curve channel `channel` uses.
+    pub fn curve_of(&self, channel: usize) -> usize {
+        channel.min(self.curves() - 1)
+    }
+
+    /// Values of the curve of `channel` at its nodes, from 0 to 1.
+    pub fn values(&self, channel: usize) -> &[T] {
+        &self.values[self.curve_of(channel)]
+    }
+
+    /// Positions of the nodes on the axis of linear values, from 0 to 1.
+    pub fn positions(&self) -> &[T] {
+        &self.grid.positions
+    }
+
+    /// Picture value of the linear value `x`, leaky outside [0, 1] (eq. 11).
+    pub fn evaluate(&self, channel: usize, x: T) -> T {
+        let segments = self.segments(channel);
+        match self.grid.binned() {
+            Some(binned) => evaluate(&binned, segments, x),
+            None => evaluate(&Even, segments, x),
+        }
+    }
+
+    /// Slope of [`evaluate`](Self::evaluate) at `x`; at a node, of one of its two sides.
+    pub fn slope(&self, channel: usize, x: T) -> T {
+        let segments = self.segments(channel);
+        if x < T::zero() {
+            return below_slope();
+        }
+        if x > T::one() {
+            return above_slope(x);
+        }
+        let segment = match self.grid.binned() {
+            Some(binned) => binned.locate(segments, x),
+            None => Even.locate(segments, x),
+        };
+        segments[segment].slope
+    }
+
+    pub(crate) fn segments(&self, channel: usize) -> &[Segment<T>] {
+        &self.segments[self.curve_of(channel)]
+    }
+
+    pub(crate) fn grid(&self) -> &Grid<T> {
+        &self.grid
+    }
+}
+
+/// One pixel of eq. 11.
+#[inline(always)]
+pub(crate) fn evaluate<T: Real>(locate: &impl Locate<T>, segments: &[Segment<T>], x: T) -> T {
+    if x < T::zero() {
+        below_value(x)
+    } else if x > T::one() {
+        above_value(x)
+    } else {
+        let segment = &segments[locate.locate(segments, x)];
+        segment.value + segment.slope * (x - segment.start)
+    }
+}
+
+fn segments<T: Real>(positions: &[T], values: &[f64]) -> Vec<Segment<T>> {
+    positions
+        .windows(2)
+        .zip(values.windows(2))
+        .map(|(x, y)| {
+            let inverse_width = (x[1].to_f64() - x[0].to_f64()).recip();
+            Segment {
+                start: x[0],
+                value: T::of(y[0]),
+                slope: T::of((y[1] - y[0]) * inverse_width),
+                inverse_width: T::of(inverse_width),
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,80 @@
+//! Which segment between two nodes a linear value falls into, quickly.
+//!
+//! Even spacing is one multiplication. Any other spacing goes through a table of bins, fine
+//! enough that the segment of a bin's left end is nearly always the answer.
+
+use super::{NODES, NodeSpacing, Segment};
+use i2slam_geometry::Real;
+
+/// Bins of the table. A power of two, so that `x · BINS` is exact and bins start where they say.
+const BINS: usize = 4096;
+const LAST: usize = NODES - 2;
+
+/// Node positions and how to find one's way among them.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Grid<T> {
+    /// Positions of the nodes, from 0 to 1.
+    pub(crate) positions: Vec<T>,
+    /// The segment at the left end of each bin; empty for even spacing.
+    bins: Vec<u8>,
+}
+
+impl<T: Real> Grid<T> {
+    pub(crate) fn new(spacing: NodeSpacing) -> Self {
+        let positions: Vec<T> = (0..NODES).map(|i| T::of(spacing.position(i))).collect();
+        let bins = match spacing {
+            NodeSpacing::Uniform => Vec::new(),
+            NodeSpacing::Power(_) => bins(&positions),
+        };
+        Self { positions, bins }
+    }
+
+    /// The table, unless the spacing is even.
+    pub(crate) fn binned(&self) -> Option<Binned<'_>> {
+        <&[u8; BINS]>::try_from(self.bins.as_slice()).ok().map(Binned)
+    }
+}
+
+fn bins<T: Real>(positions: &[T]) -> Vec<u8> {
+    let mut segment = 0;
+    (0..BINS)
+        .map(|bin| {
+            let left = T::of(bin as f64 / BINS as f64);
+            while segment < LAST && positions[segment + 1] <= left {
+                segment += 1;
+            }
+            segment as u8
+        })
+        .collect()
+}
+
+/// Finds the segment of `x` in [0, 1]. At a node either neighbour may come back: both agree
+/// there. NaN finds some segment.
+pub(crate) trait Locate<T> {
+    fn locate(&self, segments: &[Segment<T>], x: T) -> usize;
+}
+
+/// Even spacing.
+pub(crate) struct Even;
+
+impl<T: Real> Locate<T> for Even {
+    #[inline(always)]
+    fn locate(&self, _: &[Segment<T>], x: T) -> usize {
+        ((x.to_f64() * (NODES - 1) as f64) as usize).min(LAST)
+    }
+}
+
+/// Any spacing: a bin, then the few nodes inside it.
+pub(crate) struct Binned<'a>(&'a [u8; BINS]);
+
+impl<T: Real> Locate<T> for Binned<'_> {
+    #[inline(always)]
+    fn locate(&self, segments: &[Segment<T>], x: T) -> usize {
+        let bin = ((x.to_f64() * BINS as f64) as usize).min(BINS - 1);
+        let mut segment = usize::from(self.0[bin]);
+        while segment < LAST && x >= segments[segment + 1].start {
+            segment += 1;
+        }
+        segment
+    }
+}
