@@ -1,0 +1,101 @@
+//! Agreement of recovered exposures with the true ones, free of the gauge.
+
+use crate::EvalError;
+use serde::Serialize;
+
+/// How well log exposures `y = ln ê` follow the true `x = ln e`.
+///
+/// One gain between exposures and radiance is not observable, so that a constant offset between
+/// `x` and `y` is no error and none of these numbers sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ExposureAgreement {
+    /// Pearson correlation `σ_xy / (σ_x σ_y)`, in `[-1, 1]`.
+    pub pearson: f64,
+    /// Slope of the least squares line of `y` over `x`, `σ_xy / σ_x²`; 1 is right, less means
+    /// that changes of exposure were explained by something else.
+    pub slope: f64,
+    /// Root mean square of `(y - x)` about its mean, in powers of two [stops].
+    pub residual_rms_stops: f64,
+    /// Number of frames.
+    pub frames: usize,
+}
+
+/// Compares exposures (linear, above zero) of the same frames in the same order.
+///
+/// Constant exposures on either side have no correlation and are refused.
+pub fn exposure_agreement(estimate: &[f64], truth: &[f64]) -> Result<ExposureAgreement, EvalError> {
+    if estimate.len() != truth.len() {
+        let (first, second) = (vec![estimate.len()], vec![truth.len()]);
+        return Err(EvalError::ShapeMismatch { what: "lists of exposures", first, second });
+    }
+    if truth.len() < 2 {
+        return Err(EvalError::TooFew { what: "frames", found: truth.len(), needed: 2 });
+    }
+    let x = centred_logarithms(truth, "the true exposures")?;
+    let y = centred_logarithms(estimate, "the estimated exposures")?;
+    let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+    let (xx, yy, xy) = (dot(&x, &x), dot(&y, &y), dot(&x, &y));
+    let residual: f64 = x.iter().zip(&y).map(|(x, y)| (y - x).powi(2)).sum();
+    Ok(ExposureAgreement {
+        pearson: (xy / (xx.sqrt() * yy.sqrt())).clamp(-1.0, 1.0),
+        slope: xy / xx,
+        residual_rms_stops: (residual / x.len() as f64).sqrt() / std::f64::consts::LN_2,
+        frames: x.len(),
+    })
+}
+
+/// `ln v` minus its mean.
+fn centred_logarithms(values: &[f64], what: &'static str) -> Result<Vec<f64>, EvalError> {
+    if values.iter().any(|v| !v.is_finite()) {
+        return Err(EvalError::NotFinite { what });
+    }
+    if values.iter().any(|&v| v <= 0.0) {
+        return Err(EvalError::NotPositive { what });
+    }
+    let logs: Vec<f64> = values.iter().map(|v| v.ln()).collect();
+    let mean = logs.iter().sum::<f64>() / logs.len() as f64;
+    let centred: Vec<f64> = logs.iter().map(|l| l - mean).collect();
+    if centred.iter().all(|c| c.abs() < 1e-12) {
+        return Err(EvalError::Coincident { what });
+    }
+    Ok(centred)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_global_gain_is_no_error() {
+        let truth = [0.1, 0.4, 0.2, 1.0];
+        let estimate = truth.map(|e| 7.0 * e);
+        let a = exposure_agreement(&estimate, &truth).unwrap();
+        assert!((a.pearson - 1.0).abs() < 1e-12 && (a.slope - 1.0).abs() < 1e-12);
+        assert!(a.residual_rms_stops < 1e-12);
+    }
+
+    #[test]
+    fn a_power_shows_in_the_slope_only() {
+        let truth = [0.25, 0.5, 1.0, 2.0];
+        let a = exposure_agreement(&truth.map(f64::sqrt), &truth).unwrap();
+        assert!((a.pearson - 1.0).abs() < 1e-12 && (a.slope - 0.5).abs() < 1e-12);
+        assert!((a.residual_rms_stops - 0.5 * 1.25_f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_wrong_way_round_is_minus_one() {
+        let truth = [0.25, 0.5, 1.0, 2.0];
+        let a = exposure_agreement(&truth.map(|e| 1.0 / e), &truth).unwrap();
+        assert!((a.pearson + 1.0).abs() < 1e-12 && (a.slope + 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_cannot_be_judged_is_an_error() {
+        let of = exposure_agreement;
+        assert!(matches!(of(&[1.0, 1.0], &[1.0, 2.0]), Err(EvalError::Coincident { .. })));
+        assert!(matches!(of(&[1.0, 0.0], &[1.0, 2.0]), Err(EvalError::NotPositive { .. })));
+        assert!(matches!(of(&[1.0, f64::NAN], &[1.0, 2.0]), Err(EvalError::NotFinite { .. })));
+        assert!(matches!(of(&[1.0], &[1.0, 2.0]), Err(EvalError::ShapeMismatch { .. })));
+        assert!(matches!(of(&[], &[]), Err(EvalError::TooFew { .. })));
+    }
+}

@@ -1,0 +1,185 @@
+//! Errors of linear radiance, which is known up to one gain.
+//!
+//! The product exposure x radiance is observed, so that a run may differ from the truth by one
+//! gain for all pixels and channels. It is removed first, as the *median* over all samples of
+//! `truth / estimate` (pixel and channel, both above zero): unlike least squares in log space it
+//! is not moved by pixels that were never seen or by lamps. There is one gain for all three
+//! channels, so that a wrong white balance stays visible.
+
+use crate::EvalError;
+use crate::image::{check_mask, check_shapes};
+use crate::statistics::percentile;
+use i2slam_geometry::Image;
+use serde::Serialize;
+
+/// Stops below white where the logarithm is cut off; also the peak of the logarithmic PSNR.
+pub const LOG_RANGE_STOPS: f64 = 16.0;
+/// Compression `μ` of the μ-law.
+pub const MU: f64 = 5000.0;
+/// Percentile of the true radiance that is called white.
+pub const WHITE_PERCENTILE: f64 = 99.0;
+
+/// Errors of a radiance picture after the global gain.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct HdrError {
+    /// The gain `g` that was multiplied onto the estimate.
+    pub gain: f64,
+    /// Root mean square of `log2 max(g L̂, ε) - log2 max(L, ε)` [stops], where `ε` lies
+    /// [`LOG_RANGE_STOPS`] below white.
+    pub log2_rmse_stops: f64,
+    /// PSNR of log2 radiance [dB], `20 log10(LOG_RANGE_STOPS / log2_rmse_stops)`. The peak is the
+    /// same for all scenes, so that numbers can be compared.
+    pub log2_psnr_db: f64,
+    /// PSNR [dB], peak 1, of `T(L) = ln(1 + μ tanh(L / white)) / ln(1 + μ)` with `μ = 5000`
+    /// (Kalantari & Ramamoorthi 2017, eq. 4; division by the true picture's 99th percentile and
+    /// tanh as in the NTIRE 2021 HDR challenge, Pérez-Pellitero et al. 2021).
+    pub mu_law_psnr_db: f64,
+    /// What was called white: the 99th percentile of the true samples.
+    pub white: f64,
+    /// Number of samples: pixels (inside the mask) times channels.
+    pub samples: usize,
+}
+
+/// Compares linear radiance with the true one, over the pixels where `mask` (one entry per pixel)
+/// is true, or all. Radiance below zero is measured as zero.
+pub fn hdr_error(
+    estimate: &Image<f32>,
+    truth: &Image<f32>,
+    mask: Option<&[bool]>,
+) -> Result<HdrError, EvalError> {
+    check_shapes(estimate, truth)?;
+    if let Some(mask) = mask {
+        check_mask(mask, truth)?;
+    }
+    let estimated = samples(estimate, mask, "the estimated radiance")?;
+    let due = samples(truth, mask, "the true radiance")?;
+    let white = percentile(&due, WHITE_PERCENTILE)?;
+    if white <= 0.0 {
+        return Err(EvalError::NotPositive { what: "the 99th percentile of the true radiance" });
+    }
+    let gain = global_gain(&estimated, &due)?;
+    let floor = white * (-LOG_RANGE_STOPS).exp2();
+    let stops = |l: f64| l.max(floor).log2();
+    let shown = |l: f64| (MU * (l / white).tanh()).ln_1p() / MU.ln_1p();
+    let log2_rmse_stops = mean_square(&estimated, &due, gain, stops).sqrt();
+    Ok(HdrError {
+        gain,
+        log2_rmse_stops,
+        log2_psnr_db: 20.0 * (LOG_RANGE_STOPS / log2_rmse_stops).log10(),
+        mu_law_psnr_db: -10.0 * mean_square(&estimated, &due, gain, shown).log10(),
+        white,
+        samples: due.len(),
+    })
+}
+
+fn samples(
+    image: &Image<f32>,
+    mask: Option<&[bool]>,
+    what: &'static str,
+) -> Result<Vec<f64>, EvalError> {
+    let inside = |pixel: usize| mask.is_none_or(|m| m[pixel]);
+    let pixels = image.width * image.height;
+    let picked = image.data.iter().enumerate().filter(|&(i, _)| inside(i % pixels));
+    let mut values: Vec<f64> = picked.map(|(_, &v)| f64::from(v)).collect();
+    if values.is_empty() {
+        return Err(EvalError::TooFew { what: "pixels in the mask", found: 0, needed: 1 });
+    }
+    if values.iter().any(|v| !v.is_finite()) {
+        return Err(EvalError::NotFinite { what });
+    }
+    values.iter_mut().for_each(|v| *v = v.max(0.0));
+    Ok(values)
+}
+
+/// `exp(median(ln truth - ln estimate))` over samples above zero on both sides.
+fn global_gain(estimate: &[f64], truth: &[f64]) -> Result<f64, EvalError> {
+    let both = estimate.iter().zip(truth).filter(|&(&e, &t)| e > 0.0 && t > 0.0);
+    let ratios: Vec<f64> = both.map(|(e, t)| t.ln() - e.ln()).collect();
+    if ratios.is_empty() {
+        return Err(EvalError::NotPositive { what: "the estimated radiance" });
+    }
+    Ok(percentile(&ratios, 50.0)?.exp())
+}
+
+/// Mean of `(f(g estimate) - f(truth))²`.
+fn mean_square(estimate: &[f64], truth: &[f64], gain: f64, f: impl Fn(f64) -> f64) -> f64 {
+    let square = |(&e, &t): (&f64, &f64)| (f(gain * e) - f(t)).powi(2);
+    estimate.iter().zip(truth).map(square).sum::<f64>() / truth.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn radiance(seed: u64) -> Image<f32> {
+        let data = i2slam_check::noise(seed, 300);
+        let data = data.iter().map(|v| (4.0 * v).exp2() as f32).collect();
+        Image { width: 10, height: 10, channels: 3, data }
+    }
+
+    fn scaled(image: &Image<f32>, gain: impl Fn(usize) -> f32) -> Image<f32> {
+        let data = image.data.iter().enumerate().map(|(i, v)| v * gain(i)).collect();
+        Image { data, ..image.clone() }
+    }
+
+    #[test]
+    fn a_global_gain_is_no_error() {
+        let truth = radiance(1);
+        let e = hdr_error(&scaled(&truth, |_| 0.125), &truth, None).unwrap();
+        assert!((e.gain - 8.0).abs() < 1e-12);
+        assert!(e.log2_psnr_db > 200.0 && e.mu_law_psnr_db > 200.0, "{e:?}");
+    }
+
+    #[test]
+    fn half_a_stop_on_some_pixels_by_hand() {
+        let truth = radiance(2);
+        let e = hdr_error(&scaled(&truth, |i| if i < 75 { 2.0 } else { 1.0 }), &truth, None);
+        let e = e.unwrap();
+        assert_eq!(e.gain, 1.0);
+        assert!((e.log2_rmse_stops - 0.5).abs() < 1e-12);
+        assert!((e.log2_psnr_db - 20.0 * 32.0_f64.log10()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn mu_law_by_hand() {
+        let image = |v: [f32; 3]| Image { width: 3, height: 1, channels: 1, data: v.to_vec() };
+        let e = hdr_error(&image([1.0, 1.0, 0.5]), &image([1.0; 3]), None).unwrap();
+        let shown = |l: f64| (1.0 + 5000.0 * l.tanh()).ln() / 5001.0_f64.ln();
+        let expected = -10.0 * ((shown(1.0) - shown(0.5)).powi(2) / 3.0).log10();
+        assert!((e.mu_law_psnr_db - expected).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_wrong_white_balance_is_an_error() {
+        let truth = radiance(3);
+        let tinted = scaled(&truth, |i| if i < 100 { 2.0 } else { 1.0 });
+        assert!(hdr_error(&tinted, &truth, None).unwrap().log2_rmse_stops > 0.5);
+    }
+
+    #[test]
+    fn unseen_pixels_cost_but_do_not_move_the_gain() {
+        let truth = radiance(4);
+        let holes = scaled(&truth, |i| if i % 100 < 20 { 0.0 } else { 1.0 });
+        let mask: Vec<bool> = (0..100).map(|i| i >= 20).collect();
+        let e = hdr_error(&holes, &truth, None).unwrap();
+        assert_eq!(e.gain, 1.0);
+        assert!(e.log2_rmse_stops > 1.0);
+        let inside = hdr_error(&holes, &truth, Some(&mask)).unwrap();
+        assert_eq!((inside.log2_rmse_stops, inside.samples), (0.0, 240));
+    }
+
+    #[test]
+    fn what_cannot_be_judged_is_an_error() {
+        let truth = radiance(5);
+        let dark = scaled(&truth, |_| 0.0);
+        let positive = |r| matches!(r, Err(EvalError::NotPositive { .. }));
+        assert!(positive(hdr_error(&dark, &truth, None)));
+        assert!(positive(hdr_error(&truth, &dark, None)));
+        let poisoned = hdr_error(&scaled(&truth, |_| f32::NAN), &truth, None);
+        assert!(matches!(poisoned, Err(EvalError::NotFinite { .. })));
+        let nothing = hdr_error(&truth, &truth, Some(&[false; 100]));
+        assert!(matches!(nothing, Err(EvalError::TooFew { .. })));
+        let short = hdr_error(&truth, &truth, Some(&[true; 3]));
+        assert!(matches!(short, Err(EvalError::ShapeMismatch { .. })));
+    }
+}

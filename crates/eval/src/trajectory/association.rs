@@ -1,0 +1,120 @@
+//! Which estimated pose belongs to which true pose.
+
+use crate::EvalError;
+use i2slam_geometry::{StampedPose, nearest_stamp};
+
+/// The usual largest time difference of a pair [s] (the TUM RGB-D benchmark's own tools).
+pub const DEFAULT_TOLERANCE: f64 = 0.02;
+
+/// A pair of poses taken at (nearly) the same time, as indices into the two trajectories.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Association {
+    /// Index into the estimate.
+    pub estimate: usize,
+    /// Index into the truth.
+    pub truth: usize,
+}
+
+/// Pairs in order of time, at most `tolerance` seconds apart, each pose in at most one pair.
+///
+/// As evo does, every pose of the trajectory with fewer poses (the estimate, if both have as
+/// many) takes the nearest stamp of the other, the earlier of two that are equally near. Where
+/// two of them take the same stamp, evo counts it twice; here the nearer one keeps it and the
+/// other is left out. Neither trajectory need be sorted.
+pub fn associate(
+    estimate: &[StampedPose],
+    truth: &[StampedPose],
+    tolerance: f64,
+) -> Result<Vec<Association>, EvalError> {
+    if tolerance.is_nan() || tolerance < 0.0 {
+        return Err(EvalError::InvalidTolerance { tolerance });
+    }
+    let estimate = in_order(estimate, "the stamps of the estimate")?;
+    let truth = in_order(truth, "the stamps of the truth")?;
+    let pair = |estimate, truth| Association { estimate, truth };
+    Ok(if estimate.stamps.len() <= truth.stamps.len() {
+        each_once(&estimate, &truth, tolerance).map(|(e, t)| pair(e, t)).collect()
+    } else {
+        each_once(&truth, &estimate, tolerance).map(|(t, e)| pair(e, t)).collect()
+    })
+}
+
+/// Stamps in ascending order and where they came from.
+struct Ordered {
+    stamps: Vec<f64>,
+    source: Vec<usize>,
+}
+
+fn in_order(poses: &[StampedPose], what: &'static str) -> Result<Ordered, EvalError> {
+    if poses.iter().any(|p| !p.timestamp.is_finite()) {
+        return Err(EvalError::NotFinite { what });
+    }
+    let mut source: Vec<usize> = (0..poses.len()).collect();
+    source.sort_by(|&a, &b| poses[a].timestamp.total_cmp(&poses[b].timestamp));
+    Ok(Ordered { stamps: source.iter().map(|&i| poses[i].timestamp).collect(), source })
+}
+
+/// Pairs `(few, many)` of source indices, in order of time.
+fn each_once(
+    few: &Ordered,
+    many: &Ordered,
+    tolerance: f64,
+) -> impl Iterator<Item = (usize, usize)> {
+    let mut taken: Vec<Option<usize>> = vec![None; many.stamps.len()];
+    for (i, &stamp) in few.stamps.iter().enumerate() {
+        let Some(j) = nearest_stamp(&many.stamps, stamp, tolerance) else { continue };
+        let gap = |i: usize| (few.stamps[i] - many.stamps[j]).abs();
+        if taken[j].is_none_or(|held| gap(i) < gap(held)) {
+            taken[j] = Some(i);
+        }
+    }
+    taken.into_iter().enumerate().filter_map(|(j, i)| Some((few.source[i?], many.source[j])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_geometry::Pose;
+
+    fn at(stamps: &[f64]) -> Vec<StampedPose> {
+        let pose = |&timestamp| StampedPose { timestamp, world_from_camera: Pose::identity() };
+        stamps.iter().map(pose).collect()
+    }
+
+    fn pairs(estimate: &[f64], truth: &[f64]) -> Vec<(usize, usize)> {
+        let found = associate(&at(estimate), &at(truth), DEFAULT_TOLERANCE).unwrap();
+        found.iter().map(|p| (p.estimate, p.truth)).collect()
+    }
+
+    #[test]
+    fn nearest_within_tolerance() {
+        assert_eq!(pairs(&[0.0, 0.1, 0.5], &[0.009, 0.05, 0.095, 0.2]), [(0, 0), (1, 2)]);
+    }
+
+    #[test]
+    fn a_stamp_is_used_once_and_by_the_nearer() {
+        assert_eq!(pairs(&[0.095, 0.101], &[0.0, 0.1, 0.2]), [(1, 1)]);
+        assert_eq!(pairs(&[0.0, 0.095, 0.101], &[0.1, 0.2]), [(2, 0)]);
+    }
+
+    #[test]
+    fn order_does_not_matter() {
+        assert_eq!(pairs(&[0.3, 0.1], &[0.2, 0.3, 0.1]), [(1, 2), (0, 1)]);
+    }
+
+    #[test]
+    fn nothing_to_pair_is_an_empty_list() {
+        assert_eq!(pairs(&[], &[1.0]), []);
+        assert_eq!(pairs(&[5.0], &[1.0]), []);
+    }
+
+    #[test]
+    fn poison_is_refused() {
+        let bad = associate(&at(&[f64::NAN]), &at(&[0.0]), 0.1);
+        assert!(matches!(bad, Err(EvalError::NotFinite { .. })));
+        for tolerance in [-1.0, f64::NAN] {
+            let bad = associate(&at(&[0.0]), &at(&[0.0]), tolerance);
+            assert!(matches!(bad, Err(EvalError::InvalidTolerance { .. })));
+        }
+    }
+}

@@ -1,0 +1,15 @@
+//! Trajectory errors: associate by time, align, measure.
+//!
+//! Numbers agree with the public tool evo (Grupp 2017) where evo has them;
+//! `tests/golden/README.md` says how that was checked.
+
+mod absolute;
+mod alignment;
+mod association;
+mod relative;
+mod singular;
+
+pub use absolute::{TrajectoryError, absolute_trajectory_error};
+pub use alignment::{Alignment, Similarity, align};
+pub use association::{Association, DEFAULT_TOLERANCE, associate};
+pub use relative::{RelativePoseError, relative_pose_error};
