@@ -21,6 +21,16 @@ pub struct CentreVelocity<T> {
 }
 
 impl<T: Real> CentreVelocity<T> {
+    /// A start for a new frame: centred at `centre`, moving as the camera did since `previous`,
+    /// for `share` of that way while the shutter is open (the paper starts from 1/10).
+    pub fn along(previous: Pose<T>, centre: Pose<T>, share: T) -> Self {
+        let motion = Tangent {
+            translation: centre.local(previous).translation * -T::one(),
+            rotation: previous.local(centre).rotation,
+        };
+        Self { centre, velocity: motion.scaled(share) }
+    }
+
     /// Moves the centre by a tangent in its own frame and adds to the velocity.
     pub fn retract(&self, centre: Tangent<T>, velocity: Tangent<T>) -> Self {
         Self { centre: self.centre.retract(centre), velocity: self.velocity.plus(velocity) }

@@ -124,3 +124,28 @@ fn poison_is_passed_on_without_panic() {
     let (centre, _) = CentreVelocity::from(shutter).pull_back(pulled);
     assert!(centre.to_array().iter().any(|v| v.is_nan()));
 }
+
+#[test]
+fn a_start_along_the_trajectory_lies_on_it() {
+    let [previous, centre] = [base(), base().retract(tangent(&noise(4, 6)).scaled(0.3))];
+    let shutter = ShutterPoses::from(CentreVelocity::along(previous, centre, 0.1));
+    let on_the_way = |u: f64| previous.interpolate(centre, u);
+    for (pose, u) in [(shutter.start, 0.95), (shutter.middle(), 1.0), (shutter.end, 1.05)] {
+        let d = on_the_way(u).local(pose);
+        assert!(d.translation.norm() + d.rotation.norm() < 1e-12, "{u}");
+    }
+}
+
+#[test]
+fn single_precision_follows_double() {
+    for (shutter, seed) in examples().into_iter().zip(50..) {
+        let d_pose = tangent(&noise(seed, 6));
+        let wide = shutter.pull_back(0.25, d_pose).to_array();
+        let narrow = shutter.cast::<f32>().pull_back(0.25, d_pose.cast()).to_array();
+        assert_close("f32", &narrow.map(f64::from), &wide, 1e-4);
+        let motion = CentreVelocity::from(shutter);
+        let (wide, _) = motion.pull_back(shutter_tangent(&wide));
+        let (narrow, _) = motion.cast::<f32>().pull_back(ShutterTangent::from_array(narrow));
+        assert_close("f32 centre", &narrow.to_array().map(f64::from), &wide.to_array(), 1e-4);
+    }
+}

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! L_t = ‖t(t_e^{i-1}) - Lerp(t^{i-1}, t^i, a Δt^{i-1})‖² + ‖t(t_s^i) - Lerp(t^{i-1}, t^i, 1 - a Δt^i)‖²
-//! L_R = the same with Slerp                                              L = L_t + L_R   [m² + rad²]
+//! L_R = the same with Slerp                                              L = L_t + L_R   (m² + rad²)
 //! ```
 //!
 //! The paper writes the rotation part as a difference of rotation vectors. Here it is the
@@ -40,9 +40,9 @@ pub struct TrajectoryPair<T> {
 /// The two parts of the loss, eqs. 16 and 17.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct TrajectoryLoss<T> {
-    /// Squared distances [m²].
+    /// Squared distances (m²).
     pub translation: T,
-    /// Squared angles [rad²].
+    /// Squared angles (rad²).
     pub rotation: T,
 }
 
@@ -65,6 +65,19 @@ impl<T: Real> TrajectoryLoss<T> {
     /// Both parts together (eq. 15).
     pub fn total(&self) -> T {
         self.translation + self.rotation
+    }
+}
+
+impl<T: Real> TrajectoryGradient<T> {
+    /// Every number multiplied by `s`, such as the loss's weight.
+    pub fn scaled(&self, s: T) -> Self {
+        Self {
+            previous: self.previous.scaled(s),
+            current: self.current.scaled(s),
+            log_exposure_previous: self.log_exposure_previous * s,
+            log_exposure_current: self.log_exposure_current * s,
+            scale: self.scale * s,
+        }
     }
 }
 

@@ -10,7 +10,7 @@ use i2slam_geometry::Real;
 /// unit: it lies between 0 and 1/2 for any camera whose exposures do not overlap.
 ///
 /// Where the true exposures are unknown and frame 0's is called 1, the unit of time is frame 0's
-/// exposure `τ` [s], and `a` absorbs it: `a = f τ / 2`, half the share of the frame interval for
+/// exposure `τ` (in s), and `a` absorbs it: `a = f τ / 2`, half the share of the frame interval for
 /// which the shutter of frame 0 was open. `f/2` would then put the targets many frames away;
 /// start from [`from_open_share`](Self::from_open_share) instead and let `a` be optimised.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,7 +20,7 @@ pub struct TrajectoryScale<T> {
 }
 
 impl<T: Real> TrajectoryScale<T> {
-    /// `a = f/2`, for exposures in seconds and `frames_per_second` [1/s].
+    /// `a = f/2`, for exposures in seconds and `frames_per_second` (1/s).
     pub fn from_frame_rate(frames_per_second: T) -> Self {
         Self { a: frames_per_second * T::of(0.5) }
     }
