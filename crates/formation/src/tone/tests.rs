@@ -213,3 +213,21 @@ fn poison_is_passed_on_without_panic() {
         assert_eq!(response.pull_back(&CurveGradient::zero(&curve)).len(), 3);
     }
 }
+
+#[test]
+fn start_curves_meet_known_values() {
+    let srgb = StartCurve::Srgb;
+    assert!((srgb.evaluate(0.001) - 0.012_92).abs() < 1e-12);
+    assert!((srgb.evaluate(0.5) - 0.735_356_983).abs() < 1e-8);
+    assert!((srgb.evaluate(0.003_130_8) - srgb.evaluate(0.003_130_81)).abs() < 1e-6);
+    assert!((StartCurve::Gamma22.evaluate(0.5) - 0.729_740_052).abs() < 1e-8);
+}
+
+#[test]
+fn power_spacing_puts_the_nodes_evenly_in_display_space() {
+    let spacing = NodeSpacing::Power(2.2);
+    let response = CameraResponse::<f64>::new(1, StartCurve::Gamma22, spacing);
+    let even: Vec<f64> = (0..NODES).map(|i| i as f64 / 255.0).collect();
+    assert_close("display values", response.curve().values(0), &even, 1e-12);
+    assert!(spacing.position(1) < 1e-5 && NodeSpacing::Uniform.position(51) == 0.2);
+}
