@@ -124,6 +124,7 @@ impl<T: Real> Mul for Pose<T> {
 
 impl<T: Real> Mul<Vec3<T>> for Pose<T> {
     type Output = Vec3<T>;
+    #[expect(clippy::suspicious_arithmetic_impl, reason = "a rigid transform adds its translation")]
     fn mul(self, point_in_b: Vec3<T>) -> Vec3<T> {
         self.rotation.rotate(point_in_b) + self.translation
     }
