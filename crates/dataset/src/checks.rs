@@ -1,0 +1,76 @@
+//! What can be said of a sequence before it runs.
+
+use crate::calibration::Calibration;
+use crate::decode::{decode_depth, image_size};
+use crate::resample::Resampler;
+use crate::{DatasetError, Entry};
+
+/// Depth images looked at to judge the depth scale.
+const DEPTH_PROBES: usize = 3;
+
+/// Colour images tried for the size of the frames.
+const SIZE_PROBES: usize = 16;
+
+/// Median depths that a sensible depth scale gives [m].
+const SENSIBLE_DEPTH: std::ops::RangeInclusive<f64> = 0.05..=20.0;
+
+/// Width and height [px] of the first readable colour image, agreeing with the camera's.
+pub(crate) fn recorded_size(
+    entries: &[Entry],
+    calibration: &Calibration,
+) -> Result<(usize, usize), DatasetError> {
+    let mut first_error = None;
+    for entry in entries.iter().take(SIZE_PROBES) {
+        let found = match image_size(&entry.colour) {
+            Ok(size) => size,
+            Err(error) => {
+                first_error.get_or_insert(error);
+                continue;
+            }
+        };
+        let expected = calibration.size.unwrap_or(found);
+        if found != expected || found.0 < 2 || found.1 < 2 {
+            let reference = match calibration.size {
+                Some(_) => format!("{} says", calibration.source),
+                None => "the smallest picture".into(),
+            };
+            let expected = calibration.size.unwrap_or((2, 2));
+            let path = entry.colour.clone();
+            return Err(DatasetError::Size { path, found, expected, reference });
+        }
+        return Ok(found);
+    }
+    Err(first_error.unwrap_or(DatasetError::NoSuchFrame { position: 0, frames: 0 }))
+}
+
+/// A warning if the median depth over the first frames cannot be right.
+pub(crate) fn depth_scale_warning(entries: &[Entry], depth_scale: f64) -> Option<String> {
+    let mut values: Vec<u16> = Vec::new();
+    for entry in entries.iter().take(DEPTH_PROBES) {
+        let Ok(depth) = decode_depth(&entry.depth) else { continue };
+        values.extend(depth.data.iter().step_by(7).filter(|&&v| v > 0));
+    }
+    let middle = values.len() / 2;
+    values.sort_unstable();
+    let median = *values.get(middle)?;
+    let metres = f64::from(median) / depth_scale;
+    (!SENSIBLE_DEPTH.contains(&metres)).then(|| {
+        format!(
+            "wrong depth scale? The median depth over the first frames is {metres:.4} m (depth \
+             image value {median} at {depth_scale} for one metre); usual are 5000 (TUM) and 1000 \
+             (millimetres)"
+        )
+    })
+}
+
+/// A warning if removing the lens distortion leaves pixels that were never recorded.
+pub(crate) fn cover_warning(resampler: &Resampler) -> Option<String> {
+    let covered = resampler.covered.as_ref()?;
+    let missing = covered.data.iter().filter(|&&c| !c).count();
+    let percent = 100.0 * missing as f64 / covered.data.len() as f64;
+    Some(format!(
+        "removing the lens distortion leaves {percent:.1} % of every frame unrecorded at its \
+         edges (depth 0, colour repeated); crop_border {} removes it",
+        resampler.full_cover_border
+    ))
+}

@@ -1,0 +1,173 @@
+//! The one error type: what is wrong, where, what was expected, what to do.
+
+use std::path::{Path, PathBuf};
+
+/// Why a sequence, a frame or a trajectory could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DatasetError {
+    /// The path given is not a folder.
+    #[error(
+        "no folder {}: give the folder that holds rgb.txt and depth.txt, or colour/ and depth/",
+        path.display()
+    )]
+    MissingFolder {
+        /// The path given.
+        path: PathBuf,
+    },
+    /// The folder is there but holds neither of the layouts.
+    #[error(
+        "{} is no RGB-D sequence: expected rgb.txt with depth.txt (TUM layout), or colour/ \
+         (color/, rgb/, images/) beside depth/ (plain layout); found {found}",
+        path.display()
+    )]
+    UnknownLayout {
+        /// The folder.
+        path: PathBuf,
+        /// What lies in it, in words.
+        found: String,
+    },
+    /// A list, a folder or a trajectory without a single entry.
+    #[error("{} is empty: expected {expected}", path.display())]
+    Empty {
+        /// The list, folder or trajectory.
+        path: PathBuf,
+        /// What should be in it.
+        expected: &'static str,
+    },
+    /// No intrinsics: no `camera.json`, no flag, and the folder's name is no known sequence's.
+    #[error(
+        "no camera for {}: put a camera.json there with fx, fy, cx, cy, width, height and \
+         depth_scale, name one, or give the four intrinsics (a folder named after freiburg1, \
+         freiburg2 or freiburg3 needs none)",
+        folder.display()
+    )]
+    NoCamera {
+        /// The folder of the sequence.
+        folder: PathBuf,
+    },
+    /// `camera.json` cannot be used.
+    #[error("{}: {reason}", path.display())]
+    Camera {
+        /// The camera file.
+        path: PathBuf,
+        /// What is wrong and what was expected.
+        reason: String,
+    },
+    /// One line of a text file cannot be used.
+    #[error("{}, line {line}: {reason}", path.display())]
+    Line {
+        /// The text file.
+        path: PathBuf,
+        /// The line, counted from 1.
+        line: usize,
+        /// What is wrong and what was expected.
+        reason: String,
+    },
+    /// No colour image has a depth image close enough in time.
+    #[error(
+        "{}: none of {frames} colour images has a depth image within {tolerance} s; the nearest \
+         is {nearest_gap:.3} s away: check that both use one clock, or raise the tolerance",
+        path.display()
+    )]
+    NoDepthPartner {
+        /// The folder of the sequence.
+        path: PathBuf,
+        /// Number of colour images.
+        frames: usize,
+        /// Largest accepted distance in time [s].
+        tolerance: f64,
+        /// Smallest distance in time that there is [s].
+        nearest_gap: f64,
+    },
+    /// Colour and depth files have neither names nor numbers nor their count in common.
+    #[error(
+        "{}: {colour} colour and {depth} depth images whose names do not match: give the two \
+         images of a frame the same name or the same number",
+        path.display()
+    )]
+    NoCommonNames {
+        /// The folder of the sequence.
+        path: PathBuf,
+        /// Number of colour images.
+        colour: usize,
+        /// Number of depth images.
+        depth: usize,
+    },
+    /// An image file is damaged or of a kind that cannot be used.
+    #[error("{}: {reason}", path.display())]
+    Image {
+        /// The image file.
+        path: PathBuf,
+        /// What is wrong and what was expected.
+        reason: String,
+    },
+    /// An image differs in size from the first frame or from the camera.
+    #[error(
+        "{} is {}x{} px, expected {}x{} as {reference}",
+        path.display(), found.0, found.1, expected.0, expected.1
+    )]
+    Size {
+        /// The image file.
+        path: PathBuf,
+        /// Its width and height [px].
+        found: (usize, usize),
+        /// The width and height expected [px].
+        expected: (usize, usize),
+        /// What sets the expectation, in words.
+        reference: String,
+    },
+    /// An option outside its range.
+    #[error("option {name}: {reason}")]
+    Option {
+        /// The field of [`OpenOptions`](crate::OpenOptions).
+        name: &'static str,
+        /// What is wrong and what was expected.
+        reason: String,
+    },
+    /// A frame was asked for that the sequence does not have.
+    #[error("frame {position} asked for, but the sequence has {frames} frames")]
+    NoSuchFrame {
+        /// The position asked for.
+        position: usize,
+        /// Number of frames.
+        frames: usize,
+    },
+    /// The system could not read or write a file.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// "read" or "write".
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        source: std::io::Error,
+    },
+}
+
+impl DatasetError {
+    /// Whether the error concerns one frame alone, so that a run can leave it out and go on.
+    pub fn concerns_one_frame(&self) -> bool {
+        matches!(self, Self::Image { .. } | Self::Size { .. } | Self::Io { action: "read", .. })
+    }
+
+    pub(crate) fn read(path: &Path, source: std::io::Error) -> Self {
+        Self::Io { action: "read", path: path.to_path_buf(), source }
+    }
+
+    pub(crate) fn write(path: &Path, source: std::io::Error) -> Self {
+        Self::Io { action: "write", path: path.to_path_buf(), source }
+    }
+
+    pub(crate) fn image(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Image { path: path.to_path_buf(), reason: reason.into() }
+    }
+
+    pub(crate) fn line(path: &Path, line: usize, reason: impl Into<String>) -> Self {
+        Self::Line { path: path.to_path_buf(), line, reason: reason.into() }
+    }
+
+    pub(crate) fn camera(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Camera { path: path.to_path_buf(), reason: reason.into() }
+    }
+}

@@ -1,0 +1,87 @@
+//! What to read of a sequence, and how.
+
+use crate::DatasetError;
+use std::ops::Range;
+use std::path::PathBuf;
+
+/// How a sequence is opened. Start from [`OpenOptions::default`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpenOptions {
+    /// A camera file to use instead of the folder's `camera.json`.
+    pub camera: Option<PathBuf>,
+    /// `[fx, fy, cx, cy]` [px] of a camera without lens distortion, pixel centres at integers
+    /// as in OpenCV and TUM. Goes before every camera file.
+    pub intrinsics: Option<[f64; 4]>,
+    /// Depth image value of one metre. Goes before the camera file; 5000 if neither says.
+    pub depth_scale: Option<f64>,
+    /// Which frames, by their place in the associated stream. Default all.
+    pub frames: Option<Range<usize>>,
+    /// Every how many frames, counted from the start of `frames`; at least 1. Default 1.
+    pub stride: usize,
+    /// Size of the delivered frames over that of the cropped ones, in `(0, 1]`. Default 1.
+    pub scale: f64,
+    /// Border removed on every side before scaling [px of the recorded image]. Default 0.
+    pub crop_border: usize,
+    /// Depth beyond this is taken as invalid [m]. Default none.
+    pub max_depth: Option<f64>,
+    /// A depth image (and, where the folder has ground truth, a pose) must be closer in time
+    /// than this [s]. Default 0.08.
+    pub association_tolerance: f64,
+    /// Frames that follow the last kept one by no more than this are left out [s]; 0 keeps all.
+    /// Default 1/32: the thinning of SplaTAM's TUM loader, on which published frame numbers
+    /// rest. Frames without time stamps are not thinned.
+    pub minimum_gap: f64,
+}
+
+impl Default for OpenOptions {
+    fn default() -> Self {
+        Self {
+            camera: None,
+            intrinsics: None,
+            depth_scale: None,
+            frames: None,
+            stride: 1,
+            scale: 1.0,
+            crop_border: 0,
+            max_depth: None,
+            association_tolerance: 0.08,
+            minimum_gap: 1.0 / 32.0,
+        }
+    }
+}
+
+impl OpenOptions {
+    /// Refuses numbers outside their documented range.
+    pub(crate) fn validate(&self) -> Result<(), DatasetError> {
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        let refuse = |name, expected: &str, found: String| {
+            Err(DatasetError::Option { name, reason: format!("expected {expected}, got {found}") })
+        };
+        if let Some(k) = self.intrinsics
+            && !(k.iter().all(|v| v.is_finite()) && k[0] > 0.0 && k[1] > 0.0)
+        {
+            return refuse("intrinsics", "finite fx fy cx cy with fx, fy > 0", format!("{k:?}"));
+        }
+        if let Some(scale) = self.depth_scale.filter(|&v| !positive(v)) {
+            return refuse("depth_scale", "a positive number", scale.to_string());
+        }
+        if let Some(depth) = self.max_depth.filter(|&v| !positive(v)) {
+            return refuse("max_depth", "a positive number of metres", depth.to_string());
+        }
+        if self.stride == 0 {
+            return refuse("stride", "1 or more", "0".into());
+        }
+        if !(positive(self.scale) && self.scale <= 1.0) {
+            return refuse("scale", "a number above 0, at most 1", self.scale.to_string());
+        }
+        if !positive(self.association_tolerance) {
+            let found = self.association_tolerance.to_string();
+            return refuse("association_tolerance", "a positive number of seconds", found);
+        }
+        if !(self.minimum_gap.is_finite() && self.minimum_gap >= 0.0) {
+            let found = self.minimum_gap.to_string();
+            return refuse("minimum_gap", "seconds, 0 or more", found);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,80 @@
+//! From the two image files of an entry to a frame.
+
+use crate::decode::{decode_colour, decode_depth};
+use crate::resample::Resampler;
+use crate::{DatasetError, Entry};
+use i2slam_geometry::Image;
+use std::path::Path;
+
+/// Mean colour value below which a frame counts as black (two steps of 8 bits).
+const BLACK: f64 = 2.0 / 255.0;
+
+/// Mean colour value above which a frame counts as white.
+const WHITE: f64 = 253.0 / 255.0;
+
+/// One RGB-D frame, ready to use.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Place in the associated stream, before the choice by range and stride.
+    pub index: usize,
+    /// Time stamp of the colour image [s].
+    pub timestamp: f64,
+    /// 3 planes R, G, B in `[0, 1]`, as recorded (display space).
+    pub colour: Image<f32>,
+    /// 1 plane, depth along the optical axis [m], 0 where invalid.
+    pub depth: Image<f32>,
+    /// What is odd about the frame: no valid depth, a black or a white picture.
+    pub warnings: Vec<String>,
+}
+
+/// Everything that turns files into frames, fixed when the sequence is opened.
+#[derive(Clone, Debug)]
+pub(crate) struct Preparation {
+    pub(crate) resampler: Resampler,
+    /// Depth image value of one metre.
+    pub(crate) depth_scale: f64,
+    /// Depth beyond this is invalid [m]; infinite for none.
+    pub(crate) max_depth: f64,
+}
+
+impl Preparation {
+    /// Reads both images of an entry.
+    pub(crate) fn load(&self, entry: &Entry) -> Result<Frame, DatasetError> {
+        let colour = decode_colour(&entry.colour)?;
+        self.check_size(&entry.colour, colour.width, colour.height)?;
+        let depth = decode_depth(&entry.depth)?;
+        self.check_size(&entry.depth, depth.width, depth.height)?;
+        let colour = self.resampler.colour(&colour);
+        let depth = self.resampler.depth(&depth, self.depth_scale, self.max_depth);
+        let warnings = warnings(&colour, &depth);
+        Ok(Frame { index: entry.index, timestamp: entry.timestamp, colour, depth, warnings })
+    }
+
+    fn check_size(&self, path: &Path, width: usize, height: usize) -> Result<(), DatasetError> {
+        let expected = self.resampler.recorded_size();
+        if (width, height) == expected {
+            return Ok(());
+        }
+        Err(DatasetError::Size {
+            path: path.to_path_buf(),
+            found: (width, height),
+            expected,
+            reference: "the first colour image".into(),
+        })
+    }
+}
+
+fn warnings(colour: &Image<f32>, depth: &Image<f32>) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if depth.data.iter().all(|&z| z == 0.0) {
+        warnings.push("no pixel has a valid depth".to_owned());
+    }
+    let sum: f64 = colour.data.iter().map(|&v| f64::from(v)).sum();
+    let mean = sum / colour.data.len() as f64;
+    if mean < BLACK {
+        warnings.push("the colour image is black".to_owned());
+    } else if mean > WHITE {
+        warnings.push("the colour image is white".to_owned());
+    }
+    warnings
+}

@@ -1,0 +1,223 @@
+//! From the recorded pixel grid to the delivered one: lens, crop, scale.
+//!
+//! Colour: lens removed by bilinear sampling at full resolution, then averaged over the area of
+//! each delivered pixel. The average is taken of the values as recorded (display space), as the
+//! systems compared with do; averaging light would need the camera response, which is unknown
+//! here. Depth: each delivered pixel takes the recorded pixel its centre falls into, so that no
+//! surface is invented between two depths.
+
+use crate::distortion::Distortion;
+use i2slam_geometry::{Camera, Image};
+
+/// In the depth lookup: the pixel was not recorded.
+const OUTSIDE: u32 = u32::MAX;
+
+/// Bilinear sampling of four neighbours, the top left one at `index`.
+#[derive(Clone, Copy, Debug)]
+struct Tap {
+    index: u32,
+    /// Weight of the right column, of the lower row, in `[0, 1]`.
+    right: f32,
+    lower: f32,
+}
+
+/// Precomputed maps from recorded to delivered frames.
+#[derive(Clone, Debug)]
+pub(crate) struct Resampler {
+    recorded: (usize, usize),
+    border: usize,
+    /// Per pixel of the cropped frame; `None` for a lens without distortion.
+    taps: Option<Vec<Tap>>,
+    /// Per pixel of the delivered frame: place in the recorded frame, or [`OUTSIDE`].
+    depth_lookup: Vec<u32>,
+    cropped: (usize, usize),
+    /// The pinhole camera of the delivered frames.
+    pub(crate) camera: Camera<f64>,
+    /// 1 plane, true where the recorded picture covers the delivered pixel; `None`: everywhere.
+    pub(crate) covered: Option<Image<bool>>,
+    /// The smallest border that removes every pixel not covered [px recorded].
+    pub(crate) full_cover_border: usize,
+}
+
+impl Resampler {
+    /// Maps for a recording camera (size at least 2x2), its lens, a border and a delivered size.
+    pub(crate) fn new(
+        recorded: &Camera<f64>,
+        lens: &Distortion,
+        border: usize,
+        delivered: (usize, usize),
+    ) -> Self {
+        let cropped = recorded.cropped(border);
+        let mut resampler = Self {
+            recorded: (recorded.width, recorded.height),
+            border,
+            taps: None,
+            depth_lookup: Vec::new(),
+            cropped: (cropped.width, cropped.height),
+            camera: cropped.resized(delivered.0, delivered.1),
+            covered: None,
+            full_cover_border: border,
+        };
+        resampler.depth_lookup = resampler.depth_map(recorded, lens);
+        if !lens.is_none() {
+            resampler.taps = Some(resampler.colour_map(recorded, lens));
+        }
+        resampler
+    }
+
+    fn colour_map(&mut self, recorded: &Camera<f64>, lens: &Distortion) -> Vec<Tap> {
+        let (width, height) = self.cropped;
+        let mut outside = Image::<f32>::new(width, height, 1);
+        let mut taps = Vec::with_capacity(width * height);
+        for row in 0..height {
+            for column in 0..width {
+                let (i, j) = (column + self.border, row + self.border);
+                let (u, v) = through_lens(recorded, lens, i as f64 + 0.5, j as f64 + 0.5);
+                if pixel_at(recorded, u, v) == OUTSIDE {
+                    outside.data[row * width + column] = 1.0;
+                    let edge = i.min(j).min(recorded.width - 1 - i).min(recorded.height - 1 - j);
+                    self.full_cover_border = self.full_cover_border.max(edge + 1);
+                }
+                taps.push(tap_at(recorded, u, v));
+            }
+        }
+        if outside.data.contains(&1.0) {
+            let share = outside.resized_by_area(self.camera.width, self.camera.height);
+            self.covered = Some(Image {
+                width: share.width,
+                height: share.height,
+                channels: 1,
+                data: share.data.iter().map(|&s| s == 0.0).collect(),
+            });
+        }
+        taps
+    }
+
+    fn depth_map(&self, recorded: &Camera<f64>, lens: &Distortion) -> Vec<u32> {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let step_x = self.cropped.0 as f64 / width as f64;
+        let step_y = self.cropped.1 as f64 / height as f64;
+        let border = self.border as f64;
+        let mut lookup = Vec::with_capacity(width * height);
+        for row in 0..height {
+            for column in 0..width {
+                let u = (column as f64 + 0.5) * step_x + border;
+                let v = (row as f64 + 0.5) * step_y + border;
+                let (u, v) = through_lens(recorded, lens, u, v);
+                lookup.push(pixel_at(recorded, u, v));
+            }
+        }
+        lookup
+    }
+
+    /// The delivered colour of a recorded picture. Where the lens reaches beyond the recorded
+    /// picture its edge is repeated.
+    pub(crate) fn colour(&self, recorded: &Image<f32>) -> Image<f32> {
+        let cropped = match &self.taps {
+            Some(taps) => sample(recorded, taps, self.cropped),
+            None if self.border > 0 => crop(recorded, self.border, self.cropped),
+            None => recorded.clone(),
+        };
+        let (width, height) = (self.camera.width, self.camera.height);
+        if (width, height) == self.cropped {
+            cropped
+        } else if (2 * width, 2 * height) == self.cropped {
+            halved(&cropped)
+        } else {
+            cropped.resized_by_area(width, height)
+        }
+    }
+
+    /// The delivered depth [m] of a recorded depth image: values over `scale`, 0 where invalid,
+    /// not recorded, or beyond `max_depth`.
+    pub(crate) fn depth(&self, recorded: &Image<u16>, scale: f64, max_depth: f64) -> Image<f32> {
+        let metres = |&place: &u32| {
+            let raw = if place == OUTSIDE { 0 } else { recorded.data[place as usize] };
+            let z = f64::from(raw) / scale;
+            if z <= max_depth { z as f32 } else { 0.0 }
+        };
+        Image {
+            width: self.camera.width,
+            height: self.camera.height,
+            channels: 1,
+            data: self.depth_lookup.iter().map(metres).collect(),
+        }
+    }
+
+    /// Width and height of the recorded frames [px].
+    pub(crate) fn recorded_size(&self) -> (usize, usize) {
+        self.recorded
+    }
+}
+
+/// Where the recording lens puts what a pinhole with the same intrinsics sees at `(u, v)`.
+fn through_lens(camera: &Camera<f64>, lens: &Distortion, u: f64, v: f64) -> (f64, f64) {
+    if lens.is_none() {
+        return (u, v);
+    }
+    let (x, y) = lens.distort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy);
+    (camera.fx * x + camera.cx, camera.fy * y + camera.cy)
+}
+
+/// The pixel that `(u, v)` falls into.
+fn pixel_at(camera: &Camera<f64>, u: f64, v: f64) -> u32 {
+    if camera.contains(u, v, 0.0) {
+        (v as usize * camera.width + u as usize) as u32
+    } else {
+        OUTSIDE
+    }
+}
+
+/// Bilinear weights at `(u, v)`, moved to the nearest edge where it lies beyond.
+fn tap_at(camera: &Camera<f64>, u: f64, v: f64) -> Tap {
+    let split = |position: f64, size: usize| {
+        let centred = (position - 0.5).clamp(0.0, (size - 1) as f64);
+        let first = (centred as usize).min(size - 2);
+        (first, (centred - first as f64) as f32)
+    };
+    let ((column, right), (row, lower)) = (split(u, camera.width), split(v, camera.height));
+    Tap { index: (row * camera.width + column) as u32, right, lower }
+}
+
+fn sample(image: &Image<f32>, taps: &[Tap], size: (usize, usize)) -> Image<f32> {
+    let mut out = Image::new(size.0, size.1, image.channels);
+    for channel in 0..image.channels {
+        let plane = image.plane(channel);
+        for (value, tap) in out.plane_mut(channel).iter_mut().zip(taps) {
+            let i = tap.index as usize;
+            let (upper, lower) = (&plane[i..i + 2], &plane[i + image.width..i + image.width + 2]);
+            let a = upper[0] + tap.right * (upper[1] - upper[0]);
+            let b = lower[0] + tap.right * (lower[1] - lower[0]);
+            *value = a + tap.lower * (b - a);
+        }
+    }
+    out
+}
+
+fn crop(image: &Image<f32>, border: usize, size: (usize, usize)) -> Image<f32> {
+    let mut data = Vec::with_capacity(size.0 * size.1 * image.channels);
+    for channel in 0..image.channels {
+        let rows = image.plane(channel).chunks_exact(image.width);
+        for row in rows.skip(border).take(size.1) {
+            data.extend_from_slice(&row[border..border + size.0]);
+        }
+    }
+    Image { width: size.0, height: size.1, channels: image.channels, data }
+}
+
+/// Area average for exactly half the size.
+fn halved(image: &Image<f32>) -> Image<f32> {
+    let mut out = Image::new(image.width / 2, image.height / 2, image.channels);
+    let rows = image.data.chunks_exact(2 * image.width);
+    for (out, rows) in out.data.chunks_exact_mut(image.width / 2).zip(rows) {
+        let (upper, lower) = rows.split_at(image.width);
+        let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+        for (value, (a, b)) in out.iter_mut().zip(pairs) {
+            *value = 0.25 * ((a[0] + a[1]) + (b[0] + b[1]));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,193 @@
+//! A sequence of RGB-D frames on disk.
+
+use crate::calibration::Calibration;
+use crate::checks::{cover_warning, depth_scale_warning, recorded_size};
+use crate::layout;
+use crate::prepare::Preparation;
+use crate::resample::Resampler;
+use crate::{DatasetError, Frame, FrameStream, OpenOptions};
+use i2slam_geometry::{Camera, Image};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Frames a second where neither the camera file nor the stamps say.
+const DEFAULT_FRAME_RATE: f64 = 30.0;
+
+/// Delivered frames must have at least this many pixels a side.
+const SMALLEST_SIDE: usize = 8;
+
+/// The two files of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Place in the associated stream, before the choice by range and stride.
+    pub index: usize,
+    /// Time stamp of the colour image [s].
+    pub timestamp: f64,
+    /// The colour image file.
+    pub colour: PathBuf,
+    /// The depth image file.
+    pub depth: PathBuf,
+}
+
+/// How many colour images did not enter the associated stream, and why.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// No depth image within the tolerance, or of that name.
+    pub without_depth: usize,
+    /// No ground-truth pose within the tolerance (only where the folder has ground truth).
+    pub without_pose: usize,
+    /// No more than the minimum gap after the last kept frame.
+    pub too_close: usize,
+}
+
+/// An opened sequence: which frames there are and how they are delivered.
+#[derive(Clone, Debug)]
+pub struct Sequence {
+    /// Name of the folder.
+    pub name: String,
+    /// Pinhole camera of the delivered frames: lens removed, cropped, scaled.
+    pub camera: Camera<f64>,
+    /// Median frames a second of the associated stream (not divided by the stride).
+    pub frame_rate: f64,
+    /// Depth image value of one metre.
+    pub depth_scale: f64,
+    /// The frames chosen, in order of time.
+    pub entries: Vec<Entry>,
+    /// What did not enter the associated stream.
+    pub left_out: LeftOut,
+    /// The folder's `groundtruth.txt` (or `pose.txt`), for [`read_trajectory`](crate::read_trajectory).
+    pub ground_truth: Option<PathBuf>,
+    /// 1 plane at the delivered size, false where removing the lens distortion reached beyond
+    /// the recorded picture: there depth is 0 and colour repeats the edge. `None`: all covered.
+    pub covered: Option<Arc<Image<bool>>>,
+    /// What a user should know before the run.
+    pub warnings: Vec<String>,
+    preparation: Arc<Preparation>,
+}
+
+impl Sequence {
+    /// Opens the sequence in a folder. Reads lists, headers and a few depth images, no more.
+    pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
+        options.validate()?;
+        if !path.is_dir() {
+            return Err(DatasetError::MissingFolder { path: path.to_path_buf() });
+        }
+        let calibration = Calibration::find(path, options);
+        let assumed_rate = calibration.as_ref().ok().and_then(|c| c.frame_rate);
+        let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);
+        // A folder that is no sequence at all is worth saying before a missing camera.
+        let listing = layout::list(path, options, assumed_rate)?;
+        let calibration = calibration?;
+        let frame_rate = median_rate(&listing.entries).unwrap_or(assumed_rate);
+        let mut warnings = listing.warnings;
+        let entries = choose(listing.entries, options, &mut warnings)?;
+        let recorded = recorded_camera(&calibration, recorded_size(&entries, &calibration)?);
+        let delivered = delivered_size(&recorded, options)?;
+        let lens = &calibration.distortion;
+        let resampler = Resampler::new(&recorded, lens, options.crop_border, delivered);
+        let depth_scale = calibration.depth_scale;
+        warnings.extend(depth_scale_warning(&entries, depth_scale));
+        warnings.extend(cover_warning(&resampler));
+        Ok(Self {
+            name: folder_name(path),
+            camera: resampler.camera,
+            frame_rate,
+            depth_scale,
+            entries,
+            left_out: listing.left_out,
+            ground_truth: listing.ground_truth,
+            covered: resampler.covered.clone().map(Arc::new),
+            warnings,
+            preparation: Arc::new(Preparation {
+                resampler,
+                depth_scale,
+                max_depth: options.max_depth.unwrap_or(f64::INFINITY),
+            }),
+        })
+    }
+
+    /// Reads the frame at a place of [`entries`](Self::entries).
+    pub fn load(&self, position: usize) -> Result<Frame, DatasetError> {
+        let frames = self.entries.len();
+        let entry =
+            self.entries.get(position).ok_or(DatasetError::NoSuchFrame { position, frames })?;
+        self.preparation.load(entry)
+    }
+
+    /// Number of frames chosen.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Whether there is no frame; an opened sequence has at least one.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// All frames in order, read ahead on another thread. A frame that cannot be read is an
+    /// `Err` item, and the stream goes on behind it.
+    pub fn stream(&self) -> FrameStream {
+        FrameStream::start(self.entries.clone(), Arc::clone(&self.preparation))
+    }
+}
+
+fn folder_name(path: &Path) -> String {
+    let whole = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    whole.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// The median of the frame rates between neighbours [1/s].
+fn median_rate(entries: &[Entry]) -> Option<f64> {
+    let gaps = entries.windows(2).map(|pair| pair[1].timestamp - pair[0].timestamp);
+    let mut gaps: Vec<f64> = gaps.filter(|&gap| gap > 0.0).collect();
+    gaps.sort_by(f64::total_cmp);
+    gaps.get(gaps.len() / 2).map(|gap| gap.recip())
+}
+
+/// The entries within the range, every `stride`-th.
+fn choose(
+    entries: Vec<Entry>,
+    options: &OpenOptions,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Entry>, DatasetError> {
+    let count = entries.len();
+    let range = options.frames.clone().unwrap_or(0..count);
+    if range.start >= range.end.min(count) {
+        let reason = format!(
+            "{}..{} holds no frame: the sequence has the frames 0..{count}",
+            range.start, range.end
+        );
+        return Err(DatasetError::Option { name: "frames", reason });
+    }
+    if range.end > count {
+        warnings.push(format!(
+            "frames {}..{} asked for, the sequence ends at {count}",
+            range.start, range.end
+        ));
+    }
+    let (start, end) = (range.start, range.end.min(count));
+    Ok(entries.into_iter().take(end).skip(start).step_by(options.stride).collect())
+}
+
+fn recorded_camera(calibration: &Calibration, (width, height): (usize, usize)) -> Camera<f64> {
+    let [fx, fy, cx, cy] = calibration.intrinsics;
+    Camera { width, height, fx, fy, cx, cy }
+}
+
+fn delivered_size(
+    recorded: &Camera<f64>,
+    options: &OpenOptions,
+) -> Result<(usize, usize), DatasetError> {
+    let cropped = recorded.cropped(options.crop_border);
+    let scaled = |side: usize| (side as f64 * options.scale).round() as usize;
+    let (width, height) = (scaled(cropped.width), scaled(cropped.height));
+    if width.min(height) >= SMALLEST_SIDE {
+        return Ok((width, height));
+    }
+    let reason = format!(
+        "a border of {} and a scale of {} leave {width}x{height} px of {}x{}, expected at least \
+         {SMALLEST_SIDE} a side",
+        options.crop_border, options.scale, recorded.width, recorded.height
+    );
+    Err(DatasetError::Option { name: "crop_border, scale", reason })
+}
