@@ -1,0 +1,160 @@
+//! The map as files: lossless (`map.i2slam`) and for viewers (`map.ply`).
+
+use super::archive::{Archive, Array};
+use super::ply::{self, Splat};
+use crate::reconstruction::Reconstruction;
+use i2slam_formation::{FrameTone, ResponseCurve};
+use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
+use serde::{Deserialize, Serialize};
+use std::io::{self, Write};
+
+/// What the numbers of `map.i2slam` mean.
+#[derive(Serialize, Deserialize)]
+struct MapMeta {
+    kind: Kind,
+    count: usize,
+    shape: ShapeName,
+    colour_activation: ActivationName,
+    written_by: String,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Kind {
+    Gaussians,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum ShapeName {
+    Isotropic,
+    Anisotropic,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum ActivationName {
+    Exponential,
+    Linear,
+}
+
+/// Write every parameter of the map, bit for bit.
+pub(crate) fn write_native(out: &mut dyn Write, map: &GaussianMap<f32>) -> io::Result<()> {
+    let meta = MapMeta {
+        kind: Kind::Gaussians,
+        count: map.len(),
+        shape: match map.shape {
+            Shape::Isotropic => ShapeName::Isotropic,
+            Shape::Anisotropic => ShapeName::Anisotropic,
+        },
+        colour_activation: match map.activation {
+            ColourActivation::Exponential => ActivationName::Exponential,
+            ColourActivation::Linear => ActivationName::Linear,
+        },
+        written_by: concat!("i2slam ", env!("CARGO_PKG_VERSION")).to_owned(),
+    };
+    let array = |name: &str, columns, values| Array { name: name.to_owned(), columns, values };
+    let arrays = vec![
+        array("mean", 3, map.means.concat()),
+        array("log_scale", 3, map.log_scales.concat()),
+        array("rotation", 4, map.rotations.concat()),
+        array("opacity_logit", 1, map.opacity_logits.clone()),
+        array("colour", 3, map.colours.concat()),
+    ];
+    Archive { meta, arrays }.write(out)
+}
+
+/// Read what [`write_native`] wrote; the error says what is wrong with the file.
+pub(crate) fn read_native(bytes: &[u8]) -> Result<GaussianMap<f32>, String> {
+    let mut archive = Archive::<MapMeta>::read(bytes)?;
+    let shape = match archive.meta.shape {
+        ShapeName::Isotropic => Shape::Isotropic,
+        ShapeName::Anisotropic => Shape::Anisotropic,
+    };
+    let activation = match archive.meta.colour_activation {
+        ActivationName::Exponential => ColourActivation::Exponential,
+        ActivationName::Linear => ColourActivation::Linear,
+    };
+    let map = GaussianMap {
+        shape,
+        activation,
+        means: rows(archive.take("mean", 3)?),
+        log_scales: rows(archive.take("log_scale", 3)?),
+        rotations: rows(archive.take("rotation", 4)?),
+        opacity_logits: archive.take("opacity_logit", 1)?,
+        colours: rows(archive.take("colour", 3)?),
+    };
+    let lengths =
+        [map.log_scales.len(), map.rotations.len(), map.opacity_logits.len(), map.colours.len()];
+    if lengths.iter().any(|&n| n != map.means.len()) {
+        return Err("has arrays of different length".to_owned());
+    }
+    Ok(map)
+}
+
+fn rows<const N: usize>(values: Vec<f32>) -> Vec<[f32; N]> {
+    let row = |chunk: &[f32]| std::array::from_fn(|i| chunk[i]);
+    values.chunks_exact(N).map(row).collect()
+}
+
+/// Write the map for 3D Gaussian splatting viewers. They show display colours without exposure
+/// or response, so that the radiance is formed with [`typical_tone`] once and for all.
+pub(crate) fn write_ply(out: &mut dyn Write, reconstruction: &Reconstruction) -> io::Result<()> {
+    let map = &reconstruction.map;
+    let tone = typical_tone(reconstruction);
+    let splats = (0..map.len()).map(|i| {
+        let gaussian = Gaussian {
+            mean: map.means[i],
+            log_scale: map.log_scales[i],
+            rotation: map.rotations[i],
+            opacity_logit: map.opacity_logits[i],
+            colour: map.colours[i],
+        };
+        splat(&gaussian, map, tone.as_ref())
+    });
+    ply::write(out, splats)
+}
+
+fn splat(
+    gaussian: &Gaussian<f32>,
+    map: &GaussianMap<f32>,
+    tone: Option<&(FrameTone<f32>, ResponseCurve<f32>)>,
+) -> Splat {
+    let isotropic = map.shape == Shape::Isotropic;
+    let log_scale = if isotropic { [gaussian.log_scale[0]; 3] } else { gaussian.log_scale };
+    let norm = gaussian.rotation.iter().map(|v| v * v).sum::<f32>().sqrt();
+    let turned = !isotropic && norm.is_finite() && norm > 0.0;
+    let rotation = if turned { gaussian.rotation.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] };
+    let colour = display_colour(map.activation.radiance(gaussian.colour), tone);
+    let opacity_logit = gaussian.opacity_logit;
+    Splat { mean: gaussian.mean, colour, opacity_logit, log_scale, rotation }
+}
+
+fn display_colour(
+    radiance: [f32; 3],
+    tone: Option<&(FrameTone<f32>, ResponseCurve<f32>)>,
+) -> [f32; 3] {
+    let Some((tone, curve)) = tone else {
+        return radiance.map(|v| v.clamp(0.0, 1.0));
+    };
+    let gains = tone.gains();
+    std::array::from_fn(|c| curve.evaluate(c, gains[c] * radiance[c]).clamp(0.0, 1.0))
+}
+
+/// Median exposure and white balance, and the response of the middle frame; `None` where the map
+/// stores picture values (`tone` off) or there is no frame yet.
+pub(crate) fn typical_tone(
+    reconstruction: &Reconstruction,
+) -> Option<(FrameTone<f32>, ResponseCurve<f32>)> {
+    let frames = &reconstruction.frames;
+    if !reconstruction.config.formation.tone || frames.is_empty() {
+        return None;
+    }
+    let median = |i: usize| {
+        let mut values: Vec<f32> = frames.iter().map(|f| f.tone.to_array()[i]).collect();
+        values.sort_by(f32::total_cmp);
+        values[values.len() / 2]
+    };
+    let response = reconstruction.responses.get(frames[frames.len() / 2].response)?;
+    Some((FrameTone::from_array(std::array::from_fn(median)), response.curve()))
+}

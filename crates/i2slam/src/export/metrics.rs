@@ -1,0 +1,91 @@
+//! `metrics.json`: the numbers of a run.
+
+use crate::reconstruction::{FrameEstimate, Reconstruction};
+use serde::{Deserialize, Serialize};
+
+/// The figures of one run. What could not be measured is `null` in the file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Metrics {
+    /// Version of the program.
+    pub version: String,
+    /// Name of the preset that the settings started from.
+    pub preset: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Whether the run reached the end of its frames.
+    pub complete: bool,
+    /// Frames processed.
+    pub frames: usize,
+    /// Frames whose pose was found.
+    pub tracked: usize,
+    /// Frames left out: unreadable images.
+    pub skipped: usize,
+    /// Keyframes.
+    pub keyframes: usize,
+    /// Gaussians in the final map.
+    pub gaussians: usize,
+    /// Wall time of tracking and mapping [s].
+    pub seconds: f64,
+    /// Wall time per frame [s].
+    pub seconds_per_frame: f64,
+    /// Wall time of tracking per frame [s].
+    pub tracking_seconds_per_frame: f64,
+    /// Wall time of mapping per frame [s].
+    pub mapping_seconds_per_frame: f64,
+    /// Most memory held at once [bytes], where the system tells.
+    pub peak_memory_bytes: Option<u64>,
+    /// Median over frames of the blur length [px].
+    pub blur_length_px_median: f64,
+    /// Largest blur length [px].
+    pub blur_length_px_max: f64,
+    /// Mean PSNR of the predicted, blurred picture against the input [dB].
+    pub psnr_blurred_db: Option<f64>,
+    /// Frames in `psnr_blurred_db`.
+    pub psnr_blurred_frames: usize,
+    /// Absolute trajectory error against the ground truth, RMSE of camera centres after rigid
+    /// alignment [m].
+    pub ate_rmse_m: Option<f64>,
+    /// The same, mean [m].
+    pub ate_mean_m: Option<f64>,
+    /// Poses in the trajectory error.
+    pub ate_poses: usize,
+    /// Mean PSNR of sharp renders against the true sharp pictures [dB].
+    pub psnr_sharp_db: Option<f64>,
+    /// Mean SSIM of sharp renders against the true sharp pictures.
+    pub ssim_sharp: Option<f64>,
+    /// Frames in `psnr_sharp_db` and `ssim_sharp`.
+    pub sharp_frames: usize,
+    /// Pearson correlation of recovered and true log exposure.
+    pub log_exposure_correlation: Option<f64>,
+}
+
+impl Metrics {
+    /// What the reconstruction itself tells; figures that need a truth or pictures are empty.
+    pub fn of(reconstruction: &Reconstruction) -> Self {
+        let frames = &reconstruction.frames;
+        let count = |keep: fn(&FrameEstimate) -> bool| frames.iter().filter(|f| keep(f)).count();
+        let sum = |of: fn(&FrameEstimate) -> f64| frames.iter().map(of).sum::<f64>();
+        let tracking = sum(|f| f.tracking_seconds);
+        let mapping = sum(|f| f.mapping_seconds);
+        let per_frame = 1.0 / frames.len().max(1) as f64;
+        let mut blur: Vec<f64> = frames.iter().map(|f| f.blur_length).collect();
+        blur.sort_by(f64::total_cmp);
+        Self {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            preset: reconstruction.config.preset.clone(),
+            seed: reconstruction.config.seed,
+            complete: true,
+            frames: frames.len(),
+            tracked: count(|f| f.tracked),
+            keyframes: count(|f| f.keyframe),
+            gaussians: reconstruction.map.len(),
+            seconds: tracking + mapping,
+            seconds_per_frame: (tracking + mapping) * per_frame,
+            tracking_seconds_per_frame: tracking * per_frame,
+            mapping_seconds_per_frame: mapping * per_frame,
+            blur_length_px_median: blur.get(blur.len() / 2).copied().unwrap_or(0.0),
+            blur_length_px_max: blur.last().copied().unwrap_or(0.0),
+            ..Self::default()
+        }
+    }
+}

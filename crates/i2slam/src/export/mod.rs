@@ -1,0 +1,23 @@
+//! The result folder: what a run leaves on disk, and how it is read back. Its files are
+//! documented in `docs/result-folder.md`.
+
+mod archive;
+mod error;
+mod load;
+mod map;
+mod metrics;
+mod pictures;
+mod ply;
+pub mod report;
+mod save;
+mod state;
+mod storage;
+mod table;
+#[cfg(test)]
+mod tests;
+
+pub use error::ExportError;
+pub use metrics::Metrics;
+pub use pictures::{DEPTH_UNITS_PER_METRE, write_depth, write_picture, write_radiance};
+pub use save::{save, save_metrics};
+pub use storage::{Disk, ResultFolder, Storage};

@@ -1,0 +1,98 @@
+//! Before and after, and one frame at several exposures.
+
+use super::picture::{data_address, depth_colours};
+use super::{Report, headline::significant};
+use crate::reconstruction::FrameEstimate;
+use i2slam_geometry::Image;
+use std::fmt::Write;
+
+/// The pictures of one frame. Planes R, G, B in `[0, 1]`.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// The frame's position in the associated stream.
+    pub index: usize,
+    /// The picture taken.
+    pub input: Image<f32>,
+    /// The map at mid-exposure, formed without blur.
+    pub sharp: Image<f32>,
+    /// What formation predicts for the picture taken.
+    pub blurred: Image<f32>,
+    /// Depth at mid-exposure [m]; 0 where there is none.
+    pub depth: Image<f32>,
+    /// The sharp picture with other exposures, as (stops, picture).
+    pub brackets: Vec<(f64, Image<f32>)>,
+}
+
+/// The sliders: input on the left, one of three renders on the right.
+pub(super) fn gallery(report: &Report<'_>) -> String {
+    let frames = &report.reconstruction.frames;
+    let mut out = String::new();
+    for (i, comparison) in report.comparisons.iter().enumerate() {
+        let estimate = frames.iter().find(|f| f.index == comparison.index);
+        // Writing to a string cannot fail.
+        write_pair(&mut out, comparison, estimate, i == 0).ok();
+    }
+    out
+}
+
+fn write_pair(
+    out: &mut String,
+    comparison: &Comparison,
+    estimate: Option<&FrameEstimate>,
+    first: bool,
+) -> std::fmt::Result {
+    let Image { width, height, .. } = comparison.input;
+    let index = comparison.index;
+    let class = if first { "pair shown" } else { "pair" };
+    write!(out, "<figure class=\"{class}\" data-frame=\"{index}\">")?;
+    write!(out, "<div class=\"compare\" style=\"aspect-ratio:{width}/{height}\">")?;
+    let right = [
+        ("sharp", "sharp render", data_address(&comparison.sharp)),
+        ("blurred", "predicted blur", data_address(&comparison.blurred)),
+        ("depth", "depth", data_address(&depth_colours(&comparison.depth))),
+    ];
+    for (kind, name, address) in right {
+        write!(out, "<img class=\"{kind}\" alt=\"{name} of frame {index}\" src=\"{address}\">")?;
+    }
+    let input = data_address(&comparison.input);
+    write!(
+        out,
+        "<img class=\"input\" alt=\"input frame {index}\" src=\"{input}\"><span class=\"bar\"></span>\
+         <span class=\"tag left\">input</span><span class=\"tag right\"></span>\
+         <input type=\"range\" min=\"0\" max=\"100\" step=\"0.1\" value=\"50\" \
+         aria-label=\"share of the input picture\"></div>"
+    )?;
+    write!(out, "<figcaption>Frame {index}")?;
+    if let Some(frame) = estimate {
+        let exposure = significant(f64::from(frame.tone.exposure()));
+        let blur = frame.blur_length;
+        write!(out, ": blur {blur:.1} px, exposure {exposure} times that of the first frame")?;
+    }
+    write!(out, "</figcaption></figure>")
+}
+
+/// The frame with the widest range, darker and brighter than it was taken.
+pub(super) fn brackets(comparisons: &[Comparison]) -> String {
+    let Some(comparison) = comparisons.iter().find(|c| !c.brackets.is_empty()) else {
+        return "<p class=\"none\">This run has no high dynamic range: exposure, white balance and \
+                camera response were switched off.</p>"
+            .to_owned();
+    };
+    let mut out = String::from("<div class=\"brackets\">");
+    for (stops, picture) in &comparison.brackets {
+        let name = match *stops {
+            s if s < 0.0 => format!("\u{2212}{} EV", -s),
+            s if s > 0.0 => format!("+{s} EV"),
+            _ => "as taken".to_owned(),
+        };
+        let address = data_address(picture);
+        let index = comparison.index;
+        write!(
+            out,
+            "<figure><img alt=\"frame {index}, {name}\" src=\"{address}\">\
+             <figcaption>{name}</figcaption></figure>"
+        )
+        .ok();
+    }
+    out + "</div>"
+}

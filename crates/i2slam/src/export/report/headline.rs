@@ -1,0 +1,93 @@
+//! The first screen: one sentence and the figures that matter.
+
+use super::{Report, escape};
+use crate::export::Metrics;
+use std::fmt::Write;
+
+/// What was done, in a sentence.
+pub(super) fn lead(report: &Report<'_>) -> String {
+    let metrics = report.metrics;
+    let end = if metrics.complete { "" } else { " The run was ended before its last frame." };
+    format!(
+        "{} blurred frames of <b>{}</b> became one sharp map of light and a camera path. \
+         Preset <code>{}</code>, seed {}.{end}",
+        metrics.frames,
+        escape(report.title),
+        escape(&metrics.preset),
+        metrics.seed,
+    )
+}
+
+/// The headline figures, each with one line that says what it is.
+pub(super) fn cards(metrics: &Metrics) -> String {
+    let mut out = String::new();
+    let mut card = |value: String, unit: &str, name: &str, meaning: &str| {
+        write!(
+            out,
+            "<div class=\"card\"><dt>{name}</dt><dd><b>{value}</b><small>{unit}</small></dd>\
+             <p>{meaning}</p></div>"
+        )
+        .ok();
+    };
+    let of_all = format!("of {}", metrics.frames);
+    card(metrics.tracked.to_string(), &of_all, "Frames tracked", "The camera's pose was found.");
+    if let Some(error) = metrics.ate_rmse_m {
+        let meaning = "Distance of the estimated from the true camera positions (RMSE after \
+                       rigid alignment).";
+        card(significant(error * 100.0), "cm", "Trajectory error", meaning);
+    }
+    if let Some(psnr) = metrics.psnr_sharp_db {
+        let meaning = "Sharp renders against the true sharp pictures. Higher is better.";
+        card(format!("{psnr:.1}"), "dB", "Sharp PSNR", meaning);
+    }
+    if let Some(psnr) = metrics.psnr_blurred_db {
+        let meaning = "How well blur, exposure and map together predict the pictures taken. \
+                       30 dB is a good match.";
+        card(format!("{psnr:.1}"), "dB", "Prediction PSNR", meaning);
+    }
+    let blur = format!("{:.1}", metrics.blur_length_px_max);
+    card(blur, "px", "Longest blur", "The longest streak a point draws while the shutter is open.");
+    let seconds = significant(metrics.seconds_per_frame);
+    card(seconds, "s", "Time per frame", "Tracking and mapping together.");
+    let gaussians = thousands(metrics.gaussians);
+    card(gaussians, "", "Gaussians", "Soft blobs of light that make up the map.");
+    if let Some(correlation) = metrics.log_exposure_correlation {
+        let meaning = "Correlation of recovered and true log exposure. 1 is perfect.";
+        card(format!("{correlation:.3}"), "", "Exposure", meaning);
+    }
+    out
+}
+
+/// Three significant digits, without exponent.
+pub(super) fn significant(value: f64) -> String {
+    let digits = if value > 0.0 && value.is_finite() { 2.0 - value.log10().floor() } else { 0.0 };
+    format!("{value:.*}", digits.clamp(0.0, 6.0) as usize)
+}
+
+/// A count with narrow spaces between thousands.
+fn thousands(count: usize) -> String {
+    let digits = count.to_string();
+    let mut out = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push('\u{202f}');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_short() {
+        assert_eq!(significant(1.8349), "1.83");
+        assert_eq!(significant(0.04231), "0.0423");
+        assert_eq!(significant(123.4), "123");
+        assert_eq!(significant(0.0), "0");
+        assert_eq!(thousands(1_234_567), "1\u{202f}234\u{202f}567");
+        assert_eq!(thousands(12), "12");
+    }
+}

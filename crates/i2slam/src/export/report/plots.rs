@@ -1,0 +1,215 @@
+//! The plots of the page, from the estimates of the frames.
+
+use super::Report;
+use super::plot::{Mark, Plot, Series};
+use crate::reconstruction::FrameEstimate;
+use i2slam_geometry::{Pose, StampedPose};
+
+type Points = Vec<(f64, f64)>;
+
+/// A plot over the frames of the sequence.
+fn over_frames(title: &'static str, explanation: &str, y_label: &'static str) -> Plot {
+    Plot {
+        title,
+        explanation: explanation.to_owned(),
+        x_label: "frame",
+        y_label,
+        from_zero: true,
+        equal_scales: false,
+        series: Vec::new(),
+        marks: Vec::new(),
+    }
+}
+
+fn points(frames: &[FrameEstimate], value: impl Fn(&FrameEstimate) -> f64) -> Points {
+    frames.iter().map(|f| (f.index as f64, value(f))).collect()
+}
+
+/// The path from above and from the side, and its distance from the truth.
+pub(super) fn trajectory(report: &Report<'_>) -> String {
+    let frames = &report.reconstruction.frames;
+    let Some(first) = frames.first() else {
+        return "<p class=\"none\">No frame was processed.</p>".to_owned();
+    };
+    // Seen from the first camera, whose axes are right, down and forward.
+    let first_from_world = first.middle().inverse();
+    let path: Vec<[f64; 3]> = frames.iter().map(|f| seen(first_from_world, f.middle())).collect();
+    let truth = report.ground_truth.iter().map(|p| seen(first_from_world, p.world_from_camera));
+    let truth: Vec<[f64; 3]> = truth.collect();
+    let mut out = view("From above", "to the right [m]", "forward [m]", &path, &truth, [0, 2]);
+    out += &view("From the side", "forward [m]", "up [m]", &path, &truth, [2, 1]);
+    if let Some(error) = position_error(frames, report.ground_truth) {
+        out += &error.html();
+    }
+    out
+}
+
+/// A camera centre in the frame of the first camera: right, up, forward.
+fn seen(first_from_world: Pose<f64>, world_from_camera: Pose<f64>) -> [f64; 3] {
+    let centre = first_from_world * world_from_camera.translation;
+    [centre.x, -centre.y, centre.z]
+}
+
+fn view(
+    title: &'static str,
+    x_label: &'static str,
+    y_label: &'static str,
+    path: &[[f64; 3]],
+    truth: &[[f64; 3]],
+    [across, up]: [usize; 2],
+) -> String {
+    let flat = |path: &[[f64; 3]]| -> Points { path.iter().map(|p| (p[across], p[up])).collect() };
+    let mut series = Vec::new();
+    if !truth.is_empty() {
+        series.push(Series::line("ground truth", "c2", flat(truth)).marked(Mark::Dashed));
+    }
+    series.push(Series::line("estimate", "c1", flat(path)));
+    let ends = [("start", path.first()), ("end", path.last())];
+    let marks = ends.into_iter().filter_map(|(name, p)| p.map(|p| (name, p[across], p[up])));
+    let explanation =
+        "Where the camera was, in the directions of its first frame; one scale on both axes.";
+    Plot {
+        title,
+        explanation: explanation.to_owned(),
+        x_label,
+        y_label,
+        from_zero: false,
+        equal_scales: true,
+        series,
+        marks: marks.collect(),
+    }
+    .html()
+}
+
+/// Distance of each estimate from the truth, which comes with the same timestamps.
+fn position_error(frames: &[FrameEstimate], truth: &[StampedPose]) -> Option<Plot> {
+    let stamps: Vec<f64> = truth.iter().map(|p| p.timestamp).collect();
+    let error = |frame: &FrameEstimate| {
+        let nearest = i2slam_geometry::nearest_stamp(&stamps, frame.timestamp, 0.02);
+        let of = |i: usize| truth[i].world_from_camera.translation - frame.middle().translation;
+        nearest.map_or(f64::NAN, |i| of(i).norm() * 100.0)
+    };
+    let explanation = "Distance from the true camera position after alignment.";
+    let mut plot = over_frames("Position error", explanation, "error [cm]");
+    plot.series = vec![Series::line("error", "c1", points(frames, error)).marked(Mark::Area)];
+    (!truth.is_empty()).then_some(plot)
+}
+
+/// Exposure, white balance, response.
+pub(super) fn tone(report: &Report<'_>) -> String {
+    let reconstruction = report.reconstruction;
+    if !reconstruction.config.formation.tone {
+        return "<p class=\"none\">Switched off in this run: pictures were taken as they are.</p>"
+            .to_owned();
+    }
+    exposure(report).html()
+        + &white_balance(&reconstruction.frames).html()
+        + &response(report).html()
+}
+
+fn exposure(report: &Report<'_>) -> Plot {
+    let frames = &report.reconstruction.frames;
+    let stops = |f: &FrameEstimate| f64::from(f.tone.log_exposure) / std::f64::consts::LN_2;
+    let explanation = "Brightness the camera chose, in stops (1 EV is a factor of two) relative to \
+                       the first frame.";
+    let mut plot = over_frames("Exposure", explanation, "exposure [EV]");
+    plot.from_zero = false;
+    let estimate = points(frames, stops);
+    if !report.true_exposure.is_empty() {
+        let truth = lay_onto(&estimate, report.true_exposure);
+        plot.series.push(Series::line("truth", "c2", truth).marked(Mark::Dashed));
+    }
+    plot.series.push(Series::line("recovered", "c1", estimate));
+    plot
+}
+
+/// True exposures in stops, with the one free gain removed.
+fn lay_onto(estimate: &[(f64, f64)], truth: &[(usize, f64)]) -> Points {
+    let stops = |e: f64| if e > 0.0 { e.log2() } else { f64::NAN };
+    let truth: Points = truth.iter().map(|&(i, e)| (i as f64, stops(e))).collect();
+    let differences: Vec<f64> = truth
+        .iter()
+        .filter_map(|t| estimate.iter().find(|e| e.0 == t.0).map(|e| e.1 - t.1))
+        .filter(|d| d.is_finite())
+        .collect();
+    let offset = differences.iter().sum::<f64>() / differences.len().max(1) as f64;
+    let (first, last) = match (estimate.first(), estimate.last()) {
+        (Some(first), Some(last)) => (first.0, last.0),
+        _ => return Vec::new(),
+    };
+    truth.into_iter().filter(|t| t.0 >= first && t.0 <= last).map(|t| (t.0, t.1 + offset)).collect()
+}
+
+fn white_balance(frames: &[FrameEstimate]) -> Plot {
+    let explanation = "Gain of each colour; green is 1 where red and blue are free.";
+    let mut plot = over_frames("White balance", explanation, "gain");
+    plot.from_zero = false;
+    plot.series = [("red", 0), ("green", 1), ("blue", 2)]
+        .into_iter()
+        .map(|(name, channel)| {
+            let gain = |f: &FrameEstimate| f64::from(f.tone.log_white_balance[channel]).exp();
+            Series::line(name, name, points(frames, gain))
+        })
+        .collect();
+    plot
+}
+
+fn response(report: &Report<'_>) -> Plot {
+    let mut plot = over_frames(
+        "Camera response",
+        "How the camera turns light (0 is none, 1 just saturates) into picture values. Dashed: the \
+         sRGB standard.",
+        "picture value",
+    );
+    plot.x_label = "light reaching the sensor";
+    let responses = &report.reconstruction.responses;
+    let srgb = i2slam_formation::StartCurve::Srgb;
+    let Some(response) = responses.get(responses.len() / 2) else { return plot };
+    let curve = response.curve();
+    let standard = curve.positions().iter().map(|&x| f64::from(x)).map(|x| (x, srgb.evaluate(x)));
+    plot.series.push(Series::line("sRGB", "grey", standard.collect()).marked(Mark::Dashed));
+    let names: &[&str] =
+        if curve.curves() == 1 { &["all colours"] } else { &["red", "green", "blue"] };
+    for (channel, name) in names.iter().enumerate() {
+        let colour = if curve.curves() == 1 { "c1" } else { ["red", "green", "blue"][channel] };
+        let values = curve.positions().iter().zip(curve.values(channel));
+        let values = values.map(|(&x, &y)| (f64::from(x), f64::from(y))).collect();
+        plot.series.push(Series::line(name, colour, values));
+    }
+    plot
+}
+
+/// Blur length.
+pub(super) fn motion(report: &Report<'_>) -> String {
+    let frames = &report.reconstruction.frames;
+    let explanation = "Length of the streak that a point of the scene draws while the shutter is \
+                       open (median over the picture).";
+    let mut plot = over_frames("Blur", explanation, "blur [px]");
+    plot.series =
+        vec![Series::line("blur", "c1", points(frames, |f| f.blur_length)).marked(Mark::Area)];
+    plot.html()
+}
+
+/// Time, losses and size of the map.
+pub(super) fn work(report: &Report<'_>) -> String {
+    let frames = &report.reconstruction.frames;
+    let mut time = over_frames("Time", "Seconds of work on each frame.", "time [s]");
+    let total = |f: &FrameEstimate| f.tracking_seconds + f.mapping_seconds;
+    time.series = vec![
+        Series::line("tracking and mapping", "c2", points(frames, total)).marked(Mark::Area),
+        Series::line("tracking alone", "c1", points(frames, |f| f.tracking_seconds)),
+    ];
+    let explanation = "Mean difference between predicted and taken picture when the pose was found \
+                       (1 is black against white).";
+    let mut image = over_frames("Picture loss", explanation, "difference");
+    image.series = vec![Series::line("picture", "c1", points(frames, |f| f.losses.image))];
+    let explanation = "Mean difference between predicted and measured depth.";
+    let mut depth = over_frames("Depth loss", explanation, "difference [cm]");
+    let centimetres = |f: &FrameEstimate| 100.0 * f.losses.depth;
+    depth.series = vec![Series::line("depth", "c3", points(frames, centimetres))];
+    let mut size = over_frames("Map", "Gaussians in the map, in thousands.", "thousands");
+    let thousands = |f: &FrameEstimate| f.gaussians as f64 / 1000.0;
+    size.series =
+        vec![Series::line("Gaussians", "c4", points(frames, thousands)).marked(Mark::Area)];
+    [time, image, depth, size].iter().map(Plot::html).collect()
+}

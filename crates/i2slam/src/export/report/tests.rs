@@ -1,0 +1,95 @@
+//! The page, from a reconstruction made by hand.
+
+use super::*;
+use crate::export::tests::example;
+use i2slam_geometry::Image;
+
+/// A picture of stripes.
+fn picture(phase: f32, sharpness: f32) -> Image<f32> {
+    let mut picture = Image::new(96, 72, 3);
+    for channel in 0..3 {
+        for i in 0..picture.pixels() {
+            let (x, y) = ((i % 96) as f32, (i / 96) as f32);
+            let wave = (0.4 * x + phase + channel as f32).sin() * (0.3 * y).cos();
+            picture.plane_mut(channel)[i] = 0.5 + sharpness * wave;
+        }
+    }
+    picture
+}
+
+fn comparison(index: usize) -> Comparison {
+    let phase = index as f32;
+    let mut depth = Image::new(96, 72, 1);
+    depth.data.iter_mut().enumerate().for_each(|(i, d)| *d = 1.0 + (i % 96) as f32 / 48.0);
+    Comparison {
+        index,
+        input: picture(phase, 0.15),
+        sharp: picture(phase, 0.45),
+        blurred: picture(phase, 0.16),
+        depth,
+        brackets: [-2.0, 0.0, 2.0].map(|ev| (ev, picture(phase, 0.3))).to_vec(),
+    }
+}
+
+fn page(title: &str, frames: usize) -> String {
+    let reconstruction = example(frames);
+    let metrics = Metrics {
+        ate_rmse_m: Some(0.0171),
+        psnr_blurred_db: Some(31.2),
+        ..Metrics::of(&reconstruction)
+    };
+    let ground_truth = reconstruction.trajectory();
+    let shown = frames_to_show(&reconstruction.frames, 4);
+    let comparisons: Vec<_> =
+        shown.iter().map(|&i| comparison(reconstruction.frames[i].index)).collect();
+    let true_exposure: Vec<(usize, f64)> = reconstruction
+        .frames
+        .iter()
+        .map(|f| (f.index, 0.01 * f64::from(f.tone.exposure())))
+        .collect();
+    Report {
+        title,
+        reconstruction: &reconstruction,
+        metrics: &metrics,
+        ground_truth: &ground_truth,
+        true_exposure: &true_exposure,
+        comparisons: &comparisons,
+    }
+    .html()
+}
+
+#[test]
+fn the_page_needs_nothing_else() {
+    let page = page("a <b>&\" sequence", 40);
+    assert!(page.contains("a &lt;b&gt;&amp;&quot; sequence") && !page.contains("a <b>&\""));
+    assert!(!page.contains("{{"));
+    let outside = ["src=\"http", "href=\"http", "url(http", "@import", "src=\"\"", "NaN"];
+    for address in outside {
+        assert!(!page.contains(address), "{address}");
+    }
+    assert_eq!(page.matches("<figure class=\"plot\">").count(), 11);
+    assert_eq!(page.matches("<figure class=\"pair").count(), 4);
+}
+
+#[test]
+fn a_run_without_frames_has_a_page_too() {
+    let page = page("nothing", 0);
+    assert!(page.contains("No frame was processed") && !page.contains("NaN"));
+}
+
+#[test]
+fn shown_frames_are_spread_and_blurred() {
+    let mut frames = example(40).frames;
+    frames.iter_mut().for_each(|f| f.blur_length = 1.0);
+    frames[7].blur_length = 9.0;
+    frames[33].blur_length = 5.0;
+    let shown = frames_to_show(&frames, 8);
+    assert_eq!(shown.len(), 8);
+    assert!(shown.contains(&7) && shown.contains(&33) && shown.is_sorted());
+    assert_eq!(frames_to_show(&frames[..3], 8), [0, 1, 2]);
+}
+
+#[test]
+fn placeholders_in_values_stay() {
+    assert_eq!(fill("a {{x}} b {{y}}", &[("x", "{{y}}".into()), ("y", "2".into())]), "a {{y}} b 2");
+}

@@ -1,0 +1,42 @@
+//! A reconstruction written to its folder, what matters most first.
+
+use super::state::{CameraFile, State};
+use super::{ExportError, Metrics, ResultFolder, Storage, map, table};
+use crate::reconstruction::Reconstruction;
+use std::io::{self, Write};
+
+/// Write everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
+/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply`, in this order.
+///
+/// A file that fails does not keep the others from being tried. The list holds what failed.
+pub fn save<S: Storage>(
+    folder: &ResultFolder<S>,
+    reconstruction: &Reconstruction,
+) -> Vec<ExportError> {
+    let r = reconstruction;
+    let steps = [
+        folder.write_text("trajectory.txt", &table::trajectory(&r.frames)),
+        folder.write_text("trajectory_shutter.txt", &table::shutter_trajectory(&r.frames)),
+        folder.write_text("frames.csv", &table::frames(&r.frames)),
+        folder.write_text("config.toml", &r.config.to_toml()),
+        folder.write("camera.json", |out| json(out, &CameraFile::of(&r.camera))),
+        folder.write_text("camera_response.csv", &table::responses(r)),
+        folder.write("state.json", |out| json(out, &State::of(&r.responses))),
+        folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
+        folder.write("map.ply", |out| map::write_ply(out, r)),
+    ];
+    steps.into_iter().filter_map(Result::err).collect()
+}
+
+/// Write `metrics.json`.
+pub fn save_metrics<S: Storage>(
+    folder: &ResultFolder<S>,
+    metrics: &Metrics,
+) -> Result<(), ExportError> {
+    folder.write("metrics.json", |out| json(out, metrics))
+}
+
+fn json(out: &mut dyn Write, value: &impl serde::Serialize) -> io::Result<()> {
+    serde_json::to_writer_pretty(&mut *out, value)?;
+    writeln!(out)
+}

@@ -1,0 +1,210 @@
+//! Where results are written: every file appears complete or not at all.
+
+use super::ExportError;
+use std::fs;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// The few operations of a file system that results need. [`Disk`] is the real one; tests
+/// inject one that runs full.
+pub trait Storage {
+    /// Create the folder and those above it.
+    fn create_folder(&self, path: &Path) -> io::Result<()>;
+    /// Create or empty a file.
+    fn create(&self, path: &Path) -> io::Result<Box<dyn Write>>;
+    /// Give a complete file its name, replacing an older one.
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Delete a file.
+    fn remove(&self, path: &Path) -> io::Result<()>;
+}
+
+/// The file system of the machine.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Disk;
+
+impl Storage for Disk {
+    fn create_folder(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir_all(path)
+    }
+    fn create(&self, path: &Path) -> io::Result<Box<dyn Write>> {
+        Ok(Box::new(fs::File::create(path)?))
+    }
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        fs::remove_file(path)
+    }
+}
+
+/// A folder that results are written to.
+#[derive(Clone, Debug)]
+pub struct ResultFolder<S = Disk> {
+    root: PathBuf,
+    storage: S,
+}
+
+impl ResultFolder<Disk> {
+    /// Create the folder if need be and make sure that it can be written, so that a run does not
+    /// find out at its end.
+    pub fn create(root: &Path) -> Result<Self, ExportError> {
+        let folder = Self::on(root, Disk);
+        let probe = root.join(".i2slam-probe");
+        let result = folder.storage.create_folder(root).map_err(|e| (root, e)).and_then(|()| {
+            fs::write(&probe, b"i2slam")
+                .and_then(|()| fs::remove_file(&probe))
+                .map_err(|e| (root, e))
+        });
+        result
+            .map(|()| folder.clone())
+            .map_err(|(path, source)| ExportError::Write { path: path.to_owned(), source })
+    }
+}
+
+impl<S: Storage> ResultFolder<S> {
+    /// A folder on a given storage.
+    pub fn on(root: &Path, storage: S) -> Self {
+        Self { root: root.to_owned(), storage }
+    }
+
+    /// The folder's path.
+    pub fn path(&self) -> &Path {
+        &self.root
+    }
+
+    /// Write `relative` (with `/` between folders) under another name, then rename: a reader never
+    /// sees half a file, and an older file stays until the new one is complete.
+    pub fn write(
+        &self,
+        relative: &str,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<(), ExportError> {
+        let path = self.root.join(relative);
+        let partial = partial_name(&path);
+        let failed = |source| ExportError::Write { path: path.clone(), source };
+        if let Some(parent) = path.parent() {
+            self.storage.create_folder(parent).map_err(failed)?;
+        }
+        let written = self.write_through(&partial, content);
+        let placed = written.and_then(|()| self.storage.rename(&partial, &path));
+        placed.map_err(|source| {
+            // The error that matters is the first; a partial file that cannot be removed is harmless.
+            self.storage.remove(&partial).ok();
+            failed(source)
+        })
+    }
+
+    /// Write a text file.
+    pub fn write_text(&self, relative: &str, text: &str) -> Result<(), ExportError> {
+        self.write(relative, |out| out.write_all(text.as_bytes()))
+    }
+
+    fn write_through(
+        &self,
+        path: &Path,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let mut out = BufWriter::new(self.storage.create(path)?);
+        content(&mut out)?;
+        out.flush()
+    }
+}
+
+fn partial_name(path: &Path) -> PathBuf {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    path.with_file_name(format!(".{name}.partial"))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use std::cell::RefCell;
+    use std::rc::Rc;
+
+    /// A disk with room for so many bytes.
+    #[derive(Clone, Debug)]
+    pub(crate) struct SmallDisk {
+        pub(crate) room: Rc<RefCell<usize>>,
+    }
+
+    impl SmallDisk {
+        pub(crate) fn new(room: usize) -> Self {
+            Self { room: Rc::new(RefCell::new(room)) }
+        }
+    }
+
+    struct SmallFile {
+        file: fs::File,
+        room: Rc<RefCell<usize>>,
+    }
+
+    impl Write for SmallFile {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let mut room = self.room.borrow_mut();
+            if *room < bytes.len() {
+                return Err(io::Error::from_raw_os_error(28));
+            }
+            *room -= bytes.len();
+            self.file.write(bytes)
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            self.file.flush()
+        }
+    }
+
+    impl Storage for SmallDisk {
+        fn create_folder(&self, path: &Path) -> io::Result<()> {
+            Disk.create_folder(path)
+        }
+        fn create(&self, path: &Path) -> io::Result<Box<dyn Write>> {
+            let file = fs::File::create(path)?;
+            Ok(Box::new(SmallFile { file, room: Rc::clone(&self.room) }))
+        }
+        fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+            Disk.rename(from, to)
+        }
+        fn remove(&self, path: &Path) -> io::Result<()> {
+            Disk.remove(path)
+        }
+    }
+
+    /// An empty folder for one test, removed when dropped.
+    pub(crate) struct Scratch(pub(crate) PathBuf);
+
+    impl Scratch {
+        pub(crate) fn new(name: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("i2slam-{name}-{}", std::process::id()));
+            fs::remove_dir_all(&path).ok();
+            fs::create_dir_all(&path).expect("a temporary folder");
+            Self(path)
+        }
+    }
+
+    impl Drop for Scratch {
+        fn drop(&mut self) {
+            fs::remove_dir_all(&self.0).ok();
+        }
+    }
+
+    #[test]
+    fn a_full_disk_keeps_the_older_file_and_leaves_no_rest() {
+        let scratch = Scratch::new("full");
+        let folder = ResultFolder::on(&scratch.0, SmallDisk::new(10));
+        folder.write_text("a/kept.txt", "12345").expect("room for five bytes");
+        let error = folder.write_text("a/kept.txt", "longer than the room").expect_err("full");
+        assert!(error.is_storage_full(), "{error}");
+        let message = error.to_string();
+        assert!(message.contains("kept.txt") && message.contains("no space left"), "{message}");
+        assert_eq!(fs::read_to_string(scratch.0.join("a/kept.txt")).ok().as_deref(), Some("12345"));
+        assert_eq!(fs::read_dir(scratch.0.join("a")).map(Iterator::count).ok(), Some(1));
+    }
+
+    #[test]
+    fn a_folder_that_is_a_file_is_refused_at_once() {
+        let scratch = Scratch::new("file");
+        let path = scratch.0.join("results");
+        fs::write(&path, b"x").expect("a file");
+        let error = ResultFolder::create(&path).expect_err("a file, not a folder");
+        assert!(error.to_string().contains("results"), "{error}");
+    }
+}

@@ -1,0 +1,119 @@
+//! The text files of a result: trajectories, frames, camera response.
+
+use crate::reconstruction::{FrameEstimate, Reconstruction};
+use i2slam_geometry::Pose;
+use std::fmt::{Display, Write};
+
+/// Columns of `frames.csv`, in order.
+pub(crate) const FRAME_COLUMNS: [&str; 16] = [
+    "index",
+    "timestamp",
+    "exposure",
+    "white_balance_r",
+    "white_balance_g",
+    "white_balance_b",
+    "loss_image",
+    "loss_depth",
+    "loss_trajectory",
+    "blur_length_px",
+    "tracking_seconds",
+    "mapping_seconds",
+    "gaussians",
+    "keyframe",
+    "tracked",
+    "response",
+];
+
+/// `trajectory.txt`: mid-exposure poses in the TUM format.
+pub(crate) fn trajectory(frames: &[FrameEstimate]) -> String {
+    let mut text = String::from("# world_from_camera at mid-exposure [m]\n");
+    text += "# timestamp tx ty tz qx qy qz qw\n";
+    for frame in frames {
+        text += &line(frame.timestamp, &[frame.middle()], |v| format!("{v:.9}"));
+    }
+    text
+}
+
+/// `trajectory_shutter.txt`: poses at shutter open and close, in full precision.
+pub(crate) fn shutter_trajectory(frames: &[FrameEstimate]) -> String {
+    let mut text = String::from("# world_from_camera at shutter open (0) and close (1) [m]\n");
+    text += "# timestamp tx0 ty0 tz0 qx0 qy0 qz0 qw0 tx1 ty1 tz1 qx1 qy1 qz1 qw1\n";
+    for frame in frames {
+        let poses = [frame.shutter.start, frame.shutter.end];
+        text += &line(frame.timestamp, &poses, |v| v.to_string());
+    }
+    text
+}
+
+fn line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String) -> String {
+    let mut line = format!("{timestamp:.6}");
+    for Pose { rotation: q, translation: t } in poses {
+        for value in [t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w] {
+            line.push(' ');
+            line += &number(value);
+        }
+    }
+    line.push('\n');
+    line
+}
+
+/// `frames.csv`: one row per frame. Numbers that are read back are in full precision.
+pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
+    let mut text = FRAME_COLUMNS.join(",");
+    text.push('\n');
+    for frame in frames {
+        let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
+        let losses = frame.losses;
+        let cells: [&dyn Display; 16] = [
+            &frame.index,
+            &frame.timestamp,
+            &log_exposure.exp(),
+            &red.exp(),
+            &green.exp(),
+            &blue.exp(),
+            &losses.image,
+            &losses.depth,
+            &losses.trajectory,
+            &frame.blur_length,
+            &format_args!("{:.4}", frame.tracking_seconds),
+            &format_args!("{:.4}", frame.mapping_seconds),
+            &frame.gaussians,
+            &u8::from(frame.keyframe),
+            &u8::from(frame.tracked),
+            &frame.response,
+        ];
+        text += &cells.map(|cell| cell.to_string()).join(",");
+        text.push('\n');
+    }
+    text
+}
+
+/// `camera_response.csv`: node, linear input, picture value of each curve; a leading `frame`
+/// where every frame has a response of its own.
+pub(crate) fn responses(reconstruction: &Reconstruction) -> String {
+    let per_frame = reconstruction.responses.len() > 1;
+    let curves = reconstruction.responses.first().map_or(1, |r| r.nodes.len());
+    let mut text = String::from(if per_frame { "frame,node,input" } else { "node,input" });
+    text += if curves == 1 { ",output\n" } else { ",output_r,output_g,output_b\n" };
+    for (i, response) in reconstruction.responses.iter().enumerate() {
+        let curve = response.curve();
+        let frame = per_frame.then(|| frame_of(reconstruction, i)).flatten();
+        for (node, input) in curve.positions().iter().enumerate() {
+            if let Some(frame) = frame {
+                // Writing to a string cannot fail.
+                write!(text, "{frame},").ok();
+            }
+            write!(text, "{node},{input}").ok();
+            for c in 0..curves {
+                write!(text, ",{}", curve.values(c)[node]).ok();
+            }
+            text.push('\n');
+        }
+    }
+    text
+}
+
+/// The stream index of the first frame that a response forms.
+fn frame_of(reconstruction: &Reconstruction, response: usize) -> Option<usize> {
+    reconstruction.frames.iter().find(|f| f.response == response).map(|f| f.index)
+}

@@ -1,0 +1,142 @@
+//! Round trips and full disks, on a reconstruction made by hand.
+
+use super::storage::tests::{Scratch, SmallDisk};
+use super::*;
+use crate::config::Config;
+use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
+use i2slam_formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
+use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
+use std::fs;
+
+/// Frames along an arc, three response curves, a few Gaussians.
+pub(crate) fn example(frames: usize) -> Reconstruction {
+    let pose = |t: f64| {
+        let turn = Vec3::new(0.1 * t.sin(), 0.3 * t, -0.05 * t);
+        Pose::new(Rotation::exp(turn), Vec3::new(t.sin(), 0.1 * t, 0.4 * t.cos()))
+    };
+    let frame = |i: usize| {
+        let t = i as f64 / 30.0;
+        let tone = FrameTone::from_array([0.2 * t as f32, 0.01, 0.0, -0.02 * t as f32]);
+        FrameEstimate {
+            index: 2 * i,
+            timestamp: 1_305_031_237.361_618 + t,
+            shutter: ShutterPoses { start: pose(t - 0.01), end: pose(t + 0.01) },
+            tone,
+            response: 0,
+            keyframe: i % 5 == 0,
+            tracked: i != 3,
+            losses: Losses { image: 0.02 + 0.01 * t.cos(), depth: 0.004, trajectory: 1e-5 * t },
+            blur_length: 3.0 + 2.0 * (2.0 * t).sin(),
+            tracking_seconds: 0.25,
+            mapping_seconds: 0.125,
+            gaussians: 1000 + i,
+        }
+    };
+    let mut response = CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2));
+    response.nodes[1][40] += 0.01;
+    let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+    for i in 0..7 {
+        let v = i as f32 * 0.37;
+        map.push(Gaussian {
+            mean: [v, -v, 1.0 + v],
+            log_scale: [-4.0 - v, -3.0, -5.0],
+            rotation: [1.0, v, 0.2, 0.0],
+            opacity_logit: v - 1.0,
+            colour: [-v, 0.3, 1e-20],
+        });
+    }
+    Reconstruction {
+        config: Config::preset("default").expect("a preset"),
+        camera: Camera { width: 64, height: 48, fx: 60.1, fy: 59.9, cx: 32.2, cy: 24.7 },
+        frames: (0..frames).map(frame).collect(),
+        map,
+        responses: vec![response],
+    }
+}
+
+#[test]
+fn a_saved_folder_loads_as_it_was() {
+    let scratch = Scratch::new("load");
+    let before = example(6);
+    let folder = ResultFolder::create(&scratch.0).expect("a folder");
+    assert!(save(&folder, &before).is_empty());
+    let after = Reconstruction::load(&scratch.0).expect("a result");
+    assert_eq!(after.map, before.map);
+    assert_eq!(after.camera, before.camera);
+    assert_eq!(after.responses, before.responses);
+    assert_eq!(after.config, before.config);
+    for (a, b) in after.frames.iter().zip(&before.frames) {
+        assert_eq!((a.shutter, a.tone, a.losses), (b.shutter, b.tone, b.losses));
+        assert_eq!((a.index, a.timestamp, a.blur_length), (b.index, b.timestamp, b.blur_length));
+        assert_eq!((a.keyframe, a.tracked, a.gaussians), (b.keyframe, b.tracked, b.gaussians));
+    }
+}
+
+#[test]
+fn damage_is_named() {
+    let scratch = Scratch::new("damage");
+    let folder = ResultFolder::create(&scratch.0).expect("a folder");
+    assert!(save(&folder, &example(4)).is_empty());
+    let refusal = |file: &str, content: &[u8]| {
+        let path = scratch.0.join(file);
+        let good = fs::read(&path).expect("a file");
+        fs::write(&path, content).expect("room");
+        let message = Reconstruction::load(&scratch.0).expect_err("damage").to_string();
+        fs::write(&path, good).expect("room");
+        assert!(message.contains(file), "{message}");
+        message
+    };
+    assert!(refusal("map.i2slam", b"ply\n").contains("not an i2slam file"));
+    assert!(refusal("frames.csv", b"index,time\n").contains("column names"));
+    assert!(refusal("trajectory_shutter.txt", b"0 1 2 nan\n").contains("line 1"));
+    assert!(refusal("camera.json", b"{}").contains("width"));
+    assert!(refusal("state.json", b"{\"format\":9,\"responses\":[]}").contains("format 9"));
+    fs::remove_file(scratch.0.join("map.i2slam")).expect("a file");
+    let message = Reconstruction::load(&scratch.0).expect_err("no map").to_string();
+    assert!(message.contains("map.i2slam") && message.contains("no such file"), "{message}");
+}
+
+#[test]
+fn a_full_disk_keeps_what_was_written_before() {
+    let scratch = Scratch::new("order");
+    let reconstruction = example(6);
+    let room = 5000;
+    let failures = save(&ResultFolder::on(&scratch.0, SmallDisk::new(room)), &reconstruction);
+    assert!(!failures.is_empty() && failures.iter().all(ExportError::is_storage_full));
+    for file in ["trajectory.txt", "trajectory_shutter.txt", "frames.csv"] {
+        assert!(scratch.0.join(file).exists(), "{file}");
+    }
+    let partial = fs::read_dir(&scratch.0).expect("a folder").flatten();
+    let names: Vec<_> = partial.map(|e| e.file_name().to_string_lossy().into_owned()).collect();
+    assert!(names.iter().all(|n| !n.ends_with(".partial")), "{names:?}");
+}
+
+#[test]
+fn an_empty_reconstruction_is_saved_and_loaded() {
+    let scratch = Scratch::new("empty");
+    let mut nothing = example(0);
+    nothing.map.retain(&[false; 7]);
+    let folder = ResultFolder::create(&scratch.0).expect("a folder");
+    assert!(save(&folder, &nothing).is_empty());
+    assert!(save_metrics(&folder, &Metrics::of(&nothing)).is_ok());
+    let loaded = Reconstruction::load(&scratch.0).expect("a result");
+    assert!(loaded.frames.is_empty() && loaded.map.is_empty());
+}
+
+#[test]
+fn viewers_get_display_colours() {
+    let mut reconstruction = example(5);
+    let radiance = reconstruction.map.activation.radiance(reconstruction.map.colours[0]);
+    let (tone, curve) = map::typical_tone(&reconstruction).expect("a tone");
+    let expected = curve.evaluate(0, tone.gains()[0] * radiance[0]).clamp(0.0, 1.0);
+    let dc = |reconstruction: &Reconstruction| {
+        let mut bytes = Vec::new();
+        map::write_ply(&mut bytes, reconstruction).expect("memory");
+        let start = bytes.len() - 7 * 17 * 4 + 6 * 4;
+        f32::from_le_bytes([bytes[start], bytes[start + 1], bytes[start + 2], bytes[start + 3]])
+    };
+    assert!((dc(&reconstruction) * 0.282_094_8 + 0.5 - expected).abs() < 1e-6);
+    reconstruction.config.formation.tone = false;
+    assert!((dc(&reconstruction) * 0.282_094_8 + 0.5 - radiance[0].min(1.0)).abs() < 1e-6);
+}
