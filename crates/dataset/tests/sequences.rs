@@ -195,3 +195,17 @@ fn a_dropped_stream_stops_reading() {
     drop(stream);
     assert_eq!(sequence.stream().count(), 30);
 }
+
+#[test]
+fn reading_ahead_is_bounded() {
+    let folder = Folder::tum(30);
+    let mut stream = open(&folder).stream();
+    assert!(stream.next().is_some_and(|frame| frame.is_ok()));
+    // Time for the thread to read as far ahead as it will.
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    folder.write("rgb/010.png", "not read yet");
+    let readable: Vec<bool> = stream.map(|frame| frame.is_ok()).collect();
+    assert_eq!(readable.len(), 29);
+    assert_eq!(readable.iter().position(|ok| !ok), Some(9));
+    assert_eq!(readable.iter().filter(|ok| !**ok).count(), 1);
+}
