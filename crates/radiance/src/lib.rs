@@ -1,1 +1,11 @@
-//! (being written)
+//! Radiance maps: linear, high-dynamic-range radiance and depth seen from a pose, and the way
+//! back from a derivative of the picture to derivatives of the map and of the pose.
+//!
+//! * [`RadianceMap`] is the seam: everything above it works with any map.
+//! * [`gaussian`] is 3D Gaussian splatting (Kerbl et al. 2023) with gradients by hand, a plain
+//!   `reference` lane for `f32` and `f64`, and a fast `cpu` lane ([`gaussian::Rasterizer`]).
+
+pub mod gaussian;
+mod seam;
+
+pub use seam::{RadianceMap, Render, RenderCotangent, View};

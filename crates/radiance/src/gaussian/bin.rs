@@ -1,0 +1,202 @@
+//! Which splats touch which tile, in order of depth.
+
+use super::project::cpu::{CHUNK, Chunk, Splat};
+use super::sort::{self, take};
+use i2slam_geometry::Camera;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+/// Width and height of a tile [px].
+pub(crate) const TILE: usize = 16;
+/// Sorted splats that one thread takes at least.
+const SORTED_CHUNK: usize = 4096;
+
+/// The tiles of an image, row by row.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct TileGrid {
+    /// Of the image [px].
+    pub(crate) width: usize,
+    /// Of the image [px].
+    pub(crate) height: usize,
+    /// Tiles in a row.
+    pub(crate) columns: usize,
+    /// Rows of tiles.
+    pub(crate) rows: usize,
+}
+
+impl TileGrid {
+    pub(crate) fn of<T>(camera: &Camera<T>) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        Self { width, height, columns: width.div_ceil(TILE), rows: height.div_ceil(TILE) }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+}
+
+/// One splat in one tile: which, and the rows of the tile that its extent may touch.
+#[derive(Clone, Copy)]
+pub(crate) struct Entry(u64);
+
+impl Entry {
+    fn new(splat: usize, [first, end]: [usize; 2]) -> Self {
+        Self(splat as u64 | (first as u64) << 32 | (end as u64) << 40)
+    }
+
+    /// Index of the splat.
+    #[inline(always)]
+    pub(crate) fn splat(self) -> usize {
+        (self.0 & 0xffff_ffff) as usize
+    }
+
+    /// First and end row within the tile.
+    #[inline(always)]
+    pub(crate) fn rows(self) -> [usize; 2] {
+        [(self.0 >> 32) as usize & 0xff, (self.0 >> 40) as usize & 0xff]
+    }
+}
+
+/// The lists of all tiles, one after another.
+#[derive(Default)]
+pub(crate) struct Bins {
+    /// Where the list of each tile starts, and the end.
+    pub(crate) starts: Vec<u32>,
+    entries: Vec<AtomicU64>,
+    /// For each splat of the map in order, for each of its tiles in order: its place in `entries`.
+    places: Vec<AtomicU32>,
+    /// Where the places of each chunk of splats start.
+    chunk_starts: Vec<u32>,
+    /// One row of counts, then places, per chunk of sorted splats.
+    counters: Vec<AtomicU32>,
+}
+
+impl Bins {
+    /// Number of pairs of a splat and a tile.
+    pub(crate) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// The list of one tile.
+    #[inline(always)]
+    pub(crate) fn list(&self, tile: usize) -> impl ExactSizeIterator<Item = Entry> + '_ {
+        let range = self.starts[tile] as usize..self.starts[tile + 1] as usize;
+        self.entries[range].iter().map(|entry| Entry(entry.load(Relaxed)))
+    }
+
+    /// Where a splat stands in the tiles' lists.
+    #[inline(always)]
+    pub(crate) fn places_of(
+        &self,
+        index: usize,
+        splat: &Splat,
+    ) -> impl Iterator<Item = usize> + '_ {
+        let start = (self.chunk_starts[index / CHUNK] + splat.first_tile) as usize;
+        let places = &self.places[start..start + splat.tile_count() as usize];
+        places.iter().map(|place| place.load(Relaxed) as usize)
+    }
+
+    /// Fill the lists from the splats and their `sorted` items.
+    pub(crate) fn fill(
+        &mut self,
+        grid: &TileGrid,
+        splats: &[Splat],
+        chunks: &[Chunk],
+        sorted: &[u64],
+    ) {
+        let total = self.start_chunks(chunks);
+        self.entries.resize_with(total, AtomicU64::default);
+        self.places.resize_with(total, AtomicU32::default);
+        let chunk = sorted.len().div_ceil(rayon::current_num_threads()).max(SORTED_CHUNK);
+        let count = sorted.len().div_ceil(chunk);
+        self.counters.clear();
+        self.counters.resize_with(count * grid.len(), AtomicU32::default);
+        let rows = || self.counters.par_chunks(grid.len().max(1)).zip(sorted.par_chunks(chunk));
+        rows().for_each(|(counters, items)| {
+            for item in items {
+                for_tiles(&splats[sort::index(*item)], grid, |tile, _, _| {
+                    take(&counters[tile]);
+                });
+            }
+        });
+        start_lists(&mut self.starts, &self.counters, grid.len());
+        rows().for_each(|(counters, items)| {
+            for item in items {
+                self.scatter(sort::index(*item), splats, grid, counters);
+            }
+        });
+    }
+
+    fn start_chunks(&mut self, chunks: &[Chunk]) -> usize {
+        let mut total = 0;
+        self.chunk_starts.clear();
+        self.chunk_starts.extend(chunks.iter().map(|chunk| {
+            total += chunk.tile_count;
+            total - chunk.tile_count
+        }));
+        total as usize
+    }
+
+    fn scatter(&self, index: usize, splats: &[Splat], grid: &TileGrid, counters: &[AtomicU32]) {
+        let splat = &splats[index];
+        let mut place = (self.chunk_starts[index / CHUNK] + splat.first_tile) as usize;
+        for_tiles(splat, grid, |tile, column, row| {
+            let at = take(&counters[tile]);
+            let entry = Entry::new(index, rows_within(splat, column, row));
+            self.entries[at as usize].store(entry.0, Relaxed);
+            self.places[place].store(at, Relaxed);
+            place += 1;
+        });
+    }
+}
+
+/// Turn counts per chunk and tile into places, and note where each tile's list starts.
+fn start_lists(starts: &mut Vec<u32>, counters: &[AtomicU32], tiles: usize) {
+    let mut next = 0;
+    starts.clear();
+    for tile in 0..tiles {
+        starts.push(next);
+        for counter in counters.iter().skip(tile).step_by(tiles) {
+            let count = counter.load(Relaxed);
+            counter.store(next, Relaxed);
+            next += count;
+        }
+    }
+    starts.push(next);
+}
+
+/// Call `f(tile, column, row)` for the tiles that a splat's box touches, row by row.
+#[inline(always)]
+fn for_tiles(splat: &Splat, grid: &TileGrid, mut f: impl FnMut(usize, usize, usize)) {
+    let [x0, y0, x1, y1] = splat.tiles.map(usize::from);
+    for row in y0..y1 {
+        for column in x0..x1 {
+            f(row * grid.columns + column, column, row);
+        }
+    }
+}
+
+/// The rows of a tile that the splat's ellipse touches within the columns of the tile.
+///
+/// The ellipse has its highest point at `dx = s_y h`, where `h` is half its height; within the
+/// slab of the tile's columns the highest point is at the nearest `dx`, and there the ellipse
+/// spans `s_x dx ± r sqrt(1 - (dx / w)²)`, with `w` half its width and `r` half its height at
+/// the column of its centre.
+fn rows_within(splat: &Splat, column: usize, row: usize) -> [usize; 2] {
+    let [a, b, c] = splat.exponent;
+    let [width, height] = splat.extent;
+    let left = (column * TILE) as f32 + 0.5 - splat.centre[0];
+    let right = left + (TILE - 1) as f32;
+    let top = (row * TILE) as f32 + 0.5 - splat.centre[1];
+    // Σxy/Σyy and Σxy/Σxx
+    let (slope_y, slope_x) = (-b / (2.0 * a), -b / (2.0 * c));
+    let reach = |dx: f32, sign: f32| {
+        let inside = 1.0 - (dx / width) * (dx / width);
+        slope_x * dx + sign * (splat.height_at_centre * inside.max(0.0).sqrt() + 0.01)
+    };
+    let lowest = (slope_y * height).max(left).min(right);
+    let highest = (-slope_y * height).max(left).min(right);
+    let first = (reach(highest, -1.0) - top).ceil().clamp(0.0, TILE as f32);
+    let end = ((reach(lowest, 1.0) - top).floor() + 1.0).clamp(0.0, TILE as f32);
+    if first < end { [first as usize, end as usize] } else { [0, 0] }
+}

@@ -1,0 +1,191 @@
+//! The parameters of the map.
+
+use i2slam_geometry::Real;
+
+/// Whether Gaussians are balls or ellipsoids.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Shape {
+    /// One standard deviation in all directions; the rotation is ignored.
+    Isotropic,
+    /// Three standard deviations along rotated axes.
+    Anisotropic,
+}
+
+/// How the stored colour becomes linear radiance.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum ColourActivation {
+    /// `radiance = exp(colour)`: the colour is log-radiance, never negative, without upper bound.
+    Exponential,
+    /// `radiance = colour`: SplaTAM's raw colour.
+    Linear,
+}
+
+impl ColourActivation {
+    /// Radiance of a stored colour.
+    pub fn radiance<T: Real>(self, colour: [T; 3]) -> [T; 3] {
+        match self {
+            Self::Exponential => colour.map(T::exp),
+            Self::Linear => colour,
+        }
+    }
+
+    /// The colour to store for a radiance; radiance below 1e-6 is stored as 1e-6 when
+    /// exponential.
+    pub fn colour<T: Real>(self, radiance: [T; 3]) -> [T; 3] {
+        match self {
+            Self::Exponential => radiance.map(|v| v.max(T::of(1e-6)).ln()),
+            Self::Linear => radiance,
+        }
+    }
+}
+
+/// One Gaussian.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Gaussian<T> {
+    /// Centre in the world [m].
+    pub mean: [T; 3],
+    /// Natural logarithm of the standard deviations [ln m]; isotropic uses entry 0.
+    pub log_scale: [T; 3],
+    /// Quaternion w, x, y, z from the Gaussian's axes to the world, of any length but zero.
+    pub rotation: [T; 4],
+    /// Logit of the opacity: `opacity = 1 / (1 + exp(-logit))`.
+    pub opacity_logit: T,
+    /// Colour before the [`ColourActivation`].
+    pub colour: [T; 3],
+}
+
+/// A set of Gaussians, one array per parameter, all of one length.
+#[derive(Clone, PartialEq, Debug)]
+pub struct GaussianMap<T = f32> {
+    /// Balls or ellipsoids.
+    pub shape: Shape,
+    /// Meaning of the colours.
+    pub activation: ColourActivation,
+    /// Centres in the world [m].
+    pub means: Vec<[T; 3]>,
+    /// Natural logarithms of the standard deviations [ln m]; isotropic uses entry 0 only, the
+    /// others mirror it.
+    pub log_scales: Vec<[T; 3]>,
+    /// Quaternions w, x, y, z, not necessarily of unit length; ignored when isotropic.
+    pub rotations: Vec<[T; 4]>,
+    /// Logits of the opacities.
+    pub opacity_logits: Vec<T>,
+    /// Colours before the activation.
+    pub colours: Vec<[T; 3]>,
+}
+
+impl<T: Real> GaussianMap<T> {
+    /// An empty map.
+    pub fn new(shape: Shape, activation: ColourActivation) -> Self {
+        Self {
+            shape,
+            activation,
+            means: Vec::new(),
+            log_scales: Vec::new(),
+            rotations: Vec::new(),
+            opacity_logits: Vec::new(),
+            colours: Vec::new(),
+        }
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Append one.
+    pub fn push(&mut self, gaussian: Gaussian<T>) {
+        self.means.push(gaussian.mean);
+        self.log_scales.push(gaussian.log_scale);
+        self.rotations.push(gaussian.rotation);
+        self.opacity_logits.push(gaussian.opacity_logit);
+        self.colours.push(gaussian.colour);
+    }
+
+    /// The Gaussian at `index`, if there is one.
+    pub fn get(&self, index: usize) -> Option<Gaussian<T>> {
+        Some(Gaussian {
+            mean: *self.means.get(index)?,
+            log_scale: *self.log_scales.get(index)?,
+            rotation: *self.rotations.get(index)?,
+            opacity_logit: *self.opacity_logits.get(index)?,
+            colour: *self.colours.get(index)?,
+        })
+    }
+
+    /// All Gaussians in order.
+    pub fn iter(&self) -> impl Iterator<Item = Gaussian<T>> + '_ {
+        (0..self.len()).map_while(|index| self.get(index))
+    }
+
+    /// Keep the Gaussians whose entry in `keep` is true, in order; entries that `keep` lacks
+    /// count as true.
+    pub fn retain(&mut self, keep: &[bool]) {
+        retain_by(&mut self.means, keep);
+        retain_by(&mut self.log_scales, keep);
+        retain_by(&mut self.rotations, keep);
+        retain_by(&mut self.opacity_logits, keep);
+        retain_by(&mut self.colours, keep);
+    }
+
+    /// The same map in another scalar type.
+    pub fn cast<U: Real>(&self) -> GaussianMap<U> {
+        fn vectors<T: Real, U: Real, const N: usize>(from: &[[T; N]]) -> Vec<[U; N]> {
+            from.iter().map(|v| v.map(|x| U::of(x.to_f64()))).collect()
+        }
+        GaussianMap {
+            shape: self.shape,
+            activation: self.activation,
+            means: vectors(&self.means),
+            log_scales: vectors(&self.log_scales),
+            rotations: vectors(&self.rotations),
+            opacity_logits: self.opacity_logits.iter().map(|&x| U::of(x.to_f64())).collect(),
+            colours: vectors(&self.colours),
+        }
+    }
+}
+
+/// Keep the entries marked in `keep`, in order.
+pub(crate) fn retain_by<V>(values: &mut Vec<V>, keep: &[bool]) {
+    let mut marks = keep.iter();
+    values.retain(|_| *marks.next().unwrap_or(&true));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gaussian(i: usize) -> Gaussian<f32> {
+        let v = i as f32;
+        Gaussian {
+            mean: [v, 0.0, 1.0],
+            log_scale: [-v; 3],
+            rotation: [1.0, v, 0.0, 0.0],
+            opacity_logit: v,
+            colour: [0.5, v, 0.1],
+        }
+    }
+
+    #[test]
+    fn retain_keeps_rows_together() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
+        (0..5).for_each(|i| map.push(gaussian(i)));
+        map.retain(&[true, false, false, true, true]);
+        let kept: Vec<_> = map.iter().collect();
+        assert_eq!(kept, vec![gaussian(0), gaussian(3), gaussian(4)]);
+        assert_eq!(map.cast::<f64>().cast::<f32>(), map);
+    }
+
+    #[test]
+    fn colour_inverts_radiance() {
+        for activation in [ColourActivation::Exponential, ColourActivation::Linear] {
+            let back = activation.radiance(activation.colour([0.2_f64, 1.0, 30.0]));
+            i2slam_check::assert_close("radiance", &back, &[0.2, 1.0, 30.0], 1e-12);
+        }
+    }
+}

@@ -1,0 +1,283 @@
+//! The projection of one Gaussian, as in the equations.
+
+use super::JacobianRange;
+use crate::gaussian::{ColourActivation, Gaussian, GaussianMap, RasterSettings, Shape, View};
+use i2slam_geometry::{Camera, Mat3, Real, Rotation, Tangent, Vec3};
+
+/// The footprint of a Gaussian in an image.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint<T> {
+    /// Index in the map.
+    pub(crate) index: usize,
+    /// Centre `μ` [px].
+    pub(crate) centre: [T; 2],
+    /// `Σ₂⁻¹ = [[A, B], [B, C]]` as `[A, B, C]` [px⁻²].
+    pub(crate) conic: [T; 3],
+    /// Opacity `o`.
+    pub(crate) opacity: T,
+    /// Linear radiance.
+    pub(crate) radiance: [T; 3],
+    /// Depth of the mean [m].
+    pub(crate) depth: T,
+}
+
+/// `∂L/∂` of each number of a [`Footprint`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct FootprintCotangent<T> {
+    pub(crate) centre: [T; 2],
+    pub(crate) conic: [T; 3],
+    pub(crate) opacity: T,
+    pub(crate) radiance: [T; 3],
+    pub(crate) depth: T,
+}
+
+/// What all Gaussians of one picture share.
+pub(crate) struct Projector<T> {
+    shape: Shape,
+    activation: ColourActivation,
+    camera: Camera<T>,
+    /// `W`.
+    camera_from_world: Mat3<T>,
+    /// The camera's centre in the world.
+    origin: Vec3<T>,
+    range: JacobianRange<T>,
+    near: T,
+    far: T,
+    screen_variance: T,
+    alpha_min: T,
+}
+
+/// Quantities between the parameters and the footprint that both directions use.
+struct Stages<T> {
+    /// Mean in the camera frame.
+    p: Vec3<T>,
+    /// Rows of `J`.
+    jacobian: [Vec3<T>; 2],
+    /// `V = W Σ Wᵀ`, the covariance in the camera frame.
+    covariance: Mat3<T>,
+    /// The Gaussian's axes in the world (columns).
+    axes: Mat3<T>,
+    /// Standard deviations along the axes.
+    scale: Vec3<T>,
+}
+
+impl<T: Real> Projector<T> {
+    pub(crate) fn new(map: &GaussianMap<T>, view: &View<T>, settings: &RasterSettings) -> Self {
+        let of = |value: f32| T::of(f64::from(value));
+        Self {
+            shape: map.shape,
+            activation: map.activation,
+            camera: view.camera,
+            camera_from_world: view.world_from_camera.rotation.inverse().matrix(),
+            origin: view.world_from_camera.translation,
+            range: JacobianRange::of(&view.camera),
+            near: of(settings.near),
+            far: of(settings.far),
+            screen_variance: of(settings.screen_variance),
+            alpha_min: of(settings.alpha_min),
+        }
+    }
+
+    /// The footprint, or `None` when the Gaussian lies outside of the depth range, is too
+    /// transparent to be seen, or holds a number that is not finite.
+    pub(crate) fn project(&self, index: usize, gaussian: &Gaussian<T>) -> Option<Footprint<T>> {
+        let stages = self.stages(gaussian)?;
+        let opacity = (T::one() + (-gaussian.opacity_logit).exp()).recip();
+        if !(opacity > T::zero() && opacity >= self.alpha_min) {
+            return None;
+        }
+        let (u, v) = self.camera.project(stages.p);
+        let footprint = Footprint {
+            index,
+            centre: [u, v],
+            conic: inverse(self.screen_covariance(&stages))?,
+            opacity,
+            radiance: self.activation.radiance(gaussian.colour),
+            depth: stages.p.z,
+        };
+        let finite = [footprint.centre.as_slice(), &footprint.conic, &footprint.radiance];
+        finite.iter().all(|v| v.iter().all(|x| x.is_finite())).then_some(footprint)
+    }
+
+    fn stages(&self, gaussian: &Gaussian<T>) -> Option<Stages<T>> {
+        let p = self.camera_from_world * (Vec3::from_array(gaussian.mean) - self.origin);
+        if !(p.z >= self.near && p.z <= self.far) {
+            return None;
+        }
+        let (axes, log_scale) = match self.shape {
+            Shape::Isotropic => (Mat3::identity(), [gaussian.log_scale[0]; 3]),
+            Shape::Anisotropic => {
+                let [w, x, y, z] = gaussian.rotation;
+                (Rotation::from_wxyz(w, x, y, z)?.matrix(), gaussian.log_scale)
+            }
+        };
+        let scale = Vec3::from_array(log_scale.map(T::exp));
+        let used = [gaussian.opacity_logit].into_iter().chain(log_scale).chain(gaussian.colour);
+        let finite = used.into_iter().all(|v| v.is_finite());
+        let axes_in_camera = self.camera_from_world * axes * Mat3::diagonal(scale);
+        let covariance = axes_in_camera * axes_in_camera.transpose();
+        finite.then(|| Stages { p, jacobian: self.jacobian(p), covariance, axes, scale })
+    }
+
+    /// `x/z`, `y/z` clamped to the range of the Jacobian, and whether each was inside.
+    fn clamped(&self, p: Vec3<T>) -> [(T, bool); 2] {
+        let one = |ratio: T, axis: usize| {
+            let (low, high) = (self.range.low[axis], self.range.high[axis]);
+            (ratio.max(low).min(high), ratio > low && ratio < high)
+        };
+        [one(p.x / p.z, 0), one(p.y / p.z, 1)]
+    }
+
+    /// `J = [[fx/z, 0, -fx x/z²], [0, fy/z, -fy y/z²]]`.
+    fn jacobian(&self, p: Vec3<T>) -> [Vec3<T>; 2] {
+        let [(a, _), (b, _)] = self.clamped(p);
+        let (fx, fy) = (self.camera.fx / p.z, self.camera.fy / p.z);
+        [Vec3::new(fx, T::zero(), -fx * a), Vec3::new(T::zero(), fy, -fy * b)]
+    }
+
+    /// `Σ₂ = J V Jᵀ + screen_variance I` as `[xx, xy, yy]`.
+    fn screen_covariance(&self, stages: &Stages<T>) -> [T; 3] {
+        let [x, y] = stages.jacobian;
+        let v = stages.covariance;
+        let s = self.screen_variance;
+        [x.dot(v * x) + s, x.dot(v * y), y.dot(v * y) + s]
+    }
+
+    /// `∂L/∂` of the parameters and of the tangent of `world_from_camera`. `footprint` is what
+    /// [`project`](Self::project) gave for this Gaussian.
+    pub(crate) fn pull_back(
+        &self,
+        gaussian: &Gaussian<T>,
+        footprint: &Footprint<T>,
+        cotangent: &FootprintCotangent<T>,
+    ) -> Option<(Gaussian<T>, Tangent<T>)> {
+        let stages = self.stages(gaussian)?;
+        let screen = inverse_cotangent(footprint.conic, cotangent.conic);
+        let [jx, jy] = stages.jacobian;
+        let v = stages.covariance;
+        let two = T::of(2.0);
+        // Σ₂ = J V Jᵀ: dL/dJ = 2 G J V and dL/dV = Jᵀ G J.
+        let d_jacobian = [
+            (v * (jx * screen[0] + jy * screen[1])) * two,
+            (v * (jx * screen[1] + jy * screen[2])) * two,
+        ];
+        let d_covariance = outer(jx, jx).scaled(screen[0])
+            + (outer(jx, jy) + outer(jy, jx)).scaled(screen[1])
+            + outer(jy, jy).scaled(screen[2]);
+        let d_p = self.mean_cotangent(stages.p, d_jacobian, cotangent);
+        let parameters = self.parameter_cotangents(gaussian, &stages, &d_covariance);
+        let o = footprint.opacity;
+        let gradient = Gaussian {
+            mean: (self.camera_from_world.transpose() * d_p).to_array(),
+            opacity_logit: cotangent.opacity * o * (T::one() - o),
+            colour: match self.activation {
+                ColourActivation::Linear => cotangent.radiance,
+                ColourActivation::Exponential => {
+                    std::array::from_fn(|c| cotangent.radiance[c] * footprint.radiance[c])
+                }
+            },
+            ..parameters
+        };
+        Some((gradient, pose_cotangent(&stages, d_p, &d_covariance)))
+    }
+
+    /// `∂L/∂p` through the centre, the Jacobian and the depth.
+    fn mean_cotangent(
+        &self,
+        p: Vec3<T>,
+        d_jacobian: [Vec3<T>; 2],
+        cotangent: &FootprintCotangent<T>,
+    ) -> Vec3<T> {
+        let focal = [self.camera.fx, self.camera.fy];
+        let (position, clamped) = ([p.x, p.y], self.clamped(p));
+        let (mut lateral, mut d_z) = ([T::zero(); 2], cotangent.depth);
+        for axis in 0..2 {
+            let f = focal[axis] / p.z;
+            let (ratio, inside) = clamped[axis];
+            let d = d_jacobian[axis];
+            let d_first = [d.x, d.y][axis];
+            // centre = f x / z
+            lateral[axis] = cotangent.centre[axis] * f;
+            d_z -= cotangent.centre[axis] * f * position[axis] / p.z;
+            // J's rows (f/z, -f/z clamp(x/z))
+            d_z += (d.z * ratio - d_first) * f / p.z;
+            if inside {
+                lateral[axis] -= d.z * f / p.z;
+                d_z += d.z * f * position[axis] / (p.z * p.z);
+            }
+        }
+        Vec3::new(lateral[0], lateral[1], d_z)
+    }
+
+    /// `∂L/∂` of scales and rotation from `∂L/∂V`; the other entries are zero.
+    fn parameter_cotangents(
+        &self,
+        gaussian: &Gaussian<T>,
+        stages: &Stages<T>,
+        d_covariance: &Mat3<T>,
+    ) -> Gaussian<T> {
+        let w = self.camera_from_world;
+        let scale = Mat3::diagonal(stages.scale);
+        // Σ = M Mᵀ with M = R S: dL/dM = 2 G M.
+        let d_sigma = w.transpose() * *d_covariance * w;
+        let d_m = (d_sigma * stages.axes * scale).scaled(T::of(2.0));
+        let by_axis: [T; 3] = std::array::from_fn(|axis| {
+            (0..3).map(|r| d_m[(r, axis)] * stages.axes[(r, axis)] * scale[(axis, axis)]).sum()
+        });
+        let zero = T::zero();
+        let (log_scale, rotation) = match self.shape {
+            Shape::Isotropic => ([by_axis.into_iter().sum(), zero, zero], [zero; 4]),
+            Shape::Anisotropic => {
+                (by_axis, quaternion_cotangent(gaussian.rotation, &(d_m * scale)))
+            }
+        };
+        Gaussian { mean: [zero; 3], log_scale, rotation, opacity_logit: zero, colour: [zero; 3] }
+    }
+}
+
+/// `∂L/∂(ρ, φ)`: to first order `p ← p - ρ - φ × p` and `V ← V - [φ]× V + V [φ]×`.
+fn pose_cotangent<T: Real>(stages: &Stages<T>, d_p: Vec3<T>, d_covariance: &Mat3<T>) -> Tangent<T> {
+    // <G, V [φ] - [φ] V> = tr((G V - V G) [φ]) = 2 φ · (K_yz, K_zx, K_xy), K = G V - V G.
+    let k =
+        *d_covariance * stages.covariance + (stages.covariance * *d_covariance).scaled(-T::one());
+    let turn = Vec3::new(k[(1, 2)], k[(2, 0)], k[(0, 1)]) * T::of(2.0);
+    Tangent { translation: -d_p, rotation: turn - stages.p.cross(d_p) }
+}
+
+/// `a bᵀ`.
+fn outer<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Mat3<T> {
+    Mat3 { rows: a.to_array().map(|x| (b * x).to_array()) }
+}
+
+/// The inverse of the symmetric matrix `[[a, b], [b, c]]`, if it is positive definite.
+fn inverse<T: Real>([a, b, c]: [T; 3]) -> Option<[T; 3]> {
+    let determinant = a * c - b * b;
+    (determinant > T::zero()).then(|| [c / determinant, -b / determinant, a / determinant])
+}
+
+/// `∂L/∂Σ` as a symmetric matrix `[xx, xy, yy]` from `∂L/∂[A, B, C]` of `K = Σ⁻¹`:
+/// `-K G K` with `G = [[dA, dB/2], [dB/2, dC]]`.
+fn inverse_cotangent<T: Real>([a, b, c]: [T; 3], [da, db, dc]: [T; 3]) -> [T; 3] {
+    let db = db * T::of(0.5);
+    let (p, q) = (a * da + b * db, a * db + b * dc);
+    let (r, s) = (b * da + c * db, b * db + c * dc);
+    [-(p * a + q * b), -(p * b + q * c), -(r * b + s * c)]
+}
+
+/// `∂L/∂q` of the rotation matrix of `q / |q|`, from `∂L/∂R`.
+fn quaternion_cotangent<T: Real>(q: [T; 4], d: &Mat3<T>) -> [T; 4] {
+    let norm = q.iter().map(|v| *v * *v).sum::<T>().sqrt();
+    let [w, x, y, z] = q.map(|v| v / norm);
+    let (two, m) = (T::of(2.0), &d.rows);
+    let unit = [
+        two * (x * (m[2][1] - m[1][2]) + y * (m[0][2] - m[2][0]) + z * (m[1][0] - m[0][1])),
+        two * (y * (m[0][1] + m[1][0]) + z * (m[0][2] + m[2][0]) + w * (m[2][1] - m[1][2])
+            - two * x * (m[1][1] + m[2][2])),
+        two * (x * (m[0][1] + m[1][0]) + z * (m[1][2] + m[2][1]) + w * (m[0][2] - m[2][0])
+            - two * y * (m[0][0] + m[2][2])),
+        two * (x * (m[0][2] + m[2][0]) + y * (m[1][2] + m[2][1]) + w * (m[1][0] - m[0][1])
+            - two * z * (m[0][0] + m[1][1])),
+    ];
+    let along = unit[0] * w + unit[1] * x + unit[2] * y + unit[3] * z;
+    std::array::from_fn(|i| (unit[i] - [w, x, y, z][i] * along) / norm)
+}

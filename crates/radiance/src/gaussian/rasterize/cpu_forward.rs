@@ -1,0 +1,295 @@
+//! Compositing on the CPU: tile by tile, splat by splat, row by row.
+//!
+//! The state of a tile's pixels stays in the first-level cache while its splats pass in order of
+//! depth; a splat touches only the rows of its ellipse, a whole row of the tile at a time. A
+//! pixel that has ended keeps its transmittance with the sign turned: every later product with it
+//! falls under `transmittance_min`, so no other flag is needed.
+
+use super::Row;
+use crate::gaussian::bin::{Bins, Entry, TILE, TileGrid};
+use crate::gaussian::project::cpu::Splat;
+use crate::gaussian::simd::exp2;
+use crate::gaussian::{RasterSettings, Render};
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+/// Planes of a tile's state: transmittance, red, green, blue, depth.
+pub(crate) const PLANES: usize = 5;
+/// Splats between two looks whether all pixels have ended.
+const LOOK: usize = 32;
+
+/// The pixels of one tile after compositing.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+pub(crate) struct TilePixels {
+    /// Row by row, plane by plane.
+    pub(crate) rows: [[Row; PLANES]; TILE],
+    /// Entries of the tile's list that were looked at before all its pixels had ended.
+    pub(crate) visited: usize,
+}
+
+impl Default for TilePixels {
+    fn default() -> Self {
+        Self { rows: [[[0.0; TILE]; PLANES]; TILE], visited: 0 }
+    }
+}
+
+/// Composite all tiles.
+pub(crate) fn render(
+    arch: Arch,
+    settings: &RasterSettings,
+    grid: &TileGrid,
+    splats: &[Splat],
+    bins: &Bins,
+    tiles: &mut [TilePixels],
+) {
+    tiles.par_iter_mut().enumerate().for_each(|(number, tile)| {
+        let origin = start(tile, grid, number);
+        let rows = &mut tile.rows;
+        tile.visited =
+            arch.dispatch(Composite { settings, splats, list: bins.list(number), origin, rows });
+    });
+}
+
+/// Set a tile to nothing seen yet; pixels outside of the image have ended. Gives the centre of
+/// the tile's first pixel.
+fn start(tile: &mut TilePixels, grid: &TileGrid, number: usize) -> [f32; 2] {
+    let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);
+    tile.rows = [[[0.0; TILE]; PLANES]; TILE];
+    for (j, planes) in tile.rows.iter_mut().enumerate() {
+        let inside = if row + j < grid.height { grid.width - column } else { 0 };
+        for (i, transmittance) in planes[0].iter_mut().enumerate() {
+            *transmittance = if i < inside { 1.0 } else { -1.0 };
+        }
+    }
+    [column as f32 + 0.5, row as f32 + 0.5]
+}
+
+/// One tile's compositing; gives the number of entries visited.
+struct Composite<'a, L> {
+    settings: &'a RasterSettings,
+    splats: &'a [Splat],
+    list: L,
+    /// Centre of the tile's first pixel [px].
+    origin: [f32; 2],
+    rows: &'a mut [[Row; PLANES]; TILE],
+}
+
+impl<L: Iterator<Item = Entry>> WithSimd for Composite<'_, L> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> usize {
+        let limits = Limits::new(simd, self.settings);
+        let mut visited = 0;
+        for entry in self.list {
+            if visited % LOOK == LOOK - 1 && all_ended::<S>(self.rows) {
+                break;
+            }
+            visited += 1;
+            let splat = &self.splats[entry.splat()];
+            let exponent = Exponent::new(simd, splat, self.origin);
+            let [first, end] = entry.rows();
+            let value = Value::new(simd, splat);
+            for (j, row) in self.rows[first..end].iter_mut().enumerate() {
+                composite_row(simd, &limits, &exponent.row(simd, first + j), &value, row);
+            }
+        }
+        visited
+    }
+}
+
+/// Whether no pixel of the tile has transmittance left.
+#[inline(always)]
+fn all_ended<S: Simd>(rows: &[[Row; PLANES]; TILE]) -> bool {
+    rows.iter().all(|row| row[0].iter().fold(-1.0_f32, |m, t| m.max(*t)) < 0.0)
+}
+
+/// The settings in vectors.
+pub(super) struct Limits<S: Simd> {
+    pub(super) alpha_max: S::f32s,
+    pub(super) alpha_min: S::f32s,
+    pub(super) transmittance_min: S::f32s,
+}
+
+impl<S: Simd> Limits<S> {
+    #[inline(always)]
+    pub(super) fn new(simd: S, settings: &RasterSettings) -> Self {
+        Self {
+            alpha_max: simd.splat_f32s(settings.alpha_max),
+            alpha_min: simd.splat_f32s(settings.alpha_min),
+            transmittance_min: simd.splat_f32s(settings.transmittance_min),
+        }
+    }
+}
+
+/// `log₂ α` of a splat as a function of the pixel within a tile.
+pub(super) struct Exponent<S: Simd> {
+    a: S::f32s,
+    b: S::f32s,
+    c: S::f32s,
+    log2_opacity: S::f32s,
+    /// From the centre to the tile's first pixels.
+    first: S::f32s,
+    /// From the centre to the tile's first row.
+    top: f32,
+}
+
+/// `log₂ α = (a dx + slope) dx + base` along one row.
+pub(super) struct ExponentRow<S: Simd> {
+    a: S::f32s,
+    slope: S::f32s,
+    base: S::f32s,
+    first: S::f32s,
+    /// From the centre to the row.
+    pub(super) dy: S::f32s,
+}
+
+const COLUMNS: Row = {
+    let mut columns = [0.0; TILE];
+    let mut i = 0;
+    while i < TILE {
+        columns[i] = i as f32;
+        i += 1;
+    }
+    columns
+};
+
+impl<S: Simd> Exponent<S> {
+    #[inline(always)]
+    pub(super) fn new(simd: S, splat: &Splat, origin: [f32; 2]) -> Self {
+        let [a, b, c] = splat.exponent;
+        let columns = S::as_simd_f32s(&COLUMNS).0[0];
+        Self {
+            a: simd.splat_f32s(a),
+            b: simd.splat_f32s(b),
+            c: simd.splat_f32s(c),
+            log2_opacity: simd.splat_f32s(splat.log2_opacity),
+            first: simd.add_f32s(columns, simd.splat_f32s(origin[0] - splat.centre[0])),
+            top: origin[1] - splat.centre[1],
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn row(&self, simd: S, row: usize) -> ExponentRow<S> {
+        let dy = simd.splat_f32s(self.top + row as f32);
+        ExponentRow {
+            a: self.a,
+            slope: simd.mul_f32s(self.b, dy),
+            base: simd.mul_add_e_f32s(simd.mul_f32s(self.c, dy), dy, self.log2_opacity),
+            first: self.first,
+            dy,
+        }
+    }
+}
+
+impl<S: Simd> ExponentRow<S> {
+    /// Horizontal offset from the centre, for the vector of pixels with this number.
+    #[inline(always)]
+    pub(super) fn dx(&self, simd: S, vector: usize) -> S::f32s {
+        simd.add_f32s(self.first, simd.splat_f32s((vector * S::F32_LANES) as f32))
+    }
+
+    /// `α` before `alpha_max`.
+    #[inline(always)]
+    pub(super) fn alpha(&self, simd: S, dx: S::f32s) -> S::f32s {
+        let inner = simd.mul_add_e_f32s(self.a, dx, self.slope);
+        exp2(simd, simd.mul_add_e_f32s(inner, dx, self.base))
+    }
+}
+
+/// What a splat composites.
+struct Value<S: Simd>([S::f32s; PLANES - 1]);
+
+impl<S: Simd> Value<S> {
+    #[inline(always)]
+    fn new(simd: S, splat: &Splat) -> Self {
+        let [r, g, b] = splat.radiance;
+        Self([r, g, b, splat.depth].map(|v| simd.splat_f32s(v)))
+    }
+}
+
+/// Composite one splat onto one row.
+#[inline(always)]
+fn composite_row<S: Simd>(
+    simd: S,
+    limits: &Limits<S>,
+    exponent: &ExponentRow<S>,
+    value: &Value<S>,
+    row: &mut [Row; PLANES],
+) {
+    let [transmittance, planes @ ..] = row;
+    let transmittance = S::as_mut_simd_f32s(transmittance).0;
+    let [r, g, b, z] = planes;
+    let planes = [r, g, b, z].map(|plane| S::as_mut_simd_f32s(plane).0);
+    for v in 0..TILE / S::F32_LANES {
+        let alpha = exponent.alpha(simd, exponent.dx(simd, v));
+        let alpha = simd.min_f32s(alpha, limits.alpha_max);
+        let step = advance(simd, limits, alpha, transmittance[v]);
+        transmittance[v] = step.next;
+        for k in 0..PLANES - 1 {
+            planes[k][v] = simd.mul_add_e_f32s(step.weight, value.0[k], planes[k][v]);
+        }
+    }
+}
+
+/// What one contribution does to pixels.
+pub(super) struct Step<S: Simd> {
+    /// The transmittance behind it, with the sign turned where pixels ended.
+    pub(super) next: S::f32s,
+    /// `α T`, zero where there is no contribution.
+    pub(super) weight: S::f32s,
+    /// Where there is a contribution.
+    pub(super) counts: S::m32s,
+}
+
+/// The rules of `alpha_min` and `transmittance_min`.
+#[inline(always)]
+pub(super) fn advance<S: Simd>(
+    simd: S,
+    limits: &Limits<S>,
+    alpha: S::f32s,
+    transmittance: S::f32s,
+) -> Step<S> {
+    let zero = simd.splat_f32s(0.0);
+    let weight = simd.mul_f32s(alpha, transmittance);
+    let behind = simd.sub_f32s(transmittance, weight);
+    let visible = simd.greater_than_or_equal_f32s(alpha, limits.alpha_min);
+    let goes_on = simd.greater_than_or_equal_f32s(behind, limits.transmittance_min);
+    let ended = simd.or_f32s(transmittance, simd.splat_f32s(-0.0));
+    let counts = simd.and_m32s(visible, goes_on);
+    let next = simd.select_f32s(goes_on, behind, ended);
+    Step {
+        next: simd.select_f32s(visible, next, transmittance),
+        weight: simd.select_f32s(counts, weight, zero),
+        counts,
+    }
+}
+
+/// From tiles to planes.
+pub(crate) fn copy_out(grid: &TileGrid, tiles: &[TilePixels], out: &mut Render) {
+    out.resize(grid.width, grid.height);
+    if grid.len() == 0 {
+        return;
+    }
+    let (width, band) = (grid.width, grid.width * TILE);
+    let (red, rest) = out.radiance.data.split_at_mut(width * grid.height);
+    let (green, blue) = rest.split_at_mut(width * grid.height);
+    let bands = (red.par_chunks_mut(band), green.par_chunks_mut(band), blue.par_chunks_mut(band));
+    let scalars = (out.depth.data.par_chunks_mut(band), out.opacity.data.par_chunks_mut(band));
+    let work = tiles.par_chunks(grid.columns).zip(bands.into_par_iter()).zip(scalars);
+    work.for_each(|((tiles, (r, g, b)), (z, opacity))| {
+        for j in 0..r.len() / width {
+            for (column, tile) in tiles.iter().enumerate() {
+                let [t, planes @ ..] = &tile.rows[j];
+                let at = j * width + column * TILE;
+                let end = (at + TILE).min((j + 1) * width);
+                let targets = [&mut *r, &mut *g, &mut *b, &mut *z];
+                for (target, plane) in targets.into_iter().zip(planes) {
+                    target[at..end].copy_from_slice(&plane[..end - at]);
+                }
+                opacity[at..end].iter_mut().zip(t).for_each(|(o, t)| *o = 1.0 - t.abs());
+            }
+        }
+    });
+}

@@ -1,0 +1,188 @@
+//! The reference lane: plain, one thread, any scalar, pixel by pixel.
+//!
+//! Every pixel visits every Gaussian that passed projection, so time is pixels times Gaussians:
+//! it is there to be read, to check gradients in `f64`, and to judge the fast lane.
+
+use crate::gaussian::project::reference::{Footprint, FootprintCotangent, Projector};
+use crate::gaussian::{GaussianMap, MapGradient, RasterSettings, Render, RenderCotangent, View};
+use i2slam_geometry::{Camera, Real, Tangent};
+
+/// What `view` shows.
+pub fn render<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    settings: &RasterSettings,
+) -> Render<T> {
+    let (width, height) = (view.camera.width, view.camera.height);
+    let footprints = project(map, view, settings);
+    let mut out = Render::new(width, height);
+    for row in 0..height {
+        for column in 0..width {
+            let mut pixel = [T::zero(); 5];
+            for c in contributions(&footprints, column, row, settings) {
+                let value = c.value(&footprints);
+                (0..5).for_each(|k| pixel[k] += value[k] * c.alpha * c.transmittance);
+            }
+            let at = row * width + column;
+            (0..3).for_each(|k| out.radiance.plane_mut(k)[at] = pixel[k]);
+            out.depth.data[at] = pixel[3];
+            out.opacity.data[at] = pixel[4];
+        }
+    }
+    out
+}
+
+/// Pull `∂L/∂render` back to the map (added to `map_gradient` when given) and to the tangent of
+/// `world_from_camera`.
+///
+/// # Panics
+/// If `map_gradient` is not of the map's size, or the cotangent not of the view's.
+pub fn pull_back<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    settings: &RasterSettings,
+    cotangent: &RenderCotangent<T>,
+    map_gradient: Option<&mut MapGradient<T>>,
+) -> Tangent<T> {
+    let (width, height) = (view.camera.width, view.camera.height);
+    cotangent.planes(width, height);
+    let footprints = project(map, view, settings);
+    let mut sums = vec![FootprintCotangent::<T>::default(); footprints.len()];
+    let mut seen = vec![false; footprints.len()];
+    for row in 0..height {
+        for column in 0..width {
+            let pixel = cotangent.at(column, row);
+            if pixel.iter().all(|g| *g == T::zero()) {
+                continue;
+            }
+            let visited = contributions(&footprints, column, row, settings);
+            visited.iter().for_each(|c| seen[c.footprint] = true);
+            pull_back_pixel(&footprints, &visited, pixel, &mut sums, settings);
+        }
+    }
+    pull_back_projection(map, view, settings, &footprints, (&sums, &seen), map_gradient)
+}
+
+/// All footprints in order of depth, ties by index.
+fn project<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    settings: &RasterSettings,
+) -> Vec<Footprint<T>> {
+    let projector = Projector::new(map, view, settings);
+    let mut footprints: Vec<_> =
+        map.iter().enumerate().filter_map(|(i, g)| projector.project(i, &g)).collect();
+    footprints.sort_by(|a, b| a.depth.to_f64().total_cmp(&b.depth.to_f64()));
+    footprints
+}
+
+/// One footprint's part of one pixel.
+struct Contribution<T> {
+    /// Position in the list of footprints.
+    footprint: usize,
+    /// From the footprint's centre to the pixel's [px].
+    offset: [T; 2],
+    /// `α`.
+    alpha: T,
+    /// Whether `alpha_max` cut it.
+    cut: bool,
+    /// `T`, before this contribution.
+    transmittance: T,
+}
+
+impl<T: Real> Contribution<T> {
+    /// What is composited: `[r, g, b, depth, 1]`.
+    fn value(&self, footprints: &[Footprint<T>]) -> [T; 5] {
+        let f = &footprints[self.footprint];
+        [f.radiance[0], f.radiance[1], f.radiance[2], f.depth, T::one()]
+    }
+}
+
+/// The contributions to a pixel, front to back.
+fn contributions<T: Real>(
+    footprints: &[Footprint<T>],
+    column: usize,
+    row: usize,
+    settings: &RasterSettings,
+) -> Vec<Contribution<T>> {
+    let of = |value: f32| T::of(f64::from(value));
+    let (x, y) = Camera::<T>::pixel_centre(column, row);
+    let mut transmittance = T::one();
+    let mut visited = Vec::new();
+    for (footprint, f) in footprints.iter().enumerate() {
+        let (dx, dy) = (x - f.centre[0], y - f.centre[1]);
+        let [a, b, c] = f.conic;
+        let squared = a * dx * dx + T::of(2.0) * b * dx * dy + c * dy * dy;
+        let free = f.opacity * (T::of(-0.5) * squared).exp();
+        let alpha = free.min(of(settings.alpha_max));
+        if alpha < of(settings.alpha_min) {
+            continue;
+        }
+        let next = transmittance * (T::one() - alpha);
+        if next < of(settings.transmittance_min) {
+            break;
+        }
+        let (offset, cut) = ([dx, dy], free > alpha);
+        visited.push(Contribution { footprint, offset, alpha, cut, transmittance });
+        transmittance = next;
+    }
+    visited
+}
+
+/// Back to front: with `q_i = g · v_i` and the light from behind `B_i = Σ_{j>i} q_j α_j T_j`,
+/// `∂L/∂α_i = T_i q_i - B_i / (1 - α_i)`.
+fn pull_back_pixel<T: Real>(
+    footprints: &[Footprint<T>],
+    visited: &[Contribution<T>],
+    pixel: [T; 5],
+    sums: &mut [FootprintCotangent<T>],
+    settings: &RasterSettings,
+) {
+    debug_assert!(settings.alpha_max < 1.0 || visited.iter().all(|c| c.alpha < T::one()));
+    let mut behind = T::zero();
+    for c in visited.iter().rev() {
+        let (f, sum) = (&footprints[c.footprint], &mut sums[c.footprint]);
+        let value = c.value(footprints);
+        let q: T = (0..5).map(|k| pixel[k] * value[k]).sum();
+        let weight = c.alpha * c.transmittance;
+        (0..3).for_each(|k| sum.radiance[k] += pixel[k] * weight);
+        sum.depth += pixel[3] * weight;
+        let d_alpha = c.transmittance * q - behind / (T::one() - c.alpha);
+        behind += q * weight;
+        if c.cut {
+            continue;
+        }
+        // α = o exp(-½ (A dx² + 2 B dx dy + C dy²)), d = pixel - centre
+        sum.opacity += d_alpha * c.alpha / f.opacity;
+        let e = d_alpha * c.alpha;
+        let ([dx, dy], [a, b, cc]) = (c.offset, f.conic);
+        sum.centre[0] += e * (a * dx + b * dy);
+        sum.centre[1] += e * (b * dx + cc * dy);
+        sum.conic[0] -= T::of(0.5) * e * dx * dx;
+        sum.conic[1] -= e * dx * dy;
+        sum.conic[2] -= T::of(0.5) * e * dy * dy;
+    }
+}
+
+/// From footprints to the map and the pose.
+fn pull_back_projection<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    settings: &RasterSettings,
+    footprints: &[Footprint<T>],
+    (sums, seen): (&[FootprintCotangent<T>], &[bool]),
+    mut map_gradient: Option<&mut MapGradient<T>>,
+) -> Tangent<T> {
+    let projector = Projector::new(map, view, settings);
+    let mut pose = Tangent::zero();
+    for ((footprint, sum), seen) in footprints.iter().zip(sums).zip(seen) {
+        let i = footprint.index;
+        let Some(gaussian) = map.get(i) else { continue };
+        let Some((g, tangent)) = projector.pull_back(&gaussian, footprint, sum) else { continue };
+        pose = pose.plus(tangent);
+        if let Some(out) = map_gradient.as_deref_mut() {
+            out.rows().add(i, &g, *seen);
+        }
+    }
+    pose
+}

@@ -1,0 +1,6 @@
+//! Tests of both lanes.
+
+mod gradients;
+mod parity;
+mod poison;
+mod scenes;

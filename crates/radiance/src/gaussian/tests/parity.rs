@@ -1,0 +1,211 @@
+//! The fast lane against the reference lane, and against itself.
+//!
+//! | what | against | tolerance | why |
+//! |---|---|---|---|
+//! | picture | reference `f32` | 1e-4 | another exponential, other orders of sums; a contribution at the edge of `alpha_min` may fall to either side and weighs 1/255 of what lies there, so a few pixels get 1e-2 |
+//! | picture | reference `f64` | 1e-4 | rounding of the projection in `f32` comes on top |
+//! | gradients | reference `f64` | 1e-3 relative L2 per family | the same, and differences of nearly equal sums in `1/(1-α)` |
+//! | all | 1 and 2 threads | 0 | sums are in a fixed order |
+
+use super::scenes::*;
+use crate::gaussian::*;
+use i2slam_geometry::{Real, Tangent};
+
+const PICTURE: f64 = 1e-4;
+/// What one contribution at the edge of `alpha_min` may change, for values of a few units.
+const EDGE: f64 = 3e-2;
+/// Part of the pixels that may hold such a contribution.
+const EDGE_PART: f64 = 2e-3;
+const GRADIENT: f64 = 1e-3;
+
+struct Case {
+    name: &'static str,
+    size: [usize; 2],
+    recipe: Recipe,
+    settings: RasterSettings,
+}
+
+fn cases() -> Vec<Case> {
+    let settings = RasterSettings::default();
+    let balls = Recipe::new(Shape::Isotropic, ColourActivation::Exponential);
+    let ellipsoids = Recipe::new(Shape::Anisotropic, ColourActivation::Linear);
+    let dense = Recipe { count: 1500, logit: [2.0, 6.0], sigma: [2.0, 6.0], ..balls };
+    let thin = Recipe { sigma: [0.05, 20.0], count: 200, margin: 0.4, ..ellipsoids };
+    let smooth = RasterSettings { alpha_min: 0.0, transmittance_min: 0.0, ..settings };
+    vec![
+        Case { name: "balls", size: [64, 48], recipe: balls, settings },
+        Case { name: "ellipsoids", size: [64, 48], recipe: ellipsoids, settings },
+        Case { name: "not of tiles", size: [37, 29], recipe: ellipsoids, settings },
+        Case { name: "smaller than a tile", size: [5, 3], recipe: balls, settings },
+        Case { name: "opaque", size: [48, 48], recipe: dense, settings },
+        Case { name: "thin, from outside", size: [70, 50], recipe: thin, settings },
+        Case { name: "without cut-offs", size: [40, 33], recipe: ellipsoids, settings: smooth },
+    ]
+}
+
+impl Case {
+    fn view(&self) -> View<f64> {
+        view(self.size[0], self.size[1])
+    }
+
+    fn map(&self) -> GaussianMap<f64> {
+        self.recipe.build(&self.view())
+    }
+
+    fn cotangent(&self) -> RenderCotangent<f64> {
+        cotangent(self.size[0], self.size[1], 11)
+    }
+
+    /// Picture and gradients of the fast lane.
+    fn fast(&self) -> (Render, MapGradient, Tangent<f64>) {
+        let (map, view) = (self.map().cast(), self.view().cast());
+        let mut rasterizer = Rasterizer::new(self.settings);
+        let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
+        rasterizer.render(&map, &view, &mut render);
+        let cotangent = single_cotangent(&self.cotangent());
+        let tangent = rasterizer.pull_back(&map, &view, &cotangent, Some(&mut gradient));
+        (render, gradient, tangent)
+    }
+}
+
+/// All planes in one row.
+fn planes<T: Real>(render: &Render<T>) -> Vec<f64> {
+    let all = [&render.radiance, &render.depth, &render.opacity];
+    all.iter().flat_map(|image| image.data.iter().map(|&v| v.to_f64())).collect()
+}
+
+#[track_caller]
+fn assert_pictures(name: &str, actual: &[f64], expected: &[f64]) {
+    let off = |limit: f64| {
+        actual.iter().zip(expected).filter(|(a, e)| !((*a - *e).abs() <= limit)).count()
+    };
+    assert_eq!(off(EDGE), 0, "{name}: beyond one contribution");
+    let allowed = (EDGE_PART * actual.len() as f64) as usize;
+    assert!(off(PICTURE) <= allowed, "{name}: {} of {}", off(PICTURE), actual.len());
+}
+
+#[test]
+fn pictures_agree_with_the_reference() {
+    for case in cases() {
+        let (map, view) = (case.map(), case.view());
+        let (render, _, _) = case.fast();
+        let single = reference::render(&map.cast::<f32>(), &view.cast(), &case.settings);
+        let double = reference::render(&map, &view, &case.settings);
+        assert_pictures(case.name, &planes(&render), &planes(&single));
+        assert_pictures(case.name, &planes(&render), &planes(&double));
+    }
+}
+
+/// The distance of two vectors relative to the length of the second.
+fn distance<'a>(
+    actual: impl IntoIterator<Item = &'a f32>,
+    expected: impl IntoIterator<Item = &'a f64>,
+) -> f64 {
+    let (mut difference, mut length) = (0.0_f64, 0.0_f64);
+    for (a, e) in actual.into_iter().zip(expected) {
+        difference += (f64::from(*a) - e).powi(2);
+        length += e * e;
+    }
+    if length == 0.0 { difference } else { (difference / length).sqrt() }
+}
+
+#[test]
+fn gradients_agree_with_the_reference() {
+    for case in cases() {
+        let (map, view) = (case.map(), case.view());
+        let (_, fast, tangent) = case.fast();
+        let mut exact = MapGradient::new(map.len());
+        let settings = &case.settings;
+        let exact_tangent =
+            reference::pull_back(&map, &view, settings, &case.cotangent(), Some(&mut exact));
+        let flat = |v: &'static str, d: f64| {
+            assert!(d < GRADIENT, "{} {v}: {d:.2e}", case.name);
+        };
+        flat("means", distance(fast.means.as_flattened(), exact.means.as_flattened()));
+        flat("scales", distance(fast.log_scales.as_flattened(), exact.log_scales.as_flattened()));
+        flat("rotations", distance(fast.rotations.as_flattened(), exact.rotations.as_flattened()));
+        flat("colours", distance(fast.colours.as_flattened(), exact.colours.as_flattened()));
+        flat("opacities", distance(&fast.opacity_logits, &exact.opacity_logits));
+        let single: Vec<f32> = tangent.to_array().iter().map(|v| *v as f32).collect();
+        flat("pose", distance(&single, &exact_tangent.to_array()));
+        let seen = fast.seen.iter().zip(&exact.seen).filter(|(a, b)| a != b).count();
+        assert!(seen <= 1, "{}: {seen} differ in being seen", case.name);
+    }
+}
+
+/// Leaving the map out changes nothing for the pose but the order of nothing.
+#[test]
+fn the_pose_gradient_does_not_need_the_map() {
+    for case in cases() {
+        let (map, view) = (case.map().cast(), case.view().cast());
+        let mut rasterizer = Rasterizer::new(case.settings);
+        rasterizer.render(&map, &view, &mut Render::default());
+        let cotangent = single_cotangent(&case.cotangent());
+        let alone = rasterizer.pull_back(&map, &view, &cotangent, None);
+        assert_eq!(alone, case.fast().2, "{}", case.name);
+    }
+}
+
+/// Many Gaussians, so that every stage is split.
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let recipe = Recipe {
+        count: 30_000,
+        sigma: [0.4, 2.0],
+        ..Recipe::new(Shape::Anisotropic, ColourActivation::Exponential)
+    };
+    let case = Case { name: "many", size: [200, 150], recipe, settings: RasterSettings::default() };
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.map(|pool| pool.install(|| case.fast())).ok()
+    };
+    let one = on(1);
+    assert!(one.as_ref().is_some_and(|(_, gradient, _)| gradient.seen.iter().any(|s| *s)));
+    assert!(one == on(2), "1 and 2 threads differ");
+    assert!(one == on(5), "1 and 5 threads differ");
+}
+
+/// Buffers that another map and another size have filled leave no trace.
+#[test]
+fn a_used_rasterizer_gives_what_a_new_one_gives() {
+    let mut rasterizer = Rasterizer::new(RasterSettings::default());
+    let mut render = Render::default();
+    for case in cases().iter().filter(|case| case.settings == RasterSettings::default()) {
+        let (map, view) = (case.map().cast(), case.view().cast());
+        rasterizer.render(&map, &view, &mut render);
+        let mut gradient = MapGradient::new(map.len());
+        let cotangent = single_cotangent(&case.cotangent());
+        let tangent = rasterizer.pull_back(&map, &view, &cotangent, Some(&mut gradient));
+        assert!((render.clone(), gradient, tangent) == case.fast(), "{}", case.name);
+    }
+}
+
+/// A cotangent without some planes is one with zeros.
+#[test]
+fn missing_planes_are_zeros() {
+    let case = &cases()[1];
+    let (map, view) = (case.map().cast(), case.view().cast());
+    let mut rasterizer = Rasterizer::new(case.settings);
+    rasterizer.render(&map, &view, &mut Render::default());
+    let mut with_zeros = single_cotangent(&case.cotangent());
+    with_zeros.depth.data.fill(0.0);
+    with_zeros.opacity.data.fill(0.0);
+    let mut missing =
+        RenderCotangent { radiance: with_zeros.radiance.clone(), ..Default::default() };
+    let tangent = rasterizer.pull_back(&map, &view, &with_zeros, None);
+    assert_eq!(tangent, rasterizer.pull_back(&map, &view, &missing, None));
+    assert_ne!(tangent, Tangent::zero());
+    missing = RenderCotangent::default();
+    assert_eq!(Tangent::zero(), rasterizer.pull_back(&map, &view, &missing, None));
+}
+
+/// The tests above can fail: a picture of a slightly brighter map is told apart.
+#[test]
+#[should_panic(expected = "beyond one contribution")]
+fn a_brighter_map_is_told_apart() {
+    let case = &cases()[0];
+    let (view, mut map) = (case.view(), case.map());
+    map.colours.iter_mut().for_each(|c| *c = c.map(|v| v + 0.1));
+    let brighter = reference::render(&map, &view, &case.settings);
+    assert_pictures(case.name, &planes(&case.fast().0), &planes(&brighter));
+}

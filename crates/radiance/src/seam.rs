@@ -1,0 +1,122 @@
+//! What a radiance map is asked: a picture from a pose, and the way back.
+
+use i2slam_geometry::{Camera, Image, Pose, Real, Tangent};
+
+/// From where a map is looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View<T> {
+    /// The pinhole camera.
+    pub camera: Camera<T>,
+    /// Its pose.
+    pub world_from_camera: Pose<T>,
+}
+
+impl<T: Real> View<T> {
+    /// The same view in another scalar type.
+    pub fn cast<U: Real>(&self) -> View<U> {
+        View { camera: self.camera.cast(), world_from_camera: self.world_from_camera.cast() }
+    }
+}
+
+/// What a view shows: for every pixel the sums of equations 3 and 4 of the paper,
+/// over the contributions `i` in order of depth with opacity `α_i` and transmittance
+/// `T_i = Π_{j<i} (1 - α_j)`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Render<T = f32> {
+    /// Linear radiance `Σ c_i α_i T_i`, three planes R, G, B.
+    pub radiance: Image<T>,
+    /// `Σ z_i α_i T_i` [m], one plane. Not divided by the opacity.
+    pub depth: Image<T>,
+    /// `Σ α_i T_i` in `[0, 1]`, one plane.
+    pub opacity: Image<T>,
+}
+
+impl<T: Real> Render<T> {
+    /// A black picture of nothing.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self {
+            radiance: Image::new(width, height, 3),
+            depth: Image::new(width, height, 1),
+            opacity: Image::new(width, height, 1),
+        }
+    }
+
+    /// Bring the planes to the size of a view, keeping the allocation. What they hold is not
+    /// specified.
+    pub(crate) fn resize(&mut self, width: usize, height: usize) {
+        for (image, channels) in
+            [(&mut self.radiance, 3), (&mut self.depth, 1), (&mut self.opacity, 1)]
+        {
+            (image.width, image.height, image.channels) = (width, height, channels);
+            image.data.resize(width * height * channels, T::zero());
+        }
+    }
+}
+
+/// The derivative of a scalar loss with respect to each number of a [`Render`].
+/// An image with no data stands for zeros.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RenderCotangent<T = f32> {
+    /// `∂L/∂radiance`, three planes or none.
+    pub radiance: Image<T>,
+    /// `∂L/∂depth` (of the sum, not of depth over opacity), one plane or none.
+    pub depth: Image<T>,
+    /// `∂L/∂opacity`, one plane or none.
+    pub opacity: Image<T>,
+}
+
+impl<T: Real> RenderCotangent<T> {
+    /// `[r, g, b, depth, opacity]` at a pixel.
+    pub(crate) fn at(&self, column: usize, row: usize) -> [T; 5] {
+        let one = |image: &Image<T>, channel: usize| {
+            if image.data.is_empty() { T::zero() } else { image.at(channel, column, row) }
+        };
+        [
+            one(&self.radiance, 0),
+            one(&self.radiance, 1),
+            one(&self.radiance, 2),
+            one(&self.depth, 0),
+            one(&self.opacity, 0),
+        ]
+    }
+
+    /// The five planes `[r, g, b, depth, opacity]`; `None` stands for zeros.
+    ///
+    /// # Panics
+    /// If an image has data but not the size of the view.
+    pub(crate) fn planes(&self, width: usize, height: usize) -> [Option<&[T]>; 5] {
+        let plane = |image: &'_ Image<T>, channels: usize| {
+            let fits = (image.width, image.height, image.channels) == (width, height, channels);
+            assert!(image.data.is_empty() || fits, "cotangent and view differ in size");
+            !image.data.is_empty()
+        };
+        let colour = plane(&self.radiance, 3);
+        let of = |present: bool, image, channel| present.then(|| Image::plane(image, channel));
+        [
+            of(colour, &self.radiance, 0),
+            of(colour, &self.radiance, 1),
+            of(colour, &self.radiance, 2),
+            of(plane(&self.depth, 1), &self.depth, 0),
+            of(plane(&self.opacity, 1), &self.opacity, 0),
+        ]
+    }
+}
+
+/// A map of linear radiance that can be looked at from any pose and differentiated.
+pub trait RadianceMap {
+    /// Derivatives with respect to the parameters of the map.
+    type Gradient;
+
+    /// Write what `view` shows into `out`, whose allocation is reused.
+    fn render(&mut self, view: &View<f32>, out: &mut Render);
+
+    /// Pull `∂L/∂render` back through the last [`render`](Self::render), which must have been of
+    /// this `view` and of the map as it is now. Adds `∂L/∂map` to `gradient` when it is given and
+    /// returns `∂L/∂ξ` for the pose `world_from_camera.retract(ξ)`.
+    fn pull_back(
+        &mut self,
+        view: &View<f32>,
+        cotangent: &RenderCotangent,
+        gradient: Option<&mut Self::Gradient>,
+    ) -> Tangent<f64>;
+}
