@@ -1,1 +1,34 @@
-//! (being written)
+//! RGB-D SLAM that inverts image formation: a blurred, exposure-drifting video goes in, a sharp
+//! HDR Gaussian map and a camera trajectory come out.
+//!
+//! ```no_run
+//! use i2slam::{Config, Session};
+//! use i2slam::dataset::{OpenOptions, Sequence};
+//!
+//! let sequence = Sequence::open("rgbd_dataset_freiburg1_desk".as_ref(), &OpenOptions::default())?;
+//! let mut session = Session::new(Config::default(), sequence.camera, sequence.frame_rate);
+//! for frame in sequence.stream() {
+//!     session.process(&frame?)?;
+//! }
+//! session.finish(&mut |_, _| true);
+//! let reconstruction = session.reconstruction();
+//! println!("{} Gaussians", reconstruction.map.len());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+pub mod config;
+mod mapping;
+pub mod objective;
+mod reconstruction;
+mod session;
+mod tracking;
+mod view;
+
+pub use config::{Config, ConfigError};
+pub use i2slam_dataset as dataset;
+pub use i2slam_formation as formation;
+pub use i2slam_geometry as geometry;
+pub use i2slam_radiance as radiance;
+pub use reconstruction::{FrameEstimate, Losses, Reconstruction};
+pub use session::{Session, SessionError};
+pub use view::Viewer;

@@ -16,6 +16,8 @@ pub struct Config {
     pub preset: String,
     /// Seed of every random choice; the same seed gives the same bytes.
     pub seed: u64,
+    /// What is done to the pictures before anything else.
+    pub input: InputConfig,
     /// How a frame is formed from radiance.
     pub formation: FormationConfig,
     /// The map's representation.
@@ -24,6 +26,14 @@ pub struct Config {
     pub tracking: TrackingConfig,
     /// How the map is built.
     pub mapping: MappingConfig,
+}
+
+/// What is done to the pictures before anything else.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InputConfig {
+    /// Pixels cut off on every side before scaling: dark borders left by calibration.
+    pub crop_border: usize,
 }
 
 /// The image-formation module: its switches and parameters.

@@ -1,0 +1,214 @@
+//! The presets: the paper's numbers, SplaTAM's where the paper follows it, and our own.
+//!
+//! Sources: the paper's appendix A (RGBD-SLAM) and SplaTAM's published configurations. A rate of
+//! a rotation is twice SplaTAM's, because SplaTAM steps a quaternion and a rotation vector is
+//! twice as long as the quaternion's imaginary part.
+
+use super::*;
+
+/// The names that [`Config::preset`] knows, default first.
+pub const PRESET_NAMES: [&str; 7] = [
+    "default",
+    "paper-tum",
+    "paper-tum-s",
+    "paper-scannet",
+    "paper-scannet-s",
+    "paper-synthetic",
+    "paper-synthetic-s",
+];
+
+/// A named set of values.
+pub type Preset = Config;
+
+impl Default for Config {
+    fn default() -> Self {
+        ours()
+    }
+}
+
+impl Config {
+    /// The preset called `name`, one of [`PRESET_NAMES`].
+    pub fn preset(name: &str) -> Result<Preset, ConfigError> {
+        let base = name.strip_suffix("-s").unwrap_or(name);
+        let mut config = match base {
+            "default" if base == name => ours(),
+            "paper-tum" => paper_tum(),
+            "paper-scannet" => paper_scannet(),
+            "paper-synthetic" => paper_synthetic(),
+            _ => return Err(ConfigError::UnknownPreset { name: name.to_owned() }),
+        };
+        if base != name {
+            config.tracking.iterations = config.tracking.iterations.div_ceil(5);
+            config.mapping.iterations = config.mapping.iterations.div_ceil(5);
+        }
+        config.preset = name.to_owned();
+        Ok(config)
+    }
+}
+
+/// Interactive speed and the best result we know.
+fn ours() -> Config {
+    let paper = paper_scannet();
+    Config {
+        preset: "default".to_owned(),
+        seed: 0,
+        input: InputConfig { crop_border: 0 },
+        formation: FormationConfig {
+            blur_per_camera: 1.5,
+            white_balance: WhiteBalance::PerChannel,
+            response_scope: ResponseScope::Sequence,
+            response_node_power: 2.2,
+            response_prior: 1e-3,
+            tone_rate: 5e-3,
+            ..paper.formation
+        },
+        map: MapConfig { initial_scale: 0.8, ..paper.map },
+        tracking: TrackingConfig {
+            method: TrackingMethod::SecondOrder,
+            iterations: 0,
+            ..paper.tracking
+        },
+        mapping: MappingConfig {
+            iterations: 12,
+            window: 8,
+            final_iterations: 200,
+            colour_rate: 1e-2,
+            scale_rate: 5e-3,
+            tone_rate: 5e-3,
+            fresh_optimizer: false,
+            ..paper.mapping
+        },
+    }
+}
+
+/// SplaTAM's ScanNet configuration with the paper's module.
+fn paper_scannet() -> Config {
+    Config {
+        preset: "paper-scannet".to_owned(),
+        seed: 0,
+        input: InputConfig { crop_border: 12 },
+        formation: FormationConfig {
+            blur: true,
+            tone: true,
+            trajectory_loss: true,
+            virtual_cameras: 5,
+            blur_per_camera: 0.0,
+            white_balance: WhiteBalance::OneGain,
+            response_scope: ResponseScope::Frame,
+            response_curves: 3,
+            response_start: ResponseStart::Srgb,
+            response_node_power: 1.0,
+            response_prior: 0.0,
+            tone_rate: 1e-2,
+        },
+        map: MapConfig {
+            isotropic: true,
+            initial_scale: 1.0,
+            initial_opacity: 0.5,
+            screen_variance: 0.3,
+            capacity: 2_000_000,
+        },
+        tracking: TrackingConfig {
+            method: TrackingMethod::Adam,
+            iterations: 100,
+            rotation_rate: 2.0 * 5e-4,
+            translation_rate: 5e-4,
+            velocity_rotation_share: 0.1,
+            velocity_translation_share: 1.0,
+            silhouette_threshold: 0.99,
+            image_weight: 0.5,
+            depth_weight: 1.0,
+            trajectory_weight: 1e6,
+            initial_split: 0.1,
+            alignment: AlignmentConfig {
+                levels: 3,
+                iterations: 12,
+                renders: 2,
+                depth_scale_floor: 5e-4,
+                image_scale_floor: 0.01,
+                image_weight: 0.3,
+                motion_prior: 0.1,
+            },
+        },
+        mapping: MappingConfig {
+            interval: 1,
+            iterations: 30,
+            final_iterations: 0,
+            window: 10,
+            keyframe_interval: 5,
+            image_weight: 0.5,
+            depth_weight: 1.0,
+            ssim_share: 0.2,
+            mean_rate: 1e-4,
+            colour_rate: 2.5e-3,
+            opacity_rate: 0.05,
+            scale_rate: 1e-3,
+            rotation_rate: 1e-3,
+            pose_rotation_rate: 0.0,
+            pose_translation_rate: 0.0,
+            tone_rate: 1e-2,
+            densify_opacity: 0.5,
+            densify_depth_medians: 50.0,
+            prune_opacity: 0.005,
+            prune_scale: 0.1,
+            scene_radius_ratio: 3.0,
+            fresh_optimizer: true,
+        },
+    }
+}
+
+/// SplaTAM's TUM configuration with the paper's module.
+fn paper_tum() -> Config {
+    let mut config = paper_scannet();
+    config.preset = "paper-tum".to_owned();
+    config.input.crop_border = 8;
+    config.tracking.iterations = 200;
+    config.tracking.rotation_rate = 2.0 * 2e-3;
+    config.tracking.translation_rate = 2e-3;
+    config.mapping.window = 20;
+    config.mapping.scene_radius_ratio = 2.0;
+    config.formation.white_balance = WhiteBalance::PerChannel;
+    config
+}
+
+/// The paper's synthetic set: monochrome gain and response, slow camera, mapping every 5 frames.
+fn paper_synthetic() -> Config {
+    let mut config = paper_scannet();
+    config.preset = "paper-synthetic".to_owned();
+    config.input.crop_border = 0;
+    config.formation.response_curves = 1;
+    config.tracking.iterations = 200;
+    config.tracking.rotation_rate = 2.0 * 5e-5;
+    config.tracking.translation_rate = 5e-5;
+    config.tracking.trajectory_weight = 1e4;
+    config.mapping.interval = 5;
+    config.mapping.window = 24;
+    config
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_gives_a_valid_preset() {
+        for name in PRESET_NAMES {
+            let config = Config::preset(name).expect(name);
+            assert_eq!(config.preset, name);
+            config.validate().expect(name);
+        }
+    }
+
+    #[test]
+    fn the_short_variants_take_a_fifth_of_the_steps() {
+        let config = Config::preset("paper-synthetic-s").expect("known");
+        assert_eq!((config.tracking.iterations, config.mapping.iterations), (40, 6));
+    }
+
+    #[test]
+    fn an_unknown_name_lists_the_known_ones() {
+        let message = Config::preset("fast").expect_err("unknown").to_string();
+        assert!(message.contains("fast") && message.contains("paper-scannet"));
+        assert!(Config::preset("default-s").is_err());
+    }
+}

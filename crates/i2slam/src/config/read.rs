@@ -1,0 +1,247 @@
+//! Reading, checking and writing settings.
+
+use super::*;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// What can be wrong with settings.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// No preset has this name.
+    #[error("no preset is called `{name}`: choose one of {}", PRESET_NAMES.join(", "))]
+    UnknownPreset {
+        /// What was asked for.
+        name: String,
+    },
+    /// The file cannot be read.
+    #[error("{}: cannot be read: {source}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text is not TOML, or a value has the wrong type.
+    #[error("{origin}: {message}")]
+    Malformed {
+        /// File name.
+        origin: String,
+        /// The parser's words.
+        message: String,
+    },
+    /// A key that no setting has.
+    #[error("{origin}, line {line}: no setting is called `{key}`: `{section}` has {known}")]
+    UnknownKey {
+        /// File name.
+        origin: String,
+        /// Line, counted from 1.
+        line: usize,
+        /// The key with its section.
+        key: String,
+        /// Section it stands in.
+        section: String,
+        /// The keys of that section.
+        known: String,
+    },
+    /// A value outside its range.
+    #[error("{key} = {value} is out of range: {expected}")]
+    OutOfRange {
+        /// Key with section.
+        key: &'static str,
+        /// Its value.
+        value: String,
+        /// What is allowed.
+        expected: &'static str,
+    },
+}
+
+impl Config {
+    /// Settings from a TOML file: `preset` names the start (default: `default`), every other
+    /// key replaces one value of it.
+    pub fn from_toml_file(path: &Path) -> Result<Self, ConfigError> {
+        Self::from_toml_file_on(path, None)
+    }
+
+    /// As [`from_toml_file`](Self::from_toml_file), starting from `preset` unless the file names
+    /// another one.
+    pub fn from_toml_file_on(path: &Path, preset: Option<&str>) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
+        Self::from_toml(&text, &path.display().to_string(), preset)
+    }
+
+    /// Settings from TOML text; `origin` names it in errors.
+    pub fn from_toml(text: &str, origin: &str, preset: Option<&str>) -> Result<Self, ConfigError> {
+        let malformed = |message: String| ConfigError::Malformed {
+            origin: origin.to_owned(),
+            message: message.trim_end().to_owned(),
+        };
+        let mut changes: Table = text.parse().map_err(|e: toml::de::Error| malformed(e.to_string()))?;
+        // `i2slam_version` is written for the reader of a result and has no effect.
+        changes.remove("i2slam_version");
+        let name = match changes.get("preset") {
+            Some(Value::String(name)) => name.clone(),
+            Some(_) => return Err(malformed("`preset` must be a string".to_owned())),
+            None => preset.unwrap_or("default").to_owned(),
+        };
+        let mut table =
+            Table::try_from(Self::preset(&name)?).map_err(|e| malformed(e.to_string()))?;
+        merge(&mut table, changes, "the top level", text, origin)?;
+        let config: Self = table.try_into().map_err(|e| malformed(e.to_string()))?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The settings as TOML, with the version that wrote them.
+    pub fn to_toml(&self) -> String {
+        let body = toml::to_string(self).unwrap_or_default();
+        format!("i2slam_version = \"{}\"\n{body}", env!("CARGO_PKG_VERSION"))
+    }
+
+    /// Whether every value is in its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let f = &self.formation;
+        at_least("formation.virtual_cameras", f.virtual_cameras, 1)?;
+        if !matches!(f.response_curves, 1 | 3) {
+            return Err(ConfigError::OutOfRange {
+                key: "formation.response_curves",
+                value: f.response_curves.to_string(),
+                expected: "1 or 3",
+            });
+        }
+        at_least("tracking.alignment.levels", self.tracking.alignment.levels, 1)?;
+        at_least("tracking.alignment.renders", self.tracking.alignment.renders, 1)?;
+        at_least("mapping.interval", self.mapping.interval, 1)?;
+        at_least("mapping.window", self.mapping.window, 1)?;
+        at_least("mapping.keyframe_interval", self.mapping.keyframe_interval, 1)?;
+        at_least("map.capacity", self.map.capacity, 1)?;
+        positive("formation.response_node_power", f.response_node_power)?;
+        positive("map.initial_scale", self.map.initial_scale)?;
+        positive("map.screen_variance", self.map.screen_variance)?;
+        positive("mapping.scene_radius_ratio", self.mapping.scene_radius_ratio)?;
+        share("map.initial_opacity", self.map.initial_opacity)?;
+        share("tracking.silhouette_threshold", self.tracking.silhouette_threshold)?;
+        share("mapping.ssim_share", self.mapping.ssim_share)?;
+        self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
+    }
+
+    fn rates(&self) -> [(&'static str, f32); 14] {
+        let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
+        [
+            ("formation.tone_rate", f.tone_rate),
+            ("formation.blur_per_camera", f.blur_per_camera),
+            ("formation.response_prior", f.response_prior),
+            ("tracking.rotation_rate", t.rotation_rate),
+            ("tracking.translation_rate", t.translation_rate),
+            ("tracking.image_weight", t.image_weight),
+            ("tracking.depth_weight", t.depth_weight),
+            ("tracking.trajectory_weight", t.trajectory_weight),
+            ("mapping.mean_rate", m.mean_rate),
+            ("mapping.colour_rate", m.colour_rate),
+            ("mapping.opacity_rate", m.opacity_rate),
+            ("mapping.scale_rate", m.scale_rate),
+            ("mapping.tone_rate", m.tone_rate),
+            ("mapping.pose_rotation_rate", m.pose_rotation_rate),
+        ]
+    }
+}
+
+fn merge(
+    base: &mut Table,
+    changes: Table,
+    section: &str,
+    text: &str,
+    origin: &str,
+) -> Result<(), ConfigError> {
+    for (key, value) in changes {
+        let known = || base.keys().cloned().collect::<Vec<_>>().join(", ");
+        let unknown = |known: String| ConfigError::UnknownKey {
+            origin: origin.to_owned(),
+            line: line_of(text, &key),
+            key: key.clone(),
+            section: section.to_owned(),
+            known,
+        };
+        let known_keys = known();
+        match (base.get_mut(&key), value) {
+            (None, _) => return Err(unknown(known_keys)),
+            (Some(Value::Table(inner)), Value::Table(changes)) => {
+                merge(inner, changes, &key, text, origin)?;
+            }
+            (Some(Value::Float(old)), Value::Integer(new)) => *old = new as f64,
+            (Some(old), new) => *old = new,
+        }
+    }
+    Ok(())
+}
+
+fn line_of(text: &str, key: &str) -> usize {
+    let names_key = |line: &str| {
+        let line = line.trim_start().trim_start_matches('[');
+        line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with(['=', ']', '.']))
+    };
+    text.lines().position(names_key).map_or(1, |i| i + 1)
+}
+
+fn at_least(key: &'static str, value: usize, least: usize) -> Result<(), ConfigError> {
+    let expected = "at least 1";
+    let error = || ConfigError::OutOfRange { key, value: value.to_string(), expected };
+    (value >= least).then_some(()).ok_or_else(error)
+}
+
+fn check(
+    key: &'static str,
+    value: f32,
+    good: bool,
+    expected: &'static str,
+) -> Result<(), ConfigError> {
+    let error = || ConfigError::OutOfRange { key, value: value.to_string(), expected };
+    good.then_some(()).ok_or_else(error)
+}
+
+fn positive(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, value > 0.0 && value.is_finite(), "a number above 0")
+}
+
+fn not_negative(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, value >= 0.0 && value.is_finite(), "a number of at least 0")
+}
+
+fn share(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, (0.0..=1.0).contains(&value), "between 0 and 1")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let config = Config::preset("paper-tum").expect("known");
+        let back = Config::from_toml(&config.to_toml(), "test", None).expect("valid");
+        assert_eq!(config, back);
+    }
+
+    #[test]
+    fn a_file_changes_single_values_of_a_preset() {
+        let text = "preset = \"paper-tum\"\n[mapping]\nmean_rate = 1\n";
+        let config = Config::from_toml(text, "test", None).expect("valid");
+        assert_eq!(config.mapping.mean_rate, 1.0);
+        assert_eq!(config.mapping.window, 20);
+    }
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_line() {
+        let text = "[mapping]\nwindow = 3\nwindoww = 4\n";
+        let message = Config::from_toml(text, "a.toml", None).expect_err("bad").to_string();
+        assert!(message.contains("a.toml, line 3") && message.contains("windoww"), "{message}");
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        for text in ["[formation]\nvirtual_cameras = 0", "[map]\ninitial_opacity = 2.0"] {
+            assert!(Config::from_toml(text, "test", None).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! Adding and removing Gaussians (SplaTAM's rules).
+
+use crate::config::{MapConfig, MappingConfig};
+use crate::objective::{Observation, Tone};
+use i2slam_geometry::{Camera, Pose};
+use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
+
+/// What "large" means in this scene.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SceneScale {
+    /// Largest depth of the first frame over the preset's ratio [m].
+    pub(crate) radius: f32,
+}
+
+impl SceneScale {
+    pub(crate) fn new(observation: &Observation, ratio: f32) -> Self {
+        let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
+        Self { radius: farthest / ratio }
+    }
+}
+
+/// A frame that adds Gaussians.
+pub(crate) struct Source<'a> {
+    pub(crate) camera: &'a Camera<f64>,
+    pub(crate) world_from_camera: Pose<f64>,
+    pub(crate) observation: &'a Observation,
+    pub(crate) tone: Option<Tone<'a>>,
+}
+
+/// One Gaussian for every pixel with depth.
+pub(crate) fn seed_map(map: &mut GaussianMap, settings: &MapConfig, source: &Source<'_>) -> usize {
+    let every: Vec<usize> = (0..source.observation.depth.data.len()).collect();
+    push(map, settings, source, &every)
+}
+
+/// One Gaussian for every pixel with depth that the map does not explain: opacity below the
+/// threshold, or a surface much nearer than the rendered one. Returns how many were added.
+pub(crate) fn add_gaussians(
+    map: &mut GaussianMap,
+    settings: (&MapConfig, &MappingConfig),
+    source: &Source<'_>,
+    render: &Render,
+) -> usize {
+    let (map_settings, mapping) = settings;
+    let observed = &source.observation.depth.data;
+    let errors: Vec<f32> = render
+        .depth
+        .data
+        .iter()
+        .zip(observed)
+        .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
+        .collect();
+    let limit = mapping.densify_depth_medians * median(&errors);
+    let unexplained: Vec<usize> = (0..observed.len())
+        .filter(|&i| {
+            let open = render.opacity.data[i] < mapping.densify_opacity;
+            let in_front = render.depth.data[i] > observed[i] && errors[i] > limit;
+            open || in_front
+        })
+        .collect();
+    push(map, map_settings, source, &unexplained)
+}
+
+/// Removes Gaussians that are nearly transparent, too large or not finite. Returns which stay.
+pub(crate) fn prune(map: &mut GaussianMap, settings: &MappingConfig, scene: SceneScale) -> Vec<bool> {
+    let least_logit = logit(settings.prune_opacity);
+    let most_scale = (settings.prune_scale * scene.radius).ln();
+    let keep: Vec<bool> = (0..map.len())
+        .map(|i| {
+            let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            let finite = map.means[i].iter().chain(&map.colours[i]).all(|v| v.is_finite());
+            finite && map.opacity_logits[i] >= least_logit && scale <= most_scale
+        })
+        .collect();
+    if keep.contains(&false) {
+        map.retain(&keep);
+    }
+    keep
+}
+
+fn push(
+    map: &mut GaussianMap,
+    settings: &MapConfig,
+    source: &Source<'_>,
+    pixels: &[usize],
+) -> usize {
+    let before = map.len();
+    let focal = 0.5 * (source.camera.fx + source.camera.fy);
+    let opacity_logit = logit(settings.initial_opacity);
+    for &pixel in pixels {
+        let z = source.observation.depth.data[pixel];
+        if z <= 0.0 || map.len() >= settings.capacity {
+            continue;
+        }
+        let (column, row) = (pixel % source.camera.width, pixel / source.camera.width);
+        let (u, v) = Camera::<f64>::pixel_centre(column, row);
+        let point = source.camera.unproject(u, v, f64::from(z));
+        let mean = (source.world_from_camera * point).cast::<f32>().to_array();
+        let log_scale = (settings.initial_scale * z / focal as f32).ln();
+        let radiance = radiance_of_pixel(source, pixel);
+        map.push(Gaussian {
+            mean,
+            log_scale: [log_scale; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit,
+            colour: map.activation.colour(radiance),
+        });
+    }
+    map.len() - before
+}
+
+/// The radiance that formation turns into the observed pixel.
+fn radiance_of_pixel(source: &Source<'_>, pixel: usize) -> [f32; 3] {
+    let colour = &source.observation.colour;
+    let picture = std::array::from_fn(|c| colour.plane(c)[pixel]);
+    let Some(tone) = &source.tone else { return picture };
+    let gains = tone.frame.gains();
+    // Code values 0 and 1 only say "at most" and "at least": stay inside them.
+    let inside = |v: f32| v.clamp(1.0 / 512.0, 1.0 - 1.0 / 512.0);
+    std::array::from_fn(|c| tone.curve.inverse(c, inside(picture[c])) / gains[c])
+}
+
+fn logit(share: f32) -> f32 {
+    (share / (1.0 - share)).ln()
+}
+
+fn median(values: &[f32]) -> f32 {
+    let mut sorted = values.to_vec();
+    let middle = sorted.len() / 2;
+    if sorted.is_empty() {
+        return 0.0;
+    }
+    *sorted.select_nth_unstable_by(middle, f32::total_cmp).1
+}

@@ -1,0 +1,10 @@
+//! Mapping: Gaussians are added where a frame sees something new, and all are refined together
+//! with tone and response over a window of keyframes.
+
+mod densify;
+mod optimizer;
+mod window;
+
+pub(crate) use densify::{SceneScale, Source, add_gaussians, prune, seed_map};
+pub(crate) use optimizer::{MapOptimizer, Sight};
+pub(crate) use window::{Keyframe, select_window};

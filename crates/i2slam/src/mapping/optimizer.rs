@@ -1,0 +1,213 @@
+//! One step of mapping: the joint optimisation of map, tone, response and keyframe poses.
+
+use super::Keyframe;
+use crate::config::{Config, ResponseScope};
+use crate::objective::{Evaluation, FrameObjective, FrameVariables, Tone};
+use crate::reconstruction::FrameEstimate;
+use crate::tracking::mask_white_balance;
+use i2slam_compute::{Adam, AdamSettings};
+use i2slam_formation::{CameraResponse, FrameTone, ResponsePrior, ShutterTangent};
+use i2slam_geometry::Tangent;
+use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
+use std::collections::BTreeMap;
+
+/// SplaTAM's epsilon while mapping.
+const EPSILON: f32 = 1e-15;
+
+/// Optimiser state of map, response and keyframes.
+pub(crate) struct MapOptimizer {
+    gradient: MapGradient,
+    means: Adam,
+    log_scales: Adam,
+    rotations: Adam,
+    opacities: Adam,
+    colours: Adam,
+    responses: BTreeMap<usize, Vec<Adam>>,
+    frames: BTreeMap<usize, FrameOptimizer>,
+}
+
+/// Optimiser state of one keyframe.
+struct FrameOptimizer {
+    tone: Adam,
+    translation: Adam,
+    rotation: Adam,
+}
+
+/// What a step works on.
+pub(crate) struct Sight<'a> {
+    pub(crate) config: &'a Config,
+    pub(crate) objective: &'a mut FrameObjective,
+    pub(crate) map: &'a mut GaussianMap,
+    pub(crate) frames: &'a mut [FrameEstimate],
+    pub(crate) responses: &'a mut [CameraResponse<f32>],
+    /// Virtual cameras for the keyframe's blur.
+    pub(crate) virtual_cameras: usize,
+}
+
+fn adam() -> Adam {
+    Adam::new(AdamSettings { epsilon: EPSILON, ..AdamSettings::default() })
+}
+
+impl MapOptimizer {
+    pub(crate) fn new() -> Self {
+        Self {
+            gradient: MapGradient::new(0),
+            means: adam(),
+            log_scales: adam(),
+            rotations: adam(),
+            opacities: adam(),
+            colours: adam(),
+            responses: BTreeMap::new(),
+            frames: BTreeMap::new(),
+        }
+    }
+
+    /// Forgets all moments.
+    pub(crate) fn reset(&mut self) {
+        let gradient = std::mem::replace(&mut self.gradient, MapGradient::new(0));
+        *self = Self { gradient, ..Self::new() };
+    }
+
+    /// Drops the moments of pruned Gaussians.
+    pub(crate) fn retain(&mut self, keep: &[bool]) {
+        self.means.retain(keep, 3);
+        self.log_scales.retain(keep, 3);
+        self.rotations.retain(keep, 4);
+        self.opacities.retain(keep, 1);
+        self.colours.retain(keep, 3);
+    }
+
+    /// One gradient step on the view of one keyframe.
+    pub(crate) fn step(&mut self, sight: &mut Sight<'_>, keyframe: &Keyframe) -> Evaluation {
+        let estimate = &sight.frames[keyframe.frame];
+        let mapping = &sight.config.mapping;
+        let curve =
+            sight.config.formation.tone.then(|| sight.responses[estimate.response].curve());
+        let variables = FrameVariables {
+            shutter: estimate.shutter,
+            tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
+            virtual_cameras: sight.virtual_cameras,
+        };
+        self.gradient.reset(sight.map.len());
+        let mut evaluation = sight.objective.map(
+            sight.map,
+            &keyframe.observation,
+            &variables,
+            mapping.ssim_share,
+            (mapping.image_weight, mapping.depth_weight),
+            &mut self.gradient,
+        );
+        self.step_map(sight.config, sight.map);
+        if curve.is_some() && mapping.tone_rate > 0.0 {
+            self.step_tone(sight, keyframe.frame, &evaluation);
+            self.step_response(sight, keyframe.frame, &mut evaluation);
+        }
+        if keyframe.frame > 0 && mapping.pose_rotation_rate > 0.0 {
+            self.step_pose(sight, keyframe.frame, &evaluation);
+        }
+        evaluation
+    }
+
+    fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {
+        let (rates, gradient) = (&config.mapping, &self.gradient);
+        self.means.step(
+            map.means.as_flattened_mut(),
+            gradient.means.as_flattened(),
+            rates.mean_rate,
+        );
+        self.colours.step(
+            map.colours.as_flattened_mut(),
+            gradient.colours.as_flattened(),
+            rates.colour_rate,
+        );
+        self.opacities.step(
+            &mut map.opacity_logits,
+            &gradient.opacity_logits,
+            rates.opacity_rate,
+        );
+        self.log_scales.step(
+            map.log_scales.as_flattened_mut(),
+            gradient.log_scales.as_flattened(),
+            rates.scale_rate,
+        );
+        match map.shape {
+            Shape::Isotropic => map.log_scales.iter_mut().for_each(|s| *s = [s[0]; 3]),
+            Shape::Anisotropic => self.rotations.step(
+                map.rotations.as_flattened_mut(),
+                gradient.rotations.as_flattened(),
+                rates.rotation_rate,
+            ),
+        }
+    }
+
+    fn frame(&mut self, index: usize) -> &mut FrameOptimizer {
+        self.frames.entry(index).or_insert_with(|| FrameOptimizer {
+            tone: adam(),
+            translation: adam(),
+            rotation: adam(),
+        })
+    }
+
+    /// Exposure and white balance; frame 0 keeps both, which fixes the gauge.
+    fn step_tone(&mut self, sight: &mut Sight<'_>, frame: usize, evaluation: &Evaluation) {
+        if frame == 0 {
+            return;
+        }
+        let mut gradient = evaluation.tone.to_array();
+        mask_white_balance(sight.config.formation.white_balance, &mut gradient);
+        let tone = &mut sight.frames[frame].tone;
+        let mut values = tone.to_array();
+        self.frame(frame).tone.step(&mut values, &gradient, sight.config.mapping.tone_rate);
+        *tone = FrameTone::from_array(values);
+    }
+
+    fn step_response(
+        &mut self,
+        sight: &mut Sight<'_>,
+        frame: usize,
+        evaluation: &mut Evaluation,
+    ) {
+        let Some(d_curve) = &mut evaluation.curve else { return };
+        let formation = &sight.config.formation;
+        let index = sight.frames[frame].response;
+        let response = &mut sight.responses[index];
+        if formation.response_prior > 0.0 && formation.response_scope == ResponseScope::Sequence {
+            let prior = ResponsePrior::new(response);
+            prior.value_and_gradient(&response.curve(), formation.response_prior, d_curve);
+        }
+        let d_nodes = response.pull_back(d_curve);
+        let curves = response.nodes.len();
+        let optimizers =
+            self.responses.entry(index).or_insert_with(|| (0..curves).map(|_| adam()).collect());
+        // The nodes span [0, 1] in 255 steps: a rate per node is that share of a tone's rate.
+        let rate = sight.config.mapping.tone_rate * response_share(formation.response_scope);
+        for ((nodes, d), adam) in response.nodes.iter_mut().zip(&d_nodes).zip(optimizers) {
+            adam.step(nodes, d, rate);
+        }
+    }
+
+    /// Both shutter poses move by one tangent of the centre.
+    fn step_pose(&mut self, sight: &mut Sight<'_>, frame: usize, evaluation: &Evaluation) {
+        let rates = &sight.config.mapping;
+        let optimizer = self.frame(frame);
+        let mut step = ShutterTangent::<f64>::zero();
+        let sides = [(&evaluation.shutter.start, 0), (&evaluation.shutter.end, 1)];
+        let gradient = sides[0].0.plus(*sides[1].0).to_array().map(|g| g as f32);
+        let (mut translation, mut rotation) = ([0.0; 3], [0.0; 3]);
+        optimizer.translation.step(&mut translation, &gradient[..3], rates.pose_translation_rate);
+        optimizer.rotation.step(&mut rotation, &gradient[3..], rates.pose_rotation_rate);
+        let [x, y, z] = translation.map(f64::from);
+        let [a, b, c] = rotation.map(f64::from);
+        let tangent = Tangent::from_array([x, y, z, a, b, c]);
+        (step.start, step.end) = (tangent, tangent);
+        sight.frames[frame].shutter = sight.frames[frame].shutter.retract(&step);
+    }
+}
+
+/// A response shared by the whole sequence moves slower than one that belongs to a frame.
+fn response_share(scope: ResponseScope) -> f32 {
+    match scope {
+        ResponseScope::Frame => 1.0,
+        ResponseScope::Sequence => 0.1,
+    }
+}

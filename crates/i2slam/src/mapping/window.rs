@@ -1,0 +1,82 @@
+//! Which keyframes a mapping round looks at (SplaTAM's rule).
+
+use crate::objective::Observation;
+use crate::reconstruction::FrameEstimate;
+use i2slam_compute::Random;
+use i2slam_geometry::{Camera, Vec3};
+use std::sync::Arc;
+
+/// Pixels of the current frame that are looked up in every keyframe.
+const PROBES: usize = 1600;
+/// Border of a keyframe that does not count, as a share of its width (20 px of 640).
+const BORDER: f64 = 20.0 / 640.0;
+
+/// A frame that stays in memory for mapping.
+#[derive(Clone, Debug)]
+pub(crate) struct Keyframe {
+    /// Position among the session's frames.
+    pub(crate) frame: usize,
+    pub(crate) observation: Arc<Observation>,
+}
+
+/// The current frame, the last keyframe, and `size - 2` keyframes chosen at random among those
+/// that see part of the current frame.
+pub(crate) fn select_window(
+    keyframes: &[Keyframe],
+    current: &Keyframe,
+    frames: &[FrameEstimate],
+    camera: &Camera<f64>,
+    size: usize,
+    random: &mut Random,
+) -> Vec<Keyframe> {
+    let mut window = vec![current.clone()];
+    let others: Vec<&Keyframe> = keyframes.iter().filter(|k| k.frame != current.frame).collect();
+    let Some((last, earlier)) = others.split_last() else { return window };
+    if size > 1 {
+        window.push((*last).clone());
+    }
+    let points = probe(current, frames, camera, random);
+    let mut overlapping: Vec<&Keyframe> = earlier
+        .iter()
+        .copied()
+        .filter(|k| sees_any(&frames[k.frame], camera, &points))
+        .collect();
+    random.shuffle(&mut overlapping);
+    window.extend(overlapping.into_iter().take(size.saturating_sub(2)).cloned());
+    window
+}
+
+/// Random points of the current frame, in the world.
+fn probe(
+    current: &Keyframe,
+    frames: &[FrameEstimate],
+    camera: &Camera<f64>,
+    random: &mut Random,
+) -> Vec<Vec3<f64>> {
+    let depth = &current.observation.depth.data;
+    let valid: Vec<usize> = (0..depth.len()).filter(|&i| depth[i] > 0.0).collect();
+    if valid.is_empty() {
+        return Vec::new();
+    }
+    let pose = frames[current.frame].middle();
+    (0..PROBES)
+        .map(|_| {
+            let pixel = valid[random.below(valid.len())];
+            let (u, v) =
+                Camera::<f64>::pixel_centre(pixel % camera.width, pixel / camera.width);
+            pose * camera.unproject(u, v, f64::from(depth[pixel]))
+        })
+        .collect()
+}
+
+fn sees_any(frame: &FrameEstimate, camera: &Camera<f64>, points: &[Vec3<f64>]) -> bool {
+    let camera_from_world = frame.middle().inverse();
+    let border = BORDER * camera.width as f64;
+    points.iter().any(|&point_in_world| {
+        let point = camera_from_world * point_in_world;
+        point.z > 0.0 && {
+            let (u, v) = camera.project(point);
+            camera.contains(u, v, border)
+        }
+    })
+}

@@ -1,0 +1,14 @@
+//! Where map and image formation meet: the losses of eq. 12 and their derivatives.
+//!
+//! A difference that is minimised lives here; a difference that is reported lives in `eval`.
+
+mod blur;
+mod depth;
+mod frame;
+mod observation;
+mod photometric;
+mod window;
+
+pub use blur::{blur_length, virtual_camera_count};
+pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
+pub use observation::Observation;

@@ -1,0 +1,38 @@
+//! What the camera saw.
+
+use super::photometric::SsimReference;
+use i2slam_geometry::Image;
+use std::sync::OnceLock;
+
+/// A frame's pictures as the optimisers use them.
+#[derive(Debug)]
+pub struct Observation {
+    /// Colour, three planes in `[0, 1]`.
+    pub colour: Image<f32>,
+    /// Depth along the optical axis [m], 0 where there is no reading.
+    pub depth: Image<f32>,
+    similarity: OnceLock<SsimReference>,
+}
+
+impl Observation {
+    /// An observation of both pictures. Depth that is not finite counts as no reading, colour
+    /// that is not finite as black.
+    pub fn new(mut colour: Image<f32>, mut depth: Image<f32>) -> Self {
+        for value in colour.data.iter_mut().chain(&mut depth.data) {
+            if !value.is_finite() || *value < 0.0 {
+                *value = 0.0;
+            }
+        }
+        Self { colour, depth, similarity: OnceLock::new() }
+    }
+
+    /// Window means of the colour planes, computed once.
+    pub(super) fn similarity(&self) -> &SsimReference {
+        self.similarity.get_or_init(|| SsimReference::new(&self.colour))
+    }
+
+    /// Number of pixels with a depth reading.
+    pub fn valid_depths(&self) -> usize {
+        self.depth.data.iter().filter(|&&d| d > 0.0).count()
+    }
+}

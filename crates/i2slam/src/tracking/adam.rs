@@ -1,0 +1,238 @@
+//! First-order tracking by analysis and synthesis, as SplaTAM and the paper do it.
+
+use super::{Motion, TrackingContext, TrackingResult};
+use crate::config::{FormationConfig, TrackingConfig, WhiteBalance};
+use crate::objective::{Evaluation, FrameObjective, FrameVariables, Observation, Tone};
+use i2slam_compute::{Adam, AdamSettings};
+use i2slam_formation::{
+    CameraResponse, CentreVelocity, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
+    TrajectoryScale,
+};
+use i2slam_geometry::Tangent;
+use i2slam_radiance::gaussian::GaussianMap;
+
+/// The parameters of one frame, as they are stepped.
+#[derive(Clone)]
+pub(super) struct State {
+    pub(super) motion: CentreVelocity<f64>,
+    pub(super) tone: FrameTone<f32>,
+    pub(super) response: Option<CameraResponse<f32>>,
+    pub(super) scale: TrajectoryScale<f64>,
+}
+
+/// One optimiser per group of parameters that shares a learning rate.
+struct Optimizers {
+    centre_translation: Adam,
+    centre_rotation: Adam,
+    velocity_translation: Adam,
+    velocity_rotation: Adam,
+    tone: Adam,
+    response: Vec<Adam>,
+    scale: Adam,
+}
+
+impl Optimizers {
+    fn new(curves: usize) -> Self {
+        let adam = || Adam::new(AdamSettings::default());
+        Self {
+            centre_translation: adam(),
+            centre_rotation: adam(),
+            velocity_translation: adam(),
+            velocity_rotation: adam(),
+            tone: adam(),
+            response: (0..curves).map(|_| adam()).collect(),
+            scale: adam(),
+        }
+    }
+}
+
+/// `config.iterations` steps from `start`; the parameters with the smallest loss are returned.
+pub(super) fn refine(
+    context: &TrackingContext<'_>,
+    objective: &mut FrameObjective,
+    map: &GaussianMap,
+    observation: &Observation,
+    start: State,
+    cameras: usize,
+) -> TrackingResult {
+    let mut state = start;
+    let mut optimizers = Optimizers::new(state.response.as_ref().map_or(0, |r| r.nodes.len()));
+    let mut best: Option<(f64, State, Evaluation, f64)> = None;
+    for _ in 0..context.tracking.iterations {
+        let curve = state.response.as_ref().map(CameraResponse::curve);
+        let mut evaluation =
+            evaluate(context, objective, map, observation, &state, curve.as_ref(), cameras);
+        let trajectory = add_trajectory_loss(context, &state, &mut evaluation);
+        let total = evaluation.total;
+        if !total.is_finite() || evaluation.pixels == 0 {
+            break;
+        }
+        let improved = best.as_ref().is_none_or(|b| total < b.0);
+        let loss = trajectory.as_ref().map_or(0.0, |t| t.0);
+        if improved {
+            best = Some((total, state.clone(), evaluation.clone(), loss));
+        }
+        step(context, &mut state, &mut optimizers, &evaluation, trajectory.map(|t| t.1));
+    }
+    match best {
+        Some((_, state, evaluation, trajectory)) => {
+            TrackingResult::new(state, &evaluation, trajectory, true)
+        }
+        None => TrackingResult::new(state, &Evaluation::default(), 0.0, false),
+    }
+}
+
+fn evaluate(
+    context: &TrackingContext<'_>,
+    objective: &mut FrameObjective,
+    map: &GaussianMap,
+    observation: &Observation,
+    state: &State,
+    curve: Option<&ResponseCurve<f32>>,
+    cameras: usize,
+) -> Evaluation {
+    let variables = FrameVariables {
+        shutter: state.motion.into(),
+        tone: curve.map(|curve| Tone { frame: state.tone, curve }),
+        virtual_cameras: cameras,
+    };
+    let weights = (context.tracking.image_weight, context.tracking.depth_weight);
+    objective.track(map, observation, &variables, context.tracking.silhouette_threshold, weights)
+}
+
+/// Adds λ_traj L_traj to the objective and its shutter gradient; returns loss and gradient.
+fn add_trajectory_loss(
+    context: &TrackingContext<'_>,
+    state: &State,
+    evaluation: &mut Evaluation,
+) -> Option<(f64, TrajectoryGradient<f64>)> {
+    if !context.formation.trajectory_loss || !context.formation.blur {
+        return None;
+    }
+    let previous = context.previous?;
+    let pair = TrajectoryPair {
+        previous: previous.shutter,
+        current: state.motion.into(),
+        exposure_previous: context.exposure_time(&previous.tone),
+        exposure_current: context.exposure_time(&state.tone),
+        scale: state.scale,
+    };
+    let (loss, gradient) = pair.loss_and_gradient();
+    let weight = f64::from(context.tracking.trajectory_weight);
+    evaluation.total += weight * loss.total();
+    evaluation.shutter = evaluation.shutter.plus(gradient.current.scaled(weight));
+    Some((loss.total(), gradient))
+}
+
+fn step(
+    context: &TrackingContext<'_>,
+    state: &mut State,
+    optimizers: &mut Optimizers,
+    evaluation: &Evaluation,
+    trajectory: Option<TrajectoryGradient<f64>>,
+) {
+    let (tracking, formation) = (context.tracking, context.formation);
+    step_motion(tracking, formation, state, optimizers, evaluation);
+    let weight = tracking.trajectory_weight;
+    if formation.tone {
+        let by_trajectory = trajectory.map_or(0.0, |t| weight * t.log_exposure_current as f32);
+        step_tone(formation, state, optimizers, evaluation, by_trajectory);
+    }
+    if let Some(gradient) = trajectory {
+        let mut a = [state.scale.a as f32];
+        let rate = formation.tone_rate * a[0].abs().max(1e-3);
+        optimizers.scale.step(&mut a, &[weight * gradient.scale as f32], rate);
+        state.scale.a = f64::from(a[0]).max(0.0);
+    }
+}
+
+/// Steps centre and velocity; without blur the velocity stays zero.
+fn step_motion(
+    tracking: &TrackingConfig,
+    formation: &FormationConfig,
+    state: &mut State,
+    optimizers: &mut Optimizers,
+    evaluation: &Evaluation,
+) {
+    let (d_centre, d_velocity) = state.motion.pull_back(evaluation.shutter);
+    let move_by = |adam: &mut Adam, gradient: i2slam_geometry::Vec3<f64>, rate: f32| {
+        let mut step = [0.0_f32; 3];
+        adam.step(&mut step, &gradient.to_array().map(|g| g as f32), rate);
+        i2slam_geometry::Vec3::from_array(step.map(f64::from))
+    };
+    let centre = Tangent {
+        translation: move_by(
+            &mut optimizers.centre_translation,
+            d_centre.translation,
+            tracking.translation_rate,
+        ),
+        rotation: move_by(
+            &mut optimizers.centre_rotation,
+            d_centre.rotation,
+            tracking.rotation_rate,
+        ),
+    };
+    let velocity = if formation.blur {
+        let translation_rate = tracking.translation_rate * tracking.velocity_translation_share;
+        let rotation_rate = tracking.rotation_rate * tracking.velocity_rotation_share;
+        Tangent {
+            translation: move_by(
+                &mut optimizers.velocity_translation,
+                d_velocity.translation,
+                translation_rate,
+            ),
+            rotation: move_by(
+                &mut optimizers.velocity_rotation,
+                d_velocity.rotation,
+                rotation_rate,
+            ),
+        }
+    } else {
+        Tangent::zero()
+    };
+    state.motion = state.motion.retract(centre, velocity);
+}
+
+fn step_tone(
+    formation: &FormationConfig,
+    state: &mut State,
+    optimizers: &mut Optimizers,
+    evaluation: &Evaluation,
+    d_log_exposure: f32,
+) {
+    let mut gradient = evaluation.tone.to_array();
+    gradient[0] += d_log_exposure;
+    mask_white_balance(formation.white_balance, &mut gradient);
+    let mut values = state.tone.to_array();
+    optimizers.tone.step(&mut values, &gradient, formation.tone_rate);
+    state.tone = FrameTone::from_array(values);
+    if formation.response_scope != crate::config::ResponseScope::Frame {
+        return;
+    }
+    if let (Some(response), Some(d_curve)) = (&mut state.response, &evaluation.curve) {
+        let d_nodes = response.pull_back(d_curve);
+        for ((nodes, d), adam) in
+            response.nodes.iter_mut().zip(&d_nodes).zip(&mut optimizers.response)
+        {
+            adam.step(nodes, d, formation.tone_rate);
+        }
+    }
+}
+
+/// Leaves the gradient of the free gains of `[log_exposure, log_white_balance r, g, b]`.
+pub(crate) fn mask_white_balance(model: WhiteBalance, gradient: &mut [f32; 4]) {
+    use i2slam_formation::WhiteBalanceModel::{OneGain, PerChannel};
+    let mut gains = [gradient[1], gradient[2], gradient[3]];
+    match model {
+        WhiteBalance::PerChannel => PerChannel.project_gradient(&mut gains),
+        WhiteBalance::OneGain => OneGain.project_gradient(&mut gains),
+        WhiteBalance::Fixed => gains = [0.0; 3],
+    }
+    gradient[1..].copy_from_slice(&gains);
+}
+
+/// Constant velocity: the motion of the last frame once more, with a small split of start and
+/// end along it (appendix A).
+pub(super) fn extrapolate(motion: Motion, split: f64) -> CentreVelocity<f64> {
+    CentreVelocity { centre: motion.next, velocity: motion.step.scaled(split) }
+}

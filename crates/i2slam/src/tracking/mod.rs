@@ -1,0 +1,145 @@
+//! Tracking: where the camera was while a frame was exposed, and how bright the frame is.
+
+mod adam;
+mod align;
+
+pub(crate) use adam::mask_white_balance;
+
+use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
+use crate::objective::{Evaluation, FrameObjective, Observation, virtual_camera_count};
+use crate::reconstruction::{FrameEstimate, Losses};
+use i2slam_formation::{
+    CameraResponse, FrameTone, ShutterPoses, TrajectoryScale,
+};
+use i2slam_geometry::{Camera, Pose, Tangent};
+use i2slam_radiance::gaussian::GaussianMap;
+
+/// What tracking may know beside map and picture.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TrackingContext<'a> {
+    pub(crate) tracking: &'a TrackingConfig,
+    pub(crate) formation: &'a FormationConfig,
+    pub(crate) camera: &'a Camera<f64>,
+    /// Frames per second.
+    pub(crate) frame_rate: f64,
+    /// The frame before, if there is one.
+    pub(crate) previous: Option<&'a FrameEstimate>,
+    /// The frame before that.
+    pub(crate) before_previous: Option<&'a FrameEstimate>,
+}
+
+impl TrackingContext<'_> {
+    /// Exposure time Δt [s] of the trajectory loss. Only ratios of exposures are observable;
+    /// the unit is chosen so that frame 0 is open for half the frame interval, and the
+    /// optimised scale `a` absorbs the rest.
+    pub(crate) fn exposure_time(&self, tone: &FrameTone<f32>) -> f64 {
+        0.5 / self.frame_rate * f64::from(tone.log_exposure).exp()
+    }
+}
+
+/// The result of tracking one frame.
+#[derive(Clone, Debug)]
+pub(crate) struct TrackingResult {
+    pub(crate) shutter: ShutterPoses<f64>,
+    pub(crate) tone: FrameTone<f32>,
+    /// The frame's response, where responses are tracked.
+    pub(crate) response: Option<CameraResponse<f32>>,
+    pub(crate) scale: TrajectoryScale<f64>,
+    pub(crate) losses: Losses,
+    pub(crate) tracked: bool,
+}
+
+impl TrackingResult {
+    fn new(state: adam::State, evaluation: &Evaluation, trajectory: f64, tracked: bool) -> Self {
+        Self {
+            shutter: state.motion.into(),
+            tone: state.tone,
+            response: state.response,
+            scale: state.scale,
+            losses: Losses { image: evaluation.image, depth: evaluation.depth, trajectory },
+            tracked,
+        }
+    }
+}
+
+/// The predicted pose of a frame and the motion that led to it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Motion {
+    /// World-from-camera of the frame to come.
+    pub(crate) next: Pose<f64>,
+    /// Motion per frame, in the camera's frame.
+    pub(crate) step: Tangent<f64>,
+}
+
+impl Motion {
+    /// Constant velocity from the two frames before; standing still with fewer.
+    pub(crate) fn constant_velocity(context: &TrackingContext<'_>) -> Self {
+        let last = context.previous.map_or_else(Pose::identity, FrameEstimate::middle);
+        let step = context
+            .before_previous
+            .map_or_else(Tangent::zero, |before| before.middle().local(last));
+        Self { next: last.retract(step), step }
+    }
+}
+
+/// The constant-velocity prediction of the next frame's pose.
+pub(crate) fn predict(context: &TrackingContext<'_>) -> Pose<f64> {
+    Motion::constant_velocity(context).next
+}
+
+/// Finds shutter poses, tone and (where it belongs to the frame) response of a frame.
+pub(crate) fn track(
+    context: &TrackingContext<'_>,
+    objective: &mut FrameObjective,
+    map: &GaussianMap,
+    observation: &Observation,
+    response: Option<&CameraResponse<f32>>,
+    scale: TrajectoryScale<f64>,
+) -> TrackingResult {
+    let motion = Motion::constant_velocity(context);
+    let mut state = adam::State {
+        motion: adam::extrapolate(motion, start_split(context)),
+        tone: context.previous.map_or_else(FrameTone::default, |p| p.tone),
+        response: response.cloned(),
+        scale,
+    };
+    let mut aligned = None;
+    if context.tracking.method == TrackingMethod::SecondOrder {
+        let result = align::align(context, objective, map, observation, state, motion);
+        if context.tracking.iterations == 0 {
+            return result;
+        }
+        state = adam::State {
+            motion: result.shutter.into(),
+            tone: result.tone,
+            response: result.response.clone(),
+            scale: result.scale,
+        };
+        aligned = Some(result);
+    }
+    let cameras = camera_count(context, &state.motion.into(), observation);
+    let refined = adam::refine(context, objective, map, observation, state, cameras);
+    match aligned {
+        Some(aligned) if !refined.tracked => aligned,
+        _ => refined,
+    }
+}
+
+/// The first split of start and end pose as a share of the motion between frames.
+fn start_split(context: &TrackingContext<'_>) -> f64 {
+    if context.formation.blur { f64::from(context.tracking.initial_split) } else { 0.0 }
+}
+
+/// Virtual cameras that a frame's blur needs; one with blur switched off.
+pub(crate) fn camera_count(
+    context: &TrackingContext<'_>,
+    shutter: &ShutterPoses<f64>,
+    observation: &Observation,
+) -> usize {
+    if !context.formation.blur {
+        return 1;
+    }
+    let length = crate::objective::blur_length(context.camera, shutter, &observation.depth);
+    let per_camera = f64::from(context.formation.blur_per_camera);
+    virtual_camera_count(length, per_camera, context.formation.virtual_cameras)
+}

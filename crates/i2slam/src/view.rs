@@ -1,0 +1,76 @@
+//! Pictures of a reconstruction.
+
+use crate::objective::{FrameObjective, FrameVariables, Tone, virtual_camera_count};
+use crate::reconstruction::{FrameEstimate, Reconstruction};
+use crate::session::raster_settings;
+use i2slam_formation::{ResponseCurve, ShutterPoses};
+use i2slam_geometry::{Image, Pose};
+
+/// Opacity below which a pixel has no depth.
+const SOLID: f32 = 0.5;
+
+/// Renders a reconstruction; owns the buffers.
+pub struct Viewer<'a> {
+    reconstruction: &'a Reconstruction,
+    objective: FrameObjective,
+}
+
+impl Reconstruction {
+    /// A viewer of this reconstruction.
+    pub fn viewer(&self) -> Viewer<'_> {
+        let settings = raster_settings(&self.config);
+        Viewer { reconstruction: self, objective: FrameObjective::new(self.camera.cast(), settings) }
+    }
+}
+
+impl Viewer<'_> {
+    /// The frame without motion blur: seen from mid-exposure, formed with the frame's own
+    /// exposure, white balance and response. Three planes, in `[0, 1]` but for the leaky clip.
+    pub fn sharp(&mut self, frame: &FrameEstimate) -> Image<f32> {
+        self.form(frame, ShutterPoses::still(frame.middle()), 1)
+    }
+
+    /// What formation predicts for the frame, motion blur included.
+    pub fn blurred(&mut self, frame: &FrameEstimate) -> Image<f32> {
+        let formation = &self.reconstruction.config.formation;
+        if !formation.blur {
+            return self.sharp(frame);
+        }
+        let per_camera = f64::from(formation.blur_per_camera);
+        let count =
+            virtual_camera_count(frame.blur_length, per_camera, formation.virtual_cameras);
+        self.form(frame, frame.shutter, count)
+    }
+
+    /// Linear radiance seen from a world-from-camera pose (picture values with `tone` off).
+    pub fn hdr(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
+        self.objective.render(&self.reconstruction.map, world_from_camera).radiance.clone()
+    }
+
+    /// Depth seen from a world-from-camera pose [m]; 0 where the map is not opaque.
+    pub fn depth(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
+        let render = self.objective.render(&self.reconstruction.map, world_from_camera);
+        let mut depth = render.depth.clone();
+        for (d, &opacity) in depth.data.iter_mut().zip(&render.opacity.data) {
+            *d = if opacity >= SOLID { *d / opacity } else { 0.0 };
+        }
+        depth
+    }
+
+    fn form(
+        &mut self,
+        frame: &FrameEstimate,
+        shutter: ShutterPoses<f64>,
+        virtual_cameras: usize,
+    ) -> Image<f32> {
+        let curve: Option<ResponseCurve<f32>> = self
+            .reconstruction
+            .config
+            .formation
+            .tone
+            .then(|| self.reconstruction.responses[frame.response].curve());
+        let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
+        let variables = FrameVariables { shutter, tone, virtual_cameras };
+        self.objective.predict(&self.reconstruction.map, &variables).clone()
+    }
+}
