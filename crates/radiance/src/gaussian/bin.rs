@@ -1,6 +1,6 @@
 //! Which splats touch which tile, in order of depth.
 
-use super::project::cpu::{CHUNK, Chunk, Splat};
+use super::project::{CHUNK, Chunk, Splat};
 use super::sort::{self, take};
 use i2slam_geometry::Camera;
 use rayon::prelude::*;
@@ -139,10 +139,11 @@ impl Bins {
 
     fn scatter(&self, index: usize, splats: &[Splat], grid: &TileGrid, counters: &[AtomicU32]) {
         let splat = &splats[index];
+        let ellipse = Ellipse::of(splat);
         let mut place = (self.chunk_starts[index / CHUNK] + splat.first_tile) as usize;
         for_tiles(splat, grid, |tile, column, row| {
             let at = take(&counters[tile]);
-            let entry = Entry::new(index, rows_within(splat, column, row));
+            let entry = Entry::new(index, ellipse.rows(splat, column, row));
             self.entries[at as usize].store(entry.0, Relaxed);
             self.places[place].store(at, Relaxed);
             place += 1;
@@ -176,27 +177,54 @@ fn for_tiles(splat: &Splat, grid: &TileGrid, mut f: impl FnMut(usize, usize, usi
     }
 }
 
-/// The rows of a tile that the splat's ellipse touches within the columns of the tile.
+/// The nearest integer of a number between 0 and 2²².
+#[inline(always)]
+pub(crate) fn nearest(x: f32) -> usize {
+    ((x + 8_388_608.0).to_bits() & 0x007f_ffff) as usize
+}
+
+/// The rows that a splat's ellipse touches within the columns of a tile.
 ///
-/// The ellipse has its highest point at `dx = s_y h`, where `h` is half its height; within the
-/// slab of the tile's columns the highest point is at the nearest `dx`, and there the ellipse
+/// The ellipse has its lowest point at `dx = s_y h`, where `h` is half its height; within the
+/// slab of the tile's columns the lowest point is at the nearest `dx`, and there the ellipse
 /// spans `s_x dx ± r sqrt(1 - (dx / w)²)`, with `w` half its width and `r` half its height at
-/// the column of its centre.
-fn rows_within(splat: &Splat, column: usize, row: usize) -> [usize; 2] {
-    let [a, b, c] = splat.exponent;
-    let [width, height] = splat.extent;
-    let left = (column * TILE) as f32 + 0.5 - splat.centre[0];
-    let right = left + (TILE - 1) as f32;
-    let top = (row * TILE) as f32 + 0.5 - splat.centre[1];
-    // Σxy/Σyy and Σxy/Σxx
-    let (slope_y, slope_x) = (-b / (2.0 * a), -b / (2.0 * c));
-    let reach = |dx: f32, sign: f32| {
-        let inside = 1.0 - (dx / width) * (dx / width);
-        slope_x * dx + sign * (splat.height_at_centre * inside.max(0.0).sqrt() + 0.01)
-    };
-    let lowest = (slope_y * height).max(left).min(right);
-    let highest = (-slope_y * height).max(left).min(right);
-    let first = (reach(highest, -1.0) - top).ceil().clamp(0.0, TILE as f32);
-    let end = ((reach(lowest, 1.0) - top).floor() + 1.0).clamp(0.0, TILE as f32);
-    if first < end { [first as usize, end as usize] } else { [0, 0] }
+/// the column of its centre. The highest point mirrors the lowest.
+struct Ellipse {
+    /// `Σxy/Σxx`.
+    slope: f32,
+    /// `dx` of the lowest point.
+    lowest: f32,
+    /// `1 / w`.
+    inverse_width: f32,
+}
+
+impl Ellipse {
+    #[inline(always)]
+    fn of(splat: &Splat) -> Self {
+        let [a, b, c] = splat.exponent;
+        let [width, height] = splat.extent;
+        let lowest = -b / (2.0 * a) * height;
+        Self { slope: -b / (2.0 * c), lowest, inverse_width: width.recip() }
+    }
+
+    /// First and end row of the tile that are touched.
+    #[inline(always)]
+    fn rows(&self, splat: &Splat, column: usize, row: usize) -> [usize; 2] {
+        let left = (column * TILE) as f32 + 0.5 - splat.centre[0];
+        let right = left + (TILE - 1) as f32;
+        let (low, high) = (self.lowest.max(left).min(right), (-self.lowest).max(left).min(right));
+        let bottom = self.slope * low + self.reach(splat, low);
+        let top = self.slope * high - self.reach(splat, high);
+        // Row j has its centre at j + 1/2.
+        let start = (row * TILE) as f32 - splat.centre[1];
+        let limit = |v: f32| nearest((v - start).max(0.0).min(TILE as f32));
+        let (first, end) = (limit(top), limit(bottom));
+        if first < end { [first, end] } else { [0, 0] }
+    }
+
+    #[inline(always)]
+    fn reach(&self, splat: &Splat, dx: f32) -> f32 {
+        let part = dx * self.inverse_width;
+        splat.height_at_centre * (1.0 - part * part).max(0.0).sqrt() + 0.01
+    }
 }

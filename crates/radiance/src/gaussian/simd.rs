@@ -1,7 +1,8 @@
 //! Elementary functions on vectors of `f32`, for any instruction set that `pulp` dispatches to.
 //!
 //! Every function is `#[inline(always)]`: only inside of a dispatched call is it compiled with
-//! the instruction set that was found at run time.
+//! the instruction set that was found at run time. For the same reason kernels use plain loops:
+//! what `map` and `for_each` call may stay a function of its own, without the instruction set.
 
 use pulp::Simd;
 
@@ -18,11 +19,9 @@ pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let round = simd.splat_f32s(ROUND);
     let shifted = simd.add_f32s(x, round);
     let f = simd.sub_f32s(x, simd.sub_f32s(shifted, round));
-    let c = |v: f32| simd.splat_f32s(v);
-    let mut p = c(0.001_327_647_2);
-    for term in [0.009_675_541, 0.055_507_133, 0.240_221_2, 0.693_146_94, 1.0] {
-        p = simd.mul_add_e_f32s(p, f, c(term));
-    }
+    const TERMS: [f32; 6] =
+        [1.0, 0.693_146_94, 0.240_221_2, 0.055_507_133, 0.009_675_541, 0.001_327_647_2];
+    let p = polynomial(simd, f, &TERMS);
     scale_by_power(simd, p, shifted)
 }
 
@@ -36,12 +35,19 @@ pub(crate) fn exp<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     // x - n ln 2 in two steps; the first constant has few bits, so that its product is exact.
     let f = simd.mul_add_e_f32s(n, simd.splat_f32s(-0.693_359_4), x);
     let f = simd.mul_add_e_f32s(n, simd.splat_f32s(2.121_944_4e-4), f);
-    let c = |v: f32| simd.splat_f32s(v);
-    let mut p = c(1.0 / 720.0);
-    for term in [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
-        p = simd.mul_add_e_f32s(p, f, c(term));
-    }
+    const TERMS: [f32; 7] = [1.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0];
+    let p = polynomial(simd, f, &TERMS);
     scale_by_power(simd, p, shifted)
+}
+
+/// `Σ terms[k] xᵏ` by Horner's rule.
+#[inline(always)]
+fn polynomial<S: Simd, const N: usize>(simd: S, x: S::f32s, terms: &[f32; N]) -> S::f32s {
+    let mut sum = simd.splat_f32s(terms[N - 1]);
+    for k in (0..N - 1).rev() {
+        sum = simd.mul_add_e_f32s(sum, x, simd.splat_f32s(terms[k]));
+    }
+    sum
 }
 
 /// `p · 2ⁿ` for the integer `n` in the low bits of `shifted`, by adding to the exponent.
@@ -58,20 +64,20 @@ fn scale_by_power<S: Simd>(simd: S, p: S::f32s, shifted: S::f32s) -> S::f32s {
 #[inline(always)]
 pub(crate) fn log2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     const HALF_ROOT: u32 = 0x3f35_04f3;
-    let u = |v: u32| simd.splat_u32s(v);
-    let bits = simd.add_u32s(simd.transmute_u32s_f32s(x), u(0x3f80_0000 - HALF_ROOT));
-    let exponent = simd.wrapping_dyn_shr_u32s(bits, u(23));
-    let mantissa = simd.add_u32s(simd.and_u32s(bits, u(0x007f_ffff)), u(HALF_ROOT));
-    let exponent = simd.transmute_f32s_u32s(simd.or_u32s(exponent, u(0x4b00_0000)));
+    const TWICE: f32 = 2.0 * std::f32::consts::LOG2_E;
+    const SERIES: [f32; 5] = [TWICE, TWICE / 3.0, TWICE / 5.0, TWICE / 7.0, TWICE / 9.0];
+    let bits = simd.transmute_u32s_f32s(x);
+    let bits = simd.add_u32s(bits, simd.splat_u32s(0x3f80_0000 - HALF_ROOT));
+    let exponent = simd.wrapping_dyn_shr_u32s(bits, simd.splat_u32s(23));
+    let exponent = simd.or_u32s(exponent, simd.splat_u32s(0x4b00_0000));
+    let exponent = simd.transmute_f32s_u32s(exponent);
+    let mantissa = simd.and_u32s(bits, simd.splat_u32s(0x007f_ffff));
+    let mantissa = simd.add_u32s(mantissa, simd.splat_u32s(HALF_ROOT));
     let exponent = simd.sub_f32s(exponent, simd.splat_f32s(8_388_608.0 + 127.0));
     let (m, one) = (simd.transmute_f32s_u32s(mantissa), simd.splat_f32s(1.0));
     let s = simd.div_f32s(simd.sub_f32s(m, one), simd.add_f32s(m, one));
     let s2 = simd.mul_f32s(s, s);
-    let c = |v: f32| simd.splat_f32s(v * 2.0 * std::f32::consts::LOG2_E);
-    let mut p = c(1.0 / 9.0);
-    for term in [1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0, 1.0] {
-        p = simd.mul_add_e_f32s(p, s2, c(term));
-    }
+    let p = polynomial(simd, s2, &SERIES);
     simd.mul_add_e_f32s(p, s, exponent)
 }
 

@@ -1,7 +1,16 @@
 //! From a Gaussian in the world to its footprint in the image, and back.
 
-pub(crate) mod cpu;
+mod cpu_backward;
+mod cpu_forward;
+mod lanes;
 pub(crate) mod reference;
+mod splat;
+mod stages;
+
+pub(crate) use cpu_backward::Footprints;
+pub(crate) use cpu_forward::project;
+pub(crate) use splat::{CHUNK, Chunk, Splat};
+pub(crate) use stages::Frame;
 
 use i2slam_geometry::{Camera, Real};
 

@@ -13,10 +13,10 @@
 //! threads.
 
 use super::Row;
-use super::cpu_forward::{Exponent, ExponentRow, Limits, TilePixels, advance};
+use super::cpu_forward::{Exponent, ExponentRow, Limits, TilePixels, Value, advance};
 use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::{Bins, Entry, TILE, TileGrid};
-use crate::gaussian::project::cpu::Splat;
+use crate::gaussian::project::Splat;
 use pulp::{Arch, Simd, WithSimd};
 
 /// Sums of one splat over the pixels of one tile, with `e = α ∂L/∂α` and `w = α T`.
@@ -171,8 +171,7 @@ where
         for (entry, slot) in self.list {
             let splat = &self.splats[entry.splat()];
             let exponent = Exponent::new(simd, splat, self.origin);
-            let [r, g, b] = splat.radiance;
-            let value = [r, g, b, splat.depth].map(|v| simd.splat_f32s(v));
+            let value = Value::new(simd, splat);
             let mut sums = Sums::<S>::new(simd);
             let [first, end] = entry.rows();
             for (j, row) in self.rows[first..end].iter_mut().enumerate() {
@@ -210,20 +209,29 @@ impl<S: Simd> Sums<S> {
 
     #[inline(always)]
     fn reduce<const MAP: bool>(&self, simd: S) -> Slot {
-        let sum = |v: S::f32s| simd.reduce_sum_f32s(v);
-        let mut slot = Slot {
-            first: self.first.map(sum),
-            second: self.second.map(sum),
-            depth: sum(self.depth),
-            ..Slot::default()
-        };
+        let mut slot = Slot::default();
+        for k in 0..2 {
+            slot.first[k] = simd.reduce_sum_f32s(self.first[k]);
+        }
+        for k in 0..3 {
+            slot.second[k] = simd.reduce_sum_f32s(self.second[k]);
+        }
+        slot.depth = simd.reduce_sum_f32s(self.depth);
         if MAP {
-            slot.zeroth = sum(self.zeroth);
-            slot.radiance = self.radiance.map(sum);
-            slot.weight = sum(self.weight);
+            slot.zeroth = simd.reduce_sum_f32s(self.zeroth);
+            for k in 0..3 {
+                slot.radiance[k] = simd.reduce_sum_f32s(self.radiance[k]);
+            }
+            slot.weight = simd.reduce_sum_f32s(self.weight);
         }
         slot
     }
+}
+
+/// `sum += a b`.
+#[inline(always)]
+fn accumulate<S: Simd>(simd: S, sum: &mut S::f32s, a: S::f32s, b: S::f32s) {
+    *sum = simd.mul_add_e_f32s(a, b, *sum);
 }
 
 /// Pull one row back to the sums of one splat.
@@ -232,16 +240,21 @@ fn pull_back_row<S: Simd, const MAP: bool>(
     simd: S,
     limits: &Limits<S>,
     exponent: &ExponentRow<S>,
-    value: &[S::f32s; 4],
+    value: &Value<S>,
     row: &mut [Row; plane::COUNT],
     sums: &mut Sums<S>,
 ) {
     let [transmittance, remainder, r, g, b, z, o, wanted] = row;
     let transmittance = S::as_mut_simd_f32s(transmittance).0;
     let remainder = S::as_mut_simd_f32s(remainder).0;
-    let cotangent = [r, g, b, z, o].map(|plane| S::as_simd_f32s(plane).0);
+    let cotangent = [
+        S::as_simd_f32s(r).0,
+        S::as_simd_f32s(g).0,
+        S::as_simd_f32s(b).0,
+        S::as_simd_f32s(z).0,
+        S::as_simd_f32s(o).0,
+    ];
     let wanted = S::as_simd_f32s(wanted).0;
-    let add = |sum: &mut S::f32s, a: S::f32s, b: S::f32s| *sum = simd.mul_add_e_f32s(a, b, *sum);
     for v in 0..TILE / S::F32_LANES {
         let dx = exponent.dx(simd, v);
         let free = exponent.alpha(simd, dx);
@@ -249,7 +262,7 @@ fn pull_back_row<S: Simd, const MAP: bool>(
         let step = advance(simd, limits, alpha, transmittance[v]);
         let mut q = cotangent[4][v];
         for k in 0..4 {
-            q = simd.mul_add_e_f32s(cotangent[k][v], value[k], q);
+            q = simd.mul_add_e_f32s(cotangent[k][v], value.0[k], q);
         }
         let behind = simd.negate_mul_add_e_f32s(step.weight, q, remainder[v]);
         let one = simd.splat_f32s(1.0);
@@ -261,14 +274,16 @@ fn pull_back_row<S: Simd, const MAP: bool>(
         (transmittance[v], remainder[v]) = (step.next, behind);
         let (ex, ey) = (simd.mul_f32s(e, dx), simd.mul_f32s(e, exponent.dy));
         sums.first = [simd.add_f32s(sums.first[0], ex), simd.add_f32s(sums.first[1], ey)];
-        add(&mut sums.second[0], ex, dx);
-        add(&mut sums.second[1], ex, exponent.dy);
-        add(&mut sums.second[2], ey, exponent.dy);
-        add(&mut sums.depth, step.weight, cotangent[3][v]);
+        accumulate(simd, &mut sums.second[0], ex, dx);
+        accumulate(simd, &mut sums.second[1], ex, exponent.dy);
+        accumulate(simd, &mut sums.second[2], ey, exponent.dy);
+        accumulate(simd, &mut sums.depth, step.weight, cotangent[3][v]);
         if MAP {
             sums.zeroth = simd.add_f32s(sums.zeroth, e);
-            add(&mut sums.weight, step.weight, wanted[v]);
-            (0..3).for_each(|k| add(&mut sums.radiance[k], step.weight, cotangent[k][v]));
+            accumulate(simd, &mut sums.weight, step.weight, wanted[v]);
+            for k in 0..3 {
+                accumulate(simd, &mut sums.radiance[k], step.weight, cotangent[k][v]);
+            }
         }
     }
 }

@@ -7,7 +7,7 @@
 
 use super::Row;
 use crate::gaussian::bin::{Bins, Entry, TILE, TileGrid};
-use crate::gaussian::project::cpu::Splat;
+use crate::gaussian::project::Splat;
 use crate::gaussian::simd::exp2;
 use crate::gaussian::{RasterSettings, Render};
 use pulp::{Arch, Simd, WithSimd};
@@ -83,7 +83,7 @@ impl<L: Iterator<Item = Entry>> WithSimd for Composite<'_, L> {
         let limits = Limits::new(simd, self.settings);
         let mut visited = 0;
         for entry in self.list {
-            if visited % LOOK == LOOK - 1 && all_ended::<S>(self.rows) {
+            if visited % LOOK == LOOK - 1 && all_ended(self.rows) {
                 break;
             }
             visited += 1;
@@ -101,7 +101,7 @@ impl<L: Iterator<Item = Entry>> WithSimd for Composite<'_, L> {
 
 /// Whether no pixel of the tile has transmittance left.
 #[inline(always)]
-fn all_ended<S: Simd>(rows: &[[Row; PLANES]; TILE]) -> bool {
+fn all_ended(rows: &[[Row; PLANES]; TILE]) -> bool {
     rows.iter().all(|row| row[0].iter().fold(-1.0_f32, |m, t| m.max(*t)) < 0.0)
 }
 
@@ -199,13 +199,18 @@ impl<S: Simd> ExponentRow<S> {
 }
 
 /// What a splat composites.
-struct Value<S: Simd>([S::f32s; PLANES - 1]);
+pub(super) struct Value<S: Simd>(pub(super) [S::f32s; PLANES - 1]);
 
 impl<S: Simd> Value<S> {
     #[inline(always)]
-    fn new(simd: S, splat: &Splat) -> Self {
+    pub(super) fn new(simd: S, splat: &Splat) -> Self {
         let [r, g, b] = splat.radiance;
-        Self([r, g, b, splat.depth].map(|v| simd.splat_f32s(v)))
+        Self([
+            simd.splat_f32s(r),
+            simd.splat_f32s(g),
+            simd.splat_f32s(b),
+            simd.splat_f32s(splat.depth),
+        ])
     }
 }
 
@@ -221,7 +226,12 @@ fn composite_row<S: Simd>(
     let [transmittance, planes @ ..] = row;
     let transmittance = S::as_mut_simd_f32s(transmittance).0;
     let [r, g, b, z] = planes;
-    let planes = [r, g, b, z].map(|plane| S::as_mut_simd_f32s(plane).0);
+    let planes = [
+        S::as_mut_simd_f32s(r).0,
+        S::as_mut_simd_f32s(g).0,
+        S::as_mut_simd_f32s(b).0,
+        S::as_mut_simd_f32s(z).0,
+    ];
     for v in 0..TILE / S::F32_LANES {
         let alpha = exponent.alpha(simd, exponent.dx(simd, v));
         let alpha = simd.min_f32s(alpha, limits.alpha_max);

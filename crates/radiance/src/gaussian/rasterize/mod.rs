@@ -5,7 +5,7 @@ mod cpu_forward;
 pub mod reference;
 
 use super::bin::{Bins, TILE, TileGrid};
-use super::project::cpu::{self as projection, Chunk, Splat};
+use super::project::{self, Chunk, Footprints, Frame, Splat};
 use super::sort::Sorter;
 use super::{GaussianMap, MapGradient, RasterSettings, Render, RenderCotangent, View};
 use crate::RadianceMap;
@@ -65,7 +65,8 @@ impl Rasterizer {
     /// Write what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
         self.grid = TileGrid::of(&view.camera);
-        projection::project(map, view, &self.settings, &mut self.splats, &mut self.chunks);
+        let (splats, chunks) = (&mut self.splats, &mut self.chunks);
+        project::project(self.arch, map, view, &self.settings, splats, chunks);
         self.sorted.clear();
         self.chunks.iter().for_each(|chunk| self.sorted.extend_from_slice(&chunk.visible));
         self.sorter.sort(&mut self.sorted);
@@ -106,10 +107,17 @@ impl Rasterizer {
             with_map: map_gradient.is_some(),
         };
         cpu_backward::pull_back(&picture, &mut self.slots);
-        let footprints =
-            projection::Footprints { splats: &self.splats, bins: &self.bins, slots: &self.slots };
+        let footprints = Footprints {
+            arch: self.arch,
+            map,
+            frame: Frame::new(map, view, &self.settings),
+            splats: &self.splats,
+            chunks: &self.chunks,
+            bins: &self.bins,
+            slots: &self.slots,
+        };
         self.pose_sums.resize(self.chunks.len(), [0.0; 6]);
-        footprints.pull_back(map, view, &self.settings, map_gradient, &mut self.pose_sums);
+        footprints.pull_back(map_gradient, &mut self.pose_sums);
         let mut sum = [0.0; 6];
         self.pose_sums.iter().for_each(|part| (0..6).for_each(|k| sum[k] += part[k]));
         Tangent::from_array(sum)

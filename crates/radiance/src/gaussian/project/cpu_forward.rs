@@ -1,0 +1,221 @@
+//! The projection of all Gaussians, in groups of one vector, on all threads.
+
+use super::lanes::{Column, Lanes};
+use super::stages::{Frame, Parameters, put};
+use super::{CHUNK, Chunk, Splat};
+use crate::gaussian::bin::{TILE, TileGrid, nearest};
+use crate::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape, View, sort};
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+use std::f32::consts::{LN_2, LOG2_E};
+
+/// Project the map. Splats are written at the index of their Gaussian; those of Gaussians that
+/// touch no tile have none in `tiles`.
+pub(crate) fn project(
+    arch: Arch,
+    map: &GaussianMap,
+    view: &View<f32>,
+    settings: &RasterSettings,
+    splats: &mut Vec<Splat>,
+    chunks: &mut Vec<Chunk>,
+) {
+    let (grid, frame) = (TileGrid::of(&view.camera), Frame::new(map, view, settings));
+    splats.resize(map.len(), Splat::default());
+    chunks.resize_with(map.len().div_ceil(CHUNK), Chunk::default);
+    let work = splats.par_chunks_mut(CHUNK).zip(chunks.par_iter_mut()).enumerate();
+    work.for_each(|(number, (splats, chunk))| {
+        chunk.visible.clear();
+        chunk.tile_count = 0;
+        let start = number * CHUNK;
+        let project = Project { frame: &frame, map, grid: &grid, start, splats, chunk };
+        arch.dispatch(project);
+    });
+}
+
+/// The projection of one chunk.
+struct Project<'a> {
+    frame: &'a Frame,
+    map: &'a GaussianMap,
+    grid: &'a TileGrid,
+    /// Index of the first Gaussian.
+    start: usize,
+    splats: &'a mut [Splat],
+    chunk: &'a mut Chunk,
+}
+
+impl WithSimd for Project<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let mut group = Group::default();
+        let mut index = self.start;
+        for splats in self.splats.chunks_mut(S::F32_LANES) {
+            for place in 0..splats.len() {
+                group.parameters.set(place, self.map, index + place);
+                put(&mut group.radiance, place, &self.map.colours[index + place]);
+            }
+            match self.frame.shape {
+                Shape::Isotropic => {
+                    group.project::<S, false>(simd, self.frame, self.grid);
+                }
+                Shape::Anisotropic => {
+                    group.project::<S, true>(simd, self.frame, self.grid);
+                }
+            }
+            for (place, splat) in splats.iter_mut().enumerate() {
+                group.write(place, splat);
+                splat.first_tile = self.chunk.tile_count;
+                let count = splat.tile_count();
+                if count > 0 {
+                    self.chunk.tile_count += count;
+                    self.chunk.visible.push(sort::item(splat.depth, (index + place) as u32));
+                }
+            }
+            index += splats.len();
+        }
+    }
+}
+
+/// Parameters and footprints of a group.
+#[derive(Default)]
+struct Group {
+    parameters: Parameters,
+    /// The colour, then the radiance.
+    radiance: [Column; 3],
+    centre: [Column; 2],
+    exponent: [Column; 3],
+    log2_opacity: Column,
+    depth: Column,
+    extent: [Column; 2],
+    height_at_centre: Column,
+    /// First column, first row, end column, end row of the pixels within the extent.
+    pixels: [Column; 4],
+}
+
+impl Group {
+    #[inline(always)]
+    fn project<S: Simd, const ANISOTROPIC: bool>(
+        &mut self,
+        simd: S,
+        frame: &Frame,
+        grid: &TileGrid,
+    ) {
+        let unsound = self.unsound::<S, ANISOTROPIC>(simd);
+        let stages = frame.stages::<S, ANISOTROPIC>(simd, &self.parameters);
+        let radiance = self.activate(simd, frame.activation);
+        let logit = Lanes::load(simd, &self.parameters.opacity_logit);
+        let log2_opacity = -(logit.constant(1.0) + (-logit).exp()).log2();
+        let [xx, xy, yy] = stages.covariance(frame.settings.screen_variance);
+        let determinant = xx * yy - xy * xy;
+        let inverse = determinant.recip();
+        let conic = [yy * inverse, -(xy * inverse), xx * inverse];
+        let centre = [
+            stages.ratio[0].times(frame.camera.fx) + logit.constant(frame.camera.cx),
+            stages.ratio[1].times(frame.camera.fy) + logit.constant(frame.camera.cy),
+        ];
+        let unsound = unsound + radiance.1;
+        let unsound = unsound + (centre[0] + centre[1] + determinant).times(0.0);
+        let unsound = unsound + (conic[0] + conic[1] + conic[2]).times(0.0);
+        let depth = stages.p[2].within(frame.settings.near, frame.settings.far);
+        let opaque = log2_opacity.within(frame.log2_alpha_min, 0.0);
+        let accepted = simd.and_m32s(simd.and_m32s(depth, opaque), unsound.within(0.0, 0.0));
+        let accepted = simd.and_m32s(accepted, determinant.within(f32::MIN_POSITIVE, f32::MAX));
+
+        let reach2 = (log2_opacity - logit.constant(frame.log2_alpha_min)).times(2.0 * LN_2);
+        let extent = [half(reach2 * xx), half(reach2 * yy)];
+        half(reach2 * conic[2].recip()).store(&mut self.height_at_centre);
+        conic[0].times(-0.5 * LOG2_E).store(&mut self.exponent[0]);
+        conic[1].times(-LOG2_E).store(&mut self.exponent[1]);
+        conic[2].times(-0.5 * LOG2_E).store(&mut self.exponent[2]);
+        log2_opacity.store(&mut self.log2_opacity);
+        stages.p[2].store(&mut self.depth);
+        for k in 0..3 {
+            radiance.0[k].store(&mut self.radiance[k]);
+        }
+        let limits = [grid.width as f32, grid.height as f32];
+        for axis in 0..2 {
+            centre[axis].store(&mut self.centre[axis]);
+            extent[axis].store(&mut self.extent[axis]);
+            let first = (centre[axis] - extent[axis]).max(0.0).min(limits[axis]);
+            let end = (centre[axis] + extent[axis]).max(0.0).min(limits[axis]);
+            first.store(&mut self.pixels[axis]);
+            end.only(accepted).store(&mut self.pixels[2 + axis]);
+        }
+    }
+
+    /// Not zero where a parameter is not finite.
+    #[inline(always)]
+    fn unsound<S: Simd, const ANISOTROPIC: bool>(&self, simd: S) -> Lanes<S> {
+        let [x, y, z] = Lanes::load_all(simd, &self.parameters.mean);
+        let [r, g, b] = Lanes::load_all(simd, &self.radiance);
+        let [s0, s1, s2] = Lanes::load_all(simd, &self.parameters.log_scale);
+        let logit = Lanes::load(simd, &self.parameters.opacity_logit);
+        let zero = |v: Lanes<S>| v.times(0.0);
+        let sum = zero(x) + zero(y) + zero(z) + zero(r) + zero(g) + zero(b) + zero(s0);
+        let sum = sum + zero(logit);
+        if ANISOTROPIC {
+            let [w, x, y, z] = Lanes::load_all(simd, &self.parameters.rotation);
+            return sum + zero(s1) + zero(s2) + zero(w) + zero(x) + zero(y) + zero(z);
+        }
+        sum
+    }
+
+    /// The radiance, and a number that is not zero where it overflows.
+    #[inline(always)]
+    fn activate<S: Simd>(
+        &self,
+        simd: S,
+        activation: ColourActivation,
+    ) -> ([Lanes<S>; 3], Lanes<S>) {
+        let [r, g, b] = Lanes::load_all(simd, &self.radiance);
+        match activation {
+            ColourActivation::Linear => ([r, g, b], r.constant(0.0)),
+            ColourActivation::Exponential => {
+                let excess = r.max(87.0) + g.max(87.0) + b.max(87.0) - r.constant(3.0 * 87.0);
+                ([r.exp(), g.exp(), b.exp()], excess)
+            }
+        }
+    }
+
+    /// The splat of the Gaussian at `place`.
+    #[inline(always)]
+    fn write(&self, place: usize, splat: &mut Splat) {
+        let [x0, y0, x1, y1] = [
+            nearest(self.pixels[0][place]),
+            nearest(self.pixels[1][place]),
+            nearest(self.pixels[2][place]),
+            nearest(self.pixels[3][place]),
+        ];
+        splat.tiles = [0; 4];
+        if x0 >= x1 || y0 >= y1 {
+            return;
+        }
+        let (ends, starts) = ([x1.div_ceil(TILE), y1.div_ceil(TILE)], [x0 / TILE, y0 / TILE]);
+        splat.tiles = [starts[0] as u16, starts[1] as u16, ends[0] as u16, ends[1] as u16];
+        splat.centre = take(&self.centre, place);
+        splat.exponent = take(&self.exponent, place);
+        splat.radiance = take(&self.radiance, place);
+        splat.extent = take(&self.extent, place);
+        splat.height_at_centre = self.height_at_centre[place];
+        splat.log2_opacity = self.log2_opacity[place];
+        splat.depth = self.depth[place];
+    }
+}
+
+/// Half the size of an extent from the square of the exact one: a part in a thousand and a
+/// hundredth of a pixel make up for rounding here and where rows and tiles are counted.
+#[inline(always)]
+fn half<S: Simd>(squared: Lanes<S>) -> Lanes<S> {
+    squared.sqrt().times(1.001) + squared.constant(0.01)
+}
+
+/// The numbers of the Gaussian at one place.
+#[inline(always)]
+fn take<const N: usize>(columns: &[Column; N], place: usize) -> [f32; N] {
+    let mut values = [0.0; N];
+    for k in 0..N {
+        values[k] = columns[k][place];
+    }
+    values
+}

@@ -1,0 +1,46 @@
+//! What projection hands to rasterising.
+
+/// Gaussians that are projected, and whose gradients are summed, together. Fixed, so that sums
+/// do not depend on the number of threads.
+pub(crate) const CHUNK: usize = 256;
+
+/// A footprint, ready for rasterising: one cache line.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub(crate) struct Splat {
+    /// Centre [px].
+    pub(crate) centre: [f32; 2],
+    /// `[a, b, c]` of `log₂ α = log2_opacity + a dx² + b dx dy + c dy²`, all of `[px⁻²]`.
+    pub(crate) exponent: [f32; 3],
+    /// `log₂` of the opacity.
+    pub(crate) log2_opacity: f32,
+    /// Linear radiance.
+    pub(crate) radiance: [f32; 3],
+    /// Depth of the mean [m].
+    pub(crate) depth: f32,
+    /// Half the width and height of the extent [px].
+    pub(crate) extent: [f32; 2],
+    /// Half the height of the extent at the column of the centre [px].
+    pub(crate) height_at_centre: f32,
+    /// Tiles that the extent's box touches: first column, first row, end column, end row.
+    pub(crate) tiles: [u16; 4],
+    /// Position of the first of this splat's tiles among those of its chunk.
+    pub(crate) first_tile: u32,
+}
+
+impl Splat {
+    /// Number of tiles that the extent's box touches.
+    pub(crate) fn tile_count(&self) -> u32 {
+        let [x0, y0, x1, y1] = self.tiles.map(u32::from);
+        (x1 - x0) * (y1 - y0)
+    }
+}
+
+/// What a chunk of Gaussians adds to the picture.
+#[derive(Default)]
+pub(crate) struct Chunk {
+    /// Sort items of the Gaussians that touch a tile.
+    pub(crate) visible: Vec<u64>,
+    /// Number of tiles they touch.
+    pub(crate) tile_count: u32,
+}
