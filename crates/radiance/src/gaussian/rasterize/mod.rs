@@ -51,6 +51,12 @@ impl Rasterizer {
         }
     }
 
+    /// The same on a chosen instruction set.
+    #[cfg(test)]
+    pub(crate) fn on(arch: Arch, settings: RasterSettings) -> Self {
+        Self { arch, ..Self::new(settings) }
+    }
+
     /// The settings.
     pub fn settings(&self) -> &RasterSettings {
         &self.settings

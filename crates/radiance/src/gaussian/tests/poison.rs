@@ -43,8 +43,11 @@ fn assert_finite<T: Real>(name: &str, (render, gradient, tangent): &Outcome<T>) 
     assert!(tangent.to_array().iter().all(|v| v.is_finite()), "{name}: pose");
 }
 
+/// Puts a number where it spoils a Gaussian.
+type Poison = fn(&mut Gaussian<f64>, f64);
+
 /// Ways to spoil a Gaussian, by name.
-fn poisons() -> Vec<(&'static str, fn(&mut Gaussian<f64>, f64))> {
+fn poisons() -> Vec<(&'static str, Poison)> {
     vec![
         ("mean x", |g, v| g.mean[0] = v),
         ("mean z", |g, v| g.mean[2] = v),
