@@ -25,7 +25,7 @@ impl<T: Real> View<T> {
 pub struct Render<T = f32> {
     /// Linear radiance `Σ c_i α_i T_i`, three planes R, G, B.
     pub radiance: Image<T>,
-    /// `Σ z_i α_i T_i` [m], one plane. Not divided by the opacity.
+    /// `Σ z_i α_i T_i` \[m\], one plane. Not divided by the opacity.
     pub depth: Image<T>,
     /// `Σ α_i T_i` in `[0, 1]`, one plane.
     pub opacity: Image<T>,

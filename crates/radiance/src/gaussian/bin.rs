@@ -6,7 +6,7 @@ use i2slam_geometry::Camera;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
-/// Width and height of a tile [px].
+/// Width and height of a tile \[px\].
 pub(crate) const TILE: usize = 16;
 /// Sorted splats that one thread takes at least.
 const SORTED_CHUNK: usize = 4096;
@@ -14,9 +14,9 @@ const SORTED_CHUNK: usize = 4096;
 /// The tiles of an image, row by row.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct TileGrid {
-    /// Of the image [px].
+    /// Of the image \[px\].
     pub(crate) width: usize,
-    /// Of the image [px].
+    /// Of the image \[px\].
     pub(crate) height: usize,
     /// Tiles in a row.
     pub(crate) columns: usize,

@@ -42,9 +42,9 @@ impl ColourActivation {
 /// One Gaussian.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Gaussian<T> {
-    /// Centre in the world [m].
+    /// Centre in the world \[m\].
     pub mean: [T; 3],
-    /// Natural logarithm of the standard deviations [ln m]; isotropic uses entry 0.
+    /// Natural logarithm of the standard deviations \[ln m\]; isotropic uses entry 0.
     pub log_scale: [T; 3],
     /// Quaternion w, x, y, z from the Gaussian's axes to the world, of any length but zero.
     pub rotation: [T; 4],
@@ -61,9 +61,9 @@ pub struct GaussianMap<T = f32> {
     pub shape: Shape,
     /// Meaning of the colours.
     pub activation: ColourActivation,
-    /// Centres in the world [m].
+    /// Centres in the world \[m\].
     pub means: Vec<[T; 3]>,
-    /// Natural logarithms of the standard deviations [ln m]; isotropic uses entry 0 only, the
+    /// Natural logarithms of the standard deviations \[ln m\]; isotropic uses entry 0 only, the
     /// others mirror it.
     pub log_scales: Vec<[T; 3]>,
     /// Quaternions w, x, y, z, not necessarily of unit length; ignored when isotropic.

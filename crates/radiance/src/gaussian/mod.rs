@@ -4,8 +4,8 @@
 //! of the pinhole projection at `p` and `Σ` the covariance of the Gaussian, its footprint is
 //!
 //! ```text
-//! μ  = (fx x/z + cx, fy y/z + cy)                  centre [px]
-//! Σ₂ = J W Σ Wᵀ Jᵀ + screen_variance · I           covariance [px²]
+//! μ  = (fx x/z + cx, fy y/z + cy)                  centre \[px\]
+//! Σ₂ = J W Σ Wᵀ Jᵀ + screen_variance · I           covariance \[px²\]
 //! α  = min(alpha_max, o exp(-½ dᵀ Σ₂⁻¹ d))         at the pixel centre μ + d
 //! ```
 //!
@@ -13,7 +13,7 @@
 //! means (ties by index). Contributions with `α < alpha_min` are left out, and a pixel ends
 //! before the contribution that would take its transmittance under `transmittance_min`.
 //!
-//! Two lanes compute it: [`reference`], plain and generic over the scalar, and [`Rasterizer`],
+//! Two lanes compute it: [`mod@reference`], plain and generic over the scalar, and [`Rasterizer`],
 //! fast. A Gaussian with a parameter that is not finite is left out by both.
 
 mod bin;

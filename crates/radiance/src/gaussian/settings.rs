@@ -3,19 +3,31 @@
 /// Where contributions begin and end. Not differentiated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RasterSettings {
-    /// Gaussians whose mean is nearer than this [m] are left out. Must be positive.
+    /// Gaussians whose mean is nearer than this \[m\] are left out; taken as at least 1e-6.
     pub near: f32,
-    /// Gaussians whose mean is farther than this [m] are left out.
+    /// Gaussians whose mean is farther than this \[m\] are left out.
     pub far: f32,
-    /// Variance of the low-pass filter added to every footprint [px²].
+    /// Variance of the low-pass filter added to every footprint \[px²\], not negative.
     pub screen_variance: f32,
-    /// Largest opacity of one contribution, below 1.
+    /// Largest opacity of one contribution; taken as at most 1 - 1e-6.
     pub alpha_max: f32,
     /// Contributions of less than this are left out. It sets the extent of a footprint exactly:
     /// `dᵀ Σ₂⁻¹ d <= 2 ln(opacity / alpha_min)`.
     pub alpha_min: f32,
     /// A pixel ends before its transmittance falls under this.
     pub transmittance_min: f32,
+}
+
+impl RasterSettings {
+    /// The settings within the range where depths sort and gradients are finite.
+    pub(crate) fn bounded(self) -> Self {
+        Self {
+            near: self.near.max(1e-6),
+            alpha_max: self.alpha_max.min(1.0 - 1e-6),
+            screen_variance: self.screen_variance.max(0.0),
+            ..self
+        }
+    }
 }
 
 impl Default for RasterSettings {

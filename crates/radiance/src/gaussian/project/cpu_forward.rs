@@ -101,9 +101,9 @@ impl Group {
         frame: &Frame,
         grid: &TileGrid,
     ) {
-        let unsound = self.unsound::<S, ANISOTROPIC>(simd);
         let stages = frame.stages::<S, ANISOTROPIC>(simd, &self.parameters);
-        let radiance = self.activate(simd, frame.activation);
+        let unsound = self.unsound::<S, ANISOTROPIC>(simd);
+        let unsound = unsound + self.activate(simd, frame.activation);
         let logit = Lanes::load(simd, &self.parameters.opacity_logit);
         let log2_opacity = -(logit.constant(1.0) + (-logit).exp()).log2();
         let [xx, xy, yy] = stages.covariance(frame.settings.screen_variance);
@@ -114,25 +114,33 @@ impl Group {
             stages.ratio[0].times(frame.camera.fx) + logit.constant(frame.camera.cx),
             stages.ratio[1].times(frame.camera.fy) + logit.constant(frame.camera.cy),
         ];
-        let unsound = unsound + radiance.1;
         let unsound = unsound + (centre[0] + centre[1] + determinant).times(0.0);
         let unsound = unsound + (conic[0] + conic[1] + conic[2]).times(0.0);
         let depth = stages.p[2].within(frame.settings.near, frame.settings.far);
-        let opaque = log2_opacity.within(frame.log2_alpha_min, 0.0);
+        let opaque = log2_opacity.within(frame.log2_alpha_min, f32::MAX);
         let accepted = simd.and_m32s(simd.and_m32s(depth, opaque), unsound.within(0.0, 0.0));
         let accepted = simd.and_m32s(accepted, determinant.within(f32::MIN_POSITIVE, f32::MAX));
 
         let reach2 = (log2_opacity - logit.constant(frame.log2_alpha_min)).times(2.0 * LN_2);
         let extent = [half(reach2 * xx), half(reach2 * yy)];
+        self.store_extent(grid, centre, extent, accepted);
         half(reach2 * conic[2].recip()).store(&mut self.height_at_centre);
         conic[0].times(-0.5 * LOG2_E).store(&mut self.exponent[0]);
         conic[1].times(-LOG2_E).store(&mut self.exponent[1]);
         conic[2].times(-0.5 * LOG2_E).store(&mut self.exponent[2]);
         log2_opacity.store(&mut self.log2_opacity);
         stages.p[2].store(&mut self.depth);
-        for k in 0..3 {
-            radiance.0[k].store(&mut self.radiance[k]);
-        }
+    }
+
+    /// Store centre, extent and the pixels within, of which there are none where not `accepted`.
+    #[inline(always)]
+    fn store_extent<S: Simd>(
+        &mut self,
+        grid: &TileGrid,
+        centre: [Lanes<S>; 2],
+        extent: [Lanes<S>; 2],
+        accepted: S::m32s,
+    ) {
         let limits = [grid.width as f32, grid.height as f32];
         for axis in 0..2 {
             centre[axis].store(&mut self.centre[axis]);
@@ -161,21 +169,18 @@ impl Group {
         sum
     }
 
-    /// The radiance, and a number that is not zero where it overflows.
+    /// Turn the colour into radiance; gives a number that is not zero where it overflows.
     #[inline(always)]
-    fn activate<S: Simd>(
-        &self,
-        simd: S,
-        activation: ColourActivation,
-    ) -> ([Lanes<S>; 3], Lanes<S>) {
-        let [r, g, b] = Lanes::load_all(simd, &self.radiance);
-        match activation {
-            ColourActivation::Linear => ([r, g, b], r.constant(0.0)),
-            ColourActivation::Exponential => {
-                let excess = r.max(87.0) + g.max(87.0) + b.max(87.0) - r.constant(3.0 * 87.0);
-                ([r.exp(), g.exp(), b.exp()], excess)
+    fn activate<S: Simd>(&mut self, simd: S, activation: ColourActivation) -> Lanes<S> {
+        let mut excess = Lanes::splat(simd, 0.0);
+        if activation == ColourActivation::Exponential {
+            for column in &mut self.radiance {
+                let colour = Lanes::load(simd, column);
+                excess = excess + (colour.max(87.0) - colour.constant(87.0));
+                colour.exp().store(column);
             }
         }
+        excess
     }
 
     /// The splat of the Gaussian at `place`.

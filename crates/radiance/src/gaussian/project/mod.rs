@@ -1,5 +1,6 @@
 //! From a Gaussian in the world to its footprint in the image, and back.
 
+mod cotangents;
 mod cpu_backward;
 mod cpu_forward;
 mod lanes;

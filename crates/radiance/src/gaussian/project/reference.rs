@@ -9,15 +9,15 @@ use i2slam_geometry::{Camera, Mat3, Real, Rotation, Tangent, Vec3};
 pub(crate) struct Footprint<T> {
     /// Index in the map.
     pub(crate) index: usize,
-    /// Centre `μ` [px].
+    /// Centre `μ` \[px\].
     pub(crate) centre: [T; 2],
-    /// `Σ₂⁻¹ = [[A, B], [B, C]]` as `[A, B, C]` [px⁻²].
+    /// `Σ₂⁻¹ = [[A, B], [B, C]]` as `[A, B, C]` \[px⁻²\].
     pub(crate) conic: [T; 3],
     /// Opacity `o`.
     pub(crate) opacity: T,
     /// Linear radiance.
     pub(crate) radiance: [T; 3],
-    /// Depth of the mean [m].
+    /// Depth of the mean \[m\].
     pub(crate) depth: T,
 }
 

@@ -8,19 +8,19 @@ pub(crate) const CHUNK: usize = 256;
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub(crate) struct Splat {
-    /// Centre [px].
+    /// Centre \[px\].
     pub(crate) centre: [f32; 2],
-    /// `[a, b, c]` of `log₂ α = log2_opacity + a dx² + b dx dy + c dy²`, all of `[px⁻²]`.
+    /// `[a, b, c]` of `log₂ α = log2_opacity + a dx² + b dx dy + c dy²`, all of `\[px⁻²\]`.
     pub(crate) exponent: [f32; 3],
     /// `log₂` of the opacity.
     pub(crate) log2_opacity: f32,
     /// Linear radiance.
     pub(crate) radiance: [f32; 3],
-    /// Depth of the mean [m].
+    /// Depth of the mean \[m\].
     pub(crate) depth: f32,
-    /// Half the width and height of the extent [px].
+    /// Half the width and height of the extent \[px\].
     pub(crate) extent: [f32; 2],
-    /// Half the height of the extent at the column of the centre [px].
+    /// Half the height of the extent at the column of the centre \[px\].
     pub(crate) height_at_centre: f32,
     /// Tiles that the extent's box touches: first column, first row, end column, end row.
     pub(crate) tiles: [u16; 4],

@@ -12,8 +12,8 @@
 //! kept in registers, reduced once and written to their own slot: nothing is added by two
 //! threads.
 
-use super::Row;
-use super::cpu_forward::{Exponent, ExponentRow, Limits, TilePixels, Value, advance};
+use super::cpu_forward::{Exponent, ExponentRow, Limits, Value, advance};
+use super::tile::{Row, TilePixels};
 use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::{Bins, Entry, TILE, TileGrid};
 use crate::gaussian::project::Splat;
@@ -154,7 +154,7 @@ struct Backward<'a, L, const MAP: bool> {
     settings: &'a RasterSettings,
     splats: &'a [Splat],
     list: L,
-    /// Centre of the tile's first pixel [px].
+    /// Centre of the tile's first pixel \[px\].
     origin: [f32; 2],
     rows: &'a mut [[Row; plane::COUNT]; TILE],
 }

@@ -5,34 +5,16 @@
 //! pixel that has ended keeps its transmittance with the sign turned: every later product with it
 //! falls under `transmittance_min`, so no other flag is needed.
 
-use super::Row;
+use super::tile::{PLANES, Row, TilePixels, start};
+use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::{Bins, Entry, TILE, TileGrid};
 use crate::gaussian::project::Splat;
 use crate::gaussian::simd::exp2;
-use crate::gaussian::{RasterSettings, Render};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Planes of a tile's state: transmittance, red, green, blue, depth.
-pub(crate) const PLANES: usize = 5;
 /// Splats between two looks whether all pixels have ended.
 const LOOK: usize = 32;
-
-/// The pixels of one tile after compositing.
-#[derive(Clone, Copy)]
-#[repr(C, align(64))]
-pub(crate) struct TilePixels {
-    /// Row by row, plane by plane.
-    pub(crate) rows: [[Row; PLANES]; TILE],
-    /// Entries of the tile's list that were looked at before all its pixels had ended.
-    pub(crate) visited: usize,
-}
-
-impl Default for TilePixels {
-    fn default() -> Self {
-        Self { rows: [[[0.0; TILE]; PLANES]; TILE], visited: 0 }
-    }
-}
 
 /// Composite all tiles.
 pub(crate) fn render(
@@ -51,26 +33,12 @@ pub(crate) fn render(
     });
 }
 
-/// Set a tile to nothing seen yet; pixels outside of the image have ended. Gives the centre of
-/// the tile's first pixel.
-fn start(tile: &mut TilePixels, grid: &TileGrid, number: usize) -> [f32; 2] {
-    let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);
-    tile.rows = [[[0.0; TILE]; PLANES]; TILE];
-    for (j, planes) in tile.rows.iter_mut().enumerate() {
-        let inside = if row + j < grid.height { grid.width - column } else { 0 };
-        for (i, transmittance) in planes[0].iter_mut().enumerate() {
-            *transmittance = if i < inside { 1.0 } else { -1.0 };
-        }
-    }
-    [column as f32 + 0.5, row as f32 + 0.5]
-}
-
 /// One tile's compositing; gives the number of entries visited.
 struct Composite<'a, L> {
     settings: &'a RasterSettings,
     splats: &'a [Splat],
     list: L,
-    /// Centre of the tile's first pixel [px].
+    /// Centre of the tile's first pixel \[px\].
     origin: [f32; 2],
     rows: &'a mut [[Row; PLANES]; TILE],
 }
@@ -274,32 +242,4 @@ pub(super) fn advance<S: Simd>(
         weight: simd.select_f32s(counts, weight, zero),
         counts,
     }
-}
-
-/// From tiles to planes.
-pub(crate) fn copy_out(grid: &TileGrid, tiles: &[TilePixels], out: &mut Render) {
-    out.resize(grid.width, grid.height);
-    if grid.len() == 0 {
-        return;
-    }
-    let (width, band) = (grid.width, grid.width * TILE);
-    let (red, rest) = out.radiance.data.split_at_mut(width * grid.height);
-    let (green, blue) = rest.split_at_mut(width * grid.height);
-    let bands = (red.par_chunks_mut(band), green.par_chunks_mut(band), blue.par_chunks_mut(band));
-    let scalars = (out.depth.data.par_chunks_mut(band), out.opacity.data.par_chunks_mut(band));
-    let work = tiles.par_chunks(grid.columns).zip(bands.into_par_iter()).zip(scalars);
-    work.for_each(|((tiles, (r, g, b)), (z, opacity))| {
-        for j in 0..r.len() / width {
-            for (column, tile) in tiles.iter().enumerate() {
-                let [t, planes @ ..] = &tile.rows[j];
-                let at = j * width + column * TILE;
-                let end = (at + TILE).min((j + 1) * width);
-                let targets = [&mut *r, &mut *g, &mut *b, &mut *z];
-                for (target, plane) in targets.into_iter().zip(planes) {
-                    target[at..end].copy_from_slice(&plane[..end - at]);
-                }
-                opacity[at..end].iter_mut().zip(t).for_each(|(o, t)| *o = 1.0 - t.abs());
-            }
-        }
-    });
 }

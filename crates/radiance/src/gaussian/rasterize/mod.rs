@@ -3,16 +3,17 @@
 mod cpu_backward;
 mod cpu_forward;
 pub mod reference;
+mod tile;
 
-use super::bin::{Bins, TILE, TileGrid};
+use super::bin::{Bins, TileGrid};
 use super::project::{self, Chunk, Footprints, Frame, Splat};
 use super::sort::Sorter;
 use super::{GaussianMap, MapGradient, RasterSettings, Render, RenderCotangent, View};
 use crate::RadianceMap;
 pub(crate) use cpu_backward::Slot;
-use cpu_forward::TilePixels;
 use i2slam_geometry::Tangent;
 use pulp::Arch;
+use tile::TilePixels;
 
 /// The fast lane: all threads of the current `rayon` pool and the widest vectors found at run
 /// time, in `f32`.
@@ -37,7 +38,7 @@ impl Rasterizer {
     /// A rasteriser that has rendered nothing yet.
     pub fn new(settings: RasterSettings) -> Self {
         Self {
-            settings,
+            settings: settings.bounded(),
             arch: Arch::new(),
             grid: TileGrid::default(),
             splats: Vec::new(),
@@ -80,7 +81,7 @@ impl Rasterizer {
         self.tiles.resize_with(self.grid.len(), TilePixels::default);
         let (arch, settings) = (self.arch, &self.settings);
         cpu_forward::render(arch, settings, &self.grid, &self.splats, &self.bins, &mut self.tiles);
-        cpu_forward::copy_out(&self.grid, &self.tiles, out);
+        tile::copy_out(&self.grid, &self.tiles, out);
     }
 
     /// Pull `∂L/∂render` back through the last [`render`](Self::render), which must have been of
@@ -160,6 +161,3 @@ impl RadianceMap for GaussianRadiance {
         self.rasterizer.pull_back(&self.map, view, cotangent, gradient)
     }
 }
-
-/// Pixels of one row of a tile.
-pub(crate) type Row = [f32; TILE];

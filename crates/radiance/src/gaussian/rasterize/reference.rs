@@ -14,6 +14,7 @@ pub fn render<T: Real>(
     settings: &RasterSettings,
 ) -> Render<T> {
     let (width, height) = (view.camera.width, view.camera.height);
+    let settings = &settings.bounded();
     let footprints = project(map, view, settings);
     let mut out = Render::new(width, height);
     for row in 0..height {
@@ -46,6 +47,7 @@ pub fn pull_back<T: Real>(
 ) -> Tangent<T> {
     let (width, height) = (view.camera.width, view.camera.height);
     cotangent.planes(width, height);
+    let settings = &settings.bounded();
     let footprints = project(map, view, settings);
     let mut sums = vec![FootprintCotangent::<T>::default(); footprints.len()];
     let mut seen = vec![false; footprints.len()];
@@ -57,7 +59,7 @@ pub fn pull_back<T: Real>(
             }
             let visited = contributions(&footprints, column, row, settings);
             visited.iter().for_each(|c| seen[c.footprint] = true);
-            pull_back_pixel(&footprints, &visited, pixel, &mut sums, settings);
+            pull_back_pixel(&footprints, &visited, pixel, &mut sums);
         }
     }
     pull_back_projection(map, view, settings, &footprints, (&sums, &seen), map_gradient)
@@ -80,7 +82,7 @@ fn project<T: Real>(
 struct Contribution<T> {
     /// Position in the list of footprints.
     footprint: usize,
-    /// From the footprint's centre to the pixel's [px].
+    /// From the footprint's centre to the pixel's \[px\].
     offset: [T; 2],
     /// `α`.
     alpha: T,
@@ -136,9 +138,7 @@ fn pull_back_pixel<T: Real>(
     visited: &[Contribution<T>],
     pixel: [T; 5],
     sums: &mut [FootprintCotangent<T>],
-    settings: &RasterSettings,
 ) {
-    debug_assert!(settings.alpha_max < 1.0 || visited.iter().all(|c| c.alpha < T::one()));
     let mut behind = T::zero();
     for c in visited.iter().rev() {
         let (f, sum) = (&footprints[c.footprint], &mut sums[c.footprint]);

@@ -154,6 +154,21 @@ fn nothing_to_see() {
     assert_nothing(&map(Shape::Anisotropic), &lost);
 }
 
+/// Settings outside of their range are taken at its border.
+#[test]
+fn odd_settings_leave_gradients_finite() {
+    let (map, view) = (map(Shape::Anisotropic).cast(), view(SIZE[0], SIZE[1]).cast());
+    let settings = RasterSettings { near: -5.0, alpha_max: 2.0, ..RasterSettings::default() };
+    let mut opaque: GaussianMap = map;
+    opaque.opacity_logits.fill(60.0);
+    let mut rasterizer = Rasterizer::new(settings);
+    let (mut render, mut gradient) = (Render::default(), MapGradient::new(opaque.len()));
+    rasterizer.render(&opaque, &view, &mut render);
+    let cotangent = single_cotangent(&cotangent(SIZE[0], SIZE[1], 3));
+    let tangent = rasterizer.pull_back(&opaque, &view, &cotangent, Some(&mut gradient));
+    assert_finite("odd settings", &(render, gradient, tangent));
+}
+
 #[test]
 fn an_image_without_pixels() {
     for [width, height] in [[0, 0], [0, 5], [5, 0]] {

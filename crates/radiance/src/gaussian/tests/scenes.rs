@@ -23,7 +23,7 @@ pub(super) struct Recipe {
     pub(super) shape: Shape,
     pub(super) activation: ColourActivation,
     pub(super) count: usize,
-    /// Standard deviations [px], from and to.
+    /// Standard deviations \[px\], from and to.
     pub(super) sigma: [f64; 2],
     /// Logits of the opacities, from and to.
     pub(super) logit: [f64; 2],
