@@ -8,7 +8,7 @@ pub mod trajectory_loss;
 
 pub use form::{Formation, accumulate, scale_into};
 pub use gauge::ResponsePrior;
-pub use shutter::{CentreVelocity, ShutterPoses, ShutterTangent, VirtualCamera};
+pub use shutter::{CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera};
 pub use tone::{
     CameraResponse, CurveGradient, FrameTone, FrameToneGradient, NodeSpacing, ResponseCurve,
     StartCurve, WhiteBalanceModel,

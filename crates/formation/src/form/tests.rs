@@ -1,5 +1,5 @@
 use super::{Formation, accumulate, scale_into};
-use crate::shutter::ShutterPoses;
+use crate::shutter::{Quadrature, ShutterPoses};
 use crate::tone::{
     CameraResponse, CurveGradient, FrameTone, FrameToneGradient, NODES, NodeSpacing, ResponseCurve,
     StartCurve,
@@ -172,7 +172,7 @@ fn averaging_views_of_constant_radiance_keeps_it() {
     let view = Image { width: 2, height: 1, channels: 3, data: vec![0.7; 6] };
     for count in [1, 2, 5, 9] {
         let mut hdr = Image::new(2, 1, 3);
-        for camera in shutter.virtual_cameras(count) {
+        for camera in shutter.virtual_cameras(count, Quadrature::Endpoints) {
             accumulate(&mut hdr, camera.weight, &view);
         }
         assert_close("energy", &hdr.data, &view.data, 1e-14);
@@ -202,7 +202,7 @@ fn the_whole_chain_from_shutter_to_picture_agrees_with_differences() {
     let tone = FrameTone { log_exposure: -1.0, ..FrameTone::default() };
     let blurred = |shutter: &ShutterPoses<f64>| {
         let mut hdr = Image::new(1, 1, 3);
-        for camera in shutter.virtual_cameras(5) {
+        for camera in shutter.virtual_cameras(5, Quadrature::Endpoints) {
             let radiance = vec![field(camera.world_from_camera, &weights); 3];
             let view = Image { width: 1, height: 1, channels: 3, data: radiance };
             accumulate(&mut hdr, camera.weight, &view);
@@ -216,7 +216,7 @@ fn the_whole_chain_from_shutter_to_picture_agrees_with_differences() {
     let formation = Formation::new(&tone, &curve);
     formation.pull_back(&hdr, &ones, &mut d_hdr, &mut d_tone, &mut d_curve);
     let mut total = crate::ShutterTangent::zero();
-    for camera in shutter.virtual_cameras(5) {
+    for camera in shutter.virtual_cameras(5, Quadrature::Endpoints) {
         scale_into(&d_hdr, camera.weight, &mut d_view);
         let d_radiance: f64 = d_view.data.iter().sum();
         let d_pose = field_gradient(camera.world_from_camera, &weights).scaled(d_radiance);

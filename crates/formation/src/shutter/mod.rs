@@ -18,5 +18,5 @@ mod tangent;
 mod tests;
 
 pub use centre_velocity::CentreVelocity;
-pub use poses::{ShutterPoses, VirtualCamera};
+pub use poses::{Quadrature, ShutterPoses, VirtualCamera};
 pub use tangent::ShutterTangent;

@@ -1,4 +1,4 @@
-use super::{CentreVelocity, ShutterPoses, ShutterTangent};
+use super::{CentreVelocity, Quadrature, ShutterPoses, ShutterTangent};
 use i2slam_check::{assert_close, assert_gradient, noise};
 use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
 
@@ -79,7 +79,7 @@ fn centre_velocity_round_trip_is_exact() {
 fn virtual_cameras_span_the_exposure_with_weights_that_sum_to_one() {
     let shutter = examples()[4];
     for count in [0, 1, 2, 5, 16] {
-        let cameras = shutter.virtual_cameras(count);
+        let cameras = shutter.virtual_cameras(count, Quadrature::Endpoints);
         assert_eq!(cameras.len(), count.max(1));
         let sum: f64 = cameras.iter().map(|c| c.weight).sum();
         assert!((sum - 1.0).abs() < 1e-14);
@@ -87,15 +87,15 @@ fn virtual_cameras_span_the_exposure_with_weights_that_sum_to_one() {
         let moments: f64 = cameras.iter().map(|c| c.u * c.weight).sum();
         assert!((moments - 0.5).abs() < 1e-14, "the exposure is centred");
     }
-    let cameras = shutter.virtual_cameras(5);
+    let cameras = shutter.virtual_cameras(5, Quadrature::Endpoints);
     assert_eq!((cameras[0].u, cameras[1].u, cameras[4].u), (0.0, 0.25, 1.0));
-    assert_eq!(shutter.virtual_cameras(1)[0].u, 0.5);
+    assert_eq!(shutter.virtual_cameras(1, Quadrature::Endpoints)[0].u, 0.5);
 }
 
 #[test]
 fn without_motion_all_virtual_cameras_are_equal() {
     let still = ShutterPoses::still(base());
-    for camera in still.virtual_cameras(7) {
+    for camera in still.virtual_cameras(7, Quadrature::Endpoints) {
         let d = base().local(camera.world_from_camera);
         assert!(d.translation.norm() + d.rotation.norm() < 1e-14);
     }
@@ -118,7 +118,7 @@ fn poison_is_passed_on_without_panic() {
     shutter.end.translation.x = f64::NAN;
     shutter.start.rotation.w = f64::INFINITY;
     assert!(!shutter.is_finite());
-    assert_eq!(shutter.virtual_cameras(5).len(), 5);
+    assert_eq!(shutter.virtual_cameras(5, Quadrature::Endpoints).len(), 5);
     let pulled = shutter.pull_back(0.5, tangent(&[f64::NAN; 6]));
     assert!(pulled.to_array().iter().any(|v| v.is_nan()));
     let (centre, _) = CentreVelocity::from(shutter).pull_back(pulled);
@@ -147,5 +147,22 @@ fn single_precision_follows_double() {
         let (wide, _) = motion.pull_back(shutter_tangent(&wide));
         let (narrow, _) = motion.cast::<f32>().pull_back(ShutterTangent::from_array(narrow));
         assert_close("f32 centre", &narrow.to_array().map(f64::from), &wide.to_array(), 1e-4);
+    }
+}
+
+#[test]
+fn samples_have_the_documented_variance() {
+    let still = ShutterPoses::still(base());
+    for count in [2, 3, 5, 9] {
+        let n = count as f64;
+        let cases = [
+            (Quadrature::Endpoints, (n + 1.0) / (n - 1.0)),
+            (Quadrature::Midpoints, 1.0 - 1.0 / (n * n)),
+        ];
+        for (quadrature, factor) in cases {
+            let cameras = still.virtual_cameras(count, quadrature);
+            let variance: f64 = cameras.iter().map(|c| c.weight * (c.u - 0.5).powi(2)).sum();
+            assert!((variance - factor / 12.0).abs() < 1e-12, "{quadrature:?} {count}");
+        }
     }
 }
