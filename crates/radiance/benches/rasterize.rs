@@ -16,6 +16,11 @@ const TILE: usize = 16;
 const RADIUS: f32 = 5.0;
 
 fn main() {
+    for opacity in OPACITIES {
+        let mut rasterizer = Rasterizer::default();
+        rasterizer.render(&scene(Shape::Isotropic, opacity), &view(), &mut Render::default());
+        println!("{opacity}: {} pairs of a Gaussian and a tile", rasterizer.intersections());
+    }
     divan::main();
 }
 

@@ -36,6 +36,7 @@ fn cases() -> Vec<Case> {
     let ellipsoids = Recipe::new(Shape::Anisotropic, ColourActivation::Linear);
     let dense = Recipe { count: 1500, logit: [2.0, 6.0], sigma: [2.0, 6.0], ..balls };
     let thin = Recipe { sigma: [0.05, 20.0], count: 200, margin: 0.4, ..ellipsoids };
+    let long = Recipe { sigma: [0.3, 150.0], count: 80, margin: 1.5, seed: 4, ..ellipsoids };
     let smooth = RasterSettings { alpha_min: 0.0, transmittance_min: 0.0, ..settings };
     vec![
         Case { name: "balls", size: [64, 48], recipe: balls, settings },
@@ -44,6 +45,7 @@ fn cases() -> Vec<Case> {
         Case { name: "smaller than a tile", size: [5, 3], recipe: balls, settings },
         Case { name: "opaque", size: [48, 48], recipe: dense, settings },
         Case { name: "thin, from outside", size: [70, 50], recipe: thin, settings },
+        Case { name: "longer than the image", size: [70, 50], recipe: long, settings },
         Case { name: "without cut-offs", size: [40, 33], recipe: ellipsoids, settings: smooth },
     ]
 }
