@@ -6,7 +6,7 @@ use super::{ExportError, map};
 use crate::config::Config;
 use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
 use i2slam_formation::{FrameTone, ShutterPoses};
-use i2slam_geometry::{Pose, Rotation, Vec3};
+use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
 use std::fs;
 use std::path::Path;
 use std::str::FromStr;
@@ -88,10 +88,15 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
     if response >= responses {
         return Err(format!("camera response {response} is not in state.json"));
     }
+    let mut depth_lead = [0.0; 6];
+    for (i, value) in depth_lead.iter_mut().enumerate() {
+        *value = cell(&cells, 16 + i)?;
+    }
     Ok(FrameEstimate {
         index: cell(&cells, 0)?,
         timestamp: cell(&cells, 1)?,
         shutter,
+        depth_lead: Tangent::from_array(depth_lead),
         tone: FrameTone::from_array([log(2)?, log(3)?, log(4)?, log(5)?]),
         response,
         keyframe: cell::<u8>(&cells, 13)? != 0,

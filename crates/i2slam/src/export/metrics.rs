@@ -55,6 +55,13 @@ pub struct Metrics {
     pub ssim_sharp: Option<f64>,
     /// Frames in `psnr_sharp_db` and `ssim_sharp`.
     pub sharp_frames: usize,
+    /// Root mean square error of log2 radiance against the true one, after one gain for the whole
+    /// sequence [stops].
+    pub hdr_log2_rmse_stops: Option<f64>,
+    /// PSNR of μ-law compressed radiance after the same gain [dB].
+    pub hdr_mu_law_psnr_db: Option<f64>,
+    /// Frames in the HDR figures.
+    pub hdr_frames: usize,
     /// Pearson correlation of recovered and true log exposure.
     pub log_exposure_correlation: Option<f64>,
 }

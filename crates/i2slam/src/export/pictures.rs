@@ -61,7 +61,7 @@ fn io_error(error: png::EncodingError) -> io::Error {
 
 /// A half-float linear RGB OpenEXR of radiance (Rec. 709 primaries).
 pub fn write_radiance(out: &mut dyn Write, radiance: &Image<f32>) -> io::Result<()> {
-    use exr::prelude::{Image as ExrImage, SpecificChannels, WritableImage, f16};
+    use exr::prelude::{Compression, Encoding, SpecificChannels, WritableImage, f16};
     let (width, height) = (radiance.width, radiance.height);
     let (red, green, blue) = (radiance.plane(0), radiance.plane(1), radiance.plane(2));
     let pixels = SpecificChannels::rgb(|position: exr::prelude::Vec2<usize>| {
@@ -69,7 +69,8 @@ pub fn write_radiance(out: &mut dyn Write, radiance: &Image<f32>) -> io::Result<
         (f16::from_f32(red[i]), f16::from_f32(green[i]), f16::from_f32(blue[i]))
     });
     let mut bytes = Cursor::new(Vec::new());
-    ExrImage::from_channels((width, height), pixels)
+    let encoding = Encoding { compression: Compression::ZIP16, ..Encoding::default() };
+    exr::prelude::Image::from_encoded_channels((width, height), encoding, pixels)
         .write()
         .non_parallel()
         .to_buffered(&mut bytes)

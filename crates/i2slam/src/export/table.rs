@@ -5,7 +5,7 @@ use i2slam_geometry::Pose;
 use std::fmt::{Display, Write};
 
 /// Columns of `frames.csv`, in order.
-pub(crate) const FRAME_COLUMNS: [&str; 16] = [
+pub(crate) const FRAME_COLUMNS: [&str; 22] = [
     "index",
     "timestamp",
     "exposure",
@@ -22,6 +22,12 @@ pub(crate) const FRAME_COLUMNS: [&str; 16] = [
     "keyframe",
     "tracked",
     "response",
+    "depth_lead_x",
+    "depth_lead_y",
+    "depth_lead_z",
+    "depth_lead_rx",
+    "depth_lead_ry",
+    "depth_lead_rz",
 ];
 
 /// `trajectory.txt`: mid-exposure poses in the TUM format.
@@ -64,7 +70,8 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
     for frame in frames {
         let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
         let losses = frame.losses;
-        let cells: [&dyn Display; 16] = [
+        let [x, y, z, rx, ry, rz] = frame.depth_lead.to_array();
+        let cells: [&dyn Display; 22] = [
             &frame.index,
             &frame.timestamp,
             &log_exposure.exp(),
@@ -81,6 +88,12 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
             &u8::from(frame.keyframe),
             &u8::from(frame.tracked),
             &frame.response,
+            &x,
+            &y,
+            &z,
+            &rx,
+            &ry,
+            &rz,
         ];
         text += &cells.map(|cell| cell.to_string()).join(",");
         text.push('\n');

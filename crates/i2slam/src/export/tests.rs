@@ -5,7 +5,7 @@ use super::*;
 use crate::config::Config;
 use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
 use i2slam_formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
-use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+use i2slam_geometry::{Camera, Pose, Rotation, Tangent, Vec3};
 use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
 use std::fs;
 
@@ -22,6 +22,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
             index: 2 * i,
             timestamp: 1_305_031_237.361_618 + t,
             shutter: ShutterPoses { start: pose(t - 0.01), end: pose(t + 0.01) },
+            depth_lead: Tangent::from_array([0.001 * t, 0.0, 0.002, 0.0, -0.003, 1e-9]),
             tone,
             response: 0,
             keyframe: i % 5 == 0,
@@ -68,6 +69,7 @@ fn a_saved_folder_loads_as_it_was() {
     assert_eq!(after.config, before.config);
     for (a, b) in after.frames.iter().zip(&before.frames) {
         assert_eq!((a.shutter, a.tone, a.losses), (b.shutter, b.tone, b.losses));
+        assert_eq!(a.depth_lead, b.depth_lead);
         assert_eq!((a.index, a.timestamp, a.blur_length), (b.index, b.timestamp, b.blur_length));
         assert_eq!((a.keyframe, a.tracked, a.gaussians), (b.keyframe, b.tracked, b.gaussians));
     }

@@ -19,18 +19,23 @@ pub struct Comparison {
     pub blurred: Image<f32>,
     /// Depth at mid-exposure [m]; 0 where there is none.
     pub depth: Image<f32>,
-    /// The sharp picture with other exposures, as (stops, picture).
+    /// The sharp picture at other exposures, as (stops, picture); empty where it is not shown.
     pub brackets: Vec<(f64, Image<f32>)>,
 }
 
-/// The sliders: input on the left, one of three renders on the right.
+/// The sliders: input on the left, one of three renders on the right. The most blurred frame is
+/// shown first.
 pub(super) fn gallery(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
+    let estimate = |c: &Comparison| frames.iter().find(|f| f.index == c.index);
+    let blur = |c: &Comparison| estimate(c).map_or(0.0, |f| f.blur_length);
+    let first = report.comparisons.iter().max_by(|a, b| blur(a).total_cmp(&blur(b)));
+    let first = first.map(|c| c.index);
     let mut out = String::new();
-    for (i, comparison) in report.comparisons.iter().enumerate() {
-        let estimate = frames.iter().find(|f| f.index == comparison.index);
+    for comparison in report.comparisons {
+        let shown = Some(comparison.index) == first;
         // Writing to a string cannot fail.
-        write_pair(&mut out, comparison, estimate, i == 0).ok();
+        write_pair(&mut out, comparison, estimate(comparison), shown).ok();
     }
     out
 }
@@ -39,11 +44,11 @@ fn write_pair(
     out: &mut String,
     comparison: &Comparison,
     estimate: Option<&FrameEstimate>,
-    first: bool,
+    shown: bool,
 ) -> std::fmt::Result {
     let Image { width, height, .. } = comparison.input;
     let index = comparison.index;
-    let class = if first { "pair shown" } else { "pair" };
+    let class = if shown { "pair shown" } else { "pair" };
     write!(out, "<figure class=\"{class}\" data-frame=\"{index}\">")?;
     write!(out, "<div class=\"compare\" style=\"aspect-ratio:{width}/{height}\">")?;
     let right = [
@@ -71,7 +76,7 @@ fn write_pair(
     write!(out, "</figcaption></figure>")
 }
 
-/// The frame with the widest range, darker and brighter than it was taken.
+/// One frame, darker and brighter than it was taken: the first that comes with such pictures.
 pub(super) fn brackets(comparisons: &[Comparison]) -> String {
     let Some(comparison) = comparisons.iter().find(|c| !c.brackets.is_empty()) else {
         return "<p class=\"none\">This run has no high dynamic range: exposure, white balance and \

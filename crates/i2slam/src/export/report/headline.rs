@@ -21,7 +21,9 @@ pub(super) fn lead(report: &Report<'_>) -> String {
 /// The headline figures, each with one line that says what it is.
 pub(super) fn cards(metrics: &Metrics) -> String {
     let mut out = String::new();
+    let mut count = 0;
     let mut card = |value: String, unit: &str, name: &str, meaning: &str| {
+        count += 1;
         write!(
             out,
             "<div class=\"card\"><dt>{name}</dt><dd><b>{value}</b><small>{unit}</small></dd>\
@@ -46,16 +48,19 @@ pub(super) fn cards(metrics: &Metrics) -> String {
         card(format!("{psnr:.1}"), "dB", "Prediction PSNR", meaning);
     }
     let blur = format!("{:.1}", metrics.blur_length_px_max);
-    card(blur, "px", "Longest blur", "The longest streak a point draws while the shutter is open.");
+    let meaning = "In the most blurred frame, the streak a point draws while the shutter is open.";
+    card(blur, "px", "Longest blur", meaning);
     let seconds = significant(metrics.seconds_per_frame);
-    card(seconds, "s", "Time per frame", "Tracking and mapping together.");
+    card(seconds, "s", "Time per frame", "The whole run, divided by its frames.");
     let gaussians = thousands(metrics.gaussians);
     card(gaussians, "", "Gaussians", "Soft blobs of light that make up the map.");
     if let Some(correlation) = metrics.log_exposure_correlation {
         let meaning = "Correlation of recovered and true log exposure. 1 is perfect.";
         card(format!("{correlation:.3}"), "", "Exposure", meaning);
     }
-    out
+    // Rows of four, or of three where four would leave one or two alone.
+    let columns = if matches!(count % 4, 1 | 2) { 3 } else { 4 };
+    format!("<dl class=\"cards\" style=\"--columns:{columns}\">{out}</dl>")
 }
 
 /// Three significant digits, without exponent.

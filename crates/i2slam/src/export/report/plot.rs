@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 const WIDTH: f64 = 460.0;
 const HEIGHT: f64 = 250.0;
-const LEFT: f64 = 48.0;
+const LEFT: f64 = 56.0;
 const RIGHT: f64 = 12.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = 40.0;
@@ -16,8 +16,21 @@ const BOTTOM: f64 = 40.0;
 pub(crate) enum Mark {
     Line,
     Dashed,
+    /// A broad pale line, to lie under another curve.
+    Under,
     /// A line with the area to the axis filled.
     Area,
+}
+
+impl Mark {
+    /// The style's class, with a leading space.
+    fn class(self) -> &'static str {
+        match self {
+            Self::Line | Self::Area => "",
+            Self::Dashed => " dashed",
+            Self::Under => " under",
+        }
+    }
 }
 
 /// One curve. Points that are not finite interrupt it.
@@ -134,8 +147,8 @@ impl Plot {
         }
         write!(out, "<p class=\"legend\">")?;
         for s in &self.series {
-            let dashed = if s.mark == Mark::Dashed { " dashed" } else { "" };
-            write!(out, "<span><i class=\"{}{dashed}\"></i>{}</span>", s.colour, s.label)?;
+            let (colour, style) = (s.colour, s.mark.class());
+            write!(out, "<span><i class=\"{colour}{style}\"></i>{}</span>", s.label)?;
         }
         write!(out, "</p>")
     }
@@ -169,7 +182,7 @@ impl Plot {
         )?;
         write!(
             out,
-            "<text class=\"mid name\" transform=\"translate(11 {middle}) rotate(-90)\">{}</text>",
+            "<text class=\"mid name\" transform=\"translate(12 {middle}) rotate(-90)\">{}</text>",
             self.y_label
         )
     }
@@ -203,10 +216,10 @@ fn write_series(out: &mut String, frame: &Frame, series: &Series) -> std::fmt::R
                 series.colour
             )?;
         }
-        let dashed = if series.mark == Mark::Dashed { " dashed" } else { "" };
+        let style = series.mark.class();
         write!(
             out,
-            "<polyline class=\"line {}{dashed}\" data-name=\"{}\" points=\"{list}\"/>",
+            "<polyline class=\"line {}{style}\" data-name=\"{}\" points=\"{list}\"/>",
             series.colour, series.label
         )?;
     }

@@ -61,7 +61,7 @@ fn view(
     let flat = |path: &[[f64; 3]]| -> Points { path.iter().map(|p| (p[across], p[up])).collect() };
     let mut series = Vec::new();
     if !truth.is_empty() {
-        series.push(Series::line("ground truth", "c2", flat(truth)).marked(Mark::Dashed));
+        series.push(Series::line("ground truth", "c2", flat(truth)).marked(Mark::Under));
     }
     series.push(Series::line("estimate", "c1", flat(path)));
     let ends = [("start", path.first()), ("end", path.last())];
@@ -117,7 +117,7 @@ fn exposure(report: &Report<'_>) -> Plot {
     let estimate = points(frames, stops);
     if !report.true_exposure.is_empty() {
         let truth = lay_onto(&estimate, report.true_exposure);
-        plot.series.push(Series::line("truth", "c2", truth).marked(Mark::Dashed));
+        plot.series.push(Series::line("truth", "c2", truth).marked(Mark::Under));
     }
     plot.series.push(Series::line("recovered", "c1", estimate));
     plot

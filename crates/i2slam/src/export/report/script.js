@@ -30,7 +30,7 @@ const small = pairs.map(pair => {
   thumbs.append(button);
   return button;
 });
-press(small, small[0]);
+press(small, small[pairs.findIndex(p => p.classList.contains("shown"))]);
 
 // Sharp, predicted blur or depth on the right.
 const kinds = [...document.querySelectorAll(".switch button")];

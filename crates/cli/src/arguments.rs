@@ -1,0 +1,210 @@
+//! What can be typed.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::ops::Range;
+use std::path::PathBuf;
+
+/// RGB-D SLAM that inverts image formation: a blurred, exposure-drifting video goes in, a sharp
+/// HDR map and a camera path come out.
+#[derive(Parser, Debug)]
+#[command(name = "i2slam", version, max_term_width = 100)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+pub(crate) enum Command {
+    /// Reconstruct a sequence
+    Run(Box<Run>),
+    /// Draw pictures of a result: sharp, blurred as observed, HDR, depth
+    Render(Render),
+    /// Measure a result against the truth
+    Eval(Eval),
+    /// Reconstruct the clip that comes with the program (2 s, hand-held, blurred)
+    Demo(Demo),
+    /// List the presets, or print every value of one
+    Presets(Presets),
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Run {
+    /// Folder of the sequence: TUM RGB-D layout, or colour/ and depth/ with camera.json
+    pub(crate) dataset: PathBuf,
+    /// Folder for the results
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Settings to start from, see `i2slam presets` [default: default]
+    #[arg(long, value_name = "NAME")]
+    pub(crate) preset: Option<String>,
+    /// TOML file whose values replace those of the preset
+    #[arg(long, value_name = "FILE.toml")]
+    pub(crate) config: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) input: Input,
+    #[command(flatten)]
+    pub(crate) formation: Formation,
+    /// Which frames to draw under renders/
+    #[arg(long, value_enum, default_value_t = Draw::All, value_name = "WHICH")]
+    pub(crate) render: Draw,
+    /// Seed of all random choices; the same seed gives the same bytes
+    #[arg(long, value_name = "N")]
+    pub(crate) seed: Option<u64>,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
+}
+
+/// How the sequence is read.
+#[derive(Args, Debug)]
+pub(crate) struct Input {
+    /// Only frames A to B-1 of the associated stream
+    #[arg(long, value_name = "A..B", value_parser = frame_range)]
+    pub(crate) frames: Option<Range<usize>>,
+    /// Every N-th frame
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) stride: usize,
+    /// Size of the processed pictures over that of the recorded ones
+    #[arg(long, value_name = "S", default_value_t = 1.0)]
+    pub(crate) scale: f64,
+    /// Camera file to use instead of the folder's camera.json
+    #[arg(long, value_name = "FILE.json")]
+    pub(crate) camera: Option<PathBuf>,
+    /// Intrinsics of a camera without distortion, pixel centres at integers
+    #[arg(long, value_names = ["FX", "FY", "CX", "CY"], num_args = 4, allow_negative_numbers = true)]
+    pub(crate) intrinsics: Option<Vec<f64>>,
+    /// Value of one metre in the depth images
+    #[arg(long, value_name = "N")]
+    pub(crate) depth_scale: Option<f64>,
+}
+
+/// Switches of the image-formation module.
+#[derive(Args, Debug)]
+pub(crate) struct Formation {
+    /// Virtual cameras over the exposure
+    #[arg(long, value_name = "N")]
+    pub(crate) virtual_cameras: Option<usize>,
+    /// Take pictures as sharp
+    #[arg(long)]
+    pub(crate) no_blur: bool,
+    /// Take pictures as they are: no exposure, white balance or camera response
+    #[arg(long)]
+    pub(crate) no_tone: bool,
+    /// Do not tie the motion during an exposure to the motion between frames
+    #[arg(long)]
+    pub(crate) no_trajectory_loss: bool,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Machine {
+    /// Threads to use [default: all cores]; results do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(crate) threads: Option<u16>,
+    /// Print warnings and the summary only
+    #[arg(long)]
+    pub(crate) quiet: bool,
+}
+
+/// Which frames are drawn.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Draw {
+    All,
+    Keyframes,
+    None,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Render {
+    /// Result folder of a run
+    pub(crate) result: PathBuf,
+    /// Only frames A to B-1 of the associated stream
+    #[arg(long, value_name = "A..B", value_parser = frame_range, conflicts_with_all = ["pose", "poses"])]
+    pub(crate) frames: Option<Range<usize>>,
+    /// A pose of your own, world from camera
+    #[arg(
+        long,
+        value_name = "\"tx ty tz qx qy qz qw\"",
+        allow_hyphen_values = true,
+        conflicts_with = "poses"
+    )]
+    pub(crate) pose: Option<String>,
+    /// Poses of your own, a file in the TUM format
+    #[arg(long, value_name = "FILE")]
+    pub(crate) poses: Option<PathBuf>,
+    /// What to draw: sharp, blurred, hdr, depth [default: all that apply]
+    #[arg(long, value_name = "KINDS", value_delimiter = ',')]
+    pub(crate) kinds: Option<Vec<String>>,
+    /// Folder for the pictures [default: renders/ of the result, views/ for poses of your own]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Eval {
+    /// Result folder of a run, or a trajectory in the TUM format
+    pub(crate) estimate: PathBuf,
+    /// True trajectory in the TUM format
+    #[arg(long, value_name = "FILE")]
+    pub(crate) groundtruth: PathBuf,
+    /// Folder with the true sharp pictures NNNNNN.png of the result's renders/sharp
+    #[arg(long, value_name = "DIR")]
+    pub(crate) reference: Option<PathBuf>,
+    /// What may be fitted before errors are measured
+    #[arg(long, value_enum, default_value_t = Fit::Se3, value_name = "GROUP")]
+    pub(crate) align: Fit,
+    /// Print JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Alignment of two trajectories.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Fit {
+    /// Rotation and translation
+    Se3,
+    /// Rotation, translation and scale
+    Sim3,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Demo {
+    /// Folder for clip and results
+    #[arg(long, value_name = "DIR", default_value = "i2slam-demo")]
+    pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct Presets {
+    /// Print this preset as a file for --config
+    pub(crate) name: Option<String>,
+}
+
+fn frame_range(text: &str) -> Result<Range<usize>, String> {
+    let number = |part: &str| part.trim().parse::<usize>().ok();
+    let ends = text.split_once("..").and_then(|(a, b)| Some(number(a)?..number(b)?));
+    match ends {
+        Some(range) if !range.is_empty() => Ok(range),
+        Some(_) => Err("holds no frame: the second number must be larger".to_owned()),
+        None => Err("expected two frame numbers as in 10..20".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn definitions_are_sound() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn ranges_are_half_open() {
+        assert_eq!(frame_range("3..7"), Ok(3..7));
+        for wrong in ["7..3", "3..3", "3", "3..", "a..b", "-1..4"] {
+            assert!(frame_range(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! `i2slam demo`: the clip inside the program, reconstructed.
+
+use super::use_threads;
+use crate::arguments::{Demo, Draw};
+use crate::failure::Failure;
+use crate::output::complain;
+use crate::pipeline::{self, Job};
+use i2slam::Config;
+use i2slam::dataset::OpenOptions;
+use i2slam::export::ResultFolder;
+use std::path::{Path, PathBuf};
+
+include!(concat!(env!("OUT_DIR"), "/clip.rs"));
+
+pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
+    use_threads(&arguments.machine)?;
+    let dataset = unpack(&arguments.out)?;
+    if !arguments.machine.quiet {
+        complain("reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0)");
+    }
+    pipeline::run(&Job {
+        dataset,
+        out: arguments.out.clone(),
+        config: Config::preset("default")?,
+        open: OpenOptions::default(),
+        draw: Draw::All,
+        quiet: arguments.machine.quiet,
+        title: Some("demo clip"),
+    })
+}
+
+/// Writes the clip to `clip/` in the folder, so that it can be looked at and run again.
+fn unpack(out: &Path) -> Result<PathBuf, Failure> {
+    let folder = ResultFolder::create(&out.join("clip"))?;
+    for (name, bytes) in CLIP {
+        folder.write(name, |file| file.write_all(bytes))?;
+    }
+    Ok(folder.path().to_owned())
+}

@@ -1,0 +1,28 @@
+//! One file per subcommand.
+
+mod demo;
+mod eval;
+mod presets;
+mod render;
+mod run;
+
+use crate::arguments::{Command, Machine};
+use crate::failure::Failure;
+
+/// Do what was typed.
+pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
+    match command {
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Render(arguments) => render::render(&arguments),
+        Command::Eval(arguments) => eval::eval(&arguments),
+        Command::Demo(arguments) => demo::demo(&arguments),
+        Command::Presets(arguments) => presets::presets(&arguments),
+    }
+}
+
+/// Set the number of threads for everything that follows.
+fn use_threads(machine: &Machine) -> Result<(), Failure> {
+    let Some(threads) = machine.threads else { return Ok(()) };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
+    pool.build_global().map_err(|e| Failure::Failed(format!("cannot start {threads} threads: {e}")))
+}

@@ -1,0 +1,29 @@
+//! `i2slam presets`: the names, or one preset as a file.
+
+use crate::arguments::Presets;
+use crate::failure::Failure;
+use crate::output::say;
+use i2slam::Config;
+use i2slam::config::PRESET_NAMES;
+
+pub(crate) fn presets(arguments: &Presets) -> Result<(), Failure> {
+    if let Some(name) = &arguments.name {
+        say(Config::preset(name)?.to_toml().trim_end());
+        return Ok(());
+    }
+    for name in PRESET_NAMES {
+        say(&format!("{name:<20}{}", meaning(name)));
+    }
+    Ok(())
+}
+
+fn meaning(name: &str) -> &'static str {
+    match name {
+        "default" => "second-order tracking, cheap blur: the best we know at interactive speed",
+        "paper-tum" => "the paper's settings for TUM RGB-D",
+        "paper-scannet" => "the paper's settings for ScanNet",
+        "paper-synthetic" => "the paper's settings for its synthetic scenes",
+        short if short.ends_with("-s") => "the same with a fifth of the iterations",
+        _ => "",
+    }
+}

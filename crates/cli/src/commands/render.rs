@@ -1,0 +1,108 @@
+//! `i2slam render`: pictures of a saved result, from its own poses or from others.
+
+use crate::arguments::Render;
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::output::say;
+use crate::progress::Progress;
+use i2slam::dataset::read_trajectory;
+use i2slam::export::{RenderKind, ResultFolder, save_render};
+use i2slam::geometry::{Image, Pose, Rotation, Vec3};
+use i2slam::{FrameEstimate, Reconstruction, Viewer};
+
+pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
+    let own_poses = arguments.pose.is_some() || arguments.poses.is_some();
+    let kinds = kinds(arguments, own_poses)?;
+    let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
+    let reconstruction = Reconstruction::load(&arguments.result)?;
+    let frames = frames(arguments, pose, &reconstruction)?;
+    let default_out = arguments.result.join(if own_poses { "views" } else { "renders" });
+    let folder = ResultFolder::create(arguments.out.as_ref().unwrap_or(&default_out))?;
+    interrupt::listen();
+    let mut progress = Progress::new(frames.len(), false);
+    progress.phase("drawing", frames.len());
+    let mut viewer = reconstruction.viewer();
+    let mut done = 0;
+    for frame in &frames {
+        for &kind in &kinds {
+            save_render(&folder, "", kind, frame.index, &picture(&mut viewer, kind, frame))?;
+        }
+        done += 1;
+        progress.step(done);
+        if interrupt::requested() {
+            break;
+        }
+    }
+    progress.clear();
+    let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
+    say(&format!("{done} frames, {}, in {}", names.join(", "), folder.path().display()));
+    if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
+}
+
+fn picture(viewer: &mut Viewer<'_>, kind: RenderKind, frame: &FrameEstimate) -> Image<f32> {
+    match kind {
+        RenderKind::Sharp => viewer.sharp(frame),
+        RenderKind::Blurred => viewer.blurred(frame),
+        RenderKind::Hdr => viewer.hdr(frame.middle()),
+        RenderKind::Depth => viewer.depth(frame.middle()),
+    }
+}
+
+/// The kinds asked for; by default all, but no blur for poses that do not move.
+fn kinds(arguments: &Render, own_poses: bool) -> Result<Vec<RenderKind>, Failure> {
+    let Some(names) = &arguments.kinds else {
+        let still = |kind: &RenderKind| !own_poses || *kind != RenderKind::Blurred;
+        return Ok(RenderKind::ALL.into_iter().filter(still).collect());
+    };
+    let kinds: Result<Vec<_>, Failure> = names.iter().map(|name| kind(name.trim())).collect();
+    let kinds = kinds?;
+    if own_poses && kinds.contains(&RenderKind::Blurred) {
+        let message = "a pose of your own has no motion to blur: leave out `blurred`";
+        return Err(Failure::Usage(message.to_owned()));
+    }
+    Ok(kinds)
+}
+
+fn kind(name: &str) -> Result<RenderKind, Failure> {
+    RenderKind::from_name(name).ok_or_else(|| {
+        let known = RenderKind::ALL.map(RenderKind::name).join(", ");
+        Failure::Usage(format!("no kind of picture is called `{name}`: choose of {known}"))
+    })
+}
+
+fn frames(
+    arguments: &Render,
+    pose: Option<Pose<f64>>,
+    reconstruction: &Reconstruction,
+) -> Result<Vec<FrameEstimate>, Failure> {
+    if let Some(pose) = pose {
+        return Ok(vec![reconstruction.imagined_frame(0, pose)]);
+    }
+    if let Some(file) = &arguments.poses {
+        let poses = read_trajectory(file)?.into_iter().enumerate();
+        return Ok(poses
+            .map(|(i, pose)| reconstruction.imagined_frame(i, pose.world_from_camera))
+            .collect());
+    }
+    let mut frames = reconstruction.frames.clone();
+    if let Some(range) = &arguments.frames {
+        frames.retain(|frame| range.contains(&frame.index));
+        if frames.is_empty() {
+            let (start, end) = (range.start, range.end);
+            return Err(Failure::Usage(format!("the result has no frame in {start}..{end}")));
+        }
+    }
+    Ok(frames)
+}
+
+fn parse_pose(text: &str) -> Result<Pose<f64>, Failure> {
+    let wrong = || {
+        Failure::Usage(format!("`{text}` is no pose: expected seven numbers tx ty tz qx qy qz qw"))
+    };
+    let numbers: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();
+    let numbers: [f64; 7] = numbers.ok().and_then(|n| n.try_into().ok()).ok_or_else(wrong)?;
+    let [x, y, z, qx, qy, qz, qw] = numbers;
+    let rotation = Rotation::from_wxyz(qw, qx, qy, qz).ok_or_else(wrong)?;
+    let pose = Pose::new(rotation, Vec3::new(x, y, z));
+    if pose.is_finite() { Ok(pose) } else { Err(wrong()) }
+}

@@ -1,0 +1,60 @@
+//! `i2slam run`: a sequence to a result folder.
+
+use super::use_threads;
+use crate::arguments::{Formation, Input, Run};
+use crate::failure::Failure;
+use crate::pipeline::{self, Job};
+use i2slam::Config;
+use i2slam::dataset::OpenOptions;
+
+pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
+    let config = settings(arguments)?;
+    use_threads(&arguments.machine)?;
+    pipeline::run(&Job {
+        dataset: arguments.dataset.clone(),
+        out: arguments.out.clone(),
+        open: open_options(&arguments.input, &config)?,
+        config,
+        draw: arguments.render,
+        quiet: arguments.machine.quiet,
+        title: None,
+    })
+}
+
+/// Preset, then file, then flags.
+fn settings(arguments: &Run) -> Result<Config, Failure> {
+    let preset = arguments.preset.as_deref();
+    let mut config = match &arguments.config {
+        Some(file) => Config::from_toml_file_on(file, preset)?,
+        None => Config::preset(preset.unwrap_or("default"))?,
+    };
+    let Formation { virtual_cameras, no_blur, no_tone, no_trajectory_loss } = arguments.formation;
+    let formation = &mut config.formation;
+    formation.blur &= !no_blur;
+    formation.tone &= !no_tone;
+    formation.trajectory_loss &= !no_trajectory_loss;
+    if let Some(count) = virtual_cameras {
+        formation.virtual_cameras = count;
+    }
+    if let Some(seed) = arguments.seed {
+        config.seed = seed;
+    }
+    config.validate()?;
+    Ok(config)
+}
+
+fn open_options(input: &Input, config: &Config) -> Result<OpenOptions, Failure> {
+    let intrinsics = input.intrinsics.as_deref().map(<[f64; 4]>::try_from).transpose();
+    let four = |_| Failure::Usage("--intrinsics needs the four numbers fx fy cx cy".to_owned());
+    Ok(OpenOptions {
+        camera: input.camera.clone(),
+        intrinsics: intrinsics.map_err(four)?,
+        depth_scale: input.depth_scale,
+        frames: input.frames.clone(),
+        stride: input.stride,
+        scale: input.scale,
+        crop_border: config.input.crop_border,
+        minimum_gap: config.input.minimum_gap,
+        ..OpenOptions::default()
+    })
+}

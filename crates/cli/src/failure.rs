@@ -1,0 +1,79 @@
+//! How a command can end other than well, and what the shell is told.
+
+use i2slam::ConfigError;
+use i2slam::dataset::DatasetError;
+use i2slam::export::ExportError;
+use i2slam_eval::EvalError;
+use std::panic::{self, AssertUnwindSafe};
+use std::sync::Mutex;
+
+/// Why a command ended early.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// What was typed cannot be meant: exit code 2.
+    Usage(String),
+    /// It was tried and did not work: exit code 1.
+    Failed(String),
+    /// Ended by the user after everything was written: exit code 130, as shells do.
+    Interrupted,
+}
+
+impl Failure {
+    pub(crate) fn exit_code(&self) -> u8 {
+        match self {
+            Self::Usage(_) => 2,
+            Self::Failed(_) => 1,
+            Self::Interrupted => 130,
+        }
+    }
+
+    pub(crate) fn message(&self) -> Option<&str> {
+        match self {
+            Self::Usage(message) | Self::Failed(message) => Some(message),
+            Self::Interrupted => None,
+        }
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        Self::Usage(error.to_string())
+    }
+}
+
+impl From<DatasetError> for Failure {
+    fn from(error: DatasetError) -> Self {
+        match error {
+            DatasetError::Option { .. } => Self::Usage(error.to_string()),
+            _ => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+impl From<EvalError> for Failure {
+    fn from(error: EvalError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+/// The text and place of the last panic.
+static PANIC: Mutex<Option<String>> = Mutex::new(None);
+
+/// Runs `work`; a panic, which is a mistake of this program, becomes a message.
+pub(crate) fn without_panics<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+    panic::set_hook(Box::new(|info| {
+        if let Ok(mut last) = PANIC.lock() {
+            *last = Some(info.to_string().replace('\n', " "));
+        }
+    }));
+    panic::catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+        let last = PANIC.lock().ok().and_then(|mut last| last.take()).unwrap_or_default();
+        Err(Failure::Failed(format!("this is a mistake of i2slam, please report it: {last}")))
+    })
+}

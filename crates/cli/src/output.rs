@@ -1,0 +1,14 @@
+//! Words for the user. A reader that has gone away (a closed pipe) ends no run.
+
+use std::io::{self, Write};
+
+/// One line of result on standard output.
+pub(crate) fn say(line: &str) {
+    let mut out = io::stdout().lock();
+    writeln!(out, "{line}").and_then(|()| out.flush()).ok();
+}
+
+/// One line on standard error: a warning, an error, progress.
+pub(crate) fn complain(line: &str) {
+    writeln!(io::stderr().lock(), "{line}").ok();
+}

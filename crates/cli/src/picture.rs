@@ -1,0 +1,65 @@
+//! Pictures read for comparison.
+
+use crate::failure::Failure;
+use i2slam::geometry::Image;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+fn failed(path: &Path, reason: impl std::fmt::Display) -> Failure {
+    Failure::Failed(format!("{}: {reason}", path.display()))
+}
+
+/// An 8- or 16-bit PNG as planes R, G, B in `[0, 1]`.
+pub(crate) fn read_png(path: &Path) -> Result<Image<f32>, Failure> {
+    let file = File::open(path).map_err(|e| failed(path, e))?;
+    let mut decoder = png::Decoder::new(BufReader::new(file));
+    let eight_bits = png::Transformations::EXPAND | png::Transformations::STRIP_16;
+    decoder.set_transformations(eight_bits);
+    let mut reader = decoder.read_info().map_err(|e| failed(path, e))?;
+    let size = reader.output_buffer_size().ok_or_else(|| failed(path, "is too large"))?;
+    let mut bytes = vec![0; size];
+    let info = reader.next_frame(&mut bytes).map_err(|e| failed(path, e))?;
+    let samples = info.color_type.samples();
+    let mut image = Image::new(info.width as usize, info.height as usize, 3);
+    for channel in 0..3 {
+        let source = if samples >= 3 { channel } else { 0 };
+        let plane = image.plane_mut(channel);
+        for (value, pixel) in plane.iter_mut().zip(bytes.chunks_exact(samples)) {
+            *value = f32::from(pixel[source]) / 255.0;
+        }
+    }
+    Ok(image)
+}
+
+/// The R, G, B channels of an OpenEXR picture.
+pub(crate) fn read_exr(path: &Path) -> Result<Image<f32>, Failure> {
+    use exr::prelude::{ReadChannels, ReadLayers, Vec2};
+    let read = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgb_channels(
+            |size: Vec2<usize>, _| Image::<f32>::new(size.width(), size.height(), 3),
+            |image: &mut Image<f32>, at: Vec2<usize>, (r, g, b): (f32, f32, f32)| {
+                let pixel = at.y() * image.width + at.x();
+                for (channel, value) in [r, g, b].into_iter().enumerate() {
+                    image.plane_mut(channel)[pixel] = value;
+                }
+            },
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .from_file(path)
+        .map_err(|e| failed(path, e))?;
+    Ok(read.layer_data.channel_data.pixels)
+}
+
+/// `reference` at the size of `picture`, by averages, if it is the same view at a larger size.
+pub(crate) fn at_size_of(reference: Image<f32>, picture: &Image<f32>) -> Option<Image<f32>> {
+    let (width, height) = (picture.width, picture.height);
+    if (reference.width, reference.height) == (width, height) {
+        return Some(reference);
+    }
+    let same_view = reference.width * height == reference.height * width;
+    (same_view && reference.width > width).then(|| reference.resized_by_area(width, height))
+}

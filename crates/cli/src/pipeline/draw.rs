@@ -1,0 +1,221 @@
+//! The pictures of a run: files under `renders/`, pairs for the report, and what they measure.
+
+use crate::arguments::Draw;
+use crate::interrupt;
+use crate::picture::{at_size_of, read_exr};
+use crate::progress::Progress;
+use crate::truth::Truth;
+use i2slam::dataset::Sequence;
+use i2slam::export::report::{Comparison, frames_to_show};
+use i2slam::export::{ExportError, Metrics, RenderKind, ResultFolder, save_render};
+use i2slam::geometry::Image;
+use i2slam::{FrameEstimate, Reconstruction, Viewer};
+use i2slam_eval::hdr::hdr_error;
+use i2slam_eval::image::{psnr, ssim};
+
+/// Frames in the report.
+const SHOWN: usize = 8;
+
+/// Stops of the report's exposures.
+const STOPS: [f64; 3] = [-2.0, 0.0, 2.0];
+
+/// What to draw.
+pub(crate) struct Drawing<'a> {
+    pub(crate) sequence: &'a Sequence,
+    pub(crate) truth: &'a Truth,
+    pub(crate) reconstruction: &'a Reconstruction,
+    pub(crate) draw: Draw,
+}
+
+/// What was drawn.
+#[derive(Default)]
+pub(crate) struct Drawn {
+    pub(crate) comparisons: Vec<Comparison>,
+    pub(crate) measures: Measures,
+    /// The first file that could not be written; the others were not tried.
+    pub(crate) failure: Option<ExportError>,
+}
+
+/// Image figures, one entry per measured frame.
+#[derive(Default)]
+pub(crate) struct Measures {
+    psnr_blurred: Vec<f64>,
+    psnr_sharp: Vec<f64>,
+    ssim_sharp: Vec<f64>,
+    radiance: Option<RadianceStack>,
+}
+
+/// Estimated and true radiance of many frames, one below the other: one gain fits them all.
+struct RadianceStack {
+    estimate: Image<f32>,
+    truth: Image<f32>,
+    frames: usize,
+}
+
+impl Drawing<'_> {
+    /// Draw and measure. The user can end it: then only the report's frames are drawn.
+    pub(crate) fn run(&self, folder: &ResultFolder, progress: &mut Progress) -> Drawn {
+        let frames = &self.reconstruction.frames;
+        let shown = frames_to_show(frames, SHOWN);
+        let mut viewer = self.reconstruction.viewer();
+        let mut drawn = Drawn::default();
+        progress.phase("drawing", frames.len());
+        for (i, frame) in frames.iter().enumerate() {
+            let show = shown.contains(&i);
+            if interrupt::requested() && !show {
+                continue;
+            }
+            self.frame(frame, show, &mut viewer, folder, &mut drawn);
+            progress.step(i + 1);
+        }
+        keep_widest_range(&mut drawn.comparisons);
+        drawn
+    }
+
+    fn frame(
+        &self,
+        frame: &FrameEstimate,
+        show: bool,
+        viewer: &mut Viewer<'_>,
+        folder: &ResultFolder,
+        drawn: &mut Drawn,
+    ) {
+        let file = drawn.failure.is_none() && !interrupt::requested() && self.wants_files(frame);
+        let sharp_truth = self.position(frame).and_then(|p| self.truth.sharp(p));
+        if !(file || show || sharp_truth.is_some()) {
+            return;
+        }
+        let sharp = viewer.sharp(frame);
+        if let Some(truth) = &sharp_truth {
+            drawn.measures.sharp(&sharp, truth);
+        }
+        if !(file || show) {
+            return;
+        }
+        let blurred = viewer.blurred(frame);
+        let hdr = viewer.hdr(frame.middle());
+        let depth = viewer.depth(frame.middle());
+        let input = self.position(frame).and_then(|p| self.sequence.load(p).ok());
+        if let Some(input) = &input {
+            drawn.measures.blurred(&blurred, &input.colour);
+        }
+        drawn.measures.radiance(&hdr, self.truth, frame.index);
+        if file {
+            let pictures = [&sharp, &blurred, &hdr, &depth];
+            drawn.failure = write_all(folder, frame.index, pictures).err();
+        }
+        if let (true, Some(input)) = (show, input) {
+            let brackets = self.brackets(frame, viewer);
+            let input = input.colour;
+            let index = frame.index;
+            drawn.comparisons.push(Comparison { index, input, sharp, blurred, depth, brackets });
+        }
+    }
+
+    fn wants_files(&self, frame: &FrameEstimate) -> bool {
+        match self.draw {
+            Draw::All => true,
+            Draw::Keyframes => frame.keyframe,
+            Draw::None => false,
+        }
+    }
+
+    /// The frame's place in the sequence.
+    fn position(&self, frame: &FrameEstimate) -> Option<usize> {
+        self.sequence.entries.binary_search_by_key(&frame.index, |entry| entry.index).ok()
+    }
+
+    fn brackets(&self, frame: &FrameEstimate, viewer: &mut Viewer<'_>) -> Vec<(f64, Image<f32>)> {
+        if !self.reconstruction.config.formation.tone {
+            return Vec::new();
+        }
+        let mut at = |stops: f64| {
+            let mut other = frame.clone();
+            other.tone.log_exposure += (stops * std::f64::consts::LN_2) as f32;
+            (stops, viewer.sharp(&other))
+        };
+        STOPS.map(&mut at).to_vec()
+    }
+}
+
+fn write_all(
+    folder: &ResultFolder,
+    index: usize,
+    pictures: [&Image<f32>; 4],
+) -> Result<(), ExportError> {
+    for (kind, picture) in RenderKind::ALL.into_iter().zip(pictures) {
+        save_render(folder, "renders", kind, index, picture)?;
+    }
+    Ok(())
+}
+
+/// Keeps the exposures of the frame with the most pixels that are burnt out or black.
+fn keep_widest_range(comparisons: &mut [Comparison]) {
+    let lost =
+        |c: &Comparison| c.input.data.iter().filter(|&&v| !(0.02..0.98).contains(&v)).count();
+    let widest = (0..comparisons.len()).max_by_key(|&i| lost(&comparisons[i]));
+    for (i, comparison) in comparisons.iter_mut().enumerate() {
+        if Some(i) != widest {
+            comparison.brackets.clear();
+        }
+    }
+}
+
+impl Measures {
+    fn blurred(&mut self, predicted: &Image<f32>, taken: &Image<f32>) {
+        let measured = psnr(&in_range(predicted), taken);
+        self.psnr_blurred.extend(measured.ok().filter(|v| v.is_finite()));
+    }
+
+    fn sharp(&mut self, drawn: &Image<f32>, truth: &Image<f32>) {
+        let drawn = in_range(drawn);
+        self.psnr_sharp.extend(psnr(&drawn, truth).ok().filter(|v| v.is_finite()));
+        self.ssim_sharp.extend(ssim(&drawn, truth).ok());
+    }
+
+    fn radiance(&mut self, drawn: &Image<f32>, truth: &Truth, index: usize) {
+        let known = truth.radiance(index).and_then(|path| read_exr(&path).ok());
+        let Some(known) = known.and_then(|known| at_size_of(known, drawn)) else { return };
+        let empty = || RadianceStack {
+            estimate: Image::new(drawn.width, 0, drawn.channels),
+            truth: Image::new(drawn.width, 0, drawn.channels),
+            frames: 0,
+        };
+        let stack = self.radiance.get_or_insert_with(empty);
+        append_rows(&mut stack.estimate, drawn);
+        append_rows(&mut stack.truth, &known);
+        stack.frames += 1;
+    }
+
+    /// Means of all frames.
+    pub(crate) fn fill(&self, metrics: &mut Metrics) {
+        metrics.psnr_blurred_db = mean(&self.psnr_blurred);
+        metrics.psnr_blurred_frames = self.psnr_blurred.len();
+        metrics.psnr_sharp_db = mean(&self.psnr_sharp);
+        metrics.ssim_sharp = mean(&self.ssim_sharp);
+        metrics.sharp_frames = self.psnr_sharp.len();
+        let Some(stack) = &self.radiance else { return };
+        if let Ok(error) = hdr_error(&stack.estimate, &stack.truth, None) {
+            metrics.hdr_log2_rmse_stops = Some(error.log2_rmse_stops);
+            metrics.hdr_mu_law_psnr_db = Some(error.mu_law_psnr_db);
+            metrics.hdr_frames = stack.frames;
+        }
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// The picture as it is written: cut to `[0, 1]`.
+fn in_range(picture: &Image<f32>) -> Image<f32> {
+    let data = picture.data.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+    Image { data, ..*picture }
+}
+
+/// Adds the rows of `below` to every plane of `image`.
+fn append_rows(image: &mut Image<f32>, below: &Image<f32>) {
+    let planes = (0..image.channels).map(|c| [image.plane(c), below.plane(c)].concat());
+    let data = planes.collect::<Vec<_>>().concat();
+    *image = Image { height: image.height + below.height, data, ..*image };
+}

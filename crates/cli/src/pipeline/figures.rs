@@ -1,0 +1,71 @@
+//! The figures of a run that need no pictures.
+
+use super::track::Tracked;
+use crate::truth::Truth;
+use i2slam::export::Metrics;
+use i2slam::geometry::StampedPose;
+use i2slam_eval::exposure::exposure_agreement;
+
+/// Figures, and the truth laid onto the estimate.
+pub(crate) struct Figures {
+    pub(crate) metrics: Metrics,
+    pub(crate) truth_in_world: Vec<StampedPose>,
+    /// What could not be measured, and why.
+    pub(crate) warnings: Vec<String>,
+}
+
+impl Figures {
+    pub(crate) fn of(tracked: &Tracked, truth: &Truth) -> Self {
+        let reconstruction = &tracked.reconstruction;
+        let mut metrics = Metrics::of(reconstruction);
+        metrics.complete = tracked.complete;
+        metrics.skipped = tracked.skipped;
+        metrics.seconds = tracked.seconds;
+        metrics.seconds_per_frame = tracked.seconds / metrics.frames.max(1) as f64;
+        metrics.peak_memory_bytes = peak_memory();
+        let mut figures = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
+        figures.judge_trajectory(tracked, truth);
+        figures.judge_exposure(tracked, truth);
+        figures
+    }
+
+    fn judge_trajectory(&mut self, tracked: &Tracked, truth: &Truth) {
+        match truth.judge(&tracked.reconstruction.trajectory()) {
+            Ok(Some((error, laid))) => {
+                self.metrics.ate_rmse_m = Some(error.ate_rmse_m);
+                self.metrics.ate_mean_m = Some(error.ate_mean_m);
+                self.metrics.ate_poses = error.pairs;
+                self.truth_in_world = laid;
+            }
+            Ok(None) => {}
+            Err(failure) => {
+                let reason = failure.message().unwrap_or_default();
+                self.warnings.push(format!("trajectory error not measured: {reason}"));
+            }
+        }
+    }
+
+    fn judge_exposure(&mut self, tracked: &Tracked, truth: &Truth) {
+        let reconstruction = &tracked.reconstruction;
+        if !reconstruction.config.formation.tone || truth.exposure.is_empty() {
+            return;
+        }
+        let pairs = reconstruction.frames.iter().filter_map(|frame| {
+            let known = truth.exposure.iter().find(|(index, _)| *index == frame.index);
+            known.map(|&(_, exposure)| (f64::from(frame.tone.exposure()), exposure))
+        });
+        let (estimate, due): (Vec<f64>, Vec<f64>) = pairs.unzip();
+        match exposure_agreement(&estimate, &due) {
+            Ok(agreement) => self.metrics.log_exposure_correlation = Some(agreement.pearson),
+            Err(error) => self.warnings.push(format!("exposure not judged: {error}")),
+        }
+    }
+}
+
+/// The most memory this process ever held [bytes], where the system tells (Linux).
+pub(super) fn peak_memory() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes * 1024)
+}

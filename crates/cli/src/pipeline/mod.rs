@@ -1,0 +1,151 @@
+//! A whole run: frames in, result folder out. Used by `run` and `demo`.
+
+mod draw;
+mod figures;
+mod track;
+
+use crate::arguments::Draw;
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::output::{complain, say};
+use crate::progress::Progress;
+use crate::truth::Truth;
+use draw::Drawing;
+use figures::Figures;
+use i2slam::Config;
+use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::export::report::Report;
+use i2slam::export::{ExportError, Metrics, ResultFolder, remove_renders, save, save_metrics};
+use std::path::{Path, PathBuf};
+use track::Tracked;
+
+/// What to do.
+pub(crate) struct Job {
+    pub(crate) dataset: PathBuf,
+    pub(crate) out: PathBuf,
+    pub(crate) config: Config,
+    pub(crate) open: OpenOptions,
+    pub(crate) draw: Draw,
+    pub(crate) quiet: bool,
+    /// Name for the report; the folder's if there is none.
+    pub(crate) title: Option<&'static str>,
+}
+
+/// Reconstruct, write everything, print the summary; its last line is the report's path.
+pub(crate) fn run(job: &Job) -> Result<(), Failure> {
+    let sequence = Sequence::open(&job.dataset, &job.open)?;
+    interrupt::listen();
+    let folder = ResultFolder::create(&job.out)?;
+    let truth = Truth::of(&job.dataset, &sequence);
+    let mut progress = Progress::new(sequence.len(), job.quiet);
+    for warning in sequence.warnings.iter().chain(&truth.warnings) {
+        progress.warn(warning);
+    }
+    let tracked = track::track(&job.config, &sequence, &mut progress);
+    let written = tracked.and_then(|tracked| {
+        let run = Finished { job, folder: &folder, sequence: &sequence, truth: &truth, tracked };
+        run.write(&mut progress)
+    });
+    progress.clear();
+    let Written { metrics, problems } = written?;
+    summarise(&metrics, folder.path());
+    end(problems)
+}
+
+/// Failures first, then whether the user ended it.
+fn end(problems: Vec<String>) -> Result<(), Failure> {
+    match problems.split_last() {
+        Some((last, others)) => {
+            for problem in others {
+                complain(&format!("error: {problem}"));
+            }
+            Err(Failure::Failed(last.clone()))
+        }
+        None if interrupt::requested() => Err(Failure::Interrupted),
+        None => Ok(()),
+    }
+}
+
+/// A run whose frames are done.
+struct Finished<'a> {
+    job: &'a Job,
+    folder: &'a ResultFolder,
+    sequence: &'a Sequence,
+    truth: &'a Truth,
+    tracked: Tracked,
+}
+
+/// What came of writing.
+struct Written {
+    metrics: Metrics,
+    problems: Vec<String>,
+}
+
+impl Finished<'_> {
+    /// What matters most first: poses and map, then figures, then pictures, then the page.
+    fn write(self, progress: &mut Progress) -> Result<Written, Failure> {
+        let reconstruction = &self.tracked.reconstruction;
+        let mut problems: Vec<String> = self.tracked.problem.iter().cloned().collect();
+        let mut note = |result: Result<(), ExportError>| {
+            problems.extend(result.err().map(|error| error.to_string()));
+        };
+        save(self.folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
+        let mut figures = Figures::of(&self.tracked, self.truth);
+        for warning in &figures.warnings {
+            progress.warn(warning);
+        }
+        note(save_metrics(self.folder, &figures.metrics));
+        note(remove_renders(self.folder.path()));
+        let drawing = Drawing {
+            sequence: self.sequence,
+            truth: self.truth,
+            reconstruction,
+            draw: self.job.draw,
+        };
+        let drawn = drawing.run(self.folder, progress);
+        drawn.failure.into_iter().for_each(|error| note(Err(error)));
+        drawn.measures.fill(&mut figures.metrics);
+        figures.metrics.peak_memory_bytes = figures::peak_memory();
+        note(save_metrics(self.folder, &figures.metrics));
+        let report = Report {
+            title: self.job.title.unwrap_or(&self.sequence.name),
+            reconstruction,
+            metrics: &figures.metrics,
+            ground_truth: &figures.truth_in_world,
+            true_exposure: &self.truth.exposure,
+            comparisons: &drawn.comparisons,
+        };
+        note(report.save(self.folder));
+        Ok(Written { metrics: figures.metrics, problems })
+    }
+}
+
+/// The run in a few lines.
+fn summarise(metrics: &Metrics, folder: &Path) {
+    let frames = metrics.frames;
+    let unfinished = if metrics.complete { "" } else { " (ended early)" };
+    say(&format!(
+        "{} of {frames} frames tracked{unfinished}, {} Gaussians",
+        metrics.tracked, metrics.gaussians
+    ));
+    if let Some(error) = metrics.ate_rmse_m {
+        say(&format!(
+            "trajectory error {:.2} cm (ATE RMSE over {} poses)",
+            error * 100.0,
+            metrics.ate_poses
+        ));
+    }
+    if let Some(psnr) = metrics.psnr_sharp_db {
+        say(&format!("sharp renders {psnr:.2} dB against the true sharp pictures"));
+    }
+    let memory = metrics.peak_memory_bytes.map(|bytes| format!(", {} MB", bytes / 1_000_000));
+    say(&format!(
+        "{:.2} s per frame, {:.0} s in all{}",
+        metrics.seconds_per_frame,
+        metrics.seconds,
+        memory.unwrap_or_default()
+    ));
+    let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+    say(&format!("results in {}", absolute.display()));
+    say(&absolute.join("report.html").display().to_string());
+}

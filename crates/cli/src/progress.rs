@@ -1,0 +1,109 @@
+//! What is seen while a run goes on: a bar on a terminal, now and then a line elsewhere.
+
+use crate::output::complain;
+use i2slam::FrameEstimate;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+/// Time between two lines where there is no terminal.
+const PAUSE: Duration = Duration::from_secs(10);
+
+/// How far a run is.
+pub(crate) struct Progress {
+    display: Display,
+    started: Instant,
+}
+
+enum Display {
+    Bar(ProgressBar),
+    Lines { last: Instant },
+    Quiet,
+}
+
+impl Progress {
+    /// Over `total` frames.
+    pub(crate) fn new(total: usize, quiet: bool) -> Self {
+        let started = Instant::now();
+        let display = if quiet {
+            Display::Quiet
+        } else if std::io::stderr().is_terminal() {
+            Display::Bar(bar(total))
+        } else {
+            Display::Lines { last: started }
+        };
+        Self { display, started }
+    }
+
+    /// One more frame is done; `done` counts it.
+    pub(crate) fn frame(&mut self, estimate: &FrameEstimate, done: usize, total: usize) {
+        let seconds = self.started.elapsed().as_secs_f64() / done.max(1) as f64;
+        let words = format!(
+            "{seconds:.2} s/frame  loss {:.4}  {} Gaussians  blur {:.1} px",
+            estimate.losses.image, estimate.gaussians, estimate.blur_length
+        );
+        match &mut self.display {
+            Display::Bar(bar) => {
+                bar.set_position(done as u64);
+                bar.set_message(words);
+            }
+            Display::Lines { last } if last.elapsed() >= PAUSE || done == total => {
+                *last = Instant::now();
+                let left = seconds * (total - done) as f64;
+                complain(&format!("frame {done}/{total}  {words}  {left:.0} s left"));
+            }
+            Display::Lines { .. } | Display::Quiet => {}
+        }
+    }
+
+    /// Begin another kind of work of `total` steps.
+    pub(crate) fn phase(&mut self, name: &'static str, total: usize) {
+        match &mut self.display {
+            Display::Bar(bar) => {
+                bar.set_length(total as u64);
+                bar.set_position(0);
+                bar.reset_eta();
+                bar.set_prefix(name);
+                bar.set_message("");
+            }
+            Display::Lines { last } => {
+                *last = Instant::now();
+                complain(name);
+            }
+            Display::Quiet => {}
+        }
+    }
+
+    /// One more step of a phase.
+    pub(crate) fn step(&self, done: usize) {
+        if let Display::Bar(bar) = &self.display {
+            bar.set_position(done as u64);
+        }
+    }
+
+    /// A warning, above the bar.
+    pub(crate) fn warn(&self, message: &str) {
+        let line = format!("warning: {message}");
+        match &self.display {
+            Display::Bar(bar) => bar.suspend(|| complain(&line)),
+            _ => complain(&line),
+        }
+    }
+
+    /// Remove the bar.
+    pub(crate) fn clear(&self) {
+        if let Display::Bar(bar) = &self.display {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn bar(total: usize) -> ProgressBar {
+    let bar = ProgressBar::new(total as u64);
+    let template = "{prefix} {bar:24.cyan/dim} {pos}/{len}  {msg}  {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar.set_prefix("frames");
+    bar
+}

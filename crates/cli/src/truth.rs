@@ -1,0 +1,131 @@
+//! What a dataset knows better than any estimate: true poses, sharp pictures, exposures, radiance.
+
+use crate::failure::Failure;
+use i2slam::dataset::{Sequence, read_trajectory};
+use i2slam::geometry::{Image, Pose, StampedPose};
+use i2slam_eval::trajectory::{
+    Alignment, DEFAULT_TOLERANCE, Similarity, TrajectoryError, absolute_trajectory_error,
+};
+use std::path::{Path, PathBuf};
+
+/// The truth that lies in a dataset's folder; all of it may be missing.
+pub(crate) struct Truth {
+    folder: PathBuf,
+    /// The sequence with its sharp pictures in place of those taken.
+    sharp: Option<Sequence>,
+    /// (stream index, exposure in any unit).
+    pub(crate) exposure: Vec<(usize, f64)>,
+    /// True poses.
+    pub(crate) trajectory: Vec<StampedPose>,
+    /// What lies there and cannot be used.
+    pub(crate) warnings: Vec<String>,
+}
+
+impl Truth {
+    /// Look for `groundtruth.txt`, `sharp/`, `exposure.csv` and `hdr/` beside the frames.
+    pub(crate) fn of(folder: &Path, sequence: &Sequence) -> Self {
+        let mut warnings = Vec::new();
+        let trajectory = sequence.ground_truth.as_deref().map(read_trajectory);
+        let trajectory = match trajectory {
+            Some(Ok(trajectory)) => trajectory,
+            Some(Err(error)) => {
+                // The sequence warns of a file that it cannot read itself.
+                let told = sequence.warnings.iter().any(|w| w.contains(&error.to_string()));
+                if !told {
+                    warnings.push(format!("ground truth ignored: {error}"));
+                }
+                Vec::new()
+            }
+            None => Vec::new(),
+        };
+        let exposure = folder.join("exposure.csv");
+        let exposure = if exposure.is_file() { read_exposure(&exposure) } else { Ok(Vec::new()) };
+        let exposure = exposure.unwrap_or_else(|reason| {
+            warnings.push(format!("exposure.csv ignored: {reason}"));
+            Vec::new()
+        });
+        Self {
+            folder: folder.to_owned(),
+            sharp: sharp_sequence(folder, sequence),
+            exposure,
+            trajectory,
+            warnings,
+        }
+    }
+
+    /// The true sharp picture of the frame at a place of the sequence.
+    pub(crate) fn sharp(&self, position: usize) -> Option<Image<f32>> {
+        let sharp = self.sharp.as_ref()?;
+        let there = sharp.entries.get(position)?.colour.is_file();
+        there.then(|| sharp.load(position).ok().map(|frame| frame.colour)).flatten()
+    }
+
+    /// The file of a frame's true radiance.
+    pub(crate) fn radiance(&self, index: usize) -> Option<PathBuf> {
+        let path = self.folder.join(format!("hdr/{index:06}.exr"));
+        path.is_file().then_some(path)
+    }
+
+    /// Absolute trajectory error, and the truth laid onto the estimate.
+    pub(crate) fn judge(
+        &self,
+        estimate: &[StampedPose],
+    ) -> Result<Option<(TrajectoryError, Vec<StampedPose>)>, Failure> {
+        if self.trajectory.is_empty() {
+            return Ok(None);
+        }
+        let truth = &self.trajectory;
+        let error = absolute_trajectory_error(estimate, truth, Alignment::Se3, DEFAULT_TOLERANCE)?;
+        let laid = error.associations.iter().map(|pair| StampedPose {
+            timestamp: estimate[pair.estimate].timestamp,
+            world_from_camera: undo(
+                &error.truth_from_estimate,
+                truth[pair.truth].world_from_camera,
+            ),
+        });
+        let laid = laid.collect();
+        Ok(Some((error, laid)))
+    }
+}
+
+/// A pose of the target, seen from the source of the similarity.
+fn undo(similarity: &Similarity, pose: Pose<f64>) -> Pose<f64> {
+    let back = similarity.rotation.inverse();
+    let centre = back.rotate(pose.translation - similarity.translation);
+    Pose::new(back * pose.rotation, centre * similarity.scale.recip())
+}
+
+/// The sequence reading `sharp/` in place of its colour folder, so that the true pictures get the
+/// same crop and scale as those taken.
+fn sharp_sequence(folder: &Path, sequence: &Sequence) -> Option<Sequence> {
+    let sharp = folder.join("sharp");
+    if !sharp.is_dir() {
+        return None;
+    }
+    let mut there = sequence.clone();
+    for entry in &mut there.entries {
+        let name = entry.colour.file_name()?.to_owned();
+        entry.colour = sharp.join(name);
+    }
+    Some(there)
+}
+
+/// Column `dt` of a CSV file with column names, by column `frame` or else by row.
+fn read_exposure(path: &Path) -> Result<Vec<(usize, f64)>, String> {
+    let text = std::fs::read_to_string(path).map_err(|e| e.to_string())?;
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
+    let column = |name: &str| names.iter().position(|n| *n == name);
+    let exposure = column("dt").ok_or("it has no column `dt`")?;
+    let frame = column("frame");
+    let rows = lines.enumerate().filter(|(_, line)| !line.trim().is_empty());
+    rows.map(|(row, line)| {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let number = |i: usize| cells.get(i).and_then(|cell| cell.parse::<f64>().ok());
+        let index = frame.map_or(Some(row as f64), number);
+        let usable = index.zip(number(exposure)).filter(|(_, dt)| dt.is_finite() && *dt > 0.0);
+        let wrong = || format!("line {} has no exposure above 0", row + 2);
+        usable.map(|(index, dt)| (index as usize, dt)).ok_or_else(wrong)
+    })
+    .collect()
+}

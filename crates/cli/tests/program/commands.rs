@@ -1,0 +1,139 @@
+//! The other commands, on one small result.
+
+use crate::scene::Scene;
+use crate::tools::{Ran, Scratch, reconstruct, run};
+use std::ffi::OsStr;
+use std::fs;
+use std::path::Path;
+
+fn result(name: &str) -> Scratch {
+    let scratch = Scratch::new(name);
+    Scene::default().write(&scratch.join("room"));
+    reconstruct(&scratch.join("room"), &scratch.join("out"), &[]).ended_with(0);
+    scratch
+}
+
+fn on(command: &str, folder: &Path, more: &[&OsStr]) -> Ran {
+    run([command.as_ref(), folder.as_os_str()].into_iter().chain(more.iter().copied()))
+}
+
+#[test]
+fn a_saved_result_is_drawn_again_as_it_was() {
+    let scratch = result("render");
+    let (out, again) = (scratch.join("out"), scratch.join("again"));
+    let flags: [&OsStr; 4] =
+        ["--frames".as_ref(), "2..4".as_ref(), "--out".as_ref(), again.as_ref()];
+    on("render", &out, &flags).ended_with(0);
+    for (kind, extension) in
+        [("sharp", "png"), ("blurred", "png"), ("hdr", "exr"), ("depth", "png")]
+    {
+        let file = |frame: usize| format!("{kind}/{frame:06}.{extension}");
+        let first = fs::read(out.join("renders").join(file(2))).expect("a render of the run");
+        assert!(first == fs::read(again.join(file(2))).expect("a new render"), "{kind}");
+        assert!(again.join(file(3)).is_file() && !again.join(file(4)).exists());
+    }
+}
+
+#[test]
+fn poses_of_ones_own_are_drawn() {
+    let scratch = result("poses");
+    let out = scratch.join("out");
+    let pose: [&OsStr; 4] =
+        ["--pose".as_ref(), "-0.01 0 0 0 0 0 1".as_ref(), "--kinds".as_ref(), "sharp,hdr".as_ref()];
+    on("render", &out, &pose).ended_with(0);
+    assert!(out.join("views/sharp/000000.png").is_file());
+    assert!(out.join("views/hdr/000000.exr").is_file() && !out.join("views/depth").exists());
+    let trajectory = out.join("trajectory.txt");
+    let poses: [&OsStr; 2] = ["--poses".as_ref(), trajectory.as_ref()];
+    on("render", &out, &poses).ended_with(0);
+    assert!(out.join("views/depth/000005.png").is_file() && !out.join("views/blurred").exists());
+}
+
+#[test]
+fn render_refuses_what_it_cannot_mean() {
+    let scratch = result("refuse");
+    let out = scratch.join("out");
+    let refused = |flags: &[&str], word: &str| {
+        let flags: Vec<&OsStr> = flags.iter().map(OsStr::new).collect();
+        on("render", &out, &flags).ended_with(2).complaining(word);
+    };
+    refused(&["--pose", "1 2 3"], "seven numbers");
+    refused(&["--pose", "0 0 0 0 0 0 0"], "no pose");
+    refused(&["--pose", "0 0 0 0 0 0 1", "--kinds", "blurred"], "no motion");
+    refused(&["--kinds", "sharpest"], "sharpest");
+    refused(&["--frames", "90..99"], "90..99");
+    refused(&["--frames", "4..2"], "holds no frame");
+    let nowhere = on("render", &scratch.join("nowhere"), &[]).ended_with(1);
+    nowhere.complaining("config.toml");
+}
+
+#[test]
+fn eval_measures_trajectory_and_pictures() {
+    let scratch = result("eval");
+    let (out, truth) = (scratch.join("out"), scratch.join("room/groundtruth.txt"));
+    let sharp = out.join("renders/sharp");
+    let reference = scratch.join("reference");
+    fs::create_dir(&reference).expect("a folder");
+    fs::copy(sharp.join("000001.png"), reference.join("000000.png")).expect("room");
+    let flags: [&OsStr; 5] = [
+        "--groundtruth".as_ref(),
+        truth.as_ref(),
+        "--reference".as_ref(),
+        reference.as_ref(),
+        "--json".as_ref(),
+    ];
+    let ran = on("eval", &out, &flags).ended_with(0);
+    let json: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");
+    assert!(json["ate_rmse_m"].as_f64().is_some_and(|v| v < 0.01), "{json}");
+    assert_eq!(json["pairs"].as_u64(), Some(6));
+    assert!(json["psnr_sharp_db"].as_f64().is_some_and(|v| v > 15.0), "{json}");
+    let flags: [&OsStr; 4] =
+        ["--groundtruth".as_ref(), truth.as_ref(), "--align".as_ref(), "sim3".as_ref()];
+    let ran = on("eval", &out.join("trajectory.txt"), &flags).ended_with(0);
+    assert!(ran.out.contains("ATE RMSE") && ran.out.contains("scale"), "{}", ran.out);
+}
+
+#[test]
+fn eval_names_a_bad_line_of_the_truth() {
+    let scratch = result("bad-truth");
+    let truth = scratch.join("truth.txt");
+    fs::write(&truth, "0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n").expect("room");
+    let flags: [&OsStr; 2] = ["--groundtruth".as_ref(), truth.as_ref()];
+    on("eval", &scratch.join("out"), &flags).ended_with(1).complaining("truth.txt, line 2");
+}
+
+#[test]
+fn usage_is_checked() {
+    run(["run"]).ended_with(2);
+    run(["run", "data", "--out", "out", "--sharpen"]).ended_with(2).complaining("--sharpen");
+    let preset = ["run", "data", "--out", "out", "--preset", "fast"];
+    run(preset).ended_with(2).complaining("paper-tum");
+    run(["run", "data", "--out", "out", "--threads", "0"]).ended_with(2);
+    run(["run", "data", "--out", "out", "--virtual-cameras", "0"])
+        .ended_with(2)
+        .complaining("virtual_cameras");
+}
+
+#[test]
+fn presets_are_listed_and_printed() {
+    let list = run(["presets"]).ended_with(0).out;
+    for name in ["default", "paper-tum", "paper-scannet-s", "paper-synthetic"] {
+        assert!(list.contains(name), "{name}");
+    }
+    assert!(run(["presets", "paper-synthetic"]).ended_with(0).out.contains("[tracking]"));
+    run(["presets", "none"]).ended_with(2);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_reader_that_goes_away_ends_nothing_badly() {
+    use crate::tools::program;
+    use std::process::Stdio;
+    let mut child = program(["presets", "default"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    drop(child.stdout.take());
+    Ran::of(child.wait_with_output().expect("an end")).ended_with(0);
+}

@@ -1,0 +1,8 @@
+//! The program from outside: tiny made-up sequences in, result folders out.
+
+mod bad_input;
+mod commands;
+mod interrupt;
+mod result;
+mod scene;
+mod tools;

@@ -1,0 +1,115 @@
+//! What a good run leaves.
+
+use crate::scene::{HEIGHT, Scene, WIDTH};
+use crate::tools::{Scratch, number, reconstruct, rows};
+use std::fs;
+
+#[test]
+fn every_file_of_the_result_folder_is_written() {
+    let scratch = Scratch::new("result");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene::default().write(&data);
+    let ran = reconstruct(&data, &out, &[]).ended_with(0);
+    let report = out.join("report.html");
+    assert_eq!(ran.out.lines().last(), report.to_str(), "{}", ran.out);
+    assert_eq!(rows(&out.join("trajectory.txt")), 6);
+    assert_eq!(rows(&out.join("trajectory_shutter.txt")), 6);
+    assert_eq!(rows(&out.join("frames.csv")), 7);
+    assert_eq!(rows(&out.join("camera_response.csv")), 257);
+    for file in ["camera.json", "state.json", "map.i2slam", "map.ply", "config.toml"] {
+        assert!(out.join(file).is_file(), "{file}");
+    }
+    for (kind, extension) in
+        [("sharp", "png"), ("blurred", "png"), ("hdr", "exr"), ("depth", "png")]
+    {
+        for frame in 0..6 {
+            let file = format!("renders/{kind}/{frame:06}.{extension}");
+            assert!(out.join(&file).is_file(), "{file}");
+        }
+    }
+    let config = fs::read_to_string(out.join("config.toml")).expect("settings");
+    for part in ["i2slam_version", "seed = ", "preset = \"default\"", "final_iterations = 3"] {
+        assert!(config.contains(part), "{part} is not in\n{config}");
+    }
+    let metrics = out.join("metrics.json");
+    assert_eq!(number(&metrics, "tracked"), Some(6.0));
+    let error = number(&metrics, "ate_rmse_m").expect("ground truth lies beside the frames");
+    assert!(error < 0.01, "{error}");
+    let psnr = number(&metrics, "psnr_blurred_db").expect("the input is known");
+    assert!(psnr > 20.0, "{psnr}");
+    let page = fs::read_to_string(&report).expect("a report");
+    assert!(page.contains("data:image/jpeg") && page.contains("Trajectory error"));
+}
+
+#[test]
+fn renders_have_the_size_and_units_that_the_camera_says() {
+    let scratch = Scratch::new("units");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: 3, ..Scene::default() }.write(&data);
+    reconstruct(&data, &out, &["--render", "keyframes"]).ended_with(0);
+    assert!(!out.join("renders/depth/000001.png").exists(), "only keyframes");
+    let file = fs::File::open(out.join("renders/depth/000000.png")).expect("the first keyframe");
+    let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().expect("a PNG");
+    let mut bytes = vec![0; reader.output_buffer_size().expect("a size")];
+    let info = reader.next_frame(&mut bytes).expect("pixels");
+    assert_eq!((info.width as usize, info.height as usize), (WIDTH, HEIGHT));
+    assert_eq!(info.bit_depth, png::BitDepth::Sixteen);
+    let mut units: Vec<u16> =
+        bytes.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
+    units.sort_unstable();
+    // The back wall, 1.6 m away, fills most of the picture.
+    let median = f64::from(units[units.len() / 2]) / 5000.0;
+    assert!((median - 1.5).abs() < 0.15, "{median} m");
+}
+
+#[test]
+fn truth_beside_the_frames_is_measured() {
+    let scratch = Scratch::new("truth");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene::default().write(&data);
+    fs::create_dir(data.join("sharp")).expect("a folder");
+    for entry in fs::read_dir(data.join("rgb")).expect("pictures").flatten() {
+        fs::copy(entry.path(), data.join("sharp").join(entry.file_name())).expect("room");
+    }
+    let exposure = "frame,dt\n0,1\n1,1.1\n2,1.2\n3,1.1\n4,1\n5,0.9\n";
+    fs::write(data.join("exposure.csv"), exposure).expect("room");
+    reconstruct(&data, &out, &["--render", "none"]).ended_with(0);
+    let metrics = out.join("metrics.json");
+    assert!(number(&metrics, "psnr_sharp_db").is_some_and(|v| v > 20.0));
+    assert_eq!(number(&metrics, "sharp_frames"), Some(6.0));
+    assert!(number(&metrics, "ssim_sharp").is_some_and(|v| (0.5..=1.0).contains(&v)));
+    assert!(number(&metrics, "log_exposure_correlation").is_some());
+    assert!(!out.join("renders").exists());
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
+    let scratch = Scratch::new("seed");
+    let data = scratch.join("room");
+    Scene::default().write(&data);
+    let runs = [("a", "1"), ("b", "1"), ("c", "2")].map(|(name, threads)| {
+        let out = scratch.join(name);
+        let flags = ["--seed", "7", "--threads", threads, "--render", "none", "--quiet"];
+        reconstruct(&data, &out, &flags).ended_with(0);
+        let read = |file: &str| fs::read(out.join(file)).expect("a result");
+        (read("trajectory.txt"), read("trajectory_shutter.txt"), read("map.i2slam"))
+    });
+    assert!(runs[0] == runs[1], "the same run twice");
+    assert!(runs[0] == runs[2], "one thread and two");
+}
+
+#[test]
+fn module_switches_change_the_settings() {
+    let scratch = Scratch::new("switches");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: 3, ..Scene::default() }.write(&data);
+    let flags = ["--no-blur", "--no-tone", "--no-trajectory-loss", "--virtual-cameras", "3"];
+    reconstruct(&data, &out, &flags).ended_with(0);
+    let config = fs::read_to_string(out.join("config.toml")).expect("settings");
+    let off = ["blur = false", "tone = false", "trajectory_loss = false", "virtual_cameras = 3"];
+    for line in off {
+        assert!(config.contains(line), "{line} is not in\n{config}");
+    }
+    let page = fs::read_to_string(out.join("report.html")).expect("a report");
+    assert!(page.contains("no high dynamic range"));
+}

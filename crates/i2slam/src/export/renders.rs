@@ -1,0 +1,139 @@
+//! `renders/`: pictures of every frame.
+
+use super::map::typical_tone;
+use super::pictures::{write_depth, write_picture, write_radiance};
+use super::{ExportError, ResultFolder, Storage};
+use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
+use i2slam_formation::{FrameTone, ShutterPoses};
+use i2slam_geometry::{Image, Pose, Tangent};
+use std::fs;
+use std::path::Path;
+
+/// What is drawn of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RenderKind {
+    /// Seen from mid-exposure, with the frame's own exposure, white balance and response.
+    Sharp,
+    /// What formation predicts for the picture taken.
+    Blurred,
+    /// Linear radiance.
+    Hdr,
+    /// Depth along the optical axis.
+    Depth,
+}
+
+impl RenderKind {
+    /// All kinds.
+    pub const ALL: [Self; 4] = [Self::Sharp, Self::Blurred, Self::Hdr, Self::Depth];
+
+    /// Name of the kind and of its folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sharp => "sharp",
+            Self::Blurred => "blurred",
+            Self::Hdr => "hdr",
+            Self::Depth => "depth",
+        }
+    }
+
+    /// The kind of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// File name under `renders/`: kind, then position in the associated stream.
+    pub fn file(self, index: usize) -> String {
+        let extension = if self == Self::Hdr { "exr" } else { "png" };
+        format!("{}/{index:06}.{extension}", self.name())
+    }
+}
+
+/// Write one picture as `<below>/<kind>/NNNNNN.png` (or `.exr`); `below` is `renders` in a result
+/// folder and may be empty.
+pub fn save_render<S: Storage>(
+    folder: &ResultFolder<S>,
+    below: &str,
+    kind: RenderKind,
+    index: usize,
+    image: &Image<f32>,
+) -> Result<(), ExportError> {
+    let file = kind.file(index);
+    let relative = if below.is_empty() { file } else { format!("{below}/{file}") };
+    folder.write(&relative, |out| match kind {
+        RenderKind::Sharp | RenderKind::Blurred => write_picture(out, image),
+        RenderKind::Hdr => write_radiance(out, image),
+        RenderKind::Depth => write_depth(out, image),
+    })
+}
+
+/// Delete the pictures that an earlier run left under `renders/` of a result folder, and nothing
+/// else, so that pictures of two runs do not mix.
+pub fn remove_renders(result: &Path) -> Result<(), ExportError> {
+    for kind in RenderKind::ALL {
+        let Ok(entries) = fs::read_dir(result.join("renders").join(kind.name())) else { continue };
+        for path in entries.flatten().map(|entry| entry.path()) {
+            let stem = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse().ok());
+            let ours = stem.is_some_and(|index| path.ends_with(kind.file(index)));
+            if ours {
+                fs::remove_file(&path).map_err(|source| ExportError::Write { path, source })?;
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Reconstruction {
+    /// A frame that was never taken: a camera standing still at `world_from_camera`, with the
+    /// median exposure and white balance of the run and the response of its middle frame.
+    pub fn imagined_frame(&self, index: usize, world_from_camera: Pose<f64>) -> FrameEstimate {
+        let tone = typical_tone(self).map_or_else(FrameTone::default, |(tone, _)| tone);
+        let response = self.frames.get(self.frames.len() / 2).map_or(0, |f| f.response);
+        FrameEstimate {
+            index,
+            timestamp: 0.0,
+            shutter: ShutterPoses::still(world_from_camera),
+            depth_lead: Tangent::zero(),
+            tone,
+            response,
+            keyframe: false,
+            tracked: true,
+            losses: Losses::default(),
+            blur_length: 0.0,
+            tracking_seconds: 0.0,
+            mapping_seconds: 0.0,
+            gaussians: self.map.len(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::storage::tests::Scratch;
+
+    #[test]
+    fn only_pictures_of_a_run_are_removed() {
+        let scratch = Scratch::new("renders");
+        let folder = ResultFolder::create(&scratch.0).expect("a folder");
+        let image = Image::new(8, 6, 3);
+        for kind in RenderKind::ALL {
+            save_render(&folder, "renders", kind, 12, &image).expect("room");
+        }
+        folder.write_text("renders/sharp/notes.txt", "mine").expect("room");
+        folder.write_text("renders/sharp/7.png", "mine").expect("room");
+        assert!(scratch.0.join("renders/hdr/000012.exr").exists());
+        remove_renders(&scratch.0).expect("removal");
+        assert!(!scratch.0.join("renders/hdr/000012.exr").exists());
+        assert!(!scratch.0.join("renders/sharp/000012.png").exists());
+        assert!(scratch.0.join("renders/sharp/notes.txt").exists());
+        assert!(scratch.0.join("renders/sharp/7.png").exists());
+    }
+
+    #[test]
+    fn kinds_have_names() {
+        for kind in RenderKind::ALL {
+            assert_eq!(RenderKind::from_name(kind.name()), Some(kind));
+        }
+        assert_eq!(RenderKind::from_name("sharpest"), None);
+    }
+}
