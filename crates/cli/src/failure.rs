@@ -67,13 +67,40 @@ static PANIC: Mutex<Option<String>> = Mutex::new(None);
 
 /// Runs `work`; a panic, which is a mistake of this program, becomes a message.
 pub(crate) fn without_panics<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+    let usual = panic::take_hook();
     panic::set_hook(Box::new(|info| {
         if let Ok(mut last) = PANIC.lock() {
             *last = Some(info.to_string().replace('\n', " "));
         }
     }));
-    panic::catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+    let result = panic::catch_unwind(AssertUnwindSafe(work));
+    panic::set_hook(usual);
+    result.unwrap_or_else(|_| {
         let last = PANIC.lock().ok().and_then(|mut last| last.take()).unwrap_or_default();
         Err(Failure::Failed(format!("this is a mistake of i2slam, please report it: {last}")))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_becomes_a_message_with_its_place() {
+        let outer = without_panics(|| {
+            let inner = without_panics(|| -> Result<(), Failure> { panic!("lost\nthe thread") });
+            let message = inner.expect_err("a panic").message().map(str::to_owned);
+            let message = message.expect("a message");
+            assert!(message.contains("lost the thread") && message.contains("failure.rs"));
+            Ok(1)
+        });
+        assert!(matches!(outer, Ok(1)));
+    }
+
+    #[test]
+    fn exit_codes_are_those_of_shells() {
+        assert_eq!(Failure::Usage(String::new()).exit_code(), 2);
+        assert_eq!(Failure::Failed(String::new()).exit_code(), 1);
+        assert_eq!(Failure::Interrupted.exit_code(), 130);
+    }
 }

@@ -18,11 +18,12 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
     if !arguments.machine.quiet {
         complain("reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0)");
     }
+    let config = Config::preset("default")?;
     pipeline::run(&Job {
         dataset,
         out: arguments.out.clone(),
-        config: Config::preset("default")?,
-        open: OpenOptions::default(),
+        open: OpenOptions { minimum_gap: config.input.minimum_gap, ..OpenOptions::default() },
+        config,
         draw: Draw::All,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),

@@ -129,9 +129,10 @@ fn summarise(metrics: &Metrics, folder: &Path) {
         metrics.tracked, metrics.gaussians
     ));
     if let Some(error) = metrics.ate_rmse_m {
+        let centimetres = error * 100.0;
+        let digits = if centimetres < 0.1 { 4 } else { 2 };
         say(&format!(
-            "trajectory error {:.2} cm (ATE RMSE over {} poses)",
-            error * 100.0,
+            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {} poses)",
             metrics.ate_poses
         ));
     }
@@ -147,5 +148,8 @@ fn summarise(metrics: &Metrics, folder: &Path) {
     ));
     let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     say(&format!("results in {}", absolute.display()));
-    say(&absolute.join("report.html").display().to_string());
+    let report = absolute.join("report.html");
+    if report.is_file() {
+        say(&report.display().to_string());
+    }
 }

@@ -30,7 +30,7 @@ pub(crate) fn track(
     let clock = Instant::now();
     let session = Session::new(config.clone(), sequence.camera, sequence.frame_rate);
     let mut run = Run { session, skipped: 0, first_error: None };
-    let end = run.frames(sequence, progress);
+    let end = without_panics(|| run.frames(sequence, progress));
     let mut problem = match end {
         Err(Failure::Failed(message) | Failure::Usage(message)) => Some(message),
         _ => None,
@@ -65,7 +65,7 @@ impl Run {
             if interrupt::requested() {
                 return Err(Failure::Interrupted);
             }
-            self.frame(frame, progress)?;
+            self.frame(frame, progress);
             if let Some(estimate) = self.session.frames().last() {
                 progress.frame(estimate, done + 1, total);
             }
@@ -73,20 +73,15 @@ impl Run {
         Ok(())
     }
 
-    fn frame(
-        &mut self,
-        frame: Result<Frame, DatasetError>,
-        progress: &Progress,
-    ) -> Result<(), Failure> {
+    fn frame(&mut self, frame: Result<Frame, DatasetError>, progress: &Progress) {
         let frame = match frame {
             Ok(frame) => frame,
             Err(error) => {
                 self.leave_out(error.to_string(), progress);
-                return Ok(());
+                return;
             }
         };
-        let processed = without_panics(|| Ok(self.session.process(&frame).map(|_| ())))?;
-        if let Err(error) = processed {
+        if let Err(error) = self.session.process(&frame) {
             self.leave_out(error.to_string(), progress);
         }
         let mut warnings = self.session.take_warnings();
@@ -95,7 +90,6 @@ impl Run {
             warnings.extend(odd);
         }
         warnings.iter().for_each(|warning| progress.warn(warning));
-        Ok(())
     }
 
     fn leave_out(&mut self, reason: String, progress: &Progress) {

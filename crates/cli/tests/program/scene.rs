@@ -84,8 +84,7 @@ impl Scene {
 /// A smooth pattern without repetition in the picture.
 fn texture([x, y, z]: [f64; 3]) -> [u8; 3] {
     let value = |phase: f64| {
-        let wave =
-            (9.0 * x + phase).sin() * (7.0 * y - phase).cos() + (5.0 * z + 3.0 * x * y).sin();
+        let wave = (9.0 * x + phase).sin() * (13.0 * y - phase).cos() + (5.0 * z + 11.0 * y).sin();
         (127.5 + 50.0 * wave) as u8
     };
     [value(0.0), value(1.3), value(2.1)]

@@ -25,7 +25,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
             depth_lead: Tangent::from_array([0.001 * t, 0.0, 0.002, 0.0, -0.003, 1e-9]),
             tone,
             response: 0,
-            keyframe: i % 5 == 0,
+            keyframe: i.is_multiple_of(5),
             tracked: i != 3,
             losses: Losses { image: 0.02 + 0.01 * t.cos(), depth: 0.004, trajectory: 1e-5 * t },
             blur_length: 3.0 + 2.0 * (2.0 * t).sin(),
