@@ -24,9 +24,9 @@ pub struct Metrics {
     pub keyframes: usize,
     /// Gaussians in the final map.
     pub gaussians: usize,
-    /// Wall time of tracking and mapping [s].
+    /// Wall time of the run [s], from the first frame to the finished map.
     pub seconds: f64,
-    /// Wall time per frame [s].
+    /// `seconds` over `frames` [s].
     pub seconds_per_frame: f64,
     /// Wall time of tracking per frame [s].
     pub tracking_seconds_per_frame: f64,
@@ -67,7 +67,8 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// What the reconstruction itself tells; figures that need a truth or pictures are empty.
+    /// What the reconstruction itself tells; figures that need a truth or pictures are empty, and
+    /// `seconds` counts tracking and mapping of frames alone.
     pub fn of(reconstruction: &Reconstruction) -> Self {
         let frames = &reconstruction.frames;
         let count = |keep: fn(&FrameEstimate) -> bool| frames.iter().filter(|f| keep(f)).count();
