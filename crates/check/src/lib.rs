@@ -44,7 +44,7 @@ pub fn assert_close(name: &str, actual: &[f64], expected: &[f64], tolerance: f64
         .iter()
         .zip(expected)
         .enumerate()
-        .filter(|(_, (a, e))| !((*a - *e).abs() <= tolerance * scale))
+        .filter(|(_, (a, e))| (*a - *e).abs() > tolerance * scale || !(*a - *e).is_finite())
         .take(12)
         .map(|(i, (a, e))| format!("  [{i}] {a:.9e} expected {e:.9e}"))
         .collect();

@@ -91,7 +91,8 @@ fn entries(association: &Association, stamped: &Stamped) -> Vec<Entry> {
     pairs
         .map(|(index, &(i, j))| {
             let (timestamp, colour) = stamped.colour[i].clone();
-            Entry { index, timestamp, colour, depth: stamped.depth[j].1.clone() }
+            let (depth_timestamp, depth) = stamped.depth[j].clone();
+            Entry { index, timestamp, depth_timestamp, colour, depth }
         })
         .collect()
 }

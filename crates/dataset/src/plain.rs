@@ -59,7 +59,13 @@ pub(crate) fn list(
             Some((timestamp, colour, depth))
         })
         .enumerate()
-        .map(|(index, (timestamp, colour, depth))| Entry { index, timestamp, colour, depth })
+        .map(|(index, (timestamp, colour, depth))| Entry {
+            index,
+            timestamp,
+            depth_timestamp: timestamp,
+            colour,
+            depth,
+        })
         .collect();
     Ok(Files::Paired { entries, without_depth })
 }

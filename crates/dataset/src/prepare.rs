@@ -19,6 +19,8 @@ pub struct Frame {
     pub index: usize,
     /// Time stamp of the colour image [s].
     pub timestamp: f64,
+    /// Time stamp of the depth image [s]; the colour's where depth has none of its own.
+    pub depth_timestamp: f64,
     /// 3 planes R, G, B in `[0, 1]`, as recorded (display space).
     pub colour: Image<f32>,
     /// 1 plane, depth along the optical axis [m], 0 where invalid.
@@ -47,7 +49,14 @@ impl Preparation {
         let colour = self.resampler.colour(&colour);
         let depth = self.resampler.depth(&depth, self.depth_scale, self.max_depth);
         let warnings = warnings(&colour, &depth);
-        Ok(Frame { index: entry.index, timestamp: entry.timestamp, colour, depth, warnings })
+        Ok(Frame {
+            index: entry.index,
+            timestamp: entry.timestamp,
+            depth_timestamp: entry.depth_timestamp,
+            colour,
+            depth,
+            warnings,
+        })
     }
 
     fn check_size(&self, path: &Path, width: usize, height: usize) -> Result<(), DatasetError> {

@@ -23,6 +23,8 @@ pub struct Entry {
     pub index: usize,
     /// Time stamp of the colour image [s].
     pub timestamp: f64,
+    /// Time stamp of the depth image [s]; the colour's where depth has none of its own.
+    pub depth_timestamp: f64,
     /// The colour image file.
     pub colour: PathBuf,
     /// The depth image file.

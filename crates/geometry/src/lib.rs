@@ -8,6 +8,7 @@ mod image;
 mod pose;
 mod real;
 mod rotation;
+mod sample;
 mod trajectory;
 mod vector;
 
@@ -16,5 +17,6 @@ pub use image::Image;
 pub use pose::{Pose, Tangent};
 pub use real::Real;
 pub use rotation::{Rotation, left_jacobian_inverse, right_jacobian, right_jacobian_inverse};
+pub use sample::Tap;
 pub use trajectory::{StampedPose, Trajectory, nearest_stamp};
 pub use vector::{Mat3, Vec3};

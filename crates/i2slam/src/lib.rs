@@ -17,6 +17,7 @@
 //! ```
 
 pub mod config;
+pub mod export;
 mod mapping;
 pub mod objective;
 mod reconstruction;

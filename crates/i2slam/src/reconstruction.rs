@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
-use i2slam_geometry::{Camera, Pose, StampedPose};
+use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 
 /// The three terms of eq. 12 at the end of a frame's tracking, weighted as in the objective.
@@ -25,6 +25,9 @@ pub struct FrameEstimate {
     pub timestamp: f64,
     /// World-from-camera poses at shutter open and close.
     pub shutter: ShutterPoses<f64>,
+    /// Motion from mid-exposure to the moment of the depth picture, in the camera's frame; zero
+    /// where both were taken together.
+    pub depth_lead: Tangent<f64>,
     /// Exposure and white balance.
     pub tone: FrameTone<f32>,
     /// Which of the reconstruction's responses forms this frame.
@@ -49,6 +52,17 @@ impl FrameEstimate {
     /// World-from-camera at mid-exposure.
     pub fn middle(&self) -> Pose<f64> {
         self.shutter.middle()
+    }
+
+    /// Whether the camera moved noticeably (a millimetre, a milliradian) between the two pictures.
+    pub(crate) fn depth_is_apart(&self) -> bool {
+        let lead = self.depth_lead;
+        lead.translation.norm() > 1e-3 || lead.rotation.norm() > 1e-3
+    }
+
+    /// World-from-camera when the depth picture was taken.
+    pub fn depth_pose(&self) -> Pose<f64> {
+        self.middle().retract(self.depth_lead)
     }
 }
 

@@ -70,7 +70,13 @@ impl Viewer<'_> {
             .tone
             .then(|| self.reconstruction.responses[frame.response].curve());
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
-        let variables = FrameVariables { shutter, tone, virtual_cameras };
+        let variables = FrameVariables {
+            shutter,
+            tone,
+            virtual_cameras,
+            quadrature: self.reconstruction.config.formation.quadrature(),
+            depth_pose: None,
+        };
         self.objective.predict(&self.reconstruction.map, &variables).clone()
     }
 }

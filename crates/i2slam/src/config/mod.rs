@@ -34,6 +34,13 @@ pub struct Config {
 pub struct InputConfig {
     /// Pixels cut off on every side before scaling: dark borders left by calibration.
     pub crop_border: usize,
+    /// Frames closer in time than this to the one before are left out [s].
+    pub minimum_gap: f64,
+    /// Use the depth pictures' own time stamps: depth is compared where the camera was then.
+    /// Off: depth belongs to the best pose of the exposure (eq. 14).
+    pub depth_stamps: bool,
+    /// Added to the depth pictures' time stamps [s].
+    pub depth_delay: f64,
 }
 
 /// The image-formation module: its switches and parameters.
@@ -48,6 +55,8 @@ pub struct FormationConfig {
     pub trajectory_loss: bool,
     /// Virtual cameras over the exposure (N_cam of eq. 6), at least 1.
     pub virtual_cameras: usize,
+    /// Where they lie within the exposure.
+    pub quadrature: QuadratureRule,
     /// Blur length per virtual camera [px]: a frame uses no more cameras than its blur needs.
     /// Zero always uses `virtual_cameras`.
     pub blur_per_camera: f32,
@@ -65,6 +74,26 @@ pub struct FormationConfig {
     pub response_prior: f32,
     /// Learning rate of exposure, white balance and response.
     pub tone_rate: f32,
+}
+
+/// Where the virtual cameras lie within the exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum QuadratureRule {
+    /// From shutter open to shutter close, both included (eq. 6).
+    Endpoints,
+    /// In the middle of equal parts of the exposure: the streak keeps its true width.
+    Midpoints,
+}
+
+impl FormationConfig {
+    /// The shutter's quadrature.
+    pub fn quadrature(&self) -> i2slam_formation::Quadrature {
+        match self.quadrature {
+            QuadratureRule::Endpoints => i2slam_formation::Quadrature::Endpoints,
+            QuadratureRule::Midpoints => i2slam_formation::Quadrature::Midpoints,
+        }
+    }
 }
 
 /// Which white-balance gains are free.
@@ -165,6 +194,8 @@ pub struct AlignmentConfig {
     pub levels: usize,
     /// Most Gauss-Newton steps per level.
     pub iterations: usize,
+    /// Align to the last keyframe's own depth beside the rendered model.
+    pub keyframe_depth: bool,
     /// Times the model is rendered anew at the refined pose.
     pub renders: usize,
     /// Smallest scale of the depth residual [m at 1 m].

@@ -52,8 +52,14 @@ fn ours() -> Config {
     Config {
         preset: "default".to_owned(),
         seed: 0,
-        input: InputConfig { crop_border: 0 },
+        input: InputConfig {
+            crop_border: 0,
+            minimum_gap: 0.0,
+            depth_stamps: true,
+            depth_delay: 0.0,
+        },
         formation: FormationConfig {
+            quadrature: QuadratureRule::Midpoints,
             blur_per_camera: 1.5,
             white_balance: WhiteBalance::PerChannel,
             response_scope: ResponseScope::Sequence,
@@ -86,12 +92,18 @@ fn paper_scannet() -> Config {
     Config {
         preset: "paper-scannet".to_owned(),
         seed: 0,
-        input: InputConfig { crop_border: 12 },
+        input: InputConfig {
+            crop_border: 12,
+            minimum_gap: 1.0 / 32.0,
+            depth_stamps: false,
+            depth_delay: 0.0,
+        },
         formation: FormationConfig {
             blur: true,
             tone: true,
             trajectory_loss: true,
             virtual_cameras: 5,
+            quadrature: QuadratureRule::Endpoints,
             blur_per_camera: 0.0,
             white_balance: WhiteBalance::OneGain,
             response_scope: ResponseScope::Frame,
@@ -123,6 +135,7 @@ fn paper_scannet() -> Config {
             alignment: AlignmentConfig {
                 levels: 3,
                 iterations: 12,
+                keyframe_depth: true,
                 renders: 2,
                 depth_scale_floor: 5e-4,
                 image_scale_floor: 0.01,

@@ -2,7 +2,7 @@
 
 use crate::config::{MapConfig, MappingConfig};
 use crate::objective::{Observation, Tone};
-use i2slam_geometry::{Camera, Pose};
+use i2slam_geometry::{Camera, Pose, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
 
 /// What "large" means in this scene.
@@ -22,7 +22,10 @@ impl SceneScale {
 /// A frame that adds Gaussians.
 pub(crate) struct Source<'a> {
     pub(crate) camera: &'a Camera<f64>,
-    pub(crate) world_from_camera: Pose<f64>,
+    /// When the depth picture was taken.
+    pub(crate) world_from_depth: Pose<f64>,
+    /// From there to the camera at mid-exposure.
+    pub(crate) colour_from_depth: Pose<f64>,
     pub(crate) observation: &'a Observation,
     pub(crate) tone: Option<Tone<'a>>,
 }
@@ -95,9 +98,11 @@ fn push(
         let (column, row) = (pixel % source.camera.width, pixel / source.camera.width);
         let (u, v) = Camera::<f64>::pixel_centre(column, row);
         let point = source.camera.unproject(u, v, f64::from(z));
-        let mean = (source.world_from_camera * point).cast::<f32>().to_array();
+        let Some(radiance) = radiance_of_point(source, source.colour_from_depth * point) else {
+            continue;
+        };
+        let mean = (source.world_from_depth * point).cast::<f32>().to_array();
         let log_scale = (settings.initial_scale * z / focal as f32).ln();
-        let radiance = radiance_of_pixel(source, pixel);
         map.push(Gaussian {
             mean,
             log_scale: [log_scale; 3],
@@ -109,15 +114,22 @@ fn push(
     map.len() - before
 }
 
-/// The radiance that formation turns into the observed pixel.
-fn radiance_of_pixel(source: &Source<'_>, pixel: usize) -> [f32; 3] {
+/// The radiance that formation turns into the picture's value at a point in front of the camera
+/// at mid-exposure, if the picture shows it.
+fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
     let colour = &source.observation.colour;
-    let picture = std::array::from_fn(|c| colour.plane(c)[pixel]);
-    let Some(tone) = &source.tone else { return picture };
+    let (u, v) = (point.z > 0.0).then(|| source.camera.project(point))?;
+    if !source.camera.contains(u, v, 0.0) {
+        return None;
+    }
+    let inside = |x: f64, size: usize| x.clamp(0.5, size as f64 - 0.5001) as f32;
+    let tap = colour.tap(inside(u, colour.width), inside(v, colour.height))?;
+    let picture: [f32; 3] = std::array::from_fn(|c| tap.sample(colour.plane(c)).0);
+    let Some(tone) = &source.tone else { return Some(picture) };
     let gains = tone.frame.gains();
     // Code values 0 and 1 only say "at most" and "at least": stay inside them.
     let inside = |v: f32| v.clamp(1.0 / 512.0, 1.0 - 1.0 / 512.0);
-    std::array::from_fn(|c| tone.curve.inverse(c, inside(picture[c])) / gains[c])
+    Some(std::array::from_fn(|c| tone.curve.inverse(c, inside(picture[c])) / gains[c]))
 }
 
 fn logit(share: f32) -> f32 {

@@ -87,6 +87,8 @@ impl MapOptimizer {
             shutter: estimate.shutter,
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
             virtual_cameras: sight.virtual_cameras,
+            quadrature: sight.config.formation.quadrature(),
+            depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
         };
         self.gradient.reset(sight.map.len());
         let mut evaluation = sight.objective.map(

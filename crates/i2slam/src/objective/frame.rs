@@ -2,10 +2,10 @@
 
 use super::{Observation, depth, photometric::image_loss};
 use i2slam_formation::{
-    CurveGradient, Formation, FrameTone, FrameToneGradient, ResponseCurve, ShutterPoses,
+    CurveGradient, Formation, FrameTone, FrameToneGradient, Quadrature, ResponseCurve, ShutterPoses,
     ShutterTangent, VirtualCamera, accumulate, scale_into,
 };
-use i2slam_geometry::{Camera, Image};
+use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_radiance::gaussian::{
     GaussianMap, MapGradient, RasterSettings, Rasterizer, Render, RenderCotangent, View,
 };
@@ -20,6 +20,11 @@ pub struct FrameVariables<'a> {
     pub tone: Option<Tone<'a>>,
     /// Virtual cameras over the exposure.
     pub virtual_cameras: usize,
+    /// Where they lie within it.
+    pub quadrature: Quadrature,
+    /// Where the camera was when the depth picture was taken, if that is known; otherwise depth
+    /// is compared at the virtual camera that fits best (eq. 14).
+    pub depth_pose: Option<Pose<f64>>,
 }
 
 /// The tone mapping of a frame.
@@ -108,12 +113,12 @@ impl FrameObjective {
     }
 
     /// The view of one pose.
-    pub fn view(&self, pose: i2slam_geometry::Pose<f64>) -> View<f32> {
+    pub fn view(&self, pose: Pose<f64>) -> View<f32> {
         View { camera: self.camera, world_from_camera: pose.cast() }
     }
 
     /// Radiance, depth and opacity seen from one pose.
-    pub fn render(&mut self, map: &GaussianMap, pose: i2slam_geometry::Pose<f64>) -> &Render {
+    pub fn render(&mut self, map: &GaussianMap, pose: Pose<f64>) -> &Render {
         self.reserve(1);
         let view = self.view(pose);
         self.rasterizers[0].render(map, &view, &mut self.renders[0]);
@@ -145,7 +150,7 @@ impl FrameObjective {
             }),
         );
         let pixels = self.mask.iter().filter(|&&m| m).count();
-        let (best, depth_error) = self.best_depth(observation, cameras.len());
+        let (best, depth_error) = self.best_depth(observation, variables, cameras.len());
         let image_error = self.masked_image_loss(observation, weights.0);
         let depths = &self.renders[best].depth;
         depth::gradient(depths, &observation.depth, &self.mask, weights.1, &mut self.d_depth);
@@ -173,7 +178,7 @@ impl FrameObjective {
         self.mask.clear();
         self.mask.extend(observation.depth.data.iter().map(|&d| d > 0.0));
         let pixels = self.mask.iter().filter(|&&m| m).count();
-        let (best, depth_error) = self.best_depth(observation, cameras.len());
+        let (best, depth_error) = self.best_depth(observation, variables, cameras.len());
         self.believe_uncovered(observation);
         let (image_total, image) = image_loss(
             &self.picture,
@@ -228,7 +233,7 @@ impl FrameObjective {
         map: &GaussianMap,
         variables: &FrameVariables<'_>,
     ) -> Vec<VirtualCamera<f64>> {
-        let cameras = variables.shutter.virtual_cameras(variables.virtual_cameras);
+        let cameras = variables.shutter.virtual_cameras(variables.virtual_cameras, variables.quadrature);
         self.reserve(cameras.len());
         self.hdr.reset(self.camera.width, self.camera.height, 3);
         for (j, camera) in cameras.iter().enumerate() {
@@ -236,16 +241,33 @@ impl FrameObjective {
             self.rasterizers[j].render(map, &view, &mut self.renders[j]);
             accumulate(&mut self.hdr, camera.weight as f32, &self.renders[j].radiance);
         }
+        if let Some(pose) = variables.depth_pose {
+            let j = cameras.len();
+            self.reserve(j + 1);
+            let view = self.view(pose);
+            self.rasterizers[j].render(map, &view, &mut self.renders[j]);
+        }
         variables.form(&self.hdr, &mut self.picture);
         cameras
     }
 
-    /// The virtual camera with the smallest depth error over the mask, and that error (eq. 14).
-    fn best_depth(&self, observation: &Observation, cameras: usize) -> (usize, f64) {
-        self.renders[..cameras]
-            .iter()
-            .map(|r| depth::absolute_error(&r.depth, &observation.depth, &self.mask))
-            .enumerate()
+    /// The camera at which depth is compared, and its error over the mask: the depth picture's
+    /// own, or the virtual camera with the smallest error (eq. 14).
+    fn best_depth(
+        &self,
+        observation: &Observation,
+        variables: &FrameVariables<'_>,
+        cameras: usize,
+    ) -> (usize, f64) {
+        let choice = match variables.depth_pose {
+            Some(_) => cameras..cameras + 1,
+            None => 0..cameras,
+        };
+        choice
+            .map(|j| {
+                let depth = &self.renders[j].depth;
+                (j, depth::absolute_error(depth, &observation.depth, &self.mask))
+            })
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .unwrap_or((0, 0.0))
     }
@@ -298,7 +320,28 @@ impl FrameObjective {
             let d_shutter = variables.shutter.pull_back(camera.u, d_pose);
             evaluation.shutter = evaluation.shutter.plus(d_shutter);
         }
+        if let Some(pose) = variables.depth_pose {
+            let d_pose = self.pull_back_depth_camera(map, pose, cameras.len(), d_map);
+            // The depth picture's pose moves with the middle of the exposure.
+            let d_shutter = variables.shutter.pull_back(0.5, d_pose);
+            evaluation.shutter = evaluation.shutter.plus(d_shutter);
+        }
         evaluation
+    }
+
+    fn pull_back_depth_camera(
+        &mut self,
+        map: &GaussianMap,
+        pose: Pose<f64>,
+        index: usize,
+        d_map: Option<&mut MapGradient>,
+    ) -> Tangent<f64> {
+        let view = self.view(pose);
+        self.cotangent.radiance.reset(self.camera.width, self.camera.height, 3);
+        std::mem::swap(&mut self.cotangent.depth, &mut self.d_depth);
+        let d_pose = self.rasterizers[index].pull_back(map, &view, &self.cotangent, d_map);
+        std::mem::swap(&mut self.cotangent.depth, &mut self.d_depth);
+        d_pose
     }
 
     fn pull_back_tone(&mut self, variables: &FrameVariables<'_>, evaluation: &mut Evaluation) {

@@ -11,11 +11,11 @@ use crate::mapping::{
 };
 use crate::objective::{FrameObjective, Observation, Tone, blur_length};
 use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
-use crate::tracking::{TrackingContext, TrackingResult, camera_count, track};
+use crate::tracking::{TrackingContext, TrackingResult, camera_count, predict, track};
 use i2slam_compute::Random;
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
-use i2slam_geometry::{Camera, Image};
+use i2slam_geometry::{Camera, Image, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 use std::sync::Arc;
 use std::time::Instant;
@@ -179,17 +179,22 @@ impl Session {
         false
     }
 
-    fn context(&self) -> TrackingContext<'_> {
-        context(&self.config, &self.camera, self.frame_rate, &self.frames)
-    }
-
     fn track(&mut self, frame: &Frame, observation: &Observation, usable: bool) -> FrameEstimate {
         let per_frame = self.config.formation.response_scope == ResponseScope::Frame;
         let last_response = self.responses.len() - 1;
+        let context = context(
+            &self.config,
+            &self.camera,
+            self.frame_rate,
+            &self.frames,
+            &self.keyframes,
+            frame,
+        );
         let mut estimate = FrameEstimate {
             index: frame.index,
             timestamp: frame.timestamp,
-            shutter: ShutterPoses::still(crate::tracking::predict(&self.context())),
+            shutter: ShutterPoses::still(predict(&context)),
+            depth_lead: Tangent::zero(),
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response: last_response,
             keyframe: false,
@@ -204,7 +209,7 @@ impl Session {
             return estimate;
         }
         let result = track(
-            &context(&self.config, &self.camera, self.frame_rate, &self.frames),
+            &context,
             &mut self.objective,
             &self.map,
             observation,
@@ -224,6 +229,7 @@ impl Session {
 
     fn accept(&mut self, estimate: &mut FrameEstimate, result: TrackingResult, per_frame: bool) {
         estimate.shutter = result.shutter;
+        estimate.depth_lead = result.depth_lead;
         estimate.tone = result.tone;
         estimate.losses = result.losses;
         estimate.tracked = result.tracked;
@@ -255,7 +261,8 @@ impl Session {
             self.config.formation.tone.then(|| self.responses[estimate.response].curve());
         let source = Source {
             camera: &self.camera,
-            world_from_camera: estimate.middle(),
+            world_from_depth: estimate.depth_pose(),
+            colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
             observation: &keyframe.observation,
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
         };
@@ -265,7 +272,7 @@ impl Session {
             seed_map(&mut self.map, &self.config.map, &source);
             return;
         }
-        let render = self.objective.render(&self.map, source.world_from_camera).clone();
+        let render = self.objective.render(&self.map, source.world_from_depth).clone();
         let settings = (&self.config.map, &self.config.mapping);
         add_gaussians(&mut self.map, settings, &source, &render);
     }
@@ -299,7 +306,7 @@ impl Session {
     fn map_step(&mut self, keyframe: &Keyframe) {
         let estimate = &self.frames[keyframe.frame];
         let virtual_cameras =
-            camera_count(&self.context(), &estimate.shutter, &keyframe.observation);
+            camera_count(&self.config.formation, &self.camera, &estimate.shutter, &keyframe.observation);
         let mut sight = Sight {
             config: &self.config,
             objective: &mut self.objective,
@@ -319,18 +326,28 @@ impl Session {
     }
 }
 
+/// What tracking may know of a session; the rest of it stays free to be changed.
 fn context<'a>(
     config: &'a Config,
     camera: &'a Camera<f64>,
     frame_rate: f64,
     frames: &'a [FrameEstimate],
+    keyframes: &'a [Keyframe],
+    frame: &Frame,
 ) -> TrackingContext<'a> {
+    let input = &config.input;
+    let depth_timestamp = match input.depth_stamps {
+        true => frame.depth_timestamp + input.depth_delay,
+        false => frame.timestamp,
+    };
     TrackingContext {
         tracking: &config.tracking,
         formation: &config.formation,
         camera,
         frame_rate,
+        timestamps: (frame.timestamp, depth_timestamp),
         previous: frames.last(),
         before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
+        keyframe: keyframes.last().map(|k| (&*k.observation, frames[k.frame].depth_pose())),
     }
 }

@@ -95,6 +95,8 @@ fn evaluate(
         shutter: state.motion.into(),
         tone: curve.map(|curve| Tone { frame: state.tone, curve }),
         virtual_cameras: cameras,
+        quadrature: context.formation.quadrature(),
+        depth_pose: None,
     };
     let weights = (context.tracking.image_weight, context.tracking.depth_weight);
     objective.track(map, observation, &variables, context.tracking.silhouette_threshold, weights)

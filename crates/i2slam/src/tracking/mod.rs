@@ -22,10 +22,14 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) camera: &'a Camera<f64>,
     /// Frames per second.
     pub(crate) frame_rate: f64,
+    /// Times of the frame's colour and depth pictures [s].
+    pub(crate) timestamps: (f64, f64),
     /// The frame before, if there is one.
     pub(crate) previous: Option<&'a FrameEstimate>,
     /// The frame before that.
     pub(crate) before_previous: Option<&'a FrameEstimate>,
+    /// The last keyframe and its world-from-camera pose when its depth was taken.
+    pub(crate) keyframe: Option<(&'a Observation, Pose<f64>)>,
 }
 
 impl TrackingContext<'_> {
@@ -35,12 +39,28 @@ impl TrackingContext<'_> {
     pub(crate) fn exposure_time(&self, tone: &FrameTone<f32>) -> f64 {
         0.5 / self.frame_rate * f64::from(tone.log_exposure).exp()
     }
+
+    /// Time since the last frame as a share of the time between the two before it.
+    fn relative_interval(&self) -> f64 {
+        let (Some(last), Some(before)) = (self.previous, self.before_previous) else { return 1.0 };
+        let ratio = (self.timestamps.0 - last.timestamp) / (last.timestamp - before.timestamp);
+        if ratio.is_finite() { ratio.clamp(0.0, 5.0) } else { 1.0 }
+    }
+
+    /// How far the depth picture is ahead of mid-exposure, as a share of the time since the last
+    /// frame.
+    fn depth_lead(&self) -> f64 {
+        let Some(last) = self.previous else { return 0.0 };
+        let lead = (self.timestamps.1 - self.timestamps.0) / (self.timestamps.0 - last.timestamp);
+        if lead.is_finite() { lead.clamp(-1.0, 1.0) } else { 0.0 }
+    }
 }
 
 /// The result of tracking one frame.
 #[derive(Clone, Debug)]
 pub(crate) struct TrackingResult {
     pub(crate) shutter: ShutterPoses<f64>,
+    pub(crate) depth_lead: Tangent<f64>,
     pub(crate) tone: FrameTone<f32>,
     /// The frame's response, where responses are tracked.
     pub(crate) response: Option<CameraResponse<f32>>,
@@ -53,6 +73,7 @@ impl TrackingResult {
     fn new(state: adam::State, evaluation: &Evaluation, trajectory: f64, tracked: bool) -> Self {
         Self {
             shutter: state.motion.into(),
+            depth_lead: Tangent::zero(),
             tone: state.tone,
             response: state.response,
             scale: state.scale,
@@ -77,7 +98,8 @@ impl Motion {
         let last = context.previous.map_or_else(Pose::identity, FrameEstimate::middle);
         let step = context
             .before_previous
-            .map_or_else(Tangent::zero, |before| before.middle().local(last));
+            .map_or_else(Tangent::zero, |before| before.middle().local(last))
+            .scaled(context.relative_interval());
         Self { next: last.retract(step), step }
     }
 }
@@ -117,7 +139,7 @@ pub(crate) fn track(
         };
         aligned = Some(result);
     }
-    let cameras = camera_count(context, &state.motion.into(), observation);
+    let cameras = camera_count(context.formation, context.camera, &state.motion.into(), observation);
     let refined = adam::refine(context, objective, map, observation, state, cameras);
     match aligned {
         Some(aligned) if !refined.tracked => aligned,
@@ -132,14 +154,15 @@ fn start_split(context: &TrackingContext<'_>) -> f64 {
 
 /// Virtual cameras that a frame's blur needs; one with blur switched off.
 pub(crate) fn camera_count(
-    context: &TrackingContext<'_>,
+    formation: &FormationConfig,
+    camera: &Camera<f64>,
     shutter: &ShutterPoses<f64>,
     observation: &Observation,
 ) -> usize {
-    if !context.formation.blur {
+    if !formation.blur {
         return 1;
     }
-    let length = crate::objective::blur_length(context.camera, shutter, &observation.depth);
-    let per_camera = f64::from(context.formation.blur_per_camera);
-    virtual_camera_count(length, per_camera, context.formation.virtual_cameras)
+    let length = crate::objective::blur_length(camera, shutter, &observation.depth);
+    let per_camera = f64::from(formation.blur_per_camera);
+    virtual_camera_count(length, per_camera, formation.virtual_cameras)
 }

@@ -18,7 +18,7 @@ use i2slam_formation::{CameraResponse, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 use prior::{MotionPrior, freeze};
-use pyramid::{Model, Observed, model_levels, observed_levels};
+use pyramid::{Model, Observed, depth_levels, model_levels, observed_levels};
 use residual::{Linearization, Scales, Sums};
 
 /// Share of the frame's depth that must lie on the model for a frame to count as tracked.
@@ -29,6 +29,15 @@ const FIRST_SCALES: Scales = Scales { depth: 0.02, image: 0.08 };
 const CONVERGED: f64 = 2e-3;
 /// Moves of the model's pose [px] that call for a new render.
 const RENDER_AGAIN: f64 = 0.5;
+
+/// A picture of the map that a frame is aligned to: the rendered model (radiance and depth), or
+/// the last keyframe's own depth, which has no radiance but edges that no splat has softened.
+struct Reference {
+    levels: Vec<Model>,
+    world_from_camera: Pose<f64>,
+    scales: Scales,
+    has_radiance: bool,
+}
 
 /// Everything about one frame that its steps share.
 struct Frame<'a> {
@@ -107,37 +116,65 @@ impl Frame<'_> {
         mut state: State,
     ) -> Outcome {
         let levels = self.observed.len();
-        let mut scales = FIRST_SCALES;
+        let mut references = vec![self.model(objective, map, state.motion.centre)];
+        references.extend(self.keyframe());
         let mut sums = Sums::default();
         for round in 0..self.context.tracking.alignment.renders {
-            let pose = state.motion.centre;
-            let models = model_levels(objective.render(map, pose), levels);
+            if round > 0 {
+                let pose = references[0].world_from_camera;
+                if self.in_pixels(pose.local(state.motion.centre)) < RENDER_AGAIN {
+                    break;
+                }
+                let model = self.model(objective, map, state.motion.centre);
+                let scales = references[0].scales;
+                references[0] = Reference { scales, ..model };
+            }
             let coarsest = if round == 0 { levels } else { 1 };
             for level in (0..coarsest).rev() {
-                sums = self.solve_level(&models[level], level, pose, &mut state, &mut scales);
-            }
-            let moved = self.in_pixels(pose.local(state.motion.centre));
-            if moved < RENDER_AGAIN {
-                break;
+                sums = self.solve_level(&mut references, level, &mut state);
             }
         }
         Outcome { state, sums }
     }
 
+    fn model(&self, objective: &mut FrameObjective, map: &GaussianMap, at: Pose<f64>) -> Reference {
+        Reference {
+            levels: model_levels(objective.render(map, at), self.observed.len()),
+            world_from_camera: at,
+            scales: FIRST_SCALES,
+            has_radiance: true,
+        }
+    }
+
+    fn keyframe(&self) -> Option<Reference> {
+        let (observation, world_from_camera) = self.context.keyframe?;
+        if !self.context.tracking.alignment.keyframe_depth {
+            return None;
+        }
+        Some(Reference {
+            levels: depth_levels(&observation.depth, self.observed.len()),
+            world_from_camera,
+            scales: FIRST_SCALES,
+            has_radiance: false,
+        })
+    }
+
     /// Gauss-Newton on one level, twice: with the scales of the level before, then with its own.
-    fn solve_level(
-        &self,
-        model: &Model,
-        level: usize,
-        model_pose: Pose<f64>,
-        state: &mut State,
-        scales: &mut Scales,
-    ) -> Sums {
+    fn solve_level(&self, references: &mut [Reference], level: usize, state: &mut State) -> Sums {
         let settings = &self.context.tracking.alignment;
-        let mut sums = self.linearize(model, level, model_pose, state, *scales);
+        let mut sums = Sums::default();
         for _ in 0..2 {
-            self.update_scales(&sums, scales);
-            let linearize = |state: &State| self.linearize(model, level, model_pose, state, *scales);
+            for reference in references.iter_mut() {
+                let sums = self.linearize(reference, level, state);
+                self.update_scales(&sums, &mut reference.scales);
+            }
+            let linearize = |state: &State| {
+                let mut total = Sums::default();
+                for reference in references.iter() {
+                    total.merge(&self.linearize(reference, level, state));
+                }
+                total
+            };
             sums = linearize(state);
             let converged = CONVERGED * (level + 1) as f64;
             self.step_down(state, &mut sums, settings.iterations / 2, converged, linearize);
@@ -177,14 +214,7 @@ impl Frame<'_> {
         }
     }
 
-    fn linearize(
-        &self,
-        model: &Model,
-        level: usize,
-        model_pose: Pose<f64>,
-        state: &State,
-        scales: Scales,
-    ) -> Sums {
+    fn linearize(&self, reference: &Reference, level: usize, state: &State) -> Sums {
         let blur = self.blur(state) / f64::from(1 << level);
         let formation = self.context.formation;
         let cameras = match formation.blur {
@@ -192,15 +222,20 @@ impl Frame<'_> {
             false => 1,
         };
         Linearization {
-            model,
+            model: &reference.levels[level],
             observed: &self.observed[level],
-            model_from_world: model_pose.inverse(),
+            model_from_world: reference.world_from_camera.inverse(),
             state,
             curve: self.curve.as_ref(),
             cameras,
-            depth_moment: 0.5,
-            scales,
-            image_weight: self.context.tracking.alignment.image_weight,
+            quadrature: formation.quadrature(),
+            world_from_depth: state.motion.centre.retract(self.depth_lead(state)),
+            depth_lead: self.context.depth_lead(),
+            scales: reference.scales,
+            image_weight: match reference.has_radiance {
+                true => self.context.tracking.alignment.image_weight,
+                false => 0.0,
+            },
             stride: if level == 0 { 2 } else { 1 },
         }
         .accumulate()
@@ -246,6 +281,11 @@ impl Frame<'_> {
         }
     }
 
+    /// Motion from mid-exposure to the depth picture.
+    fn depth_lead(&self, state: &State) -> Tangent<f64> {
+        self.previous.local(state.motion.centre).scaled(self.context.depth_lead())
+    }
+
     /// `κ = 2 a Δt`: the share of the frame interval for which the shutter is open.
     fn open_share(&self, state: &State) -> f64 {
         (2.0 * state.scale.a * self.context.exposure_time(&state.tone)).clamp(0.02, 1.0)
@@ -277,6 +317,7 @@ impl Frame<'_> {
     fn result(&self, state: State, sums: &Sums, tracked: bool) -> TrackingResult {
         TrackingResult {
             shutter: state.motion.into(),
+            depth_lead: self.depth_lead(&state),
             tone: state.tone,
             response: state.response,
             scale: state.scale,

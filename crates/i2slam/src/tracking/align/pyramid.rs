@@ -1,7 +1,7 @@
 //! Pictures at several sizes: the observed frame, and the model rendered at one pose.
 
 use crate::objective::Observation;
-use i2slam_geometry::{Camera, Image};
+use i2slam_geometry::{Camera, Image, Tap};
 use i2slam_radiance::gaussian::Render;
 
 /// Rendered opacity below which the model says nothing.
@@ -55,6 +55,15 @@ pub(super) fn model_levels(render: &Render, levels: usize) -> Vec<Model> {
     })
 }
 
+/// A depth picture at `levels` sizes, finest first, as a model without radiance.
+pub(super) fn depth_levels(depth: &Image<f32>, levels: usize) -> Vec<Model> {
+    let finest = Model { radiance: Image::default(), depth: depth.clone() };
+    halve_repeatedly(finest, levels, |fine| Model {
+        radiance: Image::default(),
+        depth: halved_depth(&fine.depth),
+    })
+}
+
 fn halve_repeatedly<L>(finest: L, levels: usize, halve: impl Fn(&L) -> L) -> Vec<L> {
     let mut all = vec![finest];
     while all.len() < levels {
@@ -99,74 +108,17 @@ fn halved(image: &Image<f32>, reduce: impl Fn([f32; 4]) -> f32) -> Image<f32> {
     out
 }
 
-/// The four pixels around an image position and their bilinear weights.
-#[derive(Clone, Copy)]
-pub(super) struct Tap {
-    index: usize,
-    width: usize,
-    du: f32,
-    dv: f32,
-}
-
-/// The tap at `(u, v)`, or `None` outside the pixel centres.
-pub(super) fn tap(image: &Image<f32>, u: f32, v: f32) -> Option<Tap> {
-    let (x, y) = (u - 0.5, v - 0.5);
-    let inside = x >= 0.0
-        && y >= 0.0
-        && x < (image.width - 1) as f32
-        && y < (image.height - 1) as f32;
-    if !inside {
-        return None;
-    }
-    let (column, row) = (x as usize, y as usize);
-    Some(Tap {
-        index: row * image.width + column,
-        width: image.width,
-        du: x - column as f32,
-        dv: y - row as f32,
-    })
-}
-
-impl Tap {
-    /// Value and derivative by `u` and `v` of one plane.
-    pub(super) fn sample(self, plane: &[f32]) -> (f32, f32, f32) {
-        let [a, b, c, d] = self.values(plane);
-        let (top, bottom) = (a + (b - a) * self.du, c + (d - c) * self.du);
-        let by_u = (b - a) + ((d - c) - (b - a)) * self.dv;
-        (top + (bottom - top) * self.dv, by_u, bottom - top)
-    }
-
-    /// As [`sample`](Self::sample), where the four depths lie on one surface.
-    pub(super) fn surface(self, plane: &[f32]) -> Option<(f32, f32, f32)> {
-        let values = self.values(plane);
-        let least = values.iter().copied().fold(f32::INFINITY, f32::min);
-        let most = values.iter().copied().fold(0.0, f32::max);
-        (least > 0.0 && most - least < SURFACE * least).then(|| self.sample(plane))
-    }
-
-    fn values(self, plane: &[f32]) -> [f32; 4] {
-        let (i, w) = (self.index, self.width);
-        [plane[i], plane[i + 1], plane[i + w], plane[i + w + 1]]
-    }
+/// Value and derivatives of a depth plane at a tap whose four pixels lie on one surface.
+pub(super) fn surface(tap: Tap<f32>, plane: &[f32]) -> Option<(f32, f32, f32)> {
+    let values = tap.values(plane);
+    let least = values.iter().copied().fold(f32::INFINITY, f32::min);
+    let most = values.iter().copied().fold(0.0, f32::max);
+    (least > 0.0 && most - least < SURFACE * least).then(|| tap.sample(plane))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_tap_reproduces_a_plane_and_its_slope() {
-        let mut image = Image::new(6, 5, 1);
-        for row in 0..5 {
-            for column in 0..6 {
-                image.data[row * 6 + column] = 2.0 * column as f32 - 3.0 * row as f32;
-            }
-        }
-        let (value, by_u, by_v) = tap(&image, 3.2, 2.9).expect("inside").sample(&image.data);
-        assert!((value - (2.0 * 2.7 - 3.0 * 2.4)).abs() < 1e-5);
-        assert!((by_u - 2.0).abs() < 1e-5 && (by_v + 3.0).abs() < 1e-5);
-        assert!(tap(&image, 0.4, 2.0).is_none() && tap(&image, 5.6, 2.0).is_none());
-    }
 
     #[test]
     fn depth_is_not_averaged_over_edges() {

@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! r_c = CRF(gain_c · Σ_u w_u M_c(q_u)) - Ĉ_c(p)          blurred model against picture
-//! r_d = D(q_d) - Y_d.z                                    at the moment d that fits best (eq. 14)
+//! r_d = D(q_d) - Y_d.z                                    at the moment d of the depth picture
 //! ```
 //!
 //! A tangent `(ρ, φ)` of `T(u)` moves `X` to `X + φ × X + ρ`, so with the row
@@ -14,10 +14,10 @@
 //! exposure move `T(u)` by `δ_c + (u - ½) δ_v`; frames within one exposure are taken as parallel
 //! in the derivative, not in the residual.
 
-use super::pyramid::{Model, Observed, tap};
+use super::pyramid::{Model, Observed, surface};
 use crate::tracking::adam::State;
 use i2slam_compute::{NormalEquations, reduce_in_order};
-use i2slam_formation::{ResponseCurve, ShutterPoses, VirtualCamera};
+use i2slam_formation::{Quadrature, ResponseCurve, ShutterPoses, VirtualCamera};
 use i2slam_geometry::{Camera, Mat3, Pose, Vec3};
 
 /// Unknowns: centre (ρ, φ), velocity (ρ, φ), log exposure, log white balance (r, g, b).
@@ -50,8 +50,11 @@ pub(super) struct Linearization<'a> {
     pub(super) state: &'a State,
     pub(super) curve: Option<&'a ResponseCurve<f32>>,
     pub(super) cameras: usize,
-    /// Moment of the exposure at which depth is compared.
-    pub(super) depth_moment: f64,
+    pub(super) quadrature: Quadrature,
+    /// Where the camera was when the depth picture was taken.
+    pub(super) world_from_depth: Pose<f64>,
+    /// Share of the motion between frames by which that moves more than the centre.
+    pub(super) depth_lead: f64,
     pub(super) scales: Scales,
     /// Weight of image residuals against depth residuals.
     pub(super) image_weight: f32,
@@ -72,7 +75,7 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    fn merge(&mut self, other: &Self) {
+    pub(super) fn merge(&mut self, other: &Self) {
         self.equations.merge(&other.equations);
         self.depth_error += other.depth_error;
         self.depth_count += other.depth_count;
@@ -104,18 +107,20 @@ impl Linearization<'_> {
     /// Residuals and derivatives summed over the frame.
     pub(super) fn accumulate(&self) -> Sums {
         let shutter: ShutterPoses<f64> = self.state.motion.into();
-        let cameras = shutter.virtual_cameras(self.cameras);
+        let cameras = shutter.virtual_cameras(self.cameras, self.quadrature);
         let moments: Vec<Moment> = cameras.iter().map(|c| self.moment(c)).collect();
         let at_depth = self.moment(&VirtualCamera {
-            u: self.depth_moment,
+            u: 0.5,
             weight: 1.0,
-            world_from_camera: shutter.at(self.depth_moment),
+            world_from_camera: self.world_from_depth,
         });
+        let colour_from_depth = self.state.motion.centre.inverse() * self.world_from_depth;
+        let colour_from_depth: Pose<f32> = colour_from_depth.cast();
         let mut total = Sums::default();
         reduce_in_order(
             self.observed.depth.height,
             ROWS,
-            |rows| self.accumulate_rows(rows, &moments, &at_depth),
+            |rows| self.accumulate_rows(rows, &moments, &at_depth, colour_from_depth),
             |part| total.merge(&part),
         );
         total
@@ -137,6 +142,7 @@ impl Linearization<'_> {
         rows: std::ops::Range<usize>,
         moments: &[Moment],
         at_depth: &Moment,
+        colour_from_depth: Pose<f32>,
     ) -> Sums {
         let mut sums = Sums::default();
         let (camera, depth) = (&self.observed.camera, &self.observed.depth);
@@ -150,7 +156,7 @@ impl Linearization<'_> {
                 let (u, v) = Camera::<f32>::pixel_centre(column, row);
                 let point = camera.unproject(u, v, z);
                 if self.add_depth(point, at_depth, &mut sums) && self.image_weight > 0.0 {
-                    self.add_colour(point, moments, row * depth.width + column, &mut sums);
+                    self.add_colour(colour_from_depth * point, moments, &mut sums);
                 }
             }
         }
@@ -164,8 +170,8 @@ impl Linearization<'_> {
             return false;
         }
         let (u, v) = self.observed.camera.project(place);
-        let Some(tap) = tap(&self.model.depth, u, v) else { return false };
-        let Some((d, d_u, d_v)) = tap.surface(&self.model.depth.data) else { return false };
+        let Some(tap) = self.model.depth.tap(u, v) else { return false };
+        let Some((d, d_u, d_v)) = surface(tap, &self.model.depth.data) else { return false };
         let residual = d - place.z;
         if residual.abs() > GATE * place.z {
             return false;
@@ -177,7 +183,9 @@ impl Linearization<'_> {
         // A residual along the optical axis counts by its distance to the surface.
         let normal = by_place.norm().max(1.0);
         let (weight, cost) = robust(residual / normal, scale);
-        let jacobian = jacobian(point, row, row * moment.offset, [0.0; 4]);
+        // The depth's pose leads the centre by a share of the motion, which the centre ends.
+        let row = row * (1.0 + self.depth_lead as f32);
+        let jacobian = jacobian(point, row, Vec3::zero(), [0.0; 4]);
         sums.equations.add(&jacobian, f64::from(residual), f64::from(weight / (normal * normal)));
         sums.equations.cost += cost - f64::from(weight * residual * residual / (normal * normal));
         sums.depth_error += f64::from(residual.abs() / normal / (place.z * place.z.max(1.0)));
@@ -185,15 +193,21 @@ impl Linearization<'_> {
         true
     }
 
-    /// Adds the three colour residuals of the blurred model.
-    fn add_colour(&self, point: Vec3<f32>, moments: &[Moment], pixel: usize, sums: &mut Sums) {
+    /// Adds the three colour residuals of the blurred model, at the pixel position of `point` (in
+    /// the camera at mid-exposure).
+    fn add_colour(&self, point: Vec3<f32>, moments: &[Moment], sums: &mut Sums) {
+        if point.z <= 0.05 {
+            return;
+        }
+        let (u, v) = self.observed.camera.project(point);
+        let Some(pixel) = self.observed.colour.tap(u, v) else { return };
         let mut radiance = [0.0_f32; 3];
         let mut centre = [Vec3::<f32>::zero(); 3];
         let mut velocity = [Vec3::<f32>::zero(); 3];
         for moment in moments {
             let place = moment.rotation * point + moment.translation;
             let (u, v) = self.observed.camera.project(place);
-            let Some(tap) = tap(&self.model.radiance, u, v) else { return };
+            let Some(tap) = self.model.radiance.tap(u, v) else { return };
             for channel in 0..3 {
                 let (m, m_u, m_v) = tap.sample(self.model.radiance.plane(channel));
                 let by_place = self.by_place(place, m_u, m_v);
@@ -213,7 +227,7 @@ impl Linearization<'_> {
                 }
                 None => (radiance[channel], 1.0, 0.0),
             };
-            let residual = value - self.observed.colour.plane(channel)[pixel];
+            let residual = value - pixel.sample(self.observed.colour.plane(channel)).0;
             let mut by_tone = [0.0; 4];
             by_tone[0] = by_log_gain;
             by_tone[1 + channel] = by_log_gain;
