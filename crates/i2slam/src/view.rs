@@ -19,7 +19,10 @@ impl Reconstruction {
     /// A viewer of this reconstruction.
     pub fn viewer(&self) -> Viewer<'_> {
         let settings = raster_settings(&self.config);
-        Viewer { reconstruction: self, objective: FrameObjective::new(self.camera.cast(), settings) }
+        Viewer {
+            reconstruction: self,
+            objective: FrameObjective::new(self.camera.cast(), settings),
+        }
     }
 }
 
@@ -37,8 +40,7 @@ impl Viewer<'_> {
             return self.sharp(frame);
         }
         let per_camera = f64::from(formation.blur_per_camera);
-        let count =
-            virtual_camera_count(frame.blur_length, per_camera, formation.virtual_cameras);
+        let count = virtual_camera_count(frame.blur_length, per_camera, formation.virtual_cameras);
         self.form(frame, frame.shutter, count)
     }
 

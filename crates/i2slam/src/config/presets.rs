@@ -55,7 +55,7 @@ fn ours() -> Config {
         input: InputConfig {
             crop_border: 0,
             minimum_gap: 0.0,
-            depth_stamps: true,
+            depth_stamps: false,
             depth_delay: 0.0,
         },
         formation: FormationConfig {
@@ -139,7 +139,7 @@ fn paper_scannet() -> Config {
                 renders: 2,
                 depth_scale_floor: 5e-4,
                 image_scale_floor: 0.01,
-                image_weight: 0.3,
+                image_weight: 0.15,
                 motion_prior: 0.1,
             },
         },

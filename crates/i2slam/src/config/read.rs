@@ -77,7 +77,8 @@ impl Config {
             origin: origin.to_owned(),
             message: message.trim_end().to_owned(),
         };
-        let mut changes: Table = text.parse().map_err(|e: toml::de::Error| malformed(e.to_string()))?;
+        let mut changes: Table =
+            text.parse().map_err(|e: toml::de::Error| malformed(e.to_string()))?;
         // `i2slam_version` is written for the reader of a result and has no effect.
         changes.remove("i2slam_version");
         let name = match changes.get("preset") {

@@ -65,7 +65,11 @@ pub(crate) fn add_gaussians(
 }
 
 /// Removes Gaussians that are nearly transparent, too large or not finite. Returns which stay.
-pub(crate) fn prune(map: &mut GaussianMap, settings: &MappingConfig, scene: SceneScale) -> Vec<bool> {
+pub(crate) fn prune(
+    map: &mut GaussianMap,
+    settings: &MappingConfig,
+    scene: SceneScale,
+) -> Vec<bool> {
     let least_logit = logit(settings.prune_opacity);
     let most_scale = (settings.prune_scale * scene.radius).ln();
     let keep: Vec<bool> = (0..map.len())

@@ -81,8 +81,7 @@ impl MapOptimizer {
     pub(crate) fn step(&mut self, sight: &mut Sight<'_>, keyframe: &Keyframe) -> Evaluation {
         let estimate = &sight.frames[keyframe.frame];
         let mapping = &sight.config.mapping;
-        let curve =
-            sight.config.formation.tone.then(|| sight.responses[estimate.response].curve());
+        let curve = sight.config.formation.tone.then(|| sight.responses[estimate.response].curve());
         let variables = FrameVariables {
             shutter: estimate.shutter,
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
@@ -122,11 +121,7 @@ impl MapOptimizer {
             gradient.colours.as_flattened(),
             rates.colour_rate,
         );
-        self.opacities.step(
-            &mut map.opacity_logits,
-            &gradient.opacity_logits,
-            rates.opacity_rate,
-        );
+        self.opacities.step(&mut map.opacity_logits, &gradient.opacity_logits, rates.opacity_rate);
         self.log_scales.step(
             map.log_scales.as_flattened_mut(),
             gradient.log_scales.as_flattened(),
@@ -163,12 +158,7 @@ impl MapOptimizer {
         *tone = FrameTone::from_array(values);
     }
 
-    fn step_response(
-        &mut self,
-        sight: &mut Sight<'_>,
-        frame: usize,
-        evaluation: &mut Evaluation,
-    ) {
+    fn step_response(&mut self, sight: &mut Sight<'_>, frame: usize, evaluation: &mut Evaluation) {
         let Some(d_curve) = &mut evaluation.curve else { return };
         let formation = &sight.config.formation;
         let index = sight.frames[frame].response;

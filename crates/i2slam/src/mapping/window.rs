@@ -36,11 +36,8 @@ pub(crate) fn select_window(
         window.push((*last).clone());
     }
     let points = probe(current, frames, camera, random);
-    let mut overlapping: Vec<&Keyframe> = earlier
-        .iter()
-        .copied()
-        .filter(|k| sees_any(&frames[k.frame], camera, &points))
-        .collect();
+    let mut overlapping: Vec<&Keyframe> =
+        earlier.iter().copied().filter(|k| sees_any(&frames[k.frame], camera, &points)).collect();
     random.shuffle(&mut overlapping);
     window.extend(overlapping.into_iter().take(size.saturating_sub(2)).cloned());
     window
@@ -62,8 +59,7 @@ fn probe(
     (0..PROBES)
         .map(|_| {
             let pixel = valid[random.below(valid.len())];
-            let (u, v) =
-                Camera::<f64>::pixel_centre(pixel % camera.width, pixel / camera.width);
+            let (u, v) = Camera::<f64>::pixel_centre(pixel % camera.width, pixel / camera.width);
             pose * camera.unproject(u, v, f64::from(depth[pixel]))
         })
         .collect()

@@ -2,8 +2,8 @@
 
 use super::{Observation, depth, photometric::image_loss};
 use i2slam_formation::{
-    CurveGradient, Formation, FrameTone, FrameToneGradient, Quadrature, ResponseCurve, ShutterPoses,
-    ShutterTangent, VirtualCamera, accumulate, scale_into,
+    CurveGradient, Formation, FrameTone, FrameToneGradient, Quadrature, ResponseCurve,
+    ShutterPoses, ShutterTangent, VirtualCamera, accumulate, scale_into,
 };
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_radiance::gaussian::{
@@ -145,9 +145,12 @@ impl FrameObjective {
         let middle = &self.renders[cameras.len() / 2];
         self.mask.clear();
         self.mask.extend(
-            middle.opacity.data.iter().zip(&observation.depth.data).map(|(&opacity, &depth)| {
-                opacity > silhouette && depth > 0.0
-            }),
+            middle
+                .opacity
+                .data
+                .iter()
+                .zip(&observation.depth.data)
+                .map(|(&opacity, &depth)| opacity > silhouette && depth > 0.0),
         );
         let pixels = self.mask.iter().filter(|&&m| m).count();
         let (best, depth_error) = self.best_depth(observation, variables, cameras.len());
@@ -155,8 +158,7 @@ impl FrameObjective {
         let depths = &self.renders[best].depth;
         depth::gradient(depths, &observation.depth, &self.mask, weights.1, &mut self.d_depth);
         let mut evaluation = self.backward(map, variables, &cameras, best, None);
-        evaluation.total =
-            f64::from(weights.0) * image_error + f64::from(weights.1) * depth_error;
+        evaluation.total = f64::from(weights.0) * image_error + f64::from(weights.1) * depth_error;
         evaluation.image = image_error / (3 * pixels).max(1) as f64;
         evaluation.depth = depth_error / pixels.max(1) as f64;
         evaluation.pixels = pixels;
@@ -233,7 +235,8 @@ impl FrameObjective {
         map: &GaussianMap,
         variables: &FrameVariables<'_>,
     ) -> Vec<VirtualCamera<f64>> {
-        let cameras = variables.shutter.virtual_cameras(variables.virtual_cameras, variables.quadrature);
+        let cameras =
+            variables.shutter.virtual_cameras(variables.virtual_cameras, variables.quadrature);
         self.reserve(cameras.len());
         self.hdr.reset(self.camera.width, self.camera.height, 3);
         for (j, camera) in cameras.iter().enumerate() {
@@ -309,12 +312,8 @@ impl FrameObjective {
             scale_into(&self.d_hdr, camera.weight as f32, &mut self.cotangent.radiance);
             let depth = if j == depth_camera { &mut self.d_depth } else { &mut self.no_depth };
             std::mem::swap(&mut self.cotangent.depth, depth);
-            let d_pose = self.rasterizers[j].pull_back(
-                map,
-                &view,
-                &self.cotangent,
-                d_map.as_deref_mut(),
-            );
+            let d_pose =
+                self.rasterizers[j].pull_back(map, &view, &self.cotangent, d_map.as_deref_mut());
             let depth = if j == depth_camera { &mut self.d_depth } else { &mut self.no_depth };
             std::mem::swap(&mut self.cotangent.depth, depth);
             let d_shutter = variables.shutter.pull_back(camera.u, d_pose);

@@ -102,9 +102,8 @@ fn structural(
         sum += f64::from(s);
         by_second[i] = -s / b2;
         by_cross[i] = 2.0 * a1 / (b1 * b2);
-        by_mean[i] = 2.0 * (my * a2 / (b1 * b2) - mx * s / b1)
-            - 2.0 * mx * by_second[i]
-            - my * by_cross[i];
+        by_mean[i] =
+            2.0 * (my * a2 / (b1 * b2) - mx * s / b1) - 2.0 * mx * by_second[i] - my * by_cross[i];
     }
     let planes = [by_mean, by_second, by_cross].map(|p| filter(&p, width));
     for i in 0..x.len() {

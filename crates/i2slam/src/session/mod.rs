@@ -66,8 +66,7 @@ pub struct Session {
 impl Session {
     /// A session for frames of `camera` at `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
-        let objective =
-            FrameObjective::new(camera.cast(), start::raster_settings(&config));
+        let objective = FrameObjective::new(camera.cast(), start::raster_settings(&config));
         Self {
             map: start::empty_map(&config),
             responses: vec![start::response(&config)],
@@ -257,8 +256,7 @@ impl Session {
 
     fn densify(&mut self, keyframe: &Keyframe, first: bool) {
         let estimate = &self.frames[keyframe.frame];
-        let curve =
-            self.config.formation.tone.then(|| self.responses[estimate.response].curve());
+        let curve = self.config.formation.tone.then(|| self.responses[estimate.response].curve());
         let source = Source {
             camera: &self.camera,
             world_from_depth: estimate.depth_pose(),
@@ -305,8 +303,12 @@ impl Session {
 
     fn map_step(&mut self, keyframe: &Keyframe) {
         let estimate = &self.frames[keyframe.frame];
-        let virtual_cameras =
-            camera_count(&self.config.formation, &self.camera, &estimate.shutter, &keyframe.observation);
+        let virtual_cameras = camera_count(
+            &self.config.formation,
+            &self.camera,
+            &estimate.shutter,
+            &keyframe.observation,
+        );
         let mut sight = Sight {
             config: &self.config,
             objective: &mut self.objective,

@@ -8,9 +8,7 @@ pub(crate) use adam::mask_white_balance;
 use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
 use crate::objective::{Evaluation, FrameObjective, Observation, virtual_camera_count};
 use crate::reconstruction::{FrameEstimate, Losses};
-use i2slam_formation::{
-    CameraResponse, FrameTone, ShutterPoses, TrajectoryScale,
-};
+use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Pose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 
@@ -139,7 +137,8 @@ pub(crate) fn track(
         };
         aligned = Some(result);
     }
-    let cameras = camera_count(context.formation, context.camera, &state.motion.into(), observation);
+    let cameras =
+        camera_count(context.formation, context.camera, &state.motion.into(), observation);
     let refined = adam::refine(context, objective, map, observation, state, cameras);
     match aligned {
         Some(aligned) if !refined.tracked => aligned,

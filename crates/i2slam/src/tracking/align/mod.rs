@@ -39,6 +39,10 @@ struct Reference {
     has_radiance: bool,
 }
 
+/// Weight of the trajectory prior against single residuals: neighbouring pixels are not
+/// independent, and a map that is still soft would otherwise be read as a still camera.
+const PRIOR_WEIGHT: f64 = 200.0;
+
 /// Everything about one frame that its steps share.
 struct Frame<'a> {
     context: &'a TrackingContext<'a>,
@@ -170,7 +174,7 @@ impl Frame<'_> {
             }
             let linearize = |state: &State| {
                 let mut total = Sums::default();
-                for reference in references.iter() {
+                for reference in cleanest(references) {
                     total.merge(&self.linearize(reference, level, state));
                 }
                 total
@@ -277,7 +281,7 @@ impl Frame<'_> {
             share: self.open_share(state),
             across: f64::from(self.context.tracking.alignment.motion_prior),
             along: 0.5,
-            weight: if free { 1e-3 } else { 200.0 },
+            weight: if free { 1e-3 } else { PRIOR_WEIGHT },
         }
     }
 
@@ -329,6 +333,17 @@ impl Frame<'_> {
             tracked,
         }
     }
+}
+
+/// The model, and the keyframe where its own depth agrees better with the frame than the model's:
+/// true of an exact depth, not of a noisy one, which the model has averaged.
+fn cleanest(references: &[Reference]) -> impl Iterator<Item = &Reference> {
+    let model = references[0].scales.depth;
+    references
+        .iter()
+        .enumerate()
+        .filter(move |(i, r)| *i == 0 || r.scales.depth <= model)
+        .map(|(_, r)| r)
 }
 
 fn retract(state: &State, step: &[f64; residual::UNKNOWNS]) -> State {

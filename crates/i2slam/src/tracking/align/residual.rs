@@ -231,7 +231,8 @@ impl Linearization<'_> {
             let mut by_tone = [0.0; 4];
             by_tone[0] = by_log_gain;
             by_tone[1 + channel] = by_log_gain;
-            let jacobian = jacobian(point, centre[channel] * slope, velocity[channel] * slope, by_tone);
+            let jacobian =
+                jacobian(point, centre[channel] * slope, velocity[channel] * slope, by_tone);
             let (weight, cost) = robust(residual, self.scales.image);
             let share = f64::from(self.image_weight);
             sums.equations.add(&jacobian, f64::from(residual), share * f64::from(weight));
