@@ -1,0 +1,42 @@
+# The commands of .ci/run one by one, and what else is done often. `just` lists them.
+
+default:
+    @just --list
+
+# Everything that must pass before a change goes in
+ci:
+    .ci/run
+
+# Format all sources
+format:
+    cargo fmt --all
+
+# Lints of libraries, programs, tests and benchmarks
+lint:
+    cargo fmt --all --check
+    cargo clippy --workspace --all-targets -- -D warnings
+
+# Documentation of all crates
+doc:
+    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
+
+# All tests
+test:
+    cargo test --workspace
+
+# Reconstruct the clip that comes with the program; the last line is the path of the report
+demo:
+    cargo run --release -p i2slam-cli -- demo
+
+# Time of rendering and of image formation
+bench:
+    cargo bench -p i2slam-radiance -p i2slam-formation
+
+# Write the values of the presets into docs/presets.md
+presets:
+    cargo build --release -p i2slam-cli
+    python3 docs/presets.py target/release/i2slam docs/presets.md
+
+# Licences, sources and advisories of dependencies (needs cargo-deny)
+deny:
+    cargo deny check
