@@ -5,14 +5,14 @@ use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 
-/// The three terms of eq. 12 at the end of a frame's tracking, weighted as in the objective.
+/// The three terms of eq. 12 at the end of a frame's tracking, unweighted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Losses {
     /// Mean absolute difference of pictures, over the pixels that count.
     pub image: f64,
     /// Mean absolute difference of depth [m], over the pixels that count.
     pub depth: f64,
-    /// Trajectory loss, eq. 15.
+    /// Trajectory loss, eq. 15; zero after second-order tracking, which has a prior in its place.
     pub trajectory: f64,
 }
 
