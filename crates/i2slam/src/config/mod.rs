@@ -72,7 +72,8 @@ pub struct FormationConfig {
     pub response_node_power: f32,
     /// Weight of the prior that ties the response to its start curve.
     pub response_prior: f32,
-    /// Learning rate of exposure, white balance and response.
+    /// Learning rate of exposure and white balance (logarithms) and of response nodes (in steps
+    /// of a straight curve: 1 / 255 of the picture's range) while tracking.
     pub tone_rate: f32,
 }
 
@@ -128,6 +129,8 @@ pub enum ResponseStart {
     Gamma22,
     /// A straight line.
     Identity,
+    /// sRGB with a soft shoulder, as cameras and tone-mapped video have.
+    Shoulder,
 }
 
 /// The map's representation.
@@ -242,8 +245,12 @@ pub struct MappingConfig {
     pub pose_rotation_rate: f32,
     /// Learning rate of the poses of keyframes: translation [m].
     pub pose_translation_rate: f32,
-    /// Learning rate of exposure, white balance and response while mapping; zero keeps them.
+    /// Learning rate of exposure and white balance (logarithms) while mapping.
     pub tone_rate: f32,
+    /// Learning rate of response nodes while mapping, in steps of a straight curve (1 / 255).
+    pub response_rate: f32,
+    /// Place Gaussians where the sensor has no depth too, at a guess.
+    pub fill_depth: bool,
     /// Pixels below this opacity receive new Gaussians.
     pub densify_opacity: f32,
     /// Pixels whose depth error exceeds this many medians receive new Gaussians in front.

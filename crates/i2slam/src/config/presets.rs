@@ -63,7 +63,8 @@ fn ours() -> Config {
             blur_per_camera: 1.5,
             white_balance: WhiteBalance::PerChannel,
             response_scope: ResponseScope::Sequence,
-            response_node_power: 2.2,
+            response_start: ResponseStart::Shoulder,
+            response_node_power: 3.0,
             response_prior: 1e-3,
             tone_rate: 5e-3,
             ..paper.formation
@@ -81,6 +82,8 @@ fn ours() -> Config {
             colour_rate: 1e-2,
             scale_rate: 5e-3,
             tone_rate: 5e-3,
+            response_rate: 0.05,
+            fill_depth: true,
             fresh_optimizer: false,
             ..paper.mapping
         },
@@ -160,6 +163,8 @@ fn paper_scannet() -> Config {
             pose_rotation_rate: 0.0,
             pose_translation_rate: 0.0,
             tone_rate: 1e-2,
+            response_rate: 1e-2,
+            fill_depth: false,
             densify_opacity: 0.5,
             densify_depth_medians: 50.0,
             prune_opacity: 0.005,

@@ -127,7 +127,7 @@ impl Config {
         self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
     }
 
-    fn rates(&self) -> [(&'static str, f32); 14] {
+    fn rates(&self) -> [(&'static str, f32); 15] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         [
             ("formation.tone_rate", f.tone_rate),
@@ -143,6 +143,7 @@ impl Config {
             ("mapping.opacity_rate", m.opacity_rate),
             ("mapping.scale_rate", m.scale_rate),
             ("mapping.tone_rate", m.tone_rate),
+            ("mapping.response_rate", m.response_rate),
             ("mapping.pose_rotation_rate", m.pose_rotation_rate),
         ]
     }

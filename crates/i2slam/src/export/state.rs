@@ -29,6 +29,7 @@ enum StartName {
     Srgb,
     Gamma22,
     Identity,
+    Shoulder,
 }
 
 impl State {
@@ -43,6 +44,7 @@ impl ResponseState {
             StartCurve::Srgb => StartName::Srgb,
             StartCurve::Gamma22 => StartName::Gamma22,
             StartCurve::Identity => StartName::Identity,
+            StartCurve::Shoulder => StartName::Shoulder,
         };
         let node_power = match response.spacing() {
             NodeSpacing::Uniform => None,
@@ -57,6 +59,7 @@ impl ResponseState {
             StartName::Srgb => StartCurve::Srgb,
             StartName::Gamma22 => StartCurve::Gamma22,
             StartName::Identity => StartCurve::Identity,
+            StartName::Shoulder => StartCurve::Shoulder,
         };
         let spacing = self.node_power.map_or(NodeSpacing::Uniform, NodeSpacing::Power);
         let curves = self.nodes.len();

@@ -1,9 +1,15 @@
 //! Adding and removing Gaussians (SplaTAM's rules).
 
+use super::fill::filled;
 use crate::config::{MapConfig, MappingConfig};
 use crate::objective::{Observation, Tone};
-use i2slam_geometry::{Camera, Pose, Vec3};
+use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
+
+/// Depth at which a frame adds Gaussians: its own, with holes filled if `settings` say so.
+pub(crate) fn placement(observation: &Observation, settings: &MappingConfig) -> Image<f32> {
+    if settings.fill_depth { filled(&observation.depth) } else { observation.depth.clone() }
+}
 
 /// What "large" means in this scene.
 #[derive(Clone, Copy, Debug)]
@@ -27,16 +33,18 @@ pub(crate) struct Source<'a> {
     /// From there to the camera at mid-exposure.
     pub(crate) colour_from_depth: Pose<f64>,
     pub(crate) observation: &'a Observation,
+    /// Depth at which Gaussians are placed [m]; 0 places none.
+    pub(crate) depth: Image<f32>,
     pub(crate) tone: Option<Tone<'a>>,
 }
 
-/// One Gaussian for every pixel with depth.
+/// One Gaussian for every pixel.
 pub(crate) fn seed_map(map: &mut GaussianMap, settings: &MapConfig, source: &Source<'_>) -> usize {
     let every: Vec<usize> = (0..source.observation.depth.data.len()).collect();
     push(map, settings, source, &every)
 }
 
-/// One Gaussian for every pixel with depth that the map does not explain: opacity below the
+/// One Gaussian for every pixel that the map does not explain: opacity below the
 /// threshold, or a surface much nearer than the rendered one. Returns how many were added.
 pub(crate) fn add_gaussians(
     map: &mut GaussianMap,
@@ -95,7 +103,7 @@ fn push(
     let focal = 0.5 * (source.camera.fx + source.camera.fy);
     let opacity_logit = logit(settings.initial_opacity);
     for &pixel in pixels {
-        let z = source.observation.depth.data[pixel];
+        let z = source.depth.data[pixel];
         if z <= 0.0 || map.len() >= settings.capacity {
             continue;
         }

@@ -2,9 +2,10 @@
 //! with tone and response over a window of keyframes.
 
 mod densify;
+mod fill;
 mod optimizer;
 mod window;
 
-pub(crate) use densify::{SceneScale, Source, add_gaussians, prune, seed_map};
+pub(crate) use densify::{SceneScale, Source, add_gaussians, placement, prune, seed_map};
 pub(crate) use optimizer::{MapOptimizer, Sight};
 pub(crate) use window::{Keyframe, select_window};

@@ -4,7 +4,7 @@ use super::Keyframe;
 use crate::config::{Config, ResponseScope};
 use crate::objective::{Evaluation, FrameObjective, FrameVariables, Tone};
 use crate::reconstruction::FrameEstimate;
-use crate::tracking::mask_white_balance;
+use crate::tracking::{NODE_STEP, mask_white_balance};
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{CameraResponse, FrameTone, ResponsePrior, ShutterTangent};
 use i2slam_geometry::Tangent;
@@ -99,7 +99,7 @@ impl MapOptimizer {
             &mut self.gradient,
         );
         self.step_map(sight.config, sight.map);
-        if curve.is_some() && mapping.tone_rate > 0.0 {
+        if curve.is_some() {
             self.step_tone(sight, keyframe.frame, &evaluation);
             self.step_response(sight, keyframe.frame, &mut evaluation);
         }
@@ -171,8 +171,7 @@ impl MapOptimizer {
         let curves = response.nodes.len();
         let optimizers =
             self.responses.entry(index).or_insert_with(|| (0..curves).map(|_| adam()).collect());
-        // The nodes span [0, 1] in 255 steps: a rate per node is that share of a tone's rate.
-        let rate = sight.config.mapping.tone_rate * response_share(formation.response_scope);
+        let rate = sight.config.mapping.response_rate * NODE_STEP;
         for ((nodes, d), adam) in response.nodes.iter_mut().zip(&d_nodes).zip(optimizers) {
             adam.step(nodes, d, rate);
         }
@@ -193,13 +192,5 @@ impl MapOptimizer {
         let tangent = Tangent::from_array([x, y, z, a, b, c]);
         (step.start, step.end) = (tangent, tangent);
         sight.frames[frame].shutter = sight.frames[frame].shutter.retract(&step);
-    }
-}
-
-/// A response shared by the whole sequence moves slower than one that belongs to a frame.
-fn response_share(scope: ResponseScope) -> f32 {
-    match scope {
-        ResponseScope::Frame => 1.0,
-        ResponseScope::Sequence => 0.1,
     }
 }

@@ -6,7 +6,7 @@ pub(crate) use start::raster_settings;
 
 use crate::config::{Config, ResponseScope};
 use crate::mapping::{
-    Keyframe, MapOptimizer, SceneScale, Sight, Source, add_gaussians, prune, seed_map,
+    Keyframe, MapOptimizer, SceneScale, Sight, Source, add_gaussians, placement, prune, seed_map,
     select_window,
 };
 use crate::objective::{FrameObjective, Observation, Tone, blur_length};
@@ -262,6 +262,7 @@ impl Session {
             world_from_depth: estimate.depth_pose(),
             colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
             observation: &keyframe.observation,
+            depth: placement(&keyframe.observation, &self.config.mapping),
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
         };
         if first {

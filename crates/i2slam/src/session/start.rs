@@ -22,6 +22,7 @@ pub(super) fn response(config: &Config) -> CameraResponse<f32> {
         ResponseStart::Srgb => StartCurve::Srgb,
         ResponseStart::Gamma22 => StartCurve::Gamma22,
         ResponseStart::Identity => StartCurve::Identity,
+        ResponseStart::Shoulder => StartCurve::Shoulder,
     };
     let spacing = match response_node_power {
         1.0 => NodeSpacing::Uniform,

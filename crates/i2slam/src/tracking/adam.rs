@@ -216,10 +216,15 @@ fn step_tone(
         for ((nodes, d), adam) in
             response.nodes.iter_mut().zip(&d_nodes).zip(&mut optimizers.response)
         {
-            adam.step(nodes, d, formation.tone_rate);
+            adam.step(nodes, d, formation.tone_rate * NODE_STEP);
         }
     }
 }
+
+/// Rise of a straight response from node to node. Node values have no scale of their own (they
+/// are normalised), so a learning rate is understood in these steps: larger ones make neighbours
+/// overtake each other, and the shift that keeps the curve monotone then flattens all of it.
+pub(crate) const NODE_STEP: f32 = 1.0 / 255.0;
 
 /// Leaves the gradient of the free gains of `[log_exposure, log_white_balance r, g, b]`.
 pub(crate) fn mask_white_balance(model: WhiteBalance, gradient: &mut [f32; 4]) {

@@ -3,7 +3,7 @@
 mod adam;
 mod align;
 
-pub(crate) use adam::mask_white_balance;
+pub(crate) use adam::{NODE_STEP, mask_white_balance};
 
 use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
 use crate::objective::{Evaluation, FrameObjective, Observation, virtual_camera_count};

@@ -179,8 +179,8 @@ impl Frame<'_> {
                 }
                 total
             };
-            sums = linearize(state);
             let converged = CONVERGED * (level + 1) as f64;
+            sums = linearize(state);
             self.step_down(state, &mut sums, settings.iterations / 2, converged, linearize);
         }
         sums
