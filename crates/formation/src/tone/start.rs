@@ -10,14 +10,14 @@ pub enum StartCurve {
     Identity,
     /// `x^(1/2.2)`, as in HDR-NeRF's and the paper's synthetic data.
     Gamma22,
-    /// The sRGB encoding of Reinhard's `s(x) = x (1 + k) / (1 + k x)`, `k = 16`: a soft shoulder.
-    /// Display value ½ lies at x = 0.015 and 0.87 at x = 0.13, so that radiance far above a white
+    /// The sRGB encoding of Reinhard's `s(x) = x (1 + k) / (1 + k x)`, `k = 4`: a soft shoulder.
+    /// Display value ½ lies at x = 0.05 and 0.87 at x = 0.35, so that radiance far above a white
     /// wall still has a place in [0, 1] instead of the flat of the leaky clip.
     Shoulder,
 }
 
 /// Knee of [`StartCurve::Shoulder`].
-const SHOULDER: f64 = 16.0;
+const SHOULDER: f64 = 4.0;
 
 impl StartCurve {
     /// The picture value in [0, 1] of a linear value in [0, 1].

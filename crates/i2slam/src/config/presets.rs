@@ -64,7 +64,7 @@ fn ours() -> Config {
             white_balance: WhiteBalance::PerChannel,
             response_scope: ResponseScope::Sequence,
             response_start: ResponseStart::Shoulder,
-            response_node_power: 3.0,
+            response_node_power: 2.5,
             response_prior: 1e-3,
             tone_rate: 5e-3,
             ..paper.formation
