@@ -219,6 +219,8 @@ pub struct MappingConfig {
     pub interval: usize,
     /// Adam steps per round.
     pub iterations: usize,
+    /// Adam steps of the round that starts the map.
+    pub first_iterations: usize,
     /// Steps after the last frame, over all keyframes.
     pub final_iterations: usize,
     /// Keyframes in the window, current frame included.

@@ -40,6 +40,7 @@ impl Config {
         if base != name {
             config.tracking.iterations = config.tracking.iterations.div_ceil(5);
             config.mapping.iterations = config.mapping.iterations.div_ceil(5);
+            config.mapping.first_iterations = config.mapping.first_iterations.div_ceil(5);
         }
         config.preset = name.to_owned();
         Ok(config)
@@ -69,17 +70,19 @@ fn ours() -> Config {
             tone_rate: 5e-3,
             ..paper.formation
         },
-        map: MapConfig { initial_scale: 0.8, ..paper.map },
+        map: MapConfig { initial_scale: 0.5, initial_opacity: 0.8, ..paper.map },
         tracking: TrackingConfig {
             method: TrackingMethod::SecondOrder,
             iterations: 0,
             ..paper.tracking
         },
         mapping: MappingConfig {
-            iterations: 12,
+            iterations: 8,
+            first_iterations: 60,
             window: 8,
             final_iterations: 200,
-            colour_rate: 1e-2,
+            mean_rate: 2e-4,
+            colour_rate: 1.5e-2,
             scale_rate: 5e-3,
             tone_rate: 5e-3,
             response_rate: 0.05,
@@ -149,6 +152,7 @@ fn paper_scannet() -> Config {
         mapping: MappingConfig {
             interval: 1,
             iterations: 30,
+            first_iterations: 30,
             final_iterations: 0,
             window: 10,
             keyframe_interval: 5,

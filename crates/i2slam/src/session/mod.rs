@@ -242,11 +242,12 @@ impl Session {
     fn map_frame(&mut self, position: usize, observation: Arc<Observation>) {
         let first = self.map.is_empty();
         let keyframe = Keyframe { frame: position, observation };
-        let mapping = &self.config.mapping;
+        let mapping = self.config.mapping.clone();
         let is_keyframe = first || (position + 1).is_multiple_of(mapping.keyframe_interval);
         if first || position.is_multiple_of(mapping.interval) {
             self.densify(&keyframe, first);
-            self.map_round(&keyframe);
+            let iterations = if first { mapping.first_iterations } else { mapping.iterations };
+            self.map_round(&keyframe, iterations);
         }
         if is_keyframe {
             self.frames[position].keyframe = true;
@@ -276,7 +277,7 @@ impl Session {
         add_gaussians(&mut self.map, settings, &source, &render);
     }
 
-    fn map_round(&mut self, current: &Keyframe) {
+    fn map_round(&mut self, current: &Keyframe, iterations: usize) {
         let mapping = &self.config.mapping;
         if mapping.fresh_optimizer {
             self.optimizer.reset();
@@ -289,7 +290,7 @@ impl Session {
             mapping.window,
             &mut self.random,
         );
-        let (iterations, fresh) = (mapping.iterations, mapping.fresh_optimizer);
+        let fresh = mapping.fresh_optimizer;
         for iteration in 0..iterations {
             let chosen = &window[self.random.below(window.len())];
             self.map_step(chosen);
