@@ -9,10 +9,11 @@
 //! r_d = D(q_d) - Y_d.z                                    at the moment d of the depth picture
 //! ```
 //!
-//! A tangent `(ρ, φ)` of `T(u)` moves `X` to `X + φ × X + ρ`, so with the row
-//! `a = ∇M · ∂π/∂Y · R` the derivative is `(a, X × a)`. Centre `δ_c` and velocity `δ_v` of the
-//! exposure move `T(u)` by `δ_c + (u - ½) δ_v`; frames within one exposure are taken as parallel
-//! in the derivative, not in the residual.
+//! With `s = u - ½` and velocity `(ν, ω)`, the point lies at `P_u = Exp(s ω) X + s ν` in the camera
+//! at mid-exposure. A tangent `(ρ, φ)` of the centre moves it by `ρ + φ × P_u`, a change of the
+//! velocity by `s (δν + δω × (P_u - s ν))`, where `J_l(s ω)` is taken as one, so with the row
+//! `b = ∇M · ∂π/∂Y · R_model_from_centre` the derivatives are `(b, P × b)` and
+//! `s (b, (P - s ν) × b)`.
 
 use super::pyramid::{Model, Observed, surface};
 use crate::tracking::adam::State;
@@ -95,12 +96,35 @@ impl Sums {
     }
 }
 
-/// A moment of the exposure as a map from the frame's camera to the model's.
+/// A moment of the exposure as a map from the frame's camera then to that at mid-exposure.
 struct Moment {
-    rotation: Mat3<f32>,
-    translation: Vec3<f32>,
+    centre_from_camera: Transform,
     weight: f32,
     offset: f32,
+}
+
+/// A rigid transform as a matrix, for many points.
+struct Transform {
+    rotation: Mat3<f32>,
+    translation: Vec3<f32>,
+}
+
+impl Transform {
+    fn new(pose: Pose<f64>) -> Self {
+        let rows = pose.rotation.matrix().rows.map(|r| r.map(|v| v as f32));
+        Self { rotation: Mat3 { rows }, translation: pose.translation.cast() }
+    }
+
+    fn apply(&self, point: Vec3<f32>) -> Vec3<f32> {
+        self.rotation * point + self.translation
+    }
+}
+
+/// Where the exposure's moments lie, for one evaluation.
+struct Geometry {
+    model_from_centre: Transform,
+    moments: Vec<Moment>,
+    centre_from_depth: Transform,
 }
 
 impl Linearization<'_> {
@@ -108,42 +132,29 @@ impl Linearization<'_> {
     pub(super) fn accumulate(&self) -> Sums {
         let shutter: ShutterPoses<f64> = self.state.motion.into();
         let cameras = shutter.virtual_cameras(self.cameras, self.quadrature);
-        let moments: Vec<Moment> = cameras.iter().map(|c| self.moment(c)).collect();
-        let at_depth = self.moment(&VirtualCamera {
-            u: 0.5,
-            weight: 1.0,
-            world_from_camera: self.world_from_depth,
-        });
-        let colour_from_depth = self.state.motion.centre.inverse() * self.world_from_depth;
-        let colour_from_depth: Pose<f32> = colour_from_depth.cast();
+        let world_from_centre = self.state.motion.centre;
+        let centre_from_world = world_from_centre.inverse();
+        let moment = |camera: &VirtualCamera<f64>| Moment {
+            centre_from_camera: Transform::new(centre_from_world * camera.world_from_camera),
+            weight: camera.weight as f32,
+            offset: (camera.u - 0.5) as f32,
+        };
+        let geometry = Geometry {
+            model_from_centre: Transform::new(self.model_from_world * world_from_centre),
+            moments: cameras.iter().map(moment).collect(),
+            centre_from_depth: Transform::new(centre_from_world * self.world_from_depth),
+        };
         let mut total = Sums::default();
         reduce_in_order(
             self.observed.depth.height,
             ROWS,
-            |rows| self.accumulate_rows(rows, &moments, &at_depth, colour_from_depth),
+            |rows| self.accumulate_rows(rows, &geometry),
             |part| total.merge(&part),
         );
         total
     }
 
-    fn moment(&self, camera: &VirtualCamera<f64>) -> Moment {
-        let model_from_camera = self.model_from_world * camera.world_from_camera;
-        let rotation = model_from_camera.rotation.matrix();
-        Moment {
-            rotation: Mat3 { rows: rotation.rows.map(|r| r.map(|v| v as f32)) },
-            translation: model_from_camera.translation.cast(),
-            weight: camera.weight as f32,
-            offset: (camera.u - 0.5) as f32,
-        }
-    }
-
-    fn accumulate_rows(
-        &self,
-        rows: std::ops::Range<usize>,
-        moments: &[Moment],
-        at_depth: &Moment,
-        colour_from_depth: Pose<f32>,
-    ) -> Sums {
+    fn accumulate_rows(&self, rows: std::ops::Range<usize>, geometry: &Geometry) -> Sums {
         let mut sums = Sums::default();
         let (camera, depth) = (&self.observed.camera, &self.observed.depth);
         for row in rows.filter(|row| row % self.stride == 0) {
@@ -154,18 +165,19 @@ impl Linearization<'_> {
                 }
                 sums.candidates += 1;
                 let (u, v) = Camera::<f32>::pixel_centre(column, row);
-                let point = camera.unproject(u, v, z);
-                if self.add_depth(point, at_depth, &mut sums) && self.image_weight > 0.0 {
-                    self.add_colour(colour_from_depth * point, moments, &mut sums);
+                let point = geometry.centre_from_depth.apply(camera.unproject(u, v, z));
+                if self.add_depth(point, z, geometry, &mut sums) && self.image_weight > 0.0 {
+                    self.add_colour(point, geometry, &mut sums);
                 }
             }
         }
         sums
     }
 
-    /// Adds the depth residual; whether the model has this pixel's surface.
-    fn add_depth(&self, point: Vec3<f32>, moment: &Moment, sums: &mut Sums) -> bool {
-        let place = moment.rotation * point + moment.translation;
+    /// Adds the depth residual of a point read at depth `z`, given in the camera at mid-exposure;
+    /// whether the model has this pixel's surface.
+    fn add_depth(&self, point: Vec3<f32>, z: f32, geometry: &Geometry, sums: &mut Sums) -> bool {
+        let place = geometry.model_from_centre.apply(point);
         if place.z <= 0.05 {
             return false;
         }
@@ -178,43 +190,50 @@ impl Linearization<'_> {
         }
         let mut by_place = self.by_place(place, d_u, d_v);
         by_place.z -= 1.0;
-        let row = moment.rotation.transpose() * by_place;
-        let scale = self.scales.depth * place.z * place.z.max(1.0);
+        let row = geometry.model_from_centre.rotation.transpose() * by_place;
+        // By the observed depth, not by `place`: a scale that moved with the pose would be
+        // lowered by moving away.
+        let spread = z * z.max(1.0);
+        let scale = self.scales.depth * spread;
         // A residual along the optical axis counts by its distance to the surface.
         let normal = by_place.norm().max(1.0);
         let (weight, cost) = robust(residual / normal, scale);
         // The depth's pose leads the centre by a share of the motion, which the centre ends.
         let row = row * (1.0 + self.depth_lead as f32);
-        let jacobian = jacobian(point, row, Vec3::zero(), [0.0; 4]);
+        let rest = Vec3::zero();
+        let jacobian = jacobian([row, point.cross(row), rest, rest], [0.0; 4]);
         sums.equations.add(&jacobian, f64::from(residual), f64::from(weight / (normal * normal)));
         sums.equations.cost += cost - f64::from(weight * residual * residual / (normal * normal));
-        sums.depth_error += f64::from(residual.abs() / normal / (place.z * place.z.max(1.0)));
+        sums.depth_error += f64::from(residual.abs() / normal / spread);
         sums.depth_count += 1;
         true
     }
 
     /// Adds the three colour residuals of the blurred model, at the pixel position of `point` (in
     /// the camera at mid-exposure).
-    fn add_colour(&self, point: Vec3<f32>, moments: &[Moment], sums: &mut Sums) {
+    fn add_colour(&self, point: Vec3<f32>, geometry: &Geometry, sums: &mut Sums) {
         if point.z <= 0.05 {
             return;
         }
         let (u, v) = self.observed.camera.project(point);
         let Some(pixel) = self.observed.colour.tap(u, v) else { return };
         let mut radiance = [0.0_f32; 3];
-        let mut centre = [Vec3::<f32>::zero(); 3];
-        let mut velocity = [Vec3::<f32>::zero(); 3];
-        for moment in moments {
-            let place = moment.rotation * point + moment.translation;
+        // Per channel: by ρ and φ of the centre, by ν and ω of the velocity.
+        let mut by_motion = [[Vec3::<f32>::zero(); 4]; 3];
+        let turn_back = geometry.model_from_centre.rotation.transpose();
+        for moment in &geometry.moments {
+            let seen = moment.centre_from_camera.apply(point);
+            let place = geometry.model_from_centre.apply(seen);
             let (u, v) = self.observed.camera.project(place);
             let Some(tap) = self.model.radiance.tap(u, v) else { return };
             for channel in 0..3 {
                 let (m, m_u, m_v) = tap.sample(self.model.radiance.plane(channel));
                 let by_place = self.by_place(place, m_u, m_v);
-                let row = moment.rotation.transpose() * by_place * moment.weight;
+                let row = turn_back * by_place * moment.weight;
+                let spin = (seen - moment.centre_from_camera.translation).cross(row);
                 radiance[channel] += moment.weight * m;
-                centre[channel] += row;
-                velocity[channel] += row * moment.offset;
+                let rows = [row, seen.cross(row), row * moment.offset, spin * moment.offset];
+                by_motion[channel].iter_mut().zip(rows).for_each(|(sum, row)| *sum += row);
             }
         }
         let gains = self.state.tone.gains();
@@ -231,8 +250,7 @@ impl Linearization<'_> {
             let mut by_tone = [0.0; 4];
             by_tone[0] = by_log_gain;
             by_tone[1 + channel] = by_log_gain;
-            let jacobian =
-                jacobian(point, centre[channel] * slope, velocity[channel] * slope, by_tone);
+            let jacobian = jacobian(by_motion[channel].map(|row| row * slope), by_tone);
             let (weight, cost) = robust(residual, self.scales.image);
             let share = f64::from(self.image_weight);
             sums.equations.add(&jacobian, f64::from(residual), share * f64::from(weight));
@@ -259,17 +277,131 @@ fn robust(residual: f32, scale: f32) -> (f32, f64) {
     (weight, f64::from((FREEDOM + 1.0) * (square / FREEDOM).ln_1p()))
 }
 
-fn jacobian(
-    point: Vec3<f32>,
-    centre: Vec3<f32>,
-    velocity: Vec3<f32>,
-    tone: [f32; 4],
-) -> [f64; UNKNOWNS] {
-    let (turn, spin) = (point.cross(centre), point.cross(velocity));
-    let parts = [centre, turn, velocity, spin].map(Vec3::to_array);
+/// By ρ and φ of the centre, ν and ω of the velocity, and the tone.
+fn jacobian(by_motion: [Vec3<f32>; 4], by_tone: [f32; 4]) -> [f64; UNKNOWNS] {
     let mut all = [0.0; UNKNOWNS];
-    for (i, value) in parts.iter().flatten().chain(&tone).enumerate() {
+    let by_motion = by_motion.map(Vec3::to_array);
+    for (i, value) in by_motion.iter().flatten().chain(&by_tone).enumerate() {
         all[i] = f64::from(*value);
     }
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::{central_differences, relative_error};
+    use i2slam_formation::{
+        CameraResponse, CentreVelocity, FrameTone, NodeSpacing, StartCurve, TrajectoryScale,
+    };
+    use i2slam_geometry::{Image, Rotation, Tangent};
+
+    const SIZE: (usize, usize) = (48, 36);
+
+    fn picture(channels: usize, value: impl Fn(usize, f32, f32) -> f32) -> Image<f32> {
+        let mut image = Image::new(SIZE.0, SIZE.1, channels);
+        for channel in 0..channels {
+            for row in 0..SIZE.1 {
+                for column in 0..SIZE.0 {
+                    let i = (channel * SIZE.1 + row) * SIZE.0 + column;
+                    image.data[i] = value(channel, column as f32, row as f32);
+                }
+            }
+        }
+        image
+    }
+
+    fn model() -> Model {
+        Model {
+            radiance: picture(3, |c, u, v| {
+                0.3 + 0.1 * (0.35 * u + c as f32).sin() + 0.1 * (0.3 * v - 0.1 * u).cos()
+            }),
+            depth: picture(1, |_, u, v| 2.0 + 0.01 * u - 0.006 * v),
+        }
+    }
+
+    /// Depth away from the border, so that every residual stays while the camera moves.
+    fn observed() -> Observed {
+        let inside = |u: f32, v: f32| (8.0..40.0).contains(&u) && (8.0..28.0).contains(&v);
+        Observed {
+            camera: Camera { width: 48, height: 36, fx: 45.0, fy: 45.0, cx: 24.0, cy: 18.0 },
+            colour: picture(3, |c, u, v| {
+                0.55 + 0.12 * (0.33 * u + c as f32).sin() + 0.1 * (0.3 * v).cos()
+            }),
+            depth: picture(
+                1,
+                |_, u, v| if inside(u, v) { 2.02 + 0.009 * u - 0.005 * v } else { 0.0 },
+            ),
+        }
+    }
+
+    fn state(x: &[f64]) -> State {
+        let start = CentreVelocity {
+            // Between pixel centres: at one, a bilinear picture has a kink.
+            centre: Pose::new(Rotation::identity(), Vec3::new(0.013, 0.017, 0.0)),
+            velocity: Tangent::from_array([0.05, -0.02, 0.01, 0.01, 0.02, 0.015]),
+        };
+        let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
+        State {
+            motion: start.retract(part(0), part(6)),
+            tone: FrameTone {
+                log_exposure: x[12] as f32,
+                log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
+            },
+            response: None,
+            scale: TrajectoryScale { a: 1.0 },
+        }
+    }
+
+    fn sums(x: &[f64], curve: Option<&ResponseCurve<f32>>, image_weight: f32) -> Sums {
+        let (model, observed, state) = (model(), observed(), state(x));
+        Linearization {
+            model: &model,
+            observed: &observed,
+            model_from_world: Pose::identity(),
+            state: &state,
+            curve,
+            cameras: 3,
+            quadrature: Quadrature::Midpoints,
+            world_from_depth: state.motion.centre,
+            depth_lead: 0.0,
+            scales: Scales { depth: 0.02, image: 0.1 },
+            image_weight,
+            stride: 1,
+        }
+        .accumulate()
+    }
+
+    /// `2 Σ w r j` is the derivative of the cost, up to kinks of the bilinear pictures and the
+    /// neglected `J_l(s ω)`.
+    #[test]
+    fn gradient_agrees_with_differences_of_the_cost() {
+        let curve =
+            CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+        let x = [0.0; UNKNOWNS];
+        for (curve, image_weight) in [(None, 0.0), (None, 1.0), (Some(&curve), 1.0)] {
+            let at_x = sums(&x, curve, image_weight);
+            assert!(at_x.depth_count > 500);
+            let numeric =
+                central_differences(&x, 2e-4, |x| sums(x, curve, image_weight).equations.cost);
+            let analytic: Vec<f64> = at_x.equations.gradient.iter().map(|g| 2.0 * g).collect();
+            for group in [0..3, 3..6, 6..9, 9..12, 12..16] {
+                let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
+                assert!(error < 0.03, "{group:?} {error} {analytic:?} {numeric:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_step_finds_a_small_motion() {
+        let still = sums(&[0.0; UNKNOWNS], None, 0.0).mean_cost();
+        let mut x = [0.0; UNKNOWNS];
+        for _ in 0..8 {
+            let mut equations = sums(&x, None, 0.0).equations;
+            super::super::prior::freeze(&mut equations, 3..16);
+            let step = equations.step(1e-6).expect("depth of a slanted plane fixes one direction");
+            x.iter_mut().zip(step).for_each(|(x, s)| *x += s);
+        }
+        assert!(sums(&x, None, 0.0).mean_cost() < 0.5 * still);
+    }
 }
