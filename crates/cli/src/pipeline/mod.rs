@@ -35,6 +35,7 @@ pub(crate) struct Job {
 pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     let sequence = Sequence::open(&job.dataset, &job.open)?;
     interrupt::listen();
+    refuse_to_overwrite_input(job)?;
     let folder = ResultFolder::create(&job.out)?;
     let truth = Truth::of(&job.dataset, &sequence);
     let mut progress = Progress::new(sequence.len(), job.quiet);
@@ -50,6 +51,18 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     let Written { metrics, problems } = written?;
     summarise(&metrics, folder.path());
     end(problems)
+}
+
+/// A result folder holds a `camera.json` of its own.
+fn refuse_to_overwrite_input(job: &Job) -> Result<(), Failure> {
+    match (job.out.canonicalize(), job.dataset.canonicalize()) {
+        (Ok(out), Ok(dataset)) if out == dataset => Err(Failure::Usage(format!(
+            "--out {} is the dataset itself: its camera.json would be overwritten, choose another \
+             folder",
+            job.out.display()
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// Failures first, then whether the user ended it.

@@ -5,6 +5,7 @@ use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::{DatasetError, Frame, Sequence};
 use i2slam::{Config, Reconstruction, Session};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// What a session left.
@@ -28,7 +29,10 @@ pub(crate) fn track(
     progress: &mut Progress,
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
-    let session = Session::new(config.clone(), sequence.camera, sequence.frame_rate);
+    let mut session = Session::new(config.clone(), sequence.camera, sequence.frame_rate);
+    if let Some(covered) = &sequence.covered {
+        session.set_covered(Arc::clone(covered));
+    }
     let mut run = Run { session, skipped: 0, first_error: None };
     let end = without_panics(|| run.frames(sequence, progress));
     let mut problem = match end {

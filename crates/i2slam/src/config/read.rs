@@ -103,7 +103,7 @@ impl Config {
     /// Whether every value is in its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let f = &self.formation;
-        at_least("formation.virtual_cameras", f.virtual_cameras, 1)?;
+        between("formation.virtual_cameras", f.virtual_cameras, 1, 64, "1 to 64")?;
         if !matches!(f.response_curves, 1 | 3) {
             return Err(ConfigError::OutOfRange {
                 key: "formation.response_curves",
@@ -111,7 +111,16 @@ impl Config {
                 expected: "1 or 3",
             });
         }
-        at_least("tracking.alignment.levels", self.tracking.alignment.levels, 1)?;
+        let a = &self.tracking.alignment;
+        between("tracking.alignment.levels", a.levels, 1, 8, "1 to 8")?;
+        match self.tracking.method {
+            TrackingMethod::Adam => at_least("tracking.iterations", self.tracking.iterations, 1)?,
+            TrackingMethod::SecondOrder => {
+                between("tracking.alignment.iterations", a.iterations, 2, 1000, "2 to 1000")?;
+            }
+        }
+        positive("tracking.alignment.depth_scale_floor", a.depth_scale_floor)?;
+        positive("tracking.alignment.image_scale_floor", a.image_scale_floor)?;
         at_least("tracking.alignment.renders", self.tracking.alignment.renders, 1)?;
         at_least("mapping.interval", self.mapping.interval, 1)?;
         at_least("mapping.window", self.mapping.window, 1)?;
@@ -121,13 +130,21 @@ impl Config {
         positive("map.initial_scale", self.map.initial_scale)?;
         positive("map.screen_variance", self.map.screen_variance)?;
         positive("mapping.scene_radius_ratio", self.mapping.scene_radius_ratio)?;
-        share("map.initial_opacity", self.map.initial_opacity)?;
+        inside("map.initial_opacity", self.map.initial_opacity)?;
+        inside("mapping.prune_opacity", self.mapping.prune_opacity)?;
+        if i64::try_from(self.seed).is_err() {
+            return Err(ConfigError::OutOfRange {
+                key: "seed",
+                value: self.seed.to_string(),
+                expected: "at most 2^63 - 1",
+            });
+        }
         share("tracking.silhouette_threshold", self.tracking.silhouette_threshold)?;
         share("mapping.ssim_share", self.mapping.ssim_share)?;
         self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
     }
 
-    fn rates(&self) -> [(&'static str, f32); 15] {
+    fn rates(&self) -> [(&'static str, f32); 27] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         [
             ("formation.tone_rate", f.tone_rate),
@@ -145,6 +162,18 @@ impl Config {
             ("mapping.tone_rate", m.tone_rate),
             ("mapping.response_rate", m.response_rate),
             ("mapping.pose_rotation_rate", m.pose_rotation_rate),
+            ("mapping.pose_translation_rate", m.pose_translation_rate),
+            ("mapping.rotation_rate", m.rotation_rate),
+            ("mapping.image_weight", m.image_weight),
+            ("mapping.depth_weight", m.depth_weight),
+            ("mapping.densify_opacity", m.densify_opacity),
+            ("mapping.densify_depth_medians", m.densify_depth_medians),
+            ("mapping.prune_scale", m.prune_scale),
+            ("tracking.initial_split", t.initial_split),
+            ("tracking.velocity_rotation_share", t.velocity_rotation_share),
+            ("tracking.velocity_translation_share", t.velocity_translation_share),
+            ("tracking.alignment.image_weight", t.alignment.image_weight),
+            ("tracking.alignment.motion_prior", t.alignment.motion_prior),
         ]
     }
 }
@@ -208,6 +237,21 @@ fn positive(key: &'static str, value: f32) -> Result<(), ConfigError> {
 
 fn not_negative(key: &'static str, value: f32) -> Result<(), ConfigError> {
     check(key, value, value >= 0.0 && value.is_finite(), "a number of at least 0")
+}
+
+fn inside(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, value > 0.0 && value < 1.0, "above 0 and below 1")
+}
+
+fn between(
+    key: &'static str,
+    value: usize,
+    least: usize,
+    most: usize,
+    expected: &'static str,
+) -> Result<(), ConfigError> {
+    let error = || ConfigError::OutOfRange { key, value: value.to_string(), expected };
+    (least..=most).contains(&value).then_some(()).ok_or_else(error)
 }
 
 fn share(key: &'static str, value: f32) -> Result<(), ConfigError> {

@@ -6,9 +6,22 @@ use crate::objective::{Observation, Tone};
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
 
-/// Depth at which a frame adds Gaussians: its own, with holes filled if `settings` say so.
-pub(crate) fn placement(observation: &Observation, settings: &MappingConfig) -> Image<f32> {
-    if settings.fill_depth { filled(&observation.depth) } else { observation.depth.clone() }
+/// Depth at which a frame adds Gaussians: its own, with holes filled if `settings` say so, and
+/// none where the camera recorded nothing.
+pub(crate) fn placement(
+    observation: &Observation,
+    settings: &MappingConfig,
+    covered: Option<&Image<bool>>,
+) -> Image<f32> {
+    let mut depth = match settings.fill_depth {
+        true => filled(&observation.depth),
+        false => observation.depth.clone(),
+    };
+    if let Some(covered) = covered {
+        let unrecorded = depth.data.iter_mut().zip(&covered.data).filter(|(_, c)| !**c);
+        unrecorded.for_each(|(d, _)| *d = 0.0);
+    }
+    depth
 }
 
 /// What "large" means in this scene.

@@ -40,6 +40,8 @@ pub(crate) struct Sight<'a> {
     pub(crate) map: &'a mut GaussianMap,
     pub(crate) frames: &'a mut [FrameEstimate],
     pub(crate) responses: &'a mut [CameraResponse<f32>],
+    /// The frame whose pose and tone stay as they are: the first that was mapped.
+    pub(crate) gauge_frame: usize,
     /// Virtual cameras for the keyframe's blur.
     pub(crate) virtual_cameras: usize,
 }
@@ -103,7 +105,7 @@ impl MapOptimizer {
             self.step_tone(sight, keyframe.frame, &evaluation);
             self.step_response(sight, keyframe.frame, &mut evaluation);
         }
-        if keyframe.frame > 0 && mapping.pose_rotation_rate > 0.0 {
+        if keyframe.frame != sight.gauge_frame && mapping.pose_rotation_rate > 0.0 {
             self.step_pose(sight, keyframe.frame, &evaluation);
         }
         evaluation
@@ -145,9 +147,9 @@ impl MapOptimizer {
         })
     }
 
-    /// Exposure and white balance; frame 0 keeps both, which fixes the gauge.
+    /// Exposure and white balance; the gauge frame keeps both, which fixes the gauge.
     fn step_tone(&mut self, sight: &mut Sight<'_>, frame: usize, evaluation: &Evaluation) {
-        if frame == 0 {
+        if frame == sight.gauge_frame {
             return;
         }
         let mut gradient = evaluation.tone.to_array();

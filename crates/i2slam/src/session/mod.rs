@@ -59,6 +59,7 @@ pub struct Session {
     keyframes: Vec<Keyframe>,
     objective: FrameObjective,
     optimizer: MapOptimizer,
+    covered: Option<Arc<Image<bool>>>,
     random: Random,
     warnings: Vec<String>,
 }
@@ -75,6 +76,7 @@ impl Session {
             frames: Vec::new(),
             keyframes: Vec::new(),
             optimizer: MapOptimizer::new(),
+            covered: None,
             random: Random::new(config.seed),
             warnings: Vec::new(),
             objective,
@@ -86,7 +88,8 @@ impl Session {
 
     /// Restricts the image terms to recorded pixels (see the dataset's `covered`).
     pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.objective.set_covered(covered);
+        self.objective.set_covered(Arc::clone(&covered));
+        self.covered = Some(covered);
     }
 
     /// Tracks one frame, then maps with it.
@@ -244,7 +247,7 @@ impl Session {
         let keyframe = Keyframe { frame: position, observation };
         let mapping = self.config.mapping.clone();
         let is_keyframe = first || (position + 1).is_multiple_of(mapping.keyframe_interval);
-        if first || position.is_multiple_of(mapping.interval) {
+        if first || (position + 1).is_multiple_of(mapping.interval) {
             self.densify(&keyframe, first);
             let iterations = if first { mapping.first_iterations } else { mapping.iterations };
             self.map_round(&keyframe, iterations);
@@ -263,7 +266,7 @@ impl Session {
             world_from_depth: estimate.depth_pose(),
             colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
             observation: &keyframe.observation,
-            depth: placement(&keyframe.observation, &self.config.mapping),
+            depth: placement(&keyframe.observation, &self.config.mapping, self.covered.as_deref()),
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
         };
         if first {
@@ -317,6 +320,7 @@ impl Session {
             map: &mut self.map,
             frames: &mut self.frames,
             responses: &mut self.responses,
+            gauge_frame: self.keyframes.first().map_or(keyframe.frame, |k| k.frame),
             virtual_cameras,
         };
         self.optimizer.step(&mut sight, keyframe);

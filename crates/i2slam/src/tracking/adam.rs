@@ -8,7 +8,7 @@ use i2slam_formation::{
     CameraResponse, CentreVelocity, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
     TrajectoryScale,
 };
-use i2slam_geometry::Tangent;
+use i2slam_geometry::{Rotation, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 
 /// The parameters of one frame, as they are stepped.
@@ -115,8 +115,8 @@ fn add_trajectory_loss(
     let pair = TrajectoryPair {
         previous: previous.shutter,
         current: state.motion.into(),
-        exposure_previous: context.exposure_time(&previous.tone),
-        exposure_current: context.exposure_time(&state.tone),
+        exposure_previous: context.exposure_time(&previous.tone) * context.interval_share(),
+        exposure_current: context.exposure_time(&state.tone) * context.interval_share(),
         scale: state.scale,
     };
     let (loss, gradient) = pair.loss_and_gradient();
@@ -241,5 +241,7 @@ pub(crate) fn mask_white_balance(model: WhiteBalance, gradient: &mut [f32; 4]) {
 /// Constant velocity: the motion of the last frame once more, with a small split of start and
 /// end along it (appendix A).
 pub(super) fn extrapolate(motion: Motion, split: f64) -> CentreVelocity<f64> {
-    CentreVelocity { centre: motion.next, velocity: motion.step.scaled(split) }
+    let step = motion.step;
+    let translation = Rotation::exp(step.rotation).inverse().rotate(step.translation);
+    CentreVelocity { centre: motion.next, velocity: Tangent { translation, ..step }.scaled(split) }
 }

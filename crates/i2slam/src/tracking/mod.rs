@@ -45,6 +45,13 @@ impl TrackingContext<'_> {
         if ratio.is_finite() { ratio.clamp(0.0, 5.0) } else { 1.0 }
     }
 
+    /// The usual frame interval as a share of the time since the last frame: below 1 after a gap.
+    fn interval_share(&self) -> f64 {
+        let Some(last) = self.previous else { return 1.0 };
+        let share = 1.0 / (self.frame_rate * (self.timestamps.0 - last.timestamp));
+        if share.is_finite() && share > 0.0 { share.clamp(0.05, 2.0) } else { 1.0 }
+    }
+
     /// How far the depth picture is ahead of mid-exposure, as a share of the time since the last
     /// frame.
     fn depth_lead(&self) -> f64 {

@@ -14,7 +14,7 @@ use super::{Motion, TrackingContext, TrackingResult};
 use crate::config::WhiteBalance;
 use crate::objective::{FrameObjective, Observation, blur_length, virtual_camera_count};
 use crate::reconstruction::Losses;
-use i2slam_formation::{CameraResponse, ResponseCurve};
+use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 use prior::{MotionPrior, freeze};
@@ -175,7 +175,12 @@ impl Frame<'_> {
             let linearize = |state: &State| {
                 let mut total = Sums::default();
                 for reference in cleanest(references) {
-                    total.merge(&self.linearize(reference, level, state));
+                    let mut part = self.linearize(reference, level, state);
+                    if !reference.has_radiance {
+                        // Overlap with the map says whether a frame is tracked.
+                        (part.candidates, part.agreeing) = (0, 0);
+                    }
+                    total.merge(&part);
                 }
                 total
             };
@@ -202,7 +207,13 @@ impl Frame<'_> {
             let Some(step) = equations.step(damping) else { break };
             let next = retract(state, &step);
             let next_sums = linearize(&next);
-            if next_sums.mean_cost() > sums.mean_cost() * (1.0 + 1e-4) {
+            // One prior for both sides, held where the step was taken from.
+            let prior = self.context.formation.blur.then(|| self.prior(state));
+            let cost = |state: &State, sums: &Sums| {
+                let prior = prior.as_ref().map_or(0.0, |p| p.cost(state.motion.velocity));
+                sums.mean_cost() + prior / sums.equations.count.max(1) as f64
+            };
+            if cost(&next, &next_sums) > cost(state, sums) * (1.0 + 1e-4) {
                 damping *= 100.0;
                 if damping > 1.0 {
                     break;
@@ -222,7 +233,11 @@ impl Frame<'_> {
         let blur = self.blur(state) / f64::from(1 << level);
         let formation = self.context.formation;
         let cameras = match formation.blur {
-            true => virtual_camera_count(blur, 1.5, formation.virtual_cameras),
+            true => virtual_camera_count(
+                blur,
+                f64::from(formation.blur_per_camera),
+                formation.virtual_cameras,
+            ),
             false => 1,
         };
         Linearization {
@@ -277,8 +292,8 @@ impl Frame<'_> {
         let free = !self.context.formation.trajectory_loss;
         MotionPrior {
             pixels: self.pixels,
-            step: self.previous.local(state.motion.centre),
-            share: self.open_share(state),
+            step: CentreVelocity::along(self.previous, state.motion.centre, 1.0).velocity,
+            share: self.open_share(state) * self.context.interval_share(),
             across: f64::from(self.context.tracking.alignment.motion_prior),
             along: 0.5,
             weight: if free { 1e-3 } else { PRIOR_WEIGHT },
@@ -303,7 +318,8 @@ impl Frame<'_> {
         }
         let (share, motion) = self.prior(&state).measured_share(state.motion.velocity);
         let trust = motion * motion / (motion * motion + 400.0);
-        let ratio = (share.clamp(0.02, 1.0) / self.open_share(&state)).ln();
+        let share = (share / self.context.interval_share()).clamp(0.02, 1.0);
+        let ratio = (share / self.open_share(&state)).ln();
         state.scale.a *= (0.5 * trust * ratio).exp();
         state
     }

@@ -30,6 +30,22 @@ pub(super) struct MotionPrior {
 }
 
 impl MotionPrior {
+    /// `weight · eᵀ P e`, of which [`add_to`](Self::add_to) adds half the gradient; motion and
+    /// share are held fixed.
+    pub(super) fn cost(&self, velocity: Tangent<f64>) -> f64 {
+        let (step, now) = (self.in_pixels(self.step), self.in_pixels(velocity));
+        let length = step.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let across = 1.0 / (FLOOR + self.across * length).powi(2);
+        let along = 1.0 / (FLOOR + self.along * length).powi(2);
+        let (mut square, mut dot) = (0.0, 0.0);
+        for i in 0..6 {
+            let error = now[i] - self.share * step[i];
+            square += error * error;
+            dot += if length > 0.0 { error * step[i] / length } else { 0.0 };
+        }
+        self.weight * (across * square + (along - across) * dot * dot)
+    }
+
     /// Adds the prior's normal equations at velocity `velocity`.
     pub(super) fn add_to(&self, velocity: Tangent<f64>, equations: &mut Equations) {
         let step = self.in_pixels(self.step);
@@ -77,5 +93,42 @@ pub(super) fn freeze(equations: &mut Equations, frozen: std::ops::Range<usize>) 
         }
         equations.hessian[i][i] = 1.0;
         equations.gradient[i] = 0.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::{assert_gradient, noise};
+
+    #[test]
+    fn normal_equations_are_half_the_derivative_of_the_cost() {
+        let tangent = |seed| Tangent::from_array(std::array::from_fn(|i| noise(seed, 6)[i] * 0.02));
+        for step in [tangent(1), Tangent::zero()] {
+            let prior = MotionPrior {
+                pixels: [130.0, 130.0, 130.0, 260.0, 260.0, 260.0],
+                step,
+                share: 0.4,
+                across: 0.1,
+                along: 0.5,
+                weight: 200.0,
+            };
+            let velocity = tangent(2).to_array();
+            let mut equations = Equations::default();
+            prior.add_to(Tangent::from_array(velocity), &mut equations);
+            let gradient: Vec<f64> = equations.gradient[6..12].iter().map(|g| 2.0 * g).collect();
+            assert_gradient("motion prior", &velocity, &gradient, 1e-4, 1e-6, |x| {
+                prior.cost(Tangent::from_array(std::array::from_fn(|i| x[i])))
+            });
+        }
+    }
+
+    #[test]
+    fn frozen_unknowns_do_not_move() {
+        let mut equations = Equations::default();
+        equations.add(&std::array::from_fn(|i| 1.0 + i as f64), 1.0, 1.0);
+        freeze(&mut equations, 3..UNKNOWNS);
+        let step = equations.step(1e-3).expect("positive definite");
+        assert!(step[3..].iter().all(|&s| s == 0.0) && step[0] != 0.0);
     }
 }

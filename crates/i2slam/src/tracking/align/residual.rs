@@ -73,6 +73,8 @@ pub(super) struct Sums {
     pub(super) image_count: usize,
     /// Pixels with depth, seen by the model or not.
     pub(super) candidates: usize,
+    /// Those that lie on the model's surface.
+    pub(super) agreeing: usize,
 }
 
 impl Sums {
@@ -83,6 +85,7 @@ impl Sums {
         self.image_error += other.image_error;
         self.image_count += other.image_count;
         self.candidates += other.candidates;
+        self.agreeing += other.agreeing;
     }
 
     /// Mean negative log-likelihood of the residuals: what a step has to lower.
@@ -92,7 +95,7 @@ impl Sums {
 
     /// Share of the frame's depth pixels that agree with the model's surface.
     pub(super) fn overlap(&self) -> f64 {
-        self.depth_count as f64 / self.candidates.max(1) as f64
+        self.agreeing as f64 / self.candidates.max(1) as f64
     }
 }
 
@@ -206,6 +209,7 @@ impl Linearization<'_> {
         sums.equations.cost += cost - f64::from(weight * residual * residual / (normal * normal));
         sums.depth_error += f64::from(residual.abs() / normal / spread);
         sums.depth_count += 1;
+        sums.agreeing += 1;
         true
     }
 
