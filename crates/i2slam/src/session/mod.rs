@@ -60,6 +60,7 @@ pub struct Session {
     objective: FrameObjective,
     optimizer: MapOptimizer,
     covered: Option<Arc<Image<bool>>>,
+    full: bool,
     random: Random,
     warnings: Vec<String>,
 }
@@ -77,6 +78,7 @@ impl Session {
             keyframes: Vec::new(),
             optimizer: MapOptimizer::new(),
             covered: None,
+            full: false,
             random: Random::new(config.seed),
             warnings: Vec::new(),
             objective,
@@ -102,6 +104,12 @@ impl Session {
         self.frames.push(estimate);
         let position = self.frames.len() - 1;
         self.frames[position].tracking_seconds = clock.elapsed().as_secs_f64();
+        if self.map.is_empty() && !self.keyframes.is_empty() {
+            self.warnings.push(format!(
+                "frame {}: the map was empty (all Gaussians pruned) and starts again",
+                frame.index
+            ));
+        }
         let clock = Instant::now();
         if usable && self.frames[position].tracked {
             self.map_frame(position, observation);
@@ -278,6 +286,13 @@ impl Session {
         let render = self.objective.render(&self.map, source.world_from_depth).clone();
         let settings = (&self.config.map, &self.config.mapping);
         add_gaussians(&mut self.map, settings, &source, &render);
+        if self.map.len() >= self.config.map.capacity && !self.full {
+            self.full = true;
+            self.warnings.push(format!(
+                "the map is full ({} Gaussians): nothing new is added, map.capacity sets the limit",
+                self.map.len()
+            ));
+        }
     }
 
     fn map_round(&mut self, current: &Keyframe, iterations: usize) {
