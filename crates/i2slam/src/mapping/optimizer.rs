@@ -7,7 +7,7 @@ use crate::reconstruction::FrameEstimate;
 use crate::tracking::{NODE_STEP, mask_white_balance};
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{CameraResponse, FrameTone, ResponsePrior, ShutterTangent};
-use i2slam_geometry::Tangent;
+use i2slam_geometry::{Tangent, Vec3};
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
 use std::collections::BTreeMap;
 
@@ -179,20 +179,23 @@ impl MapOptimizer {
         }
     }
 
-    /// Both shutter poses move by one tangent of the centre.
+    /// Start and end pose, each by a tangent of its own.
     fn step_pose(&mut self, sight: &mut Sight<'_>, frame: usize, evaluation: &Evaluation) {
         let rates = &sight.config.mapping;
         let optimizer = self.frame(frame);
-        let mut step = ShutterTangent::<f64>::zero();
-        let sides = [(&evaluation.shutter.start, 0), (&evaluation.shutter.end, 1)];
-        let gradient = sides[0].0.plus(*sides[1].0).to_array().map(|g| g as f32);
-        let (mut translation, mut rotation) = ([0.0; 3], [0.0; 3]);
-        optimizer.translation.step(&mut translation, &gradient[..3], rates.pose_translation_rate);
-        optimizer.rotation.step(&mut rotation, &gradient[3..], rates.pose_rotation_rate);
-        let [x, y, z] = translation.map(f64::from);
-        let [a, b, c] = rotation.map(f64::from);
-        let tangent = Tangent::from_array([x, y, z, a, b, c]);
-        (step.start, step.end) = (tangent, tangent);
+        let gradient = evaluation.shutter.to_array().map(|g| g as f32);
+        let pick = |from: [usize; 6]| from.map(|i| gradient[i]);
+        let (mut translation, mut rotation) = ([0.0; 6], [0.0; 6]);
+        let rate = rates.pose_translation_rate;
+        optimizer.translation.step(&mut translation, &pick([0, 1, 2, 6, 7, 8]), rate);
+        let rate = rates.pose_rotation_rate;
+        optimizer.rotation.step(&mut rotation, &pick([3, 4, 5, 9, 10, 11]), rate);
+        let side = |at: usize| Tangent {
+            translation: Vec3::new(translation[at], translation[at + 1], translation[at + 2])
+                .cast(),
+            rotation: Vec3::new(rotation[at], rotation[at + 1], rotation[at + 2]).cast(),
+        };
+        let step = ShutterTangent::<f64> { start: side(0), end: side(3) };
         sight.frames[frame].shutter = sight.frames[frame].shutter.retract(&step);
     }
 }
