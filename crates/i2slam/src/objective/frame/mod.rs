@@ -359,3 +359,6 @@ impl FrameObjective {
         evaluation.curve = Some(d_curve);
     }
 }
+
+#[cfg(test)]
+mod tests;
