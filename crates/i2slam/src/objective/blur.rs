@@ -36,7 +36,8 @@ pub fn blur_length(camera: &Camera<f64>, shutter: &ShutterPoses<f64>, depth: &Im
 }
 
 /// Virtual cameras for a blur of `length` pixels: one while the streak stays under half a pixel,
-/// then one more for every `per_camera` pixels, at most `most`. Zero `per_camera` gives `most`.
+/// then about one for every `per_camera` pixels, at most `most`. The number is odd, so that one
+/// camera stands at mid-exposure, where depth is mostly taken. Zero `per_camera` gives `most`.
 pub fn virtual_camera_count(length: f64, per_camera: f64, most: usize) -> usize {
     if per_camera <= 0.0 {
         return most;
@@ -44,7 +45,7 @@ pub fn virtual_camera_count(length: f64, per_camera: f64, most: usize) -> usize 
     if length < 0.5 {
         return 1;
     }
-    (1 + (length / per_camera).ceil() as usize).min(most)
+    (1 + 2 * (0.5 * length / per_camera).ceil() as usize).min(most)
 }
 
 #[cfg(test)]
@@ -66,7 +67,8 @@ mod tests {
     #[test]
     fn a_still_frame_needs_one_camera() {
         assert_eq!(virtual_camera_count(0.2, 1.5, 5), 1);
-        assert_eq!(virtual_camera_count(1.4, 1.5, 5), 2);
+        assert_eq!(virtual_camera_count(1.4, 1.5, 5), 3);
+        assert_eq!(virtual_camera_count(3.1, 1.5, 9), 5);
         assert_eq!(virtual_camera_count(40.0, 1.5, 5), 5);
         assert_eq!(virtual_camera_count(0.0, 0.0, 5), 5);
     }
