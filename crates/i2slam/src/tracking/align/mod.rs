@@ -43,6 +43,9 @@ struct Reference {
 /// independent, and a map that is still soft would otherwise be read as a still camera.
 const PRIOR_WEIGHT: f64 = 200.0;
 
+/// Scale of the depth residual [m at 1 m] from which pictures have their full weight.
+const COARSE_DEPTH: f32 = 1.5e-3;
+
 /// Everything about one frame that its steps share.
 struct Frame<'a> {
     context: &'a TrackingContext<'a>,
@@ -252,7 +255,7 @@ impl Frame<'_> {
             depth_lead: self.context.depth_lead(),
             scales: reference.scales,
             image_weight: match reference.has_radiance {
-                true => self.context.tracking.alignment.image_weight,
+                true => self.context.tracking.alignment.image_weight * exactness(reference),
                 false => 0.0,
             },
             stride: if level == 0 { 2 } else { 1 },
@@ -360,6 +363,13 @@ fn cleanest(references: &[Reference]) -> impl Iterator<Item = &Reference> {
         .enumerate()
         .filter(move |(i, r)| *i == 0 || r.scales.depth <= model)
         .map(|(_, r)| r)
+}
+
+/// What is left of the image's weight where depth is exact. The errors of pictures are not
+/// independent (a map that is still soft is wrong everywhere in the same way), so they must not
+/// outvote a depth that knows better than a millimetre at a metre.
+fn exactness(reference: &Reference) -> f32 {
+    (reference.scales.depth / COARSE_DEPTH).clamp(0.05, 1.0)
 }
 
 fn retract(state: &State, step: &[f64; residual::UNKNOWNS]) -> State {
