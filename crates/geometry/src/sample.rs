@@ -28,7 +28,11 @@ impl<T: Real> Tap<T> {
 
     /// Value of a plane and its derivatives by `u` and `v`.
     pub fn sample(self, plane: &[T]) -> (T, T, T) {
-        let [a, b, c, d] = self.values(plane);
+        self.interpolate(self.values(plane))
+    }
+
+    /// The same of given values of the four pixels.
+    pub fn interpolate(self, [a, b, c, d]: [T; 4]) -> (T, T, T) {
         let (top, bottom) = (a + (b - a) * self.du, c + (d - c) * self.du);
         let by_u = (b - a) + ((d - c) - (b - a)) * self.dv;
         (top + (bottom - top) * self.dv, by_u, bottom - top)

@@ -143,7 +143,7 @@ fn paper_scannet() -> Config {
                 iterations: 12,
                 keyframe_depth: true,
                 renders: 2,
-                depth_scale_floor: 1e-4,
+                depth_scale_floor: 3e-5,
                 image_scale_floor: 0.01,
                 image_weight: 0.15,
                 motion_prior: 0.1,

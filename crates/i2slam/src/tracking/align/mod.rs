@@ -43,6 +43,9 @@ struct Reference {
 /// independent, and a map that is still soft would otherwise be read as a still camera.
 const PRIOR_WEIGHT: f64 = 200.0;
 
+/// How many times less noise than the model's residuals a keyframe's own depth must have.
+const CLEANER: f32 = 3.0;
+
 /// Scale of the depth residual [m at 1 m] from which pictures have their full weight.
 const COARSE_DEPTH: f32 = 1.5e-3;
 
@@ -354,15 +357,14 @@ impl Frame<'_> {
     }
 }
 
-/// The model, and the keyframe where its own depth agrees better with the frame than the model's:
-/// true of an exact depth, not of a noisy one, which the model has averaged.
+/// The model, and the keyframe where its own depth is far less noisy than the model is wrong:
+/// true of an exact depth, not of a sensor's, which the model has averaged.
+///
+/// The keyframe is judged by the noise of its depth alone, not by how well it fits: that would
+/// depend on the pose, which is what is looked for.
 fn cleanest(references: &[Reference]) -> impl Iterator<Item = &Reference> {
     let model = references[0].scales.depth;
-    references
-        .iter()
-        .enumerate()
-        .filter(move |(i, r)| *i == 0 || r.scales.depth <= model)
-        .map(|(_, r)| r)
+    references.iter().filter(move |r| r.has_radiance || CLEANER * r.levels[0].noise < model)
 }
 
 /// What is left of the image's weight where depth is exact. The errors of pictures are not

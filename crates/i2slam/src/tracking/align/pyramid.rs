@@ -14,6 +14,8 @@ pub(super) struct Observed {
     pub(super) camera: Camera<f32>,
     pub(super) colour: Image<f32>,
     pub(super) depth: Image<f32>,
+    /// See [`relief`].
+    pub(super) relief: Image<f32>,
 }
 
 /// One level of the model: radiance and depth seen from the model's pose.
@@ -22,6 +24,23 @@ pub(super) struct Model {
     pub(super) radiance: Image<f32>,
     /// Depth divided by opacity [m]; 0 where the model is not opaque.
     pub(super) depth: Image<f32>,
+    /// See [`relief`].
+    pub(super) relief: Image<f32>,
+    /// Standard deviation of the depth [m at 1 m], from its relief.
+    pub(super) noise: f32,
+}
+
+impl Model {
+    pub(super) fn new(radiance: Image<f32>, depth: Image<f32>) -> Self {
+        let relief = relief(&depth);
+        Self { noise: noise(&depth, &relief), relief, radiance, depth }
+    }
+}
+
+impl Observed {
+    pub(super) fn new(camera: Camera<f32>, colour: Image<f32>, depth: Image<f32>) -> Self {
+        Self { camera, relief: relief(&depth), colour, depth }
+    }
 }
 
 /// The observed frame at `levels` sizes, finest first.
@@ -30,15 +49,12 @@ pub(super) fn observed_levels(
     observation: &Observation,
     levels: usize,
 ) -> Vec<Observed> {
-    let finest = Observed {
-        camera: camera.cast(),
-        colour: observation.colour.clone(),
-        depth: observation.depth.clone(),
-    };
+    let finest =
+        Observed::new(camera.cast(), observation.colour.clone(), observation.depth.clone());
     halve_repeatedly(finest, levels, |fine| {
         let colour = halved_by_mean(&fine.colour);
         let camera = fine.camera.resized(colour.width, colour.height);
-        Observed { camera, depth: halved_depth(&fine.depth), colour }
+        Observed::new(camera, colour, halved_depth(&fine.depth))
     })
 }
 
@@ -48,20 +64,50 @@ pub(super) fn model_levels(render: &Render, levels: usize) -> Vec<Model> {
     for (d, &opacity) in depth.data.iter_mut().zip(&render.opacity.data) {
         *d = if opacity > OPAQUE { *d / opacity } else { 0.0 };
     }
-    let finest = Model { radiance: render.radiance.clone(), depth };
-    halve_repeatedly(finest, levels, |fine| Model {
-        radiance: halved_by_mean(&fine.radiance),
-        depth: halved_depth(&fine.depth),
+    halve_repeatedly(Model::new(render.radiance.clone(), depth), levels, |fine| {
+        Model::new(halved_by_mean(&fine.radiance), halved_depth(&fine.depth))
     })
 }
 
 /// A depth picture at `levels` sizes, finest first, as a model without radiance.
 pub(super) fn depth_levels(depth: &Image<f32>, levels: usize) -> Vec<Model> {
-    let finest = Model { radiance: Image::default(), depth: depth.clone() };
-    halve_repeatedly(finest, levels, |fine| Model {
-        radiance: Image::default(),
-        depth: halved_depth(&fine.depth),
+    halve_repeatedly(Model::new(Image::default(), depth.clone()), levels, |fine| {
+        Model::new(Image::default(), halved_depth(&fine.depth))
     })
+}
+
+/// How far each pixel is off the line through its neighbours [m], the worse of row and column,
+/// with depth interpolated as on a plane. Large at edges and beside holes; 0 where there is no
+/// depth.
+fn relief(depth: &Image<f32>) -> Image<f32> {
+    let (width, height) = (depth.width, depth.height);
+    let inverse: Vec<f32> =
+        depth.data.iter().map(|&d| if d > 0.0 { 1.0 / d } else { 0.0 }).collect();
+    let mut out = Image::new(width, height, 1);
+    for row in 0..height {
+        for column in 0..width {
+            let i = row * width + column;
+            let bend = |a: usize, b: usize| (inverse[a] + inverse[b] - 2.0 * inverse[i]).abs();
+            let inside = |at: usize, size: usize| at > 0 && at + 1 < size;
+            let along = if inside(column, width) { bend(i - 1, i + 1) } else { 0.0 };
+            let across = if inside(row, height) { bend(i - width, i + width) } else { 0.0 };
+            out.data[i] = along.max(across) * depth.data[i] * depth.data[i];
+        }
+    }
+    out
+}
+
+/// The second difference of independent noise has `√6` times its standard deviation, and the
+/// median of the larger of two such has about that size; most of a picture is no edge.
+fn noise(depth: &Image<f32>, relief: &Image<f32>) -> f32 {
+    let pixels = depth.data.iter().zip(&relief.data).step_by(5);
+    let mut all: Vec<f32> =
+        pixels.filter(|(d, _)| **d > 0.0).map(|(d, r)| r / (d * d.max(1.0))).collect();
+    let middle = all.len() / 2;
+    match all.is_empty() {
+        true => f32::INFINITY,
+        false => *all.select_nth_unstable_by(middle, f32::total_cmp).1 / 6.0_f32.sqrt(),
+    }
 }
 
 fn halve_repeatedly<L>(finest: L, levels: usize, halve: impl Fn(&L) -> L) -> Vec<L> {
@@ -77,14 +123,18 @@ fn halved_by_mean(image: &Image<f32>) -> Image<f32> {
     halved(image, |block| block.iter().sum::<f32>() * 0.25)
 }
 
-/// The mean depth of a block that lies on one surface, otherwise no reading.
+/// The depth at the middle of a block that lies on one surface, otherwise no reading.
 fn halved_depth(depth: &Image<f32>) -> Image<f32> {
-    halved(depth, |block| {
-        let least = block.iter().copied().fold(f32::INFINITY, f32::min);
-        let most = block.iter().copied().fold(0.0, f32::max);
-        let one_surface = least > 0.0 && most - least < SURFACE * least;
-        if one_surface { block.iter().sum::<f32>() * 0.25 } else { 0.0 }
+    halved(depth, |block| match one_surface(block) {
+        true => 4.0 / block.iter().map(|d| 1.0 / d).sum::<f32>(),
+        false => 0.0,
     })
+}
+
+fn one_surface(depths: [f32; 4]) -> bool {
+    let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
+    let most = depths.iter().copied().fold(0.0, f32::max);
+    least > 0.0 && most - least < SURFACE * least
 }
 
 /// Half the size; an odd last row or column is dropped.
@@ -108,12 +158,19 @@ fn halved(image: &Image<f32>, reduce: impl Fn([f32; 4]) -> f32) -> Image<f32> {
     out
 }
 
-/// Value and derivatives of a depth plane at a tap whose four pixels lie on one surface.
-pub(super) fn surface(tap: Tap<f32>, plane: &[f32]) -> Option<(f32, f32, f32)> {
-    let values = tap.values(plane);
-    let least = values.iter().copied().fold(f32::INFINITY, f32::min);
-    let most = values.iter().copied().fold(0.0, f32::max);
-    (least > 0.0 && most - least < SURFACE * least).then(|| tap.sample(plane))
+/// Depth and its derivatives at a tap whose four pixels lie on one surface.
+///
+/// The inverse of depth is what is interpolated: it is linear over the picture of a plane, so a
+/// floor seen at a grazing angle comes out without the bias that linear depth has there.
+pub(super) fn surface(tap: Tap<f32>, depths: &[f32]) -> Option<(f32, f32, f32)> {
+    let values = tap.values(depths);
+    if !one_surface(values) {
+        return None;
+    }
+    let (inverse, by_u, by_v) = tap.interpolate(values.map(|d| 1.0 / d));
+    let depth = 1.0 / inverse;
+    let slope = -depth * depth;
+    Some((depth, slope * by_u, slope * by_v))
 }
 
 #[cfg(test)]
@@ -125,6 +182,35 @@ mod tests {
         let image = |data| Image { width: 2, height: 2, channels: 1, data };
         assert_eq!(halved_depth(&image(vec![1.0, 1.0, 2.0, 2.0])).data, vec![0.0]);
         assert_eq!(halved_depth(&image(vec![1.0, 1.0, 0.0, 1.0])).data, vec![0.0]);
-        assert_eq!(halved_depth(&image(vec![1.0, 1.02, 1.0, 1.02])).data, vec![1.01]);
+        let middle = halved_depth(&image(vec![1.0, 1.02, 1.0, 1.02])).data[0];
+        assert!((middle - 2.04 / 2.02).abs() < 1e-6);
+    }
+
+    #[test]
+    fn noise_is_told_from_the_shape_of_the_scene() {
+        let mut random = i2slam_compute::Random::new(3);
+        let sigma = 0.004;
+        let mut plane = Image::new(60, 40, 1);
+        for (i, d) in plane.data.iter_mut().enumerate() {
+            let edge = if i % 60 < 30 { 0.3 } else { 0.0 };
+            *d = 1.0 / (0.8 + edge + 0.004 * (i / 60) as f32);
+        }
+        let clean = Model::new(Image::default(), plane.clone()).noise;
+        plane
+            .data
+            .iter_mut()
+            .for_each(|d| *d += sigma * (12.0_f64.sqrt() * (random.uniform() - 0.5)) as f32);
+        let noisy = Model::new(Image::default(), plane).noise;
+        assert!(clean < 1e-5 && (0.7..1.4).contains(&(noisy / sigma)), "{clean} {noisy}");
+    }
+
+    #[test]
+    fn a_grazing_plane_is_interpolated_without_bias() {
+        let depth = |u: f32| 1.0 / (0.3 + 0.01 * u);
+        let row = [depth(0.5), depth(1.5)];
+        let tap = Tap::new(2, 2, 1.2, 0.9).expect("inside");
+        let (d, by_u, by_v) = surface(tap, &[row[0], row[1], row[0], row[1]]).expect("a surface");
+        let analytic = -0.01 * depth(1.2).powi(2);
+        assert!((d - depth(1.2)).abs() < 1e-6 && (by_u - analytic).abs() < 1e-5 && by_v == 0.0);
     }
 }

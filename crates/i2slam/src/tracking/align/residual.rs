@@ -28,6 +28,9 @@ pub(super) type Equations = NormalEquations<UNKNOWNS>;
 
 /// Degrees of freedom of the t-distribution that residuals are taken to follow (Kerl 2013).
 const FREEDOM: f32 = 5.0;
+/// Share of the relief of model and frame by which depth is taken to be uncertain: beside edges an
+/// interpolated depth is on no surface, and always errs to the same side.
+const RELIEF: f32 = 0.5;
 /// Depth residuals beyond this share of the depth belong to another surface.
 const GATE: f32 = 0.08;
 /// Rows of a parallel task.
@@ -169,7 +172,8 @@ impl Linearization<'_> {
                 sums.candidates += 1;
                 let (u, v) = Camera::<f32>::pixel_centre(column, row);
                 let point = geometry.centre_from_depth.apply(camera.unproject(u, v, z));
-                if self.add_depth(point, z, geometry, &mut sums) && self.image_weight > 0.0 {
+                let reading = (z, self.observed.relief.at(0, column, row));
+                if self.add_depth(point, reading, geometry, &mut sums) && self.image_weight > 0.0 {
                     self.add_colour(point, geometry, &mut sums);
                 }
             }
@@ -177,9 +181,15 @@ impl Linearization<'_> {
         sums
     }
 
-    /// Adds the depth residual of a point read at depth `z`, given in the camera at mid-exposure;
-    /// whether the model has this pixel's surface.
-    fn add_depth(&self, point: Vec3<f32>, z: f32, geometry: &Geometry, sums: &mut Sums) -> bool {
+    /// Adds the depth residual of a point read at depth `z` beside `relief`, given in the camera
+    /// at mid-exposure; whether the model has this pixel's surface.
+    fn add_depth(
+        &self,
+        point: Vec3<f32>,
+        (z, relief): (f32, f32),
+        geometry: &Geometry,
+        sums: &mut Sums,
+    ) -> bool {
         let place = geometry.model_from_centre.apply(point);
         if place.z <= 0.05 {
             return false;
@@ -197,7 +207,8 @@ impl Linearization<'_> {
         // By the observed depth, not by `place`: a scale that moved with the pose would be
         // lowered by moving away.
         let spread = z * z.max(1.0);
-        let scale = self.scales.depth * spread;
+        let rough = tap.values(&self.model.relief.data).into_iter().fold(relief, f32::max);
+        let scale = (self.scales.depth * spread).hypot(RELIEF * rough);
         // A residual along the optical axis counts by its distance to the surface.
         let normal = by_place.norm().max(1.0);
         let (weight, cost) = robust(residual / normal, scale);
@@ -316,27 +327,22 @@ mod tests {
     }
 
     fn model() -> Model {
-        Model {
-            radiance: picture(3, |c, u, v| {
+        Model::new(
+            picture(3, |c, u, v| {
                 0.3 + 0.1 * (0.35 * u + c as f32).sin() + 0.1 * (0.3 * v - 0.1 * u).cos()
             }),
-            depth: picture(1, |_, u, v| 2.0 + 0.01 * u - 0.006 * v),
-        }
+            picture(1, |_, u, v| 2.0 + 0.01 * u - 0.006 * v),
+        )
     }
 
     /// Depth away from the border, so that every residual stays while the camera moves.
     fn observed() -> Observed {
         let inside = |u: f32, v: f32| (8.0..40.0).contains(&u) && (8.0..28.0).contains(&v);
-        Observed {
-            camera: Camera { width: 48, height: 36, fx: 45.0, fy: 45.0, cx: 24.0, cy: 18.0 },
-            colour: picture(3, |c, u, v| {
-                0.55 + 0.12 * (0.33 * u + c as f32).sin() + 0.1 * (0.3 * v).cos()
-            }),
-            depth: picture(
-                1,
-                |_, u, v| if inside(u, v) { 2.02 + 0.009 * u - 0.005 * v } else { 0.0 },
-            ),
-        }
+        Observed::new(
+            Camera { width: 48, height: 36, fx: 45.0, fy: 45.0, cx: 24.0, cy: 18.0 },
+            picture(3, |c, u, v| 0.55 + 0.12 * (0.33 * u + c as f32).sin() + 0.1 * (0.3 * v).cos()),
+            picture(1, |_, u, v| if inside(u, v) { 2.02 + 0.009 * u - 0.005 * v } else { 0.0 }),
+        )
     }
 
     fn state(x: &[f64]) -> State {
