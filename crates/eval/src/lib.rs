@@ -7,7 +7,7 @@
 //! (which JSON writes as `null`).
 //!
 //! * [`trajectory`]: association, alignment, absolute and relative pose errors.
-//! * [`image`]: PSNR in its three dialects, SSIM.
+//! * [`image`]: PSNR in its dialects, SSIM, MS-SSIM, LPIPS.
 //! * [`hdr`]: errors of linear radiance after one global gain.
 //! * [`exposure`]: agreement of recovered exposures with the true ones.
 //! * [`depth`]: L1 over valid pixels.

@@ -1,21 +1,14 @@
 //! The judge against the public tools: `golden/README.md` says how the numbers were made.
 
+mod common;
+
+use common::{Numbers, golden, numbers, read};
 use i2slam_eval::EvalError;
-use i2slam_eval::image::{psnr, psnr_channel_mean, ssim};
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error, relative_pose_error,
 };
-use i2slam_geometry::{Image, Pose, Rotation, StampedPose, Vec3};
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-
-fn golden(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)
-}
-
-fn read(path: &Path) -> String {
-    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
-}
+use i2slam_geometry::{Pose, Rotation, StampedPose, Vec3};
+use std::path::Path;
 
 /// A TUM trajectory file: stamp, position, quaternion x y z w.
 fn poses(path: &Path) -> Vec<StampedPose> {
@@ -29,14 +22,6 @@ fn poses(path: &Path) -> Vec<StampedPose> {
             StampedPose { timestamp: v[0], world_from_camera }
         })
         .collect()
-}
-
-type Numbers = BTreeMap<String, f64>;
-
-fn numbers(name: &str) -> Numbers {
-    let text = read(&golden(name));
-    let pairs = text.lines().filter_map(|l| l.split_once(' '));
-    pairs.map(|(k, v)| (k.to_owned(), v.parse().unwrap())).collect()
 }
 
 /// The same numbers from this crate, under the same names.
@@ -193,35 +178,4 @@ fn the_report_has_the_agreed_names() {
     due.extend(["ate_std_m", "pairs", "scale", "splatam_mean_m"]);
     assert_eq!(names, due);
     assert_eq!(json["alignment"], "se3");
-}
-
-/// The procedural picture of `make.py`.
-fn picture(phase: f64) -> Image<f32> {
-    let mut image = Image::new(48, 37, 3);
-    for c in 0..3 {
-        for row in 0..37 {
-            for column in 0..48 {
-                let (x, y) = (0.37 * column as f64 + 0.9 * c as f64 + phase, 0.23 * row as f64);
-                let check = (column / 6 + row / 5 + c) % 2;
-                let value = 0.5 + 0.3 * x.sin() * (y - phase).cos() + 0.15 * check as f64;
-                image.data[(c * 37 + row) * 48 + column] = value as f32;
-            }
-        }
-    }
-    image
-}
-
-#[test]
-fn pictures_agree_with_scikit_image() {
-    let (due, truth) = (numbers("pictures.numbers"), picture(0.0));
-    for (name, phase) in [("near", 0.05), ("far", 0.8)] {
-        let render = picture(phase);
-        let close = |key: &str, value: f64, tolerance: f64| {
-            let due = due[&format!("{key}_{name}")];
-            assert!((value - due).abs() < tolerance, "{key} {name}: {value} expected {due}");
-        };
-        close("ssim", ssim(&render, &truth).unwrap(), 1e-6);
-        close("psnr", psnr(&render, &truth).unwrap(), 1e-4);
-        close("psnr_channel_mean", psnr_channel_mean(&render, &truth).unwrap(), 1e-4);
-    }
 }

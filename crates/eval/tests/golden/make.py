@@ -1,7 +1,7 @@
-"""Writes the trajectories of this folder and the numbers of evo and scikit-image for them.
+"""Writes the trajectories of this folder and the numbers of evo for them.
 
 Usage: python make.py [GROUNDTRUTH_OF_TUM_FR1_RPY_CLIP]
-Needs: evo 1.38.1, scikit-image 0.26.0, scipy 1.17.1, numpy 2.4.6. `evo_ape` and `evo_rpe` must be on PATH.
+Needs: evo 1.38.1, scipy 1.17.1, numpy 2.4.6. `evo_ape` and `evo_rpe` must be on PATH.
 """
 
 import json
@@ -15,7 +15,6 @@ import numpy as np
 from evo.core import sync
 from evo.tools import file_interface
 from scipy.spatial.transform import Rotation
-from skimage.metrics import structural_similarity
 
 HERE = Path(__file__).resolve().parent
 
@@ -124,28 +123,6 @@ def save(name, table):
     (HERE / name).write_text("".join(f"{k} {v:.12g}\n" for k, v in table.items()))
 
 
-def wave(width, height, channel, phase):
-    """A procedural plane; test and script evaluate the same formula."""
-    column, row = np.meshgrid(np.arange(width), np.arange(height))
-    value = 0.5 + 0.3 * np.sin(0.37 * column + 0.9 * channel + phase) * np.cos(0.23 * row - phase)
-    return (value + 0.15 * (((column // 6) + (row // 5) + channel) % 2)).astype(np.float32)
-
-
-def pictures():
-    width, height = 48, 37
-    table = {}
-    for name, phase in [("near", 0.05), ("far", 0.8)]:
-        truth = np.stack([wave(width, height, c, 0.0) for c in range(3)], axis=-1)
-        picture = np.stack([wave(width, height, c, phase) for c in range(3)], axis=-1)
-        table[f"ssim_{name}"] = structural_similarity(
-            picture.astype(np.float64), truth.astype(np.float64), gaussian_weights=True,
-            sigma=1.5, use_sample_covariance=False, data_range=1, channel_axis=-1)
-        square = (picture.astype(np.float64) - truth) ** 2
-        table[f"psnr_{name}"] = -10 * np.log10(square.mean())
-        table[f"psnr_channel_mean_{name}"] = (-10 * np.log10(square.mean(axis=(0, 1)))).mean()
-    return table
-
-
 def clip(truth):
     rows = np.loadtxt(truth)[::4]
     write("clip_estimate.txt", disturbed(rows, 3, 0.8, 0.01, 0.01, 0.004))
@@ -158,7 +135,6 @@ def main():
     write("walk_estimate.txt", disturbed(truth[5::4], 1, 1.3, 0.02, 0.02, 0.006))
     save("walk.numbers", numbers(HERE / "walk_truth.txt", HERE / "walk_estimate.txt"))
     save("swapped.numbers", numbers(HERE / "walk_estimate.txt", HERE / "walk_truth.txt"))
-    save("pictures.numbers", pictures())
     if len(sys.argv) > 1:
         clip(sys.argv[1])
 
