@@ -8,7 +8,7 @@
 //!
 //! * [`trajectory`]: association, alignment, absolute and relative pose errors.
 //! * [`image`]: PSNR in its dialects, SSIM, MS-SSIM, LPIPS.
-//! * [`hdr`]: errors of linear radiance after one global gain.
+//! * [`hdr`]: errors of linear radiance after one gain, or one for each channel.
 //! * [`exposure`]: agreement of recovered exposures with the true ones.
 //! * [`depth`]: L1 over valid pixels.
 //! * [`statistics`]: summaries of lists of numbers.

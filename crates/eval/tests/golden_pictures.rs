@@ -3,7 +3,7 @@
 mod common;
 
 use common::numbers;
-use i2slam_eval::image::{lpips, ms_ssim, psnr, psnr_channel_mean, ssim};
+use i2slam_eval::image::{lpips, ms_ssim, psnr, psnr_channel_mean, ssim, ssim_padded};
 use i2slam_geometry::Image;
 use std::fs::File;
 use std::io::BufReader;
@@ -36,6 +36,7 @@ fn assert_agree(name: &str, render: &Image<f32>, truth: &Image<f32>) {
     let structural = ssim(render, truth).unwrap();
     close("ssim", structural, 1e-6);
     close("ssim_torch", structural, 1e-4);
+    close("ssim_padded", ssim_padded(render, truth).unwrap(), 1e-6);
     close("lpips", lpips(render, truth).unwrap(), 1e-3);
     close("psnr", psnr(render, truth).unwrap(), 1e-4);
     close("psnr_channel_mean", psnr_channel_mean(render, truth).unwrap(), 1e-4);

@@ -10,8 +10,8 @@ mod ssim;
 
 pub use lpips::lpips;
 pub use ms_ssim::ms_ssim;
-pub use psnr::{psnr, psnr_channel_mean, psnr_masked, psnr_splatam};
-pub use ssim::ssim;
+pub use psnr::{psnr, psnr_channel_mean, psnr_masked, psnr_monogs, psnr_splatam};
+pub use ssim::{ssim, ssim_padded};
 
 use crate::EvalError;
 use i2slam_geometry::Image;

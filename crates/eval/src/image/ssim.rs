@@ -41,6 +41,26 @@ pub fn ssim(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> 
     }
 }
 
+/// Mean SSIM as 3D Gaussian splatting and MonoGS compute it, in `[-1, 1]`: as [`ssim`], but over a
+/// window around *every* pixel, the picture continued by zeros. Equal borders of zeros raise it a
+/// little. Pictures of any size.
+pub fn ssim_padded(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
+    check_shapes(picture, truth)?;
+    ssim(&padded(picture), &padded(truth))
+}
+
+/// With zeros around it, so that there is a window for every pixel.
+fn padded(image: &Image<f32>) -> Image<f32> {
+    let border = WINDOW / 2;
+    let mut out = Image::new(image.width + 2 * border, image.height + 2 * border, image.channels);
+    for (i, row) in image.data.chunks_exact(image.width).enumerate() {
+        let (channel, row_of) = (i / image.height, i % image.height);
+        let start = (channel * out.height + row_of + border) * out.width + border;
+        out.data[start..start + image.width].copy_from_slice(row);
+    }
+    out
+}
+
 /// Means over the windows of one plane.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Similarity {
