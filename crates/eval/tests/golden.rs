@@ -5,7 +5,8 @@ mod common;
 use common::{Numbers, golden, numbers, read};
 use i2slam_eval::EvalError;
 use i2slam_eval::trajectory::{
-    Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error, relative_pose_error,
+    Alignment, DEFAULT_TOLERANCE, RelativePoseError, Step, TrajectoryError,
+    absolute_trajectory_error, relative_pose_error,
 };
 use i2slam_geometry::{Pose, Rotation, StampedPose, Vec3};
 use std::path::Path;
@@ -37,7 +38,34 @@ fn judged(estimate: &[StampedPose], truth: &[StampedPose]) -> Result<Numbers, Ev
         put(group, &absolute_values(&ate(alignment)?));
     }
     put("world_to_camera", &[("mean", ate(Alignment::Se3)?.splatam_mean_m)]);
-    let r = relative_pose_error(estimate, truth, DEFAULT_TOLERANCE)?;
+    let steps = [
+        ("rpe", Step::Frames(1)),
+        ("rpe_5", Step::Frames(5)),
+        ("rpe_5_all", Step::OverlappingFrames(5)),
+        ("rpe_seconds", Step::Seconds(0.5)),
+    ];
+    for (group, step) in steps {
+        let r = relative_pose_error(estimate, truth, step, DEFAULT_TOLERANCE)?;
+        let [translation, rotation] = relative_values(&r);
+        put(&format!("{group}_translation"), &translation);
+        put(&format!("{group}_rotation"), &rotation);
+    }
+    Ok(table)
+}
+
+fn absolute_values(e: &TrajectoryError) -> [(&'static str, f64); 7] {
+    [
+        ("rmse", e.ate_rmse_m),
+        ("mean", e.ate_mean_m),
+        ("median", e.ate_median_m),
+        ("max", e.ate_max_m),
+        ("std", e.ate_std_m),
+        ("count", e.pairs as f64),
+        ("scale", e.scale),
+    ]
+}
+
+fn relative_values(r: &RelativePoseError) -> [[(&'static str, f64); 5]; 2] {
     let steps = r.steps as f64;
     let translation = [
         ("rmse", r.rpe_translation_rmse_m),
@@ -53,21 +81,7 @@ fn judged(estimate: &[StampedPose], truth: &[StampedPose]) -> Result<Numbers, Ev
         ("max", r.rpe_rotation_max_deg),
         ("count", steps),
     ];
-    put("rpe_translation", &translation);
-    put("rpe_rotation", &rotation);
-    Ok(table)
-}
-
-fn absolute_values(e: &TrajectoryError) -> [(&'static str, f64); 7] {
-    [
-        ("rmse", e.ate_rmse_m),
-        ("mean", e.ate_mean_m),
-        ("median", e.ate_median_m),
-        ("max", e.ate_max_m),
-        ("std", e.ate_std_m),
-        ("count", e.pairs as f64),
-        ("scale", e.scale),
-    ]
+    [translation, rotation]
 }
 
 /// Every number on this side exists on the other and is within 1e-6.
@@ -148,6 +162,7 @@ fn the_truth_has_no_error() {
             "ape_se3_scale" | "ape_sim3_scale" => 1.0,
             "ape_se3_count" | "ape_sim3_count" => truth.len() as f64,
             "rpe_translation_count" | "rpe_rotation_count" => truth.len() as f64 - 1.0,
+            count if count.ends_with("count") => value,
             _ => 0.0,
         };
         assert!((value - due).abs() < 1e-6, "{key}: {value} expected {due}");
@@ -163,6 +178,10 @@ fn what_cannot_be_judged_is_an_error() {
     let still = |p: &StampedPose| StampedPose { world_from_camera: Pose::identity(), ..*p };
     let frozen: Vec<StampedPose> = estimate.iter().map(still).collect();
     assert!(matches!(of(&frozen), Err(EvalError::Coincident { .. })));
+    let late = |p: &StampedPose| StampedPose { timestamp: p.timestamp + 1000.0, ..*p };
+    let error = of(&estimate.iter().map(late).collect::<Vec<_>>()).unwrap_err();
+    assert!(matches!(error, EvalError::NoOverlap { .. }), "{error}");
+    assert!(error.to_string().contains("the truth 100 to 103.9"), "{error}");
     let mut poisoned = estimate.clone();
     poisoned[3].world_from_camera.translation.y = f64::NAN;
     assert!(matches!(of(&poisoned), Err(EvalError::NotFinite { .. })));

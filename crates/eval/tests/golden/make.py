@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from evo.core import sync
+from evo.core.metrics import RPE
 from evo.tools import file_interface
 from scipy.spatial.transform import Rotation
 
@@ -90,28 +91,49 @@ def numbers(truth, estimate):
         "ape_sim3": ("evo_ape", "-a", "-s"),
         "rpe_translation": ("evo_rpe", "-r", "trans_part", "-d", "1", "-u", "f"),
         "rpe_rotation": ("evo_rpe", "-r", "angle_deg", "-d", "1", "-u", "f"),
+        "rpe_5_translation": ("evo_rpe", "-r", "trans_part", "-d", "5", "-u", "f"),
+        "rpe_5_rotation": ("evo_rpe", "-r", "angle_deg", "-d", "5", "-u", "f"),
+        "rpe_5_all_translation": ("evo_rpe", "-r", "trans_part", "-d", "5", "-u", "f", "--all_pairs"),
+        "rpe_5_all_rotation": ("evo_rpe", "-r", "angle_deg", "-d", "5", "-u", "f", "--all_pairs"),
     }
     for name, (tool, *options) in runs.items():
         stats = evo(tool, truth, estimate, *options)
         for key in ["rmse", "mean", "median", "max", "std", "count", "scale"]:
             if key in stats:
                 table[f"{name}_{key}"] = stats[key]
+    table |= drift_over_seconds(truth, estimate, 0.5)
     table["world_to_camera_mean"] = world_to_camera_mean(truth, estimate)
     return table
 
 
 def associated(truth, estimate):
-    """Poses of both files at the pairs that evo chooses."""
+    """Poses of both files at the pairs that evo chooses, and the estimate's stamps."""
     a, b = (file_interface.read_tum_trajectory_file(f) for f in (truth, estimate))
     a, b = sync.associate_trajectories(a, b, max_diff=0.02)
-    return a.poses_se3, b.poses_se3
+    return a.poses_se3, b.poses_se3, b.timestamps
+
+
+def drift_over_seconds(truth, estimate, seconds):
+    """evo's error of a step on the pairs of the TUM benchmark's tool (fixed delta in seconds)."""
+    truth, estimate, stamps = associated(truth, estimate)
+    ends = [int(np.argmin(np.abs(stamps - (t + seconds)))) for t in stamps]
+    pairs = [(i, j) for i, j in enumerate(ends) if j != len(stamps) - 1]
+    errors = [RPE.rpe_base(truth[i], truth[j], estimate[i], estimate[j]) for i, j in pairs]
+    translation = np.array([np.linalg.norm(e[:3, 3]) for e in errors])
+    turns = [Rotation.from_matrix(e[:3, :3]).magnitude() for e in errors]
+    table = {}
+    for part, values in [("translation", translation), ("rotation", np.degrees(turns))]:
+        of = {"rmse": np.sqrt((values**2).mean()), "mean": values.mean()}
+        of |= {"median": np.median(values), "max": values.max(), "count": len(values)}
+        table |= {f"rpe_seconds_{part}_{key}": value for key, value in of.items()}
+    return table
 
 
 def world_to_camera_mean(truth, estimate):
     """Mean distance of world-to-camera translations, world = first camera, after a rigid fit."""
     truth, estimate = (
         np.array([(np.linalg.inv(p) @ poses[0])[:3, 3] for p in poses])
-        for poses in associated(truth, estimate)
+        for poses in associated(truth, estimate)[:2]
     )
     # Rotation.align_vectors fits truth = R estimate on centred vectors.
     a, b = truth - truth.mean(axis=0), estimate - estimate.mean(axis=0)
