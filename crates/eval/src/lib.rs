@@ -11,13 +11,16 @@
 //! * [`hdr`]: errors of linear radiance after one gain, or one for each channel.
 //! * [`exposure`]: agreement of recovered exposures with the true ones.
 //! * [`depth`]: L1 over valid pixels.
+//! * [`sharpness`], [`frame_list`]: which frames are sharp, and lists of frames.
 //! * [`statistics`]: summaries of lists of numbers.
 
 pub mod depth;
 mod error;
 pub mod exposure;
+pub mod frame_list;
 pub mod hdr;
 pub mod image;
+pub mod sharpness;
 pub mod statistics;
 pub mod trajectory;
 
