@@ -4,6 +4,7 @@ mod common;
 
 use common::numbers;
 use i2slam_eval::image::{lpips, ms_ssim, psnr, psnr_channel_mean, ssim, ssim_padded};
+use i2slam_eval::sharpness::laplacian_variance;
 use i2slam_geometry::Image;
 use std::fs::File;
 use std::io::BufReader;
@@ -37,6 +38,7 @@ fn assert_agree(name: &str, render: &Image<f32>, truth: &Image<f32>) {
     close("ssim", structural, 1e-6);
     close("ssim_torch", structural, 1e-4);
     close("ssim_padded", ssim_padded(render, truth).unwrap(), 1e-6);
+    close("laplacian_variance", laplacian_variance(render).unwrap(), 1e-9);
     close("lpips", lpips(render, truth).unwrap(), 1e-3);
     close("psnr", psnr(render, truth).unwrap(), 1e-4);
     close("psnr_channel_mean", psnr_channel_mean(render, truth).unwrap(), 1e-4);

@@ -2,8 +2,8 @@
 reference pictures of LPIPS if their folder is given.
 
 Usage: python make_pictures.py [LPIPS_REF] [LPIPS_ALEX_SAFETENSORS]
-Needs: torch 2.0.1, torchvision 0.15.2, lpips 0.1.4, pytorch-msssim 1.0.0, scikit-image 0.26.0, numpy 1.26.4,
-pillow. torchvision's weights come from its download, or from the second argument.
+Needs: torch 2.0.1, torchvision 0.15.2, lpips 0.1.4, pytorch-msssim 1.0.0, scikit-image 0.26.0, scipy 1.17.1, numpy
+1.26.4, pillow. torchvision's weights come from its download, or from the second argument.
 """
 
 import json
@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from PIL import Image
 from pytorch_msssim import ms_ssim, ssim
+from scipy.ndimage import laplace
 from skimage.metrics import structural_similarity
 
 HERE = Path(__file__).resolve().parent
@@ -72,6 +73,8 @@ def compare(net, name, a, b, table):
     table[f"ssim_{name}"] = structural_similarity(
         *exact, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
         data_range=1, channel_axis=-1)
+    grey = exact[0] @ [0.299, 0.587, 0.114]
+    table[f"laplacian_variance_{name}"] = laplace(grey, mode="mirror").var()
     a, b = tensor(a), tensor(b)
     table[f"ssim_torch_{name}"] = ssim(a.double(), b.double(), data_range=1).item()
     table[f"ssim_padded_{name}"] = padded_ssim(a.double(), b.double())

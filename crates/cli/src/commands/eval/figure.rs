@@ -18,10 +18,8 @@ pub(super) struct Figure {
 impl Figure {
     /// A row of the table.
     pub(super) fn line(&self) -> String {
-        let number = match self.value {
-            Some(value) => format!("{value:.*}", self.decimals),
-            None => "–".to_owned(),
-        };
+        let number = self.value.map(|value| format!("{value:.*}", self.decimals));
+        let number = number.unwrap_or_else(|| "–".to_owned());
         format!("{:<30}{number:>9} {}", self.label, self.unit).trim_end().to_owned()
     }
 

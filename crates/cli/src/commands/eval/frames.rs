@@ -17,6 +17,8 @@ pub(super) struct Chosen {
     pub(super) frames: Vec<(usize, PathBuf)>,
     /// Frames that should be judged and have no render.
     pub(super) missing: Vec<usize>,
+    /// The list that chose them.
+    pub(super) list: Option<String>,
 }
 
 pub(super) fn choose(
@@ -37,7 +39,7 @@ pub(super) fn choose(
     };
     let judged: Vec<usize> =
         wanted.into_iter().filter(|frame| known.binary_search(frame).is_ok()).collect();
-    let chosen = split(judged, &renders);
+    let chosen = Chosen { list: list(arguments), ..split(judged, &renders) };
     check(arguments, subject, reference, &renders, &chosen)?;
     Ok(chosen)
 }
@@ -50,12 +52,19 @@ fn demanded(
 ) -> Result<Option<Vec<usize>>, Failure> {
     let listed = |list: &str| lists::frames(list, reference);
     let frames = match arguments.protocol {
-        Protocol::AllFrames => arguments.list.as_deref().map(listed).transpose()?,
-        Protocol::I2slam => Some(listed(arguments.list.as_deref().unwrap_or("auto"))?),
+        Protocol::AllFrames | Protocol::I2slam => {
+            list(arguments).as_deref().map(listed).transpose()?
+        }
         Protocol::Splatam => Some(splatam(needed(run)?, arguments.every as usize)),
         Protocol::Monogs => Some(monogs(needed(run)?)),
     };
     Ok(frames)
+}
+
+/// The list as typed; the paper's protocol finds the sharp frames itself where none is given.
+fn list(arguments: &Eval) -> Option<String> {
+    let own = (arguments.protocol == Protocol::I2slam).then(|| "auto".to_owned());
+    arguments.list.clone().or(own)
 }
 
 fn needed(run: Option<&[RunFrame]>) -> Result<&[RunFrame], Failure> {
@@ -91,7 +100,7 @@ fn split(judged: Vec<usize>, renders: &Pictures) -> Chosen {
             None => missing.push(frame),
         }
     }
-    Chosen { frames, missing }
+    Chosen { frames, missing, list: None }
 }
 
 /// A render that is missing must not make the mean better without a word.

@@ -63,11 +63,12 @@ pub(super) fn write(video: &Path, file: &Path) -> Result<(), Failure> {
         (indices.len(), sharp(&indices, |place| read_png(&paths[place]))?)
     };
     let rule = SharpnessRule::default();
+    let whole = video.canonicalize().unwrap_or_else(|_| video.to_owned());
+    let name = whole.file_name().unwrap_or_default().to_string_lossy();
     let origin = format!(
-        "Sharp frames of {}, {} of {count}. Position in the associated stream, one per line.\n\
+        "Sharp frames of {name}, {} of {count}. Position in the associated stream, one per line.\n\
          Variance of the Laplacian at least {} times its median over {} frames, and the largest \
          of {} (i2slam {}).",
-        video.display(),
         frames.len(),
         rule.ratio,
         2 * rule.window + 1,

@@ -19,6 +19,8 @@ pub(super) struct Judged {
     /// Frame, and one number per metric.
     rows: Vec<(usize, Vec<Option<f64>>)>,
     missing: Vec<usize>,
+    /// The list that chose the frames.
+    list: Option<String>,
 }
 
 /// Measures every chosen frame.
@@ -40,7 +42,7 @@ pub(super) fn judge(
         Ok((*frame, values.map_err(|e| failed(render, e))?))
     };
     let rows: Result<Vec<_>, Failure> = chosen.frames.par_iter().map(row).collect();
-    Ok(Judged { metrics, rows: rows?, missing: chosen.missing })
+    Ok(Judged { metrics, rows: rows?, missing: chosen.missing, list: chosen.list })
 }
 
 fn pair(
@@ -99,8 +101,10 @@ impl Judged {
     }
 
     pub(super) fn lines(&self) -> Vec<String> {
-        let mut lines = vec![format!("{:<30}{:>9}", "frames judged", self.rows.len())];
-        lines.extend(self.figures().iter().map(Figure::line));
+        let list = self.list.as_ref().map(|list| format!(", list {list}")).unwrap_or_default();
+        let mut lines = vec![format!("{:<30}{:>9}{list}", "frames judged", self.rows.len())];
+        let known = self.figures().into_iter().filter(|figure| figure.value.is_some());
+        lines.extend(known.map(|figure| figure.line()));
         lines
     }
 
@@ -121,6 +125,7 @@ impl Judged {
     pub(super) fn json(&self) -> Map<String, Value> {
         let mut object: Map<String, Value> = self.figures().iter().map(Figure::json).collect();
         object.insert("sharp_frames".to_owned(), self.rows.len().into());
+        object.insert("list".to_owned(), json!(self.list));
         object.insert("equal_frames".to_owned(), self.equal().into());
         object.insert("missing_frames".to_owned(), json!(self.missing));
         let frame = |(index, row): &(usize, Vec<Option<f64>>)| {

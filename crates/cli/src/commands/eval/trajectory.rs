@@ -87,7 +87,7 @@ impl Errors {
             ("ATE largest", t.ate_max_m),
             ("SplaTAM's mean (world to cam)", t.splatam_mean_m),
         ];
-        let line = |name: &str, value: f64, unit: &str| format!("{name:<30}{value:>9.3} {unit}");
+        let line = |name: &str, value: f64, unit: &str| format!("{name:<30}{value:>9.4} {unit}");
         lines.extend(centimetres.map(|(name, metres)| line(name, 100.0 * metres, "cm")));
         let over = match r.rpe_step {
             Step::Frames(1) => "a frame".to_owned(),
