@@ -140,20 +140,60 @@ pub(crate) struct Render {
 
 #[derive(Args, Debug)]
 pub(crate) struct Eval {
-    /// Result folder of a run, or a trajectory in the TUM format
+    /// Result folder of a run, a trajectory in the TUM format, or a folder of pictures
     pub(crate) estimate: PathBuf,
-    /// True trajectory in the TUM format
+    /// True trajectory in the TUM format [default: that of a dataset given as --reference]
     #[arg(long, value_name = "FILE")]
-    pub(crate) groundtruth: PathBuf,
-    /// Folder with the true sharp pictures NNNNNN.png of the result's renders/sharp
+    pub(crate) groundtruth: Option<PathBuf>,
+    /// True pictures: a folder of NNNNNN.png (or .exr) named as the renders, or the dataset of the
+    /// run (its sharp/ if there is one, else the pictures taken)
     #[arg(long, value_name = "DIR")]
     pub(crate) reference: Option<PathBuf>,
+    /// Which frames are judged, and by which numbers
+    #[arg(long, value_enum, default_value_t = Protocol::AllFrames, value_name = "NAME")]
+    pub(crate) protocol: Protocol,
+    /// Judge these frames only: a file with one frame number a line, a published list (names:
+    /// --list help), or `auto` for the sharp frames of the dataset given as --reference
+    #[arg(long, value_name = "LIST")]
+    pub(crate) list: Option<String>,
+    /// Write the list of the sharp frames of ESTIMATE, a dataset or a folder of pictures
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["reference", "groundtruth", "list"])]
+    pub(crate) write_list: Option<PathBuf>,
+    /// With --protocol splatam, the first and every N-th frame
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) every: u32,
+    /// Judge the renders that are there, though others are missing
+    #[arg(long)]
+    pub(crate) partial: bool,
     /// What may be fitted before errors are measured
     #[arg(long, value_enum, default_value_t = Fit::Se3, value_name = "GROUP")]
     pub(crate) align: Fit,
+    /// Step of the relative pose error: frames (`1`, `30`) or seconds (`0.5s`)
+    #[arg(long, value_name = "STEP", default_value = "1", value_parser = relative_step)]
+    pub(crate) rpe: RelativeStep,
     /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// Published ways to judge a run.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Protocol {
+    /// Every frame that has a true picture
+    AllFrames,
+    /// I2-SLAM: listed sharp frames, poses at mid-exposure
+    I2slam,
+    /// SplaTAM: the first and every N-th frame, pixels with true depth
+    Splatam,
+    /// MonoGS: every fifth frame that is no keyframe; trajectory error of keyframes
+    Monogs,
+}
+
+/// Step of the relative pose error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum RelativeStep {
+    Frames(usize),
+    Seconds(f64),
 }
 
 /// Alignment of two trajectories.
@@ -190,6 +230,18 @@ fn frame_range(text: &str) -> Result<Range<usize>, String> {
     }
 }
 
+fn relative_step(text: &str) -> Result<RelativeStep, String> {
+    let step = match text.trim().strip_suffix('s') {
+        Some(seconds) => seconds.parse().ok().map(RelativeStep::Seconds),
+        None => text.trim().parse().ok().map(RelativeStep::Frames),
+    };
+    let sound = |step: &RelativeStep| match *step {
+        RelativeStep::Frames(n) => n > 0,
+        RelativeStep::Seconds(s) => s.is_finite() && s > 0.0,
+    };
+    step.filter(sound).ok_or_else(|| "expected frames as in 30, or seconds as in 0.5s".to_owned())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -205,6 +257,15 @@ mod tests {
         assert_eq!(frame_range("3..7"), Ok(3..7));
         for wrong in ["7..3", "3..3", "3", "3..", "a..b", "-1..4"] {
             assert!(frame_range(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn steps_are_frames_or_seconds() {
+        assert_eq!(relative_step("30"), Ok(RelativeStep::Frames(30)));
+        assert_eq!(relative_step("0.5s"), Ok(RelativeStep::Seconds(0.5)));
+        for wrong in ["0", "0s", "-1s", "1.5", "x", "", "infs"] {
+            assert!(relative_step(wrong).is_err(), "{wrong}");
         }
     }
 }

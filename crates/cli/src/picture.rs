@@ -1,6 +1,7 @@
 //! Pictures read for comparison.
 
 use crate::failure::Failure;
+use i2slam::export::DEPTH_UNITS_PER_METRE;
 use i2slam::geometry::Image;
 use std::fs::File;
 use std::io::BufReader;
@@ -30,6 +31,23 @@ pub(crate) fn read_png(path: &Path) -> Result<Image<f32>, Failure> {
         }
     }
     Ok(image)
+}
+
+/// A 16-bit depth PNG of a result folder, in metres.
+pub(crate) fn read_depth(path: &Path) -> Result<Image<f32>, Failure> {
+    let file = File::open(path).map_err(|e| failed(path, e))?;
+    let mut reader =
+        png::Decoder::new(BufReader::new(file)).read_info().map_err(|e| failed(path, e))?;
+    if reader.output_color_type() != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
+        return Err(failed(path, "is no 16-bit grey picture"));
+    }
+    let size = reader.output_buffer_size().ok_or_else(|| failed(path, "is too large"))?;
+    let mut bytes = vec![0; size];
+    let info = reader.next_frame(&mut bytes).map_err(|e| failed(path, e))?;
+    let metres = |b: &[u8]| f32::from(u16::from_be_bytes([b[0], b[1]])) / DEPTH_UNITS_PER_METRE;
+    let (width, height) = (info.width as usize, info.height as usize);
+    let data = bytes.chunks_exact(2).take(width * height).map(metres).collect();
+    Ok(Image { width, height, channels: 1, data })
 }
 
 /// The R, G, B channels of an OpenEXR picture.

@@ -11,6 +11,17 @@ pub enum EvalError {
         /// What was given [s].
         tolerance: f64,
     },
+    /// A step between poses of no frame, or of a time that is not above zero.
+    InvalidStep,
+    /// No pose of one trajectory was taken at the time of one of the other.
+    NoOverlap {
+        /// First and last stamp of the estimate [s].
+        estimate: [f64; 2],
+        /// First and last stamp of the truth [s].
+        truth: [f64; 2],
+        /// What counts as the same time [s].
+        tolerance: f64,
+    },
     /// Fewer samples (poses, pairs, pixels, numbers) than the measure needs.
     TooFew {
         /// What there is too little of.
@@ -54,6 +65,14 @@ impl Display for EvalError {
             Self::InvalidTolerance { tolerance } => {
                 write!(f, "the time tolerance must be at least 0 s, not {tolerance}")
             }
+            Self::InvalidStep => {
+                write!(f, "the step of a relative error must be at least 1 frame or above 0 s")
+            }
+            Self::NoOverlap { estimate: [e0, e1], truth: [t0, t1], tolerance } => write!(
+                f,
+                "no estimated pose is within {tolerance} s of a true one: the estimate covers \
+                 {e0} to {e1} s, the truth {t0} to {t1} s"
+            ),
             Self::TooFew { what, found, needed } => {
                 write!(f, "too few {what}: {found}, at least {needed} needed")
             }

@@ -3,8 +3,9 @@
 //! The product exposure x radiance is observed, so that a run may differ from the truth by one
 //! gain for all pixels and channels. It is removed first, as the *median* over all samples of
 //! `truth / estimate` (pixel and channel, both above zero): unlike least squares in log space it
-//! is not moved by pixels that were never seen or by lamps. There is one gain for all three
-//! channels, so that a wrong white balance stays visible.
+//! is not moved by pixels that were never seen or by lamps. Usually there is one gain for all
+//! channels, so that a wrong white balance stays visible; [`Gain::PerChannel`] forgives it, for
+//! systems whose white balance is free.
 
 use crate::EvalError;
 use crate::image::{check_mask, check_shapes};
@@ -19,11 +20,21 @@ pub const MU: f64 = 5000.0;
 /// Percentile of the true radiance that is called white.
 pub const WHITE_PERCENTILE: f64 = 99.0;
 
-/// Errors of a radiance picture after the global gain.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+/// What is not observable and removed before radiance is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Gain {
+    /// One gain for all channels.
+    Common,
+    /// One gain for each channel.
+    PerChannel,
+}
+
+/// Errors of a radiance picture after the gain.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HdrError {
-    /// The gain `g` that was multiplied onto the estimate.
-    pub gain: f64,
+    /// The gains `g` that were multiplied onto the estimate: one, or one for each channel.
+    pub gains: Vec<f64>,
     /// Root mean square of `log2 max(g L̂, ε) - log2 max(L, ε)` [stops], where `ε` lies
     /// [`LOG_RANGE_STOPS`] below white.
     pub log2_rmse_stops: f64,
@@ -40,9 +51,19 @@ pub struct HdrError {
     pub samples: usize,
 }
 
-/// Compares linear radiance with the true one, over the pixels where `mask` (one entry per pixel)
-/// is true, or all. Radiance below zero is measured as zero.
+/// Compares linear radiance with the true one after one gain, over the pixels where `mask` (one
+/// entry per pixel) is true, or all. Radiance below zero is measured as zero.
 pub fn hdr_error(
+    estimate: &Image<f32>,
+    truth: &Image<f32>,
+    mask: Option<&[bool]>,
+) -> Result<HdrError, EvalError> {
+    hdr_error_after(Gain::Common, estimate, truth, mask)
+}
+
+/// As [`hdr_error`], after one gain or one for each channel.
+pub fn hdr_error_after(
+    gain: Gain,
     estimate: &Image<f32>,
     truth: &Image<f32>,
     mask: Option<&[bool]>,
@@ -51,22 +72,26 @@ pub fn hdr_error(
     if let Some(mask) = mask {
         check_mask(mask, truth)?;
     }
-    let estimated = samples(estimate, mask, "the estimated radiance")?;
+    let mut estimated = samples(estimate, mask, "the estimated radiance")?;
     let due = samples(truth, mask, "the true radiance")?;
     let white = percentile(&due, WHITE_PERCENTILE)?;
     if white <= 0.0 {
         return Err(EvalError::NotPositive { what: "the 99th percentile of the true radiance" });
     }
-    let gain = global_gain(&estimated, &due)?;
+    let together = match gain {
+        Gain::Common => due.len(),
+        Gain::PerChannel => due.len() / truth.channels,
+    };
+    let gains = remove_gains(&mut estimated, &due, together)?;
     let floor = white * (-LOG_RANGE_STOPS).exp2();
     let stops = |l: f64| l.max(floor).log2();
     let shown = |l: f64| (MU * (l / white).tanh()).ln_1p() / MU.ln_1p();
-    let log2_rmse_stops = mean_square(&estimated, &due, gain, stops).sqrt();
+    let log2_rmse_stops = mean_square(&estimated, &due, stops).sqrt();
     Ok(HdrError {
-        gain,
+        gains,
         log2_rmse_stops,
         log2_psnr_db: 20.0 * (LOG_RANGE_STOPS / log2_rmse_stops).log10(),
-        mu_law_psnr_db: -10.0 * mean_square(&estimated, &due, gain, shown).log10(),
+        mu_law_psnr_db: -10.0 * mean_square(&estimated, &due, shown).log10(),
         white,
         samples: due.len(),
     })
@@ -91,8 +116,23 @@ fn samples(
     Ok(values)
 }
 
+/// Multiplies the samples by a gain for each run of `together`; gives the gains.
+fn remove_gains(
+    estimate: &mut [f64],
+    truth: &[f64],
+    together: usize,
+) -> Result<Vec<f64>, EvalError> {
+    let runs = estimate.chunks_mut(together).zip(truth.chunks(together));
+    runs.map(|(estimate, truth)| {
+        let gain = median_ratio(estimate, truth)?;
+        estimate.iter_mut().for_each(|v| *v *= gain);
+        Ok(gain)
+    })
+    .collect()
+}
+
 /// `exp(median(ln truth - ln estimate))` over samples above zero on both sides.
-fn global_gain(estimate: &[f64], truth: &[f64]) -> Result<f64, EvalError> {
+fn median_ratio(estimate: &[f64], truth: &[f64]) -> Result<f64, EvalError> {
     let both = estimate.iter().zip(truth).filter(|&(&e, &t)| e > 0.0 && t > 0.0);
     let ratios: Vec<f64> = both.map(|(e, t)| t.ln() - e.ln()).collect();
     if ratios.is_empty() {
@@ -101,9 +141,9 @@ fn global_gain(estimate: &[f64], truth: &[f64]) -> Result<f64, EvalError> {
     Ok(percentile(&ratios, 50.0)?.exp())
 }
 
-/// Mean of `(f(g estimate) - f(truth))²`.
-fn mean_square(estimate: &[f64], truth: &[f64], gain: f64, f: impl Fn(f64) -> f64) -> f64 {
-    let square = |(&e, &t): (&f64, &f64)| (f(gain * e) - f(t)).powi(2);
+/// Mean of `(f(estimate) - f(truth))²`.
+fn mean_square(estimate: &[f64], truth: &[f64], f: impl Fn(f64) -> f64) -> f64 {
+    let square = |(&e, &t): (&f64, &f64)| (f(e) - f(t)).powi(2);
     estimate.iter().zip(truth).map(square).sum::<f64>() / truth.len() as f64
 }
 
@@ -126,7 +166,7 @@ mod tests {
     fn a_global_gain_is_no_error() {
         let truth = radiance(1);
         let e = hdr_error(&scaled(&truth, |_| 0.125), &truth, None).unwrap();
-        assert!((e.gain - 8.0).abs() < 1e-12);
+        assert!((e.gains[0] - 8.0).abs() < 1e-12 && e.gains.len() == 1);
         assert!(e.log2_psnr_db > 200.0 && e.mu_law_psnr_db > 200.0, "{e:?}");
     }
 
@@ -135,7 +175,7 @@ mod tests {
         let truth = radiance(2);
         let e = hdr_error(&scaled(&truth, |i| if i < 75 { 2.0 } else { 1.0 }), &truth, None);
         let e = e.unwrap();
-        assert_eq!(e.gain, 1.0);
+        assert_eq!(e.gains, [1.0]);
         assert!((e.log2_rmse_stops - 0.5).abs() < 1e-12);
         assert!((e.log2_psnr_db - 20.0 * 32.0_f64.log10()).abs() < 1e-9);
     }
@@ -150,10 +190,13 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_white_balance_is_an_error() {
+    fn a_wrong_white_balance_is_an_error_unless_forgiven() {
         let truth = radiance(3);
         let tinted = scaled(&truth, |i| if i < 100 { 2.0 } else { 1.0 });
         assert!(hdr_error(&tinted, &truth, None).unwrap().log2_rmse_stops > 0.5);
+        let each = hdr_error_after(Gain::PerChannel, &tinted, &truth, None).unwrap();
+        assert!((each.gains[0] - 0.5).abs() < 1e-12 && each.gains[1..] == [1.0, 1.0]);
+        assert!(each.log2_rmse_stops < 1e-12);
     }
 
     #[test]
@@ -162,7 +205,7 @@ mod tests {
         let holes = scaled(&truth, |i| if i % 100 < 20 { 0.0 } else { 1.0 });
         let mask: Vec<bool> = (0..100).map(|i| i >= 20).collect();
         let e = hdr_error(&holes, &truth, None).unwrap();
-        assert_eq!(e.gain, 1.0);
+        assert_eq!(e.gains, [1.0]);
         assert!(e.log2_rmse_stops > 1.0);
         let inside = hdr_error(&holes, &truth, Some(&mask)).unwrap();
         assert_eq!((inside.log2_rmse_stops, inside.samples), (0.0, 240));

@@ -7,17 +7,20 @@
 //! (which JSON writes as `null`).
 //!
 //! * [`trajectory`]: association, alignment, absolute and relative pose errors.
-//! * [`image`]: PSNR in its three dialects, SSIM.
-//! * [`hdr`]: errors of linear radiance after one global gain.
+//! * [`image`]: PSNR in its dialects, SSIM, MS-SSIM, LPIPS.
+//! * [`hdr`]: errors of linear radiance after one gain, or one for each channel.
 //! * [`exposure`]: agreement of recovered exposures with the true ones.
 //! * [`depth`]: L1 over valid pixels.
+//! * [`sharpness`], [`frame_list`]: which frames are sharp, and lists of frames.
 //! * [`statistics`]: summaries of lists of numbers.
 
 pub mod depth;
 mod error;
 pub mod exposure;
+pub mod frame_list;
 pub mod hdr;
 pub mod image;
+pub mod sharpness;
 pub mod statistics;
 pub mod trajectory;
 

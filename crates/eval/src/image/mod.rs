@@ -1,13 +1,17 @@
-//! Picture errors: PSNR and SSIM of display-referred pictures in `[0, 1]`.
+//! Picture errors: PSNR, SSIM, MS-SSIM, LPIPS of display-referred pictures in `[0, 1]`.
 //!
 //! Values outside `[0, 1]` are measured as they are: clamp a render first if it is judged as it
 //! would be shown.
 
+mod lpips;
+mod ms_ssim;
 mod psnr;
 mod ssim;
 
-pub use psnr::{psnr, psnr_channel_mean, psnr_masked, psnr_splatam};
-pub use ssim::ssim;
+pub use lpips::lpips;
+pub use ms_ssim::ms_ssim;
+pub use psnr::{psnr, psnr_channel_mean, psnr_masked, psnr_monogs, psnr_splatam};
+pub use ssim::{ssim, ssim_padded};
 
 use crate::EvalError;
 use i2slam_geometry::Image;

@@ -49,6 +49,18 @@ pub fn psnr_splatam(
     mean_over_channels(truth, |c| masked_squares(picture.plane(c), truth.plane(c), mask))
 }
 
+/// PSNR as MonoGS's evaluation reports it [dB]: one mean square error over the *values* (pixel and
+/// channel) where the true picture is above zero. A truth that is black throughout is refused.
+pub fn psnr_monogs(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
+    check_shapes(picture, truth)?;
+    let lit: Vec<bool> = truth.data.iter().map(|v| *v > 0.0).collect();
+    let count = lit.iter().filter(|l| **l).count();
+    if count == 0 {
+        return Err(EvalError::TooFew { what: "true values above zero", found: 0, needed: 1 });
+    }
+    decibel(masked_squares(&picture.data, &truth.data, &lit) / count as f64)
+}
+
 fn mean_over_channels(
     truth: &Image<f32>,
     squares_of: impl Fn(usize) -> f64,
@@ -111,6 +123,21 @@ mod tests {
         assert!((psnr_masked(&picture, &truth, &mask).unwrap() - 20.0).abs() < 1e-5);
         let expected = 20.0 + 10.0 * 2.0_f64.log10();
         assert!((psnr_splatam(&picture, &truth, &mask).unwrap() - expected).abs() < 1e-5);
+    }
+
+    #[test]
+    fn black_values_of_the_truth_are_no_business_of_monogs() {
+        let (truth, picture) = (grey(&[0.0, 0.5, 0.5]), grey(&[0.9, 0.4, 0.6]));
+        assert!((psnr_monogs(&picture, &truth).unwrap() - 20.0).abs() < 1e-5);
+        let black = psnr_monogs(&picture, &grey(&[0.0; 3]));
+        assert!(matches!(black, Err(EvalError::TooFew { .. })));
+    }
+
+    #[test]
+    fn all_black_pictures_are_judged() {
+        let (black, half) = (grey(&[0.0; 2]), grey(&[0.1; 2]));
+        assert!((psnr(&black, &half).unwrap() - 20.0).abs() < 1e-5);
+        assert_eq!(psnr(&black, &black).unwrap(), f64::INFINITY);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::EvalError;
 use i2slam_geometry::Image;
 
 /// Side of the window [px].
-const WINDOW: usize = 11;
+pub(super) const WINDOW: usize = 11;
 /// Standard deviation of the Gaussian window [px].
 const SIGMA: f64 = 1.5;
 /// `(K1 L)²` with `K1 = 0.01` and data range `L = 1`.
@@ -22,8 +22,8 @@ const C2: f64 = 0.03 * 0.03;
 /// `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
 /// data_range=1)`. Pictures smaller than a window are refused.
 ///
-/// Rows are filtered first along columns, then along rows; working memory is a few rows. In f64: in flat
-/// parts `Σ w x² - μx²` cancels, and f32 would be off by 1e-4.
+/// Rows are filtered first along columns, then along rows; working memory is a few rows. In f64:
+/// in flat parts `Σ w x² - μx²` cancels, and f32 would be off by 1e-4.
 pub fn ssim(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
     check_shapes(picture, truth)?;
     let side = truth.width.min(truth.height);
@@ -32,7 +32,7 @@ pub fn ssim(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> 
         return Err(EvalError::TooFew { what, found: side, needed: WINDOW });
     }
     let sum: f64 = (0..truth.channels)
-        .map(|c| plane_mean(picture.plane(c), truth.plane(c), truth.width, truth.height))
+        .map(|c| plane_means(picture.plane(c), truth.plane(c), truth.width, truth.height).whole)
         .sum();
     if sum.is_finite() {
         Ok(sum / truth.channels as f64)
@@ -41,13 +41,42 @@ pub fn ssim(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> 
     }
 }
 
-/// Mean of the SSIM map of one `height x width` plane.
-fn plane_mean(x: &[f32], y: &[f32], width: usize, height: usize) -> f64 {
+/// Mean SSIM as 3D Gaussian splatting and MonoGS compute it, in `[-1, 1]`: as [`ssim`], but over a
+/// window around *every* pixel, the picture continued by zeros. Equal borders of zeros raise it a
+/// little. Pictures of any size.
+pub fn ssim_padded(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
+    check_shapes(picture, truth)?;
+    ssim(&padded(picture), &padded(truth))
+}
+
+/// With zeros around it, so that there is a window for every pixel.
+fn padded(image: &Image<f32>) -> Image<f32> {
+    let border = WINDOW / 2;
+    let mut out = Image::new(image.width + 2 * border, image.height + 2 * border, image.channels);
+    for (i, row) in image.data.chunks_exact(image.width).enumerate() {
+        let (channel, row_of) = (i / image.height, i % image.height);
+        let start = (channel * out.height + row_of + border) * out.width + border;
+        out.data[start..start + image.width].copy_from_slice(row);
+    }
+    out
+}
+
+/// Means over the windows of one plane.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Similarity {
+    /// Of the SSIM map.
+    pub(super) whole: f64,
+    /// Of its second factor, `(2 σxy + C2) / (σx² + σy² + C2)`: contrast and structure.
+    pub(super) contrast: f64,
+}
+
+/// Means of the maps of one `height x width` plane, both sides at least [`WINDOW`].
+pub(super) fn plane_means(x: &[f32], y: &[f32], width: usize, height: usize) -> Similarity {
     let weights = window();
     let (columns, rows) = (width - WINDOW + 1, height - WINDOW + 1);
     let mut tall = Moments::new(width);
     let mut full = Moments::new(columns);
-    let mut sum = 0.0;
+    let mut sum = Similarity::default();
     for row in 0..rows {
         tall.clear();
         for (k, &w) in weights.iter().enumerate() {
@@ -58,9 +87,10 @@ fn plane_mean(x: &[f32], y: &[f32], width: usize, height: usize) -> f64 {
         for (k, &w) in weights.iter().enumerate() {
             full.add_shifted(w, &tall, k);
         }
-        sum += full.similarity();
+        full.add_similarity(&mut sum);
     }
-    sum / (rows * columns) as f64
+    let windows = (rows * columns) as f64;
+    Similarity { whole: sum.whole / windows, contrast: sum.contrast / windows }
 }
 
 /// The Gaussian window along one axis.
@@ -123,16 +153,16 @@ impl Moments {
         add(&mut self.product, &from.product);
     }
 
-    /// Sum of the SSIM of all columns.
-    fn similarity(&self) -> f64 {
-        let at = |i: usize| {
+    /// Adds the similarity of all columns.
+    fn add_similarity(&self, sum: &mut Similarity) {
+        for i in 0..self.x.len() {
             let (xy, xx_yy) =
                 (self.x[i] * self.y[i], self.x[i] * self.x[i] + self.y[i] * self.y[i]);
             let luminance = (2.0 * xy + C1) / (xx_yy + C1);
-            let structure = (2.0 * (self.product[i] - xy) + C2) / (self.squares[i] - xx_yy + C2);
-            luminance * structure
-        };
-        (0..self.x.len()).map(at).sum()
+            let contrast = (2.0 * (self.product[i] - xy) + C2) / (self.squares[i] - xx_yy + C2);
+            sum.whole += luminance * contrast;
+            sum.contrast += contrast;
+        }
     }
 }
 

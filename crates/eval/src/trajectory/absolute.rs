@@ -1,6 +1,7 @@
 //! Absolute trajectory error.
 
-use super::{Alignment, Association, Similarity, align, associate};
+use super::association::pairs_to_judge;
+use super::{Alignment, Association, Similarity, align};
 use crate::EvalError;
 use crate::statistics::Summary;
 use i2slam_geometry::{StampedPose, Vec3};
@@ -48,20 +49,14 @@ pub struct TrajectoryError {
 
 /// Associates (at most `tolerance` seconds apart), aligns and measures the camera centres.
 ///
-/// Needs three pairs. Poses that are not finite, and trajectories that stand still, are errors.
+/// Needs three pairs. Trajectories without a common time, poses that are not finite, and trajectories that stand still, are errors.
 pub fn absolute_trajectory_error(
     estimate: &[StampedPose],
     truth: &[StampedPose],
     alignment: Alignment,
     tolerance: f64,
 ) -> Result<TrajectoryError, EvalError> {
-    let associations = associate(estimate, truth, tolerance)?;
-    if associations.len() < 3 {
-        let found = associations.len();
-        return Err(EvalError::TooFew { what: "pairs of poses", found, needed: 3 });
-    }
-    check_finite(estimate, "the estimated poses")?;
-    check_finite(truth, "the true poses")?;
+    let associations = pairs_to_judge(estimate, truth, tolerance, 3)?;
     let estimated = |p: &Association| estimate[p.estimate];
     let true_pose = |p: &Association| truth[p.truth];
     let source = centres(associations.iter().map(estimated));
@@ -92,14 +87,6 @@ pub fn absolute_trajectory_error(
         truth_from_estimate: fit,
         aligned_estimate: estimate.iter().map(moved).collect(),
     })
-}
-
-pub(super) fn check_finite(poses: &[StampedPose], what: &'static str) -> Result<(), EvalError> {
-    if poses.iter().all(|p| p.world_from_camera.is_finite()) {
-        Ok(())
-    } else {
-        Err(EvalError::NotFinite { what })
-    }
 }
 
 fn centres(poses: impl Iterator<Item = StampedPose>) -> Vec<Vec3<f64>> {

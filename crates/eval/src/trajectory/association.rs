@@ -39,6 +39,35 @@ pub fn associate(
     })
 }
 
+/// At least `needed` pairs of finite poses, or why there are none.
+pub(super) fn pairs_to_judge(
+    estimate: &[StampedPose],
+    truth: &[StampedPose],
+    tolerance: f64,
+    needed: usize,
+) -> Result<Vec<Association>, EvalError> {
+    let pairs = associate(estimate, truth, tolerance)?;
+    if pairs.is_empty() && !estimate.is_empty() && !truth.is_empty() {
+        let (estimate, truth) = (span(estimate), span(truth));
+        return Err(EvalError::NoOverlap { estimate, truth, tolerance });
+    }
+    if pairs.len() < needed {
+        return Err(EvalError::TooFew { what: "pairs of poses", found: pairs.len(), needed });
+    }
+    for (poses, what) in [(estimate, "the estimated poses"), (truth, "the true poses")] {
+        if !poses.iter().all(|p| p.world_from_camera.is_finite()) {
+            return Err(EvalError::NotFinite { what });
+        }
+    }
+    Ok(pairs)
+}
+
+/// First and last stamp.
+fn span(poses: &[StampedPose]) -> [f64; 2] {
+    let stamps = || poses.iter().map(|p| p.timestamp);
+    [stamps().fold(f64::INFINITY, f64::min), stamps().fold(f64::NEG_INFINITY, f64::max)]
+}
+
 /// Stamps in ascending order and where they came from.
 struct Ordered {
     stamps: Vec<f64>,

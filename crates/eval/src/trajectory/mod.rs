@@ -12,4 +12,4 @@ mod singular;
 pub use absolute::{TrajectoryError, absolute_trajectory_error};
 pub use alignment::{Alignment, Similarity, align};
 pub use association::{Association, DEFAULT_TOLERANCE, associate};
-pub use relative::{RelativePoseError, relative_pose_error};
+pub use relative::{RelativePoseError, Step, relative_pose_error};

@@ -1,7 +1,7 @@
-"""Writes the trajectories of this folder and the numbers of evo and scikit-image for them.
+"""Writes the trajectories of this folder and the numbers of evo for them.
 
 Usage: python make.py [GROUNDTRUTH_OF_TUM_FR1_RPY_CLIP]
-Needs: evo 1.38.1, scikit-image 0.26.0, scipy 1.17.1, numpy 2.4.6. `evo_ape` and `evo_rpe` must be on PATH.
+Needs: evo 1.38.1, scipy 1.17.1, numpy 2.4.6. `evo_ape` and `evo_rpe` must be on PATH.
 """
 
 import json
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from evo.core import sync
+from evo.core.metrics import RPE
 from evo.tools import file_interface
 from scipy.spatial.transform import Rotation
-from skimage.metrics import structural_similarity
 
 HERE = Path(__file__).resolve().parent
 
@@ -91,28 +91,49 @@ def numbers(truth, estimate):
         "ape_sim3": ("evo_ape", "-a", "-s"),
         "rpe_translation": ("evo_rpe", "-r", "trans_part", "-d", "1", "-u", "f"),
         "rpe_rotation": ("evo_rpe", "-r", "angle_deg", "-d", "1", "-u", "f"),
+        "rpe_5_translation": ("evo_rpe", "-r", "trans_part", "-d", "5", "-u", "f"),
+        "rpe_5_rotation": ("evo_rpe", "-r", "angle_deg", "-d", "5", "-u", "f"),
+        "rpe_5_all_translation": ("evo_rpe", "-r", "trans_part", "-d", "5", "-u", "f", "--all_pairs"),
+        "rpe_5_all_rotation": ("evo_rpe", "-r", "angle_deg", "-d", "5", "-u", "f", "--all_pairs"),
     }
     for name, (tool, *options) in runs.items():
         stats = evo(tool, truth, estimate, *options)
         for key in ["rmse", "mean", "median", "max", "std", "count", "scale"]:
             if key in stats:
                 table[f"{name}_{key}"] = stats[key]
+    table |= drift_over_seconds(truth, estimate, 0.5)
     table["world_to_camera_mean"] = world_to_camera_mean(truth, estimate)
     return table
 
 
 def associated(truth, estimate):
-    """Poses of both files at the pairs that evo chooses."""
+    """Poses of both files at the pairs that evo chooses, and the estimate's stamps."""
     a, b = (file_interface.read_tum_trajectory_file(f) for f in (truth, estimate))
     a, b = sync.associate_trajectories(a, b, max_diff=0.02)
-    return a.poses_se3, b.poses_se3
+    return a.poses_se3, b.poses_se3, b.timestamps
+
+
+def drift_over_seconds(truth, estimate, seconds):
+    """evo's error of a step on the pairs of the TUM benchmark's tool (fixed delta in seconds)."""
+    truth, estimate, stamps = associated(truth, estimate)
+    ends = [int(np.argmin(np.abs(stamps - (t + seconds)))) for t in stamps]
+    pairs = [(i, j) for i, j in enumerate(ends) if j != len(stamps) - 1]
+    errors = [RPE.rpe_base(truth[i], truth[j], estimate[i], estimate[j]) for i, j in pairs]
+    translation = np.array([np.linalg.norm(e[:3, 3]) for e in errors])
+    turns = [Rotation.from_matrix(e[:3, :3]).magnitude() for e in errors]
+    table = {}
+    for part, values in [("translation", translation), ("rotation", np.degrees(turns))]:
+        of = {"rmse": np.sqrt((values**2).mean()), "mean": values.mean()}
+        of |= {"median": np.median(values), "max": values.max(), "count": len(values)}
+        table |= {f"rpe_seconds_{part}_{key}": value for key, value in of.items()}
+    return table
 
 
 def world_to_camera_mean(truth, estimate):
     """Mean distance of world-to-camera translations, world = first camera, after a rigid fit."""
     truth, estimate = (
         np.array([(np.linalg.inv(p) @ poses[0])[:3, 3] for p in poses])
-        for poses in associated(truth, estimate)
+        for poses in associated(truth, estimate)[:2]
     )
     # Rotation.align_vectors fits truth = R estimate on centred vectors.
     a, b = truth - truth.mean(axis=0), estimate - estimate.mean(axis=0)
@@ -122,28 +143,6 @@ def world_to_camera_mean(truth, estimate):
 
 def save(name, table):
     (HERE / name).write_text("".join(f"{k} {v:.12g}\n" for k, v in table.items()))
-
-
-def wave(width, height, channel, phase):
-    """A procedural plane; test and script evaluate the same formula."""
-    column, row = np.meshgrid(np.arange(width), np.arange(height))
-    value = 0.5 + 0.3 * np.sin(0.37 * column + 0.9 * channel + phase) * np.cos(0.23 * row - phase)
-    return (value + 0.15 * (((column // 6) + (row // 5) + channel) % 2)).astype(np.float32)
-
-
-def pictures():
-    width, height = 48, 37
-    table = {}
-    for name, phase in [("near", 0.05), ("far", 0.8)]:
-        truth = np.stack([wave(width, height, c, 0.0) for c in range(3)], axis=-1)
-        picture = np.stack([wave(width, height, c, phase) for c in range(3)], axis=-1)
-        table[f"ssim_{name}"] = structural_similarity(
-            picture.astype(np.float64), truth.astype(np.float64), gaussian_weights=True,
-            sigma=1.5, use_sample_covariance=False, data_range=1, channel_axis=-1)
-        square = (picture.astype(np.float64) - truth) ** 2
-        table[f"psnr_{name}"] = -10 * np.log10(square.mean())
-        table[f"psnr_channel_mean_{name}"] = (-10 * np.log10(square.mean(axis=(0, 1)))).mean()
-    return table
 
 
 def clip(truth):
@@ -158,7 +157,6 @@ def main():
     write("walk_estimate.txt", disturbed(truth[5::4], 1, 1.3, 0.02, 0.02, 0.006))
     save("walk.numbers", numbers(HERE / "walk_truth.txt", HERE / "walk_estimate.txt"))
     save("swapped.numbers", numbers(HERE / "walk_estimate.txt", HERE / "walk_truth.txt"))
-    save("pictures.numbers", pictures())
     if len(sys.argv) > 1:
         clip(sys.argv[1])
 

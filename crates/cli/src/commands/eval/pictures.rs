@@ -1,0 +1,141 @@
+//! Renders against true pictures.
+
+use super::failed;
+use super::figure::Figure;
+use super::frames::{Chosen, shortened};
+use super::metrics::{self, Metric, Pair};
+use super::reference::Reference;
+use super::subject::Subject;
+use crate::arguments::{Eval, Protocol};
+use crate::failure::Failure;
+use crate::picture::{at_size_of, read_depth, read_png};
+use rayon::prelude::*;
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+/// What was measured.
+pub(super) struct Judged {
+    metrics: &'static [Metric],
+    /// Frame, and one number per metric.
+    rows: Vec<(usize, Vec<Option<f64>>)>,
+    missing: Vec<usize>,
+    /// The list that chose the frames.
+    list: Option<String>,
+}
+
+/// Measures every chosen frame.
+pub(super) fn judge(
+    arguments: &Eval,
+    subject: &Subject,
+    reference: &Reference,
+    chosen: Chosen,
+) -> Result<Judged, Failure> {
+    if arguments.protocol == Protocol::Splatam && matches!(reference, Reference::Folder { .. }) {
+        let message = "--protocol splatam needs true depth: give the dataset as --reference";
+        return Err(Failure::Usage(message.to_owned()));
+    }
+    let metrics = metrics::of(arguments.protocol);
+    let row = |(frame, render): &(usize, std::path::PathBuf)| {
+        let pair = pair(subject, reference, *frame, render)?;
+        let values = metrics.iter().map(|metric| (metric.of)(&pair));
+        let values: Result<Vec<_>, _> = values.collect();
+        Ok((*frame, values.map_err(|e| failed(render, e))?))
+    };
+    let rows: Result<Vec<_>, Failure> = chosen.frames.par_iter().map(row).collect();
+    Ok(Judged { metrics, rows: rows?, missing: chosen.missing, list: chosen.list })
+}
+
+fn pair(
+    subject: &Subject,
+    reference: &Reference,
+    frame: usize,
+    render: &Path,
+) -> Result<Pair, Failure> {
+    let picture = read_png(render)?;
+    let truth = reference.load(frame)?;
+    let size = (truth.colour.width, truth.colour.height);
+    let sizes = || {
+        format!(
+            "{}x{} pixels, its truth in {} has {}x{}",
+            picture.width,
+            picture.height,
+            reference.path().display(),
+            size.0,
+            size.1
+        )
+    };
+    // Renders of a run may be smaller than a reference that was made for the recorded size.
+    let colour = match subject {
+        Subject::Result(_) => at_size_of(truth.colour, &picture),
+        _ => (size == (picture.width, picture.height)).then_some(truth.colour),
+    };
+    let colour = colour.ok_or_else(|| failed(render, sizes()))?;
+    let valid = truth.depth.as_ref().map(|d| d.data.iter().map(|z| *z > 0.0).collect::<Vec<_>>());
+    let valid = valid.filter(|valid| valid.len() == colour.pixels());
+    let drawn = subject.result().map(|r| r.join(format!("renders/depth/{frame:06}.png")));
+    let drawn = drawn.filter(|file| file.is_file()).map(|file| read_depth(&file)).transpose()?;
+    Ok(Pair { picture, truth: colour, depth: drawn.zip(truth.depth), valid })
+}
+
+impl Judged {
+    /// Means over the frames where the number exists and is finite.
+    fn figures(&self) -> Vec<Figure> {
+        let column = |i: usize| {
+            let values = self.rows.iter().filter_map(move |(_, row)| row[i]);
+            let finite: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+            (!finite.is_empty()).then(|| finite.iter().sum::<f64>() / finite.len() as f64)
+        };
+        let figure = |(i, m): (usize, &Metric)| Figure {
+            key: m.key,
+            label: m.label,
+            unit: m.unit,
+            decimals: m.decimals,
+            value: column(i),
+        };
+        self.metrics.iter().enumerate().map(figure).collect()
+    }
+
+    /// Frames whose render equals the truth: their PSNR is infinite and in no mean.
+    fn equal(&self) -> usize {
+        self.rows.iter().filter(|(_, row)| row[0] == Some(f64::INFINITY)).count()
+    }
+
+    pub(super) fn lines(&self) -> Vec<String> {
+        let list = self.list.as_ref().map(|list| format!(", list {list}")).unwrap_or_default();
+        let mut lines = vec![format!("{:<30}{:>9}{list}", "frames judged", self.rows.len())];
+        let known = self.figures().into_iter().filter(|figure| figure.value.is_some());
+        lines.extend(known.map(|figure| figure.line()));
+        lines
+    }
+
+    /// What a reader of the table must know.
+    pub(super) fn remarks(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if !self.missing.is_empty() {
+            let (count, names) = (self.missing.len(), shortened(&self.missing));
+            remarks.push(format!("warning: {count} frames without a render not judged ({names})"));
+        }
+        if self.equal() > 0 {
+            let count = self.equal();
+            remarks.push(format!("note: {count} renders equal their truth, in no mean of PSNR"));
+        }
+        remarks
+    }
+
+    pub(super) fn json(&self) -> Map<String, Value> {
+        let mut object: Map<String, Value> = self.figures().iter().map(Figure::json).collect();
+        object.insert("sharp_frames".to_owned(), self.rows.len().into());
+        object.insert("list".to_owned(), json!(self.list));
+        object.insert("equal_frames".to_owned(), self.equal().into());
+        object.insert("missing_frames".to_owned(), json!(self.missing));
+        let frame = |(index, row): &(usize, Vec<Option<f64>>)| {
+            let values = self.metrics.iter().zip(row).map(|(m, v)| (m.key.to_owned(), json!(v)));
+            let mut frame: Map<String, Value> = values.collect();
+            frame.insert("index".to_owned(), (*index).into());
+            Value::Object(frame)
+        };
+        let frames = self.rows.iter().map(frame).collect();
+        object.insert("frames".to_owned(), Value::Array(frames));
+        object
+    }
+}

@@ -1,0 +1,129 @@
+//! The true pictures: a folder of them, or the dataset that was run.
+
+use super::failed;
+use super::subject::{Pictures, Subject, pictures};
+use crate::failure::Failure;
+use crate::picture::read_png;
+use crate::truth::Truth;
+use i2slam::Config;
+use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::geometry::{Image, StampedPose};
+use std::path::{Path, PathBuf};
+
+/// Where true pictures come from.
+pub(super) enum Reference {
+    /// PNG and EXR files by frame.
+    Folder { path: PathBuf, colour: Pictures, radiance: Pictures },
+    /// A dataset with what lies beside its frames.
+    Dataset { path: PathBuf, sequence: Box<Sequence>, truth: Box<Truth> },
+}
+
+/// The truth of one frame.
+pub(super) struct TrueFrame {
+    pub(super) colour: Image<f32>,
+    /// Metres; only a dataset has it.
+    pub(super) depth: Option<Image<f32>>,
+}
+
+impl Reference {
+    /// A folder that can be opened as a sequence is one; the settings of the run decide how.
+    pub(super) fn open(path: &Path, subject: &Subject) -> Result<Self, Failure> {
+        if !path.is_dir() {
+            return Err(failed(path, "is no folder"));
+        }
+        let (colour, radiance) = (pictures(path, "png")?, pictures(path, "exr")?);
+        if path.join("rgb.txt").is_file() || (colour.is_empty() && radiance.is_empty()) {
+            return Self::dataset(path, subject);
+        }
+        Ok(Self::Folder { path: path.to_owned(), colour, radiance })
+    }
+
+    fn dataset(path: &Path, subject: &Subject) -> Result<Self, Failure> {
+        let mut options = OpenOptions::default();
+        if let Some(result) = subject.result() {
+            let settings = result.join("config.toml");
+            if settings.is_file() {
+                let config = Config::from_toml_file_on(&settings, None)?;
+                options.crop_border = config.input.crop_border;
+                options.minimum_gap = config.input.minimum_gap;
+            }
+        }
+        let mut sequence = Sequence::open(path, &options)?;
+        let width = subject.result().and_then(|r| render_width(&r.join("camera.json")));
+        if let Some(width) = width.filter(|w| *w < sequence.camera.width) {
+            options.scale = width as f64 / sequence.camera.width as f64;
+            sequence = Sequence::open(path, &options)?;
+        }
+        let truth = Truth::of(path, &sequence);
+        let (sequence, truth) = (Box::new(sequence), Box::new(truth));
+        Ok(Self::Dataset { path: path.to_owned(), sequence, truth })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        match self {
+            Self::Folder { path, .. } | Self::Dataset { path, .. } => path,
+        }
+    }
+
+    /// Frames with a true picture, ascending.
+    pub(super) fn frames(&self) -> Vec<usize> {
+        match self {
+            Self::Folder { colour, .. } => colour.keys().copied().collect(),
+            Self::Dataset { path, sequence, .. } => {
+                let sharp = path.join("sharp");
+                let known = |colour: &Path| {
+                    !sharp.is_dir() || colour.file_name().is_some_and(|n| sharp.join(n).is_file())
+                };
+                let entries = sequence.entries.iter().filter(|e| known(&e.colour));
+                entries.map(|e| e.index).collect()
+            }
+        }
+    }
+
+    /// The truth of one of [`frames`](Self::frames).
+    pub(super) fn load(&self, index: usize) -> Result<TrueFrame, Failure> {
+        match self {
+            Self::Folder { path, colour, .. } => {
+                let file = colour.get(&index);
+                let file = file.ok_or_else(|| failed(path, format!("has no frame {index}")))?;
+                Ok(TrueFrame { colour: read_png(file)?, depth: None })
+            }
+            Self::Dataset { path, sequence, truth } => {
+                let place = sequence.entries.binary_search_by_key(&index, |entry| entry.index);
+                let place = place.map_err(|_| failed(path, format!("has no frame {index}")))?;
+                let taken = sequence.load(place)?;
+                let sharp = path.join("sharp");
+                let colour = if sharp.is_dir() {
+                    let picture = truth.sharp(place);
+                    picture.ok_or_else(|| failed(&sharp, format!("frame {index} is unreadable")))?
+                } else {
+                    taken.colour
+                };
+                Ok(TrueFrame { colour, depth: Some(taken.depth) })
+            }
+        }
+    }
+
+    /// The file of a frame's true radiance.
+    pub(super) fn radiance(&self, index: usize) -> Option<PathBuf> {
+        match self {
+            Self::Folder { radiance, .. } => radiance.get(&index).cloned(),
+            Self::Dataset { truth, .. } => truth.radiance(index),
+        }
+    }
+
+    /// The true trajectory that a dataset has.
+    pub(super) fn trajectory(&self) -> Option<&[StampedPose]> {
+        match self {
+            Self::Dataset { truth, .. } if !truth.trajectory.is_empty() => Some(&truth.trajectory),
+            _ => None,
+        }
+    }
+}
+
+/// Width of the renders [px].
+fn render_width(camera: &Path) -> Option<usize> {
+    let text = std::fs::read_to_string(camera).ok()?;
+    let camera: serde_json::Value = serde_json::from_str(&text).ok()?;
+    camera.get("width")?.as_u64().map(|width| width as usize)
+}

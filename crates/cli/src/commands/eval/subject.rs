@@ -1,0 +1,131 @@
+//! What is judged: a result folder, a trajectory, or pictures.
+
+use super::failed;
+use crate::failure::Failure;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// What is judged.
+pub(super) enum Subject {
+    /// `trajectory.txt`, `frames.csv`, `renders/`; of another system without `frames.csv`.
+    Result(PathBuf),
+    /// A trajectory file.
+    Trajectory(PathBuf),
+    /// A folder of PNG or EXR pictures.
+    Pictures(PathBuf),
+}
+
+/// A row of `frames.csv`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct RunFrame {
+    pub(super) index: usize,
+    pub(super) timestamp: f64,
+    pub(super) keyframe: bool,
+}
+
+impl Subject {
+    pub(super) fn find(path: &Path) -> Result<Self, Failure> {
+        if !path.is_dir() {
+            return Ok(Self::Trajectory(path.to_owned()));
+        }
+        let result = path.join("trajectory.txt").is_file();
+        Ok(if result { Self::Result(path.to_owned()) } else { Self::Pictures(path.to_owned()) })
+    }
+
+    pub(super) fn trajectory(&self) -> Option<PathBuf> {
+        match self {
+            Self::Result(folder) => Some(folder.join("trajectory.txt")),
+            Self::Trajectory(file) => Some(file.clone()),
+            Self::Pictures(_) => None,
+        }
+    }
+
+    pub(super) fn result(&self) -> Option<&Path> {
+        match self {
+            Self::Result(folder) => Some(folder),
+            _ => None,
+        }
+    }
+
+    /// The pictures of a kind of render, by frame; of a folder of pictures its own.
+    pub(super) fn renders(&self, kind: &str, extension: &str) -> Result<Pictures, Failure> {
+        let folder = match self {
+            Self::Result(folder) => folder.join("renders").join(kind),
+            Self::Pictures(folder) => folder.clone(),
+            Self::Trajectory(_) => return Ok(Pictures::new()),
+        };
+        if folder.is_dir() { pictures(&folder, extension) } else { Ok(Pictures::new()) }
+    }
+
+    /// The frames that the run processed; `None` without `frames.csv`.
+    pub(super) fn run_frames(&self) -> Result<Option<Vec<RunFrame>>, Failure> {
+        let path = match self.result() {
+            Some(folder) => folder.join("frames.csv"),
+            None => return Ok(None),
+        };
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let text = std::fs::read_to_string(&path).map_err(|e| failed(&path, e))?;
+        run_frames(&text).map(Some).map_err(|reason| failed(&path, reason))
+    }
+}
+
+/// Picture files by frame: the number that is the file's name, else its place by name.
+pub(super) type Pictures = BTreeMap<usize, PathBuf>;
+
+/// The pictures with this extension in a folder.
+pub(super) fn pictures(folder: &Path, extension: &str) -> Result<Pictures, Failure> {
+    let entries = std::fs::read_dir(folder).map_err(|e| failed(folder, e))?;
+    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    let alike =
+        |file: &PathBuf| file.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
+    files.retain(alike);
+    files.sort();
+    let number = |file: &PathBuf| file.file_stem()?.to_str()?.parse::<usize>().ok();
+    let numbered = files.iter().all(|file| number(file).is_some());
+    let place = |(i, file): (usize, PathBuf)| match number(&file) {
+        Some(index) if numbered => (index, file),
+        _ => (i, file),
+    };
+    Ok(files.into_iter().enumerate().map(place).collect())
+}
+
+fn run_frames(text: &str) -> Result<Vec<RunFrame>, String> {
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let column = |name: &str| {
+        let place = names.iter().position(|n| *n == name);
+        place.ok_or_else(|| format!("has no column `{name}`"))
+    };
+    let (index, timestamp, keyframe) =
+        (column("index")?, column("timestamp")?, column("keyframe")?);
+    let rows = lines.enumerate().filter(|(_, line)| !line.is_empty());
+    rows.map(|(row, line)| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let frame = || {
+            Some(RunFrame {
+                index: cells.get(index)?.parse().ok()?,
+                timestamp: cells.get(timestamp)?.parse().ok()?,
+                keyframe: *cells.get(keyframe)? != "0",
+            })
+        };
+        frame().ok_or_else(|| format!("line {} is no frame", row + 2))
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_read_by_column_names() {
+        let frames = run_frames("timestamp,index,x,keyframe\n1.5,7,0,1\n\n2.5,8,0,0\n");
+        let frame = |index, timestamp, keyframe| RunFrame { index, timestamp, keyframe };
+        assert_eq!(frames, Ok(vec![frame(7, 1.5, true), frame(8, 2.5, false)]));
+        assert!(run_frames("index\n1\n").unwrap_err().contains("timestamp"));
+        let bad = run_frames("index,timestamp,keyframe\n1,x,0\n");
+        assert!(bad.unwrap_err().contains("line 2"));
+    }
+}

@@ -1,0 +1,112 @@
+//! Trajectory errors of a result or a trajectory file.
+
+use super::reference::Reference;
+use super::subject::Subject;
+use crate::arguments::{Eval, Fit, Protocol, RelativeStep};
+use crate::failure::Failure;
+use i2slam::dataset::read_trajectory;
+use i2slam::geometry::StampedPose;
+use i2slam_eval::trajectory::{
+    Alignment, DEFAULT_TOLERANCE, RelativePoseError, Step, TrajectoryError,
+    absolute_trajectory_error, relative_pose_error,
+};
+use serde::Serialize;
+use serde_json::{Map, Value};
+use std::path::Path;
+
+/// `trajectory.txt` has six decimals; stamps that differ by less are the same frame [s].
+const SAME_STAMP: f64 = 1e-5;
+
+/// Absolute and relative errors.
+#[derive(Serialize)]
+pub(super) struct Errors {
+    #[serde(flatten)]
+    absolute: TrajectoryError,
+    #[serde(flatten)]
+    relative: RelativePoseError,
+}
+
+/// The true trajectory: the file given, or that of the dataset given.
+pub(super) fn truth(
+    arguments: &Eval,
+    reference: Option<&Reference>,
+) -> Result<Option<Vec<StampedPose>>, Failure> {
+    match &arguments.groundtruth {
+        Some(file) => Ok(Some(read_trajectory(file)?)),
+        None => Ok(reference.and_then(Reference::trajectory).map(<[StampedPose]>::to_vec)),
+    }
+}
+
+pub(super) fn judge(
+    arguments: &Eval,
+    subject: &Subject,
+    file: &Path,
+    truth: &[StampedPose],
+) -> Result<Errors, Failure> {
+    let mut estimate = read_trajectory(file)?;
+    if arguments.protocol == Protocol::Monogs {
+        keep_keyframes(&mut estimate, subject)?;
+    }
+    let alignment = match arguments.align {
+        Fit::Se3 => Alignment::Se3,
+        Fit::Sim3 => Alignment::Sim3,
+    };
+    let absolute = absolute_trajectory_error(&estimate, truth, alignment, DEFAULT_TOLERANCE)?;
+    let step = match arguments.rpe {
+        RelativeStep::Frames(frames) => Step::Frames(frames),
+        RelativeStep::Seconds(seconds) => Step::Seconds(seconds),
+    };
+    let aligned = &absolute.aligned_estimate;
+    let relative = relative_pose_error(aligned, truth, step, DEFAULT_TOLERANCE)?;
+    Ok(Errors { absolute, relative })
+}
+
+fn keep_keyframes(estimate: &mut Vec<StampedPose>, subject: &Subject) -> Result<(), Failure> {
+    let frames = subject.run_frames()?.ok_or_else(|| {
+        Failure::Usage("--protocol monogs needs a result folder with frames.csv".to_owned())
+    })?;
+    let stamps: Vec<f64> = frames.iter().filter(|f| f.keyframe).map(|f| f.timestamp).collect();
+    let same =
+        |pose: &StampedPose| stamps.iter().any(|stamp| (stamp - pose.timestamp).abs() < SAME_STAMP);
+    estimate.retain(same);
+    Ok(())
+}
+
+impl Errors {
+    pub(super) fn lines(&self) -> Vec<String> {
+        let (t, r) = (&self.absolute, &self.relative);
+        let fit = match t.alignment {
+            Alignment::Se3 => "aligned by SE(3)".to_owned(),
+            Alignment::Sim3 => format!("aligned by Sim(3), scale {:.4}", t.scale),
+        };
+        let mut lines = vec![format!("{:<30}{:>9}, {fit}", "poses", t.pairs)];
+        let centimetres = [
+            ("ATE RMSE", t.ate_rmse_m),
+            ("ATE mean", t.ate_mean_m),
+            ("ATE median", t.ate_median_m),
+            ("ATE largest", t.ate_max_m),
+            ("SplaTAM's mean (world to cam)", t.splatam_mean_m),
+        ];
+        let line = |name: &str, value: f64, unit: &str| format!("{name:<30}{value:>9.4} {unit}");
+        lines.extend(centimetres.map(|(name, metres)| line(name, 100.0 * metres, "cm")));
+        let over = match r.rpe_step {
+            Step::Frames(1) => "a frame".to_owned(),
+            Step::Frames(n) | Step::OverlappingFrames(n) => format!("{n} frames"),
+            Step::Seconds(s) => format!("{s} s"),
+        };
+        lines.push(
+            line("RPE translation RMSE", 100.0 * r.rpe_translation_rmse_m, "cm") + " over " + &over,
+        );
+        lines
+            .push(line("RPE rotation RMSE", r.rpe_rotation_rmse_deg, "degrees") + " over " + &over);
+        lines
+    }
+
+    pub(super) fn json(&self) -> Result<Map<String, Value>, Failure> {
+        match serde_json::to_value(self) {
+            Ok(Value::Object(object)) => Ok(object),
+            Ok(_) => Ok(Map::new()),
+            Err(error) => Err(Failure::Failed(error.to_string())),
+        }
+    }
+}
