@@ -1,0 +1,162 @@
+//! What the depth of the sharp render says: a small plane per pixel, bounds per block.
+
+use super::blocks::{BLOCK, Block, Blocks};
+use i2slam_geometry::{Image, Real};
+use pulp::Arch;
+use rayon::prelude::*;
+
+/// The inverse depth around a pixel centre: `w(d) = value + slope · d`, d in pixels.
+///
+/// Inverse depth is affine in the image wherever the surface is flat, so this is exact there.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Facet<T> {
+    /// 1/m.
+    pub(super) value: T,
+    /// 1/m per pixel to the right.
+    pub(super) slope_x: T,
+    /// 1/m per pixel down.
+    pub(super) slope_y: T,
+    /// Largest second difference along row and column: a step shows here in full.
+    pub(super) bend: T,
+}
+
+/// Inverse depth, its slopes, and where it has steps.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Surface<T> {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    inverse: Vec<T>,
+    facets: Vec<Facet<T>>,
+    pub(super) blocks: Blocks<T>,
+}
+
+impl<T: Real> Surface<T> {
+    /// Reads plane 0 of `depth` [m]. A depth that is zero, negative or not finite takes the
+    /// farther of the two nearest known depths in its row; a row without any is infinitely far.
+    pub(super) fn update(&mut self, depth: &Image<T>) {
+        let (width, height) = (depth.width, depth.height);
+        (self.width, self.height) = (width, height);
+        self.inverse.resize(width * height, T::zero());
+        self.facets.resize(width * height, Facet::default());
+        self.blocks.resize(width, height);
+        if width * height == 0 {
+            return;
+        }
+        let arch = Arch::new();
+        self.inverse
+            .par_chunks_mut(BLOCK * width)
+            .zip(depth.plane(0).par_chunks(BLOCK * width))
+            .for_each(|(inverse, depth)| {
+                arch.dispatch(|| invert(depth, inverse));
+                inverse.chunks_exact_mut(width).for_each(fill_holes);
+            });
+        let inverse = &self.inverse;
+        let across = self.blocks.columns;
+        self.facets
+            .par_chunks_mut(BLOCK * width)
+            .zip(self.blocks.own.par_chunks_mut(across))
+            .enumerate()
+            .for_each(|(block_row, (facets, blocks))| {
+                let top = block_row * BLOCK;
+                blocks.fill(Block::empty());
+                for (y, facets) in (top..).zip(facets.chunks_exact_mut(width)) {
+                    arch.dispatch(|| row_facets(inverse, y, height, facets, blocks));
+                }
+            });
+    }
+
+    /// One row of inverse depths.
+    pub(super) fn row(&self, y: usize) -> &[T] {
+        &self.inverse[y * self.width..(y + 1) * self.width]
+    }
+
+    /// One row of facets.
+    pub(super) fn facets(&self, y: usize) -> &[Facet<T>] {
+        &self.facets[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The facet of the pixel that covers `(x, y)` [px], and that pixel's centre. Positions
+    /// outside the image take the nearest pixel.
+    #[inline(always)]
+    pub(super) fn facet_at(&self, x: T, y: T) -> (Facet<T>, T, T) {
+        let column = clamped(x, self.width);
+        let row = clamped(y, self.height);
+        let half = T::of(0.5);
+        let centre = |index: usize| T::of(index as f64) + half;
+        (self.facets[row * self.width + column], centre(column), centre(row))
+    }
+}
+
+/// The pixel that covers a coordinate, NaN and positions outside included.
+#[inline(always)]
+fn clamped<T: Real>(position: T, size: usize) -> usize {
+    let most = T::of(size.saturating_sub(1) as f64);
+    position.max(T::zero()).min(most).to_u32().unwrap_or(0) as usize
+}
+
+#[inline(always)]
+fn invert<T: Real>(depth: &[T], inverse: &mut [T]) {
+    for (w, &z) in inverse.iter_mut().zip(depth) {
+        let known = z > T::zero() && z < T::infinity();
+        *w = if known { T::one() / z } else { T::zero() };
+    }
+}
+
+fn fill_holes<T: Real>(row: &mut [T]) {
+    let mut x = 0;
+    while let Some(skip) = row[x..].iter().position(|w| *w == T::zero()) {
+        let start = x + skip;
+        let end = row[start..].iter().position(|w| *w > T::zero()).map_or(row.len(), |n| start + n);
+        let sides = [start.checked_sub(1), (end < row.len()).then_some(end)];
+        let known = sides.into_iter().flatten().map(|side| row[side]);
+        let far = known.reduce(T::min).unwrap_or(T::zero());
+        row[start..end].fill(far);
+        x = end;
+    }
+}
+
+#[inline(always)]
+fn row_facets<T: Real>(
+    inverse: &[T],
+    y: usize,
+    height: usize,
+    facets: &mut [Facet<T>],
+    blocks: &mut [Block<T>],
+) {
+    let width = facets.len();
+    let row = |y: usize| &inverse[y * width..(y + 1) * width];
+    let (up, here, down) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
+    let (has_up, has_down) = (y > 0, y + 1 < height);
+    let facet = |x: usize, left: usize, right: usize| {
+        let value = here[x];
+        let (slope_x, bend_x) = slope(value - here[left], here[right] - value, x > left, right > x);
+        let (slope_y, bend_y) = slope(value - up[x], down[x] - value, has_up, has_down);
+        Facet { value, slope_x, slope_y, bend: bend_x.max(bend_y) }
+    };
+    facets[0] = facet(0, 0, 1.min(width - 1));
+    for x in 1..width.saturating_sub(1) {
+        facets[x] = facet(x, x - 1, x + 1);
+    }
+    facets[width - 1] = facet(width - 1, width.saturating_sub(2), width - 1);
+    for (block, facets) in blocks.iter_mut().zip(facets.chunks(BLOCK)) {
+        for facet in facets {
+            block.include(facet);
+        }
+    }
+}
+
+/// The flatter of two one-sided differences (so that a slope never bridges a step), and their
+/// difference. A missing neighbour leaves the other side alone.
+#[inline(always)]
+fn slope<T: Real>(before: T, after: T, has_before: bool, has_after: bool) -> (T, T) {
+    let flatter = if before.abs() < after.abs() { before } else { after };
+    let both = has_before && has_after;
+    let value = if both {
+        flatter
+    } else if has_before {
+        before
+    } else {
+        after
+    };
+    (value, if both { (after - before).abs() } else { T::zero() })
+}
