@@ -3,46 +3,56 @@
 use super::band::Band;
 use super::forward::{Scene, corners};
 use super::landing::amplification;
-use super::upsample::{Texel, neighbours, pull_back_row};
+use super::texel::{Texel, add_scaled, dot, minus, mix, scaled};
+use super::upsample::{neighbours, pull_back_row};
 use super::views::View;
+use pulp::{Simd, WithSimd};
 
 /// Lanes of the sums over a row.
 const LANES: usize = 16;
 
-/// Pulls the band's rows of `d_blurred` (three planes) back to the band's own cotangents: of the
-/// sharp render (`d_sharp`, `sharp_rows`) and of every moving view (`sums`).
-#[inline(always)]
-pub(super) fn pull_back_band(
-    scene: &Scene<'_>,
-    band: &mut Band,
-    inverse_depths: &[f32],
-    d_blurred: [&[f32]; 3],
-    kernel: &[f32; 4],
-) {
-    let width = scene.camera.width;
-    let moving = &scene.views.moving;
-    band.sums.clear();
-    band.sums.resize(moving.len(), [0.0; 6]);
-    let fine_rows = (band.fine_last + 2).saturating_sub(band.fine_first) as usize;
-    band.d_fine.clear();
-    band.d_fine.resize(fine_rows * 2 * width, [0.0; 4]);
-    for (i, row) in inverse_depths.chunks_exact(moving.len() * width).enumerate() {
-        let y = band.first_row + i;
-        let at = i * width..(i + 1) * width;
-        interleave(d_blurred.map(|plane| &plane[at.clone()]), &mut band.texels);
-        slopes(scene, y, &mut band.ends);
-        for (k, (view, row)) in moving.iter().zip(row.chunks_exact(width)).enumerate() {
-            band.taps.fill(scene.camera, view, y as f32 + 0.5, row);
-            scatter(scene.fine, 2 * width, view.weight, band);
-            let sum = sum_row(scene, view, band, row);
-            band.sums[k].iter_mut().zip(sum).for_each(|(total, s)| *total += s);
+/// Pulls the band's rows of `d_blurred` back to the band's own cotangents: of the sharp render
+/// (`d_sharp`, `sharp_rows`) and of every moving view (`sums`).
+pub(super) struct PullBackBand<'a> {
+    pub(super) scene: &'a Scene<'a>,
+    pub(super) band: &'a mut Band,
+    /// As [`BlurBand`](super::forward::BlurBand) left them.
+    pub(super) inverse_depths: &'a [f32],
+    pub(super) d_blurred: [&'a [f32]; 3],
+    pub(super) kernel: &'a [f32; 4],
+}
+
+impl WithSimd for PullBackBand<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { scene, band, inverse_depths, d_blurred, kernel } = self;
+        let width = scene.camera.width;
+        let moving = &scene.views.moving;
+        band.sums.clear();
+        band.sums.resize(moving.len(), [0.0; 6]);
+        let fine_rows = (band.fine_last + 2).saturating_sub(band.fine_first) as usize;
+        band.d_fine.clear();
+        band.d_fine.resize(fine_rows * 2 * width, [0.0; 4]);
+        for (i, row) in inverse_depths.chunks_exact(moving.len() * width).enumerate() {
+            let y = band.first_row + i;
+            let at = i * width..(i + 1) * width;
+            interleave(d_blurred.map(|plane| &plane[at.clone()]), &mut band.texels);
+            slopes(scene, y, &mut band.ends);
+            for (k, (view, row)) in moving.iter().zip(row.chunks_exact(width)).enumerate() {
+                band.taps.fill(scene.camera, view, y as f32 + 0.5, row);
+                scatter(scene.fine, 2 * width, view.weight, band);
+                let sum = sum_row(scene, view, band, row);
+                band.sums[k].iter_mut().zip(sum).for_each(|(total, s)| *total += s);
+            }
         }
+        pull_back_fine(scene, band, kernel);
     }
-    pull_back_fine(scene, band, kernel);
 }
 
 #[inline(always)]
-fn interleave([red, green, blue]: [&[f32]; 3], texels: &mut [Texel<f32>]) {
+fn interleave([red, green, blue]: [&[f32]; 3], texels: &mut [Texel]) {
     let n = texels.len();
     let (red, green, blue) = (&red[..n], &green[..n], &blue[..n]);
     for (i, texel) in texels.iter_mut().enumerate() {
@@ -63,7 +73,7 @@ fn slopes(scene: &Scene<'_>, y: usize, slopes: &mut [Vec<f32>; 2]) {
 
 /// Adds one row of one view to `d_fine` and writes `d_position`.
 #[inline(always)]
-fn scatter(fine: &[Texel<f32>], stride: usize, weight: f32, band: &mut Band) {
+fn scatter(fine: &[Texel], stride: usize, weight: f32, band: &mut Band) {
     let n = band.texels.len();
     let offset = band.fine_first as usize * stride;
     let taps = &band.taps;
@@ -73,31 +83,44 @@ fn scatter(fine: &[Texel<f32>], stride: usize, weight: f32, band: &mut Band) {
     for i in 0..n {
         let k = index[i] as usize;
         let Some((top, bottom)) = corners(fine, stride, k) else { continue };
-        let (mut by_x, mut by_y) = ([0.0; 4], [0.0; 4]);
-        let d = band.texels[i].map(|d| weight * d);
-        for c in 0..4 {
-            let (right, left) = (top[1][c] - top[0][c], bottom[1][c] - bottom[0][c]);
-            by_x[c] = d[c] * (right + down[i] * (left - right));
-            let (near, far) = (bottom[0][c] - top[0][c], bottom[1][c] - top[1][c]);
-            by_y[c] = d[c] * (near + across[i] * (far - near));
-        }
-        d_x[i] = (by_x[0] + by_x[1]) + by_x[2];
-        d_y[i] = (by_y[0] + by_y[1]) + by_y[2];
-        let local = k - offset;
-        let lower = across[i] * down[i];
-        add(&mut band.d_fine, local, &d, [1.0 - across[i] - down[i] + lower, across[i] - lower]);
-        add(&mut band.d_fine, local + stride, &d, [down[i] - lower, lower]);
+        let d = scaled(band.texels[i], weight);
+        let by_x = mix(minus(top[1], top[0]), minus(bottom[1], bottom[0]), down[i]);
+        let by_y = mix(minus(bottom[0], top[0]), minus(bottom[1], top[1]), across[i]);
+        d_x[i] = dot(d, by_x);
+        d_y[i] = dot(d, by_y);
+        let lower = scaled(d, down[i]);
+        let upper = minus(d, lower);
+        let Some(rows) = band.d_fine.get_mut(k - offset..k - offset + stride + 2) else { continue };
+        let (right, lower_right) = (scaled(upper, across[i]), scaled(lower, across[i]));
+        rows[0] = add_scaled(rows[0], minus(upper, right), 1.0);
+        rows[1] = add_scaled(rows[1], right, 1.0);
+        rows[stride] = add_scaled(rows[stride], minus(lower, lower_right), 1.0);
+        rows[stride + 1] = add_scaled(rows[stride + 1], lower_right, 1.0);
     }
 }
 
-#[inline(always)]
-fn add(d_fine: &mut [Texel<f32>], index: usize, d: &Texel<f32>, weights: [f32; 2]) {
-    let Some(pair) = d_fine.get_mut(index..).and_then(|rest| rest.first_chunk_mut::<2>()) else {
-        return;
-    };
-    for c in 0..4 {
-        pair[0][c] += weights[0] * d[c];
-        pair[1][c] += weights[1] * d[c];
+/// What the sums over a row read, by column.
+struct Row<'a> {
+    a: &'a [f32],
+    b: &'a [f32],
+    d: [&'a [f32]; 2],
+    free: [&'a [f32]; 2],
+    slope: [&'a [f32]; 2],
+    inverse_depth: &'a [f32],
+}
+
+impl Row<'_> {
+    #[inline(always)]
+    fn share(&self, scene: &Scene<'_>, view: &View<f32>, i: usize) -> [f32; 6] {
+        let direction = (self.a[i], self.b[i]);
+        let line = view.line(scene.camera, direction);
+        let [slope_x, slope_y] = [self.slope[0][i], self.slope[1][i]];
+        let (gx, gy) = (self.d[0][i] * self.free[0][i], self.d[1][i] * self.free[1][i]);
+        let along =
+            (gx * line.ex + gy * line.ey) * amplification(slope_x, slope_y, line.ex, line.ey);
+        let gx = (gx + slope_x * along) * scene.camera.fx;
+        let gy = (gy + slope_y * along) * scene.camera.fy;
+        view.share(direction, self.inverse_depth[i], gx, gy)
     }
 }
 
@@ -105,32 +128,26 @@ fn add(d_fine: &mut [Texel<f32>], index: usize, d: &Texel<f32>, weights: [f32; 2
 #[inline(always)]
 fn sum_row(scene: &Scene<'_>, view: &View<f32>, band: &Band, inverse_depths: &[f32]) -> [f64; 6] {
     let n = inverse_depths.len();
-    let taps = &band.taps;
-    let (a, b) = (&taps.a[..n], &taps.b[..n]);
-    let (free_x, free_y) = (&taps.free_x[..n], &taps.free_y[..n]);
-    let (d_x, d_y) = (&band.d_position[0][..n], &band.d_position[1][..n]);
-    let (slope_x, slope_y) = (&band.ends[0][..n], &band.ends[1][..n]);
-    let share = |i: usize| {
-        let line = view.line(scene.camera, (a[i], b[i]));
-        let (gx, gy) = (d_x[i] * free_x[i], d_y[i] * free_y[i]);
-        let along =
-            (gx * line.ex + gy * line.ey) * amplification(slope_x[i], slope_y[i], line.ex, line.ey);
-        let (gx, gy) = (gx + slope_x[i] * along, gy + slope_y[i] * along);
-        let (gx, gy) = (gx * scene.camera.fx, gy * scene.camera.fy);
-        view.share((a[i], b[i]), inverse_depths[i], gx, gy)
+    let row = Row {
+        a: &band.taps.a[..n],
+        b: &band.taps.b[..n],
+        d: [&band.d_position[0][..n], &band.d_position[1][..n]],
+        free: [&band.taps.free_x[..n], &band.taps.free_y[..n]],
+        slope: [&band.ends[0][..n], &band.ends[1][..n]],
+        inverse_depth: inverse_depths,
     };
     let mut lanes = [[0.0_f32; LANES]; 6];
     let full = n - n % LANES;
     for start in (0..full).step_by(LANES) {
         for lane in 0..LANES {
-            let share = share(start + lane);
+            let share = row.share(scene, view, start + lane);
             for k in 0..6 {
                 lanes[k][lane] += share[k];
             }
         }
     }
     for i in full..n {
-        let share = share(i);
+        let share = row.share(scene, view, i);
         for k in 0..6 {
             lanes[k][i - full] += share[k];
         }

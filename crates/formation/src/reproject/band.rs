@@ -1,7 +1,7 @@
 //! The fixed partition of an image into bands of rows, and what each band keeps.
 
 use super::taps::RowTaps;
-use super::upsample::Texel;
+use super::texel::Texel;
 
 /// Rows of the picture per band.
 pub(super) const BAND: usize = 32;
@@ -16,7 +16,7 @@ pub(super) struct Band {
     pub(super) fine_last: u32,
     pub(super) taps: RowTaps,
     /// One row: colours forward, their cotangents backward.
-    pub(super) texels: Vec<Texel<f32>>,
+    pub(super) texels: Vec<Texel>,
     /// One row: inverse depths at both ends of the exposure; slopes backward.
     pub(super) ends: [Vec<f32>; 2],
     /// One row: cotangent of the position [per px].
@@ -24,7 +24,7 @@ pub(super) struct Band {
     /// Three rows, one per plane.
     pub(super) planar_row: Vec<f32>,
     /// Cotangent of the fine rows, and of the image rows that they come from.
-    pub(super) d_fine: Vec<Texel<f32>>,
+    pub(super) d_fine: Vec<Texel>,
     pub(super) d_sharp: Vec<f32>,
     /// The rows of the image in `d_sharp`, first and one past the last.
     pub(super) sharp_rows: (usize, usize),

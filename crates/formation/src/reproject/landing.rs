@@ -46,7 +46,7 @@ pub(super) fn between<T: Real>(first: T, middle: T, last: T, moment: T) -> T {
 /// sees background that the sharp render does not show: it takes the background beside the
 /// occluder, on the side that is closer.
 pub(super) fn search<T: Real>(surface: &Surface<T>, line: &Line<T>, bounds: Block<T>, own: T) -> T {
-    let speed = line.ex.hypot(line.ey);
+    let speed = (line.ex * line.ex + line.ey * line.ey).sqrt();
     let range = bounds.nearest - bounds.farthest;
     let length = (speed * range).to_f64();
     if !(length > 0.5) {
@@ -55,15 +55,11 @@ pub(super) fn search<T: Real>(surface: &Surface<T>, line: &Line<T>, bounds: Bloc
     let steps = length.ceil().min(STEPS as f64) as usize;
     let step = range / T::of(steps as f64);
     let tolerance = step * T::of(0.75);
-    let sample = |w: T| {
-        let (x, y) = line.at(w);
-        surface.facet_at(x, y).0.value
-    };
     let mut in_front = None;
     let mut occluder = bounds.nearest;
     for k in 0..=steps {
         let w = bounds.nearest - step * T::of(k as f64);
-        let seen = sample(w);
+        let seen = sample(surface, line, w);
         if (seen - w).abs() <= tolerance {
             return land(surface, line, w).max(w - step).min(w + step);
         }
@@ -77,6 +73,12 @@ pub(super) fn search<T: Real>(surface: &Surface<T>, line: &Line<T>, bounds: Bloc
     let background = (occluder + bounds.farthest) * T::of(0.5);
     let beyond = (1..=hidden_for.max(1))
         .map(|k| bounds.farthest - step * T::of(k as f64))
-        .find(|&w| sample(w) < background);
+        .find(|&w| sample(surface, line, w) < background);
     beyond.or(in_front.map(|(_, w)| w)).unwrap_or(bounds.farthest)
+}
+
+#[inline(always)]
+fn sample<T: Real>(surface: &Surface<T>, line: &Line<T>, w: T) -> T {
+    let (x, y) = line.at(w);
+    surface.facet_at(x, y).0.value
 }

@@ -46,6 +46,7 @@ mod surface;
 mod taps;
 #[cfg(test)]
 mod tests;
+mod texel;
 mod upsample;
 mod views;
 
@@ -53,13 +54,15 @@ pub use reference::ReferenceReprojection;
 pub use upsample::Interpolation;
 
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
+use backward::PullBackBand;
 use band::{BAND, Band};
-use forward::Scene;
+use forward::{BlurBand, Scene};
 use i2slam_geometry::{Camera, Image, Pose};
 use pulp::Arch;
 use rayon::prelude::*;
 use surface::Surface;
-use upsample::Texel;
+use texel::Texel;
+use upsample::UpsampleRow;
 use views::Views;
 
 /// Blurs one sharp render by its depth, and pulls cotangents back. Holds what one frame needs
@@ -73,7 +76,7 @@ pub struct Reprojection {
     views: Views<f32>,
     surface: Surface<f32>,
     /// The sharp render at twice its resolution.
-    fine: Vec<Texel<f32>>,
+    fine: Vec<Texel>,
     /// What is seen at (row, moving view, column) [1/m].
     inverse_depths: Vec<f32>,
     bands: Vec<Band>,
@@ -144,9 +147,8 @@ impl Reprojection {
         rows.zip(&mut self.bands).for_each(|(rows, band)| {
             let scratch = &mut band.planar_row;
             for (y, out) in (2 * band.first_row..).zip(rows.chunks_exact_mut(2 * width)) {
-                arch.dispatch(|| {
-                    upsample::upsample_row(planes, height, y, &kernel, scratch, out);
-                });
+                let kernel = &kernel;
+                arch.dispatch(UpsampleRow { planes, height, y, kernel, scratch, out });
             }
         });
     }
@@ -171,9 +173,9 @@ impl Reprojection {
         bands.zip(depths).zip(planes).for_each(|((band, depths), ((red, green), blue))| {
             let from = band.first_row * width;
             let sharp = [0, 1, 2].map(|c| &radiance.plane(c)[from..from + red.len()]);
-            Arch::new().dispatch(|| {
-                forward::blur_band(&scene, band, depths, sharp, [red, green, blue]);
-            });
+            let (blurred, scene) = ([red, green, blue], &scene);
+            let task = BlurBand { scene, band, inverse_depths: depths, sharp, blurred };
+            Arch::new().dispatch(task);
         });
     }
 
@@ -220,9 +222,9 @@ impl Reprojection {
             let from = band.first_row * width;
             let rows = depths.len() / self.views.moving.len();
             let d_blurred = [0, 1, 2].map(|c| &d_blurred.plane(c)[from..from + rows]);
-            Arch::new().dispatch(|| {
-                backward::pull_back_band(&scene, band, depths, d_blurred, &kernel);
-            });
+            let (scene, kernel) = (&scene, &kernel);
+            let task = PullBackBand { scene, band, inverse_depths: depths, d_blurred, kernel };
+            Arch::new().dispatch(task);
         });
     }
 

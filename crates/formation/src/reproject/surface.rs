@@ -2,7 +2,7 @@
 
 use super::blocks::{BLOCK, Block, Blocks};
 use i2slam_geometry::{Image, Real};
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// The inverse depth around a pixel centre: `w(d) = value + slope · d`, d in pixels.
@@ -47,7 +47,7 @@ impl<T: Real> Surface<T> {
             .par_chunks_mut(BLOCK * width)
             .zip(depth.plane(0).par_chunks(BLOCK * width))
             .for_each(|(inverse, depth)| {
-                arch.dispatch(|| invert(depth, inverse));
+                arch.dispatch(Invert { depth, inverse });
                 inverse.chunks_exact_mut(width).for_each(fill_holes);
             });
         let inverse = &self.inverse;
@@ -60,7 +60,7 @@ impl<T: Real> Surface<T> {
                 let top = block_row * BLOCK;
                 blocks.fill(Block::empty());
                 for (y, facets) in (top..).zip(facets.chunks_exact_mut(width)) {
-                    arch.dispatch(|| row_facets(inverse, y, height, facets, blocks));
+                    arch.dispatch(RowFacets { inverse, y, height, facets, blocks });
                 }
             });
     }
@@ -94,11 +94,21 @@ fn clamped<T: Real>(position: T, size: usize) -> usize {
     position.max(T::zero()).min(most).to_u32().unwrap_or(0) as usize
 }
 
-#[inline(always)]
-fn invert<T: Real>(depth: &[T], inverse: &mut [T]) {
-    for (w, &z) in inverse.iter_mut().zip(depth) {
-        let known = z > T::zero() && z < T::infinity();
-        *w = if known { T::one() / z } else { T::zero() };
+/// `1 / depth`, 0 where the depth is unknown.
+struct Invert<'a, T> {
+    depth: &'a [T],
+    inverse: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for Invert<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (w, &z) in self.inverse.iter_mut().zip(self.depth) {
+            let known = z > T::zero() && z < T::infinity();
+            *w = if known { T::one() / z } else { T::zero() };
+        }
     }
 }
 
@@ -115,34 +125,50 @@ fn fill_holes<T: Real>(row: &mut [T]) {
     }
 }
 
-#[inline(always)]
-fn row_facets<T: Real>(
-    inverse: &[T],
+/// The facets of row `y`, and their share of the blocks.
+struct RowFacets<'a, T> {
+    inverse: &'a [T],
     y: usize,
     height: usize,
-    facets: &mut [Facet<T>],
-    blocks: &mut [Block<T>],
-) {
-    let width = facets.len();
-    let row = |y: usize| &inverse[y * width..(y + 1) * width];
-    let (up, here, down) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
-    let (has_up, has_down) = (y > 0, y + 1 < height);
-    let facet = |x: usize, left: usize, right: usize| {
-        let value = here[x];
-        let (slope_x, bend_x) = slope(value - here[left], here[right] - value, x > left, right > x);
-        let (slope_y, bend_y) = slope(value - up[x], down[x] - value, has_up, has_down);
-        Facet { value, slope_x, slope_y, bend: bend_x.max(bend_y) }
-    };
-    facets[0] = facet(0, 0, 1.min(width - 1));
-    for x in 1..width.saturating_sub(1) {
-        facets[x] = facet(x, x - 1, x + 1);
-    }
-    facets[width - 1] = facet(width - 1, width.saturating_sub(2), width - 1);
-    for (block, facets) in blocks.iter_mut().zip(facets.chunks(BLOCK)) {
-        for facet in facets {
-            block.include(facet);
+    facets: &'a mut [Facet<T>],
+    blocks: &'a mut [Block<T>],
+}
+
+impl<T: Real> WithSimd for RowFacets<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { inverse, y, height, facets, blocks } = self;
+        let n = facets.len();
+        let row = |y: usize| &inverse[y * n..(y + 1) * n];
+        let rows = [row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1))];
+        let sides = (y > 0, y + 1 < height);
+        facets[0] = facet(rows, sides, 0, (0, 1.min(n - 1)));
+        for x in 1..n.saturating_sub(1) {
+            facets[x] = facet(rows, sides, x, (x - 1, x + 1));
+        }
+        facets[n - 1] = facet(rows, sides, n - 1, (n.saturating_sub(2), n - 1));
+        for (block, facets) in blocks.iter_mut().zip(facets.chunks(BLOCK)) {
+            for facet in facets {
+                block.include(facet);
+            }
         }
     }
+}
+
+/// The facet of pixel `x` of the middle row, between its neighbours `left` and `right`.
+#[inline(always)]
+fn facet<T: Real>(
+    [up, here, down]: [&[T]; 3],
+    (has_up, has_down): (bool, bool),
+    x: usize,
+    (left, right): (usize, usize),
+) -> Facet<T> {
+    let value = here[x];
+    let (slope_x, bend_x) = slope(value - here[left], here[right] - value, x > left, right > x);
+    let (slope_y, bend_y) = slope(value - up[x], down[x] - value, has_up, has_down);
+    Facet { value, slope_x, slope_y, bend: bend_x.max(bend_y) }
 }
 
 /// The flatter of two one-sided differences (so that a slope never bridges a step), and their

@@ -7,10 +7,9 @@
 //! Sample `2 i` of the fine grid is pixel `i`; sample `2 i + 1` is the point halfway to pixel
 //! `i + 1`. Beyond the edge the last pixel repeats.
 
+use super::texel::{Texel, add_scaled, scaled};
 use i2slam_geometry::Real;
-
-/// One sample of the fine grid: R, G, B and a zero.
-pub(super) type Texel<T> = [T; 4];
+use pulp::{Simd, WithSimd};
 
 /// How the sharp render is read between its pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -41,56 +40,64 @@ pub(super) fn neighbours(i: usize, size: usize) -> [usize; 4] {
     [i.saturating_sub(1), i, (i + 1).min(size - 1), (i + 2).min(size - 1)]
 }
 
-/// Writes row `y` of the fine grid of three `planes` (`height` rows of the width of `halfway_row`
-/// over 3, which is scratch).
-#[inline(always)]
-pub(super) fn upsample_row(
-    planes: [&[f32]; 3],
-    height: usize,
-    y: usize,
-    kernel: &[f32; 4],
-    halfway_row: &mut [f32],
-    out: &mut [Texel<f32>],
-) {
-    let width = halfway_row.len() / 3;
-    let row = |plane: usize, y: usize| &planes[plane][y * width..(y + 1) * width];
-    if y.is_multiple_of(2) {
-        return widen([row(0, y / 2), row(1, y / 2), row(2, y / 2)], kernel, out);
-    }
-    let sources = neighbours(y / 2, height);
-    for (plane, to) in halfway_row.chunks_exact_mut(width).enumerate() {
-        let [a, b, c, d] = sources.map(|y| row(plane, y));
-        for x in 0..width {
-            to[x] = kernel[0] * a[x] + kernel[1] * b[x] + kernel[2] * c[x] + kernel[3] * d[x];
+/// Writes row `y` of the fine grid.
+pub(super) struct UpsampleRow<'a> {
+    /// The sharp render, `height` rows.
+    pub(super) planes: [&'a [f32]; 3],
+    pub(super) height: usize,
+    pub(super) y: usize,
+    pub(super) kernel: &'a [f32; 4],
+    /// Room for three rows of the render.
+    pub(super) scratch: &'a mut [f32],
+    pub(super) out: &'a mut [Texel],
+}
+
+impl WithSimd for UpsampleRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { planes, height, y, kernel, scratch, out } = self;
+        let width = scratch.len() / 3;
+        if y.is_multiple_of(2) {
+            let at = y / 2 * width..(y / 2 + 1) * width;
+            return widen(planes.map(|plane| &plane[at.clone()]), kernel, out);
         }
+        let sources = neighbours(y / 2, height);
+        for (plane, to) in planes.into_iter().zip(scratch.chunks_exact_mut(width)) {
+            let [a, b, c, d] = sources.map(|y| &plane[y * width..(y + 1) * width]);
+            for x in 0..width {
+                to[x] = kernel[0] * a[x] + kernel[1] * b[x] + kernel[2] * c[x] + kernel[3] * d[x];
+            }
+        }
+        let (red, rest) = scratch.split_at(width);
+        let (green, blue) = rest.split_at(width);
+        widen([red, green, blue], kernel, out);
     }
-    let (red, rest) = halfway_row.split_at(width);
-    let (green, blue) = rest.split_at(width);
-    widen([red, green, blue], kernel, out);
 }
 
 #[inline(always)]
-fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; 4], out: &mut [Texel<f32>]) {
+fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; 4], out: &mut [Texel]) {
     let width = red.len();
     let (green, blue) = (&green[..width], &blue[..width]);
-    let texel = |i: usize| [red[i], green[i], blue[i], 0.0];
-    let mut window = [texel(0), texel(0), texel(1.min(width - 1))];
+    let second = 1.min(width - 1);
+    let first = [red[0], green[0], blue[0], 0.0];
+    let mut window = [first, first, [red[second], green[second], blue[second], 0.0]];
     for (i, pair) in out.chunks_exact_mut(2).enumerate().take(width) {
         let [a, b, c] = window;
-        let d = texel((i + 2).min(width - 1));
+        let i = (i + 2).min(width - 1);
+        let d = [red[i], green[i], blue[i], 0.0];
         pair[0] = b;
-        for k in 0..4 {
-            pair[1][k] = kernel[0] * a[k] + kernel[1] * b[k] + kernel[2] * c[k] + kernel[3] * d[k];
-        }
+        pair[1] = combine([a, b, c, d], *kernel);
         window = [b, c, d];
     }
 }
 
-/// The transpose of [`upsample_row`]: adds what row `y` of the fine grid asks of three planes.
+/// The transpose of [`UpsampleRow`]: adds what row `y` of the fine grid asks of three planes.
 /// Row 0 of each of the `d_planes` is row `first` of the image; `narrow_row` is scratch.
 #[inline(always)]
 pub(super) fn pull_back_row(
-    d_out: &[Texel<f32>],
+    d_out: &[Texel],
     y: usize,
     height: usize,
     kernel: &[f32; 4],
@@ -102,21 +109,33 @@ pub(super) fn pull_back_row(
     narrow(d_out, kernel, narrow_row);
     let targets = neighbours(y / 2, height);
     for (d_plane, from) in d_planes.into_iter().zip(narrow_row.chunks_exact(width)) {
-        let mut add = |y: usize, weight: f32| {
-            let to = &mut d_plane[(y - first) * width..(y - first + 1) * width];
-            to.iter_mut().zip(from).for_each(|(to, from)| *to += weight * from);
-        };
         if y.is_multiple_of(2) {
-            add(y / 2, 1.0);
-        } else {
-            targets.iter().zip(kernel).for_each(|(&y, &weight)| add(y, weight));
+            add_row(d_plane, y / 2 - first, 1.0, from);
+            continue;
         }
+        for (&target, &weight) in targets.iter().zip(kernel) {
+            add_row(d_plane, target - first, weight, from);
+        }
+    }
+}
+
+#[inline(always)]
+fn combine([a, b, c, d]: [Texel; 4], weights: [f32; 4]) -> Texel {
+    let near = add_scaled(scaled(b, weights[1]), c, weights[2]);
+    add_scaled(add_scaled(near, a, weights[0]), d, weights[3])
+}
+
+#[inline(always)]
+fn add_row(plane: &mut [f32], y: usize, weight: f32, from: &[f32]) {
+    let to = &mut plane[y * from.len()..(y + 1) * from.len()];
+    for (to, from) in to.iter_mut().zip(from) {
+        *to += weight * from;
     }
 }
 
 /// The transpose of [`widen`], written to three rows in `out`.
 #[inline(always)]
-fn narrow(d: &[Texel<f32>], kernel: &[f32; 4], out: &mut [f32]) {
+fn narrow(d: &[Texel], kernel: &[f32; 4], out: &mut [f32]) {
     let width = out.len() / 3;
     let (red, rest) = out.split_at_mut(width);
     let (green, blue) = rest.split_at_mut(width);
@@ -125,10 +144,8 @@ fn narrow(d: &[Texel<f32>], kernel: &[f32; 4], out: &mut [f32]) {
     for i in 0..width {
         let [a, b, c] = window;
         let next = d.get(2 * i + 3).copied().unwrap_or(zero);
-        let mut sum = d[2 * i];
-        for k in 0..4 {
-            sum[k] += kernel[3] * a[k] + kernel[2] * b[k] + kernel[1] * c[k] + kernel[0] * next[k];
-        }
+        let [k0, k1, k2, k3] = *kernel;
+        let sum = add_scaled(d[2 * i], combine([a, b, c, next], [k3, k2, k1, k0]), 1.0);
         (red[i], green[i], blue[i]) = (sum[0], sum[1], sum[2]);
         window = [b, c, next];
     }
