@@ -32,10 +32,16 @@ impl<T: Real> Block<T> {
 
     #[inline(always)]
     fn merge(&mut self, other: &Self) {
-        self.nearest = self.nearest.max(other.nearest);
-        self.farthest = self.farthest.min(other.farthest);
-        self.bend = self.bend.max(other.bend);
+        self.nearest = larger(other.nearest, self.nearest);
+        self.farthest = T::zero() - larger(-other.farthest, -self.farthest);
+        self.bend = larger(other.bend, self.bend);
     }
+}
+
+/// The larger of two numbers; `b` where `a` is not a number.
+#[inline(always)]
+pub(super) fn larger<T: Real>(a: T, b: T) -> T {
+    if a > b { a } else { b }
 }
 
 /// The blocks of an image, alone and with what surrounds them.

@@ -1,10 +1,10 @@
-//! The fast lane, forward: one band of rows at a time.
+//! The fast lane, forward: one band of rows at a time, sixteen pixels of a row at a time.
 
 use super::band::Band;
-use super::landing::{between, land, search};
-use super::surface::Surface;
-use super::taps::RowTaps;
-use super::texel::{Texel, add_scaled, mix};
+use super::landing::{between, cut, search};
+use super::surface::{Facet, Surface};
+use super::taps::{LANES, Lanes, Lines, Taps, held};
+use super::texel::{Corners, Texel};
 use super::views::{View, Views};
 use i2slam_geometry::Camera;
 use pulp::{Simd, WithSimd};
@@ -15,6 +15,7 @@ pub(super) struct Scene<'a> {
     pub(super) camera: &'a Camera<f32>,
     pub(super) views: &'a Views<f32>,
     pub(super) surface: &'a Surface<f32>,
+    /// The sharp render at twice its resolution.
     pub(super) fine: &'a [Texel],
 }
 
@@ -22,8 +23,8 @@ pub(super) struct Scene<'a> {
 pub(super) struct BlurBand<'a> {
     pub(super) scene: &'a Scene<'a>,
     pub(super) band: &'a mut Band,
-    /// (row, moving view, column), written for the way back [1/m].
-    pub(super) inverse_depths: &'a mut [f32],
+    /// (row, chunk, moving view), written for the way back [1/m].
+    pub(super) inverse_depths: &'a mut [Lanes],
     /// The band's rows of the sharp render.
     pub(super) sharp: [&'a [f32]; 3],
     /// The band's rows of the blurred picture.
@@ -35,94 +36,121 @@ impl WithSimd for BlurBand<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { scene, band, inverse_depths, sharp, blurred: [red, green, blue] } = self;
+        let Self { scene, band, inverse_depths, sharp, mut blurred } = self;
         let width = scene.camera.width;
-        let rows = inverse_depths.chunks_exact_mut(scene.views.moving.len() * width);
-        (band.fine_first, band.fine_last) = (u32::MAX, 0);
-        for (i, row) in rows.enumerate() {
-            let at = i * width..(i + 1) * width;
-            start(scene.views.still_weight, sharp.map(|p| &p[at.clone()]), &mut band.texels);
-            blur_row(scene, band, band.first_row + i, row);
-            let (red, green, blue) = (&mut red[at.clone()], &mut green[at.clone()], &mut blue[at]);
-            for (i, texel) in band.texels.iter().enumerate().take(width) {
-                (red[i], green[i], blue[i]) = (texel[0], texel[1], texel[2]);
+        let still = scene.views.still_weight;
+        (band.fine_first, band.fine_last) = (i32::MAX, 0);
+        let mut chunks = inverse_depths.chunks_exact_mut(scene.views.moving.len());
+        for row in 0..sharp[0].len() / width {
+            for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
+                let lanes = LANES.min(width - x);
+                let at = row * width + x..row * width + x + lanes;
+                let mut sum = read_chunk(&sharp.map(|plane| &plane[at.clone()]), still);
+                see_chunk(scene, x, band.first_row + row, depths);
+                let rows = blur_chunk(scene, x, band.first_row + row, depths, &mut sum);
+                band.fine_first = band.fine_first.min(rows.0);
+                band.fine_last = band.fine_last.max(rows.1);
+                let [red, green, blue] = &mut blurred;
+                let planes = red[at.clone()].iter_mut().zip(&mut green[at.clone()]);
+                for (((red, green), blue), texel) in planes.zip(&mut blue[at]).zip(&sum) {
+                    [*red, *green, *blue] = texel.channels();
+                }
             }
         }
     }
 }
 
+/// Up to sixteen pixels of three planes, times `weight`; zero beyond.
 #[inline(always)]
-fn blur_row(scene: &Scene<'_>, band: &mut Band, y: usize, row: &mut [f32]) {
-    let width = scene.camera.width;
-    see_row(scene, y, row, &mut band.ends);
-    for (view, row) in scene.views.moving.iter().zip(row.chunks_exact(width)) {
-        let (first, last) = band.taps.fill(scene.camera, view, y as f32 + 0.5, row);
-        band.fine_first = band.fine_first.min(first);
-        band.fine_last = band.fine_last.max(last);
-        gather(scene.fine, 2 * width, &band.taps, view.weight, &mut band.texels);
+pub(super) fn read_chunk(planes: &[&[f32]; 3], weight: f32) -> [Texel; LANES] {
+    let mut texels = [Texel::zero(); LANES];
+    let [red, green, blue] = planes;
+    for (texel, ((red, green), blue)) in texels.iter_mut().zip(red.iter().zip(*green).zip(*blue)) {
+        *texel = Texel::new(*red, *green, *blue) * weight;
     }
+    texels
 }
 
+/// Adds what the moving views see to `sum`; returns the first and last fine row touched.
 #[inline(always)]
-fn start(weight: f32, [red, green, blue]: [&[f32]; 3], texels: &mut [Texel]) {
-    let n = texels.len();
-    let (red, green, blue) = (&red[..n], &green[..n], &blue[..n]);
-    for (i, texel) in texels.iter_mut().enumerate() {
-        *texel = [weight * red[i], weight * green[i], weight * blue[i], 0.0];
+fn blur_chunk(
+    scene: &Scene<'_>,
+    x: usize,
+    y: usize,
+    depths: &[Lanes],
+    sum: &mut [Texel; LANES],
+) -> (i32, i32) {
+    let stride = 2 * scene.camera.width;
+    let (mut first, mut last) = (i32::MAX, 0);
+    for (view, w) in scene.views.moving.iter().zip(depths) {
+        let taps = Taps::new(scene.camera, &Lines::new(scene.camera, view, x, y), w);
+        for i in 0..LANES {
+            let index = taps.index[i] as usize;
+            let Some(corners) = Corners::at(scene.fine, index, stride) else { break };
+            sum[i] += corners.interpolate(taps.across[i], taps.down[i]) * view.weight;
+        }
+        let rows = taps.rows();
+        (first, last) = (first.min(rows.0), last.max(rows.1));
     }
+    (first, last)
 }
 
-/// The inverse depth that every moving view sees at every pixel of row `y`.
+/// The inverse depths that every moving view sees from column `x` on in row `y`.
 #[inline(always)]
-fn see_row(scene: &Scene<'_>, y: usize, row: &mut [f32], ends: &mut [Vec<f32>; 2]) {
+fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, depths: &mut [Lanes]) {
     let moving = &scene.views.moving;
     let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
-    let width = scene.camera.width;
-    let own = scene.surface.row(y);
-    for (view, end) in [first, last].into_iter().zip(ends.iter_mut()) {
-        for (x, end) in end.iter_mut().enumerate().take(width) {
-            let line = line(scene, view, x, y);
-            *end = land(scene.surface, &line, own[x]);
+    let row = scene.surface.row(y);
+    let own: Lanes = match row.get(x..).and_then(|rest| rest.first_chunk()) {
+        Some(lanes) => *lanes,
+        None => std::array::from_fn(|i| row[(x + i).min(row.len() - 1)]),
+    };
+    let first = land_chunk(scene, first, x, y, &own);
+    let last = land_chunk(scene, last, x, y, &own);
+    for (view, depths) in moving.iter().zip(depths.iter_mut()) {
+        for i in 0..LANES {
+            depths[i] = between(first[i], own[i], last[i], view.moment);
         }
     }
-    let (at_first, at_last) = (&ends[0][..width], &ends[1][..width]);
-    for (view, row) in moving.iter().zip(row.chunks_exact_mut(width)) {
-        for x in 0..width {
-            row[x] = between(at_first[x], own[x], at_last[x], view.moment);
-        }
-        for x in 0..width {
-            if let Some(bounds) = scene.surface.blocks.searched(x, y) {
-                let line = line(scene, view, x, y);
-                row[x] = search(scene.surface, &line, bounds, own[x]);
-            }
-        }
+    search_chunk(scene, x, y, &own, depths);
+}
+
+/// [`land`](super::landing::land) for a chunk.
+#[inline(always)]
+fn land_chunk(scene: &Scene<'_>, view: &View<f32>, x: usize, y: usize, own: &Lanes) -> Lanes {
+    let lines = Lines::new(scene.camera, view, x, y);
+    let (width, height) = (scene.camera.width, scene.camera.height);
+    let (most_x, most_y) = ((width - 1) as f32, (height - 1) as f32);
+    let (mut index, mut from_x, mut from_y) = ([0_u32; LANES], [0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        let column = held(lines.x[i] + lines.ex[i] * own[i], most_x) as i32;
+        let row = held(lines.y[i] + lines.ey[i] * own[i], most_y) as i32;
+        index[i] = (row * width as i32 + column) as u32;
+        from_x[i] = lines.x[i] - (column as f32 + 0.5);
+        from_y[i] = lines.y[i] - (row as f32 + 0.5);
     }
+    let (mut value, mut slope_x, mut slope_y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        let facet = scene.surface.facet(index[i] as usize);
+        (value[i], slope_x[i], slope_y[i]) = (facet.value, facet.slope_x, facet.slope_y);
+    }
+    let mut w = [0.0; LANES];
+    for i in 0..LANES {
+        let facet = Facet { value: value[i], slope_x: slope_x[i], slope_y: slope_y[i], bend: 0.0 };
+        w[i] = cut(&facet, (from_x[i], from_y[i]), (lines.ex[i], lines.ey[i]));
+    }
+    w
 }
 
-#[inline(always)]
-fn line(scene: &Scene<'_>, view: &View<f32>, x: usize, y: usize) -> super::views::Line<f32> {
-    view.line(scene.camera, view.direction(x as f32 + 0.5, y as f32 + 0.5))
-}
-
-/// The four texels of a tap as two rows of two.
-#[inline(always)]
-pub(super) fn corners(
-    fine: &[Texel],
-    stride: usize,
-    index: usize,
-) -> Option<([Texel; 2], [Texel; 2])> {
-    let rows = fine.get(index..index + stride + 2)?;
-    Some(([rows[0], rows[1]], [rows[stride], rows[stride + 1]]))
-}
-
-#[inline(always)]
-fn gather(fine: &[Texel], stride: usize, taps: &RowTaps, weight: f32, texels: &mut [Texel]) {
-    let n = texels.len();
-    let (index, across, down) = (&taps.index[..n], &taps.across[..n], &taps.down[..n]);
-    for (i, texel) in texels.iter_mut().enumerate() {
-        let Some((top, bottom)) = corners(fine, stride, index[i] as usize) else { continue };
-        let left = mix(top[0], bottom[0], down[i]);
-        let right = mix(top[1], bottom[1], down[i]);
-        *texel = add_scaled(*texel, mix(left, right, across[i]), weight);
+/// Replaces what is seen near visible steps by what [`search`] finds.
+fn search_chunk(scene: &Scene<'_>, x: usize, y: usize, own: &Lanes, depths: &mut [Lanes]) {
+    let blocks = &scene.surface.blocks;
+    for i in 0..LANES.min(scene.camera.width - x) {
+        let Some(bounds) = blocks.searched(x + i, y) else { continue };
+        for (view, depths) in scene.views.moving.iter().zip(depths.iter_mut()) {
+            let direction = view.direction((x + i) as f32 + 0.5, y as f32 + 0.5);
+            let line = view.line(scene.camera, direction);
+            depths[i] = search(scene.surface, &line, bounds, own[i]);
+        }
     }
 }

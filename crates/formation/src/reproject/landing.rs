@@ -1,7 +1,7 @@
 //! Where a ray of a virtual camera lands on the surface that the sharp render shows.
 
-use super::blocks::Block;
-use super::surface::Surface;
+use super::blocks::{Block, larger};
+use super::surface::{Facet, Surface};
 use super::views::Line;
 use i2slam_geometry::Real;
 
@@ -14,7 +14,7 @@ const GRAZING: f64 = 0.1;
 /// `1 / (1 - slope · e)`, the amplification of motion by a slanted surface, bounded.
 #[inline(always)]
 pub(super) fn amplification<T: Real>(slope_x: T, slope_y: T, ex: T, ey: T) -> T {
-    T::one() / (T::one() - (slope_x * ex + slope_y * ey)).max(T::of(GRAZING))
+    T::one() / larger(T::one() - (slope_x * ex + slope_y * ey), T::of(GRAZING))
 }
 
 /// One step of the fixed point `w = W(q(w))`, by Newton's method: the line cut with the plane of
@@ -23,9 +23,16 @@ pub(super) fn amplification<T: Real>(slope_x: T, slope_y: T, ex: T, ey: T) -> T 
 pub(super) fn land<T: Real>(surface: &Surface<T>, line: &Line<T>, guess: T) -> T {
     let (x, y) = line.at(guess);
     let (facet, cx, cy) = surface.facet_at(x, y);
-    let at_infinity = facet.value + facet.slope_x * (line.x - cx) + facet.slope_y * (line.y - cy);
-    let w = at_infinity * amplification(facet.slope_x, facet.slope_y, line.ex, line.ey);
-    w.max(T::zero())
+    cut(&facet, (line.x - cx, line.y - cy), (line.ex, line.ey))
+}
+
+/// Where a line that ends at infinity at `(from_x, from_y)` [px from the centre of the facet] and
+/// moves by `(ex, ey)` per unit of inverse depth meets the facet's plane.
+#[inline(always)]
+pub(super) fn cut<T: Real>(facet: &Facet<T>, (from_x, from_y): (T, T), (ex, ey): (T, T)) -> T {
+    let at_infinity = facet.value + facet.slope_x * from_x + facet.slope_y * from_y;
+    let w = at_infinity * amplification(facet.slope_x, facet.slope_y, ex, ey);
+    larger(w, T::zero())
 }
 
 /// The inverse depth seen at `moment` (-1 to 1) by a pixel whose rays land at `first` at -1, at

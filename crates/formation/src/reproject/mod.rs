@@ -61,6 +61,7 @@ use i2slam_geometry::{Camera, Image, Pose};
 use pulp::Arch;
 use rayon::prelude::*;
 use surface::Surface;
+use taps::{LANES, Lanes};
 use texel::Texel;
 use upsample::UpsampleRow;
 use views::Views;
@@ -77,8 +78,8 @@ pub struct Reprojection {
     surface: Surface<f32>,
     /// The sharp render at twice its resolution.
     fine: Vec<Texel>,
-    /// What is seen at (row, moving view, column) [1/m].
-    inverse_depths: Vec<f32>,
+    /// What is seen at (row, chunk of a row, moving view) [1/m].
+    inverse_depths: Vec<Lanes>,
     bands: Vec<Band>,
 }
 
@@ -139,7 +140,7 @@ impl Reprojection {
 
     fn upsample(&mut self, radiance: &Image<f32>) {
         let (width, height) = (self.camera.width, self.camera.height);
-        self.fine.resize(4 * width * height, [0.0; 4]);
+        self.fine.resize(4 * width * height, Texel::zero());
         let kernel = self.interpolation.halfway();
         let planes = [0, 1, 2].map(|c| radiance.plane(c));
         let arch = Arch::new();
@@ -156,7 +157,8 @@ impl Reprojection {
     fn gather(&mut self, radiance: &Image<f32>, blurred: &mut Image<f32>) {
         let (width, pixels) = (self.camera.width, self.camera.pixels());
         let moving = self.views.moving.len();
-        self.inverse_depths.resize(pixels * moving, 0.0);
+        let depths_per_row = taps::chunks(width) * moving;
+        self.inverse_depths.resize(self.camera.height * depths_per_row, [0.0; LANES]);
         let scene = Scene {
             camera: &self.camera,
             views: &self.views,
@@ -169,7 +171,7 @@ impl Reprojection {
         let planes = red.par_chunks_mut(chunk).zip(green.par_chunks_mut(chunk));
         let planes = planes.zip(blue.par_chunks_mut(chunk));
         let bands = self.bands.par_iter_mut();
-        let depths = self.inverse_depths.par_chunks_mut(chunk * moving);
+        let depths = self.inverse_depths.par_chunks_mut(BAND * depths_per_row);
         bands.zip(depths).zip(planes).for_each(|((band, depths), ((red, green), blue))| {
             let from = band.first_row * width;
             let sharp = [0, 1, 2].map(|c| &radiance.plane(c)[from..from + red.len()]);
@@ -217,11 +219,12 @@ impl Reprojection {
             fine: &self.fine,
         };
         let kernel = self.interpolation.halfway();
-        let depths = self.inverse_depths.par_chunks(BAND * width * self.views.moving.len());
+        let depths_per_row = taps::chunks(width) * self.views.moving.len();
+        let depths = self.inverse_depths.par_chunks(BAND * depths_per_row);
         self.bands.par_iter_mut().zip(depths).for_each(|(band, depths)| {
             let from = band.first_row * width;
-            let rows = depths.len() / self.views.moving.len();
-            let d_blurred = [0, 1, 2].map(|c| &d_blurred.plane(c)[from..from + rows]);
+            let pixels = depths.len() / depths_per_row * width;
+            let d_blurred = [0, 1, 2].map(|c| &d_blurred.plane(c)[from..from + pixels]);
             let (scene, kernel) = (&scene, &kernel);
             let task = PullBackBand { scene, band, inverse_depths: depths, d_blurred, kernel };
             Arch::new().dispatch(task);

@@ -1,6 +1,6 @@
 //! What the depth of the sharp render says: a small plane per pixel, bounds per block.
 
-use super::blocks::{BLOCK, Block, Blocks};
+use super::blocks::{BLOCK, Block, Blocks, larger};
 use i2slam_geometry::{Image, Real};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -75,6 +75,12 @@ impl<T: Real> Surface<T> {
         &self.facets[y * self.width..(y + 1) * self.width]
     }
 
+    /// The facet of one pixel, by its index.
+    #[inline(always)]
+    pub(super) fn facet(&self, index: usize) -> &Facet<T> {
+        &self.facets[index]
+    }
+
     /// The facet of the pixel that covers `(x, y)` [px], and that pixel's centre. Positions
     /// outside the image take the nearest pixel.
     #[inline(always)]
@@ -91,7 +97,7 @@ impl<T: Real> Surface<T> {
 #[inline(always)]
 fn clamped<T: Real>(position: T, size: usize) -> usize {
     let most = T::of(size.saturating_sub(1) as f64);
-    position.max(T::zero()).min(most).to_u32().unwrap_or(0) as usize
+    larger(position, T::zero()).min(most).to_u32().unwrap_or(0) as usize
 }
 
 /// `1 / depth`, 0 where the depth is unknown.
@@ -168,7 +174,7 @@ fn facet<T: Real>(
     let value = here[x];
     let (slope_x, bend_x) = slope(value - here[left], here[right] - value, x > left, right > x);
     let (slope_y, bend_y) = slope(value - up[x], down[x] - value, has_up, has_down);
-    Facet { value, slope_x, slope_y, bend: bend_x.max(bend_y) }
+    Facet { value, slope_x, slope_y, bend: larger(bend_x, bend_y) }
 }
 
 /// The flatter of two one-sided differences (so that a slope never bridges a step), and their

@@ -1,73 +1,111 @@
-//! Where one row of a virtual camera samples the fine grid.
+//! Where sixteen neighbouring pixels of a virtual camera sample the fine grid.
+//!
+//! All numbers of a chunk live in arrays of fixed length on the stack: loops over those become
+//! vector instructions on any machine.
 
 use super::views::View;
 use i2slam_geometry::Camera;
 
-/// The samples of one row: indices and fractions, and the directions they came from.
-#[derive(Clone, Debug, Default)]
-pub(super) struct RowTaps {
-    /// Upper left texel of each tap.
-    pub(super) index: Vec<u32>,
-    /// Fractions to the right and down.
-    pub(super) across: Vec<f32>,
-    pub(super) down: Vec<f32>,
-    /// Normalised directions, see [`View::direction`].
-    pub(super) a: Vec<f32>,
-    pub(super) b: Vec<f32>,
-    /// 2 (samples per pixel) where the tap moves with its position, 0 where it is held at an edge.
-    pub(super) free_x: Vec<f32>,
-    pub(super) free_y: Vec<f32>,
+/// Pixels of a row that are treated together.
+pub(super) const LANES: usize = 16;
+
+/// One number for each pixel of a chunk.
+pub(super) type Lanes = [f32; LANES];
+
+/// How many chunks a row has; the last one may stand over.
+pub(super) fn chunks(width: usize) -> usize {
+    width.div_ceil(LANES)
 }
 
-impl RowTaps {
-    pub(super) fn resize(&mut self, width: usize) {
-        self.index.resize(width, 0);
-        for row in [
-            &mut self.across,
-            &mut self.down,
-            &mut self.a,
-            &mut self.b,
-            &mut self.free_x,
-            &mut self.free_y,
-        ] {
-            row.resize(width, 0.0);
-        }
-    }
+/// The lines of a chunk's pixels, see [`Line`](super::views::Line), and their directions.
+#[derive(Clone, Copy)]
+pub(super) struct Lines {
+    pub(super) a: Lanes,
+    pub(super) b: Lanes,
+    pub(super) x: Lanes,
+    pub(super) y: Lanes,
+    pub(super) ex: Lanes,
+    pub(super) ey: Lanes,
+}
 
-    /// Fills the row at height `y` [px] of `view`, which sees the given inverse depths. Positions
-    /// outside the image are held at its edge. Returns the first and last fine row touched.
+impl Lines {
+    /// Lines of the pixels from column `x` on, in row `y`, of `view`.
     #[inline(always)]
-    pub(super) fn fill(
-        &mut self,
-        camera: &Camera<f32>,
-        view: &View<f32>,
-        y: f32,
-        inverse_depths: &[f32],
-    ) -> (u32, u32) {
-        let n = inverse_depths.len();
-        let stride = 2 * camera.width as u32;
+    pub(super) fn new(camera: &Camera<f32>, view: &View<f32>, x: usize, y: usize) -> Self {
+        let zero = [0.0; LANES];
+        let mut lines = Self { a: zero, b: zero, x: zero, y: zero, ex: zero, ey: zero };
+        let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
+        for i in 0..LANES {
+            let direction = view.direction(x + i as f32, y);
+            let line = view.line(camera, direction);
+            (lines.a[i], lines.b[i]) = direction;
+            (lines.x[i], lines.y[i]) = (line.x, line.y);
+            (lines.ex[i], lines.ey[i]) = (line.ex, line.ey);
+        }
+        lines
+    }
+}
+
+/// Where the fine grid is sampled.
+#[derive(Clone, Copy)]
+pub(super) struct Taps {
+    /// Upper left sample of each tap.
+    pub(super) index: [u32; LANES],
+    pub(super) row: [i32; LANES],
+    /// Fractions to the right and down.
+    pub(super) across: Lanes,
+    pub(super) down: Lanes,
+    /// 2 (samples per pixel) where the tap moves with its position, 0 where it is held at an edge.
+    pub(super) free_x: Lanes,
+    pub(super) free_y: Lanes,
+}
+
+impl Taps {
+    /// At inverse depths `w` on `lines`. Positions outside the image are held at its edge.
+    #[inline(always)]
+    pub(super) fn new(camera: &Camera<f32>, lines: &Lines, w: &Lanes) -> Self {
+        let zero = [0.0; LANES];
+        let mut taps = Self {
+            index: [0; LANES],
+            row: [0; LANES],
+            across: zero,
+            down: zero,
+            free_x: zero,
+            free_y: zero,
+        };
+        let stride = 2 * camera.width as i32;
         let most_x = (2 * camera.width - 2) as f32;
         let most_y = (2 * camera.height - 2) as f32;
-        let (index, across, down) =
-            (&mut self.index[..n], &mut self.across[..n], &mut self.down[..n]);
-        let (a, b) = (&mut self.a[..n], &mut self.b[..n]);
-        let (free_x, free_y) = (&mut self.free_x[..n], &mut self.free_y[..n]);
-        let (mut first, mut last) = (u32::MAX, 0);
-        for i in 0..n {
-            (a[i], b[i]) = view.direction(i as f32 + 0.5, y);
-            let (x, y) = view.line(camera, (a[i], b[i])).at(inverse_depths[i]);
-            let (x, y) = (2.0 * x - 1.0, 2.0 * y - 1.0);
-            free_x[i] = if x >= 0.0 && x <= most_x { 2.0 } else { 0.0 };
-            free_y[i] = if y >= 0.0 && y <= most_y { 2.0 } else { 0.0 };
-            let (x, y) = (x.max(0.0).min(most_x), y.max(0.0).min(most_y));
-            let (column, row) = (x as i32, y as i32);
-            across[i] = x - column as f32;
-            down[i] = y - row as f32;
-            let row = row as u32;
-            index[i] = row * stride + column as u32;
-            first = first.min(row);
-            last = last.max(row);
+        for i in 0..LANES {
+            let x = 2.0 * (lines.x[i] + lines.ex[i] * w[i]) - 1.0;
+            let y = 2.0 * (lines.y[i] + lines.ey[i] * w[i]) - 1.0;
+            let (held_x, held_y) = (held(x, most_x), held(y, most_y));
+            taps.free_x[i] = if x == held_x { 2.0 } else { 0.0 };
+            taps.free_y[i] = if y == held_y { 2.0 } else { 0.0 };
+            let (column, row) = (held_x as i32, held_y as i32);
+            taps.across[i] = held_x - column as f32;
+            taps.down[i] = held_y - row as f32;
+            taps.row[i] = row;
+            taps.index[i] = (row * stride + column) as u32;
+        }
+        taps
+    }
+
+    /// First and last row of the upper samples.
+    #[inline(always)]
+    pub(super) fn rows(&self) -> (i32, i32) {
+        let (mut first, mut last) = (i32::MAX, 0);
+        for i in 0..LANES {
+            first = first.min(self.row[i]);
+            last = last.max(self.row[i]);
         }
         (first, last)
     }
+}
+
+/// `position` within `0..=most`; NaN gives 0.
+#[inline(always)]
+pub(super) fn held(position: f32, most: f32) -> f32 {
+    let above = if position > 0.0 { position } else { 0.0 };
+    if above < most { above } else { most }
 }

@@ -7,7 +7,7 @@
 //! Sample `2 i` of the fine grid is pixel `i`; sample `2 i + 1` is the point halfway to pixel
 //! `i + 1`. Beyond the edge the last pixel repeats.
 
-use super::texel::{Texel, add_scaled, scaled};
+use super::texel::Texel;
 use i2slam_geometry::Real;
 use pulp::{Simd, WithSimd};
 
@@ -81,12 +81,12 @@ fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; 4], out: &mut [Texel]) 
     let width = red.len();
     let (green, blue) = (&green[..width], &blue[..width]);
     let second = 1.min(width - 1);
-    let first = [red[0], green[0], blue[0], 0.0];
-    let mut window = [first, first, [red[second], green[second], blue[second], 0.0]];
+    let first = Texel::new(red[0], green[0], blue[0]);
+    let mut window = [first, first, Texel::new(red[second], green[second], blue[second])];
     for (i, pair) in out.chunks_exact_mut(2).enumerate().take(width) {
         let [a, b, c] = window;
         let i = (i + 2).min(width - 1);
-        let d = [red[i], green[i], blue[i], 0.0];
+        let d = Texel::new(red[i], green[i], blue[i]);
         pair[0] = b;
         pair[1] = combine([a, b, c, d], *kernel);
         window = [b, c, d];
@@ -121,8 +121,7 @@ pub(super) fn pull_back_row(
 
 #[inline(always)]
 fn combine([a, b, c, d]: [Texel; 4], weights: [f32; 4]) -> Texel {
-    let near = add_scaled(scaled(b, weights[1]), c, weights[2]);
-    add_scaled(add_scaled(near, a, weights[0]), d, weights[3])
+    (b * weights[1] + c * weights[2]) + (a * weights[0] + d * weights[3])
 }
 
 #[inline(always)]
@@ -139,21 +138,22 @@ fn narrow(d: &[Texel], kernel: &[f32; 4], out: &mut [f32]) {
     let width = out.len() / 3;
     let (red, rest) = out.split_at_mut(width);
     let (green, blue) = rest.split_at_mut(width);
-    let zero = [0.0; 4];
+    let zero = Texel::zero();
     let mut window = [zero, zero, d[1]];
     for i in 0..width {
         let [a, b, c] = window;
         let next = d.get(2 * i + 3).copied().unwrap_or(zero);
         let [k0, k1, k2, k3] = *kernel;
-        let sum = add_scaled(d[2 * i], combine([a, b, c, next], [k3, k2, k1, k0]), 1.0);
-        (red[i], green[i], blue[i]) = (sum[0], sum[1], sum[2]);
+        let sum = d[2 * i] + combine([a, b, c, next], [k3, k2, k1, k0]);
+        [red[i], green[i], blue[i]] = sum.channels();
         window = [b, c, next];
     }
     // What was read beyond the edges belongs to the edge pixels.
-    let last = window[1];
-    let before = window[0];
+    let before_first = (d[1] * kernel[0]).channels();
+    let [before, last, _] = window;
+    let after_last = (last * (kernel[2] + kernel[3]) + before * kernel[3]).channels();
     for (k, row) in [red, green, blue].into_iter().enumerate() {
-        row[0] += kernel[0] * d[1][k];
-        row[width - 1] += (kernel[2] + kernel[3]) * last[k] + kernel[3] * before[k];
+        row[0] += before_first[k];
+        row[width - 1] += after_last[k];
     }
 }
