@@ -4,7 +4,7 @@ use super::backward::LaneSums;
 use super::texel::Texel;
 
 /// Rows of the picture per band.
-pub(super) const BAND: usize = 32;
+pub(super) const BAND: usize = 40;
 
 /// Scratch of one band; it keeps its allocation from call to call.
 #[derive(Clone, Debug, Default)]
@@ -12,8 +12,8 @@ pub(super) struct Band {
     /// First row of the picture.
     pub(super) first_row: usize,
     /// Fine rows that its taps' upper samples lie in, first and last.
-    pub(super) fine_first: i32,
-    pub(super) fine_last: i32,
+    pub(super) fine_first: u32,
+    pub(super) fine_last: u32,
     /// Three rows, one per plane.
     pub(super) planar_row: Vec<f32>,
     /// Cotangent of the fine rows, and of the image rows that they come from.

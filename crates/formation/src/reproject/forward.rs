@@ -3,7 +3,7 @@
 use super::band::Band;
 use super::landing::{between, cut, search};
 use super::surface::{Facet, Surface};
-use super::taps::{LANES, Lanes, Lines, Taps, held};
+use super::taps::{LANES, Lanes, Lines, Taps, held, split};
 use super::texel::{Corners, Texel};
 use super::views::{View, Views};
 use i2slam_geometry::Camera;
@@ -39,7 +39,7 @@ impl WithSimd for BlurBand<'_> {
         let Self { scene, band, inverse_depths, sharp, mut blurred } = self;
         let width = scene.camera.width;
         let still = scene.views.still_weight;
-        (band.fine_first, band.fine_last) = (i32::MAX, 0);
+        (band.fine_first, band.fine_last) = (u32::MAX, 0);
         let mut chunks = inverse_depths.chunks_exact_mut(scene.views.moving.len());
         for row in 0..sharp[0].len() / width {
             for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
@@ -79,9 +79,9 @@ fn blur_chunk(
     y: usize,
     depths: &[Lanes],
     sum: &mut [Texel; LANES],
-) -> (i32, i32) {
+) -> (u32, u32) {
     let stride = 2 * scene.camera.width;
-    let (mut first, mut last) = (i32::MAX, 0);
+    let (mut first, mut last) = (u32::MAX, 0);
     for (view, w) in scene.views.moving.iter().zip(depths) {
         let taps = Taps::new(scene.camera, &Lines::new(scene.camera, view, x, y), w);
         for i in 0..LANES {
@@ -123,9 +123,9 @@ fn land_chunk(scene: &Scene<'_>, view: &View<f32>, x: usize, y: usize, own: &Lan
     let (most_x, most_y) = ((width - 1) as f32, (height - 1) as f32);
     let (mut index, mut from_x, mut from_y) = ([0_u32; LANES], [0.0; LANES], [0.0; LANES]);
     for i in 0..LANES {
-        let column = held(lines.x[i] + lines.ex[i] * own[i], most_x) as i32;
-        let row = held(lines.y[i] + lines.ey[i] * own[i], most_y) as i32;
-        index[i] = (row * width as i32 + column) as u32;
+        let (column, _) = split(held(lines.x[i] + lines.ex[i] * own[i], most_x));
+        let (row, _) = split(held(lines.y[i] + lines.ey[i] * own[i], most_y));
+        index[i] = row * width as u32 + column;
         from_x[i] = lines.x[i] - (column as f32 + 0.5);
         from_y[i] = lines.y[i] - (row as f32 + 0.5);
     }

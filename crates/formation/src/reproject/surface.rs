@@ -97,7 +97,7 @@ impl<T: Real> Surface<T> {
 #[inline(always)]
 fn clamped<T: Real>(position: T, size: usize) -> usize {
     let most = T::of(size.saturating_sub(1) as f64);
-    larger(position, T::zero()).min(most).to_u32().unwrap_or(0) as usize
+    (-larger(-larger(position, T::zero()), -most)).to_u32().unwrap_or(0) as usize
 }
 
 /// `1 / depth`, 0 where the depth is unknown.

@@ -51,7 +51,7 @@ impl Lines {
 pub(super) struct Taps {
     /// Upper left sample of each tap.
     pub(super) index: [u32; LANES],
-    pub(super) row: [i32; LANES],
+    pub(super) row: [u32; LANES],
     /// Fractions to the right and down.
     pub(super) across: Lanes,
     pub(super) down: Lanes,
@@ -73,7 +73,7 @@ impl Taps {
             free_x: zero,
             free_y: zero,
         };
-        let stride = 2 * camera.width as i32;
+        let stride = 2 * camera.width as u32;
         let most_x = (2 * camera.width - 2) as f32;
         let most_y = (2 * camera.height - 2) as f32;
         for i in 0..LANES {
@@ -82,19 +82,19 @@ impl Taps {
             let (held_x, held_y) = (held(x, most_x), held(y, most_y));
             taps.free_x[i] = if x == held_x { 2.0 } else { 0.0 };
             taps.free_y[i] = if y == held_y { 2.0 } else { 0.0 };
-            let (column, row) = (held_x as i32, held_y as i32);
-            taps.across[i] = held_x - column as f32;
-            taps.down[i] = held_y - row as f32;
+            let (column, across) = split(held_x);
+            let (row, down) = split(held_y);
+            (taps.across[i], taps.down[i]) = (across, down);
             taps.row[i] = row;
-            taps.index[i] = (row * stride + column) as u32;
+            taps.index[i] = row * stride + column;
         }
         taps
     }
 
     /// First and last row of the upper samples.
     #[inline(always)]
-    pub(super) fn rows(&self) -> (i32, i32) {
-        let (mut first, mut last) = (i32::MAX, 0);
+    pub(super) fn rows(&self) -> (u32, u32) {
+        let (mut first, mut last) = (u32::MAX, 0);
         for i in 0..LANES {
             first = first.min(self.row[i]);
             last = last.max(self.row[i]);
@@ -108,4 +108,44 @@ impl Taps {
 pub(super) fn held(position: f32, most: f32) -> f32 {
     let above = if position > 0.0 { position } else { 0.0 };
     if above < most { above } else { most }
+}
+
+/// A position of at least 0 and less than 2²² as a whole number and a fraction in 0..=1; an odd
+/// whole number comes with a fraction of 1.
+///
+/// Adding 1.5 · 2²³ leaves no bits for a fraction, so that the sum's last bits are the number:
+/// two operations for a whole vector, where a checked conversion goes one by one.
+#[inline(always)]
+pub(super) fn split(position: f32) -> (u32, f32) {
+    const WHOLE: f32 = 12_582_912.0;
+    let rounded = (position - 0.5) + WHOLE;
+    (rounded.to_bits() - WHOLE.to_bits(), position - (rounded - WHOLE))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{held, split};
+
+    #[test]
+    fn a_position_is_its_parts() {
+        for (position, expected) in [
+            (0.0, (0, 0.0)),
+            (0.25, (0, 0.25)),
+            (1.0, (0, 1.0)),
+            (2.0, (2, 0.0)),
+            (638.75, (638, 0.75)),
+            (65_534.0, (65_534, 0.0)),
+        ] {
+            assert_eq!(split(position), expected);
+        }
+    }
+
+    #[test]
+    fn every_number_is_held() {
+        for (position, expected) in
+            [(f32::NAN, 0.0), (f32::INFINITY, 9.0), (-f32::INFINITY, 0.0), (3.5, 3.5), (-0.0, 0.0)]
+        {
+            assert_eq!(held(position, 9.0), expected);
+        }
+    }
 }
