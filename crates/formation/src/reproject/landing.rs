@@ -59,7 +59,7 @@ pub(super) fn search<T: Real>(surface: &Surface<T>, line: &Line<T>, bounds: Bloc
     if !(length > 0.5) {
         return land(surface, line, own);
     }
-    let steps = (length as usize + 1).min(STEPS);
+    let steps = length.min(STEPS as f64 - 1.0) as usize + 1;
     let step = range / T::of(steps as f64);
     let tolerance = step * T::of(0.75);
     let mut in_front = None;

@@ -113,7 +113,8 @@ impl Scene {
         [sum + 0.05, 0.7 * sum + 0.5 * shift, shift - 0.05].map(|v| board.brightness + v)
     }
 
-    /// Radiance averaged over `grid x grid` points of each pixel, and depth at its centre.
+    /// Radiance and depth averaged over `grid x grid` points of each pixel: as in a render of
+    /// splats, the pixels along an edge hold a mixture of both depths.
     pub(super) fn render(
         &self,
         camera: &Camera<f64>,
@@ -128,14 +129,15 @@ impl Scene {
             .into_par_iter()
             .map(|i| {
                 let (x, y) = ((i % camera.width) as f64, (i / camera.width) as f64);
-                let mut mean = [0.0; 3];
+                let (mut mean, mut z) = ([0.0; 3], 0.0);
                 for k in 0..grid * grid {
                     let offset = |k: usize| (k as f64 + 0.5) / grid as f64;
                     let (u, v) = (x + offset(k % grid), y + offset(k / grid));
-                    let (colour, _) = self.look(camera, from, u, v);
+                    let (colour, depth) = self.look(camera, from, u, v);
+                    z += depth / (grid * grid) as f64;
                     (0..3).for_each(|c| mean[c] += colour[c] / (grid * grid) as f64);
                 }
-                (mean, self.look(camera, from, x + 0.5, y + 0.5).1)
+                (mean, z)
             })
             .collect();
         for (i, (colour, z)) in pixels.into_iter().enumerate() {
