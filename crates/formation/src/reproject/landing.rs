@@ -47,7 +47,7 @@ pub(super) fn between<T: Real>(first: T, middle: T, last: T, moment: T) -> T {
 /// The nearest surface on a line, among steps in depth.
 ///
 /// The line is walked from the nearest inverse depth around to the farthest, at most a pixel at a
-/// time. The first sample that lies on the surface (within three quarters of a step) is what the
+/// time. The first sample that lies on the surface (within 0.6 of a step) is what the
 /// virtual camera sees, refined by [`land`]; samples in front of the surface are empty space, and
 /// those behind it are hidden from the sharp render. If the walk ends hidden, the virtual camera
 /// sees background that the sharp render does not show: it takes the background beside the
@@ -61,7 +61,7 @@ pub(super) fn search<T: Real>(surface: &Surface<T>, line: &Line<T>, bounds: Bloc
     }
     let steps = length.min(STEPS as f64 - 1.0) as usize + 1;
     let step = range / T::of(steps as f64);
-    let tolerance = step * T::of(0.75);
+    let tolerance = step * T::of(0.6);
     let mut in_front = None;
     let mut occluder = bounds.nearest;
     for k in 0..=steps {

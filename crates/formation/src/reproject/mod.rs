@@ -16,8 +16,11 @@
 //! sides the motion moves apart by more than a quarter of a pixel, each ray is walked from near
 //! to far instead, and the first surface counts: a foreground covers what is behind it. Background
 //! that the foreground hides from the sharp render takes the background beside the foreground.
-//! An unknown depth takes the farther of its row's two nearest known ones; without any it is
-//! infinitely far, where only rotation matters. What lies outside the render takes its edge.
+//! Along the edge of a foreground a render holds a mixture of two depths; such pixels go with the
+//! foreground. An unknown depth takes the farther of its row's two nearest known ones; without any it is
+//! infinitely far, where only rotation matters. What lies outside the render takes its edge: to
+//! keep the border of a picture as good as its middle, render half a blur length more all around
+//! and crop.
 //!
 //! **Reading the render.** Once per frame it is brought to twice its resolution (see
 //! [`Interpolation`]); taps are bilinear there.

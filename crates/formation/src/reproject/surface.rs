@@ -155,11 +155,44 @@ impl<T: Real> WithSimd for RowFacets<'_, T> {
             facets[x] = facet(rows, sides, x, (x - 1, x + 1));
         }
         facets[n - 1] = facet(rows, sides, n - 1, (n.saturating_sub(2), n - 1));
+        let row_at = |offset: usize| (y + offset).checked_sub(2).filter(|&y| y < height).map(row);
+        let around = [row_at(0), row_at(1), row_at(2), row_at(3), row_at(4)];
+        for x in 0..n {
+            if facets[x].bend > facets[x].value * T::of(STEP) {
+                let along_row =
+                    rows[1].get(x.wrapping_sub(2)..).and_then(|rest| rest.first_chunk());
+                unmix(along_row.copied(), &mut facets[x], true);
+                let [Some(a), Some(b), Some(c), Some(d), Some(e)] = around else { continue };
+                unmix(Some([a[x], b[x], c[x], d[x], e[x]]), &mut facets[x], false);
+            }
+        }
         for (block, facets) in blocks.iter_mut().zip(facets.chunks(BLOCK)) {
             for facet in facets {
                 block.include(facet);
             }
         }
+    }
+}
+
+/// Bends beyond this share of the inverse depth may be steps.
+const STEP: f64 = 0.02;
+
+/// A pixel partly covered by a foreground holds a mixture of two depths, and that of neither
+/// surface. It belongs to the foreground, which carries its soft edge along: it takes the
+/// foreground's depth, continued from its neighbours.
+fn unmix<T: Real>(values: Option<[T; 5]>, facet: &mut Facet<T>, in_x: bool) {
+    let Some([a, b, c, d, e]) = values else { return };
+    let step = (d - b).abs();
+    let between = (c - b) * (d - c) > T::zero();
+    if !between || (b - a).abs() + (e - d).abs() > step * T::of(0.25) {
+        return;
+    }
+    let slope = if b > d { b - a } else { e - d };
+    facet.value = if b > d { b + slope } else { d - slope };
+    if in_x {
+        facet.slope_x = slope;
+    } else {
+        facet.slope_y = slope;
     }
 }
 

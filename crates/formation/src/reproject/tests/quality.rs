@@ -57,15 +57,14 @@ fn reproject(
     wide(&blurred)
 }
 
-/// What the table holds, worst over the two kinds of motion: full frame and inside the border
-/// that some virtual camera does not see.
+/// Inside the border that all virtual cameras see, and (printed only) for the full frame.
 #[test]
 fn close_to_exactly_rendered_virtual_cameras() {
     let camera = camera(SIZE.0, SIZE.1);
     let scene = Scene::new(&camera, FINEST);
     println!("PSNR [dB] against 32 exact views: sharp | N views: exact, re-projected, full frame");
     for kind in ["rotation", "translation", "both"] {
-        for (length, least) in [(2.0, 49.0), (5.0, 47.0), (10.0, 45.0), (20.0, 38.0)] {
+        for (length, least) in [(2.0, 50.0), (5.0, 50.0), (10.0, 46.0), (20.0, 38.0)] {
             let shutter = exposure(&camera, kind, length);
             let exact = scene.blurred(&camera, &shutter, (32, Quadrature::Midpoints), GRID);
             let sharp = scene.render(&camera, &shutter.middle(), GRID);
