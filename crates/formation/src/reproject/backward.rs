@@ -65,7 +65,7 @@ fn pull_back_chunk(
             let Some(corners) = Corners::at(scene.fine, index, stride) else { break };
             let d = d[i] * view.weight;
             let (by_x, by_y) = corners.slopes(taps.across[i], taps.down[i]);
-            (d_x[i], d_y[i]) = (d.dot(by_x), d.dot(by_y));
+            (d_x[i], d_y[i]) = d.dots(by_x, by_y);
             scatter(&mut band.d_fine, index - offset, stride, d, (taps.across[i], taps.down[i]));
         }
         for i in 0..LANES {

@@ -1,11 +1,12 @@
 //! The fast lane, forward: one band of rows at a time, sixteen pixels of a row at a time.
 
 use super::band::Band;
-use super::landing::{between, cut, search};
-use super::surface::{Facet, Surface};
-use super::taps::{LANES, Lanes, Lines, Taps, held, split};
+use super::landing::between;
+use super::landing_lanes::{Steps, land};
+use super::surface::Surface;
+use super::taps::{LANES, Lanes, Lines, Taps};
 use super::texel::{Corners, Texel};
-use super::views::{View, Views};
+use super::views::Views;
 use i2slam_geometry::Camera;
 use pulp::{Simd, WithSimd};
 
@@ -105,52 +106,18 @@ fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, depths: &mut [Lanes]) {
         Some(lanes) => *lanes,
         None => std::array::from_fn(|i| row[(x + i).min(row.len() - 1)]),
     };
-    let first = land_chunk(scene, first, x, y, &own);
-    let last = land_chunk(scene, last, x, y, &own);
+    let first = land(scene, &Lines::new(scene.camera, first, x, y), &own);
+    let last = land(scene, &Lines::new(scene.camera, last, x, y), &own);
     for (view, depths) in moving.iter().zip(depths.iter_mut()) {
         for i in 0..LANES {
             depths[i] = between(first[i], own[i], last[i], view.moment);
         }
     }
-    search_chunk(scene, x, y, &own, depths);
-}
-
-/// [`land`](super::landing::land) for a chunk.
-#[inline(always)]
-fn land_chunk(scene: &Scene<'_>, view: &View<f32>, x: usize, y: usize, own: &Lanes) -> Lanes {
-    let lines = Lines::new(scene.camera, view, x, y);
-    let (width, height) = (scene.camera.width, scene.camera.height);
-    let (most_x, most_y) = ((width - 1) as f32, (height - 1) as f32);
-    let (mut index, mut from_x, mut from_y) = ([0_u32; LANES], [0.0; LANES], [0.0; LANES]);
-    for i in 0..LANES {
-        let (column, _) = split(held(lines.x[i] + lines.ex[i] * own[i], most_x));
-        let (row, _) = split(held(lines.y[i] + lines.ey[i] * own[i], most_y));
-        index[i] = row * width as u32 + column;
-        from_x[i] = lines.x[i] - (column as f32 + 0.5);
-        from_y[i] = lines.y[i] - (row as f32 + 0.5);
-    }
-    let (mut value, mut slope_x, mut slope_y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    for i in 0..LANES {
-        let facet = scene.surface.facet(index[i] as usize);
-        (value[i], slope_x[i], slope_y[i]) = (facet.value, facet.slope_x, facet.slope_y);
-    }
-    let mut w = [0.0; LANES];
-    for i in 0..LANES {
-        let facet = Facet { value: value[i], slope_x: slope_x[i], slope_y: slope_y[i], bend: 0.0 };
-        w[i] = cut(&facet, (from_x[i], from_y[i]), (lines.ex[i], lines.ey[i]));
-    }
-    w
-}
-
-/// Replaces what is seen near visible steps by what [`search`] finds.
-fn search_chunk(scene: &Scene<'_>, x: usize, y: usize, own: &Lanes, depths: &mut [Lanes]) {
-    let blocks = &scene.surface.blocks;
-    for i in 0..LANES.min(scene.camera.width - x) {
-        let Some(bounds) = blocks.searched(x + i, y) else { continue };
-        for (view, depths) in scene.views.moving.iter().zip(depths.iter_mut()) {
-            let direction = view.direction((x + i) as f32 + 0.5, y as f32 + 0.5);
-            let line = view.line(scene.camera, direction);
-            depths[i] = search(scene.surface, &line, bounds, own[i]);
+    let steps = Steps::around(scene, x, y);
+    if steps.any {
+        for (view, depths) in moving.iter().zip(depths.iter_mut()) {
+            let lines = Lines::new(scene.camera, view, x, y);
+            steps.search(scene, &lines, &own, depths);
         }
     }
 }

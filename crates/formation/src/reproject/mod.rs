@@ -44,6 +44,7 @@ mod band;
 mod blocks;
 mod forward;
 mod landing;
+mod landing_lanes;
 mod reference;
 mod surface;
 mod taps;

@@ -3,7 +3,7 @@
 //! All numbers of a chunk live in arrays of fixed length on the stack: loops over those become
 //! vector instructions on any machine.
 
-use super::views::View;
+use super::views::{Line, View};
 use i2slam_geometry::Camera;
 
 /// Pixels of a row that are treated together.
@@ -17,7 +17,7 @@ pub(super) fn chunks(width: usize) -> usize {
     width.div_ceil(LANES)
 }
 
-/// The lines of a chunk's pixels, see [`Line`](super::views::Line), and their directions.
+/// The lines of a chunk's pixels, see [`Line`], and their directions.
 #[derive(Clone, Copy)]
 pub(super) struct Lines {
     pub(super) a: Lanes,
@@ -43,6 +43,11 @@ impl Lines {
             (lines.ex[i], lines.ey[i]) = (line.ex, line.ey);
         }
         lines
+    }
+
+    /// One of them.
+    pub(super) fn line(&self, i: usize) -> Line<f32> {
+        Line { x: self.x[i], y: self.y[i], ex: self.ex[i], ey: self.ey[i] }
     }
 }
 

@@ -12,7 +12,7 @@ use std::ops::{Add, AddAssign, Mul, Sub};
 mod four {
     use std::arch::x86_64::{
         __m128, _mm_add_ps, _mm_cvtss_f32, _mm_movehl_ps, _mm_mul_ps, _mm_set1_ps, _mm_setr_ps,
-        _mm_setzero_ps, _mm_shuffle_ps, _mm_sub_ps,
+        _mm_setzero_ps, _mm_shuffle_ps, _mm_sub_ps, _mm_unpackhi_ps, _mm_unpacklo_ps,
     };
 
     #[derive(Clone, Copy, Debug)]
@@ -41,6 +41,17 @@ mod four {
                 let green = _mm_shuffle_ps::<1>(self.0, self.0);
                 let blue = _mm_movehl_ps(self.0, self.0);
                 [_mm_cvtss_f32(self.0), _mm_cvtss_f32(green), _mm_cvtss_f32(blue)]
+            }
+        }
+
+        /// The sum of the four numbers of each of two.
+        #[inline(always)]
+        pub(super) fn sums(self, other: Self) -> (f32, f32) {
+            unsafe {
+                let low = _mm_unpacklo_ps(self.0, other.0);
+                let halves = _mm_add_ps(low, _mm_unpackhi_ps(self.0, other.0));
+                let both = _mm_add_ps(halves, _mm_movehl_ps(halves, halves));
+                (_mm_cvtss_f32(both), _mm_cvtss_f32(_mm_shuffle_ps::<1>(both, both)))
             }
         }
 
@@ -84,6 +95,12 @@ mod four {
         #[inline(always)]
         pub(in crate::reproject) fn channels(self) -> [f32; 3] {
             [self.0[0], self.0[1], self.0[2]]
+        }
+
+        #[inline(always)]
+        pub(super) fn sums(self, other: Self) -> (f32, f32) {
+            let sum = |v: [f32; 4]| (v[0] + v[2]) + (v[1] + v[3]);
+            (sum(self.0), sum(other.0))
         }
 
         #[inline(always)]
@@ -144,11 +161,10 @@ impl Mul<f32> for Texel {
 }
 
 impl Texel {
-    /// `a · b`.
+    /// `(self · a, self · b)`.
     #[inline(always)]
-    pub(super) fn dot(self, other: Self) -> f32 {
-        let [red, green, blue] = self.times(other).channels();
-        red + green + blue
+    pub(super) fn dots(self, a: Self, b: Self) -> (f32, f32) {
+        self.times(a).sums(self.times(b))
     }
 
     /// `a + (b - a) t`.

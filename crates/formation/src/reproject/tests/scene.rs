@@ -4,10 +4,10 @@ use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent, Vec3};
 use rayon::prelude::*;
 
-/// A textured rectangle: the first two axes of `world_from_board`.
+/// A textured rectangle in its own plane z = 0.
 #[derive(Clone, Copy)]
 pub(super) struct Board {
-    world_from_board: Pose<f64>,
+    board_from_world: Pose<f64>,
     /// Half its size [m]; infinite for the wall.
     half: [f64; 2],
     phase: f64,
@@ -48,13 +48,13 @@ impl Scene {
     /// Wall (about 2 m away) and board (1.3 m), with texture no finer than `finest` pixels.
     pub(super) fn new(camera: &Camera<f64>, finest: f64) -> Self {
         let wall = Board {
-            world_from_board: in_front([0.0, 0.0, 2.0], [0.25, -0.35, 0.1]),
+            board_from_world: in_front([0.0, 0.0, 2.0], [0.25, -0.35, 0.1]).inverse(),
             half: [f64::INFINITY; 2],
             phase: 0.3,
             brightness: 0.4,
         };
         let board = Board {
-            world_from_board: in_front([-0.1, 0.05, 1.3], [-0.1, 0.2, 0.3]),
+            board_from_world: in_front([-0.1, 0.05, 1.3], [-0.1, 0.2, 0.3]).inverse(),
             half: [0.3, 0.2],
             phase: 2.1,
             brightness: 0.6,
@@ -75,7 +75,8 @@ impl Scene {
     pub(super) fn facing(camera: &Camera<f64>, finest: f64) -> Self {
         let mut scene = Self::new(camera, finest);
         for board in &mut scene.boards {
-            board.world_from_board.rotation = pose().rotation;
+            let place = board.board_from_world.inverse().translation;
+            board.board_from_world = Pose::new(pose().rotation, place).inverse();
         }
         scene
     }
@@ -85,7 +86,7 @@ impl Scene {
         let direction = from.rotation.rotate(camera.unproject(u, v, 1.0));
         let mut best = ([0.0; 3], f64::INFINITY);
         for board in &self.boards {
-            let board_from_world = board.world_from_board.inverse();
+            let board_from_world = board.board_from_world;
             let origin = board_from_world * from.translation;
             let ray = board_from_world.rotation.rotate(direction);
             let z = -origin.z / ray.z;
