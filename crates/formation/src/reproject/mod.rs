@@ -28,10 +28,10 @@
 //! **Backward.** With respect to the sharp render, the exact transpose. With respect to the poses
 //! at shutter open and close, the derivative of `q` relative to the middle, times the slope of
 //! the render at `q`. Depth is held fixed as an image: a surface point keeps its inverse depth
-//! plane. What the blur does to the *map's* depth is neglected (a gradient of the second order: it
-//! scales the blur's length by the relative change of depth), and so are the slope of the surface
-//! in blocks that were searched, and how the edge of a foreground moves over what it covers
-//! there.
+//! plane (exact for the first and the last virtual camera on a flat surface; for those between, to
+//! the accuracy of the parabola). Neglected are: what the blur does to the *map's* depth (of second
+//! order: it scales the blur's length by the relative change of depth); the slope of the surface in
+//! blocks that were searched; and how the edge of a foreground moves over what it covers there.
 //!
 //! **The gauge.** The sharp render stands at [`ShutterPoses::middle`], which moves with both poses.
 //! The gradient therefore comes in two parts that add up: `d_radiance`, for the renderer to pull
