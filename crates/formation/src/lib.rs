@@ -2,6 +2,7 @@
 
 pub mod form;
 pub mod gauge;
+pub mod reproject;
 pub mod shutter;
 pub mod tone;
 pub mod trajectory_loss;

@@ -1,0 +1,132 @@
+//! The fast lane, backward: the transpose of every tap, and what the positions want.
+
+use super::band::Band;
+use super::forward::{Scene, read_chunk};
+use super::landing::amplification;
+use super::taps::{LANES, Lanes, Lines, Taps};
+use super::texel::{Corners, Texel, scatter};
+use super::upsample::{neighbours, pull_back_row};
+use super::views::View;
+use pulp::{Simd, WithSimd};
+
+/// Six sums, each over the pixels of one lane.
+pub(super) type LaneSums = [Lanes; 6];
+
+/// Pulls the band's rows of `d_blurred` back to the band's own cotangents: of the sharp render
+/// (`d_sharp`, `sharp_rows`) and of every moving view (`sums`).
+pub(super) struct PullBackBand<'a> {
+    pub(super) scene: &'a Scene<'a>,
+    pub(super) band: &'a mut Band,
+    /// As [`BlurBand`](super::forward::BlurBand) left them.
+    pub(super) inverse_depths: &'a [Lanes],
+    pub(super) d_blurred: [&'a [f32]; 3],
+    pub(super) kernel: &'a [f32; 4],
+}
+
+impl WithSimd for PullBackBand<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { scene, band, inverse_depths, d_blurred, kernel } = self;
+        let width = scene.camera.width;
+        band.start_pull_back(scene.views.moving.len(), width);
+        let mut chunks = inverse_depths.chunks_exact(scene.views.moving.len());
+        for row in 0..d_blurred[0].len() / width {
+            let y = band.first_row + row;
+            for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
+                let at = row * width + x..row * width + width.min(x + LANES);
+                let d = read_chunk(&d_blurred.map(|plane| &plane[at.clone()]), 1.0);
+                pull_back_chunk(scene, band, (x, y), &d, depths);
+            }
+            band.end_row();
+        }
+        pull_back_fine(scene, band, kernel);
+    }
+}
+
+#[inline(always)]
+fn pull_back_chunk(
+    scene: &Scene<'_>,
+    band: &mut Band,
+    (x, y): (usize, usize),
+    d: &[Texel; LANES],
+    depths: &[Lanes],
+) {
+    let slopes = slopes(scene, x, y);
+    let stride = 2 * scene.camera.width;
+    let offset = band.fine_first as usize * stride;
+    for (k, (view, w)) in scene.views.moving.iter().zip(depths).enumerate() {
+        let lines = Lines::new(scene.camera, view, x, y);
+        let taps = Taps::new(scene.camera, &lines, w);
+        let (mut d_x, mut d_y) = ([0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let index = taps.index[i] as usize;
+            let Some(corners) = Corners::at(scene.fine, index, stride) else { break };
+            let d = d[i] * view.weight;
+            let (by_x, by_y) = corners.slopes(taps.across[i], taps.down[i]);
+            (d_x[i], d_y[i]) = d.dots(by_x, by_y);
+            scatter(&mut band.d_fine, index - offset, stride, d, (taps.across[i], taps.down[i]));
+        }
+        for i in 0..LANES {
+            d_x[i] *= taps.free_x[i];
+            d_y[i] *= taps.free_y[i];
+        }
+        add_shares(scene, view, &lines, w, &slopes, [d_x, d_y], &mut band.lane_sums[k]);
+    }
+}
+
+/// Slopes of the surface from column `x` on in row `y`; zero where the landing was searched.
+#[inline(always)]
+fn slopes(scene: &Scene<'_>, x: usize, y: usize) -> [Lanes; 2] {
+    let mut slopes = [[0.0; LANES]; 2];
+    for (i, facet) in scene.surface.facets(y)[x..].iter().enumerate().take(LANES) {
+        let smooth = scene.surface.blocks.searched(x + i, y).is_none();
+        slopes[0][i] = if smooth { facet.slope_x } else { 0.0 };
+        slopes[1][i] = if smooth { facet.slope_y } else { 0.0 };
+    }
+    slopes
+}
+
+/// Adds the chunk's shares of one view's six sums, from the cotangent of the positions [per px].
+#[inline(always)]
+fn add_shares(
+    scene: &Scene<'_>,
+    view: &View<f32>,
+    lines: &Lines,
+    w: &Lanes,
+    [slope_x, slope_y]: &[Lanes; 2],
+    [d_x, d_y]: [Lanes; 2],
+    sums: &mut LaneSums,
+) {
+    let mut total = *sums;
+    for i in 0..LANES {
+        let along = (d_x[i] * lines.ex[i] + d_y[i] * lines.ey[i])
+            * amplification(slope_x[i], slope_y[i], lines.ex[i], lines.ey[i]);
+        let gx = (d_x[i] + slope_x[i] * along) * scene.camera.fx;
+        let gy = (d_y[i] + slope_y[i] * along) * scene.camera.fy;
+        let share = view.share((lines.a[i], lines.b[i]), w[i], gx, gy);
+        for k in 0..6 {
+            total[k][i] += share[k];
+        }
+    }
+    *sums = total;
+}
+
+/// From `d_fine` to `d_sharp`.
+#[inline(always)]
+fn pull_back_fine(scene: &Scene<'_>, band: &mut Band, kernel: &[f32; 4]) {
+    let (width, height) = (scene.camera.width, scene.camera.height);
+    let (first, last) = (band.fine_first as usize, band.fine_last as usize + 1);
+    let rows = (neighbours(first / 2, height)[0], neighbours(last / 2, height)[3] + 1);
+    band.sharp_rows = rows;
+    let plane = (rows.1 - rows.0) * width;
+    band.d_sharp.clear();
+    band.d_sharp.resize(3 * plane, 0.0);
+    for (y, d_row) in (first..).zip(band.d_fine.chunks_exact(2 * width)) {
+        let (red, rest) = band.d_sharp.split_at_mut(plane);
+        let (green, blue) = rest.split_at_mut(plane);
+        let planes = [red, green, blue];
+        pull_back_row(d_row, y, height, kernel, &mut band.planar_row, rows.0, planes);
+    }
+}

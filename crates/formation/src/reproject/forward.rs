@@ -1,0 +1,123 @@
+//! The fast lane, forward: one band of rows at a time, sixteen pixels of a row at a time.
+
+use super::band::Band;
+use super::landing::between;
+use super::landing_lanes::{Steps, land};
+use super::surface::Surface;
+use super::taps::{LANES, Lanes, Lines, Taps};
+use super::texel::{Corners, Texel};
+use super::views::Views;
+use i2slam_geometry::Camera;
+use pulp::{Simd, WithSimd};
+
+/// What a band reads.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
+    pub(super) camera: &'a Camera<f32>,
+    pub(super) views: &'a Views<f32>,
+    pub(super) surface: &'a Surface<f32>,
+    /// The sharp render at twice its resolution.
+    pub(super) fine: &'a [Texel],
+}
+
+/// Blurs the rows of one band.
+pub(super) struct BlurBand<'a> {
+    pub(super) scene: &'a Scene<'a>,
+    pub(super) band: &'a mut Band,
+    /// (row, chunk, moving view), written for the way back [1/m].
+    pub(super) inverse_depths: &'a mut [Lanes],
+    /// The band's rows of the sharp render.
+    pub(super) sharp: [&'a [f32]; 3],
+    /// The band's rows of the blurred picture.
+    pub(super) blurred: [&'a mut [f32]; 3],
+}
+
+impl WithSimd for BlurBand<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { scene, band, inverse_depths, sharp, mut blurred } = self;
+        let width = scene.camera.width;
+        let still = scene.views.still_weight;
+        (band.fine_first, band.fine_last) = (u32::MAX, 0);
+        let mut chunks = inverse_depths.chunks_exact_mut(scene.views.moving.len());
+        for row in 0..sharp[0].len() / width {
+            for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
+                let lanes = LANES.min(width - x);
+                let at = row * width + x..row * width + x + lanes;
+                let mut sum = read_chunk(&sharp.map(|plane| &plane[at.clone()]), still);
+                see_chunk(scene, x, band.first_row + row, depths);
+                let rows = blur_chunk(scene, x, band.first_row + row, depths, &mut sum);
+                band.fine_first = band.fine_first.min(rows.0);
+                band.fine_last = band.fine_last.max(rows.1);
+                let [red, green, blue] = &mut blurred;
+                let planes = red[at.clone()].iter_mut().zip(&mut green[at.clone()]);
+                for (((red, green), blue), texel) in planes.zip(&mut blue[at]).zip(&sum) {
+                    [*red, *green, *blue] = texel.channels();
+                }
+            }
+        }
+    }
+}
+
+/// Up to sixteen pixels of three planes, times `weight`; zero beyond.
+#[inline(always)]
+pub(super) fn read_chunk(planes: &[&[f32]; 3], weight: f32) -> [Texel; LANES] {
+    let mut texels = [Texel::zero(); LANES];
+    let [red, green, blue] = planes;
+    for (texel, ((red, green), blue)) in texels.iter_mut().zip(red.iter().zip(*green).zip(*blue)) {
+        *texel = Texel::new(*red, *green, *blue) * weight;
+    }
+    texels
+}
+
+/// Adds what the moving views see to `sum`; returns the first and last fine row touched.
+#[inline(always)]
+fn blur_chunk(
+    scene: &Scene<'_>,
+    x: usize,
+    y: usize,
+    depths: &[Lanes],
+    sum: &mut [Texel; LANES],
+) -> (u32, u32) {
+    let stride = 2 * scene.camera.width;
+    let (mut first, mut last) = (u32::MAX, 0);
+    for (view, w) in scene.views.moving.iter().zip(depths) {
+        let taps = Taps::new(scene.camera, &Lines::new(scene.camera, view, x, y), w);
+        for i in 0..LANES {
+            let index = taps.index[i] as usize;
+            let Some(corners) = Corners::at(scene.fine, index, stride) else { break };
+            sum[i] += corners.interpolate(taps.across[i], taps.down[i]) * view.weight;
+        }
+        let rows = taps.rows();
+        (first, last) = (first.min(rows.0), last.max(rows.1));
+    }
+    (first, last)
+}
+
+/// The inverse depths that every moving view sees from column `x` on in row `y`.
+#[inline(always)]
+fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, depths: &mut [Lanes]) {
+    let moving = &scene.views.moving;
+    let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
+    let row = scene.surface.row(y);
+    let own: Lanes = match row.get(x..).and_then(|rest| rest.first_chunk()) {
+        Some(lanes) => *lanes,
+        None => std::array::from_fn(|i| row[(x + i).min(row.len() - 1)]),
+    };
+    let first = land(scene, &Lines::new(scene.camera, first, x, y), &own);
+    let last = land(scene, &Lines::new(scene.camera, last, x, y), &own);
+    for (view, depths) in moving.iter().zip(depths.iter_mut()) {
+        for i in 0..LANES {
+            depths[i] = between(first[i], own[i], last[i], view.moment);
+        }
+    }
+    let steps = Steps::around(scene, x, y);
+    if steps.any {
+        for (view, depths) in moving.iter().zip(depths.iter_mut()) {
+            let lines = Lines::new(scene.camera, view, x, y);
+            steps.search(scene, &lines, &own, depths);
+        }
+    }
+}

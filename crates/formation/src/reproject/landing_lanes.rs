@@ -1,0 +1,164 @@
+//! [`land`](super::landing::land) and [`search`](super::landing::search) for sixteen pixels at a
+//! time: the same samples in the same order, without a branch per pixel.
+
+use super::forward::Scene;
+use super::landing::{Walk, cut};
+use super::surface::Facet;
+use super::taps::{LANES, Lanes, Lines, held, split};
+use i2slam_geometry::Camera;
+
+/// The pixels that `lines` pass at inverse depths `w`, and how far their ends at infinity are from
+/// those pixels' centres.
+#[inline(always)]
+fn pixels(camera: &Camera<f32>, lines: &Lines, w: &Lanes) -> ([u32; LANES], Lanes, Lanes) {
+    let width = camera.width as u32;
+    let (most_x, most_y) = ((camera.width - 1) as f32, (camera.height - 1) as f32);
+    let (mut index, mut from_x, mut from_y) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        let (column, _) = split(held(lines.x[i] + lines.ex[i] * w[i], most_x));
+        let (row, _) = split(held(lines.y[i] + lines.ey[i] * w[i], most_y));
+        index[i] = row * width + column;
+        from_x[i] = lines.x[i] - (column as f32 + 0.5);
+        from_y[i] = lines.y[i] - (row as f32 + 0.5);
+    }
+    (index, from_x, from_y)
+}
+
+/// Where `lines` meet the facets of the pixels that they pass at the guessed inverse depths.
+#[inline(always)]
+pub(super) fn land(scene: &Scene<'_>, lines: &Lines, guess: &Lanes) -> Lanes {
+    let (index, from_x, from_y) = pixels(scene.camera, lines, guess);
+    let (mut value, mut slope_x, mut slope_y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        let facet = scene.surface.facet(index[i] as usize);
+        (value[i], slope_x[i], slope_y[i]) = (facet.value, facet.slope_x, facet.slope_y);
+    }
+    let mut w = [0.0; LANES];
+    for i in 0..LANES {
+        let facet = Facet { value: value[i], slope_x: slope_x[i], slope_y: slope_y[i], bend: 0.0 };
+        w[i] = cut(&facet, (from_x[i], from_y[i]), (lines.ex[i], lines.ey[i]));
+    }
+    w
+}
+
+/// The bounds of inverse depth around sixteen pixels, for those that are near a visible step.
+pub(super) struct Steps {
+    pub(super) any: bool,
+    near_step: [bool; LANES],
+    nearest: Lanes,
+    farthest: Lanes,
+}
+
+impl Steps {
+    /// For the pixels from column `x` on in row `y`.
+    #[inline(always)]
+    pub(super) fn around(scene: &Scene<'_>, x: usize, y: usize) -> Self {
+        let zero = [0.0; LANES];
+        let mut steps =
+            Self { any: false, near_step: [false; LANES], nearest: zero, farthest: zero };
+        for i in 0..LANES.min(scene.camera.width - x) {
+            if let Some(bounds) = scene.surface.blocks.searched(x + i, y) {
+                (steps.any, steps.near_step[i]) = (true, true);
+                (steps.nearest[i], steps.farthest[i]) = (bounds.nearest, bounds.farthest);
+            }
+        }
+        steps
+    }
+
+    /// Replaces the inverse depths `w` of pixels near a step by those of the nearest surface on
+    /// their lines.
+    #[inline(always)]
+    pub(super) fn search(&self, scene: &Scene<'_>, lines: &Lines, own: &Lanes, w: &mut Lanes) {
+        let mut walks = Walks::new(self, lines);
+        walks.run(scene, lines);
+        let mut guess = *own;
+        for i in 0..LANES {
+            guess[i] = if walks.hit[i] { walks.at[i] } else { own[i] };
+        }
+        let landed = land(scene, lines, &guess);
+        for i in 0..LANES {
+            let step = walks.step[i];
+            let near = landed[i].max(walks.at[i] - step).min(walks.at[i] + step);
+            let found = if walks.hit[i] { near } else { landed[i] };
+            w[i] = if self.near_step[i] { found } else { w[i] };
+        }
+        for i in 0..LANES {
+            if self.near_step[i] && walks.count[i] > 0 && !walks.hit[i] {
+                w[i] = walks.hidden(i).beside(scene.surface, &lines.line(i));
+            }
+        }
+    }
+}
+
+/// Sixteen walks from near to far; see [`Walk`].
+struct Walks {
+    nearest: Lanes,
+    farthest: Lanes,
+    step: Lanes,
+    /// Number of steps; 0 where there is nothing to walk.
+    count: [u32; LANES],
+    hit: [bool; LANES],
+    /// Where the surface was hit.
+    at: Lanes,
+    in_front: [u32; LANES],
+    occluder: Lanes,
+}
+
+impl Walks {
+    #[inline(always)]
+    fn new(steps: &Steps, lines: &Lines) -> Self {
+        let mut walks = Self {
+            nearest: steps.nearest,
+            farthest: steps.farthest,
+            step: [0.0; LANES],
+            count: [0; LANES],
+            hit: [false; LANES],
+            at: [0.0; LANES],
+            in_front: [u32::MAX; LANES],
+            occluder: steps.nearest,
+        };
+        for i in 0..LANES {
+            let (count, step) =
+                Walk::steps(lines.ex[i], lines.ey[i], steps.nearest[i], steps.farthest[i]);
+            (walks.count[i], walks.step[i]) = (count, step);
+        }
+        walks
+    }
+
+    #[inline(always)]
+    fn run(&mut self, scene: &Scene<'_>, lines: &Lines) {
+        let longest = self.count.iter().fold(0, |most, &count| most.max(count));
+        for k in 0..=longest {
+            let (mut w, mut seen) = ([0.0; LANES], [0.0; LANES]);
+            for i in 0..LANES {
+                w[i] = self.nearest[i] - self.step[i] * k as f32;
+            }
+            let (index, _, _) = pixels(scene.camera, lines, &w);
+            for i in 0..LANES {
+                seen[i] = scene.surface.facet(index[i] as usize).value;
+            }
+            for i in 0..LANES {
+                let walking = !self.hit[i] & (k <= self.count[i]) & (self.count[i] > 0);
+                let met = Walk::meets(seen[i], w[i], self.step[i]);
+                let in_front = seen[i] < w[i];
+                self.at[i] = if walking & met { w[i] } else { self.at[i] };
+                self.in_front[i] = if walking & !met & in_front { k } else { self.in_front[i] };
+                self.occluder[i] =
+                    if walking & !met & !in_front { seen[i] } else { self.occluder[i] };
+                self.hit[i] |= walking & met;
+            }
+        }
+    }
+
+    /// The walk of one pixel that ended hidden.
+    fn hidden(&self, i: usize) -> Walk<f32> {
+        Walk {
+            nearest: self.nearest[i],
+            farthest: self.farthest[i],
+            step: self.step[i],
+            count: self.count[i],
+            in_front: (self.in_front[i] != u32::MAX).then_some(self.in_front[i]),
+            occluder: self.occluder[i],
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! Blur at the price of a sharp render: one render and its depth stand for all virtual cameras.
+//!
+//! The exposure integral (eqs. 5 and 6) asks for one render per virtual camera. Here the map is
+//! rendered once, at the middle of the exposure, and every virtual camera looks that picture up:
+//!
+//! ```text
+//! blurred(p) = Σ_j weight_j · sharp(q_j(p))
+//! q(p):  the place in the sharp render of the surface that virtual camera j sees at pixel p
+//! ```
+//!
+//! **Finding q.** With inverse depth `w = 1/z` of the sharp render, a pixel's ray is a straight
+//! line `q(w) = q_∞ + e w` (exact for any motion), and `q` is where `w` is the inverse depth that
+//! the render has at `q(w)`. Where the surface is smooth one Newton step from the pixel's own
+//! depth solves this for the first and the last virtual camera, and a parabola in time through
+//! both and the middle gives all others. In blocks of 8 x 8 pixels near a step in depth whose
+//! sides the motion moves apart by more than a quarter of a pixel, each ray is walked from near
+//! to far instead, and the first surface counts: a foreground covers what is behind it. Background
+//! that the foreground hides from the sharp render takes the background beside the foreground.
+//! Along the edge of a foreground a render holds a mixture of two depths; such pixels go with the
+//! foreground. An unknown depth takes the farther of its row's two nearest known ones; without any it is
+//! infinitely far, where only rotation matters. What lies outside the render takes its edge: to
+//! keep the border of a picture as good as its middle, render half a blur length more all around
+//! and crop.
+//!
+//! **Reading the render.** Once per frame it is brought to twice its resolution (see
+//! [`Interpolation`]); taps are bilinear there.
+//!
+//! **Backward.** With respect to the sharp render, the exact transpose. With respect to the poses
+//! at shutter open and close, the derivative of `q` relative to the middle, times the slope of
+//! the render at `q`. Depth is held fixed as an image: a surface point keeps its inverse depth
+//! plane (exact for the first and the last virtual camera on a flat surface; for those between, to
+//! the accuracy of the parabola). Neglected are: what the blur does to the *map's* depth (of second
+//! order: it scales the blur's length by the relative change of depth); the slope of the surface in
+//! blocks that were searched; and how the edge of a foreground moves over what it covers there.
+//!
+//! **The gauge.** The sharp render stands at [`ShutterPoses::middle`], which moves with both poses.
+//! The gradient therefore comes in two parts that add up: `d_radiance`, for the renderer to pull
+//! back to its map and to its own pose, which goes to the shutter by
+//! `ShutterPoses::pull_back(0.5, d_pose)`; and the [`ShutterTangent`] of the motion relative to
+//! the middle, which is what [`Reprojection::pull_back`] returns.
+
+mod backward;
+mod band;
+mod blocks;
+mod forward;
+mod landing;
+mod landing_lanes;
+mod reference;
+mod surface;
+mod taps;
+#[cfg(test)]
+mod tests;
+mod texel;
+mod upsample;
+mod views;
+
+pub use reference::ReferenceReprojection;
+pub use upsample::Interpolation;
+
+use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
+use backward::PullBackBand;
+use band::{BAND, Band};
+use forward::{BlurBand, Scene};
+use i2slam_geometry::{Camera, Image, Pose};
+use pulp::Arch;
+use rayon::prelude::*;
+use surface::Surface;
+use taps::{LANES, Lanes};
+use texel::Texel;
+use upsample::UpsampleRow;
+use views::Views;
+
+/// Blurs one sharp render by its depth, and pulls cotangents back. Holds what one frame needs
+/// between the two, and keeps its allocations from frame to frame. Gives the same bytes for any
+/// number of threads of the current `rayon` pool.
+#[derive(Clone, Debug)]
+pub struct Reprojection {
+    interpolation: Interpolation,
+    camera: Camera<f32>,
+    shutter: ShutterPoses<f64>,
+    views: Views<f32>,
+    surface: Surface<f32>,
+    /// The sharp render at twice its resolution.
+    fine: Vec<Texel>,
+    /// What is seen at (row, chunk of a row, moving view) [1/m].
+    inverse_depths: Vec<Lanes>,
+    bands: Vec<Band>,
+}
+
+impl Default for Reprojection {
+    fn default() -> Self {
+        Self::new(Interpolation::default())
+    }
+}
+
+impl Reprojection {
+    /// No frame yet.
+    pub fn new(interpolation: Interpolation) -> Self {
+        Self {
+            interpolation,
+            camera: Camera { width: 0, height: 0, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
+            shutter: ShutterPoses::still(Pose::identity()),
+            views: Views::default(),
+            surface: Surface::default(),
+            fine: Vec::new(),
+            inverse_depths: Vec::new(),
+            bands: Vec::new(),
+        }
+    }
+
+    /// The average of what the virtual cameras see.
+    ///
+    /// `radiance` (3 planes, linear) and `depth` (1 plane [m], 0 = unknown) are the map seen by
+    /// `camera` from `shutter.middle()`; `blurred` is given the shape of `radiance`.
+    ///
+    /// # Panics
+    /// When `radiance` or `depth` has another size than `camera`, or not 3 and 1 planes.
+    pub fn blur(
+        &mut self,
+        camera: &Camera<f32>,
+        shutter: &ShutterPoses<f64>,
+        virtual_cameras: usize,
+        quadrature: Quadrature,
+        radiance: &Image<f32>,
+        depth: &Image<f32>,
+        blurred: &mut Image<f32>,
+    ) {
+        assert_shape(radiance, camera.width, camera.height, 3);
+        assert_shape(depth, camera.width, camera.height, 1);
+        (self.camera, self.shutter) = (*camera, *shutter);
+        self.views.update(camera, shutter, virtual_cameras, quadrature);
+        shape(blurred, camera.width, camera.height);
+        if self.views.moving.is_empty() || camera.pixels() == 0 {
+            blurred.data.copy_from_slice(&radiance.data);
+            return;
+        }
+        self.surface.update(depth);
+        let reach = self.views.reach(camera, self.surface.blocks.nearest());
+        self.surface.blocks.surround(reach, self.views.largest_parallax(camera));
+        band::lay(&mut self.bands, camera.width, camera.height);
+        self.upsample(radiance);
+        self.gather(radiance, blurred);
+    }
+
+    fn upsample(&mut self, radiance: &Image<f32>) {
+        let (width, height) = (self.camera.width, self.camera.height);
+        self.fine.resize(4 * width * height, Texel::zero());
+        let kernel = self.interpolation.halfway();
+        let planes = [0, 1, 2].map(|c| radiance.plane(c));
+        let arch = Arch::new();
+        let rows = self.fine.par_chunks_mut(2 * BAND * 2 * width);
+        rows.zip(&mut self.bands).for_each(|(rows, band)| {
+            let scratch = &mut band.planar_row;
+            for (y, out) in (2 * band.first_row..).zip(rows.chunks_exact_mut(2 * width)) {
+                let kernel = &kernel;
+                arch.dispatch(UpsampleRow { planes, height, y, kernel, scratch, out });
+            }
+        });
+    }
+
+    fn gather(&mut self, radiance: &Image<f32>, blurred: &mut Image<f32>) {
+        let (width, pixels) = (self.camera.width, self.camera.pixels());
+        let moving = self.views.moving.len();
+        let depths_per_row = taps::chunks(width) * moving;
+        self.inverse_depths.resize(self.camera.height * depths_per_row, [0.0; LANES]);
+        let scene = Scene {
+            camera: &self.camera,
+            views: &self.views,
+            surface: &self.surface,
+            fine: &self.fine,
+        };
+        let chunk = BAND * width;
+        let (red, rest) = blurred.data.split_at_mut(pixels);
+        let (green, blue) = rest.split_at_mut(pixels);
+        let planes = red.par_chunks_mut(chunk).zip(green.par_chunks_mut(chunk));
+        let planes = planes.zip(blue.par_chunks_mut(chunk));
+        let bands = self.bands.par_iter_mut();
+        let depths = self.inverse_depths.par_chunks_mut(BAND * depths_per_row);
+        bands.zip(depths).zip(planes).for_each(|((band, depths), ((red, green), blue))| {
+            let from = band.first_row * width;
+            let sharp = [0, 1, 2].map(|c| &radiance.plane(c)[from..from + red.len()]);
+            let (blurred, scene) = ([red, green, blue], &scene);
+            let task = BlurBand { scene, band, inverse_depths: depths, sharp, blurred };
+            Arch::new().dispatch(task);
+        });
+    }
+
+    /// The transpose of the last [`blur`](Self::blur): from `d_blurred = ∂loss/∂blurred`, writes
+    /// `d_radiance = ∂loss/∂radiance` and returns the gradient of the shutter poses through the
+    /// motion relative to the middle (see the module on what to add to it).
+    ///
+    /// # Panics
+    /// When `d_blurred` has another shape than the last blurred picture.
+    pub fn pull_back(
+        &mut self,
+        d_blurred: &Image<f32>,
+        d_radiance: &mut Image<f32>,
+    ) -> ShutterTangent<f64> {
+        let (width, height) = (self.camera.width, self.camera.height);
+        assert_shape(d_blurred, width, height, 3);
+        shape(d_radiance, width, height);
+        if self.views.moving.is_empty() || self.camera.pixels() == 0 {
+            d_radiance.data.copy_from_slice(&d_blurred.data);
+            return ShutterTangent::zero();
+        }
+        self.scatter(d_blurred);
+        self.merge(d_blurred, d_radiance);
+        let mut sums = vec![[0.0; 6]; self.views.moving.len()];
+        for band in &self.bands {
+            for (total, sum) in sums.iter_mut().zip(&band.sums) {
+                total.iter_mut().zip(sum).for_each(|(total, s)| *total += s);
+            }
+        }
+        self.views.pull_back(&self.shutter, &sums)
+    }
+
+    fn scatter(&mut self, d_blurred: &Image<f32>) {
+        let width = self.camera.width;
+        let scene = Scene {
+            camera: &self.camera,
+            views: &self.views,
+            surface: &self.surface,
+            fine: &self.fine,
+        };
+        let kernel = self.interpolation.halfway();
+        let depths_per_row = taps::chunks(width) * self.views.moving.len();
+        let depths = self.inverse_depths.par_chunks(BAND * depths_per_row);
+        self.bands.par_iter_mut().zip(depths).for_each(|(band, depths)| {
+            let from = band.first_row * width;
+            let pixels = depths.len() / depths_per_row * width;
+            let d_blurred = [0, 1, 2].map(|c| &d_blurred.plane(c)[from..from + pixels]);
+            let (scene, kernel) = (&scene, &kernel);
+            let task = PullBackBand { scene, band, inverse_depths: depths, d_blurred, kernel };
+            Arch::new().dispatch(task);
+        });
+    }
+
+    /// Sums the bands' cotangents, in the order of the bands.
+    fn merge(&self, d_blurred: &Image<f32>, d_radiance: &mut Image<f32>) {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let still = self.views.still_weight;
+        let rows = d_radiance.data.par_chunks_mut(width).zip(d_blurred.data.par_chunks(width));
+        rows.enumerate().with_min_len(BAND).for_each(|(i, (to, d_blurred))| {
+            let (plane, y) = (i / height, i % height);
+            to.iter_mut().zip(d_blurred).for_each(|(to, d)| *to = still * d);
+            for band in &self.bands {
+                let (first, end) = band.sharp_rows;
+                if (first..end).contains(&y) {
+                    let from = (plane * (end - first) + y - first) * width;
+                    let d_sharp = &band.d_sharp[from..from + width];
+                    to.iter_mut().zip(d_sharp).for_each(|(to, d)| *to += d);
+                }
+            }
+        });
+    }
+}
+
+fn assert_shape<T>(image: &Image<T>, width: usize, height: usize, channels: usize) {
+    let actual = (image.width, image.height, image.channels, image.data.len());
+    assert_eq!(actual, (width, height, channels, width * height * channels), "image shape");
+}
+
+fn shape(image: &mut Image<f32>, width: usize, height: usize) {
+    if (image.width, image.height, image.channels) != (width, height, 3) {
+        image.reset(width, height, 3);
+    }
+}

@@ -1,0 +1,189 @@
+//! The readable lane: the same equations pixel by pixel, in `f32` or `f64`.
+
+use super::landing::{amplification, between, land, search};
+use super::surface::Surface;
+use super::upsample::{Interpolation, neighbours};
+use super::views::{Line, View, Views};
+use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
+use i2slam_geometry::{Camera, Image, Real};
+
+/// What [`Reprojection`](super::Reprojection) computes, written to be read and checked.
+#[derive(Clone, Debug)]
+pub struct ReferenceReprojection<T> {
+    interpolation: Interpolation,
+    camera: Camera<T>,
+    shutter: ShutterPoses<f64>,
+    views: Views<T>,
+    surface: Surface<T>,
+    radiance: Image<T>,
+}
+
+/// One sample of the sharp render: position in the fine grid, held inside it.
+struct Tap<T> {
+    column: usize,
+    row: usize,
+    across: T,
+    down: T,
+    free_x: bool,
+    free_y: bool,
+}
+
+impl<T: Real> ReferenceReprojection<T> {
+    /// Takes the sharp `radiance` (3 planes) and `depth` (1 plane [m], 0 = unknown) as seen by
+    /// `camera` from `shutter.middle()`.
+    pub fn new(
+        interpolation: Interpolation,
+        camera: &Camera<T>,
+        shutter: &ShutterPoses<f64>,
+        virtual_cameras: usize,
+        quadrature: Quadrature,
+        radiance: &Image<T>,
+        depth: &Image<T>,
+    ) -> Self {
+        let mut views = Views::default();
+        views.update(camera, shutter, virtual_cameras, quadrature);
+        let mut surface = Surface::default();
+        surface.update(depth);
+        let reach = views.reach(camera, surface.blocks.nearest());
+        surface.blocks.surround(reach, views.largest_parallax(camera));
+        let (camera, shutter, radiance) = (*camera, *shutter, radiance.clone());
+        Self { interpolation, camera, shutter, views, surface, radiance }
+    }
+
+    /// The average of what the virtual cameras see.
+    pub fn blur(&self) -> Image<T> {
+        let mut blurred = self.radiance.clone();
+        blurred.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
+        self.for_each_tap(|view, (x, y), _, tap| {
+            for channel in 0..3 {
+                let value = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
+                let top = value[0] + (value[1] - value[0]) * tap.across;
+                let bottom = value[2] + (value[3] - value[2]) * tap.across;
+                let index = (channel * self.camera.height + y) * self.camera.width + x;
+                blurred.data[index] += view.1.weight * (top + (bottom - top) * tap.down);
+            }
+        });
+        blurred
+    }
+
+    /// The cotangents of the sharp render and of the shutter poses relative to the middle.
+    pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ShutterTangent<f64>) {
+        let mut d_radiance = d_blurred.clone();
+        d_radiance.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
+        let mut sums = vec![[0.0; 6]; self.views.moving.len()];
+        self.for_each_tap(|(k, view), (x, y), w, tap| {
+            let (mut gx, mut gy) = (T::zero(), T::zero());
+            for channel in 0..3 {
+                let d = d_blurred.at(channel, x, y) * view.weight;
+                let [a, b, c, e] = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
+                gx += d * ((b - a) * (T::one() - tap.down) + (e - c) * tap.down);
+                gy += d * ((c - a) * (T::one() - tap.across) + (e - b) * tap.across);
+                self.scatter(&mut d_radiance, channel, &tap, d);
+            }
+            let two = T::of(2.0);
+            let free = |g: T, free: bool| if free { g * two } else { T::zero() };
+            let g = (free(gx, tap.free_x), free(gy, tap.free_y));
+            let share = self.share(view, (x, y), w, g);
+            sums[k].iter_mut().zip(share).for_each(|(sum, s)| *sum += s.to_f64());
+        });
+        (d_radiance, self.views.pull_back(&self.shutter, &sums))
+    }
+
+    fn for_each_tap(&self, mut visit: impl FnMut((usize, &View<T>), (usize, usize), T, Tap<T>)) {
+        for y in 0..self.camera.height {
+            for x in 0..self.camera.width {
+                for (k, view) in self.views.moving.iter().enumerate() {
+                    let w = self.inverse_depth(view, x, y);
+                    let tap = self.tap(self.line(view, x, y).at(w));
+                    visit((k, view), (x, y), w, tap);
+                }
+            }
+        }
+    }
+
+    fn line(&self, view: &View<T>, x: usize, y: usize) -> Line<T> {
+        let (px, py) = Camera::pixel_centre(x, y);
+        view.line(&self.camera, view.direction(px, py))
+    }
+
+    fn inverse_depth(&self, view: &View<T>, x: usize, y: usize) -> T {
+        let own = self.surface.row(y)[x];
+        if let Some(bounds) = self.surface.blocks.searched(x, y) {
+            return search(&self.surface, &self.line(view, x, y), bounds, own);
+        }
+        let at_end = |end: usize| {
+            let line = self.line(&self.views.moving[end], x, y);
+            land(&self.surface, &line, own)
+        };
+        between(at_end(0), own, at_end(self.views.moving.len() - 1), view.moment)
+    }
+
+    /// The cotangent of the view's pose from that of the position [per px].
+    fn share(&self, view: &View<T>, (x, y): (usize, usize), w: T, (gx, gy): (T, T)) -> [T; 6] {
+        let (px, py) = Camera::pixel_centre(x, y);
+        let direction = view.direction(px, py);
+        let line = view.line(&self.camera, direction);
+        let facet = self.surface.facets(y)[x];
+        let smooth = self.surface.blocks.searched(x, y).is_none();
+        let slope = |s: T| if smooth { s } else { T::zero() };
+        let (slope_x, slope_y) = (slope(facet.slope_x), slope(facet.slope_y));
+        let along =
+            (gx * line.ex + gy * line.ey) * amplification(slope_x, slope_y, line.ex, line.ey);
+        let gx = (gx + slope_x * along) * self.camera.fx;
+        let gy = (gy + slope_y * along) * self.camera.fy;
+        view.share(direction, w, gx, gy)
+    }
+
+    fn tap(&self, (x, y): (T, T)) -> Tap<T> {
+        let hold = |position: T, size: usize| {
+            let most = T::of((2 * size - 2) as f64);
+            let fine = T::of(2.0) * position - T::one();
+            let held = fine.max(T::zero()).min(most);
+            let index = held.to_usize().unwrap_or(0);
+            (index, held - T::of(index as f64), fine >= T::zero() && fine <= most)
+        };
+        let (column, across, free_x) = hold(x, self.camera.width);
+        let (row, down, free_y) = hold(y, self.camera.height);
+        Tap { column, row, across, down, free_x, free_y }
+    }
+
+    fn corners(&self, tap: &Tap<T>) -> [(usize, usize); 4] {
+        let (c, r) = (tap.column, tap.row);
+        [(c, r), (c + 1, r), (c, r + 1), (c + 1, r + 1)]
+    }
+
+    /// The pixels and weights along one axis that sample `index` of the fine grid is made of.
+    fn made_of(&self, index: usize, size: usize) -> [(usize, T); 4] {
+        let pixels = neighbours(index / 2, size);
+        let mut weights = self.interpolation.halfway();
+        if index.is_multiple_of(2) {
+            weights = [T::zero(), T::one(), T::zero(), T::zero()];
+        }
+        std::array::from_fn(|k| (pixels[k], weights[k]))
+    }
+
+    fn fine(&self, channel: usize, column: usize, row: usize) -> T {
+        let columns = self.made_of(column, self.camera.width);
+        let mut sum = T::zero();
+        for (r, by_row) in self.made_of(row, self.camera.height) {
+            for (c, by_column) in columns {
+                sum += by_row * by_column * self.radiance.at(channel, c, r);
+            }
+        }
+        sum
+    }
+
+    fn scatter(&self, d_radiance: &mut Image<T>, channel: usize, tap: &Tap<T>, d: T) {
+        let (width, height) = (self.camera.width, self.camera.height);
+        for (i, (column, row)) in self.corners(tap).into_iter().enumerate() {
+            let across = if i % 2 == 0 { T::one() - tap.across } else { tap.across };
+            let down = if i < 2 { T::one() - tap.down } else { tap.down };
+            for (r, by_row) in self.made_of(row, height) {
+                for (c, by_column) in self.made_of(column, width) {
+                    d_radiance.data[(channel * height + r) * width + c] +=
+                        d * across * down * by_row * by_column;
+                }
+            }
+        }
+    }
+}

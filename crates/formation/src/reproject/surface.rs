@@ -1,0 +1,227 @@
+//! What the depth of the sharp render says: a small plane per pixel, bounds per block.
+
+use super::blocks::{BLOCK, Block, Blocks, larger};
+use i2slam_geometry::{Image, Real};
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+/// The inverse depth around a pixel centre: `w(d) = value + slope · d`, d in pixels.
+///
+/// Inverse depth is affine in the image wherever the surface is flat, so this is exact there.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Facet<T> {
+    /// 1/m.
+    pub(super) value: T,
+    /// 1/m per pixel to the right.
+    pub(super) slope_x: T,
+    /// 1/m per pixel down.
+    pub(super) slope_y: T,
+    /// Largest second difference along row and column: a step shows here in full.
+    pub(super) bend: T,
+}
+
+/// Inverse depth, its slopes, and where it has steps.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Surface<T> {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    inverse: Vec<T>,
+    facets: Vec<Facet<T>>,
+    pub(super) blocks: Blocks<T>,
+}
+
+impl<T: Real> Surface<T> {
+    /// Reads plane 0 of `depth` [m]. A depth that is zero, negative or not finite takes the
+    /// farther of the two nearest known depths in its row; a row without any is infinitely far.
+    pub(super) fn update(&mut self, depth: &Image<T>) {
+        let (width, height) = (depth.width, depth.height);
+        (self.width, self.height) = (width, height);
+        self.inverse.resize(width * height, T::zero());
+        self.facets.resize(width * height, Facet::default());
+        self.blocks.resize(width, height);
+        if width * height == 0 {
+            return;
+        }
+        let arch = Arch::new();
+        self.inverse
+            .par_chunks_mut(BLOCK * width)
+            .zip(depth.plane(0).par_chunks(BLOCK * width))
+            .for_each(|(inverse, depth)| {
+                arch.dispatch(Invert { depth, inverse });
+                inverse.chunks_exact_mut(width).for_each(fill_holes);
+            });
+        let inverse = &self.inverse;
+        let across = self.blocks.columns;
+        self.facets
+            .par_chunks_mut(BLOCK * width)
+            .zip(self.blocks.own.par_chunks_mut(across))
+            .enumerate()
+            .for_each(|(block_row, (facets, blocks))| {
+                let top = block_row * BLOCK;
+                blocks.fill(Block::empty());
+                for (y, facets) in (top..).zip(facets.chunks_exact_mut(width)) {
+                    arch.dispatch(RowFacets { inverse, y, height, facets, blocks });
+                }
+            });
+    }
+
+    /// One row of inverse depths.
+    pub(super) fn row(&self, y: usize) -> &[T] {
+        &self.inverse[y * self.width..(y + 1) * self.width]
+    }
+
+    /// One row of facets.
+    pub(super) fn facets(&self, y: usize) -> &[Facet<T>] {
+        &self.facets[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The facet of one pixel, by its index.
+    #[inline(always)]
+    pub(super) fn facet(&self, index: usize) -> &Facet<T> {
+        &self.facets[index]
+    }
+
+    /// The facet of the pixel that covers `(x, y)` [px], and that pixel's centre. Positions
+    /// outside the image take the nearest pixel.
+    #[inline(always)]
+    pub(super) fn facet_at(&self, x: T, y: T) -> (Facet<T>, T, T) {
+        let column = clamped(x, self.width);
+        let row = clamped(y, self.height);
+        let half = T::of(0.5);
+        let centre = |index: usize| T::of(index as f64) + half;
+        (self.facets[row * self.width + column], centre(column), centre(row))
+    }
+}
+
+/// The pixel that covers a coordinate, NaN and positions outside included.
+#[inline(always)]
+fn clamped<T: Real>(position: T, size: usize) -> usize {
+    let most = T::of(size.saturating_sub(1) as f64);
+    (-larger(-larger(position, T::zero()), -most)).to_u32().unwrap_or(0) as usize
+}
+
+/// `1 / depth`, 0 where the depth is unknown.
+struct Invert<'a, T> {
+    depth: &'a [T],
+    inverse: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for Invert<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (w, &z) in self.inverse.iter_mut().zip(self.depth) {
+            let known = z > T::zero() && z < T::infinity();
+            *w = if known { T::one() / z } else { T::zero() };
+        }
+    }
+}
+
+fn fill_holes<T: Real>(row: &mut [T]) {
+    let mut x = 0;
+    while let Some(skip) = row[x..].iter().position(|w| *w == T::zero()) {
+        let start = x + skip;
+        let end = row[start..].iter().position(|w| *w > T::zero()).map_or(row.len(), |n| start + n);
+        let sides = [start.checked_sub(1), (end < row.len()).then_some(end)];
+        let known = sides.into_iter().flatten().map(|side| row[side]);
+        let far = known.reduce(T::min).unwrap_or(T::zero());
+        row[start..end].fill(far);
+        x = end;
+    }
+}
+
+/// The facets of row `y`, and their share of the blocks.
+struct RowFacets<'a, T> {
+    inverse: &'a [T],
+    y: usize,
+    height: usize,
+    facets: &'a mut [Facet<T>],
+    blocks: &'a mut [Block<T>],
+}
+
+impl<T: Real> WithSimd for RowFacets<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { inverse, y, height, facets, blocks } = self;
+        let n = facets.len();
+        let row = |y: usize| &inverse[y * n..(y + 1) * n];
+        let rows = [row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1))];
+        let sides = (y > 0, y + 1 < height);
+        facets[0] = facet(rows, sides, 0, (0, 1.min(n - 1)));
+        for x in 1..n.saturating_sub(1) {
+            facets[x] = facet(rows, sides, x, (x - 1, x + 1));
+        }
+        facets[n - 1] = facet(rows, sides, n - 1, (n.saturating_sub(2), n - 1));
+        let row_at = |offset: usize| (y + offset).checked_sub(2).filter(|&y| y < height).map(row);
+        let around = [row_at(0), row_at(1), row_at(2), row_at(3), row_at(4)];
+        for x in 0..n {
+            if facets[x].bend > facets[x].value * T::of(STEP) {
+                let along_row =
+                    rows[1].get(x.wrapping_sub(2)..).and_then(|rest| rest.first_chunk());
+                unmix(along_row.copied(), &mut facets[x], true);
+                let [Some(a), Some(b), Some(c), Some(d), Some(e)] = around else { continue };
+                unmix(Some([a[x], b[x], c[x], d[x], e[x]]), &mut facets[x], false);
+            }
+        }
+        for (block, facets) in blocks.iter_mut().zip(facets.chunks(BLOCK)) {
+            for facet in facets {
+                block.include(facet);
+            }
+        }
+    }
+}
+
+/// Bends beyond this share of the inverse depth may be steps.
+const STEP: f64 = 0.02;
+
+/// A pixel partly covered by a foreground holds a mixture of two depths, and that of neither
+/// surface. It belongs to the foreground, which carries its soft edge along: it takes the
+/// foreground's depth, continued from its neighbours.
+fn unmix<T: Real>(values: Option<[T; 5]>, facet: &mut Facet<T>, in_x: bool) {
+    let Some([a, b, c, d, e]) = values else { return };
+    let step = (d - b).abs();
+    let between = (c - b) * (d - c) > T::zero();
+    if !between || (b - a).abs() + (e - d).abs() > step * T::of(0.25) {
+        return;
+    }
+    let slope = if b > d { b - a } else { e - d };
+    facet.value = if b > d { b + slope } else { d - slope };
+    if in_x {
+        facet.slope_x = slope;
+    } else {
+        facet.slope_y = slope;
+    }
+}
+
+/// The facet of pixel `x` of the middle row, between its neighbours `left` and `right`.
+#[inline(always)]
+fn facet<T: Real>(
+    [up, here, down]: [&[T]; 3],
+    (has_up, has_down): (bool, bool),
+    x: usize,
+    (left, right): (usize, usize),
+) -> Facet<T> {
+    let value = here[x];
+    let (slope_x, bend_x) = slope(value - here[left], here[right] - value, x > left, right > x);
+    let (slope_y, bend_y) = slope(value - up[x], down[x] - value, has_up, has_down);
+    Facet { value, slope_x, slope_y, bend: larger(bend_x, bend_y) }
+}
+
+/// The flatter of two one-sided differences (so that a slope never bridges a step), and their
+/// difference. A missing neighbour leaves the other side alone.
+#[inline(always)]
+fn slope<T: Real>(before: T, after: T, has_before: bool, has_after: bool) -> (T, T) {
+    let flatter = if before.abs() < after.abs() { before } else { after };
+    let both = has_before && has_after;
+    let value = if both {
+        flatter
+    } else if has_before {
+        before
+    } else {
+        after
+    };
+    (value, if both { (after - before).abs() } else { T::zero() })
+}

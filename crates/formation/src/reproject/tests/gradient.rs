@@ -1,0 +1,137 @@
+//! The backward lane of the reference against central differences, in `f64`.
+
+use super::scene::{Scene, camera, moving};
+use crate::reproject::{Interpolation, ReferenceReprojection};
+use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
+use i2slam_check::{assert_close, assert_gradient, central_differences, noise};
+use i2slam_geometry::{Camera, Image, Tangent};
+
+const MOTION: [f64; 6] = [0.09, -0.06, 0.05, 0.04, 0.03, -0.06];
+/// Short enough that no tap crosses from one cell of the grid to the next.
+const STEP: f64 = 1e-7;
+
+struct Case {
+    camera: Camera<f64>,
+    scene: Scene,
+    views: usize,
+    weights: Vec<f64>,
+    shutter: ShutterPoses<f64>,
+}
+
+impl Case {
+    fn new(scene: fn(&Camera<f64>, f64) -> Scene, views: usize, seed: u64) -> Self {
+        let camera = camera(22, 17);
+        let scene = scene(&camera, 5.0);
+        let weights = noise(seed, 3 * camera.pixels());
+        Self { camera, scene, views, weights, shutter: moving(MOTION) }
+    }
+
+    fn sharp(&self, shutter: &ShutterPoses<f64>) -> (Image<f64>, Image<f64>) {
+        self.scene.render(&self.camera, &shutter.middle(), 1)
+    }
+
+    fn reprojection(
+        &self,
+        shutter: &ShutterPoses<f64>,
+        radiance: &Image<f64>,
+        depth: &Image<f64>,
+    ) -> ReferenceReprojection<f64> {
+        ReferenceReprojection::new(
+            Interpolation::Cubic,
+            &self.camera,
+            shutter,
+            self.views,
+            Quadrature::Endpoints,
+            radiance,
+            depth,
+        )
+    }
+
+    fn loss(&self, shutter: &ShutterPoses<f64>, radiance: &Image<f64>, depth: &Image<f64>) -> f64 {
+        let blurred = self.reprojection(shutter, radiance, depth).blur();
+        blurred.data.iter().zip(&self.weights).map(|(b, w)| b * w).sum()
+    }
+
+    fn pull_back(&self) -> (Image<f64>, ShutterTangent<f64>) {
+        let (radiance, depth) = self.sharp(&self.shutter);
+        let d_blurred = Image { data: self.weights.clone(), ..radiance.clone() };
+        self.reprojection(&self.shutter, &radiance, &depth).pull_back(&d_blurred)
+    }
+
+    fn moved(&self, x: &[f64]) -> ShutterPoses<f64> {
+        self.shutter.retract(&ShutterTangent::from_array(std::array::from_fn(|i| x[i])))
+    }
+
+    /// The gradient through the sharp render, as a renderer would return it, on the shutter.
+    fn through_render(&self, d_radiance: &Image<f64>) -> ShutterTangent<f64> {
+        let middle = self.shutter.middle();
+        let d_pose = central_differences(&[0.0; 6], 1e-4, |x| {
+            let pose = middle.retract(Tangent::from_array(std::array::from_fn(|i| x[i])));
+            let (radiance, _) = self.scene.render(&self.camera, &pose, 1);
+            radiance.data.iter().zip(&d_radiance.data).map(|(r, d)| r * d).sum()
+        });
+        self.shutter.pull_back(0.5, Tangent::from_array(std::array::from_fn(|i| d_pose[i])))
+    }
+}
+
+/// The blur is linear in the render: its transpose is right if both sides agree on any render.
+#[test]
+fn pull_back_is_the_transpose() {
+    for (case, seed) in [Case::new(Scene::new, 5, 1), Case::new(Scene::wall, 2, 2)].iter().zip(20..)
+    {
+        let (radiance, depth) = case.sharp(&case.shutter);
+        let (d_radiance, _) = case.pull_back();
+        for seed in [seed, seed + 10, seed + 20] {
+            let other = Image { data: noise(seed, radiance.data.len()), ..radiance.clone() };
+            let there = case.loss(&case.shutter, &other, &depth);
+            let back: f64 = other.data.iter().zip(&d_radiance.data).map(|(r, d)| r * d).sum();
+            assert!((there - back).abs() < 1e-11 * (1.0 + there.abs()), "{there} {back}");
+        }
+    }
+}
+
+#[test]
+fn relative_motion_agrees_with_differences() {
+    let cases = [
+        ("slanted wall", Case::new(Scene::wall, 3, 3)),
+        ("slanted wall, two views", Case::new(Scene::wall, 2, 4)),
+        ("board before a wall", Case::new(Scene::facing, 5, 5)),
+    ];
+    for (name, case) in cases {
+        let (radiance, depth) = case.sharp(&case.shutter);
+        let (_, d_shutter) = case.pull_back();
+        assert_gradient(name, &[0.0; 12], &d_shutter.to_array(), STEP, 1e-6, |x| {
+            case.loss(&case.moved(x), &radiance, &depth)
+        });
+    }
+}
+
+#[test]
+fn the_whole_chain_agrees_with_differences() {
+    let case = Case::new(Scene::wall, 3, 6);
+    let (_, depth) = case.sharp(&case.shutter);
+    let (d_radiance, relative) = case.pull_back();
+    let total = relative.plus(case.through_render(&d_radiance)).to_array();
+    assert_gradient("chain, depth held", &[0.0; 12], &total, STEP, 1e-6, |x| {
+        let shutter = case.moved(x);
+        case.loss(&shutter, &case.sharp(&shutter).0, &depth)
+    });
+    let everything = central_differences(&[0.0; 12], STEP, |x| {
+        let shutter = case.moved(x);
+        let (radiance, depth) = case.sharp(&shutter);
+        case.loss(&shutter, &radiance, &depth)
+    });
+    assert_close("chain, depth rendered anew", &total, &everything, 0.03);
+    let error = i2slam_check::relative_error(&total, &everything);
+    println!("neglected with the depth: {error:.1e} of the largest entry");
+}
+
+#[test]
+fn more_views_between_the_ends_follow_the_parabola() {
+    let case = Case::new(Scene::wall, 7, 7);
+    let (radiance, depth) = case.sharp(&case.shutter);
+    let (_, d_shutter) = case.pull_back();
+    let differences =
+        central_differences(&[0.0; 12], STEP, |x| case.loss(&case.moved(x), &radiance, &depth));
+    assert_close("parabola", &d_shutter.to_array(), &differences, 1e-3);
+}

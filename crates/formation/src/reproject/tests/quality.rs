@@ -1,0 +1,101 @@
+//! How close the re-projected exposure comes to exactly rendered virtual cameras.
+
+use super::scene::{Scene, camera, moving};
+use super::{narrow, wide};
+use crate::reproject::{Interpolation, Reprojection};
+use crate::shutter::{Quadrature, ShutterPoses};
+use i2slam_geometry::{Camera, Image};
+
+const SIZE: (usize, usize) = (128, 96);
+const GRID: usize = 2;
+/// Finest wave of the texture [px].
+const FINEST: f64 = 6.0;
+
+/// PSNR [dB] for values in [0, 1], at least `border` pixels from the edge.
+fn psnr(a: &Image<f64>, b: &Image<f64>, border: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for channel in 0..3 {
+        for y in border..a.height - border {
+            for x in border..a.width - border {
+                let value = |image: &Image<f64>| image.at(channel, x, y).clamp(0.0, 1.0);
+                sum += (value(a) - value(b)).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    -10.0 * f64::log10(sum / count)
+}
+
+/// The exposure during which the wall moves by `length` pixels.
+fn exposure(camera: &Camera<f64>, kind: &str, length: f64) -> ShutterPoses<f64> {
+    let angle = length / camera.fx;
+    let distance = 2.0 * angle;
+    moving(match kind {
+        "rotation" => [0.0, 0.0, 0.0, 0.6 * angle, 0.8 * angle, 0.5 * angle],
+        "translation" => [0.8 * distance, -0.6 * distance, 0.2 * distance, 0.0, 0.0, 0.0],
+        _ => [0.6 * distance, 0.0, 0.3 * distance, 0.5 * angle, -0.2 * angle, 0.3 * angle],
+    })
+}
+
+fn reproject(
+    camera: &Camera<f64>,
+    shutter: &ShutterPoses<f64>,
+    (count, quadrature): (usize, Quadrature),
+    interpolation: Interpolation,
+    (radiance, depth): &(Image<f64>, Image<f64>),
+) -> Image<f64> {
+    let mut blurred = Image::default();
+    Reprojection::new(interpolation).blur(
+        &camera.cast(),
+        shutter,
+        count,
+        quadrature,
+        &narrow(radiance),
+        &narrow(depth),
+        &mut blurred,
+    );
+    wide(&blurred)
+}
+
+/// Inside the border that all virtual cameras see, and (printed only) for the full frame.
+#[test]
+fn close_to_exactly_rendered_virtual_cameras() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let scene = Scene::new(&camera, FINEST);
+    println!("PSNR [dB] to 32 exact views: sharp, 5 exact views | N re-projected: inside, full");
+    for kind in ["rotation", "translation", "both"] {
+        for (length, least) in [(2.0, 50.0), (5.0, 49.0), (10.0, 45.0), (20.0, 38.0)] {
+            let shutter = exposure(&camera, kind, length);
+            let of_views =
+                |count| scene.blurred(&camera, &shutter, (count, Quadrature::Midpoints), GRID);
+            let (exact, five) = (of_views(32), of_views(5));
+            let sharp = scene.render(&camera, &shutter.middle(), GRID);
+            let border = length as usize;
+            let [sharp_only, five] = [&sharp.0, &five].map(|image| psnr(image, &exact, border));
+            print!("{kind:12}{length:3} px {sharp_only:6.1} {five:6.1}");
+            for count in [5, 9, 17] {
+                let plan = (count, Quadrature::Midpoints);
+                let blurred = reproject(&camera, &shutter, plan, Interpolation::Cubic, &sharp);
+                let (inside, full) = (psnr(&blurred, &exact, border), psnr(&blurred, &exact, 0));
+                print!(" |{count:3}: {inside:5.1} {full:5.1}");
+                assert!(inside > least, "{kind} {length} px, {count} views: {inside:.1} dB");
+            }
+            println!();
+        }
+    }
+}
+
+#[test]
+fn cubic_keeps_detail_that_linear_dulls() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let scene = Scene::new(&camera, FINEST);
+    let shutter = exposure(&camera, "rotation", 2.0);
+    let plan = (5, Quadrature::Midpoints);
+    let exact = scene.blurred(&camera, &shutter, plan, GRID);
+    let sharp = scene.render(&camera, &shutter.middle(), GRID);
+    let against =
+        |interpolation| psnr(&reproject(&camera, &shutter, plan, interpolation, &sharp), &exact, 2);
+    let [linear, cubic] = [Interpolation::Linear, Interpolation::Cubic].map(against);
+    println!("2 px of rotation: linear {linear:.1} dB, cubic {cubic:.1} dB");
+    assert!(cubic > linear + 3.0, "{linear} {cubic}");
+}
