@@ -19,6 +19,7 @@
 mod bin;
 mod gradient;
 mod map;
+mod motion;
 mod project;
 mod rasterize;
 mod settings;
@@ -31,5 +32,6 @@ mod tests;
 pub use crate::{Render, RenderCotangent, View};
 pub use gradient::MapGradient;
 pub use map::{ColourActivation, Gaussian, GaussianMap, Shape};
+pub use motion::{Moment, MotionGradient, ShutterMotion};
 pub use rasterize::{GaussianRadiance, Rasterizer, reference};
 pub use settings::RasterSettings;

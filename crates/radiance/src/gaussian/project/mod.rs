@@ -4,6 +4,7 @@ mod cotangents;
 mod cpu_backward;
 mod cpu_forward;
 mod lanes;
+mod path;
 pub(crate) mod reference;
 mod splat;
 mod stages;
