@@ -71,6 +71,11 @@ impl<T: Real> ShutterMotion<T> {
         self.moments.iter().filter(counts).map(scaled).collect()
     }
 
+    /// The readout, or zero if it is not finite (and then no moment counts).
+    pub(crate) fn counted_readout(&self) -> T {
+        if self.readout.is_finite() { self.readout } else { T::zero() }
+    }
+
     /// What a row adds to the time of a moment.
     pub(crate) fn row_time(&self, row: usize, height: usize) -> T {
         self.readout * row_place(row, height)

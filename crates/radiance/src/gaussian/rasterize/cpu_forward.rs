@@ -14,7 +14,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Splats between two looks whether all pixels have ended.
-const LOOK: usize = 32;
+pub(super) const LOOK: usize = 32;
 
 /// Composite all tiles.
 pub(crate) fn render(
@@ -74,6 +74,7 @@ fn all_ended(rows: &[[Row; PLANES]; TILE]) -> bool {
 }
 
 /// The settings in vectors.
+#[derive(Clone, Copy)]
 pub(super) struct Limits<S: Simd> {
     pub(super) alpha_max: S::f32s,
     pub(super) alpha_min: S::f32s,
@@ -126,6 +127,12 @@ const COLUMNS: Row = {
 impl<S: Simd> Exponent<S> {
     #[inline(always)]
     pub(super) fn new(simd: S, splat: &Splat, origin: [f32; 2]) -> Self {
+        Self::at(simd, splat, splat.centre, origin)
+    }
+
+    /// With the splat's centre elsewhere.
+    #[inline(always)]
+    pub(super) fn at(simd: S, splat: &Splat, centre: [f32; 2], origin: [f32; 2]) -> Self {
         let [a, b, c] = splat.exponent;
         let columns = S::as_simd_f32s(&COLUMNS).0[0];
         Self {
@@ -133,8 +140,8 @@ impl<S: Simd> Exponent<S> {
             b: simd.splat_f32s(b),
             c: simd.splat_f32s(c),
             log2_opacity: simd.splat_f32s(splat.log2_opacity),
-            first: simd.add_f32s(columns, simd.splat_f32s(origin[0] - splat.centre[0])),
-            top: origin[1] - splat.centre[1],
+            first: simd.add_f32s(columns, simd.splat_f32s(origin[0] - centre[0])),
+            top: origin[1] - centre[1],
         }
     }
 
