@@ -114,7 +114,7 @@ const MOMENTS: usize = 5;
 
 /// A camera that moves sideways and turns, by about 10 px at the median depth.
 fn motion(moments: usize) -> ShutterMotion {
-    let velocity = Tangent::from_array([0.06, 0.01, 0.02, 0.005, -0.012, 0.01]);
+    let velocity = Tangent::from_array([0.06, 0.01, 0.02, 0.005, 0.012, 0.01]);
     ShutterMotion::global(velocity, moments)
 }
 

@@ -57,6 +57,21 @@ impl Entry {
     }
 }
 
+/// The list of one tile.
+#[derive(Clone, Copy)]
+pub(crate) struct List<'a>(&'a [AtomicU64]);
+
+impl List<'_> {
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    #[inline(always)]
+    pub(crate) fn get(&self, index: usize) -> Entry {
+        Entry(self.0[index].load(Relaxed))
+    }
+}
+
 /// The lists of all tiles, one after another.
 #[derive(Default)]
 pub(crate) struct Bins {
@@ -79,12 +94,15 @@ impl Bins {
 
     /// The list of one tile.
     #[inline(always)]
-    pub(crate) fn list(
-        &self,
-        tile: usize,
-    ) -> impl ExactSizeIterator<Item = Entry> + DoubleEndedIterator + '_ {
+    pub(crate) fn list(&self, tile: usize) -> impl ExactSizeIterator<Item = Entry> + '_ {
         let range = self.starts[tile] as usize..self.starts[tile + 1] as usize;
         self.entries[range].iter().map(|entry| Entry(entry.load(Relaxed)))
+    }
+
+    /// The list of one tile, for access in any order.
+    #[inline(always)]
+    pub(crate) fn entries(&self, tile: usize) -> List<'_> {
+        List(&self.entries[self.starts[tile] as usize..self.starts[tile + 1] as usize])
     }
 
     /// Where a splat stands in the tiles' lists.

@@ -75,6 +75,18 @@ impl<S: Simd> Lanes<S> {
         self * self.constant(factor)
     }
 
+    /// The smallest of the numbers.
+    #[inline(always)]
+    pub(crate) fn least(self) -> f32 {
+        self.simd.reduce_min_f32s(self.v)
+    }
+
+    /// The largest of the numbers.
+    #[inline(always)]
+    pub(crate) fn most(self) -> f32 {
+        self.simd.reduce_max_f32s(self.v)
+    }
+
     #[inline(always)]
     pub(crate) fn recip(self) -> Self {
         self.with(self.simd.div_f32s(self.simd.splat_f32s(1.0), self.v))

@@ -6,6 +6,7 @@ mod cpu_backward_group;
 mod cpu_forward;
 mod cpu_motion;
 mod lanes;
+mod matrices;
 mod path;
 pub(crate) mod reference;
 mod splat;

@@ -106,15 +106,16 @@ pub(super) struct Exponent<S: Simd> {
 
 /// `log₂ α = (a dx + slope) dx + base` along one row.
 pub(super) struct ExponentRow<S: Simd> {
-    a: S::f32s,
-    slope: S::f32s,
-    base: S::f32s,
-    first: S::f32s,
+    pub(super) a: S::f32s,
+    pub(super) slope: S::f32s,
+    pub(super) base: S::f32s,
+    /// From the centre to the tile's first pixels.
+    pub(super) first: S::f32s,
     /// From the centre to the row.
     pub(super) dy: S::f32s,
 }
 
-const COLUMNS: Row = {
+pub(super) const COLUMNS: Row = {
     let mut columns = [0.0; TILE];
     let mut i = 0;
     while i < TILE {
@@ -127,12 +128,6 @@ const COLUMNS: Row = {
 impl<S: Simd> Exponent<S> {
     #[inline(always)]
     pub(super) fn new(simd: S, splat: &Splat, origin: [f32; 2]) -> Self {
-        Self::at(simd, splat, splat.centre, origin)
-    }
-
-    /// With the splat's centre elsewhere.
-    #[inline(always)]
-    pub(super) fn at(simd: S, splat: &Splat, centre: [f32; 2], origin: [f32; 2]) -> Self {
         let [a, b, c] = splat.exponent;
         let columns = S::as_simd_f32s(&COLUMNS).0[0];
         Self {
@@ -140,8 +135,8 @@ impl<S: Simd> Exponent<S> {
             b: simd.splat_f32s(b),
             c: simd.splat_f32s(c),
             log2_opacity: simd.splat_f32s(splat.log2_opacity),
-            first: simd.add_f32s(columns, simd.splat_f32s(origin[0] - centre[0])),
-            top: origin[1] - centre[1],
+            first: simd.add_f32s(columns, simd.splat_f32s(origin[0] - splat.centre[0])),
+            top: origin[1] - splat.centre[1],
         }
     }
 

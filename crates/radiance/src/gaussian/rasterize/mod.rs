@@ -19,7 +19,7 @@ use crate::RadianceMap;
 pub(crate) use cpu_backward::Slot;
 use i2slam_geometry::Tangent;
 pub(crate) use moving::MotionSlot;
-use moving::{Clock, MomentPixels};
+use moving::{Clock, MomentRow};
 use pulp::Arch;
 use tile::TilePixels;
 
@@ -42,7 +42,7 @@ pub struct Rasterizer {
     pose_sums: Vec<PoseSums>,
     paths: Vec<Path<f32>>,
     clock: Clock,
-    states: Vec<MomentPixels>,
+    states: Vec<MomentRow>,
     motion_slots: Vec<MotionSlot>,
 }
 
@@ -201,8 +201,8 @@ impl Rasterizer {
         self.clock = Clock::new(motion, view.camera.height);
         let frame = MotionFrame::new(view, motion, &self.settings);
         self.list(map, view, Some(&frame));
-        let count = self.grid.len() * self.clock.moments.len();
-        self.states.resize_with(count, MomentPixels::default);
+        let count = moving::moment_rows(&self.grid, &self.clock);
+        self.states.resize(count, MomentRow::default());
         let scene = moving::Scene {
             arch: self.arch,
             settings: &self.settings,

@@ -140,8 +140,9 @@ fn moments_that_do_not_count_are_left_out() {
     let gone = ShutterMotion { velocity: Tangent::from_array([f64::NAN; 6]), ..good };
     for motion in [none, lost, gone] {
         let (render, gradient, _) = fast_on(Arch::new(), case, &motion);
-        assert_eq!(render, Render::new(case.size[0], case.size[1]));
-        assert_eq!(gradient, MapGradient::new(case.recipe.count));
+        assert!(render == Render::new(case.size[0], case.size[1]), "not black");
+        let zeros = MapGradient::new(case.recipe.count);
+        assert!(gradient.means == zeros.means && gradient.colours == zeros.colours);
     }
 }
 
@@ -217,8 +218,8 @@ fn a_moving_camera_shows_the_average_of_exact_views() {
             Rasterizer::default().render_moving(&map, &view, &motion, &mut render);
             psnr_against_views(&exact, &render, &views)
         };
-        let found = [1, 3, 5, 9, 32].map(&mut psnr);
-        println!("{name}: {found:.1?}");
-        assert!(found[4] >= 45.0, "{name}: {found:.1?} dB");
+        let found = [5, 32].map(&mut psnr);
+        assert!(found[0] >= 36.0, "{name}: {found:.1?} dB");
+        assert!(found[1] >= 45.0, "{name}: {found:.1?} dB");
     }
 }
