@@ -2,6 +2,9 @@
 //! (standard deviation 1.33 px in the image, opacity about 0.36), about 103 000 pairs of a
 //! Gaussian and a tile, and no pixel that ends early.
 //!
+//! Before that it prints the cost of a moving camera: a sharp picture, exact views at several
+//! moments, and as many moments of a moving camera, in turns within one run.
+//!
 //! `textbook_*` is the reference lane in `f32` on one thread, called tile by tile with the
 //! Gaussians of each tile: the same sums without vectors, threads or row culling. Its lists are
 //! made outside of the measured time.

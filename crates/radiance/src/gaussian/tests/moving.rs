@@ -223,3 +223,29 @@ fn a_moving_camera_shows_the_average_of_exact_views() {
         assert!(found[1] >= 45.0, "{name}: {found:.1?} dB");
     }
 }
+
+/// A readout as long as the exposure, against rows cut out of exact views at the times of each.
+#[test]
+fn a_rolling_shutter_shows_rows_of_exact_views() {
+    let (map, view) = small_gaussians();
+    let velocity = Tangent::from_array(TWISTS[4].1).cast();
+    let motion = ShutterMotion { readout: 1.0, ..ShutterMotion::global(velocity, 5) };
+    let mut picture = Render::default();
+    Rasterizer::default().render_moving(&map, &view, &motion, &mut picture);
+    let (mut squares, mut peak, mut count) = (0.0, 0.0_f64, 0.0);
+    for row in (5..240).step_by(30) {
+        let mut shifted = motion.clone();
+        let row_time = motion.readout * ((row as f32 + 0.5) / 240.0 - 0.5);
+        shifted.moments.iter_mut().for_each(|moment| moment.time += row_time);
+        let views = exact_views(&map, &view, &shifted);
+        for (channel, column) in (0..3).flat_map(|c| (0..320).map(move |x| (c, x))) {
+            let at = |render: &Render| f64::from(render.radiance.at(channel, column, row));
+            let average = views.iter().map(at).sum::<f64>() / views.len() as f64;
+            squares += (at(&picture) - average).powi(2);
+            peak = peak.max(average);
+            count += 1.0;
+        }
+    }
+    let psnr = 10.0 * (peak * peak * count / squares).log10();
+    assert!(psnr >= 45.0, "{psnr:.1} dB");
+}
