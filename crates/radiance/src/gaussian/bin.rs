@@ -57,6 +57,21 @@ impl Entry {
     }
 }
 
+/// The list of one tile.
+#[derive(Clone, Copy)]
+pub(crate) struct List<'a>(&'a [AtomicU64]);
+
+impl List<'_> {
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    #[inline(always)]
+    pub(crate) fn get(&self, index: usize) -> Entry {
+        Entry(self.0[index].load(Relaxed))
+    }
+}
+
 /// The lists of all tiles, one after another.
 #[derive(Default)]
 pub(crate) struct Bins {
@@ -84,6 +99,12 @@ impl Bins {
         self.entries[range].iter().map(|entry| Entry(entry.load(Relaxed)))
     }
 
+    /// The list of one tile, for access in any order.
+    #[inline(always)]
+    pub(crate) fn entries(&self, tile: usize) -> List<'_> {
+        List(&self.entries[self.starts[tile] as usize..self.starts[tile + 1] as usize])
+    }
+
     /// Where a splat stands in the tiles' lists.
     #[inline(always)]
     pub(crate) fn places_of(
@@ -96,9 +117,11 @@ impl Bins {
         places.iter().map(|place| place.load(Relaxed) as usize)
     }
 
-    /// Fill the lists from the splats and their `sorted` items.
+    /// Fill the lists from the splats and their `sorted` items. Where splats are `moving`, each
+    /// entry has all rows of its tile.
     pub(crate) fn fill(
         &mut self,
+        moving: bool,
         grid: &TileGrid,
         splats: &[Splat],
         chunks: &[Chunk],
@@ -122,7 +145,7 @@ impl Bins {
         start_lists(&mut self.starts, &self.counters, grid.len());
         rows().for_each(|(counters, items)| {
             for item in items {
-                self.scatter(sort::index(*item), splats, grid, counters);
+                self.scatter(moving, sort::index(*item), splats, grid, counters);
             }
         });
     }
@@ -137,13 +160,21 @@ impl Bins {
         total as usize
     }
 
-    fn scatter(&self, index: usize, splats: &[Splat], grid: &TileGrid, counters: &[AtomicU32]) {
+    fn scatter(
+        &self,
+        moving: bool,
+        index: usize,
+        splats: &[Splat],
+        grid: &TileGrid,
+        counters: &[AtomicU32],
+    ) {
         let splat = &splats[index];
         let ellipse = Ellipse::of(splat);
         let mut place = (self.chunk_starts[index / CHUNK] + splat.first_tile) as usize;
         for_tiles(splat, grid, |tile, column, row| {
             let at = take(&counters[tile]);
-            let entry = Entry::new(index, ellipse.rows(splat, column, row));
+            let rows = if moving { [0, TILE] } else { ellipse.rows(splat, column, row) };
+            let entry = Entry::new(index, rows);
             self.entries[at as usize].store(entry.0, Relaxed);
             self.places[place].store(at, Relaxed);
             place += 1;
@@ -189,18 +220,18 @@ pub(crate) fn nearest(x: f32) -> usize {
 /// slab of the tile's columns the lowest point is at the nearest `dx`, and there the ellipse
 /// spans `s_x dx ± r sqrt(1 - (dx / w)²)`, with `w` half its width and `r` half its height at
 /// the column of its centre. The highest point mirrors the lowest.
-struct Ellipse {
+pub(crate) struct Ellipse {
     /// `Σxy/Σxx`.
-    slope: f32,
+    pub(crate) slope: f32,
     /// `dx` of the lowest point.
-    lowest: f32,
+    pub(crate) lowest: f32,
     /// `1 / w`.
-    inverse_width: f32,
+    pub(crate) inverse_width: f32,
 }
 
 impl Ellipse {
     #[inline(always)]
-    fn of(splat: &Splat) -> Self {
+    pub(crate) fn of(splat: &Splat) -> Self {
         let [a, b, c] = splat.exponent;
         let [width, height] = splat.extent;
         let lowest = -b / (2.0 * a) * height;

@@ -13,12 +13,16 @@
 //! means (ties by index). Contributions with `α < alpha_min` are left out, and a pixel ends
 //! before the contribution that would take its transmittance under `transmittance_min`.
 //!
+//! A camera that moves while its shutter is open ([`ShutterMotion`]) sees footprints that move: each
+//! is projected once, and only the blend repeats over the moments of the exposure.
+//!
 //! Two lanes compute it: [`mod@reference`], plain and generic over the scalar, and [`Rasterizer`],
 //! fast. A Gaussian with a parameter that is not finite is left out by both.
 
 mod bin;
 mod gradient;
 mod map;
+mod motion;
 mod project;
 mod rasterize;
 mod settings;
@@ -31,5 +35,6 @@ mod tests;
 pub use crate::{Render, RenderCotangent, View};
 pub use gradient::MapGradient;
 pub use map::{ColourActivation, Gaussian, GaussianMap, Shape};
+pub use motion::{Moment, MotionGradient, ShutterMotion};
 pub use rasterize::{GaussianRadiance, Rasterizer, reference};
 pub use settings::RasterSettings;

@@ -4,16 +4,14 @@
 //! in the image is `B Bᵀ` plus the low-pass; a turn of the camera by `φ` moves the columns of `A`
 //! by `-φ ×` themselves. The covariance of a ball does not turn, so that only `J` is left of it.
 
-use super::cotangents::{covariance_cotangent, mean_cotangent, quaternion_cotangent};
-use super::lanes::{Column, Lanes, combine, cross, dot, transform};
-use super::stages::{Axes, Frame, Parameters, Stages, put};
-use super::{CHUNK, Chunk, Splat};
+use super::cpu_backward_group::Group;
+use super::stages::Frame;
+use super::{CHUNK, Chunk, MotionFrame, Splat};
 use crate::gaussian::bin::Bins;
 use crate::gaussian::gradient::GradientRows;
-use crate::gaussian::rasterize::Slot;
-use crate::gaussian::{ColourActivation, Gaussian, GaussianMap, MapGradient, Shape, sort};
+use crate::gaussian::rasterize::{MotionSlot, Slot};
+use crate::gaussian::{GaussianMap, MapGradient, Shape, sort};
 use pulp::{Arch, Simd, WithSimd};
-use std::f32::consts::LN_2;
 
 /// The splats of the last render with the sums over their pixels.
 pub(crate) struct Footprints<'a> {
@@ -24,6 +22,29 @@ pub(crate) struct Footprints<'a> {
     pub(crate) chunks: &'a [Chunk],
     pub(crate) bins: &'a Bins,
     pub(crate) slots: &'a [Slot],
+    /// When the camera moves.
+    pub(crate) moving: Option<(&'a MotionFrame, &'a [MotionSlot])>,
+}
+
+/// What a chunk of Gaussians, or all, adds to the poses.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct PoseSums {
+    /// `∂L/∂(ρ, φ)` of the view's pose.
+    pub(crate) middle: [f64; 6],
+    /// The same of the poses at both ends of the exposure.
+    pub(crate) ends: [[f64; 6]; 2],
+    /// `∂L/∂readout`.
+    pub(crate) readout: f64,
+}
+
+impl PoseSums {
+    pub(crate) fn add(&mut self, other: &Self) {
+        for k in 0..6 {
+            self.middle[k] += other.middle[k];
+            (0..2).for_each(|end| self.ends[end][k] += other.ends[end][k]);
+        }
+        self.readout += other.readout;
+    }
 }
 
 impl Footprints<'_> {
@@ -34,7 +55,7 @@ impl Footprints<'_> {
     pub(crate) fn pull_back(
         &self,
         map_gradient: Option<&mut MapGradient>,
-        pose_sums: &mut [[f64; 6]],
+        pose_sums: &mut [PoseSums],
     ) {
         let rows = map_gradient.map(|gradient| {
             assert_eq!(gradient.len(), self.map.len(), "gradient and map differ in size");
@@ -48,7 +69,7 @@ impl Footprints<'_> {
         &self,
         first: usize,
         rows: Option<GradientRows<'_, f32>>,
-        pose_sums: &mut [[f64; 6]],
+        pose_sums: &mut [PoseSums],
     ) {
         match pose_sums {
             [] => {}
@@ -65,7 +86,7 @@ impl Footprints<'_> {
         }
     }
 
-    fn pull_back_chunk(&self, chunk: usize, rows: Option<GradientRows<'_, f32>>) -> [f64; 6] {
+    fn pull_back_chunk(&self, chunk: usize, rows: Option<GradientRows<'_, f32>>) -> PoseSums {
         let footprints = self;
         match (self.map.shape, rows.is_some()) {
             (Shape::Isotropic, false) => {
@@ -84,7 +105,7 @@ impl Footprints<'_> {
     }
 }
 
-/// The way back of one chunk; gives its part of `∂L/∂(ρ, φ)`. Without `MAP` there are no rows.
+/// The way back of one chunk; gives its part of the poses' gradients. Without `MAP` there are no rows.
 struct PullBack<'a, const ANISOTROPIC: bool, const MAP: bool> {
     footprints: &'a Footprints<'a>,
     chunk: usize,
@@ -92,22 +113,38 @@ struct PullBack<'a, const ANISOTROPIC: bool, const MAP: bool> {
 }
 
 impl<const ANISOTROPIC: bool, const MAP: bool> WithSimd for PullBack<'_, ANISOTROPIC, MAP> {
-    type Output = [f64; 6];
+    type Output = PoseSums;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) -> [f64; 6] {
-        let Footprints { map, frame, splats, chunks, bins, slots, .. } = self.footprints;
-        let mut pose = [0.0; 6];
+    fn with_simd<S: Simd>(mut self, simd: S) -> PoseSums {
+        let Footprints { map, frame, splats, chunks, bins, slots, moving, .. } = self.footprints;
+        let motion = moving.map(|(motion, _)| motion);
+        let mut sums = PoseSums::default();
         let mut group = Group::default();
         for items in chunks[self.chunk].visible.chunks(S::F32_LANES) {
             for (place, item) in items.iter().enumerate() {
                 let index = sort::index(*item);
-                group.load(place, map, index, &splats[index], bins, slots);
+                let (splat, mut sum) = (&splats[index], Slot::default());
+                for at in bins.places_of(index, splat) {
+                    sum.add(&slots[at]);
+                }
+                group.load(place, map, index, splat, &sum);
+                if let Some((_, slots)) = moving {
+                    let mut sum = MotionSlot::default();
+                    for at in bins.places_of(index, splat) {
+                        sum.add(&slots[at]);
+                    }
+                    group.load_motion(place, &sum);
+                    sums.readout += f64::from(sum.readout);
+                }
             }
-            group.pull_back::<S, ANISOTROPIC, MAP>(simd, frame);
+            group.pull_back::<S, ANISOTROPIC, MAP>(simd, frame, motion);
             for (place, item) in items.iter().enumerate() {
                 for k in 0..6 {
-                    pose[k] += f64::from(group.pose[k][place]);
+                    sums.middle[k] += f64::from(group.pose[k][place]);
+                    for end in 0..2 {
+                        sums.ends[end][k] += f64::from(group.ends[end][k][place]);
+                    }
                 }
                 if let Some(rows) = &mut self.rows {
                     let row = sort::index(*item) - self.chunk * CHUNK;
@@ -115,183 +152,6 @@ impl<const ANISOTROPIC: bool, const MAP: bool> WithSimd for PullBack<'_, ANISOTR
                 }
             }
         }
-        pose
-    }
-}
-
-/// A group on the way back.
-#[derive(Default)]
-struct Group {
-    parameters: Parameters,
-    exponent: [Column; 3],
-    radiance: [Column; 3],
-    /// The sums of a [`Slot`].
-    first: [Column; 2],
-    second: [Column; 3],
-    depth: Column,
-    zeroth: Column,
-    d_radiance: [Column; 3],
-    weight: Column,
-    /// `∂L/∂(ρ, φ)`.
-    pose: [Column; 6],
-    /// `∂L/∂` of the parameters.
-    d_mean: [Column; 3],
-    d_log_scale: [Column; 3],
-    d_rotation: [Column; 4],
-    d_opacity_logit: Column,
-    d_colour: [Column; 3],
-}
-
-impl Group {
-    #[inline(always)]
-    fn load(
-        &mut self,
-        place: usize,
-        map: &GaussianMap,
-        index: usize,
-        splat: &Splat,
-        bins: &Bins,
-        slots: &[Slot],
-    ) {
-        self.parameters.set(place, map, index);
-        put(&mut self.exponent, place, &splat.exponent);
-        put(&mut self.radiance, place, &splat.radiance);
-        let mut sum = Slot::default();
-        for at in bins.places_of(index, splat) {
-            sum.add(&slots[at]);
-        }
-        put(&mut self.first, place, &sum.first);
-        put(&mut self.second, place, &sum.second);
-        put(&mut self.d_radiance, place, &sum.radiance);
-        self.depth[place] = sum.depth;
-        self.zeroth[place] = sum.zeroth;
-        self.weight[place] = sum.weight;
-    }
-
-    /// The gradient of the Gaussian at `place`.
-    #[inline(always)]
-    fn gradient(&self, place: usize) -> Gaussian<f32> {
-        let [m, s, c] = [&self.d_mean, &self.d_log_scale, &self.d_colour];
-        let q = &self.d_rotation;
-        Gaussian {
-            mean: [m[0][place], m[1][place], m[2][place]],
-            log_scale: [s[0][place], s[1][place], s[2][place]],
-            rotation: [q[0][place], q[1][place], q[2][place], q[3][place]],
-            opacity_logit: self.d_opacity_logit[place],
-            colour: [c[0][place], c[1][place], c[2][place]],
-        }
-    }
-
-    #[inline(always)]
-    fn pull_back<S: Simd, const ANISOTROPIC: bool, const MAP: bool>(
-        &mut self,
-        simd: S,
-        frame: &Frame,
-    ) {
-        let stages = frame.stages::<S, ANISOTROPIC>(simd, &self.parameters);
-        let [a, b, c] = Lanes::load_all(simd, &self.exponent);
-        let conic = [a.times(-2.0 * LN_2), b.times(-LN_2), c.times(-2.0 * LN_2)];
-        let [x, y] = Lanes::load_all(simd, &self.first);
-        let d_centre = [conic[0] * x + conic[1] * y, conic[1] * x + conic[2] * y];
-        let screen = covariance_cotangent(conic, Lanes::load_all(simd, &self.second));
-        let (d_jacobian, turn) = match &stages.axes {
-            Some(axes) => self.pull_back_axes::<S, MAP>(frame, &stages, axes, screen),
-            None => self.pull_back_ball::<S, MAP>(&stages, screen),
-        };
-        let d_depth = Lanes::load(simd, &self.depth);
-        let d_p = mean_cotangent(frame, &stages, d_centre, d_jacobian, d_depth);
-        let moment = cross(stages.p, d_p);
-        for k in 0..3 {
-            (-d_p[k]).store(&mut self.pose[k]);
-            (turn[k] - moment[k]).store(&mut self.pose[3 + k]);
-        }
-        if MAP {
-            let d_mean = transform(&frame.world_from_camera, d_p);
-            for k in 0..3 {
-                d_mean[k].store(&mut self.d_mean[k]);
-            }
-            self.pull_back_appearance(simd, frame.activation);
-        }
-    }
-
-    /// `∂L/∂` of `J`'s entries and of a turn, for balls.
-    #[inline(always)]
-    fn pull_back_ball<S: Simd, const MAP: bool>(
-        &mut self,
-        stages: &Stages<S>,
-        [xx, xy, yy]: [Lanes<S>; 3],
-    ) -> ([[Lanes<S>; 2]; 2], [Lanes<S>; 3]) {
-        let j = &stages.jacobian;
-        let variance = (stages.scale[0] * stages.scale[0]).times(2.0);
-        let d_x = [xx * j.x[0], xx * j.x[1] + xy * j.y[1]];
-        let d_y = [yy * j.y[0], xy * j.x[1] + yy * j.y[1]];
-        if MAP {
-            let along = d_x[0] * j.x[0] + d_x[1] * j.x[1] + d_y[0] * j.y[0] + d_y[1] * j.y[1];
-            (variance * along).store(&mut self.d_log_scale[0]);
-        }
-        let d_jacobian =
-            [[variance * d_x[0], variance * d_x[1]], [variance * d_y[0], variance * d_y[1]]];
-        (d_jacobian, [variance.constant(0.0); 3])
-    }
-
-    /// `∂L/∂` of `J`'s entries and of a turn, for ellipsoids.
-    #[inline(always)]
-    fn pull_back_axes<S: Simd, const MAP: bool>(
-        &mut self,
-        frame: &Frame,
-        stages: &Stages<S>,
-        axes: &Axes<S>,
-        [xx, xy, yy]: [Lanes<S>; 3],
-    ) -> ([[Lanes<S>; 2]; 2], [Lanes<S>; 3]) {
-        let (j, [a0, a1, a2]) = (&stages.jacobian, axes.rows);
-        let [bx, by] = stages.screen_axes(axes);
-        // Σ₂ = B Bᵀ: dL/dB = 2 G B, dL/dJ = dL/dB Aᵀ, dL/dA = Jᵀ dL/dB.
-        let (xx, xy, yy) = (xx.times(2.0), xy.times(2.0), yy.times(2.0));
-        let (d_bx, d_by) = (combine(xx, bx, xy, by), combine(xy, bx, yy, by));
-        let d_jacobian = [[dot(d_bx, a0), dot(d_bx, a2)], [dot(d_by, a1), dot(d_by, a2)]];
-        let zero = xx.constant(0.0);
-        let d_rows = [
-            combine(j.x[0], d_bx, zero, d_by),
-            combine(zero, d_bx, j.y[0], d_by),
-            combine(j.x[1], d_bx, j.y[1], d_by),
-        ];
-        let columns = |m: &[[Lanes<S>; 3]; 3], k: usize| [m[0][k], m[1][k], m[2][k]];
-        let mut turn = [zero; 3];
-        let mut d_rotation = [[zero; 3]; 3];
-        for k in 0..3 {
-            let (column, d_column) = (columns(&axes.rows, k), columns(&d_rows, k));
-            let moment = cross(column, d_column);
-            turn = [turn[0] - moment[0], turn[1] - moment[1], turn[2] - moment[2]];
-            if MAP {
-                dot(column, d_column).store(&mut self.d_log_scale[k]);
-                let world = transform(&frame.world_from_camera, d_column);
-                let s = stages.scale[k];
-                d_rotation[k] = [world[0] * s, world[1] * s, world[2] * s];
-            }
-        }
-        if MAP {
-            let d = quaternion_cotangent(axes, &d_rotation);
-            for k in 0..4 {
-                d[k].store(&mut self.d_rotation[k]);
-            }
-        }
-        (d_jacobian, turn)
-    }
-
-    #[inline(always)]
-    fn pull_back_appearance<S: Simd>(&mut self, simd: S, activation: ColourActivation) {
-        // o = 1 / (1 + e), do/dlogit = o (1 - o), and 1 - o = e / (1 + e).
-        let e = (-Lanes::load(simd, &self.parameters.opacity_logit)).exp();
-        let rest = e * (e.constant(1.0) + e).recip();
-        (Lanes::load(simd, &self.zeroth) * rest).store(&mut self.d_opacity_logit);
-        let d: [Lanes<S>; 3] = Lanes::load_all(simd, &self.d_radiance);
-        let radiance = Lanes::load_all(simd, &self.radiance);
-        for k in 0..3 {
-            let d = match activation {
-                ColourActivation::Linear => d[k],
-                ColourActivation::Exponential => d[k] * radiance[k],
-            };
-            d.store(&mut self.d_colour[k]);
-        }
+        sums
     }
 }

@@ -1,6 +1,8 @@
 //! The projection of all Gaussians, in groups of one vector, on all threads.
 
+use super::cpu_motion::{MotionFrame, PathColumns};
 use super::lanes::{Column, Lanes};
+use super::path::Path;
 use super::stages::{Frame, Parameters, put};
 use super::{CHUNK, Chunk, Splat};
 use crate::gaussian::bin::{TILE, TileGrid, nearest};
@@ -9,26 +11,38 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::f32::consts::{LN_2, LOG2_E};
 
-/// Project the map. Splats are written at the index of their Gaussian; those of Gaussians that
-/// touch no tile have none in `tiles`.
+/// What the projection of a map fills.
+pub(crate) struct Projection<'a> {
+    /// Written at the index of their Gaussian; those of Gaussians that touch no tile have none in
+    /// `tiles`.
+    pub(crate) splats: &'a mut Vec<Splat>,
+    pub(crate) chunks: &'a mut Vec<Chunk>,
+    /// One per splat when the camera moves.
+    pub(crate) paths: &'a mut Vec<Path<f32>>,
+}
+
+/// Project the map, with the paths of its splats when the camera moves.
 pub(crate) fn project(
     arch: Arch,
     map: &GaussianMap,
     view: &View<f32>,
+    motion: Option<&MotionFrame>,
     settings: &RasterSettings,
-    splats: &mut Vec<Splat>,
-    chunks: &mut Vec<Chunk>,
+    Projection { splats, chunks, paths }: Projection<'_>,
 ) {
     let (grid, frame) = (TileGrid::of(&view.camera), Frame::new(map, view, settings));
     splats.resize(map.len(), Splat::default());
     chunks.resize_with(map.len().div_ceil(CHUNK), Chunk::default);
-    let work = splats.par_chunks_mut(CHUNK).zip(chunks.par_iter_mut()).enumerate();
-    work.for_each(|(number, (splats, chunk))| {
+    paths.resize(if motion.is_some() { map.len() } else { 0 }, Path::default());
+    let mut path_chunks: Vec<_> = paths.chunks_mut(CHUNK).map(Some).collect();
+    path_chunks.resize_with(chunks.len(), || None);
+    let work = splats.par_chunks_mut(CHUNK).zip(chunks.par_iter_mut()).zip(path_chunks).enumerate();
+    work.for_each(|(number, ((splats, chunk), paths))| {
         chunk.visible.clear();
         chunk.tile_count = 0;
+        let moving = motion.zip(paths);
         let start = number * CHUNK;
-        let project = Project { frame: &frame, map, grid: &grid, start, splats, chunk };
-        arch.dispatch(project);
+        arch.dispatch(Project { frame: &frame, map, grid: &grid, start, splats, moving, chunk });
     });
 }
 
@@ -40,6 +54,8 @@ struct Project<'a> {
     /// Index of the first Gaussian.
     start: usize,
     splats: &'a mut [Splat],
+    /// When the camera moves.
+    moving: Option<(&'a MotionFrame, &'a mut [Path<f32>])>,
     chunk: &'a mut Chunk,
 }
 
@@ -47,7 +63,8 @@ impl WithSimd for Project<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let motion = self.moving.as_ref().map(|(motion, _)| *motion);
         let mut group = Group::default();
         let mut index = self.start;
         for splats in self.splats.chunks_mut(S::F32_LANES) {
@@ -57,15 +74,18 @@ impl WithSimd for Project<'_> {
             }
             match self.frame.shape {
                 Shape::Isotropic => {
-                    group.project::<S, false>(simd, self.frame, self.grid);
+                    group.project::<S, false>(simd, self.frame, motion, self.grid);
                 }
                 Shape::Anisotropic => {
-                    group.project::<S, true>(simd, self.frame, self.grid);
+                    group.project::<S, true>(simd, self.frame, motion, self.grid);
                 }
             }
             for (place, splat) in splats.iter_mut().enumerate() {
                 group.write(place, splat);
                 splat.first_tile = self.chunk.tile_count;
+                if let Some((_, paths)) = &mut self.moving {
+                    paths[index + place - self.start] = group.paths.path(place);
+                }
                 let count = splat.tile_count();
                 if count > 0 {
                     self.chunk.tile_count += count;
@@ -91,6 +111,8 @@ struct Group {
     height_at_centre: Column,
     /// First column, first row, end column, end row of the pixels within the extent.
     pixels: [Column; 4],
+    /// When the camera moves.
+    paths: PathColumns,
 }
 
 impl Group {
@@ -99,6 +121,7 @@ impl Group {
         &mut self,
         simd: S,
         frame: &Frame,
+        motion: Option<&MotionFrame>,
         grid: &TileGrid,
     ) {
         let stages = frame.stages::<S, ANISOTROPIC>(simd, &self.parameters);
@@ -123,7 +146,7 @@ impl Group {
 
         let reach2 = (log2_opacity - logit.constant(frame.log2_alpha_min)).times(2.0 * LN_2);
         let extent = [half(reach2 * xx), half(reach2 * yy)];
-        self.store_extent(grid, centre, extent, accepted);
+        self.store_extent(grid, motion, centre, extent, accepted);
         half(reach2 * conic[2].recip()).store(&mut self.height_at_centre);
         conic[0].times(-0.5 * LOG2_E).store(&mut self.exponent[0]);
         conic[1].times(-LOG2_E).store(&mut self.exponent[1]);
@@ -132,21 +155,34 @@ impl Group {
         stages.p[2].store(&mut self.depth);
     }
 
-    /// Store centre, extent and the pixels within, of which there are none where not `accepted`.
+    /// Store centre, path, extent and the pixels within, of which there are none where not
+    /// `accepted`.
     #[inline(always)]
     fn store_extent<S: Simd>(
         &mut self,
         grid: &TileGrid,
+        motion: Option<&MotionFrame>,
         centre: [Lanes<S>; 2],
         extent: [Lanes<S>; 2],
-        accepted: S::m32s,
+        mut accepted: S::m32s,
     ) {
         let limits = [grid.width as f32, grid.height as f32];
+        let mut boxes = [[centre[0], centre[0]], [centre[1], centre[1]]];
+        if let Some(motion) = motion {
+            let simd = centre[0].simd();
+            let path = motion.path(simd, &self.parameters, centre);
+            accepted = simd.and_m32s(accepted, path.accepted);
+            let sweep = motion.sweep(&path, centre[1], extent[1]);
+            for axis in 0..2 {
+                boxes[axis] = [centre[axis] + sweep[axis][0], centre[axis] + sweep[axis][1]];
+            }
+            self.paths.store(&path);
+        }
         for axis in 0..2 {
             centre[axis].store(&mut self.centre[axis]);
             extent[axis].store(&mut self.extent[axis]);
-            let first = (centre[axis] - extent[axis]).max(0.0).min(limits[axis]);
-            let end = (centre[axis] + extent[axis]).max(0.0).min(limits[axis]);
+            let first = (boxes[axis][0] - extent[axis]).max(0.0).min(limits[axis]);
+            let end = (boxes[axis][1] + extent[axis]).max(0.0).min(limits[axis]);
             first.store(&mut self.pixels[axis]);
             end.only(accepted).store(&mut self.pixels[2 + axis]);
         }

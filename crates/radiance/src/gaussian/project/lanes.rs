@@ -28,6 +28,12 @@ impl<S: Simd> Lanes<S> {
         Self { simd, v: S::as_simd_f32s(column).0[0] }
     }
 
+    /// The vector with this number of a column.
+    #[inline(always)]
+    pub(crate) fn load_part(simd: S, column: &Column, part: usize) -> Self {
+        Self { simd, v: S::as_simd_f32s(column).0[part] }
+    }
+
     #[inline(always)]
     pub(crate) fn load_all<const N: usize>(simd: S, columns: &[Column; N]) -> [Self; N] {
         let mut all = [Self::splat(simd, 0.0); N];
@@ -43,8 +49,19 @@ impl<S: Simd> Lanes<S> {
     }
 
     #[inline(always)]
+    pub(crate) fn store_part(self, column: &mut Column, part: usize) {
+        S::as_mut_simd_f32s(column).0[part] = self.v;
+    }
+
+    #[inline(always)]
     fn with(self, v: S::f32s) -> Self {
         Self { v, ..self }
+    }
+
+    /// The instruction set.
+    #[inline(always)]
+    pub(crate) fn simd(self) -> S {
+        self.simd
     }
 
     /// A constant beside this.
@@ -56,6 +73,18 @@ impl<S: Simd> Lanes<S> {
     #[inline(always)]
     pub(crate) fn times(self, factor: f32) -> Self {
         self * self.constant(factor)
+    }
+
+    /// The smallest of the numbers.
+    #[inline(always)]
+    pub(crate) fn least(self) -> f32 {
+        self.simd.reduce_min_f32s(self.v)
+    }
+
+    /// The largest of the numbers.
+    #[inline(always)]
+    pub(crate) fn most(self) -> f32 {
+        self.simd.reduce_max_f32s(self.v)
     }
 
     #[inline(always)]
@@ -76,6 +105,23 @@ impl<S: Simd> Lanes<S> {
     #[inline(always)]
     pub(crate) fn max(self, limit: f32) -> Self {
         self.with(self.simd.max_f32s(self.v, self.simd.splat_f32s(limit)))
+    }
+
+    /// The smaller number of each pair.
+    #[inline(always)]
+    pub(crate) fn smaller(self, other: Self) -> Self {
+        self.with(self.simd.min_f32s(self.v, other.v))
+    }
+
+    /// The larger number of each pair.
+    #[inline(always)]
+    pub(crate) fn larger(self, other: Self) -> Self {
+        self.with(self.simd.max_f32s(self.v, other.v))
+    }
+
+    #[inline(always)]
+    pub(crate) fn abs(self) -> Self {
+        self.with(self.simd.abs_f32s(self.v))
     }
 
     /// `eˣ` for `|x| < 87`, beyond that the value there.

@@ -2,14 +2,22 @@
 
 mod cotangents;
 mod cpu_backward;
+mod cpu_backward_group;
 mod cpu_forward;
+mod cpu_motion;
 mod lanes;
+mod matrices;
+mod path;
 pub(crate) mod reference;
 mod splat;
 mod stages;
 
-pub(crate) use cpu_backward::Footprints;
-pub(crate) use cpu_forward::project;
+pub(crate) use cpu_backward::{Footprints, PoseSums};
+pub(crate) use cpu_forward::{Projection, project};
+pub(crate) use cpu_motion::MotionFrame;
+use cpu_motion::PathCotangents;
+pub(crate) use lanes::{Column, Lanes};
+pub(crate) use path::Path;
 pub(crate) use splat::{CHUNK, Chunk, Splat};
 pub(crate) use stages::Frame;
 

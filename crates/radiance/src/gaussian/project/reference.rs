@@ -1,7 +1,11 @@
 //! The projection of one Gaussian, as in the equations.
 
 use super::JacobianRange;
-use crate::gaussian::{ColourActivation, Gaussian, GaussianMap, RasterSettings, Shape, View};
+use super::matrices::{inverse, inverse_cotangent, outer, quaternion_cotangent};
+use super::path::{Ends, Path};
+use crate::gaussian::{
+    ColourActivation, Gaussian, GaussianMap, RasterSettings, Shape, ShutterMotion, View,
+};
 use i2slam_geometry::{Camera, Mat3, Real, Rotation, Tangent, Vec3};
 
 /// The footprint of a Gaussian in an image.
@@ -9,8 +13,10 @@ use i2slam_geometry::{Camera, Mat3, Real, Rotation, Tangent, Vec3};
 pub(crate) struct Footprint<T> {
     /// Index in the map.
     pub(crate) index: usize,
-    /// Centre `μ` \[px\].
+    /// Centre `μ` at mid-exposure \[px\].
     pub(crate) centre: [T; 2],
+    /// Where the centre moves.
+    pub(crate) path: Path<T>,
     /// `Σ₂⁻¹ = [[A, B], [B, C]]` as `[A, B, C]` \[px⁻²\].
     pub(crate) conic: [T; 3],
     /// Opacity `o`.
@@ -25,10 +31,18 @@ pub(crate) struct Footprint<T> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct FootprintCotangent<T> {
     pub(crate) centre: [T; 2],
+    pub(crate) path: Path<T>,
     pub(crate) conic: [T; 3],
     pub(crate) opacity: T,
     pub(crate) radiance: [T; 3],
     pub(crate) depth: T,
+}
+
+/// `∂L/∂` of the tangents of `world_from_camera` at mid-exposure and at both ends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PoseCotangents<T> {
+    pub(crate) middle: Tangent<T>,
+    pub(crate) ends: [Tangent<T>; 2],
 }
 
 /// What all Gaussians of one picture share.
@@ -40,6 +54,7 @@ pub(crate) struct Projector<T> {
     camera_from_world: Mat3<T>,
     /// The camera's centre in the world.
     origin: Vec3<T>,
+    ends: Ends<T>,
     range: JacobianRange<T>,
     near: T,
     far: T,
@@ -62,9 +77,16 @@ struct Stages<T> {
 }
 
 impl<T: Real> Projector<T> {
-    pub(crate) fn new(map: &GaussianMap<T>, view: &View<T>, settings: &RasterSettings) -> Self {
+    pub(crate) fn new(
+        map: &GaussianMap<T>,
+        view: &View<T>,
+        motion: &ShutterMotion<T>,
+        settings: &RasterSettings,
+    ) -> Self {
         let of = |value: f32| T::of(f64::from(value));
+        let ends = motion.ends(view.world_from_camera);
         Self {
+            ends: Ends::new(view.camera, ends, of(settings.near)),
             shape: map.shape,
             activation: map.activation,
             camera: view.camera,
@@ -90,6 +112,7 @@ impl<T: Real> Projector<T> {
         let footprint = Footprint {
             index,
             centre: [u, v],
+            path: self.ends.path(Vec3::from_array(gaussian.mean), [u, v])?,
             conic: inverse(self.screen_covariance(&stages))?,
             opacity,
             radiance: self.activation.radiance(gaussian.colour),
@@ -143,14 +166,14 @@ impl<T: Real> Projector<T> {
         [x.dot(v * x) + s, x.dot(v * y), y.dot(v * y) + s]
     }
 
-    /// `∂L/∂` of the parameters and of the tangent of `world_from_camera`. `footprint` is what
+    /// `∂L/∂` of the parameters and of the poses. `footprint` is what
     /// [`project`](Self::project) gave for this Gaussian.
     pub(crate) fn pull_back(
         &self,
         gaussian: &Gaussian<T>,
         footprint: &Footprint<T>,
         cotangent: &FootprintCotangent<T>,
-    ) -> Option<(Gaussian<T>, Tangent<T>)> {
+    ) -> Option<(Gaussian<T>, PoseCotangents<T>)> {
         let stages = self.stages(gaussian)?;
         let screen = inverse_cotangent(footprint.conic, cotangent.conic);
         let [jx, jy] = stages.jacobian;
@@ -165,10 +188,12 @@ impl<T: Real> Projector<T> {
             + (outer(jx, jy) + outer(jy, jx)).scaled(screen[1])
             + outer(jy, jy).scaled(screen[2]);
         let d_p = self.mean_cotangent(stages.p, d_jacobian, cotangent);
+        let mean = Vec3::from_array(gaussian.mean);
+        let (through_path, ends) = self.ends.pull_back(mean, &cotangent.path);
         let parameters = self.parameter_cotangents(gaussian, &stages, &d_covariance);
         let o = footprint.opacity;
         let gradient = Gaussian {
-            mean: (self.camera_from_world.transpose() * d_p).to_array(),
+            mean: (self.camera_from_world.transpose() * d_p + through_path).to_array(),
             opacity_logit: cotangent.opacity * o * (T::one() - o),
             colour: match self.activation {
                 ColourActivation::Linear => cotangent.radiance,
@@ -178,7 +203,8 @@ impl<T: Real> Projector<T> {
             },
             ..parameters
         };
-        Some((gradient, pose_cotangent(&stages, d_p, &d_covariance)))
+        let middle = pose_cotangent(&stages, d_p, &d_covariance);
+        Some((gradient, PoseCotangents { middle, ends }))
     }
 
     /// `∂L/∂p` through the centre, the Jacobian and the depth.
@@ -191,14 +217,16 @@ impl<T: Real> Projector<T> {
         let focal = [self.camera.fx, self.camera.fy];
         let (position, clamped) = ([p.x, p.y], self.clamped(p));
         let (mut lateral, mut d_z) = ([T::zero(); 2], cotangent.depth);
+        let through_path = Ends::centre_cotangent(&cotangent.path);
         for axis in 0..2 {
+            let d_centre = cotangent.centre[axis] + through_path[axis];
             let f = focal[axis] / p.z;
             let (ratio, inside) = clamped[axis];
             let d = d_jacobian[axis];
             let d_first = [d.x, d.y][axis];
             // centre = f x / z
-            lateral[axis] = cotangent.centre[axis] * f;
-            d_z -= cotangent.centre[axis] * f * position[axis] / p.z;
+            lateral[axis] = d_centre * f;
+            d_z -= d_centre * f * position[axis] / p.z;
             // J's rows (f/z, -f/z clamp(x/z))
             d_z += (d.z * ratio - d_first) * f / p.z;
             if inside {
@@ -242,42 +270,4 @@ fn pose_cotangent<T: Real>(stages: &Stages<T>, d_p: Vec3<T>, d_covariance: &Mat3
         *d_covariance * stages.covariance + (stages.covariance * *d_covariance).scaled(-T::one());
     let turn = Vec3::new(k[(1, 2)], k[(2, 0)], k[(0, 1)]) * T::of(2.0);
     Tangent { translation: -d_p, rotation: turn - stages.p.cross(d_p) }
-}
-
-/// `a bᵀ`.
-fn outer<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Mat3<T> {
-    Mat3 { rows: a.to_array().map(|x| (b * x).to_array()) }
-}
-
-/// The inverse of the symmetric matrix `[[a, b], [b, c]]`, if it is positive definite.
-fn inverse<T: Real>([a, b, c]: [T; 3]) -> Option<[T; 3]> {
-    let determinant = a * c - b * b;
-    (determinant > T::zero()).then(|| [c / determinant, -b / determinant, a / determinant])
-}
-
-/// `∂L/∂Σ` as a symmetric matrix `[xx, xy, yy]` from `∂L/∂[A, B, C]` of `K = Σ⁻¹`:
-/// `-K G K` with `G = [[dA, dB/2], [dB/2, dC]]`.
-fn inverse_cotangent<T: Real>([a, b, c]: [T; 3], [da, db, dc]: [T; 3]) -> [T; 3] {
-    let db = db * T::of(0.5);
-    let (p, q) = (a * da + b * db, a * db + b * dc);
-    let (r, s) = (b * da + c * db, b * db + c * dc);
-    [-(p * a + q * b), -(p * b + q * c), -(r * b + s * c)]
-}
-
-/// `∂L/∂q` of the rotation matrix of `q / |q|`, from `∂L/∂R`.
-fn quaternion_cotangent<T: Real>(q: [T; 4], d: &Mat3<T>) -> [T; 4] {
-    let norm = q.iter().map(|v| *v * *v).sum::<T>().sqrt();
-    let [w, x, y, z] = q.map(|v| v / norm);
-    let (two, m) = (T::of(2.0), &d.rows);
-    let unit = [
-        two * (x * (m[2][1] - m[1][2]) + y * (m[0][2] - m[2][0]) + z * (m[1][0] - m[0][1])),
-        two * (y * (m[0][1] + m[1][0]) + z * (m[0][2] + m[2][0]) + w * (m[2][1] - m[1][2])
-            - two * x * (m[1][1] + m[2][2])),
-        two * (x * (m[0][1] + m[1][0]) + z * (m[1][2] + m[2][1]) + w * (m[0][2] - m[2][0])
-            - two * y * (m[0][0] + m[2][2])),
-        two * (x * (m[0][2] + m[2][0]) + y * (m[1][2] + m[2][1]) + w * (m[1][0] - m[0][1])
-            - two * z * (m[0][0] + m[1][1])),
-    ];
-    let along = unit[0] * w + unit[1] * x + unit[2] * y + unit[3] * z;
-    std::array::from_fn(|i| (unit[i] - [w, x, y, z][i] * along) / norm)
 }

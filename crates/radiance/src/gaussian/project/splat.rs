@@ -1,5 +1,7 @@
 //! What projection hands to rasterising.
 
+use std::f32::consts::LN_2;
+
 /// Gaussians that are projected, and whose gradients are summed, together. Fixed, so that sums
 /// do not depend on the number of threads.
 pub(crate) const CHUNK: usize = 256;
@@ -29,6 +31,13 @@ pub(crate) struct Splat {
 }
 
 impl Splat {
+    /// `Σ₂⁻¹ d`: with it `∂α/∂centre = α Σ₂⁻¹ d` for the offset `d` of a pixel.
+    #[inline(always)]
+    pub(crate) fn gradient(&self, d: [f32; 2]) -> [f32; 2] {
+        let ([a, b, c], [x, y]) = (self.exponent, d);
+        [-LN_2 * (2.0 * a * x + b * y), -LN_2 * (b * x + 2.0 * c * y)]
+    }
+
     /// Number of tiles that the extent's box touches.
     pub(crate) fn tile_count(&self) -> u32 {
         let [x0, y0, x1, y1] = self.tiles.map(u32::from);

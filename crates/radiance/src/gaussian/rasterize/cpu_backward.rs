@@ -184,18 +184,18 @@ where
 }
 
 /// The sums of a [`Slot`] in vectors.
-struct Sums<S: Simd> {
-    first: [S::f32s; 2],
-    second: [S::f32s; 3],
-    depth: S::f32s,
-    zeroth: S::f32s,
-    radiance: [S::f32s; 3],
-    weight: S::f32s,
+pub(super) struct Sums<S: Simd> {
+    pub(super) first: [S::f32s; 2],
+    pub(super) second: [S::f32s; 3],
+    pub(super) depth: S::f32s,
+    pub(super) zeroth: S::f32s,
+    pub(super) radiance: [S::f32s; 3],
+    pub(super) weight: S::f32s,
 }
 
 impl<S: Simd> Sums<S> {
     #[inline(always)]
-    fn new(simd: S) -> Self {
+    pub(super) fn new(simd: S) -> Self {
         let zero = simd.splat_f32s(0.0);
         Self {
             first: [zero; 2],
@@ -208,7 +208,7 @@ impl<S: Simd> Sums<S> {
     }
 
     #[inline(always)]
-    fn reduce<const MAP: bool>(&self, simd: S) -> Slot {
+    pub(super) fn reduce<const MAP: bool>(&self, simd: S) -> Slot {
         let mut slot = Slot::default();
         for k in 0..2 {
             slot.first[k] = simd.reduce_sum_f32s(self.first[k]);
@@ -230,7 +230,7 @@ impl<S: Simd> Sums<S> {
 
 /// `sum += a b`.
 #[inline(always)]
-fn accumulate<S: Simd>(simd: S, sum: &mut S::f32s, a: S::f32s, b: S::f32s) {
+pub(super) fn accumulate<S: Simd>(simd: S, sum: &mut S::f32s, a: S::f32s, b: S::f32s) {
     *sum = simd.mul_add_e_f32s(a, b, *sum);
 }
 

@@ -14,7 +14,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Splats between two looks whether all pixels have ended.
-const LOOK: usize = 32;
+pub(super) const LOOK: usize = 32;
 
 /// Composite all tiles.
 pub(crate) fn render(
@@ -74,6 +74,7 @@ fn all_ended(rows: &[[Row; PLANES]; TILE]) -> bool {
 }
 
 /// The settings in vectors.
+#[derive(Clone, Copy)]
 pub(super) struct Limits<S: Simd> {
     pub(super) alpha_max: S::f32s,
     pub(super) alpha_min: S::f32s,
@@ -105,15 +106,16 @@ pub(super) struct Exponent<S: Simd> {
 
 /// `log₂ α = (a dx + slope) dx + base` along one row.
 pub(super) struct ExponentRow<S: Simd> {
-    a: S::f32s,
-    slope: S::f32s,
-    base: S::f32s,
-    first: S::f32s,
+    pub(super) a: S::f32s,
+    pub(super) slope: S::f32s,
+    pub(super) base: S::f32s,
+    /// From the centre to the tile's first pixels.
+    pub(super) first: S::f32s,
     /// From the centre to the row.
     pub(super) dy: S::f32s,
 }
 
-const COLUMNS: Row = {
+pub(super) const COLUMNS: Row = {
     let mut columns = [0.0; TILE];
     let mut i = 0;
     while i < TILE {

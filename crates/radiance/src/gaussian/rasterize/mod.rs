@@ -2,16 +2,24 @@
 
 mod cpu_backward;
 mod cpu_forward;
+mod moving;
 pub mod reference;
 mod tile;
 
 use super::bin::{Bins, TileGrid};
-use super::project::{self, Chunk, Footprints, Frame, Splat};
+use super::project::{
+    self, Chunk, Footprints, Frame, MotionFrame, Path, PoseSums, Projection, Splat,
+};
 use super::sort::Sorter;
-use super::{GaussianMap, MapGradient, RasterSettings, Render, RenderCotangent, View};
+use super::{
+    GaussianMap, MapGradient, MotionGradient, RasterSettings, Render, RenderCotangent,
+    ShutterMotion, View,
+};
 use crate::RadianceMap;
 pub(crate) use cpu_backward::Slot;
 use i2slam_geometry::Tangent;
+pub(crate) use moving::MotionSlot;
+use moving::{Clock, MomentRow};
 use pulp::Arch;
 use tile::TilePixels;
 
@@ -31,7 +39,11 @@ pub struct Rasterizer {
     bins: Bins,
     tiles: Vec<TilePixels>,
     slots: Vec<Slot>,
-    pose_sums: Vec<[f64; 6]>,
+    pose_sums: Vec<PoseSums>,
+    paths: Vec<Path<f32>>,
+    clock: Clock,
+    states: Vec<MomentRow>,
+    motion_slots: Vec<MotionSlot>,
 }
 
 impl Rasterizer {
@@ -49,6 +61,10 @@ impl Rasterizer {
             tiles: Vec::new(),
             slots: Vec::new(),
             pose_sums: Vec::new(),
+            paths: Vec::new(),
+            clock: Clock::default(),
+            states: Vec::new(),
+            motion_slots: Vec::new(),
         }
     }
 
@@ -71,17 +87,26 @@ impl Rasterizer {
 
     /// Write what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
-        self.grid = TileGrid::of(&view.camera);
-        let (splats, chunks) = (&mut self.splats, &mut self.chunks);
-        project::project(self.arch, map, view, &self.settings, splats, chunks);
-        self.sorted.clear();
-        self.chunks.iter().for_each(|chunk| self.sorted.extend_from_slice(&chunk.visible));
-        self.sorter.sort(&mut self.sorted);
-        self.bins.fill(&self.grid, &self.splats, &self.chunks, &self.sorted);
-        self.tiles.resize_with(self.grid.len(), TilePixels::default);
+        self.list(map, view, None);
         let (arch, settings) = (self.arch, &self.settings);
         cpu_forward::render(arch, settings, &self.grid, &self.splats, &self.bins, &mut self.tiles);
         tile::copy_out(&self.grid, &self.tiles, out);
+    }
+
+    /// Project the map and list the splats of each tile in order of depth.
+    fn list(&mut self, map: &GaussianMap, view: &View<f32>, motion: Option<&MotionFrame>) {
+        self.grid = TileGrid::of(&view.camera);
+        let projection = Projection {
+            splats: &mut self.splats,
+            chunks: &mut self.chunks,
+            paths: &mut self.paths,
+        };
+        project::project(self.arch, map, view, motion, &self.settings, projection);
+        self.sorted.clear();
+        self.chunks.iter().for_each(|chunk| self.sorted.extend_from_slice(&chunk.visible));
+        self.sorter.sort(&mut self.sorted);
+        self.bins.fill(motion.is_some(), &self.grid, &self.splats, &self.chunks, &self.sorted);
+        self.tiles.resize_with(self.grid.len(), TilePixels::default);
     }
 
     /// Pull `∂L/∂render` back through the last [`render`](Self::render), which must have been of
@@ -98,9 +123,11 @@ impl Rasterizer {
         cotangent: &RenderCotangent,
         map_gradient: Option<&mut MapGradient>,
     ) -> Tangent<f64> {
-        let of_last_render =
-            map.len() == self.splats.len() && TileGrid::of(&view.camera) == self.grid;
-        assert!(of_last_render, "pull_back needs the map and the view of the last render");
+        assert!(
+            self.is_of_last_render(map, view) && self.paths.is_empty(),
+            "{}",
+            NOT_OF_LAST_RENDER
+        );
         let planes = cotangent.planes(self.grid.width, self.grid.height);
         self.slots.resize(self.bins.len(), Slot::default());
         let picture = cpu_backward::Picture {
@@ -114,6 +141,17 @@ impl Rasterizer {
             with_map: map_gradient.is_some(),
         };
         cpu_backward::pull_back(&picture, &mut self.slots);
+        Tangent::from_array(self.pull_back_slots(map, view, None, map_gradient).middle)
+    }
+
+    /// From the sums over pixels to the map and the poses.
+    fn pull_back_slots(
+        &mut self,
+        map: &GaussianMap,
+        view: &View<f32>,
+        motion: Option<&MotionFrame>,
+        map_gradient: Option<&mut MapGradient>,
+    ) -> PoseSums {
         let footprints = Footprints {
             arch: self.arch,
             map,
@@ -122,12 +160,103 @@ impl Rasterizer {
             chunks: &self.chunks,
             bins: &self.bins,
             slots: &self.slots,
+            moving: motion.map(|motion| (motion, self.motion_slots.as_slice())),
         };
-        self.pose_sums.resize(self.chunks.len(), [0.0; 6]);
+        self.pose_sums.resize(self.chunks.len(), PoseSums::default());
         footprints.pull_back(map_gradient, &mut self.pose_sums);
-        let mut sum = [0.0; 6];
-        self.pose_sums.iter().for_each(|part| (0..6).for_each(|k| sum[k] += part[k]));
-        Tangent::from_array(sum)
+        let mut sum = PoseSums::default();
+        self.pose_sums.iter().for_each(|part| sum.add(part));
+        sum
+    }
+
+    fn is_of_last_render(&self, map: &GaussianMap, view: &View<f32>) -> bool {
+        map.len() == self.splats.len() && TileGrid::of(&view.camera) == self.grid
+    }
+}
+
+const NOT_OF_LAST_RENDER: &str = "pull_back needs the map and the view of the last render";
+
+/// A camera that moves while its shutter is open.
+impl Rasterizer {
+    /// Write what a camera that moves by `motion` and is at `view` at mid-exposure shows into
+    /// `out`, whose allocation is reused: radiance, depth and opacity, each averaged over the
+    /// moments by their weights.
+    ///
+    /// Gaussians are projected, sorted and listed once; only the blend repeats. Exact are the
+    /// projections of the means at shutter open, at mid-exposure and at shutter close; in between
+    /// and beyond, where rows of a rolling shutter look earlier or later, a mean follows the
+    /// parabola through these three (`project/path.rs`). The covariance of a footprint, its
+    /// depth and the order of depths are those at mid-exposure. Gaussians that are nearer than
+    /// [`RasterSettings::near`] at any of the three are left out.
+    ///
+    /// With zero velocity it shows what [`render`](Self::render) shows: exactly for one moment,
+    /// up to rounding for several.
+    pub fn render_moving(
+        &mut self,
+        map: &GaussianMap,
+        view: &View<f32>,
+        motion: &ShutterMotion,
+        out: &mut Render,
+    ) {
+        self.clock = Clock::new(motion, view.camera.height);
+        let frame = MotionFrame::new(view, motion, &self.settings);
+        self.list(map, view, Some(&frame));
+        let count = moving::moment_rows(&self.grid, &self.clock);
+        self.states.resize(count, MomentRow::default());
+        let scene = moving::Scene {
+            arch: self.arch,
+            settings: &self.settings,
+            grid: &self.grid,
+            clock: &self.clock,
+            splats: &self.splats,
+            paths: &self.paths,
+            bins: &self.bins,
+        };
+        moving::render(&scene, &mut self.tiles, &mut self.states);
+        tile::copy_out(&self.grid, &self.tiles, out);
+    }
+
+    /// Pull `∂L/∂render` back through the last [`render_moving`](Self::render_moving), which must
+    /// have been of this `map`, `view` and `motion`. Adds `∂L/∂map` to `map_gradient` when given;
+    /// the way back is that of the approximations named there, which are differentiated exactly.
+    ///
+    /// # Panics
+    /// If `map`, `view`, `motion` or `map_gradient` has not the size of the last render, or an
+    /// image of the cotangent has data of another size.
+    pub fn pull_back_moving(
+        &mut self,
+        map: &GaussianMap,
+        view: &View<f32>,
+        motion: &ShutterMotion,
+        cotangent: &RenderCotangent,
+        map_gradient: Option<&mut MapGradient>,
+    ) -> MotionGradient {
+        let same_motion = self.clock == Clock::new(motion, view.camera.height)
+            && self.paths.len() == self.splats.len();
+        assert!(self.is_of_last_render(map, view) && same_motion, "{}", NOT_OF_LAST_RENDER);
+        self.slots.resize(self.bins.len(), Slot::default());
+        self.motion_slots.resize(self.bins.len(), MotionSlot::default());
+        let scene = moving::Scene {
+            arch: self.arch,
+            settings: &self.settings,
+            grid: &self.grid,
+            clock: &self.clock,
+            splats: &self.splats,
+            paths: &self.paths,
+            bins: &self.bins,
+        };
+        let picture = moving::Picture {
+            scene,
+            tiles: &self.tiles,
+            states: &self.states,
+            cotangent: cotangent.planes(self.grid.width, self.grid.height),
+            with_map: map_gradient.is_some(),
+        };
+        moving::pull_back(&picture, &mut self.slots, &mut self.motion_slots);
+        let frame = MotionFrame::new(view, motion, &self.settings);
+        let sums = self.pull_back_slots(map, view, Some(&frame), map_gradient);
+        let ends = sums.ends.map(Tangent::from_array);
+        MotionGradient::new(&motion.cast(), Tangent::from_array(sums.middle), ends, sums.readout)
     }
 }
 

@@ -3,8 +3,14 @@
 //! Every pixel visits every Gaussian that passed projection, so time is pixels times Gaussians:
 //! it is there to be read, to check gradients in `f64`, and to judge the fast lane.
 
-use crate::gaussian::project::reference::{Footprint, FootprintCotangent, Projector};
-use crate::gaussian::{GaussianMap, MapGradient, RasterSettings, Render, RenderCotangent, View};
+use crate::gaussian::motion::row_place;
+use crate::gaussian::project::reference::{
+    Footprint, FootprintCotangent, PoseCotangents, Projector,
+};
+use crate::gaussian::{
+    GaussianMap, MapGradient, MotionGradient, RasterSettings, Render, RenderCotangent,
+    ShutterMotion, View,
+};
 use i2slam_geometry::{Camera, Real, Tangent};
 
 /// What `view` shows.
@@ -13,24 +19,7 @@ pub fn render<T: Real>(
     view: &View<T>,
     settings: &RasterSettings,
 ) -> Render<T> {
-    let (width, height) = (view.camera.width, view.camera.height);
-    let settings = &settings.bounded();
-    let footprints = project(map, view, settings);
-    let mut out = Render::new(width, height);
-    for row in 0..height {
-        for column in 0..width {
-            let mut pixel = [T::zero(); 5];
-            for c in contributions(&footprints, column, row, settings) {
-                let value = c.value(&footprints);
-                (0..5).for_each(|k| pixel[k] += value[k] * c.alpha * c.transmittance);
-            }
-            let at = row * width + column;
-            (0..3).for_each(|k| out.radiance.plane_mut(k)[at] = pixel[k]);
-            out.depth.data[at] = pixel[3];
-            out.opacity.data[at] = pixel[4];
-        }
-    }
-    out
+    render_moving(map, view, &ShutterMotion::still(), settings)
 }
 
 /// Pull `∂L/∂render` back to the map (added to `map_gradient` when given) and to the tangent of
@@ -45,40 +34,98 @@ pub fn pull_back<T: Real>(
     cotangent: &RenderCotangent<T>,
     map_gradient: Option<&mut MapGradient<T>>,
 ) -> Tangent<T> {
+    let still = ShutterMotion::still();
+    pull_back_moving(map, view, &still, settings, cotangent, map_gradient).pose
+}
+
+/// What a moving camera that is at `view` at mid-exposure shows: the average over the moments,
+/// as [`Rasterizer::render_moving`](crate::gaussian::Rasterizer::render_moving).
+pub fn render_moving<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    motion: &ShutterMotion<T>,
+    settings: &RasterSettings,
+) -> Render<T> {
+    let (width, height) = (view.camera.width, view.camera.height);
+    let settings = &settings.bounded();
+    let footprints = project(map, view, motion, settings);
+    let (moments, mut out) = (motion.counted(), Render::new(width, height));
+    for row in 0..height {
+        for column in 0..width {
+            let mut pixel = [T::zero(); 5];
+            for moment in &moments {
+                let s = moment.time + motion.row_time(row, height);
+                for c in contributions(&footprints, column, row, s, settings) {
+                    let (value, share) = (c.value(&footprints), moment.weight * c.alpha);
+                    (0..5).for_each(|k| pixel[k] += value[k] * share * c.transmittance);
+                }
+            }
+            let at = row * width + column;
+            (0..3).for_each(|k| out.radiance.plane_mut(k)[at] = pixel[k]);
+            out.depth.data[at] = pixel[3];
+            out.opacity.data[at] = pixel[4];
+        }
+    }
+    out
+}
+
+/// Pull `∂L/∂render` of [`render_moving`] back to the map (added to `map_gradient` when given),
+/// the pose at mid-exposure and the motion.
+///
+/// # Panics
+/// If `map_gradient` is not of the map's size, or the cotangent not of the view's.
+pub fn pull_back_moving<T: Real>(
+    map: &GaussianMap<T>,
+    view: &View<T>,
+    motion: &ShutterMotion<T>,
+    settings: &RasterSettings,
+    cotangent: &RenderCotangent<T>,
+    map_gradient: Option<&mut MapGradient<T>>,
+) -> MotionGradient<T> {
     let (width, height) = (view.camera.width, view.camera.height);
     cotangent.planes(width, height);
     let settings = &settings.bounded();
-    let footprints = project(map, view, settings);
-    let mut sums = vec![FootprintCotangent::<T>::default(); footprints.len()];
-    let mut seen = vec![false; footprints.len()];
+    let (footprints, moments) = (project(map, view, motion, settings), motion.counted());
+    let mut sums = Sums {
+        cotangents: vec![FootprintCotangent::default(); footprints.len()],
+        seen: vec![false; footprints.len()],
+        readout: T::zero(),
+    };
     for row in 0..height {
         for column in 0..width {
             let pixel = cotangent.at(column, row);
             if pixel.iter().all(|g| *g == T::zero()) {
                 continue;
             }
-            let visited = contributions(&footprints, column, row, settings);
-            visited.iter().for_each(|c| seen[c.footprint] = true);
-            pull_back_pixel(&footprints, &visited, pixel, &mut sums);
+            for moment in &moments {
+                let s = moment.time + motion.row_time(row, height);
+                let visited = contributions(&footprints, column, row, s, settings);
+                let moment_pixel = Pixel { s, place: row_place(row, height), visited };
+                let weighted = pixel.map(|g| g * moment.weight);
+                moment_pixel.pull_back(&footprints, weighted, &mut sums);
+            }
         }
     }
-    pull_back_projection(map, view, settings, &footprints, (&sums, &seen), map_gradient)
+    let projector = Projector::new(map, view, motion, settings);
+    let poses = pull_back_projection(map, &projector, &footprints, &sums, map_gradient);
+    MotionGradient::new(motion, poses.middle, poses.ends, sums.readout)
 }
 
 /// All footprints in order of depth, ties by index.
 fn project<T: Real>(
     map: &GaussianMap<T>,
     view: &View<T>,
+    motion: &ShutterMotion<T>,
     settings: &RasterSettings,
 ) -> Vec<Footprint<T>> {
-    let projector = Projector::new(map, view, settings);
+    let projector = Projector::new(map, view, motion, settings);
     let mut footprints: Vec<_> =
         map.iter().enumerate().filter_map(|(i, g)| projector.project(i, &g)).collect();
     footprints.sort_by(|a, b| a.depth.to_f64().total_cmp(&b.depth.to_f64()));
     footprints
 }
 
-/// One footprint's part of one pixel.
+/// One footprint's part of one pixel at one moment.
 struct Contribution<T> {
     /// Position in the list of footprints.
     footprint: usize,
@@ -100,11 +147,12 @@ impl<T: Real> Contribution<T> {
     }
 }
 
-/// The contributions to a pixel, front to back.
+/// The contributions to a pixel at time `s`, front to back.
 fn contributions<T: Real>(
     footprints: &[Footprint<T>],
     column: usize,
     row: usize,
+    s: T,
     settings: &RasterSettings,
 ) -> Vec<Contribution<T>> {
     let of = |value: f32| T::of(f64::from(value));
@@ -112,7 +160,8 @@ fn contributions<T: Real>(
     let mut transmittance = T::one();
     let mut visited = Vec::new();
     for (footprint, f) in footprints.iter().enumerate() {
-        let (dx, dy) = (x - f.centre[0], y - f.centre[1]);
+        let shift = f.path.shift(s);
+        let (dx, dy) = (x - (f.centre[0] + shift[0]), y - (f.centre[1] + shift[1]));
         let [a, b, c] = f.conic;
         let squared = a * dx * dx + T::of(2.0) * b * dx * dy + c * dy * dy;
         let free = f.opacity * (T::of(-0.5) * squared).exp();
@@ -131,58 +180,77 @@ fn contributions<T: Real>(
     visited
 }
 
-/// Back to front: with `q_i = g · v_i` and the light from behind `B_i = Σ_{j>i} q_j α_j T_j`,
-/// `∂L/∂α_i = T_i q_i - B_i / (1 - α_i)`.
-fn pull_back_pixel<T: Real>(
-    footprints: &[Footprint<T>],
-    visited: &[Contribution<T>],
-    pixel: [T; 5],
-    sums: &mut [FootprintCotangent<T>],
-) {
-    let mut behind = T::zero();
-    for c in visited.iter().rev() {
-        let (f, sum) = (&footprints[c.footprint], &mut sums[c.footprint]);
-        let value = c.value(footprints);
-        let q: T = (0..5).map(|k| pixel[k] * value[k]).sum();
-        let weight = c.alpha * c.transmittance;
-        (0..3).for_each(|k| sum.radiance[k] += pixel[k] * weight);
-        sum.depth += pixel[3] * weight;
-        let d_alpha = c.transmittance * q - behind / (T::one() - c.alpha);
-        behind += q * weight;
-        if c.cut {
-            continue;
+/// What pixels add up to.
+struct Sums<T> {
+    cotangents: Vec<FootprintCotangent<T>>,
+    seen: Vec<bool>,
+    /// `∂L/∂readout`.
+    readout: T,
+}
+
+/// A pixel at one moment.
+struct Pixel<T> {
+    s: T,
+    /// `∂s/∂readout`.
+    place: T,
+    visited: Vec<Contribution<T>>,
+}
+
+impl<T: Real> Pixel<T> {
+    /// Back to front: with `q_i = g · v_i` and the light from behind `B_i = Σ_{j>i} q_j α_j T_j`,
+    /// `∂L/∂α_i = T_i q_i - B_i / (1 - α_i)`.
+    fn pull_back(&self, footprints: &[Footprint<T>], cotangent: [T; 5], sums: &mut Sums<T>) {
+        let mut behind = T::zero();
+        for c in self.visited.iter().rev() {
+            let (f, sum) = (&footprints[c.footprint], &mut sums.cotangents[c.footprint]);
+            sums.seen[c.footprint] = true;
+            let value = c.value(footprints);
+            let q: T = (0..5).map(|k| cotangent[k] * value[k]).sum();
+            let weight = c.alpha * c.transmittance;
+            (0..3).for_each(|k| sum.radiance[k] += cotangent[k] * weight);
+            sum.depth += cotangent[3] * weight;
+            let d_alpha = c.transmittance * q - behind / (T::one() - c.alpha);
+            behind += q * weight;
+            if c.cut {
+                continue;
+            }
+            // α = o exp(-½ (A dx² + 2 B dx dy + C dy²)), d = pixel - centre
+            sum.opacity += d_alpha * c.alpha / f.opacity;
+            let e = d_alpha * c.alpha;
+            let ([dx, dy], [a, b, cc]) = (c.offset, f.conic);
+            let d_centre = [e * (a * dx + b * dy), e * (b * dx + cc * dy)];
+            let speed = f.path.speed(self.s);
+            for k in 0..2 {
+                sum.centre[k] += d_centre[k];
+                sum.path.velocity[k] += self.s * d_centre[k];
+                sum.path.curvature[k] += self.s * self.s * d_centre[k];
+                sums.readout += self.place * speed[k] * d_centre[k];
+            }
+            sum.conic[0] -= T::of(0.5) * e * dx * dx;
+            sum.conic[1] -= e * dx * dy;
+            sum.conic[2] -= T::of(0.5) * e * dy * dy;
         }
-        // α = o exp(-½ (A dx² + 2 B dx dy + C dy²)), d = pixel - centre
-        sum.opacity += d_alpha * c.alpha / f.opacity;
-        let e = d_alpha * c.alpha;
-        let ([dx, dy], [a, b, cc]) = (c.offset, f.conic);
-        sum.centre[0] += e * (a * dx + b * dy);
-        sum.centre[1] += e * (b * dx + cc * dy);
-        sum.conic[0] -= T::of(0.5) * e * dx * dx;
-        sum.conic[1] -= e * dx * dy;
-        sum.conic[2] -= T::of(0.5) * e * dy * dy;
     }
 }
 
-/// From footprints to the map and the pose.
+/// From footprints to the map and the poses.
 fn pull_back_projection<T: Real>(
     map: &GaussianMap<T>,
-    view: &View<T>,
-    settings: &RasterSettings,
+    projector: &Projector<T>,
     footprints: &[Footprint<T>],
-    (sums, seen): (&[FootprintCotangent<T>], &[bool]),
+    sums: &Sums<T>,
     mut map_gradient: Option<&mut MapGradient<T>>,
-) -> Tangent<T> {
-    let projector = Projector::new(map, view, settings);
-    let mut pose = Tangent::zero();
-    for ((footprint, sum), seen) in footprints.iter().zip(sums).zip(seen) {
+) -> PoseCotangents<T> {
+    let mut poses = PoseCotangents { middle: Tangent::zero(), ends: [Tangent::zero(); 2] };
+    for ((footprint, sum), seen) in footprints.iter().zip(&sums.cotangents).zip(&sums.seen) {
         let i = footprint.index;
         let Some(gaussian) = map.get(i) else { continue };
-        let Some((g, tangent)) = projector.pull_back(&gaussian, footprint, sum) else { continue };
-        pose = pose.plus(tangent);
+        let Some((g, d)) = projector.pull_back(&gaussian, footprint, sum) else { continue };
+        poses.middle = poses.middle.plus(d.middle);
+        poses.ends = [0, 1].map(|end| poses.ends[end].plus(d.ends[end]));
         if let Some(out) = map_gradient.as_deref_mut() {
             out.rows().add(i, &g, *seen);
         }
     }
-    pose
+    poses
 }

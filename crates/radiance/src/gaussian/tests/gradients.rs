@@ -9,16 +9,6 @@ const SIZE: [usize; 2] = [14, 11];
 const STEP: f64 = 1e-4;
 const TOLERANCE: f64 = 1e-6;
 
-/// No contribution is cut: the picture is smooth as long as the order of depths stays.
-fn smooth() -> RasterSettings {
-    RasterSettings {
-        alpha_max: 0.999_999,
-        alpha_min: 0.0,
-        transmittance_min: 0.0,
-        ..RasterSettings::default()
-    }
-}
-
 struct Case {
     name: String,
     map: GaussianMap<f64>,
@@ -43,14 +33,6 @@ fn cases() -> Vec<Case> {
         }
     }
     cases
-}
-
-fn flat<const N: usize>(values: &[[f64; N]]) -> Vec<f64> {
-    values.as_flattened().to_vec()
-}
-
-fn from_flat<const N: usize>(values: &[f64]) -> Vec<[f64; N]> {
-    values.as_chunks::<N>().0.to_vec()
 }
 
 impl Case {

@@ -23,14 +23,14 @@ const EDGE_PART: f64 = 2e-3;
 const GRADIENT: f64 = 1e-3;
 const SMOOTH_GRADIENT: f64 = 2e-5;
 
-struct Case {
-    name: &'static str,
-    size: [usize; 2],
-    recipe: Recipe,
-    settings: RasterSettings,
+pub(super) struct Case {
+    pub(super) name: &'static str,
+    pub(super) size: [usize; 2],
+    pub(super) recipe: Recipe,
+    pub(super) settings: RasterSettings,
 }
 
-fn cases() -> Vec<Case> {
+pub(super) fn cases() -> Vec<Case> {
     let settings = RasterSettings::default();
     let balls = Recipe::new(Shape::Isotropic, ColourActivation::Exponential);
     let ellipsoids = Recipe::new(Shape::Anisotropic, ColourActivation::Linear);
@@ -52,23 +52,23 @@ fn cases() -> Vec<Case> {
 
 impl Case {
     /// Whether a contribution may fall to either side of a cut-off.
-    fn has_edges(&self) -> bool {
+    pub(super) fn has_edges(&self) -> bool {
         self.settings.alpha_min > 0.0
     }
 
-    fn gradient_tolerance(&self) -> f64 {
+    pub(super) fn gradient_tolerance(&self) -> f64 {
         if self.has_edges() { GRADIENT } else { SMOOTH_GRADIENT }
     }
 
-    fn view(&self) -> View<f64> {
+    pub(super) fn view(&self) -> View<f64> {
         view(self.size[0], self.size[1])
     }
 
-    fn map(&self) -> GaussianMap<f64> {
+    pub(super) fn map(&self) -> GaussianMap<f64> {
         self.recipe.build(&self.view())
     }
 
-    fn cotangent(&self) -> RenderCotangent<f64> {
+    pub(super) fn cotangent(&self) -> RenderCotangent<f64> {
         cotangent(self.size[0], self.size[1], 11)
     }
 
@@ -89,7 +89,7 @@ impl Case {
 }
 
 /// The instruction sets of this machine that the lane may run on.
-fn instruction_sets() -> Vec<Arch> {
+pub(super) fn instruction_sets() -> Vec<Arch> {
     let mut all = vec![Arch::new(), Arch::Scalar];
     #[cfg(target_arch = "x86_64")]
     all.extend(pulp::x86::V3::try_new().map(Arch::V3));
@@ -97,13 +97,13 @@ fn instruction_sets() -> Vec<Arch> {
 }
 
 /// All planes in one row.
-fn planes<T: Real>(render: &Render<T>) -> Vec<f64> {
+pub(super) fn planes<T: Real>(render: &Render<T>) -> Vec<f64> {
     let all = [&render.radiance, &render.depth, &render.opacity];
     all.iter().flat_map(|image| image.data.iter().map(|&v| v.to_f64())).collect()
 }
 
 #[track_caller]
-fn assert_pictures(case: &Case, actual: &[f64], expected: &[f64]) {
+pub(super) fn assert_pictures(case: &Case, actual: &[f64], expected: &[f64]) {
     let name = case.name;
     let off = |limit: f64| {
         actual
@@ -133,7 +133,7 @@ fn pictures_agree_with_the_reference() {
 }
 
 /// The distance of two vectors relative to the length of the second.
-fn distance<'a>(
+pub(super) fn distance<'a>(
     actual: impl IntoIterator<Item = &'a f32>,
     expected: impl IntoIterator<Item = &'a f64>,
 ) -> f64 {
@@ -163,7 +163,7 @@ fn gradients_agree_with_the_reference() {
 }
 
 #[track_caller]
-fn assert_gradients(case: &Case, fast: &MapGradient, exact: &MapGradient<f64>) {
+pub(super) fn assert_gradients(case: &Case, fast: &MapGradient, exact: &MapGradient<f64>) {
     let name = case.name;
     let families = [
         ("means", distance(fast.means.as_flattened(), exact.means.as_flattened())),

@@ -111,3 +111,23 @@ pub(super) fn functional(render: &Render<f64>, cotangent: &RenderCotangent<f64>)
         + dot(&render.depth, &cotangent.depth)
         + dot(&render.opacity, &cotangent.opacity)
 }
+
+/// No contribution is cut: the picture is smooth as long as the order of depths stays.
+pub(super) fn smooth() -> RasterSettings {
+    RasterSettings {
+        alpha_max: 0.999_999,
+        alpha_min: 0.0,
+        transmittance_min: 0.0,
+        ..RasterSettings::default()
+    }
+}
+
+/// All numbers in one row.
+pub(super) fn flat<const N: usize>(values: &[[f64; N]]) -> Vec<f64> {
+    values.as_flattened().to_vec()
+}
+
+/// Back from [`flat`].
+pub(super) fn from_flat<const N: usize>(values: &[f64]) -> Vec<[f64; N]> {
+    values.as_chunks::<N>().0.to_vec()
+}

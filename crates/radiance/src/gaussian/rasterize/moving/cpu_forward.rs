@@ -1,0 +1,200 @@
+//! Compositing of all moments of a tile.
+
+use super::clock::Clock;
+use super::mover::{self, Mover, Stage};
+use super::{MomentRow, PACK};
+use crate::gaussian::RasterSettings;
+use crate::gaussian::bin::{Bins, TILE, TileGrid};
+use crate::gaussian::project::{Column, Path, Splat};
+use crate::gaussian::rasterize::cpu_forward::{Limits, Value, advance};
+use crate::gaussian::rasterize::tile::{PLANES, Row, TilePixels};
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// What both directions need.
+pub(crate) struct Scene<'a> {
+    pub(crate) arch: Arch,
+    pub(crate) settings: &'a RasterSettings,
+    pub(crate) grid: &'a TileGrid,
+    pub(crate) clock: &'a Clock,
+    pub(crate) splats: &'a [Splat],
+    pub(crate) paths: &'a [Path<f32>],
+    pub(crate) bins: &'a Bins,
+}
+
+/// Composite all tiles. `states` holds the moments of the first tile, then of the second.
+pub(crate) fn render(scene: &Scene<'_>, tiles: &mut [TilePixels], states: &mut [MomentRow]) {
+    if scene.clock.moments.is_empty() {
+        // Nothing is seen: the transmittance is 1 everywhere.
+        tiles.par_iter_mut().for_each(|tile| {
+            tile.rows = [[[0.0; TILE]; PLANES]; TILE];
+            tile.rows.iter_mut().for_each(|row| row[0] = [1.0; TILE]);
+        });
+        return;
+    }
+    let count = TILE * scene.clock.moments.len();
+    let work = tiles.par_iter_mut().zip(states.par_chunks_mut(count)).enumerate();
+    work.for_each(|(number, (tile, states))| render_tile(scene, number, tile, states));
+}
+
+fn render_tile(scene: &Scene<'_>, number: usize, tile: &mut TilePixels, states: &mut [MomentRow]) {
+    let Scene { settings, splats, paths, bins, grid, clock, .. } = *scene;
+    let origin = start(grid, number, clock, states);
+    tile.rows = [[[0.0; TILE]; PLANES]; TILE];
+    tile.visited = 0;
+    for pack in clock.packs() {
+        let times = &clock.tile(pack.clone(), grid, number);
+        let stage = Stage { splats, paths, list: bins.entries(number), origin, times };
+        let weights = clock.moments[pack.clone()].iter();
+        let minimum = weights.map(|moment| settings.transmittance_min * moment.weight).collect();
+        let rows = &mut tile.rows;
+        let states = States { rows: &mut *states, stride: clock.moments.len(), pack };
+        let visited = scene.arch.dispatch(Composite { settings, stage, minimum, states, rows });
+        tile.visited = tile.visited.max(visited);
+    }
+    for (row, states) in tile.rows.iter_mut().zip(states.chunks(clock.moments.len())) {
+        let mut opacity = [0.0; TILE];
+        for (state, moment) in states.iter().zip(&clock.moments) {
+            (0..TILE).for_each(|i| opacity[i] += moment.weight - state.transmittance[i].abs());
+        }
+        row[0] = opacity.map(|opacity| 1.0 - opacity);
+    }
+}
+
+/// Set the moments of a tile to nothing seen yet; pixels outside of the image have ended. Gives
+/// the centre of the tile's first pixel.
+fn start(grid: &TileGrid, number: usize, clock: &Clock, states: &mut [MomentRow]) -> [f32; 2] {
+    let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);
+    for (j, states) in states.chunks_mut(clock.moments.len()).enumerate() {
+        let inside = if row + j < grid.height { grid.width - column } else { 0 };
+        for (state, moment) in states.iter_mut().zip(&clock.moments) {
+            for i in 0..TILE {
+                let (sign, ended) = if i < inside { (1.0, f32::MAX) } else { (-1.0, -1.0) };
+                (state.transmittance[i], state.ended[i]) = (sign * moment.weight, ended);
+            }
+        }
+    }
+    [column as f32 + 0.5, row as f32 + 0.5]
+}
+
+/// The moments of one pack.
+struct States<'a> {
+    rows: &'a mut [MomentRow],
+    /// Moments of all packs.
+    stride: usize,
+    pack: Range<usize>,
+}
+
+impl States<'_> {
+    /// One row of the tile at the moments of the pack.
+    #[inline(always)]
+    fn row(&mut self, row: usize) -> &mut [MomentRow] {
+        let start = row * self.stride + self.pack.start;
+        &mut self.rows[start..start + self.pack.len()]
+    }
+
+    /// Note which moments have a pixel with transmittance left, and whether any has.
+    #[inline(always)]
+    fn any_alive<S: Simd>(&mut self, simd: S, alive: &mut Column) -> bool {
+        *alive = [0.0; PACK];
+        let mut any = false;
+        for j in 0..self.pack.len() {
+            let mut most = simd.splat_f32s(-1.0);
+            for row in 0..TILE {
+                for v in 0..TILE / S::F32_LANES {
+                    let transmittance = &self.row(row)[j].transmittance;
+                    most = simd.max_f32s(most, S::as_simd_f32s(transmittance).0[v]);
+                }
+            }
+            if simd.reduce_max_f32s(most) > 0.0 {
+                (alive[j], any) = (1.0, true);
+            }
+        }
+        any
+    }
+}
+
+/// One tile's compositing; gives the number of entries visited.
+struct Composite<'a> {
+    settings: &'a RasterSettings,
+    stage: Stage<'a>,
+    /// `transmittance_min` times the weights of the moments.
+    minimum: Vec<f32>,
+    states: States<'a>,
+    rows: &'a mut [[Row; PLANES]; TILE],
+}
+
+impl WithSimd for Composite<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> usize {
+        let Self { stage, mut states, rows, .. } = self;
+        let mut limits = [Limits::new(simd, self.settings); PACK];
+        for (limits, minimum) in limits.iter_mut().zip(&self.minimum) {
+            limits.transmittance_min = simd.splat_f32s(*minimum);
+        }
+        let (mut movers, mut alive) = (mover::none(), mover::all_alive(stage.times));
+        let mut visited = 0;
+        while visited < stage.list.len() && states.any_alive(simd, &mut alive) {
+            let count = stage.load(simd, visited, &alive, &mut movers);
+            for mover in &movers[..count] {
+                let blend = Blend {
+                    limits: &limits,
+                    mover,
+                    value: Value::new(simd, &mover.splat),
+                    order: simd.splat_f32s(visited as f32),
+                };
+                let [first, end] = mover.rows;
+                for row in first..end {
+                    blend.row(simd, row, states.row(row), &mut rows[row]);
+                }
+                visited += 1;
+            }
+        }
+        visited
+    }
+}
+
+/// A splat to composite.
+struct Blend<'a, S: Simd> {
+    limits: &'a [Limits<S>; PACK],
+    mover: &'a Mover,
+    value: Value<S>,
+    /// Its place in the tile's list.
+    order: S::f32s,
+}
+
+impl<S: Simd> Blend<'_, S> {
+    /// Composite all moments onto one row.
+    #[inline(always)]
+    fn row(&self, simd: S, row: usize, states: &mut [MomentRow], planes: &mut [Row; PLANES]) {
+        for v in 0..TILE / S::F32_LANES {
+            let zero = simd.splat_f32s(0.0);
+            let mut weights = zero;
+            for (j, state) in states.iter_mut().enumerate().take(PACK) {
+                if !self.mover.touches(j, row) {
+                    continue;
+                }
+                let exponent = self.mover.exponent(simd, row, j);
+                let alpha = exponent.alpha(simd, exponent.dx(simd, v));
+                let alpha = simd.min_f32s(alpha, self.limits[j].alpha_max);
+                let transmittance = &mut S::as_mut_simd_f32s(&mut state.transmittance).0[v];
+                let step = advance(simd, &self.limits[j], alpha, *transmittance);
+                let lit = simd.greater_than_f32s(*transmittance, zero);
+                let ends = simd.and_m32s(lit, simd.less_than_f32s(step.next, zero));
+                if simd.first_true_m32s(ends) < S::F32_LANES {
+                    let ended = &mut S::as_mut_simd_f32s(&mut state.ended).0[v];
+                    *ended = simd.select_f32s(ends, self.order, *ended);
+                }
+                *transmittance = step.next;
+                weights = simd.add_f32s(weights, step.weight);
+            }
+            for k in 0..PLANES - 1 {
+                let plane = &mut S::as_mut_simd_f32s(&mut planes[1 + k]).0[v];
+                *plane = simd.mul_add_e_f32s(weights, self.value.0[k], *plane);
+            }
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! Splats that move over a tile: which rows they touch, and their exponents along them, for all
+//! moments of a pack at a time.
+//!
+//! Row `r` of the tile looks at `s = s₀ + κ r`, so that the shift `s (v + s h)` of a centre is a
+//! polynomial of the row with the coefficients `s₀ (v + s₀ h)`, `κ (v + 2 s₀ h)` and `κ² h`.
+
+use super::PACK;
+use super::clock::TileTimes;
+use crate::gaussian::bin::{Ellipse, List, TILE};
+use crate::gaussian::project::{Column, Lanes, Path, Splat};
+use crate::gaussian::rasterize::cpu_forward::{COLUMNS, ExponentRow};
+use pulp::Simd;
+
+/// Splats of a tile's list that are made ready together, so that none waits for the memory of
+/// the next.
+pub(super) const BATCH: usize = 16;
+
+/// A splat and its path over a tile, ready for all moments.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+pub(super) struct Mover {
+    pub(super) splat: Splat,
+    /// From the centre to the tile's first pixel, per axis and moment: for row 0, and what a row
+    /// adds to it.
+    offset: [Column; 2],
+    slope: [Column; 2],
+    /// First and end row that are touched, per moment, with [`ROUND`] added.
+    first: Column,
+    end: Column,
+    pub(super) path: Path<f32>,
+    /// What a row's square adds to the offset, per axis.
+    curve: [f32; 2],
+    /// First and end row that are touched at any moment.
+    pub(super) rows: [usize; 2],
+}
+
+/// Added to a number between 0 and 2²² it leaves its nearest integer in the low bits.
+const ROUND: f32 = 8_388_608.0;
+
+/// A tile whose splats move.
+pub(super) struct Stage<'a> {
+    pub(super) splats: &'a [Splat],
+    pub(super) paths: &'a [Path<f32>],
+    pub(super) list: List<'a>,
+    /// Centre of the tile's first pixel \[px\].
+    pub(super) origin: [f32; 2],
+    pub(super) times: &'a TileTimes,
+}
+
+impl Stage<'_> {
+    /// Make the splats of the list from `start` on ready; gives how many there are. No row is
+    /// touched at moments where `alive` is not 1 but 0.
+    #[inline(always)]
+    pub(super) fn load<S: Simd>(
+        &self,
+        simd: S,
+        start: usize,
+        alive: &Column,
+        movers: &mut [Mover; BATCH],
+    ) -> usize {
+        let count = (self.list.len() - start).min(BATCH);
+        for k in 0..count {
+            let index = self.list.get(start + k).splat();
+            movers[k].load(simd, &self.splats[index], &self.paths[index], self, alive);
+        }
+        count
+    }
+}
+
+impl Mover {
+    #[inline(always)]
+    fn load<S: Simd>(
+        &mut self,
+        simd: S,
+        splat: &Splat,
+        path: &Path<f32>,
+        stage: &Stage<'_>,
+        alive: &Column,
+    ) {
+        (self.splat, self.path) = (*splat, *path);
+        let (times, ellipse) = (stage.times, Ellipse::of(splat));
+        let (mut first_row, mut end_row) = (TILE as f32, 0.0_f32);
+        for axis in 0..2 {
+            self.curve[axis] = -times.step * times.step * path.curvature[axis];
+        }
+        for part in 0..times.count.div_ceil(S::F32_LANES) {
+            let time = Lanes::load_part(simd, &times.first, part);
+            for axis in 0..2 {
+                let (v, h) = (path.velocity[axis], path.curvature[axis]);
+                let shift = time * (time.constant(v) + time.times(h));
+                let offset =
+                    time.constant(stage.origin[axis]) - (time.constant(splat.centre[axis]) + shift);
+                offset.store_part(&mut self.offset[axis], part);
+                let slope = (time.constant(v) + time.times(2.0 * h)).times(-times.step);
+                slope.store_part(&mut self.slope[axis], part);
+            }
+            let alive = Lanes::load_part(simd, alive, part);
+            let [first, end, touches] = self.rows_at(&ellipse, part, times, alive);
+            let beyond = (touches.constant(1.0) - touches).times(TILE as f32);
+            first_row = first_row.min((first * touches + beyond).least());
+            end_row = end_row.max(end.most());
+            (first + first.constant(ROUND)).store_part(&mut self.first, part);
+            (end + end.constant(ROUND)).store_part(&mut self.end, part);
+        }
+        self.rows = [nearest(first_row), nearest(end_row)];
+    }
+
+    /// First and end row of the tile at several moments before rounding, and 1 where any may be
+    /// touched, elsewhere 0: as [`Ellipse::rows`] of a splat that stands still where it is in the
+    /// middle of the tile, with a margin for how far it moves from there.
+    #[inline(always)]
+    fn rows_at<S: Simd>(
+        &self,
+        ellipse: &Ellipse,
+        part: usize,
+        times: &TileTimes,
+        alive: Lanes<S>,
+    ) -> [Lanes<S>; 3] {
+        let (left, margin_x) = self.middle(0, part, times, alive);
+        let (top, margin_y) = self.middle(1, part, times, alive);
+        let right = left + margin_x + alive.constant((TILE - 1) as f32);
+        let left = left - margin_x;
+        let low = alive.constant(ellipse.lowest).larger(left).smaller(right);
+        let high = alive.constant(-ellipse.lowest).larger(left).smaller(right);
+        let bottom = low.times(ellipse.slope) + half_height(&self.splat, ellipse, low);
+        let highest = high.times(ellipse.slope) - half_height(&self.splat, ellipse, high);
+        // Row j has its centre at j + 1/2.
+        let start = top - alive.constant(0.5);
+        let (first, end) = (highest - margin_y - start, bottom + margin_y - start);
+        let touches = alive.only(low.times(ellipse.inverse_width).within(-1.001, 1.001));
+        [first.max(0.0).min(TILE as f32), end.max(0.0).min(TILE as f32) * touches, touches]
+    }
+
+    /// The offset at the tile's middle row, and how far from it that of another row may be.
+    #[inline(always)]
+    fn middle<S: Simd>(
+        &self,
+        axis: usize,
+        part: usize,
+        times: &TileTimes,
+        like: Lanes<S>,
+    ) -> (Lanes<S>, Lanes<S>) {
+        const HALF: f32 = 0.5 * (TILE - 1) as f32;
+        let offset = Lanes::load_part(like.simd(), &self.offset[axis], part);
+        if times.step == 0.0 {
+            return (offset, like.constant(0.0));
+        }
+        let slope = Lanes::load_part(like.simd(), &self.slope[axis], part);
+        let curve = self.curve[axis];
+        let at_middle = offset + slope.times(HALF) + like.constant(HALF * HALF * curve);
+        let farthest = slope.abs().times(HALF) + like.constant(3.0 * HALF * HALF * curve.abs());
+        (at_middle, farthest)
+    }
+
+    /// Whether the row is touched at the moment.
+    #[inline(always)]
+    pub(super) fn touches(&self, moment: usize, row: usize) -> bool {
+        let (first, end) = (self.first[moment].to_bits(), self.end[moment].to_bits());
+        let row = ROUND.to_bits() + row as u32;
+        first <= row && row < end
+    }
+
+    /// `log₂ α` along a row at a moment.
+    #[inline(always)]
+    pub(super) fn exponent<S: Simd>(&self, simd: S, row: usize, moment: usize) -> ExponentRow<S> {
+        let row = simd.splat_f32s(row as f32);
+        let x = self.offset_at(simd, 0, row, moment);
+        let dy = simd.add_f32s(self.offset_at(simd, 1, row, moment), row);
+        let [a, b, c] = self.splat.exponent;
+        let (b, c) = (simd.splat_f32s(b), simd.splat_f32s(c));
+        let log2_opacity = simd.splat_f32s(self.splat.log2_opacity);
+        ExponentRow {
+            a: simd.splat_f32s(a),
+            slope: simd.mul_f32s(b, dy),
+            base: simd.mul_add_e_f32s(simd.mul_f32s(c, dy), dy, log2_opacity),
+            first: simd.add_f32s(S::as_simd_f32s(&COLUMNS).0[0], x),
+            dy,
+        }
+    }
+
+    /// From the centre to the tile's first pixel for a row, on one axis.
+    #[inline(always)]
+    fn offset_at<S: Simd>(&self, simd: S, axis: usize, row: S::f32s, moment: usize) -> S::f32s {
+        let curve = simd.splat_f32s(self.curve[axis]);
+        let slope = simd.splat_f32s(self.slope[axis][moment]);
+        let slope = simd.mul_add_e_f32s(row, curve, slope);
+        simd.mul_add_e_f32s(row, slope, simd.splat_f32s(self.offset[axis][moment]))
+    }
+}
+
+/// The nearest integer of a number between 0 and [`TILE`].
+#[inline(always)]
+fn nearest(v: f32) -> usize {
+    ((v + ROUND).to_bits() & 0x1f) as usize
+}
+
+/// Half the height of an extent at a column.
+#[inline(always)]
+fn half_height<S: Simd>(splat: &Splat, ellipse: &Ellipse, dx: Lanes<S>) -> Lanes<S> {
+    let part = dx.times(ellipse.inverse_width);
+    let rest = (dx.constant(1.0) - part * part).max(0.0);
+    rest.sqrt().times(splat.height_at_centre) + dx.constant(0.01)
+}
+
+/// No movers yet.
+pub(super) fn none() -> [Mover; BATCH] {
+    [Mover::default(); BATCH]
+}
+
+/// 1 for the moments that a pack has, 0 beyond.
+pub(super) fn all_alive(times: &TileTimes) -> Column {
+    let mut alive = [0.0; PACK];
+    alive[..times.count].fill(1.0);
+    alive
+}

@@ -1,0 +1,251 @@
+//! The fast lane of a moving camera: against the reference, against exact views, and against
+//! itself.
+
+use super::parity::*;
+use super::scenes::*;
+use crate::gaussian::*;
+use i2slam_geometry::{Camera, Pose, Tangent};
+use pulp::Arch;
+
+/// A twist that moves points of a picture of `width` pixels by about an eighth of it, moments of
+/// unlike weights and, if wanted, rows that look one after another.
+fn motion(readout: f64) -> ShutterMotion<f64> {
+    let velocity = Tangent::from_array([0.05, -0.1, 0.06, 0.07, -0.06, 0.1]);
+    let moments = [(-0.4, 1.0), (-0.1, 0.5), (0.15, 2.5), (0.5, 0.5)];
+    let moments = moments.map(|(time, weight)| Moment { time, weight }).to_vec();
+    ShutterMotion { velocity, readout, moments }
+}
+
+type Outcome = (Render, MapGradient, MotionGradient);
+
+fn fast_on(arch: Arch, case: &Case, motion: &ShutterMotion<f64>) -> Outcome {
+    let (map, view, motion) = (case.map().cast(), case.view().cast(), motion.cast());
+    let mut rasterizer = Rasterizer::on(arch, case.settings);
+    let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
+    rasterizer.render_moving(&map, &view, &motion, &mut render);
+    let cotangent = single_cotangent(&case.cotangent());
+    let rows = Some(&mut gradient);
+    let d = rasterizer.pull_back_moving(&map, &view, &motion, &cotangent, rows);
+    (render, gradient, d)
+}
+
+/// All numbers of a gradient but the map's.
+fn numbers(d: &MotionGradient) -> Vec<f64> {
+    let parts = [d.pose.to_array(), d.velocity.to_array()];
+    parts.into_iter().flatten().chain([d.readout]).collect()
+}
+
+/// More moments than are composited together.
+fn many_moments() -> ShutterMotion<f64> {
+    let velocity = motion(0.0).velocity;
+    ShutterMotion { readout: -2.5, ..ShutterMotion::global(velocity, 19) }
+}
+
+#[test]
+fn a_moving_camera_agrees_with_the_reference() {
+    for (case, motion) in cases().iter().flat_map(|case| [(case, motion(0.0)), (case, motion(0.8))])
+    {
+        assert_agreement(case, &motion);
+    }
+    let cases = cases();
+    assert_agreement(&cases[1], &many_moments());
+    assert_agreement(&cases[4], &many_moments());
+}
+
+fn assert_agreement(case: &Case, motion: &ShutterMotion<f64>) {
+    let (map, view, settings) = (case.map(), case.view(), case.settings);
+    let exact = reference::render_moving(&map, &view, motion, &settings);
+    let mut exact_map = MapGradient::new(map.len());
+    let rows = Some(&mut exact_map);
+    let cotangent = case.cotangent();
+    let d = reference::pull_back_moving(&map, &view, motion, &settings, &cotangent, rows);
+    for arch in instruction_sets() {
+        let (render, gradient, fast) = fast_on(arch, case, motion);
+        assert_pictures(case, &planes(&render), &planes(&exact));
+        assert_gradients(case, &gradient, &exact_map);
+        let single: Vec<f32> = numbers(&fast).iter().map(|v| *v as f32).collect();
+        let off = distance(&single, &numbers(&d));
+        assert!(off < case.gradient_tolerance(), "{} motion: {off:.2e}", case.name);
+    }
+}
+
+/// Not a bit differs when there is but one moment and it stands still, whatever the velocity.
+#[test]
+fn without_motion_it_is_the_still_picture() {
+    for case in cases() {
+        let (map, view) = (case.map().cast(), case.view().cast());
+        let mut rasterizer = Rasterizer::new(case.settings);
+        let (mut still, mut moving) = (Render::default(), Render::default());
+        rasterizer.render(&map, &view, &mut still);
+        let mut camera = ShutterMotion::still();
+        rasterizer.render_moving(&map, &view, &camera, &mut moving);
+        assert!(still == moving, "{}", case.name);
+        camera.velocity = motion(0.0).velocity.cast();
+        rasterizer.render_moving(&map, &view, &camera, &mut moving);
+        let margin_leaves_out = case.recipe.margin > 1.0;
+        assert!(still == moving || margin_leaves_out, "{} with a velocity", case.name);
+        let several = ShutterMotion::global(Tangent::zero(), 5);
+        rasterizer.render_moving(&map, &view, &several, &mut moving);
+        assert_pictures(&case, &planes(&moving), &planes(&still));
+    }
+}
+
+#[test]
+fn without_motion_the_gradients_are_those_of_the_still_picture() {
+    for case in cases() {
+        let (map, view) = (case.map(), case.view());
+        let mut exact = MapGradient::new(map.len());
+        let (settings, cotangent) = (case.settings, case.cotangent());
+        let pose = reference::pull_back(&map, &view, &settings, &cotangent, Some(&mut exact));
+        let still = ShutterMotion { readout: 0.5, ..ShutterMotion::still() };
+        let (_, gradient, d) = fast_on(Arch::new(), &case, &still);
+        assert_gradients(&case, &gradient, &exact);
+        let off = distance(&d.pose.to_array().map(|v| v as f32), &pose.to_array());
+        assert!(off < case.gradient_tolerance(), "{} pose: {off:.2e}", case.name);
+        assert_eq!(d.readout, 0.0, "{}: nothing moves", case.name);
+    }
+}
+
+/// Many Gaussians, so that every stage is split.
+#[test]
+fn a_moving_camera_does_not_depend_on_the_number_of_threads() {
+    let recipe = Recipe {
+        count: 20_000,
+        sigma: [0.4, 2.0],
+        ..Recipe::new(Shape::Anisotropic, ColourActivation::Exponential)
+    };
+    let case = Case { name: "many", size: [200, 150], recipe, settings: RasterSettings::default() };
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.map(|pool| pool.install(|| fast_on(Arch::new(), &case, &motion(0.8)))).ok()
+    };
+    let one = on(1);
+    assert!(one.as_ref().is_some_and(|(_, gradient, _)| gradient.seen.iter().any(|s| *s)));
+    assert!(one == on(2), "1 and 2 threads differ");
+    assert!(one == on(5), "1 and 5 threads differ");
+}
+
+/// Moments and numbers that do not count leave a black picture or none of their own.
+#[test]
+fn moments_that_do_not_count_are_left_out() {
+    let case = &cases()[1];
+    let good = motion(0.3);
+    let mut odd = good.clone();
+    odd.moments.push(Moment { time: f64::NAN, weight: 1.0 });
+    odd.moments.push(Moment { time: 0.1, weight: 0.0 });
+    odd.moments.push(Moment { time: 0.1, weight: -1.0 });
+    assert!(fast_on(Arch::new(), case, &odd) == fast_on(Arch::new(), case, &good));
+    let none = ShutterMotion { moments: Vec::new(), ..good.clone() };
+    let lost = ShutterMotion { readout: f64::NAN, ..good.clone() };
+    let gone = ShutterMotion { velocity: Tangent::from_array([f64::NAN; 6]), ..good };
+    for motion in [none, lost, gone] {
+        let (render, gradient, _) = fast_on(Arch::new(), case, &motion);
+        assert!(render == Render::new(case.size[0], case.size[1]), "not black");
+        let zeros = MapGradient::new(case.recipe.count);
+        assert!(gradient.means == zeros.means && gradient.colours == zeros.colours);
+    }
+}
+
+#[test]
+#[should_panic(expected = "the map and the view of the last render")]
+fn another_motion_is_refused() {
+    let case = &cases()[0];
+    let (map, view) = (case.map().cast(), case.view().cast());
+    let mut rasterizer = Rasterizer::default();
+    rasterizer.render_moving(&map, &view, &motion(0.0).cast(), &mut Render::default());
+    let other = motion(0.1).cast();
+    rasterizer.pull_back_moving(&map, &view, &other, &RenderCotangent::default(), None);
+}
+
+/// How the camera moves in the comparison with exact views: names, and twists that move the
+/// median point by about 10 px.
+const TWISTS: [(&str, [f64; 6]); 5] = [
+    ("sideways", [0.09, 0.0, 0.0, 0.0, 0.0, 0.0]),
+    ("forward", [0.0, 0.0, 0.24, 0.0, 0.0, 0.0]),
+    ("pan", [0.0, 0.0, 0.0, 0.0, 0.038, 0.0]),
+    ("roll", [0.0, 0.0, 0.0, 0.0, 0.0, 0.11]),
+    ("hand", [0.04, -0.03, 0.06, 0.02, -0.025, 0.04]),
+];
+
+/// 320x240 with small Gaussians at depths from 1 to 4 m.
+fn small_gaussians() -> (GaussianMap<f32>, View<f32>) {
+    let camera = Camera { width: 320, height: 240, fx: 260.0, fy: 260.0, cx: 160.0, cy: 120.0 };
+    let view = View { camera, world_from_camera: Pose::identity() };
+    let recipe = Recipe {
+        count: 20_000,
+        sigma: [0.8, 1.6],
+        ..Recipe::new(Shape::Isotropic, ColourActivation::Exponential)
+    };
+    (recipe.build(&view).cast(), view.cast())
+}
+
+/// The average of exact views over a global shutter, and the average of its squared differences
+/// to a picture as a PSNR, for a peak of the largest radiance.
+fn psnr_against_views(motion: &ShutterMotion, picture: &Render, views: &[Render]) -> f64 {
+    let count = picture.radiance.data.len();
+    let (mut squares, mut peak) = (0.0, 0.0_f64);
+    for i in 0..count {
+        let average: f64 = views.iter().map(|view| f64::from(view.radiance.data[i])).sum();
+        let average = average / motion.moments.len() as f64;
+        squares += (f64::from(picture.radiance.data[i]) - average).powi(2);
+        peak = peak.max(average);
+    }
+    10.0 * (peak * peak * count as f64 / squares).log10()
+}
+
+fn exact_views(map: &GaussianMap, view: &View<f32>, motion: &ShutterMotion) -> Vec<Render> {
+    let mut rasterizer = Rasterizer::default();
+    let at = |moment: &Moment| {
+        let tangent = motion.velocity.scaled(moment.time);
+        let world_from_camera = view.world_from_camera.retract(tangent);
+        let mut render = Render::default();
+        rasterizer.render(map, &View { world_from_camera, ..*view }, &mut render);
+        render
+    };
+    motion.moments.iter().map(at).collect()
+}
+
+/// 10 px of blur, against 32 exact views, with as many moments and with five.
+#[test]
+fn a_moving_camera_shows_the_average_of_exact_views() {
+    let (map, view) = small_gaussians();
+    for (name, twist) in TWISTS {
+        let exact = ShutterMotion::global(Tangent::from_array(twist).cast(), 32);
+        let views = exact_views(&map, &view, &exact);
+        let mut render = Render::default();
+        let mut psnr = |count: usize| {
+            let motion = ShutterMotion::global(exact.velocity, count);
+            Rasterizer::default().render_moving(&map, &view, &motion, &mut render);
+            psnr_against_views(&exact, &render, &views)
+        };
+        let found = [5, 32].map(&mut psnr);
+        assert!(found[0] >= 36.0, "{name}: {found:.1?} dB");
+        assert!(found[1] >= 45.0, "{name}: {found:.1?} dB");
+    }
+}
+
+/// A readout as long as the exposure, against rows cut out of exact views at the times of each.
+#[test]
+fn a_rolling_shutter_shows_rows_of_exact_views() {
+    let (map, view) = small_gaussians();
+    let velocity = Tangent::from_array(TWISTS[4].1).cast();
+    let motion = ShutterMotion { readout: 1.0, ..ShutterMotion::global(velocity, 5) };
+    let mut picture = Render::default();
+    Rasterizer::default().render_moving(&map, &view, &motion, &mut picture);
+    let (mut squares, mut peak, mut count) = (0.0, 0.0_f64, 0.0);
+    for row in (5..240).step_by(30) {
+        let mut shifted = motion.clone();
+        let row_time = motion.readout * ((row as f32 + 0.5) / 240.0 - 0.5);
+        shifted.moments.iter_mut().for_each(|moment| moment.time += row_time);
+        let views = exact_views(&map, &view, &shifted);
+        for (channel, column) in (0..3).flat_map(|c| (0..320).map(move |x| (c, x))) {
+            let at = |render: &Render| f64::from(render.radiance.at(channel, column, row));
+            let average = views.iter().map(at).sum::<f64>() / views.len() as f64;
+            squares += (at(&picture) - average).powi(2);
+            peak = peak.max(average);
+            count += 1.0;
+        }
+    }
+    let psnr = 10.0 * (peak * peak * count / squares).log10();
+    assert!(psnr >= 45.0, "{psnr:.1} dB");
+}
