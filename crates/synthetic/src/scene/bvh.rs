@@ -1,0 +1,177 @@
+//! A tree of boxes around the surfaces (surface area heuristic, Wald 2007).
+
+use super::shape::by_component;
+use super::{Hit, Ray, Surface, Vec3};
+
+/// Surfaces in a leaf, at most.
+const LEAF: usize = 3;
+/// Places that are tried for a cut.
+const BINS: usize = 12;
+
+struct Node {
+    low: Vec3,
+    high: Vec3,
+    /// First surface of a leaf, or the right child; the left child follows its parent.
+    first: u32,
+    /// Surfaces of a leaf; 0 for an inner node.
+    count: u16,
+    /// The axis of an inner node's cut.
+    axis: u16,
+}
+
+/// The tree.
+pub(crate) struct Bvh {
+    nodes: Vec<Node>,
+    order: Vec<u32>,
+}
+
+struct Item {
+    low: Vec3,
+    high: Vec3,
+    centre: [f32; 3],
+    index: u32,
+}
+
+fn union(items: &[Item]) -> (Vec3, Vec3) {
+    let far = Vec3::new(f32::INFINITY, f32::INFINITY, f32::INFINITY);
+    items.iter().fold((far, -far), |(low, high), item| {
+        (by_component(low, item.low, f32::min), by_component(high, item.high, f32::max))
+    })
+}
+
+fn area(items: &[Item]) -> f32 {
+    let (low, high) = union(items);
+    let d = high - low;
+    d.x * d.y + d.y * d.z + d.z * d.x
+}
+
+impl Bvh {
+    /// A tree over the surfaces.
+    pub(crate) fn new(surfaces: &[Surface]) -> Self {
+        let items = surfaces.iter().enumerate().map(|(index, surface)| {
+            let [low, high] = surface.shape.bounds();
+            let margin = Vec3::new(1e-4, 1e-4, 1e-4);
+            let centre = ((low + high) * 0.5).to_array();
+            Item { low: low - margin, high: high + margin, centre, index: index as u32 }
+        });
+        let mut items: Vec<Item> = items.collect();
+        let mut tree = Self { nodes: Vec::new(), order: Vec::new() };
+        tree.grow(&mut items);
+        tree
+    }
+
+    fn grow(&mut self, items: &mut [Item]) {
+        let (low, high) = union(items);
+        let here = self.nodes.len();
+        let cut = if items.len() > LEAF { best_cut(items) } else { None };
+        let first = self.order.len() as u32;
+        let count = if cut.is_none() { items.len() as u16 } else { 0 };
+        self.nodes.push(Node { low, high, first, count, axis: 0 });
+        let Some((axis, at)) = cut else {
+            self.order.extend(items.iter().map(|item| item.index));
+            return;
+        };
+        let (left, right) = items.split_at_mut(at);
+        self.grow(left);
+        self.nodes[here].first = self.nodes.len() as u32;
+        self.nodes[here].axis = axis as u16;
+        self.grow(right);
+    }
+
+    /// The first surface along the ray.
+    #[inline]
+    pub(crate) fn first_hit(&self, surfaces: &[Surface], ray: &Ray) -> Option<Hit> {
+        let inverse = ray.direction.to_array().map(f32::recip);
+        let inverse = Vec3::from_array(inverse);
+        let (mut best, mut to) = (None, ray.to);
+        let mut stack = [0u32; 48];
+        let mut depth = 1;
+        while depth > 0 {
+            depth -= 1;
+            let index = stack[depth] as usize;
+            let node = &self.nodes[index];
+            if !crosses(node, ray, inverse, to) {
+                continue;
+            }
+            if node.count == 0 {
+                let forward = inverse.to_array()[usize::from(node.axis)] >= 0.0;
+                let (left, right) = (index as u32 + 1, node.first);
+                let (near, far) = if forward { (left, right) } else { (right, left) };
+                stack[depth] = far;
+                stack[depth + 1] = near;
+                depth += 2;
+                continue;
+            }
+            let leaf = node.first as usize..node.first as usize + usize::from(node.count);
+            for &surface in &self.order[leaf] {
+                let surface = surface as usize;
+                if let Some((t, st)) = surfaces[surface].shape.intersect(ray, to) {
+                    to = t;
+                    best = Some(Hit { t, surface, st });
+                }
+            }
+        }
+        best
+    }
+}
+
+#[inline]
+fn crosses(node: &Node, ray: &Ray, inverse: Vec3, to: f32) -> bool {
+    let a = (node.low.x - ray.origin.x) * inverse.x;
+    let b = (node.high.x - ray.origin.x) * inverse.x;
+    let (mut enter, mut leave) = (a.min(b), a.max(b));
+    let a = (node.low.y - ray.origin.y) * inverse.y;
+    let b = (node.high.y - ray.origin.y) * inverse.y;
+    (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+    let a = (node.low.z - ray.origin.z) * inverse.z;
+    let b = (node.high.z - ray.origin.z) * inverse.z;
+    (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+    enter.max(ray.from) <= leave.min(to)
+}
+
+/// The cheapest cut: sorts the items by its axis, gives axis and place.
+fn best_cut(items: &mut [Item]) -> Option<(usize, usize)> {
+    let count = items.len();
+    let whole = area(items) * count as f32;
+    let (mut best, mut cost) = (None, whole);
+    for axis in 0..3 {
+        items.sort_by(|a, b| a.centre[axis].total_cmp(&b.centre[axis]));
+        for bin in 1..BINS {
+            let at = (count * bin / BINS).clamp(1, count - 1);
+            let (left, right) = items.split_at(at);
+            let here = area(left) * at as f32 + area(right) * (count - at) as f32;
+            if here < cost {
+                (best, cost) = (Some((axis, at)), here);
+            }
+        }
+    }
+    let (axis, at) = best.or((count > 4 * LEAF).then_some((0, count / 2)))?;
+    items.sort_by(|a, b| a.centre[axis].total_cmp(&b.centre[axis]));
+    Some((axis, at))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::chance::{between32, stream};
+    use crate::scene::{Ray, Vec3, furnished_room};
+    use crate::spec::Spec;
+
+    #[test]
+    fn the_tree_finds_what_a_search_of_all_surfaces_finds() {
+        let scene = furnished_room(&Spec::default());
+        let mut random = stream(3, 0, 0);
+        let mut met = 0;
+        for _ in 0..400 {
+            let mut draw = |size: f32| between32(&mut random, -size, size);
+            let direction = Vec3::new(draw(1.0), draw(1.0), draw(1.0));
+            let origin = Vec3::new(draw(1.0), draw(1.0), 1.4);
+            let ray = Ray { origin, direction, from: 1e-4, to: 1e9 };
+            let found = scene.first_hit(&ray);
+            let all = scene.surfaces.iter().filter_map(|s| s.shape.intersect(&ray, 1e9));
+            let nearest = all.map(|(t, _)| t).fold(f32::INFINITY, f32::min);
+            assert_eq!(found.map_or(f32::INFINITY, |hit| hit.t), nearest);
+            met += usize::from(found.is_some());
+        }
+        assert_eq!(met, 400, "the room is closed");
+    }
+}
