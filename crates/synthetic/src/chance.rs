@@ -38,10 +38,10 @@ pub(crate) fn value_noise(x: f32, y: f32, period: [i32; 2], seed: u32) -> f32 {
     let (x0, y0) = (x.floor(), y.floor());
     let smooth = |t: f32| t * t * (3.0 - 2.0 * t);
     let (u, v) = (smooth(x - x0), smooth(y - y0));
-    let at = |dx: i32, dy: i32| {
-        let (i, j) = (x0 as i32 + dx, y0 as i32 + dy);
-        lattice(i.rem_euclid(period[0]), j.rem_euclid(period[1]), seed)
-    };
+    let wrapped = |i: i32, axis: usize| i.rem_euclid(period[axis]);
+    let columns = [x0 as i32, x0 as i32 + 1].map(|i| wrapped(i, 0));
+    let rows = [y0 as i32, y0 as i32 + 1].map(|j| wrapped(j, 1));
+    let at = |dx: usize, dy: usize| lattice(columns[dx], rows[dy], seed);
     let top = at(0, 0) + (at(1, 0) - at(0, 0)) * u;
     let bottom = at(0, 1) + (at(1, 1) - at(0, 1)) * u;
     top + (bottom - top) * v

@@ -146,3 +146,26 @@ pub(crate) fn depth(
     let data = depths.map(|z| if f64::from(z) <= maximum { z } else { 0.0 }).collect();
     Image { width: camera.width, height: camera.height, channels: 1, data }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_exposed_one_after_another_around_the_stamp() {
+        let shutter = Shutter { stamp: 2.0, open: 0.02, readout: 0.03 };
+        let middle = |row: usize| shutter.time(row, 10, 0.5);
+        assert!((middle(9) - middle(0) - 0.027).abs() < 1e-12);
+        assert!((0.5 * (middle(9) + middle(0)) - 2.0).abs() < 1e-12);
+        assert!((shutter.time(3, 10, 1.0) - shutter.time(3, 10, 0.0) - 0.02).abs() < 1e-12);
+    }
+
+    #[test]
+    fn sample_places_fill_the_pixel() {
+        let mut cells = [0; 16];
+        for [x, y] in (0..64).map(offset) {
+            cells[(4.0 * x) as usize + 4 * (4.0 * y) as usize] += 1;
+        }
+        assert!(cells.iter().all(|&n| (2..=6).contains(&n)), "{cells:?}");
+    }
+}

@@ -16,7 +16,7 @@ use std::ops::Range;
 use std::path::Path;
 
 /// Light that still comes through a covering hand [stops].
-const COVERED_STOPS: f64 = -9.0;
+const COVERED_STOPS: f64 = -11.0;
 /// Frames worked on at once; bounds the memory.
 const BATCH: usize = 16;
 
@@ -30,7 +30,7 @@ pub struct ExposureStep {
 }
 
 /// What is done to a sequence. Frames are counted in the associated stream, nothing thinned.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Degradation {
     /// Seed of noise and of dropped frames.
     pub seed: u64,
@@ -48,6 +48,22 @@ pub struct Degradation {
     pub covered: Vec<Range<usize>>,
     /// The response that pictures are taken to have, for noise and exposure steps.
     pub response: Response,
+}
+
+impl Default for Degradation {
+    /// Nothing is done; the response is sRGB's.
+    fn default() -> Self {
+        Self {
+            seed: 7,
+            depth_noise: None,
+            sensor_noise: None,
+            exposure_steps: Vec::new(),
+            drop_share: 0.0,
+            dropped: Vec::new(),
+            covered: Vec::new(),
+            response: Response::Srgb,
+        }
+    }
 }
 
 /// What became of a sequence.

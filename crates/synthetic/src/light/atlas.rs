@@ -48,6 +48,15 @@ impl Atlas {
         mix(top, mix(row[width], row[width + 1], du), dv)
     }
 
+    /// The value of the texel at `(s, t)` of a surface.
+    #[inline]
+    pub(super) fn nearest(&self, surface: usize, st: [f32; 2]) -> Rgb {
+        let Patch { first, width, height } = self.patches[surface];
+        let column = ((st[0] * width as f32) as usize).min(width - 1);
+        let row = ((st[1] * height as f32) as usize).min(height - 1);
+        self.values[first + row * width + column]
+    }
+
     /// Fills every texel from its surface, its `(s, t)` and its number, in parallel.
     pub(super) fn fill(
         &mut self,

@@ -10,7 +10,7 @@ use crate::spec::Spec;
 /// Reflections followed.
 const BOUNCES: usize = 3;
 /// Texels of reflected light are larger by this.
-const COARSER: f32 = 4.0;
+const COARSER: f32 = 5.0;
 /// Median radiance of a lit room: exposure is then near 1 for the Reinhard response.
 const ROOM_LEVEL: f32 = 0.28;
 

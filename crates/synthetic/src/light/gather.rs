@@ -7,7 +7,7 @@ use crate::rgb::{Rgb, plus, scale, times};
 use crate::scene::{Ray, Role, Scene, Vec3};
 
 /// Rays over the hemisphere.
-const RAYS: usize = 160;
+const RAYS: usize = 64;
 
 /// Irradiance from what is seen over the hemisphere, given the light there. Neighbouring texels
 /// turn the same rays differently; [`Atlas::smooth`] over four texels a side evens them out.
@@ -40,8 +40,8 @@ pub(super) fn reflected_light(
                 Role::Lamp | Role::Pane => [0.0; 3],
                 Role::Glow => scale(colour, surface.skin.radiance * std::f32::consts::PI),
                 Role::Matt => {
-                    let light = direct.sample(hit.surface, hit.st);
-                    times(colour, plus(light, reflected.sample(hit.surface, hit.st)))
+                    let light = direct.nearest(hit.surface, hit.st);
+                    times(colour, plus(light, reflected.nearest(hit.surface, hit.st)))
                 }
             },
         );

@@ -14,9 +14,7 @@ struct Node {
     /// First surface of a leaf, or the right child; the left child follows its parent.
     first: u32,
     /// Surfaces of a leaf; 0 for an inner node.
-    count: u16,
-    /// The axis of an inner node's cut.
-    axis: u16,
+    count: u32,
 }
 
 /// The tree.
@@ -65,16 +63,15 @@ impl Bvh {
         let here = self.nodes.len();
         let cut = if items.len() > LEAF { best_cut(items) } else { None };
         let first = self.order.len() as u32;
-        let count = if cut.is_none() { items.len() as u16 } else { 0 };
-        self.nodes.push(Node { low, high, first, count, axis: 0 });
-        let Some((axis, at)) = cut else {
+        let count = if cut.is_none() { items.len() as u32 } else { 0 };
+        self.nodes.push(Node { low, high, first, count });
+        let Some(at) = cut else {
             self.order.extend(items.iter().map(|item| item.index));
             return;
         };
         let (left, right) = items.split_at_mut(at);
         self.grow(left);
         self.nodes[here].first = self.nodes.len() as u32;
-        self.nodes[here].axis = axis as u16;
         self.grow(right);
     }
 
@@ -84,53 +81,82 @@ impl Bvh {
         let inverse = ray.direction.to_array().map(f32::recip);
         let inverse = Vec3::from_array(inverse);
         let (mut best, mut to) = (None, ray.to);
-        let mut stack = [0u32; 48];
-        let mut depth = 1;
-        while depth > 0 {
-            depth -= 1;
-            let index = stack[depth] as usize;
+        let mut stack = [(0u32, 0.0f32); 64];
+        let mut depth = 0;
+        let mut index = 0;
+        enters(&self.nodes[0], ray, inverse, to)?;
+        loop {
             let node = &self.nodes[index];
-            if !crosses(node, ray, inverse, to) {
-                continue;
-            }
             if node.count == 0 {
-                let forward = inverse.to_array()[usize::from(node.axis)] >= 0.0;
-                let (left, right) = (index as u32 + 1, node.first);
-                let (near, far) = if forward { (left, right) } else { (right, left) };
-                stack[depth] = far;
-                stack[depth + 1] = near;
-                depth += 2;
-                continue;
+                let (left, right) = (index + 1, node.first as usize);
+                let enter_left = enters(&self.nodes[left], ray, inverse, to);
+                let enter_right = enters(&self.nodes[right], ray, inverse, to);
+                match (enter_left, enter_right) {
+                    (Some(a), Some(b)) => {
+                        let (near, far, later) =
+                            if a <= b { (left, right, b) } else { (right, left, a) };
+                        stack[depth] = (far as u32, later);
+                        depth += 1;
+                        index = near;
+                        continue;
+                    }
+                    (Some(_), None) => {
+                        index = left;
+                        continue;
+                    }
+                    (None, Some(_)) => {
+                        index = right;
+                        continue;
+                    }
+                    (None, None) => {}
+                }
+            } else {
+                let leaf = node.first as usize..node.first as usize + node.count as usize;
+                for &surface in &self.order[leaf] {
+                    let surface = surface as usize;
+                    if let Some((t, st)) = surfaces[surface].shape.intersect(ray, to) {
+                        to = t;
+                        best = Some(Hit { t, surface, st });
+                    }
+                }
             }
-            let leaf = node.first as usize..node.first as usize + usize::from(node.count);
-            for &surface in &self.order[leaf] {
-                let surface = surface as usize;
-                if let Some((t, st)) = surfaces[surface].shape.intersect(ray, to) {
-                    to = t;
-                    best = Some(Hit { t, surface, st });
+            loop {
+                if depth == 0 {
+                    return best;
+                }
+                depth -= 1;
+                let (next, enter) = stack[depth];
+                if enter < to {
+                    index = next as usize;
+                    break;
                 }
             }
         }
-        best
     }
 }
 
+/// The smaller and the larger; NaN is not looked at, which keeps both to one instruction.
 #[inline]
-fn crosses(node: &Node, ray: &Ray, inverse: Vec3, to: f32) -> bool {
-    let a = (node.low.x - ray.origin.x) * inverse.x;
-    let b = (node.high.x - ray.origin.x) * inverse.x;
-    let (mut enter, mut leave) = (a.min(b), a.max(b));
-    let a = (node.low.y - ray.origin.y) * inverse.y;
-    let b = (node.high.y - ray.origin.y) * inverse.y;
-    (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
-    let a = (node.low.z - ray.origin.z) * inverse.z;
-    let b = (node.high.z - ray.origin.z) * inverse.z;
-    (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
-    enter.max(ray.from) <= leave.min(to)
+fn sorted(a: f32, b: f32) -> (f32, f32) {
+    if a < b { (a, b) } else { (b, a) }
 }
 
-/// The cheapest cut: sorts the items by its axis, gives axis and place.
-fn best_cut(items: &mut [Item]) -> Option<(usize, usize)> {
+/// Where the ray enters the node, if it does before `to`.
+#[inline]
+fn enters(node: &Node, ray: &Ray, inverse: Vec3, to: f32) -> Option<f32> {
+    let (x0, x1) =
+        sorted((node.low.x - ray.origin.x) * inverse.x, (node.high.x - ray.origin.x) * inverse.x);
+    let (y0, y1) =
+        sorted((node.low.y - ray.origin.y) * inverse.y, (node.high.y - ray.origin.y) * inverse.y);
+    let (z0, z1) =
+        sorted((node.low.z - ray.origin.z) * inverse.z, (node.high.z - ray.origin.z) * inverse.z);
+    let enter = sorted(sorted(x0, y0).1, sorted(z0, ray.from).1).1;
+    let leave = sorted(sorted(x1, y1).0, sorted(z1, to).0).0;
+    (enter <= leave).then_some(enter)
+}
+
+/// The cheapest cut: sorts the items by its axis, gives its place.
+fn best_cut(items: &mut [Item]) -> Option<usize> {
     let count = items.len();
     let whole = area(items) * count as f32;
     let (mut best, mut cost) = (None, whole);
@@ -147,7 +173,7 @@ fn best_cut(items: &mut [Item]) -> Option<(usize, usize)> {
     }
     let (axis, at) = best.or((count > 4 * LEAF).then_some((0, count / 2)))?;
     items.sort_by(|a, b| a.centre[axis].total_cmp(&b.centre[axis]));
-    Some((axis, at))
+    Some(at)
 }
 
 #[cfg(test)]

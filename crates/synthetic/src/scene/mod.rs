@@ -98,8 +98,11 @@ impl Scene {
         let u = surface.start[0] + st[0] * surface.repeats[0];
         let v = surface.start[1] + st[1] * surface.repeats[1];
         let texels = (footprint * surface.texels_per_metre).max(1e-6);
-        // Several samples are averaged in every pixel: half a level sharper than one sample needs.
-        let level = (texels.log2() - 0.5 + shift).round() as i32;
+        // The bits of a float are its logarithm, straight between powers of two: near enough.
+        let logarithm = texels.to_bits() as f32 * (1.0 / (1 << 23) as f32) - 127.0;
+        // Several samples are averaged in every pixel: half a level sharper than one sample needs,
+        // which cancels the half that rounding would add.
+        let level = (logarithm + shift).max(0.0) as i32;
         let colour = self.textures[surface.skin.texture].sample(&self.decoder, u, v, level);
         crate::rgb::times(colour, surface.skin.tint)
     }

@@ -46,7 +46,7 @@ section! {
         /// Light of the sky through the windows, relative.
         daylight: f64 = 1.0, 0.0..=100.0;
         /// Light of lamps, relative.
-        lamps: f64 = 0.5, 0.0..=100.0;
+        lamps: f64 = 0.15, 0.0..=100.0;
         /// Irradiance of the sun that falls through the windows, relative; 0 is an overcast sky.
         sun: f64 = 5.0, 0.0..=1000.0;
         /// Height of the sun over the horizon [degrees].
@@ -55,7 +55,7 @@ section! {
         sun_azimuth: f64 = 28.0, -80.0..=80.0;
         /// How bright the outside looks: mean over the room's median radiance [stops].
         window_stops: f64 = 4.0, -2.0..=10.0;
-        /// Spacing at which light is computed on surfaces [m]; reflected light four times wider.
+        /// Spacing at which light is computed on surfaces [m]; reflected light five times wider.
         texel: f64 = 0.02, 0.005..=0.5;
     }
 }
@@ -68,7 +68,7 @@ section! {
         /// Height of the camera [m].
         height: f64 = 1.4, 0.3..=3.0;
         /// Spread of the direction of view over one second of looking around [degrees].
-        look_around: f64 = 22.0, 0.0..=120.0;
+        look_around: f64 = 32.0, 0.0..=120.0;
         /// Mean inclination of the view [degrees], negative is down.
         pitch: f64 = -12.0, -60.0..=60.0;
         /// Standard deviation of tremor in position [m].

@@ -47,10 +47,10 @@ impl Texture {
         let level = (level.max(0) as usize).min(self.levels.len() - 1);
         let (side, pixels) = (self.size >> level, &self.levels[level]);
         let (x, y) = (u * side as f32 - 0.5, v * side as f32 - 0.5);
-        let (x0, y0) = (x.floor(), y.floor());
-        let (du, dv) = (x - x0, y - y0);
+        let (x0, y0) = (floor(x), floor(y));
+        let (du, dv) = (x - x0 as f32, y - y0 as f32);
         let mask = side as i32 - 1;
-        let (i0, j0) = (x0 as i32 & mask, y0 as i32 & mask);
+        let (i0, j0) = (x0 & mask, y0 & mask);
         let (i1, j1) = ((i0 + 1) & mask, (j0 + 1) & mask);
         let at = |i: i32, j: i32| pixels[(j as usize) * side + i as usize];
         let (a, b, c, d) = (at(i0, j0), at(i1, j0), at(i0, j1), at(i1, j1));
@@ -62,6 +62,13 @@ impl Texture {
                 + weights[3] * decoder.0[d[k] as usize]
         })
     }
+}
+
+/// The integer below, without a call on machines that have no instruction for it.
+#[inline]
+fn floor(x: f32) -> i32 {
+    let cut = x as i32;
+    cut - i32::from(x < cut as f32)
 }
 
 /// The linear value of every sRGB code.
