@@ -39,16 +39,21 @@ impl Motion {
         let start = between(&mut random, 0.0, TAU);
         let turn = if random.below(2) == 0 { 1.0 } else { -1.0 };
         let walk = step * 0.35;
+        let phase = between(&mut random, 0.0, TAU);
         let mut spline = |middle: &dyn Fn(usize) -> f64, spread: f64| -> Vec<f64> {
             (0..knots).map(|k| middle(k) + spread * gaussian(&mut random)).collect()
         };
         let swing = m.look_around.to_radians();
+        let sweep = |k: usize| {
+            let turns = (k as f64 - 1.5) * KNOT / m.sweep_period;
+            m.sweep.to_radians() * (TAU * turns + phase).sin()
+        };
         let splines = [
             spline(&|k| start + turn * step * k as f64, walk),
             spline(&|_| 1.0, 0.06),
             spline(&|_| m.height, 0.03),
-            spline(&|_| 0.0, swing),
-            spline(&|_| m.pitch.to_radians(), 0.22 * swing),
+            spline(&sweep, swing),
+            spline(&|_| m.pitch.to_radians(), 0.35 * swing),
             spline(&|_| 0.0, 0.03),
         ];
         let sizes = [m.tremor_position, m.tremor_rotation.to_radians()];
@@ -176,6 +181,7 @@ mod tests {
         spec.motion.tremor_position = 0.0;
         spec.motion.tremor_rotation = 0.0;
         spec.motion.bursts = 0.0;
+        spec.motion.speed = 0.0;
         let motion = Motion::new(&spec);
         let turned = motion.world_from_camera(0.0).local(motion.world_from_camera(1.0));
         assert!(turned.rotation.norm() > 0.02 && turned.rotation.norm() < 2.0);

@@ -58,6 +58,7 @@ pub(crate) fn light_up(scene: Scene, spec: &Spec) -> LitScene {
             reflected_light(&scene, (&direct, &reflected), surface.shape.at(st), place)
         });
         next.smooth(2);
+        next.values.iter_mut().for_each(|v| *v = scale(*v, spec.light.reflections as f32));
         reflected = next;
     }
     let mut light = Atlas::new(&scene, texel);

@@ -1,7 +1,7 @@
 //! A tree of boxes around the surfaces (surface area heuristic, Wald 2007).
 
 use super::shape::by_component;
-use super::{Hit, Ray, Surface, Vec3};
+use super::{Hit, Ray, Shape, Surface, Vec3};
 
 /// Surfaces in a leaf, at most.
 const LEAF: usize = 3;
@@ -20,7 +20,10 @@ struct Node {
 /// The tree.
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
+    /// Surfaces in the order of the leaves.
     order: Vec<u32>,
+    /// Their shapes, close together.
+    shapes: Vec<Shape>,
 }
 
 struct Item {
@@ -53,8 +56,9 @@ impl Bvh {
             Item { low: low - margin, high: high + margin, centre, index: index as u32 }
         });
         let mut items: Vec<Item> = items.collect();
-        let mut tree = Self { nodes: Vec::new(), order: Vec::new() };
+        let mut tree = Self { nodes: Vec::new(), order: Vec::new(), shapes: Vec::new() };
         tree.grow(&mut items);
+        tree.shapes = tree.order.iter().map(|&i| surfaces[i as usize].shape).collect();
         tree
     }
 
@@ -77,7 +81,7 @@ impl Bvh {
 
     /// The first surface along the ray.
     #[inline]
-    pub(crate) fn first_hit(&self, surfaces: &[Surface], ray: &Ray) -> Option<Hit> {
+    pub(crate) fn first_hit(&self, ray: &Ray) -> Option<Hit> {
         let inverse = ray.direction.to_array().map(f32::recip);
         let inverse = Vec3::from_array(inverse);
         let (mut best, mut to) = (None, ray.to);
@@ -111,12 +115,11 @@ impl Bvh {
                     (None, None) => {}
                 }
             } else {
-                let leaf = node.first as usize..node.first as usize + node.count as usize;
-                for &surface in &self.order[leaf] {
-                    let surface = surface as usize;
-                    if let Some((t, st)) = surfaces[surface].shape.intersect(ray, to) {
+                let first = node.first as usize;
+                for place in first..first + node.count as usize {
+                    if let Some((t, st)) = self.shapes[place].intersect(ray, to) {
                         to = t;
-                        best = Some(Hit { t, surface, st });
+                        best = Some(Hit { t, surface: self.order[place] as usize, st });
                     }
                 }
             }

@@ -82,7 +82,7 @@ impl Scene {
     /// The first surface along a ray, between its ends.
     #[inline]
     pub(crate) fn first_hit(&self, ray: &Ray) -> Option<Hit> {
-        self.bvh.first_hit(&self.surfaces, ray)
+        self.bvh.first_hit(ray)
     }
 
     /// Colour of the skin at `(s, t)` of a surface, read for a footprint [m]; `shift` in

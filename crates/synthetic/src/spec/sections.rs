@@ -46,13 +46,15 @@ section! {
         /// Light of the sky through the windows, relative.
         daylight: f64 = 1.0, 0.0..=100.0;
         /// Light of lamps, relative.
-        lamps: f64 = 0.15, 0.0..=100.0;
+        lamps: f64 = 0.05, 0.0..=100.0;
         /// Irradiance of the sun that falls through the windows, relative; 0 is an overcast sky.
         sun: f64 = 5.0, 0.0..=1000.0;
         /// Height of the sun over the horizon [degrees].
         sun_elevation: f64 = 36.0, 0.0..=89.0;
         /// Direction of the sun from the middle of the window wall to its right [degrees].
         sun_azimuth: f64 = 28.0, -80.0..=80.0;
+        /// Share of reflected light that is kept; less gives darker shades and more contrast.
+        reflections: f64 = 0.4, 0.0..=1.0;
         /// How bright the outside looks: mean over the room's median radiance [stops].
         window_stops: f64 = 4.0, -2.0..=10.0;
         /// Spacing at which light is computed on surfaces [m]; reflected light five times wider.
@@ -67,8 +69,12 @@ section! {
         speed: f64 = 0.4, 0.0..=5.0;
         /// Height of the camera [m].
         height: f64 = 1.4, 0.3..=3.0;
-        /// Spread of the direction of view over one second of looking around [degrees].
-        look_around: f64 = 32.0, 0.0..=120.0;
+        /// Panning to both sides of the middle of the room [degrees].
+        sweep: f64 = 40.0, 0.0..=180.0;
+        /// Time from one side to the other and back [s].
+        sweep_period: f64 = 6.0, 0.2..=1000.0;
+        /// Spread of the direction of view in looking around, new every 0.7 s [degrees].
+        look_around: f64 = 14.0, 0.0..=120.0;
         /// Mean inclination of the view [degrees], negative is down.
         pitch: f64 = -12.0, -60.0..=60.0;
         /// Standard deviation of tremor in position [m].
