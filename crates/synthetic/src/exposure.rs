@@ -55,10 +55,11 @@ impl ShutterRule {
         let (low, high) = (spec.shutter_minimum, spec.shutter_maximum);
         let gains = exposure_values.iter().map(|ev| ev.exp2());
         let (least, most) = gains.fold((f64::INFINITY, 0.0_f64), |(a, b), g| (a.min(g), b.max(g)));
-        if !(most - least > 1e-6 * most) {
+        let spread = most - least;
+        if spread.is_nan() || spread <= 1e-6 * most {
             return Self { a: 0.0, b: 0.5 * (low + high) };
         }
-        let a = (high - low) / (most - least);
+        let a = (high - low) / spread;
         Self { a, b: low - a * least }
     }
 

@@ -126,10 +126,13 @@ fn bursts(random: &mut Random, spec: &Spec, seconds: f64) -> Vec<(f64, f64, Vec3
     let angle = m.burst_angle.to_radians();
     let mut time = 0.0;
     let mut bursts = Vec::new();
-    while m.bursts > 0.0 {
+    if m.bursts == 0.0 {
+        return bursts;
+    }
+    loop {
         time += between(random, 0.4, 1.6) / m.bursts;
         if time > seconds {
-            break;
+            return bursts;
         }
         // Mostly about the vertical axis, as a hand turns.
         let side = if random.below(2) == 0 { 1.0 } else { -1.0 };
@@ -138,7 +141,6 @@ fn bursts(random: &mut Random, spec: &Spec, seconds: f64) -> Vec<(f64, f64, Vec3
         let width = m.burst_time * (1.0 + draw(0.3));
         bursts.push((time, width, axis * angle));
     }
-    bursts
 }
 
 #[cfg(test)]

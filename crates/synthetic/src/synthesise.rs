@@ -70,7 +70,7 @@ pub fn synthesise(
         blurs.push(studio.blurred_frame(index, frame, &rule)?);
         go_on(progress(Stage::Blurred(index + 1)))?;
     }
-    studio.finish(out, &frames, &rule, &blurs)
+    studio.finish(&frames, &rule, &blurs)
 }
 
 fn camera(spec: &Spec) -> Camera<f64> {
@@ -166,7 +166,6 @@ impl Studio<'_> {
     /// Lists, truth and the page.
     fn finish(
         &self,
-        out: &Path,
         frames: &[FrameTruth],
         rule: &ShutterRule,
         blurs: &[f64],
@@ -177,10 +176,9 @@ impl Studio<'_> {
         self.folder.write_list("depth", about, &stamps)?;
         self.write_truth(frames, rule, blurs)?;
         let summary = self.summary(frames, rule, blurs);
-        let name = out.file_name().map_or("sequence".into(), |n| n.to_string_lossy());
         self.folder.write_text("camera.json", camera_json(&self.camera, self.spec, rule))?;
         self.folder.write_text("spec.toml", self.spec.to_toml())?;
-        self.folder.write_text("README.md", readme(&name, self.spec, rule, &summary))?;
+        self.folder.write_text("README.md", readme(self.spec, rule, &summary))?;
         Ok(summary)
     }
 

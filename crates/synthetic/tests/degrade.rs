@@ -24,8 +24,8 @@ fn a_sequence_is_made_worse_in_the_ways_asked_for() {
         depth_noise: Some(KinectNoise::default()),
         sensor_noise: Some(NoiseSpec { read: 0.002, shot: 0.0005 }),
         exposure_steps: vec![ExposureStep { frame: 4, stops: -1.0 }],
-        dropped: vec![1..2],
-        covered: vec![3..4],
+        dropped: Vec::from([1..2, 1..2]),
+        covered: Vec::from([3..4, 4..4]),
         ..Degradation::default()
     };
     let (one, two) = (scratch.0.join("a/out"), scratch.0.join("b/out"));

@@ -102,7 +102,8 @@ impl Degradation {
         if !(0.0..1.0).contains(&self.drop_share) {
             return refuse("share of dropped frames", self.drop_share, "0 to less than 1");
         }
-        if let Some(step) = self.exposure_steps.iter().find(|s| !(s.stops.abs() <= 20.0)) {
+        if let Some(step) = self.exposure_steps.iter().find(|s| !(-20.0..=20.0).contains(&s.stops))
+        {
             return refuse("exposure step", step.stops, "-20 to 20 stops");
         }
         if let Some(noise) = &self.sensor_noise {

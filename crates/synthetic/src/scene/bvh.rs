@@ -7,6 +7,10 @@ use super::{Hit, Ray, Shape, Surface, Vec3};
 const LEAF: usize = 3;
 /// Places that are tried for a cut.
 const BINS: usize = 12;
+/// Below this level surfaces are halved, which bounds the depth of the tree.
+const BALANCED: usize = 40;
+/// Room for the far nodes of a descent: [`BALANCED`] levels and as many as halving can add.
+const STACK: usize = BALANCED + 24;
 
 struct Node {
     low: Vec3,
@@ -57,15 +61,19 @@ impl Bvh {
         });
         let mut items: Vec<Item> = items.collect();
         let mut tree = Self { nodes: Vec::new(), order: Vec::new(), shapes: Vec::new() };
-        tree.grow(&mut items);
+        tree.grow(&mut items, 0);
         tree.shapes = tree.order.iter().map(|&i| surfaces[i as usize].shape).collect();
         tree
     }
 
-    fn grow(&mut self, items: &mut [Item]) {
+    fn grow(&mut self, items: &mut [Item], level: usize) {
         let (low, high) = union(items);
         let here = self.nodes.len();
-        let cut = if items.len() > LEAF { best_cut(items) } else { None };
+        let cut = match items.len() {
+            0..=LEAF => None,
+            count if level >= BALANCED => Some(count / 2),
+            _ => best_cut(items),
+        };
         let first = self.order.len() as u32;
         let count = if cut.is_none() { items.len() as u32 } else { 0 };
         self.nodes.push(Node { low, high, first, count });
@@ -74,9 +82,23 @@ impl Bvh {
             return;
         };
         let (left, right) = items.split_at_mut(at);
-        self.grow(left);
+        self.grow(left, level + 1);
         self.nodes[here].first = self.nodes.len() as u32;
-        self.grow(right);
+        self.grow(right, level + 1);
+    }
+
+    /// The first surface of a leaf before `to`.
+    #[inline]
+    fn meet_leaf(&self, node: &Node, ray: &Ray, to: f32) -> Option<Hit> {
+        let (mut best, mut to) = (None, to);
+        let first = node.first as usize;
+        for place in first..first + node.count as usize {
+            if let Some((t, st)) = self.shapes[place].intersect(ray, to) {
+                to = t;
+                best = Some(Hit { t, surface: self.order[place] as usize, st });
+            }
+        }
+        best
     }
 
     /// The first surface along the ray.
@@ -85,7 +107,7 @@ impl Bvh {
         let inverse = ray.direction.to_array().map(f32::recip);
         let inverse = Vec3::from_array(inverse);
         let (mut best, mut to) = (None, ray.to);
-        let mut stack = [(0u32, 0.0f32); 64];
+        let mut stack = [(0u32, 0.0f32); STACK];
         let mut depth = 0;
         let mut index = 0;
         enters(&self.nodes[0], ray, inverse, to)?;
@@ -115,13 +137,8 @@ impl Bvh {
                     (None, None) => {}
                 }
             } else {
-                let first = node.first as usize;
-                for place in first..first + node.count as usize {
-                    if let Some((t, st)) = self.shapes[place].intersect(ray, to) {
-                        to = t;
-                        best = Some(Hit { t, surface: self.order[place] as usize, st });
-                    }
-                }
+                best = self.meet_leaf(node, ray, to).or(best);
+                to = best.map_or(to, |hit| hit.t);
             }
             loop {
                 if depth == 0 {

@@ -18,7 +18,7 @@ section! {
         /// Pictures averaged in linear light over the exposure.
         sub_frames: usize = 32, 1.0..=1024.0;
         /// Samples a pixel, each way, of the sharp pictures.
-        sharp_samples: usize = 4, 1.0..=16.0;
+        sharp_samples: usize = 3, 1.0..=16.0;
         /// Time in which the rows are read, share of the frame interval; 0 is a global shutter.
         /// Row y is exposed around time stamp + (y + 0.5 - height/2) / height * readout. Sharp
         /// pictures and depth always show one time, that of the stamp.

@@ -63,11 +63,11 @@ pub(crate) fn camera_json(camera: &Camera<f64>, spec: &Spec, rule: &ShutterRule)
 }
 
 /// The page beside the data.
-pub(crate) fn readme(name: &str, spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
+pub(crate) fn readme(spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
     let c = &spec.camera;
     let crf = spec.exposure.response.formula();
     format!(
-        "# {name}: synthetic RGB-D sequence with motion blur, exposure changes and a camera response\n\n\
+        "# Synthetic RGB-D sequence with motion blur, exposure changes and a camera response\n\n\
          {frames} frames at {rate} fps (time stamps i/{rate} s = mid-exposure), {w}x{h}, horizontal field of view \
          {fov} degrees, pinhole, no distortion (camera.json). Made by `i2slam synth` from spec.toml: the same file \
          and version give the same bytes.\n\n\
