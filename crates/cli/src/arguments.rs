@@ -1,5 +1,6 @@
 //! What can be typed.
 
+use crate::commands;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::ops::Range;
 use std::path::PathBuf;
@@ -25,6 +26,10 @@ pub(crate) enum Command {
     Demo(Demo),
     /// List the presets, or print every value of one
     Presets(Presets),
+    /// Render a test sequence with known truth: a furnished room, blur, exposure changes
+    Synth(commands::SynthArguments),
+    /// Put noise, exposure steps, gaps or a covered lens on a sequence
+    Degrade(commands::DegradeArguments),
 }
 
 #[derive(Args, Debug)]
@@ -220,7 +225,7 @@ pub(crate) struct Presets {
     pub(crate) name: Option<String>,
 }
 
-fn frame_range(text: &str) -> Result<Range<usize>, String> {
+pub(crate) fn frame_range(text: &str) -> Result<Range<usize>, String> {
     let number = |part: &str| part.trim().parse::<usize>().ok();
     let ends = text.split_once("..").and_then(|(a, b)| Some(number(a)?..number(b)?));
     match ends {

@@ -1,10 +1,15 @@
 //! One file per subcommand.
 
+mod degrade;
 mod demo;
 mod eval;
 mod presets;
 mod render;
 mod run;
+mod synth;
+
+pub(crate) use degrade::Degrade as DegradeArguments;
+pub(crate) use synth::Synth as SynthArguments;
 
 use crate::arguments::{Command, Machine};
 use crate::failure::Failure;
@@ -17,6 +22,8 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Eval(arguments) => eval::eval(&arguments),
         Command::Demo(arguments) => demo::demo(&arguments),
         Command::Presets(arguments) => presets::presets(&arguments),
+        Command::Synth(arguments) => synth::synth(&arguments),
+        Command::Degrade(arguments) => degrade::degrade(&arguments),
     }
 }
 

@@ -1,0 +1,93 @@
+//! `i2slam synth`: a specification to a sequence.
+
+use super::use_threads;
+use crate::arguments::Machine;
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::output::say;
+use crate::progress::Progress;
+use clap::Args;
+use i2slam_synthetic::{Spec, Stage, Summary, SyntheticError, synthesise};
+use std::path::{Path, PathBuf};
+
+#[derive(Args, Debug)]
+pub(crate) struct Synth {
+    /// Specification, see --print-spec; values left out take their defaults [default: all]
+    #[arg(value_name = "SPEC.toml")]
+    pub(crate) spec: Option<PathBuf>,
+    /// Folder for the sequence
+    #[arg(long, value_name = "DIR", required_unless_present = "print_spec")]
+    pub(crate) out: Option<PathBuf>,
+    /// Seed of room, motion and noise, instead of the specification's
+    #[arg(long, value_name = "N")]
+    pub(crate) seed: Option<u64>,
+    /// Print the specification with an explanation of every value, and end
+    #[arg(long)]
+    pub(crate) print_spec: bool,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
+}
+
+pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
+    let read = arguments.spec.as_deref().map(Spec::from_toml_file).transpose();
+    let mut spec = read.map_err(failure)?.unwrap_or_default();
+    if let Some(seed) = arguments.seed {
+        spec.seed = seed;
+    }
+    match &arguments.out {
+        Some(out) if !arguments.print_spec => {
+            use_threads(&arguments.machine)?;
+            make(&spec, out, arguments.machine.quiet)
+        }
+        _ => {
+            say(spec.to_toml().trim_end());
+            Ok(())
+        }
+    }
+}
+
+fn make(spec: &Spec, out: &Path, quiet: bool) -> Result<(), Failure> {
+    interrupt::listen();
+    let frames = spec.camera.frames;
+    let mut progress = Progress::new(frames, quiet);
+    let summary = synthesise(spec, out, &mut |stage| {
+        match stage {
+            Stage::Lighting => progress.phase("lighting the room", 1),
+            Stage::Sharp(1) => progress.phase("sharp frames", frames),
+            Stage::Blurred(1) => progress.phase("blurred frames", frames),
+            _ => {}
+        }
+        if let Stage::Sharp(done) | Stage::Blurred(done) = stage {
+            progress.step(done);
+        }
+        !interrupt::requested()
+    });
+    progress.clear();
+    report(&summary.map_err(failure)?, out);
+    Ok(())
+}
+
+fn report(summary: &Summary, out: &Path) {
+    let s = summary;
+    say(&format!("{} frames in {}", s.frames, out.display()));
+    let [slow, fast] = s.rotation_rate;
+    say(&format!("path {:.2} m, rotation {slow:.0} to {fast:.0} degrees/s", s.path_metres));
+    let [low, high] = s.exposure_values;
+    let stops = high - low;
+    let [least, most] = s.shutter;
+    say(&format!("exposure over {stops:.2} stops, shutter open {least:.2} to {most:.2}"));
+    let [median, _, largest] = s.blur;
+    say(&format!("blur {median:.1} px in the median frame, {largest:.1} px at most"));
+}
+
+/// What is wrong with a specification is the user's; what is wrong with a disk is not.
+pub(super) fn failure(error: SyntheticError) -> Failure {
+    match error {
+        SyntheticError::Malformed { .. } | SyntheticError::OutOfRange { .. } => {
+            Failure::Usage(error.to_string())
+        }
+        SyntheticError::Dataset(error) => error.into(),
+        SyntheticError::Interrupted => Failure::Interrupted,
+        _ => Failure::Failed(error.to_string()),
+    }
+}

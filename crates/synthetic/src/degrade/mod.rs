@@ -1,0 +1,241 @@
+//! An existing sequence, made worse in known ways.
+
+mod truth;
+
+use crate::chance::{gaussian, stream};
+use crate::depth_noise::KinectNoise;
+use crate::error::SyntheticError;
+use crate::response::Response;
+use crate::sensor::with_noise;
+use crate::spec::NoiseSpec;
+use crate::write::{DEPTH_SCALE, Folder, write_depth, write_picture};
+use i2slam_dataset::{Frame, OpenOptions, Sequence, write_camera};
+use i2slam_geometry::Image;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::path::Path;
+
+/// Light that still comes through a covering hand [stops].
+const COVERED_STOPS: f64 = -11.0;
+/// Frames worked on at once; bounds the memory.
+const BATCH: usize = 16;
+
+/// A change of exposure from a frame on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExposureStep {
+    /// First frame of the new exposure.
+    pub frame: usize,
+    /// Change against the recording [stops].
+    pub stops: f64,
+}
+
+/// What is done to a sequence. Frames are counted in the associated stream, nothing thinned.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Degradation {
+    /// Seed of noise and of dropped frames.
+    pub seed: u64,
+    /// Depth noise, steps and holes.
+    pub depth_noise: Option<KinectNoise>,
+    /// Noise on exposed linear values.
+    pub sensor_noise: Option<NoiseSpec>,
+    /// Exposure changes, each from its frame to the next one's.
+    pub exposure_steps: Vec<ExposureStep>,
+    /// Share of frames left out by chance, in `[0, 1)`; the first frame stays.
+    pub drop_share: f64,
+    /// Frames left out.
+    pub dropped: Vec<Range<usize>>,
+    /// Frames with a hand over the lens: almost black, no depth.
+    pub covered: Vec<Range<usize>>,
+    /// The response that pictures are taken to have, for noise and exposure steps.
+    pub response: Response,
+}
+
+impl Default for Degradation {
+    /// Nothing is done; the response is sRGB's.
+    fn default() -> Self {
+        Self {
+            seed: 7,
+            depth_noise: None,
+            sensor_noise: None,
+            exposure_steps: Vec::new(),
+            drop_share: 0.0,
+            dropped: Vec::new(),
+            covered: Vec::new(),
+            response: Response::Srgb,
+        }
+    }
+}
+
+/// What became of a sequence.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Degraded {
+    /// Frames written.
+    pub frames: usize,
+    /// Frames left out.
+    pub dropped: usize,
+    /// Frames with a covered lens.
+    pub covered: usize,
+}
+
+impl Degradation {
+    /// Change of exposure of a frame [stops].
+    fn stops(&self, frame: usize) -> f64 {
+        let before = self.exposure_steps.iter().filter(|step| step.frame <= frame);
+        before.max_by_key(|step| step.frame).map_or(0.0, |step| step.stops)
+    }
+
+    fn drops(&self, frame: usize) -> bool {
+        let chance = stream(self.seed, 41, frame as u64).uniform();
+        let by_chance = frame > 0 && chance < self.drop_share;
+        by_chance || self.dropped.iter().any(|range| range.contains(&frame))
+    }
+
+    fn covers(&self, frame: usize) -> bool {
+        self.covered.iter().any(|range| range.contains(&frame))
+    }
+
+    fn validate(&self) -> Result<(), SyntheticError> {
+        let refuse = |key: &str, value: f64, expected: &str| {
+            let (key, value) = (key.to_owned(), value.to_string());
+            Err(SyntheticError::OutOfRange { key, value, expected: expected.to_owned() })
+        };
+        if !(0.0..1.0).contains(&self.drop_share) {
+            return refuse("share of dropped frames", self.drop_share, "0 to less than 1");
+        }
+        if let Some(step) = self.exposure_steps.iter().find(|s| !(-20.0..=20.0).contains(&s.stops))
+        {
+            return refuse("exposure step", step.stops, "-20 to 20 stops");
+        }
+        if let Some(noise) = &self.sensor_noise {
+            for (key, value) in [("read noise", noise.read), ("shot noise", noise.shot)] {
+                if !(0.0..=1.0).contains(&value) {
+                    return refuse(key, value, "0 to 1");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The picture of a frame as the worse camera takes it.
+    fn picture(&self, colour: &Image<f32>, index: usize) -> Image<f32> {
+        let covered = if self.covers(index) { COVERED_STOPS } else { 0.0 };
+        let gain = (self.stops(index) + covered).exp2() as f32;
+        if gain == 1.0 && self.sensor_noise.is_none() {
+            return colour.clone();
+        }
+        let mut random = stream(self.seed, 22, index as u64);
+        let mut out = colour.clone();
+        for channel in 0..3 {
+            let linear: Vec<f32> = (0..=LEVELS)
+                .map(|i| self.response.invert(i as f32 / LEVELS as f32, channel))
+                .collect();
+            for value in out.plane_mut(channel) {
+                let mut exposed = linear_value(&linear, *value) * gain;
+                if let Some(noise) = &self.sensor_noise {
+                    exposed = with_noise(exposed, noise, gaussian(&mut random));
+                }
+                *value = self.response.apply(exposed, channel);
+            }
+        }
+        out
+    }
+
+    fn depth(&self, depth: &Image<f32>, index: usize) -> Image<f32> {
+        if self.covers(index) {
+            return Image::new(depth.width, depth.height, 1);
+        }
+        let noise = self.depth_noise.as_ref();
+        noise.map_or_else(|| depth.clone(), |noise| noise.apply(depth, self.seed, index))
+    }
+}
+
+/// Picture values at which the inverse response is tabulated.
+const LEVELS: usize = 1020;
+
+/// A value of the tabulated inverse response. White is taken as four steps of 1/1020 below it, so
+/// that it stays finite.
+fn linear_value(table: &[f32], value: f32) -> f32 {
+    let at = (value.clamp(0.0, 1.0) * LEVELS as f32).min((LEVELS - 4) as f32);
+    let below = at as usize;
+    table[below] + (table[below + 1] - table[below]) * (at - below as f32)
+}
+
+/// Writes the degraded sequence into a folder, in the TUM layout, lens distortion removed.
+/// `sharp/`, `hdr/`, `exposure.csv` and ground truth come along, renumbered. `progress` is told
+/// how many of how many frames are done and answers whether to go on.
+pub fn degrade(
+    dataset: &Path,
+    out: &Path,
+    what: &Degradation,
+    progress: &mut dyn FnMut(usize, usize) -> bool,
+) -> Result<Degraded, SyntheticError> {
+    what.validate()?;
+    truth::refuse_same_folder(dataset, out)?;
+    let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
+    let sequence = Sequence::open(dataset, &options)?;
+    let kept: Vec<usize> = (0..sequence.len()).filter(|&i| !what.drops(i)).collect();
+    let folder = Folder::create(out)?;
+    for (batch, positions) in kept.chunks(BATCH).enumerate() {
+        let write = |(at, &position): (usize, &usize)| {
+            write_frame(&folder, &sequence.load(position)?, what, position, batch * BATCH + at)
+        };
+        positions.par_iter().enumerate().map(write).collect::<Result<(), SyntheticError>>()?;
+        let done = (batch * BATCH + positions.len(), kept.len());
+        if !progress(done.0, done.1) {
+            return Err(SyntheticError::Interrupted);
+        }
+    }
+    let stamps = |of: fn(&i2slam_dataset::Entry) -> f64| -> Vec<f64> {
+        kept.iter().map(|&i| of(&sequence.entries[i])).collect()
+    };
+    folder.write_list("rgb", "colour images", &stamps(|entry| entry.timestamp))?;
+    folder.write_list("depth", "depth images, 5000 = 1 m", &stamps(|e| e.depth_timestamp))?;
+    write_camera(out.join("camera.json"), &sequence.camera, DEPTH_SCALE, sequence.frame_rate)?;
+    truth::carry(dataset, out, &folder, &sequence, &kept, what)?;
+    folder.write_text("README.md", page(&sequence.name, what, &kept))?;
+    Ok(Degraded {
+        frames: kept.len(),
+        dropped: sequence.len() - kept.len(),
+        covered: kept.iter().filter(|&&i| what.covers(i)).count(),
+    })
+}
+
+fn write_frame(
+    folder: &Folder,
+    frame: &Frame,
+    what: &Degradation,
+    position: usize,
+    number: usize,
+) -> Result<(), SyntheticError> {
+    let picture = what.picture(&frame.colour, position);
+    folder.write(&format!("rgb/{number:06}.png"), write_picture(&picture))?;
+    let depth = what.depth(&frame.depth, position);
+    folder.write(&format!("depth/{number:06}.png"), write_depth(&depth))
+}
+
+/// The page beside the data.
+fn page(name: &str, what: &Degradation, kept: &[usize]) -> String {
+    let yes = |on: bool| if on { "yes" } else { "no" };
+    let ranges = |ranges: &[Range<usize>]| {
+        let words: Vec<String> = ranges.iter().map(|r| format!("{}..{}", r.start, r.end)).collect();
+        if words.is_empty() { "none".into() } else { words.join(", ") }
+    };
+    let steps = what.exposure_steps.iter();
+    let steps: Vec<String> = steps.map(|s| format!("{} stops from {}", s.stops, s.frame)).collect();
+    let noise = what.sensor_noise.as_ref();
+    let noise = noise.map_or("none".into(), |n| format!("read {}, shot {}", n.read, n.shot));
+    format!(
+        "# {name}, degraded\n\nMade by `i2slam degrade` with seed {}. Frames are counted in the source; \
+         source.csv names the source of every frame here.\n\n\
+         - Kinect-like depth noise: {}\n- sensor noise: {noise}\n- exposure steps: {}\n\
+         - dropped by chance: {}, by range: {}\n- covered lens: {}\n- assumed response: {:?}\n- frames: {}\n",
+        what.seed,
+        yes(what.depth_noise.is_some()),
+        if steps.is_empty() { "none".into() } else { steps.join(", ") },
+        what.drop_share,
+        ranges(&what.dropped),
+        ranges(&what.covered),
+        what.response,
+        kept.len()
+    )
+}

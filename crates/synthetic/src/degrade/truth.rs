@@ -1,0 +1,118 @@
+//! What a sequence knows of itself, carried along.
+
+use super::Degradation;
+use crate::error::SyntheticError;
+use crate::write::Folder;
+use i2slam_dataset::Sequence;
+use std::path::Path;
+
+/// A sequence must not be written over itself.
+pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), SyntheticError> {
+    match (dataset.canonicalize(), out.canonicalize()) {
+        (Ok(from), Ok(to)) if from == to => Err(SyntheticError::OutOfRange {
+            key: "output folder".into(),
+            value: out.display().to_string(),
+            expected: "another folder than the dataset's".into(),
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// Copies poses, and sharp pictures, radiance and exposures under their new numbers.
+pub(super) fn carry(
+    dataset: &Path,
+    out: &Path,
+    folder: &Folder,
+    sequence: &Sequence,
+    kept: &[usize],
+    what: &Degradation,
+) -> Result<(), SyntheticError> {
+    if let Some(truth) = &sequence.ground_truth {
+        copy(truth, &out.join("groundtruth.txt"))?;
+    }
+    let ends = "groundtruth_shutter.txt";
+    if dataset.join(ends).is_file() {
+        copy(&dataset.join(ends), &out.join(ends))?;
+    }
+    let mut sources = String::from("frame,source,stops,covered\n");
+    for (number, &source) in kept.iter().enumerate() {
+        let entry = &sequence.entries[source];
+        let name = entry.colour.file_name().unwrap_or_default();
+        carry_file(&dataset.join("sharp").join(name), out, &format!("sharp/{number:06}.png"))?;
+        let radiance = dataset.join(format!("hdr/{source:06}.exr"));
+        carry_file(&radiance, out, &format!("hdr/{number:06}.exr"))?;
+        let (stops, covered) = (what.stops(source), what.covers(source));
+        sources.push_str(&format!("{number},{source},{stops},{}\n", u8::from(covered)));
+    }
+    folder.write_text("source.csv", sources)?;
+    let table = dataset.join("exposure.csv");
+    if table.is_file() {
+        let text = std::fs::read_to_string(&table).map_err(|e| SyntheticError::read(&table, e))?;
+        folder.write_text("exposure.csv", renumbered(&text, kept, what))?;
+    }
+    Ok(())
+}
+
+fn copy(from: &Path, to: &Path) -> Result<(), SyntheticError> {
+    std::fs::copy(from, to).map(|_| ()).map_err(|e| SyntheticError::write(to, e))
+}
+
+/// Copies a PNG or EXR file if it is there.
+fn carry_file(from: &Path, out: &Path, name: &str) -> Result<(), SyntheticError> {
+    let same_kind = from.extension() == Path::new(name).extension();
+    if !(same_kind && from.is_file()) {
+        return Ok(());
+    }
+    let to = out.join(name);
+    if let Some(parent) = to.parent() {
+        std::fs::create_dir_all(parent).map_err(|e| SyntheticError::write(parent, e))?;
+    }
+    copy(from, &to)
+}
+
+/// `exposure.csv` of the frames kept: columns `frame`, `ev` and `dt` follow, others stay.
+fn renumbered(text: &str, kept: &[usize], what: &Degradation) -> String {
+    let mut lines = text.lines();
+    let header = lines.next().unwrap_or_default();
+    let names: Vec<&str> = header.split(',').map(str::trim).collect();
+    let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').map(str::trim).collect()).collect();
+    let frame_column = names.iter().position(|n| *n == "frame");
+    let row_of = |source: usize| match frame_column {
+        Some(column) => {
+            rows.iter().find(|row| row.get(column).and_then(|c| c.parse().ok()) == Some(source))
+        }
+        None => rows.get(source),
+    };
+    let mut out = format!("{header}\n");
+    for (number, &source) in kept.iter().enumerate() {
+        let Some(row) = row_of(source) else { continue };
+        let stops = what.stops(source);
+        let cells = row.iter().zip(&names).map(|(cell, name)| {
+            let value = cell.parse::<f64>().ok();
+            match (*name, value) {
+                ("frame", _) => number.to_string(),
+                ("ev", Some(ev)) => format!("{:.6}", ev + stops),
+                ("dt", Some(dt)) => format!("{:.6}", dt * stops.exp2()),
+                _ => (*cell).to_owned(),
+            }
+        });
+        out.push_str(&cells.collect::<Vec<_>>().join(","));
+        out.push('\n');
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ExposureStep;
+
+    #[test]
+    fn exposures_follow_their_frames() {
+        let text = "frame,timestamp,ev,dt\n0,0.0,0.5,1.414214\n1,0.1,0.0,1.0\n2,0.2,1.0,2.0\n";
+        let exposure_steps = vec![ExposureStep { frame: 2, stops: -1.0 }];
+        let what = Degradation { exposure_steps, ..Degradation::default() };
+        let expected = "frame,timestamp,ev,dt\n0,0.0,0.500000,1.414214\n1,0.2,0.000000,1.000000\n";
+        assert_eq!(renumbered(text, &[0, 2], &what), expected);
+    }
+}

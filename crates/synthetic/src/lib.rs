@@ -1,0 +1,40 @@
+//! Test sequences with known truth.
+//!
+//! * [`synthesise`] renders a procedural room, seen by a hand-held camera with motion blur,
+//!   automatic exposure and a camera response, from a [`Spec`].
+//! * [`degrade`] puts depth noise, sensor noise, exposure steps, dropped frames or a covered lens
+//!   on an existing sequence.
+//!
+//! Both write the TUM layout, which `i2slam_dataset::Sequence` opens. Everything is the same
+//! bytes for the same seed and any number of threads. Formulas are in docs/synthetic.md.
+
+mod chance;
+mod degrade;
+mod depth_noise;
+mod error;
+mod exposure;
+mod light;
+mod motion;
+mod render;
+mod response;
+mod rgb;
+mod scene;
+mod sensor;
+mod spec;
+mod synthesise;
+mod texture;
+mod write;
+
+pub use degrade::{Degradation, Degraded, ExposureStep, degrade};
+pub use depth_noise::KinectNoise;
+pub use error::SyntheticError;
+pub use exposure::{AutoExposure, ShutterRule, raw_exposure_value};
+pub use motion::Motion;
+pub use response::Response;
+pub use sensor::{Sensor, white_balance_at};
+pub use spec::{
+    CameraSpec, DepthSpec, ExposureSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec, RoomSpec,
+    Spec, WhiteBalanceSpec,
+};
+pub use synthesise::{Stage, synthesise};
+pub use write::Summary;

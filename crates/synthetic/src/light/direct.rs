@@ -1,0 +1,124 @@
+//! Light that arrives straight from lamps, windows and the sun.
+
+use crate::chance::{between32, stream};
+use crate::rgb::{Rgb, plus, scale};
+use crate::scene::{Emitter, Ray, Role, Scene, Vec3};
+use i2slam_compute::Random;
+
+/// Shadow rays to each source of light.
+const SAMPLES: usize = 16;
+/// Rays towards the sun.
+const SUN_SAMPLES: usize = 8;
+/// Radius of the sun with its haze [rad]: blurs the edges of its patches.
+const SUN_RADIUS: f32 = 0.012;
+/// Distance by which rays start off a surface [m].
+const OFFSET: f32 = 1e-3;
+
+/// Irradiance at a point, without reflections. `number` seeds the choice of sample points.
+pub(super) fn direct_light(
+    scene: &Scene,
+    (point, normal): (Vec3, Vec3),
+    sun: Rgb,
+    seed: u64,
+    number: u64,
+) -> Rgb {
+    let mut random = stream(seed, 11, number);
+    let origin = point + normal * OFFSET;
+    let mut sum = sunlight(scene, origin, normal, sun, &mut random);
+    for emitter in &scene.emitters {
+        sum = plus(sum, from_emitter(scene, origin, normal, emitter, &mut random));
+    }
+    sum
+}
+
+fn is_open(scene: &Scene, origin: Vec3, towards: Vec3) -> bool {
+    let ray = Ray { origin, direction: towards, from: 0.0, to: 0.9995 };
+    let lets_through = |role| matches!(role, Role::Lamp | Role::Pane);
+    scene.first_hit(&ray).is_none_or(|hit| lets_through(scene.surfaces[hit.surface].skin.role))
+}
+
+/// `E = 1/N Σ L cos θ cos θ' A / r²` over points of the source.
+fn from_emitter(
+    scene: &Scene,
+    origin: Vec3,
+    normal: Vec3,
+    emitter: &Emitter,
+    random: &mut Random,
+) -> Rgb {
+    let (side, mut sum) = ((SAMPLES as f32).sqrt() as usize, 0.0);
+    let radiance = match *emitter {
+        Emitter::Rectangle { radiance, .. } | Emitter::Ball { radiance, .. } => radiance,
+    };
+    if !may_see(origin, normal, emitter) {
+        return [0.0; 3];
+    }
+    for sample in 0..side * side {
+        let a = ((sample % side) as f32 + random.uniform() as f32) / side as f32;
+        let b = ((sample / side) as f32 + random.uniform() as f32) / side as f32;
+        let (towards, area) = aim(origin, emitter, a, b);
+        let distance2 = towards.norm_squared();
+        let direction = towards * distance2.sqrt().recip();
+        let cosine = normal.dot(direction);
+        let facing = match *emitter {
+            Emitter::Rectangle { normal, .. } => -normal.dot(direction),
+            Emitter::Ball { .. } => 1.0,
+        };
+        if cosine > 0.0 && facing > 0.0 && is_open(scene, origin, towards) {
+            sum += cosine * facing * area / distance2.max(0.01);
+        }
+    }
+    scale(radiance, sum / (side * side) as f32)
+}
+
+/// Whether any corner of the source lies before the surface.
+fn may_see(origin: Vec3, normal: Vec3, emitter: &Emitter) -> bool {
+    match *emitter {
+        Emitter::Rectangle { origin: o, edges: [e, f], .. } => {
+            [o, o + e, o + f, o + e + f].into_iter().any(|p| normal.dot(p - origin) > 0.0)
+        }
+        Emitter::Ball { centre, radius, .. } => normal.dot(centre - origin) > -radius,
+    }
+}
+
+/// The way to a point of the source, and the area that the point stands for.
+fn aim(origin: Vec3, emitter: &Emitter, a: f32, b: f32) -> (Vec3, f32) {
+    match *emitter {
+        Emitter::Rectangle { origin: o, edges: [e, f], .. } => {
+            (o + e * a + f * b - origin, e.norm() * f.norm())
+        }
+        Emitter::Ball { centre, radius, .. } => {
+            let axis = centre - origin;
+            let (x, y) = across(axis * axis.norm().recip());
+            let (sine, cosine) = (std::f32::consts::TAU * b).sin_cos();
+            let r = radius * a.sqrt();
+            (axis + x * (r * cosine) + y * (r * sine), std::f32::consts::PI * radius * radius)
+        }
+    }
+}
+
+/// Two unit vectors across a unit vector (Duff et al. 2017).
+pub(super) fn across(n: Vec3) -> (Vec3, Vec3) {
+    let sign = 1.0_f32.copysign(n.z);
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    let first = Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x);
+    (first, Vec3::new(b, sign + n.y * n.y * a, -n.y))
+}
+
+fn sunlight(scene: &Scene, origin: Vec3, normal: Vec3, sun: Rgb, random: &mut Random) -> Rgb {
+    let Some(towards) = scene.sun else { return [0.0; 3] };
+    let cosine = normal.dot(towards);
+    if cosine <= 0.0 {
+        return [0.0; 3];
+    }
+    let (x, y) = across(towards);
+    let mut open = 0;
+    for _ in 0..SUN_SAMPLES {
+        let mut draw = || between32(random, -SUN_RADIUS, SUN_RADIUS);
+        let direction = towards + x * draw() + y * draw();
+        let ray = Ray { origin, direction, from: 0.0, to: f32::INFINITY };
+        let through = |hit: crate::scene::Hit| scene.surfaces[hit.surface].skin.role == Role::Pane;
+        open += usize::from(scene.first_hit(&ray).is_some_and(through));
+    }
+    scale(sun, cosine * open as f32 / SUN_SAMPLES as f32)
+}

@@ -1,0 +1,170 @@
+//! Putting surfaces together: blocks, boards, discs, balls, frustums.
+
+use super::{Emitter, Role, Shape, Skin, Surface, Vec3};
+use crate::rgb::{Rgb, scale};
+use crate::texture::Texture;
+
+/// Where a thing stands: local x is right, local y goes away from who looks at it, z is up.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub(super) origin: Vec3,
+    /// Direction of local x [rad], from the world's x axis.
+    pub(super) yaw: f32,
+}
+
+impl Place {
+    pub(super) fn new(x: f32, y: f32, yaw: f32) -> Self {
+        Self { origin: Vec3::new(x, y, 0.0), yaw }
+    }
+
+    /// A local direction in the world.
+    pub(super) fn turn(&self, [x, y, z]: [f32; 3]) -> Vec3 {
+        let (s, c) = self.yaw.sin_cos();
+        Vec3::new(c * x - s * y, s * x + c * y, z)
+    }
+
+    /// A local point in the world.
+    pub(super) fn point(&self, local: [f32; 3]) -> Vec3 {
+        self.origin + self.turn(local)
+    }
+
+    /// A place on top of, or beside, this one.
+    pub(super) fn at(&self, local: [f32; 3], turn: f32) -> Self {
+        Self { origin: self.point(local), yaw: self.yaw + turn }
+    }
+}
+
+impl Skin {
+    /// Tiled paint.
+    pub(super) fn tiled(texture: usize, tile: f32, tint: Rgb) -> Self {
+        Self { texture, tint, tile: Some(tile), role: Role::Matt, radiance: 0.0 }
+    }
+
+    /// A picture over the whole surface.
+    pub(super) fn picture(texture: usize) -> Self {
+        Self { texture, tint: [1.0; 3], tile: None, role: Role::Matt, radiance: 0.0 }
+    }
+
+    /// The same with another tint.
+    pub(super) fn tinted(self, tint: Rgb) -> Self {
+        Self { tint, ..self }
+    }
+
+    /// Sends light.
+    pub(super) fn bright(self, role: Role, radiance: f32) -> Self {
+        Self { role, radiance, ..self }
+    }
+}
+
+/// Surfaces, textures and lights of a room under construction.
+#[derive(Default)]
+pub(super) struct Builder {
+    pub(super) surfaces: Vec<Surface>,
+    pub(super) textures: Vec<Texture>,
+    pub(super) emitters: Vec<Emitter>,
+}
+
+impl Builder {
+    /// Keeps a texture and gives its number.
+    pub(super) fn texture(&mut self, texture: Texture) -> usize {
+        self.textures.push(texture);
+        self.textures.len() - 1
+    }
+
+    /// Any shape. Tiles start where the surface count says, so that equal boards differ, unless
+    /// `start` [m] is given.
+    pub(super) fn add(&mut self, shape: Shape, skin: Skin, start: Option<[f32; 2]>) {
+        let extent = shape.extent();
+        let size = self.textures[skin.texture].size as f32;
+        let (repeats, texels) = match skin.tile {
+            Some(tile) => (extent.map(|e| e / tile), size / tile),
+            None => ([1.0; 2], size / extent[0].max(extent[1])),
+        };
+        let golden = self.surfaces.len() as f32 * 0.618_034;
+        let start = match (skin.tile, start) {
+            (Some(tile), Some(start)) => start.map(|s| s / tile),
+            (Some(_), None) => [golden.fract(), (golden * 1.7).fract()],
+            (None, _) => [0.0; 2],
+        };
+        self.surfaces.push(Surface { shape, skin, repeats, start, texels_per_metre: texels });
+    }
+
+    /// A rectangle from its upper left corner.
+    pub(super) fn quad(&mut self, origin: Vec3, right: Vec3, down: Vec3, skin: Skin) {
+        self.add(Shape::quad(origin, right, down, false), skin, None);
+    }
+
+    /// A block between two local corners; `front` dresses the side that is looked at.
+    pub(super) fn dressed(
+        &mut self,
+        place: &Place,
+        low: [f32; 3],
+        high: [f32; 3],
+        sides: Skin,
+        front: Skin,
+    ) {
+        let d: [f32; 3] = std::array::from_fn(|i| high[i] - low[i]);
+        let mut face = |corner: [f32; 3], right: [f32; 3], down: [f32; 3], skin: Skin| {
+            self.quad(place.point(corner), place.turn(right), place.turn(down), skin);
+        };
+        let down = [0.0, 0.0, -d[2]];
+        let [x0, y0, z0] = low;
+        let [x1, y1, z1] = high;
+        face([x0, y0, z1], [d[0], 0.0, 0.0], down, front);
+        face([x1, y1, z1], [-d[0], 0.0, 0.0], down, sides);
+        face([x0, y1, z1], [0.0, -d[1], 0.0], down, sides);
+        face([x1, y0, z1], [0.0, d[1], 0.0], down, sides);
+        face([x0, y1, z1], [d[0], 0.0, 0.0], [0.0, -d[1], 0.0], sides);
+        if z0 + place.origin.z > 0.02 {
+            face([x0, y0, z0], [d[0], 0.0, 0.0], [0.0, d[1], 0.0], sides);
+        }
+    }
+
+    /// A block of one skin.
+    pub(super) fn block(&mut self, place: &Place, low: [f32; 3], high: [f32; 3], skin: Skin) {
+        self.dressed(place, low, high, skin, skin);
+    }
+
+    /// A round upright thing from `z0` to `z1` with its lids.
+    pub(super) fn turned(
+        &mut self,
+        place: &Place,
+        [z0, z1]: [f32; 2],
+        radii: [f32; 2],
+        skin: Skin,
+    ) {
+        self.tube(place, [z0, z1], radii, skin);
+        for (z, radius, side) in [(z1, radii[1], 1.0), (z0, radii[0], -1.0)] {
+            if radius > 0.0 && !(side < 0.0 && place.origin.z + z0 < 0.02) {
+                let corner = place.point([-radius, side * radius, z]);
+                let right = place.turn([2.0 * radius, 0.0, 0.0]);
+                let down = place.turn([0.0, -side * 2.0 * radius, 0.0]);
+                self.add(Shape::quad(corner, right, down, true), skin, None);
+            }
+        }
+    }
+
+    /// A round upright thing without lids.
+    pub(super) fn tube(&mut self, place: &Place, [z0, z1]: [f32; 2], radii: [f32; 2], skin: Skin) {
+        let base = place.point([0.0, 0.0, z0]);
+        self.add(Shape::Frustum { base, height: z1 - z0, radii }, skin, None);
+    }
+
+    /// A ball.
+    pub(super) fn ball(&mut self, centre: Vec3, radius: f32, skin: Skin) {
+        self.add(Shape::Ball { centre, radius }, skin, None);
+    }
+
+    /// A bulb that lights the room.
+    pub(super) fn bulb(
+        &mut self,
+        centre: Vec3,
+        radius: f32,
+        skin: Skin,
+        colour: Rgb,
+        radiance: f32,
+    ) {
+        self.ball(centre, radius, skin.tinted(colour).bright(Role::Lamp, radiance));
+        self.emitters.push(Emitter::Ball { centre, radius, radiance: scale(colour, radiance) });
+    }
+}

@@ -1,0 +1,114 @@
+//! Rooms: what stands where, what it looks like, and what a ray meets first.
+
+mod builder;
+mod bvh;
+mod furniture;
+mod library;
+mod objects;
+mod room;
+mod shape;
+mod wall;
+
+use crate::rgb::Rgb;
+use crate::texture::{Decoder, Texture};
+pub(crate) use bvh::Bvh;
+pub(crate) use room::furnished_room;
+pub(crate) use shape::{Hit, Ray, Shape};
+
+/// Points and directions in the world.
+pub(crate) type Vec3 = i2slam_geometry::Vec3<f32>;
+
+/// What part a surface takes in the light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    /// Reflects (Lambert).
+    Matt,
+    /// Sends light that is counted when light is gathered: glowing shades, displays.
+    Glow,
+    /// Sends light that is sampled as an [`Emitter`]: bulbs.
+    Lamp,
+    /// A window pane: the outside is seen in it, sun comes through it.
+    Pane,
+}
+
+/// How a picture lies on a surface.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Skin {
+    /// Which texture.
+    pub(crate) texture: usize,
+    /// Factor on its colours.
+    pub(crate) tint: Rgb,
+    /// Side of one repetition [m]; `None`: stretched over the surface once.
+    pub(crate) tile: Option<f32>,
+    /// Part in the light.
+    pub(crate) role: Role,
+    /// Radiance of white, for what sends light.
+    pub(crate) radiance: f32,
+}
+
+/// A shape with its skin.
+pub(crate) struct Surface {
+    pub(crate) shape: Shape,
+    pub(crate) skin: Skin,
+    /// Repetitions of the texture over the surface.
+    pub(crate) repeats: [f32; 2],
+    /// Where the surface starts in the texture [repetitions].
+    pub(crate) start: [f32; 2],
+    /// Texels of level 0 a metre.
+    pub(crate) texels_per_metre: f32,
+}
+
+/// A source of light that is sampled.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Emitter {
+    /// A rectangle that shines to the side of `normal`.
+    Rectangle { origin: Vec3, edges: [Vec3; 2], normal: Vec3, radiance: Rgb },
+    /// A ball.
+    Ball { centre: Vec3, radius: f32, radiance: Rgb },
+}
+
+/// A furnished room.
+pub(crate) struct Scene {
+    pub(crate) surfaces: Vec<Surface>,
+    pub(crate) textures: Vec<Texture>,
+    pub(crate) decoder: Decoder,
+    pub(crate) emitters: Vec<Emitter>,
+    pub(crate) bvh: Bvh,
+    /// Towards the sun, unit length.
+    pub(crate) sun: Option<Vec3>,
+}
+
+impl Scene {
+    /// The first surface along a ray, between its ends.
+    #[inline]
+    pub(crate) fn first_hit(&self, ray: &Ray) -> Option<Hit> {
+        self.bvh.first_hit(ray)
+    }
+
+    /// Colour of the skin at `(s, t)` of a surface, read for a footprint [m]; `shift` in
+    /// [-½, ½) chooses between two levels, so that averages over samples blend them.
+    #[inline]
+    pub(crate) fn colour(
+        &self,
+        surface: &Surface,
+        st: [f32; 2],
+        footprint: f32,
+        shift: f32,
+    ) -> Rgb {
+        let u = surface.start[0] + st[0] * surface.repeats[0];
+        let v = surface.start[1] + st[1] * surface.repeats[1];
+        let texels = (footprint * surface.texels_per_metre).max(1e-6);
+        // The bits of a float are its logarithm, straight between powers of two: near enough.
+        let logarithm = texels.to_bits() as f32 * (1.0 / (1 << 23) as f32) - 127.0;
+        // Several samples are averaged in every pixel: half a level sharper than one sample needs,
+        // which cancels the half that rounding would add.
+        let level = (logarithm + shift).max(0.0) as i32;
+        let colour = self.textures[surface.skin.texture].sample(&self.decoder, u, v, level);
+        crate::rgb::times(colour, surface.skin.tint)
+    }
+
+    /// Mean colour of a surface.
+    pub(crate) fn mean_colour(&self, surface: &Surface) -> Rgb {
+        crate::rgb::times(self.textures[surface.skin.texture].mean, surface.skin.tint)
+    }
+}

@@ -1,0 +1,257 @@
+//! A specification to a sequence on disk.
+
+use crate::depth_noise::KinectNoise;
+use crate::error::SyntheticError;
+use crate::exposure::{AutoExposure, ShutterRule, raw_exposure_value};
+use crate::light::{LitScene, light_up};
+use crate::motion::Motion;
+use crate::render::{self, Shutter};
+use crate::scene::furnished_room;
+use crate::sensor::{Sensor, white_balance_at};
+use crate::spec::Spec;
+use crate::write::{
+    Folder, Summary, camera_json, pose_numbers, readme, write_depth, write_picture, write_radiance,
+};
+use i2slam_geometry::{Camera, Image, Pose};
+use std::path::Path;
+
+/// How far the work is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// The room is built and lit.
+    Lighting,
+    /// So many sharp frames are done.
+    Sharp(usize),
+    /// So many blurred frames are done.
+    Blurred(usize),
+}
+
+/// What is known of a frame after the sharp pass.
+struct FrameTruth {
+    stamp: f64,
+    exposure_value: f64,
+    world_from_camera: Pose<f64>,
+    depth: Image<f32>,
+    median_depth: f64,
+}
+
+/// The tools of a run.
+struct Studio<'a> {
+    spec: &'a Spec,
+    camera: Camera<f64>,
+    motion: Motion,
+    lit: LitScene,
+    folder: Folder,
+}
+
+/// Renders the sequence of a specification into a folder. `progress` is told what is done and
+/// answers whether to go on; a run that was ended leaves pictures but no lists.
+pub fn synthesise(
+    spec: &Spec,
+    out: &Path,
+    progress: &mut dyn FnMut(Stage) -> bool,
+) -> Result<Summary, SyntheticError> {
+    spec.validate()?;
+    let folder = Folder::create(out)?;
+    let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
+    go_on(progress(Stage::Lighting))?;
+    let lit = light_up(furnished_room(spec), spec);
+    let studio = Studio { spec, camera: camera(spec), motion: Motion::new(spec), lit, folder };
+    let mut automatic = AutoExposure::default();
+    let mut frames = Vec::new();
+    for index in 0..spec.camera.frames {
+        frames.push(studio.sharp_frame(index, &mut automatic)?);
+        go_on(progress(Stage::Sharp(index + 1)))?;
+    }
+    let values: Vec<f64> = frames.iter().map(|f| f.exposure_value).collect();
+    let rule = ShutterRule::new(&values, &spec.exposure);
+    let mut blurs = Vec::new();
+    for (index, frame) in frames.iter().enumerate() {
+        blurs.push(studio.blurred_frame(index, frame, &rule)?);
+        go_on(progress(Stage::Blurred(index + 1)))?;
+    }
+    studio.finish(&frames, &rule, &blurs)
+}
+
+fn camera(spec: &Spec) -> Camera<f64> {
+    let (width, height) = (spec.camera.width, spec.camera.height);
+    let f = 0.5 * width as f64 / (0.5 * spec.camera.field_of_view.to_radians()).tan();
+    let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+    Camera { width, height, fx: f, fy: f, cx, cy }
+}
+
+impl Studio<'_> {
+    fn sensor(&self, frame: f64, exposure_value: f64) -> Sensor {
+        Sensor {
+            exposure: exposure_value.exp2(),
+            white_balance: white_balance_at(&self.spec.white_balance, frame),
+            response: self.spec.exposure.response,
+        }
+    }
+
+    /// Sharp picture, radiance and depth of a frame; its exposure.
+    fn sharp_frame(
+        &self,
+        index: usize,
+        automatic: &mut AutoExposure,
+    ) -> Result<FrameTruth, SyntheticError> {
+        let spec = self.spec;
+        let stamp = index as f64 / spec.camera.frame_rate;
+        let pose = self.motion.world_from_camera(stamp);
+        let radiance = render::sharp(&self.lit, &self.camera, pose, spec.camera.sharp_samples);
+        let depth = render::depth(&self.lit, &self.camera, pose, spec.depth.maximum);
+        let raw = raw_exposure_value(&radiance, spec.exposure.response);
+        let exposure_value = automatic.next(raw, &spec.exposure);
+        let name = |folder: &str, kind: &str| format!("{folder}/{index:06}.{kind}");
+        if spec.output.sharp {
+            let picture = self.sensor(stamp, exposure_value).picture(&radiance);
+            self.folder.write(&name("sharp", "png"), write_picture(&picture))?;
+        }
+        if spec.output.hdr_every > 0 && index.is_multiple_of(spec.output.hdr_every) {
+            self.folder.write(&name("hdr", "exr"), write_radiance(&radiance))?;
+        }
+        let kinect = || KinectNoise::default().apply(&depth, spec.seed, index);
+        let seen = spec.depth.kinect.then(kinect);
+        self.folder.write(&name("depth", "png"), write_depth(seen.as_ref().unwrap_or(&depth)))?;
+        let median_depth = median(depth.data.iter().map(|&z| f64::from(z)).filter(|&z| z > 0.0));
+        let small = depth.resized_by_nearest(depth.width.min(80), depth.height.min(60));
+        let world_from_camera = pose;
+        Ok(FrameTruth { stamp, exposure_value, world_from_camera, depth: small, median_depth })
+    }
+
+    /// Blurred picture of a frame; gives the median length of its blur [px].
+    fn blurred_frame(
+        &self,
+        index: usize,
+        frame: &FrameTruth,
+        rule: &ShutterRule,
+    ) -> Result<f64, SyntheticError> {
+        let shutter = self.shutter(frame, rule);
+        let samples = self.spec.camera.sub_frames;
+        let radiance = render::exposed(&self.lit, &self.camera, &self.motion, shutter, samples);
+        let sensor = self.sensor(frame.stamp, frame.exposure_value);
+        let picture = sensor.noisy_picture(&radiance, &self.spec.noise, self.spec.seed, index);
+        self.folder.write(&format!("rgb/{index:06}.png"), write_picture(&picture))?;
+        Ok(self.blur_length(frame, shutter))
+    }
+
+    fn shutter(&self, frame: &FrameTruth, rule: &ShutterRule) -> Shutter {
+        let interval = self.spec.camera.frame_rate.recip();
+        let share = rule.share(frame.exposure_value);
+        let readout = self.spec.camera.readout * interval;
+        Shutter { stamp: frame.stamp, open: share * interval, readout }
+    }
+
+    /// Poses at shutter open and close of the middle row.
+    fn ends(&self, shutter: Shutter) -> [Pose<f64>; 2] {
+        [-0.5, 0.5].map(|u| self.motion.world_from_camera(shutter.stamp + u * shutter.open))
+    }
+
+    /// Median distance between a point's places at shutter open and close [px].
+    fn blur_length(&self, frame: &FrameTruth, shutter: Shutter) -> f64 {
+        let ends = self.ends(shutter).map(|end| end.inverse() * frame.world_from_camera);
+        let small = self.camera.resized(frame.depth.width, frame.depth.height);
+        let lengths = (0..frame.depth.pixels()).filter_map(|i| {
+            let (u, v) = Camera::pixel_centre(i % frame.depth.width, i / frame.depth.width);
+            let z = f64::from(frame.depth.data[i]);
+            let point = (z > 0.0).then(|| small.unproject(u, v, z))?;
+            let [a, b] = ends.map(|end| end * point);
+            let seen = a.z > 0.0 && b.z > 0.0;
+            let ((ua, va), (ub, vb)) = (self.camera.project(a), self.camera.project(b));
+            seen.then(|| (ua - ub).hypot(va - vb))
+        });
+        median(lengths)
+    }
+
+    /// Lists, truth and the page.
+    fn finish(
+        &self,
+        frames: &[FrameTruth],
+        rule: &ShutterRule,
+        blurs: &[f64],
+    ) -> Result<Summary, SyntheticError> {
+        let stamps: Vec<f64> = frames.iter().map(|f| f.stamp).collect();
+        self.folder.write_list("rgb", "colour images (motion-blurred)", &stamps)?;
+        let about = "depth maps (z-depth at mid-exposure, 5000 = 1 m, 0 = invalid)";
+        self.folder.write_list("depth", about, &stamps)?;
+        self.write_truth(frames, rule, blurs)?;
+        let summary = self.summary(frames, rule, blurs);
+        self.folder.write_text("camera.json", camera_json(&self.camera, self.spec, rule))?;
+        self.folder.write_text("spec.toml", self.spec.to_toml())?;
+        self.folder.write_text("README.md", readme(self.spec, rule, &summary))?;
+        Ok(summary)
+    }
+
+    fn write_truth(
+        &self,
+        frames: &[FrameTruth],
+        rule: &ShutterRule,
+        blurs: &[f64],
+    ) -> Result<(), SyntheticError> {
+        let mut middle = String::from(
+            "# ground truth camera poses at mid-exposure, world_from_camera, OpenCV camera axes \
+             (x right, y down, z forward), metres\n# timestamp tx ty tz qx qy qz qw\n",
+        );
+        let mut ends = String::from(
+            "# poses at shutter open and shutter close, world_from_camera, OpenCV axes\n# timestamp \
+             tx0 ty0 tz0 qx0 qy0 qz0 qw0 tx1 ty1 tz1 qx1 qy1 qz1 qw1\n",
+        );
+        let mut table = String::from(
+            "frame,timestamp,ev,dt,shutter_fraction,shutter_seconds,blur_px_median,wb_r,wb_g,wb_b\n",
+        );
+        for (i, frame) in frames.iter().enumerate() {
+            let (stamp, ev) = (frame.stamp, frame.exposure_value);
+            let shutter = self.shutter(frame, rule);
+            let [start, end] = self.ends(shutter);
+            middle.push_str(&format!("{stamp:.6} {}\n", pose_numbers(&frame.world_from_camera)));
+            let pair = [pose_numbers(&start), pose_numbers(&end)].join(" ");
+            ends.push_str(&format!("{stamp:.6} {pair}\n"));
+            let [r, g, b] = white_balance_at(&self.spec.white_balance, stamp);
+            table.push_str(&format!(
+                "{i},{stamp:.6},{ev:.6},{:.6},{:.6},{:.8},{:.3},{r:.6},{g:.6},{b:.6}\n",
+                ev.exp2(),
+                rule.share(ev),
+                shutter.open,
+                blurs[i]
+            ));
+        }
+        self.folder.write_text("groundtruth.txt", middle)?;
+        self.folder.write_text("groundtruth_shutter.txt", ends)?;
+        self.folder.write_text("exposure.csv", table)
+    }
+
+    fn summary(&self, frames: &[FrameTruth], rule: &ShutterRule, blurs: &[f64]) -> Summary {
+        let steps = frames.windows(2).map(|w| w[0].world_from_camera.local(w[1].world_from_camera));
+        let steps: Vec<_> = steps.collect();
+        let rate = self.spec.camera.frame_rate;
+        let turns = || steps.iter().map(|s| s.rotation.norm().to_degrees() * rate);
+        let ends = |values: Vec<f64>| {
+            let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+            [least, values.iter().copied().fold(f64::NEG_INFINITY, f64::max)]
+        };
+        let exposure_values = ends(frames.iter().map(|f| f.exposure_value).collect());
+        let depths = ends(frames.iter().map(|f| f.median_depth).collect());
+        let depth = || frames.iter().map(|f| f.median_depth);
+        Summary {
+            frames: frames.len(),
+            path_metres: steps.iter().map(|s| s.translation.norm()).sum(),
+            rotation_rate: [median(turns()), turns().fold(0.0, f64::max)],
+            exposure_values,
+            shutter: exposure_values.map(|ev| rule.share(ev)),
+            blur: [0.5, 0.9, 1.0].map(|share| quantile(blurs.iter().copied(), share)),
+            depth: [depths[0], median(depth()), depths[1]],
+        }
+    }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    quantile(values, 0.5)
+}
+
+/// The value below which a share of the values lies; 0 where there are none.
+fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    let last = values.len().saturating_sub(1);
+    values.get((share * last as f64).round() as usize).copied().unwrap_or(0.0)
+}
