@@ -1,6 +1,6 @@
 //! Pictures of a reconstruction.
 
-use crate::objective::{FrameObjective, FrameVariables, Tone, virtual_camera_count};
+use crate::objective::{BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, Tone};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::raster_settings;
 use i2slam_formation::{ResponseCurve, ShutterPoses};
@@ -30,18 +30,13 @@ impl Viewer<'_> {
     /// The frame without motion blur: seen from mid-exposure, formed with the frame's own
     /// exposure, white balance and response. Three planes, in `[0, 1]` but for the leaky clip.
     pub fn sharp(&mut self, frame: &FrameEstimate) -> Image<f32> {
-        self.form(frame, ShutterPoses::still(frame.middle()), 1)
+        self.form(frame, ShutterPoses::still(frame.middle()), Sampling::SHARP)
     }
 
     /// What formation predicts for the frame, motion blur included.
     pub fn blurred(&mut self, frame: &FrameEstimate) -> Image<f32> {
-        let formation = &self.reconstruction.config.formation;
-        if !formation.blur {
-            return self.sharp(frame);
-        }
-        let per_camera = f64::from(formation.blur_per_camera);
-        let count = virtual_camera_count(frame.blur_length, per_camera, formation.virtual_cameras);
-        self.form(frame, frame.shutter, count)
+        let sampling = Sampling::new(&self.reconstruction.config.formation, frame.blur_length);
+        self.form(frame, frame.shutter, Sampling { route: BlurRoute::Exact, ..sampling })
     }
 
     /// Linear radiance seen from a world-from-camera pose (picture values with `tone` off).
@@ -63,7 +58,7 @@ impl Viewer<'_> {
         &mut self,
         frame: &FrameEstimate,
         shutter: ShutterPoses<f64>,
-        virtual_cameras: usize,
+        sampling: Sampling,
     ) -> Image<f32> {
         let curve: Option<ResponseCurve<f32>> = self
             .reconstruction
@@ -72,13 +67,8 @@ impl Viewer<'_> {
             .tone
             .then(|| self.reconstruction.responses[frame.response].curve());
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
-        let variables = FrameVariables {
-            shutter,
-            tone,
-            virtual_cameras,
-            quadrature: self.reconstruction.config.formation.quadrature(),
-            depth_pose: None,
-        };
+        let variables =
+            FrameVariables { exposure: Exposure { shutter, sampling, depth_pose: None }, tone };
         self.objective.predict(&self.reconstruction.map, &variables).clone()
     }
 }

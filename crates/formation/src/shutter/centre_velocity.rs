@@ -5,7 +5,7 @@
 //! very different speeds, so each wants a learning rate of its own.
 
 use super::{ShutterPoses, ShutterTangent};
-use i2slam_geometry::{Pose, Real, Rotation, Tangent, Vec3, right_jacobian};
+use i2slam_geometry::{Mat3, Pose, Real, Rotation, Tangent, Vec3, right_jacobian};
 
 /// Centre of the exposure and the motion over it.
 ///
@@ -70,10 +70,59 @@ impl<T: Real> CentreVelocity<T> {
         (d_centre, d_velocity)
     }
 
+    /// Pulls cotangents of centre and velocity back onto the shutter poses that they were made
+    /// of: the inverse of [`pull_back`](Self::pull_back).
+    ///
+    /// With `p_± = E_± d_±.ρ` and `a_± = E_± d_±.φ` for close (+) and open (-), `pull_back` says
+    ///
+    /// ```text
+    /// p_+ + p_- = d_centre.ρ                 ½ (p_+ - p_-) = d_velocity.ρ
+    /// a_+ + a_- = d_centre.φ - ν × d_velocity.ρ
+    /// J_lᵀ a_+ - J_rᵀ a_- = 2 d_velocity.φ   at ω / 2
+    /// ```
+    pub fn pull_back_to_shutter(
+        &self,
+        d_centre: Tangent<T>,
+        d_velocity: Tangent<T>,
+    ) -> ShutterTangent<T> {
+        let half = T::of(0.5);
+        let turn: Vec3<T> = self.velocity.rotation * half;
+        let rotation = Rotation::exp(turn);
+        let (left, right) = (right_jacobian(turn * -T::one()), right_jacobian(turn));
+        let (left, right) = (left.transpose(), right.transpose());
+        let both = d_centre.rotation - self.velocity.translation.cross(d_velocity.translation);
+        let close = solve(&sum(&left, &right), d_velocity.rotation * T::of(2.0) + right * both);
+        let open = both - close;
+        let middle = d_centre.translation * half;
+        ShutterTangent {
+            start: Tangent {
+                translation: rotation.rotate(middle - d_velocity.translation),
+                rotation: rotation.rotate(open),
+            },
+            end: Tangent {
+                translation: rotation.inverse().rotate(middle + d_velocity.translation),
+                rotation: rotation.inverse().rotate(close),
+            },
+        }
+    }
+
     /// The same motion in another scalar type.
     pub fn cast<U: Real>(&self) -> CentreVelocity<U> {
         CentreVelocity { centre: self.centre.cast(), velocity: self.velocity.cast() }
     }
+}
+
+fn sum<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
+    let row = |i: usize| std::array::from_fn(|j| a.rows[i][j] + b.rows[i][j]);
+    Mat3 { rows: [row(0), row(1), row(2)] }
+}
+
+/// `m⁻¹ v` by Cramer's rule.
+fn solve<T: Real>(m: &Mat3<T>, v: Vec3<T>) -> Vec3<T> {
+    let columns = m.transpose().rows.map(Vec3::from_array);
+    let [a, b, c] = columns;
+    let determinant = a.dot(b.cross(c));
+    Vec3::new(v.dot(b.cross(c)), a.dot(v.cross(c)), a.dot(b.cross(v))) * (T::one() / determinant)
 }
 
 impl<T: Real> From<CentreVelocity<T>> for ShutterPoses<T> {

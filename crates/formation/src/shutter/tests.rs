@@ -126,6 +126,17 @@ fn poison_is_passed_on_without_panic() {
 }
 
 #[test]
+fn cotangents_of_both_charts_carry_over_both_ways() {
+    for (shutter, seed) in examples().into_iter().zip(70..) {
+        let motion = CentreVelocity::from(shutter);
+        let d_shutter: [f64; 12] = std::array::from_fn(|i| noise(seed, 12)[i]);
+        let (d_centre, d_velocity) = motion.pull_back(shutter_tangent(&d_shutter));
+        let back = motion.pull_back_to_shutter(d_centre, d_velocity).to_array();
+        assert_close("shutter", &back, &d_shutter, 1e-10);
+    }
+}
+
+#[test]
 fn a_start_along_the_trajectory_lies_on_it() {
     let [previous, centre] = [base(), base().retract(tangent(&noise(4, 6)).scaled(0.3))];
     let shutter = ShutterPoses::from(CentreVelocity::along(previous, centre, 0.1));

@@ -60,6 +60,8 @@ pub struct FormationConfig {
     /// Blur length per virtual camera [px]: a frame uses no more cameras than its blur needs.
     /// Zero always uses `virtual_cameras`.
     pub blur_per_camera: f32,
+    /// How the average over the exposure is computed.
+    pub blur_model: BlurModel,
     /// One gain per channel, or one gain in all.
     pub white_balance: WhiteBalance,
     /// One camera response for the sequence, or one for each frame.
@@ -85,6 +87,20 @@ pub enum QuadratureRule {
     Endpoints,
     /// In the middle of equal parts of the exposure: the streak keeps its true width.
     Midpoints,
+}
+
+/// How the average over the exposure is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BlurModel {
+    /// One render per virtual camera (eqs. 5 and 6).
+    Exact,
+    /// Every Gaussian is projected once and moves with its pixel velocity.
+    Splat,
+    /// One sharp render at mid-exposure, re-projected to the virtual cameras by its depth.
+    Image,
+    /// `image`, and `exact` for blurs beyond 20 px.
+    Auto,
 }
 
 impl FormationConfig {

@@ -62,6 +62,7 @@ fn ours() -> Config {
         formation: FormationConfig {
             quadrature: QuadratureRule::Midpoints,
             blur_per_camera: 1.5,
+            blur_model: BlurModel::Auto,
             white_balance: WhiteBalance::PerChannel,
             response_scope: ResponseScope::Sequence,
             response_start: ResponseStart::Shoulder,
@@ -111,6 +112,7 @@ fn paper_scannet() -> Config {
             virtual_cameras: 5,
             quadrature: QuadratureRule::Endpoints,
             blur_per_camera: 0.0,
+            blur_model: BlurModel::Exact,
             white_balance: WhiteBalance::OneGain,
             response_scope: ResponseScope::Frame,
             response_curves: 3,

@@ -2,7 +2,7 @@
 
 use super::Keyframe;
 use crate::config::{Config, ResponseScope};
-use crate::objective::{Evaluation, FrameObjective, FrameVariables, Tone};
+use crate::objective::{Evaluation, Exposure, FrameObjective, FrameVariables, Sampling, Tone};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{NODE_STEP, mask_white_balance};
 use i2slam_compute::{Adam, AdamSettings};
@@ -42,8 +42,8 @@ pub(crate) struct Sight<'a> {
     pub(crate) responses: &'a mut [CameraResponse<f32>],
     /// The frame whose pose and tone stay as they are: the first that was mapped.
     pub(crate) gauge_frame: usize,
-    /// Virtual cameras for the keyframe's blur.
-    pub(crate) virtual_cameras: usize,
+    /// How the keyframe's exposure is sampled.
+    pub(crate) sampling: Sampling,
 }
 
 fn adam() -> Adam {
@@ -85,11 +85,12 @@ impl MapOptimizer {
         let mapping = &sight.config.mapping;
         let curve = sight.config.formation.tone.then(|| sight.responses[estimate.response].curve());
         let variables = FrameVariables {
-            shutter: estimate.shutter,
+            exposure: Exposure {
+                shutter: estimate.shutter,
+                sampling: sight.sampling,
+                depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
+            },
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
-            virtual_cameras: sight.virtual_cameras,
-            quadrature: sight.config.formation.quadrature(),
-            depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
         };
         self.gradient.reset(sight.map.len());
         let mut evaluation = sight.objective.map(

@@ -4,11 +4,13 @@
 
 mod blur;
 mod depth;
+mod exposure;
 mod frame;
 mod observation;
 mod photometric;
 mod window;
 
 pub use blur::{blur_length, virtual_camera_count};
+pub use exposure::{BlurRoute, Exposure, Sampling};
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;

@@ -11,7 +11,7 @@ use crate::mapping::{
 };
 use crate::objective::{FrameObjective, Observation, Tone, blur_length};
 use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
-use crate::tracking::{TrackingContext, TrackingResult, camera_count, predict, track};
+use crate::tracking::{TrackingContext, TrackingResult, predict, sampling, track};
 use i2slam_compute::Random;
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
@@ -323,7 +323,7 @@ impl Session {
 
     fn map_step(&mut self, keyframe: &Keyframe) {
         let estimate = &self.frames[keyframe.frame];
-        let virtual_cameras = camera_count(
+        let sampling = sampling(
             &self.config.formation,
             &self.camera,
             &estimate.shutter,
@@ -336,7 +336,7 @@ impl Session {
             frames: &mut self.frames,
             responses: &mut self.responses,
             gauge_frame: self.keyframes.first().map_or(keyframe.frame, |k| k.frame),
-            virtual_cameras,
+            sampling,
         };
         self.optimizer.step(&mut sight, keyframe);
     }

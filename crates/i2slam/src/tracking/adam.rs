@@ -2,7 +2,9 @@
 
 use super::{Motion, TrackingContext, TrackingResult};
 use crate::config::{FormationConfig, TrackingConfig, WhiteBalance};
-use crate::objective::{Evaluation, FrameObjective, FrameVariables, Observation, Tone};
+use crate::objective::{
+    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
+};
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
     CameraResponse, CentreVelocity, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
@@ -53,7 +55,7 @@ pub(super) fn refine(
     map: &GaussianMap,
     observation: &Observation,
     start: State,
-    cameras: usize,
+    sampling: Sampling,
 ) -> TrackingResult {
     let mut state = start;
     let mut optimizers = Optimizers::new(state.response.as_ref().map_or(0, |r| r.nodes.len()));
@@ -61,7 +63,7 @@ pub(super) fn refine(
     for _ in 0..context.tracking.iterations {
         let curve = state.response.as_ref().map(CameraResponse::curve);
         let mut evaluation =
-            evaluate(context, objective, map, observation, &state, curve.as_ref(), cameras);
+            evaluate(context, objective, map, observation, &state, curve.as_ref(), sampling);
         let trajectory = add_trajectory_loss(context, &state, &mut evaluation);
         let total = evaluation.total;
         if !total.is_finite() || evaluation.pixels == 0 {
@@ -89,14 +91,11 @@ fn evaluate(
     observation: &Observation,
     state: &State,
     curve: Option<&ResponseCurve<f32>>,
-    cameras: usize,
+    sampling: Sampling,
 ) -> Evaluation {
     let variables = FrameVariables {
-        shutter: state.motion.into(),
+        exposure: Exposure { shutter: state.motion.into(), sampling, depth_pose: None },
         tone: curve.map(|curve| Tone { frame: state.tone, curve }),
-        virtual_cameras: cameras,
-        quadrature: context.formation.quadrature(),
-        depth_pose: None,
     };
     let weights = (context.tracking.image_weight, context.tracking.depth_weight);
     objective.track(map, observation, &variables, context.tracking.silhouette_threshold, weights)

@@ -6,7 +6,7 @@ mod align;
 pub(crate) use adam::{NODE_STEP, mask_white_balance};
 
 use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
-use crate::objective::{Evaluation, FrameObjective, Observation, virtual_camera_count};
+use crate::objective::{Evaluation, FrameObjective, Observation, Sampling, blur_length};
 use crate::reconstruction::{FrameEstimate, Losses};
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Pose, Tangent};
@@ -144,9 +144,8 @@ pub(crate) fn track(
         };
         aligned = Some(result);
     }
-    let cameras =
-        camera_count(context.formation, context.camera, &state.motion.into(), observation);
-    let refined = adam::refine(context, objective, map, observation, state, cameras);
+    let sampling = sampling(context.formation, context.camera, &state.motion.into(), observation);
+    let refined = adam::refine(context, objective, map, observation, state, sampling);
     match aligned {
         Some(aligned) if !refined.tracked => aligned,
         _ => refined,
@@ -158,17 +157,12 @@ fn start_split(context: &TrackingContext<'_>) -> f64 {
     if context.formation.blur { f64::from(context.tracking.initial_split) } else { 0.0 }
 }
 
-/// Virtual cameras that a frame's blur needs; one with blur switched off.
-pub(crate) fn camera_count(
+/// How the exposure of a frame is sampled.
+pub(crate) fn sampling(
     formation: &FormationConfig,
     camera: &Camera<f64>,
     shutter: &ShutterPoses<f64>,
     observation: &Observation,
-) -> usize {
-    if !formation.blur {
-        return 1;
-    }
-    let length = crate::objective::blur_length(camera, shutter, &observation.depth);
-    let per_camera = f64::from(formation.blur_per_camera);
-    virtual_camera_count(length, per_camera, formation.virtual_cameras)
+) -> Sampling {
+    Sampling::new(formation, blur_length(camera, shutter, &observation.depth))
 }

@@ -1,30 +1,21 @@
 //! One frame through map and formation: forward, loss, and the way back.
 
+use super::exposure::{Exposure, ExposureRenderer};
 use super::{Observation, depth, photometric::image_loss};
 use i2slam_formation::{
-    CurveGradient, Formation, FrameTone, FrameToneGradient, Quadrature, ResponseCurve,
-    ShutterPoses, ShutterTangent, VirtualCamera, accumulate, scale_into,
+    CurveGradient, Formation, FrameTone, FrameToneGradient, ResponseCurve, ShutterTangent,
 };
-use i2slam_geometry::{Camera, Image, Pose, Tangent};
-use i2slam_radiance::gaussian::{
-    GaussianMap, MapGradient, RasterSettings, Rasterizer, Render, RenderCotangent, View,
-};
+use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::gaussian::{GaussianMap, MapGradient, RasterSettings, Render};
 use std::sync::Arc;
 
 /// What of a frame is optimised, beside the map.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameVariables<'a> {
-    /// World-from-camera at shutter open and close.
-    pub shutter: ShutterPoses<f64>,
+    /// How the camera moves while the shutter is open.
+    pub exposure: Exposure,
     /// Exposure, white balance and response; `None` forms pictures without tone.
     pub tone: Option<Tone<'a>>,
-    /// Virtual cameras over the exposure.
-    pub virtual_cameras: usize,
-    /// Where they lie within it.
-    pub quadrature: Quadrature,
-    /// Where the camera was when the depth picture was taken, if that is known; otherwise depth
-    /// is compared at the virtual camera that fits best (eq. 14).
-    pub depth_pose: Option<Pose<f64>>,
 }
 
 /// The tone mapping of a frame.
@@ -66,17 +57,11 @@ pub struct Evaluation {
 
 /// Renders, forms and compares frames; owns every buffer that this takes.
 pub struct FrameObjective {
-    camera: Camera<f32>,
-    settings: RasterSettings,
-    rasterizers: Vec<Rasterizer>,
-    renders: Vec<Render>,
-    hdr: Image<f32>,
+    renderer: ExposureRenderer,
     picture: Image<f32>,
     d_picture: Image<f32>,
     d_hdr: Image<f32>,
     d_depth: Image<f32>,
-    no_depth: Image<f32>,
-    cotangent: RenderCotangent<f32>,
     mask: Vec<bool>,
     covered: Option<Arc<Image<bool>>>,
 }
@@ -84,23 +69,12 @@ pub struct FrameObjective {
 impl FrameObjective {
     /// An objective for pictures of `camera`.
     pub fn new(camera: Camera<f32>, settings: RasterSettings) -> Self {
-        let zeros = Image::new(camera.width, camera.height, 1);
         Self {
-            camera,
-            settings,
-            rasterizers: Vec::new(),
-            renders: Vec::new(),
-            hdr: Image::default(),
+            renderer: ExposureRenderer::new(camera, settings),
             picture: Image::default(),
             d_picture: Image::default(),
             d_hdr: Image::default(),
             d_depth: Image::default(),
-            no_depth: zeros.clone(),
-            cotangent: RenderCotangent {
-                radiance: Image::default(),
-                depth: zeros.clone(),
-                opacity: zeros,
-            },
             mask: Vec::new(),
             covered: None,
         }
@@ -112,17 +86,9 @@ impl FrameObjective {
         self.covered = Some(covered);
     }
 
-    /// The view of one pose.
-    pub fn view(&self, pose: Pose<f64>) -> View<f32> {
-        View { camera: self.camera, world_from_camera: pose.cast() }
-    }
-
     /// Radiance, depth and opacity seen from one pose.
     pub fn render(&mut self, map: &GaussianMap, pose: Pose<f64>) -> &Render {
-        self.reserve(1);
-        let view = self.view(pose);
-        self.rasterizers[0].render(map, &view, &mut self.renders[0]);
-        &self.renders[0]
+        self.renderer.render(map, pose)
     }
 
     /// The picture that formation predicts for a frame.
@@ -141,23 +107,17 @@ impl FrameObjective {
         silhouette: f32,
         weights: (f32, f32),
     ) -> Evaluation {
-        let cameras = self.forward(map, variables);
-        let middle = &self.renders[cameras.len() / 2];
+        self.forward(map, variables);
+        let opacity = self.renderer.opacity().data.iter();
+        let inside = |(&opacity, &depth): (&f32, &f32)| opacity > silhouette && depth > 0.0;
         self.mask.clear();
-        self.mask.extend(
-            middle
-                .opacity
-                .data
-                .iter()
-                .zip(&observation.depth.data)
-                .map(|(&opacity, &depth)| opacity > silhouette && depth > 0.0),
-        );
+        self.mask.extend(opacity.zip(&observation.depth.data).map(inside));
         let pixels = self.mask.iter().filter(|&&m| m).count();
-        let (best, depth_error) = self.best_depth(observation, variables, cameras.len());
+        let (best, depth_error) = self.best_depth(observation);
         let image_error = self.masked_image_loss(observation, weights.0);
-        let depths = &self.renders[best].depth;
+        let depths = self.renderer.depth(best);
         depth::gradient(depths, &observation.depth, &self.mask, weights.1, &mut self.d_depth);
-        let mut evaluation = self.backward(map, variables, &cameras, best, None);
+        let mut evaluation = self.backward(map, variables, best, None);
         evaluation.total = f64::from(weights.0) * image_error + f64::from(weights.1) * depth_error;
         evaluation.image = image_error / (3 * pixels).max(1) as f64;
         evaluation.depth = depth_error / pixels.max(1) as f64;
@@ -176,11 +136,11 @@ impl FrameObjective {
         weights: (f32, f32),
         d_map: &mut MapGradient,
     ) -> Evaluation {
-        let cameras = self.forward(map, variables);
+        self.forward(map, variables);
         self.mask.clear();
         self.mask.extend(observation.depth.data.iter().map(|&d| d > 0.0));
         let pixels = self.mask.iter().filter(|&&m| m).count();
-        let (best, depth_error) = self.best_depth(observation, variables, cameras.len());
+        let (best, depth_error) = self.best_depth(observation);
         self.believe_uncovered(observation);
         let (image_total, image) = image_loss(
             &self.picture,
@@ -192,9 +152,9 @@ impl FrameObjective {
         );
         self.silence_uncovered();
         let depth_weight = weights.1 / pixels.max(1) as f32;
-        let depths = &self.renders[best].depth;
+        let depths = self.renderer.depth(best);
         depth::gradient(depths, &observation.depth, &self.mask, depth_weight, &mut self.d_depth);
-        let mut evaluation = self.backward(map, variables, &cameras, best, Some(d_map));
+        let mut evaluation = self.backward(map, variables, best, Some(d_map));
         evaluation.depth = depth_error / pixels.max(1) as f64;
         evaluation.total = image_total + f64::from(weights.1) * evaluation.depth;
         evaluation.image = image;
@@ -222,57 +182,20 @@ impl FrameObjective {
         }
     }
 
-    fn reserve(&mut self, count: usize) {
-        while self.rasterizers.len() < count {
-            self.rasterizers.push(Rasterizer::new(self.settings));
-            self.renders.push(Render::default());
-        }
+    /// Averages radiance over the exposure and forms.
+    fn forward(&mut self, map: &GaussianMap, variables: &FrameVariables<'_>) {
+        self.renderer.forward(map, &variables.exposure);
+        variables.form(&self.renderer.hdr, &mut self.picture);
     }
 
-    /// Renders every virtual camera, averages and forms.
-    fn forward(
-        &mut self,
-        map: &GaussianMap,
-        variables: &FrameVariables<'_>,
-    ) -> Vec<VirtualCamera<f64>> {
-        let cameras =
-            variables.shutter.virtual_cameras(variables.virtual_cameras, variables.quadrature);
-        self.reserve(cameras.len());
-        self.hdr.reset(self.camera.width, self.camera.height, 3);
-        for (j, camera) in cameras.iter().enumerate() {
-            let view = self.view(camera.world_from_camera);
-            self.rasterizers[j].render(map, &view, &mut self.renders[j]);
-            accumulate(&mut self.hdr, camera.weight as f32, &self.renders[j].radiance);
-        }
-        if let Some(pose) = variables.depth_pose {
-            let j = cameras.len();
-            self.reserve(j + 1);
-            let view = self.view(pose);
-            self.rasterizers[j].render(map, &view, &mut self.renders[j]);
-        }
-        variables.form(&self.hdr, &mut self.picture);
-        cameras
-    }
-
-    /// The camera at which depth is compared, and its error over the mask: the depth picture's
-    /// own, or the virtual camera with the smallest error (eq. 14).
-    fn best_depth(
-        &self,
-        observation: &Observation,
-        variables: &FrameVariables<'_>,
-        cameras: usize,
-    ) -> (usize, f64) {
-        let choice = match variables.depth_pose {
-            Some(_) => cameras..cameras + 1,
-            None => 0..cameras,
+    /// The render whose depth is compared, and its error over the mask (eq. 14).
+    fn best_depth(&self, observation: &Observation) -> (usize, f64) {
+        let error = |j: usize| {
+            let depth = self.renderer.depth(j);
+            (j, depth::absolute_error(depth, &observation.depth, &self.mask))
         };
-        choice
-            .map(|j| {
-                let depth = &self.renders[j].depth;
-                (j, depth::absolute_error(depth, &observation.depth, &self.mask))
-            })
-            .min_by(|a, b| a.1.total_cmp(&b.1))
-            .unwrap_or((0, 0.0))
+        let best = self.renderer.depths().map(error).min_by(|a, b| a.1.total_cmp(&b.1));
+        best.unwrap_or((0, 0.0))
     }
 
     /// `Σ |C - Ĉ|` over masked pixels and channels; writes `weight` times its derivative.
@@ -295,52 +218,20 @@ impl FrameObjective {
         sum
     }
 
-    /// From `d_picture` and `d_depth` back to poses, tone and map. Blur is linear in the renders,
-    /// so every virtual camera receives the same image cotangent, times its weight.
+    /// From `d_picture` and `d_depth` back to poses, tone and map.
     fn backward(
         &mut self,
         map: &GaussianMap,
         variables: &FrameVariables<'_>,
-        cameras: &[VirtualCamera<f64>],
-        depth_camera: usize,
-        mut d_map: Option<&mut MapGradient>,
+        best: usize,
+        d_map: Option<&mut MapGradient>,
     ) -> Evaluation {
         let mut evaluation = Evaluation::default();
         self.pull_back_tone(variables, &mut evaluation);
-        for (j, camera) in cameras.iter().enumerate() {
-            let view = self.view(camera.world_from_camera);
-            scale_into(&self.d_hdr, camera.weight as f32, &mut self.cotangent.radiance);
-            let depth = if j == depth_camera { &mut self.d_depth } else { &mut self.no_depth };
-            std::mem::swap(&mut self.cotangent.depth, depth);
-            let d_pose =
-                self.rasterizers[j].pull_back(map, &view, &self.cotangent, d_map.as_deref_mut());
-            let depth = if j == depth_camera { &mut self.d_depth } else { &mut self.no_depth };
-            std::mem::swap(&mut self.cotangent.depth, depth);
-            let d_shutter = variables.shutter.pull_back(camera.u, d_pose);
-            evaluation.shutter = evaluation.shutter.plus(d_shutter);
-        }
-        if let Some(pose) = variables.depth_pose {
-            let d_pose = self.pull_back_depth_camera(map, pose, cameras.len(), d_map);
-            // The depth picture's pose moves with the middle of the exposure.
-            let d_shutter = variables.shutter.pull_back(0.5, d_pose);
-            evaluation.shutter = evaluation.shutter.plus(d_shutter);
-        }
+        let depth = (best, &mut self.d_depth);
+        evaluation.shutter =
+            self.renderer.backward(map, &variables.exposure, &self.d_hdr, depth, d_map);
         evaluation
-    }
-
-    fn pull_back_depth_camera(
-        &mut self,
-        map: &GaussianMap,
-        pose: Pose<f64>,
-        index: usize,
-        d_map: Option<&mut MapGradient>,
-    ) -> Tangent<f64> {
-        let view = self.view(pose);
-        self.cotangent.radiance.reset(self.camera.width, self.camera.height, 3);
-        std::mem::swap(&mut self.cotangent.depth, &mut self.d_depth);
-        let d_pose = self.rasterizers[index].pull_back(map, &view, &self.cotangent, d_map);
-        std::mem::swap(&mut self.cotangent.depth, &mut self.d_depth);
-        d_pose
     }
 
     fn pull_back_tone(&mut self, variables: &FrameVariables<'_>, evaluation: &mut Evaluation) {
@@ -350,7 +241,7 @@ impl FrameObjective {
         };
         let mut d_curve = CurveGradient::zero(tone.curve);
         Formation::new(&tone.frame, tone.curve).pull_back(
-            &self.hdr,
+            &self.renderer.hdr,
             &self.d_picture,
             &mut self.d_hdr,
             &mut evaluation.tone,

@@ -1,8 +1,9 @@
 //! The whole chain, map to loss, against differences: poses, tone and response together.
 
 use super::*;
+use crate::objective::{BlurRoute, Sampling};
 use i2slam_check::{central_differences, noise, relative_error};
-use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
+use i2slam_formation::{CameraResponse, NodeSpacing, Quadrature, ShutterPoses, StartCurve};
 use i2slam_geometry::Tangent;
 use i2slam_radiance::gaussian::{ColourActivation, Gaussian, Shape};
 
@@ -40,7 +41,7 @@ fn smooth() -> RasterSettings {
 }
 
 /// Start pose, end pose, log exposure and log white balance as one vector.
-fn evaluate(x: &[f64], depth_pose: bool, mapping: bool) -> Evaluation {
+fn evaluate(x: &[f64], route: BlurRoute, depth_pose: bool, mapping: bool) -> Evaluation {
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
     let base = ShutterPoses {
@@ -54,11 +55,12 @@ fn evaluate(x: &[f64], depth_pose: bool, mapping: bool) -> Evaluation {
         log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
     };
     let variables = FrameVariables {
-        shutter,
+        exposure: Exposure {
+            shutter,
+            sampling: Sampling { virtual_cameras: 3, quadrature: Quadrature::Midpoints, route },
+            depth_pose: depth_pose.then(|| shutter.middle()),
+        },
         tone: Some(Tone { frame: tone, curve: &curve }),
-        virtual_cameras: 3,
-        quadrature: Quadrature::Midpoints,
-        depth_pose: depth_pose.then(|| shutter.middle()),
     };
     let mut objective = FrameObjective::new(CAMERA, smooth());
     let mut d_map = MapGradient::new(60);
@@ -71,17 +73,56 @@ fn evaluate(x: &[f64], depth_pose: bool, mapping: bool) -> Evaluation {
 
 #[test]
 fn gradients_agree_with_differences_of_the_objective() {
-    let x = [0.0; 16];
-    for (depth_pose, mapping) in [(false, false), (true, false), (false, true), (true, true)] {
-        let evaluation = evaluate(&x, depth_pose, mapping);
-        assert!(evaluation.pixels > 500);
-        let mut analytic = evaluation.shutter.to_array().to_vec();
-        analytic.extend(evaluation.tone.to_array().map(f64::from));
-        let numeric = central_differences(&x, 2e-3, |x| evaluate(x, depth_pose, mapping).total);
-        for group in [0..3, 3..6, 6..9, 9..12, 12..16] {
-            let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
-            assert!(error < 5e-3, "{depth_pose} {mapping} {group:?} {error}");
+    // Re-projection holds the depth that it looks up by fixed.
+    let routes = [(BlurRoute::Exact, 5e-3), (BlurRoute::Splat, 5e-3), (BlurRoute::Image, 0.1)];
+    for (route, tolerance) in routes {
+        for (depth_pose, mapping) in [(false, false), (true, false), (false, true), (true, true)] {
+            check_gradient(route, tolerance, depth_pose, mapping);
         }
+    }
+}
+
+fn check_gradient(route: BlurRoute, tolerance: f64, depth_pose: bool, mapping: bool) {
+    let x = [0.0; 16];
+    let evaluation = evaluate(&x, route, depth_pose, mapping);
+    assert!(evaluation.pixels > 500);
+    let mut analytic = evaluation.shutter.to_array().to_vec();
+    analytic.extend(evaluation.tone.to_array().map(f64::from));
+    let numeric = central_differences(&x, 2e-3, |x| evaluate(x, route, depth_pose, mapping).total);
+    for group in [0..3, 3..6, 6..9, 9..12, 12..16] {
+        let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
+        assert!(error < tolerance, "{route:?} {depth_pose} {mapping} {group:?} {error}");
+    }
+}
+
+/// The routes are approximations of one integral, away from the border (re-projection sees
+/// nothing beyond it).
+#[test]
+fn all_routes_blur_alike() {
+    let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+    let shutter = ShutterPoses {
+        start: Pose::identity(),
+        end: Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.06, 0.08, -0.02])),
+    };
+    let mut objective = FrameObjective::new(CAMERA, smooth());
+    let mut predict = |shutter, route, virtual_cameras| {
+        let sampling = Sampling { virtual_cameras, quadrature: Quadrature::Midpoints, route };
+        let variables = FrameVariables {
+            exposure: Exposure { shutter, sampling, depth_pose: None },
+            tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
+        };
+        objective.predict(&map(), &variables).clone()
+    };
+    let error = |a: &Image<f32>, b: &Image<f32>| {
+        let places = (5..19).flat_map(|row| (5..27).map(move |column| (row, column)));
+        let square = |(row, column)| f64::from(a.at(1, column, row) - b.at(1, column, row)).powi(2);
+        (places.map(square).sum::<f64>() / 308.0).sqrt()
+    };
+    let exact = predict(shutter, BlurRoute::Exact, 9);
+    let sharp = error(&predict(ShutterPoses::still(shutter.middle()), BlurRoute::Exact, 1), &exact);
+    for route in [BlurRoute::Splat, BlurRoute::Image] {
+        let off = error(&predict(shutter, route, 9), &exact);
+        assert!(off < 0.2 * sharp, "{route:?} {off} {sharp}");
     }
 }
 
@@ -90,11 +131,12 @@ fn unrecorded_pixels_do_not_count() {
     let covered = Arc::new(Image { width: 32, height: 24, channels: 1, data: vec![false; 768] });
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Uniform).curve();
     let variables = FrameVariables {
-        shutter: ShutterPoses::still(Pose::identity()),
+        exposure: Exposure {
+            shutter: ShutterPoses::still(Pose::identity()),
+            sampling: Sampling::SHARP,
+            depth_pose: None,
+        },
         tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
-        virtual_cameras: 1,
-        quadrature: Quadrature::Midpoints,
-        depth_pose: None,
     };
     let mut objective = FrameObjective::new(CAMERA, smooth());
     objective.set_covered(covered);
