@@ -70,6 +70,47 @@ impl Adam {
             });
     }
 
+    /// One step of the elements, `width` parameters each, whose age is not zero: an element of age
+    /// `n` takes its `n`-th step, so its moments are corrected as those of an optimiser of its
+    /// own. All others keep parameters and moments.
+    pub fn step_elements(
+        &mut self,
+        parameters: &mut [f32],
+        gradient: &[f32],
+        rate: f32,
+        width: usize,
+        ages: &[u32],
+    ) {
+        assert_eq!(parameters.len(), gradient.len(), "one gradient per parameter");
+        assert_eq!(parameters.len(), width * ages.len(), "one age per element");
+        self.first.resize(parameters.len(), 0.0);
+        self.second.resize(parameters.len(), 0.0);
+        let AdamSettings { beta1, beta2, epsilon } = self.settings;
+        let oldest = ages.iter().copied().max().unwrap_or(0);
+        let correction = |beta: f32, age: u32| 1.0 / (1.0 - beta.powi(age as i32));
+        let corrections: Vec<(f32, f32)> =
+            (0..=oldest).map(|age| (correction(beta1, age), correction(beta2, age))).collect();
+        let chunk = CHUNK / width * width;
+        parameters
+            .par_chunks_mut(chunk)
+            .zip(gradient.par_chunks(chunk))
+            .zip(self.first.par_chunks_mut(chunk).zip(self.second.par_chunks_mut(chunk)))
+            .zip(ages.par_chunks(chunk / width))
+            .for_each(|(((parameters, gradient), (first, second)), ages)| {
+                let moving = ages.iter().enumerate().filter(|(_, age)| **age > 0);
+                for (element, &age) in moving {
+                    let (correct1, correct2) = corrections[age as usize];
+                    for i in element * width..(element + 1) * width {
+                        let g = if gradient[i].is_finite() { gradient[i] } else { 0.0 };
+                        first[i] = beta1 * first[i] + (1.0 - beta1) * g;
+                        second[i] = beta2 * second[i] + (1.0 - beta2) * g * g;
+                        let scale = (second[i] * correct2).sqrt() + epsilon;
+                        parameters[i] -= rate * first[i] * correct1 / scale;
+                    }
+                }
+            });
+    }
+
     /// Drop the moments of removed elements of `width` parameters each.
     pub fn retain(&mut self, keep: &[bool], width: usize) {
         for moments in [&mut self.first, &mut self.second] {
@@ -110,6 +151,21 @@ mod tests {
         let mut x = [1.0];
         Adam::new(AdamSettings::default()).step(&mut x, &[f32::NAN], 0.1);
         assert_eq!(x, [1.0]);
+    }
+
+    #[test]
+    fn elements_step_as_if_each_had_its_own_optimiser() {
+        let settings = AdamSettings::default();
+        let (mut together, mut alone) = (Adam::new(settings), Adam::new(settings));
+        let (mut x, mut y) = ([1.0, 2.0, 5.0, 6.0], [5.0, 6.0]);
+        together.step_elements(&mut x, &[0.3, 0.1, 9.0, 9.0], 0.1, 2, &[1, 0]);
+        assert_eq!(x[2..], [5.0, 6.0]);
+        for (age, g) in [(1, [0.5, -0.2]), (2, [0.1, 0.4])] {
+            together.step_elements(&mut x, &[7.0, 7.0, g[0], g[1]], 0.1, 2, &[0, age]);
+            alone.step(&mut y, &g, 0.1);
+        }
+        assert!((x[2] - y[0]).abs() < 1e-6 && (x[3] - y[1]).abs() < 1e-6);
+        assert!((x[0] - 0.9).abs() < 1e-5);
     }
 
     #[test]

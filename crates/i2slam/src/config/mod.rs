@@ -279,6 +279,8 @@ pub struct MappingConfig {
     pub prune_scale: f32,
     /// Scene radius = largest depth of the first frame / this ratio.
     pub scene_radius_ratio: f32,
+    /// A step moves only the Gaussians that its keyframe shows.
+    pub only_seen: bool,
     /// Start each round with fresh optimiser moments, as SplaTAM does.
     pub fresh_optimizer: bool,
 }

@@ -88,6 +88,7 @@ fn ours() -> Config {
             tone_rate: 5e-3,
             response_rate: 0.05,
             fill_depth: true,
+            only_seen: true,
             fresh_optimizer: false,
             ..paper.mapping
         },
@@ -176,6 +177,7 @@ fn paper_scannet() -> Config {
             prune_opacity: 0.005,
             prune_scale: 0.1,
             scene_radius_ratio: 3.0,
+            only_seen: false,
             fresh_optimizer: true,
         },
     }

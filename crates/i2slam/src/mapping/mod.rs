@@ -1,6 +1,7 @@
 //! Mapping: Gaussians are added where a frame sees something new, and all are refined together
 //! with tone and response over a window of keyframes.
 
+mod ages;
 mod densify;
 mod fill;
 mod optimizer;

@@ -1,6 +1,7 @@
 //! One step of mapping: the joint optimisation of map, tone, response and keyframe poses.
 
 use super::Keyframe;
+use super::ages::Ages;
 use crate::config::{Config, ResponseScope};
 use crate::objective::{Evaluation, Exposure, FrameObjective, FrameVariables, Sampling, Tone};
 use crate::reconstruction::FrameEstimate;
@@ -22,6 +23,7 @@ pub(crate) struct MapOptimizer {
     rotations: Adam,
     opacities: Adam,
     colours: Adam,
+    ages: Ages,
     responses: BTreeMap<usize, Vec<Adam>>,
     frames: BTreeMap<usize, FrameOptimizer>,
 }
@@ -59,6 +61,7 @@ impl MapOptimizer {
             rotations: adam(),
             opacities: adam(),
             colours: adam(),
+            ages: Ages::default(),
             responses: BTreeMap::new(),
             frames: BTreeMap::new(),
         }
@@ -72,6 +75,7 @@ impl MapOptimizer {
 
     /// Drops the moments of pruned Gaussians.
     pub(crate) fn retain(&mut self, keep: &[bool]) {
+        self.ages.retain(keep);
         self.means.retain(keep, 3);
         self.log_scales.retain(keep, 3);
         self.rotations.retain(keep, 4);
@@ -114,28 +118,29 @@ impl MapOptimizer {
 
     fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {
         let (rates, gradient) = (&config.mapping, &self.gradient);
-        self.means.step(
-            map.means.as_flattened_mut(),
-            gradient.means.as_flattened(),
-            rates.mean_rate,
-        );
-        self.colours.step(
-            map.colours.as_flattened_mut(),
-            gradient.colours.as_flattened(),
-            rates.colour_rate,
-        );
-        self.opacities.step(&mut map.opacity_logits, &gradient.opacity_logits, rates.opacity_rate);
-        self.log_scales.step(
-            map.log_scales.as_flattened_mut(),
-            gradient.log_scales.as_flattened(),
-            rates.scale_rate,
-        );
+        let ages = self.ages.advance(gradient, rates.only_seen);
+        let groups = [
+            (&mut self.means, map.means.as_flattened_mut(), gradient.means.as_flattened()),
+            (&mut self.colours, map.colours.as_flattened_mut(), gradient.colours.as_flattened()),
+            (&mut self.opacities, map.opacity_logits.as_mut_slice(), &gradient.opacity_logits[..]),
+            (
+                &mut self.log_scales,
+                map.log_scales.as_flattened_mut(),
+                gradient.log_scales.as_flattened(),
+            ),
+        ];
+        let steps = [rates.mean_rate, rates.colour_rate, rates.opacity_rate, rates.scale_rate];
+        for ((adam, values, gradient), rate) in groups.into_iter().zip(steps) {
+            adam.step_elements(values, gradient, rate, values.len() / ages.len().max(1), ages);
+        }
         match map.shape {
             Shape::Isotropic => map.log_scales.iter_mut().for_each(|s| *s = [s[0]; 3]),
-            Shape::Anisotropic => self.rotations.step(
+            Shape::Anisotropic => self.rotations.step_elements(
                 map.rotations.as_flattened_mut(),
                 gradient.rotations.as_flattened(),
                 rates.rotation_rate,
+                4,
+                ages,
             ),
         }
     }
