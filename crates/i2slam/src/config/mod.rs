@@ -241,8 +241,11 @@ pub struct MappingConfig {
     pub final_iterations: usize,
     /// Keyframes in the window, current frame included.
     pub window: usize,
-    /// Frames between two keyframes.
+    /// Least number of frames from one keyframe to the next.
     pub keyframe_interval: usize,
+    /// Motion of the picture since the last keyframe from which a new one is due, as a share of
+    /// its width; zero takes every `keyframe_interval`-th frame.
+    pub keyframe_motion: f32,
     /// λ_img (a mean over pixels).
     pub image_weight: f32,
     /// λ_depth (a mean over pixels).

@@ -144,7 +144,7 @@ impl Config {
         self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
     }
 
-    fn rates(&self) -> [(&'static str, f32); 27] {
+    fn rates(&self) -> [(&'static str, f32); 28] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         [
             ("formation.tone_rate", f.tone_rate),
@@ -169,6 +169,7 @@ impl Config {
             ("mapping.densify_opacity", m.densify_opacity),
             ("mapping.densify_depth_medians", m.densify_depth_medians),
             ("mapping.prune_scale", m.prune_scale),
+            ("mapping.keyframe_motion", m.keyframe_motion),
             ("tracking.initial_split", t.initial_split),
             ("tracking.velocity_rotation_share", t.velocity_rotation_share),
             ("tracking.velocity_translation_share", t.velocity_translation_share),

@@ -4,9 +4,11 @@
 mod ages;
 mod densify;
 mod fill;
+mod keyframe;
 mod optimizer;
 mod window;
 
 pub(crate) use densify::{SceneScale, Source, add_gaussians, placement, prune, seed_map};
+pub(crate) use keyframe::{Keyframe, is_keyframe};
 pub(crate) use optimizer::{MapOptimizer, Sight};
-pub(crate) use window::{Keyframe, select_window};
+pub(crate) use window::select_window;

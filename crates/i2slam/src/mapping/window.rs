@@ -1,23 +1,14 @@
 //! Which keyframes a mapping round looks at (SplaTAM's rule).
 
-use crate::objective::Observation;
+use super::Keyframe;
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::Random;
 use i2slam_geometry::{Camera, Vec3};
-use std::sync::Arc;
 
 /// Pixels of the current frame that are looked up in every keyframe.
 const PROBES: usize = 1600;
 /// Border of a keyframe that does not count, as a share of its width (20 px of 640).
 const BORDER: f64 = 20.0 / 640.0;
-
-/// A frame that stays in memory for mapping.
-#[derive(Clone, Debug)]
-pub(crate) struct Keyframe {
-    /// Position among the session's frames.
-    pub(crate) frame: usize,
-    pub(crate) observation: Arc<Observation>,
-}
 
 /// The current frame, the last keyframe, and `size - 2` keyframes chosen at random among those
 /// that see part of the current frame.

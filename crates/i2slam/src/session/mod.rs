@@ -6,8 +6,8 @@ pub(crate) use start::raster_settings;
 
 use crate::config::{Config, ResponseScope};
 use crate::mapping::{
-    Keyframe, MapOptimizer, SceneScale, Sight, Source, add_gaussians, placement, prune, seed_map,
-    select_window,
+    Keyframe, MapOptimizer, SceneScale, Sight, Source, add_gaussians, is_keyframe, placement,
+    prune, seed_map, select_window,
 };
 use crate::objective::{FrameObjective, Observation, Tone, blur_length};
 use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
@@ -254,7 +254,12 @@ impl Session {
         let first = self.map.is_empty();
         let keyframe = Keyframe { frame: position, observation };
         let mapping = self.config.mapping.clone();
-        let is_keyframe = first || (position + 1).is_multiple_of(mapping.keyframe_interval);
+        let last = self.keyframes.last().map(|k| k.frame);
+        let is_keyframe = first
+            || last.is_none_or(|last| {
+                let frames = &self.frames[..=position];
+                is_keyframe(&mapping, &self.camera, frames, last, &keyframe.observation)
+            });
         if first || (position + 1).is_multiple_of(mapping.interval) {
             self.densify(&keyframe, first);
             let iterations = if first { mapping.first_iterations } else { mapping.iterations };
