@@ -235,6 +235,9 @@ pub struct MappingConfig {
     pub interval: usize,
     /// Adam steps per round.
     pub iterations: usize,
+    /// Time after which a round ends early [s]; zero never does. A run with a limit does not give
+    /// the same bytes twice.
+    pub seconds_per_frame: f32,
     /// Adam steps of the round that starts the map.
     pub first_iterations: usize,
     /// Steps after the last frame, over all keyframes.

@@ -157,6 +157,7 @@ fn paper_scannet() -> Config {
         mapping: MappingConfig {
             interval: 1,
             iterations: 30,
+            seconds_per_frame: 0.0,
             first_iterations: 30,
             final_iterations: 0,
             window: 10,

@@ -144,7 +144,7 @@ impl Config {
         self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
     }
 
-    fn rates(&self) -> [(&'static str, f32); 28] {
+    fn rates(&self) -> [(&'static str, f32); 29] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         [
             ("formation.tone_rate", f.tone_rate),
@@ -170,6 +170,7 @@ impl Config {
             ("mapping.densify_depth_medians", m.densify_depth_medians),
             ("mapping.prune_scale", m.prune_scale),
             ("mapping.keyframe_motion", m.keyframe_motion),
+            ("mapping.seconds_per_frame", m.seconds_per_frame),
             ("tracking.initial_split", t.initial_split),
             ("tracking.velocity_rotation_share", t.velocity_rotation_share),
             ("tracking.velocity_translation_share", t.velocity_translation_share),

@@ -314,7 +314,12 @@ impl Session {
             &mut self.random,
         );
         let fresh = mapping.fresh_optimizer;
+        let budget = f64::from(mapping.seconds_per_frame);
+        let clock = Instant::now();
         for iteration in 0..iterations {
+            if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
+                break;
+            }
             let chosen = &window[self.random.below(window.len())];
             self.map_step(chosen);
             if fresh && (iteration == 0 || iteration == PRUNE_STEP) {
