@@ -88,7 +88,9 @@ impl Bench<'_> {
         let sequence = &self.plan.sequences[cell.sequence];
         let setting = &self.plan.settings[cell.setting];
         let source = match &sequence.source {
-            Source::Folder(folder) => folder.display().to_string(),
+            Source::Folder(folder) => {
+                folder.canonicalize().unwrap_or_else(|_| folder.clone()).display().to_string()
+            }
             Source::Synth(spec) => format!("synth: {spec}"),
         };
         let mut arguments = vec![source, "--preset".to_owned(), setting.entry.preset.clone()];

@@ -10,6 +10,9 @@ const RIGHT: f64 = 16.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 44.0;
 
+/// Of a point; a shorter error bar is not drawn.
+const RADIUS: f64 = 4.5;
+
 /// Colour classes of the style sheet.
 const COLOURS: [&str; 8] = ["c1", "c2", "c3", "c4", "red", "green", "blue", "grey"];
 
@@ -179,9 +182,9 @@ fn write_series(
     }
     for point in &series.points {
         let (x, y) = (frame.across(point.x), frame.down(point.y));
-        if point.spread > 0.0 {
-            let low = frame.down((point.y - point.spread).max(frame.y.low));
-            let high = frame.down(point.y + point.spread);
+        let low = frame.down((point.y - point.spread).max(frame.y.low));
+        let high = frame.down(point.y + point.spread);
+        if low - high > 2.0 * RADIUS {
             write!(
                 out,
                 "<path class=\"line {colour}\" d=\"M{x:.1} {low:.1}V{high:.1}M{0:.1} {low:.1}h8M{0:.1} \

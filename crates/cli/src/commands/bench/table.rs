@@ -56,27 +56,29 @@ impl Entry {
         matches!(self, Self::Number { best: true, .. })
     }
 
-    fn mean(&self) -> Option<(f64, bool)> {
+    fn mean(&self) -> Option<(f64, &'static Figure)> {
         match self {
             Self::Number { value, figure, .. } => {
-                value.measured().map(|measured| (measured.mean, figure.lower))
+                value.measured().map(|measured| (measured.mean, *figure))
             }
             Self::Words(_) => None,
         }
     }
 }
 
-/// Marks the best of entries that stand for one figure; one alone is not the best.
+/// Marks the best of entries that stand for one figure, with those that look the same; one alone
+/// is not the best.
 pub(super) fn mark_best<'a>(entries: impl Iterator<Item = &'a mut Entry>) {
     let mut entries: Vec<&mut Entry> = entries.collect();
-    let means: Vec<(f64, bool)> = entries.iter().filter_map(|entry| entry.mean()).collect();
+    let means: Vec<(f64, &'static Figure)> = entries.iter().filter_map(|e| e.mean()).collect();
     let better = |a: f64, b: f64, lower: bool| if lower { a.min(b) } else { a.max(b) };
-    let best = means.iter().copied().reduce(|(a, lower), (b, _)| (better(a, b, lower), lower));
-    let Some((target, _)) = best.filter(|_| means.len() > 1) else { return };
+    let best = means.iter().copied().reduce(|(a, f), (b, _)| (better(a, b, f.lower), f));
+    let Some((target, figure)) = best.filter(|_| means.len() > 1) else { return };
+    let target = figure.text(target);
     for entry in &mut entries {
         let mean = entry.mean();
         if let Entry::Number { best, .. } = entry {
-            *best = mean.is_some_and(|(mean, _)| mean == target);
+            *best = mean.is_some_and(|(mean, figure)| figure.text(mean) == target);
         }
     }
 }
@@ -146,10 +148,22 @@ impl Table {
             "<tr>{}</tr></thead><tbody>",
             self.header.iter().map(head).collect::<String>()
         );
-        for row in &self.rows {
-            text += &format!("<tr>{}</tr>", row.iter().map(html_cell).collect::<String>());
+        for (place, row) in self.rows.iter().enumerate() {
+            let cells: String = row.iter().skip(1).map(html_cell).collect();
+            text += &format!("<tr>{}{cells}</tr>", self.html_head(place));
         }
         text + "</tbody></table></div></section>\n"
+    }
+
+    /// The first cell of a row, as high as there are rows of the same name.
+    fn html_head(&self, place: usize) -> String {
+        let name = |row: &Vec<Entry>| row.first().map(Entry::text).unwrap_or_default();
+        let own = name(&self.rows[place]);
+        if place > 0 && name(&self.rows[place - 1]) == own {
+            return String::new();
+        }
+        let height = self.rows[place..].iter().take_while(|row| name(row) == own).count();
+        format!("<th scope=\"row\" rowspan=\"{height}\">{}</th>", escape(&own))
     }
 }
 
@@ -240,6 +254,6 @@ mod tests {
         assert!(table.markdown().contains("| a\\|b, <c> | 2.00 ± 0.10 |"));
         let csv = "Method,TUM desk mean,TUM desk sd,TUM desk seeds\n\"a|b, <c>\",2,0.1,3\n";
         assert_eq!(table.csv(), csv);
-        assert!(table.html().contains("<td>a|b, &lt;c&gt;</td><td>2.00 ± 0.10</td>"));
+        assert!(table.html().contains(">a|b, &lt;c&gt;</th><td>2.00 ± 0.10</td>"));
     }
 }
