@@ -1,6 +1,7 @@
 //! `results.md`, `results.html` and the CSV files.
 
 use super::layouts;
+use super::notes;
 use super::plots;
 use super::queue::Outcome;
 use super::summary::Results;
@@ -79,7 +80,7 @@ fn remarks(results: &Results<'_>) -> Vec<String> {
         true => format!("All cells together took {seconds:.0} seconds."),
         false => format!("All cells together took {:.0} minutes.", seconds / 60.0),
     });
-    remarks.push(layouts::machine(results));
+    remarks.push(notes::machine(results));
     remarks.retain(|remark| !remark.is_empty());
     remarks
 }

@@ -1,10 +1,10 @@
 //! From a suite to the cells that are to be run.
 
-use super::input::{List, input_flags, list, run_arguments, settings_of};
-use super::suite::{Configuration, Origin, SequenceEntry, Suite};
+use super::input::{List, settings_of};
+use super::sequences::sequences;
+use super::suite::{Configuration, Origin, Suite};
 use crate::failure::Failure;
 use i2slam::Config;
-use i2slam_synthetic::Spec;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -125,102 +125,6 @@ fn cells(sequences: usize, settings: usize, seeds: &[u64]) -> Vec<Cell> {
     cells
 }
 
-fn sequences(
-    origin: &Origin,
-    data: Option<&Path>,
-    notes: &mut Vec<String>,
-) -> Result<Vec<Sequence>, Failure> {
-    let place = |path: &Path| match data.map(|data| data.join(path)) {
-        Some(inside) if inside.exists() || origin.folder.as_os_str().is_empty() => inside,
-        Some(inside) => Some(origin.folder.join(path)).filter(|p| p.exists()).unwrap_or(inside),
-        None => origin.folder.join(path),
-    };
-    let named: Vec<&PathBuf> =
-        origin.suite.sequences.iter().filter_map(|e| e.path.as_ref()).collect();
-    let mut all = Vec::new();
-    for entry in &origin.suite.sequences {
-        let wrong = |reason: String| Failure::Usage(format!("{}: {reason}", origin.name));
-        if let Some(path) = &entry.path {
-            let folder = place(path);
-            if entry.optional && !folder.is_dir() {
-                notes.push(format!("{} is left out: it does not exist", folder.display()));
-                continue;
-            }
-            let name = entry.name.clone().unwrap_or_else(|| last_name(path));
-            all.push(sequence(name, Source::Folder(folder), entry, &place).map_err(wrong)?);
-        } else if let Some(pattern) = &entry.find {
-            let within = data.unwrap_or(&origin.folder);
-            let mut found = found(within, pattern);
-            found.retain(|folder| named.iter().all(|path| place(path) != *folder));
-            if found.is_empty() {
-                notes.push(format!("no further `{pattern}` is in {}", shown(within)));
-            }
-            for folder in found {
-                let name = last_name(&folder);
-                all.push(sequence(name, Source::Folder(folder), entry, &place).map_err(wrong)?);
-            }
-        } else if let (Some(table), Some(name)) = (&entry.synth, &entry.name) {
-            let text = toml::to_string(table).map_err(|e| wrong(e.to_string()))?;
-            let about = format!("{}, sequence `{name}`", origin.name);
-            Spec::from_toml(&text, &about).map_err(|e| Failure::Usage(e.to_string()))?;
-            all.push(sequence(name.clone(), Source::Synth(text), entry, &place).map_err(wrong)?);
-        }
-    }
-    Ok(all)
-}
-
-fn sequence(
-    name: String,
-    source: Source,
-    entry: &SequenceEntry,
-    place: &impl Fn(&Path) -> PathBuf,
-) -> Result<Sequence, String> {
-    let list =
-        entry.list.as_deref().map(|name| list(name, entry.list_offset, place)).transpose()?;
-    let flags = input_flags(entry, place);
-    run_arguments(&flags).map_err(|reason| format!("sequence `{name}`: {reason}"))?;
-    Ok(Sequence { slug: slug(&name), name, group: entry.group.clone(), source, flags, list })
-}
-
-/// Folders directly in `within` whose names match, by name.
-fn found(within: &Path, pattern: &str) -> Vec<PathBuf> {
-    let within = if within.as_os_str().is_empty() { Path::new(".") } else { within };
-    let entries = std::fs::read_dir(within).into_iter().flatten().flatten();
-    let mut found: Vec<PathBuf> = entries
-        .filter(|entry| matches(&entry.file_name().to_string_lossy(), pattern))
-        .map(|entry| entry.path())
-        .filter(|path| path.is_dir())
-        .collect();
-    found.sort();
-    found
-}
-
-/// Whether a name has a pattern's parts between its `*` in their order.
-fn matches(name: &str, pattern: &str) -> bool {
-    let Some((first, rest)) = pattern.split_once('*') else { return name == pattern };
-    let Some(mut name) = name.strip_prefix(first) else { return false };
-    let parts: Vec<&str> = rest.split('*').collect();
-    let Some((last, middle)) = parts.split_last() else { return true };
-    for part in middle {
-        let Some(at) = name.find(part) else { return false };
-        name = &name[at + part.len()..];
-    }
-    name.ends_with(last)
-}
-
-fn shown(path: &Path) -> String {
-    if path.as_os_str().is_empty() {
-        "the current folder".into()
-    } else {
-        path.display().to_string()
-    }
-}
-
-fn last_name(path: &Path) -> String {
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| path.display().to_string())
-}
-
 /// A name as part of a path: lower case, other characters as `-`.
 pub(super) fn slug(name: &str) -> String {
     let plain =
@@ -271,14 +175,6 @@ fn distinct<'a>(
 mod tests {
     use super::super::suite::{SHIPPED, parse};
     use super::*;
-
-    #[test]
-    fn patterns_match_as_in_a_shell() {
-        assert!(matches("rgbd_dataset_freiburg1_desk", "rgbd_dataset_*"));
-        assert!(matches("rgbd_dataset_freiburg1_desk", "*freiburg*desk"));
-        assert!(matches("room", "room") && matches("room", "*") && matches("aba", "a*a"));
-        assert!(!matches("room2", "room") && !matches("a", "a*a") && !matches("x", "y*"));
-    }
 
     #[test]
     fn names_become_parts_of_paths() {

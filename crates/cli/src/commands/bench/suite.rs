@@ -128,6 +128,13 @@ pub(super) struct Origin {
     pub(super) folder: PathBuf,
 }
 
+impl Origin {
+    /// Whether it came with the program, and has no folder.
+    pub(super) fn is_shipped(&self) -> bool {
+        self.folder.as_os_str().is_empty() && shipped(&self.name).is_some()
+    }
+}
+
 /// The text of a shipped suite.
 pub(super) fn shipped(name: &str) -> Option<&'static str> {
     SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
