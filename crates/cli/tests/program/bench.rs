@@ -109,6 +109,32 @@ fn a_cell_that_fails_is_in_the_tables() {
 }
 
 #[test]
+fn what_could_not_be_judged_is_judged_again_without_a_run() {
+    let (scratch, suite, out) = prepared("bench-judge", &suite(""));
+    let sharp = scratch.join("room/sharp");
+    let list = scratch.join("list.txt");
+    fs::write(&list, "2\n").expect("room");
+    fs::write(&suite, read(&suite).replace("path = ", "list = \"list.txt\"\npath = "))
+        .expect("room");
+    let mut pictures: Vec<PathBuf> =
+        fs::read_dir(&sharp).expect("pictures").flatten().map(|entry| entry.path()).collect();
+    pictures.sort();
+    let whole = fs::read(&pictures[2]).expect("a picture");
+    fs::write(&pictures[2], b"no picture").expect("room");
+    let ran = bench(&suite, &out, &["--configurations", "on"]).ended_with(1);
+    ran.complaining("room, on, seed 3: failed: not judged").complaining("frame 2");
+    let metrics = out.join("cells/room/on/seed-3/result/metrics.json");
+    let before = written(&metrics);
+    fs::write(&pictures[2], whole).expect("room");
+    bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
+    assert_eq!(written(&metrics), before);
+    let judged = read(&out.join("cells/room/on/seed-3/eval.json"));
+    assert!(judged.contains("\"sharp_frames\": 1"), "{judged}");
+    bench(&suite, &out, &["--configurations", "on", "--fresh"]).ended_with(0);
+    assert!(written(&metrics) > before, "--fresh runs it again");
+}
+
+#[test]
 fn a_cell_that_takes_too_long_is_ended() {
     let slow = suite("").replace("iterations = 4", "iterations = 400000");
     let (_scratch, suite, out) = prepared("bench-late", &slow);
