@@ -30,6 +30,8 @@ pub(crate) enum Command {
     Synth(commands::SynthArguments),
     /// Put noise, exposure steps, gaps or a covered lens on a sequence
     Degrade(commands::DegradeArguments),
+    /// Run sequences x configurations x seeds, and put the figures into tables
+    Bench(commands::BenchArguments),
 }
 
 #[derive(Args, Debug)]

@@ -1,5 +1,6 @@
 //! One file per subcommand.
 
+mod bench;
 mod degrade;
 mod demo;
 mod eval;
@@ -8,6 +9,7 @@ mod render;
 mod run;
 mod synth;
 
+pub(crate) use bench::Bench as BenchArguments;
 pub(crate) use degrade::Degrade as DegradeArguments;
 pub(crate) use synth::Synth as SynthArguments;
 
@@ -24,6 +26,7 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Presets(arguments) => presets::presets(&arguments),
         Command::Synth(arguments) => synth::synth(&arguments),
         Command::Degrade(arguments) => degrade::degrade(&arguments),
+        Command::Bench(arguments) => bench::bench(&arguments),
     }
 }
 

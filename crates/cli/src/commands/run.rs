@@ -24,10 +24,15 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
 /// Preset, then file, then flags.
 fn settings(arguments: &Run) -> Result<Config, Failure> {
     let preset = arguments.preset.as_deref();
-    let mut config = match &arguments.config {
+    let config = match &arguments.config {
         Some(file) => Config::from_toml_file_on(file, preset)?,
         None => Config::preset(preset.unwrap_or("default"))?,
     };
+    with_flags(config, arguments)
+}
+
+/// The values of `config` that flags do not replace.
+pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, Failure> {
     let Formation { virtual_cameras, no_blur, no_tone, no_trajectory_loss } = arguments.formation;
     let formation = &mut config.formation;
     formation.blur &= !no_blur;

@@ -1,6 +1,7 @@
 //! The program from outside: tiny made-up sequences in, result folders out.
 
 mod bad_input;
+mod bench;
 mod commands;
 mod eval;
 mod interrupt;

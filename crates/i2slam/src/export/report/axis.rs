@@ -2,17 +2,20 @@
 
 /// A range of values with round ticks.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Axis {
-    pub(crate) low: f64,
-    pub(crate) high: f64,
-    pub(crate) ticks: Vec<f64>,
+pub struct Axis {
+    /// Value at its beginning.
+    pub low: f64,
+    /// Value at its end.
+    pub high: f64,
+    /// Values to be labelled, ascending.
+    pub ticks: Vec<f64>,
     step: f64,
 }
 
 impl Axis {
     /// An axis over the finite `values`, with about `count` ticks; `tight` ends at the values,
     /// otherwise at the next tick.
-    pub(crate) fn over(values: impl Iterator<Item = f64>, count: usize, tight: bool) -> Self {
+    pub fn over(values: impl Iterator<Item = f64>, count: usize, tight: bool) -> Self {
         let finite = values.filter(|v| v.is_finite());
         let (low, high) =
             finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
@@ -24,7 +27,7 @@ impl Axis {
     }
 
     /// An axis from `low` to `high`, `low < high`.
-    pub(crate) fn between(low: f64, high: f64, count: usize, tight: bool) -> Self {
+    pub fn between(low: f64, high: f64, count: usize, tight: bool) -> Self {
         let step = round_step((high - low) / count.max(1) as f64);
         let (first, last) = if tight {
             ((low / step).ceil(), (high / step).floor())
@@ -39,12 +42,12 @@ impl Axis {
     }
 
     /// Where a value lies, 0 at `low` and 1 at `high`.
-    pub(crate) fn share(&self, value: f64) -> f64 {
+    pub fn share(&self, value: f64) -> f64 {
         (value - self.low) / (self.high - self.low)
     }
 
     /// A tick's label, with as many digits as the step needs.
-    pub(crate) fn label(&self, value: f64) -> String {
+    pub fn label(&self, value: f64) -> String {
         let value = if value.abs() < 1e-9 * self.step { 0.0 } else { value };
         if self.step < 1e-4 || value.abs() >= 1e6 {
             return format!("{value:.0e}");

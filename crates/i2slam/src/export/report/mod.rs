@@ -10,6 +10,7 @@ mod plots;
 #[cfg(test)]
 mod tests;
 
+pub use axis::Axis;
 pub use gallery::Comparison;
 
 use super::{ExportError, Metrics, ResultFolder, Storage};
@@ -17,7 +18,8 @@ use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_geometry::StampedPose;
 
 const TEMPLATE: &str = include_str!("template.html");
-const STYLE: &str = include_str!("style.css");
+/// The style sheet of this project's pages.
+pub const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
 
 /// What the page is made of.
@@ -89,7 +91,7 @@ fn fill(template: &str, values: &[(&str, String)]) -> String {
 }
 
 /// Text that may stand in HTML.
-fn escape(text: &str) -> String {
+pub fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for character in text.chars() {
         match character {

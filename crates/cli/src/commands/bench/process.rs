@@ -1,0 +1,154 @@
+//! This program as a child: its words in a log, its end as a message.
+
+use crate::interrupt;
+use std::ffi::OsString;
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+/// Time between two looks at a child.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// A call of this program.
+pub(super) struct Call<'a> {
+    pub(super) program: &'a Path,
+    pub(super) arguments: Vec<OsString>,
+    pub(super) threads: usize,
+    /// Where standard error goes.
+    pub(super) log: &'a Path,
+    /// Where standard output goes; to the log if there is none.
+    pub(super) output: Option<&'a Path>,
+    pub(super) timeout: Option<Duration>,
+}
+
+/// How a call ended other than well.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Stopped {
+    /// In one line, why.
+    Failed(String),
+    /// The user wants to end.
+    Interrupted,
+}
+
+impl From<io::Error> for Stopped {
+    fn from(error: io::Error) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+impl Call<'_> {
+    /// Waits for the end; `started` is told the process.
+    pub(super) fn run(&self, started: impl FnOnce(u32)) -> Result<(), Stopped> {
+        let log = File::create(self.log)?;
+        let output = match self.output {
+            Some(path) => File::create(path)?,
+            None => log.try_clone()?,
+        };
+        let mut child = Command::new(self.program)
+            .args(&self.arguments)
+            .env("RAYON_NUM_THREADS", self.threads.to_string())
+            .stdin(Stdio::null())
+            .stdout(output)
+            .stderr(log)
+            .spawn()?;
+        started(child.id());
+        let status = self.wait(&mut child)?;
+        if interrupt::requested() && !status.success() {
+            return Err(Stopped::Interrupted);
+        }
+        if status.success() { Ok(()) } else { Err(Stopped::Failed(self.reason(status))) }
+    }
+
+    fn wait(&self, child: &mut Child) -> Result<ExitStatus, Stopped> {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = child.try_wait()? {
+                return Ok(status);
+            }
+            let late = self.timeout.filter(|limit| begun.elapsed() > *limit);
+            if interrupt::requested() || late.is_some() {
+                child.kill().ok();
+                child.wait()?;
+                return Err(match late {
+                    Some(limit) => {
+                        Stopped::Failed(format!("ended after {} s (--timeout)", limit.as_secs()))
+                    }
+                    None => Stopped::Interrupted,
+                });
+            }
+            std::thread::sleep(PAUSE);
+        }
+    }
+
+    /// The child's own last error, else how it ended.
+    fn reason(&self, status: ExitStatus) -> String {
+        let log = std::fs::read(self.log).unwrap_or_default();
+        let log = String::from_utf8_lossy(&log);
+        let error = log.lines().rev().find_map(|line| line.strip_prefix("error: "));
+        match (error, log.lines().rev().find(|line| !line.trim().is_empty())) {
+            (Some(error), _) => error.to_owned(),
+            (None, Some(last)) => format!("{}: {last}", ended(status)),
+            (None, None) => ended(status),
+        }
+    }
+}
+
+#[cfg(unix)]
+fn ended(status: ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    match status.signal() {
+        Some(9) => "killed by signal 9 (out of memory?)".to_owned(),
+        Some(signal) => format!("ended by signal {signal}"),
+        None => format!("ended with code {}", status.code().unwrap_or(1)),
+    }
+}
+
+#[cfg(not(unix))]
+fn ended(status: ExitStatus) -> String {
+    format!("ended with {status}")
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    fn shell(name: &str, script: &str, timeout: Option<Duration>) -> Result<(), Stopped> {
+        let log = std::env::temp_dir().join(format!("i2slam-call-{name}-{}", std::process::id()));
+        let call = Call {
+            program: Path::new("/bin/sh"),
+            arguments: vec!["-c".into(), script.into()],
+            threads: 1,
+            log: &log,
+            output: None,
+            timeout,
+        };
+        let result = call.run(|_| ());
+        std::fs::remove_file(&log).ok();
+        result
+    }
+
+    fn failed(result: Result<(), Stopped>) -> String {
+        match result {
+            Err(Stopped::Failed(reason)) => reason,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_reason_of_a_failure_is_in_one_line() {
+        assert_eq!(shell("good", "true", None), Ok(()));
+        let own = failed(shell("own", "echo 'error: no room' >&2; echo later >&2; exit 1", None));
+        assert_eq!(own, "no room");
+        assert!(failed(shell("silent", "exit 3", None)).contains("code 3"));
+        assert!(failed(shell("signal", "kill -SEGV $$", None)).contains("signal 11"));
+    }
+
+    #[test]
+    fn a_call_that_takes_too_long_is_ended() {
+        let begun = Instant::now();
+        let reason = failed(shell("late", "sleep 20", Some(Duration::from_millis(50))));
+        assert!(reason.contains("--timeout") && begun.elapsed() < Duration::from_secs(10));
+    }
+}

@@ -1,0 +1,259 @@
+//! A table as Markdown, CSV and HTML.
+
+use super::figures::Figure;
+use super::summary::Value;
+use i2slam::export::report::escape;
+
+/// A table with figures.
+pub(super) struct Table {
+    /// File name.
+    pub(super) slug: &'static str,
+    pub(super) title: &'static str,
+    /// What is shown, in a sentence.
+    pub(super) note: String,
+    /// Headings over some columns, with their widths; empty where there is none.
+    pub(super) groups: Vec<(String, usize)>,
+    pub(super) header: Vec<String>,
+    pub(super) rows: Vec<Vec<Entry>>,
+}
+
+/// What stands in a table.
+#[derive(Clone)]
+pub(super) enum Entry {
+    Words(String),
+    Number { value: Value, figure: &'static Figure, best: bool },
+}
+
+impl Entry {
+    pub(super) fn number(value: Value, figure: &'static Figure) -> Self {
+        Self::Number { value, figure, best: false }
+    }
+
+    /// As read by people.
+    pub(super) fn text(&self) -> String {
+        let (value, figure) = match self {
+            Self::Words(words) => return words.clone(),
+            Self::Number { value, figure, .. } => (value, figure),
+        };
+        let measured = match value {
+            Value::Measured(measured) => measured,
+            Value::Unknown => return "–".to_owned(),
+            Value::Failed => return "failed".to_owned(),
+            Value::NotRun => return "not run".to_owned(),
+        };
+        let mut text = figure.text(measured.mean);
+        if let Some(spread) = measured.spread {
+            let digits = figure.digits(measured.mean);
+            text += &format!(" ± {:.digits$}", spread * figure.factor);
+        }
+        if measured.seeds < measured.planned {
+            text += &format!(" ({} of {})", measured.seeds, measured.planned);
+        }
+        text
+    }
+
+    fn best(&self) -> bool {
+        matches!(self, Self::Number { best: true, .. })
+    }
+
+    fn mean(&self) -> Option<(f64, &'static Figure)> {
+        match self {
+            Self::Number { value, figure, .. } => {
+                value.measured().map(|measured| (measured.mean, *figure))
+            }
+            Self::Words(_) => None,
+        }
+    }
+}
+
+/// Marks the best of entries that stand for one figure, with those that look the same; one alone
+/// is not the best.
+pub(super) fn mark_best<'a>(entries: impl Iterator<Item = &'a mut Entry>) {
+    let mut entries: Vec<&mut Entry> = entries.collect();
+    let means: Vec<(f64, &'static Figure)> = entries.iter().filter_map(|e| e.mean()).collect();
+    let better = |a: f64, b: f64, lower: bool| if lower { a.min(b) } else { a.max(b) };
+    let best = means.iter().copied().reduce(|(a, f), (b, _)| (better(a, b, f.lower), f));
+    let Some((target, figure)) = best.filter(|_| means.len() > 1) else { return };
+    let target = figure.text(target);
+    for entry in &mut entries {
+        let mean = entry.mean();
+        if let Entry::Number { best, .. } = entry {
+            *best = mean.is_some_and(|(mean, figure)| figure.text(mean) == target);
+        }
+    }
+}
+
+impl Table {
+    /// The column's name with that of its group.
+    fn columns(&self) -> Vec<String> {
+        let mut groups = self.groups.iter().flat_map(|(name, width)| vec![name.as_str(); *width]);
+        let full = |name: &String| match groups.next() {
+            Some(group) if !group.is_empty() => format!("{group} {name}"),
+            _ => name.clone(),
+        };
+        self.header.iter().map(full).collect()
+    }
+
+    pub(super) fn markdown(&self) -> String {
+        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+        let plain = |text: String| text.replace('|', "\\|").replace('\n', " ");
+        let bold = |entry: &Entry| match entry.best() {
+            true => format!("**{}**", plain(entry.text())),
+            false => plain(entry.text()),
+        };
+        let mut text = format!("## {}\n\n{}\n\n", self.title, self.note);
+        text += &line(self.columns().into_iter().map(plain).collect());
+        text += &line(vec!["---".to_owned(); self.header.len()]);
+        self.rows.iter().for_each(|row| text += &line(row.iter().map(bold).collect()));
+        text
+    }
+
+    /// A column with numbers becomes three: mean, spread, seeds; units as in `metrics.json`.
+    pub(super) fn csv(&self) -> String {
+        let numeric: Vec<bool> = (0..self.header.len())
+            .map(|i| self.rows.iter().any(|row| matches!(row.get(i), Some(Entry::Number { .. }))))
+            .collect();
+        let mut header = Vec::new();
+        for (name, numeric) in self.columns().iter().zip(&numeric) {
+            let name = name.trim_end_matches([' ', '↓', '↑']);
+            match numeric {
+                true => header.extend(["mean", "sd", "seeds"].map(|part| format!("{name} {part}"))),
+                false => header.push(name.to_owned()),
+            }
+        }
+        let mut text = csv_line(&header);
+        for row in &self.rows {
+            text += &csv_line(&row.iter().flat_map(csv_cells).collect::<Vec<_>>());
+        }
+        text
+    }
+
+    pub(super) fn html(&self) -> String {
+        let mut text = format!(
+            "<section id=\"{}\"><h2>{}</h2><p>{}</p><div class=\"scroll\"><table class=\"figures\">\
+             <thead>",
+            self.slug,
+            self.title,
+            escape(&self.note)
+        );
+        if self.groups.iter().any(|(name, _)| !name.is_empty()) {
+            let head = |(name, width): &(String, usize)| {
+                let class = if name.is_empty() { "" } else { " class=\"group\"" };
+                format!("<th colspan=\"{width}\"{class}>{}</th>", escape(name))
+            };
+            text += &format!("<tr>{}</tr>", self.groups.iter().map(head).collect::<String>());
+        }
+        let head = |name: &String| format!("<th>{}</th>", escape(name));
+        text += &format!(
+            "<tr>{}</tr></thead><tbody>",
+            self.header.iter().map(head).collect::<String>()
+        );
+        for (place, row) in self.rows.iter().enumerate() {
+            let cells: String = row.iter().skip(1).map(html_cell).collect();
+            text += &format!("<tr>{}{cells}</tr>", self.html_head(place));
+        }
+        text + "</tbody></table></div></section>\n"
+    }
+
+    /// The first cell of a row, as high as there are rows of the same name.
+    fn html_head(&self, place: usize) -> String {
+        let name = |row: &Vec<Entry>| row.first().map(Entry::text).unwrap_or_default();
+        let own = name(&self.rows[place]);
+        if place > 0 && name(&self.rows[place - 1]) == own {
+            return String::new();
+        }
+        let height = self.rows[place..].iter().take_while(|row| name(row) == own).count();
+        format!("<th scope=\"row\" rowspan=\"{height}\">{}</th>", escape(&own))
+    }
+}
+
+fn html_cell(entry: &Entry) -> String {
+    let text = escape(&entry.text());
+    match entry {
+        Entry::Words(_) => format!("<td>{text}</td>"),
+        Entry::Number { best: true, .. } => format!("<td class=\"best\">{text}</td>"),
+        Entry::Number { value: Value::Failed, .. } => format!("<td class=\"failed\">{text}</td>"),
+        Entry::Number { .. } => format!("<td>{text}</td>"),
+    }
+}
+
+fn csv_cells(entry: &Entry) -> Vec<String> {
+    let (value, figure) = match entry {
+        Entry::Words(words) => return vec![words.clone()],
+        Entry::Number { value, figure, .. } => (value, figure),
+    };
+    match value.measured() {
+        Some(measured) => vec![
+            (measured.mean * figure.factor).to_string(),
+            measured.spread.map(|s| (s * figure.factor).to_string()).unwrap_or_default(),
+            measured.seeds.to_string(),
+        ],
+        None => vec![String::new(), String::new(), entry.text()],
+    }
+}
+
+/// A line of comma-separated values, quoted where they must be (RFC 4180).
+pub(super) fn csv_line(cells: &[String]) -> String {
+    let quoted = |cell: &String| match cell.contains([',', '"', '\n', '\r']) {
+        true => format!("\"{}\"", cell.replace('"', "\"\"")),
+        false => cell.clone(),
+    };
+    cells.iter().map(quoted).collect::<Vec<_>>().join(",") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::figures::{ATE, PSNR};
+    use super::super::summary::Measured;
+    use super::*;
+
+    fn measured(mean: f64, seeds: usize) -> Value {
+        let spread = (seeds > 1).then_some(0.001);
+        Value::Measured(Measured { mean, spread, seeds, planned: 3 })
+    }
+
+    #[test]
+    fn means_spreads_and_gaps_are_written_out() {
+        let text = |value| Entry::number(value, &ATE).text();
+        assert_eq!(text(measured(0.0256, 3)), "2.56 ± 0.10");
+        assert_eq!(text(measured(0.0256, 2)), "2.56 ± 0.10 (2 of 3)");
+        assert_eq!(text(measured(0.0256, 1)), "2.56 (1 of 3)");
+        assert_eq!(
+            [Value::Unknown, Value::Failed, Value::NotRun].map(text),
+            ["–", "failed", "not run"]
+        );
+    }
+
+    #[test]
+    fn the_best_is_the_least_error_or_the_greatest_likeness() {
+        let best = |figure: &'static Figure| {
+            let values = [measured(2.0, 3), Value::Failed, measured(1.0, 3)];
+            let mut entries = values.map(|value| Entry::number(value, figure));
+            mark_best(entries.iter_mut());
+            entries.map(|entry| entry.best())
+        };
+        assert_eq!(best(&ATE), [false, false, true]);
+        assert_eq!(best(&PSNR), [true, false, false]);
+        let mut alone = [Entry::number(measured(1.0, 3), &ATE)];
+        mark_best(alone.iter_mut());
+        assert!(!alone[0].best());
+    }
+
+    #[test]
+    fn one_table_in_three_forms() {
+        let row = vec![Entry::Words("a|b, <c>".to_owned()), Entry::number(measured(0.02, 3), &ATE)];
+        let table = Table {
+            slug: "tracking",
+            title: "Tracking",
+            note: "ATE.".to_owned(),
+            groups: vec![(String::new(), 1), ("TUM".to_owned(), 1)],
+            header: vec!["Method".to_owned(), "desk ↓".to_owned()],
+            rows: vec![row],
+        };
+        assert!(table.markdown().contains("| Method | TUM desk ↓ |"), "{}", table.markdown());
+        assert!(table.markdown().contains("| a\\|b, <c> | 2.00 ± 0.10 |"));
+        let csv = "Method,TUM desk mean,TUM desk sd,TUM desk seeds\n\"a|b, <c>\",2,0.1,3\n";
+        assert_eq!(table.csv(), csv);
+        assert!(table.html().contains(">a|b, &lt;c&gt;</th><td>2.00 ± 0.10</td>"));
+    }
+}
