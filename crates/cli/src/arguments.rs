@@ -30,11 +30,13 @@ pub(crate) enum Command {
     Synth(commands::SynthArguments),
     /// Put noise, exposure steps, gaps or a covered lens on a sequence
     Degrade(commands::DegradeArguments),
+    /// Tell what is known of a sequence before it is run: layout, times, camera, depth, exposure
+    Info(commands::InfoArguments),
 }
 
 #[derive(Args, Debug)]
 pub(crate) struct Run {
-    /// Folder of the sequence: TUM RGB-D layout, or colour/ and depth/ with camera.json
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), or a .sens file
     pub(crate) dataset: PathBuf,
     /// Folder for the results
     #[arg(long, value_name = "DIR")]

@@ -42,9 +42,28 @@ pub(crate) fn recorded(
                 Some([fx, fy, cx, cy]) => Camera { width, height, fx, fy, cx, cy },
                 None => colour.resized(width, height),
             };
-            Recorded { colour, depth, grid: depth }
+            // Colour exported in the size of depth, with the intrinsics of its first size.
+            let same_size = (colour.width, colour.height) == (depth.width, depth.height);
+            let reduced = same_size && !is_central(&colour) && is_central(&depth);
+            Recorded { colour: if reduced { depth } else { colour }, depth, grid: depth }
         }
     })
+}
+
+/// Whether the principal point lies in the middle half of the picture.
+fn is_central(camera: &Camera<f64>) -> bool {
+    let middle = |at: f64, size: usize| (0.25..=0.75).contains(&(at / size as f64));
+    middle(camera.cx, camera.width) && middle(camera.cy, camera.height)
+}
+
+/// A warning if the intrinsics seem to be those of pictures of another size.
+pub(crate) fn camera_warning(recorded: &Recorded, source: &str) -> Option<String> {
+    let odd = [&recorded.colour, &recorded.depth].into_iter().find(|camera| !is_central(camera))?;
+    Some(format!(
+        "intrinsics of another size? The principal point of {source} lies at {:.1}, {:.1} in \
+         pictures of {}x{}",
+        odd.cx, odd.cy, odd.width, odd.height
+    ))
 }
 
 /// Width and height [px] of the first readable colour image, agreeing with the camera's.

@@ -13,13 +13,12 @@ const SCANNET: [(&str, Range<usize>); 4] =
 /// Published lists of sharp frames count from the start of this range.
 pub fn paper_frames(name: &str) -> Option<Range<usize>> {
     let name = name.replace('-', "_");
+    let digit = |c: Option<char>| c.is_some_and(|c| c.is_ascii_digit());
     let known = |scene: &str| {
-        let found = name.match_indices(scene).any(|(at, _)| {
-            let digit = |c: Option<char>| c.is_some_and(|c| c.is_ascii_digit());
-            !digit(name[..at].chars().next_back())
-                && !digit(name[at + scene.len()..].chars().next())
-        });
-        found
+        name.match_indices(scene).any(|(at, _)| {
+            let (before, behind) = (&name[..at], &name[at + scene.len()..]);
+            !digit(before.chars().next_back()) && !digit(behind.chars().next())
+        })
     };
     SCANNET.into_iter().find(|(scene, _)| known(scene)).map(|(_, range)| range)
 }

@@ -1,7 +1,7 @@
 //! A sequence of RGB-D frames on disk.
 
 use crate::calibration::Calibration;
-use crate::checks::{cover_warning, depth_scale_warning, recorded};
+use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded};
 use crate::layouts::Source;
 use crate::prepare::Preparation;
 use crate::resample::Resampler;
@@ -121,6 +121,7 @@ impl Sequence {
         let resampler = Resampler::new(&recorded, lens, options.crop_border, delivered);
         let Calibration { depth_scale, invalid_depth, .. } = calibration;
         let (code, invalid) = (listing.depth_code, invalid_depth);
+        warnings.extend(camera_warning(&recorded, &calibration.source));
         warnings.extend(depth_scale_warning(&entries, depth_scale, code, invalid));
         warnings.extend(cover_warning(&resampler));
         Ok(Self {

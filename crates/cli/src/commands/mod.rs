@@ -3,12 +3,14 @@
 mod degrade;
 mod demo;
 mod eval;
+mod info;
 mod presets;
 mod render;
 mod run;
 mod synth;
 
 pub(crate) use degrade::Degrade as DegradeArguments;
+pub(crate) use info::Info as InfoArguments;
 pub(crate) use synth::Synth as SynthArguments;
 
 use crate::arguments::{Command, Machine};
@@ -24,6 +26,7 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Presets(arguments) => presets::presets(&arguments),
         Command::Synth(arguments) => synth::synth(&arguments),
         Command::Degrade(arguments) => degrade::degrade(&arguments),
+        Command::Info(arguments) => info::info(&arguments),
     }
 }
 

@@ -3,6 +3,7 @@
 mod bad_input;
 mod commands;
 mod eval;
+mod info;
 mod interrupt;
 mod result;
 mod scene;

@@ -8,7 +8,7 @@ use super::{Layout, Listing};
 use crate::calibration::{Calibration, DepthGrid, Traits};
 use crate::lists::read_text;
 use crate::{DatasetError, Entry};
-use file::{Intrinsics, SceneFile, Shot};
+use file::{Intrinsics, Pinhole, SceneFile, Shot};
 use i2slam_geometry::Pose;
 use std::path::{Path, PathBuf};
 
@@ -71,7 +71,7 @@ impl Scene {
     pub(super) fn calibration(&self) -> Result<Calibration, DatasetError> {
         let refuse = |reason: String| DatasetError::Metadata { path: self.path.clone(), reason };
         let intrinsics = self.intrinsics(&self.shots[0]);
-        let (k, size) = intrinsics.pinhole().map_err(refuse)?;
+        let Pinhole { k, size } = intrinsics.pinhole().map_err(refuse)?;
         let distortion = self.file.distortion(&intrinsics).map_err(refuse)?;
         let source = self.path.display().to_string();
         let traits = self.traits();
@@ -89,7 +89,8 @@ impl Scene {
     /// The frames, at the times in their names, else `place / frame_rate` [s].
     pub(super) fn list(&self, frame_rate: f64) -> Result<Listing, DatasetError> {
         let folder = self.path.parent().unwrap_or(Path::new("."));
-        let colour: Vec<PathBuf> = self.shots.iter().map(|s| folder.join(&s.file_path)).collect();
+        let colour: Vec<PathBuf> =
+            self.shots.iter().map(|shot| picture(folder, &shot.file_path)).collect();
         let times = stamps_in_names(&colour);
         let rising = times.filter(|t| t.windows(2).all(|pair| pair[0].0 < pair[1].0));
         let entries =
@@ -135,7 +136,7 @@ impl Scene {
 
     /// A warning if the frames were not taken with one camera.
     fn intrinsics_warning(&self) -> Option<String> {
-        let focal = |shot: &Shot| self.intrinsics(shot).pinhole().ok().map(|(k, _)| k[0]);
+        let focal = |shot: &Shot| self.intrinsics(shot).pinhole().ok().map(|camera| camera.k[0]);
         let first = focal(&self.shots[0])?;
         let apart = self.shots.iter().filter_map(focal).map(|f| (f / first - 1.0).abs());
         let most = apart.fold(0.0, f64::max);
@@ -147,4 +148,10 @@ impl Scene {
             )
         })
     }
+}
+
+/// The file of a picture; instant-ngp leaves out the ending of PNG files.
+fn picture(folder: &Path, name: &Path) -> PathBuf {
+    let path = folder.join(name);
+    if path.extension().is_none() && !path.is_file() { path.with_extension("png") } else { path }
 }

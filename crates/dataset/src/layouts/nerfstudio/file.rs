@@ -50,6 +50,14 @@ pub(super) struct Intrinsics {
     p2: Option<f64>,
 }
 
+/// A camera without its lens.
+pub(super) struct Pinhole {
+    /// `[fx, fy, cx, cy]` [px], pixel centres at one half.
+    pub(super) k: [f64; 4],
+    /// Width and height [px], if they are given.
+    pub(super) size: Option<(usize, usize)>,
+}
+
 impl Intrinsics {
     /// What is not said here is taken from `all`.
     pub(super) fn or(self, all: &Self) -> Self {
@@ -70,8 +78,8 @@ impl Intrinsics {
         }
     }
 
-    /// `[fx, fy, cx, cy]` [px] and the size [px], if it is given.
-    pub(super) fn pinhole(&self) -> Result<([f64; 4], Option<(usize, usize)>), String> {
+    /// The pinhole camera; `w` and `h` may be missing.
+    pub(super) fn pinhole(&self) -> Result<Pinhole, String> {
         let by_angle = self.camera_angle_x.zip(self.w).map(|(a, w)| 0.5 * w / (0.5 * a).tan());
         let fx = self.fl_x.or(by_angle).ok_or("no fl_x, and no camera_angle_x with w")?;
         let fy = self.fl_y.unwrap_or(fx);
@@ -86,7 +94,7 @@ impl Intrinsics {
         let whole = |v: f64| (v >= 1.0 && v.fract() == 0.0 && v < 1e6).then_some(v as usize);
         let size = self.w.zip(self.h).map(|(w, h)| whole(w).zip(whole(h)).ok_or((w, h)));
         let size = size.transpose().map_err(|(w, h)| format!("w, h are {w}, {h}: no size"))?;
-        Ok((k, size))
+        Ok(Pinhole { k, size })
     }
 }
 
