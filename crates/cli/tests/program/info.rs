@@ -1,7 +1,7 @@
 //! `i2slam info`: the table, the JSON object, and what it says to folders that are no sequence.
 
 use crate::scene::{Scene, write_colour};
-use crate::tools::{Scratch, run};
+use crate::tools::{Scratch, number, reconstruct, run};
 use std::fs;
 use std::path::Path;
 
@@ -29,10 +29,10 @@ fn the_table_tells_what_was_recognised() {
         ("frames", "6"),
         ("times", "0.20 s from 100.000, 25.00 frames a second"),
         ("gaps", "none"),
-        ("camera ", "48x36, fx 45.00, fy 45.00, cx 24.00, cy 18.00 px"),
+        ("camera   ", "48x36, fx 45.00, fy 45.00, cx 24.00, cy 18.00 px"),
         ("depth scale", "5000"),
         ("truth", "poses (6 poses, 0.05 m)"),
-        ("depth ", "100.0 % of pixels"),
+        ("depth   ", "100.0 % of pixels"),
         ("brightness", "stops"),
         ("sharpness", "sharp frames"),
     ] {
@@ -92,4 +92,30 @@ fn an_unknown_folder_is_answered_with_the_layouts() {
     }
     let err = info(&scratch.join("none"), &[]).ended_with(1).err;
     assert!(err.contains("no folder"), "{err}");
+}
+
+/// The scene in the layout of Replica: poses are lines of a file, one for every frame.
+#[test]
+fn poses_beside_the_frames_judge_a_run() {
+    let scratch = scene("info-replica");
+    let (source, scene) = (scratch.join(""), scratch.join("room0"));
+    fs::create_dir_all(scene.join("results")).expect("a folder");
+    let mut poses = String::new();
+    for frame in 0..6 {
+        let time = crate::scene::stamp(frame);
+        for (kind, name) in [("rgb", "frame"), ("depth", "depth")] {
+            let file = source.join(format!("{kind}/{time}.png"));
+            let to = scene.join(format!("results/{name}{frame:06}.png"));
+            fs::copy(file, to).expect("a copy");
+        }
+        let x = 0.01 * frame as f64;
+        poses += &format!("1 0 0 {x} 0 1 0 0 0 0 1 {} 0 0 0 1\n", 0.3 * x);
+    }
+    fs::write(scene.join("traj.txt"), poses).expect("room");
+    let camera = r#"{"camera":{"w":48,"h":36,"fx":45,"fy":45,"cx":23.5,"cy":17.5,"scale":5000}}"#;
+    fs::write(scratch.join("cam_params.json"), camera).expect("room");
+    let out = scratch.join("out");
+    reconstruct(&scene, &out, &["--render", "none"]).ended_with(0);
+    let error = number(&out.join("metrics.json"), "ate_rmse_m").expect("judged");
+    assert!(error < 0.005, "{error}");
 }
