@@ -119,6 +119,13 @@ fn a_cut_off_sens_file_gives_its_whole_frames() {
     let sequence = open(&file).expect("opens");
     assert_eq!(sequence.len(), 2);
     assert!(sequence.warnings[0].contains("ends within frame 2 of 3"), "{:?}", sequence.warnings);
+    let mut endless = bytes.clone();
+    // The size of the first colour image, behind header, pose and stamps.
+    let header = 4 + 8 + 15 + 4 * 64 + 4 * 6 + 4 + 8;
+    endless[header + 80..header + 88].fill(0xff);
+    folder.write("a.sens", &endless);
+    let error = open(&file).expect_err("no frame").to_string();
+    assert!(error.contains("at least one whole frame"), "{error}");
     folder.write("a.sens", &bytes[..430]);
     let error = open(&file).expect_err("no frame").to_string();
     assert!(error.contains("at least one whole frame"), "{error}");

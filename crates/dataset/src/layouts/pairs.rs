@@ -71,7 +71,7 @@ impl Pairs {
     pub(crate) fn gap_warning(&self) -> Option<String> {
         let numbers: Vec<u64> = self.pairs.iter().filter_map(|pair| pair.number).collect();
         let (first, last) = (numbers.first()?, numbers.last()?);
-        let expected = last - first + 1;
+        let expected = (last - first).saturating_add(1);
         (*first != 0 || expected != numbers.len() as u64).then(|| {
             format!(
                 "{} frames numbered {first} to {last}: published frame numbers are no places in \

@@ -46,7 +46,7 @@ pub(super) fn is_sequence(folder: &Path) -> bool {
 
 /// The two cameras.
 pub(super) fn calibration() -> Calibration {
-    let source = "the usual values for 7-Scenes";
+    let source = "the usual calibration of 7-Scenes";
     let found = Calibration::from_opencv(COLOUR, Distortion::default(), source, TRAITS);
     Calibration { size: Some((640, 480)), ..found }
 }
