@@ -2,6 +2,7 @@
 
 use crate::calibration::{Calibration, DepthGrid};
 use crate::decode::{DepthCode, decode_depth, depth_size, image_size};
+use crate::prepare::Preparation;
 use crate::resample::{Recorded, Resampler};
 use crate::{DatasetError, Entry};
 use i2slam_geometry::Camera;
@@ -96,12 +97,8 @@ fn recorded_size(
 }
 
 /// A warning if the median depth over the first frames cannot be right.
-pub(crate) fn depth_scale_warning(
-    entries: &[Entry],
-    depth_scale: f64,
-    code: DepthCode,
-    invalid: Option<u16>,
-) -> Option<String> {
+pub(crate) fn depth_scale_warning(entries: &[Entry], how: &Preparation) -> Option<String> {
+    let (depth_scale, code, invalid) = (how.depth_scale, how.depth_code, how.invalid_depth);
     let mut values: Vec<u16> = Vec::new();
     for entry in entries.iter().take(DEPTH_PROBES) {
         let Ok(depth) = decode_depth(&entry.depth, entry.depth_part(), code) else { continue };

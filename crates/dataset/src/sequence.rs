@@ -2,7 +2,7 @@
 
 use crate::calibration::Calibration;
 use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded};
-use crate::layouts::Source;
+use crate::layouts::{Listing, Source};
 use crate::prepare::Preparation;
 use crate::resample::Resampler;
 use crate::{DatasetError, Frame, FrameStream, Layout, OpenOptions, read_trajectory};
@@ -111,39 +111,47 @@ impl Sequence {
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.frame_rate);
         let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);
         let listing = source.list(path, options, assumed_rate)?;
-        let calibration = calibration?;
+        Self::of(name_of(path), listing, calibration?, options, assumed_rate)
+    }
+
+    /// Chooses the frames of a listing and prepares how they are delivered.
+    fn of(
+        name: String,
+        listing: Listing,
+        calibration: Calibration,
+        options: &OpenOptions,
+        assumed_rate: f64,
+    ) -> Result<Self, DatasetError> {
         let frame_rate = median_rate(&listing.entries).unwrap_or(assumed_rate);
         let mut warnings = listing.warnings;
         let entries = choose(listing.entries, options, &mut warnings)?;
         let recorded = recorded(&entries, &calibration, listing.depth_code)?;
         let delivered = delivered_size(&recorded.grid, options)?;
         let lens = &calibration.distortion;
-        let resampler = Resampler::new(&recorded, lens, options.crop_border, delivered);
-        let Calibration { depth_scale, invalid_depth, .. } = calibration;
-        let (code, invalid) = (listing.depth_code, invalid_depth);
+        let preparation = Preparation {
+            resampler: Resampler::new(&recorded, lens, options.crop_border, delivered),
+            depth_scale: calibration.depth_scale,
+            max_depth: options.max_depth.unwrap_or(f64::INFINITY),
+            depth_code: listing.depth_code,
+            invalid_depth: calibration.invalid_depth,
+        };
         warnings.extend(camera_warning(&recorded, &calibration.source));
-        warnings.extend(depth_scale_warning(&entries, depth_scale, code, invalid));
-        warnings.extend(cover_warning(&resampler));
+        warnings.extend(depth_scale_warning(&entries, &preparation));
+        warnings.extend(cover_warning(&preparation.resampler));
         Ok(Self {
-            name: name_of(path),
+            name,
             layout: listing.layout,
             camera_source: calibration.source,
-            camera: resampler.camera,
+            camera: preparation.resampler.camera,
             frame_rate,
-            depth_scale,
+            depth_scale: calibration.depth_scale,
             entries,
             left_out: listing.left_out,
             ground_truth: listing.ground_truth,
             poses: listing.poses,
-            covered: resampler.covered.clone().map(Arc::new),
+            covered: preparation.resampler.covered.clone().map(Arc::new),
             warnings,
-            preparation: Arc::new(Preparation {
-                resampler,
-                depth_scale,
-                max_depth: options.max_depth.unwrap_or(f64::INFINITY),
-                depth_code: listing.depth_code,
-                invalid_depth,
-            }),
+            preparation: Arc::new(preparation),
         })
     }
 

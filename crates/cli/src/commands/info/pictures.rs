@@ -90,28 +90,7 @@ impl Pictures {
         truth: &Truth,
         progress: &Progress,
     ) -> Result<Self, Failure> {
-        let done = AtomicUsize::new(0);
-        let look = |place: usize| {
-            if interrupt::requested() {
-                return Err(Failure::Interrupted);
-            }
-            let index = sequence.entries[place].index;
-            let look = match sequence.load(place) {
-                Ok(frame) => Ok(Look::at(&frame)?),
-                Err(error) => Err(format!("frame {index}: {error}")),
-            };
-            progress.step(done.fetch_add(1, Ordering::Relaxed) + 1);
-            Ok(look)
-        };
-        let looks: Result<Vec<Result<Look, String>>, Failure> =
-            (0..sequence.len()).into_par_iter().map(look).collect();
-        let (mut seen, mut unreadable) = (Vec::new(), Vec::new());
-        for look in looks? {
-            match look {
-                Ok(look) => seen.push(look),
-                Err(reason) => unreadable.push(reason),
-            }
-        }
+        let (seen, unreadable) = look_at_all(sequence, progress)?;
         if seen.is_empty() {
             let first = unreadable.into_iter().next().unwrap_or_default();
             return Err(Failure::Failed(format!("no frame can be read: {first}")));
@@ -129,6 +108,36 @@ impl Pictures {
             true_exposure_range_stops: exposure_range(truth),
         })
     }
+}
+
+/// All frames that can be read, in order, and why the others cannot.
+fn look_at_all(
+    sequence: &Sequence,
+    progress: &Progress,
+) -> Result<(Vec<Look>, Vec<String>), Failure> {
+    let done = AtomicUsize::new(0);
+    let look = |place: usize| {
+        if interrupt::requested() {
+            return Err(Failure::Interrupted);
+        }
+        let index = sequence.entries[place].index;
+        let look = match sequence.load(place) {
+            Ok(frame) => Ok(Look::at(&frame)?),
+            Err(error) => Err(format!("frame {index}: {error}")),
+        };
+        progress.step(done.fetch_add(1, Ordering::Relaxed) + 1);
+        Ok(look)
+    };
+    let looks: Result<Vec<Result<Look, String>>, Failure> =
+        (0..sequence.len()).into_par_iter().map(look).collect();
+    let (mut seen, mut unreadable) = (Vec::new(), Vec::new());
+    for look in looks? {
+        match look {
+            Ok(look) => seen.push(look),
+            Err(reason) => unreadable.push(reason),
+        }
+    }
+    Ok((seen, unreadable))
 }
 
 impl Look {

@@ -96,9 +96,12 @@ fn truth(known: &Known) -> String {
     format!("{}{}", truth.kinds.join(", "), path.unwrap_or_default())
 }
 
-fn of_pictures(pictures: &Pictures) -> Vec<Row> {
-    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let depth = pictures.depth.as_ref().map_or("none".to_owned(), |depth| {
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+fn depth(pictures: &Pictures) -> String {
+    pictures.depth.as_ref().map_or("none".to_owned(), |depth| {
         format!(
             "{:.2} to {:.2} m (1 to 99 %), median {:.2} m; {} of pixels, worst frame {}",
             depth.low_m,
@@ -107,10 +110,13 @@ fn of_pictures(pictures: &Pictures) -> Vec<Row> {
             percent(depth.valid_share),
             percent(depth.valid_share_worst)
         )
-    });
+    })
+}
+
+fn of_pictures(pictures: &Pictures) -> Vec<Row> {
     let (light, sharp) = (&pictures.brightness, &pictures.sharpness);
     let mut rows = vec![
-        ("depth", depth),
+        ("depth", depth(pictures)),
         (
             "brightness",
             format!(

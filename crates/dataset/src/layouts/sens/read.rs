@@ -81,16 +81,7 @@ impl Reader {
         let depth_size = self.size()?;
         let depth_scale = f64::from(f32::from_le_bytes(self.take()?));
         let frames = u64::from_le_bytes(self.take()?);
-        if !COLOUR_CODES.contains(&colour_code) {
-            return Err(self.refuse(format!("colour code {colour_code}, expected PNG or JPEG")));
-        }
-        if ![DEPTH_RAW, DEPTH_ZLIB].contains(&depth_code) {
-            let reason = format!("depth code {depth_code}, expected raw (0) or zlib (1)");
-            return Err(self.refuse(reason));
-        }
-        if !(depth_scale.is_finite() && depth_scale > 0.0) {
-            return Err(self.refuse(format!("depth scale {depth_scale}, expected above 0")));
-        }
+        self.check_codes(colour_code, depth_code, depth_scale)?;
         Ok(Header {
             intrinsic_colour,
             intrinsic_depth,
@@ -100,6 +91,19 @@ impl Reader {
             depth_scale,
             frames,
         })
+    }
+
+    fn check_codes(&self, colour: i32, depth: i32, depth_scale: f64) -> Result<(), DatasetError> {
+        if !COLOUR_CODES.contains(&colour) {
+            return Err(self.refuse(format!("colour code {colour}, expected PNG or JPEG")));
+        }
+        if ![DEPTH_RAW, DEPTH_ZLIB].contains(&depth) {
+            return Err(self.refuse(format!("depth code {depth}, expected raw (0) or zlib (1)")));
+        }
+        if !(depth_scale.is_finite() && depth_scale > 0.0) {
+            return Err(self.refuse(format!("depth scale {depth_scale}, expected above 0")));
+        }
+        Ok(())
     }
 
     /// The next frame; `None` where the file ends within it.
