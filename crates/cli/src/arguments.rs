@@ -32,11 +32,13 @@ pub(crate) enum Command {
     Degrade(commands::DegradeArguments),
     /// Run sequences x configurations x seeds, and put the figures into tables
     Bench(commands::BenchArguments),
+    /// Tell what is known of a sequence before it is run: layout, times, camera, depth, exposure
+    Info(commands::InfoArguments),
 }
 
 #[derive(Args, Debug)]
 pub(crate) struct Run {
-    /// Folder of the sequence: TUM RGB-D layout, or colour/ and depth/ with camera.json
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), or a .sens file
     pub(crate) dataset: PathBuf,
     /// Folder for the results
     #[arg(long, value_name = "DIR")]

@@ -1,7 +1,7 @@
 //! What a dataset knows better than any estimate: true poses, sharp pictures, exposures, radiance.
 
 use crate::failure::Failure;
-use i2slam::dataset::{Sequence, read_trajectory};
+use i2slam::dataset::Sequence;
 use i2slam::geometry::{Image, Pose, StampedPose};
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, Similarity, TrajectoryError, absolute_trajectory_error,
@@ -22,22 +22,18 @@ pub(crate) struct Truth {
 }
 
 impl Truth {
-    /// Look for `groundtruth.txt`, `sharp/`, `exposure.csv` and `hdr/` beside the frames.
+    /// Look for poses (a ground-truth file or those that came with the frames), `sharp/`,
+    /// `exposure.csv` and `hdr/` beside the frames.
     pub(crate) fn of(folder: &Path, sequence: &Sequence) -> Self {
         let mut warnings = Vec::new();
-        let trajectory = sequence.ground_truth.as_deref().map(read_trajectory);
-        let trajectory = match trajectory {
-            Some(Ok(trajectory)) => trajectory,
-            Some(Err(error)) => {
-                // The sequence warns of a file that it cannot read itself.
-                let told = sequence.warnings.iter().any(|w| w.contains(&error.to_string()));
-                if !told {
-                    warnings.push(format!("ground truth ignored: {error}"));
-                }
-                Vec::new()
+        let trajectory = sequence.true_trajectory().unwrap_or_else(|error| {
+            // The sequence warns of a file that it cannot read itself.
+            let told = sequence.warnings.iter().any(|w| w.contains(&error.to_string()));
+            if !told {
+                warnings.push(format!("ground truth ignored: {error}"));
             }
-            None => Vec::new(),
-        };
+            Vec::new()
+        });
         let exposure = folder.join("exposure.csv");
         let exposure = if exposure.is_file() { read_exposure(&exposure) } else { Ok(Vec::new()) };
         let exposure = exposure.unwrap_or_else(|reason| {
@@ -58,6 +54,19 @@ impl Truth {
         let sharp = self.sharp.as_ref()?;
         let there = sharp.entries.get(position)?.colour.is_file();
         there.then(|| sharp.load(position).ok().map(|frame| frame.colour)).flatten()
+    }
+
+    /// What lies there, in words.
+    pub(crate) fn kinds(&self) -> Vec<&'static str> {
+        [
+            (!self.trajectory.is_empty(), "poses"),
+            (self.sharp.is_some(), "sharp pictures"),
+            (self.folder.join("hdr").is_dir(), "radiance"),
+            (!self.exposure.is_empty(), "exposures"),
+        ]
+        .into_iter()
+        .filter_map(|(there, kind)| there.then_some(kind))
+        .collect()
     }
 
     /// The file of a frame's true radiance.

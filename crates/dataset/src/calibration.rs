@@ -1,6 +1,7 @@
 //! Intrinsics, lens and depth scale: from flags, from `camera.json`, or known by name.
 
 use crate::distortion::Distortion;
+use crate::layouts::Source;
 use crate::lists::read_text;
 use crate::{DatasetError, OpenOptions};
 use i2slam_geometry::Camera;
@@ -22,32 +23,89 @@ const LENS_MODELS: [&str; 8] = [
     "none",
 ];
 
+/// How the pixels of depth lie to those of colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum DepthGrid {
+    /// Depth has the pixels of colour.
+    Colour,
+    /// Depth sees what colour sees, in a size of its own; frames are delivered in colour's size.
+    Spread,
+    /// Frames are delivered in the pixels of depth. Its camera `[fx, fy, cx, cy]` [px] stands
+    /// where colour's does; without one it is colour's, resized.
+    Depth(Option<[f64; 4]>),
+}
+
+/// What a layout says of all its sequences.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Traits {
+    /// Depth image value of one metre.
+    pub(crate) depth_scale: f64,
+    /// Frames a second.
+    pub(crate) frame_rate: Option<f64>,
+    /// How depth lies to colour.
+    pub(crate) grid: DepthGrid,
+    /// A depth image value beside 0 that means "no reading".
+    pub(crate) invalid_depth: Option<u16>,
+}
+
+impl Default for Traits {
+    fn default() -> Self {
+        let (depth_scale, grid) = (DEFAULT_DEPTH_SCALE, DepthGrid::Colour);
+        Self { depth_scale, frame_rate: None, grid, invalid_depth: None }
+    }
+}
+
+impl Traits {
+    /// The same for another colour camera, of which depth has no camera of its own.
+    fn for_another_camera(self) -> Self {
+        let grid = match self.grid {
+            DepthGrid::Depth(_) => DepthGrid::Depth(None),
+            other => other,
+        };
+        Self { grid, ..self }
+    }
+}
+
 /// What is known of the recording camera.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Calibration {
-    /// `[fx, fy, cx, cy]` [px], pixel centres at integers plus one half.
+    /// `[fx, fy, cx, cy]` of the colour camera [px], pixel centres at integers plus one half.
     pub(crate) intrinsics: [f64; 4],
     /// The lens.
     pub(crate) distortion: Distortion,
-    /// Width and height [px], where the source says.
+    /// Width and height of colour [px], where the source says.
     pub(crate) size: Option<(usize, usize)>,
     /// Depth image value of one metre.
     pub(crate) depth_scale: f64,
     /// Frames a second, where the source says.
     pub(crate) frame_rate: Option<f64>,
+    /// How depth lies to colour.
+    pub(crate) grid: DepthGrid,
+    /// A depth image value beside 0 that means "no reading".
+    pub(crate) invalid_depth: Option<u16>,
     /// The file or name the calibration comes from, in words.
     pub(crate) source: String,
 }
 
 impl Calibration {
-    /// Flags go first, then the named file, then the folder's `camera.json`, then the name.
-    pub(crate) fn find(folder: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
+    /// Flags go first, then the named file, then the folder's `camera.json`, then what the layout
+    /// has of its own, then the folder's name.
+    pub(crate) fn find(
+        folder: &Path,
+        source: &Source,
+        options: &OpenOptions,
+    ) -> Result<Self, DatasetError> {
         let beside = folder.join("camera.json");
+        let traits = source.traits().for_another_camera();
         let mut found = match (&options.intrinsics, &options.camera) {
-            (Some(k), _) => Self::from_opencv(*k, Distortion::default(), "the given intrinsics"),
-            (None, Some(path)) => Self::from_file(path)?,
-            (None, None) if beside.is_file() => Self::from_file(&beside)?,
-            (None, None) => Self::known(folder)
+            (Some(k), _) => {
+                Self::from_opencv(*k, Distortion::default(), "the given intrinsics", traits)
+            }
+            (None, Some(path)) => Self::from_file(path, traits)?,
+            (None, None) if beside.is_file() => Self::from_file(&beside, traits)?,
+            (None, None) => source
+                .calibration()?
+                .or_else(|| Self::known(folder))
                 .ok_or_else(|| DatasetError::NoCamera { folder: folder.to_path_buf() })?,
         };
         if let Some(scale) = options.depth_scale {
@@ -57,13 +115,20 @@ impl Calibration {
     }
 
     /// From numbers for pixel centres at integers.
-    fn from_opencv(k: [f64; 4], distortion: Distortion, source: &str) -> Self {
+    pub(crate) fn from_opencv(
+        k: [f64; 4],
+        distortion: Distortion,
+        source: &str,
+        traits: Traits,
+    ) -> Self {
         Self {
             intrinsics: [k[0], k[1], k[2] + 0.5, k[3] + 0.5],
             distortion,
             size: None,
-            depth_scale: DEFAULT_DEPTH_SCALE,
-            frame_rate: None,
+            depth_scale: traits.depth_scale,
+            frame_rate: traits.frame_rate,
+            grid: traits.grid,
+            invalid_depth: traits.invalid_depth,
             source: source.to_owned(),
         }
     }
@@ -83,11 +148,12 @@ impl Calibration {
             _ => ([535.4, 539.2, 320.1, 247.6], [0.0; 5]),
         };
         let lens = Distortion::from_opencv(&lens)?;
-        let found = Self::from_opencv(k, lens, &format!("the calibration of freiburg{number}"));
+        let source = format!("the calibration of freiburg{number}");
+        let found = Self::from_opencv(k, lens, &source, Traits::default());
         Some(Self { size: Some((640, 480)), frame_rate: Some(30.0), ..found })
     }
 
-    fn from_file(path: &Path) -> Result<Self, DatasetError> {
+    fn from_file(path: &Path, traits: Traits) -> Result<Self, DatasetError> {
         let file: CameraFile = serde_json::from_str(&read_text(path)?).map_err(|e| {
             DatasetError::camera(
                 path,
@@ -106,8 +172,10 @@ impl Calibration {
             intrinsics: [file.fx, file.fy, file.cx + shift, file.cy + shift],
             distortion,
             size: file.width.zip(file.height),
-            depth_scale: file.depth_scale.unwrap_or(DEFAULT_DEPTH_SCALE),
-            frame_rate: file.fps,
+            depth_scale: file.depth_scale.unwrap_or(traits.depth_scale),
+            frame_rate: file.fps.or(traits.frame_rate),
+            grid: traits.grid,
+            invalid_depth: traits.invalid_depth,
             source: path.display().to_string(),
         })
     }

@@ -1,9 +1,11 @@
 //! What can be said of a sequence before it runs.
 
-use crate::calibration::Calibration;
-use crate::decode::{decode_depth, image_size};
-use crate::resample::Resampler;
+use crate::calibration::{Calibration, DepthGrid};
+use crate::decode::{DepthCode, decode_depth, depth_size, image_size};
+use crate::prepare::Preparation;
+use crate::resample::{Recorded, Resampler};
 use crate::{DatasetError, Entry};
+use i2slam_geometry::Camera;
 
 /// Depth images looked at to judge the depth scale.
 const DEPTH_PROBES: usize = 3;
@@ -14,14 +16,65 @@ const SIZE_PROBES: usize = 16;
 /// Median depths that a sensible depth scale gives [m].
 const SENSIBLE_DEPTH: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 
+/// The cameras that recorded colour and depth, and the grid that frames are delivered on.
+pub(crate) fn recorded(
+    entries: &[Entry],
+    calibration: &Calibration,
+    code: DepthCode,
+) -> Result<Recorded, DatasetError> {
+    let (width, height) = recorded_size(entries, calibration)?;
+    let [fx, fy, cx, cy] = calibration.intrinsics;
+    let colour = Camera { width, height, fx, fy, cx, cy };
+    let sized = || {
+        let sizes = entries.iter().take(SIZE_PROBES);
+        let size = sizes.map(|entry| depth_size(&entry.depth, entry.depth_part(), code));
+        let mut size = size.skip_while(Result::is_err);
+        size.next().and_then(Result::ok).unwrap_or((width, height))
+    };
+    Ok(match calibration.grid {
+        DepthGrid::Colour => Recorded { colour, depth: colour, grid: colour },
+        DepthGrid::Spread => {
+            let (width, height) = sized();
+            Recorded { colour, depth: colour.resized(width, height), grid: colour }
+        }
+        DepthGrid::Depth(own) => {
+            let (width, height) = sized();
+            let depth = match own {
+                Some([fx, fy, cx, cy]) => Camera { width, height, fx, fy, cx, cy },
+                None => colour.resized(width, height),
+            };
+            // Colour exported in the size of depth, with the intrinsics of its first size.
+            let same_size = (colour.width, colour.height) == (depth.width, depth.height);
+            let reduced = same_size && !is_central(&colour) && is_central(&depth);
+            Recorded { colour: if reduced { depth } else { colour }, depth, grid: depth }
+        }
+    })
+}
+
+/// Whether the principal point lies in the middle half of the picture.
+fn is_central(camera: &Camera<f64>) -> bool {
+    let middle = |at: f64, size: usize| (0.25..=0.75).contains(&(at / size as f64));
+    middle(camera.cx, camera.width) && middle(camera.cy, camera.height)
+}
+
+/// A warning if the intrinsics seem to be those of pictures of another size.
+pub(crate) fn camera_warning(recorded: &Recorded, source: &str) -> Option<String> {
+    let odd = [&recorded.colour, &recorded.depth].into_iter().find(|camera| !is_central(camera))?;
+    Some(format!(
+        "intrinsics of another size? The principal point of {source} lies at {:.1}, {:.1} in \
+         pictures of {}x{}",
+        odd.cx, odd.cy, odd.width, odd.height
+    ))
+}
+
 /// Width and height [px] of the first readable colour image, agreeing with the camera's.
-pub(crate) fn recorded_size(
+fn recorded_size(
     entries: &[Entry],
     calibration: &Calibration,
 ) -> Result<(usize, usize), DatasetError> {
     let mut first_error = None;
     for entry in entries.iter().take(SIZE_PROBES) {
-        let found = match image_size(&entry.colour) {
+        let found = match image_size(&entry.colour, entry.colour_part()) {
             Ok(size) => size,
             Err(error) => {
                 first_error.get_or_insert(error);
@@ -44,11 +97,13 @@ pub(crate) fn recorded_size(
 }
 
 /// A warning if the median depth over the first frames cannot be right.
-pub(crate) fn depth_scale_warning(entries: &[Entry], depth_scale: f64) -> Option<String> {
+pub(crate) fn depth_scale_warning(entries: &[Entry], how: &Preparation) -> Option<String> {
+    let (depth_scale, code, invalid) = (how.depth_scale, how.depth_code, how.invalid_depth);
     let mut values: Vec<u16> = Vec::new();
     for entry in entries.iter().take(DEPTH_PROBES) {
-        let Ok(depth) = decode_depth(&entry.depth) else { continue };
-        values.extend(depth.data.iter().step_by(7).filter(|&&v| v > 0));
+        let Ok(depth) = decode_depth(&entry.depth, entry.depth_part(), code) else { continue };
+        let valid = |v: &&u16| **v > 0 && Some(**v) != invalid;
+        values.extend(depth.data.iter().step_by(7).filter(valid));
     }
     let middle = values.len() / 2;
     values.sort_unstable();

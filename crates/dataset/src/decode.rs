@@ -1,9 +1,12 @@
-//! Image files to pixel grids: PNG (every kind) and JPEG for colour, 16-bit PNG for depth.
+//! Images to pixel grids: PNG (every kind) and JPEG for colour, 16-bit PNG or bare 16-bit values
+//! for depth. An image is a file of its own or a range of bytes in one.
 
 use crate::DatasetError;
 use i2slam_geometry::Image;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
-use std::io::Cursor;
+use std::fs::File;
+use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::Path;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
@@ -16,8 +19,37 @@ enum Kind {
     Jpeg,
 }
 
-fn read(path: &Path) -> Result<(Vec<u8>, Kind), DatasetError> {
-    let bytes = std::fs::read(path).map_err(|e| DatasetError::read(path, e))?;
+/// How depth values are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum DepthCode {
+    /// A 16-bit grey PNG.
+    #[default]
+    Png,
+    /// Bare little-endian values, row by row.
+    Raw { width: usize, height: usize },
+    /// The same, deflated (zlib).
+    Zlib { width: usize, height: usize },
+}
+
+/// The bytes of an image: a whole file or a part of it.
+fn read_bytes(path: &Path, part: Option<&Range<u64>>) -> Result<Vec<u8>, DatasetError> {
+    let Some(part) = part else {
+        return std::fs::read(path).map_err(|e| DatasetError::read(path, e));
+    };
+    let length = usize::try_from(part.end.saturating_sub(part.start)).unwrap_or(usize::MAX);
+    if length > MEMORY_LIMIT {
+        return Err(DatasetError::image(path, "the image is too large"));
+    }
+    let mut bytes = vec![0; length];
+    let mut file = File::open(path).map_err(|e| DatasetError::read(path, e))?;
+    file.seek(SeekFrom::Start(part.start))
+        .and_then(|_| file.read_exact(&mut bytes))
+        .map_err(|e| DatasetError::read(path, e))?;
+    Ok(bytes)
+}
+
+fn read(path: &Path, part: Option<&Range<u64>>) -> Result<(Vec<u8>, Kind), DatasetError> {
+    let bytes = read_bytes(path, part)?;
     let kind = match bytes.as_slice() {
         [0x89, b'P', b'N', b'G', ..] => Kind::Png,
         [0xff, 0xd8, 0xff, ..] => Kind::Jpeg,
@@ -28,8 +60,11 @@ fn read(path: &Path) -> Result<(Vec<u8>, Kind), DatasetError> {
 }
 
 /// Width and height [px] by the header alone.
-pub(crate) fn image_size(path: &Path) -> Result<(usize, usize), DatasetError> {
-    let (bytes, kind) = read(path)?;
+pub(crate) fn image_size(
+    path: &Path,
+    part: Option<&Range<u64>>,
+) -> Result<(usize, usize), DatasetError> {
+    let (bytes, kind) = read(path, part)?;
     match kind {
         Kind::Png => {
             let mut decoder = png_decoder(&bytes);
@@ -46,17 +81,56 @@ pub(crate) fn image_size(path: &Path) -> Result<(usize, usize), DatasetError> {
 
 /// A colour picture: 3 planes in `[0, 1]`; grey is repeated, palettes are looked up, alpha is
 /// ignored.
-pub(crate) fn decode_colour(path: &Path) -> Result<Image<f32>, DatasetError> {
-    let (bytes, kind) = read(path)?;
+pub(crate) fn decode_colour(
+    path: &Path,
+    part: Option<&Range<u64>>,
+) -> Result<Image<f32>, DatasetError> {
+    let (bytes, kind) = read(path, part)?;
     match kind {
         Kind::Png => colour_from_png(path, &bytes),
         Kind::Jpeg => colour_from_jpeg(path, &bytes),
     }
 }
 
-/// A depth picture: 1 plane of the file's 16-bit values.
-pub(crate) fn decode_depth(path: &Path) -> Result<Image<u16>, DatasetError> {
-    let (bytes, kind) = read(path)?;
+/// Width and height [px] of a depth image.
+pub(crate) fn depth_size(
+    path: &Path,
+    part: Option<&Range<u64>>,
+    code: DepthCode,
+) -> Result<(usize, usize), DatasetError> {
+    match code {
+        DepthCode::Png => image_size(path, part),
+        DepthCode::Raw { width, height } | DepthCode::Zlib { width, height } => Ok((width, height)),
+    }
+}
+
+/// A depth picture: 1 plane of 16-bit values as written.
+pub(crate) fn decode_depth(
+    path: &Path,
+    part: Option<&Range<u64>>,
+    code: DepthCode,
+) -> Result<Image<u16>, DatasetError> {
+    let (bytes, width, height) = match code {
+        DepthCode::Png => return depth_from_png(path, part),
+        DepthCode::Raw { width, height } => (read_bytes(path, part)?, width, height),
+        DepthCode::Zlib { width, height } => {
+            let packed = read_bytes(path, part)?;
+            let limit = 2 * width * height;
+            let bytes = miniz_oxide::inflate::decompress_to_vec_zlib_with_limit(&packed, limit);
+            let damaged = |_| DatasetError::image(path, "damaged depth (zlib)");
+            (bytes.map_err(damaged)?, width, height)
+        }
+    };
+    if bytes.len() != 2 * width * height {
+        let reason = format!("depth of {} bytes, expected {width}x{height} values", bytes.len());
+        return Err(DatasetError::image(path, reason));
+    }
+    let data = bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
+    Ok(Image { width, height, channels: 1, data })
+}
+
+fn depth_from_png(path: &Path, part: Option<&Range<u64>>) -> Result<Image<u16>, DatasetError> {
+    let (bytes, kind) = read(path, part)?;
     if matches!(kind, Kind::Jpeg) {
         return Err(DatasetError::image(path, "depth is a JPEG, expected a 16-bit grey PNG"));
     }

@@ -1,5 +1,6 @@
 //! The one error type: what is wrong, where, what was expected, what to do.
 
+use crate::Layout;
 use std::path::{Path, PathBuf};
 
 /// Why a sequence, a frame or a trajectory could not be read or written.
@@ -8,24 +9,32 @@ use std::path::{Path, PathBuf};
 pub enum DatasetError {
     /// The path given is not a folder.
     #[error(
-        "no folder {}: give the folder that holds rgb.txt and depth.txt, or colour/ and depth/",
+        "no folder {} (and no .sens file): give the folder that holds rgb.txt and depth.txt, or \
+         colour/ and depth/",
         path.display()
     )]
     MissingFolder {
         /// The path given.
         path: PathBuf,
     },
-    /// The folder is there but holds neither of the layouts.
+    /// The folder is there but holds none of the layouts.
     #[error(
-        "{} is no RGB-D sequence: expected rgb.txt with depth.txt (TUM layout), or colour/ \
-         (color/, rgb/, images/) beside depth/ (plain layout); found {found}",
-        path.display()
+        "{} is no RGB-D sequence: found {found}; expected one of{}",
+        path.display(), known_layouts()
     )]
     UnknownLayout {
         /// The folder.
         path: PathBuf,
         /// What lies in it, in words.
         found: String,
+    },
+    /// A file that describes the sequence (calibration, frames) cannot be used.
+    #[error("{}: {reason}", path.display())]
+    Metadata {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what was expected.
+        reason: String,
     },
     /// A list, a folder or a trajectory without a single entry.
     #[error("{} is empty: expected {expected}", path.display())]
@@ -170,4 +179,10 @@ impl DatasetError {
     pub(crate) fn camera(path: &Path, reason: impl Into<String>) -> Self {
         Self::Camera { path: path.to_path_buf(), reason: reason.into() }
     }
+}
+
+/// One line for every layout.
+fn known_layouts() -> String {
+    let line = |layout: Layout| format!("\n  {:<26}{}", layout.name(), layout.recognised_by());
+    Layout::ALL.into_iter().map(line).collect()
 }

@@ -1,11 +1,8 @@
 //! RGB-D frames from disk: sequences in, [`Frame`]s out.
 //!
-//! Two layouts are understood.
-//!
-//! * **TUM RGB-D**: `rgb.txt` and `depth.txt` list `timestamp file`; every colour image goes with
-//!   the depth image nearest in time, then the stream is thinned (see [`OpenOptions`]).
-//! * **Plain folder**: `colour/` (or `color/`, `rgb/`, `images/`) beside `depth/` and
-//!   `camera.json`; pairs by time stamp or number in the file names.
+//! A sequence is recognised by its files, see [`Layout`]: TUM RGB-D, ETH3D SLAM, ScanNet
+//! (extracted, or its `.sens` file), Replica as rendered for NICE-SLAM, 7-Scenes, nerfstudio's
+//! `transforms.json` with depth, and plain folders of colour and depth images.
 //!
 //! Every frame is delivered ready to use: lens distortion removed, cropped, scaled, depth in
 //! metres. [`Sequence::camera`] is the pinhole camera of the delivered frames.
@@ -21,17 +18,18 @@
 //! # Ok::<(), i2slam_dataset::DatasetError>(())
 //! ```
 
+mod area;
 mod associate;
 mod calibration;
 mod checks;
 mod decode;
 mod distortion;
 mod error;
-mod layout;
+mod layouts;
 mod lists;
 mod options;
-mod plain;
 mod prepare;
+mod published;
 mod resample;
 mod sequence;
 mod stream;
@@ -39,8 +37,10 @@ mod trajectory_file;
 
 pub use calibration::write_camera;
 pub use error::DatasetError;
+pub use layouts::Layout;
 pub use options::OpenOptions;
 pub use prepare::Frame;
-pub use sequence::{Entry, LeftOut, Sequence};
+pub use published::paper_frames;
+pub use sequence::{Entry, LeftOut, Parts, Sequence};
 pub use stream::FrameStream;
 pub use trajectory_file::{read_trajectory, write_trajectory};

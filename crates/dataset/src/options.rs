@@ -20,7 +20,8 @@ pub struct OpenOptions {
     pub stride: usize,
     /// Size of the delivered frames over that of the cropped ones, in `(0, 1]`. Default 1.
     pub scale: f64,
-    /// Border removed on every side before scaling [px of the recorded image]. Default 0.
+    /// Border removed on every side before scaling [px of the recorded colour image; of depth for
+    /// ScanNet and 7-Scenes, which are delivered in the pixels of depth]. Default 0.
     pub crop_border: usize,
     /// Depth beyond this is taken as invalid [m]. Default none.
     pub max_depth: Option<f64>,

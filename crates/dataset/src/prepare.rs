@@ -1,6 +1,6 @@
 //! From the two image files of an entry to a frame.
 
-use crate::decode::{decode_colour, decode_depth};
+use crate::decode::{DepthCode, decode_colour, decode_depth};
 use crate::resample::Resampler;
 use crate::{DatasetError, Entry};
 use i2slam_geometry::Image;
@@ -37,15 +37,24 @@ pub(crate) struct Preparation {
     pub(crate) depth_scale: f64,
     /// Depth beyond this is invalid [m]; infinite for none.
     pub(crate) max_depth: f64,
+    /// How depth values are written.
+    pub(crate) depth_code: DepthCode,
+    /// A depth image value beside 0 that means "no reading".
+    pub(crate) invalid_depth: Option<u16>,
 }
 
 impl Preparation {
     /// Reads both images of an entry.
     pub(crate) fn load(&self, entry: &Entry) -> Result<Frame, DatasetError> {
-        let colour = decode_colour(&entry.colour)?;
-        self.check_size(&entry.colour, colour.width, colour.height)?;
-        let depth = decode_depth(&entry.depth)?;
-        self.check_size(&entry.depth, depth.width, depth.height)?;
+        let colour = decode_colour(&entry.colour, entry.colour_part())?;
+        let (colour_size, depth_size) = self.resampler.recorded_sizes();
+        check_size(&entry.colour, (colour.width, colour.height), colour_size, "colour")?;
+        let mut depth = decode_depth(&entry.depth, entry.depth_part(), self.depth_code)?;
+        let like = if depth_size == colour_size { "colour" } else { "depth" };
+        check_size(&entry.depth, (depth.width, depth.height), depth_size, like)?;
+        if let Some(invalid) = self.invalid_depth {
+            depth.data.iter_mut().filter(|value| **value == invalid).for_each(|value| *value = 0);
+        }
         let colour = self.resampler.colour(&colour);
         let depth = self.resampler.depth(&depth, self.depth_scale, self.max_depth);
         let warnings = warnings(&colour, &depth);
@@ -58,19 +67,20 @@ impl Preparation {
             warnings,
         })
     }
+}
 
-    fn check_size(&self, path: &Path, width: usize, height: usize) -> Result<(), DatasetError> {
-        let expected = self.resampler.recorded_size();
-        if (width, height) == expected {
-            return Ok(());
-        }
-        Err(DatasetError::Size {
-            path: path.to_path_buf(),
-            found: (width, height),
-            expected,
-            reference: "the first colour image".into(),
-        })
+/// Refuses an image of another size than the first one of its kind.
+fn check_size(
+    path: &Path,
+    found: (usize, usize),
+    expected: (usize, usize),
+    kind: &str,
+) -> Result<(), DatasetError> {
+    if found == expected {
+        return Ok(());
     }
+    let reference = format!("the first {kind} image");
+    Err(DatasetError::Size { path: path.to_path_buf(), found, expected, reference })
 }
 
 fn warnings(colour: &Image<f32>, depth: &Image<f32>) -> Vec<String> {

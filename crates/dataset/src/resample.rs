@@ -5,7 +5,11 @@
 //! systems compared with do; averaging light would need the camera response, which is unknown
 //! here. Depth: each delivered pixel takes the recorded pixel its centre falls into, so that no
 //! surface is invented between two depths.
+//!
+//! Colour and depth may have been recorded by cameras of different size and focal length at one
+//! place; frames are delivered on the grid of one of them.
 
+use crate::area::AreaMap;
 use crate::distortion::Distortion;
 use i2slam_geometry::{Camera, Image};
 
@@ -21,13 +25,25 @@ struct Tap {
     lower: f32,
 }
 
+/// The cameras of a sequence as recorded, sizes at least 2x2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Recorded {
+    pub(crate) colour: Camera<f64>,
+    pub(crate) depth: Camera<f64>,
+    /// The one of them whose pixels are delivered, after crop and scale.
+    pub(crate) grid: Camera<f64>,
+}
+
 /// Precomputed maps from recorded to delivered frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Resampler {
-    recorded: (usize, usize),
+    colour_size: (usize, usize),
+    depth_size: (usize, usize),
     border: usize,
     /// Per pixel of the cropped frame; `None` for a lens without distortion.
     taps: Option<Vec<Tap>>,
+    /// Straight to the delivered frame, where colour is not on the delivered grid.
+    areas: Option<AreaMap>,
     /// Per pixel of the delivered frame: place in the recorded frame, or [`OUTSIDE`].
     depth_lookup: Vec<u32>,
     cropped: (usize, usize),
@@ -40,18 +56,21 @@ pub(crate) struct Resampler {
 }
 
 impl Resampler {
-    /// Maps for a recording camera (size at least 2x2), its lens, a border and a delivered size.
+    /// Maps for the recording cameras, their lens, a border [px of the grid] and a delivered size.
     pub(crate) fn new(
-        recorded: &Camera<f64>,
+        recorded: &Recorded,
         lens: &Distortion,
         border: usize,
         delivered: (usize, usize),
     ) -> Self {
-        let cropped = recorded.cropped(border);
+        let cropped = recorded.grid.cropped(border);
+        let size = |camera: &Camera<f64>| (camera.width, camera.height);
         let mut resampler = Self {
-            recorded: (recorded.width, recorded.height),
+            colour_size: size(&recorded.colour),
+            depth_size: size(&recorded.depth),
             border,
             taps: None,
+            areas: None,
             depth_lookup: Vec::new(),
             cropped: (cropped.width, cropped.height),
             camera: cropped.resized(delivered.0, delivered.1),
@@ -61,24 +80,35 @@ impl Resampler {
         resampler.depth_lookup = resampler.depth_map(recorded, lens);
         if !lens.is_none() {
             resampler.taps = Some(resampler.colour_map(recorded, lens));
+        } else if recorded.colour != recorded.grid {
+            resampler.areas = Some(resampler.area_map(recorded));
         }
         resampler
     }
 
-    fn colour_map(&mut self, recorded: &Camera<f64>, lens: &Distortion) -> Vec<Tap> {
+    fn area_map(&mut self, recorded: &Recorded) -> AreaMap {
+        let map = AreaMap::new(&recorded.colour, &self.camera);
+        self.covered = map.covered();
+        let step = self.cropped.0 as f64 / self.camera.width as f64;
+        self.full_cover_border += (map.uncovered_border() as f64 * step).ceil() as usize;
+        map
+    }
+
+    fn colour_map(&mut self, recorded: &Recorded, lens: &Distortion) -> Vec<Tap> {
         let (width, height) = self.cropped;
+        let (grid, colour) = (&recorded.grid, &recorded.colour);
         let mut outside = Image::<f32>::new(width, height, 1);
         let mut taps = Vec::with_capacity(width * height);
         for row in 0..height {
             for column in 0..width {
                 let (i, j) = (column + self.border, row + self.border);
-                let (u, v) = through_lens(recorded, lens, i as f64 + 0.5, j as f64 + 0.5);
-                if pixel_at(recorded, u, v) == OUTSIDE {
+                let (u, v) = through_lens(grid, lens, colour, i as f64 + 0.5, j as f64 + 0.5);
+                if pixel_at(colour, u, v) == OUTSIDE {
                     outside.data[row * width + column] = 1.0;
-                    let edge = i.min(j).min(recorded.width - 1 - i).min(recorded.height - 1 - j);
+                    let edge = i.min(j).min(grid.width - 1 - i).min(grid.height - 1 - j);
                     self.full_cover_border = self.full_cover_border.max(edge + 1);
                 }
-                taps.push(tap_at(recorded, u, v));
+                taps.push(tap_at(colour, u, v));
             }
         }
         if outside.data.contains(&1.0) {
@@ -93,7 +123,7 @@ impl Resampler {
         taps
     }
 
-    fn depth_map(&self, recorded: &Camera<f64>, lens: &Distortion) -> Vec<u32> {
+    fn depth_map(&self, recorded: &Recorded, lens: &Distortion) -> Vec<u32> {
         let (width, height) = (self.camera.width, self.camera.height);
         let step_x = self.cropped.0 as f64 / width as f64;
         let step_y = self.cropped.1 as f64 / height as f64;
@@ -103,8 +133,8 @@ impl Resampler {
             for column in 0..width {
                 let u = (column as f64 + 0.5) * step_x + border;
                 let v = (row as f64 + 0.5) * step_y + border;
-                let (u, v) = through_lens(recorded, lens, u, v);
-                lookup.push(pixel_at(recorded, u, v));
+                let (u, v) = through_lens(&recorded.grid, lens, &recorded.depth, u, v);
+                lookup.push(pixel_at(&recorded.depth, u, v));
             }
         }
         lookup
@@ -113,6 +143,9 @@ impl Resampler {
     /// The delivered colour of a recorded picture. Where the lens reaches beyond the recorded
     /// picture its edge is repeated.
     pub(crate) fn colour(&self, recorded: &Image<f32>) -> Image<f32> {
+        if let Some(areas) = &self.areas {
+            return areas.apply(recorded);
+        }
         let cropped = match &self.taps {
             Some(taps) => sample(recorded, taps, self.cropped),
             None if self.border > 0 => crop(recorded, self.border, self.cropped),
@@ -144,19 +177,25 @@ impl Resampler {
         }
     }
 
-    /// Width and height of the recorded frames [px].
-    pub(crate) fn recorded_size(&self) -> (usize, usize) {
-        self.recorded
+    /// Width and height of the recorded colour and depth images [px].
+    pub(crate) fn recorded_sizes(&self) -> ((usize, usize), (usize, usize)) {
+        (self.colour_size, self.depth_size)
     }
 }
 
-/// Where the recording lens puts what a pinhole with the same intrinsics sees at `(u, v)`.
-fn through_lens(camera: &Camera<f64>, lens: &Distortion, u: f64, v: f64) -> (f64, f64) {
-    if lens.is_none() {
+/// Where the lens of camera `to` puts what the pinhole `from` at its place sees at `(u, v)`.
+fn through_lens(
+    from: &Camera<f64>,
+    lens: &Distortion,
+    to: &Camera<f64>,
+    u: f64,
+    v: f64,
+) -> (f64, f64) {
+    if lens.is_none() && from == to {
         return (u, v);
     }
-    let (x, y) = lens.distort((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy);
-    (camera.fx * x + camera.cx, camera.fy * y + camera.cy)
+    let (x, y) = lens.distort((u - from.cx) / from.fx, (v - from.cy) / from.fy);
+    (to.fx * x + to.cx, to.fy * y + to.cy)
 }
 
 /// The pixel that `(u, v)` falls into.

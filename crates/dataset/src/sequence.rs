@@ -1,12 +1,13 @@
 //! A sequence of RGB-D frames on disk.
 
 use crate::calibration::Calibration;
-use crate::checks::{cover_warning, depth_scale_warning, recorded_size};
-use crate::layout;
+use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded};
+use crate::layouts::{Listing, Source};
 use crate::prepare::Preparation;
 use crate::resample::Resampler;
-use crate::{DatasetError, Frame, FrameStream, OpenOptions};
-use i2slam_geometry::{Camera, Image};
+use crate::{DatasetError, Frame, FrameStream, Layout, OpenOptions, read_trajectory};
+use i2slam_geometry::{Camera, Image, Trajectory};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -29,6 +30,27 @@ pub struct Entry {
     pub colour: PathBuf,
     /// The depth image file.
     pub depth: PathBuf,
+    /// Where the images lie in their files; `None`: each is a whole file.
+    pub parts: Option<Parts>,
+}
+
+/// Where the two images of a frame lie in one file [bytes].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Parts {
+    /// The colour image.
+    pub colour: Range<u64>,
+    /// The depth image.
+    pub depth: Range<u64>,
+}
+
+impl Entry {
+    pub(crate) fn colour_part(&self) -> Option<&Range<u64>> {
+        self.parts.as_ref().map(|parts| &parts.colour)
+    }
+
+    pub(crate) fn depth_part(&self) -> Option<&Range<u64>> {
+        self.parts.as_ref().map(|parts| &parts.depth)
+    }
 }
 
 /// How many colour images did not enter the associated stream, and why.
@@ -45,8 +67,12 @@ pub struct LeftOut {
 /// An opened sequence: which frames there are and how they are delivered.
 #[derive(Clone, Debug)]
 pub struct Sequence {
-    /// Name of the folder.
+    /// Name of the folder, or of the `.sens` file.
     pub name: String,
+    /// How it lies on disk.
+    pub layout: Layout,
+    /// Where the camera comes from: a file, a flag or a name, in words.
+    pub camera_source: String,
     /// Pinhole camera of the delivered frames: lens removed, cropped, scaled.
     pub camera: Camera<f64>,
     /// Median frames a second of the associated stream (not divided by the stride).
@@ -59,6 +85,9 @@ pub struct Sequence {
     pub left_out: LeftOut,
     /// The folder's `groundtruth.txt` (or `pose.txt`), for [`read_trajectory`](crate::read_trajectory).
     pub ground_truth: Option<PathBuf>,
+    /// True poses `world_from_camera` that came with the frames themselves, at their times; empty
+    /// for layouts that have a ground-truth file. See [`true_trajectory`](Self::true_trajectory).
+    pub poses: Trajectory,
     /// 1 plane at the delivered size, false where removing the lens distortion reached beyond
     /// the recorded picture: there depth is 0 and colour repeats the edge. `None`: all covered.
     pub covered: Option<Arc<Image<bool>>>,
@@ -68,44 +97,69 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Opens the sequence in a folder. Reads lists, headers and a few depth images, no more.
+    /// Opens the sequence in a folder, or in a `.sens` file. Reads lists, headers and a few depth
+    /// images, no more.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
         options.validate()?;
-        if !path.is_dir() {
+        if !path.exists() {
             return Err(DatasetError::MissingFolder { path: path.to_path_buf() });
         }
-        let calibration = Calibration::find(path, options);
+        // A folder that is no sequence at all is worth saying before a missing camera.
+        let source = Source::recognise(path)?;
+        let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
+        let calibration = Calibration::find(folder, &source, options);
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.frame_rate);
         let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);
-        // A folder that is no sequence at all is worth saying before a missing camera.
-        let listing = layout::list(path, options, assumed_rate)?;
-        let calibration = calibration?;
+        let listing = source.list(path, options, assumed_rate)?;
+        Self::of(name_of(path), listing, calibration?, options, assumed_rate)
+    }
+
+    /// Chooses the frames of a listing and prepares how they are delivered.
+    fn of(
+        name: String,
+        listing: Listing,
+        calibration: Calibration,
+        options: &OpenOptions,
+        assumed_rate: f64,
+    ) -> Result<Self, DatasetError> {
         let frame_rate = median_rate(&listing.entries).unwrap_or(assumed_rate);
         let mut warnings = listing.warnings;
         let entries = choose(listing.entries, options, &mut warnings)?;
-        let recorded = recorded_camera(&calibration, recorded_size(&entries, &calibration)?);
-        let delivered = delivered_size(&recorded, options)?;
+        let recorded = recorded(&entries, &calibration, listing.depth_code)?;
+        let delivered = delivered_size(&recorded.grid, options)?;
         let lens = &calibration.distortion;
-        let resampler = Resampler::new(&recorded, lens, options.crop_border, delivered);
-        let depth_scale = calibration.depth_scale;
-        warnings.extend(depth_scale_warning(&entries, depth_scale));
-        warnings.extend(cover_warning(&resampler));
+        let preparation = Preparation {
+            resampler: Resampler::new(&recorded, lens, options.crop_border, delivered),
+            depth_scale: calibration.depth_scale,
+            max_depth: options.max_depth.unwrap_or(f64::INFINITY),
+            depth_code: listing.depth_code,
+            invalid_depth: calibration.invalid_depth,
+        };
+        warnings.extend(camera_warning(&recorded, &calibration.source));
+        warnings.extend(depth_scale_warning(&entries, &preparation));
+        warnings.extend(cover_warning(&preparation.resampler));
         Ok(Self {
-            name: folder_name(path),
-            camera: resampler.camera,
+            name,
+            layout: listing.layout,
+            camera_source: calibration.source,
+            camera: preparation.resampler.camera,
             frame_rate,
-            depth_scale,
+            depth_scale: calibration.depth_scale,
             entries,
             left_out: listing.left_out,
             ground_truth: listing.ground_truth,
-            covered: resampler.covered.clone().map(Arc::new),
+            poses: listing.poses,
+            covered: preparation.resampler.covered.clone().map(Arc::new),
             warnings,
-            preparation: Arc::new(Preparation {
-                resampler,
-                depth_scale,
-                max_depth: options.max_depth.unwrap_or(f64::INFINITY),
-            }),
+            preparation: Arc::new(preparation),
         })
+    }
+
+    /// The true poses `world_from_camera`, in order of time: those of the ground-truth file, else
+    /// those that came with the frames. Empty where there is neither; an error where the file
+    /// cannot be read.
+    pub fn true_trajectory(&self) -> Result<Trajectory, DatasetError> {
+        self.ground_truth.as_ref().map_or_else(|| Ok(self.poses.clone()), read_trajectory)
     }
 
     /// Reads the frame at a place of [`entries`](Self::entries).
@@ -133,9 +187,10 @@ impl Sequence {
     }
 }
 
-fn folder_name(path: &Path) -> String {
+fn name_of(path: &Path) -> String {
     let whole = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-    whole.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+    let name = if whole.is_file() { whole.file_stem() } else { whole.file_name() };
+    name.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// The median of the frame rates between neighbours [1/s].
@@ -171,11 +226,7 @@ fn choose(
     Ok(entries.into_iter().take(end).skip(start).step_by(options.stride).collect())
 }
 
-fn recorded_camera(calibration: &Calibration, (width, height): (usize, usize)) -> Camera<f64> {
-    let [fx, fy, cx, cy] = calibration.intrinsics;
-    Camera { width, height, fx, fy, cx, cy }
-}
-
+/// Size of the frames from the grid `recorded` that they are delivered on, cropped and scaled.
 fn delivered_size(
     recorded: &Camera<f64>,
     options: &OpenOptions,

@@ -4,6 +4,7 @@ mod bench;
 mod degrade;
 mod demo;
 mod eval;
+mod info;
 mod presets;
 mod render;
 mod run;
@@ -11,6 +12,7 @@ mod synth;
 
 pub(crate) use bench::Bench as BenchArguments;
 pub(crate) use degrade::Degrade as DegradeArguments;
+pub(crate) use info::Info as InfoArguments;
 pub(crate) use synth::Synth as SynthArguments;
 
 use crate::arguments::{Command, Machine};
@@ -27,6 +29,7 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Synth(arguments) => synth::synth(&arguments),
         Command::Degrade(arguments) => degrade::degrade(&arguments),
         Command::Bench(arguments) => bench::bench(&arguments),
+        Command::Info(arguments) => info::info(&arguments),
     }
 }
 

@@ -48,7 +48,7 @@ pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, 
     Ok(config)
 }
 
-fn open_options(input: &Input, config: &Config) -> Result<OpenOptions, Failure> {
+pub(super) fn open_options(input: &Input, config: &Config) -> Result<OpenOptions, Failure> {
     let intrinsics = input.intrinsics.as_deref().map(<[f64; 4]>::try_from).transpose();
     let four = |_| Failure::Usage("--intrinsics needs the four numbers fx fy cx cy".to_owned());
     Ok(OpenOptions {

@@ -5,6 +5,11 @@ fn camera() -> Camera<f64> {
     Camera { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 33.0, cy: 23.0 }
 }
 
+/// One camera for colour and depth.
+fn alone(camera: Camera<f64>) -> Recorded {
+    Recorded { colour: camera, depth: camera, grid: camera }
+}
+
 fn lens() -> Distortion {
     Distortion { radial: [-0.2, 0.05, 0.0], tangential: [0.01, -0.004], ..Distortion::default() }
 }
@@ -41,7 +46,7 @@ fn ray_behind(lens: &Distortion, u: f64, v: f64) -> (f64, f64) {
 #[test]
 fn removing_the_lens_gives_the_pinhole_picture() {
     for delivered in [(56, 40), (28, 20), (19, 13)] {
-        let resampler = Resampler::new(&camera(), &lens(), 4, delivered);
+        let resampler = Resampler::new(&alone(camera()), &lens(), 4, delivered);
         assert!(resampler.covered.is_none());
         let out = resampler.colour(&recorded_ramp(&lens()));
         for row in 0..delivered.1 {
@@ -58,7 +63,7 @@ fn removing_the_lens_gives_the_pinhole_picture() {
 
 #[test]
 fn depth_comes_from_the_pixel_the_ray_was_recorded_in() {
-    let resampler = Resampler::new(&camera(), &lens(), 4, (28, 20));
+    let resampler = Resampler::new(&alone(camera()), &lens(), 4, (28, 20));
     let point = resampler.camera.unproject(10.5, 4.5, 2.0);
     let (x, y) = lens().distort(point.x / point.z, point.y / point.z);
     let (u, v) = camera().project(Vec3::new(x, y, 1.0));
@@ -73,9 +78,9 @@ fn depth_comes_from_the_pixel_the_ray_was_recorded_in() {
 #[test]
 fn without_a_lens_cropping_and_scaling_agree_with_geometry() {
     let image = recorded_ramp(&Distortion::default());
-    let whole = Resampler::new(&camera(), &Distortion::default(), 0, (64, 48));
+    let whole = Resampler::new(&alone(camera()), &Distortion::default(), 0, (64, 48));
     assert_eq!(whole.colour(&image), image);
-    let half = Resampler::new(&camera(), &Distortion::default(), 0, (32, 24));
+    let half = Resampler::new(&alone(camera()), &Distortion::default(), 0, (32, 24));
     let expected = image.resized_by_area(32, 24);
     for (a, b) in half.colour(&image).data.iter().zip(&expected.data) {
         assert!((a - b).abs() < 1e-6);
@@ -89,7 +94,7 @@ fn without_a_lens_cropping_and_scaling_agree_with_geometry() {
 #[test]
 fn pixels_the_lens_did_not_record_are_marked() {
     let outward = Distortion { radial: [0.3, 0.0, 0.0], ..Distortion::default() };
-    let resampler = Resampler::new(&camera(), &outward, 0, (64, 48));
+    let resampler = Resampler::new(&alone(camera()), &outward, 0, (64, 48));
     let covered = resampler.covered.clone().expect("the corners are outside");
     assert!(!covered.at(0, 0, 0) && covered.at(0, 32, 24));
     let depth = Image { width: 64, height: 48, channels: 1, data: vec![1000; 64 * 48] };
@@ -99,7 +104,7 @@ fn pixels_the_lens_did_not_record_are_marked() {
     }
     let border = resampler.full_cover_border;
     let size = (64 - 2 * border, 48 - 2 * border);
-    assert!(Resampler::new(&camera(), &outward, border, size).covered.is_none());
+    assert!(Resampler::new(&alone(camera()), &outward, border, size).covered.is_none());
     let size = (size.0 + 2, size.1 + 2);
-    assert!(Resampler::new(&camera(), &outward, border - 1, size).covered.is_some());
+    assert!(Resampler::new(&alone(camera()), &outward, border - 1, size).covered.is_some());
 }

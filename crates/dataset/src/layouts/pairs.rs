@@ -1,77 +1,92 @@
-//! The plain layout: a colour folder beside a depth folder.
+//! Colour and depth files that belong together by name, number or order.
 
-use crate::layout::Stamped;
 use crate::{DatasetError, Entry};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-const COLOUR_NAMES: [&str; 5] = ["colour", "color", "rgb", "images", "image"];
-const DEPTH_NAMES: [&str; 2] = ["depth", "depths"];
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// The two folders of the plain layout.
-pub(crate) struct Folders {
-    colour: PathBuf,
+/// The two files of a frame.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Pair {
+    /// Place among the colour images.
+    place: usize,
+    /// The number in the names, if they are numbered.
+    pub(crate) number: Option<u64>,
+    pub(crate) colour: PathBuf,
     depth: PathBuf,
 }
 
-/// The files of the plain layout.
-pub(crate) enum Files {
-    /// Every name is a time stamp: to be associated by time.
-    Stamped(Stamped),
-    /// Paired by name, number or order.
-    Paired {
-        /// The pairs, in order of number or name.
-        entries: Vec<Entry>,
-        /// Colour images without a depth image of that name.
-        without_depth: usize,
-    },
+/// All pairs, in order of number or name.
+pub(crate) struct Pairs {
+    pub(crate) pairs: Vec<Pair>,
+    /// Colour images without a depth image of that name or number.
+    pub(crate) without_depth: usize,
 }
 
-/// The colour and the depth folder, if both are there.
-pub(crate) fn find(folder: &Path) -> Option<Folders> {
-    let first =
-        |names: &[&str]| names.iter().map(|name| folder.join(name)).find(|path| path.is_dir());
-    Some(Folders { colour: first(&COLOUR_NAMES)?, depth: first(&DEPTH_NAMES)? })
-}
-
-/// Lists both folders. Files without a stamp in their name get `place / frame_rate` [s].
-pub(crate) fn list(
-    folder: &Path,
-    folders: &Folders,
-    frame_rate: f64,
-) -> Result<Files, DatasetError> {
-    let (colour, depth) = (images(&folders.colour)?, images(&folders.depth)?);
-    if let (Some(colour), Some(depth)) = (stamped(&colour), stamped(&depth)) {
-        return Ok(Files::Stamped(Stamped { colour, depth }));
+impl Pairs {
+    /// Pairs the files of a sequence in `folder`, which serves the error message.
+    pub(crate) fn of(
+        folder: &Path,
+        colour: Vec<PathBuf>,
+        depth: Vec<PathBuf>,
+    ) -> Result<Self, DatasetError> {
+        let (colour, depth) = (keyed(colour), keyed(depth));
+        let partners = pair(&colour, &depth).ok_or_else(|| DatasetError::NoCommonNames {
+            path: folder.to_path_buf(),
+            colour: colour.len(),
+            depth: depth.len(),
+        })?;
+        let without_depth = partners.iter().filter(|p| p.is_none()).count();
+        let places = colour.into_iter().zip(partners).enumerate();
+        let pairs = places.filter_map(|(place, ((key, colour), partner))| {
+            let depth = depth[partner?].1.clone();
+            Some(Pair { place, number: key.number(), colour, depth })
+        });
+        Ok(Self { pairs: pairs.collect(), without_depth })
     }
-    let (colour, depth) = (keyed(colour), keyed(depth));
-    let partners = pair(&colour, &depth).ok_or_else(|| DatasetError::NoCommonNames {
-        path: folder.to_path_buf(),
-        colour: colour.len(),
-        depth: depth.len(),
-    })?;
-    let without_depth = partners.iter().filter(|p| p.is_none()).count();
-    let places = colour.into_iter().zip(partners).enumerate();
-    let entries = places
-        .filter_map(|(place, ((_, colour), partner))| {
-            let (timestamp, depth) = (place as f64 / frame_rate, depth[partner?].1.clone());
-            Some((timestamp, colour, depth))
+
+    /// Entries `place / frame_rate` apart [s].
+    pub(crate) fn by_place(self, frame_rate: f64) -> Vec<Entry> {
+        self.entries(|pair| pair.place as f64 / frame_rate)
+    }
+
+    /// Entries at `number / frame_rate` [s], so that a gap in the numbers is a gap in time.
+    pub(crate) fn by_number(self, frame_rate: f64) -> Vec<Entry> {
+        self.entries(|pair| pair.number.map_or(pair.place as f64, |n| n as f64) / frame_rate)
+    }
+
+    fn entries(self, time: impl Fn(&Pair) -> f64) -> Vec<Entry> {
+        let pairs = self.pairs.into_iter().enumerate();
+        pairs
+            .map(|(index, pair)| {
+                let timestamp = time(&pair);
+                let Pair { colour, depth, .. } = pair;
+                Entry { index, timestamp, depth_timestamp: timestamp, colour, depth, parts: None }
+            })
+            .collect()
+    }
+
+    /// A warning if the numbers jump: places are then no frame numbers.
+    pub(crate) fn gap_warning(&self) -> Option<String> {
+        let numbers: Vec<u64> = self.pairs.iter().filter_map(|pair| pair.number).collect();
+        let (first, last) = (numbers.first()?, numbers.last()?);
+        let expected = (last - first).saturating_add(1);
+        (*first != 0 || expected != numbers.len() as u64).then(|| {
+            format!(
+                "{} frames numbered {first} to {last}: published frame numbers are no places in \
+                 this stream",
+                numbers.len()
+            )
         })
-        .enumerate()
-        .map(|(index, (timestamp, colour, depth))| Entry {
-            index,
-            timestamp,
-            depth_timestamp: timestamp,
-            colour,
-            depth,
-        })
-        .collect();
-    Ok(Files::Paired { entries, without_depth })
+    }
 }
 
-/// The image files of a folder, by name.
-fn images(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+/// The image files of a folder whose names (with extension) are to be kept, by name.
+pub(crate) fn images(
+    folder: &Path,
+    keep: impl Fn(&str) -> bool,
+) -> Result<Vec<PathBuf>, DatasetError> {
     let listing = std::fs::read_dir(folder).map_err(|e| DatasetError::read(folder, e))?;
     let mut files: Vec<PathBuf> = listing
         .flatten()
@@ -81,6 +96,7 @@ fn images(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
             let extension = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
             extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
         })
+        .filter(|path| path.file_name().is_some_and(|name| keep(&name.to_string_lossy())))
         .collect();
     if files.is_empty() {
         let expected = "PNG images (colour may be JPEG)";
@@ -95,7 +111,7 @@ fn stem(path: &Path) -> String {
 }
 
 /// All files with the stamps in their names, by time; `None` if one name carries none.
-fn stamped(files: &[PathBuf]) -> Option<Vec<(f64, PathBuf)>> {
+pub(crate) fn stamped(files: &[PathBuf]) -> Option<Vec<(f64, PathBuf)>> {
     let stamped: Option<Vec<_>> =
         files.iter().map(|path| Some((stamp(&stem(path))?, path.clone()))).collect();
     let mut stamped = stamped?;
@@ -128,6 +144,15 @@ enum Key {
     Name(String),
 }
 
+impl Key {
+    fn number(&self) -> Option<u64> {
+        match self {
+            Self::Number(number) => Some(*number),
+            Self::Name(_) => None,
+        }
+    }
+}
+
 /// Files under their keys, in order of key: numbers if they tell all files apart, else names.
 fn keyed(files: Vec<PathBuf>) -> Vec<(Key, PathBuf)> {
     let numbers: Option<Vec<u64>> = files.iter().map(|path| last_number(&stem(path))).collect();
@@ -145,7 +170,8 @@ fn keyed(files: Vec<PathBuf>) -> Vec<(Key, PathBuf)> {
     keyed
 }
 
-fn last_number(stem: &str) -> Option<u64> {
+/// The last number in a name.
+pub(crate) fn last_number(stem: &str) -> Option<u64> {
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = stem[..end].rfind(|c: char| !c.is_ascii_digit()).map_or(0, |i| {
         let width = stem[i..].chars().next().map_or(1, char::len_utf8);

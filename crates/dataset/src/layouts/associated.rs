@@ -1,21 +1,10 @@
-//! What a folder holds: pairs of colour and depth files with their time stamps.
+//! Colour and depth images paired by time: TUM RGB-D lists, and folders of stamped names.
 
+use super::{Layout, Listing};
 use crate::associate::{Association, Rules, associate};
 use crate::lists::read_image_list;
-use crate::plain;
 use crate::{DatasetError, Entry, LeftOut, OpenOptions, read_trajectory};
 use std::path::{Path, PathBuf};
-
-/// The associated stream of a folder.
-#[derive(Debug)]
-pub(crate) struct Listing {
-    /// All pairs, in order of time.
-    pub(crate) entries: Vec<Entry>,
-    pub(crate) left_out: LeftOut,
-    /// The folder's ground truth, whether or not it can be read.
-    pub(crate) ground_truth: Option<PathBuf>,
-    pub(crate) warnings: Vec<String>,
-}
 
 /// Colour and depth files with their stamps [s], each in order of time.
 pub(crate) struct Stamped {
@@ -23,36 +12,26 @@ pub(crate) struct Stamped {
     pub(crate) depth: Vec<(f64, PathBuf)>,
 }
 
-/// Lists the frames of `folder`, which must exist and be one of the two layouts. `frame_rate` [1/s] gives
-/// stamps to files whose names carry none.
-pub(crate) fn list(
-    folder: &Path,
-    options: &OpenOptions,
-    frame_rate: f64,
-) -> Result<Listing, DatasetError> {
-    let (colour, depth) = (folder.join("rgb.txt"), folder.join("depth.txt"));
-    if colour.is_file() && depth.is_file() {
-        let colour = read_image_list(&colour, folder)?;
-        let depth = read_image_list(&depth, folder)?;
-        return by_time(folder, Stamped { colour, depth }, options);
-    }
-    let Some(folders) = plain::find(folder) else {
-        let found = contents(folder);
-        return Err(DatasetError::UnknownLayout { path: folder.to_path_buf(), found });
-    };
-    match plain::list(folder, &folders, frame_rate)? {
-        plain::Files::Stamped(stamped) => by_time(folder, stamped, options),
-        plain::Files::Paired { entries, without_depth } => {
-            let left_out = LeftOut { without_depth, ..LeftOut::default() };
-            let warnings = plain_warnings(&left_out);
-            let ground_truth = ground_truth(folder);
-            Ok(Listing { entries, left_out, ground_truth, warnings })
-        }
-    }
+/// Whether `rgb.txt` and `depth.txt` lie in the folder.
+pub(crate) fn has_lists(folder: &Path) -> bool {
+    folder.join("rgb.txt").is_file() && folder.join("depth.txt").is_file()
 }
 
-fn by_time(
+/// The frames of `rgb.txt` and `depth.txt`.
+pub(crate) fn list(
     folder: &Path,
+    layout: Layout,
+    options: &OpenOptions,
+) -> Result<Listing, DatasetError> {
+    let colour = read_image_list(&folder.join("rgb.txt"), folder)?;
+    let depth = read_image_list(&folder.join("depth.txt"), folder)?;
+    by_time(folder, layout, Stamped { colour, depth }, options)
+}
+
+/// Pairs by time; ground truth beside the images must be in time too.
+pub(crate) fn by_time(
+    folder: &Path,
+    layout: Layout,
     stamped: Stamped,
     options: &OpenOptions,
 ) -> Result<Listing, DatasetError> {
@@ -83,7 +62,7 @@ fn by_time(
         too_close: association.too_close,
     };
     warnings.extend(time_warnings(&left_out, rules));
-    Ok(Listing { entries, left_out, ground_truth, warnings })
+    Ok(Listing { left_out, ground_truth, warnings, ..Listing::new(layout, entries) })
 }
 
 fn entries(association: &Association, stamped: &Stamped) -> Vec<Entry> {
@@ -92,12 +71,13 @@ fn entries(association: &Association, stamped: &Stamped) -> Vec<Entry> {
         .map(|(index, &(i, j))| {
             let (timestamp, colour) = stamped.colour[i].clone();
             let (depth_timestamp, depth) = stamped.depth[j].clone();
-            Entry { index, timestamp, depth_timestamp, colour, depth }
+            Entry { index, timestamp, depth_timestamp, colour, depth, parts: None }
         })
         .collect()
 }
 
-fn ground_truth(folder: &Path) -> Option<PathBuf> {
+/// The ground-truth file of a folder, whether or not it can be read.
+pub(crate) fn ground_truth(folder: &Path) -> Option<PathBuf> {
     ["groundtruth.txt", "pose.txt"].iter().map(|name| folder.join(name)).find(|p| p.is_file())
 }
 
@@ -133,28 +113,4 @@ fn time_warnings(left_out: &LeftOut, rules: Rules) -> Vec<String> {
         ));
     }
     warnings
-}
-
-fn plain_warnings(left_out: &LeftOut) -> Vec<String> {
-    let count = left_out.without_depth;
-    (count > 0)
-        .then(|| format!("{count} colour images left out: no depth image of that name or number"))
-        .into_iter()
-        .collect()
-}
-
-/// The first names in a folder, for an error message.
-fn contents(folder: &Path) -> String {
-    let mut names: Vec<String> = std::fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .collect();
-    names.sort();
-    match names.len() {
-        0 => "an empty folder".into(),
-        1..=8 => names.join(", "),
-        count => format!("{}, ... ({count} in all)", names[..8].join(", ")),
-    }
 }

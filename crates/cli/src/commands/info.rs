@@ -1,0 +1,83 @@
+//! `i2slam info`: what is known of a sequence before it is run.
+
+mod pictures;
+mod sequence;
+mod table;
+
+use super::run::open_options;
+use super::use_threads;
+use crate::arguments::{Input, Machine};
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::output::{complain, say};
+use crate::progress::Progress;
+use crate::truth::Truth;
+use clap::Args;
+use i2slam::Config;
+use i2slam::dataset::Sequence;
+use pictures::Pictures;
+use sequence::Known;
+use serde::Serialize;
+use std::path::PathBuf;
+
+#[derive(Args, Debug)]
+pub(crate) struct Info {
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), or a .sens file
+    pub(crate) dataset: PathBuf,
+    /// Settings that decide which frames there are and how much is cropped
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    pub(crate) preset: String,
+    #[command(flatten)]
+    pub(crate) input: Input,
+    /// Lists and headers only: say nothing of depth, brightness and sharpness
+    #[arg(long)]
+    pub(crate) quick: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
+}
+
+/// All that is told; the JSON object.
+#[derive(Serialize)]
+struct Told {
+    #[serde(flatten)]
+    known: Known,
+    /// `null` with `--quick`.
+    pictures: Option<Pictures>,
+    warnings: Vec<String>,
+}
+
+pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
+    let config = Config::preset(&arguments.preset)?;
+    let options = open_options(&arguments.input, &config)?;
+    use_threads(&arguments.machine)?;
+    let sequence = Sequence::open(&arguments.dataset, &options)?;
+    let truth = Truth::of(&arguments.dataset, &sequence);
+    let mut warnings = sequence.warnings.clone();
+    warnings.extend(truth.warnings.iter().cloned());
+    let known = Known::of(&sequence, &truth);
+    let pictures = if arguments.quick {
+        None
+    } else {
+        let progress = Progress::new(sequence.len(), arguments.machine.quiet);
+        interrupt::listen();
+        let pictures = Pictures::of(&sequence, &truth, &progress);
+        progress.clear();
+        Some(pictures?)
+    };
+    let told = Told { known, pictures, warnings };
+    if arguments.json {
+        let text = serde_json::to_string_pretty(&told);
+        say(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
+        return Ok(());
+    }
+    for line in table::lines(&told.known, told.pictures.as_ref()) {
+        say(&line);
+    }
+    for warning in &told.warnings {
+        complain(&format!("warning: {warning}"));
+    }
+    Ok(())
+}

@@ -1,0 +1,229 @@
+//! What the pictures tell: depth, brightness, sharpness.
+
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::progress::Progress;
+use crate::truth::Truth;
+use i2slam::dataset::{Frame, Sequence};
+use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
+use i2slam_eval::statistics::percentile;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Depths of a frame that enter the range over all frames, at most.
+const DEPTHS: usize = 500;
+
+/// Grey from which a pixel counts as white, to which as black.
+const WHITE: f32 = 254.0 / 255.0;
+const BLACK: f32 = 1.0 / 255.0;
+
+/// Sums over all frames that could be read.
+#[derive(Debug, Serialize)]
+pub(super) struct Pictures {
+    pub(super) measured_frames: usize,
+    /// What could not be read, in words.
+    pub(super) unreadable: Vec<String>,
+    /// Frames that are odd (no depth, black, white), in words.
+    pub(super) odd: Vec<String>,
+    /// `null` if no pixel has depth.
+    pub(super) depth: Option<DepthFacts>,
+    pub(super) brightness: Brightness,
+    pub(super) sharpness: Sharpness,
+    /// Range of the true exposures [stops], where they are known.
+    pub(super) true_exposure_range_stops: Option<f64>,
+}
+
+/// Depth over all frames.
+#[derive(Debug, Serialize)]
+pub(super) struct DepthFacts {
+    /// 1st, 50th and 99th percentile [m].
+    pub(super) low_m: f64,
+    pub(super) median_m: f64,
+    pub(super) high_m: f64,
+    /// Share of pixels with depth: mean over frames, and the worst frame.
+    pub(super) valid_share: f64,
+    pub(super) valid_share_worst: f64,
+}
+
+/// Brightness of frames: the mean of all pixels and channels, display values in `[0, 1]`.
+#[derive(Debug, Serialize)]
+pub(super) struct Brightness {
+    pub(super) lowest: f64,
+    pub(super) median: f64,
+    pub(super) highest: f64,
+    /// Between the darkest and the brightest frame, and the largest between neighbours [stops],
+    /// display values taken as sRGB: exposure and scene together.
+    pub(super) range_stops: f64,
+    pub(super) largest_step_stops: f64,
+    /// Mean share of values at the ends of the scale.
+    pub(super) white_share: f64,
+    pub(super) black_share: f64,
+}
+
+/// Variance of the Laplacian of 8-bit grey values.
+#[derive(Debug, Serialize)]
+pub(super) struct Sharpness {
+    pub(super) lowest: f64,
+    pub(super) median: f64,
+    pub(super) highest: f64,
+    /// Frames that stand out, by place in the associated stream.
+    pub(super) sharp_frames: Vec<usize>,
+}
+
+/// One frame.
+struct Look {
+    index: usize,
+    depths: Vec<f64>,
+    valid_share: f64,
+    brightness: f64,
+    linear: f64,
+    white_share: f64,
+    black_share: f64,
+    sharpness: f64,
+    odd: Vec<String>,
+}
+
+impl Pictures {
+    pub(super) fn of(
+        sequence: &Sequence,
+        truth: &Truth,
+        progress: &Progress,
+    ) -> Result<Self, Failure> {
+        let (seen, unreadable) = look_at_all(sequence, progress)?;
+        if seen.is_empty() {
+            let first = unreadable.into_iter().next().unwrap_or_default();
+            return Err(Failure::Failed(format!("no frame can be read: {first}")));
+        }
+        let odd = seen
+            .iter()
+            .flat_map(|look| look.odd.iter().map(|what| format!("frame {}: {what}", look.index)));
+        Ok(Self {
+            measured_frames: seen.len(),
+            unreadable,
+            odd: odd.collect(),
+            depth: DepthFacts::of(&seen)?,
+            brightness: Brightness::of(&seen)?,
+            sharpness: Sharpness::of(&seen)?,
+            true_exposure_range_stops: exposure_range(truth),
+        })
+    }
+}
+
+/// All frames that can be read, in order, and why the others cannot.
+fn look_at_all(
+    sequence: &Sequence,
+    progress: &Progress,
+) -> Result<(Vec<Look>, Vec<String>), Failure> {
+    let done = AtomicUsize::new(0);
+    let look = |place: usize| {
+        if interrupt::requested() {
+            return Err(Failure::Interrupted);
+        }
+        let index = sequence.entries[place].index;
+        let look = match sequence.load(place) {
+            Ok(frame) => Ok(Look::at(&frame)?),
+            Err(error) => Err(format!("frame {index}: {error}")),
+        };
+        progress.step(done.fetch_add(1, Ordering::Relaxed) + 1);
+        Ok(look)
+    };
+    let looks: Result<Vec<Result<Look, String>>, Failure> =
+        (0..sequence.len()).into_par_iter().map(look).collect();
+    let (mut seen, mut unreadable) = (Vec::new(), Vec::new());
+    for look in looks? {
+        match look {
+            Ok(look) => seen.push(look),
+            Err(reason) => unreadable.push(reason),
+        }
+    }
+    Ok((seen, unreadable))
+}
+
+impl Look {
+    fn at(frame: &Frame) -> Result<Self, Failure> {
+        let values = &frame.colour.data;
+        let share = |is: &dyn Fn(f32) -> bool| {
+            values.iter().filter(|&&v| is(v)).count() as f64 / values.len() as f64
+        };
+        let mean = |of: &dyn Fn(f64) -> f64| {
+            values.iter().map(|&v| of(f64::from(v))).sum::<f64>() / values.len() as f64
+        };
+        let valid: Vec<f64> =
+            frame.depth.data.iter().filter(|&&z| z > 0.0).map(|&z| f64::from(z)).collect();
+        Ok(Self {
+            index: frame.index,
+            valid_share: valid.len() as f64 / frame.depth.data.len() as f64,
+            depths: valid.iter().copied().step_by(valid.len() / DEPTHS + 1).collect(),
+            brightness: mean(&|v| v),
+            linear: mean(&linear),
+            white_share: share(&|v| v >= WHITE),
+            black_share: share(&|v| v <= BLACK),
+            sharpness: laplacian_variance(&frame.colour)? * 255.0 * 255.0,
+            odd: frame.warnings.clone(),
+        })
+    }
+}
+
+/// Linear light of an sRGB value (IEC 61966-2-1).
+fn linear(v: f64) -> f64 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+impl DepthFacts {
+    fn of(looks: &[Look]) -> Result<Option<Self>, Failure> {
+        let all: Vec<f64> = looks.iter().flat_map(|look| look.depths.iter().copied()).collect();
+        if all.is_empty() {
+            return Ok(None);
+        }
+        let shares = looks.iter().map(|look| look.valid_share);
+        Ok(Some(Self {
+            low_m: percentile(&all, 1.0)?,
+            median_m: percentile(&all, 50.0)?,
+            high_m: percentile(&all, 99.0)?,
+            valid_share: shares.clone().sum::<f64>() / looks.len() as f64,
+            valid_share_worst: shares.fold(1.0, f64::min),
+        }))
+    }
+}
+
+impl Brightness {
+    fn of(looks: &[Look]) -> Result<Self, Failure> {
+        let grey: Vec<f64> = looks.iter().map(|look| look.brightness).collect();
+        // Black frames (a covered lens) have no brightness in stops: half a level stands for them.
+        let stops = |look: &Look| look.linear.max(linear(0.5 / 255.0)).log2();
+        let stops: Vec<f64> = looks.iter().map(stops).collect();
+        let steps = stops.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        let mean = |of: fn(&Look) -> f64| looks.iter().map(of).sum::<f64>() / looks.len() as f64;
+        Ok(Self {
+            lowest: percentile(&grey, 0.0)?,
+            median: percentile(&grey, 50.0)?,
+            highest: percentile(&grey, 100.0)?,
+            range_stops: percentile(&stops, 100.0)? - percentile(&stops, 0.0)?,
+            largest_step_stops: steps.fold(0.0, f64::max),
+            white_share: mean(|look| look.white_share),
+            black_share: mean(|look| look.black_share),
+        })
+    }
+}
+
+impl Sharpness {
+    fn of(looks: &[Look]) -> Result<Self, Failure> {
+        let all: Vec<f64> = looks.iter().map(|look| look.sharpness).collect();
+        let sharp = sharp_frames(&all, SharpnessRule::default())?;
+        Ok(Self {
+            lowest: percentile(&all, 0.0)?,
+            median: percentile(&all, 50.0)?,
+            highest: percentile(&all, 100.0)?,
+            sharp_frames: sharp.into_iter().map(|place| looks[place].index).collect(),
+        })
+    }
+}
+
+fn exposure_range(truth: &Truth) -> Option<f64> {
+    let stops = truth.exposure.iter().map(|(_, exposure)| exposure.log2());
+    let (low, high) = stops.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), stop| {
+        (low.min(stop), high.max(stop))
+    });
+    (!truth.exposure.is_empty()).then_some(high - low)
+}

@@ -1,0 +1,157 @@
+//! What lists and headers tell.
+
+use crate::truth::Truth;
+use i2slam::dataset::{LeftOut, Sequence, paper_frames};
+use i2slam::geometry::StampedPose;
+use serde::Serialize;
+
+/// A gap in time is so many times as long as the median one.
+const LONG_GAP: f64 = 1.5;
+
+/// A sequence without a look at its pictures.
+#[derive(Debug, Serialize)]
+pub(super) struct Known {
+    pub(super) name: String,
+    pub(super) layout: String,
+    pub(super) frames: usize,
+    pub(super) left_out: Missing,
+    pub(super) times: Times,
+    pub(super) camera: CameraFacts,
+    /// Depth image value of one metre.
+    pub(super) depth_scale: f64,
+    pub(super) truth: TruthFacts,
+    /// First frame and the one behind the last that the paper uses of this sequence.
+    pub(super) paper_frames: Option<[usize; 2]>,
+}
+
+/// Colour images that are no frames, and why.
+#[derive(Debug, Serialize)]
+pub(super) struct Missing {
+    pub(super) without_depth: usize,
+    pub(super) without_pose: usize,
+    pub(super) too_close: usize,
+}
+
+/// Time stamps of the frames.
+#[derive(Debug, Serialize)]
+pub(super) struct Times {
+    pub(super) first_s: f64,
+    pub(super) duration_s: f64,
+    pub(super) frames_per_second: f64,
+    /// Gaps of at least 1.5 median gaps.
+    pub(super) gaps: Vec<Gap>,
+    /// Largest distance in time between colour and depth of a frame.
+    pub(super) colour_to_depth_s: f64,
+}
+
+/// A gap in time.
+#[derive(Debug, PartialEq, Serialize)]
+pub(super) struct Gap {
+    /// Place in the associated stream of the frame before it.
+    pub(super) after_frame: usize,
+    pub(super) seconds: f64,
+}
+
+/// The camera of the delivered frames.
+#[derive(Debug, Serialize)]
+pub(super) struct CameraFacts {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) fx: f64,
+    pub(super) fy: f64,
+    /// Pixel centres at one half.
+    pub(super) cx: f64,
+    pub(super) cy: f64,
+    pub(super) source: String,
+    /// Share of a frame that removing the lens distortion leaves empty.
+    pub(super) uncovered: f64,
+}
+
+/// The truth beside the frames.
+#[derive(Debug, Serialize)]
+pub(super) struct TruthFacts {
+    pub(super) kinds: Vec<&'static str>,
+    pub(super) poses: usize,
+    pub(super) path_length_m: Option<f64>,
+}
+
+impl Known {
+    pub(super) fn of(sequence: &Sequence, truth: &Truth) -> Self {
+        let LeftOut { without_depth, without_pose, too_close } = sequence.left_out;
+        let poses = &truth.trajectory;
+        let path_length_m = (!poses.is_empty()).then(|| path_length(poses));
+        let truth = TruthFacts { kinds: truth.kinds(), poses: poses.len(), path_length_m };
+        Self {
+            name: sequence.name.clone(),
+            layout: sequence.layout.name().to_owned(),
+            frames: sequence.len(),
+            left_out: Missing { without_depth, without_pose, too_close },
+            times: Times::of(sequence),
+            camera: CameraFacts::of(sequence),
+            depth_scale: sequence.depth_scale,
+            truth,
+            paper_frames: paper_frames(&sequence.name).map(|range| [range.start, range.end]),
+        }
+    }
+}
+
+impl Times {
+    fn of(sequence: &Sequence) -> Self {
+        let entries = &sequence.entries;
+        let stamps: Vec<(usize, f64)> = entries.iter().map(|e| (e.index, e.timestamp)).collect();
+        let first_s = stamps.first().map_or(0.0, |s| s.1);
+        let duration_s = stamps.last().map_or(0.0, |s| s.1) - first_s;
+        let apart = entries.iter().map(|e| (e.depth_timestamp - e.timestamp).abs());
+        let frames_per_second = match stamps.len() {
+            2.. if duration_s > 0.0 => (stamps.len() - 1) as f64 / duration_s,
+            _ => sequence.frame_rate,
+        };
+        let colour_to_depth_s = apart.fold(0.0, f64::max);
+        Self { first_s, duration_s, frames_per_second, gaps: gaps(&stamps), colour_to_depth_s }
+    }
+}
+
+/// Gaps that are long against the median one, of stamps [s] with their frames.
+fn gaps(stamps: &[(usize, f64)]) -> Vec<Gap> {
+    let all: Vec<Gap> = stamps
+        .windows(2)
+        .map(|pair| Gap { after_frame: pair[0].0, seconds: pair[1].1 - pair[0].1 })
+        .collect();
+    let mut sorted: Vec<f64> = all.iter().map(|gap| gap.seconds).collect();
+    sorted.sort_by(f64::total_cmp);
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    all.into_iter().filter(|gap| gap.seconds >= LONG_GAP * median && gap.seconds > 0.0).collect()
+}
+
+impl CameraFacts {
+    fn of(sequence: &Sequence) -> Self {
+        let c = &sequence.camera;
+        let uncovered = sequence.covered.as_ref().map_or(0.0, |covered| {
+            let missing = covered.data.iter().filter(|&&there| !there).count();
+            missing as f64 / covered.data.len() as f64
+        });
+        let source = sequence.camera_source.clone();
+        let (width, height) = (c.width, c.height);
+        Self { width, height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy, source, uncovered }
+    }
+}
+
+fn path_length(poses: &[StampedPose]) -> f64 {
+    let centre = |pose: &StampedPose| pose.world_from_camera.translation;
+    poses.windows(2).map(|pair| (centre(&pair[1]) - centre(&pair[0])).norm()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_gaps_are_found_against_the_median() {
+        let stamps = [(3, 0.0), (4, 0.1), (5, 0.2), (6, 0.5), (9, 0.6), (10, 0.74)];
+        let found = gaps(&stamps);
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].after_frame, 5);
+        assert!((found[0].seconds - 0.3).abs() < 1e-9);
+        assert!(gaps(&[(0, 1.0)]).is_empty() && gaps(&[(0, 0.0), (1, 0.0)]).is_empty());
+    }
+}

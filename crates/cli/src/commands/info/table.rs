@@ -1,0 +1,162 @@
+//! What is told, as lines for people.
+
+use super::pictures::Pictures;
+use super::sequence::{Known, Times};
+
+/// Gaps named one by one.
+const GAPS_NAMED: usize = 3;
+
+/// Frames named one by one that cannot be read or are odd.
+const FRAMES_NAMED: usize = 5;
+
+/// The table, a line each.
+pub(super) fn lines(known: &Known, pictures: Option<&Pictures>) -> Vec<String> {
+    let mut rows = of_sequence(known);
+    if let Some(pictures) = pictures {
+        rows.extend(of_pictures(pictures));
+    }
+    rows.into_iter().map(|(label, text)| format!("{label:<18}{text}")).collect()
+}
+
+type Row = (&'static str, String);
+
+fn of_sequence(known: &Known) -> Vec<Row> {
+    let (times, camera) = (&known.times, &known.camera);
+    let mut rows = vec![
+        ("sequence", known.name.clone()),
+        ("layout", known.layout.clone()),
+        ("frames", frames(known)),
+        (
+            "times",
+            format!(
+                "{:.2} s from {:.3}, {:.2} frames a second",
+                times.duration_s, times.first_s, times.frames_per_second
+            ),
+        ),
+        ("gaps", gaps(times)),
+        (
+            "camera",
+            format!(
+                "{}x{}, fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2} px (pixel centres at 0.5)",
+                camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+            ),
+        ),
+        ("camera from", camera.source.clone()),
+        ("depth scale", format!("{} for one metre", known.depth_scale)),
+        ("truth", truth(known)),
+    ];
+    if let Some([first, end]) = known.paper_frames {
+        rows.push(("the paper uses", format!("--frames {first}..{end}")));
+    }
+    rows
+}
+
+fn frames(known: &Known) -> String {
+    let left_out = &known.left_out;
+    let counts = [
+        (left_out.without_depth, "without depth"),
+        (left_out.without_pose, "without a true pose"),
+        (left_out.too_close, "too close in time"),
+    ];
+    let words: Vec<String> = counts
+        .iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, why)| format!("{count} {why}"))
+        .collect();
+    let left_out =
+        if words.is_empty() { String::new() } else { format!(" (left out: {})", words.join(", ")) };
+    format!("{}{left_out}", known.frames)
+}
+
+fn gaps(times: &Times) -> String {
+    let apart = if times.colour_to_depth_s > 0.0 {
+        format!("; colour and depth up to {:.1} ms apart", 1e3 * times.colour_to_depth_s)
+    } else {
+        String::new()
+    };
+    if times.gaps.is_empty() {
+        return format!("none{apart}");
+    }
+    let mut longest: Vec<_> = times.gaps.iter().collect();
+    longest.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+    let named: Vec<String> = longest
+        .iter()
+        .take(GAPS_NAMED)
+        .map(|gap| format!("{:.3} s after frame {}", gap.seconds, gap.after_frame))
+        .collect();
+    format!("{}, longest: {}{apart}", times.gaps.len(), named.join(", "))
+}
+
+fn truth(known: &Known) -> String {
+    let truth = &known.truth;
+    if truth.kinds.is_empty() {
+        return "none".to_owned();
+    }
+    let path = truth.path_length_m.map(|length| format!(" ({} poses, {length:.2} m)", truth.poses));
+    format!("{}{}", truth.kinds.join(", "), path.unwrap_or_default())
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+fn depth(pictures: &Pictures) -> String {
+    pictures.depth.as_ref().map_or("none".to_owned(), |depth| {
+        format!(
+            "{:.2} to {:.2} m (1 to 99 %), median {:.2} m; {} of pixels, worst frame {}",
+            depth.low_m,
+            depth.high_m,
+            depth.median_m,
+            percent(depth.valid_share),
+            percent(depth.valid_share_worst)
+        )
+    })
+}
+
+fn of_pictures(pictures: &Pictures) -> Vec<Row> {
+    let (light, sharp) = (&pictures.brightness, &pictures.sharpness);
+    let mut rows = vec![
+        ("depth", depth(pictures)),
+        (
+            "brightness",
+            format!(
+                "{:.3} to {:.3}, median {:.3} of white; {:.2} stops, at most {:.2} between frames",
+                light.lowest,
+                light.highest,
+                light.median,
+                light.range_stops,
+                light.largest_step_stops
+            ),
+        ),
+        (
+            "clipped",
+            format!("{} white, {} black", percent(light.white_share), percent(light.black_share)),
+        ),
+        (
+            "sharpness",
+            format!(
+                "{:.1} to {:.1}, median {:.1} (variance of the Laplacian); {} sharp frames",
+                sharp.lowest,
+                sharp.highest,
+                sharp.median,
+                sharp.sharp_frames.len()
+            ),
+        ),
+    ];
+    if let Some(stops) = pictures.true_exposure_range_stops {
+        rows.push(("true exposure", format!("{stops:.2} stops")));
+    }
+    rows.extend(named("unreadable", &pictures.unreadable));
+    rows.extend(named("odd", &pictures.odd));
+    rows
+}
+
+/// A row for each of the first frames, and one for how many more there are.
+fn named(label: &'static str, frames: &[String]) -> Vec<Row> {
+    let mut rows: Vec<Row> =
+        frames.iter().take(FRAMES_NAMED).map(|frame| (label, frame.clone())).collect();
+    if frames.len() > FRAMES_NAMED {
+        rows.push((label, format!("and {} more", frames.len() - FRAMES_NAMED)));
+    }
+    rows
+}

@@ -1,0 +1,121 @@
+//! `i2slam info`: the table, the JSON object, and what it says to folders that are no sequence.
+
+use crate::scene::{Scene, write_colour};
+use crate::tools::{Scratch, number, reconstruct, run};
+use std::fs;
+use std::path::Path;
+
+fn info(dataset: &Path, flags: &[&str]) -> crate::tools::Ran {
+    let flags = flags.iter().map(|flag| flag.as_ref());
+    run(["info".as_ref(), dataset.as_os_str()].into_iter().chain(flags))
+}
+
+fn scene(name: &str) -> Scratch {
+    let scratch = Scratch::new(name);
+    Scene::default().write(&scratch.join(""));
+    scratch
+}
+
+#[test]
+fn the_table_tells_what_was_recognised() {
+    let scratch = scene("info-table");
+    let out = info(&scratch.join(""), &[]).ended_with(0).out;
+    let row = |label: &str| {
+        let found = out.lines().find(|line| line.starts_with(label));
+        found.unwrap_or_else(|| panic!("no row {label} in\n{out}")).to_owned()
+    };
+    for (label, part) in [
+        ("layout", "TUM RGB-D"),
+        ("frames", "6"),
+        ("times", "0.20 s from 100.000, 25.00 frames a second"),
+        ("gaps", "none"),
+        ("camera   ", "48x36, fx 45.00, fy 45.00, cx 24.00, cy 18.00 px"),
+        ("depth scale", "5000"),
+        ("truth", "poses (6 poses, 0.05 m)"),
+        ("depth   ", "100.0 % of pixels"),
+        ("brightness", "stops"),
+        ("sharpness", "sharp frames"),
+    ] {
+        assert!(row(label).contains(part), "{part} is not in: {}", row(label));
+    }
+}
+
+#[test]
+fn json_has_the_numbers() {
+    let scratch = scene("info-json");
+    let folder = scratch.join("");
+    // Frame 2 black, frame 4 damaged, and a gap where it was.
+    write_colour(&folder.join("rgb/100.080000.png"), (48, 36), &[0; 3 * 48 * 36]);
+    fs::write(folder.join("rgb/100.160000.png"), "damaged").expect("room");
+    fs::write(folder.join("exposure.csv"), "dt\n1\n2\n1\n8\n1\n1\n").expect("room");
+    let out = info(&folder, &["--json"]).ended_with(0).out;
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(told["frames"], 6);
+    assert_eq!(told["layout"], "TUM RGB-D");
+    assert_eq!(told["camera"]["width"], 48);
+    assert_eq!(told["truth"]["kinds"], serde_json::json!(["poses", "exposures"]));
+    assert_eq!(told["paper_frames"], serde_json::Value::Null);
+    let pictures = &told["pictures"];
+    assert_eq!(pictures["measured_frames"], 5);
+    assert!(pictures["unreadable"][0].as_str().expect("words").contains("frame 4"));
+    assert_eq!(pictures["odd"][0], "frame 2: the colour image is black");
+    assert_eq!(pictures["true_exposure_range_stops"], 3.0);
+    let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+    assert_eq!(number(&pictures["brightness"]["lowest"]), 0.0);
+    assert!(number(&pictures["brightness"]["range_stops"]) > 5.0);
+    assert_eq!(number(&pictures["sharpness"]["lowest"]), 0.0);
+    // The fixture: floor 0.35 m below the camera, back wall at 1.6 m.
+    let depth = &pictures["depth"];
+    assert!(number(&depth["low_m"]) > 0.3 && number(&depth["high_m"]) < 1.7, "{depth}");
+    assert!(number(&depth["low_m"]) < number(&depth["median_m"]));
+}
+
+#[test]
+fn quick_looks_at_no_picture() {
+    let scratch = scene("info-quick");
+    let folder = scratch.join("");
+    let flags = ["--quick", "--json", "--frames", "1..6", "--stride", "2"];
+    let told: serde_json::Value =
+        serde_json::from_str(&info(&folder, &flags).ended_with(0).out).expect("JSON");
+    assert_eq!((&told["frames"], &told["pictures"]), (&3.into(), &serde_json::Value::Null));
+}
+
+#[test]
+fn an_unknown_folder_is_answered_with_the_layouts() {
+    let scratch = Scratch::new("info-unknown");
+    fs::write(scratch.join("notes.md"), "").expect("room");
+    let err = info(&scratch.join(""), &[]).ended_with(1).err;
+    for word in
+        ["no RGB-D sequence", "notes.md", "TUM RGB-D", ".sens", "transforms.json", "Replica"]
+    {
+        assert!(err.contains(word), "{word} is not in: {err}");
+    }
+    let err = info(&scratch.join("none"), &[]).ended_with(1).err;
+    assert!(err.contains("no folder"), "{err}");
+}
+
+/// The scene in the layout of Replica: poses are lines of a file, one for every frame.
+#[test]
+fn poses_beside_the_frames_judge_a_run() {
+    let scratch = scene("info-replica");
+    let (source, scene) = (scratch.join(""), scratch.join("room0"));
+    fs::create_dir_all(scene.join("results")).expect("a folder");
+    let mut poses = String::new();
+    for frame in 0..6 {
+        let time = crate::scene::stamp(frame);
+        for (kind, name) in [("rgb", "frame"), ("depth", "depth")] {
+            let file = source.join(format!("{kind}/{time}.png"));
+            let to = scene.join(format!("results/{name}{frame:06}.png"));
+            fs::copy(file, to).expect("a copy");
+        }
+        let x = 0.01 * frame as f64;
+        poses += &format!("1 0 0 {x} 0 1 0 0 0 0 1 {} 0 0 0 1\n", 0.3 * x);
+    }
+    fs::write(scene.join("traj.txt"), poses).expect("room");
+    let camera = r#"{"camera":{"w":48,"h":36,"fx":45,"fy":45,"cx":23.5,"cy":17.5,"scale":5000}}"#;
+    fs::write(scratch.join("cam_params.json"), camera).expect("room");
+    let out = scratch.join("out");
+    reconstruct(&scene, &out, &["--render", "none"]).ended_with(0);
+    let error = number(&out.join("metrics.json"), "ate_rmse_m").expect("judged");
+    assert!(error < 0.005, "{error}");
+}
