@@ -261,7 +261,7 @@ impl Frame<'_> {
                 true => self.context.tracking.alignment.image_weight * exactness(reference),
                 false => 0.0,
             },
-            stride: if level == 0 { 2 } else { 1 },
+            derivatives: true,
         }
         .accumulate()
     }
@@ -269,12 +269,12 @@ impl Frame<'_> {
     /// Robust scales follow the mean absolute residual, down to their floors.
     fn update_scales(&self, sums: &Sums, scales: &mut Scales) {
         let settings = &self.context.tracking.alignment;
-        if sums.depth_count > 0 {
-            let mean = (sums.depth_error / sums.depth_count as f64) as f32;
+        if sums.errors.depth_count > 0 {
+            let mean = (sums.errors.depth / sums.errors.depth_count as f64) as f32;
             scales.depth = (1.25 * mean).max(settings.depth_scale_floor);
         }
-        if sums.image_count > 0 {
-            let mean = (sums.image_error / sums.image_count as f64) as f32;
+        if sums.errors.image_count > 0 {
+            let mean = (sums.errors.image / sums.errors.image_count as f64) as f32;
             scales.image = (1.25 * mean).max(settings.image_scale_floor);
         }
     }
@@ -348,8 +348,8 @@ impl Frame<'_> {
             response: state.response,
             scale: state.scale,
             losses: Losses {
-                image: sums.image_error / sums.image_count.max(1) as f64,
-                depth: sums.depth_error / sums.depth_count.max(1) as f64,
+                image: sums.errors.image / sums.errors.image_count.max(1) as f64,
+                depth: sums.errors.depth / sums.errors.depth_count.max(1) as f64,
                 trajectory: 0.0,
             },
             tracked,

@@ -1,5 +1,6 @@
 //! Pictures at several sizes: the observed frame, and the model rendered at one pose.
 
+use super::residual::{Samples, Surface, Texels};
 use crate::objective::Observation;
 use i2slam_geometry::{Camera, Image, Tap};
 use i2slam_radiance::gaussian::Render;
@@ -9,13 +10,16 @@ const OPAQUE: f32 = 0.95;
 /// Relative depth difference of neighbours that still belong to one surface.
 const SURFACE: f32 = 0.05;
 
+/// Pixels between two samples of the finest level.
+const FINEST_STRIDE: usize = 2;
+
 /// One level of the observed frame.
 pub(super) struct Observed {
     pub(super) camera: Camera<f32>,
     pub(super) colour: Image<f32>,
     pub(super) depth: Image<f32>,
-    /// See [`relief`].
-    pub(super) relief: Image<f32>,
+    pub(super) samples: Samples,
+    pub(super) texels: Texels,
 }
 
 /// One level of the model: radiance and depth seen from the model's pose.
@@ -24,8 +28,8 @@ pub(super) struct Model {
     pub(super) radiance: Image<f32>,
     /// Depth divided by opacity [m]; 0 where the model is not opaque.
     pub(super) depth: Image<f32>,
-    /// See [`relief`].
-    pub(super) relief: Image<f32>,
+    pub(super) surface: Surface,
+    pub(super) texels: Texels,
     /// Standard deviation of the depth [m at 1 m], from its relief.
     pub(super) noise: f32,
 }
@@ -33,13 +37,26 @@ pub(super) struct Model {
 impl Model {
     pub(super) fn new(radiance: Image<f32>, depth: Image<f32>) -> Self {
         let relief = relief(&depth);
-        Self { noise: noise(&depth, &relief), relief, radiance, depth }
+        Self {
+            noise: noise(&depth, &relief),
+            surface: Surface::new(&depth, &relief, one_surface),
+            texels: Texels::new(&radiance),
+            radiance,
+            depth,
+        }
     }
 }
 
 impl Observed {
-    pub(super) fn new(camera: Camera<f32>, colour: Image<f32>, depth: Image<f32>) -> Self {
-        Self { camera, relief: relief(&depth), colour, depth }
+    /// With a sample at every `stride`-th pixel.
+    pub(super) fn new(
+        camera: Camera<f32>,
+        colour: Image<f32>,
+        depth: Image<f32>,
+        stride: usize,
+    ) -> Self {
+        let samples = Samples::new(&camera, &depth, &relief(&depth), stride);
+        Self { camera, samples, texels: Texels::new(&colour), colour, depth }
     }
 }
 
@@ -49,12 +66,16 @@ pub(super) fn observed_levels(
     observation: &Observation,
     levels: usize,
 ) -> Vec<Observed> {
-    let finest =
-        Observed::new(camera.cast(), observation.colour.clone(), observation.depth.clone());
+    let finest = Observed::new(
+        camera.cast(),
+        observation.colour.clone(),
+        observation.depth.clone(),
+        FINEST_STRIDE,
+    );
     halve_repeatedly(finest, levels, |fine| {
         let colour = halved_by_mean(&fine.colour);
         let camera = fine.camera.resized(colour.width, colour.height);
-        Observed::new(camera, colour, halved_depth(&fine.depth))
+        Observed::new(camera, colour, halved_depth(&fine.depth), 1)
     })
 }
 
@@ -79,7 +100,7 @@ pub(super) fn depth_levels(depth: &Image<f32>, levels: usize) -> Vec<Model> {
 /// How far each pixel is off the line through its neighbours [m], the worse of row and column,
 /// with depth interpolated as on a plane. Large at edges and beside holes; 0 where there is no
 /// depth.
-fn relief(depth: &Image<f32>) -> Image<f32> {
+pub(super) fn relief(depth: &Image<f32>) -> Image<f32> {
     let (width, height) = (depth.width, depth.height);
     let inverse: Vec<f32> =
         depth.data.iter().map(|&d| if d > 0.0 { 1.0 / d } else { 0.0 }).collect();
