@@ -2,7 +2,7 @@
 
 use super::residual::{Samples, Surface, Texels};
 use crate::objective::Observation;
-use i2slam_geometry::{Camera, Image, Tap};
+use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::Render;
 
 /// Rendered opacity below which the model says nothing.
@@ -152,7 +152,7 @@ fn halved_depth(depth: &Image<f32>) -> Image<f32> {
     })
 }
 
-fn one_surface(depths: [f32; 4]) -> bool {
+pub(super) fn one_surface(depths: [f32; 4]) -> bool {
     let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
     let most = depths.iter().copied().fold(0.0, f32::max);
     least > 0.0 && most - least < SURFACE * least
@@ -177,21 +177,6 @@ fn halved(image: &Image<f32>, reduce: impl Fn([f32; 4]) -> f32) -> Image<f32> {
         }
     }
     out
-}
-
-/// Depth and its derivatives at a tap whose four pixels lie on one surface.
-///
-/// The inverse of depth is what is interpolated: it is linear over the picture of a plane, so a
-/// floor seen at a grazing angle comes out without the bias that linear depth has there.
-pub(super) fn surface(tap: Tap<f32>, depths: &[f32]) -> Option<(f32, f32, f32)> {
-    let values = tap.values(depths);
-    if !one_surface(values) {
-        return None;
-    }
-    let (inverse, by_u, by_v) = tap.interpolate(values.map(|d| 1.0 / d));
-    let depth = 1.0 / inverse;
-    let slope = -depth * depth;
-    Some((depth, slope * by_u, slope * by_v))
 }
 
 #[cfg(test)]
@@ -223,15 +208,5 @@ mod tests {
             .for_each(|d| *d += sigma * (12.0_f64.sqrt() * (random.uniform() - 0.5)) as f32);
         let noisy = Model::new(Image::default(), plane).noise;
         assert!(clean < 1e-5 && (0.7..1.4).contains(&(noisy / sigma)), "{clean} {noisy}");
-    }
-
-    #[test]
-    fn a_grazing_plane_is_interpolated_without_bias() {
-        let depth = |u: f32| 1.0 / (0.3 + 0.01 * u);
-        let row = [depth(0.5), depth(1.5)];
-        let tap = Tap::new(2, 2, 1.2, 0.9).expect("inside");
-        let (d, by_u, by_v) = surface(tap, &[row[0], row[1], row[0], row[1]]).expect("a surface");
-        let analytic = -0.01 * depth(1.2).powi(2);
-        assert!((d - depth(1.2)).abs() < 1e-6 && (by_u - analytic).abs() < 1e-5 && by_v == 0.0);
     }
 }

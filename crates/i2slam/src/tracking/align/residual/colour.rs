@@ -2,8 +2,9 @@
 
 use super::depth::DepthBlock;
 use super::gram::add_products;
+use super::points::Points;
 use super::samples::Taps;
-use super::wide::{BLOCK, Mask, Points, Row, Wide, groups};
+use super::wide::{BLOCK, Mask, Row, Wide, groups};
 use super::{BALANCE, FREEDOM, Geometry, Linearization, Moment, NEAR, Sums};
 use pulp::Simd;
 

@@ -1,8 +1,9 @@
 //! The depth residual of a block of samples.
 
 use super::gram::add_products;
+use super::points::Points;
 use super::samples::{SampleBlock, Taps};
-use super::wide::{Mask, Points, Row, Wide, groups};
+use super::wide::{Mask, Row, Wide, groups};
 use super::{FREEDOM, GATE, Geometry, Linearization, NEAR, RELIEF, Sums};
 use pulp::Simd;
 

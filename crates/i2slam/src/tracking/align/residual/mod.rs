@@ -18,6 +18,7 @@
 mod colour;
 mod depth;
 mod gram;
+mod points;
 #[cfg(test)]
 mod reference;
 mod samples;
@@ -34,9 +35,10 @@ use depth::DepthBlock;
 use i2slam_compute::{NormalEquations, reduce_in_order};
 use i2slam_formation::{Quadrature, ResponseCurve, ShutterPoses, VirtualCamera};
 use i2slam_geometry::{Camera, Mat3, Pose, Vec3};
+use points::Points;
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
-use wide::{Points, Wide};
+use wide::Wide;
 
 /// Unknowns: centre (ρ, φ), velocity (ρ, φ), log exposure, log white balance (r, g, b).
 pub(super) const UNKNOWNS: usize = 16;

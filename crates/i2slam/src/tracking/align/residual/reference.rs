@@ -1,8 +1,8 @@
 //! The equations of the module, one pixel after another: what the lanes must agree with.
 
 use super::{FREEDOM, GATE, Geometry, Linearization, NEAR, RELIEF, Sums, UNKNOWNS};
-use crate::tracking::align::pyramid::{relief, surface};
-use i2slam_geometry::{Camera, Image, Vec3};
+use crate::tracking::align::pyramid::{one_surface, relief};
+use i2slam_geometry::{Camera, Image, Tap, Vec3};
 
 /// One evaluation and the relief of its two depth pictures.
 struct Pixels<'a> {
@@ -163,4 +163,29 @@ fn jacobian(by_motion: [Vec3<f32>; 4], by_tone: [f32; 4]) -> [f64; UNKNOWNS] {
         all[i] = f64::from(*value);
     }
     all
+}
+
+/// Depth and its derivatives at a tap whose four pixels lie on one surface.
+///
+/// The inverse of depth is what is interpolated: it is linear over the picture of a plane, so a
+/// floor seen at a grazing angle comes out without the bias that linear depth has there.
+fn surface(tap: Tap<f32>, depths: &[f32]) -> Option<(f32, f32, f32)> {
+    let values = tap.values(depths);
+    if !one_surface(values) {
+        return None;
+    }
+    let (inverse, by_u, by_v) = tap.interpolate(values.map(|d| 1.0 / d));
+    let depth = 1.0 / inverse;
+    let slope = -depth * depth;
+    Some((depth, slope * by_u, slope * by_v))
+}
+
+#[test]
+fn a_grazing_plane_is_interpolated_without_bias() {
+    let depth = |u: f32| 1.0 / (0.3 + 0.01 * u);
+    let row = [depth(0.5), depth(1.5)];
+    let tap = Tap::new(2, 2, 1.2, 0.9).expect("inside");
+    let (d, by_u, by_v) = surface(tap, &[row[0], row[1], row[0], row[1]]).expect("a surface");
+    let analytic = -0.01 * depth(1.2).powi(2);
+    assert!((d - depth(1.2)).abs() < 1e-6 && (by_u - analytic).abs() < 1e-5 && by_v == 0.0);
 }
