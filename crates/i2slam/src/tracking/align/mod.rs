@@ -5,49 +5,28 @@
 //! cameras of the exposure, blurs, forms and compares. Twelve pose numbers, the exposure and the
 //! white balance are solved for together.
 
+mod descent;
 mod prior;
 mod pyramid;
+mod reference;
 mod residual;
 
 use super::adam::{State, extrapolate};
 use super::{Motion, TrackingContext, TrackingResult};
-use crate::config::WhiteBalance;
-use crate::objective::{FrameObjective, Observation, blur_length, virtual_camera_count};
+use crate::objective::{FrameObjective, Observation, blur_length};
 use crate::reconstruction::Losses;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
-use prior::{MotionPrior, freeze};
-use pyramid::{Model, Observed, depth_levels, model_levels, observed_levels};
-use residual::{Linearization, Scales, Sums};
+use prior::MotionPrior;
+use pyramid::{Observed, observed_levels};
+use residual::Sums;
 
 /// Share of the frame's depth that must lie on the model for a frame to count as tracked.
 const LEAST_OVERLAP: f64 = 0.3;
-/// Robust scales before anything is known: depth [m at 1 m] and picture.
-const FIRST_SCALES: Scales = Scales { depth: 0.02, image: 0.08 };
-/// A step shorter than this [px] ends a level.
-const CONVERGED: f64 = 2e-3;
-/// Moves of the model's pose [px] that call for a new render.
-const RENDER_AGAIN: f64 = 0.5;
-
-/// A picture of the map that a frame is aligned to: the rendered model (radiance and depth), or
-/// the last keyframe's own depth, which has no radiance but edges that no splat has softened.
-struct Reference {
-    levels: Vec<Model>,
-    world_from_camera: Pose<f64>,
-    scales: Scales,
-    has_radiance: bool,
-}
-
 /// Weight of the trajectory prior against single residuals: neighbouring pixels are not
 /// independent, and a map that is still soft would otherwise be read as a still camera.
 const PRIOR_WEIGHT: f64 = 200.0;
-
-/// How many times less noise than the model's residuals a keyframe's own depth must have.
-const CLEANER: f32 = 3.0;
-
-/// Scale of the depth residual [m at 1 m] from which pictures have their full weight.
-const COARSE_DEPTH: f32 = 1.5e-3;
 
 /// Everything about one frame that its steps share.
 struct Frame<'a> {
@@ -58,12 +37,6 @@ struct Frame<'a> {
     /// Pixels per metre and per radian, for tangents in pixels.
     pixels: [f64; 6],
     previous: Pose<f64>,
-}
-
-/// Where an alignment ended.
-struct Outcome {
-    state: State,
-    sums: Sums,
 }
 
 /// Aligns a frame from the constant-velocity prediction; from a standing start too where that
@@ -118,182 +91,6 @@ fn pixels_per_unit(context: &TrackingContext<'_>, observation: &Observation) -> 
 }
 
 impl Frame<'_> {
-    /// Coarse to fine, on renders at ever better poses.
-    fn descend(
-        &self,
-        objective: &mut FrameObjective,
-        map: &GaussianMap,
-        mut state: State,
-    ) -> Outcome {
-        let levels = self.observed.len();
-        let mut references = vec![self.model(objective, map, state.motion.centre)];
-        references.extend(self.keyframe());
-        let mut sums = Sums::default();
-        for round in 0..self.context.tracking.alignment.renders {
-            if round > 0 {
-                let pose = references[0].world_from_camera;
-                if self.in_pixels(pose.local(state.motion.centre)) < RENDER_AGAIN {
-                    break;
-                }
-                let model = self.model(objective, map, state.motion.centre);
-                let scales = references[0].scales;
-                references[0] = Reference { scales, ..model };
-            }
-            let coarsest = if round == 0 { levels } else { 1 };
-            for level in (0..coarsest).rev() {
-                sums = self.solve_level(&mut references, level, &mut state);
-            }
-        }
-        Outcome { state, sums }
-    }
-
-    fn model(&self, objective: &mut FrameObjective, map: &GaussianMap, at: Pose<f64>) -> Reference {
-        Reference {
-            levels: model_levels(objective.render(map, at), self.observed.len()),
-            world_from_camera: at,
-            scales: FIRST_SCALES,
-            has_radiance: true,
-        }
-    }
-
-    fn keyframe(&self) -> Option<Reference> {
-        let (observation, world_from_camera) = self.context.keyframe?;
-        if !self.context.tracking.alignment.keyframe_depth {
-            return None;
-        }
-        Some(Reference {
-            levels: depth_levels(&observation.depth, self.observed.len()),
-            world_from_camera,
-            scales: FIRST_SCALES,
-            has_radiance: false,
-        })
-    }
-
-    /// Gauss-Newton on one level, twice: with the scales of the level before, then with its own.
-    fn solve_level(&self, references: &mut [Reference], level: usize, state: &mut State) -> Sums {
-        let settings = &self.context.tracking.alignment;
-        let mut sums = Sums::default();
-        for _ in 0..2 {
-            for reference in references.iter_mut() {
-                let sums = self.linearize(reference, level, state);
-                self.update_scales(&sums, &mut reference.scales);
-            }
-            let linearize = |state: &State| {
-                let mut total = Sums::default();
-                for reference in cleanest(references) {
-                    let mut part = self.linearize(reference, level, state);
-                    if !reference.has_radiance {
-                        // Overlap with the map says whether a frame is tracked.
-                        (part.candidates, part.agreeing) = (0, 0);
-                    }
-                    total.merge(&part);
-                }
-                total
-            };
-            let converged = CONVERGED * (level + 1) as f64;
-            sums = linearize(state);
-            self.step_down(state, &mut sums, settings.iterations / 2, converged, linearize);
-        }
-        sums
-    }
-
-    /// Levenberg-Marquardt steps; one that raises the cost is taken back.
-    fn step_down(
-        &self,
-        state: &mut State,
-        sums: &mut Sums,
-        steps: usize,
-        converged: f64,
-        linearize: impl Fn(&State) -> Sums,
-    ) {
-        let mut damping = 1e-5;
-        for _ in 0..steps {
-            let mut equations = sums.equations.clone();
-            self.add_prior(state, &mut equations);
-            let Some(step) = equations.step(damping) else { break };
-            let next = retract(state, &step);
-            let next_sums = linearize(&next);
-            // One prior for both sides, held where the step was taken from.
-            let prior = self.context.formation.blur.then(|| self.prior(state));
-            let cost = |state: &State, sums: &Sums| {
-                let prior = prior.as_ref().map_or(0.0, |p| p.cost(state.motion.velocity));
-                sums.mean_cost() + prior / sums.equations.count.max(1) as f64
-            };
-            if cost(&next, &next_sums) > cost(state, sums) * (1.0 + 1e-4) {
-                damping *= 100.0;
-                if damping > 1.0 {
-                    break;
-                }
-                continue;
-            }
-            let length = self.in_pixels(Tangent::from_array(std::array::from_fn(|i| step[i])));
-            (*state, *sums) = (next, next_sums);
-            damping = (damping * 0.1).max(1e-7);
-            if length < converged {
-                break;
-            }
-        }
-    }
-
-    fn linearize(&self, reference: &Reference, level: usize, state: &State) -> Sums {
-        let blur = self.blur(state) / f64::from(1 << level);
-        let formation = self.context.formation;
-        let cameras = match formation.blur {
-            true => virtual_camera_count(
-                blur,
-                f64::from(formation.blur_per_camera),
-                formation.virtual_cameras,
-            ),
-            false => 1,
-        };
-        Linearization {
-            model: &reference.levels[level],
-            observed: &self.observed[level],
-            model_from_world: reference.world_from_camera.inverse(),
-            state,
-            curve: self.curve.as_ref(),
-            cameras,
-            quadrature: formation.quadrature(),
-            world_from_depth: state.motion.centre.retract(self.depth_lead(state)),
-            depth_lead: self.context.depth_lead(),
-            scales: reference.scales,
-            image_weight: match reference.has_radiance {
-                true => self.context.tracking.alignment.image_weight * exactness(reference),
-                false => 0.0,
-            },
-            stride: if level == 0 { 2 } else { 1 },
-        }
-        .accumulate()
-    }
-
-    /// Robust scales follow the mean absolute residual, down to their floors.
-    fn update_scales(&self, sums: &Sums, scales: &mut Scales) {
-        let settings = &self.context.tracking.alignment;
-        if sums.depth_count > 0 {
-            let mean = (sums.depth_error / sums.depth_count as f64) as f32;
-            scales.depth = (1.25 * mean).max(settings.depth_scale_floor);
-        }
-        if sums.image_count > 0 {
-            let mean = (sums.image_error / sums.image_count as f64) as f32;
-            scales.image = (1.25 * mean).max(settings.image_scale_floor);
-        }
-    }
-
-    fn add_prior(&self, state: &State, equations: &mut residual::Equations) {
-        let formation = self.context.formation;
-        if formation.blur {
-            self.prior(state).add_to(state.motion.velocity, equations);
-        } else {
-            freeze(equations, 6..12);
-        }
-        let fixed = match (formation.tone, formation.white_balance) {
-            (false, _) => 12..16,
-            (true, WhiteBalance::PerChannel) => 14..15,
-            (true, _) => 13..16,
-        };
-        freeze(equations, fixed);
-    }
-
     fn prior(&self, state: &State) -> MotionPrior {
         let free = !self.context.formation.trajectory_loss;
         MotionPrior {
@@ -348,39 +145,11 @@ impl Frame<'_> {
             response: state.response,
             scale: state.scale,
             losses: Losses {
-                image: sums.image_error / sums.image_count.max(1) as f64,
-                depth: sums.depth_error / sums.depth_count.max(1) as f64,
+                image: sums.errors.image / sums.errors.image_count.max(1) as f64,
+                depth: sums.errors.depth / sums.errors.depth_count.max(1) as f64,
                 trajectory: 0.0,
             },
             tracked,
         }
     }
-}
-
-/// The model, and the keyframe where its own depth is far less noisy than the model is wrong:
-/// true of an exact depth, not of a sensor's, which the model has averaged.
-///
-/// The keyframe is judged by the noise of its depth alone, not by how well it fits: that would
-/// depend on the pose, which is what is looked for.
-fn cleanest(references: &[Reference]) -> impl Iterator<Item = &Reference> {
-    let model = references[0].scales.depth;
-    references.iter().filter(move |r| r.has_radiance || CLEANER * r.levels[0].noise < model)
-}
-
-/// What is left of the image's weight where depth is exact. The errors of pictures are not
-/// independent (a map that is still soft is wrong everywhere in the same way), so they must not
-/// outvote a depth that knows better than a millimetre at a metre.
-fn exactness(reference: &Reference) -> f32 {
-    (reference.scales.depth / COARSE_DEPTH).clamp(0.05, 1.0)
-}
-
-fn retract(state: &State, step: &[f64; residual::UNKNOWNS]) -> State {
-    let mut next = state.clone();
-    let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| step[from + i]));
-    next.motion = next.motion.retract(part(0), part(6));
-    next.tone.log_exposure += step[12] as f32;
-    for channel in 0..3 {
-        next.tone.log_white_balance[channel] += step[13 + channel] as f32;
-    }
-    next
 }

@@ -1,7 +1,8 @@
 //! Pictures at several sizes: the observed frame, and the model rendered at one pose.
 
+use super::residual::{Samples, Surface, Texels};
 use crate::objective::Observation;
-use i2slam_geometry::{Camera, Image, Tap};
+use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::Render;
 
 /// Rendered opacity below which the model says nothing.
@@ -9,13 +10,16 @@ const OPAQUE: f32 = 0.95;
 /// Relative depth difference of neighbours that still belong to one surface.
 const SURFACE: f32 = 0.05;
 
+/// Pixels between two samples of the finest level.
+const FINEST_STRIDE: usize = 2;
+
 /// One level of the observed frame.
 pub(super) struct Observed {
     pub(super) camera: Camera<f32>,
     pub(super) colour: Image<f32>,
     pub(super) depth: Image<f32>,
-    /// See [`relief`].
-    pub(super) relief: Image<f32>,
+    pub(super) samples: Samples,
+    pub(super) texels: Texels,
 }
 
 /// One level of the model: radiance and depth seen from the model's pose.
@@ -24,8 +28,8 @@ pub(super) struct Model {
     pub(super) radiance: Image<f32>,
     /// Depth divided by opacity [m]; 0 where the model is not opaque.
     pub(super) depth: Image<f32>,
-    /// See [`relief`].
-    pub(super) relief: Image<f32>,
+    pub(super) surface: Surface,
+    pub(super) texels: Texels,
     /// Standard deviation of the depth [m at 1 m], from its relief.
     pub(super) noise: f32,
 }
@@ -33,13 +37,26 @@ pub(super) struct Model {
 impl Model {
     pub(super) fn new(radiance: Image<f32>, depth: Image<f32>) -> Self {
         let relief = relief(&depth);
-        Self { noise: noise(&depth, &relief), relief, radiance, depth }
+        Self {
+            noise: noise(&depth, &relief),
+            surface: Surface::new(&depth, &relief, one_surface),
+            texels: Texels::new(&radiance),
+            radiance,
+            depth,
+        }
     }
 }
 
 impl Observed {
-    pub(super) fn new(camera: Camera<f32>, colour: Image<f32>, depth: Image<f32>) -> Self {
-        Self { camera, relief: relief(&depth), colour, depth }
+    /// With a sample at every `stride`-th pixel.
+    pub(super) fn new(
+        camera: Camera<f32>,
+        colour: Image<f32>,
+        depth: Image<f32>,
+        stride: usize,
+    ) -> Self {
+        let samples = Samples::new(&camera, &depth, &relief(&depth), stride);
+        Self { camera, samples, texels: Texels::new(&colour), colour, depth }
     }
 }
 
@@ -49,12 +66,16 @@ pub(super) fn observed_levels(
     observation: &Observation,
     levels: usize,
 ) -> Vec<Observed> {
-    let finest =
-        Observed::new(camera.cast(), observation.colour.clone(), observation.depth.clone());
+    let finest = Observed::new(
+        camera.cast(),
+        observation.colour.clone(),
+        observation.depth.clone(),
+        FINEST_STRIDE,
+    );
     halve_repeatedly(finest, levels, |fine| {
         let colour = halved_by_mean(&fine.colour);
         let camera = fine.camera.resized(colour.width, colour.height);
-        Observed::new(camera, colour, halved_depth(&fine.depth))
+        Observed::new(camera, colour, halved_depth(&fine.depth), 1)
     })
 }
 
@@ -79,7 +100,7 @@ pub(super) fn depth_levels(depth: &Image<f32>, levels: usize) -> Vec<Model> {
 /// How far each pixel is off the line through its neighbours [m], the worse of row and column,
 /// with depth interpolated as on a plane. Large at edges and beside holes; 0 where there is no
 /// depth.
-fn relief(depth: &Image<f32>) -> Image<f32> {
+pub(super) fn relief(depth: &Image<f32>) -> Image<f32> {
     let (width, height) = (depth.width, depth.height);
     let inverse: Vec<f32> =
         depth.data.iter().map(|&d| if d > 0.0 { 1.0 / d } else { 0.0 }).collect();
@@ -131,7 +152,7 @@ fn halved_depth(depth: &Image<f32>) -> Image<f32> {
     })
 }
 
-fn one_surface(depths: [f32; 4]) -> bool {
+pub(super) fn one_surface(depths: [f32; 4]) -> bool {
     let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
     let most = depths.iter().copied().fold(0.0, f32::max);
     least > 0.0 && most - least < SURFACE * least
@@ -156,21 +177,6 @@ fn halved(image: &Image<f32>, reduce: impl Fn([f32; 4]) -> f32) -> Image<f32> {
         }
     }
     out
-}
-
-/// Depth and its derivatives at a tap whose four pixels lie on one surface.
-///
-/// The inverse of depth is what is interpolated: it is linear over the picture of a plane, so a
-/// floor seen at a grazing angle comes out without the bias that linear depth has there.
-pub(super) fn surface(tap: Tap<f32>, depths: &[f32]) -> Option<(f32, f32, f32)> {
-    let values = tap.values(depths);
-    if !one_surface(values) {
-        return None;
-    }
-    let (inverse, by_u, by_v) = tap.interpolate(values.map(|d| 1.0 / d));
-    let depth = 1.0 / inverse;
-    let slope = -depth * depth;
-    Some((depth, slope * by_u, slope * by_v))
 }
 
 #[cfg(test)]
@@ -202,15 +208,5 @@ mod tests {
             .for_each(|d| *d += sigma * (12.0_f64.sqrt() * (random.uniform() - 0.5)) as f32);
         let noisy = Model::new(Image::default(), plane).noise;
         assert!(clean < 1e-5 && (0.7..1.4).contains(&(noisy / sigma)), "{clean} {noisy}");
-    }
-
-    #[test]
-    fn a_grazing_plane_is_interpolated_without_bias() {
-        let depth = |u: f32| 1.0 / (0.3 + 0.01 * u);
-        let row = [depth(0.5), depth(1.5)];
-        let tap = Tap::new(2, 2, 1.2, 0.9).expect("inside");
-        let (d, by_u, by_v) = surface(tap, &[row[0], row[1], row[0], row[1]]).expect("a surface");
-        let analytic = -0.01 * depth(1.2).powi(2);
-        assert!((d - depth(1.2)).abs() < 1e-6 && (by_u - analytic).abs() < 1e-5 && by_v == 0.0);
     }
 }

@@ -1,0 +1,93 @@
+//! Pictures of the map that a frame is aligned to.
+
+use super::Frame;
+use super::pyramid::{Model, depth_levels, model_levels};
+use super::residual::{Errors, Scales};
+use crate::config::AlignmentConfig;
+use crate::objective::FrameObjective;
+use i2slam_geometry::Pose;
+use i2slam_radiance::gaussian::GaussianMap;
+
+/// Robust scales before anything is known: depth [m at 1 m] and picture.
+const FIRST_SCALES: Scales = Scales { depth: 0.02, image: 0.08 };
+
+/// How many times less noise than the model's residuals a keyframe's own depth must have.
+const CLEANER: f32 = 3.0;
+
+/// Scale of the depth residual [m at 1 m] from which pictures have their full weight.
+const COARSE_DEPTH: f32 = 1.5e-3;
+
+/// The rendered model (radiance and depth), or the last keyframe's own depth, which has no
+/// radiance but edges that no splat has softened.
+pub(super) struct Reference {
+    pub(super) levels: Vec<Model>,
+    pub(super) world_from_camera: Pose<f64>,
+    pub(super) scales: Scales,
+    pub(super) has_radiance: bool,
+}
+
+impl Reference {
+    /// The map as it is seen from `world_from_camera`.
+    pub(super) fn model(
+        frame: &Frame<'_>,
+        objective: &mut FrameObjective,
+        map: &GaussianMap,
+        world_from_camera: Pose<f64>,
+    ) -> Self {
+        let render = objective.render(map, world_from_camera);
+        Self {
+            levels: model_levels(render, frame.observed.len()),
+            world_from_camera,
+            scales: FIRST_SCALES,
+            has_radiance: true,
+        }
+    }
+
+    /// The last keyframe's depth, where it is wanted and there is one.
+    pub(super) fn keyframe(frame: &Frame<'_>) -> Option<Self> {
+        let (observation, world_from_camera) = frame.context.keyframe?;
+        if !frame.context.tracking.alignment.keyframe_depth {
+            return None;
+        }
+        Some(Self {
+            levels: depth_levels(&observation.depth, frame.observed.len()),
+            world_from_camera,
+            scales: FIRST_SCALES,
+            has_radiance: false,
+        })
+    }
+
+    /// Robust scales follow the mean absolute residual, down to their floors.
+    pub(super) fn update_scales(&mut self, errors: &Errors, settings: &AlignmentConfig) {
+        if errors.depth_count > 0 {
+            let mean = (errors.depth / errors.depth_count as f64) as f32;
+            self.scales.depth = (1.25 * mean).max(settings.depth_scale_floor);
+        }
+        if errors.image_count > 0 {
+            let mean = (errors.image / errors.image_count as f64) as f32;
+            self.scales.image = (1.25 * mean).max(settings.image_scale_floor);
+        }
+    }
+
+    /// Weight of image residuals: what is left of it where depth is exact. The errors of pictures
+    /// are not independent (a map that is still soft is wrong everywhere in the same way), so they
+    /// must not outvote a depth that knows better than a millimetre at a metre.
+    pub(super) fn image_weight(&self, settings: &AlignmentConfig) -> f32 {
+        match self.has_radiance {
+            true => settings.image_weight * (self.scales.depth / COARSE_DEPTH).clamp(0.05, 1.0),
+            false => 0.0,
+        }
+    }
+}
+
+/// Which of `references` count: the model, and the keyframe where its own depth is far less noisy
+/// than the model is wrong: true of an exact depth, not of a sensor's, which the model has
+/// averaged.
+///
+/// The keyframe is judged by the noise of its depth alone, not by how well it fits: that would
+/// depend on the pose, which is what is looked for.
+pub(super) fn cleanest(references: &[Reference]) -> impl Iterator<Item = (usize, &Reference)> {
+    let model = references[0].scales.depth;
+    let counts = move |r: &Reference| r.has_radiance || CLEANER * r.levels[0].noise < model;
+    references.iter().enumerate().filter(move |(_, reference)| counts(reference))
+}

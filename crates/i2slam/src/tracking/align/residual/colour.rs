@@ -1,0 +1,281 @@
+//! The three colour residuals of a block of samples.
+
+use super::depth::DepthBlock;
+use super::gram::add_products;
+use super::points::Points;
+use super::samples::Taps;
+use super::wide::{BLOCK, Mask, Row, Wide, groups};
+use super::{BALANCE, FREEDOM, Geometry, Linearization, Moment, NEAR, Sums};
+use pulp::Simd;
+
+/// Rows of one block on their way through the stages.
+pub(super) struct ColourBlock {
+    /// 1 for samples that all moments of the exposure see.
+    seen: Row,
+    taps: Taps,
+    /// Per channel: the picture's value; the rest is not used.
+    pixel: [[Row; 3]; 3],
+    /// The points in the camera at a moment, and in the model's.
+    points: [Row; 3],
+    places: [Row; 3],
+    /// Per channel: the model's radiance at a moment and its derivatives by `u` and `v`.
+    model: [[Row; 3]; 3],
+    channels: [Channel; 3],
+}
+
+#[derive(Clone, Copy)]
+struct Channel {
+    /// Of the blurred model.
+    radiance: Row,
+    /// The picture value that it stands for, and its slope by radiance.
+    value: Row,
+    slope: Row,
+    /// By ρ and φ of the centre, by ν and ω of the velocity.
+    motion: [Row; 12],
+    /// By the logarithm of the gain.
+    gain: Row,
+    residual: Row,
+    /// Root of the weight.
+    root: Row,
+}
+
+impl Channel {
+    const ZERO: Self = Self {
+        radiance: Row::ZERO,
+        value: Row::ZERO,
+        slope: Row::ZERO,
+        motion: [Row::ZERO; 12],
+        gain: Row::ZERO,
+        residual: Row::ZERO,
+        root: Row::ZERO,
+    };
+}
+
+impl ColourBlock {
+    pub(super) fn new() -> Self {
+        Self {
+            seen: Row::ZERO,
+            taps: Taps::EMPTY,
+            pixel: [[Row::ZERO; 3]; 3],
+            points: [Row::ZERO; 3],
+            places: [Row::ZERO; 3],
+            model: [[Row::ZERO; 3]; 3],
+            channels: [Channel::ZERO; 3],
+        }
+    }
+
+    /// Adds the residuals of the samples that lie on the model's surface.
+    #[inline(always)]
+    pub(super) fn add<S: Simd>(
+        &mut self,
+        simd: S,
+        task: &Linearization<'_>,
+        geometry: &Geometry,
+        depth: &DepthBlock,
+        sums: &mut Sums,
+    ) {
+        for group in 0..groups::<S>() {
+            self.read(simd, task, depth, group);
+        }
+        self.taps.split(&task.observed.camera);
+        task.observed.texels.sample(&self.taps, &mut self.pixel);
+        for (index, moment) in geometry.moments.iter().enumerate() {
+            for group in 0..groups::<S>() {
+                self.place(simd, task, geometry, (moment, depth), group);
+            }
+            self.taps.split(&task.observed.camera);
+            task.model.texels.sample(&self.taps, &mut self.model);
+            for group in 0..groups::<S>() {
+                self.blur(simd, task, geometry, (moment, index == 0), group);
+            }
+        }
+        for channel in 0..3 {
+            self.channels[channel].expose(task, channel);
+            self.channels[channel].compare(simd, task, &self.seen, &self.pixel[channel][0], sums);
+            if task.derivatives {
+                self.channels[channel].add_equations(simd, task, geometry, channel, sums);
+            }
+        }
+    }
+
+    /// Where the picture shows the samples of a group.
+    #[inline(always)]
+    fn read<S: Simd>(
+        &mut self,
+        simd: S,
+        task: &Linearization<'_>,
+        depth: &DepthBlock,
+        group: usize,
+    ) {
+        let point = Points::load(simd, &depth.points, group);
+        let camera = &task.observed.camera;
+        let seen = self.taps.place(simd, group, super::project(simd, camera, point), camera)
+            & Mask::load(simd, &depth.agreeing, group)
+            & Wide::splat(simd, NEAR).less(point.z);
+        seen.ones().store(&mut self.seen, group);
+    }
+
+    /// Where the model's picture shows them at one moment.
+    #[inline(always)]
+    fn place<S: Simd>(
+        &mut self,
+        simd: S,
+        task: &Linearization<'_>,
+        geometry: &Geometry,
+        (moment, depth): (&Moment, &DepthBlock),
+        group: usize,
+    ) {
+        let point = Points::load(simd, &depth.points, group);
+        let seen = moment.centre_from_camera.apply_wide(simd, point);
+        let place = geometry.model_from_centre.apply_wide(simd, seen);
+        seen.store(&mut self.points, group);
+        let camera = &task.observed.camera;
+        let inside = self.taps.place(simd, group, super::project(simd, camera, place), camera)
+            & Mask::load(simd, &self.seen, group);
+        inside.ones().store(&mut self.seen, group);
+        let place = Points::select(inside, place, super::on_axis(simd));
+        place.store(&mut self.places, group);
+    }
+
+    /// Adds what one moment contributes to radiance and derivatives.
+    #[inline(always)]
+    fn blur<S: Simd>(
+        &mut self,
+        simd: S,
+        task: &Linearization<'_>,
+        geometry: &Geometry,
+        (moment, first): (&Moment, bool),
+        group: usize,
+    ) {
+        let number = |value| Wide::splat(simd, value);
+        let weight = number(moment.weight);
+        for channel in 0..3 {
+            let radiance = Wide::load(simd, &self.model[channel][0], group) * weight;
+            accumulate(radiance, &mut self.channels[channel].radiance, group, first);
+        }
+        if !task.derivatives {
+            return;
+        }
+        let seen = Points::load(simd, &self.points, group);
+        let place = Points::load(simd, &self.places, group);
+        let camera = &task.observed.camera;
+        // The derivatives of `(u, v)` by the point, turned back into the camera.
+        let by = |u, v| geometry.turn_back(simd, super::by_place(simd, camera, place, (u, v)));
+        let (along_u, along_v) = (by(weight, number(0.0)), by(number(0.0), weight));
+        let moved = seen.minus(Points::splat(simd, moment.centre_from_camera.translation));
+        let offset = number(moment.offset);
+        for channel in 0..3 {
+            let by_u = Wide::load(simd, &self.model[channel][1], group);
+            let by_v = Wide::load(simd, &self.model[channel][2], group);
+            let row = along_u.mul_add(by_u, along_v.scaled(by_v));
+            let motion = &mut self.channels[channel].motion;
+            let (centre, velocity) = motion.split_at_mut(6);
+            add_rows([row, seen.cross(row)], centre, group, first);
+            if geometry.moments.len() > 1 {
+                let row = row.scaled(offset);
+                add_rows([row, moved.cross(row)], velocity, group, first);
+            }
+        }
+    }
+}
+
+/// Adds to two triples of rows, or sets them.
+#[inline(always)]
+fn add_rows<S: Simd>(values: [Points<S>; 2], rows: &mut [Row], group: usize, first: bool) {
+    let [row, spin] = values;
+    let values = [row.x, row.y, row.z, spin.x, spin.y, spin.z];
+    for k in 0..6 {
+        accumulate(values[k], &mut rows[k], group, first);
+    }
+}
+
+#[inline(always)]
+fn accumulate<S: Simd>(value: Wide<S>, row: &mut Row, group: usize, first: bool) {
+    let sum = if first { value } else { value + value.beside(row, group) };
+    sum.store(row, group);
+}
+
+impl Channel {
+    /// From radiance to picture values, and their slope by radiance.
+    #[inline(always)]
+    fn expose(&mut self, task: &Linearization<'_>, channel: usize) {
+        let Some(curve) = task.curve else {
+            self.value = self.radiance;
+            self.slope.0.fill(1.0);
+            return;
+        };
+        let gain = task.state.tone.gains()[channel];
+        for i in 0..BLOCK {
+            let x = gain * self.radiance.0[i];
+            self.value.0[i] = curve.evaluate(channel, x);
+            self.slope.0[i] = curve.slope(channel, x) * gain;
+        }
+    }
+
+    /// Residuals against the picture values `pixel`, and the roots of their weights.
+    #[inline(always)]
+    fn compare<S: Simd>(
+        &mut self,
+        simd: S,
+        task: &Linearization<'_>,
+        seen: &Row,
+        pixel: &Row,
+        sums: &mut Sums,
+    ) {
+        let number = |value| Wide::splat(simd, value);
+        let share = task.image_weight;
+        let precision = 1.0 / (task.scales.image * task.scales.image);
+        let (mut cost, mut error, mut count) = (number(0.0), number(0.0), number(0.0));
+        for group in 0..groups::<S>() {
+            let seen = Mask::load(simd, seen, group);
+            let value = Wide::load(simd, &self.value, group);
+            let residual = value - Wide::load(simd, pixel, group);
+            let square = residual * residual * number(precision);
+            cost += seen.keep(super::cost(simd, square));
+            error += seen.keep(residual.abs());
+            count += seen.ones();
+            let weight = number((FREEDOM + 1.0) * precision * share);
+            let root = (weight / (number(FREEDOM) + square)).sqrt();
+            seen.keep(root).store(&mut self.root, group);
+            residual.store(&mut self.residual, group);
+        }
+        let count = count.sum() as usize;
+        sums.equations.cost += f64::from(share) * f64::from(cost.sum());
+        sums.equations.count += count;
+        sums.errors.image += f64::from(error.sum());
+        sums.errors.image_count += count;
+    }
+
+    /// Adds the normal equations of channel number `channel`.
+    #[inline(always)]
+    fn add_equations<S: Simd>(
+        &mut self,
+        simd: S,
+        task: &Linearization<'_>,
+        geometry: &Geometry,
+        channel: usize,
+        sums: &mut Sums,
+    ) {
+        // A single moment does not depend on the velocity.
+        let motions = if geometry.moments.len() > 1 { 12 } else { 6 };
+        let toned = Wide::splat(simd, if task.curve.is_some() { 1.0 } else { 0.0 });
+        for group in 0..groups::<S>() {
+            let root = Wide::load(simd, &self.root, group);
+            let slope = Wide::load(simd, &self.slope, group) * root;
+            for row in &mut self.motion[..motions] {
+                (Wide::load(simd, row, group) * slope).store(row, group);
+            }
+            let radiance = Wide::load(simd, &self.radiance, group);
+            (radiance * slope * toned).store(&mut self.gain, group);
+            (Wide::load(simd, &self.residual, group) * root).store(&mut self.residual, group);
+        }
+        let mut rows = [&self.residual; 14];
+        let mut unknowns = [0; 13];
+        for k in 0..motions {
+            (rows[k], unknowns[k]) = (&self.motion[k], k);
+        }
+        (rows[motions], unknowns[motions]) = (&self.gain, BALANCE + channel);
+        let (rows, unknowns) = (&rows[..motions + 2], &unknowns[..motions + 1]);
+        add_products(simd, rows, unknowns, &mut sums.equations);
+    }
+}

@@ -1,0 +1,223 @@
+//! The lanes against the reference, the reference against differences of the cost.
+
+use super::*;
+use i2slam_check::{central_differences, relative_error};
+use i2slam_formation::{
+    CameraResponse, CentreVelocity, FrameTone, NodeSpacing, StartCurve, TrajectoryScale,
+};
+use i2slam_geometry::{Image, Rotation, Tangent};
+
+const SIZE: (usize, usize) = (48, 36);
+
+fn picture(channels: usize, value: impl Fn(usize, f32, f32) -> f32) -> Image<f32> {
+    let mut image = Image::new(SIZE.0, SIZE.1, channels);
+    for channel in 0..channels {
+        for row in 0..SIZE.1 {
+            for column in 0..SIZE.0 {
+                let i = (channel * SIZE.1 + row) * SIZE.0 + column;
+                image.data[i] = value(channel, column as f32, row as f32);
+            }
+        }
+    }
+    image
+}
+
+fn model() -> Model {
+    Model::new(
+        picture(3, |c, u, v| {
+            0.3 + 0.1 * (0.35 * u + c as f32).sin() + 0.1 * (0.3 * v - 0.1 * u).cos()
+        }),
+        picture(1, |_, u, v| 2.0 + 0.01 * u - 0.006 * v),
+    )
+}
+
+/// Depth away from the border, so that every residual stays while the camera moves.
+fn observed() -> Observed {
+    let inside = |u: f32, v: f32| (8.0..40.0).contains(&u) && (8.0..28.0).contains(&v);
+    Observed::new(
+        Camera { width: 48, height: 36, fx: 45.0, fy: 45.0, cx: 24.0, cy: 18.0 },
+        picture(3, |c, u, v| 0.55 + 0.12 * (0.33 * u + c as f32).sin() + 0.1 * (0.3 * v).cos()),
+        picture(1, |_, u, v| if inside(u, v) { 2.02 + 0.009 * u - 0.005 * v } else { 0.0 }),
+        1,
+    )
+}
+
+fn state(x: &[f64]) -> State {
+    let start = CentreVelocity {
+        // Between pixel centres: at one, a bilinear picture has a kink.
+        centre: Pose::new(Rotation::identity(), Vec3::new(0.013, 0.017, 0.0)),
+        velocity: Tangent::from_array([0.05, -0.02, 0.01, 0.01, 0.02, 0.015]),
+    };
+    let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
+    State {
+        motion: start.retract(part(0), part(6)),
+        tone: FrameTone {
+            log_exposure: x[12] as f32,
+            log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
+        },
+        response: None,
+        scale: TrajectoryScale { a: 1.0 },
+    }
+}
+
+/// A scene, the moments of its exposure and how its residuals weigh.
+struct Case<'a> {
+    model: Model,
+    observed: Observed,
+    curve: Option<&'a ResponseCurve<f32>>,
+    cameras: usize,
+    image_weight: f32,
+    lead: f64,
+}
+
+impl<'a> Case<'a> {
+    fn smooth(curve: Option<&'a ResponseCurve<f32>>, image_weight: f32) -> Self {
+        let (model, observed) = (model(), observed());
+        Self { model, observed, curve, cameras: 3, image_weight, lead: 0.0 }
+    }
+
+    fn task<'b>(&'b self, state: &'b State) -> Linearization<'b> {
+        let lead = Tangent::from_array([0.02, -0.03, 0.04, 0.005, 0.01, -0.01]);
+        Linearization {
+            model: &self.model,
+            observed: &self.observed,
+            model_from_world: Pose::identity(),
+            state,
+            curve: self.curve,
+            cameras: self.cameras,
+            quadrature: Quadrature::Midpoints,
+            world_from_depth: state.motion.centre.retract(lead.scaled(self.lead)),
+            depth_lead: self.lead,
+            scales: Scales { depth: 0.02, image: 0.1 },
+            image_weight: self.image_weight,
+            derivatives: true,
+        }
+    }
+
+    fn sums(&self, x: &[f64]) -> Sums {
+        self.task(&state(x)).accumulate()
+    }
+}
+
+/// `2 Σ w r j` is the derivative of the cost, up to kinks of the bilinear pictures and the
+/// neglected `J_l(s ω)`.
+#[test]
+fn gradient_agrees_with_differences_of_the_cost() {
+    let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+    let x = [0.0; UNKNOWNS];
+    for (curve, image_weight) in [(None, 0.0), (None, 1.0), (Some(&curve), 1.0)] {
+        let case = Case::smooth(curve, image_weight);
+        let at_x = case.sums(&x);
+        assert!(at_x.errors.depth_count > 500);
+        let numeric = central_differences(&x, 2e-4, |x| case.sums(x).equations.cost);
+        let analytic: Vec<f64> = at_x.equations.gradient.iter().map(|g| 2.0 * g).collect();
+        for group in [0..3, 3..6, 6..9, 9..12, 12..16] {
+            let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
+            assert!(error < 0.03, "{group:?} {error} {analytic:?} {numeric:?}");
+        }
+    }
+}
+
+#[test]
+fn the_step_finds_a_small_motion() {
+    let case = Case::smooth(None, 0.0);
+    let still = case.sums(&[0.0; UNKNOWNS]).mean_cost();
+    let mut x = [0.0; UNKNOWNS];
+    for _ in 0..8 {
+        let mut equations = case.sums(&x).equations;
+        super::super::prior::freeze(&mut equations, 3..16);
+        let step = equations.step(1e-6).expect("depth of a slanted plane fixes one direction");
+        x.iter_mut().zip(step).for_each(|(x, s)| *x += s);
+    }
+    assert!(case.sums(&x).mean_cost() < 0.5 * still);
+}
+
+/// Edges, holes and a hidden corner, up to the border.
+fn rough_case(curve: Option<&ResponseCurve<f32>>, cameras: usize, lead: f64) -> Case<'_> {
+    let depth = |u: f32, v: f32| {
+        let step = if (15.0..25.0).contains(&u) { -0.4 } else { 0.0 };
+        let hole = (u * 3.0 + v * 7.0) as usize % 11 == 0;
+        if hole { 0.0 } else { 1.5 + step + 0.02 * v + 0.003 * (u * v).sin() }
+    };
+    let smooth = Case::smooth(curve, 0.4);
+    let camera = smooth.observed.camera;
+    let observed =
+        Observed::new(camera, smooth.observed.colour, picture(1, |_, u, v| depth(u, v)), 1);
+    let far = |u: f32, v: f32| if u + v < 12.0 { 9.0 } else { 0.01 + 1.5 + 0.02 * v };
+    let model = Model::new(
+        smooth.model.radiance,
+        picture(1, |_, u, v| if (15.0..25.0).contains(&u) { depth(u, v) } else { far(u, v) }),
+    );
+    Case { model, observed, curve, cameras, image_weight: 0.4, lead }
+}
+
+/// Largest difference of two symmetric matrices and vectors, each entry by its unknowns' own size.
+fn worst(lanes: &Equations, pixels: &Equations) -> f64 {
+    let size = |a: usize| pixels.hessian[a][a].sqrt().max(1e-9);
+    let root = pixels.cost.sqrt();
+    let mut worst = (lanes.cost / pixels.cost - 1.0).abs();
+    for a in 0..UNKNOWNS {
+        let gradient = lanes.gradient[a] - pixels.gradient[a];
+        worst = worst.max(gradient.abs() / (size(a) * root));
+        for b in a..UNKNOWNS {
+            let entry = lanes.hessian[a][b] - pixels.hessian[a][b];
+            worst = worst.max(entry.abs() / (size(a) * size(b)));
+        }
+    }
+    worst
+}
+
+#[test]
+fn lanes_agree_with_pixels() {
+    let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.5)).curve();
+    let x: [f64; UNKNOWNS] = std::array::from_fn(|i| 0.002 * (i as f64 - 7.0));
+    let state = state(&x);
+    for (curve, cameras, lead) in [(None, 1, 0.0), (Some(&curve), 1, 0.3), (Some(&curve), 5, -0.4)]
+    {
+        let case = rough_case(curve, cameras, lead);
+        let mut task = case.task(&state);
+        let (lanes, pixels) = (task.accumulate(), task.accumulate_pixels());
+        assert_eq!(lanes.candidates, pixels.candidates);
+        assert_eq!(lanes.agreeing, pixels.agreeing);
+        assert_eq!(lanes.equations.count, pixels.equations.count);
+        assert!(lanes.agreeing > 500 && lanes.agreeing < lanes.candidates - 100);
+        assert!(pixels.errors.image_count > 3 * 500);
+        let error = worst(&lanes.equations, &pixels.equations);
+        assert!(error < 1e-4, "{cameras} {lead}: {error}");
+        for (a, b) in
+            [(lanes.errors.depth, pixels.errors.depth), (lanes.errors.image, pixels.errors.image)]
+        {
+            assert!((a / b - 1.0).abs() < 1e-5, "{a} {b}");
+        }
+        task.derivatives = false;
+        let bare = task.accumulate();
+        assert_eq!(bare.equations.cost, lanes.equations.cost);
+        assert_eq!(bare.errors, lanes.errors);
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let case = rough_case(None, 3, 0.1);
+    let state = state(&[0.001; UNKNOWNS]);
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("threads").install(|| case.task(&state).accumulate().equations)
+    };
+    let (one, three) = (run(1), run(3));
+    assert_eq!((one.hessian, one.gradient, one.cost), (three.hessian, three.gradient, three.cost));
+}
+
+/// Samples do not depend on where blocks end.
+#[test]
+fn every_other_pixel_is_a_quarter_of_them() {
+    let case = rough_case(None, 1, 0.0);
+    let Observed { camera, depth, .. } = &case.observed;
+    let relief = super::super::pyramid::relief(depth);
+    let some = Samples::new(camera, depth, &relief, 2);
+    let expected = (0..SIZE.1).step_by(2).flat_map(|row| {
+        (0..SIZE.0).step_by(2).map(move |column| depth.at(0, column, row)).filter(|&z| z > 0.0)
+    });
+    let z = some.blocks.iter().flat_map(|block| block.point[2].0);
+    assert!(z.filter(|&z| z > 0.0).eq(expected));
+}
