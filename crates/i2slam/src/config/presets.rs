@@ -82,7 +82,7 @@ fn ours() -> Config {
             first_iterations: 60,
             window: 8,
             keyframe_interval: 4,
-            keyframe_motion: 0.015,
+            keyframe_motion: 0.004,
             final_iterations: 200,
             mean_rate: 2e-4,
             colour_rate: 1.5e-2,

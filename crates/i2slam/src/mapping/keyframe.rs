@@ -19,8 +19,8 @@ pub(crate) struct Keyframe {
 ///
 /// With `keyframe_motion` zero, every `keyframe_interval`-th frame does (SplaTAM). Otherwise a
 /// keyframe is due when that many frames have passed and the picture has moved, overlap lost and
-/// parallax gained, by `keyframe_motion` of its width. A due keyframe waits, at most one interval,
-/// for a frame that is no more blurred than the sharper half of those since the last keyframe.
+/// parallax gained, by `keyframe_motion` of its width. A due keyframe waits, at most half an
+/// interval, for a frame that is no more blurred than the sharper half of those since the last keyframe.
 pub(crate) fn is_keyframe(
     mapping: &MappingConfig,
     camera: &Camera<f64>,
@@ -41,7 +41,7 @@ pub(crate) fn is_keyframe(
     if motion < f64::from(mapping.keyframe_motion) * camera.width as f64 {
         return false;
     }
-    passed >= 2 * mapping.keyframe_interval || is_sharp(&frames[last + 1..])
+    2 * passed >= 3 * mapping.keyframe_interval || is_sharp(&frames[last + 1..])
 }
 
 /// Whether the last of `frames` is no more blurred than the sharper half of them.
@@ -110,7 +110,7 @@ mod tests {
         let path = |blurs: &[f64]| -> Vec<(f64, f64)> {
             blurs.iter().enumerate().map(|(i, &b)| (4.0 * i as f64, b)).collect()
         };
-        assert_eq!(keyframes(3, 0.05, &path(&[0.0, 1.0, 2.0, 8.0, 9.0, 0.5, 3.0])), [0, 5]);
-        assert_eq!(keyframes(3, 0.05, &path(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])), [0, 6]);
+        assert_eq!(keyframes(4, 0.05, &path(&[0.0, 1.0, 2.0, 7.0, 8.0, 0.5, 3.0])), [0, 5]);
+        assert_eq!(keyframes(4, 0.05, &path(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])), [0, 6]);
     }
 }
