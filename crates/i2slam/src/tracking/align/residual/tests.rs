@@ -136,7 +136,7 @@ fn the_step_finds_a_small_motion() {
 fn rough_case(curve: Option<&ResponseCurve<f32>>, cameras: usize, lead: f64) -> Case<'_> {
     let depth = |u: f32, v: f32| {
         let step = if (15.0..25.0).contains(&u) { -0.4 } else { 0.0 };
-        let hole = (u * 3.0 + v * 7.0) as usize % 11 == 0;
+        let hole = ((u * 3.0 + v * 7.0) as usize).is_multiple_of(11);
         if hole { 0.0 } else { 1.5 + step + 0.02 * v + 0.003 * (u * v).sin() }
     };
     let smooth = Case::smooth(curve, 0.4);
