@@ -1,7 +1,9 @@
 //! Which cells of the cube may hold something.
 
-use crate::hashgrid::{FieldRenderer, HashGridField, OccupancySettings};
+use super::{Ray, Sample, Walk};
+use crate::hashgrid::{FieldRenderer, HashGridField, MarchSettings, OccupancySettings};
 use i2slam_compute::Random;
+use i2slam_geometry::Vec3;
 
 /// A grid over the cube of a field that remembers how dense each cell was, so that empty space
 /// is marched over. One grid for the whole cube, no cascades.
@@ -30,6 +32,42 @@ impl Occupancy {
             occupied: vec![u64::MAX; cells.div_ceil(64)],
             looks: 0,
         }
+    }
+
+    /// A grid over the cube of half edge `bound` \[m\] around `centre` in which exactly the cells
+    /// whose middle `holds` accepts are occupied until the first look, as known from depth
+    /// pictures or a previous map.
+    pub fn of_cells(
+        centre: [f64; 3],
+        bound: f64,
+        settings: OccupancySettings,
+        holds: impl Fn(Vec3<f32>) -> bool,
+    ) -> Self {
+        let mut occupancy = Self::new(settings);
+        let resolution = occupancy.settings.resolution as usize;
+        let middle = |k: usize, i: usize| {
+            centre[k] + bound * (2.0 * (i as f64 + 0.5) / resolution as f64 - 1.0)
+        };
+        occupancy.occupied.fill(0);
+        for cell in 0..occupancy.densities.len() {
+            let index = [cell % resolution, cell / resolution % resolution];
+            let [x, y] = [middle(0, index[0]), middle(1, index[1])];
+            let z = middle(2, cell / (resolution * resolution));
+            let held = holds(Vec3::new(x, y, z).cast());
+            occupancy.occupied[cell / 64] |= u64::from(held) << (cell % 64);
+        }
+        occupancy
+    }
+
+    /// All samples of a ray in occupied cells, also those behind where it would end.
+    pub fn samples(
+        &self,
+        field: &HashGridField,
+        settings: &MarchSettings,
+        ray: &Ray,
+    ) -> Vec<Sample> {
+        let mut walk = Walk::new(field, settings, ray);
+        std::iter::from_fn(|| walk.next(settings, self).map(|(sample, _)| sample)).collect()
     }
 
     /// A grid with densities that it remembered after `looks` looks.

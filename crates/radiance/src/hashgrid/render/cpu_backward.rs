@@ -84,11 +84,12 @@ pub(super) fn pull_back(
     }
     if wanted.rays {
         for ((ray, sums), out) in rays.iter().zip(&by_direction).zip(&mut chunk.ray_gradients) {
+            if sums.harmonics == [0.0; HARMONICS] && sums.length == 0.0 {
+                continue;
+            }
             let unit = Direction::new(ray).unit.to_array();
             let by_unit = Vec3::from_array(harmonics::pull_back(unit, &sums.harmonics));
-            if ray.direction.norm() > 0.0 {
-                out.add_shape(ray.direction, by_unit, sums.length);
-            }
+            out.add_shape(ray.direction, by_unit, sums.length);
         }
     }
 }

@@ -1,8 +1,8 @@
 //! A field learns a room from a few small pictures, and shows it from elsewhere.
 
 use crate::hashgrid::*;
-use crate::{RadianceMap, Render, View};
-use i2slam_compute::Random;
+use crate::{RadianceMap, Render, RenderCotangent, View};
+use i2slam_compute::{Adam, AdamSettings, Random};
 use i2slam_geometry::{Camera, Pose, Rotation, Tangent, Vec3};
 
 const SIZE: usize = 32;
@@ -59,19 +59,19 @@ fn radiance() -> HashGridRadiance {
     }
 }
 
-/// Squared errors of radiance and, with a small weight, of depth.
+/// Derivatives of the mean squared errors of radiance and depth.
 fn cotangents(rays: &[Ray], renders: &[RayRender]) -> Vec<RayRender> {
     let scale = 2.0 / rays.len() as f32;
     let of = |(ray, render): (&Ray, &RayRender)| {
         let (colour, depth) = room(ray);
         let radiance = std::array::from_fn(|c| scale * (render.radiance[c] - colour[c]));
-        RayRender { radiance, depth: 0.1 * scale * (render.depth - depth), opacity: 0.0 }
+        RayRender { radiance, depth: scale * (render.depth - depth), opacity: 0.0 }
     };
     rays.iter().zip(renders).map(of).collect()
 }
 
 fn train(radiance: &mut HashGridRadiance, steps: i32) {
-    let views: Vec<_> = (0..16).map(|i| view(100 + i)).collect();
+    let views: Vec<_> = (0..24).map(|i| view(100 + i)).collect();
     let HashGridRadiance { field, occupancy, renderer } = radiance;
     let (mut adam, mut random) = (FieldAdam::new(), Random::new(7));
     let (mut gradient, mut renders) = (FieldGradient::zeros(field), Vec::new());
@@ -119,7 +119,7 @@ fn a_room_is_learnt_from_a_few_pictures() {
     let mut radiance = radiance();
     let held_out = view(7);
     let (before, _) = quality(&mut radiance, &held_out);
-    train(&mut radiance, 300);
+    train(&mut radiance, 350);
     let (after, depth) = quality(&mut radiance, &held_out);
     let share = radiance.occupancy.share();
     eprintln!("{before:.1} -> {after:.1} dB, depth {depth:.3} m, occupied {share:.2}");
@@ -129,7 +129,41 @@ fn a_room_is_learnt_from_a_few_pictures() {
     pose_is_found(&mut radiance, &held_out);
 }
 
-/// Gradient descent on the pose alone, through the trait, brings a moved camera back.
+/// Descent on the pose alone, through the trait, brings a moved camera back.
 fn pose_is_found(radiance: &mut HashGridRadiance, view: &View<f32>) {
-    let _ = (radiance, view, Tangent::<f64>::zero());
+    let moved = Tangent::from_array([0.03, -0.02, 0.02, 0.01, 0.02, -0.015]);
+    let mut guess = View { world_from_camera: view.world_from_camera.retract(moved), ..*view };
+    let away = |guess: &View<f32>| {
+        let local = view.world_from_camera.local(guess.world_from_camera);
+        local.to_array().iter().map(|v| v * v).sum::<f32>().sqrt()
+    };
+    let (start, truth) = (away(&guess), truth(view));
+    let (mut adam, mut render) = (Adam::new(AdamSettings::default()), Render::default());
+    for step in 0..60 {
+        radiance.render(&guess, &mut render);
+        let cotangent = against(&render, &truth);
+        let tangent = radiance.pull_back(&guess, &cotangent, None);
+        let mut x = [0.0; 6];
+        let gradient = tangent.to_array().map(|g| g as f32);
+        adam.step(&mut x, &gradient, decayed_rate(3e-3, step, 60));
+        let pose = guess.world_from_camera.retract(Tangent::from_array(x));
+        guess.world_from_camera = pose;
+    }
+    let end = away(&guess);
+    eprintln!("pose {start:.4} -> {end:.4}");
+    assert!(end < 0.5 * start, "pose error {start:.4} -> {end:.4}");
+}
+
+/// Derivatives of squared errors of radiance and depth.
+fn against(render: &Render, truth: &[([f32; 3], f32)]) -> RenderCotangent {
+    let mut cotangent = RenderCotangent {
+        radiance: render.radiance.clone(),
+        depth: render.depth.clone(),
+        ..RenderCotangent::default()
+    };
+    for (i, (colour, depth)) in truth.iter().enumerate() {
+        (0..3).for_each(|c| cotangent.radiance.data[c * truth.len() + i] -= colour[c]);
+        cotangent.depth.data[i] -= depth;
+    }
+    cotangent
 }

@@ -132,7 +132,8 @@ fn coarse() -> OccupancySettings {
 /// With empty cells, lanes agree and the samples are those of the full march in occupied cells.
 #[test]
 fn empty_cells_are_marched_over() {
-    let field = field(settings(), 4);
+    let mut field = field(settings(), 4);
+    field.parameters_mut()[1].iter_mut().for_each(|w| *w *= 2.0);
     let mut occupancy = Occupancy::new(OccupancySettings { density: 1.0, ..coarse() });
     let full = occupancy.clone();
     occupancy.refresh(&field.cast(), &mut FieldRenderer::new(march()), 1);
