@@ -40,12 +40,11 @@ fn scene() -> (HashGridField, Occupancy) {
     let mut noise = noise(5);
     let [table, density, _] = field.parameters_mut();
     table.iter_mut().for_each(|v| *v = noise() as f32);
-    density.iter_mut().for_each(|v| *v *= 4.0);
+    density.iter_mut().for_each(|v| *v *= 2.0);
     let settings = OccupancySettings::default();
-    let size = 2.0 * BOUND / f64::from(settings.resolution);
     let shell = |p: Vec3<f32>| {
         let farthest = p.to_array().iter().fold(0.0_f32, |far, v| far.max(v.abs()));
-        (f64::from(farthest) - WALL).abs() < size
+        (f64::from(farthest) - WALL).abs() < 0.15
     };
     (field, Occupancy::of_cells([0.0; 3], BOUND, settings, shell))
 }
@@ -81,13 +80,16 @@ fn print_parts() {
     let (mut renderer, mut renders) = (FieldRenderer::new(march()), Vec::new());
     let (mut gradient, mut by_rays) = (FieldGradient::zeros(&field), Vec::new());
     let mut adam = FieldAdam::new();
-    let mut fastest = [f64::MAX; 4];
+    let mut fastest = [f64::MAX; 5];
     for _ in 0..ROUNDS {
         let mut time = |part: usize, work: &mut dyn FnMut()| {
             let start = Instant::now();
             work();
             fastest[part] = fastest[part].min(start.elapsed().as_secs_f64() * 1e3);
         };
+        renderer.keep_slopes(false);
+        time(4, &mut || renderer.render(&field, &occupancy, &rays, &mut renders));
+        renderer.keep_slopes(true);
         time(0, &mut || renderer.render(&field, &occupancy, &rays, &mut renders));
         time(1, &mut || {
             renderer.pull_back(&field, &rays, &cotangents, None, Some(&mut by_rays));
@@ -100,7 +102,13 @@ fn print_parts() {
     }
     let samples = renderer.samples();
     println!("{RAYS} rays, {samples} samples");
-    let names = ["forward", "backward, rays alone", "backward, field and rays", "Adam"];
+    let names = [
+        "forward",
+        "backward, rays alone",
+        "backward, field and rays",
+        "Adam",
+        "forward, without slopes",
+    ];
     for (name, time) in names.iter().zip(fastest) {
         println!("{name}: {time:.1} ms, {:.2} million samples/s", samples as f64 / time / 1e3);
     }
@@ -123,6 +131,7 @@ fn forward(bencher: Bencher<'_, '_>) {
 fn backward(bencher: Bencher<'_, '_>, with_field: bool, with_rays: bool) {
     let ((field, occupancy), rays, cotangents) = (scene(), rays(), cotangents());
     let (mut renderer, mut by_rays) = (FieldRenderer::new(march()), Vec::new());
+    renderer.keep_slopes(with_rays);
     renderer.render(&field, &occupancy, &rays, &mut Vec::new());
     let mut gradient = FieldGradient::zeros(&field);
     bencher.bench_local(|| {

@@ -10,6 +10,9 @@ const SETTINGS: AdamSettings = AdamSettings { beta1: 0.9, beta2: 0.99, epsilon: 
 /// Parameters per parallel task.
 const CHUNK: usize = 1 << 14;
 
+/// Parameters that are looked at together: a line of the cache.
+const ROW: usize = 16;
+
 /// The moments of a field's parameters. A number of the table whose gradient is exactly zero, as
 /// of every entry that no sample touched, keeps its value and its moments.
 #[derive(Clone, Debug)]
@@ -49,13 +52,21 @@ impl FieldAdam {
         let rows = gradient.table.par_chunks_mut(CHUNK).zip(self.table.par_chunks_mut(CHUNK));
         parameters.table.par_chunks_mut(CHUNK).zip(rows).for_each(
             |(values, (gradient, moments))| {
-                for ((value, g), [first, second]) in values.iter_mut().zip(gradient).zip(moments) {
-                    if *g != 0.0 && g.is_finite() {
-                        *first = beta1 * *first + (1.0 - beta1) * *g;
-                        *second = beta2 * *second + (1.0 - beta2) * *g * *g;
-                        *value -= correct1 * *first / ((*second * correct2).sqrt() + epsilon);
+                let rows = gradient.chunks_mut(ROW).zip(moments.chunks_mut(ROW));
+                for (values, (gradient, moments)) in values.chunks_mut(ROW).zip(rows) {
+                    if gradient.iter().fold(true, |zero, g| zero & (*g == 0.0)) {
+                        continue;
                     }
-                    *g = 0.0;
+                    for ((value, g), [first, second]) in
+                        values.iter_mut().zip(gradient).zip(moments)
+                    {
+                        if *g != 0.0 && g.is_finite() {
+                            *first = beta1 * *first + (1.0 - beta1) * *g;
+                            *second = beta2 * *second + (1.0 - beta2) * *g * *g;
+                            *value -= correct1 * *first / ((*second * correct2).sqrt() + epsilon);
+                        }
+                        *g = 0.0;
+                    }
                 }
             },
         );

@@ -75,6 +75,7 @@ impl Corners {
 
 /// Sixteen positions, one row per axis.
 #[inline(always)]
+#[expect(clippy::manual_clamp, reason = "NaN must give an index within the table")]
 fn axes(positions: &[[f32; 3]]) -> [[f32; GROUP]; 3] {
     let mut axes = [[0.0; GROUP]; 3];
     for (i, x) in positions.iter().enumerate().take(GROUP) {
@@ -91,14 +92,16 @@ fn entries<'a, const F: usize>(table: &'a [f32], level: &Level) -> &'a [[f32; F]
     &table.as_chunks::<F>().0[level.first..level.first + level.entries]
 }
 
-/// Features of positions in the unit cube. A row of `out` has `width` numbers, of which the
-/// first `levels · F` are written.
+/// Features of positions in the unit cube, and their slopes. A row of `out` has `width` numbers,
+/// of which the first `levels · F` are written; slopes, if wanted, have three such rows per
+/// position: the derivatives by x, y and z.
 struct Encode<'a, const F: usize> {
     levels: &'a [Level],
     table: &'a [f32],
     positions: &'a [[f32; 3]],
     out: &'a mut [f32],
     width: usize,
+    slopes: &'a mut [f32],
 }
 
 impl<const F: usize> WithSimd for Encode<'_, F> {
@@ -106,26 +109,66 @@ impl<const F: usize> WithSimd for Encode<'_, F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let rows = self.out.chunks_mut(GROUP * self.width);
+        let width = self.width;
+        let mut slope_rows = self.slopes.chunks_mut(3 * GROUP * width);
+        let rows = self.out.chunks_mut(GROUP * width);
         for (positions, out) in self.positions.chunks(GROUP).zip(rows) {
             let axes = axes(positions);
+            let slopes = slope_rows.next().unwrap_or_default();
             for (l, level) in self.levels.iter().enumerate() {
-                let entries = entries::<F>(self.table, level);
                 let corners = Corners::new(level, &axes);
-                let weights = corners.weights();
-                for (i, row) in out.chunks_exact_mut(self.width).enumerate().take(GROUP) {
-                    let mut sum = [0.0; F];
-                    for c in 0..8 {
-                        let entry = &entries[corners.index[c][i] as usize];
-                        for f in 0..F {
-                            sum[f] += weights[c][i] * entry[f];
+                let values = gather(entries::<F>(self.table, level), &corners.index);
+                for f in 0..F {
+                    let column = l * F + f;
+                    let mut by = [[0.0; GROUP]; 3];
+                    let value = interpolate(&corners.fraction, &values[f]);
+                    for (i, row) in out.chunks_exact_mut(width).enumerate() {
+                        row[column] = value[i];
+                    }
+                    if !slopes.is_empty() {
+                        add_slopes(level.scale as f32, &corners.fraction, &values[f], &mut by);
+                        for (i, rows) in slopes.chunks_exact_mut(3 * width).enumerate() {
+                            for k in 0..3 {
+                                rows[k * width + column] = by[k][i];
+                            }
                         }
                     }
-                    row[l * F..(l + 1) * F].copy_from_slice(&sum);
                 }
             }
         }
     }
+}
+
+/// The entries of the corners, a row per feature and corner.
+#[inline(always)]
+fn gather<const F: usize>(
+    entries: &[[f32; F]],
+    index: &[[u32; GROUP]; 8],
+) -> [[[f32; GROUP]; 8]; F] {
+    let mut values = [[[0.0; GROUP]; 8]; F];
+    for i in 0..GROUP {
+        for c in 0..8 {
+            let entry = &entries[index[c][i] as usize];
+            for f in 0..F {
+                values[f][c][i] = entry[f];
+            }
+        }
+    }
+    values
+}
+
+/// The values between the corners.
+#[inline(always)]
+fn interpolate([x, y, z]: &[[f32; GROUP]; 3], v: &[[f32; GROUP]; 8]) -> [f32; GROUP] {
+    let mut out = [0.0; GROUP];
+    for i in 0..GROUP {
+        let (x, y, z) = (x[i], y[i], z[i]);
+        let (a, b) = (v[0][i] + x * (v[1][i] - v[0][i]), v[2][i] + x * (v[3][i] - v[2][i]));
+        let (c, d) = (v[4][i] + x * (v[5][i] - v[4][i]), v[6][i] + x * (v[7][i] - v[6][i]));
+        let (near, far) = (a + y * (b - a), c + y * (d - c));
+        out[i] = near + z * (far - near);
+    }
+    out
 }
 
 /// `∂L/∂x` in the unit cube, from `∂L/∂features` in rows of `width`.
@@ -237,7 +280,7 @@ macro_rules! dispatch {
     };
 }
 
-/// [`Encode`] for `features` numbers per entry.
+/// [`Encode`] for `features` numbers per entry; `slopes` may be empty.
 pub(crate) fn encode(
     arch: Arch,
     features: usize,
@@ -245,8 +288,9 @@ pub(crate) fn encode(
     positions: &[[f32; 3]],
     width: usize,
     out: &mut [f32],
+    slopes: &mut [f32],
 ) {
-    dispatch!(arch, features, Encode { levels, table, positions, out, width });
+    dispatch!(arch, features, Encode { levels, table, positions, out, width, slopes });
 }
 
 /// [`PositionGradient`] for `features` numbers per entry.
@@ -271,4 +315,34 @@ pub(crate) fn scatter(
     gradient: &mut [f32],
 ) {
     dispatch!(arch, features, Scatter { level, positions, cotangent, gradient });
+}
+
+/// `∂L/∂x` from kept slopes: a sum of products per position and axis.
+pub(crate) struct BySlopes<'a> {
+    /// `width` numbers per position.
+    pub(crate) cotangent: &'a [f32],
+    /// Three rows of `width` numbers per position.
+    pub(crate) slopes: &'a [f32],
+    pub(crate) width: usize,
+    pub(crate) out: &'a mut [[f32; 3]],
+}
+
+impl WithSimd for BySlopes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let width = self.width;
+        let rows = self.cotangent.chunks_exact(width).zip(self.slopes.chunks_exact(3 * width));
+        for (out, (cotangent, slopes)) in self.out.iter_mut().zip(rows) {
+            let cotangent = S::as_simd_f32s(cotangent).0;
+            for (out, slopes) in out.iter_mut().zip(slopes.chunks_exact(width)) {
+                let mut sum = simd.splat_f32s(0.0);
+                for (d, slope) in cotangent.iter().zip(S::as_simd_f32s(slopes).0) {
+                    sum = simd.mul_add_e_f32s(*d, *slope, sum);
+                }
+                *out = simd.reduce_sum_f32s(sum);
+            }
+        }
+    }
 }

@@ -18,6 +18,8 @@ pub(super) struct Scene<'a> {
     pub(super) field: &'a HashGridField,
     pub(super) density: &'a Packed,
     pub(super) colour: &'a Packed,
+    /// Whether slopes of encodings are kept for the way back.
+    pub(super) keep_slopes: bool,
 }
 
 impl Scene<'_> {
@@ -61,6 +63,8 @@ pub(super) struct Chunk {
     pub(super) positions: Vec<[f32; 3]>,
     /// Encodings, one row per sample.
     pub(super) encodings: Vec<f32>,
+    /// Slopes of the encodings, three rows per sample, if they are kept.
+    pub(super) slopes: Vec<f32>,
     pub(super) renders: Vec<RayRender>,
     /// `∂L/∂encoding`, level after level, `features` numbers per sample.
     pub(super) d_features: Vec<f32>,
@@ -75,6 +79,7 @@ impl Chunk {
         self.kept.clear();
         self.positions.clear();
         self.encodings.clear();
+        self.slopes.clear();
         self.renders.clear();
     }
 }

@@ -172,6 +172,22 @@ impl Backward {
         }
     }
 
+    /// From the derivatives by the encodings to those by the positions in the unit cube.
+    fn by_positions(&mut self, scene: &Scene<'_>, chunk: &Chunk, block: &std::ops::Range<usize>) {
+        let (field, width) = (scene.field, scene.width());
+        let cotangent = &self.d_density.input()[..block.len() * width];
+        let out = &mut self.d_positions[..block.len()];
+        if !chunk.slopes.is_empty() {
+            let slopes = &chunk.slopes[3 * block.start * width..3 * block.end * width];
+            scene.arch.dispatch(encoding::BySlopes { cotangent, slopes, width, out });
+            return;
+        }
+        let grids = (field.levels.as_slice(), field.parameters.table.as_slice());
+        let (features, positions) = (field.settings().features, &chunk.positions[block.clone()]);
+        let cotangent = (cotangent, width);
+        encoding::position_gradient(scene.arch, features, grids, positions, cotangent, out);
+    }
+
     fn add_rays(
         &mut self,
         scene: &Scene<'_>,
@@ -179,13 +195,8 @@ impl Backward {
         block: &std::ops::Range<usize>,
         by_direction: &mut [ByDirection],
     ) {
-        let (field, width) = (scene.field, scene.width());
-        let grids = (field.levels.as_slice(), field.parameters.table.as_slice());
-        let positions = &chunk.positions[block.clone()];
-        let cotangent = &self.d_density.input()[..block.len() * width];
-        let (features, out) = (field.settings().features, &mut self.d_positions);
-        let cotangent = (cotangent, width);
-        encoding::position_gradient(scene.arch, features, grids, positions, cotangent, out);
+        self.by_positions(scene, chunk, block);
+        let field = scene.field;
         let (scale, _) = field.to_unit();
         let inputs = padded(HARMONICS + field.settings().geometry_features);
         let rows = self.d_colour.input().chunks_exact(inputs);

@@ -25,6 +25,7 @@ struct Wave {
     samples: Vec<Sample>,
     positions: Vec<[f32; 3]>,
     encodings: Vec<f32>,
+    slopes: Vec<f32>,
     densities: Vec<f32>,
     colours: Vec<[f32; 3]>,
     fades: Vec<f32>,
@@ -52,7 +53,9 @@ impl Wave {
     fn evaluate(&mut self, scene: &Scene<'_>, directions: &[Direction], space: &mut Workspace) {
         let (count, width) = (self.rays.len(), scene.width());
         self.encodings.resize(count * width, 0.0);
-        encode(scene, &self.positions, &mut self.encodings);
+        let kept = if scene.keep_slopes { 3 * count * width } else { 0 };
+        self.slopes.resize(kept, 0.0);
+        encode(scene, &self.positions, &mut self.encodings, &mut self.slopes);
         self.densities.clear();
         self.colours.clear();
         for first in (0..count).step_by(BLOCK) {
@@ -87,15 +90,24 @@ impl Wave {
             out.kept.push(Kept { ray, sample, density, transmittance, fade, colour });
             out.positions.push(self.positions[i]);
             out.encodings.extend_from_slice(&self.encodings[i * width..(i + 1) * width]);
+            if !self.slopes.is_empty() {
+                out.slopes.extend_from_slice(&self.slopes[3 * i * width..3 * (i + 1) * width]);
+            }
         }
     }
 }
 
-/// Encodings of positions in the unit cube.
-pub(super) fn encode(scene: &Scene<'_>, positions: &[[f32; 3]], out: &mut [f32]) {
-    let field = scene.field;
+/// Encodings of positions in the unit cube, and their slopes unless that is empty.
+pub(super) fn encode(
+    scene: &Scene<'_>,
+    positions: &[[f32; 3]],
+    out: &mut [f32],
+    slopes: &mut [f32],
+) {
+    let (field, width) = (scene.field, scene.width());
     let grids = (field.levels.as_slice(), field.parameters.table.as_slice());
-    encoding::encode(scene.arch, field.settings().features, grids, positions, scene.width(), out);
+    let features = field.settings().features;
+    encoding::encode(scene.arch, features, grids, positions, width, out, slopes);
 }
 
 /// Density network and density of a block, from its encodings.

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 /// The fast lane: all threads of the current `rayon` pool and the widest vectors found at run
 /// time, in `f32`.
 ///
-/// Buffers are kept from call to call: about 350 bytes per sample of the last render. What rays
+/// Buffers are kept from call to call: about 350 bytes per sample of the last render, of the default field. What rays
 /// show and gradients are bitwise the same for any number of threads on one machine; the width of
 /// its vectors changes the order of some sums.
 pub struct FieldRenderer {
@@ -21,12 +21,13 @@ pub struct FieldRenderer {
     arch: Arch,
     chunks: Vec<Chunk>,
     rays: usize,
+    keep_slopes: bool,
 }
 
 impl FieldRenderer {
     /// A renderer that has rendered nothing yet.
     pub fn new(march: MarchSettings) -> Self {
-        Self { march, arch: Arch::new(), chunks: Vec::new(), rays: 0 }
+        Self { march, arch: Arch::new(), chunks: Vec::new(), rays: 0, keep_slopes: false }
     }
 
     /// The same on a chosen instruction set.
@@ -38,6 +39,14 @@ impl FieldRenderer {
     /// The settings.
     pub fn settings(&self) -> &MarchSettings {
         &self.march
+    }
+
+    /// Whether the next renders keep what derivatives by rays need, so that
+    /// [`pull_back`](Self::pull_back) has not to look at the table again: faster where those are
+    /// wanted, for three times the memory. Off at the start; gradients are the same up to
+    /// rounding.
+    pub fn keep_slopes(&mut self, keep: bool) {
+        self.keep_slopes = keep;
     }
 
     /// Samples of the last render that took part: the measure of work.
@@ -55,7 +64,7 @@ impl FieldRenderer {
         out: &mut Vec<RayRender>,
     ) {
         let networks = Networks::new(field);
-        let scene = networks.scene(self.arch, field);
+        let scene = Scene { keep_slopes: self.keep_slopes, ..networks.scene(self.arch, field) };
         let march = March { settings: &self.march, occupancy };
         let count = rays.len().div_ceil(RAYS);
         self.rays = rays.len();
@@ -133,7 +142,7 @@ impl FieldRenderer {
             || (Workspace::new(&scene), vec![0.0; BLOCK * scene.width()]),
             |(space, encodings), (out, positions)| {
                 let encodings = &mut encodings[..positions.len() * scene.width()];
-                cpu_forward::encode(&scene, positions, encodings);
+                cpu_forward::encode(&scene, positions, encodings, &mut []);
                 cpu_forward::densities(&scene, encodings, space);
                 out.copy_from_slice(&space.exponentials[0][..out.len()]);
             },
@@ -157,7 +166,7 @@ impl Networks {
     }
 
     fn scene<'a>(&'a self, arch: Arch, field: &'a HashGridField) -> Scene<'a> {
-        Scene { arch, field, density: &self.density, colour: &self.colour }
+        Scene { arch, field, density: &self.density, colour: &self.colour, keep_slopes: false }
     }
 }
 

@@ -89,8 +89,7 @@ impl RadianceMap for HashGridRadiance {
         }
     }
 
-    /// Of a picture of more than 4096 pixels only the last part is kept, so that the others are
-    /// rendered again.
+    /// Nothing is kept of a picture: it is rendered again, 4096 pixels at a time.
     fn pull_back(
         &mut self,
         view: &View<f32>,
@@ -100,6 +99,7 @@ impl RadianceMap for HashGridRadiance {
         cotangent.planes(view.camera.width, view.camera.height);
         let (mut batch, mut ray_gradients) = (Vec::new(), Vec::new());
         let mut pose = Tangent::zero();
+        self.renderer.keep_slopes(true);
         for first in (0..view.camera.pixels()).step_by(BATCH) {
             let rays = self.render_batch(view, first, &mut batch);
             let cotangents: Vec<_> = pixels(view, first)
@@ -115,6 +115,7 @@ impl RadianceMap for HashGridRadiance {
                 pose = pose.plus(ray.to_pose(view, column, row));
             }
         }
+        self.renderer.keep_slopes(false);
         pose
     }
 }

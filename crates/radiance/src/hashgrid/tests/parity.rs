@@ -55,9 +55,19 @@ fn outcome(
 }
 
 fn fast(arch: Arch, field: &HashGridField<f64>, occupancy: &Occupancy) -> Outcome {
+    fast_keeping(true, arch, field, occupancy)
+}
+
+fn fast_keeping(
+    slopes: bool,
+    arch: Arch,
+    field: &HashGridField<f64>,
+    occupancy: &Occupancy,
+) -> Outcome {
     let field = field.cast::<f32>();
     let rays: Vec<Ray> = rays(RAYS, 2).iter().map(Ray::cast).collect();
     let mut renderer = FieldRenderer::on(arch, march());
+    renderer.keep_slopes(slopes);
     let (mut renders, mut ray_gradients) = (Vec::new(), Vec::new());
     renderer.render(&field, occupancy, &rays, &mut renders);
     let cotangents: Vec<_> = cotangents(RAYS, 7).iter().map(single).collect();
@@ -120,7 +130,10 @@ fn lanes_agree() {
         let (field, occupancy) = (field(settings, 4), Occupancy::new(coarse()));
         let expected = plain(&field, &occupancy);
         for arch in instruction_sets() {
-            assert_lanes(&format!("{name} {arch:?}"), &fast(arch, &field, &occupancy), &expected);
+            for slopes in [true, false] {
+                let name = format!("{name} {arch:?}, slopes {slopes}");
+                assert_lanes(&name, &fast_keeping(slopes, arch, &field, &occupancy), &expected);
+            }
         }
     }
 }
