@@ -3,7 +3,7 @@
 use super::{FieldRenderer, RayGradient, RayRender};
 use crate::hashgrid::{FieldGradient, HashGridField, Occupancy, Ray};
 use crate::{RadianceMap, Render, RenderCotangent, View};
-use i2slam_geometry::{Camera, Tangent, Vec3};
+use i2slam_geometry::{Camera, Real, Tangent, Vec3};
 
 /// Rays of a picture that are kept at once.
 const BATCH: usize = 4096;
@@ -19,29 +19,29 @@ pub struct HashGridRadiance {
 }
 
 /// Direction of the ray through a pixel's centre, 1 m along the optical axis, in the camera.
-fn direction_in_camera(camera: &Camera<f32>, column: usize, row: usize) -> Vec3<f32> {
+fn direction_in_camera<T: Real>(camera: &Camera<T>, column: usize, row: usize) -> Vec3<T> {
     let (u, v) = Camera::pixel_centre(column, row);
-    camera.unproject(u, v, 1.0)
+    camera.unproject(u, v, T::one())
 }
 
-impl Ray {
+impl<T: Real> Ray<T> {
     /// The ray through the centre of a pixel, sampled in the middle of its steps; its depth is
     /// that along the optical axis \[m\].
-    pub fn through_pixel(view: &View<f32>, column: usize, row: usize) -> Self {
+    pub fn through_pixel(view: &View<T>, column: usize, row: usize) -> Self {
         let direction = direction_in_camera(&view.camera, column, row);
         Self {
             origin: view.world_from_camera.translation,
             direction: view.world_from_camera.rotation.rotate(direction),
-            offset: 0.5,
+            offset: T::of(0.5),
         }
     }
 }
 
-impl RayGradient {
+impl<T: Real> RayGradient<T> {
     /// `∂L/∂ξ` for the pose `world_from_camera.retract(ξ)` of the ray of a pixel
     /// ([`Ray::through_pixel`]): with `d` the direction in the camera,
     /// `∂L/∂ρ = Rᵀ ∂L/∂origin` and `∂L/∂φ = d × Rᵀ ∂L/∂direction`.
-    pub fn to_pose(&self, view: &View<f32>, column: usize, row: usize) -> Tangent<f64> {
+    pub fn to_pose(&self, view: &View<T>, column: usize, row: usize) -> Tangent<f64> {
         let direction = direction_in_camera(&view.camera, column, row).cast::<f64>();
         let camera_from_world = view.world_from_camera.rotation.cast::<f64>().inverse();
         let turned = camera_from_world.rotate(self.direction.cast());

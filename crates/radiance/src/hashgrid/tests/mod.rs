@@ -3,6 +3,8 @@
 mod convergence;
 mod files;
 mod gradients;
+mod occupancy;
 mod parity;
 mod poison;
 mod scenes;
+mod views;
