@@ -3,7 +3,7 @@
 //! cells around its walls.
 //!
 //! Before that it prints the fastest time of each part of a training step, taken in turns within
-//! one run, with samples per second and the share of operations per second that the products of
+//! one run, with rays and samples per second, and the operations per second that the products of
 //! the networks alone amount to.
 //!
 //! `textbook_*` is the reference lane in `f32` on one thread for a sixteenth of the rays.
@@ -80,13 +80,15 @@ fn print_parts() {
     let (mut renderer, mut renders) = (FieldRenderer::new(march()), Vec::new());
     let (mut gradient, mut by_rays) = (FieldGradient::zeros(&field), Vec::new());
     let mut adam = FieldAdam::new();
-    let mut fastest = [f64::MAX; 5];
+    let textbook = textbook(&field, &occupancy, &rays, &cotangents);
+    let mut fastest = [f64::MAX; 6];
     for _ in 0..ROUNDS {
         let mut time = |part: usize, work: &mut dyn FnMut()| {
             let start = Instant::now();
             work();
             fastest[part] = fastest[part].min(start.elapsed().as_secs_f64() * 1e3);
         };
+        time(5, &mut || render_textbook(&field, &textbook, &mut gradient));
         renderer.keep_slopes(false);
         time(4, &mut || renderer.render(&field, &occupancy, &rays, &mut renders));
         renderer.keep_slopes(true);
@@ -108,17 +110,48 @@ fn print_parts() {
         "backward, field and rays",
         "Adam",
         "forward, without slopes",
+        "textbook forward and backward of a sixteenth",
     ];
     for (name, time) in names.iter().zip(fastest) {
-        println!("{name}: {time:.1} ms, {:.2} million samples/s", samples as f64 / time / 1e3);
+        println!("{name}: {time:.1} ms");
     }
-    let operations = 2.0 * (samples * products(field.settings())) as f64 * 4.0;
-    let both = fastest[0] + fastest[2];
+    // Of the networks: once forward; again in each way back, then the products with the
+    // derivatives, of which those by the weights only for the field.
+    let once = 2.0 * (samples * products(field.settings())) as f64;
+    let (rays_alone, both) = (fastest[1], fastest[0] + fastest[2]);
     println!(
-        "forward and backward: {both:.1} ms, {:.0} rays/s, {:.1} Gflop/s in the networks",
+        "backward, rays alone: {:.1} Gflop/s in the networks\n\
+         forward and backward: {both:.1} ms, {:.0} rays/s, {:.2} million samples/s, {:.1} Gflop/s in the networks",
+        2.0 * once / rays_alone / 1e6,
         RAYS as f64 / both * 1e3,
-        operations / both / 1e6
+        samples as f64 / both / 1e3,
+        4.0 * once / both / 1e6
     );
+    println!("textbook, one thread: {:.1} times as long", 16.0 * fastest[5] / both);
+}
+
+/// A ray, the derivative by what it shows, and its samples.
+type Part = (Ray, RayRender, Vec<Sample>);
+
+/// A sixteenth of the rays.
+fn textbook(
+    field: &HashGridField,
+    occupancy: &Occupancy,
+    rays: &[Ray],
+    cotangents: &[RayRender],
+) -> Vec<Part> {
+    let parts = rays.iter().zip(cotangents).step_by(16);
+    let part = |(ray, cotangent): (&Ray, &RayRender)| {
+        (*ray, *cotangent, occupancy.samples(field, &march(), ray))
+    };
+    parts.map(part).collect()
+}
+
+fn render_textbook(field: &HashGridField, parts: &[Part], gradient: &mut FieldGradient) {
+    for (ray, cotangent, samples) in parts {
+        black_box(reference::render(field, ray, samples));
+        black_box(reference::pull_back(field, ray, samples, cotangent, Some(gradient)));
+    }
 }
 
 #[divan::bench(sample_count = 20, sample_size = 1)]
@@ -160,17 +193,6 @@ fn backward_field_and_rays(bencher: Bencher<'_, '_>) {
 fn textbook_forward_and_backward_of_a_sixteenth(bencher: Bencher<'_, '_>) {
     let ((field, occupancy), rays, cotangents) = (scene(), rays(), cotangents());
     let mut gradient = FieldGradient::zeros(&field);
-    let parts: Vec<_> = rays
-        .iter()
-        .zip(&cotangents)
-        .step_by(16)
-        .map(|(ray, cotangent)| (ray, cotangent, occupancy.samples(&field, &march(), ray)))
-        .collect();
-    bencher.bench_local(|| {
-        for (ray, cotangent, samples) in &parts {
-            black_box(reference::render(&field, ray, samples));
-            let gradient = Some(&mut gradient);
-            black_box(reference::pull_back(&field, ray, samples, cotangent, gradient));
-        }
-    });
+    let parts = textbook(&field, &occupancy, &rays, &cotangents);
+    bencher.bench_local(|| render_textbook(&field, &parts, &mut gradient));
 }
