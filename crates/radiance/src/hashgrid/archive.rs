@@ -136,19 +136,22 @@ impl HashGridRadiance {
             *value = f64::from_le_bytes(reader.take()?);
         }
         let (field, march, looks) = settings(&n);
-        let mut field = HashGridField::zeros(field).map_err(FieldFileError::Settings)?;
+        let count = HashGridField::<f32>::parameter_count(field);
+        let count = count.map_err(FieldFileError::Settings)?;
         if !(1..=512).contains(&looks.resolution) {
             let error = SettingsError { name: "occupancy resolution" };
             return Err(FieldFileError::Settings(error));
         }
         let looked = f64::from_le_bytes(reader.take()?) as u32;
-        let mut densities = vec![0.0; (looks.resolution as usize).pow(3)];
+        let cells = (looks.resolution as usize).pow(3);
+        if reader.rest.len() != 4 * (cells + count) {
+            return Err(FieldFileError::Length);
+        }
+        let mut field = HashGridField::zeros(field).map_err(FieldFileError::Settings)?;
+        let mut densities = vec![0.0; cells];
         reader.fill(&mut densities)?;
         for values in field.parameters_mut() {
             reader.fill(values)?;
-        }
-        if !reader.rest.is_empty() {
-            return Err(FieldFileError::Length);
         }
         let occupancy = Occupancy::restored(looks, densities, looked);
         Ok(Self { field, occupancy, renderer: FieldRenderer::new(march) })

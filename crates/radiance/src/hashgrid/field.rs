@@ -75,7 +75,7 @@ impl<T: Real> FieldParameters<T> {
 }
 
 impl<T: Real> HashGridField<T> {
-    /// A field before training, of density and radiance 1 up to `1e-3` or so: entries uniform in
+    /// A field before training, of density and radiance near 1: entries uniform in
     /// ±1e-4, weights uniform in ±1/√inputs.
     pub fn new(settings: FieldSettings, seed: u64) -> Result<Self, SettingsError> {
         let mut field = Self::zeros(settings)?;
@@ -98,19 +98,36 @@ impl<T: Real> HashGridField<T> {
 
     /// A field whose parameters are zero.
     pub(crate) fn zeros(settings: FieldSettings) -> Result<Self, SettingsError> {
+        let mut field = Self::without_parameters(settings)?;
+        let [table, density, colour] = field.lengths().map(|length| vec![T::zero(); length]);
+        field.parameters = FieldParameters { table, density, colour };
+        Ok(field)
+    }
+
+    /// Shapes alone.
+    fn without_parameters(settings: FieldSettings) -> Result<Self, SettingsError> {
         settings.check()?;
-        let levels = encoding::levels(&settings);
         let (width, geometry) = (settings.hidden_width, settings.geometry_features);
         let inputs = settings.levels * settings.features;
-        let density_shape = Shape::new(inputs, width, settings.density_layers, 1 + geometry);
-        let colour_shape = Shape::new(HARMONICS + geometry, width, settings.colour_layers, 3);
-        let entries: usize = levels.iter().map(|level| level.entries).sum();
-        let parameters = FieldParameters {
-            table: vec![T::zero(); entries * settings.features],
-            density: vec![T::zero(); density_shape.weights()],
-            colour: vec![T::zero(); colour_shape.weights()],
-        };
-        Ok(Self { settings, levels, density_shape, colour_shape, parameters })
+        Ok(Self {
+            settings,
+            levels: encoding::levels(&settings),
+            density_shape: Shape::new(inputs, width, settings.density_layers, 1 + geometry),
+            colour_shape: Shape::new(HARMONICS + geometry, width, settings.colour_layers, 3),
+            parameters: FieldParameters::default(),
+        })
+    }
+
+    /// Numbers of the table, the density network and the colour network.
+    fn lengths(&self) -> [usize; 3] {
+        let entries: usize = self.levels.iter().map(|level| level.entries).sum();
+        let weights = [self.density_shape.weights(), self.colour_shape.weights()];
+        [entries * self.settings.features, weights[0], weights[1]]
+    }
+
+    /// Number of parameters of a field of these settings, without making it.
+    pub fn parameter_count(settings: FieldSettings) -> Result<usize, SettingsError> {
+        Ok(Self::without_parameters(settings)?.lengths().iter().sum())
     }
 
     /// The settings.

@@ -63,8 +63,8 @@ impl Walk {
                 end = f32::MIN;
             }
         }
-        let finite = ray.origin.is_finite() && ray.direction.is_finite() && length > 0.0;
-        if !finite || !ray.offset.is_finite() {
+        let finite = ray.origin.is_finite() && length.is_finite() && ray.offset.is_finite();
+        if !finite || length == 0.0 {
             end = f32::MIN;
         }
         let mut walk = Self { origin, direction, length, depth, end, steps: settings.steps_max };

@@ -43,10 +43,10 @@ impl FieldRenderer {
 
     /// Whether the next renders keep what derivatives by rays need, so that
     /// [`pull_back`](Self::pull_back) has not to look at the table again: faster where those are
-    /// wanted, for three times the memory. Off at the start; gradients are the same up to
-    /// rounding.
-    pub fn keep_slopes(&mut self, keep: bool) {
-        self.keep_slopes = keep;
+    /// wanted, for about twice the memory. Off at the start; gradients are the same up to
+    /// rounding. Returns what held before.
+    pub fn keep_slopes(&mut self, keep: bool) -> bool {
+        std::mem::replace(&mut self.keep_slopes, keep)
     }
 
     /// Samples of the last render that took part: the measure of work.

@@ -99,7 +99,7 @@ impl RadianceMap for HashGridRadiance {
         cotangent.planes(view.camera.width, view.camera.height);
         let (mut batch, mut ray_gradients) = (Vec::new(), Vec::new());
         let mut pose = Tangent::zero();
-        self.renderer.keep_slopes(true);
+        let kept = self.renderer.keep_slopes(true);
         for first in (0..view.camera.pixels()).step_by(BATCH) {
             let rays = self.render_batch(view, first, &mut batch);
             let cotangents: Vec<_> = pixels(view, first)
@@ -115,7 +115,7 @@ impl RadianceMap for HashGridRadiance {
                 pose = pose.plus(ray.to_pose(view, column, row));
             }
         }
-        self.renderer.keep_slopes(false);
+        self.renderer.keep_slopes(kept);
         pose
     }
 }

@@ -29,6 +29,7 @@ fn poisoned_rays_show_nothing() {
         Ray { origin: Vec3::new(f32::NAN, 0.0, 0.0), ..ray() },
         Ray { direction: Vec3::new(0.0, f32::INFINITY, 1.0), ..ray() },
         Ray { direction: Vec3::zero(), ..ray() },
+        Ray { direction: Vec3::new(3e38, 3e38, 0.0), ..ray() },
         Ray { offset: f32::NAN, ..ray() },
         Ray { origin: Vec3::new(9.0, 0.0, 0.0), direction: Vec3::new(0.0, 0.0, 1.0), offset: 0.0 },
         Ray { origin: Vec3::new(0.0, 0.0, 9.0), ..ray() },
