@@ -26,7 +26,7 @@ mod motion;
 mod project;
 mod rasterize;
 mod settings;
-mod simd;
+pub(crate) mod simd;
 mod sort;
 
 #[cfg(test)]

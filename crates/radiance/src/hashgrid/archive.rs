@@ -1,0 +1,197 @@
+//! A field with its occupancy as bytes, lossless.
+//!
+//! Layout, little endian: the 8 bytes `I2FIELD\n`, format version (`u32`), the settings of the
+//! field, of the march and of the occupancy (13 + 6 + 4 numbers, `f64`) and the number of looks so far (`f64`), the remembered densities
+//! of the occupancy's cells, the table, the weights of the density network and of the colour
+//! network (`f32`), and the CRC-32 (ISO-HDLC) of everything before.
+
+use super::{
+    FieldRenderer, FieldSettings, HashGridField, HashGridRadiance, MarchSettings, Occupancy,
+    OccupancySettings, SettingsError,
+};
+use std::fmt;
+
+const MAGIC: &[u8; 8] = b"I2FIELD\n";
+const VERSION: u32 = 1;
+const PREAMBLE: usize = MAGIC.len() + 4;
+
+/// What is wrong with the bytes of a field.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FieldFileError {
+    /// They do not begin like a field.
+    NotAField,
+    /// They are of another format version.
+    Version(u32),
+    /// They end too early, or go on after the end.
+    Length,
+    /// Their checksum does not match.
+    Damaged,
+    /// Their settings are out of range.
+    Settings(SettingsError),
+}
+
+impl fmt::Display for FieldFileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotAField => write!(f, "is not a hash grid of i2slam"),
+            Self::Version(version) => {
+                write!(f, "has format version {version}; this program reads version {VERSION}")
+            }
+            Self::Length => write!(f, "is truncated or too long"),
+            Self::Damaged => write!(f, "is damaged (its checksum does not match)"),
+            Self::Settings(error) => write!(f, "has settings that cannot be ({error})"),
+        }
+    }
+}
+
+impl std::error::Error for FieldFileError {}
+
+/// The settings as numbers, in order of the file.
+fn numbers(field: &FieldSettings, march: &MarchSettings, looks: &OccupancySettings) -> Vec<f64> {
+    let [x, y, z] = field.centre;
+    let counts = [
+        field.levels,
+        field.features,
+        field.log2_table as usize,
+        field.base_resolution as usize,
+        field.finest_resolution as usize,
+        field.hidden_width,
+        field.density_layers,
+        field.colour_layers,
+        field.geometry_features,
+    ];
+    let mut all = vec![x, y, z, field.bound];
+    all.extend(counts.map(|count| count as f64));
+    let MarchSettings { near, step_min, step_max, cone, steps_max, transmittance_min } = *march;
+    all.extend([near, step_min, step_max, cone].map(f64::from));
+    all.extend([f64::from(steps_max), f64::from(transmittance_min)]);
+    let OccupancySettings { resolution, decay, density, full_looks } = *looks;
+    all.extend([resolution.into(), decay.into(), density.into(), f64::from(full_looks)]);
+    all
+}
+
+/// Numbers of the file before the occupancy's looks so far.
+const NUMBERS: usize = 13 + 6 + 4;
+
+/// The settings back from [`numbers`]. Counts that are none become 0, which no check lets pass.
+fn settings(n: &[f64; NUMBERS]) -> (FieldSettings, MarchSettings, OccupancySettings) {
+    let count = |i: usize| n[i] as usize;
+    let field = FieldSettings {
+        centre: [n[0], n[1], n[2]],
+        bound: n[3],
+        levels: count(4),
+        features: count(5),
+        log2_table: count(6) as u32,
+        base_resolution: count(7) as u32,
+        finest_resolution: count(8) as u32,
+        hidden_width: count(9),
+        density_layers: count(10),
+        colour_layers: count(11),
+        geometry_features: count(12),
+    };
+    let march = MarchSettings {
+        near: n[13] as f32,
+        step_min: n[14] as f32,
+        step_max: n[15] as f32,
+        cone: n[16] as f32,
+        steps_max: n[17] as u32,
+        transmittance_min: n[18] as f32,
+    };
+    let occupancy = OccupancySettings {
+        resolution: n[19] as u32,
+        decay: n[20] as f32,
+        density: n[21] as f32,
+        full_looks: n[22] as u32,
+    };
+    (field, march, occupancy)
+}
+
+impl HashGridRadiance {
+    /// Every number of the field and of its occupancy, bit for bit.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let (field, occupancy) = (&self.field, &self.occupancy);
+        let p = field.parameters();
+        let arrays = [occupancy.densities(), &p.table, &p.density, &p.colour];
+        let values: usize = arrays.iter().map(|a| a.len()).sum();
+        let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + 4 * values + 4);
+        bytes.extend_from_slice(MAGIC);
+        bytes.extend_from_slice(&VERSION.to_le_bytes());
+        let mut all = numbers(field.settings(), self.renderer.settings(), occupancy.settings());
+        all.push(f64::from(occupancy.looks()));
+        all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        for array in arrays {
+            array.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        }
+        let sum = crc32fast::hash(&bytes);
+        bytes.extend_from_slice(&sum.to_le_bytes());
+        bytes
+    }
+
+    /// Back from [`to_bytes`](Self::to_bytes).
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, FieldFileError> {
+        let mut reader = Reader { rest: check_frame(bytes)? };
+        let mut n = [0.0; NUMBERS];
+        for value in &mut n {
+            *value = f64::from_le_bytes(reader.take()?);
+        }
+        let (field, march, looks) = settings(&n);
+        let count = HashGridField::<f32>::parameter_count(field);
+        let count = count.map_err(FieldFileError::Settings)?;
+        if !(1..=512).contains(&looks.resolution) {
+            let error = SettingsError { name: "occupancy resolution" };
+            return Err(FieldFileError::Settings(error));
+        }
+        let looked = f64::from_le_bytes(reader.take()?) as u32;
+        let cells = (looks.resolution as usize).pow(3);
+        if reader.rest.len() != 4 * (cells + count) {
+            return Err(FieldFileError::Length);
+        }
+        let mut field = HashGridField::zeros(field).map_err(FieldFileError::Settings)?;
+        let mut densities = vec![0.0; cells];
+        reader.fill(&mut densities)?;
+        for values in field.parameters_mut() {
+            reader.fill(values)?;
+        }
+        let occupancy = Occupancy::restored(looks, densities, looked);
+        Ok(Self { field, occupancy, renderer: FieldRenderer::new(march) })
+    }
+}
+
+/// Checks beginning, version and checksum; what lies between them.
+fn check_frame(bytes: &[u8]) -> Result<&[u8], FieldFileError> {
+    let begun = &MAGIC[..bytes.len().min(MAGIC.len())];
+    if !bytes.starts_with(begun) {
+        return Err(FieldFileError::NotAField);
+    }
+    let (head, rest) = bytes.split_first_chunk::<PREAMBLE>().ok_or(FieldFileError::Length)?;
+    let version = u32::from_le_bytes([head[8], head[9], head[10], head[11]]);
+    if version != VERSION {
+        return Err(FieldFileError::Version(version));
+    }
+    let (inner, sum) = rest.split_last_chunk::<4>().ok_or(FieldFileError::Length)?;
+    let checked = &bytes[..PREAMBLE + inner.len()];
+    if crc32fast::hash(checked).to_le_bytes() != *sum {
+        return Err(FieldFileError::Damaged);
+    }
+    Ok(inner)
+}
+
+struct Reader<'a> {
+    rest: &'a [u8],
+}
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], FieldFileError> {
+        let (taken, rest) = self.rest.split_first_chunk::<N>().ok_or(FieldFileError::Length)?;
+        self.rest = rest;
+        Ok(*taken)
+    }
+
+    fn fill(&mut self, values: &mut [f32]) -> Result<(), FieldFileError> {
+        values.iter_mut().try_for_each(|v| {
+            *v = f32::from_le_bytes(self.take()?);
+            Ok(())
+        })
+    }
+}

@@ -1,0 +1,188 @@
+//! Which cells of the cube may hold something.
+
+use super::{Ray, Sample, Walk};
+use crate::hashgrid::{FieldRenderer, HashGridField, MarchSettings, OccupancySettings};
+use i2slam_compute::Random;
+use i2slam_geometry::Vec3;
+
+/// A grid over the cube of a field that remembers how dense each cell was, so that empty space
+/// is marched over. One grid for the whole cube, no cascades.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Occupancy {
+    settings: OccupancySettings,
+    /// Remembered density \[1/m\] of each cell, x fastest.
+    densities: Vec<f32>,
+    /// One bit per cell.
+    occupied: Vec<u64>,
+    looks: u32,
+}
+
+/// Cells that are looked at in one go.
+const CELLS: usize = 1 << 16;
+
+impl Occupancy {
+    /// A grid whose cells all count as occupied until the first look. The resolution is taken
+    /// within its range.
+    pub fn new(settings: OccupancySettings) -> Self {
+        let resolution = settings.resolution.clamp(1, 512);
+        let cells = (resolution as usize).pow(3);
+        Self {
+            settings: OccupancySettings { resolution, ..settings },
+            densities: vec![0.0; cells],
+            occupied: vec![u64::MAX; cells.div_ceil(64)],
+            looks: 0,
+        }
+    }
+
+    /// A grid over the cube of half edge `bound` \[m\] around `centre` in which exactly the cells
+    /// whose middle `holds` accepts are occupied until the first look, as known from depth
+    /// pictures or a previous map.
+    pub fn of_cells(
+        centre: [f64; 3],
+        bound: f64,
+        settings: OccupancySettings,
+        holds: impl Fn(Vec3<f32>) -> bool,
+    ) -> Self {
+        let mut occupancy = Self::new(settings);
+        let resolution = occupancy.settings.resolution as usize;
+        let middle = |k: usize, i: usize| {
+            centre[k] + bound * (2.0 * (i as f64 + 0.5) / resolution as f64 - 1.0)
+        };
+        occupancy.occupied.fill(0);
+        for cell in 0..occupancy.densities.len() {
+            let index = [cell % resolution, cell / resolution % resolution];
+            let [x, y] = [middle(0, index[0]), middle(1, index[1])];
+            let z = middle(2, cell / (resolution * resolution));
+            let held = holds(Vec3::new(x, y, z).cast());
+            occupancy.occupied[cell / 64] |= u64::from(held) << (cell % 64);
+        }
+        occupancy
+    }
+
+    /// All samples of a ray in occupied cells, also those behind where it would end.
+    pub fn samples(
+        &self,
+        field: &HashGridField,
+        settings: &MarchSettings,
+        ray: &Ray,
+    ) -> Vec<Sample> {
+        let mut walk = Walk::new(field, settings, ray);
+        std::iter::from_fn(|| walk.next(settings, self).map(|(sample, _)| sample)).collect()
+    }
+
+    /// A grid with densities that it remembered after `looks` looks.
+    pub(crate) fn restored(settings: OccupancySettings, densities: Vec<f32>, looks: u32) -> Self {
+        let mut occupancy = Self { densities, looks, ..Self::new(settings) };
+        if looks > 0 {
+            occupancy.mark();
+        }
+        occupancy
+    }
+
+    /// Number of looks so far.
+    pub fn looks(&self) -> u32 {
+        self.looks
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &OccupancySettings {
+        &self.settings
+    }
+
+    /// The remembered densities \[1/m\] of all cells, x fastest.
+    pub fn densities(&self) -> &[f32] {
+        &self.densities
+    }
+
+    /// Share of the cells that are occupied, in `[0, 1]`.
+    pub fn share(&self) -> f64 {
+        let cells = 0..self.densities.len();
+        cells.clone().filter(|&cell| self.bit(cell)).count() as f64 / cells.len() as f64
+    }
+
+    fn bit(&self, cell: usize) -> bool {
+        self.occupied[cell / 64] >> (cell % 64) & 1 == 1
+    }
+
+    /// Whether the cell of a position in the unit cube is occupied; outside, the nearest cell.
+    pub(crate) fn is_occupied(&self, position: [f32; 3]) -> bool {
+        let resolution = self.settings.resolution;
+        let [x, y, z] = position.map(|x| self.coordinate(x) as usize);
+        self.bit((z * resolution as usize + y) * resolution as usize + x)
+    }
+
+    /// Index along an axis.
+    fn coordinate(&self, x: f32) -> u32 {
+        ((x * self.settings.resolution as f32) as u32).min(self.settings.resolution - 1)
+    }
+
+    /// Depth from a position in the unit cube to where its cell ends along `direction`.
+    pub(crate) fn exit(&self, position: [f32; 3], direction: [f32; 3]) -> f32 {
+        let size = 1.0 / self.settings.resolution as f32;
+        (0..3).fold(f32::MAX, |exit, k| {
+            let cell = self.coordinate(position[k]) as f32;
+            let side = if direction[k] > 0.0 { cell + 1.0 } else { cell };
+            let depth = (side * size - position[k]) / direction[k];
+            if direction[k] == 0.0 || depth.is_nan() { exit } else { exit.min(depth.max(0.0)) }
+        })
+    }
+
+    /// Look at the field again, at one random place in each of some cells: all of them the first
+    /// [`full_looks`](OccupancySettings::full_looks) times, later a quarter of all and a quarter
+    /// as many of the occupied ones, both drawn at random. Of a cell that is looked at the larger
+    /// of the decayed old and the new density is kept. torch-ngp looks every 16 training steps.
+    pub fn refresh(&mut self, field: &HashGridField, renderer: &mut FieldRenderer, seed: u64) {
+        let mut random = Random::new(seed ^ (u64::from(self.looks) << 32));
+        let cells = self.densities.len();
+        if self.looks < self.settings.full_looks {
+            for first in (0..cells).step_by(CELLS) {
+                let part: Vec<usize> = (first..(first + CELLS).min(cells)).collect();
+                self.look(field, renderer, &mut random, &part);
+            }
+        } else {
+            let quarter = cells / 4;
+            let occupied: Vec<usize> = (0..cells).filter(|&cell| self.bit(cell)).collect();
+            let mut chosen: Vec<usize> = (0..quarter).map(|_| random.below(cells)).collect();
+            if !occupied.is_empty() {
+                chosen.extend((0..quarter).map(|_| occupied[random.below(occupied.len())]));
+            }
+            chosen.sort_unstable();
+            chosen.dedup();
+            chosen.chunks(CELLS).for_each(|part| self.look(field, renderer, &mut random, part));
+        }
+        self.looks = self.looks.saturating_add(1);
+        self.mark();
+    }
+
+    fn look(
+        &mut self,
+        field: &HashGridField,
+        renderer: &mut FieldRenderer,
+        random: &mut Random,
+        cells: &[usize],
+    ) {
+        let resolution = self.settings.resolution as usize;
+        let size = 1.0 / resolution as f32;
+        let mut place = |cell: usize| {
+            let index = [cell % resolution, cell / resolution % resolution, cell];
+            let index = [index[0], index[1], index[2] / (resolution * resolution)];
+            index.map(|i| (i as f32 + random.uniform() as f32) * size)
+        };
+        let positions: Vec<[f32; 3]> = cells.iter().map(|&cell| place(cell)).collect();
+        for (&cell, density) in cells.iter().zip(renderer.unit_densities(field, &positions)) {
+            let kept = self.densities[cell] * self.settings.decay;
+            self.densities[cell] = if density.is_finite() { kept.max(density) } else { kept };
+        }
+    }
+
+    /// Renew the bits.
+    fn mark(&mut self) {
+        let sum: f64 = self.densities.iter().map(|d| f64::from(*d)).sum();
+        let mean = (sum / self.densities.len() as f64) as f32;
+        let threshold = (0.5 * mean).min(self.settings.density);
+        for (word, densities) in self.occupied.iter_mut().zip(self.densities.chunks(64)) {
+            let bits = densities.iter().enumerate();
+            *word = bits.fold(0, |word, (i, d)| word | u64::from(*d >= threshold) << i);
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! A field learns a room from a few small pictures, and shows it from elsewhere.
+
+use crate::hashgrid::*;
+use crate::{RadianceMap, Render, RenderCotangent, View};
+use i2slam_compute::{Adam, AdamSettings, Random};
+use i2slam_geometry::{Camera, Pose, Rotation, Tangent, Vec3};
+
+const SIZE: usize = 32;
+
+/// Half of the room's edge \[m\].
+const WALL: f32 = 1.0;
+
+/// Colour and depth along a ray from within the room: smooth colours, another on every wall.
+fn room(ray: &Ray) -> ([f32; 3], f32) {
+    let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
+    let to_wall = |k: usize| (WALL * d[k].signum() - o[k]) / d[k];
+    let (mut depth, mut axis) = (f32::MAX, 0);
+    for k in 0..3 {
+        if d[k] != 0.0 && to_wall(k) < depth {
+            (depth, axis) = (to_wall(k), k);
+        }
+    }
+    let p: [f32; 3] = std::array::from_fn(|k| o[k] + depth * d[k]);
+    let side = if d[axis] > 0.0 { 0.25 } else { -0.25 };
+    let (u, v) = (p[(axis + 1) % 3], p[(axis + 2) % 3]);
+    let colour = [0, 1, 2].map(|c| {
+        let base = if c == axis { 0.6 + side } else { 0.4 };
+        base + 0.12 * (4.0 * u + c as f32).sin() * (3.0 * v).cos()
+    });
+    (colour, depth)
+}
+
+/// A camera near the middle of the room that looks somewhere.
+fn view(seed: u64) -> View<f32> {
+    let mut random = Random::new(seed);
+    let mut any = |size: f64| (random.uniform() * 2.0 - 1.0) * size;
+    let position = Vec3::new(any(0.4), any(0.4), any(0.4)).cast();
+    let turn = Vec3::new(any(0.4), any(3.1), any(0.4)).cast();
+    let (f, c) = (SIZE as f32 * 0.5, SIZE as f32 * 0.5);
+    let camera = Camera { width: SIZE, height: SIZE, fx: f, fy: f, cx: c, cy: c };
+    View { camera, world_from_camera: Pose::new(Rotation::exp(turn), position) }
+}
+
+fn radiance() -> HashGridRadiance {
+    let settings = FieldSettings {
+        levels: 6,
+        log2_table: 14,
+        base_resolution: 8,
+        finest_resolution: 64,
+        hidden_width: 32,
+        ..FieldSettings::cube([0.0; 3], 1.1)
+    };
+    let march = MarchSettings { step_min: 0.02, step_max: 0.04, ..MarchSettings::cube(1.1) };
+    let occupancy = OccupancySettings { resolution: 24, ..OccupancySettings::default() };
+    HashGridRadiance {
+        field: HashGridField::new(settings, 1).expect("settings in range"),
+        occupancy: Occupancy::new(occupancy),
+        renderer: FieldRenderer::new(march),
+    }
+}
+
+/// Derivatives of the mean squared errors of radiance and depth.
+fn cotangents(rays: &[Ray], renders: &[RayRender]) -> Vec<RayRender> {
+    let scale = 2.0 / rays.len() as f32;
+    let of = |(ray, render): (&Ray, &RayRender)| {
+        let (colour, depth) = room(ray);
+        let radiance = std::array::from_fn(|c| scale * (render.radiance[c] - colour[c]));
+        RayRender { radiance, depth: scale * (render.depth - depth), opacity: 0.0 }
+    };
+    rays.iter().zip(renders).map(of).collect()
+}
+
+fn train(radiance: &mut HashGridRadiance, steps: i32) {
+    let views: Vec<_> = (0..24).map(|i| view(100 + i)).collect();
+    let HashGridRadiance { field, occupancy, renderer } = radiance;
+    let (mut adam, mut random) = (FieldAdam::new(), Random::new(7));
+    let (mut gradient, mut renders) = (FieldGradient::zeros(field), Vec::new());
+    for step in 0..steps {
+        if step % 16 == 0 {
+            occupancy.refresh(field, renderer, 3);
+        }
+        let ray = |random: &mut Random| {
+            let view = &views[random.below(views.len())];
+            let ray = Ray::through_pixel(view, random.below(SIZE), random.below(SIZE));
+            Ray { offset: random.uniform() as f32, ..ray }
+        };
+        let rays: Vec<Ray> = (0..512).map(|_| ray(&mut random)).collect();
+        renderer.render(field, occupancy, &rays, &mut renders);
+        let cotangents = cotangents(&rays, &renders);
+        renderer.pull_back(field, &rays, &cotangents, Some(&mut gradient), None);
+        adam.step(field, &mut gradient, decayed_rate(1e-2, step, steps));
+    }
+}
+
+/// Pixels of a view and what they should show.
+fn truth(view: &View<f32>) -> Vec<([f32; 3], f32)> {
+    let pixels = (0..SIZE * SIZE).map(|i| Ray::through_pixel(view, i % SIZE, i / SIZE));
+    pixels.map(|ray| room(&ray)).collect()
+}
+
+/// PSNR of radiance \[dB\] and mean error of depth \[m\] in a view.
+fn quality(radiance: &mut HashGridRadiance, view: &View<f32>) -> (f64, f64) {
+    let mut render = Render::default();
+    radiance.render(view, &mut render);
+    let (mut squared, mut depth_error) = (0.0, 0.0);
+    let pixels = SIZE * SIZE;
+    for (i, (colour, depth)) in truth(view).into_iter().enumerate() {
+        for c in 0..3 {
+            squared += f64::from(render.radiance.data[c * pixels + i] - colour[c]).powi(2);
+        }
+        depth_error += f64::from((render.depth.data[i] - depth).abs());
+    }
+    let mean = squared / (3 * pixels) as f64;
+    (-10.0 * mean.log10(), depth_error / pixels as f64)
+}
+
+#[test]
+fn a_room_is_learnt_from_a_few_pictures() {
+    let mut radiance = radiance();
+    let held_out = view(7);
+    let (before, _) = quality(&mut radiance, &held_out);
+    train(&mut radiance, 350);
+    let (after, depth) = quality(&mut radiance, &held_out);
+    let share = radiance.occupancy.share();
+    eprintln!("{before:.1} -> {after:.1} dB, depth {depth:.3} m, occupied {share:.2}");
+    assert!(before < 20.0 && after > 25.0, "{before:.1} dB before, {after:.1} dB after");
+    assert!(depth < 0.05, "depth error {depth:.3} m");
+    assert!(share < 0.6, "{share:.2} of the cells are occupied");
+    pose_is_found(&mut radiance, &held_out);
+}
+
+/// Descent on the pose alone, through the trait, brings a moved camera back.
+fn pose_is_found(radiance: &mut HashGridRadiance, view: &View<f32>) {
+    let moved = Tangent::from_array([0.03, -0.02, 0.02, 0.01, 0.02, -0.015]);
+    let mut guess = View { world_from_camera: view.world_from_camera.retract(moved), ..*view };
+    let away = |guess: &View<f32>| {
+        let local = view.world_from_camera.local(guess.world_from_camera);
+        local.to_array().iter().map(|v| v * v).sum::<f32>().sqrt()
+    };
+    let (start, truth) = (away(&guess), truth(view));
+    let (mut adam, mut render) = (Adam::new(AdamSettings::default()), Render::default());
+    for step in 0..60 {
+        radiance.render(&guess, &mut render);
+        let cotangent = against(&render, &truth);
+        let tangent = radiance.pull_back(&guess, &cotangent, None);
+        let mut x = [0.0; 6];
+        let gradient = tangent.to_array().map(|g| g as f32);
+        adam.step(&mut x, &gradient, decayed_rate(3e-3, step, 60));
+        let pose = guess.world_from_camera.retract(Tangent::from_array(x));
+        guess.world_from_camera = pose;
+    }
+    let end = away(&guess);
+    eprintln!("pose {start:.4} -> {end:.4}");
+    assert!(end < 0.5 * start, "pose error {start:.4} -> {end:.4}");
+}
+
+/// Derivatives of squared errors of radiance and depth.
+fn against(render: &Render, truth: &[([f32; 3], f32)]) -> RenderCotangent {
+    let mut cotangent = RenderCotangent {
+        radiance: render.radiance.clone(),
+        depth: render.depth.clone(),
+        ..RenderCotangent::default()
+    };
+    for (i, (colour, depth)) in truth.iter().enumerate() {
+        (0..3).for_each(|c| cotangent.radiance.data[c * truth.len() + i] -= colour[c]);
+        cotangent.depth.data[i] -= depth;
+    }
+    cotangent
+}

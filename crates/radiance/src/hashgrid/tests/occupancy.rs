@@ -1,0 +1,70 @@
+//! What the occupancy remembers.
+
+use super::scenes::*;
+use crate::hashgrid::*;
+use i2slam_geometry::Vec3;
+
+fn renderer() -> FieldRenderer {
+    FieldRenderer::new(MarchSettings::cube(1.5))
+}
+
+#[test]
+fn all_cells_are_occupied_before_the_first_look() {
+    let settings = OccupancySettings { resolution: 5, ..Default::default() };
+    assert_eq!(Occupancy::new(settings).share(), 1.0);
+}
+
+/// A field of density 1 everywhere is not emptied although it is below the threshold.
+#[test]
+fn an_untrained_field_stays_occupied() {
+    let field = HashGridField::<f32>::new(settings(), 1).expect("settings in range");
+    let mut occupancy = Occupancy::new(OccupancySettings { resolution: 8, ..Default::default() });
+    (0..3).for_each(|_| occupancy.refresh(&field, &mut renderer(), 1));
+    assert_eq!((occupancy.share(), occupancy.looks()), (1.0, 3));
+}
+
+#[test]
+fn densities_are_those_of_places_in_the_cells() {
+    let field = HashGridField::<f32>::zeros(settings()).expect("settings in range");
+    let mut occupancy = Occupancy::new(OccupancySettings { resolution: 6, ..Default::default() });
+    occupancy.refresh(&field, &mut renderer(), 1);
+    assert!(occupancy.densities().iter().all(|d| *d == 1.0));
+}
+
+/// After the full looks only a part of the cells is looked at; the others keep what they had.
+#[test]
+fn later_looks_are_partial_and_forget_slowly() {
+    let dense = field(settings(), 4).cast::<f32>();
+    let looks = OccupancySettings { resolution: 8, full_looks: 1, ..Default::default() };
+    let mut occupancy = Occupancy::new(looks);
+    occupancy.refresh(&dense, &mut renderer(), 1);
+    let before = occupancy.densities().to_vec();
+    // Hidden units that are all silent: density 1 everywhere.
+    let mut empty = dense.clone();
+    empty.parameters_mut()[1].fill(-1.0);
+    empty.parameters_mut()[0].fill(10.0);
+    occupancy.refresh(&empty, &mut renderer(), 1);
+    let kept = occupancy.densities().iter().zip(&before).filter(|(a, b)| a == b).count();
+    assert!(kept > before.len() / 4 && kept < before.len(), "{kept} of {}", before.len());
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits() {
+    let field = field(settings(), 4).cast::<f32>();
+    let look = |seed: u64| {
+        let settings = OccupancySettings { resolution: 8, full_looks: 1, ..Default::default() };
+        let mut occupancy = Occupancy::new(settings);
+        (0..4).for_each(|_| occupancy.refresh(&field, &mut renderer(), seed));
+        occupancy
+    };
+    assert!(look(1) == look(1) && look(1) != look(2));
+}
+
+#[test]
+fn cells_are_taken_as_given() {
+    let settings = OccupancySettings { resolution: 4, ..Default::default() };
+    let there = |p: Vec3<f32>| p.x > 1.0;
+    let occupancy = Occupancy::of_cells([1.0, 0.0, 0.0], 2.0, settings, there);
+    assert_eq!(occupancy.share(), 0.5);
+    assert!(occupancy.is_occupied([0.9, 0.1, 0.1]) && !occupancy.is_occupied([0.4, 0.1, 0.1]));
+}

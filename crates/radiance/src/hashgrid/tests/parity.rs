@@ -1,0 +1,189 @@
+//! The fast lane against the reference in `f64`, on every instruction set of the machine.
+
+use super::scenes::*;
+use crate::hashgrid::march::Walk;
+use crate::hashgrid::*;
+use i2slam_check::assert_close;
+use pulp::Arch;
+
+const RAYS: usize = 150;
+
+/// Relative to the largest entry. Sums of some hundred products in `f32`, and exponentials of
+/// exponents of a few units: a few hundred roundings of 6e-8.
+const TOLERANCE: f64 = 5e-5;
+
+fn instruction_sets() -> Vec<Arch> {
+    let mut all = vec![Arch::new(), Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    all.extend(pulp::x86::V3::try_new().map(Arch::V3));
+    all
+}
+
+fn march() -> MarchSettings {
+    MarchSettings { step_min: 0.05, step_max: 0.1, ..MarchSettings::cube(1.5) }
+}
+
+fn cases() -> Vec<(&'static str, FieldSettings)> {
+    let one = settings();
+    let wide = FieldSettings { hidden_width: 64, geometry_features: 15, ..one };
+    vec![
+        ("usual", one),
+        ("wide", FieldSettings { levels: 16, ..wide }),
+        ("four features", FieldSettings { features: 4, density_layers: 2, ..one }),
+        ("one feature", FieldSettings { features: 1, colour_layers: 0, ..one }),
+        ("eight features", FieldSettings { features: 8, geometry_features: 0, ..one }),
+    ]
+}
+
+/// What both lanes give.
+struct Outcome {
+    renders: Vec<f64>,
+    gradient: [Vec<f64>; 3],
+    rays: Vec<f64>,
+}
+
+fn outcome(
+    renders: &[RayRender<impl i2slam_geometry::Real>],
+    gradient: FieldGradient<f64>,
+    rays: &[RayGradient<impl i2slam_geometry::Real>],
+) -> Outcome {
+    Outcome {
+        renders: renders.iter().flat_map(render_row).collect(),
+        gradient: [gradient.table, gradient.density, gradient.colour],
+        rays: rays.iter().flat_map(ray_row).collect(),
+    }
+}
+
+fn fast(arch: Arch, field: &HashGridField<f64>, occupancy: &Occupancy) -> Outcome {
+    fast_keeping(true, arch, field, occupancy)
+}
+
+fn fast_keeping(
+    slopes: bool,
+    arch: Arch,
+    field: &HashGridField<f64>,
+    occupancy: &Occupancy,
+) -> Outcome {
+    let field = field.cast::<f32>();
+    let rays: Vec<Ray> = rays(RAYS, 2).iter().map(Ray::cast).collect();
+    let mut renderer = FieldRenderer::on(arch, march());
+    renderer.keep_slopes(slopes);
+    let (mut renders, mut ray_gradients) = (Vec::new(), Vec::new());
+    renderer.render(&field, occupancy, &rays, &mut renders);
+    let cotangents: Vec<_> = cotangents(RAYS, 7).iter().map(single).collect();
+    let mut gradient = FieldGradient::zeros(&field);
+    let wanted = (Some(&mut gradient), Some(&mut ray_gradients));
+    renderer.pull_back(&field, &rays, &cotangents, wanted.0, wanted.1);
+    let wide = |values: &[f32]| values.iter().map(|v| f64::from(*v)).collect();
+    let gradient = FieldGradient {
+        table: wide(&gradient.table),
+        density: wide(&gradient.density),
+        colour: wide(&gradient.colour),
+    };
+    outcome(&renders, gradient, &ray_gradients)
+}
+
+/// The samples of the fast lane, up to where the ray ends.
+fn plain_samples(
+    field: &HashGridField<f64>,
+    occupancy: &Occupancy,
+    ray: &Ray<f64>,
+) -> Vec<Sample<f64>> {
+    let single = field.cast::<f32>();
+    let mut walk = Walk::new(&single, &march(), &ray.cast());
+    let next = || walk.next(&march(), occupancy).map(|(sample, _)| sample);
+    let mut samples: Vec<Sample<f64>> = Vec::new();
+    for sample in std::iter::from_fn(next) {
+        let opacity = reference::render(field, ray, &samples).opacity;
+        if 1.0 - opacity < f64::from(march().transmittance_min) {
+            break;
+        }
+        samples.push(Sample { depth: sample.depth.into(), step: sample.step.into() });
+    }
+    samples
+}
+
+fn plain(field: &HashGridField<f64>, occupancy: &Occupancy) -> Outcome {
+    let mut gradient = FieldGradient::zeros(field);
+    let (mut renders, mut ray_gradients) = (Vec::new(), Vec::new());
+    for (ray, cotangent) in rays(RAYS, 2).iter().zip(&cotangents(RAYS, 7)) {
+        let samples = plain_samples(field, occupancy, ray);
+        renders.push(reference::render(field, ray, &samples));
+        let gradient = Some(&mut gradient);
+        ray_gradients.push(reference::pull_back(field, ray, &samples, cotangent, gradient));
+    }
+    outcome(&renders, gradient, &ray_gradients)
+}
+
+fn assert_lanes(name: &str, fast: &Outcome, plain: &Outcome) {
+    assert_close(&format!("{name} renders"), &fast.renders, &plain.renders, TOLERANCE);
+    assert_close(&format!("{name} rays"), &fast.rays, &plain.rays, TOLERANCE);
+    for (k, family) in ["table", "density", "colour"].iter().enumerate() {
+        let name = format!("{name} {family}");
+        assert_close(&name, &fast.gradient[k], &plain.gradient[k], TOLERANCE);
+    }
+}
+
+#[test]
+fn lanes_agree() {
+    for (name, settings) in cases() {
+        let (field, occupancy) = (field(settings, 4), Occupancy::new(coarse()));
+        let expected = plain(&field, &occupancy);
+        for arch in instruction_sets() {
+            for slopes in [true, false] {
+                let name = format!("{name} {arch:?}, slopes {slopes}");
+                assert_lanes(&name, &fast_keeping(slopes, arch, &field, &occupancy), &expected);
+            }
+        }
+    }
+}
+
+fn coarse() -> OccupancySettings {
+    OccupancySettings { resolution: 8, ..OccupancySettings::default() }
+}
+
+/// With empty cells, lanes agree and the samples are those of the full march in occupied cells.
+#[test]
+fn empty_cells_are_marched_over() {
+    let mut field = field(settings(), 4);
+    field.parameters_mut()[1].iter_mut().for_each(|w| *w *= 2.0);
+    let mut occupancy = Occupancy::new(OccupancySettings { density: 1.0, ..coarse() });
+    let full = occupancy.clone();
+    occupancy.refresh(&field.cast(), &mut FieldRenderer::new(march()), 1);
+    assert!((0.05..0.95).contains(&occupancy.share()), "{}", occupancy.share());
+    assert_lanes("sparse", &fast(Arch::new(), &field, &occupancy), &plain(&field, &occupancy));
+    let single = field.cast::<f32>();
+    for ray in rays(RAYS, 2) {
+        let samples = |occupancy: &Occupancy| -> Vec<(f32, [f32; 3])> {
+            let mut walk = Walk::new(&single, &march(), &ray.cast());
+            let next = || walk.next(&march(), occupancy).map(|(s, p)| (s.depth, p));
+            std::iter::from_fn(next).collect()
+        };
+        let mut expected = samples(&full);
+        expected.retain(|(_, position)| occupancy.is_occupied(*position));
+        assert_eq!(samples(&occupancy), expected);
+    }
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let field = field(FieldSettings { levels: 8, ..settings() }, 4);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let outcome =
+            pool.map(|p| p.install(|| fast(Arch::new(), &field, &Occupancy::new(coarse()))));
+        outcome.map(|o| (o.renders, o.gradient, o.rays)).ok()
+    };
+    let one = on(1);
+    assert!(one.is_some() && one == on(2) && one == on(5));
+}
+
+/// The tests above can fail: a slightly different field is told apart.
+#[test]
+#[should_panic(expected = "relative error")]
+fn another_field_is_told_apart() {
+    let (mut field, occupancy) = (field(settings(), 4), Occupancy::new(coarse()));
+    let expected = plain(&field, &occupancy);
+    field.parameters_mut()[1][0] += 0.01;
+    assert_lanes("changed", &fast(Arch::new(), &field, &occupancy), &expected);
+}
