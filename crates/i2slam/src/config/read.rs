@@ -113,6 +113,15 @@ impl Config {
         }
         let a = &self.tracking.alignment;
         between("tracking.alignment.levels", a.levels, 1, 8, "1 to 8")?;
+        let refined = self.tracking.method == TrackingMethod::Adam || self.tracking.iterations > 0;
+        if self.input.depth_stamps && refined {
+            return Err(ConfigError::OutOfRange {
+                key: "input.depth_stamps",
+                value: "true".to_owned(),
+                expected: "false, or tracking.method \"second-order\" with tracking.iterations 0: \
+                           first-order tracking compares depth at the best pose of the exposure",
+            });
+        }
         match self.tracking.method {
             TrackingMethod::Adam => at_least("tracking.iterations", self.tracking.iterations, 1)?,
             TrackingMethod::SecondOrder => {

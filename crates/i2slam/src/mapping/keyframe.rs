@@ -44,11 +44,12 @@ pub(crate) fn is_keyframe(
     2 * passed >= 3 * mapping.keyframe_interval || is_sharp(&frames[last + 1..])
 }
 
-/// Whether the last of `frames` is no more blurred than the sharper half of them.
+/// Whether the last of `frames` is among the sharper half of those that were tracked.
 fn is_sharp(frames: &[FrameEstimate]) -> bool {
     let blur = frames.last().map_or(0.0, |f| f.blur_length);
-    let sharper = frames.iter().filter(|f| f.blur_length < blur).count();
-    2 * sharper <= frames.len()
+    let tracked = frames.iter().filter(|f| f.tracked);
+    let sharper = tracked.clone().filter(|f| f.blur_length < blur).count();
+    2 * sharper < tracked.count()
 }
 
 #[cfg(test)]

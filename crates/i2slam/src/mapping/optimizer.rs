@@ -110,7 +110,8 @@ impl MapOptimizer {
             self.step_tone(sight, keyframe.frame, &evaluation);
             self.step_response(sight, keyframe.frame, &mut evaluation);
         }
-        if keyframe.frame != sight.gauge_frame && mapping.pose_rotation_rate > 0.0 {
+        let moves = mapping.pose_rotation_rate > 0.0 || mapping.pose_translation_rate > 0.0;
+        if keyframe.frame != sight.gauge_frame && moves {
             self.step_pose(sight, keyframe.frame, &evaluation);
         }
         evaluation
@@ -119,6 +120,9 @@ impl MapOptimizer {
     fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {
         let (rates, gradient) = (&config.mapping, &self.gradient);
         let ages = self.ages.advance(gradient, rates.only_seen);
+        if ages.is_empty() {
+            return;
+        }
         let groups = [
             (&mut self.means, map.means.as_flattened_mut(), gradient.means.as_flattened()),
             (&mut self.colours, map.colours.as_flattened_mut(), gradient.colours.as_flattened()),
@@ -131,7 +135,7 @@ impl MapOptimizer {
         ];
         let steps = [rates.mean_rate, rates.colour_rate, rates.opacity_rate, rates.scale_rate];
         for ((adam, values, gradient), rate) in groups.into_iter().zip(steps) {
-            adam.step_elements(values, gradient, rate, values.len() / ages.len().max(1), ages);
+            adam.step_elements(values, gradient, rate, values.len() / ages.len(), ages);
         }
         match map.shape {
             Shape::Isotropic => map.log_scales.iter_mut().for_each(|s| *s = [s[0]; 3]),

@@ -3,7 +3,7 @@
 //! | route | rendered | what repeats for every virtual camera |
 //! |---|---|---|
 //! | exact | every virtual camera | everything |
-//! | splat | the map once, with the pixel velocity of every Gaussian | the blend |
+//! | splat | the map once with the pixel velocity of every Gaussian, and once still, for depth | the blend |
 //! | image | the map once, at mid-exposure | a look-up by depth |
 
 use super::virtual_camera_count;
@@ -12,7 +12,7 @@ use i2slam_formation::reproject::Reprojection;
 use i2slam_formation::{
     CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera, accumulate, scale_into,
 };
-use i2slam_geometry::{Camera, Image, Pose, Tangent};
+use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
 use i2slam_radiance::gaussian::{
     GaussianMap, MapGradient, Moment, RasterSettings, Rasterizer, Render, RenderCotangent,
     ShutterMotion, View,
@@ -111,6 +111,18 @@ impl Exposure {
     }
 }
 
+/// The cotangent of a pose that moves rigidly with `middle`, as a cotangent of `middle`.
+///
+/// With `pose = middle ⊞ (λ, l)` and `E = Exp(l)`: `d.ρ = E d_pose.ρ`,
+/// `d.φ = E d_pose.φ + λ × E d_pose.ρ`.
+fn carried_to_middle(middle: Pose<f64>, pose: Pose<f64>, d_pose: Tangent<f64>) -> Tangent<f64> {
+    let lead = middle.local(pose);
+    let turn = Rotation::exp(lead.rotation);
+    let translation = turn.rotate(d_pose.translation);
+    let rotation = turn.rotate(d_pose.rotation) + lead.translation.cross(translation);
+    Tangent { translation, rotation }
+}
+
 /// Renders exposures; owns every buffer that this takes.
 pub(super) struct ExposureRenderer {
     camera: Camera<f32>,
@@ -202,9 +214,9 @@ impl ExposureRenderer {
             }
         };
         if let Some(pose) = exposure.depth_pose {
-            // The depth picture's pose moves with the middle of the exposure.
             let d_pose = self.backward_depth(map, depth, pose, d_depth, d_map);
-            d_shutter = d_shutter.plus(exposure.shutter.pull_back(0.5, d_pose));
+            let d_middle = carried_to_middle(exposure.shutter.middle(), pose, d_pose);
+            d_shutter = d_shutter.plus(exposure.shutter.pull_back(0.5, d_middle));
         }
         d_shutter
     }

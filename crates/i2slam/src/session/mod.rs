@@ -267,6 +267,7 @@ fn context<'a>(
         camera,
         frame_rate,
         timestamps: (frame.timestamp, depth_timestamp),
+        frames,
         previous: frames.last(),
         before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
         keyframe: keyframes.last().map(|k| (&*k.observation, frames[k.frame].depth_pose())),

@@ -22,6 +22,8 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) frame_rate: f64,
     /// Times of the frame's colour and depth pictures [s].
     pub(crate) timestamps: (f64, f64),
+    /// All frames before.
+    pub(crate) frames: &'a [FrameEstimate],
     /// The frame before, if there is one.
     pub(crate) previous: Option<&'a FrameEstimate>,
     /// The frame before that.
@@ -61,6 +63,9 @@ impl TrackingContext<'_> {
     }
 }
 
+/// Share of its speed that a camera is taken to keep from frame to frame while it is lost.
+const LOST_SPEED: f64 = 0.8;
+
 /// The result of tracking one frame.
 #[derive(Clone, Debug)]
 pub(crate) struct TrackingResult {
@@ -98,13 +103,16 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Constant velocity from the two frames before; standing still with fewer.
+    /// Constant velocity from the two frames before; standing still with fewer. A lost camera slows
+    /// down, so that its prediction stays near where it was seen last.
     pub(crate) fn constant_velocity(context: &TrackingContext<'_>) -> Self {
         let last = context.previous.map_or_else(Pose::identity, FrameEstimate::middle);
         let step = context
             .before_previous
             .map_or_else(Tangent::zero, |before| before.middle().local(last))
             .scaled(context.relative_interval());
+        let lost = context.previous.is_some_and(|last| !last.tracked);
+        let step = if lost { step.scaled(LOST_SPEED) } else { step };
         Self { next: last.retract(step), step }
     }
 }

@@ -54,11 +54,12 @@ fn evaluate(x: &[f64], route: BlurRoute, depth_pose: bool, mapping: bool) -> Eva
         log_exposure: x[12] as f32,
         log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
     };
+    let lead = Tangent::from_array([0.03, -0.02, 0.04, 0.05, -0.04, 0.03]);
     let variables = FrameVariables {
         exposure: Exposure {
             shutter,
             sampling: Sampling { virtual_cameras: 3, quadrature: Quadrature::Midpoints, route },
-            depth_pose: depth_pose.then(|| shutter.middle()),
+            depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
         },
         tone: Some(Tone { frame: tone, curve: &curve }),
     };

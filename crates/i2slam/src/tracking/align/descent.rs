@@ -30,7 +30,7 @@ struct Evaluation {
 
 /// What an evaluation is for.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Purpose {
+pub(super) enum Purpose {
     /// To take a step from there.
     Step,
     /// To compare cost and errors.
@@ -112,7 +112,8 @@ impl Frame<'_> {
                 let prior = prior.as_ref().map_or(0.0, |p| p.cost(state.motion.velocity));
                 sums.mean_cost() + prior / sums.equations.count.max(1) as f64
             };
-            if cost(&next, &there.total) > cost(state, &here.total) * (1.0 + 1e-4) {
+            let lower = cost(&next, &there.total) <= cost(state, &here.total) * (1.0 + 1e-4);
+            if !lower || there.total.equations.count == 0 {
                 damping *= 100.0;
                 if damping > 1.0 {
                     break;
@@ -160,7 +161,7 @@ impl Frame<'_> {
         virtual_camera_count(blur, per_camera, formation.virtual_cameras)
     }
 
-    fn residuals(
+    pub(super) fn residuals(
         &self,
         reference: &Reference,
         level: usize,

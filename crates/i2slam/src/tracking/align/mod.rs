@@ -8,6 +8,7 @@
 mod descent;
 mod prior;
 mod pyramid;
+mod recovery;
 mod reference;
 mod residual;
 
@@ -20,10 +21,13 @@ use i2slam_geometry::{Pose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
 use prior::MotionPrior;
 use pyramid::{Observed, observed_levels};
+use recovery::standing;
 use residual::Sums;
 
 /// Share of the frame's depth that must lie on the model for a frame to count as tracked.
 const LEAST_OVERLAP: f64 = 0.3;
+/// Share of the picture that must have depth: a pose from one small patch slides along it.
+const LEAST_DEPTH: f64 = 0.05;
 /// Weight of the trajectory prior against single residuals: neighbouring pixels are not
 /// independent, and a map that is still soft would otherwise be read as a still camera.
 const PRIOR_WEIGHT: f64 = 200.0;
@@ -40,7 +44,8 @@ struct Frame<'a> {
 }
 
 /// Aligns a frame from the constant-velocity prediction; from a standing start too where that
-/// does not converge, and keeps the better of both.
+/// does not converge, and keeps the better of both. Where both fail, the frame is looked for around
+/// all places that the map was seen from.
 pub(super) fn align(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective,
@@ -59,18 +64,26 @@ pub(super) fn align(
         previous,
     };
     let predicted = state.clone();
+    let lost = |sums: &Sums| {
+        let state = State { motion: extrapolate(motion, 0.0), ..predicted.clone() };
+        frame.result(state, sums, false)
+    };
+    let pixels = observation.depth.pixels() as f64;
+    if (observation.valid_depths() as f64) < LEAST_DEPTH * pixels {
+        return lost(&Sums::default());
+    }
     let mut outcome = frame.descend(objective, map, state);
     if outcome.sums.overlap() < LEAST_OVERLAP {
-        let standing = Motion { next: previous, step: Tangent::zero() };
-        let start = State { motion: extrapolate(standing, 0.0), ..predicted.clone() };
-        let second = frame.descend(objective, map, start);
+        let second = frame.descend(objective, map, standing(&predicted, previous));
         if second.sums.overlap() > outcome.sums.overlap() {
             outcome = second;
         }
     }
     if outcome.sums.overlap() < LEAST_OVERLAP {
-        let lost = State { motion: extrapolate(motion, 0.0), ..predicted };
-        return frame.result(lost, &outcome.sums, false);
+        if let Some(found) = frame.recover(objective, map, &predicted) {
+            return frame.result(found.state, &found.sums, true);
+        }
+        return lost(&outcome.sums);
     }
     let state = frame.with_learned_share(outcome.state.clone());
     frame.result(state, &outcome.sums, true)
@@ -92,7 +105,7 @@ fn pixels_per_unit(context: &TrackingContext<'_>, observation: &Observation) -> 
 
 impl Frame<'_> {
     fn prior(&self, state: &State) -> MotionPrior {
-        let free = !self.context.formation.trajectory_loss;
+        let free = !self.context.formation.trajectory_loss || !self.motion_is_known();
         MotionPrior {
             pixels: self.pixels,
             step: CentreVelocity::along(self.previous, state.motion.centre, 1.0).velocity,
@@ -103,9 +116,18 @@ impl Frame<'_> {
         }
     }
 
+    /// Whether the motion since the last frame was measured at both ends.
+    fn motion_is_known(&self) -> bool {
+        self.context.previous.is_some_and(|p| p.tracked)
+    }
+
     /// Motion from mid-exposure to the depth picture.
     fn depth_lead(&self, state: &State) -> Tangent<f64> {
-        self.previous.local(state.motion.centre).scaled(self.context.depth_lead())
+        if !self.motion_is_known() {
+            return Tangent::zero();
+        }
+        let lead = self.context.depth_lead();
+        CentreVelocity::along(self.previous, state.motion.centre, lead).velocity
     }
 
     /// `κ = 2 a Δt`: the share of the frame interval for which the shutter is open.
@@ -116,7 +138,7 @@ impl Frame<'_> {
     /// Lets the scale `a` follow the share that was measured, the more the longer the motion.
     fn with_learned_share(&self, mut state: State) -> State {
         let formation = self.context.formation;
-        if !formation.blur || !formation.trajectory_loss {
+        if !formation.blur || !formation.trajectory_loss || !self.motion_is_known() {
             return state;
         }
         let (share, motion) = self.prior(&state).measured_share(state.motion.velocity);

@@ -74,7 +74,7 @@ pub(super) fn observed_levels(
     );
     halve_repeatedly(finest, levels, |fine| {
         let colour = halved_by_mean(&fine.colour);
-        let camera = fine.camera.resized(colour.width, colour.height);
+        let camera = halved_camera(&fine.camera, &colour);
         Observed::new(camera, colour, halved_depth(&fine.depth), 1)
     })
 }
@@ -138,6 +138,18 @@ fn halve_repeatedly<L>(finest: L, levels: usize, halve: impl Fn(&L) -> L) -> Vec
         all.push(next);
     }
     all
+}
+
+/// An odd last row or column is dropped, so that the scale is a half for any size.
+fn halved_camera(camera: &Camera<f32>, picture: &Image<f32>) -> Camera<f32> {
+    Camera {
+        width: picture.width,
+        height: picture.height,
+        fx: 0.5 * camera.fx,
+        fy: 0.5 * camera.fy,
+        cx: 0.5 * camera.cx,
+        cy: 0.5 * camera.cy,
+    }
 }
 
 fn halved_by_mean(image: &Image<f32>) -> Image<f32> {

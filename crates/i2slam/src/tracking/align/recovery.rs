@@ -1,0 +1,102 @@
+//! Finding a camera that was lost.
+
+use super::descent::{Outcome, Purpose};
+use super::reference::Reference;
+use super::{Frame, Motion, State, extrapolate};
+use crate::objective::FrameObjective;
+use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
+use i2slam_radiance::gaussian::GaussianMap;
+
+/// Turns about the camera's vertical and horizontal axis that are tried around every place [deg].
+const TURNS: [f64; 5] = [-24.0, -12.0, 0.0, 12.0, 24.0];
+const TILTS: [f64; 3] = [-12.0, 0.0, 12.0];
+/// Keyframes that are looked from, evenly spread over those there are.
+const PLACES: usize = 16;
+/// Starts that are followed to their end.
+const STARTS: usize = 4;
+/// Least share of the frame's depth that lies on the model, and most times the usual depth error,
+/// of a place that is believed: a wrong one would spoil the map.
+const BELIEVED_OVERLAP: f64 = 0.5;
+const BELIEVED_ERROR: f64 = 3.0;
+/// Depth error that is believed however exact the frames before were [m at 1 m]: much of what a
+/// frame found again sees is new.
+const FINE_ERROR: f64 = 0.01;
+
+impl Frame<'_> {
+    /// Looks for the frame where the camera was last and where the keyframes were, turned by up to
+    /// a third of a picture; the best end that can be believed.
+    pub(super) fn recover(
+        &self,
+        objective: &mut FrameObjective,
+        map: &GaussianMap,
+        predicted: &State,
+    ) -> Option<Outcome> {
+        let mut starts = Vec::new();
+        for place in self.places() {
+            starts.extend(self.looks_from(objective, map, predicted, place));
+        }
+        starts.sort_by(|a, b| b.0.total_cmp(&a.0));
+        starts
+            .into_iter()
+            .take(STARTS)
+            .map(|(_, start)| self.descend(objective, map, start))
+            .filter(|end| self.is_believed(end))
+            .max_by(|a, b| a.sums.overlap().total_cmp(&b.sums.overlap()))
+    }
+
+    fn places(&self) -> Vec<Pose<f64>> {
+        let frames = self.context.frames;
+        let last = frames.iter().rev().find(|f| f.tracked).map(|f| f.middle());
+        let keyframes: Vec<_> = frames.iter().filter(|f| f.keyframe).map(|f| f.middle()).collect();
+        let stride = keyframes.len().div_ceil(PLACES).max(1);
+        last.into_iter().chain(keyframes.into_iter().rev().step_by(stride)).collect()
+    }
+
+    /// States turned around one place, and the share of the coarsest picture's depth that lies on
+    /// the model from there.
+    fn looks_from(
+        &self,
+        objective: &mut FrameObjective,
+        map: &GaussianMap,
+        predicted: &State,
+        place: Pose<f64>,
+    ) -> Vec<(f64, State)> {
+        let reference = Reference::model(self, objective, map, place);
+        let level = self.observed.len() - 1;
+        let turns = TURNS.iter().flat_map(|&turn| TILTS.map(|tilt| (turn, tilt)));
+        turns
+            .map(|(turn, tilt)| {
+                let look = Vec3::new(tilt.to_radians(), turn.to_radians(), 0.0);
+                let rotation = place.rotation * Rotation::exp(look);
+                let next = Pose::new(rotation, place.translation);
+                let state = standing(predicted, next);
+                let sums = self.residuals(&reference, level, &state, 1, Purpose::Compare);
+                (sums.overlap(), state)
+            })
+            .collect()
+    }
+
+    fn is_believed(&self, end: &Outcome) -> bool {
+        let errors = &end.sums.errors;
+        let error = errors.depth / errors.depth_count.max(1) as f64;
+        let most = (BELIEVED_ERROR * self.usual_error()).max(FINE_ERROR);
+        end.sums.overlap() >= BELIEVED_OVERLAP && error <= most
+    }
+
+    /// Median depth error of the frames that were tracked.
+    fn usual_error(&self) -> f64 {
+        let tracked = self.context.frames.iter().skip(1).filter(|f| f.tracked);
+        let mut errors: Vec<f64> = tracked.map(|f| f.losses.depth).collect();
+        let middle = errors.len() / 2;
+        match errors.is_empty() {
+            true => f64::INFINITY,
+            false => *errors.select_nth_unstable_by(middle, f64::total_cmp).1,
+        }
+    }
+}
+
+/// A camera that stands still at a pose.
+pub(super) fn standing(predicted: &State, next: Pose<f64>) -> State {
+    let motion = extrapolate(Motion { next, step: Tangent::zero() }, 0.0);
+    State { motion, ..predicted.clone() }
+}
