@@ -19,7 +19,7 @@ pub(crate) fn presets(arguments: &Presets) -> Result<(), Failure> {
 
 fn meaning(name: &str) -> &'static str {
     match name {
-        "default" => "second-order tracking, cheap blur: the best we know at interactive speed",
+        "default" => "second-order tracking, cheap blur: the best result at a usable speed",
         "paper-tum" => "the paper's settings for TUM RGB-D",
         "paper-scannet" => "the paper's settings for ScanNet",
         "paper-synthetic" => "the paper's settings for its synthetic scenes",
