@@ -25,11 +25,32 @@ pub struct Adam {
     settings: AdamSettings,
     first: Vec<f32>,
     second: Vec<f32>,
-    steps: i32,
+    steps: u32,
+    /// Factors of both moments by age.
+    corrections: Vec<(f32, f32)>,
 }
 
 /// Parameters per parallel task.
 const CHUNK: usize = 1 << 14;
+/// Age from which the moments of usual settings have no bias left in `f32`: 0.999 to this power is
+/// 1e-9.
+const UNBIASED: u32 = 20_800;
+
+impl AdamSettings {
+    /// Moves both moments by a gradient; the step to take.
+    fn advance(
+        self,
+        rate: f32,
+        gradient: f32,
+        (first, second): (&mut f32, &mut f32),
+        (correct1, correct2): (f32, f32),
+    ) -> f32 {
+        let g = if gradient.is_finite() { gradient } else { 0.0 };
+        *first = self.beta1 * *first + (1.0 - self.beta1) * g;
+        *second = self.beta2 * *second + (1.0 - self.beta2) * g * g;
+        rate * *first * correct1 / ((*second * correct2).sqrt() + self.epsilon)
+    }
+}
 
 impl Adam {
     /// An optimiser without history.
@@ -46,28 +67,13 @@ impl Adam {
 
     /// One step against `gradient`, with learning rate `rate`, in the units of the parameters.
     /// Parameters appended since the last step start with zero moments. An entry whose gradient
-    /// is not finite keeps its value.
+    /// is not finite counts as zero. All parameters are one task: for many, see
+    /// [`step_elements`](Self::step_elements).
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: f32) {
-        assert_eq!(parameters.len(), gradient.len(), "one gradient per parameter");
-        self.first.resize(parameters.len(), 0.0);
-        self.second.resize(parameters.len(), 0.0);
         self.steps += 1;
-        let AdamSettings { beta1, beta2, epsilon } = self.settings;
-        let correct1 = 1.0 / (1.0 - beta1.powi(self.steps));
-        let correct2 = 1.0 / (1.0 - beta2.powi(self.steps));
-        parameters
-            .par_chunks_mut(CHUNK)
-            .zip(gradient.par_chunks(CHUNK))
-            .zip(self.first.par_chunks_mut(CHUNK).zip(self.second.par_chunks_mut(CHUNK)))
-            .for_each(|((parameters, gradient), (first, second))| {
-                for i in 0..parameters.len() {
-                    let g = if gradient[i].is_finite() { gradient[i] } else { 0.0 };
-                    first[i] = beta1 * first[i] + (1.0 - beta1) * g;
-                    second[i] = beta2 * second[i] + (1.0 - beta2) * g * g;
-                    let scale = (second[i] * correct2).sqrt() + epsilon;
-                    parameters[i] -= rate * first[i] * correct1 / scale;
-                }
-            });
+        let ages = vec![self.steps; usize::from(!parameters.is_empty())];
+        let width = parameters.len();
+        self.step_elements(parameters, gradient, rate, width, &ages);
     }
 
     /// One step of the elements, `width` parameters each, whose age is not zero: an element of age
@@ -85,30 +91,34 @@ impl Adam {
         assert_eq!(parameters.len(), width * ages.len(), "one age per element");
         self.first.resize(parameters.len(), 0.0);
         self.second.resize(parameters.len(), 0.0);
-        let AdamSettings { beta1, beta2, epsilon } = self.settings;
-        let oldest = ages.iter().copied().max().unwrap_or(0);
-        let correction = |beta: f32, age: u32| 1.0 / (1.0 - beta.powi(age as i32));
-        let corrections: Vec<(f32, f32)> =
-            (0..=oldest).map(|age| (correction(beta1, age), correction(beta2, age))).collect();
-        let chunk = CHUNK / width * width;
+        self.correct_up_to(ages.iter().copied().max().unwrap_or(0));
+        let (settings, corrections) = (self.settings, &self.corrections);
+        let elements = (CHUNK / width.max(1)).max(1);
+        let chunk = elements * width.max(1);
         parameters
             .par_chunks_mut(chunk)
             .zip(gradient.par_chunks(chunk))
             .zip(self.first.par_chunks_mut(chunk).zip(self.second.par_chunks_mut(chunk)))
-            .zip(ages.par_chunks(chunk / width))
+            .zip(ages.par_chunks(elements))
             .for_each(|(((parameters, gradient), (first, second)), ages)| {
                 let moving = ages.iter().enumerate().filter(|(_, age)| **age > 0);
                 for (element, &age) in moving {
-                    let (correct1, correct2) = corrections[age as usize];
+                    let correction = corrections[(age as usize).min(corrections.len() - 1)];
                     for i in element * width..(element + 1) * width {
-                        let g = if gradient[i].is_finite() { gradient[i] } else { 0.0 };
-                        first[i] = beta1 * first[i] + (1.0 - beta1) * g;
-                        second[i] = beta2 * second[i] + (1.0 - beta2) * g * g;
-                        let scale = (second[i] * correct2).sqrt() + epsilon;
-                        parameters[i] -= rate * first[i] * correct1 / scale;
+                        let moments = (&mut first[i], &mut second[i]);
+                        parameters[i] -= settings.advance(rate, gradient[i], moments, correction);
                     }
                 }
             });
+    }
+
+    /// Extends the corrections of the moments' bias to steps of age `oldest`.
+    fn correct_up_to(&mut self, oldest: u32) {
+        let AdamSettings { beta1, beta2, .. } = self.settings;
+        let correction = |beta: f32, age: u32| 1.0 / (1.0 - beta.powi(age as i32));
+        let known = self.corrections.len() as u32;
+        let ages = known..(oldest + 1).min(UNBIASED);
+        self.corrections.extend(ages.map(|n| (correction(beta1, n), correction(beta2, n))));
     }
 
     /// Drop the moments of removed elements of `width` parameters each.

@@ -4,10 +4,12 @@
 
 mod adam;
 mod linear;
+mod median;
 mod random;
 mod reduce;
 
 pub use adam::{Adam, AdamSettings};
 pub use linear::{NormalEquations, solve_positive_definite};
+pub use median::median;
 pub use random::Random;
 pub use reduce::reduce_in_order;

@@ -3,6 +3,7 @@
 use super::fill::filled;
 use crate::config::{MapConfig, MappingConfig};
 use crate::objective::{Observation, Tone};
+use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
 
@@ -74,7 +75,7 @@ pub(crate) fn add_gaussians(
         .zip(observed)
         .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
         .collect();
-    let limit = mapping.densify_depth_medians * median(&errors);
+    let limit = mapping.densify_depth_medians * median(&mut errors.clone()).unwrap_or(0.0);
     let unexplained: Vec<usize> = (0..observed.len())
         .filter(|&i| {
             let open = render.opacity.data[i] < mapping.densify_opacity;
@@ -159,13 +160,4 @@ fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> 
 
 fn logit(share: f32) -> f32 {
     (share / (1.0 - share)).ln()
-}
-
-fn median(values: &[f32]) -> f32 {
-    let mut sorted = values.to_vec();
-    let middle = sorted.len() / 2;
-    if sorted.is_empty() {
-        return 0.0;
-    }
-    *sorted.select_nth_unstable_by(middle, f32::total_cmp).1
 }

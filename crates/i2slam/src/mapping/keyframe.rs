@@ -20,7 +20,7 @@ pub(crate) struct Keyframe {
 /// With `keyframe_motion` zero, every `keyframe_interval`-th frame does (SplaTAM). Otherwise a
 /// keyframe is due when that many frames have passed and the picture has moved, overlap lost and
 /// parallax gained, by `keyframe_motion` of its width. A due keyframe waits, at most half an
-/// interval, for a frame that is no more blurred than the sharper half of those since the last keyframe.
+/// interval, for a frame of the sharper half of those since the last keyframe.
 pub(crate) fn is_keyframe(
     mapping: &MappingConfig,
     camera: &Camera<f64>,

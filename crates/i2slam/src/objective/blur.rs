@@ -1,5 +1,6 @@
 //! How long the streaks are that a moving camera draws.
 
+use i2slam_compute::median;
 use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Camera, Image};
 
@@ -28,11 +29,7 @@ pub fn blur_length(camera: &Camera<f64>, shutter: &ShutterPoses<f64>, depth: &Im
             }
         }
     }
-    let middle = lengths.len() / 2;
-    if lengths.is_empty() {
-        return 0.0;
-    }
-    *lengths.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(&mut lengths).unwrap_or(0.0)
 }
 
 /// Virtual cameras for a blur of `length` pixels: one while the streak stays under half a pixel,

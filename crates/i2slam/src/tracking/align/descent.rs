@@ -178,7 +178,7 @@ impl Frame<'_> {
             cameras,
             quadrature: self.context.formation.quadrature(),
             world_from_depth: state.motion.centre.retract(self.depth_lead(state)),
-            depth_lead: self.context.depth_lead(),
+            depth_lead: self.depth_share(),
             scales: reference.scales,
             image_weight: reference.image_weight(&self.context.tracking.alignment),
             derivatives: purpose == Purpose::Step,

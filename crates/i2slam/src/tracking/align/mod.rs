@@ -16,6 +16,7 @@ use super::adam::{State, extrapolate};
 use super::{Motion, TrackingContext, TrackingResult};
 use crate::objective::{FrameObjective, Observation, blur_length};
 use crate::reconstruction::Losses;
+use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
 use i2slam_radiance::gaussian::GaussianMap;
@@ -89,15 +90,20 @@ pub(super) fn align(
     frame.result(state, &outcome.sums, true)
 }
 
+fn losses(sums: &Sums) -> Losses {
+    let errors = &sums.errors;
+    Losses {
+        image: errors.image / errors.image_count.max(1) as f64,
+        depth: errors.depth / errors.depth_count.max(1) as f64,
+        trajectory: 0.0,
+    }
+}
+
 /// How far a metre and a radian move the picture [px], at the frame's median depth.
 fn pixels_per_unit(context: &TrackingContext<'_>, observation: &Observation) -> [f64; 6] {
     let mut depths: Vec<f32> =
         observation.depth.data.iter().copied().step_by(7).filter(|&d| d > 0.0).collect();
-    let middle = depths.len() / 2;
-    let depth = match depths.is_empty() {
-        true => 2.0,
-        false => f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1),
-    };
+    let depth = median(&mut depths).map_or(2.0, f64::from);
     let focal = context.camera.fx;
     let metre = focal / depth;
     [metre, metre, metre, focal, focal, focal]
@@ -123,11 +129,12 @@ impl Frame<'_> {
 
     /// Motion from mid-exposure to the depth picture.
     fn depth_lead(&self, state: &State) -> Tangent<f64> {
-        if !self.motion_is_known() {
-            return Tangent::zero();
-        }
-        let lead = self.context.depth_lead();
-        CentreVelocity::along(self.previous, state.motion.centre, lead).velocity
+        CentreVelocity::along(self.previous, state.motion.centre, self.depth_share()).velocity
+    }
+
+    /// The same as a share of the motion since the last frame, where that is known.
+    fn depth_share(&self) -> f64 {
+        if self.motion_is_known() { self.context.depth_lead() } else { 0.0 }
     }
 
     /// `κ = 2 a Δt`: the share of the frame interval for which the shutter is open.
@@ -166,11 +173,7 @@ impl Frame<'_> {
             tone: state.tone,
             response: state.response,
             scale: state.scale,
-            losses: Losses {
-                image: sums.errors.image / sums.errors.image_count.max(1) as f64,
-                depth: sums.errors.depth / sums.errors.depth_count.max(1) as f64,
-                trajectory: 0.0,
-            },
+            losses: losses(sums),
             tracked,
         }
     }

@@ -2,6 +2,7 @@
 
 use super::residual::{Samples, Surface, Texels};
 use crate::objective::Observation;
+use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::Render;
 
@@ -124,11 +125,7 @@ fn noise(depth: &Image<f32>, relief: &Image<f32>) -> f32 {
     let pixels = depth.data.iter().zip(&relief.data).step_by(5);
     let mut all: Vec<f32> =
         pixels.filter(|(d, _)| **d > 0.0).map(|(d, r)| r / (d * d.max(1.0))).collect();
-    let middle = all.len() / 2;
-    match all.is_empty() {
-        true => f32::INFINITY,
-        false => *all.select_nth_unstable_by(middle, f32::total_cmp).1 / 6.0_f32.sqrt(),
-    }
+    median(&mut all).map_or(f32::INFINITY, |relief| relief / 6.0_f32.sqrt())
 }
 
 fn halve_repeatedly<L>(finest: L, levels: usize, halve: impl Fn(&L) -> L) -> Vec<L> {

@@ -2,8 +2,10 @@
 
 use super::descent::{Outcome, Purpose};
 use super::reference::Reference;
-use super::{Frame, Motion, State, extrapolate};
+use super::{Frame, LEAST_OVERLAP, Motion, State, extrapolate, losses};
 use crate::objective::FrameObjective;
+use crate::reconstruction::Losses;
+use i2slam_compute::median;
 use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
 use i2slam_radiance::gaussian::GaussianMap;
 
@@ -14,13 +16,13 @@ const TILTS: [f64; 3] = [-12.0, 0.0, 12.0];
 const PLACES: usize = 16;
 /// Starts that are followed to their end.
 const STARTS: usize = 4;
-/// Least share of the frame's depth that lies on the model, and most times the usual depth error,
-/// of a place that is believed: a wrong one would spoil the map.
-const BELIEVED_OVERLAP: f64 = 0.5;
+/// Most times the usual error of depth and of the picture at a place that is believed: a wrong one
+/// would spoil the map.
 const BELIEVED_ERROR: f64 = 3.0;
+const BELIEVED_IMAGE: f64 = 2.0;
 /// Depth error that is believed however exact the frames before were [m at 1 m]: much of what a
-/// frame found again sees is new.
-const FINE_ERROR: f64 = 0.01;
+/// frame found again sees was mapped from elsewhere.
+const FINE_ERROR: f64 = 2e-3;
 
 impl Frame<'_> {
     /// Looks for the frame where the camera was last and where the keyframes were, turned by up to
@@ -77,21 +79,17 @@ impl Frame<'_> {
     }
 
     fn is_believed(&self, end: &Outcome) -> bool {
-        let errors = &end.sums.errors;
-        let error = errors.depth / errors.depth_count.max(1) as f64;
-        let most = (BELIEVED_ERROR * self.usual_error()).max(FINE_ERROR);
-        end.sums.overlap() >= BELIEVED_OVERLAP && error <= most
+        let found = losses(&end.sums);
+        let depth = (BELIEVED_ERROR * self.usual(|losses| losses.depth)).max(FINE_ERROR);
+        let image = BELIEVED_IMAGE * self.usual(|losses| losses.image);
+        end.sums.overlap() >= LEAST_OVERLAP && found.depth <= depth && found.image <= image
     }
 
-    /// Median depth error of the frames that were tracked.
-    fn usual_error(&self) -> f64 {
+    /// The median of a loss over the frames that were tracked; the first was not aligned.
+    fn usual(&self, loss: impl Fn(&Losses) -> f64) -> f64 {
         let tracked = self.context.frames.iter().skip(1).filter(|f| f.tracked);
-        let mut errors: Vec<f64> = tracked.map(|f| f.losses.depth).collect();
-        let middle = errors.len() / 2;
-        match errors.is_empty() {
-            true => f64::INFINITY,
-            false => *errors.select_nth_unstable_by(middle, f64::total_cmp).1,
-        }
+        let mut all: Vec<f64> = tracked.map(|f| loss(&f.losses)).collect();
+        median(&mut all).unwrap_or(f64::INFINITY)
     }
 }
 

@@ -84,8 +84,8 @@ impl Reference {
 /// than the model is wrong: true of an exact depth, not of a sensor's, which the model has
 /// averaged.
 ///
-/// The keyframe is judged by the noise of its depth alone, not by how well it fits: that would
-/// depend on the pose, which is what is looked for.
+/// The keyframe is judged by the noise of its depth, not by how well it fits at the present pose.
+/// Far from the pose that is looked for, where the model fits badly, a noisy one counts too.
 pub(super) fn cleanest(references: &[Reference]) -> impl Iterator<Item = (usize, &Reference)> {
     let model = references[0].scales.depth;
     let counts = move |r: &Reference| r.has_radiance || CLEANER * r.levels[0].noise < model;
