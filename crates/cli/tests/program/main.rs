@@ -7,5 +7,6 @@ mod eval;
 mod info;
 mod interrupt;
 mod result;
+mod robust;
 mod scene;
 mod tools;

@@ -5,17 +5,21 @@
 //! cameras of the exposure, blurs, forms and compares. Twelve pose numbers, the exposure and the
 //! white balance are solved for together.
 
+mod belief;
 mod descent;
 mod prior;
 mod pyramid;
 mod recovery;
 mod reference;
 mod residual;
+mod streak;
 
 use super::adam::{State, extrapolate};
 use super::{Motion, TrackingContext, TrackingResult};
 use crate::objective::{FrameObjective, Observation, blur_length};
 use crate::reconstruction::Losses;
+use belief::LEAST_OVERLAP;
+use descent::Outcome;
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
@@ -25,8 +29,8 @@ use pyramid::{Observed, observed_levels};
 use recovery::standing;
 use residual::Sums;
 
-/// Share of the frame's depth that must lie on the model for a frame to count as tracked.
-const LEAST_OVERLAP: f64 = 0.3;
+/// Frame intervals after which the motion since the last frame no longer tells the velocity.
+const LONGEST_INTERVAL: f64 = 3.5;
 /// Share of the picture that must have depth: a pose from one small patch slides along it.
 const LEAST_DEPTH: f64 = 0.05;
 /// Weight of the trajectory prior against single residuals: neighbouring pixels are not
@@ -44,9 +48,9 @@ struct Frame<'a> {
     previous: Pose<f64>,
 }
 
-/// Aligns a frame from the constant-velocity prediction; from a standing start too where that
-/// does not converge, and keeps the better of both. Where both fail, the frame is looked for around
-/// all places that the map was seen from.
+/// Aligns a frame from the constant-velocity prediction; from a standing start where that end is
+/// not to be believed. Where both fail, the frame is looked for around all places that the map was
+/// seen from.
 pub(super) fn align(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective,
@@ -73,21 +77,17 @@ pub(super) fn align(
     if (observation.valid_depths() as f64) < LEAST_DEPTH * pixels {
         return lost(&Sums::default());
     }
-    let mut outcome = frame.descend(objective, map, state);
-    if outcome.sums.overlap() < LEAST_OVERLAP {
-        let second = frame.descend(objective, map, standing(&predicted, previous));
-        if second.sums.overlap() > outcome.sums.overlap() {
-            outcome = second;
-        }
+    let first = frame.settle(objective, map, state);
+    if frame.is_believed(&first) {
+        let state = frame.with_learned_share(first.state);
+        return frame.result(state, &first.sums, true);
     }
-    if outcome.sums.overlap() < LEAST_OVERLAP {
-        if let Some(found) = frame.recover(objective, map, &predicted) {
-            return frame.result(found.state, &found.sums, true);
-        }
-        return lost(&outcome.sums);
-    }
-    let state = frame.with_learned_share(outcome.state.clone());
-    frame.result(state, &outcome.sums, true)
+    let still = frame.settle(objective, map, standing(&predicted, previous));
+    let found = match frame.is_believed(&still) {
+        true => Some(still),
+        false => frame.recover(objective, map, &predicted),
+    };
+    found.map_or_else(|| lost(&first.sums), |end| frame.result(end.state, &end.sums, true))
 }
 
 fn losses(sums: &Sums) -> Losses {
@@ -110,6 +110,20 @@ fn pixels_per_unit(context: &TrackingContext<'_>, observation: &Observation) -> 
 }
 
 impl Frame<'_> {
+    /// Descends; where no motion before tells the velocity, again with the best of some streaks.
+    fn settle(&self, objective: &mut FrameObjective, map: &GaussianMap, start: State) -> Outcome {
+        let end = self.descend(objective, map, start);
+        if self.motion_is_known() || end.sums.overlap() < LEAST_OVERLAP {
+            return end;
+        }
+        let Some(streak) = self.with_streak(objective, map, &end.state) else { return end };
+        let moving = self.descend(objective, map, streak);
+        match losses(&moving.sums).image < losses(&end.sums).image {
+            true => moving,
+            false => end,
+        }
+    }
+
     fn prior(&self, state: &State) -> MotionPrior {
         let free = !self.context.formation.trajectory_loss || !self.motion_is_known();
         MotionPrior {
@@ -122,9 +136,11 @@ impl Frame<'_> {
         }
     }
 
-    /// Whether the motion since the last frame was measured at both ends.
+    /// Whether the motion since the last frame was measured at both ends, and so soon after it that
+    /// it tells the velocity.
     fn motion_is_known(&self) -> bool {
-        self.context.previous.is_some_and(|p| p.tracked)
+        let is_soon = self.context.interval_share() * LONGEST_INTERVAL >= 1.0;
+        is_soon && self.context.previous.is_some_and(|p| p.tracked)
     }
 
     /// Motion from mid-exposure to the depth picture.

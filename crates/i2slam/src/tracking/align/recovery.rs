@@ -2,10 +2,8 @@
 
 use super::descent::{Outcome, Purpose};
 use super::reference::Reference;
-use super::{Frame, LEAST_OVERLAP, Motion, State, extrapolate, losses};
+use super::{Frame, Motion, State, extrapolate};
 use crate::objective::FrameObjective;
-use crate::reconstruction::Losses;
-use i2slam_compute::median;
 use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
 use i2slam_radiance::gaussian::GaussianMap;
 
@@ -16,14 +14,6 @@ const TILTS: [f64; 3] = [-12.0, 0.0, 12.0];
 const PLACES: usize = 16;
 /// Starts that are followed to their end.
 const STARTS: usize = 4;
-/// Most times the usual error of depth and of the picture at a place that is believed: a wrong one
-/// would spoil the map.
-const BELIEVED_ERROR: f64 = 3.0;
-const BELIEVED_IMAGE: f64 = 2.0;
-/// Depth error that is believed however exact the frames before were [m at 1 m]: much of what a
-/// frame found again sees was mapped from elsewhere.
-const FINE_ERROR: f64 = 2e-3;
-
 impl Frame<'_> {
     /// Looks for the frame where the camera was last and where the keyframes were, turned by up to
     /// a third of a picture; the best end that can be believed.
@@ -41,7 +31,7 @@ impl Frame<'_> {
         starts
             .into_iter()
             .take(STARTS)
-            .map(|(_, start)| self.descend(objective, map, start))
+            .map(|(_, start)| self.settle(objective, map, start))
             .filter(|end| self.is_believed(end))
             .max_by(|a, b| a.sums.overlap().total_cmp(&b.sums.overlap()))
     }
@@ -76,20 +66,6 @@ impl Frame<'_> {
                 (sums.overlap(), state)
             })
             .collect()
-    }
-
-    fn is_believed(&self, end: &Outcome) -> bool {
-        let found = losses(&end.sums);
-        let depth = (BELIEVED_ERROR * self.usual(|losses| losses.depth)).max(FINE_ERROR);
-        let image = BELIEVED_IMAGE * self.usual(|losses| losses.image);
-        end.sums.overlap() >= LEAST_OVERLAP && found.depth <= depth && found.image <= image
-    }
-
-    /// The median of a loss over the frames that were tracked; the first was not aligned.
-    fn usual(&self, loss: impl Fn(&Losses) -> f64) -> f64 {
-        let tracked = self.context.frames.iter().skip(1).filter(|f| f.tracked);
-        let mut all: Vec<f64> = tracked.map(|f| loss(&f.losses)).collect();
-        median(&mut all).unwrap_or(f64::INFINITY)
     }
 }
 
