@@ -118,7 +118,7 @@ fn push(
     let opacity_logit = logit(settings.initial_opacity);
     for &pixel in pixels {
         let z = source.depth.data[pixel];
-        if z <= 0.0 || map.len() >= settings.capacity {
+        if z <= 0.0 {
             continue;
         }
         let (column, row) = (pixel % source.camera.width, pixel / source.camera.width);

@@ -2,14 +2,16 @@
 
 use super::Session;
 use crate::mapping::{
-    Keyframe, SceneScale, Sight, Source, add_gaussians, is_keyframe, placement, prune, seed_map,
-    select_window,
+    Keyframe, SceneScale, Sight, Source, add_gaussians, is_keyframe, merge, placement, prune,
+    seed_map, select_window,
 };
 use crate::objective::{Observation, Tone};
 use crate::tracking::sampling;
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Share of the capacity that is left when a full map was merged.
+const ROOMY: f64 = 0.9;
 /// SplaTAM prunes at this step of a round, beside the first.
 const PRUNE_STEP: usize = 20;
 
@@ -50,16 +52,28 @@ impl Session {
             let ratio = self.config.mapping.scene_radius_ratio;
             self.scene = SceneScale::new(&keyframe.observation, ratio);
             seed_map(&mut self.map, &self.config.map, &source);
+        } else {
+            let render = self.objective.render(&self.map, source.world_from_depth).clone();
+            let settings = (&self.config.map, &self.config.mapping);
+            add_gaussians(&mut self.map, settings, &source, &render);
+        }
+        self.make_room();
+    }
+
+    /// Keeps the map within its capacity, and then with some room for the next frames.
+    fn make_room(&mut self) {
+        let capacity = self.config.map.capacity;
+        if self.map.len() <= capacity {
             return;
         }
-        let render = self.objective.render(&self.map, source.world_from_depth).clone();
-        let settings = (&self.config.map, &self.config.mapping);
-        add_gaussians(&mut self.map, settings, &source, &render);
-        if self.map.len() >= self.config.map.capacity && !self.full {
+        let aim = (ROOMY * capacity as f64) as usize;
+        let keep = merge(&mut self.map, aim..=capacity);
+        self.optimizer.retain(&keep);
+        if !self.full {
             self.full = true;
             self.warnings.push(format!(
-                "the map is full ({} Gaussians): nothing new is added, map.capacity sets the limit",
-                self.map.len()
+                "the map is full: from now on similar neighbours are merged to keep it at \
+                 {capacity} Gaussians; map.capacity sets the limit"
             ));
         }
     }
