@@ -41,7 +41,7 @@ fn write_section(out: &mut String, section: &EvaluationSection) {
     for note in &section.notes {
         write!(out, "<p class=\"none\">{}</p>", escape(note)).ok();
     }
-    *out += "<table class=\"figures\">";
+    *out += "<table class=\"grades\">";
     for (name, value) in &section.rows {
         write!(out, "<tr><td>{}</td><td>{}</td></tr>", escape(name), escape(value)).ok();
     }
@@ -68,7 +68,7 @@ mod tests {
         let twice = put_evaluations(&once, &[section("<b>", "9 dB"), section("x", "8 dB")]);
         let twice = twice.expect("a place");
         assert!(twice.contains("&lt;b&gt;") && !twice.contains("31.20 dB"));
-        assert_eq!(twice.matches("class=\"figures\"").count(), 2);
+        assert_eq!(twice.matches("class=\"grades\"").count(), 2);
         assert_eq!(put_evaluations(&twice, &[]).as_deref(), put_evaluations(page, &[]).as_deref());
         assert_eq!(put_evaluations("<p>another page</p>", &[]), None);
     }
