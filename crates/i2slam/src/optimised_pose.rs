@@ -19,8 +19,8 @@ const SMALLEST: usize = 24;
 const STEPS: usize = 4;
 /// Most dampings tried for a step.
 const TRIALS: usize = 3;
-/// A smaller motion of the picture ends a size [px].
-const SETTLED: f64 = 0.01;
+/// A smaller step ends a size [half pixels of it].
+const SETTLED: f64 = 0.04;
 /// Values summed at once.
 const CHUNK: usize = 4096;
 
