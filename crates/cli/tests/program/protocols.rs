@@ -70,6 +70,9 @@ fn a_result_knows_its_dataset() {
     assert!(figures["ate_rmse_m"].as_f64().is_some_and(|v| v < 0.02), "{figures}");
     let given = ["--reference", data.to_str().expect("a name")];
     assert_eq!(json(&out, &given), figures);
+    assert_eq!(figures["against_pictures_taken"].as_bool(), Some(false));
+    fs::remove_dir_all(data.join("sharp")).expect("a folder");
+    eval(&out, &[]).ended_with(0).complaining("compared with the pictures taken");
     fs::rename(&data, scratch.join("elsewhere")).expect("room");
     eval(&out, &[]).ended_with(1).complaining("not there any more").complaining("--reference");
 }

@@ -18,6 +18,8 @@ pub(super) struct Evaluation {
     /// How far poses were optimised; `None` where they were not.
     pub(super) corrections: Option<Vec<Figure>>,
     pub(super) radiance: Vec<Figure>,
+    /// Whether renders were compared with the pictures taken, blur and all.
+    pub(super) as_taken: bool,
     /// What was not judged, and why.
     pub(super) not_judged: Vec<String>,
     /// Why pictures that should be judged could not; told after everything else.
@@ -38,6 +40,7 @@ impl Evaluation {
         }
         object.extend(self.corrections.iter().flatten().map(Figure::json));
         object.extend(self.radiance.iter().map(Figure::json));
+        object.insert("against_pictures_taken".to_owned(), self.as_taken.into());
         object.insert("not_judged".to_owned(), json!(self.not_judged));
         Ok(Value::Object(object))
     }
@@ -51,6 +54,9 @@ impl Evaluation {
     pub(super) fn remarks(&self) -> Vec<String> {
         let mut remarks: Vec<String> =
             self.not_judged.iter().map(|what| format!("note: {what}")).collect();
+        if self.as_taken {
+            remarks.push("note: compared with the pictures taken, no sharp ones are known".into());
+        }
         remarks.extend(self.pictures.iter().flat_map(Judged::remarks));
         remarks
     }

@@ -112,6 +112,7 @@ fn judge_pictures(
     let only_radiance = chosen.frames.is_empty() && !evaluation.radiance.is_empty();
     if !only_radiance {
         evaluation.pictures = Some(pictures::judge(arguments, subject, reference, chosen)?);
+        evaluation.as_taken = reference.is_as_taken();
     }
     Ok(())
 }

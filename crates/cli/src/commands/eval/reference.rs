@@ -71,6 +71,14 @@ impl Reference {
         }
     }
 
+    /// Whether the pictures taken stand in for sharp ones that nobody has.
+    pub(super) fn is_as_taken(&self) -> bool {
+        match self {
+            Self::Folder { .. } => false,
+            Self::Dataset { path, .. } => !path.join("sharp").is_dir(),
+        }
+    }
+
     /// Frames with a true picture, ascending.
     pub(super) fn frames(&self) -> Vec<usize> {
         match self {
