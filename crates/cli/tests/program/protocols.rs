@@ -79,19 +79,22 @@ fn a_result_knows_its_dataset() {
 
 #[test]
 fn the_report_has_a_section_for_every_protocol() {
-    let (_scratch, _, out) = result("section", &["--hold-out", "3"]);
+    let (_scratch, data, out) = result("section", &["--hold-out", "3"]);
     let page = || fs::read_to_string(out.join("report.html")).expect("a report");
     let before = page();
     assert!(!before.contains("Protocol"));
     eval(&out, &[]).ended_with(0);
     eval(&out, &["--protocol", "held-out"]).ended_with(0);
     eval(&out, &["--protocol", "held-out"]).ended_with(0);
+    let truth = data.join("groundtruth.txt");
+    eval(&out, &["--groundtruth", truth.to_str().expect("a name")]).ended_with(0);
     let after = page();
     assert!(after.contains("Protocol all-frames</h3>") && after.contains("sharp PSNR"), "{after}");
     assert_eq!(after.matches("Protocol held-out</h3>").count(), 1);
     assert!(after.contains("data:image/jpeg") && after.len() > before.len());
     let kept = fs::read_to_string(out.join("evaluation.json")).expect("evaluations");
-    assert_eq!(kept.matches("\"title\"").count(), 2);
+    assert_eq!(kept.matches("\"title\"").count(), 3);
+    assert!(kept.contains("Protocol all-frames, trajectory alone"), "{kept}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::figure::{Figure, Row};
 use super::pictures::Judged;
 use super::trajectory;
-use crate::arguments::Eval;
+use crate::arguments::{Eval, Fit, Protocol};
 use crate::failure::Failure;
 use crate::output::{complain, say};
 use i2slam::export::report::EvaluationSection;
@@ -76,10 +76,16 @@ impl Evaluation {
         if let Some(list) = list {
             title += &format!(", list {list}");
         }
+        if arguments.protocol == Protocol::Splatam {
+            title += &format!(", every {}", arguments.every);
+        }
+        if self.pictures.is_none() && self.radiance.is_empty() {
+            title += ", trajectory alone";
+        }
         if self.corrections.is_some() {
             title += ", poses optimised";
         }
-        if arguments.align == crate::arguments::Fit::Sim3 {
+        if arguments.align == Fit::Sim3 {
             title += ", aligned with scale";
         }
         let row =

@@ -42,7 +42,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     } else {
         evaluation.print();
     }
-    if let Some(result) = subject.result() {
+    if let (Some(result), None) = (subject.result(), &evaluation.problem) {
         let added = report::add(result, evaluation.section(arguments));
         if let Some(reason) = added.err().as_ref().and_then(Failure::message) {
             complain(&format!("warning: the report is not updated: {reason}"));
