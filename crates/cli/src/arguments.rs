@@ -53,9 +53,15 @@ pub(crate) struct Run {
     pub(crate) input: Input,
     #[command(flatten)]
     pub(crate) formation: Formation,
+    /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
+    #[arg(long, value_name = "N")]
+    pub(crate) hold_out: Option<usize>,
     /// Which frames to draw under renders/
     #[arg(long, value_enum, default_value_t = Draw::All, value_name = "WHICH")]
     pub(crate) render: Draw,
+    /// Replace the earlier result in the folder; other files in it stay
+    #[arg(long)]
+    pub(crate) overwrite: bool,
     /// Seed of all random choices; the same seed gives the same bytes
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
@@ -151,18 +157,19 @@ pub(crate) struct Render {
 pub(crate) struct Eval {
     /// Result folder of a run, a trajectory in the TUM format, or a folder of pictures
     pub(crate) estimate: PathBuf,
-    /// True trajectory in the TUM format [default: that of a dataset given as --reference]
+    /// True trajectory in the TUM format [default: that of the dataset]
     #[arg(long, value_name = "FILE")]
     pub(crate) groundtruth: Option<PathBuf>,
     /// True pictures: a folder of NNNNNN.png (or .exr) named as the renders, or the dataset of the
-    /// run (its sharp/ if there is one, else the pictures taken)
+    /// run (its sharp/ if there is one, else the pictures taken) [default: the dataset that the
+    /// result names]
     #[arg(long, value_name = "DIR")]
     pub(crate) reference: Option<PathBuf>,
     /// Which frames are judged, and by which numbers
     #[arg(long, value_enum, default_value_t = Protocol::AllFrames, value_name = "NAME")]
     pub(crate) protocol: Protocol,
     /// Judge these frames only: a file with one frame number a line, a published list (names:
-    /// --list help), or `auto` for the sharp frames of the dataset given as --reference
+    /// --list help), or `auto` for the sharp frames of the dataset
     #[arg(long, value_name = "LIST")]
     pub(crate) list: Option<String>,
     /// Write the list of the sharp frames of ESTIMATE, a dataset or a folder of pictures
@@ -171,6 +178,10 @@ pub(crate) struct Eval {
     /// With --protocol splatam, the first and every N-th frame
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) every: u32,
+    /// Move every judged frame to where the map fits its true picture best, and judge what is seen
+    /// from there: leaves pose errors out. Needs the map of the result
+    #[arg(long)]
+    pub(crate) optimise_poses: bool,
     /// Judge the renders that are there, though others are missing
     #[arg(long)]
     pub(crate) partial: bool,
@@ -196,6 +207,8 @@ pub(crate) enum Protocol {
     Splatam,
     /// MonoGS: every fifth frame that is no keyframe; trajectory error of keyframes
     Monogs,
+    /// Frames that the map never saw (`i2slam run --hold-out N`)
+    HeldOut,
 }
 
 /// Step of the relative pose error.

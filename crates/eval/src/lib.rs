@@ -20,6 +20,8 @@ pub mod exposure;
 pub mod frame_list;
 pub mod hdr;
 pub mod image;
+#[cfg(test)]
+mod noise;
 pub mod sharpness;
 pub mod statistics;
 pub mod trajectory;

@@ -54,6 +54,19 @@ impl Viewer<'_> {
         depth
     }
 
+    /// The frame's sharp picture from another pose, cut to `[0, 1]`.
+    pub(crate) fn seen_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
+        let mut picture = self.form(frame, ShutterPoses::still(pose), Sampling::SHARP);
+        picture.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+        picture
+    }
+
+    /// Mean focal length of the renders [px].
+    pub(crate) fn focal_length(&self) -> f64 {
+        let camera = &self.reconstruction.camera;
+        0.5 * (camera.fx + camera.fy)
+    }
+
     fn form(
         &mut self,
         frame: &FrameEstimate,

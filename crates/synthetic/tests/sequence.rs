@@ -1,5 +1,6 @@
 //! Rendered sequences: reproducible, readable, and true to their own poses and exposures.
 
+mod blender;
 mod support;
 
 use i2slam_dataset::{Frame, OpenOptions, Sequence, read_trajectory};

@@ -25,6 +25,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         open: OpenOptions { minimum_gap: config.input.minimum_gap, ..OpenOptions::default() },
         config,
         draw: Draw::All,
+        overwrite: true,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),
     })

@@ -16,6 +16,7 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
         open: open_options(&arguments.input, &config)?,
         config,
         draw: arguments.render,
+        overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
         title: None,
     })
@@ -40,6 +41,9 @@ pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, 
     formation.trajectory_loss &= !no_trajectory_loss;
     if let Some(count) = virtual_cameras {
         formation.virtual_cameras = count;
+    }
+    if let Some(every) = arguments.hold_out {
+        config.mapping.hold_out = every;
     }
     if let Some(seed) = arguments.seed {
         config.seed = seed;

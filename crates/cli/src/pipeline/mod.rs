@@ -15,7 +15,9 @@ use figures::Figures;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::export::report::Report;
-use i2slam::export::{ExportError, Metrics, ResultFolder, remove_renders, save, save_metrics};
+use i2slam::export::{
+    ExportError, Input, Metrics, ResultFolder, holds_result, remove_result, save, save_metrics,
+};
 use std::path::{Path, PathBuf};
 use track::Tracked;
 
@@ -26,6 +28,8 @@ pub(crate) struct Job {
     pub(crate) config: Config,
     pub(crate) open: OpenOptions,
     pub(crate) draw: Draw,
+    /// Whether an earlier result in `out` may be replaced.
+    pub(crate) overwrite: bool,
     pub(crate) quiet: bool,
     /// Name for the report; the folder's if there is none.
     pub(crate) title: Option<&'static str>,
@@ -35,7 +39,7 @@ pub(crate) struct Job {
 pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     let sequence = Sequence::open(&job.dataset, &job.open)?;
     interrupt::listen();
-    refuse_to_overwrite_input(job)?;
+    refuse_to_overwrite(job)?;
     let folder = ResultFolder::create(&job.out)?;
     let truth = Truth::of(&job.dataset, &sequence);
     let mut progress = Progress::new(sequence.len(), job.quiet);
@@ -53,13 +57,18 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     end(problems)
 }
 
-/// A result folder holds a `camera.json` of its own.
-fn refuse_to_overwrite_input(job: &Job) -> Result<(), Failure> {
+/// The dataset is never written to (a result folder has a `camera.json` of its own), an earlier
+/// result only where the user says so.
+fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
+    let out = job.out.display();
     match (job.out.canonicalize(), job.dataset.canonicalize()) {
-        (Ok(out), Ok(dataset)) if out == dataset => Err(Failure::Usage(format!(
-            "--out {} is the dataset itself: its camera.json would be overwritten, choose another \
-             folder",
-            job.out.display()
+        (Ok(folder), Ok(dataset)) if folder == dataset => Err(Failure::Usage(format!(
+            "--out {out} is the dataset itself: its camera.json would be overwritten, choose \
+             another folder"
+        ))),
+        _ if !job.overwrite && holds_result(&job.out) => Err(Failure::Usage(format!(
+            "--out {out} holds a result already: choose another folder, or replace it with \
+             --overwrite"
         ))),
         _ => Ok(()),
     }
@@ -102,13 +111,14 @@ impl Finished<'_> {
         let mut note = |result: Result<(), ExportError>| {
             problems.extend(result.err().map(|error| error.to_string()));
         };
+        note(remove_result(self.folder.path()));
         save(self.folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
+        note(Input::new(&self.job.dataset, &self.job.open).save(self.folder));
         let mut figures = Figures::of(&self.tracked, self.truth);
         for warning in &figures.warnings {
             progress.warn(warning);
         }
         note(save_metrics(self.folder, &figures.metrics));
-        note(remove_renders(self.folder.path()));
         let drawing = Drawing {
             sequence: self.sequence,
             truth: self.truth,

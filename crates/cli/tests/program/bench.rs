@@ -135,6 +135,19 @@ fn what_could_not_be_judged_is_judged_again_without_a_run() {
 }
 
 #[test]
+fn held_out_frames_are_judged_alone() {
+    let text = format!("protocol = \"held-out\"\noptimise_poses = true\n{}", suite(""));
+    let (_scratch, suite, out) = prepared("bench-held-out", &text);
+    bench(&suite, &out, &[]).ended_with(2).complaining("hold_out");
+    fs::write(&suite, text.replace("{ iterations", "{ hold_out = 2, iterations")).expect("room");
+    bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
+    let judged = read(&out.join("cells/room/on/seed-3/eval.json"));
+    assert!(judged.contains("\"sharp_frames\": 1"), "{judged}");
+    assert!(judged.contains("\"poses_optimised\": true"), "{judged}");
+    assert!(read(&out.join("results.md")).contains("that the map never saw"));
+}
+
+#[test]
 fn a_cell_that_takes_too_long_is_ended() {
     let slow = suite("").replace("iterations = 4", "iterations = 400000");
     let (_scratch, suite, out) = prepared("bench-late", &slow);

@@ -6,6 +6,7 @@ mod commands;
 mod eval;
 mod info;
 mod interrupt;
+mod protocols;
 mod result;
 mod robust;
 mod scene;

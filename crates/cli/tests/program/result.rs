@@ -1,7 +1,7 @@
 //! What a good run leaves.
 
 use crate::scene::{HEIGHT, Scene, WIDTH};
-use crate::tools::{Scratch, number, reconstruct, rows};
+use crate::tools::{Scratch, number, reconstruct, rows, run};
 use std::fs;
 
 #[test]
@@ -16,7 +16,8 @@ fn every_file_of_the_result_folder_is_written() {
     assert_eq!(rows(&out.join("trajectory_shutter.txt")), 6);
     assert_eq!(rows(&out.join("frames.csv")), 7);
     assert_eq!(rows(&out.join("camera_response.csv")), 257);
-    for file in ["camera.json", "state.json", "map.i2slam", "map.ply", "config.toml"] {
+    for file in ["camera.json", "state.json", "map.i2slam", "map.ply", "config.toml", "input.json"]
+    {
         assert!(out.join(file).is_file(), "{file}");
     }
     for (kind, extension) in
@@ -39,6 +40,28 @@ fn every_file_of_the_result_folder_is_written() {
     assert!(psnr > 20.0, "{psnr}");
     let page = fs::read_to_string(&report).expect("a report");
     assert!(page.contains("data:image/jpeg") && page.contains("Trajectory error"));
+}
+
+#[test]
+fn an_earlier_result_is_only_replaced_on_request() {
+    let scratch = Scratch::new("overwrite");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: 4, ..Scene::default() }.write(&data);
+    reconstruct(&data, &out, &[]).ended_with(0);
+    let pose = ["--pose", "0 0 0 0 0 0 1"];
+    run(["render", out.to_str().expect("a name")].into_iter().chain(pose)).ended_with(0);
+    run(["eval", out.to_str().expect("a name")]).ended_with(0);
+    fs::write(out.join("notes.txt"), "mine").expect("room");
+    let before = fs::read(out.join("trajectory.txt")).expect("a result");
+    let refused = reconstruct(&data, &out, &["--frames", "0..2"]).ended_with(2);
+    refused.complaining("holds a result already").complaining("--overwrite");
+    assert_eq!(fs::read(out.join("trajectory.txt")).ok(), Some(before));
+    reconstruct(&data, &out, &["--frames", "0..2", "--overwrite"]).ended_with(0);
+    assert_eq!(rows(&out.join("trajectory.txt")), 2);
+    for stale in ["views", "evaluation.json", "renders/sharp/000003.png"] {
+        assert!(!out.join(stale).exists(), "{stale}");
+    }
+    assert!(out.join("notes.txt").is_file() && out.join("renders/sharp/000001.png").is_file());
 }
 
 #[test]

@@ -83,12 +83,7 @@ impl Plane {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn noise(seed: u64, width: usize, height: usize) -> Image<f32> {
-        let data = i2slam_check::noise(seed, width * height);
-        let data = data.iter().map(|v| (0.5 + 0.5 * v) as f32).collect();
-        Image { width, height, channels: 1, data }
-    }
+    use crate::noise::grey as noise;
 
     #[test]
     fn an_odd_side_is_padded_at_its_start() {

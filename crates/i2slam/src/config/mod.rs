@@ -242,6 +242,9 @@ pub struct MappingConfig {
     pub first_iterations: usize,
     /// Steps after the last frame, over all keyframes.
     pub final_iterations: usize,
+    /// Every how many frames one is held out: tracked, but never mapped, for `eval --protocol
+    /// held-out`. At least 2; zero holds none out.
+    pub hold_out: usize,
     /// Keyframes in the window, current frame included.
     pub window: usize,
     /// Least number of frames from one keyframe to the next.

@@ -160,6 +160,7 @@ fn paper_scannet() -> Config {
             seconds_per_frame: 0.0,
             first_iterations: 30,
             final_iterations: 0,
+            hold_out: 0,
             window: 10,
             keyframe_interval: 5,
             keyframe_motion: 0.0,

@@ -132,6 +132,13 @@ impl Config {
         positive("tracking.alignment.image_scale_floor", a.image_scale_floor)?;
         at_least("tracking.alignment.renders", self.tracking.alignment.renders, 1)?;
         at_least("mapping.interval", self.mapping.interval, 1)?;
+        if self.mapping.hold_out == 1 {
+            return Err(ConfigError::OutOfRange {
+                key: "mapping.hold_out",
+                value: "1".to_owned(),
+                expected: "0 for none, or 2 and more: a map needs frames",
+            });
+        }
         at_least("mapping.window", self.mapping.window, 1)?;
         at_least("mapping.keyframe_interval", self.mapping.keyframe_interval, 1)?;
         at_least("map.capacity", self.map.capacity, 1)?;
@@ -297,7 +304,12 @@ mod tests {
 
     #[test]
     fn values_out_of_range_are_refused() {
-        for text in ["[formation]\nvirtual_cameras = 0", "[map]\ninitial_opacity = 2.0"] {
+        let wrong = [
+            "[formation]\nvirtual_cameras = 0",
+            "[map]\ninitial_opacity = 2.0",
+            "[mapping]\nhold_out = 1",
+        ];
+        for text in wrong {
             assert!(Config::from_toml(text, "test", None).is_err(), "{text}");
         }
     }

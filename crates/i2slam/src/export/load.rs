@@ -100,6 +100,7 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
         tone: FrameTone::from_array([log(2)?, log(3)?, log(4)?, log(5)?]),
         response,
         keyframe: cell::<u8>(&cells, 13)? != 0,
+        held_out: cell::<u8>(&cells, 22)? != 0,
         tracked: cell::<u8>(&cells, 14)? != 0,
         losses: Losses {
             image: cell(&cells, 6)?,

@@ -3,11 +3,13 @@
 
 mod archive;
 mod error;
+mod input;
 mod load;
 mod map;
 mod metrics;
 mod pictures;
 mod ply;
+mod remove;
 mod renders;
 pub mod report;
 mod save;
@@ -18,8 +20,10 @@ mod table;
 mod tests;
 
 pub use error::ExportError;
+pub use input::Input;
 pub use metrics::Metrics;
 pub use pictures::{DEPTH_UNITS_PER_METRE, write_depth, write_picture, write_radiance};
+pub use remove::{holds_result, remove_result};
 pub use renders::{RenderKind, remove_renders, save_render};
-pub use save::{save, save_metrics};
+pub use save::{save, save_metrics, save_trajectory};
 pub use storage::{Disk, ResultFolder, Storage};

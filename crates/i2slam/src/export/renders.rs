@@ -66,19 +66,32 @@ pub fn save_render<S: Storage>(
     })
 }
 
-/// Delete the pictures that an earlier run left under `renders/` of a result folder, and nothing
-/// else, so that pictures of two runs do not mix.
+/// Folders of a result that hold pictures by kind: of the run, at optimised poses, at poses of
+/// the user's.
+const PICTURES: [&str; 3] = ["renders/optimised", "renders", "views"];
+
+/// Delete the pictures that an earlier run left under `renders/` and `views/` of a result folder,
+/// and nothing else, so that pictures of two runs do not mix.
 pub fn remove_renders(result: &Path) -> Result<(), ExportError> {
-    for kind in RenderKind::ALL {
-        let Ok(entries) = fs::read_dir(result.join("renders").join(kind.name())) else { continue };
-        for path in entries.flatten().map(|entry| entry.path()) {
-            let stem = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse().ok());
-            let ours = stem.is_some_and(|index| path.ends_with(kind.file(index)));
-            if ours {
-                fs::remove_file(&path).map_err(|source| ExportError::Write { path, source })?;
-            }
+    for below in PICTURES {
+        RenderKind::ALL.into_iter().try_for_each(|kind| remove_kind(&result.join(below), kind))?;
+        // A folder that holds something else stays.
+        fs::remove_dir(result.join(below)).ok();
+    }
+    Ok(())
+}
+
+fn remove_kind(below: &Path, kind: RenderKind) -> Result<(), ExportError> {
+    let folder = below.join(kind.name());
+    let Ok(entries) = fs::read_dir(&folder) else { return Ok(()) };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        let stem = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse().ok());
+        let ours = stem.is_some_and(|index| path.ends_with(kind.file(index)));
+        if ours {
+            fs::remove_file(&path).map_err(|source| ExportError::Write { path, source })?;
         }
     }
+    fs::remove_dir(folder).ok();
     Ok(())
 }
 
@@ -96,6 +109,7 @@ impl Reconstruction {
             tone,
             response,
             keyframe: false,
+            held_out: false,
             tracked: true,
             losses: Losses::default(),
             blur_length: 0.0,
@@ -119,12 +133,16 @@ mod tests {
         for kind in RenderKind::ALL {
             save_render(&folder, "renders", kind, 12, &image).expect("room");
         }
+        for below in ["renders/optimised", "views"] {
+            save_render(&folder, below, RenderKind::Sharp, 3, &image).expect("room");
+        }
         folder.write_text("renders/sharp/notes.txt", "mine").expect("room");
         folder.write_text("renders/sharp/7.png", "mine").expect("room");
         assert!(scratch.0.join("renders/hdr/000012.exr").exists());
         remove_renders(&scratch.0).expect("removal");
         assert!(!scratch.0.join("renders/hdr/000012.exr").exists());
         assert!(!scratch.0.join("renders/sharp/000012.png").exists());
+        assert!(!scratch.0.join("renders/optimised").exists() && !scratch.0.join("views").exists());
         assert!(scratch.0.join("renders/sharp/notes.txt").exists());
         assert!(scratch.0.join("renders/sharp/7.png").exists());
     }

@@ -3,6 +3,7 @@
 use super::state::{CameraFile, State};
 use super::{ExportError, Metrics, ResultFolder, Storage, map, table};
 use crate::reconstruction::Reconstruction;
+use i2slam_geometry::StampedPose;
 use std::io::{self, Write};
 
 /// Write everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
@@ -15,7 +16,7 @@ pub fn save<S: Storage>(
 ) -> Vec<ExportError> {
     let r = reconstruction;
     let steps = [
-        folder.write_text("trajectory.txt", &table::trajectory(&r.frames)),
+        save_trajectory(folder, "trajectory.txt", &r.trajectory()),
         folder.write_text("trajectory_shutter.txt", &table::shutter_trajectory(&r.frames)),
         folder.write_text("frames.csv", &table::frames(&r.frames)),
         folder.write_text("config.toml", &r.config.to_toml()),
@@ -26,6 +27,15 @@ pub fn save<S: Storage>(
         folder.write("map.ply", |out| map::write_ply(out, r)),
     ];
     steps.into_iter().filter_map(Result::err).collect()
+}
+
+/// Write mid-exposure poses in the TUM format.
+pub fn save_trajectory<S: Storage>(
+    folder: &ResultFolder<S>,
+    file: &str,
+    poses: &[StampedPose],
+) -> Result<(), ExportError> {
+    folder.write_text(file, &table::trajectory(poses))
 }
 
 /// Write `metrics.json`.

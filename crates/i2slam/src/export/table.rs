@@ -1,11 +1,11 @@
 //! The text files of a result: trajectories, frames, camera response.
 
 use crate::reconstruction::{FrameEstimate, Reconstruction};
-use i2slam_geometry::Pose;
+use i2slam_geometry::{Pose, StampedPose};
 use std::fmt::{Display, Write};
 
 /// Columns of `frames.csv`, in order.
-pub(crate) const FRAME_COLUMNS: [&str; 22] = [
+pub(crate) const FRAME_COLUMNS: [&str; 23] = [
     "index",
     "timestamp",
     "exposure",
@@ -28,14 +28,15 @@ pub(crate) const FRAME_COLUMNS: [&str; 22] = [
     "depth_lead_rx",
     "depth_lead_ry",
     "depth_lead_rz",
+    "held_out",
 ];
 
 /// `trajectory.txt`: mid-exposure poses in the TUM format.
-pub(crate) fn trajectory(frames: &[FrameEstimate]) -> String {
+pub(crate) fn trajectory(poses: &[StampedPose]) -> String {
     let mut text = String::from("# world_from_camera at mid-exposure [m]\n");
     text += "# timestamp tx ty tz qx qy qz qw\n";
-    for frame in frames {
-        text += &line(frame.timestamp, &[frame.middle()], |v| format!("{v:.9}"));
+    for pose in poses {
+        text += &line(pose.timestamp, &[pose.world_from_camera], |v| format!("{v:.9}"));
     }
     text
 }
@@ -71,7 +72,7 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
         let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
         let losses = frame.losses;
         let [x, y, z, rx, ry, rz] = frame.depth_lead.to_array();
-        let cells: [&dyn Display; 22] = [
+        let cells: [&dyn Display; 23] = [
             &frame.index,
             &frame.timestamp,
             &log_exposure.exp(),
@@ -94,6 +95,7 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
             &rx,
             &ry,
             &rz,
+            &u8::from(frame.held_out),
         ];
         text += &cells.map(|cell| cell.to_string()).join(",");
         text.push('\n');

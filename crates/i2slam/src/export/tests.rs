@@ -26,6 +26,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
             tone,
             response: 0,
             keyframe: i.is_multiple_of(5),
+            held_out: i == 4,
             tracked: i != 3,
             losses: Losses { image: 0.02 + 0.01 * t.cos(), depth: 0.004, trajectory: 1e-5 * t },
             blur_length: 3.0 + 2.0 * (2.0 * t).sin(),
@@ -69,7 +70,7 @@ fn a_saved_folder_loads_as_it_was() {
     assert_eq!(after.config, before.config);
     for (a, b) in after.frames.iter().zip(&before.frames) {
         assert_eq!((a.shutter, a.tone, a.losses), (b.shutter, b.tone, b.losses));
-        assert_eq!(a.depth_lead, b.depth_lead);
+        assert_eq!((a.depth_lead, a.held_out), (b.depth_lead, b.held_out));
         assert_eq!((a.index, a.timestamp, a.blur_length), (b.index, b.timestamp, b.blur_length));
         assert_eq!((a.keyframe, a.tracked, a.gaussians), (b.keyframe, b.tracked, b.gaussians));
     }

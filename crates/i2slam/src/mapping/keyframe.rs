@@ -74,6 +74,7 @@ mod tests {
             tone: FrameTone::default(),
             response: 0,
             keyframe: false,
+            held_out: false,
             tracked: true,
             losses: Losses::default(),
             blur_length: blur,

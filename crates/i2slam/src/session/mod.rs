@@ -107,13 +107,21 @@ impl Session {
             ));
         }
         let clock = Instant::now();
-        if usable && self.frames[position].tracked {
+        self.frames[position].held_out = self.holds_out(position);
+        let frame = &self.frames[position];
+        if usable && frame.tracked && !frame.held_out {
             self.map_frame(position, observation);
         }
         let estimate = &mut self.frames[position];
         estimate.mapping_seconds = clock.elapsed().as_secs_f64();
         estimate.gaussians = self.map.len();
         Ok(&self.frames[position])
+    }
+
+    /// Whether a frame is kept from the map; the one that starts it never is.
+    fn holds_out(&self, position: usize) -> bool {
+        let every = self.config.mapping.hold_out;
+        every > 0 && position > 0 && position.is_multiple_of(every) && !self.map.is_empty()
     }
 
     /// Refines the map over all keyframes; `on_step(done, of)` says whether to go on.
@@ -204,6 +212,7 @@ impl Session {
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response: last_response,
             keyframe: false,
+            held_out: false,
             tracked: self.map.is_empty() && usable,
             losses: Losses::default(),
             blur_length: 0.0,

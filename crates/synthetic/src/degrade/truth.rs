@@ -2,7 +2,7 @@
 
 use super::Degradation;
 use crate::error::SyntheticError;
-use crate::write::Folder;
+use crate::write::{Folder, pose_numbers};
 use i2slam_dataset::Sequence;
 use std::path::Path;
 
@@ -27,9 +27,7 @@ pub(super) fn carry(
     kept: &[usize],
     what: &Degradation,
 ) -> Result<(), SyntheticError> {
-    if let Some(truth) = &sequence.ground_truth {
-        copy(truth, &out.join("groundtruth.txt"))?;
-    }
+    poses(out, folder, sequence)?;
     let ends = "groundtruth_shutter.txt";
     if dataset.join(ends).is_file() {
         copy(&dataset.join(ends), &out.join(ends))?;
@@ -51,6 +49,23 @@ pub(super) fn carry(
         folder.write_text("exposure.csv", renumbered(&text, kept, what))?;
     }
     Ok(())
+}
+
+/// True poses in the TUM format, whatever the layout of the source keeps them in.
+fn poses(out: &Path, folder: &Folder, sequence: &Sequence) -> Result<(), SyntheticError> {
+    if let Some(truth) = &sequence.ground_truth {
+        return copy(truth, &out.join("groundtruth.txt"));
+    }
+    if sequence.poses.is_empty() {
+        return Ok(());
+    }
+    let mut text = String::from("# world_from_camera at the time stamps of the colour pictures\n");
+    text.push_str("# timestamp tx ty tz qx qy qz qw\n");
+    for pose in &sequence.poses {
+        let numbers = pose_numbers(&pose.world_from_camera);
+        text.push_str(&format!("{:.6} {numbers}\n", pose.timestamp));
+    }
+    folder.write_text("groundtruth.txt", text)
 }
 
 fn copy(from: &Path, to: &Path) -> Result<(), SyntheticError> {

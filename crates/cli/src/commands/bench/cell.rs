@@ -35,6 +35,9 @@ pub(super) struct Record {
     pub(super) settings: String,
     /// Frames whose pictures are judged, where there is a list.
     pub(super) list: Option<String>,
+    /// How pictures are judged, if not by the figures of the run.
+    #[serde(default)]
+    pub(super) judgement: Option<String>,
     /// Version and checksum of the program.
     pub(super) build: String,
     pub(super) threads: usize,
@@ -58,6 +61,7 @@ impl Record {
         self.arguments == other.arguments
             && self.settings == other.settings
             && self.list == other.list
+            && self.judgement == other.judgement
     }
 
     fn write(&self, folder: &Path) -> Result<(), Stopped> {
@@ -104,6 +108,7 @@ impl Bench<'_> {
             arguments,
             settings: setting.overrides.clone(),
             list,
+            judgement: self.plan.judgement(cell.sequence),
             build: self.build.to_owned(),
             threads: self.threads,
             jobs: self.jobs,
@@ -200,7 +205,8 @@ impl Bench<'_> {
     ) -> Result<(), Stopped> {
         let dataset = self.dataset(cell.sequence);
         let list = &self.plan.sequences[cell.sequence].list;
-        if list.is_none() && !dataset.join("sharp").is_dir() {
+        let judgement = self.plan.judgement(cell.sequence);
+        if judgement.is_none() && !dataset.join("sharp").is_dir() {
             return Ok(());
         }
         let mut arguments: Vec<OsString> = vec!["eval".into(), result.into()];
@@ -214,7 +220,13 @@ impl Bench<'_> {
                     file.into()
                 }
             };
-            arguments.extend(["--protocol".into(), "i2slam".into(), "--list".into(), name]);
+            arguments.extend(["--list".into(), name]);
+        }
+        if let Some(protocol) = judgement.as_deref().and_then(|j| j.split(',').next()) {
+            arguments.extend(["--protocol".into(), protocol.into()]);
+        }
+        if self.plan.suite.optimise_poses {
+            arguments.push("--optimise-poses".into());
         }
         let partial = folder.join(".eval.json.partial");
         let call = self.call(arguments, &folder.join("eval.log"), Some(&partial)).run(started);

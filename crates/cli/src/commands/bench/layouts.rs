@@ -2,7 +2,7 @@
 
 use super::figures::{ATE, DEPTH, Figure, LPIPS, MAPPING, MEMORY, PSNR, SECONDS, SSIM, TRACKING};
 use super::notes::{about, machine, over_sequences};
-use super::suite::Layout;
+use super::suite::{Layout, Protocol};
 use super::summary::Results;
 use super::table::{Entry, Table, mark_best};
 
@@ -72,12 +72,20 @@ fn rendering(results: &Results<'_>) -> Table {
     if results.plan.sequences.len() > 1 {
         groups.push((String::new(), 1));
     }
-    let what = "Renders at mid-exposure against true sharp pictures, or, where a list of frames \
-                is given, against the pictures taken of these frames.";
+    let mut what = "Renders at mid-exposure against true sharp pictures, or, where a list of \
+                    frames is given, against the pictures taken of these frames."
+        .to_owned();
+    let suite = &results.plan.suite;
+    if suite.protocol == Some(Protocol::HeldOut) {
+        what += " Only frames that the map never saw.";
+    }
+    if suite.optimise_poses {
+        what += " Each seen from where the map fits its true picture best.";
+    }
     Table {
         slug: "rendering",
         title: "Rendering quality",
-        note: about(results, what),
+        note: about(results, &what),
         groups,
         header: sequence_names(results, &["Method", "Metric"]),
         rows,

@@ -47,12 +47,12 @@ pub(crate) struct Bench {
     /// Cells at once, each with its share of the threads [default: the suite's, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(crate) jobs: Option<u16>,
-    /// Only these sequences, by name
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(crate) sequences: Option<Vec<String>>,
-    /// Only these configurations, by name
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(crate) configurations: Option<Vec<String>>,
+    /// Only these sequences: names separated by commas; may repeat
+    #[arg(long, value_name = "NAMES")]
+    pub(crate) sequences: Vec<String>,
+    /// Only these configurations: names separated by commas; may repeat
+    #[arg(long, value_name = "NAMES")]
+    pub(crate) configurations: Vec<String>,
     /// These seeds instead of the suite's
     #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
     pub(crate) seeds: Option<Vec<u64>>,
@@ -239,8 +239,8 @@ fn progress(work: &Work<'_>, place: usize, record: &Record) -> String {
 
 fn figures_of(work: &Work<'_>, place: usize) -> Figures {
     let cell = &work.plan.cells[place];
-    let listed = work.plan.sequences[cell.sequence].list.is_some();
-    figures::of_cell(&work.folder(cell), listed).unwrap_or_default()
+    let judged = work.plan.judgement(cell.sequence).is_some();
+    figures::of_cell(&work.folder(cell), judged).unwrap_or_default()
 }
 
 /// Tables, then how it ended.

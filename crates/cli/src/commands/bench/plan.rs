@@ -2,7 +2,7 @@
 
 use super::input::{List, settings_of};
 use super::sequences::sequences;
-use super::suite::{Configuration, Origin, Suite};
+use super::suite::{Configuration, Origin, Protocol, Suite};
 use crate::failure::Failure;
 use i2slam::Config;
 use std::collections::BTreeSet;
@@ -13,8 +13,9 @@ use std::path::{Path, PathBuf};
 pub(super) struct Wanted {
     /// Folder of the data sets.
     pub(super) data: Option<PathBuf>,
-    pub(super) sequences: Option<Vec<String>>,
-    pub(super) configurations: Option<Vec<String>>,
+    /// As typed: names separated by commas; none stands for all.
+    pub(super) sequences: Vec<String>,
+    pub(super) configurations: Vec<String>,
     pub(super) seeds: Option<Vec<u64>>,
 }
 
@@ -75,8 +76,8 @@ impl Plan {
         let settings: Result<Vec<Setting>, Failure> =
             entries.map(|entry| settings_of(entry, &origin.name)).collect();
         let mut settings = settings?;
-        keep(&mut sequences, wanted.sequences.as_deref(), |s| &s.name, "sequence")?;
-        keep(&mut settings, wanted.configurations.as_deref(), |s| &s.entry.name, "configuration")?;
+        keep(&mut sequences, &wanted.sequences, |s| &s.name, "sequence")?;
+        keep(&mut settings, &wanted.configurations, |s| &s.entry.name, "configuration")?;
         distinct(sequences.iter().map(|s| (&s.slug, &s.name)), "sequences", &origin.name)?;
         distinct(
             settings.iter().map(|s| (&s.slug, &s.entry.name)),
@@ -84,6 +85,15 @@ impl Plan {
             &origin.name,
         )?;
         let mut suite = origin.suite;
+        let all_mapped = settings.iter().find(|s| s.config.mapping.hold_out == 0);
+        if let (Some(Protocol::HeldOut), Some(setting)) = (suite.protocol, all_mapped) {
+            let message = format!(
+                "{}: protocol \"held-out\" judges frames that the map never saw, and configuration \
+                 `{}` holds none out: give it config.mapping.hold_out",
+                origin.name, setting.entry.name
+            );
+            return Err(Failure::Usage(message));
+        }
         if let Some(seeds) = &wanted.seeds {
             suite.seeds.clone_from(seeds);
         }
@@ -105,6 +115,21 @@ impl Plan {
         [Path::new("cells"), sequence.slug.as_ref(), setting.slug.as_ref(), seed.as_ref()]
             .iter()
             .collect()
+    }
+
+    /// How the pictures of a sequence are judged, if not by the figures of the run itself:
+    /// protocol, and whether poses are optimised first.
+    pub(super) fn judgement(&self, sequence: usize) -> Option<String> {
+        let listed = self.sequences[sequence].list.is_some();
+        let protocol = match self.suite.protocol {
+            Some(Protocol::HeldOut) => "held-out",
+            Some(Protocol::I2slam) => "i2slam",
+            None if listed => "i2slam",
+            None if self.suite.optimise_poses => "all-frames",
+            None => return None,
+        };
+        let poses = if self.suite.optimise_poses { ", poses optimised" } else { "" };
+        Some(format!("{protocol}{poses}"))
     }
 
     /// The cell in words.
@@ -137,22 +162,41 @@ pub(super) fn slug(name: &str) -> String {
 /// Only what is asked for; a name that nothing has is an error.
 fn keep<T>(
     all: &mut Vec<T>,
-    wanted: Option<&[String]>,
+    wanted: &[String],
     name: impl Fn(&T) -> &String,
     kind: &str,
 ) -> Result<(), Failure> {
-    let Some(wanted) = wanted else { return Ok(()) };
-    for asked in wanted {
-        if !all.iter().any(|one| name(one) == asked) {
-            let known: Vec<&str> = all.iter().map(|one| name(one).as_str()).collect();
-            let known = known.join(", ");
-            return Err(Failure::Usage(format!(
-                "no {kind} is called `{asked}`: there are {known}"
-            )));
-        }
+    if wanted.is_empty() {
+        return Ok(());
     }
-    all.retain(|one| wanted.contains(name(one)));
+    let known: Vec<&str> = all.iter().map(|one| name(one).as_str()).collect();
+    let mut chosen = Vec::new();
+    for typed in wanted {
+        let names = names(typed, &known).map_err(|asked| {
+            let known = known.join(", ");
+            Failure::Usage(format!("no {kind} is called `{asked}`: there are {known}"))
+        })?;
+        chosen.extend(names);
+    }
+    all.retain(|one| chosen.contains(name(one)));
     Ok(())
+}
+
+/// The known names in a text that has them between commas, where a name may itself hold commas:
+/// the longest that fits counts. The error is a part that is no name.
+fn names(typed: &str, known: &[&str]) -> Result<Vec<String>, String> {
+    let parts: Vec<&str> = typed.split(',').collect();
+    let (mut names, mut at) = (Vec::new(), 0);
+    while at < parts.len() {
+        let longest = (at + 1..=parts.len()).rev().find_map(|end| {
+            let name = parts[at..end].join(",").trim().to_owned();
+            known.contains(&name.as_str()).then_some((name, end))
+        });
+        let (name, end) = longest.ok_or_else(|| parts[at].trim().to_owned())?;
+        names.push(name);
+        at = end;
+    }
+    Ok(names)
 }
 
 /// Two cells must not share a folder.
@@ -180,6 +224,32 @@ mod tests {
     fn names_become_parts_of_paths() {
         assert_eq!(slug("Paper: no blur, N = 5"), "paper-no-blur-n-5");
         assert_eq!(slug("../x"), "x");
+    }
+
+    #[test]
+    fn names_may_hold_commas() {
+        let known = ["on", "blur, no tone", "no tone", "blur"];
+        let found = |typed| names(typed, &known);
+        let owned = |names: &[&str]| Ok(names.iter().map(|&n| n.to_owned()).collect::<Vec<_>>());
+        assert_eq!(found("blur, no tone"), owned(&["blur, no tone"]));
+        assert_eq!(found("on,blur, no tone,no tone"), owned(&["on", "blur, no tone", "no tone"]));
+        assert_eq!(found("blur, on"), owned(&["blur", "on"]));
+        assert_eq!(found("on,off"), Err("off".to_owned()));
+    }
+
+    #[test]
+    fn frames_are_held_out_where_they_are_judged() {
+        let text = "title = \"t\"\nprotocol = \"held-out\"\n[[sequence]]\npath = \"a\"\n\
+                    [[configuration]]\nname = \"c\"\n";
+        let plan = |text: &str| {
+            let suite = parse(text, "t").expect("a suite");
+            let origin = Origin { suite, name: "t".to_owned(), folder: PathBuf::new() };
+            Plan::new(origin, &Wanted::default())
+        };
+        let message = plan(text).err().expect("nothing is held out");
+        assert!(message.message().is_some_and(|m| m.contains("hold_out")));
+        let plan = plan(&format!("{text}flags = [\"--hold-out\", \"4\"]\n")).expect("a plan");
+        assert_eq!(plan.judgement(0).as_deref(), Some("held-out"));
     }
 
     #[test]

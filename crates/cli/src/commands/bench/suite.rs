@@ -31,6 +31,11 @@ pub(super) struct Suite {
     pub(super) seeds: Vec<u64>,
     /// Cells that run at once, unless `--jobs` says otherwise.
     pub(super) jobs: Option<usize>,
+    /// Protocol that judges pictures, if not that of the sequence: all frames, or its list.
+    pub(super) protocol: Option<Protocol>,
+    /// Whether poses are optimised before pictures are judged.
+    #[serde(default)]
+    pub(super) optimise_poses: bool,
     /// Tables to make, in this order.
     #[serde(default = "usual_tables")]
     pub(super) tables: Vec<Layout>,
@@ -38,6 +43,14 @@ pub(super) struct Suite {
     pub(super) sequences: Vec<SequenceEntry>,
     #[serde(rename = "configuration", default)]
     pub(super) configurations: Vec<Configuration>,
+}
+
+/// A protocol of `i2slam eval` for all sequences.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Protocol {
+    I2slam,
+    HeldOut,
 }
 
 /// A table of the paper.
@@ -177,6 +190,9 @@ pub(super) fn parse(text: &str, origin: &str) -> Result<Suite, Failure> {
         if sources.iter().filter(|given| **given).count() != 1 {
             return Err(wrong("every [[sequence]] needs exactly one of path, find and synth"));
         }
+        if entry.list.is_some() && suite.protocol == Some(Protocol::HeldOut) {
+            return Err(wrong("protocol \"held-out\" judges its own frames, not a `list`"));
+        }
         if entry.synth.is_some() && entry.name.is_none() {
             return Err(wrong("a [[sequence]] with synth needs a name"));
         }
@@ -215,6 +231,8 @@ mod tests {
         assert!(unknown.contains("line 3"), "{unknown}");
         assert!(refused("title = \"t\"\n").contains("[[sequence]]"));
         assert!(refused(&SMALL.replace("path = \"room\"", "")).contains("exactly one"));
+        let listed = SMALL.replace("path", "list = \"auto\"\npath");
+        assert!(refused(&format!("protocol = \"held-out\"\n{listed}")).contains("list"));
         assert!(refused(&format!("seeds = []\n{SMALL}")).contains("seeds"));
     }
 }

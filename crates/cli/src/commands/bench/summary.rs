@@ -182,6 +182,7 @@ pub(super) mod tests {
             arguments: Vec::new(),
             settings: String::new(),
             list: None,
+            judgement: None,
             build: "1".to_owned(),
             threads: 1,
             jobs: 1,

@@ -15,12 +15,27 @@ pub(super) struct Figure {
     pub(super) value: Option<f64>,
 }
 
+/// A line of the table, in its parts.
+#[derive(Clone, Debug)]
+pub(super) struct Row {
+    pub(super) name: String,
+    pub(super) number: String,
+    /// Unit and remark, with what parts them from the number.
+    pub(super) rest: String,
+}
+
+impl Row {
+    pub(super) fn line(&self) -> String {
+        format!("{:<30}{:>9}{}", self.name, self.number, self.rest).trim_end().to_owned()
+    }
+}
+
 impl Figure {
     /// A row of the table.
-    pub(super) fn line(&self) -> String {
+    pub(super) fn row(&self) -> Row {
         let number = self.value.map(|value| format!("{value:.*}", self.decimals));
         let number = number.unwrap_or_else(|| "–".to_owned());
-        format!("{:<30}{number:>9} {}", self.label, self.unit).trim_end().to_owned()
+        Row { name: self.label.to_owned(), number, rest: format!(" {}", self.unit) }
     }
 
     /// What is not finite (the PSNR of equal pictures) is `null`.

@@ -21,13 +21,13 @@ pub(super) struct Chosen {
     pub(super) list: Option<String>,
 }
 
-pub(super) fn choose(
+/// The frames that protocol and list name and that have a true picture, rendered or not.
+pub(super) fn wanted(
     arguments: &Eval,
     subject: &Subject,
     reference: &Reference,
-) -> Result<Chosen, Failure> {
+) -> Result<Vec<usize>, Failure> {
     let run = subject.run_frames()?;
-    let renders = subject.renders("sharp", "png")?;
     let known = reference.frames();
     let demanded = demanded(arguments, run.as_deref(), reference)?;
     let wanted: Vec<usize> = match &demanded {
@@ -37,9 +37,19 @@ pub(super) fn choose(
             None => known.clone(),
         },
     };
-    let judged: Vec<usize> =
-        wanted.into_iter().filter(|frame| known.binary_search(frame).is_ok()).collect();
-    let chosen = Chosen { list: list(arguments), ..split(judged, &renders) };
+    Ok(wanted.into_iter().filter(|frame| known.binary_search(frame).is_ok()).collect())
+}
+
+/// Those of them that are drawn.
+pub(super) fn choose(
+    arguments: &Eval,
+    subject: &Subject,
+    reference: &Reference,
+    wanted: Vec<usize>,
+) -> Result<Chosen, Failure> {
+    let kind = if arguments.optimise_poses { "optimised/sharp" } else { "sharp" };
+    let renders = subject.renders(kind, "png")?;
+    let chosen = Chosen { list: list(arguments), ..split(wanted, &renders) };
     check(arguments, subject, reference, &renders, &chosen)?;
     Ok(chosen)
 }
@@ -57,6 +67,7 @@ fn demanded(
         }
         Protocol::Splatam => Some(splatam(needed(run)?, arguments.every as usize)),
         Protocol::Monogs => Some(monogs(needed(run)?)),
+        Protocol::HeldOut => Some(held_out(needed(run)?)?),
     };
     Ok(frames)
 }
@@ -85,6 +96,17 @@ fn monogs(run: &[RunFrame]) -> Vec<usize> {
     let end = run.len().saturating_sub(1);
     let frames = run[..end].iter().step_by(MONOGS_INTERVAL).filter(|frame| !frame.keyframe);
     frames.map(|frame| frame.index).collect()
+}
+
+/// Frames that the map never saw.
+fn held_out(run: &[RunFrame]) -> Result<Vec<usize>, Failure> {
+    let frames: Vec<usize> = run.iter().filter(|f| f.held_out).map(|f| f.index).collect();
+    if frames.is_empty() {
+        let message = "this run held no frame out, its map has seen them all: run it again with \
+                       --hold-out 8";
+        return Err(Failure::Usage(message.to_owned()));
+    }
+    Ok(frames)
 }
 
 fn within_run(frames: &[usize], run: Option<&[RunFrame]>) -> Vec<usize> {
@@ -145,6 +167,7 @@ mod tests {
             index: 100 + place,
             timestamp: place as f64,
             keyframe: keyframes.contains(&place),
+            held_out: false,
         };
         (0..16).map(frame).collect()
     }
@@ -160,5 +183,14 @@ mod tests {
         assert_eq!(monogs(&run(&[0, 10])), [105]);
         assert_eq!(monogs(&run(&[])), [100, 105, 110]);
         assert!(monogs(&[]).is_empty());
+    }
+
+    #[test]
+    fn held_out_frames_are_those_of_the_run() {
+        let mut frames = run(&[]);
+        let message = held_out(&frames).expect_err("all were mapped");
+        assert!(message.message().is_some_and(|m| m.contains("--hold-out")));
+        frames[6].held_out = true;
+        assert_eq!(held_out(&frames).ok(), Some(vec![106]));
     }
 }

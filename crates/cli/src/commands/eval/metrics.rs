@@ -87,7 +87,7 @@ const MONOGS: &[Metric] = &[
 /// The numbers of a protocol, in the order of the table.
 pub(super) fn of(protocol: Protocol) -> &'static [Metric] {
     match protocol {
-        Protocol::AllFrames | Protocol::I2slam => WHOLE,
+        Protocol::AllFrames | Protocol::I2slam | Protocol::HeldOut => WHOLE,
         Protocol::Splatam => SPLATAM,
         Protocol::Monogs => MONOGS,
     }

@@ -1,33 +1,25 @@
 //! `i2slam eval`: a result, a trajectory or pictures against the truth.
 
+mod evaluation;
 mod figure;
 mod frames;
 mod lists;
 mod metrics;
+mod optimise;
 mod pictures;
 mod radiance;
 mod reference;
+mod report;
 mod subject;
 mod trajectory;
 
 use crate::arguments::{Eval, Protocol};
 use crate::failure::Failure;
 use crate::output::{complain, say};
-use figure::Figure;
-use pictures::Judged;
+use evaluation::Evaluation;
 use reference::Reference;
-use serde_json::{Map, Value};
 use std::path::Path;
 use subject::Subject;
-
-/// All figures of an evaluation.
-#[derive(Default)]
-struct Evaluation {
-    protocol: &'static str,
-    trajectory: Option<trajectory::Errors>,
-    pictures: Option<Judged>,
-    radiance: Vec<Figure>,
-}
 
 pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     if arguments.list.as_deref() == Some("help") {
@@ -37,8 +29,8 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     if let Some(file) = &arguments.write_list {
         return lists::write(&arguments.estimate, file);
     }
-    let own_frames = matches!(arguments.protocol, Protocol::Splatam | Protocol::Monogs);
-    if own_frames && arguments.list.is_some() {
+    let lists = matches!(arguments.protocol, Protocol::AllFrames | Protocol::I2slam);
+    if !lists && arguments.list.is_some() {
         let message = "--list goes with the protocols all-frames and i2slam";
         return Err(Failure::Usage(message.to_owned()));
     }
@@ -50,10 +42,19 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     } else {
         evaluation.print();
     }
-    Ok(())
+    if let (Some(result), None) = (subject.result(), &evaluation.problem) {
+        let added = report::add(result, evaluation.section(arguments));
+        if let Some(reason) = added.err().as_ref().and_then(Failure::message) {
+            complain(&format!("warning: the report is not updated: {reason}"));
+        }
+    }
+    evaluation.problem.map_or(Ok(()), Err)
 }
 
 fn judge(arguments: &Eval, subject: &Subject) -> Result<Evaluation, Failure> {
+    if arguments.optimise_poses {
+        optimise::check(arguments, subject)?;
+    }
     let reference = reference(arguments, subject)?;
     let truth = trajectory::truth(arguments, reference.as_ref())?;
     let mut evaluation = Evaluation { protocol: name(arguments.protocol), ..Default::default() };
@@ -65,21 +66,58 @@ fn judge(arguments: &Eval, subject: &Subject) -> Result<Evaluation, Failure> {
         }
         (_, None) => None,
     };
-    if let Some(reference) = &reference {
-        let chosen = frames::choose(arguments, subject, reference)?;
-        evaluation.radiance = radiance::judge(subject, reference, &chosen)?;
-        let only_radiance = chosen.frames.is_empty() && !evaluation.radiance.is_empty();
-        if !only_radiance {
-            evaluation.pictures = Some(pictures::judge(arguments, subject, reference, chosen)?);
+    let Some(reference) = &reference else {
+        if evaluation.trajectory.is_none() {
+            let message = "nothing to compare with: give --groundtruth, --reference or both";
+            return Err(Failure::Usage(message.to_owned()));
         }
+        return Ok(evaluation);
+    };
+    if evaluation.trajectory.is_none() && subject.trajectory().is_some() {
+        let path = reference.path().display();
+        evaluation.not_judged.push(format!("trajectory: {path} has no true poses"));
     }
-    if evaluation.trajectory.is_none() && reference.is_none() {
-        let message = "nothing to compare with: give --groundtruth, --reference or both";
-        return Err(Failure::Usage(message.to_owned()));
+    match judge_pictures(arguments, subject, reference, &mut evaluation) {
+        Err(Failure::Failed(reason)) if evaluation.trajectory.is_some() => {
+            evaluation.problem = Some(Failure::Failed(reason));
+        }
+        other => other?,
     }
     Ok(evaluation)
 }
 
+fn judge_pictures(
+    arguments: &Eval,
+    subject: &Subject,
+    reference: &Reference,
+    evaluation: &mut Evaluation,
+) -> Result<(), Failure> {
+    let wanted = frames::wanted(arguments, subject, reference)?;
+    if arguments.optimise_poses {
+        let drawn = optimise::draw(subject, reference, &wanted, arguments.json)?;
+        evaluation.corrections = Some(drawn);
+    } else if let (Some(result), Some(_)) = (subject.result(), &evaluation.trajectory)
+        && subject.renders("sharp", "png")?.is_empty()
+    {
+        let result = result.display();
+        evaluation.not_judged.push(format!(
+            "pictures: {result} has no renders/sharp (`i2slam render {result}` draws them)"
+        ));
+        return Ok(());
+    }
+    let chosen = frames::choose(arguments, subject, reference, wanted)?;
+    if !arguments.optimise_poses {
+        evaluation.radiance = radiance::judge(subject, reference, &chosen)?;
+    }
+    let only_radiance = chosen.frames.is_empty() && !evaluation.radiance.is_empty();
+    if !only_radiance {
+        evaluation.pictures = Some(pictures::judge(arguments, subject, reference, chosen)?);
+        evaluation.as_taken = reference.is_as_taken();
+    }
+    Ok(())
+}
+
+/// What is given, else the dataset that the result names, unless a trajectory alone is asked for.
 fn reference(arguments: &Eval, subject: &Subject) -> Result<Option<Reference>, Failure> {
     match (&arguments.reference, subject) {
         (Some(_), Subject::Trajectory(_)) => {
@@ -91,7 +129,8 @@ fn reference(arguments: &Eval, subject: &Subject) -> Result<Option<Reference>, F
             let message = "a folder of pictures needs --reference, or --write-list";
             Err(Failure::Usage(message.to_owned()))
         }
-        (None, _) => Ok(None),
+        (None, _) if arguments.groundtruth.is_some() && !arguments.optimise_poses => Ok(None),
+        (None, _) => Reference::recorded(subject),
     }
 }
 
@@ -102,37 +141,11 @@ fn name(protocol: Protocol) -> &'static str {
         Protocol::I2slam => "i2slam",
         Protocol::Splatam => "splatam",
         Protocol::Monogs => "monogs",
+        Protocol::HeldOut => "held-out",
     }
 }
 
 /// `PATH: reason`.
 fn failed(path: &Path, reason: impl std::fmt::Display) -> Failure {
     Failure::Failed(format!("{}: {reason}", path.display()))
-}
-
-impl Evaluation {
-    /// One flat object, and the frames one by one.
-    fn json(&self) -> Result<Value, Failure> {
-        let mut object = Map::new();
-        object.insert("protocol".to_owned(), self.protocol.into());
-        if let Some(errors) = &self.trajectory {
-            object.extend(errors.json()?);
-        }
-        if let Some(pictures) = &self.pictures {
-            object.extend(pictures.json());
-        }
-        object.extend(self.radiance.iter().map(Figure::json));
-        Ok(Value::Object(object))
-    }
-
-    fn print(&self) {
-        if let Some(errors) = &self.trajectory {
-            errors.lines().iter().for_each(|line| say(line));
-        }
-        if let Some(pictures) = &self.pictures {
-            pictures.lines().iter().for_each(|line| say(line));
-            pictures.remarks().iter().for_each(|line| complain(line));
-        }
-        self.radiance.iter().for_each(|figure| say(&figure.line()));
-    }
 }

@@ -1,7 +1,7 @@
 //! Renders against true pictures.
 
 use super::failed;
-use super::figure::Figure;
+use super::figure::{Figure, Row};
 use super::frames::{Chosen, shortened};
 use super::metrics::{self, Metric, Pair};
 use super::reference::Reference;
@@ -20,7 +20,7 @@ pub(super) struct Judged {
     rows: Vec<(usize, Vec<Option<f64>>)>,
     missing: Vec<usize>,
     /// The list that chose the frames.
-    list: Option<String>,
+    pub(super) list: Option<String>,
 }
 
 /// Measures every chosen frame.
@@ -36,7 +36,9 @@ pub(super) fn judge(
     }
     let metrics = metrics::of(arguments.protocol);
     let row = |(frame, render): &(usize, std::path::PathBuf)| {
-        let pair = pair(subject, reference, *frame, render)?;
+        let mut pair = pair(subject, reference, *frame, render)?;
+        // Depth was drawn at the estimated pose.
+        pair.depth = pair.depth.filter(|_| !arguments.optimise_poses);
         let values = metrics.iter().map(|metric| (metric.of)(&pair));
         let values: Result<Vec<_>, _> = values.collect();
         Ok((*frame, values.map_err(|e| failed(render, e))?))
@@ -79,7 +81,7 @@ fn pair(
 
 impl Judged {
     /// Means over the frames where the number exists and is finite.
-    fn figures(&self) -> Vec<Figure> {
+    pub(super) fn figures(&self) -> Vec<Figure> {
         let column = |i: usize| {
             let values = self.rows.iter().filter_map(move |(_, row)| row[i]);
             let finite: Vec<f64> = values.filter(|v| v.is_finite()).collect();
@@ -100,12 +102,14 @@ impl Judged {
         self.rows.iter().filter(|(_, row)| row[0] == Some(f64::INFINITY)).count()
     }
 
-    pub(super) fn lines(&self) -> Vec<String> {
+    /// Name and value of everything that could be measured.
+    pub(super) fn rows(&self) -> Vec<Row> {
         let list = self.list.as_ref().map(|list| format!(", list {list}")).unwrap_or_default();
-        let mut lines = vec![format!("{:<30}{:>9}{list}", "frames judged", self.rows.len())];
+        let count = self.rows.len().to_string();
+        let mut rows = vec![Row { name: "frames judged".to_owned(), number: count, rest: list }];
         let known = self.figures().into_iter().filter(|figure| figure.value.is_some());
-        lines.extend(known.map(|figure| figure.line()));
-        lines
+        rows.extend(known.map(|figure| figure.row()));
+        rows
     }
 
     /// What a reader of the table must know.

@@ -7,6 +7,7 @@ use crate::picture::read_png;
 use crate::truth::Truth;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::export::Input;
 use i2slam::geometry::{Image, StampedPose};
 use std::path::{Path, PathBuf};
 
@@ -26,8 +27,11 @@ pub(super) struct TrueFrame {
 }
 
 impl Reference {
-    /// A folder that can be opened as a sequence is one; the settings of the run decide how.
+    /// What can be opened as a sequence is one; the settings of the run decide how.
     pub(super) fn open(path: &Path, subject: &Subject) -> Result<Self, Failure> {
+        if path.is_file() {
+            return Self::dataset(path, subject);
+        }
         if !path.is_dir() {
             return Err(failed(path, "is no folder"));
         }
@@ -38,22 +42,24 @@ impl Reference {
         Ok(Self::Folder { path: path.to_owned(), colour, radiance })
     }
 
+    /// The dataset that a result folder names, if it names one.
+    pub(super) fn recorded(subject: &Subject) -> Result<Option<Self>, Failure> {
+        let Some(result) = subject.result() else { return Ok(None) };
+        let Some(input) = Input::load(result)? else { return Ok(None) };
+        let dataset = &input.dataset;
+        if !dataset.exists() {
+            let reason = "the dataset of this run is not there any more: give it as --reference, \
+                          or a trajectory as --groundtruth";
+            return Err(failed(dataset, reason));
+        }
+        Self::dataset(dataset, subject).map(Some)
+    }
+
     fn dataset(path: &Path, subject: &Subject) -> Result<Self, Failure> {
-        let mut options = OpenOptions::default();
-        if let Some(result) = subject.result() {
-            let settings = result.join("config.toml");
-            if settings.is_file() {
-                let config = Config::from_toml_file_on(&settings, None)?;
-                options.crop_border = config.input.crop_border;
-                options.minimum_gap = config.input.minimum_gap;
-            }
-        }
-        let mut sequence = Sequence::open(path, &options)?;
-        let width = subject.result().and_then(|r| render_width(&r.join("camera.json")));
-        if let Some(width) = width.filter(|w| *w < sequence.camera.width) {
-            options.scale = width as f64 / sequence.camera.width as f64;
-            sequence = Sequence::open(path, &options)?;
-        }
+        let sequence = match subject.result() {
+            Some(result) => as_run(path, result)?,
+            None => Sequence::open(path, &OpenOptions::default())?,
+        };
         let truth = Truth::of(path, &sequence);
         let (sequence, truth) = (Box::new(sequence), Box::new(truth));
         Ok(Self::Dataset { path: path.to_owned(), sequence, truth })
@@ -62,6 +68,14 @@ impl Reference {
     pub(super) fn path(&self) -> &Path {
         match self {
             Self::Folder { path, .. } | Self::Dataset { path, .. } => path,
+        }
+    }
+
+    /// Whether the pictures taken stand in for sharp ones that nobody has.
+    pub(super) fn is_as_taken(&self) -> bool {
+        match self {
+            Self::Folder { .. } => false,
+            Self::Dataset { path, .. } => !path.join("sharp").is_dir(),
         }
     }
 
@@ -118,6 +132,37 @@ impl Reference {
             Self::Dataset { truth, .. } if !truth.trajectory.is_empty() => Some(&truth.trajectory),
             _ => None,
         }
+    }
+}
+
+/// A dataset as a run read it, but all frames of it, so that `auto` finds the same sharp ones
+/// whichever part was run.
+fn as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
+    let Some(input) = Input::load(result)? else { return as_rendered(path, result) };
+    let options = OpenOptions { frames: None, stride: 1, ..input.options() };
+    let sequence = Sequence::open(path, &options)?;
+    let width = render_width(&result.join("camera.json"));
+    let fits = width.is_none_or(|width| width == sequence.camera.width);
+    // Another copy of the pictures may have another size.
+    if fits { Ok(sequence) } else { as_rendered(path, result) }
+}
+
+/// A dataset by the settings of a run and the size of its renders.
+fn as_rendered(path: &Path, result: &Path) -> Result<Sequence, Failure> {
+    let mut options = OpenOptions::default();
+    let settings = result.join("config.toml");
+    if settings.is_file() {
+        let config = Config::from_toml_file_on(&settings, None)?;
+        options.crop_border = config.input.crop_border;
+        options.minimum_gap = config.input.minimum_gap;
+    }
+    let sequence = Sequence::open(path, &options)?;
+    match render_width(&result.join("camera.json")) {
+        Some(width) if width < sequence.camera.width => {
+            options.scale = width as f64 / sequence.camera.width as f64;
+            Ok(Sequence::open(path, &options)?)
+        }
+        _ => Ok(sequence),
     }
 }
 

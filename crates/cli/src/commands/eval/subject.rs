@@ -21,6 +21,8 @@ pub(super) struct RunFrame {
     pub(super) index: usize,
     pub(super) timestamp: f64,
     pub(super) keyframe: bool,
+    /// Whether the map never saw it; false where the table does not say.
+    pub(super) held_out: bool,
 }
 
 impl Subject {
@@ -100,6 +102,7 @@ fn run_frames(text: &str) -> Result<Vec<RunFrame>, String> {
     };
     let (index, timestamp, keyframe) =
         (column("index")?, column("timestamp")?, column("keyframe")?);
+    let held_out = names.iter().position(|n| *n == "held_out");
     let rows = lines.enumerate().filter(|(_, line)| !line.is_empty());
     rows.map(|(row, line)| {
         let cells: Vec<&str> = line.split(',').collect();
@@ -108,6 +111,7 @@ fn run_frames(text: &str) -> Result<Vec<RunFrame>, String> {
                 index: cells.get(index)?.parse().ok()?,
                 timestamp: cells.get(timestamp)?.parse().ok()?,
                 keyframe: *cells.get(keyframe)? != "0",
+                held_out: held_out.is_some_and(|i| cells.get(i).is_some_and(|c| *c != "0")),
             })
         };
         frame().ok_or_else(|| format!("line {} is no frame", row + 2))
@@ -122,8 +126,12 @@ mod tests {
     #[test]
     fn frames_are_read_by_column_names() {
         let frames = run_frames("timestamp,index,x,keyframe\n1.5,7,0,1\n\n2.5,8,0,0\n");
-        let frame = |index, timestamp, keyframe| RunFrame { index, timestamp, keyframe };
+        let frame =
+            |index, timestamp, keyframe| RunFrame { index, timestamp, keyframe, held_out: false };
         assert_eq!(frames, Ok(vec![frame(7, 1.5, true), frame(8, 2.5, false)]));
+        let held = run_frames("index,timestamp,keyframe,held_out\n7,1.5,0,1\n8,2,1,0\n");
+        let held = held.map(|frames| frames.iter().map(|f| f.held_out).collect());
+        assert_eq!(held, Ok(vec![true, false]));
         assert!(run_frames("index\n1\n").unwrap_err().contains("timestamp"));
         let bad = run_frames("index,timestamp,keyframe\n1,x,0\n");
         assert!(bad.unwrap_err().contains("line 2"));

@@ -1,5 +1,6 @@
 //! Trajectory errors of a result or a trajectory file.
 
+use super::figure::Row;
 use super::reference::Reference;
 use super::subject::Subject;
 use crate::arguments::{Eval, Fit, Protocol, RelativeStep};
@@ -73,13 +74,18 @@ fn keep_keyframes(estimate: &mut Vec<StampedPose>, subject: &Subject) -> Result<
 }
 
 impl Errors {
-    pub(super) fn lines(&self) -> Vec<String> {
+    pub(super) fn rows(&self) -> Vec<Row> {
         let (t, r) = (&self.absolute, &self.relative);
         let fit = match t.alignment {
-            Alignment::Se3 => "aligned by SE(3)".to_owned(),
-            Alignment::Sim3 => format!("aligned by Sim(3), scale {:.4}", t.scale),
+            Alignment::Se3 => ", aligned by SE(3)".to_owned(),
+            Alignment::Sim3 => format!(", aligned by Sim(3), scale {:.4}", t.scale),
         };
-        let mut lines = vec![format!("{:<30}{:>9}, {fit}", "poses", t.pairs)];
+        let row = |name: &str, number: String, rest: &str| Row {
+            name: name.to_owned(),
+            number,
+            rest: rest.to_owned(),
+        };
+        let mut rows = vec![row("poses", t.pairs.to_string(), &fit)];
         let centimetres = [
             ("ATE RMSE", t.ate_rmse_m),
             ("ATE mean", t.ate_mean_m),
@@ -87,19 +93,23 @@ impl Errors {
             ("ATE largest", t.ate_max_m),
             ("SplaTAM's mean (world to cam)", t.splatam_mean_m),
         ];
-        let line = |name: &str, value: f64, unit: &str| format!("{name:<30}{value:>9.4} {unit}");
-        lines.extend(centimetres.map(|(name, metres)| line(name, 100.0 * metres, "cm")));
+        let number = |value: f64| format!("{value:.4}");
+        rows.extend(centimetres.map(|(name, metres)| row(name, number(100.0 * metres), " cm")));
         let over = match r.rpe_step {
             Step::Frames(1) => "a frame".to_owned(),
             Step::Frames(n) | Step::OverlappingFrames(n) => format!("{n} frames"),
             Step::Seconds(s) => format!("{s} s"),
         };
-        lines.push(
-            line("RPE translation RMSE", 100.0 * r.rpe_translation_rmse_m, "cm") + " over " + &over,
+        let relative = [
+            ("RPE translation RMSE", 100.0 * r.rpe_translation_rmse_m, "cm"),
+            ("RPE rotation RMSE", r.rpe_rotation_rmse_deg, "degrees"),
+        ];
+        rows.extend(
+            relative.map(|(name, value, unit)| {
+                row(name, number(value), &format!(" {unit} over {over}"))
+            }),
         );
-        lines
-            .push(line("RPE rotation RMSE", r.rpe_rotation_rmse_deg, "degrees") + " over " + &over);
-        lines
+        rows
     }
 
     pub(super) fn json(&self) -> Result<Map<String, Value>, Failure> {

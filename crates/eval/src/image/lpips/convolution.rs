@@ -167,10 +167,7 @@ impl Features {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn noise(seed: u64, count: usize) -> Vec<f32> {
-        i2slam_check::noise(seed, count).iter().map(|&v| v as f32).collect()
-    }
+    use crate::noise::values as noise;
 
     /// By the definition, in f64.
     fn plainly(layer: &Convolution, input: &Features, pixel: usize, output: usize) -> f64 {

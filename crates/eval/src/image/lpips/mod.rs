@@ -81,12 +81,7 @@ fn length(feature: &[f32]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn noise(seed: u64, width: usize, height: usize) -> Image<f32> {
-        let data = i2slam_check::noise(seed, width * height * 3);
-        let data = data.iter().map(|v| (0.5 + 0.5 * v) as f32).collect();
-        Image { width, height, channels: 3, data }
-    }
+    use crate::noise::picture as noise;
 
     #[test]
     fn equal_pictures_have_no_distance_and_the_order_does_not_matter() {

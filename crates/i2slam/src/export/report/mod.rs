@@ -2,6 +2,7 @@
 //! a system for the first time.
 
 mod axis;
+mod evaluation;
 mod gallery;
 mod headline;
 mod picture;
@@ -11,6 +12,7 @@ mod plots;
 mod tests;
 
 pub use axis::Axis;
+pub use evaluation::{EvaluationSection, put_evaluations};
 pub use gallery::Comparison;
 
 use super::{ExportError, Metrics, ResultFolder, Storage};

@@ -1,0 +1,96 @@
+//! All figures of an evaluation, and the forms they are given in.
+
+use super::figure::{Figure, Row};
+use super::pictures::Judged;
+use super::trajectory;
+use crate::arguments::{Eval, Fit, Protocol};
+use crate::failure::Failure;
+use crate::output::{complain, say};
+use i2slam::export::report::EvaluationSection;
+use serde_json::{Map, Value, json};
+
+/// All figures of an evaluation.
+#[derive(Default)]
+pub(super) struct Evaluation {
+    pub(super) protocol: &'static str,
+    pub(super) trajectory: Option<trajectory::Errors>,
+    pub(super) pictures: Option<Judged>,
+    /// How far poses were optimised; `None` where they were not.
+    pub(super) corrections: Option<Vec<Figure>>,
+    pub(super) radiance: Vec<Figure>,
+    /// Whether renders were compared with the pictures taken, blur and all.
+    pub(super) as_taken: bool,
+    /// What was not judged, and why.
+    pub(super) not_judged: Vec<String>,
+    /// Why pictures that should be judged could not; told after everything else.
+    pub(super) problem: Option<Failure>,
+}
+
+impl Evaluation {
+    /// One flat object, and the frames one by one.
+    pub(super) fn json(&self) -> Result<Value, Failure> {
+        let mut object = Map::new();
+        object.insert("protocol".to_owned(), self.protocol.into());
+        object.insert("poses_optimised".to_owned(), self.corrections.is_some().into());
+        if let Some(errors) = &self.trajectory {
+            object.extend(errors.json()?);
+        }
+        if let Some(pictures) = &self.pictures {
+            object.extend(pictures.json());
+        }
+        object.extend(self.corrections.iter().flatten().map(Figure::json));
+        object.extend(self.radiance.iter().map(Figure::json));
+        object.insert("against_pictures_taken".to_owned(), self.as_taken.into());
+        object.insert("not_judged".to_owned(), json!(self.not_judged));
+        Ok(Value::Object(object))
+    }
+
+    pub(super) fn print(&self) {
+        self.rows().iter().for_each(|row| say(&row.line()));
+        self.remarks().iter().for_each(|line| complain(line));
+    }
+
+    /// What a reader of the numbers must know.
+    pub(super) fn remarks(&self) -> Vec<String> {
+        let mut remarks: Vec<String> =
+            self.not_judged.iter().map(|what| format!("note: {what}")).collect();
+        if self.as_taken {
+            remarks.push("note: compared with the pictures taken, no sharp ones are known".into());
+        }
+        remarks.extend(self.pictures.iter().flat_map(Judged::remarks));
+        remarks
+    }
+
+    fn rows(&self) -> Vec<Row> {
+        let mut rows: Vec<Row> = self.trajectory.iter().flat_map(|errors| errors.rows()).collect();
+        rows.extend(self.pictures.iter().flat_map(Judged::rows));
+        rows.extend(self.corrections.iter().flatten().map(Figure::row));
+        rows.extend(self.radiance.iter().map(Figure::row));
+        rows
+    }
+
+    /// For the report: the title tells two evaluations apart that judge by other rules.
+    pub(super) fn section(&self, arguments: &Eval) -> EvaluationSection {
+        let mut title = format!("Protocol {}", self.protocol);
+        let list = self.pictures.as_ref().and_then(|pictures| pictures.list.as_ref());
+        if let Some(list) = list {
+            title += &format!(", list {list}");
+        }
+        if arguments.protocol == Protocol::Splatam {
+            title += &format!(", every {}", arguments.every);
+        }
+        if self.pictures.is_none() && self.radiance.is_empty() {
+            title += ", trajectory alone";
+        }
+        if self.corrections.is_some() {
+            title += ", poses optimised";
+        }
+        if arguments.align == Fit::Sim3 {
+            title += ", aligned with scale";
+        }
+        let row =
+            |row: Row| (row.name, format!("{}{}", row.number, row.rest).trim_end().to_owned());
+        let rows = self.rows().into_iter().map(row).collect();
+        EvaluationSection { title, notes: self.remarks(), rows }
+    }
+}

@@ -1,0 +1,83 @@
+//! Test-time pose optimisation: frames drawn from where the map fits their true pictures best.
+
+use super::failed;
+use super::figure::Figure;
+use super::reference::Reference;
+use super::subject::Subject;
+use crate::arguments::{Eval, Protocol};
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::picture::at_size_of;
+use crate::progress::Progress;
+use i2slam::export::{RenderKind, ResultFolder, save_render, save_trajectory};
+use i2slam::geometry::{Image, Pose, StampedPose};
+use i2slam::{FrameEstimate, Reconstruction};
+
+/// Where the pictures go.
+const BELOW: &str = "renders/optimised";
+
+/// Refuses what makes no sense before anything is done.
+pub(super) fn check(arguments: &Eval, subject: &Subject) -> Result<(), Failure> {
+    let refuse = |message: &str| Err(Failure::Usage(format!("--optimise-poses {message}")));
+    if matches!(arguments.protocol, Protocol::Splatam | Protocol::Monogs) {
+        return refuse("is no part of this protocol: take i2slam, held-out or all-frames");
+    }
+    if subject.result().is_none_or(|result| !result.join("map.i2slam").is_file()) {
+        return refuse("needs a result folder with its map");
+    }
+    Ok(())
+}
+
+/// Draws `frames` to `renders/optimised/sharp/`, writes their poses to
+/// `trajectory_optimised.txt`, and tells how far they were moved.
+pub(super) fn draw(
+    subject: &Subject,
+    reference: &Reference,
+    frames: &[usize],
+    quiet: bool,
+) -> Result<Vec<Figure>, Failure> {
+    let Some(result) = subject.result() else { return Ok(Vec::new()) };
+    let reconstruction = Reconstruction::load(result)?;
+    let folder = ResultFolder::create(result)?;
+    let camera = &reconstruction.camera;
+    let size = Image::new(camera.width, camera.height, 3);
+    let mut viewer = reconstruction.viewer();
+    let mut moved: Vec<(StampedPose, Pose<f64>)> = Vec::new();
+    let chosen = reconstruction.frames.iter().filter(|f| frames.binary_search(&f.index).is_ok());
+    let chosen: Vec<&FrameEstimate> = chosen.collect();
+    interrupt::listen();
+    let mut progress = Progress::new(chosen.len(), quiet);
+    progress.phase("optimising poses", chosen.len());
+    for frame in chosen {
+        if interrupt::requested() {
+            return Err(Failure::Interrupted);
+        }
+        let truth = at_size_of(reference.load(frame.index)?.colour, &size);
+        let other = || failed(reference.path(), "its pictures have another size than the renders");
+        let found = viewer.optimise_pose(frame, &truth.ok_or_else(other)?);
+        save_render(&folder, BELOW, RenderKind::Sharp, frame.index, &found.picture)?;
+        let world_from_camera = found.world_from_camera;
+        let stamped = StampedPose { timestamp: frame.timestamp, world_from_camera };
+        moved.push((stamped, frame.middle()));
+        progress.step(moved.len());
+    }
+    progress.clear();
+    let poses: Vec<StampedPose> = moved.iter().map(|(pose, _)| *pose).collect();
+    save_trajectory(&folder, "trajectory_optimised.txt", &poses)?;
+    Ok(corrections(&moved))
+}
+
+/// Mean motion from the estimated to the optimised pose.
+fn corrections(moved: &[(StampedPose, Pose<f64>)]) -> Vec<Figure> {
+    let count = moved.len().max(1) as f64;
+    let steps = moved.iter().map(|(to, from)| from.local(to.world_from_camera));
+    let (metres, radians) = steps.fold((0.0, 0.0), |sum, step| {
+        (sum.0 + step.translation.norm() / count, sum.1 + step.rotation.norm() / count)
+    });
+    let figure =
+        |key, label, unit, value| Figure { key, label, unit, decimals: 4, value: Some(value) };
+    vec![
+        figure("pose_correction_m", "poses moved by (mean)", "m", metres),
+        figure("pose_correction_deg", "poses turned by (mean)", "degrees", radians.to_degrees()),
+    ]
+}

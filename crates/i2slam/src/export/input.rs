@@ -1,0 +1,118 @@
+//! `input.json`: what a run read, so that it can be read again.
+
+use super::{ExportError, ResultFolder, Storage};
+use i2slam_dataset::OpenOptions;
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The sequence of a run, and how it was read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Input {
+    /// The dataset, as an absolute path.
+    pub dataset: PathBuf,
+    /// Camera file that was used instead of the dataset's own, absolute.
+    pub camera: Option<PathBuf>,
+    /// `[fx, fy, cx, cy]` that went before every camera file [px].
+    pub intrinsics: Option<[f64; 4]>,
+    /// Depth image value of one metre that was given.
+    pub depth_scale: Option<f64>,
+    /// First frame and the one after the last, by place in the associated stream.
+    pub frames: Option<[usize; 2]>,
+    /// Every how many frames.
+    pub stride: usize,
+    /// Size of the processed pictures over that of the recorded ones.
+    pub scale: f64,
+    /// Border removed before scaling [px].
+    pub crop_border: usize,
+    /// Depth beyond this was taken as invalid [m].
+    pub max_depth: Option<f64>,
+    /// Most distance in time of a colour and a depth picture [s].
+    pub association_tolerance: f64,
+    /// Frames closer in time to the one before were left out [s].
+    pub minimum_gap: f64,
+}
+
+impl Input {
+    /// What a run of `dataset` with these options reads.
+    pub fn new(dataset: &Path, options: &OpenOptions) -> Self {
+        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        Self {
+            dataset: absolute(dataset),
+            camera: options.camera.as_deref().map(absolute),
+            intrinsics: options.intrinsics,
+            depth_scale: options.depth_scale,
+            frames: options.frames.as_ref().map(|range| [range.start, range.end]),
+            stride: options.stride,
+            scale: options.scale,
+            crop_border: options.crop_border,
+            max_depth: options.max_depth,
+            association_tolerance: options.association_tolerance,
+            minimum_gap: options.minimum_gap,
+        }
+    }
+
+    /// Options that open the same frames the same way.
+    pub fn options(&self) -> OpenOptions {
+        OpenOptions {
+            camera: self.camera.clone(),
+            intrinsics: self.intrinsics,
+            depth_scale: self.depth_scale,
+            frames: self.frames.map(|[start, end]| start..end),
+            stride: self.stride,
+            scale: self.scale,
+            crop_border: self.crop_border,
+            max_depth: self.max_depth,
+            association_tolerance: self.association_tolerance,
+            minimum_gap: self.minimum_gap,
+        }
+    }
+
+    /// What the run of a result folder read; `None` for a folder that does not say.
+    pub fn load(folder: &Path) -> Result<Option<Self>, ExportError> {
+        let path = folder.join("input.json");
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let text = fs::read_to_string(&path);
+        let text = text.map_err(|source| ExportError::Read { path: path.clone(), source })?;
+        let input = serde_json::from_str(&text);
+        input.map(Some).map_err(|e| ExportError::Format { path, message: e.to_string() })
+    }
+
+    /// Write `input.json`.
+    pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ExportError> {
+        folder.write("input.json", |out| {
+            serde_json::to_writer_pretty(&mut *out, self)?;
+            writeln!(out)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::storage::tests::Scratch;
+
+    #[test]
+    fn what_was_read_can_be_read_again() {
+        let scratch = Scratch::new("input");
+        let options = OpenOptions {
+            intrinsics: Some([500.0, 501.0, 320.25, 240.0]),
+            frames: Some(10..90),
+            stride: 2,
+            scale: 0.5,
+            ..OpenOptions::default()
+        };
+        assert_eq!(Input::load(&scratch.0).expect("nothing"), None);
+        let folder = ResultFolder::create(&scratch.0).expect("a folder");
+        let input = Input::new("data/room".as_ref(), &options);
+        assert!(input.dataset.is_absolute());
+        input.save(&folder).expect("room");
+        let back = Input::load(&scratch.0).expect("a file").expect("an input");
+        assert_eq!((&back, back.options()), (&input, options));
+        folder.write_text("input.json", "{}").expect("room");
+        let message = Input::load(&scratch.0).expect_err("no input").to_string();
+        assert!(message.contains("input.json") && message.contains("dataset"), "{message}");
+    }
+}

@@ -1,0 +1,82 @@
+//! A textured wall, seen from a pose that is known.
+
+use super::*;
+use crate::config::Config;
+use crate::reconstruction::Reconstruction;
+use i2slam_check::noise;
+use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
+use i2slam_geometry::Camera;
+use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
+
+/// Gaussians at depths of 1.5 to 2.5 m with colours of their own.
+fn room() -> Reconstruction {
+    let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential);
+    let random: Vec<f32> = noise(3, 2500 * 5).iter().map(|&v| v as f32).collect();
+    for (i, n) in random.chunks_exact(5).enumerate() {
+        let (x, y) = ((i % 50) as f32 / 25.0 - 1.0, (i / 50) as f32 / 25.0 - 1.0);
+        map.push(Gaussian {
+            mean: [1.6 * x, 1.6 * y, 2.0 + 0.5 * n[0]],
+            log_scale: [-3.2; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit: 3.0,
+            colour: [-1.0 + n[1], -1.0 + n[2], -1.0 + n[3]],
+        });
+    }
+    Reconstruction {
+        config: Config::default(),
+        camera: Camera { width: 96, height: 72, fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 },
+        frames: Vec::new(),
+        map,
+        responses: vec![CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Uniform)],
+    }
+}
+
+fn moved(step: [f64; 6]) -> Pose<f64> {
+    Pose::identity().retract(Tangent::from_array(step))
+}
+
+fn psnr(error: f64) -> f64 {
+    -10.0 * error.log10()
+}
+
+#[test]
+fn a_disturbed_pose_returns() {
+    let room = room();
+    let mut viewer = room.viewer();
+    let true_pose = moved([0.02, -0.03, 0.01, 0.01, 0.02, -0.01]);
+    let truth = viewer.seen_from(&room.imagined_frame(0, true_pose), true_pose);
+    // Two pixels of rotation, one and a half of translation.
+    let wrong = true_pose.retract(Tangent::from_array([0.03, -0.02, 0.02, -0.015, 0.02, 0.01]));
+    let frame = room.imagined_frame(0, wrong);
+    let found = viewer.optimise_pose(&frame, &truth);
+    assert!(psnr(found.error_after) > psnr(found.error_before) + 20.0);
+    let left = true_pose.local(found.world_from_camera);
+    assert!(left.translation.norm() < 1e-3 && left.rotation.norm() < 5e-4, "{left:?}");
+    assert_eq!(found.picture, viewer.seen_from(&frame, found.world_from_camera));
+}
+
+#[test]
+fn the_best_pose_stays() {
+    let room = room();
+    let mut viewer = room.viewer();
+    let frame = room.imagined_frame(0, moved([0.01, 0.0, 0.02, 0.0, 0.01, 0.0]));
+    let truth = viewer.seen_from(&frame, frame.middle());
+    let found = viewer.optimise_pose(&frame, &truth);
+    assert_eq!((found.error_before, found.error_after), (0.0, 0.0));
+    assert_eq!(found.world_from_camera, frame.middle());
+}
+
+#[test]
+fn a_picture_of_something_else_never_makes_it_worse() {
+    let room = room();
+    let mut viewer = room.viewer();
+    let frame = room.imagined_frame(0, Pose::identity());
+    for seed in 0..3 {
+        let mut other = viewer.seen_from(&frame, Pose::identity());
+        let random = noise(11 + seed, other.data.len());
+        other.data.iter_mut().zip(random).for_each(|(v, n)| *v = 0.5 + 0.5 * n as f32);
+        let found = viewer.optimise_pose(&frame, &other);
+        assert!(found.error_after <= found.error_before);
+        assert!(found.world_from_camera.is_finite());
+    }
+}
