@@ -51,6 +51,9 @@ pub(crate) struct Run {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,
+    /// What the map consists of [default: that of the preset, gaussian]
+    #[arg(long, value_enum, value_name = "KIND")]
+    pub(crate) map: Option<Map>,
     #[command(flatten)]
     pub(crate) formation: Formation,
     /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
@@ -117,6 +120,15 @@ pub(crate) struct Machine {
     /// Print warnings and the summary only
     #[arg(long)]
     pub(crate) quiet: bool,
+}
+
+/// What a map consists of.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Map {
+    /// 3D Gaussians
+    Gaussian,
+    /// A radiance field in a multi-resolution hash grid
+    Hashgrid,
 }
 
 /// Which frames are drawn.

@@ -38,9 +38,13 @@ impl Progress {
     /// One more frame is done; `done` counts it.
     pub(crate) fn frame(&mut self, estimate: &FrameEstimate, done: usize, total: usize) {
         let seconds = self.started.elapsed().as_secs_f64() / done.max(1) as f64;
+        let size = match estimate.gaussians {
+            0 => String::new(),
+            count => format!("{count} Gaussians  "),
+        };
         let words = format!(
-            "{seconds:.2} s/frame  loss {:.4}  {} Gaussians  blur {:.1} px",
-            estimate.losses.image, estimate.gaussians, estimate.blur_length
+            "{seconds:.2} s/frame  loss {:.4}  {size}blur {:.1} px",
+            estimate.losses.image, estimate.blur_length
         );
         match &mut self.display {
             Display::Bar(bar) => {

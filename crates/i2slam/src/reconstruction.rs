@@ -3,7 +3,9 @@
 use crate::config::Config;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
-use i2slam_radiance::gaussian::GaussianMap;
+use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, Shape};
+use i2slam_radiance::hashgrid::HashGridMap;
+use std::fmt;
 
 /// The three terms of eq. 12 at the end of a frame's tracking, unweighted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -68,6 +70,45 @@ impl FrameEstimate {
     }
 }
 
+/// A radiance map as a run leaves it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Map {
+    /// 3D Gaussians.
+    Gaussians(GaussianMap<f32>),
+    /// A radiance field in a hash grid.
+    HashGrid(Box<HashGridMap>),
+}
+
+impl Default for Map {
+    /// A map of nothing: no Gaussians.
+    fn default() -> Self {
+        Self::Gaussians(GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential))
+    }
+}
+
+impl Map {
+    /// Number of Gaussians; 0 of a map that has none.
+    pub fn gaussians(&self) -> usize {
+        match self {
+            Self::Gaussians(map) => map.len(),
+            Self::HashGrid(_) => 0,
+        }
+    }
+}
+
+impl fmt::Display for Map {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Gaussians(map) => write!(f, "{} Gaussians", map.len()),
+            Self::HashGrid(map) => {
+                let p = map.field.parameters();
+                let numbers = p.table.len() + p.density.len() + p.colour.len();
+                write!(f, "a hash grid of {:.1} million numbers", numbers as f64 * 1e-6)
+            }
+        }
+    }
+}
+
 /// A reconstructed sequence.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
@@ -78,7 +119,7 @@ pub struct Reconstruction {
     /// One estimate per processed frame, in order of time.
     pub frames: Vec<FrameEstimate>,
     /// The map, in the frame of the first camera at mid-exposure.
-    pub map: GaussianMap<f32>,
+    pub map: Map,
     /// Camera responses: one, or one per frame.
     pub responses: Vec<CameraResponse<f32>>,
 }

@@ -1,10 +1,13 @@
 //! Pictures of a reconstruction.
 
-use crate::objective::{BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, Tone};
-use crate::reconstruction::{FrameEstimate, Reconstruction};
-use crate::session::raster_settings;
+use crate::mapping::raster_settings;
+use crate::objective::{
+    BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, SceneMap, Tone,
+};
+use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use i2slam_formation::{ResponseCurve, ShutterPoses};
 use i2slam_geometry::{Image, Pose};
+use i2slam_radiance::Render;
 
 /// Opacity below which a pixel has no depth.
 const SOLID: f32 = 0.5;
@@ -12,17 +15,36 @@ const SOLID: f32 = 0.5;
 /// Renders a reconstruction; owns the buffers.
 pub struct Viewer<'a> {
     reconstruction: &'a Reconstruction,
-    objective: FrameObjective,
+    scene: Box<dyn Scene + 'a>,
+}
+
+/// A map that can be looked at.
+trait Scene {
+    fn render(&mut self, world_from_camera: Pose<f64>) -> &Render;
+    fn predict(&mut self, variables: &FrameVariables<'_>) -> &Image<f32>;
+}
+
+impl<M: SceneMap> Scene for (&M, FrameObjective<M>) {
+    fn render(&mut self, world_from_camera: Pose<f64>) -> &Render {
+        self.1.render(self.0, world_from_camera)
+    }
+
+    fn predict(&mut self, variables: &FrameVariables<'_>) -> &Image<f32> {
+        self.1.predict(self.0, variables)
+    }
 }
 
 impl Reconstruction {
     /// A viewer of this reconstruction.
     pub fn viewer(&self) -> Viewer<'_> {
-        let settings = raster_settings(&self.config);
-        Viewer {
-            reconstruction: self,
-            objective: FrameObjective::new(self.camera.cast(), settings),
-        }
+        let camera = self.camera.cast();
+        let scene: Box<dyn Scene> = match &self.map {
+            Map::Gaussians(map) => {
+                Box::new((map, FrameObjective::new(camera, raster_settings(&self.config))))
+            }
+            Map::HashGrid(map) => Box::new((map.as_ref(), FrameObjective::new(camera, map.march))),
+        };
+        Viewer { reconstruction: self, scene }
     }
 }
 
@@ -41,12 +63,12 @@ impl Viewer<'_> {
 
     /// Linear radiance seen from a world-from-camera pose (picture values with `tone` off).
     pub fn hdr(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
-        self.objective.render(&self.reconstruction.map, world_from_camera).radiance.clone()
+        self.scene.render(world_from_camera).radiance.clone()
     }
 
     /// Depth seen from a world-from-camera pose [m]; 0 where the map is not opaque.
     pub fn depth(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
-        let render = self.objective.render(&self.reconstruction.map, world_from_camera);
+        let render = self.scene.render(world_from_camera);
         let mut depth = render.depth.clone();
         for (d, &opacity) in depth.data.iter_mut().zip(&render.opacity.data) {
             *d = if opacity >= SOLID { *d / opacity } else { 0.0 };
@@ -82,6 +104,6 @@ impl Viewer<'_> {
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
         let variables =
             FrameVariables { exposure: Exposure { shutter, sampling, depth_pose: None }, tone };
-        self.objective.predict(&self.reconstruction.map, &variables).clone()
+        self.scene.predict(&variables).clone()
     }
 }

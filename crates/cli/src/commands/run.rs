@@ -1,10 +1,11 @@
 //! `i2slam run`: a sequence to a result folder.
 
 use super::use_threads;
-use crate::arguments::{Formation, Input, Run};
+use crate::arguments::{Formation, Input, Map, Run};
 use crate::failure::Failure;
 use crate::pipeline::{self, Job};
 use i2slam::Config;
+use i2slam::config::MapKind;
 use i2slam::dataset::OpenOptions;
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
@@ -44,6 +45,12 @@ pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, 
     }
     if let Some(every) = arguments.hold_out {
         config.mapping.hold_out = every;
+    }
+    if let Some(map) = arguments.map {
+        config.map.kind = match map {
+            Map::Gaussian => MapKind::Gaussian,
+            Map::Hashgrid => MapKind::HashGrid,
+        };
     }
     if let Some(seed) = arguments.seed {
         config.seed = seed;

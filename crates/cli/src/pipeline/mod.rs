@@ -52,8 +52,8 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
         run.write(&mut progress)
     });
     progress.clear();
-    let Written { metrics, problems } = written?;
-    summarise(&metrics, folder.path());
+    let Written { metrics, map, problems } = written?;
+    summarise(&metrics, &map, folder.path());
     end(problems)
 }
 
@@ -100,6 +100,8 @@ struct Finished<'a> {
 /// What came of writing.
 struct Written {
     metrics: Metrics,
+    /// The map in words.
+    map: String,
     problems: Vec<String>,
 }
 
@@ -139,18 +141,16 @@ impl Finished<'_> {
             comparisons: &drawn.comparisons,
         };
         note(report.save(self.folder));
-        Ok(Written { metrics: figures.metrics, problems })
+        let map = reconstruction.map.to_string();
+        Ok(Written { metrics: figures.metrics, map, problems })
     }
 }
 
 /// The run in a few lines.
-fn summarise(metrics: &Metrics, folder: &Path) {
+fn summarise(metrics: &Metrics, map: &str, folder: &Path) {
     let frames = metrics.frames;
     let unfinished = if metrics.complete { "" } else { " (ended early)" };
-    say(&format!(
-        "{} of {frames} frames tracked{unfinished}, {} Gaussians",
-        metrics.tracked, metrics.gaussians
-    ));
+    say(&format!("{} of {frames} frames tracked{unfinished}, {map}", metrics.tracked));
     if let Some(error) = metrics.ate_rmse_m {
         let centimetres = error * 100.0;
         let digits = if centimetres < 0.1 { 4 } else { 2 };

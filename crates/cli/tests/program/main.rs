@@ -4,6 +4,7 @@ mod bad_input;
 mod bench;
 mod commands;
 mod eval;
+mod field;
 mod info;
 mod interrupt;
 mod protocols;

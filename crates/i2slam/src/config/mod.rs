@@ -22,6 +22,8 @@ pub struct Config {
     pub formation: FormationConfig,
     /// The map's representation.
     pub map: MapConfig,
+    /// The radiance field of a map of that kind.
+    pub hashgrid: HashGridConfig,
     /// How the pose of a frame is found.
     pub tracking: TrackingConfig,
     /// How the map is built.
@@ -153,6 +155,8 @@ pub enum ResponseStart {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MapConfig {
+    /// What the map consists of.
+    pub kind: MapKind,
     /// One standard deviation per Gaussian instead of three and a rotation.
     pub isotropic: bool,
     /// Initial standard deviation in pixels of the frame that adds the Gaussian.
@@ -163,6 +167,58 @@ pub struct MapConfig {
     pub screen_variance: f32,
     /// Most Gaussians the map may hold.
     pub capacity: usize,
+}
+
+/// What a map consists of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MapKind {
+    /// 3D Gaussians.
+    Gaussian,
+    /// A radiance field in a multi-resolution hash grid.
+    HashGrid,
+}
+
+/// A radiance field in a hash grid, and how it is trained. Keyframes and the rates of frames are
+/// those of `mapping`; its window is the number of keyframes that a step draws from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HashGridConfig {
+    /// Half edge of the cube around the first camera that is mapped [m]; zero takes it from the
+    /// first frame's depth.
+    pub bound: f32,
+    /// The same as a multiple of the first frame's largest distance.
+    pub margin: f32,
+    /// Number of grids, from coarse to fine.
+    pub levels: usize,
+    /// Binary logarithm of the largest number of nodes that a grid stores.
+    pub log2_table: u32,
+    /// Cells of the finest grid [m].
+    pub finest_cell: f32,
+    /// Units of every hidden layer.
+    pub hidden_width: usize,
+    /// Cells along an edge of the cube that are sampled or skipped.
+    pub occupancy_cells: u32,
+    /// Half thickness of the shell that is sampled around a surface, as a share of its depth.
+    pub shell: f32,
+    /// Distance of samples as a share of their distance from the camera.
+    pub step: f32,
+    /// Least distance of samples [m].
+    pub step_min: f32,
+    /// Rays of a step, about.
+    pub rays: usize,
+    /// Steps per mapping round.
+    pub iterations: usize,
+    /// Steps of the round that starts the map.
+    pub first_iterations: usize,
+    /// Steps after the last frame, over all keyframes; the rate falls tenfold during them.
+    pub final_iterations: usize,
+    /// Learning rate of the field.
+    pub rate: f32,
+    /// λ_img (a mean over pixels).
+    pub image_weight: f32,
+    /// λ_depth (a mean over pixels).
+    pub depth_weight: f32,
 }
 
 /// How the pose of a frame is found.

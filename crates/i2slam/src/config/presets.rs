@@ -72,6 +72,7 @@ fn ours() -> Config {
             ..paper.formation
         },
         map: MapConfig { initial_scale: 0.5, initial_opacity: 0.8, ..paper.map },
+        hashgrid: paper.hashgrid,
         tracking: TrackingConfig {
             method: TrackingMethod::SecondOrder,
             iterations: 0,
@@ -125,12 +126,14 @@ fn paper_scannet() -> Config {
             tone_rate: 1e-2,
         },
         map: MapConfig {
+            kind: MapKind::Gaussian,
             isotropic: true,
             initial_scale: 1.0,
             initial_opacity: 0.5,
             screen_variance: 0.3,
             capacity: 2_000_000,
         },
+        hashgrid: hashgrid(),
         tracking: TrackingConfig {
             method: TrackingMethod::Adam,
             iterations: 100,
@@ -185,6 +188,29 @@ fn paper_scannet() -> Config {
             only_seen: false,
             fresh_optimizer: true,
         },
+    }
+}
+
+/// A field for a room: torch-ngp's, with a smaller table.
+fn hashgrid() -> HashGridConfig {
+    HashGridConfig {
+        bound: 0.0,
+        margin: 1.1,
+        levels: 16,
+        log2_table: 17,
+        finest_cell: 0.005,
+        hidden_width: 64,
+        occupancy_cells: 128,
+        shell: 0.03,
+        step: 1.0 / 128.0,
+        step_min: 0.005,
+        rays: 4096,
+        iterations: 10,
+        first_iterations: 200,
+        final_iterations: 300,
+        rate: 1e-2,
+        image_weight: 5.0,
+        depth_weight: 1.0,
     }
 }
 

@@ -148,6 +148,7 @@ impl Config {
         positive("mapping.scene_radius_ratio", self.mapping.scene_radius_ratio)?;
         inside("map.initial_opacity", self.map.initial_opacity)?;
         inside("mapping.prune_opacity", self.mapping.prune_opacity)?;
+        self.validate_hashgrid()?;
         if i64::try_from(self.seed).is_err() {
             return Err(ConfigError::OutOfRange {
                 key: "seed",
@@ -160,9 +161,35 @@ impl Config {
         self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
     }
 
-    fn rates(&self) -> [(&'static str, f32); 29] {
+    fn validate_hashgrid(&self) -> Result<(), ConfigError> {
+        let h = &self.hashgrid;
+        between("hashgrid.levels", h.levels, 1, 32, "1 to 32")?;
+        between("hashgrid.log2_table", h.log2_table as usize, 4, 24, "4 to 24")?;
+        between("hashgrid.hidden_width", h.hidden_width, 1, 1024, "1 to 1024")?;
+        between("hashgrid.occupancy_cells", h.occupancy_cells as usize, 1, 512, "1 to 512")?;
+        at_least("hashgrid.rays", h.rays, 1)?;
+        positive("hashgrid.margin", h.margin)?;
+        positive("hashgrid.finest_cell", h.finest_cell)?;
+        positive("hashgrid.step_min", h.step_min)?;
+        inside("hashgrid.shell", h.shell)?;
+        if self.map.kind == MapKind::HashGrid && self.formation.blur_model == BlurModel::Splat {
+            return Err(ConfigError::OutOfRange {
+                key: "formation.blur_model",
+                value: "splat".to_owned(),
+                expected: "exact, image or auto with map.kind \"hashgrid\": a field has no splats",
+            });
+        }
+        Ok(())
+    }
+
+    fn rates(&self) -> [(&'static str, f32); 34] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         [
+            ("hashgrid.bound", self.hashgrid.bound),
+            ("hashgrid.step", self.hashgrid.step),
+            ("hashgrid.rate", self.hashgrid.rate),
+            ("hashgrid.image_weight", self.hashgrid.image_weight),
+            ("hashgrid.depth_weight", self.hashgrid.depth_weight),
             ("formation.tone_rate", f.tone_rate),
             ("formation.blur_per_camera", f.blur_per_camera),
             ("formation.response_prior", f.response_prior),

@@ -2,9 +2,10 @@
 
 use super::archive::{Archive, Array};
 use super::ply::{self, Splat};
-use crate::reconstruction::Reconstruction;
+use crate::reconstruction::{Map, Reconstruction};
 use i2slam_formation::{FrameTone, ResponseCurve};
 use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
+use i2slam_radiance::hashgrid::HashGridMap;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 
@@ -38,8 +39,27 @@ enum ActivationName {
     Linear,
 }
 
+/// How the file of a hash grid begins.
+const HASH_GRID: &[u8] = b"I2FIELD\n";
+
 /// Write every parameter of the map, bit for bit.
-pub(crate) fn write_native(out: &mut dyn Write, map: &GaussianMap<f32>) -> io::Result<()> {
+pub(crate) fn write_native(out: &mut dyn Write, map: &Map) -> io::Result<()> {
+    match map {
+        Map::Gaussians(map) => write_gaussians(out, map),
+        Map::HashGrid(map) => out.write_all(&map.to_bytes()),
+    }
+}
+
+/// Read what [`write_native`] wrote; the error says what is wrong with the file.
+pub(crate) fn read_native(bytes: &[u8]) -> Result<Map, String> {
+    if bytes.starts_with(HASH_GRID) {
+        let map = HashGridMap::from_bytes(bytes).map_err(|e| e.to_string())?;
+        return Ok(Map::HashGrid(Box::new(map)));
+    }
+    read_gaussians(bytes).map(Map::Gaussians)
+}
+
+fn write_gaussians(out: &mut dyn Write, map: &GaussianMap<f32>) -> io::Result<()> {
     let meta = MapMeta {
         kind: Kind::Gaussians,
         count: map.len(),
@@ -64,8 +84,7 @@ pub(crate) fn write_native(out: &mut dyn Write, map: &GaussianMap<f32>) -> io::R
     Archive { meta, arrays }.write(out)
 }
 
-/// Read what [`write_native`] wrote; the error says what is wrong with the file.
-pub(crate) fn read_native(bytes: &[u8]) -> Result<GaussianMap<f32>, String> {
+fn read_gaussians(bytes: &[u8]) -> Result<GaussianMap<f32>, String> {
     let mut archive = Archive::<MapMeta>::read(bytes)?;
     let shape = match archive.meta.shape {
         ShapeName::Isotropic => Shape::Isotropic,
@@ -97,11 +116,14 @@ fn rows<const N: usize>(values: Vec<f32>) -> Vec<[f32; N]> {
     values.chunks_exact(N).map(row).collect()
 }
 
-/// Write the map for 3D Gaussian splatting viewers. They show display colours without exposure
-/// or response, so that the radiance is formed with [`typical_tone`] once and for all.
-pub(crate) fn write_ply(out: &mut dyn Write, reconstruction: &Reconstruction) -> io::Result<()> {
-    let map = &reconstruction.map;
-    let tone = typical_tone(reconstruction);
+/// Write Gaussians for viewers of 3D Gaussian splatting. They show display colours without exposure
+/// or response, so that the radiance is formed with `tone`, the [`typical_tone`] of the run, once
+/// and for all.
+pub(crate) fn write_ply(
+    out: &mut dyn Write,
+    map: &GaussianMap<f32>,
+    tone: Option<(FrameTone<f32>, ResponseCurve<f32>)>,
+) -> io::Result<()> {
     let splats = (0..map.len()).map(|i| {
         let gaussian = Gaussian {
             mean: map.means[i],

@@ -86,7 +86,7 @@ impl Metrics {
             frames: frames.len(),
             tracked: count(|f| f.tracked),
             keyframes: count(|f| f.keyframe),
-            gaussians: reconstruction.map.len(),
+            gaussians: reconstruction.map.gaussians(),
             seconds: tracking + mapping,
             seconds_per_frame: (tracking + mapping) * per_frame,
             tracking_seconds_per_frame: tracking * per_frame,

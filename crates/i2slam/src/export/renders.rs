@@ -115,7 +115,7 @@ impl Reconstruction {
             blur_length: 0.0,
             tracking_seconds: 0.0,
             mapping_seconds: 0.0,
-            gaussians: self.map.len(),
+            gaussians: self.map.gaussians(),
         }
     }
 }

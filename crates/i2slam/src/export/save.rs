@@ -2,12 +2,13 @@
 
 use super::state::{CameraFile, State};
 use super::{ExportError, Metrics, ResultFolder, Storage, map, table};
-use crate::reconstruction::Reconstruction;
+use crate::reconstruction::{Map, Reconstruction};
 use i2slam_geometry::StampedPose;
 use std::io::{self, Write};
 
 /// Write everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
-/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply`, in this order.
+/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only; an
+/// older one is removed), in this order.
 ///
 /// A file that fails does not keep the others from being tried. The list holds what failed.
 pub fn save<S: Storage>(
@@ -24,7 +25,12 @@ pub fn save<S: Storage>(
         folder.write_text("camera_response.csv", &table::responses(r)),
         folder.write("state.json", |out| json(out, &State::of(&r.responses))),
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
-        folder.write("map.ply", |out| map::write_ply(out, r)),
+        match &r.map {
+            Map::Gaussians(map) => {
+                folder.write("map.ply", |out| map::write_ply(out, map, map::typical_tone(r)))
+            }
+            Map::HashGrid(_) => folder.remove("map.ply"),
+        },
     ];
     steps.into_iter().filter_map(Result::err).collect()
 }

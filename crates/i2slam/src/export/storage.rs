@@ -99,6 +99,17 @@ impl<S: Storage> ResultFolder<S> {
         self.write(relative, |out| out.write_all(text.as_bytes()))
     }
 
+    /// Delete a file of an earlier run, if there is one.
+    pub fn remove(&self, relative: &str) -> Result<(), ExportError> {
+        let path = self.root.join(relative);
+        match self.storage.remove(&path) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                Err(ExportError::Write { path, source })
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn write_through(
         &self,
         path: &Path,

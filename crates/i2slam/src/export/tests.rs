@@ -3,10 +3,13 @@
 use super::storage::tests::{Scratch, SmallDisk};
 use super::*;
 use crate::config::Config;
-use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
+use crate::reconstruction::{FrameEstimate, Losses, Map, Reconstruction};
 use i2slam_formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
 use i2slam_geometry::{Camera, Pose, Rotation, Tangent, Vec3};
 use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
+use i2slam_radiance::hashgrid::{
+    FieldSettings, HashGridField, HashGridMap, MarchSettings, Occupancy, OccupancySettings,
+};
 use std::fs;
 
 /// Frames along an arc, three response curves, a few Gaussians.
@@ -52,7 +55,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
         config: Config::preset("default").expect("a preset"),
         camera: Camera { width: 64, height: 48, fx: 60.1, fy: 59.9, cx: 32.2, cy: 24.7 },
         frames: (0..frames).map(frame).collect(),
-        map,
+        map: Map::Gaussians(map),
         responses: vec![response],
     }
 }
@@ -74,6 +77,25 @@ fn a_saved_folder_loads_as_it_was() {
         assert_eq!((a.index, a.timestamp, a.blur_length), (b.index, b.timestamp, b.blur_length));
         assert_eq!((a.keyframe, a.tracked, a.gaussians), (b.keyframe, b.tracked, b.gaussians));
     }
+}
+
+#[test]
+fn a_field_is_saved_and_loaded() {
+    let settings = FieldSettings { levels: 2, log2_table: 6, ..FieldSettings::cube([0.1; 3], 1.5) };
+    let occupancy = OccupancySettings { resolution: 8, ..OccupancySettings::default() };
+    let field = HashGridMap {
+        field: HashGridField::new(settings, 1).expect("settings in range"),
+        occupancy: Occupancy::empty(occupancy),
+        march: MarchSettings::cube(1.5),
+    };
+    let scratch = Scratch::new("field");
+    let folder = ResultFolder::create(&scratch.0).expect("a folder");
+    assert!(save(&folder, &example(2)).is_empty() && scratch.0.join("map.ply").exists());
+    let before = Reconstruction { map: Map::HashGrid(Box::new(field)), ..example(2) };
+    assert!(save(&folder, &before).is_empty() && !scratch.0.join("map.ply").exists());
+    let after = Reconstruction::load(&scratch.0).expect("a result");
+    assert_eq!(after.map, before.map);
+    assert_eq!(after.viewer().depth(Pose::identity()).data, vec![0.0; 64 * 48]);
 }
 
 #[test]
@@ -119,23 +141,27 @@ fn a_full_disk_keeps_what_was_written_before() {
 fn an_empty_reconstruction_is_saved_and_loaded() {
     let scratch = Scratch::new("empty");
     let mut nothing = example(0);
-    nothing.map.retain(&[false; 7]);
+    if let Map::Gaussians(map) = &mut nothing.map {
+        map.retain(&[false; 7]);
+    }
     let folder = ResultFolder::create(&scratch.0).expect("a folder");
     assert!(save(&folder, &nothing).is_empty());
     assert!(save_metrics(&folder, &Metrics::of(&nothing)).is_ok());
     let loaded = Reconstruction::load(&scratch.0).expect("a result");
-    assert!(loaded.frames.is_empty() && loaded.map.is_empty());
+    assert!(loaded.frames.is_empty() && loaded.map.gaussians() == 0);
 }
 
 #[test]
 fn viewers_get_display_colours() {
     let mut reconstruction = example(5);
-    let radiance = reconstruction.map.activation.radiance(reconstruction.map.colours[0]);
+    let Map::Gaussians(gaussians) = reconstruction.map.clone() else { panic!("Gaussians") };
+    let radiance = gaussians.activation.radiance(gaussians.colours[0]);
     let (tone, curve) = map::typical_tone(&reconstruction).expect("a tone");
     let expected = curve.evaluate(0, tone.gains()[0] * radiance[0]).clamp(0.0, 1.0);
     let dc = |reconstruction: &Reconstruction| {
         let mut bytes = Vec::new();
-        map::write_ply(&mut bytes, reconstruction).expect("memory");
+        let tone = map::typical_tone(reconstruction);
+        map::write_ply(&mut bytes, &gaussians, tone).expect("memory");
         let start = bytes.len() - 7 * 17 * 4 + 6 * 4;
         f32::from_le_bytes([bytes[start], bytes[start + 1], bytes[start + 2], bytes[start + 3]])
     };

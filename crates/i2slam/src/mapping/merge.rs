@@ -15,7 +15,7 @@ const GROWTH: f32 = 1.2;
 /// Merges until the lower end of `size` is reached, the most alike first, or until nothing shares
 /// a cell; what is then beyond its upper end is dropped, the newest first. Returns which stay; a
 /// merged Gaussian takes the place of the first of its group.
-pub(crate) fn merge(map: &mut GaussianMap, size: RangeInclusive<usize>) -> Vec<bool> {
+pub(super) fn merge(map: &mut GaussianMap, size: RangeInclusive<usize>) -> Vec<bool> {
     let mut keep = vec![true; map.len()];
     let mut left = map.len();
     for round in 0..ROUNDS {

@@ -1,16 +1,22 @@
-//! Mapping: Gaussians are added where a frame sees something new, and all are refined together
-//! with tone and response over a window of keyframes.
+//! Mapping: the map takes in what a frame sees for the first time, and is refined together with
+//! tone and response over keyframes. [`Mapper`] is what a session knows of it.
 
 mod ages;
 mod densify;
+mod field;
 mod fill;
+mod frames;
+mod gaussians;
 mod keyframe;
+mod mapper;
 mod merge;
 mod optimizer;
 mod window;
 
-pub(crate) use densify::{SceneScale, Source, add_gaussians, placement, prune, seed_map};
+pub(crate) use field::FieldMapper;
+pub(crate) use gaussians::{GaussianMapper, raster_settings};
 pub(crate) use keyframe::{Keyframe, is_keyframe};
-pub(crate) use merge::merge;
-pub(crate) use optimizer::{MapOptimizer, Sight};
-pub(crate) use window::select_window;
+pub(crate) use mapper::{Mapper, Story};
+
+use optimizer::MapOptimizer;
+use window::select_window;

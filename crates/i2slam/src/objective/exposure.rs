@@ -6,17 +6,15 @@
 //! | splat | the map once with the pixel velocity of every Gaussian, and once still, for depth | the blend |
 //! | image | the map once, at mid-exposure | a look-up by depth |
 
-use super::virtual_camera_count;
+use super::{SceneMap, virtual_camera_count};
 use crate::config::{BlurModel, FormationConfig};
 use i2slam_formation::reproject::Reprojection;
 use i2slam_formation::{
     CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera, accumulate, scale_into,
 };
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
-use i2slam_radiance::gaussian::{
-    GaussianMap, MapGradient, Moment, RasterSettings, Rasterizer, Render, RenderCotangent,
-    ShutterMotion, View,
-};
+use i2slam_radiance::gaussian::{Moment, ShutterMotion};
+use i2slam_radiance::{Render, RenderCotangent, View};
 use std::ops::Range;
 
 /// Opacity from which a pixel's depth leads its radiance through the exposure.
@@ -115,7 +113,11 @@ impl Exposure {
 ///
 /// With `pose = middle ⊞ (λ, l)` and `E = Exp(l)`: `d.ρ = E d_pose.ρ`,
 /// `d.φ = E d_pose.φ + λ × E d_pose.ρ`.
-fn carried_to_middle(middle: Pose<f64>, pose: Pose<f64>, d_pose: Tangent<f64>) -> Tangent<f64> {
+pub(super) fn carried_to_middle(
+    middle: Pose<f64>,
+    pose: Pose<f64>,
+    d_pose: Tangent<f64>,
+) -> Tangent<f64> {
     let lead = middle.local(pose);
     let turn = Rotation::exp(lead.rotation);
     let translation = turn.rotate(d_pose.translation);
@@ -124,10 +126,10 @@ fn carried_to_middle(middle: Pose<f64>, pose: Pose<f64>, d_pose: Tangent<f64>) -
 }
 
 /// Renders exposures; owns every buffer that this takes.
-pub(super) struct ExposureRenderer {
+pub(super) struct ExposureRenderer<M: SceneMap> {
     camera: Camera<f32>,
-    settings: RasterSettings,
-    rasterizers: Vec<Rasterizer>,
+    settings: M::Settings,
+    renderers: Vec<M::Renderer>,
     renders: Vec<Render>,
     reprojection: Reprojection,
     surface: Image<f32>,
@@ -138,13 +140,13 @@ pub(super) struct ExposureRenderer {
     pub(super) hdr: Image<f32>,
 }
 
-impl ExposureRenderer {
-    pub(super) fn new(camera: Camera<f32>, settings: RasterSettings) -> Self {
+impl<M: SceneMap> ExposureRenderer<M> {
+    pub(super) fn new(camera: Camera<f32>, settings: M::Settings) -> Self {
         let none = Image::new(camera.width, camera.height, 1);
         Self {
             camera,
             settings,
-            rasterizers: Vec::new(),
+            renderers: Vec::new(),
             renders: Vec::new(),
             reprojection: Reprojection::default(),
             surface: Image::default(),
@@ -160,7 +162,7 @@ impl ExposureRenderer {
     }
 
     /// Radiance, depth and opacity seen from one pose.
-    pub(super) fn render(&mut self, map: &GaussianMap, pose: Pose<f64>) -> &Render {
+    pub(super) fn render(&mut self, map: &M, pose: Pose<f64>) -> &Render {
         self.still(map, 0, pose);
         &self.renders[0]
     }
@@ -180,7 +182,7 @@ impl ExposureRenderer {
     }
 
     /// Computes `hdr`, and the renders that depth is compared with.
-    pub(super) fn forward(&mut self, map: &GaussianMap, exposure: &Exposure) {
+    pub(super) fn forward(&mut self, map: &M, exposure: &Exposure) {
         let rendered = match exposure.sampling.route() {
             BlurRoute::Exact => self.forward_exact(map, exposure),
             BlurRoute::Splat => self.forward_splat(map, exposure),
@@ -196,11 +198,11 @@ impl ExposureRenderer {
     /// and, where asked for, to the map.
     pub(super) fn backward(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         exposure: &Exposure,
         d_hdr: &Image<f32>,
         (depth, d_depth): (usize, &mut Image<f32>),
-        mut d_map: Option<&mut MapGradient>,
+        mut d_map: Option<&mut M::Gradient>,
     ) -> ShutterTangent<f64> {
         let mut d_shutter = match exposure.sampling.route() {
             BlurRoute::Exact => {
@@ -226,19 +228,19 @@ impl ExposureRenderer {
     }
 
     fn reserve(&mut self, count: usize) {
-        while self.rasterizers.len() < count {
-            self.rasterizers.push(Rasterizer::new(self.settings));
+        while self.renderers.len() < count {
+            self.renderers.push(M::renderer(&self.settings));
             self.renders.push(Render::default());
         }
     }
 
-    fn still(&mut self, map: &GaussianMap, index: usize, pose: Pose<f64>) {
+    fn still(&mut self, map: &M, index: usize, pose: Pose<f64>) {
         self.reserve(index + 1);
         let view = self.view(pose);
-        self.rasterizers[index].render(map, &view, &mut self.renders[index]);
+        map.render(&mut self.renderers[index], &view, &mut self.renders[index]);
     }
 
-    fn forward_exact(&mut self, map: &GaussianMap, exposure: &Exposure) -> usize {
+    fn forward_exact(&mut self, map: &M, exposure: &Exposure) -> usize {
         let cameras = exposure.cameras();
         self.hdr.reset(self.camera.width, self.camera.height, 3);
         for (j, camera) in cameras.iter().enumerate() {
@@ -251,11 +253,11 @@ impl ExposureRenderer {
 
     fn backward_exact(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         exposure: &Exposure,
         d_hdr: &Image<f32>,
         (depth, d_depth): (usize, &mut Image<f32>),
-        mut d_map: Option<&mut MapGradient>,
+        mut d_map: Option<&mut M::Gradient>,
     ) -> ShutterTangent<f64> {
         let mut d_shutter = ShutterTangent::zero();
         for (j, camera) in exposure.cameras().iter().enumerate() {
@@ -272,11 +274,12 @@ impl ExposureRenderer {
         d_shutter
     }
 
-    fn forward_splat(&mut self, map: &GaussianMap, exposure: &Exposure) -> usize {
+    fn forward_splat(&mut self, map: &M, exposure: &Exposure) -> usize {
         let middle = exposure.shutter.middle();
         self.reserve(2);
         let view = self.view(middle);
-        self.rasterizers[0].render_moving(map, &view, &exposure.motion(), &mut self.renders[0]);
+        let motion = exposure.motion();
+        map.render_moving(&mut self.renderers[0], &view, &motion, &mut self.renders[0]);
         self.hdr.clone_from(&self.renders[0].radiance);
         self.still(map, 1, middle);
         (self.depths, self.middle) = (1..2, 1);
@@ -285,16 +288,16 @@ impl ExposureRenderer {
 
     fn backward_splat(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         exposure: &Exposure,
         d_hdr: &Image<f32>,
         d_depth: &mut Image<f32>,
-        mut d_map: Option<&mut MapGradient>,
+        mut d_map: Option<&mut M::Gradient>,
     ) -> ShutterTangent<f64> {
         let view = self.view(exposure.shutter.middle());
         self.cotangent.radiance.clone_from(d_hdr);
-        let mut moved = self.rasterizers[0].pull_back_moving(
-            map,
+        let mut moved = map.pull_back_moving(
+            &mut self.renderers[0],
             &view,
             &exposure.motion(),
             &self.cotangent,
@@ -307,7 +310,7 @@ impl ExposureRenderer {
         CentreVelocity::from(exposure.shutter).pull_back_to_shutter(moved.pose, moved.velocity)
     }
 
-    fn forward_image(&mut self, map: &GaussianMap, exposure: &Exposure) -> usize {
+    fn forward_image(&mut self, map: &M, exposure: &Exposure) -> usize {
         self.still(map, 0, exposure.shutter.middle());
         let render = &self.renders[0];
         self.surface.reset(self.camera.width, self.camera.height, 1);
@@ -330,11 +333,11 @@ impl ExposureRenderer {
 
     fn backward_image(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         exposure: &Exposure,
         d_hdr: &Image<f32>,
         d_depth: &mut Image<f32>,
-        d_map: Option<&mut MapGradient>,
+        d_map: Option<&mut M::Gradient>,
     ) -> ShutterTangent<f64> {
         let view = self.view(exposure.shutter.middle());
         let relative = self.reprojection.pull_back(d_hdr, &mut self.cotangent.radiance);
@@ -348,11 +351,11 @@ impl ExposureRenderer {
     /// The pose cotangent of a render that only depth is compared with.
     fn backward_depth(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         index: usize,
         pose: Pose<f64>,
         d_depth: &mut Image<f32>,
-        d_map: Option<&mut MapGradient>,
+        d_map: Option<&mut M::Gradient>,
     ) -> Tangent<f64> {
         let view = self.view(pose);
         self.cotangent.radiance.reset(self.camera.width, self.camera.height, 3);
@@ -368,11 +371,11 @@ impl ExposureRenderer {
 
     fn pull_back(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         index: usize,
         view: &View<f32>,
-        d_map: Option<&mut MapGradient>,
+        d_map: Option<&mut M::Gradient>,
     ) -> Tangent<f64> {
-        self.rasterizers[index].pull_back(map, view, &self.cotangent, d_map)
+        map.pull_back(&mut self.renderers[index], view, &self.cotangent, d_map)
     }
 }

@@ -8,9 +8,13 @@ mod exposure;
 mod frame;
 mod observation;
 mod photometric;
+mod rays;
+mod scene;
 mod window;
 
 pub use blur::{blur_length, virtual_camera_count};
 pub use exposure::{BlurRoute, Exposure, Sampling};
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;
+pub use rays::{RayObjective, RayView};
+pub use scene::SceneMap;

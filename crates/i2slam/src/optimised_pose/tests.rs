@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::Config;
-use crate::reconstruction::Reconstruction;
+use crate::reconstruction::{Map, Reconstruction};
 use i2slam_check::noise;
 use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
 use i2slam_geometry::Camera;
@@ -26,7 +26,7 @@ fn room() -> Reconstruction {
         config: Config::default(),
         camera: Camera { width: 96, height: 72, fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 },
         frames: Vec::new(),
-        map,
+        map: Map::Gaussians(map),
         responses: vec![CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Uniform)],
     }
 }

@@ -3,18 +3,15 @@
 mod map;
 mod start;
 
-pub(crate) use start::raster_settings;
-
 use crate::config::{Config, ResponseScope};
-use crate::mapping::{Keyframe, MapOptimizer, SceneScale};
-use crate::objective::{FrameObjective, Observation, blur_length};
+use crate::mapping::{Keyframe, Mapper};
+use crate::objective::{Observation, blur_length};
 use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
-use crate::tracking::{TrackingContext, TrackingResult, predict, track};
+use crate::tracking::{TrackingContext, TrackingResult, predict};
 use i2slam_compute::Random;
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Tangent};
-use i2slam_radiance::gaussian::GaussianMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -47,16 +44,12 @@ pub struct Session {
     config: Config,
     camera: Camera<f64>,
     frame_rate: f64,
-    map: GaussianMap,
+    mapper: Box<dyn Mapper>,
     responses: Vec<CameraResponse<f32>>,
     scale: TrajectoryScale<f64>,
-    scene: SceneScale,
     frames: Vec<FrameEstimate>,
     keyframes: Vec<Keyframe>,
-    objective: FrameObjective,
-    optimizer: MapOptimizer,
     covered: Option<Arc<Image<bool>>>,
-    full: bool,
     random: Random,
     warnings: Vec<String>,
 }
@@ -64,20 +57,15 @@ pub struct Session {
 impl Session {
     /// A session for frames of `camera` at `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
-        let objective = FrameObjective::new(camera.cast(), start::raster_settings(&config));
         Self {
-            map: start::empty_map(&config),
+            mapper: start::mapper(&config, &camera),
             responses: vec![start::response(&config)],
             scale: TrajectoryScale::from_frame_rate(frame_rate),
-            scene: SceneScale { radius: f32::INFINITY },
             frames: Vec::new(),
             keyframes: Vec::new(),
-            optimizer: MapOptimizer::new(),
             covered: None,
-            full: false,
             random: Random::new(config.seed),
             warnings: Vec::new(),
-            objective,
             config,
             camera,
             frame_rate,
@@ -86,7 +74,7 @@ impl Session {
 
     /// Restricts the image terms to recorded pixels (see the dataset's `covered`).
     pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.objective.set_covered(Arc::clone(&covered));
+        self.mapper.set_covered(Arc::clone(&covered));
         self.covered = Some(covered);
     }
 
@@ -100,7 +88,7 @@ impl Session {
         self.frames.push(estimate);
         let position = self.frames.len() - 1;
         self.frames[position].tracking_seconds = clock.elapsed().as_secs_f64();
-        if self.map.is_empty() && !self.keyframes.is_empty() {
+        if self.mapper.is_empty() && !self.keyframes.is_empty() {
             self.warnings.push(format!(
                 "frame {}: the map was empty (all Gaussians pruned) and starts again",
                 frame.index
@@ -114,36 +102,23 @@ impl Session {
         }
         let estimate = &mut self.frames[position];
         estimate.mapping_seconds = clock.elapsed().as_secs_f64();
-        estimate.gaussians = self.map.len();
+        estimate.gaussians = self.mapper.gaussians();
         Ok(&self.frames[position])
     }
 
     /// Whether a frame is kept from the map; the one that starts it never is.
     fn holds_out(&self, position: usize) -> bool {
         let every = self.config.mapping.hold_out;
-        every > 0 && position > 0 && position.is_multiple_of(every) && !self.map.is_empty()
+        every > 0 && position > 0 && position.is_multiple_of(every) && !self.mapper.is_empty()
     }
 
     /// Refines the map over all keyframes; `on_step(done, of)` says whether to go on.
     pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
-        let steps = self.config.mapping.final_iterations;
         if self.keyframes.is_empty() {
             return;
         }
-        let mut order: Vec<usize> = Vec::new();
-        for step in 0..steps {
-            if order.is_empty() {
-                order = (0..self.keyframes.len()).collect();
-                self.random.shuffle(&mut order);
-            }
-            let Some(next) = order.pop() else { break };
-            let keyframe = self.keyframes[next].clone();
-            self.map_step(&keyframe);
-            if !on_step(step + 1, steps) {
-                break;
-            }
-        }
-        self.prune();
+        let (mapper, mut story) = self.mapper();
+        mapper.finish(&mut story, on_step);
     }
 
     /// Frames processed so far.
@@ -162,7 +137,7 @@ impl Session {
             config: self.config.clone(),
             camera: self.camera,
             frames: self.frames.clone(),
-            map: self.map.clone(),
+            map: self.mapper.map(),
             responses: self.responses.clone(),
         }
     }
@@ -213,20 +188,18 @@ impl Session {
             response: last_response,
             keyframe: false,
             held_out: false,
-            tracked: self.map.is_empty() && usable,
+            tracked: self.mapper.is_empty() && usable,
             losses: Losses::default(),
             blur_length: 0.0,
             tracking_seconds: 0.0,
             mapping_seconds: 0.0,
-            gaussians: self.map.len(),
+            gaussians: self.mapper.gaussians(),
         };
-        if self.map.is_empty() || !usable {
+        if self.mapper.is_empty() || !usable {
             return estimate;
         }
-        let result = track(
+        let result = self.mapper.track(
             &context,
-            &mut self.objective,
-            &self.map,
             observation,
             self.config.formation.tone.then(|| &self.responses[last_response]),
             self.scale,
@@ -282,3 +255,6 @@ fn context<'a>(
         keyframe: keyframes.last().map(|k| (&*k.observation, frames[k.frame].depth_pose())),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,17 +1,16 @@
 //! What a session starts from.
 
-use crate::config::{Config, FormationConfig, ResponseStart};
+use crate::config::{Config, FormationConfig, MapKind, ResponseStart};
+use crate::mapping::{FieldMapper, GaussianMapper, Mapper};
 use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
-use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
+use i2slam_geometry::Camera;
 
-/// An empty map: log-radiance, or SplaTAM's raw colours with `tone` off.
-pub(super) fn empty_map(config: &Config) -> GaussianMap {
-    let shape = if config.map.isotropic { Shape::Isotropic } else { Shape::Anisotropic };
-    let activation = match config.formation.tone {
-        true => ColourActivation::Exponential,
-        false => ColourActivation::Linear,
-    };
-    GaussianMap::new(shape, activation)
+/// A map that nothing is known of yet.
+pub(super) fn mapper(config: &Config, camera: &Camera<f64>) -> Box<dyn Mapper> {
+    match config.map.kind {
+        MapKind::Gaussian => Box::new(GaussianMapper::new(config, camera)),
+        MapKind::HashGrid => Box::new(FieldMapper::new(camera)),
+    }
 }
 
 /// The response before any frame was seen.
@@ -29,9 +28,4 @@ pub(super) fn response(config: &Config) -> CameraResponse<f32> {
         power => NodeSpacing::Power(f64::from(power)),
     };
     CameraResponse::new(response_curves, start, spacing)
-}
-
-/// The rasteriser's settings.
-pub(crate) fn raster_settings(config: &Config) -> RasterSettings {
-    RasterSettings { screen_variance: config.map.screen_variance, ..RasterSettings::default() }
 }

@@ -3,7 +3,7 @@
 use super::{Motion, TrackingContext, TrackingResult};
 use crate::config::{FormationConfig, TrackingConfig, WhiteBalance};
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
+    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, SceneMap, Tone,
 };
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
@@ -11,7 +11,6 @@ use i2slam_formation::{
     TrajectoryScale,
 };
 use i2slam_geometry::{Rotation, Tangent};
-use i2slam_radiance::gaussian::GaussianMap;
 
 /// The parameters of one frame, as they are stepped.
 #[derive(Clone)]
@@ -49,10 +48,10 @@ impl Optimizers {
 }
 
 /// `config.iterations` steps from `start`; the parameters with the smallest loss are returned.
-pub(super) fn refine(
+pub(super) fn refine<M: SceneMap>(
     context: &TrackingContext<'_>,
-    objective: &mut FrameObjective,
-    map: &GaussianMap,
+    objective: &mut FrameObjective<M>,
+    map: &M,
     observation: &Observation,
     start: State,
     sampling: Sampling,
@@ -84,10 +83,10 @@ pub(super) fn refine(
     }
 }
 
-fn evaluate(
+fn evaluate<M: SceneMap>(
     context: &TrackingContext<'_>,
-    objective: &mut FrameObjective,
-    map: &GaussianMap,
+    objective: &mut FrameObjective<M>,
+    map: &M,
     observation: &Observation,
     state: &State,
     curve: Option<&ResponseCurve<f32>>,

@@ -6,11 +6,10 @@ mod align;
 pub(crate) use adam::{NODE_STEP, mask_white_balance};
 
 use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
-use crate::objective::{Evaluation, FrameObjective, Observation, Sampling, blur_length};
+use crate::objective::{Evaluation, FrameObjective, Observation, Sampling, SceneMap, blur_length};
 use crate::reconstruction::{FrameEstimate, Losses};
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Pose, Tangent};
-use i2slam_radiance::gaussian::GaussianMap;
 
 /// What tracking may know beside map and picture.
 #[derive(Clone, Copy, Debug)]
@@ -80,6 +79,23 @@ pub(crate) struct TrackingResult {
 }
 
 impl TrackingResult {
+    /// Where a frame is taken to be that cannot be compared with anything.
+    pub(crate) fn lost(
+        context: &TrackingContext<'_>,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> Self {
+        Self {
+            shutter: ShutterPoses::still(predict(context)),
+            depth_lead: Tangent::zero(),
+            tone: context.previous.map_or_else(FrameTone::default, |p| p.tone),
+            response: response.cloned(),
+            scale,
+            losses: Losses::default(),
+            tracked: false,
+        }
+    }
+
     fn new(state: adam::State, evaluation: &Evaluation, trajectory: f64, tracked: bool) -> Self {
         Self {
             shutter: state.motion.into(),
@@ -123,10 +139,10 @@ pub(crate) fn predict(context: &TrackingContext<'_>) -> Pose<f64> {
 }
 
 /// Finds shutter poses, tone and (where it belongs to the frame) response of a frame.
-pub(crate) fn track(
+pub(crate) fn track<M: SceneMap>(
     context: &TrackingContext<'_>,
-    objective: &mut FrameObjective,
-    map: &GaussianMap,
+    objective: &mut FrameObjective<M>,
+    map: &M,
     observation: &Observation,
     response: Option<&CameraResponse<f32>>,
     scale: TrajectoryScale<f64>,

@@ -110,22 +110,49 @@ fn settings(n: &[f64; NUMBERS]) -> (FieldSettings, MarchSettings, OccupancySetti
 impl HashGridRadiance {
     /// Every number of the field and of its occupancy, bit for bit.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let (field, occupancy) = (&self.field, &self.occupancy);
-        let p = field.parameters();
-        let arrays = [occupancy.densities(), &p.table, &p.density, &p.colour];
-        let values: usize = arrays.iter().map(|a| a.len()).sum();
-        let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + 4 * values + 4);
-        bytes.extend_from_slice(MAGIC);
-        bytes.extend_from_slice(&VERSION.to_le_bytes());
-        let mut all = numbers(field.settings(), self.renderer.settings(), occupancy.settings());
-        all.push(f64::from(occupancy.looks()));
-        all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
-        for array in arrays {
-            array.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
-        }
-        let sum = crc32fast::hash(&bytes);
-        bytes.extend_from_slice(&sum.to_le_bytes());
-        bytes
+        to_bytes(&self.field, &self.occupancy, self.renderer.settings())
+    }
+
+    /// Back from [`to_bytes`](Self::to_bytes).
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, FieldFileError> {
+        let HashGridMap { field, occupancy, march } = HashGridMap::from_bytes(bytes)?;
+        Ok(Self { field, occupancy, renderer: FieldRenderer::new(march) })
+    }
+}
+
+/// A field with what is needed to draw it, but for the buffers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HashGridMap {
+    /// Radiance and density.
+    pub field: HashGridField,
+    /// Where rays are sampled.
+    pub occupancy: Occupancy,
+    /// How densely.
+    pub march: MarchSettings,
+}
+
+fn to_bytes(field: &HashGridField, occupancy: &Occupancy, march: &MarchSettings) -> Vec<u8> {
+    let p = field.parameters();
+    let arrays = [occupancy.densities(), &p.table, &p.density, &p.colour];
+    let values: usize = arrays.iter().map(|a| a.len()).sum();
+    let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + 4 * values + 4);
+    bytes.extend_from_slice(MAGIC);
+    bytes.extend_from_slice(&VERSION.to_le_bytes());
+    let mut all = numbers(field.settings(), march, occupancy.settings());
+    all.push(f64::from(occupancy.looks()));
+    all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+    for array in arrays {
+        array.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+    }
+    let sum = crc32fast::hash(&bytes);
+    bytes.extend_from_slice(&sum.to_le_bytes());
+    bytes
+}
+
+impl HashGridMap {
+    /// Every number of the field and of its occupancy, bit for bit.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        to_bytes(&self.field, &self.occupancy, &self.march)
     }
 
     /// Back from [`to_bytes`](Self::to_bytes).
@@ -154,7 +181,7 @@ impl HashGridRadiance {
             reader.fill(values)?;
         }
         let occupancy = Occupancy::restored(looks, densities, looked);
-        Ok(Self { field, occupancy, renderer: FieldRenderer::new(march) })
+        Ok(Self { field, occupancy, march })
     }
 }
 

@@ -3,6 +3,7 @@
 //!
 //! * [`HashGridField`]: the parameters, and what they mean.
 //! * [`FieldRenderer`]: batches of rays from any number of frames, forward and back, for training.
+//! * [`HashGridMap`]: a field with what is needed to draw it, as it is saved.
 //! * [`HashGridRadiance`]: the same as a [`RadianceMap`](crate::RadianceMap), for pictures.
 //! * [`Occupancy`]: which parts of a ray are sampled.
 //! * [`FieldAdam`]: the optimiser.
@@ -22,7 +23,7 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
-pub use archive::FieldFileError;
+pub use archive::{FieldFileError, HashGridMap};
 pub use field::{FieldGradient, FieldParameters, HashGridField};
 pub use march::{Occupancy, Ray, Sample};
 pub use optimizer::{FieldAdam, decayed_rate};

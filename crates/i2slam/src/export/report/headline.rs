@@ -52,8 +52,10 @@ pub(super) fn cards(metrics: &Metrics) -> String {
     card(blur, "px", "Longest blur", meaning);
     let seconds = significant(metrics.seconds_per_frame);
     card(seconds, "s", "Time per frame", "The whole run, divided by its frames.");
-    let gaussians = thousands(metrics.gaussians);
-    card(gaussians, "", "Gaussians", "Soft blobs of light that make up the map.");
+    if metrics.gaussians > 0 {
+        let gaussians = thousands(metrics.gaussians);
+        card(gaussians, "", "Gaussians", "Soft blobs of light that make up the map.");
+    }
     if let Some(correlation) = metrics.log_exposure_correlation {
         let meaning = "Correlation of recovered and true log exposure. 1 is perfect.";
         card(format!("{correlation:.3}"), "", "Exposure", meaning);

@@ -207,9 +207,14 @@ pub(super) fn work(report: &Report<'_>) -> String {
     let mut depth = over_frames("Depth loss", explanation, "difference [cm]");
     let centimetres = |f: &FrameEstimate| 100.0 * f.losses.depth;
     depth.series = vec![Series::line("depth", "c3", points(frames, centimetres))];
+    let mut plots = vec![time, image, depth];
+    if frames.iter().all(|f| f.gaussians == 0) {
+        return plots.iter().map(Plot::html).collect();
+    }
     let mut size = over_frames("Map", "Gaussians in the map, in thousands.", "thousands");
     let thousands = |f: &FrameEstimate| f.gaussians as f64 / 1000.0;
     size.series =
         vec![Series::line("Gaussians", "c4", points(frames, thousands)).marked(Mark::Area)];
-    [time, image, depth, size].iter().map(Plot::html).collect()
+    plots.push(size);
+    plots.iter().map(Plot::html).collect()
 }

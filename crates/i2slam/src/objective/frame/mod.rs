@@ -1,12 +1,12 @@
 //! One frame through map and formation: forward, loss, and the way back.
 
 use super::exposure::{Exposure, ExposureRenderer};
-use super::{Observation, depth, photometric::image_loss};
+use super::{Observation, SceneMap, depth, photometric::image_loss};
 use i2slam_formation::{
     CurveGradient, Formation, FrameTone, FrameToneGradient, ResponseCurve, ShutterTangent,
 };
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_radiance::gaussian::{GaussianMap, MapGradient, RasterSettings, Render};
+use i2slam_radiance::Render;
 use std::sync::Arc;
 
 /// What of a frame is optimised, beside the map.
@@ -28,7 +28,7 @@ pub struct Tone<'a> {
 }
 
 impl FrameVariables<'_> {
-    fn form(&self, hdr: &Image<f32>, picture: &mut Image<f32>) {
+    pub(super) fn form(&self, hdr: &Image<f32>, picture: &mut Image<f32>) {
         match &self.tone {
             Some(tone) => Formation::new(&tone.frame, tone.curve).form(hdr, picture),
             None => Formation::identity().form(hdr, picture),
@@ -56,8 +56,8 @@ pub struct Evaluation {
 }
 
 /// Renders, forms and compares frames; owns every buffer that this takes.
-pub struct FrameObjective {
-    renderer: ExposureRenderer,
+pub struct FrameObjective<M: SceneMap> {
+    renderer: ExposureRenderer<M>,
     picture: Image<f32>,
     d_picture: Image<f32>,
     d_hdr: Image<f32>,
@@ -66,9 +66,9 @@ pub struct FrameObjective {
     covered: Option<Arc<Image<bool>>>,
 }
 
-impl FrameObjective {
+impl<M: SceneMap> FrameObjective<M> {
     /// An objective for pictures of `camera`.
-    pub fn new(camera: Camera<f32>, settings: RasterSettings) -> Self {
+    pub fn new(camera: Camera<f32>, settings: M::Settings) -> Self {
         Self {
             renderer: ExposureRenderer::new(camera, settings),
             picture: Image::default(),
@@ -87,12 +87,12 @@ impl FrameObjective {
     }
 
     /// Radiance, depth and opacity seen from one pose.
-    pub fn render(&mut self, map: &GaussianMap, pose: Pose<f64>) -> &Render {
+    pub fn render(&mut self, map: &M, pose: Pose<f64>) -> &Render {
         self.renderer.render(map, pose)
     }
 
     /// The picture that formation predicts for a frame.
-    pub fn predict(&mut self, map: &GaussianMap, variables: &FrameVariables<'_>) -> &Image<f32> {
+    pub fn predict(&mut self, map: &M, variables: &FrameVariables<'_>) -> &Image<f32> {
         self.forward(map, variables);
         &self.picture
     }
@@ -101,7 +101,7 @@ impl FrameObjective {
     /// mid-exposure exceeds `silhouette` and that have a depth reading.
     pub fn track(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         observation: &Observation,
         variables: &FrameVariables<'_>,
         silhouette: f32,
@@ -129,12 +129,12 @@ impl FrameObjective {
     /// over the pixels with a depth reading (depth). Adds the map's derivative to `d_map`.
     pub fn map(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         observation: &Observation,
         variables: &FrameVariables<'_>,
         ssim_share: f32,
         weights: (f32, f32),
-        d_map: &mut MapGradient,
+        d_map: &mut M::Gradient,
     ) -> Evaluation {
         self.forward(map, variables);
         self.mask.clear();
@@ -183,7 +183,7 @@ impl FrameObjective {
     }
 
     /// Averages radiance over the exposure and forms.
-    fn forward(&mut self, map: &GaussianMap, variables: &FrameVariables<'_>) {
+    fn forward(&mut self, map: &M, variables: &FrameVariables<'_>) {
         self.renderer.forward(map, &variables.exposure);
         variables.form(&self.renderer.hdr, &mut self.picture);
     }
@@ -221,10 +221,10 @@ impl FrameObjective {
     /// From `d_picture` and `d_depth` back to poses, tone and map.
     fn backward(
         &mut self,
-        map: &GaussianMap,
+        map: &M,
         variables: &FrameVariables<'_>,
         best: usize,
-        d_map: Option<&mut MapGradient>,
+        d_map: Option<&mut M::Gradient>,
     ) -> Evaluation {
         let mut evaluation = Evaluation::default();
         self.pull_back_tone(variables, &mut evaluation);

@@ -5,7 +5,9 @@ use crate::objective::{BlurRoute, Sampling};
 use i2slam_check::{central_differences, noise, relative_error};
 use i2slam_formation::{CameraResponse, NodeSpacing, Quadrature, ShutterPoses, StartCurve};
 use i2slam_geometry::Tangent;
-use i2slam_radiance::gaussian::{ColourActivation, Gaussian, Shape};
+use i2slam_radiance::gaussian::{
+    ColourActivation, Gaussian, GaussianMap, MapGradient, RasterSettings, Shape,
+};
 
 const CAMERA: Camera<f32> =
     Camera { width: 32, height: 24, fx: 30.0, fy: 30.0, cx: 16.0, cy: 12.0 };

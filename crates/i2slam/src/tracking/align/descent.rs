@@ -5,9 +5,8 @@ use super::reference::{Reference, cleanest};
 use super::residual::{Equations, Errors, Linearization, Sums, UNKNOWNS};
 use super::{Frame, State};
 use crate::config::WhiteBalance;
-use crate::objective::{FrameObjective, virtual_camera_count};
+use crate::objective::{FrameObjective, SceneMap, virtual_camera_count};
 use i2slam_geometry::Tangent;
-use i2slam_radiance::gaussian::GaussianMap;
 
 /// A step shorter than this [px] ends a level.
 const CONVERGED: f64 = 2e-3;
@@ -39,10 +38,10 @@ pub(super) enum Purpose {
 
 impl Frame<'_> {
     /// Coarse to fine, on renders at ever better poses.
-    pub(super) fn descend(
+    pub(super) fn descend<M: SceneMap>(
         &self,
-        objective: &mut FrameObjective,
-        map: &GaussianMap,
+        objective: &mut FrameObjective<M>,
+        map: &M,
         mut state: State,
     ) -> Outcome {
         let levels = self.observed.len();

@@ -16,14 +16,13 @@ mod streak;
 
 use super::adam::{State, extrapolate};
 use super::{Motion, TrackingContext, TrackingResult};
-use crate::objective::{FrameObjective, Observation, blur_length};
+use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
 use crate::reconstruction::Losses;
 use belief::LEAST_OVERLAP;
 use descent::Outcome;
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
-use i2slam_radiance::gaussian::GaussianMap;
 use prior::MotionPrior;
 use pyramid::{Observed, observed_levels};
 use recovery::standing;
@@ -51,10 +50,10 @@ struct Frame<'a> {
 /// Aligns a frame from the constant-velocity prediction; from a standing start where that end is
 /// not to be believed. Where both fail, the frame is looked for around all places that the map was
 /// seen from.
-pub(super) fn align(
+pub(super) fn align<M: SceneMap>(
     context: &TrackingContext<'_>,
-    objective: &mut FrameObjective,
-    map: &GaussianMap,
+    objective: &mut FrameObjective<M>,
+    map: &M,
     observation: &Observation,
     state: State,
     motion: Motion,
@@ -111,7 +110,12 @@ fn pixels_per_unit(context: &TrackingContext<'_>, observation: &Observation) -> 
 
 impl Frame<'_> {
     /// Descends; where no motion before tells the velocity, again with the best of some streaks.
-    fn settle(&self, objective: &mut FrameObjective, map: &GaussianMap, start: State) -> Outcome {
+    fn settle<M: SceneMap>(
+        &self,
+        objective: &mut FrameObjective<M>,
+        map: &M,
+        start: State,
+    ) -> Outcome {
         let end = self.descend(objective, map, start);
         if self.motion_is_known() || end.sums.overlap() < LEAST_OVERLAP {
             return end;

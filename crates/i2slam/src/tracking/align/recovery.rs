@@ -3,9 +3,8 @@
 use super::descent::{Outcome, Purpose};
 use super::reference::Reference;
 use super::{Frame, Motion, State, extrapolate};
-use crate::objective::FrameObjective;
+use crate::objective::{FrameObjective, SceneMap};
 use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
-use i2slam_radiance::gaussian::GaussianMap;
 
 /// Turns about the camera's vertical and horizontal axis that are tried around every place [deg].
 const TURNS: [f64; 5] = [-24.0, -12.0, 0.0, 12.0, 24.0];
@@ -17,10 +16,10 @@ const STARTS: usize = 4;
 impl Frame<'_> {
     /// Looks for the frame where the camera was last and where the keyframes were, turned by up to
     /// a third of a picture; the best end that can be believed.
-    pub(super) fn recover(
+    pub(super) fn recover<M: SceneMap>(
         &self,
-        objective: &mut FrameObjective,
-        map: &GaussianMap,
+        objective: &mut FrameObjective<M>,
+        map: &M,
         predicted: &State,
     ) -> Option<Outcome> {
         let mut starts = Vec::new();
@@ -46,10 +45,10 @@ impl Frame<'_> {
 
     /// States turned around one place, and the share of the coarsest picture's depth that lies on
     /// the model from there.
-    fn looks_from(
+    fn looks_from<M: SceneMap>(
         &self,
-        objective: &mut FrameObjective,
-        map: &GaussianMap,
+        objective: &mut FrameObjective<M>,
+        map: &M,
         predicted: &State,
         place: Pose<f64>,
     ) -> Vec<(f64, State)> {

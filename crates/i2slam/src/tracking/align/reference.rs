@@ -4,9 +4,8 @@ use super::Frame;
 use super::pyramid::{Model, depth_levels, model_levels};
 use super::residual::{Errors, Scales};
 use crate::config::AlignmentConfig;
-use crate::objective::FrameObjective;
+use crate::objective::{FrameObjective, SceneMap};
 use i2slam_geometry::Pose;
-use i2slam_radiance::gaussian::GaussianMap;
 
 /// Robust scales before anything is known: depth [m at 1 m] and picture.
 const FIRST_SCALES: Scales = Scales { depth: 0.02, image: 0.08 };
@@ -28,10 +27,10 @@ pub(super) struct Reference {
 
 impl Reference {
     /// The map as it is seen from `world_from_camera`.
-    pub(super) fn model(
+    pub(super) fn model<M: SceneMap>(
         frame: &Frame<'_>,
-        objective: &mut FrameObjective,
-        map: &GaussianMap,
+        objective: &mut FrameObjective<M>,
+        map: &M,
         world_from_camera: Pose<f64>,
     ) -> Self {
         let render = objective.render(map, world_from_camera);

@@ -6,9 +6,8 @@
 use super::descent::Purpose;
 use super::reference::Reference;
 use super::{Frame, State, losses};
-use crate::objective::FrameObjective;
+use crate::objective::{FrameObjective, SceneMap};
 use i2slam_geometry::Tangent;
-use i2slam_radiance::gaussian::GaussianMap;
 
 /// Directions of streaks: about the camera's horizontal and vertical axis.
 const DIRECTIONS: [[f64; 2]; 4] = [[1.0, 0.0], [0.0, 1.0], [0.71, 0.71], [0.71, -0.71]];
@@ -19,10 +18,10 @@ const LEVEL: usize = 1;
 
 impl Frame<'_> {
     /// The start with the streak that suits the picture best, if one suits it better than none.
-    pub(super) fn with_streak(
+    pub(super) fn with_streak<M: SceneMap>(
         &self,
-        objective: &mut FrameObjective,
-        map: &GaussianMap,
+        objective: &mut FrameObjective<M>,
+        map: &M,
         start: &State,
     ) -> Option<State> {
         if !self.context.formation.blur {

@@ -59,6 +59,34 @@ impl Occupancy {
         occupancy
     }
 
+    /// A grid whose cells are all empty until one is held.
+    pub fn empty(settings: OccupancySettings) -> Self {
+        let mut occupancy = Self { looks: 1, ..Self::new(settings) };
+        occupancy.occupied.fill(0);
+        occupancy
+    }
+
+    /// Occupy the cells along a ray between two depths \[units of its direction\], as where a
+    /// depth picture saw a surface: looked up in steps of half a cell. A look forgets them like any
+    /// other cell.
+    pub fn hold(&mut self, field: &HashGridField, ray: &Ray, from: f32, to: f32) {
+        let (scale, offset) = field.to_unit();
+        let (origin, direction) = (ray.origin.to_array(), ray.direction.to_array());
+        let speed = ray.direction.norm() * scale * self.settings.resolution as f32;
+        let steps = (2.0 * (to - from) * speed).ceil().clamp(0.0, 4096.0) as usize;
+        for step in 0..=steps {
+            let depth = from + (to - from) * step as f32 / steps.max(1) as f32;
+            let place: [f32; 3] =
+                std::array::from_fn(|k| (origin[k] + depth * direction[k]) * scale + offset[k]);
+            if place.iter().all(|x| (0.0..1.0).contains(x)) {
+                let cell = self.cell(place);
+                self.densities[cell] = self.densities[cell].max(self.settings.density);
+                self.occupied[cell / 64] |= 1 << (cell % 64);
+            }
+        }
+        self.looks = self.looks.max(1);
+    }
+
     /// All samples of a ray in occupied cells, also those behind where it would end.
     pub fn samples(
         &self,
@@ -106,9 +134,14 @@ impl Occupancy {
 
     /// Whether the cell of a position in the unit cube is occupied; outside, the nearest cell.
     pub(crate) fn is_occupied(&self, position: [f32; 3]) -> bool {
-        let resolution = self.settings.resolution;
+        self.bit(self.cell(position))
+    }
+
+    /// Index of the cell of a position in the unit cube; outside, of the nearest one.
+    fn cell(&self, position: [f32; 3]) -> usize {
+        let resolution = self.settings.resolution as usize;
         let [x, y, z] = position.map(|x| self.coordinate(x) as usize);
-        self.bit((z * resolution as usize + y) * resolution as usize + x)
+        (z * resolution + y) * resolution + x
     }
 
     /// Index along an axis.
@@ -182,7 +215,7 @@ impl Occupancy {
         let threshold = (0.5 * mean).min(self.settings.density);
         for (word, densities) in self.occupied.iter_mut().zip(self.densities.chunks(64)) {
             let bits = densities.iter().enumerate();
-            *word = bits.fold(0, |word, (i, d)| word | u64::from(*d >= threshold) << i);
+            *word = bits.fold(0, |word, (i, d)| word | u64::from(*d >= threshold && *d > 0.0) << i);
         }
     }
 }

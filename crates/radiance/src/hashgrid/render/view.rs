@@ -52,35 +52,39 @@ impl<T: Real> RayGradient<T> {
     }
 }
 
-impl HashGridRadiance {
-    /// Render pixels `first..first + BATCH` of a view.
-    fn render_batch(
-        &mut self,
-        view: &View<f32>,
-        first: usize,
-        out: &mut Vec<RayRender>,
-    ) -> Vec<Ray> {
-        let rays = pixels(view, first).map(|(column, row)| Ray::through_pixel(view, column, row));
-        let rays: Vec<Ray> = rays.collect();
-        self.renderer.render(&self.field, &self.occupancy, &rays, out);
-        rays
-    }
-}
-
 /// `(column, row)` of the pixels of a batch.
 fn pixels(view: &View<f32>, first: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
     let (width, count) = (view.camera.width, view.camera.pixels());
     (first..(first + BATCH).min(count)).map(move |i| (i % width, i / width))
 }
 
-impl RadianceMap for HashGridRadiance {
-    type Gradient = FieldGradient;
+impl FieldRenderer {
+    /// Render pixels `first..first + BATCH` of a view.
+    fn render_batch(
+        &mut self,
+        (field, occupancy): (&HashGridField, &Occupancy),
+        view: &View<f32>,
+        first: usize,
+        out: &mut Vec<RayRender>,
+    ) -> Vec<Ray> {
+        let rays = pixels(view, first).map(|(column, row)| Ray::through_pixel(view, column, row));
+        let rays: Vec<Ray> = rays.collect();
+        self.render(field, occupancy, &rays, out);
+        rays
+    }
 
-    fn render(&mut self, view: &View<f32>, out: &mut Render) {
+    /// Write what `view` shows into `out`, whose allocation is reused.
+    pub fn render_view(
+        &mut self,
+        field: &HashGridField,
+        occupancy: &Occupancy,
+        view: &View<f32>,
+        out: &mut Render,
+    ) {
         out.resize(view.camera.width, view.camera.height);
         let (count, mut batch) = (view.camera.pixels(), Vec::new());
         for first in (0..count).step_by(BATCH) {
-            self.render_batch(view, first, &mut batch);
+            self.render_batch((field, occupancy), view, first, &mut batch);
             for (i, ray) in (first..).zip(&batch) {
                 (0..3).for_each(|c| out.radiance.data[c * count + i] = ray.radiance[c]);
                 out.depth.data[i] = ray.depth;
@@ -89,9 +93,13 @@ impl RadianceMap for HashGridRadiance {
         }
     }
 
-    /// Nothing is kept of a picture: it is rendered again, 4096 pixels at a time.
-    fn pull_back(
+    /// Pull `∂L/∂render` of a view back: adds `∂L/∂field` to `gradient` when it is given and
+    /// returns `∂L/∂ξ` for the pose `world_from_camera.retract(ξ)`. Nothing is kept of a picture:
+    /// it is rendered again, 4096 pixels at a time.
+    pub fn pull_back_view(
         &mut self,
+        field: &HashGridField,
+        occupancy: &Occupancy,
         view: &View<f32>,
         cotangent: &RenderCotangent,
         mut gradient: Option<&mut FieldGradient>,
@@ -99,23 +107,40 @@ impl RadianceMap for HashGridRadiance {
         cotangent.planes(view.camera.width, view.camera.height);
         let (mut batch, mut ray_gradients) = (Vec::new(), Vec::new());
         let mut pose = Tangent::zero();
-        let kept = self.renderer.keep_slopes(true);
+        let kept = self.keep_slopes(true);
         for first in (0..view.camera.pixels()).step_by(BATCH) {
-            let rays = self.render_batch(view, first, &mut batch);
+            let rays = self.render_batch((field, occupancy), view, first, &mut batch);
             let cotangents: Vec<_> = pixels(view, first)
                 .map(|(column, row)| {
                     let [r, g, b, depth, opacity] = cotangent.at(column, row);
                     RayRender { radiance: [r, g, b], depth, opacity }
                 })
                 .collect();
-            let (field, gradient) = (&self.field, gradient.as_deref_mut());
             let wanted = Some(&mut ray_gradients);
-            self.renderer.pull_back(field, &rays, &cotangents, gradient, wanted);
+            self.pull_back(field, &rays, &cotangents, gradient.as_deref_mut(), wanted);
             for ((column, row), ray) in pixels(view, first).zip(&ray_gradients) {
                 pose = pose.plus(ray.to_pose(view, column, row));
             }
         }
-        self.renderer.keep_slopes(kept);
+        self.keep_slopes(kept);
         pose
+    }
+}
+
+impl RadianceMap for HashGridRadiance {
+    type Gradient = FieldGradient;
+
+    fn render(&mut self, view: &View<f32>, out: &mut Render) {
+        self.renderer.render_view(&self.field, &self.occupancy, view, out);
+    }
+
+    fn pull_back(
+        &mut self,
+        view: &View<f32>,
+        cotangent: &RenderCotangent,
+        gradient: Option<&mut FieldGradient>,
+    ) -> Tangent<f64> {
+        let Self { field, occupancy, renderer } = self;
+        renderer.pull_back_view(field, occupancy, view, cotangent, gradient)
     }
 }

@@ -68,3 +68,23 @@ fn cells_are_taken_as_given() {
     assert_eq!(occupancy.share(), 0.5);
     assert!(occupancy.is_occupied([0.9, 0.1, 0.1]) && !occupancy.is_occupied([0.4, 0.1, 0.1]));
 }
+
+/// A wall at 1 m is held around its depth and nowhere else, also after it was saved.
+#[test]
+fn cells_around_a_depth_are_held() {
+    let field = HashGridField::<f32>::new(settings(), 1).expect("settings in range");
+    let [x, y, z] = settings().centre.map(|c| c as f32);
+    let origin = Vec3::new(x, y, z);
+    let ray = Ray { origin, direction: Vec3::new(0.0, 0.0, 2.0), offset: 0.5 };
+    let looks = OccupancySettings { resolution: 60, ..Default::default() };
+    let mut occupancy = Occupancy::empty(looks);
+    assert_eq!(occupancy.share(), 0.0);
+    occupancy.hold(&field, &ray, 0.45, 0.55);
+    let march = MarchSettings { step_min: 0.01, step_max: 0.01, ..MarchSettings::cube(1.5) };
+    let samples = occupancy.samples(&field, &march, &ray);
+    let depths: Vec<f32> = samples.iter().map(|s| 2.0 * s.depth).collect();
+    let size = 2.0 * settings().bound as f32 / 60.0;
+    assert!(depths.len() > 15 && depths.iter().all(|d| (d - 1.0).abs() < 0.1 + size), "{depths:?}");
+    let saved = HashGridMap { field, occupancy, march };
+    assert_eq!(HashGridMap::from_bytes(&saved.to_bytes()), Ok(saved));
+}

@@ -1,0 +1,79 @@
+//! How large a field is and how finely it is sampled.
+
+use crate::config::HashGridConfig;
+use i2slam_geometry::{Camera, Image, Pose, Vec3};
+use i2slam_radiance::hashgrid::{
+    FieldSettings, HashGridField, HashGridMap, MarchSettings, Occupancy, OccupancySettings,
+    SettingsError,
+};
+
+/// Least half edge of a cube [m].
+const LEAST_BOUND: f64 = 0.1;
+
+/// Surface points of a depth picture, in the camera.
+fn points<'a>(
+    camera: &'a Camera<f64>,
+    depth: &'a Image<f32>,
+) -> impl Iterator<Item = Vec3<f64>> + 'a {
+    let seen = depth.data.iter().enumerate().filter(|(_, d)| **d > 0.0);
+    seen.map(move |(pixel, &d)| {
+        let (u, v) = Camera::<f64>::pixel_centre(pixel % depth.width, pixel / depth.width);
+        camera.unproject(u, v, f64::from(d))
+    })
+}
+
+/// Half edge [m] of a cube around the camera that holds all surfaces, the camera turned in
+/// whatever direction, with the margin of the settings.
+pub(super) fn bound(config: &HashGridConfig, camera: &Camera<f64>, depth: &Image<f32>) -> f64 {
+    if config.bound > 0.0 {
+        return f64::from(config.bound);
+    }
+    let farthest = points(camera, depth).map(|p| p.norm()).fold(0.0, f64::max);
+    (f64::from(config.margin) * farthest).max(LEAST_BOUND)
+}
+
+/// Share of the pixels whose surface lies outside of a field's cube.
+pub(super) fn share_outside(
+    field: &FieldSettings,
+    camera: &Camera<f64>,
+    world_from_camera: Pose<f64>,
+    depth: &Image<f32>,
+) -> f64 {
+    let outside = points(camera, depth).filter(|&point| {
+        let place = (world_from_camera * point).to_array();
+        place.iter().zip(field.centre).any(|(p, c)| (p - c).abs() > field.bound)
+    });
+    outside.count() as f64 / depth.data.len().max(1) as f64
+}
+
+/// An untrained field in a cube of half edge `bound` [m] around `centre`, in which nothing is
+/// sampled yet.
+pub(super) fn untrained(
+    config: &HashGridConfig,
+    centre: [f64; 3],
+    bound: f64,
+    seed: u64,
+) -> Result<HashGridMap, SettingsError> {
+    let cube = FieldSettings::cube(centre, bound);
+    let cells = 2.0 * bound / f64::from(config.finest_cell);
+    let settings = FieldSettings {
+        levels: config.levels,
+        log2_table: config.log2_table,
+        finest_resolution: cells.clamp(f64::from(cube.base_resolution), 1e6) as u32,
+        hidden_width: config.hidden_width,
+        ..cube
+    };
+    let occupancy =
+        OccupancySettings { resolution: config.occupancy_cells, ..OccupancySettings::default() };
+    let march = MarchSettings {
+        step_min: config.step_min,
+        cone: config.step,
+        steps_max: 1 << 14,
+        ..MarchSettings::cube(bound)
+    };
+    Ok(HashGridMap {
+        field: HashGridField::new(settings, seed)?,
+        occupancy: Occupancy::empty(occupancy),
+        march,
+    })
+}

@@ -1,0 +1,297 @@
+//! Mapping with a radiance field in a hash grid.
+//!
+//! The field fills a cube around the first camera, as large as the first frame's depth says. Depth
+//! also tells where rays are sampled: a shell around every surface that a frame has seen, nothing in
+//! between, so that a ray costs a dozen samples. What lies outside of the cube is not mapped.
+
+mod cube;
+
+use super::densify::placement;
+use super::frames::FrameOptimizers;
+use super::{Keyframe, Mapper, Story};
+use crate::objective::{
+    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, RayObjective, RayView, Tone,
+};
+use crate::reconstruction::Map;
+use crate::tracking::{TrackingContext, TrackingResult, sampling, track};
+use i2slam_compute::Random;
+use i2slam_formation::{CameraResponse, CurveGradient, ResponseCurve, TrajectoryScale};
+use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::View;
+use i2slam_radiance::hashgrid::{FieldAdam, FieldGradient, HashGridMap, Ray, decayed_rate};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Share of a frame's surfaces outside of the cube that is worth a warning.
+const OUTSIDE: f64 = 0.02;
+
+/// A field that is trained frame by frame.
+pub(crate) struct FieldMapper {
+    camera: Camera<f32>,
+    covered: Option<Arc<Image<bool>>>,
+    /// None until the first frame has told how large the scene is.
+    field: Option<Field>,
+    frames: FrameOptimizers,
+    warned: bool,
+}
+
+/// A field and what trains it.
+struct Field {
+    map: HashGridMap,
+    objective: FrameObjective<HashGridMap>,
+    batch: RayObjective,
+    gradient: FieldGradient,
+    adam: FieldAdam,
+}
+
+impl Field {
+    fn new(map: HashGridMap, camera: Camera<f32>) -> Self {
+        Self {
+            objective: FrameObjective::new(camera, map.march),
+            batch: RayObjective::new(camera, map.march),
+            gradient: FieldGradient::zeros(&map.field),
+            adam: FieldAdam::new(),
+            map,
+        }
+    }
+}
+
+impl FieldMapper {
+    /// For frames of `camera`.
+    pub(crate) fn new(camera: &Camera<f64>) -> Self {
+        Self {
+            camera: camera.cast(),
+            covered: None,
+            field: None,
+            frames: FrameOptimizers::default(),
+            warned: false,
+        }
+    }
+
+    /// Chooses the cube: around the camera, large enough for the frame's depth and a margin.
+    fn begin(&mut self, story: &mut Story<'_>, pose: Pose<f64>, depth: &Image<f32>) {
+        let settings = &story.config.hashgrid;
+        let bound = cube::bound(settings, story.camera, depth);
+        let seed = story.config.seed;
+        match cube::untrained(settings, pose.translation.to_array(), bound, seed) {
+            Ok(map) => self.field = Some(Field::new(map, self.camera)),
+            Err(error) => story.warnings.push(error.to_string()),
+        }
+        if let (Some(field), Some(covered)) = (&mut self.field, &self.covered) {
+            field.objective.set_covered(Arc::clone(covered));
+        }
+    }
+
+    /// Samples around the surfaces of a frame from now on.
+    fn hold(&mut self, story: &mut Story<'_>, frame: usize, pose: Pose<f64>, depth: &Image<f32>) {
+        let Some(Field { map, .. }) = &mut self.field else { return };
+        let view = View { camera: self.camera, world_from_camera: pose.cast() };
+        let shell = story.config.hashgrid.shell;
+        let HashGridMap { field, occupancy, .. } = map;
+        for (pixel, &d) in depth.data.iter().enumerate().filter(|(_, d)| **d > 0.0) {
+            let ray = Ray::through_pixel(&view, pixel % depth.width, pixel / depth.width);
+            occupancy.hold(field, &ray, d * (1.0 - shell), d * (1.0 + shell));
+        }
+        let share = cube::share_outside(field.settings(), story.camera, pose, depth);
+        let bound = field.settings().bound;
+        if share > OUTSIDE && !self.warned {
+            self.warned = true;
+            story.warnings.push(format!(
+                "frame {}: {:.0} % of what it sees lies outside of the field's cube (±{bound:.1} m \
+                 around the first camera) and is not mapped: hashgrid.margin and hashgrid.bound \
+                 set its size",
+                story.frames[frame].index,
+                100.0 * share
+            ));
+        }
+    }
+
+    /// One step on pixels of all `views`.
+    fn step(&mut self, story: &mut Story<'_>, views: &[Keyframe], rate: f32) {
+        let config = story.config;
+        let curves = curves(story, views);
+        let rays = config.hashgrid.rays / views.len().max(1);
+        let drawn = views.iter().map(|view| self.draw(story, view, &curves, rays));
+        let drawn: Vec<RayView<'_>> = drawn.collect();
+        let Some(field) = &mut self.field else { return };
+        let mapping = &config.mapping;
+        let with_poses = mapping.pose_rotation_rate > 0.0 || mapping.pose_translation_rate > 0.0;
+        let evaluations = field.batch.map(
+            &field.map,
+            &drawn,
+            (config.hashgrid.image_weight, config.hashgrid.depth_weight),
+            with_poses,
+            story.random,
+            &mut field.gradient,
+        );
+        field.adam.step(&mut field.map.field, &mut field.gradient, rate);
+        self.step_frames(story, views, evaluations);
+    }
+
+    /// Random pixels of a keyframe, about `rays` rays in all.
+    fn draw<'a>(
+        &self,
+        story: &mut Story<'_>,
+        keyframe: &'a Keyframe,
+        curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
+        rays: usize,
+    ) -> RayView<'a> {
+        let estimate = &story.frames[keyframe.frame];
+        let observation = &*keyframe.observation;
+        let sampling =
+            sampling(&story.config.formation, story.camera, &estimate.shutter, observation);
+        let exposure = Exposure {
+            shutter: estimate.shutter,
+            sampling,
+            depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
+        };
+        let curve = curves.get(&estimate.response);
+        let tone = curve.map(|curve| Tone { frame: estimate.tone, curve });
+        let variables = FrameVariables { exposure, tone };
+        let mut view = RayView { observation, variables, pixels: Vec::new() };
+        let count = (rays / view.rays_per_pixel()).max(1);
+        view.pixels = self.pixels(observation, count, story.random);
+        view
+    }
+
+    /// Pixels drawn at random from those that the camera recorded.
+    fn pixels(&self, observation: &Observation, count: usize, random: &mut Random) -> Vec<usize> {
+        let all = observation.depth.pixels();
+        let recorded = |p: &usize| self.covered.as_ref().is_none_or(|c| c.data[*p]);
+        (0..count).map(|_| random.below(all)).filter(recorded).collect()
+    }
+
+    /// Tone and poses of the frames that took part, and their responses, each once.
+    fn step_frames(
+        &mut self,
+        story: &mut Story<'_>,
+        views: &[Keyframe],
+        evaluations: Vec<Evaluation>,
+    ) {
+        let mut responses: BTreeMap<usize, CurveGradient<f32>> = BTreeMap::new();
+        for (view, mut evaluation) in views.iter().zip(evaluations) {
+            let response = story.frames[view.frame].response;
+            if let Some(d_curve) = evaluation.curve.take() {
+                match responses.get_mut(&response) {
+                    Some(sum) => add(sum, &d_curve),
+                    None => drop(responses.insert(response, d_curve)),
+                }
+            }
+            let gauge_frame = story.gauge_frame(view);
+            if view.frame != gauge_frame {
+                if story.config.formation.tone {
+                    self.frames.step_tone(story, view.frame, &evaluation.tone);
+                }
+                self.frames.step_pose(story, view.frame, &evaluation.shutter);
+            }
+        }
+        for (index, mut d_curve) in responses {
+            self.frames.step_response(story, index, &mut d_curve);
+        }
+    }
+
+    /// The current frame, the last keyframe, and others drawn at random from all.
+    fn window(story: &mut Story<'_>, current: &Keyframe) -> Vec<Keyframe> {
+        let mut window = vec![current.clone()];
+        let size = story.config.mapping.window;
+        let mut others: Vec<&Keyframe> =
+            story.keyframes.iter().filter(|k| k.frame != current.frame).collect();
+        if size > 1 {
+            window.extend(others.pop().cloned());
+        }
+        story.random.shuffle(&mut others);
+        window.extend(others.into_iter().take(size.saturating_sub(2)).cloned());
+        window
+    }
+}
+
+/// The response curves of all `views`.
+fn curves(story: &Story<'_>, views: &[Keyframe]) -> BTreeMap<usize, ResponseCurve<f32>> {
+    if !story.config.formation.tone {
+        return BTreeMap::new();
+    }
+    let indices = views.iter().map(|view| story.frames[view.frame].response);
+    indices.map(|index| (index, story.responses[index].curve())).collect()
+}
+
+fn add(sum: &mut CurveGradient<f32>, other: &CurveGradient<f32>) {
+    for (sum, other) in sum.values.iter_mut().flatten().zip(other.values.iter().flatten()) {
+        *sum += other;
+    }
+}
+
+impl Mapper for FieldMapper {
+    fn is_empty(&self) -> bool {
+        self.field.is_none()
+    }
+
+    fn gaussians(&self) -> usize {
+        0
+    }
+
+    fn set_covered(&mut self, covered: Arc<Image<bool>>) {
+        if let Some(field) = &mut self.field {
+            field.objective.set_covered(Arc::clone(&covered));
+        }
+        self.covered = Some(covered);
+    }
+
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult {
+        let Some(Field { map, objective, .. }) = &mut self.field else {
+            return TrackingResult::lost(context, response, scale);
+        };
+        track(context, objective, map, observation, response, scale)
+    }
+
+    fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {
+        let depth = placement(&current.observation, &story.config.mapping, story.covered);
+        let pose = story.frames[current.frame].depth_pose();
+        if self.field.is_none() {
+            self.begin(story, pose, &depth);
+        }
+        self.hold(story, current.frame, pose, &depth);
+    }
+
+    fn refine(&mut self, story: &mut Story<'_>, current: &Keyframe, first: bool) {
+        let settings = &story.config.hashgrid;
+        let iterations = if first { settings.first_iterations } else { settings.iterations };
+        let (rate, budget) = (settings.rate, f64::from(story.config.mapping.seconds_per_frame));
+        let clock = Instant::now();
+        for iteration in 0..iterations {
+            if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
+                break;
+            }
+            let window = Self::window(story, current);
+            self.step(story, &window, rate);
+        }
+    }
+
+    fn finish(&mut self, story: &mut Story<'_>, on_step: &mut dyn FnMut(usize, usize) -> bool) {
+        let settings = &story.config.hashgrid;
+        let (steps, rate) = (settings.final_iterations, settings.rate);
+        let mut order: Vec<usize> = (0..story.keyframes.len()).collect();
+        for step in 0..steps {
+            story.random.shuffle(&mut order);
+            let chosen = order.iter().take(story.config.mapping.window);
+            let window: Vec<Keyframe> = chosen.map(|&k| story.keyframes[k].clone()).collect();
+            self.step(story, &window, decayed_rate(rate, step as i32, steps as i32));
+            if !on_step(step + 1, steps) {
+                break;
+            }
+        }
+    }
+
+    fn map(&self) -> Map {
+        match &self.field {
+            Some(field) => Map::HashGrid(Box::new(field.map.clone())),
+            None => Map::default(),
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! Mapping with Gaussians: adding, refining, pruning.
+
+use super::densify::{SceneScale, Source, add_gaussians, placement, prune, seed_map};
+use super::merge::merge;
+use super::{Keyframe, MapOptimizer, Mapper, Story, select_window};
+use crate::config::Config;
+use crate::objective::{FrameObjective, Observation, Tone};
+use crate::reconstruction::Map;
+use crate::tracking::{TrackingContext, TrackingResult, sampling, track};
+use i2slam_formation::{CameraResponse, TrajectoryScale};
+use i2slam_geometry::{Camera, Image};
+use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Share of the capacity that is left when a full map was merged.
+const ROOMY: f64 = 0.9;
+/// SplaTAM prunes at this step of a round, beside the first.
+const PRUNE_STEP: usize = 20;
+
+/// A map of Gaussians that grows with the frames.
+pub(crate) struct GaussianMapper {
+    map: GaussianMap,
+    objective: FrameObjective<GaussianMap>,
+    optimizer: MapOptimizer,
+    scene: SceneScale,
+    full: bool,
+}
+
+/// An empty map: log-radiance, or SplaTAM's raw colours with `tone` off.
+fn empty_map(config: &Config) -> GaussianMap {
+    let shape = if config.map.isotropic { Shape::Isotropic } else { Shape::Anisotropic };
+    let activation = match config.formation.tone {
+        true => ColourActivation::Exponential,
+        false => ColourActivation::Linear,
+    };
+    GaussianMap::new(shape, activation)
+}
+
+/// The rasteriser's settings.
+pub(crate) fn raster_settings(config: &Config) -> RasterSettings {
+    RasterSettings { screen_variance: config.map.screen_variance, ..RasterSettings::default() }
+}
+
+impl GaussianMapper {
+    /// An empty map for frames of `camera`.
+    pub(crate) fn new(config: &Config, camera: &Camera<f64>) -> Self {
+        Self {
+            map: empty_map(config),
+            objective: FrameObjective::new(camera.cast(), raster_settings(config)),
+            optimizer: MapOptimizer::new(),
+            scene: SceneScale { radius: f32::INFINITY },
+            full: false,
+        }
+    }
+
+    fn step(&mut self, story: &mut Story<'_>, keyframe: &Keyframe) {
+        let shutter = &story.frames[keyframe.frame].shutter;
+        let formation = &story.config.formation;
+        let sampling = sampling(formation, story.camera, shutter, &keyframe.observation);
+        let scene = (&mut self.map, &mut self.objective);
+        self.optimizer.step(story, scene, keyframe, sampling);
+    }
+
+    fn prune(&mut self, story: &Story<'_>) {
+        let keep = prune(&mut self.map, &story.config.mapping, self.scene);
+        if keep.contains(&false) {
+            self.optimizer.retain(&keep);
+        }
+    }
+
+    /// Keeps the map within its capacity, and then with some room for the next frames.
+    fn make_room(&mut self, story: &mut Story<'_>) {
+        let capacity = story.config.map.capacity;
+        if self.map.len() <= capacity {
+            return;
+        }
+        let aim = (ROOMY * capacity as f64) as usize;
+        let keep = merge(&mut self.map, aim..=capacity);
+        self.optimizer.retain(&keep);
+        if !self.full {
+            self.full = true;
+            story.warnings.push(format!(
+                "the map is full: from now on similar neighbours are merged to keep it at \
+                 {capacity} Gaussians; map.capacity sets the limit"
+            ));
+        }
+    }
+}
+
+impl Mapper for GaussianMapper {
+    fn is_empty(&self) -> bool {
+        self.map.is_empty()
+    }
+
+    fn gaussians(&self) -> usize {
+        self.map.len()
+    }
+
+    fn set_covered(&mut self, covered: Arc<Image<bool>>) {
+        self.objective.set_covered(covered);
+    }
+
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult {
+        track(context, &mut self.objective, &self.map, observation, response, scale)
+    }
+
+    fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {
+        let config = story.config;
+        let estimate = &story.frames[current.frame];
+        let curve = config.formation.tone.then(|| story.responses[estimate.response].curve());
+        let source = Source {
+            camera: story.camera,
+            world_from_depth: estimate.depth_pose(),
+            colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
+            observation: &current.observation,
+            depth: placement(&current.observation, &config.mapping, story.covered),
+            tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
+        };
+        if self.map.is_empty() {
+            self.scene = SceneScale::new(&current.observation, config.mapping.scene_radius_ratio);
+            seed_map(&mut self.map, &config.map, &source);
+        } else {
+            let render = self.objective.render(&self.map, source.world_from_depth).clone();
+            add_gaussians(&mut self.map, (&config.map, &config.mapping), &source, &render);
+        }
+        self.make_room(story);
+    }
+
+    fn refine(&mut self, story: &mut Story<'_>, current: &Keyframe, first: bool) {
+        let mapping = &story.config.mapping;
+        let iterations = if first { mapping.first_iterations } else { mapping.iterations };
+        let fresh = mapping.fresh_optimizer;
+        if fresh {
+            self.optimizer.reset();
+        }
+        let window = select_window(
+            story.keyframes,
+            current,
+            story.frames,
+            story.camera,
+            mapping.window,
+            story.random,
+        );
+        let budget = f64::from(mapping.seconds_per_frame);
+        let clock = Instant::now();
+        for iteration in 0..iterations {
+            if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
+                break;
+            }
+            let chosen = &window[story.random.below(window.len())];
+            self.step(story, chosen);
+            if fresh && (iteration == 0 || iteration == PRUNE_STEP) {
+                self.prune(story);
+            }
+        }
+        if !fresh {
+            self.prune(story);
+        }
+    }
+
+    fn finish(&mut self, story: &mut Story<'_>, on_step: &mut dyn FnMut(usize, usize) -> bool) {
+        let steps = story.config.mapping.final_iterations;
+        let mut order: Vec<usize> = Vec::new();
+        for step in 0..steps {
+            if order.is_empty() {
+                order = (0..story.keyframes.len()).collect();
+                story.random.shuffle(&mut order);
+            }
+            let Some(next) = order.pop() else { break };
+            let keyframe = story.keyframes[next].clone();
+            self.step(story, &keyframe);
+            if !on_step(step + 1, steps) {
+                break;
+            }
+        }
+        self.prune(story);
+    }
+
+    fn map(&self) -> Map {
+        Map::Gaussians(self.map.clone())
+    }
+}

@@ -1,0 +1,66 @@
+//! What a session asks of its map.
+
+use super::Keyframe;
+use crate::config::Config;
+use crate::objective::Observation;
+use crate::reconstruction::{FrameEstimate, Map};
+use crate::tracking::{TrackingContext, TrackingResult};
+use i2slam_compute::Random;
+use i2slam_formation::{CameraResponse, TrajectoryScale};
+use i2slam_geometry::{Camera, Image};
+use std::sync::Arc;
+
+/// What a session knows beside its map, while the map works on it.
+pub(crate) struct Story<'a> {
+    pub(crate) config: &'a Config,
+    pub(crate) camera: &'a Camera<f64>,
+    /// All frames so far.
+    pub(crate) frames: &'a mut [FrameEstimate],
+    /// Keyframes so far, the current frame not among them.
+    pub(crate) keyframes: &'a [Keyframe],
+    pub(crate) responses: &'a mut [CameraResponse<f32>],
+    /// Pixels that the camera recorded, if not all.
+    pub(crate) covered: Option<&'a Image<bool>>,
+    pub(crate) random: &'a mut Random,
+    pub(crate) warnings: &'a mut Vec<String>,
+}
+
+impl Story<'_> {
+    /// The frame whose pose and tone stay as they are: the first that was mapped.
+    pub(crate) fn gauge_frame(&self, current: &Keyframe) -> usize {
+        self.keyframes.first().map_or(current.frame, |k| k.frame)
+    }
+}
+
+/// A map that grows with the frames of a session, and that frames are tracked against.
+pub(crate) trait Mapper: Send {
+    /// Whether nothing can be seen yet.
+    fn is_empty(&self) -> bool;
+
+    /// Number of Gaussians, where the map consists of them.
+    fn gaussians(&self) -> usize;
+
+    /// Restricts the image terms to recorded pixels.
+    fn set_covered(&mut self, covered: Arc<Image<bool>>);
+
+    /// Shutter poses and tone of a frame, from what the map shows.
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult;
+
+    /// Makes room for what the current frame sees for the first time; starts an empty map.
+    fn add(&mut self, story: &mut Story<'_>, current: &Keyframe);
+
+    /// A round of steps on the current frame and keyframes before it; `first` starts the map.
+    fn refine(&mut self, story: &mut Story<'_>, current: &Keyframe, first: bool);
+
+    /// Steps over all keyframes after the last frame; `on_step(done, of)` says whether to go on.
+    fn finish(&mut self, story: &mut Story<'_>, on_step: &mut dyn FnMut(usize, usize) -> bool);
+
+    /// The map as it is now.
+    fn map(&self) -> Map;
+}

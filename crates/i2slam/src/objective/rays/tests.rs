@@ -1,0 +1,163 @@
+//! The chain from a field to the loss of a batch, against differences.
+
+use super::*;
+use crate::objective::{BlurRoute, Exposure, Sampling};
+use i2slam_check::{central_differences, noise, relative_error};
+use i2slam_formation::{
+    CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve,
+};
+use i2slam_geometry::Tangent;
+use i2slam_radiance::hashgrid::{FieldSettings, HashGridField, Occupancy, OccupancySettings};
+
+const CAMERA: Camera<f32> = Camera { width: 16, height: 12, fx: 14.0, fy: 14.0, cx: 8.0, cy: 6.0 };
+
+/// A field of broad cells, the camera within one, so that differences see few corners. It is dense,
+/// so that rays end within the cube, whose end does not go along with the pose.
+fn map() -> HashGridMap {
+    let settings = FieldSettings {
+        levels: 2,
+        base_resolution: 2,
+        finest_resolution: 3,
+        hidden_width: 16,
+        ..FieldSettings::cube([0.45, -0.35, 0.6], 2.0)
+    };
+    let mut field = HashGridField::<f32>::new(settings, 3).expect("settings in range");
+    let [table, density, colour] = field.parameters_mut();
+    colour.iter_mut().for_each(|w| *w *= 2.0);
+    let numbers = noise(5, table.len());
+    table.iter_mut().zip(numbers).for_each(|(v, n)| *v = 1.0 + 0.9 * n as f32);
+    density.iter_mut().for_each(|w| *w = 0.8 * w.abs());
+    let march = MarchSettings { step_min: 0.03, ..MarchSettings::cube(2.0) };
+    let occupancy = OccupancySettings { resolution: 4, ..OccupancySettings::default() };
+    HashGridMap { field, occupancy: Occupancy::new(occupancy), march }
+}
+
+/// Values far from anything that the field shows, so that no difference changes its sign.
+fn observation() -> Observation {
+    let mut colour = Image::new(16, 12, 3);
+    let mut depth = Image::new(16, 12, 1);
+    for (i, v) in colour.data.iter_mut().enumerate() {
+        *v = if i % 3 == 0 { 2.0 } else { 0.0 };
+    }
+    for (i, v) in depth.data.iter_mut().enumerate() {
+        *v = if i % 5 == 0 { 0.0 } else { 0.02 };
+    }
+    Observation::new(colour, depth)
+}
+
+/// Evaluations of two views of the same pixels, of which the first moves by `x`: start pose, end
+/// pose, log exposure and log white balance.
+fn evaluate(
+    x: &[f64],
+    cameras: usize,
+    depth_pose: bool,
+    d_field: &mut FieldGradient,
+    map: &HashGridMap,
+) -> Vec<Evaluation> {
+    let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+    let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
+    let end = Pose::identity().retract(Tangent::from_array([0.02, -0.03, 0.01, 0.02, 0.03, -0.01]));
+    let shutter =
+        ShutterPoses { start: Pose::identity().retract(part(0)), end: end.retract(part(6)) };
+    let frame = FrameTone {
+        log_exposure: x[12] as f32,
+        log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
+    };
+    let lead = Tangent::from_array([0.03, -0.02, 0.04, 0.05, -0.04, 0.03]);
+    let sampling = Sampling {
+        virtual_cameras: cameras,
+        quadrature: Quadrature::Midpoints,
+        route: BlurRoute::Exact,
+    };
+    let observation = observation();
+    let view = |shutter: ShutterPoses<f64>, frame| RayView {
+        observation: &observation,
+        variables: FrameVariables {
+            exposure: Exposure {
+                shutter,
+                sampling,
+                depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
+            },
+            tone: Some(Tone { frame, curve: &curve }),
+        },
+        pixels: (0..16 * 12).step_by(7).collect(),
+    };
+    let views =
+        [view(shutter, frame), view(ShutterPoses::still(Pose::identity()), FrameTone::default())];
+    let mut objective = RayObjective::new(CAMERA, map.march);
+    objective.map(map, &views, (0.5, 1.0), true, &mut Random::new(3), d_field)
+}
+
+fn total(evaluations: &[Evaluation]) -> f64 {
+    evaluations.iter().map(|e| e.total).sum()
+}
+
+#[test]
+fn gradients_of_poses_and_tone_agree_with_differences() {
+    let map = map();
+    for (cameras, depth_pose) in [(1, false), (1, true), (4, false), (4, true)] {
+        let mut d_field = FieldGradient::zeros(&map.field);
+        let mut at = |x: &[f64]| evaluate(x, cameras, depth_pose, &mut d_field, &map);
+        let evaluation = at(&[0.0; 16]).remove(0);
+        let mut analytic = evaluation.shutter.to_array().to_vec();
+        analytic.extend(evaluation.tone.to_array().map(f64::from));
+        let numeric = central_differences(&[0.0; 16], 4e-3, |x| total(&at(x)));
+        // The field is in `f32`, whose rounding is some per cent of what a pose changes here.
+        let poses = [0..3, 3..6, 6..9, 9..12].map(|group| (group, 0.1));
+        for (group, tolerance) in poses.into_iter().chain([(12..16, 5e-3)]) {
+            let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
+            assert!(error < tolerance, "{cameras} {depth_pose} {group:?} {error}");
+        }
+    }
+}
+
+#[test]
+fn the_gradient_of_the_field_agrees_with_differences() {
+    let map = map();
+    let mut d_field = FieldGradient::zeros(&map.field);
+    evaluate(&[0.0; 16], 3, true, &mut d_field, &map);
+    let start: Vec<f64> = map.field.parameters().colour[..24].iter().map(|v| (*v).into()).collect();
+    let numeric = central_differences(&start, 5e-3, |x| {
+        let mut moved = map.clone();
+        let colour = &mut moved.field.parameters_mut()[2][..24];
+        colour.iter_mut().zip(x).for_each(|(c, v)| *c = *v as f32);
+        total(&evaluate(&[0.0; 16], 3, true, &mut FieldGradient::zeros(&map.field), &moved))
+    });
+    let analytic: Vec<f64> = d_field.colour[..24].iter().map(|v| (*v).into()).collect();
+    let error = relative_error(&analytic, &numeric);
+    assert!(error < 2e-2, "{error}");
+}
+
+/// Many random moments average to what the exposure integral is.
+#[test]
+fn random_moments_average_to_the_exposure() {
+    let map = map();
+    let mut objective = RayObjective::new(CAMERA, map.march);
+    let observation = observation();
+    let end = Pose::identity().retract(Tangent::from_array([0.2, -0.1, 0.1, 0.2, 0.3, -0.1]));
+    let sampling = |virtual_cameras| Sampling {
+        virtual_cameras,
+        quadrature: Quadrature::Midpoints,
+        route: BlurRoute::Exact,
+    };
+    let mut mean = |cameras: usize, seeds: u64| {
+        let exposure = Exposure {
+            shutter: ShutterPoses { start: Pose::identity(), end },
+            sampling: sampling(cameras),
+            depth_pose: None,
+        };
+        let variables = FrameVariables { exposure, tone: None };
+        let view = [RayView { observation: &observation, variables, pixels: vec![70, 101] }];
+        let mut sum = [0.0_f64; 6];
+        for seed in 0..seeds {
+            let mut d_field = FieldGradient::zeros(&map.field);
+            let mut random = Random::new(seed);
+            objective.map(&map, &view, (1.0, 0.0), false, &mut random, &mut d_field);
+            sum.iter_mut().zip(&objective.hdr.data).for_each(|(s, v)| *s += f64::from(*v));
+        }
+        sum.iter().map(|s| s / seeds as f64).collect::<Vec<_>>()
+    };
+    let (few, many, still) = (mean(2, 400), mean(200, 2), mean(1, 1));
+    let error = |a: &[f64]| relative_error(a, &many);
+    assert!(error(&few) < 0.2 * error(&still), "{} {}", error(&few), error(&still));
+}

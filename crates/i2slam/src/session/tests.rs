@@ -1,0 +1,104 @@
+//! A few synthetic frames through a session whose map is a field.
+
+use super::*;
+use crate::config::MapKind;
+use crate::reconstruction::Map;
+use i2slam_geometry::{Pose, Rotation, Vec3};
+
+const CAMERA: Camera<f64> =
+    Camera { width: 48, height: 36, fx: 40.0, fy: 40.0, cx: 24.0, cy: 18.0 };
+const FRAMES: usize = 5;
+
+/// Half edges of the room [m].
+const WALLS: [f64; 3] = [0.8, 0.6, 1.6];
+
+/// Picture and depth of a room whose walls have a pattern each.
+fn frame(index: usize, pose: Pose<f64>) -> Frame {
+    let mut colour = Image::new(CAMERA.width, CAMERA.height, 3);
+    let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
+    let origin = pose.translation.to_array();
+    for row in 0..CAMERA.height {
+        for column in 0..CAMERA.width {
+            let (u, v) = Camera::<f64>::pixel_centre(column, row);
+            let direction = pose.rotation.rotate(CAMERA.unproject(u, v, 1.0)).to_array();
+            let wall = |k: usize| (WALLS[k] * direction[k].signum() - origin[k]) / direction[k];
+            let axis = (0..3).min_by(|&a, &b| wall(a).total_cmp(&wall(b))).unwrap_or(0);
+            let d = wall(axis);
+            let place: [f64; 3] = std::array::from_fn(|k| origin[k] + d * direction[k]);
+            let (a, b) = (place[(axis + 1) % 3], place[(axis + 2) % 3]);
+            for c in 0..3 {
+                let pattern = (5.0 * a + c as f64).sin() * (4.0 * b + axis as f64).cos();
+                let value = 0.45 + 0.3 * pattern;
+                colour.data[(c * CAMERA.height + row) * CAMERA.width + column] = value as f32;
+            }
+            depth.data[row * CAMERA.width + column] = d as f32;
+        }
+    }
+    let timestamp = index as f64 / 30.0;
+    Frame { index, timestamp, depth_timestamp: timestamp, colour, depth, warnings: Vec::new() }
+}
+
+/// World-from-camera of a frame; the first is the world's own.
+fn pose(index: usize) -> Pose<f64> {
+    let t = index as f64;
+    let turn = Vec3::new(0.004 * t, 0.012 * t, 0.0);
+    Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
+}
+
+fn config() -> Config {
+    let mut config = Config::default();
+    config.map.kind = MapKind::HashGrid;
+    let field = &mut config.hashgrid;
+    (field.levels, field.log2_table, field.finest_cell) = (6, 12, 0.05);
+    (field.hidden_width, field.occupancy_cells) = (16, 48);
+    (field.rays, field.first_iterations, field.iterations) = (1024, 200, 20);
+    field.final_iterations = 100;
+    config
+}
+
+fn run() -> (Reconstruction, Vec<String>) {
+    let mut session = Session::new(config(), CAMERA, 30.0);
+    for index in 0..FRAMES {
+        session.process(&frame(index, pose(index))).expect("frames of one size");
+    }
+    session.finish(&mut |_, _| true);
+    (session.reconstruction(), session.take_warnings())
+}
+
+#[test]
+fn a_camera_is_tracked_on_a_field() {
+    let (reconstruction, warnings) = run();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    assert!(matches!(reconstruction.map, Map::HashGrid(_)));
+    for (index, estimate) in reconstruction.frames.iter().enumerate() {
+        let error = estimate.middle().local(pose(index));
+        let (metres, radians) = (error.translation.norm(), error.rotation.norm());
+        assert!(estimate.tracked && metres < 0.01 && radians < 0.004, "{index} {metres} {radians}");
+    }
+    let mut viewer = reconstruction.viewer();
+    let last = &reconstruction.frames[FRAMES - 1];
+    let truth = frame(0, pose(FRAMES - 1));
+    let picture = viewer.sharp(last);
+    let squared = picture.data.iter().zip(&truth.colour.data).map(|(a, b)| (a - b).powi(2));
+    let psnr = -10.0 * (squared.sum::<f32>() / picture.data.len() as f32).log10();
+    assert!(psnr > 24.0, "{psnr} dB");
+    let depth = viewer.depth(last.middle());
+    let wrong = depth.data.iter().zip(&truth.depth.data).map(|(a, b)| (a - b).abs());
+    let error = wrong.sum::<f32>() / depth.data.len() as f32;
+    assert!(error < 0.03, "{error} m");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_field() {
+    assert!(run().0.map == run().0.map);
+}
+
+#[test]
+fn a_scene_beyond_the_cube_is_told_of() {
+    let mut config = config();
+    (config.hashgrid.bound, config.hashgrid.first_iterations) = (1.0, 1);
+    let mut session = Session::new(config, CAMERA, 30.0);
+    session.process(&frame(0, pose(0))).expect("a frame");
+    let warnings = session.take_warnings();
+    assert!(warnings.len() == 1 && warnings[0].contains("hashgrid.bound"), "{warnings:?}");
+}
