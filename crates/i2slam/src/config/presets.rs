@@ -209,7 +209,7 @@ fn hashgrid() -> HashGridConfig {
         first_iterations: 200,
         final_iterations: 300,
         rate: 1e-2,
-        image_weight: 5.0,
+        image_weight: 2.0,
         depth_weight: 1.0,
     }
 }
