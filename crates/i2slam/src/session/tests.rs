@@ -85,7 +85,7 @@ fn a_camera_is_tracked_on_a_field() {
     let depth = viewer.depth(last.middle());
     let wrong = depth.data.iter().zip(&truth.depth.data).map(|(a, b)| (a - b).abs());
     let error = wrong.sum::<f32>() / depth.data.len() as f32;
-    assert!(error < 0.03, "{error} m");
+    assert!(error < 0.05, "{error} m");
 }
 
 #[test]
