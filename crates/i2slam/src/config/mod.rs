@@ -1,8 +1,10 @@
 //! Every number of a run, with its unit, range and default; read from and written to TOML.
 
+mod hashgrid;
 mod presets;
 mod read;
 
+pub use hashgrid::HashGridConfig;
 pub use presets::{PRESET_NAMES, Preset};
 pub use read::ConfigError;
 
@@ -177,48 +179,6 @@ pub enum MapKind {
     Gaussian,
     /// A radiance field in a multi-resolution hash grid.
     HashGrid,
-}
-
-/// A radiance field in a hash grid, and how it is trained. Keyframes and the rates of frames are
-/// those of `mapping`; its window is the number of keyframes that a step draws from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct HashGridConfig {
-    /// Half edge of the cube around the first camera that is mapped [m]; zero takes it from the
-    /// first frame's depth.
-    pub bound: f32,
-    /// The same as a multiple of the first frame's largest distance.
-    pub margin: f32,
-    /// Number of grids, from coarse to fine.
-    pub levels: usize,
-    /// Binary logarithm of the largest number of nodes that a grid stores.
-    pub log2_table: u32,
-    /// Cells of the finest grid [m].
-    pub finest_cell: f32,
-    /// Units of every hidden layer.
-    pub hidden_width: usize,
-    /// Cells along an edge of the cube that are sampled or skipped.
-    pub occupancy_cells: u32,
-    /// Half thickness of the shell that is sampled around a surface, as a share of its depth.
-    pub shell: f32,
-    /// Distance of samples as a share of their distance from the camera.
-    pub step: f32,
-    /// Least distance of samples [m].
-    pub step_min: f32,
-    /// Rays of a step, about.
-    pub rays: usize,
-    /// Steps per mapping round.
-    pub iterations: usize,
-    /// Steps of the round that starts the map.
-    pub first_iterations: usize,
-    /// Steps after the last frame, over all keyframes; the rate falls tenfold during them.
-    pub final_iterations: usize,
-    /// Learning rate of the field.
-    pub rate: f32,
-    /// λ_img (a mean over pixels).
-    pub image_weight: f32,
-    /// λ_depth (a mean over pixels).
-    pub depth_weight: f32,
 }
 
 /// How the pose of a frame is found.
