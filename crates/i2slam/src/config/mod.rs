@@ -254,6 +254,9 @@ pub struct MappingConfig {
     /// Time after which a round ends early [s]; zero never does. A run with a limit does not give
     /// the same bytes twice.
     pub seconds_per_frame: f32,
+    /// Whether a frame is mapped while the next is tracked, against the map before it. Results do
+    /// not depend on the number of threads either way.
+    pub beside_tracking: bool,
     /// Adam steps of the round that starts the map.
     pub first_iterations: usize,
     /// Steps after the last frame, over all keyframes.

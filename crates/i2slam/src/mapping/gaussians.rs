@@ -2,7 +2,7 @@
 
 use super::densify::{SceneScale, Source, add_gaussians, placement, prune, seed_map};
 use super::merge::merge;
-use super::{Keyframe, MapOptimizer, Mapper, Story, select_window};
+use super::{Follower, Keyframe, MapOptimizer, Mapper, Story, Tracker, select_window};
 use crate::config::Config;
 use crate::objective::{FrameObjective, Observation, Tone};
 use crate::reconstruction::Map;
@@ -88,6 +88,18 @@ impl GaussianMapper {
     }
 }
 
+impl Tracker for GaussianMapper {
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult {
+        track(context, &mut self.objective, &self.map, observation, response, scale)
+    }
+}
+
 impl Mapper for GaussianMapper {
     fn is_empty(&self) -> bool {
         self.map.is_empty()
@@ -101,14 +113,19 @@ impl Mapper for GaussianMapper {
         self.objective.set_covered(covered);
     }
 
-    fn track(
-        &mut self,
-        context: &TrackingContext<'_>,
-        observation: &Observation,
-        response: Option<&CameraResponse<f32>>,
-        scale: TrajectoryScale<f64>,
-    ) -> TrackingResult {
-        track(context, &mut self.objective, &self.map, observation, response, scale)
+    fn follower(
+        &self,
+        config: &Config,
+        camera: &Camera<f64>,
+        covered: Option<Arc<Image<bool>>>,
+        last: Option<Box<dyn Tracker>>,
+    ) -> Option<Box<dyn Tracker>> {
+        let objective = || {
+            let mut objective = FrameObjective::new(camera.cast(), raster_settings(config));
+            covered.into_iter().for_each(|covered| objective.set_covered(covered));
+            objective
+        };
+        (!self.map.is_empty()).then(|| Follower::update(last, &self.map, objective))
     }
 
     fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {

@@ -1,12 +1,10 @@
 //! What a session asks of its map.
 
-use super::Keyframe;
+use super::{Keyframe, Tracker};
 use crate::config::Config;
-use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Map};
-use crate::tracking::{TrackingContext, TrackingResult};
 use i2slam_compute::Random;
-use i2slam_formation::{CameraResponse, TrajectoryScale};
+use i2slam_formation::CameraResponse;
 use i2slam_geometry::{Camera, Image};
 use std::sync::Arc;
 
@@ -33,7 +31,7 @@ impl Story<'_> {
 }
 
 /// A map that grows with the frames of a session, and that frames are tracked against.
-pub(crate) trait Mapper: Send {
+pub(crate) trait Mapper: Tracker {
     /// Whether nothing can be seen yet.
     fn is_empty(&self) -> bool;
 
@@ -43,14 +41,15 @@ pub(crate) trait Mapper: Send {
     /// Restricts the image terms to recorded pixels.
     fn set_covered(&mut self, covered: Arc<Image<bool>>);
 
-    /// Shutter poses and tone of a frame, from what the map shows.
-    fn track(
-        &mut self,
-        context: &TrackingContext<'_>,
-        observation: &Observation,
-        response: Option<&CameraResponse<f32>>,
-        scale: TrajectoryScale<f64>,
-    ) -> TrackingResult;
+    /// A copy of the map for tracking beside mapping, best in the memory of the one before; none
+    /// of an empty map.
+    fn follower(
+        &self,
+        config: &Config,
+        camera: &Camera<f64>,
+        covered: Option<Arc<Image<bool>>>,
+        last: Option<Box<dyn Tracker>>,
+    ) -> Option<Box<dyn Tracker>>;
 
     /// Makes room for what the current frame sees for the first time; starts an empty map.
     fn add(&mut self, story: &mut Story<'_>, current: &Keyframe);

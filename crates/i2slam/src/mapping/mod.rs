@@ -5,6 +5,7 @@ mod ages;
 mod densify;
 mod field;
 mod fill;
+mod follower;
 mod frames;
 mod gaussians;
 mod keyframe;
@@ -14,6 +15,7 @@ mod optimizer;
 mod window;
 
 pub(crate) use field::FieldMapper;
+pub(crate) use follower::{Follower, Tracker};
 pub(crate) use gaussians::{GaussianMapper, raster_settings};
 pub(crate) use keyframe::{Keyframe, is_keyframe};
 pub(crate) use mapper::{Mapper, Story};

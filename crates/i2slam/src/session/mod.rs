@@ -1,19 +1,20 @@
 //! The online system: frames go in one by one, a reconstruction comes out.
 
-mod map;
+mod backend;
+mod look;
 mod start;
 
 use crate::config::{Config, ResponseScope};
-use crate::mapping::{Keyframe, Mapper};
-use crate::objective::{Observation, blur_length};
-use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
-use crate::tracking::{TrackingContext, TrackingResult, predict};
-use i2slam_compute::Random;
+use crate::mapping::Tracker;
+use crate::objective::Observation;
+use crate::reconstruction::{FrameEstimate, Reconstruction};
+use crate::tracking::TrackingResult;
+use backend::Backend;
 use i2slam_dataset::Frame;
-use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
-use i2slam_geometry::{Camera, Image, Tangent};
+use i2slam_formation::TrajectoryScale;
+use i2slam_geometry::{Camera, Image};
+use look::Look;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Mean picture value under which a frame says nothing about the map's radiance.
 const BLACK: f32 = 0.004;
@@ -44,28 +45,19 @@ pub struct Session {
     config: Config,
     camera: Camera<f64>,
     frame_rate: f64,
-    mapper: Box<dyn Mapper>,
-    responses: Vec<CameraResponse<f32>>,
     scale: TrajectoryScale<f64>,
-    frames: Vec<FrameEstimate>,
-    keyframes: Vec<Keyframe>,
-    covered: Option<Arc<Image<bool>>>,
-    random: Random,
-    warnings: Vec<String>,
+    backend: Backend,
+    /// A copy of the map, for tracking beside mapping.
+    follower: Option<Box<dyn Tracker>>,
 }
 
 impl Session {
     /// A session for frames of `camera` at `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
         Self {
-            mapper: start::mapper(&config, &camera),
-            responses: vec![start::response(&config)],
             scale: TrajectoryScale::from_frame_rate(frame_rate),
-            frames: Vec::new(),
-            keyframes: Vec::new(),
-            covered: None,
-            random: Random::new(config.seed),
-            warnings: Vec::new(),
+            backend: Backend::new(&config, &camera),
+            follower: None,
             config,
             camera,
             frame_rate,
@@ -74,61 +66,58 @@ impl Session {
 
     /// Restricts the image terms to recorded pixels (see the dataset's `covered`).
     pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.mapper.set_covered(Arc::clone(&covered));
-        self.covered = Some(covered);
+        self.backend.mapper.set_covered(Arc::clone(&covered));
+        self.backend.covered = Some(covered);
     }
 
-    /// Tracks one frame, then maps with it.
+    /// Tracks one frame, then maps with it; with `mapping.beside_tracking`, the frame before is
+    /// mapped while this one is tracked.
     pub fn process(&mut self, frame: &Frame) -> Result<&FrameEstimate, SessionError> {
         self.check_size(frame)?;
         let observation = Arc::new(Observation::new(frame.colour.clone(), frame.depth.clone()));
         let usable = self.usable(frame.index, &observation);
-        let clock = Instant::now();
-        let estimate = self.track(frame, &observation, usable);
-        self.frames.push(estimate);
-        let position = self.frames.len() - 1;
-        self.frames[position].tracking_seconds = clock.elapsed().as_secs_f64();
-        if self.mapper.is_empty() && !self.keyframes.is_empty() {
-            self.warnings.push(format!(
+        let mut estimate = self.track(frame, &observation, usable);
+        let position = self.backend.frames.len();
+        estimate.held_out = self.holds_out(position);
+        let maps = usable && estimate.tracked && !estimate.held_out;
+        self.backend.frames.push(estimate);
+        if self.backend.mapper.is_empty() && !self.backend.keyframes.is_empty() {
+            self.backend.warnings.push(format!(
                 "frame {}: the map was empty (all Gaussians pruned) and starts again",
                 frame.index
             ));
         }
-        let clock = Instant::now();
-        self.frames[position].held_out = self.holds_out(position);
-        let frame = &self.frames[position];
-        if usable && frame.tracked && !frame.held_out {
-            self.map_frame(position, observation);
+        if maps {
+            self.backend.hand_over(&self.config, &self.camera, observation);
         }
-        let estimate = &mut self.frames[position];
-        estimate.mapping_seconds = clock.elapsed().as_secs_f64();
-        estimate.gaussians = self.mapper.gaussians();
-        Ok(&self.frames[position])
+        if !self.config.mapping.beside_tracking {
+            self.backend.work(&self.config, &self.camera);
+        }
+        Ok(&self.backend.frames[position])
     }
 
     /// Whether a frame is kept from the map; the one that starts it never is.
     fn holds_out(&self, position: usize) -> bool {
         let every = self.config.mapping.hold_out;
-        every > 0 && position > 0 && position.is_multiple_of(every) && !self.mapper.is_empty()
+        every > 0
+            && position > 0
+            && position.is_multiple_of(every)
+            && !self.backend.mapper.is_empty()
     }
 
     /// Refines the map over all keyframes; `on_step(done, of)` says whether to go on.
     pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
-        if self.keyframes.is_empty() {
-            return;
-        }
-        let (mapper, mut story) = self.mapper();
-        mapper.finish(&mut story, on_step);
+        self.backend.finish(&self.config, &self.camera, on_step);
     }
 
     /// Frames processed so far.
     pub fn frames(&self) -> &[FrameEstimate] {
-        &self.frames
+        &self.backend.frames
     }
 
     /// Messages since the last call: what was unusual and what was done about it.
     pub fn take_warnings(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.warnings)
+        std::mem::take(&mut self.backend.warnings)
     }
 
     /// Everything estimated so far.
@@ -136,9 +125,9 @@ impl Session {
         Reconstruction {
             config: self.config.clone(),
             camera: self.camera,
-            frames: self.frames.clone(),
-            map: self.mapper.map(),
-            responses: self.responses.clone(),
+            frames: self.backend.frames.clone(),
+            map: self.backend.mapper.map(),
+            responses: self.backend.responses.clone(),
         }
     }
 
@@ -164,95 +153,88 @@ impl Session {
         } else {
             return true;
         };
-        self.warnings.push(format!("frame {index}: {reason}: its pose is predicted, not measured"));
+        self.backend
+            .warnings
+            .push(format!("frame {index}: {reason}: its pose is predicted, not measured"));
         false
     }
 
     fn track(&mut self, frame: &Frame, observation: &Observation, usable: bool) -> FrameEstimate {
-        let per_frame = self.config.formation.response_scope == ResponseScope::Frame;
-        let last_response = self.responses.len() - 1;
-        let context = context(
-            &self.config,
-            &self.camera,
-            self.frame_rate,
-            &self.frames,
-            &self.keyframes,
-            frame,
-        );
-        let mut estimate = FrameEstimate {
-            index: frame.index,
-            timestamp: frame.timestamp,
-            shutter: ShutterPoses::still(predict(&context)),
-            depth_lead: Tangent::zero(),
-            tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
-            response: last_response,
-            keyframe: false,
-            held_out: false,
-            tracked: self.mapper.is_empty() && usable,
-            losses: Losses::default(),
-            blur_length: 0.0,
-            tracking_seconds: 0.0,
-            mapping_seconds: 0.0,
-            gaussians: self.mapper.gaussians(),
+        let (mut estimate, result) = match self.config.mapping.beside_tracking {
+            true => self.look_beside_mapping(frame, observation, usable),
+            false => self.look(frame, observation, usable),
         };
-        if self.mapper.is_empty() || !usable {
-            return estimate;
-        }
-        let result = self.mapper.track(
-            &context,
-            observation,
-            self.config.formation.tone.then(|| &self.responses[last_response]),
-            self.scale,
-        );
-        self.accept(&mut estimate, result, per_frame);
-        estimate.blur_length = blur_length(&self.camera, &estimate.shutter, &observation.depth);
-        if !estimate.tracked {
-            self.warnings.push(format!(
-                "frame {}: tracking lost: its pose is predicted and it is not mapped",
-                frame.index
-            ));
+        if let Some(result) = result {
+            self.scale = result.scale;
+            let per_frame = self.config.formation.response_scope == ResponseScope::Frame;
+            if let (true, Some(response)) = (per_frame, result.response) {
+                self.backend.responses.push(response);
+                estimate.response = self.backend.responses.len() - 1;
+            }
+            if !estimate.tracked {
+                self.backend.warnings.push(format!(
+                    "frame {}: tracking lost: its pose is predicted and it is not mapped",
+                    frame.index
+                ));
+            }
+        } else {
+            estimate.tracked = usable && self.backend.mapper.is_empty();
         }
         estimate
     }
 
-    fn accept(&mut self, estimate: &mut FrameEstimate, result: TrackingResult, per_frame: bool) {
-        estimate.shutter = result.shutter;
-        estimate.depth_lead = result.depth_lead;
-        estimate.tone = result.tone;
-        estimate.losses = result.losses;
-        estimate.tracked = result.tracked;
-        self.scale = result.scale;
-        if let (true, Some(response)) = (per_frame, result.response) {
-            self.responses.push(response);
-            estimate.response = self.responses.len() - 1;
-        }
+    /// Looks for a frame in the map.
+    fn look(
+        &mut self,
+        frame: &Frame,
+        observation: &Observation,
+        usable: bool,
+    ) -> (FrameEstimate, Option<TrackingResult>) {
+        let Backend { mapper, frames, keyframes, responses, .. } = &mut self.backend;
+        let look = Look {
+            config: &self.config,
+            camera: &self.camera,
+            frame_rate: self.frame_rate,
+            scale: self.scale,
+            frames,
+            keyframes,
+            responses,
+        };
+        let tracker: Option<&mut dyn Tracker> = match usable && !mapper.is_empty() {
+            true => Some(mapper.as_mut()),
+            false => None,
+        };
+        look.at(tracker, frame, observation)
     }
-}
 
-/// What tracking may know of a session; the rest of it stays free to be changed.
-fn context<'a>(
-    config: &'a Config,
-    camera: &'a Camera<f64>,
-    frame_rate: f64,
-    frames: &'a [FrameEstimate],
-    keyframes: &'a [Keyframe],
-    frame: &Frame,
-) -> TrackingContext<'a> {
-    let input = &config.input;
-    let depth_timestamp = match input.depth_stamps {
-        true => frame.depth_timestamp + input.depth_delay,
-        false => frame.timestamp,
-    };
-    TrackingContext {
-        tracking: &config.tracking,
-        formation: &config.formation,
-        camera,
-        frame_rate,
-        timestamps: (frame.timestamp, depth_timestamp),
-        frames,
-        previous: frames.last(),
-        before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
-        keyframe: keyframes.last().map(|k| (&*k.observation, frames[k.frame].depth_pose())),
+    /// Looks for a frame in the map as it was before the last frame came, and takes that one in at
+    /// the same time.
+    fn look_beside_mapping(
+        &mut self,
+        frame: &Frame,
+        observation: &Observation,
+        usable: bool,
+    ) -> (FrameEstimate, Option<TrackingResult>) {
+        let (config, camera, backend) = (&self.config, &self.camera, &mut self.backend);
+        if self.follower.is_none() {
+            backend.work(config, camera);
+            self.follower = backend.follower(config, camera, None);
+        }
+        let look = Look {
+            config,
+            camera,
+            frame_rate: self.frame_rate,
+            scale: self.scale,
+            frames: &backend.frames.clone(),
+            keyframes: &backend.keyframes.clone(),
+            responses: &backend.responses.clone(),
+        };
+        let mut follower = self.follower.take();
+        let tracker = follower.as_deref_mut().filter(|_| usable);
+        let (seen, ()) =
+            rayon::join(|| look.at(tracker, frame, observation), || backend.work(config, camera));
+        self.follower = backend.follower(config, camera, follower);
+        seen
     }
 }
 

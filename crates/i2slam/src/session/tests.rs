@@ -1,4 +1,4 @@
-//! A few synthetic frames through a session whose map is a field.
+//! A few synthetic frames through a session.
 
 use super::*;
 use crate::config::MapKind;
@@ -57,7 +57,11 @@ fn config() -> Config {
 }
 
 fn run() -> (Reconstruction, Vec<String>) {
-    let mut session = Session::new(config(), CAMERA, 30.0);
+    run_with(config())
+}
+
+fn run_with(config: Config) -> (Reconstruction, Vec<String>) {
+    let mut session = Session::new(config, CAMERA, 30.0);
     for index in 0..FRAMES {
         session.process(&frame(index, pose(index))).expect("frames of one size");
     }
@@ -101,4 +105,25 @@ fn a_scene_beyond_the_cube_is_told_of() {
     session.process(&frame(0, pose(0))).expect("a frame");
     let warnings = session.take_warnings();
     assert!(warnings.len() == 1 && warnings[0].contains("hashgrid.bound"), "{warnings:?}");
+}
+
+#[test]
+fn mapping_beside_tracking_does_not_depend_on_threads() {
+    let mut config = config();
+    config.map.kind = MapKind::Gaussian;
+    config.mapping.final_iterations = 5;
+    let run = |beside: bool, threads: usize| {
+        let mut config = config.clone();
+        config.mapping.beside_tracking = beside;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| run_with(config)).0
+    };
+    let (one, three, in_turn) = (run(true, 1), run(true, 3), run(false, 2));
+    assert!(one.map == three.map && one.map != in_turn.map);
+    for (index, estimate) in one.frames.iter().enumerate() {
+        assert_eq!(estimate.middle(), three.frames[index].middle());
+        let error = estimate.middle().local(pose(index)).translation.norm();
+        assert!(estimate.tracked && error < 0.005, "{index}: {error} m");
+        assert_eq!(estimate.gaussians > 0, index > 0 || estimate.keyframe);
+    }
 }

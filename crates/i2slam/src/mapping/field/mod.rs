@@ -8,7 +8,8 @@ mod cube;
 
 use super::densify::placement;
 use super::frames::FrameOptimizers;
-use super::{Keyframe, Mapper, Story};
+use super::{Follower, Keyframe, Mapper, Story, Tracker};
+use crate::config::Config;
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, Observation, RayObjective, RayView, Tone,
 };
@@ -221,6 +222,21 @@ fn add(sum: &mut CurveGradient<f32>, other: &CurveGradient<f32>) {
     }
 }
 
+impl Tracker for FieldMapper {
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult {
+        let Some(Field { map, objective, .. }) = &mut self.field else {
+            return TrackingResult::lost(context, response, scale);
+        };
+        track(context, objective, map, observation, response, scale)
+    }
+}
+
 impl Mapper for FieldMapper {
     fn is_empty(&self) -> bool {
         self.field.is_none()
@@ -237,17 +253,20 @@ impl Mapper for FieldMapper {
         self.covered = Some(covered);
     }
 
-    fn track(
-        &mut self,
-        context: &TrackingContext<'_>,
-        observation: &Observation,
-        response: Option<&CameraResponse<f32>>,
-        scale: TrajectoryScale<f64>,
-    ) -> TrackingResult {
-        let Some(Field { map, objective, .. }) = &mut self.field else {
-            return TrackingResult::lost(context, response, scale);
+    fn follower(
+        &self,
+        _config: &Config,
+        _camera: &Camera<f64>,
+        covered: Option<Arc<Image<bool>>>,
+        last: Option<Box<dyn Tracker>>,
+    ) -> Option<Box<dyn Tracker>> {
+        let map = &self.field.as_ref()?.map;
+        let objective = || {
+            let mut objective = FrameObjective::new(self.camera, map.march);
+            covered.into_iter().for_each(|covered| objective.set_covered(covered));
+            objective
         };
-        track(context, objective, map, observation, response, scale)
+        Some(Follower::update(last, map, objective))
     }
 
     fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {

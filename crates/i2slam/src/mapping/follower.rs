@@ -1,0 +1,60 @@
+//! A copy of the map that frames are tracked against while the map itself is refined.
+
+use crate::objective::{FrameObjective, Observation, SceneMap};
+use crate::tracking::{TrackingContext, TrackingResult, track};
+use i2slam_formation::{CameraResponse, TrajectoryScale};
+use std::any::Any;
+
+/// Something that finds frames in a map.
+pub(crate) trait Tracker: Any + Send {
+    /// Shutter poses and tone of a frame, from what the map shows.
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult;
+}
+
+/// The copy, and what draws it.
+pub(crate) struct Follower<M: SceneMap> {
+    map: M,
+    objective: FrameObjective<M>,
+}
+
+impl<M: SceneMap + Clone + Send + 'static> Follower<M>
+where
+    FrameObjective<M>: Send,
+{
+    /// The follower before, brought up to date; the first is made with `objective`.
+    pub(crate) fn update(
+        last: Option<Box<dyn Tracker>>,
+        map: &M,
+        objective: impl FnOnce() -> FrameObjective<M>,
+    ) -> Box<dyn Tracker> {
+        let last = last.map(|last| last as Box<dyn Any>);
+        match last.map(<Box<dyn Any>>::downcast::<Self>) {
+            Some(Ok(mut follower)) => {
+                follower.map.clone_from(map);
+                follower
+            }
+            _ => Box::new(Self { map: map.clone(), objective: objective() }),
+        }
+    }
+}
+
+impl<M: SceneMap + Send + 'static> Tracker for Follower<M>
+where
+    FrameObjective<M>: Send,
+{
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult {
+        track(context, &mut self.objective, &self.map, observation, response, scale)
+    }
+}

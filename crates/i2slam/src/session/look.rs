@@ -1,0 +1,86 @@
+//! The front end: a frame is found in the map.
+
+use crate::config::Config;
+use crate::mapping::{Keyframe, Tracker};
+use crate::objective::{Observation, blur_length};
+use crate::reconstruction::{FrameEstimate, Losses};
+use crate::tracking::{TrackingContext, TrackingResult, predict};
+use i2slam_dataset::Frame;
+use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
+use i2slam_geometry::{Camera, Tangent};
+use std::time::Instant;
+
+/// What tracking may know of a session; the rest of it stays free to be changed.
+pub(super) struct Look<'a> {
+    pub(super) config: &'a Config,
+    pub(super) camera: &'a Camera<f64>,
+    pub(super) frame_rate: f64,
+    pub(super) scale: TrajectoryScale<f64>,
+    pub(super) frames: &'a [FrameEstimate],
+    pub(super) keyframes: &'a [Keyframe],
+    pub(super) responses: &'a [CameraResponse<f32>],
+}
+
+impl Look<'_> {
+    /// What is known of a frame, and what `tracker` found; without one the frame is predicted.
+    pub(super) fn at(
+        &self,
+        tracker: Option<&mut dyn Tracker>,
+        frame: &Frame,
+        observation: &Observation,
+    ) -> (FrameEstimate, Option<TrackingResult>) {
+        let clock = Instant::now();
+        let context = self.context(frame);
+        let response = self.responses.len() - 1;
+        let mut estimate = FrameEstimate {
+            index: frame.index,
+            timestamp: frame.timestamp,
+            shutter: ShutterPoses::still(predict(&context)),
+            depth_lead: Tangent::zero(),
+            tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
+            response,
+            keyframe: false,
+            held_out: false,
+            tracked: false,
+            losses: Losses::default(),
+            blur_length: 0.0,
+            tracking_seconds: 0.0,
+            mapping_seconds: 0.0,
+            gaussians: self.frames.last().map_or(0, |f| f.gaussians),
+        };
+        let result = tracker.map(|tracker| {
+            let response = self.config.formation.tone.then(|| &self.responses[response]);
+            tracker.track(&context, observation, response, self.scale)
+        });
+        if let Some(result) = &result {
+            estimate.shutter = result.shutter;
+            estimate.depth_lead = result.depth_lead;
+            estimate.tone = result.tone;
+            estimate.losses = result.losses;
+            estimate.tracked = result.tracked;
+            estimate.blur_length = blur_length(self.camera, &result.shutter, &observation.depth);
+        }
+        estimate.tracking_seconds = clock.elapsed().as_secs_f64();
+        (estimate, result)
+    }
+
+    fn context(&self, frame: &Frame) -> TrackingContext<'_> {
+        let (input, frames) = (&self.config.input, self.frames);
+        let depth_timestamp = match input.depth_stamps {
+            true => frame.depth_timestamp + input.depth_delay,
+            false => frame.timestamp,
+        };
+        let keyframe = self.keyframes.last();
+        TrackingContext {
+            tracking: &self.config.tracking,
+            formation: &self.config.formation,
+            camera: self.camera,
+            frame_rate: self.frame_rate,
+            timestamps: (frame.timestamp, depth_timestamp),
+            frames,
+            previous: frames.last(),
+            before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
+            keyframe: keyframe.map(|k| (&*k.observation, frames[k.frame].depth_pose())),
+        }
+    }
+}
