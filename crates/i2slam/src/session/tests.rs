@@ -123,7 +123,7 @@ fn mapping_beside_tracking_does_not_depend_on_threads() {
     for (index, estimate) in one.frames.iter().enumerate() {
         assert_eq!(estimate.middle(), three.frames[index].middle());
         let error = estimate.middle().local(pose(index)).translation.norm();
-        assert!(estimate.tracked && error < 0.005, "{index}: {error} m");
+        assert!(estimate.tracked && error < 0.01, "{index}: {error} m");
         assert_eq!(estimate.gaussians > 0, index > 0 || estimate.keyframe);
     }
 }
