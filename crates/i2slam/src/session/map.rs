@@ -7,6 +7,7 @@ use crate::mapping::{
 };
 use crate::objective::{Observation, Tone};
 use crate::tracking::sampling;
+use i2slam_formation::CentreVelocity;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -44,6 +45,8 @@ impl Session {
             camera: &self.camera,
             world_from_depth: estimate.depth_pose(),
             colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
+            velocity: CentreVelocity::from(estimate.shutter).velocity,
+            readout: estimate.readout,
             observation: &keyframe.observation,
             depth: placement(&keyframe.observation, &self.config.mapping, self.covered.as_deref()),
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),

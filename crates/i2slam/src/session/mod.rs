@@ -8,8 +8,8 @@ pub(crate) use start::raster_settings;
 use crate::config::{Config, ResponseScope};
 use crate::mapping::{Keyframe, MapOptimizer, SceneScale};
 use crate::objective::{FrameObjective, Observation, blur_length};
-use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
-use crate::tracking::{TrackingContext, TrackingResult, predict, track};
+use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
+use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict, track};
 use i2slam_compute::Random;
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
@@ -50,6 +50,7 @@ pub struct Session {
     map: GaussianMap,
     responses: Vec<CameraResponse<f32>>,
     scale: TrajectoryScale<f64>,
+    readout: SequenceReadout,
     scene: SceneScale,
     frames: Vec<FrameEstimate>,
     keyframes: Vec<Keyframe>,
@@ -69,6 +70,7 @@ impl Session {
             map: start::empty_map(&config),
             responses: vec![start::response(&config)],
             scale: TrajectoryScale::from_frame_rate(frame_rate),
+            readout: SequenceReadout::new(&config.input),
             scene: SceneScale { radius: f32::INFINITY },
             frames: Vec::new(),
             keyframes: Vec::new(),
@@ -164,6 +166,7 @@ impl Session {
             frames: self.frames.clone(),
             map: self.map.clone(),
             responses: self.responses.clone(),
+            rolling_shutter_readout: self.readout.seconds,
         }
     }
 
@@ -200,6 +203,7 @@ impl Session {
             &self.config,
             &self.camera,
             self.frame_rate,
+            self.readout,
             &self.frames,
             &self.keyframes,
             frame,
@@ -208,6 +212,7 @@ impl Session {
             index: frame.index,
             timestamp: frame.timestamp,
             shutter: ShutterPoses::still(predict(&context)),
+            readout: 0.0,
             depth_lead: Tangent::zero(),
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response: last_response,
@@ -215,6 +220,7 @@ impl Session {
             held_out: false,
             tracked: self.map.is_empty() && usable,
             losses: Losses::default(),
+            convergence: Convergence::default(),
             blur_length: 0.0,
             tracking_seconds: 0.0,
             mapping_seconds: 0.0,
@@ -244,11 +250,16 @@ impl Session {
 
     fn accept(&mut self, estimate: &mut FrameEstimate, result: TrackingResult, per_frame: bool) {
         estimate.shutter = result.shutter;
+        estimate.readout = result.readout;
         estimate.depth_lead = result.depth_lead;
         estimate.tone = result.tone;
         estimate.losses = result.losses;
+        estimate.convergence = result.convergence;
         estimate.tracked = result.tracked;
         self.scale = result.scale;
+        if let Some(measured) = result.measured_readout {
+            self.readout.add(measured, 1.0 / self.frame_rate);
+        }
         if let (true, Some(response)) = (per_frame, result.response) {
             self.responses.push(response);
             estimate.response = self.responses.len() - 1;
@@ -261,6 +272,7 @@ fn context<'a>(
     config: &'a Config,
     camera: &'a Camera<f64>,
     frame_rate: f64,
+    readout: SequenceReadout,
     frames: &'a [FrameEstimate],
     keyframes: &'a [Keyframe],
     frame: &Frame,
@@ -275,6 +287,7 @@ fn context<'a>(
         formation: &config.formation,
         camera,
         frame_rate,
+        readout,
         timestamps: (frame.timestamp, depth_timestamp),
         frames,
         previous: frames.last(),

@@ -17,6 +17,8 @@ use i2slam_radiance::gaussian::GaussianMap;
 #[derive(Clone)]
 pub(super) struct State {
     pub(super) motion: CentreVelocity<f64>,
+    /// Time in which the rows are read [exposures].
+    pub(super) readout: f64,
     pub(super) tone: FrameTone<f32>,
     pub(super) response: Option<CameraResponse<f32>>,
     pub(super) scale: TrajectoryScale<f64>,
@@ -94,7 +96,12 @@ fn evaluate(
     sampling: Sampling,
 ) -> Evaluation {
     let variables = FrameVariables {
-        exposure: Exposure { shutter: state.motion.into(), sampling, depth_pose: None },
+        exposure: Exposure {
+            shutter: state.motion.into(),
+            sampling,
+            readout: state.readout,
+            depth_pose: None,
+        },
         tone: curve.map(|curve| Tone { frame: state.tone, curve }),
     };
     let weights = (context.tracking.image_weight, context.tracking.depth_weight);
