@@ -9,5 +9,6 @@ mod interrupt;
 mod protocols;
 mod result;
 mod robust;
+mod rolling;
 mod scene;
 mod tools;

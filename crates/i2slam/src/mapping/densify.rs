@@ -180,3 +180,36 @@ fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> 
 fn logit(share: f32) -> f32 {
     (share / (1.0 - share)).ln()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The row in which a point is found sees it there.
+    #[test]
+    fn a_point_is_read_where_its_row_saw_it() {
+        let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+        let velocity = Tangent::from_array([0.01, -0.02, 0.01, 0.03, 0.05, -0.02]);
+        let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));
+        let mut source = Source {
+            camera: &camera,
+            world_from_depth: Pose::identity(),
+            colour_from_depth: Pose::identity(),
+            velocity,
+            readout: 1.5,
+            observation: &observation,
+            depth: Image::new(64, 48, 1),
+            tone: None,
+        };
+        let point = camera.unproject(20.3, 8.7, 1.8);
+        let (u, v) = position(&source, point).expect("in front");
+        let time = source.readout * (v / 48.0 - 0.5);
+        let seen = Pose::identity().retract(velocity.scaled(time)).inverse() * point;
+        let (x, y) = camera.project(seen);
+        assert!((u - x).hypot(v - y) < 1e-3, "{u} {v} {x} {y}");
+        assert!((u - 20.3).hypot(v - 8.7) > 0.5, "{u} {v}");
+        source.readout = 0.0;
+        let (u, v) = position(&source, point).expect("in front");
+        assert!((u - 20.3).hypot(v - 8.7) < 1e-9);
+    }
+}

@@ -30,7 +30,9 @@ const HOLD: f64 = 0.5;
 const HOLD_FLOOR: f64 = 0.05;
 /// Uncertainty of the measured motion during a frame interval [px].
 const UNSURE: f64 = 1.0;
-/// Motion since the last frame from which a frame says something about the readout [px].
+/// Frames whose motion the map is taken to show.
+const PAST: usize = 9;
+/// Motion unlike that of the frames before from which a frame says something about the readout [px].
 const LEAST_MOTION: f64 = 2.0;
 
 /// A Gaussian prior on readout and velocity together.
@@ -119,18 +121,44 @@ impl Frame<'_> {
         })
     }
 
-    /// What a frame says about the readout, if it moved.
+    /// What a frame says about the readout, if it moved unlike the frames before.
+    ///
+    /// A map that was made with the readout `R'` shows `(R - R')/T Δ'` of the motion `Δ'` of those
+    /// frames as if it were in the scene, so that with `e = Δ - Δ'`
+    ///
+    /// ```text
+    /// r v = (R/T) Δ - ((R - R')/T) Δ'   or   (R/T) e = r v - (R'/T) Δ'
+    /// ```
     pub(super) fn measured_readout(&self, state: &State) -> Option<MeasuredReadout> {
         let prior = self.readout_prior(state)?;
-        let known = prior.weight > 0.0 && prior.length > LEAST_MOTION;
         let step = self.step_in_pixels(state.motion.centre);
-        let unsure = UNSURE + BEND * self.bend(&step);
+        let past = self.past_motion()?;
+        let velocity = state.motion.velocity.to_array();
+        let apart: [f64; 6] = std::array::from_fn(|i| step[i] - past[i]);
+        let rows: [f64; 6] = std::array::from_fn(|i| {
+            state.readout * velocity[i] * self.pixels[i] - prior.share * past[i]
+        });
+        let dot: f64 = rows.iter().zip(&apart).map(|(r, a)| r * a).sum();
+        let length = norm(&apart);
         let interval = self.context.interval();
-        let share = state.readout * prior.along(state.motion.velocity) / prior.length;
+        let known = prior.weight > 0.0 && length > LEAST_MOTION;
         known.then(|| MeasuredReadout {
-            seconds: share * interval,
-            deviation: unsure / prior.length * interval,
+            seconds: dot / (length * length) * interval,
+            deviation: (UNSURE + BEND * self.bend(&step)) / length * interval,
         })
+    }
+
+    /// The mean motion of the last frames that were tracked [px per usual frame interval].
+    fn past_motion(&self) -> Option<[f64; 6]> {
+        let frames = &self.context.frames[self.context.frames.len().saturating_sub(PAST)..];
+        let (mut sum, mut count) = ([0.0; 6], 0.0);
+        for pair in frames.windows(2).filter(|pair| pair[0].tracked && pair[1].tracked) {
+            let step = CentreVelocity::along(pair[0].middle(), pair[1].middle(), 1.0).velocity;
+            let values = step.to_array();
+            (0..6).for_each(|i| sum[i] += values[i] * self.pixels[i]);
+            count += 1.0;
+        }
+        (count > 0.0).then(|| sum.map(|v| v / count))
     }
 
     fn step_in_pixels(&self, centre: i2slam_geometry::Pose<f64>) -> [f64; 6] {
