@@ -20,7 +20,7 @@ pub struct Losses {
 /// aligned leave it empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Convergence {
-    /// Whether the last step was too short to matter (0.002 px).
+    /// Whether the last step was too short to matter (0.02 px).
     pub converged: bool,
     /// Steps tried, over all levels of the pictures.
     pub iterations: usize,

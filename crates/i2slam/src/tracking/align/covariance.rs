@@ -78,7 +78,8 @@ impl Frame<'_> {
             let settings = &self.context.tracking.alignment;
             let share = f64::from(reference.image_weight(settings));
             let of = |purpose| self.residuals(reference, 0, &end.state, cameras, purpose);
-            let (depth, all) = (of(Purpose::StepByDepth), of(Purpose::Step));
+            let depth = of(Purpose::StepByDepth);
+            let all = if share > 0.0 { of(Purpose::Step) } else { depth.clone() };
             let [by_depth, by_image] = noises(&depth, &all, share);
             for a in 0..UNKNOWNS {
                 for b in a..UNKNOWNS {

@@ -11,6 +11,8 @@ use i2slam_radiance::gaussian::GaussianMap;
 
 /// A step shorter than this [px] ends a level.
 const CONVERGED: f64 = 2e-3;
+/// A descent whose last step was shorter than this [px] has converged: noise moves its end farther.
+const SETTLED: f64 = 0.02;
 /// Moves of the model's pose [px] that call for a new render.
 const RENDER_AGAIN: f64 = 0.5;
 
@@ -29,7 +31,7 @@ pub(super) struct Outcome {
 pub(super) struct Progress {
     /// Steps tried, over all levels.
     pub(super) steps: usize,
-    /// Whether the last level ended with a step too short to matter.
+    /// Whether the last step was too short to matter.
     pub(super) converged: bool,
 }
 
@@ -127,7 +129,7 @@ impl Frame<'_> {
             let length = self.in_pixels(Tangent::from_array(std::array::from_fn(|i| step[i])));
             let last = length < converged || left == 0;
             progress.steps += 1;
-            progress.converged = length < converged;
+            progress.converged = length < SETTLED;
             let purpose = if last { Purpose::Compare } else { Purpose::Step };
             let next = retract(state, &step);
             let there = self.evaluate(references, level, &next, purpose);
