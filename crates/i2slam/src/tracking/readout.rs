@@ -20,6 +20,8 @@ pub(crate) struct SequenceReadout {
     pub(crate) seconds: f64,
     /// Whether it is looked for.
     pub(crate) optimised: bool,
+    /// Whether the bottom row comes first.
+    upward: bool,
     /// Sum of `1 / variance` of the frames that are remembered [1/s²].
     information: f64,
 }
@@ -38,6 +40,7 @@ impl SequenceReadout {
         Self {
             seconds: input.rolling_shutter_readout,
             optimised: input.optimise_rolling_shutter,
+            upward: input.rolling_shutter_readout < 0.0,
             information: 0.0,
         }
     }
@@ -45,6 +48,16 @@ impl SequenceReadout {
     /// Whether rows are, or may be, read in turn.
     pub(crate) fn is_rolling(&self) -> bool {
         self.optimised || self.seconds != 0.0
+    }
+
+    /// A readout of the direction that a search keeps: where it changed sign, blur and rows would
+    /// tell opposite motions, and a descent ends between them, at none.
+    pub(crate) fn one_way(&self, readout: f64) -> f64 {
+        match (self.optimised, self.upward) {
+            (false, _) => readout,
+            (true, false) => readout.max(0.0),
+            (true, true) => readout.min(0.0),
+        }
     }
 
     /// Standard deviation, for frames `interval` apart [s].
@@ -67,7 +80,7 @@ impl SequenceReadout {
         let most = MEMORY * (FRAME_SPREAD * interval).powi(-2);
         self.information = (self.information + information).min(most);
         self.seconds += (measured.seconds - self.seconds) * information / self.information;
-        self.seconds = self.seconds.clamp(-interval, interval);
+        self.seconds = self.one_way(self.seconds).clamp(-interval, interval);
     }
 }
 
@@ -76,7 +89,7 @@ mod tests {
     use super::*;
 
     fn looked_for() -> SequenceReadout {
-        SequenceReadout { seconds: 0.0, optimised: true, information: 0.0 }
+        SequenceReadout { seconds: 0.0, optimised: true, upward: false, information: 0.0 }
     }
 
     #[test]
@@ -102,6 +115,7 @@ mod tests {
         };
         assert!((show(0.005, 100) - 0.005).abs() < 1e-6);
         assert!((show(0.02, 40) - 0.02).abs() < 5e-4);
+        assert_eq!(show(-0.02, 400), 0.0);
     }
 
     #[test]

@@ -131,7 +131,8 @@ impl Frame<'_> {
             progress.steps += 1;
             progress.converged = length < SETTLED;
             let purpose = if last { Purpose::Compare } else { Purpose::Step };
-            let next = retract(state, &step);
+            let mut next = retract(state, &step);
+            next.readout = self.context.readout.one_way(next.readout);
             let there = self.evaluate(references, level, &next, purpose);
             // One prior for both sides, held where the step was taken from.
             let prior = self.context.formation.blur.then(|| self.prior(state));

@@ -173,6 +173,10 @@ impl Frame<'_> {
         if !formation.blur || !formation.trajectory_loss || !self.motion_is_known() {
             return state;
         }
+        if self.context.readout.optimised && self.virtual_cameras(0, &state) == 1 {
+            // Rows of an unknown readout tell its product with the velocity alone.
+            return state;
+        }
         let (share, motion) = self.prior(&state).measured_share(state.motion.velocity);
         let trust = motion * motion / (motion * motion + 400.0);
         let share = (share / self.context.interval_share()).clamp(0.02, 1.0);

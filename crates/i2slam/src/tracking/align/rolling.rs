@@ -26,6 +26,8 @@ const BEND: f64 = 0.5;
 /// Standard deviation of the readout in exposures, as a share of itself: brightness tells the
 /// exposure time only roughly. Blur of less than a pixel tells nothing at all.
 const HOLD: f64 = 0.5;
+/// Open share of the frame interval under which a readout that is looked for is no less sure.
+const LEAST_SHARE: f64 = 0.2;
 /// Least standard deviation of it [exposures].
 const HOLD_FLOOR: f64 = 0.05;
 /// Uncertainty of the measured motion during a frame interval [px].
@@ -108,7 +110,8 @@ impl Frame<'_> {
         let spread = SHARE * share.abs() + readout.deviation(interval) / interval;
         let known = self.motion_is_known() && length > 0.0;
         let usual = 1.0 / self.context.frame_rate;
-        let unsure = readout.deviation(usual) / (usual * self.open_share(state));
+        let open_share = self.open_share(state).max(LEAST_SHARE);
+        let unsure = readout.deviation(usual) / (usual * open_share);
         Some(ReadoutPrior {
             pixels: self.pixels,
             direction: step.map(|v| if length > 0.0 { v / length } else { 0.0 }),
