@@ -63,6 +63,7 @@ impl Frame {
         self.reprojection.blur(
             &CAMERA,
             black_box(&shutter()),
+            0.0,
             views,
             Quadrature::Midpoints,
             &self.radiance,

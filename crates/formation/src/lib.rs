@@ -9,7 +9,9 @@ pub mod trajectory_loss;
 
 pub use form::{Formation, accumulate, scale_into};
 pub use gauge::ResponsePrior;
-pub use shutter::{CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera};
+pub use shutter::{
+    CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera, row_place,
+};
 pub use tone::{
     CameraResponse, CurveGradient, FrameTone, FrameToneGradient, NodeSpacing, ResponseCurve,
     StartCurve, WhiteBalanceModel,

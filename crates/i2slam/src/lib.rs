@@ -32,6 +32,6 @@ pub use i2slam_formation as formation;
 pub use i2slam_geometry as geometry;
 pub use i2slam_radiance as radiance;
 pub use optimised_pose::OptimisedPose;
-pub use reconstruction::{FrameEstimate, Losses, Map, Reconstruction};
+pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
 pub use session::{Session, SessionError};
 pub use view::Viewer;

@@ -18,6 +18,21 @@ pub struct Losses {
     pub trajectory: f64,
 }
 
+/// How second-order tracking of a frame ended. First-order tracking and frames that were not
+/// aligned leave it empty.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Convergence {
+    /// Whether the last step was too short to matter (0.02 px).
+    pub converged: bool,
+    /// Steps tried, over all levels of the pictures.
+    pub iterations: usize,
+    /// Formal standard deviation of the position at mid-exposure [m]: root of the summed variances
+    /// of its three coordinates, of the residuals' noise alone, taking pixels to be independent.
+    pub position_deviation: Option<f64>,
+    /// The same of the rotation [rad].
+    pub rotation_deviation: Option<f64>,
+}
+
 /// Everything estimated about one frame.
 #[derive(Clone, Debug)]
 pub struct FrameEstimate {
@@ -27,6 +42,8 @@ pub struct FrameEstimate {
     pub timestamp: f64,
     /// World-from-camera poses at shutter open and close.
     pub shutter: ShutterPoses<f64>,
+    /// Time from the first to the last row [exposures]; 0 for a global shutter.
+    pub readout: f64,
     /// Motion from mid-exposure to the moment of the depth picture, in the camera's frame; zero
     /// where both were taken together.
     pub depth_lead: Tangent<f64>,
@@ -42,6 +59,8 @@ pub struct FrameEstimate {
     pub tracked: bool,
     /// Losses at the end of tracking.
     pub losses: Losses,
+    /// How the descent ended.
+    pub convergence: Convergence,
     /// Median length of the streak that a pixel draws during the exposure [px].
     pub blur_length: f64,
     /// Wall time of tracking [s].
@@ -122,6 +141,8 @@ pub struct Reconstruction {
     pub map: Map,
     /// Camera responses: one, or one per frame.
     pub responses: Vec<CameraResponse<f32>>,
+    /// Time in which the rows of a picture are read, as set or found [s]; 0 for a global shutter.
+    pub rolling_shutter_readout: f64,
 }
 
 impl Reconstruction {

@@ -102,8 +102,8 @@ impl Viewer<'_> {
             .tone
             .then(|| self.reconstruction.responses[frame.response].curve());
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
-        let variables =
-            FrameVariables { exposure: Exposure { shutter, sampling, depth_pose: None }, tone };
-        self.scene.predict(&variables).clone()
+        let readout = if sampling == Sampling::SHARP { 0.0 } else { frame.readout };
+        let exposure = Exposure { shutter, sampling, readout, depth_pose: None };
+        self.scene.predict(&FrameVariables { exposure, tone }).clone()
     }
 }

@@ -162,6 +162,10 @@ fn summarise(metrics: &Metrics, map: &str, folder: &Path) {
     if let Some(psnr) = metrics.psnr_sharp_db {
         say(&format!("sharp renders {psnr:.2} dB against the true sharp pictures"));
     }
+    if metrics.rolling_shutter_readout_s != 0.0 {
+        let milliseconds = 1e3 * metrics.rolling_shutter_readout_s;
+        say(&format!("rolling shutter: rows read in {milliseconds:.1} ms"));
+    }
     let memory = metrics.peak_memory_bytes.map(|bytes| format!(", {} MB", bytes / 1_000_000));
     say(&format!(
         "{:.2} s per frame, {:.0} s in all{}",

@@ -10,5 +10,6 @@ mod interrupt;
 mod protocols;
 mod result;
 mod robust;
+mod rolling;
 mod scene;
 mod tools;

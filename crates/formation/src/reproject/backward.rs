@@ -30,16 +30,17 @@ impl WithSimd for PullBackBand<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self { scene, band, inverse_depths, d_blurred, kernel } = self;
         let width = scene.camera.width;
-        band.start_pull_back(scene.views.moving.len(), width);
-        let mut chunks = inverse_depths.chunks_exact(scene.views.moving.len());
-        for row in 0..d_blurred[0].len() / width {
+        let rows = d_blurred[0].len() / width;
+        band.start_pull_back(scene.views.count(), scene.views.sums(0, rows).1, width);
+        let mut chunks = inverse_depths.chunks_exact(scene.views.count());
+        for row in 0..rows {
             let y = band.first_row + row;
             for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
                 let at = row * width + x..row * width + width.min(x + LANES);
                 let d = read_chunk(&d_blurred.map(|plane| &plane[at.clone()]), 1.0);
                 pull_back_chunk(scene, band, (x, y), &d, depths);
             }
-            band.end_row();
+            band.end_row(scene.views.sums(row, rows).0);
         }
         pull_back_fine(scene, band, kernel);
     }
@@ -56,7 +57,7 @@ fn pull_back_chunk(
     let slopes = slopes(scene, x, y);
     let stride = 2 * scene.camera.width;
     let offset = band.fine_first as usize * stride;
-    for (k, (view, w)) in scene.views.moving.iter().zip(depths).enumerate() {
+    for (k, (view, w)) in scene.views.row(y).iter().zip(depths).enumerate() {
         let lines = Lines::new(scene.camera, view, x, y);
         let taps = Taps::new(scene.camera, &lines, w);
         let (mut d_x, mut d_y) = ([0.0; LANES], [0.0; LANES]);

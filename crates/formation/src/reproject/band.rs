@@ -21,17 +21,17 @@ pub(super) struct Band {
     pub(super) d_sharp: Vec<f32>,
     /// The rows of the image in `d_sharp`, first and one past the last.
     pub(super) sharp_rows: (usize, usize),
-    /// Six sums for each moving view, of the row at work and of the whole band.
+    /// Six sums for each moving view of the row at work, and for each view of the whole band.
     pub(super) lane_sums: Vec<LaneSums>,
     pub(super) sums: Vec<[f64; 6]>,
 }
 
 impl Band {
-    /// Clears the sums of all views and the cotangent of the fine rows of an image of `width`.
+    /// Clears the lanes of a row's `views`, the band's `sums` and the cotangent of the fine rows of an image of `width`.
     #[inline(always)]
-    pub(super) fn start_pull_back(&mut self, views: usize, width: usize) {
+    pub(super) fn start_pull_back(&mut self, views: usize, sums: usize, width: usize) {
         self.sums.clear();
-        self.sums.resize(views, [0.0; 6]);
+        self.sums.resize(sums, [0.0; 6]);
         self.lane_sums.clear();
         self.lane_sums.resize(views, LaneSums::default());
         let fine_rows = (self.fine_last + 2 - self.fine_first) as usize;
@@ -39,10 +39,10 @@ impl Band {
         self.d_fine.resize(fine_rows * 2 * width, Texel::zero());
     }
 
-    /// Carries the sums of a row over to those of the band.
+    /// Carries the sums of a row over to those of the band, from number `first` on.
     #[inline(always)]
-    pub(super) fn end_row(&mut self) {
-        for (sums, lane_sums) in self.sums.iter_mut().zip(&mut self.lane_sums) {
+    pub(super) fn end_row(&mut self, first: usize) {
+        for (sums, lane_sums) in self.sums[first..].iter_mut().zip(&mut self.lane_sums) {
             for (sum, lanes) in sums.iter_mut().zip(lane_sums.iter()) {
                 *sum += lanes.iter().map(|&v| f64::from(v)).sum::<f64>();
             }

@@ -41,7 +41,7 @@ impl WithSimd for BlurBand<'_> {
         let width = scene.camera.width;
         let still = scene.views.still_weight;
         (band.fine_first, band.fine_last) = (u32::MAX, 0);
-        let mut chunks = inverse_depths.chunks_exact_mut(scene.views.moving.len());
+        let mut chunks = inverse_depths.chunks_exact_mut(scene.views.count());
         for row in 0..sharp[0].len() / width {
             for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
                 let lanes = LANES.min(width - x);
@@ -83,7 +83,7 @@ fn blur_chunk(
 ) -> (u32, u32) {
     let stride = 2 * scene.camera.width;
     let (mut first, mut last) = (u32::MAX, 0);
-    for (view, w) in scene.views.moving.iter().zip(depths) {
+    for (view, w) in scene.views.row(y).iter().zip(depths) {
         let taps = Taps::new(scene.camera, &Lines::new(scene.camera, view, x, y), w);
         for i in 0..LANES {
             let index = taps.index[i] as usize;
@@ -96,22 +96,36 @@ fn blur_chunk(
     (first, last)
 }
 
+/// Lands the first and the last view and lays a parabola in time through both and the middle.
+#[inline(always)]
+fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Lanes, depths: &mut [Lanes]) {
+    let moving = scene.views.row(y);
+    let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
+    let first = land(scene, &Lines::new(scene.camera, first, x, y), own);
+    let last = land(scene, &Lines::new(scene.camera, last, x, y), own);
+    for (view, depths) in moving.iter().zip(depths.iter_mut()) {
+        for i in 0..LANES {
+            depths[i] = between(first[i], own[i], last[i], view.moment);
+        }
+    }
+}
+
 /// The inverse depths that every moving view sees from column `x` on in row `y`.
 #[inline(always)]
 fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, depths: &mut [Lanes]) {
-    let moving = &scene.views.moving;
-    let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
+    let moving = scene.views.row(y);
     let row = scene.surface.row(y);
     let own: Lanes = match row.get(x..).and_then(|rest| rest.first_chunk()) {
         Some(lanes) => *lanes,
         None => std::array::from_fn(|i| row[(x + i).min(row.len() - 1)]),
     };
-    let first = land(scene, &Lines::new(scene.camera, first, x, y), &own);
-    let last = land(scene, &Lines::new(scene.camera, last, x, y), &own);
-    for (view, depths) in moving.iter().zip(depths.iter_mut()) {
-        for i in 0..LANES {
-            depths[i] = between(first[i], own[i], last[i], view.moment);
+    if scene.views.rolling {
+        for (view, depths) in moving.iter().zip(depths.iter_mut()) {
+            let lines = Lines::new(scene.camera, view, x, y);
+            *depths = land(scene, &lines, &land(scene, &lines, &own));
         }
+    } else {
+        see_between(scene, (x, y), &own, depths);
     }
     let steps = Steps::around(scene, x, y);
     if steps.any {

@@ -33,6 +33,11 @@
 //! order: it scales the blur's length by the relative change of depth); the slope of the surface in
 //! blocks that were searched; and how the edge of a foreground moves over what it covers there.
 //!
+//! **Rolling shutter.** With `readout` (first to last row, in exposures; positive when the top row
+//! comes first) row `r` of `H` sees every moment later by `readout ((r + ½)/H - ½)`, and the shutter
+//! poses are those of the middle row. Each row then has virtual cameras of its own, on the motion
+//! continued at its speed beyond the exposure, and each of them lands by itself (two Newton steps).
+//!
 //! **The gauge.** The sharp render stands at [`ShutterPoses::middle`], which moves with both poses.
 //! The gradient therefore comes in two parts that add up: `d_radiance`, for the renderer to pull
 //! back to its map and to its own pose, which goes to the shutter by
@@ -69,6 +74,15 @@ use taps::{LANES, Lanes};
 use texel::Texel;
 use upsample::UpsampleRow;
 use views::Views;
+
+/// What [`Reprojection::pull_back`] finds beside the cotangent of the sharp render.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ReprojectionGradient {
+    /// By start and end pose, through their motion relative to the middle.
+    pub shutter: ShutterTangent<f64>,
+    /// By the readout [per exposure].
+    pub readout: f64,
+}
 
 /// Blurs one sharp render by its depth, and pulls cotangents back. Holds what one frame needs
 /// between the two, and keeps its allocations from frame to frame. Gives the same bytes for any
@@ -110,6 +124,7 @@ impl Reprojection {
 
     /// The average of what the virtual cameras see.
     ///
+    /// `readout` [exposures] is the time in which the rows are read, 0 for a global shutter.
     /// `radiance` (3 planes, linear) and `depth` (1 plane [m], 0 = unknown) are the map seen by
     /// `camera` from `shutter.middle()`; `blurred` is given the shape of `radiance`.
     ///
@@ -119,6 +134,7 @@ impl Reprojection {
         &mut self,
         camera: &Camera<f32>,
         shutter: &ShutterPoses<f64>,
+        readout: f64,
         virtual_cameras: usize,
         quadrature: Quadrature,
         radiance: &Image<f32>,
@@ -128,9 +144,9 @@ impl Reprojection {
         assert_shape(radiance, camera.width, camera.height, 3);
         assert_shape(depth, camera.width, camera.height, 1);
         (self.camera, self.shutter) = (*camera, *shutter);
-        self.views.update(camera, shutter, virtual_cameras, quadrature);
+        self.views.update(camera, shutter, readout, virtual_cameras, quadrature);
         shape(blurred, camera.width, camera.height);
-        if self.views.moving.is_empty() || camera.pixels() == 0 {
+        if self.views.count() == 0 || camera.pixels() == 0 {
             blurred.data.copy_from_slice(&radiance.data);
             return;
         }
@@ -160,8 +176,7 @@ impl Reprojection {
 
     fn gather(&mut self, radiance: &Image<f32>, blurred: &mut Image<f32>) {
         let (width, pixels) = (self.camera.width, self.camera.pixels());
-        let moving = self.views.moving.len();
-        let depths_per_row = taps::chunks(width) * moving;
+        let depths_per_row = taps::chunks(width) * self.views.count();
         self.inverse_depths.resize(self.camera.height * depths_per_row, [0.0; LANES]);
         let scene = Scene {
             camera: &self.camera,
@@ -186,8 +201,8 @@ impl Reprojection {
     }
 
     /// The transpose of the last [`blur`](Self::blur): from `d_blurred = ∂loss/∂blurred`, writes
-    /// `d_radiance = ∂loss/∂radiance` and returns the gradient of the shutter poses through the
-    /// motion relative to the middle (see the module on what to add to it).
+    /// `d_radiance = ∂loss/∂radiance` and returns the gradient of the readout, and of the shutter
+    /// poses through the motion relative to the middle (see the module on what to add to it).
     ///
     /// # Panics
     /// When `d_blurred` has another shape than the last blurred picture.
@@ -195,19 +210,20 @@ impl Reprojection {
         &mut self,
         d_blurred: &Image<f32>,
         d_radiance: &mut Image<f32>,
-    ) -> ShutterTangent<f64> {
+    ) -> ReprojectionGradient {
         let (width, height) = (self.camera.width, self.camera.height);
         assert_shape(d_blurred, width, height, 3);
         shape(d_radiance, width, height);
-        if self.views.moving.is_empty() || self.camera.pixels() == 0 {
+        if self.views.count() == 0 || self.camera.pixels() == 0 {
             d_radiance.data.copy_from_slice(&d_blurred.data);
-            return ShutterTangent::zero();
+            return ReprojectionGradient::default();
         }
         self.scatter(d_blurred);
         self.merge(d_blurred, d_radiance);
-        let mut sums = vec![[0.0; 6]; self.views.moving.len()];
+        let mut sums = vec![[0.0; 6]; self.views.sums(0, height).1];
         for band in &self.bands {
-            for (total, sum) in sums.iter_mut().zip(&band.sums) {
+            let first = self.views.sums(band.first_row, height).0;
+            for (total, sum) in sums[first..].iter_mut().zip(&band.sums) {
                 total.iter_mut().zip(sum).for_each(|(total, s)| *total += s);
             }
         }
@@ -223,7 +239,7 @@ impl Reprojection {
             fine: &self.fine,
         };
         let kernel = self.interpolation.halfway();
-        let depths_per_row = taps::chunks(width) * self.views.moving.len();
+        let depths_per_row = taps::chunks(width) * self.views.count();
         let depths = self.inverse_depths.par_chunks(BAND * depths_per_row);
         self.bands.par_iter_mut().zip(depths).for_each(|(band, depths)| {
             let from = band.first_row * width;

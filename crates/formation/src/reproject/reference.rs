@@ -1,10 +1,11 @@
 //! The readable lane: the same equations pixel by pixel, in `f32` or `f64`.
 
+use super::ReprojectionGradient;
 use super::landing::{amplification, between, land, search};
 use super::surface::Surface;
 use super::upsample::{Interpolation, neighbours};
 use super::views::{Line, View, Views};
-use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
+use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Real};
 
 /// What [`Reprojection`](super::Reprojection) computes, written to be read and checked.
@@ -30,18 +31,19 @@ struct Tap<T> {
 
 impl<T: Real> ReferenceReprojection<T> {
     /// Takes the sharp `radiance` (3 planes) and `depth` (1 plane [m], 0 = unknown) as seen by
-    /// `camera` from `shutter.middle()`.
+    /// `camera` from `shutter.middle()`; `readout` [exposures] as in the fast lane.
     pub fn new(
         interpolation: Interpolation,
         camera: &Camera<T>,
         shutter: &ShutterPoses<f64>,
+        readout: f64,
         virtual_cameras: usize,
         quadrature: Quadrature,
         radiance: &Image<T>,
         depth: &Image<T>,
     ) -> Self {
         let mut views = Views::default();
-        views.update(camera, shutter, virtual_cameras, quadrature);
+        views.update(camera, shutter, readout, virtual_cameras, quadrature);
         let mut surface = Surface::default();
         surface.update(depth);
         let reach = views.reach(camera, surface.blocks.nearest());
@@ -66,11 +68,13 @@ impl<T: Real> ReferenceReprojection<T> {
         blurred
     }
 
-    /// The cotangents of the sharp render and of the shutter poses relative to the middle.
-    pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ShutterTangent<f64>) {
+    /// The cotangents of the sharp render, of the readout, and of the shutter poses relative to the
+    /// middle.
+    pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ReprojectionGradient) {
         let mut d_radiance = d_blurred.clone();
         d_radiance.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
-        let mut sums = vec![[0.0; 6]; self.views.moving.len()];
+        let height = self.camera.height;
+        let mut sums = vec![[0.0; 6]; self.views.sums(0, height).1];
         self.for_each_tap(|(k, view), (x, y), w, tap| {
             let (mut gx, mut gy) = (T::zero(), T::zero());
             for channel in 0..3 {
@@ -84,7 +88,10 @@ impl<T: Real> ReferenceReprojection<T> {
             let free = |g: T, free: bool| if free { g * two } else { T::zero() };
             let g = (free(gx, tap.free_x), free(gy, tap.free_y));
             let share = self.share(view, (x, y), w, g);
-            sums[k].iter_mut().zip(share).for_each(|(sum, s)| *sum += s.to_f64());
+            sums[self.views.sums(y, height).0 + k]
+                .iter_mut()
+                .zip(share)
+                .for_each(|(sum, s)| *sum += s.to_f64());
         });
         (d_radiance, self.views.pull_back(&self.shutter, &sums))
     }
@@ -92,7 +99,7 @@ impl<T: Real> ReferenceReprojection<T> {
     fn for_each_tap(&self, mut visit: impl FnMut((usize, &View<T>), (usize, usize), T, Tap<T>)) {
         for y in 0..self.camera.height {
             for x in 0..self.camera.width {
-                for (k, view) in self.views.moving.iter().enumerate() {
+                for (k, view) in self.views.row(y).iter().enumerate() {
                     let w = self.inverse_depth(view, x, y);
                     let tap = self.tap(self.line(view, x, y).at(w));
                     visit((k, view), (x, y), w, tap);
@@ -111,11 +118,13 @@ impl<T: Real> ReferenceReprojection<T> {
         if let Some(bounds) = self.surface.blocks.searched(x, y) {
             return search(&self.surface, &self.line(view, x, y), bounds, own);
         }
-        let at_end = |end: usize| {
-            let line = self.line(&self.views.moving[end], x, y);
-            land(&self.surface, &line, own)
-        };
-        between(at_end(0), own, at_end(self.views.moving.len() - 1), view.moment)
+        let land_from = |view, guess| land(&self.surface, &self.line(view, x, y), guess);
+        if self.views.rolling {
+            return land_from(view, land_from(view, own));
+        }
+        let row = self.views.row(y);
+        let at_end = |end: usize| land_from(&row[end], own);
+        between(at_end(0), own, at_end(row.len() - 1), view.moment)
     }
 
     /// The cotangent of the view's pose from that of the position [per px].

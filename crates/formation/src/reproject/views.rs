@@ -1,6 +1,9 @@
 //! The virtual cameras as seen from the sharp render: where a pixel's ray runs in that render.
 
-use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
+use super::ReprojectionGradient;
+use crate::shutter::{
+    CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera, row_place,
+};
 use i2slam_geometry::{Camera, Mat3, Real, Tangent, Vec3};
 
 /// A virtual camera that is not the middle of the exposure.
@@ -15,8 +18,10 @@ use i2slam_geometry::{Camera, Mat3, Real, Tangent, Vec3};
 /// a straight line in the image, walked evenly in `w`: `q(w) = q_∞ + e w`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View<T> {
-    /// Moment of the exposure, 0 to 1.
+    /// Moment of the exposure of the middle row: 0 to 1, beyond where rows are read in turn.
     u: T,
+    /// Place of its row, from the top edge (-½) to the bottom edge (½); 0 if it serves all rows.
+    place: T,
     /// Moment measured from the middle, in units of that of the last view: -1 to 1.
     pub(super) moment: T,
     /// Share of the exposure.
@@ -49,6 +54,26 @@ impl<T: Real> Line<T> {
 }
 
 impl<T: Real> View<T> {
+    fn new(
+        camera: &Camera<f64>,
+        shutter: &ShutterPoses<f64>,
+        virtual_camera: &VirtualCamera<f64>,
+        last: f64,
+        place: f64,
+    ) -> Self {
+        let relative = shutter.middle().inverse() * virtual_camera.world_from_camera;
+        let rotation = relative.rotation.matrix();
+        Self {
+            u: T::of(virtual_camera.u),
+            place: T::of(place),
+            moment: T::of((virtual_camera.u - 0.5) / last),
+            weight: T::of(virtual_camera.weight),
+            ray_from_pixel: cast(&(rotation * ray_from_pixel(camera))),
+            rotation: cast(&rotation),
+            translation: relative.translation.cast(),
+        }
+    }
+
     /// `(a, b)`: normalised image coordinates of the ray of the pixel at (`x`, `y`) [px].
     #[inline(always)]
     pub(super) fn direction(&self, x: T, y: T) -> (T, T) {
@@ -95,50 +120,80 @@ impl<T: Real> View<T> {
 /// All virtual cameras of one exposure.
 #[derive(Clone, Debug)]
 pub(super) struct Views<T> {
-    /// Those that are not in the middle, in order of time.
-    pub(super) moving: Vec<View<T>>,
+    /// Those that are not in the middle, in order of time: one set for all rows, or, where rows
+    /// are read in turn, one for each row after another.
+    moving: Vec<View<T>>,
+    /// Size of a set.
+    count: usize,
+    /// Whether every row has a set of its own.
+    pub(super) rolling: bool,
     /// Share of the exposure that the sharp render itself stands for.
     pub(super) still_weight: T,
 }
 
 impl<T: Real> Default for Views<T> {
     fn default() -> Self {
-        Self { moving: Vec::new(), still_weight: T::one() }
+        Self { moving: Vec::new(), count: 0, rolling: false, still_weight: T::one() }
+    }
+}
+
+impl<T> Views<T> {
+    /// Moving views of one row.
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The moving views of row `y`, in order of time.
+    #[inline(always)]
+    pub(super) fn row(&self, y: usize) -> &[View<T>] {
+        let from = if self.rolling { y * self.count } else { 0 };
+        &self.moving[from..from + self.count]
+    }
+
+    /// Where the sums of the views of row `row` of some rows lie, and how many sums `rows` have.
+    pub(super) fn sums(&self, row: usize, rows: usize) -> (usize, usize) {
+        if self.rolling { (row * self.count, rows * self.count) } else { (0, self.count) }
     }
 }
 
 impl<T: Real> Views<T> {
-    /// Computed in `f64`, kept in `T`; keeps its allocation.
+    /// Computed in `f64`, kept in `T`; keeps its allocation. A `readout` [exposures] that is zero
+    /// or not finite is a global shutter.
     pub(super) fn update(
         &mut self,
         camera: &Camera<T>,
         shutter: &ShutterPoses<f64>,
+        readout: f64,
         cameras: usize,
         quadrature: Quadrature,
     ) {
         self.moving.clear();
         self.still_weight = T::zero();
-        let middle = shutter.middle();
+        self.rolling = readout != 0.0 && readout.is_finite();
         let cameras = shutter.virtual_cameras(cameras, quadrature);
-        let last = cameras.last().map_or(1.0, |c| c.u) - 0.5;
         let camera: Camera<f64> = camera.cast();
+        if self.rolling {
+            self.count = cameras.len();
+            for row in 0..camera.height {
+                let place = row_place(row, camera.height);
+                for virtual_camera in &cameras {
+                    let u = virtual_camera.u + readout * place;
+                    let pose = shutter.at(u);
+                    let moved = VirtualCamera { u, world_from_camera: pose, ..*virtual_camera };
+                    self.moving.push(View::new(&camera, shutter, &moved, 1.0, place));
+                }
+            }
+            return;
+        }
+        let last = cameras.last().map_or(1.0, |c| c.u) - 0.5;
         for virtual_camera in &cameras {
-            let weight = T::of(virtual_camera.weight);
             if (virtual_camera.u - 0.5).abs() < 1e-9 {
-                self.still_weight += weight;
+                self.still_weight += T::of(virtual_camera.weight);
                 continue;
             }
-            let relative = middle.inverse() * virtual_camera.world_from_camera;
-            let rotation = relative.rotation.matrix();
-            self.moving.push(View {
-                u: T::of(virtual_camera.u),
-                moment: T::of((virtual_camera.u - 0.5) / last),
-                weight,
-                ray_from_pixel: cast(&(rotation * ray_from_pixel(&camera))),
-                rotation: cast(&rotation),
-                translation: relative.translation.cast(),
-            });
+            self.moving.push(View::new(&camera, shutter, virtual_camera, last, 0.0));
         }
+        self.count = self.moving.len();
     }
 
     /// The largest motion per unit of inverse depth at the image's corners, over all views [px m].
@@ -165,28 +220,34 @@ impl<T: Real> Views<T> {
         })
     }
 
-    /// Carries the six sums of every moving view to the two shutter poses.
+    /// Carries the six sums of every moving view to the two shutter poses and the readout.
     ///
     /// `R` and `t` are those of `middle⁻¹ · virtual`: tangents `(ρ_v, φ_v)` of the virtual camera
     /// and `(ρ_m, φ_m)` of the middle change them by `ψ = R φ_v - φ_m` and
-    /// `δt = R ρ_v - ρ_m + t × φ_m`; the middle itself moves with both shutter poses.
+    /// `δt = R ρ_v - ρ_m + t × φ_m`; the middle itself moves with both shutter poses. The readout moves a row's moments by
+    /// `∂u/∂readout = place`, and with `u` a camera moves by `(R(u)ᵀ (t_e - t_s), ω)`.
     pub(super) fn pull_back(
         &self,
         shutter: &ShutterPoses<f64>,
         sums: &[[f64; 6]],
-    ) -> ShutterTangent<f64> {
-        let mut total = ShutterTangent::zero();
+    ) -> ReprojectionGradient {
+        let (mut total, mut d_readout) = (ShutterTangent::zero(), 0.0);
         let mut d_middle = Tangent::zero();
+        let CentreVelocity { velocity, .. } = CentreVelocity::from(*shutter);
         for (view, sum) in self.moving.iter().zip(sums) {
             let d_t = Vec3::new(sum[0], sum[1], sum[2]);
             let d_psi = Vec3::new(sum[3], sum[4], sum[5]);
             let transposed = cast::<T, f64>(&view.rotation).transpose();
             let d_view = Tangent { translation: transposed * d_t, rotation: transposed * d_psi };
             total = total.plus(shutter.pull_back(view.u.to_f64(), d_view));
+            let speed = transposed * velocity.translation;
+            d_readout += view.place.to_f64()
+                * (d_view.translation.dot(speed) + d_view.rotation.dot(velocity.rotation));
             let turned = d_t.cross(view.translation.cast());
             d_middle = d_middle.plus(Tangent { translation: -d_t, rotation: turned - d_psi });
         }
-        total.plus(shutter.pull_back(0.5, d_middle))
+        let shutter = total.plus(shutter.pull_back(0.5, d_middle));
+        ReprojectionGradient { shutter, readout: d_readout }
     }
 }
 

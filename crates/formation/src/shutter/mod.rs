@@ -20,3 +20,12 @@ mod tests;
 pub use centre_velocity::CentreVelocity;
 pub use poses::{Quadrature, ShutterPoses, VirtualCamera};
 pub use tangent::ShutterTangent;
+
+use i2slam_geometry::Real;
+
+/// Where row `row` of `height` lies between the top edge (-½) and the bottom edge (½) of a picture:
+/// with a rolling shutter that reads it in `readout`, the row is exposed `readout · place` after
+/// the middle one.
+pub fn row_place<T: Real>(row: usize, height: usize) -> T {
+    T::of((row as f64 + 0.5) / height as f64 - 0.5)
+}

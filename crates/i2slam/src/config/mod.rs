@@ -45,6 +45,12 @@ pub struct InputConfig {
     pub depth_stamps: bool,
     /// Added to the depth pictures' time stamps [s].
     pub depth_delay: f64,
+    /// Time in which the rows of a colour picture are read [s]: row r of H is exposed around
+    /// `time stamp + readout ((r + ½)/H - ½)`. Positive if the top row comes first, 0 for a global
+    /// shutter. Poses are those of the middle row; depth is taken at one moment.
+    pub rolling_shutter_readout: f64,
+    /// Find the readout while tracking, from `rolling_shutter_readout` on.
+    pub optimise_rolling_shutter: bool,
 }
 
 /// The image-formation module: its switches and parameters.
@@ -103,8 +109,15 @@ pub enum BlurModel {
     Splat,
     /// One sharp render at mid-exposure, re-projected to the virtual cameras by its depth.
     Image,
-    /// `image`, and `exact` for blurs beyond 20 px.
+    /// `image`, and beyond 20 px of blur `exact`, or `splat` with a rolling shutter.
     Auto,
+}
+
+impl InputConfig {
+    /// Whether rows are, or may be, read in turn.
+    pub fn is_rolling(&self) -> bool {
+        self.rolling_shutter_readout != 0.0 || self.optimise_rolling_shutter
+    }
 }
 
 impl FormationConfig {

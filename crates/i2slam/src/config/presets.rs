@@ -58,6 +58,8 @@ fn ours() -> Config {
             minimum_gap: 0.0,
             depth_stamps: false,
             depth_delay: 0.0,
+            rolling_shutter_readout: 0.0,
+            optimise_rolling_shutter: false,
         },
         formation: FormationConfig {
             quadrature: QuadratureRule::Midpoints,
@@ -108,6 +110,8 @@ fn paper_scannet() -> Config {
             minimum_gap: 1.0 / 32.0,
             depth_stamps: false,
             depth_delay: 0.0,
+            rolling_shutter_readout: 0.0,
+            optimise_rolling_shutter: false,
         },
         formation: FormationConfig {
             blur: true,

@@ -122,6 +122,7 @@ impl Config {
                            first-order tracking compares depth at the best pose of the exposure",
             });
         }
+        self.validate_rolling_shutter()?;
         match self.tracking.method {
             TrackingMethod::Adam => at_least("tracking.iterations", self.tracking.iterations, 1)?,
             TrackingMethod::SecondOrder => {
@@ -178,6 +179,38 @@ impl Config {
                 value: "splat".to_owned(),
                 expected: "exact, image or auto with map.kind \"hashgrid\": a field has no splats",
             });
+        }
+        Ok(())
+    }
+
+    /// Rows that are read in turn are seen by the motion over the exposure, continued.
+    fn validate_rolling_shutter(&self) -> Result<(), ConfigError> {
+        let (input, formation) = (&self.input, &self.formation);
+        let refuse =
+            |key, value: String, expected| Err(ConfigError::OutOfRange { key, value, expected });
+        let (readout, key) = (input.rolling_shutter_readout, "input.rolling_shutter_readout");
+        if !(-1.0..=1.0).contains(&readout) {
+            return refuse(key, readout.to_string(), "-1 to 1 [s]");
+        }
+        if !input.is_rolling() {
+            return Ok(());
+        }
+        if !formation.blur {
+            let expected = "true with a rolling shutter: rows are seen along the exposure's motion";
+            return refuse("formation.blur", "false".to_owned(), expected);
+        }
+        if formation.blur_model == BlurModel::Exact {
+            let expected = "\"image\", \"splat\" or \"auto\" with a rolling shutter: \"exact\" would \
+                            need a render for every row";
+            return refuse("formation.blur_model", "\"exact\"".to_owned(), expected);
+        }
+        if self.map.kind == MapKind::HashGrid && formation.blur_model != BlurModel::Image {
+            let expected = "\"image\" with a rolling shutter and map.kind \"hashgrid\"";
+            return refuse("formation.blur_model", "\"auto\"".to_owned(), expected);
+        }
+        if input.optimise_rolling_shutter && self.tracking.method == TrackingMethod::Adam {
+            let expected = "false, or tracking.method \"second-order\"";
+            return refuse("input.optimise_rolling_shutter", "true".to_owned(), expected);
         }
         Ok(())
     }
@@ -327,6 +360,20 @@ mod tests {
         let text = "[mapping]\nwindow = 3\nwindoww = 4\n";
         let message = Config::from_toml(text, "a.toml", None).expect_err("bad").to_string();
         assert!(message.contains("a.toml, line 3") && message.contains("windoww"), "{message}");
+    }
+
+    #[test]
+    fn a_rolling_shutter_needs_a_route_that_can_roll() {
+        let refusal = |rest: &str| {
+            let text = format!("[input]\nrolling_shutter_readout = 0.02\n{rest}");
+            Config::from_toml(&text, "test", None).expect_err(rest).to_string()
+        };
+        let message = refusal("[formation]\nblur_model = \"exact\"");
+        assert!(message.contains("splat") && message.contains("blur_model"), "{message}");
+        assert!(refusal("[formation]\nblur = false").contains("formation.blur"));
+        let text = "[input]\nrolling_shutter_readout = -0.02";
+        assert!(Config::from_toml(text, "test", None).is_ok());
+        assert!(Config::from_toml("[input]\nrolling_shutter_readout = 2", "test", None).is_err());
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::state::{CameraFile, FORMAT, State};
 use super::table::FRAME_COLUMNS;
 use super::{ExportError, map};
 use crate::config::Config;
-use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
+use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
 use i2slam_formation::{FrameTone, ShutterPoses};
 use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
 use std::fs;
@@ -22,12 +22,12 @@ impl Reconstruction {
         let camera_path = folder.join("camera.json");
         let camera: CameraFile = json(&camera_path)?;
         let camera = camera.camera().map_err(|m| damaged(&camera_path, m))?;
-        let responses = responses(&folder.join("state.json"))?;
+        let (responses, rolling_shutter_readout) = state(&folder.join("state.json"))?;
         let frames = frames(folder, responses.len())?;
         let map_path = folder.join("map.i2slam");
         let bytes = fs::read(&map_path).map_err(|e| unreadable(&map_path, e))?;
         let map = map::read_native(&bytes).map_err(|m| damaged(&map_path, m))?;
-        Ok(Self { config, camera, frames, map, responses })
+        Ok(Self { config, camera, frames, map, responses, rolling_shutter_readout })
     }
 }
 
@@ -47,14 +47,16 @@ fn json<T: for<'de> serde::Deserialize<'de>>(path: &Path) -> Result<T, ExportErr
     serde_json::from_str(&text(path)?).map_err(|e| damaged(path, e.to_string()))
 }
 
-fn responses(path: &Path) -> Result<Vec<i2slam_formation::CameraResponse<f32>>, ExportError> {
+/// Camera responses, and the time in which the rows are read.
+fn state(path: &Path) -> Result<(Vec<i2slam_formation::CameraResponse<f32>>, f64), ExportError> {
     let state: State = json(path)?;
     if state.format != FORMAT {
         let message = format!("has format {}, this program reads format {FORMAT}", state.format);
         return Err(damaged(path, message));
     }
     let responses = state.responses.into_iter().map(|r| r.response());
-    responses.collect::<Result<_, _>>().map_err(|m| damaged(path, m))
+    let responses = responses.collect::<Result<_, _>>().map_err(|m| damaged(path, m))?;
+    Ok((responses, state.rolling_shutter_readout))
 }
 
 /// Frames from the two tables, which have one row per frame in the same order.
@@ -96,6 +98,7 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
         index: cell(&cells, 0)?,
         timestamp: cell(&cells, 1)?,
         shutter,
+        readout: cell(&cells, 23)?,
         depth_lead: Tangent::from_array(depth_lead),
         tone: FrameTone::from_array([log(2)?, log(3)?, log(4)?, log(5)?]),
         response,
@@ -106,6 +109,12 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
             image: cell(&cells, 6)?,
             depth: cell(&cells, 7)?,
             trajectory: cell(&cells, 8)?,
+        },
+        convergence: Convergence {
+            converged: cell::<u8>(&cells, 24)? != 0,
+            iterations: cell(&cells, 25)?,
+            position_deviation: optional(&cells, 26)?,
+            rotation_deviation: optional(&cells, 27)?.map(f64::to_radians),
         },
         blur_length: cell(&cells, 9)?,
         tracking_seconds: cell(&cells, 10)?,
@@ -118,6 +127,11 @@ fn cell<T: FromStr>(cells: &[&str], column: usize) -> Result<T, String> {
     let text = cells[column];
     let wrong = |_| format!("`{text}` is no value of {}", FRAME_COLUMNS[column]);
     text.parse().map_err(wrong)
+}
+
+/// A number, or none in an empty cell.
+fn optional(cells: &[&str], column: usize) -> Result<Option<f64>, String> {
+    if cells[column].is_empty() { Ok(None) } else { cell(cells, column).map(Some) }
 }
 
 fn shutters(path: &Path) -> Result<Vec<ShutterPoses<f64>>, ExportError> {

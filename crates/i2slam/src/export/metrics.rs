@@ -62,6 +62,8 @@ pub struct Metrics {
     pub hdr_mu_law_psnr_db: Option<f64>,
     /// Frames in the HDR figures.
     pub hdr_frames: usize,
+    /// Time in which the rows of a picture are read, as set or found [s]; 0 for a global shutter.
+    pub rolling_shutter_readout_s: f64,
     /// Pearson correlation of recovered and true log exposure.
     pub log_exposure_correlation: Option<f64>,
 }
@@ -93,6 +95,7 @@ impl Metrics {
             mapping_seconds_per_frame: mapping * per_frame,
             blur_length_px_median: blur.get(blur.len() / 2).copied().unwrap_or(0.0),
             blur_length_px_max: blur.last().copied().unwrap_or(0.0),
+            rolling_shutter_readout_s: reconstruction.rolling_shutter_readout,
             ..Self::default()
         }
     }

@@ -3,7 +3,7 @@
 use super::map::typical_tone;
 use super::pictures::{write_depth, write_picture, write_radiance};
 use super::{ExportError, ResultFolder, Storage};
-use crate::reconstruction::{FrameEstimate, Losses, Reconstruction};
+use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
 use i2slam_formation::{FrameTone, ShutterPoses};
 use i2slam_geometry::{Image, Pose, Tangent};
 use std::fs;
@@ -105,6 +105,7 @@ impl Reconstruction {
             index,
             timestamp: 0.0,
             shutter: ShutterPoses::still(world_from_camera),
+            readout: 0.0,
             depth_lead: Tangent::zero(),
             tone,
             response,
@@ -112,6 +113,7 @@ impl Reconstruction {
             held_out: false,
             tracked: true,
             losses: Losses::default(),
+            convergence: Convergence::default(),
             blur_length: 0.0,
             tracking_seconds: 0.0,
             mapping_seconds: 0.0,

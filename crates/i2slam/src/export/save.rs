@@ -23,7 +23,9 @@ pub fn save<S: Storage>(
         folder.write_text("config.toml", &r.config.to_toml()),
         folder.write("camera.json", |out| json(out, &CameraFile::of(&r.camera))),
         folder.write_text("camera_response.csv", &table::responses(r)),
-        folder.write("state.json", |out| json(out, &State::of(&r.responses))),
+        folder.write("state.json", |out| {
+            json(out, &State::of(&r.responses, r.rolling_shutter_readout))
+        }),
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
         match &r.map {
             Map::Gaussians(map) => {

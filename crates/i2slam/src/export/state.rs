@@ -13,6 +13,9 @@ pub(crate) const FORMAT: u32 = 1;
 pub(crate) struct State {
     pub(crate) format: u32,
     pub(crate) responses: Vec<ResponseState>,
+    /// First to last row [s].
+    #[serde(default)]
+    pub(crate) rolling_shutter_readout: f64,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -33,8 +36,9 @@ enum StartName {
 }
 
 impl State {
-    pub(crate) fn of(responses: &[CameraResponse<f32>]) -> Self {
-        Self { format: FORMAT, responses: responses.iter().map(ResponseState::of).collect() }
+    pub(crate) fn of(responses: &[CameraResponse<f32>], rolling_shutter_readout: f64) -> Self {
+        let responses = responses.iter().map(ResponseState::of).collect();
+        Self { format: FORMAT, responses, rolling_shutter_readout }
     }
 }
 

@@ -5,7 +5,7 @@ use i2slam_geometry::{Pose, StampedPose};
 use std::fmt::{Display, Write};
 
 /// Columns of `frames.csv`, in order.
-pub(crate) const FRAME_COLUMNS: [&str; 23] = [
+pub(crate) const FRAME_COLUMNS: [&str; 28] = [
     "index",
     "timestamp",
     "exposure",
@@ -29,6 +29,11 @@ pub(crate) const FRAME_COLUMNS: [&str; 23] = [
     "depth_lead_ry",
     "depth_lead_rz",
     "held_out",
+    "readout_exposures",
+    "converged",
+    "iterations",
+    "position_deviation_m",
+    "rotation_deviation_deg",
 ];
 
 /// `trajectory.txt`: mid-exposure poses in the TUM format.
@@ -72,7 +77,11 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
         let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
         let losses = frame.losses;
         let [x, y, z, rx, ry, rz] = frame.depth_lead.to_array();
-        let cells: [&dyn Display; 23] = [
+        let convergence = frame.convergence;
+        let [position, rotation] =
+            [convergence.position_deviation, convergence.rotation_deviation.map(f64::to_degrees)]
+                .map(|v| v.map_or_else(String::new, |v| v.to_string()));
+        let cells: [&dyn Display; 28] = [
             &frame.index,
             &frame.timestamp,
             &log_exposure.exp(),
@@ -96,6 +105,11 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
             &ry,
             &rz,
             &u8::from(frame.held_out),
+            &frame.readout,
+            &u8::from(convergence.converged),
+            &convergence.iterations,
+            &position,
+            &rotation,
         ];
         text += &cells.map(|cell| cell.to_string()).join(",");
         text.push('\n');

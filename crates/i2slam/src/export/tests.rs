@@ -3,7 +3,7 @@
 use super::storage::tests::{Scratch, SmallDisk};
 use super::*;
 use crate::config::Config;
-use crate::reconstruction::{FrameEstimate, Losses, Map, Reconstruction};
+use crate::reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
 use i2slam_formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
 use i2slam_geometry::{Camera, Pose, Rotation, Tangent, Vec3};
 use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
@@ -25,6 +25,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
             index: 2 * i,
             timestamp: 1_305_031_237.361_618 + t,
             shutter: ShutterPoses { start: pose(t - 0.01), end: pose(t + 0.01) },
+            readout: 0.7 + 0.1 * t,
             depth_lead: Tangent::from_array([0.001 * t, 0.0, 0.002, 0.0, -0.003, 1e-9]),
             tone,
             response: 0,
@@ -32,6 +33,12 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
             held_out: i == 4,
             tracked: i != 3,
             losses: Losses { image: 0.02 + 0.01 * t.cos(), depth: 0.004, trajectory: 1e-5 * t },
+            convergence: Convergence {
+                converged: i != 2,
+                iterations: 20 + i,
+                position_deviation: (i > 0).then_some(1e-4),
+                rotation_deviation: (i > 0).then_some(2.5e-5),
+            },
             blur_length: 3.0 + 2.0 * (2.0 * t).sin(),
             tracking_seconds: 0.25,
             mapping_seconds: 0.125,
@@ -57,6 +64,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
         frames: (0..frames).map(frame).collect(),
         map: Map::Gaussians(map),
         responses: vec![response],
+        rolling_shutter_readout: 0.0123,
     }
 }
 
@@ -71,9 +79,21 @@ fn a_saved_folder_loads_as_it_was() {
     assert_eq!(after.camera, before.camera);
     assert_eq!(after.responses, before.responses);
     assert_eq!(after.config, before.config);
+    assert_eq!(after.rolling_shutter_readout, before.rolling_shutter_readout);
     for (a, b) in after.frames.iter().zip(&before.frames) {
         assert_eq!((a.shutter, a.tone, a.losses), (b.shutter, b.tone, b.losses));
-        assert_eq!((a.depth_lead, a.held_out), (b.depth_lead, b.held_out));
+        let rest = |f: &FrameEstimate| (f.depth_lead, f.held_out, f.readout);
+        assert_eq!(rest(a), rest(b));
+        let (found, kept) = (a.convergence, b.convergence);
+        assert_eq!(found.converged, kept.converged);
+        assert_eq!(
+            (found.iterations, found.position_deviation),
+            (kept.iterations, kept.position_deviation)
+        );
+        let [found, kept] = [found, kept].map(|c| c.rotation_deviation);
+        assert_eq!(found.is_some(), kept.is_some());
+        let off = found.zip(kept).map_or(0.0, |(a, b)| (a / b - 1.0).abs());
+        assert!(off < 1e-12, "{found:?} {kept:?}");
         assert_eq!((a.index, a.timestamp, a.blur_length), (b.index, b.timestamp, b.blur_length));
         assert_eq!((a.keyframe, a.tracked, a.gaussians), (b.keyframe, b.tracked, b.gaussians));
     }

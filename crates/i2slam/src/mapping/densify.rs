@@ -4,7 +4,7 @@ use super::fill::filled;
 use crate::config::{MapConfig, MappingConfig};
 use crate::objective::{Observation, Tone};
 use i2slam_compute::median;
-use i2slam_geometry::{Camera, Image, Pose, Vec3};
+use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
 
 /// Depth at which a frame adds Gaussians: its own, with holes filled if `settings` say so, and
@@ -46,6 +46,9 @@ pub(crate) struct Source<'a> {
     pub(crate) world_from_depth: Pose<f64>,
     /// From there to the camera at mid-exposure.
     pub(crate) colour_from_depth: Pose<f64>,
+    /// Motion over the exposure, and the time in which the rows are read [exposures].
+    pub(crate) velocity: Tangent<f64>,
+    pub(crate) readout: f64,
     pub(crate) observation: &'a Observation,
     /// Depth at which Gaussians are placed [m]; 0 places none.
     pub(crate) depth: Image<f32>,
@@ -140,11 +143,27 @@ fn push(
     map.len() - before
 }
 
+/// Steps that find the row in which a point is seen: each leaves the share of a picture's height
+/// by which the point moves during the readout.
+const ROW_STEPS: usize = 3;
+
+/// Where the picture shows a point, given in the camera at mid-exposure of the middle row.
+fn position(source: &Source<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
+    let mut seen = point;
+    let steps = if source.readout == 0.0 { 0 } else { ROW_STEPS };
+    for _ in 0..steps {
+        let (_, v) = (seen.z > 0.0).then(|| source.camera.project(seen))?;
+        let time = source.readout * (v / source.camera.height as f64 - 0.5);
+        seen = Pose::identity().retract(source.velocity.scaled(time)).inverse() * point;
+    }
+    (seen.z > 0.0).then(|| source.camera.project(seen))
+}
+
 /// The radiance that formation turns into the picture's value at a point in front of the camera
 /// at mid-exposure, if the picture shows it.
 fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
     let colour = &source.observation.colour;
-    let (u, v) = (point.z > 0.0).then(|| source.camera.project(point))?;
+    let (u, v) = position(source, point)?;
     if !source.camera.contains(u, v, 0.0) {
         return None;
     }
@@ -160,4 +179,37 @@ fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> 
 
 fn logit(share: f32) -> f32 {
     (share / (1.0 - share)).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The row in which a point is found sees it there.
+    #[test]
+    fn a_point_is_read_where_its_row_saw_it() {
+        let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+        let velocity = Tangent::from_array([0.01, -0.02, 0.01, 0.03, 0.05, -0.02]);
+        let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));
+        let mut source = Source {
+            camera: &camera,
+            world_from_depth: Pose::identity(),
+            colour_from_depth: Pose::identity(),
+            velocity,
+            readout: 1.5,
+            observation: &observation,
+            depth: Image::new(64, 48, 1),
+            tone: None,
+        };
+        let point = camera.unproject(20.3, 8.7, 1.8);
+        let (u, v) = position(&source, point).expect("in front");
+        let time = source.readout * (v / 48.0 - 0.5);
+        let seen = Pose::identity().retract(velocity.scaled(time)).inverse() * point;
+        let (x, y) = camera.project(seen);
+        assert!((u - x).hypot(v - y) < 1e-3, "{u} {v} {x} {y}");
+        assert!((u - 20.3).hypot(v - 8.7) > 0.5, "{u} {v}");
+        source.readout = 0.0;
+        let (u, v) = position(&source, point).expect("in front");
+        assert!((u - 20.3).hypot(v - 8.7) < 1e-9);
+    }
 }

@@ -7,7 +7,7 @@ use crate::config::Config;
 use crate::objective::{FrameObjective, Observation, Tone};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, sampling, track};
-use i2slam_formation::{CameraResponse, TrajectoryScale};
+use i2slam_formation::{CameraResponse, CentreVelocity, TrajectoryScale};
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
 use std::sync::Arc;
@@ -136,6 +136,8 @@ impl Mapper for GaussianMapper {
             camera: story.camera,
             world_from_depth: estimate.depth_pose(),
             colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
+            velocity: CentreVelocity::from(estimate.shutter).velocity,
+            readout: estimate.readout,
             observation: &current.observation,
             depth: placement(&current.observation, &config.mapping, story.covered),
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),

@@ -56,7 +56,7 @@ fn is_sharp(frames: &[FrameEstimate]) -> bool {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::reconstruction::Losses;
+    use crate::reconstruction::{Convergence, Losses};
     use i2slam_formation::FrameTone;
     use i2slam_geometry::{Image, Pose, Rotation, Tangent, Vec3};
 
@@ -70,6 +70,7 @@ mod tests {
             index,
             timestamp: index as f64,
             shutter: ShutterPoses::still(Pose::new(turn, Vec3::zero())),
+            readout: 0.0,
             depth_lead: Tangent::zero(),
             tone: FrameTone::default(),
             response: 0,
@@ -77,6 +78,7 @@ mod tests {
             held_out: false,
             tracked: true,
             losses: Losses::default(),
+            convergence: Convergence::default(),
             blur_length: blur,
             tracking_seconds: 0.0,
             mapping_seconds: 0.0,

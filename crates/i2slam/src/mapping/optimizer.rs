@@ -66,6 +66,7 @@ impl MapOptimizer {
             exposure: Exposure {
                 shutter: estimate.shutter,
                 sampling,
+                readout: estimate.readout,
                 depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
             },
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),

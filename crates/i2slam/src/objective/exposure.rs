@@ -70,11 +70,6 @@ impl Sampling {
             route,
         }
     }
-
-    /// One camera needs no route.
-    fn route(&self) -> BlurRoute {
-        if self.virtual_cameras <= 1 { BlurRoute::Exact } else { self.route }
-    }
 }
 
 /// The camera's motion while the shutter is open, and how it is sampled.
@@ -84,6 +79,9 @@ pub struct Exposure {
     pub shutter: ShutterPoses<f64>,
     /// How the average over it is computed.
     pub sampling: Sampling,
+    /// Time in which the rows are read [exposures]; 0 for a global shutter. The shutter poses are
+    /// those of the middle row.
+    pub readout: f64,
     /// Where the camera was when the depth picture was taken, if that is known; otherwise depth
     /// is compared at the virtual camera that fits best (eq. 14), or at mid-exposure on a route
     /// that renders no other.
@@ -91,6 +89,15 @@ pub struct Exposure {
 }
 
 impl Exposure {
+    /// One camera needs no route, and exact renders cannot show rows of different times.
+    fn route(&self) -> BlurRoute {
+        match self.sampling.route {
+            _ if self.sampling.virtual_cameras <= 1 && self.readout == 0.0 => BlurRoute::Exact,
+            BlurRoute::Exact if self.readout != 0.0 => BlurRoute::Splat,
+            route => route,
+        }
+    }
+
     fn cameras(&self) -> Vec<VirtualCamera<f64>> {
         let sampling = self.sampling;
         self.shutter.virtual_cameras(sampling.virtual_cameras, sampling.quadrature)
@@ -103,7 +110,7 @@ impl Exposure {
         };
         ShutterMotion {
             velocity: CentreVelocity::from(self.shutter).velocity.cast(),
-            readout: 0.0,
+            readout: self.readout as f32,
             moments: self.cameras().iter().map(moment).collect(),
         }
     }
@@ -183,7 +190,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
 
     /// Computes `hdr`, and the renders that depth is compared with.
     pub(super) fn forward(&mut self, map: &M, exposure: &Exposure) {
-        let rendered = match exposure.sampling.route() {
+        let rendered = match exposure.route() {
             BlurRoute::Exact => self.forward_exact(map, exposure),
             BlurRoute::Splat => self.forward_splat(map, exposure),
             BlurRoute::Image => self.forward_image(map, exposure),
@@ -195,7 +202,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
     }
 
     /// From the cotangents of `hdr` and of the depth of render `depth` back to the shutter poses
-    /// and, where asked for, to the map.
+    /// (with the readout's own derivative) and, where asked for, to the map.
     pub(super) fn backward(
         &mut self,
         map: &M,
@@ -203,10 +210,11 @@ impl<M: SceneMap> ExposureRenderer<M> {
         d_hdr: &Image<f32>,
         (depth, d_depth): (usize, &mut Image<f32>),
         mut d_map: Option<&mut M::Gradient>,
-    ) -> ShutterTangent<f64> {
-        let mut d_shutter = match exposure.sampling.route() {
+    ) -> (ShutterTangent<f64>, f64) {
+        let (mut d_shutter, d_readout) = match exposure.route() {
             BlurRoute::Exact => {
-                self.backward_exact(map, exposure, d_hdr, (depth, d_depth), d_map.as_deref_mut())
+                let depth = (depth, &mut *d_depth);
+                (self.backward_exact(map, exposure, d_hdr, depth, d_map.as_deref_mut()), 0.0)
             }
             BlurRoute::Splat => {
                 self.backward_splat(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())
@@ -220,7 +228,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
             let d_middle = carried_to_middle(exposure.shutter.middle(), pose, d_pose);
             d_shutter = d_shutter.plus(exposure.shutter.pull_back(0.5, d_middle));
         }
-        d_shutter
+        (d_shutter, d_readout)
     }
 
     fn view(&self, pose: Pose<f64>) -> View<f32> {
@@ -293,7 +301,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
         d_hdr: &Image<f32>,
         d_depth: &mut Image<f32>,
         mut d_map: Option<&mut M::Gradient>,
-    ) -> ShutterTangent<f64> {
+    ) -> (ShutterTangent<f64>, f64) {
         let view = self.view(exposure.shutter.middle());
         self.cotangent.radiance.clone_from(d_hdr);
         let mut moved = map.pull_back_moving(
@@ -307,7 +315,8 @@ impl<M: SceneMap> ExposureRenderer<M> {
             let d_pose = self.backward_depth(map, 1, exposure.shutter.middle(), d_depth, d_map);
             moved.pose = moved.pose.plus(d_pose);
         }
-        CentreVelocity::from(exposure.shutter).pull_back_to_shutter(moved.pose, moved.velocity)
+        let motion = CentreVelocity::from(exposure.shutter);
+        (motion.pull_back_to_shutter(moved.pose, moved.velocity), moved.readout)
     }
 
     fn forward_image(&mut self, map: &M, exposure: &Exposure) -> usize {
@@ -321,6 +330,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
         self.reprojection.blur(
             &self.camera,
             &exposure.shutter,
+            exposure.readout,
             exposure.sampling.virtual_cameras,
             exposure.sampling.quadrature,
             &render.radiance,
@@ -338,14 +348,15 @@ impl<M: SceneMap> ExposureRenderer<M> {
         d_hdr: &Image<f32>,
         d_depth: &mut Image<f32>,
         d_map: Option<&mut M::Gradient>,
-    ) -> ShutterTangent<f64> {
+    ) -> (ShutterTangent<f64>, f64) {
         let view = self.view(exposure.shutter.middle());
         let relative = self.reprojection.pull_back(d_hdr, &mut self.cotangent.radiance);
         let d_pose = match exposure.depth_pose {
             Some(_) => self.pull_back(map, 0, &view, d_map),
             None => self.with_depth(d_depth, |this| this.pull_back(map, 0, &view, d_map)),
         };
-        relative.plus(exposure.shutter.pull_back(0.5, d_pose))
+        let d_middle = exposure.shutter.pull_back(0.5, d_pose);
+        (relative.shutter.plus(d_middle), relative.readout)
     }
 
     /// The pose cotangent of a render that only depth is compared with.

@@ -28,6 +28,7 @@ fn room() -> Reconstruction {
         frames: Vec::new(),
         map: Map::Gaussians(map),
         responses: vec![CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Uniform)],
+        rolling_shutter_readout: 0.0,
     }
 }
 

@@ -3,8 +3,8 @@
 use crate::config::Config;
 use crate::mapping::{Keyframe, Tracker};
 use crate::objective::{Observation, blur_length};
-use crate::reconstruction::{FrameEstimate, Losses};
-use crate::tracking::{TrackingContext, TrackingResult, predict};
+use crate::reconstruction::{Convergence, FrameEstimate, Losses};
+use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict};
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Tangent};
@@ -16,6 +16,7 @@ pub(super) struct Look<'a> {
     pub(super) camera: &'a Camera<f64>,
     pub(super) frame_rate: f64,
     pub(super) scale: TrajectoryScale<f64>,
+    pub(super) readout: SequenceReadout,
     pub(super) frames: &'a [FrameEstimate],
     pub(super) keyframes: &'a [Keyframe],
     pub(super) responses: &'a [CameraResponse<f32>],
@@ -36,6 +37,7 @@ impl Look<'_> {
             index: frame.index,
             timestamp: frame.timestamp,
             shutter: ShutterPoses::still(predict(&context)),
+            readout: 0.0,
             depth_lead: Tangent::zero(),
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response,
@@ -43,6 +45,7 @@ impl Look<'_> {
             held_out: false,
             tracked: false,
             losses: Losses::default(),
+            convergence: Convergence::default(),
             blur_length: 0.0,
             tracking_seconds: 0.0,
             mapping_seconds: 0.0,
@@ -54,9 +57,11 @@ impl Look<'_> {
         });
         if let Some(result) = &result {
             estimate.shutter = result.shutter;
+            estimate.readout = result.readout;
             estimate.depth_lead = result.depth_lead;
             estimate.tone = result.tone;
             estimate.losses = result.losses;
+            estimate.convergence = result.convergence;
             estimate.tracked = result.tracked;
             estimate.blur_length = blur_length(self.camera, &result.shutter, &observation.depth);
         }
@@ -76,6 +81,7 @@ impl Look<'_> {
             formation: &self.config.formation,
             camera: self.camera,
             frame_rate: self.frame_rate,
+            readout: self.readout,
             timestamps: (frame.timestamp, depth_timestamp),
             frames,
             previous: frames.last(),

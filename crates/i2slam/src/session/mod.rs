@@ -8,7 +8,7 @@ use crate::config::{Config, ResponseScope};
 use crate::mapping::Tracker;
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
-use crate::tracking::TrackingResult;
+use crate::tracking::{SequenceReadout, TrackingResult};
 use backend::Backend;
 use i2slam_dataset::Frame;
 use i2slam_formation::TrajectoryScale;
@@ -46,6 +46,7 @@ pub struct Session {
     camera: Camera<f64>,
     frame_rate: f64,
     scale: TrajectoryScale<f64>,
+    readout: SequenceReadout,
     backend: Backend,
     /// A copy of the map, for tracking beside mapping.
     follower: Option<Box<dyn Tracker>>,
@@ -56,6 +57,7 @@ impl Session {
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
         Self {
             scale: TrajectoryScale::from_frame_rate(frame_rate),
+            readout: SequenceReadout::new(&config.input),
             backend: Backend::new(&config, &camera),
             follower: None,
             config,
@@ -128,6 +130,7 @@ impl Session {
             frames: self.backend.frames.clone(),
             map: self.backend.mapper.map(),
             responses: self.backend.responses.clone(),
+            rolling_shutter_readout: self.readout.seconds,
         }
     }
 
@@ -166,6 +169,9 @@ impl Session {
         };
         if let Some(result) = result {
             self.scale = result.scale;
+            if let Some(measured) = result.measured_readout {
+                self.readout.add(measured, 1.0 / self.frame_rate);
+            }
             let per_frame = self.config.formation.response_scope == ResponseScope::Frame;
             if let (true, Some(response)) = (per_frame, result.response) {
                 self.backend.responses.push(response);
@@ -196,6 +202,7 @@ impl Session {
             camera: &self.camera,
             frame_rate: self.frame_rate,
             scale: self.scale,
+            readout: self.readout,
             frames,
             keyframes,
             responses,
@@ -225,6 +232,7 @@ impl Session {
             camera,
             frame_rate: self.frame_rate,
             scale: self.scale,
+            readout: self.readout,
             frames: &backend.frames.clone(),
             keyframes: &backend.keyframes.clone(),
             responses: &backend.responses.clone(),

@@ -16,6 +16,8 @@ use i2slam_geometry::{Rotation, Tangent};
 #[derive(Clone)]
 pub(super) struct State {
     pub(super) motion: CentreVelocity<f64>,
+    /// Time in which the rows are read [exposures].
+    pub(super) readout: f64,
     pub(super) tone: FrameTone<f32>,
     pub(super) response: Option<CameraResponse<f32>>,
     pub(super) scale: TrajectoryScale<f64>,
@@ -93,7 +95,12 @@ fn evaluate<M: SceneMap>(
     sampling: Sampling,
 ) -> Evaluation {
     let variables = FrameVariables {
-        exposure: Exposure { shutter: state.motion.into(), sampling, depth_pose: None },
+        exposure: Exposure {
+            shutter: state.motion.into(),
+            sampling,
+            readout: state.readout,
+            depth_pose: None,
+        },
         tone: curve.map(|curve| Tone { frame: state.tone, curve }),
     };
     let weights = (context.tracking.image_weight, context.tracking.depth_weight);

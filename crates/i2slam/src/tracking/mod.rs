@@ -2,12 +2,16 @@
 
 mod adam;
 mod align;
+mod readout;
 
 pub(crate) use adam::{NODE_STEP, mask_white_balance};
+pub(crate) use readout::SequenceReadout;
+
+use readout::MeasuredReadout;
 
 use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
 use crate::objective::{Evaluation, FrameObjective, Observation, Sampling, SceneMap, blur_length};
-use crate::reconstruction::{FrameEstimate, Losses};
+use crate::reconstruction::{Convergence, FrameEstimate, Losses};
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Pose, Tangent};
 
@@ -19,6 +23,8 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) camera: &'a Camera<f64>,
     /// Frames per second.
     pub(crate) frame_rate: f64,
+    /// The time in which the rows are read.
+    pub(crate) readout: SequenceReadout,
     /// Times of the frame's colour and depth pictures [s].
     pub(crate) timestamps: (f64, f64),
     /// All frames before.
@@ -53,6 +59,16 @@ impl TrackingContext<'_> {
         if share.is_finite() && share > 0.0 { share.clamp(0.05, 2.0) } else { 1.0 }
     }
 
+    /// Time since the last frame [s].
+    fn interval(&self) -> f64 {
+        1.0 / (self.frame_rate * self.interval_share())
+    }
+
+    /// `κ = 2 a Δt`: the share of the frame interval for which the shutter is open.
+    fn open_share(&self, scale: TrajectoryScale<f64>, tone: &FrameTone<f32>) -> f64 {
+        (2.0 * scale.a * self.exposure_time(tone)).clamp(0.02, 1.0)
+    }
+
     /// How far the depth picture is ahead of mid-exposure, as a share of the time since the last
     /// frame.
     fn depth_lead(&self) -> f64 {
@@ -69,12 +85,16 @@ const LOST_SPEED: f64 = 0.8;
 #[derive(Clone, Debug)]
 pub(crate) struct TrackingResult {
     pub(crate) shutter: ShutterPoses<f64>,
+    /// First to last row [exposures], and what that says about the sequence's.
+    pub(crate) readout: f64,
+    pub(crate) measured_readout: Option<MeasuredReadout>,
     pub(crate) depth_lead: Tangent<f64>,
     pub(crate) tone: FrameTone<f32>,
     /// The frame's response, where responses are tracked.
     pub(crate) response: Option<CameraResponse<f32>>,
     pub(crate) scale: TrajectoryScale<f64>,
     pub(crate) losses: Losses,
+    pub(crate) convergence: Convergence,
     pub(crate) tracked: bool,
 }
 
@@ -87,11 +107,14 @@ impl TrackingResult {
     ) -> Self {
         Self {
             shutter: ShutterPoses::still(predict(context)),
+            readout: 0.0,
+            measured_readout: None,
             depth_lead: Tangent::zero(),
             tone: context.previous.map_or_else(FrameTone::default, |p| p.tone),
             response: response.cloned(),
             scale,
             losses: Losses::default(),
+            convergence: Convergence::default(),
             tracked: false,
         }
     }
@@ -99,11 +122,14 @@ impl TrackingResult {
     fn new(state: adam::State, evaluation: &Evaluation, trajectory: f64, tracked: bool) -> Self {
         Self {
             shutter: state.motion.into(),
+            readout: state.readout,
+            measured_readout: None,
             depth_lead: Tangent::zero(),
             tone: state.tone,
             response: state.response,
             scale: state.scale,
             losses: Losses { image: evaluation.image, depth: evaluation.depth, trajectory },
+            convergence: Convergence::default(),
             tracked,
         }
     }
@@ -148,9 +174,16 @@ pub(crate) fn track<M: SceneMap>(
     scale: TrajectoryScale<f64>,
 ) -> TrackingResult {
     let motion = Motion::constant_velocity(context);
+    let tone = context.previous.map_or_else(FrameTone::default, |p| p.tone);
+    let open_share = context.open_share(scale, &tone);
+    let split = match context.readout.is_rolling() {
+        true => open_share * context.interval_share(),
+        false => start_split(context),
+    };
     let mut state = adam::State {
-        motion: adam::extrapolate(motion, start_split(context)),
-        tone: context.previous.map_or_else(FrameTone::default, |p| p.tone),
+        motion: adam::extrapolate(motion, split),
+        readout: context.readout.seconds * context.frame_rate / open_share,
+        tone,
         response: response.cloned(),
         scale,
     };
@@ -162,6 +195,7 @@ pub(crate) fn track<M: SceneMap>(
         }
         state = adam::State {
             motion: result.shutter.into(),
+            readout: result.readout,
             tone: result.tone,
             response: result.response.clone(),
             scale: result.scale,

@@ -1,7 +1,7 @@
 //! The backward lane of the reference against central differences, in `f64`.
 
 use super::scene::{Scene, camera, moving};
-use crate::reproject::{Interpolation, ReferenceReprojection};
+use crate::reproject::{Interpolation, ReferenceReprojection, ReprojectionGradient};
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use i2slam_check::{assert_close, assert_gradient, central_differences, noise};
 use i2slam_geometry::{Camera, Image, Tangent};
@@ -16,6 +16,7 @@ struct Case {
     views: usize,
     weights: Vec<f64>,
     shutter: ShutterPoses<f64>,
+    readout: f64,
 }
 
 impl Case {
@@ -23,7 +24,13 @@ impl Case {
         let camera = camera(22, 17);
         let scene = scene(&camera, 5.0);
         let weights = noise(seed, 3 * camera.pixels());
-        Self { camera, scene, views, weights, shutter: moving(MOTION) }
+        Self { camera, scene, views, weights, shutter: moving(MOTION), readout: 0.0 }
+    }
+
+    /// The same, read in `readout` exposures.
+    fn rolling(mut self, readout: f64) -> Self {
+        self.readout = readout;
+        self
     }
 
     fn sharp(&self, shutter: &ShutterPoses<f64>) -> (Image<f64>, Image<f64>) {
@@ -40,6 +47,7 @@ impl Case {
             Interpolation::Cubic,
             &self.camera,
             shutter,
+            self.readout,
             self.views,
             Quadrature::Endpoints,
             radiance,
@@ -52,7 +60,7 @@ impl Case {
         blurred.data.iter().zip(&self.weights).map(|(b, w)| b * w).sum()
     }
 
-    fn pull_back(&self) -> (Image<f64>, ShutterTangent<f64>) {
+    fn pull_back(&self) -> (Image<f64>, ReprojectionGradient) {
         let (radiance, depth) = self.sharp(&self.shutter);
         let d_blurred = Image { data: self.weights.clone(), ..radiance.clone() };
         self.reprojection(&self.shutter, &radiance, &depth).pull_back(&d_blurred)
@@ -77,8 +85,12 @@ impl Case {
 /// The blur is linear in the render: its transpose is right if both sides agree on any render.
 #[test]
 fn pull_back_is_the_transpose() {
-    for (case, seed) in [Case::new(Scene::new, 5, 1), Case::new(Scene::wall, 2, 2)].iter().zip(20..)
-    {
+    let cases = [
+        Case::new(Scene::new, 5, 1),
+        Case::new(Scene::wall, 2, 2),
+        Case::new(Scene::new, 3, 8).rolling(1.4),
+    ];
+    for (case, seed) in cases.iter().zip(20..) {
         let (radiance, depth) = case.sharp(&case.shutter);
         let (d_radiance, _) = case.pull_back();
         for seed in [seed, seed + 10, seed + 20] {
@@ -96,11 +108,13 @@ fn relative_motion_agrees_with_differences() {
         ("slanted wall", Case::new(Scene::wall, 3, 3)),
         ("slanted wall, two views", Case::new(Scene::wall, 2, 4)),
         ("board before a wall", Case::new(Scene::facing, 5, 5)),
+        ("rolling shutter", Case::new(Scene::wall, 3, 9).rolling(1.3)),
+        ("rolling shutter, one view", Case::new(Scene::wall, 1, 10).rolling(-0.9)),
     ];
     for (name, case) in cases {
         let (radiance, depth) = case.sharp(&case.shutter);
-        let (_, d_shutter) = case.pull_back();
-        assert_gradient(name, &[0.0; 12], &d_shutter.to_array(), STEP, 1e-6, |x| {
+        let (_, gradient) = case.pull_back();
+        assert_gradient(name, &[0.0; 12], &gradient.shutter.to_array(), STEP, 1e-6, |x| {
             case.loss(&case.moved(x), &radiance, &depth)
         });
     }
@@ -111,7 +125,7 @@ fn the_whole_chain_agrees_with_differences() {
     let case = Case::new(Scene::wall, 3, 6);
     let (_, depth) = case.sharp(&case.shutter);
     let (d_radiance, relative) = case.pull_back();
-    let total = relative.plus(case.through_render(&d_radiance)).to_array();
+    let total = relative.shutter.plus(case.through_render(&d_radiance)).to_array();
     assert_gradient("chain, depth held", &[0.0; 12], &total, STEP, 1e-6, |x| {
         let shutter = case.moved(x);
         case.loss(&shutter, &case.sharp(&shutter).0, &depth)
@@ -130,8 +144,37 @@ fn the_whole_chain_agrees_with_differences() {
 fn more_views_between_the_ends_follow_the_parabola() {
     let case = Case::new(Scene::wall, 7, 7);
     let (radiance, depth) = case.sharp(&case.shutter);
-    let (_, d_shutter) = case.pull_back();
+    let (_, gradient) = case.pull_back();
     let differences =
         central_differences(&[0.0; 12], STEP, |x| case.loss(&case.moved(x), &radiance, &depth));
-    assert_close("parabola", &d_shutter.to_array(), &differences, 1e-3);
+    assert_close("parabola", &gradient.shutter.to_array(), &differences, 1e-3);
+}
+
+#[test]
+fn readout_agrees_with_differences() {
+    for (views, readout) in [(1, 1.1), (3, -0.7), (4, 2.0)] {
+        let mut case = Case::new(Scene::wall, views, 11).rolling(readout);
+        let (radiance, depth) = case.sharp(&case.shutter);
+        let analytic = case.pull_back().1.readout;
+        let shutter = case.shutter;
+        assert_gradient("readout", &[readout], &[analytic], STEP, 1e-6, |x| {
+            case.readout = x[0];
+            case.loss(&shutter, &radiance, &depth)
+        });
+    }
+}
+
+#[test]
+fn a_global_shutter_is_the_limit_of_a_rolling_one() {
+    let case = Case::new(Scene::wall, 3, 12);
+    let (radiance, depth) = case.sharp(&case.shutter);
+    let (_, global) = case.pull_back();
+    let global_loss = case.loss(&case.shutter, &radiance, &depth);
+    let case = case.rolling(1e-7);
+    let (_, rolling) = case.pull_back();
+    let loss = case.loss(&case.shutter, &radiance, &depth);
+    assert!((loss - global_loss).abs() < 1e-3 * global_loss.abs(), "{loss} {global_loss}");
+    let (a, b) = (rolling.shutter.to_array(), global.shutter.to_array());
+    assert_close("global limit", &a, &b, 1e-3);
+    assert_eq!(global.readout, 0.0);
 }

@@ -2,8 +2,8 @@
 
 use super::scene::{Scene, camera, moving};
 use super::{narrow, wide};
-use crate::reproject::{Interpolation, ReferenceReprojection, Reprojection};
-use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
+use crate::reproject::{Interpolation, ReferenceReprojection, Reprojection, ReprojectionGradient};
+use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_check::{assert_close, noise, relative_error};
 use i2slam_geometry::{Camera, Image};
 
@@ -31,12 +31,12 @@ impl Frame {
         &self,
         reprojection: &mut Reprojection,
         shutter: &ShutterPoses<f64>,
-        views: usize,
-    ) -> (Image<f32>, Image<f32>, ShutterTangent<f64>) {
+        (views, readout): (usize, f64),
+    ) -> (Image<f32>, Image<f32>, ReprojectionGradient) {
         let (mut blurred, mut d_radiance) = (Image::default(), Image::default());
         let plan = Quadrature::Endpoints;
         let (camera, radiance, depth) = (&self.camera, &self.radiance, &self.depth);
-        reprojection.blur(camera, shutter, views, plan, radiance, depth, &mut blurred);
+        reprojection.blur(camera, shutter, readout, views, plan, radiance, depth, &mut blurred);
         let d_shutter = reprojection.pull_back(&self.d_blurred, &mut d_radiance);
         (blurred, d_radiance, d_shutter)
     }
@@ -47,27 +47,31 @@ fn fast_lane_follows_the_reference() {
     for (width, height) in [(90, 70), (33, 100)] {
         let frame = Frame::new(width, height);
         for interpolation in [Interpolation::Linear, Interpolation::Cubic] {
-            for views in [1, 2, 5] {
+            for (views, readout) in [(1, 0.0), (2, 0.0), (5, 0.0), (1, 1.5), (4, -0.8)] {
                 let shutter = moving(MOTION);
                 let (blurred, d_radiance, d_shutter) =
-                    frame.run(&mut Reprojection::new(interpolation), &shutter, views);
+                    frame.run(&mut Reprojection::new(interpolation), &shutter, (views, readout));
                 let reference = ReferenceReprojection::new(
                     interpolation,
                     &frame.camera,
                     &shutter,
+                    readout,
                     views,
                     Quadrature::Endpoints,
                     &frame.radiance,
                     &frame.depth,
                 );
                 let (expected, d_shutter_expected) = reference.pull_back(&frame.d_blurred);
-                let name = format!("{width} x {height}, {interpolation:?}, {views} views");
+                let name =
+                    format!("{width} x {height}, {interpolation:?}, {views} views, {readout}");
                 let picture = wide(&reference.blur()).data;
                 assert_close(&format!("picture, {name}"), &wide(&blurred).data, &picture, 2e-4);
                 let (a, b) = (wide(&d_radiance).data, wide(&expected).data);
                 assert_close(&format!("radiance, {name}"), &a, &b, 2e-4);
-                let (a, b) = (d_shutter.to_array(), d_shutter_expected.to_array());
+                let (a, b) = (d_shutter.shutter.to_array(), d_shutter_expected.shutter.to_array());
                 assert_close(&format!("shutter, {name}"), &a, &b, 2e-4);
+                let (a, b) = (d_shutter.readout, d_shutter_expected.readout);
+                assert_close(&format!("readout, {name}"), &[a], &[b], 2e-3);
             }
         }
     }
@@ -76,15 +80,18 @@ fn fast_lane_follows_the_reference() {
 #[test]
 fn any_number_of_threads_gives_the_same_bytes() {
     let frame = Frame::new(60, 170);
-    let run = |threads| {
+    let run = |threads, readout| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let shutter = moving(MOTION);
-        pool.expect("a pool").install(|| frame.run(&mut Reprojection::default(), &shutter, 5))
+        pool.expect("a pool")
+            .install(|| frame.run(&mut Reprojection::default(), &shutter, (5, readout)))
     };
-    let one = run(1);
-    assert!(one.2.to_array().iter().all(|v| v.is_finite() && *v != 0.0));
-    for threads in [2, 3, 7] {
-        assert!(run(threads) == one, "{threads} threads");
+    for readout in [0.0, 1.2] {
+        let one = run(1, readout);
+        assert!(one.2.shutter.to_array().iter().all(|v| v.is_finite() && *v != 0.0));
+        for threads in [2, 3, 7] {
+            assert!(run(threads, readout) == one, "{threads} threads");
+        }
     }
 }
 
@@ -92,31 +99,31 @@ fn any_number_of_threads_gives_the_same_bytes() {
 fn buffers_of_another_frame_leave_no_trace() {
     let (small, large) = (Frame::new(40, 31), Frame::new(75, 90));
     let mut used = Reprojection::default();
-    large.run(&mut used, &moving(MOTION), 9);
+    large.run(&mut used, &moving(MOTION), (9, 0.5));
     let shutter = moving(MOTION.map(|v| -0.5 * v));
-    let expected = small.run(&mut Reprojection::default(), &shutter, 4);
-    assert!(small.run(&mut used, &shutter, 4) == expected);
+    let expected = small.run(&mut Reprojection::default(), &shutter, (4, 0.0));
+    assert!(small.run(&mut used, &shutter, (4, 0.0)) == expected);
 }
 
 #[test]
 fn a_still_camera_sees_the_sharp_render() {
     let frame = Frame::new(50, 40);
     let still = ShutterPoses::still(moving(MOTION).middle());
-    let (blurred, d_radiance, _) = frame.run(&mut Reprojection::default(), &still, 5);
+    let (blurred, d_radiance, _) = frame.run(&mut Reprojection::default(), &still, (5, 1.0));
     let (a, b) = (wide(&blurred).data, wide(&frame.radiance).data);
     assert_close("picture", &a, &b, 1e-4);
     let (a, b) = (wide(&d_radiance).data, wide(&frame.d_blurred).data);
     assert_close("cotangent", &a, &b, 1e-4);
-    let one = frame.run(&mut Reprojection::default(), &moving(MOTION), 1);
+    let one = frame.run(&mut Reprojection::default(), &moving(MOTION), (1, 0.0));
     assert_eq!(one.0, frame.radiance);
-    assert_eq!(one.2, ShutterTangent::zero());
+    assert_eq!(one.2, ReprojectionGradient::default());
 }
 
 #[test]
 fn unknown_depth_is_filled_from_its_row_or_far_away() {
     let mut frame = Frame::new(80, 60);
     let translation = moving([0.05, -0.03, 0.01, 0.0, 0.0, 0.0]);
-    let full = frame.run(&mut Reprojection::default(), &translation, 5).0;
+    let full = frame.run(&mut Reprojection::default(), &translation, (5, 0.0)).0;
     for (i, z) in frame.depth.data.iter_mut().enumerate() {
         *z = match i % 41 {
             0 => 0.0,
@@ -125,12 +132,12 @@ fn unknown_depth_is_filled_from_its_row_or_far_away() {
             _ => *z,
         };
     }
-    let holes = frame.run(&mut Reprojection::default(), &translation, 5).0;
+    let holes = frame.run(&mut Reprojection::default(), &translation, (5, 0.0)).0;
     assert!(relative_error(&wide(&holes).data, &wide(&full).data) < 0.25);
     let squares: f32 = holes.data.iter().zip(&full.data).map(|(a, b)| (a - b) * (a - b)).sum();
     assert!((squares / full.data.len() as f32).sqrt() < 0.01, "{squares}");
     frame.depth.data.fill(0.0);
-    let far = frame.run(&mut Reprojection::default(), &translation, 5).0;
+    let far = frame.run(&mut Reprojection::default(), &translation, (5, 0.0)).0;
     assert_close("far", &wide(&far).data, &wide(&frame.radiance).data, 1e-4);
 }
 
@@ -147,9 +154,12 @@ fn nothing_odd_panics() {
         for shutter in &shutters {
             for z in [2.0, 0.0, f32::NAN, f32::MIN_POSITIVE, f32::INFINITY] {
                 frame.depth.data.iter_mut().step_by(3).for_each(|v| *v = z);
-                let (blurred, d_radiance, _) = frame.run(&mut Reprojection::default(), shutter, 5);
-                assert_eq!(blurred.data.len(), 3 * width * height);
-                assert_eq!(d_radiance.data.len(), 3 * width * height);
+                for readout in [0.0, 1.0, f64::NAN] {
+                    let (blurred, d_radiance, _) =
+                        frame.run(&mut Reprojection::default(), shutter, (5, readout));
+                    assert_eq!(blurred.data.len(), 3 * width * height);
+                    assert_eq!(d_radiance.data.len(), 3 * width * height);
+                }
             }
         }
     }

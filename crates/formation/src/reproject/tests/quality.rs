@@ -41,6 +41,7 @@ fn reproject(
     camera: &Camera<f64>,
     shutter: &ShutterPoses<f64>,
     (count, quadrature): (usize, Quadrature),
+    readout: f64,
     interpolation: Interpolation,
     (radiance, depth): &(Image<f64>, Image<f64>),
 ) -> Image<f64> {
@@ -48,6 +49,7 @@ fn reproject(
     Reprojection::new(interpolation).blur(
         &camera.cast(),
         shutter,
+        readout,
         count,
         quadrature,
         &narrow(radiance),
@@ -75,7 +77,7 @@ fn close_to_exactly_rendered_virtual_cameras() {
             print!("{kind:12}{length:3} px {sharp_only:6.1} {five:6.1}");
             for count in [5, 9, 17] {
                 let plan = (count, Quadrature::Midpoints);
-                let blurred = reproject(&camera, &shutter, plan, Interpolation::Cubic, &sharp);
+                let blurred = reproject(&camera, &shutter, plan, 0.0, Interpolation::Cubic, &sharp);
                 let (inside, full) = (psnr(&blurred, &exact, border), psnr(&blurred, &exact, 0));
                 print!(" |{count:3}: {inside:5.1} {full:5.1}");
                 assert!(inside > least, "{kind} {length} px, {count} views: {inside:.1} dB");
@@ -93,9 +95,54 @@ fn cubic_keeps_detail_that_linear_dulls() {
     let plan = (5, Quadrature::Midpoints);
     let exact = scene.blurred(&camera, &shutter, plan, GRID);
     let sharp = scene.render(&camera, &shutter.middle(), GRID);
-    let against =
-        |interpolation| psnr(&reproject(&camera, &shutter, plan, interpolation, &sharp), &exact, 2);
+    let against = |interpolation| {
+        psnr(&reproject(&camera, &shutter, plan, 0.0, interpolation, &sharp), &exact, 2)
+    };
     let [linear, cubic] = [Interpolation::Linear, Interpolation::Cubic].map(against);
     println!("2 px of rotation: linear {linear:.1} dB, cubic {cubic:.1} dB");
     assert!(cubic > linear + 3.0, "{linear} {cubic}");
+}
+
+/// Rows cut out of exactly rendered views, each at its own times.
+fn rolled(
+    scene: &Scene,
+    camera: &Camera<f64>,
+    shutter: &ShutterPoses<f64>,
+    readout: f64,
+) -> Image<f64> {
+    let mut rolled = Image::new(camera.width, camera.height, 3);
+    for row in 0..camera.height {
+        let late = readout * crate::row_place::<f64>(row, camera.height);
+        let at = |u: f64| shutter.at(u + late);
+        let exposed = ShutterPoses { start: at(0.0), end: at(1.0) };
+        let strip = Camera { height: 1, cy: camera.cy - row as f64, ..*camera };
+        let seen = scene.blurred(&strip, &exposed, (5, Quadrature::Midpoints), GRID);
+        for channel in 0..3 {
+            let to = &mut rolled.plane_mut(channel)[row * camera.width..(row + 1) * camera.width];
+            to.copy_from_slice(seen.plane(channel));
+        }
+    }
+    rolled
+}
+
+/// The top and the bottom row are 8 px apart from where they would be at mid-exposure.
+#[test]
+fn rows_are_where_exact_views_at_their_times_have_them() {
+    let camera = camera(SIZE.0, SIZE.1);
+    let scene = Scene::new(&camera, FINEST);
+    for kind in ["rotation", "translation", "both"] {
+        let (shutter, readout) = (exposure(&camera, kind, 4.0), 4.0);
+        let exact = rolled(&scene, &camera, &shutter, readout);
+        let sharp = scene.render(&camera, &shutter.middle(), GRID);
+        let plan = (5, Quadrature::Midpoints);
+        let of = |readout| {
+            let image = reproject(&camera, &shutter, plan, readout, Interpolation::Cubic, &sharp);
+            psnr(&image, &exact, 10)
+        };
+        let (with, without, wrong) = (of(readout), of(0.0), of(-readout));
+        println!(
+            "{kind}: {with:.1} dB, as a global shutter {without:.1} dB, reversed {wrong:.1} dB"
+        );
+        assert!(with > 38.0 && with > without + 12.0 && without > wrong, "{kind} {with} {without}");
+    }
 }

@@ -145,6 +145,7 @@ impl FieldMapper {
         let exposure = Exposure {
             shutter: estimate.shutter,
             sampling,
+            readout: estimate.readout,
             depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
         };
         let curve = curves.get(&estimate.response);

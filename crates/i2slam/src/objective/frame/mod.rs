@@ -49,6 +49,8 @@ pub struct Evaluation {
     pub pixels: usize,
     /// By start and end pose.
     pub shutter: ShutterTangent<f64>,
+    /// By the readout [per exposure]; 0 on a route that does not roll.
+    pub readout: f64,
     /// By exposure and white balance.
     pub tone: FrameToneGradient<f32>,
     /// By the nodes of the response curve, where there is one.
@@ -229,7 +231,7 @@ impl<M: SceneMap> FrameObjective<M> {
         let mut evaluation = Evaluation::default();
         self.pull_back_tone(variables, &mut evaluation);
         let depth = (best, &mut self.d_depth);
-        evaluation.shutter =
+        (evaluation.shutter, evaluation.readout) =
             self.renderer.backward(map, &variables.exposure, &self.d_hdr, depth, d_map);
         evaluation
     }

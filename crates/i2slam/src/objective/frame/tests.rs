@@ -43,7 +43,12 @@ fn smooth() -> RasterSettings {
 }
 
 /// Start pose, end pose, log exposure and log white balance as one vector.
-fn evaluate(x: &[f64], route: BlurRoute, depth_pose: bool, mapping: bool) -> Evaluation {
+fn evaluate(
+    x: &[f64],
+    (route, readout): (BlurRoute, f64),
+    depth_pose: bool,
+    mapping: bool,
+) -> Evaluation {
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
     let base = ShutterPoses {
@@ -61,6 +66,7 @@ fn evaluate(x: &[f64], route: BlurRoute, depth_pose: bool, mapping: bool) -> Eva
         exposure: Exposure {
             shutter,
             sampling: Sampling { virtual_cameras: 3, quadrature: Quadrature::Midpoints, route },
+            readout: readout + x.get(16).unwrap_or(&0.0),
             depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
         },
         tone: Some(Tone { frame: tone, curve: &curve }),
@@ -77,7 +83,13 @@ fn evaluate(x: &[f64], route: BlurRoute, depth_pose: bool, mapping: bool) -> Eva
 #[test]
 fn gradients_agree_with_differences_of_the_objective() {
     // Re-projection holds the depth that it looks up by fixed.
-    let routes = [(BlurRoute::Exact, 5e-3), (BlurRoute::Splat, 5e-3), (BlurRoute::Image, 0.1)];
+    let routes = [
+        ((BlurRoute::Exact, 0.0), 5e-3),
+        ((BlurRoute::Splat, 0.0), 5e-3),
+        ((BlurRoute::Image, 0.0), 0.1),
+        ((BlurRoute::Splat, 0.8), 5e-3),
+        ((BlurRoute::Image, 0.8), 0.1),
+    ];
     for (route, tolerance) in routes {
         for (depth_pose, mapping) in [(false, false), (true, false), (false, true), (true, true)] {
             check_gradient(route, tolerance, depth_pose, mapping);
@@ -85,14 +97,16 @@ fn gradients_agree_with_differences_of_the_objective() {
     }
 }
 
-fn check_gradient(route: BlurRoute, tolerance: f64, depth_pose: bool, mapping: bool) {
-    let x = [0.0; 16];
+fn check_gradient(route: (BlurRoute, f64), tolerance: f64, depth_pose: bool, mapping: bool) {
+    let x = [0.0; 17];
     let evaluation = evaluate(&x, route, depth_pose, mapping);
     assert!(evaluation.pixels > 500);
     let mut analytic = evaluation.shutter.to_array().to_vec();
     analytic.extend(evaluation.tone.to_array().map(f64::from));
+    analytic.push(evaluation.readout);
     let numeric = central_differences(&x, 2e-3, |x| evaluate(x, route, depth_pose, mapping).total);
-    for group in [0..3, 3..6, 6..9, 9..12, 12..16] {
+    let groups = [0..3, 3..6, 6..9, 9..12, 12..16, 16..17];
+    for group in groups.into_iter().take(if route.1 == 0.0 { 5 } else { 6 }) {
         let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
         assert!(error < tolerance, "{route:?} {depth_pose} {mapping} {group:?} {error}");
     }
@@ -108,10 +122,10 @@ fn all_routes_blur_alike() {
         end: Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.06, 0.08, -0.02])),
     };
     let mut objective = FrameObjective::new(CAMERA, smooth());
-    let mut predict = |shutter, route, virtual_cameras| {
+    let mut predict = |shutter, (route, readout), virtual_cameras| {
         let sampling = Sampling { virtual_cameras, quadrature: Quadrature::Midpoints, route };
         let variables = FrameVariables {
-            exposure: Exposure { shutter, sampling, depth_pose: None },
+            exposure: Exposure { shutter, sampling, readout, depth_pose: None },
             tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
         };
         objective.predict(&map(), &variables).clone()
@@ -121,12 +135,18 @@ fn all_routes_blur_alike() {
         let square = |(row, column)| f64::from(a.at(1, column, row) - b.at(1, column, row)).powi(2);
         (places.map(square).sum::<f64>() / 308.0).sqrt()
     };
-    let exact = predict(shutter, BlurRoute::Exact, 9);
-    let sharp = error(&predict(ShutterPoses::still(shutter.middle()), BlurRoute::Exact, 1), &exact);
+    let exact = predict(shutter, (BlurRoute::Exact, 0.0), 9);
+    let still = ShutterPoses::still(shutter.middle());
+    let sharp = error(&predict(still, (BlurRoute::Exact, 0.0), 1), &exact);
     for route in [BlurRoute::Splat, BlurRoute::Image] {
-        let off = error(&predict(shutter, route, 9), &exact);
+        let off = error(&predict(shutter, (route, 0.0), 9), &exact);
         assert!(off < 0.2 * sharp, "{route:?} {off} {sharp}");
     }
+    let splat = predict(shutter, (BlurRoute::Splat, 1.0), 9);
+    let image = predict(shutter, (BlurRoute::Image, 1.0), 9);
+    let (off, rolled) = (error(&splat, &image), error(&splat, &exact));
+    assert!(off < 0.2 * rolled, "rolling: {off} {rolled}");
+    assert_eq!(predict(shutter, (BlurRoute::Exact, 1.0), 9), splat);
 }
 
 #[test]
@@ -137,6 +157,7 @@ fn unrecorded_pixels_do_not_count() {
         exposure: Exposure {
             shutter: ShutterPoses::still(Pose::identity()),
             sampling: Sampling::SHARP,
+            readout: 0.0,
             depth_pose: None,
         },
         tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),

@@ -34,7 +34,8 @@ impl RayView<'_> {
 
     /// Whether depth is compared along a ray of its own; a still frame needs one ray for both.
     fn depth_apart(&self) -> bool {
-        self.times() > 1 || self.variables.exposure.depth_pose.is_some()
+        let exposure = &self.variables.exposure;
+        self.times() > 1 || exposure.depth_pose.is_some() || exposure.readout != 0.0
     }
 
     /// Rays of a pixel: the moments of the exposure, then depth's.
@@ -139,9 +140,12 @@ impl RayObjective {
 
     fn draw_pixel(&mut self, view: &RayView<'_>, pixel: usize, random: &mut Random) {
         let times = view.times();
+        let height = self.camera.height as f64;
+        let row = ((pixel / self.camera.width) as f64 + 0.5) / height - 0.5;
+        let lead = view.variables.exposure.readout * row;
         for j in 0..times {
             let within = if times > 1 { random.uniform() } else { 0.5 };
-            let u = (j as f64 + within) / times as f64;
+            let u = (j as f64 + within) / times as f64 + lead;
             let pose = view.variables.exposure.shutter.at(u);
             self.push(pose, pixel, Moment::Exposure(u), random);
         }

@@ -76,6 +76,7 @@ fn evaluate(
             exposure: Exposure {
                 shutter,
                 sampling,
+                readout: 0.3,
                 depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
             },
             tone: Some(Tone { frame, curve: &curve }),
@@ -144,6 +145,7 @@ fn random_moments_average_to_the_exposure() {
         let exposure = Exposure {
             shutter: ShutterPoses { start: Pose::identity(), end },
             sampling: sampling(cameras),
+            readout: 0.0,
             depth_pose: None,
         };
         let variables = FrameVariables { exposure, tone: None };

@@ -2,7 +2,7 @@
 
 use super::prior::freeze;
 use super::reference::{Reference, cleanest};
-use super::residual::{Equations, Errors, Linearization, Sums, UNKNOWNS};
+use super::residual::{Equations, Errors, Linearization, READOUT, Sums, UNKNOWNS};
 use super::{Frame, State};
 use crate::config::WhiteBalance;
 use crate::objective::{FrameObjective, SceneMap, virtual_camera_count};
@@ -10,6 +10,8 @@ use i2slam_geometry::Tangent;
 
 /// A step shorter than this [px] ends a level.
 const CONVERGED: f64 = 2e-3;
+/// A descent whose last step was shorter than this [px] has converged: noise moves its end farther.
+const SETTLED: f64 = 0.02;
 /// Moves of the model's pose [px] that call for a new render.
 const RENDER_AGAIN: f64 = 0.5;
 
@@ -18,6 +20,18 @@ pub(super) struct Outcome {
     pub(super) state: State,
     /// Without derivatives.
     pub(super) sums: Sums,
+    pub(super) progress: Progress,
+    /// What the frame was aligned to.
+    pub(super) references: Vec<Reference>,
+}
+
+/// How a descent went.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Progress {
+    /// Steps tried, over all levels.
+    pub(super) steps: usize,
+    /// Whether the last step was too short to matter.
+    pub(super) converged: bool,
 }
 
 /// All residuals at one state.
@@ -32,6 +46,8 @@ struct Evaluation {
 pub(super) enum Purpose {
     /// To take a step from there.
     Step,
+    /// The same from depth alone.
+    StepByDepth,
     /// To compare cost and errors.
     Compare,
 }
@@ -47,7 +63,7 @@ impl Frame<'_> {
         let levels = self.observed.len();
         let mut references = vec![Reference::model(self, objective, map, state.motion.centre)];
         references.extend(Reference::keyframe(self));
-        let mut sums = Sums::default();
+        let (mut sums, mut progress) = (Sums::default(), Progress::default());
         for round in 0..self.context.tracking.alignment.renders {
             if round > 0 {
                 let pose = references[0].world_from_camera;
@@ -60,14 +76,20 @@ impl Frame<'_> {
             }
             let coarsest = if round == 0 { levels } else { 1 };
             for level in (0..coarsest).rev() {
-                sums = self.solve_level(&mut references, level, &mut state);
+                sums = self.solve_level(&mut references, level, &mut state, &mut progress);
             }
         }
-        Outcome { state, sums }
+        Outcome { state, sums, progress, references }
     }
 
     /// Gauss-Newton on one level, twice: with the scales of the level before, then with its own.
-    fn solve_level(&self, references: &mut [Reference], level: usize, state: &mut State) -> Sums {
+    pub(super) fn solve_level(
+        &self,
+        references: &mut [Reference],
+        level: usize,
+        state: &mut State,
+        progress: &mut Progress,
+    ) -> Sums {
         let settings = &self.context.tracking.alignment;
         let mut known = vec![None; references.len()];
         let mut sums = Sums::default();
@@ -79,7 +101,8 @@ impl Frame<'_> {
                 });
                 reference.update_scales(&errors, settings);
             }
-            let end = self.step_down(references, level, state, settings.iterations / 2);
+            let steps = settings.iterations / 2;
+            let end = self.step_down(references, level, state, steps, progress);
             (sums, known) = (end.total, end.errors);
         }
         sums
@@ -92,8 +115,10 @@ impl Frame<'_> {
         level: usize,
         state: &mut State,
         steps: usize,
+        progress: &mut Progress,
     ) -> Evaluation {
         let converged = CONVERGED * (level + 1) as f64;
+        progress.converged = false;
         let mut damping = 1e-5;
         let mut here = self.evaluate(references, level, state, Purpose::Step);
         for left in (0..steps).rev() {
@@ -102,13 +127,19 @@ impl Frame<'_> {
             let Some(step) = equations.step(damping) else { break };
             let length = self.in_pixels(Tangent::from_array(std::array::from_fn(|i| step[i])));
             let last = length < converged || left == 0;
+            progress.steps += 1;
+            progress.converged = length < SETTLED;
             let purpose = if last { Purpose::Compare } else { Purpose::Step };
-            let next = retract(state, &step);
+            let mut next = retract(state, &step);
+            next.readout = self.context.readout.one_way(next.readout);
             let there = self.evaluate(references, level, &next, purpose);
             // One prior for both sides, held where the step was taken from.
             let prior = self.context.formation.blur.then(|| self.prior(state));
+            let rolling = self.readout_prior(state);
             let cost = |state: &State, sums: &Sums| {
-                let prior = prior.as_ref().map_or(0.0, |p| p.cost(state.motion.velocity));
+                let velocity = state.motion.velocity;
+                let rolling = rolling.as_ref().map_or(0.0, |p| p.cost(velocity, state.readout));
+                let prior = prior.as_ref().map_or(0.0, |p| p.cost(velocity)) + rolling;
                 sums.mean_cost() + prior / sums.equations.count.max(1) as f64
             };
             let lower = cost(&next, &there.total) <= cost(state, &here.total) * (1.0 + 1e-4);
@@ -150,7 +181,7 @@ impl Frame<'_> {
     }
 
     /// How many moments of the exposure a level needs.
-    fn virtual_cameras(&self, level: usize, state: &State) -> usize {
+    pub(super) fn virtual_cameras(&self, level: usize, state: &State) -> usize {
         let formation = self.context.formation;
         if !formation.blur {
             return 1;
@@ -176,16 +207,24 @@ impl Frame<'_> {
             curve: self.curve.as_ref(),
             cameras,
             quadrature: self.context.formation.quadrature(),
+            rolling_height: self
+                .context
+                .readout
+                .is_rolling()
+                .then(|| self.context.camera.height as f64 / f64::from(1_u32 << level)),
             world_from_depth: state.motion.centre.retract(self.depth_lead(state)),
             depth_lead: self.depth_share(),
             scales: reference.scales,
-            image_weight: reference.image_weight(&self.context.tracking.alignment),
-            derivatives: purpose == Purpose::Step,
+            image_weight: match purpose {
+                Purpose::StepByDepth => 0.0,
+                _ => reference.image_weight(&self.context.tracking.alignment),
+            },
+            derivatives: purpose != Purpose::Compare,
         }
         .accumulate()
     }
 
-    fn add_prior(&self, state: &State, equations: &mut Equations) {
+    pub(super) fn add_prior(&self, state: &State, equations: &mut Equations) {
         let formation = self.context.formation;
         if formation.blur {
             self.prior(state).add_to(state.motion.velocity, equations);
@@ -198,6 +237,10 @@ impl Frame<'_> {
             (true, _) => 13..16,
         };
         freeze(equations, fixed);
+        match self.readout_prior(state) {
+            Some(prior) => prior.add_to(state.motion.velocity, state.readout, equations),
+            None => freeze(equations, READOUT..UNKNOWNS),
+        }
     }
 }
 
@@ -205,6 +248,7 @@ fn retract(state: &State, step: &[f64; UNKNOWNS]) -> State {
     let mut next = state.clone();
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| step[from + i]));
     next.motion = next.motion.retract(part(0), part(6));
+    next.readout += step[READOUT];
     next.tone.log_exposure += step[12] as f32;
     for channel in 0..3 {
         next.tone.log_white_balance[channel] += step[13 + channel] as f32;

@@ -6,18 +6,21 @@
 //! white balance are solved for together.
 
 mod belief;
+mod covariance;
 mod descent;
+mod noise;
 mod prior;
 mod pyramid;
 mod recovery;
 mod reference;
 mod residual;
+mod rolling;
 mod streak;
 
 use super::adam::{State, extrapolate};
 use super::{Motion, TrackingContext, TrackingResult};
 use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
-use crate::reconstruction::Losses;
+use crate::reconstruction::{Convergence, Losses};
 use belief::LEAST_OVERLAP;
 use descent::Outcome;
 use i2slam_compute::median;
@@ -45,6 +48,8 @@ struct Frame<'a> {
     /// Pixels per metre and per radian, for tangents in pixels.
     pixels: [f64; 6],
     previous: Pose<f64>,
+    /// The readout that the descent starts from [exposures].
+    readout_start: f64,
 }
 
 /// Aligns a frame from the constant-velocity prediction; from a standing start where that end is
@@ -66,11 +71,12 @@ pub(super) fn align<M: SceneMap>(
         curve: state.response.as_ref().map(CameraResponse::curve),
         pixels: pixels_per_unit(context, observation),
         previous,
+        readout_start: state.readout,
     };
     let predicted = state.clone();
     let lost = |sums: &Sums| {
         let state = State { motion: extrapolate(motion, 0.0), ..predicted.clone() };
-        frame.result(state, sums, false)
+        frame.result(state, sums, Convergence::default(), false)
     };
     let pixels = observation.depth.pixels() as f64;
     if (observation.valid_depths() as f64) < LEAST_DEPTH * pixels {
@@ -78,15 +84,18 @@ pub(super) fn align<M: SceneMap>(
     }
     let first = frame.settle(objective, map, state);
     if frame.is_believed(&first) {
+        let convergence = frame.convergence(&first);
         let state = frame.with_learned_share(first.state);
-        return frame.result(state, &first.sums, true);
+        return frame.result(state, &first.sums, convergence, true);
     }
     let still = frame.settle(objective, map, standing(&predicted, previous));
     let found = match frame.is_believed(&still) {
         true => Some(still),
         false => frame.recover(objective, map, &predicted),
     };
-    found.map_or_else(|| lost(&first.sums), |end| frame.result(end.state, &end.sums, true))
+    let Some(found) = found else { return lost(&first.sums) };
+    let convergence = frame.convergence(&found);
+    frame.result(found.state, &found.sums, convergence, true)
 }
 
 fn losses(sums: &Sums) -> Losses {
@@ -159,13 +168,17 @@ impl Frame<'_> {
 
     /// `κ = 2 a Δt`: the share of the frame interval for which the shutter is open.
     fn open_share(&self, state: &State) -> f64 {
-        (2.0 * state.scale.a * self.context.exposure_time(&state.tone)).clamp(0.02, 1.0)
+        self.context.open_share(state.scale, &state.tone)
     }
 
     /// Lets the scale `a` follow the share that was measured, the more the longer the motion.
     fn with_learned_share(&self, mut state: State) -> State {
         let formation = self.context.formation;
         if !formation.blur || !formation.trajectory_loss || !self.motion_is_known() {
+            return state;
+        }
+        if self.context.readout.optimised && self.virtual_cameras(0, &state) == 1 {
+            // Rows of an unknown readout tell its product with the velocity alone.
             return state;
         }
         let (share, motion) = self.prior(&state).measured_share(state.motion.velocity);
@@ -186,14 +199,34 @@ impl Frame<'_> {
         values.iter().zip(self.pixels).map(|(v, p)| (v * p).powi(2)).sum::<f64>().sqrt()
     }
 
-    fn result(&self, state: State, sums: &Sums, tracked: bool) -> TrackingResult {
+    /// How the descent ended and how sure that is.
+    fn convergence(&self, end: &Outcome) -> Convergence {
+        let covariance = self.covariance(end);
+        Convergence {
+            converged: end.progress.converged,
+            iterations: end.progress.steps,
+            position_deviation: covariance.map(|c| c.position()),
+            rotation_deviation: covariance.map(|c| c.rotation()),
+        }
+    }
+
+    fn result(
+        &self,
+        state: State,
+        sums: &Sums,
+        convergence: Convergence,
+        tracked: bool,
+    ) -> TrackingResult {
         TrackingResult {
             shutter: state.motion.into(),
+            readout: state.readout,
+            measured_readout: tracked.then(|| self.measured_readout(&state)).flatten(),
             depth_lead: self.depth_lead(&state),
             tone: state.tone,
             response: state.response,
             scale: state.scale,
             losses: losses(sums),
+            convergence,
             tracked,
         }
     }

@@ -5,7 +5,7 @@ use super::gram::add_products;
 use super::points::Points;
 use super::samples::Taps;
 use super::wide::{BLOCK, Mask, Row, Wide, groups};
-use super::{BALANCE, FREEDOM, Geometry, Linearization, Moment, NEAR, Sums};
+use super::{BALANCE, FREEDOM, Geometry, Linearization, Moment, NEAR, READOUT, Sums};
 use pulp::Simd;
 
 /// Rows of one block on their way through the stages.
@@ -15,6 +15,9 @@ pub(super) struct ColourBlock {
     taps: Taps,
     /// Per channel: the picture's value; the rest is not used.
     pixel: [[Row; 3]; 3],
+    /// Place of the picture's row, and the points' times, where rows are exposed in turn.
+    row_place: Row,
+    times: Row,
     /// The points in the camera at a moment, and in the model's.
     points: [Row; 3],
     places: [Row; 3],
@@ -32,8 +35,9 @@ struct Channel {
     slope: Row,
     /// By ρ and φ of the centre, by ν and ω of the velocity.
     motion: [Row; 12],
-    /// By the logarithm of the gain.
+    /// By the logarithm of the gain, and by the readout.
     gain: Row,
+    readout: Row,
     residual: Row,
     /// Root of the weight.
     root: Row,
@@ -46,6 +50,7 @@ impl Channel {
         slope: Row::ZERO,
         motion: [Row::ZERO; 12],
         gain: Row::ZERO,
+        readout: Row::ZERO,
         residual: Row::ZERO,
         root: Row::ZERO,
     };
@@ -57,6 +62,8 @@ impl ColourBlock {
             seen: Row::ZERO,
             taps: Taps::EMPTY,
             pixel: [[Row::ZERO; 3]; 3],
+            row_place: Row::ZERO,
+            times: Row::ZERO,
             points: [Row::ZERO; 3],
             places: [Row::ZERO; 3],
             model: [[Row::ZERO; 3]; 3],
@@ -75,7 +82,7 @@ impl ColourBlock {
         sums: &mut Sums,
     ) {
         for group in 0..groups::<S>() {
-            self.read(simd, task, depth, group);
+            self.read(simd, task, geometry, depth, group);
         }
         self.taps.split(&task.observed.camera);
         task.observed.texels.sample(&self.taps, &mut self.pixel);
@@ -104,15 +111,21 @@ impl ColourBlock {
         &mut self,
         simd: S,
         task: &Linearization<'_>,
+        geometry: &Geometry,
         depth: &DepthBlock,
         group: usize,
     ) {
         let point = Points::load(simd, &depth.points, group);
         let camera = &task.observed.camera;
-        let seen = self.taps.place(simd, group, super::project(simd, camera, point), camera)
+        let position = super::project(simd, camera, point);
+        let seen = self.taps.place(simd, group, position, camera)
             & Mask::load(simd, &depth.agreeing, group)
             & Wide::splat(simd, NEAR).less(point.z);
         seen.ones().store(&mut self.seen, group);
+        if let Some(rolling) = &geometry.rolling {
+            // Lanes without a sample have no row, and must not spoil sums.
+            seen.keep(rolling.place(simd, position.1)).store(&mut self.row_place, group);
+        }
     }
 
     /// Where the model's picture shows them at one moment.
@@ -126,7 +139,7 @@ impl ColourBlock {
         group: usize,
     ) {
         let point = Points::load(simd, &depth.points, group);
-        let seen = moment.centre_from_camera.apply_wide(simd, point);
+        let seen = self.at_moment(simd, geometry, moment, point, group);
         let place = geometry.model_from_centre.apply_wide(simd, seen);
         seen.store(&mut self.points, group);
         let camera = &task.observed.camera;
@@ -135,6 +148,25 @@ impl ColourBlock {
         inside.ones().store(&mut self.seen, group);
         let place = Points::select(inside, place, super::on_axis(simd));
         place.store(&mut self.places, group);
+    }
+
+    /// A group's points in the camera at mid-exposure, from that at one moment of their rows.
+    #[inline(always)]
+    fn at_moment<S: Simd>(
+        &mut self,
+        simd: S,
+        geometry: &Geometry,
+        moment: &Moment,
+        point: Points<S>,
+        group: usize,
+    ) -> Points<S> {
+        let Some(rolling) = &geometry.rolling else {
+            return moment.centre_from_camera.apply_wide(simd, point);
+        };
+        let time = rolling.time(simd, Wide::load(simd, &self.row_place, group), moment.offset);
+        time.store(&mut self.times, group);
+        let one = Wide::splat(simd, 1.0);
+        rolling.turned(simd, time, point).mul_add(one, rolling.moved(simd, time))
     }
 
     /// Adds what one moment contributes to radiance and derivatives.
@@ -162,8 +194,16 @@ impl ColourBlock {
         // The derivatives of `(u, v)` by the point, turned back into the camera.
         let by = |u, v| geometry.turn_back(simd, super::by_place(simd, camera, place, (u, v)));
         let (along_u, along_v) = (by(weight, number(0.0)), by(number(0.0), weight));
-        let moved = seen.minus(Points::splat(simd, moment.centre_from_camera.translation));
-        let offset = number(moment.offset);
+        let (moved, offset) = match &geometry.rolling {
+            Some(rolling) => {
+                let time = Wide::load(simd, &self.times, group);
+                (seen.minus(rolling.moved(simd, time)), time)
+            }
+            None => {
+                let translation = moment.centre_from_camera.translation;
+                (seen.minus(Points::splat(simd, translation)), number(moment.offset))
+            }
+        };
         for channel in 0..3 {
             let by_u = Wide::load(simd, &self.model[channel][1], group);
             let by_v = Wide::load(simd, &self.model[channel][2], group);
@@ -171,7 +211,12 @@ impl ColourBlock {
             let motion = &mut self.channels[channel].motion;
             let (centre, velocity) = motion.split_at_mut(6);
             add_rows([row, seen.cross(row)], centre, group, first);
-            if geometry.moments.len() > 1 {
+            if let Some(rolling) = &geometry.rolling {
+                let place = Wide::load(simd, &self.row_place, group);
+                let by_readout = place * row.dot(rolling.rate(simd, moved));
+                accumulate(by_readout, &mut self.channels[channel].readout, group, first);
+            }
+            if geometry.has_velocity() {
                 let row = row.scaled(offset);
                 add_rows([row, moved.cross(row)], velocity, group, first);
             }
@@ -256,8 +301,7 @@ impl Channel {
         channel: usize,
         sums: &mut Sums,
     ) {
-        // A single moment does not depend on the velocity.
-        let motions = if geometry.moments.len() > 1 { 12 } else { 6 };
+        let motions = if geometry.has_velocity() { 12 } else { 6 };
         let toned = Wide::splat(simd, if task.curve.is_some() { 1.0 } else { 0.0 });
         for group in 0..groups::<S>() {
             let root = Wide::load(simd, &self.root, group);
@@ -267,15 +311,23 @@ impl Channel {
             }
             let radiance = Wide::load(simd, &self.radiance, group);
             (radiance * slope * toned).store(&mut self.gain, group);
+            if geometry.rolling.is_some() {
+                (Wide::load(simd, &self.readout, group) * slope).store(&mut self.readout, group);
+            }
             (Wide::load(simd, &self.residual, group) * root).store(&mut self.residual, group);
         }
-        let mut rows = [&self.residual; 14];
-        let mut unknowns = [0; 13];
+        let mut rows = [&self.residual; 15];
+        let mut unknowns = [READOUT; 14];
         for k in 0..motions {
             (rows[k], unknowns[k]) = (&self.motion[k], k);
         }
         (rows[motions], unknowns[motions]) = (&self.gain, BALANCE + channel);
-        let (rows, unknowns) = (&rows[..motions + 2], &unknowns[..motions + 1]);
+        let mut count = motions + 1;
+        if geometry.rolling.is_some() {
+            rows[count] = &self.readout;
+            count += 1;
+        }
+        let (rows, unknowns) = (&rows[..count + 1], &unknowns[..count]);
         add_products(simd, rows, unknowns, &mut sums.equations);
     }
 }

@@ -14,6 +14,10 @@
 //! velocity by `s (δν + δω × (P_u - s ν))`, where `J_l(s ω)` is taken as one, so with the row
 //! `b = ∇M · ∂π/∂Y · R_model_from_centre` the derivatives are `(b, P × b)` and
 //! `s (b, (P - s ν) × b)`.
+//!
+//! With a rolling shutter a row at `v` sees every moment later by `readout (v/H - ½)`, so that `s` is
+//! a time of its own for every sample, and the readout is an unknown with the derivative
+//! `(v/H - ½) b · (ν + ω × (P - s ν))`. Depth is taken at one moment.
 
 mod colour;
 mod depth;
@@ -21,6 +25,7 @@ mod gram;
 mod points;
 #[cfg(test)]
 mod reference;
+mod rolling;
 mod samples;
 #[cfg(test)]
 mod tests;
@@ -37,16 +42,17 @@ use i2slam_formation::{Quadrature, ResponseCurve, ShutterPoses, VirtualCamera};
 use i2slam_geometry::{Camera, Mat3, Pose, Vec3};
 use points::Points;
 use pulp::{Arch, Simd, WithSimd};
+use rolling::Rolling;
 use std::ops::Range;
 use wide::Wide;
 
-/// Unknowns: centre (ρ, φ), velocity (ρ, φ), log exposure, log white balance (r, g, b).
-pub(super) const UNKNOWNS: usize = 16;
+/// Unknowns: centre (ρ, φ), velocity (ρ, φ), log exposure, log white balance (r, g, b), readout.
+pub(super) const UNKNOWNS: usize = 17;
 /// Normal equations of one frame.
 pub(super) type Equations = NormalEquations<UNKNOWNS>;
 
 /// Degrees of freedom of the t-distribution that residuals are taken to follow (Kerl 2013).
-const FREEDOM: f32 = 5.0;
+pub(super) const FREEDOM: f32 = 5.0;
 /// Share of the relief of model and frame by which depth is taken to be uncertain: beside edges an
 /// interpolated depth is on no surface, and always errs to the same side.
 const RELIEF: f32 = 0.5;
@@ -57,6 +63,8 @@ const NEAR: f32 = 0.05;
 /// The exposure among the unknowns, and the first of the white balance.
 const EXPOSURE: usize = 12;
 const BALANCE: usize = 13;
+/// The readout among the unknowns.
+pub(super) const READOUT: usize = 16;
 /// Blocks of a parallel task.
 const BLOCKS: usize = 8;
 
@@ -78,6 +86,9 @@ pub(super) struct Linearization<'a> {
     pub(super) state: &'a State,
     pub(super) curve: Option<&'a ResponseCurve<f32>>,
     pub(super) cameras: usize,
+    /// Height of the picture at this level [px], an odd last row included; `None` for a global
+    /// shutter.
+    pub(super) rolling_height: Option<f64>,
     pub(super) quadrature: Quadrature,
     /// Where the camera was when the depth picture was taken.
     pub(super) world_from_depth: Pose<f64>,
@@ -165,6 +176,7 @@ struct Geometry {
     model_from_centre: Transform,
     moments: Vec<Moment>,
     centre_from_depth: Transform,
+    rolling: Option<Rolling>,
 }
 
 impl Geometry {
@@ -182,7 +194,15 @@ impl Geometry {
             model_from_centre: Transform::new(task.model_from_world * world_from_centre),
             moments: cameras.iter().map(moment).collect(),
             centre_from_depth: Transform::new(centre_from_world * task.world_from_depth),
+            rolling: task
+                .rolling_height
+                .map(|height| Rolling::new(task.state.readout, height, task.state.motion.velocity)),
         }
+    }
+
+    /// Whether residuals depend on the velocity: a single moment of all rows does not.
+    fn has_velocity(&self) -> bool {
+        self.moments.len() > 1 || self.rolling.is_some()
     }
 
     /// From the model's camera to that at mid-exposure, for derivatives.
@@ -240,7 +260,8 @@ impl WithSimd for Blocks<'_> {
 /// The exposure acts as the white balance of all three channels does, and no residual depends on
 /// that of two.
 fn add_exposure(equations: &mut Equations) {
-    for c in BALANCE..UNKNOWNS {
+    for c in BALANCE..READOUT {
+        equations.hessian[EXPOSURE][READOUT] += equations.hessian[c][READOUT];
         for a in 0..EXPOSURE {
             equations.hessian[a][EXPOSURE] += equations.hessian[a][c];
         }

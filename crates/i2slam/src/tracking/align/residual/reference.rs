@@ -1,8 +1,11 @@
 //! The equations of the module, one pixel after another: what the lanes must agree with.
 
-use super::{FREEDOM, GATE, Geometry, Linearization, NEAR, RELIEF, Sums, UNKNOWNS};
+use super::{
+    FREEDOM, GATE, Geometry, Linearization, Moment, NEAR, READOUT, RELIEF, Sums, Transform,
+    UNKNOWNS,
+};
 use crate::tracking::align::pyramid::{one_surface, relief};
-use i2slam_geometry::{Camera, Image, Tap, Vec3};
+use i2slam_geometry::{Camera, Image, Pose, Tap, Vec3};
 
 /// One evaluation and the relief of its two depth pictures.
 struct Pixels<'a> {
@@ -98,9 +101,12 @@ impl Pixels<'_> {
         let mut radiance = [0.0_f32; 3];
         // Per channel: by ρ and φ of the centre, by ν and ω of the velocity.
         let mut by_motion = [[Vec3::<f32>::zero(); 4]; 3];
+        let mut by_readout = [0.0_f32; 3];
+        let row_place = task.rolling_height.map_or(0.0, |height| v / height as f32 - 0.5);
         let turn_back = geometry.model_from_centre.rotation.transpose();
         for moment in &geometry.moments {
-            let seen = moment.centre_from_camera.apply(point);
+            let (centre_from_camera, offset) = self.at_moment(moment, row_place);
+            let seen = centre_from_camera.apply(point);
             let place = geometry.model_from_centre.apply(seen);
             let (u, v) = task.observed.camera.project(place);
             let Some(tap) = task.model.radiance.tap(u, v) else { return };
@@ -108,9 +114,11 @@ impl Pixels<'_> {
                 let (m, m_u, m_v) = tap.sample(task.model.radiance.plane(channel));
                 let by_place = self.by_place(place, m_u, m_v);
                 let row = turn_back * by_place * moment.weight;
-                let spin = (seen - moment.centre_from_camera.translation).cross(row);
+                let moved = seen - centre_from_camera.translation;
+                let spin = moved.cross(row);
                 radiance[channel] += moment.weight * m;
-                let rows = [row, seen.cross(row), row * moment.offset, spin * moment.offset];
+                let rows = [row, seen.cross(row), row * offset, spin * offset];
+                by_readout[channel] += row_place * row.dot(self.rate(moved));
                 by_motion[channel].iter_mut().zip(rows).for_each(|(sum, row)| *sum += row);
             }
         }
@@ -128,7 +136,10 @@ impl Pixels<'_> {
             let mut by_tone = [0.0; 4];
             by_tone[0] = by_log_gain;
             by_tone[1 + channel] = by_log_gain;
-            let jacobian = jacobian(by_motion[channel].map(|row| row * slope), by_tone);
+            let mut jacobian = jacobian(by_motion[channel].map(|row| row * slope), by_tone);
+            if task.rolling_height.is_some() {
+                jacobian[READOUT] = f64::from(by_readout[channel] * slope);
+            }
             let (weight, cost) = robust(residual, task.scales.image);
             let share = f64::from(task.image_weight);
             sums.equations.add(&jacobian, f64::from(residual), share * f64::from(weight));
@@ -136,6 +147,21 @@ impl Pixels<'_> {
             sums.errors.image += f64::from(residual.abs());
             sums.errors.image_count += 1;
         }
+    }
+
+    /// Where the camera is at a moment of the exposure of a row, and at what time.
+    fn at_moment(&self, moment: &Moment, row_place: f32) -> (Transform, f32) {
+        let state = self.task.state;
+        let late = if self.task.rolling_height.is_some() { state.readout as f32 } else { 0.0 };
+        let time = moment.offset + late * row_place;
+        let velocity = state.motion.velocity.scaled(f64::from(time));
+        (Transform::new(Pose::identity().retract(velocity)), time)
+    }
+
+    /// `ν + ω × x`.
+    fn rate(&self, moved: Vec3<f32>) -> Vec3<f32> {
+        let velocity = self.task.state.motion.velocity.cast::<f32>();
+        velocity.translation + velocity.rotation.cross(moved)
     }
 
     /// From an image gradient to a gradient by the point in the model's camera.

@@ -51,6 +51,7 @@ fn state(x: &[f64]) -> State {
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
     State {
         motion: start.retract(part(0), part(6)),
+        readout: 1.6 + x[READOUT],
         tone: FrameTone {
             log_exposure: x[12] as f32,
             log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
@@ -68,12 +69,13 @@ struct Case<'a> {
     cameras: usize,
     image_weight: f32,
     lead: f64,
+    rolling: bool,
 }
 
 impl<'a> Case<'a> {
     fn smooth(curve: Option<&'a ResponseCurve<f32>>, image_weight: f32) -> Self {
         let (model, observed) = (model(), observed());
-        Self { model, observed, curve, cameras: 3, image_weight, lead: 0.0 }
+        Self { model, observed, curve, cameras: 3, image_weight, lead: 0.0, rolling: false }
     }
 
     fn task<'b>(&'b self, state: &'b State) -> Linearization<'b> {
@@ -85,6 +87,7 @@ impl<'a> Case<'a> {
             state,
             curve: self.curve,
             cameras: self.cameras,
+            rolling_height: self.rolling.then_some(36.0),
             quadrature: Quadrature::Midpoints,
             world_from_depth: state.motion.centre.retract(lead.scaled(self.lead)),
             depth_lead: self.lead,
@@ -105,13 +108,22 @@ impl<'a> Case<'a> {
 fn gradient_agrees_with_differences_of_the_cost() {
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
     let x = [0.0; UNKNOWNS];
-    for (curve, image_weight) in [(None, 0.0), (None, 1.0), (Some(&curve), 1.0)] {
-        let case = Case::smooth(curve, image_weight);
+    let cases = [
+        (None, 0.0, None),
+        (None, 1.0, None),
+        (Some(&curve), 1.0, None),
+        (None, 1.0, Some(1)),
+        (Some(&curve), 1.0, Some(3)),
+    ];
+    for (curve, image_weight, rolling) in cases {
+        let mut case = Case::smooth(curve, image_weight);
+        case.rolling = rolling.is_some();
+        case.cameras = rolling.unwrap_or(case.cameras);
         let at_x = case.sums(&x);
         assert!(at_x.errors.depth_count > 500);
         let numeric = central_differences(&x, 2e-4, |x| case.sums(x).equations.cost);
         let analytic: Vec<f64> = at_x.equations.gradient.iter().map(|g| 2.0 * g).collect();
-        for group in [0..3, 3..6, 6..9, 9..12, 12..16] {
+        for group in [0..3, 3..6, 6..9, 9..12, 12..16, 16..17] {
             let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
             assert!(error < 0.03, "{group:?} {error} {analytic:?} {numeric:?}");
         }
@@ -125,7 +137,7 @@ fn the_step_finds_a_small_motion() {
     let mut x = [0.0; UNKNOWNS];
     for _ in 0..8 {
         let mut equations = case.sums(&x).equations;
-        super::super::prior::freeze(&mut equations, 3..16);
+        super::super::prior::freeze(&mut equations, 3..UNKNOWNS);
         let step = equations.step(1e-6).expect("depth of a slanted plane fixes one direction");
         x.iter_mut().zip(step).for_each(|(x, s)| *x += s);
     }
@@ -148,7 +160,7 @@ fn rough_case(curve: Option<&ResponseCurve<f32>>, cameras: usize, lead: f64) -> 
         smooth.model.radiance,
         picture(1, |_, u, v| if (15.0..25.0).contains(&u) { depth(u, v) } else { far(u, v) }),
     );
-    Case { model, observed, curve, cameras, image_weight: 0.4, lead }
+    Case { model, observed, curve, cameras, image_weight: 0.4, lead, rolling: false }
 }
 
 /// Largest difference of two symmetric matrices and vectors, each entry by its unknowns' own size.
@@ -156,6 +168,8 @@ fn worst(lanes: &Equations, pixels: &Equations) -> f64 {
     let size = |a: usize| pixels.hessian[a][a].sqrt().max(1e-9);
     let root = pixels.cost.sqrt();
     let mut worst = (lanes.cost / pixels.cost - 1.0).abs();
+    let all = lanes.hessian.as_flattened().iter().chain(&lanes.gradient);
+    assert!(all.clone().all(|v| v.is_finite()));
     for a in 0..UNKNOWNS {
         let gradient = lanes.gradient[a] - pixels.gradient[a];
         worst = worst.max(gradient.abs() / (size(a) * root));
@@ -172,9 +186,15 @@ fn lanes_agree_with_pixels() {
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.5)).curve();
     let x: [f64; UNKNOWNS] = std::array::from_fn(|i| 0.002 * (i as f64 - 7.0));
     let state = state(&x);
-    for (curve, cameras, lead) in [(None, 1, 0.0), (Some(&curve), 1, 0.3), (Some(&curve), 5, -0.4)]
-    {
-        let case = rough_case(curve, cameras, lead);
+    let cases = [
+        (None, 1, 0.0, false),
+        (Some(&curve), 1, 0.3, false),
+        (Some(&curve), 5, -0.4, false),
+        (None, 1, 0.0, true),
+        (Some(&curve), 5, 0.2, true),
+    ];
+    for (curve, cameras, lead, rolling) in cases {
+        let case = Case { rolling, ..rough_case(curve, cameras, lead) };
         let mut task = case.task(&state);
         let (lanes, pixels) = (task.accumulate(), task.accumulate_pixels());
         assert_eq!(lanes.candidates, pixels.candidates);
