@@ -29,15 +29,15 @@ impl WithSimd for PullBackBand<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { scene, band, inverse_depths, d_blurred, kernel } = self;
-        let width = scene.camera.width;
-        band.start_pull_back(scene.views.moving.len(), width);
+        let width = scene.width;
+        band.start_pull_back(scene.views.moving.len(), scene.camera.width);
         let mut chunks = inverse_depths.chunks_exact(scene.views.moving.len());
         for row in 0..d_blurred[0].len() / width {
-            let y = band.first_row + row;
+            let y = band.first_row + row + scene.margin;
             for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
                 let at = row * width + x..row * width + width.min(x + LANES);
                 let d = read_chunk(&d_blurred.map(|plane| &plane[at.clone()]), 1.0);
-                pull_back_chunk(scene, band, (x, y), &d, depths);
+                pull_back_chunk(scene, band, (x + scene.margin, y), &d, depths);
             }
             band.end_row();
         }

@@ -1,6 +1,7 @@
 //! The readable lane: the same equations pixel by pixel, in `f32` or `f64`.
 
 use super::landing::{amplification, between, land, search};
+use super::margin;
 use super::surface::Surface;
 use super::upsample::{Interpolation, neighbours};
 use super::views::{Line, View, Views};
@@ -11,7 +12,10 @@ use i2slam_geometry::{Camera, Image, Real};
 #[derive(Clone, Debug)]
 pub struct ReferenceReprojection<T> {
     interpolation: Interpolation,
+    /// Of the sharp render.
     camera: Camera<T>,
+    /// By how much the render is larger than the picture on every side [px].
+    margin: usize,
     shutter: ShutterPoses<f64>,
     views: Views<T>,
     surface: Surface<T>,
@@ -29,8 +33,8 @@ struct Tap<T> {
 }
 
 impl<T: Real> ReferenceReprojection<T> {
-    /// Takes the sharp `radiance` (3 planes) and `depth` (1 plane [m], 0 = unknown) as seen by
-    /// `camera` from `shutter.middle()`.
+    /// Takes the sharp `radiance` (3 planes) and `depth` (1 plane [m], 0 = unknown) as seen from
+    /// `shutter.middle()` by `camera` with any margin, see [`Reprojection::blur`](super::Reprojection::blur).
     pub fn new(
         interpolation: Interpolation,
         camera: &Camera<T>,
@@ -40,6 +44,8 @@ impl<T: Real> ReferenceReprojection<T> {
         radiance: &Image<T>,
         depth: &Image<T>,
     ) -> Self {
+        let margin = radiance.width.saturating_sub(camera.width) / 2;
+        let camera = &camera.widened(margin);
         let mut views = Views::default();
         views.update(camera, shutter, virtual_cameras, quadrature);
         let mut surface = Surface::default();
@@ -47,19 +53,22 @@ impl<T: Real> ReferenceReprojection<T> {
         let reach = views.reach(camera, surface.blocks.nearest());
         surface.blocks.surround(reach, views.largest_parallax(camera));
         let (camera, shutter, radiance) = (*camera, *shutter, radiance.clone());
-        Self { interpolation, camera, shutter, views, surface, radiance }
+        Self { interpolation, camera, margin, shutter, views, surface, radiance }
     }
 
     /// The average of what the virtual cameras see.
     pub fn blur(&self) -> Image<T> {
-        let mut blurred = self.radiance.clone();
+        let frame = self.camera.cropped(self.margin);
+        let mut blurred = Image::new(frame.width, frame.height, 3);
+        margin::crop(&self.radiance, self.margin, &mut blurred);
         blurred.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
         self.for_each_tap(|view, (x, y), _, tap| {
             for channel in 0..3 {
                 let value = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
                 let top = value[0] + (value[1] - value[0]) * tap.across;
                 let bottom = value[2] + (value[3] - value[2]) * tap.across;
-                let index = (channel * self.camera.height + y) * self.camera.width + x;
+                let index =
+                    (channel * frame.height + y - self.margin) * frame.width + x - self.margin;
                 blurred.data[index] += view.1.weight * (top + (bottom - top) * tap.down);
             }
         });
@@ -68,13 +77,13 @@ impl<T: Real> ReferenceReprojection<T> {
 
     /// The cotangents of the sharp render and of the shutter poses relative to the middle.
     pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ShutterTangent<f64>) {
-        let mut d_radiance = d_blurred.clone();
-        d_radiance.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
+        let mut d_radiance = Image::new(self.camera.width, self.camera.height, 3);
+        margin::embed(d_blurred, self.margin, self.views.still_weight, &mut d_radiance);
         let mut sums = vec![[0.0; 6]; self.views.moving.len()];
         self.for_each_tap(|(k, view), (x, y), w, tap| {
             let (mut gx, mut gy) = (T::zero(), T::zero());
             for channel in 0..3 {
-                let d = d_blurred.at(channel, x, y) * view.weight;
+                let d = d_blurred.at(channel, x - self.margin, y - self.margin) * view.weight;
                 let [a, b, c, e] = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
                 gx += d * ((b - a) * (T::one() - tap.down) + (e - c) * tap.down);
                 gy += d * ((c - a) * (T::one() - tap.across) + (e - b) * tap.across);
@@ -89,9 +98,10 @@ impl<T: Real> ReferenceReprojection<T> {
         (d_radiance, self.views.pull_back(&self.shutter, &sums))
     }
 
+    /// Visits every tap of every pixel of the picture, by its place in the render.
     fn for_each_tap(&self, mut visit: impl FnMut((usize, &View<T>), (usize, usize), T, Tap<T>)) {
-        for y in 0..self.camera.height {
-            for x in 0..self.camera.width {
+        for y in self.margin..self.camera.height - self.margin {
+            for x in self.margin..self.camera.width - self.margin {
                 for (k, view) in self.views.moving.iter().enumerate() {
                     let w = self.inverse_depth(view, x, y);
                     let tap = self.tap(self.line(view, x, y).at(w));

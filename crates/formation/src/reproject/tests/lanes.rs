@@ -18,11 +18,15 @@ struct Frame {
 
 impl Frame {
     fn new(width: usize, height: usize) -> Self {
+        Self::with_margin(width, height, 0)
+    }
+
+    fn with_margin(width: usize, height: usize, margin: usize) -> Self {
         let camera = camera(width, height);
-        let (radiance, depth) =
-            Scene::new(&camera, 5.0).render(&camera, &moving(MOTION).middle(), 1);
+        let wide = camera.widened(margin);
+        let (radiance, depth) = Scene::new(&camera, 5.0).render(&wide, &moving(MOTION).middle(), 1);
         let weights = noise(9, 3 * width * height).iter().map(|&v| v as f32).collect();
-        let d_blurred = Image { data: weights, ..narrow(&radiance) };
+        let d_blurred = Image { data: weights, width, height, channels: 3 };
         let (radiance, depth) = (narrow(&radiance), narrow(&depth));
         Self { camera: camera.cast(), radiance, depth, d_blurred }
     }
@@ -44,8 +48,8 @@ impl Frame {
 
 #[test]
 fn fast_lane_follows_the_reference() {
-    for (width, height) in [(90, 70), (33, 100)] {
-        let frame = Frame::new(width, height);
+    for (width, height, margin) in [(90, 70, 0), (33, 100, 0), (64, 76, 8), (90, 70, 3)] {
+        let frame = Frame::with_margin(width, height, margin);
         for interpolation in [Interpolation::Linear, Interpolation::Cubic] {
             for views in [1, 2, 5] {
                 let shutter = moving(MOTION);
@@ -61,7 +65,8 @@ fn fast_lane_follows_the_reference() {
                     &frame.depth,
                 );
                 let (expected, d_shutter_expected) = reference.pull_back(&frame.d_blurred);
-                let name = format!("{width} x {height}, {interpolation:?}, {views} views");
+                let name =
+                    format!("{width} x {height} + {margin}, {interpolation:?}, {views} views");
                 let picture = wide(&reference.blur()).data;
                 assert_close(&format!("picture, {name}"), &wide(&blurred).data, &picture, 2e-4);
                 let (a, b) = (wide(&d_radiance).data, wide(&expected).data);
@@ -75,7 +80,7 @@ fn fast_lane_follows_the_reference() {
 
 #[test]
 fn any_number_of_threads_gives_the_same_bytes() {
-    let frame = Frame::new(60, 170);
+    let frame = Frame::with_margin(60, 170, 5);
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let shutter = moving(MOTION);
@@ -90,7 +95,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
 
 #[test]
 fn buffers_of_another_frame_leave_no_trace() {
-    let (small, large) = (Frame::new(40, 31), Frame::new(75, 90));
+    let (small, large) = (Frame::new(40, 31), Frame::with_margin(75, 90, 9));
     let mut used = Reprojection::default();
     large.run(&mut used, &moving(MOTION), 9);
     let shutter = moving(MOTION.map(|v| -0.5 * v));
@@ -110,6 +115,19 @@ fn a_still_camera_sees_the_sharp_render() {
     let one = frame.run(&mut Reprojection::default(), &moving(MOTION), 1);
     assert_eq!(one.0, frame.radiance);
     assert_eq!(one.2, ShutterTangent::zero());
+}
+
+#[test]
+fn without_motion_the_margin_is_cropped() {
+    let wide = Frame::with_margin(50, 40, 6);
+    let (blurred, d_radiance, _) = wide.run(&mut Reprojection::default(), &moving(MOTION), 1);
+    let frame = Frame::new(50, 40);
+    let (a, b) = (super::wide(&blurred).data, super::wide(&frame.radiance).data);
+    assert_close("picture", &a, &b, 1e-5);
+    let sum = |image: &Image<f32>| image.data.iter().map(|&v| f64::from(v)).sum::<f64>();
+    assert_eq!((d_radiance.width, d_radiance.height), (62, 52));
+    assert!((sum(&d_radiance) - sum(&wide.d_blurred)).abs() < 1e-6);
+    assert_eq!(d_radiance.at(1, 6, 6), wide.d_blurred.at(1, 0, 0));
 }
 
 #[test]
