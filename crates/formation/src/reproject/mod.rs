@@ -45,7 +45,6 @@ mod blocks;
 mod forward;
 mod landing;
 mod landing_lanes;
-mod margin;
 mod reference;
 mod surface;
 mod taps;
@@ -142,7 +141,7 @@ impl Reprojection {
         let camera = &self.camera;
         self.views.update(camera, shutter, virtual_cameras, quadrature);
         if self.views.moving.is_empty() || blurred.data.is_empty() {
-            margin::crop(radiance, self.margin, blurred);
+            radiance.crop_into(self.margin, blurred);
             return;
         }
         self.surface.update(depth);
@@ -215,7 +214,7 @@ impl Reprojection {
         assert_shape(d_blurred, frame.width, frame.height, 3);
         shape(d_radiance, self.camera.width, self.camera.height);
         if self.views.moving.is_empty() || d_blurred.data.is_empty() {
-            margin::embed(d_blurred, self.margin, 1.0, d_radiance);
+            d_blurred.embed_into(self.margin, d_radiance);
             return ShutterTangent::zero();
         }
         self.scatter(d_blurred);
@@ -261,7 +260,12 @@ impl Reprojection {
         let rows = d_radiance.data.par_chunks_mut(width);
         rows.enumerate().with_min_len(BAND).for_each(|(i, to)| {
             let (plane, y) = (i / height, i % height);
-            margin::embed_row(d_blurred, margin, still, (plane, y), to);
+            to.fill(0.0);
+            if let Some(y) = y.checked_sub(margin).filter(|&y| y < d_blurred.height) {
+                let from = (plane * d_blurred.height + y) * d_blurred.width;
+                let from = &d_blurred.data[from..from + d_blurred.width];
+                to[margin..].iter_mut().zip(from).for_each(|(to, d)| *to = still * d);
+            }
             for band in bands {
                 let (first, end) = band.sharp_rows;
                 if (first..end).contains(&y) {

@@ -1,7 +1,6 @@
 //! The readable lane: the same equations pixel by pixel, in `f32` or `f64`.
 
 use super::landing::{amplification, between, land, search};
-use super::margin;
 use super::surface::Surface;
 use super::upsample::{Interpolation, neighbours};
 use super::views::{Line, View, Views};
@@ -59,8 +58,8 @@ impl<T: Real> ReferenceReprojection<T> {
     /// The average of what the virtual cameras see.
     pub fn blur(&self) -> Image<T> {
         let frame = self.camera.cropped(self.margin);
-        let mut blurred = Image::new(frame.width, frame.height, 3);
-        margin::crop(&self.radiance, self.margin, &mut blurred);
+        let mut blurred = Image::default();
+        self.radiance.crop_into(self.margin, &mut blurred);
         blurred.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
         self.for_each_tap(|view, (x, y), _, tap| {
             for channel in 0..3 {
@@ -77,8 +76,9 @@ impl<T: Real> ReferenceReprojection<T> {
 
     /// The cotangents of the sharp render and of the shutter poses relative to the middle.
     pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ShutterTangent<f64>) {
-        let mut d_radiance = Image::new(self.camera.width, self.camera.height, 3);
-        margin::embed(d_blurred, self.margin, self.views.still_weight, &mut d_radiance);
+        let mut d_radiance = Image::default();
+        d_blurred.embed_into(self.margin, &mut d_radiance);
+        d_radiance.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
         let mut sums = vec![[0.0; 6]; self.views.moving.len()];
         self.for_each_tap(|(k, view), (x, y), w, tap| {
             let (mut gx, mut gy) = (T::zero(), T::zero());

@@ -119,10 +119,10 @@ impl<T: Real> Views<T> {
         self.moving.clear();
         self.still_weight = T::zero();
         let middle = shutter.middle();
-        let cameras = shutter.virtual_cameras(cameras, quadrature);
-        let last = cameras.last().map_or(1.0, |c| c.u) - 0.5;
+        let cameras = || shutter.each_virtual_camera(cameras, quadrature);
+        let last = cameras().next_back().map_or(1.0, |c| c.u) - 0.5;
         let camera: Camera<f64> = camera.cast();
-        for virtual_camera in &cameras {
+        for virtual_camera in cameras() {
             let weight = T::of(virtual_camera.weight);
             if (virtual_camera.u - 0.5).abs() < 1e-9 {
                 self.still_weight += weight;
