@@ -42,7 +42,7 @@ impl WithSimd for LanesOf {
 }
 
 /// Operations per second in single precision: a multiply-add counts two.
-pub fn flops(threads: usize) -> f64 {
+pub(crate) fn flops(threads: usize) -> f64 {
     let arch = Arch::new();
     let operations = (arch.dispatch(LanesOf) * CHAINS * STEPS * 2 * threads) as f64;
     let seconds = on_threads(threads, || {
@@ -76,7 +76,7 @@ impl WithSimd for Sum<'_> {
 }
 
 /// Bytes per second: read only, and read and written by a copy.
-pub fn bandwidth(threads: usize) -> (f64, f64) {
+pub(crate) fn bandwidth(threads: usize) -> (f64, f64) {
     let (from, mut to) = (vec![1.0_f32; LONG], vec![0.0_f32; LONG]);
     let (arch, part) = (Arch::new(), LONG / threads.max(1));
     let bytes = (LONG * size_of::<f32>()) as f64;
@@ -95,7 +95,7 @@ pub fn bandwidth(threads: usize) -> (f64, f64) {
 }
 
 /// One line per number of threads.
-pub fn print() {
+pub(crate) fn print() {
     println!("threads,gflop_per_s,read_gb_per_s,copy_gb_per_s");
     for threads in [1, rayon::current_num_threads()] {
         let (read, copied) = bandwidth(threads);

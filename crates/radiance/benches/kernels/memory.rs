@@ -27,7 +27,7 @@ fn peak() -> Option<usize> {
 
 /// What a number of Gaussians is expected to take, and what the peak of the process grew by, from
 /// one number to the next. Needs a process of its own: the peak never falls.
-pub fn print() {
+pub(crate) fn print() {
     println!("part,bytes_per_gaussian");
     println!("map,{MAP}\ngradient,{GRADIENT}\nadam,{ADAM}\nfootprint,{FOOTPRINT}");
     println!("visible,{ITEM}\npair,{PAIR}");

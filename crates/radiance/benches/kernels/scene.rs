@@ -6,7 +6,7 @@ use i2slam_radiance::gaussian::{
 };
 
 /// A picture of `width x height` with a horizontal field of view of 63 degrees.
-pub fn view(width: usize, height: usize) -> View<f32> {
+pub(crate) fn view(width: usize, height: usize) -> View<f32> {
     let (w, h) = (width as f32, height as f32);
     let focal = 0.8125 * w;
     let camera = Camera { width, height, fx: focal, fy: focal, cx: 0.5 * w, cy: 0.5 * h };
@@ -25,7 +25,7 @@ fn noise(seed: u64) -> impl FnMut() -> f32 {
 
 /// `count` balls all over the picture at depths of 1 to 4 m, with a standard deviation of 1.33 px
 /// in the image and an opacity of 0.36.
-pub fn map(count: usize, view: &View<f32>) -> GaussianMap {
+pub(crate) fn map(count: usize, view: &View<f32>) -> GaussianMap {
     let (camera, mut noise) = (view.camera, noise(3));
     let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential);
     for _ in 0..count {
@@ -44,7 +44,7 @@ pub fn map(count: usize, view: &View<f32>) -> GaussianMap {
 }
 
 /// A cotangent of noise for every plane.
-pub fn cotangent(view: &View<f32>) -> RenderCotangent {
+pub(crate) fn cotangent(view: &View<f32>) -> RenderCotangent {
     let (width, height, mut noise) = (view.camera.width, view.camera.height, noise(5));
     let mut image = |channels: usize| {
         let data = (0..width * height * channels).map(|_| noise() - 0.5).collect();

@@ -7,7 +7,7 @@ const COUNTS: [usize; 4] = [10_000, 100_000, 1_000_000, 5_000_000];
 const SIZES: [(usize, usize); 4] = [(160, 120), (320, 240), (640, 480), (1280, 960)];
 
 /// Forward and backward of every number of Gaussians at every size of the picture.
-pub fn print() {
+pub(crate) fn print() {
     println!("gaussians,width,height,pairs,visited,rows,forward_ms,backward_ms");
     for count in COUNTS {
         for size in SIZES {

@@ -12,11 +12,11 @@ const COUNT: usize = 50_000;
 const SIZE: (usize, usize) = (320, 240);
 
 /// A map with everything that one step needs.
-pub struct Step {
-    pub map: GaussianMap,
-    pub view: View<f32>,
+pub(crate) struct Step {
+    pub(crate) map: GaussianMap,
+    pub(crate) view: View<f32>,
     cotangent: RenderCotangent,
-    pub rasterizer: Rasterizer,
+    pub(crate) rasterizer: Rasterizer,
     out: Render,
     gradient: MapGradient,
     adam: [Adam; 4],
@@ -24,7 +24,7 @@ pub struct Step {
 }
 
 impl Step {
-    pub fn new(count: usize, (width, height): (usize, usize)) -> Self {
+    pub(crate) fn new(count: usize, (width, height): (usize, usize)) -> Self {
         let view = scene::view(width, height);
         Self {
             map: scene::map(count, &view),
@@ -38,19 +38,19 @@ impl Step {
         }
     }
 
-    pub fn forward(&mut self) {
+    pub(crate) fn forward(&mut self) {
         self.rasterizer.render(&self.map, &self.view, &mut self.out);
     }
 
     /// To all parameters of the map and to the pose.
-    pub fn backward(&mut self) {
+    pub(crate) fn backward(&mut self) {
         let gradient = Some(&mut self.gradient);
         let Self { rasterizer, map, view, cotangent, .. } = self;
         black_box(rasterizer.pull_back(map, view, cotangent, gradient));
     }
 
     /// Means, colours, opacities and scales take a step, so short that the scene stays.
-    pub fn adam(&mut self) {
+    pub(crate) fn adam(&mut self) {
         self.ages.iter_mut().for_each(|age| *age += 1);
         let (map, gradient, rate) = (&mut self.map, &self.gradient, 1e-12);
         let groups = [
@@ -65,7 +65,7 @@ impl Step {
     }
 
     /// The fastest times of all stages over some rounds.
-    pub fn stage_seconds(&mut self, rounds: usize, least: f64) -> StageSeconds {
+    pub(crate) fn stage_seconds(&mut self, rounds: usize, least: f64) -> StageSeconds {
         let none = f64::MAX;
         let mut best = StageSeconds {
             project: none,
@@ -104,7 +104,7 @@ fn named(seconds: &StageSeconds) -> [(&'static str, f64, fn(&Work) -> Count); 6]
 }
 
 /// Time, operations, bytes and share of the machine's limits, per stage, on all threads.
-pub fn print() {
+pub(crate) fn print() {
     let threads = rayon::current_num_threads();
     let (peak, bandwidth) = (machine::flops(threads), machine::bandwidth(threads).0);
     let mut step = Step::new(COUNT, SIZE);
@@ -134,7 +134,7 @@ pub fn print() {
 }
 
 /// Forward, backward and Adam on one thread, and on all.
-pub fn print_step() {
+pub(crate) fn print_step() {
     println!("threads,forward_ms,backward_ms,adam_ms,step_ms");
     for threads in [1, rayon::current_num_threads()] {
         let times = on_threads(threads, || {
@@ -160,7 +160,7 @@ pub fn print_step() {
 }
 
 /// Every stage on one thread and on all.
-pub fn print_threads() {
+pub(crate) fn print_threads() {
     println!("stage,one_thread_ms,all_threads_ms,speedup");
     let run = |threads| on_threads(threads, || Step::new(COUNT, SIZE).stage_seconds(60, 2.0));
     let (Some(one), Some(all)) = (run(1), run(rayon::current_num_threads())) else { return };

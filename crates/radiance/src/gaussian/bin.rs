@@ -136,16 +136,21 @@ impl Bins {
         self.counters.resize_with(count * grid.len(), AtomicU32::default);
         let rows = || self.counters.par_chunks(grid.len().max(1)).zip(sorted.par_chunks(chunk));
         rows().for_each(|(counters, items)| {
-            for item in items {
-                for_tiles(&splats[sort::index(*item)], grid, |tile, _, _| {
-                    take(&counters[tile]);
-                });
+            for items in items.chunks(FETCH) {
+                for tiles in fetch(items, |index| splats[index].tiles).iter().take(items.len()) {
+                    for_tiles(*tiles, grid, |tile, _, _| {
+                        take(&counters[tile]);
+                    });
+                }
             }
         });
         start_lists(&mut self.starts, &self.counters, grid.len());
         rows().for_each(|(counters, items)| {
-            for item in items {
-                self.scatter(moving, sort::index(*item), splats, grid, counters);
+            for items in items.chunks(FETCH) {
+                let fetched = fetch(items, |index| splats[index]);
+                for (item, splat) in items.iter().zip(&fetched) {
+                    self.scatter(moving, sort::index(*item), splat, grid, counters);
+                }
             }
         });
     }
@@ -164,14 +169,13 @@ impl Bins {
         &self,
         moving: bool,
         index: usize,
-        splats: &[Splat],
+        splat: &Splat,
         grid: &TileGrid,
         counters: &[AtomicU32],
     ) {
-        let splat = &splats[index];
         let ellipse = Ellipse::of(splat);
         let mut place = (self.chunk_starts[index / CHUNK] + splat.first_tile) as usize;
-        for_tiles(splat, grid, |tile, column, row| {
+        for_tiles(splat.tiles, grid, |tile, column, row| {
             let at = take(&counters[tile]);
             let rows = if moving { [0, TILE] } else { ellipse.rows(splat, column, row) };
             let entry = Entry::new(index, rows);
@@ -197,10 +201,20 @@ fn start_lists(starts: &mut Vec<u32>, counters: &[AtomicU32], tiles: usize) {
     starts.push(next);
 }
 
+/// Items whose footprints are fetched together. They lie all over the memory; where nothing
+/// depends on one of them before all are asked for, the machine waits once and not for each.
+const FETCH: usize = 16;
+
+/// What belongs to each of up to [`FETCH`] items.
+#[inline(always)]
+fn fetch<T: Default>(items: &[u64], get: impl Fn(usize) -> T) -> [T; FETCH] {
+    std::array::from_fn(|i| items.get(i).map_or_else(T::default, |item| get(sort::index(*item))))
+}
+
 /// Call `f(tile, column, row)` for the tiles that a splat's box touches, row by row.
 #[inline(always)]
-fn for_tiles(splat: &Splat, grid: &TileGrid, mut f: impl FnMut(usize, usize, usize)) {
-    let [x0, y0, x1, y1] = splat.tiles.map(usize::from);
+fn for_tiles(tiles: [u16; 4], grid: &TileGrid, mut f: impl FnMut(usize, usize, usize)) {
+    let [x0, y0, x1, y1] = tiles.map(usize::from);
     for row in y0..y1 {
         for column in x0..x1 {
             f(row * grid.columns + column, column, row);
