@@ -22,7 +22,6 @@ const FRAMES: [usize; 3] = [6, 15, 24];
 /// PSNR in decibels: the mean over the frames, and the least for the route `image`.
 pub(crate) fn print() -> Outcome {
     let mut fitted = Fitted::demo()?;
-    println!("gaussians,{}", fitted.scene.map.len());
     println!(
         "motion,blur_px,views,margin_px,sharp,exact,splat,image,image_least,image_without_margin"
     );

@@ -28,10 +28,10 @@ fn peak() -> Option<usize> {
 /// What a number of Gaussians is expected to take, and what the peak of the process grew by, from
 /// one number to the next. Needs a process of its own: the peak never falls.
 pub(crate) fn print() {
-    println!("part,bytes_per_gaussian");
+    println!("# bytes\npart,bytes");
     println!("map,{MAP}\ngradient,{GRADIENT}\nadam,{ADAM}\nfootprint,{FOOTPRINT}");
     println!("visible,{ITEM}\npair,{PAIR}");
-    println!("gaussians,pairs,counted_bytes,peak_bytes,counted_slope,measured_slope");
+    println!("# memory\ngaussians,pairs,counted_bytes,peak_bytes,counted_slope,measured_slope");
     let mut last: Option<(usize, usize, usize)> = None;
     for count in COUNTS {
         let mut step = Step::new(count, SIZE);

@@ -110,12 +110,12 @@ pub(crate) fn print() {
     let mut step = Step::new(COUNT, SIZE);
     let seconds = step.stage_seconds(100, 3.0);
     let work = step.rasterizer.work();
-    println!("work,gaussians,visible,pairs,visited,rows,tiles");
+    println!("# work\ngaussians,visible,pairs,visited,rows,tiles");
     println!(
-        "work,{},{},{},{},{},{}",
+        "{},{},{},{},{},{}",
         work.gaussians, work.visible, work.pairs, work.visited, work.rows, work.tiles
     );
-    println!("stage,ms,mflop,mb,flop_per_byte,share_of_peak,share_of_bandwidth,share_of_roof");
+    println!("# stages\nstage,ms,mflop,mb,flop_per_byte,share_of_peak,share_of_bandwidth,share_of_roof");
     for (name, seconds, count) in named(&seconds) {
         let Count { operations, bytes } = count(&work);
         let roof = (operations / peak).max(bytes / bandwidth);
