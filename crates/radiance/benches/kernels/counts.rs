@@ -48,19 +48,19 @@ pub(crate) fn bin(work: &Work) -> Count {
     count(13 * work.visible + 33 * work.pairs, bytes)
 }
 
-/// `rasterize/cpu_forward.rs`: offset 1, exponent and its power of two 18, limits 5, weight and
+/// `rasterize/cpu_forward.rs`: offset 1, exponent and its power of two 18, limits 3, weight and
 /// transmittance 2, four planes 8; row 4. Per tile its five planes, written and copied out.
 pub(crate) fn blend(work: &Work) -> Count {
     let bytes = (8 + FOOTPRINT) * work.visited + 3 * 5 * 4 * TILE * work.tiles;
-    count(38 * ROW * work.rows, bytes)
+    count(36 * ROW * work.rows, bytes)
 }
 
-/// `rasterize/cpu_backward.rs`: as forward up to the transmittance 30, light from the pixel 8 and
-/// from behind 5, derivative of opacity 4, ten sums 21; per pair eleven sums over 16 lanes. Per
+/// `rasterize/cpu_backward.rs`: as forward up to the transmittance 28, light from the pixel 8 and
+/// from behind 6, derivative of opacity 2, eleven sums 21; per pair eleven sums over 16 lanes. Per
 /// tile five planes of the picture and five of the cotangent.
 pub(crate) fn blend_back(work: &Work) -> Count {
     let bytes = (8 + FOOTPRINT + 44) * work.visited + 10 * 4 * TILE * work.tiles;
-    count((68 * ROW) * work.rows + 11 * 15 * work.visited, bytes)
+    count(65 * ROW * work.rows + 11 * 15 * work.visited, bytes)
 }
 
 /// `project/cpu_backward.rs`: sums 11 per pair; stages 50, conic 3, centre 6, covariance 9, ball
