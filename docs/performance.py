@@ -160,7 +160,7 @@ def plot_quality(rows):
     for motion in dict.fromkeys(row["motion"] for row in rows):
         own = [row for row in rows if row["motion"] == motion and row["blur_px"] > 0]
         lines = {r.replace("_", " "): [(row["blur_px"], row[r]) for row in own] for r in routes}
-        panels.append(Panel(motion, "blur [px]", "PSNR to 64 exact views [dB]", lines))
+        panels.append(Panel(motion, "blur [px]", "PSNR to 32 exact views [dB]", lines))
     draw("quality", panels)
 
 

@@ -5,7 +5,7 @@ use super::forward::{Scene, read_chunk};
 use super::landing::amplification;
 use super::taps::{LANES, Lanes, Lines, Taps};
 use super::texel::{Corners, Texel, scatter};
-use super::upsample::{neighbours, pull_back_row};
+use super::upsample::{TAPS, neighbours, pull_back_row};
 use super::views::View;
 use pulp::{Simd, WithSimd};
 
@@ -20,7 +20,7 @@ pub(super) struct PullBackBand<'a> {
     /// As [`BlurBand`](super::forward::BlurBand) left them.
     pub(super) inverse_depths: &'a [Lanes],
     pub(super) d_blurred: [&'a [f32]; 3],
-    pub(super) kernel: &'a [f32; 4],
+    pub(super) kernel: &'a [f32; TAPS],
 }
 
 impl WithSimd for PullBackBand<'_> {
@@ -115,10 +115,10 @@ fn add_shares(
 
 /// From `d_fine` to `d_sharp`.
 #[inline(always)]
-fn pull_back_fine(scene: &Scene<'_>, band: &mut Band, kernel: &[f32; 4]) {
+fn pull_back_fine(scene: &Scene<'_>, band: &mut Band, kernel: &[f32; TAPS]) {
     let (width, height) = (scene.camera.width, scene.camera.height);
     let (first, last) = (band.fine_first as usize, band.fine_last as usize + 1);
-    let rows = (neighbours(first / 2, height)[0], neighbours(last / 2, height)[3] + 1);
+    let rows = (neighbours(first / 2, height)[0], neighbours(last / 2, height)[TAPS - 1] + 1);
     band.sharp_rows = rows;
     let plane = (rows.1 - rows.0) * width;
     band.d_sharp.clear();

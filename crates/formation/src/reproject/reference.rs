@@ -2,7 +2,7 @@
 
 use super::landing::{amplification, between, land, search};
 use super::surface::Surface;
-use super::upsample::{Interpolation, neighbours};
+use super::upsample::{Interpolation, TAPS, neighbours};
 use super::views::{Line, View, Views};
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use i2slam_geometry::{Camera, Image, Real};
@@ -163,11 +163,12 @@ impl<T: Real> ReferenceReprojection<T> {
     }
 
     /// The pixels and weights along one axis that sample `index` of the fine grid is made of.
-    fn made_of(&self, index: usize, size: usize) -> [(usize, T); 4] {
+    fn made_of(&self, index: usize, size: usize) -> [(usize, T); TAPS] {
         let pixels = neighbours(index / 2, size);
         let mut weights = self.interpolation.halfway();
         if index.is_multiple_of(2) {
-            weights = [T::zero(), T::one(), T::zero(), T::zero()];
+            weights = [T::zero(); TAPS];
+            weights[2] = T::one();
         }
         std::array::from_fn(|k| (pixels[k], weights[k]))
     }

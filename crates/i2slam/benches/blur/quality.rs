@@ -1,4 +1,4 @@
-//! Each route against an exact exposure of 64 views, on a map of the demo clip.
+//! Each route against an exact exposure of 32 views, on a map of the demo clip.
 
 use super::Outcome;
 use super::fitted::{Fitted, psnr};
@@ -14,7 +14,7 @@ const MOTIONS: [(&str, [f64; 6]); 3] = [
 ];
 
 /// Views of the exact exposure.
-const EXACT: usize = 64;
+const EXACT: usize = 32;
 
 /// Frames whose poses the exposures are laid around.
 const FRAMES: [usize; 3] = [6, 15, 24];

@@ -47,7 +47,7 @@ impl Case {
         depth: &Image<f64>,
     ) -> ReferenceReprojection<f64> {
         ReferenceReprojection::new(
-            Interpolation::Cubic,
+            Interpolation::Sharp,
             &self.camera,
             shutter,
             self.views,

@@ -50,7 +50,7 @@ impl Frame {
 fn fast_lane_follows_the_reference() {
     for (width, height, margin) in [(90, 70, 0), (33, 100, 0), (64, 76, 8), (90, 70, 3)] {
         let frame = Frame::with_margin(width, height, margin);
-        for interpolation in [Interpolation::Linear, Interpolation::Cubic] {
+        for interpolation in [Interpolation::Linear, Interpolation::Sharp] {
             for views in [1, 2, 5] {
                 let shutter = moving(MOTION);
                 let (blurred, d_radiance, d_shutter) =

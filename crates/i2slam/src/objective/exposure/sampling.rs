@@ -59,8 +59,13 @@ impl Sampling {
             BlurModel::Auto if length < LONG_BLUR => BlurRoute::Image,
             BlurModel::Auto => BlurRoute::Exact,
         };
+        // A re-projected camera costs a few hundredths of a rendered one.
+        let most = match route {
+            BlurRoute::Image if per_camera > 0.0 => 2 * formation.virtual_cameras.max(1) - 1,
+            _ => formation.virtual_cameras,
+        };
         Self {
-            virtual_cameras: virtual_camera_count(length, per_camera, formation.virtual_cameras),
+            virtual_cameras: virtual_camera_count(length, per_camera, most),
             quadrature: formation.quadrature(),
             route,
             margin: margin(length),
@@ -89,5 +94,16 @@ mod tests {
     fn the_margin_follows_the_blur() {
         assert_eq!([0.5, 10.0, 11.3, 19.9, 500.0].map(margin), [8, 8, 16, 16, 24]);
         assert_eq!(Sampling::SHARP.margin, 0);
+    }
+
+    #[test]
+    fn only_views_that_are_looked_up_exceed_the_cap() {
+        let views = |model, length| {
+            let ours = crate::Config::default().formation;
+            let formation = FormationConfig { blur_model: model, virtual_cameras: 5, ..ours };
+            Sampling::new(&formation, length).virtual_cameras
+        };
+        assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Image, b)), [1, 5, 9, 9]);
+        assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Exact, b)), [1, 5, 5, 5]);
     }
 }
