@@ -92,7 +92,10 @@ impl Step {
     }
 }
 
-fn named(seconds: &StageSeconds) -> [(&'static str, f64, fn(&Work) -> Count); 6] {
+/// Name, time, and what counts the work of a stage.
+type Stage = (&'static str, f64, fn(&Work) -> Count);
+
+fn named(seconds: &StageSeconds) -> [Stage; 6] {
     [
         ("projection", seconds.project, counts::project),
         ("sorting", seconds.sort, counts::sort),
@@ -115,7 +118,9 @@ pub(crate) fn print() {
         "{},{},{},{},{},{}",
         work.gaussians, work.visible, work.pairs, work.visited, work.rows, work.tiles
     );
-    println!("# stages\nstage,ms,mflop,mb,flop_per_byte,share_of_peak,share_of_bandwidth,share_of_roof");
+    println!(
+        "# stages\nstage,ms,mflop,mb,flop_per_byte,share_of_peak,share_of_bandwidth,share_of_roof"
+    );
     for (name, seconds, count) in named(&seconds) {
         let Count { operations, bytes } = count(&work);
         let roof = (operations / peak).max(bytes / bandwidth);
