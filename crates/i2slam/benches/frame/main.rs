@@ -13,7 +13,10 @@ use std::error::Error;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
-const TABLES: [(&str, fn() -> Outcome); 3] = [
+/// A table's name and what prints it.
+type Table = (&'static str, fn() -> Outcome);
+
+const TABLES: [Table; 3] = [
     ("frame", presets::print_frame),
     ("presets", presets::print),
     ("allocations", allocations::print),
