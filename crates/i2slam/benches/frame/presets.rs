@@ -44,9 +44,9 @@ pub(crate) fn print_frame() -> Outcome {
     let clip = Clip::demo(16, 1.0)?;
     let frames = clip.run("default")?;
     println!("part,width,height,fastest_ms,median_ms");
-    let parts: [(&str, fn(&FrameEstimate) -> f64); 2] =
-        [("tracking", |f| f.tracking_seconds), ("mapping", |f| f.mapping_seconds)];
-    for (name, of) in parts {
+    for mapping in [false, true] {
+        let name = if mapping { "mapping" } else { "tracking" };
+        let of = |f: &FrameEstimate| if mapping { f.mapping_seconds } else { f.tracking_seconds };
         let (fastest, median) = times(&frames, of);
         let Camera { width, height, .. } = clip.camera;
         println!("{name},{width},{height},{:.2},{:.2}", fastest * 1e3, median * 1e3);
