@@ -78,14 +78,12 @@ LEFT, RIGHT, TOP, BOTTOM = 56, 12, 30, 44
 class Panel:
     """One plot: lines of (x, y) by name."""
 
-    def __init__(self, title, x, y, lines, log=(False, False), low=None, points=False):
+    def __init__(self, title, x, y, lines, log=(False, False), legend=128):
         self.title, self.x, self.y, self.lines = title, x, y, lines
-        self.log, self.points = log, points
+        self.log, self.legend = log, WIDTH - legend
         spans = [[p[k] for line in lines.values() for p in line] for k in (0, 1)]
         self.low = [min(span) for span in spans]
         self.high = [max(span) for span in spans]
-        if low is not None:
-            self.low[1] = low
 
     def place(self, k, value):
         low, high = self.low[k], self.high[k]
@@ -122,15 +120,14 @@ class Panel:
                 else:
                     out.append(text.format(LEFT - 5, at + 4, "end", label))
         for (name, line), colour in zip(self.lines.items(), COLOURS * 9):
-            places = [(self.place(0, x), self.place(1, max(y, self.low[1]))) for x, y in line]
-            if not self.points:
-                path = "L".join(f"{x:.1f} {y:.1f}" for x, y in places)
-                out.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="1.8"/>')
+            places = [(self.place(0, x), self.place(1, y)) for x, y in line]
+            path = "L".join(f"{x:.1f} {y:.1f}" for x, y in places)
+            out.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="1.8"/>')
             out += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colour}"/>' for x, y in places]
         for k, (name, colour) in enumerate(zip(self.lines, COLOURS * 9)):
             y = TOP + 14 + 15 * k
-            out.append(f'<rect x="{WIDTH - 128}" y="{y - 8}" width="12" height="4" fill="{colour}"/>')
-            out.append(text.format(WIDTH - 112, y - 2, "start", name))
+            out.append(f'<rect x="{self.legend}" y="{y - 8}" width="12" height="4" fill="{colour}"/>')
+            out.append(text.format(self.legend + 16, y - 2, "start", name))
         return "\n".join(out + ["</g>"])
 
 
@@ -182,7 +179,7 @@ def plot_size(rows):
             own = [row for row in rows if row[by] == key]
             name = f"{key:g} px wide" if by == "width" else f"{key:g} Gaussians"
             lines[name] = [(x(row), row["forward_ms"] + row["backward_ms"]) for row in own]
-        return Panel(title, x_title, "forward and backward [ms]", lines, (True, True))
+        return Panel(title, x_title, "forward and backward [ms]", lines, (True, True), 316)
 
     gaussians = panel("by Gaussians", "width", lambda row: row["gaussians"], "Gaussians")
     pixels = panel("by pixels", "gaussians", lambda row: row["width"] * row["height"], "pixels")
@@ -196,7 +193,7 @@ def plot_stages(rows, machine):
     roof = [(x, min(peak, band * x)) for x in (0.1, 0.3, 1, 3, peak / band, 30, 100)]
     lines = {"roof": sorted(roof)}
     lines |= {row["stage"]: [(row["flop_per_byte"], row["mflop"] / row["ms"])] for row in own}
-    panel = Panel("roofline", "FLOP per byte", "GFLOP/s", lines, (True, True))
+    panel = Panel("roofline", "FLOP per byte", "GFLOP/s", lines, (True, True), 316)
     draw("roofline", [panel])
 
 
