@@ -64,11 +64,12 @@ impl Sampling {
             BlurRoute::Image if per_camera > 0.0 => 2 * formation.virtual_cameras.max(1) - 1,
             _ => formation.virtual_cameras,
         };
+        let virtual_cameras = virtual_camera_count(length, per_camera, most);
         Self {
-            virtual_cameras: virtual_camera_count(length, per_camera, most),
+            virtual_cameras,
             quadrature: formation.quadrature(),
             route,
-            margin: margin(length),
+            margin: if virtual_cameras > 1 { margin(length) } else { 0 },
         }
     }
 
