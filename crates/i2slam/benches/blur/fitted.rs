@@ -7,8 +7,8 @@ use i2slam::geometry::{Image, Pose};
 use i2slam::objective::{
     BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, Tone, blur_length,
 };
-use i2slam::radiance::gaussian::RasterSettings;
-use i2slam::{Config, FrameEstimate, Reconstruction, Session};
+use i2slam::radiance::gaussian::{GaussianMap, RasterSettings};
+use i2slam::{Config, FrameEstimate, Map, Reconstruction, Session};
 use std::error::Error;
 use std::path::Path;
 
@@ -16,7 +16,8 @@ use std::path::Path;
 pub(crate) struct Fitted {
     pub(crate) scene: Reconstruction,
     pub(crate) frames: Vec<Frame>,
-    pub(crate) objective: FrameObjective,
+    pub(crate) map: GaussianMap,
+    pub(crate) objective: FrameObjective<GaussianMap>,
 }
 
 impl Fitted {
@@ -36,7 +37,8 @@ impl Fitted {
         let screen_variance = scene.config.map.screen_variance;
         let settings = RasterSettings { screen_variance, ..RasterSettings::default() };
         let objective = FrameObjective::new(scene.camera.cast(), settings);
-        Ok(Self { scene, frames, objective })
+        let Map::Gaussians(map) = scene.map.clone() else { return Err("no Gaussians".into()) };
+        Ok(Self { scene, frames, map, objective })
     }
 
     /// Half of the clip inside the program.
@@ -71,7 +73,7 @@ impl Fitted {
         let tone = Some(Tone { frame: frame.tone, curve: &curve });
         let variables =
             FrameVariables { exposure: Exposure { shutter, sampling, depth_pose: None }, tone };
-        self.objective.predict(&self.scene.map, &variables).clone()
+        self.objective.predict(&self.map, &variables).clone()
     }
 
     /// An exposure around `pose` whose motion along `direction` draws streaks of `length` px.

@@ -34,14 +34,14 @@ pub(crate) fn print() -> Outcome {
         ("exact", blurred, with(BlurRoute::Exact)),
     ];
     let curve = fitted.scene.responses[frame.response].curve();
-    let mut gradient = MapGradient::new(fitted.scene.map.len());
+    let mut gradient = MapGradient::new(fitted.map.len());
     let (mut best, mut busy) = ([f64::MAX; 6], [0.0; 6]);
     for _ in 0..ROUNDS {
         for (k, (_, shutter, sampling)) in cases.iter().enumerate() {
             let exposure = Exposure { shutter: *shutter, sampling: *sampling, depth_pose: None };
             let tone = Some(Tone { frame: frame.tone, curve: &curve });
             let (clock, before) = (Instant::now(), processor_seconds());
-            let (map, variables) = (&fitted.scene.map, FrameVariables { exposure, tone });
+            let (map, variables) = (&fitted.map, FrameVariables { exposure, tone });
             let evaluation =
                 fitted.objective.map(map, &observation, &variables, 0.2, (0.5, 1.0), &mut gradient);
             let seconds = clock.elapsed().as_secs_f64();

@@ -9,7 +9,7 @@ use i2slam::objective::{
     BlurRoute, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
 };
 use i2slam::radiance::gaussian::{MapGradient, RasterSettings};
-use i2slam::{Config, Session};
+use i2slam::{Config, Map, Session};
 
 const STEPS: usize = 20;
 
@@ -31,6 +31,7 @@ pub(crate) fn print() -> Outcome {
         session.process(frame)?;
     }
     let scene = session.reconstruction();
+    let Map::Gaussians(map) = &scene.map else { return Err("no Gaussians".into()) };
     let (frame, source) = (&scene.frames[5], &clip.frames[5]);
     let observation = Observation::new(source.colour.clone(), source.depth.clone());
     let mut objective = FrameObjective::new(scene.camera.cast(), RasterSettings::default());
@@ -39,7 +40,7 @@ pub(crate) fn print() -> Outcome {
     let shutter =
         ShutterPoses { start: middle.retract(half.scaled(-1.0)), end: middle.retract(half) };
     let curve = scene.responses[frame.response].curve();
-    let mut gradient = MapGradient::new(scene.map.len());
+    let mut gradient = MapGradient::new(map.len());
     println!("step,allocations,bytes");
     let routes = [
         ("sharp", BlurRoute::Exact, 1),
@@ -52,7 +53,7 @@ pub(crate) fn print() -> Outcome {
         let sampling = Sampling { virtual_cameras, route, ..Sampling::new(formation, 5.0) };
         let exposure = Exposure { shutter, sampling, depth_pose: None };
         let tone = Some(Tone { frame: frame.tone, curve: &curve });
-        let (map, variables) = (&scene.map, FrameVariables { exposure, tone });
+        let variables = FrameVariables { exposure, tone };
         let (calls, bytes) = per_step(|| {
             objective.map(map, &observation, &variables, 0.2, (0.5, 1.0), &mut gradient);
         });
