@@ -32,6 +32,14 @@ demo:
 bench:
     cargo bench -p i2slam-radiance -p i2slam-formation
 
+# Run the benches and write docs/performance.md; names of tables make only those
+performance *TABLES:
+    python3 docs/performance.py {{TABLES}}
+
+# Ratios of two commits, run in turns
+compare A B *OPTIONS:
+    scripts/compare {{A}} {{B}} {{OPTIONS}}
+
 # Write the values of the presets into docs/presets.md
 presets:
     cargo build --release -p i2slam-cli

@@ -37,18 +37,52 @@ const CHUNK: usize = 1 << 14;
 const UNBIASED: u32 = 20_800;
 
 impl AdamSettings {
-    /// Moves both moments by a gradient; the step to take.
+    /// Moves parameters and both moments of a block by a gradient. No branch depends on a number,
+    /// so that the loop becomes vectors.
     fn advance(
         self,
         rate: f32,
-        gradient: f32,
-        (first, second): (&mut f32, &mut f32),
-        (correct1, correct2): (f32, f32),
-    ) -> f32 {
-        let g = if gradient.is_finite() { gradient } else { 0.0 };
-        *first = self.beta1 * *first + (1.0 - self.beta1) * g;
-        *second = self.beta2 * *second + (1.0 - self.beta2) * g * g;
-        rate * *first * correct1 / ((*second * correct2).sqrt() + self.epsilon)
+        parameters: &mut [f32],
+        gradient: &[f32],
+        (first, second): (&mut [f32], &mut [f32]),
+        factors: &Factors,
+    ) {
+        let count = parameters.len();
+        let (gradient, first) = (&gradient[..count], &mut first[..count]);
+        let (second, moves) = (&mut second[..count], &factors.moves[..count]);
+        let (correct1, correct2) = (&factors.first[..count], &factors.second[..count]);
+        for i in 0..count {
+            let g = if gradient[i].is_finite() { gradient[i] } else { 0.0 };
+            let m = self.beta1 * first[i] + (1.0 - self.beta1) * g;
+            let v = self.beta2 * second[i] + (1.0 - self.beta2) * g * g;
+            let step = rate * m * correct1[i] / ((v * correct2[i]).sqrt() + self.epsilon);
+            first[i] = if moves[i] { m } else { first[i] };
+            second[i] = if moves[i] { v } else { second[i] };
+            parameters[i] = if moves[i] { parameters[i] - step } else { parameters[i] };
+        }
+    }
+}
+
+/// Parameters that are stepped together.
+const BLOCK: usize = 192;
+
+/// For each parameter of a block, whether it moves and what corrects the bias of its moments.
+struct Factors {
+    moves: [bool; BLOCK],
+    first: [f32; BLOCK],
+    second: [f32; BLOCK],
+}
+
+impl Factors {
+    fn new(ages: &[u32], width: usize, corrections: &[(f32, f32)]) -> Self {
+        let mut factors = Self { moves: [false; BLOCK], first: [1.0; BLOCK], second: [1.0; BLOCK] };
+        for (element, &age) in ages.iter().enumerate().filter(|(_, age)| **age > 0) {
+            let (first, second) = corrections[(age as usize).min(corrections.len() - 1)];
+            for i in element * width..(element + 1) * width {
+                (factors.moves[i], factors.first[i], factors.second[i]) = (true, first, second);
+            }
+        }
+        factors
     }
 }
 
@@ -67,16 +101,14 @@ impl Adam {
 
     /// One step against `gradient`, with learning rate `rate`, in the units of the parameters.
     /// Parameters appended since the last step start with zero moments. An entry whose gradient
-    /// is not finite counts as zero. All parameters are one task: for many, see
-    /// [`step_elements`](Self::step_elements).
+    /// is not finite counts as zero.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: f32) {
         self.steps += 1;
-        let ages = vec![self.steps; usize::from(!parameters.is_empty())];
-        let width = parameters.len();
-        self.step_elements(parameters, gradient, rate, width, &ages);
+        let ages = vec![self.steps; parameters.len()];
+        self.step_elements(parameters, gradient, rate, 1, &ages);
     }
 
-    /// One step of the elements, `width` parameters each, whose age is not zero: an element of age
+    /// One step of the elements, `width` parameters each (at most 192), whose age is not zero: an element of age
     /// `n` takes its `n`-th step, so its moments are corrected as those of an optimiser of its
     /// own. All others keep parameters and moments.
     pub fn step_elements(
@@ -89,6 +121,7 @@ impl Adam {
     ) {
         assert_eq!(parameters.len(), gradient.len(), "one gradient per parameter");
         assert_eq!(parameters.len(), width * ages.len(), "one age per element");
+        assert!(width <= BLOCK, "at most {BLOCK} parameters per element");
         self.first.resize(parameters.len(), 0.0);
         self.second.resize(parameters.len(), 0.0);
         self.correct_up_to(ages.iter().copied().max().unwrap_or(0));
@@ -101,13 +134,13 @@ impl Adam {
             .zip(self.first.par_chunks_mut(chunk).zip(self.second.par_chunks_mut(chunk)))
             .zip(ages.par_chunks(elements))
             .for_each(|(((parameters, gradient), (first, second)), ages)| {
-                let moving = ages.iter().enumerate().filter(|(_, age)| **age > 0);
-                for (element, &age) in moving {
-                    let correction = corrections[(age as usize).min(corrections.len() - 1)];
-                    for i in element * width..(element + 1) * width {
-                        let moments = (&mut first[i], &mut second[i]);
-                        parameters[i] -= settings.advance(rate, gradient[i], moments, correction);
-                    }
+                let block = BLOCK / width.max(1) * width.max(1);
+                let blocks = parameters.chunks_mut(block).zip(gradient.chunks(block));
+                let moments = first.chunks_mut(block).zip(second.chunks_mut(block));
+                let ages = ages.chunks(BLOCK / width.max(1));
+                for (((parameters, gradient), moments), ages) in blocks.zip(moments).zip(ages) {
+                    let factors = Factors::new(ages, width, corrections);
+                    settings.advance(rate, parameters, gradient, moments, &factors);
                 }
             });
     }

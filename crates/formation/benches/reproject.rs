@@ -88,20 +88,20 @@ fn on_threads(bencher: Bencher<'_, '_>, threads: usize, mut work: impl FnMut() +
 
 #[divan::bench(args = [5, 9, 17])]
 fn forward_one_thread(bencher: Bencher<'_, '_>, views: usize) {
-    let mut frame = Frame::new(Interpolation::Cubic);
+    let mut frame = Frame::new(Interpolation::Sharp);
     on_threads(bencher, 1, || frame.blur(views));
 }
 
 #[divan::bench(args = [5, 9, 17])]
 fn backward_one_thread(bencher: Bencher<'_, '_>, views: usize) {
-    let mut frame = Frame::new(Interpolation::Cubic);
+    let mut frame = Frame::new(Interpolation::Sharp);
     frame.blur(views);
     on_threads(bencher, 1, || frame.pull_back());
 }
 
 #[divan::bench(args = [1, 2])]
 fn both_ways_five_views(bencher: Bencher<'_, '_>, threads: usize) {
-    let mut frame = Frame::new(Interpolation::Cubic);
+    let mut frame = Frame::new(Interpolation::Sharp);
     on_threads(bencher, threads, || {
         frame.blur(5);
         frame.pull_back();

@@ -72,6 +72,18 @@ impl<T: Real> Camera<T> {
         }
     }
 
+    /// The camera of the image with `margin` pixels more on every side.
+    pub fn widened(&self, margin: usize) -> Self {
+        Self {
+            width: self.width + 2 * margin,
+            height: self.height + 2 * margin,
+            fx: self.fx,
+            fy: self.fy,
+            cx: self.cx + T::of(margin as f64),
+            cy: self.cy + T::of(margin as f64),
+        }
+    }
+
     /// Whether `(u, v)` lies inside the image, at least `border` pixels from its edge.
     pub fn contains(&self, u: T, v: T, border: T) -> bool {
         u >= border
@@ -106,6 +118,14 @@ mod tests {
         let p = Vec3::new(0.3, -0.2, 1.7);
         let (u, v) = example().project(p);
         assert!((example().unproject(u, v, p.z) - p).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_margin_shifts_image_positions_and_is_cropped_again() {
+        let p = Vec3::new(0.3, -0.2, 1.7);
+        let (u, v) = example().project(p);
+        assert_eq!(example().widened(8).project(p), (u + 8.0, v + 8.0));
+        assert_eq!(example().widened(8).cropped(8), example());
     }
 
     #[test]

@@ -49,6 +49,35 @@ impl<T: Copy + Default> Image<T> {
         self.data.clear();
         self.data.resize(width * height * channels, T::default());
     }
+
+    /// Writes the image without `margin` pixels on every side to `out`, whose allocation is
+    /// reused.
+    pub fn crop_into(&self, margin: usize, out: &mut Self) {
+        let (width, height) =
+            (self.width.saturating_sub(2 * margin), self.height.saturating_sub(2 * margin));
+        out.shape(width, height, self.channels);
+        for (i, row) in out.data.chunks_exact_mut(width.max(1)).enumerate() {
+            let from = (i / height * self.height + i % height + margin) * self.width + margin;
+            row.copy_from_slice(&self.data[from..from + width]);
+        }
+    }
+
+    /// Writes the image with `margin` pixels of zero more on every side to `out`, whose
+    /// allocation is reused: the transpose of [`crop_into`](Self::crop_into).
+    pub fn embed_into(&self, margin: usize, out: &mut Self) {
+        out.reset(self.width + 2 * margin, self.height + 2 * margin, self.channels);
+        for (i, row) in self.data.chunks_exact(self.width.max(1)).enumerate() {
+            let to = (i / self.height * out.height + i % self.height + margin) * out.width + margin;
+            out.data[to..to + self.width].copy_from_slice(row);
+        }
+    }
+
+    /// As [`reset`](Self::reset), without filling an image that has the shape already.
+    fn shape(&mut self, width: usize, height: usize, channels: usize) {
+        if (self.width, self.height, self.channels) != (width, height, channels) {
+            self.reset(width, height, channels);
+        }
+    }
 }
 
 impl<T: Real> Image<T> {
@@ -113,6 +142,20 @@ mod tests {
         let small = image.resized_by_area(3, 2);
         let mean = |i: &Image<f64>| i.data.iter().sum::<f64>() / i.data.len() as f64;
         assert!((mean(&image) - mean(&small)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_margin_is_embedded_and_cropped_again() {
+        let data = (0..24).map(f64::from).collect();
+        let image = Image { width: 4, height: 3, channels: 2, data };
+        let (mut wide, mut back) = (Image::new(1, 1, 1), Image::default());
+        image.embed_into(2, &mut wide);
+        assert_eq!((wide.width, wide.height, wide.channels), (8, 7, 2));
+        assert_eq!((wide.at(1, 5, 4), wide.at(1, 5, 5)), (image.at(1, 3, 2), 0.0));
+        wide.crop_into(2, &mut back);
+        assert_eq!(back, image);
+        wide.crop_into(4, &mut back);
+        assert!(back.data.is_empty());
     }
 
     #[test]

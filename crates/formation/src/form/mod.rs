@@ -60,7 +60,7 @@ impl<'a, T: Real> Formation<'a, T> {
     }
 
     /// Pulls `d_picture = ∂loss/∂picture` back: `d_hdr` is written (in the shape of `hdr`), the
-    /// gradients of tone and curve are added to. Sums run in `f64`, in order of the pixels. A
+    /// gradients of tone and curve are added to. Sums run in `f64`, in a fixed order. A
     /// pixel with `d_picture = 0` contributes nothing, whatever its radiance.
     ///
     /// # Panics

@@ -5,7 +5,7 @@ use super::forward::{Scene, read_chunk};
 use super::landing::amplification;
 use super::taps::{LANES, Lanes, Lines, Taps};
 use super::texel::{Corners, Texel, scatter};
-use super::upsample::{neighbours, pull_back_row};
+use super::upsample::{TAPS, neighbours, pull_back_row};
 use super::views::View;
 use pulp::{Simd, WithSimd};
 
@@ -20,7 +20,7 @@ pub(super) struct PullBackBand<'a> {
     /// As [`BlurBand`](super::forward::BlurBand) left them.
     pub(super) inverse_depths: &'a [Lanes],
     pub(super) d_blurred: [&'a [f32]; 3],
-    pub(super) kernel: &'a [f32; 4],
+    pub(super) kernel: &'a [f32; TAPS],
 }
 
 impl WithSimd for PullBackBand<'_> {
@@ -29,16 +29,17 @@ impl WithSimd for PullBackBand<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { scene, band, inverse_depths, d_blurred, kernel } = self;
-        let width = scene.camera.width;
+        let width = scene.width;
         let rows = d_blurred[0].len() / width;
-        band.start_pull_back(scene.views.count(), scene.views.sums(0, rows).1, width);
-        let mut chunks = inverse_depths.chunks_exact(scene.views.count());
+        let count = scene.views.count();
+        band.start_pull_back(count, scene.views.sums(0, rows).1, scene.camera.width);
+        let mut chunks = inverse_depths.chunks_exact(count);
         for row in 0..rows {
-            let y = band.first_row + row;
+            let y = band.first_row + row + scene.margin;
             for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
                 let at = row * width + x..row * width + width.min(x + LANES);
                 let d = read_chunk(&d_blurred.map(|plane| &plane[at.clone()]), 1.0);
-                pull_back_chunk(scene, band, (x, y), &d, depths);
+                pull_back_chunk(scene, band, (x + scene.margin, y), &d, depths);
             }
             band.end_row(scene.views.sums(row, rows).0);
         }
@@ -116,10 +117,10 @@ fn add_shares(
 
 /// From `d_fine` to `d_sharp`.
 #[inline(always)]
-fn pull_back_fine(scene: &Scene<'_>, band: &mut Band, kernel: &[f32; 4]) {
+fn pull_back_fine(scene: &Scene<'_>, band: &mut Band, kernel: &[f32; TAPS]) {
     let (width, height) = (scene.camera.width, scene.camera.height);
     let (first, last) = (band.fine_first as usize, band.fine_last as usize + 1);
-    let rows = (neighbours(first / 2, height)[0], neighbours(last / 2, height)[3] + 1);
+    let rows = (neighbours(first / 2, height)[0], neighbours(last / 2, height)[TAPS - 1] + 1);
     band.sharp_rows = rows;
     let plane = (rows.1 - rows.0) * width;
     band.d_sharp.clear();

@@ -9,7 +9,8 @@ pub(super) const BAND: usize = 40;
 /// Scratch of one band; it keeps its allocation from call to call.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Band {
-    /// First row of the picture.
+    /// First row of the picture; in the sharp render, to which the margin belongs, the band starts
+    /// a margin further down.
     pub(super) first_row: usize,
     /// Fine rows that its taps' upper samples lie in, first and last.
     pub(super) fine_first: u32,
@@ -51,7 +52,7 @@ impl Band {
     }
 }
 
-/// Lays `bands` over an image.
+/// Lays `bands` over a sharp render; the first of them cover the picture.
 pub(super) fn lay(bands: &mut Vec<Band>, width: usize, height: usize) {
     bands.resize_with(height.div_ceil(BAND), Band::default);
     for (i, band) in bands.iter_mut().enumerate() {

@@ -13,7 +13,11 @@ use pulp::{Simd, WithSimd};
 /// What a band reads.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
+    /// That of the sharp render.
     pub(super) camera: &'a Camera<f32>,
+    /// Width of the blurred picture, and by how much the render is wider on every side [px].
+    pub(super) width: usize,
+    pub(super) margin: usize,
     pub(super) views: &'a Views<f32>,
     pub(super) surface: &'a Surface<f32>,
     /// The sharp render at twice its resolution.
@@ -26,7 +30,7 @@ pub(super) struct BlurBand<'a> {
     pub(super) band: &'a mut Band,
     /// (row, chunk, moving view), written for the way back [1/m].
     pub(super) inverse_depths: &'a mut [Lanes],
-    /// The band's rows of the sharp render.
+    /// The rows of the sharp render that the band blurs.
     pub(super) sharp: [&'a [f32]; 3],
     /// The band's rows of the blurred picture.
     pub(super) blurred: [&'a mut [f32]; 3],
@@ -38,17 +42,19 @@ impl WithSimd for BlurBand<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { scene, band, inverse_depths, sharp, mut blurred } = self;
-        let width = scene.camera.width;
+        let (width, margin) = (scene.width, scene.margin);
         let still = scene.views.still_weight;
         (band.fine_first, band.fine_last) = (u32::MAX, 0);
         let mut chunks = inverse_depths.chunks_exact_mut(scene.views.count());
-        for row in 0..sharp[0].len() / width {
+        for row in 0..blurred[0].len() / width {
+            let y = band.first_row + row + margin;
             for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
                 let lanes = LANES.min(width - x);
                 let at = row * width + x..row * width + x + lanes;
-                let mut sum = read_chunk(&sharp.map(|plane| &plane[at.clone()]), still);
-                see_chunk(scene, x, band.first_row + row, depths);
-                let rows = blur_chunk(scene, x, band.first_row + row, depths, &mut sum);
+                let from = row * scene.camera.width + margin + x;
+                let mut sum = read_chunk(&sharp.map(|plane| &plane[from..from + lanes]), still);
+                see_chunk(scene, x + margin, y, depths);
+                let rows = blur_chunk(scene, x + margin, y, depths, &mut sum);
                 band.fine_first = band.fine_first.min(rows.0);
                 band.fine_last = band.fine_last.max(rows.1);
                 let [red, green, blue] = &mut blurred;
@@ -110,7 +116,8 @@ fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Lanes, depths: &
     }
 }
 
-/// The inverse depths that every moving view sees from column `x` on in row `y`.
+/// The inverse depths that every moving view sees from column `x` of the render on in its row
+/// `y`.
 #[inline(always)]
 fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, depths: &mut [Lanes]) {
     let moving = scene.views.row(y);

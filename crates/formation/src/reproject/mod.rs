@@ -19,8 +19,8 @@
 //! Along the edge of a foreground a render holds a mixture of two depths; such pixels go with the
 //! foreground. An unknown depth takes the farther of its row's two nearest known ones; without any it is
 //! infinitely far, where only rotation matters. What lies outside the render takes its edge: to
-//! keep the border of a picture as good as its middle, render half a blur length more all around
-//! and crop.
+//! keep the border of a picture as good as its middle, the render may be larger than the picture
+//! by a margin of half a blur length all around, see [`Reprojection::blur`].
 //!
 //! **Reading the render.** Once per frame it is brought to twice its resolution (see
 //! [`Interpolation`]); taps are bilinear there.
@@ -90,7 +90,10 @@ pub struct ReprojectionGradient {
 #[derive(Clone, Debug)]
 pub struct Reprojection {
     interpolation: Interpolation,
+    /// Of the sharp render.
     camera: Camera<f32>,
+    /// By how much the render is larger than the picture on every side [px].
+    margin: usize,
     shutter: ShutterPoses<f64>,
     views: Views<f32>,
     surface: Surface<f32>,
@@ -99,6 +102,7 @@ pub struct Reprojection {
     /// What is seen at (row, chunk of a row, moving view) [1/m].
     inverse_depths: Vec<Lanes>,
     bands: Vec<Band>,
+    sums: Vec<[f64; 6]>,
 }
 
 impl Default for Reprojection {
@@ -113,23 +117,27 @@ impl Reprojection {
         Self {
             interpolation,
             camera: Camera { width: 0, height: 0, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
+            margin: 0,
             shutter: ShutterPoses::still(Pose::identity()),
             views: Views::default(),
             surface: Surface::default(),
             fine: Vec::new(),
             inverse_depths: Vec::new(),
             bands: Vec::new(),
+            sums: Vec::new(),
         }
     }
 
     /// The average of what the virtual cameras see.
     ///
     /// `readout` [exposures] is the time in which the rows are read, 0 for a global shutter.
-    /// `radiance` (3 planes, linear) and `depth` (1 plane [m], 0 = unknown) are the map seen by
-    /// `camera` from `shutter.middle()`; `blurred` is given the shape of `radiance`.
+    /// `radiance` (3 planes, linear) and `depth` (1 plane [m], 0 = unknown) are the map seen from
+    /// `shutter.middle()` by `camera` with a margin of the same number of pixels on every side
+    /// ([`Camera::widened`]; none is fine too); `blurred` is the picture of `camera`.
     ///
     /// # Panics
-    /// When `radiance` or `depth` has another size than `camera`, or not 3 and 1 planes.
+    /// When `radiance` and `depth` do not have 3 and 1 planes of the same size, or their size is
+    /// not that of `camera` with a margin.
     pub fn blur(
         &mut self,
         camera: &Camera<f32>,
@@ -141,13 +149,16 @@ impl Reprojection {
         depth: &Image<f32>,
         blurred: &mut Image<f32>,
     ) {
-        assert_shape(radiance, camera.width, camera.height, 3);
-        assert_shape(depth, camera.width, camera.height, 1);
-        (self.camera, self.shutter) = (*camera, *shutter);
-        self.views.update(camera, shutter, readout, virtual_cameras, quadrature);
+        self.margin = radiance.width.saturating_sub(camera.width) / 2;
+        (self.camera, self.shutter) = (camera.widened(self.margin), *shutter);
+        assert_shape(radiance, self.camera.width, self.camera.height, 3);
+        assert_shape(depth, self.camera.width, self.camera.height, 1);
         shape(blurred, camera.width, camera.height);
-        if self.views.count() == 0 || camera.pixels() == 0 {
-            blurred.data.copy_from_slice(&radiance.data);
+        let camera = &self.camera;
+        let seen_by = (camera, self.margin);
+        self.views.update(seen_by, shutter, readout, virtual_cameras, quadrature);
+        if self.views.count() == 0 || blurred.data.is_empty() {
+            radiance.crop_into(self.margin, blurred);
             return;
         }
         self.surface.update(depth);
@@ -175,11 +186,15 @@ impl Reprojection {
     }
 
     fn gather(&mut self, radiance: &Image<f32>, blurred: &mut Image<f32>) {
-        let (width, pixels) = (self.camera.width, self.camera.pixels());
-        let depths_per_row = taps::chunks(width) * self.views.count();
-        self.inverse_depths.resize(self.camera.height * depths_per_row, [0.0; LANES]);
+        let (width, pixels) = (blurred.width, blurred.pixels());
+        let count = self.views.count();
+        let depths_per_row = taps::chunks(width) * count;
+        self.inverse_depths.resize(blurred.height * depths_per_row, [0.0; LANES]);
+        let (stride, margin) = (self.camera.width, self.margin);
         let scene = Scene {
             camera: &self.camera,
+            width,
+            margin,
             views: &self.views,
             surface: &self.surface,
             fine: &self.fine,
@@ -192,8 +207,9 @@ impl Reprojection {
         let bands = self.bands.par_iter_mut();
         let depths = self.inverse_depths.par_chunks_mut(BAND * depths_per_row);
         bands.zip(depths).zip(planes).for_each(|((band, depths), ((red, green), blue))| {
-            let from = band.first_row * width;
-            let sharp = [0, 1, 2].map(|c| &radiance.plane(c)[from..from + red.len()]);
+            let rows = band.first_row + margin..band.first_row + margin + red.len() / width;
+            let sharp =
+                [0, 1, 2].map(|c| &radiance.plane(c)[rows.start * stride..rows.end * stride]);
             let (blurred, scene) = ([red, green, blue], &scene);
             let task = BlurBand { scene, band, inverse_depths: depths, sharp, blurred };
             Arch::new().dispatch(task);
@@ -211,29 +227,32 @@ impl Reprojection {
         d_blurred: &Image<f32>,
         d_radiance: &mut Image<f32>,
     ) -> ReprojectionGradient {
-        let (width, height) = (self.camera.width, self.camera.height);
-        assert_shape(d_blurred, width, height, 3);
-        shape(d_radiance, width, height);
-        if self.views.count() == 0 || self.camera.pixels() == 0 {
-            d_radiance.data.copy_from_slice(&d_blurred.data);
+        let frame = self.camera.cropped(self.margin);
+        assert_shape(d_blurred, frame.width, frame.height, 3);
+        shape(d_radiance, self.camera.width, self.camera.height);
+        if self.views.count() == 0 || d_blurred.data.is_empty() {
+            d_blurred.embed_into(self.margin, d_radiance);
             return ReprojectionGradient::default();
         }
         self.scatter(d_blurred);
         self.merge(d_blurred, d_radiance);
-        let mut sums = vec![[0.0; 6]; self.views.sums(0, height).1];
-        for band in &self.bands {
-            let first = self.views.sums(band.first_row, height).0;
-            for (total, sum) in sums[first..].iter_mut().zip(&band.sums) {
+        self.sums.clear();
+        self.sums.resize(self.views.sums(0, frame.height).1, [0.0; 6]);
+        for band in &self.bands[..frame.height.div_ceil(BAND)] {
+            let first = self.views.sums(band.first_row, frame.height).0;
+            for (total, sum) in self.sums[first..].iter_mut().zip(&band.sums) {
                 total.iter_mut().zip(sum).for_each(|(total, s)| *total += s);
             }
         }
-        self.views.pull_back(&self.shutter, &sums)
+        self.views.pull_back(&self.shutter, &self.sums)
     }
 
     fn scatter(&mut self, d_blurred: &Image<f32>) {
-        let width = self.camera.width;
+        let width = d_blurred.width;
         let scene = Scene {
             camera: &self.camera,
+            width,
+            margin: self.margin,
             views: &self.views,
             surface: &self.surface,
             fine: &self.fine,
@@ -254,12 +273,18 @@ impl Reprojection {
     /// Sums the bands' cotangents, in the order of the bands.
     fn merge(&self, d_blurred: &Image<f32>, d_radiance: &mut Image<f32>) {
         let (width, height) = (self.camera.width, self.camera.height);
-        let still = self.views.still_weight;
-        let rows = d_radiance.data.par_chunks_mut(width).zip(d_blurred.data.par_chunks(width));
-        rows.enumerate().with_min_len(BAND).for_each(|(i, (to, d_blurred))| {
+        let (still, margin) = (self.views.still_weight, self.margin);
+        let bands = &self.bands[..d_blurred.height.div_ceil(BAND)];
+        let rows = d_radiance.data.par_chunks_mut(width);
+        rows.enumerate().with_min_len(BAND).for_each(|(i, to)| {
             let (plane, y) = (i / height, i % height);
-            to.iter_mut().zip(d_blurred).for_each(|(to, d)| *to = still * d);
-            for band in &self.bands {
+            to.fill(0.0);
+            if let Some(y) = y.checked_sub(margin).filter(|&y| y < d_blurred.height) {
+                let from = (plane * d_blurred.height + y) * d_blurred.width;
+                let from = &d_blurred.data[from..from + d_blurred.width];
+                to[margin..].iter_mut().zip(from).for_each(|(to, d)| *to = still * d);
+            }
+            for band in bands {
                 let (first, end) = band.sharp_rows;
                 if (first..end).contains(&y) {
                     let from = (plane * (end - first) + y - first) * width;

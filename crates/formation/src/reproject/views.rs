@@ -125,15 +125,17 @@ pub(super) struct Views<T> {
     moving: Vec<View<T>>,
     /// Size of a set.
     count: usize,
-    /// Whether every row has a set of its own.
+    /// Whether every row of the picture has a set of its own.
     pub(super) rolling: bool,
+    /// Rows of the render above the picture.
+    margin: usize,
     /// Share of the exposure that the sharp render itself stands for.
     pub(super) still_weight: T,
 }
 
 impl<T: Real> Default for Views<T> {
     fn default() -> Self {
-        Self { moving: Vec::new(), count: 0, rolling: false, still_weight: T::one() }
+        Self { moving: Vec::new(), count: 0, rolling: false, margin: 0, still_weight: T::one() }
     }
 }
 
@@ -143,25 +145,27 @@ impl<T> Views<T> {
         self.count
     }
 
-    /// The moving views of row `y`, in order of time.
+    /// The moving views of row `y` of the render, in order of time.
     #[inline(always)]
     pub(super) fn row(&self, y: usize) -> &[View<T>] {
-        let from = if self.rolling { y * self.count } else { 0 };
+        let from = if self.rolling { (y - self.margin) * self.count } else { 0 };
         &self.moving[from..from + self.count]
     }
 
-    /// Where the sums of the views of row `row` of some rows lie, and how many sums `rows` have.
+    /// Where the sums of the views of row `row` of some rows lie, and how many sums `rows` have; rows of
+    /// the picture.
     pub(super) fn sums(&self, row: usize, rows: usize) -> (usize, usize) {
         if self.rolling { (row * self.count, rows * self.count) } else { (0, self.count) }
     }
 }
 
 impl<T: Real> Views<T> {
-    /// Computed in `f64`, kept in `T`; keeps its allocation. A `readout` [exposures] that is zero
+    /// For a render by `camera`, which ends `margin` pixels beyond the picture. Computed in `f64`,
+    /// kept in `T`; keeps its allocation. A `readout` [exposures] that is zero
     /// or not finite is a global shutter.
     pub(super) fn update(
         &mut self,
-        camera: &Camera<T>,
+        (camera, margin): (&Camera<T>, usize),
         shutter: &ShutterPoses<f64>,
         readout: f64,
         cameras: usize,
@@ -170,28 +174,29 @@ impl<T: Real> Views<T> {
         self.moving.clear();
         self.still_weight = T::zero();
         self.rolling = readout != 0.0 && readout.is_finite();
-        let cameras = shutter.virtual_cameras(cameras, quadrature);
+        self.margin = margin;
+        let cameras = || shutter.each_virtual_camera(cameras, quadrature);
         let camera: Camera<f64> = camera.cast();
         if self.rolling {
-            self.count = cameras.len();
-            for row in 0..camera.height {
-                let place = row_place(row, camera.height);
-                for virtual_camera in &cameras {
+            let height = camera.height - 2 * margin;
+            for place in (0..height).map(|row| row_place(row, height)) {
+                for virtual_camera in cameras() {
                     let u = virtual_camera.u + readout * place;
                     let pose = shutter.at(u);
-                    let moved = VirtualCamera { u, world_from_camera: pose, ..*virtual_camera };
+                    let moved = VirtualCamera { u, world_from_camera: pose, ..virtual_camera };
                     self.moving.push(View::new(&camera, shutter, &moved, 1.0, place));
                 }
             }
+            self.count = cameras().count();
             return;
         }
-        let last = cameras.last().map_or(1.0, |c| c.u) - 0.5;
-        for virtual_camera in &cameras {
+        let last = cameras().next_back().map_or(1.0, |c| c.u) - 0.5;
+        for virtual_camera in cameras() {
             if (virtual_camera.u - 0.5).abs() < 1e-9 {
                 self.still_weight += T::of(virtual_camera.weight);
                 continue;
             }
-            self.moving.push(View::new(&camera, shutter, virtual_camera, last, 0.0));
+            self.moving.push(View::new(&camera, shutter, &virtual_camera, last, 0.0));
         }
         self.count = self.moving.len();
     }

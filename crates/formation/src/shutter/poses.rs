@@ -59,19 +59,26 @@ impl<T: Real> ShutterPoses<T> {
     /// `count` poses of equal weight, spread over the exposure by `quadrature`. One camera (or
     /// none asked for) stands in the middle.
     pub fn virtual_cameras(&self, count: usize, quadrature: Quadrature) -> Vec<VirtualCamera<T>> {
-        let count = count.max(1);
+        self.each_virtual_camera(count, quadrature).collect()
+    }
+
+    /// [`virtual_cameras`](Self::virtual_cameras) one by one, without a list of them.
+    pub fn each_virtual_camera(
+        &self,
+        count: usize,
+        quadrature: Quadrature,
+    ) -> impl DoubleEndedIterator<Item = VirtualCamera<T>> + ExactSizeIterator + use<T> {
+        let (shutter, count) = (*self, count.max(1));
         let weight = T::of(1.0 / count as f64);
-        let moment = |j: usize| match quadrature {
+        let moment = move |j: usize| match quadrature {
             _ if count == 1 => T::of(0.5),
             Quadrature::Endpoints => T::of(j as f64 / (count - 1) as f64),
             Quadrature::Midpoints => T::of((j as f64 + 0.5) / count as f64),
         };
-        (0..count)
-            .map(|j| {
-                let u = moment(j);
-                VirtualCamera { u, weight, world_from_camera: self.at(u) }
-            })
-            .collect()
+        (0..count).map(move |j| {
+            let u = moment(j);
+            VirtualCamera { u, weight, world_from_camera: shutter.at(u) }
+        })
     }
 
     /// Pulls the cotangent of the pose at `u` back onto the two shutter poses.

@@ -63,7 +63,8 @@ pub struct FormationConfig {
     pub tone: bool,
     /// Regularise start and end pose by the global trajectory (eqs. 15 to 17).
     pub trajectory_loss: bool,
-    /// Virtual cameras over the exposure (N_cam of eq. 6), at least 1.
+    /// Virtual cameras over the exposure (N_cam of eq. 6), at least 1. Where they are re-projected
+    /// and `blur_per_camera` sets their number, up to 2 N - 1.
     pub virtual_cameras: usize,
     /// Where they lie within the exposure.
     pub quadrature: QuadratureRule,

@@ -10,6 +10,7 @@ mod observation;
 mod photometric;
 mod rays;
 mod scene;
+mod similarity;
 mod window;
 
 pub use blur::{blur_length, virtual_camera_count};

@@ -82,8 +82,10 @@ pub(crate) struct Bins {
     places: Vec<AtomicU32>,
     /// Where the places of each chunk of splats start.
     chunk_starts: Vec<u32>,
-    /// One row of counts, then places, per chunk of sorted splats.
+    /// One row of places in `entries`, tile by tile, per chunk of sorted splats.
     counters: Vec<AtomicU32>,
+    /// One grid of corners per chunk of sorted splats, see [`Corners`].
+    corners: Vec<AtomicU32>,
 }
 
 impl Bins {
@@ -134,18 +136,26 @@ impl Bins {
         let count = sorted.len().div_ceil(chunk);
         self.counters.clear();
         self.counters.resize_with(count * grid.len(), AtomicU32::default);
+        self.corners.clear();
+        self.corners.resize_with(count * Corners::len(grid), AtomicU32::default);
         let rows = || self.counters.par_chunks(grid.len().max(1)).zip(sorted.par_chunks(chunk));
-        rows().for_each(|(counters, items)| {
-            for item in items {
-                for_tiles(&splats[sort::index(*item)], grid, |tile, _, _| {
-                    take(&counters[tile]);
-                });
-            }
-        });
+        rows().zip(self.corners.par_chunks(Corners::len(grid))).for_each(
+            |((counters, items), corners)| {
+                let corners = Corners { grid, corners };
+                for items in items.chunks(FETCH) {
+                    let boxes = fetch(items, |index| splats[index].tiles);
+                    boxes.iter().take(items.len()).for_each(|tiles| corners.mark(*tiles));
+                }
+                corners.count(counters);
+            },
+        );
         start_lists(&mut self.starts, &self.counters, grid.len());
         rows().for_each(|(counters, items)| {
-            for item in items {
-                self.scatter(moving, sort::index(*item), splats, grid, counters);
+            for items in items.chunks(FETCH) {
+                let fetched = fetch(items, |index| splats[index]);
+                for (item, splat) in items.iter().zip(&fetched) {
+                    self.scatter(moving, sort::index(*item), splat, grid, counters);
+                }
             }
         });
     }
@@ -164,14 +174,13 @@ impl Bins {
         &self,
         moving: bool,
         index: usize,
-        splats: &[Splat],
+        splat: &Splat,
         grid: &TileGrid,
         counters: &[AtomicU32],
     ) {
-        let splat = &splats[index];
         let ellipse = Ellipse::of(splat);
         let mut place = (self.chunk_starts[index / CHUNK] + splat.first_tile) as usize;
-        for_tiles(splat, grid, |tile, column, row| {
+        for_tiles(splat.tiles, grid, |tile, column, row| {
             let at = take(&counters[tile]);
             let rows = if moving { [0, TILE] } else { ellipse.rows(splat, column, row) };
             let entry = Entry::new(index, rows);
@@ -180,6 +189,55 @@ impl Bins {
             place += 1;
         });
     }
+}
+
+/// How many boxes lie over each tile, from four marks per box: +1 where it begins and -1 behind
+/// its end, along both axes. Sums over both axes turn marks into counts, without a loop over the
+/// tiles of each box, whose length no machine guesses.
+struct Corners<'a> {
+    grid: &'a TileGrid,
+    /// One more row and column than there are tiles.
+    corners: &'a [AtomicU32],
+}
+
+impl Corners<'_> {
+    fn len(grid: &TileGrid) -> usize {
+        (grid.columns + 1) * (grid.rows + 1)
+    }
+
+    #[inline(always)]
+    fn mark(&self, tiles: [u16; 4]) {
+        let [x0, y0, x1, y1] = tiles.map(usize::from);
+        let stride = self.grid.columns + 1;
+        for (at, sign) in [(y0, 1), (y1, u32::MAX)] {
+            add(&self.corners[at * stride + x0], sign);
+            add(&self.corners[at * stride + x1], sign.wrapping_neg());
+        }
+    }
+
+    /// Writes the count of each tile.
+    fn count(&self, counters: &[AtomicU32]) {
+        let columns = self.grid.columns;
+        let stride = columns + 1;
+        for row in 0..self.grid.rows {
+            let mut along = 0_u32;
+            for column in 0..columns {
+                let mark = self.corners[row * stride + column].load(Relaxed);
+                along = along.wrapping_add(mark);
+                let above = match row {
+                    0 => 0,
+                    _ => counters[(row - 1) * columns + column].load(Relaxed),
+                };
+                counters[row * columns + column].store(along.wrapping_add(above), Relaxed);
+            }
+        }
+    }
+}
+
+/// Only one thread may use the counter.
+#[inline(always)]
+fn add(counter: &AtomicU32, by: u32) {
+    counter.store(counter.load(Relaxed).wrapping_add(by), Relaxed);
 }
 
 /// Turn counts per chunk and tile into places, and note where each tile's list starts.
@@ -197,14 +255,26 @@ fn start_lists(starts: &mut Vec<u32>, counters: &[AtomicU32], tiles: usize) {
     starts.push(next);
 }
 
+/// Items whose footprints are fetched together. They lie all over the memory; where nothing
+/// depends on one of them before all are asked for, the machine waits once and not for each.
+const FETCH: usize = 16;
+
+/// What belongs to each of up to [`FETCH`] items.
+#[inline(always)]
+fn fetch<T: Default>(items: &[u64], get: impl Fn(usize) -> T) -> [T; FETCH] {
+    std::array::from_fn(|i| items.get(i).map_or_else(T::default, |item| get(sort::index(*item))))
+}
+
 /// Call `f(tile, column, row)` for the tiles that a splat's box touches, row by row.
 #[inline(always)]
-fn for_tiles(splat: &Splat, grid: &TileGrid, mut f: impl FnMut(usize, usize, usize)) {
-    let [x0, y0, x1, y1] = splat.tiles.map(usize::from);
-    for row in y0..y1 {
-        for column in x0..x1 {
-            f(row * grid.columns + column, column, row);
-        }
+fn for_tiles(tiles: [u16; 4], grid: &TileGrid, mut f: impl FnMut(usize, usize, usize)) {
+    let [x0, y0, x1, y1] = tiles.map(usize::from);
+    let (mut column, mut row) = (x0, y0);
+    for _ in 0..(x1 - x0) * (y1 - y0) {
+        f(row * grid.columns + column, column, row);
+        let ends = column + 1 == x1;
+        column = if ends { x0 } else { column + 1 };
+        row += usize::from(ends);
     }
 }
 

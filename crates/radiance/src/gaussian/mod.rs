@@ -36,5 +36,5 @@ pub use crate::{Render, RenderCotangent, View};
 pub use gradient::MapGradient;
 pub use map::{ColourActivation, Gaussian, GaussianMap, Shape};
 pub use motion::{Moment, MotionGradient, ShutterMotion};
-pub use rasterize::{GaussianRadiance, Rasterizer, reference};
+pub use rasterize::{GaussianRadiance, Rasterizer, StageSeconds, Work, reference};
 pub use settings::RasterSettings;

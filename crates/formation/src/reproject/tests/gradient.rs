@@ -4,7 +4,7 @@ use super::scene::{Scene, camera, moving};
 use crate::reproject::{Interpolation, ReferenceReprojection, ReprojectionGradient};
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use i2slam_check::{assert_close, assert_gradient, central_differences, noise};
-use i2slam_geometry::{Camera, Image, Tangent};
+use i2slam_geometry::{Camera, Image, Pose, Tangent};
 
 const MOTION: [f64; 6] = [0.09, -0.06, 0.05, 0.04, 0.03, -0.06];
 /// Short enough that no tap crosses from one cell of the grid to the next.
@@ -12,6 +12,8 @@ const STEP: f64 = 1e-7;
 
 struct Case {
     camera: Camera<f64>,
+    /// Pixels that the render has more than the picture on every side.
+    margin: usize,
     scene: Scene,
     views: usize,
     weights: Vec<f64>,
@@ -24,17 +26,25 @@ impl Case {
         let camera = camera(22, 17);
         let scene = scene(&camera, 5.0);
         let weights = noise(seed, 3 * camera.pixels());
-        Self { camera, scene, views, weights, shutter: moving(MOTION), readout: 0.0 }
+        let shutter = moving(MOTION);
+        Self { camera, margin: 0, scene, views, weights, shutter, readout: 0.0 }
     }
 
     /// The same, read in `readout` exposures.
-    fn rolling(mut self, readout: f64) -> Self {
-        self.readout = readout;
-        self
+    fn rolling(self, readout: f64) -> Self {
+        Self { readout, ..self }
+    }
+
+    fn with_margin(self, margin: usize) -> Self {
+        Self { margin, ..self }
+    }
+
+    fn seen(&self, pose: &Pose<f64>) -> (Image<f64>, Image<f64>) {
+        self.scene.render(&self.camera.widened(self.margin), pose, 1)
     }
 
     fn sharp(&self, shutter: &ShutterPoses<f64>) -> (Image<f64>, Image<f64>) {
-        self.scene.render(&self.camera, &shutter.middle(), 1)
+        self.seen(&shutter.middle())
     }
 
     fn reprojection(
@@ -44,7 +54,7 @@ impl Case {
         depth: &Image<f64>,
     ) -> ReferenceReprojection<f64> {
         ReferenceReprojection::new(
-            Interpolation::Cubic,
+            Interpolation::Sharp,
             &self.camera,
             shutter,
             self.readout,
@@ -62,7 +72,8 @@ impl Case {
 
     fn pull_back(&self) -> (Image<f64>, ReprojectionGradient) {
         let (radiance, depth) = self.sharp(&self.shutter);
-        let d_blurred = Image { data: self.weights.clone(), ..radiance.clone() };
+        let Camera { width, height, .. } = self.camera;
+        let d_blurred = Image { data: self.weights.clone(), width, height, channels: 3 };
         self.reprojection(&self.shutter, &radiance, &depth).pull_back(&d_blurred)
     }
 
@@ -75,7 +86,7 @@ impl Case {
         let middle = self.shutter.middle();
         let d_pose = central_differences(&[0.0; 6], 1e-4, |x| {
             let pose = middle.retract(Tangent::from_array(std::array::from_fn(|i| x[i])));
-            let (radiance, _) = self.scene.render(&self.camera, &pose, 1);
+            let (radiance, _) = self.seen(&pose);
             radiance.data.iter().zip(&d_radiance.data).map(|(r, d)| r * d).sum()
         });
         self.shutter.pull_back(0.5, Tangent::from_array(std::array::from_fn(|i| d_pose[i])))
@@ -88,7 +99,9 @@ fn pull_back_is_the_transpose() {
     let cases = [
         Case::new(Scene::new, 5, 1),
         Case::new(Scene::wall, 2, 2),
+        Case::new(Scene::new, 5, 8).with_margin(4),
         Case::new(Scene::new, 3, 8).rolling(1.4),
+        Case::new(Scene::new, 3, 8).rolling(-0.7).with_margin(3),
     ];
     for (case, seed) in cases.iter().zip(20..) {
         let (radiance, depth) = case.sharp(&case.shutter);
@@ -108,8 +121,9 @@ fn relative_motion_agrees_with_differences() {
         ("slanted wall", Case::new(Scene::wall, 3, 3)),
         ("slanted wall, two views", Case::new(Scene::wall, 2, 4)),
         ("board before a wall", Case::new(Scene::facing, 5, 5)),
+        ("slanted wall with a margin", Case::new(Scene::wall, 3, 9).with_margin(3)),
         ("rolling shutter", Case::new(Scene::wall, 3, 9).rolling(1.3)),
-        ("rolling shutter, one view", Case::new(Scene::wall, 1, 10).rolling(-0.9)),
+        ("rolling shutter, one view", Case::new(Scene::wall, 1, 10).rolling(-0.9).with_margin(3)),
     ];
     for (name, case) in cases {
         let (radiance, depth) = case.sharp(&case.shutter);
@@ -122,7 +136,12 @@ fn relative_motion_agrees_with_differences() {
 
 #[test]
 fn the_whole_chain_agrees_with_differences() {
-    let case = Case::new(Scene::wall, 3, 6);
+    for margin in [0, 4] {
+        check_chain(&Case::new(Scene::wall, 3, 6).with_margin(margin));
+    }
+}
+
+fn check_chain(case: &Case) {
     let (_, depth) = case.sharp(&case.shutter);
     let (d_radiance, relative) = case.pull_back();
     let total = relative.shutter.plus(case.through_render(&d_radiance)).to_array();

@@ -11,7 +11,8 @@ use super::frames::FrameOptimizers;
 use super::{Follower, Keyframe, Mapper, Story, Tracker};
 use crate::config::Config;
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, RayObjective, RayView, Tone,
+    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, RayObjective, RayView,
+    Sampling, Tone,
 };
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, sampling, track};
@@ -140,8 +141,11 @@ impl FieldMapper {
     ) -> RayView<'a> {
         let estimate = &story.frames[keyframe.frame];
         let observation = &*keyframe.observation;
-        let sampling =
-            sampling(&story.config.formation, story.camera, &estimate.shutter, observation);
+        let formation = &story.config.formation;
+        let sampling = sampling(formation, story.camera, &estimate.shutter, observation);
+        // Rays are rendered, not looked up.
+        let virtual_cameras = sampling.virtual_cameras.min(formation.virtual_cameras);
+        let sampling = Sampling { virtual_cameras, ..sampling };
         let exposure = Exposure {
             shutter: estimate.shutter,
             sampling,

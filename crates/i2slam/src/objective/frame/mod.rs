@@ -1,7 +1,10 @@
 //! One frame through map and formation: forward, loss, and the way back.
 
 use super::exposure::{Exposure, ExposureRenderer};
-use super::{Observation, SceneMap, depth, photometric::image_loss};
+use super::{
+    Observation, SceneMap, depth,
+    photometric::{Similarity, image_loss},
+};
 use i2slam_formation::{
     CurveGradient, Formation, FrameTone, FrameToneGradient, ResponseCurve, ShutterTangent,
 };
@@ -64,6 +67,7 @@ pub struct FrameObjective<M: SceneMap> {
     d_picture: Image<f32>,
     d_hdr: Image<f32>,
     d_depth: Image<f32>,
+    similarity: Similarity,
     mask: Vec<bool>,
     covered: Option<Arc<Image<bool>>>,
 }
@@ -77,6 +81,7 @@ impl<M: SceneMap> FrameObjective<M> {
             d_picture: Image::default(),
             d_hdr: Image::default(),
             d_depth: Image::default(),
+            similarity: Similarity::default(),
             mask: Vec::new(),
             covered: None,
         }
@@ -150,6 +155,7 @@ impl<M: SceneMap> FrameObjective<M> {
             observation.similarity(),
             ssim_share,
             weights.0,
+            &mut self.similarity,
             &mut self.d_picture,
         );
         self.silence_uncovered();

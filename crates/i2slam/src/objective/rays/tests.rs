@@ -68,6 +68,7 @@ fn evaluate(
         virtual_cameras: cameras,
         quadrature: Quadrature::Midpoints,
         route: BlurRoute::Exact,
+        margin: 0,
     };
     let observation = observation();
     let view = |shutter: ShutterPoses<f64>, frame| RayView {
@@ -140,6 +141,7 @@ fn random_moments_average_to_the_exposure() {
         virtual_cameras,
         quadrature: Quadrature::Midpoints,
         route: BlurRoute::Exact,
+        margin: 0,
     };
     let mut mean = |cameras: usize, seeds: u64| {
         let exposure = Exposure {

@@ -5,6 +5,7 @@
 //! by `-φ ×` themselves. The covariance of a ball does not turn, so that only `J` is left of it.
 
 use super::cpu_backward_group::Group;
+use super::lanes::WIDTH;
 use super::stages::Frame;
 use super::{CHUNK, Chunk, MotionFrame, Splat};
 use crate::gaussian::bin::Bins;
@@ -86,6 +87,18 @@ impl Footprints<'_> {
         }
     }
 
+    /// The first slots of a group of visible Gaussians. They lie all over the memory; here nothing
+    /// depends on one of them before all are asked for.
+    #[inline(always)]
+    fn first_slots(&self, items: &[u64]) -> [Slot; WIDTH] {
+        let first = |item: &u64| {
+            let index = sort::index(*item);
+            let mut places = self.bins.places_of(index, &self.splats[index]);
+            places.next().map_or_else(Slot::default, |at| self.slots[at])
+        };
+        std::array::from_fn(|i| items.get(i).map_or_else(Slot::default, first))
+    }
+
     fn pull_back_chunk(&self, chunk: usize, rows: Option<GradientRows<'_, f32>>) -> PoseSums {
         let footprints = self;
         match (self.map.shape, rows.is_some()) {
@@ -122,10 +135,12 @@ impl<const ANISOTROPIC: bool, const MAP: bool> WithSimd for PullBack<'_, ANISOTR
         let mut sums = PoseSums::default();
         let mut group = Group::default();
         for items in chunks[self.chunk].visible.chunks(S::F32_LANES) {
+            let firsts = self.footprints.first_slots(items);
             for (place, item) in items.iter().enumerate() {
                 let index = sort::index(*item);
                 let (splat, mut sum) = (&splats[index], Slot::default());
-                for at in bins.places_of(index, splat) {
+                sum.add(&firsts[place]);
+                for at in bins.places_of(index, splat).skip(1) {
                     sum.add(&slots[at]);
                 }
                 group.load(place, map, index, splat, &sum);

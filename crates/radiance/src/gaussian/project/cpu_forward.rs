@@ -34,16 +34,22 @@ pub(crate) fn project(
     splats.resize(map.len(), Splat::default());
     chunks.resize_with(map.len().div_ceil(CHUNK), Chunk::default);
     paths.resize(if motion.is_some() { map.len() } else { 0 }, Path::default());
-    let mut path_chunks: Vec<_> = paths.chunks_mut(CHUNK).map(Some).collect();
-    path_chunks.resize_with(chunks.len(), || None);
-    let work = splats.par_chunks_mut(CHUNK).zip(chunks.par_iter_mut()).zip(path_chunks).enumerate();
-    work.for_each(|(number, ((splats, chunk), paths))| {
+    let work = splats.par_chunks_mut(CHUNK).zip(chunks.par_iter_mut()).enumerate();
+    let (frame, grid) = (&frame, &grid);
+    let project = |number: usize, splats, chunk: &mut Chunk, moving| {
         chunk.visible.clear();
         chunk.tile_count = 0;
-        let moving = motion.zip(paths);
         let start = number * CHUNK;
-        arch.dispatch(Project { frame: &frame, map, grid: &grid, start, splats, moving, chunk });
-    });
+        arch.dispatch(Project { frame, map, grid, start, splats, moving, chunk });
+    };
+    match motion {
+        None => work.for_each(|(number, (splats, chunk))| project(number, splats, chunk, None)),
+        Some(motion) => {
+            work.zip(paths.par_chunks_mut(CHUNK)).for_each(|((number, (splats, chunk)), paths)| {
+                project(number, splats, chunk, Some((motion, paths)))
+            })
+        }
+    }
 }
 
 /// The projection of one chunk.

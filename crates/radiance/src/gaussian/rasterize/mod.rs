@@ -1,8 +1,10 @@
 //! From footprints to pixels, and back.
 
+mod cost;
 mod cpu_backward;
 mod cpu_forward;
 mod moving;
+mod radiance;
 pub mod reference;
 mod tile;
 
@@ -15,12 +17,14 @@ use super::{
     GaussianMap, MapGradient, MotionGradient, RasterSettings, Render, RenderCotangent,
     ShutterMotion, View,
 };
-use crate::RadianceMap;
+use cost::timed;
+pub use cost::{StageSeconds, Work};
 pub(crate) use cpu_backward::Slot;
 use i2slam_geometry::Tangent;
 pub(crate) use moving::MotionSlot;
 use moving::{Clock, MomentRow};
 use pulp::Arch;
+pub use radiance::GaussianRadiance;
 use tile::TilePixels;
 
 /// The fast lane: all threads of the current `rayon` pool and the widest vectors found at run
@@ -44,6 +48,7 @@ pub struct Rasterizer {
     clock: Clock,
     states: Vec<MomentRow>,
     motion_slots: Vec<MotionSlot>,
+    seconds: StageSeconds,
 }
 
 impl Rasterizer {
@@ -65,6 +70,7 @@ impl Rasterizer {
             clock: Clock::default(),
             states: Vec::new(),
             motion_slots: Vec::new(),
+            seconds: StageSeconds::default(),
         }
     }
 
@@ -88,9 +94,11 @@ impl Rasterizer {
     /// Write what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
         self.list(map, view, None);
-        let (arch, settings) = (self.arch, &self.settings);
-        cpu_forward::render(arch, settings, &self.grid, &self.splats, &self.bins, &mut self.tiles);
-        tile::copy_out(&self.grid, &self.tiles, out);
+        let Self { arch, settings, grid, splats, bins, tiles, seconds, .. } = self;
+        timed(&mut seconds.blend, || {
+            cpu_forward::render(*arch, settings, grid, splats, bins, tiles);
+        });
+        timed(&mut seconds.copy_out, || tile::copy_out(grid, tiles, out));
     }
 
     /// Project the map and list the splats of each tile in order of depth.
@@ -101,11 +109,18 @@ impl Rasterizer {
             chunks: &mut self.chunks,
             paths: &mut self.paths,
         };
-        project::project(self.arch, map, view, motion, &self.settings, projection);
-        self.sorted.clear();
-        self.chunks.iter().for_each(|chunk| self.sorted.extend_from_slice(&chunk.visible));
-        self.sorter.sort(&mut self.sorted);
-        self.bins.fill(motion.is_some(), &self.grid, &self.splats, &self.chunks, &self.sorted);
+        let (arch, settings, seconds) = (self.arch, &self.settings, &mut self.seconds);
+        timed(&mut seconds.project, || {
+            project::project(arch, map, view, motion, settings, projection);
+        });
+        timed(&mut seconds.sort, || {
+            self.sorted.clear();
+            self.chunks.iter().for_each(|chunk| self.sorted.extend_from_slice(&chunk.visible));
+            self.sorter.sort(&mut self.sorted);
+        });
+        timed(&mut seconds.bin, || {
+            self.bins.fill(motion.is_some(), &self.grid, &self.splats, &self.chunks, &self.sorted);
+        });
         self.tiles.resize_with(self.grid.len(), TilePixels::default);
     }
 
@@ -140,8 +155,13 @@ impl Rasterizer {
             cotangent: planes,
             with_map: map_gradient.is_some(),
         };
-        cpu_backward::pull_back(&picture, &mut self.slots);
-        Tangent::from_array(self.pull_back_slots(map, view, None, map_gradient).middle)
+        let mut seconds = self.seconds;
+        timed(&mut seconds.blend_back, || cpu_backward::pull_back(&picture, &mut self.slots));
+        let sums = timed(&mut seconds.project_back, || {
+            self.pull_back_slots(map, view, None, map_gradient)
+        });
+        self.seconds = seconds;
+        Tangent::from_array(sums.middle)
     }
 
     /// From the sums over pixels to the map and the poses.
@@ -263,30 +283,5 @@ impl Rasterizer {
 impl Default for Rasterizer {
     fn default() -> Self {
         Self::new(RasterSettings::default())
-    }
-}
-
-/// A map together with its rasteriser.
-pub struct GaussianRadiance {
-    /// The Gaussians.
-    pub map: GaussianMap,
-    /// What draws them.
-    pub rasterizer: Rasterizer,
-}
-
-impl RadianceMap for GaussianRadiance {
-    type Gradient = MapGradient;
-
-    fn render(&mut self, view: &View<f32>, out: &mut Render) {
-        self.rasterizer.render(&self.map, view, out);
-    }
-
-    fn pull_back(
-        &mut self,
-        view: &View<f32>,
-        cotangent: &RenderCotangent,
-        gradient: Option<&mut MapGradient>,
-    ) -> Tangent<f64> {
-        self.rasterizer.pull_back(&self.map, view, cotangent, gradient)
     }
 }

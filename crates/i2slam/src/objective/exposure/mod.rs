@@ -1,0 +1,215 @@
+//! The exposure integral (eqs. 5 and 6) by one of three routes, forward and back.
+//!
+//! | route | rendered | what repeats for every virtual camera |
+//! |---|---|---|
+//! | exact | every virtual camera | everything |
+//! | splat | the map once with the pixel velocity of every Gaussian, and once still, for depth | the blend |
+//! | image | the map once, at mid-exposure, with a margin | a look-up by depth |
+
+mod exact;
+mod image;
+mod sampling;
+mod splat;
+
+pub use sampling::{BlurRoute, Sampling};
+
+use super::SceneMap;
+use i2slam_formation::{ShutterPoses, ShutterTangent, VirtualCamera};
+use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
+use i2slam_radiance::{Render, RenderCotangent, View};
+use image::WideRender;
+use std::ops::Range;
+
+/// The camera's motion while the shutter is open, and how it is sampled.
+#[derive(Clone, Copy, Debug)]
+pub struct Exposure {
+    /// World-from-camera at shutter open and close.
+    pub shutter: ShutterPoses<f64>,
+    /// How the average over it is computed.
+    pub sampling: Sampling,
+    /// Time in which the rows are read [exposures]; 0 for a global shutter. The shutter poses are
+    /// those of the middle row.
+    pub readout: f64,
+    /// Where the camera was when the depth picture was taken, if that is known; otherwise depth
+    /// is compared at the virtual camera that fits best (eq. 14), or at mid-exposure on a route
+    /// that renders no other.
+    pub depth_pose: Option<Pose<f64>>,
+}
+
+impl Exposure {
+    /// One camera needs no route, and exact renders cannot show rows of different times.
+    fn route(&self) -> BlurRoute {
+        match self.sampling.route {
+            _ if self.sampling.virtual_cameras <= 1 && self.readout == 0.0 => BlurRoute::Exact,
+            BlurRoute::Exact if self.readout != 0.0 => BlurRoute::Splat,
+            route => route,
+        }
+    }
+
+    fn cameras(&self) -> impl ExactSizeIterator<Item = VirtualCamera<f64>> + use<> {
+        let sampling = self.sampling;
+        self.shutter.each_virtual_camera(sampling.virtual_cameras, sampling.quadrature)
+    }
+}
+
+/// The cotangent of a pose that moves rigidly with `middle`, as a cotangent of `middle`.
+///
+/// With `pose = middle ⊞ (λ, l)` and `E = Exp(l)`: `d.ρ = E d_pose.ρ`,
+/// `d.φ = E d_pose.φ + λ × E d_pose.ρ`.
+pub(super) fn carried_to_middle(
+    middle: Pose<f64>,
+    pose: Pose<f64>,
+    d_pose: Tangent<f64>,
+) -> Tangent<f64> {
+    let lead = middle.local(pose);
+    let turn = Rotation::exp(lead.rotation);
+    let translation = turn.rotate(d_pose.translation);
+    let rotation = turn.rotate(d_pose.rotation) + lead.translation.cross(translation);
+    Tangent { translation, rotation }
+}
+
+/// Renders exposures; owns every buffer that this takes.
+pub(super) struct ExposureRenderer<M: SceneMap> {
+    camera: Camera<f32>,
+    settings: M::Settings,
+    renderers: Vec<M::Renderer>,
+    renders: Vec<Render>,
+    wide: WideRender,
+    cotangent: RenderCotangent<f32>,
+    depths: Range<usize>,
+    middle: usize,
+    /// Average radiance over the exposure, linear, three planes.
+    pub(super) hdr: Image<f32>,
+}
+
+impl<M: SceneMap> ExposureRenderer<M> {
+    pub(super) fn new(camera: Camera<f32>, settings: M::Settings) -> Self {
+        let none = Image::new(camera.width, camera.height, 1);
+        Self {
+            camera,
+            settings,
+            renderers: Vec::new(),
+            renders: Vec::new(),
+            wide: WideRender::new(),
+            cotangent: RenderCotangent {
+                radiance: Image::default(),
+                depth: none.clone(),
+                opacity: none,
+            },
+            depths: 0..0,
+            middle: 0,
+            hdr: Image::default(),
+        }
+    }
+
+    /// Radiance, depth and opacity seen from one pose.
+    pub(super) fn render(&mut self, map: &M, pose: Pose<f64>) -> &Render {
+        self.still(map, 0, pose);
+        &self.renders[0]
+    }
+
+    /// The renders of the last exposure whose depth may be compared.
+    pub(super) fn depths(&self) -> Range<usize> {
+        self.depths.clone()
+    }
+
+    pub(super) fn depth(&self, index: usize) -> &Image<f32> {
+        &self.renders[index].depth
+    }
+
+    /// Opacity at mid-exposure.
+    pub(super) fn opacity(&self) -> &Image<f32> {
+        &self.renders[self.middle].opacity
+    }
+
+    /// Computes `hdr`, and the renders that depth is compared with.
+    pub(super) fn forward(&mut self, map: &M, exposure: &Exposure) {
+        let rendered = match exposure.route() {
+            BlurRoute::Exact => self.forward_exact(map, exposure),
+            BlurRoute::Splat => self.forward_splat(map, exposure),
+            BlurRoute::Image => self.forward_image(map, exposure),
+        };
+        if let Some(pose) = exposure.depth_pose {
+            self.still(map, rendered, pose);
+            self.depths = rendered..rendered + 1;
+        }
+    }
+
+    /// From the cotangents of `hdr` and of the depth of render `depth` back to the shutter poses
+    /// (with the readout's own derivative) and, where asked for, to the map.
+    pub(super) fn backward(
+        &mut self,
+        map: &M,
+        exposure: &Exposure,
+        d_hdr: &Image<f32>,
+        (depth, d_depth): (usize, &mut Image<f32>),
+        mut d_map: Option<&mut M::Gradient>,
+    ) -> (ShutterTangent<f64>, f64) {
+        let (mut d_shutter, d_readout) = match exposure.route() {
+            BlurRoute::Exact => {
+                let depth = (depth, &mut *d_depth);
+                (self.backward_exact(map, exposure, d_hdr, depth, d_map.as_deref_mut()), 0.0)
+            }
+            BlurRoute::Splat => {
+                self.backward_splat(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())
+            }
+            BlurRoute::Image => {
+                self.backward_image(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())
+            }
+        };
+        if let Some(pose) = exposure.depth_pose {
+            let d_pose = self.backward_depth(map, depth, pose, d_depth, d_map);
+            let d_middle = carried_to_middle(exposure.shutter.middle(), pose, d_pose);
+            d_shutter = d_shutter.plus(exposure.shutter.pull_back(0.5, d_middle));
+        }
+        (d_shutter, d_readout)
+    }
+
+    fn view(&self, pose: Pose<f64>) -> View<f32> {
+        View { camera: self.camera, world_from_camera: pose.cast() }
+    }
+
+    fn reserve(&mut self, count: usize) {
+        while self.renderers.len() < count {
+            self.renderers.push(M::renderer(&self.settings));
+            self.renders.push(Render::default());
+        }
+    }
+
+    fn still(&mut self, map: &M, index: usize, pose: Pose<f64>) {
+        self.reserve(index + 1);
+        let view = self.view(pose);
+        map.render(&mut self.renderers[index], &view, &mut self.renders[index]);
+    }
+
+    /// The pose cotangent of a render that only depth is compared with.
+    fn backward_depth(
+        &mut self,
+        map: &M,
+        index: usize,
+        pose: Pose<f64>,
+        d_depth: &mut Image<f32>,
+        d_map: Option<&mut M::Gradient>,
+    ) -> Tangent<f64> {
+        let view = self.view(pose);
+        self.cotangent.radiance.reset(self.camera.width, self.camera.height, 3);
+        self.with_depth(d_depth, |this| this.pull_back(map, index, &view, d_map))
+    }
+
+    fn with_depth<R>(&mut self, d_depth: &mut Image<f32>, work: impl FnOnce(&mut Self) -> R) -> R {
+        std::mem::swap(&mut self.cotangent.depth, d_depth);
+        let result = work(self);
+        std::mem::swap(&mut self.cotangent.depth, d_depth);
+        result
+    }
+
+    fn pull_back(
+        &mut self,
+        map: &M,
+        index: usize,
+        view: &View<f32>,
+        d_map: Option<&mut M::Gradient>,
+    ) -> Tangent<f64> {
+        map.pull_back(&mut self.renderers[index], view, &self.cotangent, d_map)
+    }
+}

@@ -1,0 +1,105 @@
+//! How an exposure is sampled: how many virtual cameras, where, and by which route.
+
+use super::super::virtual_camera_count;
+use crate::config::{BlurModel, FormationConfig};
+use i2slam_formation::Quadrature;
+
+/// Blur [px] from which re-projection uncovers more than it can fill, and `auto` renders every
+/// virtual camera.
+const LONG_BLUR: f64 = 20.0;
+
+/// The margin comes in steps [px] of half a tile of the rasteriser, and ends where `auto` no longer
+/// re-projects: the border of longer streaks takes the edge of the render.
+const MARGIN_STEP: usize = 8;
+const MOST_MARGIN: usize = 24;
+
+/// How the average over the exposure is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BlurRoute {
+    /// One render per virtual camera.
+    Exact,
+    /// One projection; Gaussians move with their pixel velocity.
+    Splat,
+    /// One render at mid-exposure, re-projected by its depth.
+    Image,
+}
+
+/// How the average over an exposure is sampled and computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sampling {
+    /// Virtual cameras over the exposure.
+    pub virtual_cameras: usize,
+    /// Where they lie within it.
+    pub quadrature: Quadrature,
+    /// How their average is computed.
+    pub route: BlurRoute,
+    /// Pixels beyond every side of the picture that the image route renders.
+    pub margin: usize,
+}
+
+impl Sampling {
+    /// One camera in the middle.
+    pub const SHARP: Self = Self {
+        virtual_cameras: 1,
+        quadrature: Quadrature::Midpoints,
+        route: BlurRoute::Exact,
+        margin: 0,
+    };
+
+    /// What a blur of `length` pixels needs.
+    pub fn new(formation: &FormationConfig, length: f64) -> Self {
+        if !formation.blur {
+            return Self::SHARP;
+        }
+        let per_camera = f64::from(formation.blur_per_camera);
+        let route = match formation.blur_model {
+            BlurModel::Exact => BlurRoute::Exact,
+            BlurModel::Splat => BlurRoute::Splat,
+            BlurModel::Image => BlurRoute::Image,
+            BlurModel::Auto if length < LONG_BLUR => BlurRoute::Image,
+            BlurModel::Auto => BlurRoute::Exact,
+        };
+        // A re-projected camera costs a few hundredths of a rendered one.
+        let most = match route {
+            BlurRoute::Image if per_camera > 0.0 => 2 * formation.virtual_cameras.max(1) - 1,
+            _ => formation.virtual_cameras,
+        };
+        let virtual_cameras = virtual_camera_count(length, per_camera, most);
+        Self {
+            virtual_cameras,
+            quadrature: formation.quadrature(),
+            route,
+            margin: if virtual_cameras > 1 { margin(length) } else { 0 },
+        }
+    }
+}
+
+/// How far [px] virtual cameras look beyond the border for a median blur of `length` pixels: half
+/// of it to either side, a quarter more where things are nearer than the median, and the pixel
+/// beside for interpolation.
+fn margin(length: f64) -> usize {
+    let reach = (0.5 * 1.25 * length).ceil() as usize + 1;
+    reach.next_multiple_of(MARGIN_STEP).min(MOST_MARGIN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_margin_follows_the_blur() {
+        assert_eq!([0.5, 10.0, 11.3, 19.9, 500.0].map(margin), [8, 8, 16, 16, 24]);
+        assert_eq!(Sampling::SHARP.margin, 0);
+    }
+
+    #[test]
+    fn only_views_that_are_looked_up_exceed_the_cap() {
+        let views = |model, length| {
+            let ours = crate::Config::default().formation;
+            let formation = FormationConfig { blur_model: model, virtual_cameras: 5, ..ours };
+            Sampling::new(&formation, length).virtual_cameras
+        };
+        assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Image, b)), [1, 5, 9, 9]);
+        assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Exact, b)), [1, 5, 5, 5]);
+    }
+}
