@@ -71,16 +71,24 @@ def keep(name, rows):
 
 
 COLOURS = ["#1f6fb4", "#d4570f", "#2c8a3c", "#8a4bb0", "#777777", "#b01e4e"]
-WIDTH, HEIGHT = 380, 300
+WIDTH, HEIGHT, KEY = 380, 300, 60
 LEFT, RIGHT, TOP, BOTTOM = 56, 12, 30, 44
+
+
+def short(value):
+    """A number with k or M for thousands or millions."""
+    for size, unit in ((1e6, " M"), (1e3, " k")):
+        if value >= size:
+            return f"{value / size:g}{unit}"
+    return f"{value:g}"
 
 
 class Panel:
     """One plot: lines of (x, y) by name."""
 
-    def __init__(self, title, x, y, lines, log=(False, False), legend=128):
+    def __init__(self, title, x, y, lines, log=(False, False)):
         self.title, self.x, self.y, self.lines = title, x, y, lines
-        self.log, self.legend = log, WIDTH - legend
+        self.log = log
         spans = [[p[k] for line in lines.values() for p in line] for k in (0, 1)]
         self.low = [min(span) for span in spans]
         self.high = [max(span) for span in spans]
@@ -112,7 +120,7 @@ class Panel:
         out.append(f"{turned}{self.y}</text>")
         for k in (0, 1):
             for tick in self.ticks(k):
-                at, label = self.place(k, tick), f"{tick:g}"
+                at, label = self.place(k, tick), short(tick)
                 ends = (at, TOP, at, HEIGHT - BOTTOM) if k == 0 else (LEFT, at, WIDTH - RIGHT, at)
                 out.append('<path d="M{:.1f} {:.1f}L{:.1f} {:.1f}" stroke="#ddd"/>'.format(*ends))
                 if k == 0:
@@ -125,14 +133,14 @@ class Panel:
             out.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="1.8"/>')
             out += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colour}"/>' for x, y in places]
         for k, (name, colour) in enumerate(zip(self.lines, COLOURS * 9)):
-            y = TOP + 14 + 15 * k
-            out.append(f'<rect x="{self.legend}" y="{y - 8}" width="12" height="4" fill="{colour}"/>')
-            out.append(text.format(self.legend + 16, y - 2, "start", name))
+            x, y = LEFT + 160 * (k % 2), HEIGHT + 14 + 16 * (k // 2)
+            out.append(f'<rect x="{x}" y="{y - 6}" width="12" height="4" fill="{colour}"/>')
+            out.append(text.format(x + 16, y, "start", name))
         return "\n".join(out + ["</g>"])
 
 
 def draw(name, panels):
-    size = f'width="{WIDTH * len(panels)}" height="{HEIGHT}"'
+    size = f'width="{WIDTH * len(panels)}" height="{HEIGHT + KEY}"'
     head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="11">'
     body = [panel.svg(WIDTH * k) for k, panel in enumerate(panels)]
     back = '<rect width="100%" height="100%" fill="white"/>'
@@ -156,7 +164,7 @@ def plot_quality(rows):
     panels = []
     for motion in dict.fromkeys(row["motion"] for row in rows):
         own = [row for row in rows if row["motion"] == motion and row["blur_px"] > 0]
-        lines = {r.replace("_", " "): [(row["blur_px"], row[r]) for row in own] for r in routes}
+        lines = {r.replace("image_without", "no").replace("_", " "): [(row["blur_px"], row[r]) for row in own] for r in routes}
         panels.append(Panel(motion, "blur [px]", "PSNR to 32 exact views [dB]", lines))
     draw("quality", panels)
 
@@ -177,9 +185,9 @@ def plot_size(rows):
         lines = {}
         for key in keys:
             own = [row for row in rows if row[by] == key]
-            name = f"{key:g} px wide" if by == "width" else f"{key:g} Gaussians"
+            name = f"{key:g} px wide" if by == "width" else f"{short(key)} Gaussians"
             lines[name] = [(x(row), row["forward_ms"] + row["backward_ms"]) for row in own]
-        return Panel(title, x_title, "forward and backward [ms]", lines, (True, True), 316)
+        return Panel(title, x_title, "forward and backward [ms]", lines, (True, True))
 
     gaussians = panel("by Gaussians", "width", lambda row: row["gaussians"], "Gaussians")
     pixels = panel("by pixels", "gaussians", lambda row: row["width"] * row["height"], "pixels")
@@ -193,7 +201,7 @@ def plot_stages(rows, machine):
     roof = [(x, min(peak, band * x)) for x in (0.1, 0.3, 1, 3, peak / band, 30, 100)]
     lines = {"roof": sorted(roof)}
     lines |= {row["stage"]: [(row["flop_per_byte"], row["mflop"] / row["ms"])] for row in own}
-    panel = Panel("roofline", "FLOP per byte", "GFLOP/s", lines, (True, True), 316)
+    panel = Panel("roofline", "FLOP per byte", "GFLOP/s", lines, (True, True))
     draw("roofline", [panel])
 
 
