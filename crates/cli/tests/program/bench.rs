@@ -175,7 +175,8 @@ fn mistakes_in_a_suite_are_found_before_anything_runs() {
 #[test]
 fn suites_come_with_the_program() {
     let list = run(["bench", "--list"]).ended_with(0).out;
-    for name in ["ablation", "virtual-cameras", "runtime", "tum", "scannet", "synthetic"] {
+    for name in ["ablation", "virtual-cameras", "runtime", "tum", "scannet", "synthetic", "presets"]
+    {
         assert!(list.lines().any(|line| line.starts_with(name)), "{name} is not in {list}");
     }
     let text = run(["bench", "ablation", "--print"]).ended_with(0).out;

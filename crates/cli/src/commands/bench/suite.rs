@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use toml::Table;
 
 /// Suites that come with the program, name and text.
-pub(super) const SHIPPED: [(&str, &str); 8] = [
+pub(super) const SHIPPED: [(&str, &str); 9] = [
     ("ablation", include_str!("../../../../../suites/ablation.toml")),
     ("ablation-scannet", include_str!("../../../../../suites/ablation-scannet.toml")),
     ("virtual-cameras", include_str!("../../../../../suites/virtual-cameras.toml")),
@@ -14,6 +14,7 @@ pub(super) const SHIPPED: [(&str, &str); 8] = [
     ("tum", include_str!("../../../../../suites/tum.toml")),
     ("scannet", include_str!("../../../../../suites/scannet.toml")),
     ("synthetic", include_str!("../../../../../suites/synthetic.toml")),
+    ("presets", include_str!("../../../../../suites/presets.toml")),
     ("blur-models", include_str!("../../../../../suites/blur-models.toml")),
 ];
 

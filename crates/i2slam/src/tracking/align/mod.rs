@@ -31,6 +31,8 @@ use pyramid::{Observed, observed_levels};
 use recovery::standing;
 use residual::Sums;
 
+/// Share of the overlap that a better start must keep: what sees nothing has no loss.
+const KEPT_OVERLAP: f64 = 0.9;
 /// Frame intervals after which the motion since the last frame no longer tells the velocity.
 const LONGEST_INTERVAL: f64 = 3.5;
 /// Share of the picture that must have depth: a pose from one small patch slides along it.
@@ -131,7 +133,8 @@ impl Frame<'_> {
         }
         let Some(streak) = self.with_streak(objective, map, &end.state) else { return end };
         let moving = self.descend(objective, map, streak);
-        match losses(&moving.sums).image < losses(&end.sums).image {
+        let sees_as_much = moving.sums.overlap() >= KEPT_OVERLAP * end.sums.overlap();
+        match sees_as_much && losses(&moving.sums).image < losses(&end.sums).image {
             true => moving,
             false => end,
         }

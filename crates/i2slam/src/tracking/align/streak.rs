@@ -31,7 +31,11 @@ impl Frame<'_> {
         let level = LEVEL.min(self.observed.len() - 1);
         let cameras = self.context.formation.virtual_cameras;
         let loss = |state: &State| {
-            losses(&self.residuals(&model, level, state, cameras, Purpose::Compare)).image
+            let sums = self.residuals(&model, level, state, cameras, Purpose::Compare);
+            match sums.errors.image_count {
+                0 => f64::INFINITY,
+                _ => losses(&sums).image,
+            }
         };
         let streaks = DIRECTIONS.iter().flat_map(|axis| LENGTHS.map(|length| (axis, length)));
         let moving = streaks.map(|(axis, length)| {
