@@ -255,6 +255,9 @@ pub struct AlignmentConfig {
     pub image_weight: f32,
     /// Standard deviation of the blur motion's prior, as a share of the motion between frames.
     pub motion_prior: f32,
+    /// How firmly the white balance stays that of the last frame: a frame takes 1 / (1 + this) of
+    /// what it asks for.
+    pub white_balance_inertia: f32,
 }
 
 /// How the map is built.

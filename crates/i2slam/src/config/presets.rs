@@ -159,6 +159,7 @@ fn paper_scannet() -> Config {
                 image_scale_floor: 0.01,
                 image_weight: 0.15,
                 motion_prior: 0.1,
+                white_balance_inertia: 4.0,
             },
         },
         mapping: MappingConfig {

@@ -215,7 +215,7 @@ impl Config {
         Ok(())
     }
 
-    fn rates(&self) -> [(&'static str, f32); 34] {
+    fn rates(&self) -> [(&'static str, f32); 35] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         [
             ("hashgrid.bound", self.hashgrid.bound),
@@ -252,6 +252,7 @@ impl Config {
             ("tracking.velocity_translation_share", t.velocity_translation_share),
             ("tracking.alignment.image_weight", t.alignment.image_weight),
             ("tracking.alignment.motion_prior", t.alignment.motion_prior),
+            ("tracking.alignment.white_balance_inertia", t.alignment.white_balance_inertia),
         ]
     }
 }

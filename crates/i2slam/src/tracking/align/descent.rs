@@ -1,5 +1,6 @@
 //! Gauss-Newton down the levels of the pictures.
 
+use super::balance::BalancePrior;
 use super::prior::freeze;
 use super::reference::{Reference, cleanest};
 use super::residual::{Equations, Errors, Linearization, READOUT, Sums, UNKNOWNS};
@@ -136,10 +137,12 @@ impl Frame<'_> {
             // One prior for both sides, held where the step was taken from.
             let prior = self.context.formation.blur.then(|| self.prior(state));
             let rolling = self.readout_prior(state);
+            let balance = self.balance_prior(&here.total.equations);
             let cost = |state: &State, sums: &Sums| {
                 let velocity = state.motion.velocity;
                 let rolling = rolling.as_ref().map_or(0.0, |p| p.cost(velocity, state.readout));
                 let prior = prior.as_ref().map_or(0.0, |p| p.cost(velocity)) + rolling;
+                let prior = prior + balance.cost(state.tone.log_white_balance);
                 sums.mean_cost() + prior / sums.equations.count.max(1) as f64
             };
             let lower = cost(&next, &there.total) <= cost(state, &here.total) * (1.0 + 1e-4);
@@ -224,8 +227,14 @@ impl Frame<'_> {
         .accumulate()
     }
 
+    fn balance_prior(&self, equations: &Equations) -> BalancePrior {
+        let inertia = self.context.tracking.alignment.white_balance_inertia;
+        BalancePrior::new(equations, inertia, self.white_balance)
+    }
+
     pub(super) fn add_prior(&self, state: &State, equations: &mut Equations) {
         let formation = self.context.formation;
+        self.balance_prior(equations).add_to(state.tone.log_white_balance, equations);
         if formation.blur {
             self.prior(state).add_to(state.motion.velocity, equations);
         } else {

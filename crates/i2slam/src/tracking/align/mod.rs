@@ -5,6 +5,7 @@
 //! cameras of the exposure, blurs, forms and compares. Twelve pose numbers, the exposure and the
 //! white balance are solved for together.
 
+mod balance;
 mod belief;
 mod covariance;
 mod descent;
@@ -50,6 +51,8 @@ struct Frame<'a> {
     /// Pixels per metre and per radian, for tangents in pixels.
     pixels: [f64; 6],
     previous: Pose<f64>,
+    /// Logarithms of the white balance that is expected.
+    white_balance: [f32; 3],
     /// The readout that the descent starts from [exposures].
     readout_start: f64,
 }
@@ -73,6 +76,7 @@ pub(super) fn align<M: SceneMap>(
         curve: state.response.as_ref().map(CameraResponse::curve),
         pixels: pixels_per_unit(context, observation),
         previous,
+        white_balance: state.tone.log_white_balance,
         readout_start: state.readout,
     };
     let predicted = state.clone();
