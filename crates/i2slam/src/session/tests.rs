@@ -45,6 +45,12 @@ fn pose(index: usize) -> Pose<f64> {
     Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
 }
 
+/// World-from-camera of a camera that turns ever faster.
+fn faster(index: usize) -> Pose<f64> {
+    let t = index as f64;
+    Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * t * t, 0.0)), Vec3::zero())
+}
+
 fn config() -> Config {
     let mut config = Config::default();
     config.map.kind = MapKind::HashGrid;
@@ -61,6 +67,10 @@ fn run() -> (Reconstruction, Vec<String>) {
 }
 
 fn run_with(config: Config) -> (Reconstruction, Vec<String>) {
+    run_along(config, pose)
+}
+
+fn run_along(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, Vec<String>) {
     let mut session = Session::new(config, CAMERA, 30.0);
     for index in 0..FRAMES {
         session.process(&frame(index, pose(index))).expect("frames of one size");
@@ -126,4 +136,20 @@ fn mapping_beside_tracking_does_not_depend_on_threads() {
         assert!(estimate.tracked && error < 0.01, "{index}: {error} m");
         assert_eq!(estimate.gaussians > 0, index > 0 || estimate.keyframe);
     }
+}
+
+#[test]
+fn refinement_keeps_what_alignment_tells() {
+    let mut config = Config::default();
+    config.tracking.iterations = 1;
+    config.mapping.final_iterations = 1;
+    config.input.optimise_rolling_shutter = true;
+    config.input.rolling_shutter_readout = 0.01;
+    let (reconstruction, _) = run_along(config, faster);
+    for estimate in &reconstruction.frames[1..] {
+        let found = estimate.convergence;
+        assert!(estimate.tracked && found.iterations > 0, "{}: {found:?}", estimate.index);
+        assert!(found.position_deviation.is_some() && found.rotation_deviation.is_some());
+    }
+    assert_ne!(reconstruction.rolling_shutter_readout, 0.01);
 }

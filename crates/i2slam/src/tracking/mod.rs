@@ -133,6 +133,16 @@ impl TrackingResult {
             tracked,
         }
     }
+
+    /// What first-order steps made of an aligned frame, if they could be taken. What only alignment
+    /// tells stays.
+    fn or_refined(self, refined: Self) -> Self {
+        if !refined.tracked {
+            return self;
+        }
+        let Self { measured_readout, convergence, .. } = self;
+        Self { measured_readout, convergence, ..refined }
+    }
 }
 
 /// The predicted pose of a frame and the motion that led to it.
@@ -205,8 +215,8 @@ pub(crate) fn track<M: SceneMap>(
     let sampling = sampling(context.formation, context.camera, &state.motion.into(), observation);
     let refined = adam::refine(context, objective, map, observation, state, sampling);
     match aligned {
-        Some(aligned) if !refined.tracked => aligned,
-        _ => refined,
+        Some(aligned) => aligned.or_refined(refined),
+        None => refined,
     }
 }
 
