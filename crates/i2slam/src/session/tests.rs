@@ -3,6 +3,7 @@
 use super::*;
 use crate::config::MapKind;
 use crate::reconstruction::Map;
+use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Pose, Rotation, Vec3};
 
 const CAMERA: Camera<f64> =
@@ -100,6 +101,26 @@ fn a_camera_is_tracked_on_a_field() {
     let wrong = depth.data.iter().zip(&truth.depth.data).map(|(a, b)| (a - b).abs());
     let error = wrong.sum::<f32>() / depth.data.len() as f32;
     assert!(error < 0.05, "{error} m");
+}
+
+#[test]
+fn rows_of_a_field_are_skewed() {
+    let (reconstruction, _) = run();
+    let mut viewer = reconstruction.viewer();
+    let mut last = reconstruction.frames[FRAMES - 1].clone();
+    let at = |turn: f64| Pose::new(Rotation::exp(Vec3::new(0.0, turn, 0.0)), Vec3::zero());
+    last.shutter = ShutterPoses { start: at(-0.02), end: at(0.02) };
+    (last.blur_length, last.readout) = (1.6, 4.0);
+    let rolled = viewer.blurred(&last);
+    let still = viewer.blurred(&FrameEstimate { readout: 0.0, ..last.clone() });
+    let row = 4;
+    let turned = at(0.04 * 4.0 * ((row as f64 + 0.5) / CAMERA.height as f64 - 0.5));
+    let then = viewer.sharp(&FrameEstimate { shutter: ShutterPoses::still(turned), ..last });
+    let off = |picture: &Image<f32>| {
+        let error = |i| f64::from(picture.at(1, i, row) - then.at(1, i, row)).abs();
+        (8..CAMERA.width - 8).map(error).sum::<f64>()
+    };
+    assert!(off(&rolled) < 0.3 * off(&still), "{} {}", off(&rolled), off(&still));
 }
 
 #[test]

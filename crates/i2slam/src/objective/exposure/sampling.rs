@@ -24,6 +24,18 @@ pub enum BlurRoute {
     Image,
 }
 
+impl BlurRoute {
+    /// The route that is taken in place of one that cannot be: exact renders cannot show rows of
+    /// different times, and not every map [moves](super::super::SceneMap::MOVES).
+    pub(crate) fn able(self, readout: f64, moves: bool) -> Self {
+        match self {
+            Self::Exact if readout == 0.0 => Self::Exact,
+            Self::Exact | Self::Splat if moves => Self::Splat,
+            _ => Self::Image,
+        }
+    }
+}
+
 /// How the average over an exposure is sampled and computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampling {
@@ -90,6 +102,16 @@ mod tests {
     fn the_margin_follows_the_blur() {
         assert_eq!([0.5, 10.0, 11.3, 19.9, 500.0].map(margin), [8, 8, 16, 16, 24]);
         assert_eq!(Sampling::SHARP.margin, 0);
+    }
+
+    #[test]
+    fn rows_of_different_times_need_a_route_that_shows_them() {
+        use BlurRoute::{Exact, Image, Splat};
+        let able = |readout, moves| [Exact, Splat, Image].map(|r| r.able(readout, moves));
+        assert_eq!(able(0.0, true), [Exact, Splat, Image]);
+        assert_eq!(able(0.0, false), [Exact, Image, Image]);
+        assert_eq!(able(-0.5, true), [Splat, Splat, Image]);
+        assert_eq!(able(0.5, false), [Image, Image, Image]);
     }
 
     #[test]
