@@ -57,7 +57,8 @@ impl Viewer<'_> {
 
     /// What formation predicts for the frame, motion blur included.
     pub fn blurred(&mut self, frame: &FrameEstimate) -> Image<f32> {
-        let sampling = Sampling::new(&self.reconstruction.config.formation, frame.blur_length);
+        let formation = &self.reconstruction.config.formation;
+        let sampling = Sampling::new(formation, frame.blur_length, frame.readout);
         let sampling = Sampling { route: BlurRoute::Exact, ..sampling };
         let (shutter, readout) = (frame.shutter, frame.readout);
         self.form(frame, Exposure { shutter, sampling, readout, depth_pose: None })

@@ -212,7 +212,8 @@ pub(crate) fn track<M: SceneMap>(
         };
         aligned = Some(result);
     }
-    let sampling = sampling(context.formation, context.camera, &state.motion.into(), observation);
+    let exposed = (state.motion.into(), state.readout);
+    let sampling = sampling(context.formation, context.camera, exposed, observation);
     let refined = adam::refine(context, objective, map, observation, state, sampling);
     match aligned {
         Some(aligned) => aligned.or_refined(refined),
@@ -225,12 +226,12 @@ fn start_split(context: &TrackingContext<'_>) -> f64 {
     if context.formation.blur { f64::from(context.tracking.initial_split) } else { 0.0 }
 }
 
-/// How the exposure of a frame is sampled.
+/// How the exposure of a frame is sampled, from its shutter poses and readout [exposures].
 pub(crate) fn sampling(
     formation: &FormationConfig,
     camera: &Camera<f64>,
-    shutter: &ShutterPoses<f64>,
+    (shutter, readout): (ShutterPoses<f64>, f64),
     observation: &Observation,
 ) -> Sampling {
-    Sampling::new(formation, blur_length(camera, shutter, &observation.depth))
+    Sampling::new(formation, blur_length(camera, &shutter, &observation.depth), readout)
 }
