@@ -20,11 +20,17 @@ pub struct Viewer<'a> {
 
 /// A map that can be looked at.
 trait Scene {
+    /// Whether its elements have pixel velocities.
+    fn moves(&self) -> bool;
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render;
     fn predict(&mut self, variables: &FrameVariables<'_>) -> &Image<f32>;
 }
 
 impl<M: SceneMap> Scene for (&M, FrameObjective<M>) {
+    fn moves(&self) -> bool {
+        M::MOVES
+    }
+
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render {
         self.1.render(self.0, world_from_camera)
     }
@@ -57,9 +63,7 @@ impl Viewer<'_> {
 
     /// What formation predicts for the frame, motion blur included.
     pub fn blurred(&mut self, frame: &FrameEstimate) -> Image<f32> {
-        let formation = &self.reconstruction.config.formation;
-        let sampling = Sampling::new(formation, frame.blur_length, frame.readout);
-        let sampling = Sampling { route: BlurRoute::Exact, ..sampling };
+        let sampling = self.sampling(frame);
         let (shutter, readout) = (frame.shutter, frame.readout);
         self.form(frame, Exposure { shutter, sampling, readout, depth_pose: None })
     }
@@ -90,6 +94,13 @@ impl Viewer<'_> {
     pub(crate) fn focal_length(&self) -> f64 {
         let camera = &self.reconstruction.camera;
         0.5 * (camera.fx + camera.fy)
+    }
+
+    /// How a frame is sampled by renders of their own where rows are read at once.
+    fn sampling(&self, frame: &FrameEstimate) -> Sampling {
+        let formation = &self.reconstruction.config.formation;
+        let route = BlurRoute::Exact.able(frame.readout, self.scene.moves());
+        Sampling::by_route(route, formation, frame.blur_length, frame.readout)
     }
 
     fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {

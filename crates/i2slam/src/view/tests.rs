@@ -48,3 +48,15 @@ fn rows_of_a_frame_without_blur_are_skewed() {
     };
     assert!(off(&skewed) < 0.3 * off(&global), "{} {}", off(&skewed), off(&global));
 }
+
+#[test]
+fn a_blurred_picture_takes_no_more_renders_than_configured() {
+    let room = room();
+    let viewer = room.viewer();
+    let most = room.config.formation.virtual_cameras;
+    let sampling = |readout| viewer.sampling(&turning(&room, 0.2, readout));
+    let (global, rolling) = (sampling(0.0), sampling(0.5));
+    assert_eq!((global.route, global.virtual_cameras), (BlurRoute::Exact, most));
+    assert_eq!((rolling.route, rolling.virtual_cameras), (BlurRoute::Splat, most));
+    assert!(Sampling::new(&room.config.formation, 18.0, 0.0).virtual_cameras > most);
+}
