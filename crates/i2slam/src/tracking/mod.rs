@@ -54,8 +54,12 @@ impl TrackingContext<'_> {
 
     /// The usual frame interval as a share of the time since the last frame: below 1 after a gap.
     fn interval_share(&self) -> f64 {
-        let Some(last) = self.previous else { return 1.0 };
-        let share = 1.0 / (self.frame_rate * (self.timestamps.0 - last.timestamp));
+        self.previous.map_or(1.0, |last| self.share_of(self.timestamps.0 - last.timestamp))
+    }
+
+    /// The usual frame interval as a share of `seconds`.
+    fn share_of(&self, seconds: f64) -> f64 {
+        let share = 1.0 / (self.frame_rate * seconds);
         if share.is_finite() && share > 0.0 { share.clamp(0.05, 2.0) } else { 1.0 }
     }
 
