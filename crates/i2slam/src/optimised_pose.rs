@@ -204,4 +204,4 @@ fn mean_square_error(picture: &Image<f32>, truth: &Image<f32>) -> f64 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

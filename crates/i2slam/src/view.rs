@@ -20,11 +20,17 @@ pub struct Viewer<'a> {
 
 /// A map that can be looked at.
 trait Scene {
+    /// Whether its elements have pixel velocities.
+    fn moves(&self) -> bool;
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render;
     fn predict(&mut self, variables: &FrameVariables<'_>) -> &Image<f32>;
 }
 
 impl<M: SceneMap> Scene for (&M, FrameObjective<M>) {
+    fn moves(&self) -> bool {
+        M::MOVES
+    }
+
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render {
         self.1.render(self.0, world_from_camera)
     }
@@ -52,13 +58,14 @@ impl Viewer<'_> {
     /// The frame without motion blur: seen from mid-exposure, formed with the frame's own
     /// exposure, white balance and response. Three planes, in `[0, 1]` but for the leaky clip.
     pub fn sharp(&mut self, frame: &FrameEstimate) -> Image<f32> {
-        self.form(frame, ShutterPoses::still(frame.middle()), Sampling::SHARP)
+        self.sharp_from(frame, frame.middle())
     }
 
     /// What formation predicts for the frame, motion blur included.
     pub fn blurred(&mut self, frame: &FrameEstimate) -> Image<f32> {
-        let sampling = Sampling::new(&self.reconstruction.config.formation, frame.blur_length);
-        self.form(frame, frame.shutter, Sampling { route: BlurRoute::Exact, ..sampling })
+        let sampling = self.sampling(frame);
+        let (shutter, readout) = (frame.shutter, frame.readout);
+        self.form(frame, Exposure { shutter, sampling, readout, depth_pose: None })
     }
 
     /// Linear radiance seen from a world-from-camera pose (picture values with `tone` off).
@@ -78,7 +85,7 @@ impl Viewer<'_> {
 
     /// The frame's sharp picture from another pose, cut to `[0, 1]`.
     pub(crate) fn seen_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
-        let mut picture = self.form(frame, ShutterPoses::still(pose), Sampling::SHARP);
+        let mut picture = self.sharp_from(frame, pose);
         picture.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         picture
     }
@@ -89,12 +96,20 @@ impl Viewer<'_> {
         0.5 * (camera.fx + camera.fy)
     }
 
-    fn form(
-        &mut self,
-        frame: &FrameEstimate,
-        shutter: ShutterPoses<f64>,
-        sampling: Sampling,
-    ) -> Image<f32> {
+    /// How a frame is sampled by renders of their own where rows are read at once.
+    fn sampling(&self, frame: &FrameEstimate) -> Sampling {
+        let formation = &self.reconstruction.config.formation;
+        let route = BlurRoute::Exact.able(frame.readout, self.scene.moves());
+        Sampling::by_route(route, formation, frame.blur_length, frame.readout)
+    }
+
+    fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
+        let (shutter, sampling) = (ShutterPoses::still(pose), Sampling::SHARP);
+        self.form(frame, Exposure { shutter, sampling, readout: 0.0, depth_pose: None })
+    }
+
+    /// The picture of an exposure with the frame's tone.
+    fn form(&mut self, frame: &FrameEstimate, exposure: Exposure) -> Image<f32> {
         let curve: Option<ResponseCurve<f32>> = self
             .reconstruction
             .config
@@ -102,8 +117,9 @@ impl Viewer<'_> {
             .tone
             .then(|| self.reconstruction.responses[frame.response].curve());
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
-        let readout = if sampling == Sampling::SHARP { 0.0 } else { frame.readout };
-        let exposure = Exposure { shutter, sampling, readout, depth_pose: None };
         self.scene.predict(&FrameVariables { exposure, tone }).clone()
     }
 }
+
+#[cfg(test)]
+mod tests;

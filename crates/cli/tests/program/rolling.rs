@@ -4,7 +4,7 @@ use crate::tools::{Scratch, number, run};
 use std::fs;
 use std::path::Path;
 
-/// Turns of a hundred degrees a second, rows read over nine tenths of the frame interval, and depth
+/// Turns of a hundred degrees a second, rows read over half of the frame interval, and depth
 /// that leaves something to the pictures.
 const SPEC: &str = "
 [camera]
@@ -13,7 +13,7 @@ width = 96
 height = 72
 sub_frames = 8
 sharp_samples = 2
-readout = 0.9
+readout = 0.48
 [light]
 texel = 0.1
 [motion]
@@ -26,7 +26,7 @@ hdr_every = 0
 ";
 
 /// The readout of [`SPEC`] [s].
-const READOUT: f64 = 0.03;
+const READOUT: f64 = 0.016;
 
 /// Sharp PSNR [dB], trajectory error [m] and readout [s] of a run.
 fn metrics(data: &Path, out: &Path, settings: &str) -> [f64; 3] {
@@ -64,9 +64,10 @@ fn a_known_or_found_readout_makes_better_maps() {
     println!("PSNR [dB], ATE [m], readout [s]: ignored {ignored:?}, known {known:?}");
     println!("found {found:?}, true {READOUT}");
     assert_eq!((ignored[2], known[2]), (0.0, READOUT));
-    assert!(known[0] > ignored[0] + 1.0 && found[0] > ignored[0] + 0.5);
+    assert!(known[0] > ignored[0] + 0.5 && found[0] > ignored[0] + 0.5);
     assert!(known[1] < 0.8 * ignored[1] && found[1] < 0.9 * ignored[1]);
-    assert!((0.4..1.4).contains(&(found[2] / READOUT)));
+    // The search could end anywhere from 0 to twice the readout.
+    assert!((0.5..1.6).contains(&(found[2] / READOUT)));
 }
 
 #[test]

@@ -1,6 +1,5 @@
 //! Maps fitted to recorded frames, and pictures of them.
 
-use i2slam::config::{BlurModel, FormationConfig};
 use i2slam::dataset::{Frame, OpenOptions, Sequence};
 use i2slam::formation::ShutterPoses;
 use i2slam::geometry::{Image, Pose};
@@ -53,13 +52,7 @@ impl Fitted {
 
     /// How a blur of `length` px is sampled by the default preset, by `route`.
     pub(crate) fn sampling(&self, length: f64, route: BlurRoute) -> Sampling {
-        let blur_model = match route {
-            BlurRoute::Exact => BlurModel::Exact,
-            BlurRoute::Splat => BlurModel::Splat,
-            BlurRoute::Image => BlurModel::Image,
-        };
-        let formation = FormationConfig { blur_model, ..self.scene.config.formation.clone() };
-        Sampling::new(&formation, length)
+        Sampling::by_route(route, &self.scene.config.formation, length, 0.0)
     }
 
     /// The picture of an exposure, with a frame's tone.

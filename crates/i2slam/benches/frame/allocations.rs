@@ -50,7 +50,7 @@ pub(crate) fn print() -> Outcome {
     ];
     for (name, route, virtual_cameras) in routes {
         let formation = &scene.config.formation;
-        let sampling = Sampling { virtual_cameras, route, ..Sampling::new(formation, 5.0) };
+        let sampling = Sampling { virtual_cameras, route, ..Sampling::new(formation, 5.0, 0.0) };
         let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
         let tone = Some(Tone { frame: frame.tone, curve: &curve });
         let variables = FrameVariables { exposure, tone };

@@ -110,7 +110,8 @@ pub enum BlurModel {
     Splat,
     /// One sharp render at mid-exposure, re-projected to the virtual cameras by its depth.
     Image,
-    /// `image`, and beyond 20 px of blur `exact`, or `splat` with a rolling shutter.
+    /// `image`, and beyond 20 px of motion while the picture is taken `exact`, or `splat` with a
+    /// rolling shutter.
     Auto,
 }
 

@@ -17,7 +17,7 @@ mod state;
 mod storage;
 mod table;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use error::ExportError;
 pub use input::Input;

@@ -55,9 +55,10 @@ impl GaussianMapper {
     }
 
     fn step(&mut self, story: &mut Story<'_>, keyframe: &Keyframe) {
-        let shutter = &story.frames[keyframe.frame].shutter;
+        let estimate = &story.frames[keyframe.frame];
+        let exposed = (estimate.shutter, estimate.readout);
         let formation = &story.config.formation;
-        let sampling = sampling(formation, story.camera, shutter, &keyframe.observation);
+        let sampling = sampling(formation, story.camera, exposed, &keyframe.observation);
         let scene = (&mut self.map, &mut self.objective);
         self.optimizer.step(story, scene, keyframe, sampling);
     }

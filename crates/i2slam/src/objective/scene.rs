@@ -17,6 +17,9 @@ pub trait SceneMap {
     /// Derivatives by the parameters of the map.
     type Gradient;
 
+    /// Whether the elements of the map have pixel velocities of their own.
+    const MOVES: bool;
+
     /// A renderer that has drawn nothing yet.
     fn renderer(settings: &Self::Settings) -> Self::Renderer;
 
@@ -34,8 +37,8 @@ pub trait SceneMap {
         gradient: Option<&mut Self::Gradient>,
     ) -> Tangent<f64>;
 
-    /// Write the average of what `view` shows while the camera moves. A map whose elements have no
-    /// pixel velocities shows the view as it stands still.
+    /// Write the average of what `view` shows while the camera moves. Exposures never ask this of a
+    /// map that does not [move](Self::MOVES), which shows the view as it stands still.
     fn render_moving(
         &self,
         renderer: &mut Self::Renderer,
@@ -64,6 +67,8 @@ impl SceneMap for GaussianMap {
     type Settings = RasterSettings;
     type Renderer = Rasterizer;
     type Gradient = MapGradient;
+
+    const MOVES: bool = true;
 
     fn renderer(settings: &RasterSettings) -> Rasterizer {
         Rasterizer::new(*settings)
@@ -109,6 +114,8 @@ impl SceneMap for HashGridMap {
     type Settings = i2slam_radiance::hashgrid::MarchSettings;
     type Renderer = FieldRenderer;
     type Gradient = FieldGradient;
+
+    const MOVES: bool = false;
 
     fn renderer(settings: &Self::Settings) -> FieldRenderer {
         FieldRenderer::new(*settings)

@@ -9,7 +9,7 @@ use i2slam_geometry::Camera;
 use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
 
 /// Gaussians at depths of 1.5 to 2.5 m with colours of their own.
-fn room() -> Reconstruction {
+pub(crate) fn room() -> Reconstruction {
     let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential);
     let random: Vec<f32> = noise(3, 2500 * 5).iter().map(|&v| v as f32).collect();
     for (i, n) in random.chunks_exact(5).enumerate() {

@@ -3,6 +3,7 @@
 use super::*;
 use crate::config::MapKind;
 use crate::reconstruction::Map;
+use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Pose, Rotation, Vec3};
 
 const CAMERA: Camera<f64> =
@@ -45,6 +46,12 @@ fn pose(index: usize) -> Pose<f64> {
     Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
 }
 
+/// World-from-camera of a camera that turns ever faster.
+fn faster(index: usize) -> Pose<f64> {
+    let t = index as f64;
+    Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * t * t, 0.0)), Vec3::zero())
+}
+
 fn config() -> Config {
     let mut config = Config::default();
     config.map.kind = MapKind::HashGrid;
@@ -61,6 +68,10 @@ fn run() -> (Reconstruction, Vec<String>) {
 }
 
 fn run_with(config: Config) -> (Reconstruction, Vec<String>) {
+    run_along(config, pose)
+}
+
+fn run_along(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, Vec<String>) {
     let mut session = Session::new(config, CAMERA, 30.0);
     for index in 0..FRAMES {
         session.process(&frame(index, pose(index))).expect("frames of one size");
@@ -90,6 +101,26 @@ fn a_camera_is_tracked_on_a_field() {
     let wrong = depth.data.iter().zip(&truth.depth.data).map(|(a, b)| (a - b).abs());
     let error = wrong.sum::<f32>() / depth.data.len() as f32;
     assert!(error < 0.05, "{error} m");
+}
+
+#[test]
+fn rows_of_a_field_are_skewed() {
+    let (reconstruction, _) = run();
+    let mut viewer = reconstruction.viewer();
+    let mut last = reconstruction.frames[FRAMES - 1].clone();
+    let at = |turn: f64| Pose::new(Rotation::exp(Vec3::new(0.0, turn, 0.0)), Vec3::zero());
+    last.shutter = ShutterPoses { start: at(-0.02), end: at(0.02) };
+    (last.blur_length, last.readout) = (1.6, 4.0);
+    let rolled = viewer.blurred(&last);
+    let still = viewer.blurred(&FrameEstimate { readout: 0.0, ..last.clone() });
+    let row = 4;
+    let turned = at(0.04 * 4.0 * ((row as f64 + 0.5) / CAMERA.height as f64 - 0.5));
+    let then = viewer.sharp(&FrameEstimate { shutter: ShutterPoses::still(turned), ..last });
+    let off = |picture: &Image<f32>| {
+        let error = |i| f64::from(picture.at(1, i, row) - then.at(1, i, row)).abs();
+        (8..CAMERA.width - 8).map(error).sum::<f64>()
+    };
+    assert!(off(&rolled) < 0.3 * off(&still), "{} {}", off(&rolled), off(&still));
 }
 
 #[test]
@@ -126,4 +157,20 @@ fn mapping_beside_tracking_does_not_depend_on_threads() {
         assert!(estimate.tracked && error < 0.01, "{index}: {error} m");
         assert_eq!(estimate.gaussians > 0, index > 0 || estimate.keyframe);
     }
+}
+
+#[test]
+fn refinement_keeps_what_alignment_tells() {
+    let mut config = Config::default();
+    config.tracking.iterations = 1;
+    config.mapping.final_iterations = 1;
+    config.input.optimise_rolling_shutter = true;
+    config.input.rolling_shutter_readout = 0.01;
+    let (reconstruction, _) = run_along(config, faster);
+    for estimate in &reconstruction.frames[1..] {
+        let found = estimate.convergence;
+        assert!(estimate.tracked && found.iterations > 0, "{}: {found:?}", estimate.index);
+        assert!(found.position_deviation.is_some() && found.rotation_deviation.is_some());
+    }
+    assert_ne!(reconstruction.rolling_shutter_readout, 0.01);
 }

@@ -54,8 +54,12 @@ impl TrackingContext<'_> {
 
     /// The usual frame interval as a share of the time since the last frame: below 1 after a gap.
     fn interval_share(&self) -> f64 {
-        let Some(last) = self.previous else { return 1.0 };
-        let share = 1.0 / (self.frame_rate * (self.timestamps.0 - last.timestamp));
+        self.previous.map_or(1.0, |last| self.share_of(self.timestamps.0 - last.timestamp))
+    }
+
+    /// The usual frame interval as a share of `seconds`.
+    fn share_of(&self, seconds: f64) -> f64 {
+        let share = 1.0 / (self.frame_rate * seconds);
         if share.is_finite() && share > 0.0 { share.clamp(0.05, 2.0) } else { 1.0 }
     }
 
@@ -133,6 +137,16 @@ impl TrackingResult {
             tracked,
         }
     }
+
+    /// What first-order steps made of an aligned frame, if they could be taken. What only alignment
+    /// tells stays.
+    fn or_refined(self, refined: Self) -> Self {
+        if !refined.tracked {
+            return self;
+        }
+        let Self { measured_readout, convergence, .. } = self;
+        Self { measured_readout, convergence, ..refined }
+    }
 }
 
 /// The predicted pose of a frame and the motion that led to it.
@@ -202,11 +216,12 @@ pub(crate) fn track<M: SceneMap>(
         };
         aligned = Some(result);
     }
-    let sampling = sampling(context.formation, context.camera, &state.motion.into(), observation);
+    let exposed = (state.motion.into(), state.readout);
+    let sampling = sampling(context.formation, context.camera, exposed, observation);
     let refined = adam::refine(context, objective, map, observation, state, sampling);
     match aligned {
-        Some(aligned) if !refined.tracked => aligned,
-        _ => refined,
+        Some(aligned) => aligned.or_refined(refined),
+        None => refined,
     }
 }
 
@@ -215,12 +230,12 @@ fn start_split(context: &TrackingContext<'_>) -> f64 {
     if context.formation.blur { f64::from(context.tracking.initial_split) } else { 0.0 }
 }
 
-/// How the exposure of a frame is sampled.
+/// How the exposure of a frame is sampled, from its shutter poses and readout [exposures].
 pub(crate) fn sampling(
     formation: &FormationConfig,
     camera: &Camera<f64>,
-    shutter: &ShutterPoses<f64>,
+    (shutter, readout): (ShutterPoses<f64>, f64),
     observation: &Observation,
 ) -> Sampling {
-    Sampling::new(formation, blur_length(camera, shutter, &observation.depth))
+    Sampling::new(formation, blur_length(camera, &shutter, &observation.depth), readout)
 }

@@ -142,7 +142,8 @@ impl FieldMapper {
         let estimate = &story.frames[keyframe.frame];
         let observation = &*keyframe.observation;
         let formation = &story.config.formation;
-        let sampling = sampling(formation, story.camera, &estimate.shutter, observation);
+        let exposed = (estimate.shutter, estimate.readout);
+        let sampling = sampling(formation, story.camera, exposed, observation);
         // Rays are rendered, not looked up.
         let virtual_cameras = sampling.virtual_cameras.min(formation.virtual_cameras);
         let sampling = Sampling { virtual_cameras, ..sampling };

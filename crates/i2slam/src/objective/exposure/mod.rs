@@ -37,12 +37,11 @@ pub struct Exposure {
 }
 
 impl Exposure {
-    /// One camera needs no route, and exact renders cannot show rows of different times.
-    fn route(&self) -> BlurRoute {
+    /// One camera needs no route.
+    fn route(&self, moves: bool) -> BlurRoute {
         match self.sampling.route {
             _ if self.sampling.virtual_cameras <= 1 && self.readout == 0.0 => BlurRoute::Exact,
-            BlurRoute::Exact if self.readout != 0.0 => BlurRoute::Splat,
-            route => route,
+            route => route.able(self.readout, moves),
         }
     }
 
@@ -124,7 +123,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
 
     /// Computes `hdr`, and the renders that depth is compared with.
     pub(super) fn forward(&mut self, map: &M, exposure: &Exposure) {
-        let rendered = match exposure.route() {
+        let rendered = match exposure.route(M::MOVES) {
             BlurRoute::Exact => self.forward_exact(map, exposure),
             BlurRoute::Splat => self.forward_splat(map, exposure),
             BlurRoute::Image => self.forward_image(map, exposure),
@@ -145,7 +144,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
         (depth, d_depth): (usize, &mut Image<f32>),
         mut d_map: Option<&mut M::Gradient>,
     ) -> (ShutterTangent<f64>, f64) {
-        let (mut d_shutter, d_readout) = match exposure.route() {
+        let (mut d_shutter, d_readout) = match exposure.route(M::MOVES) {
             BlurRoute::Exact => {
                 let depth = (depth, &mut *d_depth);
                 (self.backward_exact(map, exposure, d_hdr, depth, d_map.as_deref_mut()), 0.0)

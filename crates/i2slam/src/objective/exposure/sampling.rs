@@ -24,6 +24,18 @@ pub enum BlurRoute {
     Image,
 }
 
+impl BlurRoute {
+    /// The route that is taken in place of one that cannot be: exact renders cannot show rows of
+    /// different times, and not every map [moves](super::super::SceneMap::MOVES).
+    pub(crate) fn able(self, readout: f64, moves: bool) -> Self {
+        match self {
+            Self::Exact if readout == 0.0 => Self::Exact,
+            Self::Exact | Self::Splat if moves => Self::Splat,
+            _ => Self::Image,
+        }
+    }
+}
+
 /// How the average over an exposure is sampled and computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampling {
@@ -46,40 +58,65 @@ impl Sampling {
         margin: 0,
     };
 
-    /// What a blur of `length` pixels needs.
-    pub fn new(formation: &FormationConfig, length: f64) -> Self {
-        if !formation.blur {
-            return Self::SHARP;
-        }
-        let per_camera = f64::from(formation.blur_per_camera);
+    /// What an exposure needs that draws streaks of `length` pixels and whose rows are read in
+    /// `readout` exposures.
+    pub fn new(formation: &FormationConfig, length: f64, readout: f64) -> Self {
+        let several = views(formation, length, formation.virtual_cameras) > 1;
         let route = match formation.blur_model {
             BlurModel::Exact => BlurRoute::Exact,
             BlurModel::Splat => BlurRoute::Splat,
             BlurModel::Image => BlurRoute::Image,
-            BlurModel::Auto if length < LONG_BLUR => BlurRoute::Image,
+            BlurModel::Auto if reach(several, length, readout) < LONG_BLUR => BlurRoute::Image,
             BlurModel::Auto => BlurRoute::Exact,
         };
+        Self::by_route(route, formation, length, readout)
+    }
+
+    /// The same by one route.
+    pub fn by_route(
+        route: BlurRoute,
+        formation: &FormationConfig,
+        length: f64,
+        readout: f64,
+    ) -> Self {
         // A re-projected camera costs a few hundredths of a rendered one.
         let most = match route {
-            BlurRoute::Image if per_camera > 0.0 => 2 * formation.virtual_cameras.max(1) - 1,
+            BlurRoute::Image if formation.blur_per_camera > 0.0 => {
+                2 * formation.virtual_cameras.max(1) - 1
+            }
             _ => formation.virtual_cameras,
         };
-        let virtual_cameras = virtual_camera_count(length, per_camera, most);
-        Self {
-            virtual_cameras,
-            quadrature: formation.quadrature(),
-            route,
-            margin: if virtual_cameras > 1 { margin(length) } else { 0 },
+        let virtual_cameras = views(formation, length, most);
+        let several = virtual_cameras > 1;
+        let reach = reach(several, length, readout);
+        let margin = if several || reach > 0.0 { margin(reach) } else { 0 };
+        match formation.blur {
+            true => Self { virtual_cameras, quadrature: formation.quadrature(), route, margin },
+            false => Self { margin, ..Self::SHARP },
         }
     }
 }
 
-/// How far [px] virtual cameras look beyond the border for a median blur of `length` pixels: half
+/// Virtual cameras for a blur of `length` pixels.
+fn views(formation: &FormationConfig, length: f64, most: usize) -> usize {
+    match formation.blur {
+        true => virtual_camera_count(length, f64::from(formation.blur_per_camera), most),
+        false => 1,
+    }
+}
+
+/// How far [px] a point moves while the rows of a picture are read in `readout` exposures, each of
+/// which draws streaks of `length` pixels if it is seen by `several` cameras.
+fn reach(several: bool, length: f64, readout: f64) -> f64 {
+    length * (readout.abs() + if several { 1.0 } else { 0.0 })
+}
+
+/// How far [px] virtual cameras look beyond the border for a median motion of `reach` pixels: half
 /// of it to either side, a quarter more where things are nearer than the median, and the pixel
 /// beside for interpolation.
-fn margin(length: f64) -> usize {
-    let reach = (0.5 * 1.25 * length).ceil() as usize + 1;
-    reach.next_multiple_of(MARGIN_STEP).min(MOST_MARGIN)
+fn margin(reach: f64) -> usize {
+    let beyond = (0.5 * 1.25 * reach).ceil() as usize + 1;
+    beyond.next_multiple_of(MARGIN_STEP).min(MOST_MARGIN)
 }
 
 #[cfg(test)]
@@ -93,11 +130,38 @@ mod tests {
     }
 
     #[test]
+    fn rows_reach_farther_than_blur() {
+        let formation = crate::Config::default().formation;
+        let margin = |length, readout| Sampling::new(&formation, length, readout).margin;
+        assert_eq!([0.0, 4.0, -30.0].map(|readout| margin(0.4, readout)), [0, 8, 16]);
+        assert_eq!([0.0, 0.9, -1.1].map(|readout| margin(8.0, readout)), [8, 16, 16]);
+        let route = |length, readout| Sampling::new(&formation, length, readout).route;
+        assert_eq!(
+            [0.9, 1.1].map(|readout| route(10.0, readout)),
+            [BlurRoute::Image, BlurRoute::Exact]
+        );
+        assert_eq!(
+            [45.0, 55.0].map(|readout| route(0.4, readout)),
+            [BlurRoute::Image, BlurRoute::Exact]
+        );
+    }
+
+    #[test]
+    fn rows_of_different_times_need_a_route_that_shows_them() {
+        use BlurRoute::{Exact, Image, Splat};
+        let able = |readout, moves| [Exact, Splat, Image].map(|r| r.able(readout, moves));
+        assert_eq!(able(0.0, true), [Exact, Splat, Image]);
+        assert_eq!(able(0.0, false), [Exact, Image, Image]);
+        assert_eq!(able(-0.5, true), [Splat, Splat, Image]);
+        assert_eq!(able(0.5, false), [Image, Image, Image]);
+    }
+
+    #[test]
     fn only_views_that_are_looked_up_exceed_the_cap() {
         let views = |model, length| {
             let ours = crate::Config::default().formation;
             let formation = FormationConfig { blur_model: model, virtual_cameras: 5, ..ours };
-            Sampling::new(&formation, length).virtual_cameras
+            Sampling::new(&formation, length, 0.0).virtual_cameras
         };
         assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Image, b)), [1, 5, 9, 9]);
         assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Exact, b)), [1, 5, 5, 5]);

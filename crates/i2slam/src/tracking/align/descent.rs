@@ -1,9 +1,10 @@
 //! Gauss-Newton down the levels of the pictures.
 
 use super::balance::BalancePrior;
-use super::prior::freeze;
+use super::prior::{MotionPrior, freeze};
 use super::reference::{Reference, cleanest};
 use super::residual::{Equations, Errors, Linearization, READOUT, Sums, UNKNOWNS};
+use super::rolling::ReadoutPrior;
 use super::{Frame, State};
 use crate::config::WhiteBalance;
 use crate::objective::{FrameObjective, SceneMap, virtual_camera_count};
@@ -40,6 +41,24 @@ struct Evaluation {
     total: Sums,
     /// Errors against each reference that counts.
     errors: Vec<Option<Errors>>,
+}
+
+/// What is known of a state beside its residuals.
+struct Priors {
+    motion: Option<MotionPrior>,
+    readout: Option<ReadoutPrior>,
+    balance: BalancePrior,
+}
+
+impl Priors {
+    /// Mean cost of the residuals with the priors' share.
+    fn cost(&self, state: &State, sums: &Sums) -> f64 {
+        let velocity = state.motion.velocity;
+        let readout = self.readout.as_ref().map_or(0.0, |p| p.cost(velocity, state.readout));
+        let motion = self.motion.as_ref().map_or(0.0, |p| p.cost(velocity));
+        let balance = self.balance.cost(state.tone.log_white_balance);
+        sums.mean_cost() + (motion + readout + balance) / sums.equations.count.max(1) as f64
+    }
 }
 
 /// What an evaluation is for.
@@ -134,18 +153,10 @@ impl Frame<'_> {
             let mut next = retract(state, &step);
             next.readout = self.context.readout.one_way(next.readout);
             let there = self.evaluate(references, level, &next, purpose);
-            // One prior for both sides, held where the step was taken from.
-            let prior = self.context.formation.blur.then(|| self.prior(state));
-            let rolling = self.readout_prior(state);
-            let balance = self.balance_prior(&here.total.equations);
-            let cost = |state: &State, sums: &Sums| {
-                let velocity = state.motion.velocity;
-                let rolling = rolling.as_ref().map_or(0.0, |p| p.cost(velocity, state.readout));
-                let prior = prior.as_ref().map_or(0.0, |p| p.cost(velocity)) + rolling;
-                let prior = prior + balance.cost(state.tone.log_white_balance);
-                sums.mean_cost() + prior / sums.equations.count.max(1) as f64
-            };
-            let lower = cost(&next, &there.total) <= cost(state, &here.total) * (1.0 + 1e-4);
+            // The same for both sides, held where the step was taken from.
+            let priors = self.priors(state, &here.total.equations);
+            let bound = priors.cost(state, &here.total) * (1.0 + 1e-4);
+            let lower = priors.cost(&next, &there.total) <= bound;
             if !lower || there.total.equations.count == 0 {
                 damping *= 100.0;
                 if damping > 1.0 {
@@ -230,6 +241,12 @@ impl Frame<'_> {
     fn balance_prior(&self, equations: &Equations) -> BalancePrior {
         let inertia = self.context.tracking.alignment.white_balance_inertia;
         BalancePrior::new(equations, inertia, self.white_balance)
+    }
+
+    fn priors(&self, state: &State, equations: &Equations) -> Priors {
+        let motion = self.context.formation.blur.then(|| self.prior(state));
+        let balance = self.balance_prior(equations);
+        Priors { motion, readout: self.readout_prior(state), balance }
     }
 
     pub(super) fn add_prior(&self, state: &State, equations: &mut Equations) {

@@ -8,10 +8,12 @@
 //! r v · d = (R/T) |Δ|,   d = Δ/|Δ|, everything in pixels
 //! ```
 //!
-//! as far as the speed now is that since the last frame.
+//! as far as the speed now is that since the last frame. Motions of several frames are compared per
+//! usual frame interval: frames may be missing between them.
 
 use super::residual::{Equations, READOUT};
 use super::{Frame, PRIOR_WEIGHT, State};
+use crate::reconstruction::FrameEstimate;
 use crate::tracking::readout::MeasuredReadout;
 use i2slam_formation::CentreVelocity;
 use i2slam_geometry::Tangent;
@@ -117,7 +119,9 @@ impl Frame<'_> {
             direction: step.map(|v| if length > 0.0 { v / length } else { 0.0 }),
             length,
             share,
-            deviation: FLOOR + spread * length + BEND * share.abs() * self.bend(&step),
+            deviation: FLOOR
+                + spread * length
+                + BEND * (readout.seconds / usual).abs() * self.bend(state),
             hold: self.readout_start,
             hold_deviation: HOLD_FLOOR + HOLD * self.readout_start.abs() + unsure,
             weight: if known { PRIOR_WEIGHT } else { 0.0 },
@@ -126,28 +130,28 @@ impl Frame<'_> {
 
     /// What a frame says about the readout, if it moved unlike the frames before.
     ///
-    /// A map that was made with the readout `R'` shows `(R - R')/T Δ'` of the motion `Δ'` of those
-    /// frames as if it were in the scene, so that with `e = Δ - Δ'`
+    /// With `Δ` and `Δ'` the motion of this frame and of those during the usual frame interval `T`, a
+    /// map that was made with the readout `R'` shows `(R - R')/T Δ'` as if it were in the scene, so
+    /// that with `e = Δ - Δ'`
     ///
     /// ```text
     /// r v = (R/T) Δ - ((R - R')/T) Δ'   or   (R/T) e = r v - (R'/T) Δ'
     /// ```
     pub(super) fn measured_readout(&self, state: &State) -> Option<MeasuredReadout> {
         let prior = self.readout_prior(state)?;
-        let step = self.step_in_pixels(state.motion.centre);
-        let past = self.past_motion()?;
+        let (step, past) = (self.usual_step(state), self.past_motion()?);
         let velocity = state.motion.velocity.to_array();
+        let usual = 1.0 / self.context.frame_rate;
+        let share = self.context.readout.seconds / usual;
         let apart: [f64; 6] = std::array::from_fn(|i| step[i] - past[i]);
-        let rows: [f64; 6] = std::array::from_fn(|i| {
-            state.readout * velocity[i] * self.pixels[i] - prior.share * past[i]
-        });
+        let rows: [f64; 6] =
+            std::array::from_fn(|i| state.readout * velocity[i] * self.pixels[i] - share * past[i]);
         let dot: f64 = rows.iter().zip(&apart).map(|(r, a)| r * a).sum();
         let length = norm(&apart);
-        let interval = self.context.interval();
         let known = prior.weight > 0.0 && length > LEAST_MOTION;
         known.then(|| MeasuredReadout {
-            seconds: dot / (length * length) * interval,
-            deviation: (UNSURE + BEND * self.bend(&step)) / length * interval,
+            seconds: dot / (length * length) * usual,
+            deviation: (UNSURE + BEND * self.bend(state)) / length * usual,
         })
     }
 
@@ -156,12 +160,24 @@ impl Frame<'_> {
         let frames = &self.context.frames[self.context.frames.len().saturating_sub(PAST)..];
         let (mut sum, mut count) = ([0.0; 6], 0.0);
         for pair in frames.windows(2).filter(|pair| pair[0].tracked && pair[1].tracked) {
-            let step = CentreVelocity::along(pair[0].middle(), pair[1].middle(), 1.0).velocity;
-            let values = step.to_array();
-            (0..6).for_each(|i| sum[i] += values[i] * self.pixels[i]);
+            let step = self.step_between(&pair[0], &pair[1]);
+            (0..6).for_each(|i| sum[i] += step[i]);
             count += 1.0;
         }
         (count > 0.0).then(|| sum.map(|v| v / count))
+    }
+
+    /// The motion since the last frame [px per usual frame interval].
+    fn usual_step(&self, state: &State) -> [f64; 6] {
+        let share = self.context.interval_share();
+        self.step_in_pixels(state.motion.centre).map(|v| v * share)
+    }
+
+    /// The motion from frame to frame [px per usual frame interval].
+    fn step_between(&self, from: &FrameEstimate, to: &FrameEstimate) -> [f64; 6] {
+        let share = self.context.share_of(to.timestamp - from.timestamp);
+        let step = CentreVelocity::along(from.middle(), to.middle(), share).velocity.to_array();
+        std::array::from_fn(|i| step[i] * self.pixels[i])
     }
 
     fn step_in_pixels(&self, centre: i2slam_geometry::Pose<f64>) -> [f64; 6] {
@@ -169,15 +185,16 @@ impl Frame<'_> {
         std::array::from_fn(|i| step[i] * self.pixels[i])
     }
 
-    /// How much the motion differs from that of the frame before [px]; all of it where that is
-    /// unknown.
-    fn bend(&self, step: &[f64; 6]) -> f64 {
+    /// How much the motion differs from that of the frame before [px per usual frame interval]; all
+    /// of it where that is unknown.
+    fn bend(&self, state: &State) -> f64 {
+        let step = self.usual_step(state);
         let (Some(last), Some(before)) = (self.context.previous, self.context.before_previous)
         else {
-            return norm(step);
+            return norm(&step);
         };
-        let before = CentreVelocity::along(before.middle(), last.middle(), 1.0).velocity.to_array();
-        norm(&std::array::from_fn(|i| step[i] - before[i] * self.pixels[i]))
+        let before = self.step_between(before, last);
+        norm(&std::array::from_fn(|i| step[i] - before[i]))
     }
 }
 
@@ -186,33 +203,4 @@ fn norm(values: &[f64; 6]) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::tracking::align::residual::UNKNOWNS;
-    use i2slam_check::{assert_gradient, noise};
-
-    #[test]
-    fn normal_equations_are_half_the_derivative_of_the_cost() {
-        let values = noise(3, 6);
-        let prior = ReadoutPrior {
-            pixels: [130.0, 130.0, 130.0, 260.0, 260.0, 260.0],
-            direction: [0.1, -0.7, 0.2, 0.5, 0.3, 0.35],
-            length: 7.0,
-            share: 0.6,
-            deviation: 0.9,
-            hold: 1.5,
-            hold_deviation: 0.4,
-            weight: 20.0,
-        };
-        let x: Vec<f64> = values.iter().map(|v| 0.02 * v).chain([2.3]).collect();
-        let velocity = |x: &[f64]| Tangent::from_array(std::array::from_fn(|i| x[i]));
-        let mut equations = Equations::default();
-        prior.add_to(velocity(&x), x[6], &mut equations);
-        let indices = (VELOCITY..VELOCITY + 6).chain([READOUT]);
-        let gradient: Vec<f64> = indices.map(|i| 2.0 * equations.gradient[i]).collect();
-        assert_gradient("readout prior", &x, &gradient, 1e-5, 1e-6, |x| {
-            prior.cost(velocity(x), x[6])
-        });
-        assert_eq!(equations.gradient.len(), UNKNOWNS);
-    }
-}
+mod tests;

@@ -188,40 +188,54 @@ impl ColourBlock {
         if !task.derivatives {
             return;
         }
-        let seen = Points::load(simd, &self.points, group);
         let place = Points::load(simd, &self.places, group);
         let camera = &task.observed.camera;
         // The derivatives of `(u, v)` by the point, turned back into the camera.
         let by = |u, v| geometry.turn_back(simd, super::by_place(simd, camera, place, (u, v)));
         let (along_u, along_v) = (by(weight, number(0.0)), by(number(0.0), weight));
-        let (moved, offset) = match &geometry.rolling {
-            Some(rolling) => {
-                let time = Wide::load(simd, &self.times, group);
-                (seen.minus(rolling.moved(simd, time)), time)
-            }
-            None => {
-                let translation = moment.centre_from_camera.translation;
-                (seen.minus(Points::splat(simd, translation)), number(moment.offset))
-            }
-        };
+        let points = self.carried(simd, geometry, moment, group);
         for channel in 0..3 {
             let by_u = Wide::load(simd, &self.model[channel][1], group);
             let by_v = Wide::load(simd, &self.model[channel][2], group);
             let row = along_u.mul_add(by_u, along_v.scaled(by_v));
-            let motion = &mut self.channels[channel].motion;
-            let (centre, velocity) = motion.split_at_mut(6);
-            add_rows([row, seen.cross(row)], centre, group, first);
-            if let Some(rolling) = &geometry.rolling {
-                let place = Wide::load(simd, &self.row_place, group);
-                let by_readout = place * row.dot(rolling.rate(simd, moved));
-                accumulate(by_readout, &mut self.channels[channel].readout, group, first);
+            self.channels[channel].add_motion(simd, geometry, row, &points, (group, first));
+        }
+    }
+
+    /// How the camera's motion up to one moment carries a group's points.
+    #[inline(always)]
+    fn carried<S: Simd>(
+        &self,
+        simd: S,
+        geometry: &Geometry,
+        moment: &Moment,
+        group: usize,
+    ) -> Carried<S> {
+        let seen = Points::load(simd, &self.points, group);
+        let row_place = Wide::load(simd, &self.row_place, group);
+        match &geometry.rolling {
+            Some(rolling) => {
+                let time = Wide::load(simd, &self.times, group);
+                let moved = seen.minus(rolling.moved(simd, time));
+                Carried { seen, moved, time, row_place }
             }
-            if geometry.has_velocity() {
-                let row = row.scaled(offset);
-                add_rows([row, moved.cross(row)], velocity, group, first);
+            None => {
+                let translation = Points::splat(simd, moment.centre_from_camera.translation);
+                let time = Wide::splat(simd, moment.offset);
+                Carried { seen, moved: seen.minus(translation), time, row_place }
             }
         }
     }
+}
+
+/// Points of a group at one moment.
+struct Carried<S: Simd> {
+    /// In the camera at mid-exposure, and the same without the camera's translation.
+    seen: Points<S>,
+    moved: Points<S>,
+    /// Time from mid-exposure, and the place of the picture's row.
+    time: Wide<S>,
+    row_place: Wide<S>,
 }
 
 /// Adds to two triples of rows, or sets them.
@@ -241,6 +255,28 @@ fn accumulate<S: Simd>(value: Wide<S>, row: &mut Row, group: usize, first: bool)
 }
 
 impl Channel {
+    /// Adds the derivatives of one moment by motion and readout, from `row` by the points.
+    #[inline(always)]
+    fn add_motion<S: Simd>(
+        &mut self,
+        simd: S,
+        geometry: &Geometry,
+        row: Points<S>,
+        points: &Carried<S>,
+        (group, first): (usize, bool),
+    ) {
+        let (centre, velocity) = self.motion.split_at_mut(6);
+        add_rows([row, points.seen.cross(row)], centre, group, first);
+        if let Some(rolling) = &geometry.rolling {
+            let by_readout = points.row_place * row.dot(rolling.rate(simd, points.moved));
+            accumulate(by_readout, &mut self.readout, group, first);
+        }
+        if geometry.has_velocity() {
+            let row = row.scaled(points.time);
+            add_rows([row, points.moved.cross(row)], velocity, group, first);
+        }
+    }
+
     /// From radiance to picture values, and their slope by radiance.
     #[inline(always)]
     fn expose(&mut self, task: &Linearization<'_>, channel: usize) {

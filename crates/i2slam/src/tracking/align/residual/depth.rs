@@ -127,11 +127,7 @@ impl DepthBlock {
         let camera = &task.observed.camera;
         let mut by_place = super::by_place(simd, camera, place, (slope * by_u, slope * by_v));
         by_place.z = by_place.z - number(1.0);
-        let z = Wide::load(simd, &samples.point[2], group);
-        let spread = z * z.max(number(1.0));
-        let rough = number(RELIEF) * relief.max(Wide::load(simd, &samples.relief, group));
-        let fine = number(task.scales.depth) * spread;
-        let variance = fine.mul_add(fine, rough * rough);
+        let (spread, variance) = spread_and_variance(simd, task, samples, relief, group);
         let normal = by_place.dot(by_place).sqrt().max(number(1.0));
         let distance = residual / normal;
         let square = distance * distance / variance;
@@ -145,12 +141,38 @@ impl DepthBlock {
         let root = agrees.keep(weight.sqrt() / normal);
         (residual * root).store(&mut self.residual, group);
         let turned = geometry.turn_back(simd, by_place);
-        let row = turned.scaled(root * number(1.0 + task.depth_lead as f32));
+        self.store_jacobian(
+            simd,
+            turned.scaled(root * number(1.0 + task.depth_lead as f32)),
+            group,
+        );
+    }
+
+    /// By ρ and φ, from `row` by the points of a group.
+    #[inline(always)]
+    fn store_jacobian<S: Simd>(&mut self, simd: S, row: Points<S>, group: usize) {
         let spin = Points::load(simd, &self.points, group).cross(row);
-        for (out, value) in
-            self.jacobian.iter_mut().zip([row, spin].map(Points::to_array).as_flattened())
-        {
+        let values = [row, spin].map(Points::to_array);
+        for (out, value) in self.jacobian.iter_mut().zip(values.as_flattened()) {
             value.store(out, group);
         }
     }
+}
+
+/// How depth noise grows with depth, and the variance of a group's residuals: of the noise, and
+/// of relief that neither picture resolves.
+#[inline(always)]
+fn spread_and_variance<S: Simd>(
+    simd: S,
+    task: &Linearization<'_>,
+    samples: &SampleBlock,
+    relief: Wide<S>,
+    group: usize,
+) -> (Wide<S>, Wide<S>) {
+    let number = |value| Wide::splat(simd, value);
+    let z = Wide::load(simd, &samples.point[2], group);
+    let spread = z * z.max(number(1.0));
+    let rough = number(RELIEF) * relief.max(Wide::load(simd, &samples.relief, group));
+    let fine = number(task.scales.depth) * spread;
+    (spread, fine.mul_add(fine, rough * rough))
 }

@@ -92,61 +92,73 @@ impl Pixels<'_> {
     /// Adds the three colour residuals of the blurred model, at the pixel position of `point` (in
     /// the camera at mid-exposure).
     fn add_colour(&self, point: Vec3<f32>, sums: &mut Sums) {
-        let (task, geometry) = (self.task, &self.geometry);
+        let task = self.task;
         if point.z <= NEAR {
             return;
         }
         let (u, v) = task.observed.camera.project(point);
         let Some(pixel) = task.observed.colour.tap(u, v) else { return };
-        let mut radiance = [0.0_f32; 3];
-        // Per channel: by ρ and φ of the centre, by ν and ω of the velocity.
-        let mut by_motion = [[Vec3::<f32>::zero(); 4]; 3];
-        let mut by_readout = [0.0_f32; 3];
         let row_place = task.rolling_height.map_or(0.0, |height| v / height as f32 - 0.5);
+        let Some(blurred) = self.blurred(point, row_place) else { return };
+        for channel in 0..3 {
+            let observed = pixel.sample(task.observed.colour.plane(channel)).0;
+            self.add_channel(&blurred, channel, observed, sums);
+        }
+    }
+
+    /// The mean over the exposure; none where a moment does not see the point.
+    fn blurred(&self, point: Vec3<f32>, row_place: f32) -> Option<Blurred> {
+        let (task, geometry) = (self.task, &self.geometry);
+        let mut sum =
+            Blurred { radiance: [0.0; 3], by_motion: [[Vec3::zero(); 4]; 3], by_readout: [0.0; 3] };
         let turn_back = geometry.model_from_centre.rotation.transpose();
         for moment in &geometry.moments {
             let (centre_from_camera, offset) = self.at_moment(moment, row_place);
             let seen = centre_from_camera.apply(point);
             let place = geometry.model_from_centre.apply(seen);
             let (u, v) = task.observed.camera.project(place);
-            let Some(tap) = task.model.radiance.tap(u, v) else { return };
+            let tap = task.model.radiance.tap(u, v)?;
             for channel in 0..3 {
                 let (m, m_u, m_v) = tap.sample(task.model.radiance.plane(channel));
                 let by_place = self.by_place(place, m_u, m_v);
                 let row = turn_back * by_place * moment.weight;
                 let moved = seen - centre_from_camera.translation;
                 let spin = moved.cross(row);
-                radiance[channel] += moment.weight * m;
+                sum.radiance[channel] += moment.weight * m;
                 let rows = [row, seen.cross(row), row * offset, spin * offset];
-                by_readout[channel] += row_place * row.dot(self.rate(moved));
-                by_motion[channel].iter_mut().zip(rows).for_each(|(sum, row)| *sum += row);
+                sum.by_readout[channel] += row_place * row.dot(self.rate(moved));
+                sum.by_motion[channel].iter_mut().zip(rows).for_each(|(sum, row)| *sum += row);
             }
         }
-        let gains = task.state.tone.gains();
-        for channel in 0..3 {
-            let (value, slope, by_log_gain) = match task.curve {
-                Some(curve) => {
-                    let x = gains[channel] * radiance[channel];
-                    let slope = curve.slope(channel, x);
-                    (curve.evaluate(channel, x), slope * gains[channel], slope * x)
-                }
-                None => (radiance[channel], 1.0, 0.0),
-            };
-            let residual = value - pixel.sample(task.observed.colour.plane(channel)).0;
-            let mut by_tone = [0.0; 4];
-            by_tone[0] = by_log_gain;
-            by_tone[1 + channel] = by_log_gain;
-            let mut jacobian = jacobian(by_motion[channel].map(|row| row * slope), by_tone);
-            if task.rolling_height.is_some() {
-                jacobian[READOUT] = f64::from(by_readout[channel] * slope);
+        Some(sum)
+    }
+
+    /// Adds the residual of one channel against the picture's value.
+    fn add_channel(&self, blurred: &Blurred, channel: usize, observed: f32, sums: &mut Sums) {
+        let task = self.task;
+        let (gain, radiance) = (task.state.tone.gains()[channel], blurred.radiance[channel]);
+        let (value, slope, by_log_gain) = match task.curve {
+            Some(curve) => {
+                let x = gain * radiance;
+                let slope = curve.slope(channel, x);
+                (curve.evaluate(channel, x), slope * gain, slope * x)
             }
-            let (weight, cost) = robust(residual, task.scales.image);
-            let share = f64::from(task.image_weight);
-            sums.equations.add(&jacobian, f64::from(residual), share * f64::from(weight));
-            sums.equations.cost += share * (cost - f64::from(weight * residual * residual));
-            sums.errors.image += f64::from(residual.abs());
-            sums.errors.image_count += 1;
+            None => (radiance, 1.0, 0.0),
+        };
+        let residual = value - observed;
+        let mut by_tone = [0.0; 4];
+        by_tone[0] = by_log_gain;
+        by_tone[1 + channel] = by_log_gain;
+        let mut jacobian = jacobian(blurred.by_motion[channel].map(|row| row * slope), by_tone);
+        if task.rolling_height.is_some() {
+            jacobian[READOUT] = f64::from(blurred.by_readout[channel] * slope);
         }
+        let (weight, cost) = robust(residual, task.scales.image);
+        let share = f64::from(task.image_weight);
+        sums.equations.add(&jacobian, f64::from(residual), share * f64::from(weight));
+        sums.equations.cost += share * (cost - f64::from(weight * residual * residual));
+        sums.errors.image += f64::from(residual.abs());
+        sums.errors.image_count += 1;
     }
 
     /// Where the camera is at a moment of the exposure of a row, and at what time.
@@ -171,6 +183,14 @@ impl Pixels<'_> {
         let (gx, gy) = (by_u * camera.fx * inverse, by_v * camera.fy * inverse);
         Vec3::new(gx, gy, -(gx * place.x + gy * place.y) * inverse)
     }
+}
+
+/// The model's radiance over an exposure and its derivatives, per channel.
+struct Blurred {
+    radiance: [f32; 3],
+    /// By ρ and φ of the centre, by ν and ω of the velocity.
+    by_motion: [[Vec3<f32>; 4]; 3],
+    by_readout: [f32; 3],
 }
 
 /// Weight of a residual under a t-distribution, and its cost `(ν + 1) ln(1 + r²/ν)`.

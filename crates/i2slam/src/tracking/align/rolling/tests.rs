@@ -1,0 +1,108 @@
+//! The prior against its cost, and what frames say.
+
+use super::*;
+use crate::Config;
+use crate::export::tests::example;
+use crate::objective::Observation;
+use crate::tracking::{SequenceReadout, TrackingContext};
+use i2slam_check::{assert_gradient, noise};
+use i2slam_formation::{FrameTone, ShutterPoses, TrajectoryScale};
+use i2slam_geometry::{Camera, Image, Pose};
+
+#[test]
+fn normal_equations_are_half_the_derivative_of_the_cost() {
+    let values = noise(3, 6);
+    let prior = ReadoutPrior {
+        pixels: [130.0, 130.0, 130.0, 260.0, 260.0, 260.0],
+        direction: [0.1, -0.7, 0.2, 0.5, 0.3, 0.35],
+        length: 7.0,
+        share: 0.6,
+        deviation: 0.9,
+        hold: 1.5,
+        hold_deviation: 0.4,
+        weight: 20.0,
+    };
+    let x: Vec<f64> = values.iter().map(|v| 0.02 * v).chain([2.3]).collect();
+    let velocity = |x: &[f64]| Tangent::from_array(std::array::from_fn(|i| x[i]));
+    let mut equations = Equations::default();
+    prior.add_to(velocity(&x), x[6], &mut equations);
+    let indices = (VELOCITY..VELOCITY + 6).chain([READOUT]);
+    let gradient: Vec<f64> = indices.map(|i| 2.0 * equations.gradient[i]).collect();
+    assert_gradient("readout prior", &x, &gradient, 1e-5, 1e-6, |x| prior.cost(velocity(x), x[6]));
+}
+
+const CAMERA: Camera<f64> =
+    Camera { width: 64, height: 48, fx: 100.0, fy: 100.0, cx: 32.0, cy: 24.0 };
+const RATE: f64 = 30.0;
+/// Rows are read over half the frame interval, the shutter is open for a quarter.
+const SHARE: f64 = 0.5;
+const OPEN: f64 = 0.25;
+
+/// The camera after a turn of `pixels`.
+fn turned(pixels: f64) -> Pose<f64> {
+    Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.0, pixels / CAMERA.fx, 0.0]))
+}
+
+/// What the last of some frames says of the readout, which all frames before were tracked with.
+/// Each is given by its time [frame intervals] and turn [px]; the last turns by `speed` px per
+/// frame interval while it is exposed.
+fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
+    let config = Config::default();
+    let (&(now, turn), before) = frames.split_last()?;
+    let mut estimates = example(before.len()).frames;
+    for (estimate, &(time, turn)) in estimates.iter_mut().zip(before) {
+        estimate.shutter = ShutterPoses::still(turned(turn));
+        (estimate.timestamp, estimate.tracked) = (time / RATE, true);
+    }
+    let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));
+    let mut input = config.input.clone();
+    (input.optimise_rolling_shutter, input.rolling_shutter_readout) = (true, SHARE / RATE);
+    let context = TrackingContext {
+        tracking: &config.tracking,
+        formation: &config.formation,
+        camera: &CAMERA,
+        frame_rate: RATE,
+        readout: SequenceReadout::new(&input),
+        timestamps: (now / RATE, now / RATE),
+        frames: &estimates,
+        previous: estimates.last(),
+        before_previous: estimates.len().checked_sub(2).map(|i| &estimates[i]),
+        keyframe: None,
+    };
+    let frame = Frame {
+        context: &context,
+        observed: Vec::new(),
+        observation: &observation,
+        curve: None,
+        pixels: [50.0, 50.0, 50.0, 100.0, 100.0, 100.0],
+        previous: estimates.last()?.middle(),
+        readout_start: SHARE / OPEN,
+    };
+    let velocity = Tangent::from_array([0.0, 0.0, 0.0, 0.0, OPEN * speed / CAMERA.fx, 0.0]);
+    frame.measured_readout(&State {
+        motion: CentreVelocity { centre: turned(turn), velocity },
+        readout: SHARE / OPEN,
+        tone: FrameTone::default(),
+        response: None,
+        scale: TrajectoryScale::from_frame_rate(RATE),
+    })
+}
+
+#[test]
+fn constant_speed_says_nothing_though_frames_are_missing() {
+    let even = |times: &[f64]| times.iter().map(|t| (*t, 10.0 * t)).collect::<Vec<_>>();
+    for times in [[0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 3.0, 4.0, 5.0], [0.0, 1.0, 2.0, 3.0, 5.0]] {
+        assert!(measured(&even(&times), 10.0).is_none(), "{times:?}");
+    }
+}
+
+#[test]
+fn another_speed_tells_the_readout_though_frames_are_missing() {
+    let before = [(0.0, 0.0), (1.0, 10.0), (3.0, 30.0)];
+    for (time, turn) in [(4.0, 50.0), (5.0, 70.0)] {
+        let found = measured(&[&before[..], &[(time, turn)]].concat(), 20.0).expect("motion");
+        assert!((found.seconds * RATE - SHARE).abs() < 1e-9, "{found:?}");
+        let deviation = (UNSURE + BEND * 10.0) / 10.0;
+        assert!((found.deviation * RATE - deviation).abs() < 1e-9, "{found:?}");
+    }
+}
