@@ -4,6 +4,7 @@
 //! checked against central differences. Conventions are listed in the project's CONVENTIONS.md.
 
 mod camera;
+mod eigen;
 mod image;
 mod pose;
 mod real;
@@ -13,6 +14,7 @@ mod trajectory;
 mod vector;
 
 pub use camera::Camera;
+pub use eigen::symmetric_eigen;
 pub use image::Image;
 pub use pose::{Pose, Tangent};
 pub use real::Real;

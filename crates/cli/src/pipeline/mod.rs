@@ -16,7 +16,7 @@ use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::export::report::Report;
 use i2slam::export::{
-    ExportError, Input, Metrics, ResultFolder, holds_result, remove_result, save, save_metrics,
+    ExportError, FolderContents, Input, Metrics, ResultFolder, remove_result, save, save_metrics,
 };
 use std::path::{Path, PathBuf};
 use track::Tracked;
@@ -58,17 +58,28 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
 }
 
 /// The dataset is never written to (a result folder has a `camera.json` of its own), an earlier
-/// result only where the user says so.
+/// result only where the user says so, and files of the user's own never.
 fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
     let out = job.out.display();
-    match (job.out.canonicalize(), job.dataset.canonicalize()) {
-        (Ok(folder), Ok(dataset)) if folder == dataset => Err(Failure::Usage(format!(
+    let same_folder = match (job.out.canonicalize(), job.dataset.canonicalize()) {
+        (Ok(folder), Ok(dataset)) => folder == dataset,
+        _ => false,
+    };
+    if same_folder {
+        return Err(Failure::Usage(format!(
             "--out {out} is the dataset itself: its camera.json would be overwritten, choose \
              another folder"
-        ))),
-        _ if !job.overwrite && holds_result(&job.out) => Err(Failure::Usage(format!(
+        )));
+    }
+    match FolderContents::of(&job.out) {
+        FolderContents::Result if !job.overwrite => Err(Failure::Usage(format!(
             "--out {out} holds a result already: choose another folder, or replace it with \
              --overwrite"
+        ))),
+        FolderContents::Foreign(file) => Err(Failure::Usage(format!(
+            "{} would be overwritten, and nothing in --out {out} says that a run wrote it: choose \
+             another folder",
+            file.display()
         ))),
         _ => Ok(()),
     }
@@ -113,7 +124,9 @@ impl Finished<'_> {
         let mut note = |result: Result<(), ExportError>| {
             problems.extend(result.err().map(|error| error.to_string()));
         };
-        note(remove_result(self.folder.path()));
+        if self.job.overwrite {
+            note(remove_result(self.folder.path()));
+        }
         save(self.folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(Input::new(&self.job.dataset, &self.job.open).save(self.folder));
         let mut figures = Figures::of(&self.tracked, self.truth);

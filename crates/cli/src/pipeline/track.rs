@@ -4,7 +4,7 @@ use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::{DatasetError, Frame, Sequence};
-use i2slam::{Config, Reconstruction, Session};
+use i2slam::{Config, Reconstruction, Session, SessionError};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -69,7 +69,7 @@ impl Run {
             if interrupt::requested() {
                 return Err(Failure::Interrupted);
             }
-            self.frame(frame, progress);
+            self.frame(frame, progress)?;
             if let Some(estimate) = self.session.frames().last() {
                 progress.frame(estimate, done + 1, total);
             }
@@ -77,16 +77,24 @@ impl Run {
         Ok(())
     }
 
-    fn frame(&mut self, frame: Result<Frame, DatasetError>, progress: &Progress) {
+    fn frame(
+        &mut self,
+        frame: Result<Frame, DatasetError>,
+        progress: &Progress,
+    ) -> Result<(), Failure> {
         let frame = match frame {
             Ok(frame) => frame,
             Err(error) => {
                 self.leave_out(error.to_string(), progress);
-                return;
+                return Ok(());
             }
         };
-        if let Err(error) = self.session.process(&frame) {
-            self.leave_out(error.to_string(), progress);
+        match self.session.process(&frame) {
+            Ok(_) => {}
+            Err(error @ SessionError::Map { .. }) => {
+                return Err(Failure::Failed(error.to_string()));
+            }
+            Err(error) => self.leave_out(error.to_string(), progress),
         }
         let mut warnings = self.session.take_warnings();
         if warnings.is_empty() {
@@ -94,6 +102,7 @@ impl Run {
             warnings.extend(odd);
         }
         warnings.iter().for_each(|warning| progress.warn(warning));
+        Ok(())
     }
 
     fn leave_out(&mut self, reason: String, progress: &Progress) {

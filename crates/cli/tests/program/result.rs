@@ -65,6 +65,21 @@ fn an_earlier_result_is_only_replaced_on_request() {
 }
 
 #[test]
+fn files_of_the_user_are_never_replaced() {
+    let scratch = Scratch::new("foreign");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: 2, ..Scene::default() }.write(&data);
+    fs::create_dir(&out).expect("a folder");
+    for flags in [&[][..], &["--overwrite"][..]] {
+        fs::write(out.join("camera.json"), "mine").expect("room");
+        let refused = reconstruct(&data, &out, flags).ended_with(2);
+        refused.complaining("camera.json would be overwritten").complaining("another folder");
+        assert_eq!(fs::read_to_string(out.join("camera.json")).ok().as_deref(), Some("mine"));
+        assert_eq!(fs::read_dir(&out).map(Iterator::count).ok(), Some(1));
+    }
+}
+
+#[test]
 fn renders_have_the_size_and_units_that_the_camera_says() {
     let scratch = Scratch::new("units");
     let (data, out) = (scratch.join("room"), scratch.join("out"));

@@ -10,7 +10,7 @@ pub struct HashGridConfig {
     /// Half edge of the cube around the first camera that is mapped [m]; zero takes it from the
     /// first frame's depth.
     pub bound: f32,
-    /// The same as a multiple of the first frame's largest distance.
+    /// The same as a multiple of the first frame's largest distance, the farthest 1 % left out.
     pub margin: f32,
     /// Number of grids, from coarse to fine.
     pub levels: usize,

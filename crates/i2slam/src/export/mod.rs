@@ -23,7 +23,7 @@ pub use error::ExportError;
 pub use input::Input;
 pub use metrics::Metrics;
 pub use pictures::{DEPTH_UNITS_PER_METRE, write_depth, write_picture, write_radiance};
-pub use remove::{holds_result, remove_result};
+pub use remove::{FolderContents, remove_result};
 pub use renders::{RenderKind, remove_renders, save_render};
 pub use save::{save, save_metrics, save_trajectory};
 pub use storage::{Disk, ResultFolder, Storage};

@@ -1,8 +1,9 @@
 //! What a program may take away again: its own files, by name.
 
+use super::renders::pictures;
 use super::{ExportError, remove_renders};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Files of a result folder, as `docs/result-folder.md` lists them.
 const FILES: [&str; 14] = [
@@ -26,9 +27,30 @@ const FILES: [&str; 14] = [
 const MARKS: [&str; 5] =
     ["trajectory_shutter.txt", "frames.csv", "state.json", "map.i2slam", "report.html"];
 
-/// Whether a run wrote into this folder before.
-pub fn holds_result(folder: &Path) -> bool {
-    MARKS.iter().any(|name| folder.join(name).is_file())
+/// What a folder holds of the names that a run writes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum FolderContents {
+    /// None of them: writing there replaces nothing.
+    Free,
+    /// The result of a run.
+    Result,
+    /// This file, and nothing by which it is known as a run's: it may be the user's own.
+    Foreign(PathBuf),
+}
+
+impl FolderContents {
+    /// Looks into a folder, which need not exist.
+    pub fn of(folder: &Path) -> Self {
+        if MARKS.iter().any(|name| folder.join(name).is_file()) {
+            return Self::Result;
+        }
+        let taken = |path: &PathBuf| path.symlink_metadata().is_ok();
+        let file = FILES.iter().map(|name| folder.join(name)).find(taken);
+        match file.or_else(|| pictures(folder).into_iter().next()) {
+            Some(file) => Self::Foreign(file),
+            None => Self::Free,
+        }
+    }
 }
 
 /// Delete the files and pictures that a run, its evaluation and `i2slam render` wrote into a
@@ -50,14 +72,29 @@ mod tests {
     fn only_files_of_a_result_are_removed() {
         let scratch = Scratch::new("remove");
         let folder = ResultFolder::create(&scratch.0).expect("a folder");
-        assert!(!holds_result(&scratch.0));
+        assert_eq!(FolderContents::of(&scratch.0), FolderContents::Free);
         for name in FILES.into_iter().chain(["notes.txt", "rgb.txt"]) {
             folder.write_text(name, "x").expect("room");
         }
-        assert!(holds_result(&scratch.0));
+        assert_eq!(FolderContents::of(&scratch.0), FolderContents::Result);
         remove_result(&scratch.0).expect("removal");
-        assert!(!holds_result(&scratch.0));
+        assert_eq!(FolderContents::of(&scratch.0), FolderContents::Free);
         assert_eq!(fs::read_dir(&scratch.0).map(Iterator::count).ok(), Some(2));
         assert!(scratch.0.join("notes.txt").exists());
+    }
+
+    #[test]
+    fn a_result_is_known_by_its_marks() {
+        let others = FILES.into_iter().chain(["renders/sharp/000012.png"]);
+        for (case, name) in others.enumerate() {
+            let scratch = Scratch::new(&format!("marks-{case}"));
+            let folder = ResultFolder::create(&scratch.0).expect("a folder");
+            folder.write_text(name, "x").expect("room");
+            let expected = match MARKS.contains(&name) {
+                true => FolderContents::Result,
+                false => FolderContents::Foreign(scratch.0.join(name)),
+            };
+            assert_eq!(FolderContents::of(&scratch.0), expected);
+        }
     }
 }

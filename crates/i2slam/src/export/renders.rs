@@ -7,7 +7,7 @@ use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
 use i2slam_formation::{FrameTone, ShutterPoses};
 use i2slam_geometry::{Image, Pose, Tangent};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What is drawn of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,28 +70,32 @@ pub fn save_render<S: Storage>(
 /// the user's.
 const PICTURES: [&str; 3] = ["renders/optimised", "renders", "views"];
 
+/// The pictures that a run, its evaluation and `i2slam render` left in a result folder.
+pub(super) fn pictures(result: &Path) -> Vec<PathBuf> {
+    let kinds = |below| RenderKind::ALL.into_iter().map(move |kind| (result.join(below), kind));
+    PICTURES.into_iter().flat_map(kinds).flat_map(|(below, kind)| of_kind(&below, kind)).collect()
+}
+
+fn of_kind(below: &Path, kind: RenderKind) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(below.join(kind.name())) else { return Vec::new() };
+    let ours = |path: &PathBuf| {
+        let stem = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse().ok());
+        stem.is_some_and(|index| path.ends_with(kind.file(index)))
+    };
+    entries.flatten().map(|entry| entry.path()).filter(ours).collect()
+}
+
 /// Delete the pictures that an earlier run left under `renders/` and `views/` of a result folder,
 /// and nothing else, so that pictures of two runs do not mix.
 pub fn remove_renders(result: &Path) -> Result<(), ExportError> {
-    for below in PICTURES {
-        RenderKind::ALL.into_iter().try_for_each(|kind| remove_kind(&result.join(below), kind))?;
+    for path in pictures(result) {
+        fs::remove_file(&path).map_err(|source| ExportError::Write { path, source })?;
+    }
+    for below in PICTURES.map(|below| result.join(below)) {
         // A folder that holds something else stays.
-        fs::remove_dir(result.join(below)).ok();
+        RenderKind::ALL.iter().for_each(|k| drop(fs::remove_dir(below.join(k.name()))));
+        fs::remove_dir(below).ok();
     }
-    Ok(())
-}
-
-fn remove_kind(below: &Path, kind: RenderKind) -> Result<(), ExportError> {
-    let folder = below.join(kind.name());
-    let Ok(entries) = fs::read_dir(&folder) else { return Ok(()) };
-    for path in entries.flatten().map(|entry| entry.path()) {
-        let stem = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse().ok());
-        let ours = stem.is_some_and(|index| path.ends_with(kind.file(index)));
-        if ours {
-            fs::remove_file(&path).map_err(|source| ExportError::Write { path, source })?;
-        }
-    }
-    fs::remove_dir(folder).ok();
     Ok(())
 }
 

@@ -6,6 +6,7 @@ use crate::reconstruction::{FrameEstimate, Map};
 use i2slam_compute::Random;
 use i2slam_formation::CameraResponse;
 use i2slam_geometry::{Camera, Image};
+use i2slam_radiance::hashgrid::SettingsError;
 use std::sync::Arc;
 
 /// What a session knows beside its map, while the map works on it.
@@ -34,6 +35,11 @@ impl Story<'_> {
 pub(crate) trait Mapper: Tracker {
     /// Whether nothing can be seen yet.
     fn is_empty(&self) -> bool;
+
+    /// Why an empty map could not be started, if that was tried: its settings.
+    fn failure(&self) -> Option<SettingsError> {
+        None
+    }
 
     /// Number of Gaussians, where the map consists of them.
     fn gaussians(&self) -> usize;

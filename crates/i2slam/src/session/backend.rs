@@ -87,6 +87,8 @@ impl Backend {
             let (mapper, mut story) = self.story(config, camera, self.keyframes.len());
             mapper.finish(&mut story, on_step);
         }
+        let failure = self.mapper.failure().map(|error| format!("the map is empty: {error}"));
+        self.warnings.extend(failure);
     }
 
     /// A copy of the map for tracking.

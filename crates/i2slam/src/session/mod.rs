@@ -13,6 +13,7 @@ use backend::Backend;
 use i2slam_dataset::Frame;
 use i2slam_formation::TrajectoryScale;
 use i2slam_geometry::{Camera, Image};
+use i2slam_radiance::hashgrid::SettingsError;
 use look::Look;
 use std::sync::Arc;
 
@@ -37,6 +38,12 @@ pub enum SessionError {
         actual: (usize, usize),
         /// Width and height of the camera.
         expected: (usize, usize),
+    },
+    /// The map cannot be started with its settings: no further frame can be tracked.
+    #[error("the map cannot be started: {source}")]
+    Map {
+        /// The setting.
+        source: SettingsError,
     },
 }
 
@@ -83,19 +90,27 @@ impl Session {
         estimate.held_out = self.holds_out(position);
         let maps = usable && estimate.tracked && !estimate.held_out;
         self.backend.frames.push(estimate);
-        if self.backend.mapper.is_empty() && !self.backend.keyframes.is_empty() {
-            self.backend.warnings.push(format!(
-                "frame {}: the map was empty (all Gaussians pruned) and starts again",
-                frame.index
-            ));
-        }
+        self.tell_of_an_emptied_map(frame.index);
         if maps {
             self.backend.hand_over(&self.config, &self.camera, observation);
         }
         if !self.config.mapping.beside_tracking {
             self.backend.work(&self.config, &self.camera);
         }
-        Ok(&self.backend.frames[position])
+        match self.backend.mapper.failure() {
+            Some(source) => Err(SessionError::Map { source }),
+            None => Ok(&self.backend.frames[position]),
+        }
+    }
+
+    /// Gaussians can all be pruned; a field, once begun, stays.
+    fn tell_of_an_emptied_map(&mut self, index: usize) {
+        let Backend { mapper, keyframes, warnings, .. } = &mut self.backend;
+        if mapper.is_empty() && mapper.failure().is_none() && !keyframes.is_empty() {
+            warnings.push(format!(
+                "frame {index}: the map was empty (all Gaussians pruned) and starts again"
+            ));
+        }
     }
 
     /// Whether a frame is kept from the map; the one that starts it never is.

@@ -139,6 +139,23 @@ fn a_scene_beyond_the_cube_is_told_of() {
 }
 
 #[test]
+fn a_field_that_cannot_begin_ends_the_session() {
+    let mut config = config();
+    config.hashgrid.levels = 0;
+    for beside in [false, true] {
+        config.mapping.beside_tracking = beside;
+        let mut session = Session::new(config.clone(), CAMERA, 30.0);
+        let error = (0..2).find_map(|i| session.process(&frame(i, pose(i))).err());
+        let message = error.expect("a field of no levels").to_string();
+        assert!(message.contains("cannot be started") && message.contains("levels"), "{message}");
+        assert_eq!(session.take_warnings(), Vec::<String>::new());
+        session.finish(&mut |_, _| true);
+        let warnings = session.take_warnings();
+        assert!(warnings.len() == 1 && warnings[0].contains("levels"), "{warnings:?}");
+    }
+}
+
+#[test]
 fn mapping_beside_tracking_does_not_depend_on_threads() {
     let mut config = config();
     config.map.kind = MapKind::Gaussian;

@@ -9,6 +9,8 @@ use i2slam_radiance::hashgrid::{
 
 /// Least half edge of a cube [m].
 const LEAST_BOUND: f64 = 0.1;
+/// Share of the surfaces that the cube holds: single wrong depths at edges do not size it.
+const HELD: f64 = 0.99;
 
 /// Surface points of a depth picture, in the camera.
 fn points<'a>(
@@ -22,14 +24,19 @@ fn points<'a>(
     })
 }
 
-/// Half edge [m] of a cube around the camera that holds all surfaces, the camera turned in
-/// whatever direction, with the margin of the settings.
+/// Half edge [m] of a cube around the camera that holds all surfaces but the farthest 1 %, the
+/// camera turned in whatever direction, with the margin of the settings.
 pub(super) fn bound(config: &HashGridConfig, camera: &Camera<f64>, depth: &Image<f32>) -> f64 {
     if config.bound > 0.0 {
         return f64::from(config.bound);
     }
-    let farthest = points(camera, depth).map(|p| p.norm()).fold(0.0, f64::max);
-    (f64::from(config.margin) * farthest).max(LEAST_BOUND)
+    let mut distances: Vec<f64> = points(camera, depth).map(|p| p.norm()).collect();
+    let held = (HELD * distances.len() as f64).ceil() as usize;
+    if held == 0 {
+        return LEAST_BOUND;
+    }
+    let (_, &mut far, _) = distances.select_nth_unstable_by(held - 1, f64::total_cmp);
+    (f64::from(config.margin) * far).max(LEAST_BOUND)
 }
 
 /// Share of the pixels whose surface lies outside of a field's cube.
@@ -76,4 +83,28 @@ pub(super) fn untrained(
         occupancy: Occupancy::empty(occupancy),
         march,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+
+    const CAMERA: Camera<f64> =
+        Camera { width: 20, height: 10, fx: 1e6, fy: 1e6, cx: 10.0, cy: 5.0 };
+
+    #[test]
+    fn a_spike_of_depth_does_not_size_the_cube() {
+        let config = Config::default().hashgrid;
+        let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
+        assert_eq!(bound(&config, &CAMERA, &depth), LEAST_BOUND);
+        depth.data.fill(2.0);
+        let plain = bound(&config, &CAMERA, &depth);
+        assert!((plain - 2.0 * f64::from(config.margin)).abs() < 1e-6, "{plain}");
+        depth.data[77] = 40.0;
+        assert_eq!(bound(&config, &CAMERA, &depth), plain);
+        // Three pixels of two hundred are a surface.
+        depth.data[78..80].fill(40.0);
+        assert!(bound(&config, &CAMERA, &depth) > 15.0 * plain);
+    }
 }

@@ -20,7 +20,9 @@ use i2slam_compute::Random;
 use i2slam_formation::{CameraResponse, CurveGradient, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::View;
-use i2slam_radiance::hashgrid::{FieldAdam, FieldGradient, HashGridMap, Ray, decayed_rate};
+use i2slam_radiance::hashgrid::{
+    FieldAdam, FieldGradient, HashGridMap, Ray, SettingsError, decayed_rate,
+};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
@@ -34,6 +36,8 @@ pub(crate) struct FieldMapper {
     covered: Option<Arc<Image<bool>>>,
     /// None until the first frame has told how large the scene is.
     field: Option<Field>,
+    /// Why there is none after the first frame.
+    failure: Option<SettingsError>,
     frames: FrameOptimizers,
     warned: bool,
 }
@@ -66,6 +70,7 @@ impl FieldMapper {
             camera: camera.cast(),
             covered: None,
             field: None,
+            failure: None,
             frames: FrameOptimizers::default(),
             warned: false,
         }
@@ -78,7 +83,7 @@ impl FieldMapper {
         let seed = story.config.seed;
         match cube::untrained(settings, pose.translation.to_array(), bound, seed) {
             Ok(map) => self.field = Some(Field::new(map, self.camera)),
-            Err(error) => story.warnings.push(error.to_string()),
+            Err(error) => self.failure = Some(error),
         }
         if let (Some(field), Some(covered)) = (&mut self.field, &self.covered) {
             field.objective.set_covered(Arc::clone(covered));
@@ -246,6 +251,10 @@ impl Tracker for FieldMapper {
 impl Mapper for FieldMapper {
     fn is_empty(&self) -> bool {
         self.field.is_none()
+    }
+
+    fn failure(&self) -> Option<SettingsError> {
+        self.failure
     }
 
     fn gaussians(&self) -> usize {

@@ -1,8 +1,12 @@
 //! Making room in a full map: neighbours that look alike become one Gaussian.
 
+mod cells;
+mod united;
+
+use cells::{cells, groups};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap};
-use rayon::slice::ParallelSliceMut;
-use std::ops::{Range, RangeInclusive};
+use std::ops::RangeInclusive;
+use united::united;
 
 /// Edge of the cells in which Gaussians are merged, in their standard deviations: about four of
 /// those that cover a surface at one a pixel.
@@ -44,94 +48,12 @@ pub(super) fn merge(map: &mut GaussianMap, size: RangeInclusive<usize>) -> Vec<b
     keep
 }
 
-/// A place in space at a size, and who is there.
-type Member = (u64, u32);
-
-/// All that are kept, by cell.
-fn cells(map: &GaussianMap, keep: &[bool], edge: f32) -> Vec<Member> {
-    let kept = keep.iter().enumerate().filter(|(_, keep)| **keep);
-    let mut cells: Vec<Member> = kept.map(|(i, _)| (cell(map, i, edge), i as u32)).collect();
-    cells.par_sort_unstable();
-    cells
-}
-
-/// The cell of a Gaussian among those of its size, within a doubling.
-fn cell(map: &GaussianMap, index: usize, edge: f32) -> u64 {
-    let size = (map.log_scales[index][0] / std::f32::consts::LN_2).round();
-    let part = |v: f32, bits: u32| (v.floor() as i64 as u64) & ((1 << bits) - 1);
-    let edge = edge * size.exp2();
-    let place = map.means[index].iter().fold(0, |key, v| key << 18 | part(v / edge, 18));
-    place << 10 | part(size, 10)
-}
-
-/// Cells of two and more, with how much their colours differ.
-fn groups(map: &GaussianMap, cells: &[Member]) -> Vec<(f32, Range<usize>)> {
-    let mut groups = Vec::new();
-    let mut start = 0;
-    for members in cells.chunk_by(|a, b| a.0 == b.0) {
-        let end = start + members.len();
-        if members.len() > 1 {
-            groups.push((contrast(map, members), start..end));
-        }
-        start = end;
-    }
-    groups
-}
-
-/// Weighted variance of the stored colours.
-fn contrast(map: &GaussianMap, members: &[Member]) -> f32 {
-    let mean = average(map, members, |i| map.colours[i]);
-    average(map, members, |i| distances(map.colours[i], mean)).iter().sum()
-}
-
-/// The Gaussian that covers the same surface: the mean of place, colour and opacity; as wide as
-/// halfway (in area) between the spread of its members, which would leave gaps between merged
-/// neighbours, and their areas together, which would smear.
-fn united(map: &GaussianMap, members: &[Member]) -> Gaussian<f32> {
-    let first = members[0].1 as usize;
-    let mean = average(map, members, |i| map.means[i]);
-    let spread = average(map, members, |i| distances(map.means[i], mean)).iter().sum::<f32>();
-    let own = average(map, members, |i| map.log_scales[i].map(|s| (2.0 * s).exp()));
-    let opacity = average(map, members, |i| [opacity(map, i); 3])[0].clamp(1e-4, 1.0 - 1e-4);
-    Gaussian {
-        mean,
-        log_scale: own.map(|own| {
-            let together = own * members.len() as f32;
-            0.5 * (0.5 * (own + 0.5 * spread + together)).ln()
-        }),
-        rotation: map.rotations[first],
-        opacity_logit: (opacity / (1.0 - opacity)).ln(),
-        colour: average(map, members, |i| map.colours[i]),
-    }
-}
-
 fn set(map: &mut GaussianMap, index: usize, gaussian: Gaussian<f32>) {
     map.means[index] = gaussian.mean;
     map.log_scales[index] = gaussian.log_scale;
     map.rotations[index] = gaussian.rotation;
     map.opacity_logits[index] = gaussian.opacity_logit;
     map.colours[index] = gaussian.colour;
-}
-
-/// Mean of a triple over members, weighted by what they cover: opacity times area.
-fn average(map: &GaussianMap, members: &[Member], value: impl Fn(usize) -> [f32; 3]) -> [f32; 3] {
-    let (mut sum, mut total) = ([0.0; 3], 0.0);
-    for &(_, index) in members {
-        let index = index as usize;
-        let weight = opacity(map, index) * (2.0 * map.log_scales[index][0]).exp();
-        let value = value(index);
-        (0..3).for_each(|k| sum[k] += weight * value[k]);
-        total += weight;
-    }
-    sum.map(|s| s / total.max(f32::MIN_POSITIVE))
-}
-
-fn opacity(map: &GaussianMap, index: usize) -> f32 {
-    1.0 / (1.0 + (-map.opacity_logits[index]).exp())
-}
-
-fn distances(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    std::array::from_fn(|k| (a[k] - b[k]).powi(2))
 }
 
 #[cfg(test)]
