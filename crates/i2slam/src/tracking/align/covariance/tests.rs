@@ -78,6 +78,7 @@ fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCo
         curve: None,
         pixels: [25.0, 25.0, 25.0, 45.0, 45.0, 45.0],
         previous: Pose::identity(),
+        white_balance: [0.0; 3],
         readout_start: 0.0,
     };
     let mut state = State {

@@ -76,6 +76,7 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
         curve: None,
         pixels: [50.0, 50.0, 50.0, 100.0, 100.0, 100.0],
         previous: estimates.last()?.middle(),
+        white_balance: [0.0; 3],
         readout_start: SHARE / OPEN,
     };
     let velocity = Tangent::from_array([0.0, 0.0, 0.0, 0.0, OPEN * speed / CAMERA.fx, 0.0]);
