@@ -27,12 +27,18 @@ pub(crate) struct SsimReference<T = f32> {
 
 impl<T: Real> SsimReference<T> {
     pub(crate) fn new(observed: &Image<T>) -> Self {
-        let planes = || (0..observed.channels).map(|c| observed.plane(c));
-        let square = |p: &[T]| p.iter().map(|&v| v * v).collect::<Vec<_>>();
-        Self {
-            mean: planes().flat_map(|p| filter(p, observed.width)).collect(),
-            second: planes().flat_map(|p| filter(&square(p), observed.width)).collect(),
+        let mut means = Self::with_room(observed.data.len());
+        for plane in (0..observed.channels).map(|c| observed.plane(c)) {
+            let square: Vec<T> = plane.iter().map(|&v| v * v).collect();
+            means.mean.extend(filter(plane, observed.width));
+            means.second.extend(filter(&square, observed.width));
         }
+        means
+    }
+
+    /// Keyframes keep theirs: exactly as much as is needed.
+    fn with_room(values: usize) -> Self {
+        Self { mean: Vec::with_capacity(values), second: Vec::with_capacity(values) }
     }
 }
 
