@@ -18,6 +18,7 @@
 
 pub mod config;
 pub mod export;
+pub mod keyframes;
 mod mapping;
 pub mod objective;
 mod optimised_pose;

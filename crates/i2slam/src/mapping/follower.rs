@@ -3,7 +3,9 @@
 use crate::objective::{FrameObjective, Observation, SceneMap};
 use crate::tracking::{TrackingContext, TrackingResult, track};
 use i2slam_formation::{CameraResponse, TrajectoryScale};
+use i2slam_geometry::Image;
 use std::any::Any;
+use std::sync::Arc;
 
 /// Something that finds frames in a map.
 pub(crate) trait Tracker: Any + Send {
@@ -27,10 +29,12 @@ impl<M: SceneMap + Clone + Send + 'static> Follower<M>
 where
     FrameObjective<M>: Send,
 {
-    /// The follower before, brought up to date; the first is made with `objective`.
+    /// The follower before, brought up to date; the first draws with `objective`, which compares
+    /// pixels that are `covered`.
     pub(crate) fn update(
         last: Option<Box<dyn Tracker>>,
         map: &M,
+        covered: Option<Arc<Image<bool>>>,
         objective: impl FnOnce() -> FrameObjective<M>,
     ) -> Box<dyn Tracker> {
         let last = last.map(|last| last as Box<dyn Any>);
@@ -39,7 +43,11 @@ where
                 follower.map.clone_from(map);
                 follower
             }
-            _ => Box::new(Self { map: map.clone(), objective: objective() }),
+            _ => {
+                let mut objective = objective();
+                covered.into_iter().for_each(|covered| objective.set_covered(covered));
+                Box::new(Self { map: map.clone(), objective })
+            }
         }
     }
 }

@@ -121,12 +121,8 @@ impl Mapper for GaussianMapper {
         covered: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
-        let objective = || {
-            let mut objective = FrameObjective::new(camera.cast(), raster_settings(config));
-            covered.into_iter().for_each(|covered| objective.set_covered(covered));
-            objective
-        };
-        (!self.map.is_empty()).then(|| Follower::update(last, &self.map, objective))
+        let objective = || FrameObjective::new(camera.cast(), raster_settings(config));
+        (!self.map.is_empty()).then(|| Follower::update(last, &self.map, covered, objective))
     }
 
     fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {

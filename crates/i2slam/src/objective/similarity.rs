@@ -27,18 +27,15 @@ pub(crate) struct SsimReference<T = f32> {
 
 impl<T: Real> SsimReference<T> {
     pub(crate) fn new(observed: &Image<T>) -> Self {
-        let mut means = Self::with_room(observed.data.len());
+        // Every keyframe keeps its own, so that they take no more room than they need.
+        let room = || Vec::with_capacity(observed.data.len());
+        let mut means = Self { mean: room(), second: room() };
         for plane in (0..observed.channels).map(|c| observed.plane(c)) {
             let square: Vec<T> = plane.iter().map(|&v| v * v).collect();
             means.mean.extend(filter(plane, observed.width));
             means.second.extend(filter(&square, observed.width));
         }
         means
-    }
-
-    /// Keyframes keep theirs: exactly as much as is needed.
-    fn with_room(values: usize) -> Self {
-        Self { mean: Vec::with_capacity(values), second: Vec::with_capacity(values) }
     }
 }
 

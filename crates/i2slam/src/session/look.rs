@@ -19,7 +19,8 @@ pub(super) struct Look<'a> {
     pub(super) readout: SequenceReadout,
     pub(super) frames: &'a [FrameEstimate],
     pub(super) keyframes: &'a [Keyframe],
-    pub(super) responses: &'a [CameraResponse<f32>],
+    /// The last response and its index.
+    pub(super) response: (usize, &'a CameraResponse<f32>),
 }
 
 impl Look<'_> {
@@ -32,7 +33,6 @@ impl Look<'_> {
     ) -> (FrameEstimate, Option<TrackingResult>) {
         let clock = Instant::now();
         let context = self.context(frame);
-        let response = self.responses.len() - 1;
         let mut estimate = FrameEstimate {
             index: frame.index,
             timestamp: frame.timestamp,
@@ -40,7 +40,7 @@ impl Look<'_> {
             readout: 0.0,
             depth_lead: Tangent::zero(),
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
-            response,
+            response: self.response.0,
             keyframe: false,
             held_out: false,
             tracked: false,
@@ -52,7 +52,7 @@ impl Look<'_> {
             gaussians: self.frames.last().map_or(0, |f| f.gaussians),
         };
         let result = tracker.map(|tracker| {
-            let response = self.config.formation.tone.then(|| &self.responses[response]);
+            let response = self.config.formation.tone.then_some(self.response.1);
             tracker.track(&context, observation, response, self.scale)
         });
         if let Some(result) = &result {

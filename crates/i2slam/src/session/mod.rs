@@ -212,6 +212,7 @@ impl Session {
         usable: bool,
     ) -> (FrameEstimate, Option<TrackingResult>) {
         let Backend { mapper, frames, keyframes, responses, .. } = &mut self.backend;
+        let last = responses.len() - 1;
         let look = Look {
             config: &self.config,
             camera: &self.camera,
@@ -220,7 +221,7 @@ impl Session {
             readout: self.readout,
             frames,
             keyframes,
-            responses,
+            response: (last, &responses[last]),
         };
         let tracker: Option<&mut dyn Tracker> = match usable && !mapper.is_empty() {
             true => Some(mapper.as_mut()),
@@ -242,6 +243,7 @@ impl Session {
             backend.work(config, camera);
             self.follower = backend.follower(config, camera, None);
         }
+        let last = backend.responses.len() - 1;
         let look = Look {
             config,
             camera,
@@ -250,7 +252,7 @@ impl Session {
             readout: self.readout,
             frames: &backend.frames.clone(),
             keyframes: &backend.keyframes.clone(),
-            responses: &backend.responses.clone(),
+            response: (last, &backend.responses[last].clone()),
         };
         let mut follower = self.follower.take();
         let tracker = follower.as_deref_mut().filter(|_| usable);

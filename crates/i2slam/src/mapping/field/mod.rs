@@ -276,12 +276,8 @@ impl Mapper for FieldMapper {
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
         let map = &self.field.as_ref()?.map;
-        let objective = || {
-            let mut objective = FrameObjective::new(self.camera, map.march);
-            covered.into_iter().for_each(|covered| objective.set_covered(covered));
-            objective
-        };
-        Some(Follower::update(last, map, objective))
+        let objective = || FrameObjective::new(self.camera, map.march);
+        Some(Follower::update(last, map, covered, objective))
     }
 
     fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {

@@ -13,6 +13,7 @@ const TILTS: [f64; 3] = [-12.0, 0.0, 12.0];
 const PLACES: usize = 16;
 /// Starts that are followed to their end.
 const STARTS: usize = 4;
+
 impl Frame<'_> {
     /// Looks for the frame where the camera was last and where the keyframes were, turned by up to
     /// a third of a picture; the best end that can be believed.

@@ -1,0 +1,43 @@
+//! Keyframes that come with poses: what a monocular front end delivers, and what files of one hold.
+
+use i2slam_geometry::{Camera, Image, Pose};
+use std::error::Error;
+
+/// A picture that a front end has found a place for.
+///
+/// Poses and depths share a unit of length, which is the metre only if the front end knows it.
+#[derive(Clone, Debug)]
+pub struct PosedKeyframe {
+    /// Place of the picture in its sequence.
+    pub index: usize,
+    /// Time stamp of the picture [s].
+    pub timestamp: f64,
+    /// The picture, R, G, B in [0, 1], as [`KeyframeSource::camera`] sees it.
+    pub colour: Image<f32>,
+    /// Pose at the middle of the exposure.
+    pub world_from_camera: Pose<f64>,
+    /// What is known of its depth.
+    pub depth: Option<EstimatedDepth>,
+}
+
+/// Depth along the optical axis that was estimated rather than measured, with how far it is trusted.
+#[derive(Clone, Debug)]
+pub struct EstimatedDepth {
+    /// Depth in the unit of the poses, 0 where there is none; as large as the picture.
+    pub depth: Image<f32>,
+    /// Its variance, in that unit squared (Rosinol et al. 2023, eq. 3); `None`: all alike.
+    pub variance: Option<Image<f32>>,
+}
+
+/// Where keyframes come from, one after the other in the order of their stamps.
+pub trait KeyframeSource {
+    /// Pinhole camera of all pictures and depths.
+    fn camera(&self) -> &Camera<f64>;
+
+    /// The next keyframe; `None` after the last.
+    ///
+    /// # Errors
+    ///
+    /// A keyframe that cannot be read; the next call goes on after it.
+    fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, Box<dyn Error + Send + Sync>>>;
+}
