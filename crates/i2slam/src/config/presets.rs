@@ -90,7 +90,7 @@ fn ours() -> Config {
             mean_rate: 2e-4,
             colour_rate: 1.5e-2,
             scale_rate: 5e-3,
-            tone_rate: 5e-3,
+            tone_rate: 5e-4,
             response_rate: 0.05,
             fill_depth: true,
             only_seen: true,
@@ -159,7 +159,7 @@ fn paper_scannet() -> Config {
                 image_scale_floor: 0.01,
                 image_weight: 0.15,
                 motion_prior: 0.1,
-                white_balance_inertia: 4.0,
+                white_balance_inertia: 1.5,
             },
         },
         mapping: MappingConfig {
