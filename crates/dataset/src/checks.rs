@@ -27,9 +27,9 @@ pub(crate) fn recorded(
     let colour = Camera { width, height, fx, fy, cx, cy };
     let sized = || {
         let sizes = entries.iter().take(SIZE_PROBES);
-        let size = sizes.map(|entry| depth_size(&entry.depth, entry.depth_part(), code));
-        let mut size = size.skip_while(Result::is_err);
-        size.next().and_then(Result::ok).unwrap_or((width, height))
+        let mut size = sizes
+            .filter_map(|entry| depth_size(entry.depth.as_deref()?, entry.depth_part(), code).ok());
+        size.next().unwrap_or((width, height))
     };
     Ok(match calibration.grid {
         DepthGrid::Colour => Recorded { colour, depth: colour, grid: colour },
@@ -100,8 +100,9 @@ fn recorded_size(
 pub(crate) fn depth_scale_warning(entries: &[Entry], how: &Preparation) -> Option<String> {
     let (depth_scale, code, invalid) = (how.depth_scale, how.depth_code, how.invalid_depth);
     let mut values: Vec<u16> = Vec::new();
-    for entry in entries.iter().take(DEPTH_PROBES) {
-        let Ok(depth) = decode_depth(&entry.depth, entry.depth_part(), code) else { continue };
+    for entry in entries.iter().take(DEPTH_PROBES).filter(|_| !how.colour_only) {
+        let Some(path) = entry.depth.as_deref() else { continue };
+        let Ok(depth) = decode_depth(path, entry.depth_part(), code) else { continue };
         let valid = |v: &&u16| **v > 0 && Some(**v) != invalid;
         values.extend(depth.data.iter().step_by(7).filter(valid));
     }

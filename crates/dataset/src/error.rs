@@ -1,6 +1,7 @@
 //! The one error type: what is wrong, where, what was expected, what to do.
 
 use crate::Layout;
+use crate::import::Kind;
 use std::path::{Path, PathBuf};
 
 /// Why a sequence, a frame or a trajectory could not be read or written.
@@ -71,6 +72,34 @@ pub enum DatasetError {
         /// The line, counted from 1.
         line: usize,
         /// What is wrong and what was expected.
+        reason: String,
+    },
+    /// The path given holds no keyframes of a kind that can be imported.
+    #[error(
+        "{} holds no keyframes: found {found}; expected one of{}",
+        path.display(), import_kinds()
+    )]
+    UnknownImport {
+        /// The file or folder.
+        path: PathBuf,
+        /// What lies in it, in words.
+        found: String,
+    },
+    /// Too few imported poses have a picture.
+    #[error(
+        "{}: {keyframes} of {poses} poses have a picture in {}, expected at least 2: {reason}",
+        path.display(), pictures.display()
+    )]
+    TooFewKeyframes {
+        /// The file or folder of the poses.
+        path: PathBuf,
+        /// Where the pictures were looked for.
+        pictures: PathBuf,
+        /// Poses with a picture.
+        keyframes: usize,
+        /// Poses in all.
+        poses: usize,
+        /// What was compared, and what to do.
         reason: String,
     },
     /// No colour image has a depth image close enough in time.
@@ -179,6 +208,12 @@ impl DatasetError {
     pub(crate) fn camera(path: &Path, reason: impl Into<String>) -> Self {
         Self::Camera { path: path.to_path_buf(), reason: reason.into() }
     }
+}
+
+/// One line for every kind of keyframes.
+fn import_kinds() -> String {
+    let line = |kind: Kind| format!("\n  {:<26}{}", kind.name(), kind.recognised_by());
+    Kind::ALL.into_iter().map(line).collect()
 }
 
 /// One line for every layout.

@@ -25,6 +25,7 @@ mod checks;
 mod decode;
 mod distortion;
 mod error;
+pub mod import;
 mod layouts;
 mod lists;
 mod options;

@@ -32,6 +32,11 @@ pub struct OpenOptions {
     /// Default 1/32: the thinning of SplaTAM's TUM loader, on which published frame numbers
     /// rest. Frames without time stamps are not thinned.
     pub minimum_gap: f64,
+    /// Only colour is wanted: sequences without depth images open too, and depth is never read
+    /// ([`Frame::depth`](crate::Frame::depth) is 0 everywhere). Where there are lists or names of
+    /// depth images they still decide which frames there are, so that a frame has the same number
+    /// with and without depth. Default false.
+    pub colour_only: bool,
 }
 
 impl Default for OpenOptions {
@@ -47,6 +52,7 @@ impl Default for OpenOptions {
             max_depth: None,
             association_tolerance: 0.08,
             minimum_gap: 1.0 / 32.0,
+            colour_only: false,
         }
     }
 }

@@ -41,23 +41,27 @@ pub(crate) struct Preparation {
     pub(crate) depth_code: DepthCode,
     /// A depth image value beside 0 that means "no reading".
     pub(crate) invalid_depth: Option<u16>,
+    /// Depth is not read.
+    pub(crate) colour_only: bool,
 }
 
 impl Preparation {
     /// Reads both images of an entry.
     pub(crate) fn load(&self, entry: &Entry) -> Result<Frame, DatasetError> {
         let colour = decode_colour(&entry.colour, entry.colour_part())?;
-        let (colour_size, depth_size) = self.resampler.recorded_sizes();
+        let (colour_size, _) = self.resampler.recorded_sizes();
         check_size(&entry.colour, (colour.width, colour.height), colour_size, "colour")?;
-        let mut depth = decode_depth(&entry.depth, entry.depth_part(), self.depth_code)?;
-        let like = if depth_size == colour_size { "colour" } else { "depth" };
-        check_size(&entry.depth, (depth.width, depth.height), depth_size, like)?;
-        if let Some(invalid) = self.invalid_depth {
-            depth.data.iter_mut().filter(|value| **value == invalid).for_each(|value| *value = 0);
-        }
         let colour = self.resampler.colour(&colour);
-        let depth = self.resampler.depth(&depth, self.depth_scale, self.max_depth);
-        let warnings = warnings(&colour, &depth);
+        let mut warnings = Vec::new();
+        let depth = match entry.depth.as_deref().filter(|_| !self.colour_only) {
+            Some(path) => {
+                let depth = self.depth(path, entry)?;
+                warnings.extend(depth_warning(&depth));
+                depth
+            }
+            None => Image::new(self.resampler.camera.width, self.resampler.camera.height, 1),
+        };
+        warnings.extend(colour_warning(&colour));
         Ok(Frame {
             index: entry.index,
             timestamp: entry.timestamp,
@@ -66,6 +70,18 @@ impl Preparation {
             depth,
             warnings,
         })
+    }
+
+    /// The delivered depth [m] of an entry.
+    fn depth(&self, path: &Path, entry: &Entry) -> Result<Image<f32>, DatasetError> {
+        let mut depth = decode_depth(path, entry.depth_part(), self.depth_code)?;
+        let (colour_size, depth_size) = self.resampler.recorded_sizes();
+        let like = if depth_size == colour_size { "colour" } else { "depth" };
+        check_size(path, (depth.width, depth.height), depth_size, like)?;
+        if let Some(invalid) = self.invalid_depth {
+            depth.data.iter_mut().filter(|value| **value == invalid).for_each(|value| *value = 0);
+        }
+        Ok(self.resampler.depth(&depth, self.depth_scale, self.max_depth))
     }
 }
 
@@ -83,17 +99,18 @@ fn check_size(
     Err(DatasetError::Size { path: path.to_path_buf(), found, expected, reference })
 }
 
-fn warnings(colour: &Image<f32>, depth: &Image<f32>) -> Vec<String> {
-    let mut warnings = Vec::new();
-    if depth.data.iter().all(|&z| z == 0.0) {
-        warnings.push("no pixel has a valid depth".to_owned());
-    }
+fn depth_warning(depth: &Image<f32>) -> Option<String> {
+    depth.data.iter().all(|&z| z == 0.0).then(|| "no pixel has a valid depth".to_owned())
+}
+
+fn colour_warning(colour: &Image<f32>) -> Option<String> {
     let sum: f64 = colour.data.iter().map(|&v| f64::from(v)).sum();
     let mean = sum / colour.data.len() as f64;
     if mean < BLACK {
-        warnings.push("the colour image is black".to_owned());
+        Some("the colour image is black".to_owned())
     } else if mean > WHITE {
-        warnings.push("the colour image is white".to_owned());
+        Some("the colour image is white".to_owned())
+    } else {
+        None
     }
-    warnings
 }

@@ -28,8 +28,8 @@ pub struct Entry {
     pub depth_timestamp: f64,
     /// The colour image file.
     pub colour: PathBuf,
-    /// The depth image file.
-    pub depth: PathBuf,
+    /// The depth image file; `None` only in a sequence without depth images.
+    pub depth: Option<PathBuf>,
     /// Where the images lie in their files; `None`: each is a whole file.
     pub parts: Option<Parts>,
 }
@@ -93,7 +93,7 @@ pub struct Sequence {
     pub covered: Option<Arc<Image<bool>>>,
     /// What a user should know before the run.
     pub warnings: Vec<String>,
-    preparation: Arc<Preparation>,
+    pub(crate) preparation: Arc<Preparation>,
 }
 
 impl Sequence {
@@ -105,7 +105,7 @@ impl Sequence {
             return Err(DatasetError::MissingFolder { path: path.to_path_buf() });
         }
         // A folder that is no sequence at all is worth saying before a missing camera.
-        let source = Source::recognise(path)?;
+        let source = Source::recognise(path, options.colour_only)?;
         let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
         let calibration = Calibration::find(folder, &source, options);
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.frame_rate);
@@ -115,7 +115,7 @@ impl Sequence {
     }
 
     /// Chooses the frames of a listing and prepares how they are delivered.
-    fn of(
+    pub(crate) fn of(
         name: String,
         listing: Listing,
         calibration: Calibration,
@@ -134,6 +134,7 @@ impl Sequence {
             max_depth: options.max_depth.unwrap_or(f64::INFINITY),
             depth_code: listing.depth_code,
             invalid_depth: calibration.invalid_depth,
+            colour_only: options.colour_only,
         };
         warnings.extend(camera_warning(&recorded, &calibration.source));
         warnings.extend(depth_scale_warning(&entries, &preparation));
@@ -187,7 +188,7 @@ impl Sequence {
     }
 }
 
-fn name_of(path: &Path) -> String {
+pub(crate) fn name_of(path: &Path) -> String {
     let whole = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
     let name = if whole.is_file() { whole.file_stem() } else { whole.file_name() };
     name.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()

@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 /// Colour and depth files with their stamps [s], each in order of time.
 pub(crate) struct Stamped {
     pub(crate) colour: Vec<(f64, PathBuf)>,
-    pub(crate) depth: Vec<(f64, PathBuf)>,
+    /// `None`: a sequence without depth.
+    pub(crate) depth: Option<Vec<(f64, PathBuf)>>,
 }
 
 /// Whether `rgb.txt` and `depth.txt` lie in the folder.
@@ -17,14 +18,22 @@ pub(crate) fn has_lists(folder: &Path) -> bool {
     folder.join("rgb.txt").is_file() && folder.join("depth.txt").is_file()
 }
 
-/// The frames of `rgb.txt` and `depth.txt`.
+/// Whether `rgb.txt` lies in the folder.
+pub(crate) fn has_colour_list(folder: &Path) -> bool {
+    folder.join("rgb.txt").is_file()
+}
+
+/// The frames of `rgb.txt` and `depth.txt`; of `rgb.txt` alone where only colour is wanted and
+/// there is no other list.
 pub(crate) fn list(
     folder: &Path,
     layout: Layout,
     options: &OpenOptions,
 ) -> Result<Listing, DatasetError> {
     let colour = read_image_list(&folder.join("rgb.txt"), folder)?;
-    let depth = read_image_list(&folder.join("depth.txt"), folder)?;
+    let list = folder.join("depth.txt");
+    let alone = options.colour_only && !list.is_file();
+    let depth = if alone { None } else { Some(read_image_list(&list, folder)?) };
     by_time(folder, layout, Stamped { colour, depth }, options)
 }
 
@@ -36,7 +45,9 @@ pub(crate) fn by_time(
     options: &OpenOptions,
 ) -> Result<Listing, DatasetError> {
     let stamps = |files: &[(f64, PathBuf)]| files.iter().map(|f| f.0).collect::<Vec<f64>>();
-    let (colour, depth) = (stamps(&stamped.colour), stamps(&stamped.depth));
+    let colour = stamps(&stamped.colour);
+    // Without depth a picture is its own partner.
+    let depth = stamps(stamped.depth.as_ref().unwrap_or(&stamped.colour));
     let rules =
         Rules { tolerance: options.association_tolerance, minimum_gap: options.minimum_gap };
     let ground_truth = ground_truth(folder);
@@ -70,7 +81,9 @@ fn entries(association: &Association, stamped: &Stamped) -> Vec<Entry> {
     pairs
         .map(|(index, &(i, j))| {
             let (timestamp, colour) = stamped.colour[i].clone();
-            let (depth_timestamp, depth) = stamped.depth[j].clone();
+            let depth = stamped.depth.as_ref().map(|depth| depth[j].clone());
+            let depth_timestamp = depth.as_ref().map_or(timestamp, |depth| depth.0);
+            let depth = depth.map(|depth| depth.1);
             Entry { index, timestamp, depth_timestamp, colour, depth, parts: None }
         })
         .collect()

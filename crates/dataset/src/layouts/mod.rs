@@ -141,35 +141,54 @@ pub(crate) enum Source {
 
 impl Source {
     /// Finds out what lies in `path`, an existing folder or `.sens` file.
-    pub(crate) fn recognise(path: &Path) -> Result<Self, DatasetError> {
+    ///
+    /// With `colour_only` also what has no depth, if nothing with depth fits.
+    pub(crate) fn recognise(path: &Path, colour_only: bool) -> Result<Self, DatasetError> {
+        let found = Self::with_depth(path)?;
+        let found = match found {
+            None if colour_only => Self::without_depth(path)?,
+            found => found,
+        };
+        found.ok_or_else(|| {
+            let found = contents(path);
+            DatasetError::UnknownLayout { path: path.to_path_buf(), found }
+        })
+    }
+
+    fn with_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
         if path.is_file() {
-            return sens::Stream::open(path).map(Self::Sens);
+            return sens::Stream::open(path).map(Self::Sens).map(Some);
         }
         if let Some(file) = nerfstudio::find(path) {
-            return nerfstudio::Scene::open(&file).map(Self::Nerfstudio);
+            return nerfstudio::Scene::open(&file, true).map(Self::Nerfstudio).map(Some);
         }
         if let Some(folders) = replica::find(path) {
-            return Ok(Self::Replica(folders));
+            return Ok(Some(Self::Replica(folders)));
         }
         if seven_scenes::is_sequence(path) {
-            return Ok(Self::SevenScenes);
+            return Ok(Some(Self::SevenScenes));
         }
         if let Some(folders) = scannet::find(path) {
-            return Ok(Self::ScanNet(folders));
+            return Ok(Some(Self::ScanNet(folders)));
         }
         if let Some(file) = sens::find(path) {
-            return sens::Stream::open(&file).map(Self::Sens);
+            return sens::Stream::open(&file).map(Self::Sens).map(Some);
         }
         if associated::has_lists(path) {
-            return Ok(eth3d::find(path).map_or(Self::Tum, Self::Eth3d));
+            return Ok(Some(eth3d::find(path).map_or(Self::Tum, Self::Eth3d)));
         }
-        match plain::find(path) {
-            Some(folders) => Ok(Self::Plain(folders)),
-            None => {
-                let found = contents(path);
-                Err(DatasetError::UnknownLayout { path: path.to_path_buf(), found })
-            }
+        Ok(plain::find(path).map(Self::Plain))
+    }
+
+    fn without_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
+        let transforms = path.join("transforms.json");
+        if transforms.is_file() {
+            return nerfstudio::Scene::open(&transforms, false).map(Self::Nerfstudio).map(Some);
         }
+        if associated::has_colour_list(path) {
+            return Ok(Some(eth3d::find(path).map_or(Self::Tum, Self::Eth3d)));
+        }
+        Ok(plain::find_colour(path).map(Self::Plain))
     }
 
     /// What the layout says of every sequence of its kind.
@@ -218,7 +237,7 @@ impl Source {
 }
 
 /// The first names in a folder, for an error message.
-fn contents(folder: &Path) -> String {
+pub(crate) fn contents(folder: &Path) -> String {
     let mut names: Vec<String> = std::fs::read_dir(folder)
         .into_iter()
         .flatten()

@@ -1,4 +1,4 @@
-//! nerfstudio and instant-ngp: `transforms.json` with `depth_file_path` for every frame.
+//! nerfstudio and instant-ngp: `transforms.json`, with `depth_file_path` or for its pictures alone.
 
 mod file;
 
@@ -18,7 +18,8 @@ const DEFAULT_DEPTH_SCALE: f64 = 1000.0;
 /// Intrinsics of frames may differ by this share before a warning.
 const SAME_INTRINSICS: f64 = 1e-3;
 
-/// A `transforms.json` with the frames that have depth, in order of number or name.
+/// A `transforms.json` with its frames (those with depth, if depth is wanted), in order of number
+/// or name.
 pub(crate) struct Scene {
     path: PathBuf,
     file: SceneFile,
@@ -34,7 +35,8 @@ pub(super) fn find(folder: &Path) -> Option<PathBuf> {
 }
 
 impl Scene {
-    pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
+    /// Reads the file; `with_depth`: frames without `depth_file_path` do not count.
+    pub(crate) fn open(path: &Path, with_depth: bool) -> Result<Self, DatasetError> {
         let refuse = |reason: String| DatasetError::Metadata { path: path.into(), reason };
         let mut file: SceneFile = serde_json::from_str(&read_text(path)?)
             .map_err(|e| refuse(format!("{e}; expected a transforms.json of nerfstudio")))?;
@@ -42,9 +44,9 @@ impl Scene {
         let all = std::mem::take(&mut file.frames);
         let count = all.len();
         let mut shots: Vec<Shot> =
-            all.into_iter().filter(|shot| shot.depth_file_path.is_some()).collect();
+            all.into_iter().filter(|shot| !with_depth || shot.depth_file_path.is_some()).collect();
         if shots.is_empty() {
-            let expected = "frames with depth_file_path";
+            let expected = if with_depth { "frames with depth_file_path" } else { "frames" };
             return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
         }
         shots.sort_by_cached_key(|shot| {
@@ -93,19 +95,11 @@ impl Scene {
             self.shots.iter().map(|shot| picture(folder, &shot.file_path)).collect();
         let times = stamps_in_names(&colour);
         let rising = times.filter(|t| t.windows(2).all(|pair| pair[0].0 < pair[1].0));
-        let entries =
-            self.shots.iter().zip(colour).enumerate().filter_map(|(i, (shot, colour))| {
-                let timestamp = rising.as_ref().map_or(i as f64 / frame_rate, |times| times[i].0);
-                let depth = folder.join(shot.depth_file_path.as_ref()?);
-                Some(Entry {
-                    index: i,
-                    timestamp,
-                    depth_timestamp: timestamp,
-                    colour,
-                    depth,
-                    parts: None,
-                })
-            });
+        let entries = self.shots.iter().zip(colour).enumerate().map(|(index, (shot, colour))| {
+            let timestamp = rising.as_ref().map_or(index as f64 / frame_rate, |t| t[index].0);
+            let depth = shot.depth_file_path.as_ref().map(|depth| folder.join(depth));
+            Entry { index, timestamp, depth_timestamp: timestamp, colour, depth, parts: None }
+        });
         let entries: Vec<Entry> = entries.collect();
         let poses = entries.iter().zip(&self.shots).map(|(e, shot)| (e.timestamp, self.pose(shot)));
         let (poses, warning) = stamped(poses);

@@ -14,7 +14,8 @@ pub(crate) struct Pair {
     /// The number in the names, if they are numbered.
     pub(crate) number: Option<u64>,
     pub(crate) colour: PathBuf,
-    depth: PathBuf,
+    /// `None`: a sequence without depth.
+    depth: Option<PathBuf>,
 }
 
 /// All pairs, in order of number or name.
@@ -40,10 +41,22 @@ impl Pairs {
         let without_depth = partners.iter().filter(|p| p.is_none()).count();
         let places = colour.into_iter().zip(partners).enumerate();
         let pairs = places.filter_map(|(place, ((key, colour), partner))| {
-            let depth = depth[partner?].1.clone();
+            let depth = Some(depth[partner?].1.clone());
             Some(Pair { place, number: key.number(), colour, depth })
         });
         Ok(Self { pairs: pairs.collect(), without_depth })
+    }
+
+    /// Pictures without depth.
+    pub(crate) fn colour_only(colour: Vec<PathBuf>) -> Self {
+        let files = keyed(colour).into_iter().enumerate();
+        let pair = |(place, (key, colour)): (usize, (Key, PathBuf))| Pair {
+            place,
+            number: key.number(),
+            colour,
+            depth: None,
+        };
+        Self { pairs: files.map(pair).collect(), without_depth: 0 }
     }
 
     /// Entries `place / frame_rate` apart [s].

@@ -1,4 +1,4 @@
-//! The plain layout: a colour folder beside a depth folder.
+//! The plain layout: a colour folder beside a depth folder, or colour alone.
 
 use super::associated::{Stamped, by_time, ground_truth};
 use super::pairs::{Pairs, images, stamped};
@@ -9,17 +9,28 @@ use std::path::{Path, PathBuf};
 const COLOUR_NAMES: [&str; 5] = ["colour", "color", "rgb", "images", "image"];
 const DEPTH_NAMES: [&str; 2] = ["depth", "depths"];
 
-/// The two folders of the plain layout.
+/// The folders of the plain layout.
 pub(crate) struct Folders {
     colour: PathBuf,
-    depth: PathBuf,
+    /// `None`: a sequence without depth.
+    depth: Option<PathBuf>,
 }
 
 /// The colour and the depth folder, if both are there.
 pub(crate) fn find(folder: &Path) -> Option<Folders> {
-    let first =
-        |names: &[&str]| names.iter().map(|name| folder.join(name)).find(|path| path.is_dir());
-    Some(Folders { colour: first(&COLOUR_NAMES)?, depth: first(&DEPTH_NAMES)? })
+    let depth = Some(first(folder, &DEPTH_NAMES)?);
+    Some(Folders { colour: first(folder, &COLOUR_NAMES)?, depth })
+}
+
+/// The colour folder alone, or the folder itself if pictures lie in it.
+pub(crate) fn find_colour(folder: &Path) -> Option<Folders> {
+    let itself = || images(folder, |_| true).is_ok().then(|| folder.to_path_buf());
+    let colour = first(folder, &COLOUR_NAMES).or_else(itself)?;
+    Some(Folders { colour, depth: None })
+}
+
+fn first(folder: &Path, names: &[&str]) -> Option<PathBuf> {
+    names.iter().map(|name| folder.join(name)).find(|path| path.is_dir())
 }
 
 /// Lists both folders. Files without a stamp in their name get `place / frame_rate` [s].
@@ -29,11 +40,18 @@ pub(crate) fn list(
     options: &OpenOptions,
     frame_rate: f64,
 ) -> Result<Listing, DatasetError> {
-    let (colour, depth) = (images(&folders.colour, |_| true)?, images(&folders.depth, |_| true)?);
-    if let (Some(colour), Some(depth)) = (stamped(&colour), stamped(&depth)) {
+    let colour = images(&folders.colour, |_| true)?;
+    let depth = folders.depth.as_ref().map(|depth| images(depth, |_| true)).transpose()?;
+    // Stamps count only if all have them.
+    let depth_stamps = depth.as_ref().map(|depth| stamped(depth));
+    if let (Some(colour), None | Some(Some(_))) = (stamped(&colour), &depth_stamps) {
+        let depth = depth_stamps.flatten();
         return by_time(folder, Layout::Plain, Stamped { colour, depth }, options);
     }
-    let pairs = Pairs::of(folder, colour, depth)?;
+    let pairs = match depth {
+        Some(depth) => Pairs::of(folder, colour, depth)?,
+        None => Pairs::colour_only(colour),
+    };
     let left_out = LeftOut { without_depth: pairs.without_depth, ..LeftOut::default() };
     let mut listing = Listing::new(Layout::Plain, pairs.by_place(frame_rate));
     listing.leave_out_without_depth(left_out.without_depth);

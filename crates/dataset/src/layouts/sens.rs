@@ -101,7 +101,7 @@ impl Stream {
             timestamp: time(index),
             depth_timestamp: depth_time(index),
             colour: self.path.clone(),
-            depth: self.path.clone(),
+            depth: Some(self.path.clone()),
             parts: Some(Parts { colour: frame.colour.clone(), depth: frame.depth.clone() }),
         };
         let entries: Vec<Entry> = self.frames.iter().enumerate().map(entry).collect();

@@ -31,6 +31,9 @@ pub struct Input {
     pub association_tolerance: f64,
     /// Frames closer in time to the one before were left out [s].
     pub minimum_gap: f64,
+    /// Whether only colour was read.
+    #[serde(default)]
+    pub colour_only: bool,
 }
 
 impl Input {
@@ -49,6 +52,7 @@ impl Input {
             max_depth: options.max_depth,
             association_tolerance: options.association_tolerance,
             minimum_gap: options.minimum_gap,
+            colour_only: options.colour_only,
         }
     }
 
@@ -65,6 +69,7 @@ impl Input {
             max_depth: self.max_depth,
             association_tolerance: self.association_tolerance,
             minimum_gap: self.minimum_gap,
+            colour_only: self.colour_only,
         }
     }
 
@@ -102,6 +107,7 @@ mod tests {
             frames: Some(10..90),
             stride: 2,
             scale: 0.5,
+            colour_only: true,
             ..OpenOptions::default()
         };
         assert_eq!(Input::load(&scratch.0).expect("nothing"), None);

@@ -14,7 +14,7 @@ mod renders;
 pub mod report;
 mod save;
 mod state;
-mod storage;
+pub(crate) mod storage;
 mod table;
 #[cfg(test)]
 pub(crate) mod tests;

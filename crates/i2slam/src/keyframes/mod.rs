@@ -1,5 +1,9 @@
 //! Keyframes that come with poses: what a monocular front end delivers, and what files of one hold.
 
+mod import;
+
+pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
+
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;
 

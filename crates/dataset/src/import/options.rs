@@ -1,0 +1,45 @@
+//! What of imported keyframes is wanted.
+
+use crate::OpenOptions;
+use std::path::PathBuf;
+
+/// Which depth imported keyframes get.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Depth {
+    /// None.
+    None,
+    /// What the imported files themselves hold, if anything.
+    #[default]
+    Imported,
+    /// That of the depth pictures of the sequence.
+    Pictures,
+}
+
+/// How keyframes are opened. Start from [`Options::default`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// How the pictures are opened. `association_tolerance` also bounds the distance in time
+    /// between a pose and its picture; `frames` and `stride` choose among the pictures, and poses
+    /// of others are left out; `colour_only` does not matter.
+    pub open: OpenOptions,
+    /// Which depth is taken.
+    pub depth: Depth,
+    /// A folder with the variance of the depth pictures, by the names or numbers of these or of
+    /// the colour pictures: `.npy` arrays of the variance [m²], or 16-bit PNG of the standard
+    /// deviation, on the scale of the depth pictures.
+    pub variance: Option<PathBuf>,
+    /// Whether depths and poses of some neighbours are compared, to warn of wrong conventions.
+    /// Default true.
+    pub check_conventions: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            open: OpenOptions::default(),
+            depth: Depth::default(),
+            variance: None,
+            check_conventions: true,
+        }
+    }
+}

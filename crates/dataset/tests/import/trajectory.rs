@@ -1,0 +1,207 @@
+//! A trajectory in the TUM format with pictures.
+
+use crate::scene::{
+    HEIGHT, WIDTH, colour_sequence, line, pose, render, sequence, stamp, trajectory,
+};
+use crate::support::Folder;
+use crate::{assert_says, assert_warns};
+use i2slam_dataset::import::{Depth, Files, Kind, Options};
+use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
+use i2slam_geometry::Pose;
+
+fn open(poses: &Folder, pictures: &Folder) -> Result<Files, DatasetError> {
+    let file = poses.join("keyframes.txt");
+    Files::open(&file, Some(&pictures.0), &Options::default())
+}
+
+#[track_caller]
+fn assert_same(a: Pose<f64>, b: Pose<f64>) {
+    let apart = a.local(b);
+    assert!(apart.translation.norm() + apart.rotation.norm() < 1e-6, "{a:?} {b:?}");
+}
+
+#[test]
+fn keyframes_get_their_pictures() {
+    let folder = colour_sequence(7);
+    folder.write("keyframes.txt", trajectory([1, 3, 6]));
+    let files = open(&folder, &folder).expect("opens");
+    assert_eq!((files.kind, files.len(), files.has_depth), (Kind::Trajectory, 3, false));
+    assert_eq!(files.left_out.pictures_without_pose, 4);
+    assert_eq!(files.left_out.poses_without_picture, 0);
+    assert!(files.warnings.is_empty(), "{:?}", files.warnings);
+    assert_eq!((files.camera.width, files.camera.cx), (WIDTH, 24.0));
+    for (place, i) in [1, 3, 6].into_iter().enumerate() {
+        let keyframe = files.load(place).expect("loads");
+        assert_eq!((keyframe.index, keyframe.timestamp), (i, stamp(i)));
+        assert_same(keyframe.world_from_camera, pose(i));
+        let due = f32::from(render(i).1[3 * (5 * WIDTH + 9) + 1]) / 255.0;
+        assert_eq!(keyframe.colour.at(1, 9, 5), due);
+        assert!(keyframe.depth.is_none() && keyframe.variance.is_none());
+    }
+    assert_says(files.load(3), &["frame 3", "3 frames"]);
+}
+
+#[test]
+fn without_a_folder_of_pictures_those_beside_the_poses_are_taken() {
+    let folder = colour_sequence(3);
+    let file = folder.write("trajectory.txt", trajectory([0, 2]));
+    let by_file = Files::open(&file, None, &Options::default()).expect("opens");
+    let by_folder = Files::open(&folder.0, None, &Options::default()).expect("opens");
+    assert_eq!(by_file.keyframes, by_folder.keyframes);
+    assert_eq!(by_file.len(), 2);
+}
+
+#[test]
+fn depth_pictures_come_when_asked_for() {
+    let folder = sequence(4);
+    let file = folder.write("keyframes.txt", trajectory([0, 2]));
+    let options = Options { depth: Depth::Pictures, ..Options::default() };
+    let files = Files::open(&file, None, &options).expect("opens");
+    let depth = files.load(1).expect("loads").depth.expect("depth");
+    let due = render(2).0[4 * WIDTH + 7];
+    assert!((f64::from(depth.at(0, 7, 4)) - due).abs() < 2e-4);
+    let without = Files::open(&file, None, &Options::default()).expect("opens");
+    assert!(without.load(1).expect("loads").depth.is_none());
+    let alone = colour_sequence(4);
+    assert_says(Files::open(&file, Some(&alone.0), &options), &["no RGB-D sequence", "rgb.txt"]);
+}
+
+#[test]
+fn range_stride_and_scale_hold_for_the_pictures() {
+    let folder = colour_sequence(9);
+    let file = folder.write("keyframes.txt", trajectory(0..9));
+    let open = OpenOptions { frames: Some(2..9), stride: 3, scale: 0.5, ..OpenOptions::default() };
+    let options = Options { open, ..Options::default() };
+    let files = Files::open(&file, None, &options).expect("opens");
+    let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
+    assert_eq!(indices, [2, 5, 8]);
+    let colour = files.load(1).expect("loads").colour;
+    assert_eq!((colour.width, colour.height), (WIDTH / 2, HEIGHT / 2));
+    assert_eq!(files.left_out.poses_without_picture, 0);
+    let open = OpenOptions { frames: Some(8..9), ..OpenOptions::default() };
+    let options = Options { open, ..Options::default() };
+    assert_says(Files::open(&file, None, &options), &["1 of 9 poses", "outside the frames chosen"]);
+}
+
+#[test]
+fn poses_without_pictures_are_counted_and_told() {
+    let folder = colour_sequence(5);
+    let gone = [line(stamp(7), pose(7)), line(stamp(9), pose(9))].concat();
+    folder.write("keyframes.txt", trajectory([0, 2, 4]) + &gone);
+    let files = open(&folder, &folder).expect("opens");
+    assert_eq!((files.len(), files.left_out.poses_without_picture), (3, 2));
+    assert_warns(&files.warnings, &["2 of 5 poses left out", "no picture within 0.08 s"]);
+}
+
+#[test]
+fn a_missing_frame_does_not_pass_its_pose_on_quietly() {
+    let folder = colour_sequence(5);
+    folder.write("keyframes.txt", line(stamp(0), pose(0)) + &line(stamp(2) + 0.06, pose(2)));
+    let files = open(&folder, &folder).expect("opens");
+    assert_warns(&files.warnings, &["up to 0.040 s", "0.100 s apart", "missing"]);
+    std::fs::remove_file(folder.join("rgb/000.png")).expect("removes");
+    folder.write("keyframes.txt", trajectory([0, 2]));
+    let files = open(&folder, &folder).expect("opens");
+    let error = files.load(0).expect_err("its picture is gone");
+    assert!(error.concerns_one_frame(), "{error}");
+    assert!(files.load(1).is_ok());
+}
+
+#[test]
+fn other_clocks_and_single_keyframes_are_refused() {
+    let folder = colour_sequence(4);
+    folder.write("keyframes.txt", line(5.0, pose(0)) + &line(6.0, pose(1)));
+    let says = ["keyframes.txt", "0 of 2 poses", "at least 2", "94.000 s apart", "one clock"];
+    assert_says(open(&folder, &folder), &says);
+    folder.write("keyframes.txt", trajectory([1]));
+    assert_says(open(&folder, &folder), &["1 of 1 poses", "at least 2"]);
+    folder.write("keyframes.txt", "# nothing\n");
+    assert_says(open(&folder, &folder), &["keyframes.txt is empty", "timestamp tx ty tz"]);
+}
+
+#[test]
+fn unusable_lines_are_named() {
+    let folder = colour_sequence(3);
+    let good = trajectory([0]);
+    for (bad, parts) in [
+        ("100.1 0 0 0 0 0 0 1.3\n", &["line 2", "length 1.300", "expected 1"][..]),
+        ("100.1 0 0 0 0 0 0 0\n", &["line 2", "quaternion is zero"][..]),
+        ("100.1 0 nan 0 0 0 0 1\n", &["line 2", "ty is NaN"][..]),
+        ("100.1 0 0 0 0 inf 0 1\n", &["line 2", "qy is inf"][..]),
+        ("100.1 0 0 0 0 0 1\n", &["line 2", "7 columns, expected 8"][..]),
+    ] {
+        folder.write("keyframes.txt", good.clone() + bad);
+        assert_says(open(&folder, &folder), parts);
+    }
+    folder.write("keyframes.txt", good + "100.1 0 0 0 0 0 0 1.003\n");
+    assert_eq!(open(&folder, &folder).expect("rounded").len(), 2);
+}
+
+#[test]
+fn what_holds_no_keyframes_is_refused() {
+    let folder = colour_sequence(2);
+    let open = |name: &str| Files::open(&folder.join(name), None, &Options::default());
+    assert_says(open("nothing"), &["no keyframes", "found nothing", "timestamp tx ty tz"]);
+    assert_says(open("rgb"), &["found 000.png, 001.png"]);
+    folder.write("notes.md", "hello");
+    assert_says(open("notes.md"), &["notes.md holds no keyframes", "another kind"]);
+}
+
+#[test]
+fn the_same_files_give_the_same_bytes() {
+    let folder = sequence(4);
+    folder.write("keyframes.txt", trajectory([0, 1, 3]));
+    let all = || {
+        let files = open(&folder, &folder).expect("opens");
+        (0..files.len()).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>()
+    };
+    assert_eq!(all(), all());
+}
+
+#[test]
+fn a_sequence_without_depth_opens_when_only_colour_is_wanted() {
+    let folder = colour_sequence(4);
+    let says = Sequence::open(&folder.0, &OpenOptions::default());
+    assert_says(says, &["no RGB-D sequence"]);
+    let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
+    let sequence = Sequence::open(&folder.0, &options).expect("opens");
+    assert_eq!((sequence.len(), sequence.warnings.len()), (4, 0), "{:?}", sequence.warnings);
+    let frame = sequence.stream().next().expect("a frame").expect("loads");
+    assert!(frame.depth.data.iter().all(|&z| z == 0.0) && frame.warnings.is_empty());
+    assert_eq!((frame.depth.width, frame.depth.height), (WIDTH, HEIGHT));
+}
+
+#[test]
+fn plain_folders_of_pictures_open_too() {
+    let from = colour_sequence(3);
+    let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
+    for prefix in ["", "images/"] {
+        let folder = Folder::new();
+        folder.write("camera.json", std::fs::read(from.join("camera.json")).expect("reads"));
+        for i in 0..3 {
+            let picture = std::fs::read(from.join(&format!("rgb/{i:03}.png"))).expect("reads");
+            folder.write(&format!("{prefix}frame{i}.png"), picture);
+        }
+        let sequence = Sequence::open(&folder.0, &options).expect("opens");
+        assert_eq!(sequence.len(), 3);
+        assert!(sequence.entries[2].depth.is_none());
+        assert_eq!(sequence.entries[2].timestamp, 2.0 / 30.0);
+    }
+}
+
+#[test]
+fn frames_have_the_same_number_with_and_without_depth() {
+    let folder = sequence(5);
+    let list = std::fs::read_to_string(folder.join("depth.txt")).expect("reads");
+    folder.write("depth.txt", list.lines().skip(1).collect::<Vec<_>>().join("\n"));
+    let indices = |colour_only| {
+        let options = OpenOptions { colour_only, ..OpenOptions::default() };
+        let sequence = Sequence::open(&folder.0, &options).expect("opens");
+        let frame = sequence.load(0).expect("loads");
+        let valid = frame.depth.data.iter().any(|&z| z > 0.0);
+        assert_eq!(valid, !colour_only);
+        sequence.entries.iter().map(|entry| (entry.index, entry.timestamp)).collect::<Vec<_>>()
+    };
+    assert_eq!(indices(true), indices(false));
+    assert_eq!(indices(true).len(), 4);
+}
