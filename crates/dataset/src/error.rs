@@ -201,6 +201,10 @@ impl DatasetError {
         Self::Image { path: path.to_path_buf(), reason: reason.into() }
     }
 
+    pub(crate) fn metadata(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Metadata { path: path.to_path_buf(), reason: reason.into() }
+    }
+
     pub(crate) fn line(path: &Path, line: usize, reason: impl Into<String>) -> Self {
         Self::Line { path: path.to_path_buf(), line, reason: reason.into() }
     }

@@ -164,16 +164,28 @@ impl Resampler {
     /// The delivered depth [m] of a recorded depth image: values over `scale`, 0 where invalid,
     /// not recorded, or beyond `max_depth`.
     pub(crate) fn depth(&self, recorded: &Image<u16>, scale: f64, max_depth: f64) -> Image<f32> {
-        let metres = |&place: &u32| {
-            let raw = if place == OUTSIDE { 0 } else { recorded.data[place as usize] };
+        self.depth_values(recorded, |raw| {
             let z = f64::from(raw) / scale;
             if z <= max_depth { z as f32 } else { 0.0 }
+        })
+    }
+
+    /// `of` the recorded value that every delivered pixel takes from an image with the pixels of
+    /// depth; 0 where nothing was recorded.
+    pub(crate) fn depth_values<T: Copy>(
+        &self,
+        recorded: &Image<T>,
+        of: impl Fn(T) -> f32,
+    ) -> Image<f32> {
+        let value = |&place: &u32| match place {
+            OUTSIDE => 0.0,
+            place => of(recorded.data[place as usize]),
         };
         Image {
             width: self.camera.width,
             height: self.camera.height,
             channels: 1,
-            data: self.depth_lookup.iter().map(metres).collect(),
+            data: self.depth_lookup.iter().map(value).collect(),
         }
     }
 

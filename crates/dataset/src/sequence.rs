@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Frames a second where neither the camera file nor the stamps say.
-const DEFAULT_FRAME_RATE: f64 = 30.0;
+pub(crate) const DEFAULT_FRAME_RATE: f64 = 30.0;
 
 /// Delivered frames must have at least this many pixels a side.
 const SMALLEST_SIDE: usize = 8;
@@ -106,8 +106,17 @@ impl Sequence {
         }
         // A folder that is no sequence at all is worth saying before a missing camera.
         let source = Source::recognise(path, options.colour_only)?;
+        Self::from_source(path, &source, options)
+    }
+
+    /// Opens what was recognised in `path`, under validated options.
+    pub(crate) fn from_source(
+        path: &Path,
+        source: &Source,
+        options: &OpenOptions,
+    ) -> Result<Self, DatasetError> {
         let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
-        let calibration = Calibration::find(folder, &source, options);
+        let calibration = Calibration::find(folder, source, options);
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.frame_rate);
         let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);
         let listing = source.list(path, options, assumed_rate)?;
@@ -228,7 +237,7 @@ fn choose(
 }
 
 /// Size of the frames from the grid `recorded` that they are delivered on, cropped and scaled.
-fn delivered_size(
+pub(crate) fn delivered_size(
     recorded: &Camera<f64>,
     options: &OpenOptions,
 ) -> Result<(usize, usize), DatasetError> {

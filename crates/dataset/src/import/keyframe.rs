@@ -1,5 +1,10 @@
 //! From the place of a keyframe to its picture, depth and variance.
 
+use super::inverse_depth::InverseDepth;
+use super::pictures::ArrayPictures;
+use super::sparse::SparseDepth;
+use super::variance::VariancePictures;
+use super::{Depth, Options};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::{Camera, Image, Pose};
 
@@ -38,29 +43,63 @@ pub struct Keyframe {
 /// Where pictures and depths come from.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
-    pub(super) pictures: Box<Sequence>,
+    pub(super) pictures: Pictures,
     pub(super) depth: DepthSource,
+}
+
+/// Where pictures come from.
+#[derive(Clone, Debug)]
+pub(super) enum Pictures {
+    Sequence(Box<Sequence>),
+    Arrays(Box<ArrayPictures>),
 }
 
 /// Where depth comes from.
 #[derive(Clone, Debug)]
 pub(super) enum DepthSource {
     None,
+    /// The depth pictures of the sequence, perhaps with pictures of their variance.
+    Pictures(Option<VariancePictures>),
+    Inverse(Box<InverseDepth>),
+    Sparse(Box<SparseDepth>),
+}
+
+impl DepthSource {
     /// The depth pictures of the sequence.
-    Pictures,
+    pub(super) fn pictures(options: &Options) -> Result<Self, DatasetError> {
+        let variance = options.variance.as_deref().map(VariancePictures::open).transpose()?;
+        Ok(Self::Pictures(variance))
+    }
+
+    /// The same if they are asked for, else none.
+    pub(super) fn pictures_if_wanted(options: &Options) -> Result<Self, DatasetError> {
+        match options.depth {
+            Depth::Pictures => Self::pictures(options),
+            Depth::None | Depth::Imported => Ok(Self::None),
+        }
+    }
 }
 
 impl Source {
     pub(super) fn camera(&self) -> Camera<f64> {
-        self.pictures.camera
+        match &self.pictures {
+            Pictures::Sequence(sequence) => sequence.camera,
+            Pictures::Arrays(pictures) => pictures.camera(),
+        }
     }
 
     pub(super) fn camera_source(&self) -> String {
-        self.pictures.camera_source.clone()
+        match &self.pictures {
+            Pictures::Sequence(sequence) => sequence.camera_source.clone(),
+            Pictures::Arrays(pictures) => pictures.source.clone(),
+        }
     }
 
     pub(super) fn frame_rate(&self) -> f64 {
-        self.pictures.frame_rate
+        match &self.pictures {
+            Pictures::Sequence(sequence) => sequence.frame_rate,
+            Pictures::Arrays(pictures) => pictures.frame_rate,
+        }
     }
 
     pub(super) fn has_depth(&self) -> bool {
@@ -68,23 +107,55 @@ impl Source {
     }
 
     pub(super) fn has_variance(&self) -> bool {
-        false
+        match &self.depth {
+            DepthSource::None => false,
+            DepthSource::Pictures(variance) => variance.is_some(),
+            DepthSource::Inverse(depth) => depth.variance.is_some(),
+            DepthSource::Sparse(_) => true,
+        }
     }
 
     pub(super) fn sequence(&self) -> Option<&Sequence> {
-        Some(&self.pictures)
+        match &self.pictures {
+            Pictures::Sequence(sequence) => Some(sequence),
+            Pictures::Arrays(_) => None,
+        }
     }
 
+    /// Reads the picture of a keyframe and its depth.
     pub(super) fn load(&self, pose: &KeyframePose) -> Result<Keyframe, DatasetError> {
-        let frame = self.pictures.load(pose.position)?;
-        let depth = self.has_depth().then_some(frame.depth);
+        let (colour, measured) = match &self.pictures {
+            Pictures::Sequence(sequence) => {
+                let frame = sequence.load(pose.position)?;
+                (frame.colour, Some(frame.depth))
+            }
+            Pictures::Arrays(pictures) => (pictures.load(pose.position)?, None),
+        };
+        let (depth, variance) = match (&self.depth, measured) {
+            (DepthSource::Pictures(variance), Some(mut depth)) => {
+                let sequence = self.sequence().zip(variance.as_ref());
+                let variance = sequence
+                    .map(|(sequence, variance)| variance.load(sequence, pose, &mut depth))
+                    .transpose()?;
+                (Some(depth), variance)
+            }
+            (DepthSource::Inverse(maps), _) => {
+                let (depth, variance) = maps.at(pose.record, &self.camera())?;
+                (Some(depth), variance)
+            }
+            (DepthSource::Sparse(points), _) => {
+                let (depth, variance) = points.at(pose, &self.camera());
+                (Some(depth), Some(variance))
+            }
+            (DepthSource::None | DepthSource::Pictures(_), _) => (None, None),
+        };
         Ok(Keyframe {
             index: pose.index,
             timestamp: pose.timestamp,
-            colour: frame.colour,
+            colour,
             world_from_camera: pose.world_from_camera,
             depth,
-            variance: None,
+            variance,
         })
     }
 }

@@ -1,5 +1,6 @@
 //! What a file or folder of keyframes is.
 
+use super::colmap;
 use crate::DatasetError;
 use crate::layouts::contents;
 use crate::lists::data_lines;
@@ -9,24 +10,49 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Kind {
+    /// nerfstudio's and instant-ngp's `transforms.json`.
+    Nerfstudio,
+    /// A sparse model of COLMAP, text or binary.
+    Colmap,
+    /// Arrays of DROID-SLAM or NeRF-SLAM: a folder of `.npy` files, or an `.npz`.
+    Droid,
     /// A trajectory in the TUM format, and pictures.
     Trajectory,
 }
 
 impl Kind {
     /// All kinds, in the order in which they are looked for.
-    pub const ALL: [Self; 1] = [Self::Trajectory];
+    pub const ALL: [Self; 4] = [Self::Nerfstudio, Self::Colmap, Self::Droid, Self::Trajectory];
 
     /// Its name for people.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Nerfstudio => "nerfstudio",
+            Self::Colmap => "COLMAP",
+            Self::Droid => "DROID-SLAM arrays",
             Self::Trajectory => "TUM trajectory",
+        }
+    }
+
+    /// What it says of a camera and the world, before it is turned to `world_from_camera` with
+    /// OpenCV's axes.
+    pub fn convention(self) -> &'static str {
+        match self {
+            Self::Nerfstudio => "world_from_camera, OpenGL axes (y up, z backwards)",
+            Self::Colmap => "camera_from_world, quaternion w x y z, OpenCV axes",
+            Self::Droid => "camera_from_world, quaternion x y z w, OpenCV axes",
+            Self::Trajectory => "world_from_camera, quaternion x y z w, OpenCV axes",
         }
     }
 
     /// The files by which it is recognised.
     pub fn recognised_by(self) -> &'static str {
         match self {
+            Self::Nerfstudio => "transforms.json, or its folder",
+            Self::Colmap => {
+                "cameras and images as .bin or .txt, in the folder, in sparse/0 or in sparse"
+            }
+            Self::Droid => "poses.npy with others in a folder, or one .npz",
             Self::Trajectory => {
                 "a text file with lines timestamp tx ty tz qx qy qz qw, or a folder with it as \
                  trajectory.txt"
@@ -43,6 +69,9 @@ impl std::fmt::Display for Kind {
 
 /// A kind with its files.
 pub(super) enum Recognised {
+    Nerfstudio(PathBuf),
+    Colmap(colmap::Model),
+    Droid(PathBuf),
     Trajectory(PathBuf),
 }
 
@@ -61,12 +90,37 @@ impl Recognised {
     }
 
     fn file(path: &Path) -> Option<Self> {
+        let has_end = |end: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(end));
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let is_model = ["cameras", "images", "points3D"]
+            .iter()
+            .any(|name| path.file_stem().is_some_and(|stem| stem == *name));
+        if has_end("json") {
+            return Some(Self::Nerfstudio(path.to_path_buf()));
+        }
+        if has_end("npz") {
+            return Some(Self::Droid(path.to_path_buf()));
+        }
+        if is_model && let Some(model) = colmap::find(folder) {
+            return Some(Self::Colmap(model));
+        }
         is_trajectory(path).then(|| Self::Trajectory(path.to_path_buf()))
     }
 
     fn folder(path: &Path) -> Option<Self> {
-        let trajectory = path.join("trajectory.txt");
-        trajectory.is_file().then_some(Self::Trajectory(trajectory))
+        let file = |name: &str| Some(path.join(name)).filter(|file| file.is_file());
+        let archive = || {
+            let files = std::fs::read_dir(path).into_iter().flatten().flatten();
+            let ends = |file: &PathBuf| file.extension().is_some_and(|end| end == "npz");
+            let mut files = files.map(|entry| entry.path()).filter(ends);
+            files.next().filter(|_| files.next().is_none())
+        };
+        let arrays = || file("poses.npy").map(|_| path.to_path_buf()).or_else(archive);
+        file("transforms.json")
+            .map(Self::Nerfstudio)
+            .or_else(|| colmap::find(path).map(Self::Colmap))
+            .or_else(|| arrays().map(Self::Droid))
+            .or_else(|| file("trajectory.txt").map(Self::Trajectory))
     }
 }
 

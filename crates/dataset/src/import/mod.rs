@@ -16,12 +16,22 @@
 //! # Ok::<(), i2slam_dataset::DatasetError>(())
 //! ```
 
+mod archive;
+mod colmap;
+mod conventions;
+mod droid;
+mod inverse_depth;
 mod join;
 mod keyframe;
 mod kind;
+mod nerfstudio;
+mod npy;
 mod options;
+mod pictures;
 mod placed;
+mod sparse;
 mod trajectory;
+mod variance;
 
 pub use keyframe::{Keyframe, KeyframePose};
 pub use kind::Kind;
@@ -64,19 +74,31 @@ pub struct Files {
 impl Files {
     /// Opens the keyframes of a file or folder.
     ///
-    /// `pictures` is a sequence in any layout, or a folder of pictures; `None`: beside the poses,
-    /// or in the same file.
+    /// `pictures` is a sequence in any layout, or a folder of pictures; `None` (or `path` again):
+    /// beside the poses, or in the same file. nerfstudio's file names its pictures itself.
     pub fn open(
         path: &Path,
         pictures: Option<&Path>,
         options: &Options,
     ) -> Result<Self, DatasetError> {
         options.open.validate()?;
-        let found = match Recognised::in_path(path)? {
-            Recognised::Trajectory(file) => trajectory::open(&file, pictures, options)?,
+        if options.frames_per_stamp == 0 {
+            let reason = "expected 1 or more, got 0".into();
+            return Err(DatasetError::Option { name: "frames_per_stamp", reason });
+        }
+        let other = pictures.filter(|&pictures| pictures != path);
+        let mut found = match Recognised::in_path(path)? {
+            Recognised::Nerfstudio(file) => nerfstudio::open(&file, options)?,
+            Recognised::Colmap(model) => colmap::open(&model, other, options)?,
+            Recognised::Droid(path) => droid::open(&path, other, options)?,
+            Recognised::Trajectory(file) => trajectory::open(&file, other, options)?,
         };
-        let files = Self::of(found, options);
+        placed::leave_out_missing_files(&mut found);
+        let mut files = Self::of(found, options);
         files.check_count(pictures)?;
+        if options.check_conventions {
+            files.warnings.extend(conventions::warning(&files));
+        }
         Ok(files)
     }
 
@@ -86,7 +108,7 @@ impl Files {
         let first = open.frames.as_ref().map_or(0, |frames| frames.start);
         keyframes.retain(|keyframe| {
             open.frames.as_ref().is_none_or(|frames| frames.contains(&keyframe.index))
-                && (keyframe.index - first) % open.stride == 0
+                && (keyframe.index - first).is_multiple_of(open.stride)
         });
         Self {
             kind,

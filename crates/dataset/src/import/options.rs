@@ -31,6 +31,12 @@ pub struct Options {
     /// Whether depths and poses of some neighbours are compared, to warn of wrong conventions.
     /// Default true.
     pub check_conventions: bool,
+    /// Pictures in arrays have their channels in the order R, G, B; else B, G, R as DROID-SLAM
+    /// keeps them. Default false.
+    pub arrays_are_rgb: bool,
+    /// How many pictures of the sequence one step of whole time stamps counts, which is the stride
+    /// of the program that wrote them; at least 1. Default 1.
+    pub frames_per_stamp: usize,
 }
 
 impl Default for Options {
@@ -40,6 +46,8 @@ impl Default for Options {
             depth: Depth::default(),
             variance: None,
             check_conventions: true,
+            arrays_are_rgb: false,
+            frames_per_stamp: 1,
         }
     }
 }

@@ -1,10 +1,11 @@
 //! Poses that have found their pictures.
 
 use super::join::join;
-use super::keyframe::{KeyframePose, Source};
+use super::keyframe::{KeyframePose, Pictures, Source};
 use super::{Kind, Options};
 use crate::{DatasetError, OpenOptions, Sequence};
-use i2slam_geometry::StampedPose;
+use i2slam_geometry::{Pose, StampedPose};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// A pose this share of the picture interval away from its picture is worth a warning.
@@ -55,35 +56,17 @@ pub(super) fn by_time(
     options: &Options,
     warnings: &mut Vec<String>,
 ) -> (Vec<KeyframePose>, LeftOut) {
-    let stamps: Vec<f64> = poses.iter().map(|pose| pose.timestamp).collect();
+    let mut poses: Vec<(usize, StampedPose)> = poses.iter().copied().enumerate().collect();
+    poses.sort_by(|a, b| a.1.timestamp.total_cmp(&b.1.timestamp));
+    let stamps: Vec<f64> = poses.iter().map(|(_, pose)| pose.timestamp).collect();
     let times: Vec<f64> = pictures.entries.iter().map(|entry| entry.timestamp).collect();
     let tolerance = options.open.association_tolerance;
     let joined = join(&stamps, &times, tolerance);
-    let keyframe = |&(record, position): &(usize, usize)| KeyframePose {
-        index: pictures.entries[position].index,
-        timestamp: times[position],
-        world_from_camera: poses[record].world_from_camera,
-        position,
-        record,
+    let keyframe = |&(place, position): &(usize, usize)| {
+        let (record, pose) = &poses[place];
+        keyframe(pictures, position, *record, pose.world_from_camera)
     };
     let keyframes: Vec<KeyframePose> = joined.pairs.iter().map(keyframe).collect();
-    let left_out = LeftOut {
-        poses_without_picture: poses.len() - keyframes.len(),
-        pictures_without_pose: times.len() - keyframes.len(),
-        with_picture: keyframes.len(),
-        reason: format!(
-            "a pose and its picture must be less than {tolerance} s apart and each other's \
-             nearest, and the nearest of all are {:.3} s apart: check that both use one clock",
-            joined.nearest_gap
-        ),
-    };
-    if left_out.poses_without_picture > 0 {
-        warnings.push(format!(
-            "{} of {} poses left out: no picture within {tolerance} s that has no nearer pose",
-            left_out.poses_without_picture,
-            poses.len()
-        ));
-    }
     if joined.widest_gap * pictures.frame_rate > ODD_GAP {
         warnings.push(format!(
             "poses lie up to {:.3} s from their pictures, which are {:.3} s apart: are pictures \
@@ -92,5 +75,85 @@ pub(super) fn by_time(
             pictures.frame_rate.recip()
         ));
     }
+    let reason = format!(
+        "a pose and its picture must be less than {tolerance} s apart and each other's nearest, \
+         and the nearest of all are {:.3} s apart: check that both use one clock",
+        joined.nearest_gap
+    );
+    let why = format!("no picture within {tolerance} s that has no nearer pose");
+    let left_out = left_out(poses.len(), &keyframes, pictures, reason, &why, warnings);
     (keyframes, left_out)
+}
+
+/// The keyframes of poses (their place in the files, the index of their picture, themselves), in
+/// order of the pictures.
+pub(super) fn by_index(
+    poses: Vec<(usize, usize, Pose<f64>)>,
+    pictures: &Sequence,
+    warnings: &mut Vec<String>,
+) -> (Vec<KeyframePose>, LeftOut) {
+    let places: HashMap<usize, usize> =
+        pictures.entries.iter().enumerate().map(|(place, entry)| (entry.index, place)).collect();
+    let count = poses.len();
+    let last = poses.iter().map(|&(_, index, _)| index).max().unwrap_or(0);
+    let with_picture = poses.into_iter().filter_map(|(record, index, pose)| {
+        places.get(&index).map(|&position| keyframe(pictures, position, record, pose))
+    });
+    let mut keyframes: Vec<KeyframePose> = with_picture.collect();
+    keyframes.sort_by_key(|keyframe| (keyframe.position, keyframe.record));
+    keyframes.dedup_by_key(|keyframe| keyframe.position);
+    let reason = format!(
+        "time stamps count frames, up to {last}, and there are {} pictures: are these the pictures \
+         of this run, and with its stride?",
+        pictures.len()
+    );
+    let left_out =
+        left_out(count, &keyframes, pictures, reason, "no picture of its number", warnings);
+    (keyframes, left_out)
+}
+
+fn keyframe(
+    pictures: &Sequence,
+    position: usize,
+    record: usize,
+    world_from_camera: Pose<f64>,
+) -> KeyframePose {
+    let entry = &pictures.entries[position];
+    let (index, timestamp) = (entry.index, entry.timestamp);
+    KeyframePose { index, timestamp, world_from_camera, position, record }
+}
+
+fn left_out(
+    poses: usize,
+    keyframes: &[KeyframePose],
+    pictures: &Sequence,
+    reason: String,
+    why: &str,
+    warnings: &mut Vec<String>,
+) -> LeftOut {
+    let without = poses - keyframes.len();
+    if without > 0 {
+        warnings.push(format!("{without} of {poses} poses left out: {why}"));
+    }
+    LeftOut {
+        poses_without_picture: without,
+        pictures_without_pose: pictures.len() - keyframes.len(),
+        with_picture: keyframes.len(),
+        reason,
+    }
+}
+
+/// Leaves keyframes out whose picture files are gone.
+pub(super) fn leave_out_missing_files(found: &mut Found) {
+    let Pictures::Sequence(pictures) = &found.source.pictures else { return };
+    let file = |keyframe: &KeyframePose| &pictures.entries[keyframe.position].colour;
+    let missing: Vec<_> = found.keyframes.iter().map(file).filter(|file| !file.is_file()).collect();
+    let Some(first) = missing.first() else { return };
+    let (count, all) = (missing.len(), found.keyframes.len());
+    let words = format!("{count} of {all} pictures are missing, the first is {}", first.display());
+    found.keyframes.retain(|keyframe| file(keyframe).is_file());
+    found.left_out.poses_without_picture += count;
+    found.left_out.with_picture -= count;
+    found.left_out.reason = words.clone();
+    found.warnings.push(words);
 }

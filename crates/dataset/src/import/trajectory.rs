@@ -1,6 +1,6 @@
 //! A trajectory in the TUM format with the pictures of a sequence.
 
-use super::keyframe::{DepthSource, Source};
+use super::keyframe::{DepthSource, Pictures, Source};
 use super::placed::{Found, by_time, open_pictures};
 use super::{Depth, Kind, Options};
 use crate::DatasetError;
@@ -16,12 +16,11 @@ pub(super) fn open(
     let poses = read_unit_trajectory(file)?;
     let beside = file.parent().filter(|folder| !folder.as_os_str().is_empty());
     let folder = pictures.unwrap_or(beside.unwrap_or(Path::new(".")));
-    let with_depth = options.depth == Depth::Pictures;
-    let sequence = open_pictures(folder, options, with_depth)?;
+    let depth = DepthSource::pictures_if_wanted(options)?;
+    let sequence = open_pictures(folder, options, options.depth == Depth::Pictures)?;
     let mut warnings = sequence.warnings.clone();
     let (keyframes, left_out) = by_time(&poses, &sequence, options, &mut warnings);
-    let depth = if with_depth { DepthSource::Pictures } else { DepthSource::None };
-    let source = Source { pictures: Box::new(sequence), depth };
+    let source = Source { pictures: Pictures::Sequence(Box::new(sequence)), depth };
     let path = file.to_path_buf();
     Ok(Found { kind: Kind::Trajectory, path, source, keyframes, left_out, warnings })
 }

@@ -3,13 +3,15 @@
 mod associated;
 mod eth3d;
 mod nerfstudio;
-mod pairs;
+pub(crate) mod pairs;
 mod plain;
 mod poses;
 mod replica;
 mod scannet;
 mod sens;
 mod seven_scenes;
+
+pub(crate) use nerfstudio::Scene;
 
 use crate::calibration::{Calibration, Traits};
 use crate::decode::DepthCode;
@@ -135,7 +137,7 @@ pub(crate) enum Source {
     Sens(sens::Stream),
     Replica(replica::Folders),
     SevenScenes,
-    Nerfstudio(nerfstudio::Scene),
+    Nerfstudio(Scene),
     Plain(plain::Folders),
 }
 
@@ -160,7 +162,7 @@ impl Source {
             return sens::Stream::open(path).map(Self::Sens).map(Some);
         }
         if let Some(file) = nerfstudio::find(path) {
-            return nerfstudio::Scene::open(&file, true).map(Self::Nerfstudio).map(Some);
+            return Scene::open(&file, true).map(Self::Nerfstudio).map(Some);
         }
         if let Some(folders) = replica::find(path) {
             return Ok(Some(Self::Replica(folders)));
@@ -183,7 +185,7 @@ impl Source {
     fn without_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
         let transforms = path.join("transforms.json");
         if transforms.is_file() {
-            return nerfstudio::Scene::open(&transforms, false).map(Self::Nerfstudio).map(Some);
+            return Scene::open(&transforms, false).map(Self::Nerfstudio).map(Some);
         }
         if associated::has_colour_list(path) {
             return Ok(Some(eth3d::find(path).map_or(Self::Tum, Self::Eth3d)));

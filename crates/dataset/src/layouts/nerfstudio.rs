@@ -59,6 +59,11 @@ impl Scene {
         Ok(Self { path: path.to_path_buf(), file, shots, without_depth })
     }
 
+    /// Whether a frame has depth.
+    pub(crate) fn has_depth(&self) -> bool {
+        self.shots.iter().any(|shot| shot.depth_file_path.is_some())
+    }
+
     pub(super) fn traits(&self) -> Traits {
         let scale = self.file.integer_depth_scale.map_or(DEFAULT_DEPTH_SCALE, f64::recip);
         Traits {

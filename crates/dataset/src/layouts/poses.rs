@@ -67,7 +67,7 @@ pub(crate) fn stamped(
         }
     }
     let warning = (missing > 0 && !found.is_empty())
-        .then(|| format!("{missing} frames have no true pose: they are run, but not judged"));
+        .then(|| format!("{missing} frames have no true pose that is finite and rigid"));
     (found, warning)
 }
 

@@ -3,10 +3,17 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod arrays;
+mod colmap;
+mod conventions;
+mod droid;
+mod nerfstudio;
 mod scene;
 mod trajectory;
+mod variance;
 
 use i2slam_dataset::DatasetError;
+use i2slam_geometry::Pose;
 
 #[track_caller]
 fn assert_says<T>(result: Result<T, DatasetError>, parts: &[&str]) {
@@ -14,6 +21,12 @@ fn assert_says<T>(result: Result<T, DatasetError>, parts: &[&str]) {
     for part in parts {
         assert!(message.contains(part), "'{part}' is not in: {message}");
     }
+}
+
+#[track_caller]
+fn assert_same(a: Pose<f64>, b: Pose<f64>) {
+    let apart = a.local(b);
+    assert!(apart.translation.norm() + apart.rotation.norm() < 1e-6, "{a:?} {b:?}");
 }
 
 #[track_caller]

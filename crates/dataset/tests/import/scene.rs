@@ -33,16 +33,23 @@ pub(crate) fn render(i: usize) -> (Vec<f64>, Vec<u8>) {
     for row in 0..HEIGHT {
         for column in 0..WIDTH {
             let (u, v) = Camera::<f64>::pixel_centre(column, row);
-            let ray = pose(i).rotation.rotate(camera().unproject(u, v, 1.0));
-            let z = distance(pose(i).translation, ray);
-            let p = (pose(i).translation + ray * z).to_array();
+            let ray = camera().unproject(u, v, 1.0);
+            let (z, shades) = look(i, ray);
             depth.push(z);
-            let wave = |a: f64, b: f64, c: f64| (a * p[0] + b * p[1] + c * p[2]).sin();
-            let shades = [wave(5.0, 3.0, 2.0), wave(-3.0, 6.0, 1.0), wave(2.0, -2.0, 7.0)];
-            colour.extend(shades.map(|s| (128.0 + 100.0 * s) as u8));
+            colour.extend(shades);
         }
     }
     (depth, colour)
+}
+
+/// Depth [m] and colour that frame `i` sees along a ray of its camera of z = 1.
+pub(crate) fn look(i: usize, ray: Vec3<f64>) -> (f64, [u8; 3]) {
+    let ray = pose(i).rotation.rotate(ray);
+    let z = distance(pose(i).translation, ray);
+    let p = (pose(i).translation + ray * z).to_array();
+    let wave = |a: f64, b: f64, c: f64| (a * p[0] + b * p[1] + c * p[2]).sin();
+    let shades = [wave(5.0, 3.0, 2.0), wave(-3.0, 6.0, 1.0), wave(2.0, -2.0, 7.0)];
+    (z, shades.map(|s| (128.0 + 100.0 * s) as u8))
 }
 
 /// How often `ray` fits between `from` and the wall that it meets.

@@ -1,0 +1,138 @@
+//! `cameras.bin`, `images.bin` and `points3D.bin`: little-endian records behind their count.
+
+use super::camera::{ModelCamera, by_number};
+use super::{ModelImage, ModelPoint, pose};
+use crate::DatasetError;
+use i2slam_geometry::Vec3;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The bytes of a file and how far they are read.
+struct Bytes<'a> {
+    file: &'a Path,
+    data: Vec<u8>,
+    at: usize,
+    /// What is being read, for messages.
+    record: String,
+}
+
+impl<'a> Bytes<'a> {
+    fn open(file: &'a Path) -> Result<Self, DatasetError> {
+        let data = std::fs::read(file).map_err(|e| DatasetError::read(file, e))?;
+        Ok(Self { file, data, at: 0, record: "its count".into() })
+    }
+
+    fn refuse(&self, reason: &str) -> DatasetError {
+        DatasetError::metadata(self.file, format!("{}: {reason}", self.record))
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], DatasetError> {
+        let taken = self.data.get(self.at..).and_then(|rest| rest.first_chunk::<N>()).copied();
+        self.at += N;
+        taken.ok_or_else(|| self.refuse("cut off; copy or write the model again"))
+    }
+
+    fn u32(&mut self) -> Result<u32, DatasetError> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, DatasetError> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, DatasetError> {
+        self.take().map(f64::from_le_bytes)
+    }
+
+    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], DatasetError> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.f64()?;
+        }
+        Ok(values)
+    }
+
+    /// Skips `count` records of `size` bytes, which must be there.
+    fn skip(&mut self, count: u64, size: u64) -> Result<(), DatasetError> {
+        let length = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
+        match length.and_then(|length| self.at.checked_add(length)) {
+            Some(end) if end <= self.data.len() => {
+                self.at = end;
+                Ok(())
+            }
+            _ => Err(self.refuse("cut off; copy or write the model again")),
+        }
+    }
+
+    /// A name that ends with a zero byte.
+    fn name(&mut self) -> Result<String, DatasetError> {
+        let rest = self.data.get(self.at..).unwrap_or_default();
+        let end = rest.iter().position(|&byte| byte == 0);
+        let end = end.ok_or_else(|| self.refuse("cut off; copy or write the model again"))?;
+        let name = String::from_utf8_lossy(&rest[..end]).into_owned();
+        self.at += end + 1;
+        Ok(name)
+    }
+
+    /// Reads as many records as the file says that it has.
+    fn records<T>(
+        &mut self,
+        what: &str,
+        read: impl Fn(&mut Self) -> Result<T, DatasetError>,
+    ) -> Result<Vec<T>, DatasetError> {
+        let count = self.u64()?;
+        let mut records = Vec::new();
+        for number in 0..count {
+            self.record = format!("{what} {number} of {count}");
+            records.push(read(self)?);
+        }
+        Ok(records)
+    }
+}
+
+pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, DatasetError> {
+    let mut bytes = Bytes::open(file)?;
+    let cameras = bytes.records("camera", |bytes| {
+        let id = bytes.u32()?;
+        let number = bytes.take().map(i32::from_le_bytes)?;
+        let size = (bytes.u64()? as usize, bytes.u64()? as usize);
+        let (name, count) = by_number(number)
+            .ok_or_else(|| bytes.refuse(&format!("unknown camera model {number}")))?;
+        let parameters: Result<Vec<f64>, _> = (0..count).map(|_| bytes.f64()).collect();
+        let camera = ModelCamera::new(name, size, &parameters?);
+        Ok((id, camera.map_err(|reason| bytes.refuse(&reason))?))
+    })?;
+    Ok(cameras.into_iter().collect())
+}
+
+pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
+    Bytes::open(file)?.records("image", |bytes| {
+        let id = bytes.u32()?;
+        let (q, t) = (bytes.f64s::<4>()?, bytes.f64s::<3>()?);
+        let camera = bytes.u32()?;
+        let name = bytes.name()?;
+        let points = bytes.u64()?;
+        bytes.skip(points, 24)?;
+        let world_from_camera = pose(q, t).map_err(|reason| bytes.refuse(&reason))?;
+        Ok(ModelImage { id, camera, name, world_from_camera })
+    })
+}
+
+pub(super) fn points(file: &Path) -> Result<Vec<ModelPoint>, DatasetError> {
+    Bytes::open(file)?.records("point", |bytes| {
+        bytes.u64()?;
+        let position = Vec3::from_array(bytes.f64s::<3>()?);
+        bytes.skip(3, 1)?;
+        let error = bytes.f64()?;
+        if !(position.is_finite() && error.is_finite()) {
+            return Err(bytes.refuse("a number is not finite"));
+        }
+        let count = bytes.u64()?;
+        let mut images = Vec::new();
+        for _ in 0..count {
+            images.push(bytes.u32()?);
+            bytes.skip(1, 4)?;
+        }
+        Ok(ModelPoint { position, error, images })
+    })
+}

@@ -1,0 +1,122 @@
+//! Camera models of COLMAP that are pinholes with a lens after Brown and Conrady.
+
+use super::ModelImage;
+use crate::DatasetError;
+use crate::calibration::{Calibration, Traits};
+use crate::distortion::Distortion;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Numbers of cameras that are taken for one may differ by this share.
+const SAME_CAMERA: f64 = 1e-3;
+
+/// Name, number in binary files, and count of parameters of every model (COLMAP 3.x,
+/// `sensor/models.h`).
+const MODELS: [(&str, i32, usize); 11] = [
+    ("SIMPLE_PINHOLE", 0, 3),
+    ("PINHOLE", 1, 4),
+    ("SIMPLE_RADIAL", 2, 4),
+    ("RADIAL", 3, 5),
+    ("OPENCV", 4, 8),
+    ("OPENCV_FISHEYE", 5, 8),
+    ("FULL_OPENCV", 6, 12),
+    ("FOV", 7, 5),
+    ("SIMPLE_RADIAL_FISHEYE", 8, 4),
+    ("RADIAL_FISHEYE", 9, 5),
+    ("THIN_PRISM_FISHEYE", 10, 12),
+];
+
+/// A camera as the model has it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct ModelCamera {
+    pub(super) size: (usize, usize),
+    /// `[fx, fy, cx, cy]` [px], pixel centres at one half.
+    pub(super) k: [f64; 4],
+    pub(super) lens: Distortion,
+}
+
+/// Name and count of parameters of a model by its number.
+pub(super) fn by_number(number: i32) -> Option<(&'static str, usize)> {
+    MODELS.iter().find(|model| model.1 == number).map(|model| (model.0, model.2))
+}
+
+impl ModelCamera {
+    /// The camera of a model's name and parameters.
+    pub(super) fn new(name: &str, size: (usize, usize), p: &[f64]) -> Result<Self, String> {
+        if let Some(&(_, _, count)) = MODELS.iter().find(|model| model.0 == name)
+            && count != p.len()
+        {
+            return Err(format!("{} parameters of {name}, expected {count}", p.len()));
+        }
+        let (k, lens) = match (name, p) {
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f, cx, cy], vec![]),
+            ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy, cx, cy], vec![]),
+            ("SIMPLE_RADIAL", &[f, cx, cy, k1]) => ([f, f, cx, cy], vec![k1, 0.0, 0.0, 0.0]),
+            ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f, cx, cy], vec![k1, k2, 0.0, 0.0]),
+            ("OPENCV" | "FULL_OPENCV", &[fx, fy, cx, cy, ref lens @ ..]) => {
+                ([fx, fy, cx, cy], lens.to_vec())
+            }
+            _ => {
+                return Err(format!(
+                    "camera model {name} is not supported, expected SIMPLE_PINHOLE, PINHOLE, \
+                     SIMPLE_RADIAL, RADIAL, OPENCV or FULL_OPENCV: undistort the images first \
+                     (colmap image_undistorter)"
+                ));
+            }
+        };
+        let lens = Distortion::from_opencv(&lens);
+        let usable = k.iter().all(|v| v.is_finite()) && k[0] > 0.0 && k[1] > 0.0;
+        match lens.filter(|_| usable && size.0 > 1 && size.1 > 1) {
+            Some(lens) => Ok(Self { size, k, lens }),
+            None => Err(format!(
+                "camera {p:?} of {}x{} px, expected finite numbers, a focal length above 0 and a \
+                 size",
+                size.0, size.1
+            )),
+        }
+    }
+
+    fn same(&self, other: &Self) -> bool {
+        let numbers = |camera: &Self| {
+            let lens = &camera.lens;
+            let all = camera.k.iter().map(|v| v / camera.k[0]).chain([camera.k[0].ln()]);
+            all.chain(lens.radial)
+                .chain(lens.radial_below)
+                .chain(lens.tangential)
+                .collect::<Vec<f64>>()
+        };
+        let apart = numbers(self).into_iter().zip(numbers(other)).map(|(a, b)| (a - b).abs());
+        self.size == other.size && apart.fold(0.0, f64::max) <= SAME_CAMERA
+    }
+}
+
+/// The one camera of all images, as a calibration.
+pub(super) fn of_all(
+    file: &Path,
+    cameras: &BTreeMap<u32, ModelCamera>,
+    images: &[ModelImage],
+) -> Result<Calibration, DatasetError> {
+    let refuse = |reason: String| DatasetError::metadata(file, reason);
+    let mut first: Option<(u32, &ModelCamera)> = None;
+    for image in images {
+        let camera = cameras.get(&image.camera).ok_or_else(|| {
+            refuse(format!("no camera {}, which image {} names", image.camera, image.name))
+        })?;
+        let (number, known) = *first.get_or_insert((image.camera, camera));
+        if !known.same(camera) {
+            return Err(refuse(format!(
+                "cameras {number} and {} differ, expected one camera for all images: reconstruct \
+                 with --ImageReader.single_camera 1",
+                image.camera
+            )));
+        }
+    }
+    let Some((_, camera)) = first else {
+        let expected = "images with poses";
+        let path = file.with_file_name("images");
+        return Err(DatasetError::Empty { path, expected });
+    };
+    let source = file.display().to_string();
+    let found = Calibration::from_opencv(camera.k, camera.lens, &source, Traits::default());
+    Ok(Calibration { intrinsics: camera.k, size: Some(camera.size), ..found })
+}

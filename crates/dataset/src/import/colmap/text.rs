@@ -1,0 +1,110 @@
+//! `cameras.txt`, `images.txt` and `points3D.txt`.
+
+use super::camera::ModelCamera;
+use super::{ModelImage, ModelPoint, pose};
+use crate::DatasetError;
+use crate::lists::{data_lines, number, read_text};
+use i2slam_geometry::Vec3;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]`
+pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, DatasetError> {
+    let text = read_text(file)?;
+    let mut cameras = BTreeMap::new();
+    for (line, content) in data_lines(&text) {
+        let words: Vec<&str> = content.split_whitespace().collect();
+        let [id, model, width, height, parameters @ ..] = words.as_slice() else {
+            let reason = format!(
+                "{} columns, expected camera, model, width, height, parameters",
+                words.len()
+            );
+            return Err(DatasetError::line(file, line, reason));
+        };
+        let parameters: Result<Vec<f64>, _> =
+            parameters.iter().map(|word| number(file, line, "parameter", word)).collect();
+        let size = (whole(file, line, "width", width)?, whole(file, line, "height", height)?);
+        let camera = ModelCamera::new(model, size, &parameters?)
+            .map_err(|reason| DatasetError::line(file, line, reason))?;
+        cameras.insert(whole(file, line, "camera", id)?, camera);
+    }
+    Ok(cameras)
+}
+
+/// Two lines an image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then its 2D points, which
+/// may be none.
+pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
+    let text = read_text(file)?;
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#'));
+    let lines: Vec<(usize, &str)> = lines.map(|(i, line)| (i + 1, line.trim())).collect();
+    let mut images = Vec::new();
+    for pair in lines.chunks(2) {
+        let (line, content) = pair[0];
+        if content.is_empty() {
+            continue;
+        }
+        images.push(image(file, line, content)?);
+    }
+    Ok(images)
+}
+
+fn image(file: &Path, line: usize, content: &str) -> Result<ModelImage, DatasetError> {
+    let mut rest = content;
+    let mut words = [""; 9];
+    for word in &mut words {
+        let (first, behind) = rest.split_once(char::is_whitespace).unwrap_or((rest, ""));
+        (*word, rest) = (first, behind.trim_start());
+    }
+    if rest.is_empty() {
+        let count = content.split_whitespace().count();
+        let reason = format!(
+            "{count} columns, expected 10: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME (every \
+             image has two lines)"
+        );
+        return Err(DatasetError::line(file, line, reason));
+    }
+    let mut v = [0.0; 7];
+    let names = ["qw", "qx", "qy", "qz", "tx", "ty", "tz"];
+    for ((value, word), name) in v.iter_mut().zip(&words[1..8]).zip(names) {
+        *value = number(file, line, name, word)?;
+    }
+    let pose = pose([v[0], v[1], v[2], v[3]], [v[4], v[5], v[6]]);
+    Ok(ModelImage {
+        id: whole(file, line, "image", words[0])?,
+        camera: whole(file, line, "camera", words[8])?,
+        name: rest.to_owned(),
+        world_from_camera: pose.map_err(|reason| DatasetError::line(file, line, reason))?,
+    })
+}
+
+/// `POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]`
+pub(super) fn points(file: &Path) -> Result<Vec<ModelPoint>, DatasetError> {
+    let text = read_text(file)?;
+    let point = |(line, content): (usize, &str)| {
+        let words: Vec<&str> = content.split_whitespace().collect();
+        if words.len() < 8 || !words.len().is_multiple_of(2) {
+            let reason = format!(
+                "{} columns, expected POINT3D_ID X Y Z R G B ERROR and pairs of numbers",
+                words.len()
+            );
+            return Err(DatasetError::line(file, line, reason));
+        }
+        let value = |at: usize, name| number(file, line, name, words[at]);
+        let position = Vec3::new(value(1, "x")?, value(2, "y")?, value(3, "z")?);
+        let images: Result<Vec<u32>, _> =
+            words[8..].chunks(2).map(|pair| whole(file, line, "image", pair[0])).collect();
+        Ok(ModelPoint { position, error: value(7, "error")?, images: images? })
+    };
+    data_lines(&text).map(point).collect()
+}
+
+fn whole<T: std::str::FromStr>(
+    file: &Path,
+    line: usize,
+    name: &str,
+    word: &str,
+) -> Result<T, DatasetError> {
+    word.parse().map_err(|_| {
+        DatasetError::line(file, line, format!("{name} is '{word}', expected a whole number"))
+    })
+}

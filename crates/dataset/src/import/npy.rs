@@ -1,0 +1,225 @@
+//! Arrays of numbers as numpy writes them (`.npy`, format versions 1 to 3), alone or in an
+//! archive. Only the header is read at first; slices come when they are asked for.
+
+use crate::DatasetError;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// Headers longer than this are no headers of numbers [bytes].
+const LONGEST_HEADER: usize = 1 << 16;
+
+/// How a number is stored, little-endian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Element {
+    U8,
+    U16,
+    I32,
+    I64,
+    F32,
+    F64,
+}
+
+impl Element {
+    fn of(descr: &str) -> Option<Self> {
+        Some(match descr {
+            "|u1" | "<u1" => Self::U8,
+            "<u2" => Self::U16,
+            "<i4" => Self::I32,
+            "<i8" => Self::I64,
+            "<f4" => Self::F32,
+            "<f8" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U16 => 2,
+            Self::I32 | Self::F32 => 4,
+            Self::I64 | Self::F64 => 8,
+        }
+    }
+
+    fn read(self, b: &[u8]) -> f64 {
+        match (self, b) {
+            (Self::U8, &[a]) => f64::from(a),
+            (Self::U16, &[a, b]) => f64::from(u16::from_le_bytes([a, b])),
+            (Self::I32, &[a, b, c, d]) => f64::from(i32::from_le_bytes([a, b, c, d])),
+            (Self::F32, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
+            (Self::I64, &[a, b, c, d, e, f, g, h]) => {
+                i64::from_le_bytes([a, b, c, d, e, f, g, h]) as f64
+            }
+            (Self::F64, &[a, b, c, d, e, f, g, h]) => f64::from_le_bytes([a, b, c, d, e, f, g, h]),
+            _ => f64::NAN,
+        }
+    }
+}
+
+/// Where the bytes of an array lie, header included.
+#[derive(Clone, Debug)]
+pub(super) enum Store {
+    /// `length` bytes of a file from `offset` on.
+    File { offset: u64, length: u64 },
+    /// Unpacked.
+    Memory(Arc<[u8]>),
+}
+
+/// An array of numbers in C order.
+#[derive(Clone, Debug)]
+pub(super) struct Array {
+    /// The file it lies in, with the name of the member for an archive.
+    pub(super) path: PathBuf,
+    file: PathBuf,
+    store: Store,
+    /// Where the numbers start, from the start of the bytes.
+    start: usize,
+    pub(super) shape: Vec<usize>,
+    pub(super) element: Element,
+}
+
+impl Array {
+    /// The array of an `.npy` file.
+    pub(super) fn open(file: &Path) -> Result<Self, DatasetError> {
+        let length = std::fs::metadata(file).map_err(|e| DatasetError::read(file, e))?.len();
+        Self::within(file.to_path_buf(), file, Store::File { offset: 0, length })
+    }
+
+    /// The array of some bytes; `path` names them in messages.
+    pub(super) fn within(path: PathBuf, file: &Path, store: Store) -> Result<Self, DatasetError> {
+        let shape = Vec::new();
+        let file = file.to_path_buf();
+        let mut array = Self { path, file, store, start: 0, shape, element: Element::U8 };
+        let refuse = |reason: String| DatasetError::metadata(&array.path, reason);
+        let head = array.bytes(0, 12.min(array.length()))?;
+        if !head.starts_with(MAGIC) {
+            return Err(refuse("no array of numpy (.npy)".into()));
+        }
+        let (from, count) = match head[6..] {
+            [1, _, a, b, ..] => (10, usize::from(u16::from_le_bytes([a, b]))),
+            [2 | 3, _, a, b, c, d] => (12, u32::from_le_bytes([a, b, c, d]) as usize),
+            [] | [1, ..] | [2 | 3, ..] => return Err(refuse("cut off within its header".into())),
+            [version, ..] => return Err(refuse(format!("version {version}, expected 1 to 3"))),
+        };
+        let start = from + count;
+        if count > LONGEST_HEADER || start > array.length() {
+            return Err(refuse("cut off within its header".into()));
+        }
+        let header = array.bytes(from, count)?;
+        let (shape, element) = read_header(&String::from_utf8_lossy(&header)).map_err(refuse)?;
+        (array.start, array.shape, array.element) = (start, shape, element);
+        array.check_length()?;
+        Ok(array)
+    }
+
+    fn check_length(&self) -> Result<(), DatasetError> {
+        let there = self.length() - self.start;
+        let size = self.shape.iter().try_fold(self.element.size(), |n, &side| n.checked_mul(side));
+        match size {
+            Some(size) if size <= there => Ok(()),
+            _ => {
+                let reason = format!(
+                    "cut off: {there} bytes of numbers, its header says {:?} of {} bytes each; \
+                     copy or write it again",
+                    self.shape,
+                    self.element.size()
+                );
+                Err(DatasetError::metadata(&self.path, reason))
+            }
+        }
+    }
+
+    fn length(&self) -> usize {
+        match &self.store {
+            Store::File { length, .. } => usize::try_from(*length).unwrap_or(usize::MAX),
+            Store::Memory(bytes) => bytes.len(),
+        }
+    }
+
+    fn bytes(&self, from: usize, count: usize) -> Result<Vec<u8>, DatasetError> {
+        match &self.store {
+            Store::Memory(bytes) => Ok(bytes[from..from + count].to_vec()),
+            Store::File { offset, .. } => {
+                let mut bytes = vec![0; count];
+                let mut read = || {
+                    let mut file = File::open(&self.file)?;
+                    file.seek(SeekFrom::Start(offset + from as u64))?;
+                    file.read_exact(&mut bytes)
+                };
+                read().map_err(|e| DatasetError::read(&self.path, e))?;
+                Ok(bytes)
+            }
+        }
+    }
+
+    /// The numbers of one place of the first axis, in C order.
+    pub(super) fn slice(&self, place: usize) -> Result<Vec<f64>, DatasetError> {
+        let count: usize = self.shape.iter().skip(1).product();
+        self.numbers(place * count, count)
+    }
+
+    /// All numbers, in C order.
+    pub(super) fn all(&self) -> Result<Vec<f64>, DatasetError> {
+        self.numbers(0, self.shape.iter().product())
+    }
+
+    fn numbers(&self, from: usize, count: usize) -> Result<Vec<f64>, DatasetError> {
+        let size = self.element.size();
+        let bytes = self.bytes(self.start + from * size, count * size)?;
+        Ok(bytes.chunks_exact(size).map(|b| self.element.read(b)).collect())
+    }
+}
+
+/// Shape and element of a header `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }`.
+fn read_header(text: &str) -> Result<(Vec<usize>, Element), String> {
+    let after = |key: &str| {
+        let place = text.find(&format!("'{key}'")).map(|at| at + key.len() + 2);
+        let rest = place.and_then(|at| text[at..].trim_start().strip_prefix(':'));
+        rest.map(str::trim_start).ok_or_else(|| format!("its header has no {key}"))
+    };
+    let descr = after("descr")?.trim_start_matches('\'');
+    let descr = descr.split('\'').next().unwrap_or_default();
+    let element = Element::of(descr).ok_or_else(|| {
+        format!("numbers of type {descr}, expected u1, u2, i4, i8, f4 or f8, little-endian")
+    })?;
+    let shape = after("shape")?.strip_prefix('(').and_then(|rest| rest.split(')').next());
+    let sides = shape.unwrap_or_default().split(',').map(str::trim).filter(|side| !side.is_empty());
+    let shape: Result<Vec<usize>, _> = sides.map(str::parse).collect();
+    let shape = shape.map_err(|_| "its header has no shape of whole numbers".to_owned())?;
+    if after("fortran_order")?.starts_with("True") && shape.len() > 1 {
+        return Err("stored in Fortran order, expected C order (np.ascontiguousarray)".into());
+    }
+    Ok((shape, element))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn headers_of_numpy_are_read() {
+        let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }  \n";
+        assert_eq!(read_header(header), Ok((vec![3, 4], Element::F32)));
+        let header = "{'descr': '|u1', 'fortran_order': False, 'shape': (7,), }";
+        assert_eq!(read_header(header), Ok((vec![7], Element::U8)));
+        let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (), }";
+        assert_eq!(read_header(header), Ok((vec![], Element::F64)));
+    }
+
+    #[test]
+    fn other_headers_are_refused_with_their_reason() {
+        for (header, part) in [
+            ("{'descr': '>f4', 'fortran_order': False, 'shape': (3,)}", ">f4"),
+            ("{'descr': '<f4', 'fortran_order': True, 'shape': (3, 2)}", "Fortran"),
+            ("{'descr': '<f4', 'fortran_order': False, 'shape': (3, x)}", "whole numbers"),
+            ("{'descr': '<f4', 'shape': (3,)}", "no fortran_order"),
+        ] {
+            let reason = read_header(header).expect_err("no header");
+            assert!(reason.contains(part), "{reason}");
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! Sparse models of COLMAP.
+
+use crate::scene::{
+    CAMERA_JSON, HEIGHT, WIDTH, camera, colour_sequence, pose, render, sequence, stamp,
+};
+use crate::support::Folder;
+use crate::{assert_same, assert_says, assert_warns};
+use i2slam_dataset::import::{Depth, Files, Kind, Options};
+use i2slam_dataset::{DatasetError, OpenOptions};
+use i2slam_geometry::{Camera, Vec3};
+
+const CAMERA: &str = "1 PINHOLE 48 32 40 40 24 16\n";
+
+/// Points of the room that the middle of frame 0 sees.
+fn points() -> Vec<Vec3<f64>> {
+    let depth = render(0).0;
+    let place = |(column, row): (usize, usize)| {
+        let (u, v) = Camera::<f64>::pixel_centre(column, row);
+        pose(0) * camera().unproject(u, v, depth[row * WIDTH + column])
+    };
+    [(20, 12), (24, 16), (30, 20)].map(place).to_vec()
+}
+
+fn numbers(i: usize) -> [f64; 7] {
+    let p = pose(i).inverse();
+    let (q, t) = (p.rotation, p.translation);
+    [q.w, q.v.x, q.v.y, q.v.z, t.x, t.y, t.z]
+}
+
+fn images_text(frames: &[usize]) -> String {
+    let image = |&i: &usize| {
+        let words: Vec<String> = numbers(i).iter().map(f64::to_string).collect();
+        format!("{} {} 1 {i:03}.png\n1.5 2.5 -1 3.5 4.5 7\n", i + 1, words.join(" "))
+    };
+    let head = "# Image list with two lines of data per image:\n";
+    head.to_owned() + &frames.iter().map(image).collect::<String>()
+}
+
+fn points_text(frames: &[usize]) -> String {
+    let track: String = frames.iter().map(|i| format!(" {} 0", i + 1)).collect();
+    let line = |p: &Vec3<f64>| format!("1 {} {} {} 9 9 9 0.5{track}\n", p.x, p.y, p.z);
+    points().iter().map(line).collect()
+}
+
+/// The pictures of some frames and the model of others.
+fn text_model(pictures: usize, frames: &[usize]) -> Folder {
+    let folder = pictures_in_images(pictures);
+    folder.write("sparse/0/cameras.txt", format!("# cameras\n{CAMERA}"));
+    folder.write("sparse/0/images.txt", images_text(frames));
+    folder.write("sparse/0/points3D.txt", points_text(frames));
+    folder
+}
+
+fn pictures_in_images(count: usize) -> Folder {
+    let folder = colour_sequence(count);
+    std::fs::rename(folder.join("rgb"), folder.join("images")).expect("renames");
+    for name in ["rgb.txt", "camera.json"] {
+        std::fs::remove_file(folder.join(name)).expect("removes");
+    }
+    folder
+}
+
+fn cameras_binary() -> Vec<u8> {
+    let mut out = 1_u64.to_le_bytes().to_vec();
+    out.extend(1_u32.to_le_bytes());
+    out.extend(1_i32.to_le_bytes());
+    out.extend([WIDTH as u64, HEIGHT as u64].map(u64::to_le_bytes).concat());
+    out.extend([40.0_f64, 40.0, 24.0, 16.0].map(f64::to_le_bytes).concat());
+    out
+}
+
+fn images_binary(frames: &[usize]) -> Vec<u8> {
+    let mut out = (frames.len() as u64).to_le_bytes().to_vec();
+    for &i in frames {
+        out.extend((i as u32 + 1).to_le_bytes());
+        out.extend(numbers(i).map(f64::to_le_bytes).concat());
+        out.extend(1_u32.to_le_bytes());
+        out.extend(format!("{i:03}.png\0").bytes());
+        out.extend(1_u64.to_le_bytes());
+        out.extend([0; 24]);
+    }
+    out
+}
+
+fn points_binary(frames: &[usize]) -> Vec<u8> {
+    let points = points();
+    let mut out = (points.len() as u64).to_le_bytes().to_vec();
+    for point in points {
+        out.extend(7_u64.to_le_bytes());
+        out.extend(point.to_array().map(f64::to_le_bytes).concat());
+        out.extend([9; 3]);
+        out.extend(0.5_f64.to_le_bytes());
+        out.extend((frames.len() as u64).to_le_bytes());
+        for &i in frames {
+            out.extend((i as u32 + 1).to_le_bytes());
+            out.extend(0_u32.to_le_bytes());
+        }
+    }
+    out
+}
+
+fn write_binary(folder: &Folder, frames: &[usize]) {
+    folder.write("sparse/0/cameras.bin", cameras_binary());
+    folder.write("sparse/0/images.bin", images_binary(frames));
+    folder.write("sparse/0/points3D.bin", points_binary(frames));
+}
+
+fn open(folder: &Folder) -> Result<Files, DatasetError> {
+    Files::open(&folder.0, None, &Options::default())
+}
+
+#[test]
+fn a_text_model_gives_poses_and_sparse_depth() {
+    let folder = text_model(5, &[0, 2, 3]);
+    let files = open(&folder).expect("opens");
+    assert_eq!((files.kind, files.len()), (Kind::Colmap, 3));
+    assert_eq!(
+        (files.left_out.poses_without_picture, files.left_out.pictures_without_pose),
+        (0, 2)
+    );
+    assert!(files.warnings.is_empty(), "{:?}", files.warnings);
+    assert_eq!(files.camera, camera());
+    let keyframe = files.load(1).expect("loads");
+    assert_eq!((keyframe.index, keyframe.timestamp), (2, 2.0 / 30.0));
+    assert_same(keyframe.world_from_camera, pose(2));
+    let first = files.load(0).expect("loads");
+    let (depth, variance) = (first.depth.expect("depth"), first.variance.expect("variance"));
+    let seen = depth.data.iter().filter(|&&z| z > 0.0).count();
+    assert_eq!(seen, 3);
+    let due = render(0).0[16 * WIDTH + 24];
+    assert!((f64::from(depth.at(0, 24, 16)) - due).abs() < 1e-5);
+    let sigma = variance.at(0, 24, 16).sqrt();
+    assert!((0.005..0.5).contains(&sigma), "{sigma}");
+    assert_eq!(variance.data.iter().filter(|&&v| v > 0.0).count(), 3);
+}
+
+#[test]
+fn a_binary_model_holds_the_same() {
+    let folder = text_model(4, &[0, 1, 3]);
+    let text = open(&folder).expect("opens");
+    let all = |files: &Files| (0..3).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>();
+    write_binary(&folder, &[0, 1, 3]);
+    for name in ["cameras", "images", "points3D"] {
+        std::fs::remove_file(folder.join(&format!("sparse/0/{name}.txt"))).expect("removes");
+    }
+    let binary = open(&folder).expect("opens");
+    assert_eq!(all(&binary), all(&text));
+    let by_file = Files::open(&folder.join("sparse/0/images.bin"), None, &Options::default());
+    assert_eq!(by_file.expect("opens").keyframes, text.keyframes);
+}
+
+#[test]
+fn a_binary_model_may_end_nowhere() {
+    let folder = pictures_in_images(3);
+    write_binary(&folder, &[0, 1]);
+    for (name, whole) in [
+        ("cameras", cameras_binary()),
+        ("images", images_binary(&[0, 1])),
+        ("points3D", points_binary(&[0, 1])),
+    ] {
+        let file = format!("sparse/0/{name}.bin");
+        for cut in 0..whole.len() {
+            folder.write(&file, &whole[..cut]);
+            assert_says(open(&folder), &[&file, "cut off"]);
+        }
+        folder.write(&file, whole);
+    }
+    assert!(open(&folder).is_ok());
+    let mut wrong = images_binary(&[0, 1]);
+    wrong[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
+    folder.write("sparse/0/images.bin", &wrong);
+    assert_says(open(&folder), &["images.bin", "image 0 of 2", "not finite"]);
+    wrong[12..20].copy_from_slice(&3.0_f64.to_le_bytes());
+    folder.write("sparse/0/images.bin", &wrong);
+    assert_says(open(&folder), &["images.bin", "image 0 of 2", "length", "expected 1"]);
+}
+
+#[test]
+fn lenses_are_removed() {
+    let folder = text_model(3, &[0, 1]);
+    for (text, distorted) in [
+        ("1 SIMPLE_PINHOLE 48 32 40 24 16\n", false),
+        ("1 SIMPLE_RADIAL 48 32 40 24 16 -0.1\n", true),
+        ("1 RADIAL 48 32 40 24 16 -0.1 0.01\n", true),
+        ("1 OPENCV 48 32 40 40 24 16 -0.1 0.01 0.001 0.002\n", true),
+        ("1 FULL_OPENCV 48 32 40 40 24 16 -0.1 0.01 0.001 0.002 0 0 0 0\n", true),
+    ] {
+        folder.write("sparse/0/cameras.txt", text);
+        let files = open(&folder).expect("opens");
+        assert_eq!(files.camera, camera());
+        let colour = files.load(0).expect("loads").colour;
+        let plain = f32::from(render(0).1[0]) / 255.0;
+        assert_eq!(colour.at(0, 0, 0) != plain, distorted, "{text}");
+    }
+    for (text, parts) in [
+        ("1 OPENCV_FISHEYE 48 32 40 40 24 16 0 0 0 0\n", &["OPENCV_FISHEYE is not supported"][..]),
+        ("1 FISHY 48 32 40\n", &["line 1", "FISHY is not supported", "image_undistorter"][..]),
+        ("1 PINHOLE 48 32 40 40 24\n", &["3 parameters of PINHOLE, expected 4"][..]),
+        ("1 PINHOLE 48 32 40 nan 24 16\n", &["line 1", "parameter is NaN"][..]),
+        ("1 PINHOLE 48\n", &["line 1", "3 columns"][..]),
+        ("2 PINHOLE 48 32 40 40 24 16\n", &["no camera 1", "image 000.png"][..]),
+        ("1 PINHOLE 96 64 80 80 48 32\n", &["000.png is 48x32", "cameras.txt says"][..]),
+    ] {
+        folder.write("sparse/0/cameras.txt", text);
+        assert_says(open(&folder), parts);
+    }
+}
+
+#[test]
+fn two_cameras_are_refused_unless_they_are_one() {
+    let folder = text_model(3, &[0, 1]);
+    let images = images_text(&[0, 1]).replace(" 1 001.png", " 2 001.png");
+    folder.write("sparse/0/images.txt", images);
+    folder.write("sparse/0/cameras.txt", format!("{CAMERA}2 PINHOLE 48 32 44 44 24 16\n"));
+    assert_says(open(&folder), &["cameras 1 and 2 differ", "single_camera"]);
+    folder.write("sparse/0/cameras.txt", format!("{CAMERA}2 PINHOLE 48 32 40.01 40.01 24 16\n"));
+    assert_eq!(open(&folder).expect("opens").len(), 2);
+}
+
+#[test]
+fn unusable_lines_are_named() {
+    let folder = text_model(3, &[0, 1]);
+    for (line, parts) in [
+        ("3 1 0 0 0 0 0 0 1", &["images.txt, line 6", "9 columns, expected 10"][..]),
+        ("3 2 0 0 0 0 0 0 1 002.png", &["line 6", "length 2.000", "expected 1"][..]),
+        ("3 0 0 0 0 0 0 0 1 002.png", &["line 6", "length 0.000"][..]),
+        ("3 1 0 inf 0 0 0 0 1 002.png", &["line 6", "qy is inf"][..]),
+        ("x 1 0 0 0 0 0 0 1 002.png", &["line 6", "image is 'x'", "whole number"][..]),
+    ] {
+        folder.write("sparse/0/images.txt", images_text(&[0, 1]) + line + "\n\n");
+        assert_says(open(&folder), parts);
+    }
+    folder.write("sparse/0/images.txt", images_text(&[0, 1]));
+    folder.write("sparse/0/points3D.txt", "1 0 0 0 9 9\n");
+    assert_says(open(&folder), &["points3D.txt, line 1", "6 columns"]);
+    std::fs::remove_file(folder.join("sparse/0/points3D.txt")).expect("removes");
+    assert!(!open(&folder).expect("opens").has_depth);
+    folder.write("sparse/0/images.txt", "# none\n");
+    assert_says(open(&folder), &["images", "is empty"]);
+}
+
+#[test]
+fn missing_pictures_are_counted_and_named() {
+    let folder = text_model(3, &[0, 1, 2, 5, 6]);
+    let files = open(&folder).expect("opens");
+    assert_eq!((files.len(), files.left_out.poses_without_picture), (3, 2));
+    assert_warns(&files.warnings, &["2 of 5 poses left out", "the first is 005.png"]);
+    let folder = text_model(3, &[1, 5, 6]);
+    assert_says(open(&folder), &["1 of 3 poses", "by name", "005.png"]);
+    std::fs::remove_dir_all(folder.join("images")).expect("removes");
+    assert_says(open(&folder), &["no folder images/", "name the folder"]);
+}
+
+#[test]
+fn pictures_of_a_sequence_bring_their_times_and_depth() {
+    let model = text_model(1, &[0, 2, 4]);
+    let pictures = sequence(6);
+    pictures.write("camera.json", CAMERA_JSON);
+    let options = Options { depth: Depth::Pictures, ..Options::default() };
+    let files = Files::open(&model.0, Some(&pictures.0), &options).expect("opens");
+    let keyframe = files.load(2).expect("loads");
+    assert_eq!((keyframe.index, keyframe.timestamp), (4, stamp(4)));
+    let due = render(4).0[8 * WIDTH + 8];
+    assert!((f64::from(keyframe.depth.expect("depth").at(0, 8, 8)) - due).abs() < 2e-4);
+    let open = OpenOptions { scale: 0.5, ..OpenOptions::default() };
+    let options = Options { open, ..Options::default() };
+    let files = Files::open(&model.0, Some(&pictures.0), &options).expect("opens");
+    let keyframe = files.load(0).expect("loads");
+    let (depth, due) = (keyframe.depth.expect("depth"), render(0).0[16 * WIDTH + 24]);
+    assert!((f64::from(depth.at(0, 12, 8)) - due).abs() < 1e-5);
+}

@@ -1,0 +1,101 @@
+//! Poses by a wrong convention are noticed, and the right one is named.
+
+use crate::arrays::npy;
+use crate::assert_warns;
+use crate::droid::{members, with};
+use crate::nerfstudio::transforms;
+use crate::scene::{line, pose, sequence, stamp, trajectory};
+use crate::support::Folder;
+use i2slam_dataset::OpenOptions;
+use i2slam_dataset::import::{Depth, Files, Options};
+use i2slam_geometry::{Pose, Rotation, Vec3};
+
+fn warnings_of(folder: &Folder, options: Options) -> Vec<String> {
+    let options = Options { depth: Depth::Pictures, ..options };
+    let files = Files::open(&folder.join("keyframes.txt"), None, &options).expect("opens");
+    files.warnings
+}
+
+fn written(other: impl Fn(Pose<f64>) -> Pose<f64>) -> String {
+    (0..6).map(|i| line(stamp(i), other(pose(i)))).collect()
+}
+
+fn opengl(pose: Pose<f64>) -> Pose<f64> {
+    let half_turn = Rotation { w: 0.0, v: Vec3::new(1.0, 0.0, 0.0) };
+    Pose { rotation: pose.rotation * half_turn, ..pose }
+}
+
+#[test]
+fn trajectories_written_otherwise_are_noticed() {
+    let folder = sequence(6);
+    folder.write("keyframes.txt", trajectory(0..6));
+    assert_eq!(warnings_of(&folder, Options::default()), [""; 0]);
+    folder.write("keyframes.txt", written(Pose::inverse));
+    let parts = ["wrong convention", "if the poses are camera_from_world:", "keyframes.txt"];
+    assert_warns(&warnings_of(&folder, Options::default()), &parts);
+    let off = Options { check_conventions: false, ..Options::default() };
+    assert_eq!(warnings_of(&folder, off), [""; 0]);
+    folder.write("keyframes.txt", written(opengl));
+    assert_warns(&warnings_of(&folder, Options::default()), &["camera axes of OpenGL (y up"]);
+    folder.write("keyframes.txt", written(|pose| opengl(pose).inverse()));
+    let parts = ["camera_from_world with camera axes of OpenGL"];
+    assert_warns(&warnings_of(&folder, Options::default()), &parts);
+    let reordered = (0..6).map(|i| {
+        let (t, q) = (pose(i).translation, pose(i).rotation);
+        let (x, y, z) = (q.v.x, q.v.y, q.v.z);
+        format!("{:.6} {} {} {} {} {x} {y} {z}\n", stamp(i), t.x, t.y, t.z, q.w)
+    });
+    folder.write("keyframes.txt", reordered.collect::<String>());
+    assert_warns(&warnings_of(&folder, Options::default()), &["in the order w x y z"]);
+}
+
+#[test]
+fn another_unit_of_depth_is_noticed() {
+    let folder = sequence(6);
+    folder.write("keyframes.txt", trajectory(0..6));
+    for (depth_scale, factor) in [(500.0, "multiplied by 10"), (25000.0, "multiplied by 0.2")] {
+        let open = OpenOptions { depth_scale: Some(depth_scale), ..OpenOptions::default() };
+        let found = warnings_of(&folder, Options { open, ..Options::default() });
+        assert_warns(&found, &["different units", factor]);
+    }
+}
+
+#[test]
+fn poses_of_another_sequence_fit_by_no_convention() {
+    let folder = sequence(6);
+    let far = |i: usize| {
+        let turn = Rotation::exp(Vec3::new(0.3, 2.2, -0.4) * i as f64);
+        Pose::new(turn, Vec3::new(0.0, 7.0 * i as f64, 0.0))
+    };
+    let poses: String = (0..6).map(|i| line(stamp(i), far(i))).collect();
+    folder.write("keyframes.txt", poses);
+    let parts = ["disagree", "no other convention"];
+    assert_warns(&warnings_of(&folder, Options::default()), &parts);
+}
+
+#[test]
+fn arrays_with_poses_of_the_camera_are_noticed() {
+    let frames = [0, 1, 2, 3, 4, 5];
+    let poses: Vec<f64> = frames
+        .iter()
+        .flat_map(|&i| {
+            let (t, q) = (pose(i).translation, pose(i).rotation);
+            [t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w]
+        })
+        .collect();
+    let folder = Folder::new();
+    for (name, bytes) in with(members(&frames), "poses", npy("<f8", &[6, 7], &poses)) {
+        folder.write(&format!("{name}.npy"), bytes);
+    }
+    let files = Files::open(&folder.0, None, &Options::default()).expect("opens");
+    let parts = ["if the poses are world_from_camera:", "hold camera_from_world"];
+    assert_warns(&files.warnings, &parts);
+}
+
+#[test]
+fn nerfstudio_with_axes_of_opencv_is_noticed() {
+    let folder = sequence(6);
+    let file = folder.write("transforms.json", transforms(&[0, 1, 2, 3, 4, 5], true, false));
+    let files = Files::open(&file, None, &Options::default()).expect("opens");
+    assert_warns(&files.warnings, &["wrong convention", "camera axes of OpenCV (y down"]);
+}

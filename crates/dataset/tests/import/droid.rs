@@ -1,0 +1,276 @@
+//! Arrays of DROID-SLAM and NeRF-SLAM.
+
+use crate::arrays::{npy, npz};
+use crate::scene::{HEIGHT, WIDTH, camera, look, pose, render, sequence, stamp};
+use crate::support::Folder;
+use crate::{assert_same, assert_says, assert_warns};
+use i2slam_dataset::import::{Depth, Files, Kind, Options};
+use i2slam_dataset::{DatasetError, OpenOptions};
+use i2slam_geometry::Vec3;
+
+/// Arrays by name.
+pub(crate) type Members = Vec<(&'static str, Vec<u8>)>;
+
+/// DROID-SLAM's intrinsics of the scene: an eighth, pixel centres at integers.
+fn intrinsics() -> [f64; 4] {
+    [40.0, 40.0, 23.5, 15.5].map(|v| v / 8.0)
+}
+
+/// What DROID-SLAM keeps of some frames.
+pub(crate) fn members(frames: &[usize]) -> Members {
+    let count = frames.len();
+    let (mut poses, mut images, mut disps) = (Vec::new(), Vec::new(), Vec::new());
+    for &i in frames {
+        let camera_from_world = pose(i).inverse();
+        let (t, q) = (camera_from_world.translation, camera_from_world.rotation);
+        poses.extend([t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w]);
+        let (depth, colour) = render(i);
+        disps.extend(depth.iter().map(|z| z.recip()));
+        for channel in [2, 1, 0] {
+            images.extend(colour.chunks(3).map(|pixel| f64::from(pixel[channel])));
+        }
+    }
+    let intrinsics: Vec<f64> = frames.iter().flat_map(|_| intrinsics()).collect();
+    let stamps: Vec<f64> = frames.iter().map(|&i| i as f64).collect();
+    vec![
+        ("tstamps", npy("<f4", &[count], &stamps)),
+        ("images", npy("|u1", &[count, 3, HEIGHT, WIDTH], &images)),
+        ("disps", npy("<f4", &[count, HEIGHT, WIDTH], &disps)),
+        ("poses", npy("<f4", &[count, 7], &poses)),
+        ("intrinsics", npy("<f4", &[count, 4], &intrinsics)),
+    ]
+}
+
+/// The members with one of them replaced, or added.
+pub(crate) fn with(mut members: Members, name: &'static str, bytes: Vec<u8>) -> Members {
+    members.retain(|member| member.0 != name);
+    members.push((name, bytes));
+    members
+}
+
+fn without(mut members: Members, name: &str) -> Members {
+    members.retain(|member| member.0 != name);
+    members
+}
+
+fn folder(members: &Members) -> Folder {
+    let folder = Folder::new();
+    for (name, bytes) in members {
+        folder.write(&format!("{name}.npy"), bytes);
+    }
+    folder
+}
+
+fn open(folder: &Folder) -> Result<Files, DatasetError> {
+    Files::open(&folder.0, None, &Options::default())
+}
+
+#[test]
+fn a_folder_of_arrays_gives_pictures_poses_and_depth() {
+    let folder = folder(&members(&[0, 2, 3]));
+    let files = open(&folder).expect("opens");
+    assert_eq!((files.kind, files.len()), (Kind::Droid, 3));
+    assert_eq!((files.has_depth, files.has_variance), (true, false));
+    assert!(files.warnings.is_empty(), "{:?}", files.warnings);
+    assert_eq!(files.camera, camera());
+    let keyframe = files.load(1).expect("loads");
+    assert_eq!((keyframe.index, keyframe.timestamp), (2, 2.0 / 30.0));
+    assert_same(keyframe.world_from_camera, pose(2));
+    let (depth, colour) = render(2);
+    let at = 9 * WIDTH + 17;
+    for channel in 0..3 {
+        let due = f32::from(colour[3 * at + channel]) / 255.0;
+        assert_eq!(keyframe.colour.plane(channel)[at], due);
+    }
+    let found = keyframe.depth.expect("depth");
+    let apart = found.data.iter().zip(&depth).map(|(a, b)| (f64::from(*a) - b).abs());
+    assert!(apart.fold(0.0, f64::max) < 1e-5);
+    assert!(keyframe.variance.is_none());
+}
+
+#[test]
+fn archives_hold_the_same() {
+    let members = members(&[0, 1, 4]);
+    let folder = folder(&members);
+    let of_folder = open(&folder).expect("opens");
+    for deflate in [false, true] {
+        let file = folder.write("run.npz", npz(&members, deflate));
+        let files = Files::open(&file, None, &Options::default()).expect("opens");
+        assert_eq!(files.keyframes, of_folder.keyframes);
+        for place in 0..3 {
+            assert_eq!(files.load(place).expect("loads"), of_folder.load(place).expect("loads"));
+        }
+    }
+}
+
+#[test]
+fn inverse_depth_of_an_eighth_is_looked_up_along_its_rays() {
+    let [fx, fy, cx, cy] = intrinsics();
+    let (width, height) = (WIDTH / 8, HEIGHT / 8);
+    let mut disps = Vec::new();
+    for i in [0, 1] {
+        for pixel in 0..width * height {
+            let (x, y) = ((pixel % width) as f64, (pixel / width) as f64);
+            disps.push(look(i, Vec3::new((x - cx) / fx, (y - cy) / fy, 1.0)).0.recip());
+        }
+    }
+    let small = npy("<f4", &[2, height, width], &disps);
+    let folder = folder(&with(members(&[0, 1]), "disps", small));
+    let files = open(&folder).expect("opens");
+    let depth = files.load(1).expect("loads").depth.expect("depth");
+    assert_eq!((depth.width, depth.height), (WIDTH, HEIGHT));
+    let exact = |&(place, z): &(usize, &f64)| (f64::from(depth.data[place]) / z - 1.0).abs() < 1e-5;
+    // The room has few walls in view; between two of them, and beside the border, it is no plane.
+    let truth = render(1).0;
+    let share = truth.iter().enumerate().filter(exact).count() as f64 / truth.len() as f64;
+    assert!(share > 0.5, "{share}");
+    assert!(depth.data.iter().all(|&z| z > 0.0));
+}
+
+#[test]
+fn variances_of_depth_and_of_inverse_depth_agree() {
+    let count = WIDTH * HEIGHT;
+    let flat = npy("<f4", &[2, HEIGHT, WIDTH], &vec![4e-4; 2 * count]);
+    let of_depth: Vec<f64> =
+        [0, 1].iter().flat_map(|&i| render(i).0).map(|z| 4e-4 * z.powi(4)).collect();
+    let of_depth = npy("<f8", &[2, HEIGHT, WIDTH], &of_depth);
+    let variance = |name, bytes: &Vec<u8>| {
+        let folder = folder(&with(members(&[0, 1]), name, bytes.clone()));
+        let files = open(&folder).expect("opens");
+        assert!(files.has_variance);
+        files.load(1).expect("loads").variance.expect("variance")
+    };
+    let (a, b) = (variance("disps_cov", &flat), variance("depths_cov", &of_depth));
+    for ((a, b), z) in a.data.iter().zip(&b.data).zip(render(1).0) {
+        let due = 4e-4 * z.powi(4);
+        assert!((f64::from(*a) / due - 1.0).abs() < 1e-4, "{a} {due}");
+        assert!((f64::from(*b) / due - 1.0).abs() < 1e-4, "{b} {due}");
+    }
+}
+
+#[test]
+fn numbers_that_are_none_are_no_depth() {
+    let mut disps: Vec<f64> = (0..2).flat_map(|_| vec![0.5; WIDTH * HEIGHT]).collect();
+    (disps[0], disps[1], disps[2]) = (f64::NAN, -1.0, f64::INFINITY);
+    let disps = npy("<f4", &[2, HEIGHT, WIDTH], &disps);
+    let folder = folder(&with(members(&[0, 1]), "disps", disps));
+    let files = open(&folder).expect("opens");
+    let depth = files.load(0).expect("loads").depth.expect("depth");
+    assert_eq!(depth.data[..3], [0.0; 3]);
+    assert!(depth.data[4..].iter().all(|&z| z == 2.0));
+}
+
+#[test]
+fn pictures_of_a_sequence_are_found_by_time_and_by_number() {
+    let sequence = sequence(7);
+    let frames = [0, 2, 6];
+    let times: Vec<f64> = frames.iter().map(|&i| stamp(i)).collect();
+    let halves: Vec<f64> = frames.iter().map(|&i| (i / 2) as f64).collect();
+    let by_time = with(members(&frames), "tstamps", npy("<f8", &[3], &times));
+    let by_half = with(members(&frames), "tstamps", npy("<i8", &[3], &halves));
+    for (members, frames_per_stamp) in [(by_time, 1), (members(&frames), 1), (by_half, 2)] {
+        let open = OpenOptions { scale: 0.5, ..OpenOptions::default() };
+        let options = Options { open, frames_per_stamp, ..Options::default() };
+        let arrays = folder(&members);
+        let files = Files::open(&arrays.0, Some(&sequence.0), &options).expect("opens");
+        let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
+        assert_eq!(indices, frames);
+        let keyframe = files.load(2).expect("loads");
+        assert_eq!((keyframe.timestamp, keyframe.colour.width), (stamp(6), WIDTH / 2));
+        let depth = keyframe.depth.expect("depth");
+        let (u, v) = (10.0 * 2.0 + 1.0, 5.0 * 2.0 + 1.0);
+        let due = look(6, camera().unproject(u, v, 1.0)).0;
+        assert!((f64::from(depth.at(0, 10, 5)) / due - 1.0).abs() < 1e-4);
+        let options = Options { depth: Depth::Pictures, ..options };
+        let files = Files::open(&arrays.0, Some(&sequence.0), &options).expect("opens");
+        let measured = files.load(2).expect("loads").depth.expect("depth");
+        assert!((f64::from(measured.at(0, 10, 5)) / due - 1.0).abs() < 0.02);
+    }
+    let far = with(members(&frames), "tstamps", npy("<i8", &[3], &[0.0, 1.0, 70.0]));
+    let files = Files::open(&folder(&far).0, Some(&sequence.0), &Options::default());
+    assert_warns(&files.expect("opens").warnings, &["1 of 3 poses left out", "of its number"]);
+    let none = with(members(&frames), "tstamps", npy("<i8", &[3], &[50.0, 60.0, 70.0]));
+    let files = Files::open(&folder(&none).0, Some(&sequence.0), &Options::default());
+    assert_says(files, &["0 of 3 poses", "up to 70", "7 pictures", "stride"]);
+}
+
+#[test]
+fn cut_off_archives_and_arrays_are_refused_wherever_they_end() {
+    let members = members(&[0, 1]);
+    let folder = Folder::new();
+    for deflate in [false, true] {
+        let whole = npz(&members, deflate);
+        for cut in [0, 10, whole.len() / 3, whole.len() - 200, whole.len() - 1] {
+            let file = folder.write("run.npz", &whole[..cut]);
+            let files = Files::open(&file, None, &Options::default());
+            assert_says(files, &["run.npz", "cut off"]);
+        }
+    }
+    let poses = &members[3].1;
+    for cut in [7, 9, 40, poses.len() - 1] {
+        let arrays = self::folder(&with(members.clone(), "poses", poses[..cut].to_vec()));
+        assert_says(open(&arrays), &["poses.npy", "cut off"]);
+    }
+    let arrays = self::folder(&with(members.clone(), "poses", b"hello".to_vec()));
+    assert_says(open(&arrays), &["poses.npy", "no array of numpy"]);
+}
+
+#[test]
+fn a_damaged_member_is_refused() {
+    let mut bytes = npz(&members(&[0, 1]), true);
+    let place = bytes.windows(9).position(|word| word == b"disps.npy").expect("a member");
+    bytes[place + 200] ^= 0x55;
+    let folder = Folder::new();
+    let file = folder.write("run.npz", bytes);
+    let files = Files::open(&file, None, &Options::default());
+    assert_says(files, &["run.npz/disps.npy", "damaged"]);
+}
+
+#[test]
+fn wrong_shapes_and_missing_arrays_are_named() {
+    let all = members(&[0, 1]);
+    let zeros = |shape: &[usize]| npy("<f4", shape, &vec![0.0; shape.iter().product()]);
+    for (name, bytes, parts) in [
+        ("poses", zeros(&[2, 4, 4]), &["poses.npy", "[2, 4, 4]", "expected [frames, 7]"][..]),
+        ("poses", zeros(&[3, 7]), &["poses.npy", "frame 0", "length 0.000"][..]),
+        ("disps", zeros(&[3, 4, 6]), &["disps.npy", "[3, 4, 6]", "[2, height, width]"][..]),
+        ("images", zeros(&[2, HEIGHT, WIDTH]), &["images.npy", "3, height, width"][..]),
+        ("images", zeros(&[2, 3, HEIGHT, WIDTH]), &["images.npy", "F32", "expected U8"][..]),
+        ("disps_cov", zeros(&[2, 4, 6]), &["disps_cov.npy", "expected [2, 32, 48]"][..]),
+        ("tstamps", zeros(&[5]), &["tstamps.npy", "[5]"][..]),
+        ("intrinsics", zeros(&[2, 3]), &["intrinsics.npy", "[2, 4]"][..]),
+    ] {
+        assert_says(open(&folder(&with(all.clone(), name, bytes))), parts);
+    }
+    for (name, parts) in [
+        ("images", &["no array images", "disps.npy"][..]),
+        ("intrinsics", &["no array intrinsics"][..]),
+    ] {
+        assert_says(open(&folder(&without(all.clone(), name))), parts);
+    }
+    let alone = open(&folder(&without(all.clone(), "disps"))).expect("poses and pictures alone");
+    assert!(!alone.has_depth);
+    assert_says(open(&folder(&members(&[0]))), &["1 of 1 poses", "at least 2"]);
+}
+
+#[test]
+fn numbers_out_of_range_are_named() {
+    let all = members(&[0, 1]);
+    let still = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    let poses = |second: [f64; 7]| npy("<f8", &[2, 7], &[still, second].concat());
+    let mut broken = still;
+    broken[1] = f64::NAN;
+    let arrays = folder(&with(all.clone(), "poses", poses(broken)));
+    assert_says(open(&arrays), &["poses.npy", "frame 1", "not finite"]);
+    let mut long = still;
+    long[6] = 1.5;
+    let arrays = folder(&with(all.clone(), "poses", poses(long)));
+    assert_says(open(&arrays), &["poses.npy", "frame 1", "length 1.500", "expected 1"]);
+    let k = npy("<f8", &[4], &[40.0, 40.0, 400.0, 300.0]);
+    assert_says(
+        open(&folder(&with(all.clone(), "intrinsics", k))),
+        &["intrinsics.npy", "principal point", "48x32"],
+    );
+    let stamps = npy("<f8", &[2], &[0.0, f64::NAN]);
+    assert_says(open(&folder(&with(all, "tstamps", stamps))), &["tstamps.npy", "frame 1", "NaN"]);
+}

@@ -1,0 +1,49 @@
+//! Pictures of the variance of depth pictures.
+
+use crate::arrays::npy;
+use crate::assert_says;
+use crate::scene::{HEIGHT, WIDTH, grey16_png, sequence, trajectory};
+use i2slam_dataset::import::{Depth, Files, Options};
+
+fn options(folder: &crate::support::Folder) -> Options {
+    let variance = Some(folder.join("variance"));
+    Options { depth: Depth::Pictures, variance, ..Options::default() }
+}
+
+#[test]
+fn variance_comes_from_arrays_and_from_pictures_of_deviation() {
+    let folder = sequence(3);
+    let file = folder.write("keyframes.txt", trajectory([0, 2]));
+    let mut numbers = vec![0.01; WIDTH * HEIGHT];
+    (numbers[3], numbers[4]) = (0.0, f64::NAN);
+    folder.write("variance/000.npy", npy("<f4", &[HEIGHT, WIDTH], &numbers));
+    folder.write("variance/sigma_2.png", grey16_png(&[500; WIDTH * HEIGHT]));
+    let files = Files::open(&file, None, &options(&folder)).expect("opens");
+    assert!(files.has_variance);
+    for place in 0..2 {
+        let keyframe = files.load(place).expect("loads");
+        let variance = keyframe.variance.expect("variance");
+        assert!((variance.data[7] - 0.01).abs() < 1e-6, "{}", variance.data[7]);
+        let depth = keyframe.depth.expect("depth");
+        // Nothing is known of two pixels of the array: their depth does not count.
+        let unknown = [depth.data[3], depth.data[4], variance.data[3], variance.data[4]];
+        assert_eq!(unknown == [0.0; 4], place == 0);
+    }
+}
+
+#[test]
+fn unusable_variances_are_named() {
+    let folder = sequence(3);
+    let file = folder.write("keyframes.txt", trajectory([0, 2]));
+    let open = || Files::open(&file, None, &options(&folder));
+    assert_says(open(), &["cannot read", "variance"]);
+    std::fs::create_dir_all(folder.join("variance")).expect("a folder");
+    assert_says(open(), &["variance is empty", ".npy"]);
+    folder.write("variance/000.npy", npy("<f4", &[4, 4], &[0.1; 16]));
+    let load = |place: usize| open().expect("opens").load(place);
+    assert_says(load(0), &["000.npy is 4x4", "expected 48x32", "depth pictures"]);
+    assert_says(load(1), &["variance", "no variance with the name or number", "002.png"]);
+    folder.write("variance/000.npy", npy("<f4", &[16], &[0.1; 16]));
+    assert_says(load(0), &["000.npy", "[16]", "[height, width]"]);
+    assert!(load(0).expect_err("an error").concerns_one_frame());
+}
