@@ -1,5 +1,6 @@
 //! `i2slam info`: what is known of a sequence before it is run.
 
+mod keyframes;
 mod pictures;
 mod sequence;
 mod table;
@@ -22,7 +23,8 @@ use std::path::PathBuf;
 
 #[derive(Args, Debug)]
 pub(crate) struct Info {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), or a .sens file
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), or a .sens file; or
+    /// keyframes of another program (docs/import.md)
     pub(crate) dataset: PathBuf,
     /// Settings that decide which frames there are and how much is cropped
     #[arg(long, value_name = "NAME", default_value = "default")]
@@ -53,7 +55,10 @@ pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
     let config = Config::preset(&arguments.preset)?;
     let options = open_options(&arguments.input, &config)?;
     use_threads(&arguments.machine)?;
-    let sequence = Sequence::open(&arguments.dataset, &options)?;
+    let sequence = match Sequence::open(&arguments.dataset, &options) {
+        Ok(sequence) => sequence,
+        Err(error) => return keyframes::tell(arguments, options, error),
+    };
     let truth = Truth::of(&arguments.dataset, &sequence);
     let mut warnings = sequence.warnings.clone();
     warnings.extend(truth.warnings.iter().cloned());

@@ -119,3 +119,26 @@ fn poses_beside_the_frames_judge_a_run() {
     let error = number(&out.join("metrics.json"), "ate_rmse_m").expect("judged");
     assert!(error < 0.005, "{error}");
 }
+
+#[test]
+fn keyframes_of_another_program_are_told_too() {
+    let scratch = scene("info-keyframes");
+    let file = scratch.join("groundtruth.txt");
+    let out = info(&file, &[]).ended_with(0).out;
+    for (label, part) in [
+        ("keyframes of", "TUM trajectory"),
+        ("poses", "groundtruth.txt: world_from_camera, quaternion x y z w"),
+        ("keyframes   ", "6 (0 poses without a picture, 0 pictures without a pose)"),
+        ("camera", "48x36, fx 45.00"),
+        ("depth", "none"),
+    ] {
+        let found = out.lines().find(|line| line.starts_with(label));
+        assert!(found.is_some_and(|row| row.contains(part)), "no {label} with {part} in\n{out}");
+    }
+    let out = info(&file, &["--json"]).ended_with(0).out;
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!((&told["keyframes"], &told["has_depth"]), (&6.into(), &false.into()));
+    fs::write(&file, "100.0 0 0 0 0 0 0 2\n").expect("room");
+    let err = info(&file, &[]).ended_with(1).err;
+    assert!(err.contains("line 1") && err.contains("length 2.000"), "{err}");
+}

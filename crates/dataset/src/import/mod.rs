@@ -88,7 +88,7 @@ impl Files {
         }
         let other = pictures.filter(|&pictures| pictures != path);
         let mut found = match Recognised::in_path(path)? {
-            Recognised::Nerfstudio(file) => nerfstudio::open(&file, options)?,
+            Recognised::Nerfstudio(file) => nerfstudio::open(&file, other, options)?,
             Recognised::Colmap(model) => colmap::open(&model, other, options)?,
             Recognised::Droid(path) => droid::open(&path, other, options)?,
             Recognised::Trajectory(file) => trajectory::open(&file, other, options)?,

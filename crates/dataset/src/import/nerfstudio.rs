@@ -7,8 +7,12 @@ use crate::layouts::{self, Scene};
 use crate::{DatasetError, Sequence};
 use std::path::Path;
 
-/// Opens the file, whose pictures and depths lie where it says.
-pub(super) fn open(file: &Path, options: &Options) -> Result<Found, DatasetError> {
+/// Opens the file, whose pictures and depths lie where it says, whatever `pictures` names.
+pub(super) fn open(
+    file: &Path,
+    pictures: Option<&Path>,
+    options: &Options,
+) -> Result<Found, DatasetError> {
     let scene = Scene::open(file, false)?;
     let with_depth = options.depth != Depth::None && scene.has_depth();
     if options.depth == Depth::Pictures && !with_depth {
@@ -20,6 +24,14 @@ pub(super) fn open(file: &Path, options: &Options) -> Result<Found, DatasetError
     let folder = folder.unwrap_or(Path::new("."));
     let sequence = Sequence::from_source(folder, &source, &all_frames(options, with_depth))?;
     let mut warnings = sequence.warnings.clone();
+    let whole = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    if let Some(other) = pictures.filter(|other| !whole(folder).starts_with(whole(other))) {
+        warnings.push(format!(
+            "the pictures are those that {} names, not those of {}",
+            file.display(),
+            other.display()
+        ));
+    }
     let (keyframes, mut left_out) = by_time(&sequence.poses, &sequence, options, &mut warnings);
     left_out.reason = "the other frames have no transform_matrix that is finite and rigid".into();
     let depth = if with_depth { DepthSource::pictures(options)? } else { DepthSource::None };

@@ -8,6 +8,7 @@ mod colmap;
 mod conventions;
 mod droid;
 mod nerfstudio;
+mod real;
 mod scene;
 mod trajectory;
 mod variance;

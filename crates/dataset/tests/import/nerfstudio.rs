@@ -59,7 +59,11 @@ fn poses_are_turned_to_opencv_axes() {
             assert!((f64::from(depth.at(0, 9, 5)) - due).abs() < 2e-4);
         }
         let by_folder = Files::open(&folder.0, Some(&folder.0), &Options::default());
-        assert_eq!(by_folder.expect("opens").keyframes, files.keyframes);
+        let by_folder = by_folder.expect("opens");
+        assert_eq!((by_folder.keyframes, by_folder.warnings.len()), (files.keyframes, 0));
+        let other = pictures(false);
+        let elsewhere = Files::open(&folder.0, Some(&other.0), &Options::default());
+        assert_warns(&elsewhere.expect("opens").warnings, &["transforms.json names, not those of"]);
         let options = Options { depth: Depth::None, ..Options::default() };
         assert!(!Files::open(&file, None, &options).expect("opens").has_depth);
     }
