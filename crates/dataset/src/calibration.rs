@@ -57,7 +57,7 @@ impl Default for Traits {
 
 impl Traits {
     /// The same for another colour camera, of which depth has no camera of its own.
-    fn for_another_camera(self) -> Self {
+    pub(crate) fn for_another_camera(self) -> Self {
         let grid = match self.grid {
             DepthGrid::Depth(_) => DepthGrid::Depth(None),
             other => other,

@@ -25,8 +25,8 @@ const MISS: f64 = 0.1;
 /// Another convention must miss by less than this share of what the given one misses by.
 const BETTER: f64 = 0.6;
 
-/// Factors of positions that are tried.
-const SCALES: [f64; 8] = [0.001, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 1000.0];
+/// Factors of positions that are tried: powers of 2 up to this one, and their inverses.
+const LARGEST_SCALE: i32 = 10;
 
 /// Mean miss above which depths and poses do not fit at all.
 const UNFIT: f64 = 0.8;
@@ -106,37 +106,40 @@ pub(super) fn warning(files: &Files) -> Option<String> {
     let with =
         |reading: Reading| misses(files, &pairs, &|pose: Pose<f64>| reading.of(pose, files.kind));
     let given = with(Reading::ALL[0]);
+    let percent = |miss: f64| format!("{:.0} %", 100.0 * miss);
     let mean = mean(&given)?;
+    let carried = "carried to the next keyframe by the poses, depth misses it by";
     let others = Reading::ALL.into_iter().skip(1);
     let others = others.filter(|reading| !reading.order || is_quaternion(files.kind));
     if let Some((reading, better)) = best(others.map(|reading| (reading, with(reading))), &given) {
         return Some(format!(
-            "wrong convention? Depth carried to the next keyframe by the poses misses it by {:.0} \
-             %, and by {:.0} % if the poses are {}: {} is expected to hold {}",
-            100.0 * mean,
-            100.0 * better,
+            "wrong convention? {carried} {}, and by {} if the poses are {}: {} is expected to hold \
+             {}",
+            percent(mean),
+            percent(better),
             reading.words(files.kind),
             files.path.display(),
             files.kind.convention()
         ));
     }
+    let scales =
+        (-LARGEST_SCALE..=LARGEST_SCALE).filter(|&power| power != 0).map(|p| 2_f64.powi(p));
     let scaled = |scale: f64| {
         let pose = |pose: Pose<f64>| Pose { translation: pose.translation * scale, ..pose };
         (scale, misses(files, &pairs, &pose))
     };
-    if let Some((scale, better)) = best(SCALES.into_iter().map(scaled), &given) {
+    if let Some((scale, better)) = best(scales.map(scaled), &given) {
+        let (given, better) = (percent(mean), percent(better));
         return Some(format!(
-            "depths and poses in different units? Depth carried to the next keyframe by the poses \
-             misses it by {:.0} %, and by {:.0} % if positions are multiplied by {scale}",
-            100.0 * mean,
-            100.0 * better
+            "depths and poses in different units? {carried} {given}, and by {better} if positions \
+             are multiplied by about {scale}"
         ));
     }
     (mean > UNFIT).then(|| {
         format!(
-            "depths and poses disagree: carried to the next keyframe by the poses, depth misses it \
-             by {:.0} %, and no other convention fits better; are they of these pictures?",
-            100.0 * mean
+            "depths and poses disagree: {carried} {}, and no other convention fits better; are they \
+             of these pictures?",
+            percent(mean)
         )
     })
 }

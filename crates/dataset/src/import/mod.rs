@@ -40,7 +40,7 @@ pub use placed::LeftOut;
 
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::Camera;
-use keyframe::Source;
+use keyframe::{DepthSource, Source};
 use kind::Recognised;
 use placed::Found;
 use std::path::{Path, PathBuf};
@@ -94,6 +94,11 @@ impl Files {
             Recognised::Trajectory(file) => trajectory::open(&file, other, options)?,
         };
         placed::leave_out_missing_files(&mut found);
+        let with_variance = matches!(found.source.depth, DepthSource::Pictures(Some(_)));
+        if options.variance.is_some() && !with_variance {
+            let words = "pictures of the variance ignored: no depth pictures are taken";
+            found.warnings.push(words.to_owned());
+        }
         let mut files = Self::of(found, options);
         files.check_count(pictures)?;
         if options.check_conventions {

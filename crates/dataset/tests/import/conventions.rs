@@ -53,7 +53,7 @@ fn trajectories_written_otherwise_are_noticed() {
 fn another_unit_of_depth_is_noticed() {
     let folder = sequence(6);
     folder.write("keyframes.txt", trajectory(0..6));
-    for (depth_scale, factor) in [(500.0, "multiplied by 10"), (25000.0, "multiplied by 0.2")] {
+    for (depth_scale, factor) in [(500.0, "by about 8"), (25000.0, "by about 0.25")] {
         let open = OpenOptions { depth_scale: Some(depth_scale), ..OpenOptions::default() };
         let found = warnings_of(&folder, Options { open, ..Options::default() });
         assert_warns(&found, &["different units", factor]);

@@ -248,6 +248,9 @@ fn wrong_shapes_and_missing_arrays_are_named() {
     ] {
         assert_says(open(&folder(&without(all.clone(), name))), parts);
     }
+    let options = Options { depth: Depth::Pictures, ..Options::default() };
+    let arrays = folder(&all);
+    assert_says(Files::open(&arrays.0, None, &options), &["option depth", "no dataset"]);
     let alone = open(&folder(&without(all.clone(), "disps"))).expect("poses and pictures alone");
     assert!(!alone.has_depth);
     assert_says(open(&folder(&members(&[0]))), &["1 of 1 poses", "at least 2"]);

@@ -36,6 +36,7 @@ fn true_poses_fit_and_their_inverses_do_not() {
         let odd: Vec<&String> = files.warnings.iter().filter(odd).collect();
         assert!(odd.is_empty(), "{name}: {odd:?}");
         let inverse = keyframes(&path, Pose::inverse);
+        println!("{name}, inverse poses: {:?}", inverse.warnings);
         assert_warns(&inverse.warnings, &["if the poses are camera_from_world:"]);
     }
 }

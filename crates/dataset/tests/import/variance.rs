@@ -1,8 +1,8 @@
 //! Pictures of the variance of depth pictures.
 
 use crate::arrays::npy;
-use crate::assert_says;
 use crate::scene::{HEIGHT, WIDTH, grey16_png, sequence, trajectory};
+use crate::{assert_says, assert_warns};
 use i2slam_dataset::import::{Depth, Files, Options};
 
 fn options(folder: &crate::support::Folder) -> Options {
@@ -29,6 +29,15 @@ fn variance_comes_from_arrays_and_from_pictures_of_deviation() {
         let unknown = [depth.data[3], depth.data[4], variance.data[3], variance.data[4]];
         assert_eq!(unknown == [0.0; 4], place == 0);
     }
+}
+
+#[test]
+fn variance_without_depth_pictures_is_told() {
+    let folder = sequence(3);
+    let file = folder.write("keyframes.txt", trajectory([0, 2]));
+    let options = Options { depth: Depth::Imported, ..options(&folder) };
+    let files = Files::open(&file, None, &options).expect("opens");
+    assert_warns(&files.warnings, &["variance ignored"]);
 }
 
 #[test]

@@ -14,8 +14,8 @@ use super::keyframe::{DepthSource, KeyframePose, Pictures, Source};
 use super::placed::{Found, LeftOut, all_frames};
 use super::sparse::SparseDepth;
 use super::{Depth, Kind, Options};
-use crate::DatasetError;
 use crate::trajectory_file::{UNIT_TOLERANCE, not_unit};
+use crate::{DatasetError, Sequence};
 use camera::ModelCamera;
 use i2slam_geometry::{Pose, Rotation, Vec3};
 use std::collections::BTreeMap;
@@ -116,36 +116,45 @@ pub(super) fn open(
         Depth::Imported => sparse(model, &cameras, &images, options)?,
         Depth::None | Depth::Pictures => DepthSource::pictures_if_wanted(options)?,
     };
-    let places = pictures::places(&images, &sequence);
-    let mut keyframes: Vec<KeyframePose> = Vec::new();
-    for (record, (image, position)) in images.iter().zip(&places).enumerate() {
-        let Some(position) = *position else { continue };
-        let entry = &sequence.entries[position];
-        let (index, timestamp) = (entry.index, entry.timestamp);
-        let world_from_camera = image.world_from_camera;
-        keyframes.push(KeyframePose { index, timestamp, world_from_camera, position, record });
-    }
+    let mut warnings = sequence.warnings.clone();
+    let (keyframes, left_out) = placed(&images, &sequence, &mut warnings);
+    let source = Source { pictures: Pictures::Sequence(Box::new(sequence)), depth };
+    let path = model.folder.clone();
+    Ok(Found { kind: Kind::Colmap, path, source, keyframes, left_out, warnings })
+}
+
+/// The images that have a picture, in order of these.
+fn placed(
+    images: &[ModelImage],
+    pictures: &Sequence,
+    warnings: &mut Vec<String>,
+) -> (Vec<KeyframePose>, LeftOut) {
+    let places = pictures::places(images, pictures);
+    let with_picture =
+        images.iter().zip(&places).enumerate().filter_map(|(record, (image, at))| {
+            let position = (*at)?;
+            let entry = &pictures.entries[position];
+            let (index, timestamp) = (entry.index, entry.timestamp);
+            let world_from_camera = image.world_from_camera;
+            Some(KeyframePose { index, timestamp, world_from_camera, position, record })
+        });
+    let mut keyframes: Vec<KeyframePose> = with_picture.collect();
     keyframes.sort_by_key(|keyframe| (keyframe.position, keyframe.record));
     keyframes.dedup_by_key(|keyframe| keyframe.position);
-    let mut warnings = sequence.warnings.clone();
-    let without = images.len() - keyframes.len();
+    let (all, without) = (images.len(), images.len() - keyframes.len());
     let first = images.iter().zip(&places).find(|(_, place)| place.is_none());
     let first =
         first.map_or_else(String::new, |(image, _)| format!(", the first is {}", image.name));
-    let reason = format!("images of the model are looked for by name{first}");
     if without > 0 {
-        let all = images.len();
         warnings.push(format!("{without} of {all} poses left out: no picture of that name{first}"));
     }
     let left_out = LeftOut {
         poses_without_picture: without,
-        pictures_without_pose: sequence.len() - keyframes.len(),
+        pictures_without_pose: pictures.len() - keyframes.len(),
         with_picture: keyframes.len(),
-        reason,
+        reason: format!("images of the model are looked for by name{first}"),
     };
-    let source = Source { pictures: Pictures::Sequence(Box::new(sequence)), depth };
-    let path = model.folder.clone();
-    Ok(Found { kind: Kind::Colmap, path, source, keyframes, left_out, warnings })
+    (keyframes, left_out)
 }
 
 /// The depth of the model's points.

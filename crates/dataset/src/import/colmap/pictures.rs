@@ -29,9 +29,10 @@ pub(super) fn open(
     }
     let source = Source::recognise(folder, options.colour_only)?;
     let listing = source.list(folder, options, DEFAULT_FRAME_RATE)?;
-    let traits = source.traits();
+    let traits = source.traits().for_another_camera();
     let calibration = Calibration {
         depth_scale: options.depth_scale.unwrap_or(traits.depth_scale),
+        grid: traits.grid,
         invalid_depth: traits.invalid_depth,
         ..calibration
     };
