@@ -188,3 +188,32 @@ fn number32(bytes: &[u8], at: usize) -> u32 {
 fn number16(bytes: &[u8], at: usize) -> u16 {
     number64(bytes, at) as u16
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A record of the table of contents whose sizes and place stand in its extra field.
+    fn wide_record(size: u64, packed: u64, header: u64) -> Vec<u8> {
+        let mut record = vec![0; 46];
+        record[..4].copy_from_slice(b"PK\x01\x02");
+        for at in [20, 24, 42] {
+            record[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+        }
+        (record[28], record[30]) = (5, 34);
+        record.extend(b"a.npy");
+        record.extend([9, 0, 2, 0, 7, 7]);
+        record.extend([1, 0, 24, 0]);
+        record.extend([size, packed, header].map(u64::to_le_bytes).concat());
+        record
+    }
+
+    #[test]
+    fn sizes_beyond_four_gigabytes_are_read() {
+        let record = wide_record(5 << 32, 4 << 32, 3 << 32);
+        let (member, length) = read_member(&record).expect("a member");
+        assert_eq!((member.name.as_str(), length), ("a.npy", record.len()));
+        assert_eq!((member.size, member.packed, member.header), (5 << 32, 4 << 32, 3 << 32));
+        assert!(read_member(&record[..60]).is_none());
+    }
+}
