@@ -14,8 +14,8 @@ const LEAST_ERROR: f64 = 0.1;
 ///
 /// `Σ = σ² (Σ_i J_iᵀ J_i)⁻¹`, `J_i = ∂(u, v)/∂X` in the i-th image that sees the point, poses taken
 /// as exact (Hartley and Zisserman 2004, section 5.2.3). σ is the point's mean reprojection error
-/// [px], at least a tenth and the mean one of all points, because the error of a point that few images see is
-/// small however wrong it is.
+/// [px], at least a tenth and the mean one of all points, because the error of a point that few
+/// images see is small however wrong it is.
 pub(super) fn with_covariance(
     points: &[ModelPoint],
     cameras: &BTreeMap<u32, ModelCamera>,
