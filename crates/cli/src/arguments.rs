@@ -160,9 +160,13 @@ pub(crate) struct Render {
     /// What to draw: sharp, blurred, hdr, depth [default: all that apply]
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     pub(crate) kinds: Option<Vec<String>>,
-    /// Folder for the pictures [default: renders/ of the result, views/ for poses of your own]
+    /// Folder for the pictures, with their poses [default: renders/ of the result, views/ for poses
+    /// of your own, numbered after those that are there]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    /// Replace what was drawn into that folder before; other files in it stay
+    #[arg(long, requires = "out")]
+    pub(crate) overwrite: bool,
 }
 
 #[derive(Args, Debug)]
@@ -187,6 +191,9 @@ pub(crate) struct Eval {
     /// Write the list of the sharp frames of ESTIMATE, a dataset or a folder of pictures
     #[arg(long, value_name = "FILE", conflicts_with_all = ["reference", "groundtruth", "list"])]
     pub(crate) write_list: Option<PathBuf>,
+    /// Replace an earlier list of that name
+    #[arg(long, requires = "write_list")]
+    pub(crate) overwrite: bool,
     /// With --protocol splatam, the first and every N-th frame
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) every: u32,

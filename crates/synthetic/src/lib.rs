@@ -25,7 +25,7 @@ mod synthesise;
 mod texture;
 mod write;
 
-pub use degrade::{Degradation, Degraded, ExposureStep, degrade};
+pub use degrade::{Degradation, Degraded, Degrading, ExposureStep, degrade};
 pub use depth_noise::KinectNoise;
 pub use error::SyntheticError;
 pub use exposure::{AutoExposure, ShutterRule, raw_exposure_value};

@@ -45,7 +45,7 @@ struct Studio<'a> {
 }
 
 /// Renders the sequence of a specification into a folder. `progress` is told what is done and
-/// answers whether to go on; a run that was ended leaves pictures but no lists.
+/// answers whether to go on; a run that was ended leaves `spec.toml` and pictures but no lists.
 pub fn synthesise(
     spec: &Spec,
     out: &Path,
@@ -53,6 +53,8 @@ pub fn synthesise(
 ) -> Result<Summary, SyntheticError> {
     spec.validate()?;
     let folder = Folder::create(out)?;
+    // First, so that a folder tells what it is even where the work was ended.
+    folder.write_text("spec.toml", spec.to_toml())?;
     let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
     go_on(progress(Stage::Lighting))?;
     let lit = light_up(furnished_room(spec), spec);
@@ -177,7 +179,6 @@ impl Studio<'_> {
         self.write_truth(frames, rule, blurs)?;
         let summary = self.summary(frames, rule, blurs);
         self.folder.write_text("camera.json", camera_json(&self.camera, self.spec, rule))?;
-        self.folder.write_text("spec.toml", self.spec.to_toml())?;
         self.folder.write_text("README.md", readme(self.spec, rule, &summary))?;
         Ok(summary)
     }

@@ -3,12 +3,13 @@
 use super::synth::failure;
 use super::use_threads;
 use crate::arguments::{Machine, frame_range};
+use crate::destination::{Destination, degraded_layout};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::output::say;
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};
-use i2slam_synthetic::{Degradation, ExposureStep, KinectNoise, NoiseSpec, Response};
+use i2slam_synthetic::{Degradation, Degrading, ExposureStep, KinectNoise, NoiseSpec, Response};
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -19,6 +20,9 @@ pub(crate) struct Degrade {
     /// Folder for the degraded sequence
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
+    /// Replace what was written into the folder before; other files in it stay
+    #[arg(long)]
+    pub(crate) overwrite: bool,
     /// Noise, steps and holes of a first-generation Kinect on depth
     #[arg(long)]
     pub(crate) depth_noise: bool,
@@ -60,6 +64,13 @@ pub(crate) enum Curve {
 
 pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     use_threads(&arguments.machine)?;
+    let what = degradation(arguments);
+    let work = Degrading::open(&arguments.dataset, &arguments.out, &what).map_err(failure)?;
+    let (layout, overwrite) = (degraded_layout(), arguments.overwrite);
+    let path = arguments.out.as_path();
+    let destination = Destination { path, layout, command: "i2slam degrade", overwrite };
+    destination.check()?;
+    destination.clear()?;
     interrupt::listen();
     let mut progress = Progress::new(0, arguments.machine.quiet);
     let mut begun = false;
@@ -70,8 +81,7 @@ pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
         progress.step(done);
         !interrupt::requested()
     };
-    let what = degradation(arguments);
-    let done = i2slam_synthetic::degrade(&arguments.dataset, &arguments.out, &what, step);
+    let done = work.write(&arguments.out, step);
     progress.clear();
     let done = done.map_err(failure)?;
     say(&format!(

@@ -2,6 +2,7 @@
 
 use super::use_threads;
 use crate::arguments::{Demo, Draw};
+use crate::destination::refuse_file;
 use crate::failure::Failure;
 use crate::output::complain;
 use crate::pipeline::{self, Job};
@@ -14,6 +15,7 @@ include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
 pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
     use_threads(&arguments.machine)?;
+    refuse_file(&arguments.out)?;
     let dataset = unpack(&arguments.out)?;
     if !arguments.machine.quiet {
         complain("reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0)");

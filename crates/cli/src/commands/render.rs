@@ -1,6 +1,7 @@
 //! `i2slam render`: pictures of a saved result, from its own poses or from others.
 
 use crate::arguments::Render;
+use crate::destination::{Destination, POSES, POSES_HEADER, render_layout};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::output::say;
@@ -16,8 +17,12 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
     let reconstruction = Reconstruction::load(&arguments.result)?;
     let frames = frames(arguments, pose, &reconstruction)?;
-    let default_out = arguments.result.join(if own_poses { "views" } else { "renders" });
-    let folder = ResultFolder::create(arguments.out.as_ref().unwrap_or(&default_out))?;
+    let folder = place(arguments, own_poses)?;
+    let frames =
+        if own_poses && arguments.out.is_none() { after_earlier(&folder, frames) } else { frames };
+    if own_poses || arguments.out.is_some() {
+        note_poses(&folder, &frames)?;
+    }
     interrupt::listen();
     let mut progress = Progress::new(frames.len(), false);
     progress.phase("drawing", frames.len());
@@ -37,6 +42,41 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
     say(&format!("{done} frames, {}, in {}", names.join(", "), folder.path().display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
+}
+
+/// The folder of the pictures. One that is named must be new; the result's own is drawn into
+/// again.
+fn place(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
+    let Some(out) = &arguments.out else {
+        let own = if own_poses { "views" } else { "renders" };
+        return Ok(ResultFolder::create(&arguments.result.join(own))?);
+    };
+    let (layout, overwrite) = (render_layout(), arguments.overwrite);
+    let destination = Destination { path: out, layout, command: "i2slam render", overwrite };
+    destination.check()?;
+    destination.clear()?;
+    Ok(ResultFolder::create(out)?)
+}
+
+/// Frames numbered after the pictures that lie there already.
+fn after_earlier(folder: &ResultFolder, mut frames: Vec<FrameEstimate>) -> Vec<FrameEstimate> {
+    let first = render_layout().next_number(folder.path());
+    frames.iter_mut().for_each(|frame| frame.index += first);
+    frames
+}
+
+/// Adds the poses to the list beside the pictures, by their numbers.
+fn note_poses(folder: &ResultFolder, frames: &[FrameEstimate]) -> Result<(), Failure> {
+    let earlier = std::fs::read_to_string(folder.path().join(POSES)).unwrap_or_default();
+    let mut text = if earlier.is_empty() { format!("{POSES_HEADER}\n") } else { earlier };
+    for frame in frames {
+        let Pose { rotation: q, translation: t } = frame.middle();
+        text += &format!(
+            "{} {} {} {} {} {} {} {}\n",
+            frame.index, t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
+        );
+    }
+    Ok(folder.write_text(POSES, &text)?)
 }
 
 fn picture(viewer: &mut Viewer<'_>, kind: RenderKind, frame: &FrameEstimate) -> Image<f32> {

@@ -2,6 +2,7 @@
 
 use super::use_threads;
 use crate::arguments::Machine;
+use crate::destination::{Destination, synthetic_layout};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::output::say;
@@ -18,6 +19,9 @@ pub(crate) struct Synth {
     /// Folder for the sequence
     #[arg(long, value_name = "DIR", required_unless_present = "print_spec")]
     pub(crate) out: Option<PathBuf>,
+    /// Replace what was written into the folder before; other files in it stay
+    #[arg(long)]
+    pub(crate) overwrite: bool,
     /// Seed of room, motion and noise, instead of the specification's
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
@@ -37,6 +41,11 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
     match &arguments.out {
         Some(out) if !arguments.print_spec => {
             use_threads(&arguments.machine)?;
+            let layout = synthetic_layout();
+            let (command, overwrite) = ("i2slam synth", arguments.overwrite);
+            let destination = Destination { path: out, layout, command, overwrite };
+            destination.check()?;
+            destination.clear()?;
             make(&spec, out, arguments.machine.quiet)
         }
         _ => {

@@ -5,6 +5,7 @@ mod figures;
 mod track;
 
 use crate::arguments::Draw;
+use crate::destination::Destination;
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::output::{complain, say};
@@ -15,9 +16,7 @@ use figures::Figures;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::export::report::Report;
-use i2slam::export::{
-    ExportError, FolderContents, Input, Metrics, ResultFolder, remove_result, save, save_metrics,
-};
+use i2slam::export::{ExportError, Input, Layout, Metrics, ResultFolder, save, save_metrics};
 use std::path::{Path, PathBuf};
 use track::Tracked;
 
@@ -71,18 +70,12 @@ fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
              another folder"
         )));
     }
-    match FolderContents::of(&job.out) {
-        FolderContents::Result if !job.overwrite => Err(Failure::Usage(format!(
-            "--out {out} holds a result already: choose another folder, or replace it with \
-             --overwrite"
-        ))),
-        FolderContents::Foreign(file) => Err(Failure::Usage(format!(
-            "{} would be overwritten, and nothing in --out {out} says that a run wrote it: choose \
-             another folder",
-            file.display()
-        ))),
-        _ => Ok(()),
-    }
+    destination(job).check()
+}
+
+fn destination(job: &Job) -> Destination<'_> {
+    let (layout, overwrite) = (Layout::of_result(), job.overwrite);
+    Destination { path: &job.out, layout, command: "i2slam run", overwrite }
 }
 
 /// Failures first, then whether the user ended it.
@@ -125,7 +118,7 @@ impl Finished<'_> {
             problems.extend(result.err().map(|error| error.to_string()));
         };
         if self.job.overwrite {
-            note(remove_result(self.folder.path()));
+            note(Layout::of_result().remove(self.folder.path()));
         }
         save(self.folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(Input::new(&self.job.dataset, &self.job.open).save(self.folder));

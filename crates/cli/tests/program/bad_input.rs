@@ -128,8 +128,10 @@ fn a_result_folder_that_cannot_be_written_is_found_out_at_once() {
     let (data, out) = (scratch.join("room"), scratch.join("out"));
     Scene { frames: 2, ..Scene::default() }.write(&data);
     fs::write(&out, b"a file").expect("room");
-    let ran = reconstruct(&data, &out, &[]).ended_with(1);
-    ran.complaining("cannot write");
+    reconstruct(&data, &out, &[]).ended_with(2).complaining("out is a file");
+    let below = out.join("deeper");
+    let arguments = ["run".as_ref(), data.as_os_str(), "--out".as_ref(), below.as_os_str()];
+    crate::tools::run(arguments).ended_with(1).complaining("cannot write");
 }
 
 #[test]

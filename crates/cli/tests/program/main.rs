@@ -7,6 +7,7 @@ mod eval;
 mod field;
 mod info;
 mod interrupt;
+mod overwrite;
 mod protocols;
 mod result;
 mod robust;

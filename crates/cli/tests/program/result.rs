@@ -54,7 +54,7 @@ fn an_earlier_result_is_only_replaced_on_request() {
     fs::write(out.join("notes.txt"), "mine").expect("room");
     let before = fs::read(out.join("trajectory.txt")).expect("a result");
     let refused = reconstruct(&data, &out, &["--frames", "0..2"]).ended_with(2);
-    refused.complaining("holds a result already").complaining("--overwrite");
+    refused.complaining("holds what `i2slam run` wrote before").complaining("--overwrite");
     assert_eq!(fs::read(out.join("trajectory.txt")).ok(), Some(before));
     reconstruct(&data, &out, &["--frames", "0..2", "--overwrite"]).ended_with(0);
     assert_eq!(rows(&out.join("trajectory.txt")), 2);

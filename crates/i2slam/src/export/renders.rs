@@ -2,12 +2,10 @@
 
 use super::map::typical_tone;
 use super::pictures::{write_depth, write_picture, write_radiance};
-use super::{ExportError, ResultFolder, Storage};
+use super::{ExportError, Layout, ResultFolder, Storage};
 use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
 use i2slam_formation::{FrameTone, ShutterPoses};
 use i2slam_geometry::{Image, Pose, Tangent};
-use std::fs;
-use std::path::{Path, PathBuf};
 
 /// What is drawn of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,8 +41,12 @@ impl RenderKind {
 
     /// File name under `renders/`: kind, then position in the associated stream.
     pub fn file(self, index: usize) -> String {
-        let extension = if self == Self::Hdr { "exr" } else { "png" };
-        format!("{}/{index:06}.{extension}", self.name())
+        format!("{}/{index:06}.{}", self.name(), self.extension())
+    }
+
+    /// Extension of its files.
+    pub fn extension(self) -> &'static str {
+        if self == Self::Hdr { "exr" } else { "png" }
     }
 }
 
@@ -70,33 +72,9 @@ pub fn save_render<S: Storage>(
 /// the user's.
 const PICTURES: [&str; 3] = ["renders/optimised", "renders", "views"];
 
-/// The pictures that a run, its evaluation and `i2slam render` left in a result folder.
-pub(super) fn pictures(result: &Path) -> Vec<PathBuf> {
-    let kinds = |below| RenderKind::ALL.into_iter().map(move |kind| (result.join(below), kind));
-    PICTURES.into_iter().flat_map(kinds).flat_map(|(below, kind)| of_kind(&below, kind)).collect()
-}
-
-fn of_kind(below: &Path, kind: RenderKind) -> Vec<PathBuf> {
-    let Ok(entries) = fs::read_dir(below.join(kind.name())) else { return Vec::new() };
-    let ours = |path: &PathBuf| {
-        let stem = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse().ok());
-        stem.is_some_and(|index| path.ends_with(kind.file(index)))
-    };
-    entries.flatten().map(|entry| entry.path()).filter(ours).collect()
-}
-
-/// Delete the pictures that an earlier run left under `renders/` and `views/` of a result folder,
-/// and nothing else, so that pictures of two runs do not mix.
-pub fn remove_renders(result: &Path) -> Result<(), ExportError> {
-    for path in pictures(result) {
-        fs::remove_file(&path).map_err(|source| ExportError::Write { path, source })?;
-    }
-    for below in PICTURES.map(|below| result.join(below)) {
-        // A folder that holds something else stays.
-        RenderKind::ALL.iter().for_each(|k| drop(fs::remove_dir(below.join(k.name()))));
-        fs::remove_dir(below).ok();
-    }
-    Ok(())
+/// Those folders with the extension of their pictures.
+pub(super) fn result_pictures() -> Vec<(String, &'static str)> {
+    PICTURES.into_iter().flat_map(Layout::renders).collect()
 }
 
 impl Reconstruction {
@@ -129,29 +107,6 @@ impl Reconstruction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::storage::tests::Scratch;
-
-    #[test]
-    fn only_pictures_of_a_run_are_removed() {
-        let scratch = Scratch::new("renders");
-        let folder = ResultFolder::create(&scratch.0).expect("a folder");
-        let image = Image::new(8, 6, 3);
-        for kind in RenderKind::ALL {
-            save_render(&folder, "renders", kind, 12, &image).expect("room");
-        }
-        for below in ["renders/optimised", "views"] {
-            save_render(&folder, below, RenderKind::Sharp, 3, &image).expect("room");
-        }
-        folder.write_text("renders/sharp/notes.txt", "mine").expect("room");
-        folder.write_text("renders/sharp/7.png", "mine").expect("room");
-        assert!(scratch.0.join("renders/hdr/000012.exr").exists());
-        remove_renders(&scratch.0).expect("removal");
-        assert!(!scratch.0.join("renders/hdr/000012.exr").exists());
-        assert!(!scratch.0.join("renders/sharp/000012.png").exists());
-        assert!(!scratch.0.join("renders/optimised").exists() && !scratch.0.join("views").exists());
-        assert!(scratch.0.join("renders/sharp/notes.txt").exists());
-        assert!(scratch.0.join("renders/sharp/7.png").exists());
-    }
 
     #[test]
     fn kinds_have_names() {

@@ -95,10 +95,6 @@ impl Degradation {
     }
 
     fn validate(&self) -> Result<(), SyntheticError> {
-        let refuse = |key: &str, value: f64, expected: &str| {
-            let (key, value) = (key.to_owned(), value.to_string());
-            Err(SyntheticError::OutOfRange { key, value, expected: expected.to_owned() })
-        };
         if !(0.0..1.0).contains(&self.drop_share) {
             return refuse("share of dropped frames", self.drop_share, "0 to less than 1");
         }
@@ -114,6 +110,22 @@ impl Degradation {
             }
         }
         Ok(())
+    }
+
+    /// Refuses frames that a sequence of so many does not have.
+    fn validate_on(&self, frames: usize) -> Result<(), SyntheticError> {
+        let expected = format!("the sequence has frames 0 to {}", frames.saturating_sub(1));
+        for (key, ranges) in [("dropped frames", &self.dropped), ("covered frames", &self.covered)]
+        {
+            if let Some(range) = ranges.iter().find(|range| range.end > frames) {
+                let value = format!("{}..{}", range.start, range.end);
+                return refuse(key, value, &expected);
+            }
+        }
+        match self.exposure_steps.iter().find(|step| step.frame >= frames) {
+            Some(step) => refuse("frame of an exposure step", step.frame, &expected),
+            None => Ok(()),
+        }
     }
 
     /// The picture of a frame as the worse camera takes it.
@@ -149,6 +161,11 @@ impl Degradation {
     }
 }
 
+fn refuse<T>(key: &str, value: impl ToString, expected: &str) -> Result<T, SyntheticError> {
+    let (key, value) = (key.to_owned(), value.to_string());
+    Err(SyntheticError::OutOfRange { key, value, expected: expected.to_owned() })
+}
+
 /// Picture values at which the inverse response is tabulated.
 const LEVELS: usize = 1020;
 
@@ -160,44 +177,83 @@ fn linear_value(table: &[f32], value: f32) -> f32 {
     table[below] + (table[below + 1] - table[below]) * (at - below as f32)
 }
 
-/// Writes the degraded sequence into a folder, in the TUM layout, lens distortion removed.
-/// `sharp/`, `hdr/`, `exposure.csv` and ground truth come along, renumbered. `progress` is told
-/// how many of how many frames are done and answers whether to go on.
+/// A sequence that is to be degraded, checked but not yet written.
+pub struct Degrading<'a> {
+    dataset: &'a Path,
+    sequence: Sequence,
+    what: &'a Degradation,
+    /// Places of the frames that stay.
+    kept: Vec<usize>,
+}
+
+impl<'a> Degrading<'a> {
+    /// Opens the sequence and refuses what cannot be done to it; `out` is where it will be written.
+    pub fn open(
+        dataset: &'a Path,
+        out: &Path,
+        what: &'a Degradation,
+    ) -> Result<Self, SyntheticError> {
+        what.validate()?;
+        truth::refuse_same_folder(dataset, out)?;
+        let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
+        let sequence = Sequence::open(dataset, &options)?;
+        what.validate_on(sequence.len())?;
+        let kept: Vec<usize> = (0..sequence.len()).filter(|&i| !what.drops(i)).collect();
+        if kept.is_empty() {
+            return refuse("dropped frames", "all", "a frame must be left");
+        }
+        Ok(Self { dataset, sequence, what, kept })
+    }
+
+    /// Writes the degraded sequence into a folder, in the TUM layout, lens distortion removed.
+    /// `sharp/`, `hdr/`, `exposure.csv` and ground truth come along, renumbered. `progress` is
+    /// told how many of how many frames are done and answers whether to go on.
+    pub fn write(
+        &self,
+        out: &Path,
+        progress: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Degraded, SyntheticError> {
+        let Self { sequence, what, kept, .. } = self;
+        let folder = Folder::create(out)?;
+        // First, so that a folder tells what it is even where the work was ended.
+        folder.write_text("README.md", page(&sequence.name, what, kept))?;
+        for (batch, positions) in kept.chunks(BATCH).enumerate() {
+            let write = |(at, &position): (usize, &usize)| {
+                write_frame(&folder, &sequence.load(position)?, what, position, batch * BATCH + at)
+            };
+            positions.par_iter().enumerate().map(write).collect::<Result<(), SyntheticError>>()?;
+            if !progress(batch * BATCH + positions.len(), kept.len()) {
+                return Err(SyntheticError::Interrupted);
+            }
+        }
+        self.write_lists(out, &folder)?;
+        Ok(Degraded {
+            frames: kept.len(),
+            dropped: sequence.len() - kept.len(),
+            covered: kept.iter().filter(|&&i| what.covers(i)).count(),
+        })
+    }
+
+    fn write_lists(&self, out: &Path, folder: &Folder) -> Result<(), SyntheticError> {
+        let Self { dataset, sequence, what, kept } = self;
+        let stamps = |of: fn(&i2slam_dataset::Entry) -> f64| -> Vec<f64> {
+            kept.iter().map(|&i| of(&sequence.entries[i])).collect()
+        };
+        folder.write_list("rgb", "colour images", &stamps(|entry| entry.timestamp))?;
+        folder.write_list("depth", "depth images, 5000 = 1 m", &stamps(|e| e.depth_timestamp))?;
+        write_camera(out.join("camera.json"), &sequence.camera, DEPTH_SCALE, sequence.frame_rate)?;
+        truth::carry(dataset, out, folder, sequence, kept, what)
+    }
+}
+
+/// [`Degrading::open`] and [`Degrading::write`].
 pub fn degrade(
     dataset: &Path,
     out: &Path,
     what: &Degradation,
     progress: &mut dyn FnMut(usize, usize) -> bool,
 ) -> Result<Degraded, SyntheticError> {
-    what.validate()?;
-    truth::refuse_same_folder(dataset, out)?;
-    let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
-    let sequence = Sequence::open(dataset, &options)?;
-    let kept: Vec<usize> = (0..sequence.len()).filter(|&i| !what.drops(i)).collect();
-    let folder = Folder::create(out)?;
-    for (batch, positions) in kept.chunks(BATCH).enumerate() {
-        let write = |(at, &position): (usize, &usize)| {
-            write_frame(&folder, &sequence.load(position)?, what, position, batch * BATCH + at)
-        };
-        positions.par_iter().enumerate().map(write).collect::<Result<(), SyntheticError>>()?;
-        let done = (batch * BATCH + positions.len(), kept.len());
-        if !progress(done.0, done.1) {
-            return Err(SyntheticError::Interrupted);
-        }
-    }
-    let stamps = |of: fn(&i2slam_dataset::Entry) -> f64| -> Vec<f64> {
-        kept.iter().map(|&i| of(&sequence.entries[i])).collect()
-    };
-    folder.write_list("rgb", "colour images", &stamps(|entry| entry.timestamp))?;
-    folder.write_list("depth", "depth images, 5000 = 1 m", &stamps(|e| e.depth_timestamp))?;
-    write_camera(out.join("camera.json"), &sequence.camera, DEPTH_SCALE, sequence.frame_rate)?;
-    truth::carry(dataset, out, &folder, &sequence, &kept, what)?;
-    folder.write_text("README.md", page(&sequence.name, what, &kept))?;
-    Ok(Degraded {
-        frames: kept.len(),
-        dropped: sequence.len() - kept.len(),
-        covered: kept.iter().filter(|&&i| what.covers(i)).count(),
-    })
+    Degrading::open(dataset, out, what)?.write(out, progress)
 }
 
 fn write_frame(

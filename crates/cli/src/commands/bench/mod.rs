@@ -3,6 +3,7 @@
 
 mod cell;
 mod figures;
+mod folder;
 mod input;
 mod layouts;
 mod memory;
@@ -170,7 +171,7 @@ fn dry_run(work: &Work<'_>, fresh: bool) {
 }
 
 fn run(work: &Work<'_>, threads: usize, arguments: &Bench) -> Result<(), Failure> {
-    i2slam::export::ResultFolder::create(work.out)?;
+    folder::claim(work.out, &work.plan.suite.title)?;
     interrupt::listen();
     let quiet = arguments.machine.quiet;
     for note in work.plan.notes.iter().filter(|_| !quiet) {

@@ -49,11 +49,16 @@ pub(super) fn frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Fa
     if frames.is_empty() { Err(failed(path, "lists no frame")) } else { Ok(frames) }
 }
 
+/// How every list begins that is written here.
+const ORIGIN: &str = "# Sharp frames of ";
+
 /// `--write-list`: the sharp frames of a dataset or a folder of pictures.
-pub(super) fn write(video: &Path, file: &Path) -> Result<(), Failure> {
+pub(super) fn write(video: &Path, file: &Path, overwrite: bool) -> Result<(), Failure> {
     if !video.is_dir() {
-        return Err(failed(video, "is no folder"));
+        let reason = if video.exists() { "is no folder" } else { "no such folder" };
+        return Err(failed(video, reason));
     }
+    refuse_to_replace(file, overwrite)?;
     let files = pictures(video, "png")?;
     let (count, frames) = if files.is_empty() {
         let sequence = Sequence::open(video, &OpenOptions::default())?;
@@ -78,6 +83,20 @@ pub(super) fn write(video: &Path, file: &Path) -> Result<(), Failure> {
     std::fs::write(file, frame_list::write(&origin, &frames)).map_err(|e| failed(file, e))?;
     say(&format!("{} of {count} frames are sharp, listed in {}", frames.len(), file.display()));
     Ok(())
+}
+
+/// A list is replaced where the user says so, another file never.
+fn refuse_to_replace(file: &Path, overwrite: bool) -> Result<(), Failure> {
+    let shown = file.display();
+    let message = match std::fs::read_to_string(file) {
+        Err(_) if file.symlink_metadata().is_err() => return Ok(()),
+        Ok(text) if text.starts_with(ORIGIN) && overwrite => return Ok(()),
+        Ok(text) if text.starts_with(ORIGIN) => {
+            "is an earlier list: choose another name, or replace it with --overwrite"
+        }
+        _ => "is there already, and no list of this program: choose another name",
+    };
+    Err(Failure::Usage(format!("--write-list {shown} {message}")))
 }
 
 fn sharp_in_sequence(sequence: &Sequence) -> Result<Vec<usize>, Failure> {

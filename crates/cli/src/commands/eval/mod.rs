@@ -27,7 +27,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
         return Ok(());
     }
     if let Some(file) = &arguments.write_list {
-        return lists::write(&arguments.estimate, file);
+        return lists::write(&arguments.estimate, file, arguments.overwrite);
     }
     let lists = matches!(arguments.protocol, Protocol::AllFrames | Protocol::I2slam);
     if !lists && arguments.list.is_some() {
