@@ -8,6 +8,11 @@ pub(crate) fn say(line: &str) {
     writeln!(out, "{line}").and_then(|()| out.flush()).ok();
 }
 
+/// `1 frame`, `3 frames`: for words that take an s.
+pub(crate) fn counted(count: usize, word: &str) -> String {
+    format!("{count} {word}{}", if count == 1 { "" } else { "s" })
+}
+
 /// One line on standard error: a warning, an error, progress.
 pub(crate) fn complain(line: &str) {
     writeln!(io::stderr().lock(), "{line}").ok();

@@ -143,7 +143,7 @@ fn frames_without_a_depth_partner() {
     folder.write("depth.txt", "-0.02 depth/000.png\n");
     let sequence = open(&folder).expect("opens");
     assert_eq!((sequence.len(), sequence.left_out.without_depth), (2, 1));
-    assert!(sequence.warnings[0].contains("1 colour images left out"), "{:?}", sequence.warnings);
+    assert!(sequence.warnings[0].contains("1 colour image left out"), "{:?}", sequence.warnings);
     folder.write("depth.txt", "3.066667 depth/000.png\n");
     assert_says(open(&folder), &["none of 3", "0.08 s", "3.000 s away"]);
 }

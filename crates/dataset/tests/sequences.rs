@@ -115,7 +115,7 @@ fn plain_folders_pair_by_number_and_count_frames() {
     folder.write("camera.json", CAMERA.replace('}', r#","fps":60,"depth_scale":1000}"#));
     let sequence = open(&folder);
     assert_eq!(sequence.left_out.without_depth, 1);
-    assert!(sequence.warnings[0].contains("1 colour images left out"), "{:?}", sequence.warnings);
+    assert!(sequence.warnings[0].contains("1 colour image left out"), "{:?}", sequence.warnings);
     let frames: Vec<_> = sequence.stream().map(|f| f.expect("loads")).collect();
     let seen: Vec<(f32, usize)> = frames.iter().map(|f| (f.depth.at(0, 0, 0), f.index)).collect();
     assert_eq!(seen, [(1.0, 0), (2.0, 1), (10.0, 2)]);

@@ -118,6 +118,7 @@ impl Map {
 impl fmt::Display for Map {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Gaussians(map) if map.len() == 1 => write!(f, "1 Gaussian"),
             Self::Gaussians(map) => write!(f, "{} Gaussians", map.len()),
             Self::HashGrid(map) => {
                 let p = map.field.parameters();

@@ -6,7 +6,7 @@ use crate::arguments::{Machine, frame_range};
 use crate::destination::{Destination, degraded_layout};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::say;
+use crate::output::{counted, say};
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};
 use i2slam_synthetic::{Degradation, Degrading, ExposureStep, KinectNoise, NoiseSpec, Response};
@@ -85,8 +85,8 @@ pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     progress.clear();
     let done = done.map_err(failure)?;
     say(&format!(
-        "{} frames in {}, {} left out, {} covered",
-        done.frames,
+        "{} in {}, {} left out, {} covered",
+        counted(done.frames, "frame"),
         arguments.out.display(),
         done.dropped,
         done.covered

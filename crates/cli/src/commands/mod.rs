@@ -17,6 +17,7 @@ pub(crate) use synth::Synth as SynthArguments;
 
 use crate::arguments::{Command, Machine};
 use crate::failure::Failure;
+use crate::output::counted;
 
 /// Do what was typed.
 pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
@@ -37,5 +38,9 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
 fn use_threads(machine: &Machine) -> Result<(), Failure> {
     let Some(threads) = machine.threads else { return Ok(()) };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
-    pool.build_global().map_err(|e| Failure::Failed(format!("cannot start {threads} threads: {e}")))
+    let failed = |e| {
+        let count = counted(usize::from(threads), "thread");
+        Failure::Failed(format!("cannot start {count}: {e}"))
+    };
+    pool.build_global().map_err(failed)
 }

@@ -4,7 +4,7 @@ use crate::arguments::Render;
 use crate::destination::{Destination, POSES, POSES_HEADER, render_layout};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::say;
+use crate::output::{counted, say};
 use crate::progress::Progress;
 use i2slam::dataset::read_trajectory;
 use i2slam::export::{RenderKind, ResultFolder, save_render};
@@ -40,7 +40,8 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     }
     progress.clear();
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
-    say(&format!("{done} frames, {}, in {}", names.join(", "), folder.path().display()));
+    let (done_frames, names) = (counted(done, "frame"), names.join(", "));
+    say(&format!("{done_frames}, {names}, in {}", folder.path().display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
 }
 

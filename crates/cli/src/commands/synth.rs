@@ -5,7 +5,7 @@ use crate::arguments::Machine;
 use crate::destination::{Destination, synthetic_layout};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::say;
+use crate::output::{counted, say};
 use crate::progress::Progress;
 use clap::Args;
 use i2slam_synthetic::{Spec, Stage, Summary, SyntheticError, synthesise};
@@ -78,7 +78,7 @@ fn make(spec: &Spec, out: &Path, quiet: bool) -> Result<(), Failure> {
 
 fn report(summary: &Summary, out: &Path) {
     let s = summary;
-    say(&format!("{} frames in {}", s.frames, out.display()));
+    say(&format!("{} in {}", counted(s.frames, "frame"), out.display()));
     let [slow, fast] = s.rotation_rate;
     say(&format!("path {:.2} m, rotation {slow:.0} to {fast:.0} degrees/s", s.path_metres));
     let [low, high] = s.exposure_values;

@@ -8,7 +8,7 @@ use crate::arguments::Draw;
 use crate::destination::Destination;
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{complain, say};
+use crate::output::{complain, counted, say};
 use crate::progress::Progress;
 use crate::truth::Truth;
 use draw::Drawing;
@@ -52,7 +52,7 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     });
     progress.clear();
     let Written { metrics, map, problems } = written?;
-    summarise(&metrics, &map, folder.path());
+    summarise(&metrics, &map, folder.path(), job.config.input.optimise_rolling_shutter);
     end(problems)
 }
 
@@ -153,16 +153,17 @@ impl Finished<'_> {
 }
 
 /// The run in a few lines.
-fn summarise(metrics: &Metrics, map: &str, folder: &Path) {
+fn summarise(metrics: &Metrics, map: &str, folder: &Path, readout_searched: bool) {
     let frames = metrics.frames;
     let unfinished = if metrics.complete { "" } else { " (ended early)" };
-    say(&format!("{} of {frames} frames tracked{unfinished}, {map}", metrics.tracked));
+    let frames = counted(frames, "frame");
+    say(&format!("{} of {frames} tracked{unfinished}, {map}", metrics.tracked));
     if let Some(error) = metrics.ate_rmse_m {
         let centimetres = error * 100.0;
         let digits = if centimetres < 0.1 { 4 } else { 2 };
         say(&format!(
-            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {} poses)",
-            metrics.ate_poses
+            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {})",
+            counted(metrics.ate_poses, "pose")
         ));
     }
     if let Some(psnr) = metrics.psnr_sharp_db {
@@ -171,6 +172,8 @@ fn summarise(metrics: &Metrics, map: &str, folder: &Path) {
     if metrics.rolling_shutter_readout_s != 0.0 {
         let milliseconds = 1e3 * metrics.rolling_shutter_readout_s;
         say(&format!("rolling shutter: rows read in {milliseconds:.1} ms"));
+    } else if readout_searched {
+        say("rolling shutter: none found, rows read at once (0.0 ms)");
     }
     let memory = metrics.peak_memory_bytes.map(|bytes| format!(", {} MB", bytes / 1_000_000));
     say(&format!(

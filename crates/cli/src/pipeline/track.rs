@@ -41,8 +41,11 @@ pub(crate) fn track(
     };
     if run.session.frames().is_empty() && !interrupt::requested() {
         let reason = problem.or(run.first_error).unwrap_or_default();
-        let all = sequence.len();
-        return Err(Failure::Failed(format!("none of the {all} frames could be used: {reason}")));
+        let message = match sequence.len() {
+            1 => format!("the only frame could not be used: {reason}"),
+            all => format!("none of the {all} frames could be used: {reason}"),
+        };
+        return Err(Failure::Failed(message));
     }
     if problem.is_none() && !interrupt::requested() {
         problem = run.finish(progress).err().and_then(|f| f.message().map(str::to_owned));

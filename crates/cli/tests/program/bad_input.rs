@@ -72,7 +72,7 @@ fn a_frame_without_partner_is_left_out() {
         let list = fs::read_to_string(&colours).expect("a list");
         fs::write(&colours, list.replace(&format!("{} ", stamp(5)), "103.0 ")).expect("room");
     });
-    ran.complaining("1 colour images left out: no depth image");
+    ran.complaining("1 colour image left out: no depth image");
     assert_eq!(poses, 5);
 }
 
@@ -120,6 +120,10 @@ fn an_unknown_setting_is_named() {
     let out = ["--out".as_ref(), out.as_os_str()];
     let ran = crate::tools::run(arguments.into_iter().chain(out)).ended_with(2);
     ran.complaining("iteratons").complaining("mine.toml, line 2");
+    fs::write(&file, "seed = 2\n[mapping]\nwindow = 0\n").expect("room");
+    let head = ["run".as_ref(), data.as_os_str(), "--config".as_ref(), file.as_os_str()];
+    let ran = crate::tools::run(head.into_iter().chain(out)).ended_with(2);
+    ran.complaining("mine.toml, line 3: mapping.window = 0");
 }
 
 #[test]

@@ -83,7 +83,7 @@ fn what_is_finished_is_not_run_again() {
     assert!(dry.contains("finished  room, on, seed 3"), "{dry}");
     assert!(dry.contains("to do     room, off, seed 3"), "{dry}");
     let ran = bench(&suite, &out, &[]).ended_with(0);
-    assert!(ran.err.contains("1 cells are finished already"), "{}", ran.err);
+    assert!(ran.err.contains("1 cell is finished already"), "{}", ran.err);
     assert_eq!(written(&on.join("result/metrics.json")), before);
     assert!(off.join("result/metrics.json").is_file());
     // Another value makes other work of the cell.
@@ -166,7 +166,7 @@ fn mistakes_in_a_suite_are_found_before_anything_runs() {
         assert!(!out.exists());
     };
     refused("bench-key", "seeds", "sedes", ["unknown field `sedes`", "line 2"]);
-    refused("bench-setting", "final_iterations", "last", ["configuration `on`", "called `last`"]);
+    refused("bench-setting", "final_iterations", "last", ["configuration `on`", "called `mapping.last`"]);
     refused("bench-flag", "--no-blur", "--no-blurr", ["configuration `off`", "--no-blurr"]);
     refused("bench-twin", "\"off\"", "\"On\"", ["`On`", "configurations"]);
     run(["bench", "ablations", "--out", "x"]).ended_with(2).complaining("virtual-cameras");

@@ -242,7 +242,7 @@ fn sharp_frames_are_listed() {
     let list = scratch.join("list.txt");
     let flags: [&OsStr; 2] = ["--write-list".as_ref(), list.as_ref()];
     let ran = eval(&folder, &flags).ended_with(0);
-    assert!(ran.out.contains("1 of 9 frames are sharp"), "{}", ran.out);
+    assert!(ran.out.contains("1 of 9 frames is sharp"), "{}", ran.out);
     let text = fs::read_to_string(&list).expect("a list");
     assert!(text.starts_with('#') && text.ends_with("\n3\n"), "{text}");
     assert!(

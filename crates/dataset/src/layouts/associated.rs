@@ -1,6 +1,6 @@
 //! Colour and depth images paired by time: TUM RGB-D lists, and folders of stamped names.
 
-use super::{Layout, Listing};
+use super::{Layout, Listing, counted};
 use crate::associate::{Association, Rules, associate};
 use crate::lists::read_image_list;
 use crate::{DatasetError, Entry, LeftOut, OpenOptions, read_trajectory};
@@ -108,21 +108,23 @@ fn time_warnings(left_out: &LeftOut, rules: Rules) -> Vec<String> {
     let mut warnings = Vec::new();
     if left_out.without_depth > 0 {
         warnings.push(format!(
-            "{} colour images left out: no depth image within {} s",
-            left_out.without_depth, rules.tolerance
+            "{} left out: no depth image within {} s",
+            counted(left_out.without_depth, "colour image"),
+            rules.tolerance
         ));
     }
     if left_out.without_pose > 0 {
         warnings.push(format!(
-            "{} frames left out: no ground-truth pose within {} s",
-            left_out.without_pose, rules.tolerance
+            "{} left out: no ground-truth pose within {} s",
+            counted(left_out.without_pose, "frame"),
+            rules.tolerance
         ));
     }
     if left_out.too_close > 0 {
         warnings.push(format!(
-            "{} frames left out: no more than {} s after the frame before (minimum_gap; 0 keeps \
-             all)",
-            left_out.too_close, rules.minimum_gap
+            "{} left out: no more than {} s after the frame before (minimum_gap; 0 keeps all)",
+            counted(left_out.too_close, "frame"),
+            rules.minimum_gap
         ));
     }
     warnings

@@ -123,10 +123,16 @@ impl Listing {
         self.left_out.without_depth = count;
         if count > 0 {
             self.warnings.push(format!(
-                "{count} colour images left out: no depth image of that name or number"
+                "{} left out: no depth image of that name or number",
+                counted(count, "colour image")
             ));
         }
     }
+}
+
+/// `1 frame`, `3 frames`: for words that take an s.
+pub(crate) fn counted(count: usize, word: &str) -> String {
+    format!("{count} {word}{}", if count == 1 { "" } else { "s" })
 }
 
 /// A recognised sequence.

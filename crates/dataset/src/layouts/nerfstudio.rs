@@ -4,7 +4,7 @@ mod file;
 
 use super::pairs::{last_number, stamped as stamps_in_names};
 use super::poses::{rigid, stamped};
-use super::{Layout, Listing};
+use super::{Layout, Listing, counted};
 use crate::calibration::{Calibration, DepthGrid, Traits};
 use crate::lists::read_text;
 use crate::{DatasetError, Entry};
@@ -111,8 +111,8 @@ impl Scene {
         let mut listing = Listing { poses, ..Listing::new(Layout::Nerfstudio, entries) };
         listing.left_out.without_depth = self.without_depth;
         if self.without_depth > 0 {
-            let count = self.without_depth;
-            listing.warnings.push(format!("{count} frames left out: no depth_file_path"));
+            let count = counted(self.without_depth, "frame");
+            listing.warnings.push(format!("{count} left out: no depth_file_path"));
         }
         listing.warnings.extend(warning);
         listing.warnings.extend(self.intrinsics_warning());

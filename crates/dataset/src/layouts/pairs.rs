@@ -1,5 +1,6 @@
 //! Colour and depth files that belong together by name, number or order.
 
+use super::counted;
 use crate::{DatasetError, Entry};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -87,9 +88,9 @@ impl Pairs {
         let expected = (last - first).saturating_add(1);
         (*first != 0 || expected != numbers.len() as u64).then(|| {
             format!(
-                "{} frames numbered {first} to {last}: published frame numbers are no places in \
-                 this stream",
-                numbers.len()
+                "{} numbered {first} to {last}: published frame numbers are no places in this \
+                 stream",
+                counted(numbers.len(), "frame")
             )
         })
     }

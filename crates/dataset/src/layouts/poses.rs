@@ -1,5 +1,6 @@
 //! Poses written as matrices: one file a frame, or one line a frame.
 
+use super::counted;
 use crate::DatasetError;
 use crate::lists::{data_lines, read_text};
 use i2slam_geometry::{Mat3, Pose, Rotation, StampedPose, Vec3};
@@ -67,7 +68,7 @@ pub(crate) fn stamped(
         }
     }
     let warning = (missing > 0 && !found.is_empty())
-        .then(|| format!("{missing} frames have no true pose that is finite and rigid"));
+        .then(|| format!("{} without a finite, rigid true pose", counted(missing, "frame")));
     (found, warning)
 }
 

@@ -22,7 +22,7 @@ mod table;
 use crate::arguments::Machine;
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{complain, say};
+use crate::output::{complain, counted, say};
 use cell::{Bench as Work, Record};
 use clap::Args;
 use figures::Figures;
@@ -167,7 +167,8 @@ fn dry_run(work: &Work<'_>, fresh: bool) {
         say(&format!("{state:<10}{}", work.plan.title(cell)));
     }
     let (count, jobs, threads) = (work.plan.cells.len(), work.jobs, work.threads);
-    say(&format!("{left} of {count} cells to run, {jobs} at once, {threads} threads each"));
+    let (cells, threads) = (counted(count, "cell"), counted(threads, "thread"));
+    say(&format!("{left} of {cells} to run, {jobs} at once, {threads} each"));
 }
 
 fn run(work: &Work<'_>, threads: usize, arguments: &Bench) -> Result<(), Failure> {
@@ -183,7 +184,10 @@ fn run(work: &Work<'_>, threads: usize, arguments: &Bench) -> Result<(), Failure
         .collect();
     let total = waiting.len();
     if !quiet && total < outcomes.len() {
-        complain(&format!("{} cells are finished already", outcomes.len() - total));
+        complain(&match outcomes.len() - total {
+            1 => "1 cell is finished already".to_owned(),
+            finished => format!("{finished} cells are finished already"),
+        });
     }
     let (ready, unmade) = queue::prepare(work, waiting, threads);
     let count = AtomicUsize::new(unmade.len());

@@ -2,6 +2,7 @@
 
 use super::queue::Outcome;
 use super::summary::Results;
+use crate::output::counted;
 
 /// How the numbers of a table came about.
 pub(super) fn about(results: &Results<'_>, what: &str) -> String {
@@ -50,11 +51,10 @@ pub(super) fn machine(results: &Results<'_>) -> String {
     let mut both: Vec<(usize, usize)> = both.collect();
     both.sort_unstable();
     both.dedup();
-    let plural = |n: usize, word: &str| format!("{n} {word}{}", if n == 1 { "" } else { "s" });
     let words: Vec<String> = both
         .iter()
         .map(|&(threads, jobs)| {
-            format!("{} a cell, {} at once", plural(threads, "thread"), plural(jobs, "cell"))
+            format!("{} a cell, {} at once", counted(threads, "thread"), counted(jobs, "cell"))
         })
         .collect();
     match words.len() {

@@ -7,6 +7,7 @@ use super::queue::Outcome;
 use super::summary::Results;
 use super::table::{Table, csv_line};
 use crate::failure::Failure;
+use crate::output::counted;
 use i2slam::export::ResultFolder;
 use i2slam::export::report::{STYLE, escape};
 use std::collections::BTreeSet;
@@ -38,7 +39,7 @@ pub(super) fn counts(results: &Results<'_>) -> [usize; 3] {
 /// The same in words.
 pub(super) fn state(results: &Results<'_>) -> String {
     let [finished, failed, left] = counts(results);
-    let mut text = format!("{finished} of {} cells finished", results.outcomes.len());
+    let mut text = format!("{finished} of {} finished", counted(results.outcomes.len(), "cell"));
     if failed > 0 {
         text += &format!(", {failed} failed");
     }

@@ -4,7 +4,7 @@ use super::failed;
 use super::reference::Reference;
 use super::subject::pictures;
 use crate::failure::Failure;
-use crate::output::say;
+use crate::output::{counted, say};
 use crate::picture::read_png;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::Image;
@@ -81,7 +81,12 @@ pub(super) fn write(video: &Path, file: &Path, overwrite: bool) -> Result<(), Fa
         env!("CARGO_PKG_VERSION"),
     );
     std::fs::write(file, frame_list::write(&origin, &frames)).map_err(|e| failed(file, e))?;
-    say(&format!("{} of {count} frames are sharp, listed in {}", frames.len(), file.display()));
+    let (of, file) = (counted(count, "frame"), file.display());
+    say(&match frames.len() {
+        0 => format!("none of {of} stands out as sharp: {file} lists none"),
+        1 => format!("1 of {of} is sharp, listed in {file}"),
+        sharp => format!("{sharp} of {of} are sharp, listed in {file}"),
+    });
     Ok(())
 }
 

@@ -2,6 +2,7 @@
 
 use super::pictures::Pictures;
 use super::sequence::{Known, Times};
+use crate::output::counted;
 
 /// Gaps named one by one.
 const GAPS_NAMED: usize = 3;
@@ -92,7 +93,9 @@ fn truth(known: &Known) -> String {
     if truth.kinds.is_empty() {
         return "none".to_owned();
     }
-    let path = truth.path_length_m.map(|length| format!(" ({} poses, {length:.2} m)", truth.poses));
+    let path = truth
+        .path_length_m
+        .map(|length| format!(" ({}, {length:.2} m)", counted(truth.poses, "pose")));
     format!("{}{}", truth.kinds.join(", "), path.unwrap_or_default())
 }
 
@@ -135,11 +138,11 @@ fn of_pictures(pictures: &Pictures) -> Vec<Row> {
         (
             "sharpness",
             format!(
-                "{:.1} to {:.1}, median {:.1} (variance of the Laplacian); {} sharp frames",
+                "{:.1} to {:.1}, median {:.1} (variance of the Laplacian); {}",
                 sharp.lowest,
                 sharp.highest,
                 sharp.median,
-                sharp.sharp_frames.len()
+                counted(sharp.sharp_frames.len(), "sharp frame")
             ),
         ),
     ];

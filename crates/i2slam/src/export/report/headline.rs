@@ -9,9 +9,10 @@ pub(super) fn lead(report: &Report<'_>) -> String {
     let metrics = report.metrics;
     let end = if metrics.complete { "" } else { " The run was ended before its last frame." };
     format!(
-        "{} blurred frames of <b>{}</b> became one sharp map of light and a camera path. \
+        "{} blurred frame{} of <b>{}</b> became one sharp map of light and a camera path. \
          Preset <code>{}</code>, seed {}.{end}",
         metrics.frames,
+        if metrics.frames == 1 { "" } else { "s" },
         escape(report.title),
         escape(&metrics.preset),
         metrics.seed,
