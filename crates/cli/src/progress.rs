@@ -4,6 +4,7 @@ use crate::output::complain;
 use i2slam::FrameEstimate;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// Time between two lines where there is no terminal.
@@ -17,7 +18,7 @@ pub(crate) struct Progress {
 
 enum Display {
     Bar(ProgressBar),
-    Lines { last: Instant },
+    Lines { last: Mutex<Instant>, phase: &'static str, total: usize },
     Quiet,
 }
 
@@ -30,7 +31,7 @@ impl Progress {
         } else if std::io::stderr().is_terminal() {
             Display::Bar(bar(total))
         } else {
-            Display::Lines { last: started }
+            Display::Lines { last: Mutex::new(started), phase: "", total }
         };
         Self { display, started }
     }
@@ -51,8 +52,7 @@ impl Progress {
                 bar.set_position(done as u64);
                 bar.set_message(words);
             }
-            Display::Lines { last } if last.elapsed() >= PAUSE || done == total => {
-                *last = Instant::now();
+            Display::Lines { last, .. } if due(last) || done == total => {
                 let left = seconds * (total - done) as f64;
                 complain(&format!("frame {done}/{total}  {words}  {left:.0} s left"));
             }
@@ -70,8 +70,8 @@ impl Progress {
                 bar.set_prefix(name);
                 bar.set_message("");
             }
-            Display::Lines { last } => {
-                *last = Instant::now();
+            Display::Lines { last, phase, total: of } => {
+                (*last, *phase, *of) = (Mutex::new(Instant::now()), name, total);
                 complain(name);
             }
             Display::Quiet => {}
@@ -80,8 +80,12 @@ impl Progress {
 
     /// One more step of a phase.
     pub(crate) fn step(&self, done: usize) {
-        if let Display::Bar(bar) = &self.display {
-            bar.set_position(done as u64);
+        match &self.display {
+            Display::Bar(bar) => bar.set_position(done as u64),
+            Display::Lines { last, phase, total } if due(last) => {
+                complain(&format!("{phase} {done}/{total}"));
+            }
+            Display::Lines { .. } | Display::Quiet => {}
         }
     }
 
@@ -100,6 +104,16 @@ impl Progress {
             bar.finish_and_clear();
         }
     }
+}
+
+/// Whether it is time for another line; the time of this one is kept.
+fn due(last: &Mutex<Instant>) -> bool {
+    let Ok(mut last) = last.lock() else { return false };
+    let due = last.elapsed() >= PAUSE;
+    if due {
+        *last = Instant::now();
+    }
+    due
 }
 
 fn bar(total: usize) -> ProgressBar {

@@ -6,6 +6,9 @@ use i2slam::export::Metrics;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::exposure::exposure_agreement;
 
+/// Exposures that differ by less are constant: a correlation would be one of noise [stops].
+const LEAST_RANGE: f64 = 0.1;
+
 /// Figures, and the truth laid onto the estimate.
 pub(crate) struct Figures {
     pub(crate) metrics: Metrics,
@@ -55,11 +58,21 @@ impl Figures {
             known.map(|&(_, exposure)| (f64::from(frame.tone.exposure()), exposure))
         });
         let (estimate, due): (Vec<f64>, Vec<f64>) = pairs.unzip();
+        if range_stops(&due) < LEAST_RANGE {
+            return;
+        }
         match exposure_agreement(&estimate, &due) {
             Ok(agreement) => self.metrics.log_exposure_correlation = Some(agreement.pearson),
             Err(error) => self.warnings.push(format!("exposure not judged: {error}")),
         }
     }
+}
+
+/// Ratio of the largest to the smallest exposure [stops].
+fn range_stops(exposures: &[f64]) -> f64 {
+    let ends = |pick: fn(f64, f64) -> f64| exposures.iter().copied().reduce(pick);
+    let (low, high) = (ends(f64::min), ends(f64::max));
+    low.zip(high).map_or(0.0, |(low, high)| (high / low).log2())
 }
 
 /// The most memory this process ever held [bytes], where the system tells (Linux).

@@ -31,6 +31,8 @@ fn a_field_is_saved_drawn_again_and_judged() {
         assert!(same, "{file} depends on the number of threads");
     }
     assert!(a.join("map.i2slam").is_file() && !a.join("map.ply").exists());
+    let page = fs::read_to_string(a.join("report.html")).expect("a report");
+    assert!(page.contains("<code>map.i2slam</code>") && !page.contains("<code>map.ply</code>"));
     let metrics = a.join("metrics.json");
     assert_eq!(
         (number(&metrics, "tracked"), number(&metrics, "gaussians")),

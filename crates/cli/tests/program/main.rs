@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod bench;
+mod causes;
 mod commands;
 mod eval;
 mod field;

@@ -127,6 +127,9 @@ fn poses_are_optimised_on_request_and_it_is_said() {
     assert!(out.join("trajectory_optimised.txt").is_file());
     let page = fs::read_to_string(out.join("report.html")).expect("a report");
     assert!(page.contains("Protocol all-frames, poses optimised</h3>"));
+    let table = eval(&out, &["--optimise-poses"]).ended_with(0).out;
+    let error = table.lines().find(|line| line.starts_with("ATE RMSE")).expect("an error");
+    assert!(error.ends_with("cm, poses as tracked"), "{error}");
     let refused = |flags: &[&str], word: &str| {
         eval(&out, flags).ended_with(2).complaining(word);
     };

@@ -118,6 +118,15 @@ fn truth_beside_the_frames_is_measured() {
     assert!(number(&metrics, "ssim_sharp").is_some_and(|v| (0.5..=1.0).contains(&v)));
     assert!(number(&metrics, "log_exposure_correlation").is_some());
     assert!(!out.join("renders").exists());
+    let page = || fs::read_to_string(out.join("report.html")).expect("a report");
+    assert!(page().contains("<code>map.ply</code>") && !page().contains("<code>renders/"));
+    assert!(page().contains("true log exposure"));
+    // A camera of one exposure: there is nothing to correlate.
+    let constant = "frame,dt\n0,1\n1,1.001\n2,1\n3,0.999\n4,1\n5,1\n";
+    fs::write(data.join("exposure.csv"), constant).expect("room");
+    reconstruct(&data, &out, &["--render", "none", "--overwrite"]).ended_with(0);
+    assert!(number(&metrics, "log_exposure_correlation").is_none());
+    assert!(!page().contains("true log exposure"));
 }
 
 #[test]

@@ -6,8 +6,9 @@ use super::trajectory;
 use crate::arguments::{Eval, Fit, Protocol};
 use crate::failure::Failure;
 use crate::output::{complain, say};
-use i2slam::export::report::EvaluationSection;
+use i2slam::export::report::{EvaluationSection, EvaluationSource, TruthSource};
 use serde_json::{Map, Value, json};
+use std::path::PathBuf;
 
 /// All figures of an evaluation.
 #[derive(Default)]
@@ -20,6 +21,12 @@ pub(super) struct Evaluation {
     pub(super) radiance: Vec<Figure>,
     /// Whether renders were compared with the pictures taken, blur and all.
     pub(super) as_taken: bool,
+    /// The true trajectory.
+    pub(super) true_trajectory: Option<TruthSource>,
+    /// The true pictures.
+    pub(super) true_pictures: Option<TruthSource>,
+    /// Truths that are not of the dataset which the run read, and that dataset.
+    pub(super) foreign: Option<(Vec<PathBuf>, PathBuf)>,
     /// What was not judged, and why.
     pub(super) not_judged: Vec<String>,
     /// Why pictures that should be judged could not; told after everything else.
@@ -41,6 +48,8 @@ impl Evaluation {
         object.extend(self.corrections.iter().flatten().map(Figure::json));
         object.extend(self.radiance.iter().map(Figure::json));
         object.insert("against_pictures_taken".to_owned(), self.as_taken.into());
+        object.insert("true_trajectory".to_owned(), json!(self.true_trajectory));
+        object.insert("true_pictures".to_owned(), json!(self.true_pictures));
         object.insert("not_judged".to_owned(), json!(self.not_judged));
         Ok(Value::Object(object))
     }
@@ -54,6 +63,14 @@ impl Evaluation {
     pub(super) fn remarks(&self) -> Vec<String> {
         let mut remarks: Vec<String> =
             self.not_judged.iter().map(|what| format!("note: {what}")).collect();
+        if let Some((truths, dataset)) = &self.foreign {
+            let names: Vec<String> = truths.iter().map(|t| t.display().to_string()).collect();
+            remarks.push(format!(
+                "warning: the run read {}, and is judged against {}",
+                dataset.display(),
+                names.join(" and ")
+            ));
+        }
         if self.as_taken {
             remarks.push("note: compared with the pictures taken, no sharp ones are known".into());
         }
@@ -63,6 +80,9 @@ impl Evaluation {
 
     fn rows(&self) -> Vec<Row> {
         let mut rows: Vec<Row> = self.trajectory.iter().flat_map(|errors| errors.rows()).collect();
+        if self.corrections.is_some() {
+            rows.iter_mut().for_each(|row| row.rest += ", poses as tracked");
+        }
         rows.extend(self.pictures.iter().flat_map(Judged::rows));
         rows.extend(self.corrections.iter().flatten().map(Figure::row));
         rows.extend(self.radiance.iter().map(Figure::row));
@@ -88,9 +108,23 @@ impl Evaluation {
         if arguments.align == Fit::Sim3 {
             title += ", aligned with scale";
         }
+        for truth in self.foreign.iter().flat_map(|(truths, _)| truths) {
+            title += &format!(", against {}", truth.display());
+        }
         let row =
             |row: Row| (row.name, format!("{}{}", row.number, row.rest).trim_end().to_owned());
         let rows = self.rows().into_iter().map(row).collect();
-        EvaluationSection { title, notes: self.remarks(), rows }
+        EvaluationSection { title, notes: self.remarks(), rows, source: Some(self.source()) }
+    }
+
+    fn source(&self) -> EvaluationSource {
+        let pictures = self.pictures.as_ref();
+        EvaluationSource {
+            protocol: self.protocol.to_owned(),
+            list: pictures.and_then(|pictures| pictures.list.clone()),
+            frames: pictures.map(Judged::frames).unwrap_or_default(),
+            trajectory: self.true_trajectory.clone(),
+            pictures: self.true_pictures.clone(),
+        }
     }
 }

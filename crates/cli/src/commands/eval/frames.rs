@@ -5,6 +5,7 @@ use super::reference::Reference;
 use super::subject::{Pictures, RunFrame, Subject};
 use crate::arguments::{Eval, Protocol};
 use crate::failure::Failure;
+use crate::output::counted;
 use std::path::PathBuf;
 
 /// MonoGS judges every so many frames.
@@ -31,7 +32,13 @@ pub(super) fn wanted(
     let known = reference.frames();
     let demanded = demanded(arguments, run.as_deref(), reference)?;
     let wanted: Vec<usize> = match &demanded {
-        Some(frames) => within_run(frames, run.as_deref()),
+        Some(frames) => {
+            let within = within_run(frames, run.as_deref());
+            if within.is_empty() {
+                return Err(nothing_demanded(arguments, frames, run.as_deref()));
+            }
+            within
+        }
         None => match &run {
             Some(run) => run.iter().map(|f| f.index).collect(),
             None => known.clone(),
@@ -109,6 +116,27 @@ fn held_out(run: &[RunFrame]) -> Result<Vec<usize>, Failure> {
     Ok(frames)
 }
 
+/// Why protocol and list name no frame of the run, and what to do.
+fn nothing_demanded(arguments: &Eval, frames: &[usize], run: Option<&[RunFrame]>) -> Failure {
+    let count = run.map_or_else(String::new, |run| format!(" {}", counted(run.len(), "frame")));
+    let all = "--protocol all-frames judges every frame";
+    let message = match (list(arguments), frames) {
+        (Some(list), []) if list == "auto" => format!(
+            "none of the frames of this dataset stands out as sharp (list `auto`: an eleven-frame \
+             neighbourhood has at most one, 1.1 times as sharp as those around it): {all}, --list \
+             FILE those that a file names"
+        ),
+        (Some(list), frames) => format!(
+            "the list `{list}` holds {} ({}), none of the{count} of this run: {all}, --list FILE \
+             those that a file names",
+            counted(frames.len(), "frame"),
+            shortened(frames)
+        ),
+        (None, _) => format!("the protocol judges none of the{count} of this run: {all}"),
+    };
+    Failure::Failed(message)
+}
+
 fn within_run(frames: &[usize], run: Option<&[RunFrame]>) -> Vec<usize> {
     let processed = |frame: &usize| run.is_none_or(|run| run.iter().any(|f| f.index == *frame));
     frames.iter().copied().filter(processed).collect()
@@ -134,20 +162,25 @@ fn check(
     chosen: &Chosen,
 ) -> Result<(), Failure> {
     let path = arguments.estimate.display();
-    let only_radiance = renders.is_empty() && matches!(subject, Subject::Pictures(_));
-    if chosen.frames.is_empty() && !only_radiance {
+    let pictures = matches!(subject, Subject::Pictures(_));
+    let only_radiance = renders.is_empty() && pictures;
+    if chosen.frames.is_empty() && !only_radiance && (pictures || chosen.missing.is_empty()) {
         return Err(Failure::Failed(format!(
             "no picture of {path} has a partner in {} that is to be judged (NNNNNN.png)",
             reference.path().display()
         )));
     }
-    if chosen.missing.is_empty() || arguments.partial || only_radiance {
+    let partial = arguments.partial && !chosen.frames.is_empty();
+    if chosen.missing.is_empty() || partial || only_radiance {
         return Ok(());
     }
-    let (count, names) = (chosen.missing.len(), shortened(&chosen.missing));
+    let (count, names) = (counted(chosen.missing.len(), "frame"), shortened(&chosen.missing));
+    let remedy = match chosen.frames.is_empty() {
+        true => format!("`i2slam render {path}` draws them"),
+        false => "--partial judges the others".to_owned(),
+    };
     Err(Failure::Failed(format!(
-        "{path} has no render of {count} frames that are to be judged ({names}); --partial judges \
-         the others"
+        "{path} has no render of {count} to be judged ({names}): {remedy}"
     )))
 }
 

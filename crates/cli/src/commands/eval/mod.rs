@@ -10,6 +10,7 @@ mod pictures;
 mod radiance;
 mod reference;
 mod report;
+mod source;
 mod subject;
 mod trajectory;
 
@@ -56,34 +57,57 @@ fn judge(arguments: &Eval, subject: &Subject) -> Result<Evaluation, Failure> {
         optimise::check(arguments, subject)?;
     }
     let reference = reference(arguments, subject)?;
-    let truth = trajectory::truth(arguments, reference.as_ref())?;
     let mut evaluation = Evaluation { protocol: name(arguments.protocol), ..Default::default() };
-    evaluation.trajectory = match (subject.trajectory(), truth) {
-        (Some(file), Some(truth)) => Some(trajectory::judge(arguments, subject, &file, &truth)?),
-        (None, Some(_)) => {
-            let message = "--groundtruth needs a result folder or a trajectory, not pictures";
-            return Err(Failure::Usage(message.to_owned()));
-        }
-        (_, None) => None,
-    };
+    evaluation.foreign = source::foreign(arguments, subject, reference.as_ref())?;
+    judge_trajectory(arguments, subject, reference.as_ref(), &mut evaluation)?;
     let Some(reference) = &reference else {
-        if evaluation.trajectory.is_none() {
-            let message = "nothing to compare with: give --groundtruth, --reference or both";
-            return Err(Failure::Usage(message.to_owned()));
-        }
-        return Ok(evaluation);
+        return match (&evaluation.trajectory, evaluation.not_judged.pop()) {
+            (Some(_), _) => Ok(evaluation),
+            (None, Some(reason)) => Err(Failure::Failed(reason)),
+            (None, None) => {
+                let message = "nothing to compare with: give --groundtruth, --reference or both";
+                Err(Failure::Usage(message.to_owned()))
+            }
+        };
     };
-    if evaluation.trajectory.is_none() && subject.trajectory().is_some() {
-        let path = reference.path().display();
-        evaluation.not_judged.push(format!("trajectory: {path} has no true poses"));
-    }
     match judge_pictures(arguments, subject, reference, &mut evaluation) {
-        Err(Failure::Failed(reason)) if evaluation.trajectory.is_some() => {
+        Err(Failure::Failed(reason))
+            if evaluation.trajectory.is_some() || !evaluation.not_judged.is_empty() =>
+        {
             evaluation.problem = Some(Failure::Failed(reason));
         }
         other => other?,
     }
     Ok(evaluation)
+}
+
+fn judge_trajectory(
+    arguments: &Eval,
+    subject: &Subject,
+    reference: Option<&Reference>,
+    evaluation: &mut Evaluation,
+) -> Result<(), Failure> {
+    let truth = trajectory::truth(arguments, reference)?;
+    let Some(file) = subject.trajectory() else {
+        if arguments.groundtruth.is_some() {
+            let message = "--groundtruth needs a result folder or a trajectory, not pictures";
+            return Err(Failure::Usage(message.to_owned()));
+        }
+        return Ok(());
+    };
+    let Some(truth) = truth else {
+        let path = reference.map(|reference| reference.path().display());
+        let none = path.map(|path| format!("trajectory: {path} has no true poses"));
+        evaluation.not_judged.extend(none);
+        return Ok(());
+    };
+    if let Some(reason) = trajectory::too_few_keyframes(arguments, subject)? {
+        evaluation.not_judged.push(reason);
+        return Ok(());
+    }
+    evaluation.trajectory = Some(trajectory::judge(arguments, subject, &file, &truth)?);
+    evaluation.true_trajectory = source::of_trajectory(arguments, reference, &truth);
+    Ok(())
 }
 
 fn judge_pictures(
@@ -94,7 +118,7 @@ fn judge_pictures(
 ) -> Result<(), Failure> {
     let wanted = frames::wanted(arguments, subject, reference)?;
     if arguments.optimise_poses {
-        let drawn = optimise::draw(subject, reference, &wanted, arguments.json)?;
+        let drawn = optimise::draw(subject, reference, &wanted)?;
         evaluation.corrections = Some(drawn);
     } else if let (Some(result), Some(_)) = (subject.result(), &evaluation.trajectory)
         && subject.renders("sharp", "png")?.is_empty()
@@ -111,7 +135,9 @@ fn judge_pictures(
     }
     let only_radiance = chosen.frames.is_empty() && !evaluation.radiance.is_empty();
     if !only_radiance {
-        evaluation.pictures = Some(pictures::judge(arguments, subject, reference, chosen)?);
+        let judged = pictures::judge(arguments, subject, reference, chosen)?;
+        evaluation.true_pictures = Some(source::of_pictures(reference, &judged.checksums));
+        evaluation.pictures = Some(judged);
         evaluation.as_taken = reference.is_as_taken();
     }
     Ok(())

@@ -34,7 +34,6 @@ pub(super) fn draw(
     subject: &Subject,
     reference: &Reference,
     frames: &[usize],
-    quiet: bool,
 ) -> Result<Vec<Figure>, Failure> {
     let Some(result) = subject.result() else { return Ok(Vec::new()) };
     let reconstruction = Reconstruction::load(result)?;
@@ -46,7 +45,7 @@ pub(super) fn draw(
     let chosen = reconstruction.frames.iter().filter(|f| frames.binary_search(&f.index).is_ok());
     let chosen: Vec<&FrameEstimate> = chosen.collect();
     interrupt::listen();
-    let mut progress = Progress::new(chosen.len(), quiet);
+    let mut progress = Progress::new(chosen.len(), false);
     progress.phase("optimising poses", chosen.len());
     for frame in chosen {
         if interrupt::requested() {

@@ -5,13 +5,17 @@ use super::figure::{Figure, Row};
 use super::frames::{Chosen, shortened};
 use super::metrics::{self, Metric, Pair};
 use super::reference::Reference;
+use super::source::checksum;
 use super::subject::Subject;
 use crate::arguments::{Eval, Protocol};
 use crate::failure::Failure;
+use crate::output::counted;
 use crate::picture::{at_size_of, read_depth, read_png};
+use crate::progress::Progress;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What was measured.
 pub(super) struct Judged {
@@ -19,6 +23,8 @@ pub(super) struct Judged {
     /// Frame, and one number per metric.
     rows: Vec<(usize, Vec<Option<f64>>)>,
     missing: Vec<usize>,
+    /// CRC-32 of every true picture, as `rows`.
+    pub(super) checksums: Vec<u32>,
     /// The list that chose the frames.
     pub(super) list: Option<String>,
 }
@@ -35,16 +41,23 @@ pub(super) fn judge(
         return Err(Failure::Usage(message.to_owned()));
     }
     let metrics = metrics::of(arguments.protocol);
+    let mut progress = Progress::new(chosen.frames.len(), false);
+    progress.phase("judging pictures", chosen.frames.len());
+    let done = AtomicUsize::new(0);
     let row = |(frame, render): &(usize, std::path::PathBuf)| {
         let mut pair = pair(subject, reference, *frame, render)?;
         // Depth was drawn at the estimated pose.
         pair.depth = pair.depth.filter(|_| !arguments.optimise_poses);
         let values = metrics.iter().map(|metric| (metric.of)(&pair));
         let values: Result<Vec<_>, _> = values.collect();
-        Ok((*frame, values.map_err(|e| failed(render, e))?))
+        let values = values.map_err(|e| failed(render, e))?;
+        progress.step(done.fetch_add(1, Ordering::Relaxed) + 1);
+        Ok(((*frame, values), checksum(&pair.truth)))
     };
     let rows: Result<Vec<_>, Failure> = chosen.frames.par_iter().map(row).collect();
-    Ok(Judged { metrics, rows: rows?, missing: chosen.missing, list: chosen.list })
+    progress.clear();
+    let (rows, checksums) = rows?.into_iter().unzip();
+    Ok(Judged { metrics, rows, checksums, missing: chosen.missing, list: chosen.list })
 }
 
 fn pair(
@@ -80,6 +93,11 @@ fn pair(
 }
 
 impl Judged {
+    /// The frames judged.
+    pub(super) fn frames(&self) -> Vec<usize> {
+        self.rows.iter().map(|(frame, _)| *frame).collect()
+    }
+
     /// Means over the frames where the number exists and is finite.
     pub(super) fn figures(&self) -> Vec<Figure> {
         let column = |i: usize| {
@@ -117,11 +135,15 @@ impl Judged {
         let mut remarks = Vec::new();
         if !self.missing.is_empty() {
             let (count, names) = (self.missing.len(), shortened(&self.missing));
-            remarks.push(format!("warning: {count} frames without a render not judged ({names})"));
+            let count = counted(count, "frame");
+            remarks.push(format!("warning: {count} without a render not judged ({names})"));
         }
         if self.equal() > 0 {
-            let count = self.equal();
-            remarks.push(format!("note: {count} renders equal their truth, in no mean of PSNR"));
+            let words = match self.equal() {
+                1 => "1 render equals its".to_owned(),
+                count => format!("{count} renders equal their"),
+            };
+            remarks.push(format!("note: {words} truth, in no mean of PSNR"));
         }
         remarks
     }

@@ -33,7 +33,7 @@ impl Reference {
             return Self::dataset(path, subject);
         }
         if !path.is_dir() {
-            return Err(failed(path, "is no folder"));
+            return Err(failed(path, "no such file or folder"));
         }
         let (colour, radiance) = (pictures(path, "png")?, pictures(path, "exr")?);
         if path.join("rgb.txt").is_file() || (colour.is_empty() && radiance.is_empty()) {

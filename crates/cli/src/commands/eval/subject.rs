@@ -2,6 +2,7 @@
 
 use super::failed;
 use crate::failure::Failure;
+use i2slam::dataset::{OpenOptions, Sequence};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -27,11 +28,21 @@ pub(super) struct RunFrame {
 
 impl Subject {
     pub(super) fn find(path: &Path) -> Result<Self, Failure> {
+        if !path.exists() {
+            return Err(failed(path, "no such file or folder"));
+        }
         if !path.is_dir() {
             return Ok(Self::Trajectory(path.to_owned()));
         }
-        let result = path.join("trajectory.txt").is_file();
-        Ok(if result { Self::Result(path.to_owned()) } else { Self::Pictures(path.to_owned()) })
+        if path.join("trajectory.txt").is_file() {
+            return Ok(Self::Result(path.to_owned()));
+        }
+        for extension in ["png", "exr"] {
+            if !pictures(path, extension)?.is_empty() {
+                return Ok(Self::Pictures(path.to_owned()));
+            }
+        }
+        Err(failed(path, neither(path)))
     }
 
     pub(super) fn trajectory(&self) -> Option<PathBuf> {
@@ -70,6 +81,26 @@ impl Subject {
         }
         let text = std::fs::read_to_string(&path).map_err(|e| failed(&path, e))?;
         run_frames(&text).map(Some).map_err(|reason| failed(&path, reason))
+    }
+}
+
+/// Why a folder can be no subject.
+fn neither(path: &Path) -> String {
+    let shown = path.display();
+    if path.read_dir().is_ok_and(|mut entries| entries.next().is_none()) {
+        return "the folder is empty: a result folder, a trajectory or pictures are judged".into();
+    }
+    if path.join("frames.csv").is_file() {
+        return "a result without its trajectory.txt: there is nothing to judge".to_owned();
+    }
+    match Sequence::open(path, &OpenOptions::default()) {
+        Ok(_) => format!(
+            "a dataset, and no result yet: `i2slam run {shown} --out RESULT` makes one, `i2slam \
+             eval RESULT` judges it"
+        ),
+        Err(_) => {
+            "holds neither trajectory.txt nor pictures (PNG, EXR): it is no result".to_owned()
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use super::reference::Reference;
 use super::subject::Subject;
 use crate::arguments::{Eval, Fit, Protocol, RelativeStep};
 use crate::failure::Failure;
+use crate::output::counted;
 use i2slam::dataset::read_trajectory;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::trajectory::{
@@ -62,6 +63,25 @@ pub(super) fn judge(
     Ok(Errors { absolute, relative })
 }
 
+/// Why keyframes alone cannot be judged: three poses are needed.
+pub(super) fn too_few_keyframes(
+    arguments: &Eval,
+    subject: &Subject,
+) -> Result<Option<String>, Failure> {
+    if arguments.protocol != Protocol::Monogs {
+        return Ok(None);
+    }
+    let frames = subject.run_frames()?.unwrap_or_default();
+    let keyframes = frames.iter().filter(|frame| frame.keyframe).count();
+    Ok((!frames.is_empty() && keyframes < 3).then(|| {
+        let have = counted(keyframes, "keyframe");
+        format!(
+            "trajectory: the protocol takes the poses of keyframes, and this run has {have}, where \
+             three are needed: run more frames, or take --protocol all-frames"
+        )
+    }))
+}
+
 fn keep_keyframes(estimate: &mut Vec<StampedPose>, subject: &Subject) -> Result<(), Failure> {
     let frames = subject.run_frames()?.ok_or_else(|| {
         Failure::Usage("--protocol monogs needs a result folder with frames.csv".to_owned())
@@ -97,7 +117,7 @@ impl Errors {
         rows.extend(centimetres.map(|(name, metres)| row(name, number(100.0 * metres), " cm")));
         let over = match r.rpe_step {
             Step::Frames(1) => "a frame".to_owned(),
-            Step::Frames(n) | Step::OverlappingFrames(n) => format!("{n} frames"),
+            Step::Frames(n) | Step::OverlappingFrames(n) => counted(n, "frame"),
             Step::Seconds(s) => format!("{s} s"),
         };
         let relative = [

@@ -3,6 +3,7 @@
 use super::escape;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
+use std::path::PathBuf;
 
 const BEGIN: &str = "<!-- evaluation -->";
 const END: &str = "<!-- /evaluation -->";
@@ -16,6 +17,36 @@ pub struct EvaluationSection {
     pub notes: Vec<String>,
     /// Name and value with unit.
     pub rows: Vec<(String, String)>,
+    /// What it rests on; `None` where an older program wrote it.
+    #[serde(default)]
+    pub source: Option<EvaluationSource>,
+}
+
+/// What an evaluation rests on, so that its figures can be made again.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EvaluationSource {
+    /// Name of the protocol.
+    pub protocol: String,
+    /// The list that chose the frames, as it was given.
+    pub list: Option<String>,
+    /// Frames whose pictures were judged, by position in the associated stream.
+    pub frames: Vec<usize>,
+    /// The true trajectory.
+    pub trajectory: Option<TruthSource>,
+    /// The true pictures.
+    pub pictures: Option<TruthSource>,
+}
+
+/// One truth.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TruthSource {
+    /// File or folder, absolute.
+    pub path: PathBuf,
+    /// Poses of the trajectory, or pictures compared with.
+    pub count: usize,
+    /// CRC-32 of the poses (time stamp, translation, quaternion w x y z as `f64`), or of the
+    /// CRC-32s of the pictures' `f32` values as they were compared, in order; little endian.
+    pub crc32: String,
 }
 
 /// The page with these sections in place of those that it has; `None` for a page that has no
@@ -27,7 +58,8 @@ pub fn put_evaluations(page: &str, sections: &[EvaluationSection]) -> Option<Str
     if !sections.is_empty() {
         out += "<section id=\"evaluation\">\n<h2>Evaluation</h2>\n<p>Against the truth, by \
                 <code>i2slam eval</code>. Figures of two protocols are of different frames, by \
-                different measures: they must not stand in one column.</p>\n<div class=\"plots\">";
+                different measures: they must not stand in one column. They lie \
+                beside this page in <code>evaluation.json</code>.</p>\n<div class=\"plots\">";
         sections.iter().for_each(|section| write_section(&mut out, section));
         out += "</div>\n</section>\n";
     }
@@ -38,6 +70,9 @@ fn write_section(out: &mut String, section: &EvaluationSection) {
     let title = escape(&section.title);
     // Writing to a string cannot fail.
     write!(out, "<div class=\"plot\"><h3>{title}</h3>").ok();
+    if let Some(source) = &section.source {
+        write_source(out, source);
+    }
     for note in &section.notes {
         write!(out, "<p class=\"none\">{}</p>", escape(note)).ok();
     }
@@ -46,6 +81,21 @@ fn write_section(out: &mut String, section: &EvaluationSection) {
         write!(out, "<tr><td>{}</td><td>{}</td></tr>", escape(name), escape(value)).ok();
     }
     *out += "</table></div>\n";
+}
+
+/// Against which truth.
+fn write_source(out: &mut String, source: &EvaluationSource) {
+    let line = |truth: &TruthSource, what: &str| {
+        let (path, s) =
+            (escape(&truth.path.to_string_lossy()), if truth.count == 1 { "" } else { "s" });
+        format!("{} {what}{s} of <code>{path}</code>", truth.count)
+    };
+    let trajectory = source.trajectory.iter().map(|truth| line(truth, "true pose"));
+    let pictures = source.pictures.iter().map(|truth| line(truth, "true picture"));
+    let truths: Vec<String> = trajectory.chain(pictures).collect();
+    if !truths.is_empty() {
+        write!(out, "<p>Against {}.</p>", truths.join(" and ")).ok();
+    }
 }
 
 #[cfg(test)]
@@ -57,6 +107,7 @@ mod tests {
             title: title.to_owned(),
             notes: vec!["3 frames".to_owned()],
             rows: vec![("sharp PSNR".to_owned(), value.to_owned())],
+            source: None,
         }
     }
 
@@ -71,5 +122,18 @@ mod tests {
         assert_eq!(twice.matches("class=\"grades\"").count(), 2);
         assert_eq!(put_evaluations(&twice, &[]).as_deref(), put_evaluations(page, &[]).as_deref());
         assert_eq!(put_evaluations("<p>another page</p>", &[]), None);
+    }
+
+    #[test]
+    fn the_truth_is_named_and_older_files_are_read() {
+        let truth = TruthSource { path: "/data/<room>".into(), count: 1, crc32: "0".to_owned() };
+        let source = EvaluationSource { trajectory: Some(truth), ..EvaluationSource::default() };
+        let section = EvaluationSection { source: Some(source), ..section("x", "1") };
+        let page = put_evaluations(super::super::TEMPLATE, &[section.clone()]).expect("a place");
+        assert!(page.contains("Against 1 true pose of <code>/data/&lt;room&gt;</code>."));
+        let text = serde_json::to_string(&section).expect("JSON");
+        assert_eq!(serde_json::from_str::<EvaluationSection>(&text).ok(), Some(section));
+        let older = "{\"title\":\"x\",\"notes\":[],\"rows\":[]}";
+        assert!(serde_json::from_str::<EvaluationSection>(older).is_ok_and(|s| s.source.is_none()));
     }
 }

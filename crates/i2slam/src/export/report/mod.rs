@@ -3,6 +3,7 @@
 
 mod axis;
 mod evaluation;
+mod files;
 mod gallery;
 mod headline;
 mod picture;
@@ -12,7 +13,7 @@ mod plots;
 mod tests;
 
 pub use axis::Axis;
-pub use evaluation::{EvaluationSection, put_evaluations};
+pub use evaluation::{EvaluationSection, EvaluationSource, TruthSource, put_evaluations};
 pub use gallery::Comparison;
 
 use super::{ExportError, Metrics, ResultFolder, Storage};
@@ -42,8 +43,8 @@ pub struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// The page.
-    pub fn html(&self) -> String {
+    /// The page; `there` tells which files lie beside it.
+    pub fn html(&self, there: impl Fn(&str) -> bool) -> String {
         let values = [
             ("title", escape(self.title)),
             ("style", STYLE.to_owned()),
@@ -56,15 +57,16 @@ impl Report<'_> {
             ("tone", plots::tone(self)),
             ("motion", plots::motion(self)),
             ("work", plots::work(self)),
+            ("files", files::rows(there)),
             ("settings", escape(&self.reconstruction.config.to_toml())),
             ("version", escape(&self.metrics.version)),
         ];
         fill(TEMPLATE, &values)
     }
 
-    /// Write the page as `report.html`.
+    /// Write the page as `report.html`, last of all files: it lists those that it finds there.
     pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ExportError> {
-        folder.write_text("report.html", &self.html())
+        folder.write_text("report.html", &self.html(|name| folder.path().join(name).exists()))
     }
 }
 

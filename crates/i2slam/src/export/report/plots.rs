@@ -2,6 +2,7 @@
 
 use super::Report;
 use super::plot::{Mark, Plot, Series};
+use crate::config::{Config, TrackingMethod};
 use crate::reconstruction::FrameEstimate;
 use i2slam_geometry::{Pose, StampedPose};
 
@@ -190,6 +191,23 @@ pub(super) fn motion(report: &Report<'_>) -> String {
     plot.html()
 }
 
+/// What the depth loss of a run is, and its axis.
+fn depth_loss(config: &Config) -> (&'static str, &'static str) {
+    let second_order = config.tracking.method == TrackingMethod::SecondOrder;
+    match second_order && config.tracking.iterations == 0 {
+        true => (
+            "Mean distance between predicted and measured depth along the surface's normal when the \
+             pose was found, divided by depth times the larger of 1 and depth in metres, as a \
+             sensor's noise grows.",
+            "difference [cm at 1 m]",
+        ),
+        false => (
+            "Mean difference between predicted and measured depth when the pose was found.",
+            "difference [cm]",
+        ),
+    }
+}
+
 /// Time, losses and size of the map.
 pub(super) fn work(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
@@ -203,8 +221,8 @@ pub(super) fn work(report: &Report<'_>) -> String {
                        (1 is black against white).";
     let mut image = over_frames("Picture loss", explanation, "difference");
     image.series = vec![Series::line("picture", "c1", points(frames, |f| f.losses.image))];
-    let explanation = "Mean difference between predicted and measured depth.";
-    let mut depth = over_frames("Depth loss", explanation, "difference [cm]");
+    let (explanation, unit) = depth_loss(&report.reconstruction.config);
+    let mut depth = over_frames("Depth loss", explanation, unit);
     let centimetres = |f: &FrameEstimate| 100.0 * f.losses.depth;
     depth.series = vec![Series::line("depth", "c3", points(frames, centimetres))];
     let mut plots = vec![time, image, depth];
