@@ -1,4 +1,4 @@
-"""Writes the values of the presets into the table of presets.md; the last column is kept.
+"""Writes the table of presets.md: values, meanings and sources as the program prints them.
 
 usage: presets.py PROGRAM PRESETS.md        (Python 3.11)
 """
@@ -12,9 +12,12 @@ NAMES = ["paper-scannet", "paper-tum", "paper-synthetic", "default"]
 BEGIN, END = "<!-- VALUES -->\n", "<!-- /VALUES -->\n"
 
 
-def values(program, name):
+def printed(program, name):
+    return subprocess.run([program, "presets", name], check=True, capture_output=True).stdout.decode()
+
+
+def values(text):
     """All settings of a preset as {"section.key": value}."""
-    text = subprocess.run([program, "presets", name], check=True, capture_output=True).stdout
 
     def flat(table, path):
         for key, value in table.items():
@@ -23,7 +26,23 @@ def values(program, name):
             else:
                 yield ".".join(path + [key]), value
 
-    return dict(flat(tomllib.loads(text.decode()), []))
+    return dict(flat(tomllib.loads(text), []))
+
+
+def words(text):
+    """Meaning and source of every setting, from the comments above it, as {"section.key": (…, …)}."""
+    found, comment, section = {}, [], ""
+    for line in text.splitlines():
+        if line.startswith("#"):
+            comment.append(line[1:].strip())
+            continue
+        if line.startswith("["):
+            section = line.strip("[]") + "."
+        elif " = " in line:
+            meaning, _, source = " ".join(comment).partition("Source: ")
+            found[section + line.split(" = ")[0]] = (meaning.strip(), source.strip())
+        comment = []
+    return found
 
 
 def show(value):
@@ -37,19 +56,16 @@ def show(value):
 def main():
     program, path = sys.argv[1], pathlib.Path(sys.argv[2])
     before, rest = path.read_text().split(BEGIN)
-    table, after = rest.split(END)
-    rows = [line.strip("|").split("|") for line in table.splitlines()[2:]]
-    sources = {row[0].strip(" `"): row[-1].strip() for row in rows}
-    presets = [values(program, name) for name in NAMES]
-    lines = ["| key | " + " | ".join(f"`{n}`" for n in NAMES) + " | source, and what was chosen |"]
-    lines.append("|---" * (len(NAMES) + 2) + "|")
+    _, after = rest.split(END)
+    texts = [printed(program, name) for name in NAMES]
+    presets, about = [values(text) for text in texts], words(texts[-1])
+    heads = ["key", *(f"`{name}`" for name in NAMES), "meaning", "source, and what was chosen"]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for key in presets[0]:
         if key in ("preset", "i2slam_version"):
             continue
-        cells = [show(preset[key]) for preset in presets]
-        if not sources.get(key):
-            print(f"{key}: no source is given", file=sys.stderr)
-        lines.append(f"| `{key}` | {' | '.join(cells)} | {sources.get(key, '')} |")
+        cells = [f"`{key}`", *(show(preset[key]) for preset in presets), *about[key]]
+        lines.append("| " + " | ".join(cells) + " |")
     path.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + after)
 
 

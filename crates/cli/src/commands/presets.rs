@@ -8,7 +8,7 @@ use i2slam::config::PRESET_NAMES;
 
 pub(crate) fn presets(arguments: &Presets) -> Result<(), Failure> {
     if let Some(name) = &arguments.name {
-        say(Config::preset(name)?.to_toml().trim_end());
+        say(Config::preset(name)?.to_commented_toml().trim_end());
         return Ok(());
     }
     for name in PRESET_NAMES {

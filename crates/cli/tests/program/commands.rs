@@ -120,7 +120,11 @@ fn presets_are_listed_and_printed() {
     for name in ["default", "paper-tum", "paper-scannet-s", "paper-synthetic"] {
         assert!(list.contains(name), "{name}");
     }
-    assert!(run(["presets", "paper-synthetic"]).ended_with(0).out.contains("[tracking]"));
+    let printed = run(["presets", "paper-synthetic"]).ended_with(0).out;
+    assert!(printed.contains("[tracking]"));
+    for words in ["# Adam steps per frame", "# Source: ", "`second-order`: "] {
+        assert!(printed.contains(words), "{words} is not in\n{printed}");
+    }
     run(["presets", "none"]).ended_with(2);
 }
 

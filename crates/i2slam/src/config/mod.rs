@@ -1,10 +1,14 @@
 //! Every number of a run, with its unit, range and default; read from and written to TOML.
 
 mod hashgrid;
+mod lines;
+mod meaning;
 mod presets;
 mod read;
+mod validate;
 
 pub use hashgrid::HashGridConfig;
+pub use lines::line_of_key;
 pub use presets::{PRESET_NAMES, Preset};
 pub use read::ConfigError;
 

@@ -1,4 +1,4 @@
-//! Reading, checking and writing settings.
+//! Reading and writing settings.
 
 use super::*;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub enum ConfigError {
         /// Why.
         source: std::io::Error,
     },
-    /// The text is not TOML, or a value has the wrong type.
+    /// The text is not TOML.
     #[error("{origin}: {message}")]
     Malformed {
         /// File name.
@@ -44,9 +44,21 @@ pub enum ConfigError {
         /// The keys of that section.
         known: String,
     },
+    /// A value of another type, or none of the names that a setting takes.
+    #[error("{place}{key}: {message}")]
+    WrongValue {
+        /// File name and line, with `: `.
+        place: String,
+        /// Key with section.
+        key: String,
+        /// The parser's words.
+        message: String,
+    },
     /// A value outside its range.
-    #[error("{key} = {value} is out of range: {expected}")]
+    #[error("{place}{key} = {value} is out of range: {expected}")]
     OutOfRange {
+        /// File name and line, with `: `; empty where no file is to blame.
+        place: String,
         /// Key with section.
         key: &'static str,
         /// Its value.
@@ -54,6 +66,17 @@ pub enum ConfigError {
         /// What is allowed.
         expected: &'static str,
     },
+}
+
+impl ConfigError {
+    /// The key that is to blame, with its section.
+    pub fn key(&self) -> Option<&str> {
+        match self {
+            Self::UnknownKey { key, .. } | Self::WrongValue { key, .. } => Some(key),
+            Self::OutOfRange { key, .. } => Some(key),
+            _ => None,
+        }
+    }
 }
 
 impl Config {
@@ -73,24 +96,23 @@ impl Config {
 
     /// Settings from TOML text; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str, preset: Option<&str>) -> Result<Self, ConfigError> {
-        let malformed = |message: String| ConfigError::Malformed {
-            origin: origin.to_owned(),
-            message: message.trim_end().to_owned(),
-        };
+        let source = Source { text, origin };
         let mut changes: Table =
-            text.parse().map_err(|e: toml::de::Error| malformed(e.to_string()))?;
+            text.parse().map_err(|e: toml::de::Error| source.malformed(&e.to_string()))?;
         // `i2slam_version` is written for the reader of a result and has no effect.
         changes.remove("i2slam_version");
         let name = match changes.get("preset") {
             Some(Value::String(name)) => name.clone(),
-            Some(_) => return Err(malformed("`preset` must be a string".to_owned())),
+            Some(_) => return Err(source.wrong("preset", "must be a string")),
             None => preset.unwrap_or("default").to_owned(),
         };
-        let mut table =
-            Table::try_from(Self::preset(&name)?).map_err(|e| malformed(e.to_string()))?;
-        merge(&mut table, changes, "the top level", text, origin)?;
-        let config: Self = table.try_into().map_err(|e| malformed(e.to_string()))?;
-        config.validate()?;
+        let base = Table::try_from(Self::preset(&name)?);
+        let base = base.map_err(|e| source.malformed(&e.to_string()))?;
+        let mut table = base.clone();
+        source.merge(&mut table, &changes, "")?;
+        let config: Result<Self, _> = table.try_into();
+        let config = config.map_err(|e| source.first_wrong(&base, &changes, e.message()))?;
+        config.validate().map_err(|error| source.placed(error))?;
         Ok(config)
     }
 
@@ -99,242 +121,106 @@ impl Config {
         let body = toml::to_string(self).unwrap_or_default();
         format!("i2slam_version = \"{}\"\n{body}", env!("CARGO_PKG_VERSION"))
     }
+}
 
-    /// Whether every value is in its range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let f = &self.formation;
-        between("formation.virtual_cameras", f.virtual_cameras, 1, 64, "1 to 64")?;
-        if !matches!(f.response_curves, 1 | 3) {
-            return Err(ConfigError::OutOfRange {
-                key: "formation.response_curves",
-                value: f.response_curves.to_string(),
-                expected: "1 or 3",
-            });
-        }
-        let a = &self.tracking.alignment;
-        between("tracking.alignment.levels", a.levels, 1, 8, "1 to 8")?;
-        let refined = self.tracking.method == TrackingMethod::Adam || self.tracking.iterations > 0;
-        if self.input.depth_stamps && refined {
-            return Err(ConfigError::OutOfRange {
-                key: "input.depth_stamps",
-                value: "true".to_owned(),
-                expected: "false, or tracking.method \"second-order\" with tracking.iterations 0: \
-                           first-order tracking compares depth at the best pose of the exposure",
-            });
-        }
-        self.validate_rolling_shutter()?;
-        match self.tracking.method {
-            TrackingMethod::Adam => at_least("tracking.iterations", self.tracking.iterations, 1)?,
-            TrackingMethod::SecondOrder => {
-                between("tracking.alignment.iterations", a.iterations, 2, 1000, "2 to 1000")?;
-            }
-        }
-        positive("tracking.alignment.depth_scale_floor", a.depth_scale_floor)?;
-        positive("tracking.alignment.image_scale_floor", a.image_scale_floor)?;
-        at_least("tracking.alignment.renders", self.tracking.alignment.renders, 1)?;
-        at_least("mapping.interval", self.mapping.interval, 1)?;
-        if self.mapping.hold_out == 1 {
-            return Err(ConfigError::OutOfRange {
-                key: "mapping.hold_out",
-                value: "1".to_owned(),
-                expected: "0 for none, or 2 and more: a map needs frames",
-            });
-        }
-        at_least("mapping.window", self.mapping.window, 1)?;
-        at_least("mapping.keyframe_interval", self.mapping.keyframe_interval, 1)?;
-        at_least("map.capacity", self.map.capacity, 1)?;
-        positive("formation.response_node_power", f.response_node_power)?;
-        positive("map.initial_scale", self.map.initial_scale)?;
-        positive("map.screen_variance", self.map.screen_variance)?;
-        positive("mapping.scene_radius_ratio", self.mapping.scene_radius_ratio)?;
-        inside("map.initial_opacity", self.map.initial_opacity)?;
-        inside("mapping.prune_opacity", self.mapping.prune_opacity)?;
-        self.validate_hashgrid()?;
-        if i64::try_from(self.seed).is_err() {
-            return Err(ConfigError::OutOfRange {
-                key: "seed",
-                value: self.seed.to_string(),
-                expected: "at most 2^63 - 1",
-            });
-        }
-        share("tracking.silhouette_threshold", self.tracking.silhouette_threshold)?;
-        share("mapping.ssim_share", self.mapping.ssim_share)?;
-        self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
+/// The text that settings are read from, and its name in errors.
+struct Source<'a> {
+    text: &'a str,
+    origin: &'a str,
+}
+
+impl Source<'_> {
+    fn malformed(&self, message: &str) -> ConfigError {
+        let message = message.trim_end().to_owned();
+        ConfigError::Malformed { origin: self.origin.to_owned(), message }
     }
 
-    fn validate_hashgrid(&self) -> Result<(), ConfigError> {
-        let h = &self.hashgrid;
-        between("hashgrid.levels", h.levels, 1, 32, "1 to 32")?;
-        between("hashgrid.log2_table", h.log2_table as usize, 4, 24, "4 to 24")?;
-        between("hashgrid.hidden_width", h.hidden_width, 1, 1024, "1 to 1024")?;
-        between("hashgrid.occupancy_cells", h.occupancy_cells as usize, 1, 512, "1 to 512")?;
-        at_least("hashgrid.rays", h.rays, 1)?;
-        positive("hashgrid.margin", h.margin)?;
-        positive("hashgrid.finest_cell", h.finest_cell)?;
-        positive("hashgrid.step_min", h.step_min)?;
-        inside("hashgrid.shell", h.shell)?;
-        if self.map.kind == MapKind::HashGrid && self.formation.blur_model == BlurModel::Splat {
-            return Err(ConfigError::OutOfRange {
-                key: "formation.blur_model",
-                value: "splat".to_owned(),
-                expected: "exact, image or auto with map.kind \"hashgrid\": a field has no splats",
-            });
+    fn line(&self, key: &str) -> Option<usize> {
+        line_of_key(self.text, &key.split('.').collect::<Vec<_>>())
+    }
+
+    fn wrong(&self, key: &str, message: &str) -> ConfigError {
+        let (place, key) = (self.place(key), key.to_owned());
+        ConfigError::WrongValue { place, key, message: message.trim_end().to_owned() }
+    }
+
+    /// `FILE, line N: `, or without a line where the file does not name the key.
+    fn place(&self, key: &str) -> String {
+        let line = self.line(key).map(|line| format!(", line {line}")).unwrap_or_default();
+        format!("{}{line}: ", self.origin)
+    }
+
+    /// The error with the place of its key.
+    fn placed(&self, error: ConfigError) -> ConfigError {
+        match error {
+            ConfigError::OutOfRange { key, value, expected, .. } => {
+                ConfigError::OutOfRange { place: self.place(key), key, value, expected }
+            }
+            other => other,
+        }
+    }
+
+    /// Puts `changes` over the values of `base`, which is the table at `path`.
+    fn merge(&self, base: &mut Table, changes: &Table, path: &str) -> Result<(), ConfigError> {
+        let known: Vec<String> = base.keys().cloned().collect();
+        for (name, value) in changes {
+            let key = joined(path, name);
+            match (base.get_mut(name), value) {
+                (None, _) => {
+                    return Err(ConfigError::UnknownKey {
+                        origin: self.origin.to_owned(),
+                        line: self.line(&key).unwrap_or(1),
+                        key,
+                        section: if path.is_empty() { "the top level" } else { path }.to_owned(),
+                        known: known.join(", "),
+                    });
+                }
+                (Some(Value::Table(inner)), Value::Table(changes)) => {
+                    self.merge(inner, changes, &key)?;
+                }
+                (Some(Value::Table(_)), _) => {
+                    return Err(self.wrong(&key, "is a section, not a value"));
+                }
+                (Some(Value::Float(old)), Value::Integer(new)) => *old = *new as f64,
+                (Some(old), new) => *old = new.clone(),
+            }
         }
         Ok(())
     }
 
-    /// Rows that are read in turn are seen by the motion over the exposure, continued.
-    fn validate_rolling_shutter(&self) -> Result<(), ConfigError> {
-        let (input, formation) = (&self.input, &self.formation);
-        let refuse =
-            |key, value: String, expected| Err(ConfigError::OutOfRange { key, value, expected });
-        let (readout, key) = (input.rolling_shutter_readout, "input.rolling_shutter_readout");
-        if !(-1.0..=1.0).contains(&readout) {
-            return refuse(key, readout.to_string(), "-1 to 1 [s]");
-        }
-        if !input.is_rolling() {
-            return Ok(());
-        }
-        if !formation.blur {
-            let expected = "true with a rolling shutter: rows are seen along the exposure's motion";
-            return refuse("formation.blur", "false".to_owned(), expected);
-        }
-        if formation.blur_model == BlurModel::Exact {
-            let expected = "\"image\", \"splat\" or \"auto\" with a rolling shutter: \"exact\" would \
-                            need a render for every row";
-            return refuse("formation.blur_model", "\"exact\"".to_owned(), expected);
-        }
-        if self.map.kind == MapKind::HashGrid && formation.blur_model != BlurModel::Image {
-            let expected = "\"image\" with a rolling shutter and map.kind \"hashgrid\"";
-            return refuse("formation.blur_model", "\"auto\"".to_owned(), expected);
-        }
-        if input.optimise_rolling_shutter && self.tracking.method == TrackingMethod::Adam {
-            let expected = "false, or tracking.method \"second-order\"";
-            return refuse("input.optimise_rolling_shutter", "true".to_owned(), expected);
-        }
-        Ok(())
-    }
-
-    fn rates(&self) -> [(&'static str, f32); 35] {
-        let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
-        [
-            ("hashgrid.bound", self.hashgrid.bound),
-            ("hashgrid.step", self.hashgrid.step),
-            ("hashgrid.rate", self.hashgrid.rate),
-            ("hashgrid.image_weight", self.hashgrid.image_weight),
-            ("hashgrid.depth_weight", self.hashgrid.depth_weight),
-            ("formation.tone_rate", f.tone_rate),
-            ("formation.blur_per_camera", f.blur_per_camera),
-            ("formation.response_prior", f.response_prior),
-            ("tracking.rotation_rate", t.rotation_rate),
-            ("tracking.translation_rate", t.translation_rate),
-            ("tracking.image_weight", t.image_weight),
-            ("tracking.depth_weight", t.depth_weight),
-            ("tracking.trajectory_weight", t.trajectory_weight),
-            ("mapping.mean_rate", m.mean_rate),
-            ("mapping.colour_rate", m.colour_rate),
-            ("mapping.opacity_rate", m.opacity_rate),
-            ("mapping.scale_rate", m.scale_rate),
-            ("mapping.tone_rate", m.tone_rate),
-            ("mapping.response_rate", m.response_rate),
-            ("mapping.pose_rotation_rate", m.pose_rotation_rate),
-            ("mapping.pose_translation_rate", m.pose_translation_rate),
-            ("mapping.rotation_rate", m.rotation_rate),
-            ("mapping.image_weight", m.image_weight),
-            ("mapping.depth_weight", m.depth_weight),
-            ("mapping.densify_opacity", m.densify_opacity),
-            ("mapping.densify_depth_medians", m.densify_depth_medians),
-            ("mapping.prune_scale", m.prune_scale),
-            ("mapping.keyframe_motion", m.keyframe_motion),
-            ("mapping.seconds_per_frame", m.seconds_per_frame),
-            ("tracking.initial_split", t.initial_split),
-            ("tracking.velocity_rotation_share", t.velocity_rotation_share),
-            ("tracking.velocity_translation_share", t.velocity_translation_share),
-            ("tracking.alignment.image_weight", t.alignment.image_weight),
-            ("tracking.alignment.motion_prior", t.alignment.motion_prior),
-            ("tracking.alignment.white_balance_inertia", t.alignment.white_balance_inertia),
-        ]
-    }
-}
-
-fn merge(
-    base: &mut Table,
-    changes: Table,
-    section: &str,
-    text: &str,
-    origin: &str,
-) -> Result<(), ConfigError> {
-    for (key, value) in changes {
-        let known = || base.keys().cloned().collect::<Vec<_>>().join(", ");
-        let unknown = |known: String| ConfigError::UnknownKey {
-            origin: origin.to_owned(),
-            line: line_of(text, &key),
-            key: key.clone(),
-            section: section.to_owned(),
-            known,
-        };
-        let known_keys = known();
-        match (base.get_mut(&key), value) {
-            (None, _) => return Err(unknown(known_keys)),
-            (Some(Value::Table(inner)), Value::Table(changes)) => {
-                merge(inner, changes, &key, text, origin)?;
+    /// The first single change that makes no settings of `base`; `otherwise` if it takes several.
+    fn first_wrong(&self, base: &Table, changes: &Table, otherwise: &str) -> ConfigError {
+        for (key, single) in leaves(changes, "") {
+            let mut table = base.clone();
+            let merged = self.merge(&mut table, &single, "");
+            let read: Result<Config, toml::de::Error> = table.try_into();
+            if let (Ok(()), Err(error)) = (merged, read) {
+                return self.wrong(&key, error.message());
             }
-            (Some(Value::Float(old)), Value::Integer(new)) => *old = new as f64,
-            (Some(old), new) => *old = new,
+        }
+        self.malformed(otherwise)
+    }
+}
+
+fn joined(path: &str, name: &str) -> String {
+    if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
+}
+
+/// Every value of a table alone, in the tables that hold it, by its key.
+fn leaves(table: &Table, path: &str) -> Vec<(String, Table)> {
+    let mut all = Vec::new();
+    for (name, value) in table {
+        let key = joined(path, name);
+        match value {
+            Value::Table(inner) => {
+                all.extend(leaves(inner, &key).into_iter().map(|(key, single)| {
+                    (key, Table::from_iter([(name.clone(), Value::Table(single))]))
+                }));
+            }
+            value => all.push((key, Table::from_iter([(name.clone(), value.clone())]))),
         }
     }
-    Ok(())
-}
-
-fn line_of(text: &str, key: &str) -> usize {
-    let names_key = |line: &str| {
-        let line = line.trim_start().trim_start_matches('[');
-        line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with(['=', ']', '.']))
-    };
-    text.lines().position(names_key).map_or(1, |i| i + 1)
-}
-
-fn at_least(key: &'static str, value: usize, least: usize) -> Result<(), ConfigError> {
-    let expected = "at least 1";
-    let error = || ConfigError::OutOfRange { key, value: value.to_string(), expected };
-    (value >= least).then_some(()).ok_or_else(error)
-}
-
-fn check(
-    key: &'static str,
-    value: f32,
-    good: bool,
-    expected: &'static str,
-) -> Result<(), ConfigError> {
-    let error = || ConfigError::OutOfRange { key, value: value.to_string(), expected };
-    good.then_some(()).ok_or_else(error)
-}
-
-fn positive(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, value > 0.0 && value.is_finite(), "a number above 0")
-}
-
-fn not_negative(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, value >= 0.0 && value.is_finite(), "a number of at least 0")
-}
-
-fn inside(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, value > 0.0 && value < 1.0, "above 0 and below 1")
-}
-
-fn between(
-    key: &'static str,
-    value: usize,
-    least: usize,
-    most: usize,
-    expected: &'static str,
-) -> Result<(), ConfigError> {
-    let error = || ConfigError::OutOfRange { key, value: value.to_string(), expected };
-    (least..=most).contains(&value).then_some(()).ok_or_else(error)
-}
-
-fn share(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, (0.0..=1.0).contains(&value), "between 0 and 1")
+    all
 }
 
 #[cfg(test)]
@@ -364,28 +250,29 @@ mod tests {
     }
 
     #[test]
-    fn a_rolling_shutter_needs_a_route_that_can_roll() {
-        let refusal = |rest: &str| {
-            let text = format!("[input]\nrolling_shutter_readout = 0.02\n{rest}");
-            Config::from_toml(&text, "test", None).expect_err(rest).to_string()
+    fn a_bad_value_is_named_with_its_line() {
+        let refused = |text: &str, place: &str, words: &str| {
+            let message = Config::from_toml(text, "a.toml", None).expect_err(text).to_string();
+            assert!(message.starts_with(place) && message.contains(words), "{message}");
         };
-        let message = refusal("[formation]\nblur_model = \"exact\"");
-        assert!(message.contains("splat") && message.contains("blur_model"), "{message}");
-        assert!(refusal("[formation]\nblur = false").contains("formation.blur"));
-        let text = "[input]\nrolling_shutter_readout = -0.02";
-        assert!(Config::from_toml(text, "test", None).is_ok());
-        assert!(Config::from_toml("[input]\nrolling_shutter_readout = 2", "test", None).is_err());
-    }
-
-    #[test]
-    fn values_out_of_range_are_refused() {
-        let wrong = [
-            "[formation]\nvirtual_cameras = 0",
-            "[map]\ninitial_opacity = 2.0",
-            "[mapping]\nhold_out = 1",
-        ];
-        for text in wrong {
-            assert!(Config::from_toml(text, "test", None).is_err(), "{text}");
-        }
+        let head = "[formation]\nblur = true\n[mapping]\nwindow = 3\n";
+        let value = |line: &str| format!("{head}{line}\n");
+        refused(&value("mean_rate = \"x\""), "a.toml, line 5: mapping.mean_rate: ", "string");
+        refused(&value("window.x = 1"), "a.toml", "window");
+        refused(&value("iterations = -1"), "a.toml, line 5: mapping.iterations: ", "-1");
+        refused(
+            &value("ssim_share = 2"),
+            "a.toml, line 5: mapping.ssim_share = 2 is out",
+            "0 and 1",
+        );
+        let other = "[tracking]\nimage_weight = 1\n[mapping]\nimage_weight = -1\n";
+        refused(other, "a.toml, line 4: mapping.image_weight = -1 is out", "at least 0");
+        refused("mapping = 3\n", "a.toml, line 1: mapping: ", "section");
+        refused("preset = 3\n", "a.toml, line 1: preset: ", "string");
+        let model = "formation.blur_model = \"blurry\"\n";
+        refused(model, "a.toml, line 1: formation.blur_model: ", "splat");
+        // Two values that do not go together: the one that is refused stands in the preset.
+        let both = "map.kind = \"hashgrid\"\nformation.blur_model = \"splat\"\n";
+        refused(both, "a.toml, line 2: formation.blur_model = splat", "no splats");
     }
 }

@@ -6,6 +6,7 @@ use crate::arguments::{Arguments, Command, Run};
 use crate::commands::run::with_flags;
 use crate::failure::Failure;
 use clap::Parser;
+use i2slam::config::line_of_key;
 use i2slam::{Config, ConfigError};
 use i2slam_eval::frame_list;
 use std::ffi::OsString;
@@ -61,34 +62,56 @@ pub(super) fn list(
     Ok(List::Frames(frames.into_iter().map(|frame| frame + offset).collect()))
 }
 
-/// A configuration, checked as `i2slam run` would check it.
-pub(super) fn settings_of(entry: Configuration, origin: &str) -> Result<Setting, Failure> {
-    let wrong = |reason: String| {
-        Failure::Usage(format!("{origin}, configuration `{}`: {reason}", entry.name))
+/// A configuration, checked as `i2slam run` would check it; `text` is the suite's, and `place` that
+/// among its configurations.
+pub(super) fn settings_of(
+    entry: Configuration,
+    origin: &str,
+    text: &str,
+    place: usize,
+) -> Result<Setting, Failure> {
+    let wrong = |key: Option<&str>, reason: String| {
+        let at = line(text, place, key).map(|line| format!(", line {line}")).unwrap_or_default();
+        Failure::Usage(format!("{origin}{at}, configuration `{}`: {reason}", entry.name))
     };
-    let overrides = toml::to_string(&entry.config).map_err(|e| wrong(e.to_string()))?;
+    let overrides = toml::to_string(&entry.config).map_err(|e| wrong(None, e.to_string()))?;
     // A preset inside `config` would hide the one that the results name.
     if entry.config.contains_key("preset") {
-        return Err(wrong("`preset` stands beside `config`, not in it".to_owned()));
+        return Err(wrong(Some("preset"), "`preset` stands beside `config`, not in it".to_owned()));
     }
     if entry.config.contains_key("seed") {
-        return Err(wrong("the seeds of a suite are its `seeds`".to_owned()));
+        return Err(wrong(Some("seed"), "the seeds of a suite are its `seeds`".to_owned()));
     }
     let config = Config::from_toml(&overrides, origin, Some(&entry.preset));
-    let config = config.map_err(|error| wrong(reason(error)))?;
-    let parsed = run_arguments(&entry.flags).map_err(wrong)?;
+    let config = config.map_err(|error| wrong(error.key(), reason(&error)))?;
+    let parsed = run_arguments(&entry.flags).map_err(|reason| wrong(None, reason))?;
     let config = with_flags(config, &parsed);
-    let config = config.map_err(|e| wrong(e.message().unwrap_or_default().to_owned()))?;
+    let config = config.map_err(|e| wrong(None, e.message().unwrap_or_default().to_owned()))?;
     Ok(Setting { slug: slug(&entry.name), overrides, config, entry })
 }
 
-/// Lines of overrides are not lines of the suite, so that they are not named.
-fn reason(error: ConfigError) -> String {
+/// The line of a key of a configuration's `config`, else that of the configuration.
+fn line(text: &str, place: usize, key: Option<&str>) -> Option<usize> {
+    let place = place.to_string();
+    let own = ["configuration", place.as_str()];
+    let key = key.and_then(|key| {
+        let path: Vec<&str> = own.into_iter().chain(["config"]).chain(key.split('.')).collect();
+        line_of_key(text, &path)
+    });
+    key.or_else(|| line_of_key(text, &own))
+}
+
+/// Without the place: lines of overrides are not lines of the suite.
+fn reason(error: &ConfigError) -> String {
     match error {
         ConfigError::UnknownKey { key, section, known, .. } => {
             format!("no setting is called `{key}`: `{section}` has {known}")
         }
-        ConfigError::Malformed { message, .. } => message,
+        ConfigError::Malformed { message, .. } => message.clone(),
+        ConfigError::WrongValue { key, message, .. } => format!("{key}: {message}"),
+        ConfigError::OutOfRange { key, value, expected, .. } => {
+            format!("{key} = {value} is out of range: {expected}")
+        }
         other => other.to_string(),
     }
 }
@@ -127,7 +150,7 @@ mod tests {
     #[test]
     fn flags_and_overrides_make_one_configuration() {
         let entry = configuration(&["--no-blur"], "[formation]\nvirtual_cameras = 7\n");
-        let setting = settings_of(entry, "t").expect("a configuration");
+        let setting = settings_of(entry, "t", "", 0).expect("a configuration");
         assert!(!setting.config.formation.blur && setting.config.formation.tone);
         assert_eq!(setting.config.formation.virtual_cameras, 7);
     }
@@ -135,7 +158,8 @@ mod tests {
     #[test]
     fn mistakes_are_found_before_anything_runs() {
         let refused = |flags: &[&str], config: &str, word: &str| {
-            let failure = settings_of(configuration(flags, config), "t").err().expect("a mistake");
+            let entry = configuration(flags, config);
+            let failure = settings_of(entry, "t", "", 0).err().expect("a mistake");
             let message = failure.message().unwrap_or_default();
             assert!(message.contains("configuration `c`") && message.contains(word), "{message}");
         };
@@ -145,6 +169,22 @@ mod tests {
         refused(&[], "[mapping]\niteratons = 3\n", "iteratons");
         refused(&[], "seed = 3\n", "seeds");
         refused(&[], "preset = \"paper-tum\"\n", "preset");
+    }
+
+    #[test]
+    fn mistakes_are_named_with_their_line_of_the_suite() {
+        let text = "[[configuration]]\nname = \"a\"\n\n[[configuration]]\nname = \"c\"\n\
+                    config.mapping.window = 0\n";
+        let entry = configuration(&[], "[mapping]\nwindow = 0\n");
+        let failure = settings_of(entry, "t.toml", text, 1).err().expect("a mistake");
+        let expected = "t.toml, line 6, configuration `c`: mapping.window = 0 is out of range";
+        assert!(failure.message().is_some_and(|m| m.starts_with(expected)), "{failure:?}");
+        let entry = configuration(&["--sharpen"], "");
+        let failure = settings_of(entry, "t.toml", text, 1).err().expect("a mistake");
+        assert!(
+            failure.message().is_some_and(|m| m.starts_with("t.toml, line 4, ")),
+            "{failure:?}"
+        );
     }
 
     #[test]

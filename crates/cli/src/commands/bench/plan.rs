@@ -72,9 +72,10 @@ impl Plan {
     pub(super) fn new(origin: Origin, wanted: &Wanted) -> Result<Self, Failure> {
         let mut notes = Vec::new();
         let mut sequences = sequences(&origin, wanted.data.as_deref(), &mut notes)?;
-        let entries = origin.suite.configurations.iter().cloned();
-        let settings: Result<Vec<Setting>, Failure> =
-            entries.map(|entry| settings_of(entry, &origin.name)).collect();
+        let entries = origin.suite.configurations.iter().cloned().enumerate();
+        let settings: Result<Vec<Setting>, Failure> = entries
+            .map(|(place, entry)| settings_of(entry, &origin.name, &origin.text, place))
+            .collect();
         let mut settings = settings?;
         keep(&mut sequences, &wanted.sequences, |s| &s.name, "sequence")?;
         keep(&mut settings, &wanted.configurations, |s| &s.entry.name, "configuration")?;
@@ -243,7 +244,8 @@ mod tests {
                     [[configuration]]\nname = \"c\"\n";
         let plan = |text: &str| {
             let suite = parse(text, "t").expect("a suite");
-            let origin = Origin { suite, name: "t".to_owned(), folder: PathBuf::new() };
+            let (name, text) = ("t".to_owned(), text.to_owned());
+            let origin = Origin { suite, text, name, folder: PathBuf::new() };
             Plan::new(origin, &Wanted::default())
         };
         let message = plan(text).err().expect("nothing is held out");
@@ -265,8 +267,8 @@ mod tests {
         for (name, text) in SHIPPED {
             let suite = parse(text, name).unwrap_or_else(|e| panic!("{name}: {e:?}"));
             let count = suite.configurations.len();
-            for entry in suite.configurations {
-                settings_of(entry, name).unwrap_or_else(|e| panic!("{name}: {e:?}"));
+            for (place, entry) in suite.configurations.into_iter().enumerate() {
+                settings_of(entry, name, text, place).unwrap_or_else(|e| panic!("{name}: {e:?}"));
             }
             assert!(count >= 2 && suite.seeds.len() == 3 && !suite.about.is_empty(), "{name}");
         }
@@ -277,7 +279,8 @@ mod tests {
         let text = "title = \"t\"\n[[sequence]]\npath = \"nowhere/a\"\n[[sequence]]\n\
                     path = \"nowhere/b\"\noptional = true\n[[configuration]]\nname = \"c\"\n";
         let suite = parse(text, "t").expect("a suite");
-        let origin = Origin { suite, name: "t".to_owned(), folder: PathBuf::new() };
+        let origin =
+            Origin { suite, text: String::new(), name: "t".to_owned(), folder: PathBuf::new() };
         let plan = Plan::new(origin, &Wanted::default()).expect("a plan");
         assert_eq!((plan.cells.len(), plan.notes.len()), (3, 1));
         assert_eq!(plan.sequences[0].name, "a");

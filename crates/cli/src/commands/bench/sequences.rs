@@ -140,7 +140,8 @@ mod tests {
         let text = "title = \"t\"\n[[sequence]]\nname = \"first\"\npath = \"hand_b\"\n\
                     [[sequence]]\nfind = \"hand_*\"\n[[configuration]]\nname = \"c\"\n";
         let suite = super::super::suite::parse(text, "t").expect("a suite");
-        let origin = Origin { suite, name: "t".to_owned(), folder: PathBuf::new() };
+        let (name, text) = ("t".to_owned(), text.to_owned());
+        let origin = Origin { suite, text, name, folder: PathBuf::new() };
         let mut notes = Vec::new();
         let all = sequences(&origin, Some(&data), &mut notes).expect("sequences");
         let names: Vec<&str> = all.iter().map(|sequence| sequence.name.as_str()).collect();

@@ -1,6 +1,7 @@
 //! A suite: which sequences, configurations and seeds a benchmark runs. Read from TOML.
 
 use crate::failure::Failure;
+use i2slam::config::line_of_key;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::Table;
@@ -136,6 +137,8 @@ fn default_preset() -> String {
 /// A suite and where it is from.
 pub(super) struct Origin {
     pub(super) suite: Suite,
+    /// Its file.
+    pub(super) text: String,
     /// Name or path, for messages.
     pub(super) name: String,
     /// Folder that its paths are relative to.
@@ -161,7 +164,7 @@ pub(super) fn open(name: &Path) -> Result<Origin, Failure> {
         let text = std::fs::read_to_string(name)
             .map_err(|e| Failure::Failed(format!("{shown}: cannot be read: {e}")))?;
         let folder = name.parent().unwrap_or(Path::new("")).to_owned();
-        return Ok(Origin { suite: parse(&text, &shown)?, name: shown, folder });
+        return Ok(Origin { suite: parse(&text, &shown)?, text, name: shown, folder });
     }
     let Some(text) = shipped(&shown) else {
         let known: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
@@ -170,7 +173,8 @@ pub(super) fn open(name: &Path) -> Result<Origin, Failure> {
             known.join(", ")
         )));
     };
-    Ok(Origin { suite: parse(text, &shown)?, name: shown, folder: PathBuf::new() })
+    let (suite, text) = (parse(text, &shown)?, text.to_owned());
+    Ok(Origin { suite, text, name: shown, folder: PathBuf::new() })
 }
 
 /// A suite from text; `origin` names it in errors.
@@ -186,7 +190,10 @@ pub(super) fn parse(text: &str, origin: &str) -> Result<Suite, Failure> {
     if suite.seeds.is_empty() {
         return Err(wrong("`seeds` is empty"));
     }
-    for entry in &suite.sequences {
+    for (place, entry) in suite.sequences.iter().enumerate() {
+        let at = line_of_key(text, &["sequence", &place.to_string()]);
+        let at = at.map(|line| format!(", line {line}")).unwrap_or_default();
+        let wrong = |reason: &str| Failure::Usage(format!("{origin}{at}: {reason}"));
         let sources = [entry.path.is_some(), entry.find.is_some(), entry.synth.is_some()];
         if sources.iter().filter(|given| **given).count() != 1 {
             return Err(wrong("every [[sequence]] needs exactly one of path, find and synth"));
@@ -231,7 +238,8 @@ mod tests {
         assert!(unknown.contains("mine.toml") && unknown.contains("patth"), "{unknown}");
         assert!(unknown.contains("line 3"), "{unknown}");
         assert!(refused("title = \"t\"\n").contains("[[sequence]]"));
-        assert!(refused(&SMALL.replace("path = \"room\"", "")).contains("exactly one"));
+        let none = refused(&SMALL.replace("path = \"room\"", ""));
+        assert!(none.contains("mine.toml, line 2: ") && none.contains("exactly one"), "{none}");
         let listed = SMALL.replace("path", "list = \"auto\"\npath");
         assert!(refused(&format!("protocol = \"held-out\"\n{listed}")).contains("list"));
         assert!(refused(&format!("seeds = []\n{SMALL}")).contains("seeds"));

@@ -151,7 +151,8 @@ pub(super) mod tests {
                     [[configuration]]\nname = \"on\"\n\
                     [[configuration]]\nname = \"off | <x>\"\nflags = [\"--no-blur\"]\n";
         let suite = parse(text, "t").expect("a suite");
-        let origin = Origin { suite, name: "t".to_owned(), folder: PathBuf::new() };
+        let origin =
+            Origin { suite, text: String::new(), name: "t".to_owned(), folder: PathBuf::new() };
         Plan::new(origin, &Wanted::default()).expect("a plan")
     }
 

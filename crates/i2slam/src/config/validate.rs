@@ -1,0 +1,235 @@
+//! Whether settings are in their ranges and agree with each other.
+
+use super::*;
+
+impl Config {
+    /// Whether every value is in its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.validate_formation()?;
+        self.validate_tracking()?;
+        self.validate_rolling_shutter()?;
+        self.validate_mapping()?;
+        self.validate_map()?;
+        self.validate_hashgrid()?;
+        if i64::try_from(self.seed).is_err() {
+            return refuse("seed", self.seed.to_string(), "at most 2^63 - 1");
+        }
+        self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
+    }
+
+    fn validate_formation(&self) -> Result<(), ConfigError> {
+        let f = &self.formation;
+        between("formation.virtual_cameras", f.virtual_cameras, 1, 64, "1 to 64")?;
+        if !matches!(f.response_curves, 1 | 3) {
+            return refuse("formation.response_curves", f.response_curves.to_string(), "1 or 3");
+        }
+        positive("formation.response_node_power", f.response_node_power)
+    }
+
+    fn validate_tracking(&self) -> Result<(), ConfigError> {
+        let (t, a) = (&self.tracking, &self.tracking.alignment);
+        between("tracking.alignment.levels", a.levels, 1, 8, "1 to 8")?;
+        let refined = t.method == TrackingMethod::Adam || t.iterations > 0;
+        if self.input.depth_stamps && refined {
+            let expected = "false, or tracking.method \"second-order\" with tracking.iterations 0: \
+                            first-order tracking compares depth at the best pose of the exposure";
+            return refuse("input.depth_stamps", "true".to_owned(), expected);
+        }
+        match t.method {
+            TrackingMethod::Adam => at_least("tracking.iterations", t.iterations, 1)?,
+            TrackingMethod::SecondOrder => {
+                between("tracking.alignment.iterations", a.iterations, 2, 1000, "2 to 1000")?;
+            }
+        }
+        positive("tracking.alignment.depth_scale_floor", a.depth_scale_floor)?;
+        positive("tracking.alignment.image_scale_floor", a.image_scale_floor)?;
+        at_least("tracking.alignment.renders", a.renders, 1)?;
+        share("tracking.silhouette_threshold", t.silhouette_threshold)
+    }
+
+    /// Rows that are read in turn are seen by the motion over the exposure, continued.
+    fn validate_rolling_shutter(&self) -> Result<(), ConfigError> {
+        let (input, formation) = (&self.input, &self.formation);
+        let (readout, key) = (input.rolling_shutter_readout, "input.rolling_shutter_readout");
+        if !(-1.0..=1.0).contains(&readout) {
+            return refuse(key, readout.to_string(), "-1 to 1 [s]");
+        }
+        if !input.is_rolling() {
+            return Ok(());
+        }
+        if !formation.blur {
+            let expected = "true with a rolling shutter: rows are seen along the exposure's motion";
+            return refuse("formation.blur", "false".to_owned(), expected);
+        }
+        if formation.blur_model == BlurModel::Exact {
+            let expected = "\"image\", \"splat\" or \"auto\" with a rolling shutter: \"exact\" would \
+                            need a render for every row";
+            return refuse("formation.blur_model", "\"exact\"".to_owned(), expected);
+        }
+        if self.map.kind == MapKind::HashGrid && formation.blur_model != BlurModel::Image {
+            let expected = "\"image\" with a rolling shutter and map.kind \"hashgrid\"";
+            return refuse("formation.blur_model", "\"auto\"".to_owned(), expected);
+        }
+        if input.optimise_rolling_shutter && self.tracking.method == TrackingMethod::Adam {
+            let expected = "false, or tracking.method \"second-order\"";
+            return refuse("input.optimise_rolling_shutter", "true".to_owned(), expected);
+        }
+        Ok(())
+    }
+
+    fn validate_mapping(&self) -> Result<(), ConfigError> {
+        let m = &self.mapping;
+        at_least("mapping.interval", m.interval, 1)?;
+        if m.hold_out == 1 {
+            let expected = "0 for none, or 2 and more: a map needs frames";
+            return refuse("mapping.hold_out", "1".to_owned(), expected);
+        }
+        at_least("mapping.window", m.window, 1)?;
+        at_least("mapping.keyframe_interval", m.keyframe_interval, 1)?;
+        positive("mapping.scene_radius_ratio", m.scene_radius_ratio)?;
+        inside("mapping.prune_opacity", m.prune_opacity)?;
+        share("mapping.ssim_share", m.ssim_share)
+    }
+
+    fn validate_map(&self) -> Result<(), ConfigError> {
+        let m = &self.map;
+        at_least("map.capacity", m.capacity, 1)?;
+        positive("map.initial_scale", m.initial_scale)?;
+        positive("map.screen_variance", m.screen_variance)?;
+        inside("map.initial_opacity", m.initial_opacity)
+    }
+
+    fn validate_hashgrid(&self) -> Result<(), ConfigError> {
+        let h = &self.hashgrid;
+        between("hashgrid.levels", h.levels, 1, 32, "1 to 32")?;
+        between("hashgrid.log2_table", h.log2_table as usize, 4, 24, "4 to 24")?;
+        between("hashgrid.hidden_width", h.hidden_width, 1, 1024, "1 to 1024")?;
+        between("hashgrid.occupancy_cells", h.occupancy_cells as usize, 1, 512, "1 to 512")?;
+        at_least("hashgrid.rays", h.rays, 1)?;
+        positive("hashgrid.margin", h.margin)?;
+        positive("hashgrid.finest_cell", h.finest_cell)?;
+        positive("hashgrid.step_min", h.step_min)?;
+        inside("hashgrid.shell", h.shell)?;
+        if self.map.kind == MapKind::HashGrid && self.formation.blur_model == BlurModel::Splat {
+            let expected = "exact, image or auto with map.kind \"hashgrid\": a field has no splats";
+            return refuse("formation.blur_model", "splat".to_owned(), expected);
+        }
+        Ok(())
+    }
+
+    /// Values that any number of at least zero is good for.
+    fn rates(&self) -> [(&'static str, f32); 35] {
+        let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
+        [
+            ("hashgrid.bound", self.hashgrid.bound),
+            ("hashgrid.step", self.hashgrid.step),
+            ("hashgrid.rate", self.hashgrid.rate),
+            ("hashgrid.image_weight", self.hashgrid.image_weight),
+            ("hashgrid.depth_weight", self.hashgrid.depth_weight),
+            ("formation.tone_rate", f.tone_rate),
+            ("formation.blur_per_camera", f.blur_per_camera),
+            ("formation.response_prior", f.response_prior),
+            ("tracking.rotation_rate", t.rotation_rate),
+            ("tracking.translation_rate", t.translation_rate),
+            ("tracking.image_weight", t.image_weight),
+            ("tracking.depth_weight", t.depth_weight),
+            ("tracking.trajectory_weight", t.trajectory_weight),
+            ("mapping.mean_rate", m.mean_rate),
+            ("mapping.colour_rate", m.colour_rate),
+            ("mapping.opacity_rate", m.opacity_rate),
+            ("mapping.scale_rate", m.scale_rate),
+            ("mapping.tone_rate", m.tone_rate),
+            ("mapping.response_rate", m.response_rate),
+            ("mapping.pose_rotation_rate", m.pose_rotation_rate),
+            ("mapping.pose_translation_rate", m.pose_translation_rate),
+            ("mapping.rotation_rate", m.rotation_rate),
+            ("mapping.image_weight", m.image_weight),
+            ("mapping.depth_weight", m.depth_weight),
+            ("mapping.densify_opacity", m.densify_opacity),
+            ("mapping.densify_depth_medians", m.densify_depth_medians),
+            ("mapping.prune_scale", m.prune_scale),
+            ("mapping.keyframe_motion", m.keyframe_motion),
+            ("mapping.seconds_per_frame", m.seconds_per_frame),
+            ("tracking.initial_split", t.initial_split),
+            ("tracking.velocity_rotation_share", t.velocity_rotation_share),
+            ("tracking.velocity_translation_share", t.velocity_translation_share),
+            ("tracking.alignment.image_weight", t.alignment.image_weight),
+            ("tracking.alignment.motion_prior", t.alignment.motion_prior),
+            ("tracking.alignment.white_balance_inertia", t.alignment.white_balance_inertia),
+        ]
+    }
+}
+
+fn refuse(key: &'static str, value: String, expected: &'static str) -> Result<(), ConfigError> {
+    Err(ConfigError::OutOfRange { place: String::new(), key, value, expected })
+}
+
+fn at_least(key: &'static str, value: usize, least: usize) -> Result<(), ConfigError> {
+    if value >= least { Ok(()) } else { refuse(key, value.to_string(), "at least 1") }
+}
+
+fn check(
+    key: &'static str,
+    value: f32,
+    good: bool,
+    expected: &'static str,
+) -> Result<(), ConfigError> {
+    if good { Ok(()) } else { refuse(key, value.to_string(), expected) }
+}
+
+fn positive(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, value > 0.0 && value.is_finite(), "a number above 0")
+}
+
+fn not_negative(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, value >= 0.0 && value.is_finite(), "a number of at least 0")
+}
+
+fn inside(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, value > 0.0 && value < 1.0, "above 0 and below 1")
+}
+
+fn between(
+    key: &'static str,
+    value: usize,
+    least: usize,
+    most: usize,
+    expected: &'static str,
+) -> Result<(), ConfigError> {
+    if (least..=most).contains(&value) { Ok(()) } else { refuse(key, value.to_string(), expected) }
+}
+
+fn share(key: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(key, value, (0.0..=1.0).contains(&value), "between 0 and 1")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rolling_shutter_needs_a_route_that_can_roll() {
+        let refusal = |rest: &str| {
+            let text = format!("[input]\nrolling_shutter_readout = 0.02\n{rest}");
+            Config::from_toml(&text, "test", None).expect_err(rest).to_string()
+        };
+        let message = refusal("[formation]\nblur_model = \"exact\"");
+        assert!(message.contains("splat") && message.contains("blur_model"), "{message}");
+        assert!(refusal("[formation]\nblur = false").contains("formation.blur"));
+        let text = "[input]\nrolling_shutter_readout = -0.02";
+        assert!(Config::from_toml(text, "test", None).is_ok());
+        assert!(Config::from_toml("[input]\nrolling_shutter_readout = 2", "test", None).is_err());
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        let wrong = [
+            "[formation]\nvirtual_cameras = 0",
+            "[map]\ninitial_opacity = 2.0",
+            "[mapping]\nhold_out = 1",
+        ];
+        for text in wrong {
+            assert!(Config::from_toml(text, "test", None).is_err(), "{text}");
+        }
+    }
+}
