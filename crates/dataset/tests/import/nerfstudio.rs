@@ -81,7 +81,7 @@ fn frames_without_a_pose_or_a_picture_are_left_out() {
     let files = Files::open(&folder.0, None, &Options::default()).expect("opens");
     let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
     assert_eq!(indices, [1, 3]);
-    assert_warns(&files.warnings, &["1 frames have no true pose"]);
+    assert_warns(&files.warnings, &["1 frame without a finite, rigid true pose"]);
     assert_warns(&files.warnings, &["1 of 3 pictures are missing", "002.png"]);
     std::fs::remove_file(folder.join("rgb/003.png")).expect("removes");
     let files = Files::open(&folder.0, None, &Options::default());
