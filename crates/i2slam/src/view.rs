@@ -6,7 +6,7 @@ use crate::objective::{
 };
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use i2slam_formation::{ResponseCurve, ShutterPoses};
-use i2slam_geometry::{Image, Pose};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::Render;
 
 /// Opacity below which a pixel has no depth.
@@ -15,6 +15,7 @@ const SOLID: f32 = 0.5;
 /// Renders a reconstruction; owns the buffers.
 pub struct Viewer<'a> {
     reconstruction: &'a Reconstruction,
+    pub(crate) camera: Camera<f64>,
     scene: Box<dyn Scene + 'a>,
 }
 
@@ -43,14 +44,25 @@ impl<M: SceneMap> Scene for (&M, FrameObjective<M>) {
 impl Reconstruction {
     /// A viewer of this reconstruction.
     pub fn viewer(&self) -> Viewer<'_> {
-        let camera = self.camera.cast();
+        self.viewer_by(self.camera)
+    }
+
+    fn viewer_by(&self, camera: Camera<f64>) -> Viewer<'_> {
+        let own = camera.cast();
         let scene: Box<dyn Scene> = match &self.map {
             Map::Gaussians(map) => {
-                Box::new((map, FrameObjective::new(camera, raster_settings(&self.config))))
+                Box::new((map, FrameObjective::new(own, raster_settings(&self.config))))
             }
-            Map::HashGrid(map) => Box::new((map.as_ref(), FrameObjective::new(camera, map.march))),
+            Map::HashGrid(map) => Box::new((map.as_ref(), FrameObjective::new(own, map.march))),
         };
-        Viewer { reconstruction: self, scene }
+        Viewer { reconstruction: self, camera, scene }
+    }
+}
+
+impl<'a> Viewer<'a> {
+    /// A viewer of the same with pictures of another size.
+    pub(crate) fn resized(&self, (width, height): (usize, usize)) -> Viewer<'a> {
+        self.reconstruction.viewer_by(self.camera.resized(width, height))
     }
 }
 
@@ -92,8 +104,7 @@ impl Viewer<'_> {
 
     /// Mean focal length of the renders [px].
     pub(crate) fn focal_length(&self) -> f64 {
-        let camera = &self.reconstruction.camera;
-        0.5 * (camera.fx + camera.fy)
+        0.5 * (self.camera.fx + self.camera.fy)
     }
 
     /// How a frame is sampled by renders of their own where rows are read at once.

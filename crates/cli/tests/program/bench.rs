@@ -166,7 +166,12 @@ fn mistakes_in_a_suite_are_found_before_anything_runs() {
         assert!(!out.exists());
     };
     refused("bench-key", "seeds", "sedes", ["unknown field `sedes`", "line 2"]);
-    refused("bench-setting", "final_iterations", "last", ["configuration `on`", "called `mapping.last`"]);
+    refused(
+        "bench-setting",
+        "final_iterations",
+        "last",
+        ["configuration `on`", "called `mapping.last`"],
+    );
     refused("bench-flag", "--no-blur", "--no-blurr", ["configuration `off`", "--no-blurr"]);
     refused("bench-twin", "\"off\"", "\"On\"", ["`On`", "configurations"]);
     run(["bench", "ablations", "--out", "x"]).ended_with(2).complaining("virtual-cameras");

@@ -141,7 +141,7 @@ impl Source<'_> {
 
     fn wrong(&self, key: &str, message: &str) -> ConfigError {
         let (place, key) = (self.place(key), key.to_owned());
-        ConfigError::WrongValue { place, key, message: message.trim_end().to_owned() }
+        ConfigError::WrongValue { place, key, message: in_words(message.trim_end()) }
     }
 
     /// `FILE, line N: `, or without a line where the file does not name the key.
@@ -202,6 +202,19 @@ impl Source<'_> {
     }
 }
 
+/// The parser's words, with types as a user would name them.
+fn in_words(message: &str) -> String {
+    let types = [
+        ("expected usize", "expected a whole number of at least 0"),
+        ("expected u32", "expected a whole number of at least 0"),
+        ("expected u64", "expected a whole number of at least 0"),
+        ("expected f32", "expected a number"),
+        ("expected f64", "expected a number"),
+        ("expected a boolean", "expected true or false"),
+    ];
+    types.iter().fold(message.to_owned(), |words, (name, plain)| words.replace(name, plain))
+}
+
 fn joined(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
 }
@@ -257,7 +270,7 @@ mod tests {
         };
         let head = "[formation]\nblur = true\n[mapping]\nwindow = 3\n";
         let value = |line: &str| format!("{head}{line}\n");
-        refused(&value("mean_rate = \"x\""), "a.toml, line 5: mapping.mean_rate: ", "string");
+        refused(&value("mean_rate = \"x\""), "a.toml, line 5: mapping.mean_rate: ", "a number");
         refused(&value("window.x = 1"), "a.toml", "window");
         refused(&value("iterations = -1"), "a.toml, line 5: mapping.iterations: ", "-1");
         refused(

@@ -57,6 +57,28 @@ fn a_disturbed_pose_returns() {
 }
 
 #[test]
+fn motions_are_those_of_projected_points() {
+    let camera = Camera { width: 96, height: 72, fx: 90.0, fy: 85.0, cx: 48.0, cy: 36.0 };
+    let (point, units) = (Vec3::new(0.4, -0.3, 1.7), [0.02, 0.02, 0.02, 0.01, 0.01, 0.01]);
+    let motions = motions_of(&camera, point, units);
+    for (k, motion) in motions.iter().enumerate() {
+        let seen = |size: f64| {
+            let mut step = [0.0; 6];
+            step[k] = size * units[k];
+            camera.project(moved(step).inverse() * point)
+        };
+        let ((ua, va), (ub, vb)) = (seen(1e-4), seen(-1e-4));
+        for (ours, due) in motion.iter().zip([ua - ub, va - vb]) {
+            let due = due / 2e-4;
+            assert!(
+                (f64::from(*ours) - due).abs() < 1e-5 * due.abs().max(1.0),
+                "{k}: {ours} {due}"
+            );
+        }
+    }
+}
+
+#[test]
 fn the_best_pose_stays() {
     let room = room();
     let mut viewer = room.viewer();

@@ -175,9 +175,12 @@ fn check(
         return Ok(());
     }
     let (count, names) = (counted(chosen.missing.len(), "frame"), shortened(&chosen.missing));
-    let remedy = match chosen.frames.is_empty() {
-        true => format!("`i2slam render {path}` draws them"),
-        false => "--partial judges the others".to_owned(),
+    let remedy = match (chosen.frames.is_empty(), pictures) {
+        (true, _) => format!("`i2slam render {path}` draws them"),
+        (false, true) => "--partial judges the others".to_owned(),
+        (false, false) => {
+            format!("`i2slam render {path}` draws all, --partial judges those that are there")
+        }
     };
     Err(Failure::Failed(format!(
         "{path} has no render of {count} to be judged ({names}): {remedy}"
