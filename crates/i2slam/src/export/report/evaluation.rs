@@ -129,7 +129,8 @@ mod tests {
         let truth = TruthSource { path: "/data/<room>".into(), count: 1, crc32: "0".to_owned() };
         let source = EvaluationSource { trajectory: Some(truth), ..EvaluationSource::default() };
         let section = EvaluationSection { source: Some(source), ..section("x", "1") };
-        let page = put_evaluations(super::super::TEMPLATE, &[section.clone()]).expect("a place");
+        let page = put_evaluations(super::super::TEMPLATE, std::slice::from_ref(&section))
+            .expect("a place");
         assert!(page.contains("Against 1 true pose of <code>/data/&lt;room&gt;</code>."));
         let text = serde_json::to_string(&section).expect("JSON");
         assert_eq!(serde_json::from_str::<EvaluationSection>(&text).ok(), Some(section));
