@@ -10,11 +10,13 @@ use i2slam::dataset::read_trajectory;
 use i2slam::export::{RenderKind, ResultFolder, save_render};
 use i2slam::geometry::{Image, Pose, Rotation, Vec3};
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
+use std::path::Path;
 
 pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let own_poses = arguments.pose.is_some() || arguments.poses.is_some();
     let kinds = kinds(arguments, own_poses)?;
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
+    refuse_other_folders(&arguments.result)?;
     let reconstruction = Reconstruction::load(&arguments.result)?;
     let frames = frames(arguments, pose, &reconstruction)?;
     let folder = place(arguments, own_poses)?;
@@ -43,6 +45,20 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let (done_frames, names) = (counted(done, "frame"), names.join(", "));
     say(&format!("{done_frames}, {names}, in {}", folder.path().display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
+}
+
+/// Says what is wrong with a folder that no run wrote, before one of its files is missed.
+fn refuse_other_folders(result: &Path) -> Result<(), Failure> {
+    let shown = result.display();
+    if !result.is_dir() {
+        return Err(Failure::Failed(format!("{shown}: no such folder")));
+    }
+    match result.join("config.toml").is_file() && result.join("map.i2slam").is_file() {
+        true => Ok(()),
+        false => Err(Failure::Failed(format!(
+            "{shown}: no result of a run, which has config.toml and map.i2slam"
+        ))),
+    }
 }
 
 /// The folder of the pictures. One that is named must be new; the result's own is drawn into

@@ -8,6 +8,7 @@ use crate::interrupt;
 use crate::output::{counted, say};
 use crate::progress::Progress;
 use clap::Args;
+use i2slam::config::line_of_key;
 use i2slam_synthetic::{Spec, Stage, Summary, SyntheticError, synthesise};
 use std::path::{Path, PathBuf};
 
@@ -33,8 +34,7 @@ pub(crate) struct Synth {
 }
 
 pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
-    let read = arguments.spec.as_deref().map(Spec::from_toml_file).transpose();
-    let mut spec = read.map_err(failure)?.unwrap_or_default();
+    let mut spec = arguments.spec.as_deref().map(read).transpose()?.unwrap_or_default();
     if let Some(seed) = arguments.seed {
         spec.seed = seed;
     }
@@ -53,6 +53,17 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
             Ok(())
         }
     }
+}
+
+/// A specification; a bad value is named with its line.
+fn read(file: &Path) -> Result<Spec, Failure> {
+    Spec::from_toml_file(file).map_err(|error| {
+        let SyntheticError::OutOfRange { key, .. } = &error else { return failure(error) };
+        let text = std::fs::read_to_string(file).unwrap_or_default();
+        let line = line_of_key(&text, &key.split('.').collect::<Vec<_>>());
+        let line = line.map(|line| format!(", line {line}")).unwrap_or_default();
+        Failure::Usage(format!("{}{line}: {error}", file.display()))
+    })
 }
 
 fn make(spec: &Spec, out: &Path, quiet: bool) -> Result<(), Failure> {

@@ -67,6 +67,20 @@ fn frames_that_nobody_names_are_told() {
 }
 
 #[test]
+fn a_run_too_short_for_a_trajectory_has_pictures_still() {
+    let scratch = Scratch::new("short");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: 2, ..Scene::default() }.write(&data);
+    reconstruct(&data, &out, &[]).ended_with(0);
+    let ran = eval(&out, &[]).ended_with(0);
+    assert!(ran.out.contains("sharp PSNR") && !ran.out.contains("ATE"), "{}", ran.out);
+    ran.complaining("note: trajectory: too few pairs of poses: 2, at least 3 needed");
+    let truth = data.join("groundtruth.txt");
+    let asked = ["--groundtruth", truth.to_str().expect("a name")];
+    eval(&out, &asked).ended_with(1).complaining("too few pairs");
+}
+
+#[test]
 fn the_truth_is_on_record_and_another_one_is_pointed_out() {
     let scratch = Scratch::new("record");
     let (data, out, other) = (scratch.join("room"), scratch.join("out"), scratch.join("other"));

@@ -64,7 +64,8 @@ fn render_refuses_what_it_cannot_mean() {
     refused(&["--frames", "90..99"], "90..99");
     refused(&["--frames", "4..2"], "holds no frame");
     let nowhere = on("render", &scratch.join("nowhere"), &[]).ended_with(1);
-    nowhere.complaining("config.toml");
+    nowhere.complaining("no such folder");
+    on("render", &scratch.join("room"), &[]).ended_with(1).complaining("no result of a run");
 }
 
 #[test]

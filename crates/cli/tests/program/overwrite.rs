@@ -53,6 +53,10 @@ fn synth_and_degrade_replace_their_own_sequences_only() {
     fs::write(&spec, SPEC).expect("room");
     let synth = |more: &[&str]| call(&["synth"], [&spec, &room], more);
     keeps_the_rule(synth, &room, "rgb.txt", "sharp/000777.png");
+    let wrong = scratch.join("wrong.toml");
+    fs::write(&wrong, "seed = 1\n[camera]\nframes = 0\n").expect("room");
+    let refused = call(&["synth"], [&wrong, &scratch.join("none")], &[]).ended_with(2);
+    refused.complaining("wrong.toml, line 3: camera.frames = 0");
     let data = scratch.join("data");
     Scene { frames: 2, ..Scene::default() }.write(&data);
     let worse = scratch.join("worse");

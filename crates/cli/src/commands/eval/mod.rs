@@ -18,6 +18,7 @@ use crate::arguments::{Eval, Protocol};
 use crate::failure::Failure;
 use crate::output::{complain, say};
 use evaluation::Evaluation;
+use i2slam::dataset::read_trajectory;
 use reference::Reference;
 use std::path::Path;
 use subject::Subject;
@@ -105,7 +106,16 @@ fn judge_trajectory(
         evaluation.not_judged.push(reason);
         return Ok(());
     }
-    evaluation.trajectory = Some(trajectory::judge(arguments, subject, &file, &truth)?);
+    let estimate = read_trajectory(&file)?;
+    match trajectory::judge(arguments, subject, estimate, &truth) {
+        Ok(errors) => evaluation.trajectory = Some(errors),
+        // The dataset's own truth was not asked for: its pictures are judged all the same.
+        Err(Failure::Failed(reason)) if arguments.groundtruth.is_none() => {
+            evaluation.not_judged.push(format!("trajectory: {reason}"));
+            return Ok(());
+        }
+        Err(failure) => return Err(failure),
+    }
     evaluation.true_trajectory = source::of_trajectory(arguments, reference, &truth);
     Ok(())
 }

@@ -14,7 +14,6 @@ use i2slam_eval::trajectory::{
 };
 use serde::Serialize;
 use serde_json::{Map, Value};
-use std::path::Path;
 
 /// `trajectory.txt` has six decimals; stamps that differ by less are the same frame [s].
 const SAME_STAMP: f64 = 1e-5;
@@ -42,10 +41,9 @@ pub(super) fn truth(
 pub(super) fn judge(
     arguments: &Eval,
     subject: &Subject,
-    file: &Path,
+    mut estimate: Vec<StampedPose>,
     truth: &[StampedPose],
 ) -> Result<Errors, Failure> {
-    let mut estimate = read_trajectory(file)?;
     if arguments.protocol == Protocol::Monogs {
         keep_keyframes(&mut estimate, subject)?;
     }
