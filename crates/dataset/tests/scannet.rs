@@ -40,7 +40,9 @@ fn assert_poses(sequence: &Sequence) {
         truth.iter().map(|p| (p.timestamp, p.world_from_camera.translation.x)).collect();
     let times: Vec<f64> = sequence.entries.iter().map(|e| e.timestamp).collect();
     assert_eq!(seen, [(times[0], 0.0), (times[2], 2.0)]);
-    assert!(sequence.warnings.iter().any(|w| w.contains("1 frame without a finite, rigid true pose")));
+    assert!(
+        sequence.warnings.iter().any(|w| w.contains("1 frame without a finite, rigid true pose"))
+    );
 }
 
 #[test]

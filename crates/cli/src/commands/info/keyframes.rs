@@ -2,7 +2,7 @@
 
 use super::Info;
 use crate::failure::Failure;
-use crate::output::{complain, say};
+use crate::output::{complain, counted, say};
 use i2slam::dataset::import::{Files, Options};
 use i2slam::dataset::{DatasetError, OpenOptions};
 use serde::Serialize;
@@ -100,8 +100,10 @@ impl Told {
             (
                 "keyframes",
                 format!(
-                    "{} ({} poses without a picture, {} pictures without a pose)",
-                    self.keyframes, self.poses_without_picture, self.pictures_without_pose
+                    "{} ({} without a picture, {} without a pose)",
+                    self.keyframes,
+                    counted(self.poses_without_picture, "pose"),
+                    counted(self.pictures_without_pose, "picture")
                 ),
             ),
             ("times", format!("{:.2} s from {:.3}", self.duration_s, self.first_s)),
