@@ -53,7 +53,7 @@ fn a_known_or_found_readout_makes_better_maps() {
     let scratch = Scratch::new("rolling");
     let (spec, data) = (scratch.join("spec.toml"), scratch.join("room"));
     fs::write(&spec, SPEC).expect("room");
-    let words = ["synth", &spec.display().to_string(), "--seed", "4", "--out"];
+    let words = ["synth", &spec.display().to_string(), "--seed", "7", "--out"];
     let words = words.map(str::to_owned).into_iter().chain([data.display().to_string()]);
     run(words).ended_with(0);
     let input = |text: &str| format!("[input]\n{text}\n");

@@ -313,8 +313,10 @@ pub struct MappingConfig {
     pub pose_rotation_rate: f32,
     /// Learning rate of the poses of keyframes: translation [m].
     pub pose_translation_rate: f32,
-    /// Learning rate of exposure and white balance (logarithms) while mapping.
-    pub tone_rate: f32,
+    /// Learning rate of the logarithm of the exposure while mapping.
+    pub exposure_rate: f32,
+    /// Learning rate of the logarithms of the white balance while mapping.
+    pub white_balance_rate: f32,
     /// Learning rate of response nodes while mapping, in steps of a straight curve (1 / 255).
     pub response_rate: f32,
     /// Place Gaussians where the sensor has no depth too, at a guess.

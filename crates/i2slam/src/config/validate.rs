@@ -118,7 +118,7 @@ impl Config {
     }
 
     /// Values that any number of at least zero is good for.
-    fn rates(&self) -> [(&'static str, f32); 35] {
+    fn rates(&self) -> [(&'static str, f32); 36] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         [
             ("hashgrid.bound", self.hashgrid.bound),
@@ -138,7 +138,8 @@ impl Config {
             ("mapping.colour_rate", m.colour_rate),
             ("mapping.opacity_rate", m.opacity_rate),
             ("mapping.scale_rate", m.scale_rate),
-            ("mapping.tone_rate", m.tone_rate),
+            ("mapping.exposure_rate", m.exposure_rate),
+            ("mapping.white_balance_rate", m.white_balance_rate),
             ("mapping.response_rate", m.response_rate),
             ("mapping.pose_rotation_rate", m.pose_rotation_rate),
             ("mapping.pose_translation_rate", m.pose_translation_rate),

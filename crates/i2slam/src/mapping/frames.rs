@@ -28,7 +28,8 @@ pub(super) struct FrameOptimizers {
 
 /// Optimiser state of one keyframe.
 struct FrameOptimizer {
-    tone: Adam,
+    exposure: Adam,
+    white_balance: Adam,
     translation: Adam,
     rotation: Adam,
 }
@@ -56,7 +57,8 @@ impl FrameOptimizers {
 
     fn frame(&mut self, index: usize) -> &mut FrameOptimizer {
         self.frames.entry(index).or_insert_with(|| FrameOptimizer {
-            tone: adam(),
+            exposure: adam(),
+            white_balance: adam(),
             translation: adam(),
             rotation: adam(),
         })
@@ -73,7 +75,11 @@ impl FrameOptimizers {
         mask_white_balance(story.config.formation.white_balance, &mut gradient);
         let tone = &mut story.frames[frame].tone;
         let mut values = tone.to_array();
-        self.frame(frame).tone.step(&mut values, &gradient, story.config.mapping.tone_rate);
+        let rates = &story.config.mapping;
+        let optimizer = self.frame(frame);
+        let (exposure, balance) = values.split_at_mut(1);
+        optimizer.exposure.step(exposure, &gradient[..1], rates.exposure_rate);
+        optimizer.white_balance.step(balance, &gradient[1..], rates.white_balance_rate);
         *tone = FrameTone::from_array(values);
     }
 
