@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
 /// Width and height of a tile \[px\].
-pub(crate) const TILE: usize = 16;
+pub const TILE: usize = 16;
 /// Sorted splats that one thread takes at least.
 const SORTED_CHUNK: usize = 4096;
 
@@ -32,6 +32,12 @@ impl TileGrid {
 
     pub(crate) fn len(&self) -> usize {
         self.columns * self.rows
+    }
+
+    /// Whether a box of tiles (first column, first row, end column, end row) has a wanted one.
+    pub(crate) fn wants(&self, wanted: &[bool], tiles: [u16; 4]) -> bool {
+        let [x0, y0, x1, y1] = tiles.map(usize::from);
+        (y0..y1).any(|row| wanted[row * self.columns..][x0..x1].contains(&true))
     }
 }
 

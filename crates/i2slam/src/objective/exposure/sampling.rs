@@ -87,11 +87,18 @@ impl Sampling {
             _ => formation.virtual_cameras,
         };
         let virtual_cameras = views(formation, length, most);
+        let quadrature = match formation.quadrature() {
+            // The middle is the render itself: what weighs most there is read exactly.
+            Quadrature::Midpoints if route == BlurRoute::Image && virtual_cameras == 3 => {
+                Quadrature::Simpson
+            }
+            quadrature => quadrature,
+        };
         let several = virtual_cameras > 1;
         let reach = reach(several, length, readout);
         let margin = if several || reach > 0.0 { margin(reach) } else { 0 };
         match formation.blur {
-            true => Self { virtual_cameras, quadrature: formation.quadrature(), route, margin },
+            true => Self { virtual_cameras, quadrature, route, margin },
             false => Self { margin, ..Self::SHARP },
         }
     }

@@ -1,0 +1,107 @@
+//! Tiles whose blur one render cannot tell, because it hides what the motion uncovers: they are
+//! drawn from the map at every moment.
+
+use i2slam_formation::reproject;
+use i2slam_geometry::Image;
+use i2slam_radiance::RenderCotangent;
+use i2slam_radiance::gaussian::TILE;
+use std::ops::Range;
+
+const _: () = assert!(TILE == reproject::TILE, "both divide the picture alike");
+
+/// Uncovered share of a tile times its contrast from which a tile is drawn from the map.
+///
+/// On a map of a desk, a blur of 4 to 10 px then wants 4 to 10 % of the tiles, and what is left of
+/// the error has less than half the energy that it had.
+const WORTH: f32 = 0.02;
+
+/// The tiles of one exposure that are drawn from the map, and their share of its cotangent.
+pub(super) struct Patches {
+    width: usize,
+    height: usize,
+    /// Tile by tile, row by row.
+    wanted: Vec<bool>,
+    /// Cotangent of the patches.
+    pub(super) cotangent: RenderCotangent<f32>,
+    /// Cotangent of what is not patched.
+    pub(super) rest: Image<f32>,
+}
+
+impl Patches {
+    pub(super) fn none() -> Self {
+        let none = Image::default;
+        let cotangent = RenderCotangent { radiance: none(), depth: none(), opacity: none() };
+        Self { width: 0, height: 0, wanted: Vec::new(), cotangent, rest: none() }
+    }
+
+    /// The tiles that are drawn, if there are any.
+    pub(super) fn wanted(&self) -> Option<&[bool]> {
+        self.wanted.contains(&true).then_some(&self.wanted)
+    }
+
+    /// Chooses among the tiles of `blurred`, of which the re-projection left `uncovered` shares to
+    /// guesses (none where it is empty). Guesses are wrong by about the contrast around, which is
+    /// the standard deviation of a tile over its mean: exposure is no part of it.
+    pub(super) fn choose(&mut self, uncovered: &[f32], blurred: &Image<f32>) {
+        (self.width, self.height) = (blurred.width, blurred.height);
+        self.wanted.clear();
+        let columns = self.width.div_ceil(TILE).max(1);
+        self.wanted.extend(uncovered.iter().enumerate().map(|(number, &share)| {
+            share > 0.0 && share * contrast(blurred, number % columns, number / columns) > WORTH
+        }));
+    }
+
+    /// Copies the patches of `drawn` into `blurred`.
+    pub(super) fn paste(&self, drawn: &Image<f32>, blurred: &mut Image<f32>) {
+        for part in self.parts() {
+            blurred.data[part.clone()].copy_from_slice(&drawn.data[part]);
+        }
+    }
+
+    /// Divides the cotangent of a patched picture.
+    pub(super) fn divide(&mut self, d_blurred: &Image<f32>) {
+        self.rest.clone_from(d_blurred);
+        let mut patches = std::mem::take(&mut self.cotangent.radiance);
+        patches.reset(d_blurred.width, d_blurred.height, d_blurred.channels);
+        for part in self.parts() {
+            patches.data[part.clone()].copy_from_slice(&d_blurred.data[part.clone()]);
+            self.rest.data[part].fill(0.0);
+        }
+        self.cotangent.radiance = patches;
+    }
+
+    /// Every row of every patch, in each of three planes.
+    fn parts(&self) -> Vec<Range<usize>> {
+        let (width, height) = (self.width, self.height);
+        let columns = width.div_ceil(TILE).max(1);
+        let mut parts = Vec::new();
+        for number in (0..self.wanted.len()).filter(|&number| self.wanted[number]) {
+            let across = span(number % columns, width);
+            for y in span(number / columns, height) {
+                for start in (0..3).map(|plane| (plane * height + y) * width) {
+                    parts.push(start + across.start..start + across.end);
+                }
+            }
+        }
+        parts
+    }
+}
+
+/// The pixels of a row or column of tiles, along one axis.
+fn span(tile: usize, size: usize) -> Range<usize> {
+    tile * TILE..((tile + 1) * TILE).min(size)
+}
+
+/// Standard deviation over mean of the brightness of a tile's pixels; 0 where it is black.
+fn contrast(picture: &Image<f32>, column: usize, row: usize) -> f32 {
+    let planes = [0, 1, 2].map(|c| picture.plane(c));
+    let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+    for y in span(row, picture.height) {
+        for x in span(column, picture.width) {
+            let value: f32 = planes.iter().map(|plane| plane[y * picture.width + x]).sum();
+            (count, sum, squares) = (count + 1.0, sum + value, squares + value * value);
+        }
+    }
+    let mean = sum / count;
+    if mean > 0.0 { (squares / count - mean * mean).max(0.0).sqrt() / mean } else { 0.0 }
+}
