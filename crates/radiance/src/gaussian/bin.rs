@@ -34,10 +34,19 @@ impl TileGrid {
         self.columns * self.rows
     }
 
-    /// Whether a box of tiles (first column, first row, end column, end row) has a wanted one.
-    pub(crate) fn wants(&self, wanted: &[bool], tiles: [u16; 4]) -> bool {
-        let [x0, y0, x1, y1] = tiles.map(usize::from);
-        (y0..y1).any(|row| wanted[row * self.columns..][x0..x1].contains(&true))
+    /// The box around the wanted ones among a box of tiles (first column, first row, end column,
+    /// end row).
+    pub(crate) fn wanted_part(&self, wanted: &[bool], [x0, y0, x1, y1]: [u16; 4]) -> [u16; 4] {
+        let mut part = [x1, y1, 0, 0];
+        for row in y0..y1 {
+            for column in x0..x1 {
+                if wanted[usize::from(row) * self.columns + usize::from(column)] {
+                    let [left, top, right, _] = part;
+                    part = [left.min(column), top.min(row), right.max(column + 1), row + 1];
+                }
+            }
+        }
+        if part[2] > 0 { part } else { [0; 4] }
     }
 }
 

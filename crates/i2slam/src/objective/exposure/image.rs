@@ -19,7 +19,7 @@ pub(super) struct WideRender {
     /// Depth of what is solid [m], 0 elsewhere.
     surface: Image<f32>,
     cotangent: RenderCotangent<f32>,
-    patches: Patches,
+    pub(super) patches: Patches,
 }
 
 impl WideRender {

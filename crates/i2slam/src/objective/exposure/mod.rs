@@ -11,6 +11,8 @@ mod image;
 mod patches;
 mod sampling;
 mod splat;
+#[cfg(test)]
+mod tests;
 
 pub use sampling::{BlurRoute, Sampling};
 

@@ -11,9 +11,9 @@ const _: () = assert!(TILE == reproject::TILE, "both divide the picture alike");
 
 /// Uncovered share of a tile times its contrast from which a tile is drawn from the map.
 ///
-/// On a map of a desk, a blur of 4 to 10 px then wants 4 to 10 % of the tiles, and what is left of
-/// the error has less than half the energy that it had.
-const WORTH: f32 = 0.02;
+/// On a map of a desk a blur of 4 to 10 px then wants 2 to 6 % of the tiles, and half of the energy
+/// of the error is gone.
+const WORTH: f32 = 0.03;
 
 /// The tiles of one exposure that are drawn from the map, and their share of its cotangent.
 pub(super) struct Patches {

@@ -91,8 +91,8 @@ impl WithSimd for Project<'_> {
             }
             for (place, splat) in splats.iter_mut().enumerate() {
                 group.write(place, splat);
-                if self.wanted.is_some_and(|wanted| !self.grid.wants(wanted, splat.tiles)) {
-                    splat.tiles = [0; 4];
+                if let Some(wanted) = self.wanted {
+                    splat.tiles = self.grid.wanted_part(wanted, splat.tiles);
                 }
                 splat.first_tile = self.chunk.tile_count;
                 if let Some((_, paths)) = &mut self.moving {

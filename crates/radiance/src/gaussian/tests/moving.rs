@@ -90,6 +90,43 @@ fn without_motion_it_is_the_still_picture() {
     }
 }
 
+/// Tiles that are not wanted show nothing and ask for nothing; what the others do stays the same.
+#[test]
+fn wanted_tiles_are_those_of_the_whole_picture() {
+    let motion = motion(0.5);
+    for case in cases() {
+        let (whole, _, _) = fast_on(Arch::new(), &case, &motion);
+        let (map, view) = (case.map().cast(), case.view().cast());
+        let columns = view.camera.width.div_ceil(TILE);
+        let is_wanted = |number: usize| number % 3 == 1;
+        let tiles = columns * view.camera.height.div_ceil(TILE);
+        let wanted: Vec<_> = (0..tiles).map(is_wanted).collect();
+        let at = |i: usize| {
+            let (x, y) = (i % view.camera.width, i / view.camera.width % view.camera.height);
+            is_wanted(y / TILE * columns + x / TILE)
+        };
+        let mut cotangent = single_cotangent(&case.cotangent());
+        let all = cotangent.clone();
+        for plane in [&mut cotangent.radiance, &mut cotangent.depth, &mut cotangent.opacity] {
+            plane.data.iter_mut().enumerate().for_each(|(i, d)| *d = if at(i) { *d } else { 0.0 });
+        }
+        let run = |wanted: Option<&[bool]>, cotangent: &RenderCotangent| {
+            let mut rasterizer = Rasterizer::new(case.settings);
+            let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
+            rasterizer.render_moving(&map, &view, &motion.cast(), wanted, &mut render);
+            let rows = Some(&mut gradient);
+            let d = rasterizer.pull_back_moving(&map, &view, &motion.cast(), cotangent, rows);
+            (render, gradient, numbers(&d))
+        };
+        let (render, gradient, d) = run(Some(&wanted), &all);
+        for (i, (part, whole)) in planes(&render).iter().zip(&planes(&whole)).enumerate() {
+            assert_eq!(*part, if at(i) { *whole } else { 0.0 }, "{} pixel {i}", case.name);
+        }
+        let (_, expected, expected_d) = run(None, &cotangent);
+        assert!(gradient == expected && d == expected_d, "{} gradient", case.name);
+    }
+}
+
 #[test]
 fn without_motion_the_gradients_are_those_of_the_still_picture() {
     for case in cases() {
