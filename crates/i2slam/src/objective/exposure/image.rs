@@ -14,7 +14,7 @@ const SOLID: f32 = 0.5;
 /// The render that stands for all virtual cameras. It is larger than the picture by
 /// [`Sampling::margin`](super::Sampling::margin), because those look beyond its border.
 pub(super) struct WideRender {
-    reprojection: Reprojection,
+    pub(super) reprojection: Reprojection,
     render: Render,
     /// Depth of what is solid [m], 0 elsewhere.
     surface: Image<f32>,

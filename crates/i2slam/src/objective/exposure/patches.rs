@@ -105,3 +105,55 @@ fn contrast(picture: &Image<f32>, column: usize, row: usize) -> f32 {
     let mean = sum / count;
     if mean > 0.0 { (squares / count - mean * mean).max(0.0).sqrt() / mean } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two tiles in a row and a rest of a third, two rows; bright in the first column of each tile.
+    fn picture() -> Image<f32> {
+        let mut picture = Image::new(40, 20, 3);
+        for (i, value) in picture.data.iter_mut().enumerate() {
+            *value = if i % 40 % TILE == 0 { 3.0 } else { 0.1 + 1e-4 * i as f32 };
+        }
+        picture
+    }
+
+    #[test]
+    fn what_is_uncovered_and_varies_is_wanted() {
+        let mut patches = Patches::none();
+        assert!(patches.wanted().is_none());
+        patches.choose(&[0.0, 0.4, 0.001, 0.0, 0.0, 0.4], &picture());
+        assert_eq!(patches.wanted(), Some(&[false, true, false, false, false, true][..]));
+        let mut brighter = picture();
+        brighter.data.iter_mut().for_each(|v| *v *= 50.0);
+        let wanted = patches.wanted.clone();
+        patches.choose(&[0.0, 0.4, 0.001, 0.0, 0.0, 0.4], &brighter);
+        assert_eq!(patches.wanted, wanted);
+        let flat = Image { data: vec![0.7; 2400], ..picture() };
+        patches.choose(&[0.9; 6], &flat);
+        assert!(patches.wanted().is_none());
+        patches.choose(&[0.9; 6], &Image::new(40, 20, 3));
+        assert!(patches.wanted().is_none());
+        patches.choose(&[], &picture());
+        assert!(patches.wanted().is_none());
+    }
+
+    /// Every number goes one way, and patches are where their tiles are.
+    #[test]
+    fn cotangents_are_divided_as_pictures_are_pasted() {
+        let mut patches = Patches::none();
+        patches.choose(&[0.0, 0.4, 0.0, 0.0, 0.0, 0.4], &picture());
+        let d = Image { data: (1..2401).map(|i| i as f32).collect(), ..picture() };
+        patches.divide(&d);
+        let mut pasted = Image::new(40, 20, 3);
+        patches.paste(&d, &mut pasted);
+        assert_eq!(pasted.data, patches.cotangent.radiance.data);
+        for i in 0..2400 {
+            let (x, y) = (i % 40, i / 40 % 20);
+            let patched = (16..32).contains(&x) && y < 16 || x >= 32 && y >= 16;
+            let (here, there) = (pasted.data[i], patches.rest.data[i]);
+            assert_eq!((here, there), if patched { (d.data[i], 0.0) } else { (0.0, d.data[i]) });
+        }
+    }
+}
