@@ -125,7 +125,8 @@ fn motion(moments: usize) -> ShutterMotion {
 fn forward_moving(bencher: Bencher<'_, '_>, opacity: &str) {
     let (map, view, motion) = (scene(Shape::Isotropic, opacity), view(), motion(MOMENTS));
     let (mut rasterizer, mut out) = (Rasterizer::default(), Render::default());
-    bencher.bench_local(|| rasterizer.render_moving(black_box(&map), &view, &motion, &mut out));
+    bencher
+        .bench_local(|| rasterizer.render_moving(black_box(&map), &view, &motion, None, &mut out));
 }
 
 #[divan::bench(args = OPACITIES)]
@@ -133,7 +134,7 @@ fn backward_moving_pose_and_map(bencher: Bencher<'_, '_>, opacity: &str) {
     let (map, view, motion) = (scene(Shape::Isotropic, opacity), view(), motion(MOMENTS));
     let cotangent = cotangent(WIDTH, HEIGHT);
     let mut rasterizer = Rasterizer::default();
-    rasterizer.render_moving(&map, &view, &motion, &mut Render::default());
+    rasterizer.render_moving(&map, &view, &motion, None, &mut Render::default());
     let mut gradient = MapGradient::new(map.len());
     bencher.bench_local(|| {
         let rows = Some(&mut gradient);
@@ -180,12 +181,12 @@ fn print_ratios(opacity: &str) {
                 black_box(rasterizer.pull_back(&map, view, &cotangent, Some(&mut gradient)));
             }
         });
-        time(4, &mut || moving.render_moving(&map, &view, &motion, &mut out));
+        time(4, &mut || moving.render_moving(&map, &view, &motion, None, &mut out));
         time(5, &mut || {
             let rows = Some(&mut gradient);
             black_box(moving.pull_back_moving(&map, &view, &motion, &cotangent, rows));
         });
-        time(6, &mut || one_moment.render_moving(&map, &view, &still, &mut out));
+        time(6, &mut || one_moment.render_moving(&map, &view, &still, None, &mut out));
         time(7, &mut || {
             let rows = Some(&mut gradient);
             black_box(one_moment.pull_back_moving(&map, &view, &still, &cotangent, rows));

@@ -38,7 +38,11 @@ impl WithSimd for PullBackBand<'_> {
             let y = band.first_row + row + scene.margin;
             for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
                 let at = row * width + x..row * width + width.min(x + LANES);
-                let d = read_chunk(&d_blurred.map(|plane| &plane[at.clone()]), 1.0);
+                let d_planes = d_blurred.map(|plane| &plane[at.clone()]);
+                if d_planes.iter().all(|plane| plane.iter().all(|d| *d == 0.0)) {
+                    continue;
+                }
+                let d = read_chunk(&d_planes, 1.0);
                 pull_back_chunk(scene, band, (x + scene.margin, y), &d, depths);
             }
             band.end_row(scene.views.sums(row, rows).0);

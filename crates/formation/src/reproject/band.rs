@@ -3,8 +3,8 @@
 use super::backward::LaneSums;
 use super::texel::Texel;
 
-/// Rows of the picture per band.
-pub(super) const BAND: usize = 40;
+/// Rows of the picture per band: whole [tiles](super::TILE).
+pub(super) const BAND: usize = 48;
 
 /// Scratch of one band; it keeps its allocation from call to call.
 #[derive(Clone, Debug, Default)]

@@ -1,5 +1,6 @@
 //! The fast lane, forward: one band of rows at a time, sixteen pixels of a row at a time.
 
+use super::TILE;
 use super::band::Band;
 use super::landing::between;
 use super::landing_lanes::{Steps, land};
@@ -30,6 +31,8 @@ pub(super) struct BlurBand<'a> {
     pub(super) band: &'a mut Band,
     /// (row, chunk, moving view), written for the way back [1/m].
     pub(super) inverse_depths: &'a mut [Lanes],
+    /// Of the band's tiles, row by row.
+    pub(super) uncovered: &'a mut [f32],
     /// The rows of the sharp render that the band blurs.
     pub(super) sharp: [&'a [f32]; 3],
     /// The band's rows of the blurred picture.
@@ -41,19 +44,22 @@ impl WithSimd for BlurBand<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { scene, band, inverse_depths, sharp, mut blurred } = self;
+        let Self { scene, band, inverse_depths, uncovered, sharp, mut blurred } = self;
         let (width, margin) = (scene.width, scene.margin);
         let still = scene.views.still_weight;
         (band.fine_first, band.fine_last) = (u32::MAX, 0);
+        uncovered.fill(0.0);
         let mut chunks = inverse_depths.chunks_exact_mut(scene.views.count());
         for row in 0..blurred[0].len() / width {
             let y = band.first_row + row + margin;
-            for (x, depths) in (0..width).step_by(LANES).zip(&mut chunks) {
+            let tiles = &mut uncovered[row / TILE * width.div_ceil(TILE)..];
+            let columns = (0..width).step_by(LANES).zip(tiles);
+            for ((x, uncovered), depths) in columns.zip(&mut chunks) {
                 let lanes = LANES.min(width - x);
                 let at = row * width + x..row * width + x + lanes;
                 let from = row * scene.camera.width + margin + x;
                 let mut sum = read_chunk(&sharp.map(|plane| &plane[from..from + lanes]), still);
-                see_chunk(scene, x + margin, y, depths);
+                *uncovered += see_chunk(scene, x + margin, y, lanes, depths);
                 let rows = blur_chunk(scene, x + margin, y, depths, &mut sum);
                 band.fine_first = band.fine_first.min(rows.0);
                 band.fine_last = band.fine_last.max(rows.1);
@@ -117,9 +123,9 @@ fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Lanes, depths: &
 }
 
 /// The inverse depths that every moving view sees from column `x` of the render on in its row
-/// `y`.
+/// `y`; gives the share of a tile's exposure that the render hides from the chunk's first `lanes`.
 #[inline(always)]
-fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, depths: &mut [Lanes]) {
+fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, lanes: usize, depths: &mut [Lanes]) -> f32 {
     let moving = scene.views.row(y);
     let row = scene.surface.row(y);
     let own: Lanes = match row.get(x..).and_then(|rest| rest.first_chunk()) {
@@ -135,10 +141,14 @@ fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, depths: &mut [Lanes]) {
         see_between(scene, (x, y), &own, depths);
     }
     let steps = Steps::around(scene, x, y);
+    let mut uncovered = 0.0;
     if steps.any {
         for (view, depths) in moving.iter().zip(depths.iter_mut()) {
             let lines = Lines::new(scene.camera, view, x, y);
-            steps.search(scene, &lines, &own, depths);
+            let hidden = steps.search(scene, &lines, &own, depths);
+            let count = hidden[..lanes].iter().filter(|hidden| **hidden).count();
+            uncovered += view.weight * count as f32;
         }
     }
+    uncovered / (TILE * TILE) as f32
 }

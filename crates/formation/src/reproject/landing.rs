@@ -50,19 +50,24 @@ pub(super) fn between<T: Real>(first: T, middle: T, last: T, moment: T) -> T {
 /// time. The first sample that lies on the surface (within 0.6 of a step) is what the virtual
 /// camera sees, refined by [`land`]; samples in front of the surface are empty space, and those
 /// behind it are hidden from the sharp render. If the walk ends hidden, the virtual camera sees
-/// background that the sharp render does not show: [`Walk::beside`].
-pub(super) fn search<T: Real>(surface: &Surface<T>, line: &Line<T>, bounds: Block<T>, own: T) -> T {
+/// background that the sharp render does not show ([`Walk::beside`]), and `true` says so.
+pub(super) fn search<T: Real>(
+    surface: &Surface<T>,
+    line: &Line<T>,
+    bounds: Block<T>,
+    own: T,
+) -> (T, bool) {
     let (nearest, farthest) = (bounds.nearest, bounds.farthest);
     let (count, step) = Walk::steps(line.ex, line.ey, nearest, farthest);
     if count == 0 {
-        return land(surface, line, own);
+        return (land(surface, line, own), false);
     }
     let mut walk = Walk { nearest, farthest, step, count, in_front: None, occluder: nearest };
     for k in 0..=count {
         let w = walk.at(k);
         let seen = sample(surface, line, w);
         if Walk::meets(seen, w, step) {
-            return land(surface, line, w).max(w - step).min(w + step);
+            return (land(surface, line, w).max(w - step).min(w + step), false);
         }
         if seen < w {
             walk.in_front = Some(k);
@@ -70,7 +75,7 @@ pub(super) fn search<T: Real>(surface: &Surface<T>, line: &Line<T>, bounds: Bloc
             walk.occluder = seen;
         }
     }
-    walk.beside(surface, line)
+    (walk.beside(surface, line), true)
 }
 
 /// A walk along a line, from near to far.

@@ -66,9 +66,15 @@ impl Steps {
     }
 
     /// Replaces the inverse depths `w` of pixels near a step by those of the nearest surface on
-    /// their lines.
+    /// their lines, and says at which of them the line ends hidden.
     #[inline(always)]
-    pub(super) fn search(&self, scene: &Scene<'_>, lines: &Lines, own: &Lanes, w: &mut Lanes) {
+    pub(super) fn search(
+        &self,
+        scene: &Scene<'_>,
+        lines: &Lines,
+        own: &Lanes,
+        w: &mut Lanes,
+    ) -> [bool; LANES] {
         let mut walks = Walks::new(self, lines);
         walks.run(scene, lines);
         let mut guess = *own;
@@ -82,11 +88,14 @@ impl Steps {
             let found = if walks.hit[i] { near } else { landed[i] };
             w[i] = if self.near_step[i] { found } else { w[i] };
         }
+        let hidden =
+            std::array::from_fn(|i| self.near_step[i] & (walks.count[i] > 0) & !walks.hit[i]);
         for i in 0..LANES {
-            if self.near_step[i] && walks.count[i] > 0 && !walks.hit[i] {
+            if hidden[i] {
                 w[i] = walks.hidden(i).beside(scene.surface, &lines.line(i));
             }
         }
+        hidden
     }
 }
 

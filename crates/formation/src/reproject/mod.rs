@@ -75,6 +75,9 @@ use texel::Texel;
 use upsample::UpsampleRow;
 use views::Views;
 
+/// Side of the tiles that [`Reprojection::uncovered`] counts in [px].
+pub const TILE: usize = taps::LANES;
+
 /// What [`Reprojection::pull_back`] finds beside the cotangent of the sharp render.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ReprojectionGradient {
@@ -102,6 +105,8 @@ pub struct Reprojection {
     /// What is seen at (row, chunk of a row, moving view) [1/m].
     inverse_depths: Vec<Lanes>,
     bands: Vec<Band>,
+    /// See [`Reprojection::uncovered`].
+    uncovered: Vec<f32>,
     sums: Vec<[f64; 6]>,
 }
 
@@ -124,6 +129,7 @@ impl Reprojection {
             fine: Vec::new(),
             inverse_depths: Vec::new(),
             bands: Vec::new(),
+            uncovered: Vec::new(),
             sums: Vec::new(),
         }
     }
@@ -159,6 +165,7 @@ impl Reprojection {
         self.views.update(seen_by, shutter, readout, virtual_cameras, quadrature);
         if self.views.count() == 0 || blurred.data.is_empty() {
             radiance.crop_into(self.margin, blurred);
+            self.uncovered.clear();
             return;
         }
         self.surface.update(depth);
@@ -167,6 +174,14 @@ impl Reprojection {
         band::lay(&mut self.bands, camera.width, camera.height);
         self.upsample(radiance);
         self.gather(radiance, blurred);
+    }
+
+    /// Where the last [`blur`](Self::blur) had to guess: for each tile of [`TILE`] pixels of the
+    /// picture, row by row, the share (0 to 1) of its pixels and moments that see what a foreground
+    /// hides from the sharp render. Pixels beyond the right and lower edge count as seen; empty where
+    /// nothing moved.
+    pub fn uncovered(&self) -> &[f32] {
+        &self.uncovered
     }
 
     fn upsample(&mut self, radiance: &Image<f32>) {
@@ -204,14 +219,19 @@ impl Reprojection {
         let (green, blue) = rest.split_at_mut(pixels);
         let planes = red.par_chunks_mut(chunk).zip(green.par_chunks_mut(chunk));
         let planes = planes.zip(blue.par_chunks_mut(chunk));
-        let bands = self.bands.par_iter_mut();
+        let tiles = width.div_ceil(TILE);
+        self.uncovered.resize(tiles * blurred.height.div_ceil(TILE), 0.0);
+        let bands =
+            self.bands.par_iter_mut().zip(self.uncovered.par_chunks_mut(BAND / TILE * tiles));
         let depths = self.inverse_depths.par_chunks_mut(BAND * depths_per_row);
-        bands.zip(depths).zip(planes).for_each(|((band, depths), ((red, green), blue))| {
+        bands.zip(depths).zip(planes).for_each(|(((band, uncovered), depths), planes)| {
+            let ((red, green), blue) = planes;
             let rows = band.first_row + margin..band.first_row + margin + red.len() / width;
             let sharp =
                 [0, 1, 2].map(|c| &radiance.plane(c)[rows.start * stride..rows.end * stride]);
             let (blurred, scene) = ([red, green, blue], &scene);
-            let task = BlurBand { scene, band, inverse_depths: depths, sharp, blurred };
+            let inverse_depths = depths;
+            let task = BlurBand { scene, band, inverse_depths, uncovered, sharp, blurred };
             Arch::new().dispatch(task);
         });
     }

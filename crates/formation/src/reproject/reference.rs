@@ -1,10 +1,10 @@
 //! The readable lane: the same equations pixel by pixel, in `f32` or `f64`.
 
-use super::ReprojectionGradient;
 use super::landing::{amplification, between, land, search};
 use super::surface::Surface;
 use super::upsample::{Interpolation, TAPS, neighbours};
 use super::views::{Line, View, Views};
+use super::{ReprojectionGradient, TILE};
 use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Real};
 
@@ -77,6 +77,24 @@ impl<T: Real> ReferenceReprojection<T> {
         blurred
     }
 
+    /// Where it had to guess, see [`Reprojection::uncovered`](super::Reprojection::uncovered).
+    pub fn uncovered(&self) -> Vec<T> {
+        let frame = self.camera.cropped(self.margin);
+        let columns = frame.width.div_ceil(TILE);
+        let mut shares = vec![T::zero(); columns * frame.height.div_ceil(TILE)];
+        let area = T::of((TILE * TILE) as f64);
+        for y in 0..frame.height {
+            for x in 0..frame.width {
+                for view in self.views.row(y + self.margin) {
+                    if self.lands(view, x + self.margin, y + self.margin).1 {
+                        shares[y / TILE * columns + x / TILE] += view.weight / area;
+                    }
+                }
+            }
+        }
+        shares
+    }
+
     /// The cotangents of the sharp render, of the readout, and of the shutter poses relative to the
     /// middle.
     pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ReprojectionGradient) {
@@ -111,7 +129,7 @@ impl<T: Real> ReferenceReprojection<T> {
         for y in self.margin..self.camera.height - self.margin {
             for x in self.margin..self.camera.width - self.margin {
                 for (k, view) in self.views.row(y).iter().enumerate() {
-                    let w = self.inverse_depth(view, x, y);
+                    let (w, _) = self.lands(view, x, y);
                     let tap = self.tap(self.line(view, x, y).at(w));
                     visit((k, view), (x, y), w, tap);
                 }
@@ -124,18 +142,19 @@ impl<T: Real> ReferenceReprojection<T> {
         view.line(&self.camera, view.direction(px, py))
     }
 
-    fn inverse_depth(&self, view: &View<T>, x: usize, y: usize) -> T {
+    /// The inverse depth that a pixel sees, and whether the render hides it.
+    fn lands(&self, view: &View<T>, x: usize, y: usize) -> (T, bool) {
         let own = self.surface.row(y)[x];
         if let Some(bounds) = self.surface.blocks.searched(x, y) {
             return search(&self.surface, &self.line(view, x, y), bounds, own);
         }
         let land_from = |view, guess| land(&self.surface, &self.line(view, x, y), guess);
         if self.views.rolling {
-            return land_from(view, land_from(view, own));
+            return (land_from(view, land_from(view, own)), false);
         }
         let row = self.views.row(y);
         let at_end = |end: usize| land_from(&row[end], own);
-        between(at_end(0), own, at_end(row.len() - 1), view.moment)
+        (between(at_end(0), own, at_end(row.len() - 1), view.moment), false)
     }
 
     /// The cotangent of the view's pose from that of the position [per px].

@@ -27,6 +27,27 @@ pub enum Quadrature {
     Endpoints,
     /// `u = (j - 1/2) / N`: the middle of `N` equal parts of the exposure.
     Midpoints,
+    /// Simpson's rule, both ends included, for an odd `N` of at least 3 ([`Midpoints`](Self::Midpoints)
+    /// otherwise): `u` as for [`Endpoints`](Self::Endpoints), weights 1, 4, 2, 4, …, 1. The streak
+    /// has its exact variance, and of three cameras that in the middle has two thirds of the light.
+    Simpson,
+}
+
+impl Quadrature {
+    /// Moment and share of the `j`th of `count` cameras.
+    fn sample(self, j: usize, count: usize) -> (f64, f64) {
+        let (place, even) = (j as f64, 1.0 / count as f64);
+        let last = count as f64 - 1.0;
+        match self {
+            _ if count == 1 => (0.5, 1.0),
+            Self::Endpoints => (place / last, even),
+            Self::Simpson if count % 2 == 1 => {
+                let times = if j == 0 || j + 1 == count { 1.0 } else { 2.0 + 2.0 * (place % 2.0) };
+                (place / last, times / (3.0 * last))
+            }
+            Self::Simpson | Self::Midpoints => ((place + 0.5) / count as f64, even),
+        }
+    }
 }
 
 /// One sample of the exposure integral (eq. 6).
@@ -69,14 +90,9 @@ impl<T: Real> ShutterPoses<T> {
         quadrature: Quadrature,
     ) -> impl DoubleEndedIterator<Item = VirtualCamera<T>> + ExactSizeIterator + use<T> {
         let (shutter, count) = (*self, count.max(1));
-        let weight = T::of(1.0 / count as f64);
-        let moment = move |j: usize| match quadrature {
-            _ if count == 1 => T::of(0.5),
-            Quadrature::Endpoints => T::of(j as f64 / (count - 1) as f64),
-            Quadrature::Midpoints => T::of((j as f64 + 0.5) / count as f64),
-        };
         (0..count).map(move |j| {
-            let u = moment(j);
+            let (u, weight) = quadrature.sample(j, count);
+            let (u, weight) = (T::of(u), T::of(weight));
             VirtualCamera { u, weight, world_from_camera: shutter.at(u) }
         })
     }

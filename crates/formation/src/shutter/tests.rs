@@ -31,6 +31,26 @@ fn probe(at: Pose<f64>, pose: Pose<f64>, weights: &[f64]) -> f64 {
     at.local(pose).to_array().iter().zip(weights).map(|(a, w)| a * w).sum()
 }
 
+/// Moments beyond the mean weigh as in the integral: exactly so up to the third power.
+#[test]
+fn simpson_integrates_cubics() {
+    let shutter = ShutterPoses::still(base());
+    for count in [3, 5, 9] {
+        let cameras = shutter.virtual_cameras(count, Quadrature::Simpson);
+        for power in 0..4 {
+            let sum: f64 = cameras.iter().map(|c| c.weight * c.u.powi(power)).sum();
+            assert!((sum - 1.0 / f64::from(power + 1)).abs() < 1e-15, "{count} {power} {sum}");
+        }
+    }
+    let three = shutter.virtual_cameras(3, Quadrature::Simpson);
+    assert_eq!([0, 1, 2].map(|j| three[j].u), [0.0, 0.5, 1.0]);
+    for count in [1, 2, 4] {
+        let [even, midpoints] = [Quadrature::Simpson, Quadrature::Midpoints]
+            .map(|quadrature| shutter.virtual_cameras(count, quadrature));
+        assert_eq!(even, midpoints);
+    }
+}
+
 #[test]
 fn pull_back_agrees_with_differences() {
     for (shutter, seed) in examples().into_iter().zip(10..) {

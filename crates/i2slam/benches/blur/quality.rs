@@ -4,7 +4,7 @@ use super::Outcome;
 use super::fitted::{Fitted, psnr};
 use i2slam::objective::{BlurRoute, Sampling};
 
-const LENGTHS: [f64; 9] = [0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0];
+const LENGTHS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0];
 
 /// Tangents (ρ, φ) whose size does not matter.
 const MOTIONS: [(&str, [f64; 6]); 3] = [

@@ -114,7 +114,7 @@ pub enum BlurModel {
     Splat,
     /// One sharp render at mid-exposure, re-projected to the virtual cameras by its depth.
     Image,
-    /// `image`, and beyond 20 px of motion while the picture is taken `exact`, or `splat` with a
+    /// `image`, and beyond 40 px of motion while the picture is taken `exact`, or `splat` with a
     /// rolling shutter.
     Auto,
 }

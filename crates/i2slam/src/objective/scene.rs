@@ -37,13 +37,15 @@ pub trait SceneMap {
         gradient: Option<&mut Self::Gradient>,
     ) -> Tangent<f64>;
 
-    /// Write the average of what `view` shows while the camera moves. Exposures never ask this of a
-    /// map that does not [move](Self::MOVES), which shows the view as it stands still.
+    /// Write the average of what `view` shows while the camera moves, of the `wanted` tiles or of
+    /// all (see [`Rasterizer::render_moving`]). Exposures never ask this of a map that does not
+    /// [move](Self::MOVES), which shows the view as it stands still.
     fn render_moving(
         &self,
         renderer: &mut Self::Renderer,
         view: &View<f32>,
         _motion: &ShutterMotion,
+        _wanted: Option<&[bool]>,
         out: &mut Render,
     ) {
         self.render(renderer, view, out);
@@ -93,9 +95,10 @@ impl SceneMap for GaussianMap {
         renderer: &mut Rasterizer,
         view: &View<f32>,
         motion: &ShutterMotion,
+        wanted: Option<&[bool]>,
         out: &mut Render,
     ) {
-        renderer.render_moving(self, view, motion, out);
+        renderer.render_moving(self, view, motion, wanted, out);
     }
 
     fn pull_back_moving(

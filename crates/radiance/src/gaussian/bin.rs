@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
 /// Width and height of a tile \[px\].
-pub(crate) const TILE: usize = 16;
+pub const TILE: usize = 16;
 /// Sorted splats that one thread takes at least.
 const SORTED_CHUNK: usize = 4096;
 
@@ -32,6 +32,21 @@ impl TileGrid {
 
     pub(crate) fn len(&self) -> usize {
         self.columns * self.rows
+    }
+
+    /// The box around the wanted ones among a box of tiles (first column, first row, end column,
+    /// end row).
+    pub(crate) fn wanted_part(&self, wanted: &[bool], [x0, y0, x1, y1]: [u16; 4]) -> [u16; 4] {
+        let mut part = [x1, y1, 0, 0];
+        for row in y0..y1 {
+            for column in x0..x1 {
+                if wanted[usize::from(row) * self.columns + usize::from(column)] {
+                    let [left, top, right, _] = part;
+                    part = [left.min(column), top.min(row), right.max(column + 1), row + 1];
+                }
+            }
+        }
+        if part[2] > 0 { part } else { [0; 4] }
     }
 }
 

@@ -33,6 +33,7 @@ mod sort;
 mod tests;
 
 pub use crate::{Render, RenderCotangent, View};
+pub use bin::TILE;
 pub use gradient::MapGradient;
 pub use map::{ColourActivation, Gaussian, GaussianMap, Shape};
 pub use motion::{Moment, MotionGradient, ShutterMotion};

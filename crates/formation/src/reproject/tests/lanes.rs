@@ -48,14 +48,16 @@ impl Frame {
 
 #[test]
 fn fast_lane_follows_the_reference() {
+    let mut most = 0.0;
     let all = [(1, 0.0), (2, 0.0), (5, 0.0), (1, 1.5), (4, -0.8)];
     for (width, height, margin) in [(90, 70, 0), (33, 100, 0), (64, 76, 8), (90, 70, 3)] {
         let frame = Frame::with_margin(width, height, margin);
         for interpolation in [Interpolation::Linear, Interpolation::Sharp] {
             for (views, readout) in all {
                 let shutter = moving(MOTION);
+                let mut fast = Reprojection::new(interpolation);
                 let (blurred, d_radiance, d_shutter) =
-                    frame.run(&mut Reprojection::new(interpolation), &shutter, (views, readout));
+                    frame.run(&mut fast, &shutter, (views, readout));
                 let reference = ReferenceReprojection::new(
                     interpolation,
                     &frame.camera,
@@ -69,6 +71,14 @@ fn fast_lane_follows_the_reference() {
                 let (expected, d_shutter_expected) = reference.pull_back(&frame.d_blurred);
                 let name =
                     format!("{width} x {height} + {margin}, {interpolation:?}, {views}, {readout}");
+                let shares = reference.uncovered();
+                let moves = views > 1 || readout != 0.0;
+                let shown = if moves { &shares[..] } else { &[] };
+                assert_eq!(fast.uncovered().len(), shown.len());
+                most = shown.iter().copied().fold(most, f32::max);
+                for (k, (a, b)) in fast.uncovered().iter().zip(shown).enumerate() {
+                    assert!((a - b).abs() < 1e-3, "uncovered, {name}, tile {k}: {a} {b}");
+                }
                 let picture = wide(&reference.blur()).data;
                 assert_close(&format!("picture, {name}"), &wide(&blurred).data, &picture, 2e-4);
                 let (a, b) = (wide(&d_radiance).data, wide(&expected).data);
@@ -82,6 +92,7 @@ fn fast_lane_follows_the_reference() {
             }
         }
     }
+    assert!(most > 1e-3, "nothing is uncovered: {most}");
 }
 
 #[test]

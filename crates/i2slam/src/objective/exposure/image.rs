@@ -1,9 +1,10 @@
-//! One render at mid-exposure, re-projected by its depth.
+//! One render at mid-exposure, re-projected by its depth, with [`Patches`] where it hides too much.
 
 use super::super::SceneMap;
+use super::patches::Patches;
 use super::{Exposure, ExposureRenderer};
-use i2slam_formation::ShutterTangent;
 use i2slam_formation::reproject::Reprojection;
+use i2slam_formation::{CentreVelocity, ShutterTangent};
 use i2slam_geometry::Image;
 use i2slam_radiance::{Render, RenderCotangent, View};
 
@@ -13,11 +14,12 @@ const SOLID: f32 = 0.5;
 /// The render that stands for all virtual cameras. It is larger than the picture by
 /// [`Sampling::margin`](super::Sampling::margin), because those look beyond its border.
 pub(super) struct WideRender {
-    reprojection: Reprojection,
+    pub(super) reprojection: Reprojection,
     render: Render,
     /// Depth of what is solid [m], 0 elsewhere.
     surface: Image<f32>,
     cotangent: RenderCotangent<f32>,
+    pub(super) patches: Patches,
 }
 
 impl WideRender {
@@ -32,6 +34,7 @@ impl WideRender {
             render: Render::default(),
             surface: Image::default(),
             cotangent,
+            patches: Patches::none(),
         }
     }
 
@@ -71,6 +74,20 @@ impl<M: SceneMap> ExposureRenderer<M> {
         wide.render.depth.crop_into(sampling.margin, &mut picture.depth);
         wide.render.opacity.crop_into(sampling.margin, &mut picture.opacity);
         (self.depths, self.middle) = (0..1, 0);
+        if M::MOVES { 1 + self.patch(map, exposure) } else { 1 }
+    }
+
+    /// Draws what the re-projection cannot tell; gives the number of renders that it took.
+    fn patch(&mut self, map: &M, exposure: &Exposure) -> usize {
+        let view = self.view(exposure.shutter.middle());
+        self.reserve(2);
+        let WideRender { reprojection, patches, .. } = &mut self.wide;
+        patches.choose(reprojection.uncovered(), &self.hdr);
+        let Some(wanted) = patches.wanted() else { return 0 };
+        let drawn = &mut self.renders[1];
+        let motion = exposure.motion();
+        map.render_moving(&mut self.renderers[1], &view, &motion, Some(wanted), drawn);
+        patches.paste(&drawn.radiance, &mut self.hdr);
         1
     }
 
@@ -80,11 +97,13 @@ impl<M: SceneMap> ExposureRenderer<M> {
         exposure: &Exposure,
         d_hdr: &Image<f32>,
         d_depth: &Image<f32>,
-        d_map: Option<&mut M::Gradient>,
+        mut d_map: Option<&mut M::Gradient>,
     ) -> (ShutterTangent<f64>, f64) {
+        let (drawn, d_readout) = self.pull_back_patches(map, exposure, d_hdr, d_map.as_deref_mut());
         let view = self.wide_view(exposure);
-        let WideRender { reprojection, cotangent, .. } = &mut self.wide;
-        let relative = reprojection.pull_back(d_hdr, &mut cotangent.radiance);
+        let WideRender { reprojection, cotangent, patches, .. } = &mut self.wide;
+        let d_looked_up = if patches.wanted().is_some() { &patches.rest } else { d_hdr };
+        let relative = reprojection.pull_back(d_looked_up, &mut cotangent.radiance);
         let (width, height) = (view.camera.width, view.camera.height);
         match exposure.depth_pose {
             Some(_) => cotangent.depth.reset(width, height, 1),
@@ -93,6 +112,27 @@ impl<M: SceneMap> ExposureRenderer<M> {
         cotangent.opacity.reset(width, height, 1);
         let d_pose = map.pull_back(&mut self.renderers[0], &view, cotangent, d_map);
         let d_middle = exposure.shutter.pull_back(0.5, d_pose);
-        (relative.shutter.plus(d_middle), relative.readout)
+        (relative.shutter.plus(d_middle).plus(drawn), relative.readout + d_readout)
+    }
+
+    /// Divides the cotangent, and pulls the patches' part back to the map, the shutter poses and the
+    /// readout.
+    fn pull_back_patches(
+        &mut self,
+        map: &M,
+        exposure: &Exposure,
+        d_hdr: &Image<f32>,
+        d_map: Option<&mut M::Gradient>,
+    ) -> (ShutterTangent<f64>, f64) {
+        let view = self.view(exposure.shutter.middle());
+        let patches = &mut self.wide.patches;
+        if patches.wanted().is_none() {
+            return (ShutterTangent::zero(), 0.0);
+        }
+        patches.divide(d_hdr);
+        let (renderer, cotangent) = (&mut self.renderers[1], &patches.cotangent);
+        let moved = map.pull_back_moving(renderer, &view, &exposure.motion(), cotangent, d_map);
+        let motion = CentreVelocity::from(exposure.shutter);
+        (motion.pull_back_to_shutter(moved.pose, moved.velocity), moved.readout)
     }
 }

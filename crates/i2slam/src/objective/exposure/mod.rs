@@ -4,12 +4,15 @@
 //! |---|---|---|
 //! | exact | every virtual camera | everything |
 //! | splat | the map once with the pixel velocity of every Gaussian, and once still, for depth | the blend |
-//! | image | the map once, at mid-exposure, with a margin | a look-up by depth |
+//! | image | the map once, at mid-exposure, with a margin | a look-up by depth, the blend in a few tiles |
 
 mod exact;
 mod image;
+mod patches;
 mod sampling;
 mod splat;
+#[cfg(test)]
+mod tests;
 
 pub use sampling::{BlurRoute, Sampling};
 

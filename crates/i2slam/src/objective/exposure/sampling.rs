@@ -4,14 +4,18 @@ use super::super::virtual_camera_count;
 use crate::config::{BlurModel, FormationConfig};
 use i2slam_formation::Quadrature;
 
-/// Blur [px] from which re-projection uncovers more than it can fill, and `auto` renders every
-/// virtual camera.
-const LONG_BLUR: f64 = 20.0;
+/// Blur [px] from which `auto` renders every virtual camera. Up to here re-projected ones, of which
+/// there are nearly twice as many, come closer to the integral.
+const LONG_BLUR: f64 = 40.0;
+
+/// Blur [px] up to which three re-projected cameras weigh by Simpson's rule: the one in the middle,
+/// which is read without interpolation, then has two thirds of the light.
+const SHORT_BLUR: f64 = 2.25;
 
 /// The margin comes in steps [px] of half a tile of the rasteriser, and ends where `auto` no longer
 /// re-projects: the border of longer streaks takes the edge of the render.
 const MARGIN_STEP: usize = 8;
-const MOST_MARGIN: usize = 24;
+const MOST_MARGIN: usize = 32;
 
 /// How the average over the exposure is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,11 +91,19 @@ impl Sampling {
             _ => formation.virtual_cameras,
         };
         let virtual_cameras = views(formation, length, most);
+        let quadrature = match formation.quadrature() {
+            Quadrature::Midpoints
+                if route == BlurRoute::Image && virtual_cameras == 3 && length < SHORT_BLUR =>
+            {
+                Quadrature::Simpson
+            }
+            quadrature => quadrature,
+        };
         let several = virtual_cameras > 1;
         let reach = reach(several, length, readout);
         let margin = if several || reach > 0.0 { margin(reach) } else { 0 };
         match formation.blur {
-            true => Self { virtual_cameras, quadrature: formation.quadrature(), route, margin },
+            true => Self { virtual_cameras, quadrature, route, margin },
             false => Self { margin, ..Self::SHARP },
         }
     }
@@ -125,7 +137,7 @@ mod tests {
 
     #[test]
     fn the_margin_follows_the_blur() {
-        assert_eq!([0.5, 10.0, 11.3, 19.9, 500.0].map(margin), [8, 8, 16, 16, 24]);
+        assert_eq!([0.5, 10.0, 11.3, 19.9, 500.0].map(margin), [8, 8, 16, 16, 32]);
         assert_eq!(Sampling::SHARP.margin, 0);
     }
 
@@ -137,11 +149,11 @@ mod tests {
         assert_eq!([0.0, 0.9, -1.1].map(|readout| margin(8.0, readout)), [8, 16, 16]);
         let route = |length, readout| Sampling::new(&formation, length, readout).route;
         assert_eq!(
-            [0.9, 1.1].map(|readout| route(10.0, readout)),
+            [2.9, 3.1].map(|readout| route(10.0, readout)),
             [BlurRoute::Image, BlurRoute::Exact]
         );
         assert_eq!(
-            [45.0, 55.0].map(|readout| route(0.4, readout)),
+            [95.0, 105.0].map(|readout| route(0.4, readout)),
             [BlurRoute::Image, BlurRoute::Exact]
         );
     }
@@ -165,5 +177,17 @@ mod tests {
         };
         assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Image, b)), [1, 5, 9, 9]);
         assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Exact, b)), [1, 5, 5, 5]);
+    }
+
+    #[test]
+    fn short_blur_weighs_by_simpsons_rule() {
+        let quadrature = |route, length| {
+            let formation = crate::Config::default().formation;
+            Sampling::by_route(route, &formation, length, 0.0).quadrature
+        };
+        use Quadrature::{Midpoints, Simpson};
+        let image = [1.0, 2.0, 3.0, 10.0].map(|length| quadrature(BlurRoute::Image, length));
+        assert_eq!(image, [Simpson, Simpson, Midpoints, Midpoints]);
+        assert_eq!(quadrature(BlurRoute::Exact, 1.0), Midpoints);
     }
 }

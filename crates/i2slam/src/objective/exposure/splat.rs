@@ -12,7 +12,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
         self.reserve(2);
         let view = self.view(middle);
         let motion = exposure.motion();
-        map.render_moving(&mut self.renderers[0], &view, &motion, &mut self.renders[0]);
+        map.render_moving(&mut self.renderers[0], &view, &motion, None, &mut self.renders[0]);
         self.hdr.clone_from(&self.renders[0].radiance);
         self.still(map, 1, middle);
         (self.depths, self.middle) = (1..2, 1);
@@ -46,7 +46,8 @@ impl<M: SceneMap> ExposureRenderer<M> {
 }
 
 impl Exposure {
-    fn motion(&self) -> ShutterMotion<f32> {
+    /// The motion as moving splats need it.
+    pub(super) fn motion(&self) -> ShutterMotion<f32> {
         let moment = |camera: VirtualCamera<f64>| Moment {
             time: (camera.u - 0.5) as f32,
             weight: camera.weight as f32,

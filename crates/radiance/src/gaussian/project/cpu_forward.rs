@@ -19,6 +19,8 @@ pub(crate) struct Projection<'a> {
     pub(crate) chunks: &'a mut Vec<Chunk>,
     /// One per splat when the camera moves.
     pub(crate) paths: &'a mut Vec<Path<f32>>,
+    /// Tiles outside of which nothing is drawn, if not all are.
+    pub(crate) wanted: Option<&'a [bool]>,
 }
 
 /// Project the map, with the paths of its splats when the camera moves.
@@ -28,7 +30,7 @@ pub(crate) fn project(
     view: &View<f32>,
     motion: Option<&MotionFrame>,
     settings: &RasterSettings,
-    Projection { splats, chunks, paths }: Projection<'_>,
+    Projection { splats, chunks, paths, wanted }: Projection<'_>,
 ) {
     let (grid, frame) = (TileGrid::of(&view.camera), Frame::new(map, view, settings));
     splats.resize(map.len(), Splat::default());
@@ -40,7 +42,7 @@ pub(crate) fn project(
         chunk.visible.clear();
         chunk.tile_count = 0;
         let start = number * CHUNK;
-        arch.dispatch(Project { frame, map, grid, start, splats, moving, chunk });
+        arch.dispatch(Project { frame, map, grid, wanted, start, splats, moving, chunk });
     };
     match motion {
         None => work.for_each(|(number, (splats, chunk))| project(number, splats, chunk, None)),
@@ -57,6 +59,7 @@ struct Project<'a> {
     frame: &'a Frame,
     map: &'a GaussianMap,
     grid: &'a TileGrid,
+    wanted: Option<&'a [bool]>,
     /// Index of the first Gaussian.
     start: usize,
     splats: &'a mut [Splat],
@@ -88,6 +91,9 @@ impl WithSimd for Project<'_> {
             }
             for (place, splat) in splats.iter_mut().enumerate() {
                 group.write(place, splat);
+                if let Some(wanted) = self.wanted {
+                    splat.tiles = self.grid.wanted_part(wanted, splat.tiles);
+                }
                 splat.first_tile = self.chunk.tile_count;
                 if let Some((_, paths)) = &mut self.moving {
                     paths[index + place - self.start] = group.paths.path(place);

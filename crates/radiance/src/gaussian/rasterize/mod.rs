@@ -93,7 +93,7 @@ impl Rasterizer {
 
     /// Write what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
-        self.list(map, view, None);
+        self.list(map, view, None, None);
         let Self { arch, settings, grid, splats, bins, tiles, seconds, .. } = self;
         timed(&mut seconds.blend, || {
             cpu_forward::render(*arch, settings, grid, splats, bins, tiles);
@@ -101,13 +101,21 @@ impl Rasterizer {
         timed(&mut seconds.copy_out, || tile::copy_out(grid, tiles, out));
     }
 
-    /// Project the map and list the splats of each tile in order of depth.
-    fn list(&mut self, map: &GaussianMap, view: &View<f32>, motion: Option<&MotionFrame>) {
+    /// Project the map and list the splats of each tile, or of those that are `wanted`, in order of
+    /// depth.
+    fn list(
+        &mut self,
+        map: &GaussianMap,
+        view: &View<f32>,
+        motion: Option<&MotionFrame>,
+        wanted: Option<&[bool]>,
+    ) {
         self.grid = TileGrid::of(&view.camera);
         let projection = Projection {
             splats: &mut self.splats,
             chunks: &mut self.chunks,
             paths: &mut self.paths,
+            wanted,
         };
         let (arch, settings, seconds) = (self.arch, &self.settings, &mut self.seconds);
         timed(&mut seconds.project, || {
@@ -211,16 +219,26 @@ impl Rasterizer {
     ///
     /// With zero velocity it shows what [`render`](Self::render) shows: exactly for one moment,
     /// up to rounding for several.
+    ///
+    /// `wanted` has a number for each tile of [`TILE`](super::TILE) pixels, row by row, those that
+    /// stand over the right and lower edge included; only what is wanted is drawn, the rest shows
+    /// nothing, and `None` wants everything.
+    ///
+    /// # Panics
+    /// If `wanted` has another size than the picture has tiles.
     pub fn render_moving(
         &mut self,
         map: &GaussianMap,
         view: &View<f32>,
         motion: &ShutterMotion,
+        wanted: Option<&[bool]>,
         out: &mut Render,
     ) {
+        let tiles = TileGrid::of(&view.camera).len();
+        assert!(wanted.is_none_or(|wanted| wanted.len() == tiles), "one number per tile");
         self.clock = Clock::new(motion, view.camera.height);
         let frame = MotionFrame::new(view, motion, &self.settings);
-        self.list(map, view, Some(&frame));
+        self.list(map, view, Some(&frame), wanted);
         let count = moving::moment_rows(&self.grid, &self.clock);
         self.states.resize(count, MomentRow::default());
         let scene = moving::Scene {
@@ -232,7 +250,7 @@ impl Rasterizer {
             paths: &self.paths,
             bins: &self.bins,
         };
-        moving::render(&scene, &mut self.tiles, &mut self.states);
+        moving::render(&scene, wanted, &mut self.tiles, &mut self.states);
         tile::copy_out(&self.grid, &self.tiles, out);
     }
 

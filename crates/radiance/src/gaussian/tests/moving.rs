@@ -22,7 +22,7 @@ fn fast_on(arch: Arch, case: &Case, motion: &ShutterMotion<f64>) -> Outcome {
     let (map, view, motion) = (case.map().cast(), case.view().cast(), motion.cast());
     let mut rasterizer = Rasterizer::on(arch, case.settings);
     let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
-    rasterizer.render_moving(&map, &view, &motion, &mut render);
+    rasterizer.render_moving(&map, &view, &motion, None, &mut render);
     let cotangent = single_cotangent(&case.cotangent());
     let rows = Some(&mut gradient);
     let d = rasterizer.pull_back_moving(&map, &view, &motion, &cotangent, rows);
@@ -78,15 +78,52 @@ fn without_motion_it_is_the_still_picture() {
         let (mut still, mut moving) = (Render::default(), Render::default());
         rasterizer.render(&map, &view, &mut still);
         let mut camera = ShutterMotion::still();
-        rasterizer.render_moving(&map, &view, &camera, &mut moving);
+        rasterizer.render_moving(&map, &view, &camera, None, &mut moving);
         assert!(still == moving, "{}", case.name);
         camera.velocity = motion(0.0).velocity.cast();
-        rasterizer.render_moving(&map, &view, &camera, &mut moving);
+        rasterizer.render_moving(&map, &view, &camera, None, &mut moving);
         let margin_leaves_out = case.recipe.margin > 1.0;
         assert!(still == moving || margin_leaves_out, "{} with a velocity", case.name);
         let several = ShutterMotion::global(Tangent::zero(), 5);
-        rasterizer.render_moving(&map, &view, &several, &mut moving);
+        rasterizer.render_moving(&map, &view, &several, None, &mut moving);
         assert_pictures(&case, &planes(&moving), &planes(&still));
+    }
+}
+
+/// Tiles that are not wanted show nothing and ask for nothing; what the others do stays the same.
+#[test]
+fn wanted_tiles_are_those_of_the_whole_picture() {
+    let motion = motion(0.5);
+    for case in cases() {
+        let (whole, _, _) = fast_on(Arch::new(), &case, &motion);
+        let (map, view) = (case.map().cast(), case.view().cast());
+        let columns = view.camera.width.div_ceil(TILE);
+        let is_wanted = |number: usize| number % 3 == 1;
+        let tiles = columns * view.camera.height.div_ceil(TILE);
+        let wanted: Vec<_> = (0..tiles).map(is_wanted).collect();
+        let at = |i: usize| {
+            let (x, y) = (i % view.camera.width, i / view.camera.width % view.camera.height);
+            is_wanted(y / TILE * columns + x / TILE)
+        };
+        let mut cotangent = single_cotangent(&case.cotangent());
+        let all = cotangent.clone();
+        for plane in [&mut cotangent.radiance, &mut cotangent.depth, &mut cotangent.opacity] {
+            plane.data.iter_mut().enumerate().for_each(|(i, d)| *d = if at(i) { *d } else { 0.0 });
+        }
+        let run = |wanted: Option<&[bool]>, cotangent: &RenderCotangent| {
+            let mut rasterizer = Rasterizer::new(case.settings);
+            let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
+            rasterizer.render_moving(&map, &view, &motion.cast(), wanted, &mut render);
+            let rows = Some(&mut gradient);
+            let d = rasterizer.pull_back_moving(&map, &view, &motion.cast(), cotangent, rows);
+            (render, gradient, numbers(&d))
+        };
+        let (render, gradient, d) = run(Some(&wanted), &all);
+        for (i, (part, whole)) in planes(&render).iter().zip(&planes(&whole)).enumerate() {
+            assert_eq!(*part, if at(i) { *whole } else { 0.0 }, "{} pixel {i}", case.name);
+        }
+        let (_, expected, expected_d) = run(None, &cotangent);
+        assert!(gradient == expected && d == expected_d, "{} gradient", case.name);
     }
 }
 
@@ -152,7 +189,7 @@ fn another_motion_is_refused() {
     let case = &cases()[0];
     let (map, view) = (case.map().cast(), case.view().cast());
     let mut rasterizer = Rasterizer::default();
-    rasterizer.render_moving(&map, &view, &motion(0.0).cast(), &mut Render::default());
+    rasterizer.render_moving(&map, &view, &motion(0.0).cast(), None, &mut Render::default());
     let other = motion(0.1).cast();
     rasterizer.pull_back_moving(&map, &view, &other, &RenderCotangent::default(), None);
 }
@@ -215,7 +252,7 @@ fn a_moving_camera_shows_the_average_of_exact_views() {
         let mut render = Render::default();
         let mut psnr = |count: usize| {
             let motion = ShutterMotion::global(exact.velocity, count);
-            Rasterizer::default().render_moving(&map, &view, &motion, &mut render);
+            Rasterizer::default().render_moving(&map, &view, &motion, None, &mut render);
             psnr_against_views(&exact, &render, &views)
         };
         let found = [5, 32].map(&mut psnr);
@@ -231,7 +268,7 @@ fn a_rolling_shutter_shows_rows_of_exact_views() {
     let velocity = Tangent::from_array(TWISTS[4].1).cast();
     let motion = ShutterMotion { readout: 1.0, ..ShutterMotion::global(velocity, 5) };
     let mut picture = Render::default();
-    Rasterizer::default().render_moving(&map, &view, &motion, &mut picture);
+    Rasterizer::default().render_moving(&map, &view, &motion, None, &mut picture);
     let (mut squares, mut peak, mut count) = (0.0, 0.0_f64, 0.0);
     for row in (5..240).step_by(30) {
         let mut shifted = motion.clone();

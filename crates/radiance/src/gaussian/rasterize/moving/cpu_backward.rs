@@ -79,7 +79,7 @@ fn pull_back_tile(picture: &Picture<'_>, number: usize, Slots { slots, motion }:
     motion.fill(MotionSlot::default());
     let (count, visited) = (clock.moments.len(), picture.tiles[number].visited);
     let mut cotangent = Cotangent([[[0.0; TILE]; PLANES]; TILE]);
-    if count == 0 || !load(picture, number, &mut cotangent) {
+    if count == 0 || visited == 0 || !load(picture, number, &mut cotangent) {
         return;
     }
     let (column, row) = (number % grid.columns, number / grid.columns);

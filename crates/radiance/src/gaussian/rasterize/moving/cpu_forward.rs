@@ -23,19 +23,30 @@ pub(crate) struct Scene<'a> {
     pub(crate) bins: &'a Bins,
 }
 
-/// Composite all tiles. `states` holds the moments of the first tile, then of the second.
-pub(crate) fn render(scene: &Scene<'_>, tiles: &mut [TilePixels], states: &mut [MomentRow]) {
+/// Composite all tiles, or those that are `wanted`. `states` holds the moments of the first tile,
+/// then of the second.
+pub(crate) fn render(
+    scene: &Scene<'_>,
+    wanted: Option<&[bool]>,
+    tiles: &mut [TilePixels],
+    states: &mut [MomentRow],
+) {
     if scene.clock.moments.is_empty() {
-        // Nothing is seen: the transmittance is 1 everywhere.
-        tiles.par_iter_mut().for_each(|tile| {
-            tile.rows = [[[0.0; TILE]; PLANES]; TILE];
-            tile.rows.iter_mut().for_each(|row| row[0] = [1.0; TILE]);
-        });
+        tiles.par_iter_mut().for_each(show_nothing);
         return;
     }
     let count = TILE * scene.clock.moments.len();
     let work = tiles.par_iter_mut().zip(states.par_chunks_mut(count)).enumerate();
-    work.for_each(|(number, (tile, states))| render_tile(scene, number, tile, states));
+    work.for_each(|(number, (tile, states))| match wanted {
+        Some(wanted) if !wanted[number] => show_nothing(tile),
+        _ => render_tile(scene, number, tile, states),
+    });
+}
+
+/// The transmittance is 1 everywhere.
+fn show_nothing(tile: &mut TilePixels) {
+    *tile = TilePixels::default();
+    tile.rows.iter_mut().for_each(|row| row[0] = [1.0; TILE]);
 }
 
 fn render_tile(scene: &Scene<'_>, number: usize, tile: &mut TilePixels, states: &mut [MomentRow]) {
