@@ -1,0 +1,388 @@
+"""The hash-grid field of crates/radiance/src/hashgrid in PyTorch: the same network, sampling, loss
+and optimiser, to be trained and timed beside it.
+
+usage: reference.py DATA [--steps N] [--rays N] [--seed N] [--threads N]      train, held-out PSNR
+       reference.py --throughput [--threads N]                       a table for performance.py
+
+    pip install torch numpy pillow
+
+DATA is a sequence of `i2slam synth` or of the tests' path tracer, with sharp/, depth/,
+groundtruth.txt, exposure.csv and camera.json. Pictures are taken at half their size; every eighth
+frame is held out. The counterpart, with the same defaults, is
+
+    cargo run --release -p i2slam --example fit_field -- DATA
+
+What is the same: 16 grids of 2 features from 16 cells along the cube's edge to 5 mm, hashed into
+tables of 2^17; 64 units, one hidden layer for density, two for colour, no biases; harmonics of
+degree 4; exponentials for density and radiance; samples at 1/128 of the distance (at least 5 mm)
+in the cells of 128^3 that lie within 3 % of a surface that a training frame saw; batches of random
+pixels of all training frames; mean square error after exposure and response, which are known;
+Adam (0.9, 0.99, 1e-15) at 1e-2, falling tenfold. Random numbers differ. Adam here is PyTorch's,
+which goes on moving entries that a step did not touch.
+"""
+
+import argparse
+import csv
+import json
+import math
+import pathlib
+import time
+
+import numpy
+import torch
+from PIL import Image
+
+LEVELS, FEATURES, BASE, WIDTH, GEOMETRY = 16, 2, 16, 64, 15
+CELLS, SHELL = 128, 0.03
+NEAR, CONE, STEP_MIN = 0.05, 1.0 / 128.0, 0.005
+PRIMES = (1, 2654435761 - 2**32, 805459861)
+
+
+class TruncatedExp(torch.autograd.Function):
+    """exp of the argument cut to +-15, in value and slope."""
+
+    @staticmethod
+    def forward(context, x):
+        y = torch.exp(x.clamp(-15, 15))
+        context.save_for_backward(y)
+        return y
+
+    @staticmethod
+    def backward(context, d_y):
+        return d_y * context.saved_tensors[0]
+
+
+class Interpolate(torch.autograd.Function):
+    """Weighted sums of eight entries. PyTorch's own way back through `embedding_bag` sorts all
+    indices first and takes seven times as long."""
+
+    @staticmethod
+    def forward(context, table, index, weights):
+        context.save_for_backward(index, weights)
+        context.size = table.shape
+        bag = torch.nn.functional.embedding_bag
+        return bag(index, table, per_sample_weights=weights, mode="sum")
+
+    @staticmethod
+    def backward(context, d_out):
+        index, weights = context.saved_tensors
+        d_table = d_out.new_zeros(context.size)
+        for f in range(FEATURES):
+            d_table[:, f].index_add_(0, index.view(-1), (weights * d_out[:, f, None]).view(-1))
+        return d_table, None, None
+
+
+def harmonics(n):
+    """Real spherical harmonics of unit vectors up to degree 3, 16 numbers each."""
+    x, y, z = n.unbind(-1)
+    xx, yy, zz = x * x, y * y, z * z
+    a, b = 1.0925484305920792, 0.5900435899266435
+    c, d = 0.4570457994644657, 1.445305721320277
+    return torch.stack([
+        torch.full_like(x, 0.28209479177387814),
+        -0.48860251190291987 * y, 0.48860251190291987 * z, -0.48860251190291987 * x,
+        a * x * y, -a * y * z, 0.94617469575756 * zz - 0.31539156525252, -a * x * z,
+        0.5462742152960396 * (xx - yy),
+        b * y * (yy - 3 * xx), 2.890611442640554 * x * y * z, c * y * (1 - 5 * zz),
+        0.3731763325901154 * z * (5 * zz - 3), c * x * (1 - 5 * zz), d * z * (xx - yy),
+        b * x * (3 * yy - xx),
+    ], -1)
+
+
+class Field(torch.nn.Module):
+    """Density [1/m] and linear radiance in a cube of half edge `bound` [m] around `centre`."""
+
+    def __init__(self, centre, bound, log2_table, finest):
+        super().__init__()
+        self.register_buffer("centre", torch.tensor(centre, dtype=torch.float32))
+        self.bound = bound
+        growth = [l / (LEVELS - 1) for l in range(LEVELS)]
+        scales = [BASE * (finest / BASE) ** part - 1 for part in growth]
+        nodes = [math.ceil(scale) + 2 for scale in scales]
+        most = 1 << log2_table
+        self.dense = sum(n**3 <= most for n in nodes)
+        entries = [n**3 if n**3 <= most else most for n in nodes]
+        first = [sum(entries[:l]) for l in range(LEVELS)]
+        factors = [(1, n, n * n) for n in nodes[: self.dense]] + [PRIMES] * (LEVELS - self.dense)
+        self.register_buffer("scales", torch.tensor(scales, dtype=torch.float32))
+        self.register_buffer("first", torch.tensor(first, dtype=torch.int32))
+        self.register_buffer("factors", torch.tensor(factors, dtype=torch.int32))
+        self.mask = most - 1
+        self.table = torch.nn.Parameter(torch.empty(sum(entries), FEATURES).uniform_(-1e-4, 1e-4))
+        linear = lambda i, o: torch.nn.Linear(i, o, bias=False)
+        relu = torch.nn.ReLU(inplace=True)
+        self.density = torch.nn.Sequential(
+            linear(LEVELS * FEATURES, WIDTH), relu, linear(WIDTH, 1 + GEOMETRY)
+        )
+        self.colour = torch.nn.Sequential(
+            linear(16 + GEOMETRY, WIDTH), relu, linear(WIDTH, WIDTH), relu, linear(WIDTH, 3)
+        )
+
+    def to_unit(self, points):
+        return (points - self.centre) * (0.5 / self.bound) + 0.5
+
+    def encode(self, unit):
+        """Features of positions in the unit cube: trilinear in every grid."""
+        with torch.no_grad():
+            p = unit.clamp(0, 1)[:, None, :] * self.scales[:, None] + 0.5
+            node = p.floor()
+            fraction, node = p - node, node.to(torch.int32)
+            low = node * self.factors
+            x, y, z = torch.stack([low, low + self.factors], -1).unbind(2)
+            d = self.dense
+            grid = lambda v, axis: v[:, :, None, None, :].movedim(-1, axis)
+            add = grid(x[:, :d], 4) + grid(y[:, :d], 3) + grid(z[:, :d], 2)
+            mix = (grid(x[:, d:], 4) ^ grid(y[:, d:], 3) ^ grid(z[:, d:], 2)) & self.mask
+            index = torch.cat([add, mix], 1) + self.first[:, None, None, None]
+            u, v, w = torch.stack([1 - fraction, fraction], -1).unbind(2)
+            weights = grid(u, 4) * grid(v, 3) * grid(w, 2)
+        features = Interpolate.apply(self.table, index.view(-1, 8), weights.view(-1, 8))
+        return features.view(len(unit), LEVELS * FEATURES)
+
+    def forward(self, unit, seen):
+        """Density and radiance at positions, with the harmonics of the directions they are seen
+        from."""
+        hidden = self.density(self.encode(unit))
+        colour = self.colour(torch.cat([seen, hidden[:, 1:]], 1))
+        return TruncatedExp.apply(hidden[:, 0]), TruncatedExp.apply(colour)
+
+
+class March:
+    """Samples of rays in occupied cells."""
+
+    def __init__(self, field, occupied, step_max):
+        self.field, self.occupied, self.step_max = field, occupied, step_max
+
+    def samples(self, origins, directions, offsets):
+        """(ray, place in the ray, depth, step) of every sample, ray after ray."""
+        length = directions.norm(dim=1)
+        start = NEAR + offsets * self.step(NEAR * length) / length
+        # Depths follow each other by a step that depends on the depth: constant, then growing,
+        # then constant again.
+        far = (2 * math.sqrt(3) * self.field.bound / length).max().item()
+        depths = [start]
+        while depths[-1].min().item() < far and len(depths) < 4096:
+            depths.append(depths[-1] + self.step(depths[-1] * length) / length)
+        depths = torch.stack(depths, 1)
+        o = self.field.to_unit(origins)[:, None, :]
+        d = (directions * (0.5 / self.field.bound))[:, None, :]
+        unit = o + depths[..., None] * d
+        inside = ((unit >= 0) & (unit < 1)).all(-1)
+        cell = (unit * CELLS).to(torch.int64).clamp(0, CELLS - 1)
+        cell = (cell[..., 2] * CELLS + cell[..., 1]) * CELLS + cell[..., 0]
+        held = inside & self.occupied[cell]
+        place = held.cumsum(1) - 1
+        ray, k = held.nonzero(as_tuple=True)
+        depth = depths[ray, k]
+        step = self.step(depth * length[ray]) / length[ray]
+        return ray, place[ray, k], depth, step, unit[ray, k]
+
+    def step(self, distance):
+        return (distance * CONE).clamp(STEP_MIN, self.step_max)
+
+    def render(self, origins, directions, offsets):
+        """Radiance of rays, and how many samples that took."""
+        with torch.no_grad():
+            ray, place, depth, step, unit = self.samples(origins, directions, offsets)
+            length = directions.norm(dim=1)
+            seen = harmonics(directions / length[:, None])[ray]
+        density, colour = self.field(unit, seen)
+        return composite(len(origins), ray, place, density * step * length[ray], colour), len(ray)
+
+
+def composite(rays, ray, place, thickness, colour):
+    """Radiance of rays, front to back, from the samples' optical thickness and radiance."""
+    longest = int(place.max()) + 1 if len(place) else 1
+    at = ray * longest + place
+    padded = thickness.new_zeros(rays * longest).index_put((at,), thickness).view(rays, longest)
+    before = torch.cumsum(padded, 1) - padded
+    weight = torch.exp(-before) * (1 - torch.exp(-padded))
+    return thickness.new_zeros(rays, 3).index_add(0, ray, weight.view(-1)[at][:, None] * colour)
+
+
+def picture(radiance, exposure):
+    """((t H) / (t H + 1))^(1/2.2)"""
+    x = (radiance * exposure).clamp(min=1e-4)
+    return (x / (1 + x)) ** (1 / 2.2)
+
+
+class Sequence:
+    """Frames with true poses and exposures, at half size."""
+
+    def __init__(self, folder):
+        folder = pathlib.Path(folder)
+        camera = json.loads((folder / "camera.json").read_text())
+        self.focal = [0.5 * camera["fx"], 0.5 * camera["fy"]]
+        self.centre = [0.5 * camera["cx"], 0.5 * camera["cy"]]
+        rows = list(csv.DictReader((folder / "exposure.csv").open()))
+        self.exposures = torch.tensor([float(row["dt"]) for row in rows])
+        lines = (folder / "groundtruth.txt").read_text().splitlines()
+        poses = [[float(v) for v in line.split()] for line in lines if not line.startswith("#")]
+        poses = torch.tensor(poses, dtype=torch.float64)
+        self.origins = poses[:, 1:4].float()
+        self.rotations = rotation(poses[:, 4:8]).float()
+        names = [f"{i:06d}.png" for i in range(len(poses))]
+        self.pictures = torch.stack([half(folder / "sharp" / name) for name in names])
+        depth = [numpy.array(Image.open(folder / "depth" / name))[1::2, 1::2] for name in names]
+        self.depths = torch.tensor(numpy.stack(depth).astype(numpy.float32)) / camera["depth_scale"]
+        every = range(len(poses))
+        self.held_out = [i for i in every if i > 0 and i % 8 == 0]
+        self.training = torch.tensor([i for i in every if i not in self.held_out])
+
+    def size(self):
+        return self.pictures.shape[1:3]
+
+    def rays(self, frames, rows, columns):
+        """Origins and directions (1 m along the optical axis) of pixels of frames."""
+        x = (columns + 0.5 - self.centre[0]) / self.focal[0]
+        y = (rows + 0.5 - self.centre[1]) / self.focal[1]
+        directions = torch.stack([x, y, torch.ones_like(x)], -1)
+        return self.origins[frames], (self.rotations[frames] @ directions[..., None])[..., 0]
+
+    def whole(self, frame):
+        """Rays of all pixels of a frame, row by row."""
+        height, width = self.size()
+        rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+        frames = torch.full((height * width,), frame)
+        return self.rays(frames, rows.reshape(-1), columns.reshape(-1))
+
+
+def half(path):
+    """A picture in [0, 1] at half its size, means of 2 x 2."""
+    p = torch.tensor(numpy.array(Image.open(path).convert("RGB"))).float() / 255
+    return 0.25 * (p[::2, ::2] + p[1::2, ::2] + p[::2, 1::2] + p[1::2, 1::2])
+
+
+def rotation(q):
+    x, y, z, w = (q / q.norm(dim=1, keepdim=True)).unbind(1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]
+    return torch.stack(rows, 1).view(-1, 3, 3)
+
+
+def surroundings(sequence):
+    """The cube that holds all surfaces of the training frames, and what lies along their rays:
+    (centre, bound, function that marks the occupied cells of a field)."""
+    points = []
+    for frame in sequence.training.tolist():
+        origins, directions = sequence.whole(frame)
+        depth = sequence.depths[frame].reshape(-1, 1)
+        points.append((origins + directions * depth)[depth[:, 0] > 0])
+    points = torch.cat(points)
+    low, high = points.amin(0), points.amax(0)
+
+    def mark(field):
+        occupied = torch.zeros(CELLS**3, dtype=torch.bool)
+        for frame in sequence.training.tolist():
+            origins, directions = sequence.whole(frame)
+            depth = sequence.depths[frame].reshape(-1, 1)
+            for part in torch.linspace(-SHELL, SHELL, 25).tolist():
+                unit = field.to_unit(origins + directions * (depth * (1 + part)))
+                held = ((unit >= 0) & (unit < 1)).all(1) & (depth[:, 0] > 0)
+                cell = (unit[held] * CELLS).to(torch.int64)
+                occupied[(cell[:, 2] * CELLS + cell[:, 1]) * CELLS + cell[:, 0]] = True
+        return occupied
+
+    return (0.5 * (low + high)).tolist(), 0.51 * (high - low).max().item(), mark
+
+
+def psnr(sequence, march):
+    """Mean PSNR [dB] of the held-out frames."""
+    values = []
+    for frame in sequence.held_out:
+        origins, directions = sequence.whole(frame)
+        parts = zip(origins.split(4096), directions.split(4096))
+        with torch.no_grad():
+            shown = [march.render(o, d, torch.full((len(o),), 0.5))[0] for o, d in parts]
+        shown = picture(torch.cat(shown), sequence.exposures[frame]).clamp(0, 1)
+        truth = sequence.pictures[frame].reshape(-1, 3)
+        values.append(-10 * math.log10((shown - truth).square().mean().item()))
+    return sum(values) / len(values)
+
+
+def adam(field):
+    return torch.optim.Adam(field.parameters(), lr=1e-2, betas=(0.9, 0.99), eps=1e-15)
+
+
+def train(asked):
+    sequence = Sequence(asked.data)
+    centre, bound, mark = surroundings(sequence)
+    field = Field(centre, bound, asked.log2_table, int(2 * bound / 0.005))
+    march = March(field, mark(field), 2 * math.sqrt(3) * bound / 128)
+    optimizer, (height, width) = adam(field), sequence.size()
+    times, samples, before = [], 0, time.process_time()
+    for step in range(asked.steps):
+        begun = time.perf_counter()
+        frames = sequence.training[torch.randint(len(sequence.training), (asked.rays,))]
+        rows, columns = torch.randint(height, (asked.rays,)), torch.randint(width, (asked.rays,))
+        origins, directions = sequence.rays(frames, rows, columns)
+        shown, count = march.render(origins, directions, torch.rand(asked.rays))
+        truth = sequence.pictures[frames, rows, columns]
+        loss = (picture(shown, sequence.exposures[frames][:, None]) - truth).square().mean()
+        optimizer.param_groups[0]["lr"] = 1e-2 * 0.1 ** (step / asked.steps)
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        optimizer.step()
+        times.append(time.perf_counter() - begun)
+        samples += count
+    processor = time.process_time() - before
+    times.sort()
+    print(
+        f"PyTorch: {asked.steps} steps of {asked.rays} rays, {samples / asked.steps:.0f} samples; "
+        f"a step {1e3 * times[0]:.1f} ms fastest, {1e3 * times[len(times) // 2]:.1f} ms median, "
+        f"{1e3 * processor / asked.steps:.1f} ms of the processor; "
+        f"held out {psnr(sequence, march):.2f} dB"
+    )
+
+
+def throughput(threads):
+    """The room of benches/kernels/rays: samples around the walls, forward and back."""
+    bound, wall, rays = 2.0, 1.8, 4096
+    field = Field([0.0] * 3, bound, 19, int(2048 * bound))
+    torch.nn.init.uniform_(field.table, -1, 1)
+    middle = (torch.arange(CELLS) + 0.5) / CELLS * 2 * bound - bound
+    far = middle.abs()
+    far = torch.maximum(torch.maximum(far[:, None, None], far[:, None]), far)
+    march = March(field, ((far - wall).abs() < 0.15).reshape(-1), 2 * math.sqrt(3) * bound / 128)
+    origins, directions = 0.5 * (2 * torch.rand(rays, 3) - 1), 2 * torch.rand(rays, 3) - 1
+    cotangent = torch.randn(rays, 3) / rays
+    fastest = [math.inf] * 2
+    for _ in range(8):
+        field.zero_grad()
+        begun = time.perf_counter()
+        shown, samples = march.render(origins, directions, torch.full((rays,), 0.5))
+        between = time.perf_counter()
+        shown.backward(cotangent)
+        ended = time.perf_counter()
+        fastest = [min(fastest[0], between - begun), min(fastest[1], ended - between)]
+    print("# rays_pytorch\nthreads,rays,samples,forward_ms,backward_ms,rays_per_s,msamples_per_s")
+    both = sum(fastest)
+    rates = f"{rays / both:.0f},{samples / both / 1e6:.3f}"
+    print(f"{threads},{rays},{samples},{1e3 * fastest[0]:.1f},{1e3 * fastest[1]:.1f},{rates}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", nargs="?")
+    parser.add_argument("--throughput", action="store_true")
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--rays", type=int, default=1024)
+    parser.add_argument("--log2-table", type=int, default=17)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    asked = parser.parse_args()
+    torch.manual_seed(asked.seed)
+    torch.set_num_threads(asked.threads)
+    if asked.throughput:
+        throughput(asked.threads)
+    elif asked.data:
+        train(asked)
+    else:
+        parser.error("DATA or --throughput")
+
+
+if __name__ == "__main__":
+    main()
