@@ -8,6 +8,7 @@
 //! tile.
 
 use i2slam_radiance::gaussian::Work;
+use i2slam_radiance::hashgrid::FieldSettings;
 
 /// Pixels of a row of a tile, and of a tile.
 const ROW: usize = 16;
@@ -68,4 +69,27 @@ pub(crate) fn blend_back(work: &Work) -> Count {
 pub(crate) fn project_back(work: &Work) -> Count {
     let bytes = (PARAMETERS + FOOTPRINT + 8 + 113) * work.visible + 48 * work.pairs;
     count(11 * work.pairs + 186 * work.visible, bytes)
+}
+
+/// Operations of a sample of a hash-grid field, forward and back to the field. Of its networks
+/// only those that its widths ask for count, not those of the zeros that fill vectors up.
+pub(crate) struct FieldCount {
+    pub(crate) forward: f64,
+    pub(crate) backward: f64,
+}
+
+/// `hashgrid/encoding`, `network`, `render`. A level: corners 15, seven interpolations of 3 per
+/// feature; back: weights 15, eight corners of 2 per feature. Networks: two per weight, and back
+/// three times that, because they are run forward again. Five exponentials of 16; blend 12, undone
+/// 30.
+pub(crate) fn field(settings: &FieldSettings) -> FieldCount {
+    let (width, geometry) = (settings.hidden_width, settings.geometry_features);
+    let (levels, features) = (settings.levels, settings.features);
+    let density = (levels * features + 1 + geometry) * width;
+    let colour = (16 + geometry + width + 3) * width;
+    let networks = 2 * (density + colour);
+    FieldCount {
+        forward: (levels * (15 + 21 * features) + networks + 5 * 16 + 12) as f64,
+        backward: (levels * (15 + 15 + 16 * features) + 3 * networks + 4 * 16 + 30) as f64,
+    }
 }

@@ -1,9 +1,9 @@
-//! What the kernels of the rasteriser cost, and what the machine could do.
+//! What the kernels of both maps cost, and what the machine could do.
 //!
 //! ```sh
 //! cargo bench -p i2slam-radiance --bench kernels              # all tables
 //! cargo bench -p i2slam-radiance --bench kernels -- machine   # one of: machine, stages, step,
-//!                                                             # threads, size, memory
+//!                                                             # threads, size, memory, rays
 //! ```
 //!
 //! Every table is printed as lines of comma-separated values under a line `# name`; every time is
@@ -13,6 +13,8 @@
 mod counts;
 mod machine;
 mod memory;
+mod rays;
+mod room;
 mod scene;
 mod size;
 mod stages;
@@ -20,13 +22,14 @@ mod stages;
 /// What a table prints.
 type Table = (&'static str, fn());
 
-const TABLES: [Table; 6] = [
+const TABLES: [Table; 7] = [
     ("machine", machine::print),
     ("stages", stages::print),
     ("step", stages::print_step),
     ("threads", stages::print_threads),
     ("size", size::print),
     ("memory", memory::print),
+    ("rays", rays::print),
 ];
 
 fn main() {

@@ -14,8 +14,13 @@ pub struct Occupancy {
     densities: Vec<f32>,
     /// One bit per cell.
     occupied: Vec<u64>,
+    /// Whether any cell of a block is occupied, so that empty space is crossed in long steps.
+    blocks: Vec<bool>,
     looks: u32,
 }
+
+/// Cells along an edge of a block.
+const BLOCK: u32 = 8;
 
 /// Cells that are looked at in one go.
 const CELLS: usize = 1 << 16;
@@ -30,6 +35,7 @@ impl Occupancy {
             settings: OccupancySettings { resolution, ..settings },
             densities: vec![0.0; cells],
             occupied: vec![u64::MAX; cells.div_ceil(64)],
+            blocks: vec![true; (resolution.div_ceil(BLOCK) as usize).pow(3)],
             looks: 0,
         }
     }
@@ -48,13 +54,14 @@ impl Occupancy {
         let middle = |k: usize, i: usize| {
             centre[k] + bound * (2.0 * (i as f64 + 0.5) / resolution as f64 - 1.0)
         };
-        occupancy.occupied.fill(0);
+        occupancy.clear();
         for cell in 0..occupancy.densities.len() {
             let index = [cell % resolution, cell / resolution % resolution];
             let [x, y] = [middle(0, index[0]), middle(1, index[1])];
             let z = middle(2, cell / (resolution * resolution));
-            let held = holds(Vec3::new(x, y, z).cast());
-            occupancy.occupied[cell / 64] |= u64::from(held) << (cell % 64);
+            if holds(Vec3::new(x, y, z).cast()) {
+                occupancy.occupy(cell);
+            }
         }
         occupancy
     }
@@ -62,8 +69,28 @@ impl Occupancy {
     /// A grid whose cells are all empty until one is held.
     pub fn empty(settings: OccupancySettings) -> Self {
         let mut occupancy = Self { looks: 1, ..Self::new(settings) };
-        occupancy.occupied.fill(0);
+        occupancy.clear();
         occupancy
+    }
+
+    fn clear(&mut self) {
+        self.occupied.fill(0);
+        self.blocks.fill(false);
+    }
+
+    fn occupy(&mut self, cell: usize) {
+        self.occupied[cell / 64] |= 1 << (cell % 64);
+        let resolution = self.settings.resolution as usize;
+        let [x, y] = [cell % resolution, cell / resolution % resolution];
+        let block = self.block([x, y, cell / (resolution * resolution)]);
+        self.blocks[block] = true;
+    }
+
+    /// Index of the block of a cell.
+    fn block(&self, cell: [usize; 3]) -> usize {
+        let blocks = self.settings.resolution.div_ceil(BLOCK) as usize;
+        let [x, y, z] = cell.map(|i| i / BLOCK as usize);
+        (z * blocks + y) * blocks + x
     }
 
     /// Occupy the cells along a ray between two depths \[units of its direction\], as where a
@@ -81,7 +108,7 @@ impl Occupancy {
             if place.iter().all(|x| (0.0..1.0).contains(x)) {
                 let cell = self.cell(place);
                 self.densities[cell] = self.densities[cell].max(self.settings.density);
-                self.occupied[cell / 64] |= 1 << (cell % 64);
+                self.occupy(cell);
             }
         }
         self.looks = self.looks.max(1);
@@ -133,8 +160,35 @@ impl Occupancy {
     }
 
     /// Whether the cell of a position in the unit cube is occupied; outside, the nearest cell.
+    #[cfg(test)]
     pub(crate) fn is_occupied(&self, position: [f32; 3]) -> bool {
         self.bit(self.cell(position))
+    }
+
+    /// How far a position in the unit cube lies in empty space: none if its cell is occupied, else
+    /// the part of the direction with inverse `inverse` until its cell ends, or its block if all of
+    /// that is empty. Outside, that of the nearest cell.
+    pub(crate) fn exit(&self, position: [f32; 3], inverse: [f32; 3]) -> Option<f32> {
+        let resolution = self.settings.resolution as usize;
+        let cell = position.map(|x| self.coordinate(x));
+        let [x, y, z] = cell.map(|i| i as usize);
+        if !self.blocks[self.block([x, y, z])] {
+            return Some(self.end(position, inverse, cell.map(|i| i / BLOCK), BLOCK));
+        }
+        let occupied = self.bit((z * resolution + y) * resolution + x);
+        (!occupied).then(|| self.end(position, inverse, cell, 1))
+    }
+
+    /// Depth from a position to where it leaves a box of `edge` cells, the `index`-th along each
+    /// axis.
+    fn end(&self, position: [f32; 3], inverse: [f32; 3], index: [u32; 3], edge: u32) -> f32 {
+        let size = edge as f32 / self.settings.resolution as f32;
+        (0..3).fold(f32::MAX, |end, k| {
+            let side = if inverse[k] > 0.0 { index[k] as f32 + 1.0 } else { index[k] as f32 };
+            let depth = (side * size - position[k]) * inverse[k];
+            // NaN where the direction has no part along the axis.
+            if depth < end { depth.max(0.0) } else { end }
+        })
     }
 
     /// Index of the cell of a position in the unit cube; outside, of the nearest one.
@@ -147,17 +201,6 @@ impl Occupancy {
     /// Index along an axis.
     fn coordinate(&self, x: f32) -> u32 {
         ((x * self.settings.resolution as f32) as u32).min(self.settings.resolution - 1)
-    }
-
-    /// Depth from a position in the unit cube to where its cell ends along `direction`.
-    pub(crate) fn exit(&self, position: [f32; 3], direction: [f32; 3]) -> f32 {
-        let size = 1.0 / self.settings.resolution as f32;
-        (0..3).fold(f32::MAX, |exit, k| {
-            let cell = self.coordinate(position[k]) as f32;
-            let side = if direction[k] > 0.0 { cell + 1.0 } else { cell };
-            let depth = (side * size - position[k]) / direction[k];
-            if direction[k] == 0.0 || depth.is_nan() { exit } else { exit.min(depth.max(0.0)) }
-        })
     }
 
     /// Look at the field again, at one random place in each of some cells: all of them the first
@@ -208,7 +251,7 @@ impl Occupancy {
         }
     }
 
-    /// Renew the bits.
+    /// Renew the bits and the blocks.
     fn mark(&mut self) {
         let sum: f64 = self.densities.iter().map(|d| f64::from(*d)).sum();
         let mean = (sum / self.densities.len() as f64) as f32;
@@ -216,6 +259,12 @@ impl Occupancy {
         for (word, densities) in self.occupied.iter_mut().zip(self.densities.chunks(64)) {
             let bits = densities.iter().enumerate();
             *word = bits.fold(0, |word, (i, d)| word | u64::from(*d >= threshold && *d > 0.0) << i);
+        }
+        self.blocks.fill(false);
+        for cell in 0..self.densities.len() {
+            if self.bit(cell) {
+                self.occupy(cell);
+            }
         }
     }
 }

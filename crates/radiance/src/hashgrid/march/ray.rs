@@ -39,6 +39,8 @@ pub(crate) struct Walk {
     /// Position in the unit cube, `origin + depth · direction`.
     origin: [f32; 3],
     direction: [f32; 3],
+    /// One over each part of the direction.
+    inverse: [f32; 3],
     /// Metres per unit of depth.
     length: f32,
     depth: f32,
@@ -67,7 +69,9 @@ impl Walk {
         if !finite || length == 0.0 {
             end = f32::MIN;
         }
-        let mut walk = Self { origin, direction, length, depth, end, steps: settings.steps_max };
+        let inverse = direction.map(|d| 1.0 / d);
+        let steps = settings.steps_max;
+        let mut walk = Self { origin, direction, inverse, length, depth, end, steps };
         walk.depth += ray.offset.clamp(0.0, 1.0) * walk.step(settings);
         walk
     }
@@ -89,12 +93,11 @@ impl Walk {
     ) -> Option<(Sample, [f32; 3])> {
         while self.depth < self.end && self.steps > 0 {
             let (position, step) = (self.position(self.depth), self.step(settings));
-            if occupancy.is_occupied(position) {
+            let Some(exit) = occupancy.exit(position, self.inverse) else {
                 let sample = Sample { depth: self.depth, step };
                 self.advance(step);
                 return Some((sample, position));
-            }
-            let exit = occupancy.exit(position, self.direction);
+            };
             let until = self.depth + exit;
             self.advance(step);
             while self.depth < until && self.steps > 0 {

@@ -4,6 +4,7 @@ use super::scenes::*;
 use crate::hashgrid::march::Walk;
 use crate::hashgrid::*;
 use i2slam_check::assert_close;
+use i2slam_geometry::Vec3;
 use pulp::Arch;
 
 const RAYS: usize = 150;
@@ -152,17 +153,39 @@ fn empty_cells_are_marched_over() {
     occupancy.refresh(&field.cast(), &mut FieldRenderer::new(march()), 1);
     assert!((0.05..0.95).contains(&occupancy.share()), "{}", occupancy.share());
     assert_lanes("sparse", &fast(Arch::new(), &field, &occupancy), &plain(&field, &occupancy));
-    let single = field.cast::<f32>();
+    assert_marched(&field.cast(), &full, &occupancy);
+}
+
+/// The same where the empty cells are many and fill whole blocks.
+#[test]
+fn empty_blocks_are_marched_over() {
+    let field = field(settings(), 4).cast::<f32>();
+    let looks = OccupancySettings { resolution: 50, ..coarse() };
+    let (centre, bound) = (settings().centre, settings().bound);
+    let shell = |p: Vec3<f32>| {
+        let away = (p - Vec3::from_array(centre).cast()).norm();
+        (away - 0.7 * bound as f32).abs() < 0.05 * bound as f32
+    };
+    let occupancy = Occupancy::of_cells(centre, bound, looks, shell);
+    assert!((0.02..0.3).contains(&occupancy.share()), "{}", occupancy.share());
+    assert_marched(&field, &Occupancy::new(looks), &occupancy);
+}
+
+/// The samples in `occupancy` are those of `full` that lie in its cells.
+fn assert_marched(field: &HashGridField, full: &Occupancy, occupancy: &Occupancy) {
+    let mut found = 0;
     for ray in rays(RAYS, 2) {
         let samples = |occupancy: &Occupancy| -> Vec<(f32, [f32; 3])> {
-            let mut walk = Walk::new(&single, &march(), &ray.cast());
+            let mut walk = Walk::new(field, &march(), &ray.cast());
             let next = || walk.next(&march(), occupancy).map(|(s, p)| (s.depth, p));
             std::iter::from_fn(next).collect()
         };
-        let mut expected = samples(&full);
+        let mut expected = samples(full);
         expected.retain(|(_, position)| occupancy.is_occupied(*position));
-        assert_eq!(samples(&occupancy), expected);
+        assert_eq!(samples(occupancy), expected);
+        found += expected.len();
     }
+    assert!(found > 0, "no ray meets an occupied cell");
 }
 
 #[test]
