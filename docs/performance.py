@@ -1,6 +1,6 @@
 """Runs the benches and writes their tables into performance.md, with plots beside it.
 
-usage: performance.py [--from LOG] [TABLE ...]        (Python 3.9, nothing else)
+usage: performance.py [--from LOG] [TABLE ...]        (Python 3.9; PyTorch for one table)
 
 Without names all tables are made anew: ten minutes on a quiet machine. `--from` reads tables from
 the output of earlier benches instead of running them. Every table is also kept as
@@ -9,20 +9,25 @@ performance/TABLE.csv.
 
 import argparse
 import csv
+import importlib.util
 import io
 import math
 import pathlib
 import subprocess
+import sys
 
 HERE = pathlib.Path(__file__).resolve().parent
 PAGE, KEPT = HERE / "performance.md", HERE / "performance"
 
-# Bench, package, and the words that ask for its tables; each line is a process of its own.
+# Bench, package, and the words that ask for its tables; each line is a process of its own. Without
+# a package a program beside this one, in PyTorch.
 RUNS = [
     ("kernels", "i2slam-radiance", ["machine"]),
     ("kernels", "i2slam-radiance", ["stages", "step", "threads"]),
     ("kernels", "i2slam-radiance", ["size"]),
     ("kernels", "i2slam-radiance", ["memory"]),
+    ("kernels", "i2slam-radiance", ["rays"]),
+    ("hashgrid/reference.py", None, ["rays_pytorch"]),
     ("blur", "i2slam", ["steps"]),
     ("blur", "i2slam", ["quality"]),
     ("blur", "i2slam", ["truth"]),
@@ -35,6 +40,11 @@ WITH = {"stages": ["work"], "memory": ["bytes"]}
 
 def run(bench, package, words):
     command = ["cargo", "bench", "-q", "-p", package, "--bench", bench, "--", *words]
+    if package is None:
+        if importlib.util.find_spec("torch") is None:
+            print(f"{bench}: no PyTorch here, so its table stays as it was")
+            return ""
+        command = [sys.executable, str(HERE / bench), "--throughput"]
     print("$", " ".join(command), flush=True)
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=HERE.parent)
     return done.stdout

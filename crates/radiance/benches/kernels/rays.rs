@@ -2,62 +2,61 @@
 
 use super::{counts, machine, on_threads, room};
 use i2slam_radiance::hashgrid::{FieldGradient, FieldRenderer};
-use std::time::Instant;
 
 /// Rounds, in each of which every lane has its turn.
 const ROUNDS: usize = 16;
 
-/// Fastest times forward and back \[s\].
+/// Least times forward and back \[s of the processor\].
 type Times = [f64; 2];
 
-/// The fast lane on one thread and on all, then the plain one on one.
+/// Both lanes on one thread. Times are the processor's own, without what other programs take.
 pub(crate) fn print() {
+    println!(
+        "lane,rays,samples,forward_ms,backward_ms,rays_per_s,million_samples_per_s,gflop_per_s,\
+         share_of_peak"
+    );
+    if on_threads(1, measure).is_none() {
+        eprintln!("rays: no threads");
+    }
+}
+
+fn measure() {
     let (field, occupancy) = room::scene();
     let (rays, cotangents) = (room::rays(), room::cotangents());
     let mut gradient = FieldGradient::zeros(&field);
     let (mut renderer, mut renders) = (FieldRenderer::new(room::march()), Vec::new());
     let parts = room::textbook(&field, &occupancy, &rays, &cotangents);
-    let all = rayon::current_num_threads();
-    let mut best = [[f64::MAX; 2]; 3];
+    let mut best = [[f64::MAX; 2]; 2];
     for _ in 0..ROUNDS {
-        for (k, threads) in [1, all].into_iter().enumerate() {
-            let times = on_threads(threads, || {
-                let clock = Instant::now();
-                renderer.render(&field, &occupancy, &rays, &mut renders);
-                let between = clock.elapsed().as_secs_f64();
-                renderer.pull_back(&field, &rays, &cotangents, Some(&mut gradient), None);
-                [between, clock.elapsed().as_secs_f64() - between]
-            });
-            keep(&mut best[k], times.unwrap_or([f64::NAN; 2]));
-        }
-        let clock = Instant::now();
+        let clock = processor_seconds();
+        renderer.render(&field, &occupancy, &rays, &mut renders);
+        let between = processor_seconds();
+        renderer.pull_back(&field, &rays, &cotangents, Some(&mut gradient), None);
+        keep(&mut best[0], [between - clock, processor_seconds() - between]);
+        let clock = processor_seconds();
         room::render_textbook(&field, &parts);
-        let between = clock.elapsed().as_secs_f64();
+        let between = processor_seconds();
         room::pull_back_textbook(&field, &parts, &mut gradient);
-        keep(&mut best[2], [between, clock.elapsed().as_secs_f64() - between]);
+        keep(&mut best[1], [between - clock, processor_seconds() - between]);
     }
-    println!(
-        "lane,threads,rays,samples,forward_ms,backward_ms,rays_per_s,million_samples_per_s,\
-         gflop_per_s,share_of_peak"
-    );
-    let of_textbook = (parts.len(), parts.iter().map(|part| part.2.len()).sum());
     let count = counts::field(field.settings());
-    let rows = [
-        ("cpu", 1, (rays.len(), renderer.samples())),
-        ("cpu", all, (rays.len(), renderer.samples())),
-        ("textbook", 1, of_textbook),
+    let peak = machine::flops(1);
+    let of_textbook = parts.iter().map(|(_, _, samples)| samples.len()).sum();
+    let lanes = [
+        ("cpu", rays.len(), renderer.samples()),
+        ("textbook", parts.len(), of_textbook),
     ];
-    for ((lane, threads, (rays, samples)), [forward, backward]) in rows.into_iter().zip(best) {
+    for ((lane, rays, samples), [forward, backward]) in lanes.into_iter().zip(best) {
         let both = forward + backward;
         let flops = (count.forward + count.backward) * samples as f64 / both;
         println!(
-            "{lane},{threads},{rays},{samples},{:.2},{:.2},{:.0},{:.3},{:.1},{:.3}",
+            "{lane},{rays},{samples},{:.1},{:.1},{:.0},{:.3},{:.1},{:.3}",
             1e3 * forward,
             1e3 * backward,
             rays as f64 / both,
             samples as f64 / both / 1e6,
             flops / 1e9,
-            flops / machine::flops(threads)
+            flops / peak
         );
     }
     println!("time,rays/forward,{:.6e}", best[0][0]);
@@ -66,4 +65,15 @@ pub(crate) fn print() {
 
 fn keep(best: &mut Times, times: Times) {
     best.iter_mut().zip(times).for_each(|(best, time)| *best = best.min(time));
+}
+
+/// Time that the processor spent on all threads of this process so far \[s\]: what other programs
+/// take is no part of it. 0 where the system does not say.
+fn processor_seconds() -> f64 {
+    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
+    let nanoseconds = |task: std::fs::DirEntry| -> Option<f64> {
+        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
+        text.split_whitespace().next()?.parse().ok()
+    };
+    tasks.flatten().filter_map(nanoseconds).sum::<f64>() * 1e-9
 }

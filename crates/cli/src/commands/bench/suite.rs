@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use toml::Table;
 
 /// Suites that come with the program, name and text.
-pub(super) const SHIPPED: [(&str, &str); 9] = [
+pub(super) const SHIPPED: [(&str, &str); 10] = [
     ("ablation", include_str!("../../../../../suites/ablation.toml")),
     ("ablation-scannet", include_str!("../../../../../suites/ablation-scannet.toml")),
     ("virtual-cameras", include_str!("../../../../../suites/virtual-cameras.toml")),
@@ -17,6 +17,7 @@ pub(super) const SHIPPED: [(&str, &str); 9] = [
     ("synthetic", include_str!("../../../../../suites/synthetic.toml")),
     ("presets", include_str!("../../../../../suites/presets.toml")),
     ("blur-models", include_str!("../../../../../suites/blur-models.toml")),
+    ("maps", include_str!("../../../../../suites/maps.toml")),
 ];
 
 /// What a benchmark runs.

@@ -53,6 +53,17 @@ pub(super) fn share_outside(
     outside.count() as f64 / depth.data.len().max(1) as f64
 }
 
+/// Most rays along a side of a pixel.
+const MOST_RAYS: f32 = 8.0;
+
+/// Rays along each side of a pixel that lie closer than the cells of edge `cell` \[m\] at the
+/// largest depth: without them the pixels of a small picture leave gaps of empty cells.
+pub(super) fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32) -> usize {
+    let far = depth.data.iter().fold(0.0_f32, |far, &d| far.max(d));
+    let apart = far / camera.fx.min(camera.fy);
+    (apart / cell).ceil().clamp(1.0, MOST_RAYS) as usize
+}
+
 /// An untrained field in a cube of half edge `bound` [m] around `centre`, in which nothing is
 /// sampled yet.
 pub(super) fn untrained(
@@ -92,6 +103,18 @@ mod tests {
 
     const CAMERA: Camera<f64> =
         Camera { width: 20, height: 10, fx: 1e6, fy: 1e6, cx: 10.0, cy: 5.0 };
+
+    #[test]
+    fn rays_of_coarse_pixels_are_no_farther_apart_than_cells() {
+        let camera = Camera { fx: 20.0, fy: 25.0, ..CAMERA.cast() };
+        let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
+        assert_eq!(rays_per_side(&camera, &depth, 0.05), 1);
+        // Two metres away pixels are 10 cm wide.
+        depth.data[3] = 2.0;
+        assert_eq!(rays_per_side(&camera, &depth, 0.2), 1);
+        assert_eq!(rays_per_side(&camera, &depth, 0.04), 3);
+        assert_eq!(rays_per_side(&camera, &depth, 1e-6), MOST_RAYS as usize);
+    }
 
     #[test]
     fn a_spike_of_depth_does_not_size_the_cube() {

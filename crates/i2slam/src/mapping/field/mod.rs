@@ -93,12 +93,18 @@ impl FieldMapper {
     /// Samples around the surfaces of a frame from now on.
     fn hold(&mut self, story: &mut Story<'_>, frame: usize, pose: Pose<f64>, depth: &Image<f32>) {
         let Some(Field { map, .. }) = &mut self.field else { return };
-        let view = View { camera: self.camera, world_from_camera: pose.cast() };
         let shell = story.config.hashgrid.shell;
         let HashGridMap { field, occupancy, .. } = map;
+        let cell = 2.0 * field.settings().bound as f32 / occupancy.settings().resolution as f32;
+        let fine = cube::rays_per_side(&self.camera, depth, cell);
+        let camera = self.camera.resized(depth.width * fine, depth.height * fine);
+        let view = View { camera, world_from_camera: pose.cast() };
         for (pixel, &d) in depth.data.iter().enumerate().filter(|(_, d)| **d > 0.0) {
-            let ray = Ray::through_pixel(&view, pixel % depth.width, pixel / depth.width);
-            occupancy.hold(field, &ray, d * (1.0 - shell), d * (1.0 + shell));
+            let (column, row) = (fine * (pixel % depth.width), fine * (pixel / depth.width));
+            for (i, j) in (0..fine).flat_map(|j| (0..fine).map(move |i| (i, j))) {
+                let ray = Ray::through_pixel(&view, column + i, row + j);
+                occupancy.hold(field, &ray, d * (1.0 - shell), d * (1.0 + shell));
+            }
         }
         let share = cube::share_outside(field.settings(), story.camera, pose, depth);
         let bound = field.settings().bound;
