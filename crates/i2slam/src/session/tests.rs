@@ -123,6 +123,21 @@ fn rows_of_a_field_are_skewed() {
     assert!(off(&rolled) < 0.3 * off(&still), "{} {}", off(&rolled), off(&still));
 }
 
+/// Pixels are 4 cm apart on the far wall, cells 2 cm.
+#[test]
+fn pixels_coarser_than_cells_leave_no_holes() {
+    let mut config = config();
+    (config.hashgrid.occupancy_cells, config.hashgrid.first_iterations) = (200, 80);
+    let mut session = Session::new(config, CAMERA, 30.0);
+    session.process(&frame(0, pose(0))).expect("a frame");
+    let reconstruction = session.reconstruction();
+    let turn = Vec3::new(0.5 / CAMERA.fy, 0.5 / CAMERA.fx, 0.0);
+    let between = Pose::new(Rotation::exp(turn), Vec3::zero());
+    let depth = reconstruction.viewer().depth(between);
+    let seen = depth.data.iter().filter(|&&d| d > 0.0).count() as f64 / depth.data.len() as f64;
+    assert!(seen > 0.9, "{seen}");
+}
+
 #[test]
 fn the_same_seed_gives_the_same_field() {
     assert!(run().0.map == run().0.map);

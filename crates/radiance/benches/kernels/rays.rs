@@ -42,10 +42,7 @@ fn measure() {
     let count = counts::field(field.settings());
     let peak = machine::flops(1);
     let of_textbook = parts.iter().map(|(_, _, samples)| samples.len()).sum();
-    let lanes = [
-        ("cpu", rays.len(), renderer.samples()),
-        ("textbook", parts.len(), of_textbook),
-    ];
+    let lanes = [("cpu", rays.len(), renderer.samples()), ("textbook", parts.len(), of_textbook)];
     for ((lane, rays, samples), [forward, backward]) in lanes.into_iter().zip(best) {
         let both = forward + backward;
         let flops = (count.forward + count.backward) * samples as f64 / both;

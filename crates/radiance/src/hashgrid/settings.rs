@@ -126,10 +126,10 @@ impl MarchSettings {
         }
     }
 
-    /// Length \[m\] of the step at `distance` \[m\].
-    pub(crate) fn step(&self, distance: f32) -> f32 {
+    /// Shortest and longest step \[m\].
+    pub(crate) fn steps(&self) -> (f32, f32) {
         let step_min = self.step_min.max(1e-6);
-        (self.cone * distance).max(step_min).min(self.step_max.max(step_min))
+        (step_min, self.step_max.max(step_min))
     }
 }
 

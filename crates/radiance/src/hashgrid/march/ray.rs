@@ -41,8 +41,9 @@ pub(crate) struct Walk {
     direction: [f32; 3],
     /// One over each part of the direction.
     inverse: [f32; 3],
-    /// Metres per unit of depth.
-    length: f32,
+    /// Shortest and longest step.
+    steps_from: f32,
+    steps_to: f32,
     depth: f32,
     end: f32,
     steps: u32,
@@ -70,14 +71,20 @@ impl Walk {
             end = f32::MIN;
         }
         let inverse = direction.map(|d| 1.0 / d);
+        let (steps_from, steps_to) = settings.steps();
+        let (steps_from, steps_to) = (steps_from / length, steps_to / length);
         let steps = settings.steps_max;
-        let mut walk = Self { origin, direction, inverse, length, depth, end, steps };
+        let mut walk = Self { origin, direction, inverse, steps_from, steps_to, depth, end, steps };
         walk.depth += ray.offset.clamp(0.0, 1.0) * walk.step(settings);
         walk
     }
 
+    /// Length of the step at the present depth. Comparisons, because this is the longest chain of
+    /// dependent operations of a march, and `max` and `min` look for NaN.
     fn step(&self, settings: &MarchSettings) -> f32 {
-        settings.step(self.depth * self.length) / self.length
+        let step = settings.cone * self.depth;
+        let step = if step > self.steps_from { step } else { self.steps_from };
+        if step < self.steps_to { step } else { self.steps_to }
     }
 
     /// Position in the unit cube at a depth.
