@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tomllib
 
-NAMES = ["paper-scannet", "paper-tum", "paper-synthetic", "default"]
+NAMES = ["paper-scannet", "paper-tum", "paper-synthetic", "default", "paper-rgb", "default-rgb"]
 BEGIN, END = "<!-- VALUES -->\n", "<!-- /VALUES -->\n"
 
 

@@ -51,6 +51,19 @@ pub(crate) struct Run {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,
+    /// Colour alone: keyframes with poses come from --keyframes, and poses, tone and a radiance
+    /// field are refined together [default preset: default-rgb]
+    #[arg(long)]
+    pub(crate) rgb: bool,
+    /// With --rgb, where the keyframes and their poses are
+    #[arg(long, value_name = "PATH", requires = "rgb")]
+    pub(crate) keyframes: Option<PathBuf>,
+    /// Which depth the keyframes get
+    #[arg(long, value_enum, default_value_t = KeyframeDepth::Imported, requires = "keyframes")]
+    pub(crate) keyframe_depth: KeyframeDepth,
+    /// Folder with the variance of depth pictures (.npy [m²], or 16-bit PNG of the deviation)
+    #[arg(long, value_name = "DIR", requires = "keyframes")]
+    pub(crate) depth_variance: Option<PathBuf>,
     /// What the map consists of [default: that of the preset, gaussian]
     #[arg(long, value_enum, value_name = "KIND")]
     pub(crate) map: Option<Map>,
@@ -129,6 +142,16 @@ pub(crate) enum Map {
     Gaussian,
     /// A radiance field in a multi-resolution hash grid
     Hashgrid,
+}
+
+/// Depth of keyframes.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum KeyframeDepth {
+    None,
+    /// That of the imported files, if they have any
+    Imported,
+    /// That of the dataset's depth pictures
+    Pictures,
 }
 
 /// Which frames are drawn.

@@ -6,6 +6,7 @@
 mod camera;
 mod eigen;
 mod image;
+mod jacobi;
 mod pose;
 mod real;
 mod rotation;
@@ -16,6 +17,7 @@ mod vector;
 pub use camera::Camera;
 pub use eigen::symmetric_eigen;
 pub use image::Image;
+pub use jacobi::symmetric_eigen_of;
 pub use pose::{Pose, Tangent};
 pub use real::Real;
 pub use rotation::{Rotation, left_jacobian_inverse, right_jacobian, right_jacobian_inverse};

@@ -34,5 +34,5 @@ pub use i2slam_geometry as geometry;
 pub use i2slam_radiance as radiance;
 pub use optimised_pose::OptimisedPose;
 pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
-pub use session::{Session, SessionError};
+pub use session::{KeyframedSession, Session, SessionError};
 pub use view::Viewer;

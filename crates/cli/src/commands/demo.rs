@@ -23,6 +23,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
     let config = Config::preset("default")?;
     pipeline::run(&Job {
         dataset,
+        keyframes: None,
         out: arguments.out.clone(),
         open: OpenOptions { minimum_gap: config.input.minimum_gap, ..OpenOptions::default() },
         config,

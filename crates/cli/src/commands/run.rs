@@ -1,12 +1,13 @@
 //! `i2slam run`: a sequence to a result folder.
 
 use super::use_threads;
-use crate::arguments::{Formation, Input, Map, Run};
+use crate::arguments::{Formation, Input, KeyframeDepth, Map, Run};
 use crate::failure::Failure;
-use crate::pipeline::{self, Job};
+use crate::pipeline::{self, Job, Keyframes};
 use i2slam::Config;
 use i2slam::config::MapKind;
 use i2slam::dataset::OpenOptions;
+use i2slam::keyframes::ImportDepth;
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
     let config = settings(arguments)?;
@@ -14,7 +15,11 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
     pipeline::run(&Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
-        open: open_options(&arguments.input, &config)?,
+        keyframes: keyframes(arguments, &config)?,
+        open: OpenOptions {
+            colour_only: arguments.rgb,
+            ..open_options(&arguments.input, &config)?
+        },
         config,
         draw: arguments.render,
         overwrite: arguments.overwrite,
@@ -25,12 +30,40 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
 
 /// Preset, then file, then flags.
 fn settings(arguments: &Run) -> Result<Config, Failure> {
+    let usual = if arguments.rgb { "default-rgb" } else { "default" };
     let preset = arguments.preset.as_deref();
     let config = match &arguments.config {
-        Some(file) => Config::from_toml_file_on(file, preset)?,
-        None => Config::preset(preset.unwrap_or("default"))?,
+        Some(file) => Config::from_toml_file_on(file, preset.or(Some(usual)))?,
+        None => Config::preset(preset.unwrap_or(usual))?,
     };
     with_flags(config, arguments)
+}
+
+/// Where the keyframes are, if this run takes them from files; only settings for that will do.
+fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Failure> {
+    let preset = &config.preset;
+    match (arguments.rgb, &arguments.keyframes, config.is_rgb()) {
+        (false, _, false) => Ok(None),
+        (false, _, true) => Err(Failure::Usage(format!(
+            "preset {preset} is for keyframes with poses: add --rgb --keyframes PATH"
+        ))),
+        (true, _, false) => Err(Failure::Usage(format!(
+            "preset {preset} is for RGB-D: --rgb goes with default-rgb, paper-rgb or paper-rgb-s"
+        ))),
+        (true, None, true) => Err(Failure::Usage(
+            "--rgb needs --keyframes PATH, a file or folder with the poses of keyframes: finding              them from the pictures alone is not possible yet"
+                .to_owned(),
+        )),
+        (true, Some(path), true) => Ok(Some(Keyframes {
+            path: path.clone(),
+            depth: match arguments.keyframe_depth {
+                KeyframeDepth::None => ImportDepth::None,
+                KeyframeDepth::Imported => ImportDepth::Imported,
+                KeyframeDepth::Pictures => ImportDepth::Pictures,
+            },
+            variance: arguments.depth_variance.clone(),
+        })),
+    }
 }
 
 /// The values of `config` that flags do not replace.

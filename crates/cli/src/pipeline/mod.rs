@@ -2,6 +2,7 @@
 
 mod draw;
 mod figures;
+mod posed;
 mod track;
 
 use crate::arguments::Draw;
@@ -17,6 +18,7 @@ use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::export::report::Report;
 use i2slam::export::{ExportError, Input, Layout, Metrics, ResultFolder, save, save_metrics};
+pub(crate) use posed::Keyframes;
 use std::path::{Path, PathBuf};
 use track::Tracked;
 
@@ -24,6 +26,8 @@ use track::Tracked;
 pub(crate) struct Job {
     pub(crate) dataset: PathBuf,
     pub(crate) out: PathBuf,
+    /// Keyframes with poses, in place of tracking.
+    pub(crate) keyframes: Option<Keyframes>,
     pub(crate) config: Config,
     pub(crate) open: OpenOptions,
     pub(crate) draw: Draw,
@@ -45,7 +49,14 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     for warning in sequence.warnings.iter().chain(&truth.warnings) {
         progress.warn(warning);
     }
-    let tracked = track::track(&job.config, &sequence, &mut progress);
+    let tracked = match &job.keyframes {
+        None => track::track(&job.config, &sequence, &mut progress),
+        Some(keyframes) => {
+            let mut source = keyframes.open(&job.dataset, &job.open)?;
+            source.files().warnings.iter().for_each(|warning| progress.warn(warning));
+            posed::track(&job.config, &sequence, &mut source, &mut progress)
+        }
+    };
     let written = tracked.and_then(|tracked| {
         let run = Finished { job, folder: &folder, sequence: &sequence, truth: &truth, tracked };
         run.write(&mut progress)

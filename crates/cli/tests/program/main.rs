@@ -8,6 +8,7 @@ mod eval;
 mod field;
 mod info;
 mod interrupt;
+mod keyframed;
 mod overwrite;
 mod protocols;
 mod result;

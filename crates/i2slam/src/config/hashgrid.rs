@@ -28,7 +28,8 @@ pub struct HashGridConfig {
     pub step: f32,
     /// Least distance of samples [m].
     pub step_min: f32,
-    /// Rays of a step, about.
+    /// Rays of a step, about; in a session on keyframes with poses, pixels of a step, each of which
+    /// takes a ray for every virtual camera.
     pub rays: usize,
     /// Steps per mapping round.
     pub iterations: usize,

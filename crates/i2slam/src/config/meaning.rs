@@ -3,7 +3,8 @@
 use super::Config;
 
 /// The declarations that are read for their documentation: one text for code, program and page.
-const DECLARATIONS: [&str; 2] = [include_str!("mod.rs"), include_str!("hashgrid.rs")];
+const DECLARATIONS: [&str; 3] =
+    [include_str!("mod.rs"), include_str!("hashgrid.rs"), include_str!("keyframed.rs")];
 
 /// Key, colon, source of its value.
 const SOURCES: &str = include_str!("sources.txt");

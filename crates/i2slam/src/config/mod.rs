@@ -1,6 +1,7 @@
 //! Every number of a run, with its unit, range and default; read from and written to TOML.
 
 mod hashgrid;
+mod keyframed;
 mod lines;
 mod meaning;
 mod presets;
@@ -8,6 +9,7 @@ mod read;
 mod validate;
 
 pub use hashgrid::HashGridConfig;
+pub use keyframed::{KeyframedConfig, Preconditioning};
 pub use lines::line_of_key;
 pub use presets::{PRESET_NAMES, Preset};
 pub use read::ConfigError;
@@ -30,6 +32,8 @@ pub struct Config {
     pub map: MapConfig,
     /// The radiance field of a map of that kind.
     pub hashgrid: HashGridConfig,
+    /// Keyframes that come with poses.
+    pub keyframed: KeyframedConfig,
     /// How the pose of a frame is found.
     pub tracking: TrackingConfig,
     /// How the map is built.

@@ -4,10 +4,12 @@
 //! a rotation is twice SplaTAM's, because SplaTAM steps a quaternion and a rotation vector is
 //! twice as long as the quaternion's imaginary part.
 
+mod rgb;
+
 use super::*;
 
 /// The names that [`Config::preset`] knows, default first.
-pub const PRESET_NAMES: [&str; 7] = [
+pub const PRESET_NAMES: [&str; 10] = [
     "default",
     "paper-tum",
     "paper-tum-s",
@@ -15,7 +17,13 @@ pub const PRESET_NAMES: [&str; 7] = [
     "paper-scannet-s",
     "paper-synthetic",
     "paper-synthetic-s",
+    "default-rgb",
+    "paper-rgb",
+    "paper-rgb-s",
 ];
+
+/// Those for keyframes that come with poses.
+const RGB_PRESETS: [&str; 3] = ["default-rgb", "paper-rgb", "paper-rgb-s"];
 
 /// A named set of values.
 pub type Preset = Config;
@@ -35,15 +43,25 @@ impl Config {
             "paper-tum" => paper_tum(),
             "paper-scannet" => paper_scannet(),
             "paper-synthetic" => paper_synthetic(),
+            "default-rgb" if base == name => rgb::ours(),
+            "paper-rgb" => rgb::paper(),
             _ => return Err(ConfigError::UnknownPreset { name: name.to_owned() }),
         };
-        if base != name {
+        if base != name && base == "paper-rgb" {
+            rgb::shorten(&mut config);
+        } else if base != name {
             config.tracking.iterations = config.tracking.iterations.div_ceil(5);
             config.mapping.iterations = config.mapping.iterations.div_ceil(5);
             config.mapping.first_iterations = config.mapping.first_iterations.div_ceil(5);
         }
         config.preset = name.to_owned();
         Ok(config)
+    }
+
+    /// Whether these settings started from a preset for keyframes that come with poses, of which
+    /// depth may be unknown.
+    pub fn is_rgb(&self) -> bool {
+        RGB_PRESETS.contains(&self.preset.as_str())
     }
 }
 
@@ -75,6 +93,7 @@ fn ours() -> Config {
         },
         map: MapConfig { initial_scale: 0.5, initial_opacity: 0.8, ..paper.map },
         hashgrid: paper.hashgrid,
+        keyframed: paper.keyframed,
         tracking: TrackingConfig {
             method: TrackingMethod::SecondOrder,
             iterations: 0,
@@ -139,6 +158,7 @@ fn paper_scannet() -> Config {
             capacity: 2_000_000,
         },
         hashgrid: hashgrid(),
+        keyframed: rgb::keyframed(),
         tracking: TrackingConfig {
             method: TrackingMethod::Adam,
             iterations: 100,

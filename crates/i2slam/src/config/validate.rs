@@ -11,6 +11,7 @@ impl Config {
         self.validate_mapping()?;
         self.validate_map()?;
         self.validate_hashgrid()?;
+        self.validate_keyframed()?;
         if i64::try_from(self.seed).is_err() {
             return refuse("seed", self.seed.to_string(), "at most 2^63 - 1");
         }
@@ -117,10 +118,32 @@ impl Config {
         Ok(())
     }
 
+    fn validate_keyframed(&self) -> Result<(), ConfigError> {
+        let k = &self.keyframed;
+        at_least("keyframed.first_keyframes", k.first_keyframes, 1)?;
+        at_least("keyframed.preconditioning_interval", k.preconditioning_interval, 1)?;
+        positive("keyframed.reach", k.reach)?;
+        if self.is_rgb() && self.map.kind != MapKind::HashGrid {
+            return refuse("map.kind", "gaussian".to_owned(), "hashgrid with an RGB preset");
+        }
+        if self.is_rgb() && self.input.is_rolling() {
+            let readout = self.input.rolling_shutter_readout.to_string();
+            let expected = "0, not optimised, with an RGB preset";
+            return refuse("input.rolling_shutter_readout", readout, expected);
+        }
+        Ok(())
+    }
+
     /// Values that any number of at least zero is good for.
-    fn rates(&self) -> [(&'static str, f32); 36] {
+    fn rates(&self) -> [(&'static str, f32); 41] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
+        let k = &self.keyframed;
         [
+            ("keyframed.camera_rate", k.camera_rate),
+            ("keyframed.preconditioning_damping", k.preconditioning_damping),
+            ("keyframed.trajectory_weight", k.trajectory_weight),
+            ("keyframed.initial_split", k.initial_split),
+            ("keyframed.depth_outlier", k.depth_outlier),
             ("hashgrid.bound", self.hashgrid.bound),
             ("hashgrid.step", self.hashgrid.step),
             ("hashgrid.rate", self.hashgrid.rate),

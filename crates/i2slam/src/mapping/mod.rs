@@ -12,6 +12,7 @@ mod keyframe;
 mod mapper;
 mod merge;
 mod optimizer;
+mod posed;
 mod window;
 
 pub(crate) use field::FieldMapper;
@@ -19,6 +20,7 @@ pub(crate) use follower::{Follower, Tracker};
 pub(crate) use gaussians::{GaussianMapper, raster_settings};
 pub(crate) use keyframe::{Keyframe, is_keyframe};
 pub(crate) use mapper::{Mapper, Story};
+pub(crate) use posed::{PosedField, intervals};
 
 use optimizer::MapOptimizer;
 use window::select_window;

@@ -17,5 +17,5 @@ pub use blur::{blur_length, virtual_camera_count};
 pub use exposure::{BlurRoute, Exposure, Sampling};
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;
-pub use rays::{RayObjective, RayView};
+pub use rays::{RayObjective, RayView, ShutterGram};
 pub use scene::SceneMap;

@@ -11,6 +11,10 @@ pub struct Observation {
     pub colour: Image<f32>,
     /// Depth along the optical axis [m], 0 where there is no reading.
     pub depth: Image<f32>,
+    /// Variance of the depth, in its unit squared, above 0 wherever there is depth; none where
+    /// depth was measured rather than estimated.
+    pub depth_variance: Option<Image<f32>>,
+    has_depth: bool,
     similarity: OnceLock<SsimReference>,
 }
 
@@ -23,7 +27,24 @@ impl Observation {
                 *value = 0.0;
             }
         }
-        Self { colour, depth, similarity: OnceLock::new() }
+        let has_depth = depth.data.iter().any(|&d| d > 0.0);
+        Self { colour, depth, depth_variance: None, has_depth, similarity: OnceLock::new() }
+    }
+
+    /// An observation whose depth was estimated. Depth whose variance is not a number above 0
+    /// counts as no reading.
+    pub fn estimated(colour: Image<f32>, mut depth: Image<f32>, variance: Image<f32>) -> Self {
+        for (d, &v) in depth.data.iter_mut().zip(&variance.data) {
+            if !(v > 0.0 && v.is_finite()) {
+                *d = 0.0;
+            }
+        }
+        Self { depth_variance: Some(variance), ..Self::new(colour, depth) }
+    }
+
+    /// Whether any pixel has a depth reading.
+    pub fn has_depth(&self) -> bool {
+        self.has_depth
     }
 
     /// Window means of the colour planes, computed once.

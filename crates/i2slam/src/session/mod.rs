@@ -1,8 +1,11 @@
 //! The online system: frames go in one by one, a reconstruction comes out.
 
 mod backend;
+mod keyframed;
 mod look;
 mod start;
+
+pub use keyframed::KeyframedSession;
 
 use crate::config::{Config, ResponseScope};
 use crate::mapping::Tracker;
@@ -38,6 +41,12 @@ pub enum SessionError {
         actual: (usize, usize),
         /// Width and height of the camera.
         expected: (usize, usize),
+    },
+    /// A keyframe came with a pose that is no pose.
+    #[error("frame {index}: its pose holds a number that is not finite")]
+    Pose {
+        /// Position in the associated stream.
+        index: usize,
     },
     /// The map cannot be started with its settings: no further frame can be tracked.
     #[error("the map cannot be started: {source}")]

@@ -6,7 +6,7 @@ use crate::reconstruction::Map;
 use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Pose, Rotation, Vec3};
 
-const CAMERA: Camera<f64> =
+pub(super) const CAMERA: Camera<f64> =
     Camera { width: 48, height: 36, fx: 40.0, fy: 40.0, cx: 24.0, cy: 18.0 };
 const FRAMES: usize = 5;
 
@@ -14,7 +14,7 @@ const FRAMES: usize = 5;
 const WALLS: [f64; 3] = [0.8, 0.6, 1.6];
 
 /// Picture and depth of a room whose walls have a pattern each.
-fn frame(index: usize, pose: Pose<f64>) -> Frame {
+pub(super) fn frame(index: usize, pose: Pose<f64>) -> Frame {
     let mut colour = Image::new(CAMERA.width, CAMERA.height, 3);
     let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
     let origin = pose.translation.to_array();

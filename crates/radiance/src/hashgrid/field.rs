@@ -58,6 +58,14 @@ impl<T: Real> FieldParameters<T> {
         self.colour.fill(T::zero());
     }
 
+    /// Set those of all but the `count` coarsest grids of `field` to zero, so that a step leaves
+    /// the finer grids as they are: pictures that do not lie on each other yet agree coarsely.
+    pub fn keep_levels(&mut self, field: &HashGridField<T>, count: usize) {
+        if let Some(level) = field.levels.get(count) {
+            self.table[level.first * field.settings.features..].fill(T::zero());
+        }
+    }
+
     fn cast<U: Real>(&self) -> FieldParameters<U> {
         let of = |values: &[T]| values.iter().map(|&v| U::of(Real::to_f64(v))).collect();
         FieldParameters {

@@ -140,7 +140,9 @@ impl Reference {
 fn as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
     let Some(input) = Input::load(result)? else { return as_rendered(path, result) };
     let options = OpenOptions { frames: None, stride: 1, ..input.options() };
-    let sequence = Sequence::open(path, &options)?;
+    // A run on colour alone can be judged by depth all the same.
+    let with_depth = OpenOptions { colour_only: false, ..options.clone() };
+    let sequence = Sequence::open(path, &with_depth).or_else(|_| Sequence::open(path, &options))?;
     let width = render_width(&result.join("camera.json"));
     let fits = width.is_none_or(|width| width == sequence.camera.width);
     // Another copy of the pictures may have another size.

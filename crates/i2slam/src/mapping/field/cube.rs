@@ -30,13 +30,18 @@ pub(super) fn bound(config: &HashGridConfig, camera: &Camera<f64>, depth: &Image
     if config.bound > 0.0 {
         return f64::from(config.bound);
     }
+    let far = held_distance(camera, depth);
+    far.map_or(LEAST_BOUND, |far| (f64::from(config.margin) * far).max(LEAST_BOUND))
+}
+
+/// Distance from the camera [m] within which all surfaces lie but the farthest 1 %; none without
+/// any.
+pub(in crate::mapping) fn held_distance(camera: &Camera<f64>, depth: &Image<f32>) -> Option<f64> {
     let mut distances: Vec<f64> = points(camera, depth).map(|p| p.norm()).collect();
     let held = (HELD * distances.len() as f64).ceil() as usize;
-    if held == 0 {
-        return LEAST_BOUND;
-    }
-    let (_, &mut far, _) = distances.select_nth_unstable_by(held - 1, f64::total_cmp);
-    (f64::from(config.margin) * far).max(LEAST_BOUND)
+    let (_, far, _) =
+        (held > 0).then(|| distances.select_nth_unstable_by(held - 1, f64::total_cmp))?;
+    Some(*far)
 }
 
 /// Share of the pixels whose surface lies outside of a field's cube.
@@ -66,7 +71,7 @@ pub(super) fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32)
 
 /// An untrained field in a cube of half edge `bound` [m] around `centre`, in which nothing is
 /// sampled yet.
-pub(super) fn untrained(
+pub(in crate::mapping) fn untrained(
     config: &HashGridConfig,
     centre: [f64; 3],
     bound: f64,

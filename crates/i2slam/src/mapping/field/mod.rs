@@ -6,6 +6,8 @@
 
 mod cube;
 
+pub(super) use cube::{held_distance, untrained};
+
 use super::densify::placement;
 use super::frames::FrameOptimizers;
 use super::{Follower, Keyframe, Mapper, Story, Tracker};
@@ -225,7 +227,7 @@ impl FieldMapper {
 }
 
 /// The response curves of all `views`.
-fn curves(story: &Story<'_>, views: &[Keyframe]) -> BTreeMap<usize, ResponseCurve<f32>> {
+pub(super) fn curves(story: &Story<'_>, views: &[Keyframe]) -> BTreeMap<usize, ResponseCurve<f32>> {
     if !story.config.formation.tone {
         return BTreeMap::new();
     }
@@ -233,7 +235,8 @@ fn curves(story: &Story<'_>, views: &[Keyframe]) -> BTreeMap<usize, ResponseCurv
     indices.map(|index| (index, story.responses[index].curve())).collect()
 }
 
-fn add(sum: &mut CurveGradient<f32>, other: &CurveGradient<f32>) {
+/// Adds the derivative of another batch.
+pub(super) fn add(sum: &mut CurveGradient<f32>, other: &CurveGradient<f32>) {
     for (sum, other) in sum.values.iter_mut().flatten().zip(other.values.iter().flatten()) {
         *sum += other;
     }

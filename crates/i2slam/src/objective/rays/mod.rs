@@ -5,6 +5,11 @@
 //! `N`-th of it: an estimate of eq. 5 whose error averages out over the steps instead of leaving
 //! the same gaps in every streak. Exposure, white balance and response follow the mean (eq. 8).
 
+mod depth;
+mod jacobian;
+
+pub use jacobian::ShutterGram;
+
 use super::exposure::carried_to_middle;
 use super::frame::{Evaluation, FrameVariables};
 use super::{Observation, Tone};
@@ -35,7 +40,8 @@ impl RayView<'_> {
     /// Whether depth is compared along a ray of its own; a still frame needs one ray for both.
     fn depth_apart(&self) -> bool {
         let exposure = &self.variables.exposure;
-        self.times() > 1 || exposure.depth_pose.is_some() || exposure.readout != 0.0
+        let moving = self.times() > 1 || exposure.depth_pose.is_some() || exposure.readout != 0.0;
+        moving && self.observation.has_depth()
     }
 
     /// Rays of a pixel: the moments of the exposure, then depth's.
@@ -62,6 +68,8 @@ enum Moment {
 pub struct RayObjective {
     camera: Camera<f32>,
     renderer: FieldRenderer,
+    depth_outlier: f32,
+    parts: Vec<Range<usize>>,
     rays: Vec<Ray>,
     moments: Vec<Moment>,
     renders: Vec<RayRender>,
@@ -79,6 +87,8 @@ impl RayObjective {
         Self {
             camera,
             renderer: FieldRenderer::new(march),
+            depth_outlier: 0.0,
+            parts: Vec::new(),
             rays: Vec::new(),
             moments: Vec::new(),
             renders: Vec::new(),
@@ -91,8 +101,15 @@ impl RayObjective {
         }
     }
 
+    /// Standard deviations from which on an estimated depth counts as wrong, see
+    /// [`map`](Self::map); 0 for never.
+    pub fn set_depth_outlier(&mut self, deviations: f32) {
+        self.depth_outlier = deviations;
+    }
+
     /// The mean over `views` of `w_img · mean |C - Ĉ| + w_depth · mean |d - d̂|`, over the pixels of
-    /// a view and those of them with a depth reading. Adds the derivative by the field to
+    /// a view and those of them with a depth reading; where depth has a variance v, (d - d̂)² / v
+    /// takes the place of |d - d̂|, linear beyond the outlier's. Adds the derivative by the field to
     /// `gradient` and returns the part of each view, with derivatives of the whole; those by the
     /// poses only `with_poses`.
     pub fn map(
@@ -104,9 +121,10 @@ impl RayObjective {
         random: &mut Random,
         gradient: &mut FieldGradient,
     ) -> Vec<Evaluation> {
-        let parts = self.draw(views, random);
+        self.draw(views, random);
         self.renderer.keep_slopes(with_poses);
         self.renderer.render(&map.field, &map.occupancy, &self.rays, &mut self.renders);
+        let parts = self.parts.clone();
         self.cotangents.clear();
         self.cotangents.resize(self.rays.len(), RayRender::default());
         let share = 1.0 / views.len().max(1) as f32;
@@ -123,19 +141,18 @@ impl RayObjective {
         evaluations
     }
 
-    /// Draw the rays of all views; which of them belong to which view.
-    fn draw(&mut self, views: &[RayView<'_>], random: &mut Random) -> Vec<Range<usize>> {
+    /// Draw the rays of all views, and note which of them belong to which view.
+    fn draw(&mut self, views: &[RayView<'_>], random: &mut Random) {
         self.rays.clear();
         self.moments.clear();
-        let mut parts = Vec::with_capacity(views.len());
+        self.parts.clear();
         for view in views {
             let from = self.rays.len();
             for &pixel in &view.pixels {
                 self.draw_pixel(view, pixel, random);
             }
-            parts.push(from..self.rays.len());
+            self.parts.push(from..self.rays.len());
         }
-        parts
     }
 
     fn draw_pixel(&mut self, view: &RayView<'_>, pixel: usize, random: &mut Random) {
@@ -235,52 +252,28 @@ impl RayObjective {
         evaluation.curve = Some(d_curve);
     }
 
-    /// Depth is that of the last ray of a pixel.
-    fn compare_depth(
-        &mut self,
-        view: &RayView<'_>,
-        part: &Range<usize>,
-        weight: f32,
-        evaluation: &mut Evaluation,
-    ) {
-        let observed = &view.observation.depth.data;
-        let count = view.pixels.iter().filter(|&&p| observed[p] > 0.0).count().max(1);
-        let last = view.rays_per_pixel() - 1;
-        let scale = weight / count as f32;
-        let mut sum = 0.0;
-        for (i, &pixel) in view.pixels.iter().enumerate() {
-            let ray = part.start + i * (last + 1) + last;
-            if observed[pixel] > 0.0 {
-                let difference = self.renders[ray].depth - observed[pixel];
-                sum += f64::from(difference.abs());
-                if difference != 0.0 {
-                    self.cotangents[ray].depth = scale.copysign(difference);
-                }
-            }
-        }
-        evaluation.depth = sum / count as f64;
-        evaluation.total += f64::from(weight) * evaluation.depth;
+    /// The derivative by both poses of a view, the derivatives by its rays being known.
+    fn to_shutter(&self, view: &RayView<'_>, part: &Range<usize>) -> ShutterTangent<f64> {
+        let stride = view.rays_per_pixel();
+        let pixel = |ray: usize| view.pixels[(ray - part.start) / stride];
+        let each = part.clone().map(|ray| self.ray_to_shutter(view, pixel(ray), ray));
+        each.fold(ShutterTangent::zero(), ShutterTangent::plus)
     }
 
-    fn to_shutter(&self, view: &RayView<'_>, part: &Range<usize>) -> ShutterTangent<f64> {
+    /// The share of one ray in the derivative by both poses.
+    fn ray_to_shutter(&self, view: &RayView<'_>, pixel: usize, ray: usize) -> ShutterTangent<f64> {
         let shutter = &view.variables.exposure.shutter;
-        let middle = shutter.middle();
-        let mut sum = ShutterTangent::zero();
-        for ray in part.clone() {
-            let pixel = view.pixels[(ray - part.start) / view.rays_per_pixel()];
-            let (column, row) = (pixel % self.camera.width, pixel / self.camera.width);
-            let pull_back =
-                |pose: Pose<f64>| self.ray_gradients[ray].to_pose(&self.view(pose), column, row);
-            sum = sum.plus(match self.moments[ray] {
-                Moment::Exposure(u) => shutter.pull_back(u, pull_back(shutter.at(u))),
-                Moment::Depth => {
-                    let pose = view.depth_pose();
-                    let d_middle = carried_to_middle(middle, pose, pull_back(pose));
-                    shutter.pull_back(0.5, d_middle)
-                }
-            });
+        let (column, row) = (pixel % self.camera.width, pixel / self.camera.width);
+        let pull_back =
+            |pose: Pose<f64>| self.ray_gradients[ray].to_pose(&self.view(pose), column, row);
+        match self.moments[ray] {
+            Moment::Exposure(u) => shutter.pull_back(u, pull_back(shutter.at(u))),
+            Moment::Depth => {
+                let pose = view.depth_pose();
+                let d_middle = carried_to_middle(shutter.middle(), pose, pull_back(pose));
+                shutter.pull_back(0.5, d_middle)
+            }
         }
-        sum
     }
 }
 

@@ -165,3 +165,68 @@ fn random_moments_average_to_the_exposure() {
     let error = |a: &[f64]| relative_error(a, &many);
     assert!(error(&few) < 0.2 * error(&still), "{} {}", error(&few), error(&still));
 }
+
+/// `JᵀJ` of all colour values against differences of the formed picture.
+#[test]
+fn the_gram_matrix_agrees_with_differences() {
+    let map = map();
+    let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+    let observation = observation();
+    let end = Pose::identity().retract(Tangent::from_array([0.02, -0.03, 0.01, 0.02, 0.03, -0.01]));
+    let still = ShutterPoses { start: Pose::identity(), end };
+    let view = |x: &[f64]| {
+        let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
+        let sampling = Sampling { virtual_cameras: 3, ..Sampling::SHARP };
+        let shutter = still.retract(&step);
+        RayView {
+            observation: &observation,
+            variables: FrameVariables {
+                exposure: Exposure { shutter, sampling, readout: 0.0, depth_pose: None },
+                tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
+            },
+            pixels: (0..16 * 12).step_by(5).collect(),
+        }
+    };
+    let mut objective = RayObjective::new(CAMERA, map.march);
+    let gram = objective.gram(&map, &view(&[0.0; 12]), &mut Random::new(3));
+    let mut picture = |x: &[f64]| -> Vec<f64> {
+        let mut d_field = FieldGradient::zeros(&map.field);
+        let mut random = Random::new(3);
+        objective.map(&map, &[view(x)], (1.0, 0.0), false, &mut random, &mut d_field);
+        objective.picture.data.iter().map(|v| f64::from(*v)).collect()
+    };
+    let step = 4e-3;
+    let columns: Vec<Vec<f64>> = (0..12)
+        .map(|k| {
+            let at = |s: f64| std::array::from_fn::<f64, 12, _>(|i| if i == k { s } else { 0.0 });
+            let (ahead, behind) = (picture(&at(step)), picture(&at(-step)));
+            ahead.iter().zip(&behind).map(|(a, b)| (a - b) / (2.0 * step)).collect()
+        })
+        .collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let numeric: Vec<f64> = (0..144)
+        .map(|i| dot(&columns[i / 12], &columns[i % 12]) / columns[0].len() as f64)
+        .collect();
+    let error = relative_error(&gram.concat(), &numeric);
+    assert!(error < 0.1, "{error}");
+}
+
+#[test]
+fn rays_tell_how_deep_a_view_is() {
+    let map = map();
+    let observation = observation();
+    let exposure = Exposure {
+        shutter: ShutterPoses::still(Pose::identity()),
+        sampling: Sampling::SHARP,
+        readout: 0.0,
+        depth_pose: None,
+    };
+    let variables = FrameVariables { exposure, tone: None };
+    let view = [RayView { observation: &observation, variables, pixels: vec![70, 101, 120] }];
+    let mut objective = RayObjective::new(CAMERA, map.march);
+    assert_eq!(objective.seen_depth(0), None);
+    let mut d_field = FieldGradient::zeros(&map.field);
+    objective.map(&map, &view, (1.0, 0.0), false, &mut Random::new(1), &mut d_field);
+    let depth = objective.seen_depth(0).expect("a dense field");
+    assert!(depth > 0.05 && depth < 2.5, "{depth}");
+}

@@ -1,0 +1,93 @@
+//! Runs on colour alone, with keyframes whose poses come from a file.
+
+use crate::scene::{Scene, stamp};
+use crate::tools::{Scratch, number, run};
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+const FRAMES: usize = 8;
+const QUICK: &str = "[hashgrid]\nbound = 2.0\nlevels = 6\nlog2_table = 12\nfinest_cell = 0.02\n\
+    hidden_width = 16\noccupancy_cells = 24\nstep = 0.03\nstep_min = 0.04\nrays = 256\n\
+    first_iterations = 40\niterations = 5\nfinal_iterations = 120\n\
+    [keyframed]\nfirst_keyframes = 4\npose_delay = 20\ncoarse_steps = 60\n";
+
+/// The true poses, some a little off.
+fn write_poses(path: &Path) {
+    let mut text = String::new();
+    for frame in 0..FRAMES {
+        let (x, off) = (0.03 * frame as f64, 0.008 * f64::from(frame as i32 % 3 - 1));
+        let z = 0.3 * x - off;
+        writeln!(text, "{} {:.6} {off:.6} {z:.6} 0 0 0 1", stamp(frame), x + off).expect("memory");
+    }
+    fs::write(path, text).expect("room");
+}
+
+fn reconstruct(scratch: &Scratch, out: &Path, threads: &str, more: &[&str]) {
+    let config = scratch.join("quick.toml");
+    fs::write(&config, QUICK).expect("room");
+    let (data, poses) = (scratch.join("room"), scratch.join("poses.txt"));
+    let [data, out, config, poses] =
+        [&data, out, &config, &poses].map(|path| path.to_str().expect("a name"));
+    let flags = ["--rgb", "--keyframes", poses, "--config", config, "--threads", threads];
+    let arguments = ["run", data, "--out", out].into_iter().chain(flags);
+    let ran = run(arguments.chain(more.iter().copied())).ended_with(0);
+    assert!(ran.out.contains("a hash grid of"), "{}", ran.out);
+}
+
+#[test]
+fn a_trajectory_and_pictures_become_a_field() {
+    let scratch = Scratch::new("keyframed");
+    let (data, a, b) = (scratch.join("room"), scratch.join("a"), scratch.join("b"));
+    Scene { frames: FRAMES, step: 0.03, ..Scene::default() }.write(&data);
+    write_poses(&scratch.join("poses.txt"));
+    // Depth is not looked at.
+    fs::remove_dir_all(data.join("depth")).expect("a folder");
+    fs::remove_file(data.join("depth.txt")).expect("a list");
+    reconstruct(&scratch, &a, "1", &[]);
+    reconstruct(&scratch, &b, "2", &["--render", "none"]);
+    for file in ["map.i2slam", "trajectory_shutter.txt", "state.json"] {
+        let same = fs::read(a.join(file)).expect(file) == fs::read(b.join(file)).expect(file);
+        assert!(same, "{file} depends on the number of threads");
+    }
+    let metrics = a.join("metrics.json");
+    assert_eq!(number(&metrics, "keyframes"), Some(FRAMES as f64));
+    let error = number(&metrics, "ate_rmse_m").expect("a truth");
+    let psnr = number(&metrics, "psnr_blurred_db").expect("pictures");
+    eprintln!("{error} m, {psnr} dB");
+    assert!(error < 0.011 && psnr > 20.0, "{error} m, {psnr} dB");
+    assert!(a.join("report.html").is_file() && a.join("renders/depth/000003.png").is_file());
+    run(["eval", a.to_str().expect("a name")]).ended_with(0);
+}
+
+#[test]
+fn depth_pictures_can_be_taken_along() {
+    let scratch = Scratch::new("keyframed-depth");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: FRAMES, step: 0.03, ..Scene::default() }.write(&data);
+    write_poses(&scratch.join("poses.txt"));
+    let more = ["--keyframe-depth", "pictures", "--render", "none"];
+    let off = ["--no-blur", "--no-tone", "--no-trajectory-loss"];
+    reconstruct(&scratch, &out, "2", &[more.as_slice(), &off].concat());
+    let frames = fs::read_to_string(out.join("frames.csv")).expect("a table");
+    let column = frames.lines().next().expect("names").split(',').position(|n| n == "loss_depth");
+    let last = frames.lines().last().expect("a row").split(',').nth(column.expect("a column"));
+    let loss: f64 = last.expect("a cell").parse().expect("a number");
+    assert!(loss > 0.0 && loss < 0.5, "{loss}");
+}
+
+#[test]
+fn what_goes_with_what_is_told() {
+    let scratch = Scratch::new("keyframed-usage");
+    let out = scratch.join("out");
+    let out = out.to_str().expect("a name");
+    let refused = |more: &[&str], text: &str| {
+        let arguments = ["run", "data", "--out", out].into_iter().chain(more.iter().copied());
+        run(arguments).ended_with(2).complaining(text);
+    };
+    refused(&["--rgb"], "--keyframes PATH");
+    refused(&["--keyframes", "poses.txt"], "--rgb");
+    refused(&["--rgb", "--keyframes", "p", "--preset", "paper-tum"], "is for RGB-D");
+    refused(&["--preset", "paper-rgb"], "add --rgb");
+    refused(&["--rgb", "--keyframes", "p", "--map", "gaussian"], "hashgrid");
+}

@@ -1,0 +1,50 @@
+//! Settings of a session on keyframes that come with poses.
+
+use serde::{Deserialize, Serialize};
+
+/// How keyframes that come with poses (`run --rgb`) are refined together with a radiance field.
+/// Lengths are in the unit of the poses, which is the metre only if their source knows it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KeyframedConfig {
+    /// Keyframes that are waited for before the map starts.
+    pub first_keyframes: usize,
+    /// How far a keyframe without depth is taken to see.
+    pub reach: f32,
+    /// Learning rate of start and end poses: lengths and rad, or, with `preconditioning`
+    /// "picture", root mean square changes of the picture. It falls tenfold during the steps after
+    /// the last keyframe.
+    pub camera_rate: f32,
+    /// Steps of the map before poses move.
+    pub pose_delay: usize,
+    /// Whether poses are stepped in coordinates in which all of them change the picture alike
+    /// (CamP); never without `formation.blur`.
+    pub preconditioning: Preconditioning,
+    /// Added to the diagonal of JᵀJ, as a share of it.
+    pub preconditioning_damping: f32,
+    /// Steps of a keyframe from one JᵀJ to the next.
+    pub preconditioning_interval: usize,
+    /// λ_traj, against means over pixels; a sum over the squared unit of length and rad².
+    pub trajectory_weight: f32,
+    /// First distance of start and end pose, as a share of the motion in one frame interval.
+    pub initial_split: f32,
+    /// Standard deviations from which on an estimated depth counts as wrong: its loss goes on
+    /// along the tangent; 0 for never.
+    pub depth_outlier: f32,
+    /// Steps during which the finer half of the grids comes in, one after another; 0 trains all
+    /// from the start.
+    pub coarse_steps: usize,
+}
+
+/// Coordinates in which poses are stepped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preconditioning {
+    /// Their own: lengths and angles.
+    Off,
+    /// Those of `P = (JᵀJ + damping)^(-1/2)`, J being that of the picture (CamP).
+    Picture,
+    /// The same scaled so that a step is as long as without, in the root mean square of its twelve
+    /// numbers: a map that is still smooth does not make it longer.
+    Pose,
+}

@@ -1,0 +1,77 @@
+//! What a step is made of.
+
+use crate::mapping::{Keyframe, Story};
+use crate::objective::{BlurRoute, Exposure, FrameVariables, RayView, Sampling, Tone, blur_length};
+use crate::reconstruction::FrameEstimate;
+use i2slam_formation::ResponseCurve;
+use i2slam_geometry::{Camera, Image};
+use std::collections::BTreeMap;
+
+/// `count` random pixels of a keyframe; each takes a ray for every virtual camera.
+pub(super) fn draw<'a>(
+    story: &mut Story<'_>,
+    keyframe: &'a Keyframe,
+    curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
+    count: usize,
+) -> RayView<'a> {
+    let (estimate, formation) = (&story.frames[keyframe.frame], &story.config.formation);
+    let exposure = Exposure {
+        shutter: estimate.shutter,
+        sampling: Sampling::by_route(BlurRoute::Exact, formation, estimate.blur_length, 0.0),
+        readout: 0.0,
+        depth_pose: None,
+    };
+    let tone = curves.get(&estimate.response).map(|curve| Tone { frame: estimate.tone, curve });
+    let variables = FrameVariables { exposure, tone };
+    let observation = &*keyframe.observation;
+    let all = observation.depth.pixels();
+    let recorded = |p: &usize| story.covered.is_none_or(|c| c.data[*p]);
+    let random = &mut *story.random;
+    let pixels = (0..count.max(1)).map(|_| random.below(all)).filter(recorded).collect();
+    RayView { observation, variables, pixels }
+}
+
+/// The last keyframe and others drawn at random from all.
+pub(super) fn window(story: &mut Story<'_>) -> Vec<Keyframe> {
+    let size = story.config.mapping.window;
+    let mut others: Vec<&Keyframe> = story.keyframes.iter().collect();
+    let mut window: Vec<Keyframe> = others.pop().into_iter().cloned().collect();
+    story.random.shuffle(&mut others);
+    window.extend(others.into_iter().take(size.saturating_sub(1)).cloned());
+    window
+}
+
+/// Keyframes drawn at random from all.
+pub(super) fn any(story: &mut Story<'_>, size: usize) -> Vec<Keyframe> {
+    let mut order: Vec<&Keyframe> = story.keyframes.iter().collect();
+    story.random.shuffle(&mut order);
+    order.into_iter().take(size).cloned().collect()
+}
+
+/// Length of a frame's streaks [px], all of its surfaces being at one depth.
+pub(super) fn blur_at(camera: &Camera<f64>, estimate: &FrameEstimate, depth: f64) -> f64 {
+    let mut plane = Image::new(camera.width, camera.height, 1);
+    plane.data.fill(depth as f32);
+    blur_length(camera, &estimate.shutter, &plane)
+}
+
+/// Grids that are trained: half of them from the start, the others one after another.
+pub(super) fn open_levels(step: usize, coarse_steps: usize, levels: usize) -> usize {
+    let first = levels.div_ceil(2);
+    match coarse_steps {
+        0 => levels,
+        steps => (first + (levels - first) * step / steps).min(levels),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grids_come_in_from_coarse_to_fine() {
+        let open: Vec<usize> = [0, 9, 10, 55, 60, 99].map(|s| open_levels(s, 60, 12)).to_vec();
+        assert_eq!(open, [6, 6, 7, 11, 12, 12]);
+        assert_eq!((open_levels(0, 0, 12), open_levels(0, 5, 1)), (12, 1));
+    }
+}

@@ -1,0 +1,256 @@
+//! Joint refinement of a radiance field and of keyframes that came with poses.
+//!
+//! Keyframes enter the training set one by one. A step draws pixels from several of them, forms
+//! and compares them, and moves the field, start and end poses, exposure, white balance and
+//! response together. Depth may be unknown: rays are sampled where the field itself has turned out
+//! to be dense, not around measured surfaces.
+
+mod batch;
+mod extent;
+mod poses;
+mod preconditioner;
+mod trajectory;
+
+use super::field::{add, curves, untrained};
+use super::frames::FrameOptimizers;
+use super::{Keyframe, Story};
+use crate::config::Preconditioning;
+use crate::objective::{Evaluation, RayObjective, RayView};
+use crate::reconstruction::{Losses, Map};
+use batch::{any, blur_at, draw, open_levels, window};
+use extent::Extent;
+use i2slam_formation::CurveGradient;
+use i2slam_geometry::Camera;
+use i2slam_radiance::hashgrid::{
+    FieldAdam, FieldGradient, FieldRenderer, HashGridMap, Occupancy, SettingsError, decayed_rate,
+};
+use poses::PoseOptimizers;
+use std::collections::BTreeMap;
+use std::time::Instant;
+use trajectory::TrajectoryTerm;
+
+pub(crate) use trajectory::intervals;
+
+/// Steps from one look at which cells are dense to the next (torch-ngp).
+const LOOK: usize = 16;
+/// Share of `reach` that is not sampled before a camera (torch-ngp: 0.2 of 4).
+const NEAR: f32 = 0.05;
+/// Pixels of a Jacobian.
+const JACOBIAN_PIXELS: usize = 96;
+
+/// A field that is refined together with keyframes.
+pub(crate) struct PosedField {
+    camera: Camera<f32>,
+    field: Option<Field>,
+    frames: FrameOptimizers,
+    poses: PoseOptimizers,
+    trajectory: TrajectoryTerm,
+    /// Steps since the field began.
+    steps: usize,
+}
+
+/// A field and what trains it.
+struct Field {
+    map: HashGridMap,
+    batch: RayObjective,
+    looker: FieldRenderer,
+    gradient: FieldGradient,
+    adam: FieldAdam,
+}
+
+impl Field {
+    /// Renews how a keyframe is stepped where that is due.
+    fn precondition(
+        &mut self,
+        story: &mut Story<'_>,
+        poses: &mut PoseOptimizers,
+        view: &RayView<'_>,
+        frame: usize,
+    ) {
+        let settings = &story.config.keyframed;
+        if !poses.is_due(frame, settings.preconditioning_interval) {
+            return;
+        }
+        let pixels = view.pixels.iter().copied().take(JACOBIAN_PIXELS).collect();
+        let view = RayView { pixels, ..*view };
+        let gram = self.batch.gram(&self.map, &view, story.random);
+        poses.precondition(frame, &gram, settings);
+    }
+}
+
+/// How far a step goes.
+#[derive(Clone, Copy)]
+struct Rates {
+    field: f32,
+    camera: f32,
+}
+
+impl PosedField {
+    /// For keyframes of `camera`, taken from a video of `frame_rate` frames per second.
+    pub(crate) fn new(camera: &Camera<f64>, frame_rate: f64) -> Self {
+        Self {
+            camera: camera.cast(),
+            field: None,
+            frames: FrameOptimizers::default(),
+            poses: PoseOptimizers::default(),
+            trajectory: TrajectoryTerm::new(frame_rate),
+            steps: 0,
+        }
+    }
+
+    /// Takes in a keyframe, the last of the story: waits for the first few, then begins a field
+    /// that holds what they see, and begins it anew in a larger cube where a keyframe sees farther.
+    pub(crate) fn add(&mut self, story: &mut Story<'_>) -> Result<(), SettingsError> {
+        let settings = &story.config.hashgrid;
+        let first = match &self.field {
+            None if story.keyframes.len() < story.config.keyframed.first_keyframes => return Ok(()),
+            None => true,
+            Some(field) => !extent::holds(field.map.field.settings(), story),
+        };
+        if first {
+            self.begin(story)?;
+        }
+        let iterations = if first { settings.first_iterations } else { settings.iterations };
+        let rates = Rates { field: settings.rate, camera: story.config.keyframed.camera_rate };
+        let budget = f64::from(story.config.mapping.seconds_per_frame);
+        let clock = Instant::now();
+        for iteration in 0..iterations {
+            if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
+                break;
+            }
+            let window = window(story);
+            self.step(story, &window, rates);
+        }
+        Ok(())
+    }
+
+    /// An untrained field that holds what all keyframes see.
+    fn begin(&mut self, story: &mut Story<'_>) -> Result<(), SettingsError> {
+        let Extent { centre, mut bound } = Extent::of(story);
+        if let Some(field) = &self.field {
+            bound = bound.max(extent::GROWTH * field.map.field.settings().bound);
+        }
+        let config = story.config;
+        let empty = untrained(&config.hashgrid, centre, bound, config.seed)?;
+        let mut march = empty.march;
+        march.near = NEAR * config.keyframed.reach;
+        let occupancy = Occupancy::new(*empty.occupancy.settings());
+        let map = HashGridMap { occupancy, march, ..empty };
+        let mut batch = RayObjective::new(self.camera, march);
+        batch.set_depth_outlier(config.keyframed.depth_outlier);
+        self.field = Some(Field {
+            batch,
+            looker: FieldRenderer::new(march),
+            gradient: FieldGradient::zeros(&map.field),
+            adam: FieldAdam::new(),
+            map,
+        });
+        self.steps = 0;
+        Ok(())
+    }
+
+    /// Steps over all keyframes after the last; `on_step(done, of)` says whether to go on.
+    pub(crate) fn finish(
+        &mut self,
+        story: &mut Story<'_>,
+        on_step: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<(), SettingsError> {
+        if self.field.is_none() {
+            self.begin(story)?;
+        }
+        let (steps, rate) = (story.config.hashgrid.final_iterations, story.config.hashgrid.rate);
+        let camera_rate = story.config.keyframed.camera_rate;
+        for step in 0..steps {
+            let window = any(story, story.config.mapping.window);
+            let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);
+            let rates = Rates { field: decayed(rate), camera: decayed(camera_rate) };
+            self.step(story, &window, rates);
+            if !on_step(step + 1, steps) {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// One step on pixels of all `views`.
+    fn step(&mut self, story: &mut Story<'_>, views: &[Keyframe], rates: Rates) {
+        let config = story.config;
+        let curves = curves(story, views);
+        let Some(field) = &mut self.field else { return };
+        if self.steps.is_multiple_of(LOOK) {
+            let Field { map, looker, .. } = &mut *field;
+            map.occupancy.refresh(&map.field, looker, config.seed);
+        }
+        let pixels = config.hashgrid.rays / views.len().max(1);
+        let drawn: Vec<RayView<'_>> =
+            views.iter().map(|view| draw(story, view, &curves, pixels)).collect();
+        let with_poses = rates.camera > 0.0 && self.steps >= config.keyframed.pose_delay;
+        if with_poses
+            && config.formation.blur
+            && config.keyframed.preconditioning != Preconditioning::Off
+        {
+            for (view, keyframe) in drawn.iter().zip(views) {
+                field.precondition(story, &mut self.poses, view, keyframe.frame);
+            }
+        }
+        let weights = (config.hashgrid.image_weight, config.hashgrid.depth_weight);
+        let Field { map, batch, gradient, adam, .. } = &mut *field;
+        let evaluations = batch.map(map, &drawn, weights, with_poses, story.random, gradient);
+        for (view, index) in views.iter().zip(0..) {
+            if let Some(depth) = batch.seen_depth(index) {
+                let estimate = &mut story.frames[view.frame];
+                estimate.blur_length = blur_at(story.camera, estimate, depth);
+            }
+        }
+        let levels = map.field.settings().levels;
+        gradient.keep_levels(
+            &map.field,
+            open_levels(self.steps, config.keyframed.coarse_steps, levels),
+        );
+        adam.step(&mut map.field, gradient, rates.field);
+        self.steps += 1;
+        self.step_frames(story, views, evaluations, with_poses.then_some(rates.camera));
+    }
+
+    /// Tone and poses of the keyframes that took part, and their responses, each once.
+    fn step_frames(
+        &mut self,
+        story: &mut Story<'_>,
+        views: &[Keyframe],
+        evaluations: Vec<Evaluation>,
+        camera_rate: Option<f32>,
+    ) {
+        let mut responses: BTreeMap<usize, CurveGradient<f32>> = BTreeMap::new();
+        let share = 1.0 / views.len().max(1) as f64;
+        for (view, mut evaluation) in views.iter().zip(evaluations) {
+            let response = story.frames[view.frame].response;
+            if let Some(d_curve) = evaluation.curve.take() {
+                match responses.get_mut(&response) {
+                    Some(sum) => add(sum, &d_curve),
+                    None => drop(responses.insert(response, d_curve)),
+                }
+            }
+            let trajectory = self.trajectory.add(story, view.frame, share, &mut evaluation);
+            story.frames[view.frame].losses =
+                Losses { image: evaluation.image, depth: evaluation.depth, trajectory };
+            if story.config.formation.tone && view.frame != story.gauge_frame(view) {
+                self.frames.step_tone(story, view.frame, &evaluation.tone);
+            }
+            if let Some(rate) = camera_rate {
+                self.poses.step(story, view.frame, &evaluation.shutter, rate);
+            }
+        }
+        self.trajectory.step_scale(story.config);
+        for (index, mut d_curve) in responses {
+            self.frames.step_response(story, index, &mut d_curve);
+        }
+    }
+
+    /// The map as it is now.
+    pub(crate) fn map(&self) -> Map {
+        match &self.field {
+            Some(field) => Map::HashGrid(Box::new(field.map.clone())),
+            None => Map::default(),
+        }
+    }
+}

@@ -1,0 +1,246 @@
+//! The session on keyframes that come with poses: posed pictures go in one by one, a
+//! reconstruction comes out. There is no tracking; poses are refined together with the map.
+
+use super::{BLACK, SessionError, start};
+use crate::config::{Config, ResponseScope};
+use crate::keyframes::PosedKeyframe;
+use crate::mapping::{Keyframe, PosedField, Story, intervals};
+use crate::objective::Observation;
+use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
+use i2slam_compute::Random;
+use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
+use i2slam_geometry::{Camera, Image, Pose, Tangent};
+use i2slam_radiance::hashgrid::SettingsError;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// RGB SLAM on keyframes whose poses, and perhaps depths, are known roughly.
+///
+/// The world is the camera of the first keyframe as it came; every pose is refined, that one too.
+pub struct KeyframedSession {
+    config: Config,
+    camera: Camera<f64>,
+    frame_rate: f64,
+    field: PosedField,
+    /// From the source's world to that of the session.
+    world_from_source: Option<Pose<f64>>,
+    responses: Vec<CameraResponse<f32>>,
+    frames: Vec<FrameEstimate>,
+    keyframes: Vec<Keyframe>,
+    covered: Option<Arc<Image<bool>>>,
+    warnings: Vec<String>,
+    random: Random,
+    failure: Option<SettingsError>,
+}
+
+impl KeyframedSession {
+    /// A session for keyframes of `camera`, taken from a video of `frame_rate` frames per second.
+    pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
+        Self {
+            field: PosedField::new(&camera, frame_rate),
+            world_from_source: None,
+            responses: vec![start::response(&config)],
+            frames: Vec::new(),
+            keyframes: Vec::new(),
+            covered: None,
+            warnings: Vec::new(),
+            random: Random::new(config.seed),
+            failure: None,
+            config,
+            camera,
+            frame_rate,
+        }
+    }
+
+    /// Restricts the image terms to recorded pixels (see the dataset's `covered`).
+    pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
+        self.covered = Some(covered);
+    }
+
+    /// Takes in one keyframe and refines map, poses and tone for some steps.
+    ///
+    /// # Errors
+    ///
+    /// A keyframe that does not fit the camera or has no finite pose, and a map that cannot be
+    /// started with its settings.
+    pub fn process(&mut self, keyframe: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
+        self.check(&keyframe)?;
+        let clock = Instant::now();
+        let (estimate, observation) = self.take_in(keyframe);
+        let position = self.frames.len();
+        let maps = estimate.keyframe;
+        self.frames.push(estimate);
+        if maps {
+            self.keyframes.push(Keyframe { frame: position, observation });
+            self.split_the_first(position);
+            let (field, mut story) = self.story();
+            if let Err(source) = field.add(&mut story) {
+                self.failure = Some(source);
+                return Err(SessionError::Map { source });
+            }
+        }
+        self.frames[position].mapping_seconds = clock.elapsed().as_secs_f64();
+        Ok(&self.frames[position])
+    }
+
+    /// Refines everything over all keyframes; `on_step(done, of)` says whether to go on.
+    pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
+        if self.keyframes.is_empty() || self.failure.is_some() {
+            return;
+        }
+        let (field, mut story) = self.story();
+        if let Err(error) = field.finish(&mut story, on_step) {
+            self.warnings.push(format!("the map is empty: {error}"));
+            self.failure = Some(error);
+        }
+    }
+
+    /// Keyframes processed so far.
+    pub fn frames(&self) -> &[FrameEstimate] {
+        &self.frames
+    }
+
+    /// Messages since the last call: what was unusual and what was done about it.
+    pub fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+
+    /// Everything estimated so far.
+    pub fn reconstruction(&self) -> Reconstruction {
+        Reconstruction {
+            config: self.config.clone(),
+            camera: self.camera,
+            frames: self.frames.clone(),
+            map: self.field.map(),
+            responses: self.responses.clone(),
+            rolling_shutter_readout: 0.0,
+        }
+    }
+
+    fn check(&self, keyframe: &PosedKeyframe) -> Result<(), SessionError> {
+        let index = keyframe.index;
+        let expected = (self.camera.width, self.camera.height);
+        let estimated = keyframe.depth.as_ref();
+        let pictures = [
+            ("colour", Some(&keyframe.colour)),
+            ("depth", estimated.map(|d| &d.depth)),
+            ("depth variance", estimated.and_then(|d| d.variance.as_ref())),
+        ];
+        for (what, image) in pictures {
+            let actual = image.map_or(expected, |image| (image.width, image.height));
+            if actual != expected {
+                return Err(SessionError::Size { index, what, actual, expected });
+            }
+        }
+        match keyframe.world_from_camera.is_finite() {
+            true => Ok(()),
+            false => Err(SessionError::Pose { index }),
+        }
+    }
+
+    /// What is known of a keyframe before it is refined.
+    fn take_in(&mut self, keyframe: PosedKeyframe) -> (FrameEstimate, Arc<Observation>) {
+        let PosedKeyframe { index, timestamp, colour, world_from_camera, depth } = keyframe;
+        let source = *self.world_from_source.get_or_insert_with(|| world_from_camera.inverse());
+        let values = colour.data.len().max(1) as f32;
+        let seen = colour.data.iter().sum::<f32>() / values >= BLACK;
+        if !seen {
+            self.warnings.push(format!("frame {index}: its picture is black: it is not mapped"));
+        }
+        let empty = || Image::new(self.camera.width, self.camera.height, 1);
+        let observation = match depth {
+            None => Observation::new(colour, empty()),
+            Some(estimated) => match estimated.variance {
+                None => Observation::new(colour, estimated.depth),
+                Some(variance) => Observation::estimated(colour, estimated.depth, variance),
+            },
+        };
+        let mut estimate = FrameEstimate {
+            index,
+            timestamp,
+            shutter: ShutterPoses::still(source * world_from_camera),
+            readout: 0.0,
+            depth_lead: Tangent::zero(),
+            tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
+            response: self.response(),
+            keyframe: seen,
+            held_out: false,
+            tracked: true,
+            losses: Losses::default(),
+            convergence: Convergence::default(),
+            blur_length: 0.0,
+            tracking_seconds: 0.0,
+            mapping_seconds: 0.0,
+            gaussians: 0,
+        };
+        if let Some(last) = self.frames.last() {
+            estimate.shutter = self.split(estimate.middle(), last, &estimate);
+        }
+        (estimate, Arc::new(observation))
+    }
+
+    /// The response of the next keyframe: the sequence's, or one of its own that starts from that
+    /// of the last.
+    fn response(&mut self) -> usize {
+        let last = self.responses.len() - 1;
+        if self.frames.is_empty() || self.config.formation.response_scope == ResponseScope::Sequence
+        {
+            return last;
+        }
+        self.responses.push(self.responses[last].clone());
+        last + 1
+    }
+
+    /// The motion of the first exposure, known once there is a second.
+    fn split_the_first(&mut self, position: usize) {
+        if position == 1 {
+            let motion = self.motion(&self.frames[0], &self.frames[1]);
+            self.frames[0].shutter = spread(self.frames[0].middle(), motion);
+        }
+    }
+
+    /// Start and end pose around a middle, along the way from the last keyframe.
+    fn split(
+        &self,
+        middle: Pose<f64>,
+        last: &FrameEstimate,
+        current: &FrameEstimate,
+    ) -> ShutterPoses<f64> {
+        spread(middle, self.motion(last, current))
+    }
+
+    /// First guess of the motion during an exposure, in the camera of `last`.
+    fn motion(&self, last: &FrameEstimate, current: &FrameEstimate) -> Tangent<f64> {
+        if !self.config.formation.blur {
+            return Tangent::zero();
+        }
+        let share = f64::from(self.config.keyframed.initial_split);
+        let way = last.middle().local(current.middle());
+        way.scaled(share / intervals(self.frame_rate, last, current))
+    }
+
+    fn story(&mut self) -> (&mut PosedField, Story<'_>) {
+        let story = Story {
+            config: &self.config,
+            camera: &self.camera,
+            frames: &mut self.frames,
+            keyframes: &self.keyframes,
+            responses: &mut self.responses,
+            covered: self.covered.as_deref(),
+            random: &mut self.random,
+            warnings: &mut self.warnings,
+        };
+        (&mut self.field, story)
+    }
+}
+
+/// Poses half of `motion` before and behind a pose.
+fn spread(middle: Pose<f64>, motion: Tangent<f64>) -> ShutterPoses<f64> {
+    ShutterPoses {
+        start: middle.retract(motion.scaled(-0.5)),
+        end: middle.retract(motion.scaled(0.5)),
+    }
+}
+
+#[cfg(test)]
+mod tests;
