@@ -22,6 +22,8 @@ const SMALLEST_SIDE: usize = 8;
 pub struct Entry {
     /// Place in the associated stream, before the choice by range and stride.
     pub index: usize,
+    /// Place among all colour images, also those that did not enter the associated stream.
+    pub place: usize,
     /// Time stamp of the colour image [s].
     pub timestamp: f64,
     /// Time stamp of the depth image [s]; the colour's where depth has none of its own.

@@ -20,7 +20,8 @@ pub enum Depth {
 pub struct Options {
     /// How the pictures are opened. `association_tolerance` also bounds the distance in time
     /// between a pose and its picture; `frames` and `stride` choose among the pictures, and poses
-    /// of others are left out; `colour_only` does not matter.
+    /// of others are left out; `minimum_gap` and `colour_only` do not matter, no picture is thinned
+    /// out.
     pub open: OpenOptions,
     /// Which depth is taken.
     pub depth: Depth,
@@ -34,8 +35,9 @@ pub struct Options {
     /// Pictures in arrays have their channels in the order R, G, B; else B, G, R as DROID-SLAM
     /// keeps them. Default false.
     pub arrays_are_rgb: bool,
-    /// How many pictures of the sequence one step of whole time stamps counts, which is the stride
-    /// of the program that wrote them; at least 1. Default 1.
+    /// How many colour images of the sequence one step of whole time stamps counts, which is the
+    /// stride of the program that wrote them (`--stride` of DROID-SLAM's `demo.py`, 3 unless said
+    /// otherwise); at least 1. Default 1.
     pub frames_per_stamp: usize,
 }
 

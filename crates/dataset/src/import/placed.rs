@@ -44,9 +44,15 @@ pub(super) fn open_pictures(
     Sequence::open(path, &all_frames(options, with_depth))
 }
 
-/// The options that open all pictures.
+/// The options that open all pictures, none thinned.
 pub(super) fn all_frames(options: &Options, with_depth: bool) -> OpenOptions {
-    OpenOptions { frames: None, stride: 1, colour_only: !with_depth, ..options.open.clone() }
+    OpenOptions {
+        frames: None,
+        stride: 1,
+        minimum_gap: 0.0,
+        colour_only: !with_depth,
+        ..options.open.clone()
+    }
 }
 
 /// The keyframes of stamped poses, in order of time.
@@ -85,19 +91,22 @@ pub(super) fn by_time(
     (keyframes, left_out)
 }
 
-/// The keyframes of poses (their place in the files, the index of their picture, themselves), in
-/// order of the pictures.
+/// The keyframes of poses (their place in the files, that of their picture among all colour
+/// images, themselves), in order of the pictures.
+///
+/// Who counts pictures counts files: also those that have no depth or no pose and are no frames.
 pub(super) fn by_index(
     poses: Vec<(usize, usize, Pose<f64>)>,
     pictures: &Sequence,
     warnings: &mut Vec<String>,
 ) -> (Vec<KeyframePose>, LeftOut) {
     let places: HashMap<usize, usize> =
-        pictures.entries.iter().enumerate().map(|(place, entry)| (entry.index, place)).collect();
+        pictures.entries.iter().enumerate().map(|(at, entry)| (entry.place, at)).collect();
     let count = poses.len();
-    let last = poses.iter().map(|&(_, index, _)| index).max().unwrap_or(0);
-    let with_picture = poses.into_iter().filter_map(|(record, index, pose)| {
-        places.get(&index).map(|&position| keyframe(pictures, position, record, pose))
+    let last = poses.iter().map(|&(_, place, _)| place).max().unwrap_or(0);
+    warnings.extend(short_reach(last, pictures));
+    let with_picture = poses.into_iter().filter_map(|(record, place, pose)| {
+        places.get(&place).map(|&position| keyframe(pictures, position, record, pose))
     });
     let mut keyframes: Vec<KeyframePose> = with_picture.collect();
     keyframes.sort_by_key(|keyframe| (keyframe.position, keyframe.record));
@@ -110,6 +119,19 @@ pub(super) fn by_index(
     let left_out =
         left_out(count, &keyframes, pictures, reason, "no picture of its number", warnings);
     (keyframes, left_out)
+}
+
+/// A warning if frame numbers end before the middle of the pictures: stamps of a program that
+/// skips pictures count those that it took.
+fn short_reach(last: usize, pictures: &Sequence) -> Option<String> {
+    let count = pictures.entries.iter().map(|entry| entry.place + 1).max()?;
+    let reached = last.saturating_add(1);
+    (reached.saturating_mul(2) < count).then(|| {
+        format!(
+            "time stamps reach picture {reached} of {count}: is frames_per_stamp the stride of the \
+             run (demo.py: 3)?"
+        )
+    })
 }
 
 fn keyframe(

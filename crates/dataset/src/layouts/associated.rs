@@ -84,7 +84,7 @@ fn entries(association: &Association, stamped: &Stamped) -> Vec<Entry> {
             let depth = stamped.depth.as_ref().map(|depth| depth[j].clone());
             let depth_timestamp = depth.as_ref().map_or(timestamp, |depth| depth.0);
             let depth = depth.map(|depth| depth.1);
-            Entry { index, timestamp, depth_timestamp, colour, depth, parts: None }
+            Entry { index, place: i, timestamp, depth_timestamp, colour, depth, parts: None }
         })
         .collect()
 }

@@ -103,7 +103,8 @@ impl Scene {
         let entries = self.shots.iter().zip(colour).enumerate().map(|(index, (shot, colour))| {
             let timestamp = rising.as_ref().map_or(index as f64 / frame_rate, |t| t[index].0);
             let depth = shot.depth_file_path.as_ref().map(|depth| folder.join(depth));
-            Entry { index, timestamp, depth_timestamp: timestamp, colour, depth, parts: None }
+            let (place, depth_timestamp) = (index, timestamp);
+            Entry { index, place, timestamp, depth_timestamp, colour, depth, parts: None }
         });
         let entries: Vec<Entry> = entries.collect();
         let poses = entries.iter().zip(&self.shots).map(|(e, shot)| (e.timestamp, self.pose(shot)));

@@ -75,8 +75,9 @@ impl Pairs {
         pairs
             .map(|(index, pair)| {
                 let timestamp = time(&pair);
-                let Pair { colour, depth, .. } = pair;
-                Entry { index, timestamp, depth_timestamp: timestamp, colour, depth, parts: None }
+                let Pair { place, colour, depth, .. } = pair;
+                let depth_timestamp = timestamp;
+                Entry { index, place, timestamp, depth_timestamp, colour, depth, parts: None }
             })
             .collect()
     }

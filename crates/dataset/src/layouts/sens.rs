@@ -98,6 +98,7 @@ impl Stream {
         let depth_time = |i: usize| times.as_ref().map_or(i as f64 / frame_rate, |t| t[i].1);
         let entry = |(index, frame): (usize, &Frame)| Entry {
             index,
+            place: index,
             timestamp: time(index),
             depth_timestamp: depth_time(index),
             colour: self.path.clone(),

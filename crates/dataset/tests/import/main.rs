@@ -6,6 +6,7 @@ mod support;
 mod arrays;
 mod colmap;
 mod conventions;
+mod counted;
 mod droid;
 mod nerfstudio;
 mod real;

@@ -66,7 +66,7 @@ fn join(
 ) -> (Vec<KeyframePose>, LeftOut) {
     match stamps {
         Stamps::Frames(counts) => {
-            let indices = counts.iter().map(|count| count * options.frames_per_stamp.max(1));
+            let indices = counts.iter().map(|count| count.saturating_mul(options.frames_per_stamp));
             let poses = indices.zip(poses.iter().copied()).enumerate();
             let poses = poses.map(|(record, (index, pose))| (record, index, pose));
             by_index(poses.collect(), sequence, warnings)

@@ -1,0 +1,74 @@
+//! Which pictures frame numbers and times name, where a sequence leaves frames out.
+
+use crate::arrays::npy;
+use crate::assert_warns;
+use crate::droid::{members, with};
+use crate::scene::{colour_sequence, line, pose, sequence, stamp};
+use crate::support::Folder;
+use i2slam_dataset::import::{Files, Options};
+
+fn arrays(frames: &[usize], stamps: &[f64]) -> Folder {
+    let folder = Folder::new();
+    let stamps = npy("<i8", &[stamps.len()], stamps);
+    for (name, bytes) in with(members(frames), "tstamps", stamps) {
+        folder.write(&format!("{name}.npy"), bytes);
+    }
+    folder
+}
+
+/// Time stamps of the pictures that the keyframes get.
+fn times(files: &Files) -> Vec<f64> {
+    files.keyframes.iter().map(|keyframe| keyframe.timestamp).collect()
+}
+
+#[test]
+fn frame_numbers_count_pictures_that_are_no_frames_too() {
+    let pictures = sequence(7);
+    let list = std::fs::read_to_string(pictures.join("depth.txt")).expect("reads");
+    // Pictures 0 and 3 have no depth.
+    let kept = |(i, line): (usize, &str)| (i != 0 && i != 3).then(|| line.to_owned());
+    let kept: Vec<String> = list.lines().enumerate().filter_map(kept).collect();
+    pictures.write("depth.txt", kept.join("\n"));
+    let frames = [1, 4, 6];
+    let stamps = frames.map(|i| i as f64);
+    let arrays = arrays(&frames, &stamps);
+    let files = Files::open(&arrays.0, Some(&pictures.0), &Options::default()).expect("opens");
+    assert_eq!(times(&files), frames.map(stamp));
+}
+
+#[test]
+fn frame_numbers_of_another_stride_are_noticed() {
+    let pictures = colour_sequence(9);
+    let open = |frames_per_stamp: usize| {
+        let options = Options { frames_per_stamp, ..Options::default() };
+        let arrays = arrays(&[0, 3, 6], &[0.0, 1.0, 2.0]);
+        Files::open(&arrays.0, Some(&pictures.0), &options).expect("opens")
+    };
+    let parts = ["reach picture 3 of 9", "frames_per_stamp", "stride"];
+    assert_warns(&open(1).warnings, &parts);
+    assert!(open(3).warnings.is_empty(), "{:?}", open(3).warnings);
+    assert_eq!(times(&open(3)), [0, 3, 6].map(stamp));
+}
+
+#[test]
+fn steps_of_any_size_are_counted() {
+    let pictures = colour_sequence(3);
+    let options = Options { frames_per_stamp: usize::MAX, ..Options::default() };
+    let arrays = arrays(&[0, 1], &[0.0, 2.0]);
+    let files = Files::open(&arrays.0, Some(&pictures.0), &options);
+    crate::assert_says(files, &["1 of 2 poses", "stride"]);
+}
+
+#[test]
+fn no_picture_is_thinned_out() {
+    let pictures = colour_sequence(8);
+    let time = |i: usize| i as f64 / 60.0;
+    let list: String = (0..8).map(|i| format!("{:.6} rgb/{i:03}.png\n", time(i))).collect();
+    pictures.write("rgb.txt", list);
+    let poses: String = [1, 3, 5].map(|i| line(time(i), pose(i))).concat();
+    let file = pictures.write("keyframes.txt", poses);
+    let files = Files::open(&file, None, &Options::default()).expect("opens");
+    let apart = times(&files).into_iter().zip([1, 3, 5]).map(|(t, i)| (t - time(i)).abs());
+    assert!(files.len() == 3 && apart.fold(0.0, f64::max) < 1e-5, "{:?}", times(&files));
+    assert!(files.warnings.is_empty(), "{:?}", files.warnings);
+}
