@@ -12,6 +12,7 @@ mod sens;
 mod seven_scenes;
 
 pub(crate) use nerfstudio::Scene;
+pub(crate) use plain::below as pictures_below;
 
 use crate::calibration::{Calibration, Traits};
 use crate::decode::DepthCode;

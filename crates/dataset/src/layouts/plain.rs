@@ -3,11 +3,14 @@
 use super::associated::{Stamped, by_time, ground_truth};
 use super::pairs::{Pairs, images, stamped};
 use super::{Layout, Listing};
-use crate::{DatasetError, LeftOut, OpenOptions};
+use crate::{DatasetError, Entry, LeftOut, OpenOptions};
 use std::path::{Path, PathBuf};
 
 const COLOUR_NAMES: [&str; 5] = ["colour", "color", "rgb", "images", "image"];
 const DEPTH_NAMES: [&str; 2] = ["depth", "depths"];
+
+/// How many folders deep pictures are looked for.
+const DEEPEST: usize = 4;
 
 /// The folders of the plain layout.
 pub(crate) struct Folders {
@@ -57,4 +60,29 @@ pub(crate) fn list(
     listing.leave_out_without_depth(left_out.without_depth);
     listing.ground_truth = ground_truth(folder);
     Ok(listing)
+}
+
+/// Pictures without depth in a folder and those below it, in order of their paths, `1 / frame_rate`
+/// apart [s]; `None` if there is none.
+pub(crate) fn below(folder: &Path, frame_rate: f64) -> Option<Listing> {
+    let files = tree(folder, DEEPEST);
+    let entry = |(index, colour): (usize, PathBuf)| {
+        let timestamp = index as f64 / frame_rate;
+        let (place, depth_timestamp) = (index, timestamp);
+        Entry { index, place, timestamp, depth_timestamp, colour, depth: None, parts: None }
+    };
+    let entries: Vec<Entry> = files.into_iter().enumerate().map(entry).collect();
+    (!entries.is_empty()).then(|| Listing::new(Layout::Plain, entries))
+}
+
+fn tree(folder: &Path, deeper: usize) -> Vec<PathBuf> {
+    let mut files = images(folder, |_| true).unwrap_or_default();
+    let listing = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut folders: Vec<PathBuf> =
+        listing.map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    folders.sort();
+    for folder in folders.iter().filter(|_| deeper > 0) {
+        files.extend(tree(folder, deeper - 1));
+    }
+    files
 }

@@ -27,6 +27,15 @@ fn numbers(i: usize) -> [f64; 7] {
     [q.w, q.v.x, q.v.y, q.v.z, t.x, t.y, t.z]
 }
 
+/// The text of images of some names, at the first poses.
+pub(crate) fn images_named(names: &[&str]) -> String {
+    let image = |(i, name): (usize, &&str)| {
+        let words: Vec<String> = numbers(i).iter().map(f64::to_string).collect();
+        format!("{} {} 1 {name}\n\n", i + 1, words.join(" "))
+    };
+    names.iter().enumerate().map(image).collect()
+}
+
 fn images_text(frames: &[usize]) -> String {
     let image = |&i: &usize| {
         let words: Vec<String> = numbers(i).iter().map(f64::to_string).collect();
@@ -43,7 +52,7 @@ fn points_text(frames: &[usize]) -> String {
 }
 
 /// The pictures of some frames and the model of others.
-fn text_model(pictures: usize, frames: &[usize]) -> Folder {
+pub(crate) fn text_model(pictures: usize, frames: &[usize]) -> Folder {
     let folder = pictures_in_images(pictures);
     folder.write("sparse/0/cameras.txt", format!("# cameras\n{CAMERA}"));
     folder.write("sparse/0/images.txt", images_text(frames));
@@ -69,7 +78,7 @@ fn cameras_binary() -> Vec<u8> {
     out
 }
 
-fn images_binary(frames: &[usize]) -> Vec<u8> {
+pub(crate) fn images_binary(frames: &[usize]) -> Vec<u8> {
     let mut out = (frames.len() as u64).to_le_bytes().to_vec();
     for &i in frames {
         out.extend((i as u32 + 1).to_le_bytes());
@@ -99,7 +108,7 @@ fn points_binary(frames: &[usize]) -> Vec<u8> {
     out
 }
 
-fn write_binary(folder: &Folder, frames: &[usize]) {
+pub(crate) fn write_binary(folder: &Folder, frames: &[usize]) {
     folder.write("sparse/0/cameras.bin", cameras_binary());
     folder.write("sparse/0/images.bin", images_binary(frames));
     folder.write("sparse/0/points3D.bin", points_binary(frames));

@@ -8,6 +8,7 @@ mod colmap;
 mod conventions;
 mod counted;
 mod droid;
+mod names;
 mod nerfstudio;
 mod real;
 mod scene;

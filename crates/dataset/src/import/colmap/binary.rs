@@ -12,18 +12,21 @@ struct Bytes<'a> {
     file: &'a Path,
     data: Vec<u8>,
     at: usize,
-    /// What is being read, for messages.
-    record: String,
+    /// What is being read, its number and their count, for messages.
+    record: Option<(&'static str, u64, u64)>,
 }
 
 impl<'a> Bytes<'a> {
     fn open(file: &'a Path) -> Result<Self, DatasetError> {
         let data = std::fs::read(file).map_err(|e| DatasetError::read(file, e))?;
-        Ok(Self { file, data, at: 0, record: "its count".into() })
+        Ok(Self { file, data, at: 0, record: None })
     }
 
     fn refuse(&self, reason: &str) -> DatasetError {
-        DatasetError::metadata(self.file, format!("{}: {reason}", self.record))
+        let record = self.record.map_or("its count".to_owned(), |(what, number, count)| {
+            format!("{what} {number} of {count}")
+        });
+        DatasetError::metadata(self.file, format!("{record}: {reason}"))
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N], DatasetError> {
@@ -77,13 +80,13 @@ impl<'a> Bytes<'a> {
     /// Reads as many records as the file says that it has.
     fn records<T>(
         &mut self,
-        what: &str,
+        what: &'static str,
         read: impl Fn(&mut Self) -> Result<T, DatasetError>,
     ) -> Result<Vec<T>, DatasetError> {
         let count = self.u64()?;
         let mut records = Vec::new();
         for number in 0..count {
-            self.record = format!("{what} {number} of {count}");
+            self.record = Some((what, number, count));
             records.push(read(self)?);
         }
         Ok(records)
@@ -111,6 +114,9 @@ pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
         let (q, t) = (bytes.f64s::<4>()?, bytes.f64s::<3>()?);
         let camera = bytes.u32()?;
         let name = bytes.name()?;
+        if name.is_empty() {
+            return Err(bytes.refuse("it has no name, expected that of its picture"));
+        }
         let points = bytes.u64()?;
         bytes.skip(points, 24)?;
         let world_from_camera = pose(q, t).map_err(|reason| bytes.refuse(&reason))?;

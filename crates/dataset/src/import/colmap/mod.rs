@@ -117,7 +117,7 @@ pub(super) fn open(
         Depth::None | Depth::Pictures => DepthSource::pictures_if_wanted(options)?,
     };
     let mut warnings = sequence.warnings.clone();
-    let (keyframes, left_out) = placed(&images, &sequence, &mut warnings);
+    let (keyframes, left_out) = placed(&folder, &images, &sequence, &mut warnings);
     let source = Source { pictures: Pictures::Sequence(Box::new(sequence)), depth };
     let path = model.folder.clone();
     Ok(Found { kind: Kind::Colmap, path, source, keyframes, left_out, warnings })
@@ -125,11 +125,12 @@ pub(super) fn open(
 
 /// The images that have a picture, in order of these.
 fn placed(
+    folder: &Path,
     images: &[ModelImage],
     pictures: &Sequence,
     warnings: &mut Vec<String>,
 ) -> (Vec<KeyframePose>, LeftOut) {
-    let places = pictures::places(images, pictures);
+    let places = pictures::places(folder, images, pictures);
     let with_picture =
         images.iter().zip(&places).enumerate().filter_map(|(record, (image, at))| {
             let position = (*at)?;
