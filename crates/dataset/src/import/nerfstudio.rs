@@ -32,7 +32,8 @@ pub(super) fn open(
             other.display()
         ));
     }
-    let (keyframes, mut left_out) = by_time(&sequence.poses, &sequence, options, &mut warnings);
+    let poses = sequence.poses.iter().copied().enumerate().collect();
+    let (keyframes, mut left_out) = by_time(poses, &sequence, options, &mut warnings);
     left_out.reason = "the other frames have no transform_matrix that is finite and rigid".into();
     let depth = if with_depth { DepthSource::pictures(options)? } else { DepthSource::None };
     let source = Source { pictures: Pictures::Sequence(Box::new(sequence)), depth };

@@ -32,9 +32,10 @@ pub struct Options {
     /// Whether depths and poses of some neighbours are compared, to warn of wrong conventions.
     /// Default true.
     pub check_conventions: bool,
-    /// Pictures in arrays have their channels in the order R, G, B; else B, G, R as DROID-SLAM
-    /// keeps them. Default false.
-    pub arrays_are_rgb: bool,
+    /// Whether pictures in arrays have their channels in the order R, G, B, or B, G, R. Default
+    /// `None`: by the name of the array, `images` as DROID-SLAM keeps them (B, G, R) or
+    /// `cam0_images` as NeRF-SLAM does (R, G, B).
+    pub arrays_are_rgb: Option<bool>,
     /// How many colour images of the sequence one step of whole time stamps counts, which is the
     /// stride of the program that wrote them (`--stride` of DROID-SLAM's `demo.py`, 3 unless said
     /// otherwise); at least 1. Default 1.
@@ -48,7 +49,7 @@ impl Default for Options {
             depth: Depth::default(),
             variance: None,
             check_conventions: true,
-            arrays_are_rgb: false,
+            arrays_are_rgb: None,
             frames_per_stamp: 1,
         }
     }

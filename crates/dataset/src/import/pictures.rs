@@ -25,13 +25,14 @@ impl ArrayPictures {
         camera: Camera<f64>,
         source: String,
         frame_rate: f64,
+        is_rgb: bool,
         options: &Options,
     ) -> Result<Self, DatasetError> {
         let recorded = Recorded { colour: camera, depth: camera, grid: camera };
         let delivered = delivered_size(&camera, &options.open)?;
         let lens = Distortion::default();
         let resampler = Resampler::new(&recorded, &lens, options.open.crop_border, delivered);
-        Ok(Self { images, is_rgb: options.arrays_are_rgb, resampler, source, frame_rate })
+        Ok(Self { images, is_rgb, resampler, source, frame_rate })
     }
 
     /// The camera of the delivered pictures.

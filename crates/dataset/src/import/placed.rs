@@ -55,14 +55,13 @@ pub(super) fn all_frames(options: &Options, with_depth: bool) -> OpenOptions {
     }
 }
 
-/// The keyframes of stamped poses, in order of time.
+/// The keyframes of stamped poses (their place in the files, themselves), in order of time.
 pub(super) fn by_time(
-    poses: &[StampedPose],
+    mut poses: Vec<(usize, StampedPose)>,
     pictures: &Sequence,
     options: &Options,
     warnings: &mut Vec<String>,
 ) -> (Vec<KeyframePose>, LeftOut) {
-    let mut poses: Vec<(usize, StampedPose)> = poses.iter().copied().enumerate().collect();
     poses.sort_by(|a, b| a.1.timestamp.total_cmp(&b.1.timestamp));
     let stamps: Vec<f64> = poses.iter().map(|(_, pose)| pose.timestamp).collect();
     let times: Vec<f64> = pictures.entries.iter().map(|entry| entry.timestamp).collect();
@@ -95,7 +94,7 @@ pub(super) fn by_time(
 /// images, themselves), in order of the pictures.
 ///
 /// Who counts pictures counts files: also those that have no depth or no pose and are no frames.
-pub(super) fn by_index(
+pub(super) fn by_place(
     poses: Vec<(usize, usize, Pose<f64>)>,
     pictures: &Sequence,
     warnings: &mut Vec<String>,

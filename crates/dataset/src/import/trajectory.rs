@@ -19,7 +19,8 @@ pub(super) fn open(
     let depth = DepthSource::pictures_if_wanted(options)?;
     let sequence = open_pictures(folder, options, options.depth == Depth::Pictures)?;
     let mut warnings = sequence.warnings.clone();
-    let (keyframes, left_out) = by_time(&poses, &sequence, options, &mut warnings);
+    let (keyframes, left_out) =
+        by_time(poses.into_iter().enumerate().collect(), &sequence, options, &mut warnings);
     let source = Source { pictures: Pictures::Sequence(Box::new(sequence)), depth };
     let path = file.to_path_buf();
     Ok(Found { kind: Kind::Trajectory, path, source, keyframes, left_out, warnings })

@@ -89,6 +89,25 @@ fn a_folder_of_arrays_gives_pictures_poses_and_depth() {
 }
 
 #[test]
+fn channels_are_in_the_order_of_the_program_that_names_them() {
+    let mut nerf_slam = members(&[0, 1]);
+    nerf_slam[1].0 = "cam0_images";
+    for (members, arrays_are_rgb, red) in [
+        (members(&[0, 1]), None, 0),
+        (members(&[0, 1]), Some(true), 2),
+        (nerf_slam.clone(), None, 2),
+        (nerf_slam, Some(false), 0),
+    ] {
+        let options = Options { arrays_are_rgb, ..Options::default() };
+        let arrays = folder(&members);
+        let files = Files::open(&arrays.0, None, &options).expect("opens");
+        let colour = files.load(0).expect("loads").colour;
+        let due = f32::from(render(0).1[3 * 77]) / 255.0;
+        assert_eq!(colour.plane(red)[77], due);
+    }
+}
+
+#[test]
 fn archives_hold_the_same() {
     let members = members(&[0, 1, 4]);
     let folder = folder(&members);
@@ -195,6 +214,43 @@ fn pictures_of_a_sequence_are_found_by_time_and_by_number() {
 }
 
 #[test]
+fn places_of_arrays_that_hold_nothing_are_left_out() {
+    let frames = [1, 2, 4, 0, 0];
+    let stamps = npy("<f4", &[5], &[1.0, 2.0, 4.0, 0.0, 0.0]);
+    let mut unused = with(members(&frames), "tstamps", stamps);
+    let poses = unused.iter_mut().find(|member| member.0 == "poses").expect("poses");
+    let end = poses.1.len();
+    // No pose at all, as in a buffer of zeros.
+    poses.1[end - 2 * 28..].fill(0);
+    let arrays = folder(&unused);
+    let files = open(&arrays).expect("opens");
+    let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
+    assert_eq!(indices, [1, 2, 4]);
+    assert_warns(&files.warnings, &["2 of 5 places", "repeat"]);
+    assert_same(files.load(2).expect("loads").world_from_camera, pose(4));
+    let again = with(members(&[0, 1, 3]), "tstamps", npy("<f4", &[3], &[0.0, 1.0, 1.0]));
+    let files = open(&folder(&again)).expect("opens");
+    assert_eq!((files.len(), files.keyframes[1].index), (2, 1));
+}
+
+#[test]
+fn arrays_of_no_keyframe_are_refused() {
+    let none = [
+        ("tstamps", npy("<f4", &[0], &[])),
+        ("images", npy("|u1", &[0, 3, HEIGHT, WIDTH], &[])),
+        ("disps", npy("<f4", &[0, HEIGHT, WIDTH], &[])),
+        ("poses", npy("<f4", &[0, 7], &[])),
+        ("intrinsics", npy("<f4", &[0, 4], &[])),
+    ];
+    let pictures = sequence(2);
+    for other in [None, Some(pictures.0.as_path())] {
+        let arrays = folder(&none.to_vec());
+        let files = Files::open(&arrays.0, other, &Options::default());
+        assert_says(files, &["poses.npy is empty", "keyframes"]);
+    }
+}
+
+#[test]
 fn cut_off_archives_and_arrays_are_refused_wherever_they_end() {
     let members = members(&[0, 1]);
     let folder = Folder::new();
@@ -232,7 +288,7 @@ fn wrong_shapes_and_missing_arrays_are_named() {
     let zeros = |shape: &[usize]| npy("<f4", shape, &vec![0.0; shape.iter().product()]);
     for (name, bytes, parts) in [
         ("poses", zeros(&[2, 4, 4]), &["poses.npy", "[2, 4, 4]", "expected [frames, 7]"][..]),
-        ("poses", zeros(&[3, 7]), &["poses.npy", "frame 0", "length 0.000"][..]),
+        ("poses", zeros(&[2, 7]), &["poses.npy", "frame 0", "length 0.000"][..]),
         ("disps", zeros(&[3, 4, 6]), &["disps.npy", "[3, 4, 6]", "[2, height, width]"][..]),
         ("images", zeros(&[2, HEIGHT, WIDTH]), &["images.npy", "3, height, width"][..]),
         ("images", zeros(&[2, 3, HEIGHT, WIDTH]), &["images.npy", "F32", "expected U8"][..]),

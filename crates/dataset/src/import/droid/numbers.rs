@@ -2,6 +2,7 @@
 
 use super::arrays::Arrays;
 use crate::DatasetError;
+use crate::import::npy::Array;
 use crate::trajectory_file::{UNIT_TOLERANCE, not_unit};
 use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
 
@@ -12,17 +13,30 @@ pub(super) const STAMPS: [&str; 3] = ["tstamps", "timestamps", "cam0_timestamps"
 /// DROID-SLAM's features, and with them its intrinsics, have an eighth of the size.
 const REDUCED: f64 = 8.0;
 
-pub(super) fn read_poses(arrays: &Arrays) -> Result<Vec<Pose<f64>>, DatasetError> {
+/// The array of the poses, of which there is at least one.
+pub(super) fn pose_numbers(arrays: &Arrays) -> Result<Array, DatasetError> {
     let array = arrays.find(&POSES)?.ok_or_else(|| arrays.missing(&POSES))?;
-    let &[_, 7] = array.shape.as_slice() else {
+    let &[frames, 7] = array.shape.as_slice() else {
         let reason = format!(
             "shape {:?}, expected [frames, 7]: tx ty tz qx qy qz qw, camera_from_world",
             array.shape
         );
         return Err(DatasetError::metadata(&array.path, reason));
     };
+    if frames == 0 {
+        return Err(DatasetError::Empty { path: array.path, expected: "poses of keyframes" });
+    }
+    Ok(array)
+}
+
+/// The poses at some places, with these.
+pub(super) fn read_poses(
+    array: &Array,
+    records: &[usize],
+) -> Result<Vec<(usize, Pose<f64>)>, DatasetError> {
     let numbers = array.all()?;
-    let poses = numbers.chunks_exact(7).enumerate().map(|(frame, v)| {
+    let poses = records.iter().map(|&frame| {
+        let v = &numbers[7 * frame..7 * frame + 7];
         let refuse = |reason: String| {
             DatasetError::metadata(&array.path, format!("frame {frame}: {reason}"))
         };
@@ -35,7 +49,7 @@ pub(super) fn read_poses(arrays: &Arrays) -> Result<Vec<Pose<f64>>, DatasetError
         }
         let rotation = Rotation::from_wxyz(q[0], q[1], q[2], q[3]);
         let rotation = rotation.ok_or_else(|| refuse("the quaternion is zero".into()))?;
-        Ok(Pose::new(rotation, t).inverse())
+        Ok((frame, Pose::new(rotation, t).inverse()))
     });
     poses.collect()
 }
@@ -45,6 +59,16 @@ pub(super) fn read_poses(arrays: &Arrays) -> Result<Vec<Pose<f64>>, DatasetError
 pub(super) enum Stamps {
     Seconds(Vec<f64>),
     Frames(Vec<usize>),
+}
+
+impl Stamps {
+    /// As they are written.
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        match self {
+            Self::Seconds(times) => times.clone(),
+            Self::Frames(counts) => counts.iter().map(|&count| count as f64).collect(),
+        }
+    }
 }
 
 pub(super) fn read_stamps(arrays: &Arrays, frames: usize) -> Result<Option<Stamps>, DatasetError> {
