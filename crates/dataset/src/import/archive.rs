@@ -7,9 +7,13 @@ use crate::DatasetError;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Size of the end record without its comment, which has at most 65535 bytes.
 const END: usize = 22;
+
+/// Files are read for their checksum in pieces of this size [bytes].
+const PIECE: usize = 1 << 18;
 
 /// Members that unpack to more than this are refused [bytes].
 const MEMORY_LIMIT: u64 = 8 << 30;
@@ -74,8 +78,15 @@ impl Archive {
         if offset.saturating_add(member.packed) > length {
             return Err(refuse("cut off: the archive ends within it; copy or write it again"));
         }
+        let damaged = || refuse("damaged; copy or write it again");
         if member.method == 0 {
-            let store = Store::File { offset, length: member.size };
+            let sum = checksum(&mut file, offset, member.packed);
+            if member.size != member.packed
+                || sum.map_err(|e| DatasetError::read(&path, e))? != member.checksum
+            {
+                return Err(damaged());
+            }
+            let store = Store::File { offset, length: member.packed };
             return Array::within(path, &self.path, store);
         }
         if member.method != 8 || member.size > MEMORY_LIMIT {
@@ -84,14 +95,13 @@ impl Archive {
             return Err(refuse(reason));
         }
         let packed = read_part(&path, &mut file, offset, member.packed as usize)?;
-        let damaged = || refuse("damaged; copy or write it again");
         let bytes =
             miniz_oxide::inflate::decompress_to_vec_with_limit(&packed, member.size as usize)
                 .map_err(|_| damaged())?;
         if bytes.len() as u64 != member.size || crc32fast::hash(&bytes) != member.checksum {
             return Err(damaged());
         }
-        Array::within(path, &self.path, Store::Memory(bytes.into()))
+        Array::within(path, &self.path, Store::Memory(Arc::new(bytes)))
     }
 }
 
@@ -152,6 +162,20 @@ fn wide_numbers(mut extra: &[u8]) -> &[u8] {
         extra = extra.get(4 + length..).unwrap_or_default();
     }
     &[]
+}
+
+/// CRC-32 of a part of a file, read piece by piece; also of what is left if the file is shorter.
+fn checksum(file: &mut File, from: u64, count: u64) -> std::io::Result<u32> {
+    file.seek(SeekFrom::Start(from))?;
+    let mut part = file.take(count);
+    let mut sum = crc32fast::Hasher::new();
+    let mut piece = vec![0; PIECE];
+    loop {
+        match part.read(&mut piece)? {
+            0 => return Ok(sum.finalize()),
+            read => sum.update(&piece[..read]),
+        }
+    }
 }
 
 fn read_part(

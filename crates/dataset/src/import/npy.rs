@@ -66,7 +66,7 @@ pub(super) enum Store {
     /// `length` bytes of a file from `offset` on.
     File { offset: u64, length: u64 },
     /// Unpacked.
-    Memory(Arc<[u8]>),
+    Memory(Arc<Vec<u8>>),
 }
 
 /// An array of numbers in C order.

@@ -12,7 +12,7 @@ use i2slam_geometry::Vec3;
 pub(crate) type Members = Vec<(&'static str, Vec<u8>)>;
 
 /// DROID-SLAM's intrinsics of the scene: an eighth, pixel centres at integers.
-fn intrinsics() -> [f64; 4] {
+pub(crate) fn intrinsics() -> [f64; 4] {
     [40.0, 40.0, 23.5, 15.5].map(|v| v / 8.0)
 }
 
@@ -53,7 +53,7 @@ fn without(mut members: Members, name: &str) -> Members {
     members
 }
 
-fn folder(members: &Members) -> Folder {
+pub(crate) fn folder(members: &Members) -> Folder {
     let folder = Folder::new();
     for (name, bytes) in members {
         folder.write(&format!("{name}.npy"), bytes);
@@ -61,7 +61,7 @@ fn folder(members: &Members) -> Folder {
     folder
 }
 
-fn open(folder: &Folder) -> Result<Files, DatasetError> {
+pub(crate) fn open(folder: &Folder) -> Result<Files, DatasetError> {
     Files::open(&folder.0, None, &Options::default())
 }
 
@@ -273,13 +273,23 @@ fn cut_off_archives_and_arrays_are_refused_wherever_they_end() {
 
 #[test]
 fn a_damaged_member_is_refused() {
-    let mut bytes = npz(&members(&[0, 1]), true);
-    let place = bytes.windows(9).position(|word| word == b"disps.npy").expect("a member");
-    bytes[place + 200] ^= 0x55;
     let folder = Folder::new();
-    let file = folder.write("run.npz", bytes);
-    let files = Files::open(&file, None, &Options::default());
-    assert_says(files, &["run.npz/disps.npy", "damaged"]);
+    let refused = |bytes: &[u8]| {
+        let file = folder.write("run.npz", bytes);
+        let files = Files::open(&file, None, &Options::default());
+        assert_says(files, &["run.npz/disps.npy", "damaged"]);
+    };
+    for deflate in [false, true] {
+        let mut bytes = npz(&members(&[0, 1]), deflate);
+        let place = bytes.windows(9).position(|word| word == b"disps.npy").expect("a member");
+        bytes[place + 200] ^= 0x55;
+        refused(&bytes);
+    }
+    // A stored member whose size is not the room that it takes.
+    let mut bytes = npz(&members(&[0, 1]), false);
+    let place = bytes.windows(9).rposition(|word| word == b"disps.npy").expect("a member");
+    bytes[place - 46 + 26] ^= 1;
+    refused(&bytes);
 }
 
 #[test]
