@@ -1,8 +1,12 @@
 //! Inverse depth on a grid of its own, and its variance, looked up where a picture has its pixels.
 
+use super::keyframe::measured;
 use super::npy::Array;
 use crate::DatasetError;
 use i2slam_geometry::{Camera, Image, Tap};
+
+/// Neighbours whose inverse depths differ by this factor lie on two surfaces.
+const ONE_SURFACE: f64 = 1.2;
 
 /// What a variance is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,8 +33,8 @@ impl InverseDepth {
     /// does. 0 where there is no depth.
     ///
     /// Inverse depth `d` is interpolated, which is linear over the picture of a plane; beyond the
-    /// outermost pixel centres theirs are repeated, and pixels beside one without depth take the
-    /// nearest. The variance of `d` is interpolated alike, and that of depth is
+    /// outermost pixel centres theirs are repeated. Beside a pixel without depth, and between
+    /// pixels whose inverse depths differ by a fifth, the nearest is taken. The variance of `d` is interpolated alike, and that of depth is
     /// `Σ_z = Σ_d / d⁴` (first order; Rosinol et al. 2023, section 3.2).
     pub(super) fn at(
         &self,
@@ -51,10 +55,12 @@ impl InverseDepth {
                     continue;
                 }
                 let at = row * camera.width + column;
-                if let (Some(variance), Some(spread)) = (&mut variance, &spread) {
-                    variance.data[at] = (place.of(spread) * z.powi(4)) as f32;
+                let spread = spread.as_ref().map(|spread| place.of(spread) * z.powi(4));
+                let Some((z, spread)) = measured(z, spread) else { continue };
+                depth.data[at] = z;
+                if let (Some(variance), Some(spread)) = (&mut variance, spread) {
+                    variance.data[at] = spread;
                 }
-                depth.data[at] = z as f32;
             }
         }
         Ok((depth, variance))
@@ -91,7 +97,7 @@ impl InverseDepth {
         // A tap needs a pixel to the right of and below it.
         let within = |at: f64, side: usize| at.clamp(0.5, (side as f64 - 0.5 - 1e-9).max(0.5));
         let tap = Tap::new(width, height, within(u, width), within(v, height));
-        let all = tap.filter(|tap| tap.values(inverse).iter().all(|&d| d > 0.0));
+        let all = tap.filter(|tap| is_one_surface(tap.values(inverse)));
         let at = |at: f64, side: usize| (at.max(0.0) as usize).min(side - 1);
         let nearest = at(v, height) * width + at(u, width);
         match all {
@@ -99,6 +105,14 @@ impl InverseDepth {
             None => (inverse[nearest] > 0.0).then_some(Place::At(nearest)),
         }
     }
+}
+
+/// Whether inverse depths around a place are all known, and near enough to lie on one surface:
+/// between two of them there is nothing.
+fn is_one_surface(around: [f64; 4]) -> bool {
+    let least = around.into_iter().fold(f64::INFINITY, f64::min);
+    let most = around.into_iter().fold(0.0, f64::max);
+    least > 0.0 && most < ONE_SURFACE * least
 }
 
 /// A place in a map.

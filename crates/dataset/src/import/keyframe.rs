@@ -40,6 +40,16 @@ pub struct Keyframe {
     pub variance: Option<Image<f32>>,
 }
 
+/// A depth and its variance as they are kept, in single precision; `None` unless both are finite
+/// and above 0 there.
+pub(super) fn measured(depth: f64, variance: Option<f64>) -> Option<(f32, Option<f32>)> {
+    let kept = |value: f64| Some(value as f32).filter(|value| value.is_finite() && *value > 0.0);
+    match variance {
+        None => Some((kept(depth)?, None)),
+        Some(variance) => Some((kept(depth)?, Some(kept(variance)?))),
+    }
+}
+
 /// Where pictures and depths come from.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
@@ -149,6 +159,14 @@ impl Source {
             }
             (DepthSource::None | DepthSource::Pictures(_), _) => (None, None),
         };
+        let (mut depth, mut variance) = (depth, variance);
+        if let Some(covered) = self.sequence().and_then(|sequence| sequence.covered.as_ref()) {
+            // Colour beyond the recorded picture repeats its edge, and belongs to no depth.
+            for map in depth.iter_mut().chain(variance.iter_mut()) {
+                let values = map.data.iter_mut().zip(&covered.data);
+                values.filter(|(_, covered)| !**covered).for_each(|(value, _)| *value = 0.0);
+            }
+        }
         Ok(Keyframe {
             index: pose.index,
             timestamp: pose.timestamp,

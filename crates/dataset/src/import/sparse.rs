@@ -1,6 +1,6 @@
 //! Depth of a few points: those of a sparse reconstruction that a keyframe sees.
 
-use super::keyframe::KeyframePose;
+use super::keyframe::{KeyframePose, measured};
 use i2slam_geometry::{Camera, Image, Vec3};
 
 /// A point with its uncertainty.
@@ -25,7 +25,8 @@ pub(super) struct SparseDepth {
 impl SparseDepth {
     /// Depth and its variance in the pixels that the points fall into, 0 elsewhere; of points in
     /// one pixel the nearest counts. The variance is that of the point along the optical axis
-    /// `r`: `rᵀ Σ r`.
+    /// `r`: `rᵀ Σ r`. A point that is not known better than to its whole depth counts as none: it
+    /// has no parallax.
     pub(super) fn at(&self, pose: &KeyframePose, camera: &Camera<f64>) -> (Image<f32>, Image<f32>) {
         let mut depth = Image::new(camera.width, camera.height, 1);
         let mut variance = depth.clone();
@@ -41,11 +42,14 @@ impl SparseDepth {
             if !camera.contains(u, v, 0.0) {
                 continue;
             }
+            let spread = along(&point.covariance, axis);
+            if !(spread > 0.0 && spread < p.z * p.z) {
+                continue;
+            }
+            let Some((z, Some(spread))) = measured(p.z, Some(spread)) else { continue };
             let at = v as usize * camera.width + u as usize;
-            let known = f64::from(depth.data[at]);
-            if known == 0.0 || p.z < known {
-                depth.data[at] = p.z as f32;
-                variance.data[at] = along(&point.covariance, axis) as f32;
+            if depth.data[at] == 0.0 || z < depth.data[at] {
+                (depth.data[at], variance.data[at]) = (z, spread);
             }
         }
         (depth, variance)

@@ -8,6 +8,7 @@ mod colmap;
 mod conventions;
 mod counted;
 mod droid;
+mod maps;
 mod names;
 mod nerfstudio;
 mod real;
