@@ -175,6 +175,11 @@ fn a_binary_model_may_end_nowhere() {
         folder.write(&file, whole);
     }
     assert!(open(&folder).is_ok());
+    let mut newer = cameras_binary();
+    newer[12] = 11;
+    folder.write("sparse/0/cameras.bin", newer);
+    assert_says(open(&folder), &["camera 0 of 1", "number 11 is not supported", "undistort"]);
+    folder.write("sparse/0/cameras.bin", cameras_binary());
     let mut wrong = images_binary(&[0, 1]);
     wrong[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
     folder.write("sparse/0/images.bin", &wrong);
@@ -201,6 +206,12 @@ fn lenses_are_removed() {
         let plain = f32::from(render(0).1[0]) / 255.0;
         assert_eq!(colour.at(0, 0, 0) != plain, distorted, "{text}");
     }
+    let picture = |camera: &str| {
+        folder.write("sparse/0/cameras.txt", camera);
+        open(&folder).expect("opens").load(0).expect("loads").colour
+    };
+    let radial = picture("1 SIMPLE_RADIAL 48 32 40 24 16 -0.1\n");
+    assert_eq!(radial, picture("1 OPENCV 48 32 40 40 24 16 -0.1 0 0 0\n"));
     for (text, parts) in [
         ("1 OPENCV_FISHEYE 48 32 40 40 24 16 0 0 0 0\n", &["OPENCV_FISHEYE is not supported"][..]),
         ("1 FISHY 48 32 40\n", &["line 1", "FISHY is not supported", "image_undistorter"][..]),

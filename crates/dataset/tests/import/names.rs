@@ -55,6 +55,22 @@ fn a_name_with_another_folder_takes_no_picture_of_another_image() {
 }
 
 #[test]
+fn blank_lines_may_stand_before_an_image_only() {
+    let folder = model(&["0.png"], &["0.png", "1.png", "2.png"]);
+    let image =
+        |i: usize| images_named(&["", "1.png", "2.png"]).lines().nth(2 * i).map(String::from);
+    let (second, third) = (image(1).expect("a line"), image(2).expect("a line"));
+    let text = format!("# head\n\n{second}\n\n\n# middle\n{third}\n1 2 -1 3 4 5\n\n");
+    folder.write("sparse/0/images.txt", text);
+    assert_eq!(pictures(&open(&folder)), ["1.png", "2.png"]);
+    for (points, count) in [("1 2 -1 3", "4 columns"), (third.as_str(), "10 columns")] {
+        folder.write("sparse/0/images.txt", format!("{second}\n{points}\n{third}\n\n"));
+        let files = Files::open(&folder.0, None, &Options::default());
+        assert_says(files, &["images.txt, line 2", count, "2D points"]);
+    }
+}
+
+#[test]
 fn an_image_without_a_name_is_refused() {
     let folder = text_model(2, &[0, 1]);
     write_binary(&folder, &[0, 1]);

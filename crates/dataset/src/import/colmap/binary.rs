@@ -99,8 +99,7 @@ pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, Dataset
         let id = bytes.u32()?;
         let number = bytes.take().map(i32::from_le_bytes)?;
         let size = (bytes.u64()? as usize, bytes.u64()? as usize);
-        let (name, count) = by_number(number)
-            .ok_or_else(|| bytes.refuse(&format!("unknown camera model {number}")))?;
+        let (name, count) = by_number(number).map_err(|reason| bytes.refuse(&reason))?;
         let parameters: Result<Vec<f64>, _> = (0..count).map(|_| bytes.f64()).collect();
         let camera = ModelCamera::new(name, size, &parameters?);
         Ok((id, camera.map_err(|reason| bytes.refuse(&reason))?))

@@ -36,8 +36,16 @@ pub(super) struct ModelCamera {
 }
 
 /// Name and count of parameters of a model by its number.
-pub(super) fn by_number(number: i32) -> Option<(&'static str, usize)> {
-    MODELS.iter().find(|model| model.1 == number).map(|model| (model.0, model.2))
+pub(super) fn by_number(number: i32) -> Result<(&'static str, usize), String> {
+    let model = MODELS.iter().find(|model| model.1 == number);
+    model.map(|model| (model.0, model.2)).ok_or_else(|| unsupported(&format!("number {number}")))
+}
+
+fn unsupported(model: &str) -> String {
+    format!(
+        "camera model {model} is not supported, expected SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, \
+         RADIAL, OPENCV or FULL_OPENCV: undistort the images first (colmap image_undistorter)"
+    )
 }
 
 impl ModelCamera {
@@ -56,13 +64,7 @@ impl ModelCamera {
             ("OPENCV" | "FULL_OPENCV", &[fx, fy, cx, cy, ref lens @ ..]) => {
                 ([fx, fy, cx, cy], lens.to_vec())
             }
-            _ => {
-                return Err(format!(
-                    "camera model {name} is not supported, expected SIMPLE_PINHOLE, PINHOLE, \
-                     SIMPLE_RADIAL, RADIAL, OPENCV or FULL_OPENCV: undistort the images first \
-                     (colmap image_undistorter)"
-                ));
-            }
+            _ => return Err(unsupported(name)),
         };
         let lens = Distortion::from_opencv(&lens);
         let usable = k.iter().all(|v| v.is_finite()) && k[0] > 0.0 && k[1] > 0.0;
@@ -119,4 +121,31 @@ pub(super) fn of_all(
     let source = file.display().to_string();
     let found = Calibration::from_opencv(camera.k, camera.lens, &source, Traits::default());
     Ok(Calibration { intrinsics: camera.k, size: Some(camera.size), ..found })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lens(name: &str, parameters: &[f64]) -> Distortion {
+        ModelCamera::new(name, (48, 32), parameters).expect("a camera").lens
+    }
+
+    #[test]
+    fn parameters_of_lenses_stand_where_colmap_puts_them() {
+        let radial = Distortion { radial: [0.1, 0.0, 0.0], ..Distortion::default() };
+        assert_eq!(lens("SIMPLE_RADIAL", &[40.0, 24.0, 16.0, 0.1]), radial);
+        let radial = Distortion { radial: [0.1, 0.2, 0.0], ..Distortion::default() };
+        assert_eq!(lens("RADIAL", &[40.0, 24.0, 16.0, 0.1, 0.2]), radial);
+        let k = [40.0, 41.0, 24.0, 16.0];
+        let opencv = Distortion { tangential: [0.3, 0.4], ..radial };
+        assert_eq!(lens("OPENCV", &[&k[..], &[0.1, 0.2, 0.3, 0.4]].concat()), opencv);
+        let full = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8];
+        let due = Distortion {
+            radial: [0.1, 0.2, 0.5],
+            radial_below: [0.6, 0.7, 0.8],
+            tangential: [0.3, 0.4],
+        };
+        assert_eq!(lens("FULL_OPENCV", &[&k[..], &full].concat()), due);
+    }
 }

@@ -35,17 +35,34 @@ pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, Dataset
 /// may be none.
 pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
     let text = read_text(file)?;
-    let lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#'));
-    let lines: Vec<(usize, &str)> = lines.map(|(i, line)| (i + 1, line.trim())).collect();
+    let mut lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
     let mut images = Vec::new();
-    for pair in lines.chunks(2) {
-        let (line, content) = pair[0];
-        if content.is_empty() {
+    // Blank lines and comments may stand before an image, but not between its two lines.
+    while let Some((line, content)) = lines.next() {
+        let content = content.trim_start_matches('\u{feff}');
+        if content.is_empty() || content.starts_with('#') {
             continue;
         }
         images.push(image(file, line, content)?);
+        if let Some((line, content)) = lines.next() {
+            check_points(file, line, content)?;
+        }
     }
     Ok(images)
+}
+
+/// Refuses what is no line of 2D points `X Y POINT3D_ID`.
+fn check_points(file: &Path, line: usize, content: &str) -> Result<(), DatasetError> {
+    let count = content.split_whitespace().count();
+    let first = content.split_whitespace().nth(2);
+    if count.is_multiple_of(3) && first.is_none_or(|word| word.parse::<i64>().is_ok()) {
+        return Ok(());
+    }
+    let reason = format!(
+        "{count} columns, expected the 2D points of the image before, X Y POINT3D_ID each (an \
+         empty line if there is none)"
+    );
+    Err(DatasetError::line(file, line, reason))
 }
 
 fn image(file: &Path, line: usize, content: &str) -> Result<ModelImage, DatasetError> {
