@@ -7,6 +7,8 @@ use super::variance::VariancePictures;
 use super::{Depth, Options};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::{Camera, Image, Pose};
+use std::cmp::Reverse;
+use std::collections::HashSet;
 
 /// A keyframe before its picture is read.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,7 +17,8 @@ pub struct KeyframePose {
     pub index: usize,
     /// Time stamp of the picture [s].
     pub timestamp: f64,
-    /// Pose at the time of the picture; OpenCV's camera axes, in the unit of the files.
+    /// Pose of the nearest stamp in the files, not interpolated to the picture's; OpenCV's camera
+    /// axes, in the unit of the files.
     pub world_from_camera: Pose<f64>,
     /// Place in the source of the pictures.
     pub(super) position: usize,
@@ -32,7 +35,8 @@ pub struct Keyframe {
     pub timestamp: f64,
     /// 3 planes R, G, B in `[0, 1]`, as recorded (display space).
     pub colour: Image<f32>,
-    /// Pose at the time of the picture; OpenCV's camera axes, in the unit of the files.
+    /// Pose of the nearest stamp in the files, not interpolated to the picture's; OpenCV's camera
+    /// axes, in the unit of the files.
     pub world_from_camera: Pose<f64>,
     /// 1 plane, depth along the optical axis in the unit of the poses, 0 where there is none.
     pub depth: Option<Image<f32>>,
@@ -130,6 +134,18 @@ impl Source {
             Pictures::Sequence(sequence) => Some(sequence),
             Pictures::Arrays(_) => None,
         }
+    }
+
+    /// The keyframe that sees most of the points that one sees; `None` where depth is not of points.
+    pub(super) fn shares_most(&self, keyframes: &[KeyframePose], place: usize) -> Option<usize> {
+        let DepthSource::Sparse(points) = &self.depth else { return None };
+        let known: HashSet<usize> = points.seen[keyframes[place].record].iter().copied().collect();
+        let shared = |other: usize| {
+            points.seen[keyframes[other].record].iter().filter(|at| known.contains(at)).count()
+        };
+        let others = (0..keyframes.len()).filter(|&other| other != place);
+        let (count, other) = others.map(|other| (shared(other), Reverse(other))).max()?;
+        (count > 0).then_some(other.0)
     }
 
     /// Reads the picture of a keyframe and its depth.

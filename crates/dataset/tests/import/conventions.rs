@@ -4,7 +4,7 @@ use crate::arrays::npy;
 use crate::assert_warns;
 use crate::droid::{members, with};
 use crate::nerfstudio::transforms;
-use crate::scene::{line, pose, sequence, stamp, trajectory};
+use crate::scene::{HEIGHT, WIDTH, grey16_png, line, pose, sequence, stamp, trajectory};
 use crate::support::Folder;
 use i2slam_dataset::OpenOptions;
 use i2slam_dataset::import::{Depth, Files, Options};
@@ -63,14 +63,21 @@ fn another_unit_of_depth_is_noticed() {
 #[test]
 fn poses_of_another_sequence_fit_by_no_convention() {
     let folder = sequence(6);
-    let far = |i: usize| {
-        let turn = Rotation::exp(Vec3::new(0.3, 2.2, -0.4) * i as f64);
-        Pose::new(turn, Vec3::new(0.0, 7.0 * i as f64, 0.0))
+    let written = |turn: Vec3<f64>, step: Vec3<f64>| {
+        let pose = |i: usize| Pose::new(Rotation::exp(turn * i as f64), step * i as f64);
+        let poses: String = (0..6).map(|i| line(stamp(i), pose(i))).collect();
+        folder.write("keyframes.txt", poses);
+        warnings_of(&folder, Options::default())
     };
-    let poses: String = (0..6).map(|i| line(stamp(i), far(i))).collect();
-    folder.write("keyframes.txt", poses);
-    let parts = ["disagree", "no other convention"];
-    assert_warns(&warnings_of(&folder, Options::default()), &parts);
+    // Keyframes that see nothing of each other tell nothing.
+    let far = written(Vec3::new(0.3, 2.2, -0.4), Vec3::new(0.0, 7.0, 0.0));
+    assert_eq!(far, [""; 0]);
+    // A camera that rolls where every other picture is of somewhere nearer.
+    for i in [1, 3, 5] {
+        folder.write(&format!("depth/{i:03}.png"), grey16_png(&[2000; WIDTH * HEIGHT]));
+    }
+    let near = written(Vec3::new(0.0, 0.0, 2.2), Vec3::new(0.0, 0.0, 0.0));
+    assert_warns(&near, &["disagree", "of 1", "no other convention"]);
 }
 
 #[test]
@@ -90,6 +97,15 @@ fn arrays_with_poses_of_the_camera_are_noticed() {
     let files = Files::open(&folder.0, None, &Options::default()).expect("opens");
     let parts = ["if the poses are world_from_camera:", "hold camera_from_world"];
     assert_warns(&files.warnings, &parts);
+}
+
+#[test]
+fn one_pair_of_keyframes_tells_nothing() {
+    let folder = sequence(6);
+    folder.write("keyframes.txt", [0, 3].map(|i| line(stamp(i), pose(i).inverse())).concat());
+    assert_eq!(warnings_of(&folder, Options::default()), [""; 0]);
+    folder.write("keyframes.txt", [0, 3, 5].map(|i| line(stamp(i), pose(i).inverse())).concat());
+    assert_warns(&warnings_of(&folder, Options::default()), &["camera_from_world", "of 1"]);
 }
 
 #[test]
