@@ -3,9 +3,10 @@
 use super::keyframe::KeyframePose;
 use super::npy::Array;
 use crate::decode::{DepthCode, decode_depth};
-use crate::layouts::pairs::last_number;
+use crate::layouts::pairs::{last_number, stem};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::Image;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// A folder of them: `.npy` arrays `[height, width]` of the variance of depth [m²], or 16-bit grey
@@ -13,8 +14,11 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub(super) struct VariancePictures {
     folder: PathBuf,
-    /// Files with the last number in their names, in order of name.
-    files: Vec<(Option<u64>, PathBuf)>,
+    by_name: HashMap<String, PathBuf>,
+    /// By the last number in the name; none if two files have the same.
+    by_number: HashMap<u64, PathBuf>,
+    /// Two files with one number, for messages.
+    same_number: Option<(PathBuf, PathBuf)>,
 }
 
 impl VariancePictures {
@@ -23,18 +27,42 @@ impl VariancePictures {
         let of_interest = |path: &PathBuf| {
             path.extension().is_some_and(|e| ["npy", "png"].iter().any(|end| e == *end))
         };
-        let mut files: Vec<(Option<u64>, PathBuf)> = listing
-            .flatten()
-            .map(|entry| entry.path())
-            .filter(of_interest)
-            .map(|path| (last_number(&stem(&path)), path))
-            .collect();
+        let mut files: Vec<PathBuf> =
+            listing.flatten().map(|entry| entry.path()).filter(of_interest).collect();
         files.sort();
         if files.is_empty() {
             let expected = ".npy arrays of variance or 16-bit PNG of standard deviation";
             return Err(DatasetError::Empty { path: folder.to_path_buf(), expected });
         }
-        Ok(Self { folder: folder.to_path_buf(), files })
+        let mut found = Self {
+            folder: folder.to_path_buf(),
+            by_name: HashMap::new(),
+            by_number: HashMap::new(),
+            same_number: None,
+        };
+        for file in files {
+            found.add(file)?;
+        }
+        if found.same_number.is_some() {
+            found.by_number.clear();
+        }
+        Ok(found)
+    }
+
+    fn add(&mut self, file: PathBuf) -> Result<(), DatasetError> {
+        let name = stem(&file);
+        if let Some(number) = last_number(&name)
+            && let Some(other) = self.by_number.insert(number, file.clone())
+        {
+            self.same_number.get_or_insert((other, file.clone()));
+        }
+        match self.by_name.insert(name, file.clone()) {
+            None => Ok(()),
+            Some(other) => {
+                let reason = format!("{} has the same name, expected one of them", other.display());
+                Err(DatasetError::metadata(&file, reason))
+            }
+        }
     }
 
     /// The delivered variance [m²] of a keyframe. Depth without a variance above 0 becomes none.
@@ -48,7 +76,11 @@ impl VariancePictures {
         let beside = entry.depth.as_deref().unwrap_or(&entry.colour);
         let file = self.find(beside).or_else(|| self.find(&entry.colour));
         let file = file.ok_or_else(|| {
-            let reason = format!("no variance with the name or number of {}", beside.display());
+            let same = self.same_number.as_ref().map_or(String::new(), |(a, b)| {
+                format!(" (numbers do not count: {} and {} share one)", a.display(), b.display())
+            });
+            let beside = beside.display();
+            let reason = format!("no variance with the name or number of {beside}{same}");
             DatasetError::image(&self.folder, reason)
         })?;
         let resampler = &sequence.preparation.resampler;
@@ -73,19 +105,13 @@ impl VariancePictures {
     /// The file of that name, else of the last number in it.
     fn find(&self, beside: &Path) -> Option<&Path> {
         let name = stem(beside);
-        let number = last_number(&name);
-        let by_name = self.files.iter().find(|(_, path)| stem(path) == name);
-        let by_number = || self.files.iter().find(|(n, _)| n.is_some() && *n == number);
-        by_name.or_else(by_number).map(|(_, path)| path.as_path())
+        let by_number = || self.by_number.get(&last_number(&name)?);
+        self.by_name.get(&name).or_else(by_number).map(PathBuf::as_path)
     }
 }
 
-fn stem(path: &Path) -> String {
-    path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
-}
-
 fn read_array(file: &Path, size: (usize, usize)) -> Result<Image<f32>, DatasetError> {
-    let array = Array::open(file)?;
+    let array = Array::open(file).map_err(of_one_frame)?;
     let &[height, width] = array.shape.as_slice() else {
         let reason = format!("shape {:?}, expected [height, width]", array.shape);
         return Err(DatasetError::image(file, reason));
@@ -93,6 +119,14 @@ fn read_array(file: &Path, size: (usize, usize)) -> Result<Image<f32>, DatasetEr
     check_size(file, (width, height), size)?;
     let data = array.all()?.into_iter().map(|v| v as f32).collect();
     Ok(Image { width, height, channels: 1, data })
+}
+
+/// A broken file of variance concerns the keyframe that it belongs to.
+fn of_one_frame(error: DatasetError) -> DatasetError {
+    match error {
+        DatasetError::Metadata { path, reason } => DatasetError::Image { path, reason },
+        other => other,
+    }
 }
 
 fn check_size(

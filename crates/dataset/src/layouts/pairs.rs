@@ -121,7 +121,8 @@ pub(crate) fn images(
     Ok(files)
 }
 
-fn stem(path: &Path) -> String {
+/// The name of a file without its extension.
+pub(crate) fn stem(path: &Path) -> String {
     path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
 }
 

@@ -55,4 +55,24 @@ fn unusable_variances_are_named() {
     folder.write("variance/000.npy", npy("<f4", &[16], &[0.1; 16]));
     assert_says(load(0), &["000.npy", "[16]", "[height, width]"]);
     assert!(load(0).expect_err("an error").concerns_one_frame());
+    for broken in [&b"no array"[..], &npy("<f4", &[HEIGHT, WIDTH], &[0.1; 16])] {
+        folder.write("variance/000.npy", broken);
+        assert!(load(0).expect_err("an error").concerns_one_frame());
+    }
+}
+
+#[test]
+fn names_and_numbers_that_repeat_are_not_guessed_at() {
+    let folder = sequence(3);
+    let file = folder.write("keyframes.txt", trajectory([0, 2]));
+    let open = || Files::open(&file, None, &options(&folder));
+    let array = |value: f64| npy("<f4", &[HEIGHT, WIDTH], &[value; WIDTH * HEIGHT]);
+    folder.write("variance/000.npy", array(0.01));
+    folder.write("variance/sigma_2.png", grey16_png(&[500; WIDTH * HEIGHT]));
+    folder.write("variance/2.npy", array(0.04));
+    let files = open().expect("opens");
+    assert!(files.load(0).is_ok());
+    assert_says(files.load(1), &["002.png", "2.npy", "sigma_2.png", "share one"]);
+    folder.write("variance/000.png", grey16_png(&[500; WIDTH * HEIGHT]));
+    assert_says(open(), &["000.png", "000.npy", "same name"]);
 }
