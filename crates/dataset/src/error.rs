@@ -85,9 +85,10 @@ pub enum DatasetError {
         /// What lies in it, in words.
         found: String,
     },
-    /// Too few imported poses have a picture.
+    /// Too few imported poses have a picture that was chosen.
     #[error(
-        "{}: {keyframes} of {poses} poses have a picture in {}, expected at least 2: {reason}",
+        "{}: {keyframes} of {poses} poses are keyframes with a picture in {}, expected at least 2: \
+         {reason}",
         path.display(), pictures.display()
     )]
     TooFewKeyframes {
@@ -95,7 +96,7 @@ pub enum DatasetError {
         path: PathBuf,
         /// Where the pictures were looked for.
         pictures: PathBuf,
-        /// Poses with a picture.
+        /// Poses with a picture that was chosen.
         keyframes: usize,
         /// Poses in all.
         poses: usize,

@@ -84,6 +84,10 @@ impl Recognised {
         match found {
             Some(found) => Ok(found),
             None if !path.exists() => unknown("nothing".into()),
+            None if is_of_torch(path) => unknown(
+                "a file of torch.save: write its arrays with np.savez (docs/import.md, DROID-SLAM)"
+                    .into(),
+            ),
             None if path.is_file() => unknown("a file of another kind".into()),
             None => unknown(contents(path)),
         }
@@ -101,7 +105,7 @@ impl Recognised {
         if has_end("npz") {
             return Some(Self::Droid(path.to_path_buf()));
         }
-        if is_model && let Some(model) = colmap::find(folder) {
+        if is_model && let Some(model) = colmap::find(folder, has_end("txt")) {
             return Some(Self::Colmap(model));
         }
         is_trajectory(path).then(|| Self::Trajectory(path.to_path_buf()))
@@ -118,10 +122,15 @@ impl Recognised {
         let arrays = || file("poses.npy").map(|_| path.to_path_buf()).or_else(archive);
         file("transforms.json")
             .map(Self::Nerfstudio)
-            .or_else(|| colmap::find(path).map(Self::Colmap))
+            .or_else(|| colmap::find(path, false).map(Self::Colmap))
             .or_else(|| arrays().map(Self::Droid))
             .or_else(|| file("trajectory.txt").map(Self::Trajectory))
     }
+}
+
+/// Whether a file has a name as torch.save is given them.
+fn is_of_torch(path: &Path) -> bool {
+    path.is_file() && path.extension().is_some_and(|end| end == "pth" || end == "pt")
 }
 
 /// Whether a file is text whose first line with data starts with a number and has several.

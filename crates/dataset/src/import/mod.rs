@@ -40,7 +40,7 @@ pub use placed::LeftOut;
 
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::Camera;
-use keyframe::{DepthSource, Source};
+use keyframe::Source;
 use kind::Recognised;
 use placed::Found;
 use std::path::{Path, PathBuf};
@@ -56,7 +56,8 @@ pub struct Files {
     pub camera_source: String,
     /// Pinhole camera of the delivered pictures and depths.
     pub camera: Camera<f64>,
-    /// Median frames a second of all pictures, keyframes or not.
+    /// Median frames a second of all pictures of a sequence, keyframes or not; 30 where they come
+    /// with the poses, in one file, whose stamps are those of keyframes alone.
     pub frame_rate: f64,
     /// The keyframes, in order of time.
     pub keyframes: Vec<KeyframePose>,
@@ -94,11 +95,7 @@ impl Files {
             Recognised::Trajectory(file) => trajectory::open(&file, other, options)?,
         };
         placed::leave_out_missing_files(&mut found);
-        let with_variance = matches!(found.source.depth, DepthSource::Pictures(Some(_)));
-        if options.variance.is_some() && !with_variance {
-            let words = "pictures of the variance ignored: no depth pictures are taken";
-            found.warnings.push(words.to_owned());
-        }
+        found.warnings.extend(found.ignored(options));
         let mut files = Self::of(found, options);
         files.check_count(pictures)?;
         if options.check_conventions {
@@ -138,7 +135,8 @@ impl Files {
         let poses = self.left_out.poses_without_picture + self.left_out.with_picture;
         let chosen = self.left_out.with_picture >= 2;
         let reason = if chosen {
-            "the others lie outside the frames chosen".to_owned()
+            let (with, len) = (self.left_out.with_picture, self.len());
+            format!("{with} have a picture, and frames and stride choose {len} of these")
         } else {
             self.left_out.reason.clone()
         };

@@ -1,8 +1,8 @@
 //! Poses that have found their pictures.
 
 use super::join::join;
-use super::keyframe::{KeyframePose, Pictures, Source};
-use super::{Kind, Options};
+use super::keyframe::{DepthSource, KeyframePose, Pictures, Source};
+use super::{Depth, Kind, Options};
 use crate::{DatasetError, OpenOptions, Sequence};
 use i2slam_geometry::{Pose, StampedPose};
 use std::collections::HashMap;
@@ -32,6 +32,33 @@ pub(super) struct Found {
     pub(super) keyframes: Vec<KeyframePose>,
     pub(super) left_out: LeftOut,
     pub(super) warnings: Vec<String>,
+}
+
+impl Found {
+    /// Options that say nothing of what was found, a sentence each.
+    pub(super) fn ignored(&self, options: &Options) -> Vec<String> {
+        let mut words = Vec::new();
+        let takes_pictures = matches!(&self.source.depth, DepthSource::Pictures(_));
+        if options.variance.is_some() && !takes_pictures {
+            words.push("pictures of the variance ignored: no depth pictures are taken".to_owned());
+        }
+        let has_camera = self.kind == Kind::Colmap || self.source.sequence().is_none();
+        let (file, intrinsics) = (&options.open.camera, &options.open.intrinsics);
+        if has_camera && (file.is_some() || intrinsics.is_some()) {
+            let source = self.source.camera_source();
+            words.push(format!("the given camera ignored: that of {source} counts"));
+        }
+        let has_depth = |pictures: &Sequence| pictures.entries.iter().any(|e| e.depth.is_some());
+        let unread = self.kind == Kind::Trajectory
+            && options.depth == Depth::Imported
+            && self.source.sequence().is_some_and(has_depth);
+        if unread {
+            let words_of = "a trajectory has no depth of its own, and the depth pictures of the \
+                            dataset are not read: ask for the depth of pictures, or for none";
+            words.push(words_of.to_owned());
+        }
+        words
+    }
 }
 
 /// The sequence of the pictures: all of its frames, so that poses without pictures can be told

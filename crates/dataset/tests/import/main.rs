@@ -11,6 +11,7 @@ mod droid;
 mod maps;
 mod names;
 mod nerfstudio;
+mod options;
 mod real;
 mod scene;
 mod trajectory;

@@ -73,7 +73,10 @@ fn range_stride_and_scale_hold_for_the_pictures() {
     assert_eq!(files.left_out.poses_without_picture, 0);
     let open = OpenOptions { frames: Some(8..9), ..OpenOptions::default() };
     let options = Options { open, ..Options::default() };
-    assert_says(Files::open(&file, None, &options), &["1 of 9 poses", "outside the frames chosen"]);
+    assert_says(
+        Files::open(&file, None, &options),
+        &["1 of 9 poses", "9 have a picture", "choose 1"],
+    );
 }
 
 #[test]

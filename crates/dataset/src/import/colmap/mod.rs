@@ -50,14 +50,15 @@ struct ModelPoint {
     images: Vec<u32>,
 }
 
-/// The model in `path` or in a folder below it where models usually lie.
-pub(super) fn find(path: &Path) -> Option<Model> {
+/// The model in `path` or in a folder below it where models usually lie: binary before text, unless
+/// text is asked for.
+pub(super) fn find(path: &Path, text_first: bool) -> Option<Model> {
     let folders = PLACES.iter().map(|place| path.join(place));
     folders.into_iter().find_map(|folder| {
         let has = |end: &str| {
             ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{end}")).is_file())
         };
-        let is_binary = has("bin");
+        let is_binary = has("bin") && !(text_first && has("txt"));
         (is_binary || has("txt")).then_some(Model { folder, is_binary })
     })
 }
