@@ -52,7 +52,7 @@ pub(crate) fn recorded(
 }
 
 /// Whether the principal point lies in the middle half of the picture.
-fn is_central(camera: &Camera<f64>) -> bool {
+pub(crate) fn is_central(camera: &Camera<f64>) -> bool {
     let middle = |at: f64, size: usize| (0.25..=0.75).contains(&(at / size as f64));
     middle(camera.cx, camera.width) && middle(camera.cy, camera.height)
 }

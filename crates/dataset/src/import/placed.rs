@@ -131,12 +131,10 @@ pub(super) fn by_place(
     let count = poses.len();
     let last = poses.iter().map(|&(_, place, _)| place).max().unwrap_or(0);
     warnings.extend(short_reach(last, pictures));
-    let with_picture = poses.into_iter().filter_map(|(record, place, pose)| {
-        places.get(&place).map(|&position| keyframe(pictures, position, record, pose))
-    });
-    let mut keyframes: Vec<KeyframePose> = with_picture.collect();
-    keyframes.sort_by_key(|keyframe| (keyframe.position, keyframe.record));
-    keyframes.dedup_by_key(|keyframe| keyframe.position);
+    let with_picture = poses
+        .into_iter()
+        .filter_map(|(record, place, pose)| Some((record, *places.get(&place)?, pose)));
+    let keyframes = at_positions(with_picture, pictures);
     let reason = format!(
         "time stamps count frames, up to {last}, and there are {} pictures: are these the pictures \
          of this run, and with its stride?",
@@ -145,6 +143,19 @@ pub(super) fn by_place(
     let left_out =
         left_out(count, &keyframes, pictures, reason, "no picture of its number", warnings);
     (keyframes, left_out)
+}
+
+/// The keyframes of poses (their place in the files, the position of their picture, themselves), in
+/// order of the pictures; the first where several have one picture.
+pub(super) fn at_positions(
+    poses: impl Iterator<Item = (usize, usize, Pose<f64>)>,
+    pictures: &Sequence,
+) -> Vec<KeyframePose> {
+    let placed = poses.map(|(record, position, pose)| keyframe(pictures, position, record, pose));
+    let mut keyframes: Vec<KeyframePose> = placed.collect();
+    keyframes.sort_by_key(|keyframe| (keyframe.position, keyframe.record));
+    keyframes.dedup_by_key(|keyframe| keyframe.position);
+    keyframes
 }
 
 /// A warning if frame numbers end before the middle of the pictures: stamps of a program that
@@ -171,7 +182,8 @@ fn keyframe(
     KeyframePose { index, timestamp, world_from_camera, position, record }
 }
 
-fn left_out(
+/// Counts what is no keyframe, with a warning where poses are left out.
+pub(super) fn left_out(
     poses: usize,
     keyframes: &[KeyframePose],
     pictures: &Sequence,

@@ -18,7 +18,7 @@ pub struct PosedKeyframe {
     pub timestamp: f64,
     /// The picture, R, G, B in [0, 1], as [`KeyframeSource::camera`] sees it.
     pub colour: Image<f32>,
-    /// Pose at the middle of the exposure.
+    /// Pose at the middle of the exposure; of files, that of the nearest stamp in them.
     pub world_from_camera: Pose<f64>,
     /// What is known of its depth.
     pub depth: Option<EstimatedDepth>,

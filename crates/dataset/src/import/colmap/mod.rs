@@ -11,7 +11,7 @@ mod points;
 mod text;
 
 use super::keyframe::{DepthSource, KeyframePose, Pictures, Source};
-use super::placed::{Found, LeftOut, all_frames};
+use super::placed::{Found, LeftOut, all_frames, at_positions, left_out};
 use super::sparse::SparseDepth;
 use super::{Depth, Kind, Options};
 use crate::trajectory_file::{UNIT_TOLERANCE, not_unit};
@@ -132,30 +132,18 @@ fn placed(
     warnings: &mut Vec<String>,
 ) -> (Vec<KeyframePose>, LeftOut) {
     let places = pictures::places(folder, images, pictures);
-    let with_picture =
-        images.iter().zip(&places).enumerate().filter_map(|(record, (image, at))| {
-            let position = (*at)?;
-            let entry = &pictures.entries[position];
-            let (index, timestamp) = (entry.index, entry.timestamp);
-            let world_from_camera = image.world_from_camera;
-            Some(KeyframePose { index, timestamp, world_from_camera, position, record })
-        });
-    let mut keyframes: Vec<KeyframePose> = with_picture.collect();
-    keyframes.sort_by_key(|keyframe| (keyframe.position, keyframe.record));
-    keyframes.dedup_by_key(|keyframe| keyframe.position);
-    let (all, without) = (images.len(), images.len() - keyframes.len());
+    let poses = images
+        .iter()
+        .zip(&places)
+        .enumerate()
+        .filter_map(|(record, (image, at))| Some((record, (*at)?, image.world_from_camera)));
+    let keyframes = at_positions(poses, pictures);
     let first = images.iter().zip(&places).find(|(_, place)| place.is_none());
     let first =
         first.map_or_else(String::new, |(image, _)| format!(", the first is {}", image.name));
-    if without > 0 {
-        warnings.push(format!("{without} of {all} poses left out: no picture of that name{first}"));
-    }
-    let left_out = LeftOut {
-        poses_without_picture: without,
-        pictures_without_pose: pictures.len() - keyframes.len(),
-        with_picture: keyframes.len(),
-        reason: format!("images of the model are looked for by name{first}"),
-    };
+    let reason = format!("images of the model are looked for by name{first}");
+    let why = format!("no picture of that name{first}");
+    let left_out = left_out(images.len(), &keyframes, pictures, reason, &why, warnings);
     (keyframes, left_out)
 }
 

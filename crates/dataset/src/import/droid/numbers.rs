@@ -2,6 +2,7 @@
 
 use super::arrays::Arrays;
 use crate::DatasetError;
+use crate::checks::is_central;
 use crate::import::npy::Array;
 use crate::trajectory_file::{UNIT_TOLERANCE, not_unit};
 use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
@@ -106,17 +107,15 @@ pub(super) fn camera_of(
     if k.iter().any(|v| !v.is_finite()) || k[0] <= 0.0 || k[1] <= 0.0 {
         return Err(refuse(format!("{k:?}, expected finite fx fy cx cy with fx, fy above 0")));
     }
-    let central = |scale: f64| {
-        let middle = |c: f64, side: usize| (0.25..0.75).contains(&(scale * c / side as f64));
-        middle(k[2], width) && middle(k[3], height)
+    let camera = |scale: f64| {
+        let [fx, fy, cx, cy] = k.map(|v| scale * v);
+        Camera { width, height, fx, fy, cx: cx + 0.5, cy: cy + 0.5 }
     };
     let scales = [1.0, REDUCED, REDUCED.recip()];
-    let scale = scales.into_iter().find(|&scale| central(scale)).ok_or_else(|| {
+    scales.into_iter().map(camera).find(is_central).ok_or_else(|| {
         refuse(format!(
             "{k:?}: the principal point does not lie in the middle of {width}x{height} pixels, nor \
              at 8 times or an eighth of the size"
         ))
-    })?;
-    let [fx, fy, cx, cy] = k.map(|v| scale * v);
-    Ok(Camera { width, height, fx, fy, cx: cx + 0.5, cy: cy + 0.5 })
+    })
 }
