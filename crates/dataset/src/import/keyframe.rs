@@ -7,8 +7,6 @@ use super::variance::VariancePictures;
 use super::{Depth, Options};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::{Camera, Image, Pose};
-use std::cmp::Reverse;
-use std::collections::HashSet;
 
 /// A keyframe before its picture is read.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -139,13 +137,8 @@ impl Source {
     /// The keyframe that sees most of the points that one sees; `None` where depth is not of points.
     pub(super) fn shares_most(&self, keyframes: &[KeyframePose], place: usize) -> Option<usize> {
         let DepthSource::Sparse(points) = &self.depth else { return None };
-        let known: HashSet<usize> = points.seen[keyframes[place].record].iter().copied().collect();
-        let shared = |other: usize| {
-            points.seen[keyframes[other].record].iter().filter(|at| known.contains(at)).count()
-        };
-        let others = (0..keyframes.len()).filter(|&other| other != place);
-        let (count, other) = others.map(|other| (shared(other), Reverse(other))).max()?;
-        (count > 0).then_some(other.0)
+        let records: Vec<usize> = keyframes.iter().map(|keyframe| keyframe.record).collect();
+        points.shares_most(&records, place)
     }
 
     /// Reads the picture of a keyframe and its depth.

@@ -2,6 +2,8 @@
 
 use super::keyframe::{KeyframePose, measured};
 use i2slam_geometry::{Camera, Image, Vec3};
+use std::cmp::Reverse;
+use std::collections::HashSet;
 
 /// A point with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,10 +56,37 @@ impl SparseDepth {
         }
         (depth, variance)
     }
+
+    /// The place in `records` of the one that sees most of the points that the one at `place` sees,
+    /// the first of several; `None` if no other sees any.
+    pub(super) fn shares_most(&self, records: &[usize], place: usize) -> Option<usize> {
+        let known: HashSet<usize> = self.seen[records[place]].iter().copied().collect();
+        let shared =
+            |other: usize| self.seen[records[other]].iter().filter(|at| known.contains(at)).count();
+        let others = (0..records.len()).filter(|&other| other != place);
+        let (count, other) = others.map(|other| (shared(other), Reverse(other))).max()?;
+        (count > 0).then_some(other.0)
+    }
 }
 
 fn along(&[xx, xy, xz, yy, yz, zz]: &[f64; 6], r: Vec3<f64>) -> f64 {
     r.x * (xx * r.x + 2.0 * (xy * r.y + xz * r.z))
         + r.y * (yy * r.y + 2.0 * yz * r.z)
         + zz * r.z * r.z
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn partners_share_most_points() {
+        let seen = vec![vec![1, 2, 3], vec![7], vec![3, 9], vec![2, 3, 8], vec![3, 1]];
+        let depth = SparseDepth { seen, ..SparseDepth::default() };
+        let records = [4, 3, 2, 1, 0];
+        assert_eq!(depth.shares_most(&records, 4), Some(0));
+        assert_eq!(depth.shares_most(&records, 1), Some(4));
+        assert_eq!(depth.shares_most(&records, 3), None);
+        assert_eq!(depth.shares_most(&records[..1], 0), None);
+    }
 }
