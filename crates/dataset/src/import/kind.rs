@@ -4,6 +4,8 @@ use super::colmap;
 use crate::DatasetError;
 use crate::layouts::contents;
 use crate::lists::data_lines;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// How imported keyframes lie on disk. See docs/import.md for each.
@@ -128,9 +130,13 @@ impl Recognised {
     }
 }
 
-/// Whether a file has a name as torch.save is given them.
+/// Whether a file has a name as torch.save is given them, or starts with a member that it writes.
 fn is_of_torch(path: &Path) -> bool {
-    path.is_file() && path.extension().is_some_and(|end| end == "pth" || end == "pt")
+    let mut head = Vec::new();
+    let read = |file: File| file.take(128).read_to_end(&mut head);
+    let is_file = path.is_file() && File::open(path).and_then(read).is_ok();
+    let named = path.extension().is_some_and(|end| end == "pth" || end == "pt");
+    is_file && (named || head.windows(8).any(|word| word == b"data.pkl"))
 }
 
 /// Whether a file is text whose first line with data starts with a number and has several.

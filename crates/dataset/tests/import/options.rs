@@ -52,8 +52,8 @@ fn the_text_of_a_model_is_read_where_it_is_named() {
 #[test]
 fn a_file_of_torch_is_told_how_to_convert() {
     let folder = sequence(1);
-    for name in ["run.pth", "run.pt"] {
-        let file = folder.write(name, b"PK\x03\x04");
+    for (name, start) in [("run.pth", "PK"), ("run.pt", "PK"), ("run", "PK run/data.pkl")] {
+        let file = folder.write(name, start);
         let files = Files::open(&file, None, &Options::default());
         assert_says(files, &["torch.save", "np.savez", "docs/import.md"]);
     }
