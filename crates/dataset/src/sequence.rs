@@ -96,6 +96,8 @@ pub struct Sequence {
     /// What a user should know before the run.
     pub warnings: Vec<String>,
     pub(crate) preparation: Arc<Preparation>,
+    /// Whether the layout leaves out frames too close in time ([`OpenOptions::minimum_gap`]).
+    pub(crate) is_thinned: bool,
 }
 
 impl Sequence {
@@ -164,6 +166,7 @@ impl Sequence {
             covered: preparation.resampler.covered.clone().map(Arc::new),
             warnings,
             preparation: Arc::new(preparation),
+            is_thinned: listing.is_thinned,
         })
     }
 

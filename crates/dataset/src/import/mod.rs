@@ -95,6 +95,7 @@ impl Files {
             Recognised::Trajectory(file) => trajectory::open(&file, other, options)?,
         };
         placed::leave_out_missing_files(&mut found);
+        placed::thin(&mut found, options.open.minimum_gap);
         found.warnings.extend(found.ignored(options));
         let mut files = Self::of(found, options);
         files.check_count(pictures)?;

@@ -20,8 +20,9 @@ pub enum Depth {
 pub struct Options {
     /// How the pictures are opened. `association_tolerance` also bounds the distance in time
     /// between a pose and its picture; `frames` and `stride` choose among the pictures, and poses
-    /// of others are left out; `minimum_gap` and `colour_only` do not matter, no picture is thinned
-    /// out.
+    /// of others are left out; poses of pictures that
+    /// `minimum_gap` leaves out are too, with a warning, so that frames have the numbers of the
+    /// dataset opened alike; default 0 here. `colour_only` does not matter.
     pub open: OpenOptions,
     /// Which depth is taken.
     pub depth: Depth,
@@ -45,7 +46,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            open: OpenOptions::default(),
+            open: OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() },
             depth: Depth::default(),
             variance: None,
             check_conventions: true,

@@ -3,7 +3,7 @@
 use super::join::join;
 use super::keyframe::{DepthSource, KeyframePose, Pictures, Source};
 use super::{Depth, Kind, Options};
-use crate::{DatasetError, OpenOptions, Sequence};
+use crate::{DatasetError, Entry, OpenOptions, Sequence};
 use i2slam_geometry::{Pose, StampedPose};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -71,7 +71,8 @@ pub(super) fn open_pictures(
     Sequence::open(path, &all_frames(options, with_depth))
 }
 
-/// The options that open all pictures, none thinned.
+/// The options that open all pictures, none thinned: a pose must not get the neighbour of a picture
+/// that is left out.
 pub(super) fn all_frames(options: &Options, with_depth: bool) -> OpenOptions {
     OpenOptions {
         frames: None,
@@ -200,6 +201,38 @@ pub(super) fn left_out(
         pictures_without_pose: pictures.len() - keyframes.len(),
         with_picture: keyframes.len(),
         reason,
+    }
+}
+
+/// Numbers keyframes as frames of the sequence thinned by `minimum_gap` [s], and leaves those out
+/// whose pictures it leaves out.
+pub(super) fn thin(found: &mut Found, minimum_gap: f64) {
+    let Pictures::Sequence(pictures) = &found.source.pictures else { return };
+    if !pictures.is_thinned || minimum_gap == 0.0 {
+        return;
+    }
+    let (mut last_kept, mut kept) = (f64::NEG_INFINITY, 0..);
+    let index = |entry: &Entry| {
+        let follows = entry.timestamp - last_kept > minimum_gap;
+        last_kept = if follows { entry.timestamp } else { last_kept };
+        if follows { kept.next() } else { None }
+    };
+    let indices: Vec<Option<usize>> = pictures.entries.iter().map(index).collect();
+    let all = found.keyframes.len();
+    found.keyframes.retain_mut(|keyframe| {
+        keyframe.index = indices[keyframe.position].unwrap_or(keyframe.index);
+        indices[keyframe.position].is_some()
+    });
+    let count = all - found.keyframes.len();
+    if count > 0 {
+        let words = format!(
+            "{count} of {all} poses left out: their pictures follow others by no more than \
+             {minimum_gap} s (minimum_gap; 0 keeps all)"
+        );
+        found.left_out.poses_without_picture += count;
+        found.left_out.with_picture -= count;
+        found.left_out.reason = words.clone();
+        found.warnings.push(words);
     }
 }
 

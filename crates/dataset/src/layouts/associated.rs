@@ -73,7 +73,8 @@ pub(crate) fn by_time(
         too_close: association.too_close,
     };
     warnings.extend(time_warnings(&left_out, rules));
-    Ok(Listing { left_out, ground_truth, warnings, ..Listing::new(layout, entries) })
+    let listing = Listing::new(layout, entries);
+    Ok(Listing { left_out, is_thinned: true, ground_truth, warnings, ..listing })
 }
 
 fn entries(association: &Association, stamped: &Stamped) -> Vec<Entry> {

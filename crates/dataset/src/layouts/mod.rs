@@ -97,6 +97,8 @@ pub(crate) struct Listing {
     /// All pairs, in order of time.
     pub(crate) entries: Vec<Entry>,
     pub(crate) left_out: LeftOut,
+    /// Whether frames too close in time are left out.
+    pub(crate) is_thinned: bool,
     /// The folder's ground truth, whether or not it can be read.
     pub(crate) ground_truth: Option<PathBuf>,
     /// True poses that came with the frames.
@@ -112,6 +114,7 @@ impl Listing {
             layout,
             entries,
             left_out: LeftOut::default(),
+            is_thinned: false,
             ground_truth: None,
             poses: Vec::new(),
             depth_code: DepthCode::Png,

@@ -6,6 +6,7 @@ use crate::droid::{members, with};
 use crate::scene::{colour_sequence, line, pose, sequence, stamp};
 use crate::support::Folder;
 use i2slam_dataset::import::{Files, Options};
+use i2slam_dataset::{OpenOptions, Sequence};
 
 fn arrays(frames: &[usize], stamps: &[f64]) -> Folder {
     let folder = Folder::new();
@@ -60,7 +61,7 @@ fn steps_of_any_size_are_counted() {
 }
 
 #[test]
-fn no_picture_is_thinned_out() {
+fn pictures_are_thinned_only_where_asked_for() {
     let pictures = colour_sequence(8);
     let time = |i: usize| i as f64 / 60.0;
     let list: String = (0..8).map(|i| format!("{:.6} rgb/{i:03}.png\n", time(i))).collect();
@@ -71,4 +72,16 @@ fn no_picture_is_thinned_out() {
     let apart = times(&files).into_iter().zip([1, 3, 5]).map(|(t, i)| (t - time(i)).abs());
     assert!(files.len() == 3 && apart.fold(0.0, f64::max) < 1e-5, "{:?}", times(&files));
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
+    assert_eq!(files.keyframes[2].index, 5);
+    // With a gap frames have the numbers of the dataset, and no pose gets a neighbour's picture.
+    let open = OpenOptions { colour_only: true, ..OpenOptions::default() };
+    let sequence = Sequence::open(&pictures.0, &open).expect("opens");
+    pictures.write("keyframes.txt", [1, 2, 3, 6].map(|i| line(time(i), pose(i))).concat());
+    let options = Options { open, ..Options::default() };
+    let files = Files::open(&file, None, &options).expect("opens");
+    let found = files.keyframes.iter().map(|keyframe| (keyframe.index, keyframe.timestamp));
+    let entries = sequence.entries.iter().map(|entry| (entry.index, entry.timestamp));
+    let entries: Vec<(usize, f64)> = entries.filter(|(_, t)| *t == 0.033333 || *t == 0.1).collect();
+    assert_eq!(found.collect::<Vec<_>>(), entries);
+    assert_warns(&files.warnings, &["2 of 4 poses left out", "minimum_gap"]);
 }
