@@ -1,0 +1,135 @@
+//! What is known so far: poses of frames, landmarks of tracks.
+
+use crate::bundle::{Bundle, Sight};
+use crate::landmark::Landmark;
+use crate::resection::{AGREEING, Match};
+use crate::tracks::Tracks;
+use crate::triangulate::{PosedSight, triangulate};
+use i2slam_geometry::{Camera, Pose};
+use rayon::prelude::*;
+
+/// Residuals beyond this are wrong matches [standard deviations].
+const WRONG: f64 = 6.0;
+
+/// Poses and landmarks, and the tracks that they explain.
+#[derive(Clone, Debug)]
+pub(crate) struct Scene {
+    pub(crate) camera: Camera<f64>,
+    pub(crate) tracks: Tracks,
+    /// `world_from_camera` of every frame that has one.
+    pub(crate) poses: Vec<Option<Pose<f64>>>,
+    /// For every track its landmark, if it has one.
+    pub(crate) landmarks: Vec<Option<Landmark>>,
+}
+
+impl Scene {
+    /// Nothing is known yet.
+    pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
+        let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
+        Self { camera, tracks, poses, landmarks }
+    }
+
+    /// Landmarks that a frame shows.
+    pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
+        let pairs = self.landmarks.iter().zip(&self.tracks.tracks);
+        pairs.filter_map(|(l, t)| Some((l.as_ref()?, t.in_frame(frame)?))).collect()
+    }
+
+    /// Frames with a pose, in order.
+    pub(crate) fn posed(&self) -> Vec<usize> {
+        (0..self.poses.len()).filter(|f| self.poses[*f].is_some()).collect()
+    }
+
+    /// Gives a landmark to every track without one that enough posed frames show.
+    pub(crate) fn add_landmarks(&mut self) {
+        let (camera, poses) = (self.camera, &self.poses);
+        self.landmarks.par_iter_mut().zip(&self.tracks.tracks).for_each(|(landmark, track)| {
+            if landmark.is_none() {
+                let sights: Vec<PosedSight<'_>> = (track.observations.iter())
+                    .filter_map(|o| Some((o, poses[o.frame]?)))
+                    .collect();
+                *landmark = triangulate(&camera, &sights);
+            }
+        });
+    }
+
+    /// Adjusts the poses of `free` frames, the landmarks that they see, and the focal length if
+    /// asked, all other posed frames fixed. Returns the cost per sight.
+    pub(crate) fn adjust(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
+        let (mut bundle, frames, tracks) = self.bundle(free, adjust_focal);
+        let cost = bundle.adjust(steps);
+        for (frame, pose) in frames.iter().zip(&bundle.poses) {
+            self.poses[*frame] = Some(*pose);
+        }
+        for (track, landmark) in tracks.iter().zip(&bundle.landmarks) {
+            self.landmarks[*track] = Some(*landmark);
+        }
+        self.camera = bundle.camera;
+        cost
+    }
+
+    /// The bundle of `free` frames and all others that see the same landmarks, the frames of its
+    /// poses and the tracks of its landmarks. Where none would be fixed, the first one is.
+    pub(crate) fn bundle(
+        &self,
+        free: &[usize],
+        adjust_focal: bool,
+    ) -> (Bundle, Vec<usize>, Vec<usize>) {
+        let mut is_free = vec![false; self.poses.len()];
+        free.iter().for_each(|f| is_free[*f] = true);
+        let frames = self.posed();
+        let mut place = vec![None; self.poses.len()];
+        frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
+        let (mut landmarks, mut sights, mut tracks) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, track) in self.tracks.tracks.iter().enumerate() {
+            let Some(landmark) = self.landmarks[index] else { continue };
+            if !track.observations.iter().any(|o| is_free[o.frame]) {
+                continue;
+            }
+            let sight = |o: &crate::tracks::Observation| {
+                Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma })
+            };
+            let seen: Vec<Sight> = track.observations.iter().filter_map(sight).collect();
+            if seen.len() > 1 {
+                landmarks.push(landmark);
+                sights.push(seen);
+                tracks.push(index);
+            }
+        }
+        let mut fixed: Vec<bool> = frames.iter().map(|f| !is_free[*f]).collect();
+        if !fixed.contains(&true) {
+            fixed.iter_mut().take(1).for_each(|f| *f = true);
+        }
+        let poses = frames.iter().filter_map(|f| self.poses[*f]).collect();
+        let bundle = Bundle { camera: self.camera, poses, fixed, landmarks, sights, adjust_focal };
+        (bundle, frames, tracks)
+    }
+
+    /// Removes sights that their landmark does not explain, and landmarks that are left with
+    /// fewer than two in posed frames. Returns how many sights went.
+    pub(crate) fn drop_wrong_sights(&mut self) -> usize {
+        let (camera, poses) = (self.camera, &self.poses);
+        let mut dropped = 0;
+        for (landmark, track) in self.landmarks.iter_mut().zip(&mut self.tracks.tracks) {
+            let Some(known) = landmark else { continue };
+            let before = track.observations.len();
+            track.observations.retain(|o| {
+                let of = |pose| crate::resection::residual(&camera, pose, &(&*known, o));
+                poses[o.frame].as_ref().is_none_or(|pose| of(pose) < WRONG)
+            });
+            dropped += before - track.observations.len();
+            let left = track.observations.iter().filter(|o| poses[o.frame].is_some()).count();
+            if left < 2 || known.values[2] < -0.02 {
+                *landmark = None;
+            }
+        }
+        dropped
+    }
+
+    /// Median residual of the landmarks in a frame that agree [px], and their number.
+    pub(crate) fn agreeing(&self, frame: usize) -> usize {
+        let Some(pose) = self.poses[frame] else { return 0 };
+        let agrees = |m: &&Match<'_>| crate::resection::residual(&self.camera, &pose, m) < AGREEING;
+        self.matches(frame).iter().filter(agrees).count()
+    }
+}

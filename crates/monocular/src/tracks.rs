@@ -1,0 +1,46 @@
+//! Points of the scene as pictures show them: where, in which frames.
+
+/// One sight of a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Observation {
+    /// Place of the frame in the sequence.
+    pub(crate) frame: usize,
+    /// Image position [px].
+    pub(crate) at: [f64; 2],
+    /// How far it may be wrong [px].
+    pub(crate) sigma: f64,
+}
+
+/// All sights of one point, in order of frames.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Track {
+    pub(crate) observations: Vec<Observation>,
+}
+
+impl Track {
+    /// The sight in a frame, if there is one.
+    pub(crate) fn in_frame(&self, frame: usize) -> Option<&Observation> {
+        let i = self.observations.partition_point(|o| o.frame < frame);
+        self.observations.get(i).filter(|o| o.frame == frame)
+    }
+}
+
+/// What following points through all pictures gave.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Tracks {
+    pub(crate) tracks: Vec<Track>,
+    /// Frames that were chosen as keyframes, in order.
+    pub(crate) keyframes: Vec<usize>,
+    /// Number of frames seen.
+    pub(crate) frames: usize,
+}
+
+impl Tracks {
+    /// Positions of the tracks that two frames share.
+    pub(crate) fn shared(&self, first: usize, second: usize) -> Vec<(usize, [f64; 2], [f64; 2])> {
+        let both = |(i, track): (usize, &Track)| {
+            Some((i, track.in_frame(first)?.at, track.in_frame(second)?.at))
+        };
+        self.tracks.iter().enumerate().filter_map(both).collect()
+    }
+}
