@@ -44,16 +44,23 @@ pub(crate) fn adjust_all(scene: &mut Scene, adjust_focal: bool) -> f64 {
     cost
 }
 
-/// Finds poses of the frames between keyframes and, again, of keyframes that were not reached.
+/// Finds poses of the frames between keyframes and, again, of keyframes that were not reached,
+/// as long as there are more.
 pub(crate) fn pose_rest(scene: &mut Scene) {
-    let unposed: Vec<usize> =
-        (0..scene.poses.len()).filter(|f| scene.poses[*f].is_none()).collect();
-    let found: Vec<Option<Pose<f64>>> = unposed
-        .par_iter()
-        .map(|frame| try_frame(scene, *frame).map(|r| r.world_from_camera))
-        .collect();
-    for (frame, pose) in unposed.into_iter().zip(found) {
-        scene.poses[frame] = pose;
+    loop {
+        let unposed: Vec<usize> =
+            (0..scene.poses.len()).filter(|f| scene.poses[*f].is_none()).collect();
+        let found: Vec<Option<Pose<f64>>> = unposed
+            .par_iter()
+            .map(|frame| try_frame(scene, *frame).map(|r| r.world_from_camera))
+            .collect();
+        if found.iter().all(Option::is_none) {
+            break;
+        }
+        for (frame, pose) in unposed.into_iter().zip(found) {
+            scene.poses[frame] = pose;
+        }
+        scene.add_landmarks();
     }
 }
 

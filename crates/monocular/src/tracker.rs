@@ -12,6 +12,7 @@ use crate::tracks::{Observation, Track, Tracks};
 use i2slam_compute::median;
 use i2slam_geometry::Image;
 use rayon::prelude::*;
+use std::collections::VecDeque;
 
 /// Levels on which a point's anchor is compared.
 const ANCHOR_LEVELS: usize = 3;
@@ -27,9 +28,14 @@ const AGED_CORRELATION: f32 = 0.85;
 /// What the anchor may move a position that the last frame gave [px].
 const ANCHOR_REACH: f32 = 3.0;
 /// A keyframe is due when points have moved by this share of the picture's width, ...
-const KEYFRAME_MOTION: f32 = 0.05;
+const KEYFRAME_MOTION: f32 = 0.03;
 /// ... or when this share of those of the last one is left.
 const KEYFRAME_OVERLAP: f32 = 0.7;
+/// ... or after so many frames in which they have moved by this share of the width at least.
+const KEYFRAME_INTERVAL: usize = 8;
+const SLOW_MOTION: f32 = 0.006;
+/// Frames before a keyframe in which points that begin there are looked for, too.
+const BACKWARD: usize = 16;
 /// A keyframe waits for a frame of this share of the usual sharpness, for so many frames.
 const SHARP_ENOUGH: f32 = 0.85;
 const LONGEST_WAIT: usize = 3;
@@ -81,7 +87,8 @@ pub(crate) struct Followed {
 pub(crate) struct Tracker {
     tracks: Tracks,
     points: Vec<Point>,
-    last: Option<Pyramid>,
+    /// The last frames, the newest at the back, each with its move since the one before [px].
+    recent: VecDeque<(Pyramid, [f32; 2])>,
     sharpness: Vec<f32>,
     /// Points that the last keyframe had.
     keyframe_points: usize,
@@ -95,16 +102,17 @@ impl Tracker {
         let frame = self.tracks.frames;
         let next = Pyramid::new(picture);
         let mut said = Followed { points: 0, motion: 0.0, is_cut: false, is_keyframe: frame == 0 };
-        if let Some(last) = self.last.take() {
-            self.find_again(&last, &next, frame, &mut said);
-        }
+        let shift = self.find_again(&next, frame, &mut said);
         self.sharpness.push(sharpness(next.finest()));
         said.is_keyframe = frame == 0 || said.is_cut || self.keyframe_is_due(next.finest().width);
         if said.is_keyframe {
-            self.begin_keyframe(&next, frame);
+            self.begin_keyframe(&next, frame, shift);
         }
         self.tracks.frames += 1;
-        self.last = Some(next);
+        self.recent.push_back((next, shift));
+        if self.recent.len() > BACKWARD {
+            self.recent.pop_front();
+        }
         said
     }
 
@@ -113,7 +121,9 @@ impl Tracker {
         self.tracks
     }
 
-    fn find_again(&mut self, last: &Pyramid, next: &Pyramid, frame: usize, said: &mut Followed) {
+    /// Follows all points; returns the move of the whole picture [px].
+    fn find_again(&mut self, next: &Pyramid, frame: usize, said: &mut Followed) -> [f32; 2] {
+        let Some((last, _)) = self.recent.back() else { return [0.0; 2] };
         let shift = find_shift(last.coarsest().0, next.coarsest().0);
         let scale = last.coarsest().1;
         let by = shift.by.map(|v| v * scale);
@@ -130,8 +140,7 @@ impl Tracker {
             let (from, to) = (point.warp.centre, sight.warp.centre);
             motions.push((to[0] - from[0]).hypot(to[1] - from[1]));
             (point.warp, point.correlation, point.hidden) = (sight.warp, sight.correlation, 0);
-            let observation =
-                Observation { frame, at: to.map(f64::from), sigma: f64::from(sight.sigma) };
+            let observation = sight.observation(frame);
             self.tracks.tracks[point.track].observations.push(observation);
         }
         let found = motions.len();
@@ -143,6 +152,10 @@ impl Tracker {
             is_cut,
             is_keyframe: false,
         };
+        if is_cut {
+            self.recent.clear();
+        }
+        by
     }
 
     /// Whether enough has changed, and the picture is sharp enough to start points in.
@@ -154,7 +167,10 @@ impl Tracker {
         let mut motions: Vec<f32> = self.points.iter().filter(seen).filter_map(moved).collect();
         let overlap = motions.len() as f32 / self.keyframe_points.max(1) as f32;
         let motion = median(&mut motions).unwrap_or(f32::INFINITY);
-        if motion < KEYFRAME_MOTION * width as f32 && overlap > KEYFRAME_OVERLAP {
+        let width = width as f32;
+        let last = self.tracks.keyframes.last().copied().unwrap_or(0);
+        let late = self.tracks.frames >= last + KEYFRAME_INTERVAL && motion > SLOW_MOTION * width;
+        if motion < KEYFRAME_MOTION * width && overlap > KEYFRAME_OVERLAP && !late {
             self.due = 0;
             return false;
         }
@@ -166,7 +182,7 @@ impl Tracker {
     }
 
     /// Gives aged points a new anchor and starts new points where there are none.
-    fn begin_keyframe(&mut self, next: &Pyramid, frame: usize) {
+    fn begin_keyframe(&mut self, next: &Pyramid, frame: usize, shift: [f32; 2]) {
         self.due = 0;
         self.tracks.keyframes.push(frame);
         for point in &mut self.points {
@@ -178,25 +194,49 @@ impl Tracker {
         }
         let taken: Vec<[f32; 2]> = self.points.iter().map(|p| p.warp.centre).collect();
         let image = next.finest();
-        for at in find_corners(image, cell_size(image), RADIUS + 2, &taken) {
-            let Some(anchor) = Anchor::new(next, at) else { continue };
-            let observation = Observation { frame, at: at.map(f64::from), sigma: 0.4 };
-            self.tracks.tracks.push(Track { observations: vec![observation] });
-            let track = self.tracks.tracks.len() - 1;
-            let warp = Warp::at(at);
-            self.points.push(Point {
-                track,
-                warp,
-                anchor,
-                hidden: 0,
-                at_keyframe: None,
-                correlation: 1.0,
-            });
+        let corners = find_corners(image, cell_size(image), RADIUS + 2, &taken);
+        let started: Vec<Option<(Point, Track)>> =
+            corners.par_iter().map(|at| self.start(next, *at, frame, shift)).collect();
+        for (mut point, track) in started.into_iter().flatten() {
+            point.track = self.tracks.tracks.len();
+            self.points.push(point);
+            self.tracks.tracks.push(track);
         }
         for point in &mut self.points {
             point.at_keyframe = (point.hidden == 0).then_some(point.warp.centre);
         }
         self.keyframe_points = self.points.iter().filter(|p| p.hidden == 0).count();
+    }
+}
+
+impl Tracker {
+    /// A point that begins in `next`, with its sights in the frames before.
+    fn start(
+        &self,
+        next: &Pyramid,
+        at: [f32; 2],
+        frame: usize,
+        shift: [f32; 2],
+    ) -> Option<(Point, Track)> {
+        let anchor = Anchor::new(next, at)?;
+        let (warp, at_keyframe) = (Warp::at(at), None);
+        let point = Point { track: 0, warp, anchor, hidden: 0, at_keyframe, correlation: 1.0 };
+        let mut observations = vec![Observation { frame, at: at.map(f64::from), sigma: 0.4 }];
+        let (mut back, mut here, mut by) = (point.clone(), next, shift);
+        for (i, (before, shift)) in self.recent.iter().rev().enumerate() {
+            let Some(sight) = find(&back, here, before, by.map(|v| -v)) else { break };
+            observations.push(sight.observation(frame - 1 - i));
+            back.warp = sight.warp;
+            (here, by) = (before, *shift);
+        }
+        observations.reverse();
+        Some((point, Track { observations }))
+    }
+}
+
+impl Sight {
+    fn observation(&self, frame: usize) -> Observation {
+        Observation { frame, at: self.warp.centre.map(f64::from), sigma: f64::from(self.sigma) }
     }
 }
 
