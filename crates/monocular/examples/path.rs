@@ -6,7 +6,7 @@
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_geometry::Camera;
-use i2slam_monocular::{FrontEnd, Intrinsics};
+use i2slam_monocular::{FrameStatus, FrontEnd, Intrinsics};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
@@ -33,6 +33,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let start = Instant::now();
     let found = front_end.finish()?;
     let mapping = start.elapsed().as_secs_f64();
+    if rest.iter().any(|a| a == "--verbose") {
+        for (i, status) in found.frames.iter().enumerate() {
+            match status {
+                FrameStatus::Posed { landmarks, .. } => println!("{i:4} posed by {landmarks}"),
+                FrameStatus::Lost => println!("{i:4} lost"),
+            }
+        }
+    }
     for warning in &found.warnings {
         println!("warning: {warning}");
     }

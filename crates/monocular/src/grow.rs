@@ -13,7 +13,7 @@ const WINDOW: usize = 8;
 /// All poses are adjusted whenever there are so many times as many.
 const GROWTH: f64 = 1.3;
 const LOCAL_STEPS: usize = 6;
-const GLOBAL_STEPS: usize = 15;
+const GLOBAL_STEPS: usize = 60;
 
 /// Poses all keyframes that can be reached from those that have a pose, up to `most`.
 pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
@@ -28,7 +28,7 @@ pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
         } else {
             let near = nearest(&scene.posed(), frame);
             scene.adjust(&near, false, LOCAL_STEPS);
-            scene.drop_wrong_sights();
+            scene.mark_wrong_sights();
         }
     }
 }
@@ -36,11 +36,15 @@ pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
 /// Adjusts everything, drops what is wrong, looks for landmarks again, and adjusts once more.
 pub(crate) fn adjust_all(scene: &mut Scene, adjust_focal: bool) -> f64 {
     let all = scene.posed();
-    scene.adjust(&all, adjust_focal, GLOBAL_STEPS);
-    scene.drop_wrong_sights();
+    let c0 = scene.adjust(&all, adjust_focal, 1);
+    let c1 = scene.adjust(&all, adjust_focal, GLOBAL_STEPS);
+    eprintln!("adjust_all {} frames {} landmarks: cost {c0:.4} -> {c1:.4}", all.len(), scene.landmarks.iter().flatten().count());
+    scene.measure_noise();
+    scene.mark_wrong_sights();
     scene.add_landmarks();
     let cost = scene.adjust(&all, adjust_focal, GLOBAL_STEPS);
-    scene.drop_wrong_sights();
+    let n = scene.mark_wrong_sights();
+    eprintln!("   -> {cost:.4} dropped {n} noise {}", scene.noise);
     cost
 }
 
@@ -85,8 +89,9 @@ fn try_frame(scene: &Scene, frame: usize) -> Option<Resected> {
     let matches = scene.matches(frame);
     let best = starts(scene, frame)
         .into_iter()
-        .filter_map(|start| resect(&scene.camera, start, &matches))
+        .filter_map(|start| resect(&scene.camera, start, &matches, scene.noise))
         .max_by(|a, b| a.agreeing.cmp(&b.agreeing))?;
+    eprintln!("try {frame}: {} of {}", best.agreeing, matches.len());
     let enough = best.agreeing >= LEAST_AGREEING
         && best.agreeing as f64 >= LEAST_SHARE * matches.len() as f64;
     enough.then_some(best)

@@ -1,14 +1,14 @@
 //! The pose of a picture from landmarks that are known already.
 
 use crate::landmark::Landmark;
-use crate::robust::{cauchy, huber};
+use crate::robust::cauchy;
 use crate::tracks::Observation;
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Tangent};
 
 /// Widths of the influence of a residual [standard deviations], one stage after the other: the
 /// wide ones pull a poor start in, and wrong matches fade in the narrow ones.
-const WIDTHS: [f64; 3] = [40.0, 12.0, 4.0];
+const WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
 const STEPS: usize = 12;
 /// Residuals below this count as agreeing [standard deviations].
 pub(crate) const AGREEING: f64 = 5.0;
@@ -24,21 +24,22 @@ pub(crate) struct Resected {
     pub(crate) agreeing: usize,
 }
 
-/// The pose that fits best, from `start` on. `None` without at least six matches.
+/// The pose that fits best, from `start` on, where residuals are `noise` times as large as their
+/// deviations say. `None` without at least six matches.
 pub(crate) fn resect(
     camera: &Camera<f64>,
     start: Pose<f64>,
     matches: &[Match<'_>],
+    noise: f64,
 ) -> Option<Resected> {
     if matches.len() < 6 {
         return None;
     }
     let mut pose = start;
     for width in WIDTHS {
-        pose = descend(camera, pose, matches, |n| cauchy(n, width));
+        pose = descend(camera, pose, matches, |n| cauchy(n, noise * width));
     }
-    pose = descend(camera, pose, matches, huber);
-    let agreeing = matches.iter().filter(|m| residual(camera, &pose, m) < AGREEING).count();
+        let agreeing = matches.iter().filter(|m| residual(camera, &pose, m) < AGREEING * noise).count();
     pose.is_finite().then_some(Resected { world_from_camera: pose, agreeing })
 }
 

@@ -5,11 +5,14 @@ use crate::landmark::Landmark;
 use crate::resection::{AGREEING, Match};
 use crate::tracks::Tracks;
 use crate::triangulate::{PosedSight, triangulate};
+use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
 
 /// Residuals beyond this are wrong matches [standard deviations].
 const WRONG: f64 = 6.0;
+/// The tracker's deviations are never taken as wrong by more than this.
+const MOST_NOISE: f64 = 4.0;
 
 /// Poses and landmarks, and the tracks that they explain.
 #[derive(Clone, Debug)]
@@ -20,13 +23,15 @@ pub(crate) struct Scene {
     pub(crate) poses: Vec<Option<Pose<f64>>>,
     /// For every track its landmark, if it has one.
     pub(crate) landmarks: Vec<Option<Landmark>>,
+    /// How many times as large residuals are as the tracker says, at least 1.
+    pub(crate) noise: f64,
 }
 
 impl Scene {
     /// Nothing is known yet.
     pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
-        Self { camera, tracks, poses, landmarks }
+        Self { camera, tracks, poses, landmarks, noise: 1.0 }
     }
 
     /// Landmarks that a frame shows.
@@ -42,13 +47,14 @@ impl Scene {
 
     /// Gives a landmark to every track without one that enough posed frames show.
     pub(crate) fn add_landmarks(&mut self) {
-        let (camera, poses) = (self.camera, &self.poses);
+        let (camera, poses, noise) = (self.camera, &self.poses, self.noise);
         self.landmarks.par_iter_mut().zip(&self.tracks.tracks).for_each(|(landmark, track)| {
             if landmark.is_none() {
                 let sights: Vec<PosedSight<'_>> = (track.observations.iter())
+                    .filter(|o| !o.is_wrong)
                     .filter_map(|o| Some((o, poses[o.frame]?)))
                     .collect();
-                *landmark = triangulate(&camera, &sights);
+                *landmark = triangulate(&camera, &sights, noise);
             }
         });
     }
@@ -89,7 +95,8 @@ impl Scene {
             let sight = |o: &crate::tracks::Observation| {
                 Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma })
             };
-            let seen: Vec<Sight> = track.observations.iter().filter_map(sight).collect();
+            let right = track.observations.iter().filter(|o| !o.is_wrong);
+            let seen: Vec<Sight> = right.filter_map(sight).collect();
             if seen.len() > 1 {
                 landmarks.push(landmark);
                 sights.push(seen);
@@ -105,31 +112,45 @@ impl Scene {
         (bundle, frames, tracks)
     }
 
-    /// Removes sights that their landmark does not explain, and landmarks that are left with
-    /// fewer than two in posed frames. Returns how many sights went.
-    pub(crate) fn drop_wrong_sights(&mut self) -> usize {
-        let (camera, poses) = (self.camera, &self.poses);
-        let mut dropped = 0;
+    /// Marks the sights that their landmark does not explain, and gives up landmarks that are left
+    /// with fewer than two. Returns how many sights are wrong.
+    pub(crate) fn mark_wrong_sights(&mut self) -> usize {
+        let (camera, poses, worst) = (self.camera, &self.poses, WRONG * self.noise);
+        let mut wrong = 0;
         for (landmark, track) in self.landmarks.iter_mut().zip(&mut self.tracks.tracks) {
             let Some(known) = landmark else { continue };
-            let before = track.observations.len();
-            track.observations.retain(|o| {
-                let of = |pose| crate::resection::residual(&camera, pose, &(&*known, o));
-                poses[o.frame].as_ref().is_none_or(|pose| of(pose) < WRONG)
-            });
-            dropped += before - track.observations.len();
-            let left = track.observations.iter().filter(|o| poses[o.frame].is_some()).count();
+            let mut left = 0;
+            for observation in &mut track.observations {
+                let Some(pose) = &poses[observation.frame] else { continue };
+                let off = crate::resection::residual(&camera, pose, &(&*known, observation));
+                observation.is_wrong = off > worst;
+                wrong += usize::from(observation.is_wrong);
+                left += usize::from(!observation.is_wrong);
+            }
             if left < 2 || known.values[2] < -0.02 {
                 *landmark = None;
             }
         }
-        dropped
+        wrong
     }
 
-    /// Median residual of the landmarks in a frame that agree [px], and their number.
+    /// Sets [`noise`](Self::noise) to what half of all sights in posed frames keep to.
+    pub(crate) fn measure_noise(&mut self) {
+        let mut all = Vec::new();
+        for frame in self.posed() {
+            let Some(pose) = self.poses[frame] else { continue };
+            let of = |m: &Match<'_>| crate::resection::residual(&self.camera, &pose, m);
+            all.extend(self.matches(frame).iter().map(of));
+        }
+        // The median length of a two-dimensional normal residual is √(2 ln 2) deviations.
+        let usual = (2.0 * std::f64::consts::LN_2).sqrt();
+        self.noise = median(&mut all).map_or(1.0, |m| (m / usual).clamp(1.0, MOST_NOISE));
+    }
+
+    /// Number of the landmarks in a frame that agree with its pose.
     pub(crate) fn agreeing(&self, frame: usize) -> usize {
         let Some(pose) = self.poses[frame] else { return 0 };
-        let agrees = |m: &&Match<'_>| crate::resection::residual(&self.camera, &pose, m) < AGREEING;
+        let agrees = |m: &&Match<'_>| crate::resection::residual(&self.camera, &pose, m) < AGREEING * self.noise;
         self.matches(frame).iter().filter(agrees).count()
     }
 }

@@ -112,7 +112,8 @@ fn pose_pair(scene: &mut Scene, pair: &Pair, view: TwoView) -> usize {
     scene.poses[pair.second] = Some(view.second_from_first.inverse());
     scene.add_landmarks();
     scene.adjust(&[pair.second], false, 20);
-    scene.drop_wrong_sights();
+    scene.measure_noise();
+    scene.mark_wrong_sights();
     let wide = scene.landmarks.iter().flatten().filter(|landmark| {
         landmark.values[2] > 0.0
             && parallax(landmark, scene.poses.iter().flatten().copied()) > LEAST_ANGLE

@@ -25,6 +25,10 @@ const LEAST_CORRELATION: f32 = 0.6;
 const LEAST_ANCHOR_CORRELATION: f32 = 0.7;
 /// Correlation below which a keyframe gives a point a new anchor.
 const AGED_CORRELATION: f32 = 0.85;
+/// Standard deviation of a position where a point looks as in its anchor (twice that without),
+/// and what is added for each unit of correlation that is missing [px].
+const SIGMA: f64 = 0.4;
+const SIGMA_UNLIKE: f64 = 1.5;
 /// What the anchor may move a position that the last frame gave [px].
 const ANCHOR_REACH: f32 = 3.0;
 /// A keyframe is due when points have moved by this share of the picture's width, ...
@@ -66,7 +70,7 @@ struct Point {
 struct Sight {
     warp: Warp,
     correlation: f32,
-    sigma: f32,
+    sigma: f64,
 }
 
 /// What the tracker says of a frame.
@@ -221,7 +225,7 @@ impl Tracker {
         let anchor = Anchor::new(next, at)?;
         let (warp, at_keyframe) = (Warp::at(at), None);
         let point = Point { track: 0, warp, anchor, hidden: 0, at_keyframe, correlation: 1.0 };
-        let mut observations = vec![Observation { frame, at: at.map(f64::from), sigma: 0.4 }];
+        let mut observations = vec![Observation::new(frame, at.map(f64::from), SIGMA)];
         let (mut back, mut here, mut by) = (point.clone(), next, shift);
         for (i, (before, shift)) in self.recent.iter().rev().enumerate() {
             let Some(sight) = find(&back, here, before, by.map(|v| -v)) else { break };
@@ -236,7 +240,7 @@ impl Tracker {
 
 impl Sight {
     fn observation(&self, frame: usize) -> Observation {
-        Observation { frame, at: self.warp.centre.map(f64::from), sigma: f64::from(self.sigma) }
+        Observation::new(frame, self.warp.centre.map(f64::from), self.sigma)
     }
 }
 
@@ -293,12 +297,12 @@ fn find(point: &Point, last: &Pyramid, next: &Pyramid, shift: [f32; 2]) -> Optio
         (Some(f), _) => Sight {
             warp: f.warp,
             correlation: f.correlation,
-            sigma: 0.4 + 1.5 * (1.0 - f.correlation),
+            sigma: SIGMA + SIGMA_UNLIKE * f64::from(1.0 - f.correlation),
         },
         (None, Some(f)) => Sight {
             warp: Warp { centre: f.warp.centre, ..point.warp },
             correlation: 0.5,
-            sigma: 0.8 + 1.5 * (1.0 - f.correlation),
+            sigma: 2.0 * SIGMA + SIGMA_UNLIKE * f64::from(1.0 - f.correlation),
         },
         (None, None) => return None,
     };

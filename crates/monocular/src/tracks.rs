@@ -6,9 +6,19 @@ pub(crate) struct Observation {
     /// Place of the frame in the sequence.
     pub(crate) frame: usize,
     /// Image position [px].
+    pub(crate) seen: [f64; 2],
+    /// The same as if all rows had been exposed with the middle one [px].
     pub(crate) at: [f64; 2],
     /// How far it may be wrong [px].
     pub(crate) sigma: f64,
+    /// Does not belong to the point.
+    pub(crate) is_wrong: bool,
+}
+
+impl Observation {
+    pub(crate) fn new(frame: usize, at: [f64; 2], sigma: f64) -> Self {
+        Self { frame, seen: at, at, sigma, is_wrong: false }
+    }
 }
 
 /// All sights of one point, in order of frames.

@@ -13,8 +13,13 @@ const WORST: f64 = 4.0;
 /// A sight and the pose of its camera.
 pub(crate) type PosedSight<'a> = (&'a Observation, Pose<f64>);
 
-/// The landmark of at least two sights, anchored in the first; `None` if they do not agree.
-pub(crate) fn triangulate(camera: &Camera<f64>, sights: &[PosedSight<'_>]) -> Option<Landmark> {
+/// The landmark of at least two sights, anchored in the first; `None` if they do not agree, where
+/// residuals are `noise` times as large as their deviations say.
+pub(crate) fn triangulate(
+    camera: &Camera<f64>,
+    sights: &[PosedSight<'_>],
+    noise: f64,
+) -> Option<Landmark> {
     let (first, rest) = sights.split_first()?;
     if rest.is_empty() {
         return None;
@@ -23,7 +28,7 @@ pub(crate) fn triangulate(camera: &Camera<f64>, sights: &[PosedSight<'_>]) -> Op
     landmark.values[2] = inverse_depth(camera, &landmark, rest).max(-1e-3);
     let landmark = refine(camera, landmark, sights)?;
     let sum = sights.iter().map(|s| residual(camera, &landmark, s)).sum::<f64>();
-    (sum / sights.len() as f64 <= WORST).then_some(landmark)
+    (sum / sights.len() as f64 <= WORST * noise).then_some(landmark)
 }
 
 /// The angle between the rays of the two sights that lie farthest apart in place [rad].
@@ -110,11 +115,11 @@ mod tests {
         for point in [Vec3::new(0.2, -0.1, 2.0), Vec3::new(1e4, 0.0, 1e5)] {
             let sight = |i: usize| {
                 let (u, v) = camera.project(pose(i).inverse() * point);
-                Observation { frame: i, at: [u, v], sigma: 0.5 }
+                Observation::new(i, [u, v], 0.5)
             };
             let mut sights = [sight(0), sight(1), sight(2)];
             let posed =
-                |s: &[Observation; 3]| triangulate(&camera, &[0, 1, 2].map(|i| (&s[i], pose(i))));
+                |s: &[Observation; 3]| triangulate(&camera, &[0, 1, 2].map(|i| (&s[i], pose(i))), 1.0);
             let found = posed(&sights).expect("sights agree");
             let (p, q) = (found.position(), point);
             assert!((p * p.z.recip() - q * q.z.recip()).norm() < 1e-4, "{p:?}");
