@@ -45,13 +45,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("warning: {warning}");
     }
     println!(
-        "{} of {} frames posed, {} keyframes; focal length {:.1} px (given {:.1}), deviation {:?}",
+        "{} of {} frames posed, {} keyframes; focal length {:.1} px (given {:.1}), deviation {:?}; readout {:.1} ms",
         found.trajectory().len(),
         found.frames.len(),
         found.keyframes.len(),
         found.camera.fx,
         sequence.camera.fx,
         found.focal_deviation,
+        1e3 * found.rolling_shutter_readout,
     );
     println!(
         "tracking {:.2} s, mapping {:.2} s, with reading {:.2} s: {:.1} frames a second",

@@ -4,6 +4,7 @@ use crate::failure::{Failure, PictureError};
 use crate::focal::find_focal;
 use crate::grow::{adjust_all, grow, pose_rest};
 use crate::result::{FrameReport, Reconstruction, assemble};
+use crate::rolling::{correct_again, correct_rolling_shutter};
 use crate::scene::Scene;
 use crate::start::start;
 use crate::tracker::Tracker;
@@ -104,9 +105,16 @@ impl FrontEnd {
         grow(&mut scene, adjust_focal, usize::MAX);
         adjust_all(&mut scene, adjust_focal);
         pose_rest(&mut scene);
+        let mut readout = 0.0;
         if frames <= ADJUSTED_TOGETHER {
             adjust_all(&mut scene, adjust_focal);
+            readout = correct_rolling_shutter(&mut scene, &self.timestamps);
+            if readout != 0.0 {
+                adjust_all(&mut scene, adjust_focal);
+                correct_again(&mut scene, &self.timestamps, readout);
+                adjust_all(&mut scene, adjust_focal);
+            }
         }
-        Ok(assemble(scene, &self.timestamps, &self.intrinsics))
+        Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))
     }
 }

@@ -13,7 +13,7 @@ const WINDOW: usize = 8;
 /// All poses are adjusted whenever there are so many times as many.
 const GROWTH: f64 = 1.3;
 const LOCAL_STEPS: usize = 6;
-const GLOBAL_STEPS: usize = 60;
+const GLOBAL_STEPS: usize = 20;
 
 /// Poses all keyframes that can be reached from those that have a pose, up to `most`.
 pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {

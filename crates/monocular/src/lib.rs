@@ -17,6 +17,7 @@ mod pyramid;
 mod resection;
 mod result;
 mod robust;
+mod rolling;
 mod scene;
 mod shift;
 mod start;

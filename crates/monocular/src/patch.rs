@@ -13,6 +13,8 @@ pub(crate) const RADIUS: usize = 7;
 const SIDE: usize = 2 * RADIUS + 1;
 /// Pixels of a patch.
 const AREA: usize = SIDE * SIDE;
+/// A pixel more on every side, for slopes.
+const WIDE: usize = SIDE + 2;
 const ITERATIONS: usize = 15;
 /// An update shorter than this ends the iteration [px].
 const CONVERGED: f32 = 0.01;
@@ -76,14 +78,11 @@ pub(crate) struct Found {
 impl<const N: usize> Template<N> {
     /// The patch around `centre`; `None` where nothing is seen that could be aligned.
     pub(crate) fn new(image: &Image<f32>, centre: [f32; 2]) -> Option<Self> {
-        let values = sample(image, &Warp::at(centre));
-        let (right, left) = ([centre[0] + 0.5, centre[1]], [centre[0] - 0.5, centre[1]]);
-        let (below, above) = ([centre[0], centre[1] + 0.5], [centre[0], centre[1] - 0.5]);
-        let slope = |to: [f32; 2], from: [f32; 2]| -> [f32; AREA] {
-            let (to, from) = (sample(image, &Warp::at(to)), sample(image, &Warp::at(from)));
-            std::array::from_fn(|i| to[i] - from[i])
-        };
-        let (gx, gy) = (slope(right, left), slope(below, above));
+        let wide = sample::<WIDE>(image, &Warp::at(centre));
+        let at = |i: usize, dx: usize, dy: usize| wide[i / SIDE + dy][i % SIDE + dx];
+        let values: [f32; AREA] = std::array::from_fn(|i| at(i, 1, 1));
+        let gx: [f32; AREA] = std::array::from_fn(|i| 0.5 * (at(i, 2, 1) - at(i, 0, 1)));
+        let gy: [f32; AREA] = std::array::from_fn(|i| 0.5 * (at(i, 1, 2) - at(i, 1, 0)));
         let mean = values.iter().sum::<f32>() / AREA as f32;
         let values = values.map(|v| v - mean);
         let norm = values.iter().map(|v| v * v).sum::<f32>().sqrt();
@@ -105,7 +104,8 @@ impl<const N: usize> Template<N> {
         let mut warp = start;
         let mut correlation = 0.0;
         for _ in 0..ITERATIONS {
-            let values = sample(image, &warp);
+            let rows = sample::<SIDE>(image, &warp);
+            let values: [f32; AREA] = std::array::from_fn(|i| rows[i / SIDE][i % SIDE]);
             let products: [f32; N] = std::array::from_fn(|k| dot(&self.basis[k], &values));
             correlation = self.correlation(&products, &values);
             let x: [f32; N] =
@@ -180,22 +180,48 @@ fn inside(image: &Image<f32>, at: [f32; 2]) -> bool {
     at[0] >= 0.0 && at[1] >= 0.0 && at[0] < image.width as f32 && at[1] < image.height as f32
 }
 
-/// The picture under a warp, row by row; beyond the border the last pixel is repeated.
-fn sample(image: &Image<f32>, warp: &Warp) -> [f32; AREA] {
-    let (most_x, most_y) = (image.width as f32 - 1.001, image.height as f32 - 1.001);
-    let width = image.width;
-    std::array::from_fn(|i| {
-        let (dx, dy) = ((i % SIDE) as f32 - RADIUS as f32, (i / SIDE) as f32 - RADIUS as f32);
-        let [[a, b], [c, d]] = warp.matrix;
-        let x = (warp.centre[0] + a * dx + b * dy - 0.5).clamp(0.0, most_x);
-        let y = (warp.centre[1] + c * dx + d * dy - 0.5).clamp(0.0, most_y);
-        let (column, row) = (x as usize, y as usize);
-        let (u, v) = (x - column as f32, y - row as f32);
-        let k = row * width + column;
-        let top = image.data[k] + (image.data[k + 1] - image.data[k]) * u;
-        let k = k + width;
-        let bottom = image.data[k] + (image.data[k + 1] - image.data[k]) * u;
-        top + (bottom - top) * v
+/// The picture under a warp, `S x S` rows and columns; beyond the border the last pixel is
+/// repeated.
+fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
+    let half = (S / 2) as f32;
+    let first = warp.centre.map(|v| v - half - 0.5);
+    let most = [image.width, image.height].map(|n| n as f32 - 1.001);
+    let fits = |k: usize| first[k] >= 0.0 && first[k] + 2.0 * half <= most[k];
+    if warp.matrix == [[1.0, 0.0], [0.0, 1.0]] && fits(0) && fits(1) {
+        return sample_upright(image, first);
+    }
+    let [[a, b], [c, d]] = warp.matrix;
+    std::array::from_fn(|row| {
+        let dy = row as f32 - half;
+        std::array::from_fn(|column| {
+            let dx = column as f32 - half;
+            let x = (warp.centre[0] + a * dx + b * dy - 0.5).clamp(0.0, most[0]);
+            let y = (warp.centre[1] + c * dx + d * dy - 0.5).clamp(0.0, most[1]);
+            let (column, row) = (x as usize, y as usize);
+            let (u, v) = (x - column as f32, y - row as f32);
+            let k = row * image.width + column;
+            let (upper, lower) = (&image.data[k..k + 2], &image.data[k + image.width..][..2]);
+            let top = upper[0] + (upper[1] - upper[0]) * u;
+            let bottom = lower[0] + (lower[1] - lower[0]) * u;
+            top + (bottom - top) * v
+        })
+    })
+}
+
+/// The same for a patch that is only moved and lies inside: all pixels share their weights.
+fn sample_upright<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f32; S]; S] {
+    let (column, row) = (first[0] as usize, first[1] as usize);
+    let (u, v) = (first[0] - column as f32, first[1] - row as f32);
+    let weights = [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v];
+    std::array::from_fn(|r| {
+        let k = (row + r) * image.width + column;
+        let (upper, lower) = (&image.data[k..=k + S], &image.data[k + image.width..][..=S]);
+        std::array::from_fn(|c| {
+            weights[0] * upper[c]
+                + weights[1] * upper[c + 1]
+                + weights[2] * lower[c]
+                + weights[3] * lower[c + 1]
+        })
     })
 }
 

@@ -74,6 +74,9 @@ pub struct Reconstruction {
     pub camera: Camera<f64>,
     /// Relative standard deviation of the focal length, where it was looked for.
     pub focal_deviation: Option<f64>,
+    /// Time from the first to the last row [s], positive if the top row comes first; 0 where all
+    /// rows fit one moment. Poses are of the middle row.
+    pub rolling_shutter_readout: f64,
     /// One entry per picture that was accepted.
     pub frames: Vec<FrameStatus>,
     /// Stamps of all frames [s].
@@ -134,6 +137,7 @@ pub(crate) fn assemble(
     scene: Scene,
     timestamps: &[f64],
     intrinsics: &Intrinsics,
+    readout: f64,
 ) -> Reconstruction {
     let posed = scene.posed();
     let world = posed.first().and_then(|f| scene.poses[*f]).unwrap_or_else(Pose::identity);
@@ -157,6 +161,7 @@ pub(crate) fn assemble(
     Reconstruction {
         camera: scene.camera,
         focal_deviation,
+        rolling_shutter_readout: readout,
         frames,
         timestamps: timestamps.to_vec(),
         keyframes,

@@ -14,6 +14,8 @@ use i2slam_geometry::Image;
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
+/// Cells of a picture, each with a point of its own if it shows a corner.
+const CELLS: f32 = 800.0;
 /// Levels on which a point's anchor is compared.
 const ANCHOR_LEVELS: usize = 3;
 /// Frames in a row in which a point may be hidden.
@@ -334,9 +336,9 @@ fn by_last_look(last: &Pyramid, next: &Pyramid, from: [f32; 2], guess: [f32; 2])
     (error < ROUND_TRIP).then_some(found)
 }
 
-/// Side of the cells of which each gets one point [px]: some 350 points a picture.
+/// Side of the cells of which each gets one point [px]: some 600 points a picture.
 fn cell_size(image: &Image<f32>) -> usize {
-    (((image.width * image.height) as f32 / 400.0).sqrt() as usize).max(8)
+    (((image.width * image.height) as f32 / CELLS).sqrt() as usize).max(8)
 }
 
 /// Mean difference of neighbours, relative to the mean brightness: blur lowers it, exposure hardly.

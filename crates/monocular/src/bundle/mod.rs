@@ -18,7 +18,7 @@ const BEHIND: f64 = 50.0;
 /// Damping beyond which no step lowers the cost.
 const STUCK: f64 = 1e6;
 /// A step that lowers the cost by less than this share is the last one.
-const CONVERGED: f64 = 1e-8;
+const CONVERGED: f64 = 1e-5;
 
 /// A landmark as one camera sees it.
 #[derive(Clone, Copy, Debug)]
