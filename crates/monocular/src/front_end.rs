@@ -101,20 +101,29 @@ impl FrontEnd {
         if adjust_focal {
             scene.camera = find_focal(&scene)?;
         }
-        start(&mut scene)?;
-        grow(&mut scene, adjust_focal, usize::MAX);
-        adjust_all(&mut scene, adjust_focal);
-        pose_rest(&mut scene);
-        let mut readout = 0.0;
-        if frames <= ADJUSTED_TOGETHER {
-            adjust_all(&mut scene, adjust_focal);
-            readout = correct_rolling_shutter(&mut scene, &self.timestamps);
-            if readout != 0.0 {
-                adjust_all(&mut scene, adjust_focal);
-                correct_again(&mut scene, &self.timestamps, readout);
-                adjust_all(&mut scene, adjust_focal);
+        map(&mut scene, adjust_focal)?;
+        let readout = correct_rolling_shutter(&mut scene, &self.timestamps);
+        if readout != 0.0 {
+            let cost = adjust_all(&mut scene, adjust_focal);
+            correct_again(&mut scene, &self.timestamps, readout);
+            let mut fresh = scene.without_poses();
+            let again = map(&mut fresh, adjust_focal);
+            if again.is_ok_and(|c| c < cost && fresh.posed().len() >= scene.posed().len()) {
+                scene = fresh;
             }
+            correct_again(&mut scene, &self.timestamps, readout);
+            adjust_all(&mut scene, adjust_focal);
         }
         Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))
     }
+}
+
+/// Poses and landmarks from tracks alone; returns the cost per sight.
+fn map(scene: &mut Scene, adjust_focal: bool) -> Result<f64, Failure> {
+    start(scene)?;
+    grow(scene, adjust_focal, usize::MAX);
+    let cost = adjust_all(scene, adjust_focal);
+    pose_rest(scene);
+    let together = scene.posed().len() <= ADJUSTED_TOGETHER;
+    Ok(if together { adjust_all(scene, adjust_focal) } else { cost })
 }

@@ -12,7 +12,7 @@ use i2slam_geometry::{Pose, Tangent};
 /// Readouts that are compared first, in frame intervals.
 const COMPARED: [f64; 3] = [-0.6, 0.0, 0.6];
 /// A readout must lower the cost to this share, or all rows count as exposed together.
-const WORTH: f64 = 0.9;
+const WORTH: f64 = 0.97;
 const STEPS: usize = 8;
 /// Frames farther apart than so many intervals tell no velocity.
 const NEIGHBOUR: f64 = 4.5;
@@ -31,6 +31,7 @@ pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64]) -> 
     let costs = COMPARED.map(cost);
     let Some(best) = lowest_of_parabola(COMPARED[2], costs) else { return 0.0 };
     let found = cost(best);
+    eprintln!("readout costs {costs:?} best {best} {found}");
     if found > WORTH * costs[1] {
         return 0.0;
     }

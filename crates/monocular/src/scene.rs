@@ -34,6 +34,14 @@ impl Scene {
         Self { camera, tracks, poses, landmarks, noise: 1.0 }
     }
 
+    /// The same tracks and camera, with everything else forgotten.
+    pub(crate) fn without_poses(&self) -> Self {
+        let mut tracks = self.tracks.clone();
+        let all = tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
+        all.for_each(|o| o.is_wrong = false);
+        Self::new(self.camera, tracks)
+    }
+
     /// Landmarks that a frame shows.
     pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
         let pairs = self.landmarks.iter().zip(&self.tracks.tracks);

@@ -199,7 +199,7 @@ mod tests {
     #[test]
     fn motion_is_found_among_wrong_matches() {
         let direction = Vec3::new(0.6, -0.3, 0.5);
-        let direction = direction * direction.norm().recip();
+        let direction = direction * (1.0 / direction.norm());
         let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), direction * 0.2);
         let rays = scene(pose);
         let (rotation, left) = rotation_only(250.0, &rays).expect("enough points");
