@@ -7,6 +7,7 @@ use crate::result::{FrameReport, Reconstruction, assemble};
 use crate::rolling::{correct_again, correct_rolling_shutter};
 use crate::scene::Scene;
 use crate::start::start;
+use crate::straighten::straighten;
 use crate::tracker::Tracker;
 use i2slam_geometry::{Camera, Image};
 
@@ -95,22 +96,17 @@ impl FrontEnd {
         if frames < LEAST_FRAMES {
             return Err(Failure::TooFewFrames { frames, needed: LEAST_FRAMES });
         }
-        let tracks = self.tracker.finish();
+        let tracks = self.tracker.finish().with_two_keyframes();
         let adjust_focal = matches!(self.intrinsics, Intrinsics::Guess(_));
         let mut scene = Scene::new(*self.intrinsics.camera(), tracks);
         if adjust_focal {
             scene.camera = find_focal(&scene)?;
         }
+        let straightened = !adjust_focal && straighten(&mut scene.tracks, &scene.camera) != 0.0;
         map(&mut scene, adjust_focal)?;
         let readout = correct_rolling_shutter(&mut scene, &self.timestamps);
-        if readout != 0.0 {
-            let cost = adjust_all(&mut scene, adjust_focal);
-            correct_again(&mut scene, &self.timestamps, readout);
-            let mut fresh = scene.without_poses();
-            let again = map(&mut fresh, adjust_focal);
-            if again.is_ok_and(|c| c < cost && fresh.posed().len() >= scene.posed().len()) {
-                scene = fresh;
-            }
+        if readout != 0.0 || straightened {
+            adjust_all(&mut scene, adjust_focal);
             correct_again(&mut scene, &self.timestamps, readout);
             adjust_all(&mut scene, adjust_focal);
         }

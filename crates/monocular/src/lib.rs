@@ -21,6 +21,7 @@ mod rolling;
 mod scene;
 mod shift;
 mod start;
+mod straighten;
 mod tracker;
 mod tracks;
 mod triangulate;
@@ -29,3 +30,5 @@ mod two_view;
 pub use failure::{Failure, PictureError};
 pub use front_end::{FrontEnd, Intrinsics, LEAST_FRAMES, LEAST_SIDE};
 pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth, Warning};
+
+pub(crate) fn knob(name: &str, default: f64) -> f64 { std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default) }

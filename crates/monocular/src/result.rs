@@ -188,7 +188,7 @@ fn focal_deviation(
         freed.adjust(&keyframes, true, 30);
     }
     let deviation = freed.bundle(&keyframes, true).0.focal_deviation();
-    let Some(relative) = deviation else { return None };
+    let relative = deviation? * freed.residual_scale()?;
     if is_known {
         let (given, fitting) = (scene.camera.fx, freed.camera.fx);
         let off = (fitting / given).ln().abs();

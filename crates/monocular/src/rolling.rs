@@ -10,9 +10,9 @@ use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
 /// Readouts that are compared first, in frame intervals.
-const COMPARED: [f64; 3] = [-0.6, 0.0, 0.6];
+pub(crate) const COMPARED: [f64; 3] = [-0.6, 0.0, 0.6];
 /// A readout must lower the cost to this share, or all rows count as exposed together.
-const WORTH: f64 = 0.97;
+pub(crate) const WORTH: f64 = 0.97;
 const STEPS: usize = 8;
 /// Frames farther apart than so many intervals tell no velocity.
 const NEIGHBOUR: f64 = 4.5;
@@ -33,6 +33,7 @@ pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64]) -> 
     let found = cost(best);
     eprintln!("readout costs {costs:?} best {best} {found}");
     if found > WORTH * costs[1] {
+        move_rows(scene, timestamps, 0.0, interval);
         return 0.0;
     }
     move_rows(scene, timestamps, best * interval, interval);
@@ -48,7 +49,7 @@ pub(crate) fn correct_again(scene: &mut Scene, timestamps: &[f64], readout: f64)
 }
 
 /// Where the parabola through the costs at `-step`, 0 and `step` is lowest, within twice `step`.
-fn lowest_of_parabola(step: f64, [before, middle, after]: [f64; 3]) -> Option<f64> {
+pub(crate) fn lowest_of_parabola(step: f64, [before, middle, after]: [f64; 3]) -> Option<f64> {
     let curvature = before - 2.0 * middle + after;
     let lowest = 0.5 * step * (before - after) / curvature;
     (curvature > 0.0 && lowest.is_finite()).then(|| lowest.clamp(-2.0 * step, 2.0 * step))

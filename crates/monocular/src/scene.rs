@@ -34,14 +34,6 @@ impl Scene {
         Self { camera, tracks, poses, landmarks, noise: 1.0 }
     }
 
-    /// The same tracks and camera, with everything else forgotten.
-    pub(crate) fn without_poses(&self) -> Self {
-        let mut tracks = self.tracks.clone();
-        let all = tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
-        all.for_each(|o| o.is_wrong = false);
-        Self::new(self.camera, tracks)
-    }
-
     /// Landmarks that a frame shows.
     pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
         let pairs = self.landmarks.iter().zip(&self.tracks.tracks);
@@ -144,6 +136,11 @@ impl Scene {
 
     /// Sets [`noise`](Self::noise) to what half of all sights in posed frames keep to.
     pub(crate) fn measure_noise(&mut self) {
+        self.noise = self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MOST_NOISE));
+    }
+
+    /// How many times as large residuals are as the tracker says, by their median.
+    pub(crate) fn residual_scale(&self) -> Option<f64> {
         let mut all = Vec::new();
         for frame in self.posed() {
             let Some(pose) = self.poses[frame] else { continue };
@@ -152,7 +149,7 @@ impl Scene {
         }
         // The median length of a two-dimensional normal residual is √(2 ln 2) deviations.
         let usual = (2.0 * std::f64::consts::LN_2).sqrt();
-        self.noise = median(&mut all).map_or(1.0, |m| (m / usual).clamp(1.0, MOST_NOISE));
+        median(&mut all).map(|m| m / usual)
     }
 
     /// Number of the landmarks in a frame that agree with its pose.

@@ -151,7 +151,7 @@ impl Tracker {
         }
         let found = motions.len();
         let is_cut = shift.correlation < CUT_CORRELATION && 3 * found < self.points.len();
-        self.points.retain(|p| p.hidden <= HIDDEN && !is_cut);
+        self.points.retain(|p| p.hidden <= crate::knob("HIDDEN", 3.0) as usize && !is_cut);
         *said = Followed {
             points: found,
             motion: median(&mut motions).unwrap_or(0.0),
@@ -192,7 +192,7 @@ impl Tracker {
         self.due = 0;
         self.tracks.keyframes.push(frame);
         for point in &mut self.points {
-            if point.hidden == 0 && point.correlation < AGED_CORRELATION {
+            if point.hidden == 0 && point.correlation < crate::knob("AGED", 0.85) as f32 {
                 if let Some(anchor) = Anchor::new(next, point.warp.centre) {
                     (point.anchor, point.warp) = (anchor, Warp::at(point.warp.centre));
                 }
@@ -299,14 +299,14 @@ fn find(point: &Point, last: &Pyramid, next: &Pyramid, shift: [f32; 2]) -> Optio
         (Some(f), _) => Sight {
             warp: f.warp,
             correlation: f.correlation,
-            sigma: SIGMA + SIGMA_UNLIKE * f64::from(1.0 - f.correlation),
+            sigma: SIGMA + crate::knob("UNLIKE", 1.5) * f64::from(1.0 - f.correlation),
         },
-        (None, Some(f)) => Sight {
+        (None, Some(f)) if f.correlation < crate::knob("NOF2F", 0.8) as f32 => Sight {
             warp: Warp { centre: f.warp.centre, ..point.warp },
             correlation: 0.5,
-            sigma: 2.0 * SIGMA + SIGMA_UNLIKE * f64::from(1.0 - f.correlation),
+            sigma: 2.0 * SIGMA + crate::knob("UNLIKE", 1.5) * f64::from(1.0 - f.correlation),
         },
-        (None, None) => return None,
+        _ => return None,
     };
     inside(&sight.warp).then_some(sight)
 }

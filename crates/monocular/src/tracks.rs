@@ -46,6 +46,14 @@ pub(crate) struct Tracks {
 }
 
 impl Tracks {
+    /// The same, with the last frame as a keyframe where there is only one.
+    pub(crate) fn with_two_keyframes(mut self) -> Self {
+        if self.keyframes.len() == 1 && self.frames > 1 {
+            self.keyframes.push(self.frames - 1);
+        }
+        self
+    }
+
     /// Positions of the tracks that two frames share.
     pub(crate) fn shared(&self, first: usize, second: usize) -> Vec<(usize, [f64; 2], [f64; 2])> {
         let both = |(i, track): (usize, &Track)| {
