@@ -79,7 +79,7 @@ impl FrontEnd {
             return Err(PictureError::TooSmall { width, height, least: LEAST_SIDE });
         }
         let last = self.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
-        if !(timestamp > last) {
+        if timestamp.is_nan() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });
         }
         self.timestamps.push(timestamp);

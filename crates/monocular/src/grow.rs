@@ -36,15 +36,12 @@ pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
 /// Adjusts everything, drops what is wrong, looks for landmarks again, and adjusts once more.
 pub(crate) fn adjust_all(scene: &mut Scene, adjust_focal: bool) -> f64 {
     let all = scene.posed();
-    let c0 = scene.adjust(&all, adjust_focal, 1);
-    let c1 = scene.adjust(&all, adjust_focal, GLOBAL_STEPS);
-    eprintln!("adjust_all {} frames {} landmarks: cost {c0:.4} -> {c1:.4}", all.len(), scene.landmarks.iter().flatten().count());
+    scene.adjust(&all, adjust_focal, GLOBAL_STEPS);
     scene.measure_noise();
     scene.mark_wrong_sights();
     scene.add_landmarks();
     let cost = scene.adjust(&all, adjust_focal, GLOBAL_STEPS);
-    let n = scene.mark_wrong_sights();
-    eprintln!("   -> {cost:.4} dropped {n} noise {}", scene.noise);
+    scene.mark_wrong_sights();
     cost
 }
 
@@ -91,7 +88,6 @@ fn try_frame(scene: &Scene, frame: usize) -> Option<Resected> {
         .into_iter()
         .filter_map(|start| resect(&scene.camera, start, &matches, scene.noise))
         .max_by(|a, b| a.agreeing.cmp(&b.agreeing))?;
-    eprintln!("try {frame}: {} of {}", best.agreeing, matches.len());
     let enough = best.agreeing >= LEAST_AGREEING
         && best.agreeing as f64 >= LEAST_SHARE * matches.len() as f64;
     enough.then_some(best)

@@ -20,6 +20,7 @@ mod robust;
 mod rolling;
 mod scene;
 mod shift;
+mod sight;
 mod start;
 mod straighten;
 mod tracker;
@@ -30,5 +31,3 @@ mod two_view;
 pub use failure::{Failure, PictureError};
 pub use front_end::{FrontEnd, Intrinsics, LEAST_FRAMES, LEAST_SIDE};
 pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth, Warning};
-
-pub(crate) fn knob(name: &str, default: f64) -> f64 { std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default) }

@@ -39,7 +39,7 @@ pub(crate) fn resect(
     for width in WIDTHS {
         pose = descend(camera, pose, matches, |n| cauchy(n, noise * width));
     }
-        let agreeing = matches.iter().filter(|m| residual(camera, &pose, m) < AGREEING * noise).count();
+    let agreeing = matches.iter().filter(|m| residual(camera, &pose, m) < AGREEING * noise).count();
     pose.is_finite().then_some(Resected { world_from_camera: pose, agreeing })
 }
 

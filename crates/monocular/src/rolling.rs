@@ -10,7 +10,7 @@ use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
 /// Readouts that are compared first, in frame intervals.
-pub(crate) const COMPARED: [f64; 3] = [-0.6, 0.0, 0.6];
+const COMPARED: [f64; 3] = [-0.6, 0.0, 0.6];
 /// A readout must lower the cost to this share, or all rows count as exposed together.
 pub(crate) const WORTH: f64 = 0.97;
 const STEPS: usize = 8;
@@ -31,7 +31,6 @@ pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64]) -> 
     let costs = COMPARED.map(cost);
     let Some(best) = lowest_of_parabola(COMPARED[2], costs) else { return 0.0 };
     let found = cost(best);
-    eprintln!("readout costs {costs:?} best {best} {found}");
     if found > WORTH * costs[1] {
         move_rows(scene, timestamps, 0.0, interval);
         return 0.0;
@@ -69,10 +68,8 @@ fn move_rows(scene: &mut Scene, timestamps: &[f64], readout: f64, interval: f64)
             let landmark = landmark.unwrap_or_else(far);
             let late = readout * (o.seen[1] / camera.height as f64 - 0.5);
             let then = pose.retract(velocity.scaled(late));
-            let positions = (
-                landmark.image_position(&camera, &pose),
-                landmark.image_position(&camera, &then),
-            );
+            let positions =
+                (landmark.image_position(&camera, &pose), landmark.image_position(&camera, &then));
             if let (Some(now), Some(then)) = positions {
                 o.at = std::array::from_fn(|i| o.seen[i] - (then[i] - now[i]));
             }

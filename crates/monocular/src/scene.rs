@@ -155,7 +155,9 @@ impl Scene {
     /// Number of the landmarks in a frame that agree with its pose.
     pub(crate) fn agreeing(&self, frame: usize) -> usize {
         let Some(pose) = self.poses[frame] else { return 0 };
-        let agrees = |m: &&Match<'_>| crate::resection::residual(&self.camera, &pose, m) < AGREEING * self.noise;
+        let agrees = |m: &&Match<'_>| {
+            crate::resection::residual(&self.camera, &pose, m) < AGREEING * self.noise
+        };
         self.matches(frame).iter().filter(agrees).count()
     }
 }

@@ -4,12 +4,15 @@
 //! and where the rate changes, frames some intervals apart fit a rotation badly unless their rows
 //! are moved back.
 
-use crate::rolling::{COMPARED, WORTH, lowest_of_parabola};
+use crate::rolling::{WORTH, lowest_of_parabola};
 use crate::tracks::Tracks;
 use crate::two_view::{RayPair, rotation_only};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
 
+/// Readouts that are compared, in frame intervals: multiples of the step up to so many times it.
+const STEP: f64 = 0.3;
+const COMPARED: i32 = 4;
 /// Frames apart of those that are compared.
 const APART: usize = 4;
 
@@ -20,13 +23,13 @@ pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>) -> f64 {
     let rates = rates(tracks, camera);
     let cost = |readout: f64| -> f64 {
         let one = |f: usize| misfit(tracks, camera, &rates, f, readout).unwrap_or(0.0);
-        let all: Vec<f64> = (0..tracks.frames.saturating_sub(APART)).into_par_iter().map(one).collect();
+        let all: Vec<f64> =
+            (0..tracks.frames.saturating_sub(APART)).into_par_iter().map(one).collect();
         all.iter().sum()
     };
-    let costs = COMPARED.map(cost);
-    let Some(best) = lowest_of_parabola(COMPARED[2], costs) else { return 0.0 };
-    eprintln!("straighten {costs:?} {best} {}", cost(best));
-    if cost(best) > WORTH * costs[1] {
+    let costs: Vec<f64> = (-COMPARED..=COMPARED).map(|k| cost(STEP * f64::from(k))).collect();
+    let Some(best) = lowest(&costs) else { return 0.0 };
+    if cost(best) > WORTH * costs[COMPARED as usize] {
         return 0.0;
     }
     for o in tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
@@ -35,6 +38,14 @@ pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>) -> f64 {
         o.at = [u, v];
     }
     best
+}
+
+/// The readout of least cost, by the parabola through the least of `costs` and its neighbours.
+fn lowest(costs: &[f64]) -> Option<f64> {
+    let inner = 1..costs.len() - 1;
+    let least = inner.min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
+    let around = [costs[least - 1], costs[least], costs[least + 1]];
+    Some(STEP * (least as f64 - f64::from(COMPARED)) + lowest_of_parabola(STEP, around)?)
 }
 
 /// Rotation of every frame's camera per interval, in its own frame: the mean of that to both

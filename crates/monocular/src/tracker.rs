@@ -1,13 +1,13 @@
 //! Following points from picture to picture.
 //!
-//! A point is looked for with its look in the last frame, coarse to fine, and then with its look
-//! in the keyframe in which it was found sharp (its anchor), which does not drift. Both allow for
-//! gain and bias. A point that a blurred frame hides is looked for again in the next ones.
+//! Points begin in keyframes, wherever none is followed, and are looked for backward from there,
+//! too. How one point is found again is told in `sight`.
 
 use crate::corners::find_corners;
-use crate::patch::{Found, RADIUS, Template, Warp};
+use crate::patch::{RADIUS, Warp};
 use crate::pyramid::Pyramid;
 use crate::shift::find_shift;
+use crate::sight::{Anchor, SIGMA, Sight, find};
 use crate::tracks::{Observation, Track, Tracks};
 use i2slam_compute::median;
 use i2slam_geometry::Image;
@@ -16,23 +16,10 @@ use std::collections::VecDeque;
 
 /// Cells of a picture, each with a point of its own if it shows a corner.
 const CELLS: f32 = 800.0;
-/// Levels on which a point's anchor is compared.
-const ANCHOR_LEVELS: usize = 3;
 /// Frames in a row in which a point may be hidden.
-const HIDDEN: usize = 3;
-/// A point followed forth and back must end this near to its start [px].
-const ROUND_TRIP: f32 = 1.2;
-/// Least correlation with the last frame, and with the anchor.
-const LEAST_CORRELATION: f32 = 0.6;
-const LEAST_ANCHOR_CORRELATION: f32 = 0.7;
+const HIDDEN: usize = 5;
 /// Correlation below which a keyframe gives a point a new anchor.
 const AGED_CORRELATION: f32 = 0.85;
-/// Standard deviation of a position where a point looks as in its anchor (twice that without),
-/// and what is added for each unit of correlation that is missing [px].
-const SIGMA: f64 = 0.4;
-const SIGMA_UNLIKE: f64 = 1.5;
-/// What the anchor may move a position that the last frame gave [px].
-const ANCHOR_REACH: f32 = 3.0;
 /// A keyframe is due when points have moved by this share of the picture's width, ...
 const KEYFRAME_MOTION: f32 = 0.03;
 /// ... or when this share of those of the last one is left.
@@ -48,31 +35,19 @@ const LONGEST_WAIT: usize = 3;
 /// Pictures this unlike their predecessor begin another scene.
 const CUT_CORRELATION: f32 = 0.3;
 
-/// How a point looked when it was found.
-#[derive(Clone, Debug)]
-struct Anchor {
-    templates: Vec<Template<8>>,
-}
-
 /// A point that is being followed.
 #[derive(Clone, Debug)]
 struct Point {
     track: usize,
     warp: Warp,
     anchor: Anchor,
-    /// Frames since it was last seen.
+    /// Frames since it was last seen for certain.
     hidden: usize,
+    /// Whether its place in the last frame is known at least roughly.
+    is_near: bool,
     /// Position in the last keyframe.
     at_keyframe: Option<[f32; 2]>,
     correlation: f32,
-}
-
-/// A point found again.
-#[derive(Clone, Copy, Debug)]
-struct Sight {
-    warp: Warp,
-    correlation: f32,
-    sigma: f64,
 }
 
 /// What the tracker says of a frame.
@@ -131,27 +106,25 @@ impl Tracker {
     fn find_again(&mut self, next: &Pyramid, frame: usize, said: &mut Followed) -> [f32; 2] {
         let Some((last, _)) = self.recent.back() else { return [0.0; 2] };
         let shift = find_shift(last.coarsest().0, next.coarsest().0);
-        let scale = last.coarsest().1;
-        let by = shift.by.map(|v| v * scale);
-        let sights: Vec<Option<Sight>> =
-            self.points.par_iter().map(|p| find(p, last, next, by)).collect();
+        let by = shift.by.map(|v| v * last.coarsest().1);
+        let look = |p: &Point| find(&p.anchor, p.warp, p.is_near, last, next, by);
+        let sights: Vec<Sight> = self.points.par_iter().map(look).collect();
         let mut motions = Vec::new();
         for (point, sight) in self.points.iter_mut().zip(&sights) {
-            let Some(sight) = sight else {
+            let from = point.warp.centre;
+            (point.is_near, point.warp) = (sight.is_near(), sight.warp());
+            let Sight::Certain { correlation, .. } = sight else {
                 point.hidden += 1;
-                let c = point.warp.centre;
-                point.warp.centre = [c[0] + by[0], c[1] + by[1]];
                 continue;
             };
-            let (from, to) = (point.warp.centre, sight.warp.centre);
+            let to = point.warp.centre;
             motions.push((to[0] - from[0]).hypot(to[1] - from[1]));
-            (point.warp, point.correlation, point.hidden) = (sight.warp, sight.correlation, 0);
-            let observation = sight.observation(frame);
-            self.tracks.tracks[point.track].observations.push(observation);
+            (point.correlation, point.hidden) = (*correlation, 0);
+            self.tracks.tracks[point.track].observations.extend(sight.observation(frame));
         }
         let found = motions.len();
         let is_cut = shift.correlation < CUT_CORRELATION && 3 * found < self.points.len();
-        self.points.retain(|p| p.hidden <= crate::knob("HIDDEN", 3.0) as usize && !is_cut);
+        self.points.retain(|p| p.hidden <= HIDDEN && !is_cut);
         *said = Followed {
             points: found,
             motion: median(&mut motions).unwrap_or(0.0),
@@ -192,10 +165,9 @@ impl Tracker {
         self.due = 0;
         self.tracks.keyframes.push(frame);
         for point in &mut self.points {
-            if point.hidden == 0 && point.correlation < crate::knob("AGED", 0.85) as f32 {
-                if let Some(anchor) = Anchor::new(next, point.warp.centre) {
-                    (point.anchor, point.warp) = (anchor, Warp::at(point.warp.centre));
-                }
+            let is_aged = point.hidden == 0 && point.correlation < AGED_CORRELATION;
+            if let Some(anchor) = is_aged.then(|| Anchor::new(next, point.warp.centre)).flatten() {
+                (point.anchor, point.warp) = (anchor, Warp::at(point.warp.centre));
             }
         }
         let taken: Vec<[f32; 2]> = self.points.iter().map(|p| p.warp.centre).collect();
@@ -225,115 +197,26 @@ impl Tracker {
         shift: [f32; 2],
     ) -> Option<(Point, Track)> {
         let anchor = Anchor::new(next, at)?;
-        let (warp, at_keyframe) = (Warp::at(at), None);
-        let point = Point { track: 0, warp, anchor, hidden: 0, at_keyframe, correlation: 1.0 };
         let mut observations = vec![Observation::new(frame, at.map(f64::from), SIGMA)];
-        let (mut back, mut here, mut by) = (point.clone(), next, shift);
+        let (mut warp, mut here, mut by) = (Warp::at(at), next, shift);
         for (i, (before, shift)) in self.recent.iter().rev().enumerate() {
-            let Some(sight) = find(&back, here, before, by.map(|v| -v)) else { break };
-            observations.push(sight.observation(frame - 1 - i));
-            back.warp = sight.warp;
-            (here, by) = (before, *shift);
+            let sight = find(&anchor, warp, true, here, before, by.map(|v| -v));
+            let Some(observation) = sight.observation(frame - 1 - i) else { break };
+            observations.push(observation);
+            (warp, here, by) = (sight.warp(), before, *shift);
         }
         observations.reverse();
+        let point = Point {
+            track: 0,
+            warp: Warp::at(at),
+            anchor,
+            hidden: 0,
+            is_near: true,
+            at_keyframe: None,
+            correlation: 1.0,
+        };
         Some((point, Track { observations }))
     }
-}
-
-impl Sight {
-    fn observation(&self, frame: usize) -> Observation {
-        Observation::new(frame, self.warp.centre.map(f64::from), self.sigma)
-    }
-}
-
-impl Anchor {
-    fn new(pyramid: &Pyramid, at: [f32; 2]) -> Option<Self> {
-        let levels = pyramid.levels.iter().take(ANCHOR_LEVELS).enumerate();
-        let template = |(l, image): (usize, &Image<f32>)| {
-            Template::new(image, at.map(|v| v / (1_usize << l) as f32))
-        };
-        let templates: Option<Vec<_>> = levels.map(template).collect();
-        templates.map(|templates| Self { templates })
-    }
-
-    /// Looks for the anchor from `start` on, from level `from` down to the finest.
-    fn find(&self, next: &Pyramid, start: Warp, from: usize) -> Option<Found> {
-        let mut warp = start;
-        let mut found = None;
-        for level in (0..=from.min(self.templates.len() - 1)).rev() {
-            let scale = (1_usize << level) as f32;
-            let there =
-                self.templates[level].align(&next.levels[level], warp.scaled(1.0 / scale))?;
-            warp = there.warp.scaled(scale);
-            found = Some(there);
-        }
-        found
-    }
-}
-
-/// Finds a point in the next picture: by its last look, then by its anchor.
-fn find(point: &Point, last: &Pyramid, next: &Pyramid, shift: [f32; 2]) -> Option<Sight> {
-    let from = point.warp.centre;
-    let guess = [from[0] + shift[0], from[1] + shift[1]];
-    let seen = point.hidden == 0;
-    let near = if seen { by_last_look(last, next, from, guess) } else { None };
-    let (start, level) = match near {
-        Some(found) => (found.warp.centre, 1),
-        None => (guess, ANCHOR_LEVELS - 1),
-    };
-    let anchored = point.anchor.find(next, Warp { centre: start, ..point.warp }, level);
-    let anchored = anchored.filter(|f| {
-        let moved = (f.warp.centre[0] - start[0]).hypot(f.warp.centre[1] - start[1]);
-        f.correlation > LEAST_ANCHOR_CORRELATION && (near.is_none() || moved < ANCHOR_REACH)
-    });
-    let border = 3.0;
-    let image = next.finest();
-    let inside = |w: &Warp| {
-        let [x, y] = w.centre;
-        x >= border
-            && y >= border
-            && x < image.width as f32 - border
-            && y < image.height as f32 - border
-    };
-    let sight = match (anchored, near) {
-        (Some(f), _) => Sight {
-            warp: f.warp,
-            correlation: f.correlation,
-            sigma: SIGMA + crate::knob("UNLIKE", 1.5) * f64::from(1.0 - f.correlation),
-        },
-        (None, Some(f)) if f.correlation < crate::knob("NOF2F", 0.8) as f32 => Sight {
-            warp: Warp { centre: f.warp.centre, ..point.warp },
-            correlation: 0.5,
-            sigma: 2.0 * SIGMA + crate::knob("UNLIKE", 1.5) * f64::from(1.0 - f.correlation),
-        },
-        _ => return None,
-    };
-    inside(&sight.warp).then_some(sight)
-}
-
-/// Coarse to fine with the look in the last frame, and back again.
-fn by_last_look(last: &Pyramid, next: &Pyramid, from: [f32; 2], guess: [f32; 2]) -> Option<Found> {
-    let mut at = guess;
-    let mut found = None;
-    for level in (0..last.levels.len()).rev() {
-        let scale = (1_usize << level) as f32;
-        let template = Template::<4>::new(&last.levels[level], from.map(|v| v / scale));
-        let aligned =
-            template.and_then(|t| t.align(&next.levels[level], Warp::at(at.map(|v| v / scale))));
-        match aligned {
-            Some(f) => {
-                at = f.warp.centre.map(|v| v * scale);
-                found = Some(f);
-            }
-            // Coarse levels may show nothing of a small point.
-            None if level >= 2 => {}
-            None => return None,
-        }
-    }
-    let found = found.filter(|f| f.correlation > LEAST_CORRELATION)?;
-    let back = Template::<4>::new(next.finest(), at)?.align(last.finest(), Warp::at(from))?;
-    let error = (back.warp.centre[0] - from[0]).hypot(back.warp.centre[1] - from[1]);
-    (error < ROUND_TRIP).then_some(found)
 }
 
 /// Side of the cells of which each gets one point [px]: some 600 points a picture.

@@ -118,8 +118,9 @@ mod tests {
                 Observation::new(i, [u, v], 0.5)
             };
             let mut sights = [sight(0), sight(1), sight(2)];
-            let posed =
-                |s: &[Observation; 3]| triangulate(&camera, &[0, 1, 2].map(|i| (&s[i], pose(i))), 1.0);
+            let posed = |s: &[Observation; 3]| {
+                triangulate(&camera, &[0, 1, 2].map(|i| (&s[i], pose(i))), 1.0)
+            };
             let found = posed(&sights).expect("sights agree");
             let (p, q) = (found.position(), point);
             assert!((p * p.z.recip() - q * q.z.recip()).norm() < 1e-4, "{p:?}");

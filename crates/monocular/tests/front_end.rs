@@ -166,8 +166,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
     };
     let (one, three) = (with(1), with(3));
     assert_eq!(one.trajectory(), three.trajectory());
-    let depths = |r: &Reconstruction| {
-        r.keyframes.iter().flat_map(|k| k.depths.clone()).collect::<Vec<_>>()
-    };
+    let depths =
+        |r: &Reconstruction| r.keyframes.iter().flat_map(|k| k.depths.clone()).collect::<Vec<_>>();
     assert_eq!(depths(&one), depths(&three));
 }
