@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [_, folder, out, rest @ ..] = arguments.as_slice() else {
         return Err("usage: path SEQUENCE OUT.txt [--guess FACTOR | --wrong FACTOR]".into());
     };
-    let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
+    let options = OpenOptions { colour_only: true, minimum_gap: 0.0, ..OpenOptions::default() };
     let sequence = Sequence::open(Path::new(folder), &options)?;
     let mut front_end = FrontEnd::new(intrinsics(sequence.camera, rest)?);
     let begin = Instant::now();

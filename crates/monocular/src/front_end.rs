@@ -104,10 +104,10 @@ impl FrontEnd {
         }
         let straightened = !adjust_focal && straighten(&mut scene.tracks, &scene.camera) != 0.0;
         map(&mut scene, adjust_focal)?;
-        let readout = correct_rolling_shutter(&mut scene, &self.timestamps);
+        let mut readout = correct_rolling_shutter(&mut scene, &self.timestamps);
         if readout != 0.0 || straightened {
             adjust_all(&mut scene, adjust_focal);
-            correct_again(&mut scene, &self.timestamps, readout);
+            readout = correct_again(&mut scene, &self.timestamps, readout);
             adjust_all(&mut scene, adjust_focal);
         }
         Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))

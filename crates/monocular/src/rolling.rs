@@ -9,8 +9,11 @@ use crate::scene::Scene;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
-/// Readouts that are compared first, in frame intervals.
-const COMPARED: [f64; 3] = [-0.6, 0.0, 0.6];
+/// Distance of the readouts that are compared first, and later [frame intervals].
+const COARSE: f64 = 0.6;
+const FINE: f64 = 0.2;
+/// No readout is longer [frame intervals].
+const LONGEST: f64 = 1.0;
 /// A readout must lower the cost to this share, or all rows count as exposed together.
 pub(crate) const WORTH: f64 = 0.97;
 const STEPS: usize = 8;
@@ -20,31 +23,37 @@ const NEIGHBOUR: f64 = 4.5;
 /// The readout that fits best [s], positive if the top row comes first; 0 if none is clearly
 /// better than that. Image positions in the scene are corrected for it.
 pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64]) -> f64 {
-    let mut gaps: Vec<f64> = timestamps.windows(2).map(|p| p[1] - p[0]).collect();
-    let Some(interval) = median(&mut gaps) else { return 0.0 };
-    let cost = |readout: f64| {
-        let mut tried = scene.clone();
-        move_rows(&mut tried, timestamps, readout * interval, interval);
-        let all = tried.posed();
-        tried.adjust(&all, false, STEPS)
-    };
-    let costs = COMPARED.map(cost);
-    let Some(best) = lowest_of_parabola(COMPARED[2], costs) else { return 0.0 };
-    let found = cost(best);
-    if found > WORTH * costs[1] {
-        move_rows(scene, timestamps, 0.0, interval);
-        return 0.0;
-    }
-    move_rows(scene, timestamps, best * interval, interval);
-    best * interval
+    let Some(interval) = interval(timestamps) else { return 0.0 };
+    let cost = |readout: f64| cost(scene, timestamps, readout, interval);
+    let costs = [-COARSE, 0.0, COARSE].map(cost);
+    let found = lowest_of_parabola(COARSE, costs).map(|best| best.clamp(-LONGEST, LONGEST));
+    let readout = found.filter(|best| cost(*best) < WORTH * costs[1]).unwrap_or(0.0);
+    move_rows(scene, timestamps, readout * interval, interval);
+    readout * interval
 }
 
-/// Corrects again with the velocities that are known now.
-pub(crate) fn correct_again(scene: &mut Scene, timestamps: &[f64], readout: f64) {
-    let mut gaps: Vec<f64> = timestamps.windows(2).map(|p| p[1] - p[0]).collect();
-    if let Some(interval) = median(&mut gaps) {
-        move_rows(scene, timestamps, readout, interval);
-    }
+/// Looks for a better readout near a known one [s], with the velocities that are known now.
+pub(crate) fn correct_again(scene: &mut Scene, timestamps: &[f64], readout: f64) -> f64 {
+    let Some(interval) = interval(timestamps).filter(|_| readout != 0.0) else { return readout };
+    let about = readout / interval;
+    let costs = [about - FINE, about, about + FINE].map(|r| cost(scene, timestamps, r, interval));
+    let change = lowest_of_parabola(FINE, costs).unwrap_or(0.0);
+    let readout = (about + change).clamp(-LONGEST, LONGEST) * interval;
+    move_rows(scene, timestamps, readout, interval);
+    readout
+}
+
+/// The median time between frames [s].
+fn interval(timestamps: &[f64]) -> Option<f64> {
+    median(&mut timestamps.windows(2).map(|p| p[1] - p[0]).collect::<Vec<_>>())
+}
+
+/// Cost per sight once all is adjusted to a readout [intervals].
+fn cost(scene: &Scene, timestamps: &[f64], readout: f64, interval: f64) -> f64 {
+    let mut tried = scene.clone();
+    move_rows(&mut tried, timestamps, readout * interval, interval);
+    let all = tried.posed();
+    tried.adjust(&all, false, STEPS)
 }
 
 /// Where the parabola through the costs at `-step`, 0 and `step` is lowest, within twice `step`.

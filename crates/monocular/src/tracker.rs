@@ -17,7 +17,7 @@ use std::collections::VecDeque;
 /// Cells of a picture, each with a point of its own if it shows a corner.
 const CELLS: f32 = 800.0;
 /// Frames in a row in which a point may be hidden.
-const HIDDEN: usize = 5;
+const HIDDEN: usize = 3;
 /// Correlation below which a keyframe gives a point a new anchor.
 const AGED_CORRELATION: f32 = 0.85;
 /// A keyframe is due when points have moved by this share of the picture's width, ...
