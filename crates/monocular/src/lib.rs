@@ -31,3 +31,7 @@ mod two_view;
 pub use failure::{Failure, PictureError};
 pub use front_end::{FrontEnd, Intrinsics, LEAST_FRAMES, LEAST_SIDE};
 pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth, Warning};
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

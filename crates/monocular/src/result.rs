@@ -3,6 +3,7 @@
 use crate::front_end::Intrinsics;
 use crate::scene::Scene;
 use crate::tracker::Followed;
+use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
 /// What is known of a picture as soon as it came.
@@ -34,7 +35,7 @@ impl FrameReport {
 pub enum FrameStatus {
     /// Its pose was found.
     Posed {
-        /// `world_from_camera` at mid-exposure; unit of length arbitrary.
+        /// `world_from_camera` at mid-exposure.
         world_from_camera: Pose<f64>,
         /// Landmarks that agree on it.
         landmarks: usize,
@@ -67,7 +68,8 @@ pub struct Keyframe {
     pub depths: Vec<SparseDepth>,
 }
 
-/// A camera path with sparse structure. The unit of length is arbitrary.
+/// A camera path with sparse structure. The unit of length is the median depth of all landmarks in
+/// keyframes, since pictures alone do not tell metres.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
     /// The pinhole camera: as given, or with the focal length found.
@@ -132,7 +134,8 @@ impl Reconstruction {
     }
 }
 
-/// Puts the parts together; the first posed frame becomes the world.
+/// Puts the parts together. The first posed frame becomes the world, and the median depth of all
+/// landmarks in keyframes the unit of length.
 pub(crate) fn assemble(
     scene: Scene,
     timestamps: &[f64],
@@ -141,11 +144,25 @@ pub(crate) fn assemble(
 ) -> Reconstruction {
     let posed = scene.posed();
     let world = posed.first().and_then(|f| scene.poses[*f]).unwrap_or_else(Pose::identity);
-    let new_from_old = world.inverse();
+    let inverse = world.inverse();
+    let mut keyframes = keyframes(&scene, timestamps);
+    let mut depths: Vec<f64> =
+        keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
+    let unit = median(&mut depths).filter(|m| *m > 0.0).map_or(1.0, f64::recip);
+    let placed = |pose: Pose<f64>| {
+        let pose = inverse * pose;
+        Pose::new(pose.rotation, pose.translation * unit)
+    };
+    for keyframe in &mut keyframes {
+        keyframe.world_from_camera = placed(keyframe.world_from_camera);
+        for d in &mut keyframe.depths {
+            (d.depth, d.variance) = (d.depth * unit, d.variance * unit * unit);
+        }
+    }
     let frames: Vec<FrameStatus> = (0..scene.poses.len())
         .map(|frame| match scene.poses[frame] {
             Some(pose) => FrameStatus::Posed {
-                world_from_camera: new_from_old * pose,
+                world_from_camera: placed(pose),
                 landmarks: scene.agreeing(frame),
             },
             None => FrameStatus::Lost,
@@ -157,7 +174,6 @@ pub(crate) fn assemble(
         warnings.push(Warning::FramesLost { lost, frames: frames.len() });
     }
     let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
-    let keyframes = keyframes(&scene, timestamps, new_from_old);
     Reconstruction {
         camera: scene.camera,
         focal_deviation,
@@ -203,7 +219,7 @@ fn focal_deviation(
     Some(relative)
 }
 
-fn keyframes(scene: &Scene, timestamps: &[f64], new_from_old: Pose<f64>) -> Vec<Keyframe> {
+fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
     let (bundle, _, tracks) = scene.bundle(&scene.posed(), false);
     let mut variances = vec![None; scene.landmarks.len()];
     for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
@@ -223,7 +239,7 @@ fn keyframes(scene: &Scene, timestamps: &[f64], new_from_old: Pose<f64>) -> Vec<
         };
         let depths = (0..scene.landmarks.len()).filter_map(depth).collect();
         let timestamp = timestamps[index];
-        Some(Keyframe { index, timestamp, world_from_camera: new_from_old * pose, depths })
+        Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
     };
     scene.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
 }
