@@ -15,7 +15,8 @@ use i2slam_geometry::{Camera, Image};
 pub const LEAST_FRAMES: usize = 4;
 /// Least side of a picture [px].
 pub const LEAST_SIDE: usize = 48;
-/// With more frames than this, those between keyframes are not adjusted together with them.
+/// With more frames than this, those between keyframes are not adjusted together with them, and
+/// the rolling shutter is corrected by rotations only.
 const ADJUSTED_TOGETHER: usize = 300;
 
 /// What is known of the camera.
@@ -102,10 +103,13 @@ impl FrontEnd {
         if adjust_focal {
             scene.camera = find_focal(&scene)?;
         }
-        let straightened = !adjust_focal && straighten(&mut scene.tracks, &scene.camera) != 0.0;
+        let about = if adjust_focal { 0.0 } else { straighten(&mut scene.tracks, &scene.camera) };
         map(&mut scene, adjust_focal)?;
-        let mut readout = correct_rolling_shutter(&mut scene, &self.timestamps);
-        if readout != 0.0 || straightened {
+        let mut readout = 0.0;
+        if scene.posed().len() <= ADJUSTED_TOGETHER {
+            readout = correct_rolling_shutter(&mut scene, &self.timestamps, about);
+        }
+        if readout != 0.0 {
             adjust_all(&mut scene, adjust_focal);
             readout = correct_again(&mut scene, &self.timestamps, readout);
             adjust_all(&mut scene, adjust_focal);

@@ -21,13 +21,18 @@ const STEPS: usize = 8;
 const NEIGHBOUR: f64 = 4.5;
 
 /// The readout that fits best [s], positive if the top row comes first; 0 if none is clearly
-/// better than that. Image positions in the scene are corrected for it.
-pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64]) -> f64 {
+/// better than that. Image positions in the scene are corrected for it. `about` is a readout that
+/// they have been corrected for already [frame intervals].
+pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], about: f64) -> f64 {
     let Some(interval) = interval(timestamps) else { return 0.0 };
+    if about != 0.0 {
+        return correct_again(scene, timestamps, about * interval);
+    }
     let cost = |readout: f64| cost(scene, timestamps, readout, interval);
     let costs = [-COARSE, 0.0, COARSE].map(cost);
-    let found = lowest_of_parabola(COARSE, costs).map(|best| best.clamp(-LONGEST, LONGEST));
-    let readout = found.filter(|best| cost(*best) < WORTH * costs[1]).unwrap_or(0.0);
+    let end = if costs[0] < costs[2] { -COARSE } else { COARSE };
+    let best = lowest_of_parabola(COARSE, costs).unwrap_or(end).clamp(-LONGEST, LONGEST);
+    let readout = if cost(best) < WORTH * costs[1] { best } else { 0.0 };
     move_rows(scene, timestamps, readout * interval, interval);
     readout * interval
 }
