@@ -1,8 +1,9 @@
 //! The camera path of a sequence from its colour pictures alone.
 //!
-//! `cargo run --release -p i2slam-monocular --example path -- SEQUENCE OUT.txt [--guess FACTOR]`
-//! writes `world_from_camera` poses in the TUM format; with `--guess` the focal length is taken
-//! as unknown and looked for from FACTOR times that of the sequence.
+//! `cargo run --release -p i2slam-monocular --example path -- SEQUENCE OUT.txt [FLAGS]` writes
+//! `world_from_camera` poses in the TUM format. `--guess FACTOR`: the focal length is taken as
+//! unknown and looked for from FACTOR times that of the sequence; `--wrong FACTOR`: that value is
+//! claimed; `--stride N`: every N-th picture; `--verbose`: what is known of each.
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_geometry::Camera;
@@ -14,9 +15,13 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, out, rest @ ..] = arguments.as_slice() else {
-        return Err("usage: path SEQUENCE OUT.txt [--guess FACTOR | --wrong FACTOR]".into());
+        return Err(
+            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--stride N] [--verbose]".into(),
+        );
     };
-    let options = OpenOptions { colour_only: true, minimum_gap: 0.0, ..OpenOptions::default() };
+    let stride = factor(rest, "--stride")?.map_or(1, |s| s as usize);
+    let options =
+        OpenOptions { colour_only: true, minimum_gap: 0.0, stride, ..OpenOptions::default() };
     let sequence = Sequence::open(Path::new(folder), &options)?;
     let mut front_end = FrontEnd::new(intrinsics(sequence.camera, rest)?);
     let begin = Instant::now();
@@ -65,14 +70,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// The number behind a flag.
+fn factor(arguments: &[String], name: &str) -> Result<Option<f64>, Box<dyn Error>> {
+    let place = arguments.iter().position(|a| a == name);
+    let value = place.and_then(|i| arguments.get(i + 1));
+    Ok(value.map(|v| v.parse()).transpose()?)
+}
+
 fn intrinsics(camera: Camera<f64>, arguments: &[String]) -> Result<Intrinsics, Box<dyn Error>> {
-    let factor = |name: &str| -> Result<Option<f64>, Box<dyn Error>> {
-        let place = arguments.iter().position(|a| a == name);
-        let value = place.and_then(|i| arguments.get(i + 1));
-        Ok(value.map(|v| v.parse()).transpose()?)
-    };
     let scaled = |f: f64| Camera { fx: camera.fx * f, fy: camera.fy * f, ..camera };
-    Ok(match (factor("--guess")?, factor("--wrong")?) {
+    Ok(match (factor(arguments, "--guess")?, factor(arguments, "--wrong")?) {
         (Some(f), _) => Intrinsics::Guess(scaled(f)),
         (None, Some(f)) => Intrinsics::Known(scaled(f)),
         (None, None) => Intrinsics::Known(camera),
