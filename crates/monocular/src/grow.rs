@@ -12,6 +12,8 @@ const LEAST_SHARE: f64 = 0.5;
 const WINDOW: usize = 8;
 /// All poses are adjusted whenever there are so many times as many.
 const GROWTH: f64 = 1.3;
+/// Keyframes this near in order to a posed one are tried first.
+const NEAR: usize = 3;
 const LOCAL_STEPS: usize = 6;
 const GLOBAL_STEPS: usize = 20;
 
@@ -20,7 +22,7 @@ pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
     let mut adjusted_at = scene.posed().len();
     while scene.posed().len() < most {
         let Some(frame) = pose_next(scene) else { break };
-        scene.add_landmarks();
+        scene.add_landmarks_in(frame);
         let count = scene.posed().len();
         if count as f64 >= GROWTH * adjusted_at as f64 {
             adjusted_at = count;
@@ -65,11 +67,29 @@ pub(crate) fn pose_rest(scene: &mut Scene) {
     }
 }
 
-/// Poses the keyframe that shows most landmarks and can be posed.
+/// Poses the keyframe that shows most landmarks and can be posed: of those near posed ones in
+/// order, or else of all.
 fn pose_next(scene: &mut Scene) -> Option<usize> {
-    let unposed = scene.tracks.keyframes.iter().filter(|f| scene.poses[**f].is_none());
+    let keyframes = &scene.tracks.keyframes;
+    let is_near = |i: usize| {
+        let around = &keyframes[i.saturating_sub(NEAR)..(i + NEAR + 1).min(keyframes.len())];
+        around.iter().any(|f| scene.poses[*f].is_some())
+    };
+    let (near, far): (Vec<usize>, Vec<usize>) = (0..keyframes.len())
+        .filter(|i| scene.poses[keyframes[*i]].is_none())
+        .partition(|i| is_near(*i));
+    for places in [near, far] {
+        let frames: Vec<usize> = places.iter().map(|i| scene.tracks.keyframes[*i]).collect();
+        if let Some(frame) = pose_one_of(scene, &frames) {
+            return Some(frame);
+        }
+    }
+    None
+}
+
+fn pose_one_of(scene: &mut Scene, frames: &[usize]) -> Option<usize> {
     let mut candidates: Vec<(usize, usize)> =
-        unposed.map(|f| (scene.matches(*f).len(), *f)).collect();
+        frames.iter().map(|f| (scene.matches(*f).len(), *f)).collect();
     candidates.retain(|(matches, _)| *matches >= LEAST_AGREEING);
     candidates.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
     for (_, frame) in candidates {

@@ -3,11 +3,12 @@
 use crate::bundle::{Bundle, Sight};
 use crate::landmark::Landmark;
 use crate::resection::{AGREEING, Match};
-use crate::tracks::Tracks;
+use crate::tracks::{Tracks, shared};
 use crate::triangulate::{PosedSight, triangulate};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Residuals beyond this are wrong matches [standard deviations].
 const WRONG: f64 = 6.0;
@@ -19,6 +20,8 @@ const MOST_NOISE: f64 = 4.0;
 pub(crate) struct Scene {
     pub(crate) camera: Camera<f64>,
     pub(crate) tracks: Tracks,
+    /// For every frame the tracks that it shows.
+    by_frame: Arc<Vec<Vec<usize>>>,
     /// `world_from_camera` of every frame that has one.
     pub(crate) poses: Vec<Option<Pose<f64>>>,
     /// For every track its landmark, if it has one.
@@ -31,13 +34,22 @@ impl Scene {
     /// Nothing is known yet.
     pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
-        Self { camera, tracks, poses, landmarks, noise: 1.0 }
+        let by_frame = Arc::new(tracks.by_frame());
+        Self { camera, tracks, by_frame, poses, landmarks, noise: 1.0 }
     }
 
     /// Landmarks that a frame shows.
     pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
-        let pairs = self.landmarks.iter().zip(&self.tracks.tracks);
-        pairs.filter_map(|(l, t)| Some((l.as_ref()?, t.in_frame(frame)?))).collect()
+        let pair = |i: &usize| {
+            let landmark = self.landmarks[*i].as_ref()?;
+            Some((landmark, self.tracks.tracks[*i].in_frame(frame)?))
+        };
+        self.by_frame[frame].iter().filter_map(pair).collect()
+    }
+
+    /// Image positions of the points that two frames share.
+    pub(crate) fn shared(&self, first: usize, second: usize) -> Vec<([f64; 2], [f64; 2])> {
+        shared(&self.tracks.tracks, &self.by_frame, first, second)
     }
 
     /// Frames with a pose, in order.
@@ -47,16 +59,24 @@ impl Scene {
 
     /// Gives a landmark to every track without one that enough posed frames show.
     pub(crate) fn add_landmarks(&mut self) {
-        let (camera, poses, noise) = (self.camera, &self.poses, self.noise);
-        self.landmarks.par_iter_mut().zip(&self.tracks.tracks).for_each(|(landmark, track)| {
-            if landmark.is_none() {
-                let sights: Vec<PosedSight<'_>> = (track.observations.iter())
-                    .filter(|o| !o.is_wrong)
-                    .filter_map(|o| Some((o, poses[o.frame]?)))
-                    .collect();
-                *landmark = triangulate(&camera, &sights, noise);
-            }
-        });
+        self.triangulate((0..self.landmarks.len()).collect());
+    }
+
+    /// The same for the tracks that one frame shows.
+    pub(crate) fn add_landmarks_in(&mut self, frame: usize) {
+        self.triangulate(self.by_frame[frame].clone());
+    }
+
+    fn triangulate(&mut self, mut tracks: Vec<usize>) {
+        tracks.retain(|i| self.landmarks[*i].is_none());
+        let landmark = |i: &usize| {
+            let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_wrong);
+            let sights: Vec<PosedSight<'_>> =
+                right.filter_map(|o| Some((o, self.poses[o.frame]?))).collect();
+            triangulate(&self.camera, &sights, self.noise)
+        };
+        let found: Vec<Option<Landmark>> = tracks.par_iter().map(landmark).collect();
+        tracks.into_iter().zip(found).for_each(|(i, found)| self.landmarks[i] = found);
     }
 
     /// Adjusts the poses of `free` frames, the landmarks that they see, and the focal length if

@@ -86,7 +86,7 @@ fn pairs(scene: &Scene) -> Vec<Pair> {
         .par_iter()
         .filter_map(|&(i, j)| {
             let (first, second) = (keyframes[i], keyframes[j]);
-            let shared = points(scene, first, second);
+            let shared = scene.shared(first, second);
             if shared.len() < LEAST_SHARED {
                 return None;
             }
@@ -98,12 +98,8 @@ fn pairs(scene: &Scene) -> Vec<Pair> {
         .collect()
 }
 
-fn points(scene: &Scene, first: usize, second: usize) -> Vec<([f64; 2], [f64; 2])> {
-    scene.tracks.shared(first, second).into_iter().map(|(_, a, b)| (a, b)).collect()
-}
-
 fn shared_rays(scene: &Scene, pair: &Pair) -> Vec<crate::two_view::RayPair> {
-    rays(&scene.camera, &points(scene, pair.first, pair.second))
+    rays(&scene.camera, &scene.shared(pair.first, pair.second))
 }
 
 /// Poses a pair, adjusts both views; returns how many landmarks have a good angle.

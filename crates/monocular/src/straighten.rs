@@ -5,7 +5,7 @@
 //! are moved back.
 
 use crate::rolling::{WORTH, lowest_of_parabola};
-use crate::tracks::Tracks;
+use crate::tracks::{Tracks, shared};
 use crate::two_view::{RayPair, rotation_only};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
@@ -20,9 +20,10 @@ const APART: usize = 4;
 /// only turned. Returns the readout that fits best, in frame intervals, 0 if none is clearly
 /// better.
 pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>) -> f64 {
-    let rates = rates(tracks, camera);
+    let by_frame = tracks.by_frame();
+    let rates = rates(tracks, &by_frame, camera);
     let cost = |readout: f64| -> f64 {
-        let one = |f: usize| misfit(tracks, camera, &rates, f, readout).unwrap_or(0.0);
+        let one = |f: usize| misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0);
         let all: Vec<f64> =
             (0..tracks.frames.saturating_sub(APART)).into_par_iter().map(one).collect();
         all.iter().sum()
@@ -50,13 +51,13 @@ fn lowest(costs: &[f64]) -> Option<f64> {
 
 /// Rotation of every frame's camera per interval, in its own frame: the mean of that to both
 /// neighbours.
-fn rates(tracks: &Tracks, camera: &Camera<f64>) -> Vec<Vec3<f64>> {
+fn rates(tracks: &Tracks, by_frame: &[Vec<usize>], camera: &Camera<f64>) -> Vec<Vec3<f64>> {
     let turns: Vec<Option<Vec3<f64>>> = (1..tracks.frames)
         .into_par_iter()
         .map(|f| {
-            let shared = tracks.shared(f - 1, f);
+            let shared = shared(&tracks.tracks, by_frame, f - 1, f);
             let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
-            let rays: Vec<RayPair> = shared.iter().map(|(_, a, b)| (ray(*a), ray(*b))).collect();
+            let rays: Vec<RayPair> = shared.iter().map(|(a, b)| (ray(*a), ray(*b))).collect();
             // The map found takes rays of the first camera to the second.
             rotation_only(camera.fx, &rays).map(|(r, _)| r.inverse().log())
         })
@@ -74,15 +75,15 @@ fn rates(tracks: &Tracks, camera: &Camera<f64>) -> Vec<Vec3<f64>> {
 /// What a rotation leaves unexplained between a frame and a later one [px].
 fn misfit(
     tracks: &Tracks,
+    by_frame: &[Vec<usize>],
     camera: &Camera<f64>,
     rates: &[Vec3<f64>],
     frame: usize,
     readout: f64,
 ) -> Option<f64> {
-    let rays: Vec<RayPair> = tracks
-        .shared(frame, frame + APART)
+    let rays: Vec<RayPair> = shared(&tracks.tracks, by_frame, frame, frame + APART)
         .iter()
-        .map(|(_, a, b)| {
+        .map(|(a, b)| {
             let first = straight(camera, rates, frame, *a, readout);
             (first, straight(camera, rates, frame + APART, *b, readout))
         })

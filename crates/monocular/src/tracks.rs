@@ -54,11 +54,26 @@ impl Tracks {
         self
     }
 
-    /// Positions of the tracks that two frames share.
-    pub(crate) fn shared(&self, first: usize, second: usize) -> Vec<(usize, [f64; 2], [f64; 2])> {
-        let both = |(i, track): (usize, &Track)| {
-            Some((i, track.in_frame(first)?.at, track.in_frame(second)?.at))
-        };
-        self.tracks.iter().enumerate().filter_map(both).collect()
+    /// For every frame the tracks that it shows.
+    pub(crate) fn by_frame(&self) -> Vec<Vec<usize>> {
+        let mut out = vec![Vec::new(); self.frames];
+        for (index, track) in self.tracks.iter().enumerate() {
+            track.observations.iter().for_each(|o| out[o.frame].push(index));
+        }
+        out
     }
+}
+
+/// Positions in two frames of the points that both show.
+pub(crate) fn shared(
+    tracks: &[Track],
+    by_frame: &[Vec<usize>],
+    first: usize,
+    second: usize,
+) -> Vec<([f64; 2], [f64; 2])> {
+    let both = |i: &usize| {
+        let track = &tracks[*i];
+        Some((track.in_frame(first)?, track.in_frame(second)?))
+    };
+    by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at, b.at)).collect()
 }

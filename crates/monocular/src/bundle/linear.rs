@@ -1,8 +1,9 @@
 //! The normal equations of a bundle, and their solution with the landmarks eliminated.
 
+use super::cholesky::solve;
 use super::{Bundle, CHUNK, Sight};
 use crate::robust::huber;
-use i2slam_compute::{reduce_in_order, solve_positive_definite};
+use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Mat3, Vec3};
 
 /// A change of all unknowns.
@@ -97,7 +98,7 @@ impl Linear {
     /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
     pub(super) fn step(&self, damping: f64) -> Option<Step> {
         let (mut matrix, mut cameras) = self.reduced(damping);
-        if !solve_positive_definite(&mut matrix, &mut cameras) {
+        if !solve(&mut matrix, &mut cameras) {
             return None;
         }
         let pose = |column: &Option<usize>| {
@@ -154,7 +155,7 @@ impl Linear {
         let (mut matrix, mut unit) = self.reduced(1e-7);
         unit.fill(0.0);
         *unit.last_mut().filter(|_| self.has_focal)? = 1.0;
-        let solved = solve_positive_definite(&mut matrix, &mut unit);
+        let solved = solve(&mut matrix, &mut unit);
         unit.last().copied().filter(|v| solved && *v > 0.0)
     }
 

@@ -3,6 +3,7 @@
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
 
+mod cholesky;
 mod linear;
 
 use crate::landmark::Landmark;
