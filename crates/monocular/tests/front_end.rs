@@ -6,7 +6,7 @@ use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_monocular::{
     Failure, FrameStatus, FrontEnd, Intrinsics, PictureError, Reconstruction, Warning,
 };
-use scene::{INTERVAL, camera, moving, picture};
+use scene::{INTERVAL, blurred, camera, moving, picture};
 
 /// Runs the front end on `count` pictures.
 fn run(
@@ -48,8 +48,12 @@ fn relative_error(found: &Reconstruction) -> f64 {
 }
 
 #[test]
-fn a_moving_camera_is_followed_through_changes_of_exposure() {
-    let found = run(Intrinsics::Known(camera()), 24, moving_picture).expect("a good sequence");
+fn a_moving_camera_is_followed_through_blur_and_changes_of_exposure() {
+    let sometimes_blurred = |i: usize| match i % 3 {
+        1 => blurred(1, i, gain(i)),
+        _ => moving_picture(i),
+    };
+    let found = run(Intrinsics::Known(camera()), 24, sometimes_blurred).expect("a good sequence");
     let error = relative_error(&found);
     assert!(error < 0.01, "{error}");
     assert!(found.warnings.is_empty(), "{:?}", found.warnings);

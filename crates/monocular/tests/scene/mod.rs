@@ -12,7 +12,22 @@ pub(crate) fn camera() -> Camera<f64> {
 
 /// A camera that moves to the right and turns, with parallax in every frame.
 pub(crate) fn moving(i: usize) -> Pose<f64> {
-    let s = i as f64;
+    moving_at(i as f64)
+}
+
+/// A picture of the room from that camera, blurred by its motion over half the time to the next
+/// picture.
+pub(crate) fn blurred(seed: u32, i: usize, gain: f32) -> Image<f32> {
+    let moments = [-0.2, -0.1, 0.0, 0.1, 0.2].map(|u| moving_at(i as f64 + u));
+    let mut out = Image::new(camera().width, camera().height, 3);
+    for pose in moments {
+        let sharp = picture(seed, pose, gain);
+        out.data.iter_mut().zip(&sharp.data).for_each(|(sum, value)| *sum += 0.2 * value);
+    }
+    out
+}
+
+fn moving_at(s: f64) -> Pose<f64> {
     let turn = Vec3::new(0.02 * (0.4 * s).sin(), -0.006 * s, 0.01 * (0.3 * s).cos() - 0.01);
     Pose::new(Rotation::exp(turn), Vec3::new(0.04 * s, 0.02 * (0.5 * s).sin(), 0.01 * s))
 }
