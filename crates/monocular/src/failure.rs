@@ -72,6 +72,16 @@ pub enum PictureError {
         /// Least side [px].
         least: usize,
     },
+    /// Neither one plane nor three, or not as many values as that needs.
+    #[error(
+        "a picture of {channels} planes and {values} values: it takes one plane or three, complete"
+    )]
+    Planes {
+        /// Planes that the picture claims.
+        channels: usize,
+        /// Values that it has.
+        values: usize,
+    },
     /// Stamps must rise.
     #[error("a picture of {timestamp} s after one of {last} s: stamps must rise")]
     Stamp {

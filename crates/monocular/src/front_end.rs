@@ -79,6 +79,10 @@ impl FrontEnd {
         if width.min(height) < LEAST_SIDE {
             return Err(PictureError::TooSmall { width, height, least: LEAST_SIDE });
         }
+        let (channels, values) = (picture.channels, picture.data.len());
+        if !matches!(channels, 1 | 3) || values != width * height * channels {
+            return Err(PictureError::Planes { channels, values });
+        }
         let last = self.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
         if timestamp.is_nan() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });

@@ -148,6 +148,10 @@ fn pictures_that_do_not_fit_are_refused_and_values_that_are_not_finite_do_no_har
     let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
     let size = front_end.push(&Image::new(100, 100, 3), 0.0);
     assert!(matches!(size, Err(PictureError::Size { width: 100, .. })));
+    for channels in [0, 2] {
+        let planes = front_end.push(&Image::new(192, 144, channels), 0.0);
+        assert!(matches!(planes, Err(PictureError::Planes { .. })));
+    }
     let mut poisoned = moving_picture(0);
     poisoned.data[5000..9000].fill(f32::NAN);
     assert!(front_end.push(&poisoned, 1.0).is_ok());
@@ -158,6 +162,16 @@ fn pictures_that_do_not_fit_are_refused_and_values_that_are_not_finite_do_no_har
     let tiny = Camera { width: 20, height: 20, ..camera() };
     let refused = FrontEnd::new(Intrinsics::Known(tiny)).push(&Image::new(20, 20, 3), 0.0);
     assert!(matches!(refused, Err(PictureError::TooSmall { .. })));
+}
+
+#[test]
+fn a_camera_that_is_none_gives_an_error() {
+    for f in [0.0, f64::NAN, f64::INFINITY] {
+        let camera = Camera { fx: f, fy: f, ..camera() };
+        for intrinsics in [Intrinsics::Known(camera), Intrinsics::Guess(camera)] {
+            assert!(run(intrinsics, 8, moving_picture).is_err(), "{intrinsics:?}");
+        }
+    }
 }
 
 #[test]
