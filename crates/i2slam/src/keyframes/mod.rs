@@ -1,8 +1,10 @@
 //! Keyframes that come with poses: what a monocular front end delivers, and what files of one hold.
 
 mod import;
+mod native;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
+pub use native::{Intrinsics, Native, NativeError, NativeFailure, Stamped};
 
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;

@@ -1,0 +1,195 @@
+//! Keyframes that our own monocular front end finds poses for, from the pictures alone.
+
+use super::{EstimatedDepth, KeyframeSource, PosedKeyframe};
+use i2slam_geometry::{Camera, Image};
+use i2slam_monocular::{FrontEnd, Keyframe, Reconstruction};
+use std::error::Error;
+use thiserror::Error;
+
+pub use i2slam_monocular::{Failure as NativeFailure, Intrinsics};
+
+/// A depth counts if its standard deviation is at most this share of it.
+const TRUSTED: f64 = 0.3;
+
+/// What goes wrong with a picture, whatever it is.
+type PictureError = Box<dyn Error + Send + Sync>;
+
+/// A picture, R, G, B in [0, 1], and its stamp [s].
+pub type Stamped = (f64, Image<f32>);
+
+/// Why there are no keyframes.
+#[derive(Debug, Error)]
+pub enum NativeError {
+    /// No path of the camera was found.
+    #[error("{failure}{}", first_refusal(.refused))]
+    NoPath {
+        /// Why.
+        failure: NativeFailure,
+        /// Pictures that could not be used: place in the sequence, reason.
+        refused: Vec<(usize, PictureError)>,
+    },
+}
+
+fn first_refusal(refused: &[(usize, PictureError)]) -> String {
+    refused.first().map_or_else(String::new, |(index, why)| {
+        format!(" ({} pictures could not be used, the first, {index}: {why})", refused.len())
+    })
+}
+
+/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]; unit of length arbitrary.
+pub struct Native<L> {
+    reconstruction: Reconstruction,
+    load: L,
+    /// Place in the sequence of every picture that the front end accepted.
+    places: Vec<usize>,
+    refused: Vec<(usize, PictureError)>,
+    next: usize,
+}
+
+impl<L: FnMut(usize) -> Result<Stamped, PictureError>> Native<L> {
+    /// Looks for the path of the camera through `count` pictures. `load` gives the picture at a
+    /// place; it is asked for all of them in order, and for each keyframe again when it is taken.
+    ///
+    /// # Errors
+    ///
+    /// Why no path was found. Pictures that cannot be read are [left out](Self::refused).
+    pub fn find(intrinsics: Intrinsics, count: usize, mut load: L) -> Result<Self, NativeError> {
+        let mut front_end = FrontEnd::new(intrinsics);
+        let (mut places, mut refused) = (Vec::new(), Vec::new());
+        for place in 0..count {
+            let pushed = load(place).and_then(|(timestamp, picture)| {
+                front_end.push(&picture, timestamp).map_err(PictureError::from)
+            });
+            match pushed {
+                Ok(_) => places.push(place),
+                Err(why) => refused.push((place, why)),
+            }
+        }
+        match front_end.finish() {
+            Ok(reconstruction) => Ok(Self { reconstruction, load, places, refused, next: 0 }),
+            Err(failure) => Err(NativeError::NoPath { failure, refused }),
+        }
+    }
+
+    /// The whole path, and what there is to warn of.
+    pub fn reconstruction(&self) -> &Reconstruction {
+        &self.reconstruction
+    }
+
+    /// Pictures that could not be used: place in the sequence, reason.
+    pub fn refused(&self) -> &[(usize, PictureError)] {
+        &self.refused
+    }
+
+    /// Number of keyframes, taken or not.
+    pub fn len(&self) -> usize {
+        self.reconstruction.keyframes.len()
+    }
+
+    /// Whether there is no keyframe.
+    pub fn is_empty(&self) -> bool {
+        self.reconstruction.keyframes.is_empty()
+    }
+}
+
+impl<L: FnMut(usize) -> Result<Stamped, PictureError>> KeyframeSource for Native<L> {
+    fn camera(&self) -> &Camera<f64> {
+        &self.reconstruction.camera
+    }
+
+    fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
+        let keyframe = self.reconstruction.keyframes.get(self.next)?;
+        self.next += 1;
+        let place = *self.places.get(keyframe.index)?;
+        let (_, colour) = match (self.load)(place) {
+            Ok(picture) => picture,
+            Err(why) => return Some(Err(why)),
+        };
+        Some(Ok(PosedKeyframe {
+            index: place,
+            timestamp: keyframe.timestamp,
+            depth: Some(sparse_depth(keyframe, colour.width, colour.height)),
+            colour,
+            world_from_camera: keyframe.world_from_camera,
+        }))
+    }
+}
+
+/// The landmarks of a keyframe as images, zero between them.
+fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDepth {
+    let (mut depth, mut variance) = (Image::new(width, height, 1), Image::new(width, height, 1));
+    for point in &keyframe.depths {
+        let [u, v] = point.at;
+        let inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
+        if inside && point.variance.sqrt() <= TRUSTED * point.depth {
+            let pixel = v as usize * width + u as usize;
+            depth.data[pixel] = point.depth as f32;
+            variance.data[pixel] = point.variance as f32;
+        }
+    }
+    EstimatedDepth { depth, variance: Some(variance) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall with a step in depth, seen from `place` tenths to the right.
+    fn picture(camera: &Camera<f64>, place: usize) -> Image<f32> {
+        let mut out = Image::new(camera.width, camera.height, 3);
+        let pixels = camera.pixels();
+        for i in 0..pixels {
+            let (u, v) = Camera::pixel_centre(i % camera.width, i / camera.width);
+            let ray = camera.unproject(u, v, 1.0);
+            let at = |z: f64| (ray.x * z + 0.06 * place as f64, ray.y * z);
+            let near = at(2.0);
+            let (x, y) = if near.1 > 0.1 { near } else { at(3.5) };
+            let wave = |a: f64, b: f64| (a * x + b * y).sin();
+            let value = 0.5 + 0.12 * (wave(13.0, 5.0) + wave(-6.0, 17.0) + wave(23.0, -19.0));
+            (0..3).for_each(|c| out.data[c * pixels + i] = value as f32);
+        }
+        out
+    }
+
+    fn camera() -> Camera<f64> {
+        Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 }
+    }
+
+    #[test]
+    fn pictures_become_keyframes_with_poses_and_sparse_depth() {
+        let camera = camera();
+        let load = |place: usize| match place {
+            3 => Err("damaged".into()),
+            _ => Ok((place as f64 / 30.0, picture(&camera, place))),
+        };
+        let mut native = Native::find(Intrinsics::Known(camera), 14, load).expect("a path");
+        assert_eq!(native.camera(), &camera);
+        assert!(matches!(native.refused(), [(3, why)] if why.to_string() == "damaged"));
+        let count = native.len();
+        let mut places = Vec::new();
+        while let Some(keyframe) = native.next_keyframe() {
+            let keyframe = keyframe.expect("keyframes can be read again");
+            assert_eq!(keyframe.colour, picture(&camera, keyframe.index));
+            let depth = keyframe.depth.expect("sparse depth");
+            let variance = depth.variance.expect("with variance");
+            let known = depth.depth.data.iter().zip(&variance.data).filter(|(d, _)| **d > 0.0);
+            assert!(known.clone().count() > 20 && known.clone().all(|(_, v)| *v > 0.0));
+            places.push(keyframe.index);
+        }
+        assert!(places.len() == count && count > 2 && !places.contains(&3), "{places:?}");
+        assert!(places.is_sorted() && native.reconstruction().trajectory().len() == 13);
+    }
+
+    #[test]
+    fn without_a_path_the_reason_names_the_pictures_that_were_refused() {
+        let camera = camera();
+        let load = |place: usize| match place {
+            0..2 => Ok((place as f64, picture(&camera, place))),
+            _ => Err("damaged".into()),
+        };
+        let found = Native::find(Intrinsics::Known(camera), 5, load);
+        let message = found.err().expect("two pictures show no path").to_string();
+        assert!(message.contains("2 pictures are too few"), "{message}");
+        assert!(message.contains("3 pictures could not be used, the first, 2: damaged"));
+    }
+}

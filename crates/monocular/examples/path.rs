@@ -1,0 +1,87 @@
+//! The camera path of a sequence from its colour pictures alone.
+//!
+//! `cargo run --release -p i2slam-monocular --example path -- SEQUENCE OUT.txt [FLAGS]` writes
+//! `world_from_camera` poses in the TUM format. `--guess FACTOR`: the focal length is taken as
+//! unknown and looked for from FACTOR times that of the sequence; `--wrong FACTOR`: that value is
+//! claimed; `--stride N`: every N-th picture; `--verbose`: what is known of each.
+
+use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
+use i2slam_geometry::Camera;
+use i2slam_monocular::{FrameStatus, FrontEnd, Intrinsics};
+use std::error::Error;
+use std::path::Path;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().collect();
+    let [_, folder, out, rest @ ..] = arguments.as_slice() else {
+        return Err(
+            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--stride N] [--verbose]".into(),
+        );
+    };
+    let stride = factor(rest, "--stride")?.map_or(1, |s| s as usize);
+    let options =
+        OpenOptions { colour_only: true, minimum_gap: 0.0, stride, ..OpenOptions::default() };
+    let sequence = Sequence::open(Path::new(folder), &options)?;
+    let mut front_end = FrontEnd::new(intrinsics(sequence.camera, rest)?);
+    let begin = Instant::now();
+    let mut tracking = 0.0;
+    for frame in sequence.stream() {
+        let frame = frame?;
+        let start = Instant::now();
+        let report = front_end.push(&frame.colour, frame.timestamp)?;
+        tracking += start.elapsed().as_secs_f64();
+        if rest.iter().any(|a| a == "--verbose") {
+            println!("{:4} {report:?}", frame.index);
+        }
+    }
+    let start = Instant::now();
+    let found = front_end.finish()?;
+    let mapping = start.elapsed().as_secs_f64();
+    if rest.iter().any(|a| a == "--verbose") {
+        for (i, status) in found.frames.iter().enumerate() {
+            match status {
+                FrameStatus::Posed { landmarks, .. } => println!("{i:4} posed by {landmarks}"),
+                FrameStatus::Lost => println!("{i:4} lost"),
+            }
+        }
+    }
+    for warning in &found.warnings {
+        println!("warning: {warning}");
+    }
+    println!(
+        "{} of {} frames posed, {} keyframes; focal length {:.1} px (given {:.1}), deviation {:?}; readout {:.1} ms",
+        found.trajectory().len(),
+        found.frames.len(),
+        found.keyframes.len(),
+        found.camera.fx,
+        sequence.camera.fx,
+        found.focal_deviation,
+        1e3 * found.rolling_shutter_readout,
+    );
+    println!(
+        "tracking {:.2} s, mapping {:.2} s, with reading {:.2} s: {:.1} frames a second",
+        tracking,
+        mapping,
+        begin.elapsed().as_secs_f64(),
+        found.frames.len() as f64 / (tracking + mapping),
+    );
+    write_trajectory(out, &found.trajectory())?;
+    Ok(())
+}
+
+/// The number behind a flag.
+fn factor(arguments: &[String], name: &str) -> Result<Option<f64>, Box<dyn Error>> {
+    let place = arguments.iter().position(|a| a == name);
+    let value = place.and_then(|i| arguments.get(i + 1));
+    Ok(value.map(|v| v.parse()).transpose()?)
+}
+
+fn intrinsics(camera: Camera<f64>, arguments: &[String]) -> Result<Intrinsics, Box<dyn Error>> {
+    let scaled = |f: f64| Camera { fx: camera.fx * f, fy: camera.fy * f, ..camera };
+    Ok(match (factor(arguments, "--guess")?, factor(arguments, "--wrong")?) {
+        (Some(f), _) => Intrinsics::Guess(scaled(f)),
+        (None, Some(f)) => Intrinsics::Known(scaled(f)),
+        (None, None) => Intrinsics::Known(camera),
+    })
+}

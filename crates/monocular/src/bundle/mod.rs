@@ -1,0 +1,123 @@
+//! Bundle adjustment: poses, landmarks and, when asked, the focal length, all at once.
+//!
+//! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
+//! eliminated first (Schur complement; Triggs et al. 2000, section 6).
+
+mod cholesky;
+mod linear;
+
+use crate::landmark::Landmark;
+use crate::robust::huber;
+use i2slam_compute::reduce_in_order;
+use i2slam_geometry::{Camera, Pose, Tangent};
+use linear::{Linear, Step};
+
+/// Landmarks per task.
+const CHUNK: usize = 128;
+/// A landmark behind a camera costs what a residual of so many standard deviations does.
+const BEHIND: f64 = 50.0;
+/// Damping beyond which no step lowers the cost.
+const STUCK: f64 = 1e6;
+/// A step that lowers the cost by less than this share is the last one.
+const CONVERGED: f64 = 1e-5;
+
+/// A landmark as one camera sees it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sight {
+    /// Which pose of the bundle.
+    pub(crate) pose: usize,
+    /// Image position [px].
+    pub(crate) at: [f64; 2],
+    /// Its standard deviation [px].
+    pub(crate) sigma: f64,
+}
+
+/// All that is adjusted, and what it is adjusted to.
+#[derive(Clone, Debug)]
+pub(crate) struct Bundle {
+    pub(crate) camera: Camera<f64>,
+    /// `world_from_camera`.
+    pub(crate) poses: Vec<Pose<f64>>,
+    /// Poses that stay.
+    pub(crate) fixed: Vec<bool>,
+    pub(crate) landmarks: Vec<Landmark>,
+    /// For every landmark its sights in order of poses, no two by one camera.
+    pub(crate) sights: Vec<Vec<Sight>>,
+    /// Whether the focal length is unknown, too.
+    pub(crate) adjust_focal: bool,
+}
+
+impl Bundle {
+    /// Takes at most `steps` steps; returns the cost per sight, in variances.
+    pub(crate) fn adjust(&mut self, steps: usize) -> f64 {
+        let mut cost = self.cost();
+        let mut damping = 1e-4;
+        let mut linear = Linear::new(self);
+        for _ in 0..steps {
+            let moved = linear.step(damping).map(|step| self.moved(&step));
+            let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);
+            match moved {
+                Some(moved) if next < cost => {
+                    let gained = cost - next;
+                    (*self, cost, damping) = (moved, next, (damping * 0.2).max(1e-9));
+                    if gained < CONVERGED * cost {
+                        break;
+                    }
+                    linear = Linear::new(self);
+                }
+                _ => damping *= 8.0,
+            }
+            if damping > STUCK {
+                break;
+            }
+        }
+        cost / self.sights.iter().map(Vec::len).sum::<usize>().max(1) as f64
+    }
+
+    /// Standard deviation of the logarithm of the focal length, from the reduced normal equations.
+    pub(crate) fn focal_deviation(&self) -> Option<f64> {
+        Linear::new(self).focal_variance().map(f64::sqrt)
+    }
+
+    /// Variance of every landmark's inverse depth while poses stay; `None` where it is not
+    /// defined.
+    pub(crate) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
+        Linear::new(self).inverse_depth_variances()
+    }
+
+    /// The cost of all sights, in variances.
+    fn cost(&self) -> f64 {
+        let part = |range: std::ops::Range<usize>| -> f64 {
+            range.map(|i| self.sights[i].iter().map(|s| self.sight_cost(i, s)).sum::<f64>()).sum()
+        };
+        let mut total = 0.0;
+        reduce_in_order(self.landmarks.len(), CHUNK, part, |sum| total += sum);
+        if total.is_finite() { total } else { f64::INFINITY }
+    }
+
+    fn sight_cost(&self, landmark: usize, sight: &Sight) -> f64 {
+        huber(self.residual(landmark, sight)).1
+    }
+
+    /// Length of a residual [standard deviations].
+    pub(crate) fn residual(&self, landmark: usize, sight: &Sight) -> f64 {
+        let at = self.landmarks[landmark].image_position(&self.camera, &self.poses[sight.pose]);
+        at.map_or(BEHIND, |at| (at[0] - sight.at[0]).hypot(at[1] - sight.at[1]) / sight.sigma)
+    }
+
+    fn moved(&self, step: &Step) -> Self {
+        let mut out = self.clone();
+        for (pose, tangent) in out.poses.iter_mut().zip(&step.poses) {
+            *pose = pose.retract(Tangent::from_array(*tangent));
+        }
+        for (landmark, change) in out.landmarks.iter_mut().zip(&step.landmarks) {
+            (0..3).for_each(|i| landmark.values[i] += change[i]);
+        }
+        let scale = step.log_focal.clamp(-0.2, 0.2).exp();
+        (out.camera.fx, out.camera.fy) = (out.camera.fx * scale, out.camera.fy * scale);
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,96 @@
+use super::*;
+use i2slam_check::{assert_gradient, noise};
+use i2slam_geometry::{Rotation, Vec3};
+
+/// Six cameras along an arc, 60 points; sights with `spread` pixels of noise.
+fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
+    let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+    let pose = |i: usize| {
+        let s = i as f64 * 0.1;
+        Pose::new(
+            Rotation::exp(Vec3::new(0.05 * s, -0.3 * s, 0.2 * s)),
+            Vec3::new(s, 0.1 * s * s, 0.2 * s),
+        )
+    };
+    let poses: Vec<_> = (0..6).map(pose).collect();
+    let points: Vec<_> =
+        noise(1, 180).chunks_exact(3).map(|n| Vec3::new(n[0], n[1], 2.5 + 0.8 * n[2])).collect();
+    let errors = noise(2, 60 * 12);
+    let sight = |i: usize, k: usize| {
+        let (u, v) = camera.project(poses[k].inverse() * points[i]);
+        let e = &errors[(i * 6 + k) * 2..];
+        Sight { pose: k, at: [u + spread * e[0], v + spread * e[1]], sigma: 0.5 }
+    };
+    let sights: Vec<Vec<Sight>> = (0..60).map(|i| (0..6).map(|k| sight(i, k)).collect()).collect();
+    let landmarks = (0..60)
+        .map(|i| Landmark::on_ray(&camera, poses[0], sights[i][0].at, 1.0 / points[i].z))
+        .collect();
+    let fixed = vec![true, false, false, false, false, false];
+    (Bundle { camera, poses, fixed, landmarks, sights, adjust_focal: false }, points)
+}
+
+fn disturbed(mut bundle: Bundle) -> Bundle {
+    let n = noise(3, 60);
+    for k in 1..6 {
+        let by = std::array::from_fn(|i| 0.02 * n[6 * k + i]);
+        bundle.poses[k] = bundle.poses[k].retract(Tangent::from_array(by));
+    }
+    for (landmark, n) in bundle.landmarks.iter_mut().zip(noise(4, 60)) {
+        landmark.values[2] *= 1.0 + 0.2 * n;
+    }
+    bundle
+}
+
+#[test]
+fn disturbed_poses_and_points_return() {
+    let (truth, points) = scene(0.0);
+    let mut bundle = disturbed(truth.clone());
+    assert!(bundle.adjust(60) < 1e-12);
+    let scale = bundle.poses[5].translation.norm() / truth.poses[5].translation.norm();
+    for (found, point) in bundle.landmarks.iter().zip(points) {
+        assert!((found.position() * scale.recip() - point).norm() < 1e-4);
+    }
+    for (found, pose) in bundle.poses.iter().zip(&truth.poses) {
+        assert!((found.translation * scale.recip() - pose.translation).norm() < 1e-4);
+    }
+}
+
+#[test]
+fn an_unknown_focal_length_is_found_with_its_deviation() {
+    let (truth, _) = scene(0.3);
+    let mut bundle = disturbed(truth);
+    (bundle.camera.fx, bundle.camera.fy, bundle.adjust_focal) = (300.0, 300.0, true);
+    bundle.adjust(100);
+    let deviation = bundle.focal_deviation().expect("defined");
+    let error = (bundle.camera.fx / 250.0).ln().abs();
+    assert!(error < 0.02 && (0.02..0.2).contains(&deviation), "{error} {deviation}");
+}
+
+#[test]
+fn one_step_without_damping_solves_the_normal_equations() {
+    // The step must make the gradient of the quadratic model zero; with noise-free data close to
+    // the solution it makes that of the cost nearly zero.
+    let (bundle, _) = scene(0.0);
+    let mut bundle = bundle;
+    bundle.fixed[5] = true;
+    bundle.poses[2] =
+        bundle.poses[2].retract(Tangent::from_array([1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0]));
+    let before = bundle.cost();
+    let step = Linear::new(&bundle).step(0.0).expect("positive definite");
+    assert!(bundle.moved(&step).cost() < 1e-6 * before);
+}
+
+#[test]
+fn the_gradient_agrees_with_differences() {
+    let (bundle, _) = scene(4.0);
+    let bundle = Bundle { adjust_focal: true, ..disturbed(bundle) };
+    let gradient = Linear::new(&bundle).half_gradient(2);
+    let f = |x: &[f64]| {
+        let mut step =
+            Step { poses: vec![[0.0; 6]; 6], landmarks: vec![[0.0; 3]; 60], log_focal: x[9] };
+        step.poses[1] = std::array::from_fn(|i| x[i]);
+        step.landmarks[2] = std::array::from_fn(|i| x[6 + i]);
+        0.5 * bundle.moved(&step).cost()
+    };
+    assert_gradient("bundle", &[0.0; 10], &gradient, 1e-6, 1e-6, f);
+}

@@ -1,0 +1,93 @@
+//! Why a sequence, or a picture, gives nothing.
+
+use thiserror::Error;
+
+/// Why no camera path could be found at all.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum Failure {
+    /// Too few pictures came.
+    #[error(
+        "{frames} pictures are too few: a path needs at least {needed} that show the same scene from different places"
+    )]
+    TooFewFrames {
+        /// Pictures that came.
+        frames: usize,
+        /// How many are needed.
+        needed: usize,
+    },
+    /// Hardly any point could be followed from picture to picture.
+    #[error(
+        "too few points could be followed from picture to picture: the scene has too little texture, or pictures are too dark, too blurred or too unlike each other"
+    )]
+    TooFewPoints,
+    /// Nothing moves in the pictures.
+    #[error(
+        "the camera stands still: points move by {motion:.1} pixels at most; depth shows only when the camera changes its place"
+    )]
+    StillCamera {
+        /// Largest median motion between two keyframes [px].
+        motion: f64,
+    },
+    /// The camera turned about its own centre.
+    #[error(
+        "the camera only turned: a rotation explains all motion up to {left:.1} pixels; depth shows only when the camera changes its place"
+    )]
+    RotationOnly {
+        /// Largest median that a rotation leaves unexplained between two keyframes [px].
+        left: f64,
+    },
+    /// Points move, but not as those of a rigid scene do.
+    #[error(
+        "no two pictures agree on one motion of the camera: the scene moves itself, or the intrinsics are far from true"
+    )]
+    NoConsistentMotion,
+}
+
+/// Why a picture was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum PictureError {
+    /// Not of the camera's size.
+    #[error(
+        "a picture of {width}x{height} pixels, but the camera's are {expected_width}x{expected_height}"
+    )]
+    Size {
+        /// Width of the picture [px].
+        width: usize,
+        /// Height of the picture [px].
+        height: usize,
+        /// Width of the camera's pictures [px].
+        expected_width: usize,
+        /// Height of the camera's pictures [px].
+        expected_height: usize,
+    },
+    /// Smaller than points can be followed in.
+    #[error(
+        "a picture of {width}x{height} pixels is too small: points need at least {least} a side"
+    )]
+    TooSmall {
+        /// Width of the picture [px].
+        width: usize,
+        /// Height of the picture [px].
+        height: usize,
+        /// Least side [px].
+        least: usize,
+    },
+    /// Neither one plane nor three, or not as many values as that needs.
+    #[error(
+        "a picture of {channels} planes and {values} values: it takes one plane or three, complete"
+    )]
+    Planes {
+        /// Planes that the picture claims.
+        channels: usize,
+        /// Values that it has.
+        values: usize,
+    },
+    /// Stamps must rise.
+    #[error("a picture of {timestamp} s after one of {last} s: stamps must rise")]
+    Stamp {
+        /// Stamp of the picture [s].
+        timestamp: f64,
+        /// Stamp of the one before [s].
+        last: f64,
+    },
+}

@@ -1,0 +1,133 @@
+//! Pictures in, camera path out.
+
+use crate::failure::{Failure, PictureError};
+use crate::focal::find_focal;
+use crate::grow::{adjust_all, grow, pose_rest};
+use crate::result::{FrameReport, Reconstruction, assemble};
+use crate::rolling::{correct_again, correct_rolling_shutter};
+use crate::scene::Scene;
+use crate::start::start;
+use crate::straighten::straighten;
+use crate::tracker::Tracker;
+use i2slam_geometry::{Camera, Image};
+
+/// Pictures without which nothing is tried.
+pub const LEAST_FRAMES: usize = 4;
+/// Least side of a picture [px].
+pub const LEAST_SIDE: usize = 48;
+/// With more frames than this, those between keyframes are not adjusted together with them, and
+/// the rolling shutter is corrected by rotations only.
+const ADJUSTED_TOGETHER: usize = 300;
+
+/// What is known of the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Intrinsics {
+    /// Calibrated: stays as it is.
+    Known(Camera<f64>),
+    /// A guess; the focal length is looked for, the principal point stays.
+    Guess(Camera<f64>),
+}
+
+impl Intrinsics {
+    /// The guess for a picture of which nothing is known: a horizontal field of view of 60 degrees.
+    pub fn unknown(width: usize, height: usize) -> Self {
+        let f = 0.5 * width as f64 / 30_f64.to_radians().tan();
+        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+        Self::Guess(Camera { width, height, fx: f, fy: f, cx, cy })
+    }
+
+    /// The camera as given.
+    pub fn camera(&self) -> &Camera<f64> {
+        match self {
+            Self::Known(camera) | Self::Guess(camera) => camera,
+        }
+    }
+}
+
+/// A monocular front end: [`push`](Self::push) every picture in order, then
+/// [`finish`](Self::finish).
+#[derive(Debug)]
+pub struct FrontEnd {
+    intrinsics: Intrinsics,
+    tracker: Tracker,
+    timestamps: Vec<f64>,
+}
+
+impl FrontEnd {
+    /// A front end for pictures of one pinhole camera.
+    pub fn new(intrinsics: Intrinsics) -> Self {
+        Self { intrinsics, tracker: Tracker::default(), timestamps: Vec::new() }
+    }
+
+    /// Follows points into the next picture: planes R, G, B in [0, 1], or one plane of
+    /// brightness; stamp [s].
+    ///
+    /// # Errors
+    ///
+    /// A picture that does not fit is refused and counts as if it had not come.
+    pub fn push(
+        &mut self,
+        picture: &Image<f32>,
+        timestamp: f64,
+    ) -> Result<FrameReport, PictureError> {
+        let camera = self.intrinsics.camera();
+        let (width, height) = (picture.width, picture.height);
+        if (width, height) != (camera.width, camera.height) {
+            let (expected_width, expected_height) = (camera.width, camera.height);
+            return Err(PictureError::Size { width, height, expected_width, expected_height });
+        }
+        if width.min(height) < LEAST_SIDE {
+            return Err(PictureError::TooSmall { width, height, least: LEAST_SIDE });
+        }
+        let (channels, values) = (picture.channels, picture.data.len());
+        if !matches!(channels, 1 | 3) || values != width * height * channels {
+            return Err(PictureError::Planes { channels, values });
+        }
+        let last = self.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
+        if timestamp.is_nan() || timestamp <= last {
+            return Err(PictureError::Stamp { timestamp, last });
+        }
+        self.timestamps.push(timestamp);
+        Ok(FrameReport::of(self.tracker.follow(picture)))
+    }
+
+    /// Finds the path of the camera.
+    ///
+    /// # Errors
+    ///
+    /// Why there is none.
+    pub fn finish(self) -> Result<Reconstruction, Failure> {
+        let frames = self.timestamps.len();
+        if frames < LEAST_FRAMES {
+            return Err(Failure::TooFewFrames { frames, needed: LEAST_FRAMES });
+        }
+        let tracks = self.tracker.finish().with_two_keyframes();
+        let adjust_focal = matches!(self.intrinsics, Intrinsics::Guess(_));
+        let mut scene = Scene::new(*self.intrinsics.camera(), tracks);
+        if adjust_focal {
+            scene.camera = find_focal(&scene)?;
+        }
+        let about = if adjust_focal { 0.0 } else { straighten(&mut scene.tracks, &scene.camera) };
+        map(&mut scene, adjust_focal)?;
+        let mut readout = 0.0;
+        if scene.posed().len() <= ADJUSTED_TOGETHER {
+            readout = correct_rolling_shutter(&mut scene, &self.timestamps, about);
+        }
+        if readout != 0.0 {
+            adjust_all(&mut scene, adjust_focal);
+            readout = correct_again(&mut scene, &self.timestamps, readout);
+            adjust_all(&mut scene, adjust_focal);
+        }
+        Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))
+    }
+}
+
+/// Poses and landmarks from tracks alone; returns the cost per sight.
+fn map(scene: &mut Scene, adjust_focal: bool) -> Result<f64, Failure> {
+    start(scene)?;
+    grow(scene, adjust_focal, usize::MAX);
+    let cost = adjust_all(scene, adjust_focal);
+    pose_rest(scene);
+    let together = scene.posed().len() <= ADJUSTED_TOGETHER;
+    Ok(if together { adjust_all(scene, adjust_focal) } else { cost })
+}

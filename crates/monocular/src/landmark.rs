@@ -1,0 +1,130 @@
+//! Points of the scene and how cameras see them.
+
+use i2slam_geometry::{Camera, Mat3, Pose, Vec3};
+
+/// A point by its direction and inverse depth from an origin that stays where it is:
+/// `p = origin + frame (a, b, 1) / ρ`. Points far away have `ρ` near zero and give no trouble.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Landmark {
+    /// Where the point was first seen from, in the world; fixed.
+    pub(crate) origin: Vec3<f64>,
+    /// `world_from_camera` rotation of that camera; fixed.
+    pub(crate) frame: Mat3<f64>,
+    /// `(a, b, ρ)`.
+    pub(crate) values: [f64; 3],
+}
+
+/// An image position with its derivatives.
+pub(crate) struct Projection {
+    pub(crate) at: [f64; 2],
+    /// By the pose's tangent `(ρ, φ)`.
+    pub(crate) by_pose: [[f64; 6]; 2],
+    /// By `(a, b, ρ)`.
+    pub(crate) by_landmark: [[f64; 3]; 2],
+    /// By the logarithm of the focal length.
+    pub(crate) by_focal: [f64; 2],
+}
+
+impl Landmark {
+    /// The point at inverse depth `inverse_depth` on the ray through `at`.
+    pub(crate) fn on_ray(
+        camera: &Camera<f64>,
+        world_from_camera: Pose<f64>,
+        at: [f64; 2],
+        inverse_depth: f64,
+    ) -> Self {
+        let ray = camera.unproject(at[0], at[1], 1.0);
+        Self {
+            origin: world_from_camera.translation,
+            frame: world_from_camera.rotation.matrix(),
+            values: [ray.x, ray.y, inverse_depth],
+        }
+    }
+
+    /// The point in the world; far away where the inverse depth is not positive.
+    pub(crate) fn position(&self) -> Vec3<f64> {
+        let [a, b, rho] = self.values;
+        self.origin + self.frame * Vec3::new(a, b, 1.0) * (1.0 / rho.max(1e-9))
+    }
+
+    /// The point in a camera, times its inverse depth: `Rᵀ (ρ (origin - t) + frame (a, b, 1))`.
+    pub(crate) fn ray_in(&self, world_from_camera: &Pose<f64>) -> Vec3<f64> {
+        let [a, b, rho] = self.values;
+        let offset = self.origin - world_from_camera.translation;
+        let inverse = world_from_camera.rotation.inverse();
+        inverse.rotate(offset * rho + self.frame * Vec3::new(a, b, 1.0))
+    }
+
+    /// Where a camera sees the point; `None` behind it.
+    pub(crate) fn image_position(
+        &self,
+        camera: &Camera<f64>,
+        world_from_camera: &Pose<f64>,
+    ) -> Option<[f64; 2]> {
+        let q = self.ray_in(world_from_camera);
+        let (u, v) = camera.project(q);
+        (q.z > 1e-6).then_some([u, v])
+    }
+
+    /// The same with derivatives.
+    pub(crate) fn project(
+        &self,
+        camera: &Camera<f64>,
+        world_from_camera: &Pose<f64>,
+    ) -> Option<Projection> {
+        let q = self.ray_in(world_from_camera);
+        if q.z <= 1e-6 {
+            return None;
+        }
+        let inverse = world_from_camera.rotation.inverse();
+        let rotation = inverse.matrix() * self.frame;
+        let by_rho = inverse.rotate(self.origin - world_from_camera.translation);
+        let (x, y, iz) = (q.x / q.z, q.y / q.z, 1.0 / q.z);
+        let rows = [
+            Vec3::new(camera.fx * iz, 0.0, -camera.fx * x * iz),
+            Vec3::new(0.0, camera.fy * iz, -camera.fy * y * iz),
+        ];
+        let rho = self.values[2];
+        let columns = rotation.transpose().rows.map(Vec3::from_array);
+        let by_pose = rows.map(|g| {
+            // Moving the camera by R ρ moves q by -ρ; turning it by φ moves q by q × φ.
+            let (t, r) = (g * -rho, g.cross(q));
+            [t.x, t.y, t.z, r.x, r.y, r.z]
+        });
+        let by_landmark = rows.map(|g| [g.dot(columns[0]), g.dot(columns[1]), g.dot(by_rho)]);
+        let at = [camera.fx * x + camera.cx, camera.fy * y + camera.cy];
+        Some(Projection { at, by_pose, by_landmark, by_focal: [camera.fx * x, camera.fy * y] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::assert_gradient;
+    use i2slam_geometry::{Rotation, Tangent};
+
+    #[test]
+    fn derivatives_agree_with_differences() {
+        let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };
+        let first = Pose::new(Rotation::exp(Vec3::new(0.1, -0.2, 0.05)), Vec3::new(0.3, 0.1, -0.2));
+        let pose = Pose::new(Rotation::exp(Vec3::new(0.0, -0.1, 0.1)), Vec3::new(0.5, 0.0, -0.1));
+        for rho in [0.6, 1e-4, -0.05] {
+            let landmark = Landmark::on_ray(&camera, first, [100.0, 90.0], rho);
+            let projection = landmark.project(&camera, &pose).expect("in front");
+            for axis in 0..2 {
+                let f = |x: &[f64]| {
+                    let pose = pose.retract(Tangent::from_array(std::array::from_fn(|i| x[i])));
+                    let mut moved = landmark;
+                    (0..3).for_each(|i| moved.values[i] += x[6 + i]);
+                    let scale = x[9].exp();
+                    let camera = Camera { fx: camera.fx * scale, fy: camera.fy * scale, ..camera };
+                    moved.image_position(&camera, &pose).expect("in front")[axis]
+                };
+                let mut gradient = projection.by_pose[axis].to_vec();
+                gradient.extend(projection.by_landmark[axis]);
+                gradient.push(projection.by_focal[axis]);
+                assert_gradient("projection", &[0.0; 10], &gradient, 1e-3, 1e-6, f);
+            }
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! A monocular front end: pictures in, camera poses and sparse depth out.
+//!
+//! Points are followed through all pictures (pyramidal Lucas-Kanade with gain and bias, so that
+//! exposure may change); two keyframes with parallax start a map, which grows keyframe by keyframe
+//! by resection, triangulation and bundle adjustment; the frames between follow, and a last
+//! adjustment takes all. The unit of length is arbitrary.
+
+mod bundle;
+mod corners;
+mod failure;
+mod focal;
+mod front_end;
+mod grow;
+mod landmark;
+mod patch;
+mod pyramid;
+mod resection;
+mod result;
+mod robust;
+mod rolling;
+mod scene;
+mod shift;
+mod sight;
+mod start;
+mod straighten;
+mod tracker;
+mod tracks;
+mod triangulate;
+mod two_view;
+
+pub use failure::{Failure, PictureError};
+pub use front_end::{FrontEnd, Intrinsics, LEAST_FRAMES, LEAST_SIDE};
+pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth, Warning};
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,0 +1,276 @@
+//! Alignment of a patch: Lucas and Kanade, inverse compositional (Baker and Matthews 2004), with
+//! gain and bias.
+//!
+//! The picture under the warp is explained as `I(W(x)) ≈ α T(x) + β + α ∇T(x) · D(x) δ`. For
+//! fixed `T` all unknowns `(α, β, α δ)` are linear with one constant matrix, so that a change of
+//! exposure costs nothing.
+
+use i2slam_compute::solve_positive_definite;
+use i2slam_geometry::Image;
+
+/// Half the side of a patch [px].
+pub(crate) const RADIUS: usize = 7;
+const SIDE: usize = 2 * RADIUS + 1;
+/// Pixels of a patch.
+const AREA: usize = SIDE * SIDE;
+/// A pixel more on every side, for slopes.
+const WIDE: usize = SIDE + 2;
+const ITERATIONS: usize = 15;
+/// An update shorter than this ends the iteration [px].
+const CONVERGED: f32 = 0.01;
+/// Of the squared length of a picture's patch, what is added so that flat ones match nothing.
+const FLAT: f32 = 1e-4;
+
+/// Where a patch lies in a picture: `x = centre + matrix · offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Warp {
+    pub(crate) matrix: [[f32; 2]; 2],
+    pub(crate) centre: [f32; 2],
+}
+
+impl Warp {
+    /// The patch as it was, moved to `centre`.
+    pub(crate) fn at(centre: [f32; 2]) -> Self {
+        Self { matrix: [[1.0, 0.0], [0.0, 1.0]], centre }
+    }
+
+    /// The same warp on a level whose positions are `scale` times as large.
+    pub(crate) fn scaled(self, scale: f32) -> Self {
+        Self { centre: self.centre.map(|v| v * scale), ..self }
+    }
+
+    /// `self ∘ δ⁻¹` for `δ(x) = (I + m) x + d`.
+    fn without(self, m: [[f32; 2]; 2], d: [f32; 2]) -> Option<Self> {
+        let [[a, b], [c, e]] = [[1.0 + m[0][0], m[0][1]], [m[1][0], 1.0 + m[1][1]]];
+        let determinant = a * e - b * c;
+        if !(0.25..4.0).contains(&determinant) {
+            return None;
+        }
+        let inverse = [[e / determinant, -b / determinant], [-c / determinant, a / determinant]];
+        let w = self.matrix;
+        let row = |r: [f32; 2], k: usize| r[0] * inverse[0][k] + r[1] * inverse[1][k];
+        let matrix = w.map(|r| [row(r, 0), row(r, 1)]);
+        let move_by = |r: [f32; 2]| r[0] * d[0] + r[1] * d[1];
+        let centre = [self.centre[0] - move_by(matrix[0]), self.centre[1] - move_by(matrix[1])];
+        Some(Self { matrix, centre })
+    }
+}
+
+/// What a patch looks like, with all that does not depend on the picture it is looked for in. `N`
+/// is 4 (moves only) or 8 (any linear map of the patch).
+#[derive(Clone, Debug)]
+pub(crate) struct Template<const N: usize> {
+    /// Row `k`: `α`, `β`, then the derivatives by the warp.
+    basis: Vec<[f32; AREA]>,
+    inverse: [[f32; N]; N],
+    /// Length of the patch without its mean.
+    norm: f32,
+}
+
+/// Where a template was found.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Found {
+    pub(crate) warp: Warp,
+    /// Correlation of patch and picture, at most 1.
+    pub(crate) correlation: f32,
+}
+
+impl<const N: usize> Template<N> {
+    /// The patch around `centre`; `None` where nothing is seen that could be aligned.
+    pub(crate) fn new(image: &Image<f32>, centre: [f32; 2]) -> Option<Self> {
+        let wide = sample::<WIDE>(image, &Warp::at(centre));
+        let at = |i: usize, dx: usize, dy: usize| wide[i / SIDE + dy][i % SIDE + dx];
+        let values: [f32; AREA] = std::array::from_fn(|i| at(i, 1, 1));
+        let gx: [f32; AREA] = std::array::from_fn(|i| 0.5 * (at(i, 2, 1) - at(i, 0, 1)));
+        let gy: [f32; AREA] = std::array::from_fn(|i| 0.5 * (at(i, 1, 2) - at(i, 1, 0)));
+        let mean = values.iter().sum::<f32>() / AREA as f32;
+        let values = values.map(|v| v - mean);
+        let norm = values.iter().map(|v| v * v).sum::<f32>().sqrt();
+        let x = |i: usize| (i % SIDE) as f32 - RADIUS as f32;
+        let y = |i: usize| (i / SIDE) as f32 - RADIUS as f32;
+        let mut basis = vec![values, [1.0; AREA], gx, gy];
+        if N == 8 {
+            basis.push(std::array::from_fn(|i| x(i) * gx[i]));
+            basis.push(std::array::from_fn(|i| y(i) * gx[i]));
+            basis.push(std::array::from_fn(|i| x(i) * gy[i]));
+            basis.push(std::array::from_fn(|i| y(i) * gy[i]));
+        }
+        let inverse = inverse_of_products(&basis)?;
+        (norm > 1e-3).then_some(Self { basis, inverse, norm })
+    }
+
+    /// Looks for the patch in `image` from `start` on; `None` if it runs away.
+    pub(crate) fn align(&self, image: &Image<f32>, start: Warp) -> Option<Found> {
+        let mut warp = start;
+        let mut correlation = 0.0;
+        for _ in 0..ITERATIONS {
+            let rows = sample::<SIDE>(image, &warp);
+            let values: [f32; AREA] = std::array::from_fn(|i| rows[i / SIDE][i % SIDE]);
+            let products: [f32; N] = std::array::from_fn(|k| dot(&self.basis[k], &values));
+            correlation = self.correlation(&products, &values);
+            let x: [f32; N] =
+                std::array::from_fn(|k| (0..N).map(|m| self.inverse[k][m] * products[m]).sum());
+            let gain = x[0];
+            if !(gain.is_finite() && gain > 0.05) {
+                return None;
+            }
+            let d = [x[2] / gain, x[3] / gain];
+            let m = if N == 8 {
+                [[x[4] / gain, x[5] / gain], [x[6] / gain, x[7] / gain]]
+            } else {
+                [[0.0; 2]; 2]
+            };
+            warp = warp.without(m, d)?;
+            if !inside(image, warp.centre) {
+                return None;
+            }
+            if d[0].hypot(d[1]) < CONVERGED {
+                break;
+            }
+        }
+        Some(Found { warp, correlation })
+    }
+
+    fn correlation(&self, products: &[f32; N], values: &[f32; AREA]) -> f32 {
+        let squares = dot(values, values) - products[1] * products[1] / AREA as f32;
+        products[0] / (self.norm * (squares.max(0.0) + FLAT).sqrt())
+    }
+}
+
+/// The inverse of all inner products, each basis vector scaled to length 1 while inverting.
+fn inverse_of_products<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32; N]; N]> {
+    let lengths: [f64; N] = std::array::from_fn(|k| f64::from(dot(&basis[k], &basis[k])).sqrt());
+    if lengths.iter().any(|l| *l < 1e-4) {
+        return None;
+    }
+    let mut out = [[0.0; N]; N];
+    for column in 0..N {
+        let mut a: Vec<f64> = (0..N * N)
+            .map(|i| {
+                let (r, c) = (i / N, i % N);
+                let ridge = if r == c { 1e-4 } else { 0.0 };
+                f64::from(dot(&basis[r], &basis[c])) / (lengths[r] * lengths[c]) + ridge
+            })
+            .collect();
+        let mut unit = [0.0; N];
+        unit[column] = 1.0;
+        if !solve_positive_definite(&mut a, &mut unit) {
+            return None;
+        }
+        for row in 0..N {
+            out[row][column] = (unit[row] / (lengths[row] * lengths[column])) as f32;
+        }
+    }
+    Some(out)
+}
+
+/// Inner product, in eight lanes so that it becomes vectors.
+fn dot(a: &[f32; AREA], b: &[f32; AREA]) -> f32 {
+    let mut lanes = [0.0_f32; 8];
+    for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+        for i in 0..8 {
+            lanes[i] += a[i] * b[i];
+        }
+    }
+    let rest: f32 = (AREA / 8 * 8..AREA).map(|i| a[i] * b[i]).sum();
+    lanes.iter().sum::<f32>() + rest
+}
+
+fn inside(image: &Image<f32>, at: [f32; 2]) -> bool {
+    at[0] >= 0.0 && at[1] >= 0.0 && at[0] < image.width as f32 && at[1] < image.height as f32
+}
+
+/// The picture under a warp, `S x S` rows and columns; beyond the border the last pixel is
+/// repeated.
+fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
+    let half = (S / 2) as f32;
+    let first = warp.centre.map(|v| v - half - 0.5);
+    let most = [image.width, image.height].map(|n| n as f32 - 1.001);
+    let fits = |k: usize| first[k] >= 0.0 && first[k] + 2.0 * half <= most[k];
+    if warp.matrix == [[1.0, 0.0], [0.0, 1.0]] && fits(0) && fits(1) {
+        return sample_upright(image, first);
+    }
+    let [[a, b], [c, d]] = warp.matrix;
+    std::array::from_fn(|row| {
+        let dy = row as f32 - half;
+        std::array::from_fn(|column| {
+            let dx = column as f32 - half;
+            let x = (warp.centre[0] + a * dx + b * dy - 0.5).clamp(0.0, most[0]);
+            let y = (warp.centre[1] + c * dx + d * dy - 0.5).clamp(0.0, most[1]);
+            let (column, row) = (x as usize, y as usize);
+            let (u, v) = (x - column as f32, y - row as f32);
+            let k = row * image.width + column;
+            let (upper, lower) = (&image.data[k..k + 2], &image.data[k + image.width..][..2]);
+            let top = upper[0] + (upper[1] - upper[0]) * u;
+            let bottom = lower[0] + (lower[1] - lower[0]) * u;
+            top + (bottom - top) * v
+        })
+    })
+}
+
+/// The same for a patch that is only moved and lies inside: all pixels share their weights.
+fn sample_upright<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f32; S]; S] {
+    let (column, row) = (first[0] as usize, first[1] as usize);
+    let (u, v) = (first[0] - column as f32, first[1] - row as f32);
+    let weights = [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v];
+    std::array::from_fn(|r| {
+        let k = (row + r) * image.width + column;
+        let (upper, lower) = (&image.data[k..=k + S], &image.data[k + image.width..][..=S]);
+        std::array::from_fn(|c| {
+            weights[0] * upper[c]
+                + weights[1] * upper[c + 1]
+                + weights[2] * lower[c]
+                + weights[3] * lower[c + 1]
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A smooth picture, `(x, y)` of another one drawn at `(x - dx, y - dy)` after a linear map.
+    fn waves(map: impl Fn(f32, f32) -> (f32, f32), gain: f32, bias: f32) -> Image<f32> {
+        let mut image = Image::new(64, 48, 1);
+        for row in 0..48 {
+            for column in 0..64 {
+                let (x, y) = map(column as f32 + 0.5, row as f32 + 0.5);
+                let value =
+                    0.5 + 0.2 * (0.35 * x + 0.1 * y).sin() + 0.2 * (0.28 * y - 0.07 * x).cos();
+                image.data[row * 64 + column] = gain * value + bias;
+            }
+        }
+        image
+    }
+
+    #[test]
+    fn a_move_is_found_through_a_change_of_exposure() {
+        let template =
+            Template::<4>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0]).expect("textured");
+        let moved = waves(|x, y| (x - 1.7, y + 1.2), 0.4, 0.2);
+        let found = template.align(&moved, Warp::at([30.0, 24.0])).expect("found");
+        assert!((found.warp.centre[0] - 31.7).abs() < 0.02, "{found:?}");
+        assert!((found.warp.centre[1] - 22.8).abs() < 0.02, "{found:?}");
+        assert!(found.correlation > 0.995);
+    }
+
+    #[test]
+    fn a_turned_patch_is_found() {
+        let template =
+            Template::<8>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0]).expect("textured");
+        let (s, c) = 0.12_f32.sin_cos();
+        let turn = |x: f32, y: f32| {
+            let (x, y) = (x - 31.0, y - 23.5);
+            (c * x + s * y + 30.0, c * y - s * x + 24.0)
+        };
+        let found = template.align(&waves(turn, 1.3, -0.1), Warp::at([30.0, 24.0])).expect("found");
+        assert!((found.warp.centre[0] - 31.0).abs() < 0.05, "{found:?}");
+        assert!((found.warp.centre[1] - 23.5).abs() < 0.05, "{found:?}");
+        assert!((found.warp.matrix[0][1] + s).abs() < 0.02, "{found:?}");
+    }
+
+    #[test]
+    fn a_flat_patch_is_no_template() {
+        assert!(Template::<4>::new(&Image::new(64, 48, 1), [30.0, 24.0]).is_none());
+    }
+}

@@ -1,0 +1,96 @@
+//! Brightness at several scales.
+
+use i2slam_geometry::Image;
+
+/// The coarsest level is the last one whose shorter side is at least this long [px].
+const COARSEST_SIDE: usize = 24;
+
+/// Brightness of a picture, each level half as large as the one before. The centre rule of pixels
+/// makes a position on level `l` that on level 0 divided by `2^l`.
+#[derive(Clone, Debug)]
+pub(crate) struct Pyramid {
+    pub(crate) levels: Vec<Image<f32>>,
+}
+
+impl Pyramid {
+    /// The pyramid of a picture with channels R, G, B, or of one with a single channel.
+    pub(crate) fn new(picture: &Image<f32>) -> Self {
+        let mut levels = vec![brightness(picture)];
+        while let Some(last) = levels.last() {
+            if (last.width / 2).min(last.height / 2) < COARSEST_SIDE {
+                break;
+            }
+            let next = halved(last);
+            levels.push(next);
+        }
+        Self { levels }
+    }
+
+    /// The level with most pixels.
+    pub(crate) fn finest(&self) -> &Image<f32> {
+        &self.levels[0]
+    }
+
+    /// The level with fewest pixels, and what its positions are multiplied by to be those of the
+    /// finest.
+    pub(crate) fn coarsest(&self) -> (&Image<f32>, f32) {
+        let last = self.levels.len() - 1;
+        (&self.levels[last], (1_usize << last) as f32)
+    }
+}
+
+/// Luma (Rec. 601) of an encoded picture; what is not finite counts as black.
+fn brightness(picture: &Image<f32>) -> Image<f32> {
+    let mut out = Image::new(picture.width, picture.height, 1);
+    let weights: &[f32] = if picture.channels >= 3 { &[0.299, 0.587, 0.114] } else { &[1.0] };
+    for (channel, weight) in weights.iter().enumerate() {
+        for (sum, value) in out.data.iter_mut().zip(picture.plane(channel)) {
+            *sum += weight * if value.is_finite() { *value } else { 0.0 };
+        }
+    }
+    out
+}
+
+/// Every second pixel in both directions after the filter [1 3 3 1] / 8, which is centred between
+/// two pixels.
+fn halved(image: &Image<f32>) -> Image<f32> {
+    let (width, height) = (image.width / 2, image.height / 2);
+    let mut rows = Image::new(width, image.height, 1);
+    for (from, to) in image.data.chunks_exact(image.width).zip(rows.data.chunks_exact_mut(width)) {
+        for (column, value) in to.iter_mut().enumerate() {
+            *value = filtered(2 * column, image.width, |i| from[i]);
+        }
+    }
+    let mut out = Image::new(width, height, 1);
+    for row in 0..height {
+        for column in 0..width {
+            out.data[row * width + column] =
+                filtered(2 * row, image.height, |i| rows.data[i * width + column]);
+        }
+    }
+    out
+}
+
+fn filtered(first: usize, size: usize, value: impl Fn(usize) -> f32) -> f32 {
+    let (before, after) = (first.saturating_sub(1), (first + 2).min(size - 1));
+    0.125 * (value(before) + value(after)) + 0.375 * (value(first) + value(first + 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slope_keeps_its_place_on_every_level() {
+        let mut picture = Image::new(128, 96, 1);
+        for (i, value) in picture.data.iter_mut().enumerate() {
+            *value = (i % 128) as f32 + 0.5;
+        }
+        let pyramid = Pyramid::new(&picture);
+        assert_eq!(pyramid.levels.len(), 3);
+        let coarse = pyramid.coarsest();
+        assert_eq!(coarse.1, 4.0);
+        // Away from the border the value is the position, whatever the level.
+        assert!((coarse.0.at(0, 16, 10) - 16.5 * 4.0).abs() < 1e-3);
+    }
+}

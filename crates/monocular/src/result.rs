@@ -1,0 +1,245 @@
+//! What the front end delivers.
+
+use crate::front_end::Intrinsics;
+use crate::scene::Scene;
+use crate::tracker::Followed;
+use i2slam_compute::median;
+use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
+
+/// What is known of a picture as soon as it came.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameReport {
+    /// Points followed into it.
+    pub points: usize,
+    /// Their median motion since the last picture [px].
+    pub motion: f64,
+    /// The picture shows another scene than the one before.
+    pub is_cut: bool,
+    /// The picture became a keyframe.
+    pub is_keyframe: bool,
+}
+
+impl FrameReport {
+    pub(crate) fn of(followed: Followed) -> Self {
+        Self {
+            points: followed.points,
+            motion: f64::from(followed.motion),
+            is_cut: followed.is_cut,
+            is_keyframe: followed.is_keyframe,
+        }
+    }
+}
+
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FrameStatus {
+    /// Its pose was found.
+    Posed {
+        /// `world_from_camera` at mid-exposure.
+        world_from_camera: Pose<f64>,
+        /// Landmarks that agree on it.
+        landmarks: usize,
+    },
+    /// It shows too little of what the other frames show.
+    Lost,
+}
+
+/// A point of the scene that a keyframe shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SparseDepth {
+    /// Image position in the keyframe [px].
+    pub at: [f64; 2],
+    /// Depth along the optical axis, in the unit of the poses.
+    pub depth: f64,
+    /// Its variance, in that unit squared, poses taken as exact.
+    pub variance: f64,
+}
+
+/// A keyframe with what is known of its depth.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// Place of the frame in the sequence of accepted pictures.
+    pub index: usize,
+    /// Stamp [s].
+    pub timestamp: f64,
+    /// Pose at mid-exposure.
+    pub world_from_camera: Pose<f64>,
+    /// Landmarks in it, in no particular order.
+    pub depths: Vec<SparseDepth>,
+}
+
+/// A camera path with sparse structure. The unit of length is the median depth of all landmarks in
+/// keyframes, since pictures alone do not tell metres.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    /// The pinhole camera: as given, or with the focal length found.
+    pub camera: Camera<f64>,
+    /// Relative standard deviation of the focal length, where it was looked for.
+    pub focal_deviation: Option<f64>,
+    /// Time from the first to the last row [s], positive if the top row comes first; 0 where all
+    /// rows fit one moment. Poses are of the middle row.
+    pub rolling_shutter_readout: f64,
+    /// One entry per picture that was accepted.
+    pub frames: Vec<FrameStatus>,
+    /// Stamps of all frames [s].
+    pub timestamps: Vec<f64>,
+    /// Keyframes that have a pose, in order.
+    pub keyframes: Vec<Keyframe>,
+    /// Degradations that a user should know of.
+    pub warnings: Vec<Warning>,
+}
+
+/// A degradation of a result.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Warning {
+    /// Frames without a pose.
+    #[error("{lost} of {frames} frames have no pose: they show too little of what the others show")]
+    FramesLost {
+        /// Frames without a pose.
+        lost: usize,
+        /// All frames.
+        frames: usize,
+    },
+    /// The given focal length is not the one that fits.
+    #[error(
+        "the focal length was given as {given:.1} px, but {fitting:.1} px fits the pictures much better"
+    )]
+    FocalLengthDoubtful {
+        /// As given [px].
+        given: f64,
+        /// That fits best [px].
+        fitting: f64,
+    },
+    /// The pictures hardly determine the focal length.
+    #[error("the pictures tell the focal length only to {percent:.0} percent")]
+    FocalLengthVague {
+        /// Relative standard deviation, in percent.
+        percent: f64,
+    },
+}
+
+impl Reconstruction {
+    /// Poses of all frames that have one.
+    pub fn trajectory(&self) -> Trajectory {
+        let stamped = self.frames.iter().zip(&self.timestamps);
+        stamped
+            .filter_map(|(status, timestamp)| match status {
+                FrameStatus::Posed { world_from_camera, .. } => Some(StampedPose {
+                    timestamp: *timestamp,
+                    world_from_camera: *world_from_camera,
+                }),
+                FrameStatus::Lost => None,
+            })
+            .collect()
+    }
+}
+
+/// Puts the parts together. The first posed frame becomes the world, and the median depth of all
+/// landmarks in keyframes the unit of length.
+pub(crate) fn assemble(
+    scene: Scene,
+    timestamps: &[f64],
+    intrinsics: &Intrinsics,
+    readout: f64,
+) -> Reconstruction {
+    let posed = scene.posed();
+    let world = posed.first().and_then(|f| scene.poses[*f]).unwrap_or_else(Pose::identity);
+    let inverse = world.inverse();
+    let mut keyframes = keyframes(&scene, timestamps);
+    let mut depths: Vec<f64> =
+        keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
+    let unit = median(&mut depths).filter(|m| *m > 0.0).map_or(1.0, f64::recip);
+    let placed = |pose: Pose<f64>| {
+        let pose = inverse * pose;
+        Pose::new(pose.rotation, pose.translation * unit)
+    };
+    for keyframe in &mut keyframes {
+        keyframe.world_from_camera = placed(keyframe.world_from_camera);
+        for d in &mut keyframe.depths {
+            (d.depth, d.variance) = (d.depth * unit, d.variance * unit * unit);
+        }
+    }
+    let frames: Vec<FrameStatus> = (0..scene.poses.len())
+        .map(|frame| match scene.poses[frame] {
+            Some(pose) => FrameStatus::Posed {
+                world_from_camera: placed(pose),
+                landmarks: scene.agreeing(frame),
+            },
+            None => FrameStatus::Lost,
+        })
+        .collect();
+    let mut warnings = Vec::new();
+    let lost = frames.len() - posed.len();
+    if lost > 0 {
+        warnings.push(Warning::FramesLost { lost, frames: frames.len() });
+    }
+    let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
+    Reconstruction {
+        camera: scene.camera,
+        focal_deviation,
+        rolling_shutter_readout: readout,
+        frames,
+        timestamps: timestamps.to_vec(),
+        keyframes,
+        warnings,
+    }
+}
+
+/// A focal length that was given is let go once, to see whether another one fits.
+fn focal_deviation(
+    scene: &Scene,
+    intrinsics: &Intrinsics,
+    warnings: &mut Vec<Warning>,
+) -> Option<f64> {
+    let keyframes: Vec<usize> =
+        scene.tracks.keyframes.iter().copied().filter(|f| scene.poses[*f].is_some()).collect();
+    let mut freed = scene.clone();
+    for frame in 0..freed.poses.len() {
+        if !keyframes.contains(&frame) {
+            freed.poses[frame] = None;
+        }
+    }
+    let is_known = matches!(intrinsics, Intrinsics::Known(_));
+    if is_known {
+        freed.adjust(&keyframes, true, 30);
+    }
+    let deviation = freed.bundle(&keyframes, true).0.focal_deviation();
+    let relative = deviation? * freed.residual_scale()?;
+    if is_known {
+        let (given, fitting) = (scene.camera.fx, freed.camera.fx);
+        let off = (fitting / given).ln().abs();
+        if off > 0.05 && off > 6.0 * relative {
+            warnings.push(Warning::FocalLengthDoubtful { given, fitting });
+        }
+        return None;
+    }
+    if relative > 0.03 {
+        warnings.push(Warning::FocalLengthVague { percent: 100.0 * relative });
+    }
+    Some(relative)
+}
+
+fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
+    let (bundle, _, tracks) = scene.bundle(&scene.posed(), false);
+    let mut variances = vec![None; scene.landmarks.len()];
+    for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
+        variances[*track] = variance;
+    }
+    let keyframe = |index: usize| {
+        let pose = scene.poses[index]?;
+        let depth = |track: usize| {
+            let (landmark, variance) = (scene.landmarks[track]?, variances[track]?);
+            let observation = scene.tracks.tracks[track].in_frame(index)?;
+            let inverse_depth = landmark.values[2];
+            let in_camera = pose.inverse() * landmark.position();
+            // dz = z² dρ, at the distance of this camera.
+            let usable = inverse_depth > 1e-4 && in_camera.z > 0.0;
+            let variance = variance * in_camera.z.powi(4);
+            usable.then_some(SparseDepth { at: observation.at, depth: in_camera.z, variance })
+        };
+        let depths = (0..scene.landmarks.len()).filter_map(depth).collect();
+        let timestamp = timestamps[index];
+        Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
+    };
+    scene.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
+}

@@ -1,0 +1,30 @@
+//! Weights that keep wrong measurements from deciding.
+
+/// Beyond so many standard deviations a residual counts by its length, not its square
+/// (Huber 1964).
+pub(crate) const HUBER: f64 = 1.5;
+
+/// Weight of a residual of length `n` (in standard deviations), and its cost.
+pub(crate) fn huber(n: f64) -> (f64, f64) {
+    if n <= HUBER { (1.0, n * n) } else { (HUBER / n, HUBER * (2.0 * n - HUBER)) }
+}
+
+/// Weight and cost of a residual whose influence fades beyond `width` (Cauchy).
+pub(crate) fn cauchy(n: f64, width: f64) -> (f64, f64) {
+    let s = (n / width) * (n / width);
+    (1.0 / (1.0 + s), width * width * s.ln_1p())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_are_the_slope_of_the_cost() {
+        for n in [0.4, 1.4, 1.6, 9.0] {
+            let slope = |f: &dyn Fn(f64) -> f64| (f(n + 1e-5) - f(n - 1e-5)) / 2e-5;
+            assert!((slope(&|n| huber(n).1) - 2.0 * n * huber(n).0).abs() < 1e-6);
+            assert!((slope(&|n| cauchy(n, 2.0).1) - 2.0 * n * cauchy(n, 2.0).0).abs() < 1e-6);
+        }
+    }
+}

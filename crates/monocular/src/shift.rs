@@ -1,0 +1,77 @@
+//! By how much one picture is another one moved: a first guess for everything that is followed.
+
+use i2slam_geometry::Image;
+
+/// The best whole-pixel move between two small pictures, and how well they agree there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shift {
+    /// Where what was at `x` in the first picture is in the second, less `x` [px].
+    pub(crate) by: [f32; 2],
+    /// Correlation of what both show; at most 1.
+    pub(crate) correlation: f32,
+}
+
+/// Moves up to this share of a side are tried.
+const REACH: f32 = 0.3;
+
+/// Compares two pictures of one size at every whole-pixel move within reach.
+pub(crate) fn find_shift(first: &Image<f32>, second: &Image<f32>) -> Shift {
+    let reach = |side: usize| (side as f32 * REACH) as isize;
+    let (across, down) = (reach(first.width), reach(first.height));
+    let mut best = Shift { by: [0.0, 0.0], correlation: overlap(first, second, 0, 0) };
+    for dy in -down..=down {
+        for dx in -across..=across {
+            let correlation = overlap(first, second, dx, dy);
+            if correlation > best.correlation {
+                best = Shift { by: [dx as f32, dy as f32], correlation };
+            }
+        }
+    }
+    best
+}
+
+/// Correlation of the part that both pictures show.
+fn overlap(first: &Image<f32>, second: &Image<f32>, dx: isize, dy: isize) -> f32 {
+    let (w, h) = (first.width as isize, first.height as isize);
+    let (c0, c1) = ((-dx).max(0), (w - dx).min(w));
+    let (mut n, mut a, mut b, mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for row in (-dy).max(0)..(h - dy).min(h) {
+        let from = (row * w + c0) as usize..(row * w + c1) as usize;
+        let to = ((row + dy) * w + c0 + dx) as usize..((row + dy) * w + c1 + dx) as usize;
+        for (x, y) in first.data[from].iter().zip(&second.data[to]) {
+            (n, a, b) = (n + 1.0, a + x, b + y);
+            (aa, bb, ab) = (aa + x * x, bb + y * y, ab + x * y);
+        }
+    }
+    let spread = (n * aa - a * a).max(0.0) * (n * bb - b * b).max(0.0);
+    if spread > 0.0 { (n * ab - a * b) / spread.sqrt() } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn blobs(dx: f32, dy: f32) -> Image<f32> {
+        let mut image = Image::new(40, 30, 1);
+        for (i, value) in image.data.iter_mut().enumerate() {
+            let (x, y) = ((i % 40) as f32 - dx, (i / 40) as f32 - dy);
+            *value = (0.31 * x + 0.2 * y).sin() + (0.17 * y * y * 0.1 - 0.21 * x).cos();
+        }
+        image
+    }
+
+    #[test]
+    fn a_move_is_found_whatever_the_exposure() {
+        let mut second = blobs(5.0, -3.0);
+        second.data.iter_mut().for_each(|v| *v = 0.3 * *v + 1.0);
+        let shift = find_shift(&blobs(0.0, 0.0), &second);
+        assert_eq!(shift.by, [5.0, -3.0]);
+        assert!(shift.correlation > 0.99);
+    }
+
+    #[test]
+    fn flat_pictures_agree_about_nothing() {
+        let flat = Image::new(40, 30, 1);
+        assert_eq!(find_shift(&flat, &flat), Shift { by: [0.0, 0.0], correlation: 0.0 });
+    }
+}
