@@ -51,11 +51,11 @@ pub(crate) struct Run {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,
-    /// Colour alone: keyframes with poses come from --keyframes, and poses, tone and a radiance
-    /// field are refined together [default preset: default-rgb]
+    /// Colour alone: the path is found from the pictures, or comes with --keyframes, and poses, tone
+    /// and a radiance field are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
-    /// With --rgb, where the keyframes and their poses are
+    /// With --rgb, keyframes and poses that another program found (docs/import.md)
     #[arg(long, value_name = "PATH", requires = "rgb")]
     pub(crate) keyframes: Option<PathBuf>,
     /// Which depth the keyframes get

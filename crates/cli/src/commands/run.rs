@@ -39,22 +39,19 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
     with_flags(config, arguments)
 }
 
-/// Where the keyframes are, if this run takes them from files; only settings for that will do.
+/// Where keyframes with poses come from, if this run takes them; only settings for that will do.
 fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Failure> {
     let preset = &config.preset;
     match (arguments.rgb, &arguments.keyframes, config.is_rgb()) {
         (false, _, false) => Ok(None),
-        (false, _, true) => Err(Failure::Usage(format!(
-            "preset {preset} is for keyframes with poses: add --rgb --keyframes PATH"
-        ))),
+        (false, _, true) => {
+            Err(Failure::Usage(format!("preset {preset} is for colour alone: add --rgb")))
+        }
         (true, _, false) => Err(Failure::Usage(format!(
             "preset {preset} is for RGB-D: --rgb goes with default-rgb, paper-rgb or paper-rgb-s"
         ))),
-        (true, None, true) => Err(Failure::Usage(
-            "--rgb needs --keyframes PATH, a file or folder with the poses of keyframes: finding              them from the pictures alone is not possible yet"
-                .to_owned(),
-        )),
-        (true, Some(path), true) => Ok(Some(Keyframes {
+        (true, None, true) => Ok(Some(Keyframes::Native)),
+        (true, Some(path), true) => Ok(Some(Keyframes::Files {
             path: path.clone(),
             depth: match arguments.keyframe_depth {
                 KeyframeDepth::None => ImportDepth::None,

@@ -51,11 +51,7 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     }
     let tracked = match &job.keyframes {
         None => track::track(&job.config, &sequence, &mut progress),
-        Some(keyframes) => {
-            let mut source = keyframes.open(&job.dataset, &job.open)?;
-            source.files().warnings.iter().for_each(|warning| progress.warn(warning));
-            posed::track(&job.config, &sequence, &mut source, &mut progress)
-        }
+        Some(keyframes) => posed::track(job, keyframes, &sequence, &mut progress),
     };
     let written = tracked.and_then(|tracked| {
         let run = Finished { job, folder: &folder, sequence: &sequence, truth: &truth, tracked };

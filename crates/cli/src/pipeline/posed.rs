@@ -1,56 +1,103 @@
 //! Keyframes that come with poses through a session.
 
+use super::Job;
 use super::track::Tracked;
 use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::progress::Progress;
-use i2slam::dataset::{DatasetError, OpenOptions, Sequence};
+use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::keyframes::{
-    Import, ImportDepth, ImportOptions, KeyframeSource, PosedKeyframe, import,
+    ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PosedKeyframe, SequencePicture,
+    import,
 };
-use i2slam::{Config, KeyframedSession, SessionError};
+use i2slam::{KeyframedSession, SessionError};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Keyframes of files.
-pub(crate) struct Keyframes {
-    pub(crate) path: PathBuf,
-    pub(crate) depth: ImportDepth,
-    /// Folder with the variance of depth pictures.
-    pub(crate) variance: Option<PathBuf>,
+/// Where keyframes come from.
+pub(crate) enum Keyframes {
+    /// From the pictures alone.
+    Native,
+    /// From files.
+    Files {
+        path: PathBuf,
+        depth: ImportDepth,
+        /// Folder with the variance of depth pictures.
+        variance: Option<PathBuf>,
+    },
+}
+
+/// A source of keyframes, how many it has, and what there is to say of it.
+struct Opened<'a> {
+    source: Box<dyn KeyframeSource + 'a>,
+    count: usize,
+    frame_rate: f64,
+    warnings: Vec<String>,
 }
 
 impl Keyframes {
     /// The keyframes with the pictures of a dataset.
-    pub(super) fn open(&self, pictures: &Path, open: &OpenOptions) -> Result<Import, DatasetError> {
-        let options = ImportOptions {
-            open: open.clone(),
-            depth: self.depth,
-            variance: self.variance.clone(),
-            ..ImportOptions::default()
-        };
-        import(&self.path, Some(pictures), &options)
+    fn open<'a>(
+        &self,
+        pictures: &Path,
+        open: &OpenOptions,
+        sequence: &'a Sequence,
+    ) -> Result<Opened<'a>, Failure> {
+        match self {
+            Self::Native => native(sequence),
+            Self::Files { path, depth, variance } => {
+                let options = ImportOptions {
+                    open: open.clone(),
+                    depth: *depth,
+                    variance: variance.clone(),
+                    ..ImportOptions::default()
+                };
+                let source = import(path, Some(pictures), &options)?;
+                let (count, frame_rate) = (source.len(), source.files().frame_rate);
+                let warnings = source.files().warnings.clone();
+                Ok(Opened { source: Box::new(source), count, frame_rate, warnings })
+            }
+        }
     }
+}
+
+/// Finds the path of the camera from the pictures.
+fn native(sequence: &Sequence) -> Result<Opened<'_>, Failure> {
+    let load = |place| {
+        let frame = sequence.load(place)?;
+        let (index, timestamp) = (frame.index, frame.timestamp);
+        Ok(SequencePicture { index, timestamp, colour: frame.colour })
+    };
+    let source = Native::find(Intrinsics::Known(sequence.camera), sequence.len(), load)
+        .map_err(|error| Failure::Failed(format!("no path of the camera was found: {error}")))?;
+    let refused = source.refused().iter();
+    let mut warnings: Vec<String> =
+        refused.map(|(place, why)| format!("picture {place} left out: {why}")).collect();
+    warnings.extend(source.reconstruction().warnings.iter().map(ToString::to_string));
+    let count = source.len();
+    Ok(Opened { source: Box::new(source), count, frame_rate: sequence.frame_rate, warnings })
 }
 
 /// Take in every keyframe until the source or the user's patience ends. A keyframe that cannot be
 /// read is left out with a warning.
 pub(super) fn track(
-    config: &Config,
+    job: &Job,
+    keyframes: &Keyframes,
     sequence: &Sequence,
-    source: &mut Import,
     progress: &mut Progress,
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
-    let session =
-        KeyframedSession::new(config.clone(), *source.camera(), source.files().frame_rate);
-    let mut run = Run { session, total: source.len(), skipped: 0, first_error: None };
+    let opened = without_panics(|| keyframes.open(&job.dataset, &job.open, sequence))?;
+    opened.warnings.iter().for_each(|warning| progress.warn(warning));
+    let Opened { mut source, count, frame_rate, .. } = opened;
+    let session = KeyframedSession::new(job.config.clone(), *source.camera(), frame_rate);
+    let mut run = Run { session, total: count, skipped: 0, first_error: None };
     if let Some(covered) = &sequence.covered {
         run.session.set_covered(Arc::clone(covered));
     }
-    let end = without_panics(|| run.keyframes(source, progress));
+    let end = without_panics(|| run.keyframes(source.as_mut(), progress));
     let mut problem = match end {
         Err(Failure::Failed(message) | Failure::Usage(message)) => Some(message),
         _ => None,

@@ -85,9 +85,18 @@ fn what_goes_with_what_is_told() {
         let arguments = ["run", "data", "--out", out].into_iter().chain(more.iter().copied());
         run(arguments).ended_with(2).complaining(text);
     };
-    refused(&["--rgb"], "--keyframes PATH");
     refused(&["--keyframes", "poses.txt"], "--rgb");
     refused(&["--rgb", "--keyframes", "p", "--preset", "paper-tum"], "is for RGB-D");
     refused(&["--preset", "paper-rgb"], "add --rgb");
     refused(&["--rgb", "--keyframes", "p", "--map", "gaussian"], "hashgrid");
+}
+
+#[test]
+fn pictures_without_a_path_say_why() {
+    let scratch = Scratch::new("keyframed-native");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: 3, step: 0.03, ..Scene::default() }.write(&data);
+    let [data, out] = [&data, &out].map(|path| path.to_str().expect("a name"));
+    let ran = run(["run", data, "--out", out, "--rgb"]).ended_with(1);
+    ran.complaining("no path of the camera was found: 3 pictures are too few");
 }

@@ -4,7 +4,7 @@ mod import;
 mod native;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
-pub use native::{Intrinsics, Native, NativeError, NativeFailure, Stamped};
+pub use native::{Intrinsics, Native, NativeError, NativeFailure, SequencePicture};
 
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;

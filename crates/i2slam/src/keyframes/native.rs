@@ -14,8 +14,16 @@ const TRUSTED: f64 = 0.3;
 /// What goes wrong with a picture, whatever it is.
 type PictureError = Box<dyn Error + Send + Sync>;
 
-/// A picture, R, G, B in [0, 1], and its stamp [s].
-pub type Stamped = (f64, Image<f32>);
+/// A picture of a sequence.
+#[derive(Clone, Debug)]
+pub struct SequencePicture {
+    /// Its number in the sequence.
+    pub index: usize,
+    /// Its stamp [s].
+    pub timestamp: f64,
+    /// R, G, B in [0, 1].
+    pub colour: Image<f32>,
+}
 
 /// Why there are no keyframes.
 #[derive(Debug, Error)]
@@ -46,7 +54,7 @@ pub struct Native<L> {
     next: usize,
 }
 
-impl<L: FnMut(usize) -> Result<Stamped, PictureError>> Native<L> {
+impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
     /// Looks for the path of the camera through `count` pictures. `load` gives the picture at a
     /// place; it is asked for all of them in order, and for each keyframe again when it is taken.
     ///
@@ -57,8 +65,8 @@ impl<L: FnMut(usize) -> Result<Stamped, PictureError>> Native<L> {
         let mut front_end = FrontEnd::new(intrinsics);
         let (mut places, mut refused) = (Vec::new(), Vec::new());
         for place in 0..count {
-            let pushed = load(place).and_then(|(timestamp, picture)| {
-                front_end.push(&picture, timestamp).map_err(PictureError::from)
+            let pushed = load(place).and_then(|picture| {
+                front_end.push(&picture.colour, picture.timestamp).map_err(PictureError::from)
             });
             match pushed {
                 Ok(_) => places.push(place),
@@ -92,7 +100,7 @@ impl<L: FnMut(usize) -> Result<Stamped, PictureError>> Native<L> {
     }
 }
 
-impl<L: FnMut(usize) -> Result<Stamped, PictureError>> KeyframeSource for Native<L> {
+impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource for Native<L> {
     fn camera(&self) -> &Camera<f64> {
         &self.reconstruction.camera
     }
@@ -101,12 +109,12 @@ impl<L: FnMut(usize) -> Result<Stamped, PictureError>> KeyframeSource for Native
         let keyframe = self.reconstruction.keyframes.get(self.next)?;
         self.next += 1;
         let place = *self.places.get(keyframe.index)?;
-        let (_, colour) = match (self.load)(place) {
+        let SequencePicture { index, colour, .. } = match (self.load)(place) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
         Some(Ok(PosedKeyframe {
-            index: place,
+            index,
             timestamp: keyframe.timestamp,
             depth: Some(sparse_depth(keyframe, colour.width, colour.height)),
             colour,
@@ -151,6 +159,10 @@ mod tests {
         out
     }
 
+    fn stamped(camera: &Camera<f64>, place: usize, timestamp: f64) -> SequencePicture {
+        SequencePicture { index: 2 * place, timestamp, colour: picture(camera, place) }
+    }
+
     fn camera() -> Camera<f64> {
         Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 }
     }
@@ -160,7 +172,7 @@ mod tests {
         let camera = camera();
         let load = |place: usize| match place {
             3 => Err("damaged".into()),
-            _ => Ok((place as f64 / 30.0, picture(&camera, place))),
+            _ => Ok(stamped(&camera, place, place as f64 / 30.0)),
         };
         let mut native = Native::find(Intrinsics::Known(camera), 14, load).expect("a path");
         assert_eq!(native.camera(), &camera);
@@ -169,12 +181,13 @@ mod tests {
         let mut places = Vec::new();
         while let Some(keyframe) = native.next_keyframe() {
             let keyframe = keyframe.expect("keyframes can be read again");
-            assert_eq!(keyframe.colour, picture(&camera, keyframe.index));
+            let place = keyframe.index / 2;
+            assert_eq!(keyframe.colour, picture(&camera, place));
             let depth = keyframe.depth.expect("sparse depth");
             let variance = depth.variance.expect("with variance");
             let known = depth.depth.data.iter().zip(&variance.data).filter(|(d, _)| **d > 0.0);
             assert!(known.clone().count() > 20 && known.clone().all(|(_, v)| *v > 0.0));
-            places.push(keyframe.index);
+            places.push(place);
         }
         assert!(places.len() == count && count > 2 && !places.contains(&3), "{places:?}");
         assert!(places.is_sorted() && native.reconstruction().trajectory().len() == 13);
@@ -184,7 +197,7 @@ mod tests {
     fn without_a_path_the_reason_names_the_pictures_that_were_refused() {
         let camera = camera();
         let load = |place: usize| match place {
-            0..2 => Ok((place as f64, picture(&camera, place))),
+            0..2 => Ok(stamped(&camera, place, place as f64)),
             _ => Err("damaged".into()),
         };
         let found = Native::find(Intrinsics::Known(camera), 5, load);
