@@ -28,7 +28,7 @@ pub(crate) fn print() -> Outcome {
     let cases = [
         ("sharp", ShutterPoses::still(frame.middle()), Sampling::SHARP),
         ("image", blurred, image),
-        ("image with 9 views", blurred, Sampling { virtual_cameras: 9, ..image }),
+        ("image with 7 views", blurred, Sampling { virtual_cameras: 7, ..image }),
         ("image without a margin", blurred, Sampling { margin: 0, ..image }),
         ("splat", blurred, with(BlurRoute::Splat)),
         ("exact", blurred, with(BlurRoute::Exact)),

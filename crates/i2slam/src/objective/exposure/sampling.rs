@@ -12,6 +12,10 @@ const LONG_BLUR: f64 = 40.0;
 /// which is read without interpolation, then has two thirds of the light.
 const SHORT_BLUR: f64 = 2.25;
 
+/// Blur [px] up to which more re-projected cameras than [`ENOUGH`] come no closer.
+const MEDIUM_BLUR: f64 = 10.0;
+const ENOUGH: usize = 7;
+
 /// The margin comes in steps [px] of half a tile of the rasteriser, and ends where `auto` no longer
 /// re-projects: the border of longer streaks takes the edge of the render.
 const MARGIN_STEP: usize = 8;
@@ -86,7 +90,8 @@ impl Sampling {
         // A re-projected camera costs a few hundredths of a rendered one.
         let most = match route {
             BlurRoute::Image if formation.blur_per_camera > 0.0 => {
-                2 * formation.virtual_cameras.max(1) - 1
+                let most = 2 * formation.virtual_cameras.max(1) - 1;
+                if length > MEDIUM_BLUR { most } else { most.min(ENOUGH) }
             }
             _ => formation.virtual_cameras,
         };
@@ -175,7 +180,7 @@ mod tests {
             let formation = FormationConfig { blur_model: model, virtual_cameras: 5, ..ours };
             Sampling::new(&formation, length, 0.0).virtual_cameras
         };
-        assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Image, b)), [1, 5, 9, 9]);
+        assert_eq!([0.4, 5.0, 10.0, 10.1].map(|b| views(BlurModel::Image, b)), [1, 5, 7, 9]);
         assert_eq!([0.4, 5.0, 10.0, 19.0].map(|b| views(BlurModel::Exact, b)), [1, 5, 5, 5]);
     }
 

@@ -1,6 +1,7 @@
 //! The projection of all Gaussians, in groups of one vector, on all threads.
 
 use super::cpu_motion::{MotionFrame, PathColumns};
+use super::cpu_wanted::{self, Wanted};
 use super::lanes::{Column, Lanes};
 use super::path::Path;
 use super::stages::{Frame, Parameters, put};
@@ -13,8 +14,8 @@ use std::f32::consts::{LN_2, LOG2_E};
 
 /// What the projection of a map fills.
 pub(crate) struct Projection<'a> {
-    /// Written at the index of their Gaussian; those of Gaussians that touch no tile have none in
-    /// `tiles`.
+    /// Written at the index of their Gaussian; those that no chunk has among its `visible` mean
+    /// nothing.
     pub(crate) splats: &'a mut Vec<Splat>,
     pub(crate) chunks: &'a mut Vec<Chunk>,
     /// One per splat when the camera moves.
@@ -36,8 +37,9 @@ pub(crate) fn project(
     splats.resize(map.len(), Splat::default());
     chunks.resize_with(map.len().div_ceil(CHUNK), Chunk::default);
     paths.resize(if motion.is_some() { map.len() } else { 0 }, Path::default());
+    let wanted = wanted.map(|wanted| Wanted::new(&grid, wanted));
     let work = splats.par_chunks_mut(CHUNK).zip(chunks.par_iter_mut()).enumerate();
-    let (frame, grid) = (&frame, &grid);
+    let (frame, grid, wanted) = (&frame, &grid, wanted.as_ref());
     let project = |number: usize, splats, chunk: &mut Chunk, moving| {
         chunk.visible.clear();
         chunk.tile_count = 0;
@@ -55,14 +57,14 @@ pub(crate) fn project(
 }
 
 /// The projection of one chunk.
-struct Project<'a> {
-    frame: &'a Frame,
-    map: &'a GaussianMap,
-    grid: &'a TileGrid,
-    wanted: Option<&'a [bool]>,
+pub(super) struct Project<'a> {
+    pub(super) frame: &'a Frame,
+    pub(super) map: &'a GaussianMap,
+    pub(super) grid: &'a TileGrid,
+    wanted: Option<&'a Wanted<'a>>,
     /// Index of the first Gaussian.
-    start: usize,
-    splats: &'a mut [Splat],
+    pub(super) start: usize,
+    pub(super) splats: &'a mut [Splat],
     /// When the camera moves.
     moving: Option<(&'a MotionFrame, &'a mut [Path<f32>])>,
     chunk: &'a mut Chunk,
@@ -74,12 +76,16 @@ impl WithSimd for Project<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let motion = self.moving.as_ref().map(|(motion, _)| *motion);
-        let mut group = Group::default();
-        let mut index = self.start;
-        for splats in self.splats.chunks_mut(S::F32_LANES) {
-            for place in 0..splats.len() {
-                group.parameters.set(place, self.map, index + place);
-                put(&mut group.radiance, place, &self.map.colours[index + place]);
+        let (mut group, mut chosen) = (Group::default(), cpu_wanted::ALL);
+        let count = match (self.wanted, motion) {
+            (Some(wanted), Some(motion)) => self.choose(simd, wanted, motion, &mut chosen),
+            _ => self.splats.len(),
+        };
+        for chosen in chosen[..count].chunks(S::F32_LANES) {
+            for (place, &row) in chosen.iter().enumerate() {
+                let index = self.start + usize::from(row);
+                group.parameters.set(place, self.map, index);
+                put(&mut group.radiance, place, &self.map.colours[index]);
             }
             match self.frame.shape {
                 Shape::Isotropic => {
@@ -89,24 +95,43 @@ impl WithSimd for Project<'_> {
                     group.project::<S, true>(simd, self.frame, motion, self.grid);
                 }
             }
-            for (place, splat) in splats.iter_mut().enumerate() {
-                group.write(place, splat);
-                if let Some(wanted) = self.wanted {
-                    splat.tiles = self.grid.wanted_part(wanted, splat.tiles);
-                }
-                splat.first_tile = self.chunk.tile_count;
-                if let Some((_, paths)) = &mut self.moving {
-                    paths[index + place - self.start] = group.paths.path(place);
-                }
-                let count = splat.tile_count();
-                if count > 0 {
-                    self.chunk.tile_count += count;
-                    self.chunk.visible.push(sort::item(splat.depth, (index + place) as u32));
-                }
+            for (place, &row) in chosen.iter().enumerate() {
+                self.write(&group, place, usize::from(row));
             }
-            index += splats.len();
         }
     }
+}
+
+impl Project<'_> {
+    /// Write what the group has at `place` to a row of the chunk.
+    #[inline(always)]
+    fn write(&mut self, group: &Group, place: usize, row: usize) {
+        let splat = &mut self.splats[row];
+        group.write(place, splat);
+        if let Some(wanted) = self.wanted {
+            splat.tiles = self.grid.wanted_part(wanted.tiles, splat.tiles);
+        }
+        splat.first_tile = self.chunk.tile_count;
+        if let Some((_, paths)) = &mut self.moving {
+            paths[row] = group.paths.path(place);
+        }
+        let count = splat.tile_count();
+        if count > 0 {
+            self.chunk.tile_count += count;
+            self.chunk.visible.push(sort::item(splat.depth, (self.start + row) as u32));
+        }
+    }
+}
+
+/// Tiles with pixels from the first column and row to the end column and row that the group has at
+/// `place`: first column, first row, end column, end row. None where there are no such pixels.
+#[inline(always)]
+pub(super) fn tiles_within(pixels: &[Column; 4], place: usize) -> [usize; 4] {
+    let [x0, y0, x1, y1] = take(pixels, place).map(nearest);
+    if x0 >= x1 || y0 >= y1 {
+        return [0; 4];
+    }
+    [x0 / TILE, y0 / TILE, x1.div_ceil(TILE), y1.div_ceil(TILE)]
 }
 
 /// Parameters and footprints of a group.
@@ -145,10 +170,7 @@ impl Group {
         let determinant = xx * yy - xy * xy;
         let inverse = determinant.recip();
         let conic = [yy * inverse, -(xy * inverse), xx * inverse];
-        let centre = [
-            stages.ratio[0].times(frame.camera.fx) + logit.constant(frame.camera.cx),
-            stages.ratio[1].times(frame.camera.fy) + logit.constant(frame.camera.cy),
-        ];
+        let centre = frame.centre(&stages);
         let unsound = unsound + (centre[0] + centre[1] + determinant).times(0.0);
         let unsound = unsound + (conic[0] + conic[1] + conic[2]).times(0.0);
         let depth = stages.p[2].within(frame.settings.near, frame.settings.far);
@@ -178,26 +200,19 @@ impl Group {
         extent: [Lanes<S>; 2],
         mut accepted: S::m32s,
     ) {
-        let limits = [grid.width as f32, grid.height as f32];
-        let mut boxes = [[centre[0], centre[0]], [centre[1], centre[1]]];
+        let mut shifts = [[centre[0].constant(0.0); 2]; 2];
         if let Some(motion) = motion {
             let simd = centre[0].simd();
             let path = motion.path(simd, &self.parameters, centre);
             accepted = simd.and_m32s(accepted, path.accepted);
-            let sweep = motion.sweep(&path, centre[1], extent[1]);
-            for axis in 0..2 {
-                boxes[axis] = [centre[axis] + sweep[axis][0], centre[axis] + sweep[axis][1]];
-            }
+            shifts = motion.sweep(&path, centre[1], extent[1]);
             self.paths.store(&path);
         }
         for axis in 0..2 {
             centre[axis].store(&mut self.centre[axis]);
             extent[axis].store(&mut self.extent[axis]);
-            let first = (boxes[axis][0] - extent[axis]).max(0.0).min(limits[axis]);
-            let end = (boxes[axis][1] + extent[axis]).max(0.0).min(limits[axis]);
-            first.store(&mut self.pixels[axis]);
-            end.only(accepted).store(&mut self.pixels[2 + axis]);
         }
+        store_box(&mut self.pixels, grid, centre, shifts, extent, accepted);
     }
 
     /// Not zero where a parameter is not finite.
@@ -234,18 +249,10 @@ impl Group {
     /// The splat of the Gaussian at `place`.
     #[inline(always)]
     fn write(&self, place: usize, splat: &mut Splat) {
-        let [x0, y0, x1, y1] = [
-            nearest(self.pixels[0][place]),
-            nearest(self.pixels[1][place]),
-            nearest(self.pixels[2][place]),
-            nearest(self.pixels[3][place]),
-        ];
-        splat.tiles = [0; 4];
-        if x0 >= x1 || y0 >= y1 {
+        splat.tiles = tiles_within(&self.pixels, place).map(|tile| tile as u16);
+        if splat.tile_count() == 0 {
             return;
         }
-        let (ends, starts) = ([x1.div_ceil(TILE), y1.div_ceil(TILE)], [x0 / TILE, y0 / TILE]);
-        splat.tiles = [starts[0] as u16, starts[1] as u16, ends[0] as u16, ends[1] as u16];
         splat.centre = take(&self.centre, place);
         splat.exponent = take(&self.exponent, place);
         splat.radiance = take(&self.radiance, place);
@@ -256,10 +263,31 @@ impl Group {
     }
 }
 
+/// Store the pixels within an extent around all places of a centre, given by its smallest and
+/// largest shift per axis; there are none where not `accepted`.
+#[inline(always)]
+pub(super) fn store_box<S: Simd>(
+    pixels: &mut [Column; 4],
+    grid: &TileGrid,
+    centre: [Lanes<S>; 2],
+    shifts: [[Lanes<S>; 2]; 2],
+    extent: [Lanes<S>; 2],
+    accepted: S::m32s,
+) {
+    let limits = [grid.width as f32, grid.height as f32];
+    for axis in 0..2 {
+        let [low, high] = shifts[axis].map(|shift| centre[axis] + shift);
+        let first = (low - extent[axis]).max(0.0).min(limits[axis]);
+        let end = (high + extent[axis]).max(0.0).min(limits[axis]);
+        first.store(&mut pixels[axis]);
+        end.only(accepted).store(&mut pixels[2 + axis]);
+    }
+}
+
 /// Half the size of an extent from the square of the exact one: a part in a thousand and a
 /// hundredth of a pixel make up for rounding here and where rows and tiles are counted.
 #[inline(always)]
-fn half<S: Simd>(squared: Lanes<S>) -> Lanes<S> {
+pub(super) fn half<S: Simd>(squared: Lanes<S>) -> Lanes<S> {
     squared.sqrt().times(1.001) + squared.constant(0.01)
 }
 

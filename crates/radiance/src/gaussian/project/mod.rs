@@ -5,6 +5,7 @@ mod cpu_backward;
 mod cpu_backward_group;
 mod cpu_forward;
 mod cpu_motion;
+mod cpu_wanted;
 mod lanes;
 mod matrices;
 mod path;

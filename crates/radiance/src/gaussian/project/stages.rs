@@ -134,6 +134,13 @@ impl Frame {
         Stages { p, inverse_depth, ratio, clamped, jacobian, scale, axes }
     }
 
+    /// Where the means are in the picture [px].
+    #[inline(always)]
+    pub(crate) fn centre<S: Simd>(&self, stages: &Stages<S>) -> [Lanes<S>; 2] {
+        let ([x, y], camera) = (stages.ratio, &self.camera);
+        [x.times(camera.fx) + x.constant(camera.cx), y.times(camera.fy) + y.constant(camera.cy)]
+    }
+
     #[inline(always)]
     fn axes<S: Simd>(&self, quaternion: [Lanes<S>; 4], scale: [Lanes<S>; 3]) -> Axes<S> {
         let [w, x, y, z] = quaternion;

@@ -98,7 +98,7 @@ impl Rasterizer {
         timed(&mut seconds.blend, || {
             cpu_forward::render(*arch, settings, grid, splats, bins, tiles);
         });
-        timed(&mut seconds.copy_out, || tile::copy_out(grid, tiles, out));
+        timed(&mut seconds.copy_out, || tile::copy_out(grid, tiles, None, out));
     }
 
     /// Project the map and list the splats of each tile, or of those that are `wanted`, in order of
@@ -251,7 +251,7 @@ impl Rasterizer {
             bins: &self.bins,
         };
         moving::render(&scene, wanted, &mut self.tiles, &mut self.states);
-        tile::copy_out(&self.grid, &self.tiles, out);
+        tile::copy_out(&self.grid, &self.tiles, wanted, out);
     }
 
     /// Pull `∂L/∂render` back through the last [`render_moving`](Self::render_moving), which must

@@ -39,8 +39,13 @@ pub(crate) fn start(tile: &mut TilePixels, grid: &TileGrid, number: usize) -> [f
     [column as f32 + 0.5, row as f32 + 0.5]
 }
 
-/// From tiles to planes.
-pub(crate) fn copy_out(grid: &TileGrid, tiles: &[TilePixels], out: &mut Render) {
+/// From tiles to planes; tiles that are not `wanted` show nothing.
+pub(crate) fn copy_out(
+    grid: &TileGrid,
+    tiles: &[TilePixels],
+    wanted: Option<&[bool]>,
+    out: &mut Render,
+) {
     out.resize(grid.width, grid.height);
     if grid.len() == 0 {
         return;
@@ -51,9 +56,17 @@ pub(crate) fn copy_out(grid: &TileGrid, tiles: &[TilePixels], out: &mut Render) 
     let bands = (red.par_chunks_mut(band), green.par_chunks_mut(band), blue.par_chunks_mut(band));
     let scalars = (out.depth.data.par_chunks_mut(band), out.opacity.data.par_chunks_mut(band));
     let work = tiles.par_chunks(grid.columns).zip(bands.into_par_iter()).zip(scalars);
-    work.for_each(|((tiles, (r, g, b)), (z, opacity))| {
+    work.enumerate().for_each(|(row, ((tiles, (r, g, b)), (z, opacity)))| {
+        if wanted.is_some() {
+            for plane in [&mut *r, &mut *g, &mut *b, &mut *z, &mut *opacity] {
+                plane.fill(0.0);
+            }
+        }
         for j in 0..r.len() / width {
             for (column, tile) in tiles.iter().enumerate() {
+                if wanted.is_some_and(|wanted| !wanted[row * grid.columns + column]) {
+                    continue;
+                }
                 let [t, planes @ ..] = &tile.rows[j];
                 let at = j * width + column * TILE;
                 let end = (at + TILE).min((j + 1) * width);

@@ -94,7 +94,7 @@ fn without_motion_it_is_the_still_picture() {
 #[test]
 fn wanted_tiles_are_those_of_the_whole_picture() {
     let motion = motion(0.5);
-    for case in cases() {
+    for case in cases().into_iter().chain([many()]) {
         let (whole, _, _) = fast_on(Arch::new(), &case, &motion);
         let (map, view) = (case.map().cast(), case.view().cast());
         let columns = view.camera.width.div_ceil(TILE);
@@ -144,14 +144,18 @@ fn without_motion_the_gradients_are_those_of_the_still_picture() {
 }
 
 /// Many Gaussians, so that every stage is split.
-#[test]
-fn a_moving_camera_does_not_depend_on_the_number_of_threads() {
+fn many() -> Case {
     let recipe = Recipe {
         count: 20_000,
         sigma: [0.4, 2.0],
         ..Recipe::new(Shape::Anisotropic, ColourActivation::Exponential)
     };
-    let case = Case { name: "many", size: [200, 150], recipe, settings: RasterSettings::default() };
+    Case { name: "many", size: [200, 150], recipe, settings: RasterSettings::default() }
+}
+
+#[test]
+fn a_moving_camera_does_not_depend_on_the_number_of_threads() {
+    let case = many();
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         pool.map(|pool| pool.install(|| fast_on(Arch::new(), &case, &motion(0.8)))).ok()

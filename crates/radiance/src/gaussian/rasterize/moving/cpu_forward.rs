@@ -23,7 +23,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) bins: &'a Bins,
 }
 
-/// Composite all tiles, or those that are `wanted`. `states` holds the moments of the first tile,
+/// Composite all tiles, or those that are `wanted`: of the others only nothing is visited, whatever
+/// their pixels. `states` holds the moments of the first tile,
 /// then of the second.
 pub(crate) fn render(
     scene: &Scene<'_>,
@@ -38,7 +39,7 @@ pub(crate) fn render(
     let count = TILE * scene.clock.moments.len();
     let work = tiles.par_iter_mut().zip(states.par_chunks_mut(count)).enumerate();
     work.for_each(|(number, (tile, states))| match wanted {
-        Some(wanted) if !wanted[number] => show_nothing(tile),
+        Some(wanted) if !wanted[number] => tile.visited = 0,
         _ => render_tile(scene, number, tile, states),
     });
 }
