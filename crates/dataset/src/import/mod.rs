@@ -2,7 +2,7 @@
 //! files have them.
 //!
 //! [`Files::open`] recognises the [`Kind`] by the files. Pictures are delivered as those of a
-//! [`Sequence`](crate::Sequence): lens removed, cropped, scaled. Poses become `world_from_camera`
+//! [`Sequence`]: lens removed, cropped, scaled. Poses become `world_from_camera`
 //! with OpenCV's camera axes, whatever the files hold. See docs/import.md for each kind.
 //!
 //! ```no_run
