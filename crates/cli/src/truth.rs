@@ -79,12 +79,13 @@ impl Truth {
     pub(crate) fn judge(
         &self,
         estimate: &[StampedPose],
+        alignment: Alignment,
     ) -> Result<Option<(TrajectoryError, Vec<StampedPose>)>, Failure> {
         if self.trajectory.is_empty() {
             return Ok(None);
         }
         let truth = &self.trajectory;
-        let error = absolute_trajectory_error(estimate, truth, Alignment::Se3, DEFAULT_TOLERANCE)?;
+        let error = absolute_trajectory_error(estimate, truth, alignment, DEFAULT_TOLERANCE)?;
         let laid = error.associations.iter().map(|pair| StampedPose {
             timestamp: estimate[pair.estimate].timestamp,
             world_from_camera: undo(

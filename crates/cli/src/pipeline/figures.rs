@@ -5,6 +5,7 @@ use crate::truth::Truth;
 use i2slam::export::Metrics;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::exposure::exposure_agreement;
+use i2slam_eval::trajectory::Alignment;
 
 /// Exposures that differ by less are constant: a correlation would be one of noise [stops].
 const LEAST_RANGE: f64 = 0.1;
@@ -33,7 +34,10 @@ impl Figures {
     }
 
     fn judge_trajectory(&mut self, tracked: &Tracked, truth: &Truth) {
-        match truth.judge(&tracked.reconstruction.trajectory()) {
+        let scaled = tracked.reconstruction.config.is_rgb();
+        let alignment = if scaled { Alignment::Sim3 } else { Alignment::Se3 };
+        self.metrics.ate_scale_aligned = scaled;
+        match truth.judge(&tracked.reconstruction.trajectory(), alignment) {
             Ok(Some((error, laid))) => {
                 self.metrics.ate_rmse_m = Some(error.ate_rmse_m);
                 self.metrics.ate_mean_m = Some(error.ate_mean_m);

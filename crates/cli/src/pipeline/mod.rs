@@ -169,8 +169,9 @@ fn summarise(metrics: &Metrics, map: &str, folder: &Path, readout_searched: bool
         let centimetres = error * 100.0;
         let digits = if centimetres < 0.1 { 4 } else { 2 };
         say(&format!(
-            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {})",
-            counted(metrics.ate_poses, "pose")
+            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {}{})",
+            counted(metrics.ate_poses, "pose"),
+            if metrics.ate_scale_aligned { ", scale aligned" } else { "" }
         ));
     }
     if let Some(psnr) = metrics.psnr_sharp_db {

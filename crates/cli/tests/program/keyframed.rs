@@ -52,6 +52,7 @@ fn a_trajectory_and_pictures_become_a_field() {
     }
     let metrics = a.join("metrics.json");
     assert_eq!(number(&metrics, "keyframes"), Some(FRAMES as f64));
+    assert!(fs::read_to_string(&metrics).expect("figures").contains("\"ate_scale_aligned\": true"));
     let error = number(&metrics, "ate_rmse_m").expect("a truth");
     let psnr = number(&metrics, "psnr_blurred_db").expect("pictures");
     eprintln!("{error} m, {psnr} dB");

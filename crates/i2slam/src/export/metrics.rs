@@ -42,8 +42,11 @@ pub struct Metrics {
     pub psnr_blurred_db: Option<f64>,
     /// Frames in `psnr_blurred_db`.
     pub psnr_blurred_frames: usize,
+    /// Whether the trajectory was brought to the truth's scale before it was judged: the unit of
+    /// length of colour alone is not known.
+    pub ate_scale_aligned: bool,
     /// Absolute trajectory error against the ground truth, RMSE of camera centres after rigid
-    /// alignment [m].
+    /// alignment, or with scale [m].
     pub ate_rmse_m: Option<f64>,
     /// The same, mean [m].
     pub ate_mean_m: Option<f64>,

@@ -1,12 +1,16 @@
 //! Keyframes that our own monocular front end finds poses for, from the pictures alone.
 
 use super::{EstimatedDepth, KeyframeSource, PosedKeyframe};
-use i2slam_geometry::{Camera, Image};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_monocular::{FrontEnd, Keyframe, Reconstruction};
 use std::error::Error;
 use thiserror::Error;
 
 pub use i2slam_monocular::{Failure as NativeFailure, Intrinsics};
+
+/// Median depth of the landmarks in the unit of length that is delivered: about that of a room in
+/// metres, for which the settings of maps are made.
+const MEDIAN_DEPTH: f64 = 2.0;
 
 /// A depth counts if its standard deviation is at most this share of it.
 const TRUSTED: f64 = 0.3;
@@ -44,7 +48,8 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
     })
 }
 
-/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]; unit of length arbitrary.
+/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]; the unit of length is arbitrary, half
+/// the median depth of the landmarks.
 pub struct Native<L> {
     reconstruction: Reconstruction,
     load: L,
@@ -118,7 +123,10 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
             timestamp: keyframe.timestamp,
             depth: Some(sparse_depth(keyframe, colour.width, colour.height)),
             colour,
-            world_from_camera: keyframe.world_from_camera,
+            world_from_camera: Pose {
+                translation: keyframe.world_from_camera.translation * MEDIAN_DEPTH,
+                ..keyframe.world_from_camera
+            },
         }))
     }
 }
@@ -131,8 +139,8 @@ fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDe
         let inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
         if inside && point.variance.sqrt() <= TRUSTED * point.depth {
             let pixel = v as usize * width + u as usize;
-            depth.data[pixel] = point.depth as f32;
-            variance.data[pixel] = point.variance as f32;
+            depth.data[pixel] = (MEDIAN_DEPTH * point.depth) as f32;
+            variance.data[pixel] = (MEDIAN_DEPTH * MEDIAN_DEPTH * point.variance) as f32;
         }
     }
     EstimatedDepth { depth, variance: Some(variance) }

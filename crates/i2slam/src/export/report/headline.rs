@@ -35,8 +35,16 @@ pub(super) fn cards(metrics: &Metrics) -> String {
     let of_all = format!("of {}", metrics.frames);
     card(metrics.tracked.to_string(), &of_all, "Frames tracked", "The camera's pose was found.");
     if let Some(error) = metrics.ate_rmse_m {
-        let meaning = "Distance of the estimated from the true camera positions (RMSE after \
-                       rigid alignment).";
+        let meaning = match metrics.ate_scale_aligned {
+            false => {
+                "Distance of the estimated from the true camera positions (RMSE after rigid \
+                 alignment)."
+            }
+            true => {
+                "Distance of the estimated from the true camera positions (RMSE after alignment \
+                 with scale, which colour alone does not tell)."
+            }
+        };
         card(significant(error * 100.0), "cm", "Trajectory error", meaning);
     }
     if let Some(psnr) = metrics.psnr_sharp_db {
