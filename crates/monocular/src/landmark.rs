@@ -47,6 +47,13 @@ impl Landmark {
         self.origin + self.frame * Vec3::new(a, b, 1.0) * (1.0 / rho.max(1e-9))
     }
 
+    /// Derivative of the depth in a camera by `ρ`: `-(Rᵀ frame (a, b, 1))_z / ρ²`.
+    pub(crate) fn depth_slope(&self, world_from_camera: &Pose<f64>) -> f64 {
+        let [a, b, rho] = self.values;
+        let ray = self.frame * Vec3::new(a, b, 1.0);
+        -world_from_camera.rotation.inverse().rotate(ray).z / (rho * rho)
+    }
+
     /// The point in a camera, times its inverse depth: `Rᵀ (ρ (origin - t) + frame (a, b, 1))`.
     pub(crate) fn ray_in(&self, world_from_camera: &Pose<f64>) -> Vec3<f64> {
         let [a, b, rho] = self.values;
@@ -126,5 +133,24 @@ mod tests {
                 assert_gradient("projection", &[0.0; 10], &gradient, 1e-3, 1e-6, f);
             }
         }
+    }
+
+    /// In a camera that has moved forward the depth changes by other than its square.
+    #[test]
+    fn slope_of_the_depth_agrees_with_differences() {
+        let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };
+        let first = Pose::new(Rotation::exp(Vec3::new(0.1, -0.2, 0.05)), Vec3::new(0.3, 0.1, -0.2));
+        let moved = first.retract(Tangent::from_array([0.1, 0.0, 1.0, 0.02, 0.1, 0.0]));
+        let landmark = Landmark::on_ray(&camera, first, [100.0, 90.0], 0.4);
+        for pose in [first, moved] {
+            let depth = |x: &[f64]| {
+                let [a, b, rho] = landmark.values;
+                let there = Landmark { values: [a, b, rho + x[0]], ..landmark };
+                (pose.inverse() * there.position()).z
+            };
+            assert_gradient("depth", &[0.0], &[landmark.depth_slope(&pose)], 1e-4, 1e-6, depth);
+        }
+        let z = (moved.inverse() * landmark.position()).z;
+        assert!(landmark.depth_slope(&moved).abs() > 2.0 * z * z);
     }
 }

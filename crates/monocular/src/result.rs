@@ -220,7 +220,10 @@ fn focal_deviation(
 }
 
 fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
-    let (bundle, _, tracks) = scene.bundle(&scene.posed(), false);
+    let (mut bundle, _, tracks) = scene.bundle(&scene.posed(), false);
+    // Poses stay, and take no room among the unknowns.
+    bundle.fixed.fill(true);
+    let noise = scene.residual_scale().unwrap_or(1.0);
     let mut variances = vec![None; scene.landmarks.len()];
     for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
         variances[*track] = variance;
@@ -229,12 +232,12 @@ fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
         let pose = scene.poses[index]?;
         let depth = |track: usize| {
             let (landmark, variance) = (scene.landmarks[track]?, variances[track]?);
-            let observation = scene.tracks.tracks[track].in_frame(index)?;
-            let inverse_depth = landmark.values[2];
+            let seen = scene.tracks.tracks[track].in_frame(index);
+            let observation = seen.filter(|observation| !observation.is_wrong)?;
             let in_camera = pose.inverse() * landmark.position();
-            // dz = z² dρ, at the distance of this camera.
-            let usable = inverse_depth > 1e-4 && in_camera.z > 0.0;
-            let variance = variance * in_camera.z.powi(4);
+            let usable = landmark.values[2] > 1e-4 && in_camera.z > 0.0;
+            let slope = landmark.depth_slope(&pose);
+            let variance = variance * (noise * slope).powi(2);
             usable.then_some(SparseDepth { at: observation.at, depth: in_camera.z, variance })
         };
         let depths = (0..scene.landmarks.len()).filter_map(depth).collect();

@@ -174,7 +174,7 @@ impl KeyframedSession {
             gaussians: 0,
         };
         if let Some(last) = self.frames.last() {
-            estimate.shutter = self.split(estimate.middle(), last, &estimate);
+            estimate.shutter = self.split(&estimate, last, false);
         }
         (estimate, Arc::new(observation))
     }
@@ -194,29 +194,22 @@ impl KeyframedSession {
     /// The motion of the first exposure, known once there is a second.
     fn split_the_first(&mut self, position: usize) {
         if position == 1 {
-            let motion = self.motion(&self.frames[0], &self.frames[1]);
-            self.frames[0].shutter = spread(self.frames[0].middle(), motion);
+            self.frames[0].shutter = self.split(&self.frames[0], &self.frames[1], true);
         }
     }
 
-    /// Start and end pose around a middle, along the way from the last keyframe.
-    fn split(
-        &self,
-        middle: Pose<f64>,
-        last: &FrameEstimate,
-        current: &FrameEstimate,
-    ) -> ShutterPoses<f64> {
-        spread(middle, self.motion(last, current))
-    }
-
-    /// First guess of the motion during an exposure, in the camera of `last`.
-    fn motion(&self, last: &FrameEstimate, current: &FrameEstimate) -> Tangent<f64> {
+    /// Start and end pose of the exposure of `at`, along the way to another keyframe that is
+    /// `forward` in time or back.
+    fn split(&self, at: &FrameEstimate, other: &FrameEstimate, forward: bool) -> ShutterPoses<f64> {
         if !self.config.formation.blur {
-            return Tangent::zero();
+            return ShutterPoses::still(at.middle());
         }
         let share = f64::from(self.config.keyframed.initial_split);
-        let way = last.middle().local(current.middle());
-        way.scaled(share / intervals(self.frame_rate, last, current))
+        let (direction, earlier, later) =
+            if forward { (1.0, at, other) } else { (-1.0, other, at) };
+        let way = at.middle().local(other.middle());
+        let intervals = intervals(self.frame_rate, earlier, later);
+        spread(at.middle(), way.scaled(direction * share / intervals))
     }
 
     fn story(&mut self) -> (&mut PosedField, Story<'_>) {
