@@ -15,6 +15,14 @@ const MEDIAN_DEPTH: f64 = 2.0;
 /// A depth counts if its standard deviation is at most this share of it.
 const TRUSTED: f64 = 0.3;
 
+/// Factor of the deviations that are delivered: the depth loss is a mean over the few pixels that
+/// have a depth, which would outweigh the picture.
+const SPARSE: f64 = 10.0;
+
+/// Least standard deviation of a depth as a share of it: that of the landmarks leaves the poses out,
+/// and a pixel shows more than a point.
+const LEAST_DEVIATION: f64 = 0.1;
+
 /// What goes wrong with a picture, whatever it is.
 type PictureError = Box<dyn Error + Send + Sync>;
 
@@ -140,7 +148,8 @@ fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDe
         if inside && point.variance.sqrt() <= TRUSTED * point.depth {
             let pixel = v as usize * width + u as usize;
             depth.data[pixel] = (MEDIAN_DEPTH * point.depth) as f32;
-            variance.data[pixel] = (MEDIAN_DEPTH * MEDIAN_DEPTH * point.variance) as f32;
+            let deviation = point.variance.sqrt().hypot(LEAST_DEVIATION * point.depth);
+            variance.data[pixel] = (SPARSE * MEDIAN_DEPTH * deviation).powi(2) as f32;
         }
     }
     EstimatedDepth { depth, variance: Some(variance) }
