@@ -1,6 +1,6 @@
 //! The figures of a run that need no pictures.
 
-use super::track::Tracked;
+use super::drive::Tracked;
 use crate::truth::Truth;
 use i2slam::export::Metrics;
 use i2slam::geometry::StampedPose;

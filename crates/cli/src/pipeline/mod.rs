@@ -1,6 +1,7 @@
 //! A whole run: frames in, result folder out. Used by `run` and `demo`.
 
 mod draw;
+mod drive;
 mod figures;
 mod posed;
 mod track;
@@ -13,6 +14,7 @@ use crate::output::{complain, counted, say};
 use crate::progress::Progress;
 use crate::truth::Truth;
 use draw::Drawing;
+use drive::Tracked;
 use figures::Figures;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
@@ -20,7 +22,6 @@ use i2slam::export::report::Report;
 use i2slam::export::{ExportError, Input, Layout, Metrics, ResultFolder, save, save_metrics};
 pub(crate) use posed::Keyframes;
 use std::path::{Path, PathBuf};
-use track::Tracked;
 
 /// What to do.
 pub(crate) struct Job {

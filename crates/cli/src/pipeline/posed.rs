@@ -1,17 +1,15 @@
 //! Keyframes that come with poses through a session.
 
 use super::Job;
-use super::track::Tracked;
+use super::drive::{Drive, Tracked, drive};
 use crate::failure::{Failure, without_panics};
-use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::keyframes::{
     ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PosedKeyframe, SequencePicture,
     import,
 };
-use i2slam::{KeyframedSession, SessionError};
-use std::error::Error;
+use i2slam::{FrameEstimate, KeyframedSession, Reconstruction, SessionError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -80,8 +78,7 @@ fn native(sequence: &Sequence) -> Result<Opened<'_>, Failure> {
     Ok(Opened { source: Box::new(source), count, frame_rate: sequence.frame_rate, warnings })
 }
 
-/// Take in every keyframe until the source or the user's patience ends. A keyframe that cannot be
-/// read is left out with a warning.
+/// Take in every keyframe.
 pub(super) fn track(
     job: &Job,
     keyframes: &Keyframes,
@@ -92,103 +89,37 @@ pub(super) fn track(
     let opened = without_panics(|| keyframes.open(&job.dataset, &job.open, sequence))?;
     opened.warnings.iter().for_each(|warning| progress.warn(warning));
     let Opened { mut source, count, frame_rate, .. } = opened;
-    let session = KeyframedSession::new(job.config.clone(), *source.camera(), frame_rate);
-    let mut run = Run { session, total: count, skipped: 0, first_error: None };
+    let mut session = KeyframedSession::new(job.config.clone(), *source.camera(), frame_rate);
     if let Some(covered) = &sequence.covered {
-        run.session.set_covered(Arc::clone(covered));
+        session.set_covered(Arc::clone(covered));
     }
-    let end = without_panics(|| run.keyframes(source.as_mut(), progress));
-    let mut problem = match end {
-        Err(Failure::Failed(message) | Failure::Usage(message)) => Some(message),
-        _ => None,
-    };
-    if run.session.frames().is_empty() && !interrupt::requested() {
-        let reason = problem.or(run.first_error).unwrap_or_else(|| "there are none".to_owned());
-        return Err(Failure::Failed(format!("no keyframe could be used: {reason}")));
-    }
-    if problem.is_none() && !interrupt::requested() {
-        problem = run.finish(progress).err().and_then(|f| f.message().map(str::to_owned));
-    }
-    Ok(Tracked {
-        reconstruction: run.session.reconstruction(),
-        skipped: run.skipped,
-        seconds: clock.elapsed().as_secs_f64(),
-        complete: problem.is_none() && !interrupt::requested(),
-        problem,
-    })
+    let items = std::iter::from_fn(|| source.next_keyframe());
+    drive(session, items, count, (clock, "no keyframe could be used"), progress)
 }
 
-struct Run {
-    session: KeyframedSession,
-    /// Keyframes that there are.
-    total: usize,
-    skipped: usize,
-    first_error: Option<String>,
-}
+impl Drive for KeyframedSession {
+    type Item = PosedKeyframe;
+    const ITEM: &'static str = "keyframe";
+    const FINISH: &'static str = "refining map and poses";
 
-impl Run {
-    fn keyframes(
-        &mut self,
-        source: &mut dyn KeyframeSource,
-        progress: &mut Progress,
-    ) -> Result<(), Failure> {
-        let mut done = 0;
-        while let Some(keyframe) = source.next_keyframe() {
-            if interrupt::requested() {
-                return Err(Failure::Interrupted);
-            }
-            self.keyframe(keyframe, progress)?;
-            done += 1;
-            if let Some(estimate) = self.session.frames().last() {
-                progress.frame(estimate, done, self.total);
-            }
-        }
-        Ok(())
+    fn take_in(&mut self, keyframe: PosedKeyframe) -> (Result<(), SessionError>, Vec<String>) {
+        let taken = self.process(keyframe).map(|_| ());
+        (taken, Self::take_warnings(self))
     }
 
-    fn keyframe(
-        &mut self,
-        keyframe: Result<PosedKeyframe, Box<dyn Error + Send + Sync>>,
-        progress: &Progress,
-    ) -> Result<(), Failure> {
-        let keyframe = match keyframe {
-            Ok(keyframe) => keyframe,
-            Err(error) => {
-                self.leave_out(error.to_string(), progress);
-                return Ok(());
-            }
-        };
-        match self.session.process(keyframe) {
-            Ok(_) => {}
-            Err(error @ SessionError::Map { .. }) => {
-                return Err(Failure::Failed(error.to_string()));
-            }
-            Err(error) => self.leave_out(error.to_string(), progress),
-        }
-        self.session.take_warnings().iter().for_each(|warning| progress.warn(warning));
-        Ok(())
+    fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
+        Self::finish(self, on_step);
     }
 
-    fn leave_out(&mut self, reason: String, progress: &Progress) {
-        progress.warn(&format!("keyframe left out: {reason}"));
-        self.skipped += 1;
-        self.first_error.get_or_insert(reason);
+    fn frames(&self) -> &[FrameEstimate] {
+        Self::frames(self)
     }
 
-    fn finish(&mut self, progress: &mut Progress) -> Result<(), Failure> {
-        let mut begun = false;
-        without_panics(|| {
-            self.session.finish(&mut |done, of| {
-                if !begun {
-                    progress.phase("refining map and poses", of);
-                    begun = true;
-                }
-                progress.step(done);
-                !interrupt::requested()
-            });
-            Ok(())
-        })?;
-        self.session.take_warnings().iter().for_each(|warning| progress.warn(warning));
-        Ok(())
+    fn take_warnings(&mut self) -> Vec<String> {
+        Self::take_warnings(self)
+    }
+
+    fn reconstruction(&self) -> Reconstruction {
+        Self::reconstruction(self)
     }
 }
