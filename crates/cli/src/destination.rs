@@ -68,34 +68,27 @@ pub(crate) fn refuse_file(out: &Path) -> Result<(), Failure> {
 
 /// What `i2slam synth` writes.
 pub(crate) fn synthetic_layout() -> Layout {
-    let files = vec![
-        "rgb.txt",
-        "depth.txt",
-        "groundtruth.txt",
-        "groundtruth_shutter.txt",
-        "exposure.csv",
-        "camera.json",
-        "README.md",
-        "spec.toml",
-    ];
-    let marks = vec![("spec.toml", "# Specification of a synthetic sequence")];
-    Layout { files, pictures: sequence_pictures(), marks }
+    sequence_layout("spec.toml", ("spec.toml", "# Specification of a synthetic sequence"))
 }
 
 /// What `i2slam degrade` writes.
 pub(crate) fn degraded_layout() -> Layout {
+    sequence_layout("source.csv", ("README.md", "Made by `i2slam degrade`"))
+}
+
+/// A sequence with truth, a `further` file, and the file whose beginning tells who wrote it.
+fn sequence_layout(further: &'static str, mark: (&'static str, &'static str)) -> Layout {
     let files = vec![
         "rgb.txt",
         "depth.txt",
         "groundtruth.txt",
         "groundtruth_shutter.txt",
         "exposure.csv",
-        "source.csv",
         "camera.json",
         "README.md",
+        further,
     ];
-    let marks = vec![("README.md", "Made by `i2slam degrade`")];
-    Layout { files, pictures: sequence_pictures(), marks }
+    Layout { files, pictures: sequence_pictures(), marks: vec![mark] }
 }
 
 fn sequence_pictures() -> Vec<(String, &'static str)> {

@@ -117,6 +117,11 @@ pub struct Mat3<T> {
 }
 
 impl<T: Real> Mat3<T> {
+    /// `a bᵀ`.
+    pub fn outer(a: Vec3<T>, b: Vec3<T>) -> Self {
+        Self { rows: a.to_array().map(|x| (b * x).to_array()) }
+    }
+
     /// The identity.
     pub fn identity() -> Self {
         Self::diagonal(Vec3::new(T::one(), T::one(), T::one()))

@@ -72,6 +72,28 @@ pub struct FrameEstimate {
 }
 
 impl FrameEstimate {
+    /// A frame of which only the pose is known: global shutter, no gains, tracked, not mapped.
+    pub(crate) fn posed(index: usize, timestamp: f64, shutter: ShutterPoses<f64>) -> Self {
+        Self {
+            index,
+            timestamp,
+            shutter,
+            readout: 0.0,
+            depth_lead: Tangent::zero(),
+            tone: FrameTone::default(),
+            response: 0,
+            keyframe: false,
+            held_out: false,
+            tracked: true,
+            losses: Losses::default(),
+            convergence: Convergence::default(),
+            blur_length: 0.0,
+            tracking_seconds: 0.0,
+            mapping_seconds: 0.0,
+            gaussians: 0,
+        }
+    }
+
     /// World-from-camera at mid-exposure.
     pub fn middle(&self) -> Pose<f64> {
         self.shutter.middle()

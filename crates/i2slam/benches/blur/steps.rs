@@ -6,6 +6,7 @@ use super::fitted::Fitted;
 use i2slam::formation::{ShutterPoses, ShutterTangent};
 use i2slam::objective::{BlurRoute, Exposure, FrameVariables, Observation, Sampling, Tone};
 use i2slam::radiance::gaussian::MapGradient;
+use i2slam_check::processor_seconds;
 use std::time::Instant;
 
 /// Streaks [px], and views where more than one is rendered.
@@ -64,15 +65,4 @@ pub(crate) fn print() -> Outcome {
         println!("time,steps/{name},{:.6e}", best[k]);
     }
     Ok(())
-}
-
-/// Time that the processor spent on all threads of this process so far \[s\]: what other programs
-/// take is no part of it. 0 where the system does not say.
-fn processor_seconds() -> f64 {
-    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
-    let nanoseconds = |task: std::fs::DirEntry| -> Option<f64> {
-        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        text.split_whitespace().next()?.parse().ok()
-    };
-    tasks.flatten().filter_map(nanoseconds).sum::<f64>() * 1e-9
 }

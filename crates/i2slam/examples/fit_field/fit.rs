@@ -5,6 +5,7 @@ use crate::frames::Frames;
 use i2slam::geometry::Image;
 use i2slam::radiance::hashgrid::*;
 use i2slam::radiance::{Render, View};
+use i2slam_check::processor_seconds;
 use i2slam_compute::Random;
 use std::error::Error;
 use std::time::Instant;
@@ -159,14 +160,4 @@ fn held_out(frames: &Frames, map: HashGridMap) -> f64 {
         shown.data.iter_mut().for_each(|v| *v = formed(*v * frames.exposures[frame]).0);
         shown
     })
-}
-
-/// Time that the processor spent on this process \[s\]; 0 where the system does not say.
-fn processor_seconds() -> f64 {
-    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
-    let nanoseconds = |task: std::fs::DirEntry| -> Option<f64> {
-        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        text.split_whitespace().next()?.parse().ok()
-    };
-    tasks.flatten().filter_map(nanoseconds).sum::<f64>() * 1e-9
 }

@@ -3,9 +3,9 @@
 use super::map::typical_tone;
 use super::pictures::{write_depth, write_picture, write_radiance};
 use super::{ExportError, Layout, ResultFolder, Storage};
-use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
+use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_formation::{FrameTone, ShutterPoses};
-use i2slam_geometry::{Image, Pose, Tangent};
+use i2slam_geometry::{Image, Pose};
 
 /// What is drawn of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,22 +84,10 @@ impl Reconstruction {
         let tone = typical_tone(self).map_or_else(FrameTone::default, |(tone, _)| tone);
         let response = self.frames.get(self.frames.len() / 2).map_or(0, |f| f.response);
         FrameEstimate {
-            index,
-            timestamp: 0.0,
-            shutter: ShutterPoses::still(world_from_camera),
-            readout: 0.0,
-            depth_lead: Tangent::zero(),
             tone,
             response,
-            keyframe: false,
-            held_out: false,
-            tracked: true,
-            losses: Losses::default(),
-            convergence: Convergence::default(),
-            blur_length: 0.0,
-            tracking_seconds: 0.0,
-            mapping_seconds: 0.0,
             gaussians: self.map.gaussians(),
+            ..FrameEstimate::posed(index, 0.0, ShutterPoses::still(world_from_camera))
         }
     }
 }

@@ -56,9 +56,7 @@ fn is_sharp(frames: &[FrameEstimate]) -> bool {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::reconstruction::{Convergence, Losses};
-    use i2slam_formation::FrameTone;
-    use i2slam_geometry::{Image, Pose, Rotation, Tangent, Vec3};
+    use i2slam_geometry::{Image, Pose, Rotation, Vec3};
 
     const CAMERA: Camera<f64> =
         Camera { width: 100, height: 80, fx: 100.0, fy: 100.0, cx: 50.0, cy: 40.0 };
@@ -67,22 +65,12 @@ mod tests {
     fn frame(index: usize, pixels: f64, blur: f64) -> FrameEstimate {
         let turn = Rotation::exp(Vec3::new(0.0, pixels / 100.0, 0.0));
         FrameEstimate {
-            index,
-            timestamp: index as f64,
-            shutter: ShutterPoses::still(Pose::new(turn, Vec3::zero())),
-            readout: 0.0,
-            depth_lead: Tangent::zero(),
-            tone: FrameTone::default(),
-            response: 0,
-            keyframe: false,
-            held_out: false,
-            tracked: true,
-            losses: Losses::default(),
-            convergence: Convergence::default(),
             blur_length: blur,
-            tracking_seconds: 0.0,
-            mapping_seconds: 0.0,
-            gaussians: 0,
+            ..FrameEstimate::posed(
+                index,
+                index as f64,
+                ShutterPoses::still(Pose::new(turn, Vec3::zero())),
+            )
         }
     }
 

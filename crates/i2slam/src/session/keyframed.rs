@@ -6,7 +6,7 @@ use crate::config::{Config, ResponseScope};
 use crate::keyframes::PosedKeyframe;
 use crate::mapping::{Keyframe, PosedField, Story, intervals};
 use crate::objective::Observation;
-use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
+use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_compute::Random;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
@@ -156,22 +156,14 @@ impl KeyframedSession {
             },
         };
         let mut estimate = FrameEstimate {
-            index,
-            timestamp,
-            shutter: ShutterPoses::still(source * world_from_camera),
-            readout: 0.0,
-            depth_lead: Tangent::zero(),
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response: self.response(),
             keyframe: seen,
-            held_out: false,
-            tracked: true,
-            losses: Losses::default(),
-            convergence: Convergence::default(),
-            blur_length: 0.0,
-            tracking_seconds: 0.0,
-            mapping_seconds: 0.0,
-            gaussians: 0,
+            ..FrameEstimate::posed(
+                index,
+                timestamp,
+                ShutterPoses::still(source * world_from_camera),
+            )
         };
         if let Some(last) = self.frames.last() {
             estimate.shutter = self.split(&estimate, last, false);

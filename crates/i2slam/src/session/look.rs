@@ -3,11 +3,11 @@
 use crate::config::Config;
 use crate::mapping::{Keyframe, Tracker};
 use crate::objective::{Observation, blur_length};
-use crate::reconstruction::{Convergence, FrameEstimate, Losses};
+use crate::reconstruction::FrameEstimate;
 use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict};
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
-use i2slam_geometry::{Camera, Tangent};
+use i2slam_geometry::Camera;
 use std::time::Instant;
 
 /// What tracking may know of a session; the rest of it stays free to be changed.
@@ -34,22 +34,15 @@ impl Look<'_> {
         let clock = Instant::now();
         let context = self.context(frame);
         let mut estimate = FrameEstimate {
-            index: frame.index,
-            timestamp: frame.timestamp,
-            shutter: ShutterPoses::still(predict(&context)),
-            readout: 0.0,
-            depth_lead: Tangent::zero(),
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response: self.response.0,
-            keyframe: false,
-            held_out: false,
             tracked: false,
-            losses: Losses::default(),
-            convergence: Convergence::default(),
-            blur_length: 0.0,
-            tracking_seconds: 0.0,
-            mapping_seconds: 0.0,
             gaussians: self.frames.last().map_or(0, |f| f.gaussians),
+            ..FrameEstimate::posed(
+                frame.index,
+                frame.timestamp,
+                ShutterPoses::still(predict(&context)),
+            )
         };
         let result = tracker.map(|tracker| {
             let response = self.config.formation.tone.then_some(self.response.1);

@@ -1,6 +1,7 @@
 //! Rays of a hash-grid field, forward and back to its parameters.
 
 use super::{counts, machine, on_threads, room};
+use i2slam_check::processor_seconds;
 use i2slam_radiance::hashgrid::{FieldGradient, FieldRenderer};
 
 /// Rounds, in each of which every lane has its turn.
@@ -62,15 +63,4 @@ fn measure() {
 
 fn keep(best: &mut Times, times: Times) {
     best.iter_mut().zip(times).for_each(|(best, time)| *best = best.min(time));
-}
-
-/// Time that the processor spent on all threads of this process so far \[s\]: what other programs
-/// take is no part of it. 0 where the system does not say.
-fn processor_seconds() -> f64 {
-    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
-    let nanoseconds = |task: std::fs::DirEntry| -> Option<f64> {
-        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        text.split_whitespace().next()?.parse().ok()
-    };
-    tasks.flatten().filter_map(nanoseconds).sum::<f64>() * 1e-9
 }

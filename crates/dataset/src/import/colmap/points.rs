@@ -37,7 +37,7 @@ pub(super) fn with_covariance(
                 cameras.get(&images[record].camera).map(|camera| (camera.k[0], camera.k[1]));
             let rows = focal.and_then(|focal| slopes(&images[record], focal, point.position));
             for row in rows.into_iter().flatten() {
-                information = information + outer(row);
+                information = information + Mat3::outer(row, row);
             }
         }
         let variance = variance(point).unwrap_or(least).max(least);
@@ -77,11 +77,6 @@ fn slopes(image: &ModelImage, (fx, fy): (f64, f64), position: Vec3<f64>) -> Opti
         let by_v = Vec3::new(0.0, fy / p.z, -fy * p.y / (p.z * p.z));
         [rotation.rotate(by_u), rotation.rotate(by_v)]
     })
-}
-
-fn outer(v: Vec3<f64>) -> Mat3<f64> {
-    let v = v.to_array();
-    Mat3 { rows: v.map(|a| v.map(|b| a * b)) }
 }
 
 /// The upper triangle of the inverse of a symmetric matrix; `None` if it is singular.

@@ -45,7 +45,7 @@ fn ellipsoid(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> ([f32; 3]
     for index in members.iter().map(|&(_, index)| index as usize) {
         let weight = f64::from(weight(map, index));
         let offset = Vec3::from_array(map.means[index]).cast::<f64>() - mean;
-        sum = sum + (covariance(map, index) + outer(offset)).scaled(weight);
+        sum = sum + (covariance(map, index) + Mat3::outer(offset, offset)).scaled(weight);
         area += weight * f64::from(log_area(map, index)).exp();
         total += weight;
     }
@@ -67,11 +67,6 @@ fn covariance(map: &GaussianMap, index: usize) -> Mat3<f64> {
     let axes = Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix();
     let variances = map.log_scales[index].map(|s| (2.0 * f64::from(s)).exp());
     axes * Mat3::diagonal(Vec3::from_array(variances)) * axes.transpose()
-}
-
-/// `d dᵀ`.
-fn outer(d: Vec3<f64>) -> Mat3<f64> {
-    Mat3 { rows: d.to_array().map(|row| (d * row).to_array()) }
 }
 
 /// Mean of a triple over members, weighted by what they cover: opacity times area.

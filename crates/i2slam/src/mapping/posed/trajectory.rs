@@ -117,7 +117,6 @@ pub(crate) fn intervals(frame_rate: f64, previous: &FrameEstimate, current: &Fra
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruction::{Convergence, Losses};
     use i2slam_check::assert_gradient;
     use i2slam_formation::{FrameTone, ShutterPoses};
     use i2slam_geometry::{Pose, Tangent};
@@ -129,22 +128,13 @@ mod tests {
             Pose::identity().retract(Tangent::from_array(along))
         };
         FrameEstimate {
-            index,
-            timestamp,
-            shutter: ShutterPoses { start: motion(-0.02), end: motion(0.03) },
-            readout: 0.0,
-            depth_lead: Tangent::zero(),
             tone: FrameTone { log_exposure: 0.2 * t as f32, ..FrameTone::default() },
-            response: 0,
             keyframe: true,
-            held_out: false,
-            tracked: true,
-            losses: Losses::default(),
-            convergence: Convergence::default(),
-            blur_length: 0.0,
-            tracking_seconds: 0.0,
-            mapping_seconds: 0.0,
-            gaussians: 0,
+            ..FrameEstimate::posed(
+                index,
+                timestamp,
+                ShutterPoses { start: motion(-0.02), end: motion(0.03) },
+            )
         }
     }
 

@@ -1,11 +1,6 @@
 //! Small matrices of the reference projection, and their ways back.
 
-use i2slam_geometry::{Mat3, Real, Vec3};
-
-/// `a bᵀ`.
-pub(super) fn outer<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Mat3<T> {
-    Mat3 { rows: a.to_array().map(|x| (b * x).to_array()) }
-}
+use i2slam_geometry::{Mat3, Real};
 
 /// The inverse of the symmetric matrix `[[a, b], [b, c]]`, if it is positive definite.
 pub(super) fn inverse<T: Real>([a, b, c]: [T; 3]) -> Option<[T; 3]> {

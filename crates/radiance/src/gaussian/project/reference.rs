@@ -1,7 +1,7 @@
 //! The projection of one Gaussian, as in the equations.
 
 use super::JacobianRange;
-use super::matrices::{inverse, inverse_cotangent, outer, quaternion_cotangent};
+use super::matrices::{inverse, inverse_cotangent, quaternion_cotangent};
 use super::path::{Ends, Path};
 use crate::gaussian::{
     ColourActivation, Gaussian, GaussianMap, RasterSettings, Shape, ShutterMotion, View,
@@ -184,9 +184,9 @@ impl<T: Real> Projector<T> {
             (v * (jx * screen[0] + jy * screen[1])) * two,
             (v * (jx * screen[1] + jy * screen[2])) * two,
         ];
-        let d_covariance = outer(jx, jx).scaled(screen[0])
-            + (outer(jx, jy) + outer(jy, jx)).scaled(screen[1])
-            + outer(jy, jy).scaled(screen[2]);
+        let d_covariance = Mat3::outer(jx, jx).scaled(screen[0])
+            + (Mat3::outer(jx, jy) + Mat3::outer(jy, jx)).scaled(screen[1])
+            + Mat3::outer(jy, jy).scaled(screen[2]);
         let d_p = self.mean_cotangent(stages.p, d_jacobian, cotangent);
         let mean = Vec3::from_array(gaussian.mean);
         let (through_path, ends) = self.ends.pull_back(mean, &cotangent.path);
