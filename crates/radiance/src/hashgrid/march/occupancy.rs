@@ -1,5 +1,6 @@
 //! Which cells of the cube may hold something.
 
+use super::ray::inside;
 use super::{Ray, Sample, Walk};
 use crate::hashgrid::{FieldRenderer, HashGridField, MarchSettings, OccupancySettings};
 use i2slam_compute::Random;
@@ -93,25 +94,30 @@ impl Occupancy {
         (z * blocks + y) * blocks + x
     }
 
-    /// Occupy the cells along a ray between two depths \[units of its direction\], as where a
-    /// depth picture saw a surface: looked up in steps of half a cell. A look forgets them like any
-    /// other cell.
+    /// Occupy the cells that a ray crosses between two depths \[units of its direction\], as where
+    /// a depth picture saw a surface. A look forgets them like any other cell.
     pub fn hold(&mut self, field: &HashGridField, ray: &Ray, from: f32, to: f32) {
-        let (scale, offset) = field.to_unit();
-        let (origin, direction) = (ray.origin.to_array(), ray.direction.to_array());
-        let speed = ray.direction.norm() * scale * self.settings.resolution as f32;
-        let steps = (2.0 * (to - from) * speed).ceil().clamp(0.0, 4096.0) as usize;
-        for step in 0..=steps {
-            let depth = from + (to - from) * step as f32 / steps.max(1) as f32;
-            let place: [f32; 3] =
-                std::array::from_fn(|k| (origin[k] + depth * direction[k]) * scale + offset[k]);
-            if place.iter().all(|x| (0.0..1.0).contains(x)) {
-                let cell = self.cell(place);
-                self.densities[cell] = self.densities[cell].max(self.settings.density);
-                self.occupy(cell);
-            }
-        }
         self.looks = self.looks.max(1);
+        let length = ray.direction.norm();
+        if !(from <= to && ray.origin.is_finite() && length.is_finite() && length > 0.0) {
+            return;
+        }
+        let (scale, offset) = field.to_unit();
+        let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
+        let origin = std::array::from_fn(|k| o[k] * scale + offset[k]);
+        let direction = d.map(|d| d * scale);
+        let inverse = direction.map(|d| 1.0 / d);
+        let (enter, leave) = inside(origin, direction);
+        let (mut depth, to) = (from.max(enter), to.min(leave));
+        // What takes a position clearly beyond the side of a cell.
+        let least = 1e-3 / (length * scale * self.settings.resolution as f32);
+        while depth <= to {
+            let place: [f32; 3] = std::array::from_fn(|k| origin[k] + depth * direction[k]);
+            let cell = self.cell(place);
+            self.densities[cell] = self.densities[cell].max(self.settings.density);
+            self.occupy(cell);
+            depth += self.end(place, inverse, place.map(|x| self.coordinate(x)), 1).max(least);
+        }
     }
 
     /// All samples of a ray in occupied cells, also those behind where it would end.

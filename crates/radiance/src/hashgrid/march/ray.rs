@@ -33,6 +33,20 @@ pub struct Sample<T = f32> {
     pub step: T,
 }
 
+/// Between which depths a ray lies in the unit cube; the first is the larger if it never does.
+pub(super) fn inside(origin: [f32; 3], direction: [f32; 3]) -> (f32, f32) {
+    let (mut enter, mut end) = (f32::MIN, f32::MAX);
+    for (o, d) in std::iter::zip(origin, direction) {
+        let (a, b) = ((0.0 - o) / d, (1.0 - o) / d);
+        if d != 0.0 {
+            (enter, end) = (enter.max(a.min(b)), end.min(a.max(b)));
+        } else if !(0.0..=1.0).contains(&o) {
+            end = f32::MIN;
+        }
+    }
+    (enter, end)
+}
+
 /// A ray on its way through the occupied cells.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Walk {
@@ -57,15 +71,8 @@ impl Walk {
         let origin = std::array::from_fn(|k| o[k] * scale + offset[k]);
         let direction = d.map(|d| d * scale);
         let length = ray.direction.norm();
-        let (mut depth, mut end) = (settings.near.max(0.0), f32::MAX);
-        for (o, d) in std::iter::zip(origin, direction) {
-            let (a, b) = ((0.0 - o) / d, (1.0 - o) / d);
-            if d != 0.0 {
-                (depth, end) = (depth.max(a.min(b)), end.min(a.max(b)));
-            } else if !(0.0..=1.0).contains(&o) {
-                end = f32::MIN;
-            }
-        }
+        let (enter, mut end) = inside(origin, direction);
+        let depth = enter.max(settings.near).max(0.0);
         let finite = ray.origin.is_finite() && length.is_finite() && ray.offset.is_finite();
         if !finite || length == 0.0 {
             end = f32::MIN;

@@ -88,3 +88,42 @@ fn cells_around_a_depth_are_held() {
     let saved = HashGridMap { field, occupancy, march };
     assert_eq!(HashGridMap::from_bytes(&saved.to_bytes()), Ok(saved));
 }
+
+/// Every place of a ray that crosses cells at their corners is held, and no cell beside it.
+#[test]
+fn no_crossed_cell_is_missed() {
+    let field = HashGridField::<f32>::new(settings(), 1).expect("settings in range");
+    let (low, size) =
+        (settings().centre.map(|c| (c - settings().bound) as f32), 2.0 * settings().bound as f32);
+    let looks = OccupancySettings { resolution: 40, ..Default::default() };
+    let mut random = i2slam_compute::Random::new(5);
+    for _ in 0..20 {
+        let mut within = || {
+            Vec3::from_array(std::array::from_fn(|k| {
+                low[k] + size * (0.1 + 0.8 * random.uniform() as f32)
+            }))
+        };
+        let (from, to) = (within(), within());
+        let ray = Ray { origin: from, direction: to - from, offset: 0.0 };
+        let mut occupancy = Occupancy::empty(looks);
+        occupancy.hold(&field, &ray, 0.0, 1.0);
+        let cells: std::collections::BTreeSet<[u32; 3]> = (0..=100_000)
+            .map(|i| {
+                let place = (ray.origin + ray.direction * (i as f32 / 100_000.0)).to_array();
+                let unit = std::array::from_fn(|k| (place[k] - low[k]) / size);
+                assert!(occupancy.is_occupied(unit), "{unit:?}");
+                unit.map(|x| (x * 40.0) as u32)
+            })
+            .collect();
+        let held = (occupancy.share() * 64_000.0).round() as usize;
+        assert!(held.abs_diff(cells.len()) <= 1, "{held} of {}", cells.len());
+    }
+    let mut occupancy = Occupancy::empty(looks);
+    let away = Ray {
+        origin: Vec3::new(f32::MAX, 0.0, 0.0),
+        direction: Vec3::new(f32::NAN, 1.0, 0.0),
+        offset: 0.0,
+    };
+    occupancy.hold(&field, &away, 0.0, f32::INFINITY);
+    assert_eq!(occupancy.share(), 0.0);
+}
