@@ -28,9 +28,10 @@ fn pixels(camera: &Camera<f32>, lines: &Lines, w: &Lanes) -> ([u32; LANES], Lane
 #[inline(always)]
 pub(super) fn land(scene: &Scene<'_>, lines: &Lines, guess: &Lanes) -> Lanes {
     let (index, from_x, from_y) = pixels(scene.camera, lines, guess);
+    let facets = scene.surface.facets_at(&index);
     let (mut value, mut slope_x, mut slope_y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     for i in 0..LANES {
-        let facet = scene.surface.facet(index[i] as usize);
+        let facet = facets[i];
         (value[i], slope_x[i], slope_y[i]) = (facet.value, facet.slope_x, facet.slope_y);
     }
     let mut w = [0.0; LANES];
@@ -79,17 +80,17 @@ impl Steps {
         walks.run(scene, lines);
         let mut guess = *own;
         for i in 0..LANES {
-            guess[i] = if walks.hit[i] { walks.at[i] } else { own[i] };
+            guess[i] = if walks.at[i] >= 0.0 { walks.at[i] } else { own[i] };
         }
         let landed = land(scene, lines, &guess);
         for i in 0..LANES {
             let step = walks.step[i];
             let near = landed[i].max(walks.at[i] - step).min(walks.at[i] + step);
-            let found = if walks.hit[i] { near } else { landed[i] };
+            let found = if walks.at[i] >= 0.0 { near } else { landed[i] };
             w[i] = if self.near_step[i] { found } else { w[i] };
         }
         let hidden =
-            std::array::from_fn(|i| self.near_step[i] & (walks.count[i] > 0) & !walks.hit[i]);
+            std::array::from_fn(|i| self.near_step[i] & (walks.count[i] > 0) & (walks.at[i] < 0.0));
         for i in 0..LANES {
             if hidden[i] {
                 w[i] = walks.hidden(i).beside(scene.surface, &lines.line(i));
@@ -106,10 +107,10 @@ struct Walks {
     step: Lanes,
     /// Number of steps; 0 where there is nothing to walk.
     count: [u32; LANES],
-    hit: [bool; LANES],
-    /// Where the surface was hit.
+    /// Where the surface was hit; -1 where it was not.
     at: Lanes,
-    in_front: [u32; LANES],
+    /// The last step in front of the surface; -1 where there was none.
+    in_front: Lanes,
     occluder: Lanes,
 }
 
@@ -121,9 +122,8 @@ impl Walks {
             farthest: steps.farthest,
             step: [0.0; LANES],
             count: [0; LANES],
-            hit: [false; LANES],
-            at: [0.0; LANES],
-            in_front: [u32::MAX; LANES],
+            at: [-1.0; LANES],
+            in_front: [-1.0; LANES],
             occluder: steps.nearest,
         };
         for i in 0..LANES {
@@ -136,26 +136,26 @@ impl Walks {
 
     #[inline(always)]
     fn run(&mut self, scene: &Scene<'_>, lines: &Lines) {
-        let longest = self.count.iter().fold(0, |most, &count| most.max(count));
-        for k in 0..=longest {
-            let (mut w, mut seen) = ([0.0; LANES], [0.0; LANES]);
+        let Self { nearest, step, at, in_front, occluder, .. } = self;
+        // The last step of each; -1 where there is none any more.
+        let mut end = self.count.map(|count| if count > 0 { count as f32 } else { -1.0 });
+        let mut k = 0.0;
+        while end.iter().fold(-1.0, |most: f32, &end| most.max(end)) >= k {
+            let mut w = [0.0; LANES];
             for i in 0..LANES {
-                w[i] = self.nearest[i] - self.step[i] * k as f32;
+                w[i] = nearest[i] - step[i] * k;
             }
-            let (index, _, _) = pixels(scene.camera, lines, &w);
+            let seen = scene.surface.values_at(&pixels(scene.camera, lines, &w).0);
             for i in 0..LANES {
-                seen[i] = scene.surface.facet(index[i] as usize).value;
+                let walking = k <= end[i];
+                let met = walking & Walk::meets(seen[i], w[i], step[i]);
+                let before = seen[i] < w[i];
+                at[i] = if met { w[i] } else { at[i] };
+                in_front[i] = if walking & !met & before { k } else { in_front[i] };
+                occluder[i] = if walking & !met & !before { seen[i] } else { occluder[i] };
+                end[i] = if met { -1.0 } else { end[i] };
             }
-            for i in 0..LANES {
-                let walking = !self.hit[i] & (k <= self.count[i]) & (self.count[i] > 0);
-                let met = Walk::meets(seen[i], w[i], self.step[i]);
-                let in_front = seen[i] < w[i];
-                self.at[i] = if walking & met { w[i] } else { self.at[i] };
-                self.in_front[i] = if walking & !met & in_front { k } else { self.in_front[i] };
-                self.occluder[i] =
-                    if walking & !met & !in_front { seen[i] } else { self.occluder[i] };
-                self.hit[i] |= walking & met;
-            }
+            k += 1.0;
         }
     }
 
@@ -166,7 +166,7 @@ impl Walks {
             farthest: self.farthest[i],
             step: self.step[i],
             count: self.count[i],
-            in_front: (self.in_front[i] != u32::MAX).then_some(self.in_front[i]),
+            in_front: (self.in_front[i] >= 0.0).then_some(self.in_front[i] as u32),
             occluder: self.occluder[i],
         }
     }

@@ -27,6 +27,8 @@ pub(super) struct Surface<T> {
     pub(super) height: usize,
     inverse: Vec<T>,
     facets: Vec<Facet<T>>,
+    /// The facets' values alone, which are looked at the most.
+    values: Vec<T>,
     pub(super) blocks: Blocks<T>,
 }
 
@@ -38,6 +40,7 @@ impl<T: Real> Surface<T> {
         (self.width, self.height) = (width, height);
         self.inverse.resize(width * height, T::zero());
         self.facets.resize(width * height, Facet::default());
+        self.values.resize(width * height, T::zero());
         self.blocks.resize(width, height);
         if width * height == 0 {
             return;
@@ -54,14 +57,16 @@ impl<T: Real> Surface<T> {
         let across = self.blocks.columns;
         self.facets
             .par_chunks_mut(BLOCK * width)
+            .zip(self.values.par_chunks_mut(BLOCK * width))
             .zip(self.blocks.own.par_chunks_mut(across))
             .enumerate()
-            .for_each(|(block_row, (facets, blocks))| {
+            .for_each(|(block_row, ((facets, values), blocks))| {
                 let top = block_row * BLOCK;
                 blocks.fill(Block::empty());
                 for (y, facets) in (top..).zip(facets.chunks_exact_mut(width)) {
                     arch.dispatch(RowFacets { inverse, y, height, facets, blocks });
                 }
+                values.iter_mut().zip(facets).for_each(|(value, facet)| *value = facet.value);
             });
     }
 
@@ -75,10 +80,16 @@ impl<T: Real> Surface<T> {
         &self.facets[y * self.width..(y + 1) * self.width]
     }
 
-    /// The facet of one pixel, by its index.
+    /// The facets of some pixels, by their indices.
     #[inline(always)]
-    pub(super) fn facet(&self, index: usize) -> &Facet<T> {
-        &self.facets[index]
+    pub(super) fn facets_at<const N: usize>(&self, indices: &[u32; N]) -> [Facet<T>; N] {
+        look_up(&self.facets, indices)
+    }
+
+    /// The values of their facets.
+    #[inline(always)]
+    pub(super) fn values_at<const N: usize>(&self, indices: &[u32; N]) -> [T; N] {
+        look_up(&self.values, indices)
     }
 
     /// The facet of the pixel that covers `(x, y)` [px], and that pixel's centre. Positions
@@ -91,6 +102,13 @@ impl<T: Real> Surface<T> {
         let centre = |index: usize| T::of(index as f64) + half;
         (self.facets[row * self.width + column], centre(column), centre(row))
     }
+}
+
+/// Several items, of which there are some; without a branch for each index.
+#[inline(always)]
+fn look_up<V: Copy, const N: usize>(items: &[V], indices: &[u32; N]) -> [V; N] {
+    assert!(!items.is_empty(), "no pixels");
+    indices.map(|index| items[(index as usize).min(items.len() - 1)])
 }
 
 /// The pixel that covers a coordinate, NaN and positions outside included.

@@ -37,15 +37,16 @@ pub trait SceneMap {
         gradient: Option<&mut Self::Gradient>,
     ) -> Tangent<f64>;
 
-    /// Write the average of what `view` shows while the camera moves, of the `wanted` tiles or of
-    /// all (see [`Rasterizer::render_moving`]). Exposures never ask this of a map that does not
+    /// Write the average of what `view` shows while the camera moves (see
+    /// [`Rasterizer::render_moving`]), of the wanted tiles and of what another renderer showed of the
+    /// map last (see [`Rasterizer::render_moving_shown_by`]), or of all. Exposures never ask this of a map that does not
     /// [move](Self::MOVES), which shows the view as it stands still.
     fn render_moving(
         &self,
         renderer: &mut Self::Renderer,
         view: &View<f32>,
         _motion: &ShutterMotion,
-        _wanted: Option<&[bool]>,
+        _wanted: Option<(&[bool], &Self::Renderer)>,
         out: &mut Render,
     ) {
         self.render(renderer, view, out);
@@ -95,10 +96,15 @@ impl SceneMap for GaussianMap {
         renderer: &mut Rasterizer,
         view: &View<f32>,
         motion: &ShutterMotion,
-        wanted: Option<&[bool]>,
+        wanted: Option<(&[bool], &Rasterizer)>,
         out: &mut Render,
     ) {
-        renderer.render_moving(self, view, motion, wanted, out);
+        match wanted {
+            None => renderer.render_moving(self, view, motion, None, out),
+            Some((wanted, other)) => {
+                renderer.render_moving_shown_by(other, self, view, motion, wanted, out);
+            }
+        }
     }
 
     fn pull_back_moving(

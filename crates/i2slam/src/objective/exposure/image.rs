@@ -15,9 +15,9 @@ const SOLID: f32 = 0.5;
 /// [`Sampling::margin`](super::Sampling::margin), because those look beyond its border.
 pub(super) struct WideRender {
     pub(super) reprojection: Reprojection,
-    render: Render,
+    pub(super) render: Render,
     /// Depth of what is solid [m], 0 elsewhere.
-    surface: Image<f32>,
+    pub(super) surface: Image<f32>,
     cotangent: RenderCotangent<f32>,
     pub(super) patches: Patches,
 }
@@ -84,9 +84,9 @@ impl<M: SceneMap> ExposureRenderer<M> {
         let WideRender { reprojection, patches, .. } = &mut self.wide;
         patches.choose(reprojection.uncovered(), &self.hdr);
         let Some(wanted) = patches.wanted() else { return 0 };
-        let drawn = &mut self.renders[1];
-        let motion = exposure.motion();
-        map.render_moving(&mut self.renderers[1], &view, &motion, Some(wanted), drawn);
+        let (drawn, motion) = (&mut self.renders[1], exposure.motion());
+        let [first, renderer] = &mut self.renderers[..2] else { return 0 };
+        map.render_moving(renderer, &view, &motion, Some((wanted, first)), drawn);
         patches.paste(&drawn.radiance, &mut self.hdr);
         1
     }

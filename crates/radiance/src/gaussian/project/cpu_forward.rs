@@ -22,6 +22,8 @@ pub(crate) struct Projection<'a> {
     pub(crate) paths: &'a mut Vec<Path<f32>>,
     /// Tiles outside of which nothing is drawn, if not all are.
     pub(crate) wanted: Option<&'a [bool]>,
+    /// Chunks among whose `visible` Gaussians those are that may show in wanted tiles, if known.
+    pub(crate) shown: Option<&'a [Chunk]>,
 }
 
 /// Project the map, with the paths of its splats when the camera moves.
@@ -31,7 +33,7 @@ pub(crate) fn project(
     view: &View<f32>,
     motion: Option<&MotionFrame>,
     settings: &RasterSettings,
-    Projection { splats, chunks, paths, wanted }: Projection<'_>,
+    Projection { splats, chunks, paths, wanted, shown }: Projection<'_>,
 ) {
     let (grid, frame) = (TileGrid::of(&view.camera), Frame::new(map, view, settings));
     splats.resize(map.len(), Splat::default());
@@ -43,8 +45,9 @@ pub(crate) fn project(
     let project = |number: usize, splats, chunk: &mut Chunk, moving| {
         chunk.visible.clear();
         chunk.tile_count = 0;
-        let start = number * CHUNK;
-        arch.dispatch(Project { frame, map, grid, wanted, start, splats, moving, chunk });
+        let (start, shown) =
+            (number * CHUNK, shown.map(|chunks| chunks[number].visible.as_slice()));
+        arch.dispatch(Project { frame, map, grid, wanted, shown, start, splats, moving, chunk });
     };
     match motion {
         None => work.for_each(|(number, (splats, chunk))| project(number, splats, chunk, None)),
@@ -62,6 +65,8 @@ pub(super) struct Project<'a> {
     pub(super) map: &'a GaussianMap,
     pub(super) grid: &'a TileGrid,
     wanted: Option<&'a Wanted<'a>>,
+    /// Sort items of the Gaussians that may be wanted, if not all may.
+    pub(super) shown: Option<&'a [u64]>,
     /// Index of the first Gaussian.
     pub(super) start: usize,
     pub(super) splats: &'a mut [Splat],

@@ -6,7 +6,7 @@ use super::cpu_motion::MotionFrame;
 use super::lanes::{Column, Lanes};
 use super::stages::{Frame, Parameters};
 use crate::gaussian::bin::TileGrid;
-use crate::gaussian::{GaussianMap, Shape};
+use crate::gaussian::{GaussianMap, Shape, sort};
 use pulp::Simd;
 use std::f32::consts::LN_2;
 
@@ -114,21 +114,30 @@ impl Project<'_> {
         chosen: &mut [u8; CHUNK],
     ) -> usize {
         let mut bounds = Bounds::default();
-        let (mut count, mut first) = (0, 0);
-        while first < self.splats.len() {
-            let places = S::F32_LANES.min(self.splats.len() - first);
-            for place in 0..places {
-                bounds.set(place, self.map, self.start + first + place);
+        let (mut rows, mut count) = (ALL, 0);
+        let candidates = self.candidates(&mut rows);
+        for rows in rows[..candidates].chunks(S::F32_LANES) {
+            for (place, &row) in rows.iter().enumerate() {
+                bounds.set(place, self.map, self.start + usize::from(row));
             }
             if bounds.find(simd, self.frame, motion, self.grid) {
-                for place in 0..places {
-                    chosen[count] = (first + place) as u8;
+                for (place, &row) in rows.iter().enumerate() {
+                    chosen[count] = row;
                     count += usize::from(wanted.any(tiles_within(&bounds.pixels, place)));
                 }
             }
-            first += places;
         }
         count
+    }
+
+    /// Put the rows of the Gaussians that are asked first; gives how many there are.
+    #[inline(always)]
+    fn candidates(&self, rows: &mut [u8; CHUNK]) -> usize {
+        let Some(shown) = self.shown else { return self.splats.len() };
+        for (row, &item) in rows.iter_mut().zip(shown) {
+            *row = (sort::index(item) - self.start) as u8;
+        }
+        shown.len()
     }
 }
 

@@ -93,7 +93,7 @@ impl Rasterizer {
 
     /// Write what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
-        self.list(map, view, None, None);
+        self.list(map, view, None, Part::default());
         let Self { arch, settings, grid, splats, bins, tiles, seconds, .. } = self;
         timed(&mut seconds.blend, || {
             cpu_forward::render(*arch, settings, grid, splats, bins, tiles);
@@ -108,7 +108,7 @@ impl Rasterizer {
         map: &GaussianMap,
         view: &View<f32>,
         motion: Option<&MotionFrame>,
-        wanted: Option<&[bool]>,
+        Part { wanted, shown }: Part<'_>,
     ) {
         self.grid = TileGrid::of(&view.camera);
         let projection = Projection {
@@ -116,6 +116,7 @@ impl Rasterizer {
             chunks: &mut self.chunks,
             paths: &mut self.paths,
             wanted,
+            shown,
         };
         let (arch, settings, seconds) = (self.arch, &self.settings, &mut self.seconds);
         timed(&mut seconds.project, || {
@@ -202,6 +203,15 @@ impl Rasterizer {
     }
 }
 
+/// What of a picture is drawn; all by default.
+#[derive(Clone, Copy, Default)]
+struct Part<'a> {
+    /// Its tiles, if not all are drawn.
+    wanted: Option<&'a [bool]>,
+    /// Among whose visible Gaussians those of these tiles are, if that is known.
+    shown: Option<&'a [Chunk]>,
+}
+
 const NOT_OF_LAST_RENDER: &str = "pull_back needs the map and the view of the last render";
 
 /// A camera that moves while its shutter is open.
@@ -234,11 +244,42 @@ impl Rasterizer {
         wanted: Option<&[bool]>,
         out: &mut Render,
     ) {
-        let tiles = TileGrid::of(&view.camera).len();
+        self.render_part(map, view, motion, Part { wanted, shown: None }, out);
+    }
+
+    /// The same of those Gaussians alone that the last picture of `other` shows, which must be of
+    /// this map: where that has drawn more than is wanted now, the others need not be asked.
+    ///
+    /// # Panics
+    /// If `wanted` has another size than the picture has tiles, or the picture of `other` is of
+    /// a map of another size.
+    pub fn render_moving_shown_by(
+        &mut self,
+        other: &Self,
+        map: &GaussianMap,
+        view: &View<f32>,
+        motion: &ShutterMotion,
+        wanted: &[bool],
+        out: &mut Render,
+    ) {
+        assert!(other.splats.len() == map.len(), "{}", NOT_OF_LAST_RENDER);
+        let part = Part { wanted: Some(wanted), shown: Some(&other.chunks) };
+        self.render_part(map, view, motion, part, out);
+    }
+
+    fn render_part(
+        &mut self,
+        map: &GaussianMap,
+        view: &View<f32>,
+        motion: &ShutterMotion,
+        part: Part<'_>,
+        out: &mut Render,
+    ) {
+        let (tiles, wanted) = (TileGrid::of(&view.camera).len(), part.wanted);
         assert!(wanted.is_none_or(|wanted| wanted.len() == tiles), "one number per tile");
         self.clock = Clock::new(motion, view.camera.height);
         let frame = MotionFrame::new(view, motion, &self.settings);
-        self.list(map, view, Some(&frame), wanted);
+        self.list(map, view, Some(&frame), part);
         let count = moving::moment_rows(&self.grid, &self.clock);
         self.states.resize(count, MomentRow::default());
         let scene = moving::Scene {

@@ -128,6 +128,33 @@ fn wanted_tiles_are_those_of_the_whole_picture() {
 }
 
 #[test]
+fn what_a_wider_picture_shows_is_enough() {
+    let motion = motion(0.5).cast();
+    for case in cases().into_iter().chain([many()]) {
+        let (map, view) = (case.map().cast(), case.view().cast());
+        let grid = [view.camera.width, view.camera.height].map(|size| size.div_ceil(TILE));
+        let wanted: Vec<_> = (0..grid[0] * grid[1]).map(|number| number % 3 == 1).collect();
+        let shown_by = |view: View<f32>| {
+            let [mut other, mut rasterizer] = [(); 2].map(|()| Rasterizer::new(case.settings));
+            let mut render = Render::default();
+            other.render(&map, &view, &mut render);
+            let view = case.view().cast();
+            rasterizer.render_moving_shown_by(&other, &map, &view, &motion, &wanted, &mut render);
+            planes(&render)
+        };
+        let mut whole = Render::default();
+        let mut rasterizer = Rasterizer::new(case.settings);
+        rasterizer.render_moving(&map, &view, &motion, Some(&wanted), &mut whole);
+        let wide = View { camera: view.camera.widened(64), ..view };
+        assert!(shown_by(wide) == planes(&whole), "{}", case.name);
+        let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 3.14, 0.0]);
+        let behind = View { world_from_camera: view.world_from_camera.retract(away), ..view };
+        let any = wanted.contains(&true);
+        assert!(!any || shown_by(behind) != planes(&whole), "{} from behind", case.name);
+    }
+}
+
+#[test]
 fn without_motion_the_gradients_are_those_of_the_still_picture() {
     for case in cases() {
         let (map, view) = (case.map(), case.view());
