@@ -147,7 +147,7 @@ fn what_a_wider_picture_shows_is_enough() {
         rasterizer.render_moving(&map, &view, &motion, Some(&wanted), &mut whole);
         let wide = View { camera: view.camera.widened(64), ..view };
         assert!(shown_by(wide) == planes(&whole), "{}", case.name);
-        let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 3.14, 0.0]);
+        let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]);
         let behind = View { world_from_camera: view.world_from_camera.retract(away), ..view };
         let any = wanted.contains(&true);
         assert!(!any || shown_by(behind) != planes(&whole), "{} from behind", case.name);
