@@ -80,17 +80,18 @@ impl Steps {
         walks.run(scene, lines);
         let mut guess = *own;
         for i in 0..LANES {
-            guess[i] = if walks.at[i] >= 0.0 { walks.at[i] } else { own[i] };
+            guess[i] = if walks.at[i] > NOWHERE { walks.at[i] } else { own[i] };
         }
         let landed = land(scene, lines, &guess);
         for i in 0..LANES {
             let step = walks.step[i];
             let near = landed[i].max(walks.at[i] - step).min(walks.at[i] + step);
-            let found = if walks.at[i] >= 0.0 { near } else { landed[i] };
+            let found = if walks.at[i] > NOWHERE { near } else { landed[i] };
             w[i] = if self.near_step[i] { found } else { w[i] };
         }
-        let hidden =
-            std::array::from_fn(|i| self.near_step[i] & (walks.count[i] > 0) & (walks.at[i] < 0.0));
+        let hidden = std::array::from_fn(|i| {
+            self.near_step[i] & (walks.count[i] > 0) & (walks.at[i] == NOWHERE)
+        });
         for i in 0..LANES {
             if hidden[i] {
                 w[i] = walks.hidden(i).beside(scene.surface, &lines.line(i));
@@ -100,6 +101,9 @@ impl Steps {
     }
 }
 
+/// Less than any inverse depth, also one rounded to below 0.
+const NOWHERE: f32 = f32::NEG_INFINITY;
+
 /// Sixteen walks from near to far; see [`Walk`].
 struct Walks {
     nearest: Lanes,
@@ -107,7 +111,7 @@ struct Walks {
     step: Lanes,
     /// Number of steps; 0 where there is nothing to walk.
     count: [u32; LANES],
-    /// Where the surface was hit; -1 where it was not.
+    /// Where the surface was hit; [`NOWHERE`] where it was not.
     at: Lanes,
     /// The last step in front of the surface; -1 where there was none.
     in_front: Lanes,
@@ -122,7 +126,7 @@ impl Walks {
             farthest: steps.farthest,
             step: [0.0; LANES],
             count: [0; LANES],
-            at: [-1.0; LANES],
+            at: [NOWHERE; LANES],
             in_front: [-1.0; LANES],
             occluder: steps.nearest,
         };
