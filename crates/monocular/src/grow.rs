@@ -30,7 +30,7 @@ pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
         } else {
             let near = nearest(&scene.posed(), frame);
             scene.adjust(&near, false, LOCAL_STEPS);
-            scene.mark_wrong_sights();
+            scene.mark_wrong_sights_in(&near);
         }
     }
 }

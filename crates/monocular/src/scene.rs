@@ -3,7 +3,7 @@
 use crate::bundle::{Bundle, Sight};
 use crate::landmark::Landmark;
 use crate::resection::{AGREEING, Match};
-use crate::tracks::{Tracks, shared};
+use crate::tracks::{Observation, Tracks, shared};
 use crate::triangulate::{PosedSight, triangulate};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose};
@@ -14,6 +14,8 @@ use std::sync::Arc;
 const WRONG: f64 = 6.0;
 /// The tracker's deviations are never taken as wrong by more than this.
 const MOST_NOISE: f64 = 4.0;
+/// Poses that are adjusted together at most.
+const MOST_FREE: usize = 1000;
 
 /// Poses and landmarks, and the tracks that they explain.
 #[derive(Clone, Debug)]
@@ -81,7 +83,23 @@ impl Scene {
 
     /// Adjusts the poses of `free` frames, the landmarks that they see, and the focal length if
     /// asked, all other posed frames fixed. Returns the cost per sight.
+    ///
+    /// More than [`MOST_FREE`] are adjusted part by part, so that memory stays in proportion to
+    /// the number of frames whatever they see.
     pub(crate) fn adjust(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
+        if free.len() <= MOST_FREE {
+            return self.adjust_together(free, adjust_focal, steps);
+        }
+        let (mut sum, mut parts) = (0.0, 0.0);
+        for begin in (0..free.len() - MOST_FREE / 2).step_by(MOST_FREE / 2) {
+            let part = &free[begin.max(1)..(begin + MOST_FREE).min(free.len())];
+            sum += self.adjust_together(part, adjust_focal && begin == 0, steps);
+            parts += 1.0;
+        }
+        sum / parts
+    }
+
+    fn adjust_together(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
         let (mut bundle, frames, tracks) = self.bundle(free, adjust_focal);
         let cost = bundle.adjust(steps);
         for (frame, pose) in frames.iter().zip(&bundle.poses) {
@@ -94,6 +112,13 @@ impl Scene {
         cost
     }
 
+    /// Tracks that some frames show, in order.
+    fn tracks_in(&self, frames: &[usize]) -> Vec<usize> {
+        let mut is_shown = vec![false; self.landmarks.len()];
+        frames.iter().flat_map(|f| &self.by_frame[*f]).for_each(|t| is_shown[*t] = true);
+        (0..is_shown.len()).filter(|t| is_shown[*t]).collect()
+    }
+
     /// The bundle of `free` frames and all others that see the same landmarks, the frames of its
     /// poses and the tracks of its landmarks. Where none would be fixed, the first one is.
     pub(crate) fn bundle(
@@ -101,57 +126,62 @@ impl Scene {
         free: &[usize],
         adjust_focal: bool,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
-        let mut is_free = vec![false; self.poses.len()];
-        free.iter().for_each(|f| is_free[*f] = true);
-        let frames = self.posed();
+        let tracks = self.tracks_in(free);
+        let is_right = |o: &&Observation| !o.is_wrong && self.poses[o.frame].is_some();
+        let right = |track: &usize| self.tracks.tracks[*track].observations.iter().filter(is_right);
+        let kept = |track: &usize| self.landmarks[*track].is_some() && right(track).count() > 1;
+        let tracks: Vec<usize> = tracks.into_iter().filter(kept).collect();
         let mut place = vec![None; self.poses.len()];
+        tracks.iter().flat_map(right).for_each(|o| place[o.frame] = Some(0));
+        let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
         frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
-        let (mut landmarks, mut sights, mut tracks) = (Vec::new(), Vec::new(), Vec::new());
-        for (index, track) in self.tracks.tracks.iter().enumerate() {
-            let Some(landmark) = self.landmarks[index] else { continue };
-            if !track.observations.iter().any(|o| is_free[o.frame]) {
-                continue;
-            }
-            let sight = |o: &crate::tracks::Observation| {
-                Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma })
-            };
-            let right = track.observations.iter().filter(|o| !o.is_wrong);
-            let seen: Vec<Sight> = right.filter_map(sight).collect();
-            if seen.len() > 1 {
-                landmarks.push(landmark);
-                sights.push(seen);
-                tracks.push(index);
-            }
-        }
-        let mut fixed: Vec<bool> = frames.iter().map(|f| !is_free[*f]).collect();
+        let sight =
+            |o: &Observation| Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma });
+        let sights = tracks.iter().map(|t| right(t).filter_map(sight).collect()).collect();
+        let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
+        free.iter().filter_map(|f| place[*f]).for_each(|i| fixed[i] = false);
         if !fixed.contains(&true) {
             fixed.iter_mut().take(1).for_each(|f| *f = true);
         }
-        let poses = frames.iter().filter_map(|f| self.poses[*f]).collect();
-        let bundle = Bundle { camera: self.camera, poses, fixed, landmarks, sights, adjust_focal };
+        let bundle = Bundle {
+            camera: self.camera,
+            poses: frames.iter().filter_map(|f| self.poses[*f]).collect(),
+            fixed,
+            landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
+            sights: Arc::new(sights),
+            adjust_focal,
+        };
         (bundle, frames, tracks)
     }
 
     /// Marks the sights that their landmark does not explain, and gives up landmarks that are left
-    /// with fewer than two. Returns how many sights are wrong.
-    pub(crate) fn mark_wrong_sights(&mut self) -> usize {
+    /// with fewer than two: all their sights may be tried again.
+    pub(crate) fn mark_wrong_sights(&mut self) {
+        self.mark_wrong((0..self.landmarks.len()).collect());
+    }
+
+    /// The same for the landmarks that some frames show.
+    pub(crate) fn mark_wrong_sights_in(&mut self, frames: &[usize]) {
+        self.mark_wrong(self.tracks_in(frames));
+    }
+
+    fn mark_wrong(&mut self, tracks: Vec<usize>) {
         let (camera, poses, worst) = (self.camera, &self.poses, WRONG * self.noise);
-        let mut wrong = 0;
-        for (landmark, track) in self.landmarks.iter_mut().zip(&mut self.tracks.tracks) {
+        for index in tracks {
+            let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
             let Some(known) = landmark else { continue };
             let mut left = 0;
             for observation in &mut track.observations {
                 let Some(pose) = &poses[observation.frame] else { continue };
                 let off = crate::resection::residual(&camera, pose, &(&*known, observation));
                 observation.is_wrong = off > worst;
-                wrong += usize::from(observation.is_wrong);
                 left += usize::from(!observation.is_wrong);
             }
             if left < 2 || known.values[2] < -0.02 {
                 *landmark = None;
+                track.observations.iter_mut().for_each(|o| o.is_wrong = false);
             }
         }
-        wrong
     }
 
     /// Sets [`noise`](Self::noise) to what half of all sights in posed frames keep to.

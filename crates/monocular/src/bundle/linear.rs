@@ -1,152 +1,196 @@
 //! The normal equations of a bundle, and their solution with the landmarks eliminated.
+//!
+//! Every row of the cameras' system is computed by one task, its landmarks in order, so that the
+//! system is kept once, however many tasks there are.
 
-use super::cholesky::solve;
-use super::{Bundle, CHUNK, Sight};
+use super::skyline::Skyline;
+use super::structure::Structure;
+use super::{Bundle, CHUNK, GLOBALS, Sight};
+use crate::landmark::Projection;
 use crate::robust::huber;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Mat3, Vec3};
+use rayon::prelude::*;
 
 /// A change of all unknowns.
 pub(super) struct Step {
     /// Tangent of every pose, zero for fixed ones.
     pub(super) poses: Vec<[f64; 6]>,
     pub(super) landmarks: Vec<[f64; 3]>,
-    pub(super) log_focal: f64,
+    pub(super) globals: [f64; GLOBALS],
 }
 
 /// What one landmark brings: `C`, its gradient, and its coupling with every camera that sees it.
-#[derive(Default)]
 struct Part {
     hessian: [[f64; 3]; 3],
     gradient: [f64; 3],
-    /// First column of the pose, coupling `E`.
-    couplings: Vec<(usize, [[f64; 3]; 6])>,
-    focal_coupling: [f64; 3],
+    /// Coupling `E` with every free pose, in the order of the structure.
+    couplings: Vec<[[f64; 3]; 6]>,
+    globals: [[f64; 3]; GLOBALS],
 }
 
-/// Normal equations: cameras (`U`, dense), landmarks (`C`, blocks) and couplings (`E`).
-pub(super) struct Linear {
-    /// First column of every pose; `None` for fixed ones.
-    columns: Vec<Option<usize>>,
-    size: usize,
-    has_focal: bool,
-    cameras: Vec<f64>,
-    gradient: Vec<f64>,
+/// What one pose brings: its block of `U`, its gradient and its coupling with the globals.
+#[derive(Clone)]
+struct PosePart {
+    hessian: [[f64; 6]; 6],
+    gradient: [f64; 6],
+    globals: [[f64; GLOBALS]; 6],
+}
+
+/// The same of the unknowns that all sights share.
+#[derive(Clone, Copy, Default)]
+struct GlobalPart {
+    hessian: [[f64; GLOBALS]; GLOBALS],
+    gradient: [f64; GLOBALS],
+}
+
+/// Normal equations: cameras (`U`), landmarks (`C`) and couplings (`E`).
+pub(super) struct Linear<'a> {
+    structure: &'a Structure,
+    /// How many of the globals are unknown.
+    globals: usize,
     parts: Vec<Part>,
+    poses: Vec<PosePart>,
+    global: GlobalPart,
 }
 
-/// Camera entries of some landmarks: per pose the block, its gradient and its coupling with the
-/// focal length; then the focal length's own.
-struct CameraSums {
-    blocks: Vec<[[f64; 8]; 6]>,
-    focal: [f64; 2],
+/// A residual, weighted, with its derivatives.
+struct Weighted {
+    projection: Projection,
+    residual: [f64; 2],
+    weight: f64,
 }
 
-impl Linear {
-    pub(super) fn new(bundle: &Bundle) -> Self {
-        let mut size = 0;
-        let columns: Vec<Option<usize>> = (bundle.fixed.iter())
-            .map(|fixed| {
-                let column = size;
-                size += if *fixed { 0 } else { 6 };
-                (!fixed).then_some(column)
-            })
-            .collect();
-        let focal_column = size;
-        size += usize::from(bundle.adjust_focal);
-        let mut out = Self {
-            columns,
-            size,
-            has_focal: bundle.adjust_focal,
-            cameras: vec![0.0; size * size],
-            gradient: vec![0.0; size],
-            parts: Vec::with_capacity(bundle.landmarks.len()),
-        };
-        let columns = out.columns.clone();
-        let part = |range: std::ops::Range<usize>| {
-            let mut sums =
-                CameraSums { blocks: vec![[[0.0; 8]; 6]; bundle.poses.len()], focal: [0.0; 2] };
-            let parts: Vec<Part> =
-                range.map(|i| linearised(bundle, i, &columns, &mut sums)).collect();
-            (parts, sums)
-        };
-        reduce_in_order(bundle.landmarks.len(), CHUNK, part, |(parts, sums)| {
-            out.parts.extend(parts);
-            out.add(&sums, focal_column);
-        });
-        out
-    }
-
-    fn add(&mut self, sums: &CameraSums, focal_column: usize) {
-        let n = self.size;
-        for (column, block) in self.columns.iter().zip(&sums.blocks) {
-            let Some(c) = *column else { continue };
-            for a in 0..6 {
-                (0..6).for_each(|b| self.cameras[(c + a) * n + c + b] += block[a][b]);
-                self.gradient[c + a] += block[a][6];
-                if self.has_focal {
-                    self.cameras[focal_column * n + c + a] += block[a][7];
-                }
-            }
-        }
-        if self.has_focal {
-            self.cameras[n * n - 1] += sums.focal[0];
-            self.gradient[n - 1] += sums.focal[1];
-        }
+impl<'a> Linear<'a> {
+    pub(super) fn new(bundle: &Bundle, structure: &'a Structure) -> Self {
+        let globals = bundle.globals();
+        let landmarks = 0..bundle.landmarks.len();
+        let parts = landmarks.into_par_iter().map(|i| part(bundle, i, &structure.cameras[i]));
+        let block = |block: usize| pose_part(bundle, structure, block);
+        let poses = (0..structure.poses.len()).into_par_iter().map(block);
+        let (parts, poses) = (parts.collect(), poses.collect());
+        let global = if globals == 0 { GlobalPart::default() } else { global_part(bundle) };
+        Self { structure, globals, parts, poses, global }
     }
 
     /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
     pub(super) fn step(&self, damping: f64) -> Option<Step> {
-        let (mut matrix, mut cameras) = self.reduced(damping);
-        if !solve(&mut matrix, &mut cameras) {
+        let (mut matrix, mut solved) = self.reduced(damping);
+        if !matrix.solve(&mut solved) {
             return None;
         }
-        let pose = |column: &Option<usize>| {
-            column.map_or([0.0; 6], |c| std::array::from_fn(|i| cameras[c + i]))
+        let pose = |block: &Option<usize>| {
+            block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
         };
-        let log_focal = if self.has_focal { cameras[self.size - 1] } else { 0.0 };
-        let landmark = |part: &Part| {
+        let mut globals = [0.0; GLOBALS];
+        globals.iter_mut().zip(&solved[6 * self.poses.len()..]).for_each(|(g, s)| *g = *s);
+        let landmark = |(part, cameras): (&Part, &Vec<(u32, u32)>)| {
             let mut right = part.gradient.map(|g| -g);
             for i in 0..3 {
-                for (c, e) in &part.couplings {
-                    right[i] -= (0..6).map(|a| e[a][i] * cameras[c + a]).sum::<f64>();
+                for (e, (block, _)) in part.couplings.iter().zip(cameras) {
+                    let tangent = &solved[6 * *block as usize..][..6];
+                    right[i] -= (0..6).map(|a| e[a][i] * tangent[a]).sum::<f64>();
                 }
-                right[i] -= part.focal_coupling[i] * log_focal;
+                right[i] -= (0..self.globals).map(|g| part.globals[g][i] * globals[g]).sum::<f64>();
             }
             (part.damped_inverse(damping) * Vec3::from_array(right)).to_array()
         };
-        let landmarks = self.parts.iter().map(landmark).collect();
-        Some(Step { poses: self.columns.iter().map(pose).collect(), landmarks, log_focal })
+        let parts = self.parts.par_iter().zip(&self.structure.cameras);
+        let poses = self.structure.blocks.iter().map(pose).collect();
+        Some(Step { poses, landmarks: parts.map(landmark).collect(), globals })
     }
 
-    /// The cameras' system, `U - E C⁻¹ Eᵀ` (lower triangle), and its right side.
-    fn reduced(&self, damping: f64) -> (Vec<f64>, Vec<f64>) {
-        let n = self.size;
-        let mut matrix = self.cameras.clone();
-        for i in 0..n {
-            matrix[i * n + i] += damping * matrix[i * n + i] + 1e-9;
-        }
-        let mut right: Vec<f64> = self.gradient.iter().map(|g| -g).collect();
-        let task = |range: std::ops::Range<usize>| {
-            let (mut matrix, mut right) = (vec![0.0; n * n], vec![0.0; n]);
-            for part in &self.parts[range] {
-                part.eliminate(damping, self.has_focal, n, &mut matrix, &mut right);
+    /// The cameras' system, `U - E C⁻¹ Eᵀ`, and its right side.
+    fn reduced(&self, damping: f64) -> (Skyline, Vec<f64>) {
+        let inverses: Vec<Mat3<f64>> =
+            self.parts.par_iter().map(|p| p.damped_inverse(damping)).collect();
+        let mut matrix = Skyline::new(self.structure.first_columns(self.globals));
+        let rows = matrix.split((1..=self.poses.len()).map(|block| 6 * block));
+        let fill = |(block, rows): (usize, &mut [f64])| self.fill(block, rows, &inverses, damping);
+        let sides: Vec<PosePart> = rows.into_par_iter().enumerate().map(fill).collect();
+        let mut right: Vec<f64> = sides.iter().flat_map(|side| side.gradient).collect();
+        let begin = right.len();
+        for (block, side) in sides.iter().enumerate() {
+            for (a, row) in side.globals.iter().enumerate() {
+                (0..self.globals).for_each(|g| matrix.add(begin + g, 6 * block + a, row[g]));
             }
-            (matrix, right)
-        };
-        reduce_in_order(self.parts.len(), 4 * CHUNK, task, |(m, r)| {
-            matrix.iter_mut().zip(m).for_each(|(a, b)| *a -= b);
-            right.iter_mut().zip(r).for_each(|(a, b)| *a += b);
-        });
+        }
+        let global = self.reduced_globals(&inverses, damping);
+        for g in 0..self.globals {
+            (0..=g).for_each(|h| matrix.add(begin + g, begin + h, global.hessian[g][h]));
+            right.push(global.gradient[g]);
+        }
         (matrix, right)
     }
 
-    /// Half the cost's gradient: first free pose, a landmark, focal length.
+    /// The six rows of a block; returns its right side and its entries in the globals' rows.
+    fn fill(
+        &self,
+        block: usize,
+        rows: &mut [f64],
+        inverses: &[Mat3<f64>],
+        damping: f64,
+    ) -> PosePart {
+        let mut side = self.poses[block].clone();
+        side.gradient = side.gradient.map(|g| -g);
+        let first = self.structure.first[block];
+        let width = 6 * (block - first);
+        // Rows grow by one column each.
+        let row_at = |a: usize| a * width + a * (a + 1) / 2;
+        for a in 0..6 {
+            let row = &mut rows[row_at(a)..][width..=width + a];
+            row.copy_from_slice(&side.hessian[a][..=a]);
+            row[a] += damping * row[a] + 1e-9;
+        }
+        for (landmark, k) in &self.structure.seen[block] {
+            let (landmark, k) = (*landmark as usize, *k as usize);
+            let (part, inverse) = (&self.parts[landmark], &inverses[landmark]);
+            let cameras = &self.structure.cameras[landmark][..k];
+            for a in 0..6 {
+                let weighted = *inverse * Vec3::from_array(part.couplings[k][a]);
+                side.gradient[a] += weighted.dot(Vec3::from_array(part.gradient));
+                for g in 0..self.globals {
+                    side.globals[a][g] -= weighted.dot(Vec3::from_array(part.globals[g]));
+                }
+                let line = &mut rows[row_at(a)..][..=width + a];
+                for ((other, _), coupling) in cameras.iter().zip(&part.couplings) {
+                    let entries = &mut line[6 * (*other as usize - first)..][..6];
+                    for (entry, row) in entries.iter_mut().zip(coupling) {
+                        *entry -= weighted.dot(Vec3::from_array(*row));
+                    }
+                }
+                for (entry, row) in line[width..].iter_mut().zip(&part.couplings[k]) {
+                    *entry -= weighted.dot(Vec3::from_array(*row));
+                }
+            }
+        }
+        side
+    }
+
+    fn reduced_globals(&self, inverses: &[Mat3<f64>], damping: f64) -> GlobalPart {
+        let mut out = self.global;
+        for g in 0..self.globals {
+            out.hessian[g][g] += damping * out.hessian[g][g] + 1e-9;
+            out.gradient[g] = -out.gradient[g];
+        }
+        for (part, inverse) in self.parts.iter().zip(inverses) {
+            for g in 0..self.globals {
+                let weighted = *inverse * Vec3::from_array(part.globals[g]);
+                out.gradient[g] += weighted.dot(Vec3::from_array(part.gradient));
+                for h in 0..self.globals {
+                    out.hessian[g][h] -= weighted.dot(Vec3::from_array(part.globals[h]));
+                }
+            }
+        }
+        out
+    }
+
+    /// Half the cost's gradient: first free pose, a landmark, globals.
     #[cfg(test)]
     pub(super) fn half_gradient(&self, landmark: usize) -> Vec<f64> {
-        let mut out = self.gradient[..6].to_vec();
+        let mut out = self.poses[0].gradient.to_vec();
         out.extend(self.parts[landmark].gradient);
-        out.push(self.gradient[self.size - 1]);
+        out.extend(self.global.gradient);
         out
     }
 
@@ -154,12 +198,13 @@ impl Linear {
     pub(super) fn focal_variance(&self) -> Option<f64> {
         let (mut matrix, mut unit) = self.reduced(1e-7);
         unit.fill(0.0);
-        *unit.last_mut().filter(|_| self.has_focal)? = 1.0;
-        let solved = solve(&mut matrix, &mut unit);
-        unit.last().copied().filter(|v| solved && *v > 0.0)
+        let focal = 6 * self.poses.len();
+        *unit.get_mut(focal)? = 1.0;
+        let solved = matrix.solve(&mut unit);
+        Some(unit[focal]).filter(|v| solved && *v > 0.0)
     }
 
-    /// Variance of every inverse depth, poses and focal length fixed.
+    /// Variance of every inverse depth, poses and globals fixed.
     pub(super) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
         let variance = |p: &Part| Some(p.damped_inverse(0.0)[(2, 2)]).filter(|v| *v > 0.0);
         self.parts.iter().map(variance).collect()
@@ -172,93 +217,97 @@ impl Part {
         (0..3).for_each(|i| rows[i][i] += damping * rows[i][i] + 1e-9);
         inverse(&Mat3 { rows })
     }
-
-    /// Adds `E C⁻¹ Eᵀ` to the lower triangle of `matrix` and `E C⁻¹ g` to `right`.
-    fn eliminate(
-        &self,
-        damping: f64,
-        has_focal: bool,
-        n: usize,
-        matrix: &mut [f64],
-        right: &mut [f64],
-    ) {
-        let inverse = self.damped_inverse(damping);
-        let gradient = Vec3::from_array(self.gradient);
-        let weighted = |row: &[f64; 3]| inverse * Vec3::from_array(*row);
-        for (k, (column, coupling)) in self.couplings.iter().enumerate() {
-            for (a, row) in coupling.iter().enumerate() {
-                let weighted = weighted(row);
-                right[column + a] += weighted.dot(gradient);
-                let line = &mut matrix[(column + a) * n..(column + a + 1) * n];
-                for (other, rows) in &self.couplings[..=k] {
-                    for (b, row) in rows.iter().enumerate() {
-                        line[other + b] += weighted.dot(Vec3::from_array(*row));
-                    }
-                }
-            }
-        }
-        if has_focal {
-            let weighted = weighted(&self.focal_coupling);
-            right[n - 1] += weighted.dot(gradient);
-            for (column, rows) in &self.couplings {
-                for (b, row) in rows.iter().enumerate() {
-                    matrix[(n - 1) * n + column + b] += weighted.dot(Vec3::from_array(*row));
-                }
-            }
-            matrix[n * n - 1] += weighted.dot(Vec3::from_array(self.focal_coupling));
-        }
-    }
 }
 
-/// Derivatives of all sights of a landmark; what concerns cameras alone is added to `sums`.
-fn linearised(
-    bundle: &Bundle,
-    index: usize,
-    columns: &[Option<usize>],
-    sums: &mut CameraSums,
-) -> Part {
-    let mut part = Part::default();
-    for sight in &bundle.sights[index] {
-        add_sight(bundle, index, sight, columns, sums, &mut part);
-    }
-    part
-}
-
-fn add_sight(
-    bundle: &Bundle,
-    index: usize,
-    sight: &Sight,
-    columns: &[Option<usize>],
-    sums: &mut CameraSums,
-    part: &mut Part,
-) {
+/// `None` behind the camera.
+fn weighted(bundle: &Bundle, landmark: usize, sight: &Sight) -> Option<Weighted> {
     let pose = &bundle.poses[sight.pose];
-    let Some(p) = bundle.landmarks[index].project(&bundle.camera, pose) else { return };
-    let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - sight.at[i]);
-    let weight = huber(r[0].hypot(r[1]) / sight.sigma).0 / (sight.sigma * sight.sigma);
-    let mut coupling = [[0.0; 3]; 6];
-    for i in 0..2 {
-        let (jp, jl, jf) = (&p.by_pose[i], &p.by_landmark[i], p.by_focal[i]);
-        for a in 0..3 {
-            part.gradient[a] += weight * jl[a] * r[i];
-            (0..3).for_each(|b| part.hessian[a][b] += weight * jl[a] * jl[b]);
-            if bundle.adjust_focal {
-                part.focal_coupling[a] += weight * jf * jl[a];
+    let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
+    let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - sight.at[i]);
+    let length = residual[0].hypot(residual[1]) / sight.sigma;
+    let weight = huber(length).0 / (sight.sigma * sight.sigma);
+    Some(Weighted { projection, residual, weight })
+}
+
+/// All sights of a landmark; `cameras` are those of free poses.
+fn part(bundle: &Bundle, landmark: usize, cameras: &[(u32, u32)]) -> Part {
+    let sights = &bundle.sights[landmark];
+    let all: Vec<Option<Weighted>> = sights.iter().map(|s| weighted(bundle, landmark, s)).collect();
+    let (mut hessian, mut gradient, mut globals) = ([[0.0; 3]; 3], [0.0; 3], [[0.0; 3]; GLOBALS]);
+    for w in all.iter().flatten() {
+        for i in 0..2 {
+            let row = &w.projection.by_landmark[i];
+            for a in 0..3 {
+                gradient[a] += w.weight * row[a] * w.residual[i];
+                (0..3).for_each(|b| hessian[a][b] += w.weight * row[a] * row[b]);
+                for (global, slope) in globals.iter_mut().zip(w.by_globals(i)) {
+                    global[a] += w.weight * slope * row[a];
+                }
             }
         }
-        for a in 0..6 {
-            let w = weight * jp[a];
-            (0..3).for_each(|b| coupling[a][b] += w * jl[b]);
-            let row = &mut sums.blocks[sight.pose][a];
-            (0..6).for_each(|b| row[b] += w * jp[b]);
-            row[6] += w * r[i];
-            row[7] += w * jf;
-        }
-        sums.focal[0] += weight * jf * jf;
-        sums.focal[1] += weight * jf * r[i];
     }
-    if let Some(column) = columns[sight.pose] {
-        part.couplings.push((column, coupling));
+    let coupling = |(_, sight): &(u32, u32)| {
+        let Some(w) = &all[*sight as usize] else { return [[0.0; 3]; 6] };
+        let entry = |a: usize, b: usize| -> f64 {
+            (0..2).map(|i| w.projection.by_pose[i][a] * w.projection.by_landmark[i][b]).sum()
+        };
+        std::array::from_fn(|a| std::array::from_fn(|b| w.weight * entry(a, b)))
+    };
+    Part { hessian, gradient, couplings: cameras.iter().map(coupling).collect(), globals }
+}
+
+/// All sights by the pose of a block.
+fn pose_part(bundle: &Bundle, structure: &Structure, block: usize) -> PosePart {
+    let mut out =
+        PosePart { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
+    for (landmark, k) in &structure.seen[block] {
+        let landmark = *landmark as usize;
+        let sight = &bundle.sights[landmark][structure.cameras[landmark][*k as usize].1 as usize];
+        let Some(w) = weighted(bundle, landmark, sight) else { continue };
+        for i in 0..2 {
+            let row = &w.projection.by_pose[i];
+            for a in 0..6 {
+                let slope = w.weight * row[a];
+                (0..6).for_each(|b| out.hessian[a][b] += slope * row[b]);
+                out.gradient[a] += slope * w.residual[i];
+                for (sum, global) in out.globals[a].iter_mut().zip(w.by_globals(i)) {
+                    *sum += slope * global;
+                }
+            }
+        }
+    }
+    out
+}
+
+fn global_part(bundle: &Bundle) -> GlobalPart {
+    let task = |range: std::ops::Range<usize>| {
+        let mut sum = GlobalPart::default();
+        for (landmark, sight) in range.flat_map(|l| bundle.sights[l].iter().map(move |s| (l, s))) {
+            let Some(w) = weighted(bundle, landmark, sight) else { continue };
+            for i in 0..2 {
+                let row = w.by_globals(i);
+                for g in 0..GLOBALS {
+                    sum.gradient[g] += w.weight * row[g] * w.residual[i];
+                    (0..GLOBALS).for_each(|h| sum.hessian[g][h] += w.weight * row[g] * row[h]);
+                }
+            }
+        }
+        sum
+    };
+    let mut out = GlobalPart::default();
+    reduce_in_order(bundle.landmarks.len(), CHUNK, task, |sum| {
+        for g in 0..GLOBALS {
+            out.gradient[g] += sum.gradient[g];
+            (0..GLOBALS).for_each(|h| out.hessian[g][h] += sum.hessian[g][h]);
+        }
+    });
+    out
+}
+
+impl Weighted {
+    /// Derivatives by the unknowns that all sights share: the logarithm of the focal length.
+    fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
+        [self.projection.by_focal[axis]]
     }
 }
 

@@ -3,14 +3,17 @@
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
 
-mod cholesky;
 mod linear;
+mod skyline;
+mod structure;
 
 use crate::landmark::Landmark;
 use crate::robust::huber;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use linear::{Linear, Step};
+use std::sync::Arc;
+use structure::Structure;
 
 /// Landmarks per task.
 const CHUNK: usize = 128;
@@ -20,6 +23,8 @@ const BEHIND: f64 = 50.0;
 const STUCK: f64 = 1e6;
 /// A step that lowers the cost by less than this share is the last one.
 const CONVERGED: f64 = 1e-5;
+/// Unknowns that all sights share: the logarithm of the focal length.
+const GLOBALS: usize = 1;
 
 /// A landmark as one camera sees it.
 #[derive(Clone, Copy, Debug)]
@@ -42,7 +47,7 @@ pub(crate) struct Bundle {
     pub(crate) fixed: Vec<bool>,
     pub(crate) landmarks: Vec<Landmark>,
     /// For every landmark its sights in order of poses, no two by one camera.
-    pub(crate) sights: Vec<Vec<Sight>>,
+    pub(crate) sights: Arc<Vec<Vec<Sight>>>,
     /// Whether the focal length is unknown, too.
     pub(crate) adjust_focal: bool,
 }
@@ -52,7 +57,8 @@ impl Bundle {
     pub(crate) fn adjust(&mut self, steps: usize) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
-        let mut linear = Linear::new(self);
+        let structure = Structure::new(self);
+        let mut linear = Linear::new(self, &structure);
         for _ in 0..steps {
             let moved = linear.step(damping).map(|step| self.moved(&step));
             let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);
@@ -63,7 +69,7 @@ impl Bundle {
                     if gained < CONVERGED * cost {
                         break;
                     }
-                    linear = Linear::new(self);
+                    linear = Linear::new(self, &structure);
                 }
                 _ => damping *= 8.0,
             }
@@ -76,13 +82,20 @@ impl Bundle {
 
     /// Standard deviation of the logarithm of the focal length, from the reduced normal equations.
     pub(crate) fn focal_deviation(&self) -> Option<f64> {
-        Linear::new(self).focal_variance().map(f64::sqrt)
+        let structure = Structure::new(self);
+        Linear::new(self, &structure).focal_variance().map(f64::sqrt)
     }
 
     /// Variance of every landmark's inverse depth while poses stay; `None` where it is not
     /// defined.
     pub(crate) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
-        Linear::new(self).inverse_depth_variances()
+        let structure = Structure::new(self);
+        Linear::new(self, &structure).inverse_depth_variances()
+    }
+
+    /// How many of the unknowns that all sights share are looked for.
+    fn globals(&self) -> usize {
+        usize::from(self.adjust_focal)
     }
 
     /// The cost of all sights, in variances.
@@ -113,7 +126,7 @@ impl Bundle {
         for (landmark, change) in out.landmarks.iter_mut().zip(&step.landmarks) {
             (0..3).for_each(|i| landmark.values[i] += change[i]);
         }
-        let scale = step.log_focal.clamp(-0.2, 0.2).exp();
+        let scale = step.globals[0].clamp(-0.2, 0.2).exp();
         (out.camera.fx, out.camera.fy) = (out.camera.fx * scale, out.camera.fy * scale);
         out
     }

@@ -26,6 +26,7 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
         .map(|i| Landmark::on_ray(&camera, poses[0], sights[i][0].at, 1.0 / points[i].z))
         .collect();
     let fixed = vec![true, false, false, false, false, false];
+    let sights = Arc::new(sights);
     (Bundle { camera, poses, fixed, landmarks, sights, adjust_focal: false }, points)
 }
 
@@ -76,7 +77,8 @@ fn one_step_without_damping_solves_the_normal_equations() {
     bundle.poses[2] =
         bundle.poses[2].retract(Tangent::from_array([1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0]));
     let before = bundle.cost();
-    let step = Linear::new(&bundle).step(0.0).expect("positive definite");
+    let structure = Structure::new(&bundle);
+    let step = Linear::new(&bundle, &structure).step(0.0).expect("positive definite");
     assert!(bundle.moved(&step).cost() < 1e-6 * before);
 }
 
@@ -84,13 +86,80 @@ fn one_step_without_damping_solves_the_normal_equations() {
 fn the_gradient_agrees_with_differences() {
     let (bundle, _) = scene(4.0);
     let bundle = Bundle { adjust_focal: true, ..disturbed(bundle) };
-    let gradient = Linear::new(&bundle).half_gradient(2);
+    let structure = Structure::new(&bundle);
+    let gradient = Linear::new(&bundle, &structure).half_gradient(2);
     let f = |x: &[f64]| {
         let mut step =
-            Step { poses: vec![[0.0; 6]; 6], landmarks: vec![[0.0; 3]; 60], log_focal: x[9] };
+            Step { poses: vec![[0.0; 6]; 6], landmarks: vec![[0.0; 3]; 60], globals: [x[9]] };
         step.poses[1] = std::array::from_fn(|i| x[i]);
         step.landmarks[2] = std::array::from_fn(|i| x[6 + i]);
         0.5 * bundle.moved(&step).cost()
     };
     assert_gradient("bundle", &[0.0; 10], &gradient, 1e-6, 1e-6, f);
+}
+
+/// A camera that goes round `count` poses, every one beginning `each` points that the next
+/// `seen` poses see; the last poses see the points of the first ones if the path is `closed`.
+fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
+    let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+    let pose = |i: usize| {
+        let angle = std::f64::consts::TAU * i as f64 / count as f64;
+        let place = Vec3::new(angle.cos(), 0.0, angle.sin()) * (0.02 * count as f64);
+        // Looking outward, so that neighbours see the same points and others do not.
+        Pose::new(Rotation::exp(Vec3::new(0.0, std::f64::consts::FRAC_PI_2 - angle, 0.0)), place)
+    };
+    let poses: Vec<_> = (0..count).map(pose).collect();
+    let numbers = noise(7, 3 * count * each);
+    let (mut landmarks, mut sights) = (Vec::new(), Vec::new());
+    for (index, n) in numbers.chunks_exact(3).enumerate() {
+        let begin = index / each;
+        let mut by: Vec<usize> = (begin..begin + seen).collect();
+        if closed {
+            by.iter_mut().for_each(|pose| *pose %= count);
+        }
+        by.retain(|pose| *pose < count);
+        by.sort_unstable();
+        let depth = 3.0 + n[2];
+        let at = [160.0 + 120.0 * n[0], 120.0 + 100.0 * n[1]];
+        let landmark = Landmark::on_ray(&camera, poses[begin], at, depth.recip());
+        let sight = |pose: usize| {
+            let at = landmark.image_position(&camera, &poses[pose])?;
+            Some(Sight { pose, at, sigma: 0.5 })
+        };
+        let all: Vec<Sight> = by.into_iter().filter_map(sight).collect();
+        if all.len() > 1 {
+            landmarks.push(landmark);
+            sights.push(all);
+        }
+    }
+    let fixed = (0..count).map(|i| i < 2).collect();
+    let sights = Arc::new(sights);
+    Bundle { camera, poses, fixed, landmarks, sights, adjust_focal: false }
+}
+
+#[test]
+fn a_thousand_poses_take_room_in_proportion_to_their_number() {
+    for closed in [false, true] {
+        let entries = |count: usize| Structure::new(&round_trip(count, 4, 10, closed)).entries();
+        let (few, many) = (entries(150), entries(1200));
+        assert!(many < 9 * few, "{few} {many}");
+        // A closed path is folded, which makes the band twice as wide.
+        let widest = if closed { 22 } else { 11 };
+        assert!(many <= widest * 1200, "{many}");
+    }
+}
+
+#[test]
+fn a_thousand_disturbed_poses_return() {
+    let truth = round_trip(1000, 6, 12, true);
+    let mut bundle = truth.clone();
+    for (i, n) in noise(9, 6 * 998).chunks_exact(6).enumerate() {
+        let by = std::array::from_fn(|k| 0.002 * n[k]);
+        bundle.poses[2 + i] = bundle.poses[2 + i].retract(Tangent::from_array(by));
+    }
+    let cost = bundle.adjust(12);
+    assert!(cost < 1e-6, "{cost}");
+    for (found, pose) in bundle.poses.iter().zip(&truth.poses) {
+        assert!((found.translation - pose.translation).norm() < 1e-3);
+    }
 }
