@@ -3,7 +3,9 @@
 //! `cargo run --release -p i2slam-monocular --example path -- SEQUENCE OUT.txt [FLAGS]` writes
 //! `world_from_camera` poses in the TUM format. `--guess FACTOR`: the focal length is taken as
 //! unknown and looked for from FACTOR times that of the sequence; `--wrong FACTOR`: that value is
-//! claimed; `--stride N`: every N-th picture; `--verbose`: what is known of each.
+//! claimed; `--stride N`: every N-th picture; `--passes N`: forth and back through the pictures so
+//! many times, as one long video; `--cover N`: the lens is covered for twelve pictures from the
+//! N-th on; `--verbose`: what is known of each.
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_geometry::Camera;
@@ -12,11 +14,15 @@ use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
 
+/// Pictures for which a lens is covered.
+const COVERED: usize = 12;
+
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, out, rest @ ..] = arguments.as_slice() else {
         return Err(
-            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--stride N] [--verbose]".into(),
+            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--stride N] [--passes N] [--cover N] [--verbose]"
+                .into(),
         );
     };
     let stride = factor(rest, "--stride")?.map_or(1, |s| s as usize);
@@ -26,13 +32,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut front_end = FrontEnd::new(intrinsics(sequence.camera, rest)?);
     let begin = Instant::now();
     let mut tracking = 0.0;
-    for frame in sequence.stream() {
-        let frame = frame?;
+    let passes = factor(rest, "--passes")?.map_or(1, |n| n as usize);
+    let covered = factor(rest, "--cover")?.map(|n| n as usize..n as usize + COVERED);
+    for (i, (place, timestamp)) in order(&sequence, passes).into_iter().enumerate() {
+        let mut frame = sequence.load(place)?;
+        if covered.as_ref().is_some_and(|c| c.contains(&i)) {
+            frame.colour.data.fill(0.0);
+        }
         let start = Instant::now();
-        let report = front_end.push(&frame.colour, frame.timestamp)?;
+        let report = front_end.push(&frame.colour, timestamp)?;
         tracking += start.elapsed().as_secs_f64();
         if rest.iter().any(|a| a == "--verbose") {
-            println!("{:4} {report:?}", frame.index);
+            println!("{i:4} {report:?}");
         }
     }
     let start = Instant::now();
@@ -68,6 +79,19 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     write_trajectory(out, &found.trajectory())?;
     Ok(())
+}
+
+/// Place and stamp of the pictures of all passes; those of later ones follow at the usual rate.
+fn order(sequence: &Sequence, passes: usize) -> Vec<(usize, f64)> {
+    let stamps = sequence.entries.iter().map(|entry| entry.timestamp);
+    let mut out: Vec<(usize, f64)> = stamps.enumerate().collect();
+    let (count, end) = (out.len(), out.last().map_or(0.0, |(_, stamp)| *stamp));
+    for i in 1..=passes.saturating_sub(1) * (count - 1) {
+        let (pass, step) = ((i - 1) / (count - 1), (i - 1) % (count - 1) + 1);
+        let place = if pass % 2 == 0 { count - 1 - step } else { step };
+        out.push((place, end + i as f64 / sequence.frame_rate));
+    }
+    out
 }
 
 /// The number behind a flag.

@@ -2,7 +2,7 @@
 
 use crate::failure::{Failure, PictureError};
 use crate::focal::find_focal;
-use crate::grow::{adjust_all, grow, pose_rest};
+use crate::grow::{adjust_all, grow, pose_rest, refine};
 use crate::result::{FrameReport, Reconstruction, assemble};
 use crate::rolling::{correct_again, correct_rolling_shutter};
 use crate::scene::Scene;
@@ -15,9 +15,6 @@ use i2slam_geometry::{Camera, Image};
 pub const LEAST_FRAMES: usize = 4;
 /// Least side of a picture [px].
 pub const LEAST_SIDE: usize = 48;
-/// With more frames than this, those between keyframes are not adjusted together with them, and
-/// the rolling shutter is corrected by rotations only.
-const ADJUSTED_TOGETHER: usize = 300;
 
 /// What is known of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,25 +106,24 @@ impl FrontEnd {
         }
         let about = if adjust_focal { 0.0 } else { straighten(&mut scene.tracks, &scene.camera) };
         map(&mut scene, adjust_focal)?;
-        let mut readout = 0.0;
-        if scene.posed().len() <= ADJUSTED_TOGETHER {
-            readout = correct_rolling_shutter(&mut scene, &self.timestamps, about);
+        let mut readout = correct_rolling_shutter(&mut scene, &self.timestamps, about);
+        if readout != 0.0 || about != 0.0 {
+            refine(&mut scene, adjust_focal);
         }
         if readout != 0.0 {
-            adjust_all(&mut scene, adjust_focal);
             readout = correct_again(&mut scene, &self.timestamps, readout);
-            adjust_all(&mut scene, adjust_focal);
+            refine(&mut scene, adjust_focal);
         }
         Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))
     }
 }
 
-/// Poses and landmarks from tracks alone; returns the cost per sight.
-fn map(scene: &mut Scene, adjust_focal: bool) -> Result<f64, Failure> {
+/// Poses and landmarks from tracks alone.
+fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), Failure> {
     start(scene)?;
     grow(scene, adjust_focal, usize::MAX);
-    let cost = adjust_all(scene, adjust_focal);
+    adjust_all(scene, adjust_focal);
     pose_rest(scene);
-    let together = scene.posed().len() <= ADJUSTED_TOGETHER;
-    Ok(if together { adjust_all(scene, adjust_focal) } else { cost })
+    refine(scene, adjust_focal);
+    Ok(())
 }

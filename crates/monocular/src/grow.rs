@@ -14,6 +14,8 @@ const WINDOW: usize = 8;
 const GROWTH: f64 = 1.3;
 /// Keyframes this near in order to a posed one are tried first.
 const NEAR: usize = 3;
+/// Of more frames than this, those between keyframes are adjusted one by one.
+const ADJUSTED_TOGETHER: usize = 300;
 const LOCAL_STEPS: usize = 6;
 const GLOBAL_STEPS: usize = 20;
 
@@ -45,6 +47,30 @@ pub(crate) fn adjust_all(scene: &mut Scene, adjust_focal: bool) -> f64 {
     let cost = scene.adjust(&all, adjust_focal, GLOBAL_STEPS);
     scene.mark_wrong_sights();
     cost
+}
+
+/// Adjusts all frames; of a long sequence the keyframes, and then every other frame alone.
+pub(crate) fn refine(scene: &mut Scene, adjust_focal: bool) {
+    let posed = scene.posed();
+    if posed.len() <= ADJUSTED_TOGETHER {
+        adjust_all(scene, adjust_focal);
+        return;
+    }
+    let mut is_keyframe = vec![false; scene.poses.len()];
+    scene.tracks.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
+    let between: Vec<usize> = posed.into_iter().filter(|f| !is_keyframe[*f]).collect();
+    let before: Vec<Option<Pose<f64>>> = between.iter().map(|f| scene.poses[*f].take()).collect();
+    adjust_all(scene, adjust_focal);
+    let again = |(frame, pose): (&usize, &Option<Pose<f64>>)| {
+        let matches = scene.matches(*frame);
+        let found = pose.and_then(|start| resect(&scene.camera, start, &matches, scene.noise));
+        found.filter(|f| is_enough(f, matches.len())).map(|f| f.world_from_camera)
+    };
+    let found: Vec<_> = between.par_iter().zip(&before).map(again).collect();
+    for (frame, pose) in between.into_iter().zip(found) {
+        scene.poses[frame] = pose;
+    }
+    pose_rest(scene);
 }
 
 /// Finds poses of the frames between keyframes and, again, of keyframes that were not reached,
@@ -108,9 +134,12 @@ fn try_frame(scene: &Scene, frame: usize) -> Option<Resected> {
         .into_iter()
         .filter_map(|start| resect(&scene.camera, start, &matches, scene.noise))
         .max_by(|a, b| a.agreeing.cmp(&b.agreeing))?;
-    let enough = best.agreeing >= LEAST_AGREEING
-        && best.agreeing as f64 >= LEAST_SHARE * matches.len() as f64;
-    enough.then_some(best)
+    is_enough(&best, matches.len()).then_some(best)
+}
+
+/// Whether a pose that so many landmarks were tried for can be trusted.
+fn is_enough(found: &Resected, matches: usize) -> bool {
+    found.agreeing >= LEAST_AGREEING && found.agreeing as f64 >= LEAST_SHARE * matches as f64
 }
 
 /// Where a frame may be: as its neighbours in time say, and where they are.

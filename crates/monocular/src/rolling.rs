@@ -10,13 +10,16 @@ use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
 /// Distance of the readouts that are compared first, and later [frame intervals].
-const COARSE: f64 = 0.6;
+const COARSE: f64 = 0.5;
 const FINE: f64 = 0.2;
 /// No readout is longer [frame intervals].
 const LONGEST: f64 = 1.0;
 /// A readout must lower the cost to this share, or all rows count as exposed together.
 pub(crate) const WORTH: f64 = 0.97;
 const STEPS: usize = 8;
+/// A long sequence is judged by so many stretches of so many frames.
+const STRETCHES: usize = 3;
+const STRETCH: usize = 100;
 /// Frames farther apart than so many intervals tell no velocity.
 const NEIGHBOUR: f64 = 4.5;
 
@@ -25,40 +28,93 @@ const NEIGHBOUR: f64 = 4.5;
 /// they have been corrected for already [frame intervals].
 pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], about: f64) -> f64 {
     let Some(interval) = interval(timestamps) else { return 0.0 };
-    if about != 0.0 {
-        return correct_again(scene, timestamps, about * interval);
-    }
-    let cost = |readout: f64| cost(scene, timestamps, readout, interval);
-    let costs = [-COARSE, 0.0, COARSE].map(cost);
-    let end = if costs[0] < costs[2] { -COARSE } else { COARSE };
-    let best = lowest_of_parabola(COARSE, costs).unwrap_or(end).clamp(-LONGEST, LONGEST);
-    let readout = if cost(best) < WORTH * costs[1] { best } else { 0.0 };
+    let sample = Sample::of(scene, timestamps, interval);
+    let none = sample.cost(0.0);
+    let (best, cost) = if about == 0.0 { sample.coarse(none) } else { sample.near(about) };
+    let readout = if cost < WORTH * none { best } else { 0.0 };
     move_rows(scene, timestamps, readout * interval, interval);
     readout * interval
 }
 
-/// Looks for a better readout near a known one [s], with the velocities that are known now.
+/// Looks for a better readout near a known one [s], with the velocities that are known now; 0 if
+/// it is no longer clearly better than that.
 pub(crate) fn correct_again(scene: &mut Scene, timestamps: &[f64], readout: f64) -> f64 {
     let Some(interval) = interval(timestamps).filter(|_| readout != 0.0) else { return readout };
-    let about = readout / interval;
-    let costs = [about - FINE, about, about + FINE].map(|r| cost(scene, timestamps, r, interval));
-    let change = lowest_of_parabola(FINE, costs).unwrap_or(0.0);
-    let readout = (about + change).clamp(-LONGEST, LONGEST) * interval;
-    move_rows(scene, timestamps, readout, interval);
-    readout
+    correct_rolling_shutter(scene, timestamps, readout / interval)
+}
+
+/// The frames that decide on the readout: all, or some stretches of a long sequence.
+struct Sample<'a> {
+    scene: Scene,
+    /// All of them but the first of every stretch, which stay.
+    free: Vec<usize>,
+    timestamps: &'a [f64],
+    /// [s]
+    interval: f64,
+}
+
+impl<'a> Sample<'a> {
+    fn of(scene: &Scene, timestamps: &'a [f64], interval: f64) -> Self {
+        let posed = scene.posed();
+        let stretches: Vec<&[usize]> = if posed.len() <= STRETCHES * STRETCH {
+            vec![&posed]
+        } else {
+            let parts = posed.chunks(posed.len().div_ceil(STRETCHES));
+            parts.map(|part| most_turning(scene, part)).collect()
+        };
+        let mut sample = scene.clone();
+        sample.poses.fill(None);
+        stretches.iter().copied().flatten().for_each(|f| sample.poses[*f] = scene.poses[*f]);
+        let free = stretches.iter().flat_map(|s| s.iter().skip(1)).copied().collect();
+        Self { scene: sample, free, timestamps, interval }
+    }
+
+    /// Cost per sight once all is adjusted to a readout [intervals].
+    fn cost(&self, readout: f64) -> f64 {
+        let mut tried = self.scene.clone();
+        move_rows(&mut tried, self.timestamps, readout * self.interval, self.interval);
+        tried.adjust(&self.free, false, STEPS)
+    }
+
+    /// The best of all readouts [intervals] and its cost, when that of none is known.
+    fn coarse(&self, none: f64) -> (f64, f64) {
+        let mut costs = [self.cost(-COARSE), none, self.cost(COARSE)];
+        let side = if costs[0] < costs[2] { -COARSE } else { COARSE };
+        let (mut middle, end) = (0.0, costs[0].min(costs[2]));
+        if end < none {
+            let beyond = self.cost(2.0 * side);
+            costs = if side < 0.0 { [beyond, end, none] } else { [none, end, beyond] };
+            middle = side;
+        }
+        let change = lowest_of_parabola(COARSE, costs).unwrap_or(0.0).clamp(-COARSE, COARSE);
+        let best = (middle + change).clamp(-LONGEST, LONGEST);
+        (best, self.cost(best))
+    }
+
+    /// The best readout near one [intervals], and the cost of that one.
+    fn near(&self, about: f64) -> (f64, f64) {
+        let costs = [about - FINE, about, about + FINE].map(|r| self.cost(r));
+        let change = lowest_of_parabola(FINE, costs).unwrap_or(0.0);
+        ((about + change).clamp(-LONGEST, LONGEST), costs[1])
+    }
+}
+
+/// The stretch of some frames in which the camera turns most.
+fn most_turning<'a>(scene: &Scene, frames: &'a [usize]) -> &'a [usize] {
+    let turn = |pair: &[usize]| match (scene.poses[pair[0]], scene.poses[pair[1]]) {
+        (Some(a), Some(b)) => a.local(b).rotation.norm_squared(),
+        _ => 0.0,
+    };
+    let turns: Vec<f64> = frames.windows(2).map(turn).collect();
+    let begins = (0..frames.len().saturating_sub(STRETCH - 1)).step_by(STRETCH / 4);
+    let sum = |begin: &usize| turns[*begin..*begin + STRETCH - 1].iter().sum::<f64>();
+    let begin = begins.max_by(|a, b| sum(a).total_cmp(&sum(b))).unwrap_or(0);
+    &frames[begin..(begin + STRETCH).min(frames.len())]
 }
 
 /// The median time between frames [s].
 fn interval(timestamps: &[f64]) -> Option<f64> {
     median(&mut timestamps.windows(2).map(|p| p[1] - p[0]).collect::<Vec<_>>())
-}
-
-/// Cost per sight once all is adjusted to a readout [intervals].
-fn cost(scene: &Scene, timestamps: &[f64], readout: f64, interval: f64) -> f64 {
-    let mut tried = scene.clone();
-    move_rows(&mut tried, timestamps, readout * interval, interval);
-    let all = tried.posed();
-    tried.adjust(&all, false, STEPS)
 }
 
 /// Where the parabola through the costs at `-step`, 0 and `step` is lowest, within twice `step`.
@@ -118,6 +174,66 @@ fn velocity(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    use crate::tracks::{Observation, Track, Tracks};
+    use i2slam_check::noise;
+    use i2slam_geometry::{Camera, Rotation, Vec3};
+
+    /// A camera that shakes on its way; `s` in frames.
+    fn path(s: f64) -> Pose<f64> {
+        let turn =
+            Vec3::new(0.03 * (0.9 * s).sin(), 0.05 * (0.61 * s).cos(), 0.02 * (0.37 * s).sin());
+        Pose::new(Rotation::exp(turn), Vec3::new(0.03 * s, 0.05 * (0.4 * s).sin(), 0.0))
+    }
+
+    /// `frames` frames with their true poses, their rows exposed within `readout` intervals.
+    fn scene(frames: usize, readout: f64) -> (Scene, Vec<f64>) {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let sight = |point: Vec3<f64>, frame: usize, error: &[f64]| {
+            let mut at = camera.project(path(frame as f64).inverse() * point);
+            for _ in 0..5 {
+                let moment = frame as f64 + readout * (at.1 / 240.0 - 0.5);
+                at = camera.project(path(moment).inverse() * point);
+            }
+            let at = [at.0 + 0.1 * error[0], at.1 + 0.1 * error[1]];
+            camera.contains(at[0], at[1], 1.0).then(|| Observation::new(frame, at, 0.3))
+        };
+        let track = |index: usize| {
+            let begin = index / 4;
+            let n = noise(index as u64, 3 + 24);
+            let ray = camera.unproject(160.0 + 150.0 * n[0], 120.0 + 110.0 * n[1], 2.5 + n[2]);
+            let point = path(begin as f64) * ray;
+            let seen = (begin..(begin + 12).min(frames)).filter_map(|f| {
+                let k = 3 + 2 * (f - begin);
+                sight(point, f, &n[k..k + 2])
+            });
+            Track { observations: seen.collect() }
+        };
+        let tracks = (0..4 * frames).map(track).collect();
+        let tracks = Tracks { tracks, keyframes: (0..frames).step_by(4).collect(), frames };
+        let mut scene = Scene::new(camera, tracks);
+        scene.poses = (0..frames).map(|f| Some(path(f as f64))).collect();
+        scene.add_landmarks();
+        (scene, (0..frames).map(|f| f as f64 / 30.0).collect())
+    }
+
+    #[test]
+    fn the_readout_of_a_long_sequence_is_found_from_some_stretches() {
+        let (mut rolling, timestamps) = scene(420, 0.5);
+        let found = correct_rolling_shutter(&mut rolling, &timestamps, 0.0);
+        assert!((30.0 * found - 0.5).abs() < 0.05, "{found}");
+        assert_eq!(rolling.posed().len(), 420);
+    }
+
+    #[test]
+    fn a_readout_that_explains_nothing_is_given_up() {
+        let (mut global, timestamps) = scene(60, 0.0);
+        for about in [0.0, 0.4] {
+            assert_eq!(correct_rolling_shutter(&mut global, &timestamps, about), 0.0);
+            let observations = global.tracks.tracks.iter().flat_map(|t| &t.observations);
+            assert!(observations.clone().all(|o| o.at == o.seen));
+        }
+    }
 
     #[test]
     fn the_lowest_point_of_a_parabola_is_found() {
