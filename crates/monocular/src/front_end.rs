@@ -1,8 +1,10 @@
 //! Pictures in, camera path out.
 
+use crate::closure::close_loops;
 use crate::failure::{Failure, PictureError};
 use crate::focal::find_focal;
 use crate::grow::{adjust_all, grow, pose_rest, refine};
+use crate::relocalise::{Tried, relocalise};
 use crate::result::{FrameReport, Reconstruction, assemble};
 use crate::rolling::{correct_again, correct_rolling_shutter};
 use crate::scene::Scene;
@@ -114,6 +116,7 @@ impl FrontEnd {
             readout = correct_again(&mut scene, &self.timestamps, readout);
             refine(&mut scene, adjust_focal);
         }
+        close_loops(&mut scene, adjust_focal);
         Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))
     }
 }
@@ -121,7 +124,15 @@ impl FrontEnd {
 /// Poses and landmarks from tracks alone.
 fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), Failure> {
     start(scene)?;
-    grow(scene, adjust_focal, usize::MAX);
+    let mut tried = Tried::default();
+    loop {
+        grow(scene, adjust_focal, usize::MAX);
+        let found = relocalise(scene, &mut tried);
+        if found.is_empty() {
+            break;
+        }
+        scene.add_landmarks();
+    }
     adjust_all(scene, adjust_focal);
     pose_rest(scene);
     refine(scene, adjust_focal);

@@ -1,5 +1,6 @@
 //! Points of the scene and how cameras see them.
 
+use crate::similarity::Similarity;
 use i2slam_geometry::{Camera, Mat3, Pose, Vec3};
 
 /// A point by its direction and inverse depth from an origin that stays where it is:
@@ -38,6 +39,16 @@ impl Landmark {
             origin: world_from_camera.translation,
             frame: world_from_camera.rotation.matrix(),
             values: [ray.x, ray.y, inverse_depth],
+        }
+    }
+
+    /// The same point of a part of the world that is moved.
+    pub(crate) fn moved(&self, by: &Similarity) -> Self {
+        let [a, b, rho] = self.values;
+        Self {
+            origin: by.point(self.origin),
+            frame: by.rotation.matrix() * self.frame,
+            values: [a, b, rho / by.scale],
         }
     }
 

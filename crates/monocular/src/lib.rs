@@ -6,14 +6,21 @@
 //! adjustment takes all. The unit of length is arbitrary.
 
 mod bundle;
+mod closure;
 mod corners;
+mod descriptor;
 mod failure;
 mod focal;
 mod front_end;
 mod grow;
 mod landmark;
+mod look;
+mod order;
 mod patch;
+mod pose_graph;
 mod pyramid;
+mod recognise;
+mod relocalise;
 mod resection;
 mod result;
 mod robust;
@@ -21,6 +28,8 @@ mod rolling;
 mod scene;
 mod shift;
 mod sight;
+mod similarity;
+mod skyline;
 mod start;
 mod straighten;
 mod tracker;

@@ -43,6 +43,15 @@ pub(crate) fn resect(
     pose.is_finite().then_some(Resected { world_from_camera: pose, agreeing })
 }
 
+/// The pose that a few matches give, all of them taken as right, from `start` on.
+pub(crate) fn resect_exactly(
+    camera: &Camera<f64>,
+    start: Pose<f64>,
+    matches: &[Match<'_>],
+) -> Pose<f64> {
+    descend(camera, start, matches, |n| (1.0, n * n))
+}
+
 /// Length of a match's residual [standard deviations]; infinite behind the camera.
 pub(crate) fn residual(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
     m.0.image_position(camera, pose)

@@ -210,7 +210,8 @@ mod tests {
             Track { observations: seen.collect() }
         };
         let tracks = (0..4 * frames).map(track).collect();
-        let tracks = Tracks { tracks, keyframes: (0..frames).step_by(4).collect(), frames };
+        let keyframes = (0..frames).step_by(4).collect();
+        let tracks = Tracks { tracks, keyframes, frames, ..Tracks::default() };
         let mut scene = Scene::new(camera, tracks);
         scene.poses = (0..frames).map(|f| Some(path(f as f64))).collect();
         scene.add_landmarks();

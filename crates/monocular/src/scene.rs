@@ -49,6 +49,28 @@ impl Scene {
         self.by_frame[frame].iter().filter_map(pair).collect()
     }
 
+    /// Tracks that a frame shows, with where it shows them.
+    pub(crate) fn shown(&self, frame: usize) -> impl Iterator<Item = (usize, &Observation)> {
+        let sight = move |i: &usize| Some((*i, self.tracks.tracks[*i].in_frame(frame)?));
+        self.by_frame[frame].iter().filter_map(sight)
+    }
+
+    /// Number of tracks that two frames share.
+    pub(crate) fn shared_count(&self, first: usize, second: usize) -> usize {
+        let both = |i: &&usize| self.tracks.tracks[**i].in_frame(second).is_some();
+        self.by_frame[first].iter().filter(both).count()
+    }
+
+    /// Adds sights to tracks; of a frame that a track has already, none.
+    pub(crate) fn add_sights(&mut self, sights: Vec<(usize, Observation)>) {
+        let by_frame = Arc::make_mut(&mut self.by_frame);
+        for (track, observation) in sights {
+            if self.tracks.tracks[track].insert(observation) {
+                by_frame[observation.frame].push(track);
+            }
+        }
+    }
+
     /// Image positions of the points that two frames share.
     pub(crate) fn shared(&self, first: usize, second: usize) -> Vec<([f64; 2], [f64; 2])> {
         shared(&self.tracks.tracks, &self.by_frame, first, second)

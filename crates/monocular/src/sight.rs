@@ -59,9 +59,13 @@ impl Sight {
     /// The measurement, if there is one.
     pub(crate) fn observation(&self, frame: usize) -> Option<Observation> {
         let Self::Certain { warp, correlation } = self else { return None };
-        let sigma = SIGMA + SIGMA_UNLIKE * f64::from(1.0 - correlation);
-        Some(Observation::new(frame, warp.centre.map(f64::from), sigma))
+        Some(Observation::new(frame, warp.centre.map(f64::from), deviation(*correlation)))
     }
+}
+
+/// Standard deviation of the place of a point that looks so much like its anchor [px].
+pub(crate) fn deviation(correlation: f32) -> f64 {
+    SIGMA + SIGMA_UNLIKE * f64::from(1.0 - correlation)
 }
 
 impl Anchor {
@@ -76,7 +80,7 @@ impl Anchor {
     }
 
     /// Looks for the anchor from `start` on, from level `from` down to the finest.
-    fn find(&self, next: &Pyramid, start: Warp, from: usize) -> Option<Found> {
+    pub(crate) fn find(&self, next: &Pyramid, start: Warp, from: usize) -> Option<Found> {
         let mut warp = start;
         let mut found = None;
         for level in (0..=from.min(self.templates.len() - 1)).rev() {

@@ -4,6 +4,7 @@
 //! too. How one point is found again is told in `sight`.
 
 use crate::corners::find_corners;
+use crate::look::Look;
 use crate::patch::{RADIUS, Warp};
 use crate::pyramid::Pyramid;
 use crate::shift::find_shift;
@@ -13,6 +14,7 @@ use i2slam_compute::median;
 use i2slam_geometry::Image;
 use rayon::prelude::*;
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// Cells of a picture, each with a point of its own if it shows a corner.
 const CELLS: f32 = 800.0;
@@ -164,6 +166,7 @@ impl Tracker {
     fn begin_keyframe(&mut self, next: &Pyramid, frame: usize, shift: [f32; 2]) {
         self.due = 0;
         self.tracks.keyframes.push(frame);
+        Arc::make_mut(&mut self.tracks.looks).push(Look::new(next, frame));
         for point in &mut self.points {
             let is_aged = point.hidden == 0 && point.correlation < AGED_CORRELATION;
             if let Some(anchor) = is_aged.then(|| Anchor::new(next, point.warp.centre)).flatten() {

@@ -1,5 +1,8 @@
 //! Points of the scene as pictures show them: where, in which frames.
 
+use crate::look::Look;
+use std::sync::Arc;
+
 /// One sight of a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Observation {
@@ -33,6 +36,16 @@ impl Track {
         let i = self.observations.partition_point(|o| o.frame < frame);
         self.observations.get(i).filter(|o| o.frame == frame)
     }
+
+    /// Adds a sight; returns whether there was none of that frame.
+    pub(crate) fn insert(&mut self, observation: Observation) -> bool {
+        let i = self.observations.partition_point(|o| o.frame < observation.frame);
+        let is_new = self.observations.get(i).is_none_or(|o| o.frame != observation.frame);
+        if is_new {
+            self.observations.insert(i, observation);
+        }
+        is_new
+    }
 }
 
 /// What following points through all pictures gave.
@@ -41,6 +54,8 @@ pub(crate) struct Tracks {
     pub(crate) tracks: Vec<Track>,
     /// Frames that were chosen as keyframes, in order.
     pub(crate) keyframes: Vec<usize>,
+    /// What keyframes look like, in order.
+    pub(crate) looks: Arc<Vec<Look>>,
     /// Number of frames seen.
     pub(crate) frames: usize,
 }

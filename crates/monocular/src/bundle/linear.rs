@@ -3,11 +3,11 @@
 //! Every row of the cameras' system is computed by one task, its landmarks in order, so that the
 //! system is kept once, however many tasks there are.
 
-use super::skyline::Skyline;
 use super::structure::Structure;
 use super::{Bundle, CHUNK, GLOBALS, Sight};
 use crate::landmark::Projection;
 use crate::robust::huber;
+use crate::skyline::Skyline;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Mat3, Vec3};
 use rayon::prelude::*;

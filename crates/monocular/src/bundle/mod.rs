@@ -4,7 +4,6 @@
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
 
 mod linear;
-mod skyline;
 mod structure;
 
 use crate::landmark::Landmark;

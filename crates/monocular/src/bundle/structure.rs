@@ -1,7 +1,7 @@
 //! Which cameras share landmarks, and in which order they take least room.
 
 use super::{Bundle, GLOBALS};
-use std::collections::VecDeque;
+use crate::order::narrow_order;
 
 /// With fewer free poses than this their order is that of the bundle.
 const WORTH_ORDERING: usize = 64;
@@ -31,7 +31,7 @@ impl Structure {
         if natural.poses.len() < WORTH_ORDERING {
             return natural;
         }
-        let order = narrow_order(&natural.cameras, natural.poses.len());
+        let order = narrow_order(&neighbours(&natural.cameras, natural.poses.len()));
         let narrow = Self::of(bundle, order.into_iter().map(|b| natural.poses[b]).collect());
         if narrow.entries() < natural.entries() { narrow } else { natural }
     }
@@ -71,28 +71,6 @@ impl Structure {
     }
 }
 
-/// An order in which blocks that share landmarks lie near each other (Cuthill and McKee 1969,
-/// reversed): breadth first, from the end of every chain, those with few neighbours first.
-fn narrow_order(cameras: &[Vec<(Short, Short)>], blocks: usize) -> Vec<usize> {
-    let neighbours = neighbours(cameras, blocks);
-    let mut by_degree: Vec<usize> = (0..blocks).collect();
-    by_degree.sort_by_key(|b| neighbours[*b].len());
-    let mut is_placed = vec![false; blocks];
-    let mut order = Vec::with_capacity(blocks);
-    for begin in by_degree {
-        if is_placed[begin] {
-            continue;
-        }
-        let reached = breadth_first(&neighbours, begin, &is_placed);
-        let end = reached.last().copied().unwrap_or(begin);
-        let component = breadth_first(&neighbours, end, &is_placed);
-        component.iter().for_each(|b| is_placed[*b] = true);
-        order.extend(component);
-    }
-    order.reverse();
-    order
-}
-
 /// Blocks next to every block: each is joined with the first one of every landmark that it sees,
 /// which is enough to tell what lies near.
 fn neighbours(cameras: &[Vec<(Short, Short)>], blocks: usize) -> Vec<Vec<usize>> {
@@ -112,20 +90,4 @@ fn neighbours(cameras: &[Vec<(Short, Short)>], blocks: usize) -> Vec<Vec<usize>>
     pairs.dedup();
     pairs.into_iter().for_each(|(a, b)| out[a as usize].push(b as usize));
     out
-}
-
-fn breadth_first(neighbours: &[Vec<usize>], begin: usize, is_placed: &[bool]) -> Vec<usize> {
-    let mut is_reached = is_placed.to_vec();
-    let mut queue = VecDeque::from([begin]);
-    let mut order = Vec::new();
-    is_reached[begin] = true;
-    while let Some(block) = queue.pop_front() {
-        order.push(block);
-        let mut next: Vec<usize> =
-            neighbours[block].iter().copied().filter(|b| !is_reached[*b]).collect();
-        next.sort_by_key(|b| (neighbours[*b].len(), *b));
-        next.iter().for_each(|b| is_reached[*b] = true);
-        queue.extend(next);
-    }
-    order
 }

@@ -1,0 +1,210 @@
+//! A keyframe recognised in another one that shares no points with it.
+//!
+//! Points of both are matched by what is around them; random samples of four matches give poses
+//! by iteration, and the best is put to the test: most points of the old keyframe must be found
+//! where it says, as they looked there. One poster twice on different walls does not pass.
+
+use crate::descriptor::Described;
+use crate::landmark::Landmark;
+use crate::look::Look;
+use crate::patch::Warp;
+use crate::pyramid::Pyramid;
+use crate::resection::{Match, resect, resect_exactly, residual};
+use crate::scene::Scene;
+use crate::sight::{Anchor, deviation};
+use crate::tracks::Observation;
+use i2slam_compute::{Random, median};
+use i2slam_geometry::Pose;
+
+/// Standard deviation of matched corners [px of the kept picture].
+const DEVIATION: f64 = 1.5;
+/// Hypotheses of the random search, and matches of each.
+const HYPOTHESES: usize = 300;
+const SAMPLE: usize = 4;
+/// Residuals beyond this do not count any worse, and do not agree [standard deviations].
+const TRUNCATION: f64 = 3.0;
+/// Matches that must agree, and their share.
+const LEAST_AGREEING: usize = 12;
+const LEAST_SHARE: f64 = 0.25;
+/// Points of the old keyframe that are looked for, at most.
+const LOOKED_FOR: usize = 200;
+/// Correlation with the old look, and distance from where a point should be [px].
+const LEAST_CORRELATION: f32 = 0.75;
+const REACH: f32 = 4.0;
+/// Points nearer to the edge are not looked for [px].
+const BORDER: f64 = 8.0;
+/// Points that must be found, and their share of those looked for.
+const LEAST_FOUND: usize = 20;
+const LEAST_FOUND_SHARE: f64 = 0.45;
+/// The picture is cut into so many columns and rows; points must be found in so many of the cells.
+const CELLS: usize = 4;
+const LEAST_CELLS: u32 = 5;
+/// Points with a depth in both parts without which their scales are not compared.
+const LEAST_DEPTHS: usize = 8;
+
+/// A keyframe in the place of another one.
+#[derive(Clone, Debug)]
+pub(crate) struct Recognised {
+    /// Its pose in the part of the world that the other one belongs to.
+    pub(crate) world_from_camera: Pose<f64>,
+    /// How many times as large lengths are there as in the keyframe's own part, if it has one.
+    pub(crate) scale: Option<f64>,
+    /// The other one's tracks as this one shows them.
+    pub(crate) sights: Vec<(usize, Observation)>,
+}
+
+/// A track of the old keyframe, its landmark and where that keyframe shows it.
+type Known<'a> = (usize, &'a Landmark, &'a Observation);
+
+/// Looks for the place of `new` in what `old`, a keyframe with a pose, shows.
+pub(crate) fn recognise(scene: &Scene, new: &Look, old: &Look) -> Option<Recognised> {
+    let start = scene.poses[old.frame]?;
+    let right = |o: &&Observation| !o.is_wrong;
+    let known: Vec<Known<'_>> = scene
+        .shown(old.frame)
+        .filter_map(|(t, o)| Some((t, scene.landmarks[t].as_ref()?, Some(o).filter(right)?)))
+        .collect();
+    let seen: Vec<(usize, &Observation)> =
+        scene.shown(new.frame).filter(|(_, o)| right(o)).collect();
+    let (new_pyramid, old_pyramid) = (new.pyramid(), old.pyramid());
+    let at = |o: &Observation, look: &Look| o.seen.map(|v| v / look.scale);
+    let points = |seen: Vec<[f64; 2]>, pyramid: &Pyramid| Described::new(pyramid, &seen);
+    let here = points(seen.iter().map(|(_, o)| at(o, new)).collect(), &new_pyramid);
+    let there = points(known.iter().map(|(_, _, o)| at(o, old)).collect(), &old_pyramid);
+    let pairs = here.matches(&there);
+    let rough =
+        |(i, _): &(usize, usize)| Observation { sigma: DEVIATION * new.scale, ..*seen[*i].1 };
+    let observations: Vec<Observation> = pairs.iter().map(rough).collect();
+    let matches: Vec<Match<'_>> =
+        pairs.iter().zip(&observations).map(|((_, j), o)| (known[*j].1, o)).collect();
+    let pose = by_samples(scene, start, &matches)?;
+    let sights = confirm(scene, pose, new, &new_pyramid, &known, &old_pyramid, start)?;
+    let exact: Vec<Match<'_>> =
+        sights.iter().filter_map(|(t, o)| Some((scene.landmarks[*t].as_ref()?, o))).collect();
+    let found = resect(&scene.camera, pose, &exact, scene.noise)?;
+    if found.agreeing < LEAST_FOUND {
+        return None;
+    }
+    let pose = found.world_from_camera;
+    let both = pairs.iter().zip(&matches).map(|((i, _), m)| (seen[*i].0, *m));
+    let scale = scale(scene, new.frame, &pose, both);
+    Some(Recognised { world_from_camera: pose, scale, sights })
+}
+
+/// The pose that most matches agree on.
+fn by_samples(scene: &Scene, start: Pose<f64>, matches: &[Match<'_>]) -> Option<Pose<f64>> {
+    if matches.len() < LEAST_AGREEING {
+        return None;
+    }
+    let camera = &scene.camera;
+    let mut random = Random::new(matches.len() as u64);
+    let mut best: Option<(f64, Pose<f64>)> = None;
+    for _ in 0..HYPOTHESES {
+        let sample: Vec<Match<'_>> =
+            (0..SAMPLE).map(|_| matches[random.below(matches.len())]).collect();
+        let pose = resect_exactly(camera, start, &sample);
+        let off = |m: &Match<'_>| residual(camera, &pose, m).min(TRUNCATION).powi(2);
+        let cost: f64 = matches.iter().map(off).sum();
+        if pose.is_finite() && best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, pose));
+        }
+    }
+    let pose = best?.1;
+    let agrees = |m: &&Match<'_>| residual(camera, &pose, m) < TRUNCATION;
+    let agreeing: Vec<Match<'_>> = matches.iter().filter(agrees).copied().collect();
+    let enough = agreeing.len() >= LEAST_AGREEING
+        && agreeing.len() as f64 >= LEAST_SHARE * matches.len() as f64;
+    enough.then(|| resect(camera, pose, &agreeing, 1.0).map(|r| r.world_from_camera)).flatten()
+}
+
+/// The old keyframe's points as the new one shows them, if enough of them are where `pose` says.
+fn confirm(
+    scene: &Scene,
+    pose: Pose<f64>,
+    new: &Look,
+    new_pyramid: &Pyramid,
+    known: &[Known<'_>],
+    old_pyramid: &Pyramid,
+    old_pose: Pose<f64>,
+) -> Option<Vec<(usize, Observation)>> {
+    let camera = &scene.camera;
+    let visible: Vec<(Known<'_>, [f64; 2])> = known
+        .iter()
+        .filter_map(|k| Some((*k, k.1.image_position(camera, &pose)?)))
+        .filter(|(_, at)| camera.contains(at[0], at[1], BORDER * new.scale))
+        .collect();
+    let step = visible.len().div_ceil(LOOKED_FOR).max(1);
+    let visible: Vec<_> = visible.into_iter().step_by(step).collect();
+    let find = |((track, landmark, old), at): &(Known<'_>, [f64; 2])| {
+        let rows = rows_moved(scene, new.frame, *at);
+        let shown = [at[0] + rows[0], at[1] + rows[1]];
+        let centre = shown.map(|v| (v / new.scale) as f32);
+        let start = Warp { matrix: seen_from(scene, landmark, &old_pose, &pose)?, centre };
+        let anchor = Anchor::new(old_pyramid, old.seen.map(|v| (v / new.scale) as f32))?;
+        let found = anchor.find(new_pyramid, start, 1)?;
+        let moved = (found.warp.centre[0] - centre[0]).hypot(found.warp.centre[1] - centre[1]);
+        let is_there = found.correlation > LEAST_CORRELATION && moved < REACH;
+        let at = found.warp.centre.map(|v| f64::from(v) * new.scale);
+        let sigma = deviation(found.correlation) * new.scale;
+        let mut observation = Observation::new(new.frame, at, sigma);
+        (0..2).for_each(|i| observation.at[i] -= rows[i]);
+        is_there.then_some((*track, observation))
+    };
+    let found: Vec<(usize, Observation)> = visible.iter().filter_map(find).collect();
+    let cell = |(_, o): &(usize, Observation)| {
+        let part = |v: f64, size: usize| ((CELLS as f64 * v / size as f64) as usize).min(CELLS - 1);
+        part(o.seen[1], camera.height) * CELLS + part(o.seen[0], camera.width)
+    };
+    let cells = found.iter().fold(0_u32, |mask, o| mask | 1 << cell(o));
+    let enough = found.len() >= LEAST_FOUND
+        && found.len() as f64 >= LEAST_FOUND_SHARE * visible.len() as f64
+        && cells.count_ones() >= LEAST_CELLS;
+    enough.then_some(found)
+}
+
+/// By how much a rolling shutter moves what a frame shows near a place [px].
+fn rows_moved(scene: &Scene, frame: usize, at: [f64; 2]) -> [f64; 2] {
+    let far = |o: &Observation| (o.at[0] - at[0]).powi(2) + (o.at[1] - at[1]).powi(2);
+    let near = scene.shown(frame).min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
+    near.map_or([0.0; 2], |(_, o)| [o.seen[0] - o.at[0], o.seen[1] - o.at[1]])
+}
+
+/// How the surroundings of a landmark in one camera, taken to face it, look in another one.
+fn seen_from(
+    scene: &Scene,
+    landmark: &Landmark,
+    old: &Pose<f64>,
+    new: &Pose<f64>,
+) -> Option<[[f32; 2]; 2]> {
+    let camera = &scene.camera;
+    let in_old = old.inverse() * landmark.position();
+    let (u, v) = camera.project(in_old);
+    let there = |du: f64, dv: f64| {
+        let p = new.inverse() * (*old * camera.unproject(u + du, v + dv, in_old.z));
+        (p.z > 1e-6 * in_old.z.abs()).then(|| camera.project(p))
+    };
+    let (centre, right, below) = (there(0.0, 0.0)?, there(1.0, 0.0)?, there(0.0, 1.0)?);
+    let slope = |a: f64, b: f64| (a - b) as f32;
+    Some([
+        [slope(right.0, centre.0), slope(below.0, centre.0)],
+        [slope(right.1, centre.1), slope(below.1, centre.1)],
+    ])
+}
+
+/// The median of depths in the old part over those in the new one, of points that have both.
+fn scale<'a>(
+    scene: &Scene,
+    frame: usize,
+    pose: &Pose<f64>,
+    matches: impl Iterator<Item = (usize, Match<'a>)>,
+) -> Option<f64> {
+    let own = scene.poses[frame]?;
+    let ratio = |(track, m): (usize, Match<'a>)| {
+        let here = (own.inverse() * scene.landmarks[track]?.position()).z;
+        let there = (pose.inverse() * m.0.position()).z;
+        let agrees = residual(&scene.camera, pose, &m) < TRUNCATION;
+        (agrees && here > 0.0 && there > 0.0).then_some(there / here)
+    };
+    let mut ratios: Vec<f64> = matches.filter_map(ratio).collect();
+    if ratios.len() < LEAST_DEPTHS { None } else { median(&mut ratios) }
+}

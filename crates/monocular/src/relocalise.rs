@@ -1,0 +1,70 @@
+//! Keyframes that were lost, after a cut or behind a covered lens, found again by their looks.
+
+use crate::look::Look;
+use crate::recognise::{Recognised, recognise};
+use crate::scene::Scene;
+use rayon::prelude::*;
+use std::collections::HashSet;
+
+/// Likeness that a keyframe must have to be compared, and how many are compared.
+pub(crate) const LEAST_LIKENESS: f32 = 0.5;
+const COMPARED: usize = 3;
+/// Keyframes nearer than this in order to a better one are not compared.
+const APART: usize = 3;
+/// Keyframes that are tried at once.
+const AT_ONCE: usize = 8;
+
+/// Pairs of keyframes that were compared in vain.
+#[derive(Debug, Default)]
+pub(crate) struct Tried(HashSet<(usize, usize)>);
+
+/// The keyframes that look most like one, of those that may be compared.
+pub(crate) fn most_alike<'a>(
+    scene: &'a Scene,
+    look: &Look,
+    may: impl Fn(usize, &Look) -> bool,
+) -> Vec<&'a Look> {
+    let of = |(place, other): (usize, &'a Look)| {
+        let likeness = if may(place, other) { look.likeness(other) } else { 0.0 };
+        (likeness > LEAST_LIKENESS).then_some((likeness, place, other))
+    };
+    let mut all: Vec<_> = scene.tracks.looks.iter().enumerate().filter_map(of).collect();
+    all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut chosen: Vec<(usize, &Look)> = Vec::new();
+    for (_, place, other) in all {
+        if chosen.len() < COMPARED && chosen.iter().all(|(p, _)| p.abs_diff(place) >= APART) {
+            chosen.push((place, other));
+        }
+    }
+    chosen.into_iter().map(|(_, other)| other).collect()
+}
+
+/// Poses keyframes that show a place which is known; returns which, none if there are no more.
+pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
+    let looks = scene.tracks.looks.clone();
+    let lost: Vec<&Look> = looks.iter().filter(|l| scene.poses[l.frame].is_none()).collect();
+    for some in lost.chunks(AT_ONCE) {
+        let may = |look: &Look, other: &Look| {
+            scene.poses[other.frame].is_some() && !tried.0.contains(&(look.frame, other.frame))
+        };
+        let search = |look: &&Look| {
+            let compared = most_alike(scene, look, |_, other| may(look, other));
+            let found = compared.iter().find_map(|old| recognise(scene, look, old));
+            (found, compared.iter().map(|old| (look.frame, old.frame)).collect())
+        };
+        let found: Vec<(Option<Recognised>, Vec<(usize, usize)>)> =
+            some.par_iter().map(search).collect();
+        let mut posed = Vec::new();
+        for (look, (found, compared)) in some.iter().zip(found) {
+            tried.0.extend(compared);
+            let Some(found) = found else { continue };
+            scene.poses[look.frame] = Some(found.world_from_camera);
+            scene.add_sights(found.sights);
+            posed.push(look.frame);
+        }
+        if !posed.is_empty() {
+            return posed;
+        }
+    }
+    Vec::new()
+}
