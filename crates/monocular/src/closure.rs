@@ -8,11 +8,13 @@ use crate::grow::refine;
 use crate::landmark::Landmark;
 use crate::look::Look;
 use crate::pose_graph::{Edge, optimise};
-use crate::recognise::{Recognised, recognise};
+use crate::recognise::{Recognised, look_again, recognise};
 use crate::relocalise::most_alike;
 use crate::scene::Scene;
 use crate::similarity::Similarity;
+use crate::tracks::Observation;
 use i2slam_compute::median;
+use i2slam_geometry::Pose;
 use rayon::prelude::*;
 
 /// Keyframes nearer than this in order are no return.
@@ -23,6 +25,18 @@ const MOST_SHARED: usize = 15;
 const NEIGHBOURS: usize = 4;
 /// How far they may disagree: turn [rad], distance over that of the scene, logarithm of scale.
 const DISAGREEMENT: [f64; 3] = [0.06, 0.12, 0.15];
+/// Keyframes are joined with so many others at most, of which so many of some landmarks lie in the
+/// picture, and which look no farther aside [rad].
+const JOINED: usize = 3;
+const OVERLAP_SAMPLE: usize = 24;
+const LEAST_OVERLAP: usize = 12;
+const MOST_APART: f64 = 0.7;
+/// The most that a path may drift: share of the way, or of the scene's distance if that is more;
+/// turn [rad]; logarithm of scale.
+const MOST_DRIFT: f64 = 0.25;
+const NEAR: f64 = 0.3;
+const MOST_TURN: f64 = 0.6;
+const MOST_SCALE: f64 = 0.8;
 /// Keyframes so near in order keep their places to each other if they share so many points.
 const CHAINED: usize = 3;
 const LEAST_CHAINED: usize = 8;
@@ -43,7 +57,8 @@ struct Return {
 /// keyframes.
 pub(crate) fn close_loops(scene: &mut Scene, adjust_focal: bool) -> usize {
     let unit = distance(scene);
-    let returns = agreed(scene, returns(scene), unit);
+    let likely = returns(scene).into_iter().filter(|r| is_likely(scene, r, unit)).collect();
+    let returns = agreed(scene, likely, unit);
     if returns.is_empty() {
         return 0;
     }
@@ -51,7 +66,50 @@ pub(crate) fn close_loops(scene: &mut Scene, adjust_focal: bool) -> usize {
     let count = returns.len();
     returns.into_iter().for_each(|r| scene.add_sights(r.found.sights));
     refine(scene, adjust_focal);
+    join_neighbours(scene, adjust_focal);
     count
+}
+
+/// Gives keyframes that see one place at different times the points of each other, by the poses
+/// that are known.
+pub(crate) fn join_neighbours(scene: &mut Scene, adjust_focal: bool) {
+    let look_around = |(new, look): (usize, &Look)| {
+        let mut near: Vec<(usize, &Look)> = (scene.tracks.looks.iter().enumerate())
+            .filter(|(old, _)| old.abs_diff(new) > 1)
+            .map(|(_, other)| (overlap(scene, look, other), other))
+            .filter(|(overlap, other)| {
+                *overlap >= LEAST_OVERLAP
+                    && scene.shared_count(look.frame, other.frame) < MOST_SHARED
+            })
+            .collect();
+        near.sort_by_key(|(overlap, other)| (OVERLAP_SAMPLE - overlap, other.frame));
+        near.truncate(JOINED);
+        near.iter().filter_map(|(_, old)| look_again(scene, look, old)).flatten().collect()
+    };
+    let looks = scene.tracks.looks.par_iter().enumerate();
+    let sights: Vec<Vec<(usize, Observation)>> = looks.map(look_around).collect();
+    if sights.iter().any(|s| !s.is_empty()) {
+        sights.into_iter().for_each(|s| scene.add_sights(s));
+        refine(scene, adjust_focal);
+    }
+}
+
+/// How many of some landmarks of another keyframe lie in the picture of this one.
+fn overlap(scene: &Scene, look: &Look, other: &Look) -> usize {
+    let (Some(pose), Some(there)) = (scene.poses[look.frame], scene.poses[other.frame]) else {
+        return 0;
+    };
+    if pose.local(there).rotation.norm() > MOST_APART {
+        return 0;
+    }
+    let known = |(track, _): (usize, &Observation)| scene.landmarks[track].as_ref();
+    let count = scene.shown_count(other.frame);
+    let some = scene.shown(other.frame).step_by((count / OVERLAP_SAMPLE).max(1));
+    let inside = |l: &&Landmark| {
+        let at = l.image_position(&scene.camera, &pose);
+        at.is_some_and(|at| scene.camera.contains(at[0], at[1], 0.0))
+    };
+    some.take(OVERLAP_SAMPLE).filter_map(known).filter(inside).count()
 }
 
 /// Median distance of landmarks from where they were first seen.
@@ -64,7 +122,7 @@ fn distance(scene: &Scene) -> f64 {
 /// Keyframes that show what a much earlier one does.
 fn returns(scene: &Scene) -> Vec<Return> {
     let search = |(new, look): (usize, &Look)| {
-        let own = scene.poses[look.frame]?;
+        scene.poses[look.frame]?;
         let may = |old: usize, other: &Look| {
             old + APART <= new
                 && scene.poses[other.frame].is_some()
@@ -76,10 +134,24 @@ fn returns(scene: &Scene) -> Vec<Return> {
             let place = Similarity::of(found.world_from_camera, found.scale?);
             Some(Return { new, old, found, place })
         };
-        debug_assert!(own.is_finite());
         most_alike(scene, look, may).iter().find_map(of)
     };
     scene.tracks.looks.par_iter().enumerate().filter_map(search).collect()
+}
+
+/// Whether a path may drift as far as a return says: whole ways between places that only look
+/// alike do not vanish.
+fn is_likely(scene: &Scene, r: &Return, unit: f64) -> bool {
+    let between = &scene.tracks.looks[r.old..=r.new];
+    let places: Vec<Pose<f64>> = between.iter().filter_map(|l| scene.poses[l.frame]).collect();
+    let step = |p: &[Pose<f64>]| (p[1].translation - p[0].translation).norm();
+    let way: f64 = places.windows(2).map(step).sum();
+    let Some(own) = places.last() else { return false };
+    let off = (r.place.translation - own.translation).norm();
+    let turn = own.local(r.place.pose()).rotation.norm();
+    off < (NEAR * unit).max(MOST_DRIFT * way)
+        && turn < MOST_TURN
+        && r.place.scale.ln().abs() < MOST_SCALE
 }
 
 /// Those that a neighbour in order agrees with.
@@ -146,10 +218,9 @@ fn apply(scene: &mut Scene, keyframes: &[usize], moves: &[Similarity]) {
     };
     for (landmark, track) in scene.landmarks.iter_mut().zip(&scene.tracks.tracks) {
         let posed = track.observations.iter().find(|o| scene.poses[o.frame].is_some());
-        if let (Some(known), Some(o)) = (&mut *landmark, posed) {
-            if let Some(by) = by(o.frame) {
-                *known = known.moved(by);
-            }
+        let by = posed.and_then(|o| by(o.frame));
+        if let (Some(known), Some(by)) = (&mut *landmark, by) {
+            *known = known.moved(by);
         }
     }
     for (frame, pose) in scene.poses.iter_mut().enumerate() {

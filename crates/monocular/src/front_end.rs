@@ -1,6 +1,6 @@
 //! Pictures in, camera path out.
 
-use crate::closure::close_loops;
+use crate::closure::{close_loops, join_neighbours};
 use crate::failure::{Failure, PictureError};
 use crate::focal::find_focal;
 use crate::grow::{adjust_all, grow, pose_rest, refine};
@@ -45,17 +45,24 @@ impl Intrinsics {
 
 /// A monocular front end: [`push`](Self::push) every picture in order, then
 /// [`finish`](Self::finish).
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct FrontEnd {
     intrinsics: Intrinsics,
     tracker: Tracker,
     timestamps: Vec<f64>,
+    closes_loops: bool,
 }
 
 impl FrontEnd {
     /// A front end for pictures of one pinhole camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
-        Self { intrinsics, tracker: Tracker::default(), timestamps: Vec::new() }
+        let (tracker, timestamps) = (Tracker::default(), Vec::new());
+        Self { intrinsics, tracker, timestamps, closes_loops: true }
+    }
+
+    /// The same, without looking for places that are seen again after their points were lost.
+    pub fn without_closing_loops(self) -> Self {
+        Self { closes_loops: false, ..self }
     }
 
     /// Follows points into the next picture: planes R, G, B in [0, 1], or one plane of
@@ -116,7 +123,9 @@ impl FrontEnd {
             readout = correct_again(&mut scene, &self.timestamps, readout);
             refine(&mut scene, adjust_focal);
         }
-        close_loops(&mut scene, adjust_focal);
+        if self.closes_loops {
+            close_loops(&mut scene, adjust_focal);
+        }
         Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))
     }
 }
@@ -124,17 +133,20 @@ impl FrontEnd {
 /// Poses and landmarks from tracks alone.
 fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), Failure> {
     start(scene)?;
-    let mut tried = Tried::default();
+    let (mut tried, mut was_lost) = (Tried::default(), false);
     loop {
         grow(scene, adjust_focal, usize::MAX);
-        let found = relocalise(scene, &mut tried);
-        if found.is_empty() {
+        if relocalise(scene, &mut tried).is_empty() {
             break;
         }
+        was_lost = true;
         scene.add_landmarks();
     }
     adjust_all(scene, adjust_focal);
     pose_rest(scene);
     refine(scene, adjust_focal);
+    if was_lost {
+        join_neighbours(scene, adjust_focal);
+    }
     Ok(())
 }

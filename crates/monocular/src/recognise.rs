@@ -36,9 +36,13 @@ const BORDER: f64 = 8.0;
 /// Points that must be found, and their share of those looked for.
 const LEAST_FOUND: usize = 20;
 const LEAST_FOUND_SHARE: f64 = 0.45;
-/// The picture is cut into so many columns and rows; points must be found in so many of the cells.
+/// The picture is cut into so many columns and rows. Of the cells with so many points or more, most
+/// must show such a share of them: what only looks alike differs in whole regions.
 const CELLS: usize = 4;
-const LEAST_CELLS: u32 = 5;
+const LEAST_IN_CELL: usize = 4;
+const LEAST_SHARE_OF_CELL: f64 = 0.3;
+const LEAST_CELLS: usize = 5;
+const LEAST_CELL_SHARE: f64 = 0.7;
 /// Points with a depth in both parts without which their scales are not compared.
 const LEAST_DEPTHS: usize = 8;
 
@@ -58,27 +62,12 @@ type Known<'a> = (usize, &'a Landmark, &'a Observation);
 
 /// Looks for the place of `new` in what `old`, a keyframe with a pose, shows.
 pub(crate) fn recognise(scene: &Scene, new: &Look, old: &Look) -> Option<Recognised> {
-    let start = scene.poses[old.frame]?;
-    let right = |o: &&Observation| !o.is_wrong;
-    let known: Vec<Known<'_>> = scene
-        .shown(old.frame)
-        .filter_map(|(t, o)| Some((t, scene.landmarks[t].as_ref()?, Some(o).filter(right)?)))
-        .collect();
-    let seen: Vec<(usize, &Observation)> =
-        scene.shown(new.frame).filter(|(_, o)| right(o)).collect();
-    let (new_pyramid, old_pyramid) = (new.pyramid(), old.pyramid());
-    let at = |o: &Observation, look: &Look| o.seen.map(|v| v / look.scale);
-    let points = |seen: Vec<[f64; 2]>, pyramid: &Pyramid| Described::new(pyramid, &seen);
-    let here = points(seen.iter().map(|(_, o)| at(o, new)).collect(), &new_pyramid);
-    let there = points(known.iter().map(|(_, _, o)| at(o, old)).collect(), &old_pyramid);
-    let pairs = here.matches(&there);
-    let rough =
-        |(i, _): &(usize, usize)| Observation { sigma: DEVIATION * new.scale, ..*seen[*i].1 };
-    let observations: Vec<Observation> = pairs.iter().map(rough).collect();
-    let matches: Vec<Match<'_>> =
-        pairs.iter().zip(&observations).map(|((_, j), o)| (known[*j].1, o)).collect();
-    let pose = by_samples(scene, start, &matches)?;
-    let sights = confirm(scene, pose, new, &new_pyramid, &known, &old_pyramid, start)?;
+    let comparison = Comparison::new(scene, new, old)?;
+    let (tracks, observations) = comparison.matched();
+    let known = |(_, j): &(usize, usize)| comparison.known[*j].1;
+    let matches: Vec<Match<'_>> = tracks.iter().map(known).zip(&observations).collect();
+    let pose = by_samples(scene, comparison.old_pose, &matches)?;
+    let sights = comparison.confirm(pose)?;
     let exact: Vec<Match<'_>> =
         sights.iter().filter_map(|(t, o)| Some((scene.landmarks[*t].as_ref()?, o))).collect();
     let found = resect(&scene.camera, pose, &exact, scene.noise)?;
@@ -86,9 +75,120 @@ pub(crate) fn recognise(scene: &Scene, new: &Look, old: &Look) -> Option<Recogni
         return None;
     }
     let pose = found.world_from_camera;
-    let both = pairs.iter().zip(&matches).map(|((i, _), m)| (seen[*i].0, *m));
+    let both = tracks.iter().zip(&matches).map(|((track, _), m)| (*track, *m));
     let scale = scale(scene, new.frame, &pose, both);
     Some(Recognised { world_from_camera: pose, scale, sights })
+}
+
+/// The tracks of `old` as `new` shows them, if their poses agree with what both look like.
+pub(crate) fn look_again(
+    scene: &Scene,
+    new: &Look,
+    old: &Look,
+) -> Option<Vec<(usize, Observation)>> {
+    Comparison::new(scene, new, old)?.confirm(scene.poses[new.frame]?)
+}
+
+/// Two keyframes, the old one with a pose.
+struct Comparison<'a> {
+    scene: &'a Scene,
+    new: &'a Look,
+    old: &'a Look,
+    old_pose: Pose<f64>,
+    new_pyramid: Pyramid,
+    old_pyramid: Pyramid,
+    /// Landmarks of the old one.
+    known: Vec<Known<'a>>,
+}
+
+impl<'a> Comparison<'a> {
+    fn new(scene: &'a Scene, new: &'a Look, old: &'a Look) -> Option<Self> {
+        let known = |(track, o): (usize, &'a Observation)| {
+            let landmark = scene.landmarks[track].as_ref()?;
+            (!o.is_wrong).then_some((track, landmark, o))
+        };
+        Some(Self {
+            scene,
+            new,
+            old,
+            old_pose: scene.poses[old.frame]?,
+            new_pyramid: new.pyramid(),
+            old_pyramid: old.pyramid(),
+            known: scene.shown(old.frame).filter_map(known).collect(),
+        })
+    }
+
+    /// Matched points by what is around them: track of the new one and place among the known, and
+    /// where the new one shows them.
+    fn matched(&self) -> (Vec<(usize, usize)>, Vec<Observation>) {
+        let (new, old) = (self.new, self.old);
+        let at = |o: &Observation, look: &Look| o.seen.map(|v| v / look.scale);
+        let seen: Vec<(usize, &Observation)> =
+            self.scene.shown(new.frame).filter(|(_, o)| !o.is_wrong).collect();
+        let here: Vec<[f64; 2]> = seen.iter().map(|(_, o)| at(o, new)).collect();
+        let there: Vec<[f64; 2]> = self.known.iter().map(|(_, _, o)| at(o, old)).collect();
+        let here = Described::new(&self.new_pyramid, &here);
+        let pairs = here.matches(&Described::new(&self.old_pyramid, &there));
+        let sigma = DEVIATION * new.scale;
+        let rough = |(i, _): &(usize, usize)| Observation { sigma, ..*seen[*i].1 };
+        let observations = pairs.iter().map(rough).collect();
+        (pairs.into_iter().map(|(i, j)| (seen[i].0, j)).collect(), observations)
+    }
+
+    /// The old one's points as the new one shows them, if enough of them are where `pose` says.
+    fn confirm(&self, pose: Pose<f64>) -> Option<Vec<(usize, Observation)>> {
+        let camera = &self.scene.camera;
+        let visible: Vec<(Known<'_>, [f64; 2])> = self
+            .known
+            .iter()
+            .filter_map(|k| Some((*k, k.1.image_position(camera, &pose)?)))
+            .filter(|(_, at)| camera.contains(at[0], at[1], BORDER * self.new.scale))
+            .collect();
+        let step = visible.len().div_ceil(LOOKED_FOR).max(1);
+        let visible: Vec<_> = visible.into_iter().step_by(step).collect();
+        let find = |(known, at): &(Known<'_>, [f64; 2])| self.find(known, *at, &pose);
+        let found: Vec<Option<(usize, Observation)>> = visible.iter().map(find).collect();
+        // Points looked for and points found in every cell.
+        let mut cells = [[0_usize; 2]; CELLS * CELLS];
+        for ((_, at), found) in visible.iter().zip(&found) {
+            let part = |v: f64, size: usize| (v * CELLS as f64 / size as f64) as usize;
+            let (column, row) = (part(at[0], camera.width), part(at[1], camera.height));
+            let cell = &mut cells[row.min(CELLS - 1) * CELLS + column.min(CELLS - 1)];
+            cell[0] += 1;
+            cell[1] += usize::from(found.is_some());
+        }
+        let populated = cells.iter().filter(|c| c[0] >= LEAST_IN_CELL);
+        let shown = populated.clone().filter(|c| c[1] as f64 >= LEAST_SHARE_OF_CELL * c[0] as f64);
+        let (populated, shown) = (populated.count(), shown.count());
+        let sights: Vec<(usize, Observation)> = found.into_iter().flatten().collect();
+        let enough = sights.len() >= LEAST_FOUND
+            && sights.len() as f64 >= LEAST_FOUND_SHARE * visible.len() as f64
+            && shown >= LEAST_CELLS
+            && shown as f64 >= LEAST_CELL_SHARE * populated as f64;
+        enough.then_some(sights)
+    }
+
+    /// Looks for a point of the old one in the new one, around `at`.
+    fn find(
+        &self,
+        (track, landmark, shown): &Known<'_>,
+        at: [f64; 2],
+        pose: &Pose<f64>,
+    ) -> Option<(usize, Observation)> {
+        let (new, scale) = (self.new, self.new.scale);
+        let rows = rows_moved(self.scene, new.frame, at);
+        let centre = std::array::from_fn(|i| ((at[i] + rows[i]) / scale) as f32);
+        let matrix = seen_from(self.scene, landmark, &self.old_pose, pose)?;
+        let in_old = shown.seen.map(|v| (v / self.old.scale) as f32);
+        let anchor = Anchor::new(&self.old_pyramid, in_old)?;
+        let found = anchor.find(&self.new_pyramid, Warp { matrix, centre }, 1)?;
+        let moved = (found.warp.centre[0] - centre[0]).hypot(found.warp.centre[1] - centre[1]);
+        let is_there = found.correlation > LEAST_CORRELATION && moved < REACH;
+        let at = found.warp.centre.map(|v| f64::from(v) * scale);
+        let mut sight = Observation::new(new.frame, at, deviation(found.correlation) * scale);
+        (0..2).for_each(|i| sight.at[i] -= rows[i]);
+        is_there.then_some((*track, sight))
+    }
 }
 
 /// The pose that most matches agree on.
@@ -115,51 +215,6 @@ fn by_samples(scene: &Scene, start: Pose<f64>, matches: &[Match<'_>]) -> Option<
     let enough = agreeing.len() >= LEAST_AGREEING
         && agreeing.len() as f64 >= LEAST_SHARE * matches.len() as f64;
     enough.then(|| resect(camera, pose, &agreeing, 1.0).map(|r| r.world_from_camera)).flatten()
-}
-
-/// The old keyframe's points as the new one shows them, if enough of them are where `pose` says.
-fn confirm(
-    scene: &Scene,
-    pose: Pose<f64>,
-    new: &Look,
-    new_pyramid: &Pyramid,
-    known: &[Known<'_>],
-    old_pyramid: &Pyramid,
-    old_pose: Pose<f64>,
-) -> Option<Vec<(usize, Observation)>> {
-    let camera = &scene.camera;
-    let visible: Vec<(Known<'_>, [f64; 2])> = known
-        .iter()
-        .filter_map(|k| Some((*k, k.1.image_position(camera, &pose)?)))
-        .filter(|(_, at)| camera.contains(at[0], at[1], BORDER * new.scale))
-        .collect();
-    let step = visible.len().div_ceil(LOOKED_FOR).max(1);
-    let visible: Vec<_> = visible.into_iter().step_by(step).collect();
-    let find = |((track, landmark, old), at): &(Known<'_>, [f64; 2])| {
-        let rows = rows_moved(scene, new.frame, *at);
-        let shown = [at[0] + rows[0], at[1] + rows[1]];
-        let centre = shown.map(|v| (v / new.scale) as f32);
-        let start = Warp { matrix: seen_from(scene, landmark, &old_pose, &pose)?, centre };
-        let anchor = Anchor::new(old_pyramid, old.seen.map(|v| (v / new.scale) as f32))?;
-        let found = anchor.find(new_pyramid, start, 1)?;
-        let moved = (found.warp.centre[0] - centre[0]).hypot(found.warp.centre[1] - centre[1]);
-        let is_there = found.correlation > LEAST_CORRELATION && moved < REACH;
-        let at = found.warp.centre.map(|v| f64::from(v) * new.scale);
-        let sigma = deviation(found.correlation) * new.scale;
-        let mut observation = Observation::new(new.frame, at, sigma);
-        (0..2).for_each(|i| observation.at[i] -= rows[i]);
-        is_there.then_some((*track, observation))
-    };
-    let found: Vec<(usize, Observation)> = visible.iter().filter_map(find).collect();
-    let cell = |(_, o): &(usize, Observation)| {
-        let part = |v: f64, size: usize| ((CELLS as f64 * v / size as f64) as usize).min(CELLS - 1);
-        part(o.seen[1], camera.height) * CELLS + part(o.seen[0], camera.width)
-    };
-    let cells = found.iter().fold(0_u32, |mask, o| mask | 1 << cell(o));
-    let enough = found.len() >= LEAST_FOUND
-        && found.len() as f64 >= LEAST_FOUND_SHARE * visible.len() as f64
-        && cells.count_ones() >= LEAST_CELLS;
-    enough.then_some(found)
 }
 
 /// By how much a rolling shutter moves what a frame shows near a place [px].

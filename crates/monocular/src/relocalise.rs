@@ -14,9 +14,12 @@ const APART: usize = 3;
 /// Keyframes that are tried at once.
 const AT_ONCE: usize = 8;
 
+/// A keyframe and an older one.
+type Pair = (usize, usize);
+
 /// Pairs of keyframes that were compared in vain.
 #[derive(Debug, Default)]
-pub(crate) struct Tried(HashSet<(usize, usize)>);
+pub(crate) struct Tried(HashSet<Pair>);
 
 /// The keyframes that look most like one, of those that may be compared.
 pub(crate) fn most_alike<'a>(
@@ -52,11 +55,11 @@ pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
             let found = compared.iter().find_map(|old| recognise(scene, look, old));
             (found, compared.iter().map(|old| (look.frame, old.frame)).collect())
         };
-        let found: Vec<(Option<Recognised>, Vec<(usize, usize)>)> =
-            some.par_iter().map(search).collect();
+        let (found, compared): (Vec<Option<Recognised>>, Vec<Vec<Pair>>) =
+            some.par_iter().map(search).unzip();
+        tried.0.extend(compared.into_iter().flatten());
         let mut posed = Vec::new();
-        for (look, (found, compared)) in some.iter().zip(found) {
-            tried.0.extend(compared);
+        for (look, found) in some.iter().zip(found) {
             let Some(found) = found else { continue };
             scene.poses[look.frame] = Some(found.world_from_camera);
             scene.add_sights(found.sights);

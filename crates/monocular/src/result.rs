@@ -6,6 +6,10 @@ use crate::tracker::Followed;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
+/// Frames in a row without poses that are named, and points in them that make a place.
+const LEAST_PART: usize = 4;
+const LEAST_FOLLOWED: usize = 40;
+
 /// What is known of a picture as soon as it came.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameReport {
@@ -100,6 +104,26 @@ pub enum Warning {
         /// All frames.
         frames: usize,
     },
+    /// Frames in a row that show points, but not those of the others: as after a cut.
+    #[error(
+        "frames {first} to {last} could not be joined to the others: they show another place, or too little of the same one"
+    )]
+    AnotherPlace {
+        /// First frame.
+        first: usize,
+        /// Last frame.
+        last: usize,
+    },
+    /// Frames in a row in which no points could be followed.
+    #[error(
+        "frames {first} to {last} show nothing that could be followed: the lens was covered, or they are too dark or too blurred"
+    )]
+    NothingToFollow {
+        /// First frame.
+        first: usize,
+        /// Last frame.
+        last: usize,
+    },
     /// The given focal length is not the one that fits.
     #[error(
         "the focal length was given as {given:.1} px, but {fitting:.1} px fits the pictures much better"
@@ -172,6 +196,7 @@ pub(crate) fn assemble(
     let lost = frames.len() - posed.len();
     if lost > 0 {
         warnings.push(Warning::FramesLost { lost, frames: frames.len() });
+        warnings.extend(lost_parts(&scene));
     }
     let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
     Reconstruction {
@@ -183,6 +208,25 @@ pub(crate) fn assemble(
         keyframes,
         warnings,
     }
+}
+
+/// What is the matter with frames in a row that have no pose.
+fn lost_parts(scene: &Scene) -> Vec<Warning> {
+    let is_lost: Vec<bool> = scene.poses.iter().map(Option::is_none).collect();
+    let mut out = Vec::new();
+    let mut begin = 0;
+    for run in is_lost.chunk_by(|a, b| a == b) {
+        let (first, last) = (begin, begin + run.len() - 1);
+        begin += run.len();
+        if run[0] && run.len() >= LEAST_PART {
+            let followed = scene.followed_within(first, last) >= LEAST_FOLLOWED;
+            out.push(match followed {
+                true => Warning::AnotherPlace { first, last },
+                false => Warning::NothingToFollow { first, last },
+            });
+        }
+    }
+    out
 }
 
 /// A focal length that was given is let go once, to see whether another one fits.

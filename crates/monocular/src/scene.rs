@@ -55,10 +55,24 @@ impl Scene {
         self.by_frame[frame].iter().filter_map(sight)
     }
 
+    /// Number of tracks that a frame shows.
+    pub(crate) fn shown_count(&self, frame: usize) -> usize {
+        self.by_frame[frame].len()
+    }
+
     /// Number of tracks that two frames share.
     pub(crate) fn shared_count(&self, first: usize, second: usize) -> usize {
         let both = |i: &&usize| self.tracks.tracks[**i].in_frame(second).is_some();
         self.by_frame[first].iter().filter(both).count()
+    }
+
+    /// Number of tracks with at least three sights in the frames from `first` to `last`.
+    pub(crate) fn followed_within(&self, first: usize, last: usize) -> usize {
+        let seen = |track: &&crate::tracks::Track| {
+            let within = |o: &&Observation| (first..=last).contains(&o.frame);
+            track.observations.iter().filter(within).count() > 2
+        };
+        self.tracks.tracks.iter().filter(seen).count()
     }
 
     /// Adds sights to tracks; of a frame that a track has already, none.

@@ -66,7 +66,7 @@ pub(crate) struct Followed {
 }
 
 /// Points followed through a sequence.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Tracker {
     tracks: Tracks,
     points: Vec<Point>,

@@ -1,5 +1,7 @@
 //! Small pictures of a textured room, for tests.
 
+#![allow(dead_code, reason = "every test uses some of it")]
+
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 
 /// Stamps of successive pictures lie this far apart [s].
@@ -35,6 +37,15 @@ fn moving_at(s: f64) -> Pose<f64> {
 /// A picture of the room: walls, a floor and a box, `gain` times as bright. Rooms differ by
 /// `seed`.
 pub(crate) fn picture(seed: u32, world_from_camera: Pose<f64>, gain: f32) -> Image<f32> {
+    render(world_from_camera, gain, |from, direction| radiance(seed, from, direction))
+}
+
+/// A picture of what `radiance` gives for every ray, `gain` times as bright.
+pub(crate) fn render(
+    world_from_camera: Pose<f64>,
+    gain: f32,
+    radiance: impl Fn(Vec3<f64>, Vec3<f64>) -> f64,
+) -> Image<f32> {
     let camera = camera();
     let mut out = Image::new(camera.width, camera.height, 3);
     for row in 0..camera.height {
@@ -44,7 +55,7 @@ pub(crate) fn picture(seed: u32, world_from_camera: Pose<f64>, gain: f32) -> Ima
             for (dx, dy) in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)] {
                 let ray = camera.unproject(column as f64 + dx, row as f64 + dy, 1.0);
                 let direction = world_from_camera.rotation.rotate(ray);
-                value += 0.25 * radiance(seed, world_from_camera.translation, direction);
+                value += 0.25 * radiance(world_from_camera.translation, direction);
             }
             for channel in 0..3 {
                 out.data[(channel * camera.height + row) * camera.width + column] =
@@ -79,7 +90,7 @@ fn radiance(seed: u32, from: Vec3<f64>, direction: Vec3<f64>) -> f64 {
 }
 
 /// Blotches of several sizes, in [0.1, 0.9].
-fn texture(seed: u32, s: f64, t: f64) -> f64 {
+pub(crate) fn texture(seed: u32, s: f64, t: f64) -> f64 {
     let octave = |k: u32, scale: f64| smooth_noise(seed * 4 + k, s * scale, t * scale);
     0.1 + 0.8 * (0.4 * octave(0, 3.0) + 0.35 * octave(1, 7.0) + 0.25 * octave(2, 15.0))
 }
