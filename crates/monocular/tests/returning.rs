@@ -19,10 +19,13 @@ fn followed(pictures: &[Image<f32>]) -> FrontEnd {
     front_end
 }
 
+/// Where a frame was found, and where it is.
+type Places = (Vec3<f64>, Vec3<f64>);
+
 /// Root mean square distance of the posed frames from the truth after the similarity of least
 /// squares, found step by step.
 fn path_error(found: &Reconstruction, truth: &[Pose<f64>]) -> f64 {
-    let pairs: Vec<(Vec3<f64>, Vec3<f64>)> = (found.frames.iter().zip(truth))
+    let pairs: Vec<Places> = (found.frames.iter().zip(truth))
         .filter_map(|(status, truth)| match status {
             FrameStatus::Posed { world_from_camera, .. } => {
                 Some((world_from_camera.translation, truth.translation))
@@ -30,14 +33,14 @@ fn path_error(found: &Reconstruction, truth: &[Pose<f64>]) -> f64 {
             FrameStatus::Lost => None,
         })
         .collect();
-    let centre = |of: fn(&(Vec3<f64>, Vec3<f64>)) -> Vec3<f64>| {
+    let centre = |of: fn(&Places) -> Vec3<f64>| {
         let sum = pairs.iter().map(of).fold(Vec3::zero(), |a, b| a + b);
         sum * (1.0 / pairs.len() as f64)
     };
     let (here, there) = (centre(|p| p.0), centre(|p| p.1));
     let (mut rotation, mut scale) = (truth[0].rotation, 1.0);
     for _ in 0..50 {
-        let turned = |p: &(Vec3<f64>, Vec3<f64>)| rotation.rotate(p.0 - here) * scale;
+        let turned = |p: &Places| rotation.rotate(p.0 - here) * scale;
         let (mut along, mut length) = (0.0, 0.0);
         let (mut torque, mut inertia) = (Vec3::zero(), 0.0);
         for p in &pairs {
@@ -48,9 +51,7 @@ fn path_error(found: &Reconstruction, truth: &[Pose<f64>]) -> f64 {
         scale *= along / length;
         rotation = Rotation::exp(torque * (1.0 / inertia)) * rotation;
     }
-    let off = |p: &(Vec3<f64>, Vec3<f64>)| {
-        (rotation.rotate(p.0 - here) * scale - (p.1 - there)).norm_squared()
-    };
+    let off = |p: &Places| (rotation.rotate(p.0 - here) * scale - (p.1 - there)).norm_squared();
     (pairs.iter().map(off).sum::<f64>() / pairs.len() as f64).sqrt()
 }
 
@@ -58,10 +59,9 @@ fn path_error(found: &Reconstruction, truth: &[Pose<f64>]) -> f64 {
 fn hall(from: Vec3<f64>, direction: Vec3<f64>) -> f64 {
     let mut nearest = (f64::INFINITY, 0.5);
     let mut meet = |distance: f64, face: u32, place: &dyn Fn(Vec3<f64>) -> Option<(f64, f64)>| {
-        if distance > 1e-3 && distance < nearest.0 {
-            if let Some((s, t)) = place(from + direction * distance) {
-                nearest = (distance, texture(900 + face, s, t));
-            }
+        let is_nearer = distance > 1e-3 && distance < nearest.0;
+        if let Some((s, t)) = is_nearer.then(|| place(from + direction * distance)).flatten() {
+            nearest = (distance, texture(900 + face, s, t));
         }
     };
     for (side, half) in [(1.0, 4.0), (-1.0, 4.0), (1.0, 3.2), (-1.0, 3.2)] {

@@ -68,16 +68,28 @@ pub(crate) fn render(
 
 /// Brightness of the nearest surface on a ray.
 fn radiance(seed: u32, from: Vec3<f64>, direction: Vec3<f64>) -> f64 {
-    let mut nearest = (f64::INFINITY, 0.5);
+    let (_, face, point) = nearest(from, direction);
+    let (s, t) = match face {
+        0 | 3 => (point.x, point.y),
+        1 => (point.x, point.z),
+        _ => (point.z, point.y),
+    };
+    texture(seed * 8 + face, s, t)
+}
+
+/// Depth of the room at an image position.
+pub(crate) fn depth(world_from_camera: Pose<f64>, at: [f64; 2]) -> f64 {
+    let ray = camera().unproject(at[0], at[1], 1.0);
+    nearest(world_from_camera.translation, world_from_camera.rotation.rotate(ray)).0
+}
+
+/// Distance, face and point of the nearest surface on a ray.
+fn nearest(from: Vec3<f64>, direction: Vec3<f64>) -> (f64, u32, Vec3<f64>) {
+    let mut nearest = (f64::INFINITY, 0, from);
     let mut meet = |distance: f64, inside: &dyn Fn(Vec3<f64>) -> bool, face: u32| {
         let point = from + direction * distance;
         if distance > 1e-3 && distance < nearest.0 && inside(point) {
-            let (s, t) = match face {
-                0 | 3 => (point.x, point.y),
-                1 => (point.x, point.z),
-                _ => (point.z, point.y),
-            };
-            nearest = (distance, texture(seed * 8 + face, s, t));
+            nearest = (distance, face, point);
         }
     };
     meet((4.0 - from.z) / direction.z, &|_| true, 0);
@@ -86,7 +98,7 @@ fn radiance(seed: u32, from: Vec3<f64>, direction: Vec3<f64>) -> f64 {
     meet((3.2 - from.x) / direction.x, &|p| p.z < 4.0, 2);
     let on_box = |p: Vec3<f64>| (-0.3..0.5).contains(&p.x) && (-0.2..1.2).contains(&p.y);
     meet((2.2 - from.z) / direction.z, &on_box, 3);
-    nearest.1
+    nearest
 }
 
 /// Blotches of several sizes, in [0.1, 0.9].
