@@ -1,4 +1,4 @@
-//! The focal length of a camera of which it is not known.
+//! The focal length of a camera of which it is not known, and its lens if asked.
 
 use crate::failure::Failure;
 use crate::grow::{adjust_all, grow};
@@ -12,25 +12,36 @@ const FACTORS: [f64; 5] = [1.0, 0.75, 1.3, 0.6, 1.7];
 /// Keyframes that decide between the starts.
 const KEYFRAMES: usize = 16;
 
-/// The camera whose focal length explains most: from several starts, each refined over some
+/// A camera, its lens, and a score: smaller is better.
+#[derive(Clone, Copy)]
+struct Found {
+    score: f64,
+    camera: Camera<f64>,
+    lens: [f64; 2],
+}
+
+/// Takes the camera whose focal length explains most: from several starts, each refined over some
 /// keyframes.
-pub(crate) fn find_focal(scene: &Scene) -> Result<Camera<f64>, Failure> {
-    let tried: Vec<Result<(f64, Camera<f64>), Failure>> =
+pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), Failure> {
+    let tried: Vec<Result<Found, Failure>> =
         FACTORS.par_iter().map(|factor| try_focal(scene, *factor)).collect();
     let mut failure = Failure::NoConsistentMotion;
-    let mut best: Option<(f64, Camera<f64>)> = None;
+    let mut best: Option<Found> = None;
     for result in tried.into_iter().rev() {
         match result {
-            Ok(found) if best.is_none_or(|b| found.0 < b.0) => best = Some(found),
+            Ok(found) if best.is_none_or(|b| found.score < b.score) => best = Some(found),
             Ok(_) => {}
             Err(why) => failure = why,
         }
     }
-    best.map(|b| b.1).ok_or(failure)
+    let found = best.ok_or(failure)?;
+    scene.camera = found.camera;
+    scene.change_lens(found.lens);
+    Ok(())
 }
 
-/// A score, smaller is better, and the refined camera.
-fn try_focal(scene: &Scene, factor: f64) -> Result<(f64, Camera<f64>), Failure> {
+/// The refined camera from one start.
+fn try_focal(scene: &Scene, factor: f64) -> Result<Found, Failure> {
     let mut tried = scene.clone();
     let camera = scene.camera;
     tried.camera = Camera { fx: camera.fx * factor, fy: camera.fy * factor, ..camera };
@@ -39,5 +50,6 @@ fn try_focal(scene: &Scene, factor: f64) -> Result<(f64, Camera<f64>), Failure> 
     adjust_all(&mut tried, true);
     let cost = adjust_all(&mut tried, true);
     let explained: usize = tried.posed().iter().map(|f| tried.agreeing(*f)).sum();
-    Ok((cost / (explained.max(1) as f64), tried.camera))
+    let score = cost / (explained.max(1) as f64);
+    Ok(Found { score, camera: tried.camera, lens: tried.lens })
 }

@@ -25,6 +25,8 @@ pub enum Intrinsics {
     Known(Camera<f64>),
     /// A guess; the focal length is looked for, the principal point stays.
     Guess(Camera<f64>),
+    /// The same, and the pictures are bent by a lens whose radial distortion is looked for.
+    GuessWithDistortion(Camera<f64>),
 }
 
 impl Intrinsics {
@@ -35,10 +37,15 @@ impl Intrinsics {
         Self::Guess(Camera { width, height, fx: f, fy: f, cx, cy })
     }
 
+    /// The same guess for pictures that a lens has bent: its radial distortion is looked for.
+    pub fn unknown_with_distortion(width: usize, height: usize) -> Self {
+        Self::GuessWithDistortion(*Self::unknown(width, height).camera())
+    }
+
     /// The camera as given.
     pub fn camera(&self) -> &Camera<f64> {
         match self {
-            Self::Known(camera) | Self::Guess(camera) => camera,
+            Self::Known(camera) | Self::Guess(camera) | Self::GuessWithDistortion(camera) => camera,
         }
     }
 }
@@ -108,10 +115,11 @@ impl FrontEnd {
             return Err(Failure::TooFewFrames { frames, needed: LEAST_FRAMES });
         }
         let tracks = self.tracker.finish().with_two_keyframes();
-        let adjust_focal = matches!(self.intrinsics, Intrinsics::Guess(_));
+        let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let mut scene = Scene::new(*self.intrinsics.camera(), tracks);
+        scene.finds_lens = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
         if adjust_focal {
-            scene.camera = find_focal(&scene)?;
+            find_focal(&mut scene)?;
         }
         let about = if adjust_focal { 0.0 } else { straighten(&mut scene.tracks, &scene.camera) };
         map(&mut scene, adjust_focal)?;

@@ -14,6 +14,7 @@ mod focal;
 mod front_end;
 mod grow;
 mod landmark;
+mod lens;
 mod look;
 mod order;
 mod patch;

@@ -1,6 +1,7 @@
 //! What the front end delivers.
 
 use crate::front_end::Intrinsics;
+use crate::lens::usual_coefficients;
 use crate::scene::Scene;
 use crate::tracker::Followed;
 use i2slam_compute::median;
@@ -51,7 +52,8 @@ pub enum FrameStatus {
 /// A point of the scene that a keyframe shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SparseDepth {
-    /// Image position in the keyframe [px].
+    /// Image position in the keyframe as the pinhole camera would show it, all rows exposed with the
+    /// middle one [px].
     pub at: [f64; 2],
     /// Depth along the optical axis, in the unit of the poses.
     pub depth: f64,
@@ -78,6 +80,9 @@ pub struct Keyframe {
 pub struct Reconstruction {
     /// The pinhole camera: as given, or with the focal length found.
     pub camera: Camera<f64>,
+    /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for: a point that the pinhole
+    /// camera sees at `c + f x` is shown at `c + f x (1 + k1 ‖x‖² + k2 ‖x‖⁴)`.
+    pub distortion: Option<[f64; 2]>,
     /// Relative standard deviation of the focal length, where it was looked for.
     pub focal_deviation: Option<f64>,
     /// Time from the first to the last row [s], positive if the top row comes first; 0 where all
@@ -199,8 +204,10 @@ pub(crate) fn assemble(
         warnings.extend(lost_parts(&scene));
     }
     let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
+    let distortion = scene.finds_lens.then(|| usual_coefficients(&scene.camera, scene.lens));
     Reconstruction {
         camera: scene.camera,
+        distortion,
         focal_deviation,
         rolling_shutter_readout: readout,
         frames,

@@ -5,6 +5,7 @@
 //! given as the middle row's moment would have shown it; the readout is what fits best.
 
 use crate::landmark::Landmark;
+use crate::lens::undistorted;
 use crate::scene::Scene;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
@@ -128,20 +129,21 @@ pub(crate) fn lowest_of_parabola(step: f64, [before, middle, after]: [f64; 3]) -
 fn move_rows(scene: &mut Scene, timestamps: &[f64], readout: f64, interval: f64) {
     let velocities: Vec<Option<Tangent<f64>>> =
         (0..scene.poses.len()).map(|f| velocity(scene, timestamps, f, interval)).collect();
-    let (camera, poses) = (scene.camera, &scene.poses);
+    let (camera, lens, poses) = (scene.camera, scene.lens, &scene.poses);
     for (landmark, track) in scene.landmarks.iter().zip(&mut scene.tracks.tracks) {
         for o in &mut track.observations {
             let (Some(pose), Some(velocity)) = (poses[o.frame], velocities[o.frame]) else {
                 continue;
             };
-            let far = || Landmark::on_ray(&camera, pose, o.seen, 0.0);
+            let flat = undistorted(&camera, lens, o.seen);
+            let far = || Landmark::on_ray(&camera, pose, flat, 0.0);
             let landmark = landmark.unwrap_or_else(far);
             let late = readout * (o.seen[1] / camera.height as f64 - 0.5);
             let then = pose.retract(velocity.scaled(late));
             let positions =
                 (landmark.image_position(&camera, &pose), landmark.image_position(&camera, &then));
             if let (Some(now), Some(then)) = positions {
-                o.at = std::array::from_fn(|i| o.seen[i] - (then[i] - now[i]));
+                o.at = std::array::from_fn(|i| flat[i] - (then[i] - now[i]));
             }
         }
     }

@@ -1,7 +1,8 @@
 //! What is known so far: poses of frames, landmarks of tracks.
 
-use crate::bundle::{Bundle, Sight};
+use crate::bundle::{Bundle, Sight, Unknown};
 use crate::landmark::Landmark;
+use crate::lens::{radial, undistorted};
 use crate::resection::{AGREEING, Match};
 use crate::tracks::{Observation, Tracks, shared};
 use crate::triangulate::{PosedSight, triangulate};
@@ -14,6 +15,8 @@ use std::sync::Arc;
 const WRONG: f64 = 6.0;
 /// The tracker's deviations are never taken as wrong by more than this.
 const MOST_NOISE: f64 = 4.0;
+/// Fewer frames do not tell the lens.
+const LEAST_FOR_LENS: usize = 8;
 /// Poses that are adjusted together at most.
 const MOST_FREE: usize = 1000;
 
@@ -30,6 +33,9 @@ pub(crate) struct Scene {
     pub(crate) landmarks: Vec<Option<Landmark>>,
     /// How many times as large residuals are as the tracker says, at least 1.
     pub(crate) noise: f64,
+    /// The coefficients of the lens, and whether they are looked for: see [`lens`](crate::lens).
+    pub(crate) lens: [f64; 2],
+    pub(crate) finds_lens: bool,
 }
 
 impl Scene {
@@ -37,7 +43,8 @@ impl Scene {
     pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
         let by_frame = Arc::new(tracks.by_frame());
-        Self { camera, tracks, by_frame, poses, landmarks, noise: 1.0 }
+        let (noise, lens, finds_lens) = (1.0, [0.0; 2], false);
+        Self { camera, tracks, by_frame, poses, landmarks, noise, lens, finds_lens }
     }
 
     /// Landmarks that a frame shows.
@@ -145,7 +152,28 @@ impl Scene {
             self.landmarks[*track] = Some(*landmark);
         }
         self.camera = bundle.camera;
+        if bundle.lens != [0.0; 2] {
+            self.change_lens(bundle.lens);
+        }
         cost
+    }
+
+    /// Frees all sights of a lens that differs from the one so far.
+    pub(crate) fn change_lens(&mut self, change: [f64; 2]) {
+        (0..2).for_each(|i| self.lens[i] += change[i]);
+        for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
+            let moved = undistorted(&self.camera, change, o.seen);
+            (0..2).for_each(|i| o.at[i] += moved[i] - o.seen[i]);
+        }
+    }
+
+    /// What a bundle of so many frames may find of the camera.
+    fn unknown(&self, adjust_focal: bool, frames: usize) -> Unknown {
+        match (adjust_focal, self.finds_lens && frames >= LEAST_FOR_LENS) {
+            (false, _) => Unknown::Nothing,
+            (true, false) => Unknown::FocalLength,
+            (true, true) => Unknown::FocalLengthAndLens,
+        }
     }
 
     /// Tracks that some frames show, in order.
@@ -171,8 +199,10 @@ impl Scene {
         tracks.iter().flat_map(right).for_each(|o| place[o.frame] = Some(0));
         let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
         frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
-        let sight =
-            |o: &Observation| Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma });
+        let sight = |o: &Observation| {
+            let radial = radial(&self.camera, o.seen);
+            Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma, radial })
+        };
         let sights = tracks.iter().map(|t| right(t).filter_map(sight).collect()).collect();
         let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
         free.iter().filter_map(|f| place[*f]).for_each(|i| fixed[i] = false);
@@ -185,7 +215,8 @@ impl Scene {
             fixed,
             landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
             sights: Arc::new(sights),
-            adjust_focal,
+            lens: [0.0; 2],
+            unknown: self.unknown(adjust_focal, frames.len()),
         };
         (bundle, frames, tracks)
     }

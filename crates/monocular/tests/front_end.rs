@@ -6,7 +6,7 @@ use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_monocular::{
     Failure, FrameStatus, FrontEnd, Intrinsics, PictureError, Reconstruction, Warning,
 };
-use scene::{INTERVAL, blurred, camera, depth, moving, picture};
+use scene::{INTERVAL, blurred, camera, depth, moving, picture, through_lens};
 
 /// Runs the front end on `count` pictures.
 fn run(
@@ -32,10 +32,10 @@ fn moving_picture(i: usize) -> Image<f32> {
 
 /// Largest distance from the true place, over the length of the path, after scaling the last
 /// frame's place to the truth.
-fn relative_error(found: &Reconstruction) -> f64 {
-    let first = moving(0).inverse();
+fn relative_error(found: &Reconstruction, pose: fn(usize) -> Pose<f64>) -> f64 {
+    let first = pose(0).inverse();
     let truth: Vec<Vec3<f64>> =
-        (0..found.frames.len()).map(|i| (first * moving(i)).translation).collect();
+        (0..found.frames.len()).map(|i| (first * pose(i)).translation).collect();
     let path = found.trajectory();
     assert_eq!(path.len(), truth.len(), "every frame has a pose");
     let last = truth.len() - 1;
@@ -54,7 +54,7 @@ fn a_moving_camera_is_followed_through_blur_and_changes_of_exposure() {
         _ => moving_picture(i),
     };
     let found = run(Intrinsics::Known(camera()), 24, sometimes_blurred).expect("a good sequence");
-    let error = relative_error(&found);
+    let error = relative_error(&found, moving);
     assert!(error < 0.01, "{error}");
     assert!(found.warnings.is_empty(), "{:?}", found.warnings);
     // Depths are those of the room, but for points on edges, which lie before or behind.
@@ -79,6 +79,30 @@ fn an_unknown_focal_length_is_found() {
     let found = run(Intrinsics::Guess(guess), 24, moving_picture).expect("a good sequence");
     assert!((found.camera.fx / camera().fx - 1.0).abs() < 0.01, "{}", found.camera.fx);
     assert!(found.focal_deviation.is_some_and(|d| d < 0.01));
+}
+
+/// A camera that moves as the other one and turns about, which tells focal length from distortion.
+fn turning(i: usize) -> Pose<f64> {
+    let s = i as f64;
+    let turn = Vec3::new(0.2 * (0.5 * s).sin(), 0.3 * (0.22 * s).sin(), 0.25 * (0.35 * s).sin());
+    Pose::new(Rotation::exp(turn), moving(i).translation)
+}
+
+#[test]
+fn the_distortion_of_a_lens_is_found_on_demand() {
+    let k1 = -0.15;
+    let bent = |i: usize| through_lens(1, turning(i), k1);
+    let guess = Camera { fx: 170.0, fy: 170.0, ..camera() };
+    let found = run(Intrinsics::GuessWithDistortion(guess), 24, bent).expect("a good sequence");
+    let straight = run(Intrinsics::Guess(guess), 24, bent).expect("a path all the same");
+    let [a, b] = found.distortion.expect("asked for");
+    let (error, bent) = (relative_error(&found, turning), relative_error(&straight, turning));
+    assert!((found.camera.fx / camera().fx - 1.0).abs() < 0.03, "{}", found.camera.fx);
+    // What the lens does to a point near the corner.
+    let near_corner = |k1: f64, k2: f64| k1 * 0.6 + k2 * 0.36;
+    assert!((near_corner(a, b) - near_corner(k1, 0.0)).abs() < 0.02, "{a} {b}");
+    assert!(error < 0.01 && error < 0.5 * bent, "{error} {bent}");
+    assert_eq!(straight.distortion, None);
 }
 
 #[test]

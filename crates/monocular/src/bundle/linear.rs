@@ -6,6 +6,7 @@
 use super::structure::Structure;
 use super::{Bundle, CHUNK, GLOBALS, Sight};
 use crate::landmark::Projection;
+use crate::lens::Radial;
 use crate::robust::huber;
 use crate::skyline::Skyline;
 use i2slam_compute::reduce_in_order;
@@ -57,6 +58,7 @@ pub(super) struct Linear<'a> {
 /// A residual, weighted, with its derivatives.
 struct Weighted {
     projection: Projection,
+    radial: Radial,
     residual: [f64; 2],
     weight: f64,
 }
@@ -223,10 +225,11 @@ impl Part {
 fn weighted(bundle: &Bundle, landmark: usize, sight: &Sight) -> Option<Weighted> {
     let pose = &bundle.poses[sight.pose];
     let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
-    let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - sight.at[i]);
+    let seen = sight.without_lens(bundle.lens);
+    let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - seen[i]);
     let length = residual[0].hypot(residual[1]) / sight.sigma;
     let weight = huber(length).0 / (sight.sigma * sight.sigma);
-    Some(Weighted { projection, residual, weight })
+    Some(Weighted { projection, radial: sight.radial, residual, weight })
 }
 
 /// All sights of a landmark; `cameras` are those of free poses.
@@ -305,9 +308,9 @@ fn global_part(bundle: &Bundle) -> GlobalPart {
 }
 
 impl Weighted {
-    /// Derivatives by the unknowns that all sights share: the logarithm of the focal length.
+    /// Derivatives by the unknowns that all sights share.
     fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
-        [self.projection.by_focal[axis]]
+        [self.projection.by_focal[axis], -self.radial[0][axis], -self.radial[1][axis]]
     }
 }
 

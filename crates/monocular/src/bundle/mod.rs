@@ -1,4 +1,4 @@
-//! Bundle adjustment: poses, landmarks and, when asked, the focal length, all at once.
+//! Bundle adjustment: poses, landmarks and, when asked, focal length and lens, all at once.
 //!
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
@@ -7,6 +7,7 @@ mod linear;
 mod structure;
 
 use crate::landmark::Landmark;
+use crate::lens::Radial;
 use crate::robust::huber;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
@@ -22,8 +23,10 @@ const BEHIND: f64 = 50.0;
 const STUCK: f64 = 1e6;
 /// A step that lowers the cost by less than this share is the last one.
 const CONVERGED: f64 = 1e-5;
-/// Unknowns that all sights share: the logarithm of the focal length.
-const GLOBALS: usize = 1;
+/// Unknowns that all sights share: the logarithm of the focal length, two coefficients of the lens.
+const GLOBALS: usize = 3;
+/// The most that a step changes each of them.
+const LONGEST_STEP: [f64; GLOBALS] = [0.2, 0.1, 0.1];
 
 /// A landmark as one camera sees it.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +37,8 @@ pub(crate) struct Sight {
     pub(crate) at: [f64; 2],
     /// Its standard deviation [px].
     pub(crate) sigma: f64,
+    /// What the lens moves it by: see [`lens`](crate::lens).
+    pub(crate) radial: Radial,
 }
 
 /// All that is adjusted, and what it is adjusted to.
@@ -47,8 +52,27 @@ pub(crate) struct Bundle {
     pub(crate) landmarks: Vec<Landmark>,
     /// For every landmark its sights in order of poses, no two by one camera.
     pub(crate) sights: Arc<Vec<Vec<Sight>>>,
-    /// Whether the focal length is unknown, too.
-    pub(crate) adjust_focal: bool,
+    /// By how much the coefficients of the lens differ from those that the sights are free of.
+    pub(crate) lens: [f64; 2],
+    /// What is unknown of the camera.
+    pub(crate) unknown: Unknown,
+}
+
+/// What of the camera is adjusted with the poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Unknown {
+    Nothing,
+    FocalLength,
+    FocalLengthAndLens,
+}
+
+impl Sight {
+    /// Where a lens with other coefficients would leave it [px].
+    fn without_lens(&self, change: [f64; 2]) -> [f64; 2] {
+        std::array::from_fn(|i| {
+            self.at[i] + change[0] * self.radial[0][i] + change[1] * self.radial[1][i]
+        })
+    }
 }
 
 impl Bundle {
@@ -94,7 +118,11 @@ impl Bundle {
 
     /// How many of the unknowns that all sights share are looked for.
     fn globals(&self) -> usize {
-        usize::from(self.adjust_focal)
+        match self.unknown {
+            Unknown::Nothing => 0,
+            Unknown::FocalLength => 1,
+            Unknown::FocalLengthAndLens => GLOBALS,
+        }
     }
 
     /// The cost of all sights, in variances.
@@ -114,7 +142,8 @@ impl Bundle {
     /// Length of a residual [standard deviations].
     pub(crate) fn residual(&self, landmark: usize, sight: &Sight) -> f64 {
         let at = self.landmarks[landmark].image_position(&self.camera, &self.poses[sight.pose]);
-        at.map_or(BEHIND, |at| (at[0] - sight.at[0]).hypot(at[1] - sight.at[1]) / sight.sigma)
+        let seen = sight.without_lens(self.lens);
+        at.map_or(BEHIND, |at| (at[0] - seen[0]).hypot(at[1] - seen[1]) / sight.sigma)
     }
 
     fn moved(&self, step: &Step) -> Self {
@@ -125,7 +154,10 @@ impl Bundle {
         for (landmark, change) in out.landmarks.iter_mut().zip(&step.landmarks) {
             (0..3).for_each(|i| landmark.values[i] += change[i]);
         }
-        let scale = step.globals[0].clamp(-0.2, 0.2).exp();
+        let globals: [f64; GLOBALS] =
+            std::array::from_fn(|i| step.globals[i].clamp(-LONGEST_STEP[i], LONGEST_STEP[i]));
+        (0..2).for_each(|i| out.lens[i] += globals[1 + i]);
+        let scale = globals[0].exp();
         (out.camera.fx, out.camera.fy) = (out.camera.fx * scale, out.camera.fy * scale);
         out
     }

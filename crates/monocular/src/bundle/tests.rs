@@ -1,4 +1,5 @@
 use super::*;
+use crate::lens::radial;
 use i2slam_check::{assert_gradient, noise};
 use i2slam_geometry::{Rotation, Vec3};
 
@@ -19,7 +20,8 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
     let sight = |i: usize, k: usize| {
         let (u, v) = camera.project(poses[k].inverse() * points[i]);
         let e = &errors[(i * 6 + k) * 2..];
-        Sight { pose: k, at: [u + spread * e[0], v + spread * e[1]], sigma: 0.5 }
+        let at = [u + spread * e[0], v + spread * e[1]];
+        Sight { pose: k, at, sigma: 0.5, radial: radial(&camera, at) }
     };
     let sights: Vec<Vec<Sight>> = (0..60).map(|i| (0..6).map(|k| sight(i, k)).collect()).collect();
     let landmarks = (0..60)
@@ -27,7 +29,18 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
         .collect();
     let fixed = vec![true, false, false, false, false, false];
     let sights = Arc::new(sights);
-    (Bundle { camera, poses, fixed, landmarks, sights, adjust_focal: false }, points)
+    (
+        Bundle {
+            camera,
+            poses,
+            fixed,
+            landmarks,
+            sights,
+            lens: [0.0; 2],
+            unknown: Unknown::Nothing,
+        },
+        points,
+    )
 }
 
 fn disturbed(mut bundle: Bundle) -> Bundle {
@@ -60,7 +73,7 @@ fn disturbed_poses_and_points_return() {
 fn an_unknown_focal_length_is_found_with_its_deviation() {
     let (truth, _) = scene(0.3);
     let mut bundle = disturbed(truth);
-    (bundle.camera.fx, bundle.camera.fy, bundle.adjust_focal) = (300.0, 300.0, true);
+    (bundle.camera.fx, bundle.camera.fy, bundle.unknown) = (300.0, 300.0, Unknown::FocalLength);
     bundle.adjust(100);
     let deviation = bundle.focal_deviation().expect("defined");
     let error = (bundle.camera.fx / 250.0).ln().abs();
@@ -85,17 +98,21 @@ fn one_step_without_damping_solves_the_normal_equations() {
 #[test]
 fn the_gradient_agrees_with_differences() {
     let (bundle, _) = scene(4.0);
-    let bundle = Bundle { adjust_focal: true, ..disturbed(bundle) };
+    let unknown = Unknown::FocalLengthAndLens;
+    let bundle = Bundle { unknown, lens: [0.02, -0.01], ..disturbed(bundle) };
     let structure = Structure::new(&bundle);
     let gradient = Linear::new(&bundle, &structure).half_gradient(2);
     let f = |x: &[f64]| {
-        let mut step =
-            Step { poses: vec![[0.0; 6]; 6], landmarks: vec![[0.0; 3]; 60], globals: [x[9]] };
+        let mut step = Step {
+            poses: vec![[0.0; 6]; 6],
+            landmarks: vec![[0.0; 3]; 60],
+            globals: [x[9], x[10], x[11]],
+        };
         step.poses[1] = std::array::from_fn(|i| x[i]);
         step.landmarks[2] = std::array::from_fn(|i| x[6 + i]);
         0.5 * bundle.moved(&step).cost()
     };
-    assert_gradient("bundle", &[0.0; 10], &gradient, 1e-6, 1e-6, f);
+    assert_gradient("bundle", &[0.0; 12], &gradient, 1e-6, 1e-6, f);
 }
 
 /// A camera that goes round `count` poses, every one beginning `each` points that the next
@@ -124,7 +141,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
         let landmark = Landmark::on_ray(&camera, poses[begin], at, depth.recip());
         let sight = |pose: usize| {
             let at = landmark.image_position(&camera, &poses[pose])?;
-            Some(Sight { pose, at, sigma: 0.5 })
+            Some(Sight { pose, at, sigma: 0.5, radial: [[0.0; 2]; 2] })
         };
         let all: Vec<Sight> = by.into_iter().filter_map(sight).collect();
         if all.len() > 1 {
@@ -134,7 +151,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
     }
     let fixed = (0..count).map(|i| i < 2).collect();
     let sights = Arc::new(sights);
-    Bundle { camera, poses, fixed, landmarks, sights, adjust_focal: false }
+    Bundle { camera, poses, fixed, landmarks, sights, lens: [0.0; 2], unknown: Unknown::Nothing }
 }
 
 #[test]

@@ -46,6 +46,30 @@ pub(crate) fn render(
     gain: f32,
     radiance: impl Fn(Vec3<f64>, Vec3<f64>) -> f64,
 ) -> Image<f32> {
+    let ray = |u: f64, v: f64| camera().unproject(u, v, 1.0);
+    render_rays(world_from_camera, gain, ray, radiance)
+}
+
+/// A picture of the room through a lens with radial distortion `k1` as in OpenCV.
+pub(crate) fn through_lens(seed: u32, world_from_camera: Pose<f64>, k1: f64) -> Image<f32> {
+    let ray = |u: f64, v: f64| {
+        let shown = camera().unproject(u, v, 1.0);
+        let mut factor = 1.0;
+        for _ in 0..20 {
+            let square = (shown.x * shown.x + shown.y * shown.y) * factor * factor;
+            factor = 1.0 / (1.0 + k1 * square);
+        }
+        Vec3::new(shown.x * factor, shown.y * factor, 1.0)
+    };
+    render_rays(world_from_camera, 1.0, ray, |from, direction| radiance(seed, from, direction))
+}
+
+fn render_rays(
+    world_from_camera: Pose<f64>,
+    gain: f32,
+    ray_of: impl Fn(f64, f64) -> Vec3<f64>,
+    radiance: impl Fn(Vec3<f64>, Vec3<f64>) -> f64,
+) -> Image<f32> {
     let camera = camera();
     let mut out = Image::new(camera.width, camera.height, 3);
     for row in 0..camera.height {
@@ -53,7 +77,7 @@ pub(crate) fn render(
             let mut value = 0.0;
             // Four rays a pixel, against jagged edges.
             for (dx, dy) in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)] {
-                let ray = camera.unproject(column as f64 + dx, row as f64 + dy, 1.0);
+                let ray = ray_of(column as f64 + dx, row as f64 + dy);
                 let direction = world_from_camera.rotation.rotate(ray);
                 value += 0.25 * radiance(world_from_camera.translation, direction);
             }
