@@ -4,6 +4,7 @@
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
 
 mod linear;
+mod parts;
 mod structure;
 
 use crate::landmark::Landmark;
