@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use std::collections::HashSet;
 
 /// Likeness that a keyframe must have to be compared, and how many are compared.
-pub(crate) const LEAST_LIKENESS: f32 = 0.5;
+const LEAST_LIKENESS: f32 = 0.5;
 const COMPARED: usize = 3;
 /// Keyframes nearer than this in order to a better one are not compared.
 const APART: usize = 3;
@@ -28,8 +28,8 @@ pub(crate) fn most_alike<'a>(
     may: impl Fn(usize, &Look) -> bool,
 ) -> Vec<&'a Look> {
     let of = |(place, other): (usize, &'a Look)| {
-        let likeness = if may(place, other) { look.likeness(other) } else { 0.0 };
-        (likeness > LEAST_LIKENESS).then_some((likeness, place, other))
+        let likeness = look.likeness(other);
+        (likeness > LEAST_LIKENESS && may(place, other)).then_some((likeness, place, other))
     };
     let mut all: Vec<_> = scene.tracks.looks.iter().enumerate().filter_map(of).collect();
     all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
