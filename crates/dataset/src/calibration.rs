@@ -1,27 +1,15 @@
 //! Intrinsics, lens and depth scale: from flags, from `camera.json`, or known by name.
 
 use crate::distortion::Distortion;
+use crate::camera_file::read_camera;
+use crate::guess::FieldOfView;
 use crate::layouts::Source;
-use crate::lists::read_text;
 use crate::{DatasetError, OpenOptions};
 use i2slam_geometry::Camera;
-use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// Depth image value of one metre where nothing else is said (TUM RGB-D).
 const DEFAULT_DEPTH_SCALE: f64 = 5000.0;
-
-/// The lens models that are Brown-Conrady under some name.
-const LENS_MODELS: [&str; 8] = [
-    "brown_conrady",
-    "brown-conrady",
-    "brownconrady",
-    "opencv",
-    "plumb_bob",
-    "radtan",
-    "rational_polynomial",
-    "none",
-];
 
 /// How the pixels of depth lie to those of colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,8 +57,13 @@ impl Traits {
 /// What is known of the recording camera.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Calibration {
-    /// `[fx, fy, cx, cy]` of the colour camera [px], pixel centres at integers plus one half.
+    /// `[fx, fy, cx, cy]` of the colour camera [px], pixel centres at integers plus one half. Do
+    /// not count where there is a `field_of_view`.
     pub(crate) intrinsics: [f64; 4],
+    /// An angle of view in place of intrinsics in pixels.
+    pub(crate) field_of_view: Option<FieldOfView>,
+    /// Whether nobody gave the camera.
+    pub(crate) is_guess: bool,
     /// The lens.
     pub(crate) distortion: Distortion,
     /// Width and height of colour [px], where the source says.
@@ -97,21 +90,67 @@ impl Calibration {
     ) -> Result<Self, DatasetError> {
         let beside = folder.join("camera.json");
         let traits = source.traits().for_another_camera();
-        let mut found = match (&options.intrinsics, &options.camera) {
-            (Some(k), _) => {
-                Self::from_opencv(*k, Distortion::default(), "the given intrinsics", traits)
+        let mut found = if let Some(k) = options.intrinsics {
+            Self::from_opencv(k, Distortion::default(), "the given intrinsics", traits)
+        } else if let Some(path) = &options.camera {
+            read_camera(path, traits)?
+        } else if let Some(degrees) = options.field_of_view {
+            let view = FieldOfView::Width(degrees);
+            Self::from_view(view, format!("the given field of view of {degrees} degrees"), traits)
+        } else if source.is_video() {
+            // What lies in the folder of a video need not belong to it.
+            Self::guessed(folder, options, traits)?
+        } else if beside.is_file() {
+            read_camera(&beside, traits)?
+        } else {
+            match source.calibration()?.or_else(|| Self::known(folder)) {
+                Some(found) => found,
+                None => Self::guessed(folder, options, traits)?,
             }
-            (None, Some(path)) => Self::from_file(path, traits)?,
-            (None, None) if beside.is_file() => Self::from_file(&beside, traits)?,
-            (None, None) => source
-                .calibration()?
-                .or_else(|| Self::known(folder))
-                .ok_or_else(|| DatasetError::NoCamera { folder: folder.to_path_buf() })?,
         };
         if let Some(scale) = options.depth_scale {
             found.depth_scale = scale;
         }
         Ok(found)
+    }
+
+    /// What is taken where nothing is known, if that is allowed.
+    fn guessed(folder: &Path, options: &OpenOptions, traits: Traits) -> Result<Self, DatasetError> {
+        if !options.guess_camera {
+            return Err(DatasetError::NoCamera { folder: folder.to_path_buf() });
+        }
+        let view = FieldOfView::USUAL;
+        Ok(Self { is_guess: true, ..Self::from_view(view, format!("a guess, {view}"), traits) })
+    }
+
+    /// A camera without distortion, the principal point in the middle of the picture.
+    pub(crate) fn from_view(view: FieldOfView, source: String, traits: Traits) -> Self {
+        let found = Self::from_opencv([0.0; 4], Distortion::default(), &source, traits);
+        Self { field_of_view: Some(view), ..found }
+    }
+
+    /// A guess made better by what the first picture says of the camera that took it.
+    pub(crate) fn asking(self, picture: Option<&Path>) -> Self {
+        let said = picture.filter(|_| self.is_guess).and_then(FieldOfView::of_picture);
+        match said {
+            Some(view) => {
+                let source = format!("the EXIF data of the first picture, {view}");
+                Self { field_of_view: Some(view), source, ..self }
+            }
+            None => self,
+        }
+    }
+
+    /// The colour camera of pictures of a size [px].
+    pub(crate) fn camera(&self, (width, height): (usize, usize)) -> Camera<f64> {
+        let [fx, fy, cx, cy] = match self.field_of_view {
+            None => self.intrinsics,
+            Some(view) => {
+                let f = view.focal_length(width, height);
+                [f, f, 0.5 * width as f64, 0.5 * height as f64]
+            }
+        };
+        Camera { width, height, fx, fy, cx, cy }
     }
 
     /// From numbers for pixel centres at integers.
@@ -123,6 +162,8 @@ impl Calibration {
     ) -> Self {
         Self {
             intrinsics: [k[0], k[1], k[2] + 0.5, k[3] + 0.5],
+            field_of_view: None,
+            is_guess: false,
             distortion,
             size: None,
             depth_scale: traits.depth_scale,
@@ -152,33 +193,6 @@ impl Calibration {
         let found = Self::from_opencv(k, lens, &source, Traits::default());
         Some(Self { size: Some((640, 480)), frame_rate: Some(30.0), ..found })
     }
-
-    fn from_file(path: &Path, traits: Traits) -> Result<Self, DatasetError> {
-        let file: CameraFile = serde_json::from_str(&read_text(path)?).map_err(|e| {
-            DatasetError::camera(
-                path,
-                format!("{e}; expected JSON with the numbers fx, fy, cx, cy, width, height"),
-            )
-        })?;
-        file.check(path)?;
-        let distortion = Distortion::from_opencv(&file.distortion).ok_or_else(|| {
-            DatasetError::camera(
-                path,
-                "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]",
-            )
-        })?;
-        let shift = 0.5 - file.pixel_centre();
-        Ok(Self {
-            intrinsics: [file.fx, file.fy, file.cx + shift, file.cy + shift],
-            distortion,
-            size: file.width.zip(file.height),
-            depth_scale: file.depth_scale.unwrap_or(traits.depth_scale),
-            frame_rate: file.fps.or(traits.frame_rate),
-            grid: traits.grid,
-            invalid_depth: traits.invalid_depth,
-            source: path.display().to_string(),
-        })
-    }
 }
 
 /// The room number in `...freiburg2...` or in `fr2` standing alone.
@@ -192,63 +206,6 @@ fn freiburg_number(name: &str) -> Option<u32> {
             "3" => Some(3),
             _ => None,
         })
-}
-
-/// `camera.json` as it is written; keys not listed here are for other readers.
-#[derive(Deserialize)]
-struct CameraFile {
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    width: Option<usize>,
-    height: Option<usize>,
-    depth_scale: Option<f64>,
-    fps: Option<f64>,
-    #[serde(default)]
-    distortion: Vec<f64>,
-    distortion_model: Option<String>,
-    pixel_centre: Option<f64>,
-    #[serde(default)]
-    convention: serde_json::Value,
-}
-
-impl CameraFile {
-    /// Where pixel (0, 0) has its centre: 0.5 where the file says so, else 0 as in OpenCV.
-    fn pixel_centre(&self) -> f64 {
-        self.pixel_centre.unwrap_or_else(|| {
-            let words = self.convention.get("pixel_centres").and_then(|v| v.as_str());
-            if words.is_some_and(|w| w.contains("0.5")) { 0.5 } else { 0.0 }
-        })
-    }
-
-    fn check(&self, path: &Path) -> Result<(), DatasetError> {
-        let refuse = |reason: String| Err(DatasetError::camera(path, reason));
-        for (name, value) in [
-            ("fx", Some(self.fx)),
-            ("fy", Some(self.fy)),
-            ("depth_scale", self.depth_scale),
-            ("fps", self.fps),
-        ] {
-            if let Some(value) = value.filter(|&v| !(v.is_finite() && v > 0.0)) {
-                return refuse(format!("{name} is {value}, expected a positive number"));
-            }
-        }
-        if self.width.is_some() != self.height.is_some() {
-            return refuse("expected both width and height, found one".into());
-        }
-        if let Some(centre) = self.pixel_centre.filter(|&c| c != 0.0 && c != 0.5) {
-            return refuse(format!("pixel_centre is {centre}, expected 0 or 0.5"));
-        }
-        if let Some(model) = &self.distortion_model
-            && !LENS_MODELS.contains(&model.to_lowercase().as_str())
-        {
-            return refuse(format!(
-                "lens model '{model}' is not supported: expected Brown-Conrady (plumb_bob)"
-            ));
-        }
-        Ok(())
-    }
 }
 
 /// Writes the `camera.json` of an undistorted sequence.

@@ -4,6 +4,7 @@ use crate::calibration::{Calibration, DepthGrid};
 use crate::decode::{DepthCode, decode_depth, depth_size, image_size};
 use crate::prepare::Preparation;
 use crate::resample::{Recorded, Resampler};
+use crate::video::Video;
 use crate::{DatasetError, Entry};
 use i2slam_geometry::Camera;
 
@@ -13,6 +14,9 @@ const DEPTH_PROBES: usize = 3;
 /// Colour images tried for the size of the frames.
 const SIZE_PROBES: usize = 16;
 
+/// Sides of pictures of one shape may differ in their ratio by this share.
+const SAME_SHAPE: f64 = 0.01;
+
 /// Median depths that a sensible depth scale gives [m].
 const SENSIBLE_DEPTH: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 
@@ -21,10 +25,13 @@ pub(crate) fn recorded(
     entries: &[Entry],
     calibration: &Calibration,
     code: DepthCode,
+    video: Option<&Video>,
 ) -> Result<Recorded, DatasetError> {
-    let (width, height) = recorded_size(entries, calibration)?;
-    let [fx, fy, cx, cy] = calibration.intrinsics;
-    let colour = Camera { width, height, fx, fy, cx, cy };
+    let colour = match video {
+        Some(video) => of_video(entries, calibration, video)?,
+        None => calibration.camera(recorded_size(entries, calibration)?),
+    };
+    let (width, height) = (colour.width, colour.height);
     let sized = || {
         let sizes = entries.iter().take(SIZE_PROBES);
         let mut size = sizes
@@ -65,6 +72,23 @@ pub(crate) fn camera_warning(recorded: &Recorded, source: &str) -> Option<String
          pictures of {}x{}",
         odd.cx, odd.cy, odd.width, odd.height
     ))
+}
+
+/// The camera of a video. One that was calibrated at another size of the same shape is resized.
+fn of_video(
+    entries: &[Entry],
+    calibration: &Calibration,
+    video: &Video,
+) -> Result<Camera<f64>, DatasetError> {
+    let (width, height) = video.size;
+    let Some(size) = calibration.size else { return Ok(calibration.camera(video.size)) };
+    let across = width as f64 / size.0 as f64;
+    if (across * size.1 as f64 / height as f64 - 1.0).abs() > SAME_SHAPE {
+        let path = entries.first().map(|entry| entry.colour.clone()).unwrap_or_default();
+        let reference = format!("{} says (or any size of that shape)", calibration.source);
+        return Err(DatasetError::Size { path, found: video.size, expected: size, reference });
+    }
+    Ok(calibration.camera(size).resized(width, height))
 }
 
 /// Width and height [px] of the first readable colour image, agreeing with the camera's.

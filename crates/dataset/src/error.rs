@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 pub enum DatasetError {
     /// The path given is not a folder.
     #[error(
-        "no folder {} (and no .sens file): give the folder that holds rgb.txt and depth.txt, or \
-         colour/ and depth/",
+        "no file or folder {}: give a video, a .sens file, or the folder of a sequence (with \
+         rgb.txt and depth.txt, or colour/ and depth/)",
         path.display()
     )]
     MissingFolder {
@@ -20,14 +20,38 @@ pub enum DatasetError {
     },
     /// The folder is there but holds none of the layouts.
     #[error(
-        "{} is no RGB-D sequence: found {found}; expected one of{}",
-        path.display(), known_layouts()
+        "{} is no RGB-D sequence: found {found}; {}expected one of{}",
+        path.display(), colour_hint(*.has_colour), known_layouts()
     )]
     UnknownLayout {
         /// The folder.
         path: PathBuf,
         /// What lies in it, in words.
         found: String,
+        /// Whether there are pictures without depth.
+        has_colour: bool,
+    },
+    /// The program that decodes videos is not there.
+    #[error(
+        "a video needs the program ffmpeg to decode it, and {} cannot be started ({source}){}: \
+         install it ({}), or set I2SLAM_FFMPEG to where it is",
+        program.display(), if *.named { ", as I2SLAM_FFMPEG names it" } else { "" }, INSTALL
+    )]
+    NoFfmpeg {
+        /// What was started.
+        program: PathBuf,
+        /// Whether the environment variable `I2SLAM_FFMPEG` named it.
+        named: bool,
+        /// The system's answer.
+        source: std::io::Error,
+    },
+    /// A video that cannot be used.
+    #[error("{}: {reason}", path.display())]
+    Video {
+        /// The video.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        reason: String,
     },
     /// A file that describes the sequence (calibration, frames) cannot be used.
     #[error("{}: {reason}", path.display())]
@@ -48,8 +72,8 @@ pub enum DatasetError {
     /// No intrinsics: no `camera.json`, no flag, and the folder's name is no known sequence's.
     #[error(
         "no camera for {}: put a camera.json there with fx, fy, cx, cy, width, height and \
-         depth_scale, name one, or give the four intrinsics (a folder named after freiburg1, \
-         freiburg2 or freiburg3 needs none)",
+         depth_scale, name one, or give the four intrinsics or the field of view (a folder named \
+         after freiburg1, freiburg2 or freiburg3 needs none)",
         folder.display()
     )]
     NoCamera {
@@ -202,6 +226,10 @@ impl DatasetError {
         Self::Image { path: path.to_path_buf(), reason: reason.into() }
     }
 
+    pub(crate) fn video(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Video { path: path.to_path_buf(), reason: reason.into() }
+    }
+
     pub(crate) fn metadata(path: &Path, reason: impl Into<String>) -> Self {
         Self::Metadata { path: path.to_path_buf(), reason: reason.into() }
     }
@@ -213,6 +241,20 @@ impl DatasetError {
     pub(crate) fn camera(path: &Path, reason: impl Into<String>) -> Self {
         Self::Camera { path: path.to_path_buf(), reason: reason.into() }
     }
+}
+
+/// How ffmpeg is installed on this system.
+const INSTALL: &str = if cfg!(target_os = "macos") {
+    "`brew install ffmpeg`"
+} else if cfg!(windows) {
+    "`winget install ffmpeg`"
+} else {
+    "Debian and Ubuntu: `sudo apt install ffmpeg`, Fedora: `sudo dnf install ffmpeg-free`, Arch: \
+     `sudo pacman -S ffmpeg`"
+};
+
+fn colour_hint(has_colour: bool) -> &'static str {
+    if has_colour { "it has pictures, so that it can be run by colour alone (--rgb); " } else { "" }
 }
 
 /// One line for every kind of keyframes.

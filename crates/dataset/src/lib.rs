@@ -1,8 +1,9 @@
-//! RGB-D frames from disk: sequences in, [`Frame`]s out.
+//! Frames from disk, RGB-D or colour alone: sequences in, [`Frame`]s out.
 //!
 //! A sequence is recognised by its files, see [`Layout`]: TUM RGB-D, ETH3D SLAM, ScanNet
 //! (extracted, or its `.sens` file), Replica as rendered for NICE-SLAM, 7-Scenes, nerfstudio's
-//! `transforms.json` with depth, and plain folders of colour and depth images.
+//! `transforms.json` with depth, plain folders of colour and depth images, and videos (colour alone,
+//! decoded by the program `ffmpeg`).
 //!
 //! Every frame is delivered ready to use: lens distortion removed, cropped, scaled, depth in
 //! metres. [`Sequence::camera`] is the pinhole camera of the delivered frames.
@@ -21,10 +22,12 @@
 mod area;
 mod associate;
 mod calibration;
+mod camera_file;
 mod checks;
 mod decode;
 mod distortion;
 mod error;
+mod guess;
 pub mod import;
 mod layouts;
 mod lists;
@@ -35,6 +38,7 @@ mod resample;
 mod sequence;
 mod stream;
 mod trajectory_file;
+mod video;
 
 pub use calibration::write_camera;
 pub use error::DatasetError;
@@ -45,3 +49,4 @@ pub use published::paper_frames;
 pub use sequence::{Entry, LeftOut, Parts, Sequence};
 pub use stream::FrameStream;
 pub use trajectory_file::{read_trajectory, write_trajectory};
+pub use video::is_video;

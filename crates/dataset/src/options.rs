@@ -7,11 +7,20 @@ use std::path::PathBuf;
 /// How a sequence is opened. Start from [`OpenOptions::default`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenOptions {
-    /// A camera file to use instead of the folder's `camera.json`.
+    /// A camera file to use instead of the folder's `camera.json`: another `camera.json`, a
+    /// `transforms.json`, COLMAP's `cameras.txt` or `cameras.bin`, or a line `fx fy cx cy`.
     pub camera: Option<PathBuf>,
     /// `[fx, fy, cx, cy]` [px] of a camera without lens distortion, pixel centres at integers
     /// as in OpenCV and TUM. Goes before every camera file.
     pub intrinsics: Option<[f64; 4]>,
+    /// Horizontal field of view of a camera without lens distortion, its principal point in the
+    /// middle [degrees, above 0, below 180]. Goes behind `intrinsics` and `camera`, before what
+    /// the sequence tells.
+    pub field_of_view: Option<f64>,
+    /// Where nothing is known of the camera, take what the first picture's EXIF data tell, else a
+    /// usual field of view ([`Sequence::camera_is_guess`](crate::Sequence::camera_is_guess)),
+    /// instead of an error. Default false.
+    pub guess_camera: bool,
     /// Depth image value of one metre. Goes before the camera file; 5000 if neither says.
     pub depth_scale: Option<f64>,
     /// Which frames, by their place in the associated stream. Default all.
@@ -20,6 +29,9 @@ pub struct OpenOptions {
     pub stride: usize,
     /// Size of the delivered frames over that of the cropped ones, in `(0, 1]`. Default 1.
     pub scale: f64,
+    /// The longer side of delivered frames is at most this [px]; `scale` is made smaller if it
+    /// must be. Default none.
+    pub max_side: Option<usize>,
     /// Border removed on every side before scaling [px of the recorded colour image; of depth for
     /// ScanNet and 7-Scenes, which are delivered in the pixels of depth]. Default 0.
     pub crop_border: usize,
@@ -44,10 +56,13 @@ impl Default for OpenOptions {
         Self {
             camera: None,
             intrinsics: None,
+            field_of_view: None,
+            guess_camera: false,
             depth_scale: None,
             frames: None,
             stride: 1,
             scale: 1.0,
+            max_side: None,
             crop_border: 0,
             max_depth: None,
             association_tolerance: 0.08,
@@ -68,6 +83,10 @@ impl OpenOptions {
             && !(k.iter().all(|v| v.is_finite()) && k[0] > 0.0 && k[1] > 0.0)
         {
             return refuse("intrinsics", "finite fx fy cx cy with fx, fy > 0", format!("{k:?}"));
+        }
+        if let Some(degrees) = self.field_of_view.filter(|&v| !(positive(v) && v < 180.0)) {
+            let expected = "an angle above 0 and below 180 degrees";
+            return refuse("field_of_view", expected, degrees.to_string());
         }
         if let Some(scale) = self.depth_scale.filter(|&v| !positive(v)) {
             return refuse("depth_scale", "a positive number", scale.to_string());

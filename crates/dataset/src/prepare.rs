@@ -2,9 +2,11 @@
 
 use crate::decode::{DepthCode, decode_colour, decode_depth};
 use crate::resample::Resampler;
+use crate::video::Video;
 use crate::{DatasetError, Entry};
 use i2slam_geometry::Image;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Mean colour value below which a frame counts as black (two steps of 8 bits).
 const BLACK: f64 = 2.0 / 255.0;
@@ -43,12 +45,17 @@ pub(crate) struct Preparation {
     pub(crate) invalid_depth: Option<u16>,
     /// Depth is not read.
     pub(crate) colour_only: bool,
+    /// What decodes the pictures, if they are those of a video.
+    pub(crate) video: Option<Arc<Video>>,
 }
 
 impl Preparation {
     /// Reads both images of an entry.
     pub(crate) fn load(&self, entry: &Entry) -> Result<Frame, DatasetError> {
-        let colour = decode_colour(&entry.colour, entry.colour_part())?;
+        let colour = match self.video.as_deref().filter(|video| video.is(&entry.colour)) {
+            Some(video) => video.picture(entry.place)?,
+            None => decode_colour(&entry.colour, entry.colour_part())?,
+        };
         let (colour_size, _) = self.resampler.recorded_sizes();
         check_size(&entry.colour, (colour.width, colour.height), colour_size, "colour")?;
         let colour = self.resampler.colour(&colour);

@@ -34,6 +34,18 @@ pub(crate) struct Recorded {
     pub(crate) grid: Camera<f64>,
 }
 
+impl Recorded {
+    /// The same cameras if they had recorded frames of another size.
+    pub(crate) fn resized(&self, (width, height): (usize, usize)) -> Self {
+        let resized = |camera: &Camera<f64>| camera.resized(width, height);
+        Self {
+            colour: resized(&self.colour),
+            depth: resized(&self.depth),
+            grid: resized(&self.grid),
+        }
+    }
+}
+
 /// Precomputed maps from recorded to delivered frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Resampler {

@@ -5,6 +5,7 @@ use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded
 use crate::layouts::{Listing, Source};
 use crate::prepare::Preparation;
 use crate::resample::Resampler;
+use crate::video::refused_stream;
 use crate::{DatasetError, Frame, FrameStream, Layout, OpenOptions, read_trajectory};
 use i2slam_geometry::{Camera, Image, Trajectory};
 use std::ops::Range;
@@ -17,7 +18,7 @@ pub(crate) const DEFAULT_FRAME_RATE: f64 = 30.0;
 /// Delivered frames must have at least this many pixels a side.
 const SMALLEST_SIDE: usize = 8;
 
-/// The two files of a frame.
+/// The two files of a frame; of a video, the file with all frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
     /// Place in the associated stream, before the choice by range and stride.
@@ -69,12 +70,16 @@ pub struct LeftOut {
 /// An opened sequence: which frames there are and how they are delivered.
 #[derive(Clone, Debug)]
 pub struct Sequence {
-    /// Name of the folder, or of the `.sens` file.
+    /// Name of the folder, or of the file.
     pub name: String,
     /// How it lies on disk.
     pub layout: Layout,
     /// Where the camera comes from: a file, a flag or a name, in words.
     pub camera_source: String,
+    /// Whether nobody gave the camera, so that its focal length is to be looked for.
+    pub camera_is_guess: bool,
+    /// Width and height of the recorded colour pictures, before crop and scale [px].
+    pub recorded_size: (usize, usize),
     /// Pinhole camera of the delivered frames: lens removed, cropped, scaled.
     pub camera: Camera<f64>,
     /// Median frames a second of the associated stream (not divided by the stride).
@@ -101,11 +106,14 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Opens the sequence in a folder, or in a `.sens` file. Reads lists, headers and a few depth
-    /// images, no more.
+    /// Opens the sequence in a folder, in a `.sens` file, or a video. Reads lists, headers and a few
+    /// depth images, no more; a video is decoded once.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
         options.validate()?;
         if !path.exists() {
+            if let Some(refusal) = refused_stream(path) {
+                return Err(refusal);
+            }
             return Err(DatasetError::MissingFolder { path: path.to_path_buf() });
         }
         // A folder that is no sequence at all is worth saying before a missing camera.
@@ -138,9 +146,20 @@ impl Sequence {
         let frame_rate = median_rate(&listing.entries).unwrap_or(assumed_rate);
         let mut warnings = listing.warnings;
         let entries = choose(listing.entries, options, &mut warnings)?;
-        let recorded = recorded(&entries, &calibration, listing.depth_code)?;
+        let video = listing.video;
+        let first = entries.first().filter(|_| video.is_none());
+        let calibration = calibration.asking(first.map(|entry| entry.colour.as_path()));
+        let mut recorded = recorded(&entries, &calibration, listing.depth_code, video.as_ref())?;
+        let recorded_size = (recorded.colour.width, recorded.colour.height);
         let delivered = delivered_size(&recorded.grid, options)?;
         let lens = &calibration.distortion;
+        let video = video.map(|video| {
+            if options.crop_border == 0 {
+                // Scaled where it is decoded, which spares the pipe.
+                recorded = recorded.resized(delivered);
+            }
+            Arc::new(video.delivering(recorded.colour.width, recorded.colour.height))
+        });
         let preparation = Preparation {
             resampler: Resampler::new(&recorded, lens, options.crop_border, delivered),
             depth_scale: calibration.depth_scale,
@@ -148,6 +167,7 @@ impl Sequence {
             depth_code: listing.depth_code,
             invalid_depth: calibration.invalid_depth,
             colour_only: options.colour_only,
+            video,
         };
         warnings.extend(camera_warning(&recorded, &calibration.source));
         warnings.extend(depth_scale_warning(&entries, &preparation));
@@ -156,6 +176,8 @@ impl Sequence {
             name,
             layout: listing.layout,
             camera_source: calibration.source,
+            camera_is_guess: calibration.is_guess,
+            recorded_size,
             camera: preparation.resampler.camera,
             frame_rate,
             depth_scale: calibration.depth_scale,
@@ -247,7 +269,10 @@ pub(crate) fn delivered_size(
     options: &OpenOptions,
 ) -> Result<(usize, usize), DatasetError> {
     let cropped = recorded.cropped(options.crop_border);
-    let scaled = |side: usize| (side as f64 * options.scale).round() as usize;
+    let longest = cropped.width.max(cropped.height);
+    let most = options.max_side.map_or(1.0, |side| side as f64 / longest as f64);
+    let scale = options.scale.min(most);
+    let scaled = |side: usize| (side as f64 * scale).round() as usize;
     let (width, height) = (scaled(cropped.width), scaled(cropped.height));
     if width.min(height) >= SMALLEST_SIDE {
         return Ok((width, height));
@@ -255,7 +280,7 @@ pub(crate) fn delivered_size(
     let reason = format!(
         "a border of {} and a scale of {} leave {width}x{height} px of {}x{}, expected at least \
          {SMALLEST_SIDE} a side",
-        options.crop_border, options.scale, recorded.width, recorded.height
+        options.crop_border, scale, recorded.width, recorded.height
     );
     Err(DatasetError::Option { name: "crop_border, scale", reason })
 }

@@ -33,6 +33,7 @@ mod sparse;
 mod trajectory;
 mod variance;
 
+pub(crate) use colmap::camera_of as colmap_camera;
 pub use keyframe::{Keyframe, KeyframePose};
 pub use kind::Kind;
 pub use options::{Depth, Options};

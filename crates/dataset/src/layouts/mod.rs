@@ -16,6 +16,7 @@ pub(crate) use plain::below as pictures_below;
 
 use crate::calibration::{Calibration, Traits};
 use crate::decode::DepthCode;
+use crate::video::{Video, is_video};
 use crate::{DatasetError, Entry, LeftOut, OpenOptions};
 use i2slam_geometry::StampedPose;
 use std::path::{Path, PathBuf};
@@ -38,13 +39,15 @@ pub enum Layout {
     SevenScenes,
     /// nerfstudio and instant-ngp: `transforms.json` with `depth_file_path`.
     Nerfstudio,
-    /// A colour folder beside a depth folder.
+    /// A colour folder beside a depth folder, or pictures alone.
     Plain,
+    /// A video file, colour alone.
+    Video,
 }
 
 impl Layout {
     /// All layouts, in the order in which they are looked for.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Nerfstudio,
         Self::Replica,
         Self::SevenScenes,
@@ -53,6 +56,7 @@ impl Layout {
         Self::Eth3d,
         Self::Tum,
         Self::Plain,
+        Self::Video,
     ];
 
     /// Its name for people.
@@ -66,6 +70,7 @@ impl Layout {
             Self::SevenScenes => "7-Scenes",
             Self::Nerfstudio => "nerfstudio",
             Self::Plain => "colour and depth folders",
+            Self::Video => "video",
         }
     }
 
@@ -80,6 +85,7 @@ impl Layout {
             Self::SevenScenes => "frame-*.color.png, frame-*.depth.png",
             Self::Nerfstudio => "transforms.json with depth_file_path",
             Self::Plain => "colour/ (color/, rgb/, images/), depth/, camera.json",
+            Self::Video => "a video file (.mp4, .mov, .mkv, .webm, .avi, ...), colour alone",
         }
     }
 }
@@ -104,12 +110,14 @@ pub(crate) struct Listing {
     /// True poses that came with the frames.
     pub(crate) poses: Vec<StampedPose>,
     pub(crate) depth_code: DepthCode,
+    /// What decodes the pictures, if they are those of a video.
+    pub(crate) video: Option<Video>,
     pub(crate) warnings: Vec<String>,
 }
 
 impl Listing {
     /// Frames without anything else known of them.
-    fn new(layout: Layout, entries: Vec<Entry>) -> Self {
+    pub(crate) fn new(layout: Layout, entries: Vec<Entry>) -> Self {
         Self {
             layout,
             entries,
@@ -118,6 +126,7 @@ impl Listing {
             ground_truth: None,
             poses: Vec::new(),
             depth_code: DepthCode::Png,
+            video: None,
             warnings: Vec::new(),
         }
     }
@@ -149,10 +158,11 @@ pub(crate) enum Source {
     SevenScenes,
     Nerfstudio(Scene),
     Plain(plain::Folders),
+    Video,
 }
 
 impl Source {
-    /// Finds out what lies in `path`, an existing folder or `.sens` file.
+    /// Finds out what lies in `path`, an existing folder, `.sens` file or video.
     ///
     /// With `colour_only` also what has no depth, if nothing with depth fits.
     pub(crate) fn recognise(path: &Path, colour_only: bool) -> Result<Self, DatasetError> {
@@ -163,11 +173,20 @@ impl Source {
         };
         found.ok_or_else(|| {
             let found = contents(path);
-            DatasetError::UnknownLayout { path: path.to_path_buf(), found }
+            let has_colour = matches!(Self::without_depth(path), Ok(Some(_)));
+            DatasetError::UnknownLayout { path: path.to_path_buf(), found, has_colour }
         })
     }
 
+    /// Whether the sequence has no depth at all.
+    pub(crate) fn is_video(&self) -> bool {
+        matches!(self, Self::Video)
+    }
+
     fn with_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
+        if is_video(path) {
+            return Ok(Some(Self::Video));
+        }
         if path.is_file() {
             return sens::Stream::open(path).map(Self::Sens).map(Some);
         }
@@ -211,14 +230,14 @@ impl Source {
             Self::Replica(_) => replica::TRAITS,
             Self::SevenScenes => seven_scenes::TRAITS,
             Self::Nerfstudio(scene) => scene.traits(),
-            Self::Tum | Self::Eth3d(_) | Self::Plain(_) => Traits::default(),
+            Self::Tum | Self::Eth3d(_) | Self::Plain(_) | Self::Video => Traits::default(),
         }
     }
 
     /// The camera that the sequence's own files (or its publishers) tell of.
     pub(crate) fn calibration(&self) -> Result<Option<Calibration>, DatasetError> {
         match self {
-            Self::Tum | Self::Plain(_) => Ok(None),
+            Self::Tum | Self::Plain(_) | Self::Video => Ok(None),
             Self::Eth3d(file) => eth3d::calibration(file).map(Some),
             Self::ScanNet(folders) => scannet::calibration(folders).map(Some),
             Self::Sens(stream) => stream.calibration().map(Some),
@@ -244,12 +263,16 @@ impl Source {
             Self::SevenScenes => seven_scenes::list(path, frame_rate),
             Self::Nerfstudio(scene) => scene.list(frame_rate),
             Self::Plain(folders) => plain::list(path, folders, options, frame_rate),
+            Self::Video => Video::list(path, options, frame_rate),
         }
     }
 }
 
 /// The first names in a folder, for an error message.
 pub(crate) fn contents(folder: &Path) -> String {
+    if folder.is_file() {
+        return "a file of another kind".into();
+    }
     let mut names: Vec<String> = std::fs::read_dir(folder)
         .into_iter()
         .flatten()

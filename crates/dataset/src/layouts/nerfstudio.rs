@@ -75,7 +75,7 @@ impl Scene {
     }
 
     /// The camera of the file, else that of the first frame. Pixel centres at one half.
-    pub(super) fn calibration(&self) -> Result<Calibration, DatasetError> {
+    pub(crate) fn calibration(&self) -> Result<Calibration, DatasetError> {
         let refuse = |reason: String| DatasetError::Metadata { path: self.path.clone(), reason };
         let intrinsics = self.intrinsics(&self.shots[0]);
         let Pinhole { k, size } = intrinsics.pinhole().map_err(refuse)?;

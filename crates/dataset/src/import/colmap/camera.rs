@@ -78,6 +78,12 @@ impl ModelCamera {
         }
     }
 
+    fn calibration(&self, file: &Path) -> Calibration {
+        let source = file.display().to_string();
+        let found = Calibration::from_opencv(self.k, self.lens, &source, Traits::default());
+        Calibration { intrinsics: self.k, size: Some(self.size), ..found }
+    }
+
     fn same(&self, other: &Self) -> bool {
         let numbers = |camera: &Self| {
             let lens = &camera.lens;
@@ -118,9 +124,22 @@ pub(super) fn of_all(
         let path = file.with_file_name("images");
         return Err(DatasetError::Empty { path, expected });
     };
-    let source = file.display().to_string();
-    let found = Calibration::from_opencv(camera.k, camera.lens, &source, Traits::default());
-    Ok(Calibration { intrinsics: camera.k, size: Some(camera.size), ..found })
+    Ok(camera.calibration(file))
+}
+
+/// The camera of a file that has no other.
+pub(super) fn only(
+    file: &Path,
+    cameras: &BTreeMap<u32, ModelCamera>,
+) -> Result<Calibration, DatasetError> {
+    let expected = "one camera";
+    let first = cameras.values().next();
+    let first = first.ok_or(DatasetError::Empty { path: file.to_path_buf(), expected })?;
+    if cameras.values().any(|camera| !camera.same(first)) {
+        let reason = format!("it has {} cameras that differ, expected one", cameras.len());
+        return Err(DatasetError::camera(file, reason));
+    }
+    Ok(first.calibration(file))
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ use super::placed::{Found, LeftOut, all_frames, at_positions, left_out};
 use super::sparse::SparseDepth;
 use super::{Depth, Kind, Options};
 use crate::trajectory_file::{UNIT_TOLERANCE, not_unit};
+use crate::calibration::Calibration;
 use crate::{DatasetError, Sequence};
 use camera::ModelCamera;
 use i2slam_geometry::{Pose, Rotation, Vec3};
@@ -87,6 +88,13 @@ impl Model {
             (true, false) => text::points(&file),
         }
     }
+}
+
+/// The one camera in COLMAP's `cameras.txt` or `cameras.bin`.
+pub(crate) fn camera_of(file: &Path) -> Result<Calibration, DatasetError> {
+    let is_binary = file.extension().is_some_and(|ending| ending == "bin");
+    let cameras = if is_binary { binary::cameras(file)? } else { text::cameras(file)? };
+    camera::only(file, &cameras)
 }
 
 /// The pose of an image: w x y z, then the translation, `camera_from_world`.

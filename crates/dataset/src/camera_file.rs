@@ -1,0 +1,148 @@
+//! A camera in a file of its own: `camera.json`, and the files of other programs.
+
+use crate::calibration::{Calibration, Traits};
+use crate::distortion::Distortion;
+use crate::import::colmap_camera;
+use crate::layouts::Scene;
+use crate::lists::{data_lines, number, read_text};
+use crate::DatasetError;
+use serde::Deserialize;
+use std::path::Path;
+
+/// The lens models that are Brown-Conrady under some name.
+const LENS_MODELS: [&str; 8] = [
+    "brown_conrady",
+    "brown-conrady",
+    "brownconrady",
+    "opencv",
+    "plumb_bob",
+    "radtan",
+    "rational_polynomial",
+    "none",
+];
+
+/// Reads the camera of a file of any kind that is known: `camera.json`, nerfstudio's
+/// `transforms.json`, COLMAP's `cameras.txt` or `cameras.bin`, or a line `fx fy cx cy`.
+pub(crate) fn read_camera(path: &Path, traits: Traits) -> Result<Calibration, DatasetError> {
+    if path.extension().is_some_and(|ending| ending == "bin") {
+        return colmap_camera(path);
+    }
+    let text = read_text(path)?;
+    if !text.trim_start().starts_with('{') {
+        return match data_lines(&text).next().and_then(|(_, line)| line.split(' ').nth(1)) {
+            Some(model) if model.starts_with(|c: char| c.is_ascii_uppercase()) => colmap_camera(path),
+            _ => of_line(path, &text, traits),
+        };
+    }
+    match serde_json::from_str::<serde_json::Value>(&text) {
+        Ok(file) if file.get("frames").is_some() => Scene::open(path, false)?.calibration(),
+        _ => of_json(path, &text, traits),
+    }
+}
+
+/// `fx fy cx cy [k1 k2 p1 p2 [k3]]` [px] in one line, pixel centres at integers as in TUM's and
+/// ETH3D's files.
+fn of_line(path: &Path, text: &str, traits: Traits) -> Result<Calibration, DatasetError> {
+    let expected = "a camera.json, a transforms.json, COLMAP's cameras.txt, or one line fx fy cx cy \
+                    [k1 k2 p1 p2 [k3]]";
+    let Some((line, content)) = data_lines(text).next() else {
+        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+    };
+    let words = content.split([' ', '\t', ',']).filter(|word| !word.is_empty());
+    let numbers: Result<Vec<f64>, _> =
+        words.map(|word| number(path, line, "intrinsics", word)).collect();
+    let refuse = |reason: String| DatasetError::camera(path, reason);
+    let numbers = numbers.map_err(|error| refuse(format!("{error}; expected {expected}")))?;
+    let (Some(&k), lens) = (numbers.first_chunk::<4>(), numbers.get(4..).unwrap_or_default()) else {
+        return Err(refuse(format!("{} numbers, expected {expected}", numbers.len())));
+    };
+    let lens = Distortion::from_opencv(lens);
+    let lens = lens.ok_or_else(|| refuse(format!("{} numbers, expected {expected}", numbers.len())))?;
+    if k[0] <= 0.0 || k[1] <= 0.0 {
+        return Err(refuse("fx and fy must be positive".into()));
+    }
+    Ok(Calibration::from_opencv(k, lens, &path.display().to_string(), traits))
+}
+
+fn of_json(path: &Path, text: &str, traits: Traits) -> Result<Calibration, DatasetError> {
+    let file: CameraFile = serde_json::from_str(text).map_err(|e| {
+        DatasetError::camera(
+            path,
+            format!("{e}; expected JSON with the numbers fx, fy, cx, cy, width, height"),
+        )
+    })?;
+    file.check(path)?;
+    let distortion = Distortion::from_opencv(&file.distortion).ok_or_else(|| {
+        DatasetError::camera(
+            path,
+            "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]",
+        )
+    })?;
+    // Pixel centres at integers, as the constructor expects them.
+    let shift = file.pixel_centre();
+    let k = [file.fx, file.fy, file.cx - shift, file.cy - shift];
+    let found = Calibration::from_opencv(k, distortion, &path.display().to_string(), traits);
+    Ok(Calibration {
+        size: file.width.zip(file.height),
+        depth_scale: file.depth_scale.unwrap_or(traits.depth_scale),
+        frame_rate: file.fps.or(traits.frame_rate),
+        ..found
+    })
+}
+
+/// `camera.json` as it is written; keys not listed here are for other readers.
+#[derive(Deserialize)]
+struct CameraFile {
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    width: Option<usize>,
+    height: Option<usize>,
+    depth_scale: Option<f64>,
+    fps: Option<f64>,
+    #[serde(default)]
+    distortion: Vec<f64>,
+    distortion_model: Option<String>,
+    pixel_centre: Option<f64>,
+    #[serde(default)]
+    convention: serde_json::Value,
+}
+
+impl CameraFile {
+    /// Where pixel (0, 0) has its centre: 0.5 where the file says so, else 0 as in OpenCV.
+    fn pixel_centre(&self) -> f64 {
+        self.pixel_centre.unwrap_or_else(|| {
+            let words = self.convention.get("pixel_centres").and_then(|v| v.as_str());
+            if words.is_some_and(|w| w.contains("0.5")) { 0.5 } else { 0.0 }
+        })
+    }
+
+    fn check(&self, path: &Path) -> Result<(), DatasetError> {
+        let refuse = |reason: String| Err(DatasetError::camera(path, reason));
+        for (name, value) in [
+            ("fx", Some(self.fx)),
+            ("fy", Some(self.fy)),
+            ("depth_scale", self.depth_scale),
+            ("fps", self.fps),
+        ] {
+            if let Some(value) = value.filter(|&v| !(v.is_finite() && v > 0.0)) {
+                return refuse(format!("{name} is {value}, expected a positive number"));
+            }
+        }
+        if self.width.is_some() != self.height.is_some() {
+            return refuse("expected both width and height, found one".into());
+        }
+        if let Some(centre) = self.pixel_centre.filter(|&c| c != 0.0 && c != 0.5) {
+            return refuse(format!("pixel_centre is {centre}, expected 0 or 0.5"));
+        }
+        if let Some(model) = &self.distortion_model
+            && !LENS_MODELS.contains(&model.to_lowercase().as_str())
+        {
+            return refuse(format!(
+                "lens model '{model}' is not supported: expected Brown-Conrady (plumb_bob)"
+            ));
+        }
+        Ok(())
+    }
+}
