@@ -5,8 +5,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// RGB-D SLAM that inverts image formation: a blurred, exposure-drifting video goes in, a sharp
-/// HDR map and a camera path come out.
+/// SLAM that inverts image formation: a blurred, exposure-drifting video goes in, with depth or
+/// without, and a sharp HDR map and a camera path come out.
 #[derive(Parser, Debug)]
 #[command(name = "i2slam", version, max_term_width = 100)]
 pub(crate) struct Arguments {
@@ -38,7 +38,8 @@ pub(crate) enum Command {
 
 #[derive(Args, Debug)]
 pub(crate) struct Run {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), or a .sens file
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, or a video
+    /// (colour alone; ffmpeg decodes it)
     pub(crate) dataset: PathBuf,
     /// Folder for the results
     #[arg(long, value_name = "DIR")]
@@ -51,7 +52,7 @@ pub(crate) struct Run {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,
-    /// Colour alone: the path is found from the pictures, or comes with --keyframes, and poses, tone
+    /// Colour alone, as always for a video: the path is found from the pictures, or comes with --keyframes, and poses, tone
     /// and a radiance field are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
@@ -94,15 +95,31 @@ pub(crate) struct Input {
     /// Every N-th frame
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) stride: usize,
-    /// Size of the processed pictures over that of the recorded ones
-    #[arg(long, value_name = "S", default_value_t = 1.0)]
-    pub(crate) scale: f64,
+    /// Size of the processed pictures over that of the recorded ones [default: 1, but see
+    /// --max-side]
+    #[arg(long, value_name = "S")]
+    pub(crate) scale: Option<f64>,
+    /// Longer side of the processed pictures at most [px] [default: 640 for videos and colour alone,
+    /// unless --scale is given]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(16..))]
+    pub(crate) max_side: Option<u32>,
     /// Camera file to use instead of the folder's camera.json
     #[arg(long, value_name = "FILE.json")]
     pub(crate) camera: Option<PathBuf>,
-    /// Intrinsics of a camera without distortion, pixel centres at integers
-    #[arg(long, value_names = ["FX", "FY", "CX", "CY"], num_args = 4, allow_negative_numbers = true)]
-    pub(crate) intrinsics: Option<Vec<f64>>,
+    /// Camera: a file (camera.json, transforms.json, COLMAP's cameras.txt, a line `fx fy cx cy`), or
+    /// four numbers FX FY CX CY without distortion [px], pixel centres at integers
+    #[arg(
+        long,
+        value_name = "FILE or NUMBERS",
+        num_args = 1..=4,
+        allow_negative_numbers = true,
+        conflicts_with_all = ["camera", "fov"]
+    )]
+    pub(crate) intrinsics: Option<Vec<String>>,
+    /// Camera: horizontal field of view, without distortion. For colour alone it is looked for in
+    /// the pictures where nothing is given
+    #[arg(long, value_name = "DEGREES", conflicts_with = "camera")]
+    pub(crate) fov: Option<f64>,
     /// Value of one metre in the depth images
     #[arg(long, value_name = "N")]
     pub(crate) depth_scale: Option<f64>,
@@ -274,6 +291,9 @@ pub(crate) struct Demo {
     /// Folder for clip and results
     #[arg(long, value_name = "DIR", default_value = "i2slam-demo")]
     pub(crate) out: PathBuf,
+    /// By colour alone: the clip's depth is not looked at
+    #[arg(long)]
+    pub(crate) rgb: bool,
     #[command(flatten)]
     pub(crate) machine: Machine,
 }

@@ -4,21 +4,23 @@ use crate::output::complain;
 use i2slam::FrameEstimate;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Time between two lines where there is no terminal.
 const PAUSE: Duration = Duration::from_secs(10);
 
-/// How far a run is.
+/// How far a run is. Clones tell of the same run.
+#[derive(Clone)]
 pub(crate) struct Progress {
     display: Display,
     started: Instant,
 }
 
+#[derive(Clone)]
 enum Display {
     Bar(ProgressBar),
-    Lines { last: Mutex<Instant>, phase: &'static str, total: usize },
+    Lines { last: Arc<Mutex<Instant>>, phase: &'static str, total: usize },
     Quiet,
 }
 
@@ -31,7 +33,7 @@ impl Progress {
         } else if std::io::stderr().is_terminal() {
             Display::Bar(bar(total))
         } else {
-            Display::Lines { last: Mutex::new(started), phase: "", total }
+            Display::Lines { last: Arc::new(Mutex::new(started)), phase: "", total }
         };
         Self { display, started }
     }
@@ -71,7 +73,7 @@ impl Progress {
                 bar.set_message("");
             }
             Display::Lines { last, phase, total: of } => {
-                (*last, *phase, *of) = (Mutex::new(Instant::now()), name, total);
+                (*last, *phase, *of) = (Arc::new(Mutex::new(Instant::now())), name, total);
                 complain(name);
             }
             Display::Quiet => {}
@@ -86,6 +88,15 @@ impl Progress {
                 complain(&format!("{phase} {done}/{total}"));
             }
             Display::Lines { .. } | Display::Quiet => {}
+        }
+    }
+
+    /// Something to know, above the bar.
+    pub(crate) fn note(&self, line: &str) {
+        match &self.display {
+            Display::Bar(bar) => bar.suspend(|| complain(line)),
+            Display::Lines { .. } => complain(line),
+            Display::Quiet => {}
         }
     }
 

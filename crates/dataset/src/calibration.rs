@@ -1,7 +1,7 @@
 //! Intrinsics, lens and depth scale: from flags, from `camera.json`, or known by name.
 
-use crate::distortion::Distortion;
 use crate::camera_file::read_camera;
+use crate::distortion::Distortion;
 use crate::guess::FieldOfView;
 use crate::layouts::Source;
 use crate::{DatasetError, OpenOptions};

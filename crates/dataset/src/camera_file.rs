@@ -1,11 +1,11 @@
 //! A camera in a file of its own: `camera.json`, and the files of other programs.
 
+use crate::DatasetError;
 use crate::calibration::{Calibration, Traits};
 use crate::distortion::Distortion;
 use crate::import::colmap_camera;
 use crate::layouts::Scene;
 use crate::lists::{data_lines, number, read_text};
-use crate::DatasetError;
 use serde::Deserialize;
 use std::path::Path;
 
@@ -30,7 +30,9 @@ pub(crate) fn read_camera(path: &Path, traits: Traits) -> Result<Calibration, Da
     let text = read_text(path)?;
     if !text.trim_start().starts_with('{') {
         return match data_lines(&text).next().and_then(|(_, line)| line.split(' ').nth(1)) {
-            Some(model) if model.starts_with(|c: char| c.is_ascii_uppercase()) => colmap_camera(path),
+            Some(model) if model.starts_with(|c: char| c.is_ascii_uppercase()) => {
+                colmap_camera(path)
+            }
             _ => of_line(path, &text, traits),
         };
     }
@@ -53,11 +55,13 @@ fn of_line(path: &Path, text: &str, traits: Traits) -> Result<Calibration, Datas
         words.map(|word| number(path, line, "intrinsics", word)).collect();
     let refuse = |reason: String| DatasetError::camera(path, reason);
     let numbers = numbers.map_err(|error| refuse(format!("{error}; expected {expected}")))?;
-    let (Some(&k), lens) = (numbers.first_chunk::<4>(), numbers.get(4..).unwrap_or_default()) else {
+    let (Some(&k), lens) = (numbers.first_chunk::<4>(), numbers.get(4..).unwrap_or_default())
+    else {
         return Err(refuse(format!("{} numbers, expected {expected}", numbers.len())));
     };
     let lens = Distortion::from_opencv(lens);
-    let lens = lens.ok_or_else(|| refuse(format!("{} numbers, expected {expected}", numbers.len())))?;
+    let lens =
+        lens.ok_or_else(|| refuse(format!("{} numbers, expected {expected}", numbers.len())))?;
     if k[0] <= 0.0 || k[1] <= 0.0 {
         return Err(refuse("fx and fy must be positive".into()));
     }

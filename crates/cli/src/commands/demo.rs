@@ -5,11 +5,14 @@ use crate::arguments::{Demo, Draw};
 use crate::destination::refuse_file;
 use crate::failure::Failure;
 use crate::output::complain;
-use crate::pipeline::{self, Job};
-use i2slam::Config;
+use crate::pipeline::{self, Job, Keyframes};
 use i2slam::dataset::OpenOptions;
 use i2slam::export::ResultFolder;
+use i2slam::{Config, ConfigError};
 use std::path::{Path, PathBuf};
+
+/// Steps after the last keyframe of the clip by colour alone; the preset takes longer.
+const RGB_FINAL_ITERATIONS: usize = 300;
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
@@ -18,20 +21,35 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
     refuse_file(&arguments.out)?;
     let dataset = unpack(&arguments.out)?;
     if !arguments.machine.quiet {
-        complain("reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0)");
+        let how = if arguments.rgb { ", by colour alone" } else { "" };
+        complain(&format!(
+            "reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0){how}"
+        ));
     }
-    let config = Config::preset("default")?;
+    let config = settings(arguments.rgb)?;
+    let minimum_gap = config.input.minimum_gap;
+    let open = OpenOptions { minimum_gap, ..OpenOptions::default() };
     pipeline::run(&Job {
         dataset,
-        keyframes: None,
+        keyframes: arguments.rgb.then_some(Keyframes::Native),
         out: arguments.out.clone(),
-        open: OpenOptions { minimum_gap: config.input.minimum_gap, ..OpenOptions::default() },
+        open: OpenOptions { colour_only: arguments.rgb, ..open },
         config,
         draw: Draw::All,
         overwrite: true,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),
     })
+}
+
+/// Settings that are done within a minute or two.
+fn settings(rgb: bool) -> Result<Config, ConfigError> {
+    if !rgb {
+        return Config::preset("default");
+    }
+    let mut config = Config::preset("default-rgb")?;
+    config.hashgrid.final_iterations = RGB_FINAL_ITERATIONS;
+    Ok(config)
 }
 
 /// Writes the clip to `clip/` in the folder, so that it can be looked at and run again.

@@ -5,7 +5,7 @@ mod pictures;
 mod sequence;
 mod table;
 
-use super::run::open_options;
+use super::run::{by_colour_alone, open_options};
 use super::use_threads;
 use crate::arguments::{Input, Machine};
 use crate::failure::Failure;
@@ -15,7 +15,7 @@ use crate::progress::Progress;
 use crate::truth::Truth;
 use clap::Args;
 use i2slam::Config;
-use i2slam::dataset::Sequence;
+use i2slam::dataset::{DatasetError, OpenOptions, Sequence, is_video};
 use pictures::Pictures;
 use sequence::Known;
 use serde::Serialize;
@@ -23,8 +23,8 @@ use std::path::PathBuf;
 
 #[derive(Args, Debug)]
 pub(crate) struct Info {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), or a .sens file; or
-    /// keyframes of another program (docs/import.md)
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file or a video;
+    /// or keyframes of another program (docs/import.md)
     pub(crate) dataset: PathBuf,
     /// Settings that decide which frames there are and how much is cropped
     #[arg(long, value_name = "NAME", default_value = "default")]
@@ -51,14 +51,29 @@ struct Told {
     warnings: Vec<String>,
 }
 
+/// The sequence, with depth or else without; `None` if keyframes of another program were told of in
+/// its place.
+fn open(arguments: &Info, options: OpenOptions) -> Result<Option<Sequence>, Failure> {
+    let path = &arguments.dataset;
+    let alone = || by_colour_alone(options.clone(), &arguments.input);
+    if is_video(path) {
+        return Ok(Some(Sequence::open(path, &alone())?));
+    }
+    match Sequence::open(path, &options) {
+        Ok(sequence) => Ok(Some(sequence)),
+        Err(error) if keyframes::tell(arguments, options.clone(), &error)? => Ok(None),
+        Err(DatasetError::UnknownLayout { has_colour: true, .. }) => {
+            Ok(Some(Sequence::open(path, &alone())?))
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
 pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
     let config = Config::preset(&arguments.preset)?;
     let options = open_options(&arguments.input, &config)?;
     use_threads(&arguments.machine)?;
-    let sequence = match Sequence::open(&arguments.dataset, &options) {
-        Ok(sequence) => sequence,
-        Err(error) => return keyframes::tell(arguments, options, error),
-    };
+    let Some(sequence) = open(arguments, options)? else { return Ok(()) };
     let truth = Truth::of(&arguments.dataset, &sequence);
     let mut warnings = sequence.warnings.clone();
     warnings.extend(truth.warnings.iter().cloned());

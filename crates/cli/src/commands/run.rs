@@ -6,20 +6,29 @@ use crate::failure::Failure;
 use crate::pipeline::{self, Job, Keyframes};
 use i2slam::Config;
 use i2slam::config::MapKind;
-use i2slam::dataset::OpenOptions;
+use i2slam::dataset::{OpenOptions, is_video};
 use i2slam::keyframes::ImportDepth;
+use std::path::PathBuf;
+
+/// Longer side of pictures that go by colour alone, if nothing else is asked for [px]: larger ones
+/// take long and show little more.
+const USUAL_SIDE: usize = 640;
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
     let config = settings(arguments)?;
     use_threads(&arguments.machine)?;
+    let keyframes = keyframes(arguments, &config)?;
+    let open = open_options(&arguments.input, &config)?;
+    let open = match keyframes {
+        Some(Keyframes::Native) => by_colour_alone(open, &arguments.input),
+        Some(Keyframes::Files { .. }) => OpenOptions { colour_only: true, ..open },
+        None => open,
+    };
     pipeline::run(&Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
-        keyframes: keyframes(arguments, &config)?,
-        open: OpenOptions {
-            colour_only: arguments.rgb,
-            ..open_options(&arguments.input, &config)?
-        },
+        keyframes,
+        open,
         config,
         draw: arguments.render,
         overwrite: arguments.overwrite,
@@ -30,7 +39,7 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
 
 /// Preset, then file, then flags.
 fn settings(arguments: &Run) -> Result<Config, Failure> {
-    let usual = if arguments.rgb { "default-rgb" } else { "default" };
+    let usual = if is_rgb(arguments) { "default-rgb" } else { "default" };
     let preset = arguments.preset.as_deref();
     let config = match &arguments.config {
         Some(file) => Config::from_toml_file_on(file, preset.or(Some(usual)))?,
@@ -42,13 +51,14 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
 /// Where keyframes with poses come from, if this run takes them; only settings for that will do.
 fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Failure> {
     let preset = &config.preset;
-    match (arguments.rgb, &arguments.keyframes, config.is_rgb()) {
+    match (is_rgb(arguments), &arguments.keyframes, config.is_rgb()) {
         (false, _, false) => Ok(None),
         (false, _, true) => {
             Err(Failure::Usage(format!("preset {preset} is for colour alone: add --rgb")))
         }
         (true, _, false) => Err(Failure::Usage(format!(
-            "preset {preset} is for RGB-D: --rgb goes with default-rgb, paper-rgb or paper-rgb-s"
+            "preset {preset} is for RGB-D: {} goes with default-rgb, paper-rgb or paper-rgb-s",
+            if arguments.rgb { "--rgb" } else { "a video, which has no depth," }
         ))),
         (true, None, true) => Ok(Some(Keyframes::Native)),
         (true, Some(path), true) => Ok(Some(Keyframes::Files {
@@ -61,6 +71,17 @@ fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Fail
             variance: arguments.depth_variance.clone(),
         })),
     }
+}
+
+/// Whether the run is one of colour alone.
+fn is_rgb(arguments: &Run) -> bool {
+    arguments.rgb || is_video(&arguments.dataset)
+}
+
+/// The same for pictures alone, whose camera may be unknown.
+pub(super) fn by_colour_alone(open: OpenOptions, input: &Input) -> OpenOptions {
+    let usual = input.scale.is_none().then_some(USUAL_SIDE);
+    OpenOptions { colour_only: true, guess_camera: true, max_side: open.max_side.or(usual), ..open }
 }
 
 /// The values of `config` that flags do not replace.
@@ -90,17 +111,58 @@ pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, 
 }
 
 pub(super) fn open_options(input: &Input, config: &Config) -> Result<OpenOptions, Failure> {
-    let intrinsics = input.intrinsics.as_deref().map(<[f64; 4]>::try_from).transpose();
-    let four = |_| Failure::Usage("--intrinsics needs the four numbers fx fy cx cy".to_owned());
+    let given = input.intrinsics.as_deref().map(intrinsics).transpose()?;
+    let (file, intrinsics) = given.unwrap_or_default();
     Ok(OpenOptions {
-        camera: input.camera.clone(),
-        intrinsics: intrinsics.map_err(four)?,
+        camera: file.or_else(|| input.camera.clone()),
+        intrinsics,
+        field_of_view: input.fov,
         depth_scale: input.depth_scale,
         frames: input.frames.clone(),
         stride: input.stride,
-        scale: input.scale,
+        scale: input.scale.unwrap_or(1.0),
+        max_side: input.max_side.map(|side| side as usize),
         crop_border: config.input.crop_border,
         minimum_gap: config.input.minimum_gap,
         ..OpenOptions::default()
     })
+}
+
+/// What stands behind `--intrinsics`: a file, or four numbers.
+fn intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4]>), Failure> {
+    let refuse = |why: &str| {
+        let words = words.join(" ");
+        Failure::Usage(format!(
+            "--intrinsics {words}: {why}; it takes a file, or the four numbers FX FY CX CY"
+        ))
+    };
+    let numbers: Option<Vec<f64>> = words.iter().map(|word| word.parse().ok()).collect();
+    match (words, numbers) {
+        (_, Some(numbers)) => match <[f64; 4]>::try_from(numbers) {
+            Ok(four) => Ok((None, Some(four))),
+            Err(_) => Err(refuse("not four numbers")),
+        },
+        ([file], None) => Ok((Some(file.into()), None)),
+        _ => Err(refuse("not a file and not four numbers (the sequence stands before the flags)")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intrinsics_are_a_file_or_four_numbers() {
+        let of = |text: &str| {
+            let words: Vec<String> = text.split(' ').map(str::to_owned).collect();
+            intrinsics(&words)
+        };
+        assert!(matches!(of("500 501 -3.5 240"), Ok((None, Some([500.0, 501.0, -3.5, 240.0])))));
+        assert!(
+            matches!(of("cam.json"), Ok((Some(file), None)) if file == PathBuf::from("cam.json"))
+        );
+        for wrong in ["500", "500 501 320", "cam.json video.mp4", "1 2 3 x"] {
+            assert!(matches!(of(wrong), Err(Failure::Usage(_))), "{wrong}");
+        }
+    }
 }

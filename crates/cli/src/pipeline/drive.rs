@@ -1,5 +1,6 @@
 //! Any session from its first frame to its finished map.
 
+use super::camera::FoundCamera;
 use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::progress::Progress;
@@ -18,6 +19,8 @@ pub(crate) struct Tracked {
     pub(crate) complete: bool,
     /// Why the run ended early, if not by the user.
     pub(crate) problem: Option<String>,
+    /// What the pictures told of the camera, if they were all there was.
+    pub(crate) camera: Option<FoundCamera>,
 }
 
 /// A session, and what it calls what it takes in.
@@ -64,6 +67,7 @@ pub(super) fn drive<D: Drive, E: Display>(
         seconds: clock.elapsed().as_secs_f64(),
         complete: problem.is_none() && !interrupt::requested(),
         problem,
+        camera: None,
     })
 }
 

@@ -27,6 +27,9 @@ impl Figures {
         metrics.seconds = tracked.seconds;
         metrics.seconds_per_frame = tracked.seconds / metrics.frames.max(1) as f64;
         metrics.peak_memory_bytes = peak_memory();
+        if let Some(camera) = &tracked.camera {
+            camera.fill(&mut metrics);
+        }
         let mut figures = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
         figures.judge_trajectory(tracked, truth);
         figures.judge_exposure(tracked, truth);

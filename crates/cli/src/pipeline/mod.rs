@@ -1,5 +1,6 @@
 //! A whole run: frames in, result folder out. Used by `run` and `demo`.
 
+mod camera;
 mod draw;
 mod drive;
 mod figures;
@@ -17,9 +18,11 @@ use draw::Drawing;
 use drive::Tracked;
 use figures::Figures;
 use i2slam::Config;
-use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::dataset::{OpenOptions, Sequence, is_video};
 use i2slam::export::report::Report;
-use i2slam::export::{ExportError, Input, Layout, Metrics, ResultFolder, save, save_metrics};
+use i2slam::export::{
+    ExportError, Input, Layout, Metrics, ResultFolder, UnitOfLength, save, save_metrics,
+};
 pub(crate) use posed::Keyframes;
 use std::path::{Path, PathBuf};
 
@@ -41,6 +44,9 @@ pub(crate) struct Job {
 
 /// Reconstruct, write everything, print the summary; its last line is the report's path.
 pub(crate) fn run(job: &Job) -> Result<(), Failure> {
+    if is_video(&job.dataset) && !job.quiet {
+        complain(&format!("looking through {}", job.dataset.display()));
+    }
     let sequence = Sequence::open(&job.dataset, &job.open)?;
     interrupt::listen();
     refuse_to_overwrite(job)?;
@@ -177,6 +183,16 @@ fn summarise(metrics: &Metrics, map: &str, folder: &Path, readout_searched: bool
     }
     if let Some(psnr) = metrics.psnr_sharp_db {
         say(&format!("sharp renders {psnr:.2} dB against the true sharp pictures"));
+    }
+    if metrics.unit_of_length == UnitOfLength::Unknown {
+        say("unit of length: unknown, pictures alone do not tell the scale");
+    }
+    if let Some(assumed) = metrics.focal_length_assumed_px {
+        say(&format!(
+            "camera: focal length {:.1} px, {:.1} degrees across, found in the pictures (assumed \
+             {assumed:.1} px)",
+            metrics.focal_length_px, metrics.horizontal_fov_deg
+        ));
     }
     if metrics.rolling_shutter_readout_s != 0.0 {
         let milliseconds = 1e3 * metrics.rolling_shutter_readout_s;

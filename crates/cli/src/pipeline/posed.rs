@@ -1,13 +1,14 @@
 //! Keyframes that come with poses through a session.
 
 use super::Job;
+use super::camera::{self, FoundCamera};
 use super::drive::{Drive, Tracked, drive};
 use crate::failure::{Failure, without_panics};
+use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::keyframes::{
-    ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PosedKeyframe, SequencePicture,
-    import,
+    ImportDepth, ImportOptions, KeyframeSource, Native, PosedKeyframe, SequencePicture, import,
 };
 use i2slam::{FrameEstimate, KeyframedSession, Reconstruction, SessionError};
 use std::path::{Path, PathBuf};
@@ -33,6 +34,8 @@ struct Opened<'a> {
     count: usize,
     frame_rate: f64,
     warnings: Vec<String>,
+    /// What the pictures told of the camera.
+    camera: Option<FoundCamera>,
 }
 
 impl Keyframes {
@@ -42,9 +45,10 @@ impl Keyframes {
         pictures: &Path,
         open: &OpenOptions,
         sequence: &'a Sequence,
+        progress: &Progress,
     ) -> Result<Opened<'a>, Failure> {
         match self {
-            Self::Native => native(sequence),
+            Self::Native => native(sequence, progress),
             Self::Files { path, depth, variance } => {
                 let options = ImportOptions {
                     open: open.clone(),
@@ -55,27 +59,68 @@ impl Keyframes {
                 let source = import(path, Some(pictures), &options)?;
                 let (count, frame_rate) = (source.len(), source.files().frame_rate);
                 let warnings = source.files().warnings.clone();
-                Ok(Opened { source: Box::new(source), count, frame_rate, warnings })
+                let source = Box::new(source);
+                Ok(Opened { source, count, frame_rate, warnings, camera: None })
             }
         }
     }
 }
 
 /// Finds the path of the camera from the pictures.
-fn native(sequence: &Sequence) -> Result<Opened<'_>, Failure> {
-    let load = |place| {
+fn native<'a>(sequence: &'a Sequence, progress: &Progress) -> Result<Opened<'a>, Failure> {
+    camera::before(sequence).iter().for_each(|line| progress.note(line));
+    let mut following = Following::start(progress, sequence.len());
+    let load = move |place| {
+        following.reach(place)?;
         let frame = sequence.load(place)?;
         let (index, timestamp) = (frame.index, frame.timestamp);
         Ok(SequencePicture { index, timestamp, colour: frame.colour })
     };
-    let source = Native::find(Intrinsics::Known(sequence.camera), sequence.len(), load)
+    let source = Native::find(camera::intrinsics(sequence), sequence.len(), load);
+    if interrupt::requested() {
+        return Err(Failure::Interrupted);
+    }
+    let source = source
         .map_err(|error| Failure::Failed(format!("no path of the camera was found: {error}")))?;
+    let camera = FoundCamera::of(sequence, source.reconstruction());
+    camera.lines().iter().for_each(|line| progress.note(line));
     let refused = source.refused().iter();
     let mut warnings: Vec<String> =
         refused.map(|(place, why)| format!("picture {place} left out: {why}")).collect();
     warnings.extend(source.reconstruction().warnings.iter().map(ToString::to_string));
     let count = source.len();
-    Ok(Opened { source: Box::new(source), count, frame_rate: sequence.frame_rate, warnings })
+    let (source, frame_rate) = (Box::new(source), sequence.frame_rate);
+    Ok(Opened { source, count, frame_rate, warnings, camera: Some(camera) })
+}
+
+/// How far the front end is with its pictures; of their second reading nothing is said.
+struct Following {
+    progress: Progress,
+    count: usize,
+    reached: usize,
+}
+
+impl Following {
+    fn start(progress: &Progress, count: usize) -> Self {
+        let mut progress = progress.clone();
+        progress.phase("following points", count);
+        Self { progress, count, reached: 0 }
+    }
+
+    /// The front end asks for the picture at a place; an error if the user has enough.
+    fn reach(&mut self, place: usize) -> Result<(), &'static str> {
+        if self.reached < self.count {
+            if interrupt::requested() {
+                return Err("ended by the user");
+            }
+            self.reached = place + 1;
+            self.progress.step(self.reached);
+            if self.reached == self.count {
+                self.progress.phase("finding the path of the camera", self.count);
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Take in every keyframe.
@@ -86,15 +131,17 @@ pub(super) fn track(
     progress: &mut Progress,
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
-    let opened = without_panics(|| keyframes.open(&job.dataset, &job.open, sequence))?;
+    let opened = without_panics(|| keyframes.open(&job.dataset, &job.open, sequence, progress))?;
     opened.warnings.iter().for_each(|warning| progress.warn(warning));
-    let Opened { mut source, count, frame_rate, .. } = opened;
+    let Opened { mut source, count, frame_rate, camera, .. } = opened;
+    progress.phase("keyframes", count);
     let mut session = KeyframedSession::new(job.config.clone(), *source.camera(), frame_rate);
     if let Some(covered) = &sequence.covered {
         session.set_covered(Arc::clone(covered));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
-    drive(session, items, count, (clock, "no keyframe could be used"), progress)
+    let tracked = drive(session, items, count, (clock, "no keyframe could be used"), progress)?;
+    Ok(Tracked { camera, ..tracked })
 }
 
 impl Drive for KeyframedSession {

@@ -181,7 +181,9 @@ fn damage(words: &Words, stamps: &[f64]) -> Option<String> {
     let missing = words.duration.map(|claimed| claimed - (last - first));
     let short = missing.filter(|m| *m > CUT_OFF + 0.02 * (last - first)).map(|_| {
         let claimed = words.duration.unwrap_or_default();
-        format!("the video says that it lasts {claimed:.1} s, but {frames} of {last:.1} s are in it")
+        format!(
+            "the video says that it lasts {claimed:.1} s, but {frames} of {last:.1} s are in it"
+        )
     });
     match (short, words.error()) {
         (Some(short), Some(error)) => Some(format!("{short} (ffmpeg says: {error})")),

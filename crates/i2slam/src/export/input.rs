@@ -15,6 +15,12 @@ pub struct Input {
     pub camera: Option<PathBuf>,
     /// `[fx, fy, cx, cy]` that went before every camera file [px].
     pub intrinsics: Option<[f64; 4]>,
+    /// Horizontal field of view that was given [degrees].
+    #[serde(default)]
+    pub field_of_view: Option<f64>,
+    /// Whether a camera of which nothing is known was guessed.
+    #[serde(default)]
+    pub guess_camera: bool,
     /// Depth image value of one metre that was given.
     pub depth_scale: Option<f64>,
     /// First frame and the one after the last, by place in the associated stream.
@@ -23,6 +29,9 @@ pub struct Input {
     pub stride: usize,
     /// Size of the processed pictures over that of the recorded ones.
     pub scale: f64,
+    /// The longer side of processed pictures was at most this [px].
+    #[serde(default)]
+    pub max_side: Option<usize>,
     /// Border removed before scaling [px].
     pub crop_border: usize,
     /// Depth beyond this was taken as invalid [m].
@@ -44,10 +53,13 @@ impl Input {
             dataset: absolute(dataset),
             camera: options.camera.as_deref().map(absolute),
             intrinsics: options.intrinsics,
+            field_of_view: options.field_of_view,
+            guess_camera: options.guess_camera,
             depth_scale: options.depth_scale,
             frames: options.frames.as_ref().map(|range| [range.start, range.end]),
             stride: options.stride,
             scale: options.scale,
+            max_side: options.max_side,
             crop_border: options.crop_border,
             max_depth: options.max_depth,
             association_tolerance: options.association_tolerance,
@@ -61,10 +73,13 @@ impl Input {
         OpenOptions {
             camera: self.camera.clone(),
             intrinsics: self.intrinsics,
+            field_of_view: self.field_of_view,
+            guess_camera: self.guess_camera,
             depth_scale: self.depth_scale,
             frames: self.frames.map(|[start, end]| start..end),
             stride: self.stride,
             scale: self.scale,
+            max_side: self.max_side,
             crop_border: self.crop_border,
             max_depth: self.max_depth,
             association_tolerance: self.association_tolerance,
@@ -107,6 +122,8 @@ mod tests {
             frames: Some(10..90),
             stride: 2,
             scale: 0.5,
+            max_side: Some(640),
+            guess_camera: true,
             colour_only: true,
             ..OpenOptions::default()
         };

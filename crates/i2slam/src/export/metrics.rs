@@ -1,6 +1,7 @@
 //! `metrics.json`: the numbers of a run.
 
 use crate::reconstruction::{FrameEstimate, Reconstruction};
+use i2slam_geometry::Camera;
 use serde::{Deserialize, Serialize};
 
 /// The figures of one run. What could not be measured is `null` in the file.
@@ -69,6 +70,36 @@ pub struct Metrics {
     pub rolling_shutter_readout_s: f64,
     /// Pearson correlation of recovered and true log exposure.
     pub log_exposure_correlation: Option<f64>,
+    /// Focal length of the camera that the result has, at its size [px].
+    #[serde(default)]
+    pub focal_length_px: f64,
+    /// Its horizontal field of view [degrees].
+    #[serde(default)]
+    pub horizontal_fov_deg: f64,
+    /// Where the camera came from, in words.
+    #[serde(default)]
+    pub camera_source: Option<String>,
+    /// The focal length that was taken first, where it was then looked for in the pictures [px].
+    #[serde(default)]
+    pub focal_length_assumed_px: Option<f64>,
+    /// Relative standard deviation of the focal length that was found.
+    #[serde(default)]
+    pub focal_length_deviation: Option<f64>,
+    /// Unit of length of poses, map and depth: `metre`, or `unknown`, which pictures alone do not
+    /// tell.
+    #[serde(default)]
+    pub unit_of_length: UnitOfLength,
+}
+
+/// Unit of length of a result.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UnitOfLength {
+    /// That of the depth pictures.
+    #[default]
+    Metre,
+    /// Arbitrary.
+    Unknown,
 }
 
 impl Metrics {
@@ -99,7 +130,28 @@ impl Metrics {
             blur_length_px_median: blur.get(blur.len() / 2).copied().unwrap_or(0.0),
             blur_length_px_max: blur.last().copied().unwrap_or(0.0),
             rolling_shutter_readout_s: reconstruction.rolling_shutter_readout,
+            focal_length_px: reconstruction.camera.fx,
+            horizontal_fov_deg: field_of_view(&reconstruction.camera),
             ..Self::default()
         }
+    }
+}
+
+/// Horizontal field of view [degrees].
+fn field_of_view(camera: &Camera<f64>) -> f64 {
+    let side = |length: f64| (length / camera.fx).atan();
+    (side(camera.cx) + side(camera.width as f64 - camera.cx)).to_degrees()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_right_angle_is_twice_the_focal_length_wide() {
+        let camera = Camera { width: 200, height: 100, fx: 100.0, fy: 100.0, cx: 100.0, cy: 50.0 };
+        assert!((field_of_view(&camera) - 90.0).abs() < 1e-12);
+        let shifted = Camera { cx: 0.0, ..camera };
+        assert!((field_of_view(&shifted) - 2.0_f64.atan().to_degrees()).abs() < 1e-12);
     }
 }

@@ -21,7 +21,7 @@ pub(crate) mod tests;
 
 pub use error::ExportError;
 pub use input::Input;
-pub use metrics::Metrics;
+pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{DEPTH_UNITS_PER_METRE, write_depth, write_picture, write_radiance};
 pub use remove::{FolderContents, Layout, remove_renders};
 pub use renders::{RenderKind, save_render};

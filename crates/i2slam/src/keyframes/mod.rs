@@ -4,7 +4,9 @@ mod import;
 mod native;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
-pub use native::{Intrinsics, Native, NativeError, NativeFailure, SequencePicture};
+pub use native::{
+    Intrinsics, Native, NativeError, NativeFailure, NativeReconstruction, SequencePicture,
+};
 
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;

@@ -6,7 +6,9 @@ use i2slam_monocular::{FrontEnd, Keyframe, Reconstruction};
 use std::error::Error;
 use thiserror::Error;
 
-pub use i2slam_monocular::{Failure as NativeFailure, Intrinsics};
+pub use i2slam_monocular::{
+    Failure as NativeFailure, Intrinsics, Reconstruction as NativeReconstruction,
+};
 
 /// Median depth of the landmarks in the unit of length that is delivered: about that of a room in
 /// metres, for which the settings of maps are made.

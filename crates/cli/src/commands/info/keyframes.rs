@@ -32,25 +32,25 @@ struct Told {
     warnings: Vec<String>,
 }
 
-/// Tells of keyframes in what is no sequence, for the reason given.
+/// Tells of keyframes in what is no sequence, for the reason given; whether there are some.
 pub(super) fn tell(
     arguments: &Info,
     open: OpenOptions,
-    reason: DatasetError,
-) -> Result<(), Failure> {
+    reason: &DatasetError,
+) -> Result<bool, Failure> {
     if !matches!(reason, DatasetError::UnknownLayout { .. }) {
-        return Err(reason.into());
+        return Ok(false);
     }
     let options = Options { open, ..Options::default() };
     let files = match Files::open(&arguments.dataset, None, &options) {
-        Err(DatasetError::UnknownImport { .. }) => return Err(reason.into()),
+        Err(DatasetError::UnknownImport { .. }) => return Ok(false),
         files => files?,
     };
     let told = Told::of(&files);
     if arguments.json {
         let text = serde_json::to_string_pretty(&told);
         say(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
-        return Ok(());
+        return Ok(true);
     }
     for (label, text) in told.rows() {
         say(&format!("{label:<18}{text}"));
@@ -58,7 +58,7 @@ pub(super) fn tell(
     for warning in &told.warnings {
         complain(&format!("warning: {warning}"));
     }
-    Ok(())
+    Ok(true)
 }
 
 impl Told {

@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::truth::Truth;
-use i2slam::dataset::{Frame, Sequence};
+use i2slam::dataset::{DatasetError, Frame, Layout, Sequence};
 use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
 use i2slam_eval::statistics::percentile;
 use rayon::prelude::*;
@@ -116,20 +116,26 @@ fn look_at_all(
     progress: &Progress,
 ) -> Result<(Vec<Look>, Vec<String>), Failure> {
     let done = AtomicUsize::new(0);
-    let look = |place: usize| {
+    let look = |place: usize, frame: Result<Frame, DatasetError>| {
         if interrupt::requested() {
             return Err(Failure::Interrupted);
         }
         let index = sequence.entries[place].index;
-        let look = match sequence.load(place) {
+        let look = match frame {
             Ok(frame) => Ok(Look::at(&frame)?),
             Err(error) => Err(format!("frame {index}: {error}")),
         };
         progress.step(done.fetch_add(1, Ordering::Relaxed) + 1);
         Ok(look)
     };
-    let looks: Result<Vec<Result<Look, String>>, Failure> =
-        (0..sequence.len()).into_par_iter().map(look).collect();
+    let looks: Result<Vec<Result<Look, String>>, Failure> = match sequence.layout {
+        // A video is decoded from front to back.
+        Layout::Video => sequence.stream().enumerate().map(|(i, frame)| look(i, frame)).collect(),
+        _ => {
+            let places = (0..sequence.len()).into_par_iter();
+            places.map(|place| look(place, sequence.load(place))).collect()
+        }
+    };
     let (mut seen, mut unreadable) = (Vec::new(), Vec::new());
     for look in looks? {
         match look {

@@ -17,8 +17,8 @@ pub(super) struct Known {
     pub(super) left_out: Missing,
     pub(super) times: Times,
     pub(super) camera: CameraFacts,
-    /// Depth image value of one metre.
-    pub(super) depth_scale: f64,
+    /// Depth image value of one metre; `null` without depth.
+    pub(super) depth_scale: Option<f64>,
     pub(super) truth: TruthFacts,
     /// First frame and the one behind the last that the paper uses of this sequence.
     pub(super) paper_frames: Option<[usize; 2]>,
@@ -63,6 +63,10 @@ pub(super) struct CameraFacts {
     pub(super) cx: f64,
     pub(super) cy: f64,
     pub(super) source: String,
+    /// Whether nobody gave the camera.
+    pub(super) is_guess: bool,
+    /// Size of the recorded pictures [px].
+    pub(super) recorded: [usize; 2],
     /// Share of a frame that removing the lens distortion leaves empty.
     pub(super) uncovered: f64,
 }
@@ -79,6 +83,7 @@ impl Known {
     pub(super) fn of(sequence: &Sequence, truth: &Truth) -> Self {
         let LeftOut { without_depth, without_pose, too_close } = sequence.left_out;
         let poses = &truth.trajectory;
+        let has_depth = sequence.entries.iter().any(|entry| entry.depth.is_some());
         let path_length_m = (!poses.is_empty()).then(|| path_length(poses));
         let truth = TruthFacts { kinds: truth.kinds(), poses: poses.len(), path_length_m };
         Self {
@@ -88,7 +93,7 @@ impl Known {
             left_out: Missing { without_depth, without_pose, too_close },
             times: Times::of(sequence),
             camera: CameraFacts::of(sequence),
-            depth_scale: sequence.depth_scale,
+            depth_scale: has_depth.then_some(sequence.depth_scale),
             truth,
             paper_frames: paper_frames(&sequence.name).map(|range| [range.start, range.end]),
         }
@@ -131,8 +136,18 @@ impl CameraFacts {
             missing as f64 / covered.data.len() as f64
         });
         let source = sequence.camera_source.clone();
-        let (width, height) = (c.width, c.height);
-        Self { width, height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy, source, uncovered }
+        Self {
+            width: c.width,
+            height: c.height,
+            fx: c.fx,
+            fy: c.fy,
+            cx: c.cx,
+            cy: c.cy,
+            source,
+            is_guess: sequence.camera_is_guess,
+            recorded: sequence.recorded_size.into(),
+            uncovered,
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! What is told, as lines for people.
 
 use super::pictures::Pictures;
-use super::sequence::{Known, Times};
+use super::sequence::{CameraFacts, Known, Times};
 use crate::output::counted;
 
 /// Gaps named one by one.
@@ -42,14 +42,27 @@ fn of_sequence(known: &Known) -> Vec<Row> {
                 camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
             ),
         ),
-        ("camera from", camera.source.clone()),
-        ("depth scale", format!("{} for one metre", known.depth_scale)),
-        ("truth", truth(known)),
+        ("camera from", camera_source(camera)),
     ];
+    if camera.recorded != [camera.width, camera.height] {
+        let [width, height] = camera.recorded;
+        rows.push(("recorded", format!("{width}x{height} (--max-side, --scale)")));
+    }
+    if let Some(scale) = known.depth_scale {
+        rows.push(("depth scale", format!("{scale} for one metre")));
+    }
+    rows.push(("truth", truth(known)));
     if let Some([first, end]) = known.paper_frames {
         rows.push(("the paper uses", format!("--frames {first}..{end}")));
     }
     rows
+}
+
+fn camera_source(camera: &CameraFacts) -> String {
+    match camera.is_guess {
+        false => camera.source.clone(),
+        true => format!("{} (a run looks for the focal length in the pictures)", camera.source),
+    }
 }
 
 fn frames(known: &Known) -> String {

@@ -1,16 +1,23 @@
 //! The first screen: one sentence and the figures that matter.
 
 use super::{Report, escape};
-use crate::export::Metrics;
+use crate::export::{Metrics, UnitOfLength};
 use std::fmt::Write;
 
 /// What was done, in a sentence.
 pub(super) fn lead(report: &Report<'_>) -> String {
     let metrics = report.metrics;
     let end = if metrics.complete { "" } else { " The run was ended before its last frame." };
+    let unit = match metrics.unit_of_length {
+        UnitOfLength::Metre => "",
+        UnitOfLength::Unknown => {
+            " Unit of length: unknown, because pictures alone do not tell the scale; where lengths \
+             are given in metres below, read: in that unit."
+        }
+    };
     format!(
         "{} blurred frame{} of <b>{}</b> became one sharp map of light and a camera path. \
-         Preset <code>{}</code>, seed {}.{end}",
+         Preset <code>{}</code>, seed {}.{end}{unit}",
         metrics.frames,
         if metrics.frames == 1 { "" } else { "s" },
         escape(report.title),
@@ -61,6 +68,20 @@ pub(super) fn cards(metrics: &Metrics) -> String {
     card(blur, "px", "Longest blur", meaning);
     let seconds = significant(metrics.seconds_per_frame);
     card(seconds, "s", "Time per frame", "The whole run, divided by its frames.");
+    if let Some(source) = &metrics.camera_source {
+        let focal = format!("Focal length {:.1} px", metrics.focal_length_px);
+        let meaning = match metrics.focal_length_assumed_px {
+            Some(assumed) => {
+                format!(
+                    "{focal}, found in the pictures; taken first: {assumed:.1} px ({}).",
+                    escape(source)
+                )
+            }
+            None => format!("{focal}, from {}.", escape(source)),
+        };
+        let view = format!("{:.1}", metrics.horizontal_fov_deg);
+        card(view, "degrees", "Field of view", &meaning);
+    }
     if metrics.gaussians > 0 {
         let gaussians = thousands(metrics.gaussians);
         card(gaussians, "", "Gaussians", "Soft blobs of light that make up the map.");

@@ -3,6 +3,7 @@
 use super::Report;
 use super::plot::{Mark, Plot, Series};
 use crate::config::{Config, TrackingMethod};
+use crate::export::UnitOfLength;
 use crate::reconstruction::FrameEstimate;
 use i2slam_geometry::{Pose, StampedPose};
 
@@ -37,8 +38,12 @@ pub(super) fn trajectory(report: &Report<'_>) -> String {
     let path: Vec<[f64; 3]> = frames.iter().map(|f| seen(first_from_world, f.middle())).collect();
     let truth = report.ground_truth.iter().map(|p| seen(first_from_world, p.world_from_camera));
     let truth: Vec<[f64; 3]> = truth.collect();
-    let mut out = view("From above", "to the right [m]", "forward [m]", &path, &truth, [0, 2]);
-    out += &view("From the side", "forward [m]", "up [m]", &path, &truth, [2, 1]);
+    let [right, forward, up] = match report.metrics.unit_of_length {
+        UnitOfLength::Metre => ["to the right [m]", "forward [m]", "up [m]"],
+        UnitOfLength::Unknown => ["to the right", "forward", "up (unit of length unknown)"],
+    };
+    let mut out = view("From above", right, forward, &path, &truth, [0, 2]);
+    out += &view("From the side", forward, up, &path, &truth, [2, 1]);
     if let Some(error) = position_error(frames, report.ground_truth) {
         out += &error.html();
     }

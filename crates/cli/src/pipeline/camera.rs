@@ -1,0 +1,121 @@
+//! What is said of a camera that nobody gave, or that pictures alone must bear out.
+
+use i2slam::dataset::{Layout, Sequence};
+use i2slam::export::{Metrics, UnitOfLength};
+use i2slam::geometry::Camera;
+use i2slam::keyframes::{Intrinsics, NativeReconstruction};
+
+/// What the pictures alone told of the camera.
+#[derive(Clone, Debug)]
+pub(crate) struct FoundCamera {
+    /// Where it came from at first, in words.
+    source: String,
+    /// Focal length at first [px].
+    assumed: f64,
+    /// Focal length in the end [px].
+    found: f64,
+    /// Whether it was looked for.
+    searched: bool,
+    /// Its relative standard deviation.
+    deviation: Option<f64>,
+    /// Horizontal field of view in the end [degrees].
+    field_of_view: f64,
+    /// Time from the first to the last row [s].
+    readout: f64,
+}
+
+/// The camera of a sequence as a front end takes it.
+pub(crate) fn intrinsics(sequence: &Sequence) -> Intrinsics {
+    match sequence.camera_is_guess {
+        true => Intrinsics::Guess(sequence.camera),
+        false => Intrinsics::Known(sequence.camera),
+    }
+}
+
+/// What is known before a run by colour alone begins.
+pub(crate) fn before(sequence: &Sequence) -> Vec<String> {
+    let camera = &sequence.camera;
+    let mut lines = Vec::new();
+    let (width, height) = sequence.recorded_size;
+    let seconds = match sequence.entries.as_slice() {
+        [first, .., last] => last.timestamp - first.timestamp,
+        _ => 0.0,
+    };
+    let reduced = if (camera.width, camera.height) == (width, height) {
+        String::new()
+    } else {
+        format!(", worked on at {}x{} (--max-side, --scale)", camera.width, camera.height)
+    };
+    if sequence.layout == Layout::Video || !reduced.is_empty() {
+        lines.push(format!(
+            "{}: {} frames of {width}x{height} px, {seconds:.1} s{reduced}",
+            sequence.name,
+            sequence.len()
+        ));
+    }
+    let view = horizontal(camera);
+    let source = &sequence.camera_source;
+    lines.push(if sequence.camera_is_guess {
+        format!(
+            "camera not given: assumed {source} (focal length {:.0} px, {view:.1} degrees across); \
+             the focal length is looked for in the pictures (--fov or --intrinsics gives it)",
+            camera.fx
+        )
+    } else {
+        format!("camera: focal length {:.1} px, {view:.1} degrees across, from {source}", camera.fx)
+    });
+    lines
+}
+
+impl FoundCamera {
+    /// What a front end made of the camera of a sequence.
+    pub(crate) fn of(sequence: &Sequence, found: &NativeReconstruction) -> Self {
+        Self {
+            source: sequence.camera_source.clone(),
+            assumed: sequence.camera.fx,
+            found: found.camera.fx,
+            searched: sequence.camera_is_guess,
+            deviation: found.focal_deviation,
+            field_of_view: horizontal(&found.camera),
+            readout: found.rolling_shutter_readout,
+        }
+    }
+
+    /// What was found, in words.
+    pub(crate) fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        if self.searched {
+            let deviation = self.deviation.map(|share| format!(" ± {:.1} %", 100.0 * share));
+            lines.push(format!(
+                "camera: focal length {:.1} px{} found in the pictures (assumed {:.1}), {:.1} \
+                 degrees across",
+                self.found,
+                deviation.unwrap_or_default(),
+                self.assumed,
+                self.field_of_view
+            ));
+        }
+        if self.readout != 0.0 {
+            let milliseconds = 1e3 * self.readout;
+            lines.push(format!("rolling shutter: rows read in {milliseconds:.1} ms"));
+        }
+        lines
+    }
+
+    /// The same as figures.
+    pub(crate) fn fill(&self, metrics: &mut Metrics) {
+        metrics.camera_source = Some(self.source.clone());
+        metrics.focal_length_assumed_px = self.searched.then_some(self.assumed);
+        metrics.focal_length_deviation = self.deviation;
+        metrics.unit_of_length = UnitOfLength::Unknown;
+        if metrics.rolling_shutter_readout_s == 0.0 {
+            metrics.rolling_shutter_readout_s = self.readout;
+        }
+    }
+}
+
+/// Horizontal field of view of a camera [degrees].
+fn horizontal(camera: &Camera<f64>) -> f64 {
+    let side = |length: f64| (length / camera.fx).atan();
+    (side(camera.cx) + side(camera.width as f64 - camera.cx)).to_degrees()
+}
