@@ -21,7 +21,7 @@ fn assert_says<T>(result: Result<T, DatasetError>, parts: &[&str]) {
 #[test]
 fn missing_folder() {
     let result = Sequence::open(Path::new("/no/such/folder"), &OpenOptions::default());
-    assert_says(result, &["no folder /no/such/folder", "rgb.txt"]);
+    assert_says(result, &["no file or folder /no/such/folder", "rgb.txt"]);
 }
 
 #[test]

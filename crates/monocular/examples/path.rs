@@ -1,9 +1,10 @@
 //! The camera path of a sequence from its colour pictures alone.
 //!
 //! `cargo run --release -p i2slam-monocular --example path -- SEQUENCE OUT.txt [FLAGS]` writes
-//! `world_from_camera` poses in the TUM format. `--guess FACTOR`: the focal length is taken as
-//! unknown and looked for from FACTOR times that of the sequence; `--wrong FACTOR`: that value is
-//! claimed; `--stride N`: every N-th picture; `--passes N`: forth and back through the pictures so
+//! `world_from_camera` poses in the TUM format. A sequence may be a video (ffmpeg decodes it), whose
+//! focal length is unknown unless `--fov DEGREES` gives it. `--guess FACTOR`: the focal length is
+//! taken as unknown and looked for from FACTOR times that of the sequence; `--wrong FACTOR`: that
+//! value is claimed; `--stride N`: every N-th picture; `--passes N`: forth and back through the pictures so
 //! many times, as one long video; `--cover N`: the lens is covered for twelve pictures from the
 //! N-th on; `--verbose`: what is known of each.
 
@@ -21,15 +22,22 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, out, rest @ ..] = arguments.as_slice() else {
         return Err(
-            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--stride N] [--passes N] [--cover N] [--verbose]"
+            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--fov DEGREES] [--stride N] \
+             [--passes N] [--cover N] [--verbose]"
                 .into(),
         );
     };
     let stride = factor(rest, "--stride")?.map_or(1, |s| s as usize);
-    let options =
-        OpenOptions { colour_only: true, minimum_gap: 0.0, stride, ..OpenOptions::default() };
+    let options = OpenOptions {
+        colour_only: true,
+        guess_camera: true,
+        field_of_view: factor(rest, "--fov")?,
+        minimum_gap: 0.0,
+        stride,
+        ..OpenOptions::default()
+    };
     let sequence = Sequence::open(Path::new(folder), &options)?;
-    let mut front_end = FrontEnd::new(intrinsics(sequence.camera, rest)?);
+    let mut front_end = FrontEnd::new(intrinsics(&sequence, rest)?);
     let begin = Instant::now();
     let mut tracking = 0.0;
     let passes = factor(rest, "--passes")?.map_or(1, |n| n as usize);
@@ -101,11 +109,13 @@ fn factor(arguments: &[String], name: &str) -> Result<Option<f64>, Box<dyn Error
     Ok(value.map(|v| v.parse()).transpose()?)
 }
 
-fn intrinsics(camera: Camera<f64>, arguments: &[String]) -> Result<Intrinsics, Box<dyn Error>> {
+fn intrinsics(sequence: &Sequence, arguments: &[String]) -> Result<Intrinsics, Box<dyn Error>> {
+    let camera = sequence.camera;
     let scaled = |f: f64| Camera { fx: camera.fx * f, fy: camera.fy * f, ..camera };
     Ok(match (factor(arguments, "--guess")?, factor(arguments, "--wrong")?) {
         (Some(f), _) => Intrinsics::Guess(scaled(f)),
         (None, Some(f)) => Intrinsics::Known(scaled(f)),
+        (None, None) if sequence.camera_is_guess => Intrinsics::Guess(camera),
         (None, None) => Intrinsics::Known(camera),
     })
 }

@@ -101,7 +101,7 @@ fn a_cell_that_fails_is_in_the_tables() {
     ran.complaining("nowhere, on, seed 3: failed").complaining("one cell failed");
     let text = read(&out.join("results.md"));
     assert!(text.contains("1 of 2 cells finished, 1 failed"), "{text}");
-    assert!(text.contains("| nowhere | on | 3 |") && text.contains("no folder"), "{text}");
+    assert!(text.contains("| nowhere | on | 3 |") && text.contains("no file or folder"), "{text}");
     assert!(text.contains("no cell of nowhere finished: it is in no mean"), "{text}");
     let record = read(&out.join("cells/nowhere/on/seed-3/cell.json"));
     assert!(record.contains("nowhere"), "{record}");

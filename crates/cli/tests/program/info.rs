@@ -91,7 +91,7 @@ fn an_unknown_folder_is_answered_with_the_layouts() {
         assert!(err.contains(word), "{word} is not in: {err}");
     }
     let err = info(&scratch.join("none"), &[]).ended_with(1).err;
-    assert!(err.contains("no folder"), "{err}");
+    assert!(err.contains("no file or folder"), "{err}");
 }
 
 /// The scene in the layout of Replica: poses are lines of a file, one for every frame.

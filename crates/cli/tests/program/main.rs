@@ -6,6 +6,8 @@ mod causes;
 mod commands;
 mod eval;
 mod field;
+#[cfg(unix)]
+mod footage;
 mod info;
 mod interrupt;
 mod keyframed;
@@ -16,3 +18,5 @@ mod robust;
 mod rolling;
 mod scene;
 mod tools;
+#[cfg(unix)]
+mod video;

@@ -43,7 +43,7 @@ impl Stream {
     /// Reads the header and where every frame lies.
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
         if !is_sens(path) {
-            let found = "a file that is neither a .sens nor a video".into();
+            let found = "a file that is no .sens and no video".into();
             let path = path.to_path_buf();
             return Err(DatasetError::UnknownLayout { path, found, has_colour: false });
         }

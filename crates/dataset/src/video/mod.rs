@@ -73,7 +73,15 @@ impl Video {
         options: &OpenOptions,
         frame_rate: f64,
     ) -> Result<Listing, DatasetError> {
-        let mut ffmpeg = Ffmpeg::find();
+        Self::list_with(Ffmpeg::find(), path, options, frame_rate)
+    }
+
+    fn list_with(
+        mut ffmpeg: Ffmpeg,
+        path: &Path,
+        options: &OpenOptions,
+        frame_rate: f64,
+    ) -> Result<Listing, DatasetError> {
         let first = ffmpeg.listen(path, "showinfo", Some(1))?;
         let size = picture_size(path, &first)?;
         let until = options.frames.as_ref().map(|range| range.end);
@@ -160,8 +168,9 @@ fn refusal(path: &Path, words: &Words) -> DatasetError {
         "there is no video in it (only sound, or a cover picture)".to_owned()
     } else if words.blames("no decoder found") {
         format!(
-            "this ffmpeg cannot decode its video codec ({blame}): install a full build of ffmpeg, \
-             or convert the video to H.264"
+            "this ffmpeg cannot decode its video codec, {} ({blame}): install a full build of \
+             ffmpeg, or convert the video to H.264",
+            words.codec.as_deref().unwrap_or("unknown")
         )
     } else if words.blames("moov atom not found") {
         format!(
@@ -194,3 +203,6 @@ fn damage(words: &Words, stamps: &[f64]) -> Option<String> {
         (None, None) => None,
     }
 }
+
+#[cfg(all(test, unix))]
+mod tests;

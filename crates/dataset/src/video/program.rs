@@ -26,7 +26,12 @@ impl Ffmpeg {
     /// The program that the environment names, else the one on the search path.
     pub(super) fn find() -> Self {
         let named = std::env::var_os(VARIABLE).filter(|name| !name.is_empty());
-        Self { program: named.unwrap_or_else(|| OsString::from("ffmpeg")).into(), era: 0 }
+        Self::at(named.unwrap_or_else(|| OsString::from("ffmpeg")).into())
+    }
+
+    /// The program of a name or path.
+    pub(super) fn at(program: PathBuf) -> Self {
+        Self { program, era: 0 }
     }
 
     /// What is said of the video in `path` while its frames, `count` of them at most, pass through

@@ -25,6 +25,10 @@ pub(super) struct Reader {
     ffmpeg: Ffmpeg,
     size: (usize, usize),
     running: Option<Running>,
+    /// The first frame that did not come.
+    ends_at: Option<usize>,
+    /// How many pictures are kept.
+    most: usize,
     /// The last pictures decoded, in order, under their numbers.
     kept: VecDeque<(usize, Arc<Vec<u8>>)>,
 }
@@ -42,7 +46,14 @@ struct Running {
 
 impl Reader {
     pub(super) fn new(ffmpeg: Ffmpeg, size: (usize, usize)) -> Self {
-        Self { ffmpeg, size, running: None, kept: VecDeque::new() }
+        let most = (KEPT / (3 * size.0 * size.1).max(1)).max(1);
+        Self { ffmpeg, size, running: None, ends_at: None, most, kept: VecDeque::new() }
+    }
+
+    /// The same, with so many pictures kept at most.
+    #[cfg(test)]
+    pub(super) fn keeping(self, most: usize) -> Self {
+        Self { most, ..self }
     }
 
     /// The picture with a number.
@@ -54,6 +65,9 @@ impl Reader {
         if let Some((_, picture)) = self.kept.iter().find(|(kept, _)| *kept == number) {
             return Ok(Arc::clone(picture));
         }
+        if self.ends_at.is_some_and(|end| number >= end) {
+            return Err(DatasetError::image(path, format!("frame {number} cannot be decoded")));
+        }
         if self.running.as_ref().is_none_or(|running| running.next > number) {
             self.running = None;
             self.running = Some(Running::start(&self.ffmpeg, path, self.size)?);
@@ -64,6 +78,7 @@ impl Reader {
             let this = running.next;
             let mut bytes = vec![0; length];
             if let Err(error) = running.pictures.read_exact(&mut bytes) {
+                self.ends_at = Some(this);
                 let complaint = self.running.take().map(Running::end).unwrap_or_default();
                 return Err(broken_off(path, this, &error, &complaint));
             }
@@ -79,8 +94,7 @@ impl Reader {
 
     fn keep(&mut self, number: usize, picture: &Arc<Vec<u8>>) {
         self.kept.push_back((number, Arc::clone(picture)));
-        let most = (KEPT / picture.len().max(1)).max(1);
-        while self.kept.len() > most {
+        while self.kept.len() > self.most {
             self.kept.pop_front();
         }
     }

@@ -13,6 +13,8 @@ pub(super) struct Words {
     tick: Option<f64>,
     /// Length that the file claims [s].
     pub(super) duration: Option<f64>,
+    /// The first codec of a video in it.
+    pub(super) codec: Option<String>,
     /// The first error that says something, and the last one of all.
     error: Option<String>,
     last_error: Option<String>,
@@ -43,6 +45,9 @@ impl Words {
         }
         if let Some(length) = after(line, "Duration:").filter(|_| self.duration.is_none()) {
             self.duration = seconds(length.split(',').next().unwrap_or_default());
+        }
+        if let Some(video) = after(line, " Video:").filter(|_| self.codec.is_none()) {
+            self.codec = video.split(',').next().map(str::to_owned);
         }
         let is_error = line.contains("[error]") || line.contains("[fatal]");
         let line = without_brackets(line);
@@ -139,6 +144,7 @@ mod tests {
     fn frames_have_times_and_sizes() {
         let words = heard(
             "[info]   Duration: 00:01:02.50, start: 0.000000, bitrate: 920 kb/s\n\
+             [info]   Stream #0:0(und): Video: h264 (High) (avc1 / 0x3163), yuv420p, 320x240\n\
              [Parsed_showinfo_0 @ 0x7f7e] [info] config in time_base: 1/15360, frame_rate: 30/1\n\
              [Parsed_showinfo_0 @ 0x7f7e] [info] config out time_base: 0/0, frame_rate: 0/0\n\
              [Parsed_showinfo_0 @ 0x7f7e] [info] n:   0 pts:      0 pts_time:0 duration: 512 \
@@ -148,6 +154,7 @@ mod tests {
              fmt:yuv420p sar:4/3 s:320x240 i:P",
         );
         assert_eq!(words.duration, Some(62.5));
+        assert_eq!(words.codec.as_deref(), Some("h264 (High) (avc1 / 0x3163)"));
         assert_eq!(words.stamps(), Some(vec![0.0, 512.0 / 15360.0]));
         assert_eq!((words.frames[0].size, words.frames[0].pixel_aspect), ((320, 240), 1.0));
         assert_eq!(words.frames[1].pixel_aspect, 4.0 / 3.0);

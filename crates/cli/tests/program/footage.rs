@@ -1,0 +1,126 @@
+//! Made-up videos: raw frames beside an empty file, and a script that answers as ffmpeg would.
+
+use crate::tools::{Ran, Scratch, program};
+use std::fmt::Write;
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+pub(crate) const WIDTH: usize = 160;
+pub(crate) const HEIGHT: usize = 120;
+/// True focal length [px]: 63.2 degrees across.
+pub(crate) const FOCAL: f64 = 130.0;
+
+/// Writes `FILE.words` to standard error, or `FILE.rgb` to standard output where raw video is asked
+/// for, FILE being what stands behind `-i`.
+const SCRIPT: &str = "#!/bin/sh\nraw=\nwhile [ $# -gt 0 ]; do\n  case \"$1\" in\n    -i) file=$2; \
+    shift;;\n    rawvideo) raw=1;;\n  esac\n  shift\ndone\nif [ \"$raw\" ]; then exec cat \
+    \"$file.rgb\"; fi\ncat \"$file.words\" >&2\n";
+
+/// Where the camera is and what it looks at.
+#[derive(Clone, Copy)]
+pub(crate) struct View {
+    /// To the right of where it began [m].
+    pub(crate) x: f64,
+    /// Turned to the right [rad].
+    pub(crate) turned: f64,
+    /// Which scene.
+    pub(crate) scene: u32,
+}
+
+impl View {
+    pub(crate) fn moved(x: f64) -> Self {
+        Self { x, turned: 0.0, scene: 0 }
+    }
+
+    /// Bytes R G B of a wall with a step in depth.
+    fn picture(self) -> Vec<u8> {
+        let (sin, cos) = self.turned.sin_cos();
+        let mut bytes = Vec::new();
+        for pixel in 0..WIDTH * HEIGHT {
+            let across = ((pixel % WIDTH) as f64 + 0.5 - 80.0) / FOCAL;
+            let down = ((pixel / WIDTH) as f64 + 0.5 - 60.0) / FOCAL;
+            let ray = [cos * across + sin, down, cos - sin * across];
+            let at = |z: f64| (self.x + ray[0] / ray[2] * z, ray[1] / ray[2] * z);
+            let near = at(2.0);
+            let (x, y) = if near.1 > 0.1 { near } else { at(3.5) };
+            bytes.extend([texture(x, y, self.scene); 3]);
+        }
+        bytes
+    }
+}
+
+fn texture(x: f64, y: f64, scene: u32) -> u8 {
+    let wave = |a: f64, b: f64| (a * x + b * y).sin();
+    let sum = match scene {
+        0 => wave(13.0, 5.0) + wave(-6.0, 17.0) + wave(23.0, -19.0),
+        _ => wave(3.0, 21.0) + wave(16.0, -9.0) + wave(-27.0, -11.0),
+    };
+    (127.5 + 30.0 * sum) as u8
+}
+
+/// A folder with videos in it.
+pub(crate) struct Footage {
+    pub(crate) scratch: Scratch,
+}
+
+impl Footage {
+    pub(crate) fn new(name: &str) -> Self {
+        let scratch = Scratch::new(name);
+        let script = scratch.join("ffmpeg");
+        fs::write(&script, SCRIPT).expect("room");
+        fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).expect("a script");
+        Self { scratch }
+    }
+
+    /// A video of these views at these times [1/600 s].
+    pub(crate) fn video(&self, name: &str, views: &[(u32, View)]) -> PathBuf {
+        let path = self.scratch.join(name);
+        let mut words =
+            String::from("[Parsed_showinfo_0 @ 0x1] [info] config in time_base: 1/600\n");
+        let mut frames = Vec::new();
+        for (n, (ticks, view)) in views.iter().enumerate() {
+            writeln!(
+                words,
+                "[Parsed_showinfo_0 @ 0x1] [info] n:{n:4} pts:{ticks:7} pts_time:0 fmt:yuv420p \
+                 sar:0/1 s:{WIDTH}x{HEIGHT} i:P"
+            )
+            .expect("memory");
+            frames.extend(view.picture());
+        }
+        fs::write(path.with_extension("mp4.words"), words).expect("room");
+        fs::write(path.with_extension("mp4.rgb"), frames).expect("room");
+        fs::write(&path, "").expect("room");
+        path
+    }
+
+    /// A file of which nothing can be decoded, and what ffmpeg says of it.
+    pub(crate) fn broken(&self, name: &str, words: &str) -> PathBuf {
+        let path = self.scratch.join(name);
+        fs::write(path.with_extension("mp4.words"), words).expect("room");
+        fs::write(&path, "").expect("room");
+        path
+    }
+
+    /// The program on a video, with this ffmpeg.
+    pub(crate) fn i2slam(&self, command: &str, video: &Path, more: &[&str]) -> Ran {
+        let head = [command.as_ref(), video.as_os_str()];
+        let mut command = program(head.into_iter().chain(more.iter().map(AsRef::as_ref)));
+        command.env("I2SLAM_FFMPEG", self.scratch.join("ffmpeg"));
+        Ran::of(command.output().expect("the program starts"))
+    }
+
+    /// A quick run into `out`.
+    pub(crate) fn run(&self, video: &Path, more: &[&str]) -> Ran {
+        let (out, config) = (self.scratch.join("out"), self.scratch.join("quick.toml"));
+        fs::write(&config, QUICK).expect("room");
+        let [out, config] = [&out, &config].map(|path| path.to_str().expect("a name"));
+        let flags = ["--out", out, "--config", config, "--render", "none"];
+        self.i2slam("run", video, &[&flags, more].concat())
+    }
+}
+
+const QUICK: &str = "[hashgrid]\nlevels = 4\nlog2_table = 10\nfinest_cell = 0.05\n\
+    hidden_width = 16\noccupancy_cells = 16\nstep = 0.05\nstep_min = 0.1\nrays = 64\n\
+    first_iterations = 10\niterations = 2\nfinal_iterations = 5\n\
+    [keyframed]\nfirst_keyframes = 3\npose_delay = 5\ncoarse_steps = 5\n";

@@ -1,0 +1,246 @@
+//! Videos of one's own: what becomes of them, and what is said of those that cannot be used.
+
+use crate::footage::{FOCAL, Footage, HEIGHT, View, WIDTH};
+use crate::tools::{Ran, number, program};
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+/// Steps to the right, evenly in time.
+fn walk(frames: u32, step: f64) -> Vec<(u32, View)> {
+    (0..frames).map(|i| (20 * i, View::moved(step * f64::from(i)))).collect()
+}
+
+#[test]
+fn a_video_needs_no_flags() {
+    let footage = Footage::new("video");
+    // Frames 5 and 6 are missing, so that the frame rate varies.
+    let views: Vec<(u32, View)> = walk(18, 0.06)
+        .into_iter()
+        .enumerate()
+        .filter(|(i, _)| !matches!(i, 5 | 6))
+        .map(|v| v.1)
+        .collect();
+    let video = footage.video("walk.mp4", &views);
+    let ran = footage.run(&video, &[]).ended_with(0);
+    assert!(ran.out.contains("unit of length: unknown"), "{}", ran.out);
+    let ran =
+        ran.complaining("camera not given").complaining("60 degrees").complaining("16 frames");
+    ran.complaining("found in the pictures");
+    let out = footage.scratch.join("out");
+    let metrics = out.join("metrics.json");
+    let focal = number(&metrics, "focal_length_px").expect("a focal length");
+    assert!((focal / FOCAL - 1.0).abs() < 0.1, "{focal}");
+    let assumed = number(&metrics, "focal_length_assumed_px").expect("a guess");
+    assert!((assumed - 138.6).abs() < 0.1, "{assumed}");
+    let text = fs::read_to_string(&metrics).expect("figures");
+    assert!(text.contains("\"unit_of_length\": \"unknown\""), "{text}");
+    let page = fs::read_to_string(out.join("report.html")).expect("a report");
+    assert!(page.contains("Unit of length: unknown") && page.contains("Field of view"));
+    let stamps = fs::read_to_string(out.join("trajectory.txt")).expect("a path");
+    for line in stamps.lines().filter(|line| !line.starts_with('#')) {
+        let stamp: f64 = line.split(' ').next().expect("a stamp").parse().expect("a number");
+        let ticks = (600.0 * stamp).round() as u32;
+        assert!(
+            views.iter().any(|view| view.0 == ticks) && (600.0 * stamp).fract() < 1e-3,
+            "{line}"
+        );
+    }
+}
+
+#[test]
+fn info_tells_of_a_video() {
+    let footage = Footage::new("video-info");
+    let video = footage.video("walk.mp4", &walk(9, 0.06));
+    let out = footage.i2slam("info", &video, &[]).ended_with(0).out;
+    for part in [
+        "video",
+        "30.00 frames a second",
+        "160x120, fx 138.56",
+        "a guess",
+        "depth             none",
+    ] {
+        assert!(out.contains(part), "{part} is not in\n{out}");
+    }
+    assert!(!out.contains("depth scale"), "{out}");
+    let flags = [
+        "--json",
+        "--max-side",
+        "80",
+        "--fov",
+        "90",
+        "--frames",
+        "2..9",
+        "--stride",
+        "2",
+        "--quick",
+    ];
+    let out = footage.i2slam("info", &video, &flags).ended_with(0).out;
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!((&told["frames"], &told["camera"]["width"]), (&4.into(), &80.into()));
+    assert_eq!(told["camera"]["recorded"], serde_json::json!([WIDTH, HEIGHT]));
+    assert!((told["camera"]["fx"].as_f64().expect("a number") - 40.0).abs() < 1e-9);
+    let file = footage.scratch.join("camera.txt");
+    fs::write(&file, "1 PINHOLE 320 240 260 260 160 120\n").expect("room");
+    let flags = ["--json", "--quick", "--intrinsics", file.to_str().expect("a name")];
+    let out = footage.i2slam("info", &video, &flags).ended_with(0).out;
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(
+        (&told["camera"]["fx"], &told["camera"]["is_guess"]),
+        (&130.0.into(), &false.into())
+    );
+}
+
+#[test]
+fn three_frames_are_too_few() {
+    let footage = Footage::new("video-three");
+    let video = footage.video("short.mp4", &walk(3, 0.06));
+    let ran = footage.run(&video, &[]).ended_with(1);
+    ran.complaining("no path of the camera was found").complaining("3 pictures are too few");
+}
+
+#[test]
+fn a_still_camera_is_told() {
+    let footage = Footage::new("video-still");
+    let video = footage.video("still.mp4", &walk(12, 0.0));
+    footage.run(&video, &[]).ended_with(1).complaining("the camera stands still");
+}
+
+#[test]
+fn a_camera_that_only_turns_is_told() {
+    let footage = Footage::new("video-turn");
+    let turn = |i: u32| View { turned: 0.02 * f64::from(i), ..View::moved(0.0) };
+    let views: Vec<(u32, View)> = (0..16).map(|i| (20 * i, turn(i))).collect();
+    let video = footage.video("turn.mp4", &views);
+    for more in [&[][..], &["--fov", "63.2"]] {
+        footage.run(&video, more).ended_with(1).complaining("the camera only turned");
+    }
+}
+
+#[test]
+fn behind_a_cut_frames_are_lost_and_counted() {
+    let footage = Footage::new("video-cut");
+    let mut views = walk(24, 0.06);
+    views[16..].iter_mut().for_each(|(_, view)| view.scene = 1);
+    let video = footage.video("cut.mp4", &views);
+    let ran = footage.run(&video, &["--fov", "63.2"]).ended_with(0);
+    ran.complaining("8 of 24 frames have no pose");
+}
+
+#[test]
+fn a_wrong_field_of_view_is_doubted() {
+    let footage = Footage::new("video-wrong");
+    let video = footage.video("walk.mp4", &walk(24, 0.06));
+    // A focal length of 156 px: a fifth too long.
+    let ran = footage.run(&video, &["--fov", "54.3"]).ended_with(0);
+    ran.complaining("the focal length was given as 156");
+}
+
+#[test]
+fn what_cannot_be_decoded_is_told_in_one_line() {
+    let footage = Footage::new("video-broken");
+    for (words, part) in [
+        (
+            "[vist#0:0/none @ 0x5] [error] Decoding requested, but no decoder found for: none\n\
+          [error] Error opening output file -.\n",
+            "cannot decode its video codec",
+        ),
+        (
+            "[in#0 @ 0x5] [error] moov atom not found\n[fatal] Error opening input files: Invalid\n",
+            "damaged, cut off",
+        ),
+        ("[fatal] Stream map '' matches no streams.\nTo ignore this, add '?'\n", "no video in it"),
+        ("[in#0 @ 0x5] [error] Error opening input: Permission denied\n", "Permission denied"),
+    ] {
+        let video = footage.broken("odd.mp4", words);
+        let ran = footage.run(&video, &[]).ended_with(1).complaining(part).complaining("odd.mp4");
+        let errors = ran.err.lines().filter(|line| line.starts_with("error:")).count();
+        assert!(errors == 1 && ran.err.lines().count() == 2, "{}", ran.err);
+        assert!(!footage.scratch.join("out").exists());
+    }
+}
+
+#[test]
+fn frames_that_break_off_are_left_out() {
+    let footage = Footage::new("video-cut-off");
+    let video = footage.video("cut.mp4", &walk(16, 0.06));
+    let frames = fs::read(video.with_extension("mp4.rgb")).expect("frames");
+    fs::write(video.with_extension("mp4.rgb"), &frames[..frames.len() * 3 / 4 + 7]).expect("room");
+    let ran = footage.run(&video, &["--fov", "63.2"]).ended_with(0);
+    ran.complaining("12 left out").complaining("cannot be decoded");
+}
+
+#[test]
+fn without_ffmpeg_the_way_to_it_is_told() {
+    let footage = Footage::new("video-none");
+    let video = footage.video("walk.mp4", &walk(4, 0.06));
+    let arguments = ["run", video.to_str().expect("a name"), "--out", "out"];
+    let nowhere = footage.scratch.join("nowhere");
+    let named = program(arguments).env("I2SLAM_FFMPEG", &nowhere).output();
+    let named = Ran::of(named.expect("starts")).ended_with(1);
+    named.complaining("nowhere").complaining("as I2SLAM_FFMPEG names it");
+    let none = program(arguments).env_remove("I2SLAM_FFMPEG").env("PATH", "").output();
+    let none = Ran::of(none.expect("starts")).ended_with(1);
+    none.complaining("needs the program ffmpeg").complaining("install");
+}
+
+#[test]
+fn what_cannot_be_meant_is_refused() {
+    let footage = Footage::new("video-usage");
+    let video = footage.video("walk.mp4", &walk(5, 0.06));
+    let refused = |more: &[&str], part: &str| {
+        footage.run(&video, more).ended_with(2).complaining(part);
+    };
+    refused(&["--intrinsics", "100", "100"], "four numbers FX FY CX CY");
+    refused(&["--fov", "200"], "below 180 degrees");
+    refused(&["--frames", "7..9"], "frames 0..5");
+    refused(&["--preset", "paper-tum"], "a video, which has no depth");
+    footage
+        .run(&footage.scratch.join("none.mp4"), &[])
+        .ended_with(1)
+        .complaining("no file or folder");
+    let stream = PathBuf::from("rtsp://camera/stream");
+    footage.run(&stream, &[]).ended_with(1).complaining("record it first");
+    let file = footage.scratch.join("camera.txt");
+    fs::write(&file, "500 500\n").expect("room");
+    let flags = ["--intrinsics", file.to_str().expect("a name")];
+    footage.run(&video, &flags).ended_with(1).complaining("2 numbers").complaining("camera.txt");
+    fs::write(&file, "1 PINHOLE 320 320 260 260 160 160\n").expect("room");
+    footage.run(&video, &flags).ended_with(1).complaining("any size of that shape");
+}
+
+/// The real program, where there is one: times, sizes and pixels come through unharmed.
+#[test]
+fn the_real_ffmpeg_is_understood() {
+    let name = std::env::var("I2SLAM_FFMPEG").unwrap_or_else(|_| "ffmpeg".to_owned());
+    let silent = |arguments: &[&str]| {
+        let mut command = Command::new(&name);
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        command.status().is_ok_and(|status| status.success())
+    };
+    if !silent(&["-version"]) {
+        eprintln!("skipped: no ffmpeg on the search path or in I2SLAM_FFMPEG");
+        return;
+    }
+    let footage = Footage::new("video-real");
+    let raw = footage.video("walk.mp4", &walk(20, 0.06)).with_extension("mp4.rgb");
+    let video = footage.scratch.join("real.mkv");
+    let [raw, to] = [&raw, &video].map(|path| path.to_str().expect("a name"));
+    let head =
+        ["-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "160x120", "-r", "25", "-i", raw];
+    let tail = ["-vf", "select=not(between(n\\,4\\,6))", "-vsync", "0", "-c:v", "ffv1", to];
+    let newer =
+        ["-vf", "select=not(between(n\\,4\\,6))", "-fps_mode", "passthrough", "-c:v", "ffv1", to];
+    let made = silent(&[&head[..], &newer].concat()) || silent(&[&head[..], &tail].concat());
+    assert!(made, "ffmpeg makes a video");
+    let mut command = program(["info", to, "--json", "--fov", "63.2"]);
+    command.env("I2SLAM_FFMPEG", &name);
+    let ran = Ran::of(command.output().expect("starts")).ended_with(0);
+    let told: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");
+    assert_eq!((&told["frames"], &told["pictures"]["measured_frames"]), (&17.into(), &17.into()));
+    assert_eq!(told["times"]["gaps"][0]["after_frame"], 3);
+    let gap = told["times"]["gaps"][0]["seconds"].as_f64().expect("a number");
+    assert!((gap - 0.16).abs() < 1e-3, "{gap}");
+    let median = told["pictures"]["brightness"]["median"].as_f64().expect("a number");
+    assert!((median - 0.5).abs() < 0.03, "{median}");
+}

@@ -1,0 +1,137 @@
+//! Pictures and cameras of one's own: EXIF data, fields of view, camera files of other programs.
+
+mod support;
+
+use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
+use jpeg_encoder::{ColorType, Encoder};
+use support::Folder;
+
+const SIZE: (u16, u16) = (64, 48);
+
+/// EXIF data with one number of 16 bits, little-endian.
+fn exif(tag: u16, value: u16) -> Vec<u8> {
+    let entry = |tag: u16, kind: u16, value: u32| {
+        [&tag.to_le_bytes()[..], &kind.to_le_bytes(), &1_u32.to_le_bytes(), &value.to_le_bytes()]
+            .concat()
+    };
+    let directory = |entry: Vec<u8>| [&1_u16.to_le_bytes()[..], &entry, &[0; 4]].concat();
+    // The first directory is 18 bytes long and points to that of the camera behind it.
+    let first = directory(entry(0x8769, 4, 8 + 18));
+    let camera = directory(entry(tag, 3, value.into()));
+    [&b"Exif\0\0II*\0\x08\0\0\0"[..], &first, &camera].concat()
+}
+
+/// A folder of pictures alone; those with `segment` carry it.
+fn pictures(segment: Option<Vec<u8>>) -> Folder {
+    let folder = Folder::new();
+    let grey = vec![120; 3 * usize::from(SIZE.0) * usize::from(SIZE.1)];
+    for i in 0..3 {
+        let mut bytes = Vec::new();
+        let mut encoder = Encoder::new(&mut bytes, 90);
+        if let Some(segment) = &segment {
+            encoder.add_app_segment(1, segment.clone()).expect("room for it");
+        }
+        encoder.encode(&grey, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
+        std::fs::write(folder.join(&format!("IMG_{i:04}.jpg")), bytes).expect("room");
+    }
+    folder
+}
+
+fn alone() -> OpenOptions {
+    OpenOptions { colour_only: true, guess_camera: true, ..OpenOptions::default() }
+}
+
+fn open(folder: &Folder, options: &OpenOptions) -> Sequence {
+    Sequence::open(&folder.0, options).expect("opens")
+}
+
+#[track_caller]
+fn close(found: f64, due: f64) {
+    assert!((found - due).abs() < 1e-3 * due, "{found}, not {due}");
+}
+
+#[test]
+fn the_focal_length_comes_from_exif_data() {
+    // 26 mm on film with a diagonal of 43.27 mm; 80 px across the diagonal here.
+    let sequence = open(&pictures(Some(exif(0xa405, 26))), &alone());
+    close(sequence.camera.fx, 26.0 / 43.2666 * 80.0);
+    assert!(sequence.camera_is_guess && sequence.camera_source.contains("26 mm"));
+    // Nothing about the lens, an impossible one, no EXIF data at all: 60 degrees.
+    for segment in [Some(exif(0xa402, 1)), Some(exif(0xa405, 0)), Some(b"Exif\0\0?".to_vec()), None]
+    {
+        let sequence = open(&pictures(segment), &alone());
+        close(sequence.camera.fx, 32.0 / 30.0_f64.to_radians().tan());
+        assert!(sequence.camera_is_guess && sequence.camera_source.contains("a guess"));
+    }
+}
+
+#[test]
+fn a_guess_must_be_asked_for() {
+    let folder = pictures(None);
+    let options = OpenOptions { guess_camera: false, ..alone() };
+    assert!(matches!(Sequence::open(&folder.0, &options), Err(DatasetError::NoCamera { .. })));
+    let error = Sequence::open(&folder.0, &OpenOptions::default()).expect_err("no depth");
+    assert!(error.to_string().contains("by colour alone (--rgb)"), "{error}");
+}
+
+#[test]
+fn a_field_of_view_that_is_given_counts() {
+    let folder = pictures(Some(exif(0xa405, 26)));
+    let options = OpenOptions { field_of_view: Some(90.0), ..alone() };
+    let sequence = open(&folder, &options);
+    close(sequence.camera.fx, 32.0);
+    close(sequence.camera.cy, 24.0);
+    assert!(!sequence.camera_is_guess);
+    let options = OpenOptions { field_of_view: Some(180.0), ..alone() };
+    assert!(matches!(Sequence::open(&folder.0, &options), Err(DatasetError::Option { .. })));
+}
+
+#[test]
+fn large_pictures_are_made_smaller_where_that_is_asked_for() {
+    let options = OpenOptions { max_side: Some(16), ..alone() };
+    let sequence = open(&pictures(None), &options);
+    assert_eq!((sequence.camera.width, sequence.camera.height), (16, 12));
+    assert_eq!(sequence.recorded_size, (64, 48));
+    let picture = sequence.load(0).expect("a picture").colour;
+    assert_eq!((picture.width, picture.height), (16, 12));
+    let options = OpenOptions { max_side: Some(100), ..alone() };
+    assert_eq!(open(&pictures(None), &options).camera.width, 64);
+}
+
+#[test]
+fn cameras_are_read_from_files_of_many_kinds() {
+    let folder = pictures(None);
+    // Pixel centres at one half: fx 50, fy 51, cx 32, cy 24.
+    for (name, text) in [
+        ("a.json", r#"{"fx":50,"fy":51,"cx":31.5,"cy":23.5}"#),
+        (
+            "transforms.json",
+            r#"{"fl_x":50,"fl_y":51,"cx":32,"cy":24,"w":64,"h":48,"frames":[{"file_path":"a.png"}]}"#,
+        ),
+        ("cameras.txt", "# list\n1 PINHOLE 64 48 50 51 32 24\n"),
+        ("tum.txt", "50 51 31.5 23.5\n"),
+        ("csv.txt", "# fx fy cx cy k1 k2 p1 p2\n50, 51, 31.5, 23.5, 0, 0, 0, 0\n"),
+    ] {
+        // Beside the pictures a transforms.json would be a list of them.
+        folder.write(&format!("cameras/{name}"), text);
+        let camera = Some(folder.join(&format!("cameras/{name}")));
+        let sequence = open(&folder, &OpenOptions { camera, ..alone() });
+        let c = sequence.camera;
+        assert_eq!([c.fx, c.fy, c.cx, c.cy], [50.0, 51.0, 32.0, 24.0], "{name}");
+        assert!(!sequence.camera_is_guess && sequence.camera_source.contains(name));
+    }
+    for (text, part) in [
+        ("50 51 31.5\n", "3 numbers"),
+        ("50 51 31.5 x\n", "expected a camera.json"),
+        ("-50 51 31.5 2\n", "positive"),
+        ("", "is empty"),
+        ("1 OPENCV_FISHEYE 64 48 50 51 32 24 0 0 0 0\n", "not supported"),
+        ("1 PINHOLE 64 48 50 51 32 24\n2 PINHOLE 64 48 60 61 32 24\n", "2 cameras"),
+    ] {
+        folder.write("cameras/bad.txt", text);
+        let camera = Some(folder.join("cameras/bad.txt"));
+        let error = Sequence::open(&folder.0, &OpenOptions { camera, ..alone() });
+        let error = error.expect_err("no camera").to_string();
+        assert!(error.contains(part) && error.contains("bad.txt"), "{part}: {error}");
+    }
+}
