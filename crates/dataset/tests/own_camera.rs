@@ -89,7 +89,8 @@ fn a_field_of_view_that_is_given_counts() {
 #[test]
 fn large_pictures_are_made_smaller_where_that_is_asked_for() {
     let options = OpenOptions { max_side: Some(16), ..alone() };
-    let sequence = open(&pictures(None), &options);
+    let folder = pictures(None);
+    let sequence = open(&folder, &options);
     assert_eq!((sequence.camera.width, sequence.camera.height), (16, 12));
     assert_eq!(sequence.recorded_size, (64, 48));
     let picture = sequence.load(0).expect("a picture").colour;
