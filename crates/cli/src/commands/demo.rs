@@ -12,7 +12,7 @@ use i2slam::{Config, ConfigError};
 use std::path::{Path, PathBuf};
 
 /// Steps after the last keyframe of the clip by colour alone; the preset takes longer.
-const RGB_FINAL_ITERATIONS: usize = 300;
+const RGB_FINAL_ITERATIONS: usize = 150;
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
