@@ -57,8 +57,8 @@ pub(crate) fn before(sequence: &Sequence) -> Vec<String> {
     let source = &sequence.camera_source;
     lines.push(if sequence.camera_is_guess {
         format!(
-            "camera not given: assumed {source} (focal length {:.0} px, {view:.1} degrees across); \
-             the focal length is looked for in the pictures (--fov or --intrinsics gives it)",
+            "camera not given: its focal length is looked for in the pictures, beginning with \
+             {:.0} px ({source}); --fov or --intrinsics would give it",
             camera.fx
         )
     } else {
