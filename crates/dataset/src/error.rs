@@ -20,8 +20,8 @@ pub enum DatasetError {
     },
     /// The folder is there but holds none of the layouts.
     #[error(
-        "{} is no RGB-D sequence: found {found}; {}expected one of{}",
-        path.display(), colour_hint(*.has_colour), known_layouts()
+        "{} {}: found {found}; expected one of{}",
+        path.display(), no_sequence(*.has_colour), known_layouts()
     )]
     UnknownLayout {
         /// The folder.
@@ -253,8 +253,11 @@ const INSTALL: &str = if cfg!(target_os = "macos") {
      `sudo pacman -S ffmpeg`"
 };
 
-fn colour_hint(has_colour: bool) -> &'static str {
-    if has_colour { "it has pictures, so that it can be run by colour alone (--rgb); " } else { "" }
+fn no_sequence(has_colour: bool) -> &'static str {
+    match has_colour {
+        true => "has pictures but no depth, so that it can be run by colour alone (--rgb)",
+        false => "is no RGB-D sequence",
+    }
 }
 
 /// One line for every kind of keyframes.
