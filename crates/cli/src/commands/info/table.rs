@@ -46,7 +46,7 @@ fn of_sequence(known: &Known) -> Vec<Row> {
     ];
     if camera.recorded != [camera.width, camera.height] {
         let [width, height] = camera.recorded;
-        rows.push(("recorded", format!("{width}x{height} (--max-side, --scale)")));
+        rows.push(("recorded", format!("{width}x{height}")));
     }
     if let Some(scale) = known.depth_scale {
         rows.push(("depth scale", format!("{scale} for one metre")));
