@@ -78,6 +78,7 @@ fn native<'a>(sequence: &'a Sequence, progress: &Progress) -> Result<Opened<'a>,
     };
     let source = Native::find(camera::intrinsics(sequence), sequence.len(), load);
     if interrupt::requested() {
+        progress.note("ended before the path of the camera was found: there is nothing to write");
         return Err(Failure::Interrupted);
     }
     let source = source
