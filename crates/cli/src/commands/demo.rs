@@ -11,8 +11,9 @@ use i2slam::export::ResultFolder;
 use i2slam::{Config, ConfigError};
 use std::path::{Path, PathBuf};
 
-/// Steps after the last keyframe of the clip by colour alone; the preset takes longer.
-const RGB_FINAL_ITERATIONS: usize = 150;
+/// Steps on the clip by colour alone: with the first keyframes, with each further one, and after
+/// the last. The preset takes more and longer.
+const RGB_STEPS: [usize; 3] = [120, 6, 120];
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
@@ -48,7 +49,8 @@ fn settings(rgb: bool) -> Result<Config, ConfigError> {
         return Config::preset("default");
     }
     let mut config = Config::preset("default-rgb")?;
-    config.hashgrid.final_iterations = RGB_FINAL_ITERATIONS;
+    let steps = &mut config.hashgrid;
+    [steps.first_iterations, steps.iterations, steps.final_iterations] = RGB_STEPS;
     Ok(config)
 }
 

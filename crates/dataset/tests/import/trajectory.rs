@@ -56,7 +56,10 @@ fn depth_pictures_come_when_asked_for() {
     let without = Files::open(&file, None, &Options::default()).expect("opens");
     assert!(without.load(1).expect("loads").depth.is_none());
     let alone = colour_sequence(4);
-    assert_says(Files::open(&file, Some(&alone.0), &options), &["no RGB-D sequence", "rgb.txt"]);
+    assert_says(
+        Files::open(&file, Some(&alone.0), &options),
+        &["pictures but no depth", "rgb.txt"],
+    );
 }
 
 #[test]
@@ -162,7 +165,7 @@ fn the_order_of_lines_does_not_matter() {
 fn a_sequence_without_depth_opens_when_only_colour_is_wanted() {
     let folder = colour_sequence(4);
     let says = Sequence::open(&folder.0, &OpenOptions::default());
-    assert_says(says, &["no RGB-D sequence"]);
+    assert_says(says, &["pictures but no depth"]);
     let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
     let sequence = Sequence::open(&folder.0, &options).expect("opens");
     assert_eq!((sequence.len(), sequence.warnings.len()), (4, 0), "{:?}", sequence.warnings);
