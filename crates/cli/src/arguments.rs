@@ -73,9 +73,10 @@ pub(crate) struct Run {
     /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
     #[arg(long, value_name = "N")]
     pub(crate) hold_out: Option<usize>,
-    /// Which frames to draw under renders/
-    #[arg(long, value_enum, default_value_t = Draw::All, value_name = "WHICH")]
-    pub(crate) render: Draw,
+    /// Which frames to draw under renders/ [default: all; none of a video on a hash grid, which is
+    /// slow to draw: `i2slam render` does it later]
+    #[arg(long, value_enum, value_name = "WHICH")]
+    pub(crate) render: Option<Draw>,
     /// Replace the earlier result in the folder; other files in it stay
     #[arg(long)]
     pub(crate) overwrite: bool,

@@ -36,7 +36,8 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         out: arguments.out.clone(),
         open: OpenOptions { colour_only: arguments.rgb, ..open },
         config,
-        draw: Draw::All,
+        // A picture of a field takes seconds: the report has some, `i2slam render` draws the others.
+        draw: if arguments.rgb { Draw::None } else { Draw::All },
         overwrite: true,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),

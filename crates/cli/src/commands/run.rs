@@ -1,7 +1,7 @@
 //! `i2slam run`: a sequence to a result folder.
 
 use super::use_threads;
-use crate::arguments::{Formation, Input, KeyframeDepth, Map, Run};
+use crate::arguments::{Draw, Formation, Input, KeyframeDepth, Map, Run};
 use crate::failure::Failure;
 use crate::pipeline::{self, Job, Keyframes};
 use i2slam::Config;
@@ -29,8 +29,8 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
         out: arguments.out.clone(),
         keyframes,
         open,
+        draw: arguments.render.unwrap_or_else(|| usual_drawing(arguments, &config)),
         config,
-        draw: arguments.render,
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
         title: None,
@@ -70,6 +70,14 @@ fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Fail
             },
             variance: arguments.depth_variance.clone(),
         })),
+    }
+}
+
+/// What is drawn if nothing is said. The report has pictures in any case.
+fn usual_drawing(arguments: &Run, config: &Config) -> Draw {
+    match config.map.kind {
+        MapKind::HashGrid if is_video(&arguments.dataset) => Draw::None,
+        _ => Draw::All,
     }
 }
 
