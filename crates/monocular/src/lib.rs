@@ -9,6 +9,7 @@
 mod bundle;
 mod closure;
 mod corners;
+mod dense;
 mod descriptor;
 mod failure;
 mod focal;
@@ -39,6 +40,7 @@ mod tracks;
 mod triangulate;
 mod two_view;
 
+pub use dense::{DenseDepth, DenseDepths, View};
 pub use failure::{Failure, PictureError};
 pub use front_end::{FrontEnd, Intrinsics, LEAST_FRAMES, LEAST_SIDE};
 pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth, Warning};
