@@ -53,7 +53,7 @@ pub(crate) struct Run {
     #[command(flatten)]
     pub(crate) input: Input,
     /// Colour alone, as always for a video: the path is found from the pictures, or comes with --keyframes, and poses, tone
-    /// and a radiance field are refined together [default preset: default-rgb]
+    /// and map are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
     /// With --rgb, keyframes and poses that another program found (docs/import.md)
@@ -65,7 +65,8 @@ pub(crate) struct Run {
     /// Folder with the variance of depth pictures (.npy [m²], or 16-bit PNG of the deviation)
     #[arg(long, value_name = "DIR", requires = "keyframes")]
     pub(crate) depth_variance: Option<PathBuf>,
-    /// What the map consists of [default: that of the preset, gaussian]
+    /// What the map consists of [default: that of --preset or --config; without these gaussian, or
+    /// hashgrid with --keyframes]
     #[arg(long, value_enum, value_name = "KIND")]
     pub(crate) map: Option<Map>,
     #[command(flatten)]

@@ -6,12 +6,14 @@ use super::drive::{Drive, Tracked, drive};
 use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::progress::Progress;
-use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::config::{MapKind, TrackingMethod};
+use i2slam::dataset::Sequence;
 use i2slam::keyframes::{
     ImportDepth, ImportOptions, KeyframeSource, Native, PosedKeyframe, SequencePicture, import,
 };
-use i2slam::{FrameEstimate, KeyframedSession, Reconstruction, SessionError};
-use std::path::{Path, PathBuf};
+use i2slam::{Config, FrameEstimate, KeyframedSession, Reconstruction, SessionError};
+use std::error::Error;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -32,49 +34,80 @@ pub(crate) enum Keyframes {
 struct Opened<'a> {
     source: Box<dyn KeyframeSource + 'a>,
     count: usize,
+    /// Frames that are no keyframes, with poses.
+    between: Between<'a>,
     frame_rate: f64,
     warnings: Vec<String>,
     /// What the pictures told of the camera.
     camera: Option<FoundCamera>,
 }
 
+/// Posed frames, one after the other.
+type Between<'a> =
+    Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, Box<dyn Error + Send + Sync>>> + 'a>;
+
+/// A session on keyframes, and the frames between them.
+struct Posed<'a> {
+    session: KeyframedSession,
+    between: Between<'a>,
+    warnings: Vec<String>,
+}
+
+impl Posed<'_> {
+    /// Finds a frame between keyframes; one that cannot be used is left out with a warning.
+    fn locate(&mut self, frame: Result<PosedKeyframe, Box<dyn Error + Send + Sync>>) {
+        let located = match frame {
+            Ok(frame) => self.session.locate(frame).map(|_| ()).map_err(|e| e.to_string()),
+            Err(error) => Err(error.to_string()),
+        };
+        self.warnings.extend(located.err().map(|reason| format!("frame left out: {reason}")));
+    }
+}
+
 impl Keyframes {
     /// The keyframes with the pictures of a dataset.
     fn open<'a>(
         &self,
-        pictures: &Path,
-        open: &OpenOptions,
+        job: &Job,
         sequence: &'a Sequence,
         progress: &Progress,
     ) -> Result<Opened<'a>, Failure> {
         match self {
-            Self::Native => native(sequence, progress),
+            Self::Native => native(sequence, &job.config, progress),
             Self::Files { path, depth, variance } => {
                 let options = ImportOptions {
-                    open: open.clone(),
+                    open: job.open.clone(),
                     depth: *depth,
                     variance: variance.clone(),
                     ..ImportOptions::default()
                 };
-                let source = import(path, Some(pictures), &options)?;
+                let source = import(path, Some(&job.dataset), &options)?;
                 let (count, frame_rate) = (source.len(), source.files().frame_rate);
                 let warnings = source.files().warnings.clone();
-                let source = Box::new(source);
-                Ok(Opened { source, count, frame_rate, warnings, camera: None })
+                let (source, between) = (Box::new(source), Box::new(std::iter::empty()));
+                Ok(Opened { source, count, between, frame_rate, warnings, camera: None })
             }
         }
     }
 }
 
-/// Finds the path of the camera from the pictures.
-fn native<'a>(sequence: &'a Sequence, progress: &Progress) -> Result<Opened<'a>, Failure> {
+/// Finds the path of the camera from the pictures; for Gaussians, which begin on surfaces, with dense
+/// depth.
+fn native<'a>(
+    sequence: &'a Sequence,
+    config: &Config,
+    progress: &Progress,
+) -> Result<Opened<'a>, Failure> {
     camera::before(sequence).iter().for_each(|line| progress.note(line));
     let mut following = Following::start(progress, sequence.len());
-    let load = move |place| {
-        following.reach(place)?;
+    let picture = move |place: usize| {
         let frame = sequence.load(place)?;
         let (index, timestamp) = (frame.index, frame.timestamp);
         Ok(SequencePicture { index, timestamp, colour: frame.colour })
+    };
+    let load = move |place: usize| {
+        following.reach(place)?;
+        picture(place)
     };
     let source = Native::find(camera::intrinsics(sequence), sequence.len(), load);
     if interrupt::requested() {
@@ -89,9 +122,18 @@ fn native<'a>(sequence: &'a Sequence, progress: &Progress) -> Result<Opened<'a>,
     let mut warnings: Vec<String> =
         refused.map(|(place, why)| format!("picture {place} left out: {why}")).collect();
     warnings.extend(source.reconstruction().warnings.iter().map(ToString::to_string));
-    let count = source.len();
+    let (count, between) = (source.len(), source.between(picture));
+    // The paper's system has poses of keyframes alone.
+    let between: Between<'_> = match config.tracking.method {
+        TrackingMethod::SecondOrder => Box::new(between),
+        TrackingMethod::Adam => Box::new(std::iter::empty()),
+    };
+    let source = match config.map.kind {
+        MapKind::Gaussian => source.with_dense_depth(),
+        MapKind::HashGrid => source,
+    };
     let (source, frame_rate) = (Box::new(source), sequence.frame_rate);
-    Ok(Opened { source, count, frame_rate, warnings, camera: Some(camera) })
+    Ok(Opened { source, count, between, frame_rate, warnings, camera: Some(camera) })
 }
 
 /// How far the front end is with its pictures; of their second reading nothing is said.
@@ -132,42 +174,57 @@ pub(super) fn track(
     progress: &mut Progress,
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
-    let opened = without_panics(|| keyframes.open(&job.dataset, &job.open, sequence, progress))?;
+    let opened = without_panics(|| keyframes.open(job, sequence, progress))?;
     opened.warnings.iter().for_each(|warning| progress.warn(warning));
-    let Opened { mut source, count, frame_rate, camera, .. } = opened;
+    let Opened { mut source, count, between, frame_rate, camera, .. } = opened;
     progress.phase("keyframes", count);
     let mut session = KeyframedSession::new(job.config.clone(), *source.camera(), frame_rate);
     if let Some(covered) = &sequence.covered {
         session.set_covered(Arc::clone(covered));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
+    let session = Posed { session, between, warnings: Vec::new() };
     let tracked = drive(session, items, count, (clock, "no keyframe could be used"), progress)?;
     Ok(Tracked { camera, ..tracked })
 }
 
-impl Drive for KeyframedSession {
+impl Drive for Posed<'_> {
     type Item = PosedKeyframe;
     const ITEM: &'static str = "keyframe";
     const FINISH: &'static str = "refining map and poses";
 
     fn take_in(&mut self, keyframe: PosedKeyframe) -> (Result<(), SessionError>, Vec<String>) {
-        let taken = self.process(keyframe).map(|_| ());
-        (taken, Self::take_warnings(self))
+        let taken = self.session.process(keyframe).map(|_| ());
+        (taken, self.session.take_warnings())
     }
 
     fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
-        Self::finish(self, on_step);
+        let count = self.between.len();
+        let (mut done, mut steps, mut goes_on) = (0, 0, true);
+        self.session.finish(&mut |step, of| {
+            (done, steps) = (step, of);
+            goes_on = on_step(step, of + count);
+            goes_on
+        });
+        while goes_on {
+            let Some(frame) = self.between.next() else { break };
+            self.locate(frame);
+            done += 1;
+            goes_on = on_step(done, steps + count);
+        }
     }
 
     fn frames(&self) -> &[FrameEstimate] {
-        Self::frames(self)
+        self.session.frames()
     }
 
     fn take_warnings(&mut self) -> Vec<String> {
-        Self::take_warnings(self)
+        let mut warnings = std::mem::take(&mut self.warnings);
+        warnings.extend(self.session.take_warnings());
+        warnings
     }
 
     fn reconstruction(&self) -> Reconstruction {
-        Self::reconstruction(self)
+        self.session.reconstruction()
     }
 }

@@ -89,7 +89,6 @@ fn what_goes_with_what_is_told() {
     refused(&["--keyframes", "poses.txt"], "--rgb");
     refused(&["--rgb", "--keyframes", "p", "--preset", "paper-tum"], "is for RGB-D");
     refused(&["--preset", "paper-rgb"], "add --rgb");
-    refused(&["--rgb", "--keyframes", "p", "--map", "gaussian"], "hashgrid");
 }
 
 #[test]

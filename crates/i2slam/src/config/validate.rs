@@ -123,9 +123,6 @@ impl Config {
         at_least("keyframed.first_keyframes", k.first_keyframes, 1)?;
         at_least("keyframed.preconditioning_interval", k.preconditioning_interval, 1)?;
         positive("keyframed.reach", k.reach)?;
-        if self.is_rgb() && self.map.kind != MapKind::HashGrid {
-            return refuse("map.kind", "gaussian".to_owned(), "hashgrid with an RGB preset");
-        }
         if self.is_rgb() && self.input.is_rolling() {
             let readout = self.input.rolling_shutter_readout.to_string();
             let expected = "0, not optimised, with an RGB preset";

@@ -70,6 +70,7 @@ impl KeyframeSource for Import {
             timestamp: keyframe.timestamp,
             colour: keyframe.colour,
             world_from_camera: keyframe.world_from_camera,
+            before: None,
             depth: keyframe.depth.map(|depth| EstimatedDepth { depth, variance }),
         }))
     }

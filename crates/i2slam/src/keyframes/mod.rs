@@ -24,6 +24,8 @@ pub struct PosedKeyframe {
     pub colour: Image<f32>,
     /// Pose at the middle of the exposure; of files, that of the nearest stamp in them.
     pub world_from_camera: Pose<f64>,
+    /// Stamp and pose of the picture before it in the video, where known: how fast the camera moves.
+    pub before: Option<(f64, Pose<f64>)>,
     /// What is known of its depth.
     pub depth: Option<EstimatedDepth>,
 }

@@ -2,7 +2,9 @@
 
 use super::{EstimatedDepth, KeyframeSource, PosedKeyframe};
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_monocular::{FrontEnd, Keyframe, Reconstruction};
+use i2slam_monocular::{
+    DenseDepth, DenseDepths, FrameStatus, FrontEnd, Keyframe, Reconstruction, View,
+};
 use std::error::Error;
 use thiserror::Error;
 
@@ -62,6 +64,7 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
 /// the median depth of the landmarks.
 pub struct Native<L> {
     reconstruction: Reconstruction,
+    dense: Option<DenseDepths>,
     load: L,
     /// Place in the sequence of every picture that the front end accepted.
     places: Vec<usize>,
@@ -89,9 +92,42 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
             }
         }
         match front_end.finish() {
-            Ok(reconstruction) => Ok(Self { reconstruction, load, places, refused, next: 0 }),
+            Ok(reconstruction) => {
+                Ok(Self { reconstruction, dense: None, load, places, refused, next: 0 })
+            }
             Err(failure) => Err(NativeError::NoPath { failure, refused }),
         }
+    }
+
+    /// The same with the depth of most pixels of a keyframe, in place of that of its landmarks alone.
+    #[must_use]
+    pub fn with_dense_depth(mut self) -> Self {
+        let view = |keyframe: &Keyframe| View {
+            world_from_camera: keyframe.world_from_camera,
+            landmarks: keyframe.depths.iter().map(|d| d.depth).collect(),
+        };
+        let views = self.reconstruction.keyframes.iter().map(view).collect();
+        self.dense = Some(DenseDepths::new(self.reconstruction.camera, views));
+        self
+    }
+
+    /// The frames that have a pose and are no keyframes, in order, without depth; `load` gives the
+    /// picture at a place.
+    pub fn between<R: FnMut(usize) -> Result<SequencePicture, PictureError>>(
+        &self,
+        mut load: R,
+    ) -> impl ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>> + use<L, R> {
+        let found = &self.reconstruction;
+        let is_keyframe = |frame: usize| found.keyframes.iter().any(|k| k.index == frame);
+        let frames: Vec<(usize, Pose<f64>)> = (0..found.frames.len())
+            .filter(|frame| !is_keyframe(*frame))
+            .filter_map(|frame| Some((*self.places.get(frame)?, pose_of(found, frame)?)))
+            .collect();
+        frames.into_iter().map(move |(place, world_from_camera)| {
+            let SequencePicture { index, timestamp, colour } = load(place)?;
+            let (before, depth) = (None, None);
+            Ok(PosedKeyframe { index, timestamp, colour, world_from_camera, before, depth })
+        })
     }
 
     /// The whole path, and what there is to warn of.
@@ -121,24 +157,59 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
     }
 
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
-        let keyframe = self.reconstruction.keyframes.get(self.next)?;
+        let (number, found) = (self.next, &self.reconstruction);
+        let keyframe = found.keyframes.get(number)?;
         self.next += 1;
         let place = *self.places.get(keyframe.index)?;
         let SequencePicture { index, colour, .. } = match (self.load)(place) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
+        let dense = self.dense.as_mut().and_then(|dense| {
+            let place = |k: usize| self.places.get(found.keyframes.get(k)?.index).copied();
+            let mut picture = |k: usize| Some((self.load)(place(k)?).ok()?.colour);
+            dense.of(number, &mut picture)
+        });
         Some(Ok(PosedKeyframe {
             index,
             timestamp: keyframe.timestamp,
-            depth: Some(sparse_depth(keyframe, colour.width, colour.height)),
+            before: before(found, keyframe.index),
+            depth: Some(match dense {
+                Some(dense) => dense_depth(dense),
+                None => sparse_depth(keyframe, colour.width, colour.height),
+            }),
             colour,
-            world_from_camera: Pose {
-                translation: keyframe.world_from_camera.translation * MEDIAN_DEPTH,
-                ..keyframe.world_from_camera
-            },
+            world_from_camera: scaled(keyframe.world_from_camera),
         }))
     }
+}
+
+/// A pose in the unit of length that is delivered.
+fn scaled(pose: Pose<f64>) -> Pose<f64> {
+    Pose { translation: pose.translation * MEDIAN_DEPTH, ..pose }
+}
+
+/// The pose of a frame, if it has one.
+fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
+    match found.frames.get(frame)? {
+        FrameStatus::Posed { world_from_camera, .. } => Some(scaled(*world_from_camera)),
+        FrameStatus::Lost => None,
+    }
+}
+
+/// Stamp and pose of the frame before one.
+fn before(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
+    let before = frame.checked_sub(1)?;
+    Some((*found.timestamps.get(before)?, pose_of(found, before)?))
+}
+
+/// Dense depth in the unit of length that is delivered.
+fn dense_depth(found: DenseDepth) -> EstimatedDepth {
+    let DenseDepth { mut depth, mut variance } = found;
+    let scale = MEDIAN_DEPTH as f32;
+    depth.data.iter_mut().for_each(|d| *d *= scale);
+    variance.data.iter_mut().for_each(|v| *v *= scale * scale);
+    EstimatedDepth { depth, variance: Some(variance) }
 }
 
 /// The landmarks of a keyframe as images, zero between them.

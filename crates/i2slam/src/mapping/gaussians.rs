@@ -54,6 +54,37 @@ impl GaussianMapper {
         }
     }
 
+    /// The map and what draws it.
+    pub(super) fn scene(&mut self) -> (&GaussianMap, &mut FrameObjective<GaussianMap>) {
+        (&self.map, &mut self.objective)
+    }
+
+    /// Steps over all keyframes in random order, each as often as the others, then prunes;
+    /// `on_step(done)` says whether to go on. Returns whether it did.
+    pub(super) fn refine_all(
+        &mut self,
+        story: &mut Story<'_>,
+        steps: usize,
+        on_step: &mut dyn FnMut(usize) -> bool,
+    ) -> bool {
+        let (mut order, mut goes_on): (Vec<usize>, bool) = (Vec::new(), true);
+        for step in 0..steps {
+            if order.is_empty() {
+                order = (0..story.keyframes.len()).collect();
+                story.random.shuffle(&mut order);
+            }
+            let Some(next) = order.pop() else { break };
+            let keyframe = story.keyframes[next].clone();
+            self.step(story, &keyframe);
+            goes_on = on_step(step + 1);
+            if !goes_on {
+                break;
+            }
+        }
+        self.prune(story);
+        goes_on
+    }
+
     fn step(&mut self, story: &mut Story<'_>, keyframe: &Keyframe) {
         let estimate = &story.frames[keyframe.frame];
         let exposed = (estimate.shutter, estimate.readout);
@@ -183,20 +214,7 @@ impl Mapper for GaussianMapper {
 
     fn finish(&mut self, story: &mut Story<'_>, on_step: &mut dyn FnMut(usize, usize) -> bool) {
         let steps = story.config.mapping.final_iterations;
-        let mut order: Vec<usize> = Vec::new();
-        for step in 0..steps {
-            if order.is_empty() {
-                order = (0..story.keyframes.len()).collect();
-                story.random.shuffle(&mut order);
-            }
-            let Some(next) = order.pop() else { break };
-            let keyframe = story.keyframes[next].clone();
-            self.step(story, &keyframe);
-            if !on_step(step + 1, steps) {
-                break;
-            }
-        }
-        self.prune(story);
+        self.refine_all(story, steps, &mut |step| on_step(step, steps));
     }
 
     fn map(&self) -> Map {

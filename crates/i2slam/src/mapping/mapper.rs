@@ -25,6 +25,20 @@ pub(crate) struct Story<'a> {
 }
 
 impl Story<'_> {
+    /// The same story with other keyframes.
+    pub(crate) fn with_keyframes<'a>(&'a mut self, keyframes: &'a [Keyframe]) -> Story<'a> {
+        Story {
+            config: self.config,
+            camera: self.camera,
+            frames: self.frames,
+            keyframes,
+            responses: self.responses,
+            covered: self.covered,
+            random: self.random,
+            warnings: self.warnings,
+        }
+    }
+
     /// The frame whose pose and tone stay as they are: the first that was mapped.
     pub(crate) fn gauge_frame(&self, current: &Keyframe) -> usize {
         self.keyframes.first().map_or(current.frame, |k| k.frame)

@@ -9,18 +9,24 @@ mod follower;
 mod frames;
 mod gaussians;
 mod keyframe;
+mod locate;
 mod mapper;
 mod merge;
 mod optimizer;
 mod posed;
+mod posed_gaussians;
+mod posed_mapper;
 mod window;
 
 pub(crate) use field::FieldMapper;
 pub(crate) use follower::{Follower, Tracker};
 pub(crate) use gaussians::{GaussianMapper, raster_settings};
 pub(crate) use keyframe::{Keyframe, is_keyframe};
+pub(crate) use locate::Locator;
 pub(crate) use mapper::{Mapper, Story};
 pub(crate) use posed::{PosedField, intervals};
+pub(crate) use posed_gaussians::PosedGaussians;
+pub(crate) use posed_mapper::PosedMapper;
 
 use optimizer::MapOptimizer;
 use window::select_window;

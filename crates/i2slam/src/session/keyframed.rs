@@ -1,16 +1,20 @@
 //! The session on keyframes that come with poses: posed pictures go in one by one, a
-//! reconstruction comes out. There is no tracking; poses are refined together with the map.
+//! reconstruction comes out. Poses are refined together with the map; the frames between keyframes are
+//! found in it at the end.
+
+mod between;
 
 use super::{BLACK, SessionError, start};
 use crate::config::{Config, ResponseScope};
 use crate::keyframes::PosedKeyframe;
-use crate::mapping::{Keyframe, PosedField, Story, intervals};
+use crate::mapping::{Keyframe, PosedMapper, Story, intervals};
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_compute::Random;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_radiance::hashgrid::SettingsError;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -21,9 +25,11 @@ pub struct KeyframedSession {
     config: Config,
     camera: Camera<f64>,
     frame_rate: f64,
-    field: PosedField,
+    mapper: Box<dyn PosedMapper>,
     /// From the source's world to that of the session.
     world_from_source: Option<Pose<f64>>,
+    /// Poses as they came, in the world of the session, by index.
+    came: BTreeMap<usize, Pose<f64>>,
     responses: Vec<CameraResponse<f32>>,
     frames: Vec<FrameEstimate>,
     keyframes: Vec<Keyframe>,
@@ -37,8 +43,9 @@ impl KeyframedSession {
     /// A session for keyframes of `camera`, taken from a video of `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
         Self {
-            field: PosedField::new(&camera, frame_rate),
+            mapper: start::posed_mapper(&config, &camera, frame_rate),
             world_from_source: None,
+            came: BTreeMap::new(),
             responses: vec![start::response(&config)],
             frames: Vec::new(),
             keyframes: Vec::new(),
@@ -54,6 +61,7 @@ impl KeyframedSession {
 
     /// Restricts the image terms to recorded pixels (see the dataset's `covered`).
     pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
+        self.mapper.set_covered(Arc::clone(&covered));
         self.covered = Some(covered);
     }
 
@@ -66,6 +74,8 @@ impl KeyframedSession {
     pub fn process(&mut self, keyframe: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
         self.check(&keyframe)?;
         let clock = Instant::now();
+        let from_keyframe = keyframe.world_from_camera.inverse();
+        let before = keyframe.before.map(|(timestamp, pose)| (timestamp, from_keyframe * pose));
         let (estimate, observation) = self.take_in(keyframe);
         let position = self.frames.len();
         let maps = estimate.keyframe;
@@ -73,8 +83,8 @@ impl KeyframedSession {
         if maps {
             self.keyframes.push(Keyframe { frame: position, observation });
             self.split_the_first(position);
-            let (field, mut story) = self.story();
-            if let Err(source) = field.add(&mut story) {
+            let (mapper, mut story) = self.story();
+            if let Err(source) = mapper.add(&mut story, before) {
                 self.failure = Some(source);
                 return Err(SessionError::Map { source });
             }
@@ -88,8 +98,8 @@ impl KeyframedSession {
         if self.keyframes.is_empty() || self.failure.is_some() {
             return;
         }
-        let (field, mut story) = self.story();
-        if let Err(error) = field.finish(&mut story, on_step) {
+        let (mapper, mut story) = self.story();
+        if let Err(error) = mapper.finish(&mut story, on_step) {
             self.warnings.push(format!("the map is empty: {error}"));
             self.failure = Some(error);
         }
@@ -111,7 +121,7 @@ impl KeyframedSession {
             config: self.config.clone(),
             camera: self.camera,
             frames: self.frames.clone(),
-            map: self.field.map(),
+            map: self.mapper.map(),
             responses: self.responses.clone(),
             rolling_shutter_readout: 0.0,
         }
@@ -140,8 +150,9 @@ impl KeyframedSession {
 
     /// What is known of a keyframe before it is refined.
     fn take_in(&mut self, keyframe: PosedKeyframe) -> (FrameEstimate, Arc<Observation>) {
-        let PosedKeyframe { index, timestamp, colour, world_from_camera, depth } = keyframe;
+        let PosedKeyframe { index, timestamp, colour, world_from_camera, depth, .. } = keyframe;
         let source = *self.world_from_source.get_or_insert_with(|| world_from_camera.inverse());
+        self.came.insert(index, source * world_from_camera);
         let values = colour.data.len().max(1) as f32;
         let seen = colour.data.iter().sum::<f32>() / values >= BLACK;
         if !seen {
@@ -204,7 +215,7 @@ impl KeyframedSession {
         spread(at.middle(), way.scaled(direction * share / intervals))
     }
 
-    fn story(&mut self) -> (&mut PosedField, Story<'_>) {
+    fn story(&mut self) -> (&mut dyn PosedMapper, Story<'_>) {
         let story = Story {
             config: &self.config,
             camera: &self.camera,
@@ -215,7 +226,7 @@ impl KeyframedSession {
             random: &mut self.random,
             warnings: &mut self.warnings,
         };
-        (&mut self.field, story)
+        (self.mapper.as_mut(), story)
     }
 }
 
@@ -227,5 +238,7 @@ fn spread(middle: Pose<f64>, motion: Tangent<f64>) -> ShutterPoses<f64> {
     }
 }
 
+#[cfg(test)]
+mod gaussian_tests;
 #[cfg(test)]
 mod tests;

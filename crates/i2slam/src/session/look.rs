@@ -79,6 +79,7 @@ impl Look<'_> {
             frames,
             previous: frames.last(),
             before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
+            expected: None,
             keyframe: keyframe.map(|k| (&*k.observation, frames[k.frame].depth_pose())),
         }
     }

@@ -1,7 +1,9 @@
 //! What a session starts from.
 
 use crate::config::{Config, FormationConfig, MapKind, ResponseStart};
-use crate::mapping::{FieldMapper, GaussianMapper, Mapper};
+use crate::mapping::{
+    FieldMapper, GaussianMapper, Mapper, PosedField, PosedGaussians, PosedMapper,
+};
 use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
 use i2slam_geometry::Camera;
 
@@ -10,6 +12,18 @@ pub(super) fn mapper(config: &Config, camera: &Camera<f64>) -> Box<dyn Mapper> {
     match config.map.kind {
         MapKind::Gaussian => Box::new(GaussianMapper::new(config, camera)),
         MapKind::HashGrid => Box::new(FieldMapper::new(camera)),
+    }
+}
+
+/// The same for keyframes that come with poses, of a video of `frame_rate` frames per second.
+pub(super) fn posed_mapper(
+    config: &Config,
+    camera: &Camera<f64>,
+    frame_rate: f64,
+) -> Box<dyn PosedMapper> {
+    match config.map.kind {
+        MapKind::Gaussian => Box::new(PosedGaussians::new(config, camera, frame_rate)),
+        MapKind::HashGrid => Box::new(PosedField::new(camera, frame_rate)),
     }
 }
 

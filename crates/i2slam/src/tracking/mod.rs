@@ -33,6 +33,8 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) previous: Option<&'a FrameEstimate>,
     /// The frame before that.
     pub(crate) before_previous: Option<&'a FrameEstimate>,
+    /// Where the frame is expected, if another source than constant velocity tells.
+    pub(crate) expected: Option<Pose<f64>>,
     /// The last keyframe and its world-from-camera pose when its depth was taken.
     pub(crate) keyframe: Option<(&'a Observation, Pose<f64>)>,
 }
@@ -159,10 +161,17 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Constant velocity from the two frames before; standing still with fewer. A lost camera slows
-    /// down, so that its prediction stays near where it was seen last.
+    /// The way to where the frame is expected. Without such a place, constant velocity from the two
+    /// frames before; standing still with fewer. A lost camera slows down, so that its prediction
+    /// stays near where it was seen last.
     pub(crate) fn constant_velocity(context: &TrackingContext<'_>) -> Self {
         let last = context.previous.map_or_else(Pose::identity, FrameEstimate::middle);
+        if let Some(next) = context.expected {
+            return Self {
+                next,
+                step: context.previous.map_or_else(Tangent::zero, |_| last.local(next)),
+            };
+        }
         let step = context
             .before_previous
             .map_or_else(Tangent::zero, |before| before.middle().local(last))

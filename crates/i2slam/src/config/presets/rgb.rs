@@ -68,7 +68,7 @@ pub(super) fn ours() -> Config {
     let (paper, ours) = (paper(), super::ours());
     Config {
         preset: "default-rgb".to_owned(),
-        formation: FormationConfig { blur_model: BlurModel::Exact, ..ours.formation },
+        formation: ours.formation,
         hashgrid: HashGridConfig {
             levels: 8,
             log2_table: 17,
@@ -93,11 +93,22 @@ pub(super) fn ours() -> Config {
             coarse_steps: 400,
             ..paper.keyframed
         },
+        map: MapConfig { kind: MapKind::HashGrid, ..ours.map },
+        tracking: TrackingConfig {
+            alignment: AlignmentConfig { keyframe_depth: false, ..ours.tracking.alignment },
+            ..ours.tracking
+        },
         mapping: MappingConfig {
+            window: paper.mapping.window,
+            iterations: 30,
+            final_iterations: 400,
             exposure_rate: 5e-3,
             white_balance_rate: 5e-3,
             response_rate: 0.05,
-            ..paper.mapping
+            pose_translation_rate: 2e-4,
+            pose_rotation_rate: 1e-4,
+            depth_weight: 0.3,
+            ..ours.mapping
         },
         ..paper
     }

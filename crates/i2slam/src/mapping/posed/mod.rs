@@ -7,6 +7,7 @@
 
 mod batch;
 mod extent;
+mod locate;
 mod poses;
 mod preconditioner;
 mod trajectory;
@@ -24,6 +25,7 @@ use i2slam_geometry::Camera;
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldRenderer, HashGridMap, Occupancy, SettingsError, decayed_rate,
 };
+use locate::Finder;
 use poses::PoseOptimizers;
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -45,6 +47,8 @@ pub(crate) struct PosedField {
     frames: FrameOptimizers,
     poses: PoseOptimizers,
     trajectory: TrajectoryTerm,
+    frame_rate: f64,
+    finder: Option<Finder>,
     /// Steps since the field began.
     steps: usize,
 }
@@ -94,6 +98,8 @@ impl PosedField {
             frames: FrameOptimizers::default(),
             poses: PoseOptimizers::default(),
             trajectory: TrajectoryTerm::new(frame_rate),
+            frame_rate,
+            finder: None,
             steps: 0,
         }
     }

@@ -123,7 +123,7 @@ impl<M: SceneMap> FrameObjective<M> {
         let (best, depth_error) = self.best_depth(observation);
         let image_error = self.masked_image_loss(observation, weights.0);
         let depths = self.renderer.depth(best);
-        depth::gradient(depths, &observation.depth, &self.mask, weights.1, &mut self.d_depth);
+        depth::gradient(depths, observation, &self.mask, weights.1, &mut self.d_depth);
         let mut evaluation = self.backward(map, variables, best, None);
         evaluation.total = f64::from(weights.0) * image_error + f64::from(weights.1) * depth_error;
         evaluation.image = image_error / (3 * pixels).max(1) as f64;
@@ -161,7 +161,7 @@ impl<M: SceneMap> FrameObjective<M> {
         self.silence_uncovered();
         let depth_weight = weights.1 / pixels.max(1) as f32;
         let depths = self.renderer.depth(best);
-        depth::gradient(depths, &observation.depth, &self.mask, depth_weight, &mut self.d_depth);
+        depth::gradient(depths, observation, &self.mask, depth_weight, &mut self.d_depth);
         let mut evaluation = self.backward(map, variables, best, Some(d_map));
         evaluation.depth = depth_error / pixels.max(1) as f64;
         evaluation.total = image_total + f64::from(weights.1) * evaluation.depth;
@@ -200,7 +200,7 @@ impl<M: SceneMap> FrameObjective<M> {
     fn best_depth(&self, observation: &Observation) -> (usize, f64) {
         let error = |j: usize| {
             let depth = self.renderer.depth(j);
-            (j, depth::absolute_error(depth, &observation.depth, &self.mask))
+            (j, depth::absolute_error(depth, observation, &self.mask))
         };
         let best = self.renderer.depths().map(error).min_by(|a, b| a.1.total_cmp(&b.1));
         best.unwrap_or((0, 0.0))

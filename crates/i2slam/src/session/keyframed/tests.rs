@@ -29,6 +29,7 @@ fn keyframe(index: usize, world_from_camera: Pose<f64>) -> PosedKeyframe {
         timestamp: frame.timestamp,
         colour: frame.colour,
         world_from_camera,
+        before: None,
         depth: None,
     }
 }

@@ -20,8 +20,11 @@ impl Frame<'_> {
     /// a wrong pose would spoil the map.
     pub(super) fn is_believed(&self, end: &Outcome) -> bool {
         let found = losses(&end.sums);
-        let strangeness = self.times_usual(&found, |losses| losses.image)
-            * self.times_usual(&found, |losses| losses.depth);
+        let by_depth = match self.observation.is_estimated() {
+            true => 1.0,
+            false => self.times_usual(&found, |losses| losses.depth),
+        };
+        let strangeness = self.times_usual(&found, |losses| losses.image) * by_depth;
         end.sums.overlap() >= LEAST_OVERLAP && strangeness < STRANGE
     }
 

@@ -75,8 +75,7 @@ impl Frame<'_> {
         let (mut bread, mut meat) = (Equations::default(), [[0.0; UNKNOWNS]; UNKNOWNS]);
         let cameras = self.virtual_cameras(0, &end.state);
         for (_, reference) in cleanest(&end.references) {
-            let settings = &self.context.tracking.alignment;
-            let share = f64::from(reference.image_weight(settings));
+            let share = f64::from(self.image_weight(reference));
             let of = |purpose| self.residuals(reference, 0, &end.state, cameras, purpose);
             let depth = of(Purpose::StepByDepth);
             let all = if share > 0.0 { of(Purpose::Step) } else { depth.clone() };

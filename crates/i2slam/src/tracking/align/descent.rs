@@ -228,10 +228,10 @@ impl Frame<'_> {
                 .then(|| self.context.camera.height as f64 / f64::from(1_u32 << level)),
             world_from_depth: state.motion.centre.retract(self.depth_lead(state)),
             depth_lead: self.depth_share(),
-            scales: reference.scales,
+            scales: self.scales(reference),
             image_weight: match purpose {
                 Purpose::StepByDepth => 0.0,
-                _ => reference.image_weight(&self.context.tracking.alignment),
+                _ => self.image_weight(reference),
             },
             derivatives: purpose != Purpose::Compare,
         }

@@ -59,7 +59,7 @@ struct Frame<'a> {
 
 /// Aligns a frame from the constant-velocity prediction; from a standing start where that end is
 /// not to be believed. Where both fail, the frame is looked for around all places that the map was
-/// seen from.
+/// seen from, unless its place was told.
 pub(super) fn align<M: SceneMap>(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
@@ -97,6 +97,7 @@ pub(super) fn align<M: SceneMap>(
     let still = frame.settle(objective, map, standing(&predicted, previous));
     let found = match frame.is_believed(&still) {
         true => Some(still),
+        false if context.expected.is_some() => None,
         false => frame.recover(objective, map, &predicted),
     };
     let Some(found) = found else { return lost(&first.sums) };

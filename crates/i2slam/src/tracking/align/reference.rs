@@ -13,6 +13,9 @@ const FIRST_SCALES: Scales = Scales { depth: 0.02, image: 0.08 };
 /// How many times less noise than the model's residuals a keyframe's own depth must have.
 const CLEANER: f32 = 3.0;
 
+/// Scale of depth residuals that do not count.
+const SILENT: f32 = 1e4;
+
 /// Scale of the depth residual [m at 1 m] from which pictures have their full weight.
 const COARSE_DEPTH: f32 = 1.5e-3;
 
@@ -45,7 +48,7 @@ impl Reference {
     /// The last keyframe's depth, where it is wanted and there is one.
     pub(super) fn keyframe(frame: &Frame<'_>) -> Option<Self> {
         let (observation, world_from_camera) = frame.context.keyframe?;
-        if !frame.context.tracking.alignment.keyframe_depth {
+        if !frame.context.tracking.alignment.keyframe_depth || frame.observation.is_estimated() {
             return None;
         }
         Some(Self {
@@ -75,6 +78,26 @@ impl Reference {
         match self.has_radiance {
             true => settings.image_weight * (self.scales.depth / COARSE_DEPTH).clamp(0.05, 1.0),
             false => 0.0,
+        }
+    }
+}
+
+impl Frame<'_> {
+    /// The scales of residuals. An estimated depth says where pixels are seen from elsewhere, and
+    /// nothing of where the camera is.
+    pub(super) fn scales(&self, reference: &Reference) -> Scales {
+        match self.observation.is_estimated() {
+            true => Scales { depth: SILENT, ..reference.scales },
+            false => reference.scales,
+        }
+    }
+
+    /// The weight of image residuals: all of it where no depth counts.
+    pub(super) fn image_weight(&self, reference: &Reference) -> f32 {
+        let settings = &self.context.tracking.alignment;
+        match self.observation.is_estimated() && reference.has_radiance {
+            true => settings.image_weight,
+            false => reference.image_weight(settings),
         }
     }
 }

@@ -69,6 +69,7 @@ fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCo
         frames: &[],
         previous: None,
         before_previous: None,
+        expected: None,
         keyframe: None,
     };
     let frame = Frame {

@@ -67,6 +67,7 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
         frames: &estimates,
         previous: estimates.last(),
         before_previous: estimates.len().checked_sub(2).map(|i| &estimates[i]),
+        expected: None,
         keyframe: None,
     };
     let frame = Frame {

@@ -1,0 +1,99 @@
+//! Keyframes with estimated depth on Gaussians, and the frames between them.
+
+use super::*;
+use crate::config::MapKind;
+use crate::keyframes::EstimatedDepth;
+use crate::reconstruction::Map;
+use crate::session::tests::{CAMERA, frame};
+use i2slam_check::noise;
+use i2slam_geometry::{Rotation, Vec3};
+
+/// World-from-camera of frame `index`; every second one is a keyframe.
+fn pose(index: usize) -> Pose<f64> {
+    let t = index as f64;
+    let turn = Vec3::new(0.004 * t, 0.008 * t, 0.0);
+    Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
+}
+
+/// The same moved by up to a centimetre and half a degree.
+fn moved(index: usize) -> Pose<f64> {
+    let errors = noise(60 + index as u64, 6);
+    pose(index).retract(Tangent::from_array(std::array::from_fn(|i| 0.01 * errors[i])))
+}
+
+fn posed(index: usize, with_depth: bool) -> PosedKeyframe {
+    let frame = frame(index, pose(index));
+    let mut variance = frame.depth.clone();
+    variance.data.iter_mut().for_each(|v| *v = (0.01 * *v).powi(2));
+    let depth = EstimatedDepth { depth: frame.depth, variance: Some(variance) };
+    PosedKeyframe {
+        index,
+        timestamp: frame.timestamp,
+        colour: frame.colour,
+        world_from_camera: moved(index),
+        before: index.checked_sub(1).map(|i| (i as f64 / 30.0, moved(i))),
+        depth: with_depth.then_some(depth),
+    }
+}
+
+fn session(with_depth: bool) -> KeyframedSession {
+    let mut config = Config::preset("default-rgb").expect("known");
+    config.map.kind = MapKind::Gaussian;
+    (config.mapping.iterations, config.mapping.final_iterations) = (15, 60);
+    let mut session = KeyframedSession::new(config, CAMERA, 30.0);
+    for index in [0, 2, 4, 6] {
+        session.process(posed(index, with_depth)).expect("keyframes of one size");
+    }
+    session.finish(&mut |_, _| true);
+    session
+}
+
+/// Largest distance of a camera from where it is due beside the first one [m].
+fn farthest(poses: &[(usize, Pose<f64>)]) -> f64 {
+    let (first, placed) = (pose(poses[0].0).inverse(), poses[0].1.inverse());
+    let off = |(index, estimate): &(usize, Pose<f64>)| {
+        ((first * pose(*index)).translation - (placed * *estimate).translation).norm()
+    };
+    poses.iter().map(off).fold(0.0, f64::max)
+}
+
+#[test]
+fn keyframes_are_refined_and_the_frames_between_found() {
+    let mut session = session(true);
+    assert!(matches!(session.reconstruction().map, Map::Gaussians(map) if map.len() > 500));
+    for index in [1, 3, 5, 4] {
+        session.locate(posed(index, false)).expect("a frame of that size");
+    }
+    assert_eq!(session.take_warnings(), Vec::<String>::new());
+    let frames = session.frames();
+    assert!(frames.iter().map(|f| f.index).eq(0..7), "in order of time, each once");
+    for (place, frame) in frames.iter().enumerate() {
+        assert!(frame.tracked && frame.keyframe == (place % 2 == 0), "{place}");
+    }
+    let came: Vec<_> = (0..7).map(|i| (i, moved(i))).collect();
+    let found: Vec<_> = frames.iter().map(|f| (f.index, f.middle())).collect();
+    let (before, after) = (farthest(&came), farthest(&found));
+    assert!(after < 0.6 * before, "{before} -> {after}");
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| session(true)).reconstruction()
+    };
+    let (one, three) = (run(1), run(3));
+    assert!(one.map == three.map);
+    for (a, b) in one.frames.iter().zip(&three.frames) {
+        assert!(a.shutter == b.shutter && a.tone == b.tone);
+    }
+}
+
+#[test]
+fn without_any_depth_the_map_stays_empty_and_says_so() {
+    let mut session = session(false);
+    let warnings = session.take_warnings();
+    assert!(warnings.iter().any(|w| w.contains("no keyframe came with a depth")), "{warnings:?}");
+    let frame = session.locate(posed(1, false)).expect("a frame all the same");
+    assert!(!frame.tracked && !frame.keyframe);
+}
