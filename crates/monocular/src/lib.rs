@@ -1,10 +1,11 @@
-//! A monocular front end: pictures in, camera poses and sparse depth out.
+//! A monocular front end: pictures in, camera poses, sparse and dense depth out.
 //!
 //! Points are followed through all pictures (pyramidal Lucas-Kanade with gain and bias, so that
 //! exposure may change); two keyframes with parallax start a map, which grows keyframe by keyframe
 //! by resection, triangulation and bundle adjustment; the frames between follow, and a last
 //! adjustment takes all. Keyframes that were lost are found again by their looks, and a path is
 //! closed where it returns to a place whose points were lost. The unit of length is arbitrary.
+//! [`DenseDepths`] finds the depth of most pixels of keyframes afterwards.
 
 mod bundle;
 mod closure;

@@ -284,6 +284,29 @@ mod tests {
     }
 
     #[test]
+    fn dense_depth_and_the_frames_between_are_there_too() {
+        let camera = camera();
+        let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
+        let found = Native::find(Intrinsics::Known(camera), 14, load).expect("a path");
+        let between: Vec<PosedKeyframe> =
+            found.between(load).map(|frame| frame.expect("read again")).collect();
+        let mut native = found.with_dense_depth();
+        let (mut known, mut indices) = (0, Vec::new());
+        while let Some(keyframe) = native.next_keyframe() {
+            let keyframe = keyframe.expect("keyframes can be read again");
+            assert_eq!(keyframe.before.is_some(), keyframe.index > 0);
+            let depth = keyframe.depth.expect("depth");
+            known += depth.depth.data.iter().filter(|d| **d > 0.0).count();
+            indices.push(keyframe.index);
+        }
+        assert!(2 * known > indices.len() * camera.pixels(), "{known} of {}", indices.len());
+        assert!(between.iter().all(|frame| frame.depth.is_none()));
+        indices.extend(between.iter().map(|frame| frame.index));
+        indices.sort_unstable();
+        assert!(indices.into_iter().eq((0..14).map(|place| 2 * place)));
+    }
+
+    #[test]
     fn without_a_path_the_reason_names_the_pictures_that_were_refused() {
         let camera = camera();
         let load = |place: usize| match place {
