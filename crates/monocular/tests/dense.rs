@@ -1,6 +1,5 @@
 //! Dense depth of keyframes in a room that is known.
 
-#[allow(dead_code, reason = "pictures of a front end's test too")]
 mod scene;
 
 use i2slam_geometry::{Camera, Image, Pose};
