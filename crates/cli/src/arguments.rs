@@ -56,6 +56,10 @@ pub(crate) struct Run {
     /// and map are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
+    /// With --rgb, lens distortion: that of the camera file, if there is one, or estimated from the
+    /// pictures (k1, k2) together with the focal length, where nothing gives the camera
+    #[arg(long, value_enum, value_name = "WHICH", default_value_t = Distortion::Given)]
+    pub(crate) distortion: Distortion,
     /// With --rgb, keyframes and poses that another program found (docs/import.md)
     #[arg(long, value_name = "PATH", requires = "rgb")]
     pub(crate) keyframes: Option<PathBuf>,
@@ -160,6 +164,15 @@ pub(crate) enum Map {
     Gaussian,
     /// A radiance field in a multi-resolution hash grid
     Hashgrid,
+}
+
+/// Lens distortion.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Distortion {
+    /// That of the camera file; none where the camera is unknown
+    Given,
+    /// Found in the pictures, and removed from them
+    Estimate,
 }
 
 /// Depth of keyframes.

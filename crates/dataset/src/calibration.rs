@@ -2,9 +2,10 @@
 
 use crate::camera_file::read_camera;
 use crate::distortion::Distortion;
+use crate::estimated::ESTIMATED;
 use crate::guess::FieldOfView;
 use crate::layouts::Source;
-use crate::{DatasetError, OpenOptions};
+use crate::{DatasetError, EstimatedCamera, OpenOptions};
 use i2slam_geometry::Camera;
 use std::path::{Path, PathBuf};
 
@@ -111,7 +112,24 @@ impl Calibration {
         if let Some(scale) = options.depth_scale {
             found.depth_scale = scale;
         }
+        if let Some(camera) = &options.estimated_camera {
+            found = found.replaced_by(camera);
+        }
         Ok(found)
+    }
+
+    /// The same with a camera that the pictures told.
+    fn replaced_by(self, camera: &EstimatedCamera) -> Self {
+        let [fx, fy, cx, cy] = camera.intrinsics;
+        Self {
+            intrinsics: [fx, fy, cx + 0.5, cy + 0.5],
+            field_of_view: None,
+            is_guess: false,
+            distortion: camera.lens(),
+            size: None,
+            source: ESTIMATED.to_owned(),
+            ..self
+        }
     }
 
     /// What is taken where nothing is known, if that is allowed.

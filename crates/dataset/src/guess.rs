@@ -40,8 +40,7 @@ impl FieldOfView {
 
     /// What the EXIF data of a picture tell of the lens and the sensor.
     pub(crate) fn of_picture(path: &Path) -> Option<Self> {
-        let mut file = BufReader::new(File::open(path).ok()?);
-        let exif = Reader::new().read_from_container(&mut file).ok()?;
+        let exif = exif(path)?;
         let direct = number(&exif, Tag::FocalLengthIn35mmFilm).filter(|f| SENSIBLE.contains(f));
         let found = direct.or_else(|| of_sensor(&exif)).filter(|f| SENSIBLE.contains(f));
         found.map(Self::Film)
@@ -56,6 +55,27 @@ impl fmt::Display for FieldOfView {
             Self::Film(millimetres) => write!(f, "as {millimetres:.0} mm on 35 mm film"),
         }
     }
+}
+
+fn exif(path: &Path) -> Option<Exif> {
+    let mut file = BufReader::new(File::open(path).ok()?);
+    Reader::new().read_from_container(&mut file).ok()
+}
+
+/// A warning if the EXIF data of a picture ask to show it turned or mirrored, which is not done.
+pub(crate) fn orientation_warning(path: &Path) -> Option<String> {
+    let how = match number(&exif(path)?, Tag::Orientation)? as u32 {
+        3 => "turned by 180 degrees",
+        6 => "turned by 90 degrees",
+        8 => "turned by 270 degrees",
+        2 | 4 | 5 | 7 => "mirrored",
+        _ => return None,
+    };
+    Some(format!(
+        "EXIF data ask to show {} {how}: pictures are taken as they are stored, so that the result \
+         lies as they do; `mogrify -auto-orient` (ImageMagick) turns them for good",
+        path.display()
+    ))
 }
 
 /// The equivalent focal length [mm] by focal length and pixels a unit of length on the sensor.

@@ -27,6 +27,7 @@ mod checks;
 mod decode;
 mod distortion;
 mod error;
+mod estimated;
 mod guess;
 pub mod import;
 mod layouts;
@@ -42,6 +43,7 @@ mod video;
 
 pub use calibration::write_camera;
 pub use error::DatasetError;
+pub use estimated::EstimatedCamera;
 pub use layouts::Layout;
 pub use options::OpenOptions;
 pub use prepare::Frame;

@@ -1,6 +1,6 @@
 //! What to read of a sequence, and how.
 
-use crate::DatasetError;
+use crate::{DatasetError, EstimatedCamera};
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -17,6 +17,8 @@ pub struct OpenOptions {
     /// middle [degrees, above 0, below 180]. Goes behind `intrinsics` and `camera`, before what
     /// the sequence tells.
     pub field_of_view: Option<f64>,
+    /// Camera and lens that were found in the pictures before. Goes before every other camera.
+    pub estimated_camera: Option<EstimatedCamera>,
     /// Where nothing is known of the camera, take what the first picture's EXIF data tell, else a
     /// usual field of view ([`Sequence::camera_is_guess`](crate::Sequence::camera_is_guess)),
     /// instead of an error. Default false.
@@ -57,6 +59,7 @@ impl Default for OpenOptions {
             camera: None,
             intrinsics: None,
             field_of_view: None,
+            estimated_camera: None,
             guess_camera: false,
             depth_scale: None,
             frames: None,
@@ -87,6 +90,9 @@ impl OpenOptions {
         if let Some(degrees) = self.field_of_view.filter(|&v| !(positive(v) && v < 180.0)) {
             let expected = "an angle above 0 and below 180 degrees";
             return refuse("field_of_view", expected, degrees.to_string());
+        }
+        if let Some(found) = self.wrong_estimate() {
+            return refuse("estimated_camera", "finite numbers with fx, fy > 0", found);
         }
         if let Some(scale) = self.depth_scale.filter(|&v| !positive(v)) {
             return refuse("depth_scale", "a positive number", scale.to_string());

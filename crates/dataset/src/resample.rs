@@ -98,6 +98,11 @@ impl Resampler {
         resampler
     }
 
+    /// The same maps for other cameras of these sizes, and their lens.
+    pub(crate) fn with_camera(&self, recorded: &Recorded, lens: &Distortion) -> Self {
+        Self::new(recorded, lens, self.border, (self.camera.width, self.camera.height))
+    }
+
     fn area_map(&mut self, recorded: &Recorded) -> AreaMap {
         let map = AreaMap::new(&recorded.colour, &self.camera);
         self.covered = map.covered();

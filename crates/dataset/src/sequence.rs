@@ -2,9 +2,10 @@
 
 use crate::calibration::Calibration;
 use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded};
+use crate::guess::orientation_warning;
 use crate::layouts::{Listing, Source};
 use crate::prepare::Preparation;
-use crate::resample::Resampler;
+use crate::resample::{Recorded, Resampler};
 use crate::video::refused_stream;
 use crate::{DatasetError, Frame, FrameStream, Layout, OpenOptions, read_trajectory};
 use i2slam_geometry::{Camera, Image, Trajectory};
@@ -100,6 +101,8 @@ pub struct Sequence {
     pub covered: Option<Arc<Image<bool>>>,
     /// What a user should know before the run.
     pub warnings: Vec<String>,
+    /// The cameras as they recorded.
+    pub(crate) recorded: Recorded,
     pub(crate) preparation: Arc<Preparation>,
     /// Whether the layout leaves out frames too close in time ([`OpenOptions::minimum_gap`]).
     pub(crate) is_thinned: bool,
@@ -148,8 +151,11 @@ impl Sequence {
         let entries = choose(listing.entries, options, &mut warnings)?;
         let video = listing.video;
         let first = entries.first().filter(|_| video.is_none());
+        let file = first.filter(|entry| entry.parts.is_none());
+        warnings.extend(file.and_then(|entry| orientation_warning(&entry.colour)));
         let calibration = calibration.asking(first.map(|entry| entry.colour.as_path()));
-        let mut recorded = recorded(&entries, &calibration, listing.depth_code, video.as_ref())?;
+        let cameras = recorded(&entries, &calibration, listing.depth_code, video.as_ref())?;
+        let mut recorded = cameras;
         let recorded_size = (recorded.colour.width, recorded.colour.height);
         let delivered = delivered_size(&recorded.grid, options)?;
         let lens = &calibration.distortion;
@@ -187,6 +193,7 @@ impl Sequence {
             poses: listing.poses,
             covered: preparation.resampler.covered.clone().map(Arc::new),
             warnings,
+            recorded: cameras,
             preparation: Arc::new(preparation),
             is_thinned: listing.is_thinned,
         })

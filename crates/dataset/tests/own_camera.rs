@@ -3,6 +3,7 @@
 mod support;
 
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
+use i2slam_geometry::Camera;
 use jpeg_encoder::{ColorType, Encoder};
 use support::Folder;
 
@@ -135,4 +136,55 @@ fn cameras_are_read_from_files_of_many_kinds() {
         let error = error.expect_err("no camera").to_string();
         assert!(error.contains(part) && error.contains("bad.txt"), "{part}: {error}");
     }
+}
+
+#[test]
+fn a_lens_found_in_the_pictures_is_removed_from_them() {
+    let folder = pictures(None);
+    for i in 0..3 {
+        let wave = |i: u32| (127.5 + 90.0 * (0.4 * f64::from(i)).sin()) as u8;
+        let pixels: Vec<u8> = (0..48).flat_map(|y| (0..64).map(move |x| (x, y))).fold(
+            Vec::new(),
+            |mut bytes, (x, y)| {
+                bytes.extend([wave(x + i), wave(y), wave(x + 2 * y)]);
+                bytes
+            },
+        );
+        let mut bytes = Vec::new();
+        let encoder = Encoder::new(&mut bytes, 95);
+        encoder.encode(&pixels, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
+        std::fs::write(folder.join(&format!("IMG_{i:04}.jpg")), bytes).expect("room");
+    }
+    for (scale, crop_border) in [(1.0, 0), (0.5, 4)] {
+        let options = OpenOptions { scale, crop_border, ..alone() };
+        let bent = open(&folder, &options);
+        let found = Camera { fx: 1.1 * bent.camera.fx, fy: 1.1 * bent.camera.fy, ..bent.camera };
+        // A cushion, which reaches beyond the recorded corners.
+        let estimated = bent.estimated_camera(&found, [0.25, 0.02]);
+        let straight = bent.with_estimated_camera(&estimated);
+        close(straight.camera.fx, found.fx);
+        assert!(!straight.camera_is_guess && (straight.warnings.len() == 1) == (scale == 1.0));
+        let options = OpenOptions { estimated_camera: Some(estimated), ..options };
+        let again = open(&folder, &options);
+        assert_eq!((again.camera, &again.covered), (straight.camera, &straight.covered));
+        let (one, other) = (straight.load(1).expect("reads"), again.load(1).expect("reads"));
+        assert_eq!(one.colour, other.colour);
+        assert_ne!(one.colour, bent.load(1).expect("reads").colour);
+    }
+}
+
+#[test]
+fn pictures_that_are_to_be_turned_bring_a_warning() {
+    let orientation = |value: u16| {
+        let entry = [&[0x12, 1, 3, 0, 1, 0, 0, 0][..], &value.to_le_bytes(), &[0; 2]].concat();
+        [&b"Exif\0\0II*\0\x08\0\0\0\x01\0"[..], &entry, &[0; 4]].concat()
+    };
+    for (value, word) in [(6, "90 degrees"), (3, "180 degrees"), (5, "mirrored")] {
+        let warnings = open(&pictures(Some(orientation(value))), &alone()).warnings;
+        assert!(
+            warnings.iter().any(|w| w.contains(word) && w.contains("IMG_0000")),
+            "{warnings:?}"
+        );
+    }
+    assert!(open(&pictures(Some(orientation(1))), &alone()).warnings.is_empty());
 }

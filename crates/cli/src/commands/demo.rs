@@ -32,7 +32,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
     let open = OpenOptions { minimum_gap, ..OpenOptions::default() };
     pipeline::run(&Job {
         dataset,
-        keyframes: arguments.rgb.then_some(Keyframes::Native),
+        keyframes: arguments.rgb.then_some(Keyframes::Native { estimate_distortion: false }),
         out: arguments.out.clone(),
         open: OpenOptions { colour_only: arguments.rgb, ..open },
         config,

@@ -1,7 +1,7 @@
 //! `i2slam run`: a sequence to a result folder.
 
 use super::use_threads;
-use crate::arguments::{Draw, Formation, Input, KeyframeDepth, Map, Run};
+use crate::arguments::{Distortion, Draw, Formation, Input, KeyframeDepth, Map, Run};
 use crate::failure::Failure;
 use crate::pipeline::{self, Job, Keyframes};
 use i2slam::Config;
@@ -20,7 +20,7 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
     let keyframes = keyframes(arguments, &config)?;
     let open = open_options(&arguments.input, &config)?;
     let open = match keyframes {
-        Some(Keyframes::Native) => by_colour_alone(open, &arguments.input),
+        Some(Keyframes::Native { .. }) => by_colour_alone(open, &arguments.input),
         Some(Keyframes::Files { .. }) => OpenOptions { colour_only: true, ..open },
         None => open,
     };
@@ -51,6 +51,10 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
 /// Where keyframes with poses come from, if this run takes them; only settings for that will do.
 fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Failure> {
     let preset = &config.preset;
+    let estimate_distortion = arguments.distortion == Distortion::Estimate;
+    if estimate_distortion {
+        refuse_estimate(arguments)?;
+    }
     match (is_rgb(arguments), &arguments.keyframes, config.is_rgb()) {
         (false, _, false) => Ok(None),
         (false, _, true) => {
@@ -60,7 +64,7 @@ fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Fail
             "preset {preset} is for RGB-D: {} goes with default-rgb, paper-rgb or paper-rgb-s",
             if arguments.rgb { "--rgb" } else { "a video, which has no depth," }
         ))),
-        (true, None, true) => Ok(Some(Keyframes::Native)),
+        (true, None, true) => Ok(Some(Keyframes::Native { estimate_distortion })),
         (true, Some(path), true) => Ok(Some(Keyframes::Files {
             path: path.clone(),
             depth: match arguments.keyframe_depth {
@@ -71,6 +75,21 @@ fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Fail
             variance: arguments.depth_variance.clone(),
         })),
     }
+}
+
+/// The lens is looked for while the path is found from pictures alone, and the camera with it.
+fn refuse_estimate(arguments: &Run) -> Result<(), Failure> {
+    let Input { camera, intrinsics, fov, .. } = &arguments.input;
+    let why = if !is_rgb(arguments) {
+        "goes with --rgb or a video"
+    } else if arguments.keyframes.is_some() {
+        "does not go with --keyframes, whose poses belong to a camera that is known"
+    } else if camera.is_some() || intrinsics.is_some() || fov.is_some() {
+        "does not go with --camera, --intrinsics or --fov: the focal length is found with the lens"
+    } else {
+        return Ok(());
+    };
+    Err(Failure::Usage(format!("--distortion estimate {why}")))
 }
 
 /// What is drawn if nothing is said. The report has pictures in any case.

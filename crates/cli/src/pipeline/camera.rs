@@ -1,6 +1,7 @@
 //! What is said of a camera that nobody gave, or that pictures alone must bear out.
 
-use i2slam::dataset::{Layout, Sequence};
+use crate::failure::Failure;
+use i2slam::dataset::{EstimatedCamera, Layout, Sequence};
 use i2slam::export::{Metrics, UnitOfLength};
 use i2slam::geometry::Camera;
 use i2slam::keyframes::{Intrinsics, NativeReconstruction};
@@ -22,14 +23,31 @@ pub(crate) struct FoundCamera {
     field_of_view: f64,
     /// Time from the first to the last row [s].
     readout: f64,
+    /// Whether the lens was looked for.
+    lens_searched: bool,
+    /// The lens that was found, and the camera of the recorded pictures with it.
+    lens: Option<EstimatedCamera>,
 }
 
 /// The camera of a sequence as a front end takes it.
-pub(crate) fn intrinsics(sequence: &Sequence) -> Intrinsics {
-    match sequence.camera_is_guess {
-        true => Intrinsics::Guess(sequence.camera),
-        false => Intrinsics::Known(sequence.camera),
+pub(crate) fn intrinsics(sequence: &Sequence, estimate_distortion: bool) -> Intrinsics {
+    let camera = sequence.camera;
+    match (sequence.camera_is_guess, estimate_distortion) {
+        (true, true) => Intrinsics::GuessWithDistortion(camera),
+        (true, false) => Intrinsics::Guess(camera),
+        (false, _) => Intrinsics::Known(camera),
     }
+}
+
+/// Refuses to look for the lens of a camera that is known.
+pub(crate) fn refuse_known(sequence: &Sequence) -> Result<(), Failure> {
+    if sequence.camera_is_guess {
+        return Ok(());
+    }
+    Err(Failure::Usage(format!(
+        "--distortion estimate is for pictures of an unknown camera; this one is given by {}",
+        sequence.camera_source
+    )))
 }
 
 /// What is known before a run by colour alone begins.
@@ -78,7 +96,17 @@ impl FoundCamera {
             deviation: found.focal_deviation,
             field_of_view: horizontal(&found.camera),
             readout: found.rolling_shutter_readout,
+            lens_searched: found.distortion.is_some(),
+            lens: found
+                .distortion
+                .filter(|lens| *lens != [0.0; 2])
+                .map(|lens| sequence.estimated_camera(&found.camera, lens)),
         }
+    }
+
+    /// Camera and lens that the pictures are to be freed of.
+    pub(crate) fn lens(&self) -> Option<&EstimatedCamera> {
+        self.lens.as_ref()
     }
 
     /// What was found, in words.
@@ -95,6 +123,7 @@ impl FoundCamera {
                 self.field_of_view
             ));
         }
+        lines.extend(self.lens_line());
         if self.readout != 0.0 {
             let milliseconds = 1e3 * self.readout;
             lines.push(format!("rolling shutter: rows read in {milliseconds:.1} ms"));
@@ -102,11 +131,24 @@ impl FoundCamera {
         lines
     }
 
+    /// What was found of the lens, if it was looked for.
+    fn lens_line(&self) -> Option<String> {
+        match self.lens {
+            Some(EstimatedCamera { distortion: [k1, k2], .. }) => {
+                Some(format!("lens distortion: k1 {k1:.4}, k2 {k2:.4} found in the pictures"))
+            }
+            None => self.lens_searched.then(|| {
+                "lens distortion: not found, the pictures have too few keyframes".to_owned()
+            }),
+        }
+    }
+
     /// The same as figures.
     pub(crate) fn fill(&self, metrics: &mut Metrics) {
         metrics.camera_source = Some(self.source.clone());
         metrics.focal_length_assumed_px = self.searched.then_some(self.assumed);
         metrics.focal_length_deviation = self.deviation;
+        metrics.lens_distortion = self.lens.map(|lens| lens.distortion);
         metrics.unit_of_length = UnitOfLength::Unknown;
         if metrics.rolling_shutter_readout_s == 0.0 {
             metrics.rolling_shutter_readout_s = self.readout;

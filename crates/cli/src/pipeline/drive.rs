@@ -4,6 +4,7 @@ use super::camera::FoundCamera;
 use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::progress::Progress;
+use i2slam::dataset::Sequence;
 use i2slam::{FrameEstimate, Reconstruction, SessionError};
 use std::fmt::Display;
 use std::time::Instant;
@@ -21,6 +22,8 @@ pub(crate) struct Tracked {
     pub(crate) problem: Option<String>,
     /// What the pictures told of the camera, if they were all there was.
     pub(crate) camera: Option<FoundCamera>,
+    /// The sequence as it was used, if the pictures were freed of a lens that was found in them.
+    pub(crate) undistorted: Option<Sequence>,
 }
 
 /// A session, and what it calls what it takes in.
@@ -68,6 +71,7 @@ pub(super) fn drive<D: Drive, E: Display>(
         complete: problem.is_none() && !interrupt::requested(),
         problem,
         camera: None,
+        undistorted: None,
     })
 }
 

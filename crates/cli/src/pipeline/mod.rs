@@ -14,6 +14,7 @@ use crate::interrupt;
 use crate::output::{complain, counted, say};
 use crate::progress::Progress;
 use crate::truth::Truth;
+use camera::FoundCamera;
 use draw::Drawing;
 use drive::Tracked;
 use figures::Figures;
@@ -48,6 +49,7 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
         complain(&format!("looking through {}", job.dataset.display()));
     }
     let sequence = Sequence::open(&job.dataset, &job.open)?;
+    job.keyframes.iter().try_for_each(|keyframes| keyframes.check(&sequence))?;
     interrupt::listen();
     refuse_to_overwrite(job)?;
     let folder = ResultFolder::create(&job.out)?;
@@ -61,8 +63,12 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
         Some(keyframes) => posed::track(job, keyframes, &sequence, &mut progress),
     };
     let written = tracked.and_then(|tracked| {
-        let run = Finished { job, folder: &folder, sequence: &sequence, truth: &truth, tracked };
-        run.write(&mut progress)
+        let undistorted = tracked.undistorted.clone();
+        // True pictures come through the same lens.
+        let freed = undistorted.as_ref().map(|sequence| Truth::of(&job.dataset, sequence));
+        let truth = freed.as_ref().unwrap_or(&truth);
+        let sequence = undistorted.as_ref().unwrap_or(&sequence);
+        Finished { job, folder: &folder, sequence, truth, tracked }.write(&mut progress)
     });
     progress.clear();
     let Written { metrics, map, problems } = written?;
@@ -124,6 +130,16 @@ struct Written {
 }
 
 impl Finished<'_> {
+    /// What opens the sequence as it was used.
+    fn opened(&self) -> OpenOptions {
+        let lens = self.tracked.camera.as_ref().and_then(FoundCamera::lens);
+        let before = &self.job.open;
+        OpenOptions {
+            estimated_camera: lens.copied().or(before.estimated_camera),
+            ..before.clone()
+        }
+    }
+
     /// What matters most first: poses and map, then figures, then pictures, then the page.
     fn write(self, progress: &mut Progress) -> Result<Written, Failure> {
         let reconstruction = &self.tracked.reconstruction;
@@ -135,7 +151,7 @@ impl Finished<'_> {
             note(Layout::of_result().remove(self.folder.path()));
         }
         save(self.folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
-        note(Input::new(&self.job.dataset, &self.job.open).save(self.folder));
+        note(Input::new(&self.job.dataset, &self.opened()).save(self.folder));
         let mut figures = Figures::of(&self.tracked, self.truth);
         for warning in &figures.warnings {
             progress.warn(warning);
@@ -193,6 +209,9 @@ fn summarise(metrics: &Metrics, map: &str, folder: &Path, readout_searched: bool
              {assumed:.1} px)",
             metrics.focal_length_px, metrics.horizontal_fov_deg
         ));
+    }
+    if let Some([k1, k2]) = metrics.lens_distortion {
+        say(&format!("lens distortion: k1 {k1:.4}, k2 {k2:.4}, found in the pictures and removed"));
     }
     if metrics.rolling_shutter_readout_s != 0.0 {
         let milliseconds = 1e3 * metrics.rolling_shutter_readout_s;

@@ -9,7 +9,8 @@ use crate::progress::Progress;
 use i2slam::config::{MapKind, TrackingMethod};
 use i2slam::dataset::Sequence;
 use i2slam::keyframes::{
-    ImportDepth, ImportOptions, KeyframeSource, Native, PosedKeyframe, SequencePicture, import,
+    ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PosedKeyframe, SequencePicture,
+    import,
 };
 use i2slam::{Config, FrameEstimate, KeyframedSession, Reconstruction, SessionError};
 use std::error::Error;
@@ -20,7 +21,10 @@ use std::time::Instant;
 /// Where keyframes come from.
 pub(crate) enum Keyframes {
     /// From the pictures alone.
-    Native,
+    Native {
+        /// Whether lens distortion is looked for, and removed.
+        estimate_distortion: bool,
+    },
     /// From files.
     Files {
         path: PathBuf,
@@ -31,31 +35,35 @@ pub(crate) enum Keyframes {
 }
 
 /// A source of keyframes, how many it has, and what there is to say of it.
-struct Opened<'a> {
-    source: Box<dyn KeyframeSource + 'a>,
+struct Opened {
+    source: Box<dyn KeyframeSource>,
     count: usize,
     /// Frames that are no keyframes, with poses.
-    between: Between<'a>,
+    between: Between,
     frame_rate: f64,
     warnings: Vec<String>,
     /// What the pictures told of the camera.
     camera: Option<FoundCamera>,
+    /// The sequence freed of a lens that was found.
+    undistorted: Option<Sequence>,
 }
 
+/// What goes wrong with a picture, whatever it is.
+type PictureError = Box<dyn Error + Send + Sync>;
+
 /// Posed frames, one after the other.
-type Between<'a> =
-    Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, Box<dyn Error + Send + Sync>>> + 'a>;
+type Between = Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>>>;
 
 /// A session on keyframes, and the frames between them.
-struct Posed<'a> {
+struct Posed {
     session: KeyframedSession,
-    between: Between<'a>,
+    between: Between,
     warnings: Vec<String>,
 }
 
-impl Posed<'_> {
+impl Posed {
     /// Finds a frame between keyframes; one that cannot be used is left out with a warning.
-    fn locate(&mut self, frame: Result<PosedKeyframe, Box<dyn Error + Send + Sync>>) {
+    fn locate(&mut self, frame: Result<PosedKeyframe, PictureError>) {
         let located = match frame {
             Ok(frame) => self.session.locate(frame).map(|_| ()).map_err(|e| e.to_string()),
             Err(error) => Err(error.to_string()),
@@ -65,15 +73,21 @@ impl Posed<'_> {
 }
 
 impl Keyframes {
-    /// The keyframes with the pictures of a dataset.
-    fn open<'a>(
-        &self,
-        job: &Job,
-        sequence: &'a Sequence,
-        progress: &Progress,
-    ) -> Result<Opened<'a>, Failure> {
+    /// Refuses what the sequence does not allow.
+    pub(super) fn check(&self, sequence: &Sequence) -> Result<(), Failure> {
         match self {
-            Self::Native => native(sequence, &job.config, progress),
+            Self::Native { estimate_distortion: true } => camera::refuse_known(sequence),
+            _ => Ok(()),
+        }
+    }
+
+    /// The keyframes with the pictures of a dataset.
+    fn open(&self, job: &Job, sequence: &Sequence, progress: &Progress) -> Result<Opened, Failure> {
+        match self {
+            Self::Native { estimate_distortion } => {
+                let intrinsics = camera::intrinsics(sequence, *estimate_distortion);
+                native(sequence, intrinsics, &job.config, progress)
+            }
             Self::Files { path, depth, variance } => {
                 let options = ImportOptions {
                     open: job.open.clone(),
@@ -85,46 +99,36 @@ impl Keyframes {
                 let (count, frame_rate) = (source.len(), source.files().frame_rate);
                 let warnings = source.files().warnings.clone();
                 let (source, between) = (Box::new(source), Box::new(std::iter::empty()));
-                Ok(Opened { source, count, between, frame_rate, warnings, camera: None })
+                let (camera, undistorted) = (None, None);
+                Ok(Opened { source, count, between, frame_rate, warnings, camera, undistorted })
             }
         }
     }
 }
 
-/// Finds the path of the camera from the pictures; for Gaussians, which begin on surfaces, with dense
-/// depth.
-fn native<'a>(
-    sequence: &'a Sequence,
+/// Finds the path of the camera from the pictures, and their lens if asked; for Gaussians, which begin
+/// on surfaces, with dense depth.
+fn native(
+    sequence: &Sequence,
+    intrinsics: Intrinsics,
     config: &Config,
     progress: &Progress,
-) -> Result<Opened<'a>, Failure> {
-    camera::before(sequence).iter().for_each(|line| progress.note(line));
-    let mut following = Following::start(progress, sequence.len());
-    let picture = move |place: usize| {
-        let frame = sequence.load(place)?;
-        let (index, timestamp) = (frame.index, frame.timestamp);
-        Ok(SequencePicture { index, timestamp, colour: frame.colour })
-    };
-    let load = move |place: usize| {
-        following.reach(place)?;
-        picture(place)
-    };
-    let source = Native::find(camera::intrinsics(sequence), sequence.len(), load);
-    if interrupt::requested() {
-        progress.note("ended before the path of the camera was found: there is nothing to write");
-        return Err(Failure::Interrupted);
-    }
-    let source = source
-        .map_err(|error| Failure::Failed(format!("no path of the camera was found: {error}")))?;
-    let camera = FoundCamera::of(sequence, source.reconstruction());
+) -> Result<Opened, Failure> {
+    let found = find_path(sequence, intrinsics, progress)?;
+    let camera = FoundCamera::of(sequence, found.reconstruction());
     camera.lines().iter().for_each(|line| progress.note(line));
-    let refused = source.refused().iter();
+    let undistorted = camera.lens().map(|lens| sequence.with_estimated_camera(lens));
+    let refused = found.refused().iter();
     let mut warnings: Vec<String> =
         refused.map(|(place, why)| format!("picture {place} left out: {why}")).collect();
-    warnings.extend(source.reconstruction().warnings.iter().map(ToString::to_string));
-    let (count, between) = (source.len(), source.between(picture));
+    warnings.extend(found.reconstruction().warnings.iter().map(ToString::to_string));
+    warnings.extend(undistorted.iter().flat_map(|freed| freed.warnings.clone()));
+    let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
+    let others = Arc::clone(&pictures);
+    let source = found.with_pictures(move |place| picture(&pictures, place));
+    let (count, between) = (source.len(), source.between(move |place| picture(&others, place)));
     // The paper's system has poses of keyframes alone.
-    let between: Between<'_> = match config.tracking.method {
+    let between: Between = match config.tracking.method {
         TrackingMethod::SecondOrder => Box::new(between),
         TrackingMethod::Adam => Box::new(std::iter::empty()),
     };
@@ -132,35 +136,58 @@ fn native<'a>(
         MapKind::Gaussian => source.with_dense_depth(),
         MapKind::HashGrid => source,
     };
-    let (source, frame_rate) = (Box::new(source), sequence.frame_rate);
-    Ok(Opened { source, count, between, frame_rate, warnings, camera: Some(camera) })
+    let (source, frame_rate, camera) = (Box::new(source), sequence.frame_rate, Some(camera));
+    Ok(Opened { source, count, between, frame_rate, warnings, camera, undistorted })
 }
 
-/// How far the front end is with its pictures; of their second reading nothing is said.
+/// The path of the camera through pictures as they are.
+fn find_path<'a>(
+    sequence: &'a Sequence,
+    intrinsics: Intrinsics,
+    progress: &Progress,
+) -> Result<Native<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<'a>>, Failure> {
+    camera::before(sequence).iter().for_each(|line| progress.note(line));
+    let mut following = Following::start(progress, sequence.len());
+    let load = move |place: usize| {
+        following.reach(place)?;
+        picture(sequence, place)
+    };
+    let found = Native::find(intrinsics, sequence.len(), load);
+    if interrupt::requested() {
+        progress.note("ended before the path of the camera was found: there is nothing to write");
+        return Err(Failure::Interrupted);
+    }
+    found.map_err(|error| Failure::Failed(format!("no path of the camera was found: {error}")))
+}
+
+/// The picture at a place of a sequence.
+fn picture(sequence: &Sequence, place: usize) -> Result<SequencePicture, PictureError> {
+    let frame = sequence.load(place)?;
+    let (index, timestamp) = (frame.index, frame.timestamp);
+    Ok(SequencePicture { index, timestamp, colour: frame.colour })
+}
+
+/// How far the front end is with its pictures.
 struct Following {
     progress: Progress,
     count: usize,
-    reached: usize,
 }
 
 impl Following {
     fn start(progress: &Progress, count: usize) -> Self {
         let mut progress = progress.clone();
         progress.phase("following points", count);
-        Self { progress, count, reached: 0 }
+        Self { progress, count }
     }
 
     /// The front end asks for the picture at a place; an error if the user has enough.
     fn reach(&mut self, place: usize) -> Result<(), &'static str> {
-        if self.reached < self.count {
-            if interrupt::requested() {
-                return Err("ended by the user");
-            }
-            self.reached = place + 1;
-            self.progress.step(self.reached);
-            if self.reached == self.count {
-                self.progress.phase("finding the path of the camera", self.count);
-            }
+        if interrupt::requested() {
+            return Err("ended by the user");
+        }
+        self.progress.step(place + 1);
+        if place + 1 == self.count {
+            self.progress.phase("finding the path of the camera", self.count);
         }
         Ok(())
     }
@@ -176,19 +203,19 @@ pub(super) fn track(
     let clock = Instant::now();
     let opened = without_panics(|| keyframes.open(job, sequence, progress))?;
     opened.warnings.iter().for_each(|warning| progress.warn(warning));
-    let Opened { mut source, count, between, frame_rate, camera, .. } = opened;
+    let Opened { mut source, count, between, frame_rate, camera, undistorted, .. } = opened;
     progress.phase("keyframes", count);
     let mut session = KeyframedSession::new(job.config.clone(), *source.camera(), frame_rate);
-    if let Some(covered) = &sequence.covered {
+    if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).covered {
         session.set_covered(Arc::clone(covered));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
     let session = Posed { session, between, warnings: Vec::new() };
     let tracked = drive(session, items, count, (clock, "no keyframe could be used"), progress)?;
-    Ok(Tracked { camera, ..tracked })
+    Ok(Tracked { camera, undistorted, ..tracked })
 }
 
-impl Drive for Posed<'_> {
+impl Drive for Posed {
     type Item = PosedKeyframe;
     const ITEM: &'static str = "keyframe";
     const FINISH: &'static str = "refining map and poses";

@@ -26,11 +26,13 @@ pub(crate) struct View {
     pub(crate) turned: f64,
     /// Which scene.
     pub(crate) scene: u32,
+    /// Radial distortion of the lens, `k1` as in OpenCV.
+    pub(crate) k1: f64,
 }
 
 impl View {
     pub(crate) fn moved(x: f64) -> Self {
-        Self { x, turned: 0.0, scene: 0 }
+        Self { x, turned: 0.0, scene: 0, k1: 0.0 }
     }
 
     /// Bytes R G B of a wall with a step in depth.
@@ -40,6 +42,7 @@ impl View {
         for pixel in 0..WIDTH * HEIGHT {
             let across = ((pixel % WIDTH) as f64 + 0.5 - 80.0) / FOCAL;
             let down = ((pixel / WIDTH) as f64 + 0.5 - 60.0) / FOCAL;
+            let [across, down] = straight([across, down], self.k1);
             let ray = [cos * across + sin, down, cos - sin * across];
             let at = |z: f64| (self.x + ray[0] / ray[2] * z, ray[1] / ray[2] * z);
             let near = at(2.0);
@@ -48,6 +51,17 @@ impl View {
         }
         bytes
     }
+}
+
+/// Where a pinhole sees what the lens shows at `shown` (distances from the middle in focal lengths):
+/// `shown = seen (1 + k1 ‖seen‖²)`.
+fn straight(shown: [f64; 2], k1: f64) -> [f64; 2] {
+    let mut seen = shown;
+    for _ in 0..30 {
+        let factor = 1.0 + k1 * (seen[0] * seen[0] + seen[1] * seen[1]);
+        seen = shown.map(|v| v / factor);
+    }
+    seen
 }
 
 fn texture(x: f64, y: f64, scene: u32) -> u8 {

@@ -11,6 +11,8 @@ mod footage;
 mod info;
 mod interrupt;
 mod keyframed;
+#[cfg(unix)]
+mod lens;
 mod overwrite;
 mod protocols;
 mod result;

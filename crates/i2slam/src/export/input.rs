@@ -1,7 +1,7 @@
 //! `input.json`: what a run read, so that it can be read again.
 
 use super::{ExportError, ResultFolder, Storage};
-use i2slam_dataset::OpenOptions;
+use i2slam_dataset::{EstimatedCamera, OpenOptions};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,6 +18,9 @@ pub struct Input {
     /// Horizontal field of view that was given [degrees].
     #[serde(default)]
     pub field_of_view: Option<f64>,
+    /// Camera and lens that were found in the pictures.
+    #[serde(default)]
+    pub estimated_camera: Option<EstimatedCamera>,
     /// Whether a camera of which nothing is known was guessed.
     #[serde(default)]
     pub guess_camera: bool,
@@ -54,6 +57,7 @@ impl Input {
             camera: options.camera.as_deref().map(absolute),
             intrinsics: options.intrinsics,
             field_of_view: options.field_of_view,
+            estimated_camera: options.estimated_camera,
             guess_camera: options.guess_camera,
             depth_scale: options.depth_scale,
             frames: options.frames.as_ref().map(|range| [range.start, range.end]),
@@ -74,6 +78,7 @@ impl Input {
             camera: self.camera.clone(),
             intrinsics: self.intrinsics,
             field_of_view: self.field_of_view,
+            estimated_camera: self.estimated_camera,
             guess_camera: self.guess_camera,
             depth_scale: self.depth_scale,
             frames: self.frames.map(|[start, end]| start..end),
@@ -123,6 +128,10 @@ mod tests {
             stride: 2,
             scale: 0.5,
             max_side: Some(640),
+            estimated_camera: Some(EstimatedCamera {
+                intrinsics: [410.25, 410.5, 319.5, 239.5],
+                distortion: [-0.2, 0.03],
+            }),
             guess_camera: true,
             colour_only: true,
             ..OpenOptions::default()

@@ -1,5 +1,6 @@
 //! `metrics.json`: the numbers of a run.
 
+use crate::Config;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_geometry::Camera;
 use serde::{Deserialize, Serialize};
@@ -85,6 +86,9 @@ pub struct Metrics {
     /// Relative standard deviation of the focal length that was found.
     #[serde(default)]
     pub focal_length_deviation: Option<f64>,
+    /// Radial distortion `k1 k2` as in OpenCV that was found in the pictures, and removed from them.
+    #[serde(default)]
+    pub lens_distortion: Option<[f64; 2]>,
     /// Unit of length of poses, map and depth: `metre`, or `unknown`, which pictures alone do not
     /// tell.
     #[serde(default)]
@@ -100,6 +104,13 @@ pub enum UnitOfLength {
     Metre,
     /// Arbitrary.
     Unknown,
+}
+
+impl UnitOfLength {
+    /// That of what a session with these settings made: without depth pictures it is unknown.
+    pub fn of(config: &Config) -> Self {
+        if config.is_rgb() { Self::Unknown } else { Self::Metre }
+    }
 }
 
 impl Metrics {

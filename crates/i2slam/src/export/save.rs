@@ -1,7 +1,7 @@
 //! A reconstruction written to its folder, what matters most first.
 
 use super::state::{CameraFile, State};
-use super::{ExportError, Metrics, ResultFolder, Storage, map, table};
+use super::{ExportError, Metrics, ResultFolder, Storage, UnitOfLength, map, table};
 use crate::reconstruction::{Map, Reconstruction};
 use i2slam_geometry::StampedPose;
 use std::io::{self, Write};
@@ -16,9 +16,10 @@ pub fn save<S: Storage>(
     reconstruction: &Reconstruction,
 ) -> Vec<ExportError> {
     let r = reconstruction;
+    let unit = UnitOfLength::of(&r.config);
     let steps = [
-        save_trajectory(folder, "trajectory.txt", &r.trajectory()),
-        folder.write_text("trajectory_shutter.txt", &table::shutter_trajectory(&r.frames)),
+        save_trajectory(folder, "trajectory.txt", &r.trajectory(), unit),
+        folder.write_text("trajectory_shutter.txt", &table::shutter_trajectory(&r.frames, unit)),
         folder.write_text("frames.csv", &table::frames(&r.frames)),
         folder.write_text("config.toml", &r.config.to_toml()),
         folder.write("camera.json", |out| json(out, &CameraFile::of(&r.camera))),
@@ -42,8 +43,9 @@ pub fn save_trajectory<S: Storage>(
     folder: &ResultFolder<S>,
     file: &str,
     poses: &[StampedPose],
+    unit: UnitOfLength,
 ) -> Result<(), ExportError> {
-    folder.write_text(file, &table::trajectory(poses))
+    folder.write_text(file, &table::trajectory(poses, unit))
 }
 
 /// Write `metrics.json`.

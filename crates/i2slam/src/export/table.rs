@@ -1,5 +1,6 @@
 //! The text files of a result: trajectories, frames, camera response.
 
+use super::UnitOfLength;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_geometry::{Pose, StampedPose};
 use std::fmt::{Display, Write};
@@ -37,8 +38,8 @@ pub(crate) const FRAME_COLUMNS: [&str; 28] = [
 ];
 
 /// `trajectory.txt`: mid-exposure poses in the TUM format.
-pub(crate) fn trajectory(poses: &[StampedPose]) -> String {
-    let mut text = String::from("# world_from_camera at mid-exposure [m]\n");
+pub(crate) fn trajectory(poses: &[StampedPose], unit: UnitOfLength) -> String {
+    let mut text = format!("# world_from_camera at mid-exposure {}\n", in_words(unit));
     text += "# timestamp tx ty tz qx qy qz qw\n";
     for pose in poses {
         text += &line(pose.timestamp, &[pose.world_from_camera], |v| format!("{v:.9}"));
@@ -47,14 +48,22 @@ pub(crate) fn trajectory(poses: &[StampedPose]) -> String {
 }
 
 /// `trajectory_shutter.txt`: poses at shutter open and close, in full precision.
-pub(crate) fn shutter_trajectory(frames: &[FrameEstimate]) -> String {
-    let mut text = String::from("# world_from_camera at shutter open (0) and close (1) [m]\n");
+pub(crate) fn shutter_trajectory(frames: &[FrameEstimate], unit: UnitOfLength) -> String {
+    let unit = in_words(unit);
+    let mut text = format!("# world_from_camera at shutter open (0) and close (1) {unit}\n");
     text += "# timestamp tx0 ty0 tz0 qx0 qy0 qz0 qw0 tx1 ty1 tz1 qx1 qy1 qz1 qw1\n";
     for frame in frames {
         let poses = [frame.shutter.start, frame.shutter.end];
         text += &line(frame.timestamp, &poses, |v| v.to_string());
     }
     text
+}
+
+fn in_words(unit: UnitOfLength) -> &'static str {
+    match unit {
+        UnitOfLength::Metre => "[m]",
+        UnitOfLength::Unknown => "[unit of length unknown]",
+    }
 }
 
 fn line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String) -> String {

@@ -99,6 +99,17 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
         }
     }
 
+    /// The same with other pictures of the same places: of a lens that was found, those that are
+    /// freed of it, as the camera and the landmarks are.
+    #[must_use]
+    pub fn with_pictures<R>(self, load: R) -> Native<R>
+    where
+        R: FnMut(usize) -> Result<SequencePicture, PictureError>,
+    {
+        let Self { reconstruction, dense, places, refused, next, .. } = self;
+        Native { reconstruction, dense, load, places, refused, next }
+    }
+
     /// The same with the depth of most pixels of a keyframe, in place of that of its landmarks alone.
     #[must_use]
     pub fn with_dense_depth(mut self) -> Self {

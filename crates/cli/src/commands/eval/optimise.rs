@@ -9,7 +9,7 @@ use crate::failure::Failure;
 use crate::interrupt;
 use crate::picture::at_size_of;
 use crate::progress::Progress;
-use i2slam::export::{RenderKind, ResultFolder, save_render, save_trajectory};
+use i2slam::export::{RenderKind, ResultFolder, UnitOfLength, save_render, save_trajectory};
 use i2slam::geometry::{Image, Pose, StampedPose};
 use i2slam::{FrameEstimate, Reconstruction};
 
@@ -62,7 +62,8 @@ pub(super) fn draw(
     }
     progress.clear();
     let poses: Vec<StampedPose> = moved.iter().map(|(pose, _)| *pose).collect();
-    save_trajectory(&folder, "trajectory_optimised.txt", &poses)?;
+    let unit = UnitOfLength::of(&reconstruction.config);
+    save_trajectory(&folder, "trajectory_optimised.txt", &poses, unit)?;
     Ok(corrections(&moved))
 }
 

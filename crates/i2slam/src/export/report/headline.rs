@@ -79,6 +79,10 @@ pub(super) fn cards(metrics: &Metrics) -> String {
             }
             None => format!("{focal}, from {}.", escape(source)),
         };
+        let lens = metrics
+            .lens_distortion
+            .map(|[k1, k2]| format!(" Lens distortion found and removed: k1 {k1:.4}, k2 {k2:.4}."));
+        let meaning = meaning + &lens.unwrap_or_default();
         let view = format!("{:.1}", metrics.horizontal_fov_deg);
         card(view, "degrees", "Field of view", &meaning);
     }
