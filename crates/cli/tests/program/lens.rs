@@ -25,7 +25,7 @@ fn json(path: &Path) -> Value {
 #[test]
 fn the_lens_is_found_and_removed() {
     let footage = Footage::new("lens");
-    let video = footage.video("wide.mp4", &bent(40));
+    let video = footage.video("wide.mp4", &bent(28));
     let ran = footage.run(&video, &["--distortion", "estimate"]).ended_with(0);
     assert!(ran.out.contains("lens distortion: k1 -0."), "{}", ran.out);
     let ran = ran.complaining("lens distortion: k1 -0.");
@@ -39,7 +39,7 @@ fn the_lens_is_found_and_removed() {
     // At the middle of the sides of the picture, where the distortion is best seen.
     let square = (80.0 / FOCAL) * (80.0 / FOCAL);
     let (shift, due) = (found(0) * square + found(1) * square * square, K1 * square);
-    assert!((found(0) - K1).abs() < 0.06 && (shift - due).abs() < 0.01, "{shift}, not {due}");
+    assert!((found(0) - K1).abs() < 0.03 && (shift - due).abs() < 0.005, "{shift}, not {due}");
     // The same lens afterwards.
     let input = json(&out.join("input.json"));
     assert_eq!(input["estimated_camera"]["distortion"], metrics["lens_distortion"]);
