@@ -22,7 +22,8 @@ pub struct KeyframedConfig {
     pub preconditioning: Preconditioning,
     /// Added to the diagonal of JᵀJ, as a share of it.
     pub preconditioning_damping: f32,
-    /// Steps of a keyframe from one JᵀJ to the next.
+    /// Steps of a keyframe from one JᵀJ to the next; before the first of these, whenever its steps
+    /// have doubled.
     pub preconditioning_interval: usize,
     /// λ_traj, against means over pixels; a sum over the squared unit of length and rad².
     pub trajectory_weight: f32,
@@ -45,6 +46,7 @@ pub enum Preconditioning {
     /// Those of `P = (JᵀJ + damping)^(-1/2)`, J being that of the picture (CamP).
     Picture,
     /// The same scaled so that a step is as long as without, in the root mean square of its twelve
-    /// numbers: a map that is still smooth does not make it longer.
+    /// numbers: a map that is still smooth does not make it longer. What the picture hardly shows
+    /// is damped like the mean translation or rotation.
     Pose,
 }

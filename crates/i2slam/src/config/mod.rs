@@ -74,7 +74,9 @@ pub struct FormationConfig {
     /// Virtual cameras over the exposure (N_cam of eq. 6), at least 1. Where they are re-projected
     /// and `blur_per_camera` sets their number, up to 2 N - 1.
     pub virtual_cameras: usize,
-    /// Where they lie within the exposure.
+    /// Where they lie within the exposure. Rays of a radiance field that is mapped lie anywhere in
+    /// equal parts of it, drawn anew in every step: there, and so in all of `run --rgb`, this says
+    /// nothing.
     pub quadrature: QuadratureRule,
     /// Blur length per virtual camera [px]: a frame uses no more cameras than its blur needs.
     /// Zero always uses `virtual_cameras`.

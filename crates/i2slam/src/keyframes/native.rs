@@ -223,7 +223,8 @@ fn dense_depth(found: DenseDepth) -> EstimatedDepth {
     EstimatedDepth { depth, variance: Some(variance) }
 }
 
-/// The landmarks of a keyframe as images, zero between them.
+/// The landmarks of a keyframe as images, zero between them; of several in one pixel the nearest,
+/// which hides the others.
 fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDepth {
     let (mut depth, mut variance) = (Image::new(width, height, 1), Image::new(width, height, 1));
     for point in &keyframe.depths {
@@ -231,7 +232,11 @@ fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDe
         let inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
         if inside && point.variance.sqrt() <= TRUSTED * point.depth {
             let pixel = v as usize * width + u as usize;
-            depth.data[pixel] = (MEDIAN_DEPTH * point.depth) as f32;
+            let (here, known) = ((MEDIAN_DEPTH * point.depth) as f32, depth.data[pixel]);
+            if known > 0.0 && known <= here {
+                continue;
+            }
+            depth.data[pixel] = here;
             let deviation = point.variance.sqrt().hypot(LEAST_DEVIATION * point.depth);
             variance.data[pixel] = (SPARSE * MEDIAN_DEPTH * deviation).powi(2) as f32;
         }
@@ -315,6 +320,22 @@ mod tests {
         indices.extend(between.iter().map(|frame| frame.index));
         indices.sort_unstable();
         assert!(indices.into_iter().eq((0..14).map(|place| 2 * place)));
+    }
+
+    #[test]
+    fn of_two_landmarks_in_a_pixel_the_nearer_is_seen() {
+        let point =
+            |depth: f64| i2slam_monocular::SparseDepth { at: [2.5, 1.5], depth, variance: 1e-6 };
+        for depths in [[1.0, 2.0], [2.0, 1.0]] {
+            let keyframe = Keyframe {
+                index: 0,
+                timestamp: 0.0,
+                world_from_camera: Pose::identity(),
+                depths: depths.map(point).to_vec(),
+            };
+            let depth = sparse_depth(&keyframe, 4, 3).depth;
+            assert_eq!(depth.at(0, 2, 1), MEDIAN_DEPTH as f32);
+        }
     }
 
     #[test]

@@ -10,13 +10,22 @@ const STEP: usize = 8;
 /// Median over a grid of pixels with depth of the distance between a point's projections at
 /// shutter open and shutter close [px]; 0 without depth.
 pub fn blur_length(camera: &Camera<f64>, shutter: &ShutterPoses<f64>, depth: &Image<f32>) -> f64 {
+    blur_length_at(camera, shutter, |column, row| f64::from(depth.at(0, column, row)))
+}
+
+/// The same by the depth of a pixel in `column` and `row`.
+pub fn blur_length_at(
+    camera: &Camera<f64>,
+    shutter: &ShutterPoses<f64>,
+    depth: impl Fn(usize, usize) -> f64,
+) -> f64 {
     let middle = shutter.middle();
     let open_from_middle = shutter.start.inverse() * middle;
     let close_from_middle = shutter.end.inverse() * middle;
     let mut lengths = Vec::new();
-    for row in (STEP / 2..depth.height).step_by(STEP) {
-        for column in (STEP / 2..depth.width).step_by(STEP) {
-            let z = f64::from(depth.at(0, column, row));
+    for row in (STEP / 2..camera.height).step_by(STEP) {
+        for column in (STEP / 2..camera.width).step_by(STEP) {
+            let z = depth(column, row);
             if z <= 0.0 {
                 continue;
             }

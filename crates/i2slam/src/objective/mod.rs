@@ -13,7 +13,7 @@ mod scene;
 mod similarity;
 mod window;
 
-pub use blur::{blur_length, virtual_camera_count};
+pub use blur::{blur_length, blur_length_at, virtual_camera_count};
 pub use exposure::{BlurRoute, Exposure, Sampling};
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;

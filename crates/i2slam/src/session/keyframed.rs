@@ -50,7 +50,7 @@ impl KeyframedSession {
             frames: Vec::new(),
             keyframes: Vec::new(),
             covered: None,
-            warnings: Vec::new(),
+            warnings: unused(&config),
             random: Random::new(config.seed),
             failure: None,
             config,
@@ -80,9 +80,9 @@ impl KeyframedSession {
         let position = self.frames.len();
         let maps = estimate.keyframe;
         self.frames.push(estimate);
+        self.split_the_first(position);
         if maps {
             self.keyframes.push(Keyframe { frame: position, observation });
-            self.split_the_first(position);
             let (mapper, mut story) = self.story();
             if let Err(source) = mapper.add(&mut story, before) {
                 self.failure = Some(source);
@@ -132,15 +132,30 @@ impl KeyframedSession {
         let expected = (self.camera.width, self.camera.height);
         let estimated = keyframe.depth.as_ref();
         let pictures = [
-            ("colour", Some(&keyframe.colour)),
-            ("depth", estimated.map(|d| &d.depth)),
-            ("depth variance", estimated.and_then(|d| d.variance.as_ref())),
+            ("colour", 3, Some(&keyframe.colour)),
+            ("depth", 1, estimated.map(|d| &d.depth)),
+            ("depth variance", 1, estimated.and_then(|d| d.variance.as_ref())),
         ];
-        for (what, image) in pictures {
-            let actual = image.map_or(expected, |image| (image.width, image.height));
+        for (what, channels, image) in pictures {
+            let Some(image) = image else { continue };
+            let actual = (image.width, image.height);
             if actual != expected {
                 return Err(SessionError::Size { index, what, actual, expected });
             }
+            let (values, found) = (image.data.len(), image.channels);
+            if found != channels || values != channels * image.pixels() {
+                let expected = channels;
+                return Err(SessionError::Channels {
+                    index,
+                    what,
+                    values,
+                    channels: found,
+                    expected,
+                });
+            }
+        }
+        if !keyframe.timestamp.is_finite() {
+            return Err(SessionError::Stamp { index });
         }
         match keyframe.world_from_camera.is_finite() {
             true => Ok(()),
@@ -228,6 +243,17 @@ impl KeyframedSession {
         };
         (self.mapper.as_mut(), story)
     }
+}
+
+/// What was asked for and has no part in this session.
+fn unused(config: &Config) -> Vec<String> {
+    let preset = Config::preset(&config.preset).map(|preset| preset.formation.quadrature);
+    if preset.is_ok_and(|quadrature| quadrature != config.formation.quadrature) {
+        let told = "`formation.quadrature` says nothing here: the moments of the exposure are \
+                    drawn at random within equal parts of it";
+        return vec![told.to_owned()];
+    }
+    Vec::new()
 }
 
 /// Poses half of `motion` before and behind a pose.

@@ -42,6 +42,29 @@ pub enum SessionError {
         /// Width and height of the camera.
         expected: (usize, usize),
     },
+    /// A picture does not hold the numbers that its size asks for.
+    #[error(
+        "frame {index}: its {what} holds {values} numbers in {channels} channels, expected \
+         {expected} channels of its size"
+    )]
+    Channels {
+        /// Position in the associated stream.
+        index: usize,
+        /// Colour or depth.
+        what: &'static str,
+        /// Numbers that it holds.
+        values: usize,
+        /// Channels that it is said to have.
+        channels: usize,
+        /// Channels that it should have.
+        expected: usize,
+    },
+    /// A keyframe came with a time that is no time.
+    #[error("frame {index}: its time stamp is not finite")]
+    Stamp {
+        /// Position in the associated stream.
+        index: usize,
+    },
     /// A keyframe came with a pose that is no pose.
     #[error("frame {index}: its pose holds a number that is not finite")]
     Pose {

@@ -1,10 +1,12 @@
 //! What a step is made of.
 
 use crate::mapping::{Keyframe, Story};
-use crate::objective::{BlurRoute, Exposure, FrameVariables, RayView, Sampling, Tone, blur_length};
+use crate::objective::{
+    BlurRoute, Exposure, FrameVariables, RayView, Sampling, Tone, blur_length_at,
+};
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::ResponseCurve;
-use i2slam_geometry::{Camera, Image};
+use i2slam_geometry::Camera;
 use std::collections::BTreeMap;
 
 /// `count` random pixels of a keyframe; each takes a ray for every virtual camera.
@@ -50,9 +52,7 @@ pub(super) fn any(story: &mut Story<'_>, size: usize) -> Vec<Keyframe> {
 
 /// Length of a frame's streaks [px], all of its surfaces being at one depth.
 pub(super) fn blur_at(camera: &Camera<f64>, estimate: &FrameEstimate, depth: f64) -> f64 {
-    let mut plane = Image::new(camera.width, camera.height, 1);
-    plane.data.fill(depth as f32);
-    blur_length(camera, &estimate.shutter, &plane)
+    blur_length_at(camera, &estimate.shutter, |_, _| depth)
 }
 
 /// Grids that are trained: half of them from the start, the others one after another.

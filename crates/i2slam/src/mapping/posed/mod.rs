@@ -151,6 +151,9 @@ impl PosedField {
             adam: FieldAdam::new(),
             map,
         });
+        // What was known of steps in the field before says nothing of this one.
+        self.poses = PoseOptimizers::default();
+        self.frames = FrameOptimizers::default();
         self.steps = 0;
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Steps of start and end poses.
 
-use super::preconditioner::{as_long, preconditioner, times};
+use super::preconditioner::{as_long, levelled, preconditioner, times};
 use crate::config::{KeyframedConfig, Preconditioning};
 use crate::mapping::Story;
 use crate::objective::ShutterGram;
@@ -31,10 +31,13 @@ impl PoseOptimizers {
         })
     }
 
-    /// Whether the preconditioner of a keyframe is due again.
+    /// Whether the preconditioner of a keyframe is due again: every `interval` steps, and before
+    /// that whenever its steps have doubled, because what an untrained field shows changes fast.
     pub(super) fn is_due(&mut self, frame: usize, interval: usize) -> bool {
         let optimizer = self.of(frame);
-        optimizer.preconditioner.is_none() || optimizer.steps.is_multiple_of(interval)
+        let steps = optimizer.steps;
+        let early = steps < interval && steps.is_power_of_two();
+        optimizer.preconditioner.is_none() || early || steps.is_multiple_of(interval)
     }
 
     /// Steps a keyframe from now on in the coordinates that its `JᵀJ` asks for.
@@ -45,10 +48,9 @@ impl PoseOptimizers {
         settings: &KeyframedConfig,
     ) {
         let damping = f64::from(settings.preconditioning_damping);
-        let by_picture = preconditioner(gram, damping);
         self.of(frame).preconditioner = Some(match settings.preconditioning {
-            Preconditioning::Pose => as_long(&by_picture),
-            _ => by_picture,
+            Preconditioning::Pose => as_long(&levelled(gram, damping)),
+            _ => preconditioner(gram, damping),
         });
     }
 
@@ -86,5 +88,23 @@ impl PoseOptimizer {
         let mut step = [0.0; N];
         self.adam.step(&mut step, &gradient.map(|g| g as f32), rate);
         step.map(f64::from)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_preconditioner_is_renewed_soon_and_then_now_and_again() {
+        let mut poses = PoseOptimizers::default();
+        assert!(poses.is_due(3, 100));
+        poses.of(3).preconditioner = Some([[0.0; 12]; 12]);
+        let mut due = |steps: usize| {
+            poses.of(3).steps = steps;
+            poses.is_due(3, 100)
+        };
+        let steps: Vec<usize> = (1..=310).filter(|&n| due(n)).collect();
+        assert_eq!(steps, [1, 2, 4, 8, 16, 32, 64, 100, 200, 300]);
     }
 }

@@ -9,9 +9,26 @@ const LEAST: f64 = 1e-8;
 /// `P = (JᵀJ + diag(max(1e-8, r diag(JᵀJ))))^(-1/2)`, `r` being `damping`: with `ξ = P z`, every
 /// coordinate of `z` changes the picture alike, and none changes what another does.
 pub(super) fn preconditioner(gram: &ShutterGram, damping: f64) -> ShutterGram {
+    inverse_root(gram, |i| (damping * gram[i][i]).max(LEAST))
+}
+
+/// The same with the damping of a coordinate never less than that of the mean translation or
+/// rotation: one that the picture hardly shows is not stepped far on what little it says, and
+/// takes nothing from the length of steps along those that it shows.
+pub(super) fn levelled(gram: &ShutterGram, damping: f64) -> ShutterGram {
+    let rotates = |i: usize| i % 6 >= 3;
+    let mean =
+        |kind: bool| (0..12).filter(|&i| rotates(i) == kind).map(|i| gram[i][i]).sum::<f64>() / 6.0;
+    let means = [mean(false), mean(true)];
+    let least = |i: usize| means[usize::from(rotates(i))];
+    inverse_root(gram, |i| (damping * gram[i][i].max(least(i))).max(LEAST))
+}
+
+/// The inverse square root of a matrix to whose diagonal something is added.
+fn inverse_root(gram: &ShutterGram, added: impl Fn(usize) -> f64) -> ShutterGram {
     let mut damped = *gram;
-    for i in 0..12 {
-        damped[i][i] += (damping * gram[i][i]).max(LEAST);
+    for (i, row) in damped.iter_mut().enumerate() {
+        row[i] += added(i);
     }
     let (values, v) = symmetric_eigen_of(&damped);
     let roots = values.map(|value| value.max(LEAST).sqrt().recip());
@@ -68,6 +85,22 @@ mod tests {
         assert!((squares - 12.0).abs() < 1e-9, "{squares}");
         let apart = once.iter().flatten().zip(scaled.iter().flatten()).map(|(a, b)| (a - b).abs());
         assert!(apart.fold(0.0, f64::max) < 1e-9);
+    }
+
+    #[test]
+    fn what_no_pixel_sees_takes_nothing_from_the_rest() {
+        let mut gram = gram();
+        let before = as_long(&levelled(&gram, 0.1));
+        for i in 0..12 {
+            (gram[i][5], gram[5][i]) = (0.0, 0.0);
+        }
+        let blind = as_long(&levelled(&gram, 0.1));
+        let plain = as_long(&preconditioner(&gram, 0.1));
+        let others =
+            |p: &ShutterGram| (0..12).filter(|&i| i != 5).map(|i| p[i][i]).fold(f64::MAX, f64::min);
+        assert!(others(&blind) > 0.3 * others(&before), "{} {}", others(&blind), others(&before));
+        assert!(others(&plain) < 0.01 * others(&before), "{}", others(&plain));
+        assert!(blind[5][5] < 4.0, "{}", blind[5][5]);
     }
 
     #[test]

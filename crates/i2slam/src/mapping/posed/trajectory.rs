@@ -83,7 +83,7 @@ impl TrajectoryTerm {
         let current = frames.get(last)?;
         let previous = frames.get(last.checked_sub(1)?)?;
         let intervals = intervals(self.frame_rate, previous, current);
-        let exposure = |frame: &FrameEstimate| f64::from(frame.tone.exposure()) / intervals;
+        let exposure = |frame: &FrameEstimate| f64::from(frame.tone.log_exposure).exp() / intervals;
         let pair = TrajectoryPair {
             previous: previous.shutter,
             current: current.shutter,
@@ -128,7 +128,7 @@ mod tests {
             Pose::identity().retract(Tangent::from_array(along))
         };
         FrameEstimate {
-            tone: FrameTone { log_exposure: 0.2 * t as f32, ..FrameTone::default() },
+            tone: FrameTone { log_exposure: 0.25 * t as f32, ..FrameTone::default() },
             keyframe: true,
             ..FrameEstimate::posed(
                 index,
@@ -144,12 +144,15 @@ mod tests {
         let term = TrajectoryTerm::new(20.0);
         let part = term.around(&frames, 1);
         let mut analytic = part.shutter.to_array().to_vec();
-        analytic.push(part.scale);
-        assert_gradient("trajectory loss", &[0.0; 13], &analytic, 1e-3, 1e-6, |x| {
+        analytic.extend([part.log_exposure, part.scale]);
+        // Exposures are kept in `f32`, which holds this step exactly.
+        let step = 1.0 / 1024.0;
+        assert_gradient("trajectory loss", &[0.0; 14], &analytic, step, 1e-6, |x| {
             let mut moved = frames.clone();
             let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
             moved[1].shutter = moved[1].shutter.retract(&step);
-            let scale = TrajectoryScale { a: term.scale.a + x[12] };
+            moved[1].tone.log_exposure += x[12] as f32;
+            let scale = TrajectoryScale { a: term.scale.a + x[13] };
             TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.around(&moved, 1).loss
         });
         assert_eq!(term.around(&frames[..1], 0).loss, 0.0);

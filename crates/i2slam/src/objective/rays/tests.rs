@@ -7,7 +7,9 @@ use i2slam_formation::{
     CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve,
 };
 use i2slam_geometry::Tangent;
-use i2slam_radiance::hashgrid::{FieldSettings, HashGridField, Occupancy, OccupancySettings};
+use i2slam_radiance::hashgrid::{
+    FieldSettings, HashGridField, Occupancy, OccupancySettings, Sample, reference,
+};
 
 const CAMERA: Camera<f32> = Camera { width: 16, height: 12, fx: 14.0, fy: 14.0, cx: 8.0, cy: 6.0 };
 
@@ -45,25 +47,39 @@ fn observation() -> Observation {
     Observation::new(colour, depth)
 }
 
+/// Pixels that are compared.
+fn pixels() -> Vec<usize> {
+    (0..16 * 12).step_by(7).collect()
+}
+
+/// A motion whose start and end pose are moved by `x`.
+fn shutter(x: &[f64]) -> ShutterPoses<f64> {
+    let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
+    let end = Pose::identity().retract(Tangent::from_array([0.02, -0.03, 0.01, 0.02, 0.03, -0.01]));
+    ShutterPoses { start: Pose::identity().retract(part(0)), end: end.retract(part(6)) }
+}
+
+/// A pose of depth beside the middle of the motion.
+fn beside(shutter: &ShutterPoses<f64>) -> Pose<f64> {
+    let lead = Tangent::from_array([0.03, -0.02, 0.04, 0.05, -0.04, 0.03]);
+    shutter.middle().retract(lead)
+}
+
 /// Evaluations of two views of the same pixels, of which the first moves by `x`: start pose, end
-/// pose, log exposure and log white balance.
-fn evaluate(
+/// pose, log exposure and log white balance; and what evaluated them.
+fn evaluated(
     x: &[f64],
     cameras: usize,
     depth_pose: bool,
     d_field: &mut FieldGradient,
     map: &HashGridMap,
-) -> Vec<Evaluation> {
+) -> (Vec<Evaluation>, RayObjective) {
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
-    let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
-    let end = Pose::identity().retract(Tangent::from_array([0.02, -0.03, 0.01, 0.02, 0.03, -0.01]));
-    let shutter =
-        ShutterPoses { start: Pose::identity().retract(part(0)), end: end.retract(part(6)) };
+    let shutter = shutter(x);
     let frame = FrameTone {
         log_exposure: x[12] as f32,
         log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
     };
-    let lead = Tangent::from_array([0.03, -0.02, 0.04, 0.05, -0.04, 0.03]);
     let sampling = Sampling {
         virtual_cameras: cameras,
         quadrature: Quadrature::Midpoints,
@@ -78,38 +94,93 @@ fn evaluate(
                 shutter,
                 sampling,
                 readout: 0.3,
-                depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
+                depth_pose: depth_pose.then(|| beside(&shutter)),
             },
             tone: Some(Tone { frame, curve: &curve }),
         },
-        pixels: (0..16 * 12).step_by(7).collect(),
+        pixels: pixels(),
     };
     let views =
         [view(shutter, frame), view(ShutterPoses::still(Pose::identity()), FrameTone::default())];
     let mut objective = RayObjective::new(CAMERA, map.march);
-    objective.map(map, &views, (0.5, 1.0), true, &mut Random::new(3), d_field)
+    let found = objective.map(map, &views, (0.5, 1.0), true, &mut Random::new(3), d_field);
+    (found, objective)
+}
+
+fn evaluate(
+    x: &[f64],
+    cameras: usize,
+    depth_pose: bool,
+    d_field: &mut FieldGradient,
+    map: &HashGridMap,
+) -> Vec<Evaluation> {
+    evaluated(x, cameras, depth_pose, d_field, map).0
 }
 
 fn total(evaluations: &[Evaluation]) -> f64 {
     evaluations.iter().map(|e| e.total).sum()
 }
 
+/// What the rays of the first view show in `f64`, times their cotangents, were start and end pose
+/// moved by `x`: its derivative is that of the loss.
+fn first_view(objective: &RayObjective, map: &HashGridMap, x: &[f64], depth_pose: bool) -> f64 {
+    let (field, moved, pixels) = (map.field.cast::<f64>(), shutter(x), pixels());
+    let camera = CAMERA.cast::<f64>();
+    let part = objective.parts[0].clone();
+    let stride = part.len() / pixels.len();
+    let value = |ray: usize| {
+        let pixel = pixels[(ray - part.start) / stride];
+        let pose = match objective.moments[ray] {
+            Moment::Exposure(u) => moved.at(u),
+            Moment::Depth if depth_pose => beside(&moved),
+            Moment::Depth => moved.middle(),
+        };
+        let drawn = &objective.rays[ray];
+        let samples = map.occupancy.samples(&map.field, &map.march, drawn);
+        let cast = |s: Sample| Sample { depth: f64::from(s.depth), step: f64::from(s.step) };
+        let samples: Vec<Sample<f64>> = samples.into_iter().map(cast).collect();
+        let view = View { camera, world_from_camera: pose };
+        let seen = Ray::through_pixel(&view, pixel % camera.width, pixel / camera.width);
+        let shown = reference::render(&field, &seen, &samples);
+        let d = &objective.cotangents[ray];
+        let colour: f64 = (0..3).map(|c| f64::from(d.radiance[c]) * shown.radiance[c]).sum();
+        colour + f64::from(d.depth) * shown.depth
+    };
+    part.clone().map(value).sum()
+}
+
 #[test]
-fn gradients_of_poses_and_tone_agree_with_differences() {
-    let map = map();
+fn gradients_of_poses_agree_with_differences() {
+    // The reference has no early end.
+    let mut map = map();
+    map.march.transmittance_min = 0.0;
     for (cameras, depth_pose) in [(1, false), (1, true), (4, false), (4, true)] {
         let mut d_field = FieldGradient::zeros(&map.field);
-        let mut at = |x: &[f64]| evaluate(x, cameras, depth_pose, &mut d_field, &map);
-        let evaluation = at(&[0.0; 16]).remove(0);
-        let mut analytic = evaluation.shutter.to_array().to_vec();
-        analytic.extend(evaluation.tone.to_array().map(f64::from));
-        let numeric = central_differences(&[0.0; 16], 4e-3, |x| total(&at(x)));
-        // The field is in `f32`, whose rounding is some per cent of what a pose changes here.
-        let poses = [0..3, 3..6, 6..9, 9..12].map(|group| (group, 0.1));
-        for (group, tolerance) in poses.into_iter().chain([(12..16, 5e-3)]) {
+        let (found, objective) = evaluated(&[0.0; 16], cameras, depth_pose, &mut d_field, &map);
+        let analytic = found[0].shutter.to_array();
+        let at = |x: &[f64]| first_view(&objective, &map, x, depth_pose);
+        let numeric = central_differences(&[0.0; 12], 1e-6, at);
+        for group in [0..3, 3..6, 6..9, 9..12] {
             let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
-            assert!(error < tolerance, "{cameras} {depth_pose} {group:?} {error}");
+            // The kernels are in `f32`; much of what a pose changes cancels over a view.
+            assert!(error < 1e-2, "{cameras} {depth_pose} {group:?} {error}");
         }
+    }
+}
+
+#[test]
+fn gradients_of_tone_agree_with_differences() {
+    let map = map();
+    for (cameras, depth_pose) in [(1, false), (4, true)] {
+        let mut d_field = FieldGradient::zeros(&map.field);
+        let mut at = |tone: &[f64]| {
+            let x: Vec<f64> = [0.0; 12].iter().chain(tone).copied().collect();
+            evaluate(&x, cameras, depth_pose, &mut d_field, &map)
+        };
+        let analytic = at(&[0.0; 4])[0].tone.to_array().map(f64::from);
+        let numeric = central_differences(&[0.0; 4], 4e-3, |x| total(&at(x)));
+        let error = relative_error(&analytic, &numeric);
+        assert!(error < 5e-3, "{cameras} {depth_pose} {error}");
     }
 }
 

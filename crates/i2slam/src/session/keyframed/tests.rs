@@ -148,6 +148,20 @@ fn keyframes_that_cannot_be_used_are_told_of() {
     lost.world_from_camera.translation.x = f64::NAN;
     let error = session.process(lost).expect_err("no pose").to_string();
     assert!(error.contains("frame 7") && error.contains("not finite"), "{error}");
+    let mut grey = keyframe(8, pose(0));
+    grey.colour = Image::new(CAMERA.width, CAMERA.height, 1);
+    let error = session.process(grey).expect_err("one channel").to_string();
+    assert!(error.contains("frame 8") && error.contains("3 channels"), "{error}");
+    let mut short = keyframe(9, pose(0));
+    short.colour.data.pop();
+    let error = session.process(short).expect_err("a number too few").to_string();
+    assert!(error.contains("frame 9") && error.contains("colour"), "{error}");
+    for stamp in [f64::NAN, f64::INFINITY] {
+        let late = PosedKeyframe { timestamp: stamp, ..keyframe(4, pose(0)) };
+        let error = session.process(late).expect_err("no time").to_string();
+        assert!(error.contains("frame 4") && error.contains("time stamp"), "{error}");
+    }
+    assert!(session.frames().is_empty());
     let mut black = keyframe(2, pose(0));
     black.colour.data.fill(0.0);
     session.process(black).expect("a picture all the same");
@@ -155,6 +169,25 @@ fn keyframes_that_cannot_be_used_are_told_of() {
     assert!(warnings.len() == 1 && warnings[0].contains("black"), "{warnings:?}");
     session.finish(&mut |_, _| true);
     assert!(session.reconstruction().map == Map::default());
+}
+
+#[test]
+fn the_first_keyframe_moves_though_the_second_is_black() {
+    let mut session = KeyframedSession::new(config(), CAMERA, 30.0);
+    session.process(keyframe(0, pose(0))).expect("a keyframe");
+    let mut black = keyframe(1, pose(1));
+    black.colour.data.fill(0.0);
+    session.process(black).expect("a picture all the same");
+    let first = session.frames()[0].shutter;
+    assert_ne!(first.start, first.end);
+}
+
+#[test]
+fn a_quadrature_that_is_asked_for_is_told_to_say_nothing() {
+    let mut config = config();
+    config.formation.quadrature = crate::config::QuadratureRule::Endpoints;
+    let warnings = KeyframedSession::new(config, CAMERA, 30.0).take_warnings();
+    assert!(matches!(&warnings[..], [one] if one.contains("quadrature")), "{warnings:?}");
 }
 
 #[test]
