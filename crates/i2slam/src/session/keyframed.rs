@@ -5,7 +5,7 @@
 mod between;
 
 use super::{BLACK, SessionError, start};
-use crate::config::{Config, ResponseScope};
+use crate::config::{Config, MapKind, ResponseScope};
 use crate::keyframes::PosedKeyframe;
 use crate::mapping::{Keyframe, PosedMapper, Story, intervals};
 use crate::objective::Observation;
@@ -248,7 +248,8 @@ impl KeyframedSession {
 /// What was asked for and has no part in this session.
 fn unused(config: &Config) -> Vec<String> {
     let preset = Config::preset(&config.preset).map(|preset| preset.formation.quadrature);
-    if preset.is_ok_and(|quadrature| quadrature != config.formation.quadrature) {
+    let drawn = config.map.kind == MapKind::HashGrid;
+    if drawn && preset.is_ok_and(|quadrature| quadrature != config.formation.quadrature) {
         let told = "`formation.quadrature` says nothing here: the moments of the exposure are \
                     drawn at random within equal parts of it";
         return vec![told.to_owned()];
