@@ -205,7 +205,8 @@ pub(super) fn track(
     opened.warnings.iter().for_each(|warning| progress.warn(warning));
     let Opened { mut source, count, between, frame_rate, camera, undistorted, .. } = opened;
     progress.phase("keyframes", count);
-    let mut session = KeyframedSession::new(job.config.clone(), *source.camera(), frame_rate);
+    let config = job.config.clone().with_found_readout(source.readout());
+    let mut session = KeyframedSession::new(config, *source.camera(), frame_rate);
     if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).covered {
         session.set_covered(Arc::clone(covered));
     }

@@ -1,5 +1,6 @@
 //! Settings of a session on keyframes that come with poses.
 
+use super::Config;
 use serde::{Deserialize, Serialize};
 
 /// How keyframes that come with poses (`run --rgb`) are refined together with a radiance field.
@@ -49,4 +50,48 @@ pub enum Preconditioning {
     /// numbers: a map that is still smooth does not make it longer. What the picture hardly shows
     /// is damped like the mean translation or rotation.
     Pose,
+}
+
+impl Config {
+    /// The same with the readout of the rows that a front end found [s], where settings name none and
+    /// what they ask for can see rows that are read in turn.
+    #[must_use]
+    pub fn with_found_readout(self, seconds: f64) -> Self {
+        if self.input.is_rolling() {
+            return self;
+        }
+        let mut rolling = self.clone();
+        rolling.input.rolling_shutter_readout = seconds;
+        if rolling.validate().is_ok() { rolling } else { self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::MapKind;
+
+    #[test]
+    fn a_readout_that_was_found_goes_to_maps_that_can_see_it() {
+        let config = |kind, preset| {
+            let mut config = Config::preset(preset).expect("known");
+            config.map.kind = kind;
+            config
+        };
+        let readout =
+            |config: Config| config.with_found_readout(0.02).input.rolling_shutter_readout;
+        assert_eq!(readout(config(MapKind::Gaussian, "default-rgb")), 0.02);
+        assert_eq!(readout(config(MapKind::HashGrid, "default-rgb")), 0.0);
+        assert_eq!(readout(config(MapKind::Gaussian, "paper-rgb")), 0.0);
+        let mut still = config(MapKind::Gaussian, "default-rgb");
+        still.formation.blur = false;
+        assert_eq!(readout(still), 0.0);
+        let mut given = config(MapKind::Gaussian, "default-rgb");
+        given.input.rolling_shutter_readout = -0.01;
+        assert_eq!(readout(given), -0.01);
+        let mut searched = config(MapKind::Gaussian, "default-rgb");
+        searched.input.optimise_rolling_shutter = true;
+        let refusal = searched.validate().expect_err("nothing looks for it").to_string();
+        assert!(refusal.contains("optimise_rolling_shutter"), "{refusal}");
+    }
 }

@@ -123,9 +123,16 @@ impl Config {
         at_least("keyframed.first_keyframes", k.first_keyframes, 1)?;
         at_least("keyframed.preconditioning_interval", k.preconditioning_interval, 1)?;
         positive("keyframed.reach", k.reach)?;
-        if self.is_rgb() && self.input.is_rolling() {
+        if !self.is_rgb() || !self.input.is_rolling() {
+            return Ok(());
+        }
+        if self.input.optimise_rolling_shutter {
+            let expected = "false with an RGB preset: the front end finds the readout";
+            return refuse("input.optimise_rolling_shutter", "true".to_owned(), expected);
+        }
+        if self.map.kind == MapKind::HashGrid {
             let readout = self.input.rolling_shutter_readout.to_string();
-            let expected = "0, not optimised, with an RGB preset";
+            let expected = "0 with an RGB preset and map.kind \"hashgrid\"";
             return refuse("input.rolling_shutter_readout", readout, expected);
         }
         Ok(())

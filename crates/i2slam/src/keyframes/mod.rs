@@ -2,6 +2,7 @@
 
 mod import;
 mod native;
+mod rows;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
 pub use native::{
@@ -43,6 +44,12 @@ pub struct EstimatedDepth {
 pub trait KeyframeSource {
     /// Pinhole camera of all pictures and depths.
     fn camera(&self) -> &Camera<f64>;
+
+    /// Time from the first to the last row of the pictures [s], positive if the top row comes first;
+    /// 0 where rows are exposed together, or nothing is known. Poses are of the middle row.
+    fn readout(&self) -> f64 {
+        0.0
+    }
 
     /// The next keyframe; `None` after the last.
     ///

@@ -1,5 +1,6 @@
 //! Keyframes that our own monocular front end finds poses for, from the pictures alone.
 
+use super::rows::RowMotion;
 use super::{EstimatedDepth, KeyframeSource, PosedKeyframe};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_monocular::{
@@ -167,6 +168,10 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
         &self.reconstruction.camera
     }
 
+    fn readout(&self) -> f64 {
+        self.reconstruction.rolling_shutter_readout
+    }
+
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
         let (number, found) = (self.next, &self.reconstruction);
         let keyframe = found.keyframes.get(number)?;
@@ -178,17 +183,20 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
         };
         let dense = self.dense.as_mut().and_then(|dense| {
             let place = |k: usize| self.places.get(found.keyframes.get(k)?.index).copied();
-            let mut picture = |k: usize| Some((self.load)(place(k)?).ok()?.colour);
+            let mut picture = |k: usize| {
+                let colour = (self.load)(place(k)?).ok()?.colour;
+                Some(match RowMotion::of(found, found.keyframes.get(k)?) {
+                    Some(rows) => rows.undone(&found.camera, &colour),
+                    None => colour,
+                })
+            };
             dense.of(number, &mut picture)
         });
         Some(Ok(PosedKeyframe {
             index,
             timestamp: keyframe.timestamp,
             before: before(found, keyframe.index),
-            depth: Some(match dense {
-                Some(dense) => dense_depth(dense),
-                None => sparse_depth(keyframe, colour.width, colour.height),
-            }),
+            depth: Some(depth(dense, keyframe, colour.width, colour.height)),
             colour,
             world_from_camera: scaled(keyframe.world_from_camera),
         }))
@@ -212,6 +220,24 @@ fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
 fn before(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
     let before = frame.checked_sub(1)?;
     Some((*found.timestamps.get(before)?, pose_of(found, before)?))
+}
+
+/// What is known of a keyframe's depth: dense depth, and landmarks where that is missing.
+fn depth(
+    dense: Option<DenseDepth>,
+    keyframe: &Keyframe,
+    width: usize,
+    height: usize,
+) -> EstimatedDepth {
+    let mut out = sparse_depth(keyframe, width, height);
+    let Some(dense) = dense.map(dense_depth) else { return out };
+    for (pixel, z) in dense.depth.data.iter().enumerate().filter(|(_, z)| **z > 0.0) {
+        out.depth.data[pixel] = *z;
+        if let (Some(to), Some(from)) = (&mut out.variance, &dense.variance) {
+            to.data[pixel] = from.data[pixel];
+        }
+    }
+    out
 }
 
 /// Dense depth in the unit of length that is delivered.

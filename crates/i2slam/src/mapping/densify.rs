@@ -1,28 +1,47 @@
 //! Adding and removing Gaussians (SplaTAM's rules).
 
-use super::fill::filled;
+use super::fill::{filled, smoothly_filled};
 use crate::config::{MapConfig, MappingConfig};
 use crate::objective::{Observation, Tone};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
 
+/// Rendered opacity from which the map has a surface.
+const SOLID: f32 = 0.9;
+
 /// Depth at which a frame adds Gaussians: its own, with holes filled if `settings` say so, and
-/// none where the camera recorded nothing.
+/// none where the camera recorded nothing. Estimated depth goes on smoothly from what is known, and
+/// from the surfaces of the map as it is seen from there.
 pub(crate) fn placement(
     observation: &Observation,
     settings: &MappingConfig,
     covered: Option<&Image<bool>>,
+    render: Option<&Render>,
 ) -> Image<f32> {
-    let mut depth = match settings.fill_depth {
-        true => filled(&observation.depth),
-        false => observation.depth.clone(),
+    let mut depth = match (settings.fill_depth, observation.is_estimated()) {
+        (true, true) => smoothly_filled(&with_surfaces(&observation.depth, render)),
+        (true, false) => filled(&observation.depth),
+        (false, _) => observation.depth.clone(),
     };
     if let Some(covered) = covered {
         let unrecorded = depth.data.iter_mut().zip(&covered.data).filter(|(_, c)| !**c);
         unrecorded.for_each(|(d, _)| *d = 0.0);
     }
     depth
+}
+
+/// `depth`, where it is missing that of the map's surfaces.
+fn with_surfaces(depth: &Image<f32>, render: Option<&Render>) -> Image<f32> {
+    let mut out = depth.clone();
+    let Some(render) = render else { return out };
+    let rendered = render.depth.data.iter().zip(&render.opacity.data);
+    for (d, (z, opacity)) in out.data.iter_mut().zip(rendered) {
+        if *d <= 0.0 && *opacity > SOLID {
+            *d = z / opacity;
+        }
+    }
+    out
 }
 
 /// What "large" means in this scene.
@@ -78,7 +97,7 @@ pub(crate) fn add_gaussians(
         .zip(observed)
         .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
         .collect();
-    let limit = mapping.densify_depth_medians * median(&mut errors.clone()).unwrap_or(0.0);
+    let limit = mapping.densify_depth_medians * usual_error(source.observation, &errors);
     let unexplained: Vec<usize> = (0..observed.len())
         .filter(|&i| {
             let open = render.opacity.data[i] < mapping.densify_opacity;
@@ -87,6 +106,15 @@ pub(crate) fn add_gaussians(
         })
         .collect();
     push(map, map_settings, source, &unexplained)
+}
+
+/// The median error of depth: SplaTAM counts pixels without one as exact, which says nothing where
+/// an estimate is missing in half the picture.
+fn usual_error(observation: &Observation, errors: &[f32]) -> f32 {
+    let all = errors.iter().zip(&observation.depth.data);
+    let counts = |o: f32| !observation.is_estimated() || o > 0.0;
+    let mut counted: Vec<f32> = all.filter(|(_, o)| counts(**o)).map(|(e, _)| *e).collect();
+    median(&mut counted).unwrap_or(0.0)
 }
 
 /// Removes Gaussians that are nearly transparent, too large or not finite. Returns which stay.

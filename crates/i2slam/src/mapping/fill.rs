@@ -3,6 +3,9 @@
 //! A hole is mostly what lies behind an edge, or a surface that the sensor cannot see (sky,
 //! windows, black objects): it takes the farthest of the nearest readings along its row and its
 //! column, and a place behind everything where no reading is near. No depth is compared there.
+//!
+//! Depth that was estimated is missing where the pictures do not tell it, mostly on smooth surfaces or
+//! where the camera only turned: there it goes on smoothly.
 
 use i2slam_geometry::Image;
 
@@ -47,9 +50,92 @@ fn spread(depth: &[f32], nearest: &mut [f32], line: impl Iterator<Item = usize>,
     }
 }
 
+/// `depth` with every hole filled smoothly in inverse depth, from what surrounds it, at the least size
+/// at which it is surrounded; all zero if no depth is known.
+pub(crate) fn smoothly_filled(depth: &Image<f32>) -> Image<f32> {
+    let inverse = |d: &f32| if *d > 0.0 { (1.0 / d, 1.0) } else { (0.0, 0.0) };
+    let (values, weights) = depth.data.iter().map(inverse).unzip();
+    let mut levels = vec![Level { width: depth.width, height: depth.height, values, weights }];
+    while let Some(last) = levels.last().filter(|l| l.width > 1 || l.height > 1) {
+        levels.push(last.halved());
+    }
+    let coarse_to_fine = levels.into_iter().rev().reduce(|coarse, mut fine| {
+        fine.take_from(&coarse);
+        fine
+    });
+    let values = coarse_to_fine.map_or_else(Vec::new, |full| full.values);
+    let mut out = depth.clone();
+    let holes = out.data.iter_mut().zip(&values).filter(|(d, v)| **d <= 0.0 && **v > 0.0);
+    holes.for_each(|(d, value)| *d = 1.0 / value);
+    out
+}
+
+/// Values at one size, and how far each is known, in [0, 1].
+struct Level {
+    width: usize,
+    height: usize,
+    values: Vec<f32>,
+    weights: Vec<f32>,
+}
+
+impl Level {
+    /// Means of four.
+    fn halved(&self) -> Self {
+        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
+        let (mut values, mut weights) = (vec![0.0; width * height], vec![0.0; width * height]);
+        for (i, (value, weight)) in self.values.iter().zip(&self.weights).enumerate() {
+            let to = i / self.width / 2 * width + i % self.width / 2;
+            values[to] += value * weight;
+            weights[to] += weight;
+        }
+        for (value, weight) in values.iter_mut().zip(&mut weights) {
+            *value /= weight.max(1.0e-6);
+            *weight = weight.min(1.0);
+        }
+        Self { width, height, values, weights }
+    }
+
+    /// Fills up what is not known from half the size, linear between its values.
+    fn take_from(&mut self, coarse: &Self) {
+        let (last_column, last_row) = (coarse.width - 1, coarse.height - 1);
+        for (i, (value, weight)) in self.values.iter_mut().zip(&mut self.weights).enumerate() {
+            if *weight >= 1.0 {
+                continue;
+            }
+            let place = |at: usize, last: usize| {
+                let x = (0.5 * at as f32 - 0.25).clamp(0.0, last as f32);
+                (x as usize, (x as usize + 1).min(last), x.fract())
+            };
+            let (left, right, u) = place(i % self.width, last_column);
+            let (above, below, v) = place(i / self.width, last_row);
+            let row = |row: usize| {
+                let at = |column: usize| coarse.values[row * coarse.width + column];
+                at(left) * (1.0 - u) + at(right) * u
+            };
+            let guess = row(above) * (1.0 - v) + row(below) * v;
+            *value = *value * *weight + guess * (1.0 - *weight);
+            *weight = 1.0;
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn estimated_depth_goes_on_smoothly_where_it_is_missing() {
+        let mut depth = Image::new(40, 30, 1);
+        for (pixel, column) in [(5 * 40 + 2, 2), (20 * 40 + 3, 3), (9 * 40 + 37, 37)] {
+            depth.data[pixel] = if column < 20 { 1.0 } else { 4.0 };
+        }
+        let out = smoothly_filled(&depth);
+        assert!(out.data.iter().all(|d| (1.0..=4.0).contains(d)));
+        assert!(out.data[20 * 40 + 3] == 1.0 && out.data[9 * 40 + 37] == 4.0);
+        let row = &out.data[12 * 40..13 * 40];
+        assert!(row[1] < 1.3 && row[38] > 2.0 && row[20] > row[4] && row[20] < row[36], "{row:?}");
+        assert_eq!(smoothly_filled(&Image::new(5, 4, 1)).data, vec![0.0; 20]);
+    }
 
     #[test]
     fn holes_take_the_farther_side_and_empty_regions_lie_behind() {

@@ -160,22 +160,24 @@ impl Mapper for GaussianMapper {
         let config = story.config;
         let estimate = &story.frames[current.frame];
         let curve = config.formation.tone.then(|| story.responses[estimate.response].curve());
+        let render = (!self.map.is_empty())
+            .then(|| self.objective.render(&self.map, estimate.depth_pose()).clone());
+        let (mapping, observation) = (&config.mapping, &current.observation);
         let source = Source {
             camera: story.camera,
             world_from_depth: estimate.depth_pose(),
             colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
             velocity: CentreVelocity::from(estimate.shutter).velocity,
             readout: estimate.readout,
-            observation: &current.observation,
-            depth: placement(&current.observation, &config.mapping, story.covered),
+            observation,
+            depth: placement(observation, mapping, story.covered, render.as_ref()),
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
         };
-        if self.map.is_empty() {
-            self.scene = SceneScale::new(&current.observation, config.mapping.scene_radius_ratio);
-            seed_map(&mut self.map, &config.map, &source);
+        if let Some(render) = &render {
+            add_gaussians(&mut self.map, (&config.map, mapping), &source, render);
         } else {
-            let render = self.objective.render(&self.map, source.world_from_depth).clone();
-            add_gaussians(&mut self.map, (&config.map, &config.mapping), &source, &render);
+            self.scene = SceneScale::new(observation, mapping.scene_radius_ratio);
+            seed_map(&mut self.map, &config.map, &source);
         }
         self.make_room(story);
     }

@@ -123,7 +123,7 @@ impl KeyframedSession {
             frames: self.frames.clone(),
             map: self.mapper.map(),
             responses: self.responses.clone(),
-            rolling_shutter_readout: 0.0,
+            rolling_shutter_readout: self.config.input.rolling_shutter_readout,
         }
     }
 

@@ -290,7 +290,7 @@ impl Mapper for FieldMapper {
     }
 
     fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {
-        let depth = placement(&current.observation, &story.config.mapping, story.covered);
+        let depth = placement(&current.observation, &story.config.mapping, story.covered, None);
         let pose = story.frames[current.frame].depth_pose();
         if self.field.is_none() {
             self.begin(story, pose, &depth);

@@ -37,8 +37,14 @@ fn posed(index: usize, with_depth: bool) -> PosedKeyframe {
 }
 
 fn session(with_depth: bool) -> KeyframedSession {
+    rolling_session(with_depth, 0.0)
+}
+
+/// The same with rows that are read within `readout` [s].
+fn rolling_session(with_depth: bool, readout: f64) -> KeyframedSession {
     let mut config = Config::preset("default-rgb").expect("known");
     config.map.kind = MapKind::Gaussian;
+    config = config.with_found_readout(readout);
     (config.mapping.iterations, config.mapping.final_iterations) = (15, 60);
     let mut session = KeyframedSession::new(config, CAMERA, 30.0);
     for index in [0, 2, 4, 6] {
@@ -75,6 +81,16 @@ fn every_frame_finds_its_place_in_order_of_time() {
     let found: Vec<_> = frames.iter().map(|f| (f.index, f.middle())).collect();
     let off = farthest(&found);
     assert!(off < 0.1, "{off} m");
+}
+
+/// Rows see the motion of their frame at times of their own.
+#[test]
+fn a_readout_reaches_every_frame_that_is_found() {
+    let mut session = rolling_session(true, 0.01);
+    session.locate(posed(3, false)).expect("a frame of that size");
+    assert_eq!(session.reconstruction().rolling_shutter_readout, 0.01);
+    assert!(session.frames().iter().filter(|f| f.tracked).all(|f| f.readout > 0.0));
+    assert!(rolling_session(true, 0.0).frames().iter().all(|f| f.readout == 0.0));
 }
 
 #[test]
