@@ -222,7 +222,8 @@ fn before(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
     Some((*found.timestamps.get(before)?, pose_of(found, before)?))
 }
 
-/// What is known of a keyframe's depth: dense depth, and landmarks where that is missing.
+/// What is known of a keyframe's depth: dense depth, with the landmarks where it is missing in more than
+/// half the picture.
 fn depth(
     dense: Option<DenseDepth>,
     keyframe: &Keyframe,
@@ -231,6 +232,9 @@ fn depth(
 ) -> EstimatedDepth {
     let mut out = sparse_depth(keyframe, width, height);
     let Some(dense) = dense.map(dense_depth) else { return out };
+    if 2 * dense.depth.data.iter().filter(|z| **z > 0.0).count() > width * height {
+        return dense;
+    }
     for (pixel, z) in dense.depth.data.iter().enumerate().filter(|(_, z)| **z > 0.0) {
         out.depth.data[pixel] = *z;
         if let (Some(to), Some(from)) = (&mut out.variance, &dense.variance) {

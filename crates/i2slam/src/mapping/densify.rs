@@ -1,6 +1,6 @@
 //! Adding and removing Gaussians (SplaTAM's rules).
 
-use super::fill::{filled, smoothly_filled};
+use super::fill::{estimate_filled, filled};
 use crate::config::{MapConfig, MappingConfig};
 use crate::objective::{Observation, Tone};
 use i2slam_compute::median;
@@ -20,7 +20,7 @@ pub(crate) fn placement(
     render: Option<&Render>,
 ) -> Image<f32> {
     let mut depth = match (settings.fill_depth, observation.is_estimated()) {
-        (true, true) => smoothly_filled(&with_surfaces(&observation.depth, render)),
+        (true, true) => estimate_filled(&observation.depth, render.map(surfaces).as_ref()),
         (true, false) => filled(&observation.depth),
         (false, _) => observation.depth.clone(),
     };
@@ -31,15 +31,11 @@ pub(crate) fn placement(
     depth
 }
 
-/// `depth`, where it is missing that of the map's surfaces.
-fn with_surfaces(depth: &Image<f32>, render: Option<&Render>) -> Image<f32> {
-    let mut out = depth.clone();
-    let Some(render) = render else { return out };
-    let rendered = render.depth.data.iter().zip(&render.opacity.data);
-    for (d, (z, opacity)) in out.data.iter_mut().zip(rendered) {
-        if *d <= 0.0 && *opacity > SOLID {
-            *d = z / opacity;
-        }
+/// Depth of the map's surfaces, 0 where it has none.
+fn surfaces(render: &Render) -> Image<f32> {
+    let mut out = render.depth.clone();
+    for (d, opacity) in out.data.iter_mut().zip(&render.opacity.data) {
+        *d = if *opacity > SOLID { *d / opacity } else { 0.0 };
     }
     out
 }
@@ -108,12 +104,13 @@ pub(crate) fn add_gaussians(
     push(map, map_settings, source, &unexplained)
 }
 
-/// The median error of depth: SplaTAM counts pixels without one as exact, which says nothing where
-/// an estimate is missing in half the picture.
+/// The median error of depth. SplaTAM counts pixels without one as exact, which says nothing where
+/// an estimate is missing in half the picture: then only the others count.
 fn usual_error(observation: &Observation, errors: &[f32]) -> f32 {
+    let sparse = observation.is_estimated() && 2 * observation.valid_depths() <= errors.len();
     let all = errors.iter().zip(&observation.depth.data);
-    let counts = |o: f32| !observation.is_estimated() || o > 0.0;
-    let mut counted: Vec<f32> = all.filter(|(_, o)| counts(**o)).map(|(e, _)| *e).collect();
+    let mut counted: Vec<f32> =
+        all.filter(|(_, o)| !sparse || **o > 0.0).map(|(e, _)| *e).collect();
     median(&mut counted).unwrap_or(0.0)
 }
 

@@ -4,8 +4,8 @@
 //! windows, black objects): it takes the farthest of the nearest readings along its row and its
 //! column, and a place behind everything where no reading is near. No depth is compared there.
 //!
-//! Depth that was estimated is missing where the pictures do not tell it, mostly on smooth surfaces or
-//! where the camera only turned: there it goes on smoothly.
+//! Depth that was estimated is also missing in large parts, on smooth surfaces or where the camera
+//! only turned: where no reading is near, it goes on smoothly.
 
 use i2slam_geometry::Image;
 
@@ -16,9 +16,20 @@ const BEHIND: f32 = 1.25;
 
 /// `depth` with every hole filled; all zero if there is no reading at all.
 pub(crate) fn filled(depth: &Image<f32>) -> Image<f32> {
+    let farthest = depth.data.iter().copied().fold(0.0, f32::max);
+    let mut out = depth.clone();
+    for (d, near) in out.data.iter_mut().zip(nearest(depth)) {
+        if *d <= 0.0 {
+            *d = if near > 0.0 { near } else { BEHIND * farthest };
+        }
+    }
+    out
+}
+
+/// The farthest of the nearest readings along rows and columns, 0 where none is near.
+fn nearest(depth: &Image<f32>) -> Vec<f32> {
     let (width, height) = (depth.width, depth.height);
     let reach = ((width as f64 * REACH) as usize).max(1);
-    let farthest = depth.data.iter().copied().fold(0.0, f32::max);
     let mut nearest = vec![0.0_f32; depth.data.len()];
     for row in 0..height {
         spread(&depth.data, &mut nearest, (0..width).map(|c| row * width + c), reach);
@@ -28,13 +39,7 @@ pub(crate) fn filled(depth: &Image<f32>) -> Image<f32> {
         spread(&depth.data, &mut nearest, (0..height).map(|r| r * width + column), reach);
         spread(&depth.data, &mut nearest, (0..height).rev().map(|r| r * width + column), reach);
     }
-    let mut out = depth.clone();
-    for (d, &near) in out.data.iter_mut().zip(&nearest) {
-        if *d <= 0.0 {
-            *d = if near > 0.0 { near } else { BEHIND * farthest };
-        }
-    }
-    out
+    nearest
 }
 
 /// Along one line, raises `nearest` to the last reading at most `reach` pixels back.
@@ -50,9 +55,22 @@ fn spread(depth: &[f32], nearest: &mut [f32], line: impl Iterator<Item = usize>,
     }
 }
 
+/// The same for depth that was estimated, with `surfaces` known beside it: what no reading is near goes
+/// on smoothly.
+pub(crate) fn estimate_filled(depth: &Image<f32>, surfaces: Option<&Image<f32>>) -> Image<f32> {
+    let mut known = depth.clone();
+    for (pixel, near) in nearest(depth).into_iter().enumerate() {
+        if known.data[pixel] <= 0.0 {
+            let surface = || surfaces.map_or(0.0, |s| s.data[pixel]);
+            known.data[pixel] = if near > 0.0 { near } else { surface() };
+        }
+    }
+    smoothly_filled(&known)
+}
+
 /// `depth` with every hole filled smoothly in inverse depth, from what surrounds it, at the least size
 /// at which it is surrounded; all zero if no depth is known.
-pub(crate) fn smoothly_filled(depth: &Image<f32>) -> Image<f32> {
+fn smoothly_filled(depth: &Image<f32>) -> Image<f32> {
     let inverse = |d: &f32| if *d > 0.0 { (1.0 / d, 1.0) } else { (0.0, 0.0) };
     let (values, weights) = depth.data.iter().map(inverse).unzip();
     let mut levels = vec![Level { width: depth.width, height: depth.height, values, weights }];
