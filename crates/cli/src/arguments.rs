@@ -69,7 +69,8 @@ pub(crate) struct Run {
     /// Folder with the variance of depth pictures (.npy [m²], or 16-bit PNG of the deviation)
     #[arg(long, value_name = "DIR", requires = "keyframes")]
     pub(crate) depth_variance: Option<PathBuf>,
-    /// What the map consists of [default: that of the preset, gaussian; with --rgb hashgrid]
+    /// What the map consists of [default: that of --preset or --config; without these gaussian, or
+    /// hashgrid with --keyframes]
     #[arg(long, value_enum, value_name = "KIND")]
     pub(crate) map: Option<Map>,
     #[command(flatten)]

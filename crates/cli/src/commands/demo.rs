@@ -6,14 +6,11 @@ use crate::destination::refuse_file;
 use crate::failure::Failure;
 use crate::output::complain;
 use crate::pipeline::{self, Job, Keyframes};
+use i2slam::config::MapKind;
 use i2slam::dataset::OpenOptions;
 use i2slam::export::ResultFolder;
 use i2slam::{Config, ConfigError};
 use std::path::{Path, PathBuf};
-
-/// Steps on the clip by colour alone: with the first keyframes, with each further one, and after
-/// the last. The preset takes more and longer.
-const RGB_STEPS: [usize; 3] = [120, 6, 120];
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
@@ -36,22 +33,19 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         out: arguments.out.clone(),
         open: OpenOptions { colour_only: arguments.rgb, ..open },
         config,
-        // A picture of a field takes seconds: the report has some, `i2slam render` draws the others.
-        draw: if arguments.rgb { Draw::None } else { Draw::All },
+        draw: Draw::All,
         overwrite: true,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),
     })
 }
 
-/// Settings that are done within a minute or two.
 fn settings(rgb: bool) -> Result<Config, ConfigError> {
     if !rgb {
         return Config::preset("default");
     }
     let mut config = Config::preset("default-rgb")?;
-    let steps = &mut config.hashgrid;
-    [steps.first_iterations, steps.iterations, steps.final_iterations] = RGB_STEPS;
+    config.map.kind = MapKind::Gaussian;
     Ok(config)
 }
 

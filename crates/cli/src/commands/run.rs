@@ -45,7 +45,17 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
         Some(file) => Config::from_toml_file_on(file, preset.or(Some(usual)))?,
         None => Config::preset(preset.unwrap_or(usual))?,
     };
-    with_flags(config, arguments)
+    with_flags(with_usual_map(config, arguments), arguments)
+}
+
+/// Where nothing else is said, the pictures alone become Gaussians: their front end finds the depth
+/// that these begin on, which keyframes of other programs need not have.
+fn with_usual_map(mut config: Config, arguments: &Run) -> Config {
+    let from_pictures = is_rgb(arguments) && arguments.keyframes.is_none();
+    if from_pictures && arguments.preset.is_none() && arguments.config.is_none() {
+        config.map.kind = MapKind::Gaussian;
+    }
+    config
 }
 
 /// Where keyframes with poses come from, if this run takes them; only settings for that will do.
