@@ -179,7 +179,7 @@ fn agreed(scene: &Scene, returns: Vec<Return>, unit: f64) -> Vec<Return> {
 /// Moves keyframes, and with them the frames behind each and the landmarks first seen there, so
 /// that the path closes.
 fn straighten_out(scene: &mut Scene, returns: &[Return], unit: f64) {
-    let looks = scene.tracks.looks.clone();
+    let looks = &scene.tracks.looks;
     let posed: Vec<usize> =
         (0..looks.len()).filter(|k| scene.poses[looks[*k].frame].is_some()).collect();
     let mut place = vec![None; looks.len()];

@@ -97,7 +97,7 @@ impl FrontEnd {
             return Err(PictureError::Planes { channels, values });
         }
         let last = self.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
-        if timestamp.is_nan() || timestamp <= last {
+        if !timestamp.is_finite() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });
         }
         self.timestamps.push(timestamp);

@@ -44,13 +44,15 @@ pub(crate) fn most_alike<'a>(
 
 /// Poses keyframes that show a place which is known; returns which, none if there are no more.
 pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
-    let looks = scene.tracks.looks.clone();
-    let lost: Vec<&Look> = looks.iter().filter(|l| scene.poses[l.frame].is_none()).collect();
+    let looks = scene.tracks.looks.iter().enumerate();
+    let lost = looks.filter(|(_, look)| scene.poses[look.frame].is_none());
+    let lost: Vec<usize> = lost.map(|(place, _)| place).collect();
     for some in lost.chunks(AT_ONCE) {
         let may = |look: &Look, other: &Look| {
             scene.poses[other.frame].is_some() && !tried.0.contains(&(look.frame, other.frame))
         };
-        let search = |look: &&Look| {
+        let search = |place: &usize| {
+            let look = &scene.tracks.looks[*place];
             let compared = most_alike(scene, look, |_, other| may(look, other));
             let found = compared.iter().find_map(|old| recognise(scene, look, old));
             (found, compared.iter().map(|old| (look.frame, old.frame)).collect())
@@ -59,11 +61,12 @@ pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
             some.par_iter().map(search).unzip();
         tried.0.extend(compared.into_iter().flatten());
         let mut posed = Vec::new();
-        for (look, found) in some.iter().zip(found) {
+        for (place, found) in some.iter().zip(found) {
             let Some(found) = found else { continue };
-            scene.poses[look.frame] = Some(found.world_from_camera);
+            let frame = scene.tracks.looks[*place].frame;
+            scene.poses[frame] = Some(found.world_from_camera);
             scene.add_sights(found.sights);
-            posed.push(look.frame);
+            posed.push(frame);
         }
         if !posed.is_empty() {
             return posed;

@@ -116,7 +116,9 @@ impl Occupancy {
             let cell = self.cell(place);
             self.densities[cell] = self.densities[cell].max(self.settings.density);
             self.occupy(cell);
-            depth += self.end(place, inverse, place.map(|x| self.coordinate(x)), 1).max(least);
+            let step = self.end(place, inverse, place.map(|x| self.coordinate(x)), 1).max(least);
+            // Far away the step may be lost in rounding.
+            depth = (depth + step).max(depth.next_up());
         }
     }
 

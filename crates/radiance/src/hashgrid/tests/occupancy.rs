@@ -119,6 +119,14 @@ fn no_crossed_cell_is_missed() {
         assert!(held.abs_diff(cells.len()) <= 1, "{held} of {}", cells.len());
     }
     let mut occupancy = Occupancy::empty(looks);
+    let far = Ray {
+        origin: Vec3::new(1e6, low[1] + 0.5 * size, 0.0),
+        direction: Vec3::new(-1.0, 0.0, 0.0),
+        offset: 0.0,
+    };
+    occupancy.hold(&field, &far, 0.0, f32::INFINITY);
+    assert!(occupancy.share() > 0.0);
+    let mut occupancy = Occupancy::empty(looks);
     let away = Ray {
         origin: Vec3::new(f32::MAX, 0.0, 0.0),
         direction: Vec3::new(f32::NAN, 1.0, 0.0),
