@@ -52,8 +52,8 @@ pub(crate) struct Run {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,
-    /// Colour alone, as always for a video: the path is found from the pictures, or comes with --keyframes, and poses, tone
-    /// and map are refined together [default preset: default-rgb]
+    /// Colour alone, as always for a video: the path is found from the pictures, or comes with
+    /// --keyframes, and poses, tone and map are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
     /// With --rgb, lens distortion: that of the camera file, if there is one, or estimated from the

@@ -46,6 +46,12 @@ impl<T: Real> Camera<T> {
         (T::of(column as f64 + 0.5), T::of(row as f64 + 0.5))
     }
 
+    /// Horizontal field of view [rad].
+    pub fn horizontal_field_of_view(&self) -> f64 {
+        let [fx, cx] = [self.fx, self.cx].map(Real::to_f64);
+        (cx / fx).atan() + ((self.width as f64 - cx) / fx).atan()
+    }
+
     /// The camera of the image resized to `width x height`.
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let sx = T::of(width as f64 / self.width as f64);
@@ -108,6 +114,14 @@ impl<T: Real> Camera<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_right_angle_is_twice_the_focal_length_wide() {
+        let camera = Camera { width: 200, height: 100, fx: 100.0, fy: 100.0, cx: 100.0, cy: 50.0 };
+        assert!((camera.horizontal_field_of_view().to_degrees() - 90.0).abs() < 1e-12);
+        let shifted = Camera { cx: 0.0, ..camera };
+        assert!((shifted.horizontal_field_of_view() - 2.0_f64.atan()).abs() < 1e-12);
+    }
 
     fn example() -> Camera<f64> {
         Camera { width: 640, height: 480, fx: 517.3, fy: 516.5, cx: 319.1, cy: 255.8 }

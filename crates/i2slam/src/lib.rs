@@ -1,4 +1,4 @@
-//! RGB-D SLAM that inverts image formation: a blurred, exposure-drifting video goes in, a sharp
+//! SLAM that inverts image formation: a blurred, exposure-drifting video goes in, a sharp
 //! HDR Gaussian map and a camera trajectory come out.
 //!
 //! ```no_run

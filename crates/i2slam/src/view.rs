@@ -87,12 +87,7 @@ impl Viewer<'_> {
 
     /// Depth seen from a world-from-camera pose [m]; 0 where the map is not opaque.
     pub fn depth(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
-        let render = self.scene.render(world_from_camera);
-        let mut depth = render.depth.clone();
-        for (d, &opacity) in depth.data.iter_mut().zip(&render.opacity.data) {
-            *d = if opacity >= SOLID { *d / opacity } else { 0.0 };
-        }
-        depth
+        self.scene.render(world_from_camera).surface(SOLID)
     }
 
     /// The frame's sharp picture from another pose, cut to `[0, 1]`.

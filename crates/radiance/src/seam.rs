@@ -41,6 +41,22 @@ impl<T: Real> Render<T> {
         }
     }
 
+    /// Depth of what is seen \[m\], `depth / opacity`; 0 where the opacity is under `least`.
+    pub fn surface(&self, least: T) -> Image<T> {
+        let mut out = Image::default();
+        self.write_surface(least, &mut out);
+        out
+    }
+
+    /// The same into `out`, whose allocation is reused.
+    pub fn write_surface(&self, least: T, out: &mut Image<T>) {
+        out.reset(self.depth.width, self.depth.height, 1);
+        let pixels = self.depth.data.iter().zip(&self.opacity.data);
+        for (surface, (&depth, &opacity)) in out.data.iter_mut().zip(pixels) {
+            *surface = if opacity >= least { depth / opacity } else { T::zero() };
+        }
+    }
+
     /// Bring the planes to the size of a view, keeping the allocation. What they hold is not
     /// specified.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {

@@ -2,8 +2,7 @@
 
 use crate::failure::Failure;
 use i2slam::dataset::{EstimatedCamera, Layout, Sequence};
-use i2slam::export::{Metrics, UnitOfLength};
-use i2slam::geometry::Camera;
+use i2slam::export::Metrics;
 use i2slam::keyframes::{Intrinsics, NativeReconstruction};
 
 /// What the pictures alone told of the camera.
@@ -71,7 +70,7 @@ pub(crate) fn before(sequence: &Sequence) -> Vec<String> {
             sequence.len()
         ));
     }
-    let view = horizontal(camera);
+    let view = camera.horizontal_field_of_view().to_degrees();
     let source = &sequence.camera_source;
     lines.push(if sequence.camera_is_guess {
         format!(
@@ -94,7 +93,7 @@ impl FoundCamera {
             found: found.camera.fx,
             searched: sequence.camera_is_guess,
             deviation: found.focal_deviation,
-            field_of_view: horizontal(&found.camera),
+            field_of_view: found.camera.horizontal_field_of_view().to_degrees(),
             readout: found.rolling_shutter_readout,
             lens_searched: found.distortion.is_some(),
             lens: found
@@ -149,15 +148,8 @@ impl FoundCamera {
         metrics.focal_length_assumed_px = self.searched.then_some(self.assumed);
         metrics.focal_length_deviation = self.deviation;
         metrics.lens_distortion = self.lens.map(|lens| lens.distortion);
-        metrics.unit_of_length = UnitOfLength::Unknown;
         if metrics.rolling_shutter_readout_s == 0.0 {
             metrics.rolling_shutter_readout_s = self.readout;
         }
     }
-}
-
-/// Horizontal field of view of a camera [degrees].
-fn horizontal(camera: &Camera<f64>) -> f64 {
-    let side = |length: f64| (length / camera.fx).atan();
-    (side(camera.cx) + side(camera.width as f64 - camera.cx)).to_degrees()
 }

@@ -9,11 +9,10 @@ use crate::progress::Progress;
 use i2slam::config::{MapKind, TrackingMethod};
 use i2slam::dataset::Sequence;
 use i2slam::keyframes::{
-    ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PosedKeyframe, SequencePicture,
-    import,
+    ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PictureError, PosedKeyframe,
+    SequencePicture, import,
 };
 use i2slam::{Config, FrameEstimate, KeyframedSession, Reconstruction, SessionError};
-use std::error::Error;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -47,9 +46,6 @@ struct Opened {
     /// The sequence freed of a lens that was found.
     undistorted: Option<Sequence>,
 }
-
-/// What goes wrong with a picture, whatever it is.
-type PictureError = Box<dyn Error + Send + Sync>;
 
 /// Posed frames, one after the other.
 type Between = Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>>>;

@@ -75,8 +75,8 @@ pub struct FormationConfig {
     /// and `blur_per_camera` sets their number, up to 2 N - 1.
     pub virtual_cameras: usize,
     /// Where they lie within the exposure. Rays of a radiance field that is mapped lie anywhere in
-    /// equal parts of it, drawn anew in every step: there, and so in all of `run --rgb`, this says
-    /// nothing.
+    /// equal parts of it, drawn anew in every step: there, and so in `run --rgb` on a field, this
+    /// says nothing.
     pub quadrature: QuadratureRule,
     /// Blur length per virtual camera [px]: a frame uses no more cameras than its blur needs.
     /// Zero always uses `virtual_cameras`.

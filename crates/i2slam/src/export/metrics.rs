@@ -2,7 +2,6 @@
 
 use crate::Config;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
-use i2slam_geometry::Camera;
 use serde::{Deserialize, Serialize};
 
 /// The figures of one run. What could not be measured is `null` in the file.
@@ -142,27 +141,9 @@ impl Metrics {
             blur_length_px_max: blur.last().copied().unwrap_or(0.0),
             rolling_shutter_readout_s: reconstruction.rolling_shutter_readout,
             focal_length_px: reconstruction.camera.fx,
-            horizontal_fov_deg: field_of_view(&reconstruction.camera),
+            horizontal_fov_deg: reconstruction.camera.horizontal_field_of_view().to_degrees(),
+            unit_of_length: UnitOfLength::of(&reconstruction.config),
             ..Self::default()
         }
-    }
-}
-
-/// Horizontal field of view [degrees].
-fn field_of_view(camera: &Camera<f64>) -> f64 {
-    let side = |length: f64| (length / camera.fx).atan();
-    (side(camera.cx) + side(camera.width as f64 - camera.cx)).to_degrees()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_right_angle_is_twice_the_focal_length_wide() {
-        let camera = Camera { width: 200, height: 100, fx: 100.0, fy: 100.0, cx: 100.0, cy: 50.0 };
-        assert!((field_of_view(&camera) - 90.0).abs() < 1e-12);
-        let shifted = Camera { cx: 0.0, ..camera };
-        assert!((field_of_view(&shifted) - 2.0_f64.atan().to_degrees()).abs() < 1e-12);
     }
 }

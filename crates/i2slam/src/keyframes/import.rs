@@ -1,10 +1,9 @@
 //! Keyframes read from the files of another program.
 
-use super::{EstimatedDepth, KeyframeSource, PosedKeyframe};
+use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_dataset::DatasetError;
 use i2slam_dataset::import::Files;
 use i2slam_geometry::Camera;
-use std::error::Error;
 use std::path::Path;
 
 pub use i2slam_dataset::import::{
@@ -54,7 +53,7 @@ impl KeyframeSource for Import {
         &self.files.camera
     }
 
-    fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, Box<dyn Error + Send + Sync>>> {
+    fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
         let place = self.next;
         if place >= self.files.len() {
             return None;

@@ -12,6 +12,9 @@ pub use native::{
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;
 
+/// What goes wrong with a picture, whatever it is.
+pub type PictureError = Box<dyn Error + Send + Sync>;
+
 /// A picture that a front end has found a place for.
 ///
 /// Poses and depths share a unit of length, which is the metre only if the front end knows it.
@@ -56,5 +59,5 @@ pub trait KeyframeSource {
     /// # Errors
     ///
     /// A keyframe that cannot be read; the next call goes on after it.
-    fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, Box<dyn Error + Send + Sync>>>;
+    fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>>;
 }

@@ -1,12 +1,11 @@
 //! Keyframes that our own monocular front end finds poses for, from the pictures alone.
 
 use super::rows::RowMotion;
-use super::{EstimatedDepth, KeyframeSource, PosedKeyframe};
+use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_monocular::{
     DenseDepth, DenseDepths, FrameStatus, FrontEnd, Keyframe, Reconstruction, View,
 };
-use std::error::Error;
 use thiserror::Error;
 
 pub use i2slam_monocular::{
@@ -27,9 +26,6 @@ const SPARSE: f64 = 10.0;
 /// Least standard deviation of a depth as a share of it: that of the landmarks leaves the poses out,
 /// and a pixel shows more than a point.
 const LEAST_DEVIATION: f64 = 0.1;
-
-/// What goes wrong with a picture, whatever it is.
-type PictureError = Box<dyn Error + Send + Sync>;
 
 /// A picture of a sequence.
 #[derive(Clone, Debug)]

@@ -1,14 +1,12 @@
 //! Adding and removing Gaussians (SplaTAM's rules).
 
+use super::SOLID;
 use super::fill::{estimate_filled, filled};
 use crate::config::{MapConfig, MappingConfig};
 use crate::objective::{Observation, Tone};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
-
-/// Rendered opacity from which the map has a surface.
-const SOLID: f32 = 0.9;
 
 /// Depth at which a frame adds Gaussians: its own, with holes filled if `settings` say so, and
 /// none where the camera recorded nothing. Estimated depth goes on smoothly from what is known, and
@@ -20,7 +18,9 @@ pub(crate) fn placement(
     render: Option<&Render>,
 ) -> Image<f32> {
     let mut depth = match (settings.fill_depth, observation.is_estimated()) {
-        (true, true) => estimate_filled(&observation.depth, render.map(surfaces).as_ref()),
+        (true, true) => {
+            estimate_filled(&observation.depth, render.map(|r| r.surface(SOLID)).as_ref())
+        }
         (true, false) => filled(&observation.depth),
         (false, _) => observation.depth.clone(),
     };
@@ -29,15 +29,6 @@ pub(crate) fn placement(
         unrecorded.for_each(|(d, _)| *d = 0.0);
     }
     depth
-}
-
-/// Depth of the map's surfaces, 0 where it has none.
-fn surfaces(render: &Render) -> Image<f32> {
-    let mut out = render.depth.clone();
-    for (d, opacity) in out.data.iter_mut().zip(&render.opacity.data) {
-        *d = if *opacity > SOLID { *d / opacity } else { 0.0 };
-    }
-    out
 }
 
 /// What "large" means in this scene.

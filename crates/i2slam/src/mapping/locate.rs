@@ -1,6 +1,6 @@
 //! Finding frames in a map from poses that are roughly known.
 
-use super::Story;
+use super::{SOLID, Story};
 use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{SequenceReadout, TrackingContext, track};
@@ -8,9 +8,6 @@ use i2slam_formation::TrajectoryScale;
 use i2slam_geometry::Image;
 use i2slam_radiance::Render;
 use std::time::Instant;
-
-/// Rendered opacity from which the map has a surface.
-const SOLID: f32 = 0.9;
 
 /// What finding one frame leaves for the next.
 pub(crate) struct Locator {
@@ -72,10 +69,7 @@ impl Locator {
 
 /// A picture with the depth of the map.
 fn seen(colour: &Image<f32>, render: &Render) -> Observation {
-    let mut depth = render.depth.clone();
-    for (d, &opacity) in depth.data.iter_mut().zip(&render.opacity.data) {
-        *d = if opacity > SOLID { *d / opacity } else { 0.0 };
-    }
+    let depth = render.surface(SOLID);
     let mut variance = Image::new(depth.width, depth.height, 1);
     variance.data.fill(1.0);
     Observation::estimated(colour.clone(), depth, variance)

@@ -30,3 +30,6 @@ pub(crate) use posed_mapper::PosedMapper;
 
 use optimizer::MapOptimizer;
 use window::select_window;
+
+/// Rendered opacity from which the map has a surface.
+const SOLID: f32 = 0.9;

@@ -39,12 +39,7 @@ impl WideRender {
     }
 
     fn find_surface(&mut self) {
-        let Render { depth, opacity, .. } = &self.render;
-        self.surface.reset(depth.width, depth.height, 1);
-        let pixels = depth.data.iter().zip(&opacity.data);
-        for (surface, (&depth, &opacity)) in self.surface.data.iter_mut().zip(pixels) {
-            *surface = if opacity >= SOLID { depth / opacity } else { 0.0 };
-        }
+        self.render.write_surface(SOLID, &mut self.surface);
     }
 }
 

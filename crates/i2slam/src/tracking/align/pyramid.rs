@@ -82,11 +82,8 @@ pub(super) fn observed_levels(
 
 /// A render at `levels` sizes, finest first.
 pub(super) fn model_levels(render: &Render, levels: usize) -> Vec<Model> {
-    let mut depth = render.depth.clone();
-    for (d, &opacity) in depth.data.iter_mut().zip(&render.opacity.data) {
-        *d = if opacity > OPAQUE { *d / opacity } else { 0.0 };
-    }
-    halve_repeatedly(Model::new(render.radiance.clone(), depth), levels, |fine| {
+    let finest = Model::new(render.radiance.clone(), render.surface(OPAQUE));
+    halve_repeatedly(finest, levels, |fine| {
         Model::new(halved_by_mean(&fine.radiance), halved_depth(&fine.depth))
     })
 }
