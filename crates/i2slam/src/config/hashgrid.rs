@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct HashGridConfig {
     /// Half edge of the cube around the first camera that is mapped [m]; zero takes it from the
-    /// first frame's depth.
+    /// first frame's depth, and a larger one, with a field begun anew, where a frame sees farther.
     pub bound: f32,
-    /// The same as a multiple of the first frame's largest distance, the farthest 1 % left out.
+    /// The same as a multiple of a frame's largest distance, the farthest 1 % left out.
     pub margin: f32,
     /// Number of grids, from coarse to fine.
     pub levels: usize,

@@ -153,6 +153,39 @@ fn a_scene_beyond_the_cube_is_told_of() {
     assert!(warnings.len() == 1 && warnings[0].contains("hashgrid.bound"), "{warnings:?}");
 }
 
+/// World-from-camera of a camera that turns away from the near wall on its right.
+fn turning(index: usize) -> Pose<f64> {
+    let angle = std::f64::consts::FRAC_PI_2 - 0.1 * index as f64;
+    Pose::new(Rotation::exp(Vec3::new(0.0, angle, 0.0)), Vec3::zero())
+}
+
+#[test]
+fn the_cube_grows_with_what_is_seen() {
+    let frames = 7;
+    let mut session = Session::new(config(), CAMERA, 30.0);
+    let mut bounds = Vec::new();
+    for index in 0..frames {
+        session.process(&frame(index, turning(index))).expect("frames of one size");
+        let Map::HashGrid(map) = session.reconstruction().map else { panic!("not a field") };
+        bounds.push(map.field.settings().bound);
+    }
+    assert_eq!(session.take_warnings(), Vec::<String>::new());
+    assert!(bounds[0] < 1.2 && bounds[frames - 1] >= 1.5 * bounds[0], "{bounds:?}");
+    let reconstruction = session.reconstruction();
+    let world = turning(0).inverse();
+    for (index, estimate) in reconstruction.frames.iter().enumerate() {
+        let error = estimate.middle().local(world * turning(index));
+        let (metres, radians) = (error.translation.norm(), error.rotation.norm());
+        assert!(estimate.tracked && metres < 0.04 && radians < 0.02, "{index} {metres} {radians}");
+    }
+    // What was seen before the cube grew is there still.
+    let depth = reconstruction.viewer().depth(reconstruction.frames[0].middle());
+    let truth = frame(0, turning(0)).depth;
+    let wrong = depth.data.iter().zip(&truth.data).map(|(a, b)| (a - b).abs());
+    let error = wrong.sum::<f32>() / depth.data.len() as f32;
+    assert!(error < 0.05, "{error} m");
+}
+
 #[test]
 fn a_field_that_cannot_begin_ends_the_session() {
     let mut config = config();

@@ -37,11 +37,32 @@ pub(super) fn bound(config: &HashGridConfig, camera: &Camera<f64>, depth: &Image
 /// Distance from the camera [m] within which all surfaces lie but the farthest 1 %; none without
 /// any.
 pub(in crate::mapping) fn held_distance(camera: &Camera<f64>, depth: &Image<f32>) -> Option<f64> {
-    let mut distances: Vec<f64> = points(camera, depth).map(|p| p.norm()).collect();
+    held(points(camera, depth).map(|p| p.norm()).collect())
+}
+
+/// What all `distances` but the largest 1 % stay within; none without any.
+fn held(mut distances: Vec<f64>) -> Option<f64> {
     let held = (HELD * distances.len() as f64).ceil() as usize;
     let (_, far, _) =
         (held > 0).then(|| distances.select_nth_unstable_by(held - 1, f64::total_cmp))?;
     Some(*far)
+}
+
+/// Half edge [m] of a cube around `centre` that holds all surfaces of a frame but the farthest 1 %.
+pub(super) fn need(
+    centre: [f64; 3],
+    camera: &Camera<f64>,
+    world_from_camera: Pose<f64>,
+    depth: &Image<f32>,
+) -> f64 {
+    let places = points(camera, depth).map(|point| world_from_camera * point);
+    held(places.map(|place| away(place, centre)).collect()).unwrap_or(0.0)
+}
+
+/// Half edge [m] of the smallest cube around `centre` that holds a place.
+pub(in crate::mapping) fn away(place: Vec3<f64>, centre: [f64; 3]) -> f64 {
+    let apart = place.to_array().into_iter().zip(centre).map(|(p, c)| (p - c).abs());
+    apart.fold(0.0, f64::max)
 }
 
 /// Share of the pixels whose surface lies outside of a field's cube.
@@ -51,10 +72,8 @@ pub(super) fn share_outside(
     world_from_camera: Pose<f64>,
     depth: &Image<f32>,
 ) -> f64 {
-    let outside = points(camera, depth).filter(|&point| {
-        let place = (world_from_camera * point).to_array();
-        place.iter().zip(field.centre).any(|(p, c)| (p - c).abs() > field.bound)
-    });
+    let outside = points(camera, depth)
+        .filter(|&point| away(world_from_camera * point, field.centre) > field.bound);
     outside.count() as f64 / depth.data.len().max(1) as f64
 }
 

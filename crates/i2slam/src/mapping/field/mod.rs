@@ -2,11 +2,13 @@
 //!
 //! The field fills a cube around the first camera, as large as the first frame's depth says. Depth
 //! also tells where rays are sampled: a shell around every surface that a frame has seen, nothing in
-//! between, so that a ray costs a dozen samples. What lies outside of the cube is not mapped.
+//! between, so that a ray costs a dozen samples. Where a frame sees farther, a field in a larger cube
+//! takes its place: it is trained anew on the keyframes so far, whose poses and tone stay. Of a cube
+//! of a set size, what lies outside is not mapped.
 
 mod cube;
 
-pub(super) use cube::{held_distance, untrained};
+pub(super) use cube::{away, held_distance, untrained};
 
 use super::densify::placement;
 use super::frames::FrameOptimizers;
@@ -23,14 +25,16 @@ use i2slam_formation::{CameraResponse, CurveGradient, ResponseCurve, TrajectoryS
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::View;
 use i2slam_radiance::hashgrid::{
-    FieldAdam, FieldGradient, HashGridMap, Ray, SettingsError, decayed_rate,
+    FieldAdam, FieldGradient, FieldSettings, HashGridMap, Ray, SettingsError, decayed_rate,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Share of a frame's surfaces outside of the cube that is worth a warning.
+/// Share of a frame's surfaces outside of the cube that calls for a larger one.
 const OUTSIDE: f64 = 0.02;
+/// A cube grows by this factor at least, so that it seldom does.
+const GROWTH: f64 = 1.5;
 
 /// A field that is trained frame by frame.
 pub(crate) struct FieldMapper {
@@ -41,6 +45,8 @@ pub(crate) struct FieldMapper {
     /// Why there is none after the first frame.
     failure: Option<SettingsError>,
     frames: FrameOptimizers,
+    /// How many steps a field had that was begun anew since the last round; else none.
+    lost_steps: usize,
     warned: bool,
 }
 
@@ -51,6 +57,8 @@ struct Field {
     batch: RayObjective,
     gradient: FieldGradient,
     adam: FieldAdam,
+    /// Number of steps so far.
+    steps: usize,
 }
 
 impl Field {
@@ -60,8 +68,17 @@ impl Field {
             batch: RayObjective::new(camera, map.march),
             gradient: FieldGradient::zeros(&map.field),
             adam: FieldAdam::new(),
+            steps: 0,
             map,
         }
+    }
+
+    /// Puts an untrained map in the place of this one.
+    fn renew(&mut self, map: HashGridMap) {
+        self.gradient = FieldGradient::zeros(&map.field);
+        self.adam = FieldAdam::new();
+        // What draws the map has its march.
+        self.map = HashGridMap { march: self.map.march, ..map };
     }
 }
 
@@ -74,6 +91,7 @@ impl FieldMapper {
             field: None,
             failure: None,
             frames: FrameOptimizers::default(),
+            lost_steps: 0,
             warned: false,
         }
     }
@@ -92,8 +110,25 @@ impl FieldMapper {
         }
     }
 
+    /// Begins the field anew, in a cube of half edge `bound` [m], with all keyframes before
+    /// `current`.
+    fn grow(&mut self, story: &mut Story<'_>, bound: f64) {
+        let (settings, seed) = (&story.config.hashgrid, story.config.seed);
+        let Some(field) = &mut self.field else { return };
+        // The settings have made a field before.
+        let centre = field.map.field.settings().centre;
+        let Ok(map) = cube::untrained(settings, centre, bound, seed) else { return };
+        self.lost_steps += std::mem::take(&mut field.steps);
+        field.renew(map);
+        for keyframe in story.keyframes {
+            let depth =
+                placement(&keyframe.observation, &story.config.mapping, story.covered, None);
+            self.hold(story, story.frames[keyframe.frame].depth_pose(), &depth);
+        }
+    }
+
     /// Samples around the surfaces of a frame from now on.
-    fn hold(&mut self, story: &mut Story<'_>, frame: usize, pose: Pose<f64>, depth: &Image<f32>) {
+    fn hold(&mut self, story: &Story<'_>, pose: Pose<f64>, depth: &Image<f32>) {
         let Some(Field { map, .. }) = &mut self.field else { return };
         let shell = story.config.hashgrid.shell;
         let HashGridMap { field, occupancy, .. } = map;
@@ -108,22 +143,39 @@ impl FieldMapper {
                 occupancy.hold(field, &ray, d * (1.0 - shell), d * (1.0 + shell));
             }
         }
-        let share = cube::share_outside(field.settings(), story.camera, pose, depth);
-        let bound = field.settings().bound;
-        if share > OUTSIDE && !self.warned {
+    }
+
+    /// Sees to it that the cube holds what a frame sees, or warns.
+    fn enclose(
+        &mut self,
+        story: &mut Story<'_>,
+        frame: usize,
+        pose: Pose<f64>,
+        depth: &Image<f32>,
+    ) {
+        let Some(Field { map, .. }) = &self.field else { return };
+        let FieldSettings { centre, bound, .. } = *map.field.settings();
+        let share = cube::share_outside(map.field.settings(), story.camera, pose, depth);
+        if share <= OUTSIDE {
+            return;
+        }
+        let settings = &story.config.hashgrid;
+        if settings.bound == 0.0 {
+            let need = f64::from(settings.margin) * cube::need(centre, story.camera, pose, depth);
+            self.grow(story, need.max(GROWTH * bound));
+        } else if !self.warned {
             self.warned = true;
             story.warnings.push(format!(
                 "frame {}: {:.0} % of what it sees lies outside of the field's cube (±{bound:.1} m \
-                 around the first camera) and is not mapped: hashgrid.margin and hashgrid.bound \
-                 set its size",
+                 around the first camera) and is not mapped: without hashgrid.bound the cube grows",
                 story.frames[frame].index,
                 100.0 * share
             ));
         }
     }
 
-    /// One step on pixels of all `views`.
-    fn step(&mut self, story: &mut Story<'_>, views: &[Keyframe], rate: f32) {
+    /// One step on pixels of all `views`; poses and tone take part unless the field `alone` does.
+    fn step(&mut self, story: &mut Story<'_>, views: &[Keyframe], rate: f32, alone: bool) {
         let config = story.config;
         let curves = curves(story, views);
         let rays = config.hashgrid.rays / views.len().max(1);
@@ -131,7 +183,8 @@ impl FieldMapper {
         let drawn: Vec<RayView<'_>> = drawn.collect();
         let Some(field) = &mut self.field else { return };
         let mapping = &config.mapping;
-        let with_poses = mapping.pose_rotation_rate > 0.0 || mapping.pose_translation_rate > 0.0;
+        let with_poses =
+            !alone && (mapping.pose_rotation_rate > 0.0 || mapping.pose_translation_rate > 0.0);
         let evaluations = field.batch.map(
             &field.map,
             &drawn,
@@ -141,7 +194,10 @@ impl FieldMapper {
             &mut field.gradient,
         );
         field.adam.step(&mut field.map.field, &mut field.gradient, rate);
-        self.step_frames(story, views, evaluations);
+        field.steps += 1;
+        if !alone {
+            self.step_frames(story, views, evaluations);
+        }
     }
 
     /// Random pixels of a keyframe, about `rays` rays in all.
@@ -295,20 +351,22 @@ impl Mapper for FieldMapper {
         if self.field.is_none() {
             self.begin(story, pose, &depth);
         }
-        self.hold(story, current.frame, pose, &depth);
+        self.enclose(story, current.frame, pose, &depth);
+        self.hold(story, pose, &depth);
     }
 
     fn refine(&mut self, story: &mut Story<'_>, current: &Keyframe, first: bool) {
         let settings = &story.config.hashgrid;
-        let iterations = if first { settings.first_iterations } else { settings.iterations };
+        let lost = std::mem::take(&mut self.lost_steps);
+        let round = if first { settings.first_iterations } else { settings.iterations };
         let (rate, budget) = (settings.rate, f64::from(story.config.mapping.seconds_per_frame));
         let clock = Instant::now();
-        for iteration in 0..iterations {
+        for iteration in 0..lost + round {
             if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
                 break;
             }
             let window = Self::window(story, current);
-            self.step(story, &window, rate);
+            self.step(story, &window, rate, iteration < lost);
         }
     }
 
@@ -320,7 +378,7 @@ impl Mapper for FieldMapper {
             story.random.shuffle(&mut order);
             let chosen = order.iter().take(story.config.mapping.window);
             let window: Vec<Keyframe> = chosen.map(|&k| story.keyframes[k].clone()).collect();
-            self.step(story, &window, decayed_rate(rate, step as i32, steps as i32));
+            self.step(story, &window, decayed_rate(rate, step as i32, steps as i32), false);
             if !on_step(step + 1, steps) {
                 break;
             }

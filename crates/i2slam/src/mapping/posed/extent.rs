@@ -3,7 +3,7 @@
 //! The cube lies around the middle of all cameras. It holds, in whatever direction a camera looks,
 //! all depths of its keyframe but the farthest 1 %, or, without depth, what lies within `reach`.
 
-use crate::mapping::field::held_distance;
+use crate::mapping::field::{away, held_distance};
 use crate::mapping::{Keyframe, Story};
 use i2slam_geometry::Vec3;
 use i2slam_radiance::hashgrid::FieldSettings;
@@ -52,8 +52,7 @@ fn place(story: &Story<'_>, keyframe: &Keyframe) -> Vec3<f64> {
 
 /// Half edge of the cube around `centre` that one keyframe needs, `share` of `reach` being enough.
 fn need(story: &Story<'_>, keyframe: &Keyframe, centre: [f64; 3], share: f64) -> f64 {
-    let away = place(story, keyframe).to_array().into_iter().zip(centre);
-    let away = away.fold(0.0, |most: f64, (p, c)| most.max((p - c).abs()));
+    let away = away(place(story, keyframe), centre);
     let depth = &keyframe.observation.depth;
     let sees = held_distance(story.camera, depth);
     away + sees.unwrap_or(share * f64::from(story.config.keyframed.reach))
