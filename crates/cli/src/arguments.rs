@@ -259,9 +259,10 @@ pub(crate) struct Eval {
     /// Judge the renders that are there, though others are missing
     #[arg(long)]
     pub(crate) partial: bool,
-    /// What may be fitted before errors are measured
-    #[arg(long, value_enum, default_value_t = Fit::Se3, value_name = "GROUP")]
-    pub(crate) align: Fit,
+    /// What may be fitted before errors are measured: se3, but sim3 where the trajectory says that
+    /// its unit of length is unknown
+    #[arg(long, value_enum, value_name = "GROUP")]
+    pub(crate) align: Option<Fit>,
     /// Step of the relative pose error: frames (`1`, `30`) or seconds (`0.5s`)
     #[arg(long, value_name = "STEP", default_value = "1", value_parser = relative_step)]
     pub(crate) rpe: RelativeStep,

@@ -38,7 +38,7 @@ impl Progress {
         Self { display, started }
     }
 
-    /// One more frame is done; `done` counts it.
+    /// One more frame of the phase is done; `done` counts it.
     pub(crate) fn frame(&mut self, estimate: &FrameEstimate, done: usize, total: usize) {
         let seconds = self.started.elapsed().as_secs_f64() / done.max(1) as f64;
         let size = match estimate.gaussians {
@@ -54,9 +54,10 @@ impl Progress {
                 bar.set_position(done as u64);
                 bar.set_message(words);
             }
-            Display::Lines { last, .. } if due(last) || done == total => {
+            Display::Lines { last, phase, .. } if due(last) || done == total => {
+                let what = if phase.is_empty() { "frames" } else { phase };
                 let left = seconds * (total - done) as f64;
-                complain(&format!("frame {done}/{total}  {words}  {left:.0} s left"));
+                complain(&format!("{what} {done}/{total}  {words}  {left:.0} s left of these"));
             }
             Display::Lines { .. } | Display::Quiet => {}
         }
@@ -64,6 +65,7 @@ impl Progress {
 
     /// Begin another kind of work of `total` steps.
     pub(crate) fn phase(&mut self, name: &'static str, total: usize) {
+        self.started = Instant::now();
         match &mut self.display {
             Display::Bar(bar) => {
                 bar.set_length(total as u64);

@@ -95,6 +95,24 @@ fn eval_measures_trajectory_and_pictures() {
 }
 
 #[test]
+fn eval_fits_the_scale_of_a_unit_that_is_unknown() {
+    let scratch = result("eval-unit");
+    let truth = scratch.join("room/groundtruth.txt");
+    let metric = scratch.join("out/trajectory.txt");
+    let text = fs::read_to_string(&metric).expect("a trajectory");
+    let unknown = scratch.join("unknown.txt");
+    fs::write(&unknown, text.replacen("[m]", "[unit of length unknown]", 1)).expect("room");
+    let fit = |file: &Path, flags: &[&str]| {
+        let mut all: Vec<&OsStr> = vec!["--groundtruth".as_ref(), truth.as_ref()];
+        all.extend(flags.iter().map(OsStr::new));
+        on("eval", file, &all).ended_with(0).out
+    };
+    assert!(fit(&metric, &[]).contains("SE(3)"));
+    assert!(fit(&unknown, &[]).contains("Sim(3)"));
+    assert!(fit(&unknown, &["--align", "se3"]).contains("SE(3)"));
+}
+
+#[test]
 fn eval_names_a_bad_line_of_the_truth() {
     let scratch = result("bad-truth");
     let truth = scratch.join("truth.txt");

@@ -66,6 +66,15 @@ fn in_words(unit: UnitOfLength) -> &'static str {
     }
 }
 
+impl UnitOfLength {
+    /// What the first line of a `trajectory.txt` says; metres if it says nothing.
+    pub fn of_trajectory(text: &str) -> Self {
+        let head = text.lines().next().unwrap_or_default();
+        let is_unknown = head.starts_with('#') && head.ends_with(in_words(Self::Unknown));
+        if is_unknown { Self::Unknown } else { Self::Metre }
+    }
+}
+
 fn line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String) -> String {
     let mut line = format!("{timestamp:.6}");
     for Pose { rotation: q, translation: t } in poses {

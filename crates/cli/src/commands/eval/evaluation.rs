@@ -3,7 +3,7 @@
 use super::figure::{Figure, Row};
 use super::pictures::Judged;
 use super::trajectory;
-use crate::arguments::{Eval, Fit, Protocol};
+use crate::arguments::{Eval, Protocol};
 use crate::failure::Failure;
 use crate::output::{complain, say};
 use i2slam::export::report::{EvaluationSection, EvaluationSource, TruthSource};
@@ -105,7 +105,7 @@ impl Evaluation {
         if self.corrections.is_some() {
             title += ", poses optimised";
         }
-        if arguments.align == Fit::Sim3 {
+        if self.trajectory.as_ref().is_some_and(trajectory::Errors::is_scaled) {
             title += ", aligned with scale";
         }
         for truth in self.foreign.iter().flat_map(|(truths, _)| truths) {

@@ -3,6 +3,7 @@
 use super::failed;
 use crate::failure::Failure;
 use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::export::UnitOfLength;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -51,6 +52,13 @@ impl Subject {
             Self::Trajectory(file) => Some(file.clone()),
             Self::Pictures(_) => None,
         }
+    }
+
+    /// What the head of the trajectory says of its unit of length; those of others are metric.
+    pub(super) fn unit_of_length(&self) -> Result<UnitOfLength, Failure> {
+        let Some(path) = self.trajectory() else { return Ok(UnitOfLength::Metre) };
+        let text = std::fs::read_to_string(&path).map_err(|e| failed(&path, e))?;
+        Ok(UnitOfLength::of_trajectory(&text))
     }
 
     pub(super) fn result(&self) -> Option<&Path> {

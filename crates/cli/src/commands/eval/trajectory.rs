@@ -7,6 +7,7 @@ use crate::arguments::{Eval, Fit, Protocol, RelativeStep};
 use crate::failure::Failure;
 use crate::output::counted;
 use i2slam::dataset::read_trajectory;
+use i2slam::export::UnitOfLength;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, RelativePoseError, Step, TrajectoryError,
@@ -47,10 +48,7 @@ pub(super) fn judge(
     if arguments.protocol == Protocol::Monogs {
         keep_keyframes(&mut estimate, subject)?;
     }
-    let alignment = match arguments.align {
-        Fit::Se3 => Alignment::Se3,
-        Fit::Sim3 => Alignment::Sim3,
-    };
+    let alignment = alignment(arguments, subject)?;
     let absolute = absolute_trajectory_error(&estimate, truth, alignment, DEFAULT_TOLERANCE)?;
     let step = match arguments.rpe {
         RelativeStep::Frames(frames) => Step::Frames(frames),
@@ -59,6 +57,19 @@ pub(super) fn judge(
     let aligned = &absolute.aligned_estimate;
     let relative = relative_pose_error(aligned, truth, step, DEFAULT_TOLERANCE)?;
     Ok(Errors { absolute, relative })
+}
+
+/// What was asked for, else what the trajectory's unit of length allows.
+fn alignment(arguments: &Eval, subject: &Subject) -> Result<Alignment, Failure> {
+    let fit = match arguments.align {
+        Some(fit) => fit,
+        None if subject.unit_of_length()? == UnitOfLength::Unknown => Fit::Sim3,
+        None => Fit::Se3,
+    };
+    Ok(match fit {
+        Fit::Se3 => Alignment::Se3,
+        Fit::Sim3 => Alignment::Sim3,
+    })
 }
 
 /// Why keyframes alone cannot be judged: three poses are needed.
@@ -92,6 +103,10 @@ fn keep_keyframes(estimate: &mut Vec<StampedPose>, subject: &Subject) -> Result<
 }
 
 impl Errors {
+    pub(super) fn is_scaled(&self) -> bool {
+        matches!(self.absolute.alignment, Alignment::Sim3)
+    }
+
     pub(super) fn rows(&self) -> Vec<Row> {
         let (t, r) = (&self.absolute, &self.relative);
         let fit = match t.alignment {
