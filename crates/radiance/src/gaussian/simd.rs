@@ -9,13 +9,18 @@ use pulp::Simd;
 /// Added to a small float it leaves its nearest integer in the low bits (`1.5 · 2²³`).
 const ROUND: f32 = 12_582_912.0;
 
-/// `2ˣ` for `x < 128`; below -126 it stays at `2⁻¹²⁶`. Relative error below 4e-7.
+/// Where [`exp2`] stays: an opacity that no cut-off lets through, and still normal after products
+/// with transmittances and cotangents. Of subnormal numbers a single one in a vector takes a
+/// hundred cycles.
+const LEAST_EXPONENT: f32 = -64.0;
+
+/// `2ˣ` for `x < 128`; below -64 it stays at `2⁻⁶⁴`. Relative error below 4e-7.
 ///
 /// Range reduction to `[-½, ½]` and a polynomial of degree 5 fitted to least worst relative
 /// error (7.5e-8 before rounding).
 #[inline(always)]
 pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    let x = simd.max_f32s(x, simd.splat_f32s(-126.0));
+    let x = simd.max_f32s(x, simd.splat_f32s(LEAST_EXPONENT));
     let round = simd.splat_f32s(ROUND);
     let shifted = simd.add_f32s(x, round);
     let f = simd.sub_f32s(x, simd.sub_f32s(shifted, round));
@@ -125,7 +130,7 @@ mod tests {
     #[test]
     fn exponentials_and_logarithm_keep_their_promises() {
         let relative = |v: f64| v;
-        assert!(worst(Function::Exp2, [-125.9, 127.0], f64::exp2, relative) < 4e-7);
+        assert!(worst(Function::Exp2, [-63.9, 127.0], f64::exp2, relative) < 4e-7);
         assert!(worst(Function::Exp, [-86.9, 87.9], f64::exp, relative) < 4e-7);
         for range in [[2e-38, 1e-30], [1e-6, 1e-2], [0.5, 2.0], [1.0, 1e10]] {
             let error = worst(Function::Log2, range, f64::log2, |v| 2.0 + v.abs());
@@ -137,7 +142,7 @@ mod tests {
     fn exponentials_stay_finite_far_below() {
         let mut v = [-1e30_f32; 16];
         Arch::new().dispatch(Evaluate(Function::Exp2, &mut v));
-        assert!(v.iter().all(|v| (0.0..2e-38).contains(v)));
+        assert!(v.iter().all(|v| (0.0..6e-20).contains(v) && (v * 1e-12).is_normal()));
         let mut v = [f32::NEG_INFINITY; 16];
         Arch::new().dispatch(Evaluate(Function::Exp, &mut v));
         assert!(v.iter().all(|v| (0.0..2e-38).contains(v)));
