@@ -72,11 +72,13 @@ impl WithSimd for UpsampleRow<'_> {
         }
         let sources = neighbours(y / 2, height);
         for (plane, to) in planes.into_iter().zip(scratch.chunks_exact_mut(width)) {
-            let rows = sources.map(|y| &plane[y * width..(y + 1) * width]);
-            for x in 0..width {
-                let pairs = [0, 1, 2]
-                    .map(|k| kernel[k] * rows[k][x] + kernel[TAPS - 1 - k] * rows[TAPS - 1 - k][x]);
-                to[x] = pairs[0] + pairs[1] + pairs[2];
+            let row = |k: usize| &plane[sources[k] * width..(sources[k] + 1) * width];
+            let (outer, middle, inner) =
+                (row(0).iter().zip(row(5)), row(1).iter().zip(row(4)), row(2).iter().zip(row(3)));
+            for (to, ((outer, middle), inner)) in to.iter_mut().zip(outer.zip(middle).zip(inner)) {
+                let pair =
+                    |k: usize, (a, b): (&f32, &f32)| kernel[k] * a + kernel[TAPS - 1 - k] * b;
+                *to = pair(0, outer) + pair(1, middle) + pair(2, inner);
             }
         }
         let (red, rest) = scratch.split_at(width);
