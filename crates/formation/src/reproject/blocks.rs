@@ -4,20 +4,20 @@ use super::surface::Facet;
 use i2slam_geometry::Real;
 
 /// Side of a block [px].
-pub(super) const BLOCK: usize = 8;
+pub(super) const BLOCK: usize = 4;
 
 /// Steps whose two sides move apart by less than this are not searched [px].
 const VISIBLE_STEP: f64 = 0.25;
 
 /// A block looks at most this many blocks away for steps (64 px).
-const LONGEST_REACH: f64 = 8.0;
+const LONGEST_REACH: f64 = 16.0;
 
 /// Bounds of inverse depth [1/m] and the largest bend of some pixels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block<T> {
     pub(super) nearest: T,
     pub(super) farthest: T,
-    bend: T,
+    pub(super) bend: T,
 }
 
 impl<T: Real> Block<T> {
@@ -36,6 +36,12 @@ impl<T: Real> Block<T> {
         self.farthest = T::zero() - larger(-other.farthest, -self.farthest);
         self.bend = larger(other.bend, self.bend);
     }
+}
+
+/// The step in inverse depth from which on a motion by `parallax` pixels per unit of it shows.
+#[inline(always)]
+pub(super) fn steep<T: Real>(parallax: T) -> T {
+    T::of(VISIBLE_STEP) / parallax
 }
 
 /// The larger of two numbers; `b` where `a` is not a number.
@@ -73,7 +79,7 @@ impl<T: Real> Blocks<T> {
     /// Prepares [`searched`](Self::searched) for motion by up to `reach` [px] with at most
     /// `parallax` pixels per unit of inverse depth.
     pub(super) fn surround(&mut self, reach: T, parallax: T) {
-        self.steep = T::of(VISIBLE_STEP) / parallax;
+        self.steep = steep(parallax);
         let blocks = (reach.to_f64() / BLOCK as f64).ceil().clamp(0.0, LONGEST_REACH) as usize;
         let columns = self.columns.max(1);
         for (out, row) in self.along_rows.chunks_mut(columns).zip(self.own.chunks(columns)) {
@@ -93,7 +99,8 @@ impl<T: Real> Blocks<T> {
         }
     }
 
-    /// The bounds around pixel (`x`, `y`) if a step near it moves visibly, else `None`.
+    /// The bounds around pixel (`x`, `y`) if a step near it moves visibly for any view, else `None`.
+    #[inline(always)]
     pub(super) fn searched(&self, x: usize, y: usize) -> Option<Block<T>> {
         let block = self.around[(y / BLOCK) * self.columns + x / BLOCK];
         (block.bend > self.steep).then_some(block)

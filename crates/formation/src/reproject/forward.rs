@@ -144,8 +144,9 @@ fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, lanes: usize, depths: &mut [
     let mut uncovered = 0.0;
     if steps.any {
         for (view, depths) in moving.iter().zip(depths.iter_mut()) {
+            let Some(shown) = steps.shown(view.steep) else { continue };
             let lines = Lines::new(scene.camera, view, x, y);
-            let hidden = steps.search(scene, &lines, &own, depths);
+            let hidden = shown.search(scene, &lines, &own, depths);
             let count = hidden[..lanes].iter().filter(|hidden| **hidden).count();
             uncovered += view.weight * count as f32;
         }

@@ -45,7 +45,8 @@ pub(super) fn land(scene: &Scene<'_>, lines: &Lines, guess: &Lanes) -> Lanes {
 /// The bounds of inverse depth around sixteen pixels, for those that are near a visible step.
 pub(super) struct Steps {
     pub(super) any: bool,
-    near_step: [bool; LANES],
+    /// The largest bends around; 0 where there is no visible step.
+    bend: Lanes,
     nearest: Lanes,
     farthest: Lanes,
 }
@@ -55,17 +56,35 @@ impl Steps {
     #[inline(always)]
     pub(super) fn around(scene: &Scene<'_>, x: usize, y: usize) -> Self {
         let zero = [0.0; LANES];
-        let mut steps =
-            Self { any: false, near_step: [false; LANES], nearest: zero, farthest: zero };
+        let mut steps = Self { any: false, bend: zero, nearest: zero, farthest: zero };
         for i in 0..LANES.min(scene.camera.width - x) {
             if let Some(bounds) = scene.surface.blocks.searched(x + i, y) {
-                (steps.any, steps.near_step[i]) = (true, true);
+                (steps.any, steps.bend[i]) = (true, bounds.bend);
                 (steps.nearest[i], steps.farthest[i]) = (bounds.nearest, bounds.farthest);
             }
         }
         steps
     }
 
+    /// Those that a view shows for which bends up to `steep` are none, if there are any.
+    #[inline(always)]
+    pub(super) fn shown(&self, steep: f32) -> Option<Shown<'_>> {
+        let (mut near_step, mut any) = ([false; LANES], false);
+        for i in 0..LANES {
+            near_step[i] = self.bend[i] > steep;
+            any |= near_step[i];
+        }
+        any.then_some(Shown { steps: self, near_step })
+    }
+}
+
+/// The steps that one view shows.
+pub(super) struct Shown<'a> {
+    steps: &'a Steps,
+    near_step: [bool; LANES],
+}
+
+impl Shown<'_> {
     /// Replaces the inverse depths `w` of pixels near a step by those of the nearest surface on
     /// their lines, and says at which of them the line ends hidden.
     #[inline(always)]
@@ -89,9 +108,10 @@ impl Steps {
             let found = if walks.at[i] > NOWHERE { near } else { landed[i] };
             w[i] = if self.near_step[i] { found } else { w[i] };
         }
-        let hidden = std::array::from_fn(|i| {
-            self.near_step[i] & (walks.count[i] > 0) & (walks.at[i] == NOWHERE)
-        });
+        let mut hidden = [false; LANES];
+        for i in 0..LANES {
+            hidden[i] = (walks.count[i] > 0) & (walks.at[i] == NOWHERE);
+        }
         for i in 0..LANES {
             if hidden[i] {
                 w[i] = walks.hidden(i).beside(scene.surface, &lines.line(i));
@@ -120,7 +140,7 @@ struct Walks {
 
 impl Walks {
     #[inline(always)]
-    fn new(steps: &Steps, lines: &Lines) -> Self {
+    fn new(Shown { steps, near_step }: &Shown<'_>, lines: &Lines) -> Self {
         let mut walks = Self {
             nearest: steps.nearest,
             farthest: steps.farthest,
@@ -133,7 +153,7 @@ impl Walks {
         for i in 0..LANES {
             let (count, step) =
                 Walk::steps(lines.ex[i], lines.ey[i], steps.nearest[i], steps.farthest[i]);
-            (walks.count[i], walks.step[i]) = (count, step);
+            (walks.count[i], walks.step[i]) = (if near_step[i] { count } else { 0 }, step);
         }
         walks
     }
@@ -141,25 +161,29 @@ impl Walks {
     #[inline(always)]
     fn run(&mut self, scene: &Scene<'_>, lines: &Lines) {
         let Self { nearest, step, at, in_front, occluder, .. } = self;
-        // The last step of each; -1 where there is none any more.
-        let mut end = self.count.map(|count| if count > 0 { count as f32 } else { -1.0 });
-        let mut k = 0.0;
-        while end.iter().fold(-1.0, |most: f32, &end| most.max(end)) >= k {
-            let mut w = [0.0; LANES];
+        // One past the last step of each, 0 where there is none any more. Largest whole numbers are
+        // found in a few instructions, largest fractions one by one.
+        let mut end = [0; LANES];
+        for i in 0..LANES {
+            end[i] = if self.count[i] > 0 { self.count[i] + 1 } else { 0 };
+        }
+        let mut k = 0;
+        while end.iter().fold(0, |most: u32, &end| most.max(end)) > k {
+            let (mut w, place) = ([0.0; LANES], k as f32);
             for i in 0..LANES {
-                w[i] = nearest[i] - step[i] * k;
+                w[i] = nearest[i] - step[i] * place;
             }
             let seen = scene.surface.values_at(&pixels(scene.camera, lines, &w).0);
             for i in 0..LANES {
-                let walking = k <= end[i];
+                let walking = k < end[i];
                 let met = walking & Walk::meets(seen[i], w[i], step[i]);
                 let before = seen[i] < w[i];
                 at[i] = if met { w[i] } else { at[i] };
-                in_front[i] = if walking & !met & before { k } else { in_front[i] };
+                in_front[i] = if walking & !met & before { place } else { in_front[i] };
                 occluder[i] = if walking & !met & !before { seen[i] } else { occluder[i] };
-                end[i] = if met { -1.0 } else { end[i] };
+                end[i] = if met { 0 } else { end[i] };
             }
-            k += 1.0;
+            k += 1;
         }
     }
 

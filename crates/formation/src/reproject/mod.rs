@@ -12,9 +12,9 @@
 //! line `q(w) = q_∞ + e w` (exact for any motion), and `q` is where `w` is the inverse depth that
 //! the render has at `q(w)`. Where the surface is smooth one Newton step from the pixel's own
 //! depth solves this for the first and the last virtual camera, and a parabola in time through
-//! both and the middle gives all others. In blocks of 8 x 8 pixels near a step in depth whose
-//! sides the motion moves apart by more than a quarter of a pixel, each ray is walked from near
-//! to far instead, and the first surface counts: a foreground covers what is behind it. Background
+//! both and the middle gives all others. In blocks of 4 x 4 pixels near a step in depth whose
+//! sides a virtual camera moves apart by more than a quarter of a pixel, its rays are walked from near to
+//! far instead, and the first surface counts: a foreground covers what is behind it. Background
 //! that the foreground hides from the sharp render takes the background beside the foreground.
 //! Along the edge of a foreground a render holds a mixture of two depths; such pixels go with the
 //! foreground. An unknown depth takes the farther of its row's two nearest known ones; without any it is

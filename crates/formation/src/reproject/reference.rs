@@ -145,7 +145,8 @@ impl<T: Real> ReferenceReprojection<T> {
     /// The inverse depth that a pixel sees, and whether the render hides it.
     fn lands(&self, view: &View<T>, x: usize, y: usize) -> (T, bool) {
         let own = self.surface.row(y)[x];
-        if let Some(bounds) = self.surface.blocks.searched(x, y) {
+        let bounds = self.surface.blocks.searched(x, y);
+        if let Some(bounds) = bounds.filter(|bounds| bounds.bend > view.steep) {
             return search(&self.surface, &self.line(view, x, y), bounds, own);
         }
         let land_from = |view, guess| land(&self.surface, &self.line(view, x, y), guess);

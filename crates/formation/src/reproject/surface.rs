@@ -105,10 +105,16 @@ impl<T: Real> Surface<T> {
 }
 
 /// Several items, of which there are some; without a branch for each index.
+///
+/// What `map` calls may stay a function of its own, without the vectors of its caller.
 #[inline(always)]
 fn look_up<V: Copy, const N: usize>(items: &[V], indices: &[u32; N]) -> [V; N] {
     assert!(!items.is_empty(), "no pixels");
-    indices.map(|index| items[(index as usize).min(items.len() - 1)])
+    let mut found = [items[0]; N];
+    for i in 0..N {
+        found[i] = items[(indices[i] as usize).min(items.len() - 1)];
+    }
+    found
 }
 
 /// The pixel that covers a coordinate, NaN and positions outside included.

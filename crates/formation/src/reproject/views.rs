@@ -1,6 +1,7 @@
 //! The virtual cameras as seen from the sharp render: where a pixel's ray runs in that render.
 
 use super::ReprojectionGradient;
+use super::blocks::steep;
 use crate::shutter::{
     CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera, row_place,
 };
@@ -26,6 +27,8 @@ pub(super) struct View<T> {
     pub(super) moment: T,
     /// Share of the exposure.
     pub(super) weight: T,
+    /// Bends of inverse depth up to this [1/m] move by too little to be searched.
+    pub(super) steep: T,
     /// `R K⁻¹`: pixel to ray in the frame of the sharp render.
     ray_from_pixel: Mat3<T>,
     /// `R = R_mᵀ R_v`.
@@ -68,6 +71,7 @@ impl<T: Real> View<T> {
             place: T::of(place),
             moment: T::of((virtual_camera.u - 0.5) / last),
             weight: T::of(virtual_camera.weight),
+            steep: T::infinity(),
             ray_from_pixel: cast(&(rotation * ray_from_pixel(camera))),
             rotation: cast(&rotation),
             translation: relative.translation.cast(),
@@ -97,6 +101,27 @@ impl<T: Real> View<T> {
             ex: camera.fx * (t.x - a * t.z),
             ey: camera.fy * (t.y - b * t.z),
         }
+    }
+
+    /// The largest motion per unit of inverse depth at the image's corners [px m].
+    fn parallax(&self, camera: &Camera<T>) -> T {
+        self.over_corners(camera, |line, _| (line.ex * line.ex + line.ey * line.ey).sqrt())
+    }
+
+    /// See [`Views::reach`].
+    fn reach(&self, camera: &Camera<T>, nearest: T) -> T {
+        self.over_corners(camera, |line, (x, y)| {
+            let distance = |w: T| (line.at(w).0 - x).hypot(line.at(w).1 - y);
+            distance(T::zero()).max(distance(nearest))
+        })
+    }
+
+    fn over_corners(&self, camera: &Camera<T>, measure: impl Fn(Line<T>, (T, T)) -> T) -> T {
+        let (w, h) = (T::of(camera.width as f64), T::of(camera.height as f64));
+        let corners = [(T::zero(), T::zero()), (w, T::zero()), (T::zero(), h), (w, h)];
+        corners.iter().fold(T::zero(), |most, &(x, y)| {
+            most.max(measure(self.line(camera, self.direction(x, y)), (x, y)))
+        })
     }
 
     /// The six sums' share of one pixel: the cotangent of `(t, ψ)`, where ψ turns `R` on the left,
@@ -176,15 +201,28 @@ impl<T: Real> Views<T> {
         self.rolling = readout != 0.0 && readout.is_finite();
         self.margin = margin;
         let cameras = || shutter.each_virtual_camera(cameras, quadrature);
-        let camera: Camera<f64> = camera.cast();
+        self.move_along(&camera.cast(), shutter, readout, cameras);
+        for view in &mut self.moving {
+            view.steep = steep(view.parallax(camera));
+        }
+    }
+
+    fn move_along<I: DoubleEndedIterator<Item = VirtualCamera<f64>> + ExactSizeIterator>(
+        &mut self,
+        camera: &Camera<f64>,
+        shutter: &ShutterPoses<f64>,
+        readout: f64,
+        cameras: impl Fn() -> I,
+    ) {
         if self.rolling {
+            let margin = self.margin;
             let height = camera.height - 2 * margin;
             for place in (0..height).map(|row| row_place(row, height)) {
                 for virtual_camera in cameras() {
                     let u = virtual_camera.u + readout * place;
                     let pose = shutter.at(u);
                     let moved = VirtualCamera { u, world_from_camera: pose, ..virtual_camera };
-                    self.moving.push(View::new(&camera, shutter, &moved, 1.0, place));
+                    self.moving.push(View::new(camera, shutter, &moved, 1.0, place));
                 }
             }
             self.count = cameras().count();
@@ -196,33 +234,20 @@ impl<T: Real> Views<T> {
                 self.still_weight += T::of(virtual_camera.weight);
                 continue;
             }
-            self.moving.push(View::new(&camera, shutter, &virtual_camera, last, 0.0));
+            self.moving.push(View::new(camera, shutter, &virtual_camera, last, 0.0));
         }
         self.count = self.moving.len();
     }
 
     /// The largest motion per unit of inverse depth at the image's corners, over all views [px m].
     pub(super) fn largest_parallax(&self, camera: &Camera<T>) -> T {
-        self.over_corners(camera, |line, _| (line.ex * line.ex + line.ey * line.ey).sqrt())
+        self.moving.iter().fold(T::zero(), |most, view| most.max(view.parallax(camera)))
     }
 
     /// How far from its own place a corner of the image looks, at inverse depths up to `nearest`,
     /// over all views [px].
     pub(super) fn reach(&self, camera: &Camera<T>, nearest: T) -> T {
-        self.over_corners(camera, |line, (x, y)| {
-            let distance = |w: T| (line.at(w).0 - x).hypot(line.at(w).1 - y);
-            distance(T::zero()).max(distance(nearest))
-        })
-    }
-
-    fn over_corners(&self, camera: &Camera<T>, measure: impl Fn(Line<T>, (T, T)) -> T) -> T {
-        let (w, h) = (T::of(camera.width as f64), T::of(camera.height as f64));
-        let corners = [(T::zero(), T::zero()), (w, T::zero()), (T::zero(), h), (w, h)];
-        self.moving.iter().fold(T::zero(), |most, view| {
-            corners.iter().fold(most, |most, &(x, y)| {
-                most.max(measure(view.line(camera, view.direction(x, y)), (x, y)))
-            })
-        })
+        self.moving.iter().fold(T::zero(), |most, view| most.max(view.reach(camera, nearest)))
     }
 
     /// Carries the six sums of every moving view to the two shutter poses and the readout.
