@@ -7,7 +7,7 @@ use i2slam_geometry::Real;
 pub(super) const BLOCK: usize = 4;
 
 /// Steps whose two sides move apart by less than this are not searched [px].
-const VISIBLE_STEP: f64 = 0.25;
+const VISIBLE_STEP: f64 = 0.5;
 
 /// A block looks at most this many blocks away for steps (64 px).
 const LONGEST_REACH: f64 = 16.0;

@@ -13,7 +13,7 @@
 //! the render has at `q(w)`. Where the surface is smooth one Newton step from the pixel's own
 //! depth solves this for the first and the last virtual camera, and a parabola in time through
 //! both and the middle gives all others. In blocks of 4 x 4 pixels near a step in depth whose
-//! sides a virtual camera moves apart by more than a quarter of a pixel, its rays are walked from near to
+//! sides a virtual camera moves apart by more than half a pixel, its rays are walked from near to
 //! far instead, and the first surface counts: a foreground covers what is behind it. Background
 //! that the foreground hides from the sharp render takes the background beside the foreground.
 //! Along the edge of a foreground a render holds a mixture of two depths; such pixels go with the

@@ -13,7 +13,7 @@ const _: () = assert!(TILE == reproject::TILE, "both divide the picture alike");
 ///
 /// On a map of a desk a blur of 4 to 10 px then wants 2 to 6 % of the tiles, and half of the energy
 /// of the error is gone.
-const WORTH: f32 = 0.03;
+const WORTH: f32 = 0.033;
 
 /// The tiles of one exposure that are drawn from the map, and their share of its cotangent.
 pub(super) struct Patches {
