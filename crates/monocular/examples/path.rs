@@ -4,7 +4,7 @@
 //! `world_from_camera` poses in the TUM format. A sequence may be a video (ffmpeg decodes it), whose
 //! focal length is unknown unless `--fov DEGREES` gives it. `--guess FACTOR`: the focal length is
 //! taken as unknown and looked for from FACTOR times that of the sequence; `--wrong FACTOR`: that
-//! value is claimed; `--stride N`: every N-th picture; `--passes N`: forth and back through the pictures so
+//! value is claimed; `--lens`: its distortion is looked for too; `--scale S`: pictures of S times the size; `--stride N`: every N-th picture; `--passes N`: forth and back through the pictures so
 //! many times, as one long video; `--cover N`: the lens is covered for twelve pictures from the
 //! N-th on; `--verbose`: what is known of each.
 
@@ -22,8 +22,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, out, rest @ ..] = arguments.as_slice() else {
         return Err(
-            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--fov DEGREES] [--stride N] \
-             [--passes N] [--cover N] [--verbose]"
+            "usage: path SEQUENCE OUT.txt [--guess F | --wrong F] [--fov DEGREES] [--scale S] [--stride N] \
+             [--lens] [--passes N] [--cover N] [--verbose]"
                 .into(),
         );
     };
@@ -33,6 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         guess_camera: true,
         field_of_view: factor(rest, "--fov")?,
         minimum_gap: 0.0,
+        scale: factor(rest, "--scale")?.unwrap_or(1.0),
         stride,
         ..OpenOptions::default()
     };
@@ -78,6 +79,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         found.focal_deviation,
         1e3 * found.rolling_shutter_readout,
     );
+    if let Some([k1, k2]) = found.distortion {
+        println!("lens distortion k1 {k1:.4}, k2 {k2:.4}");
+    }
     println!(
         "tracking {:.2} s, mapping {:.2} s, with reading {:.2} s: {:.1} frames a second",
         tracking,
@@ -112,7 +116,9 @@ fn factor(arguments: &[String], name: &str) -> Result<Option<f64>, Box<dyn Error
 fn intrinsics(sequence: &Sequence, arguments: &[String]) -> Result<Intrinsics, Box<dyn Error>> {
     let camera = sequence.camera;
     let scaled = |f: f64| Camera { fx: camera.fx * f, fy: camera.fy * f, ..camera };
+    let has_lens = arguments.iter().any(|a| a == "--lens");
     Ok(match (factor(arguments, "--guess")?, factor(arguments, "--wrong")?) {
+        (guess, _) if has_lens => Intrinsics::GuessWithDistortion(scaled(guess.unwrap_or(1.0))),
         (Some(f), _) => Intrinsics::Guess(scaled(f)),
         (None, Some(f)) => Intrinsics::Known(scaled(f)),
         (None, None) if sequence.camera_is_guess => Intrinsics::Guess(camera),

@@ -1,6 +1,7 @@
 //! Pictures in, camera path out.
 
 use crate::closure::{close_loops, join_neighbours};
+use crate::determined::give_up_doubtful_lens;
 use crate::failure::{Failure, PictureError};
 use crate::focal::find_focal;
 use crate::grow::{adjust_all, grow, pose_rest, refine};
@@ -134,7 +135,9 @@ impl FrontEnd {
         if self.closes_loops {
             close_loops(&mut scene, adjust_focal);
         }
-        Ok(assemble(scene, &self.timestamps, &self.intrinsics, readout))
+        let lens_is_doubtful = give_up_doubtful_lens(&mut scene, readout);
+        let found = (readout, lens_is_doubtful);
+        Ok(assemble(scene, &self.timestamps, &self.intrinsics, found))
     }
 }
 

@@ -12,6 +12,7 @@ mod closure;
 mod corners;
 mod dense;
 mod descriptor;
+mod determined;
 mod failure;
 mod focal;
 mod front_end;

@@ -1,5 +1,6 @@
 //! What the front end delivers.
 
+use crate::determined::released;
 use crate::front_end::Intrinsics;
 use crate::lens::usual_coefficients;
 use crate::scene::Scene;
@@ -80,7 +81,7 @@ pub struct Keyframe {
 pub struct Reconstruction {
     /// The pinhole camera: as given, or with the focal length found.
     pub camera: Camera<f64>,
-    /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for: a point that the pinhole
+    /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for, zero where it was not found: a point that the pinhole
     /// camera sees at `c + f x` is shown at `c + f x (1 + k1 ‖x‖² + k2 ‖x‖⁴)`.
     pub distortion: Option<[f64; 2]>,
     /// Relative standard deviation of the focal length, where it was looked for.
@@ -145,9 +146,30 @@ pub enum Warning {
         /// Relative standard deviation, in percent.
         percent: f64,
     },
+    /// Rows were read in turn, and the focal length was looked for.
+    #[error(
+        "rows were read in turn, which pictures of a turning camera hardly tell from another focal length: it may be off by more than its deviation says (--fov or --intrinsics gives it)"
+    )]
+    RowsAndFocalLength,
+    /// The distortion of the lens was looked for, and is not told from none.
+    #[error(
+        "the pictures do not determine the distortion of the lens beside focal length and path: none is assumed (k1 and k2 are 0); walking to all sides and turning about while filming would show it"
+    )]
+    LensUndetermined,
 }
 
 impl Reconstruction {
+    /// The same as pictures of another size show it: camera and image positions.
+    #[must_use]
+    pub fn resized(mut self, width: usize, height: usize) -> Self {
+        let scale =
+            [width as f64 / self.camera.width as f64, height as f64 / self.camera.height as f64];
+        self.camera = self.camera.resized(width, height);
+        let points = self.keyframes.iter_mut().flat_map(|k| &mut k.depths);
+        points.for_each(|point| (0..2).for_each(|i| point.at[i] *= scale[i]));
+        self
+    }
+
     /// Poses of all frames that have one.
     pub fn trajectory(&self) -> Trajectory {
         let stamped = self.frames.iter().zip(&self.timestamps);
@@ -169,7 +191,7 @@ pub(crate) fn assemble(
     scene: Scene,
     timestamps: &[f64],
     intrinsics: &Intrinsics,
-    readout: f64,
+    (readout, lens_is_doubtful): (f64, bool),
 ) -> Reconstruction {
     let posed = scene.posed();
     let world = posed.first().and_then(|f| scene.poses[*f]).unwrap_or_else(Pose::identity);
@@ -204,7 +226,14 @@ pub(crate) fn assemble(
         warnings.extend(lost_parts(&scene));
     }
     let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
-    let distortion = scene.finds_lens.then(|| usual_coefficients(&scene.camera, scene.lens));
+    if focal_deviation.is_some() && readout != 0.0 {
+        warnings.push(Warning::RowsAndFocalLength);
+    }
+    let distortion = match lens_is_doubtful {
+        true => Some([0.0; 2]),
+        false => scene.finds_lens.then(|| usual_coefficients(&scene.camera, scene.lens)),
+    };
+    warnings.extend(lens_is_doubtful.then_some(Warning::LensUndetermined));
     Reconstruction {
         camera: scene.camera,
         distortion,
@@ -242,24 +271,12 @@ fn focal_deviation(
     intrinsics: &Intrinsics,
     warnings: &mut Vec<Warning>,
 ) -> Option<f64> {
-    let keyframes: Vec<usize> =
-        scene.tracks.keyframes.iter().copied().filter(|f| scene.poses[*f].is_some()).collect();
-    let mut freed = scene.clone();
-    for frame in 0..freed.poses.len() {
-        if !keyframes.contains(&frame) {
-            freed.poses[frame] = None;
-        }
-    }
-    let is_known = matches!(intrinsics, Intrinsics::Known(_));
-    if is_known {
-        freed.adjust(&keyframes, true, 30);
-    }
-    let deviation = freed.bundle(&keyframes, true).0.focal_deviation();
-    let relative = deviation? * freed.residual_scale()?;
-    if is_known {
+    let (freed, covariance) = released(scene);
+    let relative = covariance?[0][0].sqrt();
+    if matches!(intrinsics, Intrinsics::Known(_)) {
         let (given, fitting) = (scene.camera.fx, freed.camera.fx);
         let off = (fitting / given).ln().abs();
-        if off > 0.05 && off > 6.0 * relative {
+        if off > 0.05 && off > 3.0 * relative {
             warnings.push(Warning::FocalLengthDoubtful { given, fitting });
         }
         return None;

@@ -10,6 +10,9 @@ use crate::skyline::Skyline;
 use i2slam_geometry::{Mat3, Vec3};
 use rayon::prelude::*;
 
+/// Damping that only keeps the unit of length, which nothing tells, where it is.
+const UNDAMPED: f64 = 1e-7;
+
 /// A change of all unknowns.
 pub(super) struct Step {
     /// Tangent of every pose, zero for fixed ones.
@@ -43,16 +46,27 @@ impl<'a> Linear<'a> {
     /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
     pub(super) fn step(&self, damping: f64) -> Option<Step> {
         let (mut matrix, mut solved) = self.reduced(damping);
-        if !matrix.solve(&mut solved) {
-            return None;
-        }
+        matrix.solve(&mut solved).then(|| self.spread(&solved, damping, 1.0))
+    }
+
+    /// How all unknowns answer a unit force on one of those that all sights share: a column of the
+    /// inverse of the whole system. `None` where that is not determined.
+    pub(super) fn response(&self, global: usize) -> Option<Step> {
+        let (mut matrix, mut unit) = self.reduced(UNDAMPED);
+        unit.fill(0.0);
+        *unit.get_mut(6 * self.poses.len() + global)? = 1.0;
+        matrix.solve(&mut unit).then(|| self.spread(&unit, UNDAMPED, 0.0))
+    }
+
+    /// What the landmarks do when the cameras do what was solved, `pulled` by their own gradients.
+    fn spread(&self, solved: &[f64], damping: f64, pulled: f64) -> Step {
         let pose = |block: &Option<usize>| {
             block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
         };
         let mut globals = [0.0; GLOBALS];
         globals.iter_mut().zip(&solved[6 * self.poses.len()..]).for_each(|(g, s)| *g = *s);
         let landmark = |(part, cameras): (&Part, &Vec<(u32, u32)>)| {
-            let mut right = part.gradient.map(|g| -g);
+            let mut right = part.gradient.map(|g| -pulled * g);
             for i in 0..3 {
                 for (e, (block, _)) in part.couplings.iter().zip(cameras) {
                     let tangent = &solved[6 * *block as usize..][..6];
@@ -64,7 +78,7 @@ impl<'a> Linear<'a> {
         };
         let parts = self.parts.par_iter().zip(&self.structure.cameras);
         let poses = self.structure.blocks.iter().map(pose).collect();
-        Some(Step { poses, landmarks: parts.map(landmark).collect(), globals })
+        Step { poses, landmarks: parts.map(landmark).collect(), globals }
     }
 
     /// The cameras' system, `U - E C⁻¹ Eᵀ`, and its right side.
@@ -159,16 +173,6 @@ impl<'a> Linear<'a> {
         out.extend(self.parts[landmark].gradient);
         out.extend(self.global.gradient);
         out
-    }
-
-    /// Variance of the logarithm of the focal length.
-    pub(super) fn focal_variance(&self) -> Option<f64> {
-        let (mut matrix, mut unit) = self.reduced(1e-7);
-        unit.fill(0.0);
-        let focal = 6 * self.poses.len();
-        *unit.get_mut(focal)? = 1.0;
-        let solved = matrix.solve(&mut unit);
-        Some(unit[focal]).filter(|v| solved && *v > 0.0)
     }
 
     /// Variance of every inverse depth, poses and globals fixed.

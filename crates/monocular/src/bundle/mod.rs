@@ -3,9 +3,12 @@
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
 
+mod deviation;
 mod linear;
 mod parts;
 mod structure;
+
+pub(crate) use deviation::Covariance;
 
 use crate::landmark::Landmark;
 use crate::lens::Radial;
@@ -102,12 +105,6 @@ impl Bundle {
             }
         }
         cost / self.sights.iter().map(Vec::len).sum::<usize>().max(1) as f64
-    }
-
-    /// Standard deviation of the logarithm of the focal length, from the reduced normal equations.
-    pub(crate) fn focal_deviation(&self) -> Option<f64> {
-        let structure = Structure::new(self);
-        Linear::new(self, &structure).focal_variance().map(f64::sqrt)
     }
 
     /// Variance of every landmark's inverse depth while poses stay; `None` where it is not

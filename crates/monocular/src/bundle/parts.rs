@@ -1,5 +1,6 @@
 //! What landmarks, poses and the camera bring to the normal equations of a bundle.
 
+use super::linear::Step;
 use super::structure::Structure;
 use super::{Bundle, CHUNK, GLOBALS, Sight};
 use crate::landmark::Projection;
@@ -57,6 +58,20 @@ fn weighted(bundle: &Bundle, landmark: usize, sight: &Sight) -> Option<Weighted>
     let length = residual[0].hypot(residual[1]) / sight.sigma;
     let weight = huber(length).0 / (sight.sigma * sight.sigma);
     Some(Weighted { projection, radial: sight.radial, residual, weight })
+}
+
+/// How far a sight alone pulls along a change of all unknowns: its gradient times that change.
+pub(super) fn influence(bundle: &Bundle, landmark: usize, sight: &Sight, step: &Step) -> f64 {
+    let Some(w) = weighted(bundle, landmark, sight) else { return 0.0 };
+    let product = |row: &[f64], change: &[f64]| -> f64 {
+        row.iter().zip(change).map(|(slope, change)| slope * change).sum()
+    };
+    let along = |i: usize| {
+        product(&w.projection.by_pose[i], &step.poses[sight.pose])
+            + product(&w.projection.by_landmark[i], &step.landmarks[landmark])
+            + product(&w.by_globals(i), &step.globals)
+    };
+    w.weight * (w.residual[0] * along(0) + w.residual[1] * along(1))
 }
 
 /// All sights of a landmark; `cameras` are those of free poses.
