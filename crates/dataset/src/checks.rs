@@ -2,6 +2,7 @@
 
 use crate::calibration::{Calibration, DepthGrid};
 use crate::decode::{DepthCode, decode_depth, depth_size, image_size};
+use crate::orientation::Orientation;
 use crate::prepare::Preparation;
 use crate::resample::{Recorded, Resampler};
 use crate::video::Video;
@@ -25,11 +26,11 @@ pub(crate) fn recorded(
     entries: &[Entry],
     calibration: &Calibration,
     code: DepthCode,
-    video: Option<&Video>,
+    (orientation, video): (Orientation, Option<&Video>),
 ) -> Result<Recorded, DatasetError> {
     let colour = match video {
         Some(video) => of_video(entries, calibration, video)?,
-        None => calibration.camera(recorded_size(entries, calibration)?),
+        None => calibration.camera(recorded_size(entries, calibration, orientation)?),
     };
     let (width, height) = (colour.width, colour.height);
     let sized = || {
@@ -91,15 +92,16 @@ fn of_video(
     Ok(calibration.camera(size).resized(width, height))
 }
 
-/// Width and height [px] of the first readable colour image, agreeing with the camera's.
+/// Width and height [px] of the first readable colour image as it is shown, agreeing with the camera's.
 fn recorded_size(
     entries: &[Entry],
     calibration: &Calibration,
+    orientation: Orientation,
 ) -> Result<(usize, usize), DatasetError> {
     let mut first_error = None;
     for entry in entries.iter().take(SIZE_PROBES) {
         let found = match image_size(&entry.colour, entry.colour_part()) {
-            Ok(size) => size,
+            Ok(size) => orientation.size(size),
             Err(error) => {
                 first_error.get_or_insert(error);
                 continue;

@@ -71,6 +71,7 @@ impl Sequence {
             covered: resampler.covered.clone().map(Arc::new),
             warnings: cover_warning(&resampler).into_iter().collect(),
             recorded,
+            lens: camera.lens(),
             preparation: Arc::new(Preparation { resampler, ..Preparation::clone(before) }),
             ..self.clone()
         }

@@ -1,5 +1,6 @@
 //! A camera that is known by its angle of view alone: given, told by a picture, or guessed.
 
+use crate::orientation::Orientation;
 use exif::{Exif, In, Reader, Tag, Value};
 use std::fmt;
 use std::fs::File;
@@ -62,20 +63,22 @@ fn exif(path: &Path) -> Option<Exif> {
     Reader::new().read_from_container(&mut file).ok()
 }
 
-/// A warning if the EXIF data of a picture ask to show it turned or mirrored, which is not done.
-pub(crate) fn orientation_warning(path: &Path) -> Option<String> {
-    let how = match number(&exif(path)?, Tag::Orientation)? as u32 {
-        3 => "turned by 180 degrees",
-        6 => "turned by 90 degrees",
-        8 => "turned by 270 degrees",
-        2 | 4 | 5 | 7 => "mirrored",
-        _ => return None,
-    };
-    Some(format!(
-        "EXIF data ask to show {} {how}: pictures are taken as they are stored, so that the result \
-         lies as they do; `mogrify -auto-orient` (ImageMagick) turns them for good",
-        path.display()
-    ))
+/// How the EXIF data of a picture ask to show it, if they do.
+pub(crate) fn asked_orientation(path: &Path) -> Option<Orientation> {
+    Orientation::of_exif(number(&exif(path)?, Tag::Orientation)? as u32)
+}
+
+/// What was made of that, in words.
+pub(crate) fn orientation_note(path: &Path, asked: Orientation, is_done: bool) -> String {
+    let (path, how) = (path.display(), asked.words());
+    if is_done {
+        return format!("pictures are {how}, as the EXIF data of {path} ask");
+    }
+    format!(
+        "EXIF data ask that {path} be {how}: what lies beside such pictures (depth, poses, a list) is \
+         of pictures as they are stored, and so are they taken; `mogrify -auto-orient` \
+         (ImageMagick) turns them for good"
+    )
 }
 
 /// The equivalent focal length [mm] by focal length and pixels a unit of length on the sensor.

@@ -1,6 +1,7 @@
 //! From the two image files of an entry to a frame.
 
 use crate::decode::{DepthCode, decode_colour, decode_depth};
+use crate::orientation::Orientation;
 use crate::resample::Resampler;
 use crate::video::Video;
 use crate::{DatasetError, Entry};
@@ -45,6 +46,8 @@ pub(crate) struct Preparation {
     pub(crate) invalid_depth: Option<u16>,
     /// Depth is not read.
     pub(crate) colour_only: bool,
+    /// How pictures are shown.
+    pub(crate) orientation: Orientation,
     /// What decodes the pictures, if they are those of a video.
     pub(crate) video: Option<Arc<Video>>,
 }
@@ -54,7 +57,7 @@ impl Preparation {
     pub(crate) fn load(&self, entry: &Entry) -> Result<Frame, DatasetError> {
         let colour = match self.video.as_deref().filter(|video| video.is(&entry.colour)) {
             Some(video) => video.picture(entry.place)?,
-            None => decode_colour(&entry.colour, entry.colour_part())?,
+            None => self.orientation.shown(decode_colour(&entry.colour, entry.colour_part())?),
         };
         let (colour_size, _) = self.resampler.recorded_sizes();
         check_size(&entry.colour, (colour.width, colour.height), colour_size, "colour")?;

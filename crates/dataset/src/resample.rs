@@ -98,6 +98,11 @@ impl Resampler {
         resampler
     }
 
+    /// Pixels removed on every side [px of the grid].
+    pub(crate) fn border(&self) -> usize {
+        self.border
+    }
+
     /// The same maps for other cameras of these sizes, and their lens.
     pub(crate) fn with_camera(&self, recorded: &Recorded, lens: &Distortion) -> Self {
         Self::new(recorded, lens, self.border, (self.camera.width, self.camera.height))

@@ -2,10 +2,13 @@
 
 use crate::calibration::Calibration;
 use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded};
-use crate::guess::orientation_warning;
+use crate::decode::image_size;
+use crate::distortion::Distortion;
+use crate::guess::{asked_orientation, orientation_note};
 use crate::layouts::{Listing, Source};
 use crate::prepare::Preparation;
-use crate::resample::{Recorded, Resampler};
+use crate::resample::Recorded;
+use crate::sizes::{delivered_size, resampled};
 use crate::video::refused_stream;
 use crate::{DatasetError, Frame, FrameStream, Layout, OpenOptions, read_trajectory};
 use i2slam_geometry::{Camera, Image, Trajectory};
@@ -15,9 +18,6 @@ use std::sync::Arc;
 
 /// Frames a second where neither the camera file nor the stamps say.
 pub(crate) const DEFAULT_FRAME_RATE: f64 = 30.0;
-
-/// Delivered frames must have at least this many pixels a side.
-const SMALLEST_SIDE: usize = 8;
 
 /// The two files of a frame; of a video, the file with all frames.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,6 +103,7 @@ pub struct Sequence {
     pub warnings: Vec<String>,
     /// The cameras as they recorded.
     pub(crate) recorded: Recorded,
+    pub(crate) lens: Distortion,
     pub(crate) preparation: Arc<Preparation>,
     /// Whether the layout leaves out frames too close in time ([`OpenOptions::minimum_gap`]).
     pub(crate) is_thinned: bool,
@@ -152,27 +153,35 @@ impl Sequence {
         let video = listing.video;
         let first = entries.first().filter(|_| video.is_none());
         let file = first.filter(|entry| entry.parts.is_none());
-        warnings.extend(file.and_then(|entry| orientation_warning(&entry.colour)));
+        let asked = file.and_then(|entry| asked_orientation(&entry.colour));
+        let is_alone = listing.layout == Layout::Plain && first.is_some_and(|e| e.depth.is_none());
+        let turns = options.turn_pictures && is_alone;
+        let orientation = asked.filter(|_| turns).unwrap_or_default();
+        let told = file.zip(asked.filter(|asked| !asked.is_none()));
+        warnings.extend(told.map(|(entry, asked)| orientation_note(&entry.colour, asked, turns)));
         let calibration = calibration.asking(first.map(|entry| entry.colour.as_path()));
-        let cameras = recorded(&entries, &calibration, listing.depth_code, video.as_ref())?;
-        let mut recorded = cameras;
+        let calibration = match first.filter(|_| !orientation.is_none()) {
+            Some(entry) => {
+                let stored = image_size(&entry.colour, entry.colour_part())?;
+                orientation.calibration(calibration, stored)
+            }
+            None => calibration,
+        };
+        let shown = (orientation, video.as_ref());
+        let recorded = recorded(&entries, &calibration, listing.depth_code, shown)?;
         let recorded_size = (recorded.colour.width, recorded.colour.height);
         let delivered = delivered_size(&recorded.grid, options)?;
-        let lens = &calibration.distortion;
-        let video = video.map(|video| {
-            if options.crop_border == 0 {
-                // Scaled where it is decoded, which spares the pipe.
-                recorded = recorded.resized(delivered);
-            }
-            Arc::new(video.delivering(recorded.colour.width, recorded.colour.height))
-        });
+        let lens = calibration.distortion;
+        let (resampler, video) =
+            resampled(&recorded, &lens, options.crop_border, delivered, video.as_ref());
         let preparation = Preparation {
-            resampler: Resampler::new(&recorded, lens, options.crop_border, delivered),
+            resampler,
             depth_scale: calibration.depth_scale,
             max_depth: options.max_depth.unwrap_or(f64::INFINITY),
             depth_code: listing.depth_code,
             invalid_depth: calibration.invalid_depth,
             colour_only: options.colour_only,
+            orientation,
             video,
         };
         warnings.extend(camera_warning(&recorded, &calibration.source));
@@ -193,7 +202,8 @@ impl Sequence {
             poses: listing.poses,
             covered: preparation.resampler.covered.clone().map(Arc::new),
             warnings,
-            recorded: cameras,
+            recorded,
+            lens,
             preparation: Arc::new(preparation),
             is_thinned: listing.is_thinned,
         })
@@ -268,26 +278,4 @@ fn choose(
     }
     let (start, end) = (range.start, range.end.min(count));
     Ok(entries.into_iter().take(end).skip(start).step_by(options.stride).collect())
-}
-
-/// Size of the frames from the grid `recorded` that they are delivered on, cropped and scaled.
-pub(crate) fn delivered_size(
-    recorded: &Camera<f64>,
-    options: &OpenOptions,
-) -> Result<(usize, usize), DatasetError> {
-    let cropped = recorded.cropped(options.crop_border);
-    let longest = cropped.width.max(cropped.height);
-    let most = options.max_side.map_or(1.0, |side| side as f64 / longest as f64);
-    let scale = options.scale.min(most);
-    let scaled = |side: usize| (side as f64 * scale).round() as usize;
-    let (width, height) = (scaled(cropped.width), scaled(cropped.height));
-    if width.min(height) >= SMALLEST_SIDE {
-        return Ok((width, height));
-    }
-    let reason = format!(
-        "a border of {} and a scale of {} leave {width}x{height} px of {}x{}, expected at least \
-         {SMALLEST_SIDE} a side",
-        options.crop_border, scale, recorded.width, recorded.height
-    );
-    Err(DatasetError::Option { name: "crop_border, scale", reason })
 }

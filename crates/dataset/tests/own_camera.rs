@@ -173,18 +173,82 @@ fn a_lens_found_in_the_pictures_is_removed_from_them() {
     }
 }
 
+/// EXIF data that ask for an orientation.
+fn oriented(value: u16) -> Vec<u8> {
+    let entry = [&[0x12, 1, 3, 0, 1, 0, 0, 0][..], &value.to_le_bytes(), &[0; 2]].concat();
+    [&b"Exif\0\0II*\0\x08\0\0\0\x01\0"[..], &entry, &[0; 4]].concat()
+}
+
 #[test]
-fn pictures_that_are_to_be_turned_bring_a_warning() {
-    let orientation = |value: u16| {
-        let entry = [&[0x12, 1, 3, 0, 1, 0, 0, 0][..], &value.to_le_bytes(), &[0; 2]].concat();
-        [&b"Exif\0\0II*\0\x08\0\0\0\x01\0"[..], &entry, &[0; 4]].concat()
-    };
+fn pictures_that_are_to_be_turned_bring_a_warning_where_they_are_not() {
     for (value, word) in [(6, "90 degrees"), (3, "180 degrees"), (5, "mirrored")] {
-        let warnings = open(&pictures(Some(orientation(value))), &alone()).warnings;
+        let sequence = open(&pictures(Some(oriented(value))), &alone());
         assert!(
-            warnings.iter().any(|w| w.contains(word) && w.contains("IMG_0000")),
-            "{warnings:?}"
+            sequence.warnings.iter().any(|w| w.contains(word) && w.contains("as they are stored")),
+            "{:?}",
+            sequence.warnings
         );
+        assert_eq!(sequence.recorded_size, (64, 48));
     }
-    assert!(open(&pictures(Some(orientation(1))), &alone()).warnings.is_empty());
+    assert!(open(&pictures(Some(oriented(1))), &alone()).warnings.is_empty());
+}
+
+#[test]
+fn pictures_are_turned_as_they_ask_with_their_camera() {
+    let folder = pictures(None);
+    // Bright at the left, so that a quarter turn to the right puts it on top.
+    let pixels: Vec<u8> =
+        (0..48 * 64).flat_map(|i| [if i % 64 < 16 { 220 } else { 30 }; 3]).collect();
+    for i in 0..3 {
+        let mut bytes = Vec::new();
+        let mut encoder = Encoder::new(&mut bytes, 95);
+        encoder.add_app_segment(1, oriented(6)).expect("room for it");
+        encoder.encode(&pixels, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
+        std::fs::write(folder.join(&format!("IMG_{i:04}.jpg")), bytes).expect("room");
+    }
+    let turned = OpenOptions { turn_pictures: true, ..alone() };
+    let sequence = open(&folder, &turned);
+    assert_eq!((sequence.camera.width, sequence.camera.height), (48, 64));
+    assert!(sequence.warnings.iter().any(|w| w.contains("pictures are turned by 90 degrees")));
+    // 60 degrees across the longer side, which is now the height.
+    close(sequence.camera.fx, 32.0 / 30.0_f64.to_radians().tan());
+    close(sequence.camera.cx, 24.0);
+    let picture = sequence.load(1).expect("a picture").colour;
+    let row = |r: usize| picture.plane(1)[r * 48..][..48].iter().sum::<f32>() / 48.0;
+    assert!(row(4) > 0.7 && row(40) < 0.2, "{} {}", row(4), row(40));
+    // Numbers with the size of the stored pictures are turned with them, others are not.
+    for (text, due) in [
+        (
+            r#"{"width":64,"height":48,"fx":50,"fy":51,"cx":30.5,"cy":20.5}"#,
+            [51.0, 50.0, 27.0, 31.0],
+        ),
+        (
+            r#"{"width":48,"height":64,"fx":50,"fy":51,"cx":25.5,"cy":30.5}"#,
+            [50.0, 51.0, 26.0, 31.0],
+        ),
+        (r#"{"fx":50,"fy":51,"cx":25.5,"cy":30.5}"#, [50.0, 51.0, 26.0, 31.0]),
+    ] {
+        folder.write("cameras/a.json", text);
+        let camera = Some(folder.join("cameras/a.json"));
+        let c = open(&folder, &OpenOptions { camera, ..turned.clone() }).camera;
+        assert_eq!([c.fx, c.fy, c.cx, c.cy], due, "{text}");
+    }
+}
+
+#[test]
+fn the_same_frames_are_there_at_another_size() {
+    let folder = pictures(None);
+    let small = open(&folder, &OpenOptions { scale: 0.25, crop_border: 4, ..alone() });
+    assert_eq!((small.camera.width, small.camera.height), (14, 10));
+    for (side, width) in [(28, 28), (640, 56), (10, 14)] {
+        let large = small.at_least(side);
+        assert_eq!((large.camera.width, large.len()), (width, small.len()));
+        let frame = large.load(2).expect("a picture");
+        assert_eq!((frame.colour.width, frame.index), (width, 2));
+        let again = large.camera.resized(small.camera.width, small.camera.height);
+        close(again.fx, small.camera.fx);
+        close(again.cy, small.camera.cy);
+    }
+    let all = open(&folder, &alone());
+    assert_eq!(all.at_least(640).camera, all.camera);
 }

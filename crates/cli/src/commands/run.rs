@@ -118,7 +118,13 @@ fn is_rgb(arguments: &Run) -> bool {
 /// The same for pictures alone, whose camera may be unknown.
 pub(super) fn by_colour_alone(open: OpenOptions, input: &Input) -> OpenOptions {
     let usual = input.scale.is_none().then_some(USUAL_SIDE);
-    OpenOptions { colour_only: true, guess_camera: true, max_side: open.max_side.or(usual), ..open }
+    OpenOptions {
+        colour_only: true,
+        guess_camera: true,
+        turn_pictures: true,
+        max_side: open.max_side.or(usual),
+        ..open
+    }
 }
 
 /// The values of `config` that flags do not replace.

@@ -50,7 +50,8 @@ pub(crate) fn refuse_known(sequence: &Sequence) -> Result<(), Failure> {
 }
 
 /// What is known before a run by colour alone begins.
-pub(crate) fn before(sequence: &Sequence) -> Vec<String> {
+/// `large` is the same as the front end sees it.
+pub(crate) fn before(sequence: &Sequence, large: &Sequence) -> Vec<String> {
     let camera = &sequence.camera;
     let mut lines = Vec::new();
     let (width, height) = sequence.recorded_size;
@@ -61,7 +62,12 @@ pub(crate) fn before(sequence: &Sequence) -> Vec<String> {
     let reduced = if (camera.width, camera.height) == (width, height) {
         String::new()
     } else {
-        format!(", worked on at {}x{} (--max-side, --scale)", camera.width, camera.height)
+        let path = match (large.camera.width, large.camera.height) {
+            size if size == (camera.width, camera.height) => String::new(),
+            size if size == (width, height) => ", the path found as recorded".to_owned(),
+            (width, height) => format!(", the path found at {width}x{height}"),
+        };
+        format!(", worked on at {}x{} (--max-side, --scale){path}", camera.width, camera.height)
     };
     if sequence.layout == Layout::Video || !reduced.is_empty() {
         lines.push(format!(
@@ -136,9 +142,9 @@ impl FoundCamera {
             Some(EstimatedCamera { distortion: [k1, k2], .. }) => {
                 Some(format!("lens distortion: k1 {k1:.4}, k2 {k2:.4} found in the pictures"))
             }
-            None => self.lens_searched.then(|| {
-                "lens distortion: not found, the pictures have too few keyframes".to_owned()
-            }),
+            None => self
+                .lens_searched
+                .then(|| "lens distortion: not found in the pictures, none is assumed".to_owned()),
         }
     }
 

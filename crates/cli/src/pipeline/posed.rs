@@ -17,6 +17,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Longer side of the pictures in which the path of the camera is found, where they were recorded so
+/// large [px]: smaller ones, which a map may be made of, show less exactly where points are.
+const PATH_SIDE: usize = 640;
+
 /// Where keyframes come from.
 pub(crate) enum Keyframes {
     /// From the pictures alone.
@@ -81,8 +85,7 @@ impl Keyframes {
     fn open(&self, job: &Job, sequence: &Sequence, progress: &Progress) -> Result<Opened, Failure> {
         match self {
             Self::Native { estimate_distortion } => {
-                let intrinsics = camera::intrinsics(sequence, *estimate_distortion);
-                native(sequence, intrinsics, &job.config, progress)
+                native(sequence, *estimate_distortion, &job.config, progress)
             }
             Self::Files { path, depth, variance } => {
                 let options = ImportOptions {
@@ -106,11 +109,16 @@ impl Keyframes {
 /// on surfaces, with dense depth.
 fn native(
     sequence: &Sequence,
-    intrinsics: Intrinsics,
+    estimate_distortion: bool,
     config: &Config,
     progress: &Progress,
 ) -> Result<Opened, Failure> {
-    let found = find_path(sequence, intrinsics, progress)?;
+    let large = sequence.at_least(PATH_SIDE);
+    camera::before(sequence, &large).iter().for_each(|line| progress.note(line));
+    let intrinsics = camera::intrinsics(&large, estimate_distortion);
+    let size = (sequence.camera.width, sequence.camera.height);
+    let found = find_path(&large, intrinsics, progress)?
+        .with_pictures(size, |place| picture(sequence, place));
     let camera = FoundCamera::of(sequence, found.reconstruction());
     camera.lines().iter().for_each(|line| progress.note(line));
     let undistorted = camera.lens().map(|lens| sequence.with_estimated_camera(lens));
@@ -121,7 +129,7 @@ fn native(
     warnings.extend(undistorted.iter().flat_map(|freed| freed.warnings.clone()));
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
     let others = Arc::clone(&pictures);
-    let source = found.with_pictures(move |place| picture(&pictures, place));
+    let source = found.with_pictures(size, move |place| picture(&pictures, place));
     let (count, between) = (source.len(), source.between(move |place| picture(&others, place)));
     // The paper's system has poses of keyframes alone.
     let between: Between = match config.tracking.method {
@@ -142,7 +150,6 @@ fn find_path<'a>(
     intrinsics: Intrinsics,
     progress: &Progress,
 ) -> Result<Native<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<'a>>, Failure> {
-    camera::before(sequence).iter().for_each(|line| progress.note(line));
     let mut following = Following::start(progress, sequence.len());
     let load = move |place: usize| {
         following.reach(place)?;

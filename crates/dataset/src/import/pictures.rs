@@ -5,7 +5,7 @@ use super::npy::Array;
 use crate::DatasetError;
 use crate::distortion::Distortion;
 use crate::resample::{Recorded, Resampler};
-use crate::sequence::delivered_size;
+use crate::sizes::delivered_size;
 use i2slam_geometry::{Camera, Image};
 
 /// Pictures `[frames, 3, height, width]` or `[frames, height, width, 3]` of bytes.

@@ -121,8 +121,10 @@ impl Video {
     }
 
     /// The same, delivering pictures of another size.
-    pub(crate) fn delivering(self, width: usize, height: usize) -> Self {
-        Self { delivered: (width, height), reader: Mutex::new(None), ..self }
+    pub(crate) fn delivering(&self, (width, height): (usize, usize)) -> Self {
+        let (path, ffmpeg) = (self.path.clone(), self.ffmpeg.clone());
+        let (delivered, reader) = ((width, height), Mutex::new(None));
+        Self { path, ffmpeg, size: self.size, reader, delivered }
     }
 
     /// The picture of a frame: R, G, B in [0, 1].

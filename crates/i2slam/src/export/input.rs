@@ -46,6 +46,9 @@ pub struct Input {
     /// Whether only colour was read.
     #[serde(default)]
     pub colour_only: bool,
+    /// Whether pictures alone were turned as their EXIF data ask.
+    #[serde(default)]
+    pub turn_pictures: bool,
 }
 
 impl Input {
@@ -69,6 +72,7 @@ impl Input {
             association_tolerance: options.association_tolerance,
             minimum_gap: options.minimum_gap,
             colour_only: options.colour_only,
+            turn_pictures: options.turn_pictures,
         }
     }
 
@@ -90,6 +94,7 @@ impl Input {
             association_tolerance: self.association_tolerance,
             minimum_gap: self.minimum_gap,
             colour_only: self.colour_only,
+            turn_pictures: self.turn_pictures,
         }
     }
 
@@ -134,6 +139,7 @@ mod tests {
             }),
             guess_camera: true,
             colour_only: true,
+            turn_pictures: true,
             ..OpenOptions::default()
         };
         assert_eq!(Input::load(&scratch.0).expect("nothing"), None);

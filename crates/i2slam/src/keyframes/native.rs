@@ -96,14 +96,16 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
         }
     }
 
-    /// The same with other pictures of the same places: of a lens that was found, those that are
-    /// freed of it, as the camera and the landmarks are.
+    /// The same with other pictures of the same places, of `size` [px]: the front end gains by larger
+    /// ones than a map is made of. Of a lens that was found, those that are freed of it, as the camera
+    /// and the landmarks are.
     #[must_use]
-    pub fn with_pictures<R>(self, load: R) -> Native<R>
+    pub fn with_pictures<R>(self, (width, height): (usize, usize), load: R) -> Native<R>
     where
         R: FnMut(usize) -> Result<SequencePicture, PictureError>,
     {
         let Self { reconstruction, dense, places, refused, next, .. } = self;
+        let reconstruction = reconstruction.resized(width, height);
         Native { reconstruction, dense, load, places, refused, next }
     }
 
@@ -346,6 +348,35 @@ mod tests {
         indices.extend(between.iter().map(|frame| frame.index));
         indices.sort_unstable();
         assert!(indices.into_iter().eq((0..14).map(|place| 2 * place)));
+    }
+
+    /// Poses found in large pictures go with the depth of small ones, whose camera is as much smaller.
+    #[test]
+    fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
+        let (camera, small) = (camera(), camera().resized(80, 60));
+        let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
+        let found = Native::find(Intrinsics::Known(camera), 14, load).expect("a path");
+        let reduced = move |place: usize| {
+            let of = stamped(&camera, place, place as f64 / 30.0);
+            Ok(SequencePicture { colour: of.colour.resized_by_area(80, 60), ..of })
+        };
+        let mut native = found.with_pictures((80, 60), reduced).with_dense_depth();
+        assert_eq!(*native.camera(), small);
+        let (mut near, mut all) = (0, 0);
+        while let Some(keyframe) = native.next_keyframe() {
+            let keyframe = keyframe.expect("keyframes can be read again");
+            assert_eq!((keyframe.colour.width, keyframe.colour.height), (80, 60));
+            let depth = keyframe.depth.expect("depth").depth;
+            // The rows below the step are as near to those above as 2 to 3.5.
+            let (above, below) = depth.data.split_at(80 * 30);
+            let mean = |z: &[f32]| {
+                let known: Vec<f32> = z.iter().copied().filter(|z| *z > 0.0).collect();
+                known.iter().sum::<f32>() / known.len().max(1) as f32
+            };
+            near += usize::from((mean(below) / mean(above) - 2.0 / 3.5).abs() < 0.06);
+            all += 1;
+        }
+        assert!(all > 2 && near == all, "{near} of {all}");
     }
 
     #[test]
