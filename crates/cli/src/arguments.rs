@@ -38,8 +38,9 @@ pub(crate) enum Command {
 
 #[derive(Args, Debug)]
 pub(crate) struct Run {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, or a video
-    /// (colour alone; ffmpeg decodes it)
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, a video
+    /// (colour alone; ffmpeg decodes it), or a stream: an address such as rtsp://HOST/PATH, a named
+    /// pipe, - for the standard input
     pub(crate) dataset: PathBuf,
     /// Folder for the results
     #[arg(long, value_name = "DIR")]

@@ -5,17 +5,33 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
 
+/// What is being read and ends with the first Ctrl-C, in place of the run.
+static READING: AtomicBool = AtomicBool::new(false);
+
 /// Begin to listen. Where the system refuses, Ctrl-C ends the program as usual.
 pub(crate) fn listen() {
     let handler = || {
         if REQUESTED.swap(true, Ordering::SeqCst) {
             std::process::exit(130);
         }
-        complain("\nending the run and writing what there is; once more ends at once");
+        complain(if READING.load(Ordering::SeqCst) {
+            "\nending the stream and going on with what came; once more ends at once"
+        } else {
+            "\nending the run and writing what there is; once more ends at once"
+        });
     };
     if ctrlc::set_handler(handler).is_err() {
         complain("warning: Ctrl-C will end this run without writing results");
     }
+}
+
+/// Reads what may have no end: Ctrl-C ends `read`, which asks [`requested`], and not the run.
+pub(crate) fn reading<T>(read: impl FnOnce() -> T) -> T {
+    READING.store(true, Ordering::SeqCst);
+    let result = read();
+    READING.store(false, Ordering::SeqCst);
+    REQUESTED.store(false, Ordering::SeqCst);
+    result
 }
 
 /// Whether the user asked to end.

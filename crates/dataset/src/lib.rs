@@ -53,4 +53,4 @@ pub use published::paper_frames;
 pub use sequence::{Entry, LeftOut, Parts, Sequence};
 pub use stream::FrameStream;
 pub use trajectory_file::{read_trajectory, write_trajectory};
-pub use video::is_video;
+pub use video::{LARGEST_RECORDING, Recording, is_stream, is_video};

@@ -114,10 +114,10 @@ impl Sequence {
     /// depth images, no more; a video is decoded once.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
         options.validate()?;
+        if let Some(refusal) = refused_stream(path) {
+            return Err(refusal);
+        }
         if !path.exists() {
-            if let Some(refusal) = refused_stream(path) {
-                return Err(refusal);
-            }
             return Err(DatasetError::MissingFolder { path: path.to_path_buf() });
         }
         // A folder that is no sequence at all is worth saying before a missing camera.

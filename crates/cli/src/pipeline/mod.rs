@@ -19,7 +19,7 @@ use draw::Drawing;
 use drive::Tracked;
 use figures::Figures;
 use i2slam::Config;
-use i2slam::dataset::{OpenOptions, Sequence, is_video};
+use i2slam::dataset::{OpenOptions, Recording, Sequence, is_stream, is_video};
 use i2slam::export::report::Report;
 use i2slam::export::{
     ExportError, Input, Layout, Metrics, ResultFolder, UnitOfLength, save, save_metrics,
@@ -45,17 +45,21 @@ pub(crate) struct Job {
 
 /// Reconstruct, write everything, print the summary; its last line is the report's path.
 pub(crate) fn run(job: &Job) -> Result<(), Failure> {
-    if is_video(&job.dataset) && !job.quiet {
+    interrupt::listen();
+    let stream = recorded(job)?;
+    let recording = stream.as_ref().map(Recording::path);
+    let dataset = recording.as_ref().unwrap_or(&job.dataset);
+    if is_video(dataset) && !job.quiet {
         complain(&format!("looking through {}", job.dataset.display()));
     }
-    let sequence = Sequence::open(&job.dataset, &job.open)?;
+    let sequence = Sequence::open(dataset, &job.open)?;
     job.keyframes.iter().try_for_each(|keyframes| keyframes.check(&sequence))?;
-    interrupt::listen();
     refuse_to_overwrite(job)?;
     let folder = ResultFolder::create(&job.out)?;
-    let truth = Truth::of(&job.dataset, &sequence);
+    let truth = Truth::of(dataset, &sequence);
     let mut progress = Progress::new(sequence.len(), job.quiet);
-    for warning in sequence.warnings.iter().chain(&truth.warnings) {
+    let told = stream.iter().flat_map(|stream| &stream.warnings);
+    for warning in told.chain(&sequence.warnings).chain(&truth.warnings) {
         progress.warn(warning);
     }
     let tracked = match &job.keyframes {
@@ -65,7 +69,7 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     let written = tracked.and_then(|tracked| {
         let undistorted = tracked.undistorted.clone();
         // True pictures come through the same lens.
-        let freed = undistorted.as_ref().map(|sequence| Truth::of(&job.dataset, sequence));
+        let freed = undistorted.as_ref().map(|sequence| Truth::of(dataset, sequence));
         let truth = freed.as_ref().unwrap_or(&truth);
         let sequence = undistorted.as_ref().unwrap_or(&sequence);
         Finished { job, folder: &folder, sequence, truth, tracked }.write(&mut progress)
@@ -74,6 +78,28 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     let Written { metrics, map, problems } = written?;
     summarise(&metrics, &map, folder.path(), job.config.input.optimise_rolling_shutter);
     end(problems)
+}
+
+/// What a stream gives, read before anything else, as nobody can read it twice.
+fn recorded(job: &Job) -> Result<Option<Recording>, Failure> {
+    if !is_stream(&job.dataset) {
+        return Ok(None);
+    }
+    if let Some(Keyframes::Files { .. }) = job.keyframes {
+        return Err(Failure::Usage(format!(
+            "{} is a stream: --keyframes goes with a file or a folder",
+            job.dataset.display()
+        )));
+    }
+    refuse_to_overwrite(job)?;
+    if !job.quiet {
+        let name = job.dataset.display();
+        complain(&format!(
+            "reading the stream {name} (Ctrl-C ends it, and goes on with what came)"
+        ));
+    }
+    let read = || Recording::of(&job.dataset, &interrupt::requested);
+    Ok(Some(interrupt::reading(read)?))
 }
 
 /// The dataset is never written to (a result folder has a `camera.json` of its own), an earlier

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 pub(crate) const WIDTH: usize = 160;
 pub(crate) const HEIGHT: usize = 120;
@@ -12,10 +13,32 @@ pub(crate) const HEIGHT: usize = 120;
 pub(crate) const FOCAL: f64 = 130.0;
 
 /// Writes `FILE.words` to standard error, or `FILE.rgb` to standard output where raw video is asked
-/// for, FILE being what stands behind `-i`.
-const SCRIPT: &str = "#!/bin/sh\nraw=\nwhile [ $# -gt 0 ]; do\n  case \"$1\" in\n    -i) file=$2; \
-    shift;;\n    rawvideo) raw=1;;\n  esac\n  shift\ndone\nif [ \"$raw\" ]; then exec cat \
-    \"$file.rgb\"; fi\ncat \"$file.words\" >&2\n";
+/// for, FILE being what stands behind `-i`. A stream holds the name of such a file, and is handed on
+/// as it is; `http://host/NAME` is the file NAME beside the script, and does not end where there is a
+/// `NAME.endless`.
+const SCRIPT: &str = r#"#!/bin/sh
+raw= nut=
+while [ $# -gt 0 ]; do
+  case "$1" in
+    -i) file=$2; shift;;
+    rawvideo) raw=1;;
+    nut) nut=1;;
+  esac
+  shift
+done
+if [ "$nut" ]; then
+  case "$file" in
+    -) exec cat;;
+    *://*) file=$(dirname "$0")/${file##*/};;
+  esac
+  cat "$file"
+  [ -e "$file.endless" ] && exec sleep 60
+  exit
+fi
+if [ -s "$file" ]; then file=$(cat "$file"); fi
+if [ "$raw" ]; then exec cat "$file.rgb"; fi
+cat "$file.words" >&2
+"#;
 
 /// Where the camera is and what it looks at.
 #[derive(Clone, Copy)]
@@ -118,19 +141,36 @@ impl Footage {
 
     /// The program on a video, with this ffmpeg.
     pub(crate) fn i2slam(&self, command: &str, video: &Path, more: &[&str]) -> Ran {
+        let mut command = self.command(command, video, more);
+        Ran::of(command.output().expect("the program starts"))
+    }
+
+    fn command(&self, command: &str, video: &Path, more: &[&str]) -> Command {
         let head = [command.as_ref(), video.as_os_str()];
         let mut command = program(head.into_iter().chain(more.iter().map(AsRef::as_ref)));
-        command.env("I2SLAM_FFMPEG", self.scratch.join("ffmpeg"));
-        Ran::of(command.output().expect("the program starts"))
+        let passing = self.scratch.join("tmp");
+        fs::create_dir_all(&passing).expect("room");
+        command.env("I2SLAM_FFMPEG", self.scratch.join("ffmpeg")).env("TMPDIR", passing);
+        command
+    }
+
+    /// Whether nothing was left in the folder for what passes.
+    pub(crate) fn is_tidy(&self) -> bool {
+        fs::read_dir(self.scratch.join("tmp")).expect("a folder").next().is_none()
     }
 
     /// A quick run into `out`.
     pub(crate) fn run(&self, video: &Path, more: &[&str]) -> Ran {
-        let (out, config) = (self.scratch.join("out"), self.scratch.join("quick.toml"));
+        Ran::of(self.quick("out", video, more).output().expect("the program starts"))
+    }
+
+    /// A quick run into a folder.
+    pub(crate) fn quick(&self, out: &str, video: &Path, more: &[&str]) -> Command {
+        let (out, config) = (self.scratch.join(out), self.scratch.join("quick.toml"));
         fs::write(&config, QUICK).expect("room");
         let [out, config] = [&out, &config].map(|path| path.to_str().expect("a name"));
         let flags = ["--out", out, "--config", config, "--render", "none"];
-        self.i2slam("run", video, &[&flags, more].concat())
+        self.command("run", video, &[&flags, more].concat())
     }
 }
 

@@ -19,6 +19,8 @@ mod result;
 mod robust;
 mod rolling;
 mod scene;
+#[cfg(unix)]
+mod streams;
 mod tools;
 #[cfg(unix)]
 mod video;

@@ -3,7 +3,6 @@
 use crate::footage::{FOCAL, Footage, HEIGHT, View, WIDTH};
 use crate::tools::{Ran, number, program};
 use std::fs;
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// Steps to the right, evenly in time.
@@ -205,8 +204,6 @@ fn what_cannot_be_meant_is_refused() {
         .run(&footage.scratch.join("none.mp4"), &[])
         .ended_with(1)
         .complaining("no file or folder");
-    let stream = PathBuf::from("rtsp://camera/stream");
-    footage.run(&stream, &[]).ended_with(1).complaining("record it first");
     let file = footage.scratch.join("camera.txt");
     fs::write(&file, "500 500\n").expect("room");
     let flags = ["--intrinsics", file.to_str().expect("a name")];

@@ -6,6 +6,7 @@
 
 mod program;
 mod reader;
+mod stream;
 mod words;
 
 use crate::layouts::{Listing, counted};
@@ -17,11 +18,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use words::Words;
 
+pub(crate) use stream::refused_stream;
+pub use stream::{LARGEST_RECORDING, Recording, is_stream};
+
 /// Endings of video files.
-const ENDINGS: [&str; 31] = [
+const ENDINGS: [&str; 32] = [
     "mp4", "m4v", "mov", "qt", "mkv", "webm", "avi", "mpg", "mpeg", "m2v", "ts", "mts", "m2ts",
     "3gp", "3g2", "wmv", "asf", "flv", "ogv", "gif", "h264", "264", "h265", "hevc", "mjpeg",
-    "mjpg", "y4m", "mxf", "vob", "insv", "lrv",
+    "mjpg", "y4m", "mxf", "vob", "insv", "lrv", "nut",
 ];
 
 /// Frames pass the listing in this size at most: their stamps matter, not their pixels.
@@ -33,24 +37,13 @@ const LARGEST_SIDE: usize = 1 << 15;
 /// A video that ends so much before the length that it claims was cut off [s].
 const CUT_OFF: f64 = 0.5;
 
-/// Whether a path is that of a video, by its ending.
+/// Whether a path is that of a video, by its ending, or a [stream](is_stream).
 pub fn is_video(path: &Path) -> bool {
+    if is_stream(path) {
+        return true;
+    }
     let ending = path.extension().and_then(|ending| ending.to_str()).map(str::to_lowercase);
     ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str())) && !path.is_dir()
-}
-
-/// Why a path that is no file cannot be a video, if it looks as if one was meant.
-pub(crate) fn refused_stream(path: &Path) -> Option<DatasetError> {
-    let text = path.to_str()?;
-    let streamed = text == "-" || text.contains("://");
-    streamed.then(|| {
-        let from = if text == "-" { "-" } else { text };
-        let reason = format!(
-            "a stream cannot be read twice, which a run needs: record it first, for example with \
-             `ffmpeg -i {from} -t 60 -c copy clip.mkv`, and run that file"
-        );
-        DatasetError::video(path, reason)
-    })
 }
 
 /// A video whose frames are known.

@@ -2,7 +2,7 @@
 
 use super::words::Words;
 use crate::DatasetError;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -43,11 +43,17 @@ impl Ffmpeg {
         count: Option<usize>,
     ) -> Result<Words, DatasetError> {
         let words = self.listen_once(path, filter, count)?;
-        if self.era + 1 < ALL_FRAMES.len() && words.frames.is_empty() && words.blames("fps_mode") {
-            self.era += 1;
+        if words.frames.is_empty() && self.is_older(&words) {
             return self.listen_once(path, filter, count);
         }
         Ok(words)
+    }
+
+    /// Whether it did not know how frames are passed on, and is to be asked in older words from now on.
+    pub(super) fn is_older(&mut self, words: &Words) -> bool {
+        let is_older = self.era + 1 < ALL_FRAMES.len() && words.blames("fps_mode");
+        self.era += usize::from(is_older);
+        is_older
     }
 
     fn listen_once(
@@ -83,12 +89,30 @@ impl Ffmpeg {
         self.start(&mut command)
     }
 
+    /// Starts to decode what can be read once only: every frame once, without loss, as a video on its
+    /// standard output.
+    pub(super) fn record(&self, stream: &Path) -> Result<Child, DatasetError> {
+        let mut command = self.reading("level+warning", stream.as_os_str());
+        command.args(["-c:v", "ffv1", "-flush_packets", "1", "-f", "nut", "-"]);
+        if stream.as_os_str() == "-" {
+            command.stdin(Stdio::inherit());
+        }
+        self.start(command.stdout(Stdio::piped()))
+    }
+
     fn command(&self, level: &str, path: &Path, filter: &str) -> Command {
-        let mut command = Command::new(&self.program);
         // An absolute path is never taken for a protocol or an option.
         let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-        command.args(["-hide_banner", "-nostdin", "-nostats", "-v", level, "-i"]).arg(whole);
-        command.args(["-map", "0:V:0", "-vf", filter]).args(ALL_FRAMES[self.era]);
+        let mut command = self.reading(level, whole.as_os_str());
+        command.args(["-vf", filter]);
+        command
+    }
+
+    /// The first video of a source, frame by frame.
+    fn reading(&self, level: &str, source: &OsStr) -> Command {
+        let mut command = Command::new(&self.program);
+        command.args(["-hide_banner", "-nostdin", "-nostats", "-v", level, "-i"]).arg(source);
+        command.args(["-map", "0:V:0"]).args(ALL_FRAMES[self.era]);
         command.stdin(Stdio::null()).stderr(Stdio::piped());
         apart(&mut command);
         command

@@ -10,6 +10,7 @@ here=$(dirname "$0")
 echo "$@" >> "$here/asked"
 case "$*" in *fps_mode*) echo "Unrecognized option 'fps_mode'." >&2; exit 1;; esac
 case "$*" in
+  *ffv1*) echo "[rtsp @ 0x1] [error] it hung up" >&2; cat "$here/frames"; [ -e "$here/endless" ] && exec sleep 60;;
   *rawvideo*) cat "$here/frames"; echo "[h264 @ 0x1] [error] it broke" >&2;;
   *) cat "$here/words" >&2;;
 esac
@@ -111,10 +112,68 @@ fn a_video_that_was_cut_off_is_told() {
 }
 
 #[test]
-fn streams_are_refused_with_a_way_out() {
-    let refused = |text: &str| refused_stream(Path::new(text)).map(|error| error.to_string());
-    assert!(refused("rtsp://a/b").is_some_and(|m| m.contains("ffmpeg -i rtsp://a/b -t 60")));
-    assert!(refused("-").is_some_and(|m| m.contains("record it first")));
-    assert!(refused("a/b.mp4").is_none());
+fn streams_are_known_by_what_they_are() {
+    let folder = Folder::new("kinds", 1, 1);
+    let pipe = folder.0.join("camera");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
+    assert!(made.success());
+    for stream in [Path::new("rtsp://a/b"), Path::new("http://a/b.mp4"), Path::new("-"), &pipe] {
+        assert!(is_stream(stream) && is_video(stream), "{stream:?}");
+        let refusal = refused_stream(stream).expect("cannot be read twice").to_string();
+        assert!(refusal.contains("record it first") && refusal.contains("-t 60"), "{refusal}");
+    }
+    assert!(!is_stream(Path::new("a/b.mp4")) && refused_stream(Path::new("a/b.mp4")).is_none());
     assert!(is_video(Path::new("a/b.MP4")) && !is_video(Path::new("b.sens")));
+}
+
+impl Folder {
+    fn record(&self, most: u64, should_end: &dyn Fn() -> bool) -> Result<Recording, DatasetError> {
+        let ffmpeg = Ffmpeg::at(self.0.join("ffmpeg"));
+        Recording::with(ffmpeg, Path::new("rtsp://a/b"), most, should_end)
+    }
+}
+
+#[test]
+fn a_stream_is_decoded_once_into_a_file_that_goes_with_it() {
+    let folder = Folder::new("stream", 3, 4);
+    let recording = folder.record(1 << 20, &|| false).expect("a stream");
+    let path = recording.path();
+    assert_eq!(
+        fs::read(&path).expect("a file"),
+        fs::read(folder.0.join("frames")).expect("frames")
+    );
+    assert!(recording.warnings[0].contains("it hung up"), "{:?}", recording.warnings);
+    let asked = fs::read_to_string(folder.0.join("asked")).expect("questions");
+    // The script is old: it refuses the first words before it reads.
+    assert_eq!(asked.lines().filter(|l| l.contains("-vsync 0 -c:v ffv1")).count(), 1, "{asked}");
+    assert!(asked.lines().all(|line| line.contains("-i rtsp://a/b ")), "{asked}");
+    let ffmpeg = Ffmpeg::at(folder.0.join("ffmpeg"));
+    let listing = Video::list_with(ffmpeg, &path, &OpenOptions::default(), 30.0).expect("a video");
+    assert!(listing.entries.len() == 3 && is_video(&path));
+    drop(recording);
+    assert!(!path.exists());
+}
+
+#[test]
+fn a_live_stream_ends_when_it_is_asked_to() {
+    let folder = Folder::new("live", 1, 4);
+    fs::write(folder.0.join("endless"), "").expect("room");
+    let begin = std::time::Instant::now();
+    let recording =
+        folder.record(1 << 20, &|| begin.elapsed().as_millis() > 500).expect("what came");
+    assert!(begin.elapsed().as_secs() < 20);
+    assert_eq!(fs::read(recording.path()).expect("a file").len(), 4 * 12);
+    assert!(recording.warnings.is_empty(), "{:?}", recording.warnings);
+}
+
+#[test]
+fn a_recording_has_a_bound_and_no_recording_a_reason() {
+    let folder = Folder::new("bound", 1, 4);
+    fs::write(folder.0.join("endless"), "").expect("room");
+    let recording = folder.record(30, &|| false).expect("what fits");
+    assert_eq!(fs::read(recording.path()).expect("a file").len(), 4 * 12);
+    assert!(recording.warnings[0].contains("all that is kept"), "{:?}", recording.warnings);
+    let silent = Folder::new("silent", 1, 0);
+    let refusal = silent.record(1 << 20, &|| false).expect_err("nothing came").to_string();
+    assert!(refusal.contains("it hung up") && refusal.contains("rtsp://a/b"), "{refusal}");
 }

@@ -1,7 +1,7 @@
 //! `input.json`: what a run read, so that it can be read again.
 
 use super::{ExportError, ResultFolder, Storage};
-use i2slam_dataset::{EstimatedCamera, OpenOptions};
+use i2slam_dataset::{EstimatedCamera, OpenOptions, is_stream};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -56,7 +56,8 @@ impl Input {
     pub fn new(dataset: &Path, options: &OpenOptions) -> Self {
         let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         Self {
-            dataset: absolute(dataset),
+            // A stream has no place.
+            dataset: if is_stream(dataset) { dataset.to_owned() } else { absolute(dataset) },
             camera: options.camera.as_deref().map(absolute),
             intrinsics: options.intrinsics,
             field_of_view: options.field_of_view,
