@@ -13,6 +13,7 @@ use i2slam::keyframes::{
     SequencePicture, import,
 };
 use i2slam::{Config, FrameEstimate, KeyframedSession, Reconstruction, SessionError};
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -58,6 +59,10 @@ type Between = Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, PictureErr
 struct Posed {
     session: KeyframedSession,
     between: Between,
+    /// Keyframes taken in or held out.
+    taken: usize,
+    /// Keyframes that the map is not to see, in order.
+    held_out: VecDeque<PosedKeyframe>,
     warnings: Vec<String>,
 }
 
@@ -69,6 +74,11 @@ impl Posed {
             Err(error) => Err(error.to_string()),
         };
         self.warnings.extend(located.err().map(|reason| format!("frame left out: {reason}")));
+    }
+
+    /// The next frame that is to be found in the finished map.
+    fn next_to_locate(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
+        self.held_out.pop_front().map(Ok).or_else(|| self.between.next())
     }
 }
 
@@ -214,7 +224,8 @@ pub(super) fn track(
         session.set_covered(Arc::clone(covered));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
-    let session = Posed { session, between, warnings: Vec::new() };
+    let held_out = VecDeque::new();
+    let session = Posed { session, between, taken: 0, held_out, warnings: Vec::new() };
     let tracked = drive(session, items, count, (clock, "no keyframe could be used"), progress)?;
     Ok(Tracked { camera, undistorted, ..tracked })
 }
@@ -225,12 +236,17 @@ impl Drive for Posed {
     const FINISH: &'static str = "refining map and poses";
 
     fn take_in(&mut self, keyframe: PosedKeyframe) -> (Result<(), SessionError>, Vec<String>) {
+        self.taken += 1;
+        if self.session.holds_out(self.taken - 1) {
+            self.held_out.push_back(keyframe);
+            return (Ok(()), Vec::new());
+        }
         let taken = self.session.process(keyframe).map(|_| ());
         (taken, self.session.take_warnings())
     }
 
     fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
-        let count = self.between.len();
+        let count = self.held_out.len() + self.between.len();
         let (mut done, mut steps, mut goes_on) = (0, 0, true);
         self.session.finish(&mut |step, of| {
             (done, steps) = (step, of);
@@ -238,7 +254,7 @@ impl Drive for Posed {
             goes_on
         });
         while goes_on {
-            let Some(frame) = self.between.next() else { break };
+            let Some(frame) = self.next_to_locate() else { break };
             self.locate(frame);
             done += 1;
             goes_on = on_step(done, steps + count);

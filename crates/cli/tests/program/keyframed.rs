@@ -62,6 +62,22 @@ fn a_trajectory_and_pictures_become_a_field() {
 }
 
 #[test]
+fn keyframes_that_are_held_out_are_found_in_the_map() {
+    let scratch = Scratch::new("keyframed-held-out");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: FRAMES, step: 0.03, ..Scene::default() }.write(&data);
+    write_poses(&scratch.join("poses.txt"));
+    reconstruct(&scratch, &out, "2", &["--hold-out", "3"]);
+    let metrics = out.join("metrics.json");
+    assert_eq!(number(&metrics, "frames"), Some(FRAMES as f64));
+    assert_eq!(number(&metrics, "keyframes"), Some(FRAMES as f64 - 2.0));
+    let judged = run(["eval", out.to_str().expect("a name"), "--protocol", "held-out"]);
+    let judged = judged.ended_with(0).out;
+    let frames = judged.lines().find(|line| line.starts_with("frames judged")).expect("a row");
+    assert_eq!(frames.split_whitespace().last(), Some("2"), "{judged}");
+}
+
+#[test]
 fn depth_pictures_can_be_taken_along() {
     let scratch = Scratch::new("keyframed-depth");
     let (data, out) = (scratch.join("room"), scratch.join("out"));

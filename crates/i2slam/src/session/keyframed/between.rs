@@ -7,6 +7,13 @@ use i2slam_formation::ShutterPoses;
 use i2slam_geometry::Pose;
 
 impl KeyframedSession {
+    /// Whether the keyframe that comes `number`-th, from 0, is kept from the map (`mapping.hold_out`):
+    /// it is one to [`locate`](Self::locate) after [`finish`](Self::finish).
+    pub fn holds_out(&self, number: usize) -> bool {
+        let every = self.config.mapping.hold_out;
+        every > 0 && number > 0 && number.is_multiple_of(every)
+    }
+
     /// Takes in a frame that is no keyframe, after [`finish`](Self::finish): its pose starts where its
     /// source puts it beside the nearest keyframe, and is refined, with the motion over its exposure
     /// and its gains, by its picture alone. Nothing else changes. Frames best come in order.
@@ -31,7 +38,7 @@ impl KeyframedSession {
         }
         let (mapper, story) = self.story();
         let found = mapper.locate(&story, (&mut estimate, &frame.colour), before.as_ref());
-        estimate.tracked = found;
+        (estimate.tracked, estimate.held_out) = (found, true);
         if !found {
             let index = frame.index;
             self.warnings.push(format!(
