@@ -6,7 +6,7 @@ use super::drive::{Drive, Tracked, drive};
 use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::progress::Progress;
-use i2slam::config::{MapKind, TrackingMethod};
+use i2slam::config::TrackingMethod;
 use i2slam::dataset::Sequence;
 use i2slam::keyframes::{
     ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PictureError, PosedKeyframe,
@@ -115,8 +115,7 @@ impl Keyframes {
     }
 }
 
-/// Finds the path of the camera from the pictures, and their lens if asked; for Gaussians, which begin
-/// on surfaces, with dense depth.
+/// Finds the path of the camera from the pictures, with dense depth, and their lens if asked.
 fn native(
     sequence: &Sequence,
     estimate_distortion: bool,
@@ -146,11 +145,8 @@ fn native(
         TrackingMethod::SecondOrder => Box::new(between),
         TrackingMethod::Adam => Box::new(std::iter::empty()),
     };
-    let source = match config.map.kind {
-        MapKind::Gaussian => source.with_dense_depth(),
-        MapKind::HashGrid => source,
-    };
-    let (source, frame_rate, camera) = (Box::new(source), sequence.frame_rate, Some(camera));
+    let (source, frame_rate) = (Box::new(source.with_dense_depth()), sequence.frame_rate);
+    let camera = Some(camera);
     Ok(Opened { source, count, between, frame_rate, warnings, camera, undistorted })
 }
 

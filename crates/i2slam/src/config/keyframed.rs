@@ -36,6 +36,16 @@ pub struct KeyframedConfig {
     /// Steps during which the finer half of the grids comes in, one after another; 0 trains all
     /// from the start.
     pub coarse_steps: usize,
+    /// λ_depth where keyframes come with estimated depth in most pixels: a mean of (d − d̂)² over its
+    /// variance. Rays are then sampled around these surfaces alone, `hashgrid.shell` of their depth
+    /// or three deviations to both sides.
+    pub surface_depth_weight: f32,
+    /// `camera_rate` there.
+    pub surface_camera_rate: f32,
+    /// Factor of `hashgrid.final_iterations` there: a step takes a tenth of the time.
+    pub surface_steps: f32,
+    /// Times during these steps that all keyframes are found anew in the map.
+    pub surface_searches: usize,
 }
 
 /// Coordinates in which poses are stepped.

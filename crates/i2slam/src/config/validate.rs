@@ -139,7 +139,7 @@ impl Config {
     }
 
     /// Values that any number of at least zero is good for.
-    fn rates(&self) -> [(&'static str, f32); 41] {
+    fn rates(&self) -> [(&'static str, f32); 44] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         let k = &self.keyframed;
         [
@@ -148,6 +148,9 @@ impl Config {
             ("keyframed.trajectory_weight", k.trajectory_weight),
             ("keyframed.initial_split", k.initial_split),
             ("keyframed.depth_outlier", k.depth_outlier),
+            ("keyframed.surface_depth_weight", k.surface_depth_weight),
+            ("keyframed.surface_camera_rate", k.surface_camera_rate),
+            ("keyframed.surface_steps", k.surface_steps),
             ("hashgrid.bound", self.hashgrid.bound),
             ("hashgrid.step", self.hashgrid.step),
             ("hashgrid.rate", self.hashgrid.rate),

@@ -60,6 +60,10 @@ pub(super) fn keyframed() -> KeyframedConfig {
         initial_split: 0.1,
         depth_outlier: 0.0,
         coarse_steps: 0,
+        surface_depth_weight: 1.0,
+        surface_camera_rate: 1e-4,
+        surface_steps: 1.0,
+        surface_searches: 0,
     }
 }
 
@@ -91,6 +95,9 @@ pub(super) fn ours() -> Config {
             initial_split: 0.5,
             depth_outlier: 3.0,
             coarse_steps: 400,
+            surface_depth_weight: 0.02,
+            surface_steps: 3.5,
+            surface_searches: 2,
             ..paper.keyframed
         },
         map: MapConfig { kind: MapKind::HashGrid, ..ours.map },

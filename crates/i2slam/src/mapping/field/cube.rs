@@ -2,8 +2,9 @@
 
 use crate::config::HashGridConfig;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
+use i2slam_radiance::View;
 use i2slam_radiance::hashgrid::{
-    FieldSettings, HashGridField, HashGridMap, MarchSettings, Occupancy, OccupancySettings,
+    FieldSettings, HashGridField, HashGridMap, MarchSettings, Occupancy, OccupancySettings, Ray,
     SettingsError,
 };
 
@@ -82,10 +83,33 @@ const MOST_RAYS: f32 = 8.0;
 
 /// Rays along each side of a pixel that lie closer than the cells of edge `cell` \[m\] at the
 /// largest depth: without them the pixels of a small picture leave gaps of empty cells.
-pub(super) fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32) -> usize {
+fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32) -> usize {
     let far = depth.data.iter().fold(0.0_f32, |far, &d| far.max(d));
     let apart = far / camera.fx.min(camera.fy);
     (apart / cell).ceil().clamp(1.0, MOST_RAYS) as usize
+}
+
+/// Samples from now on what the rays of a picture with depth cross `between` two depths, those of a
+/// pixel and its depth.
+pub(in crate::mapping) fn hold_between(
+    occupancy: &mut Occupancy,
+    field: &HashGridField,
+    (camera, world_from_camera): (&Camera<f32>, Pose<f64>),
+    depth: &Image<f32>,
+    between: impl Fn(usize, f32) -> (f32, f32),
+) {
+    let cell = 2.0 * field.settings().bound as f32 / occupancy.settings().resolution as f32;
+    let fine = rays_per_side(camera, depth, cell);
+    let camera = camera.resized(depth.width * fine, depth.height * fine);
+    let view = View { camera, world_from_camera: world_from_camera.cast() };
+    for (pixel, &d) in depth.data.iter().enumerate().filter(|(_, d)| **d > 0.0) {
+        let (column, row) = (fine * (pixel % depth.width), fine * (pixel / depth.width));
+        let (from, to) = between(pixel, d);
+        for (i, j) in (0..fine).flat_map(|j| (0..fine).map(move |i| (i, j))) {
+            let ray = Ray::through_pixel(&view, column + i, row + j);
+            occupancy.hold(field, &ray, from, to);
+        }
+    }
 }
 
 /// An untrained field in a cube of half edge `bound` [m] around `centre`, in which nothing is

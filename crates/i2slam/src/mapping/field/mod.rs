@@ -8,7 +8,7 @@
 
 mod cube;
 
-pub(super) use cube::{away, held_distance, untrained};
+pub(super) use cube::{away, held_distance, hold_between, untrained};
 
 use super::densify::placement;
 use super::frames::FrameOptimizers;
@@ -23,9 +23,8 @@ use crate::tracking::{TrackingContext, TrackingResult, sampling, track};
 use i2slam_compute::Random;
 use i2slam_formation::{CameraResponse, CurveGradient, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_radiance::View;
 use i2slam_radiance::hashgrid::{
-    FieldAdam, FieldGradient, FieldSettings, HashGridMap, Ray, SettingsError, decayed_rate,
+    FieldAdam, FieldGradient, FieldSettings, HashGridMap, SettingsError, decayed_rate,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -132,17 +131,8 @@ impl FieldMapper {
         let Some(Field { map, .. }) = &mut self.field else { return };
         let shell = story.config.hashgrid.shell;
         let HashGridMap { field, occupancy, .. } = map;
-        let cell = 2.0 * field.settings().bound as f32 / occupancy.settings().resolution as f32;
-        let fine = cube::rays_per_side(&self.camera, depth, cell);
-        let camera = self.camera.resized(depth.width * fine, depth.height * fine);
-        let view = View { camera, world_from_camera: pose.cast() };
-        for (pixel, &d) in depth.data.iter().enumerate().filter(|(_, d)| **d > 0.0) {
-            let (column, row) = (fine * (pixel % depth.width), fine * (pixel / depth.width));
-            for (i, j) in (0..fine).flat_map(|j| (0..fine).map(move |i| (i, j))) {
-                let ray = Ray::through_pixel(&view, column + i, row + j);
-                occupancy.hold(field, &ray, d * (1.0 - shell), d * (1.0 + shell));
-            }
-        }
+        let between = |_, d| (d * (1.0 - shell), d * (1.0 + shell));
+        hold_between(occupancy, field, (&self.camera, pose), depth, between);
     }
 
     /// Sees to it that the cube holds what a frame sees, or warns.

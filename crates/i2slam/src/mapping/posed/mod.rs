@@ -3,19 +3,21 @@
 //! Keyframes enter the training set one by one. A step draws pixels from several of them, forms
 //! and compares them, and moves the field, start and end poses, exposure, white balance and
 //! response together. Depth may be unknown: rays are sampled where the field itself has turned out
-//! to be dense, not around measured surfaces.
+//! to be dense. Where keyframes come with estimated depth in most pixels, they are sampled only
+//! around these surfaces, which takes a tenth of the time and leaves no fog.
 
 mod batch;
 mod extent;
 mod locate;
 mod poses;
 mod preconditioner;
+mod shells;
 mod trajectory;
 
 use super::field::{add, curves, untrained};
 use super::frames::FrameOptimizers;
-use super::{Keyframe, Story};
-use crate::config::Preconditioning;
+use super::{Keyframe, PosedMapper, Story};
+use crate::config::{Config, Preconditioning};
 use crate::objective::{Evaluation, RayObjective, RayView};
 use crate::reconstruction::{Losses, Map};
 use batch::{any, blur_at, draw, open_levels, window};
@@ -56,6 +58,8 @@ pub(crate) struct PosedField {
 /// A field and what trains it.
 struct Field {
     map: HashGridMap,
+    /// Where it may be sampled; everywhere if no keyframe has depth in most pixels.
+    shells: Option<Occupancy>,
     batch: RayObjective,
     looker: FieldRenderer,
     gradient: FieldGradient,
@@ -89,7 +93,36 @@ struct Rates {
     camera: f32,
 }
 
+/// What the settings ask for, which depends on whether surfaces are known.
+struct Plan {
+    depth_weight: f32,
+    camera_rate: f32,
+    /// Steps after the last keyframe.
+    steps: usize,
+    /// Times during them that all keyframes are found anew.
+    searches: usize,
+}
+
 impl PosedField {
+    /// The plan for the field as it is.
+    fn plan(&self, config: &Config) -> Plan {
+        let (keyframed, steps) = (&config.keyframed, config.hashgrid.final_iterations);
+        match self.field.as_ref().is_some_and(|field| field.shells.is_some()) {
+            true => Plan {
+                depth_weight: keyframed.surface_depth_weight,
+                camera_rate: keyframed.surface_camera_rate,
+                steps: (keyframed.surface_steps * steps as f32) as usize,
+                searches: keyframed.surface_searches,
+            },
+            false => Plan {
+                depth_weight: config.hashgrid.depth_weight,
+                camera_rate: keyframed.camera_rate,
+                steps,
+                searches: 0,
+            },
+        }
+    }
+
     /// For keyframes of `camera`, taken from a video of `frame_rate` frames per second.
     pub(crate) fn new(camera: &Camera<f64>, frame_rate: f64) -> Self {
         Self {
@@ -115,9 +148,11 @@ impl PosedField {
         };
         if first {
             self.begin(story)?;
+        } else {
+            self.hold_last(story);
         }
         let iterations = if first { settings.first_iterations } else { settings.iterations };
-        let rates = Rates { field: settings.rate, camera: story.config.keyframed.camera_rate };
+        let rates = Rates { field: settings.rate, camera: self.plan(story.config).camera_rate };
         let budget = f64::from(story.config.mapping.seconds_per_frame);
         let clock = Instant::now();
         for iteration in 0..iterations {
@@ -149,13 +184,52 @@ impl PosedField {
             looker: FieldRenderer::new(march),
             gradient: FieldGradient::zeros(&map.field),
             adam: FieldAdam::new(),
+            shells: None,
             map,
         });
+        self.confine(story);
         // What was known of steps in the field before says nothing of this one.
         self.poses = PoseOptimizers::default();
         self.frames = FrameOptimizers::default();
         self.steps = 0;
         Ok(())
+    }
+
+    /// Samples around what all keyframes see from where they are now, if depth tells.
+    fn confine(&mut self, story: &Story<'_>) {
+        let Some(field) = &mut self.field else { return };
+        field.shells = shells::shells(&field.map, &self.camera, story);
+        if let Some(shells) = &field.shells {
+            field.map.occupancy.confine(shells);
+        }
+    }
+
+    /// Samples around what the last keyframe sees too.
+    fn hold_last(&mut self, story: &Story<'_>) {
+        let (Some(field), Some(last)) = (&mut self.field, story.keyframes.last()) else { return };
+        match &mut field.shells {
+            Some(shells) => {
+                shells::hold(shells, &field.map, &self.camera, story, last);
+                field.map.occupancy.confine(shells);
+            }
+            None => self.confine(story),
+        }
+    }
+
+    /// Finds all keyframes anew in the field as it is, one after another; the gains of the first stay.
+    fn relocate(&mut self, story: &mut Story<'_>) {
+        for keyframe in story.keyframes {
+            let mut estimate = story.frames[keyframe.frame].clone();
+            let before = keyframe.frame.checked_sub(1).map(|i| story.frames[i].clone());
+            let frame = (&mut estimate, &keyframe.observation.colour);
+            if !PosedMapper::locate(self, story, frame, before.as_ref()) {
+                continue;
+            }
+            if keyframe.frame == story.gauge_frame(keyframe) {
+                estimate.tone = story.frames[keyframe.frame].tone;
+            }
+            story.frames[keyframe.frame] = estimate;
+        }
     }
 
     /// Steps over all keyframes after the last; `on_step(done, of)` says whether to go on.
@@ -167,9 +241,15 @@ impl PosedField {
         if self.field.is_none() {
             self.begin(story)?;
         }
-        let (steps, rate) = (story.config.hashgrid.final_iterations, story.config.hashgrid.rate);
-        let camera_rate = story.config.keyframed.camera_rate;
+        let rate = story.config.hashgrid.rate;
+        let Plan { camera_rate, steps, searches, .. } = self.plan(story.config);
+        let part = steps.div_ceil(1 + searches).max(1);
+        self.confine(story);
         for step in 0..steps {
+            if step > 0 && step.is_multiple_of(part) {
+                self.relocate(story);
+                self.confine(story);
+            }
             let window = any(story, story.config.mapping.window);
             let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);
             let rates = Rates { field: decayed(rate), camera: decayed(camera_rate) };
@@ -185,6 +265,7 @@ impl PosedField {
     fn step(&mut self, story: &mut Story<'_>, views: &[Keyframe], rates: Rates) {
         let config = story.config;
         let curves = curves(story, views);
+        let depth_weight = self.plan(config).depth_weight;
         let Some(field) = &mut self.field else { return };
         if self.steps.is_multiple_of(LOOK) {
             let Field { map, looker, .. } = &mut *field;
@@ -202,7 +283,7 @@ impl PosedField {
                 field.precondition(story, &mut self.poses, view, keyframe.frame);
             }
         }
-        let weights = (config.hashgrid.image_weight, config.hashgrid.depth_weight);
+        let weights = (config.hashgrid.image_weight, depth_weight);
         let Field { map, batch, gradient, adam, .. } = &mut *field;
         let evaluations = batch.map(map, &drawn, weights, with_poses, story.random, gradient);
         for (view, index) in views.iter().zip(0..) {

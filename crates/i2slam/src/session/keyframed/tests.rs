@@ -137,6 +137,54 @@ fn the_cube_grows_with_what_keyframes_see() {
     assert!(grows, "{bounds:?}");
 }
 
+/// With depth in most pixels the field is sampled around it alone, and frames are found in it.
+#[test]
+fn a_field_is_sampled_around_surfaces_where_they_are_known() {
+    let mut config = config();
+    (config.hashgrid.final_iterations, config.keyframed.surface_steps) = (20, 2.0);
+    config.mapping.hold_out = 5;
+    let mut session = KeyframedSession::new(config, CAMERA, 30.0);
+    let seen = |index: usize| {
+        let depth = frame(index, pose(index)).depth;
+        let mut variance = Image::new(CAMERA.width, CAMERA.height, 1);
+        variance.data.fill(1e-4);
+        let depth = Some(EstimatedDepth { depth, variance: Some(variance) });
+        PosedKeyframe { depth, ..keyframe(index, pose(index)) }
+    };
+    let (held, mapped): (Vec<usize>, Vec<usize>) =
+        (0..KEYFRAMES).partition(|&index| session.holds_out(index));
+    assert_eq!(held, [5]);
+    for index in mapped {
+        session.process(seen(index)).expect("a keyframe");
+    }
+    let mut steps = 0;
+    session.finish(&mut |_, of| {
+        steps = of;
+        true
+    });
+    assert_eq!(steps, 40);
+    let estimate = session.locate(seen(5)).expect("a frame");
+    assert!(estimate.held_out && !estimate.keyframe);
+    let map = match session.reconstruction().map {
+        Map::HashGrid(map) => map,
+        Map::Gaussians(_) => unreachable!("a field was asked for"),
+    };
+    let share = map.occupancy.share();
+    assert!(share > 0.001 && share < 0.3, "{share}");
+    let free = pose(3) * Vec3::new(0.0, 0.0, 0.5);
+    let at = |p: Vec3<f64>| {
+        let settings = map.field.settings();
+        let resolution = map.occupancy.settings().resolution as usize;
+        let p = p.to_array();
+        let cell = [0, 1, 2].map(|k| {
+            let unit = (p[k] - settings.centre[k]) / (2.0 * settings.bound) + 0.5;
+            (unit * resolution as f64) as usize
+        });
+        map.occupancy.densities()[(cell[2] * resolution + cell[1]) * resolution + cell[0]]
+    };
+    assert_eq!(at(pose(0).inverse() * free), 0.0);
+}
+
 #[test]
 fn keyframes_that_cannot_be_used_are_told_of() {
     let mut session = KeyframedSession::new(config(), CAMERA, 30.0);

@@ -18,6 +18,8 @@ pub struct Occupancy {
     /// Whether any cell of a block is occupied, so that empty space is crossed in long steps.
     blocks: Vec<bool>,
     looks: u32,
+    /// The cells that may ever be occupied; all if empty.
+    allowed: Vec<u64>,
 }
 
 /// Cells along an edge of a block.
@@ -38,6 +40,7 @@ impl Occupancy {
             occupied: vec![u64::MAX; cells.div_ceil(64)],
             blocks: vec![true; (resolution.div_ceil(BLOCK) as usize).pow(3)],
             looks: 0,
+            allowed: Vec::new(),
         }
     }
 
@@ -72,6 +75,34 @@ impl Occupancy {
         let mut occupancy = Self { looks: 1, ..Self::new(settings) };
         occupancy.clear();
         occupancy
+    }
+
+    /// From now on no cell is occupied that `others`, a grid of as many cells over the same cube, has
+    /// empty, as where surfaces are known. Files keep what that has emptied, not the rule.
+    ///
+    /// # Panics
+    /// If the grids differ in their cells.
+    pub fn confine(&mut self, others: &Self) {
+        assert_eq!(self.settings.resolution, others.settings.resolution, "grids of other cells");
+        let before = std::mem::replace(&mut self.allowed, others.occupied.clone());
+        for cell in 0..self.densities.len() {
+            let allows =
+                |cells: &[u64]| cells.get(cell / 64).is_none_or(|b| b >> (cell % 64) & 1 == 1);
+            match (allows(&before), allows(&self.allowed)) {
+                (_, false) => self.densities[cell] = 0.0,
+                (false, true) => {
+                    self.densities[cell] = self.settings.density;
+                    self.occupied[cell / 64] |= 1 << (cell % 64);
+                }
+                (true, true) => {}
+            }
+        }
+        self.occupied.iter_mut().zip(&self.allowed).for_each(|(bits, allowed)| *bits &= allowed);
+        self.mark_blocks();
+    }
+
+    fn allows(&self, cell: usize) -> bool {
+        self.allowed.get(cell / 64).is_none_or(|bits| bits >> (cell % 64) & 1 == 1)
     }
 
     fn clear(&mut self) {
@@ -214,7 +245,8 @@ impl Occupancy {
     /// Look at the field again, at one random place in each of some cells: all of them the first
     /// [`full_looks`](OccupancySettings::full_looks) times, later a quarter of all and a quarter
     /// as many of the occupied ones, both drawn at random. Of a cell that is looked at the larger
-    /// of the decayed old and the new density is kept. torch-ngp looks every 16 training steps.
+    /// of the decayed old and the new density is kept. Cells that are not [allowed](Self::confine)
+    /// are left out. torch-ngp looks every 16 training steps.
     pub fn refresh(&mut self, field: &HashGridField, renderer: &mut FieldRenderer, seed: u64) {
         let mut random = Random::new(seed ^ (u64::from(self.looks) << 32));
         let cells = self.densities.len();
@@ -252,8 +284,9 @@ impl Occupancy {
             let index = [index[0], index[1], index[2] / (resolution * resolution)];
             index.map(|i| (i as f32 + random.uniform() as f32) * size)
         };
+        let cells: Vec<usize> = cells.iter().copied().filter(|&cell| self.allows(cell)).collect();
         let positions: Vec<[f32; 3]> = cells.iter().map(|&cell| place(cell)).collect();
-        for (&cell, density) in cells.iter().zip(renderer.unit_densities(field, &positions)) {
+        for (cell, density) in cells.into_iter().zip(renderer.unit_densities(field, &positions)) {
             let kept = self.densities[cell] * self.settings.decay;
             self.densities[cell] = if density.is_finite() { kept.max(density) } else { kept };
         }
@@ -268,6 +301,10 @@ impl Occupancy {
             let bits = densities.iter().enumerate();
             *word = bits.fold(0, |word, (i, d)| word | u64::from(*d >= threshold && *d > 0.0) << i);
         }
+        self.mark_blocks();
+    }
+
+    fn mark_blocks(&mut self) {
         self.blocks.fill(false);
         for cell in 0..self.densities.len() {
             if self.bit(cell) {

@@ -135,3 +135,26 @@ fn no_crossed_cell_is_missed() {
     occupancy.hold(&field, &away, 0.0, f32::INFINITY);
     assert_eq!(occupancy.share(), 0.0);
 }
+
+/// Cells outside of others are never occupied, whatever is dense there; cells that come in are
+/// sampled at once.
+#[test]
+fn looks_occupy_no_cell_that_is_not_allowed() {
+    let field = HashGridField::<f32>::zeros(settings()).expect("settings in range");
+    let looks = OccupancySettings { resolution: 6, ..Default::default() };
+    let (centre, bound) = (settings().centre, settings().bound);
+    let up_to = |share: f64| {
+        let far = centre[0] + (2.0 * share - 1.0) * bound;
+        Occupancy::of_cells(centre, bound, looks, |p| f64::from(p.x) < far)
+    };
+    let mut occupancy = Occupancy::new(looks);
+    occupancy.confine(&up_to(0.5));
+    assert_eq!(occupancy.share(), 0.5);
+    occupancy.refresh(&field, &mut renderer(), 1);
+    assert_eq!(occupancy.share(), 0.5);
+    assert_eq!(occupancy.densities().iter().filter(|d| **d > 0.0).count(), 108);
+    occupancy.confine(&up_to(1.0 / 3.0));
+    assert_eq!(occupancy.share(), 1.0 / 3.0);
+    occupancy.confine(&up_to(1.0));
+    assert_eq!(occupancy.share(), 1.0);
+}

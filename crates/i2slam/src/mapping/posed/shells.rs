@@ -1,0 +1,57 @@
+//! Which parts of the field may be sampled where keyframes come with estimated depth in most pixels: a shell
+//! around every surface, a thicker one where depth is only guessed, nothing in between.
+
+use crate::mapping::field::hold_between;
+use crate::mapping::fill::estimate_filled;
+use crate::mapping::{Keyframe, Story};
+use crate::objective::Observation;
+use i2slam_geometry::Camera;
+use i2slam_radiance::hashgrid::{HashGridMap, Occupancy};
+
+/// Half thickness in standard deviations of the depth, but at least the settings' share of it.
+const DEVIATIONS: f32 = 3.0;
+/// The same where depth is a guess, as a factor of it.
+const GUESSED: f32 = 1.3;
+
+/// The shells of all keyframes of a story; none if none of them has estimated depth in most pixels.
+pub(super) fn shells(
+    map: &HashGridMap,
+    camera: &Camera<f32>,
+    story: &Story<'_>,
+) -> Option<Occupancy> {
+    let is_dense = |keyframe: &Keyframe| has_surfaces(&keyframe.observation);
+    story.keyframes.iter().any(is_dense).then(|| {
+        let mut shells = Occupancy::empty(*map.occupancy.settings());
+        story.keyframes.iter().for_each(|k| hold(&mut shells, map, camera, story, k));
+        shells
+    })
+}
+
+/// Adds those of one keyframe. Where one has depth in few pixels, all that it sees is sampled.
+pub(super) fn hold(
+    shells: &mut Occupancy,
+    map: &HashGridMap,
+    camera: &Camera<f32>,
+    story: &Story<'_>,
+    keyframe: &Keyframe,
+) {
+    let (observation, pose) = (&*keyframe.observation, story.frames[keyframe.frame].middle());
+    let filled = estimate_filled(&observation.depth, None);
+    let everywhere = !has_surfaces(observation);
+    let shell = story.config.hashgrid.shell;
+    let between = |pixel: usize, depth: f32| match observation.depth.data[pixel] > 0.0 {
+        _ if everywhere => (map.march.near, f32::MAX),
+        true => {
+            let variance = observation.depth_variance.as_ref().map_or(0.0, |v| v.data[pixel]);
+            let half = (DEVIATIONS * variance.sqrt()).max(shell * depth);
+            ((depth - half).max(map.march.near), depth + half)
+        }
+        false => (depth / GUESSED, depth * GUESSED),
+    };
+    hold_between(shells, &map.field, (camera, pose), &filled, between);
+}
+
+/// Whether an observation has estimated depth in most pixels.
+fn has_surfaces(observation: &Observation) -> bool {
+    observation.is_estimated() && 2 * observation.valid_depths() > observation.depth.pixels()
+}
