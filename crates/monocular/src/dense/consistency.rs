@@ -44,15 +44,16 @@ pub(super) fn agreed(
             }
             seen += 1;
             let due = (1.0 / there.z) as f32;
-            let most = (DEVIATIONS * (variance + its).sqrt()).min(0.1 * due).max(SHARE * due);
+            // The same error of the depth: `dz = -dρ/ρ²` in both.
+            let slope = (rho / due).powi(2);
+            let its = its * slope * slope;
+            let most =
+                (DEVIATIONS * (variance + its).sqrt() / slope).min(0.1 * due).max(SHARE * due);
             if (found - due).abs() > most {
                 continue;
             }
             agree += 1;
-            // The same error of the depth along nearly the same ray.
-            let ratio = rho / due;
-            let its = its * ratio * ratio;
-            sum += (rho + (found - due) * ratio) / its;
+            sum += (rho + (found - due) * slope) / its;
             weight += 1.0 / its;
         }
         if agree >= AGREEING.min(seen) && agree > 0 {
@@ -62,4 +63,37 @@ pub(super) fn agreed(
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_geometry::{Rotation, Vec3};
+
+    fn flat(inverse_depth: f32, variance: f32) -> Estimate {
+        let image = |value: f32| Image { width: 9, height: 9, channels: 1, data: vec![value; 81] };
+        Estimate { inverse_depth: image(inverse_depth), variance: image(variance) }
+    }
+
+    /// A plane of depth 2 that a camera 0.8 nearer to it also saw, 0.004 farther than it is.
+    fn seen_from_nearer() -> Estimate {
+        let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
+        let (own, other) = (flat(1.0 / 2.0, 1e-4), flat(1.0 / 1.204, 9e-4));
+        let forward = Pose::new(Rotation::identity(), Vec3::new(0.0, 0.0, -0.8));
+        agreed(&camera, &own, &[(&other, forward)])
+    }
+
+    /// Variances of the depth, `z⁴` times those of its inverse, tell what each is worth.
+    #[test]
+    fn a_camera_that_moved_forward_counts_by_its_depth() {
+        let found = seen_from_nearer();
+        let (own, other) = (1e-4 * 2_f64.powi(4), 9e-4 * 1.2_f64.powi(4));
+        let depth = 2.0 + 0.004 * own / (own + other);
+        let variance = 2.0 / (1.0 / own + 1.0 / other) / 2_f64.powi(4);
+        let middle = 4 * 9 + 4;
+        let off = 1.0 / f64::from(found.inverse_depth.data[middle]) - depth;
+        assert!(off.abs() < 2e-5, "{off}");
+        let ratio = f64::from(found.variance.data[middle]) / variance;
+        assert!((ratio - 1.0).abs() < 1e-4, "{ratio}");
+    }
 }
