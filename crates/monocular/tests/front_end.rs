@@ -102,7 +102,7 @@ fn the_deviation_of_the_focal_length_covers_its_error() {
         assert!(deviation < 0.06, "{deviation}");
     }
     let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
-    assert!(rms < 1.5 && ratios.iter().all(|r| r.abs() < 2.5), "{ratios:?}");
+    assert!((0.3..1.5).contains(&rms) && ratios.iter().all(|r| r.abs() < 2.5), "{ratios:?}");
 }
 
 /// A camera that moves as the other one and turns about, which tells focal length from distortion.

@@ -3,11 +3,12 @@
 //! Residuals are not independent. Those of one point share the look that it is compared with, and
 //! those of one region, or of one picture, share what no model has: blur, a lens, edges that are no
 //! points. So the covariance is not the inverse of the normal equations but `H⁻¹ M H⁻¹` (Huber 1967),
-//! with `M` the sum over clusters of the outer products of their gradients (Liang & Zeger 1986). Of
+//! with `H` the curvature of the robust cost itself, which is less than that of the weighted squares
+//! that steps are taken by, and `M` the sum over clusters of the outer products of their gradients (Liang & Zeger 1986). Of
 //! several ways to form clusters the one that leaves the focal length least certain counts.
 
 use super::linear::{Linear, Step};
-use super::parts::influence;
+use super::parts::{Curvature, influence};
 use super::structure::Structure;
 use super::{Bundle, GLOBALS};
 
@@ -22,7 +23,7 @@ impl Bundle {
     /// do not determine it. For a bundle that was adjusted.
     pub(crate) fn camera_covariance(&self) -> Option<Covariance> {
         let structure = Structure::new(self);
-        let linear = Linear::new(self, &structure);
+        let linear = Linear::new(self, &structure, Curvature::Own);
         let responses: Option<Vec<Step>> =
             (0..self.globals()).map(|g| linear.response(g)).collect();
         let responses = responses?;

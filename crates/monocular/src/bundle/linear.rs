@@ -3,7 +3,7 @@
 //! Every row of the cameras' system is computed by one task, its landmarks in order, so that the
 //! system is kept once, however many tasks there are.
 
-use super::parts::{GlobalPart, Part, PosePart, global_part, part, pose_part};
+use super::parts::{Curvature, GlobalPart, Part, PosePart, global_part, part, pose_part};
 use super::structure::Structure;
 use super::{Bundle, GLOBALS};
 use crate::skyline::Skyline;
@@ -32,14 +32,16 @@ pub(super) struct Linear<'a> {
 }
 
 impl<'a> Linear<'a> {
-    pub(super) fn new(bundle: &Bundle, structure: &'a Structure) -> Self {
+    pub(super) fn new(bundle: &Bundle, structure: &'a Structure, curvature: Curvature) -> Self {
         let globals = bundle.globals();
         let landmarks = 0..bundle.landmarks.len();
-        let parts = landmarks.into_par_iter().map(|i| part(bundle, i, &structure.cameras[i]));
-        let block = |block: usize| pose_part(bundle, structure, block);
+        let landmark = |i: usize| part(bundle, i, &structure.cameras[i], curvature);
+        let parts = landmarks.into_par_iter().map(landmark);
+        let block = |block: usize| pose_part(bundle, structure, block, curvature);
         let poses = (0..structure.poses.len()).into_par_iter().map(block);
         let (parts, poses) = (parts.collect(), poses.collect());
-        let global = if globals == 0 { GlobalPart::default() } else { global_part(bundle) };
+        let global =
+            if globals == 0 { GlobalPart::default() } else { global_part(bundle, curvature) };
         Self { structure, globals, parts, poses, global }
     }
 

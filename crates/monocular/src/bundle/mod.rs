@@ -16,6 +16,7 @@ use crate::robust::huber;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use linear::{Linear, Step};
+use parts::Curvature;
 use std::sync::Arc;
 use structure::Structure;
 
@@ -85,7 +86,7 @@ impl Bundle {
         let mut cost = self.cost();
         let mut damping = 1e-4;
         let structure = Structure::new(self);
-        let mut linear = Linear::new(self, &structure);
+        let mut linear = Linear::new(self, &structure, Curvature::Bounding);
         for _ in 0..steps {
             let moved = linear.step(damping).map(|step| self.moved(&step));
             let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);
@@ -96,7 +97,7 @@ impl Bundle {
                     if gained < CONVERGED * cost {
                         break;
                     }
-                    linear = Linear::new(self, &structure);
+                    linear = Linear::new(self, &structure, Curvature::Bounding);
                 }
                 _ => damping *= 8.0,
             }
@@ -111,7 +112,7 @@ impl Bundle {
     /// defined.
     pub(crate) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
         let structure = Structure::new(self);
-        Linear::new(self, &structure).inverse_depth_variances()
+        Linear::new(self, &structure, Curvature::Bounding).inverse_depth_variances()
     }
 
     /// How many of the unknowns that all sights share are looked for.

@@ -5,9 +5,18 @@ use super::structure::Structure;
 use super::{Bundle, CHUNK, GLOBALS, Sight};
 use crate::landmark::Projection;
 use crate::lens::Radial;
-use crate::robust::huber;
+use crate::robust::{HUBER, huber};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Mat3, Vec3};
+
+/// How the cost curves along a change of the residuals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Curvature {
+    /// As weighted squares do, which it lies under everywhere: for steps.
+    Bounding,
+    /// As it does itself, `w I` and beyond the bend `w (I - r rᵀ/‖r‖²)`: for covariances.
+    Own,
+}
 
 /// What one landmark brings: `C`, its gradient, and its coupling with every camera that sees it.
 pub(super) struct Part {
@@ -50,19 +59,29 @@ impl Part {
 }
 
 /// `None` behind the camera.
-fn weighted(bundle: &Bundle, landmark: usize, sight: &Sight) -> Option<Weighted> {
+fn weighted(
+    bundle: &Bundle,
+    landmark: usize,
+    sight: &Sight,
+    curvature: Curvature,
+) -> Option<Weighted> {
     let pose = &bundle.poses[sight.pose];
     let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
     let seen = sight.without_lens(bundle.lens);
     let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - seen[i]);
     let length = residual[0].hypot(residual[1]) / sight.sigma;
     let weight = huber(length).0 / (sight.sigma * sight.sigma);
-    Some(Weighted { projection, radial: sight.radial, residual, weight })
+    let mut out = Weighted { projection, radial: sight.radial, residual, weight };
+    if curvature == Curvature::Own && length > HUBER {
+        out.keep_across();
+    }
+    Some(out)
 }
 
 /// How far a sight alone pulls along a change of all unknowns: its gradient times that change.
 pub(super) fn influence(bundle: &Bundle, landmark: usize, sight: &Sight, step: &Step) -> f64 {
-    let Some(w) = weighted(bundle, landmark, sight) else { return 0.0 };
+    let bounding = Curvature::Bounding;
+    let Some(w) = weighted(bundle, landmark, sight, bounding) else { return 0.0 };
     let product = |row: &[f64], change: &[f64]| -> f64 {
         row.iter().zip(change).map(|(slope, change)| slope * change).sum()
     };
@@ -75,9 +94,15 @@ pub(super) fn influence(bundle: &Bundle, landmark: usize, sight: &Sight, step: &
 }
 
 /// All sights of a landmark; `cameras` are those of free poses.
-pub(super) fn part(bundle: &Bundle, landmark: usize, cameras: &[(u32, u32)]) -> Part {
-    let sights = &bundle.sights[landmark];
-    let all: Vec<Option<Weighted>> = sights.iter().map(|s| weighted(bundle, landmark, s)).collect();
+pub(super) fn part(
+    bundle: &Bundle,
+    landmark: usize,
+    cameras: &[(u32, u32)],
+    curvature: Curvature,
+) -> Part {
+    let sights = bundle.sights[landmark].iter();
+    let all: Vec<Option<Weighted>> =
+        sights.map(|s| weighted(bundle, landmark, s, curvature)).collect();
     let (mut hessian, mut gradient, mut globals) = ([[0.0; 3]; 3], [0.0; 3], [[0.0; 3]; GLOBALS]);
     for w in all.iter().flatten() {
         for i in 0..2 {
@@ -102,13 +127,18 @@ pub(super) fn part(bundle: &Bundle, landmark: usize, cameras: &[(u32, u32)]) -> 
 }
 
 /// All sights by the pose of a block.
-pub(super) fn pose_part(bundle: &Bundle, structure: &Structure, block: usize) -> PosePart {
+pub(super) fn pose_part(
+    bundle: &Bundle,
+    structure: &Structure,
+    block: usize,
+    curvature: Curvature,
+) -> PosePart {
     let mut out =
         PosePart { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
     for (landmark, k) in &structure.seen[block] {
         let landmark = *landmark as usize;
         let sight = &bundle.sights[landmark][structure.cameras[landmark][*k as usize].1 as usize];
-        let Some(w) = weighted(bundle, landmark, sight) else { continue };
+        let Some(w) = weighted(bundle, landmark, sight, curvature) else { continue };
         for i in 0..2 {
             let row = &w.projection.by_pose[i];
             for a in 0..6 {
@@ -124,11 +154,11 @@ pub(super) fn pose_part(bundle: &Bundle, structure: &Structure, block: usize) ->
     out
 }
 
-pub(super) fn global_part(bundle: &Bundle) -> GlobalPart {
+pub(super) fn global_part(bundle: &Bundle, curvature: Curvature) -> GlobalPart {
     let task = |range: std::ops::Range<usize>| {
         let mut sum = GlobalPart::default();
         for (landmark, sight) in range.flat_map(|l| bundle.sights[l].iter().map(move |s| (l, s))) {
-            let Some(w) = weighted(bundle, landmark, sight) else { continue };
+            let Some(w) = weighted(bundle, landmark, sight, curvature) else { continue };
             for i in 0..2 {
                 let row = w.by_globals(i);
                 for g in 0..GLOBALS {
@@ -150,6 +180,22 @@ pub(super) fn global_part(bundle: &Bundle) -> GlobalPart {
 }
 
 impl Weighted {
+    /// Leaves of the derivatives what is across the residual: along it the cost grows straight.
+    fn keep_across(&mut self) {
+        let length = self.residual[0].hypot(self.residual[1]);
+        let across = [-self.residual[1] / length, self.residual[0] / length];
+        let keep = |[x, y]: [&mut f64; 2]| {
+            let slope = across[0] * *x + across[1] * *y;
+            (*x, *y) = (across[0] * slope, across[1] * slope);
+        };
+        let [x, y] = &mut self.projection.by_pose;
+        x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
+        let [x, y] = &mut self.projection.by_landmark;
+        x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
+        keep(self.projection.by_focal.each_mut());
+        self.radial.iter_mut().for_each(|radial| keep(radial.each_mut()));
+    }
+
     /// Derivatives by the unknowns that all sights share.
     fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
         [self.projection.by_focal[axis], -self.radial[0][axis], -self.radial[1][axis]]
