@@ -34,6 +34,8 @@ const BACKWARD: usize = 16;
 /// A keyframe waits for a frame of this share of the usual sharpness, for so many frames.
 const SHARP_ENOUGH: f32 = 0.85;
 const LONGEST_WAIT: usize = 3;
+/// A picture that shows fewer points is no keyframe: nothing could be posed by it.
+const LEAST_POINTS: usize = 12;
 /// Pictures this unlike their predecessor begin another scene.
 const CUT_CORRELATION: f32 = 0.3;
 
@@ -87,7 +89,7 @@ impl Tracker {
         let mut said = Followed { points: 0, motion: 0.0, is_cut: false, is_keyframe: frame == 0 };
         let shift = self.find_again(&next, frame, &mut said);
         self.sharpness.push(sharpness(next.finest()));
-        said.is_keyframe = frame == 0 || said.is_cut || self.keyframe_is_due(next.finest().width);
+        said.is_keyframe = frame == 0 || said.is_cut || self.keyframe_is_due(next.finest());
         if said.is_keyframe {
             self.begin_keyframe(&next, frame, shift);
         }
@@ -140,7 +142,7 @@ impl Tracker {
     }
 
     /// Whether enough has changed, and the picture is sharp enough to start points in.
-    fn keyframe_is_due(&mut self, width: usize) -> bool {
+    fn keyframe_is_due(&mut self, image: &Image<f32>) -> bool {
         let seen = |p: &&Point| p.hidden == 0;
         let moved = |p: &Point| {
             p.at_keyframe.map(|k| (p.warp.centre[0] - k[0]).hypot(p.warp.centre[1] - k[1]))
@@ -148,10 +150,14 @@ impl Tracker {
         let mut motions: Vec<f32> = self.points.iter().filter(seen).filter_map(moved).collect();
         let overlap = motions.len() as f32 / self.keyframe_points.max(1) as f32;
         let motion = median(&mut motions).unwrap_or(f32::INFINITY);
-        let width = width as f32;
+        let width = image.width as f32;
         let last = self.tracks.keyframes.last().copied().unwrap_or(0);
         let late = self.tracks.frames >= last + KEYFRAME_INTERVAL && motion > SLOW_MOTION * width;
         if motion < KEYFRAME_MOTION * width && overlap > KEYFRAME_OVERLAP && !late {
+            self.due = 0;
+            return false;
+        }
+        if self.is_empty(image) {
             self.due = 0;
             return false;
         }
@@ -160,6 +166,14 @@ impl Tracker {
         let usual = median(&mut self.sharpness[recent..].to_vec()).unwrap_or(0.0);
         let now = self.sharpness.last().copied().unwrap_or(0.0);
         now >= SHARP_ENOUGH * usual || self.due > LONGEST_WAIT
+    }
+
+    /// Whether a picture shows hardly anything that is followed or could be.
+    fn is_empty(&self, image: &Image<f32>) -> bool {
+        let followed: Vec<[f32; 2]> =
+            self.points.iter().filter(|p| p.hidden == 0).map(|p| p.warp.centre).collect();
+        followed.len() < LEAST_POINTS
+            && followed.len() + new_corners(image, &followed).len() < LEAST_POINTS
     }
 
     /// Gives aged points a new anchor and starts new points where there are none.
@@ -174,8 +188,7 @@ impl Tracker {
             }
         }
         let taken: Vec<[f32; 2]> = self.points.iter().map(|p| p.warp.centre).collect();
-        let image = next.finest();
-        let corners = find_corners(image, cell_size(image), RADIUS + 2, &taken);
+        let corners = new_corners(next.finest(), &taken);
         let started: Vec<Option<(Point, Track)>> =
             corners.par_iter().map(|at| self.start(next, *at, frame, shift)).collect();
         for (mut point, track) in started.into_iter().flatten() {
@@ -222,6 +235,11 @@ impl Tracker {
     }
 }
 
+/// Where points may begin beside those that are followed.
+fn new_corners(image: &Image<f32>, taken: &[[f32; 2]]) -> Vec<[f32; 2]> {
+    find_corners(image, cell_size(image), RADIUS + 2, taken)
+}
+
 /// Side of the cells of which each gets one point [px]: some 600 points a picture.
 fn cell_size(image: &Image<f32>) -> usize {
     (((image.width * image.height) as f32 / CELLS).sqrt() as usize).max(8)
@@ -235,4 +253,34 @@ fn sharpness(image: &Image<f32>) -> f32 {
         .map(|row| row.windows(2).map(|p| (p[1] - p[0]).abs()).sum::<f32>())
         .sum();
     differences / image.data.iter().sum::<f32>().max(1e-6)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::noise;
+
+    fn picture(value: impl Fn(usize, usize) -> f32) -> Image<f32> {
+        let (width, height) = (96, 72);
+        let data = (0..width * height).map(|i| value(i % width, i / width)).collect();
+        Image { width, height, channels: 1, data }
+    }
+
+    /// Nothing to follow, black or all but even, makes no keyframes; what comes after does.
+    #[test]
+    fn pictures_without_points_are_no_keyframes() {
+        let wave = |i: usize, j: usize| (0.7 * i as f32).sin() * (0.6 * j as f32).cos();
+        let room = picture(|i, j| 0.5 + 0.3 * wave(i, j));
+        for spread in [0.0, 0.002] {
+            let mut tracker = Tracker::default();
+            tracker.follow(&room);
+            for seed in 0..40 {
+                let n = noise(seed, 96 * 72);
+                tracker.follow(&picture(|i, j| spread * (1.0 + n[j * 96 + i] as f32)));
+            }
+            assert!((0..=LONGEST_WAIT).any(|_| tracker.follow(&room).is_keyframe));
+            let keyframes = tracker.finish().keyframes;
+            assert!(keyframes.len() <= 3, "{keyframes:?}");
+        }
+    }
 }
