@@ -16,6 +16,7 @@ use crate::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Keyframes nearer than this in order are no return.
 const APART: usize = 8;
@@ -189,15 +190,13 @@ fn straighten_out(scene: &mut Scene, returns: &[Return], unit: f64) {
         .iter()
         .filter_map(|f| scene.poses[*f].map(|pose| Similarity::of(pose, 1.0)))
         .collect();
-    let mut edges = Vec::new();
-    for second in 0..frames.len() {
-        for first in second.saturating_sub(CHAINED)..second {
-            if scene.shared_count(frames[first], frames[second]) >= LEAST_CHAINED {
-                let measured = before[first].inverse().after(&before[second]);
-                edges.push(Edge { first, second, measured, weight: 1.0 });
-            }
-        }
-    }
+    let tied = chained(scene, &frames).into_iter().chain(recognised(scene, &frames));
+    let mut edges: Vec<Edge> = tied
+        .map(|(first, second)| {
+            let measured = before[first].inverse().after(&before[second]);
+            Edge { first, second, measured, weight: 1.0 }
+        })
+        .collect();
     for r in returns {
         let (Some(first), Some(second)) = (place[r.old], place[r.new]) else { continue };
         let measured = before[first].inverse().after(&r.place);
@@ -208,6 +207,35 @@ fn straighten_out(scene: &mut Scene, returns: &[Return], unit: f64) {
     let moves: Vec<Similarity> =
         after.iter().zip(&before).map(|(after, before)| after.after(&before.inverse())).collect();
     apply(scene, &frames, &moves);
+}
+
+/// Pairs of keyframes, by their places among `frames`, that are near in order and share points.
+fn chained(scene: &Scene, frames: &[usize]) -> Vec<(usize, usize)> {
+    let before = |second: usize| (second.saturating_sub(CHAINED)..second).map(move |f| (f, second));
+    let share = |(first, second): &(usize, usize)| {
+        scene.shared_count(frames[*first], frames[*second]) >= LEAST_CHAINED
+    };
+    (0..frames.len()).flat_map(before).filter(share).collect()
+}
+
+/// Pairs of keyframes that share points which were not followed from one to the other, but
+/// recognised: a place that was found again already stays one place.
+fn recognised(scene: &Scene, frames: &[usize]) -> Vec<(usize, usize)> {
+    let mut place = vec![None; scene.poses.len()];
+    frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
+    let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for (track, _) in scene.tracks.tracks.iter().zip(&scene.landmarks).filter(|(_, l)| l.is_some())
+    {
+        let right = track.observations.iter().filter(|o| !o.is_wrong);
+        let places: Vec<usize> = right.filter_map(|o| place[o.frame]).collect();
+        let parts: Vec<&[usize]> = places.chunk_by(|a, b| b - a <= CHAINED).collect();
+        for (i, later) in parts.iter().enumerate() {
+            let earlier = parts[..i].iter().copied().flatten();
+            let pairs = earlier.flat_map(|first| later.iter().map(|second| (*first, *second)));
+            pairs.for_each(|pair| *counts.entry(pair).or_default() += 1);
+        }
+    }
+    counts.into_iter().filter(|(_, count)| *count >= LEAST_CHAINED).map(|(pair, _)| pair).collect()
 }
 
 /// Moves every frame, and every landmark, as the keyframe at or before it.
@@ -227,5 +255,71 @@ fn apply(scene: &mut Scene, keyframes: &[usize], moves: &[Similarity]) {
         if let (Some(known), Some(by)) = (&mut *pose, by(frame)) {
             *known = by.after(&Similarity::of(*known, 1.0)).pose();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tracks::{Track, Tracks};
+    use i2slam_geometry::{Camera, Rotation, Vec3};
+
+    /// Keyframes of the first way, which ends where the lens is covered; all are of the second one.
+    const CUT: usize = 20;
+    const KEYFRAMES: usize = 40;
+    /// The old keyframe that the first one after the cut was recognised at.
+    const RECOGNISED: usize = 8;
+
+    /// A track of every three keyframes in a row, ten times, none across the cut; ten of
+    /// [`RECOGNISED`] are seen again in the first keyframe after it.
+    fn two_ways() -> Scene {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let at = |index: usize, k: usize| [20.0 + 30.0 * k as f64, 20.0 + 4.0 * index as f64];
+        let sight = |index: usize, k: usize| Observation::new(index, at(index, k), 0.3);
+        let mut tracks = Vec::new();
+        for begin in (0..KEYFRAMES - 2).filter(|b| b + 2 < CUT || *b >= CUT) {
+            for k in 0..10 {
+                let mut observations: Vec<_> = (begin..begin + 3).map(|f| sight(f, k)).collect();
+                if begin == RECOGNISED {
+                    observations.push(sight(CUT, k));
+                }
+                tracks.push(Track { observations });
+            }
+        }
+        let looks = (0..KEYFRAMES).map(|f| {
+            let blank = i2slam_geometry::Image::new(48, 48, 1);
+            Look::new(&crate::pyramid::Pyramid::new(&blank), f)
+        });
+        let looks = std::sync::Arc::new(looks.collect());
+        let keyframes = (0..KEYFRAMES).collect();
+        let mut scene = Scene::new(camera, Tracks { tracks, keyframes, looks, frames: KEYFRAMES });
+        let place = |f: usize| {
+            let x = if f < CUT { f } else { f - CUT + RECOGNISED };
+            Some(Pose::new(Rotation::identity(), Vec3::new(0.1 * x as f64, 0.0, 0.0)))
+        };
+        scene.poses = (0..KEYFRAMES).map(place).collect();
+        let first = |t: &Track| {
+            let o = t.observations[0];
+            Some(Landmark::on_ray(&camera, place(o.frame)?, o.at, 0.5))
+        };
+        scene.landmarks = scene.tracks.tracks.iter().map(first).collect();
+        scene
+    }
+
+    /// The end of the second way is found at the end of the first, 0.4 aside: all keyframes share the
+    /// drift, and the one that was recognised stays at its place.
+    #[test]
+    fn a_place_that_was_recognised_is_not_torn_by_a_closed_loop() {
+        let mut scene = two_ways();
+        let gap = |scene: &Scene| {
+            let at = |f: usize| scene.poses[f].expect("posed").translation;
+            (at(CUT) - at(RECOGNISED)).norm()
+        };
+        let end = Pose::new(Rotation::identity(), Vec3::new(1.9, 0.4, 0.0));
+        let found = Recognised { world_from_camera: end, scale: Some(1.0), sights: Vec::new() };
+        let place = Similarity::of(end, 1.0);
+        let back = Return { new: CUT + 11, old: CUT - 1, found, place };
+        straighten_out(&mut scene, &[back], 2.0);
+        assert!(gap(&scene) < 0.1, "{}", gap(&scene));
     }
 }
