@@ -2,7 +2,7 @@
 
 use crate::bundle::Covariance;
 use crate::grow::{adjust_all, refine};
-use crate::scene::Scene;
+use crate::scene::{MOST_FREE, Scene};
 
 /// A lens counts if pictures of a camera without one would seem to have as much in one of a hundred
 /// cases: the 99th percentile of a sum of two squared normal numbers.
@@ -13,16 +13,15 @@ const SIGNIFICANT: f64 = 9.21;
 const CERTAIN: f64 = 0.005;
 const LESS_CERTAIN: f64 = 1.5;
 
-/// The keyframes alone, their camera let go once more, with its covariance.
+/// The keyframes alone, their camera let go once more, with its covariance: the first ones of a long
+/// sequence, those that its camera is found from.
 pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
-    let keyframes: Vec<usize> =
-        scene.tracks.keyframes.iter().copied().filter(|f| scene.poses[*f].is_some()).collect();
+    let keyframes = scene.tracks.keyframes.iter().copied();
+    let posed = keyframes.filter(|f| scene.poses[*f].is_some());
+    let keyframes: Vec<usize> = posed.take(MOST_FREE).collect();
     let mut freed = scene.clone();
-    for frame in 0..freed.poses.len() {
-        if !keyframes.contains(&frame) {
-            freed.poses[frame] = None;
-        }
-    }
+    freed.poses.fill(None);
+    keyframes.iter().for_each(|f| freed.poses[*f] = scene.poses[*f]);
     adjust_all(&mut freed, true);
     let covariance = freed.bundle(&keyframes, true).0.camera_covariance();
     (freed, covariance)
@@ -72,6 +71,48 @@ fn is_significant(lens: [f64; 2], covariance: &Covariance) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tracks::{Observation, Track, Tracks};
+    use i2slam_check::noise;
+    use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+
+    /// A camera on a winding way, every frame a keyframe that begins three points.
+    fn winding(frames: usize) -> Scene {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let pose = |f: usize| {
+            let s = f as f64;
+            let turn = Vec3::new(0.03 * (0.5 * s).sin(), 0.06 * (0.3 * s).cos(), 0.0);
+            Pose::new(Rotation::exp(turn), Vec3::new(0.05 * s, 0.0, 0.1 * (0.4 * s).sin()))
+        };
+        let track = |index: usize| {
+            let n = noise(index as u64, 27);
+            let begin = index / 3;
+            let ray = camera.unproject(160.0 + 140.0 * n[0], 120.0 + 100.0 * n[1], 2.5 + n[2]);
+            let point = pose(begin) * ray;
+            let sight = |f: usize| {
+                let (u, v) = camera.project(pose(f).inverse() * point);
+                let k = 3 + 2 * (f - begin);
+                Observation::new(f, [u + 0.3 * n[k], v + 0.3 * n[k + 1]], 0.3)
+            };
+            Track { observations: (begin..(begin + 12).min(frames)).map(sight).collect() }
+        };
+        let tracks = (0..3 * frames).map(track).collect();
+        let keyframes = (0..frames).collect();
+        let mut scene =
+            Scene::new(camera, Tracks { tracks, keyframes, frames, ..Tracks::default() });
+        scene.poses = (0..frames).map(|f| Some(pose(f))).collect();
+        scene.add_landmarks();
+        scene
+    }
+
+    /// The camera of a long sequence is judged by as many keyframes as are adjusted together.
+    #[test]
+    fn a_long_sequence_takes_no_more_room_than_its_first_keyframes() {
+        let (freed, covariance) = released(&winding(MOST_FREE + 60));
+        assert_eq!(freed.posed(), (0..MOST_FREE).collect::<Vec<_>>());
+        let (error, deviation) =
+            ((freed.camera.fx / 250.0).ln(), covariance.expect("determined")[0][0].sqrt());
+        assert!(deviation < 0.01 && error.abs() < 3.0 * deviation, "{error} {deviation}");
+    }
 
     #[test]
     fn a_lens_must_leave_the_focal_length_certain() {

@@ -18,7 +18,7 @@ const MOST_NOISE: f64 = 4.0;
 /// Fewer frames do not tell the lens.
 const LEAST_FOR_LENS: usize = 8;
 /// Poses that are adjusted together at most.
-const MOST_FREE: usize = 1000;
+pub(crate) const MOST_FREE: usize = 1000;
 
 /// Poses and landmarks, and the tracks that they explain.
 #[derive(Clone, Debug)]

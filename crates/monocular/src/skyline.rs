@@ -48,9 +48,15 @@ impl Skyline {
     /// Solves `A x = b` in place by Cholesky's factorisation, which replaces `A`. Returns whether
     /// `A` was positive definite; if not, `b` holds nothing useful.
     pub(crate) fn solve(&mut self, b: &mut [f64]) -> bool {
-        if !self.factorise() {
-            return false;
+        let is_definite = self.factorise();
+        if is_definite {
+            self.substitute(b);
         }
+        is_definite
+    }
+
+    /// Solves `A x = b` in place where [`factorise`](Self::factorise) has replaced `A`.
+    pub(crate) fn substitute(&self, b: &mut [f64]) {
         for i in 0..b.len() {
             let row = &self.values[self.start[i]..self.start[i + 1]];
             let (left, diagonal) = (&row[..row.len() - 1], row[row.len() - 1]);
@@ -62,10 +68,10 @@ impl Skyline {
             let known = b[i];
             b[self.first[i]..i].iter_mut().zip(row).for_each(|(b, l)| *b -= l * known);
         }
-        true
     }
 
-    fn factorise(&mut self) -> bool {
+    /// Replaces `A` by Cholesky's factor; returns whether it was positive definite.
+    pub(crate) fn factorise(&mut self) -> bool {
         for i in 0..self.first.len() {
             let (above, row) = self.values.split_at_mut(self.start[i]);
             let first = self.first[i];

@@ -24,9 +24,7 @@ impl Bundle {
     pub(crate) fn camera_covariance(&self) -> Option<Covariance> {
         let structure = Structure::new(self);
         let linear = Linear::new(self, &structure, Curvature::Own);
-        let responses: Option<Vec<Step>> =
-            (0..self.globals()).map(|g| linear.response(g)).collect();
-        let responses = responses?;
+        let responses = linear.responses()?;
         let points = self.landmarks.len();
         let by_point = self.clustered(&responses, points, |landmark, _| landmark);
         let regions: Vec<usize> = (0..points).map(|landmark| self.region(landmark)).collect();

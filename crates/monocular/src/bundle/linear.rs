@@ -51,13 +51,20 @@ impl<'a> Linear<'a> {
         matrix.solve(&mut solved).then(|| self.spread(&solved, damping, 1.0))
     }
 
-    /// How all unknowns answer a unit force on one of those that all sights share: a column of the
-    /// inverse of the whole system. `None` where that is not determined.
-    pub(super) fn response(&self, global: usize) -> Option<Step> {
-        let (mut matrix, mut unit) = self.reduced(UNDAMPED);
-        unit.fill(0.0);
-        *unit.get_mut(6 * self.poses.len() + global)? = 1.0;
-        matrix.solve(&mut unit).then(|| self.spread(&unit, UNDAMPED, 0.0))
+    /// How all unknowns answer a unit force on each of those that all sights share: columns of the
+    /// inverse of the whole system. `None` where they are not determined.
+    pub(super) fn responses(&self) -> Option<Vec<Step>> {
+        let (mut matrix, right) = self.reduced(UNDAMPED);
+        if !matrix.factorise() {
+            return None;
+        }
+        let unit = |global: usize| {
+            let mut unit = vec![0.0; right.len()];
+            unit[6 * self.poses.len() + global] = 1.0;
+            matrix.substitute(&mut unit);
+            self.spread(&unit, UNDAMPED, 0.0)
+        };
+        Some((0..self.globals).map(unit).collect())
     }
 
     /// What the landmarks do when the cameras do what was solved, `pulled` by their own gradients.
