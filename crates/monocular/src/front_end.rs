@@ -9,7 +9,7 @@ use crate::relocalise::{Tried, relocalise};
 use crate::result::{FrameReport, Reconstruction, assemble};
 use crate::rolling::{correct_again, correct_rolling_shutter};
 use crate::scene::Scene;
-use crate::start::start;
+use crate::start::{start, start_within};
 use crate::straighten::straighten;
 use crate::tracker::Tracker;
 use i2slam_geometry::{Camera, Image};
@@ -144,14 +144,9 @@ impl FrontEnd {
 /// Poses and landmarks from tracks alone.
 fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), Failure> {
     start(scene)?;
-    let (mut tried, mut was_lost) = (Tried::default(), false);
-    loop {
-        grow(scene, adjust_focal, usize::MAX);
-        if relocalise(scene, &mut tried).is_empty() {
-            break;
-        }
-        was_lost = true;
-        scene.add_landmarks();
+    let mut was_lost = spread(scene, adjust_focal);
+    if let Some((other, other_was_lost)) = larger_part(scene, adjust_focal) {
+        (*scene, was_lost) = (other, other_was_lost);
     }
     adjust_all(scene, adjust_focal);
     pose_rest(scene);
@@ -160,4 +155,46 @@ fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), Failure> {
         join_neighbours(scene, adjust_focal);
     }
     Ok(())
+}
+
+/// Poses all keyframes that can be reached or recognised; returns whether some had been lost.
+fn spread(scene: &mut Scene, adjust_focal: bool) -> bool {
+    let (mut tried, mut was_lost) = (Tried::default(), false);
+    loop {
+        grow(scene, adjust_focal, usize::MAX);
+        if relocalise(scene, &mut tried).is_empty() {
+            return was_lost;
+        }
+        was_lost = true;
+        scene.add_landmarks();
+    }
+}
+
+/// The scene from another start, where keyframes in a row that were not reached stand for more frames
+/// than those that were, if more are reached from there; and whether some had been lost.
+fn larger_part(scene: &Scene, adjust_focal: bool) -> Option<(Scene, bool)> {
+    let is_posed = |place: usize| scene.poses[scene.tracks.keyframes[place]].is_some();
+    let places: Vec<usize> = (0..scene.tracks.keyframes.len()).collect();
+    let runs = places.chunk_by(|a, b| is_posed(*a) == is_posed(*b)).filter(|r| !is_posed(r[0]));
+    let length = |run: &[usize]| run.iter().map(|place| stands_for(scene, *place)).sum::<usize>();
+    let reached = reached(scene);
+    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > reached)?;
+    let mut other = scene.clone();
+    other.forget();
+    start_within(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
+    let was_lost = spread(&mut other, adjust_focal);
+    (self::reached(&other) > reached).then_some((other, was_lost))
+}
+
+/// Number of frames from a keyframe, given by its place among them, to the next one.
+fn stands_for(scene: &Scene, place: usize) -> usize {
+    let keyframes = &scene.tracks.keyframes;
+    keyframes.get(place + 1).copied().unwrap_or(scene.poses.len()) - keyframes[place]
+}
+
+/// Number of frames that keyframes with a pose stand for.
+fn reached(scene: &Scene) -> usize {
+    let keyframes = scene.tracks.keyframes.iter().enumerate();
+    let posed = keyframes.filter(|(_, frame)| scene.poses[**frame].is_some());
+    posed.map(|(place, _)| stands_for(scene, place)).sum()
 }

@@ -47,6 +47,15 @@ impl Scene {
         Self { camera, tracks, by_frame, poses, landmarks, noise, lens, finds_lens }
     }
 
+    /// Takes back all poses and landmarks; tracks, camera and lens stay.
+    pub(crate) fn forget(&mut self) {
+        self.poses.fill(None);
+        self.landmarks.fill(None);
+        self.noise = 1.0;
+        let observations = self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
+        observations.for_each(|o| o.is_wrong = false);
+    }
+
     /// Landmarks that a frame shows.
     pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
         let pair = |i: &usize| {

@@ -7,6 +7,7 @@ use crate::two_view::{TwoView, essential, rays, rotation_only};
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Rotation};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Keyframes between the two of a pair, at most.
 const FARTHEST: usize = 12;
@@ -40,15 +41,20 @@ struct Pair {
     motion: f64,
 }
 
-/// Poses two keyframes and triangulates what they share.
+/// Poses two keyframes of a scene without poses, and triangulates what they share.
 pub(crate) fn start(scene: &mut Scene) -> Result<(), Failure> {
-    let pairs = pairs(scene);
+    start_within(scene, 0..scene.tracks.keyframes.len())
+}
+
+/// The same with two of some keyframes.
+pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<(), Failure> {
+    let pairs = pairs(scene, places);
+    let enough = ENOUGH_PARALLAX * scene.camera.fx;
+    let worth = |p: &Pair| p.left.min(enough) * (p.shared as f64).sqrt();
     let moved: Vec<Pair> = {
         let least = LEAST_PARALLAX * scene.camera.fx;
         let mut moved: Vec<Pair> = pairs.iter().filter(|p| p.left > least).copied().collect();
-        let enough = ENOUGH_PARALLAX * scene.camera.fx;
-        let score = |p: &Pair| p.left.min(enough) * (p.shared as f64).sqrt();
-        moved.sort_by(|a, b| score(b).total_cmp(&score(a)));
+        moved.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
         moved.truncate(TRIED);
         moved
     };
@@ -64,21 +70,20 @@ pub(crate) fn start(scene: &mut Scene) -> Result<(), Failure> {
         .zip(tried)
         .filter_map(|(p, t)| Some((p, t.filter(|t| t.share >= LEAST_SHARE)?)))
         .collect();
-    let score = |(p, t): &(&Pair, TwoView)| t.share * t.share * p.left * (p.shared as f64).sqrt();
+    let score = |(p, t): &(&Pair, TwoView)| t.share * t.share * worth(p);
     candidates.sort_by(|a, b| score(b).total_cmp(&score(a)));
     for (pair, view) in candidates {
-        let mut tried = scene.clone();
-        if pose_pair(&mut tried, pair, view) >= LEAST_LANDMARKS {
-            *scene = tried;
+        if pose_pair(scene, pair, view) >= LEAST_LANDMARKS {
             return Ok(());
         }
+        scene.forget();
     }
     Err(Failure::NoConsistentMotion)
 }
 
-/// All pairs of keyframes that share enough points.
-fn pairs(scene: &Scene) -> Vec<Pair> {
-    let keyframes = &scene.tracks.keyframes;
+/// All pairs of some keyframes that share enough points.
+fn pairs(scene: &Scene, places: Range<usize>) -> Vec<Pair> {
+    let keyframes = &scene.tracks.keyframes[places];
     let indices: Vec<(usize, usize)> = (0..keyframes.len())
         .flat_map(|i| (i + 1..(i + 1 + FARTHEST).min(keyframes.len())).map(move |j| (i, j)))
         .collect();

@@ -196,6 +196,22 @@ fn frames_beyond_a_cut_are_reported_lost() {
     assert!(found.warnings.contains(&Warning::FramesLost { lost: count, frames: 24 }));
 }
 
+/// Of an uneven cut the longer side is posed, though the camera moves four times as fast on the
+/// shorter one.
+#[test]
+fn the_longer_side_of_a_cut_is_posed() {
+    let cut = 10;
+    let uneven = |i: usize| match i < cut {
+        true => picture(1, moving(4 * i), 1.0),
+        false => picture(7, moving(i - cut), 1.0),
+    };
+    let found =
+        run(Intrinsics::Known(camera()), 46, uneven).expect("both sides are good sequences");
+    let is_posed = |i: &usize| found.frames[*i] != FrameStatus::Lost;
+    let posed: Vec<usize> = (0..46).filter(is_posed).collect();
+    assert_eq!(posed, (cut..46).collect::<Vec<_>>());
+}
+
 #[test]
 fn dark_pictures_and_noise_give_an_error() {
     let black = |_| Image::new(192, 144, 3);
