@@ -122,7 +122,10 @@ impl FrontEnd {
         if adjust_focal {
             find_focal(&mut scene)?;
         }
-        let about = if adjust_focal { 0.0 } else { straighten(&mut scene.tracks, &scene.camera) };
+        let about = match adjust_focal {
+            true => 0.0,
+            false => straighten(&mut scene.tracks, &scene.camera, &self.timestamps),
+        };
         map(&mut scene, adjust_focal)?;
         let mut readout = correct_rolling_shutter(&mut scene, &self.timestamps, about);
         if readout != 0.0 || about != 0.0 {

@@ -114,7 +114,7 @@ fn most_turning<'a>(scene: &Scene, frames: &'a [usize]) -> &'a [usize] {
 }
 
 /// The median time between frames [s].
-fn interval(timestamps: &[f64]) -> Option<f64> {
+pub(crate) fn interval(timestamps: &[f64]) -> Option<f64> {
     median(&mut timestamps.windows(2).map(|p| p[1] - p[0]).collect::<Vec<_>>())
 }
 
@@ -125,17 +125,22 @@ pub(crate) fn lowest_of_parabola(step: f64, [before, middle, after]: [f64; 3]) -
     (curvature > 0.0 && lowest.is_finite()).then(|| lowest.clamp(-2.0 * step, 2.0 * step))
 }
 
-/// Sets every observation's position to that of the middle row's moment.
+/// Sets every observation's position to that of the middle row's moment. Where nothing tells how the
+/// camera moved, it stays as it was, or becomes what was seen if all rows share one moment.
 fn move_rows(scene: &mut Scene, timestamps: &[f64], readout: f64, interval: f64) {
     let velocities: Vec<Option<Tangent<f64>>> =
         (0..scene.poses.len()).map(|f| velocity(scene, timestamps, f, interval)).collect();
     let (camera, lens, poses) = (scene.camera, scene.lens, &scene.poses);
     for (landmark, track) in scene.landmarks.iter().zip(&mut scene.tracks.tracks) {
         for o in &mut track.observations {
+            let flat = undistorted(&camera, lens, o.seen);
+            if readout == 0.0 {
+                o.at = flat;
+                continue;
+            }
             let (Some(pose), Some(velocity)) = (poses[o.frame], velocities[o.frame]) else {
                 continue;
             };
-            let flat = undistorted(&camera, lens, o.seen);
             let far = || Landmark::on_ray(&camera, pose, flat, 0.0);
             let landmark = landmark.unwrap_or_else(far);
             let late = readout * (o.seen[1] / camera.height as f64 - 0.5);
@@ -231,7 +236,13 @@ mod tests {
     #[test]
     fn a_readout_that_explains_nothing_is_given_up() {
         let (mut global, timestamps) = scene(60, 0.0);
+        // Frames without a pose, and one without neighbours, tell nothing of their motion.
+        global.poses[20..26].fill(None);
+        global.poses[30..40].fill(None);
+        global.poses[35] = Some(path(35.0));
         for about in [0.0, 0.4] {
+            let observations = global.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
+            observations.for_each(|o| o.at[0] = o.seen[0] + about);
             assert_eq!(correct_rolling_shutter(&mut global, &timestamps, about), 0.0);
             let observations = global.tracks.tracks.iter().flat_map(|t| &t.observations);
             assert!(observations.clone().all(|o| o.at == o.seen));

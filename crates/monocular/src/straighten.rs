@@ -4,7 +4,7 @@
 //! and where the rate changes, frames some intervals apart fit a rotation badly unless their rows
 //! are moved back.
 
-use crate::rolling::{WORTH, lowest_of_parabola};
+use crate::rolling::{WORTH, interval, lowest_of_parabola};
 use crate::tracks::{Tracks, shared};
 use crate::two_view::{RayPair, rotation_only};
 use i2slam_geometry::{Camera, Rotation, Vec3};
@@ -19,9 +19,12 @@ const APART: usize = 4;
 /// Moves all observations to where the middle row's moment would have shown them if the camera
 /// only turned. Returns the readout that fits best, in frame intervals, 0 if none is clearly
 /// better.
-pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>) -> f64 {
+pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>, timestamps: &[f64]) -> f64 {
     let by_frame = tracks.by_frame();
-    let rates = rates(tracks, &by_frame, camera);
+    let Some(interval) = interval(timestamps) else { return 0.0 };
+    let times: Vec<f64> =
+        timestamps.windows(2).map(|pair| (pair[1] - pair[0]) / interval).collect();
+    let rates = rates(tracks, &by_frame, camera, &times);
     let cost = |readout: f64| -> f64 {
         let one = |f: usize| misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0);
         let all: Vec<f64> =
@@ -50,16 +53,21 @@ fn lowest(costs: &[f64]) -> Option<f64> {
 }
 
 /// Rotation of every frame's camera per interval, in its own frame: the mean of that to both
-/// neighbours.
-fn rates(tracks: &Tracks, by_frame: &[Vec<usize>], camera: &Camera<f64>) -> Vec<Vec3<f64>> {
-    let turns: Vec<Option<Vec3<f64>>> = (1..tracks.frames)
+/// neighbours, `times` between them [intervals].
+fn rates(
+    tracks: &Tracks,
+    by_frame: &[Vec<usize>],
+    camera: &Camera<f64>,
+    times: &[f64],
+) -> Vec<Vec3<f64>> {
+    let turns: Vec<Option<Vec3<f64>>> = (1..tracks.frames.min(times.len() + 1))
         .into_par_iter()
         .map(|f| {
             let shared = shared(&tracks.tracks, by_frame, f - 1, f);
             let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
             let rays: Vec<RayPair> = shared.iter().map(|(a, b)| (ray(*a), ray(*b))).collect();
             // The map found takes rays of the first camera to the second.
-            rotation_only(camera.fx, &rays).map(|(r, _)| r.inverse().log())
+            rotation_only(camera.fx, &rays).map(|(r, _)| r.inverse().log() * times[f - 1].recip())
         })
         .collect();
     let turn = |i: Option<usize>| i.and_then(|i| turns.get(i).copied().flatten());
@@ -103,4 +111,33 @@ fn straight(
     let late = readout * (seen[1] / camera.height as f64 - 0.5);
     let ray = Rotation::exp(rates[frame] * late).rotate(camera.unproject(seen[0], seen[1], 1.0));
     ray * ray.z.recip()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tracks::{Observation, Track};
+    use i2slam_check::noise;
+
+    /// A steady turn has one rate, whether or not pictures are missing.
+    #[test]
+    fn rates_count_in_time_not_in_frames() {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let timestamps = [0.0, 1.0, 2.0, 5.0, 6.0, 8.0, 9.0, 10.0];
+        let turn = Vec3::new(0.002, 0.01, -0.003);
+        let track = |n: &[f64]| {
+            let ray = camera.unproject(160.0 + 80.0 * n[0], 120.0 + 60.0 * n[1], 1.0);
+            let sight = |(frame, time): (usize, &f64)| {
+                let (u, v) = camera.project(Rotation::exp(turn * -*time).rotate(ray));
+                Observation::new(frame, [u, v], 0.3)
+            };
+            Track { observations: timestamps.iter().enumerate().map(sight).collect() }
+        };
+        let tracks = noise(5, 160).chunks_exact(2).map(track).collect();
+        let tracks = Tracks { tracks, frames: timestamps.len(), ..Tracks::default() };
+        let times: Vec<f64> = timestamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        for rate in rates(&tracks, &tracks.by_frame(), &camera, &times) {
+            assert!((rate - turn).norm() < 1e-5, "{rate:?}");
+        }
+    }
 }
