@@ -103,9 +103,9 @@ fn overlap(scene: &Scene, look: &Look, other: &Look) -> usize {
     if pose.local(there).rotation.norm() > MOST_APART {
         return 0;
     }
-    let known = |(track, _): (usize, &Observation)| scene.landmarks[track].as_ref();
-    let count = scene.shown_count(other.frame);
-    let some = scene.shown(other.frame).step_by((count / OVERLAP_SAMPLE).max(1));
+    let known = |track: &usize| scene.landmarks[*track].as_ref();
+    let shown = scene.shown_tracks(other.frame);
+    let some = shown.iter().step_by((shown.len() / OVERLAP_SAMPLE).max(1));
     let inside = |l: &&Landmark| {
         let at = l.image_position(&scene.camera, &pose);
         at.is_some_and(|at| scene.camera.contains(at[0], at[1], 0.0))

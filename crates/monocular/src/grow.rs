@@ -144,11 +144,9 @@ fn is_enough(found: &Resected, matches: usize) -> bool {
 
 /// Where a frame may be: as its neighbours in time say, and where they are.
 fn starts(scene: &Scene, frame: usize) -> Vec<Pose<f64>> {
-    let posed = scene.posed();
-    let after = posed.partition_point(|f| *f < frame);
-    let pose = |i: usize| scene.poses[posed[i]].map(|p| (posed[i] as f64, p));
-    let before: Vec<_> = (after.saturating_sub(2)..after).rev().filter_map(pose).collect();
-    let behind: Vec<_> = (after..(after + 2).min(posed.len())).filter_map(pose).collect();
+    let pose = |f: usize| scene.poses[f].map(|p| (f as f64, p));
+    let before: Vec<_> = (0..frame).rev().filter_map(pose).take(2).collect();
+    let behind: Vec<_> = (frame..scene.poses.len()).filter_map(pose).take(2).collect();
     let mut starts = Vec::new();
     let at = frame as f64;
     let mut line = |a: (f64, Pose<f64>), b: (f64, Pose<f64>)| {

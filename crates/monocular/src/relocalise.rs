@@ -4,13 +4,16 @@ use crate::look::Look;
 use crate::recognise::{Recognised, recognise};
 use crate::scene::Scene;
 use rayon::prelude::*;
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 /// Likeness that a keyframe must have to be compared, and how many are compared.
 const LEAST_LIKENESS: f32 = 0.5;
 const COMPARED: usize = 3;
 /// Keyframes nearer than this in order to a better one are not compared.
 const APART: usize = 3;
+/// Keyframes that one is compared with in vain at most, so that work stays in proportion to the
+/// number of those that are lost.
+const MOST_COMPARED: usize = 30;
 /// Keyframes that are tried at once.
 const AT_ONCE: usize = 8;
 
@@ -19,7 +22,28 @@ type Pair = (usize, usize);
 
 /// Pairs of keyframes that were compared in vain.
 #[derive(Debug, Default)]
-pub(crate) struct Tried(HashSet<Pair>);
+pub(crate) struct Tried {
+    pairs: HashSet<Pair>,
+    /// Number of pairs of every newer frame.
+    counts: HashMap<usize, usize>,
+}
+
+impl Tried {
+    fn add(&mut self, pair: Pair) {
+        if self.pairs.insert(pair) {
+            *self.counts.entry(pair.0).or_default() += 1;
+        }
+    }
+
+    fn has(&self, pair: Pair) -> bool {
+        self.pairs.contains(&pair)
+    }
+
+    /// Whether a frame was compared often enough.
+    fn is_given_up(&self, frame: usize) -> bool {
+        self.counts.get(&frame).is_some_and(|count| *count >= MOST_COMPARED)
+    }
+}
 
 /// The keyframes that look most like one, of those that may be compared.
 pub(crate) fn most_alike<'a>(
@@ -45,11 +69,12 @@ pub(crate) fn most_alike<'a>(
 /// Poses keyframes that show a place which is known; returns which, none if there are no more.
 pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
     let looks = scene.tracks.looks.iter().enumerate();
-    let lost = looks.filter(|(_, look)| scene.poses[look.frame].is_none());
+    let lost = looks
+        .filter(|(_, look)| scene.poses[look.frame].is_none() && !tried.is_given_up(look.frame));
     let lost: Vec<usize> = lost.map(|(place, _)| place).collect();
     for some in lost.chunks(AT_ONCE) {
         let may = |look: &Look, other: &Look| {
-            scene.poses[other.frame].is_some() && !tried.0.contains(&(look.frame, other.frame))
+            scene.poses[other.frame].is_some() && !tried.has((look.frame, other.frame))
         };
         let search = |place: &usize| {
             let look = &scene.tracks.looks[*place];
@@ -59,7 +84,7 @@ pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
         };
         let (found, compared): (Vec<Option<Recognised>>, Vec<Vec<Pair>>) =
             some.par_iter().map(search).unzip();
-        tried.0.extend(compared.into_iter().flatten());
+        compared.into_iter().flatten().for_each(|pair| tried.add(pair));
         let mut posed = Vec::new();
         for (place, found) in some.iter().zip(found) {
             let Some(found) = found else { continue };
@@ -73,4 +98,19 @@ pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
         }
     }
     Vec::new()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_that_was_compared_often_is_given_up() {
+        let mut tried = Tried::default();
+        for old in 0..MOST_COMPARED {
+            assert!(!tried.is_given_up(99));
+            (0..2).for_each(|_| tried.add((99, old)));
+        }
+        assert!(tried.is_given_up(99) && !tried.is_given_up(98) && tried.has((99, 0)));
+    }
 }

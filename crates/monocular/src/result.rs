@@ -5,6 +5,7 @@ use crate::front_end::Intrinsics;
 use crate::lens::usual_coefficients;
 use crate::scene::Scene;
 use crate::tracker::Followed;
+use crate::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
@@ -298,17 +299,18 @@ fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
     }
     let keyframe = |index: usize| {
         let pose = scene.poses[index]?;
-        let depth = |track: usize| {
+        let depth = |(track, observation): (usize, &Observation)| {
             let (landmark, variance) = (scene.landmarks[track]?, variances[track]?);
-            let seen = scene.tracks.tracks[track].in_frame(index);
-            let observation = seen.filter(|observation| !observation.is_wrong)?;
+            if observation.is_wrong {
+                return None;
+            }
             let in_camera = pose.inverse() * landmark.position();
             let usable = landmark.values[2] > 1e-4 && in_camera.z > 0.0;
             let slope = landmark.depth_slope(&pose);
             let variance = variance * (noise * slope).powi(2);
             usable.then_some(SparseDepth { at: observation.at, depth: in_camera.z, variance })
         };
-        let depths = (0..scene.landmarks.len()).filter_map(depth).collect();
+        let depths = scene.shown(index).filter_map(depth).collect();
         let timestamp = timestamps[index];
         Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
     };

@@ -71,9 +71,9 @@ impl Scene {
         self.by_frame[frame].iter().filter_map(sight)
     }
 
-    /// Number of tracks that a frame shows.
-    pub(crate) fn shown_count(&self, frame: usize) -> usize {
-        self.by_frame[frame].len()
+    /// The same without where.
+    pub(crate) fn shown_tracks(&self, frame: usize) -> &[usize] {
+        &self.by_frame[frame]
     }
 
     /// Number of tracks that two frames share.
