@@ -23,8 +23,10 @@ struct Found {
 /// Takes the camera whose focal length explains most: from several starts, each refined over some
 /// keyframes.
 pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), Failure> {
+    // Only keyframes are posed here, and other sights tell them nothing.
+    let reduced = Scene::of_keyframes(scene);
     let tried: Vec<Result<Found, Failure>> =
-        FACTORS.par_iter().map(|factor| try_focal(scene, *factor)).collect();
+        FACTORS.par_iter().map(|factor| try_focal(&reduced, *factor)).collect();
     let mut failure = Failure::NoConsistentMotion;
     let mut best: Option<Found> = None;
     for result in tried.into_iter().rev() {

@@ -47,6 +47,12 @@ impl Scene {
         Self { camera, tracks, by_frame, poses, landmarks, noise, lens, finds_lens }
     }
 
+    /// The scene of the keyframes of one of which nothing is known but the camera.
+    pub(crate) fn of_keyframes(scene: &Self) -> Self {
+        let finds_lens = scene.finds_lens;
+        Self { finds_lens, ..Self::new(scene.camera, scene.tracks.in_keyframes()) }
+    }
+
     /// Takes back all poses and landmarks; tracks, camera and lens stay.
     pub(crate) fn forget(&mut self) {
         self.poses.fill(None);

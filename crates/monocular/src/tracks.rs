@@ -69,6 +69,23 @@ impl Tracks {
         self
     }
 
+    /// What keyframes alone show of the same tracks.
+    pub(crate) fn in_keyframes(&self) -> Self {
+        let mut is_keyframe = vec![false; self.frames];
+        self.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
+        let reduced = |track: &Track| {
+            let kept = track.observations.iter().filter(|o| is_keyframe[o.frame]);
+            Track { observations: kept.copied().collect() }
+        };
+        let (keyframes, looks) = (self.keyframes.clone(), Arc::clone(&self.looks));
+        Self {
+            tracks: self.tracks.iter().map(reduced).collect(),
+            keyframes,
+            looks,
+            frames: self.frames,
+        }
+    }
+
     /// For every frame the tracks that it shows.
     pub(crate) fn by_frame(&self) -> Vec<Vec<usize>> {
         let mut out = vec![Vec::new(); self.frames];
@@ -91,4 +108,23 @@ pub(crate) fn shared(
         Some((track.in_frame(first)?, track.in_frame(second)?))
     };
     by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at, b.at)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keyframes_alone_keep_the_places_of_tracks() {
+        let sight = |frame: usize| Observation::new(frame, [frame as f64; 2], 0.3);
+        let track =
+            |frames: std::ops::Range<usize>| Track { observations: frames.map(sight).collect() };
+        let tracks = vec![track(0..9), track(1..3), track(4..8)];
+        let all = Tracks { tracks, keyframes: vec![0, 4, 7], frames: 9, ..Tracks::default() };
+        let reduced = all.in_keyframes();
+        let frames = |t: &Track| t.observations.iter().map(|o| o.frame).collect::<Vec<_>>();
+        let shown: Vec<Vec<usize>> = reduced.tracks.iter().map(frames).collect();
+        assert_eq!(shown, [vec![0, 4, 7], vec![], vec![4, 7]]);
+        assert_eq!((reduced.frames, reduced.keyframes), (9, vec![0, 4, 7]));
+    }
 }
