@@ -38,7 +38,7 @@ pub enum Failure {
     },
     /// Points move, but not as those of a rigid scene do.
     #[error(
-        "no two pictures agree on one motion of the camera: the scene moves itself, or the intrinsics are far from true"
+        "no two pictures agree on one motion of the camera: the scene moves itself, or the intrinsics are far from true; check them or have the focal length looked for, and film what stands still"
     )]
     NoConsistentMotion,
 }

@@ -85,7 +85,7 @@ pub struct Reconstruction {
     /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for, zero where it was not found: a point that the pinhole
     /// camera sees at `c + f x` is shown at `c + f x (1 + k1 ‖x‖² + k2 ‖x‖⁴)`.
     pub distortion: Option<[f64; 2]>,
-    /// Relative standard deviation of the focal length, where it was looked for.
+    /// Relative standard deviation of the focal length, where it was looked for and is determined.
     pub focal_deviation: Option<f64>,
     /// Time from the first to the last row [s], positive if the top row comes first; 0 where all
     /// rows fit one moment. Poses are of the middle row.
@@ -133,7 +133,7 @@ pub enum Warning {
     },
     /// The given focal length is not the one that fits.
     #[error(
-        "the focal length was given as {given:.1} px, but {fitting:.1} px fits the pictures much better"
+        "the focal length was given as {given:.1} px, but {fitting:.1} px fits the pictures much better: check it, or have it looked for instead of giving it"
     )]
     FocalLengthDoubtful {
         /// As given [px].
@@ -142,14 +142,24 @@ pub enum Warning {
         fitting: f64,
     },
     /// The pictures hardly determine the focal length.
-    #[error("the pictures tell the focal length only to {percent:.0} percent")]
+    #[error(
+        "the pictures tell the focal length only to {percent:.0} percent: give it where it is known; walking to all sides and turning about while filming would tell it better"
+    )]
     FocalLengthVague {
         /// Relative standard deviation, in percent.
         percent: f64,
     },
+    /// The pictures do not determine the focal length at all.
+    #[error(
+        "the pictures do not determine the focal length beside the path, {focal_length:.1} px is no more than a guess: give it where it is known; walking to all sides and turning about while filming would tell it"
+    )]
+    FocalLengthUndetermined {
+        /// That the path was found with [px].
+        focal_length: f64,
+    },
     /// Rows were read in turn, and the focal length was looked for.
     #[error(
-        "rows were read in turn, which pictures of a turning camera hardly tell from another focal length: it may be off by more than its deviation says (--fov or --intrinsics gives it)"
+        "rows were read in turn, which pictures of a turning camera hardly tell from another focal length: it may be off by more than its deviation says: give it where it is known"
     )]
     RowsAndFocalLength,
     /// The distortion of the lens was looked for, and is not told from none.
@@ -273,8 +283,14 @@ fn focal_deviation(
     warnings: &mut Vec<Warning>,
 ) -> Option<f64> {
     let (freed, covariance) = released(scene);
-    let relative = covariance?[0][0].sqrt();
-    if matches!(intrinsics, Intrinsics::Known(_)) {
+    let is_known = matches!(intrinsics, Intrinsics::Known(_));
+    let Some(covariance) = covariance else {
+        let undetermined = Warning::FocalLengthUndetermined { focal_length: scene.camera.fx };
+        warnings.extend((!is_known).then_some(undetermined));
+        return None;
+    };
+    let relative = covariance[0][0].sqrt();
+    if is_known {
         let (given, fitting) = (scene.camera.fx, freed.camera.fx);
         let off = (fitting / given).ln().abs();
         if off > 0.05 && off > 3.0 * relative {
@@ -315,4 +331,27 @@ fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
         Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
     };
     scene.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tracks::Tracks;
+
+    /// A scene that says nothing of the camera: that is told where the camera was looked for.
+    #[test]
+    fn a_focal_length_that_nothing_determines_is_said_to_be_a_guess() {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let tracks = Tracks { keyframes: vec![0, 1], frames: 2, ..Tracks::default() };
+        let mut scene = Scene::new(camera, tracks);
+        scene.poses = vec![Some(Pose::identity()); 2];
+        let warned = |intrinsics: Intrinsics| {
+            let mut warnings = Vec::new();
+            assert_eq!(focal_deviation(&scene, &intrinsics, &mut warnings), None);
+            warnings
+        };
+        assert_eq!(warned(Intrinsics::Known(camera)), []);
+        let guess = Warning::FocalLengthUndetermined { focal_length: 250.0 };
+        assert_eq!(warned(Intrinsics::Guess(camera)), [guess]);
+    }
 }
