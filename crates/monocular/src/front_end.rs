@@ -31,9 +31,10 @@ pub enum Intrinsics {
 }
 
 impl Intrinsics {
-    /// The guess for a picture of which nothing is known: a horizontal field of view of 60 degrees.
+    /// The guess for a picture of which nothing is known: a field of view of 60 degrees across the
+    /// longer side.
     pub fn unknown(width: usize, height: usize) -> Self {
-        let f = 0.5 * width as f64 / 30_f64.to_radians().tan();
+        let f = 0.5 * width.max(height) as f64 / 30_f64.to_radians().tan();
         let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
         Self::Guess(Camera { width, height, fx: f, fy: f, cx, cy })
     }
@@ -200,4 +201,16 @@ fn reached(scene: &Scene) -> usize {
     let keyframes = scene.tracks.keyframes.iter().enumerate();
     let posed = keyframes.filter(|(_, frame)| scene.poses[**frame].is_some());
     posed.map(|(place, _)| stands_for(scene, place)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_camera_stays_the_same_turned_upright() {
+        let focal = |width, height| Intrinsics::unknown(width, height).camera().fx;
+        assert_eq!(focal(640, 480), focal(480, 640));
+        assert!((focal(320, 240) - 277.128).abs() < 1e-3);
+    }
 }
