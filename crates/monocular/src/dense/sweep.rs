@@ -4,6 +4,9 @@ use super::correlation::Windows;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use rayon::prelude::*;
 
+/// Labels that are compared at once, so that few planes are kept beside the volume.
+const AT_ONCE: usize = 16;
+
 /// A picture of another camera, and the way there: a pixel `(u, v)` of the keyframe at inverse depth
 /// `ρ` is seen at `turn (u, v, 1) + ρ shift`, in homogeneous pixels.
 struct Neighbour<'a> {
@@ -60,14 +63,15 @@ impl<'a> Sweep<'a> {
         inverse_depth: impl Fn(usize) -> f32 + Sync,
         offsets: &[f32],
     ) -> Volume {
-        let planes: Vec<Vec<f32>> = offsets
-            .par_iter()
-            .map(|offset| self.plane(&|pixel| inverse_depth(pixel) + offset))
-            .collect();
-        let labels = planes.len();
+        let labels = offsets.len();
         let mut values = vec![0.0; labels * self.windows.image.data.len()];
-        for (pixel, costs) in values.chunks_exact_mut(labels.max(1)).enumerate() {
-            costs.iter_mut().zip(&planes).for_each(|(cost, plane)| *cost = plane[pixel]);
+        for (begin, some) in (0..).step_by(AT_ONCE).zip(offsets.chunks(AT_ONCE)) {
+            let plane = |offset: &f32| self.plane(&|pixel| inverse_depth(pixel) + offset);
+            let planes: Vec<Vec<f32>> = some.par_iter().map(plane).collect();
+            values.par_chunks_exact_mut(labels).enumerate().for_each(|(pixel, costs)| {
+                let costs = costs[begin..].iter_mut().zip(&planes);
+                costs.for_each(|(cost, plane)| *cost = plane[pixel]);
+            });
         }
         Volume { values, labels }
     }
