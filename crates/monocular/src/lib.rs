@@ -41,11 +41,13 @@ mod tracker;
 mod tracks;
 mod triangulate;
 mod two_view;
+mod warning;
 
 pub use dense::{DenseDepth, DenseDepths, View};
 pub use failure::{Failure, PictureError};
 pub use front_end::{FrontEnd, Intrinsics, LEAST_FRAMES, LEAST_SIDE};
-pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth, Warning};
+pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth};
+pub use warning::Warning;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -6,6 +6,7 @@ use crate::lens::usual_coefficients;
 use crate::scene::Scene;
 use crate::tracker::Followed;
 use crate::tracks::Observation;
+use crate::warning::Warning;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
@@ -98,75 +99,6 @@ pub struct Reconstruction {
     pub keyframes: Vec<Keyframe>,
     /// Degradations that a user should know of.
     pub warnings: Vec<Warning>,
-}
-
-/// A degradation of a result.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Warning {
-    /// Frames without a pose.
-    #[error("{lost} of {frames} frames have no pose: they show too little of what the others show")]
-    FramesLost {
-        /// Frames without a pose.
-        lost: usize,
-        /// All frames.
-        frames: usize,
-    },
-    /// Frames in a row that show points, but not those of the others: as after a cut.
-    #[error(
-        "frames {first} to {last} could not be joined to the others: they show another place, or too little of the same one"
-    )]
-    AnotherPlace {
-        /// First frame.
-        first: usize,
-        /// Last frame.
-        last: usize,
-    },
-    /// Frames in a row in which no points could be followed.
-    #[error(
-        "frames {first} to {last} show nothing that could be followed: the lens was covered, or they are too dark or too blurred"
-    )]
-    NothingToFollow {
-        /// First frame.
-        first: usize,
-        /// Last frame.
-        last: usize,
-    },
-    /// The given focal length is not the one that fits.
-    #[error(
-        "the focal length was given as {given:.1} px, but {fitting:.1} px fits the pictures much better: check it, or have it looked for instead of giving it"
-    )]
-    FocalLengthDoubtful {
-        /// As given [px].
-        given: f64,
-        /// That fits best [px].
-        fitting: f64,
-    },
-    /// The pictures hardly determine the focal length.
-    #[error(
-        "the pictures tell the focal length only to {percent:.0} percent: give it where it is known; walking to all sides and turning about while filming would tell it better"
-    )]
-    FocalLengthVague {
-        /// Relative standard deviation, in percent.
-        percent: f64,
-    },
-    /// The pictures do not determine the focal length at all.
-    #[error(
-        "the pictures do not determine the focal length beside the path, {focal_length:.1} px is no more than a guess: give it where it is known; walking to all sides and turning about while filming would tell it"
-    )]
-    FocalLengthUndetermined {
-        /// That the path was found with [px].
-        focal_length: f64,
-    },
-    /// Rows were read in turn, and the focal length was looked for.
-    #[error(
-        "rows were read in turn, which pictures of a turning camera hardly tell from another focal length: it may be off by more than its deviation says: give it where it is known"
-    )]
-    RowsAndFocalLength,
-    /// The distortion of the lens was looked for, and is not told from none.
-    #[error(
-        "the pictures do not determine the distortion of the lens beside focal length and path: none is assumed (k1 and k2 are 0); walking to all sides and turning about while filming would show it"
-    )]
-    LensUndetermined,
 }
 
 impl Reconstruction {

@@ -57,7 +57,12 @@ pub(super) fn drive<D: Drive, E: Display>(
         Err(Failure::Failed(message) | Failure::Usage(message)) => Some(message),
         _ => None,
     };
-    if run.session.frames().is_empty() && !interrupt::requested() {
+    if run.session.frames().is_empty() {
+        if interrupt::requested() {
+            progress
+                .note(&format!("ended before the first {}: there is nothing to write", D::ITEM));
+            return Err(Failure::Interrupted);
+        }
         let reason = problem.or(run.first_error).unwrap_or_else(|| "there are none".to_owned());
         return Err(Failure::Failed(format!("{none}: {reason}")));
     }

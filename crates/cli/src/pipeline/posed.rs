@@ -131,10 +131,7 @@ fn native(
     let camera = FoundCamera::of(sequence, found.reconstruction());
     camera.lines().iter().for_each(|line| progress.note(line));
     let undistorted = camera.lens().map(|lens| sequence.with_estimated_camera(lens));
-    let refused = found.refused().iter();
-    let mut warnings: Vec<String> =
-        refused.map(|(place, why)| format!("picture {place} left out: {why}")).collect();
-    warnings.extend(found.reconstruction().warnings.iter().map(ToString::to_string));
+    let mut warnings = what_to_know(sequence, &found);
     warnings.extend(undistorted.iter().flat_map(|freed| freed.warnings.clone()));
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
     let others = Arc::clone(&pictures);
@@ -150,6 +147,19 @@ fn native(
     Ok(Opened { source, count, between, frame_rate, warnings, camera, undistorted })
 }
 
+/// Warnings of a path, frames named by their numbers in the sequence.
+fn what_to_know<L>(sequence: &Sequence, found: &Native<L>) -> Vec<String>
+where
+    L: FnMut(usize) -> Result<SequencePicture, PictureError>,
+{
+    let at = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
+    let number = |frame: usize| found.place(frame).map_or(frame, at);
+    let refused = found.refused().iter();
+    let left_out = refused.map(|(place, why)| format!("frame {} left out: {why}", at(*place)));
+    let warnings = found.reconstruction().warnings.iter();
+    left_out.chain(warnings.map(|warning| warning.numbered(number).to_string())).collect()
+}
+
 /// The path of the camera through pictures as they are.
 fn find_path<'a>(
     sequence: &'a Sequence,
@@ -158,10 +168,10 @@ fn find_path<'a>(
 ) -> Result<Native<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<'a>>, Failure> {
     let mut following = Following::start(progress, sequence.len());
     let load = move |place: usize| {
-        following.reach(place)?;
+        following.reach(place);
         picture(sequence, place)
     };
-    let found = Native::find(intrinsics, sequence.len(), load);
+    let found = Native::find(intrinsics, sequence.len(), load, interrupt::requested);
     if interrupt::requested() {
         progress.note("ended before the path of the camera was found: there is nothing to write");
         return Err(Failure::Interrupted);
@@ -189,16 +199,12 @@ impl Following {
         Self { progress, count }
     }
 
-    /// The front end asks for the picture at a place; an error if the user has enough.
-    fn reach(&mut self, place: usize) -> Result<(), &'static str> {
-        if interrupt::requested() {
-            return Err("ended by the user");
-        }
+    /// The front end asks for the picture at a place.
+    fn reach(&mut self, place: usize) {
         self.progress.step(place + 1);
         if place + 1 == self.count {
             self.progress.phase("finding the path of the camera", self.count);
         }
-        Ok(())
     }
 }
 

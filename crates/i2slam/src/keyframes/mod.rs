@@ -2,6 +2,7 @@
 
 mod import;
 mod native;
+mod reader;
 mod rows;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};

@@ -1,5 +1,6 @@
 //! Keyframes that our own monocular front end finds poses for, from the pictures alone.
 
+use super::reader::Reader;
 use super::rows::RowMotion;
 use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -49,6 +50,9 @@ pub enum NativeError {
         /// Pictures that could not be used: place in the sequence, reason.
         refused: Vec<(usize, PictureError)>,
     },
+    /// The caller had enough of it.
+    #[error("ended before the path of the camera was found")]
+    Ended,
 }
 
 fn first_refusal(refused: &[(usize, PictureError)]) -> String {
@@ -62,7 +66,7 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
 pub struct Native<L> {
     reconstruction: Reconstruction,
     dense: Option<DenseDepths>,
-    load: L,
+    reader: Reader<L>,
     /// Place in the sequence of every picture that the front end accepted.
     places: Vec<usize>,
     refused: Vec<(usize, PictureError)>,
@@ -71,15 +75,24 @@ pub struct Native<L> {
 
 impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
     /// Looks for the path of the camera through `count` pictures. `load` gives the picture at a
-    /// place; it is asked for all of them in order, and for each keyframe again when it is taken.
+    /// place; it is asked for all of them in order, and then for those of the keyframes again, in
+    /// order. `has_enough` is asked before each picture and once more after them.
     ///
     /// # Errors
     ///
     /// Why no path was found. Pictures that cannot be read are [left out](Self::refused).
-    pub fn find(intrinsics: Intrinsics, count: usize, mut load: L) -> Result<Self, NativeError> {
+    pub fn find(
+        intrinsics: Intrinsics,
+        count: usize,
+        mut load: L,
+        has_enough: impl Fn() -> bool,
+    ) -> Result<Self, NativeError> {
         let mut front_end = FrontEnd::new(intrinsics);
         let (mut places, mut refused) = (Vec::new(), Vec::new());
         for place in 0..count {
+            if has_enough() {
+                return Err(NativeError::Ended);
+            }
             let pushed = load(place).and_then(|picture| {
                 front_end.push(&picture.colour, picture.timestamp).map_err(PictureError::from)
             });
@@ -88,9 +101,13 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
                 Err(why) => refused.push((place, why)),
             }
         }
+        if has_enough() {
+            return Err(NativeError::Ended);
+        }
         match front_end.finish() {
             Ok(reconstruction) => {
-                Ok(Self { reconstruction, dense: None, load, places, refused, next: 0 })
+                let reader = Reader::new(places_of(&reconstruction, &places), load);
+                Ok(Self { reconstruction, dense: None, reader, places, refused, next: 0 })
             }
             Err(failure) => Err(NativeError::NoPath { failure, refused }),
         }
@@ -106,7 +123,8 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
     {
         let Self { reconstruction, dense, places, refused, next, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
-        Native { reconstruction, dense, load, places, refused, next }
+        let reader = Reader::new(places_of(&reconstruction, &places), load);
+        Native { reconstruction, dense, reader, places, refused, next }
     }
 
     /// The same with the depth of most pixels of a keyframe, in place of that of its landmarks alone.
@@ -145,6 +163,11 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
         &self.reconstruction
     }
 
+    /// Where in the sequence a frame of the [reconstruction](Self::reconstruction) is.
+    pub fn place(&self, frame: usize) -> Option<usize> {
+        self.places.get(frame).copied()
+    }
+
     /// Pictures that could not be used: place in the sequence, reason.
     pub fn refused(&self) -> &[(usize, PictureError)] {
         &self.refused
@@ -174,18 +197,16 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
         let (number, found) = (self.next, &self.reconstruction);
         let keyframe = found.keyframes.get(number)?;
         self.next += 1;
-        let place = *self.places.get(keyframe.index)?;
-        let SequencePicture { index, colour, .. } = match (self.load)(place) {
+        let SequencePicture { index, colour, .. } = match self.reader.next(number) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
         let dense = self.dense.as_mut().and_then(|dense| {
-            let place = |k: usize| self.places.get(found.keyframes.get(k)?.index).copied();
             let mut picture = |k: usize| {
-                let colour = (self.load)(place(k)?).ok()?.colour;
+                let colour = &self.reader.picture(k)?.colour;
                 Some(match RowMotion::of(found, found.keyframes.get(k)?) {
-                    Some(rows) => rows.undone(&found.camera, &colour),
-                    None => colour,
+                    Some(rows) => rows.undone(&found.camera, colour),
+                    None => colour.clone(),
                 })
             };
             dense.of(number, &mut picture)
@@ -199,6 +220,11 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
             world_from_camera: scaled(keyframe.world_from_camera),
         }))
     }
+}
+
+/// Where in the sequence each keyframe is.
+fn places_of(found: &Reconstruction, places: &[usize]) -> Vec<usize> {
+    found.keyframes.iter().filter_map(|keyframe| places.get(keyframe.index).copied()).collect()
 }
 
 /// A pose in the unit of length that is delivered.
@@ -308,7 +334,8 @@ mod tests {
             3 => Err("damaged".into()),
             _ => Ok(stamped(&camera, place, place as f64 / 30.0)),
         };
-        let mut native = Native::find(Intrinsics::Known(camera), 14, load).expect("a path");
+        let mut native =
+            Native::find(Intrinsics::Known(camera), 14, load, || false).expect("a path");
         assert_eq!(native.camera(), &camera);
         assert!(matches!(native.refused(), [(3, why)] if why.to_string() == "damaged"));
         let count = native.len();
@@ -331,7 +358,7 @@ mod tests {
     fn dense_depth_and_the_frames_between_are_there_too() {
         let camera = camera();
         let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
-        let found = Native::find(Intrinsics::Known(camera), 14, load).expect("a path");
+        let found = Native::find(Intrinsics::Known(camera), 14, load, || false).expect("a path");
         let between: Vec<PosedKeyframe> =
             found.between(load).map(|frame| frame.expect("read again")).collect();
         let mut native = found.with_dense_depth();
@@ -355,7 +382,7 @@ mod tests {
     fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
         let (camera, small) = (camera(), camera().resized(80, 60));
         let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
-        let found = Native::find(Intrinsics::Known(camera), 14, load).expect("a path");
+        let found = Native::find(Intrinsics::Known(camera), 14, load, || false).expect("a path");
         let reduced = move |place: usize| {
             let of = stamped(&camera, place, place as f64 / 30.0);
             Ok(SequencePicture { colour: of.colour.resized_by_area(80, 60), ..of })
@@ -377,6 +404,38 @@ mod tests {
             all += 1;
         }
         assert!(all > 2 && near == all, "{near} of {all}");
+    }
+
+    #[test]
+    fn pictures_are_read_in_their_order_and_those_of_keyframes_once_more() {
+        let camera = camera();
+        let places = std::cell::RefCell::new(Vec::new());
+        let load = |place: usize| {
+            places.borrow_mut().push(place);
+            Ok(stamped(&camera, place, place as f64 / 30.0))
+        };
+        let found = Native::find(Intrinsics::Known(camera), 30, load, || false).expect("a path");
+        let mut native = found.with_dense_depth();
+        assert!(places.take().into_iter().eq(0..30));
+        while let Some(keyframe) = native.next_keyframe() {
+            keyframe.expect("keyframes can be read again");
+        }
+        let again = places.take();
+        let rising = again.windows(2).all(|pair| pair[0] < pair[1]);
+        assert!(rising && again.len() == native.len() && again.len() > 5, "{again:?}");
+    }
+
+    #[test]
+    fn who_has_enough_gets_no_path() {
+        let camera = camera();
+        let asked = std::cell::Cell::new(0);
+        let load = |place: usize| {
+            asked.set(asked.get() + 1);
+            Ok(stamped(&camera, place, place as f64 / 30.0))
+        };
+        let found = Native::find(Intrinsics::Known(camera), 30, load, || asked.get() == 12);
+        assert!(matches!(found.err(), Some(NativeError::Ended)));
+        assert_eq!(asked.get(), 12);
     }
 
     #[test]
@@ -402,7 +461,7 @@ mod tests {
             0..2 => Ok(stamped(&camera, place, place as f64)),
             _ => Err("damaged".into()),
         };
-        let found = Native::find(Intrinsics::Known(camera), 5, load);
+        let found = Native::find(Intrinsics::Known(camera), 5, load, || false);
         let message = found.err().expect("two pictures show no path").to_string();
         assert!(message.contains("2 pictures are too few"), "{message}");
         assert!(message.contains("3 pictures could not be used, the first, 2: damaged"));
