@@ -21,9 +21,7 @@ const APART: usize = 4;
 /// better.
 pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>, timestamps: &[f64]) -> f64 {
     let by_frame = tracks.by_frame();
-    let Some(interval) = interval(timestamps) else { return 0.0 };
-    let times: Vec<f64> =
-        timestamps.windows(2).map(|pair| (pair[1] - pair[0]) / interval).collect();
+    let Some(times) = whole_intervals(timestamps) else { return 0.0 };
     let rates = rates(tracks, &by_frame, camera, &times);
     let cost = |readout: f64| -> f64 {
         let one = |f: usize| misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0);
@@ -42,6 +40,13 @@ pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>, timestamps: 
         o.at = [u, v];
     }
     best
+}
+
+/// Time between frames in whole intervals: pictures that are missing count, stamps that tremble do not.
+fn whole_intervals(timestamps: &[f64]) -> Option<Vec<f64>> {
+    let interval = interval(timestamps)?;
+    let whole = |pair: &[f64]| ((pair[1] - pair[0]) / interval).round().max(1.0);
+    Some(timestamps.windows(2).map(whole).collect())
 }
 
 /// The readout of least cost, by the parabola through the least of `costs` and its neighbours.
@@ -135,7 +140,9 @@ mod tests {
         };
         let tracks = noise(5, 160).chunks_exact(2).map(track).collect();
         let tracks = Tracks { tracks, frames: timestamps.len(), ..Tracks::default() };
-        let times: Vec<f64> = timestamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let stamps: Vec<f64> =
+            timestamps.iter().zip(noise(6, 8)).map(|(time, n)| time + 0.1 * n).collect();
+        let times = whole_intervals(&stamps).expect("several");
         for rate in rates(&tracks, &tracks.by_frame(), &camera, &times) {
             assert!((rate - turn).norm() < 1e-5, "{rate:?}");
         }
