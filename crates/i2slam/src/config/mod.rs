@@ -342,3 +342,10 @@ pub struct MappingConfig {
     /// Start each round with fresh optimiser moments, as SplaTAM does.
     pub fresh_optimizer: bool,
 }
+
+impl MappingConfig {
+    /// Whether the frame or keyframe that comes `number`-th is held out; the first, 0, never is.
+    pub(crate) fn holds_out(&self, number: usize) -> bool {
+        self.hold_out > 0 && number > 0 && number.is_multiple_of(self.hold_out)
+    }
+}

@@ -147,11 +147,7 @@ impl Session {
 
     /// Whether a frame is kept from the map; the one that starts it never is.
     fn holds_out(&self, position: usize) -> bool {
-        let every = self.config.mapping.hold_out;
-        every > 0
-            && position > 0
-            && position.is_multiple_of(every)
-            && !self.backend.mapper.is_empty()
+        self.config.mapping.holds_out(position) && !self.backend.mapper.is_empty()
     }
 
     /// Refines the map over all keyframes; `on_step(done, of)` says whether to go on.

@@ -10,6 +10,8 @@ use i2slam_radiance::hashgrid::{
 
 /// Least half edge of a cube [m].
 const LEAST_BOUND: f64 = 0.1;
+/// A cube that is too small grows by this factor at least, so that it seldom does.
+pub(in crate::mapping) const GROWTH: f64 = 1.5;
 /// Share of the surfaces that the cube holds: single wrong depths at edges do not size it.
 const HELD: f64 = 0.99;
 

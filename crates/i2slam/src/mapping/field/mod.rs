@@ -8,7 +8,7 @@
 
 mod cube;
 
-pub(super) use cube::{away, held_distance, hold_between, untrained};
+pub(super) use cube::{GROWTH, away, held_distance, hold_between, untrained};
 
 use super::densify::placement;
 use super::frames::FrameOptimizers;
@@ -32,8 +32,6 @@ use std::time::Instant;
 
 /// Share of a frame's surfaces outside of the cube that calls for a larger one.
 const OUTSIDE: f64 = 0.02;
-/// A cube grows by this factor at least, so that it seldom does.
-const GROWTH: f64 = 1.5;
 
 /// A field that is trained frame by frame.
 pub(crate) struct FieldMapper {
@@ -152,7 +150,7 @@ impl FieldMapper {
         let settings = &story.config.hashgrid;
         if settings.bound == 0.0 {
             let need = f64::from(settings.margin) * cube::need(centre, story.camera, pose, depth);
-            self.grow(story, need.max(GROWTH * bound));
+            self.grow(story, need.max(cube::GROWTH * bound));
         } else if !self.warned {
             self.warned = true;
             story.warnings.push(format!(

@@ -8,8 +8,6 @@ use crate::mapping::{Keyframe, Story};
 use i2slam_geometry::Vec3;
 use i2slam_radiance::hashgrid::FieldSettings;
 
-/// A field that is too small grows by this factor at least.
-pub(super) const GROWTH: f64 = 1.5;
 /// Share of `reach` that a camera without depth must have before it; at first it has all.
 const ENOUGH: f64 = 0.5;
 

@@ -14,7 +14,7 @@ mod preconditioner;
 mod shells;
 mod trajectory;
 
-use super::field::{add, curves, untrained};
+use super::field::{GROWTH, add, curves, untrained};
 use super::frames::FrameOptimizers;
 use super::{Keyframe, PosedMapper, Story};
 use crate::config::{Config, Preconditioning};
@@ -169,7 +169,7 @@ impl PosedField {
     fn begin(&mut self, story: &mut Story<'_>) -> Result<(), SettingsError> {
         let Extent { centre, mut bound } = Extent::of(story);
         if let Some(field) = &self.field {
-            bound = bound.max(extent::GROWTH * field.map.field.settings().bound);
+            bound = bound.max(GROWTH * field.map.field.settings().bound);
         }
         let config = story.config;
         let empty = untrained(&config.hashgrid, centre, bound, config.seed)?;

@@ -10,8 +10,7 @@ impl KeyframedSession {
     /// Whether the keyframe that comes `number`-th, from 0, is kept from the map (`mapping.hold_out`):
     /// it is one to [`locate`](Self::locate) after [`finish`](Self::finish).
     pub fn holds_out(&self, number: usize) -> bool {
-        let every = self.config.mapping.hold_out;
-        every > 0 && number > 0 && number.is_multiple_of(every)
+        self.config.mapping.holds_out(number)
     }
 
     /// Takes in a frame that is no keyframe, after [`finish`](Self::finish): its pose starts where its
