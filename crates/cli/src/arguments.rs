@@ -36,7 +36,7 @@ pub(crate) enum Command {
     Info(commands::InfoArguments),
 }
 
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub(crate) struct Run {
     /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, a video
     /// (colour alone; ffmpeg decodes it), or a stream: an address such as rtsp://HOST/PATH, a named
@@ -94,7 +94,7 @@ pub(crate) struct Run {
 }
 
 /// How the sequence is read.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub(crate) struct Input {
     /// Only frames A to B-1 of the associated stream
     #[arg(long, value_name = "A..B", value_parser = frame_range)]
@@ -133,7 +133,7 @@ pub(crate) struct Input {
 }
 
 /// Switches of the image-formation module.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub(crate) struct Formation {
     /// Virtual cameras over the exposure
     #[arg(long, value_name = "N")]
@@ -149,7 +149,7 @@ pub(crate) struct Formation {
     pub(crate) no_trajectory_loss: bool,
 }
 
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads to use [default: all cores]; results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]

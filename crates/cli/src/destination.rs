@@ -5,7 +5,8 @@
 
 use crate::failure::Failure;
 use i2slam::export::{FolderContents, Layout};
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 /// Where a command writes.
 pub(crate) struct Destination<'a> {
@@ -50,6 +51,22 @@ impl Destination<'_> {
             self.layout.remove(self.path)?;
         }
         Ok(())
+    }
+}
+
+/// The folders that have to be made for a path, deepest first.
+pub(crate) struct MadeFolders(Vec<PathBuf>);
+
+impl MadeFolders {
+    /// Before they are made.
+    pub(crate) fn for_path(path: &Path) -> Self {
+        let missing = path.ancestors().take_while(|above| !above.as_os_str().is_empty());
+        Self(missing.take_while(|above| !above.exists()).map(Path::to_owned).collect())
+    }
+
+    /// Takes away those that nothing came into.
+    pub(crate) fn remove_empty(&self) {
+        self.0.iter().for_each(|made| drop(fs::remove_dir(made)));
     }
 }
 

@@ -1,6 +1,7 @@
 //! Ctrl-C: the first ends the run cleanly, the second at once.
 
 use crate::output::complain;
+use i2slam::Stop;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
@@ -32,6 +33,11 @@ pub(crate) fn reading<T>(read: impl FnOnce() -> T) -> T {
     READING.store(false, Ordering::SeqCst);
     REQUESTED.store(false, Ordering::SeqCst);
     result
+}
+
+/// The same as a wish that work of the libraries asks for.
+pub(crate) fn stop() -> Stop {
+    Stop::when(requested)
 }
 
 /// Whether the user asked to end.

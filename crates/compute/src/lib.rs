@@ -7,9 +7,11 @@ mod linear;
 mod median;
 mod random;
 mod reduce;
+mod stop;
 
 pub use adam::{Adam, AdamSettings};
 pub use linear::{NormalEquations, solve_positive_definite};
 pub use median::median;
 pub use random::Random;
 pub use reduce::reduce_in_order;
+pub use stop::Stop;

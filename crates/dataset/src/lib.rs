@@ -50,7 +50,7 @@ pub use layouts::Layout;
 pub use options::OpenOptions;
 pub use prepare::Frame;
 pub use published::paper_frames;
-pub use sequence::{Entry, LeftOut, Parts, Sequence};
+pub use sequence::{Entry, LeftOut, Parts, Sequence, is_without_depth};
 pub use stream::FrameStream;
 pub use trajectory_file::{read_trajectory, write_trajectory};
 pub use video::{LARGEST_RECORDING, Recording, is_stream, is_video};

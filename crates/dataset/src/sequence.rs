@@ -109,7 +109,22 @@ pub struct Sequence {
     pub(crate) is_thinned: bool,
 }
 
+/// Whether a folder holds pictures, and no depth in any of the known layouts.
+pub fn is_without_depth(path: &Path) -> bool {
+    let found = Source::recognise(path, false);
+    matches!(found, Err(DatasetError::UnknownLayout { has_colour: true, .. }))
+}
+
 impl Sequence {
+    /// How it lies on disk, for people.
+    pub fn layout_name(&self) -> &'static str {
+        let has_depth = self.entries.iter().any(|entry| entry.depth.is_some());
+        match self.layout {
+            Layout::Plain if !has_depth => "folder of pictures",
+            layout => layout.name(),
+        }
+    }
+
     /// Opens the sequence in a folder, in a `.sens` file, or a video. Reads lists, headers and a few
     /// depth images, no more; a video is decoded once.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {

@@ -26,13 +26,16 @@ mod reconstruction;
 mod session;
 mod tracking;
 mod view;
+mod warning;
 
 pub use config::{Config, ConfigError};
+pub use i2slam_compute::Stop;
 pub use i2slam_dataset as dataset;
 pub use i2slam_formation as formation;
 pub use i2slam_geometry as geometry;
 pub use i2slam_radiance as radiance;
 pub use optimised_pose::OptimisedPose;
 pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
-pub use session::{KeyframedSession, Session, SessionError};
+pub use session::{KeyframedSession, Pace, Session, SessionError};
 pub use view::Viewer;
+pub use warning::Warning;

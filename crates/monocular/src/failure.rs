@@ -41,6 +41,9 @@ pub enum Failure {
         "no two pictures agree on one motion of the camera: the scene moves itself, or the intrinsics are far from true; check them or have the focal length looked for, and film what stands still"
     )]
     NoConsistentMotion,
+    /// Whoever watched had enough of it.
+    #[error("ended before the path of the camera was found")]
+    Ended,
 }
 
 /// Why a picture was refused.

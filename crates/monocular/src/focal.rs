@@ -4,6 +4,7 @@ use crate::failure::Failure;
 use crate::grow::{adjust_all, grow};
 use crate::scene::Scene;
 use crate::start::start;
+use crate::watch::Stage;
 use i2slam_geometry::Camera;
 use rayon::prelude::*;
 
@@ -23,6 +24,7 @@ struct Found {
 /// Takes the camera whose focal length explains most: from several starts, each refined over some
 /// keyframes.
 pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), Failure> {
+    scene.watch.tell(Stage::FocalLength, 0, 0);
     // Only keyframes are posed here, and other sights tell them nothing.
     let reduced = Scene::of_keyframes(scene);
     let tried: Vec<Result<Found, Failure>> =

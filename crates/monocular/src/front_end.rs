@@ -12,6 +12,7 @@ use crate::scene::Scene;
 use crate::start::{start, start_within};
 use crate::straighten::straighten;
 use crate::tracker::Tracker;
+use crate::watch::Watch;
 use i2slam_geometry::{Camera, Image};
 
 /// Pictures without which nothing is tried.
@@ -112,6 +113,15 @@ impl FrontEnd {
     ///
     /// Why there is none.
     pub fn finish(self) -> Result<Reconstruction, Failure> {
+        self.finish_watched(Watch::default())
+    }
+
+    /// The same while somebody watches.
+    ///
+    /// # Errors
+    ///
+    /// Why there is none; [`Failure::Ended`] where `watch` ended it.
+    pub fn finish_watched(self, watch: Watch) -> Result<Reconstruction, Failure> {
         let frames = self.timestamps.len();
         if frames < LEAST_FRAMES {
             return Err(Failure::TooFewFrames { frames, needed: LEAST_FRAMES });
@@ -119,15 +129,14 @@ impl FrontEnd {
         let tracks = self.tracker.finish().with_two_keyframes();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let mut scene = Scene::new(*self.intrinsics.camera(), tracks);
+        scene.watch = watch.clone();
         scene.finds_lens = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
-        if adjust_focal {
-            find_focal(&mut scene)?;
+        let found = find_path(&mut scene, adjust_focal, &self.timestamps);
+        // What was left half done may look like any other failure.
+        if watch.ends() {
+            return Err(Failure::Ended);
         }
-        let about = match adjust_focal {
-            true => 0.0,
-            false => straighten(&mut scene.tracks, &scene.camera, &self.timestamps),
-        };
-        map(&mut scene, adjust_focal)?;
+        let about = found?;
         let mut readout = correct_rolling_shutter(&mut scene, &self.timestamps, about);
         if readout != 0.0 || about != 0.0 {
             refine(&mut scene, adjust_focal);
@@ -140,9 +149,26 @@ impl FrontEnd {
             close_loops(&mut scene, adjust_focal);
         }
         let lens_is_doubtful = give_up_doubtful_lens(&mut scene, readout);
+        if watch.ends() {
+            return Err(Failure::Ended);
+        }
         let found = (readout, lens_is_doubtful);
         Ok(assemble(scene, &self.timestamps, &self.intrinsics, found))
     }
+}
+
+/// Camera, poses and landmarks as if all rows were exposed together; returns the readout that sights
+/// were first corrected for [frame intervals].
+fn find_path(scene: &mut Scene, adjust_focal: bool, timestamps: &[f64]) -> Result<f64, Failure> {
+    if adjust_focal {
+        find_focal(scene)?;
+    }
+    let about = match adjust_focal {
+        true => 0.0,
+        false => straighten(&mut scene.tracks, &scene.camera, timestamps, &scene.watch),
+    };
+    map(scene, adjust_focal)?;
+    Ok(about)
 }
 
 /// Poses and landmarks from tracks alone.

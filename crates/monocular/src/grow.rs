@@ -2,6 +2,7 @@
 
 use crate::resection::{Resected, resect};
 use crate::scene::Scene;
+use crate::watch::Stage;
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
 
@@ -22,10 +23,11 @@ const GLOBAL_STEPS: usize = 20;
 /// Poses all keyframes that can be reached from those that have a pose, up to `most`.
 pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
     let mut adjusted_at = scene.posed().len();
-    while scene.posed().len() < most {
+    while scene.posed().len() < most && !scene.watch.ends() {
         let Some(frame) = pose_next(scene) else { break };
         scene.add_landmarks_in(frame);
         let count = scene.posed().len();
+        scene.watch.tell(Stage::Keyframes, count, scene.tracks.keyframes.len());
         if count as f64 >= GROWTH * adjusted_at as f64 {
             adjusted_at = count;
             adjust_all(scene, adjust_focal && count > 4);
@@ -63,6 +65,7 @@ pub(crate) fn refine(scene: &mut Scene, adjust_focal: bool) {
     adjust_all(scene, adjust_focal);
     let again = |(frame, pose): (&usize, &Option<Pose<f64>>)| {
         let matches = scene.matches(*frame);
+        let pose = pose.filter(|_| !scene.watch.ends());
         let found = pose.and_then(|start| resect(&scene.camera, start, &matches, scene.noise));
         found.filter(|f| is_enough(f, matches.len())).map(|f| f.world_from_camera)
     };
@@ -129,6 +132,9 @@ fn pose_one_of(scene: &mut Scene, frames: &[usize]) -> Option<usize> {
 
 /// The pose of a frame from its landmarks, from several starts.
 fn try_frame(scene: &Scene, frame: usize) -> Option<Resected> {
+    if scene.watch.ends() {
+        return None;
+    }
     let matches = scene.matches(frame);
     let best = starts(scene, frame)
         .into_iter()

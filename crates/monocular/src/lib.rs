@@ -42,12 +42,14 @@ mod tracks;
 mod triangulate;
 mod two_view;
 mod warning;
+mod watch;
 
 pub use dense::{DenseDepth, DenseDepths, View};
 pub use failure::{Failure, PictureError};
 pub use front_end::{FrontEnd, Intrinsics, LEAST_FRAMES, LEAST_SIDE};
 pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth};
 pub use warning::Warning;
+pub use watch::{Stage, Watch};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -73,6 +73,9 @@ pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
         .filter(|(_, look)| scene.poses[look.frame].is_none() && !tried.is_given_up(look.frame));
     let lost: Vec<usize> = lost.map(|(place, _)| place).collect();
     for some in lost.chunks(AT_ONCE) {
+        if scene.watch.ends() {
+            break;
+        }
         let may = |look: &Look, other: &Look| {
             scene.poses[other.frame].is_some() && !tried.has((look.frame, other.frame))
         };

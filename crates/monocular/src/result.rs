@@ -102,7 +102,7 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
-    /// The same as pictures of another size show it: camera and image positions.
+    /// The same as pictures of another size show it: camera, image positions and warnings.
     #[must_use]
     pub fn resized(mut self, width: usize, height: usize) -> Self {
         let scale =
@@ -110,6 +110,7 @@ impl Reconstruction {
         self.camera = self.camera.resized(width, height);
         let points = self.keyframes.iter_mut().flat_map(|k| &mut k.depths);
         points.for_each(|point| (0..2).for_each(|i| point.at[i] *= scale[i]));
+        self.warnings.iter_mut().for_each(|warning| *warning = warning.resized(width));
         self
     }
 
@@ -217,7 +218,10 @@ fn focal_deviation(
     let (freed, covariance) = released(scene);
     let is_known = matches!(intrinsics, Intrinsics::Known(_));
     let Some(covariance) = covariance else {
-        let undetermined = Warning::FocalLengthUndetermined { focal_length: scene.camera.fx };
+        let undetermined = Warning::FocalLengthUndetermined {
+            focal_length: scene.camera.fx,
+            width: scene.camera.width,
+        };
         warnings.extend((!is_known).then_some(undetermined));
         return None;
     };
@@ -226,7 +230,11 @@ fn focal_deviation(
         let (given, fitting) = (scene.camera.fx, freed.camera.fx);
         let off = (fitting / given).ln().abs();
         if off > 0.05 && off > 3.0 * relative {
-            warnings.push(Warning::FocalLengthDoubtful { given, fitting });
+            warnings.push(Warning::FocalLengthDoubtful {
+                given,
+                fitting,
+                width: scene.camera.width,
+            });
         }
         return None;
     }
@@ -283,7 +291,7 @@ mod tests {
             warnings
         };
         assert_eq!(warned(Intrinsics::Known(camera)), []);
-        let guess = Warning::FocalLengthUndetermined { focal_length: 250.0 };
+        let guess = Warning::FocalLengthUndetermined { focal_length: 250.0, width: 320 };
         assert_eq!(warned(Intrinsics::Guess(camera)), [guess]);
     }
 }

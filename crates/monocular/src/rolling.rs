@@ -7,6 +7,7 @@
 use crate::landmark::Landmark;
 use crate::lens::undistorted;
 use crate::scene::Scene;
+use crate::watch::Stage;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
@@ -29,6 +30,7 @@ const NEIGHBOUR: f64 = 4.5;
 /// they have been corrected for already [frame intervals].
 pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], about: f64) -> f64 {
     let Some(interval) = interval(timestamps) else { return 0.0 };
+    scene.watch.tell(Stage::Rows, 0, 0);
     let sample = Sample::of(scene, timestamps, interval);
     let none = sample.cost(0.0);
     let (best, cost) = if about == 0.0 { sample.coarse(none) } else { sample.near(about) };
@@ -64,6 +66,7 @@ impl<'a> Sample<'a> {
             parts.map(|part| most_turning(scene, part)).collect()
         };
         let mut sample = scene.clone();
+        sample.watch = scene.watch.silent();
         sample.poses.fill(None);
         stretches.iter().copied().flatten().for_each(|f| sample.poses[*f] = scene.poses[*f]);
         let free = stretches.iter().flat_map(|s| s.iter().skip(1)).copied().collect();

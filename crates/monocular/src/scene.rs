@@ -6,6 +6,7 @@ use crate::lens::{radial, undistorted};
 use crate::resection::{AGREEING, Match};
 use crate::tracks::{Observation, Tracks, shared};
 use crate::triangulate::{PosedSight, triangulate};
+use crate::watch::Watch;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
@@ -36,6 +37,8 @@ pub(crate) struct Scene {
     /// The coefficients of the lens, and whether they are looked for: see [`lens`](crate::lens).
     pub(crate) lens: [f64; 2],
     pub(crate) finds_lens: bool,
+    /// Who watches.
+    pub(crate) watch: Watch,
 }
 
 impl Scene {
@@ -44,13 +47,14 @@ impl Scene {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
         let by_frame = Arc::new(tracks.by_frame());
         let (noise, lens, finds_lens) = (1.0, [0.0; 2], false);
-        Self { camera, tracks, by_frame, poses, landmarks, noise, lens, finds_lens }
+        let watch = Watch::default();
+        Self { camera, tracks, by_frame, poses, landmarks, noise, lens, finds_lens, watch }
     }
 
     /// The scene of the keyframes of one of which nothing is known but the camera.
     pub(crate) fn of_keyframes(scene: &Self) -> Self {
-        let finds_lens = scene.finds_lens;
-        Self { finds_lens, ..Self::new(scene.camera, scene.tracks.in_keyframes()) }
+        let (finds_lens, watch) = (scene.finds_lens, scene.watch.silent());
+        Self { finds_lens, watch, ..Self::new(scene.camera, scene.tracks.in_keyframes()) }
     }
 
     /// Takes back all poses and landmarks; tracks, camera and lens stay.
@@ -159,7 +163,7 @@ impl Scene {
 
     fn adjust_together(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
         let (mut bundle, frames, tracks) = self.bundle(free, adjust_focal);
-        let cost = bundle.adjust(steps);
+        let cost = bundle.adjust(steps, &self.watch);
         for (frame, pose) in frames.iter().zip(&bundle.poses) {
             self.poses[*frame] = Some(*pose);
         }

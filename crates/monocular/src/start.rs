@@ -63,7 +63,10 @@ pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<()
     }
     let tried: Vec<Option<TwoView>> = moved
         .par_iter()
-        .map(|p| essential(scene.camera.fx, &shared_rays(scene, p), p.rotation))
+        .map(|p| match scene.watch.ends() {
+            true => None,
+            false => essential(scene.camera.fx, &shared_rays(scene, p), p.rotation),
+        })
         .collect();
     let mut candidates: Vec<(&Pair, TwoView)> = moved
         .iter()
@@ -73,6 +76,9 @@ pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<()
     let score = |(p, t): &(&Pair, TwoView)| t.share * t.share * worth(p);
     candidates.sort_by(|a, b| score(b).total_cmp(&score(a)));
     for (pair, view) in candidates {
+        if scene.watch.ends() {
+            break;
+        }
         if pose_pair(scene, pair, view) >= LEAST_LANDMARKS {
             return Ok(());
         }
@@ -92,7 +98,7 @@ fn pairs(scene: &Scene, places: Range<usize>) -> Vec<Pair> {
         .filter_map(|&(i, j)| {
             let (first, second) = (keyframes[i], keyframes[j]);
             let shared = scene.shared(first, second);
-            if shared.len() < LEAST_SHARED {
+            if shared.len() < LEAST_SHARED || scene.watch.ends() {
                 return None;
             }
             let (rotation, left) = rotation_only(scene.camera.fx, &rays(&scene.camera, &shared))?;

@@ -7,6 +7,7 @@
 use crate::rolling::{WORTH, interval, lowest_of_parabola};
 use crate::tracks::{Tracks, shared};
 use crate::two_view::{RayPair, rotation_only};
+use crate::watch::{Stage, Watch};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
 
@@ -19,12 +20,21 @@ const APART: usize = 4;
 /// Moves all observations to where the middle row's moment would have shown them if the camera
 /// only turned. Returns the readout that fits best, in frame intervals, 0 if none is clearly
 /// better.
-pub(crate) fn straighten(tracks: &mut Tracks, camera: &Camera<f64>, timestamps: &[f64]) -> f64 {
+pub(crate) fn straighten(
+    tracks: &mut Tracks,
+    camera: &Camera<f64>,
+    timestamps: &[f64],
+    watch: &Watch,
+) -> f64 {
+    watch.tell(Stage::Rows, 0, 0);
     let by_frame = tracks.by_frame();
     let Some(times) = whole_intervals(timestamps) else { return 0.0 };
     let rates = rates(tracks, &by_frame, camera, &times);
     let cost = |readout: f64| -> f64 {
-        let one = |f: usize| misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0);
+        let one = |f: usize| match watch.ends() {
+            true => 0.0,
+            false => misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0),
+        };
         let all: Vec<f64> =
             (0..tracks.frames.saturating_sub(APART)).into_par_iter().map(one).collect();
         all.iter().sum()

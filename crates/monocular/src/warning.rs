@@ -33,13 +33,16 @@ pub enum Warning {
     },
     /// The given focal length is not the one that fits.
     #[error(
-        "the focal length was given as {given:.1} px, but {fitting:.1} px fits the pictures much better: check it, or have it looked for instead of giving it"
+        "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or have it looked for instead of giving it",
+        across(*.width, *.given), across(*.width, *.fitting)
     )]
     FocalLengthDoubtful {
         /// As given [px].
         given: f64,
         /// That fits best [px].
         fitting: f64,
+        /// Width of the pictures [px].
+        width: usize,
     },
     /// The pictures hardly determine the focal length.
     #[error(
@@ -51,11 +54,14 @@ pub enum Warning {
     },
     /// The pictures do not determine the focal length at all.
     #[error(
-        "the pictures do not determine the focal length beside the path, {focal_length:.1} px is no more than a guess: give it where it is known; walking to all sides and turning about while filming would tell it"
+        "the pictures do not determine the focal length beside the path, {focal_length:.1} px ({:.1} degrees across) is no more than a guess: give it where it is known; walking to all sides and turning about while filming would tell it",
+        across(*.width, *.focal_length)
     )]
     FocalLengthUndetermined {
         /// That the path was found with [px].
         focal_length: f64,
+        /// Width of the pictures [px].
+        width: usize,
     },
     /// Rows were read in turn, and the focal length was looked for.
     #[error(
@@ -69,7 +75,39 @@ pub enum Warning {
     LensUndetermined,
 }
 
+/// Horizontal field of view of pictures [degrees].
+fn across(width: usize, focal_length: f64) -> f64 {
+    2.0 * (0.5 * width as f64 / focal_length).atan().to_degrees()
+}
+
 impl Warning {
+    /// The same of pictures of another width [px].
+    #[must_use]
+    pub fn resized(self, to: usize) -> Self {
+        match self {
+            Self::FocalLengthDoubtful { given, fitting, width } => {
+                let scale = to as f64 / width as f64;
+                let (given, fitting) = (given * scale, fitting * scale);
+                Self::FocalLengthDoubtful { given, fitting, width: to }
+            }
+            Self::FocalLengthUndetermined { focal_length, width } => {
+                let focal_length = focal_length * to as f64 / width as f64;
+                Self::FocalLengthUndetermined { focal_length, width: to }
+            }
+            other => other,
+        }
+    }
+
+    /// The first and the last frame that it is about, if it is about some in a row.
+    pub fn frames(&self) -> Option<(usize, usize)> {
+        match *self {
+            Self::AnotherPlace { first, last } | Self::NothingToFollow { first, last } => {
+                Some((first, last))
+            }
+            _ => None,
+        }
+    }
+
     /// The same with the numbers that frames have elsewhere.
     #[must_use]
     pub fn numbered(self, number: impl Fn(usize) -> usize) -> Self {
@@ -94,7 +132,19 @@ mod tests {
         let number = |frame: usize| 900 + 3 * frame;
         let lost = Warning::NothingToFollow { first: 100, last: 104 }.numbered(number);
         assert!(lost.to_string().starts_with("frames 1200 to 1212 "), "{lost}");
+        assert_eq!(lost.frames(), Some((1200, 1212)));
         let count = Warning::FramesLost { lost: 5, frames: 200 };
         assert_eq!(count.numbered(number), count);
+    }
+
+    #[test]
+    fn a_focal_length_is_told_in_degrees_and_in_pixels_of_the_pictures_used() {
+        let far = Warning::FocalLengthDoubtful { given: 320.0, fitting: 640.0, width: 640 };
+        let told = far.resized(320).to_string();
+        for part in ["160.0 px (90.0 degrees across)", "320.0 px (53.1 degrees)"] {
+            assert!(told.contains(part), "{told}");
+        }
+        let guess = Warning::FocalLengthUndetermined { focal_length: 320.0, width: 640 };
+        assert!(guess.resized(160).to_string().contains("80.0 px (90.0 degrees across)"));
     }
 }

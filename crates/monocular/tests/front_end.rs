@@ -149,7 +149,7 @@ fn intrinsics_that_are_wrong_by_a_fifth_are_noticed() {
     let found = run(Intrinsics::Known(wrong), 24, moving_picture).expect("still a path");
     assert_eq!(found.camera, wrong, "what was given stays");
     let doubtful = |w: &Warning| match w {
-        Warning::FocalLengthDoubtful { given, fitting } => *given == 180.0 && *fitting < 170.0,
+        Warning::FocalLengthDoubtful { given, fitting, .. } => *given == 180.0 && *fitting < 170.0,
         _ => false,
     };
     assert!(found.warnings.iter().any(doubtful), "{:?}", found.warnings);

@@ -3,10 +3,11 @@
 use super::use_threads;
 use crate::arguments::{Distortion, Draw, Formation, Input, KeyframeDepth, Map, Run};
 use crate::failure::Failure;
+use crate::output::complain;
 use crate::pipeline::{self, Job, Keyframes};
 use i2slam::Config;
 use i2slam::config::MapKind;
-use i2slam::dataset::{OpenOptions, is_video};
+use i2slam::dataset::{OpenOptions, is_video, is_without_depth};
 use i2slam::keyframes::ImportDepth;
 use std::path::PathBuf;
 
@@ -15,6 +16,24 @@ use std::path::PathBuf;
 const USUAL_SIDE: usize = 640;
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
+    if is_by_itself_rgb(arguments) {
+        if !arguments.machine.quiet {
+            let name = arguments.dataset.display();
+            complain(&format!(
+                "{name} has pictures and no depth: run by colour alone, as with --rgb"
+            ));
+        }
+        return reconstruct(&Run { rgb: true, ..arguments.clone() });
+    }
+    reconstruct(arguments)
+}
+
+/// Whether nothing but pictures is there, which nobody said.
+fn is_by_itself_rgb(arguments: &Run) -> bool {
+    !is_rgb(arguments) && is_without_depth(&arguments.dataset)
+}
+
+fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let config = settings(arguments)?;
     use_threads(&arguments.machine)?;
     let keyframes = keyframes(arguments, &config)?;
@@ -72,7 +91,7 @@ fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Fail
         }
         (true, _, false) => Err(Failure::Usage(format!(
             "preset {preset} is for RGB-D: {} goes with default-rgb, paper-rgb or paper-rgb-s",
-            if arguments.rgb { "--rgb" } else { "a video, which has no depth," }
+            if arguments.rgb { "colour alone (--rgb)" } else { "a video, which has no depth," }
         ))),
         (true, None, true) => Ok(Some(Keyframes::Native { estimate_distortion })),
         (true, Some(path), true) => Ok(Some(Keyframes::Files {

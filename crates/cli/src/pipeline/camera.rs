@@ -10,8 +10,9 @@ use i2slam::keyframes::{Intrinsics, NativeReconstruction};
 pub(crate) struct FoundCamera {
     /// Where it came from at first, in words.
     source: String,
-    /// Focal length at first [px].
+    /// Focal length at first [px], and the horizontal field of view that it gave [degrees].
     assumed: f64,
+    assumed_view: f64,
     /// Focal length in the end [px].
     found: f64,
     /// Whether it was looked for.
@@ -96,6 +97,7 @@ impl FoundCamera {
         Self {
             source: sequence.camera_source.clone(),
             assumed: sequence.camera.fx,
+            assumed_view: sequence.camera.horizontal_field_of_view().to_degrees(),
             found: found.camera.fx,
             searched: sequence.camera_is_guess,
             deviation: found.focal_deviation,
@@ -120,12 +122,13 @@ impl FoundCamera {
         if self.searched {
             let deviation = self.deviation.map(|share| format!(" ± {:.1} %", 100.0 * share));
             lines.push(format!(
-                "camera: focal length {:.1} px{} found in the pictures (assumed {:.1}), {:.1} \
-                 degrees across",
+                "camera: focal length {:.1} px{}, {:.1} degrees across, found in the pictures \
+                 (assumed {:.1} px, {:.1} degrees)",
                 self.found,
                 deviation.unwrap_or_default(),
+                self.field_of_view,
                 self.assumed,
-                self.field_of_view
+                self.assumed_view
             ));
         }
         lines.extend(self.lens_line());

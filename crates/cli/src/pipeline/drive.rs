@@ -5,13 +5,15 @@ use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::Sequence;
-use i2slam::{FrameEstimate, Reconstruction, SessionError};
+use i2slam::{FrameEstimate, Reconstruction, SessionError, Warning};
 use std::fmt::Display;
 use std::time::Instant;
 
 /// What a session left.
 pub(crate) struct Tracked {
     pub(crate) reconstruction: Reconstruction,
+    /// Frames that it was given, those that have no pose included.
+    pub(crate) given: usize,
     /// Frames whose images could not be used.
     pub(crate) skipped: usize,
     /// Wall time from the first frame to the finished map [s].
@@ -35,10 +37,12 @@ pub(super) trait Drive {
     const FINISH: &'static str;
 
     /// Takes one in; what there is to say of it.
-    fn take_in(&mut self, item: Self::Item) -> (Result<(), SessionError>, Vec<String>);
+    fn take_in(&mut self, item: Self::Item) -> (Result<(), SessionError>, Vec<Warning>);
     fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool);
     fn frames(&self) -> &[FrameEstimate];
-    fn take_warnings(&mut self) -> Vec<String>;
+    fn take_warnings(&mut self) -> Vec<Warning>;
+    /// Keeps what is known without it of what was not taken in, because the user ended it.
+    fn keep_the_rest(&mut self) {}
     fn reconstruction(&self) -> Reconstruction;
 }
 
@@ -57,6 +61,9 @@ pub(super) fn drive<D: Drive, E: Display>(
         Err(Failure::Failed(message) | Failure::Usage(message)) => Some(message),
         _ => None,
     };
+    if interrupt::requested() {
+        run.session.keep_the_rest();
+    }
     if run.session.frames().is_empty() {
         if interrupt::requested() {
             progress
@@ -68,9 +75,14 @@ pub(super) fn drive<D: Drive, E: Display>(
     }
     if problem.is_none() && !interrupt::requested() {
         problem = run.finish(progress).err().and_then(|f| f.message().map(str::to_owned));
+        if interrupt::requested() {
+            run.session.keep_the_rest();
+        }
     }
+    run.tell_warnings(progress);
     Ok(Tracked {
         reconstruction: run.session.reconstruction(),
+        given: total,
         skipped: run.skipped,
         seconds: clock.elapsed().as_secs_f64(),
         complete: problem.is_none() && !interrupt::requested(),
@@ -117,14 +129,18 @@ impl<D: Drive> Run<D> {
             }
             Err(error) => self.leave_out(error.to_string(), progress),
         }
-        warnings.iter().for_each(|warning| progress.warn(warning));
+        warnings.into_iter().for_each(|warning| progress.warn(warning));
         Ok(())
     }
 
     fn leave_out(&mut self, reason: String, progress: &Progress) {
-        progress.warn(&format!("{} left out: {reason}", D::ITEM));
+        progress.warn(format!("{} left out: {reason}", D::ITEM));
         self.skipped += 1;
         self.first_error.get_or_insert(reason);
+    }
+
+    fn tell_warnings(&mut self, progress: &Progress) {
+        self.session.take_warnings().into_iter().for_each(|warning| progress.warn(warning));
     }
 
     fn finish(&mut self, progress: &mut Progress) -> Result<(), Failure> {
@@ -140,7 +156,6 @@ impl<D: Drive> Run<D> {
             });
             Ok(())
         })?;
-        self.session.take_warnings().iter().for_each(|warning| progress.warn(warning));
         Ok(())
     }
 }

@@ -24,6 +24,7 @@ impl Figures {
         let mut metrics = Metrics::of(reconstruction);
         metrics.complete = tracked.complete;
         metrics.skipped = tracked.skipped;
+        metrics.frames_given = tracked.given;
         metrics.seconds = tracked.seconds;
         metrics.seconds_per_frame = tracked.seconds / metrics.frames.max(1) as f64;
         metrics.peak_memory_bytes = peak_memory();

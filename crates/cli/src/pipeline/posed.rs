@@ -3,24 +3,23 @@
 use super::Job;
 use super::camera::{self, FoundCamera};
 use super::drive::{Drive, Tracked, drive};
+use super::path::find_path;
 use crate::failure::{Failure, without_panics};
 use crate::interrupt;
+use crate::output::counted;
 use crate::progress::Progress;
 use i2slam::config::TrackingMethod;
 use i2slam::dataset::Sequence;
+use i2slam::geometry::Pose;
 use i2slam::keyframes::{
-    ImportDepth, ImportOptions, Intrinsics, KeyframeSource, Native, PictureError, PosedKeyframe,
+    ImportDepth, ImportOptions, KeyframeSource, Native, NativeWarning, PictureError, PosedKeyframe,
     SequencePicture, import,
 };
-use i2slam::{Config, FrameEstimate, KeyframedSession, Reconstruction, SessionError};
+use i2slam::{Config, FrameEstimate, KeyframedSession, Reconstruction, SessionError, Warning};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
-
-/// Longer side of the pictures in which the path of the camera is found, where they were recorded so
-/// large [px]: smaller ones, which a map may be made of, show less exactly where points are.
-const PATH_SIDE: usize = 640;
 
 /// Where keyframes come from.
 pub(crate) enum Keyframes {
@@ -44,8 +43,12 @@ struct Opened {
     count: usize,
     /// Frames that are no keyframes, with poses.
     between: Between,
+    /// Frames that have a pose: number, stamp, pose.
+    path: Vec<(usize, f64, Pose<f64>)>,
+    /// Frames that the keyframes stand for, those without a pose included.
+    given: usize,
     frame_rate: f64,
-    warnings: Vec<String>,
+    warnings: Vec<Warning>,
     /// What the pictures told of the camera.
     camera: Option<FoundCamera>,
     /// The sequence freed of a lens that was found.
@@ -63,7 +66,9 @@ struct Posed {
     taken: usize,
     /// Keyframes that the map is not to see, in order.
     held_out: VecDeque<PosedKeyframe>,
-    warnings: Vec<String>,
+    /// Frames that have a pose: number, stamp, pose.
+    path: Vec<(usize, f64, Pose<f64>)>,
+    warnings: Vec<Warning>,
 }
 
 impl Posed {
@@ -73,7 +78,8 @@ impl Posed {
             Ok(frame) => self.session.locate(frame).map(|_| ()).map_err(|e| e.to_string()),
             Err(error) => Err(error.to_string()),
         };
-        self.warnings.extend(located.err().map(|reason| format!("frame left out: {reason}")));
+        let left_out = located.err().map(|reason| format!("frame left out: {reason}"));
+        self.warnings.extend(left_out.map(Warning::from));
     }
 
     /// The next frame that is to be found in the finished map.
@@ -106,10 +112,18 @@ impl Keyframes {
                 };
                 let source = import(path, Some(&job.dataset), &options)?;
                 let (count, frame_rate) = (source.len(), source.files().frame_rate);
-                let warnings = source.files().warnings.clone();
-                let (source, between) = (Box::new(source), Box::new(std::iter::empty()));
-                let (camera, undistorted) = (None, None);
-                Ok(Opened { source, count, between, frame_rate, warnings, camera, undistorted })
+                let warnings = source.files().warnings.iter().cloned().map(Warning::from).collect();
+                Ok(Opened {
+                    source: Box::new(source),
+                    count,
+                    between: Box::new(std::iter::empty()),
+                    path: Vec::new(),
+                    given: count,
+                    frame_rate,
+                    warnings,
+                    camera: None,
+                    undistorted: None,
+                })
             }
         }
     }
@@ -122,90 +136,61 @@ fn native(
     config: &Config,
     progress: &Progress,
 ) -> Result<Opened, Failure> {
-    let large = sequence.at_least(PATH_SIDE);
-    camera::before(sequence, &large).iter().for_each(|line| progress.note(line));
-    let intrinsics = camera::intrinsics(&large, estimate_distortion);
     let size = (sequence.camera.width, sequence.camera.height);
-    let found = find_path(&large, intrinsics, progress)?
+    let found = find_path(sequence, estimate_distortion, config, progress)?
         .with_pictures(size, |place| picture(sequence, place));
     let camera = FoundCamera::of(sequence, found.reconstruction());
     camera.lines().iter().for_each(|line| progress.note(line));
     let undistorted = camera.lens().map(|lens| sequence.with_estimated_camera(lens));
     let mut warnings = what_to_know(sequence, &found);
-    warnings.extend(undistorted.iter().flat_map(|freed| freed.warnings.clone()));
+    let freed = undistorted.iter().flat_map(|freed| freed.warnings.clone());
+    warnings.extend(freed.map(Warning::from));
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
     let others = Arc::clone(&pictures);
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
     let (count, between) = (source.len(), source.between(move |place| picture(&others, place)));
+    let numbered = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
+        Some((sequence.entries.get(place)?.index, stamp, pose))
+    };
+    let path = source.path().into_iter().filter_map(numbered).collect();
     // The paper's system has poses of keyframes alone.
     let between: Between = match config.tracking.method {
         TrackingMethod::SecondOrder => Box::new(between),
         TrackingMethod::Adam => Box::new(std::iter::empty()),
     };
-    let (source, frame_rate) = (Box::new(source.with_dense_depth()), sequence.frame_rate);
-    let camera = Some(camera);
-    Ok(Opened { source, count, between, frame_rate, warnings, camera, undistorted })
+    let (source, frame_rate) =
+        (Box::new(source.with_dense_depth(interrupt::stop())), sequence.frame_rate);
+    let (camera, given) = (Some(camera), sequence.len());
+    Ok(Opened { source, count, between, path, given, frame_rate, warnings, camera, undistorted })
 }
 
 /// Warnings of a path, frames named by their numbers in the sequence.
-fn what_to_know<L>(sequence: &Sequence, found: &Native<L>) -> Vec<String>
+fn what_to_know<L>(sequence: &Sequence, found: &Native<L>) -> Vec<Warning>
 where
     L: FnMut(usize) -> Result<SequencePicture, PictureError>,
 {
     let at = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
     let number = |frame: usize| found.place(frame).map_or(frame, at);
-    let refused = found.refused().iter();
-    let left_out = refused.map(|(place, why)| format!("frame {} left out: {why}", at(*place)));
-    let warnings = found.reconstruction().warnings.iter();
-    left_out.chain(warnings.map(|warning| warning.numbered(number).to_string())).collect()
-}
-
-/// The path of the camera through pictures as they are.
-fn find_path<'a>(
-    sequence: &'a Sequence,
-    intrinsics: Intrinsics,
-    progress: &Progress,
-) -> Result<Native<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<'a>>, Failure> {
-    let mut following = Following::start(progress, sequence.len());
-    let load = move |place: usize| {
-        following.reach(place);
-        picture(sequence, place)
+    let left_out = |(place, why): &(usize, PictureError)| {
+        let index = at(*place);
+        Warning::of_frames((index, index), format!("frame {index} left out: {why}"))
     };
-    let found = Native::find(intrinsics, sequence.len(), load, interrupt::requested);
-    if interrupt::requested() {
-        progress.note("ended before the path of the camera was found: there is nothing to write");
-        return Err(Failure::Interrupted);
-    }
-    found.map_err(|error| Failure::Failed(format!("no path of the camera was found: {error}")))
+    let warnings = found.reconstruction().warnings.iter().map(|w| w.numbered(number));
+    let warnings = warnings.map(|warning| match (warning, warning.frames()) {
+        (NativeWarning::AnotherPlace { first, last }, Some(frames)) => {
+            Warning::of_frames(frames, format!("{warning} (--frames {first}..{})", last + 1))
+        }
+        (_, Some(frames)) => Warning::of_frames(frames, warning.to_string()),
+        (_, None) => warning.to_string().into(),
+    });
+    found.refused().iter().map(left_out).chain(warnings).collect()
 }
 
 /// The picture at a place of a sequence.
-fn picture(sequence: &Sequence, place: usize) -> Result<SequencePicture, PictureError> {
+pub(super) fn picture(sequence: &Sequence, place: usize) -> Result<SequencePicture, PictureError> {
     let frame = sequence.load(place)?;
     let (index, timestamp) = (frame.index, frame.timestamp);
     Ok(SequencePicture { index, timestamp, colour: frame.colour })
-}
-
-/// How far the front end is with its pictures.
-struct Following {
-    progress: Progress,
-    count: usize,
-}
-
-impl Following {
-    fn start(progress: &Progress, count: usize) -> Self {
-        let mut progress = progress.clone();
-        progress.phase("following points", count);
-        Self { progress, count }
-    }
-
-    /// The front end asks for the picture at a place.
-    fn reach(&mut self, place: usize) {
-        self.progress.step(place + 1);
-        if place + 1 == self.count {
-            self.progress.phase("finding the path of the camera", self.count);
-        }
-    }
 }
 
 /// Take in every keyframe.
@@ -217,19 +202,21 @@ pub(super) fn track(
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
     let opened = without_panics(|| keyframes.open(job, sequence, progress))?;
-    opened.warnings.iter().for_each(|warning| progress.warn(warning));
-    let Opened { mut source, count, between, frame_rate, camera, undistorted, .. } = opened;
+    opened.warnings.iter().for_each(|warning| progress.warn(warning.clone()));
+    let Opened { mut source, count, between, path, given, frame_rate, camera, undistorted, .. } =
+        opened;
     progress.phase("keyframes", count);
     let config = job.config.clone().with_found_readout(source.readout());
     let mut session = KeyframedSession::new(config, *source.camera(), frame_rate);
+    session.set_stop(interrupt::stop());
     if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).covered {
         session.set_covered(Arc::clone(covered));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
     let held_out = VecDeque::new();
-    let session = Posed { session, between, taken: 0, held_out, warnings: Vec::new() };
+    let session = Posed { session, between, taken: 0, held_out, path, warnings: Vec::new() };
     let tracked = drive(session, items, count, (clock, "no keyframe could be used"), progress)?;
-    Ok(Tracked { camera, undistorted, ..tracked })
+    Ok(Tracked { camera, undistorted, given, ..tracked })
 }
 
 impl Drive for Posed {
@@ -237,7 +224,7 @@ impl Drive for Posed {
     const ITEM: &'static str = "keyframe";
     const FINISH: &'static str = "refining map and poses";
 
-    fn take_in(&mut self, keyframe: PosedKeyframe) -> (Result<(), SessionError>, Vec<String>) {
+    fn take_in(&mut self, keyframe: PosedKeyframe) -> (Result<(), SessionError>, Vec<Warning>) {
         self.taken += 1;
         if self.session.holds_out(self.taken - 1) {
             self.held_out.push_back(keyframe);
@@ -267,7 +254,22 @@ impl Drive for Posed {
         self.session.frames()
     }
 
-    fn take_warnings(&mut self) -> Vec<String> {
+    fn keep_the_rest(&mut self) {
+        let path = std::mem::take(&mut self.path).into_iter();
+        let kept = path.filter(|(index, stamp, pose)| self.session.place(*index, *stamp, *pose));
+        let count = kept.count();
+        if count > 0 {
+            let frames = counted(count, "frame");
+            self.warnings.push(
+                format!(
+                    "ended early: the poses of {frames} are those of the front end, not refined"
+                )
+                .into(),
+            );
+        }
+    }
+
+    fn take_warnings(&mut self) -> Vec<Warning> {
         let mut warnings = std::mem::take(&mut self.warnings);
         warnings.extend(self.session.take_warnings());
         warnings

@@ -2,9 +2,10 @@
 
 use super::drive::{Drive, Tracked, drive};
 use crate::failure::Failure;
+use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::{Frame, Sequence};
-use i2slam::{Config, FrameEstimate, Reconstruction, Session, SessionError};
+use i2slam::{Config, FrameEstimate, Reconstruction, Session, SessionError, Warning};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -16,6 +17,7 @@ pub(super) fn track(
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
     let mut session = Session::new(config.clone(), sequence.camera, sequence.frame_rate);
+    session.set_stop(interrupt::stop());
     if let Some(covered) = &sequence.covered {
         session.set_covered(Arc::clone(covered));
     }
@@ -31,11 +33,11 @@ impl Drive for Session {
     const ITEM: &'static str = "frame";
     const FINISH: &'static str = "refining the map";
 
-    fn take_in(&mut self, frame: Frame) -> (Result<(), SessionError>, Vec<String>) {
+    fn take_in(&mut self, frame: Frame) -> (Result<(), SessionError>, Vec<Warning>) {
         let taken = self.process(&frame).map(|_| ());
         let mut warnings = Self::take_warnings(self);
         if warnings.is_empty() {
-            let odd = frame.warnings.iter().map(|w| format!("frame {}: {w}", frame.index));
+            let odd = frame.warnings.iter().map(|w| Warning::of_frame(frame.index, w));
             warnings.extend(odd);
         }
         (taken, warnings)
@@ -49,7 +51,7 @@ impl Drive for Session {
         Self::frames(self)
     }
 
-    fn take_warnings(&mut self) -> Vec<String> {
+    fn take_warnings(&mut self) -> Vec<Warning> {
         Self::take_warnings(self)
     }
 

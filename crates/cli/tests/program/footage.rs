@@ -145,7 +145,7 @@ impl Footage {
         Ran::of(command.output().expect("the program starts"))
     }
 
-    fn command(&self, command: &str, video: &Path, more: &[&str]) -> Command {
+    pub(crate) fn command(&self, command: &str, video: &Path, more: &[&str]) -> Command {
         let head = [command.as_ref(), video.as_os_str()];
         let mut command = program(head.into_iter().chain(more.iter().map(AsRef::as_ref)));
         let passing = self.scratch.join("tmp");

@@ -142,3 +142,21 @@ fn keyframes_of_another_program_are_told_too() {
     let err = info(&file, &[]).ended_with(1).err;
     assert!(err.contains("line 1") && err.contains("length 2.000"), "{err}");
 }
+
+/// Nothing but pictures: what they are is said, and a run goes by colour alone.
+#[test]
+fn a_folder_of_pictures_is_run_by_colour_alone() {
+    let scratch = Scratch::new("pictures-only");
+    let (data, ours) = (scratch.join("room"), scratch.join("ours"));
+    Scene { frames: 3, ..Scene::default() }.write(&data);
+    fs::rename(data.join("rgb"), &ours).expect("room");
+    let told = run(["info".as_ref(), ours.as_os_str()]).ended_with(0);
+    assert!(told.out.contains("folder of pictures"), "{}", told.out);
+    let out = scratch.join("out");
+    let flags = ["run".as_ref(), ours.as_os_str(), "--out".as_ref(), out.as_os_str()];
+    let ran = run(flags).ended_with(1).complaining("run by colour alone");
+    ran.complaining("camera not given").complaining("3 pictures could not be used");
+    assert!(!out.exists());
+    let depth = ["--preset".as_ref(), "paper-tum".as_ref()];
+    run(flags.into_iter().chain(depth)).ended_with(2).complaining("is for RGB-D");
+}

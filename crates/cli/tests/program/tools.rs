@@ -2,8 +2,10 @@
 
 use std::ffi::OsStr;
 use std::fs;
+use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, ChildStderr, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 /// An empty folder for one test, removed when dropped.
 pub(crate) struct Scratch {
@@ -66,6 +68,47 @@ impl Ran {
     pub(crate) fn complaining(self, text: &str) -> Self {
         assert!(self.err.contains(text), "`{text}` is not in:\n{}", self.err);
         self
+    }
+}
+
+/// A program that runs, whose standard error is read as it comes.
+pub(crate) struct Running {
+    child: Child,
+    lines: Lines<BufReader<ChildStderr>>,
+    heard: String,
+}
+
+impl Running {
+    pub(crate) fn start(command: &mut Command) -> Self {
+        let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().expect("the program starts");
+        let errors = child.stderr.take().expect("a pipe");
+        Self { child, lines: BufReader::new(errors).lines(), heard: String::new() }
+    }
+
+    /// Waits for a line with this text.
+    #[track_caller]
+    pub(crate) fn until(&mut self, text: &str) -> String {
+        for line in self.lines.by_ref().map_while(Result::ok) {
+            self.heard += &format!("{line}\n");
+            if line.contains(text) {
+                return line;
+            }
+        }
+        panic!("`{text}` is not in:\n{}", self.heard);
+    }
+
+    /// Sends Ctrl-C, after which it has some seconds to write what there is.
+    #[track_caller]
+    pub(crate) fn interrupted(mut self) -> Ran {
+        let sent = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status();
+        assert!(sent.expect("kill").success());
+        let begun = Instant::now();
+        self.heard.extend(self.lines.map_while(Result::ok).map(|line| line + "\n"));
+        let output = self.child.wait_with_output().expect("an end");
+        assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
+        let ran = Ran::of(output);
+        Ran { err: self.heard, ..ran }
     }
 }
 

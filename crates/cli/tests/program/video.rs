@@ -1,7 +1,7 @@
 //! Videos of one's own: what becomes of them, and what is said of those that cannot be used.
 
 use crate::footage::{FOCAL, Footage, HEIGHT, View, WIDTH};
-use crate::tools::{Ran, number, program};
+use crate::tools::{Ran, Running, number, program};
 use std::fs;
 use std::process::{Command, Stdio};
 
@@ -109,6 +109,12 @@ fn a_still_camera_is_told() {
     let footage = Footage::new("video-still");
     let video = footage.video("still.mp4", &walk(12, 0.0));
     footage.run(&video, &[]).ended_with(1).complaining("the camera stands still");
+    assert!(!footage.scratch.join("out").exists(), "nothing was written");
+    // Nor the folders above it, but those that were there.
+    fs::create_dir(footage.scratch.join("mine")).expect("room");
+    let deep = footage.quick("mine/a/b", &video, &[]).output().expect("starts");
+    Ran::of(deep).ended_with(1);
+    assert!(footage.scratch.join("mine").exists() && !footage.scratch.join("mine/a").exists());
 }
 
 #[test]
@@ -129,7 +135,60 @@ fn behind_a_cut_frames_are_lost_and_counted() {
     views[16..].iter_mut().for_each(|(_, view)| view.scene = 1);
     let video = footage.video("cut.mp4", &views);
     let ran = footage.run(&video, &["--fov", "63.2"]).ended_with(0);
-    ran.complaining("8 of 24 frames have no pose");
+    assert!(ran.out.contains(" of 24 frames tracked"), "{}", ran.out);
+    ran.complaining("8 of 24 frames have no pose").complaining("--frames 16..24");
+    let out = footage.scratch.join("out");
+    let metrics = out.join("metrics.json");
+    assert_eq!(number(&metrics, "frames_given"), Some(24.0));
+    assert_eq!(number(&metrics, "frames"), Some(16.0));
+    let told: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(&metrics).expect("figures")).expect("JSON");
+    let cut = told["warnings"].as_array().expect("warnings").iter().find(|w| w["frame"] == 16);
+    let cut = cut.expect("where the cut is");
+    assert_eq!(cut["last_frame"], 23);
+    assert!((cut["time_s"].as_f64().expect("a time") - 16.0 / 30.0).abs() < 1e-9, "{cut}");
+    let page = fs::read_to_string(out.join("report.html")).expect("a report");
+    for part in
+        ["16 of 24 blurred frames", "of 24", "<h2>Warnings</h2>", "frames 16 to 23", "0.53 s"]
+    {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("Depth loss"), "no depth was measured");
+}
+
+#[test]
+fn one_bad_stamp_does_not_spoil_the_others() {
+    let footage = Footage::new("video-stamp");
+    let mut views = walk(9, 0.06);
+    views[4].0 = 100_000;
+    let video = footage.video("walk.mp4", &views);
+    let out = footage.i2slam("info", &video, &["--json", "--quick"]).ended_with(0).out;
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let seconds = told["times"]["duration_s"].as_f64().expect("a number");
+    assert!((seconds - 8.0 / 30.0).abs() < 1e-9, "{seconds}");
+    assert_eq!(told["times"]["gaps"], serde_json::json!([]));
+    let warnings = told["warnings"].to_string();
+    assert!(warnings.contains("frame 4 has no usable time stamp"), "{warnings}");
+}
+
+/// The estimate comes early; only the first frames are there.
+#[test]
+fn what_a_long_job_takes_is_told_after_a_few_frames() {
+    let footage = Footage::new("video-long");
+    let video = footage.video("long.mp4", &stroll(40));
+    let words: String = (0..20_000)
+        .map(|n| format!("showinfo n: {n} pts: {} s:{WIDTH}x{HEIGHT} i:P\n", 20 * n))
+        .collect();
+    let words = format!("showinfo config in time_base: 1/600\n{words}");
+    fs::write(video.with_extension("mp4.words"), words).expect("room");
+    let mut run = footage.command("run", &video, &["--out", "nowhere", "--threads", "1"]);
+    let mut running = Running::start(run.current_dir(footage.scratch.join("")));
+    let line = running.until("this will take about");
+    for part in ["20000 frames of 160x120 px", "keyframes", "--frames", "--stride"] {
+        assert!(line.contains(part), "{line}");
+    }
+    running.interrupted().ended_with(130).complaining("nothing to write");
+    assert!(!footage.scratch.join("nowhere").exists());
 }
 
 #[test]
@@ -138,7 +197,7 @@ fn a_wrong_field_of_view_is_doubted() {
     let video = footage.video("walk.mp4", &stroll(24));
     // A focal length of 156 px: a fifth too long.
     let ran = footage.run(&video, &["--fov", "54.3"]).ended_with(0);
-    ran.complaining("the focal length was given as 156");
+    ran.complaining("the focal length was given as 156").complaining("(54.3 degrees across)");
 }
 
 #[test]

@@ -6,6 +6,7 @@
 
 mod program;
 mod reader;
+mod stamps;
 mod stream;
 mod words;
 
@@ -14,6 +15,7 @@ use crate::{DatasetError, Entry, Layout, OpenOptions};
 use i2slam_geometry::Image;
 use program::Ffmpeg;
 use reader::Reader;
+use stamps::Stamps;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use words::Words;
@@ -86,10 +88,17 @@ impl Video {
         let all = words.frames.len();
         let count = until.map_or(all, |until| all.min(until));
         let mut warnings = Vec::new();
-        let mut stamps = words.stamps().unwrap_or_else(|| {
-            warnings.push(format!("no usable time stamps: {frame_rate} frames a second assumed"));
-            (0..count).map(|i| i as f64 / frame_rate).collect()
-        });
+        let mut stamps = match words.stamps() {
+            Some(Stamps { seconds, bad }) => {
+                warnings.extend(mended(&bad[..bad.partition_point(|frame| *frame < count)]));
+                seconds
+            }
+            None => {
+                let why = format!("no usable time stamps: {frame_rate} frames a second assumed");
+                warnings.push(why);
+                (0..count).map(|i| i as f64 / frame_rate).collect()
+            }
+        };
         stamps.truncate(count);
         let is_whole = until.is_none_or(|until| all < until);
         warnings.extend(damage(&words, &stamps).filter(|_| is_whole));
@@ -176,6 +185,16 @@ fn refusal(path: &Path, words: &Words) -> DatasetError {
         format!("no frame of it can be decoded, ffmpeg says: {blame}")
     };
     DatasetError::video(path, reason)
+}
+
+/// A warning of frames whose stamps were put between those of others.
+fn mended(bad: &[usize]) -> Option<String> {
+    let first = bad.first()?;
+    let which = match bad.len() {
+        1 => format!("frame {first} has no usable time stamp: one"),
+        count => format!("{count} frames, the first {first}, have no usable time stamps: some"),
+    };
+    Some(format!("{which} between those of the neighbours is taken"))
 }
 
 /// A warning if not everything could be decoded.

@@ -1,5 +1,7 @@
 //! What ffmpeg says of a video, line by line.
 
+use super::stamps::{Stamps, mended};
+
 /// Beginnings of lines that only repeat what was said before.
 const REPEATS: [&str; 4] =
     ["Error opening output", "Error opening input", "Conversion failed", "Error parsing options"];
@@ -78,12 +80,12 @@ impl Words {
         self.blame().contains(what)
     }
 
-    /// Stamps of the frames [s]; `None` where one has none or they do not rise.
-    pub(super) fn stamps(&self) -> Option<Vec<f64>> {
+    /// Stamps of the frames [s]; see [`mended`](super::stamps::mended).
+    pub(super) fn stamps(&self) -> Option<Stamps> {
         let tick = self.tick?;
-        let stamps: Option<Vec<f64>> =
+        let stamps: Vec<Option<f64>> =
             self.frames.iter().map(|frame| frame.ticks.map(|ticks| ticks * tick)).collect();
-        stamps.filter(|stamps| stamps.windows(2).all(|pair| pair[0] < pair[1]))
+        mended(&stamps)
     }
 }
 
@@ -155,20 +157,24 @@ mod tests {
         );
         assert_eq!(words.duration, Some(62.5));
         assert_eq!(words.codec.as_deref(), Some("h264 (High) (avc1 / 0x3163)"));
-        assert_eq!(words.stamps(), Some(vec![0.0, 512.0 / 15360.0]));
+        assert_eq!(words.stamps().map(|s| s.seconds), Some(vec![0.0, 512.0 / 15360.0]));
         assert_eq!((words.frames[0].size, words.frames[0].pixel_aspect), ((320, 240), 1.0));
         assert_eq!(words.frames[1].pixel_aspect, 4.0 / 3.0);
         assert_eq!(words.error(), None);
     }
 
     #[test]
-    fn stamps_count_only_if_all_rise() {
+    fn stamps_count_in_their_ticks() {
         let base = "showinfo config in time_base: 1/10, frame_rate: 30/1\n";
         let frame = |ticks: &str| format!("showinfo n: 0 pts: {ticks} pts_time:x s:8x8 i:P\n");
-        let of = |ticks: [&str; 2]| heard(&(base.to_owned() + &ticks.map(frame).concat())).stamps();
-        assert_eq!(of(["3", "5"]), Some(vec![3.0 * 0.1, 5.0 * 0.1]));
-        assert_eq!(of(["3", "3"]), None);
-        assert_eq!(of(["3", "NOPTS"]), None);
+        let of = |ticks: &[&str]| {
+            let frames: String = ticks.iter().map(|t| frame(t)).collect();
+            heard(&(base.to_owned() + &frames)).stamps().map(|s| (s.seconds, s.bad))
+        };
+        assert_eq!(of(&["3", "5"]), Some((vec![3.0 * 0.1, 5.0 * 0.1], vec![])));
+        assert_eq!(of(&["3", "3"]), None);
+        let (seconds, bad) = of(&["2", "NOPTS", "4"]).expect("two of three");
+        assert!((seconds[1] - 0.3).abs() < 1e-12 && bad == [1]);
     }
 
     #[test]

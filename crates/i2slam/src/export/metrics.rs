@@ -2,6 +2,7 @@
 
 use crate::Config;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
+use crate::warning::Warning;
 use serde::{Deserialize, Serialize};
 
 /// The figures of one run. What could not be measured is `null` in the file.
@@ -92,6 +93,12 @@ pub struct Metrics {
     /// tell.
     #[serde(default)]
     pub unit_of_length: UnitOfLength,
+    /// Frames that the run was given, those among them that have no pose; `frames` have one.
+    #[serde(default)]
+    pub frames_given: usize,
+    /// What was unusual, in the order in which it was told.
+    #[serde(default)]
+    pub warnings: Vec<Warning>,
 }
 
 /// Unit of length of a result.
@@ -130,6 +137,7 @@ impl Metrics {
             seed: reconstruction.config.seed,
             complete: true,
             frames: frames.len(),
+            frames_given: frames.len(),
             tracked: count(|f| f.tracked),
             keyframes: count(|f| f.keyframe),
             gaussians: reconstruction.map.gaussians(),

@@ -7,7 +7,8 @@ mod rows;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
 pub use native::{
-    Intrinsics, Native, NativeError, NativeFailure, NativeReconstruction, SequencePicture,
+    Intrinsics, Native, NativeError, NativeFailure, NativeReconstruction, NativeWarning,
+    SequencePicture, Stage, Watch,
 };
 
 use i2slam_geometry::{Camera, Image, Pose};

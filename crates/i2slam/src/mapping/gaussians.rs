@@ -112,10 +112,11 @@ impl GaussianMapper {
         self.optimizer.retain(&keep);
         if !self.full {
             self.full = true;
-            story.warnings.push(format!(
+            let full = format!(
                 "the map is full: from now on similar neighbours are merged to keep it at \
                  {capacity} Gaussians; map.capacity sets the limit"
-            ));
+            );
+            story.warnings.push(full.into());
         }
     }
 }
@@ -200,7 +201,8 @@ impl Mapper for GaussianMapper {
         let budget = f64::from(mapping.seconds_per_frame);
         let clock = Instant::now();
         for iteration in 0..iterations {
-            if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
+            let late = budget > 0.0 && clock.elapsed().as_secs_f64() > budget;
+            if iteration > 0 && (late || story.stop.is_wished()) {
                 break;
             }
             let chosen = &window[story.random.below(window.len())];

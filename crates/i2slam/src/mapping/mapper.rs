@@ -3,7 +3,8 @@
 use super::{Keyframe, Tracker};
 use crate::config::Config;
 use crate::reconstruction::{FrameEstimate, Map};
-use i2slam_compute::Random;
+use crate::warning::Warning;
+use i2slam_compute::{Random, Stop};
 use i2slam_formation::CameraResponse;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::SettingsError;
@@ -21,7 +22,9 @@ pub(crate) struct Story<'a> {
     /// Pixels that the camera recorded, if not all.
     pub(crate) covered: Option<&'a Image<bool>>,
     pub(crate) random: &'a mut Random,
-    pub(crate) warnings: &'a mut Vec<String>,
+    pub(crate) warnings: &'a mut Vec<Warning>,
+    /// Whether the rest of a round is to be left undone.
+    pub(crate) stop: &'a Stop,
 }
 
 impl Story<'_> {
@@ -36,6 +39,7 @@ impl Story<'_> {
             covered: self.covered,
             random: self.random,
             warnings: self.warnings,
+            stop: self.stop,
         }
     }
 

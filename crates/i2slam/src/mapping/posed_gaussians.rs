@@ -40,7 +40,7 @@ impl PosedGaussians {
 
     /// Finds all keyframes anew, one after another; the gains of the first stay.
     fn relocate(&mut self, story: &mut Story<'_>) {
-        for keyframe in story.keyframes {
+        for keyframe in story.keyframes.iter().take_while(|_| !story.stop.is_wished()) {
             let tone = story.frames[keyframe.frame].tone;
             self.find(story, keyframe);
             if keyframe.frame == story.gauge_frame(keyframe) {
@@ -96,7 +96,7 @@ impl PosedMapper for PosedGaussians {
         if self.mapper.is_empty() {
             let reason =
                 "the map is empty: no keyframe came with a depth, which Gaussians begin on";
-            story.warnings.push(reason.to_owned());
+            story.warnings.push(reason.into());
         }
         let steps = story.config.mapping.final_iterations;
         let part = steps.div_ceil(ROUNDS + 1);

@@ -5,7 +5,8 @@ use crate::config::Config;
 use crate::mapping::{Keyframe, Mapper, Story, Tracker, is_keyframe};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
-use i2slam_compute::Random;
+use crate::warning::Warning;
+use i2slam_compute::{Random, Stop};
 use i2slam_formation::CameraResponse;
 use i2slam_geometry::{Camera, Image};
 use std::sync::Arc;
@@ -18,7 +19,8 @@ pub(super) struct Backend {
     pub(super) frames: Vec<FrameEstimate>,
     pub(super) keyframes: Vec<Keyframe>,
     pub(super) covered: Option<Arc<Image<bool>>>,
-    pub(super) warnings: Vec<String>,
+    pub(super) warnings: Vec<Warning>,
+    pub(super) stop: Stop,
     random: Random,
     /// A frame that the map has not taken in yet.
     pending: Option<Keyframe>,
@@ -33,6 +35,7 @@ impl Backend {
             keyframes: Vec::new(),
             covered: None,
             warnings: Vec::new(),
+            stop: Stop::default(),
             random: Random::new(config.seed),
             pending: None,
         }
@@ -87,7 +90,8 @@ impl Backend {
             let (mapper, mut story) = self.story(config, camera, self.keyframes.len());
             mapper.finish(&mut story, on_step);
         }
-        let failure = self.mapper.failure().map(|error| format!("the map is empty: {error}"));
+        let failure =
+            self.mapper.failure().map(|error| Warning::from(format!("the map is empty: {error}")));
         self.warnings.extend(failure);
     }
 
@@ -117,6 +121,7 @@ impl Backend {
             covered: self.covered.as_deref(),
             random: &mut self.random,
             warnings: &mut self.warnings,
+            stop: &self.stop,
         };
         (self.mapper.as_mut(), story)
     }

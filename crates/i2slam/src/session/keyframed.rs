@@ -3,6 +3,9 @@
 //! found in it at the end.
 
 mod between;
+mod pace;
+
+pub use pace::Pace;
 
 use super::{BLACK, SessionError, start};
 use crate::config::{Config, MapKind, ResponseScope};
@@ -10,7 +13,8 @@ use crate::keyframes::PosedKeyframe;
 use crate::mapping::{Keyframe, PosedMapper, Story, intervals};
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
-use i2slam_compute::Random;
+use crate::warning::Warning;
+use i2slam_compute::{Random, Stop};
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_radiance::hashgrid::SettingsError;
@@ -34,7 +38,8 @@ pub struct KeyframedSession {
     frames: Vec<FrameEstimate>,
     keyframes: Vec<Keyframe>,
     covered: Option<Arc<Image<bool>>>,
-    warnings: Vec<String>,
+    warnings: Vec<Warning>,
+    stop: Stop,
     random: Random,
     failure: Option<SettingsError>,
 }
@@ -51,6 +56,7 @@ impl KeyframedSession {
             keyframes: Vec::new(),
             covered: None,
             warnings: unused(&config),
+            stop: Stop::default(),
             random: Random::new(config.seed),
             failure: None,
             config,
@@ -63,6 +69,11 @@ impl KeyframedSession {
     pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
         self.mapper.set_covered(Arc::clone(&covered));
         self.covered = Some(covered);
+    }
+
+    /// Once `stop` is wished, what remains of a keyframe's mapping is left undone.
+    pub fn set_stop(&mut self, stop: Stop) {
+        self.stop = stop;
     }
 
     /// Takes in one keyframe and refines map, poses and tone for some steps.
@@ -100,7 +111,7 @@ impl KeyframedSession {
         }
         let (mapper, mut story) = self.story();
         if let Err(error) = mapper.finish(&mut story, on_step) {
-            self.warnings.push(format!("the map is empty: {error}"));
+            self.warnings.push(format!("the map is empty: {error}").into());
             self.failure = Some(error);
         }
     }
@@ -111,7 +122,7 @@ impl KeyframedSession {
     }
 
     /// Messages since the last call: what was unusual and what was done about it.
-    pub fn take_warnings(&mut self) -> Vec<String> {
+    pub fn take_warnings(&mut self) -> Vec<Warning> {
         std::mem::take(&mut self.warnings)
     }
 
@@ -171,7 +182,7 @@ impl KeyframedSession {
         let values = colour.data.len().max(1) as f32;
         let seen = colour.data.iter().sum::<f32>() / values >= BLACK;
         if !seen {
-            self.warnings.push(format!("frame {index}: its picture is black: it is not mapped"));
+            self.warnings.push(Warning::of_frame(index, "its picture is black: it is not mapped"));
         }
         let empty = || Image::new(self.camera.width, self.camera.height, 1);
         let observation = match depth {
@@ -240,19 +251,20 @@ impl KeyframedSession {
             covered: self.covered.as_deref(),
             random: &mut self.random,
             warnings: &mut self.warnings,
+            stop: &self.stop,
         };
         (self.mapper.as_mut(), story)
     }
 }
 
 /// What was asked for and has no part in this session.
-fn unused(config: &Config) -> Vec<String> {
+fn unused(config: &Config) -> Vec<Warning> {
     let preset = Config::preset(&config.preset).map(|preset| preset.formation.quadrature);
     let drawn = config.map.kind == MapKind::HashGrid;
     if drawn && preset.is_ok_and(|quadrature| quadrature != config.formation.quadrature) {
         let told = "`formation.quadrature` says nothing here: the moments of the exposure are \
                     drawn at random within equal parts of it";
-        return vec![told.to_owned()];
+        return vec![told.into()];
     }
     Vec::new()
 }

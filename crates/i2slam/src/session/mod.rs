@@ -5,14 +5,16 @@ mod keyframed;
 mod look;
 mod start;
 
-pub use keyframed::KeyframedSession;
+pub use keyframed::{KeyframedSession, Pace};
 
 use crate::config::{Config, ResponseScope};
 use crate::mapping::Tracker;
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::{SequenceReadout, TrackingResult};
+use crate::warning::Warning;
 use backend::Backend;
+use i2slam_compute::Stop;
 use i2slam_dataset::Frame;
 use i2slam_formation::TrajectoryScale;
 use i2slam_geometry::{Camera, Image};
@@ -111,6 +113,11 @@ impl Session {
         self.backend.covered = Some(covered);
     }
 
+    /// Once `stop` is wished, what remains of a frame's mapping is left undone.
+    pub fn set_stop(&mut self, stop: Stop) {
+        self.backend.stop = stop;
+    }
+
     /// Tracks one frame, then maps with it; with `mapping.beside_tracking`, the frame before is
     /// mapped while this one is tracked.
     pub fn process(&mut self, frame: &Frame) -> Result<&FrameEstimate, SessionError> {
@@ -139,9 +146,8 @@ impl Session {
     fn tell_of_an_emptied_map(&mut self, index: usize) {
         let Backend { mapper, keyframes, warnings, .. } = &mut self.backend;
         if mapper.is_empty() && mapper.failure().is_none() && !keyframes.is_empty() {
-            warnings.push(format!(
-                "frame {index}: the map was empty (all Gaussians pruned) and starts again"
-            ));
+            let what = "the map was empty (all Gaussians pruned) and starts again";
+            warnings.push(Warning::of_frame(index, what));
         }
     }
 
@@ -161,7 +167,7 @@ impl Session {
     }
 
     /// Messages since the last call: what was unusual and what was done about it.
-    pub fn take_warnings(&mut self) -> Vec<String> {
+    pub fn take_warnings(&mut self) -> Vec<Warning> {
         std::mem::take(&mut self.backend.warnings)
     }
 
@@ -199,9 +205,8 @@ impl Session {
         } else {
             return true;
         };
-        self.backend
-            .warnings
-            .push(format!("frame {index}: {reason}: its pose is predicted, not measured"));
+        let what = format!("{reason}: its pose is predicted, not measured");
+        self.backend.warnings.push(Warning::of_frame(index, what));
         false
     }
 
@@ -221,10 +226,8 @@ impl Session {
                 estimate.response = self.backend.responses.len() - 1;
             }
             if !estimate.tracked {
-                self.backend.warnings.push(format!(
-                    "frame {}: tracking lost: its pose is predicted and it is not mapped",
-                    frame.index
-                ));
+                let what = "tracking lost: its pose is predicted and it is not mapped";
+                self.backend.warnings.push(Warning::of_frame(frame.index, what));
             }
         } else {
             estimate.tracked = usable && self.backend.mapper.is_empty();

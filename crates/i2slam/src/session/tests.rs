@@ -63,15 +63,15 @@ fn config() -> Config {
     config
 }
 
-fn run() -> (Reconstruction, Vec<String>) {
+fn run() -> (Reconstruction, Vec<Warning>) {
     run_with(config())
 }
 
-fn run_with(config: Config) -> (Reconstruction, Vec<String>) {
+fn run_with(config: Config) -> (Reconstruction, Vec<Warning>) {
     run_along(config, pose)
 }
 
-fn run_along(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, Vec<String>) {
+fn run_along(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, Vec<Warning>) {
     let mut session = Session::new(config, CAMERA, 30.0);
     for index in 0..FRAMES {
         session.process(&frame(index, pose(index))).expect("frames of one size");
@@ -150,7 +150,7 @@ fn a_scene_beyond_the_cube_is_told_of() {
     let mut session = Session::new(config, CAMERA, 30.0);
     session.process(&frame(0, pose(0))).expect("a frame");
     let warnings = session.take_warnings();
-    assert!(warnings.len() == 1 && warnings[0].contains("hashgrid.bound"), "{warnings:?}");
+    assert!(warnings.len() == 1 && warnings[0].text.contains("hashgrid.bound"), "{warnings:?}");
 }
 
 /// World-from-camera of a camera that turns away from the near wall on its right.
@@ -169,7 +169,7 @@ fn the_cube_grows_with_what_is_seen() {
         let Map::HashGrid(map) = session.reconstruction().map else { panic!("not a field") };
         bounds.push(map.field.settings().bound);
     }
-    assert_eq!(session.take_warnings(), Vec::<String>::new());
+    assert_eq!(session.take_warnings(), []);
     assert!(bounds[0] < 1.2 && bounds[frames - 1] >= 1.5 * bounds[0], "{bounds:?}");
     let reconstruction = session.reconstruction();
     let world = turning(0).inverse();
@@ -196,10 +196,10 @@ fn a_field_that_cannot_begin_ends_the_session() {
         let error = (0..2).find_map(|i| session.process(&frame(i, pose(i))).err());
         let message = error.expect("a field of no levels").to_string();
         assert!(message.contains("cannot be started") && message.contains("levels"), "{message}");
-        assert_eq!(session.take_warnings(), Vec::<String>::new());
+        assert_eq!(session.take_warnings(), []);
         session.finish(&mut |_, _| true);
         let warnings = session.take_warnings();
-        assert!(warnings.len() == 1 && warnings[0].contains("levels"), "{warnings:?}");
+        assert!(warnings.len() == 1 && warnings[0].text.contains("levels"), "{warnings:?}");
     }
 }
 

@@ -13,6 +13,7 @@ pub(crate) use deviation::Covariance;
 use crate::landmark::Landmark;
 use crate::lens::Radial;
 use crate::robust::huber;
+use crate::watch::{Stage, Watch};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use linear::{Linear, Step};
@@ -26,6 +27,8 @@ const CHUNK: usize = 128;
 const BEHIND: f64 = 50.0;
 /// Damping beyond which no step lowers the cost.
 const STUCK: f64 = 1e6;
+/// Steps of so few poses are not worth telling.
+const TOLD: usize = 64;
 /// A step that lowers the cost by less than this share is the last one.
 const CONVERGED: f64 = 1e-5;
 /// Unknowns that all sights share: the logarithm of the focal length, two coefficients of the lens.
@@ -81,13 +84,20 @@ impl Sight {
 }
 
 impl Bundle {
-    /// Takes at most `steps` steps; returns the cost per sight, in variances.
-    pub(crate) fn adjust(&mut self, steps: usize) -> f64 {
+    /// Takes at most `steps` steps, fewer where `watch` has had enough; returns the cost per sight, in
+    /// variances.
+    pub(crate) fn adjust(&mut self, steps: usize, watch: &Watch) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
         let structure = Structure::new(self);
         let mut linear = Linear::new(self, &structure, Curvature::Bounding);
-        for _ in 0..steps {
+        for done in 0..steps {
+            if watch.ends() {
+                break;
+            }
+            if self.poses.len() > TOLD {
+                watch.tell(Stage::Adjustment, done, steps);
+            }
             let moved = linear.step(damping).map(|step| self.moved(&step));
             let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);
             match moved {

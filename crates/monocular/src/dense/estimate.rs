@@ -3,7 +3,7 @@
 use super::aggregate::aggregated;
 use super::sweep::{Sweep, Volume};
 use crate::pyramid::Pyramid;
-use i2slam_compute::median;
+use i2slam_compute::{Stop, median};
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 
 /// Half the side of a window, of the picture and of that of half its size [px].
@@ -29,13 +29,16 @@ pub(super) struct Estimate {
 /// What another keyframe shows: brightness at several sizes, and `other_from_keyframe`.
 pub(super) type Other<'a> = (&'a Pyramid, Pose<f64>);
 
-/// The inverse depth of a keyframe between two bounds.
+/// The inverse depth of a keyframe between two bounds; `None` if `stop` was wished.
 pub(super) fn estimate(
     camera: &Camera<f64>,
     keyframe: &Pyramid,
     others: &[Other<'_>],
     [least, most]: [f64; 2],
-) -> Estimate {
+    stop: &Stop,
+) -> Option<Estimate> {
+    let goes_on = || (!stop.is_wished()).then_some(());
+    goes_on()?;
     let fine = keyframe.finest();
     let level = usize::from(keyframe.levels.len() > 1);
     let coarse = &keyframe.levels[level];
@@ -45,6 +48,7 @@ pub(super) fn estimate(
     let sweep = sweep(&coarse_camera, coarse, others, level);
     let offsets: Vec<f32> = (0..planes).map(|k| step * k as f32).collect();
     let volume = sweep.costs(|_| least as f32, &offsets);
+    goes_on()?;
     let smooth = aggregated(&volume, coarse);
     let mut first = Image::new(coarse.width, coarse.height, 1);
     for (pixel, rho) in first.data.iter_mut().enumerate() {
@@ -57,6 +61,7 @@ pub(super) fn estimate(
         let distance = share * step;
         let offsets: Vec<f32> =
             (0..=2 * reach).map(|k| (k as f32 - reach as f32) * distance).collect();
+        goes_on()?;
         let base = median_filtered(&found);
         let volume = sweep.costs(|pixel| base.data[pixel], &offsets);
         let smooth = aggregated(&volume, fine);
@@ -72,7 +77,7 @@ pub(super) fn estimate(
             (*rho, *v) = (0.0, 0.0);
         }
     }
-    Estimate { inverse_depth: found, variance }
+    Some(Estimate { inverse_depth: found, variance })
 }
 
 fn at_level(camera: &Camera<f64>, picture: &Image<f32>, level: usize) -> Camera<f64> {

@@ -15,6 +15,7 @@ mod sweep;
 use crate::pyramid::Pyramid;
 use consistency::agreed;
 use estimate::{Estimate, estimate};
+use i2slam_compute::Stop;
 use i2slam_geometry::{Camera, Image, Pose};
 use std::collections::BTreeMap;
 
@@ -56,12 +57,20 @@ pub struct DenseDepths {
     views: Vec<View>,
     pictures: BTreeMap<usize, Option<Pyramid>>,
     estimates: BTreeMap<usize, Estimate>,
+    stop: Stop,
 }
 
 impl DenseDepths {
     /// For keyframes of one camera, in the order in which they were taken.
     pub fn new(camera: Camera<f64>, views: Vec<View>) -> Self {
-        Self { camera, views, pictures: BTreeMap::new(), estimates: BTreeMap::new() }
+        let (pictures, estimates) = (BTreeMap::new(), BTreeMap::new());
+        Self { camera, views, pictures, estimates, stop: Stop::default() }
+    }
+
+    /// The same, which finds nothing any more once `stop` is wished.
+    #[must_use]
+    pub fn until(self, stop: Stop) -> Self {
+        Self { stop, ..self }
     }
 
     /// The depth of keyframe `index`. `load` gives the picture of a keyframe (planes R, G, B or one
@@ -78,6 +87,9 @@ impl DenseDepths {
         self.estimate(index, load)?;
         for other in &others {
             self.estimate(*other, load);
+        }
+        if self.stop.is_wished() {
+            return None;
         }
         let own = self.estimates.get(&index)?;
         let inverse = |i: usize| self.views[i].world_from_camera.inverse();
@@ -140,7 +152,7 @@ impl DenseDepths {
         if others.is_empty() {
             return None;
         }
-        let found = estimate(&self.camera, picture(index)?, &others, bounds);
+        let found = estimate(&self.camera, picture(index)?, &others, bounds, &self.stop)?;
         self.estimates.insert(index, found);
         Some(())
     }

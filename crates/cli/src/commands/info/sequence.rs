@@ -88,7 +88,7 @@ impl Known {
         let truth = TruthFacts { kinds: truth.kinds(), poses: poses.len(), path_length_m };
         Self {
             name: sequence.name.clone(),
-            layout: sequence.layout.name().to_owned(),
+            layout: sequence.layout_name().to_owned(),
             frames: sequence.len(),
             left_out: Missing { without_depth, without_pose, too_close },
             times: Times::of(sequence),

@@ -15,11 +15,15 @@ pub(super) fn lead(report: &Report<'_>) -> String {
              are given in metres below, read: in that unit."
         }
     };
+    let given = given(metrics);
+    let part = match metrics.frames < given {
+        true => format!("{} of {given}", metrics.frames),
+        false => given.to_string(),
+    };
     format!(
-        "{} blurred frame{} of <b>{}</b> became one sharp map of light and a camera path. \
+        "{part} blurred frame{} of <b>{}</b> became one sharp map of light and a camera path. \
          Preset <code>{}</code>, seed {}.{end}{unit}",
-        metrics.frames,
-        if metrics.frames == 1 { "" } else { "s" },
+        if given == 1 { "" } else { "s" },
         escape(report.title),
         escape(&metrics.preset),
         metrics.seed,
@@ -39,7 +43,7 @@ pub(super) fn cards(metrics: &Metrics) -> String {
         )
         .ok();
     };
-    let of_all = format!("of {}", metrics.frames);
+    let of_all = format!("of {}", given(metrics));
     card(metrics.tracked.to_string(), &of_all, "Frames tracked", "The camera's pose was found.");
     if let Some(error) = metrics.ate_rmse_m {
         let meaning = match metrics.ate_scale_aligned {
@@ -97,6 +101,11 @@ pub(super) fn cards(metrics: &Metrics) -> String {
     // Rows of four, or of three where four would leave one or two alone.
     let columns = if matches!(count % 4, 1 | 2) { 3 } else { 4 };
     format!("<dl class=\"cards\" style=\"--columns:{columns}\">{out}</dl>")
+}
+
+/// Frames that the run was given; older figures count only those that have a pose.
+fn given(metrics: &Metrics) -> usize {
+    metrics.frames_given.max(metrics.frames)
 }
 
 /// Three significant digits, without exponent.

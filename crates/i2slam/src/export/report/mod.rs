@@ -11,6 +11,7 @@ mod plot;
 mod plots;
 #[cfg(test)]
 mod tests;
+mod warnings;
 
 pub use axis::Axis;
 pub use evaluation::{EvaluationSection, EvaluationSource, TruthSource, put_evaluations};
@@ -51,6 +52,7 @@ impl Report<'_> {
             ("script", SCRIPT.to_owned()),
             ("lead", headline::lead(self)),
             ("cards", headline::cards(self.metrics)),
+            ("warnings", warnings::section(&self.metrics.warnings)),
             ("gallery", gallery::gallery(self)),
             ("brackets", gallery::brackets(self.comparisons)),
             ("trajectory", plots::trajectory(self)),

@@ -226,11 +226,16 @@ pub(super) fn work(report: &Report<'_>) -> String {
                        (1 is black against white).";
     let mut image = over_frames("Picture loss", explanation, "difference");
     image.series = vec![Series::line("picture", "c1", points(frames, |f| f.losses.image))];
-    let (explanation, unit) = depth_loss(&report.reconstruction.config);
-    let mut depth = over_frames("Depth loss", explanation, unit);
-    let centimetres = |f: &FrameEstimate| 100.0 * f.losses.depth;
-    depth.series = vec![Series::line("depth", "c3", points(frames, centimetres))];
-    let mut plots = vec![time, image, depth];
+    let mut plots = vec![time, image];
+    let config = &report.reconstruction.config;
+    // Of colour alone no depth was measured that the map's could be held against.
+    if !config.is_rgb() {
+        let (explanation, unit) = depth_loss(config);
+        let mut depth = over_frames("Depth loss", explanation, unit);
+        let centimetres = |f: &FrameEstimate| 100.0 * f.losses.depth;
+        depth.series = vec![Series::line("depth", "c3", points(frames, centimetres))];
+        plots.push(depth);
+    }
     if frames.iter().all(|f| f.gaussians == 0) {
         return plots.iter().map(Plot::html).collect();
     }

@@ -20,6 +20,7 @@ use crate::objective::{
 };
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, sampling, track};
+use crate::warning::Warning;
 use i2slam_compute::Random;
 use i2slam_formation::{CameraResponse, CurveGradient, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -153,12 +154,12 @@ impl FieldMapper {
             self.grow(story, need.max(cube::GROWTH * bound));
         } else if !self.warned {
             self.warned = true;
-            story.warnings.push(format!(
-                "frame {}: {:.0} % of what it sees lies outside of the field's cube (±{bound:.1} m \
-                 around the first camera) and is not mapped: without hashgrid.bound the cube grows",
-                story.frames[frame].index,
+            let outside = format!(
+                "{:.0} % of what it sees lies outside of the field's cube (±{bound:.1} m around the \
+                 first camera) and is not mapped: without hashgrid.bound the cube grows",
                 100.0 * share
-            ));
+            );
+            story.warnings.push(Warning::of_frame(story.frames[frame].index, outside));
         }
     }
 
@@ -350,7 +351,8 @@ impl Mapper for FieldMapper {
         let (rate, budget) = (settings.rate, f64::from(story.config.mapping.seconds_per_frame));
         let clock = Instant::now();
         for iteration in 0..lost + round {
-            if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
+            let late = budget > 0.0 && clock.elapsed().as_secs_f64() > budget;
+            if iteration > 0 && (late || story.stop.is_wished()) {
                 break;
             }
             let window = Self::window(story, current);

@@ -156,7 +156,8 @@ impl PosedField {
         let budget = f64::from(story.config.mapping.seconds_per_frame);
         let clock = Instant::now();
         for iteration in 0..iterations {
-            if iteration > 0 && budget > 0.0 && clock.elapsed().as_secs_f64() > budget {
+            let late = budget > 0.0 && clock.elapsed().as_secs_f64() > budget;
+            if iteration > 0 && (late || story.stop.is_wished()) {
                 break;
             }
             let window = window(story);
@@ -218,7 +219,7 @@ impl PosedField {
 
     /// Finds all keyframes anew in the field as it is, one after another; the gains of the first stay.
     fn relocate(&mut self, story: &mut Story<'_>) {
-        for keyframe in story.keyframes {
+        for keyframe in story.keyframes.iter().take_while(|_| !story.stop.is_wished()) {
             let mut estimate = story.frames[keyframe.frame].clone();
             let before = keyframe.frame.checked_sub(1).map(|i| story.frames[i].clone());
             let frame = (&mut estimate, &keyframe.observation.colour);

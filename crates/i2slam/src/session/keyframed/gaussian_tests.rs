@@ -72,7 +72,7 @@ fn every_frame_finds_its_place_in_order_of_time() {
     for index in [1, 3, 5, 4] {
         session.locate(posed(index, false)).expect("a frame of that size");
     }
-    assert_eq!(session.take_warnings(), Vec::<String>::new());
+    assert_eq!(session.take_warnings(), []);
     let frames = session.frames();
     assert!(frames.iter().map(|f| f.index).eq(0..7), "in order of time, each once");
     for (place, frame) in frames.iter().enumerate() {
@@ -106,11 +106,63 @@ fn threads_do_not_matter() {
     }
 }
 
+/// Metres and radians between two poses.
+fn distance(a: Pose<f64>, b: Pose<f64>) -> f64 {
+    let off = a.local(b);
+    off.translation.norm() + off.rotation.norm()
+}
+
+/// A session that ends early keeps what its source knew of the path.
+#[test]
+fn frames_that_were_not_reached_are_placed_beside_their_keyframes() {
+    let mut session = session(true);
+    assert!(!session.place(2, 2.0 / 30.0, moved(2)), "it is there");
+    assert!([5, 1, 3].into_iter().all(|i| session.place(i, i as f64 / 30.0, moved(i))));
+    assert!(!session.place(8, f64::NAN, moved(8)));
+    let frames = session.frames();
+    assert!(frames.iter().map(|f| f.index).eq(0..7), "in order, each once");
+    assert!([1, 3, 5].iter().all(|i| frames[*i].held_out && !frames[*i].keyframe));
+    for (frame, keyframe) in [(1, 0), (3, 2), (5, 4)] {
+        let near = [keyframe, frame + 1].map(|k| moved(k).inverse() * moved(frame));
+        let there =
+            [keyframe, frame + 1].map(|k| frames[k].middle().inverse() * frames[frame].middle());
+        let off = |i: usize| distance(near[i], there[i]);
+        assert!(off(0).min(off(1)) < 1e-9, "{frame}: {} {}", off(0), off(1));
+    }
+    session.locate(posed(3, false)).expect("it is there");
+    assert_eq!(session.take_warnings(), []);
+    let mut none = KeyframedSession::new(Config::default(), CAMERA, 30.0);
+    assert!(none.place(4, 0.1, moved(4)) && none.place(5, 0.2, moved(5)));
+    let way = none.frames()[0].middle().inverse() * none.frames()[1].middle();
+    assert!(distance(way, moved(4).inverse() * moved(5)) < 1e-9);
+}
+
+/// A wish to end leaves one step of every round.
+#[test]
+fn a_round_ends_early_where_that_is_wished() {
+    let mapped = |steps: usize, stop: Stop| {
+        let mut config = Config::preset("default-rgb").expect("known");
+        config.map.kind = MapKind::Gaussian;
+        (config.mapping.first_iterations, config.mapping.iterations) = (steps, steps);
+        let mut session = KeyframedSession::new(config, CAMERA, 30.0);
+        session.set_stop(stop);
+        for index in [0, 2] {
+            session.process(posed(index, true)).expect("keyframes of one size");
+        }
+        session.reconstruction().map
+    };
+    let ended = mapped(30, Stop::when(|| true));
+    assert!(ended == mapped(1, Stop::default()) && ended != mapped(30, Stop::default()));
+}
+
 #[test]
 fn without_any_depth_the_map_stays_empty_and_says_so() {
     let mut session = session(false);
     let warnings = session.take_warnings();
-    assert!(warnings.iter().any(|w| w.contains("no keyframe came with a depth")), "{warnings:?}");
+    assert!(
+        warnings.iter().any(|w| w.text.contains("no keyframe came with a depth")),
+        "{warnings:?}"
+    );
     let frame = session.locate(posed(1, false)).expect("a frame all the same");
     assert!(!frame.tracked && !frame.keyframe);
 }

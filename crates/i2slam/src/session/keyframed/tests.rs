@@ -52,7 +52,7 @@ fn run(config: Config) -> KeyframedSession {
         session.process(keyframe(index, moved(index))).expect("keyframes of one size");
     }
     session.finish(&mut |_, _| true);
-    assert_eq!(session.take_warnings(), Vec::<String>::new());
+    assert_eq!(session.take_warnings(), []);
     session
 }
 
@@ -214,7 +214,7 @@ fn keyframes_that_cannot_be_used_are_told_of() {
     black.colour.data.fill(0.0);
     session.process(black).expect("a picture all the same");
     let warnings = session.take_warnings();
-    assert!(warnings.len() == 1 && warnings[0].contains("black"), "{warnings:?}");
+    assert!(warnings.len() == 1 && warnings[0].text.contains("black"), "{warnings:?}");
     session.finish(&mut |_, _| true);
     assert!(session.reconstruction().map == Map::default());
 }
@@ -235,7 +235,7 @@ fn a_quadrature_that_is_asked_for_is_told_to_say_nothing() {
     let mut config = config();
     config.formation.quadrature = crate::config::QuadratureRule::Endpoints;
     let warnings = KeyframedSession::new(config, CAMERA, 30.0).take_warnings();
-    assert!(matches!(&warnings[..], [one] if one.contains("quadrature")), "{warnings:?}");
+    assert!(matches!(&warnings[..], [one] if one.text.contains("quadrature")), "{warnings:?}");
 }
 
 #[test]

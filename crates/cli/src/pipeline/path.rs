@@ -1,0 +1,67 @@
+//! The search for the path of the camera, and what is seen of it.
+
+use super::camera;
+use super::estimate::Estimate;
+use super::posed::picture;
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::progress::Progress;
+use i2slam::Config;
+use i2slam::dataset::Sequence;
+use i2slam::keyframes::{
+    Native, NativeError, NativeFailure, PictureError, SequencePicture, Stage, Watch,
+};
+use std::sync::Mutex;
+
+/// Longer side of the pictures in which the path of the camera is found, where they were recorded so
+/// large [px]: smaller ones, which a map may be made of, show less exactly where points are.
+const PATH_SIDE: usize = 640;
+
+/// The path of the camera through pictures as they are.
+pub(super) fn find_path(
+    sequence: &Sequence,
+    estimate_distortion: bool,
+    config: &Config,
+    progress: &Progress,
+) -> Result<Native<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<>>, Failure> {
+    let large = sequence.at_least(PATH_SIDE);
+    camera::before(sequence, &large).iter().for_each(|line| progress.note(line));
+    let intrinsics = camera::intrinsics(&large, estimate_distortion);
+    let count = large.len();
+    let watch = watch(progress, Estimate::new(config.clone(), sequence.clone()));
+    let load = move |place: usize| picture(&large, place);
+    match Native::find(intrinsics, count, load, &watch) {
+        Err(NativeError::NoPath { failure: NativeFailure::Ended, .. }) => {
+            let ended = "ended before the path of the camera was found: there is nothing to write";
+            progress.note(ended);
+            Err(Failure::Interrupted)
+        }
+        Err(error) => Err(Failure::Failed(format!("no path of the camera was found: {error}"))),
+        Ok(found) => Ok(found),
+    }
+}
+
+/// Shows how far the search is, and early on what the whole job will take.
+fn watch(progress: &Progress, estimate: Estimate) -> Watch {
+    let shown = Mutex::new((progress.clone(), estimate));
+    Watch::new(interrupt::stop(), move |stage, done, of| {
+        let Ok(mut shown) = shown.lock() else { return };
+        let (progress, estimate) = &mut *shown;
+        progress.stage(words(stage), done, of);
+        if let Stage::Points { keyframes } = stage {
+            let told = estimate.after(done, keyframes);
+            told.iter().for_each(|line| progress.note(line));
+        }
+    })
+}
+
+fn words(stage: Stage) -> &'static str {
+    match stage {
+        Stage::Points { .. } => "following points",
+        Stage::FocalLength => "looking for the focal length",
+        Stage::Keyframes => "finding the path of the camera",
+        Stage::Adjustment => "adjusting the path",
+        Stage::Rows => "looking for a rolling shutter",
+        Stage::Loops => "looking for places seen again",
+    }
+}

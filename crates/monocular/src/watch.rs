@@ -1,0 +1,64 @@
+//! Who watches the search for a path: how far it is, and whether it is to end.
+
+use i2slam_compute::Stop;
+use std::fmt;
+use std::sync::Arc;
+
+/// What a front end is at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Follows points from picture to picture; counts pictures.
+    Points {
+        /// Keyframes among those so far.
+        keyframes: usize,
+    },
+    /// Looks for the focal length from several starts.
+    FocalLength,
+    /// Finds where keyframes were taken; counts those that are found, of all.
+    Keyframes,
+    /// Adjusts all poses and points together; counts steps, of which there may be fewer.
+    Adjustment,
+    /// Looks for the time between the first and the last row of a picture.
+    Rows,
+    /// Looks for places that are seen again.
+    Loops,
+}
+
+/// Told of stages, with how much of them is done, and of how much (0 where that is not known).
+type Listener = Arc<dyn Fn(Stage, usize, usize) + Send + Sync>;
+
+/// Who watches. The default is nobody.
+#[derive(Clone, Default)]
+pub struct Watch {
+    stop: Stop,
+    listener: Option<Listener>,
+}
+
+impl Watch {
+    /// Ends the search where `stop` is wished; `listener` is told what is done, of how much (0 where
+    /// that is not known), on the thread that searches.
+    pub fn new(stop: Stop, listener: impl Fn(Stage, usize, usize) + Send + Sync + 'static) -> Self {
+        Self { stop, listener: Some(Arc::new(listener)) }
+    }
+
+    /// Whether the search is to end.
+    pub fn ends(&self) -> bool {
+        self.stop.is_wished()
+    }
+
+    /// Tells how far it is.
+    pub fn tell(&self, stage: Stage, done: usize, of: usize) {
+        self.listener.iter().for_each(|listener| listener(stage, done, of));
+    }
+
+    /// For trials, of which nothing is told.
+    pub(crate) fn silent(&self) -> Self {
+        Self { stop: self.stop.clone(), listener: None }
+    }
+}
+
+impl fmt::Debug for Watch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Watch").field("stop", &self.stop).finish_non_exhaustive()
+    }
+}
