@@ -3,7 +3,7 @@
 use crate::camera_file::read_camera;
 use crate::distortion::Distortion;
 use crate::estimated::ESTIMATED;
-use crate::guess::FieldOfView;
+use crate::guess::{FieldOfView, Told};
 use crate::layouts::Source;
 use crate::{DatasetError, EstimatedCamera, OpenOptions};
 use i2slam_geometry::Camera;
@@ -149,7 +149,7 @@ impl Calibration {
 
     /// A guess made better by what the first picture says of the camera that took it.
     pub(crate) fn asking(self, picture: Option<&Path>) -> Self {
-        let said = picture.filter(|_| self.is_guess).and_then(FieldOfView::of_picture);
+        let said = picture.filter(|_| self.is_guess).and_then(|picture| Told::by(picture).view);
         match said {
             Some(view) => {
                 let source = format!("the EXIF data of the first picture, {view}");

@@ -180,6 +180,16 @@ pub enum DatasetError {
         /// What sets the expectation, in words.
         reference: String,
     },
+    /// Pictures that no single camera takes.
+    #[error("{} was not taken as {}: {reason}", path.display(), first.display())]
+    OtherCamera {
+        /// The picture that differs.
+        path: PathBuf,
+        /// The one that it differs from.
+        first: PathBuf,
+        /// In what, and what to do.
+        reason: String,
+    },
     /// An option outside its range.
     #[error("option {name}: {reason}")]
     Option {

@@ -39,11 +39,10 @@ impl FieldOfView {
         }
     }
 
-    /// What the EXIF data of a picture tell of the lens and the sensor.
-    pub(crate) fn of_picture(path: &Path) -> Option<Self> {
-        let exif = exif(path)?;
-        let direct = number(&exif, Tag::FocalLengthIn35mmFilm).filter(|f| SENSIBLE.contains(f));
-        let found = direct.or_else(|| of_sensor(&exif)).filter(|f| SENSIBLE.contains(f));
+    /// What EXIF data tell of the lens and the sensor.
+    fn of_exif(exif: &Exif) -> Option<Self> {
+        let direct = number(exif, Tag::FocalLengthIn35mmFilm).filter(|f| SENSIBLE.contains(f));
+        let found = direct.or_else(|| of_sensor(exif)).filter(|f| SENSIBLE.contains(f));
         found.map(Self::Film)
     }
 }
@@ -63,9 +62,23 @@ fn exif(path: &Path) -> Option<Exif> {
     Reader::new().read_from_container(&mut file).ok()
 }
 
-/// How the EXIF data of a picture ask to show it, if they do.
-pub(crate) fn asked_orientation(path: &Path) -> Option<Orientation> {
-    Orientation::of_exif(number(&exif(path)?, Tag::Orientation)? as u32)
+/// What the EXIF data of a picture tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Told {
+    /// How the picture is to be shown.
+    pub(crate) orientation: Option<Orientation>,
+    /// How much it sees.
+    pub(crate) view: Option<FieldOfView>,
+}
+
+impl Told {
+    /// What those of one file tell; nothing where it has none.
+    pub(crate) fn by(path: &Path) -> Self {
+        let Some(exif) = exif(path) else { return Self::default() };
+        let asked = number(&exif, Tag::Orientation);
+        let orientation = asked.and_then(|asked| Orientation::of_exif(asked as u32));
+        Self { orientation, view: FieldOfView::of_exif(&exif) }
+    }
 }
 
 /// What was made of that, in words.

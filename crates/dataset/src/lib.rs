@@ -19,6 +19,7 @@
 //! # Ok::<(), i2slam_dataset::DatasetError>(())
 //! ```
 
+mod alike;
 mod area;
 mod associate;
 mod calibration;

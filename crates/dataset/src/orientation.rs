@@ -36,6 +36,11 @@ impl Orientation {
         self == Self::default()
     }
 
+    /// Whether pictures are shown as in a mirror, turned or not.
+    pub(crate) fn is_mirrored(self) -> bool {
+        self.swaps ^ self.mirrors[0] ^ self.mirrors[1]
+    }
+
     /// What is done to pictures, in words.
     pub(crate) fn words(self) -> &'static str {
         match (self.swaps, self.mirrors) {

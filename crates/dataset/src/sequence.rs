@@ -1,10 +1,11 @@
 //! A sequence of RGB-D frames on disk.
 
+use crate::alike::check_alike;
 use crate::calibration::Calibration;
 use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded};
 use crate::decode::image_size;
 use crate::distortion::Distortion;
-use crate::guess::{asked_orientation, orientation_note};
+use crate::guess::{Told, orientation_note};
 use crate::layouts::{Listing, Source};
 use crate::prepare::Preparation;
 use crate::resample::Recorded;
@@ -168,12 +169,15 @@ impl Sequence {
         let video = listing.video;
         let first = entries.first().filter(|_| video.is_none());
         let file = first.filter(|entry| entry.parts.is_none());
-        let asked = file.and_then(|entry| asked_orientation(&entry.colour));
+        let asked = file.and_then(|entry| Told::by(&entry.colour).orientation);
         let is_alone = listing.layout == Layout::Plain && first.is_some_and(|e| e.depth.is_none());
         let turns = options.turn_pictures && is_alone;
         let orientation = asked.filter(|_| turns).unwrap_or_default();
         let told = file.zip(asked.filter(|asked| !asked.is_none()));
         warnings.extend(told.map(|(entry, asked)| orientation_note(&entry.colour, asked, turns)));
+        if file.is_some() && is_alone {
+            warnings.extend(check_alike(&entries, orientation)?);
+        }
         let calibration = calibration.asking(first.map(|entry| entry.colour.as_path()));
         let calibration = match first.filter(|_| !orientation.is_none()) {
             Some(entry) => {

@@ -24,12 +24,17 @@ fn exif(tag: u16, value: u16) -> Vec<u8> {
 
 /// A folder of pictures alone; those with `segment` carry it.
 fn pictures(segment: Option<Vec<u8>>) -> Folder {
+    pictures_with(&[segment.clone(), segment.clone(), segment])
+}
+
+/// The same with a segment of its own for every picture.
+fn pictures_with(segments: &[Option<Vec<u8>>]) -> Folder {
     let folder = Folder::new();
     let grey = vec![120; 3 * usize::from(SIZE.0) * usize::from(SIZE.1)];
-    for i in 0..3 {
+    for (i, segment) in segments.iter().enumerate() {
         let mut bytes = Vec::new();
         let mut encoder = Encoder::new(&mut bytes, 90);
-        if let Some(segment) = &segment {
+        if let Some(segment) = segment {
             encoder.add_app_segment(1, segment.clone()).expect("room for it");
         }
         encoder.encode(&grey, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
@@ -191,6 +196,49 @@ fn pictures_that_are_to_be_turned_bring_a_warning_where_they_are_not() {
         assert_eq!(sequence.recorded_size, (64, 48));
     }
     assert!(open(&pictures(Some(oriented(1))), &alone()).warnings.is_empty());
+}
+
+#[test]
+fn pictures_of_a_lens_that_zooms_are_refused() {
+    let of = |millimetres: [Option<u16>; 3]| {
+        let folder = pictures_with(&millimetres.map(|mm| mm.map(|mm| exif(0xa405, mm))));
+        Sequence::open(&folder.0, &alone())
+    };
+    for (told, first, other) in
+        [([Some(26), Some(26), Some(52)], 0, 2), ([None, Some(52), Some(26)], 1, 2)]
+    {
+        let error = of(told).expect_err("two lenses").to_string();
+        for name in [first, other].map(|i| format!("IMG_{i:04}.jpg")) {
+            assert!(error.contains(&name), "{error}");
+        }
+        assert!(error.contains("26 mm") && error.contains("52 mm"), "{error}");
+    }
+    // A picture that tells nothing may be of the same lens.
+    assert!(of([Some(26), None, Some(26)]).is_ok());
+}
+
+/// A sensor does not turn in its camera: all are shown alike, and which picture asks for something
+/// else is said. No camera sees both a room and its mirror image.
+#[test]
+fn pictures_that_ask_to_be_shown_otherwise_than_the_first_are_named() {
+    let turning = OpenOptions { turn_pictures: true, ..alone() };
+    let of = |ways: [u16; 4]| pictures_with(&ways.map(|way| Some(oriented(way))));
+    for (ways, options, shown) in [
+        ([1, 1, 6, 3], &turning, "all are left as they are alike"),
+        ([6, 6, 1, 1], &turning, "all are turned by 90 degrees alike"),
+        ([6, 6, 1, 1], &alone(), "all are left as they are alike"),
+    ] {
+        let folder = of(ways);
+        let sequence = open(&folder, options);
+        let told = sequence.warnings.iter().find(|w| w.contains("does not turn in its camera"));
+        let told = told.expect("a warning");
+        assert!(told.contains("2 pictures") && told.contains("IMG_0002.jpg"), "{told}");
+        assert!(told.contains(shown), "{told}");
+        let sizes: Vec<_> = (0..4).map(|i| sequence.load(i).expect("reads").colour.width).collect();
+        assert!(sizes.iter().all(|width| *width == sequence.camera.width), "{sizes:?}");
+    }
+    let error = Sequence::open(&of([1, 1, 1, 2]).0, &turning).expect_err("a mirror").to_string();
+    assert!(error.contains("IMG_0003.jpg") && error.contains("mirrored"), "{error}");
 }
 
 #[test]
