@@ -33,7 +33,7 @@ pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
 /// (where a camera moves along a line, the two make up for each other), and one of pictures whose rows
 /// were read in turn, which bends what a turning camera sees much as a lens does. Returns whether it was
 /// given up.
-pub(crate) fn give_up_doubtful_lens(scene: &mut Scene, readout: f64) -> bool {
+pub(crate) fn give_up_doubtful_lens(scene: &mut Scene) -> bool {
     if !scene.finds_lens || scene.lens == [0.0; 2] {
         return false;
     }
@@ -43,7 +43,7 @@ pub(crate) fn give_up_doubtful_lens(scene: &mut Scene, readout: f64) -> bool {
     refine(&mut without, true);
     let (freed, with_lens) = released(scene);
     let (_, alone) = released(&without);
-    let is_told = readout == 0.0
+    let is_told = scene.readout == 0.0
         && with_lens.is_some_and(|with_lens| {
             is_significant(freed.lens, &with_lens) && leaves_focal_length(&with_lens, alone)
         });

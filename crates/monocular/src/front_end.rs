@@ -7,7 +7,7 @@ use crate::focal::find_focal;
 use crate::grow::{adjust_all, grow, pose_rest, refine};
 use crate::relocalise::{Tried, relocalise};
 use crate::result::{FrameReport, Reconstruction, assemble};
-use crate::rolling::{correct_again, correct_rolling_shutter};
+use crate::rolling::{correct_rolling_shutter, interval};
 use crate::scene::Scene;
 use crate::start::{start, start_within};
 use crate::straighten::straighten;
@@ -17,6 +17,9 @@ use i2slam_geometry::{Camera, Image};
 
 /// Pictures without which nothing is tried.
 pub const LEAST_FRAMES: usize = 4;
+/// What changes by less than this share is settled; all is adjusted so often at most.
+const SETTLED: f64 = 1e-3;
+const MOST_ROUNDS: usize = 5;
 /// Least side of a picture [px].
 pub const LEAST_SIDE: usize = 48;
 
@@ -136,39 +139,56 @@ impl FrontEnd {
         if watch.ends() {
             return Err(Failure::Ended);
         }
-        let about = found?;
-        let mut readout = correct_rolling_shutter(&mut scene, &self.timestamps, about);
-        if readout != 0.0 || about != 0.0 {
+        found?;
+        let was_straight = scene.readout != 0.0;
+        correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
+        if scene.readout != 0.0 || was_straight {
             refine(&mut scene, adjust_focal);
         }
-        if readout != 0.0 {
-            readout = correct_again(&mut scene, &self.timestamps, readout);
+        if scene.readout != 0.0 {
+            correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
             refine(&mut scene, adjust_focal);
         }
         if self.closes_loops {
             close_loops(&mut scene, adjust_focal);
         }
-        let lens_is_doubtful = give_up_doubtful_lens(&mut scene, readout);
+        settle(&mut scene, adjust_focal);
+        let lens_is_doubtful = give_up_doubtful_lens(&mut scene);
         if watch.ends() {
             return Err(Failure::Ended);
         }
+        let readout = scene.readout * interval(&self.timestamps).unwrap_or(0.0);
         let found = (readout, lens_is_doubtful);
         Ok(assemble(scene, &self.timestamps, &self.intrinsics, found))
     }
 }
 
-/// Camera, poses and landmarks as if all rows were exposed together; returns the readout that sights
-/// were first corrected for [frame intervals].
-fn find_path(scene: &mut Scene, adjust_focal: bool, timestamps: &[f64]) -> Result<f64, Failure> {
+/// Camera, poses and landmarks, of rows as they seem to have been read.
+fn find_path(scene: &mut Scene, adjust_focal: bool, timestamps: &[f64]) -> Result<(), Failure> {
+    if !scene.finds_lens {
+        scene.readout = straighten(&mut scene.tracks, &scene.camera, timestamps, &scene.watch);
+    }
     if adjust_focal {
         find_focal(scene)?;
     }
-    let about = match adjust_focal {
-        true => 0.0,
-        false => straighten(&mut scene.tracks, &scene.camera, timestamps, &scene.watch),
-    };
-    map(scene, adjust_focal)?;
-    Ok(about)
+    map(scene, adjust_focal)
+}
+
+/// Adjusts everything until cost and focal length stay where they are: a path that bends as a whole hardly
+/// changes what is seen, and neither does a focal length beside rows that were read in turn.
+fn settle(scene: &mut Scene, adjust_focal: bool) {
+    let mut before = (f64::INFINITY, scene.camera.fx);
+    for _ in 0..MOST_ROUNDS {
+        if scene.watch.ends() {
+            return;
+        }
+        let now = (refine(scene, adjust_focal), scene.camera.fx);
+        let changes = [now.0 / before.0, now.1 / before.1].map(|ratio| ratio.ln().abs());
+        if changes.iter().all(|change| *change < SETTLED) {
+            break;
+        }
+        before = now;
+    }
 }
 
 /// Poses and landmarks from tracks alone.

@@ -51,18 +51,18 @@ pub(crate) fn adjust_all(scene: &mut Scene, adjust_focal: bool) -> f64 {
     cost
 }
 
-/// Adjusts all frames; of a long sequence the keyframes, and then every other frame alone.
-pub(crate) fn refine(scene: &mut Scene, adjust_focal: bool) {
+/// Adjusts all frames; of a long sequence the keyframes, and then every other frame alone. Returns the
+/// cost per sight.
+pub(crate) fn refine(scene: &mut Scene, adjust_focal: bool) -> f64 {
     let posed = scene.posed();
     if posed.len() <= ADJUSTED_TOGETHER {
-        adjust_all(scene, adjust_focal);
-        return;
+        return adjust_all(scene, adjust_focal);
     }
     let mut is_keyframe = vec![false; scene.poses.len()];
     scene.tracks.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
     let between: Vec<usize> = posed.into_iter().filter(|f| !is_keyframe[*f]).collect();
     let before: Vec<Option<Pose<f64>>> = between.iter().map(|f| scene.poses[*f].take()).collect();
-    adjust_all(scene, adjust_focal);
+    let cost = adjust_all(scene, adjust_focal);
     let again = |(frame, pose): (&usize, &Option<Pose<f64>>)| {
         let matches = scene.matches(*frame);
         let pose = pose.filter(|_| !scene.watch.ends());
@@ -74,6 +74,7 @@ pub(crate) fn refine(scene: &mut Scene, adjust_focal: bool) {
         scene.poses[frame] = pose;
     }
     pose_rest(scene);
+    cost
 }
 
 /// Finds poses of the frames between keyframes and, again, of keyframes that were not reached,

@@ -4,11 +4,9 @@
 //! shows a point, `c` the principal point and `r` the distance of `s` from it over half the
 //! picture's diagonal: linear in `(a, b)`, which bundle adjustment finds.
 
+use crate::bundle::Moves;
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::Camera;
-
-/// What the position moves by for each coefficient: `(s - c) r²` and `(s - c) r⁴` [px].
-pub(crate) type Radial = [[f64; 2]; 2];
 
 /// Radii from which the usual coefficients are read off.
 const RADII: usize = 40;
@@ -18,8 +16,8 @@ fn half_diagonal(camera: &Camera<f64>) -> f64 {
     0.5 * (camera.width as f64).hypot(camera.height as f64)
 }
 
-/// What a position moves by.
-pub(crate) fn radial(camera: &Camera<f64>, seen: [f64; 2]) -> Radial {
+/// What a position moves by for each coefficient: `(s - c) r²` and `(s - c) r⁴` [px].
+pub(crate) fn radial(camera: &Camera<f64>, seen: [f64; 2]) -> Moves {
     let off = [seen[0] - camera.cx, seen[1] - camera.cy];
     let square = (off[0] * off[0] + off[1] * off[1]) / half_diagonal(camera).powi(2);
     [off.map(|v| v * square), off.map(|v| v * square * square)]

@@ -15,7 +15,7 @@ use i2slam_geometry::{Pose, Tangent};
 const COARSE: f64 = 0.5;
 const FINE: f64 = 0.2;
 /// No readout is longer [frame intervals].
-const LONGEST: f64 = 1.0;
+pub(crate) const LONGEST: f64 = 1.0;
 /// A readout must lower the cost to this share, or all rows count as exposed together.
 pub(crate) const WORTH: f64 = 0.97;
 const STEPS: usize = 8;
@@ -25,25 +25,19 @@ const STRETCH: usize = 100;
 /// Frames farther apart than so many intervals tell no velocity.
 const NEIGHBOUR: f64 = 4.5;
 
-/// The readout that fits best [s], positive if the top row comes first; 0 if none is clearly
-/// better than that. Image positions in the scene are corrected for it. `about` is a readout that
-/// they have been corrected for already [frame intervals].
-pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], about: f64) -> f64 {
-    let Some(interval) = interval(timestamps) else { return 0.0 };
+/// Looks for the readout that fits best, together with the focal length if asked, positive if the top row
+/// comes first; none if it is not clearly better than that. Image positions in the scene are corrected
+/// for it. A readout that they have been corrected for already is where the search begins.
+pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], adjust_focal: bool) {
+    let Some(interval) = interval(timestamps) else { return };
     scene.watch.tell(Stage::Rows, 0, 0);
-    let sample = Sample::of(scene, timestamps, interval);
+    let sample = Sample::of(scene, timestamps, interval, adjust_focal);
     let none = sample.cost(0.0);
+    let about = scene.readout;
     let (best, cost) = if about == 0.0 { sample.coarse(none) } else { sample.near(about) };
-    let readout = if cost < WORTH * none { best } else { 0.0 };
-    move_rows(scene, timestamps, readout * interval, interval);
-    readout * interval
-}
-
-/// Looks for a better readout near a known one [s], with the velocities that are known now; 0 if
-/// it is no longer clearly better than that.
-pub(crate) fn correct_again(scene: &mut Scene, timestamps: &[f64], readout: f64) -> f64 {
-    let Some(interval) = interval(timestamps).filter(|_| readout != 0.0) else { return readout };
-    correct_rolling_shutter(scene, timestamps, readout / interval)
+    scene.readout = if cost < WORTH * none { best } else { 0.0 };
+    scene.finds_readout = scene.readout != 0.0;
+    move_rows(scene, timestamps, scene.readout * interval, interval);
 }
 
 /// The frames that decide on the readout: all, or some stretches of a long sequence.
@@ -54,10 +48,11 @@ struct Sample<'a> {
     timestamps: &'a [f64],
     /// [s]
     interval: f64,
+    adjust_focal: bool,
 }
 
 impl<'a> Sample<'a> {
-    fn of(scene: &Scene, timestamps: &'a [f64], interval: f64) -> Self {
+    fn of(scene: &Scene, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
         let posed = scene.posed();
         let stretches: Vec<&[usize]> = if posed.len() <= STRETCHES * STRETCH {
             vec![&posed]
@@ -68,16 +63,17 @@ impl<'a> Sample<'a> {
         let mut sample = scene.clone();
         sample.watch = scene.watch.silent();
         sample.poses.fill(None);
+        sample.finds_readout = false;
         stretches.iter().copied().flatten().for_each(|f| sample.poses[*f] = scene.poses[*f]);
         let free = stretches.iter().flat_map(|s| s.iter().skip(1)).copied().collect();
-        Self { scene: sample, free, timestamps, interval }
+        Self { scene: sample, free, timestamps, interval, adjust_focal }
     }
 
     /// Cost per sight once all is adjusted to a readout [intervals].
     fn cost(&self, readout: f64) -> f64 {
         let mut tried = self.scene.clone();
         move_rows(&mut tried, self.timestamps, readout * self.interval, self.interval);
-        tried.adjust(&self.free, false, STEPS)
+        tried.adjust(&self.free, self.adjust_focal, STEPS)
     }
 
     /// The best of all readouts [intervals] and its cost, when that of none is known.
@@ -185,6 +181,8 @@ fn velocity(
 mod tests {
     use super::*;
 
+    use crate::determined::released;
+    use crate::grow::refine;
     use crate::tracks::{Observation, Track, Tracks};
     use i2slam_check::noise;
     use i2slam_geometry::{Camera, Rotation, Vec3};
@@ -231,9 +229,32 @@ mod tests {
     #[test]
     fn the_readout_of_a_long_sequence_is_found_from_some_stretches() {
         let (mut rolling, timestamps) = scene(420, 0.5);
-        let found = correct_rolling_shutter(&mut rolling, &timestamps, 0.0);
-        assert!((30.0 * found - 0.5).abs() < 0.05, "{found}");
+        correct_rolling_shutter(&mut rolling, &timestamps, false);
+        assert!((rolling.readout - 0.5).abs() < 0.05, "{}", rolling.readout);
         assert_eq!(rolling.posed().len(), 420);
+    }
+
+    /// Each of both would be found wrong beside a wrong other one.
+    #[test]
+    fn readout_and_focal_length_are_found_together() {
+        let (mut rolling, timestamps) = scene(60, 0.6);
+        let wrong = 1.12 * rolling.camera.fx;
+        (rolling.camera.fx, rolling.camera.fy) = (wrong, wrong);
+        for _ in 0..2 {
+            correct_rolling_shutter(&mut rolling, &timestamps, true);
+            refine(&mut rolling, true);
+        }
+        // Speeds are means over two intervals, which are too low where the camera trembles.
+        let found = ((rolling.camera.fx / 250.0).ln(), rolling.readout - 0.6);
+        assert!(found.0.abs() < 0.01 && found.1.abs() < 0.08, "{found:?}");
+        // What is told of the focal length leaves the readout open.
+        let (_, covariance) = released(&rolling);
+        let covariance = covariance.expect("determined");
+        assert!(covariance[1][1] > 0.0 && covariance[0][1] != 0.0);
+        rolling.finds_readout = false;
+        let (_, alone) = released(&rolling);
+        let alone = alone.expect("determined");
+        assert!(alone[0][0] < covariance[0][0], "{} {}", alone[0][0], covariance[0][0]);
     }
 
     #[test]
@@ -246,7 +267,9 @@ mod tests {
         for about in [0.0, 0.4] {
             let observations = global.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
             observations.for_each(|o| o.at[0] = o.seen[0] + about);
-            assert_eq!(correct_rolling_shutter(&mut global, &timestamps, about), 0.0);
+            global.readout = about;
+            correct_rolling_shutter(&mut global, &timestamps, false);
+            assert_eq!(global.readout, 0.0);
             let observations = global.tracks.tracks.iter().flat_map(|t| &t.observations);
             assert!(observations.clone().all(|o| o.at == o.seen));
         }

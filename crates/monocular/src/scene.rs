@@ -1,9 +1,10 @@
 //! What is known so far: poses of frames, landmarks of tracks.
 
-use crate::bundle::{Bundle, Sight, Unknown};
+use crate::bundle::{Bundle, Moves, Sight, Unknown};
 use crate::landmark::Landmark;
 use crate::lens::{radial, undistorted};
 use crate::resection::{AGREEING, Match};
+use crate::rolling::LONGEST;
 use crate::tracks::{Observation, Tracks, shared};
 use crate::triangulate::{PosedSight, triangulate};
 use crate::watch::Watch;
@@ -16,7 +17,7 @@ use std::sync::Arc;
 const WRONG: f64 = 6.0;
 /// The tracker's deviations are never taken as wrong by more than this.
 const MOST_NOISE: f64 = 4.0;
-/// Fewer frames do not tell the lens.
+/// Fewer frames do not tell the lens, nor the readout.
 const LEAST_FOR_LENS: usize = 8;
 /// Poses that are adjusted together at most.
 pub(crate) const MOST_FREE: usize = 1000;
@@ -37,6 +38,10 @@ pub(crate) struct Scene {
     /// The coefficients of the lens, and whether they are looked for: see [`lens`](crate::lens).
     pub(crate) lens: [f64; 2],
     pub(crate) finds_lens: bool,
+    /// The readout that sights are freed of, 0 for none [frame intervals], and whether a better one is
+    /// looked for with the camera.
+    pub(crate) readout: f64,
+    pub(crate) finds_readout: bool,
     /// Who watches.
     pub(crate) watch: Watch,
 }
@@ -46,9 +51,19 @@ impl Scene {
     pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
         let by_frame = Arc::new(tracks.by_frame());
-        let (noise, lens, finds_lens) = (1.0, [0.0; 2], false);
-        let watch = Watch::default();
-        Self { camera, tracks, by_frame, poses, landmarks, noise, lens, finds_lens, watch }
+        Self {
+            camera,
+            tracks,
+            by_frame,
+            poses,
+            landmarks,
+            noise: 1.0,
+            lens: [0.0; 2],
+            finds_lens: false,
+            readout: 0.0,
+            finds_readout: false,
+            watch: Watch::default(),
+        }
     }
 
     /// The scene of the keyframes of one of which nothing is known but the camera.
@@ -171,8 +186,10 @@ impl Scene {
             self.landmarks[*track] = Some(*landmark);
         }
         self.camera = bundle.camera;
-        if bundle.lens != [0.0; 2] {
-            self.change_lens(bundle.lens);
+        match bundle.unknown {
+            Unknown::FocalLengthAndLens => self.change_lens(bundle.change),
+            Unknown::FocalLengthAndRows => self.change_readout(bundle.change[0]),
+            Unknown::FocalLength | Unknown::Nothing => {}
         }
         cost
     }
@@ -186,13 +203,41 @@ impl Scene {
         }
     }
 
+    /// Frees all sights of a readout that differs from the one so far, in proportion: rows are read at
+    /// the speeds that are known.
+    fn change_readout(&mut self, change: f64) {
+        let readout = (self.readout + change).clamp(-LONGEST, LONGEST);
+        let ratio = readout / self.readout;
+        if !ratio.is_finite() || ratio <= 0.0 {
+            return;
+        }
+        self.readout = readout;
+        let (camera, lens) = (self.camera, self.lens);
+        for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
+            let flat = undistorted(&camera, lens, o.seen);
+            (0..2).for_each(|i| o.at[i] = flat[i] + ratio * (o.at[i] - flat[i]));
+        }
+    }
+
     /// What a bundle of so many frames may find of the camera.
     fn unknown(&self, adjust_focal: bool, frames: usize) -> Unknown {
-        match (adjust_focal, self.finds_lens && frames >= LEAST_FOR_LENS) {
-            (false, _) => Unknown::Nothing,
-            (true, false) => Unknown::FocalLength,
-            (true, true) => Unknown::FocalLengthAndLens,
+        let is_enough = frames >= LEAST_FOR_LENS;
+        match (self.finds_lens && is_enough, self.finds_readout && is_enough) {
+            _ if !adjust_focal => Unknown::Nothing,
+            (true, _) => Unknown::FocalLengthAndLens,
+            (false, true) => Unknown::FocalLengthAndRows,
+            (false, false) => Unknown::FocalLength,
         }
+    }
+
+    /// What the unknowns of the camera move a sight by: rows by what they were moved by so far, for one
+    /// frame interval.
+    fn moves(&self, unknown: Unknown, o: &Observation) -> Moves {
+        if unknown != Unknown::FocalLengthAndRows {
+            return radial(&self.camera, o.seen);
+        }
+        let flat = undistorted(&self.camera, self.lens, o.seen);
+        [std::array::from_fn(|i| (o.at[i] - flat[i]) / self.readout), [0.0; 2]]
     }
 
     /// Tracks that some frames show, in order.
@@ -218,9 +263,10 @@ impl Scene {
         tracks.iter().flat_map(right).for_each(|o| place[o.frame] = Some(0));
         let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
         frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
+        let unknown = self.unknown(adjust_focal, frames.len());
         let sight = |o: &Observation| {
-            let radial = radial(&self.camera, o.seen);
-            Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma, radial })
+            let moves = self.moves(unknown, o);
+            Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma, moves })
         };
         let sights = tracks.iter().map(|t| right(t).filter_map(sight).collect()).collect();
         let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
@@ -234,8 +280,8 @@ impl Scene {
             fixed,
             landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
             sights: Arc::new(sights),
-            lens: [0.0; 2],
-            unknown: self.unknown(adjust_focal, frames.len()),
+            change: [0.0; 2],
+            unknown,
         };
         (bundle, frames, tracks)
     }

@@ -1,4 +1,4 @@
-//! How well a bundle tells what all sights share: focal length and lens.
+//! How well a bundle tells what all sights share: focal length, and lens or readout.
 //!
 //! Residuals are not independent. Those of one point share the look that it is compared with, and
 //! those of one region, or of one picture, share what no model has: blur, a lens, edges that are no
@@ -15,7 +15,8 @@ use super::{Bundle, GLOBALS};
 /// Regions of the picture, across and down.
 const REGIONS: [usize; 2] = [4, 3];
 
-/// Covariance of the logarithm of the focal length and of the two coefficients of the lens.
+/// Covariance of the logarithm of the focal length and of the two coefficients of the lens, or of the
+/// readout [frame intervals].
 pub(crate) type Covariance = [[f64; GLOBALS]; GLOBALS];
 
 impl Bundle {

@@ -1,4 +1,5 @@
-//! Bundle adjustment: poses, landmarks and, when asked, focal length and lens, all at once.
+//! Bundle adjustment: poses, landmarks and, when asked, focal length and lens or readout of the rows,
+//! all at once.
 //!
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
@@ -11,7 +12,6 @@ mod structure;
 pub(crate) use deviation::Covariance;
 
 use crate::landmark::Landmark;
-use crate::lens::Radial;
 use crate::robust::huber;
 use crate::watch::{Stage, Watch};
 use i2slam_compute::reduce_in_order;
@@ -31,10 +31,14 @@ const STUCK: f64 = 1e6;
 const TOLD: usize = 64;
 /// A step that lowers the cost by less than this share is the last one.
 const CONVERGED: f64 = 1e-5;
-/// Unknowns that all sights share: the logarithm of the focal length, two coefficients of the lens.
+/// Unknowns that all sights share: the logarithm of the focal length, two [`Moves`].
 const GLOBALS: usize = 3;
 /// The most that a step changes each of them.
 const LONGEST_STEP: [f64; GLOBALS] = [0.2, 0.1, 0.1];
+
+/// What a position moves by for each unknown of the camera beside the focal length [px]: the two
+/// coefficients of the lens, or the readout of the rows and nothing.
+pub(crate) type Moves = [[f64; 2]; 2];
 
 /// A landmark as one camera sees it.
 #[derive(Clone, Copy, Debug)]
@@ -45,8 +49,8 @@ pub(crate) struct Sight {
     pub(crate) at: [f64; 2],
     /// Its standard deviation [px].
     pub(crate) sigma: f64,
-    /// What the lens moves it by: see [`lens`](crate::lens).
-    pub(crate) radial: Radial,
+    /// What lens or rows move it by.
+    pub(crate) moves: Moves,
 }
 
 /// All that is adjusted, and what it is adjusted to.
@@ -60,8 +64,8 @@ pub(crate) struct Bundle {
     pub(crate) landmarks: Vec<Landmark>,
     /// For every landmark its sights in order of poses, no two by one camera.
     pub(crate) sights: Arc<Vec<Vec<Sight>>>,
-    /// By how much the coefficients of the lens differ from those that the sights are free of.
-    pub(crate) lens: [f64; 2],
+    /// By how much lens or readout differ from those that the sights are free of.
+    pub(crate) change: [f64; 2],
     /// What is unknown of the camera.
     pub(crate) unknown: Unknown,
 }
@@ -71,14 +75,15 @@ pub(crate) struct Bundle {
 pub(crate) enum Unknown {
     Nothing,
     FocalLength,
+    FocalLengthAndRows,
     FocalLengthAndLens,
 }
 
 impl Sight {
-    /// Where a lens with other coefficients would leave it [px].
-    fn without_lens(&self, change: [f64; 2]) -> [f64; 2] {
+    /// Where another lens or readout would leave it [px].
+    fn freed(&self, change: [f64; 2]) -> [f64; 2] {
         std::array::from_fn(|i| {
-            self.at[i] + change[0] * self.radial[0][i] + change[1] * self.radial[1][i]
+            self.at[i] + change[0] * self.moves[0][i] + change[1] * self.moves[1][i]
         })
     }
 }
@@ -130,6 +135,7 @@ impl Bundle {
         match self.unknown {
             Unknown::Nothing => 0,
             Unknown::FocalLength => 1,
+            Unknown::FocalLengthAndRows => 2,
             Unknown::FocalLengthAndLens => GLOBALS,
         }
     }
@@ -151,7 +157,7 @@ impl Bundle {
     /// Length of a residual [standard deviations].
     pub(crate) fn residual(&self, landmark: usize, sight: &Sight) -> f64 {
         let at = self.landmarks[landmark].image_position(&self.camera, &self.poses[sight.pose]);
-        let seen = sight.without_lens(self.lens);
+        let seen = sight.freed(self.change);
         at.map_or(BEHIND, |at| (at[0] - seen[0]).hypot(at[1] - seen[1]) / sight.sigma)
     }
 
@@ -165,7 +171,7 @@ impl Bundle {
         }
         let globals: [f64; GLOBALS] =
             std::array::from_fn(|i| step.globals[i].clamp(-LONGEST_STEP[i], LONGEST_STEP[i]));
-        (0..2).for_each(|i| out.lens[i] += globals[1 + i]);
+        (0..2).for_each(|i| out.change[i] += globals[1 + i]);
         let scale = globals[0].exp();
         (out.camera.fx, out.camera.fy) = (out.camera.fx * scale, out.camera.fy * scale);
         out

@@ -2,9 +2,8 @@
 
 use super::linear::Step;
 use super::structure::Structure;
-use super::{Bundle, CHUNK, GLOBALS, Sight};
+use super::{Bundle, CHUNK, GLOBALS, Moves, Sight};
 use crate::landmark::Projection;
-use crate::lens::Radial;
 use crate::robust::{HUBER, huber};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Mat3, Vec3};
@@ -45,7 +44,7 @@ pub(super) struct GlobalPart {
 /// A residual, weighted, with its derivatives.
 struct Weighted {
     projection: Projection,
-    radial: Radial,
+    moves: Moves,
     residual: [f64; 2],
     weight: f64,
 }
@@ -67,11 +66,11 @@ fn weighted(
 ) -> Option<Weighted> {
     let pose = &bundle.poses[sight.pose];
     let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
-    let seen = sight.without_lens(bundle.lens);
+    let seen = sight.freed(bundle.change);
     let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - seen[i]);
     let length = residual[0].hypot(residual[1]) / sight.sigma;
     let weight = huber(length).0 / (sight.sigma * sight.sigma);
-    let mut out = Weighted { projection, radial: sight.radial, residual, weight };
+    let mut out = Weighted { projection, moves: sight.moves, residual, weight };
     if curvature == Curvature::Own && length > HUBER {
         out.keep_across();
     }
@@ -193,12 +192,12 @@ impl Weighted {
         let [x, y] = &mut self.projection.by_landmark;
         x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
         keep(self.projection.by_focal.each_mut());
-        self.radial.iter_mut().for_each(|radial| keep(radial.each_mut()));
+        self.moves.iter_mut().for_each(|by| keep(by.each_mut()));
     }
 
     /// Derivatives by the unknowns that all sights share.
     fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
-        [self.projection.by_focal[axis], -self.radial[0][axis], -self.radial[1][axis]]
+        [self.projection.by_focal[axis], -self.moves[0][axis], -self.moves[1][axis]]
     }
 }
 

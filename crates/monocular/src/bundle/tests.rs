@@ -22,7 +22,7 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
         let (u, v) = camera.project(poses[k].inverse() * points[i]);
         let e = &errors[(i * 6 + k) * 2..];
         let at = [u + spread * e[0], v + spread * e[1]];
-        Sight { pose: k, at, sigma: 0.5, radial: radial(&camera, at) }
+        Sight { pose: k, at, sigma: 0.5, moves: radial(&camera, at) }
     };
     let sights: Vec<Vec<Sight>> = (0..60).map(|i| (0..6).map(|k| sight(i, k)).collect()).collect();
     let landmarks = (0..60)
@@ -37,7 +37,7 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
             fixed,
             landmarks,
             sights,
-            lens: [0.0; 2],
+            change: [0.0; 2],
             unknown: Unknown::Nothing,
         },
         points,
@@ -125,7 +125,7 @@ fn one_step_without_damping_solves_the_normal_equations() {
 fn the_gradient_agrees_with_differences() {
     let (bundle, _) = scene(4.0);
     let unknown = Unknown::FocalLengthAndLens;
-    let bundle = Bundle { unknown, lens: [0.02, -0.01], ..disturbed(bundle) };
+    let bundle = Bundle { unknown, change: [0.02, -0.01], ..disturbed(bundle) };
     let structure = Structure::new(&bundle);
     let gradient = Linear::new(&bundle, &structure, Curvature::Bounding).half_gradient(2);
     let f = |x: &[f64]| {
@@ -167,7 +167,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
         let landmark = Landmark::on_ray(&camera, poses[begin], at, depth.recip());
         let sight = |pose: usize| {
             let at = landmark.image_position(&camera, &poses[pose])?;
-            Some(Sight { pose, at, sigma: 0.5, radial: [[0.0; 2]; 2] })
+            Some(Sight { pose, at, sigma: 0.5, moves: [[0.0; 2]; 2] })
         };
         let all: Vec<Sight> = by.into_iter().filter_map(sight).collect();
         if all.len() > 1 {
@@ -177,7 +177,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
     }
     let fixed = (0..count).map(|i| i < 2).collect();
     let sights = Arc::new(sights);
-    Bundle { camera, poses, fixed, landmarks, sights, lens: [0.0; 2], unknown: Unknown::Nothing }
+    Bundle { camera, poses, fixed, landmarks, sights, change: [0.0; 2], unknown: Unknown::Nothing }
 }
 
 #[test]
