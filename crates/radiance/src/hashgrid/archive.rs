@@ -1,8 +1,9 @@
 //! A field with its occupancy as bytes, lossless.
 //!
 //! Layout, little endian: the 8 bytes `I2FIELD\n`, format version (`u32`), the settings of the
-//! field, of the march and of the occupancy (13 + 6 + 4 numbers, `f64`) and the number of looks so far (`f64`), the remembered densities
-//! of the occupancy's cells, the table, the weights of the density network and of the colour
+//! field, of the march and of the occupancy (13 + 6 + 4 numbers, `f64`) and the number of looks so
+//! far (`f64`), a bit for each of the occupancy's cells (the lowest of a byte first) that says
+//! whether its remembered density is above 0, those that are (`f32`), the table, the weights of the density network and of the colour
 //! network (`f32`), and the CRC-32 (ISO-HDLC) of everything before.
 
 use super::{
@@ -12,7 +13,7 @@ use super::{
 use std::fmt;
 
 const MAGIC: &[u8; 8] = b"I2FIELD\n";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const PREAMBLE: usize = MAGIC.len() + 4;
 
 /// What is wrong with the bytes of a field.
@@ -133,14 +134,19 @@ pub struct HashGridMap {
 
 fn to_bytes(field: &HashGridField, occupancy: &Occupancy, march: &MarchSettings) -> Vec<u8> {
     let p = field.parameters();
-    let arrays = [occupancy.densities(), &p.table, &p.density, &p.colour];
+    let cells = occupancy.densities();
+    let dense: Vec<f32> = cells.iter().copied().filter(|d| *d > 0.0).collect();
+    let arrays = [&dense, &p.table, &p.density, &p.colour];
     let values: usize = arrays.iter().map(|a| a.len()).sum();
-    let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + 4 * values + 4);
+    let bits = cells.len().div_ceil(8);
+    let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + bits + 4 * values + 4);
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&VERSION.to_le_bytes());
     let mut all = numbers(field.settings(), march, occupancy.settings());
     all.push(f64::from(occupancy.looks()));
     all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+    let bit = |byte: u8, (i, d): (usize, &f32)| byte | u8::from(*d > 0.0) << i;
+    bytes.extend(cells.chunks(8).map(|cells| cells.iter().enumerate().fold(0, bit)));
     for array in arrays {
         array.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
     }
@@ -171,12 +177,17 @@ impl HashGridMap {
         }
         let looked = f64::from_le_bytes(reader.take()?) as u32;
         let cells = (looks.resolution as usize).pow(3);
-        if reader.rest.len() != 4 * (cells + count) {
+        let bits = reader.split(cells.div_ceil(8))?;
+        let is_dense = |cell: usize| bits[cell / 8] >> (cell % 8) & 1 == 1;
+        let dense: Vec<usize> = (0..cells).filter(|cell| is_dense(*cell)).collect();
+        if reader.rest.len() != 4 * (dense.len() + count) {
             return Err(FieldFileError::Length);
         }
         let mut field = HashGridField::zeros(field).map_err(FieldFileError::Settings)?;
         let mut densities = vec![0.0; cells];
-        reader.fill(&mut densities)?;
+        for cell in dense {
+            densities[cell] = f32::from_le_bytes(reader.take()?);
+        }
         for values in field.parameters_mut() {
             reader.fill(values)?;
         }
@@ -208,7 +219,13 @@ struct Reader<'a> {
     rest: &'a [u8],
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn split(&mut self, count: usize) -> Result<&'a [u8], FieldFileError> {
+        let (taken, rest) = self.rest.split_at_checked(count).ok_or(FieldFileError::Length)?;
+        self.rest = rest;
+        Ok(taken)
+    }
+
     fn take<const N: usize>(&mut self) -> Result<[u8; N], FieldFileError> {
         let (taken, rest) = self.rest.split_first_chunk::<N>().ok_or(FieldFileError::Length)?;
         self.rest = rest;

@@ -37,7 +37,7 @@ impl Occupancy {
         Self {
             settings: OccupancySettings { resolution, ..settings },
             densities: vec![0.0; cells],
-            occupied: vec![u64::MAX; cells.div_ceil(64)],
+            occupied: all_bits(cells),
             blocks: vec![true; (resolution.div_ceil(BLOCK) as usize).pow(3)],
             looks: 0,
             allowed: Vec::new(),
@@ -98,11 +98,15 @@ impl Occupancy {
             }
         }
         self.occupied.iter_mut().zip(&self.allowed).for_each(|(bits, allowed)| *bits &= allowed);
-        self.mark_blocks();
+        self.blocks.fill(false);
+        let occupied: Vec<usize> = set_bits(&self.occupied).collect();
+        occupied.into_iter().for_each(|cell| self.occupy(cell));
     }
 
-    fn allows(&self, cell: usize) -> bool {
-        self.allowed.get(cell / 64).is_none_or(|bits| bits >> (cell % 64) & 1 == 1)
+    /// The cells that may be occupied, in order.
+    fn allowed_cells(&self) -> impl Iterator<Item = usize> + '_ {
+        let all = if self.allowed.is_empty() { 0..self.densities.len() } else { 0..0 };
+        all.chain(set_bits(&self.allowed))
     }
 
     fn clear(&mut self) {
@@ -249,23 +253,19 @@ impl Occupancy {
     /// are left out. torch-ngp looks every 16 training steps.
     pub fn refresh(&mut self, field: &HashGridField, renderer: &mut FieldRenderer, seed: u64) {
         let mut random = Random::new(seed ^ (u64::from(self.looks) << 32));
-        let cells = self.densities.len();
-        if self.looks < self.settings.full_looks {
-            for first in (0..cells).step_by(CELLS) {
-                let part: Vec<usize> = (first..(first + CELLS).min(cells)).collect();
-                self.look(field, renderer, &mut random, &part);
-            }
-        } else {
-            let quarter = cells / 4;
-            let occupied: Vec<usize> = (0..cells).filter(|&cell| self.bit(cell)).collect();
-            let mut chosen: Vec<usize> = (0..quarter).map(|_| random.below(cells)).collect();
-            if !occupied.is_empty() {
-                chosen.extend((0..quarter).map(|_| occupied[random.below(occupied.len())]));
-            }
+        let mut chosen: Vec<usize> = self.allowed_cells().collect();
+        if self.looks >= self.settings.full_looks {
+            let quarter = chosen.len() / 4;
+            let occupied: Vec<usize> = chosen.iter().copied().filter(|&c| self.bit(c)).collect();
+            let mut draw = |from: &[usize]| -> Vec<usize> {
+                let count = if from.is_empty() { 0 } else { quarter };
+                (0..count).map(|_| from[random.below(from.len())]).collect()
+            };
+            chosen = [draw(&chosen), draw(&occupied)].concat();
             chosen.sort_unstable();
             chosen.dedup();
-            chosen.chunks(CELLS).for_each(|part| self.look(field, renderer, &mut random, part));
         }
+        chosen.chunks(CELLS).for_each(|part| self.look(field, renderer, &mut random, part));
         self.looks = self.looks.saturating_add(1);
         self.mark();
     }
@@ -284,9 +284,8 @@ impl Occupancy {
             let index = [index[0], index[1], index[2] / (resolution * resolution)];
             index.map(|i| (i as f32 + random.uniform() as f32) * size)
         };
-        let cells: Vec<usize> = cells.iter().copied().filter(|&cell| self.allows(cell)).collect();
         let positions: Vec<[f32; 3]> = cells.iter().map(|&cell| place(cell)).collect();
-        for (cell, density) in cells.into_iter().zip(renderer.unit_densities(field, &positions)) {
+        for (&cell, density) in cells.iter().zip(renderer.unit_densities(field, &positions)) {
             let kept = self.densities[cell] * self.settings.decay;
             self.densities[cell] = if density.is_finite() { kept.max(density) } else { kept };
         }
@@ -294,22 +293,34 @@ impl Occupancy {
 
     /// Renew the bits and the blocks.
     fn mark(&mut self) {
-        let sum: f64 = self.densities.iter().map(|d| f64::from(*d)).sum();
-        let mean = (sum / self.densities.len() as f64) as f32;
+        let density = |cell: usize| self.densities[cell];
+        let cells: Vec<usize> = self.allowed_cells().filter(|&cell| density(cell) > 0.0).collect();
+        let sum: f64 = cells.iter().map(|&cell| f64::from(density(cell))).sum();
+        let mean = (sum / cells.len().max(1) as f64) as f32;
         let threshold = (0.5 * mean).min(self.settings.density);
-        for (word, densities) in self.occupied.iter_mut().zip(self.densities.chunks(64)) {
-            let bits = densities.iter().enumerate();
-            *word = bits.fold(0, |word, (i, d)| word | u64::from(*d >= threshold && *d > 0.0) << i);
-        }
-        self.mark_blocks();
-    }
-
-    fn mark_blocks(&mut self) {
-        self.blocks.fill(false);
-        for cell in 0..self.densities.len() {
-            if self.bit(cell) {
+        self.clear();
+        for cell in cells {
+            if self.densities[cell] >= threshold {
                 self.occupy(cell);
             }
         }
     }
+}
+
+/// Words of which the first `count` bits are set.
+fn all_bits(count: usize) -> Vec<u64> {
+    let mut words = vec![u64::MAX; count.div_ceil(64)];
+    if let (Some(last), rest @ 1..) = (words.last_mut(), count % 64) {
+        *last = (1 << rest) - 1;
+    }
+    words
+}
+
+/// The numbers of the bits that are set.
+fn set_bits(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
+    words.iter().enumerate().flat_map(|(word, &bits)| {
+        let rest = |bits: &u64| Some(bits & (bits - 1)).filter(|rest| *rest != 0);
+        let words = std::iter::successors((bits != 0).then_some(bits), rest);
+        words.map(move |bits| 64 * word + bits.trailing_zeros() as usize)
+    })
 }
