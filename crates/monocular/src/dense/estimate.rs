@@ -7,7 +7,7 @@ use i2slam_compute::{Stop, median};
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 
 /// Half the side of a window, of the picture and of that of half its size [px].
-const HALF_WINDOWS: [usize; 2] = [3, 2];
+pub(super) const HALF_WINDOWS: [usize; 2] = [3, 2];
 /// How far a plane of the sweep moves the coarse picture of the neighbour that it moves most [px].
 const PLANE_STEP: f64 = 0.7;
 /// Bounds of the number of planes.

@@ -3,18 +3,20 @@
 //! A keyframe is compared with a few others at a row of inverse depths, by windows' zero-mean
 //! normalised correlation, which neither exposure nor a smooth response changes. Costs are aggregated
 //! along straight paths, and refined twice around what was found, which bends windows along surfaces.
-//! What the estimates of other keyframes contradict is given up.
+//! What the estimates of other keyframes contradict is given up, and beside edges depth is doubtful.
 
 mod aggregate;
 mod consistency;
 mod correlation;
+mod edges;
 mod estimate;
 mod neighbours;
 mod sweep;
 
 use crate::pyramid::Pyramid;
 use consistency::agreed;
-use estimate::{Estimate, estimate};
+use edges::doubt_beside_edges;
+use estimate::{Estimate, HALF_WINDOWS, estimate};
 use i2slam_compute::Stop;
 use i2slam_geometry::{Camera, Image, Pose};
 use std::collections::BTreeMap;
@@ -102,7 +104,9 @@ impl DenseDepths {
         let oldest = index.saturating_sub(REACH);
         self.estimates.retain(|i, _| *i >= oldest);
         self.pictures.retain(|i, _| *i + REACH >= oldest);
-        Some(in_depth(&kept))
+        let mut found = in_depth(&kept);
+        doubt_beside_edges(&mut found, HALF_WINDOWS[0]);
+        Some(found)
     }
 
     /// The keyframes that serve one best.

@@ -1,0 +1,83 @@
+//! Depth beside edges: a window that lies on two surfaces may have been matched by either, so that near
+//! surfaces come out too large by up to half a window.
+
+use super::DenseDepth;
+
+/// Least difference of depths that is an edge, as a share of the nearer one.
+const EDGE: f32 = 0.1;
+/// Standard deviation of the depth beside an edge, as a share of the step there: the other surface is
+/// three of them away.
+const SHARE: f32 = 1.0 / 3.0;
+
+/// Adds to the variance of every pixel what other surfaces within `reach` pixels, along rows and columns
+/// each, make doubtful.
+pub(super) fn doubt_beside_edges(found: &mut DenseDepth, reach: usize) {
+    let (width, height) = (found.depth.width, found.depth.height);
+    let depth = &found.depth.data;
+    let most = spread(depth, (width, height), reach, f32::max);
+    let least = spread(depth, (width, height), reach, |a, b| match (a > 0.0, b > 0.0) {
+        (true, true) => a.min(b),
+        _ => a.max(b),
+    });
+    for (pixel, variance) in found.variance.data.iter_mut().enumerate() {
+        let here = depth[pixel];
+        let step = (most[pixel] - here).max(here - least[pixel]);
+        if here > 0.0 && step > EDGE * here.min(least[pixel]) {
+            *variance += (SHARE * step).powi(2);
+        }
+    }
+}
+
+/// `pick` over squares of `2 reach + 1` pixels a side.
+fn spread(
+    values: &[f32],
+    (width, height): (usize, usize),
+    reach: usize,
+    pick: impl Fn(f32, f32) -> f32,
+) -> Vec<f32> {
+    let around = |i: usize, end: usize| i.saturating_sub(reach)..(i + reach + 1).min(end);
+    let over = |values: &[f32], at: &dyn Fn(usize) -> Vec<usize>| -> Vec<f32> {
+        let pixels = 0..values.len();
+        pixels.map(|p| at(p).into_iter().map(|q| values[q]).fold(values[p], &pick)).collect()
+    };
+    let row = |p: usize| around(p % width, width).map(|x| p / width * width + x).collect();
+    let column = |p: usize| around(p / width, height).map(|y| y * width + p % width).collect();
+    over(&over(values, &row), &column)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_geometry::Image;
+
+    /// A near half beside a far one, a column that is not known, and a slope of one in a hundred down.
+    fn halves() -> DenseDepth {
+        let mut depth = Image::new(20, 12, 1);
+        for (i, d) in depth.data.iter_mut().enumerate() {
+            let far = if i % 20 < 10 { 1.0 } else { 2.5 };
+            *d = if i % 20 == 3 { 0.0 } else { far + 0.01 * (i / 20) as f32 };
+        }
+        let variance = Image { data: vec![1e-4; 240], ..depth.clone() };
+        DenseDepth { depth, variance }
+    }
+
+    #[test]
+    fn both_sides_of_an_edge_are_doubtful_up_to_the_other_surface() {
+        let mut found = halves();
+        doubt_beside_edges(&mut found, 3);
+        for (pixel, variance) in found.variance.data.iter().enumerate() {
+            let beside = (7..13).contains(&(pixel % 20));
+            let reach = 3.0 * variance.sqrt();
+            assert_eq!(beside, *variance > 1e-4, "{pixel}");
+            assert!(!beside || (1.5..1.55).contains(&reach), "{pixel}: {reach}");
+        }
+    }
+
+    #[test]
+    fn unknown_depth_and_slopes_are_no_edges() {
+        let mut found = halves();
+        found.depth.data.iter_mut().filter(|d| **d > 2.0).for_each(|d| *d = 0.0);
+        doubt_beside_edges(&mut found, 3);
+        assert!(found.variance.data.iter().all(|v| *v == 1e-4));
+    }
+}
