@@ -8,6 +8,7 @@ mod estimate;
 mod figures;
 mod path;
 mod posed;
+mod refined;
 mod summary;
 mod track;
 mod write;

@@ -15,7 +15,7 @@ use std::sync::Mutex;
 
 /// Longer side of the pictures in which the path of the camera is found, where they were recorded so
 /// large [px]: smaller ones, which a map may be made of, show less exactly where points are.
-const PATH_SIDE: usize = 640;
+pub(super) const PATH_SIDE: usize = 640;
 
 /// The path of the camera through pictures as they are.
 pub(super) fn find_path(
@@ -28,7 +28,8 @@ pub(super) fn find_path(
     camera::before(sequence, &large).iter().for_each(|line| progress.note(line));
     let intrinsics = camera::intrinsics(&large, estimate_distortion);
     let count = large.len();
-    let watch = watch(progress, Estimate::new(config.clone(), sequence.clone()));
+    let estimate = Estimate::new(config.clone(), sequence.clone());
+    let watch = watch(progress, Some(estimate));
     let load = move |place: usize| picture(&large, place);
     match Native::find(intrinsics, count, load, &watch) {
         Err(NativeError::NoPath { failure: NativeFailure::Ended, .. }) => {
@@ -41,14 +42,14 @@ pub(super) fn find_path(
     }
 }
 
-/// Shows how far the search is, and early on what the whole job will take.
-fn watch(progress: &Progress, estimate: Estimate) -> Watch {
+/// Shows how far the search is, and early on what the whole job will take, by the estimate if there is one.
+pub(super) fn watch(progress: &Progress, estimate: Option<Estimate>) -> Watch {
     let shown = Mutex::new((progress.clone(), estimate));
     Watch::new(interrupt::stop(), move |stage, done, of| {
         let Ok(mut shown) = shown.lock() else { return };
         let (progress, estimate) = &mut *shown;
         progress.stage(words(stage), done, of);
-        if let Stage::Points { keyframes } = stage {
+        if let (Stage::Points { keyframes }, Some(estimate)) = (stage, estimate) {
             let told = estimate.after(done, keyframes);
             told.iter().for_each(|line| progress.note(line));
         }

@@ -4,6 +4,7 @@ use super::Job;
 use super::camera::{self, FoundCamera};
 use super::drive::{Drive, Tracked, drive};
 use super::path::find_path;
+use super::refined::refined;
 use crate::failure::{Failure, without_panics};
 use crate::interrupt;
 use crate::output::counted;
@@ -113,8 +114,12 @@ impl Keyframes {
                 let source = import(path, Some(&job.dataset), &options)?;
                 let (count, frame_rate) = (source.len(), source.files().frame_rate);
                 let warnings = source.files().warnings.iter().cloned().map(Warning::from).collect();
+                let refined = match job.config.keyframed.refine_imported {
+                    true => refined(path, &job.dataset, &options, &source, progress)?,
+                    false => None,
+                };
                 Ok(Opened {
-                    source: Box::new(source),
+                    source: refined.unwrap_or_else(|| Box::new(source)),
                     count,
                     between: Box::new(std::iter::empty()),
                     path: Vec::new(),

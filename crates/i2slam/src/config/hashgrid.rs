@@ -44,3 +44,16 @@ pub struct HashGridConfig {
     /// λ_depth (a mean over pixels).
     pub depth_weight: f32,
 }
+
+impl HashGridConfig {
+    /// The same with all cells and distances of samples `factor` times as fine.
+    pub(crate) fn refined(&self, factor: f32) -> Self {
+        Self {
+            finest_cell: self.finest_cell / factor,
+            occupancy_cells: (self.occupancy_cells as f32 * factor).round() as u32,
+            step: self.step / factor,
+            step_min: self.step_min / factor,
+            ..self.clone()
+        }
+    }
+}

@@ -28,6 +28,10 @@ pub struct KeyframedConfig {
     pub preconditioning_interval: usize,
     /// λ_traj, against means over pixels; a sum over the squared unit of length and rad².
     pub trajectory_weight: f32,
+    /// Whether the pictures of keyframes from files without depth are followed as a video, which
+    /// gives them dense depth and, where it fits the pictures clearly better, other poses to begin
+    /// with.
+    pub refine_imported: bool,
     /// First distance of start and end pose, as a share of the motion in one frame interval.
     pub initial_split: f32,
     /// Standard deviations from which on an estimated depth counts as wrong: its loss goes on
@@ -44,6 +48,9 @@ pub struct KeyframedConfig {
     pub surface_camera_rate: f32,
     /// Factor of `hashgrid.final_iterations` there: a step takes a tenth of the time.
     pub surface_steps: f32,
+    /// Factor by which `hashgrid.occupancy_cells` is larger there, and `hashgrid.finest_cell`,
+    /// `hashgrid.step` and `hashgrid.step_min` are smaller: there is less to sample.
+    pub surface_detail: f32,
     /// Times during these steps that all keyframes are found anew in the map.
     pub surface_searches: usize,
 }

@@ -3,6 +3,7 @@
 mod import;
 mod native;
 mod reader;
+mod refined;
 mod rows;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
@@ -10,6 +11,7 @@ pub use native::{
     Intrinsics, Native, NativeError, NativeFailure, NativeReconstruction, NativeWarning,
     SequencePicture, Stage, Watch,
 };
+pub use refined::Refined;
 
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;

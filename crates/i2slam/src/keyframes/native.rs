@@ -315,4 +315,4 @@ fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDe
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

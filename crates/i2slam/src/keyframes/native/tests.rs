@@ -3,7 +3,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A wall with a step in depth, seen from `place` tenths to the right.
-fn picture(camera: &Camera<f64>, place: usize) -> Image<f32> {
+pub(in crate::keyframes) fn picture(camera: &Camera<f64>, place: usize) -> Image<f32> {
     let mut out = Image::new(camera.width, camera.height, 3);
     let pixels = camera.pixels();
     for i in 0..pixels {
@@ -19,11 +19,15 @@ fn picture(camera: &Camera<f64>, place: usize) -> Image<f32> {
     out
 }
 
-fn stamped(camera: &Camera<f64>, place: usize, timestamp: f64) -> SequencePicture {
+pub(in crate::keyframes) fn stamped(
+    camera: &Camera<f64>,
+    place: usize,
+    timestamp: f64,
+) -> SequencePicture {
     SequencePicture { index: 2 * place, timestamp, colour: picture(camera, place) }
 }
 
-fn camera() -> Camera<f64> {
+pub(in crate::keyframes) fn camera() -> Camera<f64> {
     Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 }
 }
 

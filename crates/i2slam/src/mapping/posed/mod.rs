@@ -173,7 +173,11 @@ impl PosedField {
             bound = bound.max(GROWTH * field.map.field.settings().bound);
         }
         let config = story.config;
-        let empty = untrained(&config.hashgrid, centre, bound, config.seed)?;
+        let settings = match shells::are_known(story) {
+            true => config.hashgrid.refined(config.keyframed.surface_detail),
+            false => config.hashgrid.clone(),
+        };
+        let empty = untrained(&settings, centre, bound, config.seed)?;
         let mut march = empty.march;
         march.near = NEAR * config.keyframed.reach;
         let occupancy = Occupancy::new(*empty.occupancy.settings());

@@ -13,14 +13,18 @@ const DEVIATIONS: f32 = 3.0;
 /// The same where depth is a guess, as a factor of it.
 const GUESSED: f32 = 1.3;
 
+/// Whether any keyframe of a story has estimated depth in most pixels.
+pub(super) fn are_known(story: &Story<'_>) -> bool {
+    story.keyframes.iter().any(|keyframe| has_surfaces(&keyframe.observation))
+}
+
 /// The shells of all keyframes of a story; none if none of them has estimated depth in most pixels.
 pub(super) fn shells(
     map: &HashGridMap,
     camera: &Camera<f32>,
     story: &Story<'_>,
 ) -> Option<Occupancy> {
-    let is_dense = |keyframe: &Keyframe| has_surfaces(&keyframe.observation);
-    story.keyframes.iter().any(is_dense).then(|| {
+    are_known(story).then(|| {
         let mut shells = Occupancy::empty(*map.occupancy.settings());
         story.keyframes.iter().for_each(|k| hold(&mut shells, map, camera, story, k));
         shells
