@@ -35,7 +35,7 @@ fn stages_are_told_with_their_counts() {
     let (found, told) = search(|_, _| false);
     let found = found.expect("a path");
     let first = |stage: Stage| told.iter().position(|(s, ..)| *s == stage);
-    let order = [Stage::FocalLength, Stage::Keyframes, Stage::Rows, Stage::Loops].map(first);
+    let order = [Stage::Rows, Stage::FocalLength, Stage::Keyframes, Stage::Loops].map(first);
     assert!(order.iter().all(Option::is_some) && order.is_sorted(), "{told:?}");
     let counts = told.iter().filter(|(stage, ..)| *stage == Stage::Keyframes);
     let counts: Vec<(usize, usize)> = counts.map(|(_, done, of)| (*done, *of)).collect();

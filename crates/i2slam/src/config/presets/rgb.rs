@@ -98,7 +98,7 @@ pub(super) fn ours() -> Config {
             initial_split: 0.5,
             depth_outlier: 3.0,
             coarse_steps: 400,
-            surface_depth_weight: 0.02,
+            surface_depth_weight: 0.004,
             surface_steps: 3.5,
             surface_detail: 2.0,
             surface_searches: 2,
