@@ -37,6 +37,8 @@ pub(crate) use trajectory::intervals;
 
 /// Steps from one look at which cells are dense to the next (torch-ngp).
 const LOOK: usize = 16;
+/// Looks for which all cells around surfaces are sampled once keyframes were found anew.
+const SECOND_LOOKS: i32 = 8;
 /// Share of `reach` that is not sampled before a camera (torch-ngp: 0.2 of 4).
 const NEAR: f32 = 0.05;
 /// Pixels of a Jacobian.
@@ -209,6 +211,13 @@ impl PosedField {
         }
     }
 
+    /// Samples again what was emptied around surfaces before poses were as good as they are now.
+    fn reopen(&mut self) {
+        if let Some(field) = self.field.as_mut().filter(|field| field.shells.is_some()) {
+            field.map.occupancy.reopen(SECOND_LOOKS);
+        }
+    }
+
     /// Samples around what the last keyframe sees too.
     fn hold_last(&mut self, story: &Story<'_>) {
         let (Some(field), Some(last)) = (&mut self.field, story.keyframes.last()) else { return };
@@ -254,6 +263,7 @@ impl PosedField {
             if step > 0 && step.is_multiple_of(part) {
                 self.relocate(story);
                 self.confine(story);
+                self.reopen();
             }
             let window = any(story, story.config.mapping.window);
             let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);

@@ -103,6 +103,17 @@ impl Occupancy {
         occupied.into_iter().for_each(|cell| self.occupy(cell));
     }
 
+    /// Occupies all cells that may be, for `looks` looks at least: what was emptied while the field or
+    /// the poses were still poor gets samples, and with them density, again.
+    pub fn reopen(&mut self, looks: i32) {
+        let density = self.settings.density / self.settings.decay.powi(looks);
+        let cells: Vec<usize> = self.allowed_cells().collect();
+        for cell in cells {
+            self.densities[cell] = self.densities[cell].max(density);
+            self.occupy(cell);
+        }
+    }
+
     /// The cells that may be occupied, in order.
     fn allowed_cells(&self) -> impl Iterator<Item = usize> + '_ {
         let all = if self.allowed.is_empty() { 0..self.densities.len() } else { 0..0 };

@@ -158,3 +158,25 @@ fn looks_occupy_no_cell_that_is_not_allowed() {
     occupancy.confine(&up_to(1.0));
     assert_eq!(occupancy.share(), 1.0);
 }
+
+/// What was emptied is sampled again for as many looks as asked, and only where it is allowed.
+#[test]
+fn reopened_cells_stay_for_some_looks() {
+    let mut field = field(settings(), 4).cast::<f32>();
+    field.parameters_mut()[1].iter_mut().for_each(|weight| *weight *= 8.0);
+    let looks = OccupancySettings { resolution: 6, decay: 0.5, ..Default::default() };
+    let (centre, bound) = (settings().centre, settings().bound);
+    let half = Occupancy::of_cells(centre, bound, looks, |p| f64::from(p.x) < centre[0]);
+    let mut occupancy = Occupancy::new(looks);
+    occupancy.confine(&half);
+    let look = |occupancy: &mut Occupancy, times: usize| {
+        (0..times).for_each(|_| occupancy.refresh(&field, &mut renderer(), 1));
+        occupancy.share()
+    };
+    let settled = look(&mut occupancy, 12);
+    assert!(settled > 0.0 && settled < 0.5, "{settled}");
+    occupancy.reopen(3);
+    assert_eq!(occupancy.share(), 0.5);
+    assert_eq!(look(&mut occupancy, 3), 0.5);
+    assert!(look(&mut occupancy, 12) < 0.5);
+}
