@@ -114,7 +114,8 @@ impl Keyframes {
                 let source = import(path, Some(&job.dataset), &options)?;
                 let (count, frame_rate) = (source.len(), source.files().frame_rate);
                 let warnings = source.files().warnings.iter().cloned().map(Warning::from).collect();
-                let refined = match job.config.keyframed.refine_imported {
+                let wanted = *depth != ImportDepth::None && job.config.keyframed.refine_imported;
+                let refined = match wanted {
                     true => refined(path, &job.dataset, &options, &source, progress)?,
                     false => None,
                 };

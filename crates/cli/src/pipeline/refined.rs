@@ -33,7 +33,8 @@ pub(super) fn refined(
     let found = match found {
         Ok(found) => found,
         Err(NativeError::NoPath { failure: NativeFailure::Ended, .. }) => {
-            return Err(Failure::Interrupted);
+            progress.note("ended while the pictures were followed: poses stay as they came");
+            return Ok(None);
         }
         Err(failure) => {
             progress.note(&format!("poses are taken as they came, without depth: {failure}"));
@@ -52,7 +53,7 @@ pub(super) fn refined(
     Ok(Some(Box::new(refined)))
 }
 
-/// The same pictures as large as the path is best found in, where they were recorded so large.
+/// The same pictures, smaller ones as large as the path is best found in if they were recorded so large.
 fn large(options: &ImportOptions, files: &Files) -> ImportOptions {
     let open = match files.camera.width.max(files.camera.height) < PATH_SIDE {
         true => OpenOptions { scale: 1.0, max_side: Some(PATH_SIDE), ..options.open.clone() },

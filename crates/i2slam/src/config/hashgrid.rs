@@ -47,7 +47,7 @@ pub struct HashGridConfig {
 
 impl HashGridConfig {
     /// The same with all cells and distances of samples `factor` times as fine.
-    pub(crate) fn refined(&self, factor: f32) -> Self {
+    pub(crate) fn finer(&self, factor: f32) -> Self {
         Self {
             finest_cell: self.finest_cell / factor,
             occupancy_cells: (self.occupancy_cells as f32 * factor).round() as u32,

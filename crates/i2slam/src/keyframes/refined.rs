@@ -9,7 +9,7 @@ use super::reader::Reader;
 use super::{EstimatedDepth, KeyframeSource, Native, PictureError, PosedKeyframe, SequencePicture};
 use i2slam_compute::Stop;
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_monocular::{DenseDepths, FrameStatus, Reconstruction, View};
+use i2slam_monocular::{DenseDepths, FrameStatus, Keyframe, Reconstruction, SparseDepth, View};
 
 /// Share of the keyframes that the front end must have found a pose for.
 const FOUND: f64 = 0.6;
@@ -29,12 +29,15 @@ pub struct Refined<L> {
     next: usize,
     /// Mean correlation of the pictures with the poses as they came and as they were found.
     correlations: [f64; 2],
+    /// Whether poses are those that were found.
+    moved: bool,
 }
 
 impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
     /// Keyframes of `camera` at poses as they came, world from camera, with the path that was found
     /// from their pictures, of whatever size, in order; `load` gives the picture at a place. None
-    /// where too few of them were found. No depth is looked for any more once `stop` is wished.
+    /// where too few of them were found, or their rows were read in turn, which poses of files say
+    /// nothing of. No depth is looked for any more once `stop` is wished.
     pub fn new<P>(
         camera: Camera<f64>,
         mut poses: Vec<Pose<f64>>,
@@ -46,9 +49,13 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
         P: FnMut(usize) -> Result<SequencePicture, PictureError>,
     {
         let found = native.reconstruction().clone().resized(camera.width, camera.height);
+        if found.rolling_shutter_readout != 0.0 {
+            return None;
+        }
         let path = Path::of(&poses, &found, |frame| native.place(frame))?;
-        let correlations = [&poses, &path.poses].map(|poses| path.correlation(poses, &mut load));
-        if correlations[1] > correlations[0] + CLEARLY {
+        let correlations = path.correlations([&poses, &path.poses], &mut load, &stop);
+        let moved = correlations[1] > correlations[0] + CLEARLY;
+        if moved {
             poses.clone_from(&path.poses);
         }
         let views = poses.iter().enumerate().map(|(place, pose)| View {
@@ -57,7 +64,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
         });
         let dense = DenseDepths::new(camera, views.collect()).until(stop);
         let reader = Reader::new((0..poses.len()).collect(), load);
-        Some(Self { camera, poses, dense, reader, next: 0, correlations })
+        Some(Self { camera, poses, dense, reader, next: 0, correlations, moved })
     }
 
     /// Number of keyframes, taken or not.
@@ -73,7 +80,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
     /// What became of the poses, in words.
     pub fn told(&self) -> String {
         let [came, found] = self.correlations;
-        let which = match found > came + CLEARLY {
+        let which = match self.moved {
             true => "poses are refined by their pictures",
             false => "poses stay as they came",
         };
@@ -152,35 +159,59 @@ impl<'a> Path<'a> {
         })
     }
 
-    /// Mean correlation of patches around the landmarks of a keyframe with the next one, where it
-    /// shows them if the cameras stand at `poses`.
-    fn correlation(
+    /// Mean correlation of patches around the landmarks of a keyframe with the next one, if the cameras
+    /// stand at each of `paths`, over what both of them say is seen.
+    fn correlations(
         &self,
-        poses: &[Pose<f64>],
+        paths: [&[Pose<f64>]; 2],
         load: &mut dyn FnMut(usize) -> Result<SequencePicture, PictureError>,
-    ) -> f64 {
-        let camera = &self.found.camera;
-        let (mut sum, mut count) = (0.0, 0);
-        let mut last: Option<(usize, Image<f32>)> = None;
-        for (&place, keyframe) in self.places.iter().zip(&self.found.keyframes).rev() {
-            let Ok(picture) = load(place) else { continue };
-            let here = picture.colour;
-            if let Some((next, there)) = &last {
-                let next_from_here = poses[*next].inverse() * poses[place];
-                for point in &keyframe.depths {
-                    let [u, v] = point.at;
-                    let seen = next_from_here * camera.unproject(u, v, self.scale * point.depth);
-                    let to = camera.project(seen);
-                    let value = correlation(&here, (u, v), there, to);
-                    if let Some(value) = value.filter(|_| seen.z > 0.0) {
-                        sum += value;
-                        count += 1;
+        stop: &Stop,
+    ) -> [f64; 2] {
+        let (mut sums, mut count) = ([0.0; 2], 0);
+        let mut last: Option<(usize, &Keyframe, Image<f32>)> = None;
+        for (&place, keyframe) in self.places.iter().zip(&self.found.keyframes) {
+            if stop.is_wished() {
+                break;
+            }
+            let Ok(SequencePicture { colour, .. }) = load(place) else { continue };
+            if let Some((before, seen, picture)) = &last {
+                let motions = paths.map(|poses| self.motion(poses, *before, place));
+                for point in &seen.depths {
+                    let both = motions.map(|motion| self.fit(point, motion, picture, &colour));
+                    if let [Some(came), Some(found)] = both {
+                        (sums[0], sums[1], count) = (sums[0] + came, sums[1] + found, count + 1);
                     }
                 }
             }
-            last = Some((place, here));
+            last = Some((place, keyframe, colour));
         }
-        sum / f64::from(count.max(1))
+        sums.map(|sum| sum / f64::from(count.max(1)))
+    }
+
+    /// `next_from_here` on a path, and its unit of length in that of `found` between the two: what
+    /// one of the paths has drifted in scale until here is no fault of the other.
+    fn motion(&self, poses: &[Pose<f64>], here: usize, next: usize) -> (Pose<f64>, f64) {
+        let next_from_here = |poses: &[Pose<f64>]| poses[next].inverse() * poses[here];
+        let (motion, own) = (next_from_here(poses), next_from_here(&self.poses));
+        let ratio = motion.translation.norm() / own.translation.norm();
+        let ratio = if ratio.is_finite() && ratio > 0.0 { ratio } else { 1.0 };
+        (motion, self.scale * ratio)
+    }
+
+    /// How well the surroundings of a landmark in one picture fit the next.
+    fn fit(
+        &self,
+        point: &SparseDepth,
+        (next_from_here, scale): (Pose<f64>, f64),
+        here: &Image<f32>,
+        next: &Image<f32>,
+    ) -> Option<f64> {
+        let (camera, [u, v]) = (&self.found.camera, point.at);
+        let seen = next_from_here * camera.unproject(u, v, scale * point.depth);
+        if seen.z <= 0.0 {
+            return None;
+        }
+        correlation(here, (u, v), next, camera.project(seen))
     }
 }
 

@@ -22,7 +22,7 @@ pub(super) fn doubt_beside_edges(found: &mut DenseDepth, reach: usize) {
     for (pixel, variance) in found.variance.data.iter_mut().enumerate() {
         let here = depth[pixel];
         let step = (most[pixel] - here).max(here - least[pixel]);
-        if here > 0.0 && step > EDGE * here.min(least[pixel]) {
+        if here > 0.0 && step > EDGE * least[pixel] {
             *variance += (SHARE * step).powi(2);
         }
     }

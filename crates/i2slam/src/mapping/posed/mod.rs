@@ -176,7 +176,7 @@ impl PosedField {
         }
         let config = story.config;
         let settings = match shells::are_known(story) {
-            true => config.hashgrid.refined(config.keyframed.surface_detail),
+            true => config.hashgrid.finer(config.keyframed.surface_detail),
             false => config.hashgrid.clone(),
         };
         let empty = untrained(&settings, centre, bound, config.seed)?;

@@ -103,7 +103,7 @@ impl Occupancy {
         occupied.into_iter().for_each(|cell| self.occupy(cell));
     }
 
-    /// Occupies all cells that may be, for `looks` looks at least: what was emptied while the field or
+    /// Occupies all cells that may be, for about `looks` looks: what was emptied while the field or
     /// the poses were still poor gets samples, and with them density, again.
     pub fn reopen(&mut self, looks: i32) {
         let density = self.settings.density / self.settings.decay.powi(looks);
@@ -266,7 +266,7 @@ impl Occupancy {
         let mut random = Random::new(seed ^ (u64::from(self.looks) << 32));
         let mut chosen: Vec<usize> = self.allowed_cells().collect();
         if self.looks >= self.settings.full_looks {
-            let quarter = chosen.len() / 4;
+            let quarter = (chosen.len() / 4).max(1);
             let occupied: Vec<usize> = chosen.iter().copied().filter(|&c| self.bit(c)).collect();
             let mut draw = |from: &[usize]| -> Vec<usize> {
                 let count = if from.is_empty() { 0 } else { quarter };
