@@ -106,15 +106,15 @@ pub(crate) struct Input {
     /// --max-side]
     #[arg(long, value_name = "S")]
     pub(crate) scale: Option<f64>,
-    /// Longer side of the processed pictures at most [px] [default: 640 for videos and colour alone,
-    /// unless --scale is given]
+    /// Longer side of the processed pictures at most [px] [default: 640 for videos and colour
+    /// alone, unless --scale is given]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(16..))]
     pub(crate) max_side: Option<u32>,
     /// Camera file to use instead of the folder's camera.json
     #[arg(long, value_name = "FILE.json")]
     pub(crate) camera: Option<PathBuf>,
-    /// Camera: a file (camera.json, transforms.json, COLMAP's cameras.txt, a line `fx fy cx cy`), or
-    /// four numbers FX FY CX CY without distortion [px], pixel centres at integers
+    /// Camera: a file (camera.json, transforms.json, COLMAP's cameras.txt, a line `fx fy cx cy`),
+    /// or four numbers FX FY CX CY without distortion [px], pixel centres at integers
     #[arg(
         long,
         value_name = "FILE or NUMBERS",

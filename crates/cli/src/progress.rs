@@ -134,8 +134,8 @@ impl Progress {
         }
     }
 
-    /// So much is done of a phase, which may have been left for another and come back, and whose number
-    /// of steps, 0 where it is not known, may have changed.
+    /// So much is done of a phase, which may have been left for another and come back, and whose
+    /// number of steps, 0 where it is not known, may have changed.
     pub(crate) fn stage(&mut self, name: &'static str, done: usize, total: usize) {
         if name == self.phase.name {
             if total != self.phase.total {

@@ -108,9 +108,9 @@ impl Adam {
         self.step_elements(parameters, gradient, rate, 1, &ages);
     }
 
-    /// One step of the elements, `width` parameters each (at most 192), whose age is not zero: an element of age
-    /// `n` takes its `n`-th step, so its moments are corrected as those of an optimiser of its
-    /// own. All others keep parameters and moments.
+    /// One step of the elements, `width` parameters each (at most 192), whose age is not zero: an
+    /// element of age `n` takes its `n`-th step, so its moments are corrected as those of an
+    /// optimiser of its own. All others keep parameters and moments.
     pub fn step_elements(
         &mut self,
         parameters: &mut [f32],

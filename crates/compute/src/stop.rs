@@ -3,8 +3,8 @@
 use std::fmt;
 use std::sync::Arc;
 
-/// Whether somebody wishes long work to end early. Work asks between its steps, on any thread; a wish
-/// is never taken back. The default is that nobody ever does.
+/// Whether somebody wishes long work to end early. Work asks between its steps, on any thread; a
+/// wish is never taken back. The default is that nobody ever does.
 #[derive(Clone, Default)]
 pub struct Stop(Option<Arc<dyn Fn() -> bool + Send + Sync>>);
 

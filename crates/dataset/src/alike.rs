@@ -9,13 +9,13 @@ use std::path::Path;
 /// Focal lengths that differ by this share are those of two lenses, or of one that zooms.
 const SAME_LENS: f64 = 0.01;
 
-/// A warning if EXIF data ask for some pictures to be turned otherwise than the first: all are shown
-/// alike, because a sensor does not turn in its camera.
+/// A warning if EXIF data ask for some pictures to be turned otherwise than the first: all are
+/// shown alike, because a sensor does not turn in its camera.
 ///
 /// # Errors
 ///
-/// A picture of another focal length than the first that tells one, or one that is mirrored where the
-/// first is not: no single camera sees both.
+/// A picture of another focal length than the first that tells one, or one that is mirrored where
+/// the first is not: no single camera sees both.
 pub(crate) fn check_alike(
     entries: &[Entry],
     shown: Orientation,

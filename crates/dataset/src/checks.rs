@@ -92,7 +92,8 @@ fn of_video(
     Ok(calibration.camera(size).resized(width, height))
 }
 
-/// Width and height [px] of the first readable colour image as it is shown, agreeing with the camera's.
+/// Width and height [px] of the first readable colour image as it is shown, agreeing with the
+/// camera's.
 fn recorded_size(
     entries: &[Entry],
     calibration: &Calibration,

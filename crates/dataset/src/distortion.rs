@@ -32,8 +32,9 @@ impl Distortion {
 
     /// Where the lens puts the ray `(x, y, 1)`:
     ///
-    /// `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`,
-    /// `y'` alike with `p1` and `p2` exchanged (OpenCV, *Camera Calibration and 3D Reconstruction*).
+    /// `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) + 2 p1 x y + p2 (r² + 2
+    /// x²)`, `y'` alike with `p1` and `p2` exchanged (OpenCV, *Camera Calibration and 3D
+    /// Reconstruction*).
     pub(crate) fn distort(&self, x: f64, y: f64) -> (f64, f64) {
         let r2 = x * x + y * y;
         let series = |k: [f64; 3]| 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]));

@@ -51,8 +51,8 @@ pub struct OpenOptions {
     /// depth images they still decide which frames there are, so that a frame has the same number
     /// with and without depth. Default false.
     pub colour_only: bool,
-    /// Pictures alone, which no depth and no pose lies beside, are shown as the EXIF data of the first
-    /// one ask: turned or mirrored. Default false: as they are stored, with a warning.
+    /// Pictures alone, which no depth and no pose lies beside, are shown as the EXIF data of the
+    /// first one ask: turned or mirrored. Default false: as they are stored, with a warning.
     pub turn_pictures: bool,
 }
 

@@ -1,11 +1,12 @@
-//! Pictures that are to be shown turned or mirrored, as the EXIF data of telephones and cameras ask.
+//! Pictures that are to be shown turned or mirrored, as the EXIF data of telephones and cameras
+//! ask.
 
 use crate::calibration::Calibration;
 use crate::distortion::Distortion;
 use i2slam_geometry::Image;
 
-/// How a picture is shown: where its columns and rows go. Every one of the eight ways is a change of
-/// places of columns and rows, then a reflection of either.
+/// How a picture is shown: where its columns and rows go. Every one of the eight ways is a change
+/// of places of columns and rows, then a reflection of either.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Orientation {
     /// Rows become columns.
@@ -78,9 +79,9 @@ impl Orientation {
         out
     }
 
-    /// The calibration of pictures as shown. One that tells the size of pictures as they are stored,
-    /// and no others, is of those and is turned with them; others are of pictures as shown, as OpenCV
-    /// reads them.
+    /// The calibration of pictures as shown. One that tells the size of pictures as they are
+    /// stored, and no others, is of those and is turned with them; others are of pictures as shown,
+    /// as OpenCV reads them.
     pub(crate) fn calibration(self, found: Calibration, stored: (usize, usize)) -> Calibration {
         let shown = self.size(stored);
         if found.size != Some(stored) || stored == shown || found.field_of_view.is_some() {

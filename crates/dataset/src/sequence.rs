@@ -92,7 +92,8 @@ pub struct Sequence {
     pub entries: Vec<Entry>,
     /// What did not enter the associated stream.
     pub left_out: LeftOut,
-    /// The folder's `groundtruth.txt` (or `pose.txt`), for [`read_trajectory`](crate::read_trajectory).
+    /// The folder's `groundtruth.txt` (or `pose.txt`), for
+    /// [`read_trajectory`](crate::read_trajectory).
     pub ground_truth: Option<PathBuf>,
     /// True poses `world_from_camera` that came with the frames themselves, at their times; empty
     /// for layouts that have a ground-truth file. See [`true_trajectory`](Self::true_trajectory).
@@ -126,8 +127,8 @@ impl Sequence {
         }
     }
 
-    /// Opens the sequence in a folder, in a `.sens` file, or a video. Reads lists, headers and a few
-    /// depth images, no more; a video is decoded once.
+    /// Opens the sequence in a folder, in a `.sens` file, or a video. Reads lists, headers and a
+    /// few depth images, no more; a video is decoded once.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
         options.validate()?;
         if let Some(refusal) = refused_stream(path) {

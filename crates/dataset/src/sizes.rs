@@ -13,8 +13,9 @@ use std::sync::Arc;
 const SMALLEST_SIDE: usize = 8;
 
 impl Sequence {
-    /// The same frames with a longer side of `side` [px], or as large as they were recorded where that
-    /// is less; never smaller than they are. [`warnings`](Self::warnings) are those of that size alone.
+    /// The same frames with a longer side of `side` [px], or as large as they were recorded where
+    /// that is less; never smaller than they are. [`warnings`](Self::warnings) are those of that
+    /// size alone.
     #[must_use]
     pub fn at_least(&self, side: usize) -> Self {
         let before = &self.preparation;

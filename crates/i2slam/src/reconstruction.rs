@@ -53,8 +53,8 @@ pub struct FrameEstimate {
     pub response: usize,
     /// Whether the frame entered the mapping window for good.
     pub keyframe: bool,
-    /// Whether the map never saw the frame, by `mapping.hold_out` or because it lies between keyframes
-    /// that came with poses: it was tracked alone.
+    /// Whether the map never saw the frame, by `mapping.hold_out` or because it lies between
+    /// keyframes that came with poses: it was tracked alone.
     pub held_out: bool,
     /// Whether tracking converged (otherwise the pose is an extrapolation).
     pub tracked: bool,

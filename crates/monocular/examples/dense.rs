@@ -1,8 +1,8 @@
 //! How well dense depth of keyframes agrees with the depth pictures of a sequence.
 //!
-//! `cargo run --release -p i2slam-monocular --example dense -- SEQUENCE [--true-poses]` finds the camera path from
-//! the colour pictures alone, and the depth of every keyframe; compared with the depth pictures after
-//! one scale for the sequence. `--true-poses`: from the true poses instead.
+//! `cargo run --release -p i2slam-monocular --example dense -- SEQUENCE [--true-poses]` finds the
+//! camera path from the colour pictures alone, and the depth of every keyframe; compared with the
+//! depth pictures after one scale for the sequence. `--true-poses`: from the true poses instead.
 
 use i2slam_compute::median;
 use i2slam_dataset::{OpenOptions, Sequence};

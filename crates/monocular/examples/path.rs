@@ -1,12 +1,13 @@
 //! The camera path of a sequence from its colour pictures alone.
 //!
 //! `cargo run --release -p i2slam-monocular --example path -- SEQUENCE OUT.txt [FLAGS]` writes
-//! `world_from_camera` poses in the TUM format. A sequence may be a video (ffmpeg decodes it), whose
-//! focal length is unknown unless `--fov DEGREES` gives it. `--guess FACTOR`: the focal length is
-//! taken as unknown and looked for from FACTOR times that of the sequence; `--wrong FACTOR`: that
-//! value is claimed; `--lens`: its distortion is looked for too; `--scale S`: pictures of S times the size; `--stride N`: every N-th picture; `--passes N`: forth and back through the pictures so
-//! many times, as one long video; `--cover N`: the lens is covered for twelve pictures from the
-//! N-th on; `--verbose`: what is known of each.
+//! `world_from_camera` poses in the TUM format. A sequence may be a video (ffmpeg decodes it),
+//! whose focal length is unknown unless `--fov DEGREES` gives it. `--guess FACTOR`: the focal
+//! length is taken as unknown and looked for from FACTOR times that of the sequence; `--wrong
+//! FACTOR`: that value is claimed; `--lens`: its distortion is looked for too; `--scale S`:
+//! pictures of S times the size; `--stride N`: every N-th picture; `--passes N`: forth and back
+//! through the pictures so many times, as one long video; `--cover N`: the lens is covered for
+//! twelve pictures from the N-th on; `--verbose`: what is known of each.
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_geometry::Camera;

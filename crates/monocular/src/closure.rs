@@ -311,8 +311,8 @@ mod tests {
         scene
     }
 
-    /// The end of the second way is found at the end of the first, 0.4 aside: all keyframes share the
-    /// drift, and the one that was recognised stays at its place.
+    /// The end of the second way is found at the end of the first, 0.4 aside: all keyframes share
+    /// the drift, and the one that was recognised stays at its place.
     #[test]
     fn a_place_that_was_recognised_is_not_torn_by_a_closed_loop() {
         let mut scene = two_ways();

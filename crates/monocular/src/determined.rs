@@ -7,14 +7,14 @@ use crate::scene::{MOST_FREE, Scene};
 /// A lens counts if pictures of a camera without one would seem to have as much in one of a hundred
 /// cases: the 99th percentile of a sum of two squared normal numbers.
 const SIGNIFICANT: f64 = 9.21;
-/// With a lens the focal length must be known to this relative deviation, or be no more than so many
-/// times less certain than without: with more, pinhole pictures of a camera that moved along a line were
-/// given lenses, and focal lengths that were off by 5 and by 50 percent.
+/// With a lens the focal length must be known to this relative deviation, or be no more than so
+/// many times less certain than without: with more, pinhole pictures of a camera that moved along a
+/// line were given lenses, and focal lengths that were off by 5 and by 50 percent.
 const CERTAIN: f64 = 0.005;
 const LESS_CERTAIN: f64 = 1.5;
 
-/// The keyframes alone, their camera let go once more, with its covariance: the first ones of a long
-/// sequence, those that its camera is found from.
+/// The keyframes alone, their camera let go once more, with its covariance: the first ones of a
+/// long sequence, those that its camera is found from.
 pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
     let keyframes = scene.tracks.keyframes.iter().copied();
     let posed = keyframes.filter(|f| scene.poses[*f].is_some());
@@ -28,11 +28,11 @@ pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
     (freed, covariance)
 }
 
-/// Gives up a lens that the pictures do not determine, so that it would make focal length and path worse:
-/// one that is not told from none, one that leaves the focal length far less certain than without it
-/// (where a camera moves along a line, the two make up for each other), and one of pictures whose rows
-/// were read in turn, which bends what a turning camera sees much as a lens does. Returns whether it was
-/// given up.
+/// Gives up a lens that the pictures do not determine, so that it would make focal length and path
+/// worse: one that is not told from none, one that leaves the focal length far less certain than
+/// without it (where a camera moves along a line, the two make up for each other), and one of
+/// pictures whose rows were read in turn, which bends what a turning camera sees much as a lens
+/// does. Returns whether it was given up.
 pub(crate) fn give_up_doubtful_lens(scene: &mut Scene) -> bool {
     if !scene.finds_lens || scene.lens == [0.0; 2] {
         return false;

@@ -140,9 +140,9 @@ impl FrontEnd {
             return Err(Failure::Ended);
         }
         found?;
-        let was_straight = scene.readout != 0.0;
+        let was_straightened = scene.readout != 0.0;
         correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
-        if scene.readout != 0.0 || was_straight {
+        if scene.readout != 0.0 || was_straightened {
             refine(&mut scene, adjust_focal);
         }
         if scene.readout != 0.0 {
@@ -174,8 +174,8 @@ fn find_path(scene: &mut Scene, adjust_focal: bool, timestamps: &[f64]) -> Resul
     map(scene, adjust_focal)
 }
 
-/// Adjusts everything until cost and focal length stay where they are: a path that bends as a whole hardly
-/// changes what is seen, and neither does a focal length beside rows that were read in turn.
+/// Adjusts everything until cost and focal length stay where they are: a path that bends as a whole
+/// hardly changes what is seen, and neither does a focal length beside rows that were read in turn.
 fn settle(scene: &mut Scene, adjust_focal: bool) {
     let mut before = (f64::INFINITY, scene.camera.fx);
     for _ in 0..MOST_ROUNDS {
@@ -220,8 +220,8 @@ fn spread(scene: &mut Scene, adjust_focal: bool) -> bool {
     }
 }
 
-/// The scene from another start, where keyframes in a row that were not reached stand for more frames
-/// than those that were, if more are reached from there; and whether some had been lost.
+/// The scene from another start, where keyframes in a row that were not reached stand for more
+/// frames than those that were, if more are reached from there; and whether some had been lost.
 fn larger_part(scene: &Scene, adjust_focal: bool) -> Option<(Scene, bool)> {
     let is_posed = |place: usize| scene.poses[scene.tracks.keyframes[place]].is_some();
     let places: Vec<usize> = (0..scene.tracks.keyframes.len()).collect();

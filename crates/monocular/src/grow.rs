@@ -51,8 +51,8 @@ pub(crate) fn adjust_all(scene: &mut Scene, adjust_focal: bool) -> f64 {
     cost
 }
 
-/// Adjusts all frames; of a long sequence the keyframes, and then every other frame alone. Returns the
-/// cost per sight.
+/// Adjusts all frames; of a long sequence the keyframes, and then every other frame alone. Returns
+/// the cost per sight.
 pub(crate) fn refine(scene: &mut Scene, adjust_focal: bool) -> f64 {
     let posed = scene.posed();
     if posed.len() <= ADJUSTED_TOGETHER {

@@ -55,8 +55,8 @@ pub enum FrameStatus {
 /// A point of the scene that a keyframe shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SparseDepth {
-    /// Image position in the keyframe as the pinhole camera would show it, all rows exposed with the
-    /// middle one [px].
+    /// Image position in the keyframe as the pinhole camera would show it, all rows exposed with
+    /// the middle one [px].
     pub at: [f64; 2],
     /// Depth along the optical axis, in the unit of the poses.
     pub depth: f64,
@@ -83,8 +83,9 @@ pub struct Keyframe {
 pub struct Reconstruction {
     /// The pinhole camera: as given, or with the focal length found.
     pub camera: Camera<f64>,
-    /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for, zero where it was not found: a point that the pinhole
-    /// camera sees at `c + f x` is shown at `c + f x (1 + k1 ‖x‖² + k2 ‖x‖⁴)`.
+    /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for, zero where it was not
+    /// found: a point that the pinhole camera sees at `c + f x` is shown at `c + f x (1 + k1 ‖x‖² +
+    /// k2 ‖x‖⁴)`.
     pub distortion: Option<[f64; 2]>,
     /// Relative standard deviation of the focal length, where it was looked for and is determined.
     pub focal_deviation: Option<f64>,

@@ -25,9 +25,10 @@ const STRETCH: usize = 100;
 /// Frames farther apart than so many intervals tell no velocity.
 const NEIGHBOUR: f64 = 4.5;
 
-/// Looks for the readout that fits best, together with the focal length if asked, positive if the top row
-/// comes first; none if it is not clearly better than that. Image positions in the scene are corrected
-/// for it. A readout that they have been corrected for already is where the search begins.
+/// Looks for the readout that fits best, together with the focal length if asked, positive if the
+/// top row comes first; none if it is not clearly better than that. Image positions in the scene
+/// are corrected for it. A readout that they have been corrected for already is where the search
+/// begins.
 pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], adjust_focal: bool) {
     let Some(interval) = interval(timestamps) else { return };
     scene.watch.tell(Stage::Rows, 0, 0);
@@ -124,8 +125,8 @@ pub(crate) fn lowest_of_parabola(step: f64, [before, middle, after]: [f64; 3]) -
     (curvature > 0.0 && lowest.is_finite()).then(|| lowest.clamp(-2.0 * step, 2.0 * step))
 }
 
-/// Sets every observation's position to that of the middle row's moment. Where nothing tells how the
-/// camera moved, it stays as it was, or becomes what was seen if all rows share one moment.
+/// Sets every observation's position to that of the middle row's moment. Where nothing tells how
+/// the camera moved, it stays as it was, or becomes what was seen if all rows share one moment.
 fn move_rows(scene: &mut Scene, timestamps: &[f64], readout: f64, interval: f64) {
     let velocities: Vec<Option<Tangent<f64>>> =
         (0..scene.poses.len()).map(|f| velocity(scene, timestamps, f, interval)).collect();

@@ -38,8 +38,8 @@ pub(crate) struct Scene {
     /// The coefficients of the lens, and whether they are looked for: see [`lens`](crate::lens).
     pub(crate) lens: [f64; 2],
     pub(crate) finds_lens: bool,
-    /// The readout that sights are freed of, 0 for none [frame intervals], and whether a better one is
-    /// looked for with the camera.
+    /// The readout that sights are freed of, 0 for none [frame intervals], and whether a better one
+    /// is looked for with the camera.
     pub(crate) readout: f64,
     pub(crate) finds_readout: bool,
     /// Who watches.
@@ -203,8 +203,8 @@ impl Scene {
         }
     }
 
-    /// Frees all sights of a readout that differs from the one so far, in proportion: rows are read at
-    /// the speeds that are known.
+    /// Frees all sights of a readout that differs from the one so far, in proportion: rows are read
+    /// at the speeds that are known.
     fn change_readout(&mut self, change: f64) {
         let readout = (self.readout + change).clamp(-LONGEST, LONGEST);
         let ratio = readout / self.readout;
@@ -230,8 +230,8 @@ impl Scene {
         }
     }
 
-    /// What the unknowns of the camera move a sight by: rows by what they were moved by so far, for one
-    /// frame interval.
+    /// What the unknowns of the camera move a sight by: rows by what they were moved by so far, for
+    /// one frame interval.
     fn moves(&self, unknown: Unknown, o: &Observation) -> Moves {
         if unknown != Unknown::FocalLengthAndRows {
             return radial(&self.camera, o.seen);

@@ -52,7 +52,8 @@ pub(crate) fn straighten(
     best
 }
 
-/// Time between frames in whole intervals: pictures that are missing count, stamps that tremble do not.
+/// Time between frames in whole intervals: pictures that are missing count, stamps that tremble do
+/// not.
 fn whole_intervals(timestamps: &[f64]) -> Option<Vec<f64>> {
     let interval = interval(timestamps)?;
     let whole = |pair: &[f64]| ((pair[1] - pair[0]) / interval).round().max(1.0);

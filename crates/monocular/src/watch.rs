@@ -35,8 +35,8 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Ends the search where `stop` is wished; `listener` is told what is done, of how much (0 where
-    /// that is not known), on the thread that searches.
+    /// Ends the search where `stop` is wished; `listener` is told what is done, of how much (0
+    /// where that is not known), on the thread that searches.
     pub fn new(stop: Stop, listener: impl Fn(Stage, usize, usize) + Send + Sync + 'static) -> Self {
         Self { stop, listener: Some(Arc::new(listener)) }
     }

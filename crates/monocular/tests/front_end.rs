@@ -129,8 +129,8 @@ fn the_distortion_of_a_lens_is_found_on_demand() {
     assert_eq!(straight.distortion, None);
 }
 
-/// A pinhole camera that moves to the right and hardly turns does not tell a lens from another focal
-/// length: none is taken, which is said.
+/// A pinhole camera that moves to the right and hardly turns does not tell a lens from another
+/// focal length: none is taken, which is said.
 #[test]
 fn a_lens_that_is_not_determined_is_none() {
     let guess = Camera { fx: 170.0, fy: 170.0, ..camera() };

@@ -12,7 +12,8 @@ pub enum Response {
     /// The sRGB encoding (IEC 61966-2-1), clipped at 1.
     Srgb,
     /// As measured on consumer cameras: a toe, a soft shoulder and channels that differ a little.
-    /// With `y = srgb(1 - exp(-1.25 x))` and a contrast `k` of the channel, `y + k (3y² - 2y³ - y)`.
+    /// With `y = srgb(1 - exp(-1.25 x))` and a contrast `k` of the channel, `y + k (3y² - 2y³ -
+    /// y)`.
     Measured,
 }
 

@@ -10,9 +10,8 @@ use i2slam::keyframes::{Intrinsics, NativeReconstruction};
 pub(crate) struct FoundCamera {
     /// Where it came from at first, in words.
     source: String,
-    /// Focal length at first [px], and the horizontal field of view that it gave [degrees].
+    /// Focal length at first [px].
     assumed: f64,
-    assumed_view: f64,
     /// Focal length in the end [px].
     found: f64,
     /// Whether it was looked for.
@@ -91,13 +90,30 @@ pub(crate) fn before(sequence: &Sequence, large: &Sequence) -> Vec<String> {
     lines
 }
 
+/// A focal length that was found in the pictures [px] with the horizontal field of view that it
+/// gives [degrees], its standard deviation as a share, and the focal length at first [px], in
+/// words.
+pub(super) fn focal_length_line(
+    (found, view): (f64, f64),
+    deviation: Option<f64>,
+    assumed: f64,
+) -> String {
+    let tangent = (0.5 * view).to_radians().tan() * found / assumed;
+    let assumed_view = 2.0 * tangent.atan().to_degrees();
+    let deviation = deviation.map(|share| format!(" ± {:.1} %", 100.0 * share));
+    format!(
+        "camera: focal length {found:.1} px{}, {view:.1} degrees across, found in the pictures \
+         (assumed {assumed:.1} px, {assumed_view:.1} degrees)",
+        deviation.unwrap_or_default(),
+    )
+}
+
 impl FoundCamera {
     /// What a front end made of the camera of a sequence.
     pub(crate) fn of(sequence: &Sequence, found: &NativeReconstruction) -> Self {
         Self {
             source: sequence.camera_source.clone(),
             assumed: sequence.camera.fx,
-            assumed_view: sequence.camera.horizontal_field_of_view().to_degrees(),
             found: found.camera.fx,
             searched: sequence.camera_is_guess,
             deviation: found.focal_deviation,
@@ -120,16 +136,8 @@ impl FoundCamera {
     pub(crate) fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         if self.searched {
-            let deviation = self.deviation.map(|share| format!(" ± {:.1} %", 100.0 * share));
-            lines.push(format!(
-                "camera: focal length {:.1} px{}, {:.1} degrees across, found in the pictures \
-                 (assumed {:.1} px, {:.1} degrees)",
-                self.found,
-                deviation.unwrap_or_default(),
-                self.field_of_view,
-                self.assumed,
-                self.assumed_view
-            ));
+            let found = (self.found, self.field_of_view);
+            lines.push(focal_length_line(found, self.deviation, self.assumed));
         }
         lines.extend(self.lens_line());
         if self.readout != 0.0 {
@@ -160,5 +168,18 @@ impl FoundCamera {
         if metrics.rolling_shutter_readout_s == 0.0 {
             metrics.rolling_shutter_readout_s = self.readout;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn focal_lengths_are_told_with_the_views_that_they_give() {
+        let line = focal_length_line((320.0, 90.0), Some(0.004), 640.0);
+        assert!(line.contains("320.0 px ± 0.4 %, 90.0 degrees across"), "{line}");
+        assert!(line.contains("(assumed 640.0 px, 53.1 degrees)"), "{line}");
+        assert!(!focal_length_line((320.0, 90.0), None, 320.0).contains('±'));
     }
 }

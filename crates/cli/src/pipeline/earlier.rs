@@ -4,15 +4,15 @@ use i2slam::export::{FolderContents, Layout, Metrics};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Whether a folder holds a result that is complete, or has more than `tracked` frames; of one whose
-/// figures cannot be read that is assumed.
+/// Whether a folder holds a result that is complete, or has more than `tracked` frames; of one
+/// whose figures cannot be read that is assumed.
 pub(super) fn is_better(folder: &Path, tracked: usize) -> bool {
     Layout::of_result().contents(folder) == FolderContents::Own
         && figures(folder).is_none_or(|earlier| earlier.complete || earlier.tracked > tracked)
 }
 
-/// The folder beside it for what there is of a run that ended early: `NAME-partial`, or with a number
-/// where that holds anything but such a part.
+/// The folder beside it for what there is of a run that ended early: `NAME-partial`, or with a
+/// number where that holds anything but such a part.
 pub(super) fn beside(folder: &Path) -> PathBuf {
     let whole = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -26,8 +26,8 @@ impl Estimate {
         Self { config, sequence, started: Instant::now(), is_told: false }
     }
 
-    /// What there is to tell once points were followed through `done` pictures, of which `keyframes`
-    /// became some.
+    /// What there is to tell once points were followed through `done` pictures, of which
+    /// `keyframes` became some.
     pub(super) fn after(&mut self, done: usize, keyframes: usize) -> Option<String> {
         let frames = self.sequence.len();
         if self.is_told || done < FEW.min(frames) {

@@ -13,8 +13,8 @@ use i2slam::keyframes::{
 };
 use std::sync::Mutex;
 
-/// Longer side of the pictures in which the path of the camera is found, where they were recorded so
-/// large [px]: smaller ones, which a map may be made of, show less exactly where points are.
+/// Longer side of the pictures in which the path of the camera is found, where they were recorded
+/// so large [px]: smaller ones, which a map may be made of, show less exactly where points are.
 pub(super) const PATH_SIDE: usize = 640;
 
 /// The path of the camera through pictures as they are.
@@ -42,7 +42,8 @@ pub(super) fn find_path(
     }
 }
 
-/// Shows how far the search is, and early on what the whole job will take, by the estimate if there is one.
+/// Shows how far the search is, and early on what the whole job will take, by the estimate if there
+/// is one.
 pub(super) fn watch(progress: &Progress, estimate: Option<Estimate>) -> Watch {
     let shown = Mutex::new((progress.clone(), estimate));
     Watch::new(interrupt::stop(), move |stage, done, of| {

@@ -79,8 +79,8 @@ impl Posed {
             Ok(frame) => self.session.locate(frame).map(|_| ()).map_err(|e| e.to_string()),
             Err(error) => Err(error.to_string()),
         };
-        let left_out = located.err().map(|reason| format!("frame left out: {reason}"));
-        self.warnings.extend(left_out.map(Warning::from));
+        let left_out = located.err().map(|reason| format!("frame left out: {reason}").into());
+        self.warnings.extend(left_out);
     }
 
     /// The next frame that is to be found in the finished map.
@@ -115,10 +115,7 @@ impl Keyframes {
                 let (count, frame_rate) = (source.len(), source.files().frame_rate);
                 let warnings = source.files().warnings.iter().cloned().map(Warning::from).collect();
                 let wanted = *depth != ImportDepth::None && job.config.keyframed.refine_imported;
-                let refined = match wanted {
-                    true => refined(path, &job.dataset, &options, &source, progress)?,
-                    false => None,
-                };
+                let refined = wanted.then(|| refined(source.files(), progress)).flatten();
                 Ok(Opened {
                     source: refined.unwrap_or_else(|| Box::new(source)),
                     count,
@@ -178,8 +175,7 @@ where
     let at = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
     let number = |frame: usize| found.place(frame).map_or(frame, at);
     let left_out = |(place, why): &(usize, PictureError)| {
-        let index = at(*place);
-        Warning::of_frames((index, index), format!("frame {index} left out: {why}"))
+        Warning::of_frame(at(*place), format!("left out: {why}"))
     };
     let warnings = found.reconstruction().warnings.iter().map(|w| w.numbered(number));
     let warnings = warnings.map(|warning| match (warning, warning.frames()) {
@@ -208,9 +204,9 @@ pub(super) fn track(
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
     let opened = without_panics(|| keyframes.open(job, sequence, progress))?;
-    opened.warnings.iter().for_each(|warning| progress.warn(warning.clone()));
-    let Opened { mut source, count, between, path, given, frame_rate, camera, undistorted, .. } =
-        opened;
+    let Opened { mut source, count, between, path, given, frame_rate, .. } = opened;
+    let Opened { warnings, camera, undistorted, .. } = opened;
+    warnings.into_iter().for_each(|warning| progress.warn(warning));
     progress.phase("keyframes", count);
     let config = job.config.clone().with_found_readout(source.readout());
     let mut session = KeyframedSession::new(config, *source.camera(), frame_rate);

@@ -1,5 +1,6 @@
 //! What is said of a run that has ended.
 
+use super::camera::focal_length_line;
 use crate::output::{counted, say};
 use i2slam::export::{Metrics, UnitOfLength};
 use std::path::Path;
@@ -25,13 +26,8 @@ pub(super) fn summarise(metrics: &Metrics, map: &str, folder: &Path, readout_sea
         say("unit of length: unknown, pictures alone do not tell the scale");
     }
     if let Some(assumed) = metrics.focal_length_assumed_px {
-        say(&format!(
-            "camera: focal length {:.1} px, {:.1} degrees across, found in the pictures (assumed \
-             {assumed:.1} px, {:.1} degrees)",
-            metrics.focal_length_px,
-            metrics.horizontal_fov_deg,
-            assumed_view(metrics, assumed)
-        ));
+        let found = (metrics.focal_length_px, metrics.horizontal_fov_deg);
+        say(&focal_length_line(found, None, assumed));
     }
     if let Some([k1, k2]) = metrics.lens_distortion {
         say(&format!("lens distortion: k1 {k1:.4}, k2 {k2:.4}, found in the pictures and removed"));
@@ -54,24 +50,5 @@ pub(super) fn summarise(metrics: &Metrics, map: &str, folder: &Path, readout_sea
     let report = absolute.join("report.html");
     if report.is_file() {
         say(&report.display().to_string());
-    }
-}
-
-/// Horizontal field of view [degrees] that another focal length would give pictures of that width [px].
-fn assumed_view(metrics: &Metrics, focal_length: f64) -> f64 {
-    let tangent = (0.5 * metrics.horizontal_fov_deg).to_radians().tan();
-    2.0 * (tangent * metrics.focal_length_px / focal_length).atan().to_degrees()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_focal_length_is_told_as_a_view() {
-        let metrics =
-            Metrics { focal_length_px: 320.0, horizontal_fov_deg: 90.0, ..Metrics::default() };
-        assert!((assumed_view(&metrics, 320.0) - 90.0).abs() < 1e-9);
-        assert!((assumed_view(&metrics, 640.0) - 53.130_102).abs() < 1e-5);
     }
 }

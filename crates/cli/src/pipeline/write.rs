@@ -54,7 +54,8 @@ impl Finished<'_> {
         progress.warnings().into_iter().map(|warning| warning.timed(stamp)).collect()
     }
 
-    /// The folder that is written to: a run that has not come as far as an earlier one leaves that alone.
+    /// The folder that is written to: a run that has not come as far as an earlier one leaves that
+    /// alone.
     fn place(&self, progress: &Progress) -> Result<ResultFolder, Failure> {
         let out = self.folder.path();
         let tracked = self.tracked.reconstruction.frames.iter().filter(|f| f.tracked).count();

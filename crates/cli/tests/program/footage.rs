@@ -13,9 +13,9 @@ pub(crate) const HEIGHT: usize = 120;
 pub(crate) const FOCAL: f64 = 130.0;
 
 /// Writes `FILE.words` to standard error, or `FILE.rgb` to standard output where raw video is asked
-/// for, FILE being what stands behind `-i`. A stream holds the name of such a file, and is handed on
-/// as it is; `http://host/NAME` is the file NAME beside the script, and does not end where there is a
-/// `NAME.endless`.
+/// for, FILE being what stands behind `-i`. A stream holds the name of such a file, and is handed
+/// on as it is; `http://host/NAME` is the file NAME beside the script, and does not end where there
+/// is a `NAME.endless`.
 const SCRIPT: &str = r#"#!/bin/sh
 raw= nut=
 while [ $# -gt 0 ]; do
@@ -76,8 +76,8 @@ impl View {
     }
 }
 
-/// Where a pinhole sees what the lens shows at `shown` (distances from the middle in focal lengths):
-/// `shown = seen (1 + k1 ‖seen‖²)`.
+/// Where a pinhole sees what the lens shows at `shown` (distances from the middle in focal
+/// lengths): `shown = seen (1 + k1 ‖seen‖²)`.
 fn straight(shown: [f64; 2], k1: f64) -> [f64; 2] {
     let mut seen = shown;
     for _ in 0..30 {

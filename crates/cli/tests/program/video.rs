@@ -231,7 +231,7 @@ fn frames_that_break_off_are_left_out() {
     let frames = fs::read(video.with_extension("mp4.rgb")).expect("frames");
     fs::write(video.with_extension("mp4.rgb"), &frames[..frames.len() * 3 / 4 + 7]).expect("room");
     let ran = footage.run(&video, &["--fov", "63.2"]).ended_with(0);
-    ran.complaining("12 left out").complaining("cannot be decoded");
+    ran.complaining("frame 12: left out").complaining("cannot be decoded");
 }
 
 #[test]

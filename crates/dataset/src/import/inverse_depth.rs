@@ -34,8 +34,9 @@ impl InverseDepth {
     ///
     /// Inverse depth `d` is interpolated, which is linear over the picture of a plane; beyond the
     /// outermost pixel centres theirs are repeated. Beside a pixel without depth, and between
-    /// pixels whose inverse depths differ by a fifth, the nearest is taken. The variance of `d` is interpolated alike, and that of depth is
-    /// `Σ_z = Σ_d / d⁴` (first order; Rosinol et al. 2023, section 3.2).
+    /// pixels whose inverse depths differ by a fifth, the nearest is taken. The variance of `d` is
+    /// interpolated alike, and that of depth is `Σ_z = Σ_d / d⁴` (first order; Rosinol et al. 2023,
+    /// section 3.2).
     pub(super) fn at(
         &self,
         record: usize,

@@ -100,6 +100,14 @@ impl Source {
         }
     }
 
+    pub(super) fn at_least(&self, side: usize) -> Self {
+        let pictures = match &self.pictures {
+            Pictures::Sequence(sequence) => Pictures::Sequence(Box::new(sequence.at_least(side))),
+            arrays @ Pictures::Arrays(_) => arrays.clone(),
+        };
+        Self { pictures, depth: self.depth.clone() }
+    }
+
     pub(super) fn camera_source(&self) -> String {
         match &self.pictures {
             Pictures::Sequence(sequence) => sequence.camera_source.clone(),
@@ -134,7 +142,8 @@ impl Source {
         }
     }
 
-    /// The keyframe that sees most of the points that one sees; `None` where depth is not of points.
+    /// The keyframe that sees most of the points that one sees; `None` where depth is not of
+    /// points.
     pub(super) fn shares_most(&self, keyframes: &[KeyframePose], place: usize) -> Option<usize> {
         let DepthSource::Sparse(points) = &self.depth else { return None };
         let records: Vec<usize> = keyframes.iter().map(|keyframe| keyframe.record).collect();

@@ -171,6 +171,14 @@ impl Files {
         self.keyframes.is_empty()
     }
 
+    /// The same keyframes with pictures whose longer side is `side` [px], see
+    /// [`Sequence::at_least`]; those that come with the poses, in one file, stay as they are.
+    #[must_use]
+    pub fn at_least(&self, side: usize) -> Self {
+        let source = self.source.at_least(side);
+        Self { camera: source.camera(), source, ..self.clone() }
+    }
+
     /// The sequence that the pictures come from; `None` if they come with the poses, in one file.
     pub fn sequence(&self) -> Option<&Sequence> {
         self.source.sequence()

@@ -19,7 +19,8 @@ pub(super) const TRAITS: Traits = Traits {
     invalid_depth: Some(u16::MAX),
 };
 
-/// `[fx, fy, cx, cy]` [px] (pixel centres at integers) of the colour camera: the value of a Kinect as the field takes it.
+/// `[fx, fy, cx, cy]` [px] (pixel centres at integers) of the colour camera: the value of a Kinect
+/// as the field takes it.
 const COLOUR: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 
 fn is_colour(name: &str) -> bool {

@@ -49,7 +49,8 @@ impl Ffmpeg {
         Ok(words)
     }
 
-    /// Whether it did not know how frames are passed on, and is to be asked in older words from now on.
+    /// Whether it did not know how frames are passed on, and is to be asked in older words from now
+    /// on.
     pub(super) fn is_older(&mut self, words: &Words) -> bool {
         let is_older = self.era + 1 < ALL_FRAMES.len() && words.blames("fps_mode");
         self.era += usize::from(is_older);
@@ -89,8 +90,8 @@ impl Ffmpeg {
         self.start(&mut command)
     }
 
-    /// Starts to decode what can be read once only: every frame once, without loss, as a video on its
-    /// standard output.
+    /// Starts to decode what can be read once only: every frame once, without loss, as a video on
+    /// its standard output.
     pub(super) fn record(&self, stream: &Path) -> Result<Child, DatasetError> {
         let mut command = self.reading("level+warning", stream.as_os_str());
         command.args(["-c:v", "ffv1", "-flush_packets", "1", "-f", "nut", "-"]);

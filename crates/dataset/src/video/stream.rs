@@ -1,9 +1,9 @@
-//! Streams: what the program ffmpeg can read and nobody can read twice, such as an address, a named pipe
-//! or the standard input.
+//! Streams: what the program ffmpeg can read and nobody can read twice, such as an address, a named
+//! pipe or the standard input.
 //!
-//! A run needs its pictures several times. So a stream is decoded once, from its beginning to its end,
-//! and kept without loss (FFV1) in a file of its own, which is a video like any other and goes when the
-//! recording does.
+//! A run needs its pictures several times. So a stream is decoded once, from its beginning to its
+//! end, and kept without loss (FFV1) in a file of its own, which is a video like any other and goes
+//! when the recording does.
 
 use super::program::{Ffmpeg, words};
 use super::refusal;
@@ -28,8 +28,8 @@ const GRACE: Duration = Duration::from_secs(3);
 /// Bytes that are copied at once.
 const BUFFER: usize = 1 << 18;
 
-/// Whether a path is no file but something that flows: `-` for the standard input, an address such as
-/// `rtsp://camera/1`, or a named pipe.
+/// Whether a path is no file but something that flows: `-` for the standard input, an address such
+/// as `rtsp://camera/1`, or a named pipe.
 pub fn is_stream(path: &Path) -> bool {
     is_standard_input(path) || is_address(path) || is_pipe(path)
 }
@@ -74,8 +74,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Reads a stream until it ends, until `should_end` says so, or until there is no more room for it
-    /// ([`LARGEST_RECORDING`]).
+    /// Reads a stream until it ends, until `should_end` says so, or until there is no more room for
+    /// it ([`LARGEST_RECORDING`]).
     ///
     /// # Errors
     ///

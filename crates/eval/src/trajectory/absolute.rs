@@ -49,7 +49,8 @@ pub struct TrajectoryError {
 
 /// Associates (at most `tolerance` seconds apart), aligns and measures the camera centres.
 ///
-/// Needs three pairs. Trajectories without a common time, poses that are not finite, and trajectories that stand still, are errors.
+/// Needs three pairs. Trajectories without a common time, poses that are not finite, and
+/// trajectories that stand still, are errors.
 pub fn absolute_trajectory_error(
     estimate: &[StampedPose],
     truth: &[StampedPose],

@@ -28,7 +28,8 @@ pub(super) struct Band {
 }
 
 impl Band {
-    /// Clears the lanes of a row's `views`, the band's `sums` and the cotangent of the fine rows of an image of `width`.
+    /// Clears the lanes of a row's `views`, the band's `sums` and the cotangent of the fine rows of
+    /// an image of `width`.
     #[inline(always)]
     pub(super) fn start_pull_back(&mut self, views: usize, sums: usize, width: usize) {
         self.sums.clear();

@@ -99,7 +99,8 @@ impl<T: Real> Blocks<T> {
         }
     }
 
-    /// The bounds around pixel (`x`, `y`) if a step near it moves visibly for any view, else `None`.
+    /// The bounds around pixel (`x`, `y`) if a step near it moves visibly for any view, else
+    /// `None`.
     #[inline(always)]
     pub(super) fn searched(&self, x: usize, y: usize) -> Option<Block<T>> {
         let block = self.around[(y / BLOCK) * self.columns + x / BLOCK];

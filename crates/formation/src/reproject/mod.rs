@@ -10,17 +10,17 @@
 //!
 //! **Finding q.** With inverse depth `w = 1/z` of the sharp render, a pixel's ray is a straight
 //! line `q(w) = q_∞ + e w` (exact for any motion), and `q` is where `w` is the inverse depth that
-//! the render has at `q(w)`. Where the surface is smooth one Newton step from the pixel's own
-//! depth solves this for the first and the last virtual camera, and a parabola in time through
-//! both and the middle gives all others. In blocks of 4 x 4 pixels near a step in depth whose
-//! sides a virtual camera moves apart by more than half a pixel, its rays are walked from near to
-//! far instead, and the first surface counts: a foreground covers what is behind it. Background
-//! that the foreground hides from the sharp render takes the background beside the foreground.
-//! Along the edge of a foreground a render holds a mixture of two depths; such pixels go with the
-//! foreground. An unknown depth takes the farther of its row's two nearest known ones; without any it is
+//! the render has at `q(w)`. Where the surface is smooth one Newton step from the pixel's own depth
+//! solves this for the first and the last virtual camera, and a parabola in time through both and
+//! the middle gives all others. In blocks of 4 x 4 pixels near a step in depth whose sides a
+//! virtual camera moves apart by more than half a pixel, its rays are walked from near to far
+//! instead, and the first surface counts: a foreground covers what is behind it. Background that
+//! the foreground hides from the sharp render takes the background beside the foreground. Along the
+//! edge of a foreground a render holds a mixture of two depths; such pixels go with the foreground.
+//! An unknown depth takes the farther of its row's two nearest known ones; without any it is
 //! infinitely far, where only rotation matters. What lies outside the render takes its edge: to
-//! keep the border of a picture as good as its middle, the render may be larger than the picture
-//! by a margin of half a blur length all around, see [`Reprojection::blur`].
+//! keep the border of a picture as good as its middle, the render may be larger than the picture by
+//! a margin of half a blur length all around, see [`Reprojection::blur`].
 //!
 //! **Reading the render.** Once per frame it is brought to twice its resolution (see
 //! [`Interpolation`]); taps are bilinear there.
@@ -34,9 +34,10 @@
 //! blocks that were searched; and how the edge of a foreground moves over what it covers there.
 //!
 //! **Rolling shutter.** With `readout` (first to last row, in exposures; positive when the top row
-//! comes first) row `r` of `H` sees every moment later by `readout ((r + ½)/H - ½)`, and the shutter
-//! poses are those of the middle row. Each row then has virtual cameras of its own, on the motion
-//! continued at its speed beyond the exposure, and each of them lands by itself (two Newton steps).
+//! comes first) row `r` of `H` sees every moment later by `readout ((r + ½)/H - ½)`, and the
+//! shutter poses are those of the middle row. Each row then has virtual cameras of its own, on the
+//! motion continued at its speed beyond the exposure, and each of them lands by itself (two Newton
+//! steps).
 //!
 //! **The gauge.** The sharp render stands at [`ShutterPoses::middle`], which moves with both poses.
 //! The gradient therefore comes in two parts that add up: `d_radiance`, for the renderer to pull
@@ -178,8 +179,8 @@ impl Reprojection {
 
     /// Where the last [`blur`](Self::blur) had to guess: for each tile of [`TILE`] pixels of the
     /// picture, row by row, the share (0 to 1) of its pixels and moments that see what a foreground
-    /// hides from the sharp render. Pixels beyond the right and lower edge count as seen; empty where
-    /// nothing moved.
+    /// hides from the sharp render. Pixels beyond the right and lower edge count as seen; empty
+    /// where nothing moved.
     pub fn uncovered(&self) -> &[f32] {
         &self.uncovered
     }

@@ -177,8 +177,8 @@ impl<T> Views<T> {
         &self.moving[from..from + self.count]
     }
 
-    /// Where the sums of the views of row `row` of some rows lie, and how many sums `rows` have; rows of
-    /// the picture.
+    /// Where the sums of the views of row `row` of some rows lie, and how many sums `rows` have;
+    /// rows of the picture.
     pub(super) fn sums(&self, row: usize, rows: usize) -> (usize, usize) {
         if self.rolling { (row * self.count, rows * self.count) } else { (0, self.count) }
     }
@@ -253,8 +253,8 @@ impl<T: Real> Views<T> {
     /// Carries the six sums of every moving view to the two shutter poses and the readout.
     ///
     /// `R` and `t` are those of `middle⁻¹ · virtual`: tangents `(ρ_v, φ_v)` of the virtual camera
-    /// and `(ρ_m, φ_m)` of the middle change them by `ψ = R φ_v - φ_m` and
-    /// `δt = R ρ_v - ρ_m + t × φ_m`; the middle itself moves with both shutter poses. The readout moves a row's moments by
+    /// and `(ρ_m, φ_m)` of the middle change them by `ψ = R φ_v - φ_m` and `δt = R ρ_v - ρ_m + t ×
+    /// φ_m`; the middle itself moves with both shutter poses. The readout moves a row's moments by
     /// `∂u/∂readout = place`, and with `u` a camera moves by `(R(u)ᵀ (t_e - t_s), ω)`.
     pub(super) fn pull_back(
         &self,

@@ -27,9 +27,10 @@ pub enum Quadrature {
     Endpoints,
     /// `u = (j - 1/2) / N`: the middle of `N` equal parts of the exposure.
     Midpoints,
-    /// Simpson's rule, both ends included, for an odd `N` of at least 3 ([`Midpoints`](Self::Midpoints)
-    /// otherwise): `u` as for [`Endpoints`](Self::Endpoints), weights 1, 4, 2, 4, …, 1. The streak
-    /// has its exact variance, and of three cameras that in the middle has two thirds of the light.
+    /// Simpson's rule, both ends included, for an odd `N` of at least 3
+    /// ([`Midpoints`](Self::Midpoints) otherwise): `u` as for [`Endpoints`](Self::Endpoints),
+    /// weights 1, 4, 2, 4, …, 1. The streak has its exact variance, and of three cameras that in
+    /// the middle has two thirds of the light.
     Simpson,
 }
 

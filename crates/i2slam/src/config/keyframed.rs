@@ -40,9 +40,9 @@ pub struct KeyframedConfig {
     /// Steps during which the finer half of the grids comes in, one after another; 0 trains all
     /// from the start.
     pub coarse_steps: usize,
-    /// λ_depth where keyframes come with estimated depth in most pixels: a mean of (d − d̂)² over its
-    /// variance. Rays are then sampled around these surfaces alone, `hashgrid.shell` of their depth
-    /// or three deviations to both sides.
+    /// λ_depth where keyframes come with estimated depth in most pixels: a mean of (d − d̂)² over
+    /// its variance. Rays are then sampled around these surfaces alone, `hashgrid.shell` of their
+    /// depth or three deviations to both sides.
     pub surface_depth_weight: f32,
     /// `camera_rate` there.
     pub surface_camera_rate: f32,
@@ -70,8 +70,8 @@ pub enum Preconditioning {
 }
 
 impl Config {
-    /// The same with the readout of the rows that a front end found [s], where settings name none and
-    /// what they ask for can see rows that are read in turn.
+    /// The same with the readout of the rows that a front end found [s], where settings name none
+    /// and what they ask for can see rows that are read in turn.
     #[must_use]
     pub fn with_found_readout(self, seconds: f64) -> Self {
         if self.input.is_rolling() {

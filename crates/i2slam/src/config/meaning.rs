@@ -118,7 +118,8 @@ fn source(key: &str) -> Option<&'static str> {
 }
 
 impl Config {
-    /// [`to_toml`](Self::to_toml) with meaning, unit, choices and source of every value as comments.
+    /// [`to_toml`](Self::to_toml) with meaning, unit, choices and source of every value as
+    /// comments.
     pub fn to_commented_toml(&self) -> String {
         let declared = Declared::read();
         let mut text = String::from(

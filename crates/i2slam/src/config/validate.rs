@@ -123,7 +123,7 @@ impl Config {
         at_least("keyframed.first_keyframes", k.first_keyframes, 1)?;
         at_least("keyframed.preconditioning_interval", k.preconditioning_interval, 1)?;
         positive("keyframed.reach", k.reach)?;
-        positive("keyframed.surface_detail", k.surface_detail)?;
+        self.validate_surface_detail()?;
         if !self.is_rgb() || !self.input.is_rolling() {
             return Ok(());
         }
@@ -135,6 +135,18 @@ impl Config {
             let readout = self.input.rolling_shutter_readout.to_string();
             let expected = "0 with an RGB preset and map.kind \"hashgrid\"";
             return refuse("input.rolling_shutter_readout", readout, expected);
+        }
+        Ok(())
+    }
+
+    /// Cells are finer around known surfaces, and there may be no more of them than a field can
+    /// hold.
+    fn validate_surface_detail(&self) -> Result<(), ConfigError> {
+        let (key, detail) = ("keyframed.surface_detail", self.keyframed.surface_detail);
+        positive(key, detail)?;
+        if self.hashgrid.finer(detail).occupancy_cells > 512 {
+            let expected = "a factor by which hashgrid.occupancy_cells is at most 512";
+            return refuse(key, detail.to_string(), expected);
         }
         Ok(())
     }
@@ -258,6 +270,7 @@ mod tests {
         let wrong = [
             "[formation]\nvirtual_cameras = 0",
             "[map]\ninitial_opacity = 2.0",
+            "[keyframed]\nsurface_detail = 1e9",
             "[mapping]\nhold_out = 1",
         ];
         for text in wrong {

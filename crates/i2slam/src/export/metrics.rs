@@ -86,7 +86,8 @@ pub struct Metrics {
     /// Relative standard deviation of the focal length that was found.
     #[serde(default)]
     pub focal_length_deviation: Option<f64>,
-    /// Radial distortion `k1 k2` as in OpenCV that was found in the pictures, and removed from them.
+    /// Radial distortion `k1 k2` as in OpenCV that was found in the pictures, and removed from
+    /// them.
     #[serde(default)]
     pub lens_distortion: Option<[f64; 2]>,
     /// Unit of length of poses, map and depth: `metre`, or `unknown`, which pictures alone do not

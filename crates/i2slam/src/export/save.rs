@@ -7,8 +7,8 @@ use i2slam_geometry::StampedPose;
 use std::io::{self, Write};
 
 /// Write everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
-/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only; an
-/// older one is removed), in this order.
+/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only;
+/// an older one is removed), in this order.
 ///
 /// A file that fails does not keep the others from being tried. The list holds what failed.
 pub fn save<S: Storage>(

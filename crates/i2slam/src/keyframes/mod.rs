@@ -32,13 +32,15 @@ pub struct PosedKeyframe {
     pub colour: Image<f32>,
     /// Pose at the middle of the exposure; of files, that of the nearest stamp in them.
     pub world_from_camera: Pose<f64>,
-    /// Stamp and pose of the picture before it in the video, where known: how fast the camera moves.
+    /// Stamp and pose of the picture before it in the video, where known: how fast the camera
+    /// moves.
     pub before: Option<(f64, Pose<f64>)>,
     /// What is known of its depth.
     pub depth: Option<EstimatedDepth>,
 }
 
-/// Depth along the optical axis that was estimated rather than measured, with how far it is trusted.
+/// Depth along the optical axis that was estimated rather than measured, with how far it is
+/// trusted.
 #[derive(Clone, Debug)]
 pub struct EstimatedDepth {
     /// Depth in the unit of the poses, 0 where there is none; as large as the picture.
@@ -52,8 +54,8 @@ pub trait KeyframeSource {
     /// Pinhole camera of all pictures and depths.
     fn camera(&self) -> &Camera<f64>;
 
-    /// Time from the first to the last row of the pictures [s], positive if the top row comes first;
-    /// 0 where rows are exposed together, or nothing is known. Poses are of the middle row.
+    /// Time from the first to the last row of the pictures [s], positive if the top row comes
+    /// first; 0 where rows are exposed together, or nothing is known. Poses are of the middle row.
     fn readout(&self) -> f64 {
         0.0
     }

@@ -26,8 +26,8 @@ const TRUSTED: f64 = 0.3;
 /// have a depth, which would outweigh the picture.
 const SPARSE: f64 = 10.0;
 
-/// Least standard deviation of a depth as a share of it: that of the landmarks leaves the poses out,
-/// and a pixel shows more than a point.
+/// Least standard deviation of a depth as a share of it: that of the landmarks leaves the poses
+/// out, and a pixel shows more than a point.
 const LEAST_DEVIATION: f64 = 0.1;
 
 /// A picture of a sequence.
@@ -60,8 +60,8 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
     })
 }
 
-/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]; the unit of length is arbitrary, half
-/// the median depth of the landmarks.
+/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]; the unit of length is arbitrary,
+/// half the median depth of the landmarks.
 pub struct Native<L> {
     reconstruction: Reconstruction,
     dense: Option<DenseDepths>,
@@ -79,7 +79,8 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
     ///
     /// # Errors
     ///
-    /// Why no path was found; [`NativeFailure::Ended`] where `watch` ended it. Pictures that cannot be read are [left out](Self::refused).
+    /// Why no path was found; [`NativeFailure::Ended`] where `watch` ended it. Pictures that cannot
+    /// be read are [left out](Self::refused).
     pub fn find(
         intrinsics: Intrinsics,
         count: usize,
@@ -117,9 +118,9 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
         }
     }
 
-    /// The same with other pictures of the same places, of `size` [px]: the front end gains by larger
-    /// ones than a map is made of. Of a lens that was found, those that are freed of it, as the camera
-    /// and the landmarks are.
+    /// The same with other pictures of the same places, of `size` [px]: the front end gains by
+    /// larger ones than a map is made of. Of a lens that was found, those that are freed of it, as
+    /// the camera and the landmarks are.
     #[must_use]
     pub fn with_pictures<R>(self, (width, height): (usize, usize), load: R) -> Native<R>
     where
@@ -131,8 +132,8 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
         Native { reconstruction, dense, reader, places, refused, next }
     }
 
-    /// The same with the depth of most pixels of a keyframe, in place of that of its landmarks alone,
-    /// until `stop` is wished.
+    /// The same with the depth of most pixels of a keyframe, in place of that of its landmarks
+    /// alone, until `stop` is wished.
     #[must_use]
     pub fn with_dense_depth(mut self, stop: Stop) -> Self {
         let view = |keyframe: &Keyframe| View {
@@ -163,8 +164,8 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
         })
     }
 
-    /// The frames that have a pose, in order, without their pictures: place in the sequence, stamp [s],
-    /// pose as it is delivered with keyframes.
+    /// The frames that have a pose, in order, without their pictures: place in the sequence, stamp
+    /// [s], pose as it is delivered with keyframes.
     pub fn path(&self) -> Vec<(usize, f64, Pose<f64>)> {
         let found = &self.reconstruction;
         let posed = |frame: usize| {
@@ -262,8 +263,8 @@ fn before(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
     Some((*found.timestamps.get(before)?, pose_of(found, before)?))
 }
 
-/// What is known of a keyframe's depth: dense depth, with the landmarks where it is missing in more than
-/// half the picture.
+/// What is known of a keyframe's depth: dense depth, with the landmarks where it is missing in more
+/// than half the picture.
 fn depth(
     dense: Option<DenseDepth>,
     keyframe: &Keyframe,

@@ -3,12 +3,12 @@
 use super::{PictureError, SequencePicture};
 use std::collections::BTreeMap;
 
-/// Number of keyframes whose pictures stay for those that come after them: as far as dense depth looks
-/// back.
+/// Number of keyframes whose pictures stay for those that come after them: as far as dense depth
+/// looks back.
 const KEPT: usize = 16;
 
-/// Reads the picture of every keyframe once and in order, whoever asks for it first: to go back in a
-/// video means to decode it anew.
+/// Reads the picture of every keyframe once and in order, whoever asks for it first: to go back in
+/// a video means to decode it anew.
 pub(super) struct Reader<L> {
     load: L,
     /// Where in the sequence each keyframe is.

@@ -1,9 +1,9 @@
-//! Keyframes of files without depth whose pictures are a video: with dense depth, and at better poses
-//! where the pictures tell.
+//! Keyframes of files without depth whose pictures are a video: with dense depth, and at better
+//! poses where the pictures tell.
 //!
-//! The front end follows points through the pictures as if nothing were known of them. Its path, in the
-//! unit of length of the files, takes the place of theirs where it lays the pictures on each other
-//! clearly better; a path of another program that is as good stays as it is.
+//! The front end follows points through the pictures as if nothing were known of them. Its path, in
+//! the unit of length of the files, takes the place of theirs where it lays the pictures on each
+//! other clearly better; a path of another program that is as good stays as it is.
 
 use super::reader::Reader;
 use super::{EstimatedDepth, KeyframeSource, Native, PictureError, PosedKeyframe, SequencePicture};
@@ -159,8 +159,8 @@ impl<'a> Path<'a> {
         })
     }
 
-    /// Mean correlation of patches around the landmarks of a keyframe with the next one, if the cameras
-    /// stand at each of `paths`, over what both of them say is seen.
+    /// Mean correlation of patches around the landmarks of a keyframe with the next one, if the
+    /// cameras stand at each of `paths`, over what both of them say is seen.
     fn correlations(
         &self,
         paths: [&[Pose<f64>]; 2],

@@ -1,4 +1,5 @@
-//! Pictures whose rows were read one after another, as if all had been read at the middle one's moment.
+//! Pictures whose rows were read one after another, as if all had been read at the middle one's
+//! moment.
 
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};

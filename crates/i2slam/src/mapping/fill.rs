@@ -55,8 +55,8 @@ fn spread(depth: &[f32], nearest: &mut [f32], line: impl Iterator<Item = usize>,
     }
 }
 
-/// The same for depth that was estimated, with `surfaces` known beside it: what no reading is near goes
-/// on smoothly.
+/// The same for depth that was estimated, with `surfaces` known beside it: what no reading is near
+/// goes on smoothly.
 pub(crate) fn estimate_filled(depth: &Image<f32>, surfaces: Option<&Image<f32>>) -> Image<f32> {
     let mut known = depth.clone();
     for (pixel, near) in nearest(depth).into_iter().enumerate() {
@@ -68,8 +68,8 @@ pub(crate) fn estimate_filled(depth: &Image<f32>, surfaces: Option<&Image<f32>>)
     smoothly_filled(&known)
 }
 
-/// `depth` with every hole filled smoothly in inverse depth, from what surrounds it, at the least size
-/// at which it is surrounded; all zero if no depth is known.
+/// `depth` with every hole filled smoothly in inverse depth, from what surrounds it, at the least
+/// size at which it is surrounded; all zero if no depth is known.
 fn smoothly_filled(depth: &Image<f32>) -> Image<f32> {
     let inverse = |d: &f32| if *d > 0.0 { (1.0 / d, 1.0) } else { (0.0, 0.0) };
     let (values, weights) = depth.data.iter().map(inverse).unzip();

@@ -2,6 +2,7 @@
 
 use super::densify::{SceneScale, Source, add_gaussians, placement, prune, seed_map};
 use super::merge::merge;
+use super::round::Round;
 use super::{Follower, Keyframe, MapOptimizer, Mapper, Story, Tracker, select_window};
 use crate::config::Config;
 use crate::objective::{FrameObjective, Observation, Tone};
@@ -11,7 +12,6 @@ use i2slam_formation::{CameraResponse, CentreVelocity, TrajectoryScale};
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Share of the capacity that is left when a full map was merged.
 const ROOMY: f64 = 0.9;
@@ -198,11 +198,9 @@ impl Mapper for GaussianMapper {
             mapping.window,
             story.random,
         );
-        let budget = f64::from(mapping.seconds_per_frame);
-        let clock = Instant::now();
+        let round = Round::begin(story.config);
         for iteration in 0..iterations {
-            let late = budget > 0.0 && clock.elapsed().as_secs_f64() > budget;
-            if iteration > 0 && (late || story.stop.is_wished()) {
+            if round.is_over(iteration, story.stop) {
                 break;
             }
             let chosen = &window[story.random.below(window.len())];

@@ -24,8 +24,8 @@ impl Locator {
 
     /// Moves `estimate`, whose pose is roughly known, to where its picture fits the map best, with
     /// the motion over its exposure and its gains; `before` is the frame before it, if known, and
-    /// `others` say how well frames usually fit. Returns whether that was found; a frame that was not
-    /// stays where it is. No depth is compared: that of the map says where its surfaces are.
+    /// `others` say how well frames usually fit. Returns whether that was found; a frame that was
+    /// not stays where it is. No depth is compared: that of the map says where its surfaces are.
     pub(crate) fn locate<M: SceneMap>(
         &mut self,
         story: &Story<'_>,

@@ -16,6 +16,7 @@ mod optimizer;
 mod posed;
 mod posed_gaussians;
 mod posed_mapper;
+mod round;
 mod window;
 
 pub(crate) use field::FieldMapper;

@@ -1,7 +1,7 @@
 //! Joint refinement of Gaussians and of keyframes that came with poses.
 //!
-//! Each keyframe is first found in the map that those before it made, which tells the motion over its
-//! exposure and its gains; then it adds Gaussians at its estimated depth, and all steps move
+//! Each keyframe is first found in the map that those before it made, which tells the motion over
+//! its exposure and its gains; then it adds Gaussians at its estimated depth, and all steps move
 //! Gaussians, start and end poses, tone and response together.
 
 use super::gaussians::GaussianMapper;
@@ -16,9 +16,6 @@ use i2slam_radiance::hashgrid::SettingsError;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Times that all keyframes are found anew during the last steps.
-const ROUNDS: usize = 2;
-
 /// Gaussians that are refined together with keyframes.
 pub(crate) struct PosedGaussians {
     mapper: GaussianMapper,
@@ -28,6 +25,9 @@ pub(crate) struct PosedGaussians {
 }
 
 impl PosedGaussians {
+    /// Times that all keyframes are found anew during the last steps.
+    pub(crate) const SEARCHES: usize = 2;
+
     /// For keyframes of `camera`, taken from a video of `frame_rate` frames per second.
     pub(crate) fn new(config: &Config, camera: &Camera<f64>, frame_rate: f64) -> Self {
         let readout = SequenceReadout::new(&config.input);
@@ -99,14 +99,14 @@ impl PosedMapper for PosedGaussians {
             story.warnings.push(reason.into());
         }
         let steps = story.config.mapping.final_iterations;
-        let part = steps.div_ceil(ROUNDS + 1);
-        for round in 0..=ROUNDS {
+        let part = steps.div_ceil(Self::SEARCHES + 1);
+        for round in 0..=Self::SEARCHES {
             let done = (round * part).min(steps);
             let count = part.min(steps - done);
             if !self.mapper.refine_all(story, count, &mut |step| on_step(done + step, steps)) {
                 break;
             }
-            if round < ROUNDS {
+            if round < Self::SEARCHES {
                 self.relocate(story);
             }
         }

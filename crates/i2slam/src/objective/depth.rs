@@ -4,8 +4,8 @@ use super::Observation;
 use i2slam_geometry::Image;
 use rayon::prelude::*;
 
-/// `Σ w |d(T_j) - d̂|` over the pixels of `mask`, for one virtual camera `j`; the weights are how far
-/// the depth is trusted.
+/// `Σ w |d(T_j) - d̂|` over the pixels of `mask`, for one virtual camera `j`; the weights are how
+/// far the depth is trusted.
 pub(super) fn absolute_error(
     rendered: &Image<f32>,
     observation: &Observation,

@@ -4,7 +4,8 @@ use super::photometric::SsimReference;
 use i2slam_geometry::Image;
 use std::sync::OnceLock;
 
-/// Standard deviation of an estimated depth, as a share of it, up to which it counts as a measured one.
+/// Standard deviation of an estimated depth, as a share of it, up to which it counts as a measured
+/// one.
 const TRUSTED: f32 = 0.01;
 
 /// A frame's pictures as the optimisers use them.
@@ -45,13 +46,14 @@ impl Observation {
         Self { depth_variance: Some(variance), ..Self::new(colour, depth) }
     }
 
-    /// Whether the depth was estimated, perhaps from the very pictures that it would be compared with.
+    /// Whether the depth was estimated, perhaps from the very pictures that it would be compared
+    /// with.
     pub fn is_estimated(&self) -> bool {
         self.depth_variance.is_some()
     }
 
-    /// How far the depth of a pixel that has one is trusted against one that was measured, in [0, 1]:
-    /// fully if its standard deviation is within a hundredth of it, then as its inverse.
+    /// How far the depth of a pixel that has one is trusted against one that was measured, in [0,
+    /// 1]: fully if its standard deviation is within a hundredth of it, then as its inverse.
     pub fn depth_trust(&self, pixel: usize) -> f32 {
         let Some(variance) = &self.depth_variance else { return 1.0 };
         (TRUSTED * self.depth.data[pixel] / variance.data[pixel].sqrt()).min(1.0)

@@ -38,9 +38,9 @@ pub trait SceneMap {
     ) -> Tangent<f64>;
 
     /// Write the average of what `view` shows while the camera moves (see
-    /// [`Rasterizer::render_moving`]), of the wanted tiles and of what another renderer showed of the
-    /// map last (see [`Rasterizer::render_moving_shown_by`]), or of all. Exposures never ask this of a map that does not
-    /// [move](Self::MOVES), which shows the view as it stands still.
+    /// [`Rasterizer::render_moving`]), of the wanted tiles and of what another renderer showed of
+    /// the map last (see [`Rasterizer::render_moving_shown_by`]), or of all. Exposures never ask
+    /// this of a map that does not [move](Self::MOVES), which shows the view as it stands still.
     fn render_moving(
         &self,
         renderer: &mut Self::Renderer,

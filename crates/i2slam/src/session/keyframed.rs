@@ -1,6 +1,6 @@
-//! The session on keyframes that come with poses: posed pictures go in one by one, a
-//! reconstruction comes out. Poses are refined together with the map; the frames between keyframes are
-//! found in it at the end.
+//! The session on keyframes that come with poses: posed pictures go in one by one, a reconstruction
+//! comes out. Poses are refined together with the map; the frames between keyframes are found in it
+//! at the end.
 
 mod between;
 mod pace;

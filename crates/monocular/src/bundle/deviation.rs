@@ -2,10 +2,11 @@
 //!
 //! Residuals are not independent. Those of one point share the look that it is compared with, and
 //! those of one region, or of one picture, share what no model has: blur, a lens, edges that are no
-//! points. So the covariance is not the inverse of the normal equations but `H⁻¹ M H⁻¹` (Huber 1967),
-//! with `H` the curvature of the robust cost itself, which is less than that of the weighted squares
-//! that steps are taken by, and `M` the sum over clusters of the outer products of their gradients (Liang & Zeger 1986). Of
-//! several ways to form clusters the one that leaves the focal length least certain counts.
+//! points. So the covariance is not the inverse of the normal equations but `H⁻¹ M H⁻¹` (Huber
+//! 1967), with `H` the curvature of the robust cost itself, which is less than that of the weighted
+//! squares that steps are taken by, and `M` the sum over clusters of the outer products of their
+//! gradients (Liang & Zeger 1986). Of several ways to form clusters the one that leaves the focal
+//! length least certain counts.
 
 use super::linear::{Linear, Step};
 use super::parts::{Curvature, influence};
@@ -15,13 +16,13 @@ use super::{Bundle, GLOBALS};
 /// Regions of the picture, across and down.
 const REGIONS: [usize; 2] = [4, 3];
 
-/// Covariance of the logarithm of the focal length and of the two coefficients of the lens, or of the
-/// readout [frame intervals].
+/// Covariance of the logarithm of the focal length and of the two coefficients of the lens, or of
+/// the readout [frame intervals].
 pub(crate) type Covariance = [[f64; GLOBALS]; GLOBALS];
 
 impl Bundle {
-    /// The covariance of what is unknown of the camera, zero for what is not; `None` where the sights
-    /// do not determine it. For a bundle that was adjusted.
+    /// The covariance of what is unknown of the camera, zero for what is not; `None` where the
+    /// sights do not determine it. For a bundle that was adjusted.
     pub(crate) fn camera_covariance(&self) -> Option<Covariance> {
         let structure = Structure::new(self);
         let linear = Linear::new(self, &structure, Curvature::Own);
@@ -38,7 +39,8 @@ impl Bundle {
         is_sound.then_some(worst)
     }
 
-    /// The covariance where residuals of one cluster belong together; `cluster` of a landmark and a pose.
+    /// The covariance where residuals of one cluster belong together; `cluster` of a landmark and a
+    /// pose.
     fn clustered(
         &self,
         responses: &[Step],

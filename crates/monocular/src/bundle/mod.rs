@@ -1,5 +1,5 @@
-//! Bundle adjustment: poses, landmarks and, when asked, focal length and lens or readout of the rows,
-//! all at once.
+//! Bundle adjustment: poses, landmarks and, when asked, focal length and lens or readout of the
+//! rows, all at once.
 //!
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
@@ -89,8 +89,8 @@ impl Sight {
 }
 
 impl Bundle {
-    /// Takes at most `steps` steps, fewer where `watch` has had enough; returns the cost per sight, in
-    /// variances.
+    /// Takes at most `steps` steps, fewer where `watch` has had enough; returns the cost per sight,
+    /// in variances.
     pub(crate) fn adjust(&mut self, steps: usize, watch: &Watch) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;

@@ -70,8 +70,8 @@ fn disturbed_poses_and_points_return() {
     }
 }
 
-/// Error of the logarithm of the focal length and what is said of it, where sights have `own` noise of
-/// their own and `shared` noise that all sights of a point but the first share [px].
+/// Error of the logarithm of the focal length and what is said of it, where sights have `own` noise
+/// of their own and `shared` noise that all sights of a point but the first share [px].
 fn focal_error(seed: u64, own: f64, shared: f64) -> (f64, f64) {
     let (truth, _) = scene(0.0);
     let mut bundle = truth.clone();

@@ -1,5 +1,5 @@
-//! Semi-global aggregation: costs along straight paths from all sides, with a price on changes of the
-//! label (Hirschmüller 2008).
+//! Semi-global aggregation: costs along straight paths from all sides, with a price on changes of
+//! the label (Hirschmüller 2008).
 
 use super::sweep::Volume;
 use i2slam_geometry::Image;
@@ -18,8 +18,8 @@ const FROM: [isize; 3] = [0, 1, -1];
 /// Costs that a task works on at least.
 const TASK: usize = 8192;
 
-/// Mean over all paths of the least cost of a path that ends at a pixel with a label, less the least
-/// of all labels on the way.
+/// Mean over all paths of the least cost of a path that ends at a pixel with a label, less the
+/// least of all labels on the way.
 ///
 /// A path is known one row at a time, so that no direction takes a volume of its own.
 pub(super) fn aggregated(volume: &Volume, guide: &Image<f32>) -> Volume {
@@ -100,7 +100,8 @@ fn jump(guide: &Image<f32>, here: usize, there: usize) -> f32 {
     (JUMP / (1.0 + edge / EDGE)).max(1.5 * STEP)
 }
 
-/// Costs of a path at a pixel, from its costs at the last one and the price of a jump, if there is one.
+/// Costs of a path at a pixel, from its costs at the last one and the price of a jump, if there is
+/// one.
 fn advance(own: &[f32], last: Option<(&[f32], f32)>, costs: &mut [f32]) {
     costs.copy_from_slice(own);
     let Some((before, jump)) = last else { return };

@@ -1,16 +1,16 @@
-//! Depth beside edges: a window that lies on two surfaces may have been matched by either, so that near
-//! surfaces come out too large by up to half a window.
+//! Depth beside edges: a window that lies on two surfaces may have been matched by either, so that
+//! near surfaces come out too large by up to half a window.
 
 use super::DenseDepth;
 
 /// Least difference of depths that is an edge, as a share of the nearer one.
 const EDGE: f32 = 0.1;
-/// Standard deviation of the depth beside an edge, as a share of the step there: the other surface is
-/// three of them away.
+/// Standard deviation of the depth beside an edge, as a share of the step there: the other surface
+/// is three of them away.
 const SHARE: f32 = 1.0 / 3.0;
 
-/// Adds to the variance of every pixel what other surfaces within `reach` pixels, along rows and columns
-/// each, make doubtful.
+/// Adds to the variance of every pixel what other surfaces within `reach` pixels, along rows and
+/// columns each, make doubtful.
 pub(super) fn doubt_beside_edges(found: &mut DenseDepth, reach: usize) {
     let (width, height) = (found.depth.width, found.depth.height);
     let depth = &found.depth.data;
@@ -35,14 +35,14 @@ fn spread(
     reach: usize,
     pick: impl Fn(f32, f32) -> f32,
 ) -> Vec<f32> {
-    let around = |i: usize, end: usize| i.saturating_sub(reach)..(i + reach + 1).min(end);
-    let over = |values: &[f32], at: &dyn Fn(usize) -> Vec<usize>| -> Vec<f32> {
-        let pixels = 0..values.len();
-        pixels.map(|p| at(p).into_iter().map(|q| values[q]).fold(values[p], &pick)).collect()
+    let line = |values: &[f32], pixel: usize, (at, length): (usize, usize), stride: usize| {
+        let first = pixel - at.min(reach) * stride;
+        let count = at.min(reach) + 1 + reach.min(length - 1 - at);
+        (0..count).map(|i| values[first + i * stride]).fold(values[pixel], &pick)
     };
-    let row = |p: usize| around(p % width, width).map(|x| p / width * width + x).collect();
-    let column = |p: usize| around(p / width, height).map(|y| y * width + p % width).collect();
-    over(&over(values, &row), &column)
+    let rows: Vec<f32> =
+        (0..values.len()).map(|p| line(values, p, (p % width, width), 1)).collect();
+    (0..rows.len()).map(|p| line(&rows, p, (p / width, height), width)).collect()
 }
 
 #[cfg(test)]
@@ -50,7 +50,8 @@ mod tests {
     use super::*;
     use i2slam_geometry::Image;
 
-    /// A near half beside a far one, a column that is not known, and a slope of one in a hundred down.
+    /// A near half beside a far one, a column that is not known, and a slope of one in a hundred
+    /// down.
     fn halves() -> DenseDepth {
         let mut depth = Image::new(20, 12, 1);
         for (i, d) in depth.data.iter_mut().enumerate() {

@@ -103,8 +103,9 @@ fn sweep<'a>(
     Sweep::new(camera, picture, HALF_WINDOWS[level], &others)
 }
 
-/// Number of planes that move no neighbour's picture by more than [`PLANE_STEP`] from one to the next,
-/// within [`PLANES`]: where that takes more of them, as in wide ranges at close quarters, steps are longer.
+/// Number of planes that move no neighbour's picture by more than [`PLANE_STEP`] from one to the
+/// next, within [`PLANES`]: where that takes more of them, as in wide ranges at close quarters,
+/// steps are longer.
 fn planes(camera: &Camera<f64>, others: &[Other<'_>], [least, most]: [f64; 2]) -> usize {
     let at = |pose: &Pose<f64>, u: f64, v: f64, rho: f64| {
         let ray: Vec3<f64> = camera.unproject(u, v, 1.0);

@@ -1,9 +1,10 @@
 //! Depth with its variance for most pixels of keyframes whose poses are known.
 //!
 //! A keyframe is compared with a few others at a row of inverse depths, by windows' zero-mean
-//! normalised correlation, which neither exposure nor a smooth response changes. Costs are aggregated
-//! along straight paths, and refined twice around what was found, which bends windows along surfaces.
-//! What the estimates of other keyframes contradict is given up, and beside edges depth is doubtful.
+//! normalised correlation, which neither exposure nor a smooth response changes. Costs are
+//! aggregated along straight paths, and refined twice around what was found, which bends windows
+//! along surfaces. What the estimates of other keyframes contradict is given up, and beside edges
+//! depth is doubtful.
 
 mod aggregate;
 mod consistency;
@@ -32,8 +33,8 @@ const OUTSIDE: f64 = 0.01;
 /// An inverse depth is known if its standard deviation is at most this share of it.
 const KNOWN: f32 = 0.1;
 
-/// Depth along the optical axis, 0 where it is not known, with its variance; in the unit of the poses
-/// and that squared.
+/// Depth along the optical axis, 0 where it is not known, with its variance; in the unit of the
+/// poses and that squared.
 #[derive(Clone, Debug)]
 pub struct DenseDepth {
     /// Depth.

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 /// Labels that are compared at once, so that few planes are kept beside the volume.
 const AT_ONCE: usize = 16;
 
-/// A picture of another camera, and the way there: a pixel `(u, v)` of the keyframe at inverse depth
-/// `ρ` is seen at `turn (u, v, 1) + ρ shift`, in homogeneous pixels.
+/// A picture of another camera, and the way there: a pixel `(u, v)` of the keyframe at inverse
+/// depth `ρ` is seen at `turn (u, v, 1) + ρ shift`, in homogeneous pixels.
 struct Neighbour<'a> {
     image: &'a Image<f32>,
     turn: [Vec3<f32>; 3],
@@ -103,8 +103,8 @@ impl<'a> Sweep<'a> {
 }
 
 impl Neighbour<'_> {
-    /// The neighbour as the keyframe would see it, and whether it shows the pixel at all: beyond its
-    /// border the last value is repeated.
+    /// The neighbour as the keyframe would see it, and whether it shows the pixel at all: beyond
+    /// its border the last value is repeated.
     fn warped(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
         let (width, height) = (self.image.width, self.image.height);
         let (right, low) = ((width - 1) as f32 - 1e-3, (height - 1) as f32 - 1e-3);

@@ -13,8 +13,8 @@
 //! means (ties by index). Contributions with `α < alpha_min` are left out, and a pixel ends
 //! before the contribution that would take its transmittance under `transmittance_min`.
 //!
-//! A camera that moves while its shutter is open ([`ShutterMotion`]) sees footprints that move: each
-//! is projected once, and only the blend repeats over the moments of the exposure.
+//! A camera that moves while its shutter is open ([`ShutterMotion`]) sees footprints that move:
+//! each is projected once, and only the blend repeats over the moments of the exposure.
 //!
 //! Two lanes compute it: [`mod@reference`], plain and generic over the scalar, and [`Rasterizer`],
 //! fast. A Gaussian with a parameter that is not finite is left out by both.

@@ -3,8 +3,9 @@
 //! Layout, little endian: the 8 bytes `I2FIELD\n`, format version (`u32`), the settings of the
 //! field, of the march and of the occupancy (13 + 6 + 4 numbers, `f64`) and the number of looks so
 //! far (`f64`), a bit for each of the occupancy's cells (the lowest of a byte first) that says
-//! whether its remembered density is above 0, those that are (`f32`), the table, the weights of the density network and of the colour
-//! network (`f32`), and the CRC-32 (ISO-HDLC) of everything before.
+//! whether its remembered density is above 0, those that are (`f32`), the table, the weights of the
+//! density network and of the colour network (`f32`), and the CRC-32 (ISO-HDLC) of everything
+//! before.
 
 use super::{
     FieldRenderer, FieldSettings, HashGridField, HashGridRadiance, MarchSettings, Occupancy,
@@ -179,14 +180,14 @@ impl HashGridMap {
         let cells = (looks.resolution as usize).pow(3);
         let bits = reader.split(cells.div_ceil(8))?;
         let is_dense = |cell: usize| bits[cell / 8] >> (cell % 8) & 1 == 1;
-        let dense: Vec<usize> = (0..cells).filter(|cell| is_dense(*cell)).collect();
-        if reader.rest.len() != 4 * (dense.len() + count) {
+        let dense = (0..cells).filter(|cell| is_dense(*cell)).count();
+        if reader.rest.len() != 4 * (dense + count) {
             return Err(FieldFileError::Length);
         }
         let mut field = HashGridField::zeros(field).map_err(FieldFileError::Settings)?;
         let mut densities = vec![0.0; cells];
-        for cell in dense {
-            densities[cell] = f32::from_le_bytes(reader.take()?);
+        for (_, density) in densities.iter_mut().enumerate().filter(|(cell, _)| is_dense(*cell)) {
+            *density = f32::from_le_bytes(reader.take()?);
         }
         for values in field.parameters_mut() {
             reader.fill(values)?;

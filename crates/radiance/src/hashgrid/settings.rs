@@ -140,8 +140,8 @@ pub struct OccupancySettings {
     pub resolution: u32,
     /// Factor of a cell's remembered density at each look, in `[0, 1]`.
     pub decay: f32,
-    /// Density \[1/m\] from which on a cell is occupied, unless half of the mean of all cells with any is
-    /// lower. (torch-ngp takes the mean, which empties half of an untrained field.)
+    /// Density \[1/m\] from which on a cell is occupied, unless half of the mean of all cells with
+    /// any is lower. (torch-ngp takes the mean, which empties half of an untrained field.)
     pub density: f32,
     /// Number of looks at every cell before looks at a part of them.
     pub full_looks: u32,

@@ -60,8 +60,8 @@ pub(super) fn open(
     Ok(Found { kind: Kind::Droid, path, source, keyframes, left_out, warnings })
 }
 
-/// The places of the arrays that hold a keyframe. Arrays of a run may have room for more, whose time
-/// stamps are then all alike.
+/// The places of the arrays that hold a keyframe. Arrays of a run may have room for more, whose
+/// time stamps are then all alike.
 fn used_records(frames: usize, stamps: Option<&Stamps>, warnings: &mut Vec<String>) -> Vec<usize> {
     let Some(stamps) = stamps else { return (0..frames).collect() };
     let stamps = stamps.numbers();

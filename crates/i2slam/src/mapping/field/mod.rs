@@ -1,10 +1,10 @@
 //! Mapping with a radiance field in a hash grid.
 //!
 //! The field fills a cube around the first camera, as large as the first frame's depth says. Depth
-//! also tells where rays are sampled: a shell around every surface that a frame has seen, nothing in
-//! between, so that a ray costs a dozen samples. Where a frame sees farther, a field in a larger cube
-//! takes its place: it is trained anew on the keyframes so far, whose poses and tone stay. Of a cube
-//! of a set size, what lies outside is not mapped.
+//! also tells where rays are sampled: a shell around every surface that a frame has seen, nothing
+//! in between, so that a ray costs a dozen samples. Where a frame sees farther, a field in a larger
+//! cube takes its place: it is trained anew on the keyframes so far, whose poses and tone stay. Of
+//! a cube of a set size, what lies outside is not mapped.
 
 mod cube;
 
@@ -12,6 +12,7 @@ pub(super) use cube::{GROWTH, away, held_distance, hold_between, untrained};
 
 use super::densify::placement;
 use super::frames::FrameOptimizers;
+use super::round::Round;
 use super::{Follower, Keyframe, Mapper, Story, Tracker};
 use crate::config::Config;
 use crate::objective::{
@@ -29,7 +30,6 @@ use i2slam_radiance::hashgrid::{
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Share of a frame's surfaces outside of the cube that calls for a larger one.
 const OUTSIDE: f64 = 0.02;
@@ -347,16 +347,14 @@ impl Mapper for FieldMapper {
     fn refine(&mut self, story: &mut Story<'_>, current: &Keyframe, first: bool) {
         let settings = &story.config.hashgrid;
         let lost = std::mem::take(&mut self.lost_steps);
-        let round = if first { settings.first_iterations } else { settings.iterations };
-        let (rate, budget) = (settings.rate, f64::from(story.config.mapping.seconds_per_frame));
-        let clock = Instant::now();
-        for iteration in 0..lost + round {
-            let late = budget > 0.0 && clock.elapsed().as_secs_f64() > budget;
-            if iteration > 0 && (late || story.stop.is_wished()) {
+        let steps = if first { settings.first_iterations } else { settings.iterations };
+        let round = Round::begin(story.config);
+        for iteration in 0..lost + steps {
+            if round.is_over(iteration, story.stop) {
                 break;
             }
             let window = Self::window(story, current);
-            self.step(story, &window, rate, iteration < lost);
+            self.step(story, &window, settings.rate, iteration < lost);
         }
     }
 

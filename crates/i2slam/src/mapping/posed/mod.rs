@@ -16,8 +16,10 @@ mod trajectory;
 
 use super::field::{GROWTH, add, curves, untrained};
 use super::frames::FrameOptimizers;
+use super::round::Round;
 use super::{Keyframe, PosedMapper, Story};
 use crate::config::{Config, Preconditioning};
+
 use crate::objective::{Evaluation, RayObjective, RayView};
 use crate::reconstruction::{Losses, Map};
 use batch::{any, blur_at, draw, open_levels, window};
@@ -30,7 +32,6 @@ use i2slam_radiance::hashgrid::{
 use locate::Finder;
 use poses::PoseOptimizers;
 use std::collections::BTreeMap;
-use std::time::Instant;
 use trajectory::TrajectoryTerm;
 
 pub(crate) use trajectory::intervals;
@@ -155,11 +156,9 @@ impl PosedField {
         }
         let iterations = if first { settings.first_iterations } else { settings.iterations };
         let rates = Rates { field: settings.rate, camera: self.plan(story.config).camera_rate };
-        let budget = f64::from(story.config.mapping.seconds_per_frame);
-        let clock = Instant::now();
+        let round = Round::begin(story.config);
         for iteration in 0..iterations {
-            let late = budget > 0.0 && clock.elapsed().as_secs_f64() > budget;
-            if iteration > 0 && (late || story.stop.is_wished()) {
+            if round.is_over(iteration, story.stop) {
                 break;
             }
             let window = window(story);
@@ -230,7 +229,8 @@ impl PosedField {
         }
     }
 
-    /// Finds all keyframes anew in the field as it is, one after another; the gains of the first stay.
+    /// Finds all keyframes anew in the field as it is, one after another; the gains of the first
+    /// stay.
     fn relocate(&mut self, story: &mut Story<'_>) {
         for keyframe in story.keyframes.iter().take_while(|_| !story.stop.is_wished()) {
             let mut estimate = story.frames[keyframe.frame].clone();

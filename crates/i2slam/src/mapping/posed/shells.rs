@@ -1,5 +1,6 @@
-//! Which parts of the field may be sampled where keyframes come with estimated depth in most pixels: a shell
-//! around every surface, a thicker one where depth is only guessed, nothing in between.
+//! Which parts of the field may be sampled where keyframes come with estimated depth in most
+//! pixels: a shell around every surface, a thicker one where depth is only guessed, nothing in
+//! between.
 
 use crate::mapping::field::hold_between;
 use crate::mapping::fill::estimate_filled;

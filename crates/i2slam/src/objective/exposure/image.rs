@@ -110,8 +110,8 @@ impl<M: SceneMap> ExposureRenderer<M> {
         (relative.shutter.plus(d_middle).plus(drawn), relative.readout + d_readout)
     }
 
-    /// Divides the cotangent, and pulls the patches' part back to the map, the shutter poses and the
-    /// readout.
+    /// Divides the cotangent, and pulls the patches' part back to the map, the shutter poses and
+    /// the readout.
     fn pull_back_patches(
         &mut self,
         map: &M,

@@ -107,10 +107,10 @@ impl RayObjective {
         self.depth_outlier = deviations;
     }
 
-    /// The mean over `views` of `w_img · mean |C - Ĉ| + w_depth · mean |d - d̂|`, over the pixels of
-    /// a view and those of them with a depth reading; where depth has a variance v, (d - d̂)² / v
-    /// takes the place of |d - d̂|, linear beyond the outlier's. Adds the derivative by the field to
-    /// `gradient` and returns the part of each view, with derivatives of the whole; those by the
+    /// The mean over `views` of `w_img · mean |C - Ĉ| + w_depth · mean |d - d̂|`, over the pixels
+    /// of a view and those of them with a depth reading; where depth has a variance v, (d - d̂)² /
+    /// v takes the place of |d - d̂|, linear beyond the outlier's. Adds the derivative by the field
+    /// to `gradient` and returns the part of each view, with derivatives of the whole; those by the
     /// poses only `with_poses`.
     pub fn map(
         &mut self,

@@ -8,15 +8,16 @@ use i2slam_formation::ShutterPoses;
 use i2slam_geometry::Pose;
 
 impl KeyframedSession {
-    /// Whether the keyframe that comes `number`-th, from 0, is kept from the map (`mapping.hold_out`):
-    /// it is one to [`locate`](Self::locate) after [`finish`](Self::finish).
+    /// Whether the keyframe that comes `number`-th, from 0, is kept from the map
+    /// (`mapping.hold_out`): it is one to [`locate`](Self::locate) after [`finish`](Self::finish).
     pub fn holds_out(&self, number: usize) -> bool {
         self.config.mapping.holds_out(number)
     }
 
-    /// Takes in a frame that is no keyframe, after [`finish`](Self::finish): its pose starts where its
-    /// source puts it beside the nearest keyframe, and is refined, with the motion over its exposure
-    /// and its gains, by its picture alone. Nothing else changes. Frames best come in order.
+    /// Takes in a frame that is no keyframe, after [`finish`](Self::finish): its pose starts where
+    /// its source puts it beside the nearest keyframe, and is refined, with the motion over its
+    /// exposure and its gains, by its picture alone. Nothing else changes. Frames best come in
+    /// order.
     ///
     /// # Errors
     ///
@@ -47,9 +48,9 @@ impl KeyframedSession {
         Ok(&self.frames[place])
     }
 
-    /// Takes in a frame of which nothing but the pose that its source found is known, at its place beside
-    /// the nearest keyframe, where a session ends before it came to look for it. A frame that is there
-    /// already stays as it is. Returns whether it was taken in.
+    /// Takes in a frame of which nothing but the pose that its source found is known, at its place
+    /// beside the nearest keyframe, where a session ends before it came to look for it. A frame
+    /// that is there already stays as it is. Returns whether it was taken in.
     pub fn place(&mut self, index: usize, timestamp: f64, world_from_camera: Pose<f64>) -> bool {
         let place = self.frames.partition_point(|f| f.index < index);
         let is_known = self.frames.get(place).is_some_and(|f| f.index == index);

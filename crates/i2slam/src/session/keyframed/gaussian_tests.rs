@@ -63,8 +63,8 @@ fn farthest(poses: &[(usize, Pose<f64>)]) -> f64 {
     poses.iter().map(off).fold(0.0, f64::max)
 }
 
-/// Pictures as small and smooth as these hardly tell a turn from a step to the side, a degree of the
-/// one being three centimetres of the other: cameras stay within a decimetre.
+/// Pictures as small and smooth as these hardly tell a turn from a step to the side, a degree of
+/// the one being three centimetres of the other: cameras stay within a decimetre.
 #[test]
 fn every_frame_finds_its_place_in_order_of_time() {
     let mut session = session(true);

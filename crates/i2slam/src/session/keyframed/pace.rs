@@ -3,6 +3,7 @@
 use super::KeyframedSession;
 use crate::config::{Config, MapKind};
 use crate::keyframes::{EstimatedDepth, PosedKeyframe};
+use crate::mapping::PosedGaussians;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_monocular::{DenseDepths, View};
 use std::time::Instant;
@@ -15,8 +16,6 @@ const SMALLER: usize = 4;
 const VIEWS: usize = 6;
 /// Depth that all of the picture is given, that of a room.
 const DEPTH: f32 = 2.0;
-/// Times that all keyframes are found anew at the end, see [`finish`](KeyframedSession::finish).
-const SEARCHES: f64 = 2.0;
 
 /// Seconds of the parts of a job.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,8 +31,8 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Does a little of everything with a picture, of which no more than its size and texture matter.
-    /// `None` if these settings give no map.
+    /// Does a little of everything with a picture, of which no more than its size and texture
+    /// matter. `None` if these settings give no map.
     pub fn measure(
         config: &Config,
         camera: &Camera<f64>,
@@ -64,7 +63,7 @@ impl Pace {
         let (round, last) = steps(config);
         let (keyframes, frames) = (keyframes as f64, frames as f64);
         let mapping = keyframes * (self.dense_depth + self.keyframe + round * self.step);
-        let finding = SEARCHES * keyframes + (frames - keyframes).max(0.0);
+        let finding = searches(config) as f64 * keyframes + (frames - keyframes).max(0.0);
         mapping + last * self.step + finding * self.frame
     }
 }
@@ -78,6 +77,14 @@ fn steps(config: &Config) -> (f64, f64) {
             let share = f64::from(config.keyframed.surface_steps);
             (field.iterations as f64, share * field.final_iterations as f64)
         }
+    }
+}
+
+/// Times that all keyframes are found anew at the end.
+fn searches(config: &Config) -> usize {
+    match config.map.kind {
+        MapKind::Gaussian => PosedGaussians::SEARCHES,
+        MapKind::HashGrid => config.keyframed.surface_searches,
     }
 }
 

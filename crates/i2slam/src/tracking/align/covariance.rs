@@ -10,9 +10,9 @@
 //! c = E[ρ''(z)/2] / E[w(z)],   m = E[w(z)² z²] / E[w(z)],   z ~ N(0, n²)
 //! ```
 //!
-//! and `n` is the one whose expected cost `E[ρ(z)]` is the mean cost that was found. Priors hold but
-//! are no noise. This is formal: neighbouring pixels, the channels of one and all errors of the map
-//! are taken to be independent.
+//! and `n` is the one whose expected cost `E[ρ(z)]` is the mean cost that was found. Priors hold
+//! but are no noise. This is formal: neighbouring pixels, the channels of one and all errors of the
+//! map are taken to be independent.
 
 use super::descent::{Outcome, Purpose};
 use super::noise::Noise;

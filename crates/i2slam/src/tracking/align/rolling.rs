@@ -36,7 +36,8 @@ const HOLD_FLOOR: f64 = 0.05;
 const UNSURE: f64 = 1.0;
 /// Frames whose motion the map is taken to show.
 const PAST: usize = 9;
-/// Motion unlike that of the frames before from which a frame says something about the readout [px].
+/// Motion unlike that of the frames before from which a frame says something about the readout
+/// [px].
 const LEAST_MOTION: f64 = 2.0;
 
 /// A Gaussian prior on readout and velocity together.
@@ -130,9 +131,9 @@ impl Frame<'_> {
 
     /// What a frame says about the readout, if it moved unlike the frames before.
     ///
-    /// With `Δ` and `Δ'` the motion of this frame and of those during the usual frame interval `T`, a
-    /// map that was made with the readout `R'` shows `(R - R')/T Δ'` as if it were in the scene, so
-    /// that with `e = Δ - Δ'`
+    /// With `Δ` and `Δ'` the motion of this frame and of those during the usual frame interval `T`,
+    /// a map that was made with the readout `R'` shows `(R - R')/T Δ'` as if it were in the scene,
+    /// so that with `e = Δ - Δ'`
     ///
     /// ```text
     /// r v = (R/T) Δ - ((R - R')/T) Δ'   or   (R/T) e = r v - (R'/T) Δ'

@@ -118,7 +118,8 @@ impl Footprints<'_> {
     }
 }
 
-/// The way back of one chunk; gives its part of the poses' gradients. Without `MAP` there are no rows.
+/// The way back of one chunk; gives its part of the poses' gradients. Without `MAP` there are no
+/// rows.
 struct PullBack<'a, const ANISOTROPIC: bool, const MAP: bool> {
     footprints: &'a Footprints<'a>,
     chunk: usize,

@@ -77,8 +77,8 @@ impl Occupancy {
         occupancy
     }
 
-    /// From now on no cell is occupied that `others`, a grid of as many cells over the same cube, has
-    /// empty, as where surfaces are known. Files keep what that has emptied, not the rule.
+    /// From now on no cell is occupied that `others`, a grid of as many cells over the same cube,
+    /// has empty, as where surfaces are known. Files keep what that has emptied, not the rule.
     ///
     /// # Panics
     /// If the grids differ in their cells.

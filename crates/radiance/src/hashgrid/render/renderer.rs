@@ -13,9 +13,9 @@ use rayon::prelude::*;
 /// The fast lane: all threads of the current `rayon` pool and the widest vectors found at run
 /// time, in `f32`.
 ///
-/// Buffers are kept from call to call: about 350 bytes per sample of the last render, of the default field. What rays
-/// show and gradients are bitwise the same for any number of threads on one machine; the width of
-/// its vectors changes the order of some sums.
+/// Buffers are kept from call to call: about 350 bytes per sample of the last render, of the
+/// default field. What rays show and gradients are bitwise the same for any number of threads on
+/// one machine; the width of its vectors changes the order of some sums.
 pub struct FieldRenderer {
     march: MarchSettings,
     arch: Arch,

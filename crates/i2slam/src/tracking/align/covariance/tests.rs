@@ -52,7 +52,8 @@ fn references() -> Vec<Reference> {
     }]
 }
 
-/// Aligns a frame with noise of these standard deviations in depth [m] and picture; where its centre ended, and the covariance.
+/// Aligns a frame with noise of these standard deviations in depth [m] and picture; where its
+/// centre ended, and the covariance.
 fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCovariance, bool) {
     let mut random = Random::new(seed);
     let colour = noisy(&radiance(0.4), noise.1, &mut random);

@@ -15,9 +15,9 @@
 //! `b = ∇M · ∂π/∂Y · R_model_from_centre` the derivatives are `(b, P × b)` and
 //! `s (b, (P - s ν) × b)`.
 //!
-//! With a rolling shutter a row at `v` sees every moment later by `readout (v/H - ½)`, so that `s` is
-//! a time of its own for every sample, and the readout is an unknown with the derivative
-//! `(v/H - ½) b · (ν + ω × (P - s ν))`. Depth is taken at one moment.
+//! With a rolling shutter a row at `v` sees every moment later by `readout (v/H - ½)`, so that `s`
+//! is a time of its own for every sample, and the readout is an unknown with the derivative `(v/H -
+//! ½) b · (ν + ω × (P - s ν))`. Depth is taken at one moment.
 
 mod colour;
 mod depth;
