@@ -34,14 +34,14 @@ pub struct KeyframedConfig {
     pub refine_imported: bool,
     /// First distance of start and end pose, as a share of the motion in one frame interval.
     pub initial_split: f32,
-    /// Standard deviations from which on an estimated depth counts as wrong: its loss goes on
-    /// along the tangent; 0 for never.
+    /// Standard deviations c beyond which an estimated depth is let go: its loss is Cauchy's
+    /// c² ln(1 + r² / (c² σ²)); 0 for never, which is r² / σ².
     pub depth_outlier: f32,
     /// Steps during which the finer half of the grids comes in, one after another; 0 trains all
     /// from the start.
     pub coarse_steps: usize,
     /// λ_depth where keyframes come with estimated depth in most pixels: a mean of (d − d̂)² over
-    /// its variance. Rays are then sampled around these surfaces alone, `hashgrid.shell` of their
+    /// its variance, of which a tenth is left at the last step. Rays are then sampled around these surfaces alone, `hashgrid.shell` of their
     /// depth or three deviations to both sides.
     pub surface_depth_weight: f32,
     /// `camera_rate` there.

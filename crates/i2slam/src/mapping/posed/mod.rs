@@ -89,16 +89,23 @@ impl Field {
     }
 }
 
-/// How far a step goes.
+/// How far a step goes, and what depth weighs in it.
 #[derive(Clone, Copy)]
 struct Rates {
     field: f32,
     camera: f32,
+    depth_weight: f32,
 }
+
+/// Share of its weight that the depth of known surfaces has at the last step: once it has told where
+/// they are, pictures tell better what is thin or beside an edge.
+const DEPTH_LEFT: f32 = 0.1;
 
 /// What the settings ask for, which depends on whether surfaces are known.
 struct Plan {
     depth_weight: f32,
+    /// Share of it that is left at the last step.
+    depth_left: f32,
     camera_rate: f32,
     /// Steps after the last keyframe.
     steps: usize,
@@ -113,12 +120,14 @@ impl PosedField {
         match self.field.as_ref().is_some_and(|field| field.shells.is_some()) {
             true => Plan {
                 depth_weight: keyframed.surface_depth_weight,
+                depth_left: DEPTH_LEFT,
                 camera_rate: keyframed.surface_camera_rate,
                 steps: (keyframed.surface_steps * steps as f32) as usize,
                 searches: keyframed.surface_searches,
             },
             false => Plan {
                 depth_weight: config.hashgrid.depth_weight,
+                depth_left: 1.0,
                 camera_rate: keyframed.camera_rate,
                 steps,
                 searches: 0,
@@ -155,7 +164,8 @@ impl PosedField {
             self.hold_last(story);
         }
         let iterations = if first { settings.first_iterations } else { settings.iterations };
-        let rates = Rates { field: settings.rate, camera: self.plan(story.config).camera_rate };
+        let Plan { camera_rate, depth_weight, .. } = self.plan(story.config);
+        let rates = Rates { field: settings.rate, camera: camera_rate, depth_weight };
         let round = Round::begin(story.config);
         for iteration in 0..iterations {
             if round.is_over(iteration, story.stop) {
@@ -256,7 +266,8 @@ impl PosedField {
             self.begin(story)?;
         }
         let rate = story.config.hashgrid.rate;
-        let Plan { camera_rate, steps, searches, .. } = self.plan(story.config);
+        let Plan { camera_rate, depth_weight, depth_left, steps, searches } =
+            self.plan(story.config);
         let part = steps.div_ceil(1 + searches).max(1);
         self.confine(story);
         for step in 0..steps {
@@ -267,7 +278,11 @@ impl PosedField {
             }
             let window = any(story, story.config.mapping.window);
             let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);
-            let rates = Rates { field: decayed(rate), camera: decayed(camera_rate) };
+            let rates = Rates {
+                field: decayed(rate),
+                camera: decayed(camera_rate),
+                depth_weight: depth_weight * depth_left.powf(step as f32 / steps as f32),
+            };
             self.step(story, &window, rates);
             if !on_step(step + 1, steps) {
                 break;
@@ -280,7 +295,6 @@ impl PosedField {
     fn step(&mut self, story: &mut Story<'_>, views: &[Keyframe], rates: Rates) {
         let config = story.config;
         let curves = curves(story, views);
-        let depth_weight = self.plan(config).depth_weight;
         let Some(field) = &mut self.field else { return };
         if self.steps.is_multiple_of(LOOK) {
             let Field { map, looker, .. } = &mut *field;
@@ -298,7 +312,7 @@ impl PosedField {
                 field.precondition(story, &mut self.poses, view, keyframe.frame);
             }
         }
-        let weights = (config.hashgrid.image_weight, depth_weight);
+        let weights = (config.hashgrid.image_weight, rates.depth_weight);
         let Field { map, batch, gradient, adam, .. } = &mut *field;
         let evaluations = batch.map(map, &drawn, weights, with_poses, story.random, gradient);
         for (view, index) in views.iter().zip(0..) {

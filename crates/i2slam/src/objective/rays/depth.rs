@@ -10,16 +10,16 @@ use std::ops::Range;
 const SOLID: f32 = 0.5;
 
 /// Value and slope by the residual `r` of an estimated depth of variance `v`, both in the unit of
-/// the depth: `r² / v` (Rosinol et al. 2023, eq. 4) and, beyond `outlier` standard deviations if
-/// that is above 0, its tangent.
-fn estimated<T: Real>(r: T, v: T, outlier: T) -> (T, T) {
-    let (two, deviation) = (T::of(2.0), v.sqrt());
-    let far = outlier * deviation;
-    if outlier > T::zero() && r.abs() > far {
-        let sign = if r < T::zero() { -T::one() } else { T::one() };
-        (outlier * (two * r.abs() / deviation - outlier), sign * two * outlier / deviation)
+/// the depth: `r² / v` (Rosinol et al. 2023, eq. 4) or, for `c` outlier deviations above 0,
+/// `c² ln(1 + r² / (c² v))`, Cauchy's, which lets go of a depth that is wrong: its slope is largest
+/// at `c` deviations, half of that of the square there, and falls beyond.
+fn estimated<T: Real>(r: T, v: T, c: T) -> (T, T) {
+    let (square, slope) = (r * r / v, T::of(2.0) * r / v);
+    if c > T::zero() {
+        let rise = T::one() + square / (c * c);
+        (c * c * rise.ln(), slope / rise)
     } else {
-        (r * r / v, two * r / v)
+        (square, slope)
     }
 }
 
@@ -79,8 +79,16 @@ mod tests {
             let slope = estimated(r, 0.01, outlier).1;
             assert_gradient("depth", &[r], &[slope], 1e-4, 1e-6, value);
         }
-        let (below, above) = (estimated(0.3_f64, 0.01, 3.0), estimated(0.3 + 1e-12, 0.01, 3.0));
-        assert!((below.0 - above.0).abs() < 1e-8 && (below.1 - above.1).abs() < 1e-8);
         assert!((estimated(0.2_f64, 0.04, 0.0).0 - 1.0).abs() < 1e-12);
+        assert!(
+            (estimated(1e-4_f64, 0.04, 3.0).0 / estimated(1e-4, 0.04, 0.0).0 - 1.0).abs() < 1e-6
+        );
+    }
+
+    #[test]
+    fn a_wrong_depth_pulls_most_at_the_outlier_and_is_let_go_beyond() {
+        let slope = |deviations: f64| estimated(0.1 * deviations, 0.01, 3.0).1;
+        assert!((slope(3.0) - 30.0).abs() < 1e-9);
+        assert!(slope(2.9) < slope(3.0) && slope(3.1) < slope(3.0) && slope(30.0) < 6.0);
     }
 }

@@ -101,15 +101,15 @@ impl RayObjective {
         }
     }
 
-    /// Standard deviations from which on an estimated depth counts as wrong, see
-    /// [`map`](Self::map); 0 for never.
+    /// Standard deviations beyond which an estimated depth is let go, see [`map`](Self::map); 0
+    /// for never.
     pub fn set_depth_outlier(&mut self, deviations: f32) {
         self.depth_outlier = deviations;
     }
 
     /// The mean over `views` of `w_img · mean |C - Ĉ| + w_depth · mean |d - d̂|`, over the pixels
     /// of a view and those of them with a depth reading; where depth has a variance v, (d - d̂)² /
-    /// v takes the place of |d - d̂|, linear beyond the outlier's. Adds the derivative by the field
+    /// v, or Cauchy's function of it, takes the place of |d - d̂|. Adds the derivative by the field
     /// to `gradient` and returns the part of each view, with derivatives of the whole; those by the
     /// poses only `with_poses`.
     pub fn map(
