@@ -41,8 +41,8 @@ pub struct KeyframedConfig {
     /// from the start.
     pub coarse_steps: usize,
     /// λ_depth where keyframes come with estimated depth in most pixels: a mean of (d − d̂)² over
-    /// its variance, of which a tenth is left at the last step. Rays are then sampled around these surfaces alone, `hashgrid.shell` of their
-    /// depth or three deviations to both sides.
+    /// its variance, of which a twentieth is left at the last step. Rays are then sampled around
+    /// these surfaces alone, `hashgrid.shell` of their depth or three deviations to both sides.
     pub surface_depth_weight: f32,
     /// `camera_rate` there.
     pub surface_camera_rate: f32,

@@ -97,9 +97,9 @@ struct Rates {
     depth_weight: f32,
 }
 
-/// Share of its weight that the depth of known surfaces has at the last step: once it has told where
-/// they are, pictures tell better what is thin or beside an edge.
-const DEPTH_LEFT: f32 = 0.1;
+/// Share of its weight that the depth of known surfaces has at the last step: once it has told
+/// where they are, pictures tell better what is thin or beside an edge.
+const DEPTH_LEFT: f32 = 0.05;
 
 /// What the settings ask for, which depends on whether surfaces are known.
 struct Plan {
