@@ -1,5 +1,6 @@
 //! What a long job by colour alone will take, told after a few frames.
 
+use super::Job;
 use super::posed::picture;
 use i2slam::dataset::Sequence;
 use i2slam::{Config, Pace};
@@ -16,14 +17,22 @@ const LONG: f64 = 60.0;
 pub(super) struct Estimate {
     config: Config,
     sequence: Sequence,
+    /// Whether flags can make the job smaller: the program's own clip takes none.
+    is_adjustable: bool,
     started: Instant,
     is_told: bool,
 }
 
 impl Estimate {
     /// Of a job that begins now.
-    pub(super) fn new(config: Config, sequence: Sequence) -> Self {
-        Self { config, sequence, started: Instant::now(), is_told: false }
+    pub(super) fn new(job: &Job, sequence: &Sequence) -> Self {
+        Self {
+            config: job.config.clone(),
+            sequence: sequence.clone(),
+            is_adjustable: job.title.is_none(),
+            started: Instant::now(),
+            is_told: false,
+        }
     }
 
     /// What there is to tell once points were followed through `done` pictures, of which
@@ -42,26 +51,32 @@ impl Estimate {
         let keyframes = (keyframes * frames).div_ceil(done);
         let seconds = following + pace.total(&self.config, keyframes, frames);
         let size = (camera.width, camera.height);
-        (seconds > LONG).then(|| words(seconds, (frames, keyframes), size))
+        let advice = if self.is_adjustable { advice(size) } else { String::new() };
+        (seconds > LONG).then(|| words(seconds, (frames, keyframes), size) + &advice)
     }
 }
 
-/// The estimate, and what makes it less.
+/// The estimate, and what it is of.
 fn words(
     seconds: f64,
     (frames, keyframes): (usize, usize),
     (width, height): (usize, usize),
 ) -> String {
+    format!(
+        "this will take about {}: {frames} frames of {width}x{height} px, some {keyframes} \
+         keyframes",
+        minutes(seconds)
+    )
+}
+
+/// What makes a job smaller.
+fn advice((width, height): (usize, usize)) -> String {
     let half = width.max(height) / 2;
     let smaller = match half >= LEAST_ADVISED {
         true => format!("--max-side {half} would take about a third of that, "),
         false => String::new(),
     };
-    format!(
-        "this will take about {}: {frames} frames of {width}x{height} px, some {keyframes} \
-         keyframes; {smaller}--stride N takes every N-th frame, --frames A..B a part",
-        minutes(seconds)
-    )
+    format!("; {smaller}--stride N takes every N-th frame, --frames A..B a part")
 }
 
 /// A time that is known roughly.
@@ -83,12 +98,12 @@ mod tests {
         assert_eq!(minutes(63.0), "60 s");
         assert_eq!(minutes(754.0), "13 min");
         assert_eq!(minutes(3.0 * 3600.0), "3.0 h");
-        let told = words(600.0, (300, 62), (480, 640));
+        let told = words(600.0, (300, 62), (480, 640)) + &advice((480, 640));
         for part in
             ["10 min", "300 frames of 480x640 px", "62 keyframes", "--max-side 320", "--stride"]
         {
             assert!(told.contains(part), "{told}");
         }
-        assert!(!words(600.0, (300, 62), (320, 240)).contains("--max-side"));
+        assert!(!advice((320, 240)).contains("--max-side"));
     }
 }

@@ -1,12 +1,11 @@
 //! The search for the path of the camera, and what is seen of it.
 
-use super::camera;
 use super::estimate::Estimate;
 use super::posed::picture;
+use super::{Job, camera};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::progress::Progress;
-use i2slam::Config;
 use i2slam::dataset::Sequence;
 use i2slam::keyframes::{
     Native, NativeError, NativeFailure, PictureError, SequencePicture, Stage, Watch,
@@ -21,14 +20,14 @@ pub(super) const PATH_SIDE: usize = 640;
 pub(super) fn find_path(
     sequence: &Sequence,
     estimate_distortion: bool,
-    config: &Config,
+    job: &Job,
     progress: &Progress,
 ) -> Result<Native<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<>>, Failure> {
     let large = sequence.at_least(PATH_SIDE);
     camera::before(sequence, &large).iter().for_each(|line| progress.note(line));
     let intrinsics = camera::intrinsics(&large, estimate_distortion);
     let count = large.len();
-    let estimate = Estimate::new(config.clone(), sequence.clone());
+    let estimate = Estimate::new(job, sequence);
     let watch = watch(progress, Some(estimate));
     let load = move |place: usize| picture(&large, place);
     match Native::find(intrinsics, count, load, &watch) {

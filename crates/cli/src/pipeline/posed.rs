@@ -16,7 +16,7 @@ use i2slam::keyframes::{
     ImportDepth, ImportOptions, KeyframeSource, Native, NativeWarning, PictureError, PosedKeyframe,
     SequencePicture, import,
 };
-use i2slam::{Config, FrameEstimate, KeyframedSession, Reconstruction, SessionError, Warning};
+use i2slam::{FrameEstimate, KeyframedSession, Reconstruction, SessionError, Warning};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -102,7 +102,7 @@ impl Keyframes {
     fn open(&self, job: &Job, sequence: &Sequence, progress: &Progress) -> Result<Opened, Failure> {
         match self {
             Self::Native { estimate_distortion } => {
-                native(sequence, *estimate_distortion, &job.config, progress)
+                native(sequence, *estimate_distortion, job, progress)
             }
             Self::Files { path, depth, variance } => {
                 let options = ImportOptions {
@@ -136,11 +136,11 @@ impl Keyframes {
 fn native(
     sequence: &Sequence,
     estimate_distortion: bool,
-    config: &Config,
+    job: &Job,
     progress: &Progress,
 ) -> Result<Opened, Failure> {
     let size = (sequence.camera.width, sequence.camera.height);
-    let found = find_path(sequence, estimate_distortion, config, progress)?
+    let found = find_path(sequence, estimate_distortion, job, progress)?
         .with_pictures(size, |place| picture(sequence, place));
     let camera = FoundCamera::of(sequence, found.reconstruction());
     camera.lines().iter().for_each(|line| progress.note(line));
@@ -157,7 +157,7 @@ fn native(
     };
     let path = source.path().into_iter().filter_map(numbered).collect();
     // The paper's system has poses of keyframes alone.
-    let between: Between = match config.tracking.method {
+    let between: Between = match job.config.tracking.method {
         TrackingMethod::SecondOrder => Box::new(between),
         TrackingMethod::Adam => Box::new(std::iter::empty()),
     };

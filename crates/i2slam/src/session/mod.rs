@@ -113,7 +113,8 @@ impl Session {
         self.backend.covered = Some(covered);
     }
 
-    /// Once `stop` is wished, what remains of a frame's mapping is left undone.
+    /// Once `stop` is wished, what remains of a frame's mapping, and of its tracking by first-order
+    /// steps, is left undone.
     pub fn set_stop(&mut self, stop: Stop) {
         self.backend.stop = stop;
     }
@@ -242,7 +243,7 @@ impl Session {
         observation: &Observation,
         usable: bool,
     ) -> (FrameEstimate, Option<TrackingResult>) {
-        let Backend { mapper, frames, keyframes, responses, .. } = &mut self.backend;
+        let Backend { mapper, frames, keyframes, responses, stop, .. } = &mut self.backend;
         let last = responses.len() - 1;
         let look = Look {
             config: &self.config,
@@ -253,6 +254,7 @@ impl Session {
             frames,
             keyframes,
             response: (last, &responses[last]),
+            stop,
         };
         let tracker: Option<&mut dyn Tracker> = match usable && !mapper.is_empty() {
             true => Some(mapper.as_mut()),
@@ -284,6 +286,7 @@ impl Session {
             frames: &backend.frames.clone(),
             keyframes: &backend.keyframes.clone(),
             response: (last, &backend.responses[last].clone()),
+            stop: &backend.stop.clone(),
         };
         let mut follower = self.follower.take();
         let tracker = follower.as_deref_mut().filter(|_| usable);

@@ -1,7 +1,7 @@
 //! A few synthetic frames through a session.
 
 use super::*;
-use crate::config::MapKind;
+use crate::config::{MapKind, TrackingMethod};
 use crate::reconstruction::Map;
 use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Pose, Rotation, Vec3};
@@ -238,4 +238,23 @@ fn refinement_keeps_what_alignment_tells() {
         assert!(found.position_deviation.is_some() && found.rotation_deviation.is_some());
     }
     assert_ne!(reconstruction.rolling_shutter_readout, 0.01);
+}
+
+/// The pose of the second frame, found by so many first-order steps; ended from outside or not.
+fn stepped(iterations: usize, ended: bool) -> Pose<f64> {
+    let mut config = Config::default();
+    config.tracking.method = TrackingMethod::Adam;
+    config.tracking.iterations = iterations;
+    let mut session = Session::new(config, CAMERA, 30.0);
+    session.process(&frame(0, pose(0))).expect("a frame");
+    if ended {
+        session.set_stop(Stop::when(|| true));
+    }
+    session.process(&frame(1, pose(1))).expect("a frame").middle()
+}
+
+#[test]
+fn first_order_steps_end_when_it_is_wished() {
+    assert_eq!(stepped(8, true), stepped(1, false));
+    assert_ne!(stepped(8, true), stepped(8, false));
 }

@@ -49,7 +49,8 @@ impl Optimizers {
     }
 }
 
-/// `config.iterations` steps from `start`; the parameters with the smallest loss are returned.
+/// `config.iterations` steps from `start`, fewer once a stop is wished; the parameters with the
+/// smallest loss are returned.
 pub(super) fn refine<M: SceneMap>(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
@@ -74,6 +75,9 @@ pub(super) fn refine<M: SceneMap>(
         let loss = trajectory.as_ref().map_or(0.0, |t| t.0);
         if improved {
             best = Some((total, state.clone(), evaluation.clone(), loss));
+        }
+        if context.stop.is_wished() {
+            break;
         }
         step(context, &mut state, &mut optimizers, &evaluation, trajectory.map(|t| t.1));
     }

@@ -12,6 +12,7 @@ use readout::MeasuredReadout;
 use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
 use crate::objective::{Evaluation, FrameObjective, Observation, Sampling, SceneMap, blur_length};
 use crate::reconstruction::{Convergence, FrameEstimate, Losses};
+use i2slam_compute::Stop;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Pose, Tangent};
 
@@ -37,6 +38,8 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) expected: Option<Pose<f64>>,
     /// The last keyframe and its world-from-camera pose when its depth was taken.
     pub(crate) keyframe: Option<(&'a Observation, Pose<f64>)>,
+    /// Once wished, first-order steps end with the best that they found.
+    pub(crate) stop: &'a Stop,
 }
 
 impl TrackingContext<'_> {
