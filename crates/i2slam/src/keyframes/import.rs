@@ -70,6 +70,7 @@ impl KeyframeSource for Import {
             colour: keyframe.colour,
             world_from_camera: keyframe.world_from_camera,
             before: None,
+            after: None,
             depth: keyframe.depth.map(|depth| EstimatedDepth { depth, variance }),
         }))
     }

@@ -35,6 +35,8 @@ pub struct PosedKeyframe {
     /// Stamp and pose of the picture before it in the video, where known: how fast the camera
     /// moves.
     pub before: Option<(f64, Pose<f64>)>,
+    /// The same of the picture after it.
+    pub after: Option<(f64, Pose<f64>)>,
     /// What is known of its depth.
     pub depth: Option<EstimatedDepth>,
 }

@@ -159,8 +159,15 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
             .collect();
         frames.into_iter().map(move |(place, world_from_camera)| {
             let SequencePicture { index, timestamp, colour } = load(place)?;
-            let (before, depth) = (None, None);
-            Ok(PosedKeyframe { index, timestamp, colour, world_from_camera, before, depth })
+            Ok(PosedKeyframe {
+                index,
+                timestamp,
+                colour,
+                world_from_camera,
+                before: None,
+                after: None,
+                depth: None,
+            })
         })
     }
 
@@ -231,7 +238,8 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
         Some(Ok(PosedKeyframe {
             index,
             timestamp: keyframe.timestamp,
-            before: before(found, keyframe.index),
+            before: keyframe.index.checked_sub(1).and_then(|index| stamped(found, index)),
+            after: stamped(found, keyframe.index + 1),
             depth: Some(depth(dense, keyframe, colour.width, colour.height)),
             colour,
             world_from_camera: scaled(keyframe.world_from_camera),
@@ -257,10 +265,9 @@ fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
     }
 }
 
-/// Stamp and pose of the frame before one.
-fn before(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
-    let before = frame.checked_sub(1)?;
-    Some((*found.timestamps.get(before)?, pose_of(found, before)?))
+/// Stamp and pose of a frame.
+fn stamped(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
+    Some((*found.timestamps.get(frame)?, pose_of(found, frame)?))
 }
 
 /// What is known of a keyframe's depth: dense depth, with the landmarks where it is missing in more

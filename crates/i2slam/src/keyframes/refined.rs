@@ -111,6 +111,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
             colour,
             world_from_camera,
             before: None,
+            after: None,
             depth: depth.map(|d| EstimatedDepth { depth: d.depth, variance: Some(d.variance) }),
         }))
     }

@@ -4,7 +4,7 @@ use crate::config::MappingConfig;
 use crate::objective::{Observation, blur_length};
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::ShutterPoses;
-use i2slam_geometry::Camera;
+use i2slam_geometry::{Camera, Pose, Tangent};
 use std::sync::Arc;
 
 /// A frame that stays in memory for mapping.
@@ -13,6 +13,48 @@ pub(crate) struct Keyframe {
     /// Position among the session's frames.
     pub(crate) frame: usize,
     pub(crate) observation: Arc<Observation>,
+    pub(crate) beside: Beside,
+}
+
+/// The frames before and after a keyframe in the video, where their source knows them: stamps [s],
+/// and poses in the camera of the keyframe, with which they move.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Beside {
+    pub(crate) before: Option<(f64, Pose<f64>)>,
+    pub(crate) after: Option<(f64, Pose<f64>)>,
+}
+
+impl Beside {
+    /// The frame before a keyframe, as far from it as its source said.
+    pub(crate) fn frame_before(&self, keyframe: &FrameEstimate) -> Option<FrameEstimate> {
+        let (timestamp, pose) = self.before?;
+        let shutter = ShutterPoses::still(keyframe.middle() * pose);
+        let posed = FrameEstimate::posed(keyframe.index, timestamp, shutter);
+        Some(FrameEstimate { tone: keyframe.tone, ..posed })
+    }
+
+    /// Both frames beside a keyframe of this stamp; the camera moves on evenly to one that is not
+    /// known. None if neither is.
+    pub(crate) fn both(&self, timestamp: f64) -> Option<[(f64, Pose<f64>); 2]> {
+        let across = |(stamp, pose): (f64, Pose<f64>)| (2.0 * timestamp - stamp, pose.inverse());
+        let before = self.before.or(self.after.map(across))?;
+        Some([before, self.after.unwrap_or_else(|| across(before))])
+    }
+
+    /// Motion of the camera at a keyframe of this stamp during a frame interval of the video.
+    pub(crate) fn motion(&self, timestamp: f64, frame_rate: f64) -> Option<Tangent<f64>> {
+        let ways = self.both(timestamp)?.map(|(stamp, pose)| {
+            let intervals = intervals(frame_rate, timestamp.min(stamp), timestamp.max(stamp));
+            Pose::identity().local(pose).scaled((stamp - timestamp).signum() / intervals)
+        });
+        Some(ways[0].plus(ways[1]).scaled(0.5))
+    }
+}
+
+/// Frame intervals of the video between two stamps [s].
+pub(crate) fn intervals(frame_rate: f64, earlier: f64, later: f64) -> f64 {
+    let intervals = (later - earlier) * frame_rate;
+    if intervals.is_finite() { intervals.max(1.0) } else { 1.0 }
 }
 
 /// Whether the last of `frames` becomes a keyframe, `last` being the one before.
@@ -56,7 +98,7 @@ fn is_sharp(frames: &[FrameEstimate]) -> bool {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use i2slam_geometry::{Image, Pose, Rotation, Vec3};
+    use i2slam_geometry::{Image, Rotation, Vec3};
 
     const CAMERA: Camera<f64> =
         Camera { width: 100, height: 80, fx: 100.0, fy: 100.0, cx: 50.0, cy: 40.0 };

@@ -22,10 +22,10 @@ mod window;
 pub(crate) use field::FieldMapper;
 pub(crate) use follower::{Follower, Tracker};
 pub(crate) use gaussians::{GaussianMapper, raster_settings};
-pub(crate) use keyframe::{Keyframe, is_keyframe};
+pub(crate) use keyframe::{Beside, Keyframe, intervals, is_keyframe};
 pub(crate) use locate::Locator;
 pub(crate) use mapper::{Mapper, Story};
-pub(crate) use posed::{PosedField, intervals};
+pub(crate) use posed::PosedField;
 pub(crate) use posed_gaussians::PosedGaussians;
 pub(crate) use posed_mapper::PosedMapper;
 

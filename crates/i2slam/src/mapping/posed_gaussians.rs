@@ -10,18 +10,14 @@ use super::{Keyframe, Mapper, PosedMapper, Story};
 use crate::config::Config;
 use crate::reconstruction::{FrameEstimate, Map};
 use crate::tracking::SequenceReadout;
-use i2slam_formation::ShutterPoses;
-use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::SettingsError;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Gaussians that are refined together with keyframes.
 pub(crate) struct PosedGaussians {
     mapper: GaussianMapper,
     locator: Locator,
-    /// Stamp and place of the frame before a keyframe, in its camera.
-    ways: BTreeMap<usize, (f64, Pose<f64>)>,
 }
 
 impl PosedGaussians {
@@ -34,7 +30,6 @@ impl PosedGaussians {
         Self {
             mapper: GaussianMapper::new(config, camera),
             locator: Locator::new(frame_rate, readout),
-            ways: BTreeMap::new(),
         }
     }
 
@@ -51,33 +46,19 @@ impl PosedGaussians {
 
     /// Finds a keyframe in the map as it is.
     fn find(&mut self, story: &mut Story<'_>, at: &Keyframe) {
-        let before = self.before(story, at.frame);
         let mut estimate = story.frames[at.frame].clone();
+        let before = at.beside.frame_before(&estimate);
         let others = &story.frames[..at.frame];
         let frame = (&mut estimate, &at.observation.colour);
         self.locator.locate(story, self.mapper.scene(), frame, before.as_ref(), others);
         story.frames[at.frame] = estimate;
     }
-
-    /// The frame before a keyframe in the video, as far from it as its source said.
-    fn before(&self, story: &Story<'_>, frame: usize) -> Option<FrameEstimate> {
-        let estimate = &story.frames[frame];
-        let (timestamp, way) = *self.ways.get(&frame)?;
-        let shutter = ShutterPoses::still(estimate.middle() * way);
-        let posed = FrameEstimate::posed(estimate.index, timestamp, shutter);
-        Some(FrameEstimate { tone: estimate.tone, ..posed })
-    }
 }
 
 impl PosedMapper for PosedGaussians {
-    fn add(
-        &mut self,
-        story: &mut Story<'_>,
-        before: Option<(f64, Pose<f64>)>,
-    ) -> Result<(), SettingsError> {
+    fn add(&mut self, story: &mut Story<'_>) -> Result<(), SettingsError> {
         let Some((current, earlier)) = story.keyframes.split_last() else { return Ok(()) };
         let mut story = story.with_keyframes(earlier);
-        self.ways.extend(before.map(|way| (current.frame, way)));
         let first = self.mapper.is_empty();
         if !first {
             self.find(&mut story, current);

@@ -2,19 +2,14 @@
 
 use super::Story;
 use crate::reconstruction::{FrameEstimate, Map};
-use i2slam_geometry::{Image, Pose};
+use i2slam_geometry::Image;
 use i2slam_radiance::hashgrid::SettingsError;
 use std::sync::Arc;
 
 /// A map that is refined together with keyframes that came with poses.
 pub(crate) trait PosedMapper: Send {
-    /// Takes in a keyframe, the last of the story. `before`: stamp and place, in the keyframe's
-    /// camera, of the frame before it in the video, where known.
-    fn add(
-        &mut self,
-        story: &mut Story<'_>,
-        before: Option<(f64, Pose<f64>)>,
-    ) -> Result<(), SettingsError>;
+    /// Takes in a keyframe, the last of the story.
+    fn add(&mut self, story: &mut Story<'_>) -> Result<(), SettingsError>;
 
     /// Steps over all keyframes after the last; `on_step(done, of)` says whether to go on.
     fn finish(

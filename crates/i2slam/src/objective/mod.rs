@@ -14,6 +14,7 @@ mod similarity;
 mod window;
 
 pub use blur::{blur_length, blur_length_at, virtual_camera_count};
+pub(crate) use exposure::carried_to_middle;
 pub use exposure::{BlurRoute, Exposure, Sampling};
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;

@@ -2,7 +2,7 @@
 
 use super::start;
 use crate::config::Config;
-use crate::mapping::{Keyframe, Mapper, Story, Tracker, is_keyframe};
+use crate::mapping::{Beside, Keyframe, Mapper, Story, Tracker, is_keyframe};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
 use crate::warning::Warning;
@@ -49,7 +49,7 @@ impl Backend {
         observation: Arc<Observation>,
     ) {
         let position = self.frames.len() - 1;
-        let current = Keyframe { frame: position, observation };
+        let current = Keyframe { frame: position, observation, beside: Beside::default() };
         let last = self.keyframes.last().map(|k| k.frame);
         self.frames[position].keyframe = self.mapper.is_empty()
             || last.is_none_or(|last| {

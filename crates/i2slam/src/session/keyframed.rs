@@ -10,7 +10,7 @@ pub use pace::Pace;
 use super::{BLACK, SessionError, start};
 use crate::config::{Config, MapKind, ResponseScope};
 use crate::keyframes::PosedKeyframe;
-use crate::mapping::{Keyframe, PosedMapper, Story, intervals};
+use crate::mapping::{Beside, Keyframe, PosedMapper, Story, intervals};
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::warning::Warning;
@@ -86,16 +86,18 @@ impl KeyframedSession {
         self.check(&keyframe)?;
         let clock = Instant::now();
         let from_keyframe = keyframe.world_from_camera.inverse();
-        let before = keyframe.before.map(|(timestamp, pose)| (timestamp, from_keyframe * pose));
-        let (estimate, observation) = self.take_in(keyframe);
+        let seen_from = |(timestamp, pose)| (timestamp, from_keyframe * pose);
+        let beside =
+            Beside { before: keyframe.before.map(seen_from), after: keyframe.after.map(seen_from) };
+        let (estimate, observation) = self.take_in(keyframe, beside);
         let position = self.frames.len();
         let maps = estimate.keyframe;
         self.frames.push(estimate);
         self.split_the_first(position);
         if maps {
-            self.keyframes.push(Keyframe { frame: position, observation });
+            self.keyframes.push(Keyframe { frame: position, observation, beside });
             let (mapper, mut story) = self.story();
-            if let Err(source) = mapper.add(&mut story, before) {
+            if let Err(source) = mapper.add(&mut story) {
                 self.failure = Some(source);
                 return Err(SessionError::Map { source });
             }
@@ -175,7 +177,11 @@ impl KeyframedSession {
     }
 
     /// What is known of a keyframe before it is refined.
-    fn take_in(&mut self, keyframe: PosedKeyframe) -> (FrameEstimate, Arc<Observation>) {
+    fn take_in(
+        &mut self,
+        keyframe: PosedKeyframe,
+        beside: Beside,
+    ) -> (FrameEstimate, Arc<Observation>) {
         let PosedKeyframe { index, timestamp, colour, world_from_camera, depth, .. } = keyframe;
         let source = *self.world_from_source.get_or_insert_with(|| world_from_camera.inverse());
         self.came.insert(index, source * world_from_camera);
@@ -192,18 +198,17 @@ impl KeyframedSession {
                 Some(variance) => Observation::estimated(colour, estimated.depth, variance),
             },
         };
+        let world_from_camera = source * world_from_camera;
         let mut estimate = FrameEstimate {
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response: self.response(),
             keyframe: seen,
-            ..FrameEstimate::posed(
-                index,
-                timestamp,
-                ShutterPoses::still(source * world_from_camera),
-            )
+            ..FrameEstimate::posed(index, timestamp, ShutterPoses::still(world_from_camera))
         };
-        if let Some(last) = self.frames.last() {
-            estimate.shutter = self.split(&estimate, last, false);
+        let known = beside.motion(timestamp, self.frame_rate);
+        let from_last = || self.frames.last().map(|last| self.motion(last, &estimate));
+        if let Some(motion) = known.or_else(from_last) {
+            estimate.shutter = self.split(&estimate, motion);
         }
         (estimate, Arc::new(observation))
     }
@@ -220,25 +225,27 @@ impl KeyframedSession {
         last + 1
     }
 
-    /// The motion of the first exposure, known once there is a second.
+    /// The motion of the first exposure, known once there is a second, unless its source knew it.
     fn split_the_first(&mut self, position: usize) {
-        if position == 1 {
-            self.frames[0].shutter = self.split(&self.frames[0], &self.frames[1], true);
+        if position == 1 && self.frames[0].shutter.start == self.frames[0].shutter.end {
+            let motion = self.motion(&self.frames[0], &self.frames[1]);
+            self.frames[0].shutter = self.split(&self.frames[0], motion);
         }
     }
 
-    /// Start and end pose of the exposure of `at`, along the way to another keyframe that is
-    /// `forward` in time or back.
-    fn split(&self, at: &FrameEstimate, other: &FrameEstimate, forward: bool) -> ShutterPoses<f64> {
+    /// Motion of the camera during a frame interval on its even way from one keyframe to another,
+    /// in the camera of the first.
+    fn motion(&self, earlier: &FrameEstimate, later: &FrameEstimate) -> Tangent<f64> {
+        let way = earlier.middle().local(later.middle());
+        way.scaled(1.0 / intervals(self.frame_rate, earlier.timestamp, later.timestamp))
+    }
+
+    /// Start and end pose of an exposure, `motion` being that of a frame interval.
+    fn split(&self, at: &FrameEstimate, motion: Tangent<f64>) -> ShutterPoses<f64> {
         if !self.config.formation.blur {
             return ShutterPoses::still(at.middle());
         }
-        let share = f64::from(self.config.keyframed.initial_split);
-        let (direction, earlier, later) =
-            if forward { (1.0, at, other) } else { (-1.0, other, at) };
-        let way = at.middle().local(other.middle());
-        let intervals = intervals(self.frame_rate, earlier, later);
-        spread(at.middle(), way.scaled(direction * share / intervals))
+        spread(at.middle(), motion.scaled(f64::from(self.config.keyframed.initial_split)))
     }
 
     fn story(&mut self) -> (&mut dyn PosedMapper, Story<'_>) {

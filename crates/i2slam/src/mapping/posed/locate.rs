@@ -5,7 +5,7 @@ use crate::mapping::{Locator, PosedMapper, Story};
 use crate::objective::FrameObjective;
 use crate::reconstruction::{FrameEstimate, Map};
 use crate::tracking::SequenceReadout;
-use i2slam_geometry::{Image, Pose};
+use i2slam_geometry::Image;
 use i2slam_radiance::hashgrid::{HashGridMap, SettingsError};
 use std::sync::Arc;
 
@@ -16,11 +16,7 @@ pub(super) struct Finder {
 }
 
 impl PosedMapper for PosedField {
-    fn add(
-        &mut self,
-        story: &mut Story<'_>,
-        _before: Option<(f64, Pose<f64>)>,
-    ) -> Result<(), SettingsError> {
+    fn add(&mut self, story: &mut Story<'_>) -> Result<(), SettingsError> {
         Self::add(self, story)
     }
 

@@ -34,8 +34,6 @@ use poses::PoseOptimizers;
 use std::collections::BTreeMap;
 use trajectory::TrajectoryTerm;
 
-pub(crate) use trajectory::intervals;
-
 /// Steps from one look at which cells are dense to the next (torch-ngp).
 const LOOK: usize = 16;
 /// Looks for which all cells around surfaces are sampled once keyframes were found anew.
@@ -244,7 +242,9 @@ impl PosedField {
     fn relocate(&mut self, story: &mut Story<'_>) {
         for keyframe in story.keyframes.iter().take_while(|_| !story.stop.is_wished()) {
             let mut estimate = story.frames[keyframe.frame].clone();
-            let before = keyframe.frame.checked_sub(1).map(|i| story.frames[i].clone());
+            let before = keyframe.beside.frame_before(&estimate);
+            let last = || keyframe.frame.checked_sub(1).map(|i| story.frames[i].clone());
+            let before = before.or_else(last);
             let frame = (&mut estimate, &keyframe.observation.colour);
             if !PosedMapper::locate(self, story, frame, before.as_ref()) {
                 continue;
@@ -349,7 +349,7 @@ impl PosedField {
                     None => drop(responses.insert(response, d_curve)),
                 }
             }
-            let trajectory = self.trajectory.add(story, view.frame, share, &mut evaluation);
+            let trajectory = self.trajectory.add(story, view, share, &mut evaluation);
             story.frames[view.frame].losses =
                 Losses { image: evaluation.image, depth: evaluation.depth, trajectory };
             if story.config.formation.tone && view.frame != story.gauge_frame(view) {

@@ -1,12 +1,15 @@
 //! The trajectory loss between keyframes (eqs. 15 to 17).
 
 use crate::config::Config;
-use crate::mapping::Story;
 use crate::mapping::frames::adam;
-use crate::objective::Evaluation;
+use crate::mapping::{Keyframe, Story, intervals};
+use crate::objective::{Evaluation, carried_to_middle};
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::Adam;
-use i2slam_formation::{ShutterTangent, TrajectoryGradient, TrajectoryPair, TrajectoryScale};
+use i2slam_formation::{
+    ShutterPoses, ShutterTangent, TrajectoryGradient, TrajectoryPair, TrajectoryScale,
+};
+use i2slam_geometry::Pose;
 
 /// Share of the frame interval for which the shutter of the first frame is taken to be open.
 const OPEN: f64 = 0.5;
@@ -40,7 +43,7 @@ impl TrajectoryTerm {
     pub(super) fn add(
         &mut self,
         story: &Story<'_>,
-        frame: usize,
+        keyframe: &Keyframe,
         share: f64,
         evaluation: &mut Evaluation,
     ) -> f64 {
@@ -49,7 +52,11 @@ impl TrajectoryTerm {
             return 0.0;
         }
         let weight = share * f64::from(story.config.keyframed.trajectory_weight);
-        let part = self.around(story.frames, frame);
+        let estimate = &story.frames[keyframe.frame];
+        let part = match keyframe.beside.both(estimate.timestamp) {
+            Some(beside) => self.between(estimate, beside),
+            None => self.around(story.frames, keyframe.frame),
+        };
         evaluation.total += weight * part.loss;
         evaluation.shutter = evaluation.shutter.plus(part.shutter.scaled(weight));
         evaluation.tone.log_exposure += (weight * part.log_exposure) as f32;
@@ -74,6 +81,42 @@ impl TrajectoryTerm {
         part
     }
 
+    /// What the frames beside a keyframe say, which move along with it.
+    fn between(&self, frame: &FrameEstimate, beside: [(f64, Pose<f64>); 2]) -> Part {
+        let (middle, own) = (frame.middle(), frame.shutter);
+        let mut part = Part::default();
+        for (stamp, way) in beside {
+            let there = middle * way;
+            let is_before = stamp < frame.timestamp;
+            let (earlier, later) = (stamp.min(frame.timestamp), stamp.max(frame.timestamp));
+            let exposure = f64::from(frame.tone.log_exposure).exp()
+                / intervals(self.frame_rate, earlier, later);
+            // The exposure of the other is of no length, so that nothing is said of it.
+            let still = (ShutterPoses::still(there), 0.0);
+            let pair =
+                |(previous, exposure_previous), (current, exposure_current)| TrajectoryPair {
+                    previous,
+                    current,
+                    exposure_previous,
+                    exposure_current,
+                    scale: self.scale,
+                };
+            let pair =
+                if is_before { pair(still, (own, exposure)) } else { pair((own, exposure), still) };
+            let (loss, gradient) = pair.loss_and_gradient();
+            let (d_own, d_there, d_exposure) = match is_before {
+                true => (gradient.current, gradient.previous, gradient.log_exposure_current),
+                false => (gradient.previous, gradient.current, gradient.log_exposure_previous),
+            };
+            let d_middle = carried_to_middle(middle, there, d_there.start.plus(d_there.end));
+            part.loss += loss.total();
+            part.shutter = part.shutter.plus(d_own).plus(own.pull_back(0.5, d_middle));
+            part.log_exposure += d_exposure;
+            part.scale += gradient.scale;
+        }
+        part
+    }
+
     /// Loss and gradient between frame `last` and the one before it.
     fn pair(
         &self,
@@ -82,7 +125,7 @@ impl TrajectoryTerm {
     ) -> Option<(f64, TrajectoryGradient<f64>)> {
         let current = frames.get(last)?;
         let previous = frames.get(last.checked_sub(1)?)?;
-        let intervals = intervals(self.frame_rate, previous, current);
+        let intervals = intervals(self.frame_rate, previous.timestamp, current.timestamp);
         let exposure = |frame: &FrameEstimate| f64::from(frame.tone.log_exposure).exp() / intervals;
         let pair = TrajectoryPair {
             previous: previous.shutter,
@@ -108,18 +151,12 @@ impl TrajectoryTerm {
     }
 }
 
-/// Frame intervals of the video between two keyframes.
-pub(crate) fn intervals(frame_rate: f64, previous: &FrameEstimate, current: &FrameEstimate) -> f64 {
-    let intervals = (current.timestamp - previous.timestamp) * frame_rate;
-    if intervals.is_finite() { intervals.max(1.0) } else { 1.0 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use i2slam_check::assert_gradient;
-    use i2slam_formation::{FrameTone, ShutterPoses};
-    use i2slam_geometry::{Pose, Tangent};
+    use i2slam_formation::FrameTone;
+    use i2slam_geometry::Tangent;
 
     fn frame(index: usize, timestamp: f64) -> FrameEstimate {
         let t = index as f64;
@@ -159,9 +196,32 @@ mod tests {
     }
 
     #[test]
+    fn derivatives_beside_known_frames_agree_with_differences() {
+        let frame = frame(1, 0.1);
+        let way = |scale: f64| {
+            let way = [-0.03, 0.02, 0.01, 0.04, -0.02, 0.05].map(|v| scale * v);
+            Pose::identity().retract(Tangent::from_array(way))
+        };
+        let beside = [(0.05, way(1.0)), (0.2, way(-1.7))];
+        let term = TrajectoryTerm::new(20.0);
+        let part = term.between(&frame, beside);
+        let mut analytic = part.shutter.to_array().to_vec();
+        analytic.extend([part.log_exposure, part.scale]);
+        let step = 1.0 / 1024.0;
+        assert_gradient("trajectory loss", &[0.0; 14], &analytic, step, 1e-5, |x| {
+            let mut moved = frame.clone();
+            let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
+            moved.shutter = moved.shutter.retract(&step);
+            moved.tone.log_exposure += x[12] as f32;
+            let scale = TrajectoryScale { a: term.scale.a + x[13] };
+            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.between(&moved, beside).loss
+        });
+    }
+
+    #[test]
     fn keyframes_far_apart_reach_a_smaller_share_of_the_way() {
         let (first, last) = (frame(0, 0.0), frame(1, 0.2));
-        assert_eq!(intervals(20.0, &first, &last), 4.0);
-        assert_eq!(intervals(20.0, &last, &first), 1.0);
+        assert_eq!(intervals(20.0, first.timestamp, last.timestamp), 4.0);
+        assert_eq!(intervals(20.0, last.timestamp, first.timestamp), 1.0);
     }
 }

@@ -58,7 +58,7 @@ impl Exposure {
 ///
 /// With `pose = middle ⊞ (λ, l)` and `E = Exp(l)`: `d.ρ = E d_pose.ρ`,
 /// `d.φ = E d_pose.φ + λ × E d_pose.ρ`.
-pub(super) fn carried_to_middle(
+pub(crate) fn carried_to_middle(
     middle: Pose<f64>,
     pose: Pose<f64>,
     d_pose: Tangent<f64>,

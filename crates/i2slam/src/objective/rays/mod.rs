@@ -37,11 +37,14 @@ impl RayView<'_> {
         self.variables.exposure.sampling.virtual_cameras.max(1)
     }
 
-    /// Whether depth is compared along a ray of its own; a still frame needs one ray for both.
+    /// Whether depth is compared along a ray of its own. A still frame needs one ray for both, and
+    /// so does depth that was estimated, no better than to the blur: it is compared at a random
+    /// moment of the exposure.
     fn depth_apart(&self) -> bool {
         let exposure = &self.variables.exposure;
-        let moving = self.times() > 1 || exposure.depth_pose.is_some() || exposure.readout != 0.0;
-        moving && self.observation.has_depth()
+        let moving = self.times() > 1 || exposure.readout != 0.0;
+        let apart = exposure.depth_pose.is_some() || moving && !self.observation.is_estimated();
+        apart && self.observation.has_depth()
     }
 
     /// Rays of a pixel: the moments of the exposure, then depth's.
@@ -160,7 +163,9 @@ impl RayObjective {
         let height = self.camera.height as f64;
         let row = ((pixel / self.camera.width) as f64 + 0.5) / height - 0.5;
         let lead = view.variables.exposure.readout * row;
-        for j in 0..times {
+        // Depth that has no ray of its own is that of the last.
+        let first = if times > 1 { random.below(times) } else { 0 };
+        for j in (0..times).map(|j| (first + j) % times) {
             let within = if times > 1 { random.uniform() } else { 0.5 };
             let u = (j as f64 + within) / times as f64 + lead;
             let pose = view.variables.exposure.shutter.at(u);

@@ -47,6 +47,32 @@ fn observation() -> Observation {
     Observation::new(colour, depth)
 }
 
+/// What depth is compared with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Depth {
+    Measured,
+    /// Measured from a pose of its own.
+    Beside,
+    Estimated,
+}
+
+impl Depth {
+    fn observation(self) -> Observation {
+        let Observation { colour, depth, .. } = observation();
+        match self {
+            Self::Estimated => {
+                let variance = depth.data.iter().map(|d| 0.5 + d).collect();
+                Observation::estimated(
+                    colour,
+                    depth,
+                    Image { data: variance, ..Image::new(16, 12, 1) },
+                )
+            }
+            _ => Observation::new(colour, depth),
+        }
+    }
+}
+
 /// Pixels that are compared.
 fn pixels() -> Vec<usize> {
     (0..16 * 12).step_by(7).collect()
@@ -70,7 +96,7 @@ fn beside(shutter: &ShutterPoses<f64>) -> Pose<f64> {
 fn evaluated(
     x: &[f64],
     cameras: usize,
-    depth_pose: bool,
+    depth: Depth,
     d_field: &mut FieldGradient,
     map: &HashGridMap,
 ) -> (Vec<Evaluation>, RayObjective) {
@@ -86,7 +112,7 @@ fn evaluated(
         route: BlurRoute::Exact,
         margin: 0,
     };
-    let observation = observation();
+    let observation = depth.observation();
     let view = |shutter: ShutterPoses<f64>, frame| RayView {
         observation: &observation,
         variables: FrameVariables {
@@ -94,7 +120,7 @@ fn evaluated(
                 shutter,
                 sampling,
                 readout: 0.3,
-                depth_pose: depth_pose.then(|| beside(&shutter)),
+                depth_pose: (depth == Depth::Beside).then(|| beside(&shutter)),
             },
             tone: Some(Tone { frame, curve: &curve }),
         },
@@ -110,11 +136,11 @@ fn evaluated(
 fn evaluate(
     x: &[f64],
     cameras: usize,
-    depth_pose: bool,
+    depth: Depth,
     d_field: &mut FieldGradient,
     map: &HashGridMap,
 ) -> Vec<Evaluation> {
-    evaluated(x, cameras, depth_pose, d_field, map).0
+    evaluated(x, cameras, depth, d_field, map).0
 }
 
 fn total(evaluations: &[Evaluation]) -> f64 {
@@ -123,7 +149,7 @@ fn total(evaluations: &[Evaluation]) -> f64 {
 
 /// What the rays of the first view show in `f64`, times their cotangents, were start and end pose
 /// moved by `x`: its derivative is that of the loss.
-fn first_view(objective: &RayObjective, map: &HashGridMap, x: &[f64], depth_pose: bool) -> f64 {
+fn first_view(objective: &RayObjective, map: &HashGridMap, x: &[f64], depth: Depth) -> f64 {
     let (field, moved, pixels) = (map.field.cast::<f64>(), shutter(x), pixels());
     let camera = CAMERA.cast::<f64>();
     let part = objective.parts[0].clone();
@@ -132,7 +158,7 @@ fn first_view(objective: &RayObjective, map: &HashGridMap, x: &[f64], depth_pose
         let pixel = pixels[(ray - part.start) / stride];
         let pose = match objective.moments[ray] {
             Moment::Exposure(u) => moved.at(u),
-            Moment::Depth if depth_pose => beside(&moved),
+            Moment::Depth if depth == Depth::Beside => beside(&moved),
             Moment::Depth => moved.middle(),
         };
         let drawn = &objective.rays[ray];
@@ -154,16 +180,17 @@ fn gradients_of_poses_agree_with_differences() {
     // The reference has no early end.
     let mut map = map();
     map.march.transmittance_min = 0.0;
-    for (cameras, depth_pose) in [(1, false), (1, true), (4, false), (4, true)] {
+    let with = |cameras| [Depth::Measured, Depth::Beside, Depth::Estimated].map(|d| (cameras, d));
+    for (cameras, depth) in [with(1), with(4)].concat() {
         let mut d_field = FieldGradient::zeros(&map.field);
-        let (found, objective) = evaluated(&[0.0; 16], cameras, depth_pose, &mut d_field, &map);
+        let (found, objective) = evaluated(&[0.0; 16], cameras, depth, &mut d_field, &map);
         let analytic = found[0].shutter.to_array();
-        let at = |x: &[f64]| first_view(&objective, &map, x, depth_pose);
+        let at = |x: &[f64]| first_view(&objective, &map, x, depth);
         let numeric = central_differences(&[0.0; 12], 1e-6, at);
         for group in [0..3, 3..6, 6..9, 9..12] {
             let error = relative_error(&analytic[group.clone()], &numeric[group.clone()]);
             // The kernels are in `f32`; much of what a pose changes cancels over a view.
-            assert!(error < 1e-2, "{cameras} {depth_pose} {group:?} {error}");
+            assert!(error < 1e-2, "{cameras} {depth:?} {group:?} {error}");
         }
     }
 }
@@ -171,16 +198,16 @@ fn gradients_of_poses_agree_with_differences() {
 #[test]
 fn gradients_of_tone_agree_with_differences() {
     let map = map();
-    for (cameras, depth_pose) in [(1, false), (4, true)] {
+    for (cameras, depth) in [(1, Depth::Measured), (4, Depth::Beside)] {
         let mut d_field = FieldGradient::zeros(&map.field);
         let mut at = |tone: &[f64]| {
             let x: Vec<f64> = [0.0; 12].iter().chain(tone).copied().collect();
-            evaluate(&x, cameras, depth_pose, &mut d_field, &map)
+            evaluate(&x, cameras, depth, &mut d_field, &map)
         };
         let analytic = at(&[0.0; 4])[0].tone.to_array().map(f64::from);
         let numeric = central_differences(&[0.0; 4], 4e-3, |x| total(&at(x)));
         let error = relative_error(&analytic, &numeric);
-        assert!(error < 5e-3, "{cameras} {depth_pose} {error}");
+        assert!(error < 5e-3, "{cameras} {depth:?} {error}");
     }
 }
 
@@ -188,13 +215,19 @@ fn gradients_of_tone_agree_with_differences() {
 fn the_gradient_of_the_field_agrees_with_differences() {
     let map = map();
     let mut d_field = FieldGradient::zeros(&map.field);
-    evaluate(&[0.0; 16], 3, true, &mut d_field, &map);
+    evaluate(&[0.0; 16], 3, Depth::Beside, &mut d_field, &map);
     let start: Vec<f64> = map.field.parameters().colour[..24].iter().map(|v| (*v).into()).collect();
     let numeric = central_differences(&start, 5e-3, |x| {
         let mut moved = map.clone();
         let colour = &mut moved.field.parameters_mut()[2][..24];
         colour.iter_mut().zip(x).for_each(|(c, v)| *c = *v as f32);
-        total(&evaluate(&[0.0; 16], 3, true, &mut FieldGradient::zeros(&map.field), &moved))
+        total(&evaluate(
+            &[0.0; 16],
+            3,
+            Depth::Beside,
+            &mut FieldGradient::zeros(&map.field),
+            &moved,
+        ))
     });
     let analytic: Vec<f64> = d_field.colour[..24].iter().map(|v| (*v).into()).collect();
     let error = relative_error(&analytic, &numeric);

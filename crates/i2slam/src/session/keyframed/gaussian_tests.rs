@@ -31,6 +31,7 @@ fn posed(index: usize, with_depth: bool) -> PosedKeyframe {
         timestamp: frame.timestamp,
         colour: frame.colour,
         world_from_camera: moved(index),
+        after: None,
         before: index.checked_sub(1).map(|i| (i as f64 / 30.0, moved(i))),
         depth: with_depth.then_some(depth),
     }

@@ -114,6 +114,7 @@ fn standing(camera: &Camera<f64>, colour: &Image<f32>, index: usize) -> PosedKey
         colour: colour.clone(),
         world_from_camera: Pose::new(turn, Vec3::zero()),
         before: None,
+        after: None,
         depth: Some(EstimatedDepth { depth: constant(DEPTH), variance }),
     }
 }

@@ -30,6 +30,7 @@ fn keyframe(index: usize, world_from_camera: Pose<f64>) -> PosedKeyframe {
         colour: frame.colour,
         world_from_camera,
         before: None,
+        after: None,
         depth: None,
     }
 }
