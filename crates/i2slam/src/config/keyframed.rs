@@ -48,6 +48,9 @@ pub struct KeyframedConfig {
     pub surface_camera_rate: f32,
     /// Factor of `hashgrid.final_iterations` there: a step takes a tenth of the time.
     pub surface_steps: f32,
+    /// Most samples of such a step, about: fewer than `hashgrid.rays` pixels are drawn while rays
+    /// have many, as through the fog that a field begins as; 0 for any number.
+    pub surface_samples: usize,
     /// Factor by which `hashgrid.occupancy_cells` is larger there, and `hashgrid.finest_cell`,
     /// `hashgrid.step` and `hashgrid.step_min` are smaller: there is less to sample.
     pub surface_detail: f32,

@@ -64,6 +64,7 @@ pub(super) fn keyframed() -> KeyframedConfig {
         surface_depth_weight: 1.0,
         surface_camera_rate: 1e-4,
         surface_steps: 1.0,
+        surface_samples: 0,
         surface_detail: 1.0,
         surface_searches: 0,
     }
@@ -100,7 +101,8 @@ pub(super) fn ours() -> Config {
             depth_outlier: 3.0,
             coarse_steps: 400,
             surface_depth_weight: 0.002,
-            surface_steps: 3.5,
+            surface_steps: 10.0,
+            surface_samples: 50_000,
             surface_detail: 2.0,
             surface_searches: 2,
             ..paper.keyframed

@@ -55,6 +55,15 @@ pub(super) fn blur_at(camera: &Camera<f64>, estimate: &FrameEstimate, depth: f64
     blur_length_at(camera, &estimate.shutter, |_, _| depth)
 }
 
+/// Pixels of a step that is to have at most so many pixels and, unless that is 0, about so many
+/// samples, if each takes as many as those of the last step.
+pub(super) fn affordable((pixels, samples): (usize, usize), each: Option<f32>) -> usize {
+    match (samples, each) {
+        (0, _) | (_, None) => pixels,
+        (samples, Some(each)) => pixels.min((samples as f32 / each) as usize),
+    }
+}
+
 /// Grids that are trained: half of them from the start, the others one after another.
 pub(super) fn open_levels(step: usize, coarse_steps: usize, levels: usize) -> usize {
     let first = levels.div_ceil(2);
@@ -67,6 +76,16 @@ pub(super) fn open_levels(step: usize, coarse_steps: usize, levels: usize) -> us
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn fog_is_seen_through_by_fewer_pixels() {
+        let pixels = |samples, each| affordable((500, samples), each);
+        assert_eq!(
+            [pixels(0, Some(400.0)), pixels(9000, None), pixels(9000, Some(10.0))],
+            [500; 3]
+        );
+        assert_eq!(pixels(9000, Some(90.0)), 100);
+    }
 
     #[test]
     fn grids_come_in_from_coarse_to_fine() {

@@ -22,7 +22,7 @@ use crate::config::{Config, Preconditioning};
 
 use crate::objective::{Evaluation, RayObjective, RayView};
 use crate::reconstruction::{Losses, Map};
-use batch::{any, blur_at, draw, open_levels, window};
+use batch::{affordable, any, blur_at, draw, open_levels, window};
 use extent::Extent;
 use i2slam_formation::CurveGradient;
 use i2slam_geometry::Camera;
@@ -300,7 +300,9 @@ impl PosedField {
             let Field { map, looker, .. } = &mut *field;
             map.occupancy.refresh(&map.field, looker, config.seed);
         }
-        let pixels = config.hashgrid.rays / views.len().max(1);
+        let samples = field.shells.as_ref().map_or(0, |_| config.keyframed.surface_samples);
+        let most = (config.hashgrid.rays, samples);
+        let pixels = affordable(most, field.batch.samples_per_pixel()) / views.len().max(1);
         let drawn: Vec<RayView<'_>> =
             views.iter().map(|view| draw(story, view, &curves, pixels)).collect();
         let with_poses = rates.camera > 0.0 && self.steps >= config.keyframed.pose_delay;

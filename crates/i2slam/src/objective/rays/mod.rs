@@ -73,6 +73,8 @@ pub struct RayObjective {
     renderer: FieldRenderer,
     depth_outlier: f32,
     parts: Vec<Range<usize>>,
+    /// Of all views of the last batch.
+    pixels: usize,
     rays: Vec<Ray>,
     moments: Vec<Moment>,
     renders: Vec<RayRender>,
@@ -92,6 +94,7 @@ impl RayObjective {
             renderer: FieldRenderer::new(march),
             depth_outlier: 0.0,
             parts: Vec::new(),
+            pixels: 0,
             rays: Vec::new(),
             moments: Vec::new(),
             renders: Vec::new(),
@@ -144,11 +147,18 @@ impl RayObjective {
         evaluations
     }
 
+    /// Samples that a pixel of the last batch took, in the mean; none if there were none.
+    pub fn samples_per_pixel(&self) -> Option<f32> {
+        let (samples, pixels) = (self.renderer.samples(), self.pixels);
+        (samples > 0 && pixels > 0).then(|| samples as f32 / pixels as f32)
+    }
+
     /// Draw the rays of all views, and note which of them belong to which view.
     fn draw(&mut self, views: &[RayView<'_>], random: &mut Random) {
         self.rays.clear();
         self.moments.clear();
         self.parts.clear();
+        self.pixels = views.iter().map(|view| view.pixels.len()).sum();
         for view in views {
             let from = self.rays.len();
             for &pixel in &view.pixels {

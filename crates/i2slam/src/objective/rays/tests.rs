@@ -328,9 +328,11 @@ fn rays_tell_how_deep_a_view_is() {
     let variables = FrameVariables { exposure, tone: None };
     let view = [RayView { observation: &observation, variables, pixels: vec![70, 101, 120] }];
     let mut objective = RayObjective::new(CAMERA, map.march);
-    assert_eq!(objective.seen_depth(0), None);
+    assert_eq!((objective.seen_depth(0), objective.samples_per_pixel()), (None, None));
     let mut d_field = FieldGradient::zeros(&map.field);
     objective.map(&map, &view, (1.0, 0.0), false, &mut Random::new(1), &mut d_field);
     let depth = objective.seen_depth(0).expect("a dense field");
     assert!(depth > 0.05 && depth < 2.5, "{depth}");
+    let each = objective.samples_per_pixel().expect("samples");
+    assert_eq!((3.0 * each).round() as usize, objective.renderer.samples());
 }
