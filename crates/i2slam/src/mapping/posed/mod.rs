@@ -37,7 +37,7 @@ use trajectory::TrajectoryTerm;
 /// Steps from one look at which cells are dense to the next (torch-ngp).
 const LOOK: usize = 16;
 /// Looks for which all cells around surfaces are sampled once keyframes were found anew.
-const SECOND_LOOKS: i32 = 8;
+const SECOND_LOOKS: i32 = 24;
 /// Share of `reach` that is not sampled before a camera (torch-ngp: 0.2 of 4).
 const NEAR: f32 = 0.05;
 /// Pixels of a Jacobian.
