@@ -41,9 +41,12 @@ pub struct KeyframedConfig {
     /// from the start.
     pub coarse_steps: usize,
     /// λ_depth where keyframes come with estimated depth in most pixels: a mean of (d − d̂)² over
-    /// its variance, of which a twentieth is left at the last step. Rays are then sampled around
-    /// these surfaces alone, `hashgrid.shell` of their depth or three deviations to both sides.
+    /// its variance. Rays are then sampled around these surfaces alone, `hashgrid.shell` of their
+    /// depth or three deviations to both sides.
     pub surface_depth_weight: f32,
+    /// Share of it that is left at the last step: once depth has told where surfaces are, pictures
+    /// tell better what is thin or beside an edge.
+    pub surface_depth_left: f32,
     /// `camera_rate` there.
     pub surface_camera_rate: f32,
     /// Factor of `hashgrid.final_iterations` there: a step takes a tenth of the time.

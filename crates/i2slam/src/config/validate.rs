@@ -123,6 +123,7 @@ impl Config {
         at_least("keyframed.first_keyframes", k.first_keyframes, 1)?;
         at_least("keyframed.preconditioning_interval", k.preconditioning_interval, 1)?;
         positive("keyframed.reach", k.reach)?;
+        positive("keyframed.surface_depth_left", k.surface_depth_left)?;
         self.validate_surface_detail()?;
         if !self.is_rgb() || !self.input.is_rolling() {
             return Ok(());

@@ -41,6 +41,22 @@ pub struct SequencePicture {
     pub colour: Image<f32>,
 }
 
+impl SequencePicture {
+    /// The picture at a pose, of which nothing else is known.
+    pub(super) fn posed(self, world_from_camera: Pose<f64>) -> PosedKeyframe {
+        let Self { index, timestamp, colour } = self;
+        PosedKeyframe {
+            index,
+            timestamp,
+            colour,
+            world_from_camera,
+            before: None,
+            after: None,
+            depth: None,
+        }
+    }
+}
+
 /// Why there are no keyframes.
 #[derive(Debug, Error)]
 pub enum NativeError {
@@ -157,18 +173,9 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
             .filter(|frame| !is_keyframe(*frame))
             .filter_map(|frame| Some((*self.places.get(frame)?, pose_of(found, frame)?)))
             .collect();
-        frames.into_iter().map(move |(place, world_from_camera)| {
-            let SequencePicture { index, timestamp, colour } = load(place)?;
-            Ok(PosedKeyframe {
-                index,
-                timestamp,
-                colour,
-                world_from_camera,
-                before: None,
-                after: None,
-                depth: None,
-            })
-        })
+        frames
+            .into_iter()
+            .map(move |(place, world_from_camera)| Ok(load(place)?.posed(world_from_camera)))
     }
 
     /// The frames that have a pose, in order, without their pictures: place in the sequence, stamp

@@ -99,20 +99,15 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
         let (number, world_from_camera) = (self.next, *self.poses.get(self.next)?);
         self.next += 1;
-        let SequencePicture { index, timestamp, colour } = match self.reader.next(number) {
+        let seen = match self.reader.next(number) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
         let mut picture = |k: usize| Some(self.reader.picture(k)?.colour.clone());
         let depth = self.dense.of(number, &mut picture);
         Some(Ok(PosedKeyframe {
-            index,
-            timestamp,
-            colour,
-            world_from_camera,
-            before: None,
-            after: None,
             depth: depth.map(|d| EstimatedDepth { depth: d.depth, variance: Some(d.variance) }),
+            ..seen.posed(world_from_camera)
         }))
     }
 }

@@ -25,6 +25,15 @@ pub(crate) struct Beside {
 }
 
 impl Beside {
+    /// What one other frame tells of a frame.
+    pub(crate) fn of(frame: &FrameEstimate, other: &FrameEstimate) -> Self {
+        let way = Some((other.timestamp, frame.middle().inverse() * other.middle()));
+        match other.timestamp < frame.timestamp {
+            true => Self { before: way, after: None },
+            false => Self { before: None, after: way },
+        }
+    }
+
     /// The frame before a keyframe, as far from it as its source said.
     pub(crate) fn frame_before(&self, keyframe: &FrameEstimate) -> Option<FrameEstimate> {
         let (timestamp, pose) = self.before?;

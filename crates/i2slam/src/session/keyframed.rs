@@ -10,7 +10,7 @@ pub use pace::Pace;
 use super::{BLACK, SessionError, start};
 use crate::config::{Config, MapKind, ResponseScope};
 use crate::keyframes::PosedKeyframe;
-use crate::mapping::{Beside, Keyframe, PosedMapper, Story, intervals};
+use crate::mapping::{Beside, Keyframe, PosedMapper, Story};
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::warning::Warning;
@@ -206,7 +206,8 @@ impl KeyframedSession {
             ..FrameEstimate::posed(index, timestamp, ShutterPoses::still(world_from_camera))
         };
         let known = beside.motion(timestamp, self.frame_rate);
-        let from_last = || self.frames.last().map(|last| self.motion(last, &estimate));
+        let from_last =
+            || Beside::of(&estimate, self.frames.last()?).motion(timestamp, self.frame_rate);
         if let Some(motion) = known.or_else(from_last) {
             estimate.shutter = self.split(&estimate, motion);
         }
@@ -227,17 +228,14 @@ impl KeyframedSession {
 
     /// The motion of the first exposure, known once there is a second, unless its source knew it.
     fn split_the_first(&mut self, position: usize) {
-        if position == 1 && self.frames[0].shutter.start == self.frames[0].shutter.end {
-            let motion = self.motion(&self.frames[0], &self.frames[1]);
-            self.frames[0].shutter = self.split(&self.frames[0], motion);
+        let [first, second] = &self.frames[..] else { return };
+        if position != 1 || first.shutter.start != first.shutter.end {
+            return;
         }
-    }
-
-    /// Motion of the camera during a frame interval on its even way from one keyframe to another,
-    /// in the camera of the first.
-    fn motion(&self, earlier: &FrameEstimate, later: &FrameEstimate) -> Tangent<f64> {
-        let way = earlier.middle().local(later.middle());
-        way.scaled(1.0 / intervals(self.frame_rate, earlier.timestamp, later.timestamp))
+        let motion = Beside::of(first, second).motion(first.timestamp, self.frame_rate);
+        if let Some(motion) = motion {
+            self.frames[0].shutter = self.split(first, motion);
+        }
     }
 
     /// Start and end pose of an exposure, `motion` being that of a frame interval.

@@ -95,10 +95,6 @@ struct Rates {
     depth_weight: f32,
 }
 
-/// Share of its weight that the depth of known surfaces has at the last step: once it has told
-/// where they are, pictures tell better what is thin or beside an edge.
-const DEPTH_LEFT: f32 = 0.05;
-
 /// What the settings ask for, which depends on whether surfaces are known.
 struct Plan {
     depth_weight: f32,
@@ -118,7 +114,7 @@ impl PosedField {
         match self.field.as_ref().is_some_and(|field| field.shells.is_some()) {
             true => Plan {
                 depth_weight: keyframed.surface_depth_weight,
-                depth_left: DEPTH_LEFT,
+                depth_left: keyframed.surface_depth_left,
                 camera_rate: keyframed.surface_camera_rate,
                 steps: (keyframed.surface_steps * steps as f32) as usize,
                 searches: keyframed.surface_searches,
