@@ -2,6 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Most grids of a field.
+pub(super) const MOST_LEVELS: usize = 32;
+/// Binary logarithm of the most nodes that a grid stores.
+pub(super) const MOST_LOG2_TABLE: u32 = 24;
+
 /// A radiance field in a hash grid, and how it is trained. Keyframes and the rates of frames are
 /// those of `mapping`; its window is the number of keyframes that a step draws from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,6 +23,9 @@ pub struct HashGridConfig {
     pub log2_table: u32,
     /// Cells of the finest grid [m].
     pub finest_cell: f32,
+    /// Share of an `N`-th of an exposure, around its middle, from which one of `N` rays of a pixel
+    /// draws its moment: 1 for all of it, 0 for evenly spaced virtual cameras.
+    pub moment_jitter: f32,
     /// Units of every hidden layer.
     pub hidden_width: usize,
     /// Cells along an edge of the cube that are sampled or skipped.
@@ -55,5 +63,40 @@ impl HashGridConfig {
             step_min: self.step_min / factor,
             ..self.clone()
         }
+    }
+
+    /// The same whose finest cells have an edge of at most `most`, with as many more grids and
+    /// entries as these need on surfaces: four times the entries for half the edge.
+    pub(crate) fn with_cells(&self, most: f32) -> Self {
+        let halvings = (self.finest_cell / most).log2();
+        if halvings.is_nan() || halvings <= 0.0 {
+            return self.clone();
+        }
+        Self {
+            finest_cell: most,
+            levels: (self.levels + halvings.round() as usize).min(MOST_LEVELS),
+            log2_table: (self.log2_table + (2.0 * halvings).round() as u32).min(MOST_LOG2_TABLE),
+            ..self.clone()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::Config;
+
+    #[test]
+    fn smaller_cells_get_more_grids_and_entries() {
+        let coarse = Config::default().hashgrid;
+        let fine = coarse.with_cells(coarse.finest_cell / 2.0);
+        assert_eq!(
+            (fine.finest_cell, fine.levels, fine.log2_table),
+            (coarse.finest_cell / 2.0, coarse.levels + 1, coarse.log2_table + 2)
+        );
+        for enough in [coarse.finest_cell, 2.0 * coarse.finest_cell, f32::INFINITY, f32::NAN] {
+            assert_eq!(coarse.with_cells(enough), coarse);
+        }
+        let finest = coarse.with_cells(f32::MIN_POSITIVE);
+        assert_eq!((finest.levels, finest.log2_table), (32, 24));
     }
 }

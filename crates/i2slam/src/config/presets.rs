@@ -227,6 +227,7 @@ fn hashgrid() -> HashGridConfig {
         levels: 16,
         log2_table: 17,
         finest_cell: 0.005,
+        moment_jitter: 1.0,
         hidden_width: 64,
         occupancy_cells: 128,
         shell: 0.03,

@@ -1,5 +1,6 @@
 //! Whether settings are in their ranges and agree with each other.
 
+use super::hashgrid::{MOST_LEVELS, MOST_LOG2_TABLE};
 use super::*;
 
 impl Config {
@@ -102,8 +103,10 @@ impl Config {
 
     fn validate_hashgrid(&self) -> Result<(), ConfigError> {
         let h = &self.hashgrid;
-        between("hashgrid.levels", h.levels, 1, 32, "1 to 32")?;
-        between("hashgrid.log2_table", h.log2_table as usize, 4, 24, "4 to 24")?;
+        between("hashgrid.levels", h.levels, 1, MOST_LEVELS, "1 to 32")?;
+        let log2_table = h.log2_table as usize;
+        between("hashgrid.log2_table", log2_table, 4, MOST_LOG2_TABLE as usize, "4 to 24")?;
+        share("hashgrid.moment_jitter", h.moment_jitter)?;
         between("hashgrid.hidden_width", h.hidden_width, 1, 1024, "1 to 1024")?;
         between("hashgrid.occupancy_cells", h.occupancy_cells as usize, 1, 512, "1 to 512")?;
         at_least("hashgrid.rays", h.rays, 1)?;
@@ -124,6 +127,7 @@ impl Config {
         at_least("keyframed.preconditioning_interval", k.preconditioning_interval, 1)?;
         positive("keyframed.reach", k.reach)?;
         positive("keyframed.surface_depth_left", k.surface_depth_left)?;
+        not_negative("keyframed.surface_cell", k.surface_cell)?;
         self.validate_surface_detail()?;
         if !self.is_rgb() || !self.input.is_rolling() {
             return Ok(());

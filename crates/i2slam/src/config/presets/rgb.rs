@@ -67,6 +67,7 @@ pub(super) fn keyframed() -> KeyframedConfig {
         surface_steps: 1.0,
         surface_samples: 0,
         surface_detail: 1.0,
+        surface_cell: 0.0,
         surface_searches: 0,
     }
 }
@@ -81,6 +82,7 @@ pub(super) fn ours() -> Config {
             levels: 8,
             log2_table: 17,
             finest_cell: 0.015,
+            moment_jitter: 0.0,
             hidden_width: 32,
             occupancy_cells: 96,
             shell: 0.1,
@@ -106,6 +108,7 @@ pub(super) fn ours() -> Config {
             surface_steps: 10.0,
             surface_samples: 50_000,
             surface_detail: 2.0,
+            surface_cell: 0.5,
             surface_searches: 2,
             ..paper.keyframed
         },

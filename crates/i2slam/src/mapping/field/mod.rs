@@ -100,7 +100,10 @@ impl FieldMapper {
         let bound = cube::bound(settings, story.camera, depth);
         let seed = story.config.seed;
         match cube::untrained(settings, pose.translation.to_array(), bound, seed) {
-            Ok(map) => self.field = Some(Field::new(map, self.camera)),
+            Ok(map) => {
+                let field = self.field.insert(Field::new(map, self.camera));
+                field.batch.set_moment_jitter(settings.moment_jitter);
+            }
             Err(error) => self.failure = Some(error),
         }
         if let (Some(field), Some(covered)) = (&mut self.field, &self.covered) {

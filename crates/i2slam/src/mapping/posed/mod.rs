@@ -38,6 +38,11 @@ use trajectory::TrajectoryTerm;
 const LOOK: usize = 16;
 /// Looks for which all cells around surfaces are sampled once keyframes were found anew.
 const SECOND_LOOKS: i32 = 24;
+/// Share of the steps after the last keyframe from which rays that met nothing are sampled again.
+/// Earlier, while poses and fog move, they would be filled wherever they happen to be.
+const SETTLED: f32 = 0.4;
+/// Looks for which the cells along such a ray are sampled.
+const UNMET_LOOKS: i32 = 8;
 /// Share of `reach` that is not sampled before a camera (torch-ngp: 0.2 of 4).
 const NEAR: f32 = 0.05;
 /// Pixels of a Jacobian.
@@ -179,7 +184,7 @@ impl PosedField {
         }
         let config = story.config;
         let settings = match shells::are_known(story) {
-            true => config.hashgrid.finer(config.keyframed.surface_detail),
+            true => shells::settings(story),
             false => config.hashgrid.clone(),
         };
         let empty = untrained(&settings, centre, bound, config.seed)?;
@@ -189,6 +194,7 @@ impl PosedField {
         let map = HashGridMap { occupancy, march, ..empty };
         let mut batch = RayObjective::new(self.camera, march);
         batch.set_depth_outlier(config.keyframed.depth_outlier);
+        batch.set_moment_jitter(settings.moment_jitter);
         self.field = Some(Field {
             batch,
             looker: FieldRenderer::new(march),
@@ -218,6 +224,16 @@ impl PosedField {
     fn reopen(&mut self) {
         if let Some(field) = self.field.as_mut().filter(|field| field.shells.is_some()) {
             field.map.occupancy.reopen(SECOND_LOOKS);
+        }
+    }
+
+    /// Samples again along the rays of the last step that met next to nothing: where all cells
+    /// around a surface were emptied too early, a hole would stay.
+    fn reopen_unmet(&mut self) {
+        if let Some(Field { map, batch, shells: Some(_), .. }) = &mut self.field {
+            for ray in batch.unmet() {
+                map.occupancy.reopen_along(&map.field, ray, UNMET_LOOKS);
+            }
         }
     }
 
@@ -265,6 +281,7 @@ impl PosedField {
         let Plan { camera_rate, depth_weight, depth_left, steps, searches } =
             self.plan(story.config);
         let part = steps.div_ceil(1 + searches).max(1);
+        let settled = (SETTLED * steps as f32) as usize;
         self.confine(story);
         for step in 0..steps {
             if step > 0 && step.is_multiple_of(part) {
@@ -280,6 +297,9 @@ impl PosedField {
                 depth_weight: depth_weight * depth_left.powf(step as f32 / steps as f32),
             };
             self.step(story, &window, rates);
+            if step >= settled {
+                self.reopen_unmet();
+            }
             if !on_step(step + 1, steps) {
                 break;
             }

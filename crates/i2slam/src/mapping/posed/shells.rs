@@ -2,10 +2,12 @@
 //! pixels: a shell around every surface, a thicker one where depth is only guessed, nothing in
 //! between.
 
+use crate::config::HashGridConfig;
 use crate::mapping::field::hold_between;
 use crate::mapping::fill::estimate_filled;
 use crate::mapping::{Keyframe, Story};
 use crate::objective::Observation;
+use i2slam_compute::median;
 use i2slam_geometry::Camera;
 use i2slam_radiance::hashgrid::{HashGridMap, Occupancy};
 
@@ -17,6 +19,24 @@ const GUESSED: f32 = 1.3;
 /// Whether any keyframe of a story has estimated depth in most pixels.
 pub(super) fn are_known(story: &Story<'_>) -> bool {
     story.keyframes.iter().any(|keyframe| has_surfaces(&keyframe.observation))
+}
+
+/// The settings of a field around known surfaces: there is less to sample, and so it is sampled more
+/// densely, with cells for what pictures resolve.
+pub(super) fn settings(story: &Story<'_>) -> HashGridConfig {
+    let keyframed = &story.config.keyframed;
+    let finer = story.config.hashgrid.finer(keyframed.surface_detail);
+    let pixel = median_depth(story).map(|depth| depth / story.camera.fx as f32);
+    match pixel.filter(|_| keyframed.surface_cell > 0.0) {
+        Some(pixel) => finer.with_cells(keyframed.surface_cell * pixel),
+        None => finer,
+    }
+}
+
+/// The median of all depths of all keyframes; none if there are none.
+fn median_depth(story: &Story<'_>) -> Option<f32> {
+    let depths = story.keyframes.iter().flat_map(|k| &k.observation.depth.data);
+    median(&mut depths.copied().filter(|&depth| depth > 0.0).collect::<Vec<f32>>())
 }
 
 /// The shells of all keyframes of a story; none if none of them has estimated depth in most pixels.

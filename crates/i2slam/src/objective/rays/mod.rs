@@ -1,9 +1,11 @@
 //! The objective of mapping on a radiance field: pixels drawn from several frames, each a batch of
 //! rays through the exposure.
 //!
-//! A pixel's radiance is the mean over `N` moments of the exposure, one drawn at random in each
-//! `N`-th of it: an estimate of eq. 5 whose error averages out over the steps instead of leaving
-//! the same gaps in every streak. Exposure, white balance and response follow the mean (eq. 8).
+//! A pixel's radiance is the mean over `N` moments of the exposure, one in each `N`-th of it, drawn
+//! at random from a share of that: from all of it, an estimate of eq. 5 whose error averages out
+//! over the steps instead of leaving the same gaps in every streak, but whose scatter counts as a
+//! loss that shorter motion and softer edges lessen; from none, the same `N` virtual cameras in
+//! every step. Exposure, white balance and response follow the mean (eq. 8).
 
 mod depth;
 mod jacobian;
@@ -21,6 +23,9 @@ use i2slam_radiance::hashgrid::{
     FieldGradient, FieldRenderer, HashGridMap, MarchSettings, Ray, RayGradient, RayRender,
 };
 use std::ops::Range;
+
+/// Opacity of a ray that met something.
+const MET: f32 = 0.5;
 
 /// Pixels of one frame.
 pub struct RayView<'a> {
@@ -72,6 +77,7 @@ pub struct RayObjective {
     camera: Camera<f32>,
     renderer: FieldRenderer,
     depth_outlier: f32,
+    moment_jitter: f64,
     parts: Vec<Range<usize>>,
     /// Of all views of the last batch.
     pixels: usize,
@@ -93,6 +99,7 @@ impl RayObjective {
             camera,
             renderer: FieldRenderer::new(march),
             depth_outlier: 0.0,
+            moment_jitter: 1.0,
             parts: Vec::new(),
             pixels: 0,
             rays: Vec::new(),
@@ -111,6 +118,12 @@ impl RayObjective {
     /// for never.
     pub fn set_depth_outlier(&mut self, deviations: f32) {
         self.depth_outlier = deviations;
+    }
+
+    /// The share of each `N`-th of the exposure, around its middle, from which moments are drawn; 1
+    /// unless it is set.
+    pub fn set_moment_jitter(&mut self, share: f32) {
+        self.moment_jitter = f64::from(share);
     }
 
     /// The mean over `views` of `w_img · mean |C - Ĉ| + w_depth · mean |d - d̂|`, over the pixels
@@ -153,6 +166,12 @@ impl RayObjective {
         (samples > 0 && pixels > 0).then(|| samples as f32 / pixels as f32)
     }
 
+    /// The rays of the last batch that met next to nothing.
+    pub fn unmet(&self) -> impl Iterator<Item = &Ray> {
+        let met_little = |(_, render): &(&Ray, &RayRender)| render.opacity < MET;
+        self.rays.iter().zip(&self.renders).filter(met_little).map(|(ray, _)| ray)
+    }
+
     /// Draw the rays of all views, and note which of them belong to which view.
     fn draw(&mut self, views: &[RayView<'_>], random: &mut Random) {
         self.rays.clear();
@@ -176,7 +195,8 @@ impl RayObjective {
         // Depth that has no ray of its own is that of the last.
         let first = if times > 1 { random.below(times) } else { 0 };
         for j in (0..times).map(|j| (first + j) % times) {
-            let within = if times > 1 { random.uniform() } else { 0.5 };
+            let within =
+                if times > 1 { 0.5 + self.moment_jitter * (random.uniform() - 0.5) } else { 0.5 };
             let u = (j as f64 + within) / times as f64 + lead;
             let pose = view.variables.exposure.shutter.at(u);
             self.push(pose, pixel, Moment::Exposure(u), random);

@@ -270,6 +270,31 @@ fn random_moments_average_to_the_exposure() {
     assert!(error(&few) < 0.2 * error(&still), "{} {}", error(&few), error(&still));
 }
 
+/// Moments are evenly spaced without jitter, and within their share of each part with it.
+#[test]
+fn moments_keep_to_their_share() {
+    let map = map();
+    let observation = observation();
+    let sampling = Sampling { virtual_cameras: 4, ..Sampling::SHARP };
+    let shutter = ShutterPoses::still(Pose::identity());
+    let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
+    let variables = FrameVariables { exposure, tone: None };
+    let view = [RayView { observation: &observation, variables, pixels: pixels() }];
+    let farthest = |share: f32| {
+        let mut objective = RayObjective::new(CAMERA, map.march);
+        objective.set_moment_jitter(share);
+        objective.draw(&view, &mut Random::new(3));
+        let off_the_middle = |moment: &Moment| match moment {
+            Moment::Exposure(u) => Some(((4.0 * u).fract() - 0.5).abs()),
+            Moment::Depth => None,
+        };
+        objective.moments.iter().filter_map(off_the_middle).fold(0.0, f64::max)
+    };
+    assert!(farthest(0.0) < 1e-12);
+    let (half, whole) = (farthest(0.5), farthest(1.0));
+    assert!(half > 0.2 && half <= 0.25 && whole > 0.4 && whole <= 0.5, "{half} {whole}");
+}
+
 /// `JᵀJ` of all colour values against differences of the formed picture.
 #[test]
 fn the_gram_matrix_agrees_with_differences() {

@@ -86,8 +86,7 @@ impl Occupancy {
         assert_eq!(self.settings.resolution, others.settings.resolution, "grids of other cells");
         let before = std::mem::replace(&mut self.allowed, others.occupied.clone());
         for cell in 0..self.densities.len() {
-            let allows =
-                |cells: &[u64]| cells.get(cell / 64).is_none_or(|b| b >> (cell % 64) & 1 == 1);
+            let allows = |cells: &[u64]| cells.is_empty() || is_set(cells, cell);
             match (allows(&before), allows(&self.allowed)) {
                 (_, false) => self.densities[cell] = 0.0,
                 (false, true) => {
@@ -106,12 +105,9 @@ impl Occupancy {
     /// Occupies all cells that may be, for about `looks` looks: what was emptied while the field or
     /// the poses were still poor gets samples, and with them density, again.
     pub fn reopen(&mut self, looks: i32) {
-        let density = self.settings.density / self.settings.decay.powi(looks);
+        let density = self.lasting(looks);
         let cells: Vec<usize> = self.allowed_cells().collect();
-        for cell in cells {
-            self.densities[cell] = self.densities[cell].max(density);
-            self.occupy(cell);
-        }
+        cells.into_iter().for_each(|cell| self.keep(cell, density));
     }
 
     /// The cells that may be occupied, in order.
@@ -144,6 +140,40 @@ impl Occupancy {
     /// a depth picture saw a surface. A look forgets them like any other cell.
     pub fn hold(&mut self, field: &HashGridField, ray: &Ray, from: f32, to: f32) {
         self.looks = self.looks.max(1);
+        let density = self.settings.density;
+        self.crossed(field, ray, (from, to), |occupancy, cell| occupancy.keep(cell, density));
+    }
+
+    /// Occupies the cells that a ray crosses and that may be, for about `looks` looks: where it
+    /// met nothing it gets samples, and with them density, again.
+    pub fn reopen_along(&mut self, field: &HashGridField, ray: &Ray, looks: i32) {
+        let density = self.lasting(looks);
+        self.crossed(field, ray, (0.0, f32::MAX), |occupancy, cell| {
+            if occupancy.allowed.is_empty() || is_set(&occupancy.allowed, cell) {
+                occupancy.keep(cell, density);
+            }
+        });
+    }
+
+    /// The density of a cell that stays occupied for about `looks` looks.
+    fn lasting(&self, looks: i32) -> f32 {
+        self.settings.density / self.settings.decay.powi(looks)
+    }
+
+    /// Occupies a cell, remembering at least a density.
+    fn keep(&mut self, cell: usize, density: f32) {
+        self.densities[cell] = self.densities[cell].max(density);
+        self.occupy(cell);
+    }
+
+    /// Visits the cells that a ray crosses between two depths \[units of its direction\].
+    fn crossed(
+        &mut self,
+        field: &HashGridField,
+        ray: &Ray,
+        (from, to): (f32, f32),
+        mut visit: impl FnMut(&mut Self, usize),
+    ) {
         let length = ray.direction.norm();
         if !(from <= to && ray.origin.is_finite() && length.is_finite() && length > 0.0) {
             return;
@@ -160,8 +190,7 @@ impl Occupancy {
         while depth <= to {
             let place: [f32; 3] = std::array::from_fn(|k| origin[k] + depth * direction[k]);
             let cell = self.cell(place);
-            self.densities[cell] = self.densities[cell].max(self.settings.density);
-            self.occupy(cell);
+            visit(self, cell);
             let step = self.end(place, inverse, place.map(|x| self.coordinate(x)), 1).max(least);
             // Far away the step may be lost in rounding.
             depth = (depth + step).max(depth.next_up());
@@ -210,7 +239,7 @@ impl Occupancy {
     }
 
     fn bit(&self, cell: usize) -> bool {
-        self.occupied[cell / 64] >> (cell % 64) & 1 == 1
+        is_set(&self.occupied, cell)
     }
 
     /// Whether the cell of a position in the unit cube is occupied; outside, the nearest cell.
@@ -325,6 +354,11 @@ fn all_bits(count: usize) -> Vec<u64> {
         *last = (1 << rest) - 1;
     }
     words
+}
+
+/// Whether a bit is set.
+fn is_set(words: &[u64], bit: usize) -> bool {
+    words[bit / 64] >> (bit % 64) & 1 == 1
 }
 
 /// The numbers of the bits that are set.

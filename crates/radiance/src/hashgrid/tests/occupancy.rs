@@ -175,8 +175,37 @@ fn reopened_cells_stay_for_some_looks() {
     };
     let settled = look(&mut occupancy, 12);
     assert!(settled > 0.0 && settled < 0.5, "{settled}");
+    let emptied = occupancy.clone();
     occupancy.reopen(3);
     assert_eq!(occupancy.share(), 0.5);
     assert_eq!(look(&mut occupancy, 3), 0.5);
     assert!(look(&mut occupancy, 12) < 0.5);
+
+    // Along a ray through the middle of all six cells of a row, of which three are allowed.
+    let size = bound as f32 / 3.0;
+    let unit = |column: usize, row: usize| {
+        [column, row % 6, row / 6].map(|index| (index as f32 + 0.5) / 6.0)
+    };
+    let row = (0..36)
+        .find(|&row| (0..3).any(|column| !emptied.is_occupied(unit(column, row))))
+        .expect("a row with an empty cell");
+    let [_, y, z] = [0, row % 6, row / 6].map(|index| (index as f32 - 2.5) * size);
+    let middle = Vec3::from_array(centre.map(|c| c as f32));
+    let ray = Ray {
+        origin: middle + Vec3::new(-2.0 * bound as f32, y, z),
+        direction: Vec3::new(1.0, 0.0, 0.0),
+        offset: 0.0,
+    };
+    let mut occupancy = emptied.clone();
+    occupancy.reopen_along(&field, &ray, 3);
+    let open = |occupancy: &Occupancy| -> Vec<bool> {
+        (0..6).map(|column| occupancy.is_occupied(unit(column, row))).collect()
+    };
+    assert_eq!(open(&occupancy), [true, true, true, false, false, false]);
+    let opened = (occupancy.share() - emptied.share()) * 216.0;
+    assert!(opened > 0.5 && opened < 3.5, "{opened}");
+    look(&mut occupancy, 3);
+    assert_eq!(open(&occupancy), [true, true, true, false, false, false]);
+    look(&mut occupancy, 12);
+    assert_ne!(open(&occupancy), [true, true, true, false, false, false]);
 }
