@@ -1,11 +1,7 @@
 //! Settings of a radiance field in a hash grid.
 
+use i2slam_radiance::hashgrid::FieldSettings;
 use serde::{Deserialize, Serialize};
-
-/// Most grids of a field.
-pub(super) const MOST_LEVELS: usize = 32;
-/// Binary logarithm of the most nodes that a grid stores.
-pub(super) const MOST_LOG2_TABLE: u32 = 24;
 
 /// A radiance field in a hash grid, and how it is trained. Keyframes and the rates of frames are
 /// those of `mapping`; its window is the number of keyframes that a step draws from.
@@ -65,17 +61,21 @@ impl HashGridConfig {
         }
     }
 
-    /// The same whose finest cells have an edge of at most `most`, with as many more grids and
-    /// entries as these need on surfaces: four times the entries for half the edge.
+    /// The same whose finest cells have an edge of at most `most`, with a grid more for each halving
+    /// of it. Cells of half the edge need four times the entries on a surface, which they get once:
+    /// beyond that the finest grids share entries, so that small cells of a large scene do not fill
+    /// the memory.
     pub(crate) fn with_cells(&self, most: f32) -> Self {
         let halvings = (self.finest_cell / most).log2();
         if halvings.is_nan() || halvings <= 0.0 {
             return self.clone();
         }
+        let halvings = halvings.min(FieldSettings::MOST_LEVELS as f32);
+        let log2_table = self.log2_table + (2.0 * halvings.min(1.0)).round() as u32;
         Self {
             finest_cell: most,
-            levels: (self.levels + halvings.round() as usize).min(MOST_LEVELS),
-            log2_table: (self.log2_table + (2.0 * halvings).round() as u32).min(MOST_LOG2_TABLE),
+            levels: (self.levels + halvings.round() as usize).min(FieldSettings::MOST_LEVELS),
+            log2_table: log2_table.min(FieldSettings::MOST_LOG2_TABLE),
             ..self.clone()
         }
     }
@@ -88,15 +88,19 @@ mod tests {
     #[test]
     fn smaller_cells_get_more_grids_and_entries() {
         let coarse = Config::default().hashgrid;
-        let fine = coarse.with_cells(coarse.finest_cell / 2.0);
-        assert_eq!(
-            (fine.finest_cell, fine.levels, fine.log2_table),
-            (coarse.finest_cell / 2.0, coarse.levels + 1, coarse.log2_table + 2)
-        );
-        for enough in [coarse.finest_cell, 2.0 * coarse.finest_cell, f32::INFINITY, f32::NAN] {
+        let shape = |most: f32| {
+            let fine = coarse.with_cells(most);
+            (fine.finest_cell, fine.levels - coarse.levels, fine.log2_table - coarse.log2_table)
+        };
+        let cell = coarse.finest_cell;
+        assert_eq!(shape(cell / 1.4), (cell / 1.4, 0, 1));
+        assert_eq!(shape(cell / 2.0), (cell / 2.0, 1, 2));
+        assert_eq!(shape(cell / 8.0), (cell / 8.0, 3, 2));
+        for enough in [cell, 2.0 * cell, f32::INFINITY, f32::NAN] {
             assert_eq!(coarse.with_cells(enough), coarse);
         }
-        let finest = coarse.with_cells(f32::MIN_POSITIVE);
-        assert_eq!((finest.levels, finest.log2_table), (32, 24));
+        for tiny in [f32::MIN_POSITIVE, 1e-44, 0.0] {
+            assert_eq!(coarse.with_cells(tiny).levels, 32);
+        }
     }
 }

@@ -57,8 +57,9 @@ pub struct KeyframedConfig {
     /// Factor by which `hashgrid.occupancy_cells` is larger there, and `hashgrid.finest_cell`,
     /// `hashgrid.step` and `hashgrid.step_min` are smaller: there is less to sample.
     pub surface_detail: f32,
-    /// Longest edge of a cell of the finest grid there, in pixels at the median depth: what pictures
-    /// resolve needs cells; with smaller ones the field has more grids and entries. 0 for any.
+    /// Longest edge of a cell of the finest grid there, in pixels at the median depth when the field
+    /// begins: what pictures resolve needs cells. With smaller ones than `hashgrid.finest_cell` asks
+    /// for the field has a grid more for each halving, and up to four times the entries. 0 for any.
     pub surface_cell: f32,
     /// Times during these steps that all keyframes are found anew in the map.
     pub surface_searches: usize,

@@ -1,7 +1,7 @@
 //! Whether settings are in their ranges and agree with each other.
 
-use super::hashgrid::{MOST_LEVELS, MOST_LOG2_TABLE};
 use super::*;
+use i2slam_radiance::hashgrid::FieldSettings;
 
 impl Config {
     /// Whether every value is in its range.
@@ -103,9 +103,9 @@ impl Config {
 
     fn validate_hashgrid(&self) -> Result<(), ConfigError> {
         let h = &self.hashgrid;
-        between("hashgrid.levels", h.levels, 1, MOST_LEVELS, "1 to 32")?;
-        let log2_table = h.log2_table as usize;
-        between("hashgrid.log2_table", log2_table, 4, MOST_LOG2_TABLE as usize, "4 to 24")?;
+        between("hashgrid.levels", h.levels, 1, FieldSettings::MOST_LEVELS, "1 to 32")?;
+        let (log2_table, most) = (h.log2_table as usize, FieldSettings::MOST_LOG2_TABLE as usize);
+        between("hashgrid.log2_table", log2_table, 4, most, "4 to 24")?;
         share("hashgrid.moment_jitter", h.moment_jitter)?;
         between("hashgrid.hidden_width", h.hidden_width, 1, 1024, "1 to 1024")?;
         between("hashgrid.occupancy_cells", h.occupancy_cells as usize, 1, 512, "1 to 512")?;

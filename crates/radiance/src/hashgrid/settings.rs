@@ -31,6 +31,11 @@ pub struct FieldSettings {
 }
 
 impl FieldSettings {
+    /// Most grids of a field.
+    pub const MOST_LEVELS: usize = 32;
+    /// Binary logarithm of the most nodes that a grid stores.
+    pub const MOST_LOG2_TABLE: u32 = 24;
+
     /// The settings of torch-ngp for a cube of half edge `bound` \[m\] around `centre`; the
     /// finest grid has `2048 · bound` cells along an edge.
     pub fn cube(centre: [f64; 3], bound: f64) -> Self {
@@ -61,11 +66,11 @@ impl FieldSettings {
         if !self.centre.iter().all(|c| c.is_finite()) {
             return Err(SettingsError { name: "centre" });
         }
-        within("levels", self.levels, 1, 32)?;
+        within("levels", self.levels, 1, Self::MOST_LEVELS)?;
         if ![1, 2, 4, 8].contains(&self.features) {
             return Err(SettingsError { name: "features" });
         }
-        within("log2_table", self.log2_table as usize, 4, 24)?;
+        within("log2_table", self.log2_table as usize, 4, Self::MOST_LOG2_TABLE as usize)?;
         within("base_resolution", self.base_resolution as usize, 2, 1 << 20)?;
         let base = self.base_resolution as usize;
         within("finest_resolution", self.finest_resolution as usize, base, 1 << 20)?;

@@ -38,9 +38,10 @@ use trajectory::TrajectoryTerm;
 const LOOK: usize = 16;
 /// Looks for which all cells around surfaces are sampled once keyframes were found anew.
 const SECOND_LOOKS: i32 = 24;
-/// Share of the steps after the last keyframe from which rays that met nothing are sampled again.
-/// Earlier, while poses and fog move, they would be filled wherever they happen to be.
-const SETTLED: f32 = 0.4;
+/// Shares of the steps after the last keyframe between which rays that met little are sampled again:
+/// from soon after the first search on, before which poses and fog would have them filled wherever
+/// they happen to be, until what was opened can still be trained or emptied.
+const UNMET: std::ops::Range<f32> = 0.4..0.9;
 /// Looks for which the cells along such a ray are sampled.
 const UNMET_LOOKS: i32 = 8;
 /// Share of `reach` that is not sampled before a camera (torch-ngp: 0.2 of 4).
@@ -227,8 +228,8 @@ impl PosedField {
         }
     }
 
-    /// Samples again along the rays of the last step that met next to nothing: where all cells
-    /// around a surface were emptied too early, a hole would stay.
+    /// Samples again along the rays of the last step that met little: where all cells around a
+    /// surface were emptied too early, a hole would stay.
     fn reopen_unmet(&mut self) {
         if let Some(Field { map, batch, shells: Some(_), .. }) = &mut self.field {
             for ray in batch.unmet() {
@@ -281,7 +282,6 @@ impl PosedField {
         let Plan { camera_rate, depth_weight, depth_left, steps, searches } =
             self.plan(story.config);
         let part = steps.div_ceil(1 + searches).max(1);
-        let settled = (SETTLED * steps as f32) as usize;
         self.confine(story);
         for step in 0..steps {
             if step > 0 && step.is_multiple_of(part) {
@@ -297,7 +297,7 @@ impl PosedField {
                 depth_weight: depth_weight * depth_left.powf(step as f32 / steps as f32),
             };
             self.step(story, &window, rates);
-            if step >= settled {
+            if UNMET.contains(&(step as f32 / steps as f32)) {
                 self.reopen_unmet();
             }
             if !on_step(step + 1, steps) {

@@ -26,16 +26,15 @@ pub(super) fn are_known(story: &Story<'_>) -> bool {
 pub(super) fn settings(story: &Story<'_>) -> HashGridConfig {
     let keyframed = &story.config.keyframed;
     let finer = story.config.hashgrid.finer(keyframed.surface_detail);
-    let pixel = median_depth(story).map(|depth| depth / story.camera.fx as f32);
-    match pixel.filter(|_| keyframed.surface_cell > 0.0) {
-        Some(pixel) => finer.with_cells(keyframed.surface_cell * pixel),
+    match median_depth(story).filter(|_| keyframed.surface_cell > 0.0) {
+        Some(depth) => finer.with_cells(keyframed.surface_cell * depth / story.camera.fx as f32),
         None => finer,
     }
 }
 
-/// The median of all depths of all keyframes; none if there are none.
+/// The median depth of keyframes, taken from some of their pixels; none if these have none.
 fn median_depth(story: &Story<'_>) -> Option<f32> {
-    let depths = story.keyframes.iter().flat_map(|k| &k.observation.depth.data);
+    let depths = story.keyframes.iter().flat_map(|k| k.observation.depth.data.iter().step_by(7));
     median(&mut depths.copied().filter(|&depth| depth > 0.0).collect::<Vec<f32>>())
 }
 

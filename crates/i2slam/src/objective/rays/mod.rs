@@ -24,7 +24,7 @@ use i2slam_radiance::hashgrid::{
 };
 use std::ops::Range;
 
-/// Opacity of a ray that met something.
+/// Opacity from which a ray has met something.
 const MET: f32 = 0.5;
 
 /// Pixels of one frame.
@@ -43,8 +43,8 @@ impl RayView<'_> {
     }
 
     /// Whether depth is compared along a ray of its own. A still frame needs one ray for both, and
-    /// so does depth that was estimated, no better than to the blur: it is compared at a random
-    /// moment of the exposure.
+    /// so does depth that was estimated, no better than to the blur: it is compared at one of the
+    /// `N` moments, drawn at random.
     fn depth_apart(&self) -> bool {
         let exposure = &self.variables.exposure;
         let moving = self.times() > 1 || exposure.readout != 0.0;
@@ -166,7 +166,7 @@ impl RayObjective {
         (samples > 0 && pixels > 0).then(|| samples as f32 / pixels as f32)
     }
 
-    /// The rays of the last batch that met next to nothing.
+    /// The rays of the last batch that lost less than half of their light.
     pub fn unmet(&self) -> impl Iterator<Item = &Ray> {
         let met_little = |(_, render): &(&Ray, &RayRender)| render.opacity < MET;
         self.rays.iter().zip(&self.renders).filter(met_little).map(|(ray, _)| ray)

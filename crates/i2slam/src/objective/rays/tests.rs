@@ -340,6 +340,31 @@ fn the_gram_matrix_agrees_with_differences() {
     assert!(error < 0.1, "{error}");
 }
 
+/// All rays through an empty field are unmet, none through a dense one.
+#[test]
+fn rays_that_meet_little_are_told() {
+    let observation = observation();
+    let exposure = Exposure {
+        shutter: ShutterPoses::still(Pose::identity()),
+        sampling: Sampling { virtual_cameras: 3, ..Sampling::SHARP },
+        readout: 0.0,
+        depth_pose: None,
+    };
+    let variables = FrameVariables { exposure, tone: None };
+    let view = [RayView { observation: &observation, variables, pixels: vec![70, 101] }];
+    let unmet = |map: &HashGridMap| {
+        let mut objective = RayObjective::new(CAMERA, map.march);
+        let mut d_field = FieldGradient::zeros(&map.field);
+        objective.map(map, &view, (1.0, 0.0), false, &mut Random::new(3), &mut d_field);
+        objective.unmet().count()
+    };
+    let dense = map();
+    let settings = *dense.occupancy.settings();
+    let empty = HashGridMap { occupancy: Occupancy::empty(settings), ..dense.clone() };
+    let rays = 2 * view[0].rays_per_pixel();
+    assert_eq!((unmet(&dense), unmet(&empty)), (0, rays));
+}
+
 #[test]
 fn rays_tell_how_deep_a_view_is() {
     let map = map();

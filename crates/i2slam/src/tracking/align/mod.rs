@@ -42,12 +42,6 @@ const LEAST_DEPTH: f64 = 0.05;
 /// independent, and a map that is still soft would otherwise be read as a still camera.
 const PRIOR_WEIGHT: f64 = 200.0;
 
-/// Rendered opacity below which the model says nothing.
-const OPAQUE: f32 = 0.95;
-/// The same where a frame whose place was told was not found otherwise: a map that is thin there,
-/// made by few keyframes, hardly has places as opaque as that.
-const THIN: f32 = 0.5;
-
 /// Everything about one frame that its steps share.
 struct Frame<'a> {
     context: &'a TrackingContext<'a>,
@@ -61,8 +55,6 @@ struct Frame<'a> {
     white_balance: [f32; 3],
     /// The readout that the descent starts from [exposures].
     readout_start: f64,
-    /// Rendered opacity below which the model says nothing.
-    opaque: f32,
 }
 
 /// Aligns a frame from the constant-velocity prediction; from a standing start where that end is
@@ -77,7 +69,7 @@ pub(super) fn align<M: SceneMap>(
     motion: Motion,
 ) -> TrackingResult {
     let previous = context.previous.map_or_else(Pose::identity, |p| p.middle());
-    let mut frame = Frame {
+    let frame = Frame {
         context,
         observed: observed_levels(context.camera, observation, context.tracking.alignment.levels),
         observation,
@@ -86,16 +78,15 @@ pub(super) fn align<M: SceneMap>(
         previous,
         white_balance: state.tone.log_white_balance,
         readout_start: state.readout,
-        opaque: OPAQUE,
     };
     let predicted = state.clone();
-    let lost = |frame: &Frame<'_>, sums: &Sums| {
+    let lost = |sums: &Sums| {
         let state = State { motion: extrapolate(motion, 0.0), ..predicted.clone() };
         frame.result(state, sums, Convergence::default(), false)
     };
     let pixels = observation.depth.pixels() as f64;
     if (observation.valid_depths() as f64) < LEAST_DEPTH * pixels {
-        return lost(&frame, &Sums::default());
+        return lost(&Sums::default());
     }
     let first = frame.settle(objective, map, state);
     if frame.is_believed(&first) {
@@ -106,14 +97,10 @@ pub(super) fn align<M: SceneMap>(
     let still = frame.settle(objective, map, standing(&predicted, previous));
     let found = match frame.is_believed(&still) {
         true => Some(still),
-        false if context.expected.is_some() => {
-            frame.opaque = THIN;
-            let thin = frame.settle(objective, map, predicted.clone());
-            frame.is_believed(&thin).then_some(thin)
-        }
+        false if context.expected.is_some() => None,
         false => frame.recover(objective, map, &predicted),
     };
-    let Some(found) = found else { return lost(&frame, &first.sums) };
+    let Some(found) = found else { return lost(&first.sums) };
     let convergence = frame.convergence(&found);
     frame.result(found.state, &found.sums, convergence, true)
 }

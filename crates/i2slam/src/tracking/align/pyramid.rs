@@ -6,6 +6,8 @@ use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::Render;
 
+/// Rendered opacity below which the model says nothing.
+const OPAQUE: f32 = 0.95;
 /// Relative depth difference of neighbours that still belong to one surface.
 const SURFACE: f32 = 0.05;
 
@@ -78,9 +80,9 @@ pub(super) fn observed_levels(
     })
 }
 
-/// A render at `levels` sizes, finest first; where it is less opaque than `opaque` it says nothing.
-pub(super) fn model_levels(render: &Render, opaque: f32, levels: usize) -> Vec<Model> {
-    let finest = Model::new(render.radiance.clone(), render.surface(opaque));
+/// A render at `levels` sizes, finest first.
+pub(super) fn model_levels(render: &Render, levels: usize) -> Vec<Model> {
+    let finest = Model::new(render.radiance.clone(), render.surface(OPAQUE));
     halve_repeatedly(finest, levels, |fine| {
         Model::new(halved_by_mean(&fine.radiance), halved_depth(&fine.depth))
     })

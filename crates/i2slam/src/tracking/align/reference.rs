@@ -38,7 +38,7 @@ impl Reference {
     ) -> Self {
         let render = objective.render(map, world_from_camera);
         Self {
-            levels: model_levels(render, frame.opaque, frame.observed.len()),
+            levels: model_levels(render, frame.observed.len()),
             world_from_camera,
             scales: FIRST_SCALES,
             has_radiance: true,

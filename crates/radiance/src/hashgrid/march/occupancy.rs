@@ -145,7 +145,7 @@ impl Occupancy {
     }
 
     /// Occupies the cells that a ray crosses and that may be, for about `looks` looks: where it
-    /// met nothing it gets samples, and with them density, again.
+    /// met little it gets samples, and with them density, again.
     pub fn reopen_along(&mut self, field: &HashGridField, ray: &Ray, looks: i32) {
         let density = self.lasting(looks);
         self.crossed(field, ray, (0.0, f32::MAX), |occupancy, cell| {

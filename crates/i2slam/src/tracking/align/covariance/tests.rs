@@ -83,7 +83,6 @@ fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCo
         previous: Pose::identity(),
         white_balance: [0.0; 3],
         readout_start: 0.0,
-        opaque: super::super::OPAQUE,
     };
     let mut state = State {
         motion: CentreVelocity { centre: Pose::identity(), velocity: Tangent::zero() },

@@ -81,7 +81,6 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
         previous: estimates.last()?.middle(),
         white_balance: [0.0; 3],
         readout_start: SHARE / OPEN,
-        opaque: super::super::OPAQUE,
     };
     let velocity = Tangent::from_array([0.0, 0.0, 0.0, 0.0, OPEN * speed / CAMERA.fx, 0.0]);
     frame.measured_readout(&State {
