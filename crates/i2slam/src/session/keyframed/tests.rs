@@ -41,6 +41,7 @@ fn config() -> Config {
     (field.levels, field.log2_table, field.finest_cell) = (6, 12, 0.05);
     (field.hidden_width, field.occupancy_cells, field.bound) = (16, 24, 2.0);
     (field.step, field.step_min, field.rays) = (1.0 / 32.0, 0.05, 256);
+    field.moment_jitter = 1.0;
     (field.first_iterations, field.iterations, field.final_iterations) = (20, 5, 260);
     let keyframed = &mut config.keyframed;
     (keyframed.first_keyframes, keyframed.pose_delay, keyframed.coarse_steps) = (4, 20, 60);
