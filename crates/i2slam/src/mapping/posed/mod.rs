@@ -38,7 +38,8 @@ use trajectory::TrajectoryTerm;
 const LOOK: usize = 16;
 /// Looks for which all cells around surfaces are sampled once keyframes were found anew.
 const SECOND_LOOKS: i32 = 24;
-/// Shares of the steps after the last keyframe between which rays that met little are sampled again:
+/// Where keyframes are found anew, rays that met little are sampled again between these shares of the
+/// steps after the last keyframe:
 /// from soon after the first search on, before which poses and fog would have them filled wherever
 /// they happen to be, until what was opened can still be trained or emptied.
 const UNMET: std::ops::Range<f32> = 0.4..0.9;
@@ -297,7 +298,7 @@ impl PosedField {
                 depth_weight: depth_weight * depth_left.powf(step as f32 / steps as f32),
             };
             self.step(story, &window, rates);
-            if UNMET.contains(&(step as f32 / steps as f32)) {
+            if searches > 0 && UNMET.contains(&(step as f32 / steps as f32)) {
                 self.reopen_unmet();
             }
             if !on_step(step + 1, steps) {

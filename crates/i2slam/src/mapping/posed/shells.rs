@@ -26,7 +26,8 @@ pub(super) fn are_known(story: &Story<'_>) -> bool {
 pub(super) fn settings(story: &Story<'_>) -> HashGridConfig {
     let keyframed = &story.config.keyframed;
     let finer = story.config.hashgrid.finer(keyframed.surface_detail);
-    match median_depth(story).filter(|_| keyframed.surface_cell > 0.0) {
+    let depth = if keyframed.surface_cell > 0.0 { median_depth(story) } else { None };
+    match depth {
         Some(depth) => finer.with_cells(keyframed.surface_cell * depth / story.camera.fx as f32),
         None => finer,
     }
