@@ -2,6 +2,7 @@
 
 use super::{FieldGradient, HashGridField};
 use i2slam_compute::{Adam, AdamSettings};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// torch-ngp's constants.
@@ -20,8 +21,9 @@ const COASTING: i32 = 32;
 /// The moments of a field's parameters.
 #[derive(Clone, Debug)]
 pub struct FieldAdam {
-    /// First and second moment.
-    table: Vec<[f32; 2]>,
+    /// First and second moments of the table.
+    first: Vec<f32>,
+    second: Vec<f32>,
     /// The step of each row's last gradient; negative before the first.
     touched: Vec<i32>,
     density: Adam,
@@ -33,7 +35,14 @@ impl FieldAdam {
     /// An optimiser without history: β = (0.9, 0.99), ε = 1e-15.
     pub fn new() -> Self {
         let adam = || Adam::new(SETTINGS);
-        Self { table: Vec::new(), touched: Vec::new(), density: adam(), colour: adam(), steps: 0 }
+        Self {
+            first: Vec::new(),
+            second: Vec::new(),
+            touched: Vec::new(),
+            density: adam(),
+            colour: adam(),
+            steps: 0,
+        }
     }
 
     /// Number of steps so far.
@@ -51,17 +60,18 @@ impl FieldAdam {
         let parameters = &mut field.parameters;
         assert!(gradient.fits(parameters), "a gradient of another field");
         self.steps = self.steps.saturating_add(1);
-        self.table.resize(parameters.table.len(), [0.0; 2]);
-        self.touched.resize(parameters.table.len().div_ceil(ROW), -1);
-        let row = Row::new(self.steps, rate);
-        let rows = gradient.table.par_chunks_mut(CHUNK).zip(self.table.par_chunks_mut(CHUNK));
+        let numbers = parameters.table.len();
+        self.first.resize(numbers, 0.0);
+        self.second.resize(numbers, 0.0);
+        self.touched.resize(numbers.div_ceil(ROW), -1);
+        let (arch, pace) = (Arch::new(), Pace::new(self.steps, rate));
         let values = parameters.table.par_chunks_mut(CHUNK);
-        values.zip(rows).zip(self.touched.par_chunks_mut(CHUNK / ROW)).for_each(
-            |((values, (gradient, moments)), touched)| {
-                let rows = gradient.chunks_mut(ROW).zip(moments.chunks_mut(ROW));
-                for ((values, rows), touched) in values.chunks_mut(ROW).zip(rows).zip(touched) {
-                    row.step(values, rows, touched);
-                }
+        let moments = self.first.par_chunks_mut(CHUNK).zip(self.second.par_chunks_mut(CHUNK));
+        let touched = self.touched.par_chunks_mut(CHUNK / ROW);
+        let slopes = gradient.table.par_chunks_mut(CHUNK);
+        values.zip(slopes).zip(moments).zip(touched).for_each(
+            |(((values, slopes), (first, second)), touched)| {
+                arch.dispatch(Rows { pace: &pace, values, slopes, first, second, touched });
             },
         );
         self.density.step(&mut parameters.density, &gradient.density, rate);
@@ -71,8 +81,8 @@ impl FieldAdam {
     }
 }
 
-/// One step of the rows of a table.
-struct Row {
+/// What a step has in common for all numbers of a table.
+struct Pace {
     step: i32,
     /// The learning rate over what the first moment lacks.
     correct1: f32,
@@ -80,39 +90,86 @@ struct Row {
     correct2: f32,
 }
 
-impl Row {
+impl Pace {
     fn new(step: i32, rate: f32) -> Self {
         let AdamSettings { beta1, beta2, .. } = SETTINGS;
         let correct1 = rate / (1.0 - beta1.powi(step));
         Self { step, correct1, correct2: 1.0 / (1.0 - beta2.powi(step)) }
     }
+}
 
+/// One step of the rows of a part of a table.
+struct Rows<'a> {
+    pace: &'a Pace,
+    values: &'a mut [f32],
+    slopes: &'a mut [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+    touched: &'a mut [i32],
+}
+
+impl WithSimd for Rows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (index, touched) in self.touched.iter_mut().enumerate() {
+            let from = index * ROW;
+            let to = self.values.len().min(from + ROW);
+            let row = Row {
+                values: &mut self.values[from..to],
+                slopes: &mut self.slopes[from..to],
+                first: &mut self.first[from..to],
+                second: &mut self.second[from..to],
+            };
+            row.step(self.pace, touched);
+        }
+    }
+}
+
+/// Numbers of a table, their derivatives and moments.
+struct Row<'a> {
+    values: &'a mut [f32],
+    slopes: &'a mut [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+}
+
+impl Row<'_> {
     /// Steps numbers that have had a gradient in the last [`COASTING`] steps.
-    fn step(
-        &self,
-        values: &mut [f32],
-        (gradient, moments): (&mut [f32], &mut [[f32; 2]]),
-        touched: &mut i32,
-    ) {
-        let still = gradient.iter().fold(true, |zero, g| zero & (*g == 0.0));
-        let idle = self.step - *touched;
+    #[inline(always)]
+    fn step(self, pace: &Pace, touched: &mut i32) {
+        let still = self.slopes.iter().fold(true, |zero, g| zero & (*g == 0.0));
+        let idle = pace.step - *touched;
         if still && (*touched < 0 || idle > COASTING) {
             return;
         }
-        let AdamSettings { beta1, beta2, epsilon } = SETTINGS;
         if idle > COASTING + 1 {
-            let faded = beta2.powi(idle - COASTING - 1);
-            moments.iter_mut().for_each(|m| *m = [0.0, faded * m[1]]);
+            let faded = SETTINGS.beta2.powi(idle - COASTING - 1);
+            self.first.fill(0.0);
+            self.second.iter_mut().for_each(|v| *v *= faded);
         }
         if !still {
-            *touched = self.step;
+            *touched = pace.step;
         }
-        for ((value, g), [first, second]) in values.iter_mut().zip(gradient).zip(moments) {
-            let slope = if g.is_finite() { *g } else { 0.0 };
-            *first = beta1 * *first + (1.0 - beta1) * slope;
-            *second = beta2 * *second + (1.0 - beta2) * slope * slope;
-            *value -= self.correct1 * *first / ((*second * self.correct2).sqrt() + epsilon);
-            *g = 0.0;
+        match self.values.len() {
+            ROW => self.advance(pace, ROW),
+            count => self.advance(pace, count),
+        }
+    }
+
+    /// Adam, without a branch that depends on a number: the loop becomes vectors.
+    #[inline(always)]
+    fn advance(self, pace: &Pace, count: usize) {
+        let AdamSettings { beta1, beta2, epsilon } = SETTINGS;
+        let (values, slopes) = (&mut self.values[..count], &mut self.slopes[..count]);
+        let (first, second) = (&mut self.first[..count], &mut self.second[..count]);
+        for i in 0..count {
+            let slope = if slopes[i].is_finite() { slopes[i] } else { 0.0 };
+            first[i] = beta1 * first[i] + (1.0 - beta1) * slope;
+            second[i] = beta2 * second[i] + (1.0 - beta2) * slope * slope;
+            values[i] -= pace.correct1 * first[i] / ((second[i] * pace.correct2).sqrt() + epsilon);
+            slopes[i] = 0.0;
         }
     }
 }
