@@ -79,6 +79,16 @@ impl HashGridConfig {
             ..self.clone()
         }
     }
+
+    /// The same with as many grids as keep the cells of one to those of the next within a factor of
+    /// `most` in a cube of half edge `bound`.
+    pub(crate) fn with_growth(&self, bound: f64, most: f32) -> Self {
+        let coarsest = f64::from(FieldSettings::cube([0.0; 3], bound).base_resolution);
+        let across = 2.0 * bound / f64::from(self.finest_cell);
+        let steps = (across / coarsest).ln() / f64::from(most).ln();
+        let levels = if most > 1.0 { 1 + steps.max(0.0).ceil() as usize } else { 0 };
+        Self { levels: self.levels.max(levels.min(FieldSettings::MOST_LEVELS)), ..self.clone() }
+    }
 }
 
 #[cfg(test)]
@@ -101,6 +111,22 @@ mod tests {
         }
         for tiny in [f32::MIN_POSITIVE, 1e-44, 0.0] {
             assert_eq!(coarse.with_cells(tiny).levels, 32);
+        }
+    }
+
+    #[test]
+    fn large_cubes_get_more_grids() {
+        let config = Config::default().hashgrid;
+        let levels = |bound: f64, most: f32| config.with_growth(bound, most).levels;
+        // The coarsest of 16 cells, and the finest of 16 · 2ⁿ.
+        let half = |n: i32| 0.5 * f64::from(config.finest_cell) * 16.0 * 2.0_f64.powi(n) * 0.999;
+        let enough = config.levels as i32 - 1;
+        assert_eq!(levels(half(enough), 2.0), config.levels);
+        assert_eq!(levels(half(enough + 3), 2.0), config.levels + 3);
+        assert_eq!(levels(half(2), 2.0), config.levels);
+        assert_eq!(levels(half(60), 1.01), 32);
+        for any in [0.0, 1.0, f32::NAN] {
+            assert_eq!(levels(half(20), any), config.levels);
         }
     }
 }

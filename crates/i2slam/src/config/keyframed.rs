@@ -61,6 +61,9 @@ pub struct KeyframedConfig {
     /// begins: what pictures resolve needs cells. With smaller ones than `hashgrid.finest_cell` asks
     /// for the field has a grid more for each halving, and up to four times the entries. 0 for any.
     pub surface_cell: f32,
+    /// Largest ratio of the cells of neighbouring grids there: a scene whose cube is large gets more
+    /// grids than `hashgrid.levels`. 0 for any.
+    pub surface_growth: f32,
     /// Times during these steps that all keyframes are found anew in the map.
     pub surface_searches: usize,
 }

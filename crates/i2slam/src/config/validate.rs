@@ -128,6 +128,11 @@ impl Config {
         positive("keyframed.reach", k.reach)?;
         positive("keyframed.surface_depth_left", k.surface_depth_left)?;
         not_negative("keyframed.surface_cell", k.surface_cell)?;
+        not_negative("keyframed.surface_growth", k.surface_growth)?;
+        if k.surface_growth > 0.0 && k.surface_growth <= 1.0 {
+            let growth = k.surface_growth.to_string();
+            return refuse("keyframed.surface_growth", growth, "0, or above 1");
+        }
         self.validate_surface_detail()?;
         if !self.is_rgb() || !self.input.is_rolling() {
             return Ok(());
@@ -276,6 +281,7 @@ mod tests {
             "[formation]\nvirtual_cameras = 0",
             "[map]\ninitial_opacity = 2.0",
             "[keyframed]\nsurface_detail = 1e9",
+            "[keyframed]\nsurface_growth = 1.0",
             "[mapping]\nhold_out = 1",
         ];
         for text in wrong {

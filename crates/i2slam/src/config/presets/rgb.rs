@@ -68,6 +68,7 @@ pub(super) fn keyframed() -> KeyframedConfig {
         surface_samples: 0,
         surface_detail: 1.0,
         surface_cell: 0.0,
+        surface_growth: 0.0,
         surface_searches: 0,
     }
 }
@@ -109,6 +110,7 @@ pub(super) fn ours() -> Config {
             surface_samples: 50_000,
             surface_detail: 2.0,
             surface_cell: 0.5,
+            surface_growth: 1.7,
             surface_searches: 2,
             ..paper.keyframed
         },

@@ -186,7 +186,7 @@ impl PosedField {
         }
         let config = story.config;
         let settings = match shells::are_known(story) {
-            true => shells::settings(story),
+            true => shells::settings(story).with_growth(bound, config.keyframed.surface_growth),
             false => config.hashgrid.clone(),
         };
         let empty = untrained(&settings, centre, bound, config.seed)?;
