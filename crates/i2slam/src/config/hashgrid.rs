@@ -13,7 +13,7 @@ pub struct HashGridConfig {
     pub bound: f32,
     /// The same as a multiple of a frame's largest distance, the farthest 1 % left out.
     pub margin: f32,
-    /// Number of grids, from coarse to fine.
+    /// Number of grids, from coarse to fine; at least, around known surfaces (`keyframed`).
     pub levels: usize,
     /// Binary logarithm of the largest number of nodes that a grid stores.
     pub log2_table: u32,
@@ -80,14 +80,23 @@ impl HashGridConfig {
         }
     }
 
+    /// Cells along an edge of a cube of half edge `bound` \[m\], in the coarsest and the finest grid.
+    pub(crate) fn cells(&self, bound: f64) -> [u32; 2] {
+        let coarsest = FieldSettings::cube([0.0; 3], bound).base_resolution;
+        let finest = 2.0 * bound / f64::from(self.finest_cell);
+        [coarsest, finest.clamp(f64::from(coarsest), 1e6) as u32]
+    }
+
     /// The same with as many grids as keep the cells of one to those of the next within a factor of
-    /// `most` in a cube of half edge `bound`.
+    /// `most`, in a cube of half edge `bound` \[m\]; none more for a factor of at most 1.
     pub(crate) fn with_growth(&self, bound: f64, most: f32) -> Self {
-        let coarsest = f64::from(FieldSettings::cube([0.0; 3], bound).base_resolution);
-        let across = 2.0 * bound / f64::from(self.finest_cell);
-        let steps = (across / coarsest).ln() / f64::from(most).ln();
-        let levels = if most > 1.0 { 1 + steps.max(0.0).ceil() as usize } else { 0 };
-        Self { levels: self.levels.max(levels.min(FieldSettings::MOST_LEVELS)), ..self.clone() }
+        if most.is_nan() || most <= 1.0 {
+            return self.clone();
+        }
+        let [coarsest, finest] = self.cells(bound).map(f64::from);
+        let steps = ((finest / coarsest).ln() / f64::from(most).ln()).ceil() as usize;
+        let levels = steps.min(FieldSettings::MOST_LEVELS - 1) + 1;
+        Self { levels: self.levels.max(levels), ..self.clone() }
     }
 }
 
@@ -118,15 +127,20 @@ mod tests {
     fn large_cubes_get_more_grids() {
         let config = Config::default().hashgrid;
         let levels = |bound: f64, most: f32| config.with_growth(bound, most).levels;
-        // The coarsest of 16 cells, and the finest of 16 · 2ⁿ.
-        let half = |n: i32| 0.5 * f64::from(config.finest_cell) * 16.0 * 2.0_f64.powi(n) * 0.999;
+        // The coarsest grid has 16 cells along an edge, the finest 16 · 1.2ⁿ.
+        let bound = |n: i32| 0.499 * f64::from(config.finest_cell) * 16.0 * 1.2_f64.powi(n);
         let enough = config.levels as i32 - 1;
-        assert_eq!(levels(half(enough), 2.0), config.levels);
-        assert_eq!(levels(half(enough + 3), 2.0), config.levels + 3);
-        assert_eq!(levels(half(2), 2.0), config.levels);
-        assert_eq!(levels(half(60), 1.01), 32);
+        assert_eq!(levels(bound(2), 1.2), config.levels);
+        assert_eq!(levels(bound(enough), 1.2), config.levels);
+        assert_eq!(levels(bound(enough + 3), 1.2), config.levels + 3);
+        for bound in [bound(50), bound(60), f64::INFINITY] {
+            let [coarsest, finest] = config.cells(bound).map(f64::from);
+            let ratio = (finest / coarsest).powf(1.0 / (levels(bound, 1.7) - 1) as f64);
+            assert!(ratio <= 1.7 && ratio > 1.5, "{ratio}");
+            assert_eq!(levels(bound, 1.01), 32);
+        }
         for any in [0.0, 1.0, f32::NAN] {
-            assert_eq!(levels(half(20), any), config.levels);
+            assert_eq!(levels(bound(50), any), config.levels);
         }
     }
 }

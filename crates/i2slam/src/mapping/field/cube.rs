@@ -123,11 +123,12 @@ pub(in crate::mapping) fn untrained(
     seed: u64,
 ) -> Result<HashGridMap, SettingsError> {
     let cube = FieldSettings::cube(centre, bound);
-    let cells = 2.0 * bound / f64::from(config.finest_cell);
+    let [base_resolution, finest_resolution] = config.cells(bound);
     let settings = FieldSettings {
         levels: config.levels,
         log2_table: config.log2_table,
-        finest_resolution: cells.clamp(f64::from(cube.base_resolution), 1e6) as u32,
+        base_resolution,
+        finest_resolution,
         hidden_width: config.hidden_width,
         ..cube
     };

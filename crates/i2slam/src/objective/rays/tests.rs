@@ -197,8 +197,12 @@ fn gradients_of_poses_agree_with_differences() {
                 at(1e-7).iter().zip(at(-1e-7)).map(|(a, b)| (a - b) / 2e-7).collect();
             let analytic: Vec<f64> = by_ray.iter().map(|d| d[k]).collect();
             let error = relative_error(&analytic, &numeric);
-            // All but a few agree to 2e-6: a sample beside the border of a cell, where the slope
-            // jumps, may be on its other side in `f32`.
+            let scale = numeric.iter().fold(0.0_f64, |most, n| most.max(n.abs()));
+            let pairs = analytic.iter().zip(&numeric);
+            let off = pairs.filter(|(a, n)| (*a - *n).abs() > 1e-5 * scale).count();
+            // A sample beside the border of a cell, where the slope jumps, may be on its other side
+            // in `f32`.
+            assert!(50 * off <= numeric.len(), "{cameras} {depth:?} {k} {off}");
             assert!(error < 1e-3, "{cameras} {depth:?} {k} {error}");
             let sum: f64 = analytic.iter().sum();
             assert!((whole - sum).abs() <= 1e-9 * sum.abs(), "{whole} {sum}");

@@ -32,7 +32,8 @@ pub struct Pace {
 
 impl Pace {
     /// Does a little of everything with a picture, of which no more than its size and texture
-    /// matter. `None` if these settings give no map.
+    /// matter, as in a room: larger scenes take fields of more grids, and longer. `None` if these
+    /// settings give no map.
     pub fn measure(
         config: &Config,
         camera: &Camera<f64>,

@@ -144,7 +144,9 @@ fn the_cube_grows_with_what_keyframes_see() {
 fn a_field_is_sampled_around_surfaces_where_they_are_known() {
     let mut config = config();
     (config.hashgrid.final_iterations, config.keyframed.surface_steps) = (20, 2.0);
+    config.keyframed.surface_growth = 1.3;
     config.mapping.hold_out = 5;
+    let asked = config.hashgrid.levels;
     let mut session = KeyframedSession::new(config, CAMERA, 30.0);
     let seen = |index: usize| {
         let depth = frame(index, pose(index)).depth;
@@ -173,6 +175,10 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
     };
     let share = map.occupancy.share();
     assert!(share > 0.001 && share < 0.3, "{share}");
+    let field = map.field.settings();
+    let finer = f64::from(field.finest_resolution) / f64::from(field.base_resolution);
+    let ratio = finer.powf(1.0 / (field.levels - 1) as f64);
+    assert!(field.levels > asked && ratio <= 1.3, "{} levels, {ratio}", field.levels);
     let free = pose(3) * Vec3::new(0.0, 0.0, 0.5);
     let at = |p: Vec3<f64>| {
         let settings = map.field.settings();

@@ -1,5 +1,6 @@
 //! The fast lane against the reference in `f64`, on every instruction set of the machine.
 
+use super::instruction_sets;
 use super::scenes::*;
 use crate::hashgrid::march::Walk;
 use crate::hashgrid::*;
@@ -12,13 +13,6 @@ const RAYS: usize = 150;
 /// Relative to the largest entry. Sums of some hundred products in `f32`, and exponentials of
 /// exponents of a few units: a few hundred roundings of 6e-8.
 const TOLERANCE: f64 = 5e-5;
-
-fn instruction_sets() -> Vec<Arch> {
-    let mut all = vec![Arch::new(), Arch::Scalar];
-    #[cfg(target_arch = "x86_64")]
-    all.extend(pulp::x86::V3::try_new().map(Arch::V3));
-    all
-}
 
 fn march() -> MarchSettings {
     MarchSettings { step_min: 0.05, step_max: 0.1, ..MarchSettings::cube(1.5) }
