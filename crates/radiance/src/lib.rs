@@ -9,6 +9,8 @@
 
 pub mod gaussian;
 pub mod hashgrid;
+#[cfg(test)]
+mod lanes;
 mod seam;
 
 pub use seam::{RadianceMap, Render, RenderCotangent, View};

@@ -59,7 +59,8 @@ pub struct KeyframedConfig {
     pub surface_detail: f32,
     /// Longest edge of a cell of the finest grid there, in pixels at the median depth when the field
     /// begins: what pictures resolve needs cells. With smaller ones than `hashgrid.finest_cell` asks
-    /// for the field has at least a grid more for each halving, and up to four times the entries. 0 for any.
+    /// for the field has at least a grid more for each halving, and up to four times the entries. 0
+    /// for any.
     pub surface_cell: f32,
     /// Largest ratio of the cells of neighbouring grids there: a scene whose cube is large beside its
     /// finest cells gets more grids than `hashgrid.levels`, up to 32, each of which takes memory

@@ -38,10 +38,10 @@ use trajectory::TrajectoryTerm;
 const LOOK: usize = 16;
 /// Looks for which all cells around surfaces are sampled once keyframes were found anew.
 const SECOND_LOOKS: i32 = 24;
-/// Where keyframes are found anew, rays that met little are sampled again between these shares of the
-/// steps after the last keyframe:
-/// from soon after the first search on, before which poses and fog would have them filled wherever
-/// they happen to be, until what was opened can still be trained or emptied.
+/// Where keyframes are found anew, rays that met little are sampled again between these shares of
+/// the steps after the last keyframe: from soon after the first search on, before which poses and
+/// fog would have them filled wherever they happen to be, until what was opened can still be
+/// trained or emptied.
 const UNMET: std::ops::Range<f32> = 0.4..0.9;
 /// Looks for which the cells along such a ray are sampled.
 const UNMET_LOOKS: i32 = 8;

@@ -12,6 +12,7 @@
 
 use super::scenes::*;
 use crate::gaussian::*;
+use crate::lanes::instruction_sets;
 use i2slam_geometry::{Real, Tangent};
 use pulp::Arch;
 
@@ -86,14 +87,6 @@ impl Case {
         let tangent = rasterizer.pull_back(&map, &view, &cotangent, Some(&mut gradient));
         (render, gradient, tangent)
     }
-}
-
-/// The instruction sets of this machine that the lane may run on.
-pub(super) fn instruction_sets() -> Vec<Arch> {
-    let mut all = vec![Arch::new(), Arch::Scalar];
-    #[cfg(target_arch = "x86_64")]
-    all.extend(pulp::x86::V3::try_new().map(Arch::V3));
-    all
 }
 
 /// All planes in one row.

@@ -1,9 +1,9 @@
 //! The fast lane against the reference in `f64`, on every instruction set of the machine.
 
-use super::instruction_sets;
 use super::scenes::*;
 use crate::hashgrid::march::Walk;
 use crate::hashgrid::*;
+use crate::lanes::instruction_sets;
 use i2slam_check::assert_close;
 use i2slam_geometry::Vec3;
 use pulp::Arch;
