@@ -13,6 +13,10 @@ use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 /// Frames in a row without poses that are named, and points in them that make a place.
 const LEAST_PART: usize = 4;
 const LEAST_FOLLOWED: usize = 40;
+/// Share of a keyframe's median depth under which no surface is believed. While a camera hardly
+/// moves, a point that was followed a pixel astray fits best right before the lens, with a small
+/// variance for its depth.
+const NEAREST: f64 = 0.05;
 
 /// What is known of a picture as soon as it came.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -267,17 +271,35 @@ fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
             let variance = variance * (noise * slope).powi(2);
             usable.then_some(SparseDepth { at: observation.at, depth: in_camera.z, variance })
         };
-        let depths = scene.shown(index).filter_map(depth).collect();
+        let depths = believable(scene.shown(index).filter_map(depth).collect());
         let timestamp = timestamps[index];
         Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
     };
     scene.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
 }
 
+/// The landmarks of a keyframe without those right before the lens.
+fn believable(mut depths: Vec<SparseDepth>) -> Vec<SparseDepth> {
+    let mut all: Vec<f64> = depths.iter().map(|d| d.depth).collect();
+    let least = NEAREST * median(&mut all).unwrap_or(0.0);
+    depths.retain(|d| d.depth >= least);
+    depths
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::tracks::Tracks;
+
+    /// A tenth of the points of a keyframe, all before the lens, would else reach what is mapped.
+    #[test]
+    fn points_right_before_the_lens_are_left_out() {
+        let at_depth = |depth: f64| SparseDepth { at: [1.0, 2.0], depth, variance: 1e-8 };
+        let depths = [0.004, 3.0, 1.8, 0.006, 2.0, 0.3, 2.2, 40.0, 1.5, 0.01];
+        let kept = believable(depths.map(at_depth).to_vec());
+        assert!(kept.iter().map(|d| d.depth).eq([3.0, 1.8, 2.0, 0.3, 2.2, 40.0, 1.5]));
+        assert_eq!(believable(Vec::new()), []);
+    }
 
     /// A scene that says nothing of the camera: that is told where the camera was looked for.
     #[test]
