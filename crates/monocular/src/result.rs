@@ -13,10 +13,9 @@ use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 /// Frames in a row without poses that are named, and points in them that make a place.
 const LEAST_PART: usize = 4;
 const LEAST_FOLLOWED: usize = 40;
-/// Share of a keyframe's median depth under which no surface is believed. While a camera hardly
-/// moves, a point that was followed a pixel astray fits best right before the lens, with a small
-/// variance for its depth.
-const NEAREST: f64 = 0.05;
+/// Deviation of an inverse depth up to which a point nearer than usual is believed, as a share of
+/// the usual inverse depth.
+const TRUSTED: f64 = 0.3;
 
 /// What is known of a picture as soon as it came.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -278,12 +277,41 @@ fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
     scene.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
 }
 
-/// The landmarks of a keyframe without those right before the lens.
+/// The landmarks of a keyframe without those that are near by chance. While a camera hardly moves, a
+/// point that was followed a pixel astray fits best right before the lens, where its depth has a
+/// small deviation: `σ_z = z² σ_ρ` for inverse depth ρ. Whether sights measure depth at all, `σ_ρ`
+/// tells: it has to be small beside the usual ρ.
 fn believable(mut depths: Vec<SparseDepth>) -> Vec<SparseDepth> {
-    let mut all: Vec<f64> = depths.iter().map(|d| d.depth).collect();
-    let least = NEAREST * median(&mut all).unwrap_or(0.0);
-    depths.retain(|d| d.depth >= least);
+    let usual = usual_inverse_depth(&depths);
+    depths.retain(|d| {
+        let (inverse, deviation) = inverse_depth(d);
+        inverse <= usual || deviation <= TRUSTED * usual
+    });
     depths
+}
+
+/// Inverse depth and its standard deviation.
+fn inverse_depth(of: &SparseDepth) -> (f64, f64) {
+    (1.0 / of.depth, of.variance.sqrt() / of.depth.powi(2))
+}
+
+/// The median inverse depth, each counting by its certainty `1 / σ`, so that few points that are
+/// measured well outweigh many that are not; 0 without any.
+fn usual_inverse_depth(depths: &[SparseDepth]) -> f64 {
+    let mut weighed: Vec<(f64, f64)> = depths
+        .iter()
+        .map(inverse_depth)
+        .map(|(inverse, deviation)| (inverse, 1.0 / deviation.max(f64::MIN_POSITIVE)))
+        .collect();
+    weighed.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut left = 0.5 * weighed.iter().map(|(_, weight)| weight).sum::<f64>();
+    for &(inverse, weight) in &weighed {
+        left -= weight;
+        if left <= 0.0 {
+            return inverse;
+        }
+    }
+    0.0
 }
 
 #[cfg(test)]
@@ -291,13 +319,20 @@ mod tests {
     use super::*;
     use crate::tracks::Tracks;
 
-    /// A tenth of the points of a keyframe, all before the lens, would else reach what is mapped.
+    /// Even where most points of a keyframe lie before the lens, those that were measured decide;
+    /// one that is as near and was measured well stays.
     #[test]
     fn points_right_before_the_lens_are_left_out() {
-        let at_depth = |depth: f64| SparseDepth { at: [1.0, 2.0], depth, variance: 1e-8 };
-        let depths = [0.004, 3.0, 1.8, 0.006, 2.0, 0.3, 2.2, 40.0, 1.5, 0.01];
-        let kept = believable(depths.map(at_depth).to_vec());
-        assert!(kept.iter().map(|d| d.depth).eq([3.0, 1.8, 2.0, 0.3, 2.2, 40.0, 1.5]));
+        let point = |(depth, share): (f64, f64)| SparseDepth {
+            at: [1.0, 2.0],
+            depth,
+            variance: (share * depth).powi(2),
+        };
+        let astray = [0.004, 0.006, 0.01, 0.005, 0.012, 0.3].map(|depth| (depth, 0.15));
+        let measured = [(3.0, 0.02), (1.8, 0.01), (2.0, 0.02), (0.05, 0.002), (40.0, 0.5)];
+        let all: Vec<SparseDepth> = astray.into_iter().chain(measured).map(point).collect();
+        let kept = believable(all);
+        assert!(kept.iter().map(|d| d.depth).eq([3.0, 1.8, 2.0, 0.05, 40.0]), "{kept:?}");
         assert_eq!(believable(Vec::new()), []);
     }
 

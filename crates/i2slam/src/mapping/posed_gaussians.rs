@@ -44,13 +44,14 @@ impl PosedGaussians {
         }
     }
 
-    /// Finds a keyframe in the map as it is.
+    /// Finds a keyframe in the map as it is; one that is not found stays where it was.
     fn find(&mut self, story: &mut Story<'_>, at: &Keyframe) {
         let mut estimate = story.frames[at.frame].clone();
         let before = at.beside.frame_before(&estimate);
         let others = &story.frames[..at.frame];
         let frame = (&mut estimate, &at.observation.colour);
-        self.locator.locate(story, self.mapper.scene(), frame, before.as_ref(), others);
+        estimate.tracked =
+            self.locator.locate(story, self.mapper.scene(), frame, before.as_ref(), others);
         story.frames[at.frame] = estimate;
     }
 }

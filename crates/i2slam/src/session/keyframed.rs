@@ -116,6 +116,10 @@ impl KeyframedSession {
             self.warnings.push(format!("the map is empty: {error}").into());
             self.failure = Some(error);
         }
+        self.warnings.extend(self.frames.iter().filter(|f| f.keyframe && !f.tracked).map(|f| {
+            let what = "not found in the map: its pose is that of the front end, refined with it";
+            Warning::of_frame(f.index, what)
+        }));
     }
 
     /// Keyframes processed so far.

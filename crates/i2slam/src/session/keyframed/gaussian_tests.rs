@@ -43,6 +43,13 @@ fn session(with_depth: bool) -> KeyframedSession {
 
 /// The same with rows that are read within `readout` [s].
 fn rolling_session(with_depth: bool, readout: f64) -> KeyframedSession {
+    let mut session = unfinished(with_depth, readout);
+    session.finish(&mut |_, _| true);
+    session
+}
+
+/// A session to which keyframes may still come.
+fn unfinished(with_depth: bool, readout: f64) -> KeyframedSession {
     let mut config = Config::preset("default-rgb").expect("known");
     config.map.kind = MapKind::Gaussian;
     config = config.with_found_readout(readout);
@@ -51,7 +58,6 @@ fn rolling_session(with_depth: bool, readout: f64) -> KeyframedSession {
     for index in [0, 2, 4, 6] {
         session.process(posed(index, with_depth)).expect("keyframes of one size");
     }
-    session.finish(&mut |_, _| true);
     session
 }
 
@@ -154,6 +160,22 @@ fn a_round_ends_early_where_that_is_wished() {
     };
     let ended = mapped(30, Stop::when(|| true));
     assert!(ended == mapped(1, Stop::default()) && ended != mapped(30, Stop::default()));
+}
+
+/// A keyframe that looks away from all others, and shows no depth, is in the map nowhere.
+#[test]
+fn a_keyframe_that_is_not_found_is_told_of() {
+    let mut session = unfinished(true, 0.0);
+    let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+    let frame = posed(8, false);
+    let turned = PosedKeyframe { world_from_camera: pose(8).retract(away), ..frame };
+    session.process(turned).expect("a keyframe of that size");
+    session.finish(&mut |_, _| true);
+    let tracked: Vec<bool> = session.frames().iter().map(|f| f.tracked).collect();
+    assert_eq!(tracked, [true, true, true, true, false]);
+    let warnings = session.take_warnings();
+    let [warning] = &warnings[..] else { panic!("{warnings:?}") };
+    assert!(warning.frame == Some(8) && warning.text.contains("not found"), "{warning:?}");
 }
 
 #[test]
