@@ -20,7 +20,8 @@ pub enum DatasetError {
     },
     /// The folder is there but holds none of the layouts.
     #[error(
-        "{} {}: found {found}; expected one of{}",
+        "{} {}: found {found}; expected one of{}\nor, for colour alone, a video or a folder of \
+         pictures (JPEG, PNG, ...)",
         path.display(), no_sequence(*.has_colour), known_layouts()
     )]
     UnknownLayout {

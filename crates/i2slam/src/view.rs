@@ -17,6 +17,9 @@ pub struct Viewer<'a> {
     reconstruction: &'a Reconstruction,
     pub(crate) camera: Camera<f64>,
     scene: Box<dyn Scene + 'a>,
+    /// What was looked at last without blur, and from where: most pictures of a frame are made of
+    /// it.
+    seen: Option<(Pose<f64>, Render)>,
 }
 
 /// A map that can be looked at.
@@ -55,7 +58,7 @@ impl Reconstruction {
             }
             Map::HashGrid(map) => Box::new((map.as_ref(), FrameObjective::new(own, map.march))),
         };
-        Viewer { reconstruction: self, camera, scene }
+        Viewer { reconstruction: self, camera, scene, seen: None }
     }
 }
 
@@ -75,19 +78,21 @@ impl Viewer<'_> {
 
     /// What formation predicts for the frame, motion blur included.
     pub fn blurred(&mut self, frame: &FrameEstimate) -> Image<f32> {
-        let sampling = self.sampling(frame);
+        let (sampling, curve) = (self.sampling(frame), self.curve(frame));
         let (shutter, readout) = (frame.shutter, frame.readout);
-        self.form(frame, Exposure { shutter, sampling, readout, depth_pose: None })
+        let exposure = Exposure { shutter, sampling, readout, depth_pose: None };
+        let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
+        self.scene.predict(&FrameVariables { exposure, tone }).clone()
     }
 
     /// Linear radiance seen from a world-from-camera pose (picture values with `tone` off).
     pub fn hdr(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
-        self.scene.render(world_from_camera).radiance.clone()
+        self.look(world_from_camera).radiance.clone()
     }
 
     /// Depth seen from a world-from-camera pose [m]; 0 where the map is not opaque.
     pub fn depth(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
-        self.scene.render(world_from_camera).surface(SOLID)
+        self.look(world_from_camera).surface(SOLID)
     }
 
     /// The frame's sharp picture from another pose, cut to `[0, 1]`.
@@ -109,21 +114,28 @@ impl Viewer<'_> {
         Sampling::by_route(route, formation, frame.blur_length, frame.readout)
     }
 
-    fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
-        let (shutter, sampling) = (ShutterPoses::still(pose), Sampling::SHARP);
-        self.form(frame, Exposure { shutter, sampling, readout: 0.0, depth_pose: None })
+    /// The map as it is seen from a world-from-camera pose.
+    fn look(&mut self, world_from_camera: Pose<f64>) -> &Render {
+        let seen = self.seen.take().filter(|(from, _)| *from == world_from_camera);
+        let seen = seen
+            .unwrap_or_else(|| (world_from_camera, self.scene.render(world_from_camera).clone()));
+        &self.seen.insert(seen).1
     }
 
-    /// The picture of an exposure with the frame's tone.
-    fn form(&mut self, frame: &FrameEstimate, exposure: Exposure) -> Image<f32> {
-        let curve: Option<ResponseCurve<f32>> = self
-            .reconstruction
-            .config
-            .formation
-            .tone
-            .then(|| self.reconstruction.responses[frame.response].curve());
+    fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
+        let curve = self.curve(frame);
+        let (shutter, sampling) = (ShutterPoses::still(pose), Sampling::SHARP);
+        let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
-        self.scene.predict(&FrameVariables { exposure, tone }).clone()
+        let mut picture = Image::default();
+        FrameVariables { exposure, tone }.form(&self.look(pose).radiance, &mut picture);
+        picture
+    }
+
+    /// The response that a frame's picture was bent by; none without tone.
+    fn curve(&self, frame: &FrameEstimate) -> Option<ResponseCurve<f32>> {
+        let Reconstruction { config, responses, .. } = self.reconstruction;
+        config.formation.tone.then(|| responses[frame.response].curve())
     }
 }
 

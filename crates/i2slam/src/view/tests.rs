@@ -60,3 +60,20 @@ fn a_blurred_picture_takes_no_more_renders_than_configured() {
     assert_eq!((rolling.route, rolling.virtual_cameras), (BlurRoute::Splat, most));
     assert!(Sampling::new(&room.config.formation, 18.0, 0.0).virtual_cameras > most);
 }
+
+/// A still frame's blurred picture is drawn by a way of its own.
+#[test]
+fn pictures_of_one_pose_are_made_of_one_render() {
+    let room = room();
+    let mut viewer = room.viewer();
+    let frame = turning(&room, 0.0, 0.0);
+    let sharp = viewer.sharp(&frame);
+    assert!(difference(&sharp, &viewer.blurred(&frame)) < 1e-6);
+    let here = viewer.hdr(frame.middle());
+    let away = Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.0, 0.1, 0.0]));
+    assert!(difference(&here, &viewer.hdr(away)) > 0.01);
+    assert_eq!(viewer.hdr(away), room.viewer().hdr(away));
+    assert_eq!(viewer.depth(away), room.viewer().depth(away));
+    assert_eq!(viewer.seen_from(&frame, away), room.viewer().seen_from(&frame, away));
+    assert_eq!((viewer.sharp(&frame), viewer.hdr(frame.middle())), (sharp, here));
+}

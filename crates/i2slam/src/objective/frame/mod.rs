@@ -31,7 +31,7 @@ pub struct Tone<'a> {
 }
 
 impl FrameVariables<'_> {
-    pub(super) fn form(&self, hdr: &Image<f32>, picture: &mut Image<f32>) {
+    pub(crate) fn form(&self, hdr: &Image<f32>, picture: &mut Image<f32>) {
         match &self.tone {
             Some(tone) => Formation::new(&tone.frame, tone.curve).form(hdr, picture),
             None => Formation::identity().form(hdr, picture),
