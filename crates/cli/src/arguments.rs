@@ -125,7 +125,7 @@ pub(crate) struct Input {
     pub(crate) intrinsics: Option<Vec<String>>,
     /// Camera: horizontal field of view, without distortion. For colour alone it is looked for in
     /// the pictures where nothing is given
-    #[arg(long, value_name = "DEGREES", conflicts_with = "camera")]
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, conflicts_with = "camera")]
     pub(crate) fov: Option<f64>,
     /// Value of one metre in the depth images
     #[arg(long, value_name = "N")]

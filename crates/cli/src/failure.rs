@@ -47,9 +47,25 @@ impl From<ConfigError> for Failure {
 impl From<DatasetError> for Failure {
     fn from(error: DatasetError) -> Self {
         match error {
-            DatasetError::Option { .. } => Self::Usage(error.to_string()),
+            DatasetError::Option { name, ref reason } => match flag(name) {
+                Some(flag) => Self::Usage(format!("{flag}: {reason}")),
+                None => Self::Usage(error.to_string()),
+            },
             _ => Self::Failed(error.to_string()),
         }
+    }
+}
+
+/// The flag that sets an option of a dataset; none for those that stand in settings.
+fn flag(option: &str) -> Option<&'static str> {
+    match option {
+        "depth_scale" => Some("--depth-scale"),
+        "field_of_view" => Some("--fov"),
+        "frames" => Some("--frames"),
+        "intrinsics" => Some("--intrinsics"),
+        "scale" => Some("--scale"),
+        "stride" => Some("--stride"),
+        _ => None,
     }
 }
 
@@ -105,5 +121,15 @@ mod tests {
         assert_eq!(Failure::Usage(String::new()).exit_code(), 2);
         assert_eq!(Failure::Failed(String::new()).exit_code(), 1);
         assert_eq!(Failure::Interrupted.exit_code(), 130);
+    }
+    #[test]
+    fn an_option_is_named_as_it_is_typed() {
+        let told = |name| {
+            let reason = "expected more".to_owned();
+            let failure = Failure::from(DatasetError::Option { name, reason });
+            (failure.exit_code(), failure.message().map(str::to_owned))
+        };
+        assert_eq!(told("field_of_view"), (2, Some("--fov: expected more".into())));
+        assert_eq!(told("max_depth"), (2, Some("option max_depth: expected more".into())));
     }
 }

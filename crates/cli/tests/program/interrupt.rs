@@ -12,7 +12,16 @@ use std::time::{Duration, Instant};
 
 #[test]
 fn ctrl_c_leaves_a_result_that_can_be_read() {
-    let scratch = Scratch::new("interrupt");
+    leaves_a_result("-INT");
+}
+
+#[test]
+fn a_wish_of_the_system_leaves_a_result_too() {
+    leaves_a_result("-TERM");
+}
+
+fn leaves_a_result(signal: &str) {
+    let scratch = Scratch::new(&format!("interrupt{signal}"));
     let (data, out) = (scratch.join("room"), scratch.join("out"));
     let frames = 400;
     Scene { frames, step: 0.001, ..Scene::default() }.write(&data);
@@ -28,7 +37,7 @@ fn ctrl_c_leaves_a_result_that_can_be_read() {
         sleep(Duration::from_millis(10));
     }
     sleep(Duration::from_millis(500));
-    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
     assert!(sent.expect("kill").success());
     let ran = Ran::of(child.wait_with_output().expect("an end")).ended_with(130);
     assert!(ran.err.contains("writing what there is"), "{}", ran.err);
