@@ -122,6 +122,7 @@ mod tests {
         assert_eq!(Failure::Failed(String::new()).exit_code(), 1);
         assert_eq!(Failure::Interrupted.exit_code(), 130);
     }
+
     #[test]
     fn an_option_is_named_as_it_is_typed() {
         let told = |name| {

@@ -1,4 +1,5 @@
-//! Ctrl-C: the first ends the run cleanly, the second at once.
+//! Ctrl-C, and what else a system ends programs by (SIGTERM, SIGHUP): the first ends the run
+//! cleanly, the second at once.
 
 use crate::output::complain;
 use i2slam::Stop;

@@ -2,10 +2,10 @@
 
 use crate::mapping::raster_settings;
 use crate::objective::{
-    BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, SceneMap, Tone,
+    BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, SceneMap, Tone, form,
 };
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
-use i2slam_formation::{ResponseCurve, ShutterPoses};
+use i2slam_formation::ResponseCurve;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::Render;
 
@@ -124,11 +124,9 @@ impl Viewer<'_> {
 
     fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
         let curve = self.curve(frame);
-        let (shutter, sampling) = (ShutterPoses::still(pose), Sampling::SHARP);
-        let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
         let mut picture = Image::default();
-        FrameVariables { exposure, tone }.form(&self.look(pose).radiance, &mut picture);
+        form(tone.as_ref(), &self.look(pose).radiance, &mut picture);
         picture
     }
 

@@ -24,8 +24,8 @@ impl Locator {
 
     /// Moves `estimate`, whose pose is roughly known, to where its picture fits the map best, with
     /// the motion over its exposure and its gains; `before` is the frame before it, if known, and
-    /// `others` say how well frames usually fit. Returns whether that was found; a frame that was
-    /// not stays where it is. No depth is compared: that of the map says where its surfaces are.
+    /// `others` say how well frames usually fit. Returns whether that was found, which
+    /// `estimate.tracked` says too; a frame that was not stays where it is. No depth is compared: that of the map says where its surfaces are.
     pub(crate) fn locate<M: SceneMap>(
         &mut self,
         story: &Story<'_>,
@@ -54,6 +54,7 @@ impl Locator {
         let response = story.config.formation.tone.then(|| &story.responses[estimate.response]);
         let result = track(&context, objective, map, &observation, response, self.scale);
         estimate.tracking_seconds += clock.elapsed().as_secs_f64();
+        estimate.tracked = result.tracked;
         if !result.tracked {
             return false;
         }

@@ -50,8 +50,7 @@ impl PosedGaussians {
         let before = at.beside.frame_before(&estimate);
         let others = &story.frames[..at.frame];
         let frame = (&mut estimate, &at.observation.colour);
-        estimate.tracked =
-            self.locator.locate(story, self.mapper.scene(), frame, before.as_ref(), others);
+        self.locator.locate(story, self.mapper.scene(), frame, before.as_ref(), others);
         story.frames[at.frame] = estimate;
     }
 }

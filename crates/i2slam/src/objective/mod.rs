@@ -16,6 +16,7 @@ mod window;
 pub use blur::{blur_length, blur_length_at, virtual_camera_count};
 pub(crate) use exposure::carried_to_middle;
 pub use exposure::{BlurRoute, Exposure, Sampling};
+pub(crate) use frame::form;
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;
 pub use rays::{RayObjective, RayView, ShutterGram};

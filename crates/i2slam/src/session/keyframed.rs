@@ -117,7 +117,8 @@ impl KeyframedSession {
             self.failure = Some(error);
         }
         self.warnings.extend(self.frames.iter().filter(|f| f.keyframe && !f.tracked).map(|f| {
-            let what = "not found in the map: its pose is that of the front end, refined with it";
+            let what =
+                "not found in the map: its pose is that of the front end, refined with the map";
             Warning::of_frame(f.index, what)
         }));
     }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::optimised_pose::tests::room;
+use i2slam_formation::ShutterPoses;
 use i2slam_geometry::Tangent;
 
 /// A frame that turns by `angle` [rad] while its shutter is open.

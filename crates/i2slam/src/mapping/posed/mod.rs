@@ -260,12 +260,7 @@ impl PosedField {
             let last = || keyframe.frame.checked_sub(1).map(|i| story.frames[i].clone());
             let before = before.or_else(last);
             let frame = (&mut estimate, &keyframe.observation.colour);
-            let found = PosedMapper::locate(self, story, frame, before.as_ref());
-            story.frames[keyframe.frame].tracked = found;
-            if !found {
-                continue;
-            }
-            estimate.tracked = true;
+            PosedMapper::locate(self, story, frame, before.as_ref());
             if keyframe.frame == story.gauge_frame(keyframe) {
                 estimate.tone = story.frames[keyframe.frame].tone;
             }

@@ -31,11 +31,16 @@ pub struct Tone<'a> {
 }
 
 impl FrameVariables<'_> {
-    pub(crate) fn form(&self, hdr: &Image<f32>, picture: &mut Image<f32>) {
-        match &self.tone {
-            Some(tone) => Formation::new(&tone.frame, tone.curve).form(hdr, picture),
-            None => Formation::identity().form(hdr, picture),
-        }
+    pub(super) fn form(&self, hdr: &Image<f32>, picture: &mut Image<f32>) {
+        form(self.tone.as_ref(), hdr, picture);
+    }
+}
+
+/// Writes the picture that linear radiance becomes.
+pub(crate) fn form(tone: Option<&Tone<'_>>, hdr: &Image<f32>, picture: &mut Image<f32>) {
+    match tone {
+        Some(tone) => Formation::new(&tone.frame, tone.curve).form(hdr, picture),
+        None => Formation::identity().form(hdr, picture),
     }
 }
 
