@@ -2,7 +2,7 @@
 //! cleanly, the second at once.
 
 use crate::output::complain;
-use i2slam::Stop;
+use i2slam::CancellationToken;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
@@ -37,8 +37,8 @@ pub(crate) fn reading<T>(read: impl FnOnce() -> T) -> T {
 }
 
 /// The same as a wish that work of the libraries asks for.
-pub(crate) fn stop() -> Stop {
-    Stop::when(requested)
+pub(crate) fn cancellation() -> CancellationToken {
+    CancellationToken::when(requested)
 }
 
 /// Whether the user asked to end.

@@ -3,15 +3,15 @@
 //! Everything gives the same bytes for any number of threads.
 
 mod adam;
+mod cancellation;
 mod linear;
 mod median;
 mod random;
 mod reduce;
-mod stop;
 
 pub use adam::{Adam, AdamSettings};
+pub use cancellation::CancellationToken;
 pub use linear::{NormalEquations, solve_positive_definite};
 pub use median::median;
 pub use random::Random;
 pub use reduce::reduce_in_order;
-pub use stop::Stop;

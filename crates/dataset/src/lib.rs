@@ -54,4 +54,4 @@ pub use published::paper_frames;
 pub use sequence::{Entry, LeftOut, Parts, Sequence, is_without_depth};
 pub use stream::FrameStream;
 pub use trajectory_file::{read_trajectory, write_trajectory};
-pub use video::{LARGEST_RECORDING, Recording, is_stream, is_video};
+pub use video::{MAX_RECORDING_BYTES, Recording, is_stream, is_video};

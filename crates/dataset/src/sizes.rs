@@ -10,7 +10,7 @@ use i2slam_geometry::Camera;
 use std::sync::Arc;
 
 /// Delivered frames must have at least this many pixels a side.
-const SMALLEST_SIDE: usize = 8;
+const MIN_SIDE: usize = 8;
 
 impl Sequence {
     /// The same frames with a longer side of `side` [px], or as large as they were recorded where
@@ -68,12 +68,12 @@ pub(crate) fn delivered_size(
     let scale = options.scale.min(most);
     let scaled = |side: usize| (side as f64 * scale).round() as usize;
     let (width, height) = (scaled(cropped.width), scaled(cropped.height));
-    if width.min(height) >= SMALLEST_SIDE {
+    if width.min(height) >= MIN_SIDE {
         return Ok((width, height));
     }
     let reason = format!(
         "a border of {} and a scale of {} leave {width}x{height} px of {}x{}, expected at least \
-         {SMALLEST_SIDE} a side",
+         {MIN_SIDE} a side",
         options.crop_border, scale, recorded.width, recorded.height
     );
     Err(DatasetError::Option { name: "crop_border, scale", reason })

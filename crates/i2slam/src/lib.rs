@@ -29,7 +29,7 @@ mod view;
 mod warning;
 
 pub use config::{Config, ConfigError};
-pub use i2slam_compute::Stop;
+pub use i2slam_compute::CancellationToken;
 pub use i2slam_dataset as dataset;
 pub use i2slam_formation as formation;
 pub use i2slam_geometry as geometry;

@@ -14,7 +14,7 @@ use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 /// Reductions of the picture, coarse to fine.
 const REDUCTIONS: [usize; 3] = [4, 2, 1];
 /// Sides below which a reduced picture says too little [px].
-const SMALLEST: usize = 24;
+const MIN_SIDE: usize = 24;
 /// Most steps on each size.
 const STEPS: usize = 4;
 /// Most dampings tried for a step.
@@ -54,7 +54,7 @@ impl Viewer<'_> {
         let depth = self.typical_depth(frame);
         for reduction in REDUCTIONS {
             let size = (truth.width / reduction, truth.height / reduction);
-            if reduction > 1 && size.0.min(size.1) < SMALLEST {
+            if reduction > 1 && size.0.min(size.1) < MIN_SIDE {
                 continue;
             }
             let pose = if reduction == 1 {

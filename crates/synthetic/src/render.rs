@@ -8,7 +8,7 @@ use i2slam_geometry::{Camera, Image, Mat3, Pose};
 use rayon::prelude::*;
 
 /// Nearest thing that a camera sees [m].
-const NEAREST: f32 = 0.02;
+const NEAR_PLANE: f32 = 0.02;
 
 /// What one frame's exposure looks like in time.
 #[derive(Clone, Copy, Debug)]
@@ -46,7 +46,7 @@ impl View {
     #[inline]
     fn ray(&self, u: f32, v: f32) -> Ray {
         let direction = self.rotation * self.camera.unproject(u, v, 1.0);
-        Ray { origin: self.origin, direction, from: NEAREST, to: f32::INFINITY }
+        Ray { origin: self.origin, direction, from: NEAR_PLANE, to: f32::INFINITY }
     }
 
     #[inline]

@@ -99,7 +99,7 @@ impl Drawing<'_> {
         if let Some(input) = &input {
             drawn.measures.blurred(&blurred, &input.colour);
         }
-        let apart = self.sequence.len().div_ceil(MOST_RADIANCE).max(1);
+        let apart = self.sequence.len().div_ceil(MAX_RADIANCE).max(1);
         if frame.index.is_multiple_of(apart) {
             drawn.measures.radiance(&hdr, self.truth, frame.index);
         }
@@ -165,7 +165,7 @@ fn keep_widest_range(comparisons: &mut [Comparison]) {
 }
 
 /// Radiance is compared for the whole sequence at once (one gain), on at most so many frames.
-const MOST_RADIANCE: usize = 100;
+const MAX_RADIANCE: usize = 100;
 
 impl Measures {
     fn blurred(&mut self, predicted: &Image<f32>, taken: &Image<f32>) {

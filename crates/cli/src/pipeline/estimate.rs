@@ -9,7 +9,7 @@ use std::time::Instant;
 /// Frames after which the keyframes among them tell how many there will be.
 const FEW: usize = 24;
 /// Smaller pictures are not advised [px].
-const LEAST_ADVISED: usize = 240;
+const MIN_ADVISED: usize = 240;
 /// Shorter jobs are not worth a word [s].
 const LONG: f64 = 60.0;
 
@@ -72,7 +72,7 @@ fn words(
 /// What makes a job smaller.
 fn advice((width, height): (usize, usize)) -> String {
     let half = width.max(height) / 2;
-    let smaller = match half >= LEAST_ADVISED {
+    let smaller = match half >= MIN_ADVISED {
         true => format!("--max-side {half} would take about a third of that, "),
         false => String::new(),
     };

@@ -8,7 +8,7 @@ use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
 
 /// Exposures that differ by less are constant: a correlation would be one of noise [stops].
-const LEAST_RANGE: f64 = 0.1;
+const MIN_RANGE: f64 = 0.1;
 
 /// Figures, and the truth laid onto the estimate.
 pub(crate) struct Figures {
@@ -66,7 +66,7 @@ impl Figures {
             known.map(|&(_, exposure)| (f64::from(frame.tone.exposure()), exposure))
         });
         let (estimate, due): (Vec<f64>, Vec<f64>) = pairs.unzip();
-        if range_stops(&due) < LEAST_RANGE {
+        if range_stops(&due) < MIN_RANGE {
             return;
         }
         match exposure_agreement(&estimate, &due) {

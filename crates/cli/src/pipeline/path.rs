@@ -45,7 +45,7 @@ pub(super) fn find_path(
 /// is one.
 pub(super) fn watch(progress: &Progress, estimate: Option<Estimate>) -> Watch {
     let shown = Mutex::new((progress.clone(), estimate));
-    Watch::new(interrupt::stop(), move |stage, done, of| {
+    Watch::new(interrupt::cancellation(), move |stage, done, of| {
         let Ok(mut shown) = shown.lock() else { return };
         let (progress, estimate) = &mut *shown;
         progress.stage(words(stage), done, of);

@@ -162,7 +162,7 @@ fn native(
         TrackingMethod::Adam => Box::new(std::iter::empty()),
     };
     let (source, frame_rate) =
-        (Box::new(source.with_dense_depth(interrupt::stop())), sequence.frame_rate);
+        (Box::new(source.with_dense_depth(interrupt::cancellation())), sequence.frame_rate);
     let (camera, given) = (Some(camera), sequence.len());
     Ok(Opened { source, count, between, path, given, frame_rate, warnings, camera, undistorted })
 }
@@ -210,7 +210,7 @@ pub(super) fn track(
     progress.phase("keyframes", count);
     let config = job.config.clone().with_found_readout(source.readout());
     let mut session = KeyframedSession::new(config, *source.camera(), frame_rate);
-    session.set_stop(interrupt::stop());
+    session.set_cancellation(interrupt::cancellation());
     if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).covered {
         session.set_covered(Arc::clone(covered));
     }

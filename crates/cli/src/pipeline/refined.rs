@@ -33,7 +33,7 @@ pub(super) fn refined(files: &Files, progress: &Progress) -> Option<Box<dyn Keyf
     let own = files.clone();
     let load = move |place: usize| picture(&own, place);
     let poses = files.keyframes.iter().map(|keyframe| keyframe.world_from_camera).collect();
-    let refined = Refined::new(files.camera, poses, &found, load, interrupt::stop());
+    let refined = Refined::new(files.camera, poses, &found, load, interrupt::cancellation());
     let Some(refined) = refined else {
         progress.note("poses are taken as they came, without depth: the pictures show no path");
         return None;

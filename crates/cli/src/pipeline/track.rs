@@ -17,7 +17,7 @@ pub(super) fn track(
 ) -> Result<Tracked, Failure> {
     let clock = Instant::now();
     let mut session = Session::new(config.clone(), sequence.camera, sequence.frame_rate);
-    session.set_stop(interrupt::stop());
+    session.set_cancellation(interrupt::cancellation());
     if let Some(covered) = &sequence.covered {
         session.set_covered(Arc::clone(covered));
     }

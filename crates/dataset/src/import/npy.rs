@@ -10,7 +10,7 @@ use std::sync::Arc;
 const MAGIC: &[u8] = b"\x93NUMPY";
 
 /// Headers longer than this are no headers of numbers [bytes].
-const LONGEST_HEADER: usize = 1 << 16;
+const MAX_HEADER: usize = 1 << 16;
 
 /// How a number is stored, little-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,7 +106,7 @@ impl Array {
             [version, ..] => return Err(refuse(format!("version {version}, expected 1 to 3"))),
         };
         let start = from + count;
-        if count > LONGEST_HEADER || start > array.length() {
+        if count > MAX_HEADER || start > array.length() {
             return Err(refuse("cut off within its header".into()));
         }
         let header = array.bytes(from, count)?;

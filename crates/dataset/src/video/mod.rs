@@ -21,7 +21,7 @@ use std::sync::Mutex;
 use words::Words;
 
 pub(crate) use stream::refused_stream;
-pub use stream::{LARGEST_RECORDING, Recording, is_stream};
+pub use stream::{MAX_RECORDING_BYTES, Recording, is_stream};
 
 /// Endings of video files.
 const ENDINGS: [&str; 32] = [
@@ -34,7 +34,7 @@ const ENDINGS: [&str; 32] = [
 const LISTED: &str = "crop=min(iw\\,32):min(ih\\,32),showinfo";
 
 /// Largest side of a picture that is taken [px].
-const LARGEST_SIDE: usize = 1 << 15;
+const MAX_SIDE: usize = 1 << 15;
 
 /// A video that ends so much before the length that it claims was cut off [s].
 const CUT_OFF: f64 = 0.5;
@@ -158,7 +158,7 @@ fn picture_size(path: &Path, words: &Words) -> Result<(usize, usize), DatasetErr
     let Some(frame) = words.frames.first() else { return Err(refusal(path, words)) };
     let (width, height) = frame.size;
     let width = (width as f64 * frame.pixel_aspect).round() as usize;
-    if width.min(height) < 2 || width.max(height) > LARGEST_SIDE {
+    if width.min(height) < 2 || width.max(height) > MAX_SIDE {
         let reason = format!("its pictures are {width}x{height} px, which cannot be used");
         return Err(DatasetError::video(path, reason));
     }

@@ -19,7 +19,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// A recording takes about this much of the disk at most [bytes].
-pub const LARGEST_RECORDING: u64 = 8 << 30;
+pub const MAX_RECORDING_BYTES: u64 = 8 << 30;
 
 /// How often it is asked whether the reading should end.
 const PATIENCE: Duration = Duration::from_millis(20);
@@ -75,7 +75,7 @@ pub struct Recording {
 
 impl Recording {
     /// Reads a stream until it ends, until `should_end` says so, or until there is no more room for
-    /// it ([`LARGEST_RECORDING`]).
+    /// it ([`MAX_RECORDING_BYTES`]).
     ///
     /// # Errors
     ///
@@ -86,7 +86,7 @@ impl Recording {
                           `some program | i2slam run - --out DIR`";
             return Err(DatasetError::video(stream, reason));
         }
-        Self::with(Ffmpeg::find(), stream, LARGEST_RECORDING, should_end)
+        Self::with(Ffmpeg::find(), stream, MAX_RECORDING_BYTES, should_end)
     }
 
     pub(super) fn with(

@@ -10,7 +10,7 @@ pub(super) const BLOCK: usize = 4;
 const VISIBLE_STEP: f64 = 0.5;
 
 /// A block looks at most this many blocks away for steps (64 px).
-const LONGEST_REACH: f64 = 16.0;
+const MAX_REACH: f64 = 16.0;
 
 /// Bounds of inverse depth [1/m] and the largest bend of some pixels.
 #[derive(Clone, Copy, Debug)]
@@ -80,7 +80,7 @@ impl<T: Real> Blocks<T> {
     /// `parallax` pixels per unit of inverse depth.
     pub(super) fn surround(&mut self, reach: T, parallax: T) {
         self.steep = steep(parallax);
-        let blocks = (reach.to_f64() / BLOCK as f64).ceil().clamp(0.0, LONGEST_REACH) as usize;
+        let blocks = (reach.to_f64() / BLOCK as f64).ceil().clamp(0.0, MAX_REACH) as usize;
         let columns = self.columns.max(1);
         for (out, row) in self.along_rows.chunks_mut(columns).zip(self.own.chunks(columns)) {
             for (x, out) in out.iter_mut().enumerate() {

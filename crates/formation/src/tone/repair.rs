@@ -13,7 +13,7 @@
 //! shift (constant, or falling evenly) stand for the curve of even steps, with no gradient.
 
 /// The smallest total rise that is still divided by.
-const LEAST_RISE: f64 = 1e-12;
+const MIN_RISE: f64 = 1e-12;
 
 struct Steps {
     /// `d'_i`.
@@ -40,7 +40,7 @@ fn steps(nodes: &[f64]) -> Steps {
 /// Values of the plausible curve at the nodes; 0 first, 1 last.
 pub(super) fn plausible(nodes: &[f64]) -> Vec<f64> {
     let steps = steps(nodes);
-    if steps.rise < LEAST_RISE {
+    if steps.rise < MIN_RISE {
         let last = nodes.len().saturating_sub(1).max(1) as f64;
         return (0..nodes.len()).map(|i| i as f64 / last).collect();
     }
@@ -57,7 +57,7 @@ pub(super) fn plausible(nodes: &[f64]) -> Vec<f64> {
 pub(super) fn pull_back(nodes: &[f64], d_values: &[f64]) -> Vec<f64> {
     let mut d_nodes = vec![0.0; nodes.len()];
     let steps = steps(nodes);
-    if steps.rise < LEAST_RISE {
+    if steps.rise < MIN_RISE {
         return d_nodes;
     }
     let mut d_steps = pull_back_normalisation(&steps, d_values);

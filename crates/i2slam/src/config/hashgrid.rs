@@ -70,12 +70,12 @@ impl HashGridConfig {
         if halvings.is_nan() || halvings <= 0.0 {
             return self.clone();
         }
-        let halvings = halvings.min(FieldSettings::MOST_LEVELS as f32);
+        let halvings = halvings.min(FieldSettings::MAX_LEVELS as f32);
         let log2_table = self.log2_table + (2.0 * halvings.min(1.0)).round() as u32;
         Self {
             finest_cell: most,
-            levels: (self.levels + halvings.round() as usize).min(FieldSettings::MOST_LEVELS),
-            log2_table: log2_table.min(FieldSettings::MOST_LOG2_TABLE),
+            levels: (self.levels + halvings.round() as usize).min(FieldSettings::MAX_LEVELS),
+            log2_table: log2_table.min(FieldSettings::MAX_LOG2_TABLE),
             ..self.clone()
         }
     }
@@ -95,7 +95,7 @@ impl HashGridConfig {
         }
         let [coarsest, finest] = self.cells(bound).map(f64::from);
         let steps = ((finest / coarsest).ln() / f64::from(most).ln()).ceil() as usize;
-        let levels = steps.min(FieldSettings::MOST_LEVELS - 1) + 1;
+        let levels = steps.min(FieldSettings::MAX_LEVELS - 1) + 1;
         Self { levels: self.levels.max(levels), ..self.clone() }
     }
 }

@@ -103,8 +103,8 @@ impl Config {
 
     fn validate_hashgrid(&self) -> Result<(), ConfigError> {
         let h = &self.hashgrid;
-        between("hashgrid.levels", h.levels, 1, FieldSettings::MOST_LEVELS, "1 to 32")?;
-        let (log2_table, most) = (h.log2_table as usize, FieldSettings::MOST_LOG2_TABLE as usize);
+        between("hashgrid.levels", h.levels, 1, FieldSettings::MAX_LEVELS, "1 to 32")?;
+        let (log2_table, most) = (h.log2_table as usize, FieldSettings::MAX_LOG2_TABLE as usize);
         between("hashgrid.log2_table", log2_table, 4, most, "4 to 24")?;
         share("hashgrid.moment_jitter", h.moment_jitter)?;
         between("hashgrid.hidden_width", h.hidden_width, 1, 1024, "1 to 1024")?;

@@ -3,14 +3,14 @@
 use super::reader::Reader;
 use super::rows::RowMotion;
 use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
-use i2slam_compute::Stop;
+use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_monocular::{
+use i2slam_odometry::{
     DenseDepth, DenseDepths, FrameStatus, FrontEnd, Keyframe, Reconstruction, View,
 };
 use thiserror::Error;
 
-pub use i2slam_monocular::{
+pub use i2slam_odometry::{
     Failure as NativeFailure, Intrinsics, Reconstruction as NativeReconstruction, Stage,
     Warning as NativeWarning, Watch,
 };
@@ -28,7 +28,7 @@ const SPARSE: f64 = 10.0;
 
 /// Least standard deviation of a depth as a share of it: that of the landmarks leaves the poses
 /// out, and a pixel shows more than a point.
-const LEAST_DEVIATION: f64 = 0.1;
+const MIN_DEVIATION: f64 = 0.1;
 
 /// A picture of a sequence.
 #[derive(Clone, Debug)]
@@ -149,15 +149,15 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
     }
 
     /// The same with the depth of most pixels of a keyframe, in place of that of its landmarks
-    /// alone, until `stop` is wished.
+    /// alone, until `cancellation` is cancelled.
     #[must_use]
-    pub fn with_dense_depth(mut self, stop: Stop) -> Self {
+    pub fn with_dense_depth(mut self, cancellation: CancellationToken) -> Self {
         let view = |keyframe: &Keyframe| View {
             world_from_camera: keyframe.world_from_camera,
             landmarks: keyframe.depths.iter().map(|d| d.depth).collect(),
         };
         let views = self.reconstruction.keyframes.iter().map(view).collect();
-        self.dense = Some(DenseDepths::new(self.reconstruction.camera, views).until(stop));
+        self.dense = Some(DenseDepths::new(self.reconstruction.camera, views).until(cancellation));
         self
     }
 
@@ -322,7 +322,7 @@ fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDe
                 continue;
             }
             depth.data[pixel] = here;
-            let deviation = point.variance.sqrt().hypot(LEAST_DEVIATION * point.depth);
+            let deviation = point.variance.sqrt().hypot(MIN_DEVIATION * point.depth);
             variance.data[pixel] = (SPARSE * MEDIAN_DEPTH * deviation).powi(2) as f32;
         }
     }

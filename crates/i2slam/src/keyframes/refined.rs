@@ -7,9 +7,9 @@
 
 use super::reader::Reader;
 use super::{EstimatedDepth, KeyframeSource, Native, PictureError, PosedKeyframe, SequencePicture};
-use i2slam_compute::Stop;
+use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_monocular::{DenseDepths, FrameStatus, Keyframe, Reconstruction, SparseDepth, View};
+use i2slam_odometry::{DenseDepths, FrameStatus, Keyframe, Reconstruction, SparseDepth, View};
 
 /// Share of the keyframes that the front end must have found a pose for.
 const FOUND: f64 = 0.6;
@@ -37,13 +37,13 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
     /// Keyframes of `camera` at poses as they came, world from camera, with the path that was found
     /// from their pictures, of whatever size, in order; `load` gives the picture at a place. None
     /// where too few of them were found, or their rows were read in turn, which poses of files say
-    /// nothing of. No depth is looked for any more once `stop` is wished.
+    /// nothing of. No depth is looked for any more once `cancellation` is cancelled.
     pub fn new<P>(
         camera: Camera<f64>,
         mut poses: Vec<Pose<f64>>,
         native: &Native<P>,
         mut load: L,
-        stop: Stop,
+        cancellation: CancellationToken,
     ) -> Option<Self>
     where
         P: FnMut(usize) -> Result<SequencePicture, PictureError>,
@@ -53,7 +53,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
             return None;
         }
         let path = Path::of(&poses, &found, |frame| native.place(frame))?;
-        let correlations = path.correlations([&poses, &path.poses], &mut load, &stop);
+        let correlations = path.correlations([&poses, &path.poses], &mut load, &cancellation);
         let moved = correlations[1] > correlations[0] + CLEARLY;
         if moved {
             poses.clone_from(&path.poses);
@@ -62,7 +62,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
             world_from_camera: *pose,
             landmarks: path.landmarks_near(place),
         });
-        let dense = DenseDepths::new(camera, views.collect()).until(stop);
+        let dense = DenseDepths::new(camera, views.collect()).until(cancellation);
         let reader = Reader::new((0..poses.len()).collect(), load);
         Some(Self { camera, poses, dense, reader, next: 0, correlations, moved })
     }
@@ -161,12 +161,12 @@ impl<'a> Path<'a> {
         &self,
         paths: [&[Pose<f64>]; 2],
         load: &mut dyn FnMut(usize) -> Result<SequencePicture, PictureError>,
-        stop: &Stop,
+        cancellation: &CancellationToken,
     ) -> [f64; 2] {
         let (mut sums, mut count) = ([0.0; 2], 0);
         let mut last: Option<(usize, &Keyframe, Image<f32>)> = None;
         for (&place, keyframe) in self.places.iter().zip(&self.found.keyframes) {
-            if stop.is_wished() {
+            if cancellation.is_cancelled() {
                 break;
             }
             let Ok(SequencePicture { colour, .. }) = load(place) else { continue };
@@ -293,8 +293,8 @@ mod tests {
         let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
         let found = Native::find(Intrinsics::Known(camera), COUNT, load, &Watch::default())
             .expect("a path");
-        let mut source =
-            Refined::new(camera, poses, &found, load, Stop::default()).expect("all were found");
+        let mut source = Refined::new(camera, poses, &found, load, CancellationToken::default())
+            .expect("all were found");
         let keyframes = std::iter::from_fn(|| source.next_keyframe());
         keyframes.map(|keyframe| keyframe.expect("pictures can be read")).collect()
     }

@@ -3,7 +3,7 @@
 
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
-use i2slam_monocular::{FrameStatus, Keyframe, Reconstruction};
+use i2slam_odometry::{FrameStatus, Keyframe, Reconstruction};
 
 /// Steps that find the row in which a point is seen.
 const STEPS: usize = 3;

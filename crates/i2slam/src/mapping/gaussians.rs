@@ -200,7 +200,7 @@ impl Mapper for GaussianMapper {
         );
         let round = Round::begin(story.config);
         for iteration in 0..iterations {
-            if round.is_over(iteration, story.stop) {
+            if round.is_over(iteration, story.cancellation) {
                 break;
             }
             let chosen = &window[story.random.below(window.len())];

@@ -49,7 +49,7 @@ impl Locator {
             before_previous: None,
             expected: Some(expected),
             keyframe: None,
-            stop: story.stop,
+            cancellation: story.cancellation,
         };
         let response = story.config.formation.tone.then(|| &story.responses[estimate.response]);
         let result = track(&context, objective, map, &observation, response, self.scale);

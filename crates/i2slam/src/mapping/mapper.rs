@@ -4,7 +4,7 @@ use super::{Keyframe, Tracker};
 use crate::config::Config;
 use crate::reconstruction::{FrameEstimate, Map};
 use crate::warning::Warning;
-use i2slam_compute::{Random, Stop};
+use i2slam_compute::{CancellationToken, Random};
 use i2slam_formation::CameraResponse;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::SettingsError;
@@ -24,7 +24,7 @@ pub(crate) struct Story<'a> {
     pub(crate) random: &'a mut Random,
     pub(crate) warnings: &'a mut Vec<Warning>,
     /// Whether the rest of a round is to be left undone.
-    pub(crate) stop: &'a Stop,
+    pub(crate) cancellation: &'a CancellationToken,
 }
 
 impl Story<'_> {
@@ -39,7 +39,7 @@ impl Story<'_> {
             covered: self.covered,
             random: self.random,
             warnings: self.warnings,
-            stop: self.stop,
+            cancellation: self.cancellation,
         }
     }
 

@@ -35,7 +35,7 @@ impl PosedGaussians {
 
     /// Finds all keyframes anew, one after another; the gains of the first stay.
     fn relocate(&mut self, story: &mut Story<'_>) {
-        for keyframe in story.keyframes.iter().take_while(|_| !story.stop.is_wished()) {
+        for keyframe in story.keyframes.iter().take_while(|_| !story.cancellation.is_cancelled()) {
             let tone = story.frames[keyframe.frame].tone;
             self.find(story, keyframe);
             if keyframe.frame == story.gauge_frame(keyframe) {

@@ -1,7 +1,7 @@
 //! The steps that a keyframe is given, and when they end early.
 
 use crate::config::Config;
-use i2slam_compute::Stop;
+use i2slam_compute::CancellationToken;
 use std::time::Instant;
 
 /// One round of steps, which may last `mapping.seconds_per_frame`, without limit if that is 0.
@@ -17,9 +17,9 @@ impl Round {
     }
 
     /// Whether the rest is left undone after `steps` of them; the first is always done.
-    pub(super) fn is_over(&self, steps: usize, stop: &Stop) -> bool {
+    pub(super) fn is_over(&self, steps: usize, cancellation: &CancellationToken) -> bool {
         let late = self.budget > 0.0 && self.begun.elapsed().as_secs_f64() > self.budget;
-        steps > 0 && (late || stop.is_wished())
+        steps > 0 && (late || cancellation.is_cancelled())
     }
 }
 
@@ -30,14 +30,17 @@ mod tests {
     #[test]
     fn a_round_ends_with_its_budget_or_by_wish_but_not_before_its_first_step() {
         let mut config = Config::default();
-        assert!(!Round::begin(&config).is_over(1000, &Stop::default()));
+        assert!(!Round::begin(&config).is_over(1000, &CancellationToken::default()));
         config.mapping.seconds_per_frame = 1e-9;
         let round = Round::begin(&config);
         std::thread::sleep(std::time::Duration::from_millis(1));
-        assert!(!round.is_over(0, &Stop::default()) && round.is_over(1, &Stop::default()));
-        let stop = Stop::when(|| true);
+        assert!(
+            !round.is_over(0, &CancellationToken::default())
+                && round.is_over(1, &CancellationToken::default())
+        );
+        let cancellation = CancellationToken::when(|| true);
         config.mapping.seconds_per_frame = 0.0;
-        assert!(!Round::begin(&config).is_over(0, &stop));
-        assert!(Round::begin(&config).is_over(1, &stop));
+        assert!(!Round::begin(&config).is_over(0, &cancellation));
+        assert!(Round::begin(&config).is_over(1, &cancellation));
     }
 }

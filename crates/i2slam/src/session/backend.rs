@@ -6,7 +6,7 @@ use crate::mapping::{Beside, Keyframe, Mapper, Story, Tracker, is_keyframe};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
 use crate::warning::Warning;
-use i2slam_compute::{Random, Stop};
+use i2slam_compute::{CancellationToken, Random};
 use i2slam_formation::CameraResponse;
 use i2slam_geometry::{Camera, Image};
 use std::sync::Arc;
@@ -20,7 +20,7 @@ pub(super) struct Backend {
     pub(super) keyframes: Vec<Keyframe>,
     pub(super) covered: Option<Arc<Image<bool>>>,
     pub(super) warnings: Vec<Warning>,
-    pub(super) stop: Stop,
+    pub(super) cancellation: CancellationToken,
     random: Random,
     /// A frame that the map has not taken in yet.
     pending: Option<Keyframe>,
@@ -35,7 +35,7 @@ impl Backend {
             keyframes: Vec::new(),
             covered: None,
             warnings: Vec::new(),
-            stop: Stop::default(),
+            cancellation: CancellationToken::default(),
             random: Random::new(config.seed),
             pending: None,
         }
@@ -121,7 +121,7 @@ impl Backend {
             covered: self.covered.as_deref(),
             random: &mut self.random,
             warnings: &mut self.warnings,
-            stop: &self.stop,
+            cancellation: &self.cancellation,
         };
         (self.mapper.as_mut(), story)
     }

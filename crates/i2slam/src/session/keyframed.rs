@@ -14,7 +14,7 @@ use crate::mapping::{Beside, Keyframe, PosedMapper, Story};
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::warning::Warning;
-use i2slam_compute::{Random, Stop};
+use i2slam_compute::{CancellationToken, Random};
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_radiance::hashgrid::SettingsError;
@@ -39,7 +39,7 @@ pub struct KeyframedSession {
     keyframes: Vec<Keyframe>,
     covered: Option<Arc<Image<bool>>>,
     warnings: Vec<Warning>,
-    stop: Stop,
+    cancellation: CancellationToken,
     random: Random,
     failure: Option<SettingsError>,
 }
@@ -56,7 +56,7 @@ impl KeyframedSession {
             keyframes: Vec::new(),
             covered: None,
             warnings: unused(&config),
-            stop: Stop::default(),
+            cancellation: CancellationToken::default(),
             random: Random::new(config.seed),
             failure: None,
             config,
@@ -71,9 +71,9 @@ impl KeyframedSession {
         self.covered = Some(covered);
     }
 
-    /// Once `stop` is wished, what remains of a keyframe's mapping is left undone.
-    pub fn set_stop(&mut self, stop: Stop) {
-        self.stop = stop;
+    /// Once `cancellation` is cancelled, what remains of a keyframe's mapping is left undone.
+    pub fn set_cancellation(&mut self, cancellation: CancellationToken) {
+        self.cancellation = cancellation;
     }
 
     /// Takes in one keyframe and refines map, poses and tone for some steps.
@@ -261,7 +261,7 @@ impl KeyframedSession {
             covered: self.covered.as_deref(),
             random: &mut self.random,
             warnings: &mut self.warnings,
-            stop: &self.stop,
+            cancellation: &self.cancellation,
         };
         (self.mapper.as_mut(), story)
     }

@@ -5,7 +5,7 @@ use crate::mapping::{Keyframe, Tracker};
 use crate::objective::{Observation, blur_length};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict};
-use i2slam_compute::Stop;
+use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::Camera;
@@ -22,7 +22,7 @@ pub(super) struct Look<'a> {
     pub(super) keyframes: &'a [Keyframe],
     /// The last response and its index.
     pub(super) response: (usize, &'a CameraResponse<f32>),
-    pub(super) stop: &'a Stop,
+    pub(super) cancellation: &'a CancellationToken,
 }
 
 impl Look<'_> {
@@ -83,7 +83,7 @@ impl Look<'_> {
             before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
             expected: None,
             keyframe: keyframe.map(|k| (&*k.observation, frames[k.frame].depth_pose())),
-            stop: self.stop,
+            cancellation: self.cancellation,
         }
     }
 }

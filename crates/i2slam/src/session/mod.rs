@@ -14,7 +14,7 @@ use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::{SequenceReadout, TrackingResult};
 use crate::warning::Warning;
 use backend::Backend;
-use i2slam_compute::Stop;
+use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_formation::TrajectoryScale;
 use i2slam_geometry::{Camera, Image};
@@ -113,10 +113,10 @@ impl Session {
         self.backend.covered = Some(covered);
     }
 
-    /// Once `stop` is wished, what remains of a frame's mapping, and of its tracking by first-order
+    /// Once `cancellation` is cancelled, what remains of a frame's mapping, and of its tracking by first-order
     /// steps, is left undone.
-    pub fn set_stop(&mut self, stop: Stop) {
-        self.backend.stop = stop;
+    pub fn set_cancellation(&mut self, cancellation: CancellationToken) {
+        self.backend.cancellation = cancellation;
     }
 
     /// Tracks one frame, then maps with it; with `mapping.beside_tracking`, the frame before is
@@ -243,7 +243,7 @@ impl Session {
         observation: &Observation,
         usable: bool,
     ) -> (FrameEstimate, Option<TrackingResult>) {
-        let Backend { mapper, frames, keyframes, responses, stop, .. } = &mut self.backend;
+        let Backend { mapper, frames, keyframes, responses, cancellation, .. } = &mut self.backend;
         let last = responses.len() - 1;
         let look = Look {
             config: &self.config,
@@ -254,7 +254,7 @@ impl Session {
             frames,
             keyframes,
             response: (last, &responses[last]),
-            stop,
+            cancellation,
         };
         let tracker: Option<&mut dyn Tracker> = match usable && !mapper.is_empty() {
             true => Some(mapper.as_mut()),
@@ -286,7 +286,7 @@ impl Session {
             frames: &backend.frames.clone(),
             keyframes: &backend.keyframes.clone(),
             response: (last, &backend.responses[last].clone()),
-            stop: &backend.stop.clone(),
+            cancellation: &backend.cancellation.clone(),
         };
         let mut follower = self.follower.take();
         let tracker = follower.as_deref_mut().filter(|_| usable);

@@ -248,7 +248,7 @@ fn stepped(iterations: usize, ended: bool) -> Pose<f64> {
     let mut session = Session::new(config, CAMERA, 30.0);
     session.process(&frame(0, pose(0))).expect("a frame");
     if ended {
-        session.set_stop(Stop::when(|| true));
+        session.set_cancellation(CancellationToken::when(|| true));
     }
     session.process(&frame(1, pose(1))).expect("a frame").middle()
 }

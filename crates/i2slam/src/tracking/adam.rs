@@ -49,7 +49,7 @@ impl Optimizers {
     }
 }
 
-/// `config.iterations` steps from `start`, fewer once a stop is wished; the parameters with the
+/// `config.iterations` steps from `start`, fewer once cancelled; the parameters with the
 /// smallest loss are returned.
 pub(super) fn refine<M: SceneMap>(
     context: &TrackingContext<'_>,
@@ -76,7 +76,7 @@ pub(super) fn refine<M: SceneMap>(
         if improved {
             best = Some((total, state.clone(), evaluation.clone(), loss));
         }
-        if context.stop.is_wished() {
+        if context.cancellation.is_cancelled() {
             break;
         }
         step(context, &mut state, &mut optimizers, &evaluation, trajectory.map(|t| t.1));

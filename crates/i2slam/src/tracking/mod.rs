@@ -12,7 +12,7 @@ use readout::MeasuredReadout;
 use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
 use crate::objective::{Evaluation, FrameObjective, Observation, Sampling, SceneMap, blur_length};
 use crate::reconstruction::{Convergence, FrameEstimate, Losses};
-use i2slam_compute::Stop;
+use i2slam_compute::CancellationToken;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Pose, Tangent};
 
@@ -39,7 +39,7 @@ pub(crate) struct TrackingContext<'a> {
     /// The last keyframe and its world-from-camera pose when its depth was taken.
     pub(crate) keyframe: Option<(&'a Observation, Pose<f64>)>,
     /// Once wished, first-order steps end with the best that they found.
-    pub(crate) stop: &'a Stop,
+    pub(crate) cancellation: &'a CancellationToken,
 }
 
 impl TrackingContext<'_> {

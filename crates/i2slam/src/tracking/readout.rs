@@ -7,7 +7,7 @@ use crate::config::InputConfig;
 const FRAME_SPREAD: f64 = 0.3;
 /// Share of the frame interval by which a readout that is looked for is always taken to be unsure:
 /// what is expected must not decide what is found.
-const LEAST_SPREAD: f64 = 0.5;
+const MIN_SPREAD: f64 = 0.5;
 
 /// Frames with plenty of motion that are remembered. A map made with a wrong readout shows every
 /// frame a part of it, so that what the first frames said has to be forgotten.
@@ -66,7 +66,7 @@ impl SequenceReadout {
             return 0.0;
         }
         let known = (self.information + interval.powi(-2)).powf(-0.5);
-        known.max(LEAST_SPREAD * interval)
+        known.max(MIN_SPREAD * interval)
     }
 
     /// Takes in what a frame showed, with frames `interval` apart [s].
@@ -101,7 +101,7 @@ mod tests {
             readout.add(MeasuredReadout { seconds, deviation }, interval);
         }
         assert!((readout.seconds - 0.02).abs() < 1e-5, "{}", readout.seconds);
-        assert_eq!(readout.deviation(interval), LEAST_SPREAD * interval);
+        assert_eq!(readout.deviation(interval), MIN_SPREAD * interval);
     }
 
     #[test]

@@ -12,7 +12,7 @@ const ROUND: f32 = 12_582_912.0;
 /// Where [`exp2`] stays: an opacity that no cut-off lets through, and still normal after products
 /// with transmittances and cotangents. Of subnormal numbers a single one in a vector takes a
 /// hundred cycles.
-const LEAST_EXPONENT: f32 = -64.0;
+const MIN_EXPONENT: f32 = -64.0;
 
 /// `2ˣ` for `x < 128`; below -64 it stays at `2⁻⁶⁴`. Relative error below 4e-7.
 ///
@@ -20,7 +20,7 @@ const LEAST_EXPONENT: f32 = -64.0;
 /// error (7.5e-8 before rounding).
 #[inline(always)]
 pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    let x = simd.max_f32s(x, simd.splat_f32s(LEAST_EXPONENT));
+    let x = simd.max_f32s(x, simd.splat_f32s(MIN_EXPONENT));
     let round = simd.splat_f32s(ROUND);
     let shifted = simd.add_f32s(x, round);
     let f = simd.sub_f32s(x, simd.sub_f32s(shifted, round));

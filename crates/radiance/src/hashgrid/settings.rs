@@ -32,9 +32,9 @@ pub struct FieldSettings {
 
 impl FieldSettings {
     /// Most grids of a field.
-    pub const MOST_LEVELS: usize = 32;
+    pub const MAX_LEVELS: usize = 32;
     /// Binary logarithm of the most nodes that a grid stores.
-    pub const MOST_LOG2_TABLE: u32 = 24;
+    pub const MAX_LOG2_TABLE: u32 = 24;
 
     /// The settings of torch-ngp for a cube of half edge `bound` \[m\] around `centre`; the
     /// finest grid has `2048 · bound` cells along an edge.
@@ -46,7 +46,7 @@ impl FieldSettings {
             features: 2,
             log2_table: 19,
             base_resolution: 16,
-            finest_resolution: (2048.0 * bound).round().clamp(16.0, MOST_CELLS) as u32,
+            finest_resolution: (2048.0 * bound).round().clamp(16.0, MAX_CELLS) as u32,
             hidden_width: 64,
             density_layers: 1,
             colour_layers: 2,
@@ -66,11 +66,11 @@ impl FieldSettings {
         if !self.centre.iter().all(|c| c.is_finite()) {
             return Err(SettingsError { name: "centre" });
         }
-        within("levels", self.levels, 1, Self::MOST_LEVELS)?;
+        within("levels", self.levels, 1, Self::MAX_LEVELS)?;
         if ![1, 2, 4, 8].contains(&self.features) {
             return Err(SettingsError { name: "features" });
         }
-        within("log2_table", self.log2_table as usize, 4, Self::MOST_LOG2_TABLE as usize)?;
+        within("log2_table", self.log2_table as usize, 4, Self::MAX_LOG2_TABLE as usize)?;
         within("base_resolution", self.base_resolution as usize, 2, 1 << 20)?;
         let base = self.base_resolution as usize;
         within("finest_resolution", self.finest_resolution as usize, base, 1 << 20)?;
@@ -82,7 +82,7 @@ impl FieldSettings {
 }
 
 /// Positions along an edge must keep a fraction in `f32`.
-const MOST_CELLS: f64 = (1 << 20) as f64;
+const MAX_CELLS: f64 = (1 << 20) as f64;
 
 /// An entry of [`FieldSettings`] or of a file of them is out of its range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use crate::rgb::{Rgb, mix};
 use crate::scene::{Scene, Surface};
 
 /// Most texels a side of one surface.
-const LARGEST: f32 = 1024.0;
+const MAX_LUMEL: f32 = 1024.0;
 
 /// The grid of one surface.
 #[derive(Clone, Copy)]
@@ -25,7 +25,7 @@ impl Atlas {
     pub(super) fn new(scene: &Scene, texel: f32) -> Self {
         let mut first = 0;
         let patches = scene.surfaces.iter().map(|surface| {
-            let side = |length: f32| (length / texel).ceil().clamp(2.0, LARGEST) as usize;
+            let side = |length: f32| (length / texel).ceil().clamp(2.0, MAX_LUMEL) as usize;
             let [width, height] = surface.shape.extent().map(side);
             let patch = Patch { first, width, height };
             first += width * height;

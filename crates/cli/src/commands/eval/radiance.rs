@@ -11,7 +11,7 @@ use i2slam::geometry::Image;
 use i2slam_eval::hdr::{Gain, HdrError, hdr_error_after};
 
 /// All frames are held at once; of more, every n-th is judged.
-const MOST_FRAMES: usize = 100;
+const MAX_FRAMES: usize = 100;
 
 /// The figures, none if there is no radiance to compare. A frame that lacks a render is left to
 /// the judging of pictures.
@@ -29,7 +29,7 @@ pub(super) fn judge(
         .filter_map(|(frame, render)| Some((render, reference.radiance(*frame)?)))
         .collect();
     let mut frames: [Vec<Image<f32>>; 2] = [Vec::new(), Vec::new()];
-    for (render, truth) in pairs.iter().step_by(pairs.len().div_ceil(MOST_FRAMES).max(1)) {
+    for (render, truth) in pairs.iter().step_by(pairs.len().div_ceil(MAX_FRAMES).max(1)) {
         let drawn = read_exr(render)?;
         let known = at_size_of(read_exr(truth)?, &drawn);
         let known = known.ok_or_else(|| failed(render, "has another size than its truth"))?;

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::FRAC_2_PI;
 
 /// Smallest variance of a pixel coordinate that is believed [px²].
-const LEAST_VARIANCE: f64 = 0.01;
+const MIN_VARIANCE: f64 = 0.01;
 
 /// The points that are fixed by their views, with covariance, and for every image the places of
 /// those that it sees.
@@ -24,7 +24,7 @@ pub(super) fn with_covariance(
 ) -> (Vec<SparsePoint>, Vec<Vec<usize>>) {
     let records: HashMap<u32, usize> =
         images.iter().enumerate().map(|(record, image)| (image.id, record)).collect();
-    let least = mean(points.iter().filter_map(variance)).unwrap_or(1.0).max(LEAST_VARIANCE);
+    let least = mean(points.iter().filter_map(variance)).unwrap_or(1.0).max(MIN_VARIANCE);
     let (mut known, mut seen) = (Vec::new(), vec![Vec::new(); images.len()]);
     for point in points {
         let mut by: Vec<usize> =

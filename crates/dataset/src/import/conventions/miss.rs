@@ -7,7 +7,7 @@ use i2slam_geometry::{Camera, Pose, Tap};
 const SAMPLES: usize = 1500;
 
 /// Pixels that must be seen again before colours are compared.
-const LEAST_SEEN: usize = 30;
+const MIN_SEEN: usize = 30;
 
 /// Share of pixels that must be seen again before a miss says anything of the pictures.
 const OVERLAP: f64 = 0.3;
@@ -41,7 +41,7 @@ impl Miss {
         let miss = depth.map_or(colour, |depth| 0.5 * (colour + depth));
         let count = landed.iter().filter(|pixel| pixel.to.is_some()).count();
         let share = count as f64 / landed.len() as f64;
-        let overlap = count >= LEAST_SEEN && share >= OVERLAP;
+        let overlap = count >= MIN_SEEN && share >= OVERLAP;
         let whole = with_outside(miss, 1.0 - share);
         Some(Self { whole, seen: overlap.then_some(miss) })
     }
@@ -73,7 +73,7 @@ fn land(camera: &Camera<f64>, a: &Keyframe, b_from_a: Pose<f64>) -> Option<Vec<L
         Landed { from, to }
     });
     let landed: Vec<Landed> = landed.collect();
-    (landed.len() >= LEAST_SEEN).then_some(landed)
+    (landed.len() >= MIN_SEEN).then_some(landed)
 }
 
 /// What pixels that are seen again miss by, and 1 for the share `outside` the picture beyond the
@@ -112,7 +112,7 @@ fn colour_miss(landed: &[Landed], a: &Keyframe, b: &Keyframe) -> f64 {
         Some((here, planes(b, &|plane| tap.sample(plane).0)))
     };
     let seen: Vec<(f64, f64)> = landed.iter().filter_map(grey).collect();
-    if seen.len() < LEAST_SEEN { 1.0 } else { 0.5 * (1.0 - correlation(&seen)) }
+    if seen.len() < MIN_SEEN { 1.0 } else { 0.5 * (1.0 - correlation(&seen)) }
 }
 
 fn correlation(pairs: &[(f64, f64)]) -> f64 {

@@ -15,13 +15,13 @@ use reading::Reading;
 const PAIRS: usize = 6;
 
 /// One pair may miss for reasons of its own.
-const LEAST_PAIRS: usize = 2;
+const MIN_PAIRS: usize = 2;
 
 /// Another convention must miss by less than this share of what the given one misses by.
 const BETTER: f64 = 0.6;
 
 /// Factors of positions that are tried: powers of 2 up to this one, and their inverses.
-const LARGEST_SCALE: i32 = 10;
+const MAX_SCALE: i32 = 10;
 
 /// Mean miss of pixels seen again above which depths and poses do not fit at all: colours that have
 /// nothing to do with each other miss by a half, depths by nearly 1.
@@ -40,7 +40,7 @@ impl Candidate {
     fn all(kind: Kind) -> Vec<Self> {
         let has_order = matches!(kind, Kind::Droid | Kind::Trajectory);
         let readings = Reading::ALL.into_iter().filter(|reading| has_order || !reading.order);
-        let powers = (-LARGEST_SCALE..=LARGEST_SCALE).filter(|&power| power != 0);
+        let powers = (-MAX_SCALE..=MAX_SCALE).filter(|&power| power != 0);
         let scales = powers.map(|power| Self::Scaled(2_f64.powi(power)));
         readings.map(Self::Read).chain(scales).collect()
     }
@@ -60,7 +60,7 @@ pub(super) fn warning(files: &Files) -> Option<String> {
     }
     let candidates = Candidate::all(files.kind);
     let pairs = misses(files, &candidates);
-    if pairs.len() < LEAST_PAIRS {
+    if pairs.len() < MIN_PAIRS {
         return None;
     }
     let of = |which: usize| pairs.iter().map(|pair| pair[which].whole).collect::<Vec<f64>>();
@@ -86,7 +86,7 @@ pub(super) fn warning(files: &Files) -> Option<String> {
         )),
         None => {
             let seen: Vec<f64> = pairs.iter().filter_map(|pair| pair[0].seen).collect();
-            let miss = mean(&seen).filter(|&miss| seen.len() >= LEAST_PAIRS && miss > UNFIT)?;
+            let miss = mean(&seen).filter(|&miss| seen.len() >= MIN_PAIRS && miss > UNFIT)?;
             Some(format!(
                 "depths and poses disagree: {from} {miss:.2} of 1, and no other convention fits \
                  better; are they of these pictures?"

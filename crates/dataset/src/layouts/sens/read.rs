@@ -16,10 +16,10 @@ const DEPTH_RAW: i32 = 0;
 const DEPTH_ZLIB: i32 = 1;
 
 /// The name of a sensor is not longer than this [bytes].
-const LONGEST_NAME: u64 = 4096;
+const MAX_NAME: u64 = 4096;
 
 /// Images are not wider or higher than this [px].
-const LARGEST_SIDE: u32 = 1 << 14;
+const MAX_SIDE: u32 = 1 << 14;
 
 /// What holds for all frames.
 pub(super) struct Header {
@@ -67,7 +67,7 @@ impl Reader {
             return Err(self.refuse(format!("version {version}, expected {VERSION}")));
         }
         let name = u64::from_le_bytes(self.take()?);
-        if name > LONGEST_NAME {
+        if name > MAX_NAME {
             return Err(self.refuse("the name of the sensor is too long: damaged?"));
         }
         self.skip(name)?;
@@ -149,7 +149,7 @@ impl Reader {
 
     fn size(&mut self) -> Result<(usize, usize), DatasetError> {
         let sides = [u32::from_le_bytes(self.take()?), u32::from_le_bytes(self.take()?)];
-        if sides.iter().any(|side| !(1..=LARGEST_SIDE).contains(side)) {
+        if sides.iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
             return Err(self.refuse(format!("images of {}x{} px: damaged?", sides[0], sides[1])));
         }
         Ok((sides[0] as usize, sides[1] as usize))

@@ -7,7 +7,7 @@ use super::check_shapes;
 use crate::EvalError;
 use convolution::Features;
 use i2slam_geometry::Image;
-use network::{Network, SMALLEST_SIDE};
+use network::{MIN_SIDE, Network};
 use std::sync::OnceLock;
 
 /// Mean and spread of the pictures that the network was made for, of values in `[-1, 1]`
@@ -35,9 +35,9 @@ pub fn lpips(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError>
         return Err(EvalError::ShapeMismatch { what: "picture and R, G, B", first, second });
     }
     let side = truth.width.min(truth.height);
-    if side < SMALLEST_SIDE {
+    if side < MIN_SIDE {
         let what = "pixels along the shorter side";
-        return Err(EvalError::TooFew { what, found: side, needed: SMALLEST_SIDE });
+        return Err(EvalError::TooFew { what, found: side, needed: MIN_SIDE });
     }
     // Rectification would turn a NaN into a number.
     if [picture, truth].iter().any(|image| image.data.iter().any(|v| !v.is_finite())) {

@@ -31,7 +31,7 @@ const COUNT: usize = {
 const _: () = assert!(WEIGHTS.len() == 2 * COUNT, "the file of weights has another size");
 
 /// Pictures need at least so many pixels a side: the second pooling needs three.
-pub(super) const SMALLEST_SIDE: usize = 31;
+pub(super) const MIN_SIDE: usize = 31;
 
 /// The network.
 pub(super) struct Network {
@@ -54,7 +54,7 @@ impl Network {
         Self { layers: layers.into(), heads: LAYERS.map(|[_, outputs, ..]| take(outputs)).into() }
     }
 
-    /// The rectified outputs of all layers for an input of at least [`SMALLEST_SIDE`].
+    /// The rectified outputs of all layers for an input of at least [`MIN_SIDE`].
     pub(super) fn features(&self, input: Features) -> Vec<Features> {
         let mut all: Vec<Features> = Vec::with_capacity(LAYERS.len());
         for (layer, pooled) in self.layers.iter().zip(POOLED) {
@@ -122,8 +122,8 @@ mod tests {
 
     #[test]
     fn the_smallest_picture_passes() {
-        let data = vec![0.5; SMALLEST_SIDE * SMALLEST_SIDE * 3];
-        let input = Features { width: SMALLEST_SIDE, height: SMALLEST_SIDE, channels: 3, data };
+        let data = vec![0.5; MIN_SIDE * MIN_SIDE * 3];
+        let input = Features { width: MIN_SIDE, height: MIN_SIDE, channels: 3, data };
         let sizes: Vec<_> =
             Network::unpack().features(input).iter().map(|f| (f.width, f.channels)).collect();
         assert_eq!(sizes, [(7, 64), (3, 192), (1, 384), (1, 256), (1, 256)]);

@@ -66,7 +66,7 @@ fn dense_depth_and_the_frames_between_are_there_too() {
         Native::find(Intrinsics::Known(camera), 14, load, &Watch::default()).expect("a path");
     let between: Vec<PosedKeyframe> =
         found.between(load).map(|frame| frame.expect("read again")).collect();
-    let mut native = found.with_dense_depth(Stop::default());
+    let mut native = found.with_dense_depth(CancellationToken::default());
     let (mut known, mut indices) = (0, Vec::new());
     while let Some(keyframe) = native.next_keyframe() {
         let keyframe = keyframe.expect("keyframes can be read again");
@@ -93,7 +93,8 @@ fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
         let of = stamped(&camera, place, place as f64 / 30.0);
         Ok(SequencePicture { colour: of.colour.resized_by_area(80, 60), ..of })
     };
-    let mut native = found.with_pictures((80, 60), reduced).with_dense_depth(Stop::default());
+    let mut native =
+        found.with_pictures((80, 60), reduced).with_dense_depth(CancellationToken::default());
     assert_eq!(*native.camera(), small);
     let (mut near, mut all) = (0, 0);
     while let Some(keyframe) = native.next_keyframe() {
@@ -122,7 +123,7 @@ fn pictures_are_read_in_their_order_and_those_of_keyframes_once_more() {
     };
     let found =
         Native::find(Intrinsics::Known(camera), 30, load, &Watch::default()).expect("a path");
-    let mut native = found.with_dense_depth(Stop::default());
+    let mut native = found.with_dense_depth(CancellationToken::default());
     assert!(places.take().into_iter().eq(0..30));
     while let Some(keyframe) = native.next_keyframe() {
         keyframe.expect("keyframes can be read again");
@@ -140,11 +141,11 @@ fn who_has_enough_gets_no_path() {
         asked.fetch_add(1, Ordering::SeqCst);
         Ok(stamped(&camera, place, place as f64 / 30.0))
     };
-    let stop = Stop::when({
+    let cancellation = CancellationToken::when({
         let asked = Arc::clone(&asked);
         move || asked.load(Ordering::SeqCst) == 12
     });
-    let watch = Watch::new(stop, |_, _, _| {});
+    let watch = Watch::new(cancellation, |_, _, _| {});
     let found = Native::find(Intrinsics::Known(camera), 30, load, &watch);
     assert!(matches!(found.err(), Some(NativeError::NoPath { failure: NativeFailure::Ended, .. })));
     assert_eq!(asked.load(Ordering::SeqCst), 12);
@@ -152,8 +153,7 @@ fn who_has_enough_gets_no_path() {
 
 #[test]
 fn of_two_landmarks_in_a_pixel_the_nearer_is_seen() {
-    let point =
-        |depth: f64| i2slam_monocular::SparseDepth { at: [2.5, 1.5], depth, variance: 1e-6 };
+    let point = |depth: f64| i2slam_odometry::SparseDepth { at: [2.5, 1.5], depth, variance: 1e-6 };
     for depths in [[1.0, 2.0], [2.0, 1.0]] {
         let keyframe = Keyframe {
             index: 0,

@@ -9,7 +9,7 @@ use i2slam_radiance::hashgrid::{
 };
 
 /// Least half edge of a cube [m].
-const LEAST_BOUND: f64 = 0.1;
+const MIN_BOUND: f64 = 0.1;
 /// A cube that is too small grows by this factor at least, so that it seldom does.
 pub(in crate::mapping) const GROWTH: f64 = 1.5;
 /// Share of the surfaces that the cube holds: single wrong depths at edges do not size it.
@@ -34,7 +34,7 @@ pub(super) fn bound(config: &HashGridConfig, camera: &Camera<f64>, depth: &Image
         return f64::from(config.bound);
     }
     let far = held_distance(camera, depth);
-    far.map_or(LEAST_BOUND, |far| (f64::from(config.margin) * far).max(LEAST_BOUND))
+    far.map_or(MIN_BOUND, |far| (f64::from(config.margin) * far).max(MIN_BOUND))
 }
 
 /// Distance from the camera [m] within which all surfaces lie but the farthest 1 %; none without
@@ -81,14 +81,14 @@ pub(super) fn share_outside(
 }
 
 /// Most rays along a side of a pixel.
-const MOST_RAYS: f32 = 8.0;
+const MAX_RAYS: f32 = 8.0;
 
 /// Rays along each side of a pixel that lie closer than the cells of edge `cell` \[m\] at the
 /// largest depth: without them the pixels of a small picture leave gaps of empty cells.
 fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32) -> usize {
     let far = depth.data.iter().fold(0.0_f32, |far, &d| far.max(d));
     let apart = far / camera.fx.min(camera.fy);
-    (apart / cell).ceil().clamp(1.0, MOST_RAYS) as usize
+    (apart / cell).ceil().clamp(1.0, MAX_RAYS) as usize
 }
 
 /// Samples from now on what the rays of a picture with depth cross `between` two depths, those of a
@@ -164,14 +164,14 @@ mod tests {
         depth.data[3] = 2.0;
         assert_eq!(rays_per_side(&camera, &depth, 0.2), 1);
         assert_eq!(rays_per_side(&camera, &depth, 0.04), 3);
-        assert_eq!(rays_per_side(&camera, &depth, 1e-6), MOST_RAYS as usize);
+        assert_eq!(rays_per_side(&camera, &depth, 1e-6), MAX_RAYS as usize);
     }
 
     #[test]
     fn a_spike_of_depth_does_not_size_the_cube() {
         let config = Config::default().hashgrid;
         let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
-        assert_eq!(bound(&config, &CAMERA, &depth), LEAST_BOUND);
+        assert_eq!(bound(&config, &CAMERA, &depth), MIN_BOUND);
         depth.data.fill(2.0);
         let plain = bound(&config, &CAMERA, &depth);
         assert!((plain - 2.0 * f64::from(config.margin)).abs() < 1e-6, "{plain}");

@@ -353,7 +353,7 @@ impl Mapper for FieldMapper {
         let steps = if first { settings.first_iterations } else { settings.iterations };
         let round = Round::begin(story.config);
         for iteration in 0..lost + steps {
-            if round.is_over(iteration, story.stop) {
+            if round.is_over(iteration, story.cancellation) {
                 break;
             }
             let window = Self::window(story, current);

@@ -169,7 +169,7 @@ impl PosedField {
         let rates = Rates { field: settings.rate, camera: camera_rate, depth_weight };
         let round = Round::begin(story.config);
         for iteration in 0..iterations {
-            if round.is_over(iteration, story.stop) {
+            if round.is_over(iteration, story.cancellation) {
                 break;
             }
             let window = window(story);
@@ -254,7 +254,7 @@ impl PosedField {
     /// Finds all keyframes anew in the field as it is, one after another; the gains of the first
     /// stay.
     fn relocate(&mut self, story: &mut Story<'_>) {
-        for keyframe in story.keyframes.iter().take_while(|_| !story.stop.is_wished()) {
+        for keyframe in story.keyframes.iter().take_while(|_| !story.cancellation.is_cancelled()) {
             let mut estimate = story.frames[keyframe.frame].clone();
             let before = keyframe.beside.frame_before(&estimate);
             let last = || keyframe.frame.checked_sub(1).map(|i| story.frames[i].clone());

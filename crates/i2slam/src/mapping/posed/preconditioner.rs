@@ -4,12 +4,12 @@ use crate::objective::ShutterGram;
 use i2slam_geometry::symmetric_eigen_of;
 
 /// Least that is added to the diagonal.
-const LEAST: f64 = 1e-8;
+const MIN_PRECONDITIONER: f64 = 1e-8;
 
 /// `P = (JᵀJ + diag(max(1e-8, r diag(JᵀJ))))^(-1/2)`, `r` being `damping`: with `ξ = P z`, every
 /// coordinate of `z` changes the picture alike, and none changes what another does.
 pub(super) fn preconditioner(gram: &ShutterGram, damping: f64) -> ShutterGram {
-    inverse_root(gram, |i| (damping * gram[i][i]).max(LEAST))
+    inverse_root(gram, |i| (damping * gram[i][i]).max(MIN_PRECONDITIONER))
 }
 
 /// The same with the damping of a coordinate never less than that of the mean translation or
@@ -21,7 +21,7 @@ pub(super) fn levelled(gram: &ShutterGram, damping: f64) -> ShutterGram {
         |kind: bool| (0..12).filter(|&i| rotates(i) == kind).map(|i| gram[i][i]).sum::<f64>() / 6.0;
     let means = [mean(false), mean(true)];
     let least = |i: usize| means[usize::from(rotates(i))];
-    inverse_root(gram, |i| (damping * gram[i][i].max(least(i))).max(LEAST))
+    inverse_root(gram, |i| (damping * gram[i][i].max(least(i))).max(MIN_PRECONDITIONER))
 }
 
 /// The inverse square root of a matrix to whose diagonal something is added.
@@ -31,7 +31,7 @@ fn inverse_root(gram: &ShutterGram, added: impl Fn(usize) -> f64) -> ShutterGram
         row[i] += added(i);
     }
     let (values, v) = symmetric_eigen_of(&damped);
-    let roots = values.map(|value| value.max(LEAST).sqrt().recip());
+    let roots = values.map(|value| value.max(MIN_PRECONDITIONER).sqrt().recip());
     std::array::from_fn(|r| {
         std::array::from_fn(|c| (0..12).map(|k| v[r][k] * roots[k] * v[c][k]).sum())
     })
@@ -41,7 +41,7 @@ fn inverse_root(gram: &ShutterGram, added: impl Fn(usize) -> f64) -> ShutterGram
 /// directions.
 pub(super) fn as_long(matrix: &ShutterGram) -> ShutterGram {
     let squares: f64 = matrix.iter().flatten().map(|v| v * v).sum();
-    let factor = (12.0 / squares.max(LEAST)).sqrt();
+    let factor = (12.0 / squares.max(MIN_PRECONDITIONER)).sqrt();
     matrix.map(|row| row.map(|v| factor * v))
 }
 
@@ -110,7 +110,7 @@ mod tests {
             (gram[i][5], gram[5][i]) = (0.0, 0.0);
         }
         let p = preconditioner(&gram, 0.1);
-        assert!((p[5][5] - LEAST.sqrt().recip()).abs() < 1e-3);
+        assert!((p[5][5] - MIN_PRECONDITIONER.sqrt().recip()).abs() < 1e-3);
         assert!(p.iter().flatten().all(|v| v.is_finite()));
     }
 }

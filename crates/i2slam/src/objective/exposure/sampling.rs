@@ -19,7 +19,7 @@ const ENOUGH: usize = 7;
 /// The margin comes in steps [px] of half a tile of the rasteriser, and ends where `auto` no longer
 /// re-projects: the border of longer streaks takes the edge of the render.
 const MARGIN_STEP: usize = 8;
-const MOST_MARGIN: usize = 32;
+const MAX_MARGIN: usize = 32;
 
 /// How the average over the exposure is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -133,7 +133,7 @@ fn reach(several: bool, length: f64, readout: f64) -> f64 {
 /// beside for interpolation.
 fn margin(reach: f64) -> usize {
     let beyond = (0.5 * 1.25 * reach).ceil() as usize + 1;
-    beyond.next_multiple_of(MARGIN_STEP).min(MOST_MARGIN)
+    beyond.next_multiple_of(MARGIN_STEP).min(MAX_MARGIN)
 }
 
 #[cfg(test)]

@@ -147,19 +147,22 @@ fn frames_that_were_not_reached_are_placed_beside_their_keyframes() {
 /// A wish to end leaves one step of every round.
 #[test]
 fn a_round_ends_early_where_that_is_wished() {
-    let mapped = |steps: usize, stop: Stop| {
+    let mapped = |steps: usize, cancellation: CancellationToken| {
         let mut config = Config::preset("default-rgb").expect("known");
         config.map.kind = MapKind::Gaussian;
         (config.mapping.first_iterations, config.mapping.iterations) = (steps, steps);
         let mut session = KeyframedSession::new(config, CAMERA, 30.0);
-        session.set_stop(stop);
+        session.set_cancellation(cancellation);
         for index in [0, 2] {
             session.process(posed(index, true)).expect("keyframes of one size");
         }
         session.reconstruction().map
     };
-    let ended = mapped(30, Stop::when(|| true));
-    assert!(ended == mapped(1, Stop::default()) && ended != mapped(30, Stop::default()));
+    let ended = mapped(30, CancellationToken::when(|| true));
+    assert!(
+        ended == mapped(1, CancellationToken::default())
+            && ended != mapped(30, CancellationToken::default())
+    );
 }
 
 /// A keyframe that looks away from all others, and shows no depth, is in the map nowhere.

@@ -5,7 +5,7 @@ use crate::config::{Config, MapKind};
 use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::mapping::PosedGaussians;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
-use i2slam_monocular::{DenseDepths, View};
+use i2slam_odometry::{DenseDepths, View};
 use std::time::Instant;
 
 /// Steps of a round that are taken to see how long one takes.

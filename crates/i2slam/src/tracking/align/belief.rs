@@ -6,7 +6,7 @@ use crate::reconstruction::Losses;
 use i2slam_compute::median;
 
 /// Share of the frame's depth that must lie on the model.
-pub(super) const LEAST_OVERLAP: f64 = 0.3;
+pub(super) const MIN_OVERLAP: f64 = 0.3;
 /// Frames that say what is usual, and how few of them say nothing.
 const RECENT: usize = 20;
 const FEW: usize = 5;
@@ -25,7 +25,7 @@ impl Frame<'_> {
             false => self.times_usual(&found, |losses| losses.depth),
         };
         let strangeness = self.times_usual(&found, |losses| losses.image) * by_depth;
-        end.sums.overlap() >= LEAST_OVERLAP && strangeness < STRANGE
+        end.sums.overlap() >= MIN_OVERLAP && strangeness < STRANGE
     }
 
     /// A loss over its median in the last frames that were aligned, which the first was not.

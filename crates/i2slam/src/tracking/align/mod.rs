@@ -22,7 +22,7 @@ use super::adam::{State, extrapolate};
 use super::{Motion, TrackingContext, TrackingResult};
 use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
 use crate::reconstruction::{Convergence, Losses};
-use belief::LEAST_OVERLAP;
+use belief::MIN_OVERLAP;
 use descent::Outcome;
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
@@ -35,9 +35,9 @@ use residual::Sums;
 /// Share of the overlap that a better start must keep: what sees nothing has no loss.
 const KEPT_OVERLAP: f64 = 0.9;
 /// Frame intervals after which the motion since the last frame no longer tells the velocity.
-const LONGEST_INTERVAL: f64 = 3.5;
+const MAX_INTERVAL: f64 = 3.5;
 /// Share of the picture that must have depth: a pose from one small patch slides along it.
-const LEAST_DEPTH: f64 = 0.05;
+const MIN_DEPTH: f64 = 0.05;
 /// Weight of the trajectory prior against single residuals: neighbouring pixels are not
 /// independent, and a map that is still soft would otherwise be read as a still camera.
 const PRIOR_WEIGHT: f64 = 200.0;
@@ -85,7 +85,7 @@ pub(super) fn align<M: SceneMap>(
         frame.result(state, sums, Convergence::default(), false)
     };
     let pixels = observation.depth.pixels() as f64;
-    if (observation.valid_depths() as f64) < LEAST_DEPTH * pixels {
+    if (observation.valid_depths() as f64) < MIN_DEPTH * pixels {
         return lost(&Sums::default());
     }
     let first = frame.settle(objective, map, state);
@@ -133,7 +133,7 @@ impl Frame<'_> {
         start: State,
     ) -> Outcome {
         let end = self.descend(objective, map, start);
-        if self.motion_is_known() || end.sums.overlap() < LEAST_OVERLAP {
+        if self.motion_is_known() || end.sums.overlap() < MIN_OVERLAP {
             return end;
         }
         let Some(streak) = self.with_streak(objective, map, &end.state) else { return end };
@@ -160,7 +160,7 @@ impl Frame<'_> {
     /// Whether the motion since the last frame was measured at both ends, and so soon after it that
     /// it tells the velocity.
     fn motion_is_known(&self) -> bool {
-        let is_soon = self.context.interval_share() * LONGEST_INTERVAL >= 1.0;
+        let is_soon = self.context.interval_share() * MAX_INTERVAL >= 1.0;
         is_soon && self.context.previous.is_some_and(|p| p.tracked)
     }
 

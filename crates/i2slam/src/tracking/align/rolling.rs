@@ -29,7 +29,7 @@ const BEND: f64 = 0.5;
 /// exposure time only roughly. Blur of less than a pixel tells nothing at all.
 const HOLD: f64 = 0.5;
 /// Open share of the frame interval under which a readout that is looked for is no less sure.
-const LEAST_SHARE: f64 = 0.2;
+const MIN_SHARE: f64 = 0.2;
 /// Least standard deviation of it [exposures].
 const HOLD_FLOOR: f64 = 0.05;
 /// Uncertainty of the measured motion during a frame interval [px].
@@ -38,7 +38,7 @@ const UNSURE: f64 = 1.0;
 const PAST: usize = 9;
 /// Motion unlike that of the frames before from which a frame says something about the readout
 /// [px].
-const LEAST_MOTION: f64 = 2.0;
+const MIN_MOTION: f64 = 2.0;
 
 /// A Gaussian prior on readout and velocity together.
 pub(super) struct ReadoutPrior {
@@ -113,7 +113,7 @@ impl Frame<'_> {
         let spread = SHARE * share.abs() + readout.deviation(interval) / interval;
         let known = self.motion_is_known() && length > 0.0;
         let usual = 1.0 / self.context.frame_rate;
-        let open_share = self.open_share(state).max(LEAST_SHARE);
+        let open_share = self.open_share(state).max(MIN_SHARE);
         let unsure = readout.deviation(usual) / (usual * open_share);
         Some(ReadoutPrior {
             pixels: self.pixels,
@@ -149,7 +149,7 @@ impl Frame<'_> {
             std::array::from_fn(|i| state.readout * velocity[i] * self.pixels[i] - share * past[i]);
         let dot: f64 = rows.iter().zip(&apart).map(|(r, a)| r * a).sum();
         let length = norm(&apart);
-        let known = prior.weight > 0.0 && length > LEAST_MOTION;
+        let known = prior.weight > 0.0 && length > MIN_MOTION;
         known.then(|| MeasuredReadout {
             seconds: dot / (length * length) * usual,
             deviation: (UNSURE + BEND * self.bend(state)) / length * usual,

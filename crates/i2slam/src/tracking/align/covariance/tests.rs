@@ -8,7 +8,7 @@ use super::*;
 use crate::config::Config;
 use crate::objective::Observation;
 use crate::tracking::{SequenceReadout, TrackingContext};
-use i2slam_compute::{Random, Stop};
+use i2slam_compute::{CancellationToken, Random};
 use i2slam_formation::{CentreVelocity, FrameTone, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 
@@ -72,7 +72,7 @@ fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCo
         before_previous: None,
         expected: None,
         keyframe: None,
-        stop: &Stop::default(),
+        cancellation: &CancellationToken::default(),
     };
     let frame = Frame {
         context: &context,

@@ -6,7 +6,7 @@ use crate::export::tests::example;
 use crate::objective::Observation;
 use crate::tracking::{SequenceReadout, TrackingContext};
 use i2slam_check::{assert_gradient, noise};
-use i2slam_compute::Stop;
+use i2slam_compute::CancellationToken;
 use i2slam_formation::{FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
 
@@ -70,7 +70,7 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
         before_previous: estimates.len().checked_sub(2).map(|i| &estimates[i]),
         expected: None,
         keyframe: None,
-        stop: &Stop::default(),
+        cancellation: &CancellationToken::default(),
     };
     let frame = Frame {
         context: &context,

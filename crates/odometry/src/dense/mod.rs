@@ -1,0 +1,180 @@
+//! Depth with its variance for most pixels of keyframes whose poses are known.
+//!
+//! A keyframe is compared with a few others at a row of inverse depths, by windows' zero-mean
+//! normalised correlation, which neither exposure nor a smooth response changes. Costs are
+//! aggregated along straight paths, and refined twice around what was found, which bends windows
+//! along surfaces. What the estimates of other keyframes contradict is given up, and beside edges
+//! depth is doubtful.
+
+mod aggregate;
+mod consistency;
+mod correlation;
+mod edges;
+mod estimate;
+mod neighbours;
+mod sweep;
+
+use crate::pyramid::Pyramid;
+use consistency::agreed;
+use edges::doubt_beside_edges;
+use estimate::{Estimate, HALF_WINDOWS, estimate};
+use i2slam_compute::CancellationToken;
+use i2slam_geometry::{Camera, Image, Pose};
+use std::collections::BTreeMap;
+
+/// Keyframes before and after one, in their order, that it may be matched with.
+const REACH: usize = 8;
+/// Keyframes that one is matched with, and that its estimate is compared with.
+const MATCHED: usize = 5;
+/// How far beyond the landmarks' inverse depths surfaces are looked for, as a share.
+const BEYOND: f64 = 0.5;
+/// Share of landmarks that may lie outside on either side.
+const OUTSIDE: f64 = 0.01;
+/// An inverse depth is known if its standard deviation is at most this share of it.
+const KNOWN: f32 = 0.1;
+
+/// Depth along the optical axis, 0 where it is not known, with its variance; in the unit of the
+/// poses and that squared.
+#[derive(Clone, Debug)]
+pub struct DenseDepth {
+    /// Depth.
+    pub depth: Image<f32>,
+    /// Its variance; 0 where the depth is not known.
+    pub variance: Image<f32>,
+}
+
+/// A keyframe whose depth is looked for.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Pose at mid-exposure.
+    pub world_from_camera: Pose<f64>,
+    /// Depths of landmarks in it.
+    pub landmarks: Vec<f64>,
+}
+
+/// Finds the dense depth of keyframes one after another; only those near the one that is asked for
+/// are held in memory.
+#[derive(Clone, Debug)]
+pub struct DenseDepths {
+    camera: Camera<f64>,
+    views: Vec<View>,
+    pictures: BTreeMap<usize, Option<Pyramid>>,
+    estimates: BTreeMap<usize, Estimate>,
+    cancellation: CancellationToken,
+}
+
+impl DenseDepths {
+    /// For keyframes of one camera, in the order in which they were taken.
+    pub fn new(camera: Camera<f64>, views: Vec<View>) -> Self {
+        let (pictures, estimates) = (BTreeMap::new(), BTreeMap::new());
+        Self { camera, views, pictures, estimates, cancellation: CancellationToken::default() }
+    }
+
+    /// The same, which finds nothing any more once `cancellation` is cancelled.
+    #[must_use]
+    pub fn until(self, cancellation: CancellationToken) -> Self {
+        Self { cancellation, ..self }
+    }
+
+    /// The depth of keyframe `index`. `load` gives the picture of a keyframe (planes R, G, B or one
+    /// of brightness), or `None`, and is asked once for each while indices rise.
+    pub fn of(
+        &mut self,
+        index: usize,
+        load: &mut dyn FnMut(usize) -> Option<Image<f32>>,
+    ) -> Option<DenseDepth> {
+        if index >= self.views.len() {
+            return None;
+        }
+        let others = self.chosen(index);
+        self.estimate(index, load)?;
+        for other in &others {
+            self.estimate(*other, load);
+        }
+        if self.cancellation.is_cancelled() {
+            return None;
+        }
+        let own = self.estimates.get(&index)?;
+        let inverse = |i: usize| self.views[i].world_from_camera.inverse();
+        let pose = self.views[index].world_from_camera;
+        let known: Vec<(&Estimate, Pose<f64>)> = others
+            .iter()
+            .filter_map(|i| Some((self.estimates.get(i)?, inverse(*i) * pose)))
+            .collect();
+        let kept = agreed(&self.camera, own, &known);
+        let oldest = index.saturating_sub(REACH);
+        self.estimates.retain(|i, _| *i >= oldest);
+        self.pictures.retain(|i, _| *i + REACH >= oldest);
+        let mut found = in_depth(&kept);
+        doubt_beside_edges(&mut found, HALF_WINDOWS[0]);
+        Some(found)
+    }
+
+    /// The keyframes that serve one best.
+    fn chosen(&self, index: usize) -> Vec<usize> {
+        let Some(depth) = self.median_depth(index) else { return Vec::new() };
+        let last = (index + REACH + 1).min(self.views.len());
+        let near = index.saturating_sub(REACH)..last;
+        let others: Vec<(usize, Pose<f64>)> =
+            near.filter(|i| *i != index).map(|i| (i, self.views[i].world_from_camera)).collect();
+        let pose = self.views[index].world_from_camera;
+        neighbours::choose(&self.camera, pose, &others, depth, MATCHED)
+    }
+
+    fn median_depth(&self, index: usize) -> Option<f64> {
+        i2slam_compute::median(&mut self.views.get(index)?.landmarks.clone()).filter(|d| *d > 0.0)
+    }
+
+    /// Bounds of the inverse depth, from the landmarks.
+    fn bounds(&self, index: usize) -> Option<[f64; 2]> {
+        let mut all: Vec<f64> =
+            self.views[index].landmarks.iter().filter(|d| **d > 0.0).map(|d| 1.0 / d).collect();
+        all.sort_by(f64::total_cmp);
+        let outside = (OUTSIDE * all.len() as f64) as usize;
+        let (least, most) = (all.get(outside)?, all.get(all.len() - 1 - outside)?);
+        Some([least / (1.0 + BEYOND), most * (1.0 + BEYOND)])
+    }
+
+    /// Makes the estimate of one keyframe alone, once.
+    fn estimate(
+        &mut self,
+        index: usize,
+        load: &mut dyn FnMut(usize) -> Option<Image<f32>>,
+    ) -> Option<()> {
+        if self.estimates.contains_key(&index) {
+            return Some(());
+        }
+        let (chosen, bounds) = (self.chosen(index), self.bounds(index)?);
+        for i in chosen.iter().chain([&index]) {
+            self.pictures.entry(*i).or_insert_with(|| load(*i).as_ref().map(Pyramid::new));
+        }
+        let picture = |i: usize| self.pictures.get(&i).and_then(Option::as_ref);
+        let pose = self.views[index].world_from_camera;
+        let others: Vec<(&Pyramid, Pose<f64>)> = chosen
+            .iter()
+            .filter_map(|i| Some((picture(*i)?, self.views[*i].world_from_camera.inverse() * pose)))
+            .collect();
+        if others.is_empty() {
+            return None;
+        }
+        let found = estimate(&self.camera, picture(index)?, &others, bounds, &self.cancellation)?;
+        self.estimates.insert(index, found);
+        Some(())
+    }
+}
+
+/// Depth and its variance, `dz = z² dρ`.
+fn in_depth(estimate: &Estimate) -> DenseDepth {
+    let (width, height) = (estimate.inverse_depth.width, estimate.inverse_depth.height);
+    let mut out =
+        DenseDepth { depth: Image::new(width, height, 1), variance: Image::new(width, height, 1) };
+    for (pixel, rho) in estimate.inverse_depth.data.iter().enumerate() {
+        let variance = estimate.variance.data[pixel];
+        if *rho > 0.0 && variance.sqrt() <= KNOWN * rho {
+            let z = 1.0 / rho;
+            out.depth.data[pixel] = z;
+            out.variance.data[pixel] = variance * z.powi(4);
+        }
+    }
+    out
+}

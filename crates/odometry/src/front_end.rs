@@ -1,0 +1,262 @@
+//! Pictures in, camera path out.
+
+use crate::closure::{close_loops, join_neighbours};
+use crate::determined::give_up_doubtful_lens;
+use crate::failure::{Failure, PictureError};
+use crate::focal::find_focal;
+use crate::grow::{adjust_all, grow, pose_rest, refine};
+use crate::relocalise::{Tried, relocalise};
+use crate::result::{FrameReport, Reconstruction, assemble};
+use crate::rolling::{correct_rolling_shutter, interval};
+use crate::scene::Scene;
+use crate::start::{start, start_within};
+use crate::straighten::straighten;
+use crate::tracker::Tracker;
+use crate::watch::Watch;
+use i2slam_geometry::{Camera, Image};
+
+/// Pictures without which nothing is tried.
+pub const MIN_FRAMES: usize = 4;
+/// What changes by less than this share is settled; all is adjusted so often at most.
+const SETTLED: f64 = 1e-3;
+const MAX_ROUNDS: usize = 5;
+/// Least side of a picture [px].
+pub const MIN_SIDE: usize = 48;
+
+/// What is known of the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Intrinsics {
+    /// Calibrated: stays as it is.
+    Known(Camera<f64>),
+    /// A guess; the focal length is looked for, the principal point stays.
+    Guess(Camera<f64>),
+    /// The same, and the pictures are bent by a lens whose radial distortion is looked for.
+    GuessWithDistortion(Camera<f64>),
+}
+
+impl Intrinsics {
+    /// The guess for a picture of which nothing is known: a field of view of 60 degrees across the
+    /// longer side.
+    pub fn unknown(width: usize, height: usize) -> Self {
+        let f = 0.5 * width.max(height) as f64 / 30_f64.to_radians().tan();
+        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+        Self::Guess(Camera { width, height, fx: f, fy: f, cx, cy })
+    }
+
+    /// The same guess for pictures that a lens has bent: its radial distortion is looked for.
+    pub fn unknown_with_distortion(width: usize, height: usize) -> Self {
+        Self::GuessWithDistortion(*Self::unknown(width, height).camera())
+    }
+
+    /// The camera as given.
+    pub fn camera(&self) -> &Camera<f64> {
+        match self {
+            Self::Known(camera) | Self::Guess(camera) | Self::GuessWithDistortion(camera) => camera,
+        }
+    }
+}
+
+/// A monocular front end: [`push`](Self::push) every picture in order, then
+/// [`finish`](Self::finish).
+#[derive(Clone, Debug)]
+pub struct FrontEnd {
+    intrinsics: Intrinsics,
+    tracker: Tracker,
+    timestamps: Vec<f64>,
+    closes_loops: bool,
+}
+
+impl FrontEnd {
+    /// A front end for pictures of one pinhole camera.
+    pub fn new(intrinsics: Intrinsics) -> Self {
+        let (tracker, timestamps) = (Tracker::default(), Vec::new());
+        Self { intrinsics, tracker, timestamps, closes_loops: true }
+    }
+
+    /// The same, without looking for places that are seen again after their points were lost.
+    pub fn without_closing_loops(self) -> Self {
+        Self { closes_loops: false, ..self }
+    }
+
+    /// Follows points into the next picture: planes R, G, B in [0, 1], or one plane of
+    /// brightness; stamp [s].
+    ///
+    /// # Errors
+    ///
+    /// A picture that does not fit is refused and counts as if it had not come.
+    pub fn push(
+        &mut self,
+        picture: &Image<f32>,
+        timestamp: f64,
+    ) -> Result<FrameReport, PictureError> {
+        let camera = self.intrinsics.camera();
+        let (width, height) = (picture.width, picture.height);
+        if (width, height) != (camera.width, camera.height) {
+            let (expected_width, expected_height) = (camera.width, camera.height);
+            return Err(PictureError::Size { width, height, expected_width, expected_height });
+        }
+        if width.min(height) < MIN_SIDE {
+            return Err(PictureError::TooSmall { width, height, least: MIN_SIDE });
+        }
+        let (channels, values) = (picture.channels, picture.data.len());
+        if !matches!(channels, 1 | 3) || values != width * height * channels {
+            return Err(PictureError::Planes { channels, values });
+        }
+        let last = self.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
+        if !timestamp.is_finite() || timestamp <= last {
+            return Err(PictureError::Stamp { timestamp, last });
+        }
+        self.timestamps.push(timestamp);
+        Ok(FrameReport::of(self.tracker.follow(picture)))
+    }
+
+    /// Finds the path of the camera.
+    ///
+    /// # Errors
+    ///
+    /// Why there is none.
+    pub fn finish(self) -> Result<Reconstruction, Failure> {
+        self.finish_watched(Watch::default())
+    }
+
+    /// The same while somebody watches.
+    ///
+    /// # Errors
+    ///
+    /// Why there is none; [`Failure::Ended`] where `watch` ended it.
+    pub fn finish_watched(self, watch: Watch) -> Result<Reconstruction, Failure> {
+        let frames = self.timestamps.len();
+        if frames < MIN_FRAMES {
+            return Err(Failure::TooFewFrames { frames, needed: MIN_FRAMES });
+        }
+        let tracks = self.tracker.finish().with_two_keyframes();
+        let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
+        let mut scene = Scene::new(*self.intrinsics.camera(), tracks);
+        scene.watch = watch.clone();
+        scene.finds_lens = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
+        let found = find_path(&mut scene, adjust_focal, &self.timestamps);
+        // What was left half done may look like any other failure.
+        if watch.ends() {
+            return Err(Failure::Ended);
+        }
+        found?;
+        let was_straightened = scene.readout != 0.0;
+        correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
+        if scene.readout != 0.0 || was_straightened {
+            refine(&mut scene, adjust_focal);
+        }
+        if scene.readout != 0.0 {
+            correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
+            refine(&mut scene, adjust_focal);
+        }
+        if self.closes_loops {
+            close_loops(&mut scene, adjust_focal);
+        }
+        settle(&mut scene, adjust_focal);
+        let lens_is_doubtful = give_up_doubtful_lens(&mut scene);
+        if watch.ends() {
+            return Err(Failure::Ended);
+        }
+        let readout = scene.readout * interval(&self.timestamps).unwrap_or(0.0);
+        let found = (readout, lens_is_doubtful);
+        Ok(assemble(scene, &self.timestamps, &self.intrinsics, found))
+    }
+}
+
+/// Camera, poses and landmarks, of rows as they seem to have been read.
+fn find_path(scene: &mut Scene, adjust_focal: bool, timestamps: &[f64]) -> Result<(), Failure> {
+    if !scene.finds_lens {
+        scene.readout = straighten(&mut scene.tracks, &scene.camera, timestamps, &scene.watch);
+    }
+    if adjust_focal {
+        find_focal(scene)?;
+    }
+    map(scene, adjust_focal)
+}
+
+/// Adjusts everything until cost and focal length stay where they are: a path that bends as a whole
+/// hardly changes what is seen, and neither does a focal length beside rows that were read in turn.
+fn settle(scene: &mut Scene, adjust_focal: bool) {
+    let mut before = (f64::INFINITY, scene.camera.fx);
+    for _ in 0..MAX_ROUNDS {
+        if scene.watch.ends() {
+            return;
+        }
+        let now = (refine(scene, adjust_focal), scene.camera.fx);
+        let changes = [now.0 / before.0, now.1 / before.1].map(|ratio| ratio.ln().abs());
+        if changes.iter().all(|change| *change < SETTLED) {
+            break;
+        }
+        before = now;
+    }
+}
+
+/// Poses and landmarks from tracks alone.
+fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), Failure> {
+    start(scene)?;
+    let mut was_lost = spread(scene, adjust_focal);
+    if let Some((other, other_was_lost)) = larger_part(scene, adjust_focal) {
+        (*scene, was_lost) = (other, other_was_lost);
+    }
+    adjust_all(scene, adjust_focal);
+    pose_rest(scene);
+    refine(scene, adjust_focal);
+    if was_lost {
+        join_neighbours(scene, adjust_focal);
+    }
+    Ok(())
+}
+
+/// Poses all keyframes that can be reached or recognised; returns whether some had been lost.
+fn spread(scene: &mut Scene, adjust_focal: bool) -> bool {
+    let (mut tried, mut was_lost) = (Tried::default(), false);
+    loop {
+        grow(scene, adjust_focal, usize::MAX);
+        if relocalise(scene, &mut tried).is_empty() {
+            return was_lost;
+        }
+        was_lost = true;
+        scene.add_landmarks();
+    }
+}
+
+/// The scene from another start, where keyframes in a row that were not reached stand for more
+/// frames than those that were, if more are reached from there; and whether some had been lost.
+fn larger_part(scene: &Scene, adjust_focal: bool) -> Option<(Scene, bool)> {
+    let is_posed = |place: usize| scene.poses[scene.tracks.keyframes[place]].is_some();
+    let places: Vec<usize> = (0..scene.tracks.keyframes.len()).collect();
+    let runs = places.chunk_by(|a, b| is_posed(*a) == is_posed(*b)).filter(|r| !is_posed(r[0]));
+    let length = |run: &[usize]| run.iter().map(|place| stands_for(scene, *place)).sum::<usize>();
+    let reached = reached(scene);
+    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > reached)?;
+    let mut other = scene.clone();
+    other.forget();
+    start_within(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
+    let was_lost = spread(&mut other, adjust_focal);
+    (self::reached(&other) > reached).then_some((other, was_lost))
+}
+
+/// Number of frames from a keyframe, given by its place among them, to the next one.
+fn stands_for(scene: &Scene, place: usize) -> usize {
+    let keyframes = &scene.tracks.keyframes;
+    keyframes.get(place + 1).copied().unwrap_or(scene.poses.len()) - keyframes[place]
+}
+
+/// Number of frames that keyframes with a pose stand for.
+fn reached(scene: &Scene) -> usize {
+    let keyframes = scene.tracks.keyframes.iter().enumerate();
+    let posed = keyframes.filter(|(_, frame)| scene.poses[**frame].is_some());
+    posed.map(|(place, _)| stands_for(scene, place)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_camera_stays_the_same_turned_upright() {
+        let focal = |width, height| Intrinsics::unknown(width, height).camera().fx;
+        assert_eq!(focal(640, 480), focal(480, 640));
+        assert!((focal(320, 240) - 277.128).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,355 @@
+//! What the front end delivers.
+
+use crate::determined::released;
+use crate::front_end::Intrinsics;
+use crate::lens::usual_coefficients;
+use crate::scene::Scene;
+use crate::tracker::Followed;
+use crate::tracks::Observation;
+use crate::warning::Warning;
+use i2slam_compute::median;
+use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
+
+/// Frames in a row without poses that are named, and points in them that make a place.
+const MIN_PART: usize = 4;
+const MIN_FOLLOWED: usize = 40;
+/// Deviation of an inverse depth up to which a point nearer than usual is believed, as a share of
+/// the usual inverse depth.
+const TRUSTED: f64 = 0.3;
+
+/// What is known of a picture as soon as it came.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameReport {
+    /// Points followed into it.
+    pub points: usize,
+    /// Their median motion since the last picture [px].
+    pub motion: f64,
+    /// The picture shows another scene than the one before.
+    pub is_cut: bool,
+    /// The picture became a keyframe.
+    pub is_keyframe: bool,
+}
+
+impl FrameReport {
+    pub(crate) fn of(followed: Followed) -> Self {
+        Self {
+            points: followed.points,
+            motion: f64::from(followed.motion),
+            is_cut: followed.is_cut,
+            is_keyframe: followed.is_keyframe,
+        }
+    }
+}
+
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FrameStatus {
+    /// Its pose was found.
+    Posed {
+        /// `world_from_camera` at mid-exposure.
+        world_from_camera: Pose<f64>,
+        /// Landmarks that agree on it.
+        landmarks: usize,
+    },
+    /// It shows too little of what the other frames show.
+    Lost,
+}
+
+/// A point of the scene that a keyframe shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SparseDepth {
+    /// Image position in the keyframe as the pinhole camera would show it, all rows exposed with
+    /// the middle one [px].
+    pub at: [f64; 2],
+    /// Depth along the optical axis, in the unit of the poses.
+    pub depth: f64,
+    /// Its variance, in that unit squared, poses taken as exact.
+    pub variance: f64,
+}
+
+/// A keyframe with what is known of its depth.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// Place of the frame in the sequence of accepted pictures.
+    pub index: usize,
+    /// Stamp [s].
+    pub timestamp: f64,
+    /// Pose at mid-exposure.
+    pub world_from_camera: Pose<f64>,
+    /// Landmarks in it, in no particular order.
+    pub depths: Vec<SparseDepth>,
+}
+
+/// A camera path with sparse structure. The unit of length is the median depth of all landmarks in
+/// keyframes, since pictures alone do not tell metres.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    /// The pinhole camera: as given, or with the focal length found.
+    pub camera: Camera<f64>,
+    /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for, zero where it was not
+    /// found: a point that the pinhole camera sees at `c + f x` is shown at `c + f x (1 + k1 ‖x‖² +
+    /// k2 ‖x‖⁴)`.
+    pub distortion: Option<[f64; 2]>,
+    /// Relative standard deviation of the focal length, where it was looked for and is determined.
+    pub focal_deviation: Option<f64>,
+    /// Time from the first to the last row [s], positive if the top row comes first; 0 where all
+    /// rows fit one moment. Poses are of the middle row.
+    pub rolling_shutter_readout: f64,
+    /// One entry per picture that was accepted.
+    pub frames: Vec<FrameStatus>,
+    /// Stamps of all frames [s].
+    pub timestamps: Vec<f64>,
+    /// Keyframes that have a pose, in order.
+    pub keyframes: Vec<Keyframe>,
+    /// Degradations that a user should know of.
+    pub warnings: Vec<Warning>,
+}
+
+impl Reconstruction {
+    /// The same as pictures of another size show it: camera, image positions and warnings.
+    #[must_use]
+    pub fn resized(mut self, width: usize, height: usize) -> Self {
+        let scale =
+            [width as f64 / self.camera.width as f64, height as f64 / self.camera.height as f64];
+        self.camera = self.camera.resized(width, height);
+        let points = self.keyframes.iter_mut().flat_map(|k| &mut k.depths);
+        points.for_each(|point| (0..2).for_each(|i| point.at[i] *= scale[i]));
+        self.warnings.iter_mut().for_each(|warning| *warning = warning.resized(width));
+        self
+    }
+
+    /// Poses of all frames that have one.
+    pub fn trajectory(&self) -> Trajectory {
+        let stamped = self.frames.iter().zip(&self.timestamps);
+        stamped
+            .filter_map(|(status, timestamp)| match status {
+                FrameStatus::Posed { world_from_camera, .. } => Some(StampedPose {
+                    timestamp: *timestamp,
+                    world_from_camera: *world_from_camera,
+                }),
+                FrameStatus::Lost => None,
+            })
+            .collect()
+    }
+}
+
+/// Puts the parts together. The first posed frame becomes the world, and the median depth of all
+/// landmarks in keyframes the unit of length.
+pub(crate) fn assemble(
+    scene: Scene,
+    timestamps: &[f64],
+    intrinsics: &Intrinsics,
+    (readout, lens_is_doubtful): (f64, bool),
+) -> Reconstruction {
+    let posed = scene.posed();
+    let world = posed.first().and_then(|f| scene.poses[*f]).unwrap_or_else(Pose::identity);
+    let inverse = world.inverse();
+    let mut keyframes = keyframes(&scene, timestamps);
+    let mut depths: Vec<f64> =
+        keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
+    let unit = median(&mut depths).filter(|m| *m > 0.0).map_or(1.0, f64::recip);
+    let placed = |pose: Pose<f64>| {
+        let pose = inverse * pose;
+        Pose::new(pose.rotation, pose.translation * unit)
+    };
+    for keyframe in &mut keyframes {
+        keyframe.world_from_camera = placed(keyframe.world_from_camera);
+        for d in &mut keyframe.depths {
+            (d.depth, d.variance) = (d.depth * unit, d.variance * unit * unit);
+        }
+    }
+    let frames: Vec<FrameStatus> = (0..scene.poses.len())
+        .map(|frame| match scene.poses[frame] {
+            Some(pose) => FrameStatus::Posed {
+                world_from_camera: placed(pose),
+                landmarks: scene.agreeing(frame),
+            },
+            None => FrameStatus::Lost,
+        })
+        .collect();
+    let mut warnings = Vec::new();
+    let lost = frames.len() - posed.len();
+    if lost > 0 {
+        warnings.push(Warning::FramesLost { lost, frames: frames.len() });
+        warnings.extend(lost_parts(&scene));
+    }
+    let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
+    if focal_deviation.is_some() && readout != 0.0 {
+        warnings.push(Warning::RowsAndFocalLength);
+    }
+    let distortion = match lens_is_doubtful {
+        true => Some([0.0; 2]),
+        false => scene.finds_lens.then(|| usual_coefficients(&scene.camera, scene.lens)),
+    };
+    warnings.extend(lens_is_doubtful.then_some(Warning::LensUndetermined));
+    Reconstruction {
+        camera: scene.camera,
+        distortion,
+        focal_deviation,
+        rolling_shutter_readout: readout,
+        frames,
+        timestamps: timestamps.to_vec(),
+        keyframes,
+        warnings,
+    }
+}
+
+/// What is the matter with frames in a row that have no pose.
+fn lost_parts(scene: &Scene) -> Vec<Warning> {
+    let is_lost: Vec<bool> = scene.poses.iter().map(Option::is_none).collect();
+    let mut out = Vec::new();
+    let mut begin = 0;
+    for run in is_lost.chunk_by(|a, b| a == b) {
+        let (first, last) = (begin, begin + run.len() - 1);
+        begin += run.len();
+        if run[0] && run.len() >= MIN_PART {
+            let followed = scene.followed_within(first, last) >= MIN_FOLLOWED;
+            out.push(match followed {
+                true => Warning::AnotherPlace { first, last },
+                false => Warning::NothingToFollow { first, last },
+            });
+        }
+    }
+    out
+}
+
+/// A focal length that was given is let go once, to see whether another one fits.
+fn focal_deviation(
+    scene: &Scene,
+    intrinsics: &Intrinsics,
+    warnings: &mut Vec<Warning>,
+) -> Option<f64> {
+    let (freed, covariance) = released(scene);
+    let is_known = matches!(intrinsics, Intrinsics::Known(_));
+    let Some(covariance) = covariance else {
+        let undetermined = Warning::FocalLengthUndetermined {
+            focal_length: scene.camera.fx,
+            width: scene.camera.width,
+        };
+        warnings.extend((!is_known).then_some(undetermined));
+        return None;
+    };
+    let relative = covariance[0][0].sqrt();
+    if is_known {
+        let (given, fitting) = (scene.camera.fx, freed.camera.fx);
+        let off = (fitting / given).ln().abs();
+        if off > 0.05 && off > 3.0 * relative {
+            warnings.push(Warning::FocalLengthDoubtful {
+                given,
+                fitting,
+                width: scene.camera.width,
+            });
+        }
+        return None;
+    }
+    if relative > 0.03 {
+        warnings.push(Warning::FocalLengthVague { percent: 100.0 * relative });
+    }
+    Some(relative)
+}
+
+fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
+    let (mut bundle, _, tracks) = scene.bundle(&scene.posed(), false);
+    // Poses stay, and take no room among the unknowns.
+    bundle.fixed.fill(true);
+    let noise = scene.residual_scale().unwrap_or(1.0);
+    let mut variances = vec![None; scene.landmarks.len()];
+    for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
+        variances[*track] = variance;
+    }
+    let keyframe = |index: usize| {
+        let pose = scene.poses[index]?;
+        let depth = |(track, observation): (usize, &Observation)| {
+            let (landmark, variance) = (scene.landmarks[track]?, variances[track]?);
+            if observation.is_wrong {
+                return None;
+            }
+            let in_camera = pose.inverse() * landmark.position();
+            let usable = landmark.values[2] > 1e-4 && in_camera.z > 0.0;
+            let slope = landmark.depth_slope(&pose);
+            let variance = variance * (noise * slope).powi(2);
+            usable.then_some(SparseDepth { at: observation.at, depth: in_camera.z, variance })
+        };
+        let depths = believable(scene.shown(index).filter_map(depth).collect());
+        let timestamp = timestamps[index];
+        Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
+    };
+    scene.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
+}
+
+/// The landmarks of a keyframe without those that are near by chance. While a camera hardly moves, a
+/// point that was followed a pixel astray fits best right before the lens, where its depth has a
+/// small deviation: `σ_z = z² σ_ρ` for inverse depth ρ. Whether sights measure depth at all, `σ_ρ`
+/// tells: it has to be small beside the usual ρ.
+fn believable(mut depths: Vec<SparseDepth>) -> Vec<SparseDepth> {
+    let usual = usual_inverse_depth(&depths);
+    depths.retain(|d| {
+        let (inverse, deviation) = inverse_depth(d);
+        inverse <= usual || deviation <= TRUSTED * usual
+    });
+    depths
+}
+
+/// Inverse depth and its standard deviation.
+fn inverse_depth(of: &SparseDepth) -> (f64, f64) {
+    (1.0 / of.depth, of.variance.sqrt() / of.depth.powi(2))
+}
+
+/// The median inverse depth, each counting by its certainty `1 / σ`, so that few points that are
+/// measured well outweigh many that are not; 0 without any.
+fn usual_inverse_depth(depths: &[SparseDepth]) -> f64 {
+    let mut weighed: Vec<(f64, f64)> = depths
+        .iter()
+        .map(inverse_depth)
+        .map(|(inverse, deviation)| (inverse, 1.0 / deviation.max(f64::MIN_POSITIVE)))
+        .collect();
+    weighed.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut left = 0.5 * weighed.iter().map(|(_, weight)| weight).sum::<f64>();
+    for &(inverse, weight) in &weighed {
+        left -= weight;
+        if left <= 0.0 {
+            return inverse;
+        }
+    }
+    0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tracks::Tracks;
+
+    /// Even where most points of a keyframe lie before the lens, those that were measured decide;
+    /// one that is as near and was measured well stays.
+    #[test]
+    fn points_right_before_the_lens_are_left_out() {
+        let point = |(depth, share): (f64, f64)| SparseDepth {
+            at: [1.0, 2.0],
+            depth,
+            variance: (share * depth).powi(2),
+        };
+        let astray = [0.004, 0.006, 0.01, 0.005, 0.012, 0.3].map(|depth| (depth, 0.15));
+        let measured = [(3.0, 0.02), (1.8, 0.01), (2.0, 0.02), (0.05, 0.002), (40.0, 0.5)];
+        let all: Vec<SparseDepth> = astray.into_iter().chain(measured).map(point).collect();
+        let kept = believable(all);
+        assert!(kept.iter().map(|d| d.depth).eq([3.0, 1.8, 2.0, 0.05, 40.0]), "{kept:?}");
+        assert_eq!(believable(Vec::new()), []);
+    }
+
+    /// A scene that says nothing of the camera: that is told where the camera was looked for.
+    #[test]
+    fn a_focal_length_that_nothing_determines_is_said_to_be_a_guess() {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let tracks = Tracks { keyframes: vec![0, 1], frames: 2, ..Tracks::default() };
+        let mut scene = Scene::new(camera, tracks);
+        scene.poses = vec![Some(Pose::identity()); 2];
+        let warned = |intrinsics: Intrinsics| {
+            let mut warnings = Vec::new();
+            assert_eq!(focal_deviation(&scene, &intrinsics, &mut warnings), None);
+            warnings
+        };
+        assert_eq!(warned(Intrinsics::Known(camera)), []);
+        let guess = Warning::FocalLengthUndetermined { focal_length: 250.0, width: 320 };
+        assert_eq!(warned(Intrinsics::Guess(camera)), [guess]);
+    }
+}

@@ -1,0 +1,185 @@
+//! Places that are left and seen again.
+
+mod scene;
+
+use i2slam_geometry::{Image, Pose, Rotation, Vec3};
+use i2slam_odometry::{FrameStatus, FrontEnd, Intrinsics, Reconstruction, Warning};
+use rayon::prelude::*;
+use scene::{INTERVAL, camera, moving, picture, render, texture};
+
+fn run(pictures: &[Image<f32>]) -> Reconstruction {
+    followed(pictures).finish().expect("a path")
+}
+
+fn followed(pictures: &[Image<f32>]) -> FrontEnd {
+    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+    for (i, picture) in pictures.iter().enumerate() {
+        front_end.push(picture, i as f64 * INTERVAL).expect("a picture of the right size");
+    }
+    front_end
+}
+
+/// Where a frame was found, and where it is.
+type Places = (Vec3<f64>, Vec3<f64>);
+
+/// Root mean square distance of the posed frames from the truth after the similarity of least
+/// squares, found step by step.
+fn path_error(found: &Reconstruction, truth: &[Pose<f64>]) -> f64 {
+    let pairs: Vec<Places> = (found.frames.iter().zip(truth))
+        .filter_map(|(status, truth)| match status {
+            FrameStatus::Posed { world_from_camera, .. } => {
+                Some((world_from_camera.translation, truth.translation))
+            }
+            FrameStatus::Lost => None,
+        })
+        .collect();
+    let centre = |of: fn(&Places) -> Vec3<f64>| {
+        let sum = pairs.iter().map(of).fold(Vec3::zero(), |a, b| a + b);
+        sum * (1.0 / pairs.len() as f64)
+    };
+    let (here, there) = (centre(|p| p.0), centre(|p| p.1));
+    let (mut rotation, mut scale) = (truth[0].rotation, 1.0);
+    for _ in 0..50 {
+        let turned = |p: &Places| rotation.rotate(p.0 - here) * scale;
+        let (mut along, mut length) = (0.0, 0.0);
+        let (mut torque, mut inertia) = (Vec3::zero(), 0.0);
+        for p in &pairs {
+            let (a, b) = (turned(p), p.1 - there);
+            (along, length) = (along + a.dot(b), length + a.dot(a));
+            (torque, inertia) = (torque + a.cross(b), inertia + a.dot(b));
+        }
+        scale *= along / length;
+        rotation = Rotation::exp(torque * (1.0 / inertia)) * rotation;
+    }
+    let off = |p: &Places| (rotation.rotate(p.0 - here) * scale - (p.1 - there)).norm_squared();
+    (pairs.iter().map(off).sum::<f64>() / pairs.len() as f64).sqrt()
+}
+
+/// A room of four walls with pillars before them, a floor and a ceiling.
+fn hall(from: Vec3<f64>, direction: Vec3<f64>) -> f64 {
+    let mut nearest = (f64::INFINITY, 0.5);
+    let mut meet = |distance: f64, face: u32, place: &dyn Fn(Vec3<f64>) -> Option<(f64, f64)>| {
+        let is_nearer = distance > 1e-3 && distance < nearest.0;
+        if let Some((s, t)) = is_nearer.then(|| place(from + direction * distance)).flatten() {
+            nearest = (distance, texture(900 + face, s, t));
+        }
+    };
+    for (side, half) in [(1.0, 4.0), (-1.0, 4.0), (1.0, 3.2), (-1.0, 3.2)] {
+        let is_wall = half > 3.5;
+        let face = (if side > 0.0 { 0 } else { 2 }) + if is_wall { 0 } else { 4 };
+        let shown = |s: f64| is_wall || (s + 8.0) % 1.6 < 0.5;
+        let on = |s: f64, p: Vec3<f64>| (s.abs() <= half && shown(s)).then_some((s, p.y));
+        meet((side * half - from.x) / direction.x, face, &|p| on(p.z, p));
+        meet((side * half - from.z) / direction.z, face + 1, &|p| on(p.x, p));
+    }
+    meet((1.2 - from.y) / direction.y, 8, &|p| Some((p.x, p.z)));
+    meet((-1.8 - from.y) / direction.y, 9, &|p| Some((p.x, p.z)));
+    nearest.1
+}
+
+/// Once round the hall and a little farther, looking outward; rough as a hand.
+fn round(i: usize) -> Pose<f64> {
+    let s = i as f64;
+    let angle = std::f64::consts::TAU * s / 96.0;
+    let turn = Rotation::exp(Vec3::new(0.0, angle, 0.0));
+    let shake = Rotation::exp(Vec3::new(0.02 * (0.7 * s).sin(), 0.0, 0.02 * (0.4 * s).cos()));
+    let place = Vec3::new(1.2 * angle.sin(), 0.1 * (0.3 * s).sin(), 1.2 * angle.cos());
+    Pose::new(turn * shake, place)
+}
+
+fn with_noise(mut picture: Image<f32>, seed: usize) -> Image<f32> {
+    let noise = i2slam_check::noise(seed as u64, picture.data.len());
+    picture.data.iter_mut().zip(noise).for_each(|(v, n)| *v += 0.02 * n as f32);
+    picture
+}
+
+#[test]
+fn a_path_closes_where_it_comes_back() {
+    let truth: Vec<Pose<f64>> = (0..104).map(round).collect();
+    let noisy = |i: usize| with_noise(render(truth[i], 1.0, hall), i);
+    let pictures: Vec<Image<f32>> = (0..truth.len()).into_par_iter().map(noisy).collect();
+    let front_end = followed(&pictures);
+    let open = front_end.clone().without_closing_loops().finish().expect("a path");
+    let closed = front_end.finish().expect("a path");
+    assert_eq!(closed.trajectory().len(), truth.len());
+    let (closed, open) = (path_error(&closed, &truth), path_error(&open, &truth));
+    assert!(closed < 0.5 * open, "{closed} {open}");
+}
+
+/// A long wall with a pattern that repeats, and a floor that does not; pillars that repeat, too.
+fn arcade(from: Vec3<f64>, direction: Vec3<f64>) -> f64 {
+    let at = |distance: f64| from + direction * distance;
+    let pillar = at((3.2 - from.z) / direction.z);
+    if (pillar.x + 60.0) % 1.5 < 0.4 && pillar.y < 1.2 {
+        return texture(70, (pillar.x + 60.0) % 1.5, pillar.y);
+    }
+    let (wall, floor) = (at((4.0 - from.z) / direction.z), at((1.2 - from.y) / direction.y));
+    if wall.y < 1.2 {
+        return 0.8 * texture(71, (wall.x + 60.0) % 1.5, wall.y)
+            + 0.2 * texture(72, wall.x, wall.y);
+    }
+    texture(73, floor.x, floor.z)
+}
+
+#[test]
+fn what_repeats_along_a_way_closes_no_path() {
+    let way = |i: usize| {
+        let s = i as f64;
+        let turn = Vec3::new(0.02 * (0.4 * s).sin(), 0.03 * (0.3 * s).sin(), 0.0);
+        Pose::new(Rotation::exp(turn), Vec3::new(0.15 * s, 0.03 * (0.5 * s).sin(), 0.0))
+    };
+    let truth: Vec<Pose<f64>> = (0..60).map(way).collect();
+    let pictures: Vec<Image<f32>> = truth.par_iter().map(|p| render(*p, 1.0, arcade)).collect();
+    let found = run(&pictures);
+    let error = path_error(&found, &truth);
+    assert!(error < 0.02 * truth[59].translation.x, "{error}");
+}
+
+/// Pictures of the first room, but for those of `other`, which are of another one or black.
+fn interrupted(other: std::ops::Range<usize>, seed: Option<u32>) -> Vec<Image<f32>> {
+    let one = |i: usize| match seed {
+        _ if !other.contains(&i) => picture(1, moving(i), 1.0),
+        Some(seed) => picture(seed, moving(i), 1.0),
+        None => Image::new(camera().width, camera().height, 3),
+    };
+    (0..30).into_par_iter().map(one).collect()
+}
+
+fn lost(found: &Reconstruction) -> Vec<usize> {
+    let is_lost = |i: &usize| found.frames[*i] == FrameStatus::Lost;
+    (0..found.frames.len()).filter(is_lost).collect()
+}
+
+#[test]
+fn frames_behind_a_covered_lens_are_lost_and_those_on_both_sides_posed() {
+    let found = run(&interrupted(12..18, None));
+    assert_eq!(lost(&found), (12..18).collect::<Vec<_>>());
+    let warning = Warning::NothingToFollow { first: 12, last: 17 };
+    assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
+    let truth: Vec<Pose<f64>> = (0..30).map(moving).collect();
+    let error = path_error(&found, &truth);
+    assert!(error < 0.01, "{error}");
+}
+
+#[test]
+fn both_sides_of_a_cut_at_one_place_are_posed() {
+    // The camera has moved on while nothing was taken, and looks from a place seen before.
+    let truth: Vec<Pose<f64>> = (0..14).chain((4..18).rev()).map(moving).collect();
+    let mut pictures: Vec<Image<f32>> = truth.par_iter().map(|p| picture(1, *p, 1.0)).collect();
+    pictures.splice(14..14, interrupted(3..7, Some(9)).drain(3..7));
+    let found = run(&pictures);
+    assert_eq!(lost(&found), [14, 15, 16, 17]);
+    let mut truth = truth;
+    truth.splice(14..14, (3..7).map(moving));
+    let error = path_error(&found, &truth);
+    assert!(error < 0.01, "{error}");
+}
+
+#[test]
+fn a_part_that_shows_another_place_is_named() {
+    let found = run(&interrupted(0..11, Some(7)));
+    assert_eq!(lost(&found), (0..11).collect::<Vec<_>>());
+    let warning = Warning::AnotherPlace { first: 0, last: 10 };
+    assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
+    assert!(found.warnings.contains(&Warning::FramesLost { lost: 11, frames: 30 }));
+}
