@@ -10,7 +10,7 @@ mod observation;
 mod photometric;
 mod rays;
 mod scene;
-mod similarity;
+mod ssim;
 mod window;
 
 pub use blur::{blur_length, blur_length_at, virtual_camera_count};

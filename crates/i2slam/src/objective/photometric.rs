@@ -1,6 +1,6 @@
 //! The image term: `(1 - s) L1 + s (1 - SSIM)`, its value and its derivative by the picture.
 
-pub(crate) use super::similarity::{Similarity, SsimReference};
+pub(crate) use super::ssim::{Similarity, SsimReference};
 use i2slam_geometry::{Image, Real};
 use rayon::prelude::*;
 

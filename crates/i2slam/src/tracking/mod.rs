@@ -1,10 +1,10 @@
 //! Tracking: where the camera was while a frame was exposed, and how bright the frame is.
 
-mod adam;
-mod align;
+mod alignment;
+mod first_order;
 mod readout;
 
-pub(crate) use adam::{NODE_STEP, mask_white_balance};
+pub(crate) use first_order::{NODE_STEP, mask_white_balance};
 pub(crate) use readout::SequenceReadout;
 
 use readout::MeasuredReadout;
@@ -128,7 +128,12 @@ impl TrackingResult {
         }
     }
 
-    fn new(state: adam::State, evaluation: &Evaluation, trajectory: f64, tracked: bool) -> Self {
+    fn new(
+        state: first_order::State,
+        evaluation: &Evaluation,
+        trajectory: f64,
+        tracked: bool,
+    ) -> Self {
         Self {
             shutter: state.motion.into(),
             readout: state.readout,
@@ -206,8 +211,8 @@ pub(crate) fn track<M: SceneMap>(
         true => open_share * context.interval_share(),
         false => start_split(context),
     };
-    let mut state = adam::State {
-        motion: adam::extrapolate(motion, split),
+    let mut state = first_order::State {
+        motion: first_order::extrapolate(motion, split),
         readout: context.readout.seconds * context.frame_rate / open_share,
         tone,
         response: response.cloned(),
@@ -215,11 +220,11 @@ pub(crate) fn track<M: SceneMap>(
     };
     let mut aligned = None;
     if context.tracking.method == TrackingMethod::SecondOrder {
-        let result = align::align(context, objective, map, observation, state, motion);
+        let result = alignment::align(context, objective, map, observation, state, motion);
         if context.tracking.iterations == 0 {
             return result;
         }
-        state = adam::State {
+        state = first_order::State {
             motion: result.shutter.into(),
             readout: result.readout,
             tone: result.tone,
@@ -230,7 +235,7 @@ pub(crate) fn track<M: SceneMap>(
     }
     let exposed = (state.motion.into(), state.readout);
     let sampling = sampling(context.formation, context.camera, exposed, observation);
-    let refined = adam::refine(context, objective, map, observation, state, sampling);
+    let refined = first_order::refine(context, objective, map, observation, state, sampling);
     match aligned {
         Some(aligned) => aligned.or_refined(refined),
         None => refined,

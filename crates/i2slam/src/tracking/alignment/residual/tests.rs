@@ -137,7 +137,7 @@ fn the_step_finds_a_small_motion() {
     let mut x = [0.0; UNKNOWNS];
     for _ in 0..8 {
         let mut equations = case.sums(&x).equations;
-        super::super::prior::freeze(&mut equations, 3..UNKNOWNS);
+        super::super::priors::freeze(&mut equations, 3..UNKNOWNS);
         let step = equations.step(1e-6).expect("depth of a slanted plane fixes one direction");
         x.iter_mut().zip(step).for_each(|(x, s)| *x += s);
     }

@@ -14,10 +14,10 @@
 //! but are no noise. This is formal: neighbouring pixels, the channels of one and all errors of the
 //! map are taken to be independent.
 
-use super::descent::{Outcome, Purpose};
+use super::levenberg_marquardt::{Outcome, Purpose};
 use super::noise::Noise;
-use super::reference::cleanest;
 use super::residual::{Equations, Sums, UNKNOWNS};
+use super::target::cleanest;
 use super::{Frame, State};
 use i2slam_compute::solve_positive_definite;
 

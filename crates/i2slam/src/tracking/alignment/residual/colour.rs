@@ -1,7 +1,7 @@
 //! The three colour residuals of a block of samples.
 
 use super::depth::DepthBlock;
-use super::gram::add_products;
+use super::normal_equations::add_products;
 use super::points::Points;
 use super::samples::Taps;
 use super::wide::{BLOCK, Mask, Row, Wide, groups};

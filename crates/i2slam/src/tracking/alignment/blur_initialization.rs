@@ -3,8 +3,8 @@
 //! Blur does not tell forward from backward in time, so that the picture's derivative by the
 //! velocity vanishes at a still camera: from there no descent finds a streak. Some are tried.
 
-use super::descent::Purpose;
-use super::reference::Reference;
+use super::levenberg_marquardt::Purpose;
+use super::target::Reference;
 use super::{Frame, State, losses};
 use crate::objective::{FrameObjective, SceneMap};
 use i2slam_geometry::Tangent;

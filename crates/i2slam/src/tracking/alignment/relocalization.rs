@@ -1,7 +1,7 @@
 //! Finding a camera that was lost.
 
-use super::descent::{Outcome, Purpose};
-use super::reference::Reference;
+use super::levenberg_marquardt::{Outcome, Purpose};
+use super::target::Reference;
 use super::{Frame, Motion, State, extrapolate};
 use crate::objective::{FrameObjective, SceneMap};
 use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};

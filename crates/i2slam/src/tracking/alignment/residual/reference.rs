@@ -4,7 +4,7 @@ use super::{
     FREEDOM, GATE, Geometry, Linearization, Moment, NEAR, READOUT, RELIEF, Sums, Transform,
     UNKNOWNS,
 };
-use crate::tracking::align::pyramid::{one_surface, relief};
+use crate::tracking::alignment::pyramid::{one_surface, relief};
 use i2slam_geometry::{Camera, Image, Pose, Tap, Vec3};
 
 /// One evaluation and the relief of its two depth pictures.

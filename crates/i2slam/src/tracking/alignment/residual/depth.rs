@@ -1,6 +1,6 @@
 //! The depth residual of a block of samples.
 
-use super::gram::add_products;
+use super::normal_equations::add_products;
 use super::points::Points;
 use super::samples::{SampleBlock, Taps};
 use super::wide::{Mask, Row, Wide, groups};

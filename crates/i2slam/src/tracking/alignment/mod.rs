@@ -5,31 +5,31 @@
 //! cameras of the exposure, blurs, forms and compares. Twelve pose numbers, the exposure and the
 //! white balance are solved for together.
 
+mod acceptance;
 mod balance;
-mod belief;
+mod blur_initialization;
 mod covariance;
-mod descent;
+mod levenberg_marquardt;
 mod noise;
-mod prior;
+mod priors;
 mod pyramid;
-mod recovery;
-mod reference;
+mod relocalization;
 mod residual;
-mod rolling;
-mod streak;
+mod rolling_shutter;
+mod target;
 
-use super::adam::{State, extrapolate};
+use super::first_order::{State, extrapolate};
 use super::{Motion, TrackingContext, TrackingResult};
 use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
 use crate::reconstruction::{Convergence, Losses};
-use belief::MIN_OVERLAP;
-use descent::Outcome;
+use acceptance::MIN_OVERLAP;
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
-use prior::MotionPrior;
+use levenberg_marquardt::Outcome;
+use priors::MotionPrior;
 use pyramid::{Observed, observed_levels};
-use recovery::standing;
+use relocalization::standing;
 use residual::Sums;
 
 /// Share of the overlap that a better start must keep: what sees nothing has no loss.

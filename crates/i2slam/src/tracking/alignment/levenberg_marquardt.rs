@@ -1,10 +1,10 @@
 //! Gauss-Newton down the levels of the pictures.
 
 use super::balance::BalancePrior;
-use super::prior::{MotionPrior, freeze};
-use super::reference::{Reference, cleanest};
+use super::priors::{MotionPrior, freeze};
 use super::residual::{Equations, Errors, Linearization, READOUT, Sums, UNKNOWNS};
-use super::rolling::ReadoutPrior;
+use super::rolling_shutter::ReadoutPrior;
+use super::target::{Reference, cleanest};
 use super::{Frame, State};
 use crate::config::WhiteBalance;
 use crate::objective::{FrameObjective, SceneMap, virtual_camera_count};

@@ -21,11 +21,11 @@
 
 mod colour;
 mod depth;
-mod gram;
+mod normal_equations;
 mod points;
 #[cfg(test)]
 mod reference;
-mod rolling;
+mod row_timing;
 mod samples;
 #[cfg(test)]
 mod tests;
@@ -34,7 +34,7 @@ mod wide;
 pub(super) use samples::{Samples, Surface, Texels};
 
 use super::pyramid::{Model, Observed};
-use crate::tracking::adam::State;
+use crate::tracking::first_order::State;
 use colour::ColourBlock;
 use depth::DepthBlock;
 use i2slam_compute::{NormalEquations, reduce_in_order};
@@ -42,7 +42,7 @@ use i2slam_formation::{Quadrature, ResponseCurve, ShutterPoses, VirtualCamera};
 use i2slam_geometry::{Camera, Mat3, Pose, Vec3};
 use points::Points;
 use pulp::{Arch, Simd, WithSimd};
-use rolling::Rolling;
+use row_timing::Rolling;
 use std::ops::Range;
 use wide::Wide;
 

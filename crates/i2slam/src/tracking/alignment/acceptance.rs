@@ -1,6 +1,6 @@
 //! Whether an alignment ended at the right place.
 
-use super::descent::Outcome;
+use super::levenberg_marquardt::Outcome;
 use super::{Frame, losses};
 use crate::reconstruction::Losses;
 use i2slam_compute::median;

@@ -1,9 +1,9 @@
 //! The formal covariance against the scatter of alignments to the same frame in other noise.
 
-use super::super::descent::Progress;
+use super::super::levenberg_marquardt::Progress;
 use super::super::pyramid::{Model, Observed};
-use super::super::reference::Reference;
 use super::super::residual::Scales;
+use super::super::target::Reference;
 use super::*;
 use crate::config::Config;
 use crate::objective::Observation;
