@@ -6,10 +6,9 @@ use crate::destination::refuse_file;
 use crate::failure::Failure;
 use crate::output::complain;
 use crate::pipeline::{self, Job, Keyframes};
-use i2slam::config::MapKind;
 use i2slam::dataset::OpenOptions;
 use i2slam::export::ResultFolder;
-use i2slam::{Config, ConfigError};
+use i2slam::Config;
 use std::path::{Path, PathBuf};
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
@@ -24,7 +23,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
             "reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0){how}"
         ));
     }
-    let config = settings(arguments.rgb)?;
+    let config = Config::preset(if arguments.rgb { "default-rgb" } else { "default" })?;
     let minimum_gap = config.input.minimum_gap;
     let open = OpenOptions { minimum_gap, ..OpenOptions::default() };
     pipeline::run(&Job {
@@ -38,15 +37,6 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),
     })
-}
-
-fn settings(rgb: bool) -> Result<Config, ConfigError> {
-    if !rgb {
-        return Config::preset("default");
-    }
-    let mut config = Config::preset("default-rgb")?;
-    config.map.kind = MapKind::Gaussian;
-    Ok(config)
 }
 
 /// Writes the clip to `clip/` in the folder, so that it can be looked at and run again.

@@ -23,11 +23,9 @@ fn meaning(name: &str) -> &'static str {
         "paper-tum" => "the paper's settings for TUM RGB-D",
         "paper-scannet" => "the paper's settings for ScanNet",
         "paper-synthetic" => "the paper's settings for its synthetic scenes",
-        "default-rgb" => {
-            "keyframes with poses, colour alone: poses, tone and a field refined together"
-        }
-        "paper-rgb" => "the paper's settings for that",
-        short if short.ends_with("-s") => "the same with a fifth of the iterations",
+        "default-rgb" => "colour alone: poses, exposure and map refined together (--rgb)",
+        "paper-rgb" => "the paper's settings for colour alone, with keyframes and a radiance field",
+        short if short.ends_with("-s") => "a fifth of the iterations",
         _ => "",
     }
 }

@@ -6,10 +6,10 @@ use crate::failure::Failure;
 use crate::output::complain;
 use crate::pipeline::{self, Job, Keyframes};
 use i2slam::Config;
-use i2slam::config::MapKind;
+use i2slam::config::{MapKind, line_of_key};
 use i2slam::dataset::{OpenOptions, is_video, is_without_depth};
 use i2slam::keyframes::ImportDepth;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Longer side of pictures that go by colour alone, if nothing else is asked for [px]: larger ones
 /// take long and show little more.
@@ -67,14 +67,19 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
     with_flags(with_usual_map(config, arguments), arguments)
 }
 
-/// Where nothing else is said, the pictures alone become Gaussians: their front end finds the depth
-/// that these begin on, which keyframes of other programs need not have.
+/// Keyframes of other programs may lack the depth that Gaussians start from: they become a radiance
+/// field unless the configuration file or a flag names the map.
 fn with_usual_map(mut config: Config, arguments: &Run) -> Config {
-    let from_pictures = is_rgb(arguments) && arguments.keyframes.is_none();
-    if from_pictures && arguments.preset.is_none() && arguments.config.is_none() {
-        config.map.kind = MapKind::Gaussian;
+    let named = arguments.config.as_deref().is_some_and(names_map_kind);
+    if is_rgb(arguments) && arguments.keyframes.is_some() && config.is_rgb() && !named {
+        config.map.kind = MapKind::HashGrid;
     }
     config
+}
+
+fn names_map_kind(file: &Path) -> bool {
+    let text = std::fs::read_to_string(file);
+    text.is_ok_and(|text| line_of_key(&text, &["map", "kind"]).is_some())
 }
 
 /// Where keyframes with poses come from, if this run takes them; only settings for that will do.

@@ -114,7 +114,7 @@ pub(super) fn ours() -> Config {
             surface_searches: 2,
             ..paper.keyframed
         },
-        map: MapConfig { kind: MapKind::HashGrid, ..ours.map },
+        map: ours.map,
         tracking: TrackingConfig {
             alignment: AlignmentConfig { keyframe_depth: false, ..ours.tracking.alignment },
             ..ours.tracking

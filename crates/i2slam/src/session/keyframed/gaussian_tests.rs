@@ -1,7 +1,6 @@
 //! Keyframes with estimated depth on Gaussians, and the frames between them.
 
 use super::*;
-use crate::config::MapKind;
 use crate::keyframes::EstimatedDepth;
 use crate::reconstruction::Map;
 use crate::session::tests::{CAMERA, frame};
@@ -51,7 +50,6 @@ fn rolling_session(with_depth: bool, readout: f64) -> KeyframedSession {
 /// A session to which keyframes may still come.
 fn unfinished(with_depth: bool, readout: f64) -> KeyframedSession {
     let mut config = Config::preset("default-rgb").expect("known");
-    config.map.kind = MapKind::Gaussian;
     config = config.with_found_readout(readout);
     (config.mapping.iterations, config.mapping.final_iterations) = (15, 60);
     let mut session = KeyframedSession::new(config, CAMERA, 30.0);
@@ -149,7 +147,6 @@ fn frames_that_were_not_reached_are_placed_beside_their_keyframes() {
 fn a_round_ends_early_where_that_is_wished() {
     let mapped = |steps: usize, cancellation: CancellationToken| {
         let mut config = Config::preset("default-rgb").expect("known");
-        config.map.kind = MapKind::Gaussian;
         (config.mapping.first_iterations, config.mapping.iterations) = (steps, steps);
         let mut session = KeyframedSession::new(config, CAMERA, 30.0);
         session.set_cancellation(cancellation);

@@ -145,9 +145,9 @@ mod tests {
 
     #[test]
     fn a_job_takes_its_parts() {
-        let config = Config::preset("default-rgb").expect("known");
-        let mut gaussians = config.clone();
-        gaussians.map.kind = MapKind::Gaussian;
+        let mut gaussians = Config::preset("default-rgb").expect("known");
+        let mut config = gaussians.clone();
+        config.map.kind = MapKind::HashGrid;
         (gaussians.mapping.iterations, gaussians.mapping.final_iterations) = (10, 100);
         let pace = Pace { dense_depth: 1.0, keyframe: 0.5, step: 0.02, frame: 0.1 };
         // 5 (1 + 0.5 + 10 · 0.02) + 100 · 0.02 + (2 · 5 + 45) 0.1

@@ -37,6 +37,7 @@ fn keyframe(index: usize, world_from_camera: Pose<f64>) -> PosedKeyframe {
 
 fn config() -> Config {
     let mut config = Config::preset("default-rgb").expect("known");
+    config.map.kind = crate::config::MapKind::HashGrid;
     let field = &mut config.hashgrid;
     (field.levels, field.log2_table, field.finest_cell) = (6, 12, 0.05);
     (field.hidden_width, field.occupancy_cells, field.bound) = (16, 24, 2.0);
