@@ -6,9 +6,9 @@ use crate::destination::refuse_file;
 use crate::failure::Failure;
 use crate::output::complain;
 use crate::pipeline::{self, Job, Keyframes};
+use i2slam::Config;
 use i2slam::dataset::OpenOptions;
 use i2slam::export::ResultFolder;
-use i2slam::Config;
 use std::path::{Path, PathBuf};
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
