@@ -7,7 +7,7 @@
 use i2slam_compute::median;
 use i2slam_dataset::{OpenOptions, Sequence};
 use i2slam_geometry::{Image, Pose, StampedPose, Trajectory};
-use i2slam_odometry::{DenseDepths, FrontEnd, Intrinsics, Reconstruction, View};
+use i2slam_odometry::{DenseDepthEstimator, FrontEnd, Intrinsics, PosedView, Reconstruction};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
@@ -25,16 +25,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     if std::env::args().any(|a| a == "--true-poses") {
         place_truly(&mut found, &sequence.true_trajectory()?);
     }
-    let views = found.keyframes.iter().map(|k| View {
+    let views = found.keyframes.iter().map(|k| PosedView {
         world_from_camera: k.world_from_camera,
         landmarks: k.depths.iter().map(|d| d.depth).collect(),
     });
-    let mut dense = DenseDepths::new(found.camera, views.collect());
+    let mut dense = DenseDepthEstimator::new(found.camera, views.collect());
     let picture = |k: usize| sequence.load(found.keyframes[k].index).ok();
     let (mut seconds, mut all) = (0.0, Vec::new());
     for (k, keyframe) in found.keyframes.iter().enumerate() {
         let clock = Instant::now();
-        let depth = dense.of(k, &mut |k| picture(k).map(|frame| frame.colour));
+        let depth = dense.estimate(k, &mut |k| picture(k).map(|frame| frame.colour));
         seconds += clock.elapsed().as_secs_f64();
         let (Some(depth), Some(truth)) = (depth, picture(k)) else {
             println!("{:4} nothing", keyframe.index);

@@ -8,12 +8,12 @@ use crate::grow::refine;
 use crate::landmark::Landmark;
 use crate::look::Look;
 use crate::pose_graph::{Edge, optimise};
+use crate::progress::Stage;
 use crate::recognise::{Recognised, look_again, recognise};
 use crate::relocalise::most_alike;
 use crate::scene::Scene;
 use crate::similarity::Similarity;
 use crate::tracks::Observation;
-use crate::watch::Stage;
 use i2slam_compute::median;
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
@@ -58,7 +58,7 @@ struct Return {
 /// Looks for places that are seen again, and closes the path there. Returns at how many
 /// keyframes.
 pub(crate) fn close_loops(scene: &mut Scene, adjust_focal: bool) -> usize {
-    scene.watch.tell(Stage::Loops, 0, 0);
+    scene.progress.report(Stage::LoopClosure, 0, 0);
     let unit = distance(scene);
     let likely = returns(scene).into_iter().filter(|r| is_likely(scene, r, unit)).collect();
     let returns = agreed(scene, likely, unit);
@@ -77,7 +77,7 @@ pub(crate) fn close_loops(scene: &mut Scene, adjust_focal: bool) -> usize {
 /// that are known.
 pub(crate) fn join_neighbours(scene: &mut Scene, adjust_focal: bool) {
     let look_around = |(new, look): (usize, &Look)| {
-        if scene.watch.ends() {
+        if scene.progress.is_cancelled() {
             return Vec::new();
         }
         let mut near: Vec<(usize, &Look)> = (scene.tracks.looks.iter().enumerate())
@@ -127,7 +127,7 @@ fn distance(scene: &Scene) -> f64 {
 /// Keyframes that show what a much earlier one does.
 fn returns(scene: &Scene) -> Vec<Return> {
     let search = |(new, look): (usize, &Look)| {
-        scene.poses[look.frame].filter(|_| !scene.watch.ends())?;
+        scene.poses[look.frame].filter(|_| !scene.progress.is_cancelled())?;
         let may = |old: usize, other: &Look| {
             old + APART <= new
                 && scene.poses[other.frame].is_some()

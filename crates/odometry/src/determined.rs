@@ -20,7 +20,7 @@ pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
     let posed = keyframes.filter(|f| scene.poses[*f].is_some());
     let keyframes: Vec<usize> = posed.take(MAX_FREE).collect();
     let mut freed = scene.clone();
-    freed.watch = scene.watch.silent();
+    freed.progress = scene.progress.without_listener();
     freed.poses.fill(None);
     keyframes.iter().for_each(|f| freed.poses[*f] = scene.poses[*f]);
     adjust_all(&mut freed, true);

@@ -1,10 +1,10 @@
 //! The focal length of a camera of which it is not known, and its lens if asked.
 
-use crate::failure::Failure;
+use crate::error::OdometryError;
 use crate::grow::{adjust_all, grow};
+use crate::progress::Stage;
 use crate::scene::Scene;
 use crate::start::start;
-use crate::watch::Stage;
 use i2slam_geometry::Camera;
 use rayon::prelude::*;
 
@@ -23,13 +23,13 @@ struct Found {
 
 /// Takes the camera whose focal length explains most: from several starts, each refined over some
 /// keyframes.
-pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), Failure> {
-    scene.watch.tell(Stage::FocalLength, 0, 0);
+pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), OdometryError> {
+    scene.progress.report(Stage::FocalLength, 0, 0);
     // Only keyframes are posed here, and other sights tell them nothing.
     let reduced = Scene::of_keyframes(scene);
-    let tried: Vec<Result<Found, Failure>> =
+    let tried: Vec<Result<Found, OdometryError>> =
         FACTORS.par_iter().map(|factor| try_focal(&reduced, *factor)).collect();
-    let mut failure = Failure::NoConsistentMotion;
+    let mut failure = OdometryError::NoConsistentMotion;
     let mut best: Option<Found> = None;
     for result in tried.into_iter().rev() {
         match result {
@@ -45,7 +45,7 @@ pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), Failure> {
 }
 
 /// The refined camera from one start.
-fn try_focal(scene: &Scene, factor: f64) -> Result<Found, Failure> {
+fn try_focal(scene: &Scene, factor: f64) -> Result<Found, OdometryError> {
     let mut tried = scene.clone();
     let camera = scene.camera;
     tried.camera = Camera { fx: camera.fx * factor, fy: camera.fy * factor, ..camera };

@@ -2,9 +2,10 @@
 
 use crate::closure::{close_loops, join_neighbours};
 use crate::determined::give_up_doubtful_lens;
-use crate::failure::{Failure, PictureError};
+use crate::error::{OdometryError, PictureError};
 use crate::focal::find_focal;
 use crate::grow::{adjust_all, grow, pose_rest, refine};
+use crate::progress::Progress;
 use crate::relocalise::{Tried, relocalise};
 use crate::result::{FrameReport, Reconstruction, assemble};
 use crate::rolling::{correct_rolling_shutter, interval};
@@ -12,7 +13,6 @@ use crate::scene::Scene;
 use crate::start::{start, start_within};
 use crate::straighten::straighten;
 use crate::tracker::Tracker;
-use crate::watch::Watch;
 use i2slam_geometry::{Camera, Image};
 
 /// Pictures without which nothing is tried.
@@ -63,19 +63,19 @@ pub struct FrontEnd {
     intrinsics: Intrinsics,
     tracker: Tracker,
     timestamps: Vec<f64>,
-    closes_loops: bool,
+    close_loops: bool,
 }
 
 impl FrontEnd {
     /// A front end for pictures of one pinhole camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
         let (tracker, timestamps) = (Tracker::default(), Vec::new());
-        Self { intrinsics, tracker, timestamps, closes_loops: true }
+        Self { intrinsics, tracker, timestamps, close_loops: true }
     }
 
     /// The same, without looking for places that are seen again after their points were lost.
-    pub fn without_closing_loops(self) -> Self {
-        Self { closes_loops: false, ..self }
+    pub fn without_loop_closure(self) -> Self {
+        Self { close_loops: false, ..self }
     }
 
     /// Follows points into the next picture: planes R, G, B in [0, 1], or one plane of
@@ -115,29 +115,29 @@ impl FrontEnd {
     /// # Errors
     ///
     /// Why there is none.
-    pub fn finish(self) -> Result<Reconstruction, Failure> {
-        self.finish_watched(Watch::default())
+    pub fn finish(self) -> Result<Reconstruction, OdometryError> {
+        self.finish_with_progress(Progress::default())
     }
 
     /// The same while somebody watches.
     ///
     /// # Errors
     ///
-    /// Why there is none; [`Failure::Ended`] where `watch` ended it.
-    pub fn finish_watched(self, watch: Watch) -> Result<Reconstruction, Failure> {
+    /// Why there is none; [`OdometryError::Cancelled`] where `progress` ended it.
+    pub fn finish_with_progress(self, progress: Progress) -> Result<Reconstruction, OdometryError> {
         let frames = self.timestamps.len();
         if frames < MIN_FRAMES {
-            return Err(Failure::TooFewFrames { frames, needed: MIN_FRAMES });
+            return Err(OdometryError::TooFewFrames { frames, needed: MIN_FRAMES });
         }
         let tracks = self.tracker.finish().with_two_keyframes();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let mut scene = Scene::new(*self.intrinsics.camera(), tracks);
-        scene.watch = watch.clone();
+        scene.progress = progress.clone();
         scene.finds_lens = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
         let found = find_path(&mut scene, adjust_focal, &self.timestamps);
         // What was left half done may look like any other failure.
-        if watch.ends() {
-            return Err(Failure::Ended);
+        if progress.is_cancelled() {
+            return Err(OdometryError::Cancelled);
         }
         found?;
         let was_straightened = scene.readout != 0.0;
@@ -149,13 +149,13 @@ impl FrontEnd {
             correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
             refine(&mut scene, adjust_focal);
         }
-        if self.closes_loops {
+        if self.close_loops {
             close_loops(&mut scene, adjust_focal);
         }
         settle(&mut scene, adjust_focal);
         let lens_is_doubtful = give_up_doubtful_lens(&mut scene);
-        if watch.ends() {
-            return Err(Failure::Ended);
+        if progress.is_cancelled() {
+            return Err(OdometryError::Cancelled);
         }
         let readout = scene.readout * interval(&self.timestamps).unwrap_or(0.0);
         let found = (readout, lens_is_doubtful);
@@ -164,9 +164,13 @@ impl FrontEnd {
 }
 
 /// Camera, poses and landmarks, of rows as they seem to have been read.
-fn find_path(scene: &mut Scene, adjust_focal: bool, timestamps: &[f64]) -> Result<(), Failure> {
+fn find_path(
+    scene: &mut Scene,
+    adjust_focal: bool,
+    timestamps: &[f64],
+) -> Result<(), OdometryError> {
     if !scene.finds_lens {
-        scene.readout = straighten(&mut scene.tracks, &scene.camera, timestamps, &scene.watch);
+        scene.readout = straighten(&mut scene.tracks, &scene.camera, timestamps, &scene.progress);
     }
     if adjust_focal {
         find_focal(scene)?;
@@ -179,7 +183,7 @@ fn find_path(scene: &mut Scene, adjust_focal: bool, timestamps: &[f64]) -> Resul
 fn settle(scene: &mut Scene, adjust_focal: bool) {
     let mut before = (f64::INFINITY, scene.camera.fx);
     for _ in 0..MAX_ROUNDS {
-        if scene.watch.ends() {
+        if scene.progress.is_cancelled() {
             return;
         }
         let now = (refine(scene, adjust_focal), scene.camera.fx);
@@ -192,7 +196,7 @@ fn settle(scene: &mut Scene, adjust_focal: bool) {
 }
 
 /// Poses and landmarks from tracks alone.
-fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), Failure> {
+fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), OdometryError> {
     start(scene)?;
     let mut was_lost = spread(scene, adjust_focal);
     if let Some((other, other_was_lost)) = larger_part(scene, adjust_focal) {

@@ -1,8 +1,8 @@
 //! From two poses to all of them.
 
+use crate::progress::Stage;
 use crate::resection::{Resected, resect};
 use crate::scene::Scene;
-use crate::watch::Stage;
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
 
@@ -23,11 +23,11 @@ const GLOBAL_STEPS: usize = 20;
 /// Poses all keyframes that can be reached from those that have a pose, up to `most`.
 pub(crate) fn grow(scene: &mut Scene, adjust_focal: bool, most: usize) {
     let mut adjusted_at = scene.posed().len();
-    while scene.posed().len() < most && !scene.watch.ends() {
+    while scene.posed().len() < most && !scene.progress.is_cancelled() {
         let Some(frame) = pose_next(scene) else { break };
         scene.add_landmarks_in(frame);
         let count = scene.posed().len();
-        scene.watch.tell(Stage::Keyframes, count, scene.tracks.keyframes.len());
+        scene.progress.report(Stage::Registration, count, scene.tracks.keyframes.len());
         if count as f64 >= GROWTH * adjusted_at as f64 {
             adjusted_at = count;
             adjust_all(scene, adjust_focal && count > 4);
@@ -65,7 +65,7 @@ pub(crate) fn refine(scene: &mut Scene, adjust_focal: bool) -> f64 {
     let cost = adjust_all(scene, adjust_focal);
     let again = |(frame, pose): (&usize, &Option<Pose<f64>>)| {
         let matches = scene.matches(*frame);
-        let pose = pose.filter(|_| !scene.watch.ends());
+        let pose = pose.filter(|_| !scene.progress.is_cancelled());
         let found = pose.and_then(|start| resect(&scene.camera, start, &matches, scene.noise));
         found.filter(|f| is_enough(f, matches.len())).map(|f| f.world_from_camera)
     };
@@ -133,7 +133,7 @@ fn pose_one_of(scene: &mut Scene, frames: &[usize]) -> Option<usize> {
 
 /// The pose of a frame from its landmarks, from several starts.
 fn try_frame(scene: &Scene, frame: usize) -> Option<Resected> {
-    if scene.watch.ends() {
+    if scene.progress.is_cancelled() {
         return None;
     }
     let matches = scene.matches(frame);

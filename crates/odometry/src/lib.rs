@@ -5,7 +5,7 @@
 //! by resection, triangulation and bundle adjustment; the frames between follow, and a last
 //! adjustment takes all. Keyframes that were lost are found again by their looks, and a path is
 //! closed where it returns to a place whose points were lost. The unit of length is arbitrary.
-//! [`DenseDepths`] finds the depth of most pixels of keyframes afterwards.
+//! [`DenseDepthEstimator`] finds the depth of most pixels of keyframes afterwards.
 
 mod bundle;
 mod closure;
@@ -13,7 +13,7 @@ mod corners;
 mod dense;
 mod descriptor;
 mod determined;
-mod failure;
+mod error;
 mod focal;
 mod front_end;
 mod grow;
@@ -23,6 +23,7 @@ mod look;
 mod order;
 mod patch;
 mod pose_graph;
+mod progress;
 mod pyramid;
 mod recognise;
 mod relocalise;
@@ -42,14 +43,13 @@ mod tracks;
 mod triangulate;
 mod two_view;
 mod warning;
-mod watch;
 
-pub use dense::{DenseDepth, DenseDepths, View};
-pub use failure::{Failure, PictureError};
+pub use dense::{DenseDepth, DenseDepthEstimator, PosedView};
+pub use error::{OdometryError, PictureError};
 pub use front_end::{FrontEnd, Intrinsics, MIN_FRAMES, MIN_SIDE};
+pub use progress::{Progress, Stage};
 pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth};
 pub use warning::Warning;
-pub use watch::{Stage, Watch};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -73,7 +73,7 @@ pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
         .filter(|(_, look)| scene.poses[look.frame].is_none() && !tried.is_given_up(look.frame));
     let lost: Vec<usize> = lost.map(|(place, _)| place).collect();
     for some in lost.chunks(AT_ONCE) {
-        if scene.watch.ends() {
+        if scene.progress.is_cancelled() {
             break;
         }
         let may = |look: &Look, other: &Look| {

@@ -175,13 +175,13 @@ pub(crate) fn assemble(
     }
     let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
     if focal_deviation.is_some() && readout != 0.0 {
-        warnings.push(Warning::RowsAndFocalLength);
+        warnings.push(Warning::RollingShutterFocalLength);
     }
     let distortion = match lens_is_doubtful {
         true => Some([0.0; 2]),
         false => scene.finds_lens.then(|| usual_coefficients(&scene.camera, scene.lens)),
     };
-    warnings.extend(lens_is_doubtful.then_some(Warning::LensUndetermined));
+    warnings.extend(lens_is_doubtful.then_some(Warning::DistortionUndetermined));
     Reconstruction {
         camera: scene.camera,
         distortion,
@@ -205,8 +205,8 @@ fn lost_parts(scene: &Scene) -> Vec<Warning> {
         if run[0] && run.len() >= MIN_PART {
             let followed = scene.followed_within(first, last) >= MIN_FOLLOWED;
             out.push(match followed {
-                true => Warning::AnotherPlace { first, last },
-                false => Warning::NothingToFollow { first, last },
+                true => Warning::DisconnectedFrames { first, last },
+                false => Warning::UntrackableFrames { first, last },
             });
         }
     }
@@ -234,7 +234,7 @@ fn focal_deviation(
         let (given, fitting) = (scene.camera.fx, freed.camera.fx);
         let off = (fitting / given).ln().abs();
         if off > 0.05 && off > 3.0 * relative {
-            warnings.push(Warning::FocalLengthDoubtful {
+            warnings.push(Warning::FocalLengthMismatch {
                 given,
                 fitting,
                 width: scene.camera.width,
@@ -243,7 +243,7 @@ fn focal_deviation(
         return None;
     }
     if relative > 0.03 {
-        warnings.push(Warning::FocalLengthVague { percent: 100.0 * relative });
+        warnings.push(Warning::FocalLengthUncertain { percent: 100.0 * relative });
     }
     Some(relative)
 }

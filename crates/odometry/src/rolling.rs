@@ -6,8 +6,8 @@
 
 use crate::landmark::Landmark;
 use crate::lens::undistorted;
+use crate::progress::Stage;
 use crate::scene::Scene;
-use crate::watch::Stage;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
@@ -31,7 +31,7 @@ const NEIGHBOUR: f64 = 4.5;
 /// begins.
 pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], adjust_focal: bool) {
     let Some(interval) = interval(timestamps) else { return };
-    scene.watch.tell(Stage::Rows, 0, 0);
+    scene.progress.report(Stage::RollingShutter, 0, 0);
     let sample = Sample::of(scene, timestamps, interval, adjust_focal);
     let none = sample.cost(0.0);
     let about = scene.readout;
@@ -62,7 +62,7 @@ impl<'a> Sample<'a> {
             parts.map(|part| most_turning(scene, part)).collect()
         };
         let mut sample = scene.clone();
-        sample.watch = scene.watch.silent();
+        sample.progress = scene.progress.without_listener();
         sample.poses.fill(None);
         sample.finds_readout = false;
         stretches.iter().copied().flatten().for_each(|f| sample.poses[*f] = scene.poses[*f]);

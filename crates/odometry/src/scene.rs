@@ -3,11 +3,11 @@
 use crate::bundle::{Bundle, Moves, Sight, Unknown};
 use crate::landmark::Landmark;
 use crate::lens::{radial, undistorted};
+use crate::progress::Progress;
 use crate::resection::{AGREEING, Match};
 use crate::rolling::MAX_READOUT;
 use crate::tracks::{Observation, Tracks, shared};
 use crate::triangulate::{PosedSight, triangulate};
-use crate::watch::Watch;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
@@ -43,7 +43,7 @@ pub(crate) struct Scene {
     pub(crate) readout: f64,
     pub(crate) finds_readout: bool,
     /// Who watches.
-    pub(crate) watch: Watch,
+    pub(crate) progress: Progress,
 }
 
 impl Scene {
@@ -62,14 +62,14 @@ impl Scene {
             finds_lens: false,
             readout: 0.0,
             finds_readout: false,
-            watch: Watch::default(),
+            progress: Progress::default(),
         }
     }
 
     /// The scene of the keyframes of one of which nothing is known but the camera.
     pub(crate) fn of_keyframes(scene: &Self) -> Self {
-        let (finds_lens, watch) = (scene.finds_lens, scene.watch.silent());
-        Self { finds_lens, watch, ..Self::new(scene.camera, scene.tracks.in_keyframes()) }
+        let (finds_lens, progress) = (scene.finds_lens, scene.progress.without_listener());
+        Self { finds_lens, progress, ..Self::new(scene.camera, scene.tracks.in_keyframes()) }
     }
 
     /// Takes back all poses and landmarks; tracks, camera and lens stay.
@@ -178,7 +178,7 @@ impl Scene {
 
     fn adjust_together(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
         let (mut bundle, frames, tracks) = self.bundle(free, adjust_focal);
-        let cost = bundle.adjust(steps, &self.watch);
+        let cost = bundle.adjust(steps, &self.progress);
         for (frame, pose) in frames.iter().zip(&bundle.poses) {
             self.poses[*frame] = Some(*pose);
         }

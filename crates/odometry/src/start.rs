@@ -1,6 +1,6 @@
 //! The first two poses.
 
-use crate::failure::Failure;
+use crate::error::OdometryError;
 use crate::scene::Scene;
 use crate::triangulate::parallax;
 use crate::two_view::{TwoView, essential, rays, rotation_only};
@@ -42,12 +42,12 @@ struct Pair {
 }
 
 /// Poses two keyframes of a scene without poses, and triangulates what they share.
-pub(crate) fn start(scene: &mut Scene) -> Result<(), Failure> {
+pub(crate) fn start(scene: &mut Scene) -> Result<(), OdometryError> {
     start_within(scene, 0..scene.tracks.keyframes.len())
 }
 
 /// The same with two of some keyframes.
-pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<(), Failure> {
+pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<(), OdometryError> {
     let pairs = pairs(scene, places);
     let enough = ENOUGH_PARALLAX * scene.camera.fx;
     let worth = |p: &Pair| p.left.min(enough) * (p.shared as f64).sqrt();
@@ -63,7 +63,7 @@ pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<()
     }
     let tried: Vec<Option<TwoView>> = moved
         .par_iter()
-        .map(|p| match scene.watch.ends() {
+        .map(|p| match scene.progress.is_cancelled() {
             true => None,
             false => essential(scene.camera.fx, &shared_rays(scene, p), p.rotation),
         })
@@ -76,7 +76,7 @@ pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<()
     let score = |(p, t): &(&Pair, TwoView)| t.share * t.share * worth(p);
     candidates.sort_by(|a, b| score(b).total_cmp(&score(a)));
     for (pair, view) in candidates {
-        if scene.watch.ends() {
+        if scene.progress.is_cancelled() {
             break;
         }
         if pose_pair(scene, pair, view) >= MIN_LANDMARKS {
@@ -84,7 +84,7 @@ pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<()
         }
         scene.forget();
     }
-    Err(Failure::NoConsistentMotion)
+    Err(OdometryError::NoConsistentMotion)
 }
 
 /// All pairs of some keyframes that share enough points.
@@ -98,7 +98,7 @@ fn pairs(scene: &Scene, places: Range<usize>) -> Vec<Pair> {
         .filter_map(|&(i, j)| {
             let (first, second) = (keyframes[i], keyframes[j]);
             let shared = scene.shared(first, second);
-            if shared.len() < MIN_SHARED || scene.watch.ends() {
+            if shared.len() < MIN_SHARED || scene.progress.is_cancelled() {
                 return None;
             }
             let (rotation, left) = rotation_only(scene.camera.fx, &rays(&scene.camera, &shared))?;
@@ -129,14 +129,14 @@ fn pose_pair(scene: &mut Scene, pair: &Pair, view: TwoView) -> usize {
 }
 
 /// Why no pair shows a motion.
-fn why_none(scene: &Scene, pairs: &[Pair]) -> Failure {
+fn why_none(scene: &Scene, pairs: &[Pair]) -> OdometryError {
     let most = |f: fn(&Pair) -> f64| pairs.iter().map(f).fold(0.0, f64::max);
     if pairs.is_empty() {
-        return Failure::TooFewPoints;
+        return OdometryError::TooFewPoints;
     }
     let motion = most(|p| p.motion);
     if motion < STILL * scene.camera.width as f64 {
-        return Failure::StillCamera { motion };
+        return OdometryError::StillCamera { motion };
     }
-    Failure::RotationOnly { left: most(|p| p.left) }
+    OdometryError::RotationOnly { left: most(|p| p.left) }
 }

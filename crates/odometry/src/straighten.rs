@@ -4,10 +4,10 @@
 //! and where the rate changes, frames some intervals apart fit a rotation badly unless their rows
 //! are moved back.
 
+use crate::progress::{Progress, Stage};
 use crate::rolling::{WORTH, interval, lowest_of_parabola};
 use crate::tracks::{Tracks, shared};
 use crate::two_view::{RayPair, rotation_only};
-use crate::watch::{Stage, Watch};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
 
@@ -24,14 +24,14 @@ pub(crate) fn straighten(
     tracks: &mut Tracks,
     camera: &Camera<f64>,
     timestamps: &[f64],
-    watch: &Watch,
+    progress: &Progress,
 ) -> f64 {
-    watch.tell(Stage::Rows, 0, 0);
+    progress.report(Stage::RollingShutter, 0, 0);
     let by_frame = tracks.by_frame();
     let Some(times) = whole_intervals(timestamps) else { return 0.0 };
     let rates = rates(tracks, &by_frame, camera, &times);
     let cost = |readout: f64| -> f64 {
-        let one = |f: usize| match watch.ends() {
+        let one = |f: usize| match progress.is_cancelled() {
             true => 0.0,
             false => misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0),
         };

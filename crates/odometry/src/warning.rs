@@ -15,7 +15,7 @@ pub enum Warning {
     #[error(
         "frames {first} to {last} could not be joined to the others: they show another place, or too little of the same one: to have it mapped, run those frames alone"
     )]
-    AnotherPlace {
+    DisconnectedFrames {
         /// First frame.
         first: usize,
         /// Last frame.
@@ -25,7 +25,7 @@ pub enum Warning {
     #[error(
         "frames {first} to {last} show nothing that could be followed: the lens was covered, or they are too dark or too blurred"
     )]
-    NothingToFollow {
+    UntrackableFrames {
         /// First frame.
         first: usize,
         /// Last frame.
@@ -36,7 +36,7 @@ pub enum Warning {
         "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or have it looked for instead of giving it",
         across(*.width, *.given), across(*.width, *.fitting)
     )]
-    FocalLengthDoubtful {
+    FocalLengthMismatch {
         /// As given [px].
         given: f64,
         /// That fits best [px].
@@ -48,7 +48,7 @@ pub enum Warning {
     #[error(
         "the pictures tell the focal length only to {percent:.0} percent: give it where it is known; walking to all sides and turning about while filming would tell it better"
     )]
-    FocalLengthVague {
+    FocalLengthUncertain {
         /// Relative standard deviation, in percent.
         percent: f64,
     },
@@ -67,12 +67,12 @@ pub enum Warning {
     #[error(
         "rows were read in turn, which pictures of a turning camera hardly tell from another focal length: it may be off by more than its deviation says: give it where it is known"
     )]
-    RowsAndFocalLength,
+    RollingShutterFocalLength,
     /// The distortion of the lens was looked for, and is not told from none.
     #[error(
         "the pictures do not determine the distortion of the lens beside focal length and path: none is assumed (k1 and k2 are 0); walking to all sides and turning about while filming would show it"
     )]
-    LensUndetermined,
+    DistortionUndetermined,
 }
 
 /// Horizontal field of view of pictures [degrees].
@@ -85,10 +85,10 @@ impl Warning {
     #[must_use]
     pub fn resized(self, to: usize) -> Self {
         match self {
-            Self::FocalLengthDoubtful { given, fitting, width } => {
+            Self::FocalLengthMismatch { given, fitting, width } => {
                 let scale = to as f64 / width as f64;
                 let (given, fitting) = (given * scale, fitting * scale);
-                Self::FocalLengthDoubtful { given, fitting, width: to }
+                Self::FocalLengthMismatch { given, fitting, width: to }
             }
             Self::FocalLengthUndetermined { focal_length, width } => {
                 let focal_length = focal_length * to as f64 / width as f64;
@@ -99,9 +99,9 @@ impl Warning {
     }
 
     /// The first and the last frame that it is about, if it is about some in a row.
-    pub fn frames(&self) -> Option<(usize, usize)> {
+    pub fn frame_range(&self) -> Option<(usize, usize)> {
         match *self {
-            Self::AnotherPlace { first, last } | Self::NothingToFollow { first, last } => {
+            Self::DisconnectedFrames { first, last } | Self::UntrackableFrames { first, last } => {
                 Some((first, last))
             }
             _ => None,
@@ -110,13 +110,13 @@ impl Warning {
 
     /// The same with the numbers that frames have elsewhere.
     #[must_use]
-    pub fn numbered(self, number: impl Fn(usize) -> usize) -> Self {
+    pub fn with_frame_numbers(self, number: impl Fn(usize) -> usize) -> Self {
         match self {
-            Self::AnotherPlace { first, last } => {
-                Self::AnotherPlace { first: number(first), last: number(last) }
+            Self::DisconnectedFrames { first, last } => {
+                Self::DisconnectedFrames { first: number(first), last: number(last) }
             }
-            Self::NothingToFollow { first, last } => {
-                Self::NothingToFollow { first: number(first), last: number(last) }
+            Self::UntrackableFrames { first, last } => {
+                Self::UntrackableFrames { first: number(first), last: number(last) }
             }
             other => other,
         }
@@ -130,16 +130,16 @@ mod tests {
     #[test]
     fn frames_are_named_as_elsewhere() {
         let number = |frame: usize| 900 + 3 * frame;
-        let lost = Warning::NothingToFollow { first: 100, last: 104 }.numbered(number);
+        let lost = Warning::UntrackableFrames { first: 100, last: 104 }.with_frame_numbers(number);
         assert!(lost.to_string().starts_with("frames 1200 to 1212 "), "{lost}");
-        assert_eq!(lost.frames(), Some((1200, 1212)));
+        assert_eq!(lost.frame_range(), Some((1200, 1212)));
         let count = Warning::FramesLost { lost: 5, frames: 200 };
-        assert_eq!(count.numbered(number), count);
+        assert_eq!(count.with_frame_numbers(number), count);
     }
 
     #[test]
     fn a_focal_length_is_told_in_degrees_and_in_pixels_of_the_pictures_used() {
-        let far = Warning::FocalLengthDoubtful { given: 320.0, fitting: 640.0, width: 640 };
+        let far = Warning::FocalLengthMismatch { given: 320.0, fitting: 640.0, width: 640 };
         let told = far.resized(320).to_string();
         for part in ["160.0 px (90.0 degrees across)", "320.0 px (53.1 degrees)"] {
             assert!(told.contains(part), "{told}");

@@ -3,7 +3,7 @@
 mod scene;
 
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_odometry::{DenseDepths, View};
+use i2slam_odometry::{DenseDepthEstimator, PosedView};
 use scene::{camera, moving, picture};
 
 /// The true depth at the centre of every pixel.
@@ -19,11 +19,11 @@ fn quantile(mut all: Vec<f64>, share: f64) -> f64 {
 }
 
 /// Keyframes at every third place, each a little brighter than the one before.
-fn views() -> (Vec<View>, Vec<Image<f32>>) {
+fn views() -> (Vec<PosedView>, Vec<Image<f32>>) {
     let view = |k: usize| {
         let truth = depth(moving(3 * k));
         let landmarks = truth.iter().copied().step_by(97).collect();
-        View { world_from_camera: moving(3 * k), landmarks }
+        PosedView { world_from_camera: moving(3 * k), landmarks }
     };
     let shown = |k: usize| picture(1, moving(3 * k), 0.8 + 0.05 * k as f32);
     ((0..6).map(view).collect(), (0..6).map(shown).collect())
@@ -32,14 +32,14 @@ fn views() -> (Vec<View>, Vec<Image<f32>>) {
 #[test]
 fn most_depths_are_found_and_their_variances_are_true() {
     let (views, pictures) = views();
-    let mut dense = DenseDepths::new(camera(), views);
+    let mut dense = DenseDepthEstimator::new(camera(), views);
     let mut asked = vec![0; pictures.len()];
     let mut load = |k: usize| {
         asked[k] += 1;
         Some(pictures[k].clone())
     };
-    let found = dense.of(2, &mut load).expect("neighbours with parallax");
-    let again = dense.of(3, &mut load).expect("neighbours with parallax");
+    let found = dense.estimate(2, &mut load).expect("neighbours with parallax");
+    let again = dense.estimate(3, &mut load).expect("neighbours with parallax");
     assert!(again.depth.data.iter().any(|d| *d > 0.0));
     assert!(asked.iter().all(|times| *times <= 1), "{asked:?}");
     let truth = depth(moving(6));
@@ -63,9 +63,9 @@ fn most_depths_are_found_and_their_variances_are_true() {
 fn nothing_is_known_without_parallax_or_pictures() {
     let (views, pictures) = views();
     let alone = vec![views[0].clone(); 3];
-    let mut dense = DenseDepths::new(camera(), alone);
-    assert!(dense.of(1, &mut |_| Some(pictures[0].clone())).is_none());
-    let mut dense = DenseDepths::new(camera(), views);
-    assert!(dense.of(1, &mut |_| None).is_none());
-    assert!(dense.of(99, &mut |_| None).is_none());
+    let mut dense = DenseDepthEstimator::new(camera(), alone);
+    assert!(dense.estimate(1, &mut |_| Some(pictures[0].clone())).is_none());
+    let mut dense = DenseDepthEstimator::new(camera(), views);
+    assert!(dense.estimate(1, &mut |_| None).is_none());
+    assert!(dense.estimate(99, &mut |_| None).is_none());
 }

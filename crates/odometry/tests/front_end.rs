@@ -4,7 +4,7 @@ mod scene;
 
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{
-    Failure, FrameStatus, FrontEnd, Intrinsics, PictureError, Reconstruction, Warning,
+    FrameStatus, FrontEnd, Intrinsics, OdometryError, PictureError, Reconstruction, Warning,
 };
 use scene::{INTERVAL, blurred, camera, depth, moving, picture, through_lens};
 
@@ -13,7 +13,7 @@ fn run(
     intrinsics: Intrinsics,
     count: usize,
     picture_of: impl Fn(usize) -> Image<f32>,
-) -> Result<Reconstruction, Failure> {
+) -> Result<Reconstruction, OdometryError> {
     let mut front_end = FrontEnd::new(intrinsics);
     for i in 0..count {
         front_end.push(&picture_of(i), i as f64 * INTERVAL).expect("a picture of the right size");
@@ -138,7 +138,7 @@ fn a_lens_that_is_not_determined_is_none() {
     let asked =
         run(Intrinsics::GuessWithDistortion(guess), 24, moving_picture).expect("a good sequence");
     assert_eq!(asked.distortion, Some([0.0; 2]));
-    assert!(asked.warnings.contains(&Warning::LensUndetermined), "{:?}", asked.warnings);
+    assert!(asked.warnings.contains(&Warning::DistortionUndetermined), "{:?}", asked.warnings);
     let off = |found: &Reconstruction| (found.camera.fx / camera().fx).ln().abs();
     assert!(off(&asked) < off(&straight) + 0.01, "{} {}", asked.camera.fx, straight.camera.fx);
 }
@@ -149,7 +149,7 @@ fn intrinsics_that_are_wrong_by_a_fifth_are_noticed() {
     let found = run(Intrinsics::Known(wrong), 24, moving_picture).expect("still a path");
     assert_eq!(found.camera, wrong, "what was given stays");
     let doubtful = |w: &Warning| match w {
-        Warning::FocalLengthDoubtful { given, fitting, .. } => *given == 180.0 && *fitting < 170.0,
+        Warning::FocalLengthMismatch { given, fitting, .. } => *given == 180.0 && *fitting < 170.0,
         _ => false,
     };
     assert!(found.warnings.iter().any(doubtful), "{:?}", found.warnings);
@@ -158,14 +158,14 @@ fn intrinsics_that_are_wrong_by_a_fifth_are_noticed() {
 #[test]
 fn three_pictures_are_too_few() {
     let failure = run(Intrinsics::Known(camera()), 3, moving_picture).expect_err("too few");
-    assert_eq!(failure, Failure::TooFewFrames { frames: 3, needed: 4 });
+    assert_eq!(failure, OdometryError::TooFewFrames { frames: 3, needed: 4 });
 }
 
 #[test]
 fn a_still_camera_is_recognised() {
     let still = |i: usize| picture(1, moving(0), gain(i));
     let failure = run(Intrinsics::Known(camera()), 12, still).expect_err("nothing moves");
-    assert!(matches!(failure, Failure::StillCamera { motion } if motion < 0.5), "{failure}");
+    assert!(matches!(failure, OdometryError::StillCamera { motion } if motion < 0.5), "{failure}");
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn a_camera_that_only_turns_is_recognised() {
         picture(1, Pose::new(Rotation::exp(turn), Vec3::zero()), gain(i))
     };
     let failure = run(Intrinsics::Known(camera()), 20, turning).expect_err("no parallax");
-    assert!(matches!(failure, Failure::RotationOnly { left } if left < 1.0), "{failure}");
+    assert!(matches!(failure, OdometryError::RotationOnly { left } if left < 1.0), "{failure}");
 }
 
 #[test]
@@ -216,7 +216,7 @@ fn the_longer_side_of_a_cut_is_posed() {
 fn dark_pictures_and_noise_give_an_error() {
     let black = |_| Image::new(192, 144, 3);
     let failure = run(Intrinsics::Known(camera()), 8, black).expect_err("nothing to see");
-    assert_eq!(failure, Failure::TooFewPoints);
+    assert_eq!(failure, OdometryError::TooFewPoints);
     let noise = |i: usize| {
         let data = i2slam_check::noise(i as u64, 192 * 144 * 3);
         let data = data.into_iter().map(|v| 0.5 + 0.5 * v as f32).collect();

@@ -99,7 +99,7 @@ fn a_path_closes_where_it_comes_back() {
     let noisy = |i: usize| with_noise(render(truth[i], 1.0, hall), i);
     let pictures: Vec<Image<f32>> = (0..truth.len()).into_par_iter().map(noisy).collect();
     let front_end = followed(&pictures);
-    let open = front_end.clone().without_closing_loops().finish().expect("a path");
+    let open = front_end.clone().without_loop_closure().finish().expect("a path");
     let closed = front_end.finish().expect("a path");
     assert_eq!(closed.trajectory().len(), truth.len());
     let (closed, open) = (path_error(&closed, &truth), path_error(&open, &truth));
@@ -154,7 +154,7 @@ fn lost(found: &Reconstruction) -> Vec<usize> {
 fn frames_behind_a_covered_lens_are_lost_and_those_on_both_sides_posed() {
     let found = run(&interrupted(12..18, None));
     assert_eq!(lost(&found), (12..18).collect::<Vec<_>>());
-    let warning = Warning::NothingToFollow { first: 12, last: 17 };
+    let warning = Warning::UntrackableFrames { first: 12, last: 17 };
     assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
     let truth: Vec<Pose<f64>> = (0..30).map(moving).collect();
     let error = path_error(&found, &truth);
@@ -179,7 +179,7 @@ fn both_sides_of_a_cut_at_one_place_are_posed() {
 fn a_part_that_shows_another_place_is_named() {
     let found = run(&interrupted(0..11, Some(7)));
     assert_eq!(lost(&found), (0..11).collect::<Vec<_>>());
-    let warning = Warning::AnotherPlace { first: 0, last: 10 };
+    let warning = Warning::DisconnectedFrames { first: 0, last: 10 };
     assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
     assert!(found.warnings.contains(&Warning::FramesLost { lost: 11, frames: 30 }));
 }

@@ -8,7 +8,7 @@ use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::Sequence;
 use i2slam::keyframes::{
-    Native, NativeError, NativeFailure, PictureError, SequencePicture, Stage, Watch,
+    Native, NativeError, OdometryError, OdometryProgress, PictureError, SequencePicture, Stage,
 };
 use std::sync::Mutex;
 
@@ -28,10 +28,10 @@ pub(super) fn find_path(
     let intrinsics = camera::intrinsics(&large, estimate_distortion);
     let count = large.len();
     let estimate = Estimate::new(job, sequence);
-    let watch = watch(progress, Some(estimate));
+    let odometry_progress = odometry_progress(progress, Some(estimate));
     let load = move |place: usize| picture(&large, place);
-    match Native::find(intrinsics, count, load, &watch) {
-        Err(NativeError::NoPath { failure: NativeFailure::Ended, .. }) => {
+    match Native::find(intrinsics, count, load, &odometry_progress) {
+        Err(NativeError::NoPath { failure: OdometryError::Cancelled, .. }) => {
             let ended = "ended before the path of the camera was found: there is nothing to write";
             progress.note(ended);
             Err(Failure::Interrupted)
@@ -43,13 +43,16 @@ pub(super) fn find_path(
 
 /// Shows how far the search is, and early on what the whole job will take, by the estimate if there
 /// is one.
-pub(super) fn watch(progress: &Progress, estimate: Option<Estimate>) -> Watch {
+pub(super) fn odometry_progress(
+    progress: &Progress,
+    estimate: Option<Estimate>,
+) -> OdometryProgress {
     let shown = Mutex::new((progress.clone(), estimate));
-    Watch::new(interrupt::cancellation(), move |stage, done, of| {
+    OdometryProgress::new(interrupt::cancellation(), move |stage, done, of| {
         let Ok(mut shown) = shown.lock() else { return };
         let (progress, estimate) = &mut *shown;
         progress.stage(words(stage), done, of);
-        if let (Stage::Points { keyframes }, Some(estimate)) = (stage, estimate) {
+        if let (Stage::Tracking { keyframes }, Some(estimate)) = (stage, estimate) {
             let told = estimate.after(done, keyframes);
             told.iter().for_each(|line| progress.note(line));
         }
@@ -58,11 +61,11 @@ pub(super) fn watch(progress: &Progress, estimate: Option<Estimate>) -> Watch {
 
 fn words(stage: Stage) -> &'static str {
     match stage {
-        Stage::Points { .. } => "following points",
+        Stage::Tracking { .. } => "following points",
         Stage::FocalLength => "looking for the focal length",
-        Stage::Keyframes => "finding the path of the camera",
-        Stage::Adjustment => "adjusting the path",
-        Stage::Rows => "looking for a rolling shutter",
-        Stage::Loops => "looking for places seen again",
+        Stage::Registration => "finding the path of the camera",
+        Stage::BundleAdjustment => "adjusting the path",
+        Stage::RollingShutter => "looking for a rolling shutter",
+        Stage::LoopClosure => "looking for places seen again",
     }
 }

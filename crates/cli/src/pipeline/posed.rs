@@ -177,9 +177,9 @@ where
     let left_out = |(place, why): &(usize, PictureError)| {
         Warning::of_frame(at(*place), format!("left out: {why}"))
     };
-    let warnings = found.reconstruction().warnings.iter().map(|w| w.numbered(number));
-    let warnings = warnings.map(|warning| match (warning, warning.frames()) {
-        (NativeWarning::AnotherPlace { first, last }, Some(frames)) => {
+    let warnings = found.reconstruction().warnings.iter().map(|w| w.with_frame_numbers(number));
+    let warnings = warnings.map(|warning| match (warning, warning.frame_range()) {
+        (NativeWarning::DisconnectedFrames { first, last }, Some(frames)) => {
             Warning::of_frames(frames, format!("{warning} (--frames {first}..{})", last + 1))
         }
         (_, Some(frames)) => Warning::of_frames(frames, warning.to_string()),

@@ -1,11 +1,11 @@
 //! Keyframes from files that are followed through their pictures.
 
-use super::path::{PATH_SIDE, watch};
+use super::path::{PATH_SIDE, odometry_progress};
 use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::import::Files;
 use i2slam::keyframes::{
-    Intrinsics, KeyframeSource, Native, NativeError, NativeFailure, PictureError, Refined,
+    Intrinsics, KeyframeSource, Native, NativeError, OdometryError, PictureError, Refined,
     SequencePicture,
 };
 
@@ -18,10 +18,10 @@ pub(super) fn refined(files: &Files, progress: &Progress) -> Option<Box<dyn Keyf
     let large = files.at_least(PATH_SIDE);
     let load = |place: usize| picture(&large, place);
     let camera = Intrinsics::Known(large.camera);
-    let found = Native::find(camera, large.len(), load, &watch(progress, None));
+    let found = Native::find(camera, large.len(), load, &odometry_progress(progress, None));
     let found = match found {
         Ok(found) => found,
-        Err(NativeError::NoPath { failure: NativeFailure::Ended, .. }) => {
+        Err(NativeError::NoPath { failure: OdometryError::Cancelled, .. }) => {
             progress.note("ended while the pictures were followed: poses stay as they came");
             return None;
         }

@@ -8,8 +8,8 @@ mod rows;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
 pub use native::{
-    Intrinsics, Native, NativeError, NativeFailure, NativeReconstruction, NativeWarning,
-    SequencePicture, Stage, Watch,
+    Intrinsics, Native, NativeError, NativeReconstruction, NativeWarning, OdometryError,
+    OdometryProgress, SequencePicture, Stage,
 };
 pub use refined::Refined;
 

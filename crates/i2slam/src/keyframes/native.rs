@@ -6,13 +6,13 @@ use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
-    DenseDepth, DenseDepths, FrameStatus, FrontEnd, Keyframe, Reconstruction, View,
+    DenseDepth, DenseDepthEstimator, FrameStatus, FrontEnd, Keyframe, PosedView, Reconstruction,
 };
 use thiserror::Error;
 
 pub use i2slam_odometry::{
-    Failure as NativeFailure, Intrinsics, Reconstruction as NativeReconstruction, Stage,
-    Warning as NativeWarning, Watch,
+    Intrinsics, OdometryError, Progress as OdometryProgress,
+    Reconstruction as NativeReconstruction, Stage, Warning as NativeWarning,
 };
 
 /// Median depth of the landmarks in the unit of length that is delivered: about that of a room in
@@ -64,7 +64,7 @@ pub enum NativeError {
     #[error("{failure}{}", first_refusal(.refused))]
     NoPath {
         /// Why.
-        failure: NativeFailure,
+        failure: OdometryError,
         /// Pictures that could not be used: place in the sequence, reason.
         refused: Vec<(usize, PictureError)>,
     },
@@ -80,7 +80,7 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
 /// half the median depth of the landmarks.
 pub struct Native<L> {
     reconstruction: Reconstruction,
-    dense: Option<DenseDepths>,
+    dense: Option<DenseDepthEstimator>,
     reader: Reader<L>,
     /// Place in the sequence of every picture that the front end accepted.
     places: Vec<usize>,
@@ -91,22 +91,22 @@ pub struct Native<L> {
 impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
     /// Looks for the path of the camera through `count` pictures. `load` gives the picture at a
     /// place; it is asked for all of them in order, and then for those of the keyframes again, in
-    /// order. `watch` is told how far it is, and may end it.
+    /// order. `progress` is told how far it is, and may end it.
     ///
     /// # Errors
     ///
-    /// Why no path was found; [`NativeFailure::Ended`] where `watch` ended it. Pictures that cannot
+    /// Why no path was found; [`OdometryError::Cancelled`] where `progress` ended it. Pictures that cannot
     /// be read are [left out](Self::refused).
     pub fn find(
         intrinsics: Intrinsics,
         count: usize,
         mut load: L,
-        watch: &Watch,
+        progress: &OdometryProgress,
     ) -> Result<Self, NativeError> {
         let mut front_end = FrontEnd::new(intrinsics);
         let (mut places, mut refused, mut keyframes) = (Vec::new(), Vec::new(), 0);
         for place in 0..count {
-            if watch.ends() {
+            if progress.is_cancelled() {
                 break;
             }
             let pushed = load(place).and_then(|picture| {
@@ -119,11 +119,11 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
                 }
                 Err(why) => refused.push((place, why)),
             }
-            watch.tell(Stage::Points { keyframes }, place + 1, count);
+            progress.report(Stage::Tracking { keyframes }, place + 1, count);
         }
-        let found = match watch.ends() {
-            true => Err(NativeFailure::Ended),
-            false => front_end.finish_watched(watch.clone()),
+        let found = match progress.is_cancelled() {
+            true => Err(OdometryError::Cancelled),
+            false => front_end.finish_with_progress(progress.clone()),
         };
         match found {
             Ok(reconstruction) => {
@@ -152,12 +152,15 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Native<L> {
     /// alone, until `cancellation` is cancelled.
     #[must_use]
     pub fn with_dense_depth(mut self, cancellation: CancellationToken) -> Self {
-        let view = |keyframe: &Keyframe| View {
+        let view = |keyframe: &Keyframe| PosedView {
             world_from_camera: keyframe.world_from_camera,
             landmarks: keyframe.depths.iter().map(|d| d.depth).collect(),
         };
         let views = self.reconstruction.keyframes.iter().map(view).collect();
-        self.dense = Some(DenseDepths::new(self.reconstruction.camera, views).until(cancellation));
+        self.dense = Some(
+            DenseDepthEstimator::new(self.reconstruction.camera, views)
+                .with_cancellation(cancellation),
+        );
         self
     }
 
@@ -240,7 +243,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
                     None => colour.clone(),
                 })
             };
-            dense.of(number, &mut picture)
+            dense.estimate(number, &mut picture)
         });
         Some(Ok(PosedKeyframe {
             index,

@@ -9,7 +9,9 @@ use super::reader::Reader;
 use super::{EstimatedDepth, KeyframeSource, Native, PictureError, PosedKeyframe, SequencePicture};
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_odometry::{DenseDepths, FrameStatus, Keyframe, Reconstruction, SparseDepth, View};
+use i2slam_odometry::{
+    DenseDepthEstimator, FrameStatus, Keyframe, PosedView, Reconstruction, SparseDepth,
+};
 
 /// Share of the keyframes that the front end must have found a pose for.
 const FOUND: f64 = 0.6;
@@ -24,7 +26,7 @@ const HALF_PATCH: i32 = 2;
 pub struct Refined<L> {
     camera: Camera<f64>,
     poses: Vec<Pose<f64>>,
-    dense: DenseDepths,
+    dense: DenseDepthEstimator,
     reader: Reader<L>,
     next: usize,
     /// Mean correlation of the pictures with the poses as they came and as they were found.
@@ -58,11 +60,12 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Refined<L> {
         if moved {
             poses.clone_from(&path.poses);
         }
-        let views = poses.iter().enumerate().map(|(place, pose)| View {
+        let views = poses.iter().enumerate().map(|(place, pose)| PosedView {
             world_from_camera: *pose,
             landmarks: path.landmarks_near(place),
         });
-        let dense = DenseDepths::new(camera, views.collect()).until(cancellation);
+        let dense =
+            DenseDepthEstimator::new(camera, views.collect()).with_cancellation(cancellation);
         let reader = Reader::new((0..poses.len()).collect(), load);
         Some(Self { camera, poses, dense, reader, next: 0, correlations, moved })
     }
@@ -104,7 +107,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
             Err(why) => return Some(Err(why)),
         };
         let mut picture = |k: usize| Some(self.reader.picture(k)?.colour.clone());
-        let depth = self.dense.of(number, &mut picture);
+        let depth = self.dense.estimate(number, &mut picture);
         Some(Ok(PosedKeyframe {
             depth: depth.map(|d| EstimatedDepth { depth: d.depth, variance: Some(d.variance) }),
             ..seen.posed(world_from_camera)
@@ -264,7 +267,7 @@ fn correlation(a: &Image<f32>, at: (f64, f64), b: &Image<f32>, to: (f64, f64)) -
 #[cfg(test)]
 mod tests {
     use super::super::native::tests::{camera, stamped};
-    use super::super::{Intrinsics, Watch};
+    use super::super::{Intrinsics, OdometryProgress};
     use super::*;
     use i2slam_check::noise;
     use i2slam_geometry::{Tangent, Vec3};
@@ -291,8 +294,9 @@ mod tests {
     fn refined(poses: Vec<Pose<f64>>) -> Vec<PosedKeyframe> {
         let camera = camera();
         let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
-        let found = Native::find(Intrinsics::Known(camera), COUNT, load, &Watch::default())
-            .expect("a path");
+        let found =
+            Native::find(Intrinsics::Known(camera), COUNT, load, &OdometryProgress::default())
+                .expect("a path");
         let mut source = Refined::new(camera, poses, &found, load, CancellationToken::default())
             .expect("all were found");
         let keyframes = std::iter::from_fn(|| source.next_keyframe());

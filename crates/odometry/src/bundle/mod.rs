@@ -12,8 +12,8 @@ mod structure;
 pub(crate) use deviation::Covariance;
 
 use crate::landmark::Landmark;
+use crate::progress::{Progress, Stage};
 use crate::robust::huber;
-use crate::watch::{Stage, Watch};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use linear::{Linear, Step};
@@ -89,19 +89,19 @@ impl Sight {
 }
 
 impl Bundle {
-    /// Takes at most `steps` steps, fewer where `watch` has had enough; returns the cost per sight,
+    /// Takes at most `steps` steps, fewer where `progress` has had enough; returns the cost per sight,
     /// in variances.
-    pub(crate) fn adjust(&mut self, steps: usize, watch: &Watch) -> f64 {
+    pub(crate) fn adjust(&mut self, steps: usize, progress: &Progress) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
         let structure = Structure::new(self);
         let mut linear = Linear::new(self, &structure, Curvature::Bounding);
         for done in 0..steps {
-            if watch.ends() {
+            if progress.is_cancelled() {
                 break;
             }
             if self.poses.len() > TOLD {
-                watch.tell(Stage::Adjustment, done, steps);
+                progress.report(Stage::BundleAdjustment, done, steps);
             }
             let moved = linear.step(damping).map(|step| self.moved(&step));
             let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);

@@ -1,6 +1,6 @@
 use super::*;
 use crate::lens::radial;
-use crate::watch::Watch;
+use crate::progress::Progress;
 use i2slam_check::{assert_gradient, noise};
 use i2slam_geometry::{Rotation, Vec3};
 
@@ -60,7 +60,7 @@ fn disturbed(mut bundle: Bundle) -> Bundle {
 fn disturbed_poses_and_points_return() {
     let (truth, points) = scene(0.0);
     let mut bundle = disturbed(truth.clone());
-    assert!(bundle.adjust(60, &Watch::default()) < 1e-12);
+    assert!(bundle.adjust(60, &Progress::default()) < 1e-12);
     let scale = bundle.poses[5].translation.norm() / truth.poses[5].translation.norm();
     for (found, point) in bundle.landmarks.iter().zip(points) {
         assert!((found.position() * scale.recip() - point).norm() < 1e-4);
@@ -85,7 +85,7 @@ fn focal_error(seed: u64, own: f64, shared: f64) -> (f64, f64) {
         }
     }
     (bundle.camera.fx, bundle.camera.fy, bundle.unknown) = (260.0, 260.0, Unknown::FocalLength);
-    bundle.adjust(60, &Watch::default());
+    bundle.adjust(60, &Progress::default());
     let deviation = bundle.camera_covariance().expect("defined")[0][0].sqrt();
     ((bundle.camera.fx / 250.0).ln(), deviation)
 }
@@ -200,7 +200,7 @@ fn a_thousand_disturbed_poses_return() {
         let by = std::array::from_fn(|k| 0.002 * n[k]);
         bundle.poses[2 + i] = bundle.poses[2 + i].retract(Tangent::from_array(by));
     }
-    let cost = bundle.adjust(12, &Watch::default());
+    let cost = bundle.adjust(12, &Progress::default());
     assert!(cost < 1e-6, "{cost}");
     for (found, pose) in bundle.poses.iter().zip(&truth.poses) {
         assert!((found.translation - pose.translation).norm() < 1e-3);

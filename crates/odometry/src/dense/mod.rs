@@ -45,7 +45,7 @@ pub struct DenseDepth {
 
 /// A keyframe whose depth is looked for.
 #[derive(Clone, Debug)]
-pub struct View {
+pub struct PosedView {
     /// Pose at mid-exposure.
     pub world_from_camera: Pose<f64>,
     /// Depths of landmarks in it.
@@ -55,30 +55,30 @@ pub struct View {
 /// Finds the dense depth of keyframes one after another; only those near the one that is asked for
 /// are held in memory.
 #[derive(Clone, Debug)]
-pub struct DenseDepths {
+pub struct DenseDepthEstimator {
     camera: Camera<f64>,
-    views: Vec<View>,
+    views: Vec<PosedView>,
     pictures: BTreeMap<usize, Option<Pyramid>>,
     estimates: BTreeMap<usize, Estimate>,
     cancellation: CancellationToken,
 }
 
-impl DenseDepths {
+impl DenseDepthEstimator {
     /// For keyframes of one camera, in the order in which they were taken.
-    pub fn new(camera: Camera<f64>, views: Vec<View>) -> Self {
+    pub fn new(camera: Camera<f64>, views: Vec<PosedView>) -> Self {
         let (pictures, estimates) = (BTreeMap::new(), BTreeMap::new());
         Self { camera, views, pictures, estimates, cancellation: CancellationToken::default() }
     }
 
     /// The same, which finds nothing any more once `cancellation` is cancelled.
     #[must_use]
-    pub fn until(self, cancellation: CancellationToken) -> Self {
+    pub fn with_cancellation(self, cancellation: CancellationToken) -> Self {
         Self { cancellation, ..self }
     }
 
     /// The depth of keyframe `index`. `load` gives the picture of a keyframe (planes R, G, B or one
     /// of brightness), or `None`, and is asked once for each while indices rise.
-    pub fn of(
+    pub fn estimate(
         &mut self,
         index: usize,
         load: &mut dyn FnMut(usize) -> Option<Image<f32>>,
@@ -87,9 +87,9 @@ impl DenseDepths {
             return None;
         }
         let others = self.chosen(index);
-        self.estimate(index, load)?;
+        self.ensure_estimate(index, load)?;
         for other in &others {
-            self.estimate(*other, load);
+            self.ensure_estimate(*other, load);
         }
         if self.cancellation.is_cancelled() {
             return None;
@@ -136,7 +136,7 @@ impl DenseDepths {
     }
 
     /// Makes the estimate of one keyframe alone, once.
-    fn estimate(
+    fn ensure_estimate(
         &mut self,
         index: usize,
         load: &mut dyn FnMut(usize) -> Option<Image<f32>>,

@@ -39,7 +39,8 @@ fn pictures_become_keyframes_with_poses_and_sparse_depth() {
         _ => Ok(stamped(&camera, place, place as f64 / 30.0)),
     };
     let mut native =
-        Native::find(Intrinsics::Known(camera), 14, load, &Watch::default()).expect("a path");
+        Native::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
+            .expect("a path");
     assert_eq!(native.camera(), &camera);
     assert!(matches!(native.refused(), [(3, why)] if why.to_string() == "damaged"));
     let count = native.len();
@@ -62,8 +63,8 @@ fn pictures_become_keyframes_with_poses_and_sparse_depth() {
 fn dense_depth_and_the_frames_between_are_there_too() {
     let camera = camera();
     let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
-    let found =
-        Native::find(Intrinsics::Known(camera), 14, load, &Watch::default()).expect("a path");
+    let found = Native::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
+        .expect("a path");
     let between: Vec<PosedKeyframe> =
         found.between(load).map(|frame| frame.expect("read again")).collect();
     let mut native = found.with_dense_depth(CancellationToken::default());
@@ -87,8 +88,8 @@ fn dense_depth_and_the_frames_between_are_there_too() {
 fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
     let (camera, small) = (camera(), camera().resized(80, 60));
     let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
-    let found =
-        Native::find(Intrinsics::Known(camera), 14, load, &Watch::default()).expect("a path");
+    let found = Native::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
+        .expect("a path");
     let reduced = move |place: usize| {
         let of = stamped(&camera, place, place as f64 / 30.0);
         Ok(SequencePicture { colour: of.colour.resized_by_area(80, 60), ..of })
@@ -121,8 +122,8 @@ fn pictures_are_read_in_their_order_and_those_of_keyframes_once_more() {
         places.borrow_mut().push(place);
         Ok(stamped(&camera, place, place as f64 / 30.0))
     };
-    let found =
-        Native::find(Intrinsics::Known(camera), 30, load, &Watch::default()).expect("a path");
+    let found = Native::find(Intrinsics::Known(camera), 30, load, &OdometryProgress::default())
+        .expect("a path");
     let mut native = found.with_dense_depth(CancellationToken::default());
     assert!(places.take().into_iter().eq(0..30));
     while let Some(keyframe) = native.next_keyframe() {
@@ -145,9 +146,12 @@ fn who_has_enough_gets_no_path() {
         let asked = Arc::clone(&asked);
         move || asked.load(Ordering::SeqCst) == 12
     });
-    let watch = Watch::new(cancellation, |_, _, _| {});
-    let found = Native::find(Intrinsics::Known(camera), 30, load, &watch);
-    assert!(matches!(found.err(), Some(NativeError::NoPath { failure: NativeFailure::Ended, .. })));
+    let progress = OdometryProgress::new(cancellation, |_, _, _| {});
+    let found = Native::find(Intrinsics::Known(camera), 30, load, &progress);
+    assert!(matches!(
+        found.err(),
+        Some(NativeError::NoPath { failure: OdometryError::Cancelled, .. })
+    ));
     assert_eq!(asked.load(Ordering::SeqCst), 12);
 }
 
@@ -173,7 +177,7 @@ fn without_a_path_the_reason_names_the_pictures_that_were_refused() {
         0..2 => Ok(stamped(&camera, place, place as f64)),
         _ => Err("damaged".into()),
     };
-    let found = Native::find(Intrinsics::Known(camera), 5, load, &Watch::default());
+    let found = Native::find(Intrinsics::Known(camera), 5, load, &OdometryProgress::default());
     let message = found.err().expect("two pictures show no path").to_string();
     assert!(message.contains("2 pictures are too few"), "{message}");
     assert!(message.contains("3 pictures could not be used, the first, 2: damaged"));

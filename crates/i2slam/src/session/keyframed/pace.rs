@@ -5,7 +5,7 @@ use crate::config::{Config, MapKind};
 use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::mapping::PosedGaussians;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
-use i2slam_odometry::{DenseDepths, View};
+use i2slam_odometry::{DenseDepthEstimator, PosedView};
 use std::time::Instant;
 
 /// Steps of a round that are taken to see how long one takes.
@@ -127,14 +127,14 @@ fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>) -> f64 {
         return 0.0;
     }
     let small = colour.resized_by_area(width, height);
-    let view = |i: usize| View {
+    let view = |i: usize| PosedView {
         world_from_camera: Pose::new(Rotation::identity(), Vec3::new(0.05 * i as f64, 0.0, 0.0)),
         landmarks: vec![1.0, 2.0, 4.0],
     };
     let views = (0..VIEWS).map(view).collect();
-    let mut depths = DenseDepths::new(camera.resized(width, height), views);
+    let mut depths = DenseDepthEstimator::new(camera.resized(width, height), views);
     let clock = Instant::now();
-    depths.of(0, &mut |_| Some(small.clone()));
+    depths.estimate(0, &mut |_| Some(small.clone()));
     clock.elapsed().as_secs_f64() * (SMALLER * SMALLER) as f64 / VIEWS as f64
 }
 

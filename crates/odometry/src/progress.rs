@@ -8,20 +8,20 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Follows points from picture to picture; counts pictures.
-    Points {
+    Tracking {
         /// Keyframes among those so far.
         keyframes: usize,
     },
     /// Looks for the focal length from several starts.
     FocalLength,
     /// Finds where keyframes were taken; counts those that are found, of all.
-    Keyframes,
+    Registration,
     /// Adjusts all poses and points together; counts steps, of which there may be fewer.
-    Adjustment,
+    BundleAdjustment,
     /// Looks for the time between the first and the last row of a picture.
-    Rows,
+    RollingShutter,
     /// Looks for places that are seen again.
-    Loops,
+    LoopClosure,
 }
 
 /// Told of stages, with how much of them is done, and of how much (0 where that is not known).
@@ -29,12 +29,12 @@ type Listener = Arc<dyn Fn(Stage, usize, usize) + Send + Sync>;
 
 /// Who watches. The default is nobody.
 #[derive(Clone, Default)]
-pub struct Watch {
+pub struct Progress {
     cancellation: CancellationToken,
     listener: Option<Listener>,
 }
 
-impl Watch {
+impl Progress {
     /// Ends the search where `cancellation` is cancelled; `listener` is told what is done, of how much (0
     /// where that is not known), on the thread that searches.
     pub fn new(
@@ -45,23 +45,23 @@ impl Watch {
     }
 
     /// Whether the search is to end.
-    pub fn ends(&self) -> bool {
+    pub fn is_cancelled(&self) -> bool {
         self.cancellation.is_cancelled()
     }
 
     /// Tells how far it is.
-    pub fn tell(&self, stage: Stage, done: usize, of: usize) {
+    pub fn report(&self, stage: Stage, done: usize, of: usize) {
         self.listener.iter().for_each(|listener| listener(stage, done, of));
     }
 
     /// For trials, of which nothing is told.
-    pub(crate) fn silent(&self) -> Self {
+    pub(crate) fn without_listener(&self) -> Self {
         Self { cancellation: self.cancellation.clone(), listener: None }
     }
 }
 
-impl fmt::Debug for Watch {
+impl fmt::Debug for Progress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Watch").field("cancellation", &self.cancellation).finish_non_exhaustive()
+        f.debug_struct("Progress").field("cancellation", &self.cancellation).finish_non_exhaustive()
     }
 }

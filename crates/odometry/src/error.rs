@@ -4,7 +4,7 @@ use thiserror::Error;
 
 /// Why no camera path could be found at all.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum Failure {
+pub enum OdometryError {
     /// Too few pictures came.
     #[error(
         "{frames} pictures are too few: a path needs at least {needed} that show the same scene from different places"
@@ -41,9 +41,9 @@ pub enum Failure {
         "no two pictures agree on one motion of the camera: the scene moves itself, or the intrinsics are far from true; check them or have the focal length looked for, and film what stands still"
     )]
     NoConsistentMotion,
-    /// Whoever watched had enough of it.
+    /// Cancelled through [`Progress`](crate::Progress).
     #[error("ended before the path of the camera was found")]
-    Ended,
+    Cancelled,
 }
 
 /// Why a picture was refused.
