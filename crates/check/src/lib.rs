@@ -1,5 +1,26 @@
-//! Gradient checks and comparison helpers for tests, a clock for benches. Plain slices, no
+//! Gradient checks and comparison helpers and temporary folders for tests, a clock for benches. No
 //! dependencies, never shipped.
+
+use std::path::PathBuf;
+
+/// An empty folder for one test, removed when dropped.
+pub struct TemporaryFolder(pub PathBuf);
+
+impl TemporaryFolder {
+    /// Creates the folder; `name` must be unique within the test program.
+    pub fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("i2slam-{name}-{}", std::process::id()));
+        std::fs::remove_dir_all(&path).ok();
+        std::fs::create_dir_all(&path).expect("a temporary folder");
+        Self(path)
+    }
+}
+
+impl Drop for TemporaryFolder {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.0).ok();
+    }
+}
 
 /// The gradient of `f` at `x` by central differences of fourth order,
 /// `(8 [f(x+h) - f(x-h)] - [f(x+2h) - f(x-2h)]) / 12h`.

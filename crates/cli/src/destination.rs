@@ -4,7 +4,7 @@
 //! there before, and leaves everything else; a file of the user's own is never replaced.
 
 use crate::failure::Failure;
-use i2slam::export::{FolderContents, Layout};
+use i2slam_result::{FolderContents, Layout};
 use std::fs;
 use std::path::{Path, PathBuf};
 

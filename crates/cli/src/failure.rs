@@ -2,8 +2,8 @@
 
 use i2slam::ConfigError;
 use i2slam::dataset::DatasetError;
-use i2slam::export::ExportError;
 use i2slam_eval::EvalError;
+use i2slam_result::ExportError;
 use std::panic::{self, AssertUnwindSafe};
 use std::sync::Mutex;
 

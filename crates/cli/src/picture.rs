@@ -1,8 +1,8 @@
 //! Pictures read for comparison.
 
 use crate::failure::Failure;
-use i2slam::export::DEPTH_UNITS_PER_METRE;
 use i2slam::geometry::Image;
+use i2slam_result::DEPTH_UNITS_PER_METRE;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;

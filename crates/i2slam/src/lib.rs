@@ -17,7 +17,6 @@
 //! ```
 
 pub mod config;
-pub mod export;
 pub mod keyframes;
 mod mapping;
 pub mod objective;

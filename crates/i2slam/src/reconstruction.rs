@@ -1,7 +1,7 @@
 //! What a session leaves behind: poses, tone, map and response of a sequence.
 
 use crate::config::Config;
-use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
+use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, ShutterPoses};
 use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, Shape};
 use i2slam_radiance::hashgrid::HashGridMap;
@@ -176,5 +176,32 @@ impl Reconstruction {
             .iter()
             .map(|f| StampedPose { timestamp: f.timestamp, world_from_camera: f.middle() })
             .collect()
+    }
+    /// Median exposure and white balance, and the response of the middle frame; `None` where the
+    /// map stores picture values (`tone` off) or there is no frame yet.
+    pub fn typical_tone(&self) -> Option<(FrameTone<f32>, ResponseCurve<f32>)> {
+        if !self.config.formation.tone || self.frames.is_empty() {
+            return None;
+        }
+        let median = |i: usize| {
+            let mut values: Vec<f32> = self.frames.iter().map(|f| f.tone.to_array()[i]).collect();
+            values.sort_by(f32::total_cmp);
+            values[values.len() / 2]
+        };
+        let response = self.responses.get(self.frames[self.frames.len() / 2].response)?;
+        Some((FrameTone::from_array(std::array::from_fn(median)), response.curve()))
+    }
+
+    /// A frame that was never taken: a camera standing still at `world_from_camera`, with the
+    /// median exposure and white balance of the run and the response of its middle frame.
+    pub fn imagined_frame(&self, index: usize, world_from_camera: Pose<f64>) -> FrameEstimate {
+        let tone = self.typical_tone().map_or_else(FrameTone::default, |(tone, _)| tone);
+        let response = self.frames.get(self.frames.len() / 2).map_or(0, |f| f.response);
+        FrameEstimate {
+            tone,
+            response,
+            gaussians: self.map.gaussians(),
+            ..FrameEstimate::posed(index, 0.0, ShutterPoses::still(world_from_camera))
+        }
     }
 }

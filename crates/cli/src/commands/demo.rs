@@ -8,7 +8,7 @@ use crate::output::complain;
 use crate::pipeline::{self, Job, Keyframes};
 use i2slam::Config;
 use i2slam::dataset::OpenOptions;
-use i2slam::export::ResultFolder;
+use i2slam_result::ResultFolder;
 use std::path::{Path, PathBuf};
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));

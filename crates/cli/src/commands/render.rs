@@ -7,9 +7,9 @@ use crate::interrupt;
 use crate::output::{counted, say};
 use crate::progress::Progress;
 use i2slam::dataset::read_trajectory;
-use i2slam::export::{RenderKind, ResultFolder, save_render};
 use i2slam::geometry::{Image, Pose, Rotation, Vec3};
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
+use i2slam_result::{RenderKind, ResultFolder, save_render};
 use std::path::Path;
 
 pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
@@ -17,7 +17,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let kinds = kinds(arguments, own_poses)?;
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
     refuse_other_folders(&arguments.result)?;
-    let reconstruction = Reconstruction::load(&arguments.result)?;
+    let reconstruction = i2slam_result::load(&arguments.result)?;
     let frames = frames(arguments, pose, &reconstruction)?;
     let folder = place(arguments, own_poses)?;
     let frames =

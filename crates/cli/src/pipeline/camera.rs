@@ -2,8 +2,8 @@
 
 use crate::failure::Failure;
 use i2slam::dataset::{EstimatedCamera, Layout, Sequence};
-use i2slam::export::Metrics;
 use i2slam::keyframes::{Intrinsics, NativeReconstruction};
+use i2slam_result::Metrics;
 
 /// What the pictures alone told of the camera.
 #[derive(Clone, Debug)]

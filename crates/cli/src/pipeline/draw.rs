@@ -6,12 +6,12 @@ use crate::picture::{at_size_of, read_exr};
 use crate::progress::Progress;
 use crate::truth::Truth;
 use i2slam::dataset::Sequence;
-use i2slam::export::report::{Comparison, frames_to_show};
-use i2slam::export::{ExportError, Metrics, RenderKind, ResultFolder, save_render};
 use i2slam::geometry::Image;
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
 use i2slam_eval::hdr::hdr_error;
 use i2slam_eval::image::{psnr, ssim};
+use i2slam_result::report::{Comparison, frames_to_show};
+use i2slam_result::{ExportError, Metrics, RenderKind, ResultFolder, save_render};
 
 /// Frames in the report.
 const SHOWN: usize = 8;

@@ -1,6 +1,6 @@
 //! An earlier result in the folder of a run that ended early.
 
-use i2slam::export::{FolderContents, Layout, Metrics};
+use i2slam_result::{FolderContents, Layout, Metrics};
 use std::fs;
 use std::path::{Path, PathBuf};
 

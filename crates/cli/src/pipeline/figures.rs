@@ -2,10 +2,10 @@
 
 use super::drive::Tracked;
 use crate::truth::Truth;
-use i2slam::export::Metrics;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
+use i2slam_result::Metrics;
 
 /// Exposures that differ by less are constant: a correlation would be one of noise [stops].
 const MIN_RANGE: f64 = 0.1;

@@ -22,7 +22,7 @@ use crate::progress::Progress;
 use crate::truth::Truth;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Recording, Sequence, is_stream, is_video};
-use i2slam::export::{Layout, ResultFolder};
+use i2slam_result::{Layout, ResultFolder};
 pub(crate) use posed::Keyframes;
 use std::path::{Path, PathBuf};
 use summary::summarise;

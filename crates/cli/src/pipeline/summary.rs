@@ -2,7 +2,7 @@
 
 use super::camera::focal_length_line;
 use crate::output::{counted, say};
-use i2slam::export::{Metrics, UnitOfLength};
+use i2slam_result::{Metrics, UnitOfLength};
 use std::path::Path;
 
 /// The run in a few lines.

@@ -10,8 +10,8 @@ use crate::progress::Progress;
 use crate::truth::Truth;
 use i2slam::Warning;
 use i2slam::dataset::{OpenOptions, Sequence};
-use i2slam::export::report::Report;
-use i2slam::export::{ExportError, Input, Layout, Metrics, ResultFolder, save, save_metrics};
+use i2slam_result::report::Report;
+use i2slam_result::{ExportError, Input, Layout, Metrics, ResultFolder, save, save_metrics};
 use std::path::PathBuf;
 
 /// A run whose frames are done.

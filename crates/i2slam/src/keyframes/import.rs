@@ -79,7 +79,7 @@ impl KeyframeSource for Import {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::storage::tests::Scratch;
+    use i2slam_check::TemporaryFolder;
     use std::fs;
 
     fn picture(path: &Path) {
@@ -91,8 +91,8 @@ mod tests {
     }
 
     /// Three pictures, of which the second is damaged, and their poses.
-    fn folder() -> Scratch {
-        let scratch = Scratch::new("import");
+    fn folder() -> TemporaryFolder {
+        let scratch = TemporaryFolder::new("import");
         fs::create_dir_all(scratch.0.join("rgb")).expect("a folder");
         let (mut list, mut poses) = (String::new(), String::new());
         for i in 0..3 {

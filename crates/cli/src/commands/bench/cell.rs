@@ -3,8 +3,8 @@
 use super::input::List;
 use super::plan::{Cell, Plan, Source};
 use super::process::{Call, Stopped};
-use i2slam::export::remove_renders;
 use i2slam_eval::frame_list;
+use i2slam_result::remove_renders;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
 use std::fs;

@@ -2,7 +2,7 @@
 
 use crate::destination::refuse_file;
 use crate::failure::Failure;
-use i2slam::export::{FolderContents, Layout, ResultFolder};
+use i2slam_result::{FolderContents, Layout, ResultFolder};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;

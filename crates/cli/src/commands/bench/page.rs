@@ -8,8 +8,8 @@ use super::summary::Results;
 use super::table::{Table, csv_line};
 use crate::failure::Failure;
 use crate::output::counted;
-use i2slam::export::ResultFolder;
-use i2slam::export::report::{STYLE, escape};
+use i2slam_result::ResultFolder;
+use i2slam_result::report::{STYLE, escape};
 use std::collections::BTreeSet;
 use std::path::Path;
 

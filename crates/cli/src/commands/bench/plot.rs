@@ -1,6 +1,6 @@
 //! Points with error bars, joined in series, as inline SVG in the style of the reports.
 
-use i2slam::export::report::{Axis, escape};
+use i2slam_result::report::{Axis, escape};
 use std::fmt::Write;
 
 const WIDTH: f64 = 460.0;

@@ -2,7 +2,7 @@
 
 use super::figures::Figure;
 use super::summary::Value;
-use i2slam::export::report::escape;
+use i2slam_result::report::escape;
 
 /// A table with figures.
 pub(super) struct Table {

@@ -6,7 +6,7 @@ use super::trajectory;
 use crate::arguments::{Eval, Protocol};
 use crate::failure::Failure;
 use crate::output::{complain, say};
-use i2slam::export::report::{EvaluationSection, EvaluationSource, TruthSource};
+use i2slam_result::report::{EvaluationSection, EvaluationSource, TruthSource};
 use serde_json::{Map, Value, json};
 use std::path::PathBuf;
 

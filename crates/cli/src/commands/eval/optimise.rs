@@ -9,9 +9,9 @@ use crate::failure::Failure;
 use crate::interrupt;
 use crate::picture::at_size_of;
 use crate::progress::Progress;
-use i2slam::export::{RenderKind, ResultFolder, UnitOfLength, save_render, save_trajectory};
 use i2slam::geometry::{Image, Pose, StampedPose};
-use i2slam::{FrameEstimate, Reconstruction};
+use i2slam::FrameEstimate;
+use i2slam_result::{RenderKind, ResultFolder, UnitOfLength, save_render, save_trajectory};
 
 /// Where the pictures go.
 const BELOW: &str = "renders/optimised";
@@ -36,7 +36,7 @@ pub(super) fn draw(
     frames: &[usize],
 ) -> Result<Vec<Figure>, Failure> {
     let Some(result) = subject.result() else { return Ok(Vec::new()) };
-    let reconstruction = Reconstruction::load(result)?;
+    let reconstruction = i2slam_result::load(result)?;
     let folder = ResultFolder::create(result)?;
     let camera = &reconstruction.camera;
     let size = Image::new(camera.width, camera.height, 3);

@@ -7,8 +7,8 @@ use crate::picture::read_png;
 use crate::truth::Truth;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
-use i2slam::export::Input;
 use i2slam::geometry::{Image, StampedPose};
+use i2slam_result::Input;
 use std::path::{Path, PathBuf};
 
 /// Where true pictures come from.

@@ -2,8 +2,8 @@
 
 use super::failed;
 use crate::failure::Failure;
-use i2slam::export::ResultFolder;
-use i2slam::export::report::{EvaluationSection, put_evaluations};
+use i2slam_result::ResultFolder;
+use i2slam_result::report::{EvaluationSection, put_evaluations};
 use std::fs;
 use std::path::Path;
 

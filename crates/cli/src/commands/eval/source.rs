@@ -4,9 +4,9 @@ use super::reference::Reference;
 use super::subject::Subject;
 use crate::arguments::Eval;
 use crate::failure::Failure;
-use i2slam::export::Input;
-use i2slam::export::report::TruthSource;
 use i2slam::geometry::{Image, StampedPose};
+use i2slam_result::Input;
+use i2slam_result::report::TruthSource;
 use std::path::{Path, PathBuf};
 
 /// The true trajectory: a file, or the dataset that has it.

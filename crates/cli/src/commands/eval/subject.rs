@@ -3,7 +3,7 @@
 use super::failed;
 use crate::failure::Failure;
 use i2slam::dataset::{OpenOptions, Sequence};
-use i2slam::export::UnitOfLength;
+use i2slam_result::UnitOfLength;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

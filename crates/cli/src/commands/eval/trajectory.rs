@@ -7,12 +7,12 @@ use crate::arguments::{Eval, Fit, Protocol, RelativeStep};
 use crate::failure::Failure;
 use crate::output::counted;
 use i2slam::dataset::read_trajectory;
-use i2slam::export::UnitOfLength;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, RelativePoseError, Step, TrajectoryError,
     absolute_trajectory_error, relative_pose_error,
 };
+use i2slam_result::UnitOfLength;
 use serde::Serialize;
 use serde_json::{Map, Value};
 

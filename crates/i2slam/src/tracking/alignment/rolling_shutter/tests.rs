@@ -1,10 +1,9 @@
 //! The prior against its cost, and what frames say.
 
 use super::*;
-use crate::Config;
-use crate::export::tests::example;
 use crate::objective::Observation;
 use crate::tracking::{SequenceReadout, TrackingContext};
+use crate::{Config, FrameEstimate};
 use i2slam_check::{assert_gradient, noise};
 use i2slam_compute::CancellationToken;
 use i2slam_formation::{FrameTone, ShutterPoses, TrajectoryScale};
@@ -50,11 +49,10 @@ fn turned(pixels: f64) -> Pose<f64> {
 fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
     let config = Config::default();
     let (&(now, turn), before) = frames.split_last()?;
-    let mut estimates = example(before.len()).frames;
-    for (estimate, &(time, turn)) in estimates.iter_mut().zip(before) {
-        estimate.shutter = ShutterPoses::still(turned(turn));
-        (estimate.timestamp, estimate.tracked) = (time / RATE, true);
-    }
+    let estimate = |(index, &(time, turn)): (usize, &(f64, f64))| {
+        FrameEstimate::posed(index, time / RATE, ShutterPoses::still(turned(turn)))
+    };
+    let estimates: Vec<_> = before.iter().enumerate().map(estimate).collect();
     let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));
     let mut input = config.input.clone();
     (input.optimise_rolling_shutter, input.rolling_shutter_readout) = (true, SHARE / RATE);

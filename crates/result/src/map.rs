@@ -2,10 +2,10 @@
 
 use super::archive::{Archive, Array};
 use super::ply::{self, Splat};
-use crate::reconstruction::{Map, Reconstruction};
-use i2slam_formation::{FrameTone, ResponseCurve};
-use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
-use i2slam_radiance::hashgrid::HashGridMap;
+use i2slam::Map;
+use i2slam::formation::{FrameTone, ResponseCurve};
+use i2slam::radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
+use i2slam::radiance::hashgrid::HashGridMap;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 
@@ -117,7 +117,7 @@ fn rows<const N: usize>(values: Vec<f32>) -> Vec<[f32; N]> {
 }
 
 /// Write Gaussians for viewers of 3D Gaussian splatting. They show display colours without exposure
-/// or response, so that the radiance is formed with `tone`, the [`typical_tone`] of the run, once
+/// or response, so that the radiance is formed with `tone`, the [`Reconstruction::typical_tone`](i2slam::Reconstruction::typical_tone) of the run, once
 /// and for all.
 pub(crate) fn write_ply(
     out: &mut dyn Write,
@@ -161,22 +161,4 @@ fn display_colour(
     };
     let gains = tone.gains();
     std::array::from_fn(|c| curve.evaluate(c, gains[c] * radiance[c]).clamp(0.0, 1.0))
-}
-
-/// Median exposure and white balance, and the response of the middle frame; `None` where the map
-/// stores picture values (`tone` off) or there is no frame yet.
-pub(crate) fn typical_tone(
-    reconstruction: &Reconstruction,
-) -> Option<(FrameTone<f32>, ResponseCurve<f32>)> {
-    let frames = &reconstruction.frames;
-    if !reconstruction.config.formation.tone || frames.is_empty() {
-        return None;
-    }
-    let median = |i: usize| {
-        let mut values: Vec<f32> = frames.iter().map(|f| f.tone.to_array()[i]).collect();
-        values.sort_by(f32::total_cmp);
-        values[values.len() / 2]
-    };
-    let response = reconstruction.responses.get(frames[frames.len() / 2].response)?;
-    Some((FrameTone::from_array(std::array::from_fn(median)), response.curve()))
 }

@@ -129,6 +129,7 @@ fn partial_name(path: &Path) -> PathBuf {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use i2slam_check::TemporaryFolder;
     use std::cell::RefCell;
     use std::rc::Rc;
 
@@ -179,27 +180,9 @@ pub(crate) mod tests {
         }
     }
 
-    /// An empty folder for one test, removed when dropped.
-    pub(crate) struct Scratch(pub(crate) PathBuf);
-
-    impl Scratch {
-        pub(crate) fn new(name: &str) -> Self {
-            let path = std::env::temp_dir().join(format!("i2slam-{name}-{}", std::process::id()));
-            fs::remove_dir_all(&path).ok();
-            fs::create_dir_all(&path).expect("a temporary folder");
-            Self(path)
-        }
-    }
-
-    impl Drop for Scratch {
-        fn drop(&mut self) {
-            fs::remove_dir_all(&self.0).ok();
-        }
-    }
-
     #[test]
     fn a_full_disk_keeps_the_older_file_and_leaves_no_rest() {
-        let scratch = Scratch::new("full");
+        let scratch = TemporaryFolder::new("full");
         let folder = ResultFolder::on(&scratch.0, SmallDisk::new(10));
         folder.write_text("a/kept.txt", "12345").expect("room for five bytes");
         let error = folder.write_text("a/kept.txt", "longer than the room").expect_err("full");
@@ -212,7 +195,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_folder_that_is_a_file_is_refused_at_once() {
-        let scratch = Scratch::new("file");
+        let scratch = TemporaryFolder::new("file");
         let path = scratch.0.join("results");
         fs::write(&path, b"x").expect("a file");
         let error = ResultFolder::create(&path).expect_err("a file, not a folder");

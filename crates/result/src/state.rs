@@ -1,8 +1,8 @@
 //! `state.json` and `camera.json`: what the tables do not hold.
 
-use i2slam_formation::tone::NODES;
-use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
-use i2slam_geometry::Camera;
+use i2slam::formation::tone::NODES;
+use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
+use i2slam::geometry::Camera;
 use serde::{Deserialize, Serialize};
 
 /// Version of the folder's layout.

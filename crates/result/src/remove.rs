@@ -158,13 +158,13 @@ pub fn remove_renders(result: &Path) -> Result<(), ExportError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::storage::tests::Scratch;
-    use crate::export::{ResultFolder, save_render};
-    use i2slam_geometry::Image;
+    use crate::{ResultFolder, save_render};
+    use i2slam::geometry::Image;
+    use i2slam_check::TemporaryFolder;
 
     #[test]
     fn only_files_of_a_result_are_removed() {
-        let scratch = Scratch::new("remove");
+        let scratch = TemporaryFolder::new("remove");
         let (folder, layout) =
             (ResultFolder::create(&scratch.0).expect("a folder"), Layout::of_result());
         assert_eq!(layout.contents(&scratch.0), FolderContents::Empty);
@@ -182,7 +182,7 @@ mod tests {
     fn a_result_is_known_by_its_marks() {
         let others = FILES.into_iter().chain(["renders/sharp/000012.png"]);
         for (case, name) in others.enumerate() {
-            let scratch = Scratch::new(&format!("marks-{case}"));
+            let scratch = TemporaryFolder::new(&format!("marks-{case}"));
             let folder = ResultFolder::create(&scratch.0).expect("a folder");
             folder.write_text(name, "x").expect("room");
             let expected = match MARKS.contains(&name) {
@@ -195,7 +195,7 @@ mod tests {
 
     #[test]
     fn a_mark_may_be_a_text() {
-        let scratch = Scratch::new("mark-text");
+        let scratch = TemporaryFolder::new("mark-text");
         let folder = ResultFolder::create(&scratch.0).expect("a folder");
         let marks = vec![("README.md", "Made by me")];
         let layout = Layout { files: vec!["README.md"], pictures: Vec::new(), marks };
@@ -208,7 +208,7 @@ mod tests {
 
     #[test]
     fn only_pictures_of_a_run_are_removed() {
-        let scratch = Scratch::new("renders");
+        let scratch = TemporaryFolder::new("renders");
         let folder = ResultFolder::create(&scratch.0).expect("a folder");
         let image = Image::new(8, 6, 3);
         for kind in RenderKind::ALL {

@@ -1,7 +1,7 @@
 //! What there is to know of the run, below its figures.
 
 use super::escape;
-use crate::warning::Warning;
+use i2slam::Warning;
 use std::fmt::Write;
 
 /// Warnings that are seen without unfolding the others.

@@ -14,13 +14,14 @@ mod renders;
 pub mod report;
 mod save;
 mod state;
-pub(crate) mod storage;
+mod storage;
 mod table;
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;
 
 pub use error::ExportError;
 pub use input::Input;
+pub use load::load;
 pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{DEPTH_UNITS_PER_METRE, write_depth, write_picture, write_radiance};
 pub use remove::{FolderContents, Layout, remove_renders};

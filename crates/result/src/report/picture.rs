@@ -1,8 +1,8 @@
 //! Pictures inside the page: JPEG in base64.
 
-use crate::export::pictures::interleaved_bytes;
+use crate::pictures::interleaved_bytes;
 use base64::Engine;
-use i2slam_geometry::Image;
+use i2slam::geometry::Image;
 
 const QUALITY: u8 = 88;
 

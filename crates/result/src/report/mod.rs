@@ -18,8 +18,8 @@ pub use evaluation::{EvaluationSection, EvaluationSource, TruthSource, put_evalu
 pub use gallery::Comparison;
 
 use super::{ExportError, Metrics, ResultFolder, Storage};
-use crate::reconstruction::{FrameEstimate, Reconstruction};
-use i2slam_geometry::StampedPose;
+use i2slam::geometry::StampedPose;
+use i2slam::{FrameEstimate, Reconstruction};
 
 const TEMPLATE: &str = include_str!("template.html");
 /// The style sheet of this project's pages.

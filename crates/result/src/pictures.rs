@@ -1,6 +1,6 @@
 //! Image files: PNG for pictures and depth, OpenEXR for radiance.
 
-use i2slam_geometry::Image;
+use i2slam::geometry::Image;
 use std::io::{self, Cursor, Write};
 
 /// Depth PNGs hold this many units per metre (TUM RGB-D's convention).

@@ -1,8 +1,8 @@
 //! `metrics.json`: the numbers of a run.
 
-use crate::Config;
-use crate::reconstruction::{FrameEstimate, Reconstruction};
-use crate::warning::Warning;
+use i2slam::Config;
+use i2slam::Warning;
+use i2slam::{FrameEstimate, Reconstruction};
 use serde::{Deserialize, Serialize};
 
 /// The figures of one run. What could not be measured is `null` in the file.

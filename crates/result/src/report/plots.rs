@@ -2,10 +2,11 @@
 
 use super::Report;
 use super::plot::{Mark, Plot, Series};
-use crate::config::{Config, TrackingMethod};
-use crate::export::UnitOfLength;
-use crate::reconstruction::FrameEstimate;
-use i2slam_geometry::{Pose, StampedPose};
+use crate::UnitOfLength;
+use i2slam::Config;
+use i2slam::FrameEstimate;
+use i2slam::config::TrackingMethod;
+use i2slam::geometry::{Pose, StampedPose};
 
 type Points = Vec<(f64, f64)>;
 
@@ -91,7 +92,7 @@ fn view(
 fn position_error(frames: &[FrameEstimate], truth: &[StampedPose]) -> Option<Plot> {
     let stamps: Vec<f64> = truth.iter().map(|p| p.timestamp).collect();
     let error = |frame: &FrameEstimate| {
-        let nearest = i2slam_geometry::nearest_stamp(&stamps, frame.timestamp, 0.02);
+        let nearest = i2slam::geometry::nearest_stamp(&stamps, frame.timestamp, 0.02);
         let of = |i: usize| truth[i].world_from_camera.translation - frame.middle().translation;
         nearest.map_or(f64::NAN, |i| of(i).norm() * 100.0)
     };
@@ -169,7 +170,7 @@ fn response(report: &Report<'_>) -> Plot {
     );
     plot.x_label = "light reaching the sensor";
     let responses = &report.reconstruction.responses;
-    let srgb = i2slam_formation::StartCurve::Srgb;
+    let srgb = i2slam::formation::StartCurve::Srgb;
     let Some(response) = responses.get(responses.len() / 2) else { return plot };
     let curve = response.curve();
     let standard = curve.positions().iter().map(|&x| f64::from(x)).map(|x| (x, srgb.evaluate(x)));

@@ -1,7 +1,7 @@
 //! `input.json`: what a run read, so that it can be read again.
 
 use super::{ExportError, ResultFolder, Storage};
-use i2slam_dataset::{EstimatedCamera, OpenOptions, is_stream};
+use i2slam::dataset::{EstimatedCamera, OpenOptions, is_stream};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -123,11 +123,11 @@ impl Input {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::storage::tests::Scratch;
+    use i2slam_check::TemporaryFolder;
 
     #[test]
     fn what_was_read_can_be_read_again() {
-        let scratch = Scratch::new("input");
+        let scratch = TemporaryFolder::new("input");
         let options = OpenOptions {
             intrinsics: Some([500.0, 501.0, 320.25, 240.0]),
             frames: Some(10..90),

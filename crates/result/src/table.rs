@@ -1,8 +1,8 @@
 //! The text files of a result: trajectories, frames, camera response.
 
 use super::UnitOfLength;
-use crate::reconstruction::{FrameEstimate, Reconstruction};
-use i2slam_geometry::{Pose, StampedPose};
+use i2slam::geometry::{Pose, StampedPose};
+use i2slam::{FrameEstimate, Reconstruction};
 use std::fmt::{Display, Write};
 
 /// Columns of `frames.csv`, in order.

@@ -2,8 +2,8 @@
 
 use super::picture::{data_address, depth_colours};
 use super::{Report, headline::significant};
-use crate::reconstruction::FrameEstimate;
-use i2slam_geometry::Image;
+use i2slam::FrameEstimate;
+use i2slam::geometry::Image;
 use std::fmt::Write;
 
 /// The pictures of one frame. Planes R, G, B in `[0, 1]`.

@@ -1,8 +1,8 @@
 //! The page, from a reconstruction made by hand.
 
 use super::*;
-use crate::export::tests::example;
-use i2slam_geometry::Image;
+use crate::tests::example;
+use i2slam::geometry::Image;
 
 /// A picture of stripes.
 fn picture(phase: f32, sharpness: f32) -> Image<f32> {

@@ -3,32 +3,29 @@
 use super::state::{CameraFile, FORMAT, State};
 use super::table::FRAME_COLUMNS;
 use super::{ExportError, map};
-use crate::config::Config;
-use crate::reconstruction::{Convergence, FrameEstimate, Losses, Reconstruction};
-use i2slam_formation::{FrameTone, ShutterPoses};
-use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
+use i2slam::Config;
+use i2slam::formation::{FrameTone, ShutterPoses};
+use i2slam::geometry::{Pose, Rotation, Tangent, Vec3};
+use i2slam::{Convergence, FrameEstimate, Losses, Reconstruction};
 use std::fs;
 use std::path::Path;
 use std::str::FromStr;
 
-impl Reconstruction {
-    /// Read the folder that [`save`](super::save) wrote: `config.toml`, `camera.json`,
-    /// `trajectory_shutter.txt`, `frames.csv`, `state.json` and `map.i2slam`.
-    pub fn load(folder: &Path) -> Result<Self, ExportError> {
-        let config_path = folder.join("config.toml");
-        let config =
-            Config::from_toml(&text(&config_path)?, &config_path.display().to_string(), None)
-                .map_err(|e| ExportError::Format { path: config_path, message: e.to_string() })?;
-        let camera_path = folder.join("camera.json");
-        let camera: CameraFile = json(&camera_path)?;
-        let camera = camera.camera().map_err(|m| damaged(&camera_path, m))?;
-        let (responses, rolling_shutter_readout) = state(&folder.join("state.json"))?;
-        let frames = frames(folder, responses.len())?;
-        let map_path = folder.join("map.i2slam");
-        let bytes = fs::read(&map_path).map_err(|e| unreadable(&map_path, e))?;
-        let map = map::read_native(&bytes).map_err(|m| damaged(&map_path, m))?;
-        Ok(Self { config, camera, frames, map, responses, rolling_shutter_readout })
-    }
+/// Read the folder that [`save`](super::save) wrote: `config.toml`, `camera.json`,
+/// `trajectory_shutter.txt`, `frames.csv`, `state.json` and `map.i2slam`.
+pub fn load(folder: &Path) -> Result<Reconstruction, ExportError> {
+    let config_path = folder.join("config.toml");
+    let config = Config::from_toml(&text(&config_path)?, &config_path.display().to_string(), None)
+        .map_err(|e| ExportError::Format { path: config_path, message: e.to_string() })?;
+    let camera_path = folder.join("camera.json");
+    let camera: CameraFile = json(&camera_path)?;
+    let camera = camera.camera().map_err(|m| damaged(&camera_path, m))?;
+    let (responses, rolling_shutter_readout) = state(&folder.join("state.json"))?;
+    let frames = frames(folder, responses.len())?;
+    let map_path = folder.join("map.i2slam");
+    let bytes = fs::read(&map_path).map_err(|e| unreadable(&map_path, e))?;
+    let map = map::read_native(&bytes).map_err(|m| damaged(&map_path, m))?;
+    Ok(Reconstruction { config, camera, frames, map, responses, rolling_shutter_readout })
 }
 
 fn unreadable(path: &Path, source: std::io::Error) -> ExportError {
@@ -48,7 +45,7 @@ fn json<T: for<'de> serde::Deserialize<'de>>(path: &Path) -> Result<T, ExportErr
 }
 
 /// Camera responses, and the time in which the rows are read.
-fn state(path: &Path) -> Result<(Vec<i2slam_formation::CameraResponse<f32>>, f64), ExportError> {
+fn state(path: &Path) -> Result<(Vec<i2slam::formation::CameraResponse<f32>>, f64), ExportError> {
     let state: State = json(path)?;
     if state.format != FORMAT {
         let message = format!("has format {}, this program reads format {FORMAT}", state.format);

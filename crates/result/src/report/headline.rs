@@ -1,7 +1,7 @@
 //! The first screen: one sentence and the figures that matter.
 
 use super::{Report, escape};
-use crate::export::{Metrics, UnitOfLength};
+use crate::{Metrics, UnitOfLength};
 use std::fmt::Write;
 
 /// What was done, in a sentence.

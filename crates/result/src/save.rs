@@ -2,8 +2,8 @@
 
 use super::state::{CameraFile, State};
 use super::{ExportError, Metrics, ResultFolder, Storage, UnitOfLength, map, table};
-use crate::reconstruction::{Map, Reconstruction};
-use i2slam_geometry::StampedPose;
+use i2slam::geometry::StampedPose;
+use i2slam::{Map, Reconstruction};
 use std::io::{self, Write};
 
 /// Write everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
@@ -30,7 +30,7 @@ pub fn save<S: Storage>(
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
         match &r.map {
             Map::Gaussians(map) => {
-                folder.write("map.ply", |out| map::write_ply(out, map, map::typical_tone(r)))
+                folder.write("map.ply", |out| map::write_ply(out, map, r.typical_tone()))
             }
             Map::HashGrid(_) => folder.remove("map.ply"),
         },

@@ -1,15 +1,16 @@
 //! Round trips and full disks, on a reconstruction made by hand.
 
-use super::storage::tests::{Scratch, SmallDisk};
+use super::storage::tests::SmallDisk;
 use super::*;
-use crate::config::Config;
-use crate::reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
-use i2slam_formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
-use i2slam_geometry::{Camera, Pose, Rotation, Tangent, Vec3};
-use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
-use i2slam_radiance::hashgrid::{
+use i2slam::Config;
+use i2slam::formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
+use i2slam::geometry::{Camera, Pose, Rotation, Tangent, Vec3};
+use i2slam::radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
+use i2slam::radiance::hashgrid::{
     FieldSettings, HashGridField, HashGridMap, MarchSettings, Occupancy, OccupancySettings,
 };
+use i2slam::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
+use i2slam_check::TemporaryFolder;
 use std::fs;
 
 /// Frames along an arc, three response curves, a few Gaussians.
@@ -70,11 +71,11 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
 
 #[test]
 fn a_saved_folder_loads_as_it_was() {
-    let scratch = Scratch::new("load");
+    let scratch = TemporaryFolder::new("load");
     let before = example(6);
     let folder = ResultFolder::create(&scratch.0).expect("a folder");
     assert!(save(&folder, &before).is_empty());
-    let after = Reconstruction::load(&scratch.0).expect("a result");
+    let after = load(&scratch.0).expect("a result");
     assert_eq!(after.map, before.map);
     assert_eq!(after.camera, before.camera);
     assert_eq!(after.responses, before.responses);
@@ -108,26 +109,26 @@ fn a_field_is_saved_and_loaded() {
         occupancy: Occupancy::empty(occupancy),
         march: MarchSettings::cube(1.5),
     };
-    let scratch = Scratch::new("field");
+    let scratch = TemporaryFolder::new("field");
     let folder = ResultFolder::create(&scratch.0).expect("a folder");
     assert!(save(&folder, &example(2)).is_empty() && scratch.0.join("map.ply").exists());
     let before = Reconstruction { map: Map::HashGrid(Box::new(field)), ..example(2) };
     assert!(save(&folder, &before).is_empty() && !scratch.0.join("map.ply").exists());
-    let after = Reconstruction::load(&scratch.0).expect("a result");
+    let after = load(&scratch.0).expect("a result");
     assert_eq!(after.map, before.map);
     assert_eq!(after.viewer().depth(Pose::identity()).data, vec![0.0; 64 * 48]);
 }
 
 #[test]
 fn damage_is_named() {
-    let scratch = Scratch::new("damage");
+    let scratch = TemporaryFolder::new("damage");
     let folder = ResultFolder::create(&scratch.0).expect("a folder");
     assert!(save(&folder, &example(4)).is_empty());
     let refusal = |file: &str, content: &[u8]| {
         let path = scratch.0.join(file);
         let good = fs::read(&path).expect("a file");
         fs::write(&path, content).expect("room");
-        let message = Reconstruction::load(&scratch.0).expect_err("damage").to_string();
+        let message = load(&scratch.0).expect_err("damage").to_string();
         fs::write(&path, good).expect("room");
         assert!(message.contains(file), "{message}");
         message
@@ -138,13 +139,13 @@ fn damage_is_named() {
     assert!(refusal("camera.json", b"{}").contains("width"));
     assert!(refusal("state.json", b"{\"format\":9,\"responses\":[]}").contains("format 9"));
     fs::remove_file(scratch.0.join("map.i2slam")).expect("a file");
-    let message = Reconstruction::load(&scratch.0).expect_err("no map").to_string();
+    let message = load(&scratch.0).expect_err("no map").to_string();
     assert!(message.contains("map.i2slam") && message.contains("no such file"), "{message}");
 }
 
 #[test]
 fn a_full_disk_keeps_what_was_written_before() {
-    let scratch = Scratch::new("order");
+    let scratch = TemporaryFolder::new("order");
     let reconstruction = example(6);
     let room = 5000;
     let failures = save(&ResultFolder::on(&scratch.0, SmallDisk::new(room)), &reconstruction);
@@ -159,7 +160,7 @@ fn a_full_disk_keeps_what_was_written_before() {
 
 #[test]
 fn an_empty_reconstruction_is_saved_and_loaded() {
-    let scratch = Scratch::new("empty");
+    let scratch = TemporaryFolder::new("empty");
     let mut nothing = example(0);
     if let Map::Gaussians(map) = &mut nothing.map {
         map.retain(&[false; 7]);
@@ -167,7 +168,7 @@ fn an_empty_reconstruction_is_saved_and_loaded() {
     let folder = ResultFolder::create(&scratch.0).expect("a folder");
     assert!(save(&folder, &nothing).is_empty());
     assert!(save_metrics(&folder, &Metrics::of(&nothing)).is_ok());
-    let loaded = Reconstruction::load(&scratch.0).expect("a result");
+    let loaded = load(&scratch.0).expect("a result");
     assert!(loaded.frames.is_empty() && loaded.map.gaussians() == 0);
 }
 
@@ -176,11 +177,11 @@ fn viewers_get_display_colours() {
     let mut reconstruction = example(5);
     let Map::Gaussians(gaussians) = reconstruction.map.clone() else { panic!("Gaussians") };
     let radiance = gaussians.activation.radiance(gaussians.colours[0]);
-    let (tone, curve) = map::typical_tone(&reconstruction).expect("a tone");
+    let (tone, curve) = reconstruction.typical_tone().expect("a tone");
     let expected = curve.evaluate(0, tone.gains()[0] * radiance[0]).clamp(0.0, 1.0);
     let dc = |reconstruction: &Reconstruction| {
         let mut bytes = Vec::new();
-        let tone = map::typical_tone(reconstruction);
+        let tone = reconstruction.typical_tone();
         map::write_ply(&mut bytes, &gaussians, tone).expect("memory");
         let start = bytes.len() - 7 * 17 * 4 + 6 * 4;
         f32::from_le_bytes([bytes[start], bytes[start + 1], bytes[start + 2], bytes[start + 3]])

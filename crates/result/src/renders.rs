@@ -1,11 +1,8 @@
 //! `renders/`: pictures of every frame.
 
-use super::map::typical_tone;
 use super::pictures::{write_depth, write_picture, write_radiance};
 use super::{ExportError, Layout, ResultFolder, Storage};
-use crate::reconstruction::{FrameEstimate, Reconstruction};
-use i2slam_formation::{FrameTone, ShutterPoses};
-use i2slam_geometry::{Image, Pose};
+use i2slam::geometry::Image;
 
 /// What is drawn of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,21 +72,6 @@ const PICTURES: [&str; 3] = ["renders/optimised", "renders", "views"];
 /// Those folders with the extension of their pictures.
 pub(super) fn result_pictures() -> Vec<(String, &'static str)> {
     PICTURES.into_iter().flat_map(Layout::renders).collect()
-}
-
-impl Reconstruction {
-    /// A frame that was never taken: a camera standing still at `world_from_camera`, with the
-    /// median exposure and white balance of the run and the response of its middle frame.
-    pub fn imagined_frame(&self, index: usize, world_from_camera: Pose<f64>) -> FrameEstimate {
-        let tone = typical_tone(self).map_or_else(FrameTone::default, |(tone, _)| tone);
-        let response = self.frames.get(self.frames.len() / 2).map_or(0, |f| f.response);
-        FrameEstimate {
-            tone,
-            response,
-            gaussians: self.map.gaussians(),
-            ..FrameEstimate::posed(index, 0.0, ShutterPoses::still(world_from_camera))
-        }
-    }
 }
 
 #[cfg(test)]
