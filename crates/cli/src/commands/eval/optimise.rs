@@ -9,8 +9,8 @@ use crate::failure::Failure;
 use crate::interrupt;
 use crate::picture::at_size_of;
 use crate::progress::Progress;
-use i2slam::geometry::{Image, Pose, StampedPose};
 use i2slam::FrameEstimate;
+use i2slam::geometry::{Image, Pose, StampedPose};
 use i2slam_result::{RenderKind, ResultFolder, UnitOfLength, save_render, save_trajectory};
 
 /// Where the pictures go.
