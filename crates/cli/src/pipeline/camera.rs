@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use i2slam::dataset::{EstimatedCamera, Layout, Sequence};
-use i2slam::keyframes::{Intrinsics, NativeReconstruction};
+use i2slam::keyframes::{Intrinsics, OdometryReconstruction};
 use i2slam_result::Metrics;
 
 /// What the pictures alone told of the camera.
@@ -110,7 +110,7 @@ pub(super) fn focal_length_line(
 
 impl FoundCamera {
     /// What a front end made of the camera of a sequence.
-    pub(crate) fn of(sequence: &Sequence, found: &NativeReconstruction) -> Self {
+    pub(crate) fn of(sequence: &Sequence, found: &OdometryReconstruction) -> Self {
         Self {
             source: sequence.camera_source.clone(),
             assumed: sequence.camera.fx,

@@ -3,7 +3,7 @@
 use super::Job;
 use super::posed::picture;
 use i2slam::dataset::Sequence;
-use i2slam::{Config, Pace};
+use i2slam::{Config, RuntimeEstimate};
 use std::time::Instant;
 
 /// Frames after which the keyframes among them tell how many there will be.
@@ -47,7 +47,7 @@ impl Estimate {
         let camera = &self.sequence.camera;
         let colour = picture(&self.sequence, 0).ok()?.colour;
         let rate = self.sequence.frame_rate;
-        let pace = Pace::measure(&self.config, camera, rate, &colour)?;
+        let pace = RuntimeEstimate::measure(&self.config, camera, rate, &colour)?;
         let keyframes = (keyframes * frames).div_ceil(done);
         let seconds = following + pace.total(&self.config, keyframes, frames);
         let size = (camera.width, camera.height);

@@ -8,7 +8,8 @@ use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::Sequence;
 use i2slam::keyframes::{
-    Native, NativeError, OdometryError, OdometryProgress, PictureError, SequencePicture, Stage,
+    MonocularError, MonocularSource, OdometryError, OdometryProgress, PictureError,
+    SequencePicture, Stage,
 };
 use std::sync::Mutex;
 
@@ -22,7 +23,10 @@ pub(super) fn find_path(
     estimate_distortion: bool,
     job: &Job,
     progress: &Progress,
-) -> Result<Native<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<>>, Failure> {
+) -> Result<
+    MonocularSource<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<>>,
+    Failure,
+> {
     let large = sequence.at_least(PATH_SIDE);
     camera::before(sequence, &large).iter().for_each(|line| progress.note(line));
     let intrinsics = camera::intrinsics(&large, estimate_distortion);
@@ -30,8 +34,8 @@ pub(super) fn find_path(
     let estimate = Estimate::new(job, sequence);
     let odometry_progress = odometry_progress(progress, Some(estimate));
     let load = move |place: usize| picture(&large, place);
-    match Native::find(intrinsics, count, load, &odometry_progress) {
-        Err(NativeError::NoPath { failure: OdometryError::Cancelled, .. }) => {
+    match MonocularSource::find(intrinsics, count, load, &odometry_progress) {
+        Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
             let ended = "ended before the path of the camera was found: there is nothing to write";
             progress.note(ended);
             Err(Failure::Interrupted)

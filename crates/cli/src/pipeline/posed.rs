@@ -13,10 +13,10 @@ use i2slam::config::TrackingMethod;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::Pose;
 use i2slam::keyframes::{
-    ImportDepth, ImportOptions, KeyframeSource, Native, NativeWarning, PictureError, PosedKeyframe,
-    SequencePicture, import,
+    ImportDepth, ImportOptions, KeyframeSource, MonocularSource, OdometryWarning, PictureError,
+    PosedKeyframe, SequencePicture, import,
 };
-use i2slam::{FrameEstimate, KeyframedSession, Reconstruction, SessionError, Warning};
+use i2slam::{FrameEstimate, KeyframeSession, Reconstruction, SessionError, Warning};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -61,7 +61,7 @@ type Between = Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, PictureErr
 
 /// A session on keyframes, and the frames between them.
 struct Posed {
-    session: KeyframedSession,
+    session: KeyframeSession,
     between: Between,
     /// Keyframes taken in or held out.
     taken: usize,
@@ -168,7 +168,7 @@ fn native(
 }
 
 /// Warnings of a path, frames named by their numbers in the sequence.
-fn what_to_know<L>(sequence: &Sequence, found: &Native<L>) -> Vec<Warning>
+fn what_to_know<L>(sequence: &Sequence, found: &MonocularSource<L>) -> Vec<Warning>
 where
     L: FnMut(usize) -> Result<SequencePicture, PictureError>,
 {
@@ -179,7 +179,7 @@ where
     };
     let warnings = found.reconstruction().warnings.iter().map(|w| w.with_frame_numbers(number));
     let warnings = warnings.map(|warning| match (warning, warning.frame_range()) {
-        (NativeWarning::DisconnectedFrames { first, last }, Some(frames)) => {
+        (OdometryWarning::DisconnectedFrames { first, last }, Some(frames)) => {
             Warning::of_frames(frames, format!("{warning} (--frames {first}..{})", last + 1))
         }
         (_, Some(frames)) => Warning::of_frames(frames, warning.to_string()),
@@ -209,7 +209,7 @@ pub(super) fn track(
     warnings.into_iter().for_each(|warning| progress.warn(warning));
     progress.phase("keyframes", count);
     let config = job.config.clone().with_found_readout(source.readout());
-    let mut session = KeyframedSession::new(config, *source.camera(), frame_rate);
+    let mut session = KeyframeSession::new(config, *source.camera(), frame_rate);
     session.set_cancellation(interrupt::cancellation());
     if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).covered {
         session.set_covered(Arc::clone(covered));

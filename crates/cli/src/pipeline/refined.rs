@@ -5,8 +5,8 @@ use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::import::Files;
 use i2slam::keyframes::{
-    Intrinsics, KeyframeSource, Native, NativeError, OdometryError, PictureError, Refined,
-    SequencePicture,
+    Intrinsics, KeyframeSource, MonocularError, MonocularSource, OdometryError, PictureError,
+    RefinedImport, SequencePicture,
 };
 
 /// The keyframes of files with what their pictures tell of poses and depth; none if they come with
@@ -18,10 +18,11 @@ pub(super) fn refined(files: &Files, progress: &Progress) -> Option<Box<dyn Keyf
     let large = files.at_least(PATH_SIDE);
     let load = |place: usize| picture(&large, place);
     let camera = Intrinsics::Known(large.camera);
-    let found = Native::find(camera, large.len(), load, &odometry_progress(progress, None));
+    let found =
+        MonocularSource::find(camera, large.len(), load, &odometry_progress(progress, None));
     let found = match found {
         Ok(found) => found,
-        Err(NativeError::NoPath { failure: OdometryError::Cancelled, .. }) => {
+        Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
             progress.note("ended while the pictures were followed: poses stay as they came");
             return None;
         }
@@ -33,7 +34,7 @@ pub(super) fn refined(files: &Files, progress: &Progress) -> Option<Box<dyn Keyf
     let own = files.clone();
     let load = move |place: usize| picture(&own, place);
     let poses = files.keyframes.iter().map(|keyframe| keyframe.world_from_camera).collect();
-    let refined = Refined::new(files.camera, poses, &found, load, interrupt::cancellation());
+    let refined = RefinedImport::new(files.camera, poses, &found, load, interrupt::cancellation());
     let Some(refined) = refined else {
         progress.note("poses are taken as they came, without depth: the pictures show no path");
         return None;

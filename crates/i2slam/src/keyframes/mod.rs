@@ -1,17 +1,17 @@
 //! Keyframes that come with poses: what a monocular front end delivers, and what files of one hold.
 
 mod import;
-mod native;
-mod reader;
-mod refined;
-mod rows;
+mod monocular;
+mod picture_reader;
+mod refined_import;
+mod row_rectification;
 
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
-pub use native::{
-    Intrinsics, Native, NativeError, NativeReconstruction, NativeWarning, OdometryError,
-    OdometryProgress, SequencePicture, Stage,
+pub use monocular::{
+    Intrinsics, MonocularError, MonocularSource, OdometryError, OdometryProgress,
+    OdometryReconstruction, OdometryWarning, SequencePicture, Stage,
 };
-pub use refined::Refined;
+pub use refined_import::RefinedImport;
 
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;

@@ -13,18 +13,18 @@ pub(crate) struct Keyframe {
     /// Position among the session's frames.
     pub(crate) frame: usize,
     pub(crate) observation: Arc<Observation>,
-    pub(crate) beside: Beside,
+    pub(crate) adjacent: AdjacentFrames,
 }
 
 /// The frames before and after a keyframe in the video, where their source knows them: stamps [s],
 /// and poses in the camera of the keyframe, with which they move.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Beside {
+pub(crate) struct AdjacentFrames {
     pub(crate) before: Option<(f64, Pose<f64>)>,
     pub(crate) after: Option<(f64, Pose<f64>)>,
 }
 
-impl Beside {
+impl AdjacentFrames {
     /// What one other frame tells of a frame.
     pub(crate) fn of(frame: &FrameEstimate, other: &FrameEstimate) -> Self {
         let way = Some((other.timestamp, frame.middle().inverse() * other.middle()));

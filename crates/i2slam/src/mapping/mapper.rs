@@ -1,6 +1,7 @@
 //! What a session asks of its map.
 
-use super::{Keyframe, Tracker};
+use super::keyframe::Keyframe;
+use super::map_snapshot::Tracker;
 use crate::config::Config;
 use crate::reconstruction::{FrameEstimate, Map};
 use crate::warning::Warning;
@@ -11,7 +12,7 @@ use i2slam_radiance::hashgrid::SettingsError;
 use std::sync::Arc;
 
 /// What a session knows beside its map, while the map works on it.
-pub(crate) struct Story<'a> {
+pub(crate) struct MappingContext<'a> {
     pub(crate) config: &'a Config,
     pub(crate) camera: &'a Camera<f64>,
     /// All frames so far.
@@ -27,10 +28,13 @@ pub(crate) struct Story<'a> {
     pub(crate) cancellation: &'a CancellationToken,
 }
 
-impl Story<'_> {
-    /// The same story with other keyframes.
-    pub(crate) fn with_keyframes<'a>(&'a mut self, keyframes: &'a [Keyframe]) -> Story<'a> {
-        Story {
+impl MappingContext<'_> {
+    /// The same context with other keyframes.
+    pub(crate) fn with_keyframes<'a>(
+        &'a mut self,
+        keyframes: &'a [Keyframe],
+    ) -> MappingContext<'a> {
+        MappingContext {
             config: self.config,
             camera: self.camera,
             frames: self.frames,
@@ -67,7 +71,7 @@ pub(crate) trait Mapper: Tracker {
 
     /// A copy of the map for tracking beside mapping, best in the memory of the one before; none
     /// of an empty map.
-    fn follower(
+    fn snapshot(
         &self,
         config: &Config,
         camera: &Camera<f64>,
@@ -76,13 +80,17 @@ pub(crate) trait Mapper: Tracker {
     ) -> Option<Box<dyn Tracker>>;
 
     /// Makes room for what the current frame sees for the first time; starts an empty map.
-    fn add(&mut self, story: &mut Story<'_>, current: &Keyframe);
+    fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe);
 
     /// A round of steps on the current frame and keyframes before it; `first` starts the map.
-    fn refine(&mut self, story: &mut Story<'_>, current: &Keyframe, first: bool);
+    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool);
 
     /// Steps over all keyframes after the last frame; `on_step(done, of)` says whether to go on.
-    fn finish(&mut self, story: &mut Story<'_>, on_step: &mut dyn FnMut(usize, usize) -> bool);
+    fn finish(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        on_step: &mut dyn FnMut(usize, usize) -> bool,
+    );
 
     /// The map as it is now.
     fn map(&self) -> Map;

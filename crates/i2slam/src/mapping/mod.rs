@@ -1,36 +1,24 @@
-//! Mapping: the map takes in what a frame sees for the first time, and is refined together with
-//! tone and response over keyframes. [`Mapper`] is what a session knows of it.
+//! Mapping: the map is extended by what a frame sees for the first time, and optimised together
+//! with tone, response and keyframe poses.
+//!
+//! [`Mapper`] is a map for tracked frames, [`JointMapper`] one whose keyframe poses are only
+//! roughly known.
 
-mod ages;
-mod densify;
+mod depth_inpainting;
 mod field;
-mod fill;
-mod follower;
-mod frames;
+mod frame_optimizer;
 mod gaussians;
+mod iteration_budget;
+mod joint;
 mod keyframe;
-mod locate;
+mod localization;
+mod map_snapshot;
 mod mapper;
-mod merge;
-mod optimizer;
-mod posed;
-mod posed_gaussians;
-mod posed_mapper;
-mod round;
 mod window;
 
 pub(crate) use field::FieldMapper;
-pub(crate) use follower::{Follower, Tracker};
 pub(crate) use gaussians::{GaussianMapper, raster_settings};
-pub(crate) use keyframe::{Beside, Keyframe, intervals, is_keyframe};
-pub(crate) use locate::Locator;
-pub(crate) use mapper::{Mapper, Story};
-pub(crate) use posed::PosedField;
-pub(crate) use posed_gaussians::PosedGaussians;
-pub(crate) use posed_mapper::PosedMapper;
-
-use optimizer::MapOptimizer;
-use window::select_window;
-
-/// Rendered opacity from which the map has a surface.
-const SOLID: f32 = 0.9;
+pub(crate) use joint::{JointFieldMapper, JointGaussianMapper, JointMapper};
+pub(crate) use keyframe::{AdjacentFrames, Keyframe, is_keyframe};
+pub(crate) use map_snapshot::Tracker;
+pub(crate) use mapper::{Mapper, MappingContext};

@@ -1,6 +1,6 @@
 //! Which keyframes a mapping round looks at (SplaTAM's rule).
 
-use super::Keyframe;
+use super::keyframe::Keyframe;
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::Random;
 use i2slam_geometry::{Camera, Vec3};

@@ -1,8 +1,7 @@
 //! The back end: the map takes in frames that were tracked.
 
-use super::start;
 use crate::config::Config;
-use crate::mapping::{Beside, Keyframe, Mapper, Story, Tracker, is_keyframe};
+use crate::mapping::{AdjacentFrames, Keyframe, Mapper, MappingContext, Tracker, is_keyframe};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
 use crate::warning::Warning;
@@ -29,8 +28,8 @@ pub(super) struct Backend {
 impl Backend {
     pub(super) fn new(config: &Config, camera: &Camera<f64>) -> Self {
         Self {
-            mapper: start::mapper(config, camera),
-            responses: vec![start::response(config)],
+            mapper: super::mapper(config, camera),
+            responses: vec![super::response(config)],
             frames: Vec::new(),
             keyframes: Vec::new(),
             covered: None,
@@ -49,7 +48,8 @@ impl Backend {
         observation: Arc<Observation>,
     ) {
         let position = self.frames.len() - 1;
-        let current = Keyframe { frame: position, observation, beside: Beside::default() };
+        let current =
+            Keyframe { frame: position, observation, adjacent: AdjacentFrames::default() };
         let last = self.keyframes.last().map(|k| k.frame);
         self.frames[position].keyframe = self.mapper.is_empty()
             || last.is_none_or(|last| {
@@ -69,9 +69,9 @@ impl Backend {
         let first = self.mapper.is_empty();
         if first || (position + 1).is_multiple_of(config.mapping.interval) {
             let before = self.keyframes.len() - usize::from(self.frames[position].keyframe);
-            let (mapper, mut story) = self.story(config, camera, before);
-            mapper.add(&mut story, &current);
-            mapper.refine(&mut story, &current, first);
+            let (mapper, mut context) = self.context(config, camera, before);
+            mapper.add(&mut context, &current);
+            mapper.refine(&mut context, &current, first);
         }
         let estimate = &mut self.frames[position];
         estimate.mapping_seconds = clock.elapsed().as_secs_f64();
@@ -87,8 +87,8 @@ impl Backend {
     ) {
         self.work(config, camera);
         if !self.keyframes.is_empty() {
-            let (mapper, mut story) = self.story(config, camera, self.keyframes.len());
-            mapper.finish(&mut story, on_step);
+            let (mapper, mut context) = self.context(config, camera, self.keyframes.len());
+            mapper.finish(&mut context, on_step);
         }
         let failure =
             self.mapper.failure().map(|error| Warning::from(format!("the map is empty: {error}")));
@@ -96,23 +96,23 @@ impl Backend {
     }
 
     /// A copy of the map for tracking.
-    pub(super) fn follower(
+    pub(super) fn snapshot(
         &self,
         config: &Config,
         camera: &Camera<f64>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
-        self.mapper.follower(config, camera, self.covered.clone(), last)
+        self.mapper.snapshot(config, camera, self.covered.clone(), last)
     }
 
     /// The map, and what it works on: the first `keyframes` of them.
-    fn story<'a>(
+    fn context<'a>(
         &'a mut self,
         config: &'a Config,
         camera: &'a Camera<f64>,
         keyframes: usize,
-    ) -> (&'a mut dyn Mapper, Story<'a>) {
-        let story = Story {
+    ) -> (&'a mut dyn Mapper, MappingContext<'a>) {
+        let context = MappingContext {
             config,
             camera,
             frames: &mut self.frames,
@@ -123,6 +123,6 @@ impl Backend {
             warnings: &mut self.warnings,
             cancellation: &self.cancellation,
         };
-        (self.mapper.as_mut(), story)
+        (self.mapper.as_mut(), context)
     }
 }

@@ -2,9 +2,12 @@
 
 use super::*;
 use crate::config::{MapKind, TrackingMethod};
-use crate::reconstruction::Map;
+use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
+use crate::warning::Warning;
+use i2slam_compute::CancellationToken;
+use i2slam_dataset::Frame;
 use i2slam_formation::ShutterPoses;
-use i2slam_geometry::{Pose, Rotation, Vec3};
+use i2slam_geometry::{Image, Pose, Rotation, Vec3};
 
 pub(super) const CAMERA: Camera<f64> =
     Camera { width: 48, height: 36, fx: 40.0, fy: 40.0, cx: 24.0, cy: 18.0 };

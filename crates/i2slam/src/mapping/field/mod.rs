@@ -6,14 +6,16 @@
 //! cube takes its place: it is trained anew on the keyframes so far, whose poses and tone stay. Of
 //! a cube of a set size, what lies outside is not mapped.
 
-mod cube;
+mod bounds;
 
-pub(super) use cube::{GROWTH, away, held_distance, hold_between, untrained};
+pub(super) use bounds::{GROWTH, chebyshev_distance, mark_cells, surface_distance, untrained};
 
-use super::densify::placement;
-use super::frames::FrameOptimizers;
-use super::round::Round;
-use super::{Follower, Keyframe, Mapper, Story, Tracker};
+use super::depth_inpainting::placement_depth;
+use super::frame_optimizer::FrameOptimizers;
+use super::iteration_budget::IterationBudget;
+use super::keyframe::Keyframe;
+use super::map_snapshot::{MapSnapshot, Tracker};
+use super::mapper::{Mapper, MappingContext};
 use crate::config::Config;
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, Observation, RayObjective, RayView,
@@ -95,11 +97,11 @@ impl FieldMapper {
     }
 
     /// Chooses the cube: around the camera, large enough for the frame's depth and a margin.
-    fn begin(&mut self, story: &mut Story<'_>, pose: Pose<f64>, depth: &Image<f32>) {
-        let settings = &story.config.hashgrid;
-        let bound = cube::bound(settings, story.camera, depth);
-        let seed = story.config.seed;
-        match cube::untrained(settings, pose.translation.to_array(), bound, seed) {
+    fn begin(&mut self, context: &mut MappingContext<'_>, pose: Pose<f64>, depth: &Image<f32>) {
+        let settings = &context.config.hashgrid;
+        let bound = bounds::bound(settings, context.camera, depth);
+        let seed = context.config.seed;
+        match bounds::untrained(settings, pose.translation.to_array(), bound, seed) {
             Ok(map) => {
                 let field = self.field.insert(Field::new(map, self.camera));
                 field.batch.set_moment_jitter(settings.moment_jitter);
@@ -113,48 +115,53 @@ impl FieldMapper {
 
     /// Begins the field anew, in a cube of half edge `bound` [m], with all keyframes before
     /// `current`.
-    fn grow(&mut self, story: &mut Story<'_>, bound: f64) {
-        let (settings, seed) = (&story.config.hashgrid, story.config.seed);
+    fn grow(&mut self, context: &mut MappingContext<'_>, bound: f64) {
+        let (settings, seed) = (&context.config.hashgrid, context.config.seed);
         let Some(field) = &mut self.field else { return };
         // The settings have made a field before.
         let centre = field.map.field.settings().centre;
-        let Ok(map) = cube::untrained(settings, centre, bound, seed) else { return };
+        let Ok(map) = bounds::untrained(settings, centre, bound, seed) else { return };
         self.lost_steps += std::mem::take(&mut field.steps);
         field.renew(map);
-        for keyframe in story.keyframes {
-            let depth =
-                placement(&keyframe.observation, &story.config.mapping, story.covered, None);
-            self.hold(story, story.frames[keyframe.frame].depth_pose(), &depth);
+        for keyframe in context.keyframes {
+            let depth = placement_depth(
+                &keyframe.observation,
+                &context.config.mapping,
+                context.covered,
+                None,
+            );
+            self.hold(context, context.frames[keyframe.frame].depth_pose(), &depth);
         }
     }
 
     /// Samples around the surfaces of a frame from now on.
-    fn hold(&mut self, story: &Story<'_>, pose: Pose<f64>, depth: &Image<f32>) {
+    fn hold(&mut self, context: &MappingContext<'_>, pose: Pose<f64>, depth: &Image<f32>) {
         let Some(Field { map, .. }) = &mut self.field else { return };
-        let shell = story.config.hashgrid.shell;
+        let shell = context.config.hashgrid.shell;
         let HashGridMap { field, occupancy, .. } = map;
         let between = |_, d| (d * (1.0 - shell), d * (1.0 + shell));
-        hold_between(occupancy, field, (&self.camera, pose), depth, between);
+        mark_cells(occupancy, field, (&self.camera, pose), depth, between);
     }
 
     /// Sees to it that the cube holds what a frame sees, or warns.
     fn enclose(
         &mut self,
-        story: &mut Story<'_>,
+        context: &mut MappingContext<'_>,
         frame: usize,
         pose: Pose<f64>,
         depth: &Image<f32>,
     ) {
         let Some(Field { map, .. }) = &self.field else { return };
         let FieldSettings { centre, bound, .. } = *map.field.settings();
-        let share = cube::share_outside(map.field.settings(), story.camera, pose, depth);
+        let share = bounds::share_outside(map.field.settings(), context.camera, pose, depth);
         if share <= OUTSIDE {
             return;
         }
-        let settings = &story.config.hashgrid;
+        let settings = &context.config.hashgrid;
         if settings.bound == 0.0 {
-            let need = f64::from(settings.margin) * cube::need(centre, story.camera, pose, depth);
-            self.grow(story, need.max(cube::GROWTH * bound));
+            let required_extent = f64::from(settings.margin)
+                * bounds::required_extent(centre, context.camera, pose, depth);
+            self.grow(context, required_extent.max(bounds::GROWTH * bound));
         } else if !self.warned {
             self.warned = true;
             let outside = format!(
@@ -162,16 +169,22 @@ impl FieldMapper {
                  first camera) and is not mapped: without hashgrid.bound the cube grows",
                 100.0 * share
             );
-            story.warnings.push(Warning::of_frame(story.frames[frame].index, outside));
+            context.warnings.push(Warning::of_frame(context.frames[frame].index, outside));
         }
     }
 
     /// One step on pixels of all `views`; poses and tone take part unless the field `alone` does.
-    fn step(&mut self, story: &mut Story<'_>, views: &[Keyframe], rate: f32, alone: bool) {
-        let config = story.config;
-        let curves = curves(story, views);
+    fn step(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        views: &[Keyframe],
+        rate: f32,
+        alone: bool,
+    ) {
+        let config = context.config;
+        let curves = curves(context, views);
         let rays = config.hashgrid.rays / views.len().max(1);
-        let drawn = views.iter().map(|view| self.draw(story, view, &curves, rays));
+        let drawn = views.iter().map(|view| self.draw(context, view, &curves, rays));
         let drawn: Vec<RayView<'_>> = drawn.collect();
         let Some(field) = &mut self.field else { return };
         let mapping = &config.mapping;
@@ -182,29 +195,29 @@ impl FieldMapper {
             &drawn,
             (config.hashgrid.image_weight, config.hashgrid.depth_weight),
             with_poses,
-            story.random,
+            context.random,
             &mut field.gradient,
         );
         field.adam.step(&mut field.map.field, &mut field.gradient, rate);
         field.steps += 1;
         if !alone {
-            self.step_frames(story, views, evaluations);
+            self.step_frames(context, views, evaluations);
         }
     }
 
     /// Random pixels of a keyframe, about `rays` rays in all.
     fn draw<'a>(
         &self,
-        story: &mut Story<'_>,
+        context: &mut MappingContext<'_>,
         keyframe: &'a Keyframe,
         curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
         rays: usize,
     ) -> RayView<'a> {
-        let estimate = &story.frames[keyframe.frame];
+        let estimate = &context.frames[keyframe.frame];
         let observation = &*keyframe.observation;
-        let formation = &story.config.formation;
+        let formation = &context.config.formation;
         let exposed = (estimate.shutter, estimate.readout);
-        let sampling = sampling(formation, story.camera, exposed, observation);
+        let sampling = sampling(formation, context.camera, exposed, observation);
         // Rays are rendered, not looked up.
         let virtual_cameras = sampling.virtual_cameras.min(formation.virtual_cameras);
         let sampling = Sampling { virtual_cameras, ..sampling };
@@ -219,7 +232,7 @@ impl FieldMapper {
         let variables = FrameVariables { exposure, tone };
         let mut view = RayView { observation, variables, pixels: Vec::new() };
         let count = (rays / view.rays_per_pixel()).max(1);
-        view.pixels = self.pixels(observation, count, story.random);
+        view.pixels = self.pixels(observation, count, context.random);
         view
     }
 
@@ -233,58 +246,61 @@ impl FieldMapper {
     /// Tone and poses of the frames that took part, and their responses, each once.
     fn step_frames(
         &mut self,
-        story: &mut Story<'_>,
+        context: &mut MappingContext<'_>,
         views: &[Keyframe],
         evaluations: Vec<Evaluation>,
     ) {
         let mut responses: BTreeMap<usize, CurveGradient<f32>> = BTreeMap::new();
         for (view, mut evaluation) in views.iter().zip(evaluations) {
-            let response = story.frames[view.frame].response;
+            let response = context.frames[view.frame].response;
             if let Some(d_curve) = evaluation.curve.take() {
                 match responses.get_mut(&response) {
                     Some(sum) => add(sum, &d_curve),
                     None => drop(responses.insert(response, d_curve)),
                 }
             }
-            let gauge_frame = story.gauge_frame(view);
+            let gauge_frame = context.gauge_frame(view);
             if view.frame != gauge_frame {
-                if story.config.formation.tone {
-                    self.frames.step_tone(story, view.frame, &evaluation.tone);
+                if context.config.formation.tone {
+                    self.frames.step_tone(context, view.frame, &evaluation.tone);
                 }
-                self.frames.step_pose(story, view.frame, &evaluation.shutter);
+                self.frames.step_pose(context, view.frame, &evaluation.shutter);
             }
         }
         for (index, mut d_curve) in responses {
-            self.frames.step_response(story, index, &mut d_curve);
+            self.frames.step_response(context, index, &mut d_curve);
         }
     }
 
     /// The current frame, the last keyframe, and others drawn at random from all.
-    fn window(story: &mut Story<'_>, current: &Keyframe) -> Vec<Keyframe> {
+    fn window(context: &mut MappingContext<'_>, current: &Keyframe) -> Vec<Keyframe> {
         let mut window = vec![current.clone()];
-        let size = story.config.mapping.window;
+        let size = context.config.mapping.window;
         let mut others: Vec<&Keyframe> =
-            story.keyframes.iter().filter(|k| k.frame != current.frame).collect();
+            context.keyframes.iter().filter(|k| k.frame != current.frame).collect();
         if size > 1 {
             window.extend(others.pop().cloned());
         }
-        story.random.shuffle(&mut others);
+        context.random.shuffle(&mut others);
         window.extend(others.into_iter().take(size.saturating_sub(2)).cloned());
         window
     }
 }
 
 /// The response curves of all `views`.
-pub(super) fn curves(story: &Story<'_>, views: &[Keyframe]) -> BTreeMap<usize, ResponseCurve<f32>> {
-    if !story.config.formation.tone {
+pub(in crate::mapping) fn curves(
+    context: &MappingContext<'_>,
+    views: &[Keyframe],
+) -> BTreeMap<usize, ResponseCurve<f32>> {
+    if !context.config.formation.tone {
         return BTreeMap::new();
     }
-    let indices = views.iter().map(|view| story.frames[view.frame].response);
-    indices.map(|index| (index, story.responses[index].curve())).collect()
+    let indices = views.iter().map(|view| context.frames[view.frame].response);
+    indices.map(|index| (index, context.responses[index].curve())).collect()
 }
 
 /// Adds the derivative of another batch.
-pub(super) fn add(sum: &mut CurveGradient<f32>, other: &CurveGradient<f32>) {
+pub(in crate::mapping) fn add(sum: &mut CurveGradient<f32>, other: &CurveGradient<f32>) {
     for (sum, other) in sum.values.iter_mut().flatten().zip(other.values.iter().flatten()) {
         *sum += other;
     }
@@ -325,7 +341,7 @@ impl Mapper for FieldMapper {
         self.covered = Some(covered);
     }
 
-    fn follower(
+    fn snapshot(
         &self,
         _config: &Config,
         _camera: &Camera<f64>,
@@ -334,42 +350,47 @@ impl Mapper for FieldMapper {
     ) -> Option<Box<dyn Tracker>> {
         let map = &self.field.as_ref()?.map;
         let objective = || FrameObjective::new(self.camera, map.march);
-        Some(Follower::update(last, map, covered, objective))
+        Some(MapSnapshot::update(last, map, covered, objective))
     }
 
-    fn add(&mut self, story: &mut Story<'_>, current: &Keyframe) {
-        let depth = placement(&current.observation, &story.config.mapping, story.covered, None);
-        let pose = story.frames[current.frame].depth_pose();
+    fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe) {
+        let depth =
+            placement_depth(&current.observation, &context.config.mapping, context.covered, None);
+        let pose = context.frames[current.frame].depth_pose();
         if self.field.is_none() {
-            self.begin(story, pose, &depth);
+            self.begin(context, pose, &depth);
         }
-        self.enclose(story, current.frame, pose, &depth);
-        self.hold(story, pose, &depth);
+        self.enclose(context, current.frame, pose, &depth);
+        self.hold(context, pose, &depth);
     }
 
-    fn refine(&mut self, story: &mut Story<'_>, current: &Keyframe, first: bool) {
-        let settings = &story.config.hashgrid;
+    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool) {
+        let settings = &context.config.hashgrid;
         let lost = std::mem::take(&mut self.lost_steps);
         let steps = if first { settings.first_iterations } else { settings.iterations };
-        let round = Round::begin(story.config);
+        let round = IterationBudget::begin(context.config);
         for iteration in 0..lost + steps {
-            if round.is_over(iteration, story.cancellation) {
+            if round.is_over(iteration, context.cancellation) {
                 break;
             }
-            let window = Self::window(story, current);
-            self.step(story, &window, settings.rate, iteration < lost);
+            let window = Self::window(context, current);
+            self.step(context, &window, settings.rate, iteration < lost);
         }
     }
 
-    fn finish(&mut self, story: &mut Story<'_>, on_step: &mut dyn FnMut(usize, usize) -> bool) {
-        let settings = &story.config.hashgrid;
+    fn finish(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        on_step: &mut dyn FnMut(usize, usize) -> bool,
+    ) {
+        let settings = &context.config.hashgrid;
         let (steps, rate) = (settings.final_iterations, settings.rate);
-        let mut order: Vec<usize> = (0..story.keyframes.len()).collect();
+        let mut order: Vec<usize> = (0..context.keyframes.len()).collect();
         for step in 0..steps {
-            story.random.shuffle(&mut order);
-            let chosen = order.iter().take(story.config.mapping.window);
-            let window: Vec<Keyframe> = chosen.map(|&k| story.keyframes[k].clone()).collect();
-            self.step(story, &window, decayed_rate(rate, step as i32, steps as i32), false);
+            context.random.shuffle(&mut order);
+            let chosen = order.iter().take(context.config.mapping.window);
+            let window: Vec<Keyframe> = chosen.map(|&k| context.keyframes[k].clone()).collect();
+            self.step(context, &window, decayed_rate(rate, step as i32, steps as i32), false);
             if !on_step(step + 1, steps) {
                 break;
             }

@@ -1,0 +1,188 @@
+use super::*;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A wall with a step in depth, seen from `place` tenths to the right.
+pub(in crate::keyframes) fn picture(camera: &Camera<f64>, place: usize) -> Image<f32> {
+    let mut out = Image::new(camera.width, camera.height, 3);
+    let pixels = camera.pixels();
+    for i in 0..pixels {
+        let (u, v) = Camera::pixel_centre(i % camera.width, i / camera.width);
+        let ray = camera.unproject(u, v, 1.0);
+        let at = |z: f64| (ray.x * z + 0.06 * place as f64, ray.y * z);
+        let near = at(2.0);
+        let (x, y) = if near.1 > 0.1 { near } else { at(3.5) };
+        let wave = |a: f64, b: f64| (a * x + b * y).sin();
+        let value = 0.5 + 0.12 * (wave(13.0, 5.0) + wave(-6.0, 17.0) + wave(23.0, -19.0));
+        (0..3).for_each(|c| out.data[c * pixels + i] = value as f32);
+    }
+    out
+}
+
+pub(in crate::keyframes) fn stamped(
+    camera: &Camera<f64>,
+    place: usize,
+    timestamp: f64,
+) -> SequencePicture {
+    SequencePicture { index: 2 * place, timestamp, colour: picture(camera, place) }
+}
+
+pub(in crate::keyframes) fn camera() -> Camera<f64> {
+    Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 }
+}
+
+#[test]
+fn pictures_become_keyframes_with_poses_and_sparse_depth() {
+    let camera = camera();
+    let load = |place: usize| match place {
+        3 => Err("damaged".into()),
+        _ => Ok(stamped(&camera, place, place as f64 / 30.0)),
+    };
+    let mut native =
+        MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
+            .expect("a path");
+    assert_eq!(native.camera(), &camera);
+    assert!(matches!(native.refused(), [(3, why)] if why.to_string() == "damaged"));
+    let count = native.len();
+    let mut places = Vec::new();
+    while let Some(keyframe) = native.next_keyframe() {
+        let keyframe = keyframe.expect("keyframes can be read again");
+        let place = keyframe.index / 2;
+        assert_eq!(keyframe.colour, picture(&camera, place));
+        let depth = keyframe.depth.expect("sparse depth");
+        let variance = depth.variance.expect("with variance");
+        let known = depth.depth.data.iter().zip(&variance.data).filter(|(d, _)| **d > 0.0);
+        assert!(known.clone().count() > 20 && known.clone().all(|(_, v)| *v > 0.0));
+        places.push(place);
+    }
+    assert!(places.len() == count && count > 2 && !places.contains(&3), "{places:?}");
+    assert!(places.is_sorted() && native.reconstruction().trajectory().len() == 13);
+}
+
+#[test]
+fn dense_depth_and_the_frames_between_are_there_too() {
+    let camera = camera();
+    let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
+    let found =
+        MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
+            .expect("a path");
+    let between: Vec<PosedKeyframe> =
+        found.between(load).map(|frame| frame.expect("read again")).collect();
+    let mut native = found.with_dense_depth(CancellationToken::default());
+    let (mut known, mut indices) = (0, Vec::new());
+    while let Some(keyframe) = native.next_keyframe() {
+        let keyframe = keyframe.expect("keyframes can be read again");
+        assert_eq!(keyframe.before.is_some(), keyframe.index > 0);
+        let depth = keyframe.depth.expect("depth");
+        known += depth.depth.data.iter().filter(|d| **d > 0.0).count();
+        indices.push(keyframe.index);
+    }
+    assert!(2 * known > indices.len() * camera.pixels(), "{known} of {}", indices.len());
+    assert!(between.iter().all(|frame| frame.depth.is_none()));
+    indices.extend(between.iter().map(|frame| frame.index));
+    indices.sort_unstable();
+    assert!(indices.into_iter().eq((0..14).map(|place| 2 * place)));
+}
+
+/// Poses found in large pictures go with the depth of small ones, whose camera is as much smaller.
+#[test]
+fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
+    let (camera, small) = (camera(), camera().resized(80, 60));
+    let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
+    let found =
+        MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
+            .expect("a path");
+    let reduced = move |place: usize| {
+        let of = stamped(&camera, place, place as f64 / 30.0);
+        Ok(SequencePicture { colour: of.colour.resized_by_area(80, 60), ..of })
+    };
+    let mut native =
+        found.with_pictures((80, 60), reduced).with_dense_depth(CancellationToken::default());
+    assert_eq!(*native.camera(), small);
+    let (mut near, mut all) = (0, 0);
+    while let Some(keyframe) = native.next_keyframe() {
+        let keyframe = keyframe.expect("keyframes can be read again");
+        assert_eq!((keyframe.colour.width, keyframe.colour.height), (80, 60));
+        let depth = keyframe.depth.expect("depth").depth;
+        // The rows below the step are as near to those above as 2 to 3.5.
+        let (above, below) = depth.data.split_at(80 * 30);
+        let mean = |z: &[f32]| {
+            let known: Vec<f32> = z.iter().copied().filter(|z| *z > 0.0).collect();
+            known.iter().sum::<f32>() / known.len().max(1) as f32
+        };
+        near += usize::from((mean(below) / mean(above) - 2.0 / 3.5).abs() < 0.06);
+        all += 1;
+    }
+    assert!(all > 2 && near == all, "{near} of {all}");
+}
+
+#[test]
+fn pictures_are_read_in_their_order_and_those_of_keyframes_once_more() {
+    let camera = camera();
+    let places = std::cell::RefCell::new(Vec::new());
+    let load = |place: usize| {
+        places.borrow_mut().push(place);
+        Ok(stamped(&camera, place, place as f64 / 30.0))
+    };
+    let found =
+        MonocularSource::find(Intrinsics::Known(camera), 30, load, &OdometryProgress::default())
+            .expect("a path");
+    let mut native = found.with_dense_depth(CancellationToken::default());
+    assert!(places.take().into_iter().eq(0..30));
+    while let Some(keyframe) = native.next_keyframe() {
+        keyframe.expect("keyframes can be read again");
+    }
+    let again = places.take();
+    let rising = again.windows(2).all(|pair| pair[0] < pair[1]);
+    assert!(rising && again.len() == native.len() && again.len() > 5, "{again:?}");
+}
+
+#[test]
+fn who_has_enough_gets_no_path() {
+    let camera = camera();
+    let asked = Arc::new(AtomicUsize::new(0));
+    let load = |place: usize| {
+        asked.fetch_add(1, Ordering::SeqCst);
+        Ok(stamped(&camera, place, place as f64 / 30.0))
+    };
+    let cancellation = CancellationToken::when({
+        let asked = Arc::clone(&asked);
+        move || asked.load(Ordering::SeqCst) == 12
+    });
+    let progress = OdometryProgress::new(cancellation, |_, _, _| {});
+    let found = MonocularSource::find(Intrinsics::Known(camera), 30, load, &progress);
+    assert!(matches!(
+        found.err(),
+        Some(MonocularError::NoPath { failure: OdometryError::Cancelled, .. })
+    ));
+    assert_eq!(asked.load(Ordering::SeqCst), 12);
+}
+
+#[test]
+fn of_two_landmarks_in_a_pixel_the_nearer_is_seen() {
+    let point = |depth: f64| i2slam_odometry::SparseDepth { at: [2.5, 1.5], depth, variance: 1e-6 };
+    for depths in [[1.0, 2.0], [2.0, 1.0]] {
+        let keyframe = Keyframe {
+            index: 0,
+            timestamp: 0.0,
+            world_from_camera: Pose::identity(),
+            depths: depths.map(point).to_vec(),
+        };
+        let depth = sparse_depth(&keyframe, 4, 3).depth;
+        assert_eq!(depth.at(0, 2, 1), MEDIAN_DEPTH as f32);
+    }
+}
+
+#[test]
+fn without_a_path_the_reason_names_the_pictures_that_were_refused() {
+    let camera = camera();
+    let load = |place: usize| match place {
+        0..2 => Ok(stamped(&camera, place, place as f64)),
+        _ => Err("damaged".into()),
+    };
+    let found =
+        MonocularSource::find(Intrinsics::Known(camera), 5, load, &OdometryProgress::default());
+    let message = found.err().expect("two pictures show no path").to_string();
+    assert!(message.contains("2 pictures are too few"), "{message}");
+    assert!(message.contains("3 pictures could not be used, the first, 2: damaged"));
+}

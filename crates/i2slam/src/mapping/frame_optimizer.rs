@@ -1,0 +1,136 @@
+//! Steps of what belongs to frames: exposure, white balance, response, and poses of keyframes.
+
+use super::mapper::MappingContext;
+use crate::config::ResponseScope;
+use crate::objective::Evaluation;
+use crate::tracking::{NODE_STEP, mask_white_balance};
+use i2slam_compute::{Adam, AdamSettings};
+use i2slam_formation::{
+    CurveGradient, FrameTone, FrameToneGradient, ResponsePrior, ShutterTangent,
+};
+use i2slam_geometry::{Tangent, Vec3};
+use std::collections::BTreeMap;
+
+/// SplaTAM's epsilon while mapping.
+const EPSILON: f32 = 1e-15;
+
+/// An optimiser of mapping without history.
+pub(super) fn adam() -> Adam {
+    Adam::new(AdamSettings { epsilon: EPSILON, ..AdamSettings::default() })
+}
+
+/// Optimiser state of responses and keyframes.
+#[derive(Default)]
+pub(super) struct FrameOptimizers {
+    responses: BTreeMap<usize, Vec<Adam>>,
+    frames: BTreeMap<usize, FrameOptimizer>,
+}
+
+/// Optimiser state of one keyframe.
+struct FrameOptimizer {
+    exposure: Adam,
+    white_balance: Adam,
+    translation: Adam,
+    rotation: Adam,
+}
+
+impl FrameOptimizers {
+    /// One step of everything that belongs to a keyframe.
+    pub(super) fn step(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        frame: usize,
+        gauge_frame: usize,
+        evaluation: &mut Evaluation,
+    ) {
+        let is_gauge = frame == gauge_frame;
+        if let Some(d_curve) = &mut evaluation.curve {
+            if !is_gauge {
+                self.step_tone(context, frame, &evaluation.tone);
+            }
+            self.step_response(context, context.frames[frame].response, d_curve);
+        }
+        if !is_gauge {
+            self.step_pose(context, frame, &evaluation.shutter);
+        }
+    }
+
+    fn frame(&mut self, index: usize) -> &mut FrameOptimizer {
+        self.frames.entry(index).or_insert_with(|| FrameOptimizer {
+            exposure: adam(),
+            white_balance: adam(),
+            translation: adam(),
+            rotation: adam(),
+        })
+    }
+
+    /// Exposure and white balance. Those of the gauge frame must stay, which fixes the gauge.
+    pub(super) fn step_tone(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        frame: usize,
+        d_tone: &FrameToneGradient<f32>,
+    ) {
+        let mut gradient = d_tone.to_array();
+        mask_white_balance(context.config.formation.white_balance, &mut gradient);
+        let tone = &mut context.frames[frame].tone;
+        let mut values = tone.to_array();
+        let rates = &context.config.mapping;
+        let optimizer = self.frame(frame);
+        let (exposure, balance) = values.split_at_mut(1);
+        optimizer.exposure.step(exposure, &gradient[..1], rates.exposure_rate);
+        optimizer.white_balance.step(balance, &gradient[1..], rates.white_balance_rate);
+        *tone = FrameTone::from_array(values);
+    }
+
+    /// The nodes of a response, with its prior.
+    pub(super) fn step_response(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        index: usize,
+        d_curve: &mut CurveGradient<f32>,
+    ) {
+        let formation = &context.config.formation;
+        let response = &mut context.responses[index];
+        if formation.response_prior > 0.0 && formation.response_scope == ResponseScope::Sequence {
+            let prior = ResponsePrior::new(response);
+            prior.value_and_gradient(&response.curve(), formation.response_prior, d_curve);
+        }
+        let d_nodes = response.pull_back(d_curve);
+        let curves = response.nodes.len();
+        let optimizers =
+            self.responses.entry(index).or_insert_with(|| (0..curves).map(|_| adam()).collect());
+        let rate = context.config.mapping.response_rate * NODE_STEP;
+        for ((nodes, d), adam) in response.nodes.iter_mut().zip(&d_nodes).zip(optimizers) {
+            adam.step(nodes, d, rate);
+        }
+    }
+
+    /// Start and end pose, each by a tangent of its own; none with rates of zero.
+    pub(super) fn step_pose(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        frame: usize,
+        d_shutter: &ShutterTangent<f64>,
+    ) {
+        let rates = &context.config.mapping;
+        if rates.pose_rotation_rate <= 0.0 && rates.pose_translation_rate <= 0.0 {
+            return;
+        }
+        let optimizer = self.frame(frame);
+        let gradient = d_shutter.to_array().map(|g| g as f32);
+        let pick = |from: [usize; 6]| from.map(|i| gradient[i]);
+        let (mut translation, mut rotation) = ([0.0; 6], [0.0; 6]);
+        let rate = rates.pose_translation_rate;
+        optimizer.translation.step(&mut translation, &pick([0, 1, 2, 6, 7, 8]), rate);
+        let rate = rates.pose_rotation_rate;
+        optimizer.rotation.step(&mut rotation, &pick([3, 4, 5, 9, 10, 11]), rate);
+        let side = |at: usize| Tangent {
+            translation: Vec3::new(translation[at], translation[at + 1], translation[at + 2])
+                .cast(),
+            rotation: Vec3::new(rotation[at], rotation[at + 1], rotation[at + 2]).cast(),
+        };
+        let step = ShutterTangent::<f64> { start: side(0), end: side(3) };
+        context.frames[frame].shutter = context.frames[frame].shutter.retract(&step);
+    }
+}

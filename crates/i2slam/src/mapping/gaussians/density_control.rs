@@ -1,0 +1,206 @@
+//! Adding and removing Gaussians (SplaTAM's rules).
+
+use crate::config::{MapConfig, MappingConfig};
+use crate::objective::{Observation, Tone};
+use i2slam_compute::median;
+use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
+use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
+
+/// What "large" means in this scene.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SceneScale {
+    /// Largest depth of the first frame over the preset's ratio [m].
+    pub(crate) radius: f32,
+}
+
+impl SceneScale {
+    pub(crate) fn new(observation: &Observation, ratio: f32) -> Self {
+        let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
+        Self { radius: farthest / ratio }
+    }
+}
+
+/// A frame that adds Gaussians.
+pub(crate) struct Source<'a> {
+    pub(crate) camera: &'a Camera<f64>,
+    /// When the depth picture was taken.
+    pub(crate) world_from_depth: Pose<f64>,
+    /// From there to the camera at mid-exposure.
+    pub(crate) colour_from_depth: Pose<f64>,
+    /// Motion over the exposure, and the time in which the rows are read [exposures].
+    pub(crate) velocity: Tangent<f64>,
+    pub(crate) readout: f64,
+    pub(crate) observation: &'a Observation,
+    /// Depth at which Gaussians are placed [m]; 0 places none.
+    pub(crate) depth: Image<f32>,
+    pub(crate) tone: Option<Tone<'a>>,
+}
+
+/// One Gaussian for every pixel.
+pub(crate) fn seed_map(map: &mut GaussianMap, settings: &MapConfig, source: &Source<'_>) -> usize {
+    let every: Vec<usize> = (0..source.observation.depth.data.len()).collect();
+    push(map, settings, source, &every)
+}
+
+/// One Gaussian for every pixel that the map does not explain: opacity below the
+/// threshold, or a surface much nearer than the rendered one. Returns how many were added.
+pub(crate) fn add_gaussians(
+    map: &mut GaussianMap,
+    settings: (&MapConfig, &MappingConfig),
+    source: &Source<'_>,
+    render: &Render,
+) -> usize {
+    let (map_settings, mapping) = settings;
+    let observed = &source.observation.depth.data;
+    let errors: Vec<f32> = render
+        .depth
+        .data
+        .iter()
+        .zip(observed)
+        .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
+        .collect();
+    let limit = mapping.densify_depth_medians * usual_error(source.observation, &errors);
+    let unexplained: Vec<usize> = (0..observed.len())
+        .filter(|&i| {
+            let open = render.opacity.data[i] < mapping.densify_opacity;
+            let in_front = render.depth.data[i] > observed[i] && errors[i] > limit;
+            open || in_front
+        })
+        .collect();
+    push(map, map_settings, source, &unexplained)
+}
+
+/// The median error of depth. SplaTAM counts pixels without one as exact, which says nothing where
+/// an estimate is missing in half the picture: then only the others count.
+fn usual_error(observation: &Observation, errors: &[f32]) -> f32 {
+    let sparse = observation.is_estimated() && 2 * observation.valid_depths() <= errors.len();
+    let all = errors.iter().zip(&observation.depth.data);
+    let mut counted: Vec<f32> =
+        all.filter(|(_, o)| !sparse || **o > 0.0).map(|(e, _)| *e).collect();
+    median(&mut counted).unwrap_or(0.0)
+}
+
+/// Removes Gaussians that are nearly transparent, too large or not finite. Returns which stay.
+pub(crate) fn prune(
+    map: &mut GaussianMap,
+    settings: &MappingConfig,
+    scene: SceneScale,
+) -> Vec<bool> {
+    let least_logit = logit(settings.prune_opacity);
+    let most_scale = (settings.prune_scale * scene.radius).ln();
+    let keep: Vec<bool> = (0..map.len())
+        .map(|i| {
+            let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            let finite = map.means[i].iter().chain(&map.colours[i]).all(|v| v.is_finite());
+            finite && map.opacity_logits[i] >= least_logit && scale <= most_scale
+        })
+        .collect();
+    if keep.contains(&false) {
+        map.retain(&keep);
+    }
+    keep
+}
+
+fn push(
+    map: &mut GaussianMap,
+    settings: &MapConfig,
+    source: &Source<'_>,
+    pixels: &[usize],
+) -> usize {
+    let before = map.len();
+    let focal = 0.5 * (source.camera.fx + source.camera.fy);
+    let opacity_logit = logit(settings.initial_opacity);
+    for &pixel in pixels {
+        let z = source.depth.data[pixel];
+        if z <= 0.0 {
+            continue;
+        }
+        let (column, row) = (pixel % source.camera.width, pixel / source.camera.width);
+        let (u, v) = Camera::<f64>::pixel_centre(column, row);
+        let point = source.camera.unproject(u, v, f64::from(z));
+        let Some(radiance) = radiance_of_point(source, source.colour_from_depth * point) else {
+            continue;
+        };
+        let mean = (source.world_from_depth * point).cast::<f32>().to_array();
+        let log_scale = (settings.initial_scale * z / focal as f32).ln();
+        map.push(Gaussian {
+            mean,
+            log_scale: [log_scale; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit,
+            colour: map.activation.colour(radiance),
+        });
+    }
+    map.len() - before
+}
+
+/// Steps that find the row in which a point is seen: each leaves the share of a picture's height
+/// by which the point moves during the readout.
+const ROW_STEPS: usize = 3;
+
+/// Where the picture shows a point, given in the camera at mid-exposure of the middle row.
+fn position(source: &Source<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
+    let mut seen = point;
+    let steps = if source.readout == 0.0 { 0 } else { ROW_STEPS };
+    for _ in 0..steps {
+        let (_, v) = (seen.z > 0.0).then(|| source.camera.project(seen))?;
+        let time = source.readout * (v / source.camera.height as f64 - 0.5);
+        seen = Pose::identity().retract(source.velocity.scaled(time)).inverse() * point;
+    }
+    (seen.z > 0.0).then(|| source.camera.project(seen))
+}
+
+/// The radiance that formation turns into the picture's value at a point in front of the camera
+/// at mid-exposure, if the picture shows it.
+fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
+    let colour = &source.observation.colour;
+    let (u, v) = position(source, point)?;
+    if !source.camera.contains(u, v, 0.0) {
+        return None;
+    }
+    let inside = |x: f64, size: usize| x.clamp(0.5, size as f64 - 0.5001) as f32;
+    let tap = colour.tap(inside(u, colour.width), inside(v, colour.height))?;
+    let picture: [f32; 3] = std::array::from_fn(|c| tap.sample(colour.plane(c)).0);
+    let Some(tone) = &source.tone else { return Some(picture) };
+    let gains = tone.frame.gains();
+    // Code values 0 and 1 only say "at most" and "at least": stay inside them.
+    let inside = |v: f32| v.clamp(1.0 / 512.0, 1.0 - 1.0 / 512.0);
+    Some(std::array::from_fn(|c| tone.curve.inverse(c, inside(picture[c])) / gains[c]))
+}
+
+pub(super) fn logit(share: f32) -> f32 {
+    (share / (1.0 - share)).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The row in which a point is found sees it there.
+    #[test]
+    fn a_point_is_read_where_its_row_saw_it() {
+        let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+        let velocity = Tangent::from_array([0.01, -0.02, 0.01, 0.03, 0.05, -0.02]);
+        let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));
+        let mut source = Source {
+            camera: &camera,
+            world_from_depth: Pose::identity(),
+            colour_from_depth: Pose::identity(),
+            velocity,
+            readout: 1.5,
+            observation: &observation,
+            depth: Image::new(64, 48, 1),
+            tone: None,
+        };
+        let point = camera.unproject(20.3, 8.7, 1.8);
+        let (u, v) = position(&source, point).expect("in front");
+        let time = source.readout * (v / 48.0 - 0.5);
+        let seen = Pose::identity().retract(velocity.scaled(time)).inverse() * point;
+        let (x, y) = camera.project(seen);
+        assert!((u - x).hypot(v - y) < 1e-3, "{u} {v} {x} {y}");
+        assert!((u - 20.3).hypot(v - 8.7) > 0.5, "{u} {v}");
+        source.readout = 0.0;
+        let (u, v) = position(&source, point).expect("in front");
+        assert!((u - 20.3).hypot(v - 8.7) < 1e-9);
+    }
+}

@@ -1,0 +1,345 @@
+//! Making room in a full map: neighbours that look alike become one Gaussian.
+
+use i2slam_geometry::{Mat3, Rotation, Vec3, symmetric_eigen};
+use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Shape};
+use rayon::slice::ParallelSliceMut;
+use std::ops::{Range, RangeInclusive};
+
+/// Edge of the cells in which Gaussians are merged, in their standard deviations: about four of
+/// those that cover a surface at one a pixel.
+const CELL: f32 = 2.0;
+/// Rounds of merging; each makes what it merges about twice as wide.
+const ROUNDS: usize = 12;
+/// Growth of the cells from round to round, to reach neighbours of another size.
+const GROWTH: f32 = 1.2;
+/// Least variance of an axis, of that of the largest: what rounding leaves of nothing.
+const THINNEST: f64 = 1e-12;
+
+/// Merges until the lower end of `size` is reached, the most alike first, or until nothing shares
+/// a cell; what is then beyond its upper end is dropped, the newest first. Returns which stay; a
+/// merged Gaussian takes the place of the first of its group.
+pub(super) fn merge(map: &mut GaussianMap, size: RangeInclusive<usize>) -> Vec<bool> {
+    let mut keep = vec![true; map.len()];
+    let mut left = map.len();
+    for round in 0..ROUNDS {
+        if left <= *size.start() {
+            break;
+        }
+        let cells = cells(map, &keep, CELL * GROWTH.powi(round as i32));
+        let mut groups = groups(map, &cells);
+        if groups.is_empty() {
+            break;
+        }
+        groups.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.start.cmp(&b.1.start)));
+        for (_, members) in groups {
+            if left <= *size.start() {
+                break;
+            }
+            let members = &cells[members];
+            left -= members.len() - 1;
+            set(map, members[0].1 as usize, merge_gaussians(map, members));
+            members[1..].iter().for_each(|&(_, index)| keep[index as usize] = false);
+        }
+    }
+    let surplus = left.saturating_sub(*size.end());
+    keep.iter_mut().rev().filter(|kept| **kept).take(surplus).for_each(|kept| *kept = false);
+    map.retain(&keep);
+    keep
+}
+
+fn set(map: &mut GaussianMap, index: usize, gaussian: Gaussian<f32>) {
+    map.means[index] = gaussian.mean;
+    map.log_scales[index] = gaussian.log_scale;
+    map.rotations[index] = gaussian.rotation;
+    map.opacity_logits[index] = gaussian.opacity_logit;
+    map.colours[index] = gaussian.colour;
+}
+
+/// A place in space at a size, and who is there.
+type Member = (u64, u32);
+
+/// All that are kept, by cell.
+fn cells(map: &GaussianMap, keep: &[bool], edge: f32) -> Vec<Member> {
+    let kept = keep.iter().enumerate().filter(|(_, keep)| **keep);
+    let mut cells: Vec<Member> = kept.map(|(i, _)| (cell(map, i, edge), i as u32)).collect();
+    cells.par_sort_unstable();
+    cells
+}
+
+/// The cell of a Gaussian among those of its size, within a doubling.
+fn cell(map: &GaussianMap, index: usize, edge: f32) -> u64 {
+    let size = (0.5 * log_area(map, index) / std::f32::consts::LN_2).round();
+    let part = |v: f32, bits: u32| (v.floor() as i64 as u64) & ((1 << bits) - 1);
+    let edge = edge * size.exp2();
+    let place = map.means[index].iter().fold(0, |key, v| key << 18 | part(v / edge, 18));
+    place << 10 | part(size, 10)
+}
+
+/// Cells of two and more, with how much their colours differ.
+fn groups(map: &GaussianMap, cells: &[Member]) -> Vec<(f32, Range<usize>)> {
+    let mut groups = Vec::new();
+    let mut start = 0;
+    for members in cells.chunk_by(|a, b| a.0 == b.0) {
+        let end = start + members.len();
+        if members.len() > 1 {
+            groups.push((contrast(map, members), start..end));
+        }
+        start = end;
+    }
+    groups
+}
+
+/// Weighted variance of the stored colours.
+fn contrast(map: &GaussianMap, members: &[Member]) -> f32 {
+    let mean = average(map, members, |i| map.colours[i]);
+    average(map, members, |i| distances(map.colours[i], mean)).iter().sum()
+}
+
+/// The Gaussian that covers the same surface: the mean of place, colour and opacity; as wide as
+/// halfway (in area) between the spread of its members, which would leave gaps between merged
+/// neighbours, and their areas together, which would smear.
+fn merge_gaussians(map: &GaussianMap, members: &[Member]) -> Gaussian<f32> {
+    let mean = average(map, members, |i| map.means[i]);
+    let opacity = average(map, members, |i| [opacity(map, i); 3])[0].clamp(1e-4, 1.0 - 1e-4);
+    let (log_scale, rotation) = match map.shape {
+        Shape::Isotropic => (ball(map, members, mean), map.rotations[members[0].1 as usize]),
+        Shape::Anisotropic => ellipsoid(map, members, mean),
+    };
+    Gaussian {
+        mean,
+        log_scale,
+        rotation,
+        opacity_logit: (opacity / (1.0 - opacity)).ln(),
+        colour: average(map, members, |i| map.colours[i]),
+    }
+}
+
+/// Logarithms of the standard deviations of a ball on a surface.
+fn ball(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> [f32; 3] {
+    let spread = average(map, members, |i| distances(map.means[i], mean)).iter().sum::<f32>();
+    let own = average(map, members, |i| map.log_scales[i].map(|s| (2.0 * s).exp()));
+    own.map(|own| {
+        let together = own * members.len() as f32;
+        0.5 * (0.5 * (own + 0.5 * spread + together)).ln()
+    })
+}
+
+/// Logarithms of the standard deviations, largest first, and the axes: those of the covariance of
+/// all members around `mean`; the area is that of the two large axes, and the third is left as it
+/// is, so that discs of a wall become a disc of that wall.
+fn ellipsoid(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> ([f32; 3], [f32; 4]) {
+    let mean = Vec3::from_array(mean).cast::<f64>();
+    let (mut sum, mut area, mut total) = (Mat3::<f64>::zero(), 0.0, 0.0);
+    for index in members.iter().map(|&(_, index)| index as usize) {
+        let weight = f64::from(weight(map, index));
+        let offset = Vec3::from_array(map.means[index]).cast::<f64>() - mean;
+        sum = sum + (covariance(map, index) + Mat3::outer(offset, offset)).scaled(weight);
+        area += weight * f64::from(log_area(map, index)).exp();
+        total += weight;
+    }
+    let total = total.max(f64::MIN_POSITIVE);
+    let (variances, axes) = symmetric_eigen(&sum.scaled(total.recip()));
+    let largest = variances.x.max(f64::MIN_POSITIVE);
+    let [first, second, third] = variances.to_array().map(|v| v.max(THINNEST * largest));
+    let spread = (first * second).sqrt();
+    let together = area / total * members.len() as f64;
+    let growth = 0.5 * (1.0 + together / spread);
+    let log_scale = [first * growth, second * growth, third].map(|v| (0.5 * v.ln()) as f32);
+    let Rotation { w, v } = Rotation::from_matrix(&axes);
+    (log_scale, [w, v.x, v.y, v.z].map(|q| q as f32))
+}
+
+/// `R S² Rᵀ` of a Gaussian.
+fn covariance(map: &GaussianMap, index: usize) -> Mat3<f64> {
+    let [w, x, y, z] = map.rotations[index].map(f64::from);
+    let axes = Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix();
+    let variances = map.log_scales[index].map(|s| (2.0 * f64::from(s)).exp());
+    axes * Mat3::diagonal(Vec3::from_array(variances)) * axes.transpose()
+}
+
+/// Mean of a triple over members, weighted by what they cover: opacity times area.
+fn average(map: &GaussianMap, members: &[Member], value: impl Fn(usize) -> [f32; 3]) -> [f32; 3] {
+    let (mut sum, mut total) = ([0.0; 3], 0.0);
+    for &(_, index) in members {
+        let index = index as usize;
+        let weight = weight(map, index);
+        let value = value(index);
+        (0..3).for_each(|k| sum[k] += weight * value[k]);
+        total += weight;
+    }
+    sum.map(|s| s / total.max(f32::MIN_POSITIVE))
+}
+
+/// What a Gaussian covers.
+fn weight(map: &GaussianMap, index: usize) -> f32 {
+    opacity(map, index) * log_area(map, index).exp()
+}
+
+/// Natural logarithm of the product of the two largest standard deviations [ln m²].
+fn log_area(map: &GaussianMap, index: usize) -> f32 {
+    let [a, b, c] = map.log_scales[index];
+    match map.shape {
+        Shape::Isotropic => 2.0 * a,
+        Shape::Anisotropic => (a + b).max(b + c).max(c + a),
+    }
+}
+
+fn opacity(map: &GaussianMap, index: usize) -> f32 {
+    1.0 / (1.0 + (-map.opacity_logits[index]).exp())
+}
+
+fn distances(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|k| (a[k] - b[k]).powi(2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_radiance::gaussian::ColourActivation;
+
+    const SIDE: usize = 40;
+
+    /// A wall of one Gaussian a centimetre, plain on its left half, chequered on its right.
+    fn wall() -> GaussianMap {
+        let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential);
+        for (row, column) in (0..SIDE).flat_map(|row| (0..SIDE).map(move |c| (row, c))) {
+            let chequered = column >= SIDE / 2 && (row + column) % 2 == 0;
+            map.push(Gaussian {
+                mean: [0.01 * column as f32 + 0.005, 0.01 * row as f32 + 0.005, 2.0],
+                log_scale: [0.01_f32.ln(); 3],
+                rotation: [1.0, 0.0, 0.0, 0.0],
+                opacity_logit: 1.0,
+                colour: [if chequered { -2.0 } else { 0.0 }; 3],
+            });
+        }
+        map
+    }
+
+    #[test]
+    fn what_looks_alike_is_merged_first() {
+        let mut map = wall();
+        let keep = merge(&mut map, SIDE * SIDE * 3 / 4..=SIDE * SIDE);
+        assert!(map.len() <= SIDE * SIDE * 3 / 4 && map.len() > SIDE * SIDE / 2);
+        assert_eq!(keep.iter().filter(|k| **k).count(), map.len());
+        for (index, keep) in keep.iter().enumerate() {
+            assert!(*keep || index % SIDE < SIDE / 2, "texture at {index} was merged");
+        }
+    }
+
+    #[test]
+    fn area_and_light_stay() {
+        let whole = wall();
+        let mut map = wall();
+        merge(&mut map, SIDE * SIDE / 4..=SIDE * SIDE);
+        assert!(map.len() <= SIDE * SIDE / 4);
+        let area =
+            |m: &GaussianMap| -> f32 { m.log_scales.iter().map(|s| (2.0 * s[0]).exp()).sum() };
+        let ratio = area(&map) / area(&whole);
+        assert!((0.6..1.1).contains(&ratio), "area times {ratio}");
+        let light = |m: &GaussianMap| -> f32 {
+            let each = m.colours.iter().zip(&m.log_scales);
+            each.map(|(c, s)| c[0] * (2.0 * s[0]).exp()).sum::<f32>() / area(m)
+        };
+        assert!((light(&map) - light(&whole)).abs() < 0.1, "{} {}", light(&map), light(&whole));
+    }
+
+    #[test]
+    fn of_scattered_ones_the_oldest_stay() {
+        let mut map = wall();
+        map.means.iter_mut().for_each(|mean| *mean = mean.map(|v| 100.0 * v));
+        assert_eq!(merge(&mut map, 10..=SIDE * SIDE), vec![true; SIDE * SIDE]);
+        let keep = merge(&mut map, 10..=100);
+        assert!(keep.iter().enumerate().all(|(index, keep)| *keep == (index < 100)));
+    }
+
+    const WIDE: f32 = 0.01;
+    const THIN: f32 = 0.001;
+
+    fn turn() -> Rotation<f64> {
+        Rotation::exp(Vec3::new(0.5, -0.7, 0.2))
+    }
+
+    fn disc(mean: Vec3<f64>, deviations: [f32; 3], axes: Rotation<f64>) -> Gaussian<f32> {
+        Gaussian {
+            mean: mean.cast().to_array(),
+            log_scale: deviations.map(f32::ln),
+            rotation: [axes.w, axes.v.x, axes.v.y, axes.v.z].map(|q| q as f32),
+            opacity_logit: 1.0,
+            colour: [0.0; 3],
+        }
+    }
+
+    /// A tilted wall of one disc a centimetre, each spun about the wall's normal, with its thin
+    /// axis stored first, second or third.
+    fn discs() -> GaussianMap {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+        for index in 0..SIDE * SIDE {
+            let place = [index % SIDE, index / SIDE].map(|k| 0.01 * k as f64);
+            let spun = turn() * Rotation::exp(Vec3::new(0.0, 0.0, index as f64));
+            let quarter = 0.5 * std::f64::consts::PI;
+            let (deviations, swap) = match index % 3 {
+                0 => ([WIDE, WIDE, THIN], Vec3::zero()),
+                1 => ([WIDE, THIN, WIDE], Vec3::new(quarter, 0.0, 0.0)),
+                _ => ([THIN, WIDE, WIDE], Vec3::new(0.0, quarter, 0.0)),
+            };
+            let mean = turn().rotate(Vec3::new(place[0], place[1], 2.0));
+            map.push(disc(mean, deviations, spun * Rotation::exp(swap)));
+        }
+        map
+    }
+
+    #[test]
+    fn discs_of_a_wall_stay_discs_of_the_wall() {
+        let whole = discs();
+        let mut map = discs();
+        merge(&mut map, SIDE * SIDE / 4..=SIDE * SIDE);
+        assert!(map.len() <= SIDE * SIDE / 4, "{}", map.len());
+        let normal = turn().rotate(Vec3::new(0.0, 0.0, 1.0));
+        for index in 0..map.len() {
+            let across = normal.dot(covariance(&map, index) * normal).sqrt();
+            assert!((across / f64::from(THIN) - 1.0).abs() < 0.02, "{index}: {across} m thick");
+            let height = normal.dot(Vec3::from_array(map.means[index]).cast()) - 2.0;
+            assert!(height.abs() < 1e-5, "{index}: {height} m off the wall");
+        }
+        let area = |m: &GaussianMap| (0..m.len()).map(|i| log_area(m, i).exp()).sum::<f32>();
+        let ratio = area(&map) / area(&whole);
+        assert!((0.5..1.1).contains(&ratio), "area times {ratio}");
+    }
+
+    #[test]
+    fn a_pair_is_as_wide_as_halfway_between_spread_and_areas() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
+        for side in [-1.0, 1.0] {
+            let mean = turn().rotate(Vec3::new(0.02 * side, 0.0, 0.0));
+            map.push(disc(mean, [0.02, 0.02, THIN], turn()));
+        }
+        let one = merge_gaussians(&map, &[(0, 0), (0, 1)]);
+        // Variances 2 and 1 times 0.02², and twice the area of one: halfway in area.
+        let growth = 0.5 * (1.0 + 2.0 / 2.0_f32.sqrt());
+        let expected = [2.0 * growth, growth].map(|v| 0.02 * v.sqrt()).map(f32::ln);
+        for (found, wanted) in one.log_scale.into_iter().zip([expected[0], expected[1], THIN.ln()])
+        {
+            assert!((found - wanted).abs() < 1e-4, "{found} {wanted}");
+        }
+        let [w, x, y, z] = one.rotation.map(f64::from);
+        let axes = Rotation::from_wxyz(w, x, y, z).expect("of unit length");
+        let long = axes.rotate(Vec3::new(1.0, 0.0, 0.0));
+        assert!(long.dot(turn().rotate(Vec3::new(1.0, 0.0, 0.0))).abs() > 0.9999);
+    }
+
+    #[test]
+    fn round_ellipsoids_grow_as_balls_do() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
+        for place in [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
+            let mean = Vec3::new(0.01 * place[0], 0.01 * place[1], 0.0);
+            map.push(disc(mean, [0.02; 3], Rotation::identity()));
+        }
+        let members = [(0, 0), (0, 1), (0, 2), (0, 3)];
+        let round = merge_gaussians(&map, &members);
+        map.shape = Shape::Isotropic;
+        let ball = merge_gaussians(&map, &members);
+        for k in 0..2 {
+            assert!((round.log_scale[k] - ball.log_scale[k]).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! One step of mapping: the joint optimisation of Gaussians, tone, response and keyframe poses.
+
+use crate::config::Config;
+use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
+use crate::mapping::keyframe::Keyframe;
+use crate::mapping::mapper::MappingContext;
+use crate::objective::{Evaluation, Exposure, FrameObjective, FrameVariables, Sampling, Tone};
+use i2slam_compute::Adam;
+use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
+
+/// Optimiser state of map, response and keyframes.
+pub(crate) struct MapOptimizer {
+    gradient: MapGradient,
+    means: Adam,
+    log_scales: Adam,
+    rotations: Adam,
+    opacities: Adam,
+    colours: Adam,
+    step_counts: StepCounts,
+    frames: FrameOptimizers,
+}
+
+impl MapOptimizer {
+    pub(crate) fn new() -> Self {
+        Self {
+            gradient: MapGradient::new(0),
+            means: adam(),
+            log_scales: adam(),
+            rotations: adam(),
+            opacities: adam(),
+            colours: adam(),
+            step_counts: StepCounts::default(),
+            frames: FrameOptimizers::default(),
+        }
+    }
+
+    /// Forgets all moments.
+    pub(crate) fn reset(&mut self) {
+        let gradient = std::mem::replace(&mut self.gradient, MapGradient::new(0));
+        *self = Self { gradient, ..Self::new() };
+    }
+
+    /// Drops the moments of pruned Gaussians.
+    pub(crate) fn retain(&mut self, keep: &[bool]) {
+        self.step_counts.retain(keep);
+        self.means.retain(keep, 3);
+        self.log_scales.retain(keep, 3);
+        self.rotations.retain(keep, 4);
+        self.opacities.retain(keep, 1);
+        self.colours.retain(keep, 3);
+    }
+
+    /// One gradient step on the view of one keyframe.
+    pub(crate) fn step(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        (map, objective): (&mut GaussianMap, &mut FrameObjective<GaussianMap>),
+        keyframe: &Keyframe,
+        sampling: Sampling,
+    ) -> Evaluation {
+        let config = context.config;
+        let estimate = &context.frames[keyframe.frame];
+        let mapping = &config.mapping;
+        let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
+        let variables = FrameVariables {
+            exposure: Exposure {
+                shutter: estimate.shutter,
+                sampling,
+                readout: estimate.readout,
+                depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
+            },
+            tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
+        };
+        self.gradient.reset(map.len());
+        let mut evaluation = objective.map(
+            map,
+            &keyframe.observation,
+            &variables,
+            mapping.ssim_share,
+            (mapping.image_weight, mapping.depth_weight),
+            &mut self.gradient,
+        );
+        self.step_map(config, map);
+        let gauge_frame = context.gauge_frame(keyframe);
+        self.frames.step(context, keyframe.frame, gauge_frame, &mut evaluation);
+        evaluation
+    }
+
+    fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {
+        let (rates, gradient) = (&config.mapping, &self.gradient);
+        let step_counts = self.step_counts.advance(gradient, rates.only_seen);
+        if step_counts.is_empty() {
+            return;
+        }
+        let groups = [
+            (&mut self.means, map.means.as_flattened_mut(), gradient.means.as_flattened()),
+            (&mut self.colours, map.colours.as_flattened_mut(), gradient.colours.as_flattened()),
+            (&mut self.opacities, map.opacity_logits.as_mut_slice(), &gradient.opacity_logits[..]),
+            (
+                &mut self.log_scales,
+                map.log_scales.as_flattened_mut(),
+                gradient.log_scales.as_flattened(),
+            ),
+        ];
+        let steps = [rates.mean_rate, rates.colour_rate, rates.opacity_rate, rates.scale_rate];
+        for ((adam, values, gradient), rate) in groups.into_iter().zip(steps) {
+            adam.step_elements(
+                values,
+                gradient,
+                rate,
+                values.len() / step_counts.len(),
+                step_counts,
+            );
+        }
+        match map.shape {
+            Shape::Isotropic => map.log_scales.iter_mut().for_each(|s| *s = [s[0]; 3]),
+            Shape::Anisotropic => self.rotations.step_elements(
+                map.rotations.as_flattened_mut(),
+                gradient.rotations.as_flattened(),
+                rates.rotation_rate,
+                4,
+                step_counts,
+            ),
+        }
+    }
+}
+
+/// Steps per Gaussian.
+#[derive(Default)]
+struct StepCounts {
+    steps: Vec<u32>,
+    now: Vec<u32>,
+}
+
+impl StepCounts {
+    /// Counts a step; the step_counts of the Gaussians that take it, 0 for the others. `only_seen` leaves
+    /// out those without a gradient, which would otherwise go on with the momentum of pictures
+    /// that do not show them.
+    fn advance(&mut self, gradient: &MapGradient, only_seen: bool) -> &[u32] {
+        let count = gradient.opacity_logits.len();
+        self.steps.resize(count, 0);
+        self.now.clear();
+        let colours = gradient.colours.iter().zip(&gradient.means).zip(&gradient.opacity_logits);
+        let seen = colours.map(|((colour, mean), &opacity)| {
+            opacity != 0.0 || colour.iter().chain(mean).any(|&g| g != 0.0)
+        });
+        self.now.extend(self.steps.iter_mut().zip(seen).map(|(steps, seen)| {
+            let moves = seen || !only_seen;
+            *steps += u32::from(moves);
+            if moves { *steps } else { 0 }
+        }));
+        &self.now
+    }
+
+    fn retain(&mut self, keep: &[bool]) {
+        self.steps.resize(keep.len(), 0);
+        let mut kept = keep.iter();
+        self.steps.retain(|_| kept.next().is_some_and(|&k| k));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_was_seen_grows_older() {
+        let mut step_counts = StepCounts::default();
+        let mut gradient = MapGradient::new(3);
+        gradient.colours[1][2] = 0.5;
+        assert_eq!(step_counts.advance(&gradient, true), [0, 1, 0]);
+        assert_eq!(step_counts.advance(&gradient, false), [1, 2, 1]);
+        step_counts.retain(&[false, true, true]);
+        gradient.reset(2);
+        gradient.opacity_logits[0] = -1.0;
+        assert_eq!(step_counts.advance(&gradient, true), [3, 0]);
+    }
+}

@@ -1,0 +1,228 @@
+//! The trajectory loss between keyframes (eqs. 15 to 17).
+
+use crate::config::Config;
+use crate::mapping::frame_optimizer::adam;
+use crate::mapping::keyframe::{Keyframe, intervals};
+use crate::mapping::mapper::MappingContext;
+use crate::objective::{Evaluation, carried_to_middle};
+use crate::reconstruction::FrameEstimate;
+use i2slam_compute::Adam;
+use i2slam_formation::{
+    ShutterPoses, ShutterTangent, TrajectoryGradient, TrajectoryPair, TrajectoryScale,
+};
+use i2slam_geometry::Pose;
+
+/// Share of the frame interval for which the shutter of the first frame is taken to be open.
+const OPEN: f64 = 0.5;
+
+/// The loss's own parameter, and what it asks of it.
+pub(super) struct TrajectoryTerm {
+    frame_rate: f64,
+    /// `a`, in frame intervals over exposures of the first frame.
+    scale: TrajectoryScale<f64>,
+    optimizer: Adam,
+    d_scale: f64,
+}
+
+/// Loss of a frame with its neighbours, and derivatives by what is the frame's own and by `a`.
+#[derive(Default)]
+struct Part {
+    loss: f64,
+    shutter: ShutterTangent<f64>,
+    log_exposure: f64,
+    scale: f64,
+}
+
+impl TrajectoryTerm {
+    pub(super) fn new(frame_rate: f64) -> Self {
+        let scale = TrajectoryScale::from_open_share(OPEN);
+        Self { frame_rate, scale, optimizer: adam(), d_scale: 0.0 }
+    }
+
+    /// Adds the loss of a frame with its neighbours to its evaluation, `share` times; returns the
+    /// loss itself.
+    pub(super) fn add(
+        &mut self,
+        context: &MappingContext<'_>,
+        keyframe: &Keyframe,
+        share: f64,
+        evaluation: &mut Evaluation,
+    ) -> f64 {
+        let formation = &context.config.formation;
+        if !formation.trajectory_loss || !formation.blur {
+            return 0.0;
+        }
+        let weight = share * f64::from(context.config.keyframed.trajectory_weight);
+        let estimate = &context.frames[keyframe.frame];
+        let part = match keyframe.adjacent.both(estimate.timestamp) {
+            Some(beside) => self.between(estimate, beside),
+            None => self.around(context.frames, keyframe.frame),
+        };
+        evaluation.total += weight * part.loss;
+        evaluation.shutter = evaluation.shutter.plus(part.shutter.scaled(weight));
+        evaluation.tone.log_exposure += (weight * part.log_exposure) as f32;
+        self.d_scale += weight * part.scale;
+        part.loss
+    }
+
+    /// What a frame and its neighbours on both sides say.
+    fn around(&self, frames: &[FrameEstimate], frame: usize) -> Part {
+        let mut part = Part::default();
+        for last in [frame, frame + 1] {
+            let Some((loss, gradient)) = self.pair(frames, last) else { continue };
+            let (shutter, log_exposure) = match last == frame {
+                true => (gradient.current, gradient.log_exposure_current),
+                false => (gradient.previous, gradient.log_exposure_previous),
+            };
+            part.loss += loss;
+            part.shutter = part.shutter.plus(shutter);
+            part.log_exposure += log_exposure;
+            part.scale += gradient.scale;
+        }
+        part
+    }
+
+    /// What the frames beside a keyframe say, which move along with it.
+    fn between(&self, frame: &FrameEstimate, beside: [(f64, Pose<f64>); 2]) -> Part {
+        let (middle, own) = (frame.middle(), frame.shutter);
+        let mut part = Part::default();
+        for (stamp, way) in beside {
+            let there = middle * way;
+            let is_before = stamp < frame.timestamp;
+            let (earlier, later) = (stamp.min(frame.timestamp), stamp.max(frame.timestamp));
+            let exposure = f64::from(frame.tone.log_exposure).exp()
+                / intervals(self.frame_rate, earlier, later);
+            // The exposure of the other is of no length, so that nothing is said of it.
+            let still = (ShutterPoses::still(there), 0.0);
+            let pair =
+                |(previous, exposure_previous), (current, exposure_current)| TrajectoryPair {
+                    previous,
+                    current,
+                    exposure_previous,
+                    exposure_current,
+                    scale: self.scale,
+                };
+            let pair =
+                if is_before { pair(still, (own, exposure)) } else { pair((own, exposure), still) };
+            let (loss, gradient) = pair.loss_and_gradient();
+            let (d_own, d_there, d_exposure) = match is_before {
+                true => (gradient.current, gradient.previous, gradient.log_exposure_current),
+                false => (gradient.previous, gradient.current, gradient.log_exposure_previous),
+            };
+            let d_middle = carried_to_middle(middle, there, d_there.start.plus(d_there.end));
+            part.loss += loss.total();
+            part.shutter = part.shutter.plus(d_own).plus(own.pull_back(0.5, d_middle));
+            part.log_exposure += d_exposure;
+            part.scale += gradient.scale;
+        }
+        part
+    }
+
+    /// Loss and gradient between frame `last` and the one before it.
+    fn pair(
+        &self,
+        frames: &[FrameEstimate],
+        last: usize,
+    ) -> Option<(f64, TrajectoryGradient<f64>)> {
+        let current = frames.get(last)?;
+        let previous = frames.get(last.checked_sub(1)?)?;
+        let intervals = intervals(self.frame_rate, previous.timestamp, current.timestamp);
+        let exposure = |frame: &FrameEstimate| f64::from(frame.tone.log_exposure).exp() / intervals;
+        let pair = TrajectoryPair {
+            previous: previous.shutter,
+            current: current.shutter,
+            exposure_previous: exposure(previous),
+            exposure_current: exposure(current),
+            scale: self.scale,
+        };
+        let (loss, gradient) = pair.loss_and_gradient();
+        Some((loss.total(), gradient))
+    }
+
+    /// One step of `a` by all that was added since the last.
+    pub(super) fn step_scale(&mut self, config: &Config) {
+        if self.d_scale == 0.0 {
+            return;
+        }
+        let mut a = [self.scale.a as f32];
+        let rate = config.mapping.exposure_rate * a[0].abs().max(1e-3);
+        self.optimizer.step(&mut a, &[self.d_scale as f32], rate);
+        self.scale.a = f64::from(a[0]).clamp(0.0, 0.5);
+        self.d_scale = 0.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::assert_gradient;
+    use i2slam_formation::FrameTone;
+    use i2slam_geometry::Tangent;
+
+    fn frame(index: usize, timestamp: f64) -> FrameEstimate {
+        let t = index as f64;
+        let motion = |s: f64| {
+            let along = [0.1 * t + s, 0.02 * t * t, -0.03 * t, 0.05 * t + s, 0.02 * t * t, s];
+            Pose::identity().retract(Tangent::from_array(along))
+        };
+        FrameEstimate {
+            tone: FrameTone { log_exposure: 0.25 * t as f32, ..FrameTone::default() },
+            keyframe: true,
+            ..FrameEstimate::posed(
+                index,
+                timestamp,
+                ShutterPoses { start: motion(-0.02), end: motion(0.03) },
+            )
+        }
+    }
+
+    #[test]
+    fn derivatives_of_a_frame_between_two_agree_with_differences() {
+        let frames = [frame(0, 0.0), frame(1, 0.1), frame(2, 0.4)];
+        let term = TrajectoryTerm::new(20.0);
+        let part = term.around(&frames, 1);
+        let mut analytic = part.shutter.to_array().to_vec();
+        analytic.extend([part.log_exposure, part.scale]);
+        // Exposures are kept in `f32`, which holds this step exactly.
+        let step = 1.0 / 1024.0;
+        assert_gradient("trajectory loss", &[0.0; 14], &analytic, step, 1e-6, |x| {
+            let mut moved = frames.clone();
+            let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
+            moved[1].shutter = moved[1].shutter.retract(&step);
+            moved[1].tone.log_exposure += x[12] as f32;
+            let scale = TrajectoryScale { a: term.scale.a + x[13] };
+            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.around(&moved, 1).loss
+        });
+        assert_eq!(term.around(&frames[..1], 0).loss, 0.0);
+    }
+
+    #[test]
+    fn derivatives_beside_known_frames_agree_with_differences() {
+        let frame = frame(1, 0.1);
+        let way = |scale: f64| {
+            let way = [-0.03, 0.02, 0.01, 0.04, -0.02, 0.05].map(|v| scale * v);
+            Pose::identity().retract(Tangent::from_array(way))
+        };
+        let beside = [(0.05, way(1.0)), (0.2, way(-1.7))];
+        let term = TrajectoryTerm::new(20.0);
+        let part = term.between(&frame, beside);
+        let mut analytic = part.shutter.to_array().to_vec();
+        analytic.extend([part.log_exposure, part.scale]);
+        let step = 1.0 / 1024.0;
+        assert_gradient("trajectory loss", &[0.0; 14], &analytic, step, 1e-5, |x| {
+            let mut moved = frame.clone();
+            let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
+            moved.shutter = moved.shutter.retract(&step);
+            moved.tone.log_exposure += x[12] as f32;
+            let scale = TrajectoryScale { a: term.scale.a + x[13] };
+            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.between(&moved, beside).loss
+        });
+    }
+
+    #[test]
+    fn keyframes_far_apart_reach_a_smaller_share_of_the_way() {
+        let (first, last) = (frame(0, 0.0), frame(1, 0.2));
+        assert_eq!(intervals(20.0, first.timestamp, last.timestamp), 4.0);
+        assert_eq!(intervals(20.0, last.timestamp, first.timestamp), 1.0);
+    }
+}

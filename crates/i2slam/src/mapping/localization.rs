@@ -1,0 +1,79 @@
+//! Finding frames in a map from poses that are roughly known.
+
+use super::depth_inpainting::MIN_SURFACE_OPACITY;
+use super::mapper::MappingContext;
+use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
+use crate::reconstruction::FrameEstimate;
+use crate::tracking::{SequenceReadout, TrackingContext, track};
+use i2slam_formation::TrajectoryScale;
+use i2slam_geometry::Image;
+use i2slam_radiance::Render;
+use std::time::Instant;
+
+/// What finding one frame leaves for the next.
+pub(crate) struct FrameLocator {
+    frame_rate: f64,
+    scale: TrajectoryScale<f64>,
+    readout: SequenceReadout,
+}
+
+impl FrameLocator {
+    /// For frames of a video of `frame_rate` frames per second.
+    pub(crate) fn new(frame_rate: f64, readout: SequenceReadout) -> Self {
+        Self { frame_rate, scale: TrajectoryScale::from_frame_rate(frame_rate), readout }
+    }
+
+    /// Moves `estimate`, whose pose is roughly known, to where its picture fits the map best, with
+    /// the motion over its exposure and its gains; `before` is the frame before it, if known, and
+    /// `others` say how well frames usually fit. Returns whether that was found, which
+    /// `estimate.tracked` says too; a frame that was not stays where it is. No depth is compared: that of the map says where its surfaces are.
+    pub(crate) fn locate<M: SceneMap>(
+        &mut self,
+        context: &MappingContext<'_>,
+        (map, objective): (&M, &mut FrameObjective<M>),
+        (estimate, colour): (&mut FrameEstimate, &Image<f32>),
+        before: Option<&FrameEstimate>,
+        others: &[FrameEstimate],
+    ) -> bool {
+        let clock = Instant::now();
+        let expected = estimate.middle();
+        let observation = seen(colour, objective.render(map, expected));
+        let tracking = TrackingContext {
+            tracking: &context.config.tracking,
+            formation: &context.config.formation,
+            camera: context.camera,
+            frame_rate: self.frame_rate,
+            readout: self.readout,
+            timestamps: (estimate.timestamp, estimate.timestamp),
+            frames: others,
+            previous: before,
+            before_previous: None,
+            expected: Some(expected),
+            keyframe: None,
+            cancellation: context.cancellation,
+        };
+        let response = context.config.formation.tone.then(|| &context.responses[estimate.response]);
+        let result = track(&tracking, objective, map, &observation, response, self.scale);
+        estimate.tracking_seconds += clock.elapsed().as_secs_f64();
+        estimate.tracked = result.tracked;
+        if !result.tracked {
+            return false;
+        }
+        self.scale = result.scale;
+        estimate.blur_length = blur_length(context.camera, &result.shutter, &observation.depth);
+        estimate.shutter = result.shutter;
+        estimate.readout = result.readout;
+        estimate.tone = result.tone;
+        estimate.losses = result.losses;
+        estimate.convergence = result.convergence;
+        true
+    }
+}
+
+/// A picture with the depth of the map.
+fn seen(colour: &Image<f32>, render: &Render) -> Observation {
+    let depth = render.surface(MIN_SURFACE_OPACITY);
+    let mut variance = Image::new(depth.width, depth.height, 1);
+    variance.data.fill(1.0);
+    Observation::estimated(colour.clone(), depth, variance)
+}

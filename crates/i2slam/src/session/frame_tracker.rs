@@ -1,0 +1,89 @@
+//! The front end: a frame is found in the map.
+
+use crate::config::Config;
+use crate::mapping::{Keyframe, Tracker};
+use crate::objective::{Observation, blur_length};
+use crate::reconstruction::FrameEstimate;
+use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict};
+use i2slam_compute::CancellationToken;
+use i2slam_dataset::Frame;
+use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
+use i2slam_geometry::Camera;
+use std::time::Instant;
+
+/// What tracking may know of a session; the rest of it stays free to be changed.
+pub(super) struct FrameTracker<'a> {
+    pub(super) config: &'a Config,
+    pub(super) camera: &'a Camera<f64>,
+    pub(super) frame_rate: f64,
+    pub(super) scale: TrajectoryScale<f64>,
+    pub(super) readout: SequenceReadout,
+    pub(super) frames: &'a [FrameEstimate],
+    pub(super) keyframes: &'a [Keyframe],
+    /// The last response and its index.
+    pub(super) response: (usize, &'a CameraResponse<f32>),
+    pub(super) cancellation: &'a CancellationToken,
+}
+
+impl FrameTracker<'_> {
+    /// What is known of a frame, and what `tracker` found; without one the frame is predicted.
+    pub(super) fn at(
+        &self,
+        tracker: Option<&mut dyn Tracker>,
+        frame: &Frame,
+        observation: &Observation,
+    ) -> (FrameEstimate, Option<TrackingResult>) {
+        let clock = Instant::now();
+        let context = self.context(frame);
+        let mut estimate = FrameEstimate {
+            tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
+            response: self.response.0,
+            tracked: false,
+            gaussians: self.frames.last().map_or(0, |f| f.gaussians),
+            ..FrameEstimate::posed(
+                frame.index,
+                frame.timestamp,
+                ShutterPoses::still(predict(&context)),
+            )
+        };
+        let result = tracker.map(|tracker| {
+            let response = self.config.formation.tone.then_some(self.response.1);
+            tracker.track(&context, observation, response, self.scale)
+        });
+        if let Some(result) = &result {
+            estimate.shutter = result.shutter;
+            estimate.readout = result.readout;
+            estimate.depth_lead = result.depth_lead;
+            estimate.tone = result.tone;
+            estimate.losses = result.losses;
+            estimate.convergence = result.convergence;
+            estimate.tracked = result.tracked;
+            estimate.blur_length = blur_length(self.camera, &result.shutter, &observation.depth);
+        }
+        estimate.tracking_seconds = clock.elapsed().as_secs_f64();
+        (estimate, result)
+    }
+
+    fn context(&self, frame: &Frame) -> TrackingContext<'_> {
+        let (input, frames) = (&self.config.input, self.frames);
+        let depth_timestamp = match input.depth_stamps {
+            true => frame.depth_timestamp + input.depth_delay,
+            false => frame.timestamp,
+        };
+        let keyframe = self.keyframes.last();
+        TrackingContext {
+            tracking: &self.config.tracking,
+            formation: &self.config.formation,
+            camera: self.camera,
+            frame_rate: self.frame_rate,
+            readout: self.readout,
+            timestamps: (frame.timestamp, depth_timestamp),
+            frames,
+            previous: frames.last(),
+            before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
+            expected: None,
+            keyframe: keyframe.map(|k| (&*k.observation, frames[k.frame].depth_pose())),
+            cancellation: self.cancellation,
+        }
+    }
+}
