@@ -8,6 +8,7 @@ mod linear;
 mod median;
 mod random;
 mod reduce;
+pub mod simd;
 
 pub use adam::{Adam, AdamSettings};
 pub use cancellation::CancellationToken;

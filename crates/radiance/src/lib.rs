@@ -9,8 +9,6 @@
 
 pub mod gaussian;
 pub mod hashgrid;
-#[cfg(test)]
-mod lanes;
 mod seam;
 
 pub use seam::{RadianceMap, Render, RenderCotangent, View};

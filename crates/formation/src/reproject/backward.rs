@@ -3,14 +3,15 @@
 use super::band::Band;
 use super::forward::{Scene, read_chunk};
 use super::landing::amplification;
-use super::taps::{LANES, Lanes, Lines, Taps};
+use super::taps::{LANES, Lines, Taps};
 use super::texel::{Corners, Texel, scatter};
 use super::upsample::{TAPS, neighbours, pull_back_row};
 use super::views::View;
+use i2slam_compute::simd::Column;
 use pulp::{Simd, WithSimd};
 
 /// Six sums, each over the pixels of one lane.
-pub(super) type LaneSums = [Lanes; 6];
+pub(super) type LaneSums = [Column; 6];
 
 /// Pulls the band's rows of `d_blurred` back to the band's own cotangents: of the sharp render
 /// (`d_sharp`, `sharp_rows`) and of every moving view (`sums`).
@@ -18,7 +19,7 @@ pub(super) struct PullBackBand<'a> {
     pub(super) scene: &'a Scene<'a>,
     pub(super) band: &'a mut Band,
     /// As [`BlurBand`](super::forward::BlurBand) left them.
-    pub(super) inverse_depths: &'a [Lanes],
+    pub(super) inverse_depths: &'a [Column],
     pub(super) d_blurred: [&'a [f32]; 3],
     pub(super) kernel: &'a [f32; TAPS],
 }
@@ -57,7 +58,7 @@ fn pull_back_chunk(
     band: &mut Band,
     (x, y): (usize, usize),
     d: &[Texel; LANES],
-    depths: &[Lanes],
+    depths: &[Column],
 ) {
     let slopes = slopes(scene, x, y);
     let stride = 2 * scene.camera.width;
@@ -84,7 +85,7 @@ fn pull_back_chunk(
 
 /// Slopes of the surface from column `x` on in row `y`; zero where the landing was searched.
 #[inline(always)]
-fn slopes(scene: &Scene<'_>, x: usize, y: usize) -> [Lanes; 2] {
+fn slopes(scene: &Scene<'_>, x: usize, y: usize) -> [Column; 2] {
     let mut slopes = [[0.0; LANES]; 2];
     for (i, facet) in scene.surface.facets(y)[x..].iter().enumerate().take(LANES) {
         let smooth = scene.surface.blocks.searched(x + i, y).is_none();
@@ -100,9 +101,9 @@ fn add_shares(
     scene: &Scene<'_>,
     view: &View<f32>,
     lines: &Lines,
-    w: &Lanes,
-    [slope_x, slope_y]: &[Lanes; 2],
-    [d_x, d_y]: [Lanes; 2],
+    w: &Column,
+    [slope_x, slope_y]: &[Column; 2],
+    [d_x, d_y]: [Column; 2],
     sums: &mut LaneSums,
 ) {
     let mut total = *sums;

@@ -5,9 +5,10 @@ use super::band::Band;
 use super::landing::between;
 use super::landing_lanes::{Steps, land};
 use super::surface::Surface;
-use super::taps::{LANES, Lanes, Lines, Taps};
+use super::taps::{LANES, Lines, Taps};
 use super::texel::{Corners, Texel};
 use super::views::Views;
+use i2slam_compute::simd::Column;
 use i2slam_geometry::Camera;
 use pulp::{Simd, WithSimd};
 
@@ -30,7 +31,7 @@ pub(super) struct BlurBand<'a> {
     pub(super) scene: &'a Scene<'a>,
     pub(super) band: &'a mut Band,
     /// (row, chunk, moving view), written for the way back [1/m].
-    pub(super) inverse_depths: &'a mut [Lanes],
+    pub(super) inverse_depths: &'a mut [Column],
     /// Of the band's tiles, row by row.
     pub(super) uncovered: &'a mut [f32],
     /// The rows of the sharp render that the band blurs.
@@ -66,7 +67,7 @@ impl WithSimd for BlurBand<'_> {
                 let [red, green, blue] = &mut blurred;
                 let planes = red[at.clone()].iter_mut().zip(&mut green[at.clone()]);
                 for (((red, green), blue), texel) in planes.zip(&mut blue[at]).zip(&sum) {
-                    [*red, *green, *blue] = texel.channels();
+                    [*red, *green, *blue] = texel.xyz();
                 }
             }
         }
@@ -79,7 +80,7 @@ pub(super) fn read_chunk(planes: &[&[f32]; 3], weight: f32) -> [Texel; LANES] {
     let mut texels = [Texel::zero(); LANES];
     let [red, green, blue] = planes;
     for (texel, ((red, green), blue)) in texels.iter_mut().zip(red.iter().zip(*green).zip(*blue)) {
-        *texel = Texel::new(*red, *green, *blue) * weight;
+        *texel = Texel::xyz0(*red, *green, *blue) * weight;
     }
     texels
 }
@@ -90,7 +91,7 @@ fn blur_chunk(
     scene: &Scene<'_>,
     x: usize,
     y: usize,
-    depths: &[Lanes],
+    depths: &[Column],
     sum: &mut [Texel; LANES],
 ) -> (u32, u32) {
     let stride = 2 * scene.camera.width;
@@ -110,7 +111,7 @@ fn blur_chunk(
 
 /// Lands the first and the last view and lays a parabola in time through both and the middle.
 #[inline(always)]
-fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Lanes, depths: &mut [Lanes]) {
+fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Column, depths: &mut [Column]) {
     let moving = scene.views.row(y);
     let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
     let first = land(scene, &Lines::new(scene.camera, first, x, y), own);
@@ -125,10 +126,10 @@ fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Lanes, depths: &
 /// The inverse depths that every moving view sees from column `x` of the render on in its row
 /// `y`; gives the share of a tile's exposure that the render hides from the chunk's first `lanes`.
 #[inline(always)]
-fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, lanes: usize, depths: &mut [Lanes]) -> f32 {
+fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, lanes: usize, depths: &mut [Column]) -> f32 {
     let moving = scene.views.row(y);
     let row = scene.surface.row(y);
-    let own: Lanes = match row.get(x..).and_then(|rest| rest.first_chunk()) {
+    let own: Column = match row.get(x..).and_then(|rest| rest.first_chunk()) {
         Some(lanes) => *lanes,
         None => std::array::from_fn(|i| row[(x + i).min(row.len() - 1)]),
     };

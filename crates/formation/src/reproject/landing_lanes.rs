@@ -4,19 +4,21 @@
 use super::forward::Scene;
 use super::landing::{Walk, cut};
 use super::surface::Facet;
-use super::taps::{LANES, Lanes, Lines, held, split};
+use super::taps::{LANES, Lines};
+use i2slam_compute::simd::{Column, clamp_or_zero, floor_and_fraction};
 use i2slam_geometry::Camera;
 
 /// The pixels that `lines` pass at inverse depths `w`, and how far their ends at infinity are from
 /// those pixels' centres.
 #[inline(always)]
-fn pixels(camera: &Camera<f32>, lines: &Lines, w: &Lanes) -> ([u32; LANES], Lanes, Lanes) {
+fn pixels(camera: &Camera<f32>, lines: &Lines, w: &Column) -> ([u32; LANES], Column, Column) {
     let width = camera.width as u32;
     let (most_x, most_y) = ((camera.width - 1) as f32, (camera.height - 1) as f32);
     let (mut index, mut from_x, mut from_y) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
     for i in 0..LANES {
-        let (column, _) = split(held(lines.x[i] + lines.ex[i] * w[i], most_x));
-        let (row, _) = split(held(lines.y[i] + lines.ey[i] * w[i], most_y));
+        let (column, _) =
+            floor_and_fraction(clamp_or_zero(lines.x[i] + lines.ex[i] * w[i], most_x));
+        let (row, _) = floor_and_fraction(clamp_or_zero(lines.y[i] + lines.ey[i] * w[i], most_y));
         index[i] = row * width + column;
         from_x[i] = lines.x[i] - (column as f32 + 0.5);
         from_y[i] = lines.y[i] - (row as f32 + 0.5);
@@ -26,7 +28,7 @@ fn pixels(camera: &Camera<f32>, lines: &Lines, w: &Lanes) -> ([u32; LANES], Lane
 
 /// Where `lines` meet the facets of the pixels that they pass at the guessed inverse depths.
 #[inline(always)]
-pub(super) fn land(scene: &Scene<'_>, lines: &Lines, guess: &Lanes) -> Lanes {
+pub(super) fn land(scene: &Scene<'_>, lines: &Lines, guess: &Column) -> Column {
     let (index, from_x, from_y) = pixels(scene.camera, lines, guess);
     let facets = scene.surface.facets_at(&index);
     let (mut value, mut slope_x, mut slope_y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
@@ -46,9 +48,9 @@ pub(super) fn land(scene: &Scene<'_>, lines: &Lines, guess: &Lanes) -> Lanes {
 pub(super) struct Steps {
     pub(super) any: bool,
     /// The largest bends around; 0 where there is no visible step.
-    bend: Lanes,
-    nearest: Lanes,
-    farthest: Lanes,
+    bend: Column,
+    nearest: Column,
+    farthest: Column,
 }
 
 impl Steps {
@@ -92,8 +94,8 @@ impl Shown<'_> {
         &self,
         scene: &Scene<'_>,
         lines: &Lines,
-        own: &Lanes,
-        w: &mut Lanes,
+        own: &Column,
+        w: &mut Column,
     ) -> [bool; LANES] {
         let mut walks = Walks::new(self, lines);
         walks.run(scene, lines);
@@ -126,16 +128,16 @@ const NOWHERE: f32 = f32::NEG_INFINITY;
 
 /// Sixteen walks from near to far; see [`Walk`].
 struct Walks {
-    nearest: Lanes,
-    farthest: Lanes,
-    step: Lanes,
+    nearest: Column,
+    farthest: Column,
+    step: Column,
     /// Number of steps; 0 where there is nothing to walk.
     count: [u32; LANES],
     /// Where the surface was hit; [`NOWHERE`] where it was not.
-    at: Lanes,
+    at: Column,
     /// The last step in front of the surface; -1 where there was none.
-    in_front: Lanes,
-    occluder: Lanes,
+    in_front: Column,
+    occluder: Column,
 }
 
 impl Walks {

@@ -67,11 +67,12 @@ use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use backward::PullBackBand;
 use band::{BAND, Band};
 use forward::{BlurBand, Scene};
+use i2slam_compute::simd::Column;
 use i2slam_geometry::{Camera, Image, Pose};
 use pulp::Arch;
 use rayon::prelude::*;
 use surface::Surface;
-use taps::{LANES, Lanes};
+use taps::LANES;
 use texel::Texel;
 use upsample::UpsampleRow;
 use views::Views;
@@ -104,7 +105,7 @@ pub struct Reprojection {
     /// The sharp render at twice its resolution.
     fine: Vec<Texel>,
     /// What is seen at (row, chunk of a row, moving view) [1/m].
-    inverse_depths: Vec<Lanes>,
+    inverse_depths: Vec<Column>,
     bands: Vec<Band>,
     /// See [`Reprojection::uncovered`].
     uncovered: Vec<f32>,

@@ -4,13 +4,11 @@
 //! vector instructions on any machine.
 
 use super::views::{Line, View};
+use i2slam_compute::simd::{Column, MAX_LANES, clamp_or_zero, floor_and_fraction};
 use i2slam_geometry::Camera;
 
 /// Pixels of a row that are treated together.
-pub(super) const LANES: usize = 16;
-
-/// One number for each pixel of a chunk.
-pub(super) type Lanes = [f32; LANES];
+pub(super) const LANES: usize = MAX_LANES;
 
 /// How many chunks a row has; the last one may stand over.
 pub(super) fn chunks(width: usize) -> usize {
@@ -20,12 +18,12 @@ pub(super) fn chunks(width: usize) -> usize {
 /// The lines of a chunk's pixels, see [`Line`], and their directions.
 #[derive(Clone, Copy)]
 pub(super) struct Lines {
-    pub(super) a: Lanes,
-    pub(super) b: Lanes,
-    pub(super) x: Lanes,
-    pub(super) y: Lanes,
-    pub(super) ex: Lanes,
-    pub(super) ey: Lanes,
+    pub(super) a: Column,
+    pub(super) b: Column,
+    pub(super) x: Column,
+    pub(super) y: Column,
+    pub(super) ex: Column,
+    pub(super) ey: Column,
 }
 
 impl Lines {
@@ -58,17 +56,17 @@ pub(super) struct Taps {
     pub(super) index: [u32; LANES],
     pub(super) row: [u32; LANES],
     /// Fractions to the right and down.
-    pub(super) across: Lanes,
-    pub(super) down: Lanes,
+    pub(super) across: Column,
+    pub(super) down: Column,
     /// 2 (samples per pixel) where the tap moves with its position, 0 where it is held at an edge.
-    pub(super) free_x: Lanes,
-    pub(super) free_y: Lanes,
+    pub(super) free_x: Column,
+    pub(super) free_y: Column,
 }
 
 impl Taps {
     /// At inverse depths `w` on `lines`. Positions outside the image are held at its edge.
     #[inline(always)]
-    pub(super) fn new(camera: &Camera<f32>, lines: &Lines, w: &Lanes) -> Self {
+    pub(super) fn new(camera: &Camera<f32>, lines: &Lines, w: &Column) -> Self {
         let zero = [0.0; LANES];
         let mut taps = Self {
             index: [0; LANES],
@@ -84,11 +82,11 @@ impl Taps {
         for i in 0..LANES {
             let x = 2.0 * (lines.x[i] + lines.ex[i] * w[i]) - 1.0;
             let y = 2.0 * (lines.y[i] + lines.ey[i] * w[i]) - 1.0;
-            let (held_x, held_y) = (held(x, most_x), held(y, most_y));
+            let (held_x, held_y) = (clamp_or_zero(x, most_x), clamp_or_zero(y, most_y));
             taps.free_x[i] = if x == held_x { 2.0 } else { 0.0 };
             taps.free_y[i] = if y == held_y { 2.0 } else { 0.0 };
-            let (column, across) = split(held_x);
-            let (row, down) = split(held_y);
+            let (column, across) = floor_and_fraction(held_x);
+            let (row, down) = floor_and_fraction(held_y);
             (taps.across[i], taps.down[i]) = (across, down);
             taps.row[i] = row;
             taps.index[i] = row * stride + column;
@@ -105,52 +103,5 @@ impl Taps {
             last = last.max(self.row[i]);
         }
         (first, last)
-    }
-}
-
-/// `position` within `0..=most`; NaN gives 0.
-#[inline(always)]
-pub(super) fn held(position: f32, most: f32) -> f32 {
-    let above = if position > 0.0 { position } else { 0.0 };
-    if above < most { above } else { most }
-}
-
-/// A position of at least 0 and less than 2²² as a whole number and a fraction in 0..=1; an odd
-/// whole number comes with a fraction of 1.
-///
-/// Adding 1.5 · 2²³ leaves no bits for a fraction, so that the sum's last bits are the number:
-/// two operations for a whole vector, where a checked conversion goes one by one.
-#[inline(always)]
-pub(super) fn split(position: f32) -> (u32, f32) {
-    const WHOLE: f32 = 12_582_912.0;
-    let rounded = (position - 0.5) + WHOLE;
-    (rounded.to_bits() - WHOLE.to_bits(), position - (rounded - WHOLE))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{held, split};
-
-    #[test]
-    fn a_position_is_its_parts() {
-        for (position, expected) in [
-            (0.0, (0, 0.0)),
-            (0.25, (0, 0.25)),
-            (1.0, (0, 1.0)),
-            (2.0, (2, 0.0)),
-            (638.75, (638, 0.75)),
-            (65_534.0, (65_534, 0.0)),
-        ] {
-            assert_eq!(split(position), expected);
-        }
-    }
-
-    #[test]
-    fn every_number_is_held() {
-        for (position, expected) in
-            [(f32::NAN, 0.0), (f32::INFINITY, 9.0), (-f32::INFINITY, 0.0), (3.5, 3.5), (-0.0, 0.0)]
-        {
-            assert_eq!(held(position, 9.0), expected);
-        }
     }
 }

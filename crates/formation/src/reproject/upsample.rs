@@ -93,7 +93,7 @@ fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; TAPS], out: &mut [Texel
     let (green, blue) = (&green[..width], &blue[..width]);
     let pixel = |i: usize| {
         let i = i.min(width - 1);
-        Texel::new(red[i], green[i], blue[i])
+        Texel::xyz0(red[i], green[i], blue[i])
     };
     let mut window = [pixel(0), pixel(0), pixel(0), pixel(1), pixel(2)];
     for (i, pair) in out.chunks_exact_mut(2).enumerate().take(width) {
@@ -159,14 +159,14 @@ fn narrow(d: &[Texel], kernel: &[f32; TAPS], out: &mut [f32]) {
         let [a, b, c, e, f] = window;
         let g = halfway(i + 2);
         let sum = d[2 * i] + combine([a, b, c, e, f, g], [k5, k4, k3, k2, k1, k0]);
-        [red[i], green[i], blue[i]] = sum.channels();
+        [red[i], green[i], blue[i]] = sum.xyz();
         window = [b, c, e, f, g];
     }
     // What was read beyond the edges belongs to the edge pixels.
-    let before_first = (halfway(0) * (k0 + k1) + halfway(1) * k0).channels();
+    let before_first = (halfway(0) * (k0 + k1) + halfway(1) * k0).xyz();
     let [third_last, second_last, last, ..] = window;
     let after_last = last * (k3 + k4 + k5) + second_last * (k4 + k5) + third_last * k5;
-    let after_last = after_last.channels();
+    let after_last = after_last.xyz();
     for (k, row) in [red, green, blue].into_iter().enumerate() {
         row[0] += before_first[k];
         row[width - 1] += after_last[k];

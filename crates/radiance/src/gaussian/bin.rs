@@ -2,6 +2,7 @@
 
 use super::project::{CHUNK, Chunk, Splat};
 use super::sort::{self, take};
+use i2slam_compute::simd::nearest;
 use i2slam_geometry::Camera;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
@@ -291,12 +292,6 @@ fn for_tiles(tiles: [u16; 4], grid: &TileGrid, mut f: impl FnMut(usize, usize, u
         column = if ends { x0 } else { column + 1 };
         row += usize::from(ends);
     }
-}
-
-/// The nearest integer of a number between 0 and 2²².
-#[inline(always)]
-pub(crate) fn nearest(x: f32) -> usize {
-    ((x + 8_388_608.0).to_bits() & 0x007f_ffff) as usize
 }
 
 /// The rows that a splat's ellipse touches within the columns of a tile.

@@ -26,7 +26,6 @@ mod motion;
 mod project;
 mod rasterize;
 mod settings;
-pub(crate) mod simd;
 mod sort;
 
 #[cfg(test)]

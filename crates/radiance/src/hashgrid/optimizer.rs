@@ -197,7 +197,7 @@ pub fn decayed_rate(initial: f32, step: i32, horizon: i32) -> f32 {
 mod tests {
     use super::*;
     use crate::hashgrid::FieldSettings;
-    use crate::lanes::instruction_sets;
+    use i2slam_compute::simd::instruction_sets;
 
     #[test]
     fn entries_move_while_they_have_momentum() {

@@ -5,13 +5,13 @@
 //! by `-φ ×` themselves. The covariance of a ball does not turn, so that only `J` is left of it.
 
 use super::cpu_backward_group::Group;
-use super::lanes::WIDTH;
 use super::stages::Frame;
 use super::{CHUNK, Chunk, MotionFrame, Splat};
 use crate::gaussian::bin::Bins;
 use crate::gaussian::gradient::GradientRows;
 use crate::gaussian::rasterize::{MotionSlot, Slot};
 use crate::gaussian::{GaussianMap, MapGradient, Shape, sort};
+use i2slam_compute::simd::MAX_LANES;
 use pulp::{Arch, Simd, WithSimd};
 
 /// The splats of the last render with the sums over their pixels.
@@ -90,7 +90,7 @@ impl Footprints<'_> {
     /// The first slots of a group of visible Gaussians. They lie all over the memory; here nothing
     /// depends on one of them before all are asked for.
     #[inline(always)]
-    fn first_slots(&self, items: &[u64]) -> [Slot; WIDTH] {
+    fn first_slots(&self, items: &[u64]) -> [Slot; MAX_LANES] {
         let first = |item: &u64| {
             let index = sort::index(*item);
             let mut places = self.bins.places_of(index, &self.splats[index]);

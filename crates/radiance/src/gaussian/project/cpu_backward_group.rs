@@ -2,11 +2,11 @@
 
 use super::PathCotangents;
 use super::cotangents::{covariance_cotangent, mean_cotangent, quaternion_cotangent};
-use super::lanes::{Column, Lanes, combine, cross, dot, transform};
 use super::stages::{Axes, Frame, Parameters, Stages, put};
 use super::{MotionFrame, Splat};
 use crate::gaussian::rasterize::{MotionSlot, Slot};
 use crate::gaussian::{ColourActivation, Gaussian, GaussianMap};
+use i2slam_compute::simd::{Column, Lanes, combine, cross, dot, transform};
 use pulp::Simd;
 use std::f32::consts::LN_2;
 
@@ -88,14 +88,14 @@ impl Group {
     ) {
         let stages = frame.stages::<S, ANISOTROPIC>(simd, &self.parameters);
         let [a, b, c] = Lanes::load_all(simd, &self.exponent);
-        let conic = [a.times(-2.0 * LN_2), b.times(-LN_2), c.times(-2.0 * LN_2)];
+        let conic = [a.scale(-2.0 * LN_2), b.scale(-LN_2), c.scale(-2.0 * LN_2)];
         let mut d_centre = turned(conic, Lanes::load_all(simd, &self.first));
         let mut path = None;
         if let Some(motion) = motion {
             let d_velocity = turned(conic, Lanes::load_all(simd, &self.velocity));
             let d_curvature = turned(conic, Lanes::load_all(simd, &self.curvature));
             for k in 0..2 {
-                d_centre[k] = d_centre[k] - d_curvature[k].times(4.0);
+                d_centre[k] = d_centre[k] - d_curvature[k].scale(4.0);
             }
             path = Some(motion.pull_back(simd, &self.parameters, d_velocity, d_curvature));
         }
@@ -143,7 +143,7 @@ impl Group {
         [xx, xy, yy]: [Lanes<S>; 3],
     ) -> ([[Lanes<S>; 2]; 2], [Lanes<S>; 3]) {
         let j = &stages.jacobian;
-        let variance = (stages.scale[0] * stages.scale[0]).times(2.0);
+        let variance = (stages.scale[0] * stages.scale[0]).scale(2.0);
         let d_x = [xx * j.x[0], xx * j.x[1] + xy * j.y[1]];
         let d_y = [yy * j.y[0], xy * j.x[1] + yy * j.y[1]];
         if MAP {
@@ -167,7 +167,7 @@ impl Group {
         let (j, [a0, a1, a2]) = (&stages.jacobian, axes.rows);
         let [bx, by] = stages.screen_axes(axes);
         // Σ₂ = B Bᵀ: dL/dB = 2 G B, dL/dJ = dL/dB Aᵀ, dL/dA = Jᵀ dL/dB.
-        let (xx, xy, yy) = (xx.times(2.0), xy.times(2.0), yy.times(2.0));
+        let (xx, xy, yy) = (xx.scale(2.0), xy.scale(2.0), yy.scale(2.0));
         let (d_bx, d_by) = (combine(xx, bx, xy, by), combine(xy, bx, yy, by));
         let d_jacobian = [[dot(d_bx, a0), dot(d_bx, a2)], [dot(d_by, a1), dot(d_by, a2)]];
         let zero = xx.constant(0.0);

@@ -2,12 +2,12 @@
 
 use super::cpu_motion::{MotionFrame, PathColumns};
 use super::cpu_wanted::{self, Wanted};
-use super::lanes::{Column, Lanes};
 use super::path::Path;
 use super::stages::{Frame, Parameters, put};
 use super::{CHUNK, Chunk, Splat};
-use crate::gaussian::bin::{TILE, TileGrid, nearest};
+use crate::gaussian::bin::{TILE, TileGrid};
 use crate::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape, View, sort};
+use i2slam_compute::simd::{Column, Lanes, Mask, nearest};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::f32::consts::{LN_2, LOG2_E};
@@ -176,20 +176,20 @@ impl Group {
         let inverse = determinant.recip();
         let conic = [yy * inverse, -(xy * inverse), xx * inverse];
         let centre = frame.centre(&stages);
-        let unsound = unsound + (centre[0] + centre[1] + determinant).times(0.0);
-        let unsound = unsound + (conic[0] + conic[1] + conic[2]).times(0.0);
+        let unsound = unsound + (centre[0] + centre[1] + determinant).scale(0.0);
+        let unsound = unsound + (conic[0] + conic[1] + conic[2]).scale(0.0);
         let depth = stages.p[2].within(frame.settings.near, frame.settings.far);
         let opaque = log2_opacity.within(frame.log2_alpha_min, f32::MAX);
-        let accepted = simd.and_m32s(simd.and_m32s(depth, opaque), unsound.within(0.0, 0.0));
-        let accepted = simd.and_m32s(accepted, determinant.within(f32::MIN_POSITIVE, f32::MAX));
+        let accepted = depth & opaque & unsound.within(0.0, 0.0);
+        let accepted = accepted & determinant.within(f32::MIN_POSITIVE, f32::MAX);
 
-        let reach2 = (log2_opacity - logit.constant(frame.log2_alpha_min)).times(2.0 * LN_2);
+        let reach2 = (log2_opacity - logit.constant(frame.log2_alpha_min)).scale(2.0 * LN_2);
         let extent = [half(reach2 * xx), half(reach2 * yy)];
         self.store_extent(grid, motion, centre, extent, accepted);
         half(reach2 * conic[2].recip()).store(&mut self.height_at_centre);
-        conic[0].times(-0.5 * LOG2_E).store(&mut self.exponent[0]);
-        conic[1].times(-LOG2_E).store(&mut self.exponent[1]);
-        conic[2].times(-0.5 * LOG2_E).store(&mut self.exponent[2]);
+        conic[0].scale(-0.5 * LOG2_E).store(&mut self.exponent[0]);
+        conic[1].scale(-LOG2_E).store(&mut self.exponent[1]);
+        conic[2].scale(-0.5 * LOG2_E).store(&mut self.exponent[2]);
         log2_opacity.store(&mut self.log2_opacity);
         stages.p[2].store(&mut self.depth);
     }
@@ -203,13 +203,13 @@ impl Group {
         motion: Option<&MotionFrame>,
         centre: [Lanes<S>; 2],
         extent: [Lanes<S>; 2],
-        mut accepted: S::m32s,
+        mut accepted: Mask<S>,
     ) {
         let mut shifts = [[centre[0].constant(0.0); 2]; 2];
         if let Some(motion) = motion {
             let simd = centre[0].simd();
             let path = motion.path(simd, &self.parameters, centre);
-            accepted = simd.and_m32s(accepted, path.accepted);
+            accepted = accepted & path.accepted;
             shifts = motion.sweep(&path, centre[1], extent[1]);
             self.paths.store(&path);
         }
@@ -227,7 +227,7 @@ impl Group {
         let [r, g, b] = Lanes::load_all(simd, &self.radiance);
         let [s0, s1, s2] = Lanes::load_all(simd, &self.parameters.log_scale);
         let logit = Lanes::load(simd, &self.parameters.opacity_logit);
-        let zero = |v: Lanes<S>| v.times(0.0);
+        let zero = |v: Lanes<S>| v.scale(0.0);
         let sum = zero(x) + zero(y) + zero(z) + zero(r) + zero(g) + zero(b) + zero(s0);
         let sum = sum + zero(logit);
         if ANISOTROPIC {
@@ -244,7 +244,7 @@ impl Group {
         if activation == ColourActivation::Exponential {
             for column in &mut self.radiance {
                 let colour = Lanes::load(simd, column);
-                excess = excess + (colour.max(87.0) - colour.constant(87.0));
+                excess = excess + (colour.clamp_min(87.0) - colour.constant(87.0));
                 colour.exp().store(column);
             }
         }
@@ -277,15 +277,15 @@ pub(super) fn store_box<S: Simd>(
     centre: [Lanes<S>; 2],
     shifts: [[Lanes<S>; 2]; 2],
     extent: [Lanes<S>; 2],
-    accepted: S::m32s,
+    accepted: Mask<S>,
 ) {
     let limits = [grid.width as f32, grid.height as f32];
     for axis in 0..2 {
         let [low, high] = shifts[axis].map(|shift| centre[axis] + shift);
-        let first = (low - extent[axis]).max(0.0).min(limits[axis]);
-        let end = (high + extent[axis]).max(0.0).min(limits[axis]);
+        let first = (low - extent[axis]).clamp_min(0.0).clamp_max(limits[axis]);
+        let end = (high + extent[axis]).clamp_min(0.0).clamp_max(limits[axis]);
         first.store(&mut pixels[axis]);
-        end.only(accepted).store(&mut pixels[2 + axis]);
+        accepted.keep(end).store(&mut pixels[2 + axis]);
     }
 }
 
@@ -293,7 +293,7 @@ pub(super) fn store_box<S: Simd>(
 /// hundredth of a pixel make up for rounding here and where rows and tiles are counted.
 #[inline(always)]
 pub(super) fn half<S: Simd>(squared: Lanes<S>) -> Lanes<S> {
-    squared.sqrt().times(1.001) + squared.constant(0.01)
+    squared.sqrt().scale(1.001) + squared.constant(0.01)
 }
 
 /// The numbers of the Gaussian at one place.

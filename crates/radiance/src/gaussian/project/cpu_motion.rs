@@ -2,10 +2,10 @@
 //!
 //! The equations are those of [`path`](super::path).
 
-use super::lanes::{Column, Lanes, cross, transform};
 use super::path::Path;
 use super::stages::Parameters;
 use crate::gaussian::{RasterSettings, ShutterMotion, View};
+use i2slam_compute::simd::{Column, Lanes, Mask, cross, transform};
 use i2slam_geometry::Camera;
 use pulp::Simd;
 
@@ -46,7 +46,7 @@ pub(crate) struct LanePath<S: Simd> {
     pub(crate) velocity: [Lanes<S>; 2],
     pub(crate) curvature: [Lanes<S>; 2],
     /// Where the means are beyond the near plane at both ends.
-    pub(crate) accepted: S::m32s,
+    pub(crate) accepted: Mask<S>,
 }
 
 impl MotionFrame {
@@ -82,13 +82,13 @@ impl MotionFrame {
         let (open, close) = (self.ends[0].point(mean), self.ends[1].point(mean));
         let (from, to) = (self.project(open), self.project(close));
         let beyond = |p: [Lanes<S>; 3]| p[2].within(self.near, f32::MAX);
-        let mut accepted = simd.and_m32s(beyond(open), beyond(close));
+        let mut accepted = beyond(open) & beyond(close);
         let (mut velocity, mut curvature) = (centre, centre);
         for k in 0..2 {
             velocity[k] = to[k] - from[k];
-            curvature[k] = ((to[k] - centre[k]) + (from[k] - centre[k])).times(2.0);
-            let finite = (velocity[k] + curvature[k]).times(0.0).within(0.0, 0.0);
-            accepted = simd.and_m32s(accepted, finite);
+            curvature[k] = ((to[k] - centre[k]) + (from[k] - centre[k])).scale(2.0);
+            let finite = (velocity[k] + curvature[k]).scale(0.0).within(0.0, 0.0);
+            accepted = accepted & finite;
         }
         LanePath { velocity, curvature, accepted }
     }
@@ -97,7 +97,7 @@ impl MotionFrame {
     fn project<S: Simd>(&self, p: [Lanes<S>; 3]) -> [Lanes<S>; 2] {
         let (inverse_depth, camera) = (p[2].recip(), &self.camera);
         let (x, y) = (p[0] * inverse_depth, p[1] * inverse_depth);
-        [x.times(camera.fx) + x.constant(camera.cx), y.times(camera.fy) + y.constant(camera.cy)]
+        [x.scale(camera.fx) + x.constant(camera.cx), y.scale(camera.fy) + y.constant(camera.cy)]
     }
 
     /// Smallest and largest shift of the centres, per axis, over all moments in the rows at which
@@ -116,9 +116,9 @@ impl MotionFrame {
         if self.readout != 0.0 {
             for _ in 0..ROUNDS {
                 let [low, high] = shifts(path, 1, times);
-                let first = (centre_y + low - extent_y).max(0.0).min(height);
-                let end = (centre_y + high + extent_y).max(0.0).min(height);
-                rows = [first.larger(rows[0]), end.smaller(rows[1])];
+                let first = (centre_y + low - extent_y).clamp_min(0.0).clamp_max(height);
+                let end = (centre_y + high + extent_y).clamp_min(0.0).clamp_max(height);
+                rows = [first.max(rows[0]), end.min(rows[1])];
                 times = self.times(rows);
             }
         }
@@ -130,9 +130,9 @@ impl MotionFrame {
     fn times<S: Simd>(&self, [first, end]: [Lanes<S>; 2]) -> [Lanes<S>; 2] {
         let scale = self.readout / self.camera.height as f32;
         let half = first.constant(0.5 * self.readout);
-        let (a, b) = (first.times(scale) - half, end.times(scale) - half);
+        let (a, b) = (first.scale(scale) - half, end.scale(scale) - half);
         let [low, high] = self.moments;
-        [a.smaller(b) + a.constant(low), a.larger(b) + a.constant(high)]
+        [a.min(b) + a.constant(low), a.max(b) + a.constant(high)]
     }
 
     /// What paths pull back to.
@@ -150,11 +150,11 @@ impl MotionFrame {
         for end in 0..2 {
             let p = self.ends[end].point(mean);
             let sign = [-1.0, 1.0][end];
-            let d_x = d_velocity[0].times(sign) + d_curvature[0].times(2.0);
-            let d_y = d_velocity[1].times(sign) + d_curvature[1].times(2.0);
+            let d_x = d_velocity[0].scale(sign) + d_curvature[0].scale(2.0);
+            let d_y = d_velocity[1].scale(sign) + d_curvature[1].scale(2.0);
             let inverse_depth = p[2].recip();
-            let x = d_x.times(camera.fx) * inverse_depth;
-            let y = d_y.times(camera.fy) * inverse_depth;
+            let x = d_x.scale(camera.fx) * inverse_depth;
+            let y = d_y.scale(camera.fy) * inverse_depth;
             let d_p = [x, y, -((x * p[0] + y * p[1]) * inverse_depth)];
             let (moment, world) =
                 (cross(p, d_p), transform(&self.ends[end].world_from_camera, d_p));
@@ -173,8 +173,8 @@ impl MotionFrame {
 fn shifts<S: Simd>(path: &LanePath<S>, axis: usize, [first, last]: [Lanes<S>; 2]) -> [Lanes<S>; 2] {
     let (v, h) = (path.velocity[axis], path.curvature[axis]);
     let (a, b) = (v * first, v * last);
-    let bend = h * (first * first).larger(last * last);
-    [a.smaller(b) + bend.min(0.0), a.larger(b) + bend.max(0.0)]
+    let bend = h * (first * first).max(last * last);
+    [a.min(b) + bend.clamp_max(0.0), a.max(b) + bend.clamp_min(0.0)]
 }
 
 /// `∂L/∂` of what a path depends on.

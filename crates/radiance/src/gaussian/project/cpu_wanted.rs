@@ -3,10 +3,10 @@
 use super::CHUNK;
 use super::cpu_forward::{Project, half, store_box, tiles_within};
 use super::cpu_motion::MotionFrame;
-use super::lanes::{Column, Lanes};
 use super::stages::{Frame, Parameters};
 use crate::gaussian::bin::TileGrid;
 use crate::gaussian::{GaussianMap, Shape, sort};
+use i2slam_compute::simd::{Column, Lanes};
 use pulp::Simd;
 use std::f32::consts::LN_2;
 
@@ -89,17 +89,17 @@ impl Bounds {
         let [xx, _, yy] = stages.covariance(frame.settings.screen_variance);
         let reach2 = -2.0 * LN_2 * frame.log2_alpha_min;
         // A little more than the footprint's own extent, whose numbers are rounded otherwise.
-        let extent = [xx, yy].map(|v| half(v.times(1.001 * reach2)) + v.constant(0.01));
+        let extent = [xx, yy].map(|v| half(v.scale(1.001 * reach2)) + v.constant(0.01));
         let centre = frame.centre(&stages);
         let path = motion.path(simd, &self.parameters, centre);
         let depth = stages.p[2].within(frame.settings.near, frame.settings.far);
         let known = (extent[0] + extent[1]).within(0.0, f32::INFINITY);
-        let accepted = simd.and_m32s(simd.and_m32s(depth, known), path.accepted);
+        let accepted = depth & known & path.accepted;
         let shifts = motion.sweep(&path, centre[1], extent[1]);
         store_box(&mut self.pixels, grid, centre, shifts, extent, accepted);
         let [left, top, right, bottom] = Lanes::load_all(simd, &self.pixels);
         let (width, height) = (right - left, bottom - top);
-        width.smaller(height).only(accepted).most() > 0.0
+        accepted.keep(width.min(height)).reduce_max() > 0.0
     }
 }
 

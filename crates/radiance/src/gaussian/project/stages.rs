@@ -1,8 +1,8 @@
 //! From parameters to the footprint, for a group of Gaussians: what both directions compute.
 
 use super::JacobianRange;
-use super::lanes::{Column, Lanes, WIDTH, combine, dot, transform};
 use crate::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape, View};
+use i2slam_compute::simd::{Column, Lanes, MAX_LANES, combine, dot, transform};
 use i2slam_geometry::Camera;
 use pulp::Simd;
 
@@ -34,7 +34,7 @@ impl Parameters {
     /// Put the Gaussian at `index` of the map at `place` of the group.
     #[inline(always)]
     pub(crate) fn set(&mut self, place: usize, map: &GaussianMap, index: usize) {
-        let place = place % WIDTH;
+        let place = place % MAX_LANES;
         put(&mut self.mean, place, &map.means[index]);
         put(&mut self.log_scale, place, &map.log_scales[index]);
         if map.shape == Shape::Anisotropic {
@@ -117,8 +117,8 @@ impl Frame {
         let inverse_depth = p[2].recip();
         let ratio = [p[0] * inverse_depth, p[1] * inverse_depth];
         let ([xl, xh], [yl, yh]) = (self.range(0), self.range(1));
-        let clamped = [ratio[0].max(xl).min(xh), ratio[1].max(yl).min(yh)];
-        let focal = [inverse_depth.times(self.camera.fx), inverse_depth.times(self.camera.fy)];
+        let clamped = [ratio[0].clamp_min(xl).clamp_max(xh), ratio[1].clamp_min(yl).clamp_max(yh)];
+        let focal = [inverse_depth.scale(self.camera.fx), inverse_depth.scale(self.camera.fy)];
         let jacobian = Jacobian {
             x: [focal[0], -(focal[0] * clamped[0])],
             y: [focal[1], -(focal[1] * clamped[1])],
@@ -138,7 +138,7 @@ impl Frame {
     #[inline(always)]
     pub(crate) fn centre<S: Simd>(&self, stages: &Stages<S>) -> [Lanes<S>; 2] {
         let ([x, y], camera) = (stages.ratio, &self.camera);
-        [x.times(camera.fx) + x.constant(camera.cx), y.times(camera.fy) + y.constant(camera.cy)]
+        [x.scale(camera.fx) + x.constant(camera.cx), y.scale(camera.fy) + y.constant(camera.cy)]
     }
 
     #[inline(always)]

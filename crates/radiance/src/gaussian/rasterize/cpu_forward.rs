@@ -9,7 +9,7 @@ use super::tile::{PLANES, Row, TilePixels, start};
 use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::{Bins, Entry, TILE, TileGrid};
 use crate::gaussian::project::Splat;
-use crate::gaussian::simd::exp2;
+use i2slam_compute::simd::exp2;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 

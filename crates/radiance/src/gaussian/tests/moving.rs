@@ -4,7 +4,7 @@
 use super::parity::*;
 use super::scenes::*;
 use crate::gaussian::*;
-use crate::lanes::instruction_sets;
+use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use pulp::Arch;
 

@@ -12,7 +12,7 @@
 
 use super::scenes::*;
 use crate::gaussian::*;
-use crate::lanes::instruction_sets;
+use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::{Real, Tangent};
 use pulp::Arch;
 

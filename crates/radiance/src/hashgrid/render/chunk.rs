@@ -1,11 +1,11 @@
 //! What is kept of a chunk of rays between the way forward and the way back.
 
 use super::RayRender;
-use crate::gaussian::simd;
 use crate::hashgrid::encoding::harmonics::{HARMONICS, harmonics};
 use crate::hashgrid::network::cpu::{BLOCK, Packed, Values};
 use crate::hashgrid::network::product::padded;
 use crate::hashgrid::{HashGridField, MarchSettings, Occupancy, Ray, Sample};
+use i2slam_compute::simd;
 use i2slam_geometry::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 

@@ -3,8 +3,8 @@
 use super::scenes::*;
 use crate::hashgrid::march::Walk;
 use crate::hashgrid::*;
-use crate::lanes::instruction_sets;
 use i2slam_check::assert_close;
+use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::Vec3;
 use pulp::Arch;
 

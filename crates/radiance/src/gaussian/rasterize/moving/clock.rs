@@ -3,8 +3,8 @@
 use super::PACK;
 use crate::gaussian::bin::{TILE, TileGrid};
 use crate::gaussian::motion::row_place;
-use crate::gaussian::project::Column;
 use crate::gaussian::{Moment, ShutterMotion};
+use i2slam_compute::simd::Column;
 use std::ops::Range;
 
 /// The moments of a picture, ready for use.

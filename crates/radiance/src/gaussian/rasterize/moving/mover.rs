@@ -7,8 +7,9 @@
 use super::PACK;
 use super::clock::TileTimes;
 use crate::gaussian::bin::{Ellipse, List, TILE};
-use crate::gaussian::project::{Column, Lanes, Path, Splat};
+use crate::gaussian::project::{Path, Splat};
 use crate::gaussian::rasterize::cpu_forward::{COLUMNS, ExponentRow};
+use i2slam_compute::simd::{Column, Lanes, nearest};
 use pulp::Simd;
 
 /// Splats of a tile's list that are made ready together, so that none waits for the memory of
@@ -84,23 +85,23 @@ impl Mover {
             self.curve[axis] = -times.step * times.step * path.curvature[axis];
         }
         for part in 0..times.count.div_ceil(S::F32_LANES) {
-            let time = Lanes::load_part(simd, &times.first, part);
+            let time = Lanes::load_group(simd, &times.first, part);
             for axis in 0..2 {
                 let (v, h) = (path.velocity[axis], path.curvature[axis]);
-                let shift = time * (time.constant(v) + time.times(h));
+                let shift = time * (time.constant(v) + time.scale(h));
                 let offset =
                     time.constant(stage.origin[axis]) - (time.constant(splat.centre[axis]) + shift);
-                offset.store_part(&mut self.offset[axis], part);
-                let slope = (time.constant(v) + time.times(2.0 * h)).times(-times.step);
-                slope.store_part(&mut self.slope[axis], part);
+                offset.store_group(&mut self.offset[axis], part);
+                let slope = (time.constant(v) + time.scale(2.0 * h)).scale(-times.step);
+                slope.store_group(&mut self.slope[axis], part);
             }
-            let alive = Lanes::load_part(simd, alive, part);
+            let alive = Lanes::load_group(simd, alive, part);
             let [first, end, touches] = self.rows_at(&ellipse, part, times, alive);
-            let beyond = (touches.constant(1.0) - touches).times(TILE as f32);
-            first_row = first_row.min((first * touches + beyond).least());
-            end_row = end_row.max(end.most());
-            (first + first.constant(ROUND)).store_part(&mut self.first, part);
-            (end + end.constant(ROUND)).store_part(&mut self.end, part);
+            let beyond = (touches.constant(1.0) - touches).scale(TILE as f32);
+            first_row = first_row.min((first * touches + beyond).reduce_min());
+            end_row = end_row.max(end.reduce_max());
+            (first + first.constant(ROUND)).store_group(&mut self.first, part);
+            (end + end.constant(ROUND)).store_group(&mut self.end, part);
         }
         self.rows = [nearest(first_row), nearest(end_row)];
     }
@@ -120,15 +121,19 @@ impl Mover {
         let (top, margin_y) = self.middle(1, part, times, alive);
         let right = left + margin_x + alive.constant((TILE - 1) as f32);
         let left = left - margin_x;
-        let low = alive.constant(ellipse.lowest).larger(left).smaller(right);
-        let high = alive.constant(-ellipse.lowest).larger(left).smaller(right);
-        let bottom = low.times(ellipse.slope) + half_height(&self.splat, ellipse, low);
-        let highest = high.times(ellipse.slope) - half_height(&self.splat, ellipse, high);
+        let low = alive.constant(ellipse.lowest).max(left).min(right);
+        let high = alive.constant(-ellipse.lowest).max(left).min(right);
+        let bottom = low.scale(ellipse.slope) + half_height(&self.splat, ellipse, low);
+        let highest = high.scale(ellipse.slope) - half_height(&self.splat, ellipse, high);
         // Row j has its centre at j + 1/2.
         let start = top - alive.constant(0.5);
         let (first, end) = (highest - margin_y - start, bottom + margin_y - start);
-        let touches = alive.only(low.times(ellipse.inverse_width).within(-1.001, 1.001));
-        [first.max(0.0).min(TILE as f32), end.max(0.0).min(TILE as f32) * touches, touches]
+        let touches = low.scale(ellipse.inverse_width).within(-1.001, 1.001).keep(alive);
+        [
+            first.clamp_min(0.0).clamp_max(TILE as f32),
+            end.clamp_min(0.0).clamp_max(TILE as f32) * touches,
+            touches,
+        ]
     }
 
     /// The offset at the tile's middle row, and how far from it that of another row may be.
@@ -141,14 +146,14 @@ impl Mover {
         like: Lanes<S>,
     ) -> (Lanes<S>, Lanes<S>) {
         const HALF: f32 = 0.5 * (TILE - 1) as f32;
-        let offset = Lanes::load_part(like.simd(), &self.offset[axis], part);
+        let offset = Lanes::load_group(like.simd(), &self.offset[axis], part);
         if times.step == 0.0 {
             return (offset, like.constant(0.0));
         }
-        let slope = Lanes::load_part(like.simd(), &self.slope[axis], part);
+        let slope = Lanes::load_group(like.simd(), &self.slope[axis], part);
         let curve = self.curve[axis];
-        let at_middle = offset + slope.times(HALF) + like.constant(HALF * HALF * curve);
-        let farthest = slope.abs().times(HALF) + like.constant(3.0 * HALF * HALF * curve.abs());
+        let at_middle = offset + slope.scale(HALF) + like.constant(HALF * HALF * curve);
+        let farthest = slope.abs().scale(HALF) + like.constant(3.0 * HALF * HALF * curve.abs());
         (at_middle, farthest)
     }
 
@@ -188,18 +193,12 @@ impl Mover {
     }
 }
 
-/// The nearest integer of a number between 0 and [`TILE`].
-#[inline(always)]
-fn nearest(v: f32) -> usize {
-    ((v + ROUND).to_bits() & 0x1f) as usize
-}
-
 /// Half the height of an extent at a column.
 #[inline(always)]
 fn half_height<S: Simd>(splat: &Splat, ellipse: &Ellipse, dx: Lanes<S>) -> Lanes<S> {
-    let part = dx.times(ellipse.inverse_width);
-    let rest = (dx.constant(1.0) - part * part).max(0.0);
-    rest.sqrt().times(splat.height_at_centre) + dx.constant(0.01)
+    let part = dx.scale(ellipse.inverse_width);
+    let rest = (dx.constant(1.0) - part * part).clamp_min(0.0);
+    rest.sqrt().scale(splat.height_at_centre) + dx.constant(0.01)
 }
 
 /// No movers yet.

@@ -1,17 +1,13 @@
-//! Elementary functions on vectors of `f32`, for any instruction set that `pulp` dispatches to.
-//!
-//! Every function is `#[inline(always)]`: only inside of a dispatched call is it compiled with
-//! the instruction set that was found at run time. For the same reason kernels use plain loops:
-//! what `map` and `for_each` call may stay a function of its own, without the instruction set.
+//! Exponentials, logarithms and roundings that vectorise.
 
 use pulp::Simd;
 
 /// Added to a small float it leaves its nearest integer in the low bits (`1.5 · 2²³`).
 const ROUND: f32 = 12_582_912.0;
 
-/// Where [`exp2`] stays: an opacity that no cut-off lets through, and still normal after products
-/// with transmittances and cotangents. Of subnormal numbers a single one in a vector takes a
-/// hundred cycles.
+/// Lower bound of the argument of [`exp2`]: an opacity below every cut-off, and still normal after
+/// products with transmittances and cotangents. One subnormal number in a vector takes a hundred
+/// cycles.
 const MIN_EXPONENT: f32 = -64.0;
 
 /// `2ˣ` for `x < 128`; below -64 it stays at `2⁻⁶⁴`. Relative error below 4e-7.
@@ -19,7 +15,7 @@ const MIN_EXPONENT: f32 = -64.0;
 /// Range reduction to `[-½, ½]` and a polynomial of degree 5 fitted to least worst relative
 /// error (7.5e-8 before rounding).
 #[inline(always)]
-pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+pub fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let x = simd.max_f32s(x, simd.splat_f32s(MIN_EXPONENT));
     let round = simd.splat_f32s(ROUND);
     let shifted = simd.add_f32s(x, round);
@@ -32,7 +28,7 @@ pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 
 /// `eˣ` for `x < 88`; below -87 it stays near `1e-38`. Relative error below 4e-7.
 #[inline(always)]
-pub(crate) fn exp<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+pub fn exp<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let x = simd.max_f32s(x, simd.splat_f32s(-87.0));
     let round = simd.splat_f32s(ROUND);
     let shifted = simd.mul_add_e_f32s(x, simd.splat_f32s(std::f32::consts::LOG2_E), round);
@@ -64,26 +60,64 @@ fn scale_by_power<S: Simd>(simd: S, p: S::f32s, shifted: S::f32s) -> S::f32s {
 }
 
 /// `log₂ x` for positive normal `x`. Absolute error below 2e-7 plus 1e-7 of the value.
-///
-/// With the mantissa `m` in `[1/√2, √2)` and `s = (m-1)/(m+1)`, `ln m = 2 atanh s` as a series.
 #[inline(always)]
-pub(crate) fn log2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    const HALF_ROOT: u32 = 0x3f35_04f3;
+pub fn log2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     const TWICE: f32 = 2.0 * std::f32::consts::LOG2_E;
     const SERIES: [f32; 5] = [TWICE, TWICE / 3.0, TWICE / 5.0, TWICE / 7.0, TWICE / 9.0];
+    let (exponent, s) = exponent_and_ratio(simd, x);
+    let p = polynomial(simd, simd.mul_f32s(s, s), &SERIES);
+    simd.mul_add_e_f32s(p, s, exponent)
+}
+
+/// `ln x` for positive normal `x`. Absolute error below 2e-7 plus 1e-7 of the value.
+#[inline(always)]
+pub fn ln<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    const SERIES: [f32; 5] = [2.0, 2.0 / 3.0, 2.0 / 5.0, 2.0 / 7.0, 2.0 / 9.0];
+    let (exponent, s) = exponent_and_ratio(simd, x);
+    let p = polynomial(simd, simd.mul_f32s(s, s), &SERIES);
+    simd.mul_add_e_f32s(exponent, simd.splat_f32s(std::f32::consts::LN_2), simd.mul_f32s(s, p))
+}
+
+/// The exponent of `x = 2ⁿ m` with `m` in `[1/√2, √2)`, and `s = (m-1)/(m+1)`:
+/// `ln m = 2 atanh s = 2 s (1 + s²/3 + s⁴/5 + …)`.
+#[inline(always)]
+fn exponent_and_ratio<S: Simd>(simd: S, x: S::f32s) -> (S::f32s, S::f32s) {
+    const HALF_ROOT: u32 = 0x3f35_04f3;
     let bits = simd.transmute_u32s_f32s(x);
     let bits = simd.add_u32s(bits, simd.splat_u32s(0x3f80_0000 - HALF_ROOT));
+    // Read as a float, the exponent behind that of 2²³ is 2²³ plus itself.
     let exponent = simd.wrapping_dyn_shr_u32s(bits, simd.splat_u32s(23));
     let exponent = simd.or_u32s(exponent, simd.splat_u32s(0x4b00_0000));
     let exponent = simd.transmute_f32s_u32s(exponent);
+    let exponent = simd.sub_f32s(exponent, simd.splat_f32s(8_388_608.0 + 127.0));
     let mantissa = simd.and_u32s(bits, simd.splat_u32s(0x007f_ffff));
     let mantissa = simd.add_u32s(mantissa, simd.splat_u32s(HALF_ROOT));
-    let exponent = simd.sub_f32s(exponent, simd.splat_f32s(8_388_608.0 + 127.0));
     let (m, one) = (simd.transmute_f32s_u32s(mantissa), simd.splat_f32s(1.0));
-    let s = simd.div_f32s(simd.sub_f32s(m, one), simd.add_f32s(m, one));
-    let s2 = simd.mul_f32s(s, s);
-    let p = polynomial(simd, s2, &SERIES);
-    simd.mul_add_e_f32s(p, s, exponent)
+    (exponent, simd.div_f32s(simd.sub_f32s(m, one), simd.add_f32s(m, one)))
+}
+
+/// `position` within `0..=high`; NaN gives 0.
+#[inline(always)]
+pub fn clamp_or_zero(position: f32, high: f32) -> f32 {
+    let above = if position > 0.0 { position } else { 0.0 };
+    if above < high { above } else { high }
+}
+
+/// A position of at least 0 and less than 2²² as a whole number and a fraction in 0..=1; an odd
+/// whole number comes with a fraction of 1.
+///
+/// Adding 1.5 · 2²³ leaves no bits for a fraction, so that the sum's last bits are the number:
+/// two operations for a whole vector, where a checked conversion goes one by one.
+#[inline(always)]
+pub fn floor_and_fraction(position: f32) -> (u32, f32) {
+    let rounded = (position - 0.5) + ROUND;
+    (rounded.to_bits() - ROUND.to_bits(), position - (rounded - ROUND))
+}
+
+/// The nearest integer of a number between 0 and 2²².
+#[inline(always)]
+pub fn nearest(x: f32) -> usize {
+    ((x + 8_388_608.0).to_bits() & 0x007f_ffff) as usize
 }
 
 #[cfg(test)]
@@ -96,6 +130,7 @@ mod tests {
         Exp2,
         Exp,
         Log2,
+        Ln,
     }
 
     struct Evaluate<'a>(Function, &'a mut [f32]);
@@ -109,6 +144,7 @@ mod tests {
                     Function::Exp2 => exp2(simd, *v),
                     Function::Exp => exp(simd, *v),
                     Function::Log2 => log2(simd, *v),
+                    Function::Ln => ln(simd, *v),
                 };
             }
         }
@@ -135,6 +171,8 @@ mod tests {
         for range in [[2e-38, 1e-30], [1e-6, 1e-2], [0.5, 2.0], [1.0, 1e10]] {
             let error = worst(Function::Log2, range, f64::log2, |v| 2.0 + v.abs());
             assert!(error < 1e-7, "{range:?} {error}");
+            let error = worst(Function::Ln, range, f64::ln, |v| 2.0 + v.abs());
+            assert!(error < 1e-7, "{range:?} {error}");
         }
     }
 
@@ -146,5 +184,28 @@ mod tests {
         let mut v = [f32::NEG_INFINITY; 16];
         Arch::new().dispatch(Evaluate(Function::Exp, &mut v));
         assert!(v.iter().all(|v| (0.0..2e-38).contains(v)));
+    }
+
+    #[test]
+    fn a_position_is_its_whole_part_and_fraction() {
+        for (position, expected) in [
+            (0.0, (0, 0.0)),
+            (0.25, (0, 0.25)),
+            (1.0, (0, 1.0)),
+            (2.0, (2, 0.0)),
+            (638.75, (638, 0.75)),
+            (65_534.0, (65_534, 0.0)),
+        ] {
+            assert_eq!(floor_and_fraction(position), expected);
+        }
+    }
+
+    #[test]
+    fn every_number_is_clamped() {
+        for (position, expected) in
+            [(f32::NAN, 0.0), (f32::INFINITY, 9.0), (-f32::INFINITY, 0.0), (3.5, 3.5), (-0.0, 0.0)]
+        {
+            assert_eq!(clamp_or_zero(position, 9.0), expected);
+        }
     }
 }
