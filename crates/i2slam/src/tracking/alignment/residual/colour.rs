@@ -1,11 +1,12 @@
 //! The three colour residuals of a block of samples.
 
+use super::block::{BLOCK, Row, groups};
 use super::depth::DepthBlock;
 use super::normal_equations::add_products;
 use super::points::Points;
 use super::samples::Taps;
-use super::wide::{BLOCK, Mask, Row, Wide, groups};
 use super::{BALANCE, FREEDOM, Geometry, Linearization, Moment, NEAR, READOUT, Sums};
+use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
 
 /// Rows of one block on their way through the stages.
@@ -115,16 +116,16 @@ impl ColourBlock {
         depth: &DepthBlock,
         group: usize,
     ) {
-        let point = Points::load(simd, &depth.points, group);
+        let point = Points::load_group(simd, &depth.points, group);
         let camera = &task.observed.camera;
         let position = super::project(simd, camera, point);
         let seen = self.taps.place(simd, group, position, camera)
-            & Mask::load(simd, &depth.agreeing, group)
-            & Wide::splat(simd, NEAR).less(point.z);
-        seen.ones().store(&mut self.seen, group);
+            & Mask::load_group(simd, &depth.agreeing, group)
+            & Lanes::splat(simd, NEAR).lt(point.z);
+        seen.ones().store_group(&mut self.seen, group);
         if let Some(rolling) = &geometry.rolling {
             // Lanes without a sample have no row, and must not spoil sums.
-            seen.keep(rolling.place(simd, position.1)).store(&mut self.row_place, group);
+            seen.keep(rolling.place(simd, position.1)).store_group(&mut self.row_place, group);
         }
     }
 
@@ -138,16 +139,16 @@ impl ColourBlock {
         (moment, depth): (&Moment, &DepthBlock),
         group: usize,
     ) {
-        let point = Points::load(simd, &depth.points, group);
+        let point = Points::load_group(simd, &depth.points, group);
         let seen = self.at_moment(simd, geometry, moment, point, group);
-        let place = geometry.model_from_centre.apply_wide(simd, seen);
-        seen.store(&mut self.points, group);
+        let place = geometry.model_from_centre.apply_lanes(simd, seen);
+        seen.store_group(&mut self.points, group);
         let camera = &task.observed.camera;
         let inside = self.taps.place(simd, group, super::project(simd, camera, place), camera)
-            & Mask::load(simd, &self.seen, group);
-        inside.ones().store(&mut self.seen, group);
+            & Mask::load_group(simd, &self.seen, group);
+        inside.ones().store_group(&mut self.seen, group);
         let place = Points::select(inside, place, super::on_axis(simd));
-        place.store(&mut self.places, group);
+        place.store_group(&mut self.places, group);
     }
 
     /// A group's points in the camera at mid-exposure, from that at one moment of their rows.
@@ -161,11 +162,12 @@ impl ColourBlock {
         group: usize,
     ) -> Points<S> {
         let Some(rolling) = &geometry.rolling else {
-            return moment.centre_from_camera.apply_wide(simd, point);
+            return moment.centre_from_camera.apply_lanes(simd, point);
         };
-        let time = rolling.time(simd, Wide::load(simd, &self.row_place, group), moment.offset);
-        time.store(&mut self.times, group);
-        let one = Wide::splat(simd, 1.0);
+        let time =
+            rolling.time(simd, Lanes::load_group(simd, &self.row_place, group), moment.offset);
+        time.store_group(&mut self.times, group);
+        let one = Lanes::splat(simd, 1.0);
         rolling.turned(simd, time, point).mul_add(one, rolling.moved(simd, time))
     }
 
@@ -179,24 +181,24 @@ impl ColourBlock {
         (moment, first): (&Moment, bool),
         group: usize,
     ) {
-        let number = |value| Wide::splat(simd, value);
+        let number = |value| Lanes::splat(simd, value);
         let weight = number(moment.weight);
         for channel in 0..3 {
-            let radiance = Wide::load(simd, &self.model[channel][0], group) * weight;
+            let radiance = Lanes::load_group(simd, &self.model[channel][0], group) * weight;
             accumulate(radiance, &mut self.channels[channel].radiance, group, first);
         }
         if !task.derivatives {
             return;
         }
-        let place = Points::load(simd, &self.places, group);
+        let place = Points::load_group(simd, &self.places, group);
         let camera = &task.observed.camera;
         // The derivatives of `(u, v)` by the point, turned back into the camera.
         let by = |u, v| geometry.turn_back(simd, super::by_place(simd, camera, place, (u, v)));
         let (along_u, along_v) = (by(weight, number(0.0)), by(number(0.0), weight));
         let points = self.carried(simd, geometry, moment, group);
         for channel in 0..3 {
-            let by_u = Wide::load(simd, &self.model[channel][1], group);
-            let by_v = Wide::load(simd, &self.model[channel][2], group);
+            let by_u = Lanes::load_group(simd, &self.model[channel][1], group);
+            let by_v = Lanes::load_group(simd, &self.model[channel][2], group);
             let row = along_u.mul_add(by_u, along_v.scaled(by_v));
             self.channels[channel].add_motion(simd, geometry, row, &points, (group, first));
         }
@@ -211,17 +213,17 @@ impl ColourBlock {
         moment: &Moment,
         group: usize,
     ) -> Carried<S> {
-        let seen = Points::load(simd, &self.points, group);
-        let row_place = Wide::load(simd, &self.row_place, group);
+        let seen = Points::load_group(simd, &self.points, group);
+        let row_place = Lanes::load_group(simd, &self.row_place, group);
         match &geometry.rolling {
             Some(rolling) => {
-                let time = Wide::load(simd, &self.times, group);
+                let time = Lanes::load_group(simd, &self.times, group);
                 let moved = seen.minus(rolling.moved(simd, time));
                 Carried { seen, moved, time, row_place }
             }
             None => {
                 let translation = Points::splat(simd, moment.centre_from_camera.translation);
-                let time = Wide::splat(simd, moment.offset);
+                let time = Lanes::splat(simd, moment.offset);
                 Carried { seen, moved: seen.minus(translation), time, row_place }
             }
         }
@@ -234,8 +236,8 @@ struct Carried<S: Simd> {
     seen: Points<S>,
     moved: Points<S>,
     /// Time from mid-exposure, and the place of the picture's row.
-    time: Wide<S>,
-    row_place: Wide<S>,
+    time: Lanes<S>,
+    row_place: Lanes<S>,
 }
 
 /// Adds to two triples of rows, or sets them.
@@ -249,9 +251,9 @@ fn add_rows<S: Simd>(values: [Points<S>; 2], rows: &mut [Row], group: usize, fir
 }
 
 #[inline(always)]
-fn accumulate<S: Simd>(value: Wide<S>, row: &mut Row, group: usize, first: bool) {
-    let sum = if first { value } else { value + value.beside(row, group) };
-    sum.store(row, group);
+fn accumulate<S: Simd>(value: Lanes<S>, row: &mut Row, group: usize, first: bool) {
+    let sum = if first { value } else { value + Lanes::load_group(value.simd(), row, group) };
+    sum.store_group(row, group);
 }
 
 impl Channel {
@@ -303,27 +305,27 @@ impl Channel {
         pixel: &Row,
         sums: &mut Sums,
     ) {
-        let number = |value| Wide::splat(simd, value);
+        let number = |value| Lanes::splat(simd, value);
         let share = task.image_weight;
         let precision = 1.0 / (task.scales.image * task.scales.image);
         let (mut cost, mut error, mut count) = (number(0.0), number(0.0), number(0.0));
         for group in 0..groups::<S>() {
-            let seen = Mask::load(simd, seen, group);
-            let value = Wide::load(simd, &self.value, group);
-            let residual = value - Wide::load(simd, pixel, group);
+            let seen = Mask::load_group(simd, seen, group);
+            let value = Lanes::load_group(simd, &self.value, group);
+            let residual = value - Lanes::load_group(simd, pixel, group);
             let square = residual * residual * number(precision);
             cost += seen.keep(super::cost(simd, square));
             error += seen.keep(residual.abs());
             count += seen.ones();
             let weight = number((FREEDOM + 1.0) * precision * share);
             let root = (weight / (number(FREEDOM) + square)).sqrt();
-            seen.keep(root).store(&mut self.root, group);
-            residual.store(&mut self.residual, group);
+            seen.keep(root).store_group(&mut self.root, group);
+            residual.store_group(&mut self.residual, group);
         }
-        let count = count.sum() as usize;
-        sums.equations.cost += f64::from(share) * f64::from(cost.sum());
+        let count = count.reduce_sum() as usize;
+        sums.equations.cost += f64::from(share) * f64::from(cost.reduce_sum());
         sums.equations.count += count;
-        sums.errors.image += f64::from(error.sum());
+        sums.errors.image += f64::from(error.reduce_sum());
         sums.errors.image_count += count;
     }
 
@@ -338,19 +340,21 @@ impl Channel {
         sums: &mut Sums,
     ) {
         let motions = if geometry.has_velocity() { 12 } else { 6 };
-        let toned = Wide::splat(simd, if task.curve.is_some() { 1.0 } else { 0.0 });
+        let toned = Lanes::splat(simd, if task.curve.is_some() { 1.0 } else { 0.0 });
         for group in 0..groups::<S>() {
-            let root = Wide::load(simd, &self.root, group);
-            let slope = Wide::load(simd, &self.slope, group) * root;
+            let root = Lanes::load_group(simd, &self.root, group);
+            let slope = Lanes::load_group(simd, &self.slope, group) * root;
             for row in &mut self.motion[..motions] {
-                (Wide::load(simd, row, group) * slope).store(row, group);
+                (Lanes::load_group(simd, row, group) * slope).store_group(row, group);
             }
-            let radiance = Wide::load(simd, &self.radiance, group);
-            (radiance * slope * toned).store(&mut self.gain, group);
+            let radiance = Lanes::load_group(simd, &self.radiance, group);
+            (radiance * slope * toned).store_group(&mut self.gain, group);
             if geometry.rolling.is_some() {
-                (Wide::load(simd, &self.readout, group) * slope).store(&mut self.readout, group);
+                (Lanes::load_group(simd, &self.readout, group) * slope)
+                    .store_group(&mut self.readout, group);
             }
-            (Wide::load(simd, &self.residual, group) * root).store(&mut self.residual, group);
+            (Lanes::load_group(simd, &self.residual, group) * root)
+                .store_group(&mut self.residual, group);
         }
         let mut rows = [&self.residual; 15];
         let mut unknowns = [READOUT; 14];

@@ -1,10 +1,11 @@
 //! The depth residual of a block of samples.
 
+use super::block::{Row, groups};
 use super::normal_equations::add_products;
 use super::points::Points;
 use super::samples::{SampleBlock, Taps};
-use super::wide::{Mask, Row, Wide, groups};
 use super::{FREEDOM, GATE, Geometry, Linearization, NEAR, RELIEF, Sums};
+use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
 
 /// Rows of one block on their way through the stages.
@@ -25,9 +26,9 @@ pub(super) struct DepthBlock {
 
 /// What the lanes of a block sum up to.
 struct Tally<S: Simd> {
-    cost: Wide<S>,
-    error: Wide<S>,
-    count: Wide<S>,
+    cost: Lanes<S>,
+    error: Lanes<S>,
+    count: Lanes<S>,
 }
 
 impl DepthBlock {
@@ -60,15 +61,15 @@ impl DepthBlock {
         }
         self.taps.split(camera);
         task.model.surface.gather(&self.taps, &mut self.corners, &mut self.relief);
-        let zero = Wide::zero(simd);
+        let zero = Lanes::zero(simd);
         let mut tally = Tally { cost: zero, error: zero, count: zero };
         for group in 0..groups::<S>() {
             self.compare(simd, task, geometry, samples, group, &mut tally);
         }
-        let count = tally.count.sum() as usize;
-        sums.equations.cost += f64::from(tally.cost.sum());
+        let count = tally.count.reduce_sum() as usize;
+        sums.equations.cost += f64::from(tally.cost.reduce_sum());
         sums.equations.count += count;
-        sums.errors.depth += f64::from(tally.error.sum());
+        sums.errors.depth += f64::from(tally.error.reduce_sum());
         sums.errors.depth_count += count;
         sums.agreeing += count;
         if task.derivatives && count > 0 {
@@ -89,17 +90,17 @@ impl DepthBlock {
         samples: &SampleBlock,
         group: usize,
     ) {
-        let read = Points::load(simd, &samples.point, group);
-        let point = geometry.centre_from_depth.apply_wide(simd, read);
-        let place = geometry.model_from_centre.apply_wide(simd, point);
-        point.store(&mut self.points, group);
+        let read = Points::load_group(simd, &samples.point, group);
+        let point = geometry.centre_from_depth.apply_lanes(simd, read);
+        let place = geometry.model_from_centre.apply_lanes(simd, point);
+        point.store_group(&mut self.points, group);
         let camera = &task.observed.camera;
         let seen = self.taps.place(simd, group, super::project(simd, camera, place), camera)
-            & Wide::splat(simd, NEAR).less(place.z)
-            & Wide::zero(simd).less(read.z);
-        seen.ones().store(&mut self.agreeing, group);
+            & Lanes::splat(simd, NEAR).lt(place.z)
+            & Lanes::zero(simd).lt(read.z);
+        seen.ones().store_group(&mut self.agreeing, group);
         let place = Points::select(seen, place, super::on_axis(simd));
-        place.store(&mut self.places, group);
+        place.store_group(&mut self.places, group);
     }
 
     /// Residual, weight and derivatives of a group.
@@ -113,15 +114,15 @@ impl DepthBlock {
         group: usize,
         tally: &mut Tally<S>,
     ) {
-        let number = |value| Wide::splat(simd, value);
-        let place = Points::load(simd, &self.places, group);
+        let number = |value| Lanes::splat(simd, value);
+        let place = Points::load_group(simd, &self.places, group);
         let [inverse, by_u, by_v] = self.taps.interpolate(simd, group, &self.corners);
-        let relief = Wide::load(simd, &self.relief, group);
-        let surface = Mask::load(simd, &self.agreeing, group) & number(0.0).at_most(relief);
-        let d = surface.select(inverse, number(1.0)).reciprocal();
+        let relief = Lanes::load_group(simd, &self.relief, group);
+        let surface = Mask::load_group(simd, &self.agreeing, group) & number(0.0).le(relief);
+        let d = surface.select(inverse, number(1.0)).recip();
         let residual = d - place.z;
-        let agrees = surface & residual.abs().at_most(number(GATE) * place.z);
-        agrees.ones().store(&mut self.agreeing, group);
+        let agrees = surface & residual.abs().le(number(GATE) * place.z);
+        agrees.ones().store_group(&mut self.agreeing, group);
 
         let slope = number(0.0) - d * d;
         let camera = &task.observed.camera;
@@ -139,7 +140,7 @@ impl DepthBlock {
         }
         let weight = number(FREEDOM + 1.0) / ((number(FREEDOM) + square) * variance);
         let root = agrees.keep(weight.sqrt() / normal);
-        (residual * root).store(&mut self.residual, group);
+        (residual * root).store_group(&mut self.residual, group);
         let turned = geometry.turn_back(simd, by_place);
         self.store_jacobian(
             simd,
@@ -151,10 +152,10 @@ impl DepthBlock {
     /// By ρ and φ, from `row` by the points of a group.
     #[inline(always)]
     fn store_jacobian<S: Simd>(&mut self, simd: S, row: Points<S>, group: usize) {
-        let spin = Points::load(simd, &self.points, group).cross(row);
+        let spin = Points::load_group(simd, &self.points, group).cross(row);
         let values = [row, spin].map(Points::to_array);
         for (out, value) in self.jacobian.iter_mut().zip(values.as_flattened()) {
-            value.store(out, group);
+            value.store_group(out, group);
         }
     }
 }
@@ -166,13 +167,13 @@ fn spread_and_variance<S: Simd>(
     simd: S,
     task: &Linearization<'_>,
     samples: &SampleBlock,
-    relief: Wide<S>,
+    relief: Lanes<S>,
     group: usize,
-) -> (Wide<S>, Wide<S>) {
-    let number = |value| Wide::splat(simd, value);
-    let z = Wide::load(simd, &samples.point[2], group);
+) -> (Lanes<S>, Lanes<S>) {
+    let number = |value| Lanes::splat(simd, value);
+    let z = Lanes::load_group(simd, &samples.point[2], group);
     let spread = z * z.max(number(1.0));
-    let rough = number(RELIEF) * relief.max(Wide::load(simd, &samples.relief, group));
+    let rough = number(RELIEF) * relief.max(Lanes::load_group(simd, &samples.relief, group));
     let fine = number(task.scales.depth) * spread;
     (spread, fine.mul_add(fine, rough * rough))
 }

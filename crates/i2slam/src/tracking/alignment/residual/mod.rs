@@ -19,6 +19,7 @@
 //! is a time of its own for every sample, and the readout is an unknown with the derivative `(v/H -
 //! ½) b · (ν + ω × (P - s ν))`. Depth is taken at one moment.
 
+mod block;
 mod colour;
 mod depth;
 mod normal_equations;
@@ -29,7 +30,6 @@ mod row_timing;
 mod samples;
 #[cfg(test)]
 mod tests;
-mod wide;
 
 pub(super) use samples::{Samples, Surface, Texels};
 
@@ -37,6 +37,7 @@ use super::pyramid::{Model, Observed};
 use crate::tracking::first_order::State;
 use colour::ColourBlock;
 use depth::DepthBlock;
+use i2slam_compute::simd::Lanes;
 use i2slam_compute::{NormalEquations, reduce_in_order};
 use i2slam_formation::{Quadrature, ResponseCurve, ShutterPoses, VirtualCamera};
 use i2slam_geometry::{Camera, Mat3, Pose, Vec3};
@@ -44,7 +45,6 @@ use points::Points;
 use pulp::{Arch, Simd, WithSimd};
 use row_timing::Rolling;
 use std::ops::Range;
-use wide::Wide;
 
 /// Unknowns: centre (ρ, φ), velocity (ρ, φ), log exposure, log white balance (r, g, b), readout.
 pub(super) const UNKNOWNS: usize = 17;
@@ -273,8 +273,8 @@ fn add_exposure(equations: &mut Equations) {
 
 /// Image position of each lane's point.
 #[inline(always)]
-fn project<S: Simd>(simd: S, camera: &Camera<f32>, point: Points<S>) -> (Wide<S>, Wide<S>) {
-    let number = |value| Wide::splat(simd, value);
+fn project<S: Simd>(simd: S, camera: &Camera<f32>, point: Points<S>) -> (Lanes<S>, Lanes<S>) {
+    let number = |value| Lanes::splat(simd, value);
     let u = number(camera.fx) * point.x / point.z + number(camera.cx);
     let v = number(camera.fy) * point.y / point.z + number(camera.cy);
     (u, v)
@@ -292,19 +292,19 @@ fn by_place<S: Simd>(
     simd: S,
     camera: &Camera<f32>,
     place: Points<S>,
-    (by_u, by_v): (Wide<S>, Wide<S>),
+    (by_u, by_v): (Lanes<S>, Lanes<S>),
 ) -> Points<S> {
-    let inverse = place.z.reciprocal();
-    let x = by_u * Wide::splat(simd, camera.fx) * inverse;
-    let y = by_v * Wide::splat(simd, camera.fy) * inverse;
-    let z = (Wide::zero(simd) - x.mul_add(place.x, y * place.y)) * inverse;
+    let inverse = place.z.recip();
+    let x = by_u * Lanes::splat(simd, camera.fx) * inverse;
+    let y = by_v * Lanes::splat(simd, camera.fy) * inverse;
+    let z = (Lanes::zero(simd) - x.mul_add(place.x, y * place.y)) * inverse;
     Points { x, y, z }
 }
 
 /// Cost `(ν + 1) ln(1 + r²/ν)` of a residual under a t-distribution, by the square `r²` of the
 /// normalised residual.
 #[inline(always)]
-fn cost<S: Simd>(simd: S, square: Wide<S>) -> Wide<S> {
-    let number = |value| Wide::splat(simd, value);
+fn cost<S: Simd>(simd: S, square: Lanes<S>) -> Lanes<S> {
+    let number = |value| Lanes::splat(simd, value);
     number(FREEDOM + 1.0) * square.mul_add(number(1.0 / FREEDOM), number(1.0)).ln()
 }

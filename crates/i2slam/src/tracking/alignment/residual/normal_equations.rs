@@ -1,7 +1,8 @@
 //! Normal equations of a block of residuals.
 
 use super::Equations;
-use super::wide::{Row, Wide, groups};
+use super::block::{Row, groups};
+use i2slam_compute::simd::Lanes;
 use pulp::Simd;
 
 /// Products that are summed at once.
@@ -32,16 +33,16 @@ pub(super) fn add_products<S: Simd>(
 
 #[inline(always)]
 fn products<S: Simd>(simd: S, row: &Row, others: &[&Row; TILE]) -> [f32; TILE] {
-    let mut sums = [Wide::zero(simd); TILE];
+    let mut sums = [Lanes::zero(simd); TILE];
     for group in 0..groups::<S>() {
-        let value = Wide::load(simd, row, group);
+        let value = Lanes::load_group(simd, row, group);
         for k in 0..TILE {
-            sums[k] = value.mul_add(Wide::load(simd, others[k], group), sums[k]);
+            sums[k] = value.mul_add(Lanes::load_group(simd, others[k], group), sums[k]);
         }
     }
     let mut totals = [0.0; TILE];
     for k in 0..TILE {
-        totals[k] = sums[k].sum();
+        totals[k] = sums[k].reduce_sum();
     }
     totals
 }

@@ -1,57 +1,58 @@
 //! Points and directions, as many at a time as one instruction holds.
 
 use super::Transform;
-use super::wide::{Mask, Row, Wide};
+use super::block::Row;
+use i2slam_compute::simd::{Lanes, Mask};
 use i2slam_geometry::Vec3;
 use pulp::Simd;
 
 /// A point or direction for each lane.
 #[derive(Clone, Copy)]
 pub(super) struct Points<S: Simd> {
-    pub(super) x: Wide<S>,
-    pub(super) y: Wide<S>,
-    pub(super) z: Wide<S>,
+    pub(super) x: Lanes<S>,
+    pub(super) y: Lanes<S>,
+    pub(super) z: Lanes<S>,
 }
 
 impl<S: Simd> Points<S> {
     #[inline(always)]
     pub(super) fn splat(simd: S, point: Vec3<f32>) -> Self {
         Self {
-            x: Wide::splat(simd, point.x),
-            y: Wide::splat(simd, point.y),
-            z: Wide::splat(simd, point.z),
+            x: Lanes::splat(simd, point.x),
+            y: Lanes::splat(simd, point.y),
+            z: Lanes::splat(simd, point.z),
         }
     }
 
     #[inline(always)]
-    pub(super) fn load(simd: S, rows: &[Row; 3], group: usize) -> Self {
+    pub(super) fn load_group(simd: S, rows: &[Row; 3], group: usize) -> Self {
         Self {
-            x: Wide::load(simd, &rows[0], group),
-            y: Wide::load(simd, &rows[1], group),
-            z: Wide::load(simd, &rows[2], group),
+            x: Lanes::load_group(simd, &rows[0], group),
+            y: Lanes::load_group(simd, &rows[1], group),
+            z: Lanes::load_group(simd, &rows[2], group),
         }
     }
 
     #[inline(always)]
-    pub(super) fn store(self, rows: &mut [Row; 3], group: usize) {
-        self.x.store(&mut rows[0], group);
-        self.y.store(&mut rows[1], group);
-        self.z.store(&mut rows[2], group);
+    pub(super) fn store_group(self, rows: &mut [Row; 3], group: usize) {
+        self.x.store_group(&mut rows[0], group);
+        self.y.store_group(&mut rows[1], group);
+        self.z.store_group(&mut rows[2], group);
     }
 
     #[inline(always)]
-    pub(super) fn to_array(self) -> [Wide<S>; 3] {
+    pub(super) fn to_array(self) -> [Lanes<S>; 3] {
         [self.x, self.y, self.z]
     }
 
     #[inline(always)]
-    pub(super) fn scaled(self, factor: Wide<S>) -> Self {
+    pub(super) fn scaled(self, factor: Lanes<S>) -> Self {
         Self { x: self.x * factor, y: self.y * factor, z: self.z * factor }
     }
 
     /// `self · factor + other`.
     #[inline(always)]
-    pub(super) fn mul_add(self, factor: Wide<S>, other: Self) -> Self {
+    pub(super) fn mul_add(self, factor: Lanes<S>, other: Self) -> Self {
         Self {
             x: self.x.mul_add(factor, other.x),
             y: self.y.mul_add(factor, other.y),
@@ -65,7 +66,7 @@ impl<S: Simd> Points<S> {
     }
 
     #[inline(always)]
-    pub(super) fn dot(self, other: Self) -> Wide<S> {
+    pub(super) fn dot(self, other: Self) -> Lanes<S> {
         self.x.mul_add(other.x, self.y.mul_add(other.y, self.z * other.z))
     }
 
@@ -96,7 +97,7 @@ impl Transform {
     }
 
     #[inline(always)]
-    pub(super) fn apply_wide<S: Simd>(&self, simd: S, points: Points<S>) -> Points<S> {
+    pub(super) fn apply_lanes<S: Simd>(&self, simd: S, points: Points<S>) -> Points<S> {
         let translation = Points::splat(simd, self.translation);
         Points {
             x: self.row(simd, 0).dot(points) + translation.x,

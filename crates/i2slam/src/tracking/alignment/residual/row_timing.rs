@@ -1,7 +1,7 @@
 //! Rows of the picture that are exposed one after another.
 
 use super::points::Points;
-use super::wide::Wide;
+use i2slam_compute::simd::Lanes;
 use i2slam_geometry::{Tangent, Vec3};
 use pulp::Simd;
 
@@ -28,21 +28,21 @@ impl Rolling {
 
     /// Place of a row between the top edge (-½) and the bottom edge (½).
     #[inline(always)]
-    pub(super) fn place<S: Simd>(&self, simd: S, v: Wide<S>) -> Wide<S> {
-        v * Wide::splat(simd, 1.0 / self.height) - Wide::splat(simd, 0.5)
+    pub(super) fn place<S: Simd>(&self, simd: S, v: Lanes<S>) -> Lanes<S> {
+        v * Lanes::splat(simd, 1.0 / self.height) - Lanes::splat(simd, 0.5)
     }
 
     /// Time at which a row at `place` sees the moment `offset` of the exposure.
     #[inline(always)]
-    pub(super) fn time<S: Simd>(&self, simd: S, place: Wide<S>, offset: f32) -> Wide<S> {
-        place.mul_add(Wide::splat(simd, self.readout), Wide::splat(simd, offset))
+    pub(super) fn time<S: Simd>(&self, simd: S, place: Lanes<S>, offset: f32) -> Lanes<S> {
+        place.mul_add(Lanes::splat(simd, self.readout), Lanes::splat(simd, offset))
     }
 
     /// `Exp(s ω) X = X + (sin sθ / θ) ω × X + ((1 - cos sθ) / θ²) ω × (ω × X)` by series, exact to
     /// single precision for turns of less than a radian.
     #[inline(always)]
-    pub(super) fn turned<S: Simd>(&self, simd: S, s: Wide<S>, point: Points<S>) -> Points<S> {
-        let number = |value: f32| Wide::splat(simd, value);
+    pub(super) fn turned<S: Simd>(&self, simd: S, s: Lanes<S>, point: Points<S>) -> Points<S> {
+        let number = |value: f32| Lanes::splat(simd, value);
         let spin = Points::splat(simd, self.spin);
         let angle = s * s * number(self.spin.dot(self.spin));
         let series = |terms: [f32; 4]| {
@@ -57,14 +57,14 @@ impl Rolling {
 
     /// `s ν`.
     #[inline(always)]
-    pub(super) fn moved<S: Simd>(&self, simd: S, s: Wide<S>) -> Points<S> {
+    pub(super) fn moved<S: Simd>(&self, simd: S, s: Lanes<S>) -> Points<S> {
         Points::splat(simd, self.speed).scaled(s)
     }
 
     /// `ν + ω × Exp(s ω) X`: how fast the turned point moves [per exposure].
     #[inline(always)]
     pub(super) fn rate<S: Simd>(&self, simd: S, turned: Points<S>) -> Points<S> {
-        let one = Wide::splat(simd, 1.0);
+        let one = Lanes::splat(simd, 1.0);
         Points::splat(simd, self.spin).cross(turned).mul_add(one, Points::splat(simd, self.speed))
     }
 }

@@ -1,6 +1,7 @@
 //! Frame and model laid out for blocks of samples: what one sample needs lies together.
 
-use super::wide::{BLOCK, Mask, Row, Wide};
+use super::block::{BLOCK, Row};
+use i2slam_compute::simd::{Lanes, Mask};
 use i2slam_geometry::{Camera, Image};
 use pulp::Simd;
 
@@ -68,18 +69,18 @@ impl Taps {
         &mut self,
         simd: S,
         group: usize,
-        (u, v): (Wide<S>, Wide<S>),
+        (u, v): (Lanes<S>, Lanes<S>),
         camera: &Camera<f32>,
     ) -> Mask<S> {
-        let number = |value| Wide::splat(simd, value);
+        let number = |value| Lanes::splat(simd, value);
         let (x, y) = (u - number(0.5), v - number(0.5));
         let most = |size: usize| number(size.saturating_sub(1) as f32);
-        let inside = number(0.0).at_most(x)
-            & number(0.0).at_most(y)
-            & x.less(most(camera.width))
-            & y.less(most(camera.height));
-        inside.keep(x).store(&mut self.right, group);
-        inside.keep(y).store(&mut self.down, group);
+        let inside = number(0.0).le(x)
+            & number(0.0).le(y)
+            & x.lt(most(camera.width))
+            & y.lt(most(camera.height));
+        inside.keep(x).store_group(&mut self.right, group);
+        inside.keep(y).store_group(&mut self.down, group);
         inside
     }
 
@@ -102,10 +103,12 @@ impl Taps {
         simd: S,
         group: usize,
         corners: &[Row; 4],
-    ) -> [Wide<S>; 3] {
-        let [a, b, c, d] = [0, 1, 2, 3].map(|i| Wide::load(simd, &corners[i], group));
-        let (right, down) =
-            (Wide::load(simd, &self.right, group), Wide::load(simd, &self.down, group));
+    ) -> [Lanes<S>; 3] {
+        let [a, b, c, d] = [0, 1, 2, 3].map(|i| Lanes::load_group(simd, &corners[i], group));
+        let (right, down) = (
+            Lanes::load_group(simd, &self.right, group),
+            Lanes::load_group(simd, &self.down, group),
+        );
         let (top, bottom) = ((b - a).mul_add(right, a), (d - c).mul_add(right, c));
         let by_u = ((d - c) - (b - a)).mul_add(down, b - a);
         [(bottom - top).mul_add(down, top), by_u, bottom - top]
