@@ -2,9 +2,9 @@
 
 use crate::failure::Failure;
 use i2slam::dataset::Sequence;
-use i2slam::geometry::{Image, Pose, StampedPose};
+use i2slam::geometry::{Image, StampedPose};
 use i2slam_eval::trajectory::{
-    Alignment, DEFAULT_TOLERANCE, Similarity, TrajectoryError, absolute_trajectory_error,
+    Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error,
 };
 use std::path::{Path, PathBuf};
 
@@ -86,23 +86,15 @@ impl Truth {
         }
         let truth = &self.trajectory;
         let error = absolute_trajectory_error(estimate, truth, alignment, DEFAULT_TOLERANCE)?;
+        let estimate_from_truth = error.truth_from_estimate.inverse();
         let laid = error.associations.iter().map(|pair| StampedPose {
             timestamp: estimate[pair.estimate].timestamp,
-            world_from_camera: undo(
-                &error.truth_from_estimate,
-                truth[pair.truth].world_from_camera,
-            ),
+            world_from_camera: estimate_from_truth
+                .apply_to_pose(truth[pair.truth].world_from_camera),
         });
         let laid = laid.collect();
         Ok(Some((error, laid)))
     }
-}
-
-/// A pose of the target, seen from the source of the similarity.
-fn undo(similarity: &Similarity, pose: Pose<f64>) -> Pose<f64> {
-    let back = similarity.rotation.inverse();
-    let centre = back.rotate(pose.translation - similarity.translation);
-    Pose::new(back * pose.rotation, centre * similarity.scale.recip())
 }
 
 /// The sequence reading `sharp/` in place of its colour folder, so that the true pictures get the

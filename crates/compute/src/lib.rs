@@ -9,6 +9,7 @@ mod median;
 mod random;
 mod reduce;
 pub mod simd;
+mod skyline;
 
 pub use adam::{Adam, AdamSettings};
 pub use cancellation::CancellationToken;
@@ -16,3 +17,4 @@ pub use linear::{NormalEquations, solve_positive_definite};
 pub use median::median;
 pub use random::Random;
 pub use reduce::reduce_in_order;
+pub use skyline::{SkylineMatrix, reverse_cuthill_mckee};

@@ -11,6 +11,7 @@ mod pose;
 mod real;
 mod rotation;
 mod sample;
+mod similarity;
 mod trajectory;
 mod vector;
 
@@ -22,5 +23,6 @@ pub use pose::{Pose, Tangent};
 pub use real::Real;
 pub use rotation::{Rotation, left_jacobian_inverse, right_jacobian, right_jacobian_inverse};
 pub use sample::Tap;
+pub use similarity::Similarity;
 pub use trajectory::{StampedPose, Trajectory, nearest_stamp};
 pub use vector::{Mat3, Vec3};

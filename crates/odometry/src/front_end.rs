@@ -1,19 +1,19 @@
 //! Pictures in, camera path out.
 
-use crate::closure::{close_loops, join_neighbours};
-use crate::determined::give_up_doubtful_lens;
 use crate::error::{OdometryError, PictureError};
-use crate::focal::find_focal;
-use crate::grow::{adjust_all, grow, pose_rest, refine};
+use crate::intrinsics::focal_length::{Intrinsics, find_focal};
+use crate::intrinsics::observability::give_up_doubtful_lens;
+use crate::loops::loop_closure::{close_loops, join_neighbours};
 use crate::progress::Progress;
-use crate::relocalise::{Tried, relocalise};
-use crate::result::{FrameReport, Reconstruction, assemble};
-use crate::rolling::{correct_rolling_shutter, interval};
-use crate::scene::Scene;
-use crate::start::{start, start_within};
-use crate::straighten::straighten;
-use crate::tracker::Tracker;
-use i2slam_geometry::{Camera, Image};
+use crate::register::initialization::{start, start_within};
+use crate::register::registration::{adjust_all, grow, pose_rest, refine};
+use crate::relocalize::relocalization::{Tried, relocalise};
+use crate::result::{Reconstruction, assemble};
+use crate::rolling_shutter::readout::{correct_rolling_shutter, interval};
+use crate::rolling_shutter::rolling_shutter_init::straighten;
+use crate::sfm_state::Scene;
+use crate::track::tracker::{FrameReport, Tracker};
+use i2slam_geometry::Image;
 
 /// Pictures without which nothing is tried.
 pub const MIN_FRAMES: usize = 4;
@@ -22,39 +22,6 @@ const SETTLED: f64 = 1e-3;
 const MAX_ROUNDS: usize = 5;
 /// Least side of a picture [px].
 pub const MIN_SIDE: usize = 48;
-
-/// What is known of the camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Intrinsics {
-    /// Calibrated: stays as it is.
-    Known(Camera<f64>),
-    /// A guess; the focal length is looked for, the principal point stays.
-    Guess(Camera<f64>),
-    /// The same, and the pictures are bent by a lens whose radial distortion is looked for.
-    GuessWithDistortion(Camera<f64>),
-}
-
-impl Intrinsics {
-    /// The guess for a picture of which nothing is known: a field of view of 60 degrees across the
-    /// longer side.
-    pub fn unknown(width: usize, height: usize) -> Self {
-        let f = 0.5 * width.max(height) as f64 / 30_f64.to_radians().tan();
-        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-        Self::Guess(Camera { width, height, fx: f, fy: f, cx, cy })
-    }
-
-    /// The same guess for pictures that a lens has bent: its radial distortion is looked for.
-    pub fn unknown_with_distortion(width: usize, height: usize) -> Self {
-        Self::GuessWithDistortion(*Self::unknown(width, height).camera())
-    }
-
-    /// The camera as given.
-    pub fn camera(&self) -> &Camera<f64> {
-        match self {
-            Self::Known(camera) | Self::Guess(camera) | Self::GuessWithDistortion(camera) => camera,
-        }
-    }
-}
 
 /// A monocular front end: [`push`](Self::push) every picture in order, then
 /// [`finish`](Self::finish).
@@ -107,7 +74,7 @@ impl FrontEnd {
             return Err(PictureError::Stamp { timestamp, last });
         }
         self.timestamps.push(timestamp);
-        Ok(FrameReport::of(self.tracker.follow(picture)))
+        Ok(self.tracker.follow(picture))
     }
 
     /// Finds the path of the camera.
@@ -251,16 +218,4 @@ fn reached(scene: &Scene) -> usize {
     let keyframes = scene.tracks.keyframes.iter().enumerate();
     let posed = keyframes.filter(|(_, frame)| scene.poses[**frame].is_some());
     posed.map(|(place, _)| stands_for(scene, place)).sum()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_unknown_camera_stays_the_same_turned_upright() {
-        let focal = |width, height| Intrinsics::unknown(width, height).camera().fx;
-        assert_eq!(focal(640, 480), focal(480, 640));
-        assert!((focal(320, 240) - 277.128).abs() < 1e-3);
-    }
 }

@@ -1,54 +1,91 @@
-//! A monocular front end: pictures in, camera poses, sparse and dense depth out.
+//! Monocular visual odometry: pictures in, camera poses, sparse and dense depth out.
 //!
-//! Points are followed through all pictures (pyramidal Lucas-Kanade with gain and bias, so that
-//! exposure may change); two keyframes with parallax start a map, which grows keyframe by keyframe
-//! by resection, triangulation and bundle adjustment; the frames between follow, and a last
-//! adjustment takes all. Keyframes that were lost are found again by their looks, and a path is
-//! closed where it returns to a place whose points were lost. The unit of length is arbitrary.
-//! [`DenseDepthEstimator`] finds the depth of most pixels of keyframes afterwards.
+//! Points are tracked through all pictures; two keyframes with parallax start a map, to which the
+//! other frames are registered one by one, with bundle adjustment in between. Keyframes without a
+//! pose are relocalized by what they look like, and loops are closed. The unit of length is
+//! arbitrary. [`DenseDepthEstimator`] computes the depth of most pixels of keyframes afterwards.
+//!
+//! Folders, each using only those above it:
+//!
+//! | folder | |
+//! |---|---|
+//! | `track` | KLT tracking of corners from picture to picture, choice of keyframes |
+//! | `multiview` | geometry of few views: landmarks, lens distortion, triangulation, PnP, essential matrix |
+//! | `bundle` | bundle adjustment and the covariance of the intrinsics |
+//! | `sfm_state` | camera, poses, landmarks and tracks so far |
+//! | `register` | initialization from two keyframes, registration of all others |
+//! | `intrinsics` | search for the focal length, observability of focal length and distortion |
+//! | `rolling_shutter` | estimation of the readout, correction of image positions |
+//! | `relocalize` | keyframes recognised in others by descriptors and geometric verification |
+//! | `loops` | loop closure by a pose graph of similarities |
+//! | `result`, `front_end` | the result, and the pipeline from pictures to it |
+//! | `dense` | dense depth by plane sweep and semi-global matching; uses `track` only |
+
+mod error;
+mod progress;
+mod warning;
+
+mod track {
+    pub(crate) mod corners;
+    pub(crate) mod global_translation;
+    pub(crate) mod patch;
+    pub(crate) mod point_search;
+    pub(crate) mod pyramid;
+    pub(crate) mod thumbnail;
+    pub(crate) mod tracker;
+    pub(crate) mod tracks;
+}
+
+mod multiview {
+    pub(crate) mod landmark;
+    pub(crate) mod lens_distortion;
+    pub(crate) mod pnp;
+    pub(crate) mod robust_loss;
+    pub(crate) mod triangulation;
+    pub(crate) mod two_view;
+}
 
 mod bundle;
-mod closure;
-mod corners;
-mod dense;
-mod descriptor;
-mod determined;
-mod error;
-mod focal;
+mod sfm_state;
+
+mod register {
+    pub(crate) mod initialization;
+    pub(crate) mod registration;
+}
+
+mod intrinsics {
+    pub(crate) mod focal_length;
+    pub(crate) mod observability;
+}
+
+mod rolling_shutter {
+    pub(crate) mod readout;
+    pub(crate) mod rolling_shutter_init;
+}
+
+mod relocalize {
+    pub(crate) mod descriptor;
+    pub(crate) mod geometric_verification;
+    pub(crate) mod relocalization;
+}
+
+mod loops {
+    pub(crate) mod loop_closure;
+    pub(crate) mod pose_graph;
+}
+
 mod front_end;
-mod grow;
-mod landmark;
-mod lens;
-mod look;
-mod order;
-mod patch;
-mod pose_graph;
-mod progress;
-mod pyramid;
-mod recognise;
-mod relocalise;
-mod resection;
 mod result;
-mod robust;
-mod rolling;
-mod scene;
-mod shift;
-mod sight;
-mod similarity;
-mod skyline;
-mod start;
-mod straighten;
-mod tracker;
-mod tracks;
-mod triangulate;
-mod two_view;
-mod warning;
+
+mod dense;
 
 pub use dense::{DenseDepth, DenseDepthEstimator, PosedView};
 pub use error::{OdometryError, PictureError};
-pub use front_end::{FrontEnd, Intrinsics, MIN_FRAMES, MIN_SIDE};
+pub use front_end::{FrontEnd, MIN_FRAMES, MIN_SIDE};
+pub use intrinsics::focal_length::Intrinsics;
 pub use progress::{Progress, Stage};
-pub use result::{FrameReport, FrameStatus, Keyframe, Reconstruction, SparseDepth};
+pub use result::{FrameStatus, Keyframe, Reconstruction, SparseDepth};
+pub use track::tracker::FrameReport;
 pub use warning::Warning;
 
 #[cfg(doctest)]

@@ -1,11 +1,10 @@
 //! What the front end delivers.
 
-use crate::determined::released;
-use crate::front_end::Intrinsics;
-use crate::lens::usual_coefficients;
-use crate::scene::Scene;
-use crate::tracker::Followed;
-use crate::tracks::Observation;
+use crate::intrinsics::focal_length::Intrinsics;
+use crate::intrinsics::observability::released;
+use crate::multiview::lens_distortion::usual_coefficients;
+use crate::sfm_state::Scene;
+use crate::track::tracks::Observation;
 use crate::warning::Warning;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
@@ -16,30 +15,6 @@ const MIN_FOLLOWED: usize = 40;
 /// Deviation of an inverse depth up to which a point nearer than usual is believed, as a share of
 /// the usual inverse depth.
 const TRUSTED: f64 = 0.3;
-
-/// What is known of a picture as soon as it came.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameReport {
-    /// Points followed into it.
-    pub points: usize,
-    /// Their median motion since the last picture [px].
-    pub motion: f64,
-    /// The picture shows another scene than the one before.
-    pub is_cut: bool,
-    /// The picture became a keyframe.
-    pub is_keyframe: bool,
-}
-
-impl FrameReport {
-    pub(crate) fn of(followed: Followed) -> Self {
-        Self {
-            points: followed.points,
-            motion: f64::from(followed.motion),
-            is_cut: followed.is_cut,
-            is_keyframe: followed.is_keyframe,
-        }
-    }
-}
 
 /// What became of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -317,7 +292,7 @@ fn usual_inverse_depth(depths: &[SparseDepth]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tracks::Tracks;
+    use crate::track::tracks::Tracks;
 
     /// Even where most points of a keyframe lie before the lens, those that were measured decide;
     /// one that is as near and was measured well stays.

@@ -1,10 +1,10 @@
 //! Absolute trajectory error.
 
 use super::association::pairs_to_judge;
-use super::{Alignment, Association, Similarity, align};
+use super::{Alignment, Association, align};
 use crate::EvalError;
 use crate::statistics::Summary;
-use i2slam_geometry::{StampedPose, Vec3};
+use i2slam_geometry::{Similarity, StampedPose, Vec3};
 use serde::Serialize;
 
 /// Absolute trajectory error (ATE): distances of camera centres after alignment,
@@ -40,7 +40,7 @@ pub struct TrajectoryError {
     pub associations: Vec<Association>,
     /// The transform that lays the estimate on the truth.
     #[serde(skip)]
-    pub truth_from_estimate: Similarity,
+    pub truth_from_estimate: Similarity<f64>,
     /// The whole estimate (poses without a pair too), laid on the truth: for plots, and for
     /// relative errors of an estimate without scale.
     #[serde(skip)]
@@ -94,7 +94,7 @@ fn centres(poses: impl Iterator<Item = StampedPose>) -> Vec<Vec3<f64>> {
     poses.map(|p| p.world_from_camera.translation).collect()
 }
 
-fn distances(fit: &Similarity, source: &[Vec3<f64>], target: &[Vec3<f64>]) -> Vec<f64> {
+fn distances(fit: &Similarity<f64>, source: &[Vec3<f64>], target: &[Vec3<f64>]) -> Vec<f64> {
     source.iter().zip(target).map(|(&s, &t)| (fit.apply(s) - t).norm()).collect()
 }
 

@@ -2,7 +2,7 @@
 
 use super::singular::singular;
 use crate::EvalError;
-use i2slam_geometry::{Mat3, Pose, Rotation, Vec3};
+use i2slam_geometry::{Mat3, Rotation, Similarity, Vec3};
 use serde::Serialize;
 
 /// What may be fitted before errors are measured.
@@ -13,29 +13,6 @@ pub enum Alignment {
     Se3,
     /// Rotation, translation and scale: for systems that do not (one colour camera).
     Sim3,
-}
-
-/// A similarity `p ↦ s R p + t`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Similarity {
-    /// Scale `s`, above zero; 1 for [`Alignment::Se3`].
-    pub scale: f64,
-    /// Rotation `R`.
-    pub rotation: Rotation<f64>,
-    /// Translation `t` [m, of the target].
-    pub translation: Vec3<f64>,
-}
-
-impl Similarity {
-    /// `s R p + t`.
-    pub fn apply(&self, point: Vec3<f64>) -> Vec3<f64> {
-        self.rotation.rotate(point) * self.scale + self.translation
-    }
-
-    /// The pose seen from the target frame: its centre moves as a point, its axes turn with `R`.
-    pub fn apply_to_pose(&self, pose: Pose<f64>) -> Pose<f64> {
-        Pose::new(self.rotation * pose.rotation, self.apply(pose.translation))
-    }
 }
 
 /// The similarity with the least `Σ ‖target_i - (s R source_i + t)‖²`.
@@ -49,7 +26,7 @@ pub fn align(
     source: &[Vec3<f64>],
     target: &[Vec3<f64>],
     alignment: Alignment,
-) -> Result<Similarity, EvalError> {
+) -> Result<Similarity<f64>, EvalError> {
     if source.len() != target.len() {
         let (first, second) = (vec![source.len()], vec![target.len()]);
         return Err(EvalError::ShapeMismatch { what: "point lists", first, second });

@@ -5,7 +5,7 @@ fn cloud(seed: u64, extent: [f64; 3]) -> Vec<Vec3<f64>> {
     n.chunks(3).map(|c| Vec3::new(c[0] * extent[0], c[1] * extent[1], c[2] * extent[2])).collect()
 }
 
-fn example(scale: f64) -> Similarity {
+fn example(scale: f64) -> Similarity<f64> {
     Similarity {
         scale,
         rotation: Rotation::exp(Vec3::new(1.4, -2.0, 0.9)),
@@ -13,7 +13,7 @@ fn example(scale: f64) -> Similarity {
     }
 }
 
-fn cost(fit: &Similarity, source: &[Vec3<f64>], target: &[Vec3<f64>]) -> f64 {
+fn cost(fit: &Similarity<f64>, source: &[Vec3<f64>], target: &[Vec3<f64>]) -> f64 {
     source.iter().zip(target).map(|(&s, &t)| (fit.apply(s) - t).norm_squared()).sum()
 }
 
@@ -63,7 +63,7 @@ fn noisy_fit_is_a_minimum() {
 
 /// No small step in any of the seven directions lowers the cost, nor does any of a thousand
 /// rotations spread over the whole group.
-fn assert_optimal(fit: &Similarity, source: &[Vec3<f64>], target: &[Vec3<f64>]) {
+fn assert_optimal(fit: &Similarity<f64>, source: &[Vec3<f64>], target: &[Vec3<f64>]) {
     let best = cost(fit, source, target);
     for direction in 0..7 {
         for step in [-1e-3, 1e-3] {

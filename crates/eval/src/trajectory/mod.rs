@@ -10,6 +10,6 @@ mod relative;
 mod singular;
 
 pub use absolute::{TrajectoryError, absolute_trajectory_error};
-pub use alignment::{Alignment, Similarity, align};
+pub use alignment::{Alignment, align};
 pub use association::{Association, DEFAULT_TOLERANCE, associate};
 pub use relative::{RelativePoseError, Step, relative_pose_error};

@@ -4,22 +4,20 @@
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
 //! eliminated first (Schur complement; Triggs et al. 2000, section 6).
 
-mod deviation;
-mod linear;
-mod parts;
-mod structure;
+mod covariance;
+mod normal_equations;
+mod sparsity;
 
-pub(crate) use deviation::Covariance;
+pub(crate) use covariance::Covariance;
 
-use crate::landmark::Landmark;
+use crate::multiview::landmark::Landmark;
+use crate::multiview::robust_loss::huber;
 use crate::progress::{Progress, Stage};
-use crate::robust::huber;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
-use linear::{Linear, Step};
-use parts::Curvature;
+use normal_equations::{Curvature, Linear, Step};
+use sparsity::Structure;
 use std::sync::Arc;
-use structure::Structure;
 
 /// Landmarks per task.
 const CHUNK: usize = 128;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::lens::radial;
+use crate::multiview::lens_distortion::radial;
 use crate::progress::Progress;
 use i2slam_check::{assert_gradient, noise};
 use i2slam_geometry::{Rotation, Vec3};

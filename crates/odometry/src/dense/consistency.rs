@@ -1,6 +1,6 @@
 //! Estimates of several keyframes compared with each other: what agrees is kept and averaged.
 
-use super::estimate::Estimate;
+use super::inverse_depth::Estimate;
 use i2slam_geometry::{Camera, Image, Pose};
 
 /// Difference of inverse depths that agree, in standard deviations of both, ...

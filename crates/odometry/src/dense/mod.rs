@@ -6,20 +6,20 @@
 //! along surfaces. What the estimates of other keyframes contradict is given up, and beside edges
 //! depth is doubtful.
 
-mod aggregate;
 mod consistency;
-mod correlation;
-mod edges;
-mod estimate;
-mod neighbours;
-mod sweep;
+mod depth_edges;
+mod inverse_depth;
+mod plane_sweep;
+mod semi_global;
+mod view_selection;
+mod window_correlation;
 
-use crate::pyramid::Pyramid;
+use crate::track::pyramid::Pyramid;
 use consistency::agreed;
-use edges::doubt_beside_edges;
-use estimate::{Estimate, HALF_WINDOWS, estimate};
+use depth_edges::doubt_beside_edges;
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
+use inverse_depth::{Estimate, HALF_WINDOWS, estimate};
 use std::collections::BTreeMap;
 
 /// Keyframes before and after one, in their order, that it may be matched with.
@@ -118,7 +118,7 @@ impl DenseDepthEstimator {
         let others: Vec<(usize, Pose<f64>)> =
             near.filter(|i| *i != index).map(|i| (i, self.views[i].world_from_camera)).collect();
         let pose = self.views[index].world_from_camera;
-        neighbours::choose(&self.camera, pose, &others, depth, MATCHED)
+        view_selection::choose(&self.camera, pose, &others, depth, MATCHED)
     }
 
     fn median_depth(&self, index: usize) -> Option<f64> {

@@ -1,0 +1,394 @@
+//! The normal equations of a bundle, and their solution with the landmarks eliminated.
+//!
+//! Every row of the cameras' system is computed by one task, its landmarks in order, so that the
+//! system is kept once, however many tasks there are.
+
+use super::sparsity::Structure;
+use super::{Bundle, CHUNK, GLOBALS, Moves, Sight};
+use crate::multiview::landmark::Projection;
+use crate::multiview::robust_loss::{HUBER, huber};
+use i2slam_compute::{SkylineMatrix, reduce_in_order};
+use i2slam_geometry::{Mat3, Vec3};
+use rayon::prelude::*;
+
+/// Damping that only keeps the unit of length, which nothing tells, where it is.
+const UNDAMPED: f64 = 1e-7;
+
+/// A change of all unknowns.
+pub(super) struct Step {
+    /// Tangent of every pose, zero for fixed ones.
+    pub(super) poses: Vec<[f64; 6]>,
+    pub(super) landmarks: Vec<[f64; 3]>,
+    pub(super) globals: [f64; GLOBALS],
+}
+
+/// Normal equations: cameras (`U`), landmarks (`C`) and couplings (`E`).
+pub(super) struct Linear<'a> {
+    structure: &'a Structure,
+    /// How many of the globals are unknown.
+    globals: usize,
+    parts: Vec<Part>,
+    poses: Vec<PosePart>,
+    global: GlobalPart,
+}
+
+impl<'a> Linear<'a> {
+    pub(super) fn new(bundle: &Bundle, structure: &'a Structure, curvature: Curvature) -> Self {
+        let globals = bundle.globals();
+        let landmarks = 0..bundle.landmarks.len();
+        let landmark = |i: usize| part(bundle, i, &structure.cameras[i], curvature);
+        let parts = landmarks.into_par_iter().map(landmark);
+        let block = |block: usize| pose_part(bundle, structure, block, curvature);
+        let poses = (0..structure.poses.len()).into_par_iter().map(block);
+        let (parts, poses) = (parts.collect(), poses.collect());
+        let global =
+            if globals == 0 { GlobalPart::default() } else { global_part(bundle, curvature) };
+        Self { structure, globals, parts, poses, global }
+    }
+
+    /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
+    pub(super) fn step(&self, damping: f64) -> Option<Step> {
+        let (mut matrix, mut solved) = self.reduced(damping);
+        matrix.solve(&mut solved).then(|| self.spread(&solved, damping, 1.0))
+    }
+
+    /// How all unknowns answer a unit force on each of those that all sights share: columns of the
+    /// inverse of the whole system. `None` where they are not determined.
+    pub(super) fn responses(&self) -> Option<Vec<Step>> {
+        let (mut matrix, right) = self.reduced(UNDAMPED);
+        if !matrix.factorise() {
+            return None;
+        }
+        let unit = |global: usize| {
+            let mut unit = vec![0.0; right.len()];
+            unit[6 * self.poses.len() + global] = 1.0;
+            matrix.substitute(&mut unit);
+            self.spread(&unit, UNDAMPED, 0.0)
+        };
+        Some((0..self.globals).map(unit).collect())
+    }
+
+    /// What the landmarks do when the cameras do what was solved, `pulled` by their own gradients.
+    fn spread(&self, solved: &[f64], damping: f64, pulled: f64) -> Step {
+        let pose = |block: &Option<usize>| {
+            block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
+        };
+        let mut globals = [0.0; GLOBALS];
+        globals.iter_mut().zip(&solved[6 * self.poses.len()..]).for_each(|(g, s)| *g = *s);
+        let landmark = |(part, cameras): (&Part, &Vec<(u32, u32)>)| {
+            let mut right = part.gradient.map(|g| -pulled * g);
+            for i in 0..3 {
+                for (e, (block, _)) in part.couplings.iter().zip(cameras) {
+                    let tangent = &solved[6 * *block as usize..][..6];
+                    right[i] -= (0..6).map(|a| e[a][i] * tangent[a]).sum::<f64>();
+                }
+                right[i] -= (0..self.globals).map(|g| part.globals[g][i] * globals[g]).sum::<f64>();
+            }
+            (part.damped_inverse(damping) * Vec3::from_array(right)).to_array()
+        };
+        let parts = self.parts.par_iter().zip(&self.structure.cameras);
+        let poses = self.structure.blocks.iter().map(pose).collect();
+        Step { poses, landmarks: parts.map(landmark).collect(), globals }
+    }
+
+    /// The cameras' system, `U - E C⁻¹ Eᵀ`, and its right side.
+    fn reduced(&self, damping: f64) -> (SkylineMatrix, Vec<f64>) {
+        let inverses: Vec<Mat3<f64>> =
+            self.parts.par_iter().map(|p| p.damped_inverse(damping)).collect();
+        let mut matrix = SkylineMatrix::new(self.structure.first_columns(self.globals));
+        let rows = matrix.split((1..=self.poses.len()).map(|block| 6 * block));
+        let fill = |(block, rows): (usize, &mut [f64])| self.fill(block, rows, &inverses, damping);
+        let sides: Vec<PosePart> = rows.into_par_iter().enumerate().map(fill).collect();
+        let mut right: Vec<f64> = sides.iter().flat_map(|side| side.gradient).collect();
+        let begin = right.len();
+        for (block, side) in sides.iter().enumerate() {
+            for (a, row) in side.globals.iter().enumerate() {
+                (0..self.globals).for_each(|g| matrix.add(begin + g, 6 * block + a, row[g]));
+            }
+        }
+        let global = self.reduced_globals(&inverses, damping);
+        for g in 0..self.globals {
+            (0..=g).for_each(|h| matrix.add(begin + g, begin + h, global.hessian[g][h]));
+            right.push(global.gradient[g]);
+        }
+        (matrix, right)
+    }
+
+    /// The six rows of a block; returns its right side and its entries in the globals' rows.
+    fn fill(
+        &self,
+        block: usize,
+        rows: &mut [f64],
+        inverses: &[Mat3<f64>],
+        damping: f64,
+    ) -> PosePart {
+        let mut side = self.poses[block].clone();
+        side.gradient = side.gradient.map(|g| -g);
+        let first = self.structure.first[block];
+        let width = 6 * (block - first);
+        // Rows grow by one column each.
+        let row_at = |a: usize| a * width + a * (a + 1) / 2;
+        for a in 0..6 {
+            let row = &mut rows[row_at(a)..][width..=width + a];
+            row.copy_from_slice(&side.hessian[a][..=a]);
+            row[a] += damping * row[a] + 1e-9;
+        }
+        for (landmark, k) in &self.structure.seen[block] {
+            let (landmark, k) = (*landmark as usize, *k as usize);
+            let (part, inverse) = (&self.parts[landmark], &inverses[landmark]);
+            let cameras = &self.structure.cameras[landmark][..k];
+            for a in 0..6 {
+                let weighted = *inverse * Vec3::from_array(part.couplings[k][a]);
+                side.gradient[a] += weighted.dot(Vec3::from_array(part.gradient));
+                for g in 0..self.globals {
+                    side.globals[a][g] -= weighted.dot(Vec3::from_array(part.globals[g]));
+                }
+                let line = &mut rows[row_at(a)..][..=width + a];
+                for ((other, _), coupling) in cameras.iter().zip(&part.couplings) {
+                    let entries = &mut line[6 * (*other as usize - first)..][..6];
+                    for (entry, row) in entries.iter_mut().zip(coupling) {
+                        *entry -= weighted.dot(Vec3::from_array(*row));
+                    }
+                }
+                for (entry, row) in line[width..].iter_mut().zip(&part.couplings[k]) {
+                    *entry -= weighted.dot(Vec3::from_array(*row));
+                }
+            }
+        }
+        side
+    }
+
+    fn reduced_globals(&self, inverses: &[Mat3<f64>], damping: f64) -> GlobalPart {
+        let mut out = self.global;
+        for g in 0..self.globals {
+            out.hessian[g][g] += damping * out.hessian[g][g] + 1e-9;
+            out.gradient[g] = -out.gradient[g];
+        }
+        for (part, inverse) in self.parts.iter().zip(inverses) {
+            for g in 0..self.globals {
+                let weighted = *inverse * Vec3::from_array(part.globals[g]);
+                out.gradient[g] += weighted.dot(Vec3::from_array(part.gradient));
+                for h in 0..self.globals {
+                    out.hessian[g][h] -= weighted.dot(Vec3::from_array(part.globals[h]));
+                }
+            }
+        }
+        out
+    }
+
+    /// Half the cost's gradient: first free pose, a landmark, globals.
+    #[cfg(test)]
+    pub(super) fn half_gradient(&self, landmark: usize) -> Vec<f64> {
+        let mut out = self.poses[0].gradient.to_vec();
+        out.extend(self.parts[landmark].gradient);
+        out.extend(self.global.gradient);
+        out
+    }
+
+    /// Variance of every inverse depth, poses and globals fixed.
+    pub(super) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
+        let variance = |p: &Part| Some(p.damped_inverse(0.0)[(2, 2)]).filter(|v| *v > 0.0);
+        self.parts.iter().map(variance).collect()
+    }
+}
+
+/// How the cost curves along a change of the residuals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Curvature {
+    /// As weighted squares do, which it lies under everywhere: for steps.
+    Bounding,
+    /// As it does itself, `w I` and beyond the bend `w (I - r rᵀ/‖r‖²)`: for covariances.
+    Own,
+}
+
+/// What one landmark brings: `C`, its gradient, and its coupling with every camera that sees it.
+pub(super) struct Part {
+    pub(super) hessian: [[f64; 3]; 3],
+    pub(super) gradient: [f64; 3],
+    /// Coupling `E` with every free pose, in the order of the structure.
+    pub(super) couplings: Vec<[[f64; 3]; 6]>,
+    pub(super) globals: [[f64; 3]; GLOBALS],
+}
+
+/// What one pose brings: its block of `U`, its gradient and its coupling with the globals.
+#[derive(Clone)]
+pub(super) struct PosePart {
+    pub(super) hessian: [[f64; 6]; 6],
+    pub(super) gradient: [f64; 6],
+    pub(super) globals: [[f64; GLOBALS]; 6],
+}
+
+/// The same of the unknowns that all sights share.
+#[derive(Clone, Copy, Default)]
+pub(super) struct GlobalPart {
+    pub(super) hessian: [[f64; GLOBALS]; GLOBALS],
+    pub(super) gradient: [f64; GLOBALS],
+}
+
+/// A residual, weighted, with its derivatives.
+struct Weighted {
+    projection: Projection,
+    moves: Moves,
+    residual: [f64; 2],
+    weight: f64,
+}
+
+impl Part {
+    pub(super) fn damped_inverse(&self, damping: f64) -> Mat3<f64> {
+        let mut rows = self.hessian;
+        (0..3).for_each(|i| rows[i][i] += damping * rows[i][i] + 1e-9);
+        inverse(&Mat3 { rows })
+    }
+}
+
+/// `None` behind the camera.
+fn weighted(
+    bundle: &Bundle,
+    landmark: usize,
+    sight: &Sight,
+    curvature: Curvature,
+) -> Option<Weighted> {
+    let pose = &bundle.poses[sight.pose];
+    let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
+    let seen = sight.freed(bundle.change);
+    let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - seen[i]);
+    let length = residual[0].hypot(residual[1]) / sight.sigma;
+    let weight = huber(length).0 / (sight.sigma * sight.sigma);
+    let mut out = Weighted { projection, moves: sight.moves, residual, weight };
+    if curvature == Curvature::Own && length > HUBER {
+        out.keep_across();
+    }
+    Some(out)
+}
+
+/// How far a sight alone pulls along a change of all unknowns: its gradient times that change.
+pub(super) fn influence(bundle: &Bundle, landmark: usize, sight: &Sight, step: &Step) -> f64 {
+    let bounding = Curvature::Bounding;
+    let Some(w) = weighted(bundle, landmark, sight, bounding) else { return 0.0 };
+    let product = |row: &[f64], change: &[f64]| -> f64 {
+        row.iter().zip(change).map(|(slope, change)| slope * change).sum()
+    };
+    let along = |i: usize| {
+        product(&w.projection.by_pose[i], &step.poses[sight.pose])
+            + product(&w.projection.by_landmark[i], &step.landmarks[landmark])
+            + product(&w.by_globals(i), &step.globals)
+    };
+    w.weight * (w.residual[0] * along(0) + w.residual[1] * along(1))
+}
+
+/// All sights of a landmark; `cameras` are those of free poses.
+pub(super) fn part(
+    bundle: &Bundle,
+    landmark: usize,
+    cameras: &[(u32, u32)],
+    curvature: Curvature,
+) -> Part {
+    let sights = bundle.sights[landmark].iter();
+    let all: Vec<Option<Weighted>> =
+        sights.map(|s| weighted(bundle, landmark, s, curvature)).collect();
+    let (mut hessian, mut gradient, mut globals) = ([[0.0; 3]; 3], [0.0; 3], [[0.0; 3]; GLOBALS]);
+    for w in all.iter().flatten() {
+        for i in 0..2 {
+            let row = &w.projection.by_landmark[i];
+            for a in 0..3 {
+                gradient[a] += w.weight * row[a] * w.residual[i];
+                (0..3).for_each(|b| hessian[a][b] += w.weight * row[a] * row[b]);
+                for (global, slope) in globals.iter_mut().zip(w.by_globals(i)) {
+                    global[a] += w.weight * slope * row[a];
+                }
+            }
+        }
+    }
+    let coupling = |(_, sight): &(u32, u32)| {
+        let Some(w) = &all[*sight as usize] else { return [[0.0; 3]; 6] };
+        let entry = |a: usize, b: usize| -> f64 {
+            (0..2).map(|i| w.projection.by_pose[i][a] * w.projection.by_landmark[i][b]).sum()
+        };
+        std::array::from_fn(|a| std::array::from_fn(|b| w.weight * entry(a, b)))
+    };
+    Part { hessian, gradient, couplings: cameras.iter().map(coupling).collect(), globals }
+}
+
+/// All sights by the pose of a block.
+pub(super) fn pose_part(
+    bundle: &Bundle,
+    structure: &Structure,
+    block: usize,
+    curvature: Curvature,
+) -> PosePart {
+    let mut out =
+        PosePart { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
+    for (landmark, k) in &structure.seen[block] {
+        let landmark = *landmark as usize;
+        let sight = &bundle.sights[landmark][structure.cameras[landmark][*k as usize].1 as usize];
+        let Some(w) = weighted(bundle, landmark, sight, curvature) else { continue };
+        for i in 0..2 {
+            let row = &w.projection.by_pose[i];
+            for a in 0..6 {
+                let slope = w.weight * row[a];
+                (0..6).for_each(|b| out.hessian[a][b] += slope * row[b]);
+                out.gradient[a] += slope * w.residual[i];
+                for (sum, global) in out.globals[a].iter_mut().zip(w.by_globals(i)) {
+                    *sum += slope * global;
+                }
+            }
+        }
+    }
+    out
+}
+
+pub(super) fn global_part(bundle: &Bundle, curvature: Curvature) -> GlobalPart {
+    let task = |range: std::ops::Range<usize>| {
+        let mut sum = GlobalPart::default();
+        for (landmark, sight) in range.flat_map(|l| bundle.sights[l].iter().map(move |s| (l, s))) {
+            let Some(w) = weighted(bundle, landmark, sight, curvature) else { continue };
+            for i in 0..2 {
+                let row = w.by_globals(i);
+                for g in 0..GLOBALS {
+                    sum.gradient[g] += w.weight * row[g] * w.residual[i];
+                    (0..GLOBALS).for_each(|h| sum.hessian[g][h] += w.weight * row[g] * row[h]);
+                }
+            }
+        }
+        sum
+    };
+    let mut out = GlobalPart::default();
+    reduce_in_order(bundle.landmarks.len(), CHUNK, task, |sum| {
+        for g in 0..GLOBALS {
+            out.gradient[g] += sum.gradient[g];
+            (0..GLOBALS).for_each(|h| out.hessian[g][h] += sum.hessian[g][h]);
+        }
+    });
+    out
+}
+
+impl Weighted {
+    /// Leaves of the derivatives what is across the residual: along it the cost grows straight.
+    fn keep_across(&mut self) {
+        let length = self.residual[0].hypot(self.residual[1]);
+        let across = [-self.residual[1] / length, self.residual[0] / length];
+        let keep = |[x, y]: [&mut f64; 2]| {
+            let slope = across[0] * *x + across[1] * *y;
+            (*x, *y) = (across[0] * slope, across[1] * slope);
+        };
+        let [x, y] = &mut self.projection.by_pose;
+        x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
+        let [x, y] = &mut self.projection.by_landmark;
+        x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
+        keep(self.projection.by_focal.each_mut());
+        self.moves.iter_mut().for_each(|by| keep(by.each_mut()));
+    }
+
+    /// Derivatives by the unknowns that all sights share.
+    fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
+        [self.projection.by_focal[axis], -self.moves[0][axis], -self.moves[1][axis]]
+    }
+}
+
+/// The inverse of a symmetric positive definite matrix, by its cofactors.
+fn inverse(m: &Mat3<f64>) -> Mat3<f64> {
+    let [a, b, c] = m.rows.map(Vec3::from_array);
+    let columns = [b.cross(c), c.cross(a), a.cross(b)];
+    let determinant = a.dot(columns[0]);
+    Mat3 { rows: columns.map(Vec3::to_array) }.transpose().scaled(1.0 / determinant)
+}

@@ -1,0 +1,199 @@
+//! The inverse depth of one keyframe, from a coarse sweep to single windows.
+
+use super::plane_sweep::{Sweep, Volume};
+use super::semi_global::aggregated;
+use crate::track::pyramid::Pyramid;
+use i2slam_compute::{CancellationToken, median};
+use i2slam_geometry::{Camera, Image, Pose, Vec3};
+
+/// Half the side of a window, of the picture and of that of half its size [px].
+pub(super) const HALF_WINDOWS: [usize; 2] = [3, 2];
+/// How far a plane of the sweep moves the coarse picture of the neighbour that it moves most [px].
+const PLANE_STEP: f64 = 0.7;
+/// Bounds of the number of planes.
+const PLANES: (usize, usize) = (24, 128);
+/// Labels of a refinement on either side, and their distances in steps of the sweep.
+const REFINEMENTS: [(usize, f32); 2] = [(4, 0.5), (3, 0.25)];
+/// Mean cost that noise alone leaves.
+const MIN_COST: f32 = 0.01;
+/// A match is worth nothing above this cost.
+const MAX_COST: f32 = 0.6;
+
+/// Inverse depth, 0 where it is not known, and its variance, for every pixel.
+#[derive(Clone, Debug)]
+pub(super) struct Estimate {
+    pub(super) inverse_depth: Image<f32>,
+    pub(super) variance: Image<f32>,
+}
+
+/// What another keyframe shows: brightness at several sizes, and `other_from_keyframe`.
+pub(super) type Other<'a> = (&'a Pyramid, Pose<f64>);
+
+/// The inverse depth of a keyframe between two bounds; `None` if `cancellation` was cancelled.
+pub(super) fn estimate(
+    camera: &Camera<f64>,
+    keyframe: &Pyramid,
+    others: &[Other<'_>],
+    [least, most]: [f64; 2],
+    cancellation: &CancellationToken,
+) -> Option<Estimate> {
+    let goes_on = || (!cancellation.is_cancelled()).then_some(());
+    goes_on()?;
+    let fine = keyframe.finest();
+    let level = usize::from(keyframe.levels.len() > 1);
+    let coarse = &keyframe.levels[level];
+    let coarse_camera = at_level(camera, coarse, level);
+    let planes = planes(&coarse_camera, others, [least, most]);
+    let step = ((most - least) / (planes - 1) as f64) as f32;
+    let sweep = sweep(&coarse_camera, coarse, others, level);
+    let offsets: Vec<f32> = (0..planes).map(|k| step * k as f32).collect();
+    let volume = sweep.costs(|_| least as f32, &offsets);
+    goes_on()?;
+    let smooth = aggregated(&volume, coarse);
+    let mut first = Image::new(coarse.width, coarse.height, 1);
+    for (pixel, rho) in first.data.iter_mut().enumerate() {
+        *rho = least as f32 + step * lowest(smooth.of(pixel)).0;
+    }
+    let mut found = enlarged(&median_filtered(&first), fine.width, fine.height);
+    let sweep = self::sweep(camera, fine, others, 0);
+    let mut variance = Image::new(fine.width, fine.height, 1);
+    for (reach, share) in REFINEMENTS {
+        let distance = share * step;
+        let offsets: Vec<f32> =
+            (0..=2 * reach).map(|k| (k as f32 - reach as f32) * distance).collect();
+        goes_on()?;
+        let base = median_filtered(&found);
+        let volume = sweep.costs(|pixel| base.data[pixel], &offsets);
+        let smooth = aggregated(&volume, fine);
+        for pixel in 0..base.data.len() {
+            let (place, label) = lowest(smooth.of(pixel));
+            found.data[pixel] = base.data[pixel] + (place - reach as f32) * distance;
+            variance.data[pixel] = spread(&volume, pixel, label) * distance * distance;
+        }
+    }
+    let mut variance = median_filtered(&variance);
+    for (rho, v) in found.data.iter_mut().zip(&mut variance.data) {
+        if !(*rho > 0.0 && v.is_finite()) {
+            (*rho, *v) = (0.0, 0.0);
+        }
+    }
+    Some(Estimate { inverse_depth: found, variance })
+}
+
+fn at_level(camera: &Camera<f64>, picture: &Image<f32>, level: usize) -> Camera<f64> {
+    let scale = 0.5_f64.powi(level as i32);
+    Camera {
+        width: picture.width,
+        height: picture.height,
+        fx: camera.fx * scale,
+        fy: camera.fy * scale,
+        cx: camera.cx * scale,
+        cy: camera.cy * scale,
+    }
+}
+
+fn sweep<'a>(
+    camera: &Camera<f64>,
+    picture: &Image<f32>,
+    others: &[Other<'a>],
+    level: usize,
+) -> Sweep<'a> {
+    let others: Vec<(&Image<f32>, Pose<f64>)> =
+        others.iter().map(|(pyramid, pose)| (&pyramid.levels[level], *pose)).collect();
+    Sweep::new(camera, picture, HALF_WINDOWS[level], &others)
+}
+
+/// Number of planes that move no neighbour's picture by more than [`PLANE_STEP`] from one to the
+/// next, within [`PLANES`]: where that takes more of them, as in wide ranges at close quarters,
+/// steps are longer.
+fn planes(camera: &Camera<f64>, others: &[Other<'_>], [least, most]: [f64; 2]) -> usize {
+    let at = |pose: &Pose<f64>, u: f64, v: f64, rho: f64| {
+        let ray: Vec3<f64> = camera.unproject(u, v, 1.0);
+        let (x, y) = camera.project(pose.rotation.rotate(ray) + pose.translation * rho);
+        [x, y]
+    };
+    let (w, h) = (camera.width as f64, camera.height as f64);
+    let mut longest = 0.0_f64;
+    for (_, pose) in others {
+        for (u, v) in [(0.25, 0.25), (0.75, 0.25), (0.5, 0.5), (0.25, 0.75), (0.75, 0.75)] {
+            let ends = [least, most].map(|rho| at(pose, u * w, v * h, rho));
+            let length = (ends[0][0] - ends[1][0]).hypot(ends[0][1] - ends[1][1]);
+            longest = longest.max(if length.is_finite() { length } else { 0.0 });
+        }
+    }
+    ((longest / PLANE_STEP) as usize + 1).clamp(PLANES.0, PLANES.1)
+}
+
+/// Where the cost is lowest, between labels, and the nearest label.
+fn lowest(costs: &[f32]) -> (f32, usize) {
+    let mut label = 0;
+    for (k, cost) in costs.iter().enumerate() {
+        if *cost < costs[label] {
+            label = k;
+        }
+    }
+    if label == 0 || label + 1 >= costs.len() {
+        return (label as f32, label);
+    }
+    let [before, here, after] = [costs[label - 1], costs[label], costs[label + 1]];
+    let curvature = before - 2.0 * here + after;
+    let shift = if curvature > 1e-9 { 0.5 * (before - after) / curvature } else { 0.0 };
+    (label as f32 + shift.clamp(-0.5, 0.5), label)
+}
+
+/// Variance of the place of the lowest cost [labels²]; infinite where nothing tells it.
+///
+/// Of windows that differ by noise the cost is `C + c x²/2` with `C = N σ²/(2 |I|²)` and
+/// `c = Σ(∂I)²/|I|²`, so that the variance of its lowest place, `σ²/Σ(∂I)²`, is `2 C/(N c)`.
+fn spread(volume: &Volume, pixel: usize, label: usize) -> f32 {
+    let costs = volume.of(pixel);
+    let label = label.clamp(2, costs.len() - 3);
+    let here = costs[label];
+    let curvature = (costs[label - 2] - 2.0 * here + costs[label + 2]) / 4.0;
+    let windows = (2 * HALF_WINDOWS[0] + 1).pow(2) as f32;
+    if here > MAX_COST || curvature <= 1e-6 {
+        return f32::INFINITY;
+    }
+    2.0 * here.max(MIN_COST) / (windows * curvature)
+}
+
+/// The median of every pixel's 3 x 3 surroundings.
+fn median_filtered(image: &Image<f32>) -> Image<f32> {
+    let mut out = image.clone();
+    for row in 1..image.height.saturating_sub(1) {
+        for column in 1..image.width.saturating_sub(1) {
+            let mut around: [f32; 9] =
+                std::array::from_fn(|k| image.at(0, column + k % 3 - 1, row + k / 3 - 1));
+            if let Some(middle) = median(&mut around) {
+                out.data[row * image.width + column] = middle;
+            }
+        }
+    }
+    out
+}
+
+/// A coarse image at the size of the picture, linear between pixels of one surface.
+fn enlarged(image: &Image<f32>, width: usize, height: usize) -> Image<f32> {
+    let mut out = Image::new(width, height, 1);
+    let place = |i: usize, from: usize, to: usize| {
+        ((i as f32 + 0.5) * from as f32 / to as f32).clamp(0.5, from as f32 - 0.501)
+    };
+    for row in 0..height {
+        for column in 0..width {
+            let (u, v) = (place(column, image.width, width), place(row, image.height, height));
+            let nearest = image.at(0, u as usize, v as usize);
+            let between = image.tap(u, v).map(|tap| (tap.values(&image.data), tap));
+            out.data[row * width + column] = match between {
+                Some((values, tap)) if is_one_surface(&values) => tap.interpolate(values).0,
+                _ => nearest,
+            };
+        }
+    }
+    out
+}
+
+fn is_one_surface(values: &[f32; 4]) -> bool {
+    let least = values.iter().copied().fold(f32::INFINITY, f32::min);
+    let most = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    most - least < 0.1 * least.abs()
+}

@@ -1,0 +1,135 @@
+//! A keyframe compared with its neighbours as if its surfaces were at given inverse depths.
+
+use super::window_correlation::Windows;
+use i2slam_geometry::{Camera, Image, Pose, Vec3};
+use rayon::prelude::*;
+
+/// Labels that are compared at once, so that few planes are kept beside the volume.
+const AT_ONCE: usize = 16;
+
+/// A picture of another camera, and the way there: a pixel `(u, v)` of the keyframe at inverse
+/// depth `ρ` is seen at `turn (u, v, 1) + ρ shift`, in homogeneous pixels.
+struct Neighbour<'a> {
+    image: &'a Image<f32>,
+    turn: [Vec3<f32>; 3],
+    shift: Vec3<f32>,
+}
+
+/// What is compared: one size of the keyframe and of its neighbours.
+pub(super) struct Sweep<'a> {
+    windows: Windows,
+    neighbours: Vec<Neighbour<'a>>,
+}
+
+/// Costs of every pixel at a row of labels: `values[pixel * labels + label]`, in [0, 1].
+pub(super) struct Volume {
+    pub(super) values: Vec<f32>,
+    pub(super) labels: usize,
+}
+
+impl Volume {
+    /// The costs of a pixel.
+    pub(super) fn of(&self, pixel: usize) -> &[f32] {
+        &self.values[pixel * self.labels..(pixel + 1) * self.labels]
+    }
+}
+
+impl<'a> Sweep<'a> {
+    /// `others`: brightness, and `other_from_keyframe`. All are of `camera`.
+    pub(super) fn new(
+        camera: &Camera<f64>,
+        keyframe: &Image<f32>,
+        half_window: usize,
+        others: &[(&'a Image<f32>, Pose<f64>)],
+    ) -> Self {
+        let neighbour = |(image, pose): &(&'a Image<f32>, Pose<f64>)| {
+            let pixels = |p: Vec3<f64>| {
+                Vec3::new(camera.fx * p.x + camera.cx * p.z, camera.fy * p.y + camera.cy * p.z, p.z)
+            };
+            let column = |u: f64, v: f64| pixels(pose.rotation.rotate(camera.unproject(u, v, 1.0)));
+            let origin = column(0.0, 0.0);
+            let turn = [column(1.0, 0.0) - origin, column(0.0, 1.0) - origin, origin];
+            Neighbour { image, turn: turn.map(Vec3::cast), shift: pixels(pose.translation).cast() }
+        };
+        Self {
+            windows: Windows::new(keyframe.clone(), half_window),
+            neighbours: others.iter().map(neighbour).collect(),
+        }
+    }
+
+    /// Costs with the surfaces at `inverse_depth(pixel) + offset` for each of the offsets.
+    pub(super) fn costs(
+        &self,
+        inverse_depth: impl Fn(usize) -> f32 + Sync,
+        offsets: &[f32],
+    ) -> Volume {
+        let labels = offsets.len();
+        let mut values = vec![0.0; labels * self.windows.image.data.len()];
+        for (begin, some) in (0..).step_by(AT_ONCE).zip(offsets.chunks(AT_ONCE)) {
+            let plane = |offset: &f32| self.plane(&|pixel| inverse_depth(pixel) + offset);
+            let planes: Vec<Vec<f32>> = some.par_iter().map(plane).collect();
+            values.par_chunks_exact_mut(labels).enumerate().for_each(|(pixel, costs)| {
+                let costs = costs[begin..].iter_mut().zip(&planes);
+                costs.for_each(|(cost, plane)| *cost = plane[pixel]);
+            });
+        }
+        Volume { values, labels }
+    }
+
+    /// Mean cost of the better half of the neighbours that show a pixel: the others may be hidden.
+    fn plane(&self, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
+        let pixels = self.windows.image.data.len();
+        let each: Vec<Vec<f32>> =
+            self.neighbours.iter().map(|n| self.matched(n, inverse_depth)).collect();
+        let mut sorted = Vec::with_capacity(each.len());
+        (0..pixels)
+            .map(|i| {
+                sorted.clear();
+                sorted.extend(each.iter().map(|costs| costs[i]).filter(|cost| *cost <= 1.0));
+                sorted.sort_unstable_by(f32::total_cmp);
+                let half = sorted.len().div_ceil(2);
+                if half == 0 { 1.0 } else { sorted[..half].iter().sum::<f32>() / half as f32 }
+            })
+            .collect()
+    }
+
+    /// Costs of one neighbour; above 1 where it does not show the pixel.
+    fn matched(&self, neighbour: &Neighbour<'_>, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
+        let (warped, shown) = neighbour.warped(inverse_depth);
+        let mut costs = self.windows.costs(&warped);
+        costs.iter_mut().zip(shown).filter(|(_, shown)| !shown).for_each(|(cost, _)| *cost = 2.0);
+        costs
+    }
+}
+
+impl Neighbour<'_> {
+    /// The neighbour as the keyframe would see it, and whether it shows the pixel at all: beyond
+    /// its border the last value is repeated.
+    fn warped(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
+        let (width, height) = (self.image.width, self.image.height);
+        let (right, low) = ((width - 1) as f32 - 1e-3, (height - 1) as f32 - 1e-3);
+        let [by_u, by_v, origin] = self.turn;
+        let mut values = Vec::with_capacity(width * height);
+        let mut shown = Vec::with_capacity(width * height);
+        for row in 0..height {
+            let start = origin + by_v * (row as f32 + 0.5);
+            for column in 0..width {
+                let rho = inverse_depth(row * width + column);
+                let q = start + by_u * (column as f32 + 0.5) + self.shift * rho;
+                let scale = 1.0 / q.z.max(1e-6);
+                let (x, y) = (q.x * scale - 0.5, q.y * scale - 0.5);
+                shown.push(q.z > 1e-6 && x >= 0.0 && y >= 0.0 && x <= right && y <= low);
+                let (x, y) = (x.clamp(0.0, right), y.clamp(0.0, low));
+                let (left, top) = (x as usize, y as usize);
+                let (dx, dy) = (x - left as f32, y - top as f32);
+                let at = top * width + left;
+                let pixel = &self.image.data;
+                let upper = pixel[at] + (pixel[at + 1] - pixel[at]) * dx;
+                let below = at + width;
+                let lower = pixel[below] + (pixel[below + 1] - pixel[below]) * dx;
+                values.push(upper + (lower - upper) * dy);
+            }
+        }
+        (values, shown)
+    }
+}

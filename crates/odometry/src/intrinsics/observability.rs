@@ -1,0 +1,140 @@
+//! What of the camera the pictures tell, and how well.
+
+use crate::bundle::Covariance;
+use crate::register::registration::{adjust_all, refine};
+use crate::sfm_state::{MAX_FREE, Scene};
+
+/// A lens counts if pictures of a camera without one would seem to have as much in one of a hundred
+/// cases: the 99th percentile of a sum of two squared normal numbers.
+const SIGNIFICANT: f64 = 9.21;
+/// With a lens the focal length must be known to this relative deviation, or be no more than so
+/// many times less certain than without: with more, pinhole pictures of a camera that moved along a
+/// line were given lenses, and focal lengths that were off by 5 and by 50 percent.
+const CERTAIN: f64 = 0.005;
+const LESS_CERTAIN: f64 = 1.5;
+
+/// The keyframes alone, their camera let go once more, with its covariance: the first ones of a
+/// long sequence, those that its camera is found from.
+pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
+    let keyframes = scene.tracks.keyframes.iter().copied();
+    let posed = keyframes.filter(|f| scene.poses[*f].is_some());
+    let keyframes: Vec<usize> = posed.take(MAX_FREE).collect();
+    let mut freed = scene.clone();
+    freed.progress = scene.progress.without_listener();
+    freed.poses.fill(None);
+    keyframes.iter().for_each(|f| freed.poses[*f] = scene.poses[*f]);
+    adjust_all(&mut freed, true);
+    let covariance = freed.bundle(&keyframes, true).0.camera_covariance();
+    (freed, covariance)
+}
+
+/// Gives up a lens that the pictures do not determine, so that it would make focal length and path
+/// worse: one that is not told from none, one that leaves the focal length far less certain than
+/// without it (where a camera moves along a line, the two make up for each other), and one of
+/// pictures whose rows were read in turn, which bends what a turning camera sees much as a lens
+/// does. Returns whether it was given up.
+pub(crate) fn give_up_doubtful_lens(scene: &mut Scene) -> bool {
+    if !scene.finds_lens || scene.lens == [0.0; 2] {
+        return false;
+    }
+    let mut without = scene.clone();
+    without.finds_lens = false;
+    without.change_lens(scene.lens.map(|v| -v));
+    refine(&mut without, true);
+    let (freed, with_lens) = released(scene);
+    let (_, alone) = released(&without);
+    let is_told = scene.readout == 0.0
+        && with_lens.is_some_and(|with_lens| {
+            is_significant(freed.lens, &with_lens) && leaves_focal_length(&with_lens, alone)
+        });
+    if !is_told {
+        *scene = without;
+    }
+    !is_told
+}
+
+/// Whether the focal length stays about as certain beside a lens as `alone`.
+fn leaves_focal_length(with_lens: &Covariance, alone: Option<Covariance>) -> bool {
+    let deviation = |covariance: &Covariance| covariance[0][0].sqrt();
+    let found = deviation(with_lens);
+    found < CERTAIN || alone.is_some_and(|alone| found < LESS_CERTAIN * deviation(&alone))
+}
+
+/// Whether two coefficients differ from zero by more than chance, `lensᵀ Σ⁻¹ lens`.
+fn is_significant(lens: [f64; 2], covariance: &Covariance) -> bool {
+    let [_, [_, aa, ab], [_, _, bb]] = covariance;
+    let [a, b] = lens;
+    let determinant = aa * bb - ab * ab;
+    let square = (a * a * bb - 2.0 * a * b * ab + b * b * aa) / determinant;
+    determinant > 0.0 && square > SIGNIFICANT
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::track::tracks::{Observation, Track, Tracks};
+    use i2slam_check::noise;
+    use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+
+    /// A camera on a winding way, every frame a keyframe that begins three points.
+    fn winding(frames: usize) -> Scene {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let pose = |f: usize| {
+            let s = f as f64;
+            let turn = Vec3::new(0.03 * (0.5 * s).sin(), 0.06 * (0.3 * s).cos(), 0.0);
+            Pose::new(Rotation::exp(turn), Vec3::new(0.05 * s, 0.0, 0.1 * (0.4 * s).sin()))
+        };
+        let track = |index: usize| {
+            let n = noise(index as u64, 27);
+            let begin = index / 3;
+            let ray = camera.unproject(160.0 + 140.0 * n[0], 120.0 + 100.0 * n[1], 2.5 + n[2]);
+            let point = pose(begin) * ray;
+            let sight = |f: usize| {
+                let (u, v) = camera.project(pose(f).inverse() * point);
+                let k = 3 + 2 * (f - begin);
+                Observation::new(f, [u + 0.3 * n[k], v + 0.3 * n[k + 1]], 0.3)
+            };
+            Track { observations: (begin..(begin + 12).min(frames)).map(sight).collect() }
+        };
+        let tracks = (0..3 * frames).map(track).collect();
+        let keyframes = (0..frames).collect();
+        let mut scene =
+            Scene::new(camera, Tracks { tracks, keyframes, frames, ..Tracks::default() });
+        scene.poses = (0..frames).map(|f| Some(pose(f))).collect();
+        scene.add_landmarks();
+        scene
+    }
+
+    /// The camera of a long sequence is judged by as many keyframes as are adjusted together.
+    #[test]
+    fn a_long_sequence_takes_no_more_room_than_its_first_keyframes() {
+        let (freed, covariance) = released(&winding(MAX_FREE + 60));
+        assert_eq!(freed.posed(), (0..MAX_FREE).collect::<Vec<_>>());
+        let (error, deviation) =
+            ((freed.camera.fx / 250.0).ln(), covariance.expect("determined")[0][0].sqrt());
+        assert!(deviation < 0.01 && error.abs() < 3.0 * deviation, "{error} {deviation}");
+    }
+
+    #[test]
+    fn a_lens_must_leave_the_focal_length_certain() {
+        let of = |deviation: f64| {
+            let mut covariance = [[0.0; 3]; 3];
+            covariance[0][0] = deviation * deviation;
+            covariance
+        };
+        assert!(leaves_focal_length(&of(0.012), Some(of(0.01))));
+        assert!(leaves_focal_length(&of(0.004), Some(of(0.001))));
+        assert!(!leaves_focal_length(&of(0.012), Some(of(0.005))));
+        assert!(!leaves_focal_length(&of(0.012), None));
+    }
+
+    #[test]
+    fn a_lens_counts_by_its_own_covariance() {
+        // Along (1, -1) hardly anything is known, along (1, 1) much.
+        let covariance = [[1.0, 0.0, 0.0], [0.0, 1.01, -0.99], [0.0, -0.99, 1.01]];
+        assert!(is_significant([0.4, 0.4], &covariance));
+        assert!(!is_significant([0.4, -0.4], &covariance));
+        assert!(!is_significant([0.0, 0.0], &covariance));
+        assert!(!is_significant([0.4, 0.4], &[[0.0; 3]; 3]));
+    }
+}

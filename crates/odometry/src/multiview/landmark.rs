@@ -1,0 +1,179 @@
+//! Points of the scene and how cameras see them.
+
+use crate::track::tracks::Observation;
+use i2slam_geometry::{Camera, Mat3, Pose, Similarity, Vec3};
+
+/// A point by its direction and inverse depth from an origin that stays where it is:
+/// `p = origin + frame (a, b, 1) / ρ`. Points far away have `ρ` near zero and give no trouble.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Landmark {
+    /// Where the point was first seen from, in the world; fixed.
+    pub(crate) origin: Vec3<f64>,
+    /// `world_from_camera` rotation of that camera; fixed.
+    pub(crate) frame: Mat3<f64>,
+    /// `(a, b, ρ)`.
+    pub(crate) values: [f64; 3],
+}
+
+/// An image position with its derivatives.
+pub(crate) struct Projection {
+    pub(crate) at: [f64; 2],
+    /// By the pose's tangent `(ρ, φ)`.
+    pub(crate) by_pose: [[f64; 6]; 2],
+    /// By `(a, b, ρ)`.
+    pub(crate) by_landmark: [[f64; 3]; 2],
+    /// By the logarithm of the focal length.
+    pub(crate) by_focal: [f64; 2],
+}
+
+impl Landmark {
+    /// The point at inverse depth `inverse_depth` on the ray through `at`.
+    pub(crate) fn on_ray(
+        camera: &Camera<f64>,
+        world_from_camera: Pose<f64>,
+        at: [f64; 2],
+        inverse_depth: f64,
+    ) -> Self {
+        let ray = camera.unproject(at[0], at[1], 1.0);
+        Self {
+            origin: world_from_camera.translation,
+            frame: world_from_camera.rotation.matrix(),
+            values: [ray.x, ray.y, inverse_depth],
+        }
+    }
+
+    /// The same point of a part of the world that is moved.
+    pub(crate) fn moved(&self, by: &Similarity<f64>) -> Self {
+        let [a, b, rho] = self.values;
+        Self {
+            origin: by.apply(self.origin),
+            frame: by.rotation.matrix() * self.frame,
+            values: [a, b, rho / by.scale],
+        }
+    }
+
+    /// The point in the world; far away where the inverse depth is not positive.
+    pub(crate) fn position(&self) -> Vec3<f64> {
+        let [a, b, rho] = self.values;
+        self.origin + self.frame * Vec3::new(a, b, 1.0) * (1.0 / rho.max(1e-9))
+    }
+
+    /// Derivative of the depth in a camera by `ρ`: `-(Rᵀ frame (a, b, 1))_z / ρ²`.
+    pub(crate) fn depth_slope(&self, world_from_camera: &Pose<f64>) -> f64 {
+        let [a, b, rho] = self.values;
+        let ray = self.frame * Vec3::new(a, b, 1.0);
+        -world_from_camera.rotation.inverse().rotate(ray).z / (rho * rho)
+    }
+
+    /// The point in a camera, times its inverse depth: `Rᵀ (ρ (origin - t) + frame (a, b, 1))`.
+    pub(crate) fn ray_in(&self, world_from_camera: &Pose<f64>) -> Vec3<f64> {
+        let [a, b, rho] = self.values;
+        let offset = self.origin - world_from_camera.translation;
+        let inverse = world_from_camera.rotation.inverse();
+        inverse.rotate(offset * rho + self.frame * Vec3::new(a, b, 1.0))
+    }
+
+    /// Where a camera sees the point; `None` behind it.
+    pub(crate) fn image_position(
+        &self,
+        camera: &Camera<f64>,
+        world_from_camera: &Pose<f64>,
+    ) -> Option<[f64; 2]> {
+        let q = self.ray_in(world_from_camera);
+        let (u, v) = camera.project(q);
+        (q.z > 1e-6).then_some([u, v])
+    }
+
+    /// The same with derivatives.
+    pub(crate) fn project(
+        &self,
+        camera: &Camera<f64>,
+        world_from_camera: &Pose<f64>,
+    ) -> Option<Projection> {
+        let q = self.ray_in(world_from_camera);
+        if q.z <= 1e-6 {
+            return None;
+        }
+        let inverse = world_from_camera.rotation.inverse();
+        let rotation = inverse.matrix() * self.frame;
+        let by_rho = inverse.rotate(self.origin - world_from_camera.translation);
+        let (x, y, iz) = (q.x / q.z, q.y / q.z, 1.0 / q.z);
+        let rows = [
+            Vec3::new(camera.fx * iz, 0.0, -camera.fx * x * iz),
+            Vec3::new(0.0, camera.fy * iz, -camera.fy * y * iz),
+        ];
+        let rho = self.values[2];
+        let columns = rotation.transpose().rows.map(Vec3::from_array);
+        let by_pose = rows.map(|g| {
+            // Moving the camera by R ρ moves q by -ρ; turning it by φ moves q by q × φ.
+            let (t, r) = (g * -rho, g.cross(q));
+            [t.x, t.y, t.z, r.x, r.y, r.z]
+        });
+        let by_landmark = rows.map(|g| [g.dot(columns[0]), g.dot(columns[1]), g.dot(by_rho)]);
+        let at = [camera.fx * x + camera.cx, camera.fy * y + camera.cy];
+        Some(Projection { at, by_pose, by_landmark, by_focal: [camera.fx * x, camera.fy * y] })
+    }
+}
+
+/// A landmark and its observation in one frame.
+pub(crate) type Match<'a> = (&'a Landmark, &'a Observation);
+
+/// Reprojection error up to which a match is an inlier [standard deviations].
+pub(crate) const MAX_INLIER_ERROR: f64 = 5.0;
+
+/// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
+pub(crate) fn reprojection_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
+    m.0.image_position(camera, pose)
+        .map_or(f64::INFINITY, |at| (at[0] - m.1.at[0]).hypot(at[1] - m.1.at[1]) / m.1.sigma)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::assert_gradient;
+    use i2slam_geometry::{Rotation, Tangent};
+
+    #[test]
+    fn derivatives_agree_with_differences() {
+        let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };
+        let first = Pose::new(Rotation::exp(Vec3::new(0.1, -0.2, 0.05)), Vec3::new(0.3, 0.1, -0.2));
+        let pose = Pose::new(Rotation::exp(Vec3::new(0.0, -0.1, 0.1)), Vec3::new(0.5, 0.0, -0.1));
+        for rho in [0.6, 1e-4, -0.05] {
+            let landmark = Landmark::on_ray(&camera, first, [100.0, 90.0], rho);
+            let projection = landmark.project(&camera, &pose).expect("in front");
+            for axis in 0..2 {
+                let f = |x: &[f64]| {
+                    let pose = pose.retract(Tangent::from_array(std::array::from_fn(|i| x[i])));
+                    let mut moved = landmark;
+                    (0..3).for_each(|i| moved.values[i] += x[6 + i]);
+                    let scale = x[9].exp();
+                    let camera = Camera { fx: camera.fx * scale, fy: camera.fy * scale, ..camera };
+                    moved.image_position(&camera, &pose).expect("in front")[axis]
+                };
+                let mut gradient = projection.by_pose[axis].to_vec();
+                gradient.extend(projection.by_landmark[axis]);
+                gradient.push(projection.by_focal[axis]);
+                assert_gradient("projection", &[0.0; 10], &gradient, 1e-3, 1e-6, f);
+            }
+        }
+    }
+
+    /// In a camera that has moved forward the depth changes by other than its square.
+    #[test]
+    fn slope_of_the_depth_agrees_with_differences() {
+        let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };
+        let first = Pose::new(Rotation::exp(Vec3::new(0.1, -0.2, 0.05)), Vec3::new(0.3, 0.1, -0.2));
+        let moved = first.retract(Tangent::from_array([0.1, 0.0, 1.0, 0.02, 0.1, 0.0]));
+        let landmark = Landmark::on_ray(&camera, first, [100.0, 90.0], 0.4);
+        for pose in [first, moved] {
+            let depth = |x: &[f64]| {
+                let [a, b, rho] = landmark.values;
+                let there = Landmark { values: [a, b, rho + x[0]], ..landmark };
+                (pose.inverse() * there.position()).z
+            };
+            assert_gradient("depth", &[0.0], &[landmark.depth_slope(&pose)], 1e-4, 1e-6, depth);
+        }
+        let z = (moved.inverse() * landmark.position()).z;
+        assert!(landmark.depth_slope(&moved).abs() > 2.0 * z * z);
+    }
+}

@@ -1,0 +1,104 @@
+//! The pose of a picture from landmarks that are known already.
+
+use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
+use crate::multiview::robust_loss::cauchy;
+use i2slam_compute::NormalEquations;
+use i2slam_geometry::{Camera, Pose, Tangent};
+
+/// Widths of the influence of a residual [standard deviations], one stage after the other: the
+/// wide ones pull a poor start in, and wrong matches fade in the narrow ones.
+const WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
+const STEPS: usize = 12;
+/// A pose that fits.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Resected {
+    pub(crate) world_from_camera: Pose<f64>,
+    /// Landmarks whose residual agrees.
+    pub(crate) agreeing: usize,
+}
+
+/// The pose that fits best, from `start` on, where residuals are `noise` times as large as their
+/// deviations say. `None` without at least six matches.
+pub(crate) fn resect(
+    camera: &Camera<f64>,
+    start: Pose<f64>,
+    matches: &[Match<'_>],
+    noise: f64,
+) -> Option<Resected> {
+    if matches.len() < 6 {
+        return None;
+    }
+    let mut pose = start;
+    for width in WIDTHS {
+        pose = descend(camera, pose, matches, |n| cauchy(n, noise * width));
+    }
+    let agreeing = matches
+        .iter()
+        .filter(|m| reprojection_error(camera, &pose, m) < MAX_INLIER_ERROR * noise)
+        .count();
+    pose.is_finite().then_some(Resected { world_from_camera: pose, agreeing })
+}
+
+/// The pose that a few matches give, all of them taken as right, from `start` on.
+pub(crate) fn resect_exactly(
+    camera: &Camera<f64>,
+    start: Pose<f64>,
+    matches: &[Match<'_>],
+) -> Pose<f64> {
+    descend(camera, start, matches, |n| (1.0, n * n))
+}
+
+/// Levenberg-Marquardt on the six numbers of a pose.
+fn descend(
+    camera: &Camera<f64>,
+    start: Pose<f64>,
+    matches: &[Match<'_>],
+    loss: impl Fn(f64) -> (f64, f64),
+) -> Pose<f64> {
+    let (mut pose, mut damping) = (start, 1e-4);
+    let mut equations = normal_equations(camera, &pose, matches, &loss);
+    for _ in 0..STEPS {
+        let Some(step) = equations.step(damping) else { break };
+        let tried = pose.retract(Tangent::from_array(step));
+        let next = normal_equations(camera, &tried, matches, &loss);
+        if next.cost < equations.cost {
+            let gained = equations.cost - next.cost;
+            (pose, equations, damping) = (tried, next, damping * 0.2);
+            if gained < 1e-7 * equations.cost {
+                break;
+            }
+        } else {
+            damping *= 10.0;
+            if damping > 1e3 {
+                break;
+            }
+        }
+    }
+    pose
+}
+
+/// Sums over all matches; `cost` is that of the loss. A landmark behind the camera costs what a
+/// residual of a hundred standard deviations does.
+fn normal_equations(
+    camera: &Camera<f64>,
+    pose: &Pose<f64>,
+    matches: &[Match<'_>],
+    loss: &impl Fn(f64) -> (f64, f64),
+) -> NormalEquations<6> {
+    let mut sum = NormalEquations::default();
+    let mut cost = 0.0;
+    for (landmark, observation) in matches {
+        let Some(p) = landmark.project(camera, pose) else {
+            cost += loss(100.0).1;
+            continue;
+        };
+        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
+        let (weight, loss) = loss(r[0].hypot(r[1]) / observation.sigma);
+        cost += loss;
+        for i in 0..2 {
+            sum.add(&p.by_pose[i], r[i], weight / (observation.sigma * observation.sigma));
+        }
+    }
+    sum.cost = cost;
+    sum
+}

@@ -1,0 +1,131 @@
+//! A landmark from its sights in cameras whose poses are known.
+
+use crate::multiview::landmark::{Landmark, reprojection_error};
+use crate::multiview::robust_loss::huber;
+use crate::track::tracks::Observation;
+use i2slam_compute::NormalEquations;
+use i2slam_geometry::{Camera, Pose, Vec3};
+
+const STEPS: usize = 10;
+/// Mean residual that a landmark may have [standard deviations].
+const WORST: f64 = 4.0;
+
+/// A sight and the pose of its camera.
+pub(crate) type PosedSight<'a> = (&'a Observation, Pose<f64>);
+
+/// The landmark of at least two sights, anchored in the first; `None` if they do not agree, where
+/// residuals are `noise` times as large as their deviations say.
+pub(crate) fn triangulate(
+    camera: &Camera<f64>,
+    sights: &[PosedSight<'_>],
+    noise: f64,
+) -> Option<Landmark> {
+    let (first, rest) = sights.split_first()?;
+    if rest.is_empty() {
+        return None;
+    }
+    let mut landmark = Landmark::on_ray(camera, first.1, first.0.at, 0.0);
+    landmark.values[2] = inverse_depth(camera, &landmark, rest).max(-1e-3);
+    let landmark = refine(camera, landmark, sights)?;
+    let sum = sights
+        .iter()
+        .map(|(o, pose)| reprojection_error(camera, pose, &(&landmark, *o)))
+        .sum::<f64>();
+    (sum / sights.len() as f64 <= WORST * noise).then_some(landmark)
+}
+
+/// The angle between the rays of the two sights that lie farthest apart in place [rad].
+pub(crate) fn parallax(landmark: &Landmark, poses: impl Iterator<Item = Pose<f64>>) -> f64 {
+    let point = landmark.position();
+    let first = point - landmark.origin;
+    let angle = |pose: Pose<f64>| {
+        let ray = point - pose.translation;
+        first.cross(ray).norm().atan2(first.dot(ray))
+    };
+    poses.map(angle).fold(0.0, f64::max)
+}
+
+/// Least squares of `x × Rᵀ (ρ (o - t) + d) = 0` over all sights.
+fn inverse_depth(camera: &Camera<f64>, landmark: &Landmark, sights: &[PosedSight<'_>]) -> f64 {
+    let direction = landmark.frame * Vec3::new(landmark.values[0], landmark.values[1], 1.0);
+    let (mut above, mut below) = (0.0, 1e-12);
+    for (observation, pose) in sights {
+        let x = camera.unproject(observation.at[0], observation.at[1], 1.0);
+        let inverse = pose.rotation.inverse();
+        let a = x.cross(inverse.rotate(landmark.origin - pose.translation));
+        let b = x.cross(inverse.rotate(direction));
+        above -= a.dot(b);
+        below += a.dot(a);
+    }
+    above / below
+}
+
+/// Levenberg-Marquardt on the landmark alone.
+fn refine(camera: &Camera<f64>, start: Landmark, sights: &[PosedSight<'_>]) -> Option<Landmark> {
+    let (mut landmark, mut damping) = (start, 1e-4);
+    let mut equations = normal_equations(camera, &landmark, sights)?;
+    for _ in 0..STEPS {
+        let step = equations.step(damping)?;
+        let mut tried = landmark;
+        (0..3).for_each(|i| tried.values[i] += step[i]);
+        match normal_equations(camera, &tried, sights) {
+            Some(next) if next.cost < equations.cost => {
+                (landmark, equations, damping) = (tried, next, damping * 0.2);
+            }
+            _ => damping *= 10.0,
+        }
+    }
+    Some(landmark)
+}
+
+/// `None` where a sight has the landmark behind its camera.
+fn normal_equations(
+    camera: &Camera<f64>,
+    landmark: &Landmark,
+    sights: &[PosedSight<'_>],
+) -> Option<NormalEquations<3>> {
+    let mut sum = NormalEquations::default();
+    let mut cost = 0.0;
+    for (observation, pose) in sights {
+        let p = landmark.project(camera, pose)?;
+        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
+        let (weight, loss) = huber(r[0].hypot(r[1]) / observation.sigma);
+        cost += loss;
+        for i in 0..2 {
+            sum.add(&p.by_landmark[i], r[i], weight / (observation.sigma * observation.sigma));
+        }
+    }
+    sum.cost = cost;
+    Some(sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_geometry::Rotation;
+
+    #[test]
+    fn near_and_far_points_are_found_and_wrong_ones_refused() {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let pose = |i: usize| {
+            let i = i as f64;
+            Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * i, 0.0)), Vec3::new(0.1 * i, 0.0, 0.02))
+        };
+        for point in [Vec3::new(0.2, -0.1, 2.0), Vec3::new(1e4, 0.0, 1e5)] {
+            let sight = |i: usize| {
+                let (u, v) = camera.project(pose(i).inverse() * point);
+                Observation::new(i, [u, v], 0.5)
+            };
+            let mut sights = [sight(0), sight(1), sight(2)];
+            let posed = |s: &[Observation; 3]| {
+                triangulate(&camera, &[0, 1, 2].map(|i| (&s[i], pose(i))), 1.0)
+            };
+            let found = posed(&sights).expect("sights agree");
+            let (p, q) = (found.position(), point);
+            assert!((p * p.z.recip() - q * q.z.recip()).norm() < 1e-4, "{p:?}");
+            assert!((found.values[2] - 1.0 / (pose(0).inverse() * point).z).abs() < 1e-6);
+            sights[1].at[1] += 30.0;
+            assert!(posed(&sights).is_none());
+        }
+    }
+}

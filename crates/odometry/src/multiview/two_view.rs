@@ -1,0 +1,225 @@
+//! Two pictures of a rigid scene: has the camera only turned, or also moved, and where to?
+
+use crate::multiview::robust_loss::cauchy;
+use i2slam_compute::{NormalEquations, Random, median};
+use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+
+/// Hypotheses of the random search.
+const HYPOTHESES: usize = 300;
+/// Points per hypothesis.
+const SAMPLE: usize = 5;
+/// Residuals beyond this do not count any worse [px].
+const TRUNCATION: f64 = 2.0;
+/// Shared points without which nothing is said.
+const MIN_SHARED: usize = 24;
+
+/// Rays of one point in both cameras, third component 1.
+pub(crate) type RayPair = (Vec3<f64>, Vec3<f64>);
+
+/// How two cameras stand to each other.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TwoView {
+    /// Rotation and direction of the translation (length 1).
+    pub(crate) second_from_first: Pose<f64>,
+    /// Share of the points that fit and lie in front of both cameras.
+    pub(crate) share: f64,
+}
+
+/// Rays of shared points.
+pub(crate) fn rays(camera: &Camera<f64>, pairs: &[([f64; 2], [f64; 2])]) -> Vec<RayPair> {
+    let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
+    pairs.iter().map(|(first, second)| (ray(*first), ray(*second))).collect()
+}
+
+/// The rotation that explains best what moved, and the median of what it leaves [px]: small if
+/// the camera only turned.
+pub(crate) fn rotation_only(focal: f64, rays: &[RayPair]) -> Option<(Rotation<f64>, f64)> {
+    if rays.len() < MIN_SHARED {
+        return None;
+    }
+    let mut rotation = Rotation::identity();
+    for width in [40.0, 40.0, 40.0, 10.0, 10.0, 10.0, 3.0, 3.0, 3.0, 3.0] {
+        let mut sum = NormalEquations::<3>::default();
+        for (first, second) in rays {
+            let q = rotation.rotate(*first);
+            if q.z <= 1e-3 {
+                continue;
+            }
+            let r = [q.x / q.z - second.x, q.y / q.z - second.y];
+            let weight = cauchy(r[0].hypot(r[1]) * focal, width).0;
+            let iz = 1.0 / q.z;
+            let rows = [Vec3::new(iz, 0.0, -q.x * iz * iz), Vec3::new(0.0, iz, -q.y * iz * iz)];
+            for (g, r) in rows.into_iter().zip(r) {
+                // R Exp(φ) x = R x + R (φ × x): the derivative is x × Rᵀ g.
+                let j = first.cross(rotation.inverse().rotate(g));
+                sum.add(&j.to_array(), r, weight);
+            }
+        }
+        let step = sum.step(1e-6)?;
+        rotation = rotation * Rotation::exp(Vec3::from_array(step));
+    }
+    let mut left: Vec<f64> = rays
+        .iter()
+        .map(|(first, second)| {
+            let q = rotation.rotate(*first);
+            focal * (q.x / q.z - second.x).hypot(q.y / q.z - second.y)
+        })
+        .collect();
+    median(&mut left).map(|m| (rotation, m))
+}
+
+/// The essential matrix of most points, by random samples of five, each solved by iteration
+/// (Lui and Drummond 2013), from `rotation` on, and refined on all.
+pub(crate) fn essential(focal: f64, rays: &[RayPair], rotation: Rotation<f64>) -> Option<TwoView> {
+    if rays.len() < MIN_SHARED {
+        return None;
+    }
+    let mut random = Random::new(rays.len() as u64);
+    let mut best: Option<(f64, Pose<f64>)> = None;
+    for _ in 0..HYPOTHESES {
+        let sample: Vec<RayPair> = (0..SAMPLE).map(|_| rays[random.below(rays.len())]).collect();
+        let start = Pose::new(rotation, direction(&mut random));
+        let Some(found) = descend(&sample, start, 12, |_| 1.0) else { continue };
+        let cost = rays.iter().map(|r| sampson(&found, r).powi(2) * focal * focal);
+        let cost: f64 = cost.map(|c| c.min(TRUNCATION * TRUNCATION)).sum();
+        if best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, found));
+        }
+    }
+    let weight =
+        |r: f64| if r.abs() * focal < 2.0 * TRUNCATION { cauchy(r * focal, 0.7).0 } else { 0.0 };
+    let refined = descend(rays, best?.1, 20, weight)?;
+    Some(in_front(focal, rays, refined))
+}
+
+/// A random direction.
+fn direction(random: &mut Random) -> Vec3<f64> {
+    let z = 2.0 * random.uniform() - 1.0;
+    let (sine, cosine) = (std::f64::consts::TAU * random.uniform()).sin_cos();
+    let r = (1.0 - z * z).max(0.0).sqrt();
+    Vec3::new(r * cosine, r * sine, z)
+}
+
+/// Epipolar distance to first order (Sampson; Hartley and Zisserman, eq. 11.9), in rays.
+fn sampson(pose: &Pose<f64>, pair: &RayPair) -> f64 {
+    let (e, norm) = epipolar(pose, pair);
+    e / norm
+}
+
+/// `e = x₂ᵀ [t]× R x₁` and the length of its gradient by both image positions.
+fn epipolar(pose: &Pose<f64>, (first, second): &RayPair) -> (f64, f64) {
+    let line_in_second = pose.translation.cross(pose.rotation.rotate(*first));
+    let line_in_first = pose.rotation.inverse().rotate(second.cross(pose.translation));
+    let squares = line_in_second.x.powi(2) + line_in_second.y.powi(2);
+    let squares = squares + line_in_first.x.powi(2) + line_in_first.y.powi(2);
+    (second.dot(line_in_second), squares.sqrt().max(1e-12))
+}
+
+/// Gauss-Newton on rotation and direction, the gradient's length kept fixed within a step.
+fn descend(
+    rays: &[RayPair],
+    start: Pose<f64>,
+    steps: usize,
+    weight: impl Fn(f64) -> f64,
+) -> Option<Pose<f64>> {
+    let mut pose = start;
+    for _ in 0..steps {
+        let t = pose.translation;
+        let side =
+            if t.x.abs() < 0.7 { Vec3::new(1.0, 0.0, 0.0) } else { Vec3::new(0.0, 1.0, 0.0) };
+        let b1 = t.cross(side);
+        let b1 = b1 * b1.norm().recip();
+        let b2 = t.cross(b1);
+        let mut sum = NormalEquations::<5>::default();
+        for pair in rays {
+            let (e, norm) = epipolar(&pose, pair);
+            let turned = pose.rotation.rotate(pair.0);
+            let line_in_first = pose.rotation.inverse().rotate(pair.1.cross(t));
+            let by_rotation = pair.0.cross(line_in_first);
+            let by_translation = turned.cross(pair.1);
+            let j = [
+                by_rotation.x,
+                by_rotation.y,
+                by_rotation.z,
+                by_translation.dot(b1),
+                by_translation.dot(b2),
+            ];
+            sum.add(&j.map(|v| v / norm), e / norm, weight(e / norm));
+        }
+        let s = sum.step(1e-6)?;
+        let moved = t + b1 * s[3] + b2 * s[4];
+        pose = Pose::new(
+            pose.rotation * Rotation::exp(Vec3::new(s[0], s[1], s[2])),
+            moved * moved.norm().recip(),
+        );
+    }
+    pose.is_finite().then_some(pose)
+}
+
+/// Chooses the sign of the translation that puts points in front of both cameras.
+fn in_front(focal: f64, rays: &[RayPair], pose: Pose<f64>) -> TwoView {
+    let flipped = Pose::new(pose.rotation, -pose.translation);
+    let count = |pose: &Pose<f64>| {
+        let fits = |r: &&RayPair| sampson(pose, r).abs() * focal < TRUNCATION;
+        rays.iter().filter(fits).filter(|r| has_positive_depth(pose, r, focal)).count()
+    };
+    let (here, there) = (count(&pose), count(&flipped));
+    let (pose, most) = if here >= there { (pose, here) } else { (flipped, there) };
+    TwoView { second_from_first: pose, share: most as f64 / rays.len() as f64 }
+}
+
+/// Whether the inverse depth in the first camera, by least squares, is positive, or so near zero
+/// that a pixel decides.
+fn has_positive_depth(pose: &Pose<f64>, (first, second): &RayPair, focal: f64) -> bool {
+    // x₂ × (R x₁ + ρ t) = 0.
+    let (a, b) = (second.cross(pose.translation), second.cross(pose.rotation.rotate(*first)));
+    let rho = -a.dot(b) / a.norm_squared().max(1e-12);
+    rho * a.norm() * focal > -1.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::noise;
+
+    fn scene(pose: Pose<f64>) -> Vec<RayPair> {
+        let numbers = noise(5, 600);
+        let point = |n: &[f64]| Vec3::new(n[0], n[1], 2.5 + n[2]);
+        let ray = |p: Vec3<f64>| Vec3::new(p.x / p.z, p.y / p.z, 1.0);
+        numbers
+            .chunks_exact(3)
+            .enumerate()
+            .map(|(i, n)| {
+                // Every fifth match is wrong.
+                let other =
+                    if i % 5 == 0 { point(&numbers[3 * (199 - i)..][..3]) } else { point(n) };
+                (ray(point(n)), ray(pose * other))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn motion_is_found_among_wrong_matches() {
+        let direction = Vec3::new(0.6, -0.3, 0.5);
+        let direction = direction * (1.0 / direction.norm());
+        let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), direction * 0.2);
+        let rays = scene(pose);
+        let (rotation, left) = rotation_only(250.0, &rays).expect("enough points");
+        assert!(left > 3.0, "a moving camera does not only turn: {left}");
+        let found = essential(250.0, &rays, rotation).expect("enough points");
+        let off = (found.second_from_first.translation - direction).norm();
+        // Some wrong matches lie near their epipolar lines and pull.
+        assert!(off < 0.1, "{off}");
+        let error = found.second_from_first.rotation.inverse() * pose.rotation;
+        assert!(error.log().norm() < 0.01, "{error:?}");
+        assert!((0.75..0.9).contains(&found.share), "{}", found.share);
+    }
+
+    #[test]
+    fn turning_alone_is_recognised() {
+        let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), Vec3::zero());
+        let (rotation, left) = rotation_only(250.0, &scene(pose)).expect("enough points");
+        let off = (rotation.inverse() * pose.rotation).log().norm();
+        assert!(left < 0.05 && off < 1e-3, "{left} {off}");
+    }
+}

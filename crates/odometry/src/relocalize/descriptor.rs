@@ -1,0 +1,151 @@
+//! Points of two pictures matched by what is around them, wherever they are.
+//!
+//! A descriptor is the blurred, coarsely sampled surroundings of a point, of mean 0 and length 1
+//! (Brown, Szeliski and Winder 2005, upright), so that exposure does not count.
+
+use crate::track::pyramid::Pyramid;
+use i2slam_geometry::{Image, Tap};
+
+/// Samples along a side, and their distance on the second level [px].
+const SIDE: usize = 8;
+const SPACING: f32 = 2.0;
+const LENGTH: usize = SIDE * SIDE;
+/// Least standard deviation of the surroundings (brightness): below it is noise.
+const MIN_CONTRAST: f32 = 0.01;
+/// Squared distance that a match may have, and what share of the second best's it must be.
+const MAX_DESCRIPTOR_DISTANCE: f32 = 0.5;
+const UNIQUE: f32 = 0.7;
+
+/// What is around a point.
+type Descriptor = [f32; LENGTH];
+
+/// Points with their descriptors.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Described {
+    /// Place of every point in the list that was described.
+    places: Vec<usize>,
+    descriptors: Vec<Descriptor>,
+}
+
+impl Described {
+    /// Describes points of a picture (positions on its finest level); those without contrast are
+    /// left out.
+    pub(crate) fn new(pyramid: &Pyramid, points: &[[f64; 2]]) -> Self {
+        let level = pyramid.levels.len().min(2) - 1;
+        let scale = (1_usize << level) as f64;
+        let mut out = Self::default();
+        for (place, at) in points.iter().enumerate() {
+            if let Some(d) = describe(&pyramid.levels[level], at.map(|v| (v / scale) as f32)) {
+                out.places.push(place);
+                out.descriptors.push(d);
+            }
+        }
+        out
+    }
+
+    /// Places of the points that are each other's best, and clearly so.
+    pub(crate) fn matches(&self, other: &Self) -> Vec<(usize, usize)> {
+        let back = other.best(self);
+        let here = self.best(other);
+        let mutual = here.iter().enumerate().filter_map(|(i, to)| {
+            let to = (*to)?;
+            (back[to]? == i).then_some((self.places[i], other.places[to]))
+        });
+        mutual.collect()
+    }
+
+    /// For every descriptor the most alike of another list.
+    fn best(&self, other: &Self) -> Vec<Option<usize>> {
+        let of = |d: &Descriptor| {
+            let (mut best, mut least, mut second) = (None, MAX_DESCRIPTOR_DISTANCE, f32::INFINITY);
+            for (i, o) in other.descriptors.iter().enumerate() {
+                let distance = 2.0 - 2.0 * dot(d, o);
+                if distance < least {
+                    second = if best.is_some() { least } else { second };
+                    (best, least) = (Some(i), distance);
+                } else {
+                    second = second.min(distance);
+                }
+            }
+            best.filter(|_| least < UNIQUE * second)
+        };
+        self.descriptors.iter().map(of).collect()
+    }
+}
+
+fn describe(image: &Image<f32>, [x, y]: [f32; 2]) -> Option<Descriptor> {
+    let half = 0.5 * (SIDE as f32 - 1.0) * SPACING;
+    let most = [image.width, image.height].map(|n| n as f32 - 0.51);
+    let mut out = [0.0; LENGTH];
+    for (i, value) in out.iter_mut().enumerate() {
+        let u = x - half + SPACING * (i % SIDE) as f32;
+        let v = y - half + SPACING * (i / SIDE) as f32;
+        let (u, v) = (u.clamp(0.51, most[0]), v.clamp(0.51, most[1]));
+        *value = Tap::new(image.width, image.height, u, v)?.sample(&image.data).0;
+    }
+    let mean = out.iter().sum::<f32>() / LENGTH as f32;
+    out.iter_mut().for_each(|v| *v -= mean);
+    let norm = dot(&out, &out).sqrt();
+    let enough = norm > MIN_CONTRAST * (LENGTH as f32).sqrt();
+    enough.then(|| out.map(|v| v / norm))
+}
+
+fn dot(a: &Descriptor, b: &Descriptor) -> f32 {
+    let mut lanes = [0.0_f32; 8];
+    for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+        for i in 0..8 {
+            lanes[i] += a[i] * b[i];
+        }
+    }
+    lanes.iter().sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::noise;
+
+    /// Random brightness of 6 px blobs; the picture's content is moved by `(dx, dy)`.
+    fn blobs(dx: f64, dy: f64, gain: f32) -> Pyramid {
+        let numbers = noise(3, 60 * 60);
+        let at = |i: usize, j: usize| numbers[(j % 60) * 60 + i % 60];
+        let mut image = Image::new(200, 150, 1);
+        for (i, value) in image.data.iter_mut().enumerate() {
+            let x = ((i % 200) as f64 - dx) / 6.0 + 10.0;
+            let y = ((i / 200) as f64 - dy) / 6.0 + 10.0;
+            let (c, r, u, v) = (x as usize, y as usize, x.fract(), y.fract());
+            let top = at(c, r) * (1.0 - u) + at(c + 1, r) * u;
+            let bottom = at(c, r + 1) * (1.0 - u) + at(c + 1, r + 1) * u;
+            *value = gain * (0.5 + 0.3 * (top * (1.0 - v) + bottom * v)) as f32;
+        }
+        Pyramid::new(&image)
+    }
+
+    #[test]
+    fn points_are_matched_through_a_move_and_a_change_of_exposure() {
+        let points: Vec<[f64; 2]> = (0..60)
+            .map(|i| [40.0 + 12.0 * f64::from(i % 10), 40.0 + 12.0 * f64::from(i / 10)])
+            .collect();
+        let moved: Vec<[f64; 2]> = points.iter().map(|p| [p[0] + 17.0, p[1] - 9.0]).collect();
+        let first = Described::new(&blobs(0.0, 0.0, 1.0), &points);
+        let second = Described::new(&blobs(17.0, -9.0, 0.5), &moved);
+        let matches = first.matches(&second);
+        assert!(matches.len() > 50, "{}", matches.len());
+        assert!(matches.iter().all(|(a, b)| a == b));
+    }
+
+    #[test]
+    fn what_repeats_is_not_matched() {
+        let mut image = Image::new(200, 150, 1);
+        for (i, value) in image.data.iter_mut().enumerate() {
+            let (x, y) = ((i % 200) as f32, (i / 200) as f32);
+            *value = 0.5 + 0.2 * (x * 0.4).sin() * (y * 0.4).cos();
+        }
+        let period = std::f64::consts::TAU / 0.4;
+        let points: Vec<[f64; 2]> = (2..10).map(|i| [period * f64::from(i), 70.0]).collect();
+        let near: Vec<[f64; 2]> = points.iter().map(|p| [p[0] + 0.7, p[1] + 0.4]).collect();
+        let pyramid = Pyramid::new(&image);
+        let (first, second) = (Described::new(&pyramid, &points), Described::new(&pyramid, &near));
+        assert!(first.matches(&second).is_empty());
+    }
+}

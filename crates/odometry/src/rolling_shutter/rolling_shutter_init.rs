@@ -1,0 +1,161 @@
+//! A first correction for rows that are exposed one after the other, before anything is posed.
+//!
+//! Between neighbouring frames most motion is rotation. Its rate moves the rows of a frame apart,
+//! and where the rate changes, frames some intervals apart fit a rotation badly unless their rows
+//! are moved back.
+
+use crate::multiview::two_view::{RayPair, rotation_only};
+use crate::progress::{Progress, Stage};
+use crate::rolling_shutter::readout::{WORTH, interval, lowest_of_parabola};
+use crate::track::tracks::{Tracks, shared};
+use i2slam_geometry::{Camera, Rotation, Vec3};
+use rayon::prelude::*;
+
+/// Readouts that are compared, in frame intervals: multiples of the step up to so many times it.
+const STEP: f64 = 0.3;
+const COMPARED: i32 = 4;
+/// Frames apart of those that are compared.
+const APART: usize = 4;
+
+/// Moves all observations to where the middle row's moment would have shown them if the camera
+/// only turned. Returns the readout that fits best, in frame intervals, 0 if none is clearly
+/// better.
+pub(crate) fn straighten(
+    tracks: &mut Tracks,
+    camera: &Camera<f64>,
+    timestamps: &[f64],
+    progress: &Progress,
+) -> f64 {
+    progress.report(Stage::RollingShutter, 0, 0);
+    let by_frame = tracks.by_frame();
+    let Some(times) = whole_intervals(timestamps) else { return 0.0 };
+    let rates = rates(tracks, &by_frame, camera, &times);
+    let cost = |readout: f64| -> f64 {
+        let one = |f: usize| match progress.is_cancelled() {
+            true => 0.0,
+            false => misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0),
+        };
+        let all: Vec<f64> =
+            (0..tracks.frames.saturating_sub(APART)).into_par_iter().map(one).collect();
+        all.iter().sum()
+    };
+    let costs: Vec<f64> = (-COMPARED..=COMPARED).map(|k| cost(STEP * f64::from(k))).collect();
+    let Some(best) = lowest(&costs) else { return 0.0 };
+    if cost(best) > WORTH * costs[COMPARED as usize] {
+        return 0.0;
+    }
+    for o in tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
+        let ray = straight(camera, &rates, o.frame, o.seen, best);
+        let (u, v) = camera.project(ray);
+        o.at = [u, v];
+    }
+    best
+}
+
+/// Time between frames in whole intervals: pictures that are missing count, stamps that tremble do
+/// not.
+fn whole_intervals(timestamps: &[f64]) -> Option<Vec<f64>> {
+    let interval = interval(timestamps)?;
+    let whole = |pair: &[f64]| ((pair[1] - pair[0]) / interval).round().max(1.0);
+    Some(timestamps.windows(2).map(whole).collect())
+}
+
+/// The readout of least cost, by the parabola through the least of `costs` and its neighbours.
+fn lowest(costs: &[f64]) -> Option<f64> {
+    let inner = 1..costs.len() - 1;
+    let least = inner.min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
+    let around = [costs[least - 1], costs[least], costs[least + 1]];
+    Some(STEP * (least as f64 - f64::from(COMPARED)) + lowest_of_parabola(STEP, around)?)
+}
+
+/// Rotation of every frame's camera per interval, in its own frame: the mean of that to both
+/// neighbours, `times` between them [intervals].
+fn rates(
+    tracks: &Tracks,
+    by_frame: &[Vec<usize>],
+    camera: &Camera<f64>,
+    times: &[f64],
+) -> Vec<Vec3<f64>> {
+    let turns: Vec<Option<Vec3<f64>>> = (1..tracks.frames.min(times.len() + 1))
+        .into_par_iter()
+        .map(|f| {
+            let shared = shared(&tracks.tracks, by_frame, f - 1, f);
+            let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
+            let rays: Vec<RayPair> = shared.iter().map(|(a, b)| (ray(*a), ray(*b))).collect();
+            // The map found takes rays of the first camera to the second.
+            rotation_only(camera.fx, &rays).map(|(r, _)| r.inverse().log() * times[f - 1].recip())
+        })
+        .collect();
+    let turn = |i: Option<usize>| i.and_then(|i| turns.get(i).copied().flatten());
+    (0..tracks.frames)
+        .map(|f| match (turn(f.checked_sub(1)), turn(Some(f))) {
+            (Some(a), Some(b)) => (a + b) * 0.5,
+            (Some(a), None) | (None, Some(a)) => a,
+            (None, None) => Vec3::zero(),
+        })
+        .collect()
+}
+
+/// What a rotation leaves unexplained between a frame and a later one [px].
+fn misfit(
+    tracks: &Tracks,
+    by_frame: &[Vec<usize>],
+    camera: &Camera<f64>,
+    rates: &[Vec3<f64>],
+    frame: usize,
+    readout: f64,
+) -> Option<f64> {
+    let rays: Vec<RayPair> = shared(&tracks.tracks, by_frame, frame, frame + APART)
+        .iter()
+        .map(|(a, b)| {
+            let first = straight(camera, rates, frame, *a, readout);
+            (first, straight(camera, rates, frame + APART, *b, readout))
+        })
+        .collect();
+    rotation_only(camera.fx, &rays).map(|(_, left)| left)
+}
+
+/// The ray of an image position as the middle row's moment would have seen it; its third
+/// component is 1.
+fn straight(
+    camera: &Camera<f64>,
+    rates: &[Vec3<f64>],
+    frame: usize,
+    seen: [f64; 2],
+    readout: f64,
+) -> Vec3<f64> {
+    let late = readout * (seen[1] / camera.height as f64 - 0.5);
+    let ray = Rotation::exp(rates[frame] * late).rotate(camera.unproject(seen[0], seen[1], 1.0));
+    ray * ray.z.recip()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::track::tracks::{Observation, Track};
+    use i2slam_check::noise;
+
+    /// A steady turn has one rate, whether or not pictures are missing.
+    #[test]
+    fn rates_count_in_time_not_in_frames() {
+        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let timestamps = [0.0, 1.0, 2.0, 5.0, 6.0, 8.0, 9.0, 10.0];
+        let turn = Vec3::new(0.002, 0.01, -0.003);
+        let track = |n: &[f64]| {
+            let ray = camera.unproject(160.0 + 80.0 * n[0], 120.0 + 60.0 * n[1], 1.0);
+            let sight = |(frame, time): (usize, &f64)| {
+                let (u, v) = camera.project(Rotation::exp(turn * -*time).rotate(ray));
+                Observation::new(frame, [u, v], 0.3)
+            };
+            Track { observations: timestamps.iter().enumerate().map(sight).collect() }
+        };
+        let tracks = noise(5, 160).chunks_exact(2).map(track).collect();
+        let tracks = Tracks { tracks, frames: timestamps.len(), ..Tracks::default() };
+        let stamps: Vec<f64> =
+            timestamps.iter().zip(noise(6, 8)).map(|(time, n)| time + 0.1 * n).collect();
+        let times = whole_intervals(&stamps).expect("several");
+        for rate in rates(&tracks, &tracks.by_frame(), &camera, &times) {
+            assert!((rate - turn).norm() < 1e-5, "{rate:?}");
+        }
+    }
+}

@@ -1,0 +1,345 @@
+//! What is known so far: poses of frames, landmarks of tracks.
+
+use crate::bundle::{Bundle, Moves, Sight, Unknown};
+use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
+use crate::multiview::lens_distortion::{radial, undistorted};
+use crate::multiview::triangulation::{PosedSight, triangulate};
+use crate::progress::Progress;
+use crate::track::tracks::{Observation, Tracks, shared};
+use i2slam_compute::median;
+use i2slam_geometry::{Camera, Pose};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Residuals beyond this are wrong matches [standard deviations].
+const WRONG: f64 = 6.0;
+/// The tracker's deviations are never taken as wrong by more than this.
+const MAX_NOISE: f64 = 4.0;
+/// Fewer frames do not tell the lens, nor the readout.
+const MIN_FOR_LENS: usize = 8;
+/// Longest rolling-shutter readout [frame intervals].
+pub(crate) const MAX_READOUT: f64 = 1.0;
+/// Poses that are adjusted together at most.
+pub(crate) const MAX_FREE: usize = 1000;
+
+/// Poses and landmarks, and the tracks that they explain.
+#[derive(Clone, Debug)]
+pub(crate) struct Scene {
+    pub(crate) camera: Camera<f64>,
+    pub(crate) tracks: Tracks,
+    /// For every frame the tracks that it shows.
+    by_frame: Arc<Vec<Vec<usize>>>,
+    /// `world_from_camera` of every frame that has one.
+    pub(crate) poses: Vec<Option<Pose<f64>>>,
+    /// For every track its landmark, if it has one.
+    pub(crate) landmarks: Vec<Option<Landmark>>,
+    /// How many times as large residuals are as the tracker says, at least 1.
+    pub(crate) noise: f64,
+    /// The coefficients of the lens, and whether they are looked for: see [`lens`](crate::multiview::lens_distortion).
+    pub(crate) lens: [f64; 2],
+    pub(crate) finds_lens: bool,
+    /// The readout that sights are freed of, 0 for none [frame intervals], and whether a better one
+    /// is looked for with the camera.
+    pub(crate) readout: f64,
+    pub(crate) finds_readout: bool,
+    /// Who watches.
+    pub(crate) progress: Progress,
+}
+
+impl Scene {
+    /// Nothing is known yet.
+    pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
+        let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
+        let by_frame = Arc::new(tracks.by_frame());
+        Self {
+            camera,
+            tracks,
+            by_frame,
+            poses,
+            landmarks,
+            noise: 1.0,
+            lens: [0.0; 2],
+            finds_lens: false,
+            readout: 0.0,
+            finds_readout: false,
+            progress: Progress::default(),
+        }
+    }
+
+    /// The scene of the keyframes of one of which nothing is known but the camera.
+    pub(crate) fn of_keyframes(scene: &Self) -> Self {
+        let (finds_lens, progress) = (scene.finds_lens, scene.progress.without_listener());
+        Self { finds_lens, progress, ..Self::new(scene.camera, scene.tracks.in_keyframes()) }
+    }
+
+    /// Takes back all poses and landmarks; tracks, camera and lens stay.
+    pub(crate) fn forget(&mut self) {
+        self.poses.fill(None);
+        self.landmarks.fill(None);
+        self.noise = 1.0;
+        let observations = self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
+        observations.for_each(|o| o.is_wrong = false);
+    }
+
+    /// Landmarks that a frame shows.
+    pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
+        let pair = |i: &usize| {
+            let landmark = self.landmarks[*i].as_ref()?;
+            Some((landmark, self.tracks.tracks[*i].in_frame(frame)?))
+        };
+        self.by_frame[frame].iter().filter_map(pair).collect()
+    }
+
+    /// Tracks that a frame shows, with where it shows them.
+    pub(crate) fn shown(&self, frame: usize) -> impl Iterator<Item = (usize, &Observation)> {
+        let sight = move |i: &usize| Some((*i, self.tracks.tracks[*i].in_frame(frame)?));
+        self.by_frame[frame].iter().filter_map(sight)
+    }
+
+    /// The same without where.
+    pub(crate) fn shown_tracks(&self, frame: usize) -> &[usize] {
+        &self.by_frame[frame]
+    }
+
+    /// Number of tracks that two frames share.
+    pub(crate) fn shared_count(&self, first: usize, second: usize) -> usize {
+        let both = |i: &&usize| self.tracks.tracks[**i].in_frame(second).is_some();
+        self.by_frame[first].iter().filter(both).count()
+    }
+
+    /// Number of tracks with at least three sights in the frames from `first` to `last`.
+    pub(crate) fn followed_within(&self, first: usize, last: usize) -> usize {
+        let seen = |track: &&crate::track::tracks::Track| {
+            let within = |o: &&Observation| (first..=last).contains(&o.frame);
+            track.observations.iter().filter(within).count() > 2
+        };
+        self.tracks.tracks.iter().filter(seen).count()
+    }
+
+    /// Adds sights to tracks; of a frame that a track has already, none.
+    pub(crate) fn add_sights(&mut self, sights: Vec<(usize, Observation)>) {
+        let by_frame = Arc::make_mut(&mut self.by_frame);
+        for (track, observation) in sights {
+            if self.tracks.tracks[track].insert(observation) {
+                by_frame[observation.frame].push(track);
+            }
+        }
+    }
+
+    /// Image positions of the points that two frames share.
+    pub(crate) fn shared(&self, first: usize, second: usize) -> Vec<([f64; 2], [f64; 2])> {
+        shared(&self.tracks.tracks, &self.by_frame, first, second)
+    }
+
+    /// Frames with a pose, in order.
+    pub(crate) fn posed(&self) -> Vec<usize> {
+        (0..self.poses.len()).filter(|f| self.poses[*f].is_some()).collect()
+    }
+
+    /// Gives a landmark to every track without one that enough posed frames show.
+    pub(crate) fn add_landmarks(&mut self) {
+        self.triangulate((0..self.landmarks.len()).collect());
+    }
+
+    /// The same for the tracks that one frame shows.
+    pub(crate) fn add_landmarks_in(&mut self, frame: usize) {
+        self.triangulate(self.by_frame[frame].clone());
+    }
+
+    fn triangulate(&mut self, mut tracks: Vec<usize>) {
+        tracks.retain(|i| self.landmarks[*i].is_none());
+        let landmark = |i: &usize| {
+            let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_wrong);
+            let sights: Vec<PosedSight<'_>> =
+                right.filter_map(|o| Some((o, self.poses[o.frame]?))).collect();
+            triangulate(&self.camera, &sights, self.noise)
+        };
+        let found: Vec<Option<Landmark>> = tracks.par_iter().map(landmark).collect();
+        tracks.into_iter().zip(found).for_each(|(i, found)| self.landmarks[i] = found);
+    }
+
+    /// Adjusts the poses of `free` frames, the landmarks that they see, and the focal length if
+    /// asked, all other posed frames fixed. Returns the cost per sight.
+    ///
+    /// More than [`MAX_FREE`] are adjusted part by part, so that memory stays in proportion to
+    /// the number of frames whatever they see.
+    pub(crate) fn adjust(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
+        if free.len() <= MAX_FREE {
+            return self.adjust_together(free, adjust_focal, steps);
+        }
+        let (mut sum, mut parts) = (0.0, 0.0);
+        for begin in (0..free.len() - MAX_FREE / 2).step_by(MAX_FREE / 2) {
+            let part = &free[begin.max(1)..(begin + MAX_FREE).min(free.len())];
+            sum += self.adjust_together(part, adjust_focal && begin == 0, steps);
+            parts += 1.0;
+        }
+        sum / parts
+    }
+
+    fn adjust_together(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
+        let (mut bundle, frames, tracks) = self.bundle(free, adjust_focal);
+        let cost = bundle.adjust(steps, &self.progress);
+        for (frame, pose) in frames.iter().zip(&bundle.poses) {
+            self.poses[*frame] = Some(*pose);
+        }
+        for (track, landmark) in tracks.iter().zip(&bundle.landmarks) {
+            self.landmarks[*track] = Some(*landmark);
+        }
+        self.camera = bundle.camera;
+        match bundle.unknown {
+            Unknown::FocalLengthAndLens => self.change_lens(bundle.change),
+            Unknown::FocalLengthAndRows => self.change_readout(bundle.change[0]),
+            Unknown::FocalLength | Unknown::Nothing => {}
+        }
+        cost
+    }
+
+    /// Frees all sights of a lens that differs from the one so far.
+    pub(crate) fn change_lens(&mut self, change: [f64; 2]) {
+        (0..2).for_each(|i| self.lens[i] += change[i]);
+        for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
+            let moved = undistorted(&self.camera, change, o.seen);
+            (0..2).for_each(|i| o.at[i] += moved[i] - o.seen[i]);
+        }
+    }
+
+    /// Frees all sights of a readout that differs from the one so far, in proportion: rows are read
+    /// at the speeds that are known.
+    fn change_readout(&mut self, change: f64) {
+        let readout = (self.readout + change).clamp(-MAX_READOUT, MAX_READOUT);
+        let ratio = readout / self.readout;
+        if !ratio.is_finite() || ratio <= 0.0 {
+            return;
+        }
+        self.readout = readout;
+        let (camera, lens) = (self.camera, self.lens);
+        for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
+            let flat = undistorted(&camera, lens, o.seen);
+            (0..2).for_each(|i| o.at[i] = flat[i] + ratio * (o.at[i] - flat[i]));
+        }
+    }
+
+    /// What a bundle of so many frames may find of the camera.
+    fn unknown(&self, adjust_focal: bool, frames: usize) -> Unknown {
+        let is_enough = frames >= MIN_FOR_LENS;
+        match (self.finds_lens && is_enough, self.finds_readout && is_enough) {
+            _ if !adjust_focal => Unknown::Nothing,
+            (true, _) => Unknown::FocalLengthAndLens,
+            (false, true) => Unknown::FocalLengthAndRows,
+            (false, false) => Unknown::FocalLength,
+        }
+    }
+
+    /// What the unknowns of the camera move a sight by: rows by what they were moved by so far, for
+    /// one frame interval.
+    fn moves(&self, unknown: Unknown, o: &Observation) -> Moves {
+        if unknown != Unknown::FocalLengthAndRows {
+            return radial(&self.camera, o.seen);
+        }
+        let flat = undistorted(&self.camera, self.lens, o.seen);
+        [std::array::from_fn(|i| (o.at[i] - flat[i]) / self.readout), [0.0; 2]]
+    }
+
+    /// Tracks that some frames show, in order.
+    fn tracks_in(&self, frames: &[usize]) -> Vec<usize> {
+        let mut is_shown = vec![false; self.landmarks.len()];
+        frames.iter().flat_map(|f| &self.by_frame[*f]).for_each(|t| is_shown[*t] = true);
+        (0..is_shown.len()).filter(|t| is_shown[*t]).collect()
+    }
+
+    /// The bundle of `free` frames and all others that see the same landmarks, the frames of its
+    /// poses and the tracks of its landmarks. Where none would be fixed, the first one is.
+    pub(crate) fn bundle(
+        &self,
+        free: &[usize],
+        adjust_focal: bool,
+    ) -> (Bundle, Vec<usize>, Vec<usize>) {
+        let tracks = self.tracks_in(free);
+        let is_right = |o: &&Observation| !o.is_wrong && self.poses[o.frame].is_some();
+        let right = |track: &usize| self.tracks.tracks[*track].observations.iter().filter(is_right);
+        let kept = |track: &usize| self.landmarks[*track].is_some() && right(track).count() > 1;
+        let tracks: Vec<usize> = tracks.into_iter().filter(kept).collect();
+        let mut place = vec![None; self.poses.len()];
+        tracks.iter().flat_map(right).for_each(|o| place[o.frame] = Some(0));
+        let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
+        frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
+        let unknown = self.unknown(adjust_focal, frames.len());
+        let sight = |o: &Observation| {
+            let moves = self.moves(unknown, o);
+            Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma, moves })
+        };
+        let sights = tracks.iter().map(|t| right(t).filter_map(sight).collect()).collect();
+        let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
+        free.iter().filter_map(|f| place[*f]).for_each(|i| fixed[i] = false);
+        if !fixed.contains(&true) {
+            fixed.iter_mut().take(1).for_each(|f| *f = true);
+        }
+        let bundle = Bundle {
+            camera: self.camera,
+            poses: frames.iter().filter_map(|f| self.poses[*f]).collect(),
+            fixed,
+            landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
+            sights: Arc::new(sights),
+            change: [0.0; 2],
+            unknown,
+        };
+        (bundle, frames, tracks)
+    }
+
+    /// Marks the sights that their landmark does not explain, and gives up landmarks that are left
+    /// with fewer than two: all their sights may be tried again.
+    pub(crate) fn mark_wrong_sights(&mut self) {
+        self.mark_wrong((0..self.landmarks.len()).collect());
+    }
+
+    /// The same for the landmarks that some frames show.
+    pub(crate) fn mark_wrong_sights_in(&mut self, frames: &[usize]) {
+        self.mark_wrong(self.tracks_in(frames));
+    }
+
+    fn mark_wrong(&mut self, tracks: Vec<usize>) {
+        let (camera, poses, worst) = (self.camera, &self.poses, WRONG * self.noise);
+        for index in tracks {
+            let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
+            let Some(known) = landmark else { continue };
+            let mut left = 0;
+            for observation in &mut track.observations {
+                let Some(pose) = &poses[observation.frame] else { continue };
+                let off = reprojection_error(&camera, pose, &(&*known, observation));
+                observation.is_wrong = off > worst;
+                left += usize::from(!observation.is_wrong);
+            }
+            if left < 2 || known.values[2] < -0.02 {
+                *landmark = None;
+                track.observations.iter_mut().for_each(|o| o.is_wrong = false);
+            }
+        }
+    }
+
+    /// Sets [`noise`](Self::noise) to what half of all sights in posed frames keep to.
+    pub(crate) fn measure_noise(&mut self) {
+        self.noise = self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE));
+    }
+
+    /// How many times as large residuals are as the tracker says, by their median.
+    pub(crate) fn residual_scale(&self) -> Option<f64> {
+        let mut all = Vec::new();
+        for frame in self.posed() {
+            let Some(pose) = self.poses[frame] else { continue };
+            let of = |m: &Match<'_>| reprojection_error(&self.camera, &pose, m);
+            all.extend(self.matches(frame).iter().map(of));
+        }
+        // The median length of a two-dimensional normal residual is √(2 ln 2) deviations.
+        let usual = (2.0 * std::f64::consts::LN_2).sqrt();
+        median(&mut all).map(|m| m / usual)
+    }
+
+    /// Number of the landmarks in a frame that agree with its pose.
+    pub(crate) fn agreeing(&self, frame: usize) -> usize {
+        let Some(pose) = self.poses[frame] else { return 0 };
+        let agrees = |m: &&Match<'_>| {
+            reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise
+        };
+        self.matches(frame).iter().filter(agrees).count()
+    }
+}

@@ -1,0 +1,97 @@
+//! What a keyframe looks like: kept small, to know its place again.
+
+use crate::track::pyramid::Pyramid;
+use i2slam_geometry::Image;
+
+/// The kept picture is the finest level with at most so many pixels.
+const MAX_PIXELS: usize = 160_000;
+/// Columns and rows of a thumbnail.
+const COLUMNS: usize = 16;
+const ROWS: usize = 12;
+/// Thumbnails are compared at moves of up to so many of their pixels.
+const REACH: isize = 2;
+
+/// A keyframe's picture, in a byte a pixel, and a thumbnail of it.
+#[derive(Clone, Debug)]
+pub(crate) struct Look {
+    /// The keyframe.
+    pub(crate) frame: usize,
+    width: usize,
+    height: usize,
+    brightness: Vec<u8>,
+    /// What positions in it are multiplied by to be those of the whole picture.
+    pub(crate) scale: f64,
+    thumbnail: Vec<f32>,
+}
+
+impl Look {
+    /// The look of a frame.
+    pub(crate) fn new(pyramid: &Pyramid, frame: usize) -> Self {
+        let small = |image: &Image<f32>| image.width * image.height <= MAX_PIXELS;
+        let last = pyramid.levels.len() - 1;
+        let level = pyramid.levels.iter().position(small).unwrap_or(last);
+        let image = &pyramid.levels[level];
+        let brightness =
+            image.data.iter().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8).collect();
+        let thumbnail = pyramid.coarsest().0.resized_by_area(COLUMNS, ROWS).data;
+        let scale = (1_usize << level) as f64;
+        Self { frame, width: image.width, height: image.height, brightness, scale, thumbnail }
+    }
+
+    /// The picture, coarse to fine.
+    pub(crate) fn pyramid(&self) -> Pyramid {
+        let mut image = Image::new(self.width, self.height, 1);
+        for (value, byte) in image.data.iter_mut().zip(&self.brightness) {
+            *value = f32::from(*byte) / 255.0;
+        }
+        Pyramid::new(&image)
+    }
+
+    /// Correlation of the thumbnails, at the move that makes them most alike.
+    pub(crate) fn likeness(&self, other: &Self) -> f32 {
+        let moves = (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dx, dy)));
+        let at = |(dx, dy): (isize, isize)| correlation(&self.thumbnail, &other.thumbnail, dx, dy);
+        moves.map(at).fold(-1.0, f32::max)
+    }
+}
+
+/// Correlation of what two thumbnails share when the second is moved.
+fn correlation(first: &[f32], second: &[f32], dx: isize, dy: isize) -> f32 {
+    let columns = COLUMNS - dx.unsigned_abs();
+    let (from, to) = ((-dx).max(0) as usize, dx.max(0) as usize);
+    let (mut n, mut a, mut b, mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for row in (-dy).max(0)..(ROWS as isize - dy).min(ROWS as isize) {
+        let x = &first[row as usize * COLUMNS + from..][..columns];
+        let y = &second[(row + dy) as usize * COLUMNS + to..][..columns];
+        for (x, y) in x.iter().zip(y) {
+            (n, a, b) = (n + 1.0, a + x, b + y);
+            (aa, bb, ab) = (aa + x * x, bb + y * y, ab + x * y);
+        }
+    }
+    let spread = (n * aa - a * a).max(0.0) * (n * bb - b * b).max(0.0);
+    if spread > 1e-6 { (n * ab - a * b) / spread.sqrt() } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn look(dx: f32, gain: f32) -> Look {
+        let mut image = Image::new(160, 120, 1);
+        for (i, value) in image.data.iter_mut().enumerate() {
+            let (x, y) = ((i % 160) as f32 - dx, (i / 160) as f32);
+            *value = gain * (0.5 + 0.2 * (0.05 * x).sin() + 0.2 * (0.07 * y + 0.03 * x).cos());
+        }
+        Look::new(&Pyramid::new(&image), 0)
+    }
+
+    #[test]
+    fn a_moved_picture_in_another_light_is_alike_and_another_one_is_not() {
+        let first = look(0.0, 1.0);
+        assert!(first.likeness(&look(12.0, 0.6)) > 0.97);
+        assert!(first.likeness(&look(60.0, 1.0)) < 0.8);
+        assert_eq!(first.scale, 1.0);
+        let flat = Look::new(&Pyramid::new(&Image::new(160, 120, 1)), 0);
+        assert_eq!(first.likeness(&flat), 0.0);
+    }
+}

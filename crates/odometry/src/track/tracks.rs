@@ -1,0 +1,130 @@
+//! Points of the scene as pictures show them: where, in which frames.
+
+use crate::track::thumbnail::Look;
+use std::sync::Arc;
+
+/// One sight of a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Observation {
+    /// Place of the frame in the sequence.
+    pub(crate) frame: usize,
+    /// Image position [px].
+    pub(crate) seen: [f64; 2],
+    /// The same as if all rows had been exposed with the middle one [px].
+    pub(crate) at: [f64; 2],
+    /// How far it may be wrong [px].
+    pub(crate) sigma: f64,
+    /// Does not belong to the point.
+    pub(crate) is_wrong: bool,
+}
+
+impl Observation {
+    pub(crate) fn new(frame: usize, at: [f64; 2], sigma: f64) -> Self {
+        Self { frame, seen: at, at, sigma, is_wrong: false }
+    }
+}
+
+/// All sights of one point, in order of frames.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Track {
+    pub(crate) observations: Vec<Observation>,
+}
+
+impl Track {
+    /// The sight in a frame, if there is one.
+    pub(crate) fn in_frame(&self, frame: usize) -> Option<&Observation> {
+        let i = self.observations.partition_point(|o| o.frame < frame);
+        self.observations.get(i).filter(|o| o.frame == frame)
+    }
+
+    /// Adds a sight; returns whether there was none of that frame.
+    pub(crate) fn insert(&mut self, observation: Observation) -> bool {
+        let i = self.observations.partition_point(|o| o.frame < observation.frame);
+        let is_new = self.observations.get(i).is_none_or(|o| o.frame != observation.frame);
+        if is_new {
+            self.observations.insert(i, observation);
+        }
+        is_new
+    }
+}
+
+/// What following points through all pictures gave.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Tracks {
+    pub(crate) tracks: Vec<Track>,
+    /// Frames that were chosen as keyframes, in order.
+    pub(crate) keyframes: Vec<usize>,
+    /// What keyframes look like, in order.
+    pub(crate) looks: Arc<Vec<Look>>,
+    /// Number of frames seen.
+    pub(crate) frames: usize,
+}
+
+impl Tracks {
+    /// The same, with the last frame as a keyframe where there is only one.
+    pub(crate) fn with_two_keyframes(mut self) -> Self {
+        if self.keyframes.len() == 1 && self.frames > 1 {
+            self.keyframes.push(self.frames - 1);
+        }
+        self
+    }
+
+    /// What keyframes alone show of the same tracks.
+    pub(crate) fn in_keyframes(&self) -> Self {
+        let mut is_keyframe = vec![false; self.frames];
+        self.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
+        let reduced = |track: &Track| {
+            let kept = track.observations.iter().filter(|o| is_keyframe[o.frame]);
+            Track { observations: kept.copied().collect() }
+        };
+        let (keyframes, looks) = (self.keyframes.clone(), Arc::clone(&self.looks));
+        Self {
+            tracks: self.tracks.iter().map(reduced).collect(),
+            keyframes,
+            looks,
+            frames: self.frames,
+        }
+    }
+
+    /// For every frame the tracks that it shows.
+    pub(crate) fn by_frame(&self) -> Vec<Vec<usize>> {
+        let mut out = vec![Vec::new(); self.frames];
+        for (index, track) in self.tracks.iter().enumerate() {
+            track.observations.iter().for_each(|o| out[o.frame].push(index));
+        }
+        out
+    }
+}
+
+/// Positions in two frames of the points that both show.
+pub(crate) fn shared(
+    tracks: &[Track],
+    by_frame: &[Vec<usize>],
+    first: usize,
+    second: usize,
+) -> Vec<([f64; 2], [f64; 2])> {
+    let both = |i: &usize| {
+        let track = &tracks[*i];
+        Some((track.in_frame(first)?, track.in_frame(second)?))
+    };
+    by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at, b.at)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keyframes_alone_keep_the_places_of_tracks() {
+        let sight = |frame: usize| Observation::new(frame, [frame as f64; 2], 0.3);
+        let track =
+            |frames: std::ops::Range<usize>| Track { observations: frames.map(sight).collect() };
+        let tracks = vec![track(0..9), track(1..3), track(4..8)];
+        let all = Tracks { tracks, keyframes: vec![0, 4, 7], frames: 9, ..Tracks::default() };
+        let reduced = all.in_keyframes();
+        let frames = |t: &Track| t.observations.iter().map(|o| o.frame).collect::<Vec<_>>();
+        let shown: Vec<Vec<usize>> = reduced.tracks.iter().map(frames).collect();
+        assert_eq!(shown, [vec![0, 4, 7], vec![], vec![4, 7]]);
+        assert_eq!((reduced.frames, reduced.keyframes), (9, vec![0, 4, 7]));
+    }
+}
