@@ -7,6 +7,7 @@ use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error,
 };
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The truth that lies in a dataset's folder; all of it may be missing.
 pub(crate) struct Truth {
@@ -53,7 +54,9 @@ impl Truth {
     pub(crate) fn sharp(&self, position: usize) -> Option<Image<f32>> {
         let sharp = self.sharp.as_ref()?;
         let there = sharp.entries.get(position)?.colour.is_file();
-        there.then(|| sharp.load(position).ok().map(|frame| frame.colour)).flatten()
+        there
+            .then(|| sharp.load(position).ok().map(|frame| Arc::unwrap_or_clone(frame.colour)))
+            .flatten()
     }
 
     /// What lies there, in words.

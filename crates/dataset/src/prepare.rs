@@ -25,11 +25,25 @@ pub struct Frame {
     /// Time stamp of the depth image [s]; the colour's where depth has none of its own.
     pub depth_timestamp: f64,
     /// 3 planes R, G, B in `[0, 1]`, as recorded (display space).
-    pub colour: Image<f32>,
+    pub colour: Arc<Image<f32>>,
     /// 1 plane, depth along the optical axis [m], 0 where invalid.
-    pub depth: Image<f32>,
+    pub depth: Arc<Image<f32>>,
     /// What is odd about the frame: no valid depth, a black or a white picture.
     pub warnings: Vec<String>,
+}
+
+impl Frame {
+    /// A frame without depth, whose image is empty.
+    pub fn colour_only(index: usize, timestamp: f64, colour: impl Into<Arc<Image<f32>>>) -> Self {
+        Self {
+            index,
+            timestamp,
+            depth_timestamp: timestamp,
+            colour: colour.into(),
+            depth: Arc::default(),
+            warnings: Vec::new(),
+        }
+    }
 }
 
 /// Everything that turns files into frames, fixed when the sequence is opened.
@@ -76,8 +90,8 @@ impl Preparation {
             index: entry.index,
             timestamp: entry.timestamp,
             depth_timestamp: entry.depth_timestamp,
-            colour,
-            depth,
+            colour: Arc::new(colour),
+            depth: Arc::new(depth),
             warnings,
         })
     }

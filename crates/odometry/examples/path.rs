@@ -47,7 +47,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (i, (place, timestamp)) in order(&sequence, passes).into_iter().enumerate() {
         let mut frame = sequence.load(place)?;
         if covered.as_ref().is_some_and(|c| c.contains(&i)) {
-            frame.colour.data.fill(0.0);
+            std::sync::Arc::make_mut(&mut frame.colour).data.fill(0.0);
         }
         let start = Instant::now();
         let report = front_end.push(&frame.colour, timestamp)?;

@@ -5,6 +5,7 @@ mod scene;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{DenseDepthEstimator, PosedView};
 use scene::{camera, moving, picture};
+use std::sync::Arc;
 
 /// The true depth at the centre of every pixel.
 fn depth(world_from_camera: Pose<f64>) -> Vec<f64> {
@@ -36,7 +37,7 @@ fn most_depths_are_found_and_their_variances_are_true() {
     let mut asked = vec![0; pictures.len()];
     let mut load = |k: usize| {
         asked[k] += 1;
-        Some(pictures[k].clone())
+        Some(Arc::new(pictures[k].clone()))
     };
     let found = dense.estimate(2, &mut load).expect("neighbours with parallax");
     let again = dense.estimate(3, &mut load).expect("neighbours with parallax");
@@ -64,7 +65,7 @@ fn nothing_is_known_without_parallax_or_pictures() {
     let (views, pictures) = views();
     let alone = vec![views[0].clone(); 3];
     let mut dense = DenseDepthEstimator::new(camera(), alone);
-    assert!(dense.estimate(1, &mut |_| Some(pictures[0].clone())).is_none());
+    assert!(dense.estimate(1, &mut |_| Some(Arc::new(pictures[0].clone()))).is_none());
     let mut dense = DenseDepthEstimator::new(camera(), views);
     assert!(dense.estimate(1, &mut |_| None).is_none());
     assert!(dense.estimate(99, &mut |_| None).is_none());

@@ -109,7 +109,7 @@ impl Drawing<'_> {
         }
         if let (true, Some(input)) = (show, input) {
             let brackets = self.brackets(frame, viewer);
-            let input = input.colour;
+            let input = std::sync::Arc::unwrap_or_clone(input.colour);
             let index = frame.index;
             drawn.comparisons.push(Comparison { index, input, sharp, blurred, depth, brackets });
         }

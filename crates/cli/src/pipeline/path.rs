@@ -6,10 +6,9 @@ use super::{Job, camera};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::progress::Progress;
-use i2slam::dataset::Sequence;
+use i2slam::dataset::{Frame, Sequence};
 use i2slam::keyframes::{
-    MonocularError, MonocularSource, OdometryError, OdometryProgress, PictureError,
-    SequencePicture, Stage,
+    MonocularError, MonocularSource, OdometryError, OdometryProgress, PictureError, Stage,
 };
 use std::sync::Mutex;
 
@@ -23,10 +22,7 @@ pub(super) fn find_path(
     estimate_distortion: bool,
     job: &Job,
     progress: &Progress,
-) -> Result<
-    MonocularSource<impl FnMut(usize) -> Result<SequencePicture, PictureError> + use<>>,
-    Failure,
-> {
+) -> Result<MonocularSource<impl FnMut(usize) -> Result<Frame, PictureError> + use<>>, Failure> {
     let large = sequence.at_least(PATH_SIDE);
     camera::before(sequence, &large).iter().for_each(|line| progress.note(line));
     let intrinsics = camera::intrinsics(&large, estimate_distortion);

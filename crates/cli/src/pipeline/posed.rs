@@ -10,11 +10,11 @@ use crate::interrupt;
 use crate::output::counted;
 use crate::progress::Progress;
 use i2slam::config::TrackingMethod;
-use i2slam::dataset::Sequence;
+use i2slam::dataset::{Frame, Sequence};
 use i2slam::geometry::Pose;
 use i2slam::keyframes::{
     ImportDepth, ImportOptions, KeyframeSource, MonocularSource, OdometryWarning, PictureError,
-    PosedKeyframe, SequencePicture, import,
+    PosedKeyframe, import,
 };
 use i2slam::{FrameEstimate, KeyframeSession, Reconstruction, SessionError, Warning};
 use std::collections::VecDeque;
@@ -170,7 +170,7 @@ fn native(
 /// Warnings of a path, frames named by their numbers in the sequence.
 fn what_to_know<L>(sequence: &Sequence, found: &MonocularSource<L>) -> Vec<Warning>
 where
-    L: FnMut(usize) -> Result<SequencePicture, PictureError>,
+    L: FnMut(usize) -> Result<Frame, PictureError>,
 {
     let at = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
     let number = |frame: usize| found.place(frame).map_or(frame, at);
@@ -189,10 +189,8 @@ where
 }
 
 /// The picture at a place of a sequence.
-pub(super) fn picture(sequence: &Sequence, place: usize) -> Result<SequencePicture, PictureError> {
-    let frame = sequence.load(place)?;
-    let (index, timestamp) = (frame.index, frame.timestamp);
-    Ok(SequencePicture { index, timestamp, colour: frame.colour })
+pub(super) fn picture(sequence: &Sequence, place: usize) -> Result<Frame, PictureError> {
+    Ok(sequence.load(place)?)
 }
 
 /// Take in every keyframe.

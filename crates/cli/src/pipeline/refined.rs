@@ -3,10 +3,11 @@
 use super::path::{PATH_SIDE, odometry_progress};
 use crate::interrupt;
 use crate::progress::Progress;
+use i2slam::dataset::Frame;
 use i2slam::dataset::import::Files;
 use i2slam::keyframes::{
     Intrinsics, KeyframeSource, MonocularError, MonocularSource, OdometryError, PictureError,
-    RefinedImport, SequencePicture,
+    RefinedImport,
 };
 
 /// The keyframes of files with what their pictures tell of poses and depth; none if they come with
@@ -43,8 +44,8 @@ pub(super) fn refined(files: &Files, progress: &Progress) -> Option<Box<dyn Keyf
     Some(Box::new(refined))
 }
 
-fn picture(files: &Files, place: usize) -> Result<SequencePicture, PictureError> {
+fn picture(files: &Files, place: usize) -> Result<Frame, PictureError> {
     let keyframe = files.load(place)?;
     let (index, timestamp) = (keyframe.index, keyframe.timestamp);
-    Ok(SequencePicture { index, timestamp, colour: keyframe.colour })
+    Ok(Frame::colour_only(index, timestamp, keyframe.colour))
 }

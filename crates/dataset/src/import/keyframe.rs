@@ -7,6 +7,7 @@ use super::variance::VariancePictures;
 use super::{Depth, Options};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::{Camera, Image, Pose};
+use std::sync::Arc;
 
 /// A keyframe before its picture is read.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +33,7 @@ pub struct Keyframe {
     /// Time stamp of the picture [s].
     pub timestamp: f64,
     /// 3 planes R, G, B in `[0, 1]`, as recorded (display space).
-    pub colour: Image<f32>,
+    pub colour: Arc<Image<f32>>,
     /// Pose of the nearest stamp in the files, not interpolated to the picture's; OpenCV's camera
     /// axes, in the unit of the files.
     pub world_from_camera: Pose<f64>,
@@ -155,9 +156,9 @@ impl Source {
         let (colour, measured) = match &self.pictures {
             Pictures::Sequence(sequence) => {
                 let frame = sequence.load(pose.position)?;
-                (frame.colour, Some(frame.depth))
+                (frame.colour, Some(Arc::unwrap_or_clone(frame.depth)))
             }
-            Pictures::Arrays(pictures) => (pictures.load(pose.position)?, None),
+            Pictures::Arrays(pictures) => (Arc::new(pictures.load(pose.position)?), None),
         };
         let (depth, variance) = match (&self.depth, measured) {
             (DepthSource::Pictures(variance), Some(mut depth)) => {

@@ -9,12 +9,14 @@ mod row_rectification;
 pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
 pub use monocular::{
     Intrinsics, MonocularError, MonocularSource, OdometryError, OdometryProgress,
-    OdometryReconstruction, OdometryWarning, SequencePicture, Stage,
+    OdometryReconstruction, OdometryWarning, Stage,
 };
 pub use refined_import::RefinedImport;
 
+use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;
+use std::sync::Arc;
 
 /// What goes wrong with a picture, whatever it is.
 pub type PictureError = Box<dyn Error + Send + Sync>;
@@ -29,7 +31,7 @@ pub struct PosedKeyframe {
     /// Time stamp of the picture [s].
     pub timestamp: f64,
     /// The picture, R, G, B in [0, 1], as [`KeyframeSource::camera`] sees it.
-    pub colour: Image<f32>,
+    pub colour: Arc<Image<f32>>,
     /// Pose at the middle of the exposure; of files, that of the nearest stamp in them.
     pub world_from_camera: Pose<f64>,
     /// Stamp and pose of the picture before it in the video, where known: how fast the camera
@@ -39,6 +41,15 @@ pub struct PosedKeyframe {
     pub after: Option<(f64, Pose<f64>)>,
     /// What is known of its depth.
     pub depth: Option<EstimatedDepth>,
+}
+
+impl PosedKeyframe {
+    /// A frame at its pose [world from camera]; depth and adjacent frames are unknown.
+    pub fn from_frame(frame: Frame, world_from_camera: Pose<f64>) -> Self {
+        let Frame { index, timestamp, colour, .. } = frame;
+        let (before, after, depth) = (None, None, None);
+        Self { index, timestamp, colour, world_from_camera, before, after, depth }
+    }
 }
 
 /// Depth along the optical axis that was estimated rather than measured, with how far it is

@@ -4,10 +4,12 @@ use super::picture_reader::Reader;
 use super::row_rectification::RowMotion;
 use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
+use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
     DenseDepth, DenseDepthEstimator, FrameStatus, FrontEnd, Keyframe, PosedView, Reconstruction,
 };
+use std::sync::Arc;
 use thiserror::Error;
 
 pub use i2slam_odometry::{
@@ -29,33 +31,6 @@ const SPARSE: f64 = 10.0;
 /// Least standard deviation of a depth as a share of it: that of the landmarks leaves the poses
 /// out, and a pixel shows more than a point.
 const MIN_DEVIATION: f64 = 0.1;
-
-/// A picture of a sequence.
-#[derive(Clone, Debug)]
-pub struct SequencePicture {
-    /// Its number in the sequence.
-    pub index: usize,
-    /// Its stamp [s].
-    pub timestamp: f64,
-    /// R, G, B in [0, 1].
-    pub colour: Image<f32>,
-}
-
-impl SequencePicture {
-    /// The picture at a pose, of which nothing else is known.
-    pub(super) fn posed(self, world_from_camera: Pose<f64>) -> PosedKeyframe {
-        let Self { index, timestamp, colour } = self;
-        PosedKeyframe {
-            index,
-            timestamp,
-            colour,
-            world_from_camera,
-            before: None,
-            after: None,
-            depth: None,
-        }
-    }
-}
 
 /// Why there are no keyframes.
 #[derive(Debug, Error)]
@@ -88,7 +63,7 @@ pub struct MonocularSource<L> {
     next: usize,
 }
 
-impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> MonocularSource<L> {
+impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     /// Looks for the path of the camera through `count` pictures. `load` gives the picture at a
     /// place; it is asked for all of them in order, and then for those of the keyframes again, in
     /// order. `progress` is told how far it is, and may end it.
@@ -140,7 +115,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> MonocularSource<L
     #[must_use]
     pub fn with_pictures<R>(self, (width, height): (usize, usize), load: R) -> MonocularSource<R>
     where
-        R: FnMut(usize) -> Result<SequencePicture, PictureError>,
+        R: FnMut(usize) -> Result<Frame, PictureError>,
     {
         let Self { reconstruction, dense, places, refused, next, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
@@ -166,7 +141,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> MonocularSource<L
 
     /// The frames that have a pose and are no keyframes, in order, without depth; `load` gives the
     /// picture at a place.
-    pub fn between<R: FnMut(usize) -> Result<SequencePicture, PictureError>>(
+    pub fn between<R: FnMut(usize) -> Result<Frame, PictureError>>(
         &self,
         mut load: R,
     ) -> impl ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>> + use<L, R> {
@@ -176,9 +151,9 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> MonocularSource<L
             .filter(|frame| !is_keyframe(*frame))
             .filter_map(|frame| Some((*self.places.get(frame)?, pose_of(found, frame)?)))
             .collect();
-        frames
-            .into_iter()
-            .map(move |(place, world_from_camera)| Ok(load(place)?.posed(world_from_camera)))
+        frames.into_iter().map(move |(place, world_from_camera)| {
+            Ok(PosedKeyframe::from_frame(load(place)?, world_from_camera))
+        })
     }
 
     /// The frames that have a pose, in order, without their pictures: place in the sequence, stamp
@@ -218,9 +193,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> MonocularSource<L
     }
 }
 
-impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource
-    for MonocularSource<L>
-{
+impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for MonocularSource<L> {
     fn camera(&self) -> &Camera<f64> {
         &self.reconstruction.camera
     }
@@ -233,7 +206,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource
         let (number, found) = (self.next, &self.reconstruction);
         let keyframe = found.keyframes.get(number)?;
         self.next += 1;
-        let SequencePicture { index, colour, .. } = match self.reader.next(number) {
+        let Frame { index, colour, .. } = match self.reader.next(number) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
@@ -241,8 +214,8 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource
             let mut picture = |k: usize| {
                 let colour = &self.reader.picture(k)?.colour;
                 Some(match RowMotion::of(found, found.keyframes.get(k)?) {
-                    Some(rows) => rows.undone(&found.camera, colour),
-                    None => colour.clone(),
+                    Some(rows) => Arc::new(rows.undone(&found.camera, colour)),
+                    None => Arc::clone(colour),
                 })
             };
             dense.estimate(number, &mut picture)

@@ -1,6 +1,7 @@
 //! Pictures of keyframes, read in the order in which they were taken.
 
-use super::{PictureError, SequencePicture};
+use super::PictureError;
+use i2slam_dataset::Frame;
 use std::collections::BTreeMap;
 
 /// Number of keyframes whose pictures stay for those that come after them: as far as dense depth
@@ -15,23 +16,23 @@ pub(super) struct Reader<L> {
     places: Vec<usize>,
     /// Number of keyframes that were read.
     read: usize,
-    pictures: BTreeMap<usize, Result<SequencePicture, PictureError>>,
+    pictures: BTreeMap<usize, Result<Frame, PictureError>>,
 }
 
-impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> Reader<L> {
+impl<L: FnMut(usize) -> Result<Frame, PictureError>> Reader<L> {
     /// `load` gives the picture at a place.
     pub(super) fn new(places: Vec<usize>, load: L) -> Self {
         Self { load, places, read: 0, pictures: BTreeMap::new() }
     }
 
     /// The picture of a keyframe, if it can be read and is not long past.
-    pub(super) fn picture(&mut self, keyframe: usize) -> Option<&SequencePicture> {
+    pub(super) fn picture(&mut self, keyframe: usize) -> Option<&Frame> {
         self.read_up_to(keyframe);
         self.pictures.get(&keyframe)?.as_ref().ok()
     }
 
     /// The picture of the next keyframe, or why it has none; those long past are forgotten.
-    pub(super) fn next(&mut self, keyframe: usize) -> Result<SequencePicture, PictureError> {
+    pub(super) fn next(&mut self, keyframe: usize) -> Result<Frame, PictureError> {
         self.read_up_to(keyframe);
         self.pictures.retain(|k, _| *k + KEPT >= keyframe);
         match self.pictures.get(&keyframe) {

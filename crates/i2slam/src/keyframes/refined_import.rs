@@ -6,14 +6,14 @@
 //! other clearly better; a path of another program that is as good stays as it is.
 
 use super::picture_reader::Reader;
-use super::{
-    EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe, SequencePicture,
-};
+use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
+use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
     DenseDepthEstimator, FrameStatus, Keyframe, PosedView, Reconstruction, SparseDepth,
 };
+use std::sync::Arc;
 
 /// Share of the keyframes that the front end must have found a pose for.
 const FOUND: f64 = 0.6;
@@ -37,7 +37,7 @@ pub struct RefinedImport<L> {
     moved: bool,
 }
 
-impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> RefinedImport<L> {
+impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
     /// Keyframes of `camera` at poses as they came, world from camera, with the path that was found
     /// from their pictures, of whatever size, in order; `load` gives the picture at a place. None
     /// where too few of them were found, or their rows were read in turn, which poses of files say
@@ -50,7 +50,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> RefinedImport<L> 
         cancellation: CancellationToken,
     ) -> Option<Self>
     where
-        P: FnMut(usize) -> Result<SequencePicture, PictureError>,
+        P: FnMut(usize) -> Result<Frame, PictureError>,
     {
         let found = native.reconstruction().clone().resized(camera.width, camera.height);
         if found.rolling_shutter_readout != 0.0 {
@@ -96,7 +96,7 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> RefinedImport<L> 
     }
 }
 
-impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource for RefinedImport<L> {
+impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedImport<L> {
     fn camera(&self) -> &Camera<f64> {
         &self.camera
     }
@@ -108,11 +108,11 @@ impl<L: FnMut(usize) -> Result<SequencePicture, PictureError>> KeyframeSource fo
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
-        let mut picture = |k: usize| Some(self.reader.picture(k)?.colour.clone());
+        let mut picture = |k: usize| Some(Arc::clone(&self.reader.picture(k)?.colour));
         let depth = self.dense.estimate(number, &mut picture);
         Some(Ok(PosedKeyframe {
             depth: depth.map(|d| EstimatedDepth { depth: d.depth, variance: Some(d.variance) }),
-            ..seen.posed(world_from_camera)
+            ..PosedKeyframe::from_frame(seen, world_from_camera)
         }))
     }
 }
@@ -165,16 +165,16 @@ impl<'a> Path<'a> {
     fn correlations(
         &self,
         paths: [&[Pose<f64>]; 2],
-        load: &mut dyn FnMut(usize) -> Result<SequencePicture, PictureError>,
+        load: &mut dyn FnMut(usize) -> Result<Frame, PictureError>,
         cancellation: &CancellationToken,
     ) -> [f64; 2] {
         let (mut sums, mut count) = ([0.0; 2], 0);
-        let mut last: Option<(usize, &Keyframe, Image<f32>)> = None;
+        let mut last: Option<(usize, &Keyframe, Arc<Image<f32>>)> = None;
         for (&place, keyframe) in self.places.iter().zip(&self.found.keyframes) {
             if cancellation.is_cancelled() {
                 break;
             }
-            let Ok(SequencePicture { colour, .. }) = load(place) else { continue };
+            let Ok(Frame { colour, .. }) = load(place) else { continue };
             if let Some((before, seen, picture)) = &last {
                 let motions = paths.map(|poses| self.motion(poses, *before, place));
                 for point in &seen.depths {

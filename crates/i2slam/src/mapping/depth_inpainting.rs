@@ -11,6 +11,7 @@ use crate::config::MappingConfig;
 use crate::objective::Observation;
 use i2slam_geometry::Image;
 use i2slam_radiance::Render;
+use std::sync::Arc;
 
 /// A reading counts as near within this share of the image's width.
 const REACH: f64 = 0.05;
@@ -28,18 +29,18 @@ pub(crate) fn placement_depth(
     settings: &MappingConfig,
     covered: Option<&Image<bool>>,
     render: Option<&Render>,
-) -> Image<f32> {
+) -> Arc<Image<f32>> {
     let mut depth = match (settings.fill_depth, observation.is_estimated()) {
-        (true, true) => inpaint_estimated(
-            &observation.depth,
-            render.map(|r| r.surface(MIN_SURFACE_OPACITY)).as_ref(),
-        ),
-        (true, false) => inpaint_measured(&observation.depth),
-        (false, _) => observation.depth.clone(),
+        (true, true) => {
+            let surfaces = render.map(|r| r.surface(MIN_SURFACE_OPACITY));
+            Arc::new(inpaint_estimated(&observation.depth, surfaces.as_ref()))
+        }
+        (true, false) => Arc::new(inpaint_measured(&observation.depth)),
+        (false, _) => Arc::clone(&observation.depth),
     };
     if let Some(covered) = covered {
-        let unrecorded = depth.data.iter_mut().zip(&covered.data).filter(|(_, c)| !**c);
-        unrecorded.for_each(|(d, _)| *d = 0.0);
+        let values = Arc::make_mut(&mut depth).data.iter_mut().zip(&covered.data);
+        values.filter(|(_, c)| !**c).for_each(|(d, _)| *d = 0.0);
     }
     depth
 }

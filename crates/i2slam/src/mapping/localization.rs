@@ -8,6 +8,7 @@ use crate::tracking::{SequenceReadout, TrackingContext, track};
 use i2slam_formation::TrajectoryScale;
 use i2slam_geometry::Image;
 use i2slam_radiance::Render;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// What finding one frame leaves for the next.
@@ -31,7 +32,7 @@ impl FrameLocator {
         &mut self,
         context: &MappingContext<'_>,
         (map, objective): (&M, &mut FrameObjective<M>),
-        (estimate, colour): (&mut FrameEstimate, &Image<f32>),
+        (estimate, colour): (&mut FrameEstimate, &Arc<Image<f32>>),
         before: Option<&FrameEstimate>,
         others: &[FrameEstimate],
     ) -> bool {
@@ -71,9 +72,9 @@ impl FrameLocator {
 }
 
 /// A picture with the depth of the map.
-fn seen(colour: &Image<f32>, render: &Render) -> Observation {
+fn seen(colour: &Arc<Image<f32>>, render: &Render) -> Observation {
     let depth = render.surface(MIN_SURFACE_OPACITY);
     let mut variance = Image::new(depth.width, depth.height, 1);
     variance.data.fill(1.0);
-    Observation::estimated(colour.clone(), depth, variance)
+    Observation::estimated(Arc::clone(colour), depth, variance)
 }

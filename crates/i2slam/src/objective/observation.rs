@@ -2,7 +2,7 @@
 
 use super::photometric::SsimReference;
 use i2slam_geometry::Image;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// Standard deviation of an estimated depth, as a share of it, up to which it counts as a measured
 /// one.
@@ -12,9 +12,9 @@ const TRUSTED: f32 = 0.01;
 #[derive(Debug)]
 pub struct Observation {
     /// Colour, three planes in `[0, 1]`.
-    pub colour: Image<f32>,
+    pub colour: Arc<Image<f32>>,
     /// Depth along the optical axis [m], 0 where there is no reading.
-    pub depth: Image<f32>,
+    pub depth: Arc<Image<f32>>,
     /// Variance of the depth, in its unit squared, above 0 wherever there is depth; none where
     /// depth was measured rather than estimated.
     pub depth_variance: Option<Image<f32>>,
@@ -25,23 +25,24 @@ pub struct Observation {
 impl Observation {
     /// An observation of both pictures. Depth that is not finite counts as no reading, colour
     /// that is not finite as black.
-    pub fn new(mut colour: Image<f32>, mut depth: Image<f32>) -> Self {
-        for value in colour.data.iter_mut().chain(&mut depth.data) {
-            if !value.is_finite() || *value < 0.0 {
-                *value = 0.0;
-            }
-        }
+    pub fn new(colour: impl Into<Arc<Image<f32>>>, depth: impl Into<Arc<Image<f32>>>) -> Self {
+        let (colour, depth) = (sanitized(colour.into()), sanitized(depth.into()));
         let has_depth = depth.data.iter().any(|&d| d > 0.0);
         Self { colour, depth, depth_variance: None, has_depth, similarity: OnceLock::new() }
     }
 
     /// An observation whose depth was estimated. Depth whose variance is not a number above 0
     /// counts as no reading.
-    pub fn estimated(colour: Image<f32>, mut depth: Image<f32>, variance: Image<f32>) -> Self {
-        for (d, &v) in depth.data.iter_mut().zip(&variance.data) {
-            if !(v > 0.0 && v.is_finite()) {
-                *d = 0.0;
-            }
+    pub fn estimated(
+        colour: impl Into<Arc<Image<f32>>>,
+        depth: impl Into<Arc<Image<f32>>>,
+        variance: Image<f32>,
+    ) -> Self {
+        let mut depth = depth.into();
+        let is_known = |variance: f32| variance > 0.0 && variance.is_finite();
+        if !variance.data.iter().all(|&v| is_known(v)) {
+            let values = Arc::make_mut(&mut depth).data.iter_mut().zip(&variance.data);
+            values.filter(|(_, v)| !is_known(**v)).for_each(|(d, _)| *d = 0.0);
         }
         Self { depth_variance: Some(variance), ..Self::new(colour, depth) }
     }
@@ -73,4 +74,14 @@ impl Observation {
     pub fn valid_depths(&self) -> usize {
         self.depth.data.iter().filter(|&&d| d > 0.0).count()
     }
+}
+
+/// The image with values that are negative or not finite set to 0; copied only if it has any.
+fn sanitized(mut image: Arc<Image<f32>>) -> Arc<Image<f32>> {
+    let is_invalid = |value: f32| !value.is_finite() || value < 0.0;
+    if image.data.iter().any(|value| is_invalid(*value)) {
+        let values = Arc::make_mut(&mut image).data.iter_mut();
+        values.filter(|value| is_invalid(**value)).for_each(|value| *value = 0.0);
+    }
+    image
 }

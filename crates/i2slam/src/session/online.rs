@@ -57,7 +57,8 @@ impl Session {
     /// mapped while this one is tracked.
     pub fn process(&mut self, frame: &Frame) -> Result<&FrameEstimate, SessionError> {
         self.check_size(frame)?;
-        let observation = Arc::new(Observation::new(frame.colour.clone(), frame.depth.clone()));
+        let observation =
+            Arc::new(Observation::new(Arc::clone(&frame.colour), Arc::clone(&frame.depth)));
         let usable = self.usable(frame.index, &observation);
         let mut estimate = self.track(frame, &observation, usable);
         let position = self.backend.frames.len();

@@ -6,6 +6,7 @@ use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::mapping::JointGaussianMapper;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{DenseDepthEstimator, PosedView};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Steps of a round that are taken to see how long one takes.
@@ -38,7 +39,7 @@ impl RuntimeEstimate {
         config: &Config,
         camera: &Camera<f64>,
         frame_rate: f64,
-        colour: &Image<f32>,
+        colour: &Arc<Image<f32>>,
     ) -> Option<Self> {
         let mut session = KeyframeSession::new(quick(config), *camera, frame_rate);
         session.process(standing(camera, colour, 0)).ok()?;
@@ -101,7 +102,7 @@ fn quick(config: &Config) -> Config {
 }
 
 /// The picture as a keyframe that has hardly moved, before a wall.
-fn standing(camera: &Camera<f64>, colour: &Image<f32>, index: usize) -> PosedKeyframe {
+fn standing(camera: &Camera<f64>, colour: &Arc<Image<f32>>, index: usize) -> PosedKeyframe {
     let constant = |value: f32| {
         let mut image = Image::new(camera.width, camera.height, 1);
         image.data.fill(value);
@@ -112,7 +113,7 @@ fn standing(camera: &Camera<f64>, colour: &Image<f32>, index: usize) -> PosedKey
     PosedKeyframe {
         index,
         timestamp: index as f64 / 30.0,
-        colour: colour.clone(),
+        colour: Arc::clone(colour),
         world_from_camera: Pose::new(turn, Vec3::zero()),
         before: None,
         after: None,
@@ -126,7 +127,7 @@ fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>) -> f64 {
     if width.min(height) < 16 {
         return 0.0;
     }
-    let small = colour.resized_by_area(width, height);
+    let small = Arc::new(colour.resized_by_area(width, height));
     let view = |i: usize| PosedView {
         world_from_camera: Pose::new(Rotation::identity(), Vec3::new(0.05 * i as f64, 0.0, 0.0)),
         landmarks: vec![1.0, 2.0, 4.0],
@@ -134,7 +135,7 @@ fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>) -> f64 {
     let views = (0..VIEWS).map(view).collect();
     let mut depths = DenseDepthEstimator::new(camera.resized(width, height), views);
     let clock = Instant::now();
-    depths.estimate(0, &mut |_| Some(small.clone()));
+    depths.estimate(0, &mut |_| Some(Arc::clone(&small)));
     clock.elapsed().as_secs_f64() * (SMALLER * SMALLER) as f64 / VIEWS as f64
 }
 

@@ -8,6 +8,7 @@ use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Image, Pose, Rotation, Vec3};
+use std::sync::Arc;
 
 pub(super) const CAMERA: Camera<f64> =
     Camera { width: 48, height: 36, fx: 40.0, fy: 40.0, cx: 24.0, cy: 18.0 };
@@ -39,7 +40,7 @@ pub(super) fn frame(index: usize, pose: Pose<f64>) -> Frame {
         }
     }
     let timestamp = index as f64 / 30.0;
-    Frame { index, timestamp, depth_timestamp: timestamp, colour, depth, warnings: Vec::new() }
+    Frame { depth: Arc::new(depth), ..Frame::colour_only(index, timestamp, colour) }
 }
 
 /// World-from-camera of a frame; the first is the world's own.

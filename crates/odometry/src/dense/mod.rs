@@ -21,6 +21,7 @@ use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
 use inverse_depth::{Estimate, HALF_WINDOWS, estimate};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Keyframes before and after one, in their order, that it may be matched with.
 const REACH: usize = 8;
@@ -81,7 +82,7 @@ impl DenseDepthEstimator {
     pub fn estimate(
         &mut self,
         index: usize,
-        load: &mut dyn FnMut(usize) -> Option<Image<f32>>,
+        load: &mut dyn FnMut(usize) -> Option<Arc<Image<f32>>>,
     ) -> Option<DenseDepth> {
         if index >= self.views.len() {
             return None;
@@ -139,14 +140,14 @@ impl DenseDepthEstimator {
     fn ensure_estimate(
         &mut self,
         index: usize,
-        load: &mut dyn FnMut(usize) -> Option<Image<f32>>,
+        load: &mut dyn FnMut(usize) -> Option<Arc<Image<f32>>>,
     ) -> Option<()> {
         if self.estimates.contains_key(&index) {
             return Some(());
         }
         let (chosen, bounds) = (self.chosen(index), self.bounds(index)?);
         for i in chosen.iter().chain([&index]) {
-            self.pictures.entry(*i).or_insert_with(|| load(*i).as_ref().map(Pyramid::new));
+            self.pictures.entry(*i).or_insert_with(|| load(*i).map(|image| Pyramid::new(&image)));
         }
         let picture = |i: usize| self.pictures.get(&i).and_then(Option::as_ref);
         let pose = self.views[index].world_from_camera;

@@ -12,6 +12,7 @@ use i2slam_eval::frame_list;
 use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
 use rayon::prelude::*;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Names and first lines of the published lists.
 pub(super) fn published() -> Vec<String> {
@@ -106,7 +107,7 @@ fn refuse_to_replace(file: &Path, overwrite: bool) -> Result<(), Failure> {
 
 fn sharp_in_sequence(sequence: &Sequence) -> Result<Vec<usize>, Failure> {
     let indices: Vec<usize> = sequence.entries.iter().map(|entry| entry.index).collect();
-    sharp(&indices, |place| Ok(sequence.load(place)?.colour))
+    sharp(&indices, |place| Ok(Arc::unwrap_or_clone(sequence.load(place)?.colour)))
 }
 
 fn sharp(

@@ -10,6 +10,7 @@ use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::{Image, StampedPose};
 use i2slam_result::Input;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Where true pictures come from.
 pub(super) enum Reference {
@@ -111,9 +112,9 @@ impl Reference {
                     let picture = truth.sharp(place);
                     picture.ok_or_else(|| failed(&sharp, format!("frame {index} is unreadable")))?
                 } else {
-                    taken.colour
+                    Arc::unwrap_or_clone(taken.colour)
                 };
-                Ok(TrueFrame { colour, depth: Some(taken.depth) })
+                Ok(TrueFrame { colour, depth: Some(Arc::unwrap_or_clone(taken.depth)) })
             }
         }
     }

@@ -19,12 +19,8 @@ pub(in crate::keyframes) fn picture(camera: &Camera<f64>, place: usize) -> Image
     out
 }
 
-pub(in crate::keyframes) fn stamped(
-    camera: &Camera<f64>,
-    place: usize,
-    timestamp: f64,
-) -> SequencePicture {
-    SequencePicture { index: 2 * place, timestamp, colour: picture(camera, place) }
+pub(in crate::keyframes) fn stamped(camera: &Camera<f64>, place: usize, timestamp: f64) -> Frame {
+    Frame::colour_only(2 * place, timestamp, picture(camera, place))
 }
 
 pub(in crate::keyframes) fn camera() -> Camera<f64> {
@@ -48,7 +44,7 @@ fn pictures_become_keyframes_with_poses_and_sparse_depth() {
     while let Some(keyframe) = native.next_keyframe() {
         let keyframe = keyframe.expect("keyframes can be read again");
         let place = keyframe.index / 2;
-        assert_eq!(keyframe.colour, picture(&camera, place));
+        assert_eq!(*keyframe.colour, picture(&camera, place));
         let depth = keyframe.depth.expect("sparse depth");
         let variance = depth.variance.expect("with variance");
         let known = depth.depth.data.iter().zip(&variance.data).filter(|(d, _)| **d > 0.0);
@@ -94,7 +90,7 @@ fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
             .expect("a path");
     let reduced = move |place: usize| {
         let of = stamped(&camera, place, place as f64 / 30.0);
-        Ok(SequencePicture { colour: of.colour.resized_by_area(80, 60), ..of })
+        Ok(Frame { colour: Arc::new(of.colour.resized_by_area(80, 60)), ..of })
     };
     let mut native =
         found.with_pictures((80, 60), reduced).with_dense_depth(CancellationToken::default());

@@ -5,6 +5,7 @@ use crate::objective::{Observation, Tone};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
+use std::sync::Arc;
 
 /// What "large" means in this scene.
 #[derive(Clone, Copy, Debug)]
@@ -32,7 +33,7 @@ pub(crate) struct Source<'a> {
     pub(crate) readout: f64,
     pub(crate) observation: &'a Observation,
     /// Depth at which Gaussians are placed [m]; 0 places none.
-    pub(crate) depth: Image<f32>,
+    pub(crate) depth: Arc<Image<f32>>,
     pub(crate) tone: Option<Tone<'a>>,
 }
 
@@ -189,7 +190,7 @@ mod tests {
             velocity,
             readout: 1.5,
             observation: &observation,
-            depth: Image::new(64, 48, 1),
+            depth: Arc::new(Image::new(64, 48, 1)),
             tone: None,
         };
         let point = camera.unproject(20.3, 8.7, 1.8);

@@ -413,7 +413,7 @@ impl JointMapper for JointFieldMapper {
     fn locate(
         &mut self,
         context: &MappingContext<'_>,
-        frame: (&mut FrameEstimate, &Image<f32>),
+        frame: (&mut FrameEstimate, &Arc<Image<f32>>),
         before: Option<&FrameEstimate>,
     ) -> bool {
         let Some(field) = &self.field else { return false };

@@ -101,7 +101,7 @@ impl JointMapper for JointGaussianMapper {
     fn locate(
         &mut self,
         context: &MappingContext<'_>,
-        frame: (&mut FrameEstimate, &Image<f32>),
+        frame: (&mut FrameEstimate, &Arc<Image<f32>>),
         before: Option<&FrameEstimate>,
     ) -> bool {
         !self.mapper.is_empty()

@@ -35,7 +35,7 @@ pub(crate) trait JointMapper: Send {
     fn locate(
         &mut self,
         context: &MappingContext<'_>,
-        frame: (&mut FrameEstimate, &Image<f32>),
+        frame: (&mut FrameEstimate, &Arc<Image<f32>>),
         before: Option<&FrameEstimate>,
     ) -> bool;
 

@@ -22,9 +22,10 @@ fn moved(index: usize) -> Pose<f64> {
 
 fn posed(index: usize, with_depth: bool) -> PosedKeyframe {
     let frame = frame(index, pose(index));
-    let mut variance = frame.depth.clone();
+    let mut variance = (*frame.depth).clone();
     variance.data.iter_mut().for_each(|v| *v = (0.01 * *v).powi(2));
-    let depth = EstimatedDepth { depth: frame.depth, variance: Some(variance) };
+    let depth =
+        EstimatedDepth { depth: Arc::unwrap_or_clone(frame.depth), variance: Some(variance) };
     PosedKeyframe {
         index,
         timestamp: frame.timestamp,

@@ -149,7 +149,7 @@ impl KeyframeSession {
         let expected = (self.camera.width, self.camera.height);
         let estimated = keyframe.depth.as_ref();
         let pictures = [
-            ("colour", 3, Some(&keyframe.colour)),
+            ("colour", 3, Some(&*keyframe.colour)),
             ("depth", 1, estimated.map(|d| &d.depth)),
             ("depth variance", 1, estimated.and_then(|d| d.variance.as_ref())),
         ];

@@ -150,7 +150,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
     let asked = config.hashgrid.levels;
     let mut session = KeyframeSession::new(config, CAMERA, 30.0);
     let seen = |index: usize| {
-        let depth = frame(index, pose(index)).depth;
+        let depth = Arc::unwrap_or_clone(frame(index, pose(index)).depth);
         let mut variance = Image::new(CAMERA.width, CAMERA.height, 1);
         variance.data.fill(1e-4);
         let depth = Some(EstimatedDepth { depth, variance: Some(variance) });
@@ -198,7 +198,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
 fn keyframes_that_cannot_be_used_are_told_of() {
     let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
     let mut small = keyframe(0, pose(0));
-    small.colour = Image::new(10, 10, 3);
+    small.colour = Arc::new(Image::new(10, 10, 3));
     let error = session.process(small).expect_err("too small").to_string();
     assert!(error.contains("colour") && error.contains("10"), "{error}");
     let mut lost = keyframe(7, pose(0));
@@ -206,11 +206,11 @@ fn keyframes_that_cannot_be_used_are_told_of() {
     let error = session.process(lost).expect_err("no pose").to_string();
     assert!(error.contains("frame 7") && error.contains("not finite"), "{error}");
     let mut grey = keyframe(8, pose(0));
-    grey.colour = Image::new(CAMERA.width, CAMERA.height, 1);
+    grey.colour = Arc::new(Image::new(CAMERA.width, CAMERA.height, 1));
     let error = session.process(grey).expect_err("one channel").to_string();
     assert!(error.contains("frame 8") && error.contains("3 channels"), "{error}");
     let mut short = keyframe(9, pose(0));
-    short.colour.data.pop();
+    Arc::make_mut(&mut short.colour).data.pop();
     let error = session.process(short).expect_err("a number too few").to_string();
     assert!(error.contains("frame 9") && error.contains("colour"), "{error}");
     for stamp in [f64::NAN, f64::INFINITY] {
@@ -220,7 +220,7 @@ fn keyframes_that_cannot_be_used_are_told_of() {
     }
     assert!(session.frames().is_empty());
     let mut black = keyframe(2, pose(0));
-    black.colour.data.fill(0.0);
+    Arc::make_mut(&mut black.colour).data.fill(0.0);
     session.process(black).expect("a picture all the same");
     let warnings = session.take_warnings();
     assert!(warnings.len() == 1 && warnings[0].text.contains("black"), "{warnings:?}");
@@ -233,7 +233,7 @@ fn the_first_keyframe_moves_though_the_second_is_black() {
     let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
     session.process(keyframe(0, pose(0))).expect("a keyframe");
     let mut black = keyframe(1, pose(1));
-    black.colour.data.fill(0.0);
+    Arc::make_mut(&mut black.colour).data.fill(0.0);
     session.process(black).expect("a picture all the same");
     let first = session.frames()[0].shutter;
     assert_ne!(first.start, first.end);

@@ -5,6 +5,7 @@ use crate::objective::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::Render;
+use std::sync::Arc;
 
 /// Rendered opacity below which the model says nothing.
 const OPAQUE: f32 = 0.95;
@@ -17,8 +18,8 @@ const FINEST_STRIDE: usize = 2;
 /// One level of the observed frame.
 pub(super) struct Observed {
     pub(super) camera: Camera<f32>,
-    pub(super) colour: Image<f32>,
-    pub(super) depth: Image<f32>,
+    pub(super) colour: Arc<Image<f32>>,
+    pub(super) depth: Arc<Image<f32>>,
     pub(super) samples: Samples,
     pub(super) texels: Texels,
 }
@@ -52,10 +53,11 @@ impl Observed {
     /// With a sample at every `stride`-th pixel.
     pub(super) fn new(
         camera: Camera<f32>,
-        colour: Image<f32>,
-        depth: Image<f32>,
+        colour: impl Into<Arc<Image<f32>>>,
+        depth: impl Into<Arc<Image<f32>>>,
         stride: usize,
     ) -> Self {
+        let (colour, depth) = (colour.into(), depth.into());
         let samples = Samples::new(&camera, &depth, &relief(&depth), stride);
         Self { camera, samples, texels: Texels::new(&colour), colour, depth }
     }
@@ -69,8 +71,8 @@ pub(super) fn observed_levels(
 ) -> Vec<Observed> {
     let finest = Observed::new(
         camera.cast(),
-        observation.colour.clone(),
-        observation.depth.clone(),
+        Arc::clone(&observation.colour),
+        Arc::clone(&observation.depth),
         FINEST_STRIDE,
     );
     halve_repeatedly(finest, levels, |fine| {
