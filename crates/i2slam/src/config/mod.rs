@@ -4,6 +4,7 @@ mod hashgrid;
 mod keyframed;
 mod lines;
 mod meaning;
+mod parameters;
 mod presets;
 mod read;
 mod validate;
@@ -11,6 +12,10 @@ mod validate;
 pub use hashgrid::HashGridConfig;
 pub use keyframed::{KeyframedConfig, Preconditioning};
 pub use lines::line_of_key;
+pub use parameters::{
+    FieldParameters, FrameParameters, GaussianParameters, KeyframedParameters, Parameters,
+    TrackingParameters,
+};
 pub use presets::{PRESET_NAMES, Preset};
 pub use read::ConfigError;
 
@@ -38,6 +43,9 @@ pub struct Config {
     pub tracking: TrackingConfig,
     /// How the map is built.
     pub mapping: MappingConfig,
+    /// Values of the method that the preset decides and files do not hold.
+    #[serde(skip)]
+    pub parameters: Parameters,
 }
 
 /// What is done to the pictures before anything else.
@@ -214,26 +222,8 @@ pub struct TrackingConfig {
     pub method: TrackingMethod,
     /// Adam steps per frame (after the second-order alignment, with that method).
     pub iterations: usize,
-    /// Learning rate of rotations [rad].
-    pub rotation_rate: f32,
-    /// Learning rate of translations [m].
-    pub translation_rate: f32,
-    /// The rate of the rotational velocity as a share of `rotation_rate`.
-    pub velocity_rotation_share: f32,
-    /// The rate of the translational velocity as a share of `translation_rate`.
-    pub velocity_translation_share: f32,
-    /// Pixels whose opacity is below do not count.
-    pub silhouette_threshold: f32,
-    /// λ_img of eq. 12 (a sum over pixels).
-    pub image_weight: f32,
-    /// λ_depth of eq. 12 (a sum over pixels).
-    pub depth_weight: f32,
     /// λ_traj of eq. 12.
     pub trajectory_weight: f32,
-    /// First distance of start and end pose, as a share of the motion since the last frame.
-    pub initial_split: f32,
-    /// Settings of the second-order alignment.
-    pub alignment: AlignmentConfig,
 }
 
 /// The optimiser of tracking.
@@ -244,31 +234,6 @@ pub enum TrackingMethod {
     Adam,
     /// Gauss-Newton on the re-projected model image, then Adam.
     SecondOrder,
-}
-
-/// Second-order alignment of a frame to the rendered model.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AlignmentConfig {
-    /// Pyramid levels, each half the size of the one before.
-    pub levels: usize,
-    /// Most Gauss-Newton steps per level.
-    pub iterations: usize,
-    /// Align to the last keyframe's own depth beside the rendered model.
-    pub keyframe_depth: bool,
-    /// Times the model is rendered anew at the refined pose.
-    pub renders: usize,
-    /// Smallest scale of the depth residual [m at 1 m].
-    pub depth_scale_floor: f32,
-    /// Smallest scale of the image residual [display units].
-    pub image_scale_floor: f32,
-    /// Weight of the image residual against the depth residual, after both are normalised.
-    pub image_weight: f32,
-    /// Standard deviation of the blur motion's prior, as a share of the motion between frames.
-    pub motion_prior: f32,
-    /// How firmly the white balance stays that of the last frame: a frame takes 1 / (1 + this) of
-    /// what it asks for.
-    pub white_balance_inertia: f32,
 }
 
 /// How the map is built.

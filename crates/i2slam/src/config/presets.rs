@@ -55,6 +55,7 @@ impl Config {
             config.mapping.first_iterations = config.mapping.first_iterations.div_ceil(5);
         }
         config.preset = name.to_owned();
+        config.parameters = Parameters::of_preset(name);
         Ok(config)
     }
 
@@ -117,6 +118,7 @@ fn ours() -> Config {
             fresh_optimizer: false,
             ..paper.mapping
         },
+        parameters: Parameters::of_preset("default"),
     }
 }
 
@@ -162,26 +164,7 @@ fn paper_scannet() -> Config {
         tracking: TrackingConfig {
             method: TrackingMethod::Adam,
             iterations: 100,
-            rotation_rate: 2.0 * 5e-4,
-            translation_rate: 5e-4,
-            velocity_rotation_share: 0.1,
-            velocity_translation_share: 1.0,
-            silhouette_threshold: 0.99,
-            image_weight: 0.5,
-            depth_weight: 1.0,
             trajectory_weight: 1e6,
-            initial_split: 0.1,
-            alignment: AlignmentConfig {
-                levels: 3,
-                iterations: 12,
-                keyframe_depth: true,
-                renders: 2,
-                depth_scale_floor: 3e-5,
-                image_scale_floor: 0.01,
-                image_weight: 0.15,
-                motion_prior: 0.1,
-                white_balance_inertia: 1.5,
-            },
         },
         mapping: MappingConfig {
             interval: 1,
@@ -216,6 +199,7 @@ fn paper_scannet() -> Config {
             only_seen: false,
             fresh_optimizer: true,
         },
+        parameters: Parameters::of_preset("paper-scannet"),
     }
 }
 
@@ -249,8 +233,6 @@ fn paper_tum() -> Config {
     config.preset = "paper-tum".to_owned();
     config.input.crop_border = 8;
     config.tracking.iterations = 200;
-    config.tracking.rotation_rate = 2.0 * 2e-3;
-    config.tracking.translation_rate = 2e-3;
     config.mapping.window = 20;
     config.mapping.scene_radius_ratio = 2.0;
     config.formation.white_balance = WhiteBalance::PerChannel;
@@ -264,8 +246,6 @@ fn paper_synthetic() -> Config {
     config.input.crop_border = 0;
     config.formation.response_curves = 1;
     config.tracking.iterations = 200;
-    config.tracking.rotation_rate = 2.0 * 5e-5;
-    config.tracking.translation_rate = 5e-5;
     config.tracking.trajectory_weight = 1e4;
     config.mapping.interval = 5;
     config.mapping.window = 24;

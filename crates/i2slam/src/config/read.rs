@@ -44,6 +44,14 @@ pub enum ConfigError {
         /// The keys of that section.
         known: String,
     },
+    /// A key of an earlier version whose value is no setting any more.
+    #[error("{place}{key} is no longer a setting: the preset decides it")]
+    RemovedKey {
+        /// File name and line, with `: `.
+        place: String,
+        /// Key with section.
+        key: String,
+    },
     /// A value of another type, or none of the names that a setting takes.
     #[error("{place}{key}: {message}")]
     WrongValue {
@@ -72,7 +80,9 @@ impl ConfigError {
     /// The key that is to blame, with its section.
     pub fn key(&self) -> Option<&str> {
         match self {
-            Self::UnknownKey { key, .. } | Self::WrongValue { key, .. } => Some(key),
+            Self::UnknownKey { key, .. }
+            | Self::RemovedKey { key, .. }
+            | Self::WrongValue { key, .. } => Some(key),
             Self::OutOfRange { key, .. } => Some(key),
             _ => None,
         }
@@ -97,8 +107,25 @@ impl Config {
     /// Settings from TOML text; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str, preset: Option<&str>) -> Result<Self, ConfigError> {
         let source = Source { text, origin };
-        let mut changes: Table =
-            text.parse().map_err(|e: toml::de::Error| source.malformed(&e.to_string()))?;
+        Self::from_table(&source, source.table()?, preset)
+    }
+
+    /// Settings from the `config.toml` of a result. Keys that an earlier version wrote and that are
+    /// settings no more are ignored: the preset decides their values.
+    pub fn from_stored(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        let source = Source { text, origin };
+        let mut table = source.table()?;
+        for key in removed_keys() {
+            remove(&mut table, &key);
+        }
+        Self::from_table(&source, table, None)
+    }
+
+    fn from_table(
+        source: &Source<'_>,
+        mut changes: Table,
+        preset: Option<&str>,
+    ) -> Result<Self, ConfigError> {
         // `i2slam_version` is written for the reader of a result and has no effect.
         changes.remove("i2slam_version");
         let name = match changes.get("preset") {
@@ -111,7 +138,8 @@ impl Config {
         let mut table = base.clone();
         source.merge(&mut table, &changes, "")?;
         let config: Result<Self, _> = table.try_into();
-        let config = config.map_err(|e| source.first_wrong(&base, &changes, e.message()))?;
+        let mut config = config.map_err(|e| source.first_wrong(&base, &changes, e.message()))?;
+        config.parameters = Parameters::of_preset(&name);
         config.validate().map_err(|error| source.placed(error))?;
         Ok(config)
     }
@@ -120,6 +148,55 @@ impl Config {
     pub fn to_toml(&self) -> String {
         let body = toml::to_string(self).unwrap_or_default();
         format!("i2slam_version = \"{}\"\n{body}", env!("CARGO_PKG_VERSION"))
+    }
+}
+
+/// Keys of earlier versions, by section, whose values the preset decides.
+const REMOVED: [(&str, &[&str]); 2] = [
+    (
+        "tracking",
+        &[
+            "rotation_rate",
+            "translation_rate",
+            "velocity_rotation_share",
+            "velocity_translation_share",
+            "silhouette_threshold",
+            "image_weight",
+            "depth_weight",
+            "initial_split",
+        ],
+    ),
+    (
+        "tracking.alignment",
+        &[
+            "levels",
+            "iterations",
+            "keyframe_depth",
+            "renders",
+            "depth_scale_floor",
+            "image_scale_floor",
+            "image_weight",
+            "motion_prior",
+            "white_balance_inertia",
+        ],
+    ),
+];
+
+fn removed_keys() -> impl Iterator<Item = String> {
+    REMOVED.iter().flat_map(|(section, keys)| keys.iter().map(move |key| joined(section, key)))
+}
+
+/// Removes a key from a table, and its section if that is empty then.
+fn remove(table: &mut Table, key: &str) {
+    let Some((section, rest)) = key.split_once('.') else {
+        table.remove(key);
+        return;
+    };
+    if let Some(Value::Table(inner)) = table.get_mut(section) {
+        remove(inner, rest);
+        if inner.is_empty() {
+            table.remove(section);
+        }
     }
 }
 
@@ -133,6 +210,10 @@ impl Source<'_> {
     fn malformed(&self, message: &str) -> ConfigError {
         let message = message.trim_end().to_owned();
         ConfigError::Malformed { origin: self.origin.to_owned(), message }
+    }
+
+    fn table(&self) -> Result<Table, ConfigError> {
+        self.text.parse().map_err(|e: toml::de::Error| self.malformed(&e.to_string()))
     }
 
     fn line(&self, key: &str) -> Option<usize> {
@@ -166,6 +247,9 @@ impl Source<'_> {
         for (name, value) in changes {
             let key = joined(path, name);
             match (base.get_mut(name), value) {
+                (None, _) if removed_keys().any(|removed| leads_to(&removed, &key)) => {
+                    return Err(ConfigError::RemovedKey { place: self.place(&key), key });
+                }
                 (None, _) => {
                     return Err(ConfigError::UnknownKey {
                         origin: self.origin.to_owned(),
@@ -213,6 +297,11 @@ fn in_words(message: &str) -> String {
         ("expected a boolean", "expected true or false"),
     ];
     types.iter().fold(message.to_owned(), |words, (name, plain)| words.replace(name, plain))
+}
+
+/// Whether `key` is `removed` or the section that held it.
+fn leads_to(removed: &str, key: &str) -> bool {
+    removed.strip_prefix(key).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
 
 fn joined(path: &str, name: &str) -> String {
@@ -263,6 +352,20 @@ mod tests {
     }
 
     #[test]
+    fn a_removed_key_is_refused_and_ignored_in_results() {
+        let text = "preset = \"paper-tum\"\n[tracking]\nrotation_rate = 1.0\n\
+                    [tracking.alignment]\nlevels = 2\n";
+        let message = Config::from_toml(text, "a.toml", None).expect_err("old").to_string();
+        assert!(message.contains("alignment is no longer a setting"), "{message}");
+        let rate = "[tracking]\n\nrotation_rate = 1.0\n";
+        let message = Config::from_toml(rate, "a.toml", None).expect_err("old").to_string();
+        let expected = "a.toml, line 3: tracking.rotation_rate is no longer a setting";
+        assert!(message.starts_with(expected), "{message}");
+        let stored = Config::from_stored(text, "a.toml").expect("readable");
+        assert_eq!(stored, Config::preset("paper-tum").expect("known"));
+    }
+
+    #[test]
     fn a_bad_value_is_named_with_its_line() {
         let refused = |text: &str, place: &str, words: &str| {
             let message = Config::from_toml(text, "a.toml", None).expect_err(text).to_string();
@@ -278,7 +381,7 @@ mod tests {
             "a.toml, line 5: mapping.ssim_share = 2 is out",
             "0 and 1",
         );
-        let other = "[tracking]\nimage_weight = 1\n[mapping]\nimage_weight = -1\n";
+        let other = "[hashgrid]\nimage_weight = 1\n[mapping]\nimage_weight = -1\n";
         refused(other, "a.toml, line 4: mapping.image_weight = -1 is out", "at least 0");
         refused("mapping = 3\n", "a.toml, line 1: mapping: ", "section");
         refused("preset = 3\n", "a.toml, line 1: preset: ", "string");

@@ -29,8 +29,7 @@ impl Config {
     }
 
     fn validate_tracking(&self) -> Result<(), ConfigError> {
-        let (t, a) = (&self.tracking, &self.tracking.alignment);
-        between("tracking.alignment.levels", a.levels, 1, 8, "1 to 8")?;
+        let t = &self.tracking;
         let refined = t.method == TrackingMethod::Adam || t.iterations > 0;
         if self.input.depth_stamps && refined {
             let expected = "false, or tracking.method \"second-order\" with tracking.iterations 0: \
@@ -38,15 +37,9 @@ impl Config {
             return refuse("input.depth_stamps", "true".to_owned(), expected);
         }
         match t.method {
-            TrackingMethod::Adam => at_least("tracking.iterations", t.iterations, 1)?,
-            TrackingMethod::SecondOrder => {
-                between("tracking.alignment.iterations", a.iterations, 2, 1000, "2 to 1000")?;
-            }
+            TrackingMethod::Adam => at_least("tracking.iterations", t.iterations, 1),
+            TrackingMethod::SecondOrder => Ok(()),
         }
-        positive("tracking.alignment.depth_scale_floor", a.depth_scale_floor)?;
-        positive("tracking.alignment.image_scale_floor", a.image_scale_floor)?;
-        at_least("tracking.alignment.renders", a.renders, 1)?;
-        share("tracking.silhouette_threshold", t.silhouette_threshold)
     }
 
     /// Rows that are read in turn are seen by the motion over the exposure, continued.
@@ -162,7 +155,7 @@ impl Config {
     }
 
     /// Values that any number of at least zero is good for.
-    fn rates(&self) -> [(&'static str, f32); 44] {
+    fn rates(&self) -> [(&'static str, f32); 34] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         let k = &self.keyframed;
         [
@@ -182,10 +175,6 @@ impl Config {
             ("formation.tone_rate", f.tone_rate),
             ("formation.blur_per_camera", f.blur_per_camera),
             ("formation.response_prior", f.response_prior),
-            ("tracking.rotation_rate", t.rotation_rate),
-            ("tracking.translation_rate", t.translation_rate),
-            ("tracking.image_weight", t.image_weight),
-            ("tracking.depth_weight", t.depth_weight),
             ("tracking.trajectory_weight", t.trajectory_weight),
             ("mapping.mean_rate", m.mean_rate),
             ("mapping.colour_rate", m.colour_rate),
@@ -204,12 +193,6 @@ impl Config {
             ("mapping.prune_scale", m.prune_scale),
             ("mapping.keyframe_motion", m.keyframe_motion),
             ("mapping.seconds_per_frame", m.seconds_per_frame),
-            ("tracking.initial_split", t.initial_split),
-            ("tracking.velocity_rotation_share", t.velocity_rotation_share),
-            ("tracking.velocity_translation_share", t.velocity_translation_share),
-            ("tracking.alignment.image_weight", t.alignment.image_weight),
-            ("tracking.alignment.motion_prior", t.alignment.motion_prior),
-            ("tracking.alignment.white_balance_inertia", t.alignment.white_balance_inertia),
         ]
     }
 }

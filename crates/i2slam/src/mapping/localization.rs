@@ -43,6 +43,7 @@ impl FrameLocator {
             tracking: &context.config.tracking,
             formation: &context.config.formation,
             camera: context.camera,
+            parameters: &context.config.parameters,
             frame_rate: self.frame_rate,
             readout: self.readout,
             timestamps: (estimate.timestamp, estimate.timestamp),

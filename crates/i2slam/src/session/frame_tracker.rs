@@ -74,6 +74,7 @@ impl FrameTracker<'_> {
         TrackingContext {
             tracking: &self.config.tracking,
             formation: &self.config.formation,
+            parameters: &self.config.parameters,
             camera: self.camera,
             frame_rate: self.frame_rate,
             readout: self.readout,

@@ -1,7 +1,7 @@
 //! First-order tracking by analysis and synthesis, as SplaTAM and the paper do it.
 
 use super::{Motion, TrackingContext, TrackingResult};
-use crate::config::{FormationConfig, TrackingConfig, WhiteBalance};
+use crate::config::{FormationConfig, TrackingParameters, WhiteBalance};
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, SceneMap, Tone,
 };
@@ -11,6 +11,15 @@ use i2slam_formation::{
     TrajectoryScale,
 };
 use i2slam_geometry::{Rotation, Tangent};
+
+/// λ_img of eq. 12, a sum over pixels (SplaTAM).
+const IMAGE_WEIGHT: f32 = 0.5;
+/// λ_depth of eq. 12, a sum over pixels (SplaTAM).
+const DEPTH_WEIGHT: f32 = 1.0;
+/// Rendered opacity below which a pixel does not count (SplaTAM).
+const MIN_OPACITY: f32 = 0.99;
+/// Learning rate of the rotational velocity over that of rotations (the paper's appendix A).
+const VELOCITY_ROTATION_SHARE: f32 = 0.1;
 
 /// The parameters of one frame, as they are stepped.
 #[derive(Clone)]
@@ -65,7 +74,7 @@ pub(super) fn refine<M: SceneMap>(
     for _ in 0..context.tracking.iterations {
         let curve = state.response.as_ref().map(CameraResponse::curve);
         let mut evaluation =
-            evaluate(context, objective, map, observation, &state, curve.as_ref(), sampling);
+            evaluate(objective, map, observation, &state, curve.as_ref(), sampling);
         let trajectory = add_trajectory_loss(context, &state, &mut evaluation);
         let total = evaluation.total;
         if !total.is_finite() || evaluation.pixels == 0 {
@@ -90,7 +99,6 @@ pub(super) fn refine<M: SceneMap>(
 }
 
 fn evaluate<M: SceneMap>(
-    context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
     map: &M,
     observation: &Observation,
@@ -107,8 +115,7 @@ fn evaluate<M: SceneMap>(
         },
         tone: curve.map(|curve| Tone { frame: state.tone, curve }),
     };
-    let weights = (context.tracking.image_weight, context.tracking.depth_weight);
-    objective.track(map, observation, &variables, context.tracking.silhouette_threshold, weights)
+    objective.track(map, observation, &variables, MIN_OPACITY, (IMAGE_WEIGHT, DEPTH_WEIGHT))
 }
 
 /// Adds λ_traj L_traj to the objective and its shutter gradient; returns loss and gradient.
@@ -143,7 +150,7 @@ fn step(
     trajectory: Option<TrajectoryGradient<f64>>,
 ) {
     let (tracking, formation) = (context.tracking, context.formation);
-    step_motion(tracking, formation, state, optimizers, evaluation);
+    step_motion(&context.parameters.tracking, formation, state, optimizers, evaluation);
     let weight = tracking.trajectory_weight;
     if formation.tone {
         let by_trajectory = trajectory.map_or(0.0, |t| weight * t.log_exposure_current as f32);
@@ -159,7 +166,7 @@ fn step(
 
 /// Steps centre and velocity; without blur the velocity stays zero.
 fn step_motion(
-    tracking: &TrackingConfig,
+    parameters: &TrackingParameters,
     formation: &FormationConfig,
     state: &mut State,
     optimizers: &mut Optimizers,
@@ -175,22 +182,21 @@ fn step_motion(
         translation: move_by(
             &mut optimizers.centre_translation,
             d_centre.translation,
-            tracking.translation_rate,
+            parameters.translation_rate,
         ),
         rotation: move_by(
             &mut optimizers.centre_rotation,
             d_centre.rotation,
-            tracking.rotation_rate,
+            parameters.rotation_rate,
         ),
     };
     let velocity = if formation.blur {
-        let translation_rate = tracking.translation_rate * tracking.velocity_translation_share;
-        let rotation_rate = tracking.rotation_rate * tracking.velocity_rotation_share;
+        let rotation_rate = parameters.rotation_rate * VELOCITY_ROTATION_SHARE;
         Tangent {
             translation: move_by(
                 &mut optimizers.velocity_translation,
                 d_velocity.translation,
-                translation_rate,
+                parameters.translation_rate,
             ),
             rotation: move_by(
                 &mut optimizers.velocity_rotation,

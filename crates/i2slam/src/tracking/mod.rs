@@ -9,7 +9,7 @@ pub(crate) use readout::SequenceReadout;
 
 use readout::MeasuredReadout;
 
-use crate::config::{FormationConfig, TrackingConfig, TrackingMethod};
+use crate::config::{FormationConfig, Parameters, TrackingConfig, TrackingMethod};
 use crate::objective::{Evaluation, FrameObjective, Observation, Sampling, SceneMap, blur_length};
 use crate::reconstruction::{Convergence, FrameEstimate, Losses};
 use i2slam_compute::CancellationToken;
@@ -21,6 +21,7 @@ use i2slam_geometry::{Camera, Pose, Tangent};
 pub(crate) struct TrackingContext<'a> {
     pub(crate) tracking: &'a TrackingConfig,
     pub(crate) formation: &'a FormationConfig,
+    pub(crate) parameters: &'a Parameters,
     pub(crate) camera: &'a Camera<f64>,
     /// Frames per second.
     pub(crate) frame_rate: f64,
@@ -242,9 +243,13 @@ pub(crate) fn track<M: SceneMap>(
     }
 }
 
+/// Distance of start and end pose that first-order tracking begins with, over the motion since the
+/// last frame (the paper's appendix A).
+const INITIAL_SPLIT: f32 = 0.1;
+
 /// The first split of start and end pose as a share of the motion between frames.
 fn start_split(context: &TrackingContext<'_>) -> f64 {
-    if context.formation.blur { f64::from(context.tracking.initial_split) } else { 0.0 }
+    if context.formation.blur { f64::from(INITIAL_SPLIT) } else { 0.0 }
 }
 
 /// How the exposure of a frame is sampled, from its shutter poses and readout [exposures].

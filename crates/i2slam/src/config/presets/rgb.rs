@@ -115,10 +115,7 @@ pub(super) fn ours() -> Config {
             ..paper.keyframed
         },
         map: ours.map,
-        tracking: TrackingConfig {
-            alignment: AlignmentConfig { keyframe_depth: false, ..ours.tracking.alignment },
-            ..ours.tracking
-        },
+        tracking: ours.tracking,
         mapping: MappingConfig {
             window: paper.mapping.window,
             iterations: 30,

@@ -17,6 +17,13 @@ const SETTLED: f64 = 0.02;
 /// Moves of the model's pose [px] that call for a new render.
 const RENDER_AGAIN: f64 = 0.5;
 
+/// Renders of the model, each at the refined pose.
+const MAX_RENDERS: usize = 2;
+/// Steps of a descent; a level takes two.
+const MAX_STEPS: usize = 6;
+/// A frame takes 1 / (1 + this) of the white balance that it asks for: cameras change it slowly.
+const WHITE_BALANCE_INERTIA: f32 = 1.5;
+
 /// Where an alignment ended.
 pub(super) struct Outcome {
     pub(super) state: State,
@@ -84,7 +91,7 @@ impl Frame<'_> {
         let mut references = vec![Reference::model(self, objective, map, state.motion.centre)];
         references.extend(Reference::keyframe(self));
         let (mut sums, mut progress) = (Sums::default(), Progress::default());
-        for round in 0..self.context.tracking.alignment.renders {
+        for round in 0..MAX_RENDERS {
             if round > 0 {
                 let pose = references[0].world_from_camera;
                 if self.in_pixels(pose.local(state.motion.centre)) < RENDER_AGAIN {
@@ -110,7 +117,6 @@ impl Frame<'_> {
         state: &mut State,
         progress: &mut Progress,
     ) -> Sums {
-        let settings = &self.context.tracking.alignment;
         let mut known = vec![None; references.len()];
         let mut sums = Sums::default();
         for _ in 0..2 {
@@ -119,10 +125,9 @@ impl Frame<'_> {
                 let errors = known.unwrap_or_else(|| {
                     self.residuals(reference, level, state, cameras, Purpose::Compare).errors
                 });
-                reference.update_scales(&errors, settings);
+                reference.update_scales(&errors);
             }
-            let steps = settings.iterations / 2;
-            let end = self.step_down(references, level, state, steps, progress);
+            let end = self.step_down(references, level, state, MAX_STEPS, progress);
             (sums, known) = (end.total, end.errors);
         }
         sums
@@ -239,8 +244,7 @@ impl Frame<'_> {
     }
 
     fn balance_prior(&self, equations: &Equations) -> BalancePrior {
-        let inertia = self.context.tracking.alignment.white_balance_inertia;
-        BalancePrior::new(equations, inertia, self.white_balance)
+        BalancePrior::new(equations, WHITE_BALANCE_INERTIA, self.white_balance)
     }
 
     fn priors(&self, state: &State, equations: &Equations) -> Priors {

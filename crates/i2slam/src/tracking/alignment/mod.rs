@@ -32,6 +32,10 @@ use pyramid::{Observed, observed_levels};
 use relocalization::standing;
 use residual::Sums;
 
+/// Levels of the picture pyramid, each half the size of the one before.
+const LEVELS: usize = 3;
+/// Standard deviation of the blur motion, over the motion between frames.
+const MOTION_DEVIATION: f32 = 0.1;
 /// Share of the overlap that a better start must keep: what sees nothing has no loss.
 const KEPT_OVERLAP: f64 = 0.9;
 /// Frame intervals after which the motion since the last frame no longer tells the velocity.
@@ -71,7 +75,7 @@ pub(super) fn align<M: SceneMap>(
     let previous = context.previous.map_or_else(Pose::identity, |p| p.middle());
     let frame = Frame {
         context,
-        observed: observed_levels(context.camera, observation, context.tracking.alignment.levels),
+        observed: observed_levels(context.camera, observation, LEVELS),
         observation,
         curve: state.response.as_ref().map(CameraResponse::curve),
         pixels: pixels_per_unit(context, observation),
@@ -151,7 +155,7 @@ impl Frame<'_> {
             pixels: self.pixels,
             step: CentreVelocity::along(self.previous, state.motion.centre, 1.0).velocity,
             share: self.open_share(state) * self.context.interval_share(),
-            across: f64::from(self.context.tracking.alignment.motion_prior),
+            across: f64::from(MOTION_DEVIATION),
             along: 0.5,
             weight: if free { 1e-3 } else { PRIOR_WEIGHT },
         }

@@ -3,12 +3,18 @@
 use super::Frame;
 use super::pyramid::{Model, depth_levels, model_levels};
 use super::residual::{Errors, Scales};
-use crate::config::AlignmentConfig;
+use crate::config::TrackingParameters;
 use crate::objective::{FrameObjective, SceneMap};
 use i2slam_geometry::Pose;
 
 /// Robust scales before anything is known: depth [m at 1 m] and picture.
 const FIRST_SCALES: Scales = Scales { depth: 0.02, image: 0.08 };
+
+/// Smallest scale of the depth residual [m at 1 m].
+const MIN_DEPTH_SCALE: f32 = 3e-5;
+
+/// Smallest scale of the image residual [display units].
+const MIN_IMAGE_SCALE: f32 = 0.01;
 
 /// How many times less noise than the model's residuals a keyframe's own depth must have.
 const CLEANER: f32 = 3.0;
@@ -48,7 +54,7 @@ impl Reference {
     /// The last keyframe's depth, where it is wanted and there is one.
     pub(super) fn keyframe(frame: &Frame<'_>) -> Option<Self> {
         let (observation, world_from_camera) = frame.context.keyframe?;
-        if !frame.context.tracking.alignment.keyframe_depth || frame.observation.is_estimated() {
+        if !frame.context.parameters.tracking.keyframe_depth || frame.observation.is_estimated() {
             return None;
         }
         Some(Self {
@@ -60,23 +66,23 @@ impl Reference {
     }
 
     /// Robust scales follow the mean absolute residual, down to their floors.
-    pub(super) fn update_scales(&mut self, errors: &Errors, settings: &AlignmentConfig) {
+    pub(super) fn update_scales(&mut self, errors: &Errors) {
         if errors.depth_count > 0 {
             let mean = (errors.depth / errors.depth_count as f64) as f32;
-            self.scales.depth = (1.25 * mean).max(settings.depth_scale_floor);
+            self.scales.depth = (1.25 * mean).max(MIN_DEPTH_SCALE);
         }
         if errors.image_count > 0 {
             let mean = (errors.image / errors.image_count as f64) as f32;
-            self.scales.image = (1.25 * mean).max(settings.image_scale_floor);
+            self.scales.image = (1.25 * mean).max(MIN_IMAGE_SCALE);
         }
     }
 
     /// Weight of image residuals: what is left of it where depth is exact. The errors of pictures
     /// are not independent (a map that is still soft is wrong everywhere in the same way), so they
     /// must not outvote a depth that knows better than a millimetre at a metre.
-    pub(super) fn image_weight(&self, settings: &AlignmentConfig) -> f32 {
+    pub(super) fn image_weight(&self, parameters: &TrackingParameters) -> f32 {
         match self.has_radiance {
-            true => settings.image_weight * (self.scales.depth / COARSE_DEPTH).clamp(0.05, 1.0),
+            true => parameters.image_weight * (self.scales.depth / COARSE_DEPTH).clamp(0.05, 1.0),
             false => 0.0,
         }
     }
@@ -94,10 +100,10 @@ impl Frame<'_> {
 
     /// The weight of image residuals: all of it where no depth counts.
     pub(super) fn image_weight(&self, reference: &Reference) -> f32 {
-        let settings = &self.context.tracking.alignment;
+        let parameters = &self.context.parameters.tracking;
         match self.observation.is_estimated() && reference.has_radiance {
-            true => settings.image_weight,
-            false => reference.image_weight(settings),
+            true => parameters.image_weight,
+            false => reference.image_weight(parameters),
         }
     }
 }

@@ -63,6 +63,7 @@ fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCo
     let context = TrackingContext {
         tracking: &config.tracking,
         formation: &config.formation,
+        parameters: &config.parameters,
         camera: &camera,
         frame_rate: 30.0,
         readout: SequenceReadout::new(&config.input),
@@ -108,7 +109,7 @@ fn alignments_scatter_as_the_covariance_says() {
     let mut ratios = Vec::new();
     for (image_weight, noise) in [(1.0, (1e-4, 0.02)), (0.15, (0.002, 0.02)), (0.5, (0.001, 0.01))]
     {
-        config.tracking.alignment.image_weight = image_weight;
+        config.parameters.tracking.image_weight = image_weight;
         let ends: Vec<_> = (0..40).map(|seed| align(&config, noise, seed)).collect();
         let count = ends.len() as f64;
         assert!(ends.iter().filter(|(_, _, converged)| *converged).count() > 30);

@@ -59,6 +59,7 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
     let context = TrackingContext {
         tracking: &config.tracking,
         formation: &config.formation,
+        parameters: &config.parameters,
         camera: &CAMERA,
         frame_rate: RATE,
         readout: SequenceReadout::new(&input),
