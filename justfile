@@ -24,6 +24,10 @@ doc:
 test:
     cargo test --workspace
 
+# Tests that need data (../shared), ffmpeg, PyTorch, pycolmap or Blender, or more than a minute
+test-data *NAMES:
+    cargo test --workspace -- --ignored {{NAMES}}
+
 # Reconstruct the clip that comes with the program; the last line is the path of the report
 demo:
     cargo run --release -p i2slam-cli -- demo
@@ -44,6 +48,11 @@ compare A B *OPTIONS:
 presets:
     cargo build --release -p i2slam-cli
     python3 docs/presets.py target/release/i2slam docs/presets.md
+
+# Make the pictures of README.md (needs Pillow)
+pictures:
+    cargo build --release -p i2slam-cli
+    scripts/readme-pictures
 
 # Licences, sources and advisories of dependencies (needs cargo-deny)
 deny:
