@@ -1,7 +1,8 @@
 //! How a command can end other than well, and what the shell is told.
 
-use i2slam::ConfigError;
+use crate::progress::Progress;
 use i2slam::dataset::DatasetError;
+use i2slam::{ConfigError, RunError};
 use i2slam_eval::EvalError;
 use i2slam_result::ExportError;
 use std::panic::{self, AssertUnwindSafe};
@@ -31,6 +32,34 @@ impl Failure {
         match self {
             Self::Usage(message) | Self::Failed(message) => Some(message),
             Self::Interrupted => None,
+        }
+    }
+}
+
+impl Failure {
+    /// The failure of a run; cancellation is noted, as nothing else tells of it.
+    pub(crate) fn of_run(error: RunError, progress: &Progress) -> Self {
+        if let RunError::Cancelled { .. } = error {
+            progress.note(&error.to_string());
+        }
+        error.into()
+    }
+}
+
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Self {
+        match error {
+            RunError::Cancelled { .. } => Self::Interrupted,
+            RunError::Config(error) => error.into(),
+            RunError::Dataset(error) => error.into(),
+            RunError::Preset { .. } => Self::Usage(error.to_string()),
+            RunError::KnownCamera { source_of_camera } => Self::Usage(format!(
+                "--distortion estimate is for pictures of an unknown camera; this one is given by \
+                 {source_of_camera}"
+            )),
+            // The hook knows where it was, too.
+            RunError::Panic { .. } => last_panic(),
+            error => Self::Failed(error.to_string()),
         }
     }
 }
@@ -94,10 +123,12 @@ pub(crate) fn without_panics<T>(work: impl FnOnce() -> Result<T, Failure>) -> Re
     }));
     let result = panic::catch_unwind(AssertUnwindSafe(work));
     panic::set_hook(usual);
-    result.unwrap_or_else(|_| {
-        let last = PANIC.lock().ok().and_then(|mut last| last.take()).unwrap_or_default();
-        Err(Failure::Failed(format!("this is a mistake of i2slam, please report it: {last}")))
-    })
+    result.unwrap_or_else(|_| Err(last_panic()))
+}
+
+fn last_panic() -> Failure {
+    let last = PANIC.lock().ok().and_then(|mut last| last.take()).unwrap_or_default();
+    Failure::Failed(format!("this is a mistake of i2slam, please report it: {last}"))
 }
 
 #[cfg(test)]

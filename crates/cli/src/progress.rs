@@ -1,8 +1,10 @@
-//! What is seen while a run goes on: a bar on a terminal, now and then a line elsewhere. What is
-//! warned of is kept.
+//! Progress of a command on standard error: a bar on a terminal, otherwise a line now and then.
 
+use crate::interrupt;
 use crate::output::complain;
-use i2slam::{FrameEstimate, Warning};
+use crate::pipeline::messages;
+use i2slam::run::{CameraEstimate, Observer, RuntimeForecast, Stage};
+use i2slam::{CancellationToken, FrameEstimate, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::{Arc, Mutex};
@@ -11,18 +13,19 @@ use std::time::{Duration, Instant};
 /// Time between two lines where there is no terminal.
 const PAUSE: Duration = Duration::from_secs(10);
 
-/// Time after which a phase tells how long it will take.
-const TELLING: Duration = Duration::from_secs(2);
+/// Time after which the rest of a phase is extrapolated.
+const MIN_MEASURED: Duration = Duration::from_secs(2);
 
-/// Time between two looks of a bar whose end is not known.
+/// Time between two pictures of the spinner.
 const TICK: Duration = Duration::from_millis(200);
 
-/// How far a run is. Clones tell of the same run.
+/// Progress display. Clones share one display.
 #[derive(Clone)]
 pub(crate) struct Progress {
     display: Display,
-    phase: Phase,
-    warnings: Arc<Mutex<Vec<Warning>>>,
+    phase: Arc<Mutex<Phase>>,
+    /// Whether flags can make the run smaller, which long ones are advised of.
+    is_adjustable: bool,
 }
 
 #[derive(Clone)]
@@ -35,16 +38,17 @@ enum Display {
 /// One line now and then.
 #[derive(Clone)]
 struct Lines {
+    /// Time of the last line.
     last: Arc<Mutex<Instant>>,
-    /// Phases that were named.
+    /// Names of phases printed so far.
     named: Arc<Mutex<Vec<&'static str>>>,
 }
 
-/// What is done.
-#[derive(Clone)]
+/// One kind of work.
+#[derive(Clone, Copy)]
 struct Phase {
     name: &'static str,
-    /// Its steps; 0 where they are not known.
+    /// Number of its steps; 0 if unknown.
     total: usize,
     started: Instant,
 }
@@ -54,23 +58,22 @@ impl Phase {
         Self { name, total, started: Instant::now() }
     }
 
-    /// How long the rest takes, in words, as soon as some steps tell.
+    /// Expected time for the remaining steps in words, once it can be extrapolated.
     fn rest(&self, done: usize) -> String {
-        let seconds = self.pace(done) * self.total.saturating_sub(done) as f64;
-        match done > 0 && self.started.elapsed() > TELLING {
+        let seconds = self.seconds_per_step(done) * self.total.saturating_sub(done) as f64;
+        match done > 0 && self.started.elapsed() > MIN_MEASURED {
             true => format!("  {seconds:.0} s left of these"),
             false => String::new(),
         }
     }
 
-    /// Seconds that a step has taken.
-    fn pace(&self, done: usize) -> f64 {
+    fn seconds_per_step(&self, done: usize) -> f64 {
         self.started.elapsed().as_secs_f64() / done.max(1) as f64
     }
 }
 
 impl Progress {
-    /// Over `total` frames.
+    /// Progress over `total` frames.
     pub(crate) fn new(total: usize, quiet: bool) -> Self {
         let display = if quiet {
             Display::Quiet
@@ -80,84 +83,45 @@ impl Progress {
             let last = Arc::new(Mutex::new(Instant::now()));
             Display::Lines(Lines { last, named: Arc::default() })
         };
-        Self { display, phase: Phase::new("frames", total), warnings: Arc::default() }
+        let phase = Arc::new(Mutex::new(Phase::new("frames", total)));
+        Self { display, phase, is_adjustable: true }
     }
 
-    /// One more frame of the phase is done; `done` counts it.
-    pub(crate) fn frame(&mut self, estimate: &FrameEstimate, done: usize, total: usize) {
-        let seconds = self.phase.pace(done);
-        let size = match estimate.gaussians {
-            0 => String::new(),
-            count => format!("{count} Gaussians  "),
-        };
-        let words = format!(
-            "{seconds:.2} s/frame  loss {:.4}  {size}blur {:.1} px",
-            estimate.losses.image, estimate.blur_length
-        );
-        match &self.display {
-            Display::Bar(bar) => {
-                bar.set_position(done as u64);
-                bar.set_message(words);
-            }
-            Display::Lines(lines) if due(&lines.last) || done == total => {
-                let (what, left) = (self.phase.name, seconds * (total - done) as f64);
-                complain(&format!("{what} {done}/{total}  {words}  {left:.0} s left of these"));
-            }
-            Display::Lines(_) | Display::Quiet => {}
-        }
+    /// Without advice on flags, for commands that have none.
+    pub(crate) fn without_advice(self) -> Self {
+        Self { is_adjustable: false, ..self }
     }
 
-    /// Begin another kind of work of `total` steps, 0 where their number is not known.
-    pub(crate) fn phase(&mut self, name: &'static str, total: usize) {
-        self.phase = Phase::new(name, total);
-        match &self.display {
-            Display::Bar(bar) => show(bar, &self.phase),
-            Display::Lines(lines) => {
-                if let Ok(mut last) = lines.last.lock() {
-                    *last = Instant::now();
-                }
-                lines.name(name);
-            }
-            Display::Quiet => {}
-        }
-    }
-
-    /// One more step of a phase.
-    pub(crate) fn step(&self, done: usize) {
-        let Phase { name, total, .. } = self.phase;
-        match &self.display {
-            Display::Bar(bar) => bar.set_position(done as u64),
-            Display::Lines(lines) if due(&lines.last) => {
-                complain(&format!("{name} {done}/{total}{}", self.phase.rest(done)));
-            }
-            Display::Lines(_) | Display::Quiet => {}
-        }
-    }
-
-    /// So much is done of a phase, which may have been left for another and come back, and whose
-    /// number of steps, 0 where it is not known, may have changed.
-    pub(crate) fn stage(&mut self, name: &'static str, done: usize, total: usize) {
-        if name == self.phase.name {
-            if total != self.phase.total {
-                self.phase.total = total;
-                if let Display::Bar(bar) = &self.display {
-                    bar.set_length(total as u64);
-                }
-            }
-        } else {
-            self.phase = Phase::new(name, total);
+    /// Reports `done` of `total` steps of a phase. Phases may come in turns, and their totals
+    /// change; a total of 0 is unknown.
+    pub(crate) fn step(&self, name: &'static str, done: usize, total: usize) {
+        let Ok(mut phase) = self.phase.lock() else { return };
+        if name != phase.name {
+            *phase = Phase::new(name, total);
             match &self.display {
-                Display::Bar(bar) => show(bar, &self.phase),
+                Display::Bar(bar) => show(bar, &phase),
                 Display::Lines(lines) => lines.name_once(name),
                 Display::Quiet => {}
             }
+        } else if total != phase.total {
+            phase.total = total;
+            if let Display::Bar(bar) = &self.display {
+                bar.set_length(total as u64);
+            }
         }
-        if total > 0 {
-            self.step(done);
+        if total == 0 {
+            return;
+        }
+        match &self.display {
+            Display::Bar(bar) => bar.set_position(done as u64),
+            Display::Lines(lines) if lines.is_due() => {
+                complain(&format!("{name} {done}/{total}{}", phase.rest(done)));
+            }
+            Display::Lines(_) | Display::Quiet => {}
         }
     }
 
-    /// Something to know, above the bar.
+    /// Prints a line above the bar, unless quiet.
     pub(crate) fn note(&self, line: &str) {
         match &self.display {
             Display::Bar(bar) => bar.suspend(|| complain(line)),
@@ -166,25 +130,16 @@ impl Progress {
         }
     }
 
-    /// A warning, above the bar; it is kept.
-    pub(crate) fn warn(&self, warning: impl Into<Warning>) {
-        let warning = warning.into();
+    /// Prints a warning above the bar.
+    pub(crate) fn warn(&self, warning: &str) {
         let line = format!("warning: {warning}");
         match &self.display {
             Display::Bar(bar) => bar.suspend(|| complain(&line)),
             _ => complain(&line),
         }
-        if let Ok(mut warnings) = self.warnings.lock() {
-            warnings.push(warning);
-        }
     }
 
-    /// All warnings so far.
-    pub(crate) fn warnings(&self) -> Vec<Warning> {
-        self.warnings.lock().map(|warnings| warnings.clone()).unwrap_or_default()
-    }
-
-    /// Remove the bar.
+    /// Removes the bar.
     pub(crate) fn clear(&self) {
         if let Display::Bar(bar) = &self.display {
             bar.finish_and_clear();
@@ -192,30 +147,78 @@ impl Progress {
     }
 }
 
-impl Lines {
-    fn name(&self, name: &'static str) {
-        complain(name);
-        if let Ok(mut named) = self.named.lock() {
-            named.push(name);
+impl Observer for Progress {
+    fn progress(&self, stage: Stage, done: usize, total: usize) {
+        self.step(stage.name(), done, total);
+    }
+
+    fn frame(&self, estimate: &FrameEstimate, done: usize, total: usize) {
+        let Ok(phase) = self.phase.lock() else { return };
+        let seconds = phase.seconds_per_step(done);
+        let size = match estimate.gaussians {
+            0 => String::new(),
+            count => format!("{count} Gaussians  "),
+        };
+        let figures = format!(
+            "{seconds:.2} s/frame  loss {:.4}  {size}blur {:.1} px",
+            estimate.losses.image, estimate.blur_length
+        );
+        match &self.display {
+            Display::Bar(bar) => {
+                bar.set_position(done as u64);
+                bar.set_message(figures);
+            }
+            Display::Lines(lines) if lines.is_due() || done == total => {
+                let (name, left) = (phase.name, seconds * (total - done) as f64);
+                complain(&format!("{name} {done}/{total}  {figures}  {left:.0} s left of these"));
+            }
+            Display::Lines(_) | Display::Quiet => {}
         }
     }
 
-    fn name_once(&self, name: &'static str) {
-        let is_new = self.named.lock().is_ok_and(|named| !named.contains(&name));
-        if is_new {
-            self.name(name);
-        }
+    fn note(&self, line: &str) {
+        Self::note(self, line);
+    }
+
+    fn warning(&self, warning: &Warning) {
+        self.warn(&warning.text);
+    }
+
+    fn camera(&self, camera: &CameraEstimate) {
+        messages::camera_lines(camera).iter().for_each(|line| self.note(line));
+    }
+
+    fn forecast(&self, forecast: &RuntimeForecast) {
+        let line = messages::forecast_line(forecast, self.is_adjustable);
+        line.iter().for_each(|line| self.note(line));
+    }
+
+    fn cancellation(&self) -> CancellationToken {
+        interrupt::cancellation()
     }
 }
 
-/// Whether it is time for another line; the time of this one is kept.
-fn due(last: &Mutex<Instant>) -> bool {
-    let Ok(mut last) = last.lock() else { return false };
-    let due = last.elapsed() >= PAUSE;
-    if due {
-        *last = Instant::now();
+impl Lines {
+    fn name_once(&self, name: &'static str) {
+        let Ok(mut named) = self.named.lock() else { return };
+        if !named.contains(&name) {
+            complain(name);
+            named.push(name);
+            if let Ok(mut last) = self.last.lock() {
+                *last = Instant::now();
+            }
+        }
     }
-    due
+
+    /// Whether the pause since the last line is over; then the next pause begins.
+    fn is_due(&self) -> bool {
+        let Ok(mut last) = self.last.lock() else { return false };
+        let is_due = last.elapsed() >= PAUSE;
+        if is_due {
+            *last = Instant::now();
+        }
+        is_due
+    }
 }
 
 fn bar(total: usize) -> ProgressBar {
@@ -224,13 +227,12 @@ fn bar(total: usize) -> ProgressBar {
     bar
 }
 
-/// The bar of a phase, or where its end is not known a sign that it goes on.
+/// Shows the bar of a phase, or a spinner if its number of steps is unknown.
 fn show(bar: &ProgressBar, phase: &Phase) {
     let template = match phase.total {
         0 => "{prefix} {spinner}  {elapsed}",
         _ => "{prefix} {bar:24.cyan/dim} {pos}/{len}  {msg}  {eta} left",
     };
-    // Every change may be seen at once.
     bar.set_prefix(phase.name);
     bar.set_message("");
     if let Ok(style) = ProgressStyle::with_template(template) {

@@ -2,17 +2,12 @@
 //! HDR Gaussian map and a camera trajectory come out.
 //!
 //! ```no_run
-//! use i2slam::{Config, Session};
-//! use i2slam::dataset::{OpenOptions, Sequence};
+//! use i2slam::{RunOptions, reconstruct};
 //!
-//! let sequence = Sequence::open("rgbd_dataset_freiburg1_desk".as_ref(), &OpenOptions::default())?;
-//! let mut session = Session::new(Config::default(), sequence.camera, sequence.frame_rate);
-//! for frame in sequence.stream() {
-//!     session.process(&frame?)?;
-//! }
-//! session.finish(&mut |_, _| true);
-//! let reconstruction = session.reconstruction();
-//! println!("{}", reconstruction.map);
+//! let options = RunOptions::with_depth(); // or colour_alone() for a video
+//! let sequence = options.open_sequence("rgbd_dataset_freiburg1_desk".as_ref())?;
+//! let outcome = reconstruct(&sequence, &options, ())?;
+//! println!("{}", outcome.reconstruction.map);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -21,6 +16,7 @@ pub mod keyframes;
 mod mapping;
 pub mod objective;
 mod reconstruction;
+pub mod run;
 mod session;
 mod tracking;
 mod viewer;
@@ -33,6 +29,7 @@ pub use i2slam_formation as formation;
 pub use i2slam_geometry as geometry;
 pub use i2slam_radiance as radiance;
 pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
+pub use run::{Observer, PoseSource, RunError, RunOptions, RunOutcome, reconstruct};
 pub use session::{KeyframeSession, RuntimeEstimate, Session, SessionError};
 pub use viewer::{OptimisedPose, Viewer};
 pub use warning::Warning;

@@ -72,13 +72,9 @@ pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     destination.check()?;
     destination.clear()?;
     interrupt::listen();
-    let mut progress = Progress::new(0, arguments.machine.quiet);
-    let mut begun = false;
+    let progress = Progress::new(0, arguments.machine.quiet);
     let step = &mut |done: usize, total: usize| {
-        if !std::mem::replace(&mut begun, true) {
-            progress.phase("frames", total);
-        }
-        progress.step(done);
+        progress.step("frames", done, total);
         !interrupt::requested()
     };
     let done = work.write(&arguments.out, step);

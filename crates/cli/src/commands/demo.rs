@@ -5,9 +5,8 @@ use crate::arguments::{Demo, Draw};
 use crate::destination::refuse_file;
 use crate::failure::Failure;
 use crate::output::complain;
-use crate::pipeline::{self, Job, Keyframes};
-use i2slam::Config;
-use i2slam::dataset::OpenOptions;
+use crate::pipeline::{self, Job};
+use i2slam::RunOptions;
 use i2slam_result::ResultFolder;
 use std::path::{Path, PathBuf};
 
@@ -23,15 +22,14 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
             "reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0){how}"
         ));
     }
-    let config = Config::preset(if arguments.rgb { "default-rgb" } else { "default" })?;
-    let minimum_gap = config.input.minimum_gap;
-    let open = OpenOptions { minimum_gap, ..OpenOptions::default() };
+    let options = match arguments.rgb {
+        true => RunOptions::colour_alone(),
+        false => RunOptions::with_depth(),
+    };
     pipeline::run(&Job {
         dataset,
-        keyframes: arguments.rgb.then_some(Keyframes::Native { estimate_distortion: false }),
         out: arguments.out.clone(),
-        open: OpenOptions { colour_only: arguments.rgb, ..open },
-        config,
+        options,
         draw: Draw::All,
         overwrite: true,
         quiet: arguments.machine.quiet,

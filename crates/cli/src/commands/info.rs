@@ -5,7 +5,7 @@ mod pictures;
 mod sequence;
 mod table;
 
-use super::run::{by_colour_alone, open_options};
+use super::run::open_options;
 use super::use_threads;
 use crate::arguments::{Input, Machine};
 use crate::failure::Failure;
@@ -14,8 +14,8 @@ use crate::output::{complain, say};
 use crate::progress::Progress;
 use crate::truth::Truth;
 use clap::Args;
-use i2slam::Config;
-use i2slam::dataset::{DatasetError, OpenOptions, Sequence, is_video};
+use i2slam::dataset::{DatasetError, Sequence, is_video};
+use i2slam::{Config, PoseSource, RunOptions};
 use pictures::Pictures;
 use sequence::Known;
 use serde::Serialize;
@@ -53,27 +53,30 @@ struct Told {
 
 /// The sequence, with depth or else without; `None` if keyframes of another program were told of in
 /// its place.
-fn open(arguments: &Info, options: OpenOptions) -> Result<Option<Sequence>, Failure> {
+fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
     let path = &arguments.dataset;
-    let alone = || by_colour_alone(options.clone(), &arguments.input);
+    let config = Config::preset(&arguments.preset)?;
+    let options = |poses: PoseSource| {
+        open_options(&arguments.input, RunOptions::new(config.clone(), poses).open)
+    };
+    let with_depth = options(PoseSource::Depth)?;
+    let colour_alone = options(PoseSource::Odometry { estimate_distortion: false })?;
     if is_video(path) {
-        return Ok(Some(Sequence::open(path, &alone())?));
+        return Ok(Some(Sequence::open(path, &colour_alone)?));
     }
-    match Sequence::open(path, &options) {
+    match Sequence::open(path, &with_depth) {
         Ok(sequence) => Ok(Some(sequence)),
-        Err(error) if keyframes::tell(arguments, options.clone(), &error)? => Ok(None),
+        Err(error) if keyframes::tell(arguments, with_depth, &error)? => Ok(None),
         Err(DatasetError::UnknownLayout { has_colour: true, .. }) => {
-            Ok(Some(Sequence::open(path, &alone())?))
+            Ok(Some(Sequence::open(path, &colour_alone)?))
         }
         Err(error) => Err(error.into()),
     }
 }
 
 pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
-    let config = Config::preset(&arguments.preset)?;
-    let options = open_options(&arguments.input, &config)?;
     use_threads(&arguments.machine)?;
-    let Some(sequence) = open(arguments, options)? else { return Ok(()) };
+    let Some(sequence) = open(arguments)? else { return Ok(()) };
     let truth = Truth::of(&arguments.dataset, &sequence);
     let mut warnings = sequence.warnings.clone();
     warnings.extend(truth.warnings.iter().cloned());

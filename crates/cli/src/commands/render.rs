@@ -26,8 +26,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
         note_poses(&folder, &frames)?;
     }
     interrupt::listen();
-    let mut progress = Progress::new(frames.len(), false);
-    progress.phase("drawing", frames.len());
+    let progress = Progress::new(frames.len(), false);
     let mut viewer = reconstruction.viewer();
     let mut done = 0;
     for frame in &frames {
@@ -35,7 +34,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
             save_render(&folder, "", kind, frame.index, &picture(&mut viewer, kind, frame))?;
         }
         done += 1;
-        progress.step(done);
+        progress.step("drawing", done, frames.len());
         if interrupt::requested() {
             break;
         }

@@ -4,16 +4,12 @@ use super::use_threads;
 use crate::arguments::{Distortion, Draw, Formation, Input, KeyframeDepth, Map, Run};
 use crate::failure::Failure;
 use crate::output::complain;
-use crate::pipeline::{self, Job, Keyframes};
-use i2slam::Config;
+use crate::pipeline::{self, Job};
 use i2slam::config::{MapKind, line_of_key};
 use i2slam::dataset::{OpenOptions, is_video, is_without_depth};
 use i2slam::keyframes::ImportDepth;
+use i2slam::{Config, PoseSource, RunOptions};
 use std::path::{Path, PathBuf};
-
-/// Longer side of pictures that go by colour alone, if nothing else is asked for [px]: larger ones
-/// take long and show little more.
-const USUAL_SIDE: usize = 640;
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
     if is_by_itself_rgb(arguments) {
@@ -36,20 +32,15 @@ fn is_by_itself_rgb(arguments: &Run) -> bool {
 fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let config = settings(arguments)?;
     use_threads(&arguments.machine)?;
-    let keyframes = keyframes(arguments, &config)?;
-    let open = open_options(&arguments.input, &config)?;
-    let open = match keyframes {
-        Some(Keyframes::Native { .. }) => by_colour_alone(open, &arguments.input),
-        Some(Keyframes::Files { .. }) => OpenOptions { colour_only: true, ..open },
-        None => open,
-    };
+    let poses = pose_source(arguments, &config)?;
+    let draw = arguments.render.unwrap_or_else(|| usual_drawing(arguments, &config));
+    let options = RunOptions::new(config, poses);
+    let open = open_options(&arguments.input, options.open)?;
     pipeline::run(&Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
-        keyframes,
-        open,
-        draw: arguments.render.unwrap_or_else(|| usual_drawing(arguments, &config)),
-        config,
+        options: RunOptions { open, ..options },
+        draw,
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
         title: None,
@@ -82,15 +73,15 @@ fn names_map_kind(file: &Path) -> bool {
     text.is_ok_and(|text| line_of_key(&text, &["map", "kind"]).is_some())
 }
 
-/// Where keyframes with poses come from, if this run takes them; only settings for that will do.
-fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Failure> {
+/// Source of the poses; refuses settings that are for another one.
+fn pose_source(arguments: &Run, config: &Config) -> Result<PoseSource, Failure> {
     let preset = &config.preset;
     let estimate_distortion = arguments.distortion == Distortion::Estimate;
     if estimate_distortion {
         refuse_estimate(arguments)?;
     }
     match (is_rgb(arguments), &arguments.keyframes, config.is_rgb()) {
-        (false, _, false) => Ok(None),
+        (false, _, false) => Ok(PoseSource::Depth),
         (false, _, true) => {
             Err(Failure::Usage(format!("preset {preset} is for colour alone: add --rgb")))
         }
@@ -98,16 +89,17 @@ fn keyframes(arguments: &Run, config: &Config) -> Result<Option<Keyframes>, Fail
             "preset {preset} is for RGB-D: {} goes with default-rgb, paper-rgb or paper-rgb-s",
             if arguments.rgb { "colour alone (--rgb)" } else { "a video, which has no depth," }
         ))),
-        (true, None, true) => Ok(Some(Keyframes::Native { estimate_distortion })),
-        (true, Some(path), true) => Ok(Some(Keyframes::Files {
-            path: path.clone(),
+        (true, None, true) => Ok(PoseSource::Odometry { estimate_distortion }),
+        (true, Some(path), true) => Ok(PoseSource::Imported {
+            keyframes: path.clone(),
+            pictures: arguments.dataset.clone(),
             depth: match arguments.keyframe_depth {
                 KeyframeDepth::None => ImportDepth::None,
                 KeyframeDepth::Imported => ImportDepth::Imported,
                 KeyframeDepth::Pictures => ImportDepth::Pictures,
             },
             variance: arguments.depth_variance.clone(),
-        })),
+        }),
     }
 }
 
@@ -139,18 +131,6 @@ fn is_rgb(arguments: &Run) -> bool {
     arguments.rgb || is_video(&arguments.dataset)
 }
 
-/// The same for pictures alone, whose camera may be unknown.
-pub(super) fn by_colour_alone(open: OpenOptions, input: &Input) -> OpenOptions {
-    let usual = input.scale.is_none().then_some(USUAL_SIDE);
-    OpenOptions {
-        colour_only: true,
-        guess_camera: true,
-        turn_pictures: true,
-        max_side: open.max_side.or(usual),
-        ..open
-    }
-}
-
 /// The values of `config` that flags do not replace.
 pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, Failure> {
     let Formation { virtual_cameras, no_blur, no_tone, no_trajectory_loss } = arguments.formation;
@@ -177,9 +157,11 @@ pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, 
     Ok(config)
 }
 
-pub(super) fn open_options(input: &Input, config: &Config) -> Result<OpenOptions, Failure> {
+/// The options of `usual` that flags do not replace. `--scale` replaces the usual size, too.
+pub(super) fn open_options(input: &Input, usual: OpenOptions) -> Result<OpenOptions, Failure> {
     let given = input.intrinsics.as_deref().map(intrinsics).transpose()?;
     let (file, intrinsics) = given.unwrap_or_default();
+    let usual_side = usual.max_side.filter(|_| input.scale.is_none());
     Ok(OpenOptions {
         camera: file.or_else(|| input.camera.clone()),
         intrinsics,
@@ -188,10 +170,8 @@ pub(super) fn open_options(input: &Input, config: &Config) -> Result<OpenOptions
         frames: input.frames.clone(),
         stride: input.stride,
         scale: input.scale.unwrap_or(1.0),
-        max_side: input.max_side.map(|side| side as usize),
-        crop_border: config.input.crop_border,
-        minimum_gap: config.input.minimum_gap,
-        ..OpenOptions::default()
+        max_side: input.max_side.map(|side| side as usize).or(usual_side),
+        ..usual
     })
 }
 

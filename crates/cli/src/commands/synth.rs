@@ -69,16 +69,12 @@ fn read(file: &Path) -> Result<Spec, Failure> {
 fn make(spec: &Spec, out: &Path, quiet: bool) -> Result<(), Failure> {
     interrupt::listen();
     let frames = spec.camera.frames;
-    let mut progress = Progress::new(frames, quiet);
+    let progress = Progress::new(frames, quiet);
     let summary = synthesise(spec, out, &mut |stage| {
         match stage {
-            Stage::Lighting => progress.phase("lighting the room", 1),
-            Stage::Sharp(1) => progress.phase("sharp frames", frames),
-            Stage::Blurred(1) => progress.phase("blurred frames", frames),
-            _ => {}
-        }
-        if let Stage::Sharp(done) | Stage::Blurred(done) = stage {
-            progress.step(done);
+            Stage::Lighting => progress.step("lighting the room", 0, 1),
+            Stage::Sharp(done) => progress.step("sharp frames", done, frames),
+            Stage::Blurred(done) => progress.step("blurred frames", done, frames),
         }
         !interrupt::requested()
     });

@@ -16,6 +16,9 @@ use i2slam_result::{ExportError, Metrics, RenderKind, ResultFolder, save_render}
 /// Frames in the report.
 const SHOWN: usize = 8;
 
+/// Phase of the progress display.
+const DRAWING: &str = "drawing";
+
 /// Stops of the report's exposures.
 const STOPS: [f64; 3] = [-2.0, 0.0, 2.0];
 
@@ -54,19 +57,19 @@ struct RadianceStack {
 
 impl Drawing<'_> {
     /// Draw and measure. The user can end it: then only the report's frames are drawn.
-    pub(crate) fn run(&self, folder: &ResultFolder, progress: &mut Progress) -> Drawn {
+    pub(crate) fn run(&self, folder: &ResultFolder, progress: &Progress) -> Drawn {
         let frames = &self.reconstruction.frames;
         let shown = frames_to_show(frames, SHOWN);
         let mut viewer = self.reconstruction.viewer();
         let mut drawn = Drawn::default();
-        progress.phase("drawing", frames.len());
+        progress.step(DRAWING, 0, frames.len());
         for (i, frame) in frames.iter().enumerate() {
             let show = shown.contains(&i);
             if interrupt::requested() && !show {
                 continue;
             }
             self.frame(frame, show, &mut viewer, folder, &mut drawn);
-            progress.step(i + 1);
+            progress.step(DRAWING, i + 1, frames.len());
         }
         keep_widest_range(&mut drawn.comparisons);
         drawn

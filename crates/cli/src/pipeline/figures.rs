@@ -1,7 +1,7 @@
 //! The figures of a run that need no pictures.
 
-use super::drive::Tracked;
 use crate::truth::Truth;
+use i2slam::RunOutcome;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
@@ -19,29 +19,36 @@ pub(crate) struct Figures {
 }
 
 impl Figures {
-    pub(crate) fn of(tracked: &Tracked, truth: &Truth) -> Self {
-        let reconstruction = &tracked.reconstruction;
+    pub(crate) fn of(outcome: &RunOutcome, truth: &Truth) -> Self {
+        let reconstruction = &outcome.reconstruction;
         let mut metrics = Metrics::of(reconstruction);
-        metrics.complete = tracked.complete;
-        metrics.skipped = tracked.skipped;
-        metrics.frames_given = tracked.given;
-        metrics.seconds = tracked.seconds;
-        metrics.seconds_per_frame = tracked.seconds / metrics.frames.max(1) as f64;
+        metrics.complete = outcome.complete;
+        metrics.skipped = outcome.frames_skipped;
+        metrics.frames_given = outcome.frames_given;
+        metrics.seconds = outcome.seconds;
+        metrics.seconds_per_frame = outcome.seconds / metrics.frames.max(1) as f64;
         metrics.peak_memory_bytes = peak_memory();
-        if let Some(camera) = &tracked.camera {
-            camera.fill(&mut metrics);
+        if let Some(camera) = &outcome.camera {
+            let estimated = camera.is_focal_length_estimated;
+            metrics.camera_source = Some(camera.source.clone());
+            metrics.focal_length_assumed_px = estimated.then_some(camera.assumed_focal_length);
+            metrics.focal_length_deviation = camera.focal_length_deviation;
+            metrics.lens_distortion = camera.lens.map(|lens| lens.distortion);
+            if metrics.rolling_shutter_readout_s == 0.0 {
+                metrics.rolling_shutter_readout_s = camera.rolling_shutter_readout;
+            }
         }
         let mut figures = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
-        figures.judge_trajectory(tracked, truth);
-        figures.judge_exposure(tracked, truth);
+        figures.judge_trajectory(outcome, truth);
+        figures.judge_exposure(outcome, truth);
         figures
     }
 
-    fn judge_trajectory(&mut self, tracked: &Tracked, truth: &Truth) {
-        let scaled = tracked.reconstruction.config.is_rgb();
+    fn judge_trajectory(&mut self, outcome: &RunOutcome, truth: &Truth) {
+        let scaled = outcome.reconstruction.config.is_rgb();
         let alignment = if scaled { Alignment::Sim3 } else { Alignment::Se3 };
         self.metrics.ate_scale_aligned = scaled;
-        match truth.judge(&tracked.reconstruction.trajectory(), alignment) {
+        match truth.judge(&outcome.reconstruction.trajectory(), alignment) {
             Ok(Some((error, laid))) => {
                 self.metrics.ate_rmse_m = Some(error.ate_rmse_m);
                 self.metrics.ate_mean_m = Some(error.ate_mean_m);
@@ -56,8 +63,8 @@ impl Figures {
         }
     }
 
-    fn judge_exposure(&mut self, tracked: &Tracked, truth: &Truth) {
-        let reconstruction = &tracked.reconstruction;
+    fn judge_exposure(&mut self, outcome: &RunOutcome, truth: &Truth) {
+        let reconstruction = &outcome.reconstruction;
         if !reconstruction.config.formation.tone || truth.exposure.is_empty() {
             return;
         }

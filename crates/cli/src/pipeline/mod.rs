@@ -1,16 +1,9 @@
 //! A whole run: frames in, result folder out. Used by `run` and `demo`.
 
-mod camera;
 mod draw;
-mod drive;
 mod earlier;
-mod estimate;
 mod figures;
-mod path;
-mod posed;
-mod refined;
-mod summary;
-mod track;
+pub(crate) mod messages;
 mod write;
 
 use crate::arguments::Draw;
@@ -20,22 +13,17 @@ use crate::interrupt;
 use crate::output::complain;
 use crate::progress::Progress;
 use crate::truth::Truth;
-use i2slam::Config;
-use i2slam::dataset::{OpenOptions, Recording, Sequence, is_stream, is_video};
+use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
+use i2slam::{PoseSource, RunOptions, Warning, reconstruct};
 use i2slam_result::{Layout, ResultFolder};
-pub(crate) use posed::Keyframes;
 use std::path::{Path, PathBuf};
-use summary::summarise;
 use write::{Finished, Written};
 
 /// What to do.
 pub(crate) struct Job {
     pub(crate) dataset: PathBuf,
     pub(crate) out: PathBuf,
-    /// Keyframes with poses, in place of tracking.
-    pub(crate) keyframes: Option<Keyframes>,
-    pub(crate) config: Config,
-    pub(crate) open: OpenOptions,
+    pub(crate) options: RunOptions,
     pub(crate) draw: Draw,
     /// Whether an earlier result in `out` may be replaced.
     pub(crate) overwrite: bool,
@@ -53,46 +41,51 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     if is_video(dataset) && !job.quiet {
         complain(&format!("looking through {}", job.dataset.display()));
     }
-    let sequence = Sequence::open(dataset, &job.open)?;
-    job.keyframes.iter().try_for_each(|keyframes| keyframes.check(&sequence))?;
+    let sequence = job.options.open_sequence(dataset)?;
+    job.options.validate(&sequence)?;
     refuse_to_overwrite(job)?;
     let made = MadeFolders::for_path(&job.out);
     let folder = ResultFolder::create(&job.out)?;
     let warnings = stream.iter().flat_map(|stream| stream.warnings.clone()).collect();
-    let ended = reconstruct(job, (dataset, &sequence), &folder, warnings);
+    let ended = reconstruct_into(&folder, job, (dataset, &sequence), warnings);
     if ended.is_err() {
         made.remove_empty();
     }
     ended
 }
 
-/// The run itself, on a sequence that was opened; `warnings` have come of that.
-fn reconstruct(
+/// Reconstructs an opened sequence and writes the result; `warnings` are those about the stream.
+fn reconstruct_into(
+    folder: &ResultFolder,
     job: &Job,
     (dataset, sequence): (&Path, &Sequence),
-    folder: &ResultFolder,
-    warnings: Vec<String>,
+    mut warnings: Vec<String>,
 ) -> Result<(), Failure> {
     let truth = Truth::of(dataset, sequence);
     let mut progress = Progress::new(sequence.len(), job.quiet);
-    for warning in warnings.iter().chain(&sequence.warnings).chain(&truth.warnings) {
-        progress.warn(warning.as_str());
+    if job.title.is_some() {
+        progress = progress.without_advice();
     }
-    let tracked = match &job.keyframes {
-        None => track::track(&job.config, sequence, &mut progress),
-        Some(keyframes) => posed::track(job, keyframes, sequence, &mut progress),
-    };
-    let written = tracked.and_then(|tracked| {
-        let undistorted = tracked.undistorted.clone();
+    warnings.extend(sequence.warnings.iter().chain(&truth.warnings).cloned());
+    warnings.iter().for_each(|warning| progress.warn(warning));
+    if let PoseSource::Odometry { .. } = job.options.poses {
+        messages::input_lines(sequence).iter().for_each(|line| progress.note(line));
+    }
+    let outcome = reconstruct(sequence, &job.options, progress.clone());
+    let written = outcome.map_err(|error| Failure::of_run(error, &progress)).and_then(|outcome| {
+        let undistorted = outcome.undistorted.clone();
         // True pictures come through the same lens.
-        let freed = undistorted.as_ref().map(|sequence| Truth::of(dataset, sequence));
-        let truth = freed.as_ref().unwrap_or(&truth);
+        let undistorted_truth = undistorted.as_ref().map(|sequence| Truth::of(dataset, sequence));
+        let truth = undistorted_truth.as_ref().unwrap_or(&truth);
         let sequence = undistorted.as_ref().unwrap_or(sequence);
-        Finished { job, folder, sequence, truth, tracked }.write(&mut progress)
+        let warnings = warnings.into_iter().map(Warning::from).chain(outcome.warnings.clone());
+        let warnings = warnings.collect();
+        Finished { job, folder, sequence, truth, outcome, warnings }.write(&progress)
     });
     progress.clear();
     let Written { metrics, map, folder, problems } = written?;
-    summarise(&metrics, &map, &folder, job.config.input.optimise_rolling_shutter);
+    let is_readout_estimated = job.options.config.input.optimise_rolling_shutter;
+    messages::print_summary(&metrics, &map, &folder, is_readout_estimated);
     end(problems)
 }
 
@@ -101,7 +94,7 @@ fn recorded(job: &Job) -> Result<Option<Recording>, Failure> {
     if !is_stream(&job.dataset) {
         return Ok(None);
     }
-    if let Some(Keyframes::Files { .. }) = job.keyframes {
+    if let PoseSource::Imported { .. } = job.options.poses {
         return Err(Failure::Usage(format!(
             "{} is a stream: --keyframes goes with a file or a folder",
             job.dataset.display()

@@ -1,15 +1,13 @@
 //! A run whose frames are done, written to its folder.
 
-use super::camera::FoundCamera;
 use super::draw::Drawing;
-use super::drive::Tracked;
 use super::figures::{self, Figures};
 use super::{Job, earlier};
 use crate::failure::Failure;
 use crate::progress::Progress;
 use crate::truth::Truth;
-use i2slam::Warning;
 use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::{RunOutcome, Warning};
 use i2slam_result::report::Report;
 use i2slam_result::{ExportError, Input, Layout, Metrics, ResultFolder, save, save_metrics};
 use std::path::PathBuf;
@@ -20,7 +18,9 @@ pub(super) struct Finished<'a> {
     pub(super) folder: &'a ResultFolder,
     pub(super) sequence: &'a Sequence,
     pub(super) truth: &'a Truth,
-    pub(super) tracked: Tracked,
+    pub(super) outcome: RunOutcome,
+    /// Warnings so far, those of the outcome included.
+    pub(super) warnings: Vec<Warning>,
 }
 
 /// What came of writing.
@@ -36,47 +36,39 @@ pub(super) struct Written {
 impl Finished<'_> {
     /// What opens the sequence as it was used.
     fn opened(&self) -> OpenOptions {
-        let lens = self.tracked.camera.as_ref().and_then(FoundCamera::lens);
-        let before = &self.job.open;
-        OpenOptions {
-            estimated_camera: lens.copied().or(before.estimated_camera),
-            ..before.clone()
-        }
+        let lens = self.outcome.camera.as_ref().and_then(|camera| camera.lens);
+        let before = &self.job.options.open;
+        OpenOptions { estimated_camera: lens.or(before.estimated_camera), ..before.clone() }
     }
 
-    /// All that was warned of, with the stamps of frames.
-    fn warnings(&self, progress: &Progress) -> Vec<Warning> {
-        let stamp = |index: usize| {
-            let entries = &self.sequence.entries;
-            let place = entries.binary_search_by_key(&index, |entry| entry.index).ok()?;
-            Some(entries[place].timestamp)
-        };
-        progress.warnings().into_iter().map(|warning| warning.timed(stamp)).collect()
-    }
-
-    /// The folder that is written to: a run that has not come as far as an earlier one leaves that
-    /// alone.
-    fn place(&self, progress: &Progress) -> Result<ResultFolder, Failure> {
+    /// The folder to write to: an earlier result that is better than this run stays, and this one
+    /// goes beside it.
+    fn output_folder(&mut self, progress: &Progress) -> Result<ResultFolder, Failure> {
         let out = self.folder.path();
-        let tracked = self.tracked.reconstruction.frames.iter().filter(|f| f.tracked).count();
-        if self.tracked.complete || !earlier::is_better(out, tracked) {
+        let tracked = self.outcome.reconstruction.frames.iter().filter(|f| f.tracked).count();
+        if self.outcome.complete || !earlier::is_better(out, tracked) {
             return Ok(self.folder.clone());
         }
         let beside = earlier::beside(out);
-        progress.warn(format!(
+        let warning = format!(
             "this run ended early: the earlier result in {} stays, and what there is of this one is \
              in {}",
             out.display(),
             beside.display()
-        ));
+        );
+        progress.warn(&warning);
+        self.warnings.push(warning.into());
         Ok(ResultFolder::create(&beside)?)
     }
 
-    /// What matters most first: poses and map, then figures, then pictures, then the page.
-    pub(super) fn write(self, progress: &mut Progress) -> Result<Written, Failure> {
-        let reconstruction = &self.tracked.reconstruction;
-        let folder = &self.place(progress)?;
-        let mut problems: Vec<String> = self.tracked.problem.iter().cloned().collect();
+    /// Writes everything, the most important first: poses and map, then figures, then pictures,
+    /// then the report.
+    pub(super) fn write(mut self, progress: &Progress) -> Result<Written, Failure> {
+        let folder = &self.output_folder(progress)?;
+        let reconstruction = &self.outcome.reconstruction;
+        let problem = self.outcome.problem.take().map(Failure::from);
+        let mut problems: Vec<String> =
+            problem.iter().filter_map(Failure::message).map(str::to_owned).collect();
         let mut note = |result: Result<(), ExportError>| {
             problems.extend(result.err().map(|error| error.to_string()));
         };
@@ -85,11 +77,10 @@ impl Finished<'_> {
         }
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(Input::new(&self.job.dataset, &self.opened()).save(folder));
-        let mut figures = Figures::of(&self.tracked, self.truth);
-        for warning in &figures.warnings {
-            progress.warn(warning.as_str());
-        }
-        figures.metrics.warnings = self.warnings(progress);
+        let mut figures = Figures::of(&self.outcome, self.truth);
+        figures.warnings.iter().for_each(|warning| progress.warn(warning));
+        let later = figures.warnings.iter().map(|warning| Warning::from(warning.as_str()));
+        figures.metrics.warnings = self.warnings.iter().cloned().chain(later).collect();
         note(save_metrics(folder, &figures.metrics));
         let drawing = Drawing {
             sequence: self.sequence,

@@ -59,6 +59,11 @@ impl Config {
         Ok(config)
     }
 
+    /// Settings for colour alone on 3D Gaussians: the preset `default-rgb`.
+    pub fn default_rgb() -> Self {
+        rgb::ours()
+    }
+
     /// Whether these settings started from a preset for keyframes that come with poses, of which
     /// depth may be unknown.
     pub fn is_rgb(&self) -> bool {

@@ -45,8 +45,8 @@ pub(super) fn draw(
     let chosen = reconstruction.frames.iter().filter(|f| frames.binary_search(&f.index).is_ok());
     let chosen: Vec<&FrameEstimate> = chosen.collect();
     interrupt::listen();
-    let mut progress = Progress::new(chosen.len(), false);
-    progress.phase("optimising poses", chosen.len());
+    let progress = Progress::new(chosen.len(), false);
+    let count = chosen.len();
     for frame in chosen {
         if interrupt::requested() {
             return Err(Failure::Interrupted);
@@ -58,7 +58,7 @@ pub(super) fn draw(
         let world_from_camera = found.world_from_camera;
         let stamped = StampedPose { timestamp: frame.timestamp, world_from_camera };
         moved.push((stamped, frame.middle()));
-        progress.step(moved.len());
+        progress.step("optimising poses", moved.len(), count);
     }
     progress.clear();
     let poses: Vec<StampedPose> = moved.iter().map(|(pose, _)| *pose).collect();

@@ -41,8 +41,7 @@ pub(super) fn judge(
         return Err(Failure::Usage(message.to_owned()));
     }
     let metrics = metrics::of(arguments.protocol);
-    let mut progress = Progress::new(chosen.frames.len(), false);
-    progress.phase("judging pictures", chosen.frames.len());
+    let progress = Progress::new(chosen.frames.len(), false);
     let done = AtomicUsize::new(0);
     let row = |(frame, render): &(usize, std::path::PathBuf)| {
         let mut pair = pair(subject, reference, *frame, render)?;
@@ -51,7 +50,8 @@ pub(super) fn judge(
         let values = metrics.iter().map(|metric| (metric.of)(&pair));
         let values: Result<Vec<_>, _> = values.collect();
         let values = values.map_err(|e| failed(render, e))?;
-        progress.step(done.fetch_add(1, Ordering::Relaxed) + 1);
+        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+        progress.step("judging pictures", done, chosen.frames.len());
         Ok(((*frame, values), checksum(&pair.truth)))
     };
     let rows: Result<Vec<_>, Failure> = chosen.frames.par_iter().map(row).collect();

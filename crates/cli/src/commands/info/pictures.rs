@@ -125,7 +125,7 @@ fn look_at_all(
             Ok(frame) => Ok(Look::at(&frame)?),
             Err(error) => Err(format!("frame {index}: {error}")),
         };
-        progress.step(done.fetch_add(1, Ordering::Relaxed) + 1);
+        progress.step("frames", done.fetch_add(1, Ordering::Relaxed) + 1, sequence.len());
         Ok(look)
     };
     let looks: Result<Vec<Result<Look, String>>, Failure> = match sequence.layout {

@@ -1,0 +1,201 @@
+//! Sentences about a run on the terminal: its input, camera, duration and result.
+
+use crate::output::{counted, say};
+use i2slam::dataset::{Layout, Sequence};
+use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
+use i2slam_result::{Metrics, UnitOfLength};
+use std::path::Path;
+
+/// Longer side below which smaller pictures are not advised [px].
+const MIN_ADVISED_SIDE: usize = 240;
+/// Duration from which a run is forecast [s].
+const MIN_FORECAST: f64 = 60.0;
+
+/// Size, duration and camera of a sequence that is reconstructed by colour alone.
+pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {
+    let camera = &sequence.camera;
+    let mut lines = Vec::new();
+    let (width, height) = sequence.recorded_size;
+    let seconds = match sequence.entries.as_slice() {
+        [first, .., last] => last.timestamp - first.timestamp,
+        _ => 0.0,
+    };
+    let reduced = if (camera.width, camera.height) == (width, height) {
+        String::new()
+    } else {
+        let path = match odometry_size(sequence) {
+            size if size == (camera.width, camera.height) => String::new(),
+            size if size == (width, height) => ", the path found as recorded".to_owned(),
+            (width, height) => format!(", the path found at {width}x{height}"),
+        };
+        format!(", worked on at {}x{} (--max-side, --scale){path}", camera.width, camera.height)
+    };
+    if sequence.layout == Layout::Video || !reduced.is_empty() {
+        lines.push(format!(
+            "{}: {} frames of {width}x{height} px, {seconds:.1} s{reduced}",
+            sequence.name,
+            sequence.len()
+        ));
+    }
+    let view = camera.horizontal_field_of_view().to_degrees();
+    let source = &sequence.camera_source;
+    lines.push(if sequence.camera_is_guess {
+        format!(
+            "camera not given: its focal length is looked for in the pictures, beginning with \
+             {:.0} px ({source}); --fov or --intrinsics would give it",
+            camera.fx
+        )
+    } else {
+        format!("camera: focal length {:.1} px, {view:.1} degrees across, from {source}", camera.fx)
+    });
+    lines
+}
+
+/// An estimated focal length [px] with its horizontal field of view [degrees] and relative standard
+/// deviation, beside the assumed focal length [px].
+fn focal_length_line((found, view): (f64, f64), deviation: Option<f64>, assumed: f64) -> String {
+    let tangent = (0.5 * view).to_radians().tan() * found / assumed;
+    let assumed_view = 2.0 * tangent.atan().to_degrees();
+    let deviation = deviation.map(|share| format!(" ± {:.1} %", 100.0 * share));
+    format!(
+        "camera: focal length {found:.1} px{}, {view:.1} degrees across, found in the pictures \
+         (assumed {assumed:.1} px, {assumed_view:.1} degrees)",
+        deviation.unwrap_or_default(),
+    )
+}
+
+/// Focal length, lens distortion and rolling shutter as estimated from the pictures.
+pub(crate) fn camera_lines(camera: &CameraEstimate) -> Vec<String> {
+    let mut lines = Vec::new();
+    if camera.is_focal_length_estimated {
+        let found = (camera.focal_length, camera.field_of_view);
+        let deviation = camera.focal_length_deviation;
+        lines.push(focal_length_line(found, deviation, camera.assumed_focal_length));
+    }
+    if let Some([k1, k2]) = camera.lens.map(|lens| lens.distortion) {
+        lines.push(format!("lens distortion: k1 {k1:.4}, k2 {k2:.4} found in the pictures"));
+    } else if camera.is_distortion_estimated {
+        lines.push("lens distortion: not found in the pictures, none is assumed".to_owned());
+    }
+    if camera.rolling_shutter_readout != 0.0 {
+        let milliseconds = 1e3 * camera.rolling_shutter_readout;
+        lines.push(format!("rolling shutter: rows read in {milliseconds:.1} ms"));
+    }
+    lines
+}
+
+/// The expected duration of a long run, and, where flags can change it, what makes it shorter.
+pub(crate) fn forecast_line(forecast: &RuntimeForecast, is_adjustable: bool) -> Option<String> {
+    let RuntimeForecast { seconds, frames, keyframes, size: (width, height) } = *forecast;
+    let advice = if is_adjustable { advice(width.max(height)) } else { String::new() };
+    (seconds > MIN_FORECAST).then(|| {
+        format!(
+            "this will take about {}: {frames} frames of {width}x{height} px, some {keyframes} \
+             keyframes{advice}",
+            rounded_duration(seconds)
+        )
+    })
+}
+
+/// Flags that make a run on pictures of this longer side [px] shorter.
+fn advice(side: usize) -> String {
+    let half = side / 2;
+    let smaller = match half >= MIN_ADVISED_SIDE {
+        true => format!("--max-side {half} would take about a third of that, "),
+        false => String::new(),
+    };
+    format!("; {smaller}--stride N takes every N-th frame, --frames A..B a part")
+}
+
+/// A duration in words, as precise as a forecast is.
+fn rounded_duration(seconds: f64) -> String {
+    match seconds / 60.0 {
+        m if m < 1.5 => format!("{:.0} s", 10.0 * (seconds / 10.0).round()),
+        m if m < 90.0 => format!("{m:.0} min"),
+        m => format!("{:.1} h", m / 60.0),
+    }
+}
+
+/// Prints the summary of a run, its last line the path of the report.
+pub(super) fn print_summary(
+    metrics: &Metrics,
+    map: &str,
+    folder: &Path,
+    is_readout_estimated: bool,
+) {
+    let unfinished = if metrics.complete { "" } else { " (ended early)" };
+    let frames = counted(metrics.frames_given, "frame");
+    say(&format!("{} of {frames} tracked{unfinished}, {map}", metrics.tracked));
+    if let Some(error) = metrics.ate_rmse_m {
+        let centimetres = error * 100.0;
+        let digits = if centimetres < 0.1 { 4 } else { 2 };
+        say(&format!(
+            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {}{})",
+            counted(metrics.ate_poses, "pose"),
+            if metrics.ate_scale_aligned { ", scale aligned" } else { "" }
+        ));
+    }
+    if let Some(psnr) = metrics.psnr_sharp_db {
+        say(&format!("sharp renders {psnr:.2} dB against the true sharp pictures"));
+    }
+    if metrics.unit_of_length == UnitOfLength::Unknown {
+        say("unit of length: unknown, pictures alone do not tell the scale");
+    }
+    if let Some(assumed) = metrics.focal_length_assumed_px {
+        let found = (metrics.focal_length_px, metrics.horizontal_fov_deg);
+        say(&focal_length_line(found, None, assumed));
+    }
+    if let Some([k1, k2]) = metrics.lens_distortion {
+        say(&format!("lens distortion: k1 {k1:.4}, k2 {k2:.4}, found in the pictures and removed"));
+    }
+    if metrics.rolling_shutter_readout_s != 0.0 {
+        let milliseconds = 1e3 * metrics.rolling_shutter_readout_s;
+        say(&format!("rolling shutter: rows read in {milliseconds:.1} ms"));
+    } else if is_readout_estimated {
+        say("rolling shutter: none found, rows read at once (0.0 ms)");
+    }
+    let memory = metrics.peak_memory_bytes.map(|bytes| format!(", {} MB", bytes / 1_000_000));
+    say(&format!(
+        "{:.2} s per frame, {:.0} s in all{}",
+        metrics.seconds_per_frame,
+        metrics.seconds,
+        memory.unwrap_or_default()
+    ));
+    let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+    say(&format!("results in {}", absolute.display()));
+    let report = absolute.join("report.html");
+    if report.is_file() {
+        say(&report.display().to_string());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn focal_lengths_come_with_their_fields_of_view() {
+        let line = focal_length_line((320.0, 90.0), Some(0.004), 640.0);
+        assert!(line.contains("320.0 px ± 0.4 %, 90.0 degrees across"), "{line}");
+        assert!(line.contains("(assumed 640.0 px, 53.1 degrees)"), "{line}");
+        assert!(!focal_length_line((320.0, 90.0), None, 320.0).contains('±'));
+    }
+
+    #[test]
+    fn forecasts_are_rounded_and_come_with_advice() {
+        assert_eq!(rounded_duration(63.0), "60 s");
+        assert_eq!(rounded_duration(754.0), "13 min");
+        assert_eq!(rounded_duration(3.0 * 3600.0), "3.0 h");
+        let forecast =
+            RuntimeForecast { seconds: 600.0, frames: 300, keyframes: 62, size: (480, 640) };
+        let line = forecast_line(&forecast, true).expect("a long run");
+        for part in
+            ["10 min", "300 frames of 480x640 px", "62 keyframes", "--max-side 320", "--stride"]
+        {
+            assert!(line.contains(part), "{line}");
+        }
+        assert!(!forecast_line(&forecast, false).expect("a long run").contains("--"));
+        assert_eq!(forecast_line(&RuntimeForecast { seconds: 50.0, ..forecast }, true), None);
+        assert!(!advice(320).contains("--max-side"));
+    }
+}

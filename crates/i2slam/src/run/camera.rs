@@ -1,0 +1,46 @@
+//! Camera as estimated from pictures alone.
+
+use crate::keyframes::OdometryReconstruction;
+use i2slam_dataset::{EstimatedCamera, Sequence};
+
+/// Camera of a sequence as visual odometry knows it in the end.
+#[derive(Clone, Debug)]
+pub struct CameraEstimate {
+    /// Source of the assumed camera, in words.
+    pub source: String,
+    /// Assumed focal length [px].
+    pub assumed_focal_length: f64,
+    /// Focal length in the end [px].
+    pub focal_length: f64,
+    /// Whether the focal length was estimated.
+    pub is_focal_length_estimated: bool,
+    /// Standard deviation of the estimated focal length, as a fraction of it.
+    pub focal_length_deviation: Option<f64>,
+    /// Horizontal field of view in the end [degrees].
+    pub field_of_view: f64,
+    /// Time from the first to the last row of a picture [s], 0 for a global shutter.
+    pub rolling_shutter_readout: f64,
+    /// Whether lens distortion was estimated.
+    pub is_distortion_estimated: bool,
+    /// Camera of the recorded pictures with the estimated distortion, unless that is zero.
+    pub lens: Option<EstimatedCamera>,
+}
+
+impl CameraEstimate {
+    pub(super) fn new(sequence: &Sequence, found: &OdometryReconstruction) -> Self {
+        Self {
+            source: sequence.camera_source.clone(),
+            assumed_focal_length: sequence.camera.fx,
+            focal_length: found.camera.fx,
+            is_focal_length_estimated: sequence.camera_is_guess,
+            focal_length_deviation: found.focal_deviation,
+            field_of_view: found.camera.horizontal_field_of_view().to_degrees(),
+            rolling_shutter_readout: found.rolling_shutter_readout,
+            is_distortion_estimated: found.distortion.is_some(),
+            lens: found
+                .distortion
+                .filter(|lens| *lens != [0.0; 2])
+                .map(|lens| sequence.estimated_camera(&found.camera, lens)),
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! A whole reconstruction in one call: [`reconstruct`] takes a sequence through the system, with
+//! depth, by colour alone, or with keyframes of another program.
+//!
+//! ```no_run
+//! use i2slam::{RunOptions, reconstruct};
+//!
+//! let options = RunOptions::colour_alone();
+//! let sequence = options.open_sequence("holiday.mp4".as_ref())?;
+//! let outcome = reconstruct(&sequence, &options, ())?;
+//! println!("{}", outcome.reconstruction.map);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod camera;
+mod error;
+mod forecast;
+mod frames;
+mod keyframes;
+mod observer;
+mod runner;
+
+pub use camera::CameraEstimate;
+pub use error::RunError;
+pub use forecast::RuntimeForecast;
+pub use keyframes::odometry_size;
+pub use observer::{Observer, Stage};
+
+use crate::config::Config;
+use crate::keyframes::{ImportDepth, ImportOptions};
+use crate::reconstruction::Reconstruction;
+use crate::warning::Warning;
+use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
+use observer::RunContext;
+use std::path::{Path, PathBuf};
+
+/// Longer side of pictures processed by colour alone [px]: larger ones take much longer and gain
+/// little.
+const COLOUR_SIDE: usize = 640;
+
+/// Source of the camera poses that a map begins with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PoseSource {
+    /// Tracking of every frame in the map, with depth pictures.
+    Depth,
+    /// Visual odometry on colour pictures alone.
+    Odometry {
+        /// Whether the radial distortion of an unknown camera is estimated and removed.
+        estimate_distortion: bool,
+    },
+    /// Keyframes with poses found by another program (docs/import.md).
+    Imported {
+        /// File or folder of the poses.
+        keyframes: PathBuf,
+        /// The dataset that holds the pictures.
+        pictures: PathBuf,
+        /// Depth that the keyframes get.
+        depth: ImportDepth,
+        /// Folder with the variances of depth pictures.
+        variance: Option<PathBuf>,
+    },
+}
+
+/// Settings of a reconstruction.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// Settings of tracking, mapping and image formation; those of an `-rgb` preset unless poses
+    /// come from [`PoseSource::Depth`].
+    pub config: Config,
+    /// Source of the poses.
+    pub poses: PoseSource,
+    /// How the sequence, or the pictures of imported keyframes, are opened.
+    pub open: OpenOptions,
+}
+
+impl RunOptions {
+    /// Options for a source of poses, the sequence opened as that source and `config` need it.
+    pub fn new(config: Config, poses: PoseSource) -> Self {
+        let mut open = OpenOptions {
+            crop_border: config.input.crop_border,
+            minimum_gap: config.input.minimum_gap,
+            colour_only: poses != PoseSource::Depth,
+            ..OpenOptions::default()
+        };
+        if let PoseSource::Odometry { .. } = poses {
+            open.guess_camera = true;
+            open.turn_pictures = true;
+            open.max_side = Some(COLOUR_SIDE);
+        }
+        Self { config, poses, open }
+    }
+
+    /// Colour and depth with the settings `default`.
+    pub fn with_depth() -> Self {
+        Self::new(Config::default(), PoseSource::Depth)
+    }
+
+    /// A video or a folder of pictures by colour alone, with the settings `default-rgb`: 3D
+    /// Gaussians, the longer side of pictures reduced to 640 px, an unknown focal length estimated.
+    pub fn colour_alone() -> Self {
+        Self::new(Config::default_rgb(), PoseSource::Odometry { estimate_distortion: false })
+    }
+
+    /// Opens a sequence with [`open`](Self::open).
+    ///
+    /// # Errors
+    ///
+    /// A path that is no sequence, and options that do not fit it.
+    pub fn open_sequence(&self, path: &Path) -> Result<Sequence, DatasetError> {
+        Sequence::open(path, &self.open)
+    }
+
+    /// Checks the options against each other and against a sequence.
+    ///
+    /// # Errors
+    ///
+    /// [`RunError::Config`], [`RunError::Preset`] and [`RunError::KnownCamera`].
+    pub fn validate(&self, sequence: &Sequence) -> Result<(), RunError> {
+        self.config.validate()?;
+        let with_depth = self.poses == PoseSource::Depth;
+        if self.config.is_rgb() == with_depth {
+            return Err(RunError::Preset { preset: self.config.preset.clone(), with_depth });
+        }
+        match self.poses {
+            PoseSource::Odometry { estimate_distortion: true } if !sequence.camera_is_guess => {
+                Err(RunError::KnownCamera { source_of_camera: sequence.camera_source.clone() })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Result of a run, complete or ended early.
+#[derive(Debug)]
+pub struct RunOutcome {
+    /// Poses, tone, map and responses.
+    pub reconstruction: Reconstruction,
+    /// Frames of the sequence, those without a pose included.
+    pub frames_given: usize,
+    /// Frames or keyframes that could not be used.
+    pub frames_skipped: usize,
+    /// Wall time from the first frame to the finished map [s].
+    pub seconds: f64,
+    /// Whether every frame was processed and the map was refined to the end.
+    pub complete: bool,
+    /// The error that ended the run early; `None` if it was cancelled.
+    pub problem: Option<RunError>,
+    /// Camera as estimated from the pictures; only by colour alone.
+    pub camera: Option<CameraEstimate>,
+    /// The sequence as it was used, if an estimated lens distortion was removed from it.
+    pub undistorted: Option<Sequence>,
+    /// All warnings, in order, with the time stamps of their frames.
+    pub warnings: Vec<Warning>,
+}
+
+/// Reconstructs a sequence: camera path, exposure and map. `observer` is `()`, or sees progress
+/// and may cancel; a run cancelled after its first frame still returns what it has.
+///
+/// # Errors
+///
+/// Options that do not fit the sequence, keyframes that cannot be imported, pictures in which no
+/// camera path is found, and cancellation before the first frame.
+pub fn reconstruct(
+    sequence: &Sequence,
+    options: &RunOptions,
+    observer: impl Observer + 'static,
+) -> Result<RunOutcome, RunError> {
+    options.validate(sequence)?;
+    let context = RunContext::new(observer);
+    let mut outcome = match &options.poses {
+        PoseSource::Depth => frames::run(sequence, options, &context),
+        PoseSource::Odometry { estimate_distortion } => {
+            let open =
+                || keyframes::from_odometry(sequence, *estimate_distortion, options, &context);
+            keyframes::run(sequence, options, &context, open)
+        }
+        PoseSource::Imported { keyframes, pictures, depth, variance } => {
+            let import = ImportOptions {
+                open: options.open.clone(),
+                depth: *depth,
+                variance: variance.clone(),
+                ..ImportOptions::default()
+            };
+            let open = || keyframes::imported((keyframes, pictures), &import, options, &context);
+            keyframes::run(sequence, options, &context, open)
+        }
+    }?;
+    let stamp = |index: usize| {
+        let place = sequence.entries.binary_search_by_key(&index, |entry| entry.index).ok()?;
+        Some(sequence.entries[place].timestamp)
+    };
+    outcome.warnings =
+        context.into_warnings().into_iter().map(|warning| warning.timed(stamp)).collect();
+    Ok(outcome)
+}

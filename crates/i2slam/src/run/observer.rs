@@ -1,0 +1,107 @@
+//! Progress, warnings and cancellation of a run.
+
+use super::{CameraEstimate, RuntimeForecast};
+use crate::keyframes;
+use crate::reconstruction::FrameEstimate;
+use crate::warning::Warning;
+use i2slam_compute::CancellationToken;
+use std::fmt;
+use std::sync::{Arc, Mutex};
+
+/// Stage of a run; its [`Display`](fmt::Display) is a few words for a progress bar.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Visual odometry; its stages may come in turns.
+    Odometry(keyframes::Stage),
+    /// Tracking and mapping of frames with depth; counts frames.
+    Frames,
+    /// Mapping of keyframes; counts keyframes.
+    Keyframes,
+    /// Final refinement of the map after the last frame; counts steps.
+    MapRefinement,
+    /// Final refinement of map and poses, and localisation of all other frames; counts steps and
+    /// frames.
+    Refinement,
+}
+
+impl Stage {
+    /// Words for a progress bar.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Odometry(keyframes::Stage::Tracking { .. }) => "following points",
+            Self::Odometry(keyframes::Stage::FocalLength) => "looking for the focal length",
+            Self::Odometry(keyframes::Stage::Registration) => "finding the path of the camera",
+            Self::Odometry(keyframes::Stage::BundleAdjustment) => "adjusting the path",
+            Self::Odometry(keyframes::Stage::RollingShutter) => "looking for a rolling shutter",
+            Self::Odometry(keyframes::Stage::LoopClosure) => "looking for places seen again",
+            Self::Frames => "frames",
+            Self::Keyframes => "keyframes",
+            Self::MapRefinement => "refining the map",
+            Self::Refinement => "refining map and poses",
+        }
+    }
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Receiver of what happens during a run, called on the threads that work. Every method does
+/// nothing by default; `()` is an observer that ignores everything.
+pub trait Observer: Send + Sync {
+    /// `done` of `total` steps of a stage are done; a `total` of 0 is unknown.
+    fn progress(&self, _stage: Stage, _done: usize, _total: usize) {}
+
+    /// `done` of `total` frames or keyframes are processed, the last one with this estimate.
+    fn frame(&self, _estimate: &FrameEstimate, _done: usize, _total: usize) {}
+
+    /// A decision that users may want to know of.
+    fn note(&self, _line: &str) {}
+
+    /// Something unusual, which is also kept in the [`RunOutcome`](super::RunOutcome).
+    fn warning(&self, _warning: &Warning) {}
+
+    /// Visual odometry has estimated the camera.
+    fn camera(&self, _camera: &CameraEstimate) {}
+
+    /// The duration of the run was extrapolated from its first frames; by colour alone, at most
+    /// once.
+    fn forecast(&self, _forecast: &RuntimeForecast) {}
+
+    /// Token that ends the run early, asked for at its start; never cancelled by default.
+    fn cancellation(&self) -> CancellationToken {
+        CancellationToken::default()
+    }
+}
+
+impl Observer for () {}
+
+/// The observer of one run, its token, and the warnings so far.
+pub(super) struct RunContext {
+    pub(super) observer: Arc<dyn Observer>,
+    pub(super) cancellation: CancellationToken,
+    warnings: Mutex<Vec<Warning>>,
+}
+
+impl RunContext {
+    pub(super) fn new(observer: impl Observer + 'static) -> Self {
+        let cancellation = observer.cancellation();
+        Self { observer: Arc::new(observer), cancellation, warnings: Mutex::default() }
+    }
+
+    /// Reports a warning and keeps it.
+    pub(super) fn warn(&self, warning: impl Into<Warning>) {
+        let warning = warning.into();
+        self.observer.warning(&warning);
+        if let Ok(mut warnings) = self.warnings.lock() {
+            warnings.push(warning);
+        }
+    }
+
+    /// The warnings so far.
+    pub(super) fn into_warnings(self) -> Vec<Warning> {
+        self.warnings.into_inner().unwrap_or_default()
+    }
+}
