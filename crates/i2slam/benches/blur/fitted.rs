@@ -33,8 +33,7 @@ impl Fitted {
         }
         session.finish(&mut |_, _| true);
         let scene = session.reconstruction();
-        let screen_variance = scene.config.map.screen_variance;
-        let settings = RasterSettings { screen_variance, ..RasterSettings::default() };
+        let settings = RasterSettings::default();
         let objective = FrameObjective::new(scene.camera.cast(), settings);
         let Map::Gaussians(map) = scene.map.clone() else { return Err("no Gaussians".into()) };
         Ok(Self { scene, frames, map, objective })

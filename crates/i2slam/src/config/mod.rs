@@ -99,13 +99,6 @@ pub struct FormationConfig {
     pub response_curves: usize,
     /// The curve that a response starts from.
     pub response_start: ResponseStart,
-    /// Where the 256 nodes sit: 1 is uniform, 2.2 is even in display space.
-    pub response_node_power: f32,
-    /// Weight of the prior that ties the response to its start curve.
-    pub response_prior: f32,
-    /// Learning rate of exposure and white balance (logarithms) and of response nodes (in steps
-    /// of a straight curve: 1 / 255 of the picture's range) while tracking.
-    pub tone_rate: f32,
 }
 
 /// Where the virtual cameras lie within the exposure.
@@ -194,12 +187,6 @@ pub struct MapConfig {
     pub kind: MapKind,
     /// One standard deviation per Gaussian instead of three and a rotation.
     pub isotropic: bool,
-    /// Initial standard deviation in pixels of the frame that adds the Gaussian.
-    pub initial_scale: f32,
-    /// Initial opacity, between 0 and 1.
-    pub initial_opacity: f32,
-    /// Variance added to every projected Gaussian [px²].
-    pub screen_variance: f32,
     /// Most Gaussians the map may hold.
     pub capacity: usize,
 }
@@ -264,48 +251,10 @@ pub struct MappingConfig {
     /// Motion of the picture since the last keyframe from which a new one is due, as a share of
     /// its width; zero takes every `keyframe_interval`-th frame.
     pub keyframe_motion: f32,
-    /// λ_img (a mean over pixels).
-    pub image_weight: f32,
     /// λ_depth (a mean over pixels).
     pub depth_weight: f32,
-    /// Share of 1 - SSIM in the image loss; the rest is L1.
-    pub ssim_share: f32,
-    /// Learning rate of means [m].
-    pub mean_rate: f32,
-    /// Learning rate of colours (log-radiance, or picture values with `tone` off).
-    pub colour_rate: f32,
-    /// Learning rate of opacity logits.
-    pub opacity_rate: f32,
-    /// Learning rate of log-scales.
-    pub scale_rate: f32,
-    /// Learning rate of rotations.
-    pub rotation_rate: f32,
-    /// Learning rate of the poses of keyframes: rotation [rad]; zero keeps them fixed.
-    pub pose_rotation_rate: f32,
-    /// Learning rate of the poses of keyframes: translation [m].
-    pub pose_translation_rate: f32,
-    /// Learning rate of the logarithm of the exposure while mapping.
-    pub exposure_rate: f32,
-    /// Learning rate of the logarithms of the white balance while mapping.
-    pub white_balance_rate: f32,
-    /// Learning rate of response nodes while mapping, in steps of a straight curve (1 / 255).
-    pub response_rate: f32,
     /// Place Gaussians where the sensor has no depth too, at a guess.
     pub fill_depth: bool,
-    /// Pixels below this opacity receive new Gaussians.
-    pub densify_opacity: f32,
-    /// Pixels whose depth error exceeds this many medians receive new Gaussians in front.
-    pub densify_depth_medians: f32,
-    /// Gaussians below this opacity are removed.
-    pub prune_opacity: f32,
-    /// Gaussians above this share of the scene's radius are removed.
-    pub prune_scale: f32,
-    /// Scene radius = largest depth of the first frame / this ratio.
-    pub scene_radius_ratio: f32,
-    /// A step moves only the Gaussians that its keyframe shows.
-    pub only_seen: bool,
-    /// Start each round with fresh optimiser moments, as SplaTAM does.
-    pub fresh_optimizer: bool,
 }
 
 impl MappingConfig {

@@ -92,12 +92,9 @@ fn ours() -> Config {
             white_balance: WhiteBalance::PerChannel,
             response_scope: ResponseScope::Sequence,
             response_start: ResponseStart::Shoulder,
-            response_node_power: 2.5,
-            response_prior: 1e-3,
-            tone_rate: 5e-3,
             ..paper.formation
         },
-        map: MapConfig { initial_scale: 0.5, initial_opacity: 0.8, ..paper.map },
+        map: paper.map,
         hashgrid: paper.hashgrid,
         keyframed: paper.keyframed,
         tracking: TrackingConfig {
@@ -112,15 +109,7 @@ fn ours() -> Config {
             keyframe_interval: 4,
             keyframe_motion: 0.004,
             final_iterations: 200,
-            mean_rate: 2e-4,
-            colour_rate: 1.5e-2,
-            scale_rate: 5e-3,
-            exposure_rate: 5e-3,
-            white_balance_rate: 5e-4,
-            response_rate: 0.05,
             fill_depth: true,
-            only_seen: true,
-            fresh_optimizer: false,
             ..paper.mapping
         },
         parameters: Parameters::of_preset("default"),
@@ -152,18 +141,8 @@ fn paper_scannet() -> Config {
             response_scope: ResponseScope::Frame,
             response_curves: 3,
             response_start: ResponseStart::Srgb,
-            response_node_power: 1.0,
-            response_prior: 0.0,
-            tone_rate: 1e-2,
         },
-        map: MapConfig {
-            kind: MapKind::Gaussian,
-            isotropic: true,
-            initial_scale: 1.0,
-            initial_opacity: 0.5,
-            screen_variance: 0.3,
-            capacity: 2_000_000,
-        },
+        map: MapConfig { kind: MapKind::Gaussian, isotropic: true, capacity: 2_000_000 },
         hashgrid: hashgrid(),
         keyframed: rgb::keyframed(),
         tracking: TrackingConfig {
@@ -182,27 +161,8 @@ fn paper_scannet() -> Config {
             window: 10,
             keyframe_interval: 5,
             keyframe_motion: 0.0,
-            image_weight: 0.5,
             depth_weight: 1.0,
-            ssim_share: 0.2,
-            mean_rate: 1e-4,
-            colour_rate: 2.5e-3,
-            opacity_rate: 0.05,
-            scale_rate: 1e-3,
-            rotation_rate: 1e-3,
-            pose_rotation_rate: 0.0,
-            pose_translation_rate: 0.0,
-            exposure_rate: 1e-2,
-            white_balance_rate: 1e-2,
-            response_rate: 1e-2,
             fill_depth: false,
-            densify_opacity: 0.5,
-            densify_depth_medians: 50.0,
-            prune_opacity: 0.005,
-            prune_scale: 0.1,
-            scene_radius_ratio: 3.0,
-            only_seen: false,
-            fresh_optimizer: true,
         },
         parameters: Parameters::of_preset("paper-scannet"),
     }
@@ -239,7 +199,6 @@ fn paper_tum() -> Config {
     config.input.crop_border = 8;
     config.tracking.iterations = 200;
     config.mapping.window = 20;
-    config.mapping.scene_radius_ratio = 2.0;
     config.formation.white_balance = WhiteBalance::PerChannel;
     config
 }

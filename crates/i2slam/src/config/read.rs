@@ -152,7 +152,33 @@ impl Config {
 }
 
 /// Keys of earlier versions, by section, whose values the preset decides.
-const REMOVED: [(&str, &[&str]); 2] = [
+const REMOVED: [(&str, &[&str]); 5] = [
+    ("formation", &["response_node_power", "response_prior", "tone_rate"]),
+    ("map", &["initial_scale", "initial_opacity", "screen_variance"]),
+    (
+        "mapping",
+        &[
+            "image_weight",
+            "ssim_share",
+            "mean_rate",
+            "colour_rate",
+            "opacity_rate",
+            "scale_rate",
+            "rotation_rate",
+            "pose_rotation_rate",
+            "pose_translation_rate",
+            "exposure_rate",
+            "white_balance_rate",
+            "response_rate",
+            "densify_opacity",
+            "densify_depth_medians",
+            "prune_opacity",
+            "prune_scale",
+            "scene_radius_ratio",
+            "only_seen",
+            "fresh_optimizer",
+        ],
+    ),
     (
         "tracking",
         &[
@@ -338,9 +364,9 @@ mod tests {
 
     #[test]
     fn a_file_changes_single_values_of_a_preset() {
-        let text = "preset = \"paper-tum\"\n[mapping]\nmean_rate = 1\n";
+        let text = "preset = \"paper-tum\"\n[mapping]\ndepth_weight = 1\n";
         let config = Config::from_toml(text, "test", None).expect("valid");
-        assert_eq!(config.mapping.mean_rate, 1.0);
+        assert_eq!(config.mapping.depth_weight, 1.0);
         assert_eq!(config.mapping.window, 20);
     }
 
@@ -373,16 +399,20 @@ mod tests {
         };
         let head = "[formation]\nblur = true\n[mapping]\nwindow = 3\n";
         let value = |line: &str| format!("{head}{line}\n");
-        refused(&value("mean_rate = \"x\""), "a.toml, line 5: mapping.mean_rate: ", "a number");
+        refused(
+            &value("depth_weight = \"x\""),
+            "a.toml, line 5: mapping.depth_weight: ",
+            "a number",
+        );
         refused(&value("window.x = 1"), "a.toml", "window");
         refused(&value("iterations = -1"), "a.toml, line 5: mapping.iterations: ", "-1");
         refused(
-            &value("ssim_share = 2"),
-            "a.toml, line 5: mapping.ssim_share = 2 is out",
-            "0 and 1",
+            &value("hold_out = 1"),
+            "a.toml, line 5: mapping.hold_out = 1 is out",
+            "2 and more",
         );
-        let other = "[hashgrid]\nimage_weight = 1\n[mapping]\nimage_weight = -1\n";
-        refused(other, "a.toml, line 4: mapping.image_weight = -1 is out", "at least 0");
+        let other = "[hashgrid]\niterations = 1\n[mapping]\ndepth_weight = -1\n";
+        refused(other, "a.toml, line 4: mapping.depth_weight = -1 is out", "at least 0");
         refused("mapping = 3\n", "a.toml, line 1: mapping: ", "section");
         refused("preset = 3\n", "a.toml, line 1: preset: ", "string");
         let model = "formation.blur_model = \"blurry\"\n";

@@ -25,7 +25,7 @@ impl Config {
         if !matches!(f.response_curves, 1 | 3) {
             return refuse("formation.response_curves", f.response_curves.to_string(), "1 or 3");
         }
-        positive("formation.response_node_power", f.response_node_power)
+        Ok(())
     }
 
     fn validate_tracking(&self) -> Result<(), ConfigError> {
@@ -81,17 +81,13 @@ impl Config {
         }
         at_least("mapping.window", m.window, 1)?;
         at_least("mapping.keyframe_interval", m.keyframe_interval, 1)?;
-        positive("mapping.scene_radius_ratio", m.scene_radius_ratio)?;
-        inside("mapping.prune_opacity", m.prune_opacity)?;
-        share("mapping.ssim_share", m.ssim_share)
+        Ok(())
     }
 
     fn validate_map(&self) -> Result<(), ConfigError> {
         let m = &self.map;
         at_least("map.capacity", m.capacity, 1)?;
-        positive("map.initial_scale", m.initial_scale)?;
-        positive("map.screen_variance", m.screen_variance)?;
-        inside("map.initial_opacity", m.initial_opacity)
+        Ok(())
     }
 
     fn validate_hashgrid(&self) -> Result<(), ConfigError> {
@@ -155,7 +151,7 @@ impl Config {
     }
 
     /// Values that any number of at least zero is good for.
-    fn rates(&self) -> [(&'static str, f32); 34] {
+    fn rates(&self) -> [(&'static str, f32); 18] {
         let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
         let k = &self.keyframed;
         [
@@ -172,25 +168,9 @@ impl Config {
             ("hashgrid.rate", self.hashgrid.rate),
             ("hashgrid.image_weight", self.hashgrid.image_weight),
             ("hashgrid.depth_weight", self.hashgrid.depth_weight),
-            ("formation.tone_rate", f.tone_rate),
             ("formation.blur_per_camera", f.blur_per_camera),
-            ("formation.response_prior", f.response_prior),
             ("tracking.trajectory_weight", t.trajectory_weight),
-            ("mapping.mean_rate", m.mean_rate),
-            ("mapping.colour_rate", m.colour_rate),
-            ("mapping.opacity_rate", m.opacity_rate),
-            ("mapping.scale_rate", m.scale_rate),
-            ("mapping.exposure_rate", m.exposure_rate),
-            ("mapping.white_balance_rate", m.white_balance_rate),
-            ("mapping.response_rate", m.response_rate),
-            ("mapping.pose_rotation_rate", m.pose_rotation_rate),
-            ("mapping.pose_translation_rate", m.pose_translation_rate),
-            ("mapping.rotation_rate", m.rotation_rate),
-            ("mapping.image_weight", m.image_weight),
             ("mapping.depth_weight", m.depth_weight),
-            ("mapping.densify_opacity", m.densify_opacity),
-            ("mapping.densify_depth_medians", m.densify_depth_medians),
-            ("mapping.prune_scale", m.prune_scale),
             ("mapping.keyframe_motion", m.keyframe_motion),
             ("mapping.seconds_per_frame", m.seconds_per_frame),
         ]
@@ -262,7 +242,7 @@ mod tests {
     fn values_out_of_range_are_refused() {
         let wrong = [
             "[formation]\nvirtual_cameras = 0",
-            "[map]\ninitial_opacity = 2.0",
+            "[map]\ncapacity = 0",
             "[keyframed]\nsurface_detail = 1e9",
             "[keyframed]\nsurface_growth = 1.0",
             "[mapping]\nhold_out = 1",

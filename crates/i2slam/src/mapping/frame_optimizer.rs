@@ -75,7 +75,7 @@ impl FrameOptimizers {
         mask_white_balance(context.config.formation.white_balance, &mut gradient);
         let tone = &mut context.frames[frame].tone;
         let mut values = tone.to_array();
-        let rates = &context.config.mapping;
+        let rates = &context.config.parameters.frames;
         let optimizer = self.frame(frame);
         let (exposure, balance) = values.split_at_mut(1);
         optimizer.exposure.step(exposure, &gradient[..1], rates.exposure_rate);
@@ -90,17 +90,18 @@ impl FrameOptimizers {
         index: usize,
         d_curve: &mut CurveGradient<f32>,
     ) {
-        let formation = &context.config.formation;
+        let weight = context.config.parameters.frames.response_prior;
+        let scope = context.config.formation.response_scope;
         let response = &mut context.responses[index];
-        if formation.response_prior > 0.0 && formation.response_scope == ResponseScope::Sequence {
+        if weight > 0.0 && scope == ResponseScope::Sequence {
             let prior = ResponsePrior::new(response);
-            prior.value_and_gradient(&response.curve(), formation.response_prior, d_curve);
+            prior.value_and_gradient(&response.curve(), weight, d_curve);
         }
         let d_nodes = response.pull_back(d_curve);
         let curves = response.nodes.len();
         let optimizers =
             self.responses.entry(index).or_insert_with(|| (0..curves).map(|_| adam()).collect());
-        let rate = context.config.mapping.response_rate * NODE_STEP;
+        let rate = context.config.parameters.frames.response_rate * NODE_STEP;
         for ((nodes, d), adam) in response.nodes.iter_mut().zip(&d_nodes).zip(optimizers) {
             adam.step(nodes, d, rate);
         }
@@ -113,7 +114,7 @@ impl FrameOptimizers {
         frame: usize,
         d_shutter: &ShutterTangent<f64>,
     ) {
-        let rates = &context.config.mapping;
+        let rates = &context.config.parameters.frames;
         if rates.pose_rotation_rate <= 0.0 && rates.pose_translation_rate <= 0.0 {
             return;
         }

@@ -73,7 +73,6 @@ pub(crate) trait Mapper: Tracker {
     /// of an empty map.
     fn snapshot(
         &self,
-        config: &Config,
         camera: &Camera<f64>,
         covered: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,

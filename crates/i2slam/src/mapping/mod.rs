@@ -17,7 +17,7 @@ mod mapper;
 mod window;
 
 pub(crate) use field::FieldMapper;
-pub(crate) use gaussians::{GaussianMapper, raster_settings};
+pub(crate) use gaussians::GaussianMapper;
 pub(crate) use joint::{JointFieldMapper, JointGaussianMapper, JointMapper};
 pub(crate) use keyframe::{AdjacentFrames, Keyframe, is_keyframe};
 pub(crate) use map_snapshot::Tracker;

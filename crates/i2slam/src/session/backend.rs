@@ -98,11 +98,10 @@ impl Backend {
     /// A copy of the map for tracking.
     pub(super) fn snapshot(
         &self,
-        config: &Config,
         camera: &Camera<f64>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
-        self.mapper.snapshot(config, camera, self.covered.clone(), last)
+        self.mapper.snapshot(camera, self.covered.clone(), last)
     }
 
     /// The map, and what it works on: the first `keyframes` of them.

@@ -36,15 +36,14 @@ fn posed_mapper(config: &Config, camera: &Camera<f64>, frame_rate: f64) -> Box<d
 
 /// The response before any frame was seen.
 fn response(config: &Config) -> CameraResponse<f32> {
-    let FormationConfig { response_curves, response_start, response_node_power, .. } =
-        config.formation;
+    let FormationConfig { response_curves, response_start, .. } = config.formation;
     let start = match response_start {
         ResponseStart::Srgb => StartCurve::Srgb,
         ResponseStart::Gamma22 => StartCurve::Gamma22,
         ResponseStart::Identity => StartCurve::Identity,
         ResponseStart::Shoulder => StartCurve::Shoulder,
     };
-    let spacing = match response_node_power {
+    let spacing = match config.parameters.frames.response_node_power {
         1.0 => NodeSpacing::Uniform,
         power => NodeSpacing::Power(f64::from(power)),
     };

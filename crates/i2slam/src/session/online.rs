@@ -209,7 +209,7 @@ impl Session {
         let (config, camera, backend) = (&self.config, &self.camera, &mut self.backend);
         if self.snapshot.is_none() {
             backend.work(config, camera);
-            self.snapshot = backend.snapshot(config, camera, None);
+            self.snapshot = backend.snapshot(camera, None);
         }
         let last = backend.responses.len() - 1;
         let look = FrameTracker {
@@ -227,7 +227,7 @@ impl Session {
         let tracker = snapshot.as_deref_mut().filter(|_| usable);
         let (seen, ()) =
             rayon::join(|| look.at(tracker, frame, observation), || backend.work(config, camera));
-        self.snapshot = backend.snapshot(config, camera, snapshot);
+        self.snapshot = backend.snapshot(camera, snapshot);
         seen
     }
 }

@@ -154,11 +154,11 @@ fn step(
     let weight = tracking.trajectory_weight;
     if formation.tone {
         let by_trajectory = trajectory.map_or(0.0, |t| weight * t.log_exposure_current as f32);
-        step_tone(formation, state, optimizers, evaluation, by_trajectory);
+        step_tone(context, state, optimizers, evaluation, by_trajectory);
     }
     if let Some(gradient) = trajectory {
         let mut a = [state.scale.a as f32];
-        let rate = formation.tone_rate * a[0].abs().max(1e-3);
+        let rate = context.parameters.frames.tracking_rate * a[0].abs().max(1e-3);
         optimizers.scale.step(&mut a, &[weight * gradient.scale as f32], rate);
         state.scale.a = f64::from(a[0]).max(0.0);
     }
@@ -211,17 +211,18 @@ fn step_motion(
 }
 
 fn step_tone(
-    formation: &FormationConfig,
+    context: &TrackingContext<'_>,
     state: &mut State,
     optimizers: &mut Optimizers,
     evaluation: &Evaluation,
     d_log_exposure: f32,
 ) {
+    let (formation, rate) = (context.formation, context.parameters.frames.tracking_rate);
     let mut gradient = evaluation.tone.to_array();
     gradient[0] += d_log_exposure;
     mask_white_balance(formation.white_balance, &mut gradient);
     let mut values = state.tone.to_array();
-    optimizers.tone.step(&mut values, &gradient, formation.tone_rate);
+    optimizers.tone.step(&mut values, &gradient, rate);
     state.tone = FrameTone::from_array(values);
     if formation.response_scope != crate::config::ResponseScope::Frame {
         return;
@@ -231,7 +232,7 @@ fn step_tone(
         for ((nodes, d), adam) in
             response.nodes.iter_mut().zip(&d_nodes).zip(&mut optimizers.response)
         {
-            adam.step(nodes, d, formation.tone_rate * NODE_STEP);
+            adam.step(nodes, d, rate * NODE_STEP);
         }
     }
 }

@@ -4,7 +4,6 @@ mod pose_optimization;
 
 pub use pose_optimization::OptimisedPose;
 
-use crate::mapping::raster_settings;
 use crate::objective::{
     BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, SceneMap, Tone, form,
 };
@@ -12,6 +11,7 @@ use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use i2slam_formation::ResponseCurve;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::Render;
+use i2slam_radiance::gaussian::RasterSettings;
 
 /// Opacity below which a pixel has no depth.
 const MIN_SURFACE_OPACITY: f32 = 0.5;
@@ -58,7 +58,7 @@ impl Reconstruction {
         let own = camera.cast();
         let scene: Box<dyn Scene> = match &self.map {
             Map::Gaussians(map) => {
-                Box::new((map, FrameObjective::new(own, raster_settings(&self.config))))
+                Box::new((map, FrameObjective::new(own, RasterSettings::default())))
             }
             Map::HashGrid(map) => Box::new((map.as_ref(), FrameObjective::new(own, map.march))),
         };

@@ -9,11 +9,7 @@ pub(super) fn paper() -> Config {
     Config {
         preset: "paper-rgb".to_owned(),
         input: InputConfig { crop_border: 0, minimum_gap: 0.0, ..base.input },
-        formation: FormationConfig {
-            white_balance: WhiteBalance::PerChannel,
-            tone_rate: 1e-4,
-            ..base.formation
-        },
+        formation: FormationConfig { white_balance: WhiteBalance::PerChannel, ..base.formation },
         map: MapConfig { kind: MapKind::HashGrid, ..base.map },
         hashgrid: HashGridConfig {
             margin: 1.0,
@@ -28,12 +24,7 @@ pub(super) fn paper() -> Config {
             ..base.hashgrid
         },
         keyframed: keyframed(),
-        mapping: MappingConfig {
-            exposure_rate: 1e-4,
-            white_balance_rate: 1e-4,
-            response_rate: 1e-4,
-            ..base.mapping
-        },
+        mapping: MappingConfig { ..base.mapping },
         ..base
     }
 }
@@ -120,11 +111,6 @@ pub(super) fn ours() -> Config {
             window: paper.mapping.window,
             iterations: 30,
             final_iterations: 400,
-            exposure_rate: 5e-3,
-            white_balance_rate: 5e-3,
-            response_rate: 0.05,
-            pose_translation_rate: 2e-4,
-            pose_rotation_rate: 1e-4,
             depth_weight: 0.3,
             ..ours.mapping
         },
@@ -139,7 +125,10 @@ mod tests {
     #[test]
     fn the_papers_rates_are_those_of_its_appendix() {
         let config = paper();
-        assert_eq!((config.keyframed.camera_rate, config.mapping.exposure_rate), (1e-4, 1e-4));
+        assert_eq!(
+            (config.keyframed.camera_rate, config.parameters.frames.exposure_rate),
+            (1e-4, 1e-4)
+        );
         assert_eq!((config.hashgrid.rate, config.formation.virtual_cameras), (1e-2, 5));
         assert_eq!(config.keyframed.preconditioning, Preconditioning::Picture);
         assert_eq!(config.map.kind, MapKind::HashGrid);

@@ -16,7 +16,6 @@ use super::iteration_budget::IterationBudget;
 use super::keyframe::Keyframe;
 use super::map_snapshot::{MapSnapshot, Tracker};
 use super::mapper::{Mapper, MappingContext};
-use crate::config::Config;
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, Observation, RayObjective, RayView,
     Sampling, Tone,
@@ -187,9 +186,9 @@ impl FieldMapper {
         let drawn = views.iter().map(|view| self.draw(context, view, &curves, rays));
         let drawn: Vec<RayView<'_>> = drawn.collect();
         let Some(field) = &mut self.field else { return };
-        let mapping = &config.mapping;
+        let rates = &config.parameters.frames;
         let with_poses =
-            !alone && (mapping.pose_rotation_rate > 0.0 || mapping.pose_translation_rate > 0.0);
+            !alone && (rates.pose_rotation_rate > 0.0 || rates.pose_translation_rate > 0.0);
         let evaluations = field.batch.map(
             &field.map,
             &drawn,
@@ -343,7 +342,6 @@ impl Mapper for FieldMapper {
 
     fn snapshot(
         &self,
-        _config: &Config,
         _camera: &Camera<f64>,
         covered: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,

@@ -1,11 +1,20 @@
 //! Adding and removing Gaussians (SplaTAM's rules).
 
-use crate::config::{MapConfig, MappingConfig};
+use crate::config::GaussianParameters;
 use crate::objective::{Observation, Tone};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
 use std::sync::Arc;
+
+/// Rendered opacity below which a pixel receives a new Gaussian (SplaTAM).
+const MAX_OPEN_OPACITY: f32 = 0.5;
+/// Depth error, in medians of a frame, above which a surface in front of the map is new (SplaTAM).
+const MAX_DEPTH_ERROR: f32 = 50.0;
+/// Opacity below which a Gaussian is removed (SplaTAM).
+const MIN_OPACITY: f32 = 0.005;
+/// Standard deviation over the scene's radius above which a Gaussian is removed (SplaTAM).
+const MAX_SCALE: f32 = 0.1;
 
 /// What "large" means in this scene.
 #[derive(Clone, Copy, Debug)]
@@ -38,20 +47,23 @@ pub(crate) struct Source<'a> {
 }
 
 /// One Gaussian for every pixel.
-pub(crate) fn seed_map(map: &mut GaussianMap, settings: &MapConfig, source: &Source<'_>) -> usize {
+pub(crate) fn seed_map(
+    map: &mut GaussianMap,
+    parameters: &GaussianParameters,
+    source: &Source<'_>,
+) -> usize {
     let every: Vec<usize> = (0..source.observation.depth.data.len()).collect();
-    push(map, settings, source, &every)
+    push(map, parameters, source, &every)
 }
 
 /// One Gaussian for every pixel that the map does not explain: opacity below the
 /// threshold, or a surface much nearer than the rendered one. Returns how many were added.
 pub(crate) fn add_gaussians(
     map: &mut GaussianMap,
-    settings: (&MapConfig, &MappingConfig),
+    parameters: &GaussianParameters,
     source: &Source<'_>,
     render: &Render,
 ) -> usize {
-    let (map_settings, mapping) = settings;
     let observed = &source.observation.depth.data;
     let errors: Vec<f32> = render
         .depth
@@ -60,15 +72,15 @@ pub(crate) fn add_gaussians(
         .zip(observed)
         .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
         .collect();
-    let limit = mapping.densify_depth_medians * usual_error(source.observation, &errors);
+    let limit = MAX_DEPTH_ERROR * usual_error(source.observation, &errors);
     let unexplained: Vec<usize> = (0..observed.len())
         .filter(|&i| {
-            let open = render.opacity.data[i] < mapping.densify_opacity;
+            let open = render.opacity.data[i] < MAX_OPEN_OPACITY;
             let in_front = render.depth.data[i] > observed[i] && errors[i] > limit;
             open || in_front
         })
         .collect();
-    push(map, map_settings, source, &unexplained)
+    push(map, parameters, source, &unexplained)
 }
 
 /// The median error of depth. SplaTAM counts pixels without one as exact, which says nothing where
@@ -82,13 +94,9 @@ fn usual_error(observation: &Observation, errors: &[f32]) -> f32 {
 }
 
 /// Removes Gaussians that are nearly transparent, too large or not finite. Returns which stay.
-pub(crate) fn prune(
-    map: &mut GaussianMap,
-    settings: &MappingConfig,
-    scene: SceneScale,
-) -> Vec<bool> {
-    let least_logit = logit(settings.prune_opacity);
-    let most_scale = (settings.prune_scale * scene.radius).ln();
+pub(crate) fn prune(map: &mut GaussianMap, scene: SceneScale) -> Vec<bool> {
+    let least_logit = logit(MIN_OPACITY);
+    let most_scale = (MAX_SCALE * scene.radius).ln();
     let keep: Vec<bool> = (0..map.len())
         .map(|i| {
             let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -104,13 +112,13 @@ pub(crate) fn prune(
 
 fn push(
     map: &mut GaussianMap,
-    settings: &MapConfig,
+    parameters: &GaussianParameters,
     source: &Source<'_>,
     pixels: &[usize],
 ) -> usize {
     let before = map.len();
     let focal = 0.5 * (source.camera.fx + source.camera.fy);
-    let opacity_logit = logit(settings.initial_opacity);
+    let opacity_logit = logit(parameters.initial_opacity);
     for &pixel in pixels {
         let z = source.depth.data[pixel];
         if z <= 0.0 {
@@ -123,7 +131,7 @@ fn push(
             continue;
         };
         let mean = (source.world_from_depth * point).cast::<f32>().to_array();
-        let log_scale = (settings.initial_scale * z / focal as f32).ln();
+        let log_scale = (parameters.initial_scale * z / focal as f32).ln();
         map.push(Gaussian {
             mean,
             log_scale: [log_scale; 3],

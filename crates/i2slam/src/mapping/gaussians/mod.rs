@@ -46,17 +46,12 @@ fn empty_map(config: &Config) -> GaussianMap {
     GaussianMap::new(shape, activation)
 }
 
-/// The rasteriser's settings.
-pub(crate) fn raster_settings(config: &Config) -> RasterSettings {
-    RasterSettings { screen_variance: config.map.screen_variance, ..RasterSettings::default() }
-}
-
 impl GaussianMapper {
     /// An empty map for frames of `camera`.
     pub(crate) fn new(config: &Config, camera: &Camera<f64>) -> Self {
         Self {
             map: empty_map(config),
-            objective: FrameObjective::new(camera.cast(), raster_settings(config)),
+            objective: FrameObjective::new(camera.cast(), RasterSettings::default()),
             optimizer: MapOptimizer::new(),
             scene: SceneScale { radius: f32::INFINITY },
             full: false,
@@ -90,7 +85,7 @@ impl GaussianMapper {
                 break;
             }
         }
-        self.prune(context);
+        self.prune();
         goes_on
     }
 
@@ -103,8 +98,8 @@ impl GaussianMapper {
         self.optimizer.step(context, scene, keyframe, sampling);
     }
 
-    fn prune(&mut self, context: &MappingContext<'_>) {
-        let keep = prune(&mut self.map, &context.config.mapping, self.scene);
+    fn prune(&mut self) {
+        let keep = prune(&mut self.map, self.scene);
         if keep.contains(&false) {
             self.optimizer.retain(&keep);
         }
@@ -157,12 +152,11 @@ impl Mapper for GaussianMapper {
 
     fn snapshot(
         &self,
-        config: &Config,
         camera: &Camera<f64>,
         covered: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
-        let objective = || FrameObjective::new(camera.cast(), raster_settings(config));
+        let objective = || FrameObjective::new(camera.cast(), RasterSettings::default());
         (!self.map.is_empty()).then(|| MapSnapshot::update(last, &self.map, covered, objective))
     }
 
@@ -172,7 +166,7 @@ impl Mapper for GaussianMapper {
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
         let render = (!self.map.is_empty())
             .then(|| self.objective.render(&self.map, estimate.depth_pose()).clone());
-        let (mapping, observation) = (&config.mapping, &current.observation);
+        let (parameters, observation) = (&config.parameters.gaussians, &current.observation);
         let source = Source {
             camera: context.camera,
             world_from_depth: estimate.depth_pose(),
@@ -180,14 +174,14 @@ impl Mapper for GaussianMapper {
             velocity: CentreVelocity::from(estimate.shutter).velocity,
             readout: estimate.readout,
             observation,
-            depth: placement_depth(observation, mapping, context.covered, render.as_ref()),
+            depth: placement_depth(observation, &config.mapping, context.covered, render.as_ref()),
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
         };
         if let Some(render) = &render {
-            add_gaussians(&mut self.map, (&config.map, mapping), &source, render);
+            add_gaussians(&mut self.map, parameters, &source, render);
         } else {
-            self.scene = SceneScale::new(observation, mapping.scene_radius_ratio);
-            seed_map(&mut self.map, &config.map, &source);
+            self.scene = SceneScale::new(observation, parameters.scene_radius_ratio);
+            seed_map(&mut self.map, parameters, &source);
         }
         self.make_room(context);
     }
@@ -195,7 +189,7 @@ impl Mapper for GaussianMapper {
     fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool) {
         let mapping = &context.config.mapping;
         let iterations = if first { mapping.first_iterations } else { mapping.iterations };
-        let fresh = mapping.fresh_optimizer;
+        let fresh = context.config.parameters.gaussians.reset_adam;
         if fresh {
             self.optimizer.reset();
         }
@@ -215,11 +209,11 @@ impl Mapper for GaussianMapper {
             let chosen = &window[context.random.below(window.len())];
             self.step(context, chosen);
             if fresh && (iteration == 0 || iteration == PRUNE_STEP) {
-                self.prune(context);
+                self.prune();
             }
         }
         if !fresh {
-            self.prune(context);
+            self.prune();
         }
     }
 

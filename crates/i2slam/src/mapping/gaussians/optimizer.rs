@@ -8,6 +8,15 @@ use crate::objective::{Evaluation, Exposure, FrameObjective, FrameVariables, Sam
 use i2slam_compute::Adam;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
 
+/// λ_img, a mean over pixels (SplaTAM).
+const IMAGE_WEIGHT: f32 = 0.5;
+/// Share of 1 - SSIM in the image loss; the rest is L1 (SplaTAM).
+const SSIM_SHARE: f32 = 0.2;
+/// Learning rate of opacity logits (SplaTAM).
+const OPACITY_RATE: f32 = 0.05;
+/// Learning rate of the quaternions of anisotropic Gaussians (SplaTAM).
+const ROTATION_RATE: f32 = 1e-3;
+
 /// Optimiser state of map, response and keyframes.
 pub(crate) struct MapOptimizer {
     gradient: MapGradient,
@@ -60,7 +69,6 @@ impl MapOptimizer {
     ) -> Evaluation {
         let config = context.config;
         let estimate = &context.frames[keyframe.frame];
-        let mapping = &config.mapping;
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
         let variables = FrameVariables {
             exposure: Exposure {
@@ -76,8 +84,8 @@ impl MapOptimizer {
             map,
             &keyframe.observation,
             &variables,
-            mapping.ssim_share,
-            (mapping.image_weight, mapping.depth_weight),
+            SSIM_SHARE,
+            (IMAGE_WEIGHT, config.mapping.depth_weight),
             &mut self.gradient,
         );
         self.step_map(config, map);
@@ -87,8 +95,8 @@ impl MapOptimizer {
     }
 
     fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {
-        let (rates, gradient) = (&config.mapping, &self.gradient);
-        let step_counts = self.step_counts.advance(gradient, rates.only_seen);
+        let (rates, gradient) = (&config.parameters.gaussians, &self.gradient);
+        let step_counts = self.step_counts.advance(gradient, rates.selective_adam);
         if step_counts.is_empty() {
             return;
         }
@@ -102,7 +110,7 @@ impl MapOptimizer {
                 gradient.log_scales.as_flattened(),
             ),
         ];
-        let steps = [rates.mean_rate, rates.colour_rate, rates.opacity_rate, rates.scale_rate];
+        let steps = [rates.mean_rate, rates.colour_rate, OPACITY_RATE, rates.scale_rate];
         for ((adam, values, gradient), rate) in groups.into_iter().zip(steps) {
             adam.step_elements(
                 values,
@@ -117,7 +125,7 @@ impl MapOptimizer {
             Shape::Anisotropic => self.rotations.step_elements(
                 map.rotations.as_flattened_mut(),
                 gradient.rotations.as_flattened(),
-                rates.rotation_rate,
+                ROTATION_RATE,
                 4,
                 step_counts,
             ),

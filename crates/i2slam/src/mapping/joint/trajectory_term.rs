@@ -145,7 +145,7 @@ impl TrajectoryTerm {
             return;
         }
         let mut a = [self.scale.a as f32];
-        let rate = config.mapping.exposure_rate * a[0].abs().max(1e-3);
+        let rate = config.parameters.frames.exposure_rate * a[0].abs().max(1e-3);
         self.optimizer.step(&mut a, &[self.d_scale as f32], rate);
         self.scale.a = f64::from(a[0]).clamp(0.0, 0.5);
         self.d_scale = 0.0;
