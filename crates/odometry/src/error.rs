@@ -30,11 +30,11 @@ pub enum OdometryError {
     },
     /// The camera turned about its own centre.
     #[error(
-        "the camera only turned: a rotation explains all motion up to {left:.1} pixels; depth shows only when the camera changes its place"
+        "the camera only turned: a rotation explains all motion up to {residual:.1} pixels; depth shows only when the camera changes its place"
     )]
     RotationOnly {
         /// Largest median that a rotation leaves unexplained between two keyframes [px].
-        left: f64,
+        residual: f64,
     },
     /// Points move, but not as those of a rigid scene do.
     #[error(

@@ -1,25 +1,27 @@
 //! Pictures in, camera path out.
 
 use crate::error::{OdometryError, PictureError};
-use crate::intrinsics::focal_length::{Intrinsics, find_focal};
-use crate::intrinsics::observability::give_up_doubtful_lens;
-use crate::loops::loop_closure::{close_loops, join_neighbours};
+use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
+use crate::intrinsics::observability::drop_unobservable_distortion;
+use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
 use crate::progress::Progress;
-use crate::register::initialization::{start, start_within};
-use crate::register::registration::{adjust_all, grow, pose_rest, refine};
-use crate::relocalize::relocalization::{Tried, relocalise};
-use crate::result::{Reconstruction, assemble};
-use crate::rolling_shutter::readout::{correct_rolling_shutter, interval};
-use crate::rolling_shutter::rolling_shutter_init::straighten;
-use crate::sfm_state::Scene;
+use crate::register::initialization::{initialize, initialize_within};
+use crate::register::registration::{
+    adjust_globally, refine_all_frames, register_keyframes, register_remaining_frames,
+};
+use crate::relocalize::relocalization::{FailedPairs, relocalize};
+use crate::result::{Reconstruction, build_reconstruction};
+use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_interval};
+use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
+use crate::sfm_state::SfmState;
 use crate::track::tracker::{FrameReport, Tracker};
 use i2slam_geometry::Image;
 
 /// Pictures without which nothing is tried.
 pub const MIN_FRAMES: usize = 4;
 /// What changes by less than this share is settled; all is adjusted so often at most.
-const SETTLED: f64 = 1e-3;
-const MAX_ROUNDS: usize = 5;
+const CONVERGED_CHANGE: f64 = 1e-3;
+const MAX_ADJUSTMENT_ROUNDS: usize = 5;
 /// Least side of a picture [px].
 pub const MIN_SIDE: usize = 48;
 
@@ -74,7 +76,7 @@ impl FrontEnd {
             return Err(PictureError::Stamp { timestamp, last });
         }
         self.timestamps.push(timestamp);
-        Ok(self.tracker.follow(picture))
+        Ok(self.tracker.track(picture))
     }
 
     /// Finds the path of the camera.
@@ -98,64 +100,65 @@ impl FrontEnd {
         }
         let tracks = self.tracker.finish().with_two_keyframes();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let mut scene = Scene::new(*self.intrinsics.camera(), tracks);
-        scene.progress = progress.clone();
-        scene.finds_lens = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
-        let found = find_path(&mut scene, adjust_focal, &self.timestamps);
+        let mut state = SfmState::new(*self.intrinsics.camera(), tracks);
+        state.progress = progress.clone();
+        state.estimates_distortion = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
+        let found = estimate_path(&mut state, adjust_focal, &self.timestamps);
         // What was left half done may look like any other failure.
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
         found?;
-        let was_straightened = scene.readout != 0.0;
-        correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
-        if scene.readout != 0.0 || was_straightened {
-            refine(&mut scene, adjust_focal);
+        let was_straightened = state.readout != 0.0;
+        estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
+        if state.readout != 0.0 || was_straightened {
+            refine_all_frames(&mut state, adjust_focal);
         }
-        if scene.readout != 0.0 {
-            correct_rolling_shutter(&mut scene, &self.timestamps, adjust_focal);
-            refine(&mut scene, adjust_focal);
+        if state.readout != 0.0 {
+            estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
+            refine_all_frames(&mut state, adjust_focal);
         }
         if self.close_loops {
-            close_loops(&mut scene, adjust_focal);
+            close_loops(&mut state, adjust_focal);
         }
-        settle(&mut scene, adjust_focal);
-        let lens_is_doubtful = give_up_doubtful_lens(&mut scene);
+        adjust_until_converged(&mut state, adjust_focal);
+        let lens_is_doubtful = drop_unobservable_distortion(&mut state);
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
-        let readout = scene.readout * interval(&self.timestamps).unwrap_or(0.0);
+        let readout = state.readout * median_frame_interval(&self.timestamps).unwrap_or(0.0);
         let found = (readout, lens_is_doubtful);
-        Ok(assemble(scene, &self.timestamps, &self.intrinsics, found))
+        Ok(build_reconstruction(state, &self.timestamps, &self.intrinsics, found))
     }
 }
 
 /// Camera, poses and landmarks, of rows as they seem to have been read.
-fn find_path(
-    scene: &mut Scene,
+fn estimate_path(
+    state: &mut SfmState,
     adjust_focal: bool,
     timestamps: &[f64],
 ) -> Result<(), OdometryError> {
-    if !scene.finds_lens {
-        scene.readout = straighten(&mut scene.tracks, &scene.camera, timestamps, &scene.progress);
+    if !state.estimates_distortion {
+        state.readout =
+            initialize_readout(&mut state.tracks, &state.camera, timestamps, &state.progress);
     }
     if adjust_focal {
-        find_focal(scene)?;
+        search_focal_length(state)?;
     }
-    map(scene, adjust_focal)
+    build_map(state, adjust_focal)
 }
 
 /// Adjusts everything until cost and focal length stay where they are: a path that bends as a whole
 /// hardly changes what is seen, and neither does a focal length beside rows that were read in turn.
-fn settle(scene: &mut Scene, adjust_focal: bool) {
-    let mut before = (f64::INFINITY, scene.camera.fx);
-    for _ in 0..MAX_ROUNDS {
-        if scene.progress.is_cancelled() {
+fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
+    let mut before = (f64::INFINITY, state.camera.fx);
+    for _ in 0..MAX_ADJUSTMENT_ROUNDS {
+        if state.progress.is_cancelled() {
             return;
         }
-        let now = (refine(scene, adjust_focal), scene.camera.fx);
+        let now = (refine_all_frames(state, adjust_focal), state.camera.fx);
         let changes = [now.0 / before.0, now.1 / before.1].map(|ratio| ratio.ln().abs());
-        if changes.iter().all(|change| *change < SETTLED) {
+        if changes.iter().all(|change| *change < CONVERGED_CHANGE) {
             break;
         }
         before = now;
@@ -163,59 +166,60 @@ fn settle(scene: &mut Scene, adjust_focal: bool) {
 }
 
 /// Poses and landmarks from tracks alone.
-fn map(scene: &mut Scene, adjust_focal: bool) -> Result<(), OdometryError> {
-    start(scene)?;
-    let mut was_lost = spread(scene, adjust_focal);
-    if let Some((other, other_was_lost)) = larger_part(scene, adjust_focal) {
-        (*scene, was_lost) = (other, other_was_lost);
+fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
+    initialize(state)?;
+    let mut was_lost = register_and_relocalize(state, adjust_focal);
+    if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
+        (*state, was_lost) = (other, other_was_lost);
     }
-    adjust_all(scene, adjust_focal);
-    pose_rest(scene);
-    refine(scene, adjust_focal);
+    adjust_globally(state, adjust_focal);
+    register_remaining_frames(state);
+    refine_all_frames(state, adjust_focal);
     if was_lost {
-        join_neighbours(scene, adjust_focal);
+        merge_overlapping_keyframes(state, adjust_focal);
     }
     Ok(())
 }
 
 /// Poses all keyframes that can be reached or recognised; returns whether some had been lost.
-fn spread(scene: &mut Scene, adjust_focal: bool) -> bool {
-    let (mut tried, mut was_lost) = (Tried::default(), false);
+fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
+    let (mut failed, mut was_lost) = (FailedPairs::default(), false);
     loop {
-        grow(scene, adjust_focal, usize::MAX);
-        if relocalise(scene, &mut tried).is_empty() {
+        register_keyframes(state, adjust_focal, usize::MAX);
+        if relocalize(state, &mut failed).is_empty() {
             return was_lost;
         }
         was_lost = true;
-        scene.add_landmarks();
+        state.triangulate_missing();
     }
 }
 
 /// The scene from another start, where keyframes in a row that were not reached stand for more
 /// frames than those that were, if more are reached from there; and whether some had been lost.
-fn larger_part(scene: &Scene, adjust_focal: bool) -> Option<(Scene, bool)> {
-    let is_posed = |place: usize| scene.poses[scene.tracks.keyframes[place]].is_some();
-    let places: Vec<usize> = (0..scene.tracks.keyframes.len()).collect();
+fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, bool)> {
+    let is_posed = |place: usize| state.poses[state.tracks.keyframes[place]].is_some();
+    let places: Vec<usize> = (0..state.tracks.keyframes.len()).collect();
     let runs = places.chunk_by(|a, b| is_posed(*a) == is_posed(*b)).filter(|r| !is_posed(r[0]));
-    let length = |run: &[usize]| run.iter().map(|place| stands_for(scene, *place)).sum::<usize>();
-    let reached = reached(scene);
-    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > reached)?;
-    let mut other = scene.clone();
-    other.forget();
-    start_within(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
-    let was_lost = spread(&mut other, adjust_focal);
-    (self::reached(&other) > reached).then_some((other, was_lost))
+    let length =
+        |run: &[usize]| run.iter().map(|place| frames_represented(state, *place)).sum::<usize>();
+    let frames_covered = frames_covered(state);
+    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > frames_covered)?;
+    let mut other = state.clone();
+    other.reset();
+    initialize_within(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
+    let was_lost = register_and_relocalize(&mut other, adjust_focal);
+    (self::frames_covered(&other) > frames_covered).then_some((other, was_lost))
 }
 
 /// Number of frames from a keyframe, given by its place among them, to the next one.
-fn stands_for(scene: &Scene, place: usize) -> usize {
-    let keyframes = &scene.tracks.keyframes;
-    keyframes.get(place + 1).copied().unwrap_or(scene.poses.len()) - keyframes[place]
+fn frames_represented(state: &SfmState, place: usize) -> usize {
+    let keyframes = &state.tracks.keyframes;
+    keyframes.get(place + 1).copied().unwrap_or(state.poses.len()) - keyframes[place]
 }
 
 /// Number of frames that keyframes with a pose stand for.
-fn reached(scene: &Scene) -> usize {
-    let keyframes = scene.tracks.keyframes.iter().enumerate();
-    let posed = keyframes.filter(|(_, frame)| scene.poses[**frame].is_some());
-    posed.map(|(place, _)| stands_for(scene, place)).sum()
+fn frames_covered(state: &SfmState) -> usize {
+    let keyframes = state.tracks.keyframes.iter().enumerate();
+    let posed = keyframes.filter(|(_, frame)| state.poses[**frame].is_some());
+    posed.map(|(place, _)| frames_represented(state, place)).sum()
 }

@@ -1,20 +1,20 @@
 //! What the front end delivers.
 
 use crate::intrinsics::focal_length::Intrinsics;
-use crate::intrinsics::observability::released;
-use crate::multiview::lens_distortion::usual_coefficients;
-use crate::sfm_state::Scene;
+use crate::intrinsics::observability::reestimate_intrinsics;
+use crate::multiview::lens_distortion::brown_coefficients;
+use crate::sfm_state::SfmState;
 use crate::track::tracks::Observation;
 use crate::warning::Warning;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
 /// Frames in a row without poses that are named, and points in them that make a place.
-const MIN_PART: usize = 4;
-const MIN_FOLLOWED: usize = 40;
+const MIN_LISTED_FRAMES: usize = 4;
+const MIN_TRACKED_POINTS: usize = 40;
 /// Deviation of an inverse depth up to which a point nearer than usual is believed, as a share of
 /// the usual inverse depth.
-const TRUSTED: f64 = 0.3;
+const MAX_NEAR_DEVIATION: f64 = 0.3;
 
 /// What became of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,16 +110,16 @@ impl Reconstruction {
 
 /// Puts the parts together. The first posed frame becomes the world, and the median depth of all
 /// landmarks in keyframes the unit of length.
-pub(crate) fn assemble(
-    scene: Scene,
+pub(crate) fn build_reconstruction(
+    state: SfmState,
     timestamps: &[f64],
     intrinsics: &Intrinsics,
     (readout, lens_is_doubtful): (f64, bool),
 ) -> Reconstruction {
-    let posed = scene.posed();
-    let world = posed.first().and_then(|f| scene.poses[*f]).unwrap_or_else(Pose::identity);
+    let posed = state.posed();
+    let world = posed.first().and_then(|f| state.poses[*f]).unwrap_or_else(Pose::identity);
     let inverse = world.inverse();
-    let mut keyframes = keyframes(&scene, timestamps);
+    let mut keyframes = keyframes(&state, timestamps);
     let mut depths: Vec<f64> =
         keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
     let unit = median(&mut depths).filter(|m| *m > 0.0).map_or(1.0, f64::recip);
@@ -133,11 +133,11 @@ pub(crate) fn assemble(
             (d.depth, d.variance) = (d.depth * unit, d.variance * unit * unit);
         }
     }
-    let frames: Vec<FrameStatus> = (0..scene.poses.len())
-        .map(|frame| match scene.poses[frame] {
+    let frames: Vec<FrameStatus> = (0..state.poses.len())
+        .map(|frame| match state.poses[frame] {
             Some(pose) => FrameStatus::Posed {
                 world_from_camera: placed(pose),
-                landmarks: scene.agreeing(frame),
+                landmarks: state.count_inliers(frame),
             },
             None => FrameStatus::Lost,
         })
@@ -146,19 +146,19 @@ pub(crate) fn assemble(
     let lost = frames.len() - posed.len();
     if lost > 0 {
         warnings.push(Warning::FramesLost { lost, frames: frames.len() });
-        warnings.extend(lost_parts(&scene));
+        warnings.extend(lost_frame_warnings(&state));
     }
-    let focal_deviation = focal_deviation(&scene, intrinsics, &mut warnings);
+    let focal_deviation = focal_deviation(&state, intrinsics, &mut warnings);
     if focal_deviation.is_some() && readout != 0.0 {
         warnings.push(Warning::RollingShutterFocalLength);
     }
     let distortion = match lens_is_doubtful {
         true => Some([0.0; 2]),
-        false => scene.finds_lens.then(|| usual_coefficients(&scene.camera, scene.lens)),
+        false => state.estimates_distortion.then(|| brown_coefficients(&state.camera, state.lens)),
     };
     warnings.extend(lens_is_doubtful.then_some(Warning::DistortionUndetermined));
     Reconstruction {
-        camera: scene.camera,
+        camera: state.camera,
         distortion,
         focal_deviation,
         rolling_shutter_readout: readout,
@@ -170,15 +170,15 @@ pub(crate) fn assemble(
 }
 
 /// What is the matter with frames in a row that have no pose.
-fn lost_parts(scene: &Scene) -> Vec<Warning> {
-    let is_lost: Vec<bool> = scene.poses.iter().map(Option::is_none).collect();
+fn lost_frame_warnings(state: &SfmState) -> Vec<Warning> {
+    let is_lost: Vec<bool> = state.poses.iter().map(Option::is_none).collect();
     let mut out = Vec::new();
     let mut begin = 0;
     for run in is_lost.chunk_by(|a, b| a == b) {
         let (first, last) = (begin, begin + run.len() - 1);
         begin += run.len();
-        if run[0] && run.len() >= MIN_PART {
-            let followed = scene.followed_within(first, last) >= MIN_FOLLOWED;
+        if run[0] && run.len() >= MIN_LISTED_FRAMES {
+            let followed = state.tracked_points_within(first, last) >= MIN_TRACKED_POINTS;
             out.push(match followed {
                 true => Warning::DisconnectedFrames { first, last },
                 false => Warning::UntrackableFrames { first, last },
@@ -190,29 +190,29 @@ fn lost_parts(scene: &Scene) -> Vec<Warning> {
 
 /// A focal length that was given is let go once, to see whether another one fits.
 fn focal_deviation(
-    scene: &Scene,
+    state: &SfmState,
     intrinsics: &Intrinsics,
     warnings: &mut Vec<Warning>,
 ) -> Option<f64> {
-    let (freed, covariance) = released(scene);
+    let (freed, covariance) = reestimate_intrinsics(state);
     let is_known = matches!(intrinsics, Intrinsics::Known(_));
     let Some(covariance) = covariance else {
         let undetermined = Warning::FocalLengthUndetermined {
-            focal_length: scene.camera.fx,
-            width: scene.camera.width,
+            focal_length: state.camera.fx,
+            width: state.camera.width,
         };
         warnings.extend((!is_known).then_some(undetermined));
         return None;
     };
     let relative = covariance[0][0].sqrt();
     if is_known {
-        let (given, fitting) = (scene.camera.fx, freed.camera.fx);
+        let (given, fitting) = (state.camera.fx, freed.camera.fx);
         let off = (fitting / given).ln().abs();
         if off > 0.05 && off > 3.0 * relative {
             warnings.push(Warning::FocalLengthMismatch {
                 given,
                 fitting,
-                width: scene.camera.width,
+                width: state.camera.width,
             });
         }
         return None;
@@ -223,44 +223,44 @@ fn focal_deviation(
     Some(relative)
 }
 
-fn keyframes(scene: &Scene, timestamps: &[f64]) -> Vec<Keyframe> {
-    let (mut bundle, _, tracks) = scene.bundle(&scene.posed(), false);
+fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
+    let (mut bundle, _, tracks) = state.bundle(&state.posed(), false);
     // Poses stay, and take no room among the unknowns.
     bundle.fixed.fill(true);
-    let noise = scene.residual_scale().unwrap_or(1.0);
-    let mut variances = vec![None; scene.landmarks.len()];
+    let noise = state.residual_scale().unwrap_or(1.0);
+    let mut variances = vec![None; state.landmarks.len()];
     for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
         variances[*track] = variance;
     }
     let keyframe = |index: usize| {
-        let pose = scene.poses[index]?;
+        let pose = state.poses[index]?;
         let depth = |(track, observation): (usize, &Observation)| {
-            let (landmark, variance) = (scene.landmarks[track]?, variances[track]?);
-            if observation.is_wrong {
+            let (landmark, variance) = (state.landmarks[track]?, variances[track]?);
+            if observation.is_outlier {
                 return None;
             }
-            let in_camera = pose.inverse() * landmark.position();
-            let usable = landmark.values[2] > 1e-4 && in_camera.z > 0.0;
+            let point_in_camera = pose.inverse() * landmark.position();
+            let usable = landmark.values[2] > 1e-4 && point_in_camera.z > 0.0;
             let slope = landmark.depth_slope(&pose);
             let variance = variance * (noise * slope).powi(2);
-            usable.then_some(SparseDepth { at: observation.at, depth: in_camera.z, variance })
+            usable.then_some(SparseDepth { at: observation.at, depth: point_in_camera.z, variance })
         };
-        let depths = believable(scene.shown(index).filter_map(depth).collect());
+        let depths = discard_unreliable_near_points(state.shown(index).filter_map(depth).collect());
         let timestamp = timestamps[index];
         Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
     };
-    scene.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
+    state.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
 }
 
 /// The landmarks of a keyframe without those that are near by chance. While a camera hardly moves, a
 /// point that was followed a pixel astray fits best right before the lens, where its depth has a
 /// small deviation: `σ_z = z² σ_ρ` for inverse depth ρ. Whether sights measure depth at all, `σ_ρ`
 /// tells: it has to be small beside the usual ρ.
-fn believable(mut depths: Vec<SparseDepth>) -> Vec<SparseDepth> {
-    let usual = usual_inverse_depth(&depths);
+fn discard_unreliable_near_points(mut depths: Vec<SparseDepth>) -> Vec<SparseDepth> {
+    let usual = weighted_median_inverse_depth(&depths);
     depths.retain(|d| {
         let (inverse, deviation) = inverse_depth(d);
-        inverse <= usual || deviation <= TRUSTED * usual
+        inverse <= usual || deviation <= MAX_NEAR_DEVIATION * usual
     });
     depths
 }
@@ -272,7 +272,7 @@ fn inverse_depth(of: &SparseDepth) -> (f64, f64) {
 
 /// The median inverse depth, each counting by its certainty `1 / σ`, so that few points that are
 /// measured well outweigh many that are not; 0 without any.
-fn usual_inverse_depth(depths: &[SparseDepth]) -> f64 {
+fn weighted_median_inverse_depth(depths: &[SparseDepth]) -> f64 {
     let mut weighed: Vec<(f64, f64)> = depths
         .iter()
         .map(inverse_depth)
@@ -306,9 +306,9 @@ mod tests {
         let astray = [0.004, 0.006, 0.01, 0.005, 0.012, 0.3].map(|depth| (depth, 0.15));
         let measured = [(3.0, 0.02), (1.8, 0.01), (2.0, 0.02), (0.05, 0.002), (40.0, 0.5)];
         let all: Vec<SparseDepth> = astray.into_iter().chain(measured).map(point).collect();
-        let kept = believable(all);
+        let kept = discard_unreliable_near_points(all);
         assert!(kept.iter().map(|d| d.depth).eq([3.0, 1.8, 2.0, 0.05, 40.0]), "{kept:?}");
-        assert_eq!(believable(Vec::new()), []);
+        assert_eq!(discard_unreliable_near_points(Vec::new()), []);
     }
 
     /// A scene that says nothing of the camera: that is told where the camera was looked for.
@@ -316,11 +316,11 @@ mod tests {
     fn a_focal_length_that_nothing_determines_is_said_to_be_a_guess() {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
         let tracks = Tracks { keyframes: vec![0, 1], frames: 2, ..Tracks::default() };
-        let mut scene = Scene::new(camera, tracks);
-        scene.poses = vec![Some(Pose::identity()); 2];
+        let mut state = SfmState::new(camera, tracks);
+        state.poses = vec![Some(Pose::identity()); 2];
         let warned = |intrinsics: Intrinsics| {
             let mut warnings = Vec::new();
-            assert_eq!(focal_deviation(&scene, &intrinsics, &mut warnings), None);
+            assert_eq!(focal_deviation(&state, &intrinsics, &mut warnings), None);
             warnings
         };
         assert_eq!(warned(Intrinsics::Known(camera)), []);

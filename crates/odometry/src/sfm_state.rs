@@ -1,9 +1,9 @@
 //! What is known so far: poses of frames, landmarks of tracks.
 
-use crate::bundle::{Bundle, Moves, Sight, Unknown};
+use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics};
 use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
-use crate::multiview::lens_distortion::{radial, undistorted};
-use crate::multiview::triangulation::{PosedSight, triangulate};
+use crate::multiview::lens_distortion::{CameraJacobian, distortion_jacobian, undistort};
+use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
 use crate::track::tracks::{Observation, Tracks, shared};
 use i2slam_compute::median;
@@ -12,19 +12,19 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Residuals beyond this are wrong matches [standard deviations].
-const WRONG: f64 = 6.0;
+const OUTLIER_ERROR: f64 = 6.0;
 /// The tracker's deviations are never taken as wrong by more than this.
-const MAX_NOISE: f64 = 4.0;
+const MAX_NOISE_SCALE: f64 = 4.0;
 /// Fewer frames do not tell the lens, nor the readout.
-const MIN_FOR_LENS: usize = 8;
+const MIN_SELF_CALIBRATION_FRAMES: usize = 8;
 /// Longest rolling-shutter readout [frame intervals].
 pub(crate) const MAX_READOUT: f64 = 1.0;
 /// Poses that are adjusted together at most.
-pub(crate) const MAX_FREE: usize = 1000;
+pub(crate) const MAX_JOINT_POSES: usize = 1000;
 
 /// Poses and landmarks, and the tracks that they explain.
 #[derive(Clone, Debug)]
-pub(crate) struct Scene {
+pub(crate) struct SfmState {
     pub(crate) camera: Camera<f64>,
     pub(crate) tracks: Tracks,
     /// For every frame the tracks that it shows.
@@ -37,16 +37,16 @@ pub(crate) struct Scene {
     pub(crate) noise: f64,
     /// The coefficients of the lens, and whether they are looked for: see [`lens`](crate::multiview::lens_distortion).
     pub(crate) lens: [f64; 2],
-    pub(crate) finds_lens: bool,
+    pub(crate) estimates_distortion: bool,
     /// The readout that sights are freed of, 0 for none [frame intervals], and whether a better one
     /// is looked for with the camera.
     pub(crate) readout: f64,
-    pub(crate) finds_readout: bool,
+    pub(crate) estimates_readout: bool,
     /// Who watches.
     pub(crate) progress: Progress,
 }
 
-impl Scene {
+impl SfmState {
     /// Nothing is known yet.
     pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
@@ -59,26 +59,31 @@ impl Scene {
             landmarks,
             noise: 1.0,
             lens: [0.0; 2],
-            finds_lens: false,
+            estimates_distortion: false,
             readout: 0.0,
-            finds_readout: false,
+            estimates_readout: false,
             progress: Progress::default(),
         }
     }
 
     /// The scene of the keyframes of one of which nothing is known but the camera.
-    pub(crate) fn of_keyframes(scene: &Self) -> Self {
-        let (finds_lens, progress) = (scene.finds_lens, scene.progress.without_listener());
-        Self { finds_lens, progress, ..Self::new(scene.camera, scene.tracks.in_keyframes()) }
+    pub(crate) fn keyframes_only(state: &Self) -> Self {
+        let (estimates_distortion, progress) =
+            (state.estimates_distortion, state.progress.without_listener());
+        Self {
+            estimates_distortion,
+            progress,
+            ..Self::new(state.camera, state.tracks.keyframes_only())
+        }
     }
 
     /// Takes back all poses and landmarks; tracks, camera and lens stay.
-    pub(crate) fn forget(&mut self) {
+    pub(crate) fn reset(&mut self) {
         self.poses.fill(None);
         self.landmarks.fill(None);
         self.noise = 1.0;
         let observations = self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
-        observations.for_each(|o| o.is_wrong = false);
+        observations.for_each(|o| o.is_outlier = false);
     }
 
     /// Landmarks that a frame shows.
@@ -97,7 +102,7 @@ impl Scene {
     }
 
     /// The same without where.
-    pub(crate) fn shown_tracks(&self, frame: usize) -> &[usize] {
+    pub(crate) fn tracks_in_frame(&self, frame: usize) -> &[usize] {
         &self.by_frame[frame]
     }
 
@@ -108,7 +113,7 @@ impl Scene {
     }
 
     /// Number of tracks with at least three sights in the frames from `first` to `last`.
-    pub(crate) fn followed_within(&self, first: usize, last: usize) -> usize {
+    pub(crate) fn tracked_points_within(&self, first: usize, last: usize) -> usize {
         let seen = |track: &&crate::track::tracks::Track| {
             let within = |o: &&Observation| (first..=last).contains(&o.frame);
             track.observations.iter().filter(within).count() > 2
@@ -117,7 +122,7 @@ impl Scene {
     }
 
     /// Adds sights to tracks; of a frame that a track has already, none.
-    pub(crate) fn add_sights(&mut self, sights: Vec<(usize, Observation)>) {
+    pub(crate) fn add_observations(&mut self, sights: Vec<(usize, Observation)>) {
         let by_frame = Arc::make_mut(&mut self.by_frame);
         for (track, observation) in sights {
             if self.tracks.tracks[track].insert(observation) {
@@ -137,20 +142,20 @@ impl Scene {
     }
 
     /// Gives a landmark to every track without one that enough posed frames show.
-    pub(crate) fn add_landmarks(&mut self) {
+    pub(crate) fn triangulate_missing(&mut self) {
         self.triangulate((0..self.landmarks.len()).collect());
     }
 
     /// The same for the tracks that one frame shows.
-    pub(crate) fn add_landmarks_in(&mut self, frame: usize) {
+    pub(crate) fn triangulate_missing_in(&mut self, frame: usize) {
         self.triangulate(self.by_frame[frame].clone());
     }
 
     fn triangulate(&mut self, mut tracks: Vec<usize>) {
         tracks.retain(|i| self.landmarks[*i].is_none());
         let landmark = |i: &usize| {
-            let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_wrong);
-            let sights: Vec<PosedSight<'_>> =
+            let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_outlier);
+            let sights: Vec<PosedObservation<'_>> =
                 right.filter_map(|o| Some((o, self.poses[o.frame]?))).collect();
             triangulate(&self.camera, &sights, self.noise)
         };
@@ -161,15 +166,15 @@ impl Scene {
     /// Adjusts the poses of `free` frames, the landmarks that they see, and the focal length if
     /// asked, all other posed frames fixed. Returns the cost per sight.
     ///
-    /// More than [`MAX_FREE`] are adjusted part by part, so that memory stays in proportion to
+    /// More than [`MAX_JOINT_POSES`] are adjusted part by part, so that memory stays in proportion to
     /// the number of frames whatever they see.
     pub(crate) fn adjust(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
-        if free.len() <= MAX_FREE {
+        if free.len() <= MAX_JOINT_POSES {
             return self.adjust_together(free, adjust_focal, steps);
         }
         let (mut sum, mut parts) = (0.0, 0.0);
-        for begin in (0..free.len() - MAX_FREE / 2).step_by(MAX_FREE / 2) {
-            let part = &free[begin.max(1)..(begin + MAX_FREE).min(free.len())];
+        for begin in (0..free.len() - MAX_JOINT_POSES / 2).step_by(MAX_JOINT_POSES / 2) {
+            let part = &free[begin.max(1)..(begin + MAX_JOINT_POSES).min(free.len())];
             sum += self.adjust_together(part, adjust_focal && begin == 0, steps);
             parts += 1.0;
         }
@@ -186,27 +191,29 @@ impl Scene {
             self.landmarks[*track] = Some(*landmark);
         }
         self.camera = bundle.camera;
-        match bundle.unknown {
-            Unknown::FocalLengthAndLens => self.change_lens(bundle.change),
-            Unknown::FocalLengthAndRows => self.change_readout(bundle.change[0]),
-            Unknown::FocalLength | Unknown::Nothing => {}
+        match bundle.free_intrinsics {
+            FreeIntrinsics::FocalLengthAndDistortion => {
+                self.update_distortion(bundle.camera_change)
+            }
+            FreeIntrinsics::FocalLengthAndReadout => self.update_readout(bundle.camera_change[0]),
+            FreeIntrinsics::FocalLength | FreeIntrinsics::None => {}
         }
         cost
     }
 
     /// Frees all sights of a lens that differs from the one so far.
-    pub(crate) fn change_lens(&mut self, change: [f64; 2]) {
-        (0..2).for_each(|i| self.lens[i] += change[i]);
+    pub(crate) fn update_distortion(&mut self, camera_change: [f64; 2]) {
+        (0..2).for_each(|i| self.lens[i] += camera_change[i]);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-            let moved = undistorted(&self.camera, change, o.seen);
-            (0..2).for_each(|i| o.at[i] += moved[i] - o.seen[i]);
+            let apply_step = undistort(&self.camera, camera_change, o.raw);
+            (0..2).for_each(|i| o.at[i] += apply_step[i] - o.raw[i]);
         }
     }
 
     /// Frees all sights of a readout that differs from the one so far, in proportion: rows are read
     /// at the speeds that are known.
-    fn change_readout(&mut self, change: f64) {
-        let readout = (self.readout + change).clamp(-MAX_READOUT, MAX_READOUT);
+    fn update_readout(&mut self, camera_change: f64) {
+        let readout = (self.readout + camera_change).clamp(-MAX_READOUT, MAX_READOUT);
         let ratio = readout / self.readout;
         if !ratio.is_finite() || ratio <= 0.0 {
             return;
@@ -214,29 +221,29 @@ impl Scene {
         self.readout = readout;
         let (camera, lens) = (self.camera, self.lens);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-            let flat = undistorted(&camera, lens, o.seen);
+            let flat = undistort(&camera, lens, o.raw);
             (0..2).for_each(|i| o.at[i] = flat[i] + ratio * (o.at[i] - flat[i]));
         }
     }
 
     /// What a bundle of so many frames may find of the camera.
-    fn unknown(&self, adjust_focal: bool, frames: usize) -> Unknown {
-        let is_enough = frames >= MIN_FOR_LENS;
-        match (self.finds_lens && is_enough, self.finds_readout && is_enough) {
-            _ if !adjust_focal => Unknown::Nothing,
-            (true, _) => Unknown::FocalLengthAndLens,
-            (false, true) => Unknown::FocalLengthAndRows,
-            (false, false) => Unknown::FocalLength,
+    fn free_intrinsics(&self, adjust_focal: bool, frames: usize) -> FreeIntrinsics {
+        let is_enough = frames >= MIN_SELF_CALIBRATION_FRAMES;
+        match (self.estimates_distortion && is_enough, self.estimates_readout && is_enough) {
+            _ if !adjust_focal => FreeIntrinsics::None,
+            (true, _) => FreeIntrinsics::FocalLengthAndDistortion,
+            (false, true) => FreeIntrinsics::FocalLengthAndReadout,
+            (false, false) => FreeIntrinsics::FocalLength,
         }
     }
 
     /// What the unknowns of the camera move a sight by: rows by what they were moved by so far, for
     /// one frame interval.
-    fn moves(&self, unknown: Unknown, o: &Observation) -> Moves {
-        if unknown != Unknown::FocalLengthAndRows {
-            return radial(&self.camera, o.seen);
+    fn camera_jacobian(&self, free_intrinsics: FreeIntrinsics, o: &Observation) -> CameraJacobian {
+        if free_intrinsics != FreeIntrinsics::FocalLengthAndReadout {
+            return distortion_jacobian(&self.camera, o.raw);
         }
-        let flat = undistorted(&self.camera, self.lens, o.seen);
+        let flat = undistort(&self.camera, self.lens, o.raw);
         [std::array::from_fn(|i| (o.at[i] - flat[i]) / self.readout), [0.0; 2]]
     }
 
@@ -255,7 +262,7 @@ impl Scene {
         adjust_focal: bool,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
         let tracks = self.tracks_in(free);
-        let is_right = |o: &&Observation| !o.is_wrong && self.poses[o.frame].is_some();
+        let is_right = |o: &&Observation| !o.is_outlier && self.poses[o.frame].is_some();
         let right = |track: &usize| self.tracks.tracks[*track].observations.iter().filter(is_right);
         let kept = |track: &usize| self.landmarks[*track].is_some() && right(track).count() > 1;
         let tracks: Vec<usize> = tracks.into_iter().filter(kept).collect();
@@ -263,10 +270,15 @@ impl Scene {
         tracks.iter().flat_map(right).for_each(|o| place[o.frame] = Some(0));
         let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
         frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
-        let unknown = self.unknown(adjust_focal, frames.len());
+        let free_intrinsics = self.free_intrinsics(adjust_focal, frames.len());
         let sight = |o: &Observation| {
-            let moves = self.moves(unknown, o);
-            Some(Sight { pose: place[o.frame]?, at: o.at, sigma: o.sigma, moves })
+            let camera_jacobian = self.camera_jacobian(free_intrinsics, o);
+            Some(BundleObservation {
+                pose: place[o.frame]?,
+                at: o.at,
+                sigma: o.sigma,
+                camera_jacobian,
+            })
         };
         let sights = tracks.iter().map(|t| right(t).filter_map(sight).collect()).collect();
         let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
@@ -280,25 +292,25 @@ impl Scene {
             fixed,
             landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
             sights: Arc::new(sights),
-            change: [0.0; 2],
-            unknown,
+            camera_change: [0.0; 2],
+            free_intrinsics,
         };
         (bundle, frames, tracks)
     }
 
     /// Marks the sights that their landmark does not explain, and gives up landmarks that are left
     /// with fewer than two: all their sights may be tried again.
-    pub(crate) fn mark_wrong_sights(&mut self) {
-        self.mark_wrong((0..self.landmarks.len()).collect());
+    pub(crate) fn reject_outliers(&mut self) {
+        self.reject_outliers_of((0..self.landmarks.len()).collect());
     }
 
     /// The same for the landmarks that some frames show.
-    pub(crate) fn mark_wrong_sights_in(&mut self, frames: &[usize]) {
-        self.mark_wrong(self.tracks_in(frames));
+    pub(crate) fn reject_outliers_in(&mut self, frames: &[usize]) {
+        self.reject_outliers_of(self.tracks_in(frames));
     }
 
-    fn mark_wrong(&mut self, tracks: Vec<usize>) {
-        let (camera, poses, worst) = (self.camera, &self.poses, WRONG * self.noise);
+    fn reject_outliers_of(&mut self, tracks: Vec<usize>) {
+        let (camera, poses, worst) = (self.camera, &self.poses, OUTLIER_ERROR * self.noise);
         for index in tracks {
             let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
             let Some(known) = landmark else { continue };
@@ -306,19 +318,19 @@ impl Scene {
             for observation in &mut track.observations {
                 let Some(pose) = &poses[observation.frame] else { continue };
                 let off = reprojection_error(&camera, pose, &(&*known, observation));
-                observation.is_wrong = off > worst;
-                left += usize::from(!observation.is_wrong);
+                observation.is_outlier = off > worst;
+                left += usize::from(!observation.is_outlier);
             }
             if left < 2 || known.values[2] < -0.02 {
                 *landmark = None;
-                track.observations.iter_mut().for_each(|o| o.is_wrong = false);
+                track.observations.iter_mut().for_each(|o| o.is_outlier = false);
             }
         }
     }
 
     /// Sets [`noise`](Self::noise) to what half of all sights in posed frames keep to.
-    pub(crate) fn measure_noise(&mut self) {
-        self.noise = self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE));
+    pub(crate) fn update_noise_scale(&mut self) {
+        self.noise = self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE_SCALE));
     }
 
     /// How many times as large residuals are as the tracker says, by their median.
@@ -335,7 +347,7 @@ impl Scene {
     }
 
     /// Number of the landmarks in a frame that agree with its pose.
-    pub(crate) fn agreeing(&self, frame: usize) -> usize {
+    pub(crate) fn count_inliers(&self, frame: usize) -> usize {
         let Some(pose) = self.poses[frame] else { return 0 };
         let agrees = |m: &&Match<'_>| {
             reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise

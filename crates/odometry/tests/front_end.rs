@@ -176,7 +176,10 @@ fn a_camera_that_only_turns_is_recognised() {
         picture(1, Pose::new(Rotation::exp(turn), Vec3::zero()), gain(i))
     };
     let failure = run(Intrinsics::Known(camera()), 20, turning).expect_err("no parallax");
-    assert!(matches!(failure, OdometryError::RotationOnly { left } if left < 1.0), "{failure}");
+    assert!(
+        matches!(failure, OdometryError::RotationOnly { residual } if residual < 1.0),
+        "{failure}"
+    );
 }
 
 #[test]

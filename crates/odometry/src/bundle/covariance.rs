@@ -8,8 +8,8 @@
 //! gradients (Liang & Zeger 1986). Of several ways to form clusters the one that leaves the focal
 //! length least certain counts.
 
-use super::normal_equations::{Curvature, Linear, Step, influence};
-use super::sparsity::Structure;
+use super::normal_equations::{Curvature, SchurSystem, Step, gradient_along};
+use super::sparsity::BlockSparsity;
 use super::{Bundle, GLOBALS};
 
 /// Regions of the picture, across and down.
@@ -17,21 +17,23 @@ const REGIONS: [usize; 2] = [4, 3];
 
 /// Covariance of the logarithm of the focal length and of the two coefficients of the lens, or of
 /// the readout [frame intervals].
-pub(crate) type Covariance = [[f64; GLOBALS]; GLOBALS];
+pub(crate) type IntrinsicsCovariance = [[f64; GLOBALS]; GLOBALS];
 
 impl Bundle {
     /// The covariance of what is unknown of the camera, zero for what is not; `None` where the
     /// sights do not determine it. For a bundle that was adjusted.
-    pub(crate) fn camera_covariance(&self) -> Option<Covariance> {
-        let structure = Structure::new(self);
-        let linear = Linear::new(self, &structure, Curvature::Own);
-        let responses = linear.responses()?;
+    pub(crate) fn camera_covariance(&self) -> Option<IntrinsicsCovariance> {
+        let structure = BlockSparsity::new(self);
+        let linear = SchurSystem::new(self, &structure, Curvature::Exact);
+        let inverse_columns = linear.inverse_columns()?;
         let points = self.landmarks.len();
-        let by_point = self.clustered(&responses, points, |landmark, _| landmark);
+        let by_point = self.clustered_covariance(&inverse_columns, points, |landmark, _| landmark);
         let regions: Vec<usize> = (0..points).map(|landmark| self.region(landmark)).collect();
         let count = REGIONS[0] * REGIONS[1];
-        let by_region = self.clustered(&responses, count, |landmark, _| regions[landmark]);
-        let by_picture = self.clustered(&responses, self.poses.len(), |_, pose| pose);
+        let by_region =
+            self.clustered_covariance(&inverse_columns, count, |landmark, _| regions[landmark]);
+        let by_picture =
+            self.clustered_covariance(&inverse_columns, self.poses.len(), |_, pose| pose);
         let all = [by_point, by_region, by_picture].into_iter();
         let worst = all.max_by(|a, b| a[0][0].total_cmp(&b[0][0]))?;
         let is_sound = worst.iter().flatten().all(|v| v.is_finite()) && worst[0][0] > 0.0;
@@ -40,18 +42,18 @@ impl Bundle {
 
     /// The covariance where residuals of one cluster belong together; `cluster` of a landmark and a
     /// pose.
-    fn clustered(
+    fn clustered_covariance(
         &self,
-        responses: &[Step],
+        inverse_columns: &[Step],
         count: usize,
         cluster: impl Fn(usize, usize) -> usize,
-    ) -> Covariance {
+    ) -> IntrinsicsCovariance {
         let mut sums = vec![None::<[f64; GLOBALS]>; count];
         for (landmark, sights) in self.sights.iter().enumerate() {
             for sight in sights {
                 let sum = sums[cluster(landmark, sight.pose)].get_or_insert([0.0; GLOBALS]);
-                for (sum, response) in sum.iter_mut().zip(responses) {
-                    *sum += influence(self, landmark, sight, response);
+                for (sum, response) in sum.iter_mut().zip(inverse_columns) {
+                    *sum += gradient_along(self, landmark, sight, response);
                 }
             }
         }

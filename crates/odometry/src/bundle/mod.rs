@@ -8,39 +8,36 @@ mod covariance;
 mod normal_equations;
 mod sparsity;
 
-pub(crate) use covariance::Covariance;
+pub(crate) use covariance::IntrinsicsCovariance;
 
 use crate::multiview::landmark::Landmark;
+use crate::multiview::lens_distortion::CameraJacobian;
 use crate::multiview::robust_loss::huber;
 use crate::progress::{Progress, Stage};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
-use normal_equations::{Curvature, Linear, Step};
-use sparsity::Structure;
+use normal_equations::{Curvature, SchurSystem, Step};
+use sparsity::BlockSparsity;
 use std::sync::Arc;
 
 /// Landmarks per task.
-const CHUNK: usize = 128;
+const LANDMARKS_PER_TASK: usize = 128;
 /// A landmark behind a camera costs what a residual of so many standard deviations does.
-const BEHIND: f64 = 50.0;
+const BEHIND_CAMERA_ERROR: f64 = 50.0;
 /// Damping beyond which no step lowers the cost.
-const STUCK: f64 = 1e6;
+const MAX_DAMPING: f64 = 1e6;
 /// Steps of so few poses are not worth telling.
-const TOLD: usize = 64;
+const MIN_REPORTED_POSES: usize = 64;
 /// A step that lowers the cost by less than this share is the last one.
-const CONVERGED: f64 = 1e-5;
-/// Unknowns that all sights share: the logarithm of the focal length, two [`Moves`].
+const MIN_RELATIVE_DECREASE: f64 = 1e-5;
+/// Unknowns that all sights share: the logarithm of the focal length, two [`CameraJacobian`].
 const GLOBALS: usize = 3;
 /// The most that a step changes each of them.
-const MAX_STEP: [f64; GLOBALS] = [0.2, 0.1, 0.1];
-
-/// What a position moves by for each unknown of the camera beside the focal length [px]: the two
-/// coefficients of the lens, or the readout of the rows and nothing.
-pub(crate) type Moves = [[f64; 2]; 2];
+const MAX_GLOBAL_STEP: [f64; GLOBALS] = [0.2, 0.1, 0.1];
 
 /// A landmark as one camera sees it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sight {
+pub(crate) struct BundleObservation {
     /// Which pose of the bundle.
     pub(crate) pose: usize,
     /// Image position [px].
@@ -48,7 +45,7 @@ pub(crate) struct Sight {
     /// Its standard deviation [px].
     pub(crate) sigma: f64,
     /// What lens or rows move it by.
-    pub(crate) moves: Moves,
+    pub(crate) camera_jacobian: CameraJacobian,
 }
 
 /// All that is adjusted, and what it is adjusted to.
@@ -61,27 +58,29 @@ pub(crate) struct Bundle {
     pub(crate) fixed: Vec<bool>,
     pub(crate) landmarks: Vec<Landmark>,
     /// For every landmark its sights in order of poses, no two by one camera.
-    pub(crate) sights: Arc<Vec<Vec<Sight>>>,
+    pub(crate) sights: Arc<Vec<Vec<BundleObservation>>>,
     /// By how much lens or readout differ from those that the sights are free of.
-    pub(crate) change: [f64; 2],
+    pub(crate) camera_change: [f64; 2],
     /// What is unknown of the camera.
-    pub(crate) unknown: Unknown,
+    pub(crate) free_intrinsics: FreeIntrinsics,
 }
 
 /// What of the camera is adjusted with the poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Unknown {
-    Nothing,
+pub(crate) enum FreeIntrinsics {
+    None,
     FocalLength,
-    FocalLengthAndRows,
-    FocalLengthAndLens,
+    FocalLengthAndReadout,
+    FocalLengthAndDistortion,
 }
 
-impl Sight {
+impl BundleObservation {
     /// Where another lens or readout would leave it [px].
-    fn freed(&self, change: [f64; 2]) -> [f64; 2] {
+    fn corrected(&self, camera_change: [f64; 2]) -> [f64; 2] {
         std::array::from_fn(|i| {
-            self.at[i] + change[0] * self.moves[0][i] + change[1] * self.moves[1][i]
+            self.at[i]
+                + camera_change[0] * self.camera_jacobian[0][i]
+                + camera_change[1] * self.camera_jacobian[1][i]
         })
     }
 }
@@ -92,29 +91,29 @@ impl Bundle {
     pub(crate) fn adjust(&mut self, steps: usize, progress: &Progress) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
-        let structure = Structure::new(self);
-        let mut linear = Linear::new(self, &structure, Curvature::Bounding);
+        let structure = BlockSparsity::new(self);
+        let mut linear = SchurSystem::new(self, &structure, Curvature::Majorizing);
         for done in 0..steps {
             if progress.is_cancelled() {
                 break;
             }
-            if self.poses.len() > TOLD {
+            if self.poses.len() > MIN_REPORTED_POSES {
                 progress.report(Stage::BundleAdjustment, done, steps);
             }
-            let moved = linear.step(damping).map(|step| self.moved(&step));
+            let moved = linear.step(damping).map(|step| self.apply_step(&step));
             let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);
             match moved {
                 Some(moved) if next < cost => {
                     let gained = cost - next;
                     (*self, cost, damping) = (moved, next, (damping * 0.2).max(1e-9));
-                    if gained < CONVERGED * cost {
+                    if gained < MIN_RELATIVE_DECREASE * cost {
                         break;
                     }
-                    linear = Linear::new(self, &structure, Curvature::Bounding);
+                    linear = SchurSystem::new(self, &structure, Curvature::Majorizing);
                 }
                 _ => damping *= 8.0,
             }
-            if damping > STUCK {
+            if damping > MAX_DAMPING {
                 break;
             }
         }
@@ -124,42 +123,44 @@ impl Bundle {
     /// Variance of every landmark's inverse depth while poses stay; `None` where it is not
     /// defined.
     pub(crate) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
-        let structure = Structure::new(self);
-        Linear::new(self, &structure, Curvature::Bounding).inverse_depth_variances()
+        let structure = BlockSparsity::new(self);
+        SchurSystem::new(self, &structure, Curvature::Majorizing).inverse_depth_variances()
     }
 
     /// How many of the unknowns that all sights share are looked for.
     fn globals(&self) -> usize {
-        match self.unknown {
-            Unknown::Nothing => 0,
-            Unknown::FocalLength => 1,
-            Unknown::FocalLengthAndRows => 2,
-            Unknown::FocalLengthAndLens => GLOBALS,
+        match self.free_intrinsics {
+            FreeIntrinsics::None => 0,
+            FreeIntrinsics::FocalLength => 1,
+            FreeIntrinsics::FocalLengthAndReadout => 2,
+            FreeIntrinsics::FocalLengthAndDistortion => GLOBALS,
         }
     }
 
     /// The cost of all sights, in variances.
     fn cost(&self) -> f64 {
         let part = |range: std::ops::Range<usize>| -> f64 {
-            range.map(|i| self.sights[i].iter().map(|s| self.sight_cost(i, s)).sum::<f64>()).sum()
+            range
+                .map(|i| self.sights[i].iter().map(|s| self.observation_cost(i, s)).sum::<f64>())
+                .sum()
         };
         let mut total = 0.0;
-        reduce_in_order(self.landmarks.len(), CHUNK, part, |sum| total += sum);
+        reduce_in_order(self.landmarks.len(), LANDMARKS_PER_TASK, part, |sum| total += sum);
         if total.is_finite() { total } else { f64::INFINITY }
     }
 
-    fn sight_cost(&self, landmark: usize, sight: &Sight) -> f64 {
+    fn observation_cost(&self, landmark: usize, sight: &BundleObservation) -> f64 {
         huber(self.residual(landmark, sight)).1
     }
 
     /// Length of a residual [standard deviations].
-    pub(crate) fn residual(&self, landmark: usize, sight: &Sight) -> f64 {
+    pub(crate) fn residual(&self, landmark: usize, sight: &BundleObservation) -> f64 {
         let at = self.landmarks[landmark].image_position(&self.camera, &self.poses[sight.pose]);
-        let seen = sight.freed(self.change);
-        at.map_or(BEHIND, |at| (at[0] - seen[0]).hypot(at[1] - seen[1]) / sight.sigma)
+        let seen = sight.corrected(self.camera_change);
+        at.map_or(BEHIND_CAMERA_ERROR, |at| (at[0] - seen[0]).hypot(at[1] - seen[1]) / sight.sigma)
     }
 
-    fn moved(&self, step: &Step) -> Self {
+    fn apply_step(&self, step: &Step) -> Self {
         let mut out = self.clone();
         for (pose, tangent) in out.poses.iter_mut().zip(&step.poses) {
             *pose = pose.retract(Tangent::from_array(*tangent));
@@ -168,8 +169,8 @@ impl Bundle {
             (0..3).for_each(|i| landmark.values[i] += change[i]);
         }
         let globals: [f64; GLOBALS] =
-            std::array::from_fn(|i| step.globals[i].clamp(-MAX_STEP[i], MAX_STEP[i]));
-        (0..2).for_each(|i| out.change[i] += globals[1 + i]);
+            std::array::from_fn(|i| step.globals[i].clamp(-MAX_GLOBAL_STEP[i], MAX_GLOBAL_STEP[i]));
+        (0..2).for_each(|i| out.camera_change[i] += globals[1 + i]);
         let scale = globals[0].exp();
         (out.camera.fx, out.camera.fy) = (out.camera.fx * scale, out.camera.fy * scale);
         out

@@ -3,16 +3,17 @@
 //! Every row of the cameras' system is computed by one task, its landmarks in order, so that the
 //! system is kept once, however many tasks there are.
 
-use super::sparsity::Structure;
-use super::{Bundle, CHUNK, GLOBALS, Moves, Sight};
+use super::sparsity::BlockSparsity;
+use super::{Bundle, BundleObservation, GLOBALS, LANDMARKS_PER_TASK};
 use crate::multiview::landmark::Projection;
+use crate::multiview::lens_distortion::CameraJacobian;
 use crate::multiview::robust_loss::{HUBER, huber};
 use i2slam_compute::{SkylineMatrix, reduce_in_order};
 use i2slam_geometry::{Mat3, Vec3};
 use rayon::prelude::*;
 
 /// Damping that only keeps the unit of length, which nothing tells, where it is.
-const UNDAMPED: f64 = 1e-7;
+const GAUGE_DAMPING: f64 = 1e-7;
 
 /// A change of all unknowns.
 pub(super) struct Step {
@@ -23,39 +24,39 @@ pub(super) struct Step {
 }
 
 /// Normal equations: cameras (`U`), landmarks (`C`) and couplings (`E`).
-pub(super) struct Linear<'a> {
-    structure: &'a Structure,
+pub(super) struct SchurSystem<'a> {
+    structure: &'a BlockSparsity,
     /// How many of the globals are unknown.
     globals: usize,
-    parts: Vec<Part>,
-    poses: Vec<PosePart>,
-    global: GlobalPart,
+    parts: Vec<LandmarkBlock>,
+    poses: Vec<PoseBlock>,
+    global: GlobalBlock,
 }
 
-impl<'a> Linear<'a> {
-    pub(super) fn new(bundle: &Bundle, structure: &'a Structure, curvature: Curvature) -> Self {
+impl<'a> SchurSystem<'a> {
+    pub(super) fn new(bundle: &Bundle, structure: &'a BlockSparsity, curvature: Curvature) -> Self {
         let globals = bundle.globals();
         let landmarks = 0..bundle.landmarks.len();
-        let landmark = |i: usize| part(bundle, i, &structure.cameras[i], curvature);
+        let landmark = |i: usize| landmark_block(bundle, i, &structure.cameras[i], curvature);
         let parts = landmarks.into_par_iter().map(landmark);
-        let block = |block: usize| pose_part(bundle, structure, block, curvature);
+        let block = |block: usize| pose_block(bundle, structure, block, curvature);
         let poses = (0..structure.poses.len()).into_par_iter().map(block);
         let (parts, poses) = (parts.collect(), poses.collect());
         let global =
-            if globals == 0 { GlobalPart::default() } else { global_part(bundle, curvature) };
+            if globals == 0 { GlobalBlock::default() } else { global_block(bundle, curvature) };
         Self { structure, globals, parts, poses, global }
     }
 
     /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
     pub(super) fn step(&self, damping: f64) -> Option<Step> {
-        let (mut matrix, mut solved) = self.reduced(damping);
-        matrix.solve(&mut solved).then(|| self.spread(&solved, damping, 1.0))
+        let (mut matrix, mut solved) = self.reduced_camera_system(damping);
+        matrix.solve(&mut solved).then(|| self.back_substitute(&solved, damping, 1.0))
     }
 
     /// How all unknowns answer a unit force on each of those that all sights share: columns of the
     /// inverse of the whole system. `None` where they are not determined.
-    pub(super) fn responses(&self) -> Option<Vec<Step>> {
-        let (mut matrix, right) = self.reduced(UNDAMPED);
+    pub(super) fn inverse_columns(&self) -> Option<Vec<Step>> {
+        let (mut matrix, right) = self.reduced_camera_system(GAUGE_DAMPING);
         if !matrix.factorise() {
             return None;
         }
@@ -63,19 +64,19 @@ impl<'a> Linear<'a> {
             let mut unit = vec![0.0; right.len()];
             unit[6 * self.poses.len() + global] = 1.0;
             matrix.substitute(&mut unit);
-            self.spread(&unit, UNDAMPED, 0.0)
+            self.back_substitute(&unit, GAUGE_DAMPING, 0.0)
         };
         Some((0..self.globals).map(unit).collect())
     }
 
     /// What the landmarks do when the cameras do what was solved, `pulled` by their own gradients.
-    fn spread(&self, solved: &[f64], damping: f64, pulled: f64) -> Step {
+    fn back_substitute(&self, solved: &[f64], damping: f64, pulled: f64) -> Step {
         let pose = |block: &Option<usize>| {
             block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
         };
         let mut globals = [0.0; GLOBALS];
         globals.iter_mut().zip(&solved[6 * self.poses.len()..]).for_each(|(g, s)| *g = *s);
-        let landmark = |(part, cameras): (&Part, &Vec<(u32, u32)>)| {
+        let landmark = |(part, cameras): (&LandmarkBlock, &Vec<(u32, u32)>)| {
             let mut right = part.gradient.map(|g| -pulled * g);
             for i in 0..3 {
                 for (e, (block, _)) in part.couplings.iter().zip(cameras) {
@@ -92,13 +93,15 @@ impl<'a> Linear<'a> {
     }
 
     /// The cameras' system, `U - E C⁻¹ Eᵀ`, and its right side.
-    fn reduced(&self, damping: f64) -> (SkylineMatrix, Vec<f64>) {
+    fn reduced_camera_system(&self, damping: f64) -> (SkylineMatrix, Vec<f64>) {
         let inverses: Vec<Mat3<f64>> =
             self.parts.par_iter().map(|p| p.damped_inverse(damping)).collect();
         let mut matrix = SkylineMatrix::new(self.structure.first_columns(self.globals));
         let rows = matrix.split((1..=self.poses.len()).map(|block| 6 * block));
-        let fill = |(block, rows): (usize, &mut [f64])| self.fill(block, rows, &inverses, damping);
-        let sides: Vec<PosePart> = rows.into_par_iter().enumerate().map(fill).collect();
+        let fill = |(block, rows): (usize, &mut [f64])| {
+            self.fill_block_rows(block, rows, &inverses, damping)
+        };
+        let sides: Vec<PoseBlock> = rows.into_par_iter().enumerate().map(fill).collect();
         let mut right: Vec<f64> = sides.iter().flat_map(|side| side.gradient).collect();
         let begin = right.len();
         for (block, side) in sides.iter().enumerate() {
@@ -115,13 +118,13 @@ impl<'a> Linear<'a> {
     }
 
     /// The six rows of a block; returns its right side and its entries in the globals' rows.
-    fn fill(
+    fn fill_block_rows(
         &self,
         block: usize,
         rows: &mut [f64],
         inverses: &[Mat3<f64>],
         damping: f64,
-    ) -> PosePart {
+    ) -> PoseBlock {
         let mut side = self.poses[block].clone();
         side.gradient = side.gradient.map(|g| -g);
         let first = self.structure.first[block];
@@ -158,7 +161,7 @@ impl<'a> Linear<'a> {
         side
     }
 
-    fn reduced_globals(&self, inverses: &[Mat3<f64>], damping: f64) -> GlobalPart {
+    fn reduced_globals(&self, inverses: &[Mat3<f64>], damping: f64) -> GlobalBlock {
         let mut out = self.global;
         for g in 0..self.globals {
             out.hessian[g][g] += damping * out.hessian[g][g] + 1e-9;
@@ -187,7 +190,7 @@ impl<'a> Linear<'a> {
 
     /// Variance of every inverse depth, poses and globals fixed.
     pub(super) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
-        let variance = |p: &Part| Some(p.damped_inverse(0.0)[(2, 2)]).filter(|v| *v > 0.0);
+        let variance = |p: &LandmarkBlock| Some(p.damped_inverse(0.0)[(2, 2)]).filter(|v| *v > 0.0);
         self.parts.iter().map(variance).collect()
     }
 }
@@ -196,13 +199,13 @@ impl<'a> Linear<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curvature {
     /// As weighted squares do, which it lies under everywhere: for steps.
-    Bounding,
+    Majorizing,
     /// As it does itself, `w I` and beyond the bend `w (I - r rᵀ/‖r‖²)`: for covariances.
-    Own,
+    Exact,
 }
 
 /// What one landmark brings: `C`, its gradient, and its coupling with every camera that sees it.
-pub(super) struct Part {
+pub(super) struct LandmarkBlock {
     pub(super) hessian: [[f64; 3]; 3],
     pub(super) gradient: [f64; 3],
     /// Coupling `E` with every free pose, in the order of the structure.
@@ -212,7 +215,7 @@ pub(super) struct Part {
 
 /// What one pose brings: its block of `U`, its gradient and its coupling with the globals.
 #[derive(Clone)]
-pub(super) struct PosePart {
+pub(super) struct PoseBlock {
     pub(super) hessian: [[f64; 6]; 6],
     pub(super) gradient: [f64; 6],
     pub(super) globals: [[f64; GLOBALS]; 6],
@@ -220,20 +223,20 @@ pub(super) struct PosePart {
 
 /// The same of the unknowns that all sights share.
 #[derive(Clone, Copy, Default)]
-pub(super) struct GlobalPart {
+pub(super) struct GlobalBlock {
     pub(super) hessian: [[f64; GLOBALS]; GLOBALS],
     pub(super) gradient: [f64; GLOBALS],
 }
 
 /// A residual, weighted, with its derivatives.
-struct Weighted {
+struct WeightedResidual {
     projection: Projection,
-    moves: Moves,
+    camera_jacobian: CameraJacobian,
     residual: [f64; 2],
     weight: f64,
 }
 
-impl Part {
+impl LandmarkBlock {
     pub(super) fn damped_inverse(&self, damping: f64) -> Mat3<f64> {
         let mut rows = self.hessian;
         (0..3).for_each(|i| rows[i][i] += damping * rows[i][i] + 1e-9);
@@ -242,29 +245,35 @@ impl Part {
 }
 
 /// `None` behind the camera.
-fn weighted(
+fn weighted_residual(
     bundle: &Bundle,
     landmark: usize,
-    sight: &Sight,
+    sight: &BundleObservation,
     curvature: Curvature,
-) -> Option<Weighted> {
+) -> Option<WeightedResidual> {
     let pose = &bundle.poses[sight.pose];
     let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
-    let seen = sight.freed(bundle.change);
+    let seen = sight.corrected(bundle.camera_change);
     let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - seen[i]);
     let length = residual[0].hypot(residual[1]) / sight.sigma;
     let weight = huber(length).0 / (sight.sigma * sight.sigma);
-    let mut out = Weighted { projection, moves: sight.moves, residual, weight };
-    if curvature == Curvature::Own && length > HUBER {
-        out.keep_across();
+    let mut out =
+        WeightedResidual { projection, camera_jacobian: sight.camera_jacobian, residual, weight };
+    if curvature == Curvature::Exact && length > HUBER {
+        out.project_across_residual();
     }
     Some(out)
 }
 
 /// How far a sight alone pulls along a change of all unknowns: its gradient times that change.
-pub(super) fn influence(bundle: &Bundle, landmark: usize, sight: &Sight, step: &Step) -> f64 {
-    let bounding = Curvature::Bounding;
-    let Some(w) = weighted(bundle, landmark, sight, bounding) else { return 0.0 };
+pub(super) fn gradient_along(
+    bundle: &Bundle,
+    landmark: usize,
+    sight: &BundleObservation,
+    step: &Step,
+) -> f64 {
+    let bounding = Curvature::Majorizing;
+    let Some(w) = weighted_residual(bundle, landmark, sight, bounding) else { return 0.0 };
     let product = |row: &[f64], change: &[f64]| -> f64 {
         row.iter().zip(change).map(|(slope, change)| slope * change).sum()
     };
@@ -277,15 +286,15 @@ pub(super) fn influence(bundle: &Bundle, landmark: usize, sight: &Sight, step: &
 }
 
 /// All sights of a landmark; `cameras` are those of free poses.
-pub(super) fn part(
+pub(super) fn landmark_block(
     bundle: &Bundle,
     landmark: usize,
     cameras: &[(u32, u32)],
     curvature: Curvature,
-) -> Part {
+) -> LandmarkBlock {
     let sights = bundle.sights[landmark].iter();
-    let all: Vec<Option<Weighted>> =
-        sights.map(|s| weighted(bundle, landmark, s, curvature)).collect();
+    let all: Vec<Option<WeightedResidual>> =
+        sights.map(|s| weighted_residual(bundle, landmark, s, curvature)).collect();
     let (mut hessian, mut gradient, mut globals) = ([[0.0; 3]; 3], [0.0; 3], [[0.0; 3]; GLOBALS]);
     for w in all.iter().flatten() {
         for i in 0..2 {
@@ -306,22 +315,22 @@ pub(super) fn part(
         };
         std::array::from_fn(|a| std::array::from_fn(|b| w.weight * entry(a, b)))
     };
-    Part { hessian, gradient, couplings: cameras.iter().map(coupling).collect(), globals }
+    LandmarkBlock { hessian, gradient, couplings: cameras.iter().map(coupling).collect(), globals }
 }
 
 /// All sights by the pose of a block.
-pub(super) fn pose_part(
+pub(super) fn pose_block(
     bundle: &Bundle,
-    structure: &Structure,
+    structure: &BlockSparsity,
     block: usize,
     curvature: Curvature,
-) -> PosePart {
+) -> PoseBlock {
     let mut out =
-        PosePart { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
+        PoseBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
     for (landmark, k) in &structure.seen[block] {
         let landmark = *landmark as usize;
         let sight = &bundle.sights[landmark][structure.cameras[landmark][*k as usize].1 as usize];
-        let Some(w) = weighted(bundle, landmark, sight, curvature) else { continue };
+        let Some(w) = weighted_residual(bundle, landmark, sight, curvature) else { continue };
         for i in 0..2 {
             let row = &w.projection.by_pose[i];
             for a in 0..6 {
@@ -337,11 +346,11 @@ pub(super) fn pose_part(
     out
 }
 
-pub(super) fn global_part(bundle: &Bundle, curvature: Curvature) -> GlobalPart {
+pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock {
     let task = |range: std::ops::Range<usize>| {
-        let mut sum = GlobalPart::default();
+        let mut sum = GlobalBlock::default();
         for (landmark, sight) in range.flat_map(|l| bundle.sights[l].iter().map(move |s| (l, s))) {
-            let Some(w) = weighted(bundle, landmark, sight, curvature) else { continue };
+            let Some(w) = weighted_residual(bundle, landmark, sight, curvature) else { continue };
             for i in 0..2 {
                 let row = w.by_globals(i);
                 for g in 0..GLOBALS {
@@ -352,8 +361,8 @@ pub(super) fn global_part(bundle: &Bundle, curvature: Curvature) -> GlobalPart {
         }
         sum
     };
-    let mut out = GlobalPart::default();
-    reduce_in_order(bundle.landmarks.len(), CHUNK, task, |sum| {
+    let mut out = GlobalBlock::default();
+    reduce_in_order(bundle.landmarks.len(), LANDMARKS_PER_TASK, task, |sum| {
         for g in 0..GLOBALS {
             out.gradient[g] += sum.gradient[g];
             (0..GLOBALS).for_each(|h| out.hessian[g][h] += sum.hessian[g][h]);
@@ -362,9 +371,9 @@ pub(super) fn global_part(bundle: &Bundle, curvature: Curvature) -> GlobalPart {
     out
 }
 
-impl Weighted {
+impl WeightedResidual {
     /// Leaves of the derivatives what is across the residual: along it the cost grows straight.
-    fn keep_across(&mut self) {
+    fn project_across_residual(&mut self) {
         let length = self.residual[0].hypot(self.residual[1]);
         let across = [-self.residual[1] / length, self.residual[0] / length];
         let keep = |[x, y]: [&mut f64; 2]| {
@@ -376,12 +385,16 @@ impl Weighted {
         let [x, y] = &mut self.projection.by_landmark;
         x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
         keep(self.projection.by_focal.each_mut());
-        self.moves.iter_mut().for_each(|by| keep(by.each_mut()));
+        self.camera_jacobian.iter_mut().for_each(|by| keep(by.each_mut()));
     }
 
     /// Derivatives by the unknowns that all sights share.
     fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
-        [self.projection.by_focal[axis], -self.moves[0][axis], -self.moves[1][axis]]
+        [
+            self.projection.by_focal[axis],
+            -self.camera_jacobian[0][axis],
+            -self.camera_jacobian[1][axis],
+        ]
     }
 }
 

@@ -4,31 +4,31 @@ use super::{Bundle, GLOBALS};
 use i2slam_compute::reverse_cuthill_mckee;
 
 /// With fewer free poses than this their order is that of the bundle.
-const WORTH_ORDERING: usize = 64;
+const MIN_REORDERED_POSES: usize = 64;
 
 /// Places in a list that never has more than four thousand million entries.
-pub(super) type Short = u32;
+pub(super) type Index = u32;
 
 /// The free poses of a bundle as blocks of unknowns, and where landmarks couple them. It is the
 /// same as long as nobody adds sights.
-pub(super) struct Structure {
+pub(super) struct BlockSparsity {
     /// Block of every pose; `None` for fixed ones.
     pub(super) blocks: Vec<Option<usize>>,
     /// Pose of every block.
     pub(super) poses: Vec<usize>,
     /// For every landmark the block and the place of each sight by a free pose, in order of blocks.
-    pub(super) cameras: Vec<Vec<(Short, Short)>>,
+    pub(super) cameras: Vec<Vec<(Index, Index)>>,
     /// For every block its landmarks, and the place in `cameras` of each.
-    pub(super) seen: Vec<Vec<(Short, Short)>>,
+    pub(super) seen: Vec<Vec<(Index, Index)>>,
     /// The first block that every block shares a landmark with.
     pub(super) first: Vec<usize>,
 }
 
-impl Structure {
+impl BlockSparsity {
     pub(super) fn new(bundle: &Bundle) -> Self {
         let free: Vec<usize> = (0..bundle.poses.len()).filter(|p| !bundle.fixed[*p]).collect();
         let natural = Self::of(bundle, free);
-        if natural.poses.len() < WORTH_ORDERING {
+        if natural.poses.len() < MIN_REORDERED_POSES {
             return natural;
         }
         let order = reverse_cuthill_mckee(&neighbours(&natural.cameras, natural.poses.len()));
@@ -43,14 +43,15 @@ impl Structure {
         let mut first: Vec<usize> = (0..poses.len()).collect();
         let mut cameras = Vec::with_capacity(bundle.sights.len());
         for (landmark, sights) in bundle.sights.iter().enumerate() {
-            let place =
-                |(i, s): (usize, &super::Sight)| Some((blocks[s.pose]? as Short, i as Short));
-            let mut of: Vec<(Short, Short)> = sights.iter().enumerate().filter_map(place).collect();
+            let place = |(i, s): (usize, &super::BundleObservation)| {
+                Some((blocks[s.pose]? as Index, i as Index))
+            };
+            let mut of: Vec<(Index, Index)> = sights.iter().enumerate().filter_map(place).collect();
             of.sort_unstable();
             let least = of.first().map_or(0, |c| c.0 as usize);
             for (k, (block, _)) in of.iter().enumerate() {
                 let block = *block as usize;
-                seen[block].push((landmark as Short, k as Short));
+                seen[block].push((landmark as Index, k as Index));
                 first[block] = first[block].min(least);
             }
             cameras.push(of);
@@ -73,9 +74,9 @@ impl Structure {
 
 /// Blocks next to every block: each is joined with the first one of every landmark that it sees,
 /// which is enough to tell what lies near.
-fn neighbours(cameras: &[Vec<(Short, Short)>], blocks: usize) -> Vec<Vec<usize>> {
+fn neighbours(cameras: &[Vec<(Index, Index)>], blocks: usize) -> Vec<Vec<usize>> {
     let mut out = vec![Vec::new(); blocks];
-    let mut pairs: Vec<(Short, Short)> = Vec::new();
+    let mut pairs: Vec<(Index, Index)> = Vec::new();
     let mut most = 1 << 16;
     for of in cameras {
         let Some(((first, _), rest)) = of.split_first() else { continue };

@@ -1,5 +1,5 @@
 use super::*;
-use crate::multiview::lens_distortion::radial;
+use crate::multiview::lens_distortion::distortion_jacobian;
 use crate::progress::Progress;
 use i2slam_check::{assert_gradient, noise};
 use i2slam_geometry::{Rotation, Vec3};
@@ -22,9 +22,15 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
         let (u, v) = camera.project(poses[k].inverse() * points[i]);
         let e = &errors[(i * 6 + k) * 2..];
         let at = [u + spread * e[0], v + spread * e[1]];
-        Sight { pose: k, at, sigma: 0.5, moves: radial(&camera, at) }
+        BundleObservation {
+            pose: k,
+            at,
+            sigma: 0.5,
+            camera_jacobian: distortion_jacobian(&camera, at),
+        }
     };
-    let sights: Vec<Vec<Sight>> = (0..60).map(|i| (0..6).map(|k| sight(i, k)).collect()).collect();
+    let sights: Vec<Vec<BundleObservation>> =
+        (0..60).map(|i| (0..6).map(|k| sight(i, k)).collect()).collect();
     let landmarks = (0..60)
         .map(|i| Landmark::on_ray(&camera, poses[0], sights[i][0].at, 1.0 / points[i].z))
         .collect();
@@ -37,8 +43,8 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
             fixed,
             landmarks,
             sights,
-            change: [0.0; 2],
-            unknown: Unknown::Nothing,
+            camera_change: [0.0; 2],
+            free_intrinsics: FreeIntrinsics::None,
         },
         points,
     )
@@ -84,7 +90,8 @@ fn focal_error(seed: u64, own: f64, shared: f64) -> (f64, f64) {
             }
         }
     }
-    (bundle.camera.fx, bundle.camera.fy, bundle.unknown) = (260.0, 260.0, Unknown::FocalLength);
+    (bundle.camera.fx, bundle.camera.fy, bundle.free_intrinsics) =
+        (260.0, 260.0, FreeIntrinsics::FocalLength);
     bundle.adjust(60, &Progress::default());
     let deviation = bundle.camera_covariance().expect("defined")[0][0].sqrt();
     ((bundle.camera.fx / 250.0).ln(), deviation)
@@ -115,19 +122,20 @@ fn one_step_without_damping_solves_the_normal_equations() {
     bundle.poses[2] =
         bundle.poses[2].retract(Tangent::from_array([1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0]));
     let before = bundle.cost();
-    let structure = Structure::new(&bundle);
-    let step =
-        Linear::new(&bundle, &structure, Curvature::Bounding).step(0.0).expect("positive definite");
-    assert!(bundle.moved(&step).cost() < 1e-6 * before);
+    let structure = BlockSparsity::new(&bundle);
+    let step = SchurSystem::new(&bundle, &structure, Curvature::Majorizing)
+        .step(0.0)
+        .expect("positive definite");
+    assert!(bundle.apply_step(&step).cost() < 1e-6 * before);
 }
 
 #[test]
 fn the_gradient_agrees_with_differences() {
     let (bundle, _) = scene(4.0);
-    let unknown = Unknown::FocalLengthAndLens;
-    let bundle = Bundle { unknown, change: [0.02, -0.01], ..disturbed(bundle) };
-    let structure = Structure::new(&bundle);
-    let gradient = Linear::new(&bundle, &structure, Curvature::Bounding).half_gradient(2);
+    let free_intrinsics = FreeIntrinsics::FocalLengthAndDistortion;
+    let bundle = Bundle { free_intrinsics, camera_change: [0.02, -0.01], ..disturbed(bundle) };
+    let structure = BlockSparsity::new(&bundle);
+    let gradient = SchurSystem::new(&bundle, &structure, Curvature::Majorizing).half_gradient(2);
     let f = |x: &[f64]| {
         let mut step = Step {
             poses: vec![[0.0; 6]; 6],
@@ -136,7 +144,7 @@ fn the_gradient_agrees_with_differences() {
         };
         step.poses[1] = std::array::from_fn(|i| x[i]);
         step.landmarks[2] = std::array::from_fn(|i| x[6 + i]);
-        0.5 * bundle.moved(&step).cost()
+        0.5 * bundle.apply_step(&step).cost()
     };
     assert_gradient("bundle", &[0.0; 12], &gradient, 1e-6, 1e-6, f);
 }
@@ -167,9 +175,9 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
         let landmark = Landmark::on_ray(&camera, poses[begin], at, depth.recip());
         let sight = |pose: usize| {
             let at = landmark.image_position(&camera, &poses[pose])?;
-            Some(Sight { pose, at, sigma: 0.5, moves: [[0.0; 2]; 2] })
+            Some(BundleObservation { pose, at, sigma: 0.5, camera_jacobian: [[0.0; 2]; 2] })
         };
-        let all: Vec<Sight> = by.into_iter().filter_map(sight).collect();
+        let all: Vec<BundleObservation> = by.into_iter().filter_map(sight).collect();
         if all.len() > 1 {
             landmarks.push(landmark);
             sights.push(all);
@@ -177,13 +185,22 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
     }
     let fixed = (0..count).map(|i| i < 2).collect();
     let sights = Arc::new(sights);
-    Bundle { camera, poses, fixed, landmarks, sights, change: [0.0; 2], unknown: Unknown::Nothing }
+    Bundle {
+        camera,
+        poses,
+        fixed,
+        landmarks,
+        sights,
+        camera_change: [0.0; 2],
+        free_intrinsics: FreeIntrinsics::None,
+    }
 }
 
 #[test]
 fn a_thousand_poses_take_room_in_proportion_to_their_number() {
     for closed in [false, true] {
-        let entries = |count: usize| Structure::new(&round_trip(count, 4, 10, closed)).entries();
+        let entries =
+            |count: usize| BlockSparsity::new(&round_trip(count, 4, 10, closed)).entries();
         let (few, many) = (entries(150), entries(1200));
         assert!(many < 9 * few, "{few} {many}");
         // A closed path is folded, which makes the band twice as wide.

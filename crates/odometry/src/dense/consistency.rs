@@ -4,15 +4,15 @@ use super::inverse_depth::Estimate;
 use i2slam_geometry::{Camera, Image, Pose};
 
 /// Difference of inverse depths that agree, in standard deviations of both, ...
-const DEVIATIONS: f32 = 3.0;
+const MAX_DEVIATIONS: f32 = 3.0;
 /// ... or as a share of them, whichever is more.
-const SHARE: f32 = 0.03;
+const MAX_RELATIVE_DIFFERENCE: f32 = 0.03;
 /// Of two other keyframes that see a pixel one must agree, of more than that two.
-const AGREEING: usize = 2;
+const MIN_AGREEING_VIEWS: usize = 2;
 
 /// What of an estimate others agree with; `others` are estimates with `other_from_keyframe`. The
 /// inverse depths that agree are averaged by their variances.
-pub(super) fn agreed(
+pub(super) fn fuse_consistent(
     camera: &Camera<f64>,
     own: &Estimate,
     others: &[(&Estimate, Pose<f64>)],
@@ -47,8 +47,9 @@ pub(super) fn agreed(
             // The same error of the depth: `dz = -dρ/ρ²` in both.
             let slope = (rho / due).powi(2);
             let its = its * slope * slope;
-            let most =
-                (DEVIATIONS * (variance + its).sqrt() / slope).min(0.1 * due).max(SHARE * due);
+            let most = (MAX_DEVIATIONS * (variance + its).sqrt() / slope)
+                .min(0.1 * due)
+                .max(MAX_RELATIVE_DIFFERENCE * due);
             if (found - due).abs() > most {
                 continue;
             }
@@ -56,7 +57,7 @@ pub(super) fn agreed(
             sum += (rho + (found - due) * slope) / its;
             weight += 1.0 / its;
         }
-        if agree >= AGREEING.min(seen) && agree > 0 {
+        if agree >= MIN_AGREEING_VIEWS.min(seen) && agree > 0 {
             out.inverse_depth.data[pixel] = sum / weight;
             // Neighbours share pictures: their errors are not independent.
             out.variance.data[pixel] = (1 + agree) as f32 / weight;
@@ -80,7 +81,7 @@ mod tests {
         let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
         let (own, other) = (flat(1.0 / 2.0, 1e-4), flat(1.0 / 1.204, 9e-4));
         let forward = Pose::new(Rotation::identity(), Vec3::new(0.0, 0.0, -0.8));
-        agreed(&camera, &own, &[(&other, forward)])
+        fuse_consistent(&camera, &own, &[(&other, forward)])
     }
 
     /// Variances of the depth, `z⁴` times those of its inverse, tell what each is worth.

@@ -4,32 +4,32 @@
 use super::DenseDepth;
 
 /// Least difference of depths that is an edge, as a share of the nearer one.
-const EDGE: f32 = 0.1;
+const EDGE_CONTRAST: f32 = 0.1;
 /// Standard deviation of the depth beside an edge, as a share of the step there: the other surface
 /// is three of them away.
-const SHARE: f32 = 1.0 / 3.0;
+const STEP_DEVIATION_RATIO: f32 = 1.0 / 3.0;
 
 /// Adds to the variance of every pixel what other surfaces within `reach` pixels, along rows and
 /// columns each, make doubtful.
-pub(super) fn doubt_beside_edges(found: &mut DenseDepth, reach: usize) {
+pub(super) fn inflate_variance_at_edges(found: &mut DenseDepth, reach: usize) {
     let (width, height) = (found.depth.width, found.depth.height);
     let depth = &found.depth.data;
-    let most = spread(depth, (width, height), reach, f32::max);
-    let least = spread(depth, (width, height), reach, |a, b| match (a > 0.0, b > 0.0) {
+    let most = square_filter(depth, (width, height), reach, f32::max);
+    let least = square_filter(depth, (width, height), reach, |a, b| match (a > 0.0, b > 0.0) {
         (true, true) => a.min(b),
         _ => a.max(b),
     });
     for (pixel, variance) in found.variance.data.iter_mut().enumerate() {
         let here = depth[pixel];
         let step = (most[pixel] - here).max(here - least[pixel]);
-        if here > 0.0 && step > EDGE * least[pixel] {
-            *variance += (SHARE * step).powi(2);
+        if here > 0.0 && step > EDGE_CONTRAST * least[pixel] {
+            *variance += (STEP_DEVIATION_RATIO * step).powi(2);
         }
     }
 }
 
 /// `pick` over squares of `2 reach + 1` pixels a side.
-fn spread(
+fn square_filter(
     values: &[f32],
     (width, height): (usize, usize),
     reach: usize,
@@ -65,7 +65,7 @@ mod tests {
     #[test]
     fn both_sides_of_an_edge_are_doubtful_up_to_the_other_surface() {
         let mut found = halves();
-        doubt_beside_edges(&mut found, 3);
+        inflate_variance_at_edges(&mut found, 3);
         for (pixel, variance) in found.variance.data.iter().enumerate() {
             let beside = (7..13).contains(&(pixel % 20));
             let reach = 3.0 * variance.sqrt();
@@ -78,7 +78,7 @@ mod tests {
     fn unknown_depth_and_slopes_are_no_edges() {
         let mut found = halves();
         found.depth.data.iter_mut().filter(|d| **d > 2.0).for_each(|d| *d = 0.0);
-        doubt_beside_edges(&mut found, 3);
+        inflate_variance_at_edges(&mut found, 3);
         assert!(found.variance.data.iter().all(|v| *v == 1e-4));
     }
 }

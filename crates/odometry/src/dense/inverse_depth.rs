@@ -1,7 +1,7 @@
 //! The inverse depth of one keyframe, from a coarse sweep to single windows.
 
-use super::plane_sweep::{Sweep, Volume};
-use super::semi_global::aggregated;
+use super::plane_sweep::{CostVolume, PlaneSweep};
+use super::semi_global::aggregate_costs;
 use crate::track::pyramid::Pyramid;
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
@@ -11,7 +11,7 @@ pub(super) const HALF_WINDOWS: [usize; 2] = [3, 2];
 /// How far a plane of the sweep moves the coarse picture of the neighbour that it moves most [px].
 const PLANE_STEP: f64 = 0.7;
 /// Bounds of the number of planes.
-const PLANES: (usize, usize) = (24, 128);
+const PLANE_COUNT_RANGE: (usize, usize) = (24, 128);
 /// Labels of a refinement on either side, and their distances in steps of the sweep.
 const REFINEMENTS: [(usize, f32); 2] = [(4, 0.5), (3, 0.25)];
 /// Mean cost that noise alone leaves.
@@ -27,13 +27,13 @@ pub(super) struct Estimate {
 }
 
 /// What another keyframe shows: brightness at several sizes, and `other_from_keyframe`.
-pub(super) type Other<'a> = (&'a Pyramid, Pose<f64>);
+pub(super) type NeighbourView<'a> = (&'a Pyramid, Pose<f64>);
 
 /// The inverse depth of a keyframe between two bounds; `None` if `cancellation` was cancelled.
-pub(super) fn estimate(
+pub(super) fn estimate_inverse_depth(
     camera: &Camera<f64>,
     keyframe: &Pyramid,
-    others: &[Other<'_>],
+    others: &[NeighbourView<'_>],
     [least, most]: [f64; 2],
     cancellation: &CancellationToken,
 ) -> Option<Estimate> {
@@ -49,10 +49,10 @@ pub(super) fn estimate(
     let offsets: Vec<f32> = (0..planes).map(|k| step * k as f32).collect();
     let volume = sweep.costs(|_| least as f32, &offsets);
     goes_on()?;
-    let smooth = aggregated(&volume, coarse);
+    let smooth = aggregate_costs(&volume, coarse);
     let mut first = Image::new(coarse.width, coarse.height, 1);
     for (pixel, rho) in first.data.iter_mut().enumerate() {
-        *rho = least as f32 + step * lowest(smooth.of(pixel)).0;
+        *rho = least as f32 + step * subpixel_minimum(smooth.of(pixel)).0;
     }
     let mut found = enlarged(&median_filtered(&first), fine.width, fine.height);
     let sweep = self::sweep(camera, fine, others, 0);
@@ -64,11 +64,11 @@ pub(super) fn estimate(
         goes_on()?;
         let base = median_filtered(&found);
         let volume = sweep.costs(|pixel| base.data[pixel], &offsets);
-        let smooth = aggregated(&volume, fine);
+        let smooth = aggregate_costs(&volume, fine);
         for pixel in 0..base.data.len() {
-            let (place, label) = lowest(smooth.of(pixel));
+            let (place, label) = subpixel_minimum(smooth.of(pixel));
             found.data[pixel] = base.data[pixel] + (place - reach as f32) * distance;
-            variance.data[pixel] = spread(&volume, pixel, label) * distance * distance;
+            variance.data[pixel] = minimum_variance(&volume, pixel, label) * distance * distance;
         }
     }
     let mut variance = median_filtered(&variance);
@@ -95,18 +95,18 @@ fn at_level(camera: &Camera<f64>, picture: &Image<f32>, level: usize) -> Camera<
 fn sweep<'a>(
     camera: &Camera<f64>,
     picture: &Image<f32>,
-    others: &[Other<'a>],
+    others: &[NeighbourView<'a>],
     level: usize,
-) -> Sweep<'a> {
+) -> PlaneSweep<'a> {
     let others: Vec<(&Image<f32>, Pose<f64>)> =
         others.iter().map(|(pyramid, pose)| (&pyramid.levels[level], *pose)).collect();
-    Sweep::new(camera, picture, HALF_WINDOWS[level], &others)
+    PlaneSweep::new(camera, picture, HALF_WINDOWS[level], &others)
 }
 
 /// Number of planes that move no neighbour's picture by more than [`PLANE_STEP`] from one to the
-/// next, within [`PLANES`]: where that takes more of them, as in wide ranges at close quarters,
+/// next, within [`PLANE_COUNT_RANGE`]: where that takes more of them, as in wide ranges at close quarters,
 /// steps are longer.
-fn planes(camera: &Camera<f64>, others: &[Other<'_>], [least, most]: [f64; 2]) -> usize {
+fn planes(camera: &Camera<f64>, others: &[NeighbourView<'_>], [least, most]: [f64; 2]) -> usize {
     let at = |pose: &Pose<f64>, u: f64, v: f64, rho: f64| {
         let ray: Vec3<f64> = camera.unproject(u, v, 1.0);
         let (x, y) = camera.project(pose.rotation.rotate(ray) + pose.translation * rho);
@@ -121,11 +121,11 @@ fn planes(camera: &Camera<f64>, others: &[Other<'_>], [least, most]: [f64; 2]) -
             longest = longest.max(if length.is_finite() { length } else { 0.0 });
         }
     }
-    ((longest / PLANE_STEP) as usize + 1).clamp(PLANES.0, PLANES.1)
+    ((longest / PLANE_STEP) as usize + 1).clamp(PLANE_COUNT_RANGE.0, PLANE_COUNT_RANGE.1)
 }
 
 /// Where the cost is lowest, between labels, and the nearest label.
-fn lowest(costs: &[f32]) -> (f32, usize) {
+fn subpixel_minimum(costs: &[f32]) -> (f32, usize) {
     let mut label = 0;
     for (k, cost) in costs.iter().enumerate() {
         if *cost < costs[label] {
@@ -145,7 +145,7 @@ fn lowest(costs: &[f32]) -> (f32, usize) {
 ///
 /// Of windows that differ by noise the cost is `C + c x²/2` with `C = N σ²/(2 |I|²)` and
 /// `c = Σ(∂I)²/|I|²`, so that the variance of its lowest place, `σ²/Σ(∂I)²`, is `2 C/(N c)`.
-fn spread(volume: &Volume, pixel: usize, label: usize) -> f32 {
+fn minimum_variance(volume: &CostVolume, pixel: usize, label: usize) -> f32 {
     let costs = volume.of(pixel);
     let label = label.clamp(2, costs.len() - 3);
     let here = costs[label];

@@ -15,24 +15,24 @@ mod view_selection;
 mod window_correlation;
 
 use crate::track::pyramid::Pyramid;
-use consistency::agreed;
-use depth_edges::doubt_beside_edges;
+use consistency::fuse_consistent;
+use depth_edges::inflate_variance_at_edges;
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
-use inverse_depth::{Estimate, HALF_WINDOWS, estimate};
+use inverse_depth::{Estimate, HALF_WINDOWS, estimate_inverse_depth};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Keyframes before and after one, in their order, that it may be matched with.
-const REACH: usize = 8;
+const MAX_KEYFRAME_DISTANCE: usize = 8;
 /// Keyframes that one is matched with, and that its estimate is compared with.
-const MATCHED: usize = 5;
+const MAX_VIEWS: usize = 5;
 /// How far beyond the landmarks' inverse depths surfaces are looked for, as a share.
-const BEYOND: f64 = 0.5;
+const RANGE_MARGIN: f64 = 0.5;
 /// Share of landmarks that may lie outside on either side.
-const OUTSIDE: f64 = 0.01;
+const OUTLIER_RATIO: f64 = 0.01;
 /// An inverse depth is known if its standard deviation is at most this share of it.
-const KNOWN: f32 = 0.1;
+const MAX_RELATIVE_DEVIATION: f32 = 0.1;
 
 /// Depth along the optical axis, 0 where it is not known, with its variance; in the unit of the
 /// poses and that squared.
@@ -87,7 +87,7 @@ impl DenseDepthEstimator {
         if index >= self.views.len() {
             return None;
         }
-        let others = self.chosen(index);
+        let others = self.selected_views(index);
         self.ensure_estimate(index, load)?;
         for other in &others {
             self.ensure_estimate(*other, load);
@@ -102,24 +102,24 @@ impl DenseDepthEstimator {
             .iter()
             .filter_map(|i| Some((self.estimates.get(i)?, inverse(*i) * pose)))
             .collect();
-        let kept = agreed(&self.camera, own, &known);
-        let oldest = index.saturating_sub(REACH);
+        let kept = fuse_consistent(&self.camera, own, &known);
+        let oldest = index.saturating_sub(MAX_KEYFRAME_DISTANCE);
         self.estimates.retain(|i, _| *i >= oldest);
-        self.pictures.retain(|i, _| *i + REACH >= oldest);
-        let mut found = in_depth(&kept);
-        doubt_beside_edges(&mut found, HALF_WINDOWS[0]);
+        self.pictures.retain(|i, _| *i + MAX_KEYFRAME_DISTANCE >= oldest);
+        let mut found = depth_from_inverse(&kept);
+        inflate_variance_at_edges(&mut found, HALF_WINDOWS[0]);
         Some(found)
     }
 
     /// The keyframes that serve one best.
-    fn chosen(&self, index: usize) -> Vec<usize> {
+    fn selected_views(&self, index: usize) -> Vec<usize> {
         let Some(depth) = self.median_depth(index) else { return Vec::new() };
-        let last = (index + REACH + 1).min(self.views.len());
-        let near = index.saturating_sub(REACH)..last;
+        let last = (index + MAX_KEYFRAME_DISTANCE + 1).min(self.views.len());
+        let near = index.saturating_sub(MAX_KEYFRAME_DISTANCE)..last;
         let others: Vec<(usize, Pose<f64>)> =
             near.filter(|i| *i != index).map(|i| (i, self.views[i].world_from_camera)).collect();
         let pose = self.views[index].world_from_camera;
-        view_selection::choose(&self.camera, pose, &others, depth, MATCHED)
+        view_selection::select_views(&self.camera, pose, &others, depth, MAX_VIEWS)
     }
 
     fn median_depth(&self, index: usize) -> Option<f64> {
@@ -131,9 +131,9 @@ impl DenseDepthEstimator {
         let mut all: Vec<f64> =
             self.views[index].landmarks.iter().filter(|d| **d > 0.0).map(|d| 1.0 / d).collect();
         all.sort_by(f64::total_cmp);
-        let outside = (OUTSIDE * all.len() as f64) as usize;
+        let outside = (OUTLIER_RATIO * all.len() as f64) as usize;
         let (least, most) = (all.get(outside)?, all.get(all.len() - 1 - outside)?);
-        Some([least / (1.0 + BEYOND), most * (1.0 + BEYOND)])
+        Some([least / (1.0 + RANGE_MARGIN), most * (1.0 + RANGE_MARGIN)])
     }
 
     /// Makes the estimate of one keyframe alone, once.
@@ -145,7 +145,7 @@ impl DenseDepthEstimator {
         if self.estimates.contains_key(&index) {
             return Some(());
         }
-        let (chosen, bounds) = (self.chosen(index), self.bounds(index)?);
+        let (chosen, bounds) = (self.selected_views(index), self.bounds(index)?);
         for i in chosen.iter().chain([&index]) {
             self.pictures.entry(*i).or_insert_with(|| load(*i).map(|image| Pyramid::new(&image)));
         }
@@ -158,20 +158,26 @@ impl DenseDepthEstimator {
         if others.is_empty() {
             return None;
         }
-        let found = estimate(&self.camera, picture(index)?, &others, bounds, &self.cancellation)?;
+        let found = estimate_inverse_depth(
+            &self.camera,
+            picture(index)?,
+            &others,
+            bounds,
+            &self.cancellation,
+        )?;
         self.estimates.insert(index, found);
         Some(())
     }
 }
 
 /// Depth and its variance, `dz = z² dρ`.
-fn in_depth(estimate: &Estimate) -> DenseDepth {
+fn depth_from_inverse(estimate: &Estimate) -> DenseDepth {
     let (width, height) = (estimate.inverse_depth.width, estimate.inverse_depth.height);
     let mut out =
         DenseDepth { depth: Image::new(width, height, 1), variance: Image::new(width, height, 1) };
     for (pixel, rho) in estimate.inverse_depth.data.iter().enumerate() {
         let variance = estimate.variance.data[pixel];
-        if *rho > 0.0 && variance.sqrt() <= KNOWN * rho {
+        if *rho > 0.0 && variance.sqrt() <= MAX_RELATIVE_DEVIATION * rho {
             let z = 1.0 / rho;
             out.depth.data[pixel] = z;
             out.variance.data[pixel] = variance * z.powi(4);

@@ -1,11 +1,11 @@
 //! A keyframe compared with its neighbours as if its surfaces were at given inverse depths.
 
-use super::window_correlation::Windows;
+use super::window_correlation::WindowStatistics;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use rayon::prelude::*;
 
 /// Labels that are compared at once, so that few planes are kept beside the volume.
-const AT_ONCE: usize = 16;
+const LABELS_PER_BATCH: usize = 16;
 
 /// A picture of another camera, and the way there: a pixel `(u, v)` of the keyframe at inverse
 /// depth `ρ` is seen at `turn (u, v, 1) + ρ shift`, in homogeneous pixels.
@@ -16,25 +16,25 @@ struct Neighbour<'a> {
 }
 
 /// What is compared: one size of the keyframe and of its neighbours.
-pub(super) struct Sweep<'a> {
-    windows: Windows,
+pub(super) struct PlaneSweep<'a> {
+    windows: WindowStatistics,
     neighbours: Vec<Neighbour<'a>>,
 }
 
 /// Costs of every pixel at a row of labels: `values[pixel * labels + label]`, in [0, 1].
-pub(super) struct Volume {
+pub(super) struct CostVolume {
     pub(super) values: Vec<f32>,
     pub(super) labels: usize,
 }
 
-impl Volume {
+impl CostVolume {
     /// The costs of a pixel.
     pub(super) fn of(&self, pixel: usize) -> &[f32] {
         &self.values[pixel * self.labels..(pixel + 1) * self.labels]
     }
 }
 
-impl<'a> Sweep<'a> {
+impl<'a> PlaneSweep<'a> {
     /// `others`: brightness, and `other_from_keyframe`. All are of `camera`.
     pub(super) fn new(
         camera: &Camera<f64>,
@@ -52,7 +52,7 @@ impl<'a> Sweep<'a> {
             Neighbour { image, turn: turn.map(Vec3::cast), shift: pixels(pose.translation).cast() }
         };
         Self {
-            windows: Windows::new(keyframe.clone(), half_window),
+            windows: WindowStatistics::new(keyframe.clone(), half_window),
             neighbours: others.iter().map(neighbour).collect(),
         }
     }
@@ -62,25 +62,26 @@ impl<'a> Sweep<'a> {
         &self,
         inverse_depth: impl Fn(usize) -> f32 + Sync,
         offsets: &[f32],
-    ) -> Volume {
+    ) -> CostVolume {
         let labels = offsets.len();
         let mut values = vec![0.0; labels * self.windows.image.data.len()];
-        for (begin, some) in (0..).step_by(AT_ONCE).zip(offsets.chunks(AT_ONCE)) {
-            let plane = |offset: &f32| self.plane(&|pixel| inverse_depth(pixel) + offset);
+        for (begin, some) in (0..).step_by(LABELS_PER_BATCH).zip(offsets.chunks(LABELS_PER_BATCH)) {
+            let plane =
+                |offset: &f32| self.mean_plane_costs(&|pixel| inverse_depth(pixel) + offset);
             let planes: Vec<Vec<f32>> = some.par_iter().map(plane).collect();
             values.par_chunks_exact_mut(labels).enumerate().for_each(|(pixel, costs)| {
                 let costs = costs[begin..].iter_mut().zip(&planes);
                 costs.for_each(|(cost, plane)| *cost = plane[pixel]);
             });
         }
-        Volume { values, labels }
+        CostVolume { values, labels }
     }
 
     /// Mean cost of the better half of the neighbours that show a pixel: the others may be hidden.
-    fn plane(&self, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
+    fn mean_plane_costs(&self, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
         let pixels = self.windows.image.data.len();
         let each: Vec<Vec<f32>> =
-            self.neighbours.iter().map(|n| self.matched(n, inverse_depth)).collect();
+            self.neighbours.iter().map(|n| self.neighbour_costs(n, inverse_depth)).collect();
         let mut sorted = Vec::with_capacity(each.len());
         (0..pixels)
             .map(|i| {
@@ -94,9 +95,13 @@ impl<'a> Sweep<'a> {
     }
 
     /// Costs of one neighbour; above 1 where it does not show the pixel.
-    fn matched(&self, neighbour: &Neighbour<'_>, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
-        let (warped, shown) = neighbour.warped(inverse_depth);
-        let mut costs = self.windows.costs(&warped);
+    fn neighbour_costs(
+        &self,
+        neighbour: &Neighbour<'_>,
+        inverse_depth: &dyn Fn(usize) -> f32,
+    ) -> Vec<f32> {
+        let (warp_to_keyframe, shown) = neighbour.warp_to_keyframe(inverse_depth);
+        let mut costs = self.windows.costs(&warp_to_keyframe);
         costs.iter_mut().zip(shown).filter(|(_, shown)| !shown).for_each(|(cost, _)| *cost = 2.0);
         costs
     }
@@ -105,7 +110,7 @@ impl<'a> Sweep<'a> {
 impl Neighbour<'_> {
     /// The neighbour as the keyframe would see it, and whether it shows the pixel at all: beyond
     /// its border the last value is repeated.
-    fn warped(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
+    fn warp_to_keyframe(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
         let (width, height) = (self.image.width, self.image.height);
         let (right, low) = ((width - 1) as f32 - 1e-3, (height - 1) as f32 - 1e-3);
         let [by_u, by_v, origin] = self.turn;

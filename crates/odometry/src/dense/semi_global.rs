@@ -1,51 +1,55 @@
 //! Semi-global aggregation: costs along straight paths from all sides, with a price on changes of
 //! the label (Hirschmüller 2008).
 
-use super::plane_sweep::Volume;
+use super::plane_sweep::CostVolume;
 use i2slam_geometry::Image;
 use rayon::prelude::*;
 
 /// Price of a change by one label, and of any larger one where the picture has no edge.
-const STEP: f32 = 0.04;
-const JUMP: f32 = 0.35;
+const STEP_PENALTY: f32 = 0.04;
+const JUMP_PENALTY: f32 = 0.35;
 /// Difference of brightness that halves the price of a jump.
-const EDGE: f32 = 0.04;
+const EDGE_CONTRAST: f32 = 0.04;
 
 /// Number of directions that paths come from.
 const PATHS: f32 = 8.0;
 /// Columns that paths come from to the next row: straight down, and from either side.
-const FROM: [isize; 3] = [0, 1, -1];
+const COLUMN_OFFSETS: [isize; 3] = [0, 1, -1];
 /// Costs that a task works on at least.
-const TASK: usize = 8192;
+const MIN_COSTS_PER_TASK: usize = 8192;
 
 /// Mean over all paths of the least cost of a path that ends at a pixel with a label, less the
 /// least of all labels on the way.
 ///
 /// A path is known one row at a time, so that no direction takes a volume of its own.
-pub(super) fn aggregated(volume: &Volume, guide: &Image<f32>) -> Volume {
+pub(super) fn aggregate_costs(volume: &CostVolume, guide: &Image<f32>) -> CostVolume {
     let rows = 0..guide.height;
     let (mut values, upward) = rayon::join(
-        || across_rows(volume, guide, rows.clone()),
-        || across_rows(volume, guide, rows.clone().rev()),
+        || aggregate_across_rows(volume, guide, rows.clone()),
+        || aggregate_across_rows(volume, guide, rows.clone().rev()),
     );
     let row = guide.width * volume.labels;
     let sums = values.par_chunks_exact_mut(row).zip(upward.par_chunks_exact(row));
     sums.enumerate().for_each(|(row, (sums, upward))| {
         sums.iter_mut().zip(upward).for_each(|(sum, upward)| *sum += upward);
-        along_row(volume, guide, row, sums);
+        aggregate_along_row(volume, guide, row, sums);
         sums.iter_mut().for_each(|sum| *sum /= PATHS);
     });
-    Volume { values, labels: volume.labels }
+    CostVolume { values, labels: volume.labels }
 }
 
 /// The sum over the three paths that come to every pixel from the row before it in `rows`.
-fn across_rows(volume: &Volume, guide: &Image<f32>, rows: impl Iterator<Item = usize>) -> Vec<f32> {
+fn aggregate_across_rows(
+    volume: &CostVolume,
+    guide: &Image<f32>,
+    rows: impl Iterator<Item = usize>,
+) -> Vec<f32> {
     let (width, labels) = (guide.width, volume.labels);
     let mut sums = vec![0.0; volume.values.len()];
     // Costs of all paths of a column, one path after another.
-    let column = FROM.len() * labels;
+    let column = COLUMN_OFFSETS.len() * labels;
     let (mut before, mut here) = (vec![0.0; width * column], vec![0.0; width * column]);
-    let columns = TASK.div_ceil(column).max(1);
+    let columns = MIN_COSTS_PER_TASK.div_ceil(column).max(1);
     let mut last_row = None;
     for row in rows {
         let sums = sums[row * width * labels..][..width * labels].par_chunks_mut(columns * labels);
@@ -56,14 +60,14 @@ fn across_rows(volume: &Volume, guide: &Image<f32>, rows: impl Iterator<Item = u
                 let at = task * columns + i;
                 let pixel = row * width + at;
                 for (k, (from, costs)) in
-                    FROM.iter().zip(costs.chunks_exact_mut(labels)).enumerate()
+                    COLUMN_OFFSETS.iter().zip(costs.chunks_exact_mut(labels)).enumerate()
                 {
                     let x = at.checked_add_signed(*from).filter(|x| *x < width);
                     let last = last_row.zip(x).map(|(y, x): (usize, usize)| {
-                        let jump = jump(guide, pixel, y * width + x);
+                        let jump = jump_penalty(guide, pixel, y * width + x);
                         (&before[x * column + k * labels..][..labels], jump)
                     });
-                    advance(volume.of(pixel), last, costs);
+                    advance_path(volume.of(pixel), last, costs);
                     sums.iter_mut().zip(&*costs).for_each(|(sum, cost)| *sum += cost);
                 }
             }
@@ -75,15 +79,15 @@ fn across_rows(volume: &Volume, guide: &Image<f32>, rows: impl Iterator<Item = u
 }
 
 /// Adds the two paths along a row.
-fn along_row(volume: &Volume, guide: &Image<f32>, row: usize, sums: &mut [f32]) {
+fn aggregate_along_row(volume: &CostVolume, guide: &Image<f32>, row: usize, sums: &mut [f32]) {
     let (width, labels) = (guide.width, volume.labels);
     let (mut before, mut here) = (vec![0.0; labels], vec![0.0; labels]);
     let mut along = |columns: &mut dyn Iterator<Item = usize>| {
         let mut last_pixel = None;
         for column in columns {
             let pixel = row * width + column;
-            let last = last_pixel.map(|last| (before.as_slice(), jump(guide, pixel, last)));
-            advance(volume.of(pixel), last, &mut here);
+            let last = last_pixel.map(|last| (before.as_slice(), jump_penalty(guide, pixel, last)));
+            advance_path(volume.of(pixel), last, &mut here);
             let sums = &mut sums[column * labels..][..labels];
             sums.iter_mut().zip(&here).for_each(|(sum, cost)| *sum += cost);
             std::mem::swap(&mut before, &mut here);
@@ -95,21 +99,21 @@ fn along_row(volume: &Volume, guide: &Image<f32>, row: usize, sums: &mut [f32]) 
 }
 
 /// Price of a jump between two pixels.
-fn jump(guide: &Image<f32>, here: usize, there: usize) -> f32 {
+fn jump_penalty(guide: &Image<f32>, here: usize, there: usize) -> f32 {
     let edge = (guide.data[here] - guide.data[there]).abs();
-    (JUMP / (1.0 + edge / EDGE)).max(1.5 * STEP)
+    (JUMP_PENALTY / (1.0 + edge / EDGE_CONTRAST)).max(1.5 * STEP_PENALTY)
 }
 
 /// Costs of a path at a pixel, from its costs at the last one and the price of a jump, if there is
 /// one.
-fn advance(own: &[f32], last: Option<(&[f32], f32)>, costs: &mut [f32]) {
+fn advance_path(own: &[f32], last: Option<(&[f32], f32)>, costs: &mut [f32]) {
     costs.copy_from_slice(own);
     let Some((before, jump)) = last else { return };
     let least = before.iter().copied().fold(f32::INFINITY, f32::min);
     for (label, cost) in costs.iter_mut().enumerate() {
         let lower = if label > 0 { before[label - 1] } else { f32::INFINITY };
         let upper = before.get(label + 1).copied().unwrap_or(f32::INFINITY);
-        let best = before[label].min(lower.min(upper) + STEP).min(least + jump);
+        let best = before[label].min(lower.min(upper) + STEP_PENALTY).min(least + jump);
         *cost += best - least;
     }
 }
@@ -120,7 +124,7 @@ mod tests {
     use i2slam_check::noise;
 
     /// One path, written down pixel by pixel.
-    fn path(volume: &Volume, guide: &Image<f32>, (across, down): (isize, isize)) -> Vec<f32> {
+    fn path(volume: &CostVolume, guide: &Image<f32>, (across, down): (isize, isize)) -> Vec<f32> {
         let (width, height, labels) = (guide.width, guide.height, volume.labels);
         let mut out = volume.values.clone();
         for r in 0..height {
@@ -134,8 +138,8 @@ mod tests {
                 }
                 let (here, there) = (row * width + column, y * width + x);
                 let before = out[there * labels..][..labels].to_vec();
-                let jump = jump(guide, here, there);
-                advance(
+                let jump = jump_penalty(guide, here, there);
+                advance_path(
                     volume.of(here),
                     Some((&before, jump)),
                     &mut out[here * labels..][..labels],
@@ -153,10 +157,10 @@ mod tests {
             noise(1, width * height * labels).iter().map(|v| 0.5 + 0.5 * *v as f32).collect();
         let data = noise(2, width * height).iter().map(|v| 0.5 + 0.1 * *v as f32).collect();
         let guide = Image { width, height, channels: 1, data };
-        let volume = Volume { values, labels };
+        let volume = CostVolume { values, labels };
         let steps = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)];
         let paths = steps.map(|step| path(&volume, &guide, step));
-        for (i, found) in aggregated(&volume, &guide).values.iter().enumerate() {
+        for (i, found) in aggregate_costs(&volume, &guide).values.iter().enumerate() {
             let due = paths.iter().map(|path| path[i]).sum::<f32>() / 8.0;
             assert!((found - due).abs() < 1e-6, "{i}: {found} {due}");
         }
@@ -176,7 +180,7 @@ mod tests {
                 values[pixel * labels + label] = 0.0;
             }
         }
-        let volume = aggregated(&Volume { values, labels }, &guide);
+        let volume = aggregate_costs(&CostVolume { values, labels }, &guide);
         for pixel in 0..width * height {
             let costs = volume.of(pixel);
             let best = (0..labels).min_by(|a, b| costs[*a].total_cmp(&costs[*b]));

@@ -9,7 +9,7 @@ const BEST_PARALLAX: f64 = 0.1;
 const MIN_OVERLAP: f64 = 0.5;
 
 /// The `count` most useful of `others` for a keyframe whose median depth is `depth`, best first.
-pub(super) fn choose(
+pub(super) fn select_views(
     camera: &Camera<f64>,
     keyframe: Pose<f64>,
     others: &[(usize, Pose<f64>)],
@@ -62,6 +62,6 @@ mod tests {
             (4, at(0.2, 0.0)),
             (5, at(0.0, 0.0)),
         ];
-        assert_eq!(choose(&camera, at(0.0, 0.0), &others, 2.0, 3), [4, 2, 1]);
+        assert_eq!(select_views(&camera, at(0.0, 0.0), &others, 2.0, 3), [4, 2, 1]);
     }
 }

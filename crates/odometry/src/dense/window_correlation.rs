@@ -3,10 +3,10 @@
 use i2slam_geometry::Image;
 
 /// Variance that noise gives a window of an 8-bit picture: windows with less contrast say nothing.
-const NOISE: f32 = 5e-5;
+const WINDOW_NOISE_VARIANCE: f32 = 5e-5;
 
 /// A picture with the mean and the spread of the window around every pixel.
-pub(super) struct Windows {
+pub(super) struct WindowStatistics {
     pub(super) image: Image<f32>,
     means: Vec<f32>,
     /// `1 / √(variance + noise)`.
@@ -14,7 +14,7 @@ pub(super) struct Windows {
     half: usize,
 }
 
-impl Windows {
+impl WindowStatistics {
     /// Windows of `2 half + 1` pixels a side.
     pub(super) fn new(image: Image<f32>, half: usize) -> Self {
         let (width, height) = (image.width, image.height);
@@ -44,7 +44,7 @@ impl Windows {
 }
 
 fn inverse_spread(mean: f32, mean_square: f32) -> f32 {
-    ((mean_square - mean * mean).max(0.0) + NOISE).sqrt().recip()
+    ((mean_square - mean * mean).max(0.0) + WINDOW_NOISE_VARIANCE).sqrt().recip()
 }
 
 /// Means over windows; beyond the border the last value is repeated.
@@ -88,7 +88,7 @@ mod tests {
     #[test]
     fn gain_and_bias_change_nothing_and_flat_windows_say_nothing() {
         let wave = |x: f32, y: f32| 0.5 + 0.3 * (0.9 * x).sin() * (0.7 * y).cos();
-        let windows = Windows::new(picture(wave), 2);
+        let windows = WindowStatistics::new(picture(wave), 2);
         let brighter = picture(|x, y| 0.1 + 0.6 * wave(x, y));
         assert!(windows.costs(&brighter.data).iter().all(|c| *c < 0.02));
         let shifted = picture(|x, y| wave(x + 2.0, y));

@@ -2,16 +2,16 @@
 
 use crate::error::OdometryError;
 use crate::progress::Stage;
-use crate::register::initialization::start;
-use crate::register::registration::{adjust_all, grow};
-use crate::sfm_state::Scene;
+use crate::register::initialization::initialize;
+use crate::register::registration::{adjust_globally, register_keyframes};
+use crate::sfm_state::SfmState;
 use i2slam_geometry::Camera;
 use rayon::prelude::*;
 
 /// Starts, as factors of the guess.
-const FACTORS: [f64; 5] = [1.0, 0.75, 1.3, 0.6, 1.7];
+const START_FACTORS: [f64; 5] = [1.0, 0.75, 1.3, 0.6, 1.7];
 /// Keyframes that decide between the starts.
-const KEYFRAMES: usize = 16;
+const SEARCH_KEYFRAMES: usize = 16;
 
 /// What is known of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,7 +48,7 @@ impl Intrinsics {
 
 /// A camera, its lens, and a score: smaller is better.
 #[derive(Clone, Copy)]
-struct Found {
+struct FocalCandidate {
     score: f64,
     camera: Camera<f64>,
     lens: [f64; 2],
@@ -56,14 +56,14 @@ struct Found {
 
 /// Takes the camera whose focal length explains most: from several starts, each refined over some
 /// keyframes.
-pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), OdometryError> {
-    scene.progress.report(Stage::FocalLength, 0, 0);
+pub(crate) fn search_focal_length(state: &mut SfmState) -> Result<(), OdometryError> {
+    state.progress.report(Stage::FocalLength, 0, 0);
     // Only keyframes are posed here, and other sights tell them nothing.
-    let reduced = Scene::of_keyframes(scene);
-    let tried: Vec<Result<Found, OdometryError>> =
-        FACTORS.par_iter().map(|factor| try_focal(&reduced, *factor)).collect();
+    let reduced = SfmState::keyframes_only(state);
+    let tried: Vec<Result<FocalCandidate, OdometryError>> =
+        START_FACTORS.par_iter().map(|factor| evaluate_start(&reduced, *factor)).collect();
     let mut failure = OdometryError::NoConsistentMotion;
-    let mut best: Option<Found> = None;
+    let mut best: Option<FocalCandidate> = None;
     for result in tried.into_iter().rev() {
         match result {
             Ok(found) if best.is_none_or(|b| found.score < b.score) => best = Some(found),
@@ -72,23 +72,23 @@ pub(crate) fn find_focal(scene: &mut Scene) -> Result<(), OdometryError> {
         }
     }
     let found = best.ok_or(failure)?;
-    scene.camera = found.camera;
-    scene.change_lens(found.lens);
+    state.camera = found.camera;
+    state.update_distortion(found.lens);
     Ok(())
 }
 
 /// The refined camera from one start.
-fn try_focal(scene: &Scene, factor: f64) -> Result<Found, OdometryError> {
-    let mut tried = scene.clone();
-    let camera = scene.camera;
+fn evaluate_start(state: &SfmState, factor: f64) -> Result<FocalCandidate, OdometryError> {
+    let mut tried = state.clone();
+    let camera = state.camera;
     tried.camera = Camera { fx: camera.fx * factor, fy: camera.fy * factor, ..camera };
-    start(&mut tried)?;
-    grow(&mut tried, true, KEYFRAMES);
-    adjust_all(&mut tried, true);
-    let cost = adjust_all(&mut tried, true);
-    let explained: usize = tried.posed().iter().map(|f| tried.agreeing(*f)).sum();
+    initialize(&mut tried)?;
+    register_keyframes(&mut tried, true, SEARCH_KEYFRAMES);
+    adjust_globally(&mut tried, true);
+    let cost = adjust_globally(&mut tried, true);
+    let explained: usize = tried.posed().iter().map(|f| tried.count_inliers(*f)).sum();
     let score = cost / (explained.max(1) as f64);
-    Ok(Found { score, camera: tried.camera, lens: tried.lens })
+    Ok(FocalCandidate { score, camera: tried.camera, lens: tried.lens })
 }
 
 #[cfg(test)]

@@ -1,29 +1,29 @@
 //! What of the camera the pictures tell, and how well.
 
-use crate::bundle::Covariance;
-use crate::register::registration::{adjust_all, refine};
-use crate::sfm_state::{MAX_FREE, Scene};
+use crate::bundle::IntrinsicsCovariance;
+use crate::register::registration::{adjust_globally, refine_all_frames};
+use crate::sfm_state::{MAX_JOINT_POSES, SfmState};
 
 /// A lens counts if pictures of a camera without one would seem to have as much in one of a hundred
 /// cases: the 99th percentile of a sum of two squared normal numbers.
-const SIGNIFICANT: f64 = 9.21;
+const DISTORTION_SIGNIFICANCE: f64 = 9.21;
 /// With a lens the focal length must be known to this relative deviation, or be no more than so
 /// many times less certain than without: with more, pinhole pictures of a camera that moved along a
 /// line were given lenses, and focal lengths that were off by 5 and by 50 percent.
-const CERTAIN: f64 = 0.005;
-const LESS_CERTAIN: f64 = 1.5;
+const MAX_FOCAL_DEVIATION: f64 = 0.005;
+const MAX_DEVIATION_RATIO: f64 = 1.5;
 
 /// The keyframes alone, their camera let go once more, with its covariance: the first ones of a
 /// long sequence, those that its camera is found from.
-pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
-    let keyframes = scene.tracks.keyframes.iter().copied();
-    let posed = keyframes.filter(|f| scene.poses[*f].is_some());
-    let keyframes: Vec<usize> = posed.take(MAX_FREE).collect();
-    let mut freed = scene.clone();
-    freed.progress = scene.progress.without_listener();
+pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<IntrinsicsCovariance>) {
+    let keyframes = state.tracks.keyframes.iter().copied();
+    let posed = keyframes.filter(|f| state.poses[*f].is_some());
+    let keyframes: Vec<usize> = posed.take(MAX_JOINT_POSES).collect();
+    let mut freed = state.clone();
+    freed.progress = state.progress.without_listener();
     freed.poses.fill(None);
-    keyframes.iter().for_each(|f| freed.poses[*f] = scene.poses[*f]);
-    adjust_all(&mut freed, true);
+    keyframes.iter().for_each(|f| freed.poses[*f] = state.poses[*f]);
+    adjust_globally(&mut freed, true);
     let covariance = freed.bundle(&keyframes, true).0.camera_covariance();
     (freed, covariance)
 }
@@ -33,40 +33,44 @@ pub(crate) fn released(scene: &Scene) -> (Scene, Option<Covariance>) {
 /// without it (where a camera moves along a line, the two make up for each other), and one of
 /// pictures whose rows were read in turn, which bends what a turning camera sees much as a lens
 /// does. Returns whether it was given up.
-pub(crate) fn give_up_doubtful_lens(scene: &mut Scene) -> bool {
-    if !scene.finds_lens || scene.lens == [0.0; 2] {
+pub(crate) fn drop_unobservable_distortion(state: &mut SfmState) -> bool {
+    if !state.estimates_distortion || state.lens == [0.0; 2] {
         return false;
     }
-    let mut without = scene.clone();
-    without.finds_lens = false;
-    without.change_lens(scene.lens.map(|v| -v));
-    refine(&mut without, true);
-    let (freed, with_lens) = released(scene);
-    let (_, alone) = released(&without);
-    let is_told = scene.readout == 0.0
+    let mut without = state.clone();
+    without.estimates_distortion = false;
+    without.update_distortion(state.lens.map(|v| -v));
+    refine_all_frames(&mut without, true);
+    let (freed, with_lens) = reestimate_intrinsics(state);
+    let (_, alone) = reestimate_intrinsics(&without);
+    let is_told = state.readout == 0.0
         && with_lens.is_some_and(|with_lens| {
-            is_significant(freed.lens, &with_lens) && leaves_focal_length(&with_lens, alone)
+            is_significant(freed.lens, &with_lens) && keeps_focal_length_certain(&with_lens, alone)
         });
     if !is_told {
-        *scene = without;
+        *state = without;
     }
     !is_told
 }
 
 /// Whether the focal length stays about as certain beside a lens as `alone`.
-fn leaves_focal_length(with_lens: &Covariance, alone: Option<Covariance>) -> bool {
-    let deviation = |covariance: &Covariance| covariance[0][0].sqrt();
+fn keeps_focal_length_certain(
+    with_lens: &IntrinsicsCovariance,
+    alone: Option<IntrinsicsCovariance>,
+) -> bool {
+    let deviation = |covariance: &IntrinsicsCovariance| covariance[0][0].sqrt();
     let found = deviation(with_lens);
-    found < CERTAIN || alone.is_some_and(|alone| found < LESS_CERTAIN * deviation(&alone))
+    found < MAX_FOCAL_DEVIATION
+        || alone.is_some_and(|alone| found < MAX_DEVIATION_RATIO * deviation(&alone))
 }
 
 /// Whether two coefficients differ from zero by more than chance, `lensᵀ Σ⁻¹ lens`.
-fn is_significant(lens: [f64; 2], covariance: &Covariance) -> bool {
+fn is_significant(lens: [f64; 2], covariance: &IntrinsicsCovariance) -> bool {
     let [_, [_, aa, ab], [_, _, bb]] = covariance;
     let [a, b] = lens;
     let determinant = aa * bb - ab * ab;
     let square = (a * a * bb - 2.0 * a * b * ab + b * b * aa) / determinant;
-    determinant > 0.0 && square > SIGNIFICANT
+    determinant > 0.0 && square > DISTORTION_SIGNIFICANCE
 }
 
 #[cfg(test)]
@@ -77,7 +81,7 @@ mod tests {
     use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
 
     /// A camera on a winding way, every frame a keyframe that begins three points.
-    fn winding(frames: usize) -> Scene {
+    fn winding(frames: usize) -> SfmState {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
         let pose = |f: usize| {
             let s = f as f64;
@@ -98,18 +102,18 @@ mod tests {
         };
         let tracks = (0..3 * frames).map(track).collect();
         let keyframes = (0..frames).collect();
-        let mut scene =
-            Scene::new(camera, Tracks { tracks, keyframes, frames, ..Tracks::default() });
-        scene.poses = (0..frames).map(|f| Some(pose(f))).collect();
-        scene.add_landmarks();
-        scene
+        let mut state =
+            SfmState::new(camera, Tracks { tracks, keyframes, frames, ..Tracks::default() });
+        state.poses = (0..frames).map(|f| Some(pose(f))).collect();
+        state.triangulate_missing();
+        state
     }
 
     /// The camera of a long sequence is judged by as many keyframes as are adjusted together.
     #[test]
     fn a_long_sequence_takes_no_more_room_than_its_first_keyframes() {
-        let (freed, covariance) = released(&winding(MAX_FREE + 60));
-        assert_eq!(freed.posed(), (0..MAX_FREE).collect::<Vec<_>>());
+        let (freed, covariance) = reestimate_intrinsics(&winding(MAX_JOINT_POSES + 60));
+        assert_eq!(freed.posed(), (0..MAX_JOINT_POSES).collect::<Vec<_>>());
         let (error, deviation) =
             ((freed.camera.fx / 250.0).ln(), covariance.expect("determined")[0][0].sqrt());
         assert!(deviation < 0.01 && error.abs() < 3.0 * deviation, "{error} {deviation}");
@@ -122,10 +126,10 @@ mod tests {
             covariance[0][0] = deviation * deviation;
             covariance
         };
-        assert!(leaves_focal_length(&of(0.012), Some(of(0.01))));
-        assert!(leaves_focal_length(&of(0.004), Some(of(0.001))));
-        assert!(!leaves_focal_length(&of(0.012), Some(of(0.005))));
-        assert!(!leaves_focal_length(&of(0.012), None));
+        assert!(keeps_focal_length_certain(&of(0.012), Some(of(0.01))));
+        assert!(keeps_focal_length_certain(&of(0.004), Some(of(0.001))));
+        assert!(!keeps_focal_length_certain(&of(0.012), Some(of(0.005))));
+        assert!(!keeps_focal_length_certain(&of(0.012), None));
     }
 
     #[test]

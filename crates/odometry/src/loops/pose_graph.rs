@@ -6,14 +6,14 @@ use i2slam_compute::reverse_cuthill_mckee;
 use i2slam_compute::SkylineMatrix;
 use i2slam_geometry::{Mat3, Similarity, right_jacobian_inverse};
 
-const STEPS: usize = 20;
+const MAX_STEPS: usize = 20;
 /// A step that lowers the cost by less than this share is the last one.
-const CONVERGED: f64 = 1e-6;
-const STUCK: f64 = 1e6;
+const MIN_RELATIVE_DECREASE: f64 = 1e-6;
+const MAX_DAMPING: f64 = 1e6;
 
 /// What is known of two places relative to each other.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Edge {
+pub(crate) struct PoseGraphEdge {
     pub(crate) first: usize,
     pub(crate) second: usize,
     /// The second place in the first: `first⁻¹ second`.
@@ -27,31 +27,35 @@ type Block = [[f64; 7]; 7];
 
 /// Moves all places but the first so that `Σ weight ‖chart(measured⁻¹ first⁻¹ second)‖²` is least;
 /// lengths count in `unit`.
-pub(crate) fn optimise(places: &mut Vec<Similarity<f64>>, edges: &[Edge], unit: f64) {
-    let order = order(places.len(), edges);
-    let (mut damping, mut cost) = (1e-6, total(places, edges, unit));
-    for _ in 0..STEPS {
-        let moved = step(places, edges, unit, &order, damping);
-        let next = moved.as_ref().map_or(f64::INFINITY, |m| total(m, edges, unit));
+pub(crate) fn optimize_pose_graph(
+    places: &mut Vec<Similarity<f64>>,
+    edges: &[PoseGraphEdge],
+    unit: f64,
+) {
+    let variable_order = variable_order(places.len(), edges);
+    let (mut damping, mut cost) = (1e-6, total_cost(places, edges, unit));
+    for _ in 0..MAX_STEPS {
+        let moved = step(places, edges, unit, &variable_order, damping);
+        let next = moved.as_ref().map_or(f64::INFINITY, |m| total_cost(m, edges, unit));
         match moved {
             Some(moved) if next < cost => {
                 let gained = cost - next;
                 (*places, damping) = (moved, damping * 0.2);
-                if gained < CONVERGED * cost {
+                if gained < MIN_RELATIVE_DECREASE * cost {
                     break;
                 }
                 cost = next;
             }
             _ => damping *= 10.0,
         }
-        if damping > STUCK {
+        if damping > MAX_DAMPING {
             break;
         }
     }
 }
 
 /// For every place its block of unknowns; the first has none.
-fn order(count: usize, edges: &[Edge]) -> Vec<Option<usize>> {
+fn variable_order(count: usize, edges: &[PoseGraphEdge]) -> Vec<Option<usize>> {
     let mut neighbours = vec![Vec::new(); count.saturating_sub(1)];
     for edge in edges.iter().filter(|e| e.first > 0 && e.second > 0) {
         neighbours[edge.first - 1].push(edge.second - 1);
@@ -67,18 +71,18 @@ fn order(count: usize, edges: &[Edge]) -> Vec<Option<usize>> {
     out
 }
 
-fn error(places: &[Similarity<f64>], edge: &Edge) -> Similarity<f64> {
+fn error(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> Similarity<f64> {
     let between = places[edge.first].inverse().compose(&places[edge.second]);
     edge.measured.inverse().compose(&between)
 }
 
 /// What every one of the seven numbers of an edge counts.
-fn weights(edge: &Edge, unit: f64) -> [f64; 7] {
+fn weights(edge: &PoseGraphEdge, unit: f64) -> [f64; 7] {
     std::array::from_fn(|i| if i < 3 { edge.weight / (unit * unit) } else { edge.weight })
 }
 
-fn total(places: &[Similarity<f64>], edges: &[Edge], unit: f64) -> f64 {
-    let of = |edge: &Edge| -> f64 {
+fn total_cost(places: &[Similarity<f64>], edges: &[PoseGraphEdge], unit: f64) -> f64 {
+    let of = |edge: &PoseGraphEdge| -> f64 {
         let chart = error(places, edge).coordinates();
         chart.iter().zip(weights(edge, unit)).map(|(e, w)| w * e * e).sum()
     };
@@ -86,28 +90,28 @@ fn total(places: &[Similarity<f64>], edges: &[Edge], unit: f64) -> f64 {
 }
 
 /// Derivatives of an edge's seven numbers by the tangents of its two places.
-fn derivatives(places: &[Similarity<f64>], edge: &Edge) -> [Block; 2] {
+fn derivatives(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> [Block; 2] {
     let error = error(places, edge);
     let between = places[edge.first].inverse().compose(&places[edge.second]);
     let inverse = right_jacobian_inverse(error.rotation.log());
     let mut out = [[[0.0; 7]; 7]; 2];
     // The second place moves the error as a retraction does.
-    put(&mut out[1], 0, 0, &error.rotation.matrix().scaled(error.scale));
-    put(&mut out[1], 3, 3, &inverse);
+    write_block(&mut out[1], 0, 0, &error.rotation.matrix().scaled(error.scale));
+    write_block(&mut out[1], 3, 3, &inverse);
     out[1][6][6] = 1.0;
     // The first: D ← Exp(-φ) e^-σ (D - ρ), and then measured⁻¹ D.
     let measured = edge.measured.inverse();
     let turned = measured.rotation.matrix().scaled(measured.scale);
-    put(&mut out[0], 0, 0, &turned.scaled(-1.0));
-    put(&mut out[0], 0, 3, &(turned * Mat3::skew(between.translation)));
+    write_block(&mut out[0], 0, 0, &turned.scaled(-1.0));
+    write_block(&mut out[0], 0, 3, &(turned * Mat3::skew(between.translation)));
     let along = turned * between.translation;
     [along.x, along.y, along.z].iter().enumerate().for_each(|(i, v)| out[0][i][6] = -v);
-    put(&mut out[0], 3, 3, &(inverse * between.rotation.inverse().matrix()).scaled(-1.0));
+    write_block(&mut out[0], 3, 3, &(inverse * between.rotation.inverse().matrix()).scaled(-1.0));
     out[0][6][6] = -1.0;
     out
 }
 
-fn put(block: &mut Block, row: usize, column: usize, values: &Mat3<f64>) {
+fn write_block(block: &mut Block, row: usize, column: usize, values: &Mat3<f64>) {
     for (i, from) in values.rows.iter().enumerate() {
         block[row + i][column..column + 3].copy_from_slice(from);
     }
@@ -116,15 +120,17 @@ fn put(block: &mut Block, row: usize, column: usize, values: &Mat3<f64>) {
 /// The places after a Levenberg-Marquardt step.
 fn step(
     places: &[Similarity<f64>],
-    edges: &[Edge],
+    edges: &[PoseGraphEdge],
     unit: f64,
-    order: &[Option<usize>],
+    variable_order: &[Option<usize>],
     damping: f64,
 ) -> Option<Vec<Similarity<f64>>> {
     let blocks = places.len().saturating_sub(1);
     let mut first: Vec<usize> = (0..blocks).collect();
     for edge in edges {
-        let (Some(a), Some(b)) = (order[edge.first], order[edge.second]) else { continue };
+        let (Some(a), Some(b)) = (variable_order[edge.first], variable_order[edge.second]) else {
+            continue;
+        };
         first[a.max(b)] = first[a.max(b)].min(a.min(b));
     }
     let mut matrix = SkylineMatrix::new(first.iter().flat_map(|b| [7 * b; 7]).collect());
@@ -132,7 +138,7 @@ fn step(
     for edge in edges {
         let chart = error(places, edge).coordinates();
         let weights = weights(edge, unit);
-        let ends = [order[edge.first], order[edge.second]];
+        let ends = [variable_order[edge.first], variable_order[edge.second]];
         let slopes = derivatives(places, edge);
         let product = |a: &Block, i: usize, b: &Block, j: usize| -> f64 {
             (0..7).map(|k| weights[k] * a[k][i] * b[k][j]).sum()
@@ -157,7 +163,7 @@ fn step(
     let moved = |(place, block): (&Similarity<f64>, &Option<usize>)| {
         block.map_or(*place, |b| place.retract(&std::array::from_fn(|i| right[7 * b + i])))
     };
-    Some(places.iter().zip(order).map(moved).collect())
+    Some(places.iter().zip(variable_order).map(moved).collect())
 }
 
 #[cfg(test)]
@@ -175,7 +181,7 @@ mod tests {
     #[test]
     fn derivatives_agree_with_differences() {
         let places = [place(1), place(2)];
-        let edge = Edge { first: 0, second: 1, measured: place(3), weight: 1.0 };
+        let edge = PoseGraphEdge { first: 0, second: 1, measured: place(3), weight: 1.0 };
         let found = derivatives(&places, &edge);
         for row in 0..7 {
             let f = |x: &[f64]| {
@@ -206,9 +212,14 @@ mod tests {
         let (truth, mut places) = (ring(&true_step), ring(&drifted));
         let neighbours = (1..count as usize).map(|i| (i - 1, i, drifted, 1.0));
         let closing = (count as usize - 1, 0, true_step, 100.0);
-        let edges: Vec<Edge> = neighbours
+        let edges: Vec<PoseGraphEdge> = neighbours
             .chain([closing])
-            .map(|(first, second, measured, weight)| Edge { first, second, measured, weight })
+            .map(|(first, second, measured, weight)| PoseGraphEdge {
+                first,
+                second,
+                measured,
+                weight,
+            })
             .collect();
         let off = |places: &[Similarity<f64>]| {
             let far = |(a, b): (&Similarity<f64>, &Similarity<f64>)| {
@@ -217,7 +228,7 @@ mod tests {
             places.iter().zip(&truth).map(far).fold(0.0, f64::max)
         };
         let before = off(&places);
-        optimise(&mut places, &edges, 1.0);
+        optimize_pose_graph(&mut places, &edges, 1.0);
         assert!(before > 0.3 && off(&places) < 0.15 * before, "{before} {}", off(&places));
     }
 }

@@ -4,9 +4,12 @@
 //! shows a point, `c` the principal point and `r` the distance of `s` from it over half the
 //! picture's diagonal: linear in `(a, b)`, which bundle adjustment finds.
 
-use crate::bundle::Moves;
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::Camera;
+
+/// Derivatives of a corrected image position by the camera parameters beside the focal length
+/// [px]: two distortion coefficients, or the readout and an unused second.
+pub(crate) type CameraJacobian = [[f64; 2]; 2];
 
 /// Radii from which the usual coefficients are read off.
 const RADII: usize = 40;
@@ -17,21 +20,21 @@ fn half_diagonal(camera: &Camera<f64>) -> f64 {
 }
 
 /// What a position moves by for each coefficient: `(s - c) r²` and `(s - c) r⁴` [px].
-pub(crate) fn radial(camera: &Camera<f64>, seen: [f64; 2]) -> Moves {
+pub(crate) fn distortion_jacobian(camera: &Camera<f64>, seen: [f64; 2]) -> CameraJacobian {
     let off = [seen[0] - camera.cx, seen[1] - camera.cy];
     let square = (off[0] * off[0] + off[1] * off[1]) / half_diagonal(camera).powi(2);
     [off.map(|v| v * square), off.map(|v| v * square * square)]
 }
 
 /// A position freed of a lens.
-pub(crate) fn undistorted(camera: &Camera<f64>, lens: [f64; 2], seen: [f64; 2]) -> [f64; 2] {
-    let radial = radial(camera, seen);
+pub(crate) fn undistort(camera: &Camera<f64>, lens: [f64; 2], seen: [f64; 2]) -> [f64; 2] {
+    let radial = distortion_jacobian(camera, seen);
     std::array::from_fn(|i| seen[i] + lens[0] * radial[0][i] + lens[1] * radial[1][i])
 }
 
 /// The coefficients `(k1, k2)` of the usual model (Brown 1971, as in OpenCV), which gives where the
 /// lens shows a point: `s = c + (u - c) (1 + k1 r² + k2 r⁴)` with `r` in focal lengths.
-pub(crate) fn usual_coefficients(camera: &Camera<f64>, lens: [f64; 2]) -> [f64; 2] {
+pub(crate) fn brown_coefficients(camera: &Camera<f64>, lens: [f64; 2]) -> [f64; 2] {
     let mut sum = NormalEquations::<2>::default();
     for i in 1..=RADII {
         let r = i as f64 / RADII as f64;
@@ -51,9 +54,9 @@ mod tests {
     fn the_usual_coefficients_bring_positions_back() {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 161.0, cy: 119.0 };
         let lens = [0.08, 0.03];
-        let [k1, k2] = usual_coefficients(&camera, lens);
+        let [k1, k2] = brown_coefficients(&camera, lens);
         for seen in [[10.0, 20.0], [300.0, 230.0], [170.0, 60.0]] {
-            let [u, v] = undistorted(&camera, lens, seen);
+            let [u, v] = undistort(&camera, lens, seen);
             let ray = camera.unproject(u, v, 1.0);
             let square = ray.x * ray.x + ray.y * ray.y;
             let factor = 1.0 + k1 * square + k2 * square * square;

@@ -7,49 +7,49 @@ use i2slam_geometry::{Camera, Pose, Tangent};
 
 /// Widths of the influence of a residual [standard deviations], one stage after the other: the
 /// wide ones pull a poor start in, and wrong matches fade in the narrow ones.
-const WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
-const STEPS: usize = 12;
+const LOSS_WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
+const MAX_STEPS: usize = 12;
 /// A pose that fits.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Resected {
+pub(crate) struct PnpSolution {
     pub(crate) world_from_camera: Pose<f64>,
     /// Landmarks whose residual agrees.
-    pub(crate) agreeing: usize,
+    pub(crate) inliers: usize,
 }
 
 /// The pose that fits best, from `start` on, where residuals are `noise` times as large as their
 /// deviations say. `None` without at least six matches.
-pub(crate) fn resect(
+pub(crate) fn solve_pnp(
     camera: &Camera<f64>,
     start: Pose<f64>,
     matches: &[Match<'_>],
     noise: f64,
-) -> Option<Resected> {
+) -> Option<PnpSolution> {
     if matches.len() < 6 {
         return None;
     }
     let mut pose = start;
-    for width in WIDTHS {
-        pose = descend(camera, pose, matches, |n| cauchy(n, noise * width));
+    for width in LOSS_WIDTHS {
+        pose = minimize(camera, pose, matches, |n| cauchy(n, noise * width));
     }
-    let agreeing = matches
+    let inliers = matches
         .iter()
         .filter(|m| reprojection_error(camera, &pose, m) < MAX_INLIER_ERROR * noise)
         .count();
-    pose.is_finite().then_some(Resected { world_from_camera: pose, agreeing })
+    pose.is_finite().then_some(PnpSolution { world_from_camera: pose, inliers })
 }
 
 /// The pose that a few matches give, all of them taken as right, from `start` on.
-pub(crate) fn resect_exactly(
+pub(crate) fn solve_pnp_minimal(
     camera: &Camera<f64>,
     start: Pose<f64>,
     matches: &[Match<'_>],
 ) -> Pose<f64> {
-    descend(camera, start, matches, |n| (1.0, n * n))
+    minimize(camera, start, matches, |n| (1.0, n * n))
 }
 
 /// Levenberg-Marquardt on the six numbers of a pose.
-fn descend(
+fn minimize(
     camera: &Camera<f64>,
     start: Pose<f64>,
     matches: &[Match<'_>],
@@ -57,7 +57,7 @@ fn descend(
 ) -> Pose<f64> {
     let (mut pose, mut damping) = (start, 1e-4);
     let mut equations = normal_equations(camera, &pose, matches, &loss);
-    for _ in 0..STEPS {
+    for _ in 0..MAX_STEPS {
         let Some(step) = equations.step(damping) else { break };
         let tried = pose.retract(Tangent::from_array(step));
         let next = normal_equations(camera, &tried, matches, &loss);

@@ -6,18 +6,18 @@ use crate::track::tracks::Observation;
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Vec3};
 
-const STEPS: usize = 10;
+const MAX_STEPS: usize = 10;
 /// Mean residual that a landmark may have [standard deviations].
-const WORST: f64 = 4.0;
+const MAX_MEAN_ERROR: f64 = 4.0;
 
 /// A sight and the pose of its camera.
-pub(crate) type PosedSight<'a> = (&'a Observation, Pose<f64>);
+pub(crate) type PosedObservation<'a> = (&'a Observation, Pose<f64>);
 
 /// The landmark of at least two sights, anchored in the first; `None` if they do not agree, where
 /// residuals are `noise` times as large as their deviations say.
 pub(crate) fn triangulate(
     camera: &Camera<f64>,
-    sights: &[PosedSight<'_>],
+    sights: &[PosedObservation<'_>],
     noise: f64,
 ) -> Option<Landmark> {
     let (first, rest) = sights.split_first()?;
@@ -31,7 +31,7 @@ pub(crate) fn triangulate(
         .iter()
         .map(|(o, pose)| reprojection_error(camera, pose, &(&landmark, *o)))
         .sum::<f64>();
-    (sum / sights.len() as f64 <= WORST * noise).then_some(landmark)
+    (sum / sights.len() as f64 <= MAX_MEAN_ERROR * noise).then_some(landmark)
 }
 
 /// The angle between the rays of the two sights that lie farthest apart in place [rad].
@@ -46,7 +46,11 @@ pub(crate) fn parallax(landmark: &Landmark, poses: impl Iterator<Item = Pose<f64
 }
 
 /// Least squares of `x × Rᵀ (ρ (o - t) + d) = 0` over all sights.
-fn inverse_depth(camera: &Camera<f64>, landmark: &Landmark, sights: &[PosedSight<'_>]) -> f64 {
+fn inverse_depth(
+    camera: &Camera<f64>,
+    landmark: &Landmark,
+    sights: &[PosedObservation<'_>],
+) -> f64 {
     let direction = landmark.frame * Vec3::new(landmark.values[0], landmark.values[1], 1.0);
     let (mut above, mut below) = (0.0, 1e-12);
     for (observation, pose) in sights {
@@ -61,10 +65,14 @@ fn inverse_depth(camera: &Camera<f64>, landmark: &Landmark, sights: &[PosedSight
 }
 
 /// Levenberg-Marquardt on the landmark alone.
-fn refine(camera: &Camera<f64>, start: Landmark, sights: &[PosedSight<'_>]) -> Option<Landmark> {
+fn refine(
+    camera: &Camera<f64>,
+    start: Landmark,
+    sights: &[PosedObservation<'_>],
+) -> Option<Landmark> {
     let (mut landmark, mut damping) = (start, 1e-4);
     let mut equations = normal_equations(camera, &landmark, sights)?;
-    for _ in 0..STEPS {
+    for _ in 0..MAX_STEPS {
         let step = equations.step(damping)?;
         let mut tried = landmark;
         (0..3).for_each(|i| tried.values[i] += step[i]);
@@ -82,7 +90,7 @@ fn refine(camera: &Camera<f64>, start: Landmark, sights: &[PosedSight<'_>]) -> O
 fn normal_equations(
     camera: &Camera<f64>,
     landmark: &Landmark,
-    sights: &[PosedSight<'_>],
+    sights: &[PosedObservation<'_>],
 ) -> Option<NormalEquations<3>> {
     let mut sum = NormalEquations::default();
     let mut cost = 0.0;

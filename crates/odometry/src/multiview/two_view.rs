@@ -7,9 +7,9 @@ use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
 /// Hypotheses of the random search.
 const HYPOTHESES: usize = 300;
 /// Points per hypothesis.
-const SAMPLE: usize = 5;
+const SAMPLE_SIZE: usize = 5;
 /// Residuals beyond this do not count any worse [px].
-const TRUNCATION: f64 = 2.0;
+const MAX_RANSAC_ERROR: f64 = 2.0;
 /// Shared points without which nothing is said.
 const MIN_SHARED: usize = 24;
 
@@ -18,29 +18,29 @@ pub(crate) type RayPair = (Vec3<f64>, Vec3<f64>);
 
 /// How two cameras stand to each other.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct TwoView {
+pub(crate) struct RelativePose {
     /// Rotation and direction of the translation (length 1).
     pub(crate) second_from_first: Pose<f64>,
     /// Share of the points that fit and lie in front of both cameras.
-    pub(crate) share: f64,
+    pub(crate) inlier_ratio: f64,
 }
 
 /// Rays of shared points.
-pub(crate) fn rays(camera: &Camera<f64>, pairs: &[([f64; 2], [f64; 2])]) -> Vec<RayPair> {
+pub(crate) fn ray_pairs(camera: &Camera<f64>, pairs: &[([f64; 2], [f64; 2])]) -> Vec<RayPair> {
     let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
     pairs.iter().map(|(first, second)| (ray(*first), ray(*second))).collect()
 }
 
 /// The rotation that explains best what moved, and the median of what it leaves [px]: small if
 /// the camera only turned.
-pub(crate) fn rotation_only(focal: f64, rays: &[RayPair]) -> Option<(Rotation<f64>, f64)> {
-    if rays.len() < MIN_SHARED {
+pub(crate) fn fit_rotation(focal: f64, ray_pairs: &[RayPair]) -> Option<(Rotation<f64>, f64)> {
+    if ray_pairs.len() < MIN_SHARED {
         return None;
     }
     let mut rotation = Rotation::identity();
     for width in [40.0, 40.0, 40.0, 10.0, 10.0, 10.0, 3.0, 3.0, 3.0, 3.0] {
         let mut sum = NormalEquations::<3>::default();
-        for (first, second) in rays {
+        for (first, second) in ray_pairs {
             let q = rotation.rotate(*first);
             if q.z <= 1e-3 {
                 continue;
@@ -58,7 +58,7 @@ pub(crate) fn rotation_only(focal: f64, rays: &[RayPair]) -> Option<(Rotation<f6
         let step = sum.step(1e-6)?;
         rotation = rotation * Rotation::exp(Vec3::from_array(step));
     }
-    let mut left: Vec<f64> = rays
+    let mut left: Vec<f64> = ray_pairs
         .iter()
         .map(|(first, second)| {
             let q = rotation.rotate(*first);
@@ -70,30 +70,36 @@ pub(crate) fn rotation_only(focal: f64, rays: &[RayPair]) -> Option<(Rotation<f6
 
 /// The essential matrix of most points, by random samples of five, each solved by iteration
 /// (Lui and Drummond 2013), from `rotation` on, and refined on all.
-pub(crate) fn essential(focal: f64, rays: &[RayPair], rotation: Rotation<f64>) -> Option<TwoView> {
-    if rays.len() < MIN_SHARED {
+pub(crate) fn estimate_relative_pose(
+    focal: f64,
+    ray_pairs: &[RayPair],
+    rotation: Rotation<f64>,
+) -> Option<RelativePose> {
+    if ray_pairs.len() < MIN_SHARED {
         return None;
     }
-    let mut random = Random::new(rays.len() as u64);
+    let mut random = Random::new(ray_pairs.len() as u64);
     let mut best: Option<(f64, Pose<f64>)> = None;
     for _ in 0..HYPOTHESES {
-        let sample: Vec<RayPair> = (0..SAMPLE).map(|_| rays[random.below(rays.len())]).collect();
-        let start = Pose::new(rotation, direction(&mut random));
-        let Some(found) = descend(&sample, start, 12, |_| 1.0) else { continue };
-        let cost = rays.iter().map(|r| sampson(&found, r).powi(2) * focal * focal);
-        let cost: f64 = cost.map(|c| c.min(TRUNCATION * TRUNCATION)).sum();
+        let sample: Vec<RayPair> =
+            (0..SAMPLE_SIZE).map(|_| ray_pairs[random.below(ray_pairs.len())]).collect();
+        let start = Pose::new(rotation, random_direction(&mut random));
+        let Some(found) = refine_relative_pose(&sample, start, 12, |_| 1.0) else { continue };
+        let cost = ray_pairs.iter().map(|r| sampson(&found, r).powi(2) * focal * focal);
+        let cost: f64 = cost.map(|c| c.min(MAX_RANSAC_ERROR * MAX_RANSAC_ERROR)).sum();
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, found));
         }
     }
-    let weight =
-        |r: f64| if r.abs() * focal < 2.0 * TRUNCATION { cauchy(r * focal, 0.7).0 } else { 0.0 };
-    let refined = descend(rays, best?.1, 20, weight)?;
-    Some(in_front(focal, rays, refined))
+    let weight = |r: f64| {
+        if r.abs() * focal < 2.0 * MAX_RANSAC_ERROR { cauchy(r * focal, 0.7).0 } else { 0.0 }
+    };
+    let refined = refine_relative_pose(ray_pairs, best?.1, 20, weight)?;
+    Some(resolve_translation_sign(focal, ray_pairs, refined))
 }
 
 /// A random direction.
-fn direction(random: &mut Random) -> Vec3<f64> {
+fn random_direction(random: &mut Random) -> Vec3<f64> {
     let z = 2.0 * random.uniform() - 1.0;
     let (sine, cosine) = (std::f64::consts::TAU * random.uniform()).sin_cos();
     let r = (1.0 - z * z).max(0.0).sqrt();
@@ -116,8 +122,8 @@ fn epipolar(pose: &Pose<f64>, (first, second): &RayPair) -> (f64, f64) {
 }
 
 /// Gauss-Newton on rotation and direction, the gradient's length kept fixed within a step.
-fn descend(
-    rays: &[RayPair],
+fn refine_relative_pose(
+    ray_pairs: &[RayPair],
     start: Pose<f64>,
     steps: usize,
     weight: impl Fn(f64) -> f64,
@@ -131,7 +137,7 @@ fn descend(
         let b1 = b1 * b1.norm().recip();
         let b2 = t.cross(b1);
         let mut sum = NormalEquations::<5>::default();
-        for pair in rays {
+        for pair in ray_pairs {
             let (e, norm) = epipolar(&pose, pair);
             let turned = pose.rotation.rotate(pair.0);
             let line_in_first = pose.rotation.inverse().rotate(pair.1.cross(t));
@@ -157,15 +163,15 @@ fn descend(
 }
 
 /// Chooses the sign of the translation that puts points in front of both cameras.
-fn in_front(focal: f64, rays: &[RayPair], pose: Pose<f64>) -> TwoView {
+fn resolve_translation_sign(focal: f64, ray_pairs: &[RayPair], pose: Pose<f64>) -> RelativePose {
     let flipped = Pose::new(pose.rotation, -pose.translation);
     let count = |pose: &Pose<f64>| {
-        let fits = |r: &&RayPair| sampson(pose, r).abs() * focal < TRUNCATION;
-        rays.iter().filter(fits).filter(|r| has_positive_depth(pose, r, focal)).count()
+        let fits = |r: &&RayPair| sampson(pose, r).abs() * focal < MAX_RANSAC_ERROR;
+        ray_pairs.iter().filter(fits).filter(|r| has_positive_depth(pose, r, focal)).count()
     };
     let (here, there) = (count(&pose), count(&flipped));
     let (pose, most) = if here >= there { (pose, here) } else { (flipped, there) };
-    TwoView { second_from_first: pose, share: most as f64 / rays.len() as f64 }
+    RelativePose { second_from_first: pose, inlier_ratio: most as f64 / ray_pairs.len() as f64 }
 }
 
 /// Whether the inverse depth in the first camera, by least squares, is positive, or so near zero
@@ -200,25 +206,25 @@ mod tests {
 
     #[test]
     fn motion_is_found_among_wrong_matches() {
-        let direction = Vec3::new(0.6, -0.3, 0.5);
-        let direction = direction * (1.0 / direction.norm());
-        let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), direction * 0.2);
-        let rays = scene(pose);
-        let (rotation, left) = rotation_only(250.0, &rays).expect("enough points");
+        let random_direction = Vec3::new(0.6, -0.3, 0.5);
+        let random_direction = random_direction * (1.0 / random_direction.norm());
+        let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), random_direction * 0.2);
+        let ray_pairs = scene(pose);
+        let (rotation, left) = fit_rotation(250.0, &ray_pairs).expect("enough points");
         assert!(left > 3.0, "a moving camera does not only turn: {left}");
-        let found = essential(250.0, &rays, rotation).expect("enough points");
-        let off = (found.second_from_first.translation - direction).norm();
+        let found = estimate_relative_pose(250.0, &ray_pairs, rotation).expect("enough points");
+        let off = (found.second_from_first.translation - random_direction).norm();
         // Some wrong matches lie near their epipolar lines and pull.
         assert!(off < 0.1, "{off}");
         let error = found.second_from_first.rotation.inverse() * pose.rotation;
         assert!(error.log().norm() < 0.01, "{error:?}");
-        assert!((0.75..0.9).contains(&found.share), "{}", found.share);
+        assert!((0.75..0.9).contains(&found.inlier_ratio), "{}", found.inlier_ratio);
     }
 
     #[test]
     fn turning_alone_is_recognised() {
         let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), Vec3::zero());
-        let (rotation, left) = rotation_only(250.0, &scene(pose)).expect("enough points");
+        let (rotation, left) = fit_rotation(250.0, &scene(pose)).expect("enough points");
         let off = (rotation.inverse() * pose.rotation).log().norm();
         assert!(left < 0.05 && off < 1e-3, "{left} {off}");
     }

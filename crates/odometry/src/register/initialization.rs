@@ -2,8 +2,8 @@
 
 use crate::error::OdometryError;
 use crate::multiview::triangulation::parallax;
-use crate::multiview::two_view::{TwoView, essential, rays, rotation_only};
-use crate::sfm_state::Scene;
+use crate::multiview::two_view::{RelativePose, estimate_relative_pose, fit_rotation, ray_pairs};
+use crate::sfm_state::SfmState;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Rotation};
 use rayon::prelude::*;
@@ -12,84 +12,88 @@ use std::ops::Range;
 /// Keyframes between the two of a pair, at most.
 const MAX_KEYFRAME_GAP: usize = 12;
 /// Pairs that are tried.
-const TRIED: usize = 12;
+const MAX_CANDIDATES: usize = 12;
 /// Points that a pair must share.
 const MIN_SHARED: usize = 40;
 /// Share of a pair's points that must fit.
-const MIN_SHARE: f64 = 0.6;
+const MIN_INLIER_RATIO: f64 = 0.6;
 /// What a rotation must leave unexplained for a camera to have moved, over the focal length: a
 /// pixel at 250.
 const MIN_PARALLAX: f64 = 0.004;
 /// More than this makes a pair no better, over the focal length.
-const ENOUGH_PARALLAX: f64 = 0.06;
+const SUFFICIENT_PARALLAX: f64 = 0.06;
 /// Median motion below which a camera stands still, over the picture's width.
-const STILL: f64 = 0.005;
+const MAX_STILL_MOTION: f64 = 0.005;
 /// Landmarks with an angle of at least so much [rad] that a pair must give.
 const MIN_LANDMARKS: usize = 20;
 const MIN_ANGLE: f64 = 0.01;
 
 /// A pair of keyframes and what a rotation leaves unexplained between them.
 #[derive(Clone, Copy, Debug)]
-struct Pair {
+struct KeyframePair {
     first: usize,
     second: usize,
     shared: usize,
     rotation: Rotation<f64>,
     /// [px]
-    left: f64,
+    rotation_residual: f64,
     /// Median motion [px].
     motion: f64,
 }
 
 /// Poses two keyframes of a scene without poses, and triangulates what they share.
-pub(crate) fn start(scene: &mut Scene) -> Result<(), OdometryError> {
-    start_within(scene, 0..scene.tracks.keyframes.len())
+pub(crate) fn initialize(state: &mut SfmState) -> Result<(), OdometryError> {
+    initialize_within(state, 0..state.tracks.keyframes.len())
 }
 
 /// The same with two of some keyframes.
-pub(crate) fn start_within(scene: &mut Scene, places: Range<usize>) -> Result<(), OdometryError> {
-    let pairs = pairs(scene, places);
-    let enough = ENOUGH_PARALLAX * scene.camera.fx;
-    let worth = |p: &Pair| p.left.min(enough) * (p.shared as f64).sqrt();
-    let moved: Vec<Pair> = {
-        let least = MIN_PARALLAX * scene.camera.fx;
-        let mut moved: Vec<Pair> = pairs.iter().filter(|p| p.left > least).copied().collect();
+pub(crate) fn initialize_within(
+    state: &mut SfmState,
+    places: Range<usize>,
+) -> Result<(), OdometryError> {
+    let pairs = pairs(state, places);
+    let enough = SUFFICIENT_PARALLAX * state.camera.fx;
+    let worth = |p: &KeyframePair| p.rotation_residual.min(enough) * (p.shared as f64).sqrt();
+    let moved: Vec<KeyframePair> = {
+        let least = MIN_PARALLAX * state.camera.fx;
+        let mut moved: Vec<KeyframePair> =
+            pairs.iter().filter(|p| p.rotation_residual > least).copied().collect();
         moved.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
-        moved.truncate(TRIED);
+        moved.truncate(MAX_CANDIDATES);
         moved
     };
     if moved.is_empty() {
-        return Err(why_none(scene, &pairs));
+        return Err(diagnose_failure(state, &pairs));
     }
-    let tried: Vec<Option<TwoView>> = moved
+    let tried: Vec<Option<RelativePose>> = moved
         .par_iter()
-        .map(|p| match scene.progress.is_cancelled() {
+        .map(|p| match state.progress.is_cancelled() {
             true => None,
-            false => essential(scene.camera.fx, &shared_rays(scene, p), p.rotation),
+            false => estimate_relative_pose(state.camera.fx, &shared_rays(state, p), p.rotation),
         })
         .collect();
-    let mut candidates: Vec<(&Pair, TwoView)> = moved
+    let mut candidates: Vec<(&KeyframePair, RelativePose)> = moved
         .iter()
         .zip(tried)
-        .filter_map(|(p, t)| Some((p, t.filter(|t| t.share >= MIN_SHARE)?)))
+        .filter_map(|(p, t)| Some((p, t.filter(|t| t.inlier_ratio >= MIN_INLIER_RATIO)?)))
         .collect();
-    let score = |(p, t): &(&Pair, TwoView)| t.share * t.share * worth(p);
+    let score = |(p, t): &(&KeyframePair, RelativePose)| t.inlier_ratio * t.inlier_ratio * worth(p);
     candidates.sort_by(|a, b| score(b).total_cmp(&score(a)));
     for (pair, view) in candidates {
-        if scene.progress.is_cancelled() {
+        if state.progress.is_cancelled() {
             break;
         }
-        if pose_pair(scene, pair, view) >= MIN_LANDMARKS {
+        if reconstruct_pair(state, pair, view) >= MIN_LANDMARKS {
             return Ok(());
         }
-        scene.forget();
+        state.reset();
     }
     Err(OdometryError::NoConsistentMotion)
 }
 
 /// All pairs of some keyframes that share enough points.
-fn pairs(scene: &Scene, places: Range<usize>) -> Vec<Pair> {
-    let keyframes = &scene.tracks.keyframes[places];
+fn pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
+    let keyframes = &state.tracks.keyframes[places];
     let indices: Vec<(usize, usize)> = (0..keyframes.len())
         .flat_map(|i| (i + 1..(i + 1 + MAX_KEYFRAME_GAP).min(keyframes.len())).map(move |j| (i, j)))
         .collect();
@@ -97,46 +101,54 @@ fn pairs(scene: &Scene, places: Range<usize>) -> Vec<Pair> {
         .par_iter()
         .filter_map(|&(i, j)| {
             let (first, second) = (keyframes[i], keyframes[j]);
-            let shared = scene.shared(first, second);
-            if shared.len() < MIN_SHARED || scene.progress.is_cancelled() {
+            let shared = state.shared(first, second);
+            if shared.len() < MIN_SHARED || state.progress.is_cancelled() {
                 return None;
             }
-            let (rotation, left) = rotation_only(scene.camera.fx, &rays(&scene.camera, &shared))?;
+            let (rotation, rotation_residual) =
+                fit_rotation(state.camera.fx, &ray_pairs(&state.camera, &shared))?;
             let length = |(a, b): &([f64; 2], [f64; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
             let motion = median(&mut shared.iter().map(length).collect::<Vec<_>>())?;
-            Some(Pair { first, second, shared: shared.len(), rotation, left, motion })
+            Some(KeyframePair {
+                first,
+                second,
+                shared: shared.len(),
+                rotation,
+                rotation_residual,
+                motion,
+            })
         })
         .collect()
 }
 
-fn shared_rays(scene: &Scene, pair: &Pair) -> Vec<crate::multiview::two_view::RayPair> {
-    rays(&scene.camera, &scene.shared(pair.first, pair.second))
+fn shared_rays(state: &SfmState, pair: &KeyframePair) -> Vec<crate::multiview::two_view::RayPair> {
+    ray_pairs(&state.camera, &state.shared(pair.first, pair.second))
 }
 
 /// Poses a pair, adjusts both views; returns how many landmarks have a good angle.
-fn pose_pair(scene: &mut Scene, pair: &Pair, view: TwoView) -> usize {
-    scene.poses[pair.first] = Some(Pose::identity());
-    scene.poses[pair.second] = Some(view.second_from_first.inverse());
-    scene.add_landmarks();
-    scene.adjust(&[pair.second], false, 20);
-    scene.measure_noise();
-    scene.mark_wrong_sights();
-    let wide = scene.landmarks.iter().flatten().filter(|landmark| {
+fn reconstruct_pair(state: &mut SfmState, pair: &KeyframePair, view: RelativePose) -> usize {
+    state.poses[pair.first] = Some(Pose::identity());
+    state.poses[pair.second] = Some(view.second_from_first.inverse());
+    state.triangulate_missing();
+    state.adjust(&[pair.second], false, 20);
+    state.update_noise_scale();
+    state.reject_outliers();
+    let wide = state.landmarks.iter().flatten().filter(|landmark| {
         landmark.values[2] > 0.0
-            && parallax(landmark, scene.poses.iter().flatten().copied()) > MIN_ANGLE
+            && parallax(landmark, state.poses.iter().flatten().copied()) > MIN_ANGLE
     });
     wide.count()
 }
 
 /// Why no pair shows a motion.
-fn why_none(scene: &Scene, pairs: &[Pair]) -> OdometryError {
-    let most = |f: fn(&Pair) -> f64| pairs.iter().map(f).fold(0.0, f64::max);
+fn diagnose_failure(state: &SfmState, pairs: &[KeyframePair]) -> OdometryError {
+    let most = |f: fn(&KeyframePair) -> f64| pairs.iter().map(f).fold(0.0, f64::max);
     if pairs.is_empty() {
         return OdometryError::TooFewPoints;
     }
     let motion = most(|p| p.motion);
-    if motion < STILL * scene.camera.width as f64 {
+    if motion < MAX_STILL_MOTION * state.camera.width as f64 {
         return OdometryError::StillCamera { motion };
     }
-    OdometryError::RotationOnly { left: most(|p| p.left) }
+    OdometryError::RotationOnly { residual: most(|p| p.rotation_residual) }
 }

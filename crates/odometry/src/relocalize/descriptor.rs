@@ -7,27 +7,27 @@ use crate::track::pyramid::Pyramid;
 use i2slam_geometry::{Image, Tap};
 
 /// Samples along a side, and their distance on the second level [px].
-const SIDE: usize = 8;
-const SPACING: f32 = 2.0;
-const LENGTH: usize = SIDE * SIDE;
+const SAMPLES_PER_SIDE: usize = 8;
+const SAMPLE_SPACING: f32 = 2.0;
+const DESCRIPTOR_LENGTH: usize = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
 /// Least standard deviation of the surroundings (brightness): below it is noise.
 const MIN_CONTRAST: f32 = 0.01;
 /// Squared distance that a match may have, and what share of the second best's it must be.
 const MAX_DESCRIPTOR_DISTANCE: f32 = 0.5;
-const UNIQUE: f32 = 0.7;
+const MAX_DISTANCE_RATIO: f32 = 0.7;
 
 /// What is around a point.
-type Descriptor = [f32; LENGTH];
+type Descriptor = [f32; DESCRIPTOR_LENGTH];
 
 /// Points with their descriptors.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Described {
+pub(crate) struct DescribedPoints {
     /// Place of every point in the list that was described.
-    places: Vec<usize>,
+    indices: Vec<usize>,
     descriptors: Vec<Descriptor>,
 }
 
-impl Described {
+impl DescribedPoints {
     /// Describes points of a picture (positions on its finest level); those without contrast are
     /// left out.
     pub(crate) fn new(pyramid: &Pyramid, points: &[[f64; 2]]) -> Self {
@@ -36,7 +36,7 @@ impl Described {
         let mut out = Self::default();
         for (place, at) in points.iter().enumerate() {
             if let Some(d) = describe(&pyramid.levels[level], at.map(|v| (v / scale) as f32)) {
-                out.places.push(place);
+                out.indices.push(place);
                 out.descriptors.push(d);
             }
         }
@@ -49,7 +49,7 @@ impl Described {
         let here = self.best(other);
         let mutual = here.iter().enumerate().filter_map(|(i, to)| {
             let to = (*to)?;
-            (back[to]? == i).then_some((self.places[i], other.places[to]))
+            (back[to]? == i).then_some((self.indices[i], other.indices[to]))
         });
         mutual.collect()
     }
@@ -67,26 +67,26 @@ impl Described {
                     second = second.min(distance);
                 }
             }
-            best.filter(|_| least < UNIQUE * second)
+            best.filter(|_| least < MAX_DISTANCE_RATIO * second)
         };
         self.descriptors.iter().map(of).collect()
     }
 }
 
 fn describe(image: &Image<f32>, [x, y]: [f32; 2]) -> Option<Descriptor> {
-    let half = 0.5 * (SIDE as f32 - 1.0) * SPACING;
+    let half = 0.5 * (SAMPLES_PER_SIDE as f32 - 1.0) * SAMPLE_SPACING;
     let most = [image.width, image.height].map(|n| n as f32 - 0.51);
-    let mut out = [0.0; LENGTH];
+    let mut out = [0.0; DESCRIPTOR_LENGTH];
     for (i, value) in out.iter_mut().enumerate() {
-        let u = x - half + SPACING * (i % SIDE) as f32;
-        let v = y - half + SPACING * (i / SIDE) as f32;
+        let u = x - half + SAMPLE_SPACING * (i % SAMPLES_PER_SIDE) as f32;
+        let v = y - half + SAMPLE_SPACING * (i / SAMPLES_PER_SIDE) as f32;
         let (u, v) = (u.clamp(0.51, most[0]), v.clamp(0.51, most[1]));
         *value = Tap::new(image.width, image.height, u, v)?.sample(&image.data).0;
     }
-    let mean = out.iter().sum::<f32>() / LENGTH as f32;
+    let mean = out.iter().sum::<f32>() / DESCRIPTOR_LENGTH as f32;
     out.iter_mut().for_each(|v| *v -= mean);
     let norm = dot(&out, &out).sqrt();
-    let enough = norm > MIN_CONTRAST * (LENGTH as f32).sqrt();
+    let enough = norm > MIN_CONTRAST * (DESCRIPTOR_LENGTH as f32).sqrt();
     enough.then(|| out.map(|v| v / norm))
 }
 
@@ -127,8 +127,8 @@ mod tests {
             .map(|i| [40.0 + 12.0 * f64::from(i % 10), 40.0 + 12.0 * f64::from(i / 10)])
             .collect();
         let moved: Vec<[f64; 2]> = points.iter().map(|p| [p[0] + 17.0, p[1] - 9.0]).collect();
-        let first = Described::new(&blobs(0.0, 0.0, 1.0), &points);
-        let second = Described::new(&blobs(17.0, -9.0, 0.5), &moved);
+        let first = DescribedPoints::new(&blobs(0.0, 0.0, 1.0), &points);
+        let second = DescribedPoints::new(&blobs(17.0, -9.0, 0.5), &moved);
         let matches = first.matches(&second);
         assert!(matches.len() > 50, "{}", matches.len());
         assert!(matches.iter().all(|(a, b)| a == b));
@@ -145,7 +145,8 @@ mod tests {
         let points: Vec<[f64; 2]> = (2..10).map(|i| [period * f64::from(i), 70.0]).collect();
         let near: Vec<[f64; 2]> = points.iter().map(|p| [p[0] + 0.7, p[1] + 0.4]).collect();
         let pyramid = Pyramid::new(&image);
-        let (first, second) = (Described::new(&pyramid, &points), Described::new(&pyramid, &near));
+        let (first, second) =
+            (DescribedPoints::new(&pyramid, &points), DescribedPoints::new(&pyramid, &near));
         assert!(first.matches(&second).is_empty());
     }
 }

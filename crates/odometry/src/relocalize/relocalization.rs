@@ -1,65 +1,71 @@
 //! Keyframes that were lost, after a cut or behind a covered lens, found again by their looks.
 
-use crate::relocalize::geometric_verification::{Recognised, recognise};
-use crate::sfm_state::Scene;
-use crate::track::thumbnail::Look;
+use crate::relocalize::geometric_verification::{Relocalization, match_and_verify};
+use crate::sfm_state::SfmState;
+use crate::track::thumbnail::KeyframeImage;
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 
 /// Likeness that a keyframe must have to be compared, and how many are compared.
-const MIN_LIKENESS: f32 = 0.5;
-const COMPARED: usize = 3;
+const MIN_THUMBNAIL_CORRELATION: f32 = 0.5;
+const MAX_CANDIDATES: usize = 3;
 /// Keyframes nearer than this in order to a better one are not compared.
-const APART: usize = 3;
+const MIN_CANDIDATE_GAP: usize = 3;
 /// Keyframes that one is compared with in vain at most, so that work stays in proportion to the
 /// number of those that are lost.
-const MAX_COMPARED: usize = 30;
+const MAX_ATTEMPTS: usize = 30;
 /// Keyframes that are tried at once.
-const AT_ONCE: usize = 8;
+const KEYFRAMES_PER_BATCH: usize = 8;
 
 /// A keyframe and an older one.
 type Pair = (usize, usize);
 
 /// Pairs of keyframes that were compared in vain.
 #[derive(Debug, Default)]
-pub(crate) struct Tried {
+pub(crate) struct FailedPairs {
     pairs: HashSet<Pair>,
     /// Number of pairs of every newer frame.
     counts: HashMap<usize, usize>,
 }
 
-impl Tried {
+impl FailedPairs {
     fn add(&mut self, pair: Pair) {
         if self.pairs.insert(pair) {
             *self.counts.entry(pair.0).or_default() += 1;
         }
     }
 
-    fn has(&self, pair: Pair) -> bool {
+    fn contains(&self, pair: Pair) -> bool {
         self.pairs.contains(&pair)
     }
 
     /// Whether a frame was compared often enough.
     fn is_given_up(&self, frame: usize) -> bool {
-        self.counts.get(&frame).is_some_and(|count| *count >= MAX_COMPARED)
+        self.counts.get(&frame).is_some_and(|count| *count >= MAX_ATTEMPTS)
     }
 }
 
 /// The keyframes that look most like one, of those that may be compared.
-pub(crate) fn most_alike<'a>(
-    scene: &'a Scene,
-    look: &Look,
-    may: impl Fn(usize, &Look) -> bool,
-) -> Vec<&'a Look> {
-    let of = |(place, other): (usize, &'a Look)| {
-        let likeness = look.likeness(other);
-        (likeness > MIN_LIKENESS && may(place, other)).then_some((likeness, place, other))
+pub(crate) fn candidate_keyframes<'a>(
+    state: &'a SfmState,
+    look: &KeyframeImage,
+    may: impl Fn(usize, &KeyframeImage) -> bool,
+) -> Vec<&'a KeyframeImage> {
+    let of = |(place, other): (usize, &'a KeyframeImage)| {
+        let thumbnail_correlation = look.thumbnail_correlation(other);
+        (thumbnail_correlation > MIN_THUMBNAIL_CORRELATION && may(place, other)).then_some((
+            thumbnail_correlation,
+            place,
+            other,
+        ))
     };
-    let mut all: Vec<_> = scene.tracks.looks.iter().enumerate().filter_map(of).collect();
+    let mut all: Vec<_> = state.tracks.keyframe_images.iter().enumerate().filter_map(of).collect();
     all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut chosen: Vec<(usize, &Look)> = Vec::new();
+    let mut chosen: Vec<(usize, &KeyframeImage)> = Vec::new();
     for (_, place, other) in all {
-        if chosen.len() < COMPARED && chosen.iter().all(|(p, _)| p.abs_diff(place) >= APART) {
+        if chosen.len() < MAX_CANDIDATES
+            && chosen.iter().all(|(p, _)| p.abs_diff(place) >= MIN_CANDIDATE_GAP)
+        {
             chosen.push((place, other));
         }
     }
@@ -67,33 +73,33 @@ pub(crate) fn most_alike<'a>(
 }
 
 /// Poses keyframes that show a place which is known; returns which, none if there are no more.
-pub(crate) fn relocalise(scene: &mut Scene, tried: &mut Tried) -> Vec<usize> {
-    let looks = scene.tracks.looks.iter().enumerate();
-    let lost = looks
-        .filter(|(_, look)| scene.poses[look.frame].is_none() && !tried.is_given_up(look.frame));
+pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> Vec<usize> {
+    let keyframe_images = state.tracks.keyframe_images.iter().enumerate();
+    let lost = keyframe_images
+        .filter(|(_, look)| state.poses[look.frame].is_none() && !failed.is_given_up(look.frame));
     let lost: Vec<usize> = lost.map(|(place, _)| place).collect();
-    for some in lost.chunks(AT_ONCE) {
-        if scene.progress.is_cancelled() {
+    for some in lost.chunks(KEYFRAMES_PER_BATCH) {
+        if state.progress.is_cancelled() {
             break;
         }
-        let may = |look: &Look, other: &Look| {
-            scene.poses[other.frame].is_some() && !tried.has((look.frame, other.frame))
+        let may = |look: &KeyframeImage, other: &KeyframeImage| {
+            state.poses[other.frame].is_some() && !failed.contains((look.frame, other.frame))
         };
         let search = |place: &usize| {
-            let look = &scene.tracks.looks[*place];
-            let compared = most_alike(scene, look, |_, other| may(look, other));
-            let found = compared.iter().find_map(|old| recognise(scene, look, old));
+            let look = &state.tracks.keyframe_images[*place];
+            let compared = candidate_keyframes(state, look, |_, other| may(look, other));
+            let found = compared.iter().find_map(|old| match_and_verify(state, look, old));
             (found, compared.iter().map(|old| (look.frame, old.frame)).collect())
         };
-        let (found, compared): (Vec<Option<Recognised>>, Vec<Vec<Pair>>) =
+        let (found, compared): (Vec<Option<Relocalization>>, Vec<Vec<Pair>>) =
             some.par_iter().map(search).unzip();
-        compared.into_iter().flatten().for_each(|pair| tried.add(pair));
+        compared.into_iter().flatten().for_each(|pair| failed.add(pair));
         let mut posed = Vec::new();
         for (place, found) in some.iter().zip(found) {
             let Some(found) = found else { continue };
-            let frame = scene.tracks.looks[*place].frame;
-            scene.poses[frame] = Some(found.world_from_camera);
-            scene.add_sights(found.sights);
+            let frame = state.tracks.keyframe_images[*place].frame;
+            state.poses[frame] = Some(found.world_from_camera);
+            state.add_observations(found.sights);
             posed.push(frame);
         }
         if !posed.is_empty() {
@@ -109,11 +115,11 @@ mod tests {
 
     #[test]
     fn a_frame_that_was_compared_often_is_given_up() {
-        let mut tried = Tried::default();
-        for old in 0..MAX_COMPARED {
-            assert!(!tried.is_given_up(99));
-            (0..2).for_each(|_| tried.add((99, old)));
+        let mut failed = FailedPairs::default();
+        for old in 0..MAX_ATTEMPTS {
+            assert!(!failed.is_given_up(99));
+            (0..2).for_each(|_| failed.add((99, old)));
         }
-        assert!(tried.is_given_up(99) && !tried.is_given_up(98) && tried.has((99, 0)));
+        assert!(failed.is_given_up(99) && !failed.is_given_up(98) && failed.contains((99, 0)));
     }
 }

@@ -5,43 +5,48 @@
 //! given as the middle row's moment would have shown it; the readout is what fits best.
 
 use crate::multiview::landmark::Landmark;
-use crate::multiview::lens_distortion::undistorted;
+use crate::multiview::lens_distortion::undistort;
 use crate::progress::Stage;
-use crate::sfm_state::{MAX_READOUT, Scene};
+use crate::sfm_state::{MAX_READOUT, SfmState};
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
 /// Distance of the readouts that are compared first, and later [frame intervals].
-const COARSE: f64 = 0.5;
-const FINE: f64 = 0.2;
+const COARSE_STEP: f64 = 0.5;
+const FINE_STEP: f64 = 0.2;
 /// A readout must lower the cost to this share, or all rows count as exposed together.
-pub(crate) const WORTH: f64 = 0.97;
-const STEPS: usize = 8;
+pub(crate) const MAX_COST_RATIO: f64 = 0.97;
+const ADJUSTMENT_STEPS: usize = 8;
 /// A long sequence is judged by so many stretches of so many frames.
-const STRETCHES: usize = 3;
-const STRETCH: usize = 100;
+const SAMPLE_STRETCHES: usize = 3;
+const STRETCH_FRAMES: usize = 100;
 /// Frames farther apart than so many intervals tell no velocity.
-const NEIGHBOUR: f64 = 4.5;
+const MAX_VELOCITY_GAP: f64 = 4.5;
 
 /// Looks for the readout that fits best, together with the focal length if asked, positive if the
 /// top row comes first; none if it is not clearly better than that. Image positions in the scene
 /// are corrected for it. A readout that they have been corrected for already is where the search
 /// begins.
-pub(crate) fn correct_rolling_shutter(scene: &mut Scene, timestamps: &[f64], adjust_focal: bool) {
-    let Some(interval) = interval(timestamps) else { return };
-    scene.progress.report(Stage::RollingShutter, 0, 0);
-    let sample = Sample::of(scene, timestamps, interval, adjust_focal);
+pub(crate) fn estimate_rolling_shutter(
+    state: &mut SfmState,
+    timestamps: &[f64],
+    adjust_focal: bool,
+) {
+    let Some(interval) = median_frame_interval(timestamps) else { return };
+    state.progress.report(Stage::RollingShutter, 0, 0);
+    let sample = ReadoutSearch::of(state, timestamps, interval, adjust_focal);
     let none = sample.cost(0.0);
-    let about = scene.readout;
-    let (best, cost) = if about == 0.0 { sample.coarse(none) } else { sample.near(about) };
-    scene.readout = if cost < WORTH * none { best } else { 0.0 };
-    scene.finds_readout = scene.readout != 0.0;
-    move_rows(scene, timestamps, scene.readout * interval, interval);
+    let about = state.readout;
+    let (best, cost) =
+        if about == 0.0 { sample.search_coarse(none) } else { sample.refine_near(about) };
+    state.readout = if cost < MAX_COST_RATIO * none { best } else { 0.0 };
+    state.estimates_readout = state.readout != 0.0;
+    correct_observations(state, timestamps, state.readout * interval, interval);
 }
 
 /// The frames that decide on the readout: all, or some stretches of a long sequence.
-struct Sample<'a> {
-    scene: Scene,
+struct ReadoutSearch<'a> {
+    state: SfmState,
     /// All of them but the first of every stretch, which stay.
     free: Vec<usize>,
     timestamps: &'a [f64],
@@ -50,74 +55,75 @@ struct Sample<'a> {
     adjust_focal: bool,
 }
 
-impl<'a> Sample<'a> {
-    fn of(scene: &Scene, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
-        let posed = scene.posed();
-        let stretches: Vec<&[usize]> = if posed.len() <= STRETCHES * STRETCH {
+impl<'a> ReadoutSearch<'a> {
+    fn of(state: &SfmState, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
+        let posed = state.posed();
+        let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
             vec![&posed]
         } else {
-            let parts = posed.chunks(posed.len().div_ceil(STRETCHES));
-            parts.map(|part| most_turning(scene, part)).collect()
+            let parts = posed.chunks(posed.len().div_ceil(SAMPLE_STRETCHES));
+            parts.map(|part| fastest_turning_stretch(state, part)).collect()
         };
-        let mut sample = scene.clone();
-        sample.progress = scene.progress.without_listener();
+        let mut sample = state.clone();
+        sample.progress = state.progress.without_listener();
         sample.poses.fill(None);
-        sample.finds_readout = false;
-        stretches.iter().copied().flatten().for_each(|f| sample.poses[*f] = scene.poses[*f]);
+        sample.estimates_readout = false;
+        stretches.iter().copied().flatten().for_each(|f| sample.poses[*f] = state.poses[*f]);
         let free = stretches.iter().flat_map(|s| s.iter().skip(1)).copied().collect();
-        Self { scene: sample, free, timestamps, interval, adjust_focal }
+        Self { state: sample, free, timestamps, interval, adjust_focal }
     }
 
     /// Cost per sight once all is adjusted to a readout [intervals].
     fn cost(&self, readout: f64) -> f64 {
-        let mut tried = self.scene.clone();
-        move_rows(&mut tried, self.timestamps, readout * self.interval, self.interval);
-        tried.adjust(&self.free, self.adjust_focal, STEPS)
+        let mut tried = self.state.clone();
+        correct_observations(&mut tried, self.timestamps, readout * self.interval, self.interval);
+        tried.adjust(&self.free, self.adjust_focal, ADJUSTMENT_STEPS)
     }
 
     /// The best of all readouts [intervals] and its cost, when that of none is known.
-    fn coarse(&self, none: f64) -> (f64, f64) {
-        let mut costs = [self.cost(-COARSE), none, self.cost(COARSE)];
-        let side = if costs[0] < costs[2] { -COARSE } else { COARSE };
+    fn search_coarse(&self, none: f64) -> (f64, f64) {
+        let mut costs = [self.cost(-COARSE_STEP), none, self.cost(COARSE_STEP)];
+        let side = if costs[0] < costs[2] { -COARSE_STEP } else { COARSE_STEP };
         let (mut middle, end) = (0.0, costs[0].min(costs[2]));
         if end < none {
             let beyond = self.cost(2.0 * side);
             costs = if side < 0.0 { [beyond, end, none] } else { [none, end, beyond] };
             middle = side;
         }
-        let change = lowest_of_parabola(COARSE, costs).unwrap_or(0.0).clamp(-COARSE, COARSE);
+        let change =
+            parabola_minimum(COARSE_STEP, costs).unwrap_or(0.0).clamp(-COARSE_STEP, COARSE_STEP);
         let best = (middle + change).clamp(-MAX_READOUT, MAX_READOUT);
         (best, self.cost(best))
     }
 
     /// The best readout near one [intervals], and the cost of that one.
-    fn near(&self, about: f64) -> (f64, f64) {
-        let costs = [about - FINE, about, about + FINE].map(|r| self.cost(r));
-        let change = lowest_of_parabola(FINE, costs).unwrap_or(0.0);
+    fn refine_near(&self, about: f64) -> (f64, f64) {
+        let costs = [about - FINE_STEP, about, about + FINE_STEP].map(|r| self.cost(r));
+        let change = parabola_minimum(FINE_STEP, costs).unwrap_or(0.0);
         ((about + change).clamp(-MAX_READOUT, MAX_READOUT), costs[1])
     }
 }
 
 /// The stretch of some frames in which the camera turns most.
-fn most_turning<'a>(scene: &Scene, frames: &'a [usize]) -> &'a [usize] {
-    let turn = |pair: &[usize]| match (scene.poses[pair[0]], scene.poses[pair[1]]) {
+fn fastest_turning_stretch<'a>(state: &SfmState, frames: &'a [usize]) -> &'a [usize] {
+    let turn = |pair: &[usize]| match (state.poses[pair[0]], state.poses[pair[1]]) {
         (Some(a), Some(b)) => a.local(b).rotation.norm_squared(),
         _ => 0.0,
     };
     let turns: Vec<f64> = frames.windows(2).map(turn).collect();
-    let begins = (0..frames.len().saturating_sub(STRETCH - 1)).step_by(STRETCH / 4);
-    let sum = |begin: &usize| turns[*begin..*begin + STRETCH - 1].iter().sum::<f64>();
+    let begins = (0..frames.len().saturating_sub(STRETCH_FRAMES - 1)).step_by(STRETCH_FRAMES / 4);
+    let sum = |begin: &usize| turns[*begin..*begin + STRETCH_FRAMES - 1].iter().sum::<f64>();
     let begin = begins.max_by(|a, b| sum(a).total_cmp(&sum(b))).unwrap_or(0);
-    &frames[begin..(begin + STRETCH).min(frames.len())]
+    &frames[begin..(begin + STRETCH_FRAMES).min(frames.len())]
 }
 
 /// The median time between frames [s].
-pub(crate) fn interval(timestamps: &[f64]) -> Option<f64> {
+pub(crate) fn median_frame_interval(timestamps: &[f64]) -> Option<f64> {
     median(&mut timestamps.windows(2).map(|p| p[1] - p[0]).collect::<Vec<_>>())
 }
 
 /// Where the parabola through the costs at `-step`, 0 and `step` is lowest, within twice `step`.
-pub(crate) fn lowest_of_parabola(step: f64, [before, middle, after]: [f64; 3]) -> Option<f64> {
+pub(crate) fn parabola_minimum(step: f64, [before, middle, after]: [f64; 3]) -> Option<f64> {
     let curvature = before - 2.0 * middle + after;
     let lowest = 0.5 * step * (before - after) / curvature;
     (curvature > 0.0 && lowest.is_finite()).then(|| lowest.clamp(-2.0 * step, 2.0 * step))
@@ -125,24 +131,24 @@ pub(crate) fn lowest_of_parabola(step: f64, [before, middle, after]: [f64; 3]) -
 
 /// Sets every observation's position to that of the middle row's moment. Where nothing tells how
 /// the camera moved, it stays as it was, or becomes what was seen if all rows share one moment.
-fn move_rows(scene: &mut Scene, timestamps: &[f64], readout: f64, interval: f64) {
+fn correct_observations(state: &mut SfmState, timestamps: &[f64], readout: f64, interval: f64) {
     let velocities: Vec<Option<Tangent<f64>>> =
-        (0..scene.poses.len()).map(|f| velocity(scene, timestamps, f, interval)).collect();
-    let (camera, lens, poses) = (scene.camera, scene.lens, &scene.poses);
-    for (landmark, track) in scene.landmarks.iter().zip(&mut scene.tracks.tracks) {
+        (0..state.poses.len()).map(|f| camera_velocity(state, timestamps, f, interval)).collect();
+    let (camera, lens, poses) = (state.camera, state.lens, &state.poses);
+    for (landmark, track) in state.landmarks.iter().zip(&mut state.tracks.tracks) {
         for o in &mut track.observations {
-            let flat = undistorted(&camera, lens, o.seen);
+            let flat = undistort(&camera, lens, o.raw);
             if readout == 0.0 {
                 o.at = flat;
                 continue;
             }
-            let (Some(pose), Some(velocity)) = (poses[o.frame], velocities[o.frame]) else {
+            let (Some(pose), Some(camera_velocity)) = (poses[o.frame], velocities[o.frame]) else {
                 continue;
             };
             let far = || Landmark::on_ray(&camera, pose, flat, 0.0);
             let landmark = landmark.unwrap_or_else(far);
-            let late = readout * (o.seen[1] / camera.height as f64 - 0.5);
-            let then = pose.retract(velocity.scaled(late));
+            let late = readout * (o.raw[1] / camera.height as f64 - 0.5);
+            let then = pose.retract(camera_velocity.scaled(late));
             let positions =
                 (landmark.image_position(&camera, &pose), landmark.image_position(&camera, &then));
             if let (Some(now), Some(then)) = positions {
@@ -153,19 +159,19 @@ fn move_rows(scene: &mut Scene, timestamps: &[f64], readout: f64, interval: f64)
 }
 
 /// Motion of a frame's camera per second, in its own frame, from its neighbours.
-fn velocity(
-    scene: &Scene,
+fn camera_velocity(
+    state: &SfmState,
     timestamps: &[f64],
     frame: usize,
     interval: f64,
 ) -> Option<Tangent<f64>> {
-    let known = |f: usize| scene.poses[f].map(|p| (timestamps[f], p));
+    let known = |f: usize| state.poses[f].map(|p| (timestamps[f], p));
     let here = known(frame)?;
     let before = (0..frame).rev().find_map(known).unwrap_or(here);
-    let after = (frame + 1..scene.poses.len()).find_map(known).unwrap_or(here);
+    let after = (frame + 1..state.poses.len()).find_map(known).unwrap_or(here);
     let time = after.0 - before.0;
-    let near = |(t, _): &(f64, Pose<f64>)| (t - here.0).abs() < NEIGHBOUR * interval;
-    if time <= 0.0 || !near(&before) || !near(&after) {
+    let refine_near = |(t, _): &(f64, Pose<f64>)| (t - here.0).abs() < MAX_VELOCITY_GAP * interval;
+    if time <= 0.0 || !refine_near(&before) || !refine_near(&after) {
         return None;
     }
     let moved = after.1.translation - before.1.translation;
@@ -180,8 +186,8 @@ fn velocity(
 mod tests {
     use super::*;
 
-    use crate::intrinsics::observability::released;
-    use crate::register::registration::refine;
+    use crate::intrinsics::observability::reestimate_intrinsics;
+    use crate::register::registration::refine_all_frames;
     use crate::track::tracks::{Observation, Track, Tracks};
     use i2slam_check::noise;
     use i2slam_geometry::{Camera, Rotation, Vec3};
@@ -194,7 +200,7 @@ mod tests {
     }
 
     /// `frames` frames with their true poses, their rows exposed within `readout` intervals.
-    fn scene(frames: usize, readout: f64) -> (Scene, Vec<f64>) {
+    fn state(frames: usize, readout: f64) -> (SfmState, Vec<f64>) {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
         let sight = |point: Vec3<f64>, frame: usize, error: &[f64]| {
             let mut at = camera.project(path(frame as f64).inverse() * point);
@@ -219,16 +225,16 @@ mod tests {
         let tracks = (0..4 * frames).map(track).collect();
         let keyframes = (0..frames).step_by(4).collect();
         let tracks = Tracks { tracks, keyframes, frames, ..Tracks::default() };
-        let mut scene = Scene::new(camera, tracks);
-        scene.poses = (0..frames).map(|f| Some(path(f as f64))).collect();
-        scene.add_landmarks();
-        (scene, (0..frames).map(|f| f as f64 / 30.0).collect())
+        let mut state = SfmState::new(camera, tracks);
+        state.poses = (0..frames).map(|f| Some(path(f as f64))).collect();
+        state.triangulate_missing();
+        (state, (0..frames).map(|f| f as f64 / 30.0).collect())
     }
 
     #[test]
     fn the_readout_of_a_long_sequence_is_found_from_some_stretches() {
-        let (mut rolling, timestamps) = scene(420, 0.5);
-        correct_rolling_shutter(&mut rolling, &timestamps, false);
+        let (mut rolling, timestamps) = state(420, 0.5);
+        estimate_rolling_shutter(&mut rolling, &timestamps, false);
         assert!((rolling.readout - 0.5).abs() < 0.05, "{}", rolling.readout);
         assert_eq!(rolling.posed().len(), 420);
     }
@@ -236,49 +242,49 @@ mod tests {
     /// Each of both would be found wrong beside a wrong other one.
     #[test]
     fn readout_and_focal_length_are_found_together() {
-        let (mut rolling, timestamps) = scene(60, 0.6);
+        let (mut rolling, timestamps) = state(60, 0.6);
         let wrong = 1.12 * rolling.camera.fx;
         (rolling.camera.fx, rolling.camera.fy) = (wrong, wrong);
         for _ in 0..2 {
-            correct_rolling_shutter(&mut rolling, &timestamps, true);
-            refine(&mut rolling, true);
+            estimate_rolling_shutter(&mut rolling, &timestamps, true);
+            refine_all_frames(&mut rolling, true);
         }
         // Speeds are means over two intervals, which are too low where the camera trembles.
         let found = ((rolling.camera.fx / 250.0).ln(), rolling.readout - 0.6);
         assert!(found.0.abs() < 0.01 && found.1.abs() < 0.08, "{found:?}");
         // What is told of the focal length leaves the readout open.
-        let (_, covariance) = released(&rolling);
+        let (_, covariance) = reestimate_intrinsics(&rolling);
         let covariance = covariance.expect("determined");
         assert!(covariance[1][1] > 0.0 && covariance[0][1] != 0.0);
-        rolling.finds_readout = false;
-        let (_, alone) = released(&rolling);
+        rolling.estimates_readout = false;
+        let (_, alone) = reestimate_intrinsics(&rolling);
         let alone = alone.expect("determined");
         assert!(alone[0][0] < covariance[0][0], "{} {}", alone[0][0], covariance[0][0]);
     }
 
     #[test]
     fn a_readout_that_explains_nothing_is_given_up() {
-        let (mut global, timestamps) = scene(60, 0.0);
+        let (mut global, timestamps) = state(60, 0.0);
         // Frames without a pose, and one without neighbours, tell nothing of their motion.
         global.poses[20..26].fill(None);
         global.poses[30..40].fill(None);
         global.poses[35] = Some(path(35.0));
         for about in [0.0, 0.4] {
             let observations = global.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
-            observations.for_each(|o| o.at[0] = o.seen[0] + about);
+            observations.for_each(|o| o.at[0] = o.raw[0] + about);
             global.readout = about;
-            correct_rolling_shutter(&mut global, &timestamps, false);
+            estimate_rolling_shutter(&mut global, &timestamps, false);
             assert_eq!(global.readout, 0.0);
             let observations = global.tracks.tracks.iter().flat_map(|t| &t.observations);
-            assert!(observations.clone().all(|o| o.at == o.seen));
+            assert!(observations.clone().all(|o| o.at == o.raw));
         }
     }
 
     #[test]
     fn the_lowest_point_of_a_parabola_is_found() {
         let f = |x: f64| 3.0 * (x - 0.4) * (x - 0.4) + 1.0;
-        let lowest = lowest_of_parabola(0.6, [f(-0.6), f(0.0), f(0.6)]);
+        let lowest = parabola_minimum(0.6, [f(-0.6), f(0.0), f(0.6)]);
         assert!((lowest.expect("convex") - 0.4).abs() < 1e-12);
-        assert!(lowest_of_parabola(0.6, [0.0, 1.0, 0.0]).is_none());
+        assert!(parabola_minimum(0.6, [0.0, 1.0, 0.0]).is_none());
     }
 }

@@ -4,23 +4,23 @@
 //! and where the rate changes, frames some intervals apart fit a rotation badly unless their rows
 //! are moved back.
 
-use crate::multiview::two_view::{RayPair, rotation_only};
+use crate::multiview::two_view::{RayPair, fit_rotation};
 use crate::progress::{Progress, Stage};
-use crate::rolling_shutter::readout::{WORTH, interval, lowest_of_parabola};
+use crate::rolling_shutter::readout::{MAX_COST_RATIO, median_frame_interval, parabola_minimum};
 use crate::track::tracks::{Tracks, shared};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
 
 /// Readouts that are compared, in frame intervals: multiples of the step up to so many times it.
 const STEP: f64 = 0.3;
-const COMPARED: i32 = 4;
+const STEPS_PER_SIDE: i32 = 4;
 /// Frames apart of those that are compared.
-const APART: usize = 4;
+const FRAME_GAP: usize = 4;
 
 /// Moves all observations to where the middle row's moment would have shown them if the camera
 /// only turned. Returns the readout that fits best, in frame intervals, 0 if none is clearly
 /// better.
-pub(crate) fn straighten(
+pub(crate) fn initialize_readout(
     tracks: &mut Tracks,
     camera: &Camera<f64>,
     timestamps: &[f64],
@@ -29,23 +29,24 @@ pub(crate) fn straighten(
     progress.report(Stage::RollingShutter, 0, 0);
     let by_frame = tracks.by_frame();
     let Some(times) = whole_intervals(timestamps) else { return 0.0 };
-    let rates = rates(tracks, &by_frame, camera, &times);
+    let rates = rotation_rates(tracks, &by_frame, camera, &times);
     let cost = |readout: f64| -> f64 {
         let one = |f: usize| match progress.is_cancelled() {
             true => 0.0,
-            false => misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0),
+            false => rotation_misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0),
         };
         let all: Vec<f64> =
-            (0..tracks.frames.saturating_sub(APART)).into_par_iter().map(one).collect();
+            (0..tracks.frames.saturating_sub(FRAME_GAP)).into_par_iter().map(one).collect();
         all.iter().sum()
     };
-    let costs: Vec<f64> = (-COMPARED..=COMPARED).map(|k| cost(STEP * f64::from(k))).collect();
-    let Some(best) = lowest(&costs) else { return 0.0 };
-    if cost(best) > WORTH * costs[COMPARED as usize] {
+    let costs: Vec<f64> =
+        (-STEPS_PER_SIDE..=STEPS_PER_SIDE).map(|k| cost(STEP * f64::from(k))).collect();
+    let Some(best) = best_readout(&costs) else { return 0.0 };
+    if cost(best) > MAX_COST_RATIO * costs[STEPS_PER_SIDE as usize] {
         return 0.0;
     }
     for o in tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-        let ray = straight(camera, &rates, o.frame, o.seen, best);
+        let ray = row_corrected_ray(camera, &rates, o.frame, o.raw, best);
         let (u, v) = camera.project(ray);
         o.at = [u, v];
     }
@@ -55,22 +56,22 @@ pub(crate) fn straighten(
 /// Time between frames in whole intervals: pictures that are missing count, stamps that tremble do
 /// not.
 fn whole_intervals(timestamps: &[f64]) -> Option<Vec<f64>> {
-    let interval = interval(timestamps)?;
+    let interval = median_frame_interval(timestamps)?;
     let whole = |pair: &[f64]| ((pair[1] - pair[0]) / interval).round().max(1.0);
     Some(timestamps.windows(2).map(whole).collect())
 }
 
 /// The readout of least cost, by the parabola through the least of `costs` and its neighbours.
-fn lowest(costs: &[f64]) -> Option<f64> {
+fn best_readout(costs: &[f64]) -> Option<f64> {
     let inner = 1..costs.len() - 1;
     let least = inner.min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
     let around = [costs[least - 1], costs[least], costs[least + 1]];
-    Some(STEP * (least as f64 - f64::from(COMPARED)) + lowest_of_parabola(STEP, around)?)
+    Some(STEP * (least as f64 - f64::from(STEPS_PER_SIDE)) + parabola_minimum(STEP, around)?)
 }
 
 /// Rotation of every frame's camera per interval, in its own frame: the mean of that to both
 /// neighbours, `times` between them [intervals].
-fn rates(
+fn rotation_rates(
     tracks: &Tracks,
     by_frame: &[Vec<usize>],
     camera: &Camera<f64>,
@@ -83,7 +84,7 @@ fn rates(
             let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
             let rays: Vec<RayPair> = shared.iter().map(|(a, b)| (ray(*a), ray(*b))).collect();
             // The map found takes rays of the first camera to the second.
-            rotation_only(camera.fx, &rays).map(|(r, _)| r.inverse().log() * times[f - 1].recip())
+            fit_rotation(camera.fx, &rays).map(|(r, _)| r.inverse().log() * times[f - 1].recip())
         })
         .collect();
     let turn = |i: Option<usize>| i.and_then(|i| turns.get(i).copied().flatten());
@@ -97,7 +98,7 @@ fn rates(
 }
 
 /// What a rotation leaves unexplained between a frame and a later one [px].
-fn misfit(
+fn rotation_misfit(
     tracks: &Tracks,
     by_frame: &[Vec<usize>],
     camera: &Camera<f64>,
@@ -105,19 +106,19 @@ fn misfit(
     frame: usize,
     readout: f64,
 ) -> Option<f64> {
-    let rays: Vec<RayPair> = shared(&tracks.tracks, by_frame, frame, frame + APART)
+    let rays: Vec<RayPair> = shared(&tracks.tracks, by_frame, frame, frame + FRAME_GAP)
         .iter()
         .map(|(a, b)| {
-            let first = straight(camera, rates, frame, *a, readout);
-            (first, straight(camera, rates, frame + APART, *b, readout))
+            let first = row_corrected_ray(camera, rates, frame, *a, readout);
+            (first, row_corrected_ray(camera, rates, frame + FRAME_GAP, *b, readout))
         })
         .collect();
-    rotation_only(camera.fx, &rays).map(|(_, left)| left)
+    fit_rotation(camera.fx, &rays).map(|(_, left)| left)
 }
 
 /// The ray of an image position as the middle row's moment would have seen it; its third
 /// component is 1.
-fn straight(
+fn row_corrected_ray(
     camera: &Camera<f64>,
     rates: &[Vec3<f64>],
     frame: usize,
@@ -154,7 +155,7 @@ mod tests {
         let stamps: Vec<f64> =
             timestamps.iter().zip(noise(6, 8)).map(|(time, n)| time + 0.1 * n).collect();
         let times = whole_intervals(&stamps).expect("several");
-        for rate in rates(&tracks, &tracks.by_frame(), &camera, &times) {
+        for rate in rotation_rates(&tracks, &tracks.by_frame(), &camera, &times) {
             assert!((rate - turn).norm() < 1e-5, "{rate:?}");
         }
     }

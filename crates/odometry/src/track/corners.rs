@@ -12,7 +12,7 @@ const MIN_STRENGTH: f32 = 2e-5;
 
 /// Image positions of corners, at most one per cell of `cell x cell` pixels, none in a cell that
 /// holds a position of `taken`, none nearer than `border` to the edge, strongest of its cell.
-pub(crate) fn find_corners(
+pub(crate) fn detect_corners(
     image: &Image<f32>,
     cell: usize,
     border: usize,
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn the_corners_of_a_square_are_found_and_its_edges_are_not() {
-        let found = find_corners(&square(), 12, 4, &[]);
+        let found = detect_corners(&square(), 12, 4, &[]);
         assert_eq!(found.len(), 4, "{found:?}");
         for corner in [[20.0, 16.0], [44.0, 16.0], [20.0, 32.0], [44.0, 32.0]] {
             let near = |f: &[f32; 2]| (f[0] - corner[0]).hypot(f[1] - corner[1]) < 4.5;
@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn a_cell_that_is_taken_stays_alone_and_a_flat_picture_has_none() {
-        assert_eq!(find_corners(&square(), 12, 4, &[[20.5, 16.5]]).len(), 3);
-        assert!(find_corners(&Image::new(64, 48, 1), 12, 4, &[]).is_empty());
+        assert_eq!(detect_corners(&square(), 12, 4, &[[20.5, 16.5]]).len(), 3);
+        assert!(detect_corners(&Image::new(64, 48, 1), 12, 4, &[]).is_empty());
     }
 }

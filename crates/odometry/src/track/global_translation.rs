@@ -4,26 +4,30 @@ use i2slam_geometry::Image;
 
 /// The best whole-pixel move between two small pictures, and how well they agree there.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Shift {
+pub(crate) struct GlobalTranslation {
     /// Where what was at `x` in the first picture is in the second, less `x` [px].
-    pub(crate) by: [f32; 2],
+    pub(crate) translation: [f32; 2],
     /// Correlation of what both show; at most 1.
     pub(crate) correlation: f32,
 }
 
 /// Moves up to this share of a side are tried.
-const REACH: f32 = 0.3;
+const MAX_TRANSLATION_RATIO: f32 = 0.3;
 
 /// Compares two pictures of one size at every whole-pixel move within reach.
-pub(crate) fn find_shift(first: &Image<f32>, second: &Image<f32>) -> Shift {
-    let reach = |side: usize| (side as f32 * REACH) as isize;
+pub(crate) fn estimate_global_translation(
+    first: &Image<f32>,
+    second: &Image<f32>,
+) -> GlobalTranslation {
+    let reach = |side: usize| (side as f32 * MAX_TRANSLATION_RATIO) as isize;
     let (across, down) = (reach(first.width), reach(first.height));
-    let mut best = Shift { by: [0.0, 0.0], correlation: overlap(first, second, 0, 0) };
+    let mut best =
+        GlobalTranslation { translation: [0.0, 0.0], correlation: overlap(first, second, 0, 0) };
     for dy in -down..=down {
         for dx in -across..=across {
             let correlation = overlap(first, second, dx, dy);
             if correlation > best.correlation {
-                best = Shift { by: [dx as f32, dy as f32], correlation };
+                best = GlobalTranslation { translation: [dx as f32, dy as f32], correlation };
             }
         }
     }
@@ -64,14 +68,17 @@ mod tests {
     fn a_move_is_found_whatever_the_exposure() {
         let mut second = blobs(5.0, -3.0);
         second.data.iter_mut().for_each(|v| *v = 0.3 * *v + 1.0);
-        let shift = find_shift(&blobs(0.0, 0.0), &second);
-        assert_eq!(shift.by, [5.0, -3.0]);
+        let shift = estimate_global_translation(&blobs(0.0, 0.0), &second);
+        assert_eq!(shift.translation, [5.0, -3.0]);
         assert!(shift.correlation > 0.99);
     }
 
     #[test]
     fn flat_pictures_agree_about_nothing() {
         let flat = Image::new(40, 30, 1);
-        assert_eq!(find_shift(&flat, &flat), Shift { by: [0.0, 0.0], correlation: 0.0 });
+        assert_eq!(
+            estimate_global_translation(&flat, &flat),
+            GlobalTranslation { translation: [0.0, 0.0], correlation: 0.0 }
+        );
     }
 }

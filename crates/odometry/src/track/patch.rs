@@ -19,7 +19,7 @@ const ITERATIONS: usize = 15;
 /// An update shorter than this ends the iteration [px].
 const CONVERGED: f32 = 0.01;
 /// Of the squared length of a picture's patch, what is added so that flat ones match nothing.
-const FLAT: f32 = 1e-4;
+const CONTRAST_FLOOR: f32 = 1e-4;
 
 /// Where a patch lies in a picture: `x = centre + matrix · offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +40,7 @@ impl Warp {
     }
 
     /// `self ∘ δ⁻¹` for `δ(x) = (I + m) x + d`.
-    fn without(self, m: [[f32; 2]; 2], d: [f32; 2]) -> Option<Self> {
+    fn compose_inverse(self, m: [[f32; 2]; 2], d: [f32; 2]) -> Option<Self> {
         let [[a, b], [c, e]] = [[1.0 + m[0][0], m[0][1]], [m[1][0], 1.0 + m[1][1]]];
         let determinant = a * e - b * c;
         if !(0.25..4.0).contains(&determinant) {
@@ -59,7 +59,7 @@ impl Warp {
 /// What a patch looks like, with all that does not depend on the picture it is looked for in. `N`
 /// is 4 (moves only) or 8 (any linear map of the patch).
 #[derive(Clone, Debug)]
-pub(crate) struct Template<const N: usize> {
+pub(crate) struct PatchTemplate<const N: usize> {
     /// Row `k`: `α`, `β`, then the derivatives by the warp.
     basis: Vec<[f32; AREA]>,
     inverse: [[f32; N]; N],
@@ -69,13 +69,13 @@ pub(crate) struct Template<const N: usize> {
 
 /// Where a template was found.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Found {
+pub(crate) struct PatchMatch {
     pub(crate) warp: Warp,
     /// Correlation of patch and picture, at most 1.
     pub(crate) correlation: f32,
 }
 
-impl<const N: usize> Template<N> {
+impl<const N: usize> PatchTemplate<N> {
     /// The patch around `centre`; `None` where nothing is seen that could be aligned.
     pub(crate) fn new(image: &Image<f32>, centre: [f32; 2]) -> Option<Self> {
         let wide = sample::<WIDE>(image, &Warp::at(centre));
@@ -95,12 +95,12 @@ impl<const N: usize> Template<N> {
             basis.push(std::array::from_fn(|i| x(i) * gy[i]));
             basis.push(std::array::from_fn(|i| y(i) * gy[i]));
         }
-        let inverse = inverse_of_products(&basis)?;
+        let inverse = inverse_normal_matrix(&basis)?;
         (norm > 1e-3).then_some(Self { basis, inverse, norm })
     }
 
     /// Looks for the patch in `image` from `start` on; `None` if it runs away.
-    pub(crate) fn align(&self, image: &Image<f32>, start: Warp) -> Option<Found> {
+    pub(crate) fn align(&self, image: &Image<f32>, start: Warp) -> Option<PatchMatch> {
         let mut warp = start;
         let mut correlation = 0.0;
         for _ in 0..ITERATIONS {
@@ -120,7 +120,7 @@ impl<const N: usize> Template<N> {
             } else {
                 [[0.0; 2]; 2]
             };
-            warp = warp.without(m, d)?;
+            warp = warp.compose_inverse(m, d)?;
             if !inside(image, warp.centre) {
                 return None;
             }
@@ -128,17 +128,17 @@ impl<const N: usize> Template<N> {
                 break;
             }
         }
-        Some(Found { warp, correlation })
+        Some(PatchMatch { warp, correlation })
     }
 
     fn correlation(&self, products: &[f32; N], values: &[f32; AREA]) -> f32 {
         let squares = dot(values, values) - products[1] * products[1] / AREA as f32;
-        products[0] / (self.norm * (squares.max(0.0) + FLAT).sqrt())
+        products[0] / (self.norm * (squares.max(0.0) + CONTRAST_FLOOR).sqrt())
     }
 }
 
 /// The inverse of all inner products, each basis vector scaled to length 1 while inverting.
-fn inverse_of_products<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32; N]; N]> {
+fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32; N]; N]> {
     let lengths: [f64; N] = std::array::from_fn(|k| f64::from(dot(&basis[k], &basis[k])).sqrt());
     if lengths.iter().any(|l| *l < 1e-4) {
         return None;
@@ -188,7 +188,7 @@ fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
     let most = [image.width, image.height].map(|n| n as f32 - 1.001);
     let fits = |k: usize| first[k] >= 0.0 && first[k] + 2.0 * half <= most[k];
     if warp.matrix == [[1.0, 0.0], [0.0, 1.0]] && fits(0) && fits(1) {
-        return sample_upright(image, first);
+        return sample_translated(image, first);
     }
     let [[a, b], [c, d]] = warp.matrix;
     std::array::from_fn(|row| {
@@ -209,7 +209,7 @@ fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
 }
 
 /// The same for a patch that is only moved and lies inside: all pixels share their weights.
-fn sample_upright<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f32; S]; S] {
+fn sample_translated<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f32; S]; S] {
     let (column, row) = (first[0] as usize, first[1] as usize);
     let (u, v) = (first[0] - column as f32, first[1] - row as f32);
     let weights = [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v];
@@ -245,8 +245,8 @@ mod tests {
 
     #[test]
     fn a_move_is_found_through_a_change_of_exposure() {
-        let template =
-            Template::<4>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0]).expect("textured");
+        let template = PatchTemplate::<4>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0])
+            .expect("textured");
         let moved = waves(|x, y| (x - 1.7, y + 1.2), 0.4, 0.2);
         let found = template.align(&moved, Warp::at([30.0, 24.0])).expect("found");
         assert!((found.warp.centre[0] - 31.7).abs() < 0.02, "{found:?}");
@@ -256,8 +256,8 @@ mod tests {
 
     #[test]
     fn a_turned_patch_is_found() {
-        let template =
-            Template::<8>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0]).expect("textured");
+        let template = PatchTemplate::<8>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0])
+            .expect("textured");
         let (s, c) = 0.12_f32.sin_cos();
         let turn = |x: f32, y: f32| {
             let (x, y) = (x - 31.0, y - 23.5);
@@ -271,6 +271,6 @@ mod tests {
 
     #[test]
     fn a_flat_patch_is_no_template() {
-        assert!(Template::<4>::new(&Image::new(64, 48, 1), [30.0, 24.0]).is_none());
+        assert!(PatchTemplate::<4>::new(&Image::new(64, 48, 1), [30.0, 24.0]).is_none());
     }
 }

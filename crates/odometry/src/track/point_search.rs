@@ -5,7 +5,7 @@
 //! bias. Only the anchor makes a sight certain: where it is not recognised, as in a blurred frame,
 //! the point is followed on, but nothing is measured.
 
-use crate::track::patch::{Found, Template, Warp};
+use crate::track::patch::{PatchMatch, PatchTemplate, Warp};
 use crate::track::pyramid::Pyramid;
 use crate::track::tracks::Observation;
 use i2slam_geometry::Image;
@@ -13,74 +13,76 @@ use i2slam_geometry::Image;
 /// Levels on which a point's anchor is compared.
 const ANCHOR_LEVELS: usize = 3;
 /// A point followed forth and back must end this near to its start [px].
-const ROUND_TRIP: f32 = 1.2;
+const MAX_ROUND_TRIP_ERROR: f32 = 1.2;
 /// Least correlation with the last frame, and with the anchor.
 const MIN_CORRELATION: f32 = 0.6;
 const MIN_ANCHOR_CORRELATION: f32 = 0.7;
 /// Standard deviation of a position where a point looks as in its anchor, ...
-pub(crate) const SIGMA: f64 = 0.4;
+pub(crate) const MIN_POSITION_SIGMA: f64 = 0.4;
 /// ... and what is added for each unit of correlation that is missing [px].
-const SIGMA_UNLIKE: f64 = 1.5;
+const SIGMA_PER_CORRELATION: f64 = 1.5;
 /// What the anchor may move a position that the last frame gave [px].
-const ANCHOR_REACH: f32 = 3.0;
+const MAX_ANCHOR_CORRECTION: f32 = 3.0;
 /// Points nearer to the edge than this are not looked for [px].
 const BORDER: f32 = 3.0;
 
 /// How a point looked when it began.
 #[derive(Clone, Debug)]
-pub(crate) struct Anchor {
-    templates: Vec<Template<8>>,
+pub(crate) struct AnchorPatch {
+    templates: Vec<PatchTemplate<8>>,
 }
 
 /// What a search for a point gave.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Sight {
+pub(crate) enum TrackOutcome {
     /// The anchor was recognised.
-    Certain { warp: Warp, correlation: f32 },
+    Measured { warp: Warp, correlation: f32 },
     /// Only the look in the last frame was.
-    Near { warp: Warp },
+    Followed { warp: Warp },
     /// Nothing was; moved as the whole picture was.
-    Guessed { warp: Warp },
+    Extrapolated { warp: Warp },
 }
 
-impl Sight {
+impl TrackOutcome {
     /// Where the point is taken to be.
     pub(crate) fn warp(&self) -> Warp {
         match self {
-            Self::Certain { warp, .. } | Self::Near { warp } | Self::Guessed { warp } => *warp,
+            Self::Measured { warp, .. } | Self::Followed { warp } | Self::Extrapolated { warp } => {
+                *warp
+            }
         }
     }
 
     /// Whether the picture shows the point somewhere near.
-    pub(crate) fn is_near(&self) -> bool {
-        !matches!(self, Self::Guessed { .. })
+    pub(crate) fn is_followed(&self) -> bool {
+        !matches!(self, Self::Extrapolated { .. })
     }
 
     /// The measurement, if there is one.
     pub(crate) fn observation(&self, frame: usize) -> Option<Observation> {
-        let Self::Certain { warp, correlation } = self else { return None };
-        Some(Observation::new(frame, warp.centre.map(f64::from), deviation(*correlation)))
+        let Self::Measured { warp, correlation } = self else { return None };
+        Some(Observation::new(frame, warp.centre.map(f64::from), position_sigma(*correlation)))
     }
 }
 
 /// Standard deviation of the place of a point that looks so much like its anchor [px].
-pub(crate) fn deviation(correlation: f32) -> f64 {
-    SIGMA + SIGMA_UNLIKE * f64::from(1.0 - correlation)
+pub(crate) fn position_sigma(correlation: f32) -> f64 {
+    MIN_POSITION_SIGMA + SIGMA_PER_CORRELATION * f64::from(1.0 - correlation)
 }
 
-impl Anchor {
+impl AnchorPatch {
     /// The look of a point; `None` where there is nothing to align.
     pub(crate) fn new(pyramid: &Pyramid, at: [f32; 2]) -> Option<Self> {
         let levels = pyramid.levels.iter().take(ANCHOR_LEVELS).enumerate();
         let template = |(l, image): (usize, &Image<f32>)| {
-            Template::new(image, at.map(|v| v / (1_usize << l) as f32))
+            PatchTemplate::new(image, at.map(|v| v / (1_usize << l) as f32))
         };
         let templates: Option<Vec<_>> = levels.map(template).collect();
         templates.map(|templates| Self { templates })
     }
 
     /// Looks for the anchor from `start` on, from level `from` down to the finest.
-    pub(crate) fn find(&self, next: &Pyramid, start: Warp, from: usize) -> Option<Found> {
+    pub(crate) fn align(&self, next: &Pyramid, start: Warp, from: usize) -> Option<PatchMatch> {
         let mut warp = start;
         let mut found = None;
         for level in (0..=from.min(self.templates.len() - 1)).rev() {
@@ -94,32 +96,34 @@ impl Anchor {
     }
 }
 
-/// Finds a point that was at `warp` in the last picture (exactly so if `is_near`), when the whole
+/// Finds a point that was at `warp` in the last picture (exactly so if `is_followed`), when the whole
 /// picture has moved by `shift` [px].
-pub(crate) fn find(
-    anchor: &Anchor,
+pub(crate) fn search_point(
+    anchor: &AnchorPatch,
     warp: Warp,
-    is_near: bool,
+    is_followed: bool,
     last: &Pyramid,
     next: &Pyramid,
     shift: [f32; 2],
-) -> Sight {
+) -> TrackOutcome {
     let guess = [warp.centre[0] + shift[0], warp.centre[1] + shift[1]];
-    let near = is_near.then(|| by_last_look(last, next, warp.centre, guess)).flatten();
+    let near =
+        is_followed.then(|| follow_from_last_frame(last, next, warp.centre, guess)).flatten();
     let (start, level) = match near {
         Some(found) => (found.warp.centre, 1),
         None => (guess, ANCHOR_LEVELS - 1),
     };
     let start = Warp { centre: start, ..warp };
-    let reached =
-        |f: &Found| near.is_none() || distance(f.warp.centre, start.centre) < ANCHOR_REACH;
-    let anchored = anchor.find(next, start, level).filter(|f| {
+    let reached = |f: &PatchMatch| {
+        near.is_none() || distance(f.warp.centre, start.centre) < MAX_ANCHOR_CORRECTION
+    };
+    let anchored = anchor.align(next, start, level).filter(|f| {
         f.correlation > MIN_ANCHOR_CORRELATION && reached(f) && inside(next, f.warp.centre)
     });
     match (anchored, near) {
-        (Some(f), _) => Sight::Certain { warp: f.warp, correlation: f.correlation },
-        (None, Some(_)) if inside(next, start.centre) => Sight::Near { warp: start },
-        _ => Sight::Guessed { warp: Warp { centre: guess, ..warp } },
+        (Some(f), _) => TrackOutcome::Measured { warp: f.warp, correlation: f.correlation },
+        (None, Some(_)) if inside(next, start.centre) => TrackOutcome::Followed { warp: start },
+        _ => TrackOutcome::Extrapolated { warp: Warp { centre: guess, ..warp } },
     }
 }
 
@@ -134,12 +138,17 @@ fn inside(next: &Pyramid, [x, y]: [f32; 2]) -> bool {
 }
 
 /// Coarse to fine with the look in the last frame, and back again.
-fn by_last_look(last: &Pyramid, next: &Pyramid, from: [f32; 2], guess: [f32; 2]) -> Option<Found> {
+fn follow_from_last_frame(
+    last: &Pyramid,
+    next: &Pyramid,
+    from: [f32; 2],
+    guess: [f32; 2],
+) -> Option<PatchMatch> {
     let mut at = guess;
     let mut found = None;
     for level in (0..last.levels.len()).rev() {
         let scale = (1_usize << level) as f32;
-        let template = Template::<4>::new(&last.levels[level], from.map(|v| v / scale));
+        let template = PatchTemplate::<4>::new(&last.levels[level], from.map(|v| v / scale));
         let start = Warp::at(at.map(|v| v / scale));
         match template.and_then(|t| t.align(&next.levels[level], start)) {
             Some(f) => {
@@ -152,6 +161,6 @@ fn by_last_look(last: &Pyramid, next: &Pyramid, from: [f32; 2], guess: [f32; 2])
         }
     }
     let found = found.filter(|f| f.correlation > MIN_CORRELATION)?;
-    let back = Template::<4>::new(next.finest(), at)?.align(last.finest(), Warp::at(from))?;
-    (distance(back.warp.centre, from) < ROUND_TRIP).then_some(found)
+    let back = PatchTemplate::<4>::new(next.finest(), at)?.align(last.finest(), Warp::at(from))?;
+    (distance(back.warp.centre, from) < MAX_ROUND_TRIP_ERROR).then_some(found)
 }

@@ -9,11 +9,11 @@ const MAX_PIXELS: usize = 160_000;
 const COLUMNS: usize = 16;
 const ROWS: usize = 12;
 /// Thumbnails are compared at moves of up to so many of their pixels.
-const REACH: isize = 2;
+const MAX_THUMBNAIL_SHIFT: isize = 2;
 
 /// A keyframe's picture, in a byte a pixel, and a thumbnail of it.
 #[derive(Clone, Debug)]
-pub(crate) struct Look {
+pub(crate) struct KeyframeImage {
     /// The keyframe.
     pub(crate) frame: usize,
     width: usize,
@@ -24,7 +24,7 @@ pub(crate) struct Look {
     thumbnail: Vec<f32>,
 }
 
-impl Look {
+impl KeyframeImage {
     /// The look of a frame.
     pub(crate) fn new(pyramid: &Pyramid, frame: usize) -> Self {
         let small = |image: &Image<f32>| image.width * image.height <= MAX_PIXELS;
@@ -48,8 +48,9 @@ impl Look {
     }
 
     /// Correlation of the thumbnails, at the move that makes them most alike.
-    pub(crate) fn likeness(&self, other: &Self) -> f32 {
-        let moves = (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dx, dy)));
+    pub(crate) fn thumbnail_correlation(&self, other: &Self) -> f32 {
+        let moves = (-MAX_THUMBNAIL_SHIFT..=MAX_THUMBNAIL_SHIFT)
+            .flat_map(|dy| (-MAX_THUMBNAIL_SHIFT..=MAX_THUMBNAIL_SHIFT).map(move |dx| (dx, dy)));
         let at = |(dx, dy): (isize, isize)| correlation(&self.thumbnail, &other.thumbnail, dx, dy);
         moves.map(at).fold(-1.0, f32::max)
     }
@@ -76,22 +77,22 @@ fn correlation(first: &[f32], second: &[f32], dx: isize, dy: isize) -> f32 {
 mod tests {
     use super::*;
 
-    fn look(dx: f32, gain: f32) -> Look {
+    fn look(dx: f32, gain: f32) -> KeyframeImage {
         let mut image = Image::new(160, 120, 1);
         for (i, value) in image.data.iter_mut().enumerate() {
             let (x, y) = ((i % 160) as f32 - dx, (i / 160) as f32);
             *value = gain * (0.5 + 0.2 * (0.05 * x).sin() + 0.2 * (0.07 * y + 0.03 * x).cos());
         }
-        Look::new(&Pyramid::new(&image), 0)
+        KeyframeImage::new(&Pyramid::new(&image), 0)
     }
 
     #[test]
     fn a_moved_picture_in_another_light_is_alike_and_another_one_is_not() {
         let first = look(0.0, 1.0);
-        assert!(first.likeness(&look(12.0, 0.6)) > 0.97);
-        assert!(first.likeness(&look(60.0, 1.0)) < 0.8);
+        assert!(first.thumbnail_correlation(&look(12.0, 0.6)) > 0.97);
+        assert!(first.thumbnail_correlation(&look(60.0, 1.0)) < 0.8);
         assert_eq!(first.scale, 1.0);
-        let flat = Look::new(&Pyramid::new(&Image::new(160, 120, 1)), 0);
-        assert_eq!(first.likeness(&flat), 0.0);
+        let flat = KeyframeImage::new(&Pyramid::new(&Image::new(160, 120, 1)), 0);
+        assert_eq!(first.thumbnail_correlation(&flat), 0.0);
     }
 }

@@ -3,12 +3,12 @@
 //! Points begin in keyframes, wherever none is followed, and are looked for backward from there,
 //! too. How one point is found again is told in `sight`.
 
-use crate::track::corners::find_corners;
-use crate::track::global_translation::find_shift;
+use crate::track::corners::detect_corners;
+use crate::track::global_translation::estimate_global_translation;
 use crate::track::patch::{RADIUS, Warp};
-use crate::track::point_search::{Anchor, SIGMA, Sight, find};
+use crate::track::point_search::{AnchorPatch, MIN_POSITION_SIGMA, TrackOutcome, search_point};
 use crate::track::pyramid::Pyramid;
-use crate::track::thumbnail::Look;
+use crate::track::thumbnail::KeyframeImage;
 use crate::track::tracks::{Observation, Track, Tracks};
 use i2slam_compute::median;
 use i2slam_geometry::Image;
@@ -17,23 +17,23 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Cells of a picture, each with a point of its own if it shows a corner.
-const CELLS: f32 = 800.0;
+const MAX_CORNERS: f32 = 800.0;
 /// Frames in a row in which a point may be hidden.
-const HIDDEN: usize = 3;
+const MAX_HIDDEN_FRAMES: usize = 3;
 /// Correlation below which a keyframe gives a point a new anchor.
-const AGED_CORRELATION: f32 = 0.85;
+const REANCHOR_CORRELATION: f32 = 0.85;
 /// A keyframe is due when points have moved by this share of the picture's width, ...
-const KEYFRAME_MOTION: f32 = 0.03;
+const KEYFRAME_DUE_MOTION: f32 = 0.03;
 /// ... or when this share of those of the last one is left.
-const KEYFRAME_OVERLAP: f32 = 0.7;
+const KEYFRAME_DUE_OVERLAP: f32 = 0.7;
 /// ... or after so many frames in which they have moved by this share of the width at least.
 const KEYFRAME_INTERVAL: usize = 8;
-const SLOW_MOTION: f32 = 0.006;
+const MIN_KEYFRAME_MOTION: f32 = 0.006;
 /// Frames before a keyframe in which points that begin there are looked for, too.
-const BACKWARD: usize = 16;
+const BACKWARD_FRAMES: usize = 16;
 /// A keyframe waits for a frame of this share of the usual sharpness, for so many frames.
-const SHARP_ENOUGH: f32 = 0.85;
-const MAX_WAIT: usize = 3;
+const MIN_KEYFRAME_SHARPNESS: f32 = 0.85;
+const MAX_KEYFRAME_DELAY: usize = 3;
 /// A picture that shows fewer points is no keyframe: nothing could be posed by it.
 const MIN_POINTS: usize = 12;
 /// Pictures this unlike their predecessor begin another scene.
@@ -41,14 +41,14 @@ const CUT_CORRELATION: f32 = 0.3;
 
 /// A point that is being followed.
 #[derive(Clone, Debug)]
-struct Point {
+struct TrackedPoint {
     track: usize,
     warp: Warp,
-    anchor: Anchor,
+    anchor: AnchorPatch,
     /// Frames since it was last seen for certain.
-    hidden: usize,
+    hidden_frames: usize,
     /// Whether its place in the last frame is known at least roughly.
-    is_near: bool,
+    is_followed: bool,
     /// Position in the last keyframe.
     at_keyframe: Option<[f32; 2]>,
     correlation: f32,
@@ -71,35 +71,35 @@ pub struct FrameReport {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tracker {
     tracks: Tracks,
-    points: Vec<Point>,
+    points: Vec<TrackedPoint>,
     /// The last frames, the newest at the back, each with its move since the one before [px].
     recent: VecDeque<(Pyramid, [f32; 2])>,
     sharpness: Vec<f32>,
     /// Points that the last keyframe had.
     keyframe_points: usize,
     /// Frames for which a keyframe has been due.
-    due: usize,
+    frames_due: usize,
 }
 
 impl Tracker {
     /// Follows all points into the next picture.
-    pub(crate) fn follow(&mut self, picture: &Image<f32>) -> FrameReport {
+    pub(crate) fn track(&mut self, picture: &Image<f32>) -> FrameReport {
         let frame = self.tracks.frames;
         let next = Pyramid::new(picture);
-        let mut said =
+        let mut report =
             FrameReport { points: 0, motion: 0.0, is_cut: false, is_keyframe: frame == 0 };
-        let shift = self.find_again(&next, frame, &mut said);
+        let shift = self.track_points(&next, frame, &mut report);
         self.sharpness.push(sharpness(next.finest()));
-        said.is_keyframe = frame == 0 || said.is_cut || self.keyframe_is_due(next.finest());
-        if said.is_keyframe {
+        report.is_keyframe = frame == 0 || report.is_cut || self.keyframe_is_due(next.finest());
+        if report.is_keyframe {
             self.begin_keyframe(&next, frame, shift);
         }
         self.tracks.frames += 1;
         self.recent.push_back((next, shift));
-        if self.recent.len() > BACKWARD {
+        if self.recent.len() > BACKWARD_FRAMES {
             self.recent.pop_front();
         }
-        said
+        report
     }
 
     /// All tracks so far.
@@ -108,29 +108,30 @@ impl Tracker {
     }
 
     /// Follows all points; returns the move of the whole picture [px].
-    fn find_again(&mut self, next: &Pyramid, frame: usize, said: &mut FrameReport) -> [f32; 2] {
+    fn track_points(&mut self, next: &Pyramid, frame: usize, report: &mut FrameReport) -> [f32; 2] {
         let Some((last, _)) = self.recent.back() else { return [0.0; 2] };
-        let shift = find_shift(last.coarsest().0, next.coarsest().0);
-        let by = shift.by.map(|v| v * last.coarsest().1);
-        let look = |p: &Point| find(&p.anchor, p.warp, p.is_near, last, next, by);
-        let sights: Vec<Sight> = self.points.par_iter().map(look).collect();
+        let shift = estimate_global_translation(last.coarsest().0, next.coarsest().0);
+        let by = shift.translation.map(|v| v * last.coarsest().1);
+        let look =
+            |p: &TrackedPoint| search_point(&p.anchor, p.warp, p.is_followed, last, next, by);
+        let sights: Vec<TrackOutcome> = self.points.par_iter().map(look).collect();
         let mut motions = Vec::new();
         for (point, sight) in self.points.iter_mut().zip(&sights) {
             let from = point.warp.centre;
-            (point.is_near, point.warp) = (sight.is_near(), sight.warp());
-            let Sight::Certain { correlation, .. } = sight else {
-                point.hidden += 1;
+            (point.is_followed, point.warp) = (sight.is_followed(), sight.warp());
+            let TrackOutcome::Measured { correlation, .. } = sight else {
+                point.hidden_frames += 1;
                 continue;
             };
             let to = point.warp.centre;
             motions.push((to[0] - from[0]).hypot(to[1] - from[1]));
-            (point.correlation, point.hidden) = (*correlation, 0);
+            (point.correlation, point.hidden_frames) = (*correlation, 0);
             self.tracks.tracks[point.track].observations.extend(sight.observation(frame));
         }
         let found = motions.len();
         let is_cut = shift.correlation < CUT_CORRELATION && 3 * found < self.points.len();
-        self.points.retain(|p| p.hidden <= HIDDEN && !is_cut);
-        *said = FrameReport {
+        self.points.retain(|p| p.hidden_frames <= MAX_HIDDEN_FRAMES && !is_cut);
+        *report = FrameReport {
             points: found,
             motion: f64::from(median(&mut motions).unwrap_or(0.0)),
             is_cut,
@@ -144,8 +145,8 @@ impl Tracker {
 
     /// Whether enough has changed, and the picture is sharp enough to start points in.
     fn keyframe_is_due(&mut self, image: &Image<f32>) -> bool {
-        let seen = |p: &&Point| p.hidden == 0;
-        let moved = |p: &Point| {
+        let seen = |p: &&TrackedPoint| p.hidden_frames == 0;
+        let moved = |p: &TrackedPoint| {
             p.at_keyframe.map(|k| (p.warp.centre[0] - k[0]).hypot(p.warp.centre[1] - k[1]))
         };
         let mut motions: Vec<f32> = self.points.iter().filter(seen).filter_map(moved).collect();
@@ -153,82 +154,85 @@ impl Tracker {
         let motion = median(&mut motions).unwrap_or(f32::INFINITY);
         let width = image.width as f32;
         let last = self.tracks.keyframes.last().copied().unwrap_or(0);
-        let late = self.tracks.frames >= last + KEYFRAME_INTERVAL && motion > SLOW_MOTION * width;
-        if motion < KEYFRAME_MOTION * width && overlap > KEYFRAME_OVERLAP && !late {
-            self.due = 0;
+        let late =
+            self.tracks.frames >= last + KEYFRAME_INTERVAL && motion > MIN_KEYFRAME_MOTION * width;
+        if motion < KEYFRAME_DUE_MOTION * width && overlap > KEYFRAME_DUE_OVERLAP && !late {
+            self.frames_due = 0;
             return false;
         }
-        if self.is_empty(image) {
-            self.due = 0;
+        if self.is_textureless(image) {
+            self.frames_due = 0;
             return false;
         }
-        self.due += 1;
+        self.frames_due += 1;
         let recent = self.sharpness.len().saturating_sub(15);
         let usual = median(&mut self.sharpness[recent..].to_vec()).unwrap_or(0.0);
         let now = self.sharpness.last().copied().unwrap_or(0.0);
-        now >= SHARP_ENOUGH * usual || self.due > MAX_WAIT
+        now >= MIN_KEYFRAME_SHARPNESS * usual || self.frames_due > MAX_KEYFRAME_DELAY
     }
 
     /// Whether a picture shows hardly anything that is followed or could be.
-    fn is_empty(&self, image: &Image<f32>) -> bool {
+    fn is_textureless(&self, image: &Image<f32>) -> bool {
         let followed: Vec<[f32; 2]> =
-            self.points.iter().filter(|p| p.hidden == 0).map(|p| p.warp.centre).collect();
+            self.points.iter().filter(|p| p.hidden_frames == 0).map(|p| p.warp.centre).collect();
         followed.len() < MIN_POINTS
             && followed.len() + new_corners(image, &followed).len() < MIN_POINTS
     }
 
     /// Gives aged points a new anchor and starts new points where there are none.
     fn begin_keyframe(&mut self, next: &Pyramid, frame: usize, shift: [f32; 2]) {
-        self.due = 0;
+        self.frames_due = 0;
         self.tracks.keyframes.push(frame);
-        Arc::make_mut(&mut self.tracks.looks).push(Look::new(next, frame));
+        Arc::make_mut(&mut self.tracks.keyframe_images).push(KeyframeImage::new(next, frame));
         for point in &mut self.points {
-            let is_aged = point.hidden == 0 && point.correlation < AGED_CORRELATION;
-            if let Some(anchor) = is_aged.then(|| Anchor::new(next, point.warp.centre)).flatten() {
+            let is_aged = point.hidden_frames == 0 && point.correlation < REANCHOR_CORRELATION;
+            if let Some(anchor) =
+                is_aged.then(|| AnchorPatch::new(next, point.warp.centre)).flatten()
+            {
                 (point.anchor, point.warp) = (anchor, Warp::at(point.warp.centre));
             }
         }
         let taken: Vec<[f32; 2]> = self.points.iter().map(|p| p.warp.centre).collect();
         let corners = new_corners(next.finest(), &taken);
-        let started: Vec<Option<(Point, Track)>> =
-            corners.par_iter().map(|at| self.start(next, *at, frame, shift)).collect();
+        let started: Vec<Option<(TrackedPoint, Track)>> =
+            corners.par_iter().map(|at| self.start_point(next, *at, frame, shift)).collect();
         for (mut point, track) in started.into_iter().flatten() {
             point.track = self.tracks.tracks.len();
             self.points.push(point);
             self.tracks.tracks.push(track);
         }
         for point in &mut self.points {
-            point.at_keyframe = (point.hidden == 0).then_some(point.warp.centre);
+            point.at_keyframe = (point.hidden_frames == 0).then_some(point.warp.centre);
         }
-        self.keyframe_points = self.points.iter().filter(|p| p.hidden == 0).count();
+        self.keyframe_points = self.points.iter().filter(|p| p.hidden_frames == 0).count();
     }
 }
 
 impl Tracker {
     /// A point that begins in `next`, with its sights in the frames before.
-    fn start(
+    fn start_point(
         &self,
         next: &Pyramid,
         at: [f32; 2],
         frame: usize,
         shift: [f32; 2],
-    ) -> Option<(Point, Track)> {
-        let anchor = Anchor::new(next, at)?;
-        let mut observations = vec![Observation::new(frame, at.map(f64::from), SIGMA)];
+    ) -> Option<(TrackedPoint, Track)> {
+        let anchor = AnchorPatch::new(next, at)?;
+        let mut observations = vec![Observation::new(frame, at.map(f64::from), MIN_POSITION_SIGMA)];
         let (mut warp, mut here, mut by) = (Warp::at(at), next, shift);
         for (i, (before, shift)) in self.recent.iter().rev().enumerate() {
-            let sight = find(&anchor, warp, true, here, before, by.map(|v| -v));
+            let sight = search_point(&anchor, warp, true, here, before, by.map(|v| -v));
             let Some(observation) = sight.observation(frame - 1 - i) else { break };
             observations.push(observation);
             (warp, here, by) = (sight.warp(), before, *shift);
         }
         observations.reverse();
-        let point = Point {
+        let point = TrackedPoint {
             track: 0,
             warp: Warp::at(at),
             anchor,
-            hidden: 0,
-            is_near: true,
+            hidden_frames: 0,
+            is_followed: true,
             at_keyframe: None,
             correlation: 1.0,
         };
@@ -238,12 +242,12 @@ impl Tracker {
 
 /// Where points may begin beside those that are followed.
 fn new_corners(image: &Image<f32>, taken: &[[f32; 2]]) -> Vec<[f32; 2]> {
-    find_corners(image, cell_size(image), RADIUS + 2, taken)
+    detect_corners(image, cell_size(image), RADIUS + 2, taken)
 }
 
 /// Side of the cells of which each gets one point [px]: some 600 points a picture.
 fn cell_size(image: &Image<f32>) -> usize {
-    (((image.width * image.height) as f32 / CELLS).sqrt() as usize).max(8)
+    (((image.width * image.height) as f32 / MAX_CORNERS).sqrt() as usize).max(8)
 }
 
 /// Mean difference of neighbours, relative to the mean brightness: blur lowers it, exposure hardly.
@@ -274,12 +278,12 @@ mod tests {
         let room = picture(|i, j| 0.5 + 0.3 * wave(i, j));
         for spread in [0.0, 0.002] {
             let mut tracker = Tracker::default();
-            tracker.follow(&room);
+            tracker.track(&room);
             for seed in 0..40 {
                 let n = noise(seed, 96 * 72);
-                tracker.follow(&picture(|i, j| spread * (1.0 + n[j * 96 + i] as f32)));
+                tracker.track(&picture(|i, j| spread * (1.0 + n[j * 96 + i] as f32)));
             }
-            assert!((0..=MAX_WAIT).any(|_| tracker.follow(&room).is_keyframe));
+            assert!((0..=MAX_KEYFRAME_DELAY).any(|_| tracker.track(&room).is_keyframe));
             let keyframes = tracker.finish().keyframes;
             assert!(keyframes.len() <= 3, "{keyframes:?}");
         }

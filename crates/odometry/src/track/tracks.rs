@@ -1,6 +1,6 @@
 //! Points of the scene as pictures show them: where, in which frames.
 
-use crate::track::thumbnail::Look;
+use crate::track::thumbnail::KeyframeImage;
 use std::sync::Arc;
 
 /// One sight of a point.
@@ -9,18 +9,18 @@ pub(crate) struct Observation {
     /// Place of the frame in the sequence.
     pub(crate) frame: usize,
     /// Image position [px].
-    pub(crate) seen: [f64; 2],
+    pub(crate) raw: [f64; 2],
     /// The same as if all rows had been exposed with the middle one [px].
     pub(crate) at: [f64; 2],
     /// How far it may be wrong [px].
     pub(crate) sigma: f64,
     /// Does not belong to the point.
-    pub(crate) is_wrong: bool,
+    pub(crate) is_outlier: bool,
 }
 
 impl Observation {
     pub(crate) fn new(frame: usize, at: [f64; 2], sigma: f64) -> Self {
-        Self { frame, seen: at, at, sigma, is_wrong: false }
+        Self { frame, raw: at, at, sigma, is_outlier: false }
     }
 }
 
@@ -55,7 +55,7 @@ pub(crate) struct Tracks {
     /// Frames that were chosen as keyframes, in order.
     pub(crate) keyframes: Vec<usize>,
     /// What keyframes look like, in order.
-    pub(crate) looks: Arc<Vec<Look>>,
+    pub(crate) keyframe_images: Arc<Vec<KeyframeImage>>,
     /// Number of frames seen.
     pub(crate) frames: usize,
 }
@@ -70,18 +70,19 @@ impl Tracks {
     }
 
     /// What keyframes alone show of the same tracks.
-    pub(crate) fn in_keyframes(&self) -> Self {
+    pub(crate) fn keyframes_only(&self) -> Self {
         let mut is_keyframe = vec![false; self.frames];
         self.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
         let reduced = |track: &Track| {
             let kept = track.observations.iter().filter(|o| is_keyframe[o.frame]);
             Track { observations: kept.copied().collect() }
         };
-        let (keyframes, looks) = (self.keyframes.clone(), Arc::clone(&self.looks));
+        let (keyframes, keyframe_images) =
+            (self.keyframes.clone(), Arc::clone(&self.keyframe_images));
         Self {
             tracks: self.tracks.iter().map(reduced).collect(),
             keyframes,
-            looks,
+            keyframe_images,
             frames: self.frames,
         }
     }
@@ -121,7 +122,7 @@ mod tests {
             |frames: std::ops::Range<usize>| Track { observations: frames.map(sight).collect() };
         let tracks = vec![track(0..9), track(1..3), track(4..8)];
         let all = Tracks { tracks, keyframes: vec![0, 4, 7], frames: 9, ..Tracks::default() };
-        let reduced = all.in_keyframes();
+        let reduced = all.keyframes_only();
         let frames = |t: &Track| t.observations.iter().map(|o| o.frame).collect::<Vec<_>>();
         let shown: Vec<Vec<usize>> = reduced.tracks.iter().map(frames).collect();
         assert_eq!(shown, [vec![0, 4, 7], vec![], vec![4, 7]]);
