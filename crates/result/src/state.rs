@@ -20,19 +20,10 @@ pub(crate) struct State {
 
 #[derive(Serialize, Deserialize)]
 pub(crate) struct ResponseState {
-    start: StartName,
+    start: StartCurve,
     /// Exponent of the node spacing; none is uniform.
     node_power: Option<f64>,
     nodes: Vec<Vec<f32>>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum StartName {
-    Srgb,
-    Gamma22,
-    Identity,
-    Shoulder,
 }
 
 impl State {
@@ -44,33 +35,21 @@ impl State {
 
 impl ResponseState {
     fn of(response: &CameraResponse<f32>) -> Self {
-        let start = match response.start() {
-            StartCurve::Srgb => StartName::Srgb,
-            StartCurve::Gamma22 => StartName::Gamma22,
-            StartCurve::Identity => StartName::Identity,
-            StartCurve::Shoulder => StartName::Shoulder,
-        };
         let node_power = match response.spacing() {
             NodeSpacing::Uniform => None,
             NodeSpacing::Power(power) => Some(power),
         };
-        Self { start, node_power, nodes: response.nodes.clone() }
+        Self { start: response.start(), node_power, nodes: response.nodes.clone() }
     }
 
     /// The response, or what is wrong with it.
     pub(crate) fn response(self) -> Result<CameraResponse<f32>, String> {
-        let start = match self.start {
-            StartName::Srgb => StartCurve::Srgb,
-            StartName::Gamma22 => StartCurve::Gamma22,
-            StartName::Identity => StartCurve::Identity,
-            StartName::Shoulder => StartCurve::Shoulder,
-        };
         let spacing = self.node_power.map_or(NodeSpacing::Uniform, NodeSpacing::Power);
         let curves = self.nodes.len();
         if !matches!(curves, 1 | 3) || self.nodes.iter().any(|n| n.len() != NODES) {
             return Err(format!("a camera response needs 1 or 3 curves of {NODES} nodes"));
         }
-        let mut response = CameraResponse::new(curves, start, spacing);
+        let mut response = CameraResponse::new(curves, self.start, spacing);
         response.nodes = self.nodes;
         Ok(response)
     }

@@ -5,6 +5,7 @@ use i2slam_geometry::{
     Pose, Real, Rotation, Tangent, Vec3, left_jacobian_inverse, right_jacobian,
     right_jacobian_inverse,
 };
+use serde::{Deserialize, Serialize};
 
 /// The camera at shutter open and at shutter close, both `world_from_camera`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,16 +22,19 @@ pub struct ShutterPoses<T> {
 /// have variance `b²/12 · (N + 1) / (N - 1)` with [`Endpoints`](Self::Endpoints) (five cameras
 /// draw a streak 22 % too wide) and `b²/12 · (1 - 1/N²)` with [`Midpoints`](Self::Midpoints) (2 %
 /// too narrow), so the same pictures are explained by different poses at shutter open and close.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Quadrature {
-    /// `u = (j - 1) / (N - 1)`: open and close included (eq. 6 of the paper).
+    /// From shutter open to shutter close, both included: u = (j - 1) / (N - 1) (eq. 6).
     Endpoints,
-    /// `u = (j - 1/2) / N`: the middle of `N` equal parts of the exposure.
+    /// In the middle of N equal parts of the exposure, u = (j - 1/2) / N: the streak keeps its
+    /// true width.
     Midpoints,
     /// Simpson's rule, both ends included, for an odd `N` of at least 3
     /// ([`Midpoints`](Self::Midpoints) otherwise): `u` as for [`Endpoints`](Self::Endpoints),
     /// weights 1, 4, 2, 4, …, 1. The streak has its exact variance, and of three cameras that in
-    /// the middle has two thirds of the light.
+    /// the middle has two thirds of the light. Chosen by the method, not named in files.
+    #[serde(skip)]
     Simpson,
 }
 

@@ -1,6 +1,7 @@
 //! Exposure and white balance of one frame.
 
 use i2slam_geometry::Real;
+use serde::{Deserialize, Serialize};
 
 /// The gains of one frame, as logarithms so that they stay positive.
 ///
@@ -55,20 +56,21 @@ impl<T: Real> FrameToneGradient<T> {
 }
 
 /// Which of the three white-balance gains are free.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum WhiteBalanceModel {
-    /// Red and blue are free, green is fixed: brightness is the exposure's.
+    /// Red and blue gains; green is 1.
     #[default]
     PerChannel,
-    /// All three share one gain (the paper's monochromatic WB): brightness that the shutter time
-    /// does not explain, where the exposure also sets the length of the blur. Where it does not,
-    /// this gain and the exposure are one number too many.
+    /// One gain for all channels (the paper's monochromatic WB).
     OneGain,
+    /// None: brightness is the exposure alone.
+    Fixed,
 }
 
 impl WhiteBalanceModel {
-    /// Projects a gradient with respect to `log_white_balance` onto the free directions: green
-    /// gets none, or all three get the gradient of the shared gain (their sum).
+    /// Projects a gradient with respect to `log_white_balance` onto the free gains; a shared gain
+    /// gets the sum of the three.
     pub fn project_gradient<T: Real>(&self, d_log_white_balance: &mut [T; 3]) {
         match self {
             Self::PerChannel => d_log_white_balance[1] = T::zero(),
@@ -76,6 +78,7 @@ impl WhiteBalanceModel {
                 let [r, g, b] = *d_log_white_balance;
                 *d_log_white_balance = [r + g + b; 3];
             }
+            Self::Fixed => *d_log_white_balance = [T::zero(); 3],
         }
     }
 }

@@ -1,22 +1,22 @@
 //! The curve that a response starts from.
 
-/// The camera response assumed before any picture has been explained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+use serde::{Deserialize, Serialize};
+
+/// The initial camera response.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum StartCurve {
-    /// The sRGB encoding curve (IEC 61966-2-1): photographs and most video.
+    /// The sRGB encoding (IEC 61966-2-1), for photographs.
     #[default]
     Srgb,
-    /// Pictures that are linear already.
+    /// A straight line, for pictures that are linear already.
     Identity,
-    /// `x^(1/2.2)`, as in HDR-NeRF's and the paper's synthetic data.
-    Gamma22,
-    /// The sRGB encoding of Reinhard's `s(x) = x (1 + k) / (1 + k x)`, `k = 4`: a soft shoulder.
-    /// Display value ½ lies at x = 0.05 and 0.87 at x = 0.35, so that radiance far above a white
-    /// wall still has a place in [0, 1] instead of the flat of the leaky clip.
+    /// sRGB with a soft shoulder, as cameras and tone-mapped video have.
     Shoulder,
 }
 
-/// Knee of [`StartCurve::Shoulder`].
+/// `k` of Reinhard's curve `x (1 + k) / (1 + k x)` in [`StartCurve::Shoulder`]: the picture value ½
+/// lies at x = 0.05 and 0.87 at x = 0.35, so that radiance far above a white wall is not clipped.
 const SHOULDER: f64 = 4.0;
 
 impl StartCurve {
@@ -26,7 +26,6 @@ impl StartCurve {
             Self::Srgb => encode_srgb(x),
             Self::Shoulder => encode_srgb(x * (1.0 + SHOULDER) / (1.0 + SHOULDER * x)),
             Self::Identity => x,
-            Self::Gamma22 => x.powf(1.0 / 2.2),
         }
     }
 }

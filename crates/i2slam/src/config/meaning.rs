@@ -3,8 +3,14 @@
 use super::Config;
 
 /// The declarations that are read for their documentation: one text for code, program and page.
-const DECLARATIONS: [&str; 3] =
-    [include_str!("mod.rs"), include_str!("hashgrid.rs"), include_str!("keyframed.rs")];
+const DECLARATIONS: [&str; 6] = [
+    include_str!("mod.rs"),
+    include_str!("hashgrid.rs"),
+    include_str!("keyframed.rs"),
+    include_str!("../../../formation/src/shutter/poses.rs"),
+    include_str!("../../../formation/src/tone/frame.rs"),
+    include_str!("../../../formation/src/tone/start.rs"),
+];
 
 /// Key, colon, source of its value.
 const SOURCES: &str = include_str!("sources.txt");
@@ -72,6 +78,8 @@ fn read_items(text: &str, items: &mut Vec<Item>) {
         } else if line.starts_with("#[") {
             if line.contains("rename_all") {
                 kebab = line.contains("kebab-case");
+            } else if line == "#[serde(skip)]" {
+                meaning.clear();
             }
         } else {
             let head = line.strip_prefix("pub struct ").or_else(|| line.strip_prefix("pub enum "));

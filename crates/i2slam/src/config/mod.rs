@@ -19,6 +19,8 @@ pub use parameters::{
 pub use presets::{PRESET_NAMES, Preset};
 pub use read::ConfigError;
 
+pub use i2slam_formation::{Quadrature, StartCurve, WhiteBalanceModel};
+
 use serde::{Deserialize, Serialize};
 
 /// All settings of a session.
@@ -85,30 +87,20 @@ pub struct FormationConfig {
     /// Where they lie within the exposure. Rays of a radiance field that is mapped lie anywhere in
     /// equal parts of it, drawn anew in every step: there, and so in `run --rgb` on a field, this
     /// says nothing.
-    pub quadrature: QuadratureRule,
+    pub quadrature: Quadrature,
     /// Blur length per virtual camera [px]: a frame uses no more cameras than its blur needs.
     /// Zero always uses `virtual_cameras`.
     pub blur_per_camera: f32,
     /// How the average over the exposure is computed.
     pub blur_model: BlurModel,
     /// One gain per channel, or one gain in all.
-    pub white_balance: WhiteBalance,
+    pub white_balance: WhiteBalanceModel,
     /// One camera response for the sequence, or one for each frame.
     pub response_scope: ResponseScope,
     /// Curves of the response: 1 (monochrome) or 3.
     pub response_curves: usize,
     /// The curve that a response starts from.
-    pub response_start: ResponseStart,
-}
-
-/// Where the virtual cameras lie within the exposure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum QuadratureRule {
-    /// From shutter open to shutter close, both included (eq. 6).
-    Endpoints,
-    /// In the middle of equal parts of the exposure: the streak keeps its true width.
-    Midpoints,
+    pub response_start: StartCurve,
 }
 
 /// How the average over the exposure is computed.
@@ -133,28 +125,6 @@ impl InputConfig {
     }
 }
 
-impl FormationConfig {
-    /// The shutter's quadrature.
-    pub fn quadrature(&self) -> i2slam_formation::Quadrature {
-        match self.quadrature {
-            QuadratureRule::Endpoints => i2slam_formation::Quadrature::Endpoints,
-            QuadratureRule::Midpoints => i2slam_formation::Quadrature::Midpoints,
-        }
-    }
-}
-
-/// Which white-balance gains are free.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum WhiteBalance {
-    /// Red and blue gains; green is 1.
-    PerChannel,
-    /// One gain for all channels.
-    OneGain,
-    /// None: brightness is the exposure alone.
-    Fixed,
-}
-
 /// How many camera responses a sequence has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -163,20 +133,6 @@ pub enum ResponseScope {
     Sequence,
     /// One for each frame, started from the previous frame's (the paper's CRF^i).
     Frame,
-}
-
-/// The start curve of a camera response.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ResponseStart {
-    /// The sRGB encoding, for photographs.
-    Srgb,
-    /// A pure power of 1 / 2.2.
-    Gamma22,
-    /// A straight line.
-    Identity,
-    /// sRGB with a soft shoulder, as cameras and tone-mapped video have.
-    Shoulder,
 }
 
 /// The map's representation.

@@ -86,12 +86,12 @@ fn ours() -> Config {
             optimise_rolling_shutter: false,
         },
         formation: FormationConfig {
-            quadrature: QuadratureRule::Midpoints,
+            quadrature: Quadrature::Midpoints,
             blur_per_camera: 1.5,
             blur_model: BlurModel::Auto,
-            white_balance: WhiteBalance::PerChannel,
+            white_balance: WhiteBalanceModel::PerChannel,
             response_scope: ResponseScope::Sequence,
-            response_start: ResponseStart::Shoulder,
+            response_start: StartCurve::Shoulder,
             ..paper.formation
         },
         map: paper.map,
@@ -134,13 +134,13 @@ fn paper_scannet() -> Config {
             tone: true,
             trajectory_loss: true,
             virtual_cameras: 5,
-            quadrature: QuadratureRule::Endpoints,
+            quadrature: Quadrature::Endpoints,
             blur_per_camera: 0.0,
             blur_model: BlurModel::Exact,
-            white_balance: WhiteBalance::OneGain,
+            white_balance: WhiteBalanceModel::OneGain,
             response_scope: ResponseScope::Frame,
             response_curves: 3,
-            response_start: ResponseStart::Srgb,
+            response_start: StartCurve::Srgb,
         },
         map: MapConfig { kind: MapKind::Gaussian, isotropic: true, capacity: 2_000_000 },
         hashgrid: hashgrid(),
@@ -199,7 +199,7 @@ fn paper_tum() -> Config {
     config.input.crop_border = 8;
     config.tracking.iterations = 200;
     config.mapping.window = 20;
-    config.formation.white_balance = WhiteBalance::PerChannel;
+    config.formation.white_balance = WhiteBalanceModel::PerChannel;
     config
 }
 

@@ -10,11 +10,11 @@ pub use keyframe::KeyframeSession;
 pub use online::Session;
 pub use runtime_estimate::RuntimeEstimate;
 
-use crate::config::{Config, FormationConfig, MapKind, ResponseStart};
+use crate::config::{Config, FormationConfig, MapKind};
 use crate::mapping::{
     FieldMapper, GaussianMapper, JointFieldMapper, JointGaussianMapper, JointMapper, Mapper,
 };
-use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
+use i2slam_formation::{CameraResponse, NodeSpacing};
 use i2slam_geometry::Camera;
 use i2slam_radiance::hashgrid::SettingsError;
 
@@ -37,17 +37,11 @@ fn posed_mapper(config: &Config, camera: &Camera<f64>, frame_rate: f64) -> Box<d
 /// The response before any frame was seen.
 fn response(config: &Config) -> CameraResponse<f32> {
     let FormationConfig { response_curves, response_start, .. } = config.formation;
-    let start = match response_start {
-        ResponseStart::Srgb => StartCurve::Srgb,
-        ResponseStart::Gamma22 => StartCurve::Gamma22,
-        ResponseStart::Identity => StartCurve::Identity,
-        ResponseStart::Shoulder => StartCurve::Shoulder,
-    };
     let spacing = match config.parameters.frames.response_node_power {
         1.0 => NodeSpacing::Uniform,
         power => NodeSpacing::Power(f64::from(power)),
     };
-    CameraResponse::new(response_curves, start, spacing)
+    CameraResponse::new(response_curves, response_start, spacing)
 }
 
 /// Mean picture value under which a frame says nothing about the map's radiance.

@@ -1,7 +1,7 @@
 //! First-order tracking by analysis and synthesis, as SplaTAM and the paper do it.
 
 use super::{Motion, TrackingContext, TrackingResult};
-use crate::config::{FormationConfig, TrackingParameters, WhiteBalance};
+use crate::config::{FormationConfig, TrackingParameters, WhiteBalanceModel};
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, SceneMap, Tone,
 };
@@ -243,15 +243,9 @@ fn step_tone(
 pub(crate) const NODE_STEP: f32 = 1.0 / 255.0;
 
 /// Leaves the gradient of the free gains of `[log_exposure, log_white_balance r, g, b]`.
-pub(crate) fn mask_white_balance(model: WhiteBalance, gradient: &mut [f32; 4]) {
-    use i2slam_formation::WhiteBalanceModel::{OneGain, PerChannel};
-    let mut gains = [gradient[1], gradient[2], gradient[3]];
-    match model {
-        WhiteBalance::PerChannel => PerChannel.project_gradient(&mut gains),
-        WhiteBalance::OneGain => OneGain.project_gradient(&mut gains),
-        WhiteBalance::Fixed => gains = [0.0; 3],
-    }
-    gradient[1..].copy_from_slice(&gains);
+pub(crate) fn mask_white_balance(model: WhiteBalanceModel, gradient: &mut [f32; 4]) {
+    let [_, gains @ ..] = gradient;
+    model.project_gradient(gains);
 }
 
 /// Constant velocity: the motion of the last frame once more, with a small split of start and

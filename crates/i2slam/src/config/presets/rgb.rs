@@ -9,7 +9,10 @@ pub(super) fn paper() -> Config {
     Config {
         preset: "paper-rgb".to_owned(),
         input: InputConfig { crop_border: 0, minimum_gap: 0.0, ..base.input },
-        formation: FormationConfig { white_balance: WhiteBalance::PerChannel, ..base.formation },
+        formation: FormationConfig {
+            white_balance: WhiteBalanceModel::PerChannel,
+            ..base.formation
+        },
         map: MapConfig { kind: MapKind::HashGrid, ..base.map },
         hashgrid: HashGridConfig {
             margin: 1.0,

@@ -96,7 +96,7 @@ impl Sampling {
             _ => formation.virtual_cameras,
         };
         let virtual_cameras = views(formation, length, most);
-        let quadrature = match formation.quadrature() {
+        let quadrature = match formation.quadrature {
             Quadrature::Midpoints
                 if route == BlurRoute::Image && virtual_cameras == 3 && length < SHORT_BLUR =>
             {

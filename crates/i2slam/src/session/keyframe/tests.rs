@@ -242,7 +242,7 @@ fn the_first_keyframe_moves_though_the_second_is_black() {
 #[test]
 fn a_quadrature_that_is_asked_for_is_told_to_say_nothing() {
     let mut config = config();
-    config.formation.quadrature = crate::config::QuadratureRule::Endpoints;
+    config.formation.quadrature = crate::config::Quadrature::Endpoints;
     let warnings = KeyframeSession::new(config, CAMERA, 30.0).take_warnings();
     assert!(matches!(&warnings[..], [one] if one.text.contains("quadrature")), "{warnings:?}");
 }

@@ -6,7 +6,7 @@ use super::residual::{Equations, Errors, Linearization, READOUT, Sums, UNKNOWNS}
 use super::rolling_shutter::ReadoutPrior;
 use super::target::{Reference, cleanest};
 use super::{Frame, State};
-use crate::config::WhiteBalance;
+use crate::config::WhiteBalanceModel;
 use crate::objective::{FrameObjective, SceneMap, virtual_camera_count};
 use i2slam_geometry::Tangent;
 
@@ -225,7 +225,7 @@ impl Frame<'_> {
             state,
             curve: self.curve.as_ref(),
             cameras,
-            quadrature: self.context.formation.quadrature(),
+            quadrature: self.context.formation.quadrature,
             rolling_height: self
                 .context
                 .readout
@@ -263,7 +263,7 @@ impl Frame<'_> {
         }
         let fixed = match (formation.tone, formation.white_balance) {
             (false, _) => 12..16,
-            (true, WhiteBalance::PerChannel) => 14..15,
+            (true, WhiteBalanceModel::PerChannel) => 14..15,
             (true, _) => 13..16,
         };
         freeze(equations, fixed);
