@@ -109,9 +109,9 @@ impl FrontEnd {
             return Err(OdometryError::Cancelled);
         }
         found?;
-        let was_straightened = state.readout != 0.0;
+        let had_initial_readout = state.readout != 0.0;
         estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
-        if state.readout != 0.0 || was_straightened {
+        if state.readout != 0.0 || had_initial_readout {
             refine_all_frames(&mut state, adjust_focal);
         }
         if state.readout != 0.0 {
@@ -122,12 +122,12 @@ impl FrontEnd {
             close_loops(&mut state, adjust_focal);
         }
         adjust_until_converged(&mut state, adjust_focal);
-        let lens_is_doubtful = drop_unobservable_distortion(&mut state);
+        let distortion_dropped = drop_unobservable_distortion(&mut state);
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
         let readout = state.readout * median_frame_interval(&self.timestamps).unwrap_or(0.0);
-        let found = (readout, lens_is_doubtful);
+        let found = (readout, distortion_dropped);
         Ok(build_reconstruction(state, &self.timestamps, &self.intrinsics, found))
     }
 }

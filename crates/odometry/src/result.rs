@@ -114,9 +114,9 @@ pub(crate) fn build_reconstruction(
     state: SfmState,
     timestamps: &[f64],
     intrinsics: &Intrinsics,
-    (readout, lens_is_doubtful): (f64, bool),
+    (readout, distortion_dropped): (f64, bool),
 ) -> Reconstruction {
-    let posed = state.posed();
+    let posed = state.posed_frames();
     let world = posed.first().and_then(|f| state.poses[*f]).unwrap_or_else(Pose::identity);
     let inverse = world.inverse();
     let mut keyframes = keyframes(&state, timestamps);
@@ -152,11 +152,13 @@ pub(crate) fn build_reconstruction(
     if focal_deviation.is_some() && readout != 0.0 {
         warnings.push(Warning::RollingShutterFocalLength);
     }
-    let distortion = match lens_is_doubtful {
+    let distortion = match distortion_dropped {
         true => Some([0.0; 2]),
-        false => state.estimates_distortion.then(|| brown_coefficients(&state.camera, state.lens)),
+        false => {
+            state.estimates_distortion.then(|| brown_coefficients(&state.camera, state.distortion))
+        }
     };
-    warnings.extend(lens_is_doubtful.then_some(Warning::DistortionUndetermined));
+    warnings.extend(distortion_dropped.then_some(Warning::DistortionUndetermined));
     Reconstruction {
         camera: state.camera,
         distortion,
@@ -194,7 +196,7 @@ fn focal_deviation(
     intrinsics: &Intrinsics,
     warnings: &mut Vec<Warning>,
 ) -> Option<f64> {
-    let (freed, covariance) = reestimate_intrinsics(state);
+    let (released, covariance) = reestimate_intrinsics(state);
     let is_known = matches!(intrinsics, Intrinsics::Known(_));
     let Some(covariance) = covariance else {
         let undetermined = Warning::FocalLengthUndetermined {
@@ -206,7 +208,7 @@ fn focal_deviation(
     };
     let relative = covariance[0][0].sqrt();
     if is_known {
-        let (given, fitting) = (state.camera.fx, freed.camera.fx);
+        let (given, fitting) = (state.camera.fx, released.camera.fx);
         let off = (fitting / given).ln().abs();
         if off > 0.05 && off > 3.0 * relative {
             warnings.push(Warning::FocalLengthMismatch {
@@ -224,7 +226,7 @@ fn focal_deviation(
 }
 
 fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
-    let (mut bundle, _, tracks) = state.bundle(&state.posed(), false);
+    let (mut bundle, _, tracks) = state.bundle(&state.posed_frames(), false);
     // Poses stay, and take no room among the unknowns.
     bundle.fixed.fill(true);
     let noise = state.residual_scale().unwrap_or(1.0);
@@ -245,7 +247,9 @@ fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
             let variance = variance * (noise * slope).powi(2);
             usable.then_some(SparseDepth { at: observation.at, depth: point_in_camera.z, variance })
         };
-        let depths = discard_unreliable_near_points(state.shown(index).filter_map(depth).collect());
+        let depths = discard_unreliable_near_points(
+            state.observations_in(index).filter_map(depth).collect(),
+        );
         let timestamp = timestamps[index];
         Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
     };

@@ -5,7 +5,7 @@ use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection
 use crate::multiview::lens_distortion::{CameraJacobian, distortion_jacobian, undistort};
 use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
-use crate::track::tracks::{Observation, Tracks, shared};
+use crate::track::tracks::{Observation, Tracks, shared_positions};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
@@ -35,8 +35,8 @@ pub(crate) struct SfmState {
     pub(crate) landmarks: Vec<Option<Landmark>>,
     /// How many times as large residuals are as the tracker says, at least 1.
     pub(crate) noise: f64,
-    /// The coefficients of the lens, and whether they are looked for: see [`lens`](crate::multiview::lens_distortion).
-    pub(crate) lens: [f64; 2],
+    /// The coefficients of the lens, and whether they are looked for: see [`distortion`](crate::multiview::lens_distortion).
+    pub(crate) distortion: [f64; 2],
     pub(crate) estimates_distortion: bool,
     /// The readout that sights are freed of, 0 for none [frame intervals], and whether a better one
     /// is looked for with the camera.
@@ -58,7 +58,7 @@ impl SfmState {
             poses,
             landmarks,
             noise: 1.0,
-            lens: [0.0; 2],
+            distortion: [0.0; 2],
             estimates_distortion: false,
             readout: 0.0,
             estimates_readout: false,
@@ -96,9 +96,12 @@ impl SfmState {
     }
 
     /// Tracks that a frame shows, with where it shows them.
-    pub(crate) fn shown(&self, frame: usize) -> impl Iterator<Item = (usize, &Observation)> {
-        let sight = move |i: &usize| Some((*i, self.tracks.tracks[*i].in_frame(frame)?));
-        self.by_frame[frame].iter().filter_map(sight)
+    pub(crate) fn observations_in(
+        &self,
+        frame: usize,
+    ) -> impl Iterator<Item = (usize, &Observation)> {
+        let observation = move |i: &usize| Some((*i, self.tracks.tracks[*i].in_frame(frame)?));
+        self.by_frame[frame].iter().filter_map(observation)
     }
 
     /// The same without where.
@@ -122,9 +125,9 @@ impl SfmState {
     }
 
     /// Adds sights to tracks; of a frame that a track has already, none.
-    pub(crate) fn add_observations(&mut self, sights: Vec<(usize, Observation)>) {
+    pub(crate) fn add_observations(&mut self, observations: Vec<(usize, Observation)>) {
         let by_frame = Arc::make_mut(&mut self.by_frame);
-        for (track, observation) in sights {
+        for (track, observation) in observations {
             if self.tracks.tracks[track].insert(observation) {
                 by_frame[observation.frame].push(track);
             }
@@ -132,12 +135,16 @@ impl SfmState {
     }
 
     /// Image positions of the points that two frames share.
-    pub(crate) fn shared(&self, first: usize, second: usize) -> Vec<([f64; 2], [f64; 2])> {
-        shared(&self.tracks.tracks, &self.by_frame, first, second)
+    pub(crate) fn shared_positions(
+        &self,
+        first: usize,
+        second: usize,
+    ) -> Vec<([f64; 2], [f64; 2])> {
+        shared_positions(&self.tracks.tracks, &self.by_frame, first, second)
     }
 
     /// Frames with a pose, in order.
-    pub(crate) fn posed(&self) -> Vec<usize> {
+    pub(crate) fn posed_frames(&self) -> Vec<usize> {
         (0..self.poses.len()).filter(|f| self.poses[*f].is_some()).collect()
     }
 
@@ -155,9 +162,9 @@ impl SfmState {
         tracks.retain(|i| self.landmarks[*i].is_none());
         let landmark = |i: &usize| {
             let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_outlier);
-            let sights: Vec<PosedObservation<'_>> =
+            let observations: Vec<PosedObservation<'_>> =
                 right.filter_map(|o| Some((o, self.poses[o.frame]?))).collect();
-            triangulate(&self.camera, &sights, self.noise)
+            triangulate(&self.camera, &observations, self.noise)
         };
         let found: Vec<Option<Landmark>> = tracks.par_iter().map(landmark).collect();
         tracks.into_iter().zip(found).for_each(|(i, found)| self.landmarks[i] = found);
@@ -203,7 +210,7 @@ impl SfmState {
 
     /// Frees all sights of a lens that differs from the one so far.
     pub(crate) fn update_distortion(&mut self, camera_change: [f64; 2]) {
-        (0..2).for_each(|i| self.lens[i] += camera_change[i]);
+        (0..2).for_each(|i| self.distortion[i] += camera_change[i]);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
             let apply_step = undistort(&self.camera, camera_change, o.raw);
             (0..2).for_each(|i| o.at[i] += apply_step[i] - o.raw[i]);
@@ -219,9 +226,9 @@ impl SfmState {
             return;
         }
         self.readout = readout;
-        let (camera, lens) = (self.camera, self.lens);
+        let (camera, distortion) = (self.camera, self.distortion);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-            let flat = undistort(&camera, lens, o.raw);
+            let flat = undistort(&camera, distortion, o.raw);
             (0..2).for_each(|i| o.at[i] = flat[i] + ratio * (o.at[i] - flat[i]));
         }
     }
@@ -243,7 +250,7 @@ impl SfmState {
         if free_intrinsics != FreeIntrinsics::FocalLengthAndReadout {
             return distortion_jacobian(&self.camera, o.raw);
         }
-        let flat = undistort(&self.camera, self.lens, o.raw);
+        let flat = undistort(&self.camera, self.distortion, o.raw);
         [std::array::from_fn(|i| (o.at[i] - flat[i]) / self.readout), [0.0; 2]]
     }
 
@@ -271,7 +278,7 @@ impl SfmState {
         let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
         frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
         let free_intrinsics = self.free_intrinsics(adjust_focal, frames.len());
-        let sight = |o: &Observation| {
+        let observation = |o: &Observation| {
             let camera_jacobian = self.camera_jacobian(free_intrinsics, o);
             Some(BundleObservation {
                 pose: place[o.frame]?,
@@ -280,7 +287,8 @@ impl SfmState {
                 camera_jacobian,
             })
         };
-        let sights = tracks.iter().map(|t| right(t).filter_map(sight).collect()).collect();
+        let observations =
+            tracks.iter().map(|t| right(t).filter_map(observation).collect()).collect();
         let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
         free.iter().filter_map(|f| place[*f]).for_each(|i| fixed[i] = false);
         if !fixed.contains(&true) {
@@ -291,7 +299,7 @@ impl SfmState {
             poses: frames.iter().filter_map(|f| self.poses[*f]).collect(),
             fixed,
             landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
-            sights: Arc::new(sights),
+            observations: Arc::new(observations),
             camera_change: [0.0; 2],
             free_intrinsics,
         };
@@ -336,7 +344,7 @@ impl SfmState {
     /// How many times as large residuals are as the tracker says, by their median.
     pub(crate) fn residual_scale(&self) -> Option<f64> {
         let mut all = Vec::new();
-        for frame in self.posed() {
+        for frame in self.posed_frames() {
             let Some(pose) = self.poses[frame] else { continue };
             let of = |m: &Match<'_>| reprojection_error(&self.camera, &pose, m);
             all.extend(self.matches(frame).iter().map(of));

@@ -49,11 +49,11 @@ impl Bundle {
         cluster: impl Fn(usize, usize) -> usize,
     ) -> IntrinsicsCovariance {
         let mut sums = vec![None::<[f64; GLOBALS]>; count];
-        for (landmark, sights) in self.sights.iter().enumerate() {
-            for sight in sights {
-                let sum = sums[cluster(landmark, sight.pose)].get_or_insert([0.0; GLOBALS]);
+        for (landmark, observations) in self.observations.iter().enumerate() {
+            for observation in observations {
+                let sum = sums[cluster(landmark, observation.pose)].get_or_insert([0.0; GLOBALS]);
                 for (sum, response) in sum.iter_mut().zip(inverse_columns) {
-                    *sum += gradient_along(self, landmark, sight, response);
+                    *sum += gradient_along(self, landmark, observation, response);
                 }
             }
         }
@@ -70,7 +70,7 @@ impl Bundle {
 
     /// The region in which a landmark is seen first.
     fn region(&self, landmark: usize) -> usize {
-        let at = self.sights[landmark].first().map_or([0.0; 2], |sight| sight.at);
+        let at = self.observations[landmark].first().map_or([0.0; 2], |observation| observation.at);
         let size = [self.camera.width, self.camera.height];
         let [across, down] = std::array::from_fn(|i| {
             let share = (at[i] / size[i] as f64).clamp(0.0, 1.0);

@@ -58,7 +58,7 @@ pub(crate) struct Bundle {
     pub(crate) fixed: Vec<bool>,
     pub(crate) landmarks: Vec<Landmark>,
     /// For every landmark its sights in order of poses, no two by one camera.
-    pub(crate) sights: Arc<Vec<Vec<BundleObservation>>>,
+    pub(crate) observations: Arc<Vec<Vec<BundleObservation>>>,
     /// By how much lens or readout differ from those that the sights are free of.
     pub(crate) camera_change: [f64; 2],
     /// What is unknown of the camera.
@@ -117,7 +117,7 @@ impl Bundle {
                 break;
             }
         }
-        cost / self.sights.iter().map(Vec::len).sum::<usize>().max(1) as f64
+        cost / self.observations.iter().map(Vec::len).sum::<usize>().max(1) as f64
     }
 
     /// Variance of every landmark's inverse depth while poses stay; `None` where it is not
@@ -141,7 +141,9 @@ impl Bundle {
     fn cost(&self) -> f64 {
         let part = |range: std::ops::Range<usize>| -> f64 {
             range
-                .map(|i| self.sights[i].iter().map(|s| self.observation_cost(i, s)).sum::<f64>())
+                .map(|i| {
+                    self.observations[i].iter().map(|s| self.observation_cost(i, s)).sum::<f64>()
+                })
                 .sum()
         };
         let mut total = 0.0;
@@ -149,15 +151,18 @@ impl Bundle {
         if total.is_finite() { total } else { f64::INFINITY }
     }
 
-    fn observation_cost(&self, landmark: usize, sight: &BundleObservation) -> f64 {
-        huber(self.residual(landmark, sight)).1
+    fn observation_cost(&self, landmark: usize, observation: &BundleObservation) -> f64 {
+        huber(self.residual(landmark, observation)).1
     }
 
     /// Length of a residual [standard deviations].
-    pub(crate) fn residual(&self, landmark: usize, sight: &BundleObservation) -> f64 {
-        let at = self.landmarks[landmark].image_position(&self.camera, &self.poses[sight.pose]);
-        let seen = sight.corrected(self.camera_change);
-        at.map_or(BEHIND_CAMERA_ERROR, |at| (at[0] - seen[0]).hypot(at[1] - seen[1]) / sight.sigma)
+    pub(crate) fn residual(&self, landmark: usize, observation: &BundleObservation) -> f64 {
+        let at =
+            self.landmarks[landmark].image_position(&self.camera, &self.poses[observation.pose]);
+        let seen = observation.corrected(self.camera_change);
+        at.map_or(BEHIND_CAMERA_ERROR, |at| {
+            (at[0] - seen[0]).hypot(at[1] - seen[1]) / observation.sigma
+        })
     }
 
     fn apply_step(&self, step: &Step) -> Self {

@@ -248,17 +248,21 @@ impl LandmarkBlock {
 fn weighted_residual(
     bundle: &Bundle,
     landmark: usize,
-    sight: &BundleObservation,
+    observation: &BundleObservation,
     curvature: Curvature,
 ) -> Option<WeightedResidual> {
-    let pose = &bundle.poses[sight.pose];
+    let pose = &bundle.poses[observation.pose];
     let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
-    let seen = sight.corrected(bundle.camera_change);
+    let seen = observation.corrected(bundle.camera_change);
     let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - seen[i]);
-    let length = residual[0].hypot(residual[1]) / sight.sigma;
-    let weight = huber(length).0 / (sight.sigma * sight.sigma);
-    let mut out =
-        WeightedResidual { projection, camera_jacobian: sight.camera_jacobian, residual, weight };
+    let length = residual[0].hypot(residual[1]) / observation.sigma;
+    let weight = huber(length).0 / (observation.sigma * observation.sigma);
+    let mut out = WeightedResidual {
+        projection,
+        camera_jacobian: observation.camera_jacobian,
+        residual,
+        weight,
+    };
     if curvature == Curvature::Exact && length > HUBER {
         out.project_across_residual();
     }
@@ -269,16 +273,16 @@ fn weighted_residual(
 pub(super) fn gradient_along(
     bundle: &Bundle,
     landmark: usize,
-    sight: &BundleObservation,
+    observation: &BundleObservation,
     step: &Step,
 ) -> f64 {
     let bounding = Curvature::Majorizing;
-    let Some(w) = weighted_residual(bundle, landmark, sight, bounding) else { return 0.0 };
+    let Some(w) = weighted_residual(bundle, landmark, observation, bounding) else { return 0.0 };
     let product = |row: &[f64], change: &[f64]| -> f64 {
         row.iter().zip(change).map(|(slope, change)| slope * change).sum()
     };
     let along = |i: usize| {
-        product(&w.projection.by_pose[i], &step.poses[sight.pose])
+        product(&w.projection.by_pose[i], &step.poses[observation.pose])
             + product(&w.projection.by_landmark[i], &step.landmarks[landmark])
             + product(&w.by_globals(i), &step.globals)
     };
@@ -292,9 +296,9 @@ pub(super) fn landmark_block(
     cameras: &[(u32, u32)],
     curvature: Curvature,
 ) -> LandmarkBlock {
-    let sights = bundle.sights[landmark].iter();
+    let observations = bundle.observations[landmark].iter();
     let all: Vec<Option<WeightedResidual>> =
-        sights.map(|s| weighted_residual(bundle, landmark, s, curvature)).collect();
+        observations.map(|s| weighted_residual(bundle, landmark, s, curvature)).collect();
     let (mut hessian, mut gradient, mut globals) = ([[0.0; 3]; 3], [0.0; 3], [[0.0; 3]; GLOBALS]);
     for w in all.iter().flatten() {
         for i in 0..2 {
@@ -308,8 +312,8 @@ pub(super) fn landmark_block(
             }
         }
     }
-    let coupling = |(_, sight): &(u32, u32)| {
-        let Some(w) = &all[*sight as usize] else { return [[0.0; 3]; 6] };
+    let coupling = |(_, observation): &(u32, u32)| {
+        let Some(w) = &all[*observation as usize] else { return [[0.0; 3]; 6] };
         let entry = |a: usize, b: usize| -> f64 {
             (0..2).map(|i| w.projection.by_pose[i][a] * w.projection.by_landmark[i][b]).sum()
         };
@@ -329,8 +333,9 @@ pub(super) fn pose_block(
         PoseBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
     for (landmark, k) in &structure.seen[block] {
         let landmark = *landmark as usize;
-        let sight = &bundle.sights[landmark][structure.cameras[landmark][*k as usize].1 as usize];
-        let Some(w) = weighted_residual(bundle, landmark, sight, curvature) else { continue };
+        let observation =
+            &bundle.observations[landmark][structure.cameras[landmark][*k as usize].1 as usize];
+        let Some(w) = weighted_residual(bundle, landmark, observation, curvature) else { continue };
         for i in 0..2 {
             let row = &w.projection.by_pose[i];
             for a in 0..6 {
@@ -349,8 +354,12 @@ pub(super) fn pose_block(
 pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock {
     let task = |range: std::ops::Range<usize>| {
         let mut sum = GlobalBlock::default();
-        for (landmark, sight) in range.flat_map(|l| bundle.sights[l].iter().map(move |s| (l, s))) {
-            let Some(w) = weighted_residual(bundle, landmark, sight, curvature) else { continue };
+        for (landmark, observation) in
+            range.flat_map(|l| bundle.observations[l].iter().map(move |s| (l, s)))
+        {
+            let Some(w) = weighted_residual(bundle, landmark, observation, curvature) else {
+                continue;
+            };
             for i in 0..2 {
                 let row = w.by_globals(i);
                 for g in 0..GLOBALS {

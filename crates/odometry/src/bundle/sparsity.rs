@@ -41,12 +41,13 @@ impl BlockSparsity {
         poses.iter().enumerate().for_each(|(block, pose)| blocks[*pose] = Some(block));
         let mut seen = vec![Vec::new(); poses.len()];
         let mut first: Vec<usize> = (0..poses.len()).collect();
-        let mut cameras = Vec::with_capacity(bundle.sights.len());
-        for (landmark, sights) in bundle.sights.iter().enumerate() {
+        let mut cameras = Vec::with_capacity(bundle.observations.len());
+        for (landmark, observations) in bundle.observations.iter().enumerate() {
             let place = |(i, s): (usize, &super::BundleObservation)| {
                 Some((blocks[s.pose]? as Index, i as Index))
             };
-            let mut of: Vec<(Index, Index)> = sights.iter().enumerate().filter_map(place).collect();
+            let mut of: Vec<(Index, Index)> =
+                observations.iter().enumerate().filter_map(place).collect();
             of.sort_unstable();
             let least = of.first().map_or(0, |c| c.0 as usize);
             for (k, (block, _)) in of.iter().enumerate() {

@@ -18,7 +18,7 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
     let points: Vec<_> =
         noise(1, 180).chunks_exact(3).map(|n| Vec3::new(n[0], n[1], 2.5 + 0.8 * n[2])).collect();
     let errors = noise(2, 60 * 12);
-    let sight = |i: usize, k: usize| {
+    let observation = |i: usize, k: usize| {
         let (u, v) = camera.project(poses[k].inverse() * points[i]);
         let e = &errors[(i * 6 + k) * 2..];
         let at = [u + spread * e[0], v + spread * e[1]];
@@ -29,20 +29,20 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
             camera_jacobian: distortion_jacobian(&camera, at),
         }
     };
-    let sights: Vec<Vec<BundleObservation>> =
-        (0..60).map(|i| (0..6).map(|k| sight(i, k)).collect()).collect();
+    let observations: Vec<Vec<BundleObservation>> =
+        (0..60).map(|i| (0..6).map(|k| observation(i, k)).collect()).collect();
     let landmarks = (0..60)
-        .map(|i| Landmark::on_ray(&camera, poses[0], sights[i][0].at, 1.0 / points[i].z))
+        .map(|i| Landmark::on_ray(&camera, poses[0], observations[i][0].at, 1.0 / points[i].z))
         .collect();
     let fixed = vec![true, false, false, false, false, false];
-    let sights = Arc::new(sights);
+    let observations = Arc::new(observations);
     (
         Bundle {
             camera,
             poses,
             fixed,
             landmarks,
-            sights,
+            observations,
             camera_change: [0.0; 2],
             free_intrinsics: FreeIntrinsics::None,
         },
@@ -82,11 +82,11 @@ fn focal_error(seed: u64, own: f64, shared: f64) -> (f64, f64) {
     let (truth, _) = scene(0.0);
     let mut bundle = truth.clone();
     let errors = noise(100 + seed, 60 * 14);
-    for (i, sights) in Arc::make_mut(&mut bundle.sights).iter_mut().enumerate() {
-        for (k, sight) in sights.iter_mut().enumerate() {
+    for (i, observations) in Arc::make_mut(&mut bundle.observations).iter_mut().enumerate() {
+        for (k, observation) in observations.iter_mut().enumerate() {
             for axis in 0..2 {
                 let common = if k > 0 { shared * errors[14 * i + 12 + axis] } else { 0.0 };
-                sight.at[axis] += own * errors[14 * i + 2 * k + axis] + common;
+                observation.at[axis] += own * errors[14 * i + 2 * k + axis] + common;
             }
         }
     }
@@ -161,7 +161,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
     };
     let poses: Vec<_> = (0..count).map(pose).collect();
     let numbers = noise(7, 3 * count * each);
-    let (mut landmarks, mut sights) = (Vec::new(), Vec::new());
+    let (mut landmarks, mut observations) = (Vec::new(), Vec::new());
     for (index, n) in numbers.chunks_exact(3).enumerate() {
         let begin = index / each;
         let mut by: Vec<usize> = (begin..begin + seen).collect();
@@ -173,24 +173,24 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
         let depth = 3.0 + n[2];
         let at = [160.0 + 120.0 * n[0], 120.0 + 100.0 * n[1]];
         let landmark = Landmark::on_ray(&camera, poses[begin], at, depth.recip());
-        let sight = |pose: usize| {
+        let observation = |pose: usize| {
             let at = landmark.image_position(&camera, &poses[pose])?;
             Some(BundleObservation { pose, at, sigma: 0.5, camera_jacobian: [[0.0; 2]; 2] })
         };
-        let all: Vec<BundleObservation> = by.into_iter().filter_map(sight).collect();
+        let all: Vec<BundleObservation> = by.into_iter().filter_map(observation).collect();
         if all.len() > 1 {
             landmarks.push(landmark);
-            sights.push(all);
+            observations.push(all);
         }
     }
     let fixed = (0..count).map(|i| i < 2).collect();
-    let sights = Arc::new(sights);
+    let observations = Arc::new(observations);
     Bundle {
         camera,
         poses,
         fixed,
         landmarks,
-        sights,
+        observations,
         camera_change: [0.0; 2],
         free_intrinsics: FreeIntrinsics::None,
     }

@@ -51,7 +51,7 @@ impl Intrinsics {
 struct FocalCandidate {
     score: f64,
     camera: Camera<f64>,
-    lens: [f64; 2],
+    distortion: [f64; 2],
 }
 
 /// Takes the camera whose focal length explains most: from several starts, each refined over some
@@ -73,7 +73,7 @@ pub(crate) fn search_focal_length(state: &mut SfmState) -> Result<(), OdometryEr
     }
     let found = best.ok_or(failure)?;
     state.camera = found.camera;
-    state.update_distortion(found.lens);
+    state.update_distortion(found.distortion);
     Ok(())
 }
 
@@ -86,9 +86,9 @@ fn evaluate_start(state: &SfmState, factor: f64) -> Result<FocalCandidate, Odome
     register_keyframes(&mut tried, true, SEARCH_KEYFRAMES);
     adjust_globally(&mut tried, true);
     let cost = adjust_globally(&mut tried, true);
-    let explained: usize = tried.posed().iter().map(|f| tried.count_inliers(*f)).sum();
+    let explained: usize = tried.posed_frames().iter().map(|f| tried.count_inliers(*f)).sum();
     let score = cost / (explained.max(1) as f64);
-    Ok(FocalCandidate { score, camera: tried.camera, lens: tried.lens })
+    Ok(FocalCandidate { score, camera: tried.camera, distortion: tried.distortion })
 }
 
 #[cfg(test)]

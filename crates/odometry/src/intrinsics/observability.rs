@@ -19,13 +19,13 @@ pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<Intri
     let keyframes = state.tracks.keyframes.iter().copied();
     let posed = keyframes.filter(|f| state.poses[*f].is_some());
     let keyframes: Vec<usize> = posed.take(MAX_JOINT_POSES).collect();
-    let mut freed = state.clone();
-    freed.progress = state.progress.without_listener();
-    freed.poses.fill(None);
-    keyframes.iter().for_each(|f| freed.poses[*f] = state.poses[*f]);
-    adjust_globally(&mut freed, true);
-    let covariance = freed.bundle(&keyframes, true).0.camera_covariance();
-    (freed, covariance)
+    let mut reestimated = state.clone();
+    reestimated.progress = state.progress.without_listener();
+    reestimated.poses.fill(None);
+    keyframes.iter().for_each(|f| reestimated.poses[*f] = state.poses[*f]);
+    adjust_globally(&mut reestimated, true);
+    let covariance = reestimated.bundle(&keyframes, true).0.camera_covariance();
+    (reestimated, covariance)
 }
 
 /// Gives up a lens that the pictures do not determine, so that it would make focal length and path
@@ -34,40 +34,43 @@ pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<Intri
 /// pictures whose rows were read in turn, which bends what a turning camera sees much as a lens
 /// does. Returns whether it was given up.
 pub(crate) fn drop_unobservable_distortion(state: &mut SfmState) -> bool {
-    if !state.estimates_distortion || state.lens == [0.0; 2] {
+    if !state.estimates_distortion || state.distortion == [0.0; 2] {
         return false;
     }
     let mut without = state.clone();
     without.estimates_distortion = false;
-    without.update_distortion(state.lens.map(|v| -v));
+    without.update_distortion(state.distortion.map(|v| -v));
     refine_all_frames(&mut without, true);
-    let (freed, with_lens) = reestimate_intrinsics(state);
-    let (_, alone) = reestimate_intrinsics(&without);
-    let is_told = state.readout == 0.0
-        && with_lens.is_some_and(|with_lens| {
-            is_significant(freed.lens, &with_lens) && keeps_focal_length_certain(&with_lens, alone)
+    let (reestimated, with_distortion) = reestimate_intrinsics(state);
+    let (_, without_distortion) = reestimate_intrinsics(&without);
+    let is_observable = state.readout == 0.0
+        && with_distortion.is_some_and(|with_distortion| {
+            is_significant(reestimated.distortion, &with_distortion)
+                && keeps_focal_length_certain(&with_distortion, without_distortion)
         });
-    if !is_told {
+    if !is_observable {
         *state = without;
     }
-    !is_told
+    !is_observable
 }
 
-/// Whether the focal length stays about as certain beside a lens as `alone`.
+/// Whether the focal length stays about as certain beside a lens as `without_distortion`.
 fn keeps_focal_length_certain(
-    with_lens: &IntrinsicsCovariance,
-    alone: Option<IntrinsicsCovariance>,
+    with_distortion: &IntrinsicsCovariance,
+    without_distortion: Option<IntrinsicsCovariance>,
 ) -> bool {
     let deviation = |covariance: &IntrinsicsCovariance| covariance[0][0].sqrt();
-    let found = deviation(with_lens);
+    let found = deviation(with_distortion);
     found < MAX_FOCAL_DEVIATION
-        || alone.is_some_and(|alone| found < MAX_DEVIATION_RATIO * deviation(&alone))
+        || without_distortion.is_some_and(|without_distortion| {
+            found < MAX_DEVIATION_RATIO * deviation(&without_distortion)
+        })
 }
 
-/// Whether two coefficients differ from zero by more than chance, `lensᵀ Σ⁻¹ lens`.
-fn is_significant(lens: [f64; 2], covariance: &IntrinsicsCovariance) -> bool {
+/// Whether two coefficients differ from zero by more than chance, `lensᵀ Σ⁻¹ distortion`.
+fn is_significant(distortion: [f64; 2], covariance: &IntrinsicsCovariance) -> bool {
     let [_, [_, aa, ab], [_, _, bb]] = covariance;
-    let [a, b] = lens;
+    let [a, b] = distortion;
     let determinant = aa * bb - ab * ab;
     let square = (a * a * bb - 2.0 * a * b * ab + b * b * aa) / determinant;
     determinant > 0.0 && square > DISTORTION_SIGNIFICANCE
@@ -93,12 +96,12 @@ mod tests {
             let begin = index / 3;
             let ray = camera.unproject(160.0 + 140.0 * n[0], 120.0 + 100.0 * n[1], 2.5 + n[2]);
             let point = pose(begin) * ray;
-            let sight = |f: usize| {
+            let observation = |f: usize| {
                 let (u, v) = camera.project(pose(f).inverse() * point);
                 let k = 3 + 2 * (f - begin);
                 Observation::new(f, [u + 0.3 * n[k], v + 0.3 * n[k + 1]], 0.3)
             };
-            Track { observations: (begin..(begin + 12).min(frames)).map(sight).collect() }
+            Track { observations: (begin..(begin + 12).min(frames)).map(observation).collect() }
         };
         let tracks = (0..3 * frames).map(track).collect();
         let keyframes = (0..frames).collect();
@@ -112,10 +115,10 @@ mod tests {
     /// The camera of a long sequence is judged by as many keyframes as are adjusted together.
     #[test]
     fn a_long_sequence_takes_no_more_room_than_its_first_keyframes() {
-        let (freed, covariance) = reestimate_intrinsics(&winding(MAX_JOINT_POSES + 60));
-        assert_eq!(freed.posed(), (0..MAX_JOINT_POSES).collect::<Vec<_>>());
+        let (reestimated, covariance) = reestimate_intrinsics(&winding(MAX_JOINT_POSES + 60));
+        assert_eq!(reestimated.posed_frames(), (0..MAX_JOINT_POSES).collect::<Vec<_>>());
         let (error, deviation) =
-            ((freed.camera.fx / 250.0).ln(), covariance.expect("determined")[0][0].sqrt());
+            ((reestimated.camera.fx / 250.0).ln(), covariance.expect("determined")[0][0].sqrt());
         assert!(deviation < 0.01 && error.abs() < 3.0 * deviation, "{error} {deviation}");
     }
 

@@ -72,7 +72,7 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) -> usize {
     }
     distribute_drift(state, &candidates, unit);
     let count = candidates.len();
-    candidates.into_iter().for_each(|r| state.add_observations(r.found.sights));
+    candidates.into_iter().for_each(|r| state.add_observations(r.found.observations));
     refine_all_frames(state, adjust_focal);
     merge_overlapping_keyframes(state, adjust_focal);
     count
@@ -81,34 +81,38 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) -> usize {
 /// Gives keyframes that see one place at different times the points of each other, by the poses
 /// that are known.
 pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bool) {
-    let look_around = |(new, look): (usize, &KeyframeImage)| {
+    let find_overlaps = |(new, image): (usize, &KeyframeImage)| {
         if state.progress.is_cancelled() {
             return Vec::new();
         }
         let mut near: Vec<(usize, &KeyframeImage)> =
             (state.tracks.keyframe_images.iter().enumerate())
                 .filter(|(old, _)| old.abs_diff(new) > 1)
-                .map(|(_, other)| (count_visible_landmarks(state, look, other), other))
+                .map(|(_, other)| (count_visible_landmarks(state, image, other), other))
                 .filter(|(visible, other)| {
                     *visible >= MIN_VISIBLE_LANDMARKS
-                        && state.shared_count(look.frame, other.frame) < MAX_SHARED_POINTS
+                        && state.shared_count(image.frame, other.frame) < MAX_SHARED_POINTS
                 })
                 .collect();
         near.sort_by_key(|(visible, other)| (SAMPLED_LANDMARKS - visible, other.frame));
         near.truncate(MAX_MERGED_KEYFRAMES);
-        near.iter().filter_map(|(_, old)| verify_known_pose(state, look, old)).flatten().collect()
+        near.iter().filter_map(|(_, old)| verify_known_pose(state, image, old)).flatten().collect()
     };
     let keyframe_images = state.tracks.keyframe_images.par_iter().enumerate();
-    let sights: Vec<Vec<(usize, Observation)>> = keyframe_images.map(look_around).collect();
-    if sights.iter().any(|s| !s.is_empty()) {
-        sights.into_iter().for_each(|s| state.add_observations(s));
+    let observations: Vec<Vec<(usize, Observation)>> = keyframe_images.map(find_overlaps).collect();
+    if observations.iter().any(|s| !s.is_empty()) {
+        observations.into_iter().for_each(|s| state.add_observations(s));
         refine_all_frames(state, adjust_focal);
     }
 }
 
 /// How many of some landmarks of another keyframe lie in the picture of this one.
-fn count_visible_landmarks(state: &SfmState, look: &KeyframeImage, other: &KeyframeImage) -> usize {
-    let (Some(pose), Some(there)) = (state.poses[look.frame], state.poses[other.frame]) else {
+fn count_visible_landmarks(
+    state: &SfmState,
+    image: &KeyframeImage,
+    other: &KeyframeImage,
+) -> usize {
+    let (Some(pose), Some(there)) = (state.poses[image.frame], state.poses[other.frame]) else {
         return 0;
     };
     if pose.local(there).rotation.norm() > MAX_VIEW_ANGLE {
@@ -133,15 +137,15 @@ fn median_landmark_distance(state: &SfmState) -> f64 {
 
 /// Keyframes that show what a much earlier one does.
 fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
-    let search = |(new, look): (usize, &KeyframeImage)| {
-        state.poses[look.frame].filter(|_| !state.progress.is_cancelled())?;
+    let search = |(new, image): (usize, &KeyframeImage)| {
+        state.poses[image.frame].filter(|_| !state.progress.is_cancelled())?;
         let may = |old: usize, other: &KeyframeImage| {
             old + MIN_LOOP_GAP <= new
                 && state.poses[other.frame].is_some()
-                && state.shared_count(look.frame, other.frame) < MAX_SHARED_POINTS
+                && state.shared_count(image.frame, other.frame) < MAX_SHARED_POINTS
         };
         let of = |other: &&KeyframeImage| {
-            let found = match_and_verify(state, look, other)?;
+            let found = match_and_verify(state, image, other)?;
             let old = state
                 .tracks
                 .keyframe_images
@@ -150,7 +154,7 @@ fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
             let place = Similarity::from_pose(found.world_from_camera, found.scale?);
             Some(LoopCandidate { new, old, found, place })
         };
-        candidate_keyframes(state, look, may).iter().find_map(of)
+        candidate_keyframes(state, image, may).iter().find_map(of)
     };
     state.tracks.keyframe_images.par_iter().enumerate().filter_map(search).collect()
 }
@@ -161,11 +165,11 @@ fn is_plausible_drift(state: &SfmState, r: &LoopCandidate, unit: f64) -> bool {
     let between = &state.tracks.keyframe_images[r.old..=r.new];
     let places: Vec<Pose<f64>> = between.iter().filter_map(|l| state.poses[l.frame]).collect();
     let step = |p: &[Pose<f64>]| (p[1].translation - p[0].translation).norm();
-    let way: f64 = places.windows(2).map(step).sum();
+    let path_length: f64 = places.windows(2).map(step).sum();
     let Some(own) = places.last() else { return false };
     let off = (r.place.translation - own.translation).norm();
     let turn = own.local(r.place.pose()).rotation.norm();
-    off < (MIN_TRANSLATION_BOUND * unit).max(MAX_TRANSLATION_DRIFT * way)
+    off < (MIN_TRANSLATION_BOUND * unit).max(MAX_TRANSLATION_DRIFT * path_length)
         && turn < MAX_ROTATION_DRIFT
         && r.place.scale.ln().abs() < MAX_LOG_SCALE_DRIFT
 }
@@ -189,12 +193,12 @@ fn consistent_candidates(
         let off = [a.hypot(b).hypot(c), x.hypot(y).hypot(z) / unit, s.abs()];
         off.iter().zip(MAX_DISAGREEMENT).all(|(off, most)| *off < most)
     };
-    let has_company = |r: &LoopCandidate| {
+    let is_confirmed = |r: &LoopCandidate| {
         let near =
             |o: &&LoopCandidate| o.new != r.new && o.new.abs_diff(r.new) <= CONSISTENCY_WINDOW;
         candidates.iter().filter(near).any(|o| agree(r, o))
     };
-    let keep: Vec<bool> = candidates.iter().map(has_company).collect();
+    let keep: Vec<bool> = candidates.iter().map(is_confirmed).collect();
     candidates.into_iter().zip(keep).filter_map(|(r, keep)| keep.then_some(r)).collect()
 }
 
@@ -304,13 +308,14 @@ mod tests {
     fn two_ways() -> SfmState {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
         let at = |index: usize, k: usize| [20.0 + 30.0 * k as f64, 20.0 + 4.0 * index as f64];
-        let sight = |index: usize, k: usize| Observation::new(index, at(index, k), 0.3);
+        let observation = |index: usize, k: usize| Observation::new(index, at(index, k), 0.3);
         let mut tracks = Vec::new();
         for begin in (0..KEYFRAMES - 2).filter(|b| b + 2 < CUT || *b >= CUT) {
             for k in 0..10 {
-                let mut observations: Vec<_> = (begin..begin + 3).map(|f| sight(f, k)).collect();
+                let mut observations: Vec<_> =
+                    (begin..begin + 3).map(|f| observation(f, k)).collect();
                 if begin == RECOGNISED {
-                    observations.push(sight(CUT, k));
+                    observations.push(observation(CUT, k));
                 }
                 tracks.push(Track { observations });
             }
@@ -346,7 +351,8 @@ mod tests {
             (at(CUT) - at(RECOGNISED)).norm()
         };
         let end = Pose::new(Rotation::identity(), Vec3::new(1.9, 0.4, 0.0));
-        let found = Relocalization { world_from_camera: end, scale: Some(1.0), sights: Vec::new() };
+        let found =
+            Relocalization { world_from_camera: end, scale: Some(1.0), observations: Vec::new() };
         let place = Similarity::from_pose(end, 1.0);
         let back = LoopCandidate { new: CUT + 11, old: CUT - 1, found, place };
         distribute_drift(&mut state, &[back], 2.0);

@@ -17,21 +17,21 @@ pub(crate) type PosedObservation<'a> = (&'a Observation, Pose<f64>);
 /// residuals are `noise` times as large as their deviations say.
 pub(crate) fn triangulate(
     camera: &Camera<f64>,
-    sights: &[PosedObservation<'_>],
+    observations: &[PosedObservation<'_>],
     noise: f64,
 ) -> Option<Landmark> {
-    let (first, rest) = sights.split_first()?;
+    let (first, rest) = observations.split_first()?;
     if rest.is_empty() {
         return None;
     }
     let mut landmark = Landmark::on_ray(camera, first.1, first.0.at, 0.0);
     landmark.values[2] = inverse_depth(camera, &landmark, rest).max(-1e-3);
-    let landmark = refine(camera, landmark, sights)?;
-    let sum = sights
+    let landmark = refine(camera, landmark, observations)?;
+    let sum = observations
         .iter()
         .map(|(o, pose)| reprojection_error(camera, pose, &(&landmark, *o)))
         .sum::<f64>();
-    (sum / sights.len() as f64 <= MAX_MEAN_ERROR * noise).then_some(landmark)
+    (sum / observations.len() as f64 <= MAX_MEAN_ERROR * noise).then_some(landmark)
 }
 
 /// The angle between the rays of the two sights that lie farthest apart in place [rad].
@@ -49,11 +49,11 @@ pub(crate) fn parallax(landmark: &Landmark, poses: impl Iterator<Item = Pose<f64
 fn inverse_depth(
     camera: &Camera<f64>,
     landmark: &Landmark,
-    sights: &[PosedObservation<'_>],
+    observations: &[PosedObservation<'_>],
 ) -> f64 {
     let direction = landmark.frame * Vec3::new(landmark.values[0], landmark.values[1], 1.0);
     let (mut above, mut below) = (0.0, 1e-12);
-    for (observation, pose) in sights {
+    for (observation, pose) in observations {
         let x = camera.unproject(observation.at[0], observation.at[1], 1.0);
         let inverse = pose.rotation.inverse();
         let a = x.cross(inverse.rotate(landmark.origin - pose.translation));
@@ -68,15 +68,15 @@ fn inverse_depth(
 fn refine(
     camera: &Camera<f64>,
     start: Landmark,
-    sights: &[PosedObservation<'_>],
+    observations: &[PosedObservation<'_>],
 ) -> Option<Landmark> {
     let (mut landmark, mut damping) = (start, 1e-4);
-    let mut equations = normal_equations(camera, &landmark, sights)?;
+    let mut equations = normal_equations(camera, &landmark, observations)?;
     for _ in 0..MAX_STEPS {
         let step = equations.step(damping)?;
         let mut tried = landmark;
         (0..3).for_each(|i| tried.values[i] += step[i]);
-        match normal_equations(camera, &tried, sights) {
+        match normal_equations(camera, &tried, observations) {
             Some(next) if next.cost < equations.cost => {
                 (landmark, equations, damping) = (tried, next, damping * 0.2);
             }
@@ -90,11 +90,11 @@ fn refine(
 fn normal_equations(
     camera: &Camera<f64>,
     landmark: &Landmark,
-    sights: &[PosedObservation<'_>],
+    observations: &[PosedObservation<'_>],
 ) -> Option<NormalEquations<3>> {
     let mut sum = NormalEquations::default();
     let mut cost = 0.0;
-    for (observation, pose) in sights {
+    for (observation, pose) in observations {
         let p = landmark.project(camera, pose)?;
         let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
         let (weight, loss) = huber(r[0].hypot(r[1]) / observation.sigma);
@@ -120,20 +120,20 @@ mod tests {
             Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * i, 0.0)), Vec3::new(0.1 * i, 0.0, 0.02))
         };
         for point in [Vec3::new(0.2, -0.1, 2.0), Vec3::new(1e4, 0.0, 1e5)] {
-            let sight = |i: usize| {
+            let observation = |i: usize| {
                 let (u, v) = camera.project(pose(i).inverse() * point);
                 Observation::new(i, [u, v], 0.5)
             };
-            let mut sights = [sight(0), sight(1), sight(2)];
+            let mut observations = [observation(0), observation(1), observation(2)];
             let posed = |s: &[Observation; 3]| {
                 triangulate(&camera, &[0, 1, 2].map(|i| (&s[i], pose(i))), 1.0)
             };
-            let found = posed(&sights).expect("sights agree");
+            let found = posed(&observations).expect("sights agree");
             let (p, q) = (found.position(), point);
             assert!((p * p.z.recip() - q * q.z.recip()).norm() < 1e-4, "{p:?}");
             assert!((found.values[2] - 1.0 / (pose(0).inverse() * point).z).abs() < 1e-6);
-            sights[1].at[1] += 30.0;
-            assert!(posed(&sights).is_none());
+            observations[1].at[1] += 30.0;
+            assert!(posed(&observations).is_none());
         }
     }
 }

@@ -101,7 +101,7 @@ fn pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
         .par_iter()
         .filter_map(|&(i, j)| {
             let (first, second) = (keyframes[i], keyframes[j]);
-            let shared = state.shared(first, second);
+            let shared = state.shared_positions(first, second);
             if shared.len() < MIN_SHARED || state.progress.is_cancelled() {
                 return None;
             }
@@ -122,7 +122,7 @@ fn pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
 }
 
 fn shared_rays(state: &SfmState, pair: &KeyframePair) -> Vec<crate::multiview::two_view::RayPair> {
-    ray_pairs(&state.camera, &state.shared(pair.first, pair.second))
+    ray_pairs(&state.camera, &state.shared_positions(pair.first, pair.second))
 }
 
 /// Poses a pair, adjusts both views; returns how many landmarks have a good angle.

@@ -22,17 +22,17 @@ const GLOBAL_STEPS: usize = 20;
 
 /// Poses all keyframes that can be reached from those that have a pose, up to `most`.
 pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most: usize) {
-    let mut adjusted_at = state.posed().len();
-    while state.posed().len() < most && !state.progress.is_cancelled() {
+    let mut adjusted_at = state.posed_frames().len();
+    while state.posed_frames().len() < most && !state.progress.is_cancelled() {
         let Some(frame) = register_next_keyframe(state) else { break };
         state.triangulate_missing_in(frame);
-        let count = state.posed().len();
+        let count = state.posed_frames().len();
         state.progress.report(Stage::Registration, count, state.tracks.keyframes.len());
         if count as f64 >= GLOBAL_ADJUSTMENT_GROWTH * adjusted_at as f64 {
             adjusted_at = count;
             adjust_globally(state, adjust_focal && count > 4);
         } else {
-            let near = nearest_posed(&state.posed(), frame);
+            let near = nearest_posed(&state.posed_frames(), frame);
             state.adjust(&near, false, LOCAL_STEPS);
             state.reject_outliers_in(&near);
         }
@@ -41,7 +41,7 @@ pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most:
 
 /// Adjusts everything, drops what is wrong, looks for landmarks again, and adjusts once more.
 pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
-    let all = state.posed();
+    let all = state.posed_frames();
     state.adjust(&all, adjust_focal, GLOBAL_STEPS);
     state.update_noise_scale();
     state.reject_outliers();
@@ -54,7 +54,7 @@ pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
 /// Adjusts all frames; of a long sequence the keyframes, and then every other frame alone. Returns
 /// the cost per sight.
 pub(crate) fn refine_all_frames(state: &mut SfmState, adjust_focal: bool) -> f64 {
-    let posed = state.posed();
+    let posed = state.posed_frames();
     if posed.len() <= MAX_JOINTLY_REFINED_FRAMES {
         return adjust_globally(state, adjust_focal);
     }

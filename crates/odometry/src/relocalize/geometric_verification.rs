@@ -54,7 +54,7 @@ pub(crate) struct Relocalization {
     /// How many times as large lengths are there as in the keyframe's own part, if it has one.
     pub(crate) scale: Option<f64>,
     /// The other one's tracks as this one shows them.
-    pub(crate) sights: Vec<(usize, Observation)>,
+    pub(crate) observations: Vec<(usize, Observation)>,
 }
 
 /// A track of the old keyframe, its landmark and where that keyframe shows it.
@@ -71,9 +71,9 @@ pub(crate) fn match_and_verify(
     let known = |(_, j): &(usize, usize)| comparison.known[*j].1;
     let matches: Vec<Match<'_>> = tracks.iter().map(known).zip(&observations).collect();
     let pose = ransac_pose(state, comparison.old_pose, &matches)?;
-    let sights = comparison.verify_pose(pose)?;
+    let observations = comparison.verify_pose(pose)?;
     let exact: Vec<Match<'_>> =
-        sights.iter().filter_map(|(t, o)| Some((state.landmarks[*t].as_ref()?, o))).collect();
+        observations.iter().filter_map(|(t, o)| Some((state.landmarks[*t].as_ref()?, o))).collect();
     let found = solve_pnp(&state.camera, pose, &exact, state.noise)?;
     if found.inliers < MIN_VERIFIED_POINTS {
         return None;
@@ -81,7 +81,7 @@ pub(crate) fn match_and_verify(
     let pose = found.world_from_camera;
     let both = tracks.iter().zip(&matches).map(|((track, _), m)| (*track, *m));
     let scale = relative_scale(state, new.frame, &pose, both);
-    Some(Relocalization { world_from_camera: pose, scale, sights })
+    Some(Relocalization { world_from_camera: pose, scale, observations })
 }
 
 /// The tracks of `old` as `new` shows them, if their poses agree with what both look like.
@@ -118,7 +118,7 @@ impl<'a> KeyframeComparison<'a> {
             old_pose: state.poses[old.frame]?,
             new_pyramid: new.pyramid(),
             old_pyramid: old.pyramid(),
-            known: state.shown(old.frame).filter_map(known).collect(),
+            known: state.observations_in(old.frame).filter_map(known).collect(),
         })
     }
 
@@ -126,9 +126,9 @@ impl<'a> KeyframeComparison<'a> {
     /// where the new one shows them.
     fn match_descriptors(&self) -> (Vec<(usize, usize)>, Vec<Observation>) {
         let (new, old) = (self.new, self.old);
-        let at = |o: &Observation, look: &KeyframeImage| o.raw.map(|v| v / look.scale);
+        let at = |o: &Observation, image: &KeyframeImage| o.raw.map(|v| v / image.scale);
         let seen: Vec<(usize, &Observation)> =
-            self.state.shown(new.frame).filter(|(_, o)| !o.is_outlier).collect();
+            self.state.observations_in(new.frame).filter(|(_, o)| !o.is_outlier).collect();
         let here: Vec<[f64; 2]> = seen.iter().map(|(_, o)| at(o, new)).collect();
         let there: Vec<[f64; 2]> = self.known.iter().map(|(_, _, o)| at(o, old)).collect();
         let here = DescribedPoints::new(&self.new_pyramid, &here);
@@ -166,12 +166,12 @@ impl<'a> KeyframeComparison<'a> {
         let shown =
             populated.clone().filter(|c| c[1] as f64 >= MIN_VERIFIED_RATIO_PER_CELL * c[0] as f64);
         let (populated, shown) = (populated.count(), shown.count());
-        let sights: Vec<(usize, Observation)> = found.into_iter().flatten().collect();
-        let enough = sights.len() >= MIN_VERIFIED_POINTS
-            && sights.len() as f64 >= MIN_VERIFIED_RATIO * visible.len() as f64
+        let observations: Vec<(usize, Observation)> = found.into_iter().flatten().collect();
+        let enough = observations.len() >= MIN_VERIFIED_POINTS
+            && observations.len() as f64 >= MIN_VERIFIED_RATIO * visible.len() as f64
             && shown >= MIN_VERIFIED_CELLS
             && shown as f64 >= MIN_VERIFIED_CELL_RATIO * populated as f64;
-        enough.then_some(sights)
+        enough.then_some(observations)
     }
 
     /// Looks for a point of the old one in the new one, around `at`.
@@ -191,9 +191,10 @@ impl<'a> KeyframeComparison<'a> {
         let moved = (found.warp.centre[0] - centre[0]).hypot(found.warp.centre[1] - centre[1]);
         let is_there = found.correlation > MIN_PATCH_CORRELATION && moved < MAX_SEARCH_DISTANCE;
         let at = found.warp.centre.map(|v| f64::from(v) * scale);
-        let mut sight = Observation::new(new.frame, at, position_sigma(found.correlation) * scale);
-        (0..2).for_each(|i| sight.at[i] -= rows[i]);
-        is_there.then_some((*track, sight))
+        let mut observation =
+            Observation::new(new.frame, at, position_sigma(found.correlation) * scale);
+        (0..2).for_each(|i| observation.at[i] -= rows[i]);
+        is_there.then_some((*track, observation))
     }
 }
 
@@ -227,7 +228,7 @@ fn ransac_pose(state: &SfmState, start: Pose<f64>, matches: &[Match<'_>]) -> Opt
 /// By how much a rolling shutter moves what a frame shows near a place [px].
 fn rolling_shutter_offset(state: &SfmState, frame: usize, at: [f64; 2]) -> [f64; 2] {
     let far = |o: &Observation| (o.at[0] - at[0]).powi(2) + (o.at[1] - at[1]).powi(2);
-    let near = state.shown(frame).min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
+    let near = state.observations_in(frame).min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
     near.map_or([0.0; 2], |(_, o)| [o.raw[0] - o.at[0], o.raw[1] - o.at[1]])
 }
 

@@ -48,11 +48,11 @@ impl FailedPairs {
 /// The keyframes that look most like one, of those that may be compared.
 pub(crate) fn candidate_keyframes<'a>(
     state: &'a SfmState,
-    look: &KeyframeImage,
+    image: &KeyframeImage,
     may: impl Fn(usize, &KeyframeImage) -> bool,
 ) -> Vec<&'a KeyframeImage> {
     let of = |(place, other): (usize, &'a KeyframeImage)| {
-        let thumbnail_correlation = look.thumbnail_correlation(other);
+        let thumbnail_correlation = image.thumbnail_correlation(other);
         (thumbnail_correlation > MIN_THUMBNAIL_CORRELATION && may(place, other)).then_some((
             thumbnail_correlation,
             place,
@@ -75,21 +75,22 @@ pub(crate) fn candidate_keyframes<'a>(
 /// Poses keyframes that show a place which is known; returns which, none if there are no more.
 pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> Vec<usize> {
     let keyframe_images = state.tracks.keyframe_images.iter().enumerate();
-    let lost = keyframe_images
-        .filter(|(_, look)| state.poses[look.frame].is_none() && !failed.is_given_up(look.frame));
+    let lost = keyframe_images.filter(|(_, image)| {
+        state.poses[image.frame].is_none() && !failed.is_given_up(image.frame)
+    });
     let lost: Vec<usize> = lost.map(|(place, _)| place).collect();
     for some in lost.chunks(KEYFRAMES_PER_BATCH) {
         if state.progress.is_cancelled() {
             break;
         }
-        let may = |look: &KeyframeImage, other: &KeyframeImage| {
-            state.poses[other.frame].is_some() && !failed.contains((look.frame, other.frame))
+        let may = |image: &KeyframeImage, other: &KeyframeImage| {
+            state.poses[other.frame].is_some() && !failed.contains((image.frame, other.frame))
         };
         let search = |place: &usize| {
-            let look = &state.tracks.keyframe_images[*place];
-            let compared = candidate_keyframes(state, look, |_, other| may(look, other));
-            let found = compared.iter().find_map(|old| match_and_verify(state, look, old));
-            (found, compared.iter().map(|old| (look.frame, old.frame)).collect())
+            let image = &state.tracks.keyframe_images[*place];
+            let compared = candidate_keyframes(state, image, |_, other| may(image, other));
+            let found = compared.iter().find_map(|old| match_and_verify(state, image, old));
+            (found, compared.iter().map(|old| (image.frame, old.frame)).collect())
         };
         let (found, compared): (Vec<Option<Relocalization>>, Vec<Vec<Pair>>) =
             some.par_iter().map(search).unzip();
@@ -99,7 +100,7 @@ pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> Vec<
             let Some(found) = found else { continue };
             let frame = state.tracks.keyframe_images[*place].frame;
             state.poses[frame] = Some(found.world_from_camera);
-            state.add_observations(found.sights);
+            state.add_observations(found.observations);
             posed.push(frame);
         }
         if !posed.is_empty() {

@@ -57,7 +57,7 @@ struct ReadoutSearch<'a> {
 
 impl<'a> ReadoutSearch<'a> {
     fn of(state: &SfmState, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
-        let posed = state.posed();
+        let posed = state.posed_frames();
         let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
             vec![&posed]
         } else {
@@ -134,10 +134,10 @@ pub(crate) fn parabola_minimum(step: f64, [before, middle, after]: [f64; 3]) -> 
 fn correct_observations(state: &mut SfmState, timestamps: &[f64], readout: f64, interval: f64) {
     let velocities: Vec<Option<Tangent<f64>>> =
         (0..state.poses.len()).map(|f| camera_velocity(state, timestamps, f, interval)).collect();
-    let (camera, lens, poses) = (state.camera, state.lens, &state.poses);
+    let (camera, distortion, poses) = (state.camera, state.distortion, &state.poses);
     for (landmark, track) in state.landmarks.iter().zip(&mut state.tracks.tracks) {
         for o in &mut track.observations {
-            let flat = undistort(&camera, lens, o.raw);
+            let flat = undistort(&camera, distortion, o.raw);
             if readout == 0.0 {
                 o.at = flat;
                 continue;
@@ -202,7 +202,7 @@ mod tests {
     /// `frames` frames with their true poses, their rows exposed within `readout` intervals.
     fn state(frames: usize, readout: f64) -> (SfmState, Vec<f64>) {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
-        let sight = |point: Vec3<f64>, frame: usize, error: &[f64]| {
+        let observation = |point: Vec3<f64>, frame: usize, error: &[f64]| {
             let mut at = camera.project(path(frame as f64).inverse() * point);
             for _ in 0..5 {
                 let moment = frame as f64 + readout * (at.1 / 240.0 - 0.5);
@@ -218,7 +218,7 @@ mod tests {
             let point = path(begin as f64) * ray;
             let seen = (begin..(begin + 12).min(frames)).filter_map(|f| {
                 let k = 3 + 2 * (f - begin);
-                sight(point, f, &n[k..k + 2])
+                observation(point, f, &n[k..k + 2])
             });
             Track { observations: seen.collect() }
         };
@@ -236,7 +236,7 @@ mod tests {
         let (mut rolling, timestamps) = state(420, 0.5);
         estimate_rolling_shutter(&mut rolling, &timestamps, false);
         assert!((rolling.readout - 0.5).abs() < 0.05, "{}", rolling.readout);
-        assert_eq!(rolling.posed().len(), 420);
+        assert_eq!(rolling.posed_frames().len(), 420);
     }
 
     /// Each of both would be found wrong beside a wrong other one.

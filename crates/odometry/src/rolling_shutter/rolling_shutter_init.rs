@@ -7,7 +7,7 @@
 use crate::multiview::two_view::{RayPair, fit_rotation};
 use crate::progress::{Progress, Stage};
 use crate::rolling_shutter::readout::{MAX_COST_RATIO, median_frame_interval, parabola_minimum};
-use crate::track::tracks::{Tracks, shared};
+use crate::track::tracks::{Tracks, shared_positions};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
 
@@ -80,7 +80,7 @@ fn rotation_rates(
     let turns: Vec<Option<Vec3<f64>>> = (1..tracks.frames.min(times.len() + 1))
         .into_par_iter()
         .map(|f| {
-            let shared = shared(&tracks.tracks, by_frame, f - 1, f);
+            let shared = shared_positions(&tracks.tracks, by_frame, f - 1, f);
             let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
             let rays: Vec<RayPair> = shared.iter().map(|(a, b)| (ray(*a), ray(*b))).collect();
             // The map found takes rays of the first camera to the second.
@@ -106,7 +106,7 @@ fn rotation_misfit(
     frame: usize,
     readout: f64,
 ) -> Option<f64> {
-    let rays: Vec<RayPair> = shared(&tracks.tracks, by_frame, frame, frame + FRAME_GAP)
+    let rays: Vec<RayPair> = shared_positions(&tracks.tracks, by_frame, frame, frame + FRAME_GAP)
         .iter()
         .map(|(a, b)| {
             let first = row_corrected_ray(camera, rates, frame, *a, readout);
@@ -144,11 +144,11 @@ mod tests {
         let turn = Vec3::new(0.002, 0.01, -0.003);
         let track = |n: &[f64]| {
             let ray = camera.unproject(160.0 + 80.0 * n[0], 120.0 + 60.0 * n[1], 1.0);
-            let sight = |(frame, time): (usize, &f64)| {
+            let observation = |(frame, time): (usize, &f64)| {
                 let (u, v) = camera.project(Rotation::exp(turn * -*time).rotate(ray));
                 Observation::new(frame, [u, v], 0.3)
             };
-            Track { observations: timestamps.iter().enumerate().map(sight).collect() }
+            Track { observations: timestamps.iter().enumerate().map(observation).collect() }
         };
         let tracks = noise(5, 160).chunks_exact(2).map(track).collect();
         let tracks = Tracks { tracks, frames: timestamps.len(), ..Tracks::default() };

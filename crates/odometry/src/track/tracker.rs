@@ -1,7 +1,7 @@
 //! Following points from picture to picture.
 //!
 //! Points begin in keyframes, wherever none is followed, and are looked for backward from there,
-//! too. How one point is found again is told in `sight`.
+//! too. How one point is found again is told in `outcome`.
 
 use crate::track::corners::detect_corners;
 use crate::track::global_translation::estimate_global_translation;
@@ -114,19 +114,19 @@ impl Tracker {
         let by = shift.translation.map(|v| v * last.coarsest().1);
         let look =
             |p: &TrackedPoint| search_point(&p.anchor, p.warp, p.is_followed, last, next, by);
-        let sights: Vec<TrackOutcome> = self.points.par_iter().map(look).collect();
+        let outcomes: Vec<TrackOutcome> = self.points.par_iter().map(look).collect();
         let mut motions = Vec::new();
-        for (point, sight) in self.points.iter_mut().zip(&sights) {
+        for (point, outcome) in self.points.iter_mut().zip(&outcomes) {
             let from = point.warp.centre;
-            (point.is_followed, point.warp) = (sight.is_followed(), sight.warp());
-            let TrackOutcome::Measured { correlation, .. } = sight else {
+            (point.is_followed, point.warp) = (outcome.is_followed(), outcome.warp());
+            let TrackOutcome::Measured { correlation, .. } = outcome else {
                 point.hidden_frames += 1;
                 continue;
             };
             let to = point.warp.centre;
             motions.push((to[0] - from[0]).hypot(to[1] - from[1]));
             (point.correlation, point.hidden_frames) = (*correlation, 0);
-            self.tracks.tracks[point.track].observations.extend(sight.observation(frame));
+            self.tracks.tracks[point.track].observations.extend(outcome.observation(frame));
         }
         let found = motions.len();
         let is_cut = shift.correlation < CUT_CORRELATION && 3 * found < self.points.len();
@@ -221,10 +221,10 @@ impl Tracker {
         let mut observations = vec![Observation::new(frame, at.map(f64::from), MIN_POSITION_SIGMA)];
         let (mut warp, mut here, mut by) = (Warp::at(at), next, shift);
         for (i, (before, shift)) in self.recent.iter().rev().enumerate() {
-            let sight = search_point(&anchor, warp, true, here, before, by.map(|v| -v));
-            let Some(observation) = sight.observation(frame - 1 - i) else { break };
+            let outcome = search_point(&anchor, warp, true, here, before, by.map(|v| -v));
+            let Some(observation) = outcome.observation(frame - 1 - i) else { break };
             observations.push(observation);
-            (warp, here, by) = (sight.warp(), before, *shift);
+            (warp, here, by) = (outcome.warp(), before, *shift);
         }
         observations.reverse();
         let point = TrackedPoint {

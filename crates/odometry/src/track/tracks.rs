@@ -98,7 +98,7 @@ impl Tracks {
 }
 
 /// Positions in two frames of the points that both show.
-pub(crate) fn shared(
+pub(crate) fn shared_positions(
     tracks: &[Track],
     by_frame: &[Vec<usize>],
     first: usize,
@@ -117,9 +117,10 @@ mod tests {
 
     #[test]
     fn keyframes_alone_keep_the_places_of_tracks() {
-        let sight = |frame: usize| Observation::new(frame, [frame as f64; 2], 0.3);
-        let track =
-            |frames: std::ops::Range<usize>| Track { observations: frames.map(sight).collect() };
+        let observation = |frame: usize| Observation::new(frame, [frame as f64; 2], 0.3);
+        let track = |frames: std::ops::Range<usize>| Track {
+            observations: frames.map(observation).collect(),
+        };
         let tracks = vec![track(0..9), track(1..3), track(4..8)];
         let all = Tracks { tracks, keyframes: vec![0, 4, 7], frames: 9, ..Tracks::default() };
         let reduced = all.keyframes_only();
