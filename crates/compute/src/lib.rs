@@ -5,16 +5,16 @@
 mod adam;
 mod cancellation;
 mod linear;
-mod median;
 mod random;
 mod reduce;
 pub mod simd;
 mod skyline;
+mod statistics;
 
 pub use adam::{Adam, AdamSettings};
 pub use cancellation::CancellationToken;
 pub use linear::{NormalEquations, solve_positive_definite};
-pub use median::median;
 pub use random::Random;
 pub use reduce::reduce_in_order;
 pub use skyline::{SkylineMatrix, reverse_cuthill_mckee};
+pub use statistics::{correlation, median};

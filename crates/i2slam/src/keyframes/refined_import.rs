@@ -7,7 +7,7 @@
 
 use super::picture_reader::Reader;
 use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe};
-use i2slam_compute::CancellationToken;
+use i2slam_compute::{CancellationToken, correlation};
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
@@ -212,7 +212,7 @@ impl<'a> Path<'a> {
         if seen.z <= 0.0 {
             return None;
         }
-        correlation(here, (u, v), next, camera.project(seen))
+        patch_correlation(here, (u, v), next, camera.project(seen))
     }
 }
 
@@ -248,7 +248,12 @@ fn poses(came: &[Pose<f64>], found: &[Option<Pose<f64>>], scale: f64) -> Option<
 }
 
 /// Normalised correlation of the patches around two points; none at a border or without contrast.
-fn correlation(a: &Image<f32>, at: (f64, f64), b: &Image<f32>, to: (f64, f64)) -> Option<f64> {
+fn patch_correlation(
+    a: &Image<f32>,
+    at: (f64, f64),
+    b: &Image<f32>,
+    to: (f64, f64),
+) -> Option<f64> {
     let patch = |image: &Image<f32>, (u, v): (f64, f64)| -> Option<Vec<f64>> {
         let around = (-HALF_PATCH..=HALF_PATCH)
             .flat_map(|y| (-HALF_PATCH..=HALF_PATCH).map(move |x| (x as f32, y as f32)));
@@ -256,14 +261,10 @@ fn correlation(a: &Image<f32>, at: (f64, f64), b: &Image<f32>, to: (f64, f64)) -
             let tap = image.tap(u as f32 + x, v as f32 + y)?;
             Some(f64::from(tap.interpolate(tap.values(image.plane(GREEN))).0))
         };
-        let values = around.map(value).collect::<Option<Vec<f64>>>()?;
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        Some(values.into_iter().map(|value| value - mean).collect())
+        around.map(value).collect::<Option<Vec<f64>>>()
     };
-    let (a, b) = (patch(a, at)?, patch(b, to)?);
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let value = dot(&a, &b) / (dot(&a, &a) * dot(&b, &b)).sqrt();
-    value.is_finite().then_some(value)
+    let pairs: Vec<(f64, f64)> = patch(a, at)?.into_iter().zip(patch(b, to)?).collect();
+    correlation(&pairs)
 }
 
 #[cfg(test)]

@@ -21,11 +21,13 @@ pub(crate) fn estimate_global_translation(
 ) -> GlobalTranslation {
     let reach = |side: usize| (side as f32 * MAX_TRANSLATION_RATIO) as isize;
     let (across, down) = (reach(first.width), reach(first.height));
-    let mut best =
-        GlobalTranslation { translation: [0.0, 0.0], correlation: overlap(first, second, 0, 0) };
+    let mut best = GlobalTranslation {
+        translation: [0.0, 0.0],
+        correlation: overlap_correlation(first, second, (0, 0), 0.0),
+    };
     for dy in -down..=down {
         for dx in -across..=across {
-            let correlation = overlap(first, second, dx, dy);
+            let correlation = overlap_correlation(first, second, (dx, dy), 0.0);
             if correlation > best.correlation {
                 best = GlobalTranslation { translation: [dx as f32, dy as f32], correlation };
             }
@@ -34,8 +36,15 @@ pub(crate) fn estimate_global_translation(
     best
 }
 
-/// Correlation of the part that both pictures show.
-fn overlap(first: &Image<f32>, second: &Image<f32>, dx: isize, dy: isize) -> f32 {
+/// Normalised correlation of what two pictures of one size share where the second is moved by
+/// whole pixels: `first(x)` is compared with `second(x + (dx, dy))`. 0 where the product of their
+/// variances, times the fourth power of the pixel count, is at most `min_spread`.
+pub(crate) fn overlap_correlation(
+    first: &Image<f32>,
+    second: &Image<f32>,
+    (dx, dy): (isize, isize),
+    min_spread: f32,
+) -> f32 {
     let (w, h) = (first.width as isize, first.height as isize);
     let (c0, c1) = ((-dx).max(0), (w - dx).min(w));
     let (mut n, mut a, mut b, mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
@@ -48,7 +57,7 @@ fn overlap(first: &Image<f32>, second: &Image<f32>, dx: isize, dy: isize) -> f32
         }
     }
     let spread = (n * aa - a * a).max(0.0) * (n * bb - b * b).max(0.0);
-    if spread > 0.0 { (n * ab - a * b) / spread.sqrt() } else { 0.0 }
+    if spread > min_spread { (n * ab - a * b) / spread.sqrt() } else { 0.0 }
 }
 
 #[cfg(test)]

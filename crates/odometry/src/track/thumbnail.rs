@@ -1,5 +1,6 @@
 //! What a keyframe looks like: kept small, to know its place again.
 
+use crate::track::global_translation::overlap_correlation;
 use crate::track::pyramid::Pyramid;
 use i2slam_geometry::Image;
 
@@ -10,6 +11,8 @@ const COLUMNS: usize = 16;
 const ROWS: usize = 12;
 /// Thumbnails are compared at moves of up to so many of their pixels.
 const MAX_THUMBNAIL_SHIFT: isize = 2;
+/// Thumbnails with less contrast correlate with nothing: a bound for `overlap_correlation`.
+const MIN_SPREAD: f32 = 1e-6;
 
 /// A keyframe's picture, in a byte a pixel, and a thumbnail of it.
 #[derive(Clone, Debug)]
@@ -21,7 +24,7 @@ pub(crate) struct KeyframeImage {
     brightness: Vec<u8>,
     /// What positions in it are multiplied by to be those of the whole picture.
     pub(crate) scale: f64,
-    thumbnail: Vec<f32>,
+    thumbnail: Image<f32>,
 }
 
 impl KeyframeImage {
@@ -33,7 +36,7 @@ impl KeyframeImage {
         let image = &pyramid.levels[level];
         let brightness =
             image.data.iter().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8).collect();
-        let thumbnail = pyramid.coarsest().0.resized_by_area(COLUMNS, ROWS).data;
+        let thumbnail = pyramid.coarsest().0.resized_by_area(COLUMNS, ROWS);
         let scale = (1_usize << level) as f64;
         Self { frame, width: image.width, height: image.height, brightness, scale, thumbnail }
     }
@@ -51,26 +54,9 @@ impl KeyframeImage {
     pub(crate) fn thumbnail_correlation(&self, other: &Self) -> f32 {
         let moves = (-MAX_THUMBNAIL_SHIFT..=MAX_THUMBNAIL_SHIFT)
             .flat_map(|dy| (-MAX_THUMBNAIL_SHIFT..=MAX_THUMBNAIL_SHIFT).map(move |dx| (dx, dy)));
-        let at = |(dx, dy): (isize, isize)| correlation(&self.thumbnail, &other.thumbnail, dx, dy);
+        let at = |by| overlap_correlation(&self.thumbnail, &other.thumbnail, by, MIN_SPREAD);
         moves.map(at).fold(-1.0, f32::max)
     }
-}
-
-/// Correlation of what two thumbnails share when the second is moved.
-fn correlation(first: &[f32], second: &[f32], dx: isize, dy: isize) -> f32 {
-    let columns = COLUMNS - dx.unsigned_abs();
-    let (from, to) = ((-dx).max(0) as usize, dx.max(0) as usize);
-    let (mut n, mut a, mut b, mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    for row in (-dy).max(0)..(ROWS as isize - dy).min(ROWS as isize) {
-        let x = &first[row as usize * COLUMNS + from..][..columns];
-        let y = &second[(row + dy) as usize * COLUMNS + to..][..columns];
-        for (x, y) in x.iter().zip(y) {
-            (n, a, b) = (n + 1.0, a + x, b + y);
-            (aa, bb, ab) = (aa + x * x, bb + y * y, ab + x * y);
-        }
-    }
-    let spread = (n * aa - a * a).max(0.0) * (n * bb - b * b).max(0.0);
-    if spread > 1e-6 { (n * ab - a * b) / spread.sqrt() } else { 0.0 }
 }
 
 #[cfg(test)]
