@@ -3,7 +3,7 @@
 use super::mapper::MappingContext;
 use crate::config::ResponseScope;
 use crate::objective::Evaluation;
-use crate::tracking::{NODE_STEP, mask_white_balance};
+use crate::tracking::{RESPONSE_NODE_SPACING, mask_white_balance};
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
     CurveGradient, FrameTone, FrameToneGradient, ResponsePrior, ShutterTangent,
@@ -101,7 +101,7 @@ impl FrameOptimizers {
         let curves = response.nodes.len();
         let optimizers =
             self.responses.entry(index).or_insert_with(|| (0..curves).map(|_| adam()).collect());
-        let rate = context.config.parameters.frames.response_rate * NODE_STEP;
+        let rate = context.config.parameters.frames.response_rate * RESPONSE_NODE_SPACING;
         for ((nodes, d), adam) in response.nodes.iter_mut().zip(&d_nodes).zip(optimizers) {
             adam.step(nodes, d, rate);
         }

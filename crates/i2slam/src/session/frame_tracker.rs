@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::mapping::{Keyframe, Tracker};
 use crate::objective::{Observation, blur_length};
 use crate::reconstruction::FrameEstimate;
-use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict};
+use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict_pose};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
@@ -43,7 +43,7 @@ impl FrameTracker<'_> {
             ..FrameEstimate::posed(
                 frame.index,
                 frame.timestamp,
-                ShutterPoses::still(predict(&context)),
+                ShutterPoses::still(predict_pose(&context)),
             )
         };
         let result = tracker.map(|tracker| {
@@ -53,7 +53,7 @@ impl FrameTracker<'_> {
         if let Some(result) = &result {
             estimate.shutter = result.shutter;
             estimate.readout = result.readout;
-            estimate.depth_lead = result.depth_lead;
+            estimate.depth_lead = result.depth_offset;
             estimate.tone = result.tone;
             estimate.losses = result.losses;
             estimate.convergence = result.convergence;

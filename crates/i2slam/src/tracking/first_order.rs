@@ -1,16 +1,15 @@
-//! First-order tracking by analysis and synthesis, as SplaTAM and the paper do it.
+//! First-order tracking: Adam on the rendered objective (SplaTAM; the paper's section on tracking).
 
-use super::{Motion, TrackingContext, TrackingResult};
+use super::context::{TrackingContext, TrackingResult, TrackingState};
 use crate::config::{FormationConfig, TrackingParameters, WhiteBalanceModel};
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, SceneMap, Tone,
 };
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
-    CameraResponse, CentreVelocity, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
-    TrajectoryScale,
+    CameraResponse, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
 };
-use i2slam_geometry::{Rotation, Tangent};
+use i2slam_geometry::{Tangent, Vec3};
 
 /// λ_img of eq. 12, a sum over pixels (SplaTAM).
 const IMAGE_WEIGHT: f32 = 0.5;
@@ -19,20 +18,9 @@ const DEPTH_WEIGHT: f32 = 1.0;
 /// Rendered opacity below which a pixel does not count (SplaTAM).
 const MIN_OPACITY: f32 = 0.99;
 /// Learning rate of the rotational velocity over that of rotations (the paper's appendix A).
-const VELOCITY_ROTATION_SHARE: f32 = 0.1;
+const VELOCITY_ROTATION_RATE: f32 = 0.1;
 
-/// The parameters of one frame, as they are stepped.
-#[derive(Clone)]
-pub(super) struct State {
-    pub(super) motion: CentreVelocity<f64>,
-    /// Time in which the rows are read [exposures].
-    pub(super) readout: f64,
-    pub(super) tone: FrameTone<f32>,
-    pub(super) response: Option<CameraResponse<f32>>,
-    pub(super) scale: TrajectoryScale<f64>,
-}
-
-/// One optimiser per group of parameters that shares a learning rate.
+/// One optimiser per group of variables with a learning rate of its own.
 struct Optimizers {
     centre_translation: Adam,
     centre_rotation: Adam,
@@ -58,19 +46,19 @@ impl Optimizers {
     }
 }
 
-/// `config.iterations` steps from `start`, fewer once cancelled; the parameters with the
-/// smallest loss are returned.
+/// Takes `tracking.iterations` steps from `start`, fewer once cancelled, and returns the state with
+/// the smallest loss.
 pub(super) fn refine<M: SceneMap>(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
     map: &M,
     observation: &Observation,
-    start: State,
+    start: TrackingState,
     sampling: Sampling,
 ) -> TrackingResult {
     let mut state = start;
     let mut optimizers = Optimizers::new(state.response.as_ref().map_or(0, |r| r.nodes.len()));
-    let mut best: Option<(f64, State, Evaluation, f64)> = None;
+    let mut best: Option<(f64, TrackingState, Evaluation, f64)> = None;
     for _ in 0..context.tracking.iterations {
         let curve = state.response.as_ref().map(CameraResponse::curve);
         let mut evaluation =
@@ -92,9 +80,9 @@ pub(super) fn refine<M: SceneMap>(
     }
     match best {
         Some((_, state, evaluation, trajectory)) => {
-            TrackingResult::new(state, &evaluation, trajectory, true)
+            TrackingResult::from_first_order(state, &evaluation, trajectory, true)
         }
-        None => TrackingResult::new(state, &Evaluation::default(), 0.0, false),
+        None => TrackingResult::from_first_order(state, &Evaluation::default(), 0.0, false),
     }
 }
 
@@ -102,7 +90,7 @@ fn evaluate<M: SceneMap>(
     objective: &mut FrameObjective<M>,
     map: &M,
     observation: &Observation,
-    state: &State,
+    state: &TrackingState,
     curve: Option<&ResponseCurve<f32>>,
     sampling: Sampling,
 ) -> Evaluation {
@@ -118,10 +106,10 @@ fn evaluate<M: SceneMap>(
     objective.track(map, observation, &variables, MIN_OPACITY, (IMAGE_WEIGHT, DEPTH_WEIGHT))
 }
 
-/// Adds λ_traj L_traj to the objective and its shutter gradient; returns loss and gradient.
+/// Adds λ_traj L_traj (eq. 15) to the objective and its shutter gradient; returns loss and gradient.
 fn add_trajectory_loss(
     context: &TrackingContext<'_>,
-    state: &State,
+    state: &TrackingState,
     evaluation: &mut Evaluation,
 ) -> Option<(f64, TrajectoryGradient<f64>)> {
     if !context.formation.trajectory_loss || !context.formation.blur {
@@ -131,8 +119,8 @@ fn add_trajectory_loss(
     let pair = TrajectoryPair {
         previous: previous.shutter,
         current: state.motion.into(),
-        exposure_previous: context.exposure_time(&previous.tone) * context.interval_share(),
-        exposure_current: context.exposure_time(&state.tone) * context.interval_share(),
+        exposure_previous: context.exposure_time(&previous.tone) * context.interval_ratio(),
+        exposure_current: context.exposure_time(&state.tone) * context.interval_ratio(),
         scale: state.scale,
     };
     let (loss, gradient) = pair.loss_and_gradient();
@@ -144,7 +132,7 @@ fn add_trajectory_loss(
 
 fn step(
     context: &TrackingContext<'_>,
-    state: &mut State,
+    state: &mut TrackingState,
     optimizers: &mut Optimizers,
     evaluation: &Evaluation,
     trajectory: Option<TrajectoryGradient<f64>>,
@@ -168,15 +156,15 @@ fn step(
 fn step_motion(
     parameters: &TrackingParameters,
     formation: &FormationConfig,
-    state: &mut State,
+    state: &mut TrackingState,
     optimizers: &mut Optimizers,
     evaluation: &Evaluation,
 ) {
     let (d_centre, d_velocity) = state.motion.pull_back(evaluation.shutter);
-    let move_by = |adam: &mut Adam, gradient: i2slam_geometry::Vec3<f64>, rate: f32| {
+    let move_by = |adam: &mut Adam, gradient: Vec3<f64>, rate: f32| {
         let mut step = [0.0_f32; 3];
         adam.step(&mut step, &gradient.to_array().map(|g| g as f32), rate);
-        i2slam_geometry::Vec3::from_array(step.map(f64::from))
+        Vec3::from_array(step.map(f64::from))
     };
     let centre = Tangent {
         translation: move_by(
@@ -190,9 +178,9 @@ fn step_motion(
             parameters.rotation_rate,
         ),
     };
-    let velocity = if formation.blur {
-        let rotation_rate = parameters.rotation_rate * VELOCITY_ROTATION_SHARE;
-        Tangent {
+    let mut velocity = Tangent::zero();
+    if formation.blur {
+        velocity = Tangent {
             translation: move_by(
                 &mut optimizers.velocity_translation,
                 d_velocity.translation,
@@ -201,18 +189,16 @@ fn step_motion(
             rotation: move_by(
                 &mut optimizers.velocity_rotation,
                 d_velocity.rotation,
-                rotation_rate,
+                parameters.rotation_rate * VELOCITY_ROTATION_RATE,
             ),
-        }
-    } else {
-        Tangent::zero()
-    };
+        };
+    }
     state.motion = state.motion.retract(centre, velocity);
 }
 
 fn step_tone(
     context: &TrackingContext<'_>,
-    state: &mut State,
+    state: &mut TrackingState,
     optimizers: &mut Optimizers,
     evaluation: &Evaluation,
     d_log_exposure: f32,
@@ -232,26 +218,17 @@ fn step_tone(
         for ((nodes, d), adam) in
             response.nodes.iter_mut().zip(&d_nodes).zip(&mut optimizers.response)
         {
-            adam.step(nodes, d, rate * NODE_STEP);
+            adam.step(nodes, d, rate * RESPONSE_NODE_SPACING);
         }
     }
 }
 
-/// Rise of a straight response from node to node. Node values have no scale of their own (they
-/// are normalised), so a learning rate is understood in these steps: larger ones make neighbours
-/// overtake each other, and the shift that keeps the curve monotone then flattens all of it.
-pub(crate) const NODE_STEP: f32 = 1.0 / 255.0;
+/// Difference between neighbouring nodes of a linear response, the unit of its learning rate: longer
+/// steps make neighbours overtake each other, and keeping the curve monotone then flattens it.
+pub(crate) const RESPONSE_NODE_SPACING: f32 = 1.0 / 255.0;
 
-/// Leaves the gradient of the free gains of `[log_exposure, log_white_balance r, g, b]`.
+/// Projects the gradient of `[log_exposure, log_white_balance r, g, b]` onto the free gains.
 pub(crate) fn mask_white_balance(model: WhiteBalanceModel, gradient: &mut [f32; 4]) {
     let [_, gains @ ..] = gradient;
     model.project_gradient(gains);
-}
-
-/// Constant velocity: the motion of the last frame once more, with a small split of start and
-/// end along it (appendix A).
-pub(super) fn extrapolate(motion: Motion, split: f64) -> CentreVelocity<f64> {
-    let step = motion.step;
-    let translation = Rotation::exp(step.rotation).inverse().rotate(step.translation);
-    CentreVelocity { centre: motion.next, velocity: Tangent { translation, ..step }.scaled(split) }
 }

@@ -1,4 +1,4 @@
-//! How sure an alignment is: the covariance of the pose at mid-exposure.
+//! Covariance of the aligned pose at mid-exposure (a sandwich estimator).
 //!
 //! The cost `Σ s_k ρ(r/σ)`, `ρ(z) = (ν+1) ln(1 + z²/ν)` with weights `w(z) = (ν+1)/(ν+z²)`, has the
 //! reweighted sums `H_k = Σ s_k w j jᵀ / σ²` for depth (`s` = 1) and picture. Where residuals are
@@ -10,21 +10,27 @@
 //! c = E[ρ''(z)/2] / E[w(z)],   m = E[w(z)² z²] / E[w(z)],   z ~ N(0, n²)
 //! ```
 //!
-//! and `n` is the one whose expected cost `E[ρ(z)]` is the mean cost that was found. Priors hold
-//! but are no noise. This is formal: neighbouring pixels, the channels of one and all errors of the
-//! map are taken to be independent.
+//! and `n` is the one whose expected cost `E[ρ(z)]` equals the mean cost of the residuals. Priors
+//! stiffen `B` but are no noise in `M`. The result is formal: neighbouring pixels, the channels of
+//! a pixel and all errors of the map are taken to be independent.
 
-use super::levenberg_marquardt::{Outcome, Purpose};
-use super::noise::Noise;
-use super::residual::{Equations, Sums, UNKNOWNS};
-use super::target::cleanest;
-use super::{Frame, State};
+use super::levenberg_marquardt::{AlignmentOutcome, EvaluationMode};
+use super::residual::{DEGREES_OF_FREEDOM, Equations, ResidualSums, UNKNOWNS};
+use super::target::active_targets;
+use super::{FrameAlignment, TrackingState};
 use i2slam_compute::solve_positive_definite;
 
-/// Unknowns of the pose at mid-exposure: ρ, then φ.
+/// Number of unknowns of the pose at mid-exposure, which come first: ρ, then φ.
 const POSE: usize = 6;
 
-/// A symmetric matrix of all unknowns.
+/// Samples of the normal density, over [`SIGMA_RANGE`] standard deviations to either side.
+const SAMPLES: usize = 64;
+const SIGMA_RANGE: f64 = 6.0;
+/// Bounds of the spread `n`, between which it is found by bisection on a logarithmic scale.
+const SPREAD_BOUNDS: (f64, f64) = (1e-3, 1e3);
+const BISECTIONS: usize = 40;
+
+/// A symmetric matrix over all unknowns.
 type Matrix = [[f64; UNKNOWNS]; UNKNOWNS];
 
 /// Covariance of (ρ, φ) at mid-exposure [m², m rad, rad²].
@@ -32,8 +38,8 @@ type Matrix = [[f64; UNKNOWNS]; UNKNOWNS];
 pub(super) struct PoseCovariance(pub(super) [[f64; POSE]; POSE]);
 
 impl PoseCovariance {
-    /// `B⁻¹ M B⁻¹`, of which the upper triangles of `bread` and `meat` are read; `None` where
-    /// `bread` is not positive definite.
+    /// `B⁻¹ M B⁻¹` from the upper triangles of `bread` (`B`) and `meat` (`M`); `None` where `bread` is
+    /// not positive definite.
     pub(super) fn new(bread: &Matrix, meat: &Matrix) -> Option<Self> {
         let full = |m: &Matrix, a: usize, b: usize| if a <= b { m[a][b] } else { m[b][a] };
         let mut columns = [[0.0; UNKNOWNS]; POSE];
@@ -69,16 +75,16 @@ impl PoseCovariance {
     }
 }
 
-impl Frame<'_> {
-    /// The formal covariance where a descent ended.
-    pub(super) fn covariance(&self, end: &Outcome) -> Option<PoseCovariance> {
+impl FrameAlignment<'_> {
+    /// The formal covariance at the end of an optimisation.
+    pub(super) fn covariance(&self, end: &AlignmentOutcome) -> Option<PoseCovariance> {
         let (mut bread, mut meat) = (Equations::default(), [[0.0; UNKNOWNS]; UNKNOWNS]);
         let cameras = self.virtual_cameras(0, &end.state);
-        for (_, reference) in cleanest(&end.references) {
-            let share = f64::from(self.image_weight(reference));
-            let of = |purpose| self.residuals(reference, 0, &end.state, cameras, purpose);
-            let depth = of(Purpose::StepByDepth);
-            let all = if share > 0.0 { of(Purpose::Step) } else { depth.clone() };
+        for (_, target) in active_targets(&end.targets) {
+            let share = f64::from(self.image_weight(target));
+            let of = |mode| self.residuals(target, 0, &end.state, cameras, mode);
+            let depth = of(EvaluationMode::DepthOnly);
+            let all = if share > 0.0 { of(EvaluationMode::Full) } else { depth.clone() };
             let [by_depth, by_image] = noises(&depth, &all, share);
             for a in 0..UNKNOWNS {
                 for b in a..UNKNOWNS {
@@ -92,18 +98,18 @@ impl Frame<'_> {
         self.with_priors(&end.state, bread, meat)
     }
 
-    /// Adds the priors and takes out what is not free.
+    /// Adds the priors and takes out the unknowns that are not free.
     fn with_priors(
         &self,
-        state: &State,
+        state: &TrackingState,
         mut bread: Equations,
         mut meat: Matrix,
     ) -> Option<PoseCovariance> {
-        self.add_prior(state, &mut bread);
+        self.add_priors(state, &mut bread);
         for i in 0..UNKNOWNS {
             let alone = (0..UNKNOWNS).all(|a| a == i || bread.hessian[a.min(i)][a.max(i)] == 0.0);
             if alone {
-                // Frozen, or nothing depends on it.
+                // Frozen, or without influence.
                 bread.hessian[i][i] = 1.0;
                 (0..UNKNOWNS).for_each(|a| meat[a.min(i)][a.max(i)] = 0.0);
             }
@@ -112,13 +118,62 @@ impl Frame<'_> {
     }
 }
 
-/// The noise of depth and picture, from the costs of depth alone and of both.
-fn noises(depth: &Sums, all: &Sums, share: f64) -> [Noise; 2] {
+/// The noise of depth and image residuals, from the costs of depth alone and of both.
+fn noises(depth: &ResidualSums, all: &ResidualSums, share: f64) -> [ResidualNoise; 2] {
     let (depth, all) = (&depth.equations, &all.equations);
     let mean = |cost: f64, count: usize| if count > 0 { cost / count as f64 } else { 0.0 };
     let share = if share > 0.0 { share } else { 1.0 };
     let image = mean((all.cost - depth.cost) / share, all.count - depth.count);
-    [mean(depth.cost, depth.count), image].map(Noise::of_mean_cost)
+    [mean(depth.cost, depth.count), image].map(ResidualNoise::of_mean_cost)
+}
+
+/// Noise terms of normal residuals under the cost `ρ`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct ResidualNoise {
+    /// `E[ρ''(z)/2] / E[w(z)]`.
+    curvature: f64,
+    /// `E[w(z)² z²] / E[w(z)]`.
+    spread: f64,
+}
+
+impl ResidualNoise {
+    /// For the spread whose expected cost `E[ρ(z)]` is `cost`.
+    fn of_mean_cost(cost: f64) -> Self {
+        let freedom = f64::from(DEGREES_OF_FREEDOM);
+        let rho = |z: f64| (freedom + 1.0) * (z * z / freedom).ln_1p();
+        let (mut low, mut high) = (SPREAD_BOUNDS.0.ln(), SPREAD_BOUNDS.1.ln());
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (low + high);
+            match expected(middle.exp(), rho) < cost {
+                true => low = middle,
+                false => high = middle,
+            }
+        }
+        Self::of_spread(low.exp())
+    }
+
+    /// For residuals with `spread` times their scale as standard deviation.
+    fn of_spread(spread: f64) -> Self {
+        let freedom = f64::from(DEGREES_OF_FREEDOM);
+        let weight = |z: f64| (freedom + 1.0) / (freedom + z * z);
+        let bend = |z: f64| weight(z) * (freedom - z * z) / (freedom + z * z);
+        let sum = expected(spread, weight);
+        // Residuals beyond the turning point of the cost would make its curvature negative.
+        let curvature = (expected(spread, bend) / sum).max(0.05);
+        Self { curvature, spread: expected(spread, |z| (weight(z) * z).powi(2)) / sum }
+    }
+}
+
+/// `E[f(z)]` for `z ~ N(0, spread²)`.
+fn expected(spread: f64, f: impl Fn(f64) -> f64) -> f64 {
+    let place = |i: usize| SIGMA_RANGE * ((2 * i + 1) as f64 / SAMPLES as f64 - 1.0);
+    let (mut sum, mut total) = (0.0, 0.0);
+    for x in (0..SAMPLES).map(place) {
+        let density = (-0.5 * x * x).exp();
+        sum += density * f(spread * x);
+        total += density;
+    }
+    sum / total
 }
 
 #[cfg(test)]

@@ -1,164 +1,165 @@
-//! Gauss-Newton down the levels of the pictures.
+//! Levenberg-Marquardt over the levels of the image pyramid.
 
-use super::balance::BalancePrior;
-use super::priors::{MotionPrior, freeze};
-use super::residual::{Equations, Errors, Linearization, READOUT, Sums, UNKNOWNS};
+use super::priors::{MotionPrior, WhiteBalancePrior, freeze};
+use super::residual::{AbsoluteErrors, Equations, Linearization, ResidualSums};
+use super::residual::{EXPOSURE, READOUT, UNKNOWNS, VELOCITY, WHITE_BALANCE};
 use super::rolling_shutter::ReadoutPrior;
-use super::target::{Reference, cleanest};
-use super::{Frame, State};
+use super::target::{AlignmentTarget, active_targets};
+use super::{FrameAlignment, TrackingState};
 use crate::config::WhiteBalanceModel;
 use crate::objective::{FrameObjective, SceneMap, virtual_camera_count};
 use i2slam_geometry::Tangent;
 
-/// A step shorter than this [px] ends a level.
-const CONVERGED: f64 = 2e-3;
-/// A descent whose last step was shorter than this [px] has converged: noise moves its end farther.
-const SETTLED: f64 = 0.02;
-/// Moves of the model's pose [px] that call for a new render.
-const RENDER_AGAIN: f64 = 0.5;
-
-/// Renders of the model, each at the refined pose.
+/// Step length at which a level ends [px at that level].
+const MIN_STEP_PX: f64 = 2e-3;
+/// Length of the last step below which the optimisation has converged [px]: noise moves its end
+/// farther.
+const CONVERGED_STEP_PX: f64 = 0.02;
+/// Distance from the rendered pose from which the map is rendered again [px].
+const RERENDER_DISTANCE_PX: f64 = 0.5;
+/// Largest number of renders of the map, each at the improved pose.
 const MAX_RENDERS: usize = 2;
-/// Steps of a descent; a level takes two.
+/// Largest number of steps of one minimisation; a level takes two.
 const MAX_STEPS: usize = 6;
-/// A frame takes 1 / (1 + this) of the white balance that it asks for: cameras change it slowly.
+/// λ of the [`WhiteBalancePrior`].
 const WHITE_BALANCE_INERTIA: f32 = 1.5;
 
-/// Where an alignment ended.
-pub(super) struct Outcome {
-    pub(super) state: State,
+/// End of an optimisation.
+pub(super) struct AlignmentOutcome {
+    pub(super) state: TrackingState,
     /// Without derivatives.
-    pub(super) sums: Sums,
-    pub(super) progress: Progress,
-    /// What the frame was aligned to.
-    pub(super) references: Vec<Reference>,
+    pub(super) sums: ResidualSums,
+    pub(super) progress: SolverProgress,
+    pub(super) targets: Vec<AlignmentTarget>,
 }
 
-/// How a descent went.
+/// Iterations of an optimisation.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Progress {
-    /// Steps tried, over all levels.
+pub(super) struct SolverProgress {
+    /// Steps tried, over all levels, the rejected ones included.
     pub(super) steps: usize,
-    /// Whether the last step was too short to matter.
+    /// Whether the last step was shorter than [`CONVERGED_STEP_PX`].
     pub(super) converged: bool,
 }
 
-/// All residuals at one state.
+/// Residuals of all targets at one state.
 struct Evaluation {
-    total: Sums,
-    /// Errors against each reference that counts.
-    errors: Vec<Option<Errors>>,
+    total: ResidualSums,
+    /// By target; `None` for one that does not count.
+    errors: Vec<Option<AbsoluteErrors>>,
 }
 
-/// What is known of a state beside its residuals.
+/// Priors on a state.
 struct Priors {
     motion: Option<MotionPrior>,
     readout: Option<ReadoutPrior>,
-    balance: BalancePrior,
+    white_balance: WhiteBalancePrior,
 }
 
 impl Priors {
-    /// Mean cost of the residuals with the priors' share.
-    fn cost(&self, state: &State, sums: &Sums) -> f64 {
+    /// Cost of residuals and priors, over the number of residuals.
+    fn cost(&self, state: &TrackingState, sums: &ResidualSums) -> f64 {
         let velocity = state.motion.velocity;
         let readout = self.readout.as_ref().map_or(0.0, |p| p.cost(velocity, state.readout));
         let motion = self.motion.as_ref().map_or(0.0, |p| p.cost(velocity));
-        let balance = self.balance.cost(state.tone.log_white_balance);
-        sums.mean_cost() + (motion + readout + balance) / sums.equations.count.max(1) as f64
+        let white_balance = self.white_balance.cost(state.tone.log_white_balance);
+        sums.mean_cost() + (motion + readout + white_balance) / sums.equations.count.max(1) as f64
     }
 }
 
-/// What an evaluation is for.
+/// Parts of an evaluation.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Purpose {
-    /// To take a step from there.
-    Step,
-    /// The same from depth alone.
-    StepByDepth,
-    /// To compare cost and errors.
-    Compare,
+pub(super) enum EvaluationMode {
+    /// All residuals with derivatives.
+    Full,
+    /// Depth residuals with derivatives.
+    DepthOnly,
+    /// All residuals without derivatives.
+    CostOnly,
 }
 
-impl Frame<'_> {
-    /// Coarse to fine, on renders at ever better poses.
-    pub(super) fn descend<M: SceneMap>(
+impl FrameAlignment<'_> {
+    /// Optimises from the coarsest level to the finest, then again on the finest against renders at
+    /// the improved pose.
+    pub(super) fn coarse_to_fine<M: SceneMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,
-        mut state: State,
-    ) -> Outcome {
-        let levels = self.observed.len();
-        let mut references = vec![Reference::model(self, objective, map, state.motion.centre)];
-        references.extend(Reference::keyframe(self));
-        let (mut sums, mut progress) = (Sums::default(), Progress::default());
+        mut state: TrackingState,
+    ) -> AlignmentOutcome {
+        let levels = self.levels.len();
+        let mut targets =
+            vec![AlignmentTarget::from_map(self, objective, map, state.motion.centre)];
+        targets.extend(AlignmentTarget::from_keyframe(self));
+        let (mut sums, mut progress) = (ResidualSums::default(), SolverProgress::default());
         for round in 0..MAX_RENDERS {
             if round > 0 {
-                let pose = references[0].world_from_camera;
-                if self.in_pixels(pose.local(state.motion.centre)) < RENDER_AGAIN {
+                let pose = targets[0].world_from_camera;
+                if self.norm_in_pixels(pose.local(state.motion.centre)) < RERENDER_DISTANCE_PX {
                     break;
                 }
-                let model = Reference::model(self, objective, map, state.motion.centre);
-                let scales = references[0].scales;
-                references[0] = Reference { scales, ..model };
+                let target = AlignmentTarget::from_map(self, objective, map, state.motion.centre);
+                let scales = targets[0].scales;
+                targets[0] = AlignmentTarget { scales, ..target };
             }
             let coarsest = if round == 0 { levels } else { 1 };
             for level in (0..coarsest).rev() {
-                sums = self.solve_level(&mut references, level, &mut state, &mut progress);
+                sums = self.minimize_level(&mut targets, level, &mut state, &mut progress);
             }
         }
-        Outcome { state, sums, progress, references }
+        AlignmentOutcome { state, sums, progress, targets }
     }
 
-    /// Gauss-Newton on one level, twice: with the scales of the level before, then with its own.
-    pub(super) fn solve_level(
+    /// Minimises on one level, twice: the robust scales follow the residuals in between.
+    pub(super) fn minimize_level(
         &self,
-        references: &mut [Reference],
+        targets: &mut [AlignmentTarget],
         level: usize,
-        state: &mut State,
-        progress: &mut Progress,
-    ) -> Sums {
-        let mut known = vec![None; references.len()];
-        let mut sums = Sums::default();
+        state: &mut TrackingState,
+        progress: &mut SolverProgress,
+    ) -> ResidualSums {
+        let mut known = vec![None; targets.len()];
+        let mut sums = ResidualSums::default();
         for _ in 0..2 {
             let cameras = self.virtual_cameras(level, state);
-            for (reference, known) in references.iter_mut().zip(known) {
+            for (target, known) in targets.iter_mut().zip(known) {
                 let errors = known.unwrap_or_else(|| {
-                    self.residuals(reference, level, state, cameras, Purpose::Compare).errors
+                    self.residuals(target, level, state, cameras, EvaluationMode::CostOnly).errors
                 });
-                reference.update_scales(&errors);
+                target.update_scales(&errors);
             }
-            let end = self.step_down(references, level, state, MAX_STEPS, progress);
+            let end = self.levenberg_marquardt(targets, level, state, MAX_STEPS, progress);
             (sums, known) = (end.total, end.errors);
         }
         sums
     }
 
-    /// Levenberg-Marquardt steps; one that raises the cost is taken back.
-    fn step_down(
+    /// Up to `steps` steps; one that raises the cost is rejected and damped a hundredfold.
+    fn levenberg_marquardt(
         &self,
-        references: &[Reference],
+        targets: &[AlignmentTarget],
         level: usize,
-        state: &mut State,
+        state: &mut TrackingState,
         steps: usize,
-        progress: &mut Progress,
+        progress: &mut SolverProgress,
     ) -> Evaluation {
-        let converged = CONVERGED * (level + 1) as f64;
+        let converged = MIN_STEP_PX * (level + 1) as f64;
         progress.converged = false;
         let mut damping = 1e-5;
-        let mut here = self.evaluate(references, level, state, Purpose::Step);
+        let mut here = self.evaluate(targets, level, state, EvaluationMode::Full);
         for left in (0..steps).rev() {
             let mut equations = here.total.equations.clone();
-            self.add_prior(state, &mut equations);
+            self.add_priors(state, &mut equations);
             let Some(step) = equations.step(damping) else { break };
-            let length = self.in_pixels(Tangent::from_array(std::array::from_fn(|i| step[i])));
+            let length = self.norm_in_pixels(Tangent::from_array(std::array::from_fn(|i| step[i])));
             let last = length < converged || left == 0;
             progress.steps += 1;
-            progress.converged = length < SETTLED;
-            let purpose = if last { Purpose::Compare } else { Purpose::Step };
+            progress.converged = length < CONVERGED_STEP_PX;
+            let mode = if last { EvaluationMode::CostOnly } else { EvaluationMode::Full };
             let mut next = retract(state, &step);
-            next.readout = self.context.readout.one_way(next.readout);
-            let there = self.evaluate(references, level, &next, purpose);
-            // The same for both sides, held where the step was taken from.
+            next.readout = self.context.readout.keep_direction(next.readout);
+            let there = self.evaluate(targets, level, &next, mode);
+            // Some priors depend on the state: both sides are compared under those of the old one.
             let priors = self.priors(state, &here.total.equations);
             let bound = priors.cost(state, &here.total) * (1.0 + 1e-4);
             let lower = priors.cost(&next, &there.total) <= bound;
@@ -180,17 +181,18 @@ impl Frame<'_> {
 
     fn evaluate(
         &self,
-        references: &[Reference],
+        targets: &[AlignmentTarget],
         level: usize,
-        state: &State,
-        purpose: Purpose,
+        state: &TrackingState,
+        mode: EvaluationMode,
     ) -> Evaluation {
         let cameras = self.virtual_cameras(level, state);
-        let mut all = Evaluation { total: Sums::default(), errors: vec![None; references.len()] };
-        for (index, reference) in cleanest(references) {
-            let mut part = self.residuals(reference, level, state, cameras, purpose);
-            if !reference.has_radiance {
-                // Overlap with the map says whether a frame is tracked.
+        let mut all =
+            Evaluation { total: ResidualSums::default(), errors: vec![None; targets.len()] };
+        for (index, target) in active_targets(targets) {
+            let mut part = self.residuals(target, level, state, cameras, mode);
+            if !target.has_radiance {
+                // Acceptance is about the overlap with the map alone.
                 (part.candidates, part.agreeing) = (0, 0);
             }
             all.errors[index] = Some(part.errors);
@@ -199,8 +201,8 @@ impl Frame<'_> {
         all
     }
 
-    /// How many moments of the exposure a level needs.
-    pub(super) fn virtual_cameras(&self, level: usize, state: &State) -> usize {
+    /// Virtual cameras that a level needs for the blur of `state`.
+    pub(super) fn virtual_cameras(&self, level: usize, state: &TrackingState) -> usize {
         let formation = self.context.formation;
         if !formation.blur {
             return 1;
@@ -212,16 +214,16 @@ impl Frame<'_> {
 
     pub(super) fn residuals(
         &self,
-        reference: &Reference,
+        target: &AlignmentTarget,
         level: usize,
-        state: &State,
+        state: &TrackingState,
         cameras: usize,
-        purpose: Purpose,
-    ) -> Sums {
+        mode: EvaluationMode,
+    ) -> ResidualSums {
         Linearization {
-            model: &reference.levels[level],
-            observed: &self.observed[level],
-            model_from_world: reference.world_from_camera.inverse(),
+            target: &target.levels[level],
+            frame: &self.levels[level],
+            target_from_world: target.world_from_camera.inverse(),
             state,
             curve: self.curve.as_ref(),
             cameras,
@@ -231,40 +233,42 @@ impl Frame<'_> {
                 .readout
                 .is_rolling()
                 .then(|| self.context.camera.height as f64 / f64::from(1_u32 << level)),
-            world_from_depth: state.motion.centre.retract(self.depth_lead(state)),
-            depth_lead: self.depth_share(),
-            scales: self.scales(reference),
-            image_weight: match purpose {
-                Purpose::StepByDepth => 0.0,
-                _ => self.image_weight(reference),
+            world_from_depth: state.motion.centre.retract(self.depth_offset(state)),
+            depth_offset_ratio: self.depth_offset_ratio(),
+            scales: self.scales(target),
+            image_weight: match mode {
+                EvaluationMode::DepthOnly => 0.0,
+                _ => self.image_weight(target),
             },
-            derivatives: purpose != Purpose::Compare,
+            derivatives: mode != EvaluationMode::CostOnly,
         }
         .accumulate()
     }
 
-    fn balance_prior(&self, equations: &Equations) -> BalancePrior {
-        BalancePrior::new(equations, WHITE_BALANCE_INERTIA, self.white_balance)
+    fn white_balance_prior(&self, equations: &Equations) -> WhiteBalancePrior {
+        WhiteBalancePrior::new(equations, WHITE_BALANCE_INERTIA, self.predicted_white_balance)
     }
 
-    fn priors(&self, state: &State, equations: &Equations) -> Priors {
-        let motion = self.context.formation.blur.then(|| self.prior(state));
-        let balance = self.balance_prior(equations);
-        Priors { motion, readout: self.readout_prior(state), balance }
+    fn priors(&self, state: &TrackingState, equations: &Equations) -> Priors {
+        let motion = self.context.formation.blur.then(|| self.motion_prior(state));
+        let white_balance = self.white_balance_prior(equations);
+        Priors { motion, readout: self.readout_prior(state), white_balance }
     }
 
-    pub(super) fn add_prior(&self, state: &State, equations: &mut Equations) {
+    /// Adds the priors' normal equations and freezes the unknowns that the settings fix.
+    pub(super) fn add_priors(&self, state: &TrackingState, equations: &mut Equations) {
         let formation = self.context.formation;
-        self.balance_prior(equations).add_to(state.tone.log_white_balance, equations);
+        self.white_balance_prior(equations).add_to(state.tone.log_white_balance, equations);
         if formation.blur {
-            self.prior(state).add_to(state.motion.velocity, equations);
+            self.motion_prior(state).add_to(state.motion.velocity, equations);
         } else {
-            freeze(equations, 6..12);
+            freeze(equations, VELOCITY..EXPOSURE);
         }
         let fixed = match (formation.tone, formation.white_balance) {
-            (false, _) => 12..16,
-            (true, WhiteBalanceModel::PerChannel) => 14..15,
-            (true, _) => 13..16,
+            (false, _) => EXPOSURE..READOUT,
+            // The gain of green is the exposure's.
+            (true, WhiteBalanceModel::PerChannel) => WHITE_BALANCE + 1..WHITE_BALANCE + 2,
+            (true, _) => WHITE_BALANCE..READOUT,
         };
         freeze(equations, fixed);
         match self.readout_prior(state) {
@@ -274,14 +278,14 @@ impl Frame<'_> {
     }
 }
 
-fn retract(state: &State, step: &[f64; UNKNOWNS]) -> State {
+fn retract(state: &TrackingState, step: &[f64; UNKNOWNS]) -> TrackingState {
     let mut next = state.clone();
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| step[from + i]));
-    next.motion = next.motion.retract(part(0), part(6));
+    next.motion = next.motion.retract(part(0), part(VELOCITY));
     next.readout += step[READOUT];
-    next.tone.log_exposure += step[12] as f32;
+    next.tone.log_exposure += step[EXPOSURE] as f32;
     for channel in 0..3 {
-        next.tone.log_white_balance[channel] += step[13 + channel] as f32;
+        next.tone.log_white_balance[channel] += step[WHITE_BALANCE + channel] as f32;
     }
     next
 }

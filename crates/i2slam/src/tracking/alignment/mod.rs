@@ -1,16 +1,14 @@
-//! Second-order tracking: Gauss-Newton on the re-projected model, coarse to fine.
+//! Second-order tracking: aligns a frame to the rendered map by Levenberg-Marquardt, coarse to
+//! fine.
 //!
-//! The model is rendered once at the predicted pose (and anew where the frame turns out to be
-//! elsewhere); every step re-projects that render through the frame's depth to the virtual
-//! cameras of the exposure, blurs, forms and compares. Twelve pose numbers, the exposure and the
-//! white balance are solved for together.
+//! The map is rendered once at the predicted pose, and again where the frame turns out to be
+//! elsewhere. Every step re-projects that render through the frame's depth to the virtual cameras
+//! of the exposure, averages, applies the camera response and compares. The unknowns are the pose
+//! at mid-exposure, the motion during the exposure, exposure, white balance and readout.
 
-mod acceptance;
-mod balance;
 mod blur_initialization;
 mod covariance;
 mod levenberg_marquardt;
-mod noise;
 mod priors;
 mod pyramid;
 mod relocalization;
@@ -18,98 +16,110 @@ mod residual;
 mod rolling_shutter;
 mod target;
 
-use super::first_order::{State, extrapolate};
-use super::{Motion, TrackingContext, TrackingResult};
+use super::context::{PredictedMotion, TrackingContext, TrackingResult, TrackingState};
 use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
 use crate::reconstruction::{Convergence, Losses};
-use acceptance::MIN_OVERLAP;
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
-use levenberg_marquardt::Outcome;
+use levenberg_marquardt::AlignmentOutcome;
 use priors::MotionPrior;
-use pyramid::{Observed, observed_levels};
-use relocalization::standing;
-use residual::Sums;
+use pyramid::frame_levels;
+use residual::{FrameLevel, ResidualSums};
 
-/// Levels of the picture pyramid, each half the size of the one before.
+/// Levels of the image pyramids.
 const LEVELS: usize = 3;
-/// Standard deviation of the blur motion, over the motion between frames.
-const MOTION_DEVIATION: f32 = 0.1;
-/// Share of the overlap that a better start must keep: what sees nothing has no loss.
-const KEPT_OVERLAP: f64 = 0.9;
-/// Frame intervals after which the motion since the last frame no longer tells the velocity.
-const MAX_INTERVAL: f64 = 3.5;
-/// Share of the picture that must have depth: a pose from one small patch slides along it.
-const MIN_DEPTH: f64 = 0.05;
-/// Weight of the trajectory prior against single residuals: neighbouring pixels are not
-/// independent, and a map that is still soft would otherwise be read as a still camera.
+/// Standard deviation of the motion during the exposure, over the motion since the last frame: across
+/// that motion, and along it, where the shutter time is uncertain.
+const MOTION_SIGMA_ACROSS: f32 = 0.1;
+const MOTION_SIGMA_ALONG: f64 = 0.5;
+/// Least share of the frame's depth that must lie on the map's surface.
+const MIN_OVERLAP: f64 = 0.3;
+/// Least share of the overlap that another start must keep to be preferred: a pose that sees
+/// nothing has no loss.
+const MIN_OVERLAP_RATIO: f64 = 0.9;
+/// Last frames whose median losses are the usual ones.
+const RECENT_FRAMES: usize = 20;
+/// Fewer frames than these have no usual loss.
+const MIN_RECENT_FRAMES: usize = 5;
+/// Product of the image and depth losses over their usual values from which a pose is rejected. At
+/// right poses new surfaces, glare or a jump of exposure raised one of the two up to ninefold; at
+/// wrong ones both rose, together twentyfold and more.
+const MAX_LOSS_RATIO: f64 = 12.0;
+/// Nominal frame intervals after which the motion since the last frame no longer predicts the
+/// velocity.
+const MAX_GAP_INTERVALS: f64 = 3.5;
+/// Least share of the picture that must have depth: a pose from one small patch slides along it.
+const MIN_DEPTH_COVERAGE: f64 = 0.05;
+/// Weight of the motion priors against single residuals: neighbouring pixels are not independent,
+/// and a map that is still soft would otherwise be read as a still camera.
 const PRIOR_WEIGHT: f64 = 200.0;
+/// Depth that stands in for the median of a frame without any [m].
+const DEFAULT_DEPTH: f64 = 2.0;
 
-/// Everything about one frame that its steps share.
-struct Frame<'a> {
+/// One frame to be aligned, and what its iterations share.
+struct FrameAlignment<'a> {
     context: &'a TrackingContext<'a>,
-    observed: Vec<Observed>,
+    levels: Vec<FrameLevel>,
     observation: &'a Observation,
     curve: Option<ResponseCurve<f32>>,
-    /// Pixels per metre and per radian, for tangents in pixels.
-    pixels: [f64; 6],
-    previous: Pose<f64>,
-    /// Logarithms of the white balance that is expected.
-    white_balance: [f32; 3],
-    /// The readout that the descent starts from [exposures].
-    readout_start: f64,
+    /// Pixels per metre and per radian, which measure tangents in pixels.
+    pixels_per_unit: [f64; 6],
+    previous_pose: Pose<f64>,
+    /// Predicted logarithms of the white balance.
+    predicted_white_balance: [f32; 3],
+    /// Predicted readout [exposures].
+    predicted_readout: f64,
 }
 
-/// Aligns a frame from the constant-velocity prediction; from a standing start where that end is
-/// not to be believed. Where both fail, the frame is looked for around all places that the map was
-/// seen from, unless its place was told.
+/// Aligns a frame from the constant-velocity prediction or, where that end is rejected, from the
+/// last pose at rest. Where both fail, and no pose was expected, the frame is relocalised against
+/// the keyframes.
 pub(super) fn align<M: SceneMap>(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
     map: &M,
     observation: &Observation,
-    state: State,
-    motion: Motion,
+    predicted: TrackingState,
+    motion: PredictedMotion,
 ) -> TrackingResult {
-    let previous = context.previous.map_or_else(Pose::identity, |p| p.middle());
-    let frame = Frame {
+    let previous_pose = context.previous.map_or_else(Pose::identity, |p| p.middle());
+    let frame = FrameAlignment {
         context,
-        observed: observed_levels(context.camera, observation, LEVELS),
+        levels: frame_levels(context.camera, observation, LEVELS),
         observation,
-        curve: state.response.as_ref().map(CameraResponse::curve),
-        pixels: pixels_per_unit(context, observation),
-        previous,
-        white_balance: state.tone.log_white_balance,
-        readout_start: state.readout,
+        curve: predicted.response.as_ref().map(CameraResponse::curve),
+        pixels_per_unit: pixels_per_unit(context, observation),
+        previous_pose,
+        predicted_white_balance: predicted.tone.log_white_balance,
+        predicted_readout: predicted.readout,
     };
-    let predicted = state.clone();
-    let lost = |sums: &Sums| {
-        let state = State { motion: extrapolate(motion, 0.0), ..predicted.clone() };
+    let lost = |sums: &ResidualSums| {
+        let state = TrackingState { motion: motion.during_exposure(0.0), ..predicted.clone() };
         frame.result(state, sums, Convergence::default(), false)
     };
     let pixels = observation.depth.pixels() as f64;
-    if (observation.valid_depths() as f64) < MIN_DEPTH * pixels {
-        return lost(&Sums::default());
+    if (observation.valid_depths() as f64) < MIN_DEPTH_COVERAGE * pixels {
+        return lost(&ResidualSums::default());
     }
-    let first = frame.settle(objective, map, state);
-    if frame.is_believed(&first) {
+    let first = frame.optimize(objective, map, predicted.clone());
+    if frame.is_accepted(&first) {
         let convergence = frame.convergence(&first);
-        let state = frame.with_learned_share(first.state);
+        let state = frame.with_measured_scale(first.state);
         return frame.result(state, &first.sums, convergence, true);
     }
-    let still = frame.settle(objective, map, standing(&predicted, previous));
-    let found = match frame.is_believed(&still) {
+    let still = frame.optimize(objective, map, predicted.at_rest(previous_pose));
+    let found = match frame.is_accepted(&still) {
         true => Some(still),
         false if context.expected.is_some() => None,
-        false => frame.recover(objective, map, &predicted),
+        false => frame.relocalize(objective, map, &predicted),
     };
     let Some(found) = found else { return lost(&first.sums) };
     let convergence = frame.convergence(&found);
     frame.result(found.state, &found.sums, convergence, true)
 }
 
-fn losses(sums: &Sums) -> Losses {
+fn mean_losses(sums: &ResidualSums) -> Losses {
     let errors = &sums.errors;
     Losses {
         image: errors.image / errors.image_count.max(1) as f64,
@@ -118,101 +128,128 @@ fn losses(sums: &Sums) -> Losses {
     }
 }
 
-/// How far a metre and a radian move the picture [px], at the frame's median depth.
+/// Image motion [px] per metre and per radian of camera motion, at the frame's median depth.
 fn pixels_per_unit(context: &TrackingContext<'_>, observation: &Observation) -> [f64; 6] {
     let mut depths: Vec<f32> =
         observation.depth.data.iter().copied().step_by(7).filter(|&d| d > 0.0).collect();
-    let depth = median(&mut depths).map_or(2.0, f64::from);
+    let depth = median(&mut depths).map_or(DEFAULT_DEPTH, f64::from);
     let focal = context.camera.fx;
     let metre = focal / depth;
     [metre, metre, metre, focal, focal, focal]
 }
 
-impl Frame<'_> {
-    /// Descends; where no motion before tells the velocity, again with the best of some streaks.
-    fn settle<M: SceneMap>(
+impl FrameAlignment<'_> {
+    /// Optimises from `start`; where the motion before is unknown, once more with the initial blur
+    /// that suits the picture best, and keeps the better end.
+    fn optimize<M: SceneMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,
-        start: State,
-    ) -> Outcome {
-        let end = self.descend(objective, map, start);
-        if self.motion_is_known() || end.sums.overlap() < MIN_OVERLAP {
+        start: TrackingState,
+    ) -> AlignmentOutcome {
+        let end = self.coarse_to_fine(objective, map, start);
+        if self.has_measured_motion() || end.sums.overlap() < MIN_OVERLAP {
             return end;
         }
-        let Some(streak) = self.with_streak(objective, map, &end.state) else { return end };
-        let moving = self.descend(objective, map, streak);
-        let sees_as_much = moving.sums.overlap() >= KEPT_OVERLAP * end.sums.overlap();
-        match sees_as_much && losses(&moving.sums).image < losses(&end.sums).image {
+        let Some(blurred) = self.with_initial_blur(objective, map, &end.state) else { return end };
+        let moving = self.coarse_to_fine(objective, map, blurred);
+        let sees_as_much = moving.sums.overlap() >= MIN_OVERLAP_RATIO * end.sums.overlap();
+        match sees_as_much && mean_losses(&moving.sums).image < mean_losses(&end.sums).image {
             true => moving,
             false => end,
         }
     }
 
-    fn prior(&self, state: &State) -> MotionPrior {
-        let free = !self.context.formation.trajectory_loss || !self.motion_is_known();
+    /// Acceptance test: enough of the frame lies on the map, and its losses are near the usual ones.
+    /// A frame at a wrong pose would spoil the map.
+    fn is_accepted(&self, end: &AlignmentOutcome) -> bool {
+        let losses = mean_losses(&end.sums);
+        let depth_ratio = match self.observation.is_estimated() {
+            true => 1.0,
+            false => self.ratio_to_usual(&losses, |losses| losses.depth),
+        };
+        let loss_ratio = self.ratio_to_usual(&losses, |losses| losses.image) * depth_ratio;
+        end.sums.overlap() >= MIN_OVERLAP && loss_ratio < MAX_LOSS_RATIO
+    }
+
+    /// A loss over its median in the last tracked frames; 1 where these are too few. The first
+    /// frame was not aligned and does not count.
+    fn ratio_to_usual(&self, losses: &Losses, loss: impl Fn(&Losses) -> f64) -> f64 {
+        let aligned = self.context.frames.iter().skip(1).rev().filter(|f| f.tracked);
+        let mut recent: Vec<f64> = aligned.take(RECENT_FRAMES).map(|f| loss(&f.losses)).collect();
+        match median(&mut recent) {
+            Some(usual) if recent.len() >= MIN_RECENT_FRAMES && usual > 0.0 => loss(losses) / usual,
+            _ => 1.0,
+        }
+    }
+
+    fn motion_prior(&self, state: &TrackingState) -> MotionPrior {
+        let free = !self.context.formation.trajectory_loss || !self.has_measured_motion();
         MotionPrior {
-            pixels: self.pixels,
-            step: CentreVelocity::along(self.previous, state.motion.centre, 1.0).velocity,
-            share: self.open_share(state) * self.context.interval_share(),
-            across: f64::from(MOTION_DEVIATION),
-            along: 0.5,
+            pixels_per_unit: self.pixels_per_unit,
+            step: CentreVelocity::along(self.previous_pose, state.motion.centre, 1.0).velocity,
+            share: self.open_share(state) * self.context.interval_ratio(),
+            sigma_across: f64::from(MOTION_SIGMA_ACROSS),
+            sigma_along: MOTION_SIGMA_ALONG,
             weight: if free { 1e-3 } else { PRIOR_WEIGHT },
         }
     }
 
-    /// Whether the motion since the last frame was measured at both ends, and so soon after it that
-    /// it tells the velocity.
-    fn motion_is_known(&self) -> bool {
-        let is_soon = self.context.interval_share() * MAX_INTERVAL >= 1.0;
-        is_soon && self.context.previous.is_some_and(|p| p.tracked)
+    /// Whether the last frame was tracked, and is so recent that the motion since then predicts the
+    /// velocity.
+    fn has_measured_motion(&self) -> bool {
+        let is_recent = self.context.interval_ratio() * MAX_GAP_INTERVALS >= 1.0;
+        is_recent && self.context.previous.is_some_and(|p| p.tracked)
     }
 
     /// Motion from mid-exposure to the depth picture.
-    fn depth_lead(&self, state: &State) -> Tangent<f64> {
-        CentreVelocity::along(self.previous, state.motion.centre, self.depth_share()).velocity
+    fn depth_offset(&self, state: &TrackingState) -> Tangent<f64> {
+        let ratio = self.depth_offset_ratio();
+        CentreVelocity::along(self.previous_pose, state.motion.centre, ratio).velocity
     }
 
-    /// The same as a share of the motion since the last frame, where that is known.
-    fn depth_share(&self) -> f64 {
-        if self.motion_is_known() { self.context.depth_lead() } else { 0.0 }
+    /// [`depth_offset`](Self::depth_offset) over the motion since the last frame; 0 where that is
+    /// unknown.
+    fn depth_offset_ratio(&self) -> f64 {
+        if self.has_measured_motion() { self.context.depth_delay_ratio() } else { 0.0 }
     }
 
     /// `κ = 2 a Δt`: the share of the frame interval for which the shutter is open.
-    fn open_share(&self, state: &State) -> f64 {
+    fn open_share(&self, state: &TrackingState) -> f64 {
         self.context.open_share(state.scale, &state.tone)
     }
 
-    /// Lets the scale `a` follow the share that was measured, the more the longer the motion.
-    fn with_learned_share(&self, mut state: State) -> State {
+    /// Moves the trajectory scale `a` towards the open share that the blur shows, the more the
+    /// longer the motion.
+    fn with_measured_scale(&self, mut state: TrackingState) -> TrackingState {
         let formation = self.context.formation;
-        if !formation.blur || !formation.trajectory_loss || !self.motion_is_known() {
+        if !formation.blur || !formation.trajectory_loss || !self.has_measured_motion() {
             return state;
         }
         if self.context.readout.optimised && self.virtual_cameras(0, &state) == 1 {
-            // Rows of an unknown readout tell its product with the velocity alone.
+            // Without blur, rows show only the product of an unknown readout and the velocity.
             return state;
         }
-        let (share, motion) = self.prior(&state).measured_share(state.motion.velocity);
+        let (share, motion) = self.motion_prior(&state).measured_share(state.motion.velocity);
+        // Half trust at a motion of 20 px.
         let trust = motion * motion / (motion * motion + 400.0);
-        let share = (share / self.context.interval_share()).clamp(0.02, 1.0);
+        let share = (share / self.context.interval_ratio()).clamp(0.02, 1.0);
         let ratio = (share / self.open_share(&state)).ln();
         state.scale.a *= (0.5 * trust * ratio).exp();
         state
     }
 
-    fn blur(&self, state: &State) -> f64 {
+    fn blur(&self, state: &TrackingState) -> f64 {
         let shutter = state.motion.into();
         blur_length(self.context.camera, &shutter, &self.observation.depth)
     }
 
-    fn in_pixels(&self, tangent: Tangent<f64>) -> f64 {
+    fn norm_in_pixels(&self, tangent: Tangent<f64>) -> f64 {
         let values = tangent.to_array();
-        values.iter().zip(self.pixels).map(|(v, p)| (v * p).powi(2)).sum::<f64>().sqrt()
+        values.iter().zip(self.pixels_per_unit).map(|(v, p)| (v * p).powi(2)).sum::<f64>().sqrt()
     }
 
-    /// How the descent ended and how sure that is.
-    fn convergence(&self, end: &Outcome) -> Convergence {
+    fn convergence(&self, end: &AlignmentOutcome) -> Convergence {
         let covariance = self.covariance(end);
         Convergence {
             converged: end.progress.converged,
@@ -224,8 +261,8 @@ impl Frame<'_> {
 
     fn result(
         &self,
-        state: State,
-        sums: &Sums,
+        state: TrackingState,
+        sums: &ResidualSums,
         convergence: Convergence,
         tracked: bool,
     ) -> TrackingResult {
@@ -233,11 +270,11 @@ impl Frame<'_> {
             shutter: state.motion.into(),
             readout: state.readout,
             measured_readout: tracked.then(|| self.measured_readout(&state)).flatten(),
-            depth_lead: self.depth_lead(&state),
+            depth_offset: self.depth_offset(&state),
             tone: state.tone,
             response: state.response,
             scale: state.scale,
-            losses: losses(sums),
+            losses: mean_losses(sums),
             convergence,
             tracked,
         }

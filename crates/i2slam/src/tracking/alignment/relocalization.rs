@@ -1,76 +1,69 @@
-//! Finding a camera that was lost.
+//! Relocalisation: searches the keyframes' surroundings for a camera that was lost.
 
-use super::levenberg_marquardt::{Outcome, Purpose};
-use super::target::Reference;
-use super::{Frame, Motion, State, extrapolate};
+use super::levenberg_marquardt::{AlignmentOutcome, EvaluationMode};
+use super::target::AlignmentTarget;
+use super::{FrameAlignment, TrackingState};
 use crate::objective::{FrameObjective, SceneMap};
-use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
+use i2slam_geometry::{Pose, Rotation, Vec3};
 
-/// Turns about the camera's vertical and horizontal axis that are tried around every place [deg].
-const TURNS: [f64; 5] = [-24.0, -12.0, 0.0, 12.0, 24.0];
-const TILTS: [f64; 3] = [-12.0, 0.0, 12.0];
-/// Keyframes that are looked from, evenly spread over those there are.
-const PLACES: usize = 16;
-/// Starts that are followed to their end.
-const STARTS: usize = 4;
+/// Rotations about the camera's vertical axis that are tried at every candidate pose [deg].
+const YAWS: [f64; 5] = [-24.0, -12.0, 0.0, 12.0, 24.0];
+/// Those about its horizontal axis [deg].
+const PITCHES: [f64; 3] = [-12.0, 0.0, 12.0];
+/// Largest number of keyframes that are tried, evenly spread over all.
+const MAX_KEYFRAMES: usize = 16;
+/// Starts with the largest overlap that are optimised.
+const MAX_STARTS: usize = 4;
 
-impl Frame<'_> {
-    /// Looks for the frame where the camera was last and where the keyframes were, turned by up to
-    /// a third of a picture; the best end that can be believed.
-    pub(super) fn recover<M: SceneMap>(
+impl FrameAlignment<'_> {
+    /// Optimises from the last tracked pose and the keyframes' poses, rotated by up to a third of a
+    /// picture; returns the accepted end with the largest overlap.
+    pub(super) fn relocalize<M: SceneMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,
-        predicted: &State,
-    ) -> Option<Outcome> {
+        predicted: &TrackingState,
+    ) -> Option<AlignmentOutcome> {
         let mut starts = Vec::new();
-        for place in self.places() {
-            starts.extend(self.looks_from(objective, map, predicted, place));
+        for pose in self.candidate_poses() {
+            starts.extend(self.candidates_around(objective, map, predicted, pose));
         }
         starts.sort_by(|a, b| b.0.total_cmp(&a.0));
         starts
             .into_iter()
-            .take(STARTS)
-            .map(|(_, start)| self.settle(objective, map, start))
-            .filter(|end| self.is_believed(end))
+            .take(MAX_STARTS)
+            .map(|(_, start)| self.optimize(objective, map, start))
+            .filter(|end| self.is_accepted(end))
             .max_by(|a, b| a.sums.overlap().total_cmp(&b.sums.overlap()))
     }
 
-    fn places(&self) -> Vec<Pose<f64>> {
+    fn candidate_poses(&self) -> Vec<Pose<f64>> {
         let frames = self.context.frames;
         let last = frames.iter().rev().find(|f| f.tracked).map(|f| f.middle());
         let keyframes: Vec<_> = frames.iter().filter(|f| f.keyframe).map(|f| f.middle()).collect();
-        let stride = keyframes.len().div_ceil(PLACES).max(1);
+        let stride = keyframes.len().div_ceil(MAX_KEYFRAMES).max(1);
         last.into_iter().chain(keyframes.into_iter().rev().step_by(stride)).collect()
     }
 
-    /// States turned around one place, and the share of the coarsest picture's depth that lies on
-    /// the model from there.
-    fn looks_from<M: SceneMap>(
+    /// States rotated around `pose`, each with its overlap on the coarsest level.
+    fn candidates_around<M: SceneMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,
-        predicted: &State,
-        place: Pose<f64>,
-    ) -> Vec<(f64, State)> {
-        let reference = Reference::model(self, objective, map, place);
-        let level = self.observed.len() - 1;
-        let turns = TURNS.iter().flat_map(|&turn| TILTS.map(|tilt| (turn, tilt)));
+        predicted: &TrackingState,
+        pose: Pose<f64>,
+    ) -> Vec<(f64, TrackingState)> {
+        let target = AlignmentTarget::from_map(self, objective, map, pose);
+        let level = self.levels.len() - 1;
+        let turns = YAWS.iter().flat_map(|&yaw| PITCHES.map(|pitch| (yaw, pitch)));
         turns
-            .map(|(turn, tilt)| {
-                let look = Vec3::new(tilt.to_radians(), turn.to_radians(), 0.0);
-                let rotation = place.rotation * Rotation::exp(look);
-                let next = Pose::new(rotation, place.translation);
-                let state = standing(predicted, next);
-                let sums = self.residuals(&reference, level, &state, 1, Purpose::Compare);
+            .map(|(yaw, pitch)| {
+                let turn = Vec3::new(pitch.to_radians(), yaw.to_radians(), 0.0);
+                let rotation = pose.rotation * Rotation::exp(turn);
+                let state = predicted.at_rest(Pose::new(rotation, pose.translation));
+                let sums = self.residuals(&target, level, &state, 1, EvaluationMode::CostOnly);
                 (sums.overlap(), state)
             })
             .collect()
     }
-}
-
-/// A camera that stands still at a pose.
-pub(super) fn standing(predicted: &State, next: Pose<f64>) -> State {
-    let motion = extrapolate(Motion { next, step: Tangent::zero() }, 0.0);
-    State { motion, ..predicted.clone() }
 }

@@ -1,90 +1,90 @@
-//! The readout among the unknowns of a frame.
+//! Prior and measurement of the rolling-shutter readout.
 //!
-//! Rows tell the motion during the readout, `r v` with the readout `r` in exposures and the motion
-//! `v` over the exposure; blur tells `v` alone. Along the motion `Δ` since the last frame, a time
+//! Rows show the motion during the readout, `r v` with the readout `r` in exposures and the motion
+//! `v` over the exposure; blur shows `v` alone. Along the motion `Δ` since the last frame, a time
 //! `T` ago, both are tied to the sequence's readout `R`:
 //!
 //! ```text
 //! r v · d = (R/T) |Δ|,   d = Δ/|Δ|, everything in pixels
 //! ```
 //!
-//! as far as the speed now is that since the last frame. Motions of several frames are compared per
-//! usual frame interval: frames may be missing between them.
+//! as far as the speed is constant. Motions of several frames are compared per nominal frame
+//! interval, because frames may be missing between them.
 
-use super::residual::{Equations, READOUT};
-use super::{Frame, PRIOR_WEIGHT, State};
+use super::residual::{Equations, READOUT, VELOCITY};
+use super::{FrameAlignment, PRIOR_WEIGHT, TrackingState};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::readout::MeasuredReadout;
 use i2slam_formation::CentreVelocity;
-use i2slam_geometry::Tangent;
+use i2slam_geometry::{Pose, Tangent};
 
-/// First index of the velocity among the unknowns.
-const VELOCITY: usize = 6;
-/// Least uncertainty [px].
-const FLOOR: f64 = 0.05;
-/// Uncertainty as a share of the motion during the readout, and of the change of motion.
-const SHARE: f64 = 0.1;
-const BEND: f64 = 0.5;
-/// Standard deviation of the readout in exposures, as a share of itself: brightness tells the
-/// exposure time only roughly. Blur of less than a pixel tells nothing at all.
-const HOLD: f64 = 0.5;
-/// Open share of the frame interval under which a readout that is looked for is no less sure.
-const MIN_SHARE: f64 = 0.2;
-/// Least standard deviation of it [exposures].
-const HOLD_FLOOR: f64 = 0.05;
-/// Uncertainty of the measured motion during a frame interval [px].
-const UNSURE: f64 = 1.0;
-/// Frames whose motion the map is taken to show.
-const PAST: usize = 9;
-/// Motion unlike that of the frames before from which a frame says something about the readout
-/// [px].
-const MIN_MOTION: f64 = 2.0;
+/// Standard deviation of the motion during the readout at rest [px].
+const MIN_MOTION_SIGMA_PX: f64 = 0.05;
+/// Its growth with that motion.
+const MOTION_SIGMA_RATIO: f64 = 0.1;
+/// Its growth with the change of motion from frame to frame.
+const MOTION_CHANGE_SIGMA_RATIO: f64 = 0.5;
+/// Standard deviation of the readout in exposures over the readout: brightness gives the exposure
+/// time only roughly, and blur of less than a pixel not at all.
+const READOUT_SIGMA_RATIO: f64 = 0.5;
+/// Least standard deviation of the readout [exposures].
+const MIN_READOUT_SIGMA: f64 = 0.05;
+/// Smallest open share by which the standard deviation of an estimated readout is converted to
+/// exposures.
+const MIN_OPEN_SHARE: f64 = 0.2;
+/// Standard deviation of the measured motion during a frame interval [px].
+const MEASUREMENT_SIGMA_PX: f64 = 1.0;
+/// Frames before this one whose mean motion the map reflects.
+const PAST_FRAMES: usize = 9;
+/// Least difference from the motion of the frames before at which a frame measures the readout [px
+/// per frame interval].
+const MIN_MOTION_CHANGE_PX: f64 = 2.0;
 
-/// A Gaussian prior on readout and velocity together.
+/// Gaussian prior on readout and velocity together.
 pub(super) struct ReadoutPrior {
-    /// Pixels per unit of each tangent coordinate.
-    pub(super) pixels: [f64; 6],
+    pixels_per_unit: [f64; 6],
     /// Direction and length [px] of the motion since the last frame.
-    pub(super) direction: [f64; 6],
-    pub(super) length: f64,
+    direction: [f64; 6],
+    length: f64,
     /// `R / T`.
-    pub(super) share: f64,
+    readout_ratio: f64,
     /// Standard deviation of the motion during the readout [px].
-    pub(super) deviation: f64,
-    /// Readout to stay near, and standard deviation from it [exposures].
-    pub(super) hold: f64,
-    pub(super) hold_deviation: f64,
-    /// Weight against the residuals.
-    pub(super) weight: f64,
+    motion_sigma: f64,
+    /// Predicted readout and its standard deviation [exposures].
+    predicted_readout: f64,
+    readout_sigma: f64,
+    /// Weight of the motion term against single residuals.
+    weight: f64,
 }
 
 impl ReadoutPrior {
-    /// The part of the velocity along the motion [px].
+    /// Component of the velocity along the motion since the last frame [px].
     fn along(&self, velocity: Tangent<f64>) -> f64 {
         let values = velocity.to_array();
-        (0..6).map(|i| values[i] * self.pixels[i] * self.direction[i]).sum()
+        (0..6).map(|i| values[i] * self.pixels_per_unit[i] * self.direction[i]).sum()
     }
 
-    fn precision(&self) -> f64 {
-        self.weight / (self.deviation * self.deviation)
+    fn motion_precision(&self) -> f64 {
+        self.weight / (self.motion_sigma * self.motion_sigma)
     }
 
-    fn hold_precision(&self) -> f64 {
-        PRIOR_WEIGHT / (self.hold_deviation * self.hold_deviation)
+    fn readout_precision(&self) -> f64 {
+        PRIOR_WEIGHT / (self.readout_sigma * self.readout_sigma)
     }
 
     /// The cost, of which [`add_to`](Self::add_to) adds half the gradient.
     pub(super) fn cost(&self, velocity: Tangent<f64>, readout: f64) -> f64 {
-        let error = readout * self.along(velocity) - self.share * self.length;
-        self.precision() * error * error + self.hold_precision() * (readout - self.hold).powi(2)
+        let error = readout * self.along(velocity) - self.readout_ratio * self.length;
+        let motion = self.motion_precision() * error * error;
+        motion + self.readout_precision() * (readout - self.predicted_readout).powi(2)
     }
 
     /// Adds the prior's normal equations.
     pub(super) fn add_to(&self, velocity: Tangent<f64>, readout: f64, equations: &mut Equations) {
         let along = self.along(velocity);
-        let error = readout * along - self.share * self.length;
-        let by_velocity = |i: usize| readout * self.direction[i] * self.pixels[i];
-        let precision = self.precision();
+        let error = readout * along - self.readout_ratio * self.length;
+        let by_velocity = |i: usize| readout * self.direction[i] * self.pixels_per_unit[i];
+        let precision = self.motion_precision();
         for a in 0..6 {
             for b in a..6 {
                 equations.hessian[VELOCITY + a][VELOCITY + b] +=
@@ -93,108 +93,117 @@ impl ReadoutPrior {
             equations.hessian[VELOCITY + a][READOUT] += precision * by_velocity(a) * along;
             equations.gradient[VELOCITY + a] += precision * by_velocity(a) * error;
         }
-        let hold = self.hold_precision();
-        equations.hessian[READOUT][READOUT] += precision * along * along + hold;
-        equations.gradient[READOUT] += precision * along * error + hold * (readout - self.hold);
+        let own = self.readout_precision();
+        equations.hessian[READOUT][READOUT] += precision * along * along + own;
+        equations.gradient[READOUT] +=
+            precision * along * error + own * (readout - self.predicted_readout);
     }
 }
 
-impl Frame<'_> {
-    /// The prior of a rolling shutter.
-    pub(super) fn readout_prior(&self, state: &State) -> Option<ReadoutPrior> {
+impl FrameAlignment<'_> {
+    /// The prior for a rolling shutter; `None` for a global one.
+    pub(super) fn readout_prior(&self, state: &TrackingState) -> Option<ReadoutPrior> {
         let readout = self.context.readout;
         if !readout.is_rolling() {
             return None;
         }
         let step = self.step_in_pixels(state.motion.centre);
         let length = norm(&step);
-        let interval = self.context.interval();
-        let share = readout.seconds / interval;
-        let spread = SHARE * share.abs() + readout.deviation(interval) / interval;
-        let known = self.motion_is_known() && length > 0.0;
-        let usual = 1.0 / self.context.frame_rate;
-        let open_share = self.open_share(state).max(MIN_SHARE);
-        let unsure = readout.deviation(usual) / (usual * open_share);
+        let interval = self.context.elapsed();
+        let ratio = readout.seconds / interval;
+        let growth = MOTION_SIGMA_RATIO * ratio.abs() + readout.deviation(interval) / interval;
+        let known = self.has_measured_motion() && length > 0.0;
+        let nominal = 1.0 / self.context.frame_rate;
+        let open_share = self.open_share(state).max(MIN_OPEN_SHARE);
+        let sequence_sigma = readout.deviation(nominal) / (nominal * open_share);
         Some(ReadoutPrior {
-            pixels: self.pixels,
+            pixels_per_unit: self.pixels_per_unit,
             direction: step.map(|v| if length > 0.0 { v / length } else { 0.0 }),
             length,
-            share,
-            deviation: FLOOR
-                + spread * length
-                + BEND * (readout.seconds / usual).abs() * self.bend(state),
-            hold: self.readout_start,
-            hold_deviation: HOLD_FLOOR + HOLD * self.readout_start.abs() + unsure,
+            readout_ratio: ratio,
+            motion_sigma: MIN_MOTION_SIGMA_PX
+                + growth * length
+                + MOTION_CHANGE_SIGMA_RATIO
+                    * (readout.seconds / nominal).abs()
+                    * self.motion_change(state),
+            predicted_readout: self.predicted_readout,
+            readout_sigma: MIN_READOUT_SIGMA
+                + READOUT_SIGMA_RATIO * self.predicted_readout.abs()
+                + sequence_sigma,
             weight: if known { PRIOR_WEIGHT } else { 0.0 },
         })
     }
 
-    /// What a frame says about the readout, if it moved unlike the frames before.
+    /// The readout as measured by this frame; `None` unless it moved unlike the frames before.
     ///
-    /// With `Δ` and `Δ'` the motion of this frame and of those during the usual frame interval `T`,
-    /// a map that was made with the readout `R'` shows `(R - R')/T Δ'` as if it were in the scene,
-    /// so that with `e = Δ - Δ'`
+    /// With `Δ` and `Δ'` the motion of this frame and the mean of those before during the nominal
+    /// frame interval `T`, a map that was made with the readout `R'` contains the distortion
+    /// `(R - R')/T Δ'`, so that with `e = Δ - Δ'`
     ///
     /// ```text
     /// r v = (R/T) Δ - ((R - R')/T) Δ'   or   (R/T) e = r v - (R'/T) Δ'
     /// ```
-    pub(super) fn measured_readout(&self, state: &State) -> Option<MeasuredReadout> {
+    pub(super) fn measured_readout(&self, state: &TrackingState) -> Option<MeasuredReadout> {
         let prior = self.readout_prior(state)?;
-        let (step, past) = (self.usual_step(state), self.past_motion()?);
+        let (step, past) = (self.motion_per_interval(state), self.mean_past_motion()?);
         let velocity = state.motion.velocity.to_array();
-        let usual = 1.0 / self.context.frame_rate;
-        let share = self.context.readout.seconds / usual;
-        let apart: [f64; 6] = std::array::from_fn(|i| step[i] - past[i]);
-        let rows: [f64; 6] =
-            std::array::from_fn(|i| state.readout * velocity[i] * self.pixels[i] - share * past[i]);
-        let dot: f64 = rows.iter().zip(&apart).map(|(r, a)| r * a).sum();
-        let length = norm(&apart);
-        let known = prior.weight > 0.0 && length > MIN_MOTION;
+        let nominal = 1.0 / self.context.frame_rate;
+        let ratio = self.context.readout.seconds / nominal;
+        let change: [f64; 6] = std::array::from_fn(|i| step[i] - past[i]);
+        let rows: [f64; 6] = std::array::from_fn(|i| {
+            state.readout * velocity[i] * self.pixels_per_unit[i] - ratio * past[i]
+        });
+        let dot: f64 = rows.iter().zip(&change).map(|(r, a)| r * a).sum();
+        let length = norm(&change);
+        let known = prior.weight > 0.0 && length > MIN_MOTION_CHANGE_PX;
         known.then(|| MeasuredReadout {
-            seconds: dot / (length * length) * usual,
-            deviation: (UNSURE + BEND * self.bend(state)) / length * usual,
+            seconds: dot / (length * length) * nominal,
+            deviation: (MEASUREMENT_SIGMA_PX
+                + MOTION_CHANGE_SIGMA_RATIO * self.motion_change(state))
+                / length
+                * nominal,
         })
     }
 
-    /// The mean motion of the last frames that were tracked [px per usual frame interval].
-    fn past_motion(&self) -> Option<[f64; 6]> {
-        let frames = &self.context.frames[self.context.frames.len().saturating_sub(PAST)..];
+    /// Mean motion of the last tracked frames [px per nominal frame interval].
+    fn mean_past_motion(&self) -> Option<[f64; 6]> {
+        let frames = &self.context.frames[self.context.frames.len().saturating_sub(PAST_FRAMES)..];
         let (mut sum, mut count) = ([0.0; 6], 0.0);
         for pair in frames.windows(2).filter(|pair| pair[0].tracked && pair[1].tracked) {
-            let step = self.step_between(&pair[0], &pair[1]);
+            let step = self.motion_between(&pair[0], &pair[1]);
             (0..6).for_each(|i| sum[i] += step[i]);
             count += 1.0;
         }
         (count > 0.0).then(|| sum.map(|v| v / count))
     }
 
-    /// The motion since the last frame [px per usual frame interval].
-    fn usual_step(&self, state: &State) -> [f64; 6] {
-        let share = self.context.interval_share();
+    /// Motion since the last frame [px per nominal frame interval].
+    fn motion_per_interval(&self, state: &TrackingState) -> [f64; 6] {
+        let share = self.context.interval_ratio();
         self.step_in_pixels(state.motion.centre).map(|v| v * share)
     }
 
-    /// The motion from frame to frame [px per usual frame interval].
-    fn step_between(&self, from: &FrameEstimate, to: &FrameEstimate) -> [f64; 6] {
-        let share = self.context.share_of(to.timestamp - from.timestamp);
+    /// Motion between two frames [px per nominal frame interval].
+    fn motion_between(&self, from: &FrameEstimate, to: &FrameEstimate) -> [f64; 6] {
+        let share = self.context.interval_over(to.timestamp - from.timestamp);
         let step = CentreVelocity::along(from.middle(), to.middle(), share).velocity.to_array();
-        std::array::from_fn(|i| step[i] * self.pixels[i])
+        std::array::from_fn(|i| step[i] * self.pixels_per_unit[i])
     }
 
-    fn step_in_pixels(&self, centre: i2slam_geometry::Pose<f64>) -> [f64; 6] {
-        let step = CentreVelocity::along(self.previous, centre, 1.0).velocity.to_array();
-        std::array::from_fn(|i| step[i] * self.pixels[i])
+    fn step_in_pixels(&self, centre: Pose<f64>) -> [f64; 6] {
+        let step = CentreVelocity::along(self.previous_pose, centre, 1.0).velocity.to_array();
+        std::array::from_fn(|i| step[i] * self.pixels_per_unit[i])
     }
 
-    /// How much the motion differs from that of the frame before [px per usual frame interval]; all
-    /// of it where that is unknown.
-    fn bend(&self, state: &State) -> f64 {
-        let step = self.usual_step(state);
+    /// Difference of the motion from that of the frame before [px per nominal frame interval]; the
+    /// whole motion where that is unknown.
+    fn motion_change(&self, state: &TrackingState) -> f64 {
+        let step = self.motion_per_interval(state);
         let (Some(last), Some(before)) = (self.context.previous, self.context.before_previous)
         else {
             return norm(&step);
         };
-        let before = self.step_between(before, last);
+        let before = self.motion_between(before, last);
         norm(&std::array::from_fn(|i| step[i] - before[i]))
     }
 }

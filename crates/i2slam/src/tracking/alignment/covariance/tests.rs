@@ -1,9 +1,8 @@
-//! The formal covariance against the scatter of alignments to the same frame in other noise.
+//! The formal covariance against the scatter of alignments, and its noise terms.
 
-use super::super::levenberg_marquardt::Progress;
-use super::super::pyramid::{Model, Observed};
-use super::super::residual::Scales;
-use super::super::target::Reference;
+use super::super::levenberg_marquardt::SolverProgress;
+use super::super::residual::{FrameLevel, RobustScales, TargetLevel};
+use super::super::target::AlignmentTarget;
 use super::*;
 use crate::config::Config;
 use crate::objective::Observation;
@@ -43,17 +42,17 @@ fn noisy(image: &Image<f32>, sigma: f32, random: &mut Random) -> Image<f32> {
     Image { data, ..image.clone() }
 }
 
-fn references() -> Vec<Reference> {
-    vec![Reference {
-        levels: vec![Model::new(radiance(0.0), depth(0.0))],
+fn targets() -> Vec<AlignmentTarget> {
+    vec![AlignmentTarget {
+        levels: vec![TargetLevel::new(radiance(0.0), depth(0.0))],
         world_from_camera: Pose::identity(),
-        scales: Scales { depth: 0.01, image: 0.05 },
+        scales: RobustScales { depth: 0.01, image: 0.05 },
         has_radiance: true,
     }]
 }
 
-/// Aligns a frame with noise of these standard deviations in depth [m] and picture; where its
-/// centre ended, and the covariance.
+/// Aligns a frame with `noise` of these standard deviations in depth [m] and picture. Returns the
+/// final centre, its covariance, and whether the optimisation converged.
 fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCovariance, bool) {
     let mut random = Random::new(seed);
     let colour = noisy(&radiance(0.4), noise.1, &mut random);
@@ -75,26 +74,26 @@ fn align(config: &Config, noise: (f32, f32), seed: u64) -> (Tangent<f64>, PoseCo
         keyframe: None,
         cancellation: &CancellationToken::default(),
     };
-    let frame = Frame {
+    let frame = FrameAlignment {
         context: &context,
-        observed: vec![Observed::new(CAMERA, colour, depth, 1)],
+        levels: vec![FrameLevel::new(CAMERA, colour, depth, 1)],
         observation: &observation,
         curve: None,
-        pixels: [25.0, 25.0, 25.0, 45.0, 45.0, 45.0],
-        previous: Pose::identity(),
-        white_balance: [0.0; 3],
-        readout_start: 0.0,
+        pixels_per_unit: [25.0, 25.0, 25.0, 45.0, 45.0, 45.0],
+        previous_pose: Pose::identity(),
+        predicted_white_balance: [0.0; 3],
+        predicted_readout: 0.0,
     };
-    let mut state = State {
+    let mut state = TrackingState {
         motion: CentreVelocity { centre: Pose::identity(), velocity: Tangent::zero() },
         readout: 0.0,
         tone: FrameTone::default(),
         response: None,
         scale: TrajectoryScale { a: 1.0 },
     };
-    let (mut references, mut progress) = (references(), Progress::default());
-    let sums = frame.solve_level(&mut references, 0, &mut state, &mut progress);
-    let end = Outcome { state, sums, progress, references };
+    let (mut targets, mut progress) = (targets(), SolverProgress::default());
+    let sums = frame.minimize_level(&mut targets, 0, &mut state, &mut progress);
+    let end = AlignmentOutcome { state, sums, progress, targets };
     let covariance = frame.covariance(&end).expect("a surface and a texture");
     let centre = Pose::identity().local(end.state.motion.centre);
     assert!(end.progress.steps > 1);
@@ -125,9 +124,6 @@ fn alignments_scatter_as_the_covariance_says() {
             ends.iter().map(|(_, c, _)| of(c)).sum::<f64>() / count
         };
         let formal = [formal(PoseCovariance::position), formal(PoseCovariance::rotation)];
-        println!(
-            "image weight {image_weight}, noise {noise:?}: scatter {found:?}, formal {formal:?}"
-        );
         for (found, formal) in found.into_iter().zip(formal) {
             ratios.push(formal / found);
         }
@@ -160,4 +156,40 @@ fn a_linear_problem_has_its_textbook_covariance() {
     assert_eq!(covariance.rotation(), 0.0);
     bread[3][3] = 0.0;
     assert_eq!(PoseCovariance::new(&bread, &meat), None);
+}
+
+#[test]
+fn small_residuals_are_least_squares() {
+    let noise = ResidualNoise::of_mean_cost(1.2 * 0.01 * 0.01);
+    assert!((noise.curvature - 1.0).abs() < 1e-3, "{noise:?}");
+    assert!((noise.spread / (1.2 * 1e-4) - 1.0).abs() < 1e-3, "{noise:?}");
+}
+
+#[test]
+fn the_cost_of_a_spread_leads_back_to_it() {
+    let rho = |z: f64| 6.0 * (z * z / 5.0).ln_1p();
+    for spread in [0.05, 0.4, 1.0, 3.0] {
+        let cost = expected(spread, rho);
+        let (found, expected) =
+            (ResidualNoise::of_mean_cost(cost), ResidualNoise::of_spread(spread));
+        assert!((found.spread / expected.spread - 1.0).abs() < 1e-6, "{spread}");
+    }
+    let odd = [0.0, f64::NAN, f64::INFINITY].map(ResidualNoise::of_mean_cost);
+    assert!(odd.iter().all(|n| n.spread.is_finite() && n.curvature > 0.0));
+}
+
+#[test]
+fn weights_and_curvature_of_unit_noise() {
+    // By independent summation of E[36 z²/(5+z²)²], E[6 (5-z²)/(5+z²)²] and E[6/(5+z²)].
+    let (mut a, mut b, mut e) = (0.0, 0.0, 0.0);
+    for i in -8000..=8000_i32 {
+        let z = f64::from(i) * 1e-3;
+        let p = (-0.5 * z * z).exp();
+        let d = 5.0 + z * z;
+        a += p * 36.0 * z * z / (d * d);
+        b += p * 6.0 * (5.0 - z * z) / (d * d);
+        e += p * 6.0 / d;
+    }
+    let noise = ResidualNoise::of_spread(1.0);
+    assert!((noise.spread - a / e).abs() < 1e-6 && (noise.curvature - b / e).abs() < 1e-6);
 }

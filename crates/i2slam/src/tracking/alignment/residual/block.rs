@@ -1,4 +1,4 @@
-//! Numbers of a block of samples, which the residuals treat together.
+//! Values of a block of samples.
 
 use pulp::Simd;
 use std::ops::{Deref, DerefMut};

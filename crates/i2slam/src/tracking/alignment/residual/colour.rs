@@ -1,37 +1,40 @@
-//! The three colour residuals of a block of samples.
+//! Image residuals of a block of samples, one per channel.
 
 use super::block::{BLOCK, Row, groups};
 use super::depth::DepthBlock;
-use super::normal_equations::add_products;
-use super::points::Points;
-use super::samples::Taps;
-use super::{BALANCE, FREEDOM, Geometry, Linearization, Moment, NEAR, READOUT, Sums};
+use super::geometry::{ExposureSample, Geometry, Points, by_point, placeholder_point, project};
+use super::level::BilinearTaps;
+use super::{
+    DEGREES_OF_FREEDOM, Linearization, MIN_DISTANCE, READOUT, ResidualSums, WHITE_BALANCE,
+};
+use super::{add_normal_equations, cost_of};
 use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
 
-/// Rows of one block on their way through the stages.
+/// Intermediate values of a block.
 pub(super) struct ColourBlock {
-    /// 1 for samples that all moments of the exposure see.
+    /// 1 for samples that are visible to all virtual cameras, 0 for others.
     seen: Row,
-    taps: Taps,
-    /// Per channel: the picture's value; the rest is not used.
+    taps: BilinearTaps,
+    /// Per channel: the picture's value, then its derivatives, which are not used.
     pixel: [[Row; 3]; 3],
-    /// Place of the picture's row, and the points' times, where rows are exposed in turn.
-    row_place: Row,
+    /// With a rolling shutter, relative positions of the picture's rows and times of the samples.
+    row_position: Row,
     times: Row,
-    /// The points in the camera at a moment, and in the model's.
+    /// The points in the camera at a sample, and in the model's.
     points: [Row; 3],
-    places: [Row; 3],
-    /// Per channel: the model's radiance at a moment and its derivatives by `u` and `v`.
-    model: [[Row; 3]; 3],
+    target_points: [Row; 3],
+    /// Per channel: the target's radiance for one virtual camera and its derivatives by `u` and `v`.
+    target: [[Row; 3]; 3],
     channels: [Channel; 3],
 }
 
+/// Residual and derivatives of one channel.
 #[derive(Clone, Copy)]
 struct Channel {
-    /// Of the blurred model.
+    /// Of the target, averaged over the exposure.
     radiance: Row,
-    /// The picture value that it stands for, and its slope by radiance.
+    /// The predicted picture value, and its derivative by radiance.
     value: Row,
     slope: Row,
     /// By ρ and φ of the centre, by ν and ω of the velocity.
@@ -40,7 +43,7 @@ struct Channel {
     gain: Row,
     readout: Row,
     residual: Row,
-    /// Root of the weight.
+    /// Square root of the weight.
     root: Row,
 }
 
@@ -61,18 +64,18 @@ impl ColourBlock {
     pub(super) fn new() -> Self {
         Self {
             seen: Row::ZERO,
-            taps: Taps::EMPTY,
+            taps: BilinearTaps::EMPTY,
             pixel: [[Row::ZERO; 3]; 3],
-            row_place: Row::ZERO,
+            row_position: Row::ZERO,
             times: Row::ZERO,
             points: [Row::ZERO; 3],
-            places: [Row::ZERO; 3],
-            model: [[Row::ZERO; 3]; 3],
+            target_points: [Row::ZERO; 3],
+            target: [[Row::ZERO; 3]; 3],
             channels: [Channel::ZERO; 3],
         }
     }
 
-    /// Adds the residuals of the samples that lie on the model's surface.
+    /// Adds the residuals of the samples that lie on the target's surface.
     #[inline(always)]
     pub(super) fn add<S: Simd>(
         &mut self,
@@ -80,25 +83,25 @@ impl ColourBlock {
         task: &Linearization<'_>,
         geometry: &Geometry,
         depth: &DepthBlock,
-        sums: &mut Sums,
+        sums: &mut ResidualSums,
     ) {
         for group in 0..groups::<S>() {
-            self.read(simd, task, geometry, depth, group);
+            self.project_to_frame(simd, task, geometry, depth, group);
         }
-        self.taps.split(&task.observed.camera);
-        task.observed.texels.sample(&self.taps, &mut self.pixel);
-        for (index, moment) in geometry.moments.iter().enumerate() {
+        self.taps.split(&task.frame.camera);
+        task.frame.texels.sample(&self.taps, &mut self.pixel);
+        for (index, sample) in geometry.exposure.iter().enumerate() {
             for group in 0..groups::<S>() {
-                self.place(simd, task, geometry, (moment, depth), group);
+                self.project_to_target(simd, task, geometry, (sample, depth), group);
             }
-            self.taps.split(&task.observed.camera);
-            task.model.texels.sample(&self.taps, &mut self.model);
+            self.taps.split(&task.frame.camera);
+            task.target.texels.sample(&self.taps, &mut self.target);
             for group in 0..groups::<S>() {
-                self.blur(simd, task, geometry, (moment, index == 0), group);
+                self.accumulate(simd, task, geometry, (sample, index == 0), group);
             }
         }
         for channel in 0..3 {
-            self.channels[channel].expose(task, channel);
+            self.channels[channel].apply_response(task, channel);
             self.channels[channel].compare(simd, task, &self.seen, &self.pixel[channel][0], sums);
             if task.derivatives {
                 self.channels[channel].add_equations(simd, task, geometry, channel, sums);
@@ -106,9 +109,9 @@ impl ColourBlock {
         }
     }
 
-    /// Where the picture shows the samples of a group.
+    /// Stores the image positions of a group's samples in the frame.
     #[inline(always)]
-    fn read<S: Simd>(
+    fn project_to_frame<S: Simd>(
         &mut self,
         simd: S,
         task: &Linearization<'_>,
@@ -117,130 +120,134 @@ impl ColourBlock {
         group: usize,
     ) {
         let point = Points::load_group(simd, &depth.points, group);
-        let camera = &task.observed.camera;
-        let position = super::project(simd, camera, point);
-        let seen = self.taps.place(simd, group, position, camera)
+        let camera = &task.frame.camera;
+        let position = project(simd, camera, point);
+        let seen = self.taps.store_positions(simd, group, position, camera)
             & Mask::load_group(simd, &depth.agreeing, group)
-            & Lanes::splat(simd, NEAR).lt(point.z);
+            & Lanes::splat(simd, MIN_DISTANCE).lt(point.z);
         seen.ones().store_group(&mut self.seen, group);
         if let Some(rolling) = &geometry.rolling {
-            // Lanes without a sample have no row, and must not spoil sums.
-            seen.keep(rolling.place(simd, position.1)).store_group(&mut self.row_place, group);
+            // Lanes without a sample have no row: masked, so that they do not spoil sums.
+            seen.keep(rolling.row_position(simd, position.1))
+                .store_group(&mut self.row_position, group);
         }
     }
 
-    /// Where the model's picture shows them at one moment.
+    /// Where the model's picture shows them at one sample.
     #[inline(always)]
-    fn place<S: Simd>(
+    fn project_to_target<S: Simd>(
         &mut self,
         simd: S,
         task: &Linearization<'_>,
         geometry: &Geometry,
-        (moment, depth): (&Moment, &DepthBlock),
+        (sample, depth): (&ExposureSample, &DepthBlock),
         group: usize,
     ) {
         let point = Points::load_group(simd, &depth.points, group);
-        let seen = self.at_moment(simd, geometry, moment, point, group);
-        let place = geometry.model_from_centre.apply_lanes(simd, seen);
+        let seen = self.to_centre(simd, geometry, sample, point, group);
+        let target_point = geometry.target_from_centre.transform(simd, seen);
         seen.store_group(&mut self.points, group);
-        let camera = &task.observed.camera;
-        let inside = self.taps.place(simd, group, super::project(simd, camera, place), camera)
-            & Mask::load_group(simd, &self.seen, group);
+        let camera = &task.frame.camera;
+        let inside =
+            self.taps.store_positions(simd, group, project(simd, camera, target_point), camera)
+                & Mask::load_group(simd, &self.seen, group);
         inside.ones().store_group(&mut self.seen, group);
-        let place = Points::select(inside, place, super::on_axis(simd));
-        place.store_group(&mut self.places, group);
+        let target_point = Points::select(inside, target_point, placeholder_point(simd));
+        target_point.store_group(&mut self.target_points, group);
     }
 
-    /// A group's points in the camera at mid-exposure, from that at one moment of their rows.
+    /// Moves a group's points from the virtual camera, at the time of their rows, into the camera at
+    /// mid-exposure.
     #[inline(always)]
-    fn at_moment<S: Simd>(
+    fn to_centre<S: Simd>(
         &mut self,
         simd: S,
         geometry: &Geometry,
-        moment: &Moment,
+        sample: &ExposureSample,
         point: Points<S>,
         group: usize,
     ) -> Points<S> {
         let Some(rolling) = &geometry.rolling else {
-            return moment.centre_from_camera.apply_lanes(simd, point);
+            return sample.centre_from_camera.transform(simd, point);
         };
         let time =
-            rolling.time(simd, Lanes::load_group(simd, &self.row_place, group), moment.offset);
+            rolling.time(simd, Lanes::load_group(simd, &self.row_position, group), sample.time);
         time.store_group(&mut self.times, group);
         let one = Lanes::splat(simd, 1.0);
-        rolling.turned(simd, time, point).mul_add(one, rolling.moved(simd, time))
+        rolling.rotated(simd, time, point).mul_add(one, rolling.translation(simd, time))
     }
 
-    /// Adds what one moment contributes to radiance and derivatives.
+    /// Adds radiance and derivatives of one virtual camera.
     #[inline(always)]
-    fn blur<S: Simd>(
+    fn accumulate<S: Simd>(
         &mut self,
         simd: S,
         task: &Linearization<'_>,
         geometry: &Geometry,
-        (moment, first): (&Moment, bool),
+        (sample, first): (&ExposureSample, bool),
         group: usize,
     ) {
         let number = |value| Lanes::splat(simd, value);
-        let weight = number(moment.weight);
+        let weight = number(sample.weight);
         for channel in 0..3 {
-            let radiance = Lanes::load_group(simd, &self.model[channel][0], group) * weight;
+            let radiance = Lanes::load_group(simd, &self.target[channel][0], group) * weight;
             accumulate(radiance, &mut self.channels[channel].radiance, group, first);
         }
         if !task.derivatives {
             return;
         }
-        let place = Points::load_group(simd, &self.places, group);
-        let camera = &task.observed.camera;
-        // The derivatives of `(u, v)` by the point, turned back into the camera.
-        let by = |u, v| geometry.turn_back(simd, super::by_place(simd, camera, place, (u, v)));
+        let target_point = Points::load_group(simd, &self.target_points, group);
+        let camera = &task.frame.camera;
+        // Derivatives of `(u, v)` by the point, in the axes of the camera at mid-exposure.
+        let by =
+            |u, v| geometry.rotate_to_centre(simd, by_point(simd, camera, target_point, (u, v)));
         let (along_u, along_v) = (by(weight, number(0.0)), by(number(0.0), weight));
-        let points = self.carried(simd, geometry, moment, group);
+        let points = self.moved_points(simd, geometry, sample, group);
         for channel in 0..3 {
-            let by_u = Lanes::load_group(simd, &self.model[channel][1], group);
-            let by_v = Lanes::load_group(simd, &self.model[channel][2], group);
+            let by_u = Lanes::load_group(simd, &self.target[channel][1], group);
+            let by_v = Lanes::load_group(simd, &self.target[channel][2], group);
             let row = along_u.mul_add(by_u, along_v.scaled(by_v));
             self.channels[channel].add_motion(simd, geometry, row, &points, (group, first));
         }
     }
 
-    /// How the camera's motion up to one moment carries a group's points.
+    /// A group's points at one virtual camera, with the terms of their motion.
     #[inline(always)]
-    fn carried<S: Simd>(
+    fn moved_points<S: Simd>(
         &self,
         simd: S,
         geometry: &Geometry,
-        moment: &Moment,
+        sample: &ExposureSample,
         group: usize,
-    ) -> Carried<S> {
+    ) -> MovedPoints<S> {
         let seen = Points::load_group(simd, &self.points, group);
-        let row_place = Lanes::load_group(simd, &self.row_place, group);
+        let row_position = Lanes::load_group(simd, &self.row_position, group);
         match &geometry.rolling {
             Some(rolling) => {
                 let time = Lanes::load_group(simd, &self.times, group);
-                let moved = seen.minus(rolling.moved(simd, time));
-                Carried { seen, moved, time, row_place }
+                let moved = seen.minus(rolling.translation(simd, time));
+                MovedPoints { seen, moved, time, row_position }
             }
             None => {
-                let translation = Points::splat(simd, moment.centre_from_camera.translation);
-                let time = Lanes::splat(simd, moment.offset);
-                Carried { seen, moved: seen.minus(translation), time, row_place }
+                let translation = Points::splat(simd, sample.centre_from_camera.translation);
+                let time = Lanes::splat(simd, sample.time);
+                MovedPoints { seen, moved: seen.minus(translation), time, row_position }
             }
         }
     }
 }
 
-/// Points of a group at one moment.
-struct Carried<S: Simd> {
-    /// In the camera at mid-exposure, and the same without the camera's translation.
+/// Points of a group at one sample.
+struct MovedPoints<S: Simd> {
+    /// In the camera at mid-exposure, with and without the camera's translation since then.
     seen: Points<S>,
     moved: Points<S>,
-    /// Time from mid-exposure, and the place of the picture's row.
+    /// Time since mid-exposure, and the relative position of the picture's row.
     time: Lanes<S>,
-    row_place: Lanes<S>,
+    row_position: Lanes<S>,
 }
 
-/// Adds to two triples of rows, or sets them.
+/// Adds to two triples of rows, or sets them for the `first` virtual camera.
 #[inline(always)]
 fn add_rows<S: Simd>(values: [Points<S>; 2], rows: &mut [Row], group: usize, first: bool) {
     let [row, spin] = values;
@@ -257,20 +264,21 @@ fn accumulate<S: Simd>(value: Lanes<S>, row: &mut Row, group: usize, first: bool
 }
 
 impl Channel {
-    /// Adds the derivatives of one moment by motion and readout, from `row` by the points.
+    /// Adds the derivatives by motion and readout for one virtual camera, from the derivative `row` by
+    /// the points.
     #[inline(always)]
     fn add_motion<S: Simd>(
         &mut self,
         simd: S,
         geometry: &Geometry,
         row: Points<S>,
-        points: &Carried<S>,
+        points: &MovedPoints<S>,
         (group, first): (usize, bool),
     ) {
         let (centre, velocity) = self.motion.split_at_mut(6);
         add_rows([row, points.seen.cross(row)], centre, group, first);
         if let Some(rolling) = &geometry.rolling {
-            let by_readout = points.row_place * row.dot(rolling.rate(simd, points.moved));
+            let by_readout = points.row_position * row.dot(rolling.velocity_of(simd, points.moved));
             accumulate(by_readout, &mut self.readout, group, first);
         }
         if geometry.has_velocity() {
@@ -279,9 +287,9 @@ impl Channel {
         }
     }
 
-    /// From radiance to picture values, and their slope by radiance.
+    /// Applies exposure, white balance and response to the radiance.
     #[inline(always)]
-    fn expose(&mut self, task: &Linearization<'_>, channel: usize) {
+    fn apply_response(&mut self, task: &Linearization<'_>, channel: usize) {
         let Some(curve) = task.curve else {
             self.value = self.radiance;
             self.slope.0.fill(1.0);
@@ -295,7 +303,7 @@ impl Channel {
         }
     }
 
-    /// Residuals against the picture values `pixel`, and the roots of their weights.
+    /// Residuals against the picture values `pixel`, with the square roots of their weights.
     #[inline(always)]
     fn compare<S: Simd>(
         &mut self,
@@ -303,7 +311,7 @@ impl Channel {
         task: &Linearization<'_>,
         seen: &Row,
         pixel: &Row,
-        sums: &mut Sums,
+        sums: &mut ResidualSums,
     ) {
         let number = |value| Lanes::splat(simd, value);
         let share = task.image_weight;
@@ -314,11 +322,11 @@ impl Channel {
             let value = Lanes::load_group(simd, &self.value, group);
             let residual = value - Lanes::load_group(simd, pixel, group);
             let square = residual * residual * number(precision);
-            cost += seen.keep(super::cost(simd, square));
+            cost += seen.keep(cost_of(simd, square));
             error += seen.keep(residual.abs());
             count += seen.ones();
-            let weight = number((FREEDOM + 1.0) * precision * share);
-            let root = (weight / (number(FREEDOM) + square)).sqrt();
+            let weight = number((DEGREES_OF_FREEDOM + 1.0) * precision * share);
+            let root = (weight / (number(DEGREES_OF_FREEDOM) + square)).sqrt();
             seen.keep(root).store_group(&mut self.root, group);
             residual.store_group(&mut self.residual, group);
         }
@@ -329,7 +337,7 @@ impl Channel {
         sums.errors.image_count += count;
     }
 
-    /// Adds the normal equations of channel number `channel`.
+    /// Adds the normal equations of channel `channel`.
     #[inline(always)]
     fn add_equations<S: Simd>(
         &mut self,
@@ -337,7 +345,7 @@ impl Channel {
         task: &Linearization<'_>,
         geometry: &Geometry,
         channel: usize,
-        sums: &mut Sums,
+        sums: &mut ResidualSums,
     ) {
         let motions = if geometry.has_velocity() { 12 } else { 6 };
         let toned = Lanes::splat(simd, if task.curve.is_some() { 1.0 } else { 0.0 });
@@ -361,13 +369,13 @@ impl Channel {
         for k in 0..motions {
             (rows[k], unknowns[k]) = (&self.motion[k], k);
         }
-        (rows[motions], unknowns[motions]) = (&self.gain, BALANCE + channel);
+        (rows[motions], unknowns[motions]) = (&self.gain, WHITE_BALANCE + channel);
         let mut count = motions + 1;
         if geometry.rolling.is_some() {
             rows[count] = &self.readout;
             count += 1;
         }
         let (rows, unknowns) = (&rows[..count + 1], &unknowns[..count]);
-        add_products(simd, rows, unknowns, &mut sums.equations);
+        add_normal_equations(simd, rows, unknowns, &mut sums.equations);
     }
 }

@@ -1,38 +1,36 @@
-//! The equations of the module, one pixel after another: what the lanes must agree with.
+//! Reference lane of the residuals: one pixel after another, readable beside the equations.
 
-use super::{
-    FREEDOM, GATE, Geometry, Linearization, Moment, NEAR, READOUT, RELIEF, Sums, Transform,
-    UNKNOWNS,
-};
-use crate::tracking::alignment::pyramid::{one_surface, relief};
+use super::geometry::{ExposureSample, Geometry, Transform};
+use super::level::{is_one_surface, roughness};
+use super::{DEGREES_OF_FREEDOM, Linearization, MAX_DEPTH_RESIDUAL_RATIO, MIN_DISTANCE, READOUT};
+use super::{ROUGHNESS_SIGMA_RATIO, ResidualSums, UNKNOWNS};
 use i2slam_geometry::{Camera, Image, Pose, Tap, Vec3};
 
-/// One evaluation and the relief of its two depth pictures.
+/// One evaluation, with the roughness of its two depth pictures.
 struct Pixels<'a> {
     task: &'a Linearization<'a>,
     geometry: Geometry,
-    observed_relief: Image<f32>,
-    model_relief: Image<f32>,
+    frame_roughness: Image<f32>,
+    target_roughness: Image<f32>,
 }
 
 impl Linearization<'_> {
-    /// What [`accumulate`](Self::accumulate) computes with a sample at every pixel.
-    pub(super) fn accumulate_pixels(&self) -> Sums {
+    /// [`accumulate`](Self::accumulate) with a sample at every pixel.
+    pub(super) fn accumulate_pixels(&self) -> ResidualSums {
         Pixels {
             task: self,
             geometry: Geometry::new(self),
-            observed_relief: relief(&self.observed.depth),
-            model_relief: relief(&self.model.depth),
+            frame_roughness: roughness(&self.frame.depth),
+            target_roughness: roughness(&self.target.depth),
         }
         .accumulate()
     }
 }
 
 impl Pixels<'_> {
-    fn accumulate(&self) -> Sums {
-        let mut sums = Sums::default();
-        let observed = self.task.observed;
-        let (camera, depth) = (&observed.camera, &observed.depth);
+    fn accumulate(&self) -> ResidualSums {
+        let mut sums = ResidualSums::default();
+        let (camera, depth) = (&self.task.frame.camera, &self.task.frame.depth);
         for row in 0..depth.height {
             for column in 0..depth.width {
                 let z = depth.at(0, column, row);
@@ -42,7 +40,7 @@ impl Pixels<'_> {
                 sums.candidates += 1;
                 let (u, v) = Camera::<f32>::pixel_centre(column, row);
                 let point = self.geometry.centre_from_depth.apply(camera.unproject(u, v, z));
-                let reading = (z, self.observed_relief.at(0, column, row));
+                let reading = (z, self.frame_roughness.at(0, column, row));
                 if self.add_depth(point, reading, &mut sums) && self.task.image_weight > 0.0 {
                     self.add_colour(point, &mut sums);
                 }
@@ -51,34 +49,39 @@ impl Pixels<'_> {
         sums
     }
 
-    /// Adds the depth residual of a point read at depth `z` beside `relief`, given in the camera
-    /// at mid-exposure; whether the model has this pixel's surface.
-    fn add_depth(&self, point: Vec3<f32>, (z, relief): (f32, f32), sums: &mut Sums) -> bool {
+    /// Adds the depth residual of a pixel with depth `z` and `roughness`, whose point is given in the
+    /// camera at mid-exposure. Returns whether the point lies on the target's surface.
+    fn add_depth(
+        &self,
+        point: Vec3<f32>,
+        (z, roughness): (f32, f32),
+        sums: &mut ResidualSums,
+    ) -> bool {
         let (task, geometry) = (self.task, &self.geometry);
-        let place = geometry.model_from_centre.apply(point);
-        if place.z <= NEAR {
+        let target_point = geometry.target_from_centre.apply(point);
+        if target_point.z <= MIN_DISTANCE {
             return false;
         }
-        let (u, v) = task.observed.camera.project(place);
-        let Some(tap) = task.model.depth.tap(u, v) else { return false };
-        let Some((d, d_u, d_v)) = surface(tap, &task.model.depth.data) else { return false };
-        let residual = d - place.z;
-        if residual.abs() > GATE * place.z {
+        let (u, v) = task.frame.camera.project(target_point);
+        let Some(tap) = task.target.depth.tap(u, v) else { return false };
+        let Some((d, d_u, d_v)) = depth_at(tap, &task.target.depth.data) else { return false };
+        let residual = d - target_point.z;
+        if residual.abs() > MAX_DEPTH_RESIDUAL_RATIO * target_point.z {
             return false;
         }
-        let mut by_place = self.by_place(place, d_u, d_v);
-        by_place.z -= 1.0;
-        let row = geometry.model_from_centre.rotation.transpose() * by_place;
-        // By the observed depth, not by `place`: a scale that moved with the pose would be
-        // lowered by moving away.
+        let mut gradient = self.by_point(target_point, d_u, d_v);
+        gradient.z -= 1.0;
+        let row = geometry.target_from_centre.rotation.transpose() * gradient;
+        // From the measured depth, not the re-projected one: a scale that depends on the pose would
+        // be lowered by moving away.
         let spread = z * z.max(1.0);
-        let rough = tap.values(&self.model_relief.data).into_iter().fold(relief, f32::max);
-        let scale = (task.scales.depth * spread).hypot(RELIEF * rough);
-        // A residual along the optical axis counts by its distance to the surface.
-        let normal = by_place.norm().max(1.0);
+        let rough = tap.values(&self.target_roughness.data).into_iter().fold(roughness, f32::max);
+        let scale = (task.scales.depth * spread).hypot(ROUGHNESS_SIGMA_RATIO * rough);
+        // Distance to the surface in place of the residual along the optical axis.
+        let normal = gradient.norm().max(1.0);
         let (weight, cost) = robust(residual / normal, scale);
-        // The depth's pose leads the centre by a share of the motion, which the centre ends.
-        let row = row * (1.0 + task.depth_lead as f32);
+        // The depth picture's pose moves with the centre, and farther by the ratio.
+        let row = row * (1.0 + task.depth_offset_ratio as f32);
         let rest = Vec3::zero();
         let jacobian = jacobian([row, point.cross(row), rest, rest], [0.0; 4]);
         sums.equations.add(&jacobian, f64::from(residual), f64::from(weight / (normal * normal)));
@@ -89,52 +92,58 @@ impl Pixels<'_> {
         true
     }
 
-    /// Adds the three colour residuals of the blurred model, at the pixel position of `point` (in
-    /// the camera at mid-exposure).
-    fn add_colour(&self, point: Vec3<f32>, sums: &mut Sums) {
+    /// Adds the image residuals of the three channels at the projection of `point` (in the camera at
+    /// mid-exposure).
+    fn add_colour(&self, point: Vec3<f32>, sums: &mut ResidualSums) {
         let task = self.task;
-        if point.z <= NEAR {
+        if point.z <= MIN_DISTANCE {
             return;
         }
-        let (u, v) = task.observed.camera.project(point);
-        let Some(pixel) = task.observed.colour.tap(u, v) else { return };
-        let row_place = task.rolling_height.map_or(0.0, |height| v / height as f32 - 0.5);
-        let Some(blurred) = self.blurred(point, row_place) else { return };
+        let (u, v) = task.frame.camera.project(point);
+        let Some(pixel) = task.frame.colour.tap(u, v) else { return };
+        let row_position = task.rolling_height.map_or(0.0, |height| v / height as f32 - 0.5);
+        let Some(blurred) = self.average(point, row_position) else { return };
         for channel in 0..3 {
-            let observed = pixel.sample(task.observed.colour.plane(channel)).0;
+            let observed = pixel.sample(task.frame.colour.plane(channel)).0;
             self.add_channel(&blurred, channel, observed, sums);
         }
     }
 
-    /// The mean over the exposure; none where a moment does not see the point.
-    fn blurred(&self, point: Vec3<f32>, row_place: f32) -> Option<Blurred> {
+    /// The average over the exposure; `None` where a virtual camera does not see the point.
+    fn average(&self, point: Vec3<f32>, row_position: f32) -> Option<Blurred> {
         let (task, geometry) = (self.task, &self.geometry);
         let mut sum =
             Blurred { radiance: [0.0; 3], by_motion: [[Vec3::zero(); 4]; 3], by_readout: [0.0; 3] };
-        let turn_back = geometry.model_from_centre.rotation.transpose();
-        for moment in &geometry.moments {
-            let (centre_from_camera, offset) = self.at_moment(moment, row_place);
+        let rotate_to_centre = geometry.target_from_centre.rotation.transpose();
+        for sample in &geometry.exposure {
+            let (centre_from_camera, time) = self.camera_of_row(sample, row_position);
             let seen = centre_from_camera.apply(point);
-            let place = geometry.model_from_centre.apply(seen);
-            let (u, v) = task.observed.camera.project(place);
-            let tap = task.model.radiance.tap(u, v)?;
+            let target_point = geometry.target_from_centre.apply(seen);
+            let (u, v) = task.frame.camera.project(target_point);
+            let tap = task.target.radiance.tap(u, v)?;
             for channel in 0..3 {
-                let (m, m_u, m_v) = tap.sample(task.model.radiance.plane(channel));
-                let by_place = self.by_place(place, m_u, m_v);
-                let row = turn_back * by_place * moment.weight;
-                let moved = seen - centre_from_camera.translation;
-                let spin = moved.cross(row);
-                sum.radiance[channel] += moment.weight * m;
-                let rows = [row, seen.cross(row), row * offset, spin * offset];
-                sum.by_readout[channel] += row_place * row.dot(self.rate(moved));
+                let (m, m_u, m_v) = tap.sample(task.target.radiance.plane(channel));
+                let gradient = self.by_point(target_point, m_u, m_v);
+                let row = rotate_to_centre * gradient * sample.weight;
+                let rotated = seen - centre_from_camera.translation;
+                let spin = rotated.cross(row);
+                sum.radiance[channel] += sample.weight * m;
+                let rows = [row, seen.cross(row), row * time, spin * time];
+                sum.by_readout[channel] += row_position * row.dot(self.velocity_of(rotated));
                 sum.by_motion[channel].iter_mut().zip(rows).for_each(|(sum, row)| *sum += row);
             }
         }
         Some(sum)
     }
 
-    /// Adds the residual of one channel against the picture's value.
-    fn add_channel(&self, blurred: &Blurred, channel: usize, observed: f32, sums: &mut Sums) {
+    /// Adds the residual of one channel against the picture value `observed`.
+    fn add_channel(
+        &self,
+        blurred: &Blurred,
+        channel: usize,
+        observed: f32,
+        sums: &mut ResidualSums,
+    ) {
         let task = self.task;
         let (gain, radiance) = (task.state.tone.gains()[channel], blurred.radiance[channel]);
         let (value, slope, by_log_gain) = match task.curve {
@@ -161,34 +170,34 @@ impl Pixels<'_> {
         sums.errors.image_count += 1;
     }
 
-    /// Where the camera is at a moment of the exposure of a row, and at what time.
-    fn at_moment(&self, moment: &Moment, row_place: f32) -> (Transform, f32) {
+    /// Pose of a virtual camera at the time of a row, and that time [exposures].
+    fn camera_of_row(&self, sample: &ExposureSample, row_position: f32) -> (Transform, f32) {
         let state = self.task.state;
-        let late = if self.task.rolling_height.is_some() { state.readout as f32 } else { 0.0 };
-        let time = moment.offset + late * row_place;
+        let readout = if self.task.rolling_height.is_some() { state.readout as f32 } else { 0.0 };
+        let time = sample.time + readout * row_position;
         let velocity = state.motion.velocity.scaled(f64::from(time));
         (Transform::new(Pose::identity().retract(velocity)), time)
     }
 
     /// `ν + ω × x`.
-    fn rate(&self, moved: Vec3<f32>) -> Vec3<f32> {
+    fn velocity_of(&self, rotated: Vec3<f32>) -> Vec3<f32> {
         let velocity = self.task.state.motion.velocity.cast::<f32>();
-        velocity.translation + velocity.rotation.cross(moved)
+        velocity.translation + velocity.rotation.cross(rotated)
     }
 
-    /// From an image gradient to a gradient by the point in the model's camera.
-    fn by_place(&self, place: Vec3<f32>, by_u: f32, by_v: f32) -> Vec3<f32> {
-        let camera = &self.task.observed.camera;
-        let inverse = 1.0 / place.z;
+    /// Chain rule through the projection: from derivatives by `(u, v)` to derivatives by the point.
+    fn by_point(&self, target_point: Vec3<f32>, by_u: f32, by_v: f32) -> Vec3<f32> {
+        let camera = &self.task.frame.camera;
+        let inverse = 1.0 / target_point.z;
         let (gx, gy) = (by_u * camera.fx * inverse, by_v * camera.fy * inverse);
-        Vec3::new(gx, gy, -(gx * place.x + gy * place.y) * inverse)
+        Vec3::new(gx, gy, -(gx * target_point.x + gy * target_point.y) * inverse)
     }
 }
 
-/// The model's radiance over an exposure and its derivatives, per channel.
+/// The target's radiance averaged over an exposure and its derivatives, per channel.
 struct Blurred {
     radiance: [f32; 3],
-    /// By ρ and φ of the centre, by ν and ω of the velocity.
+    /// By ρ and φ of the centre, ν and ω of the velocity.
     by_motion: [[Vec3<f32>; 4]; 3],
     by_readout: [f32; 3],
 }
@@ -197,11 +206,11 @@ struct Blurred {
 fn robust(residual: f32, scale: f32) -> (f32, f64) {
     let normalised = residual / scale;
     let square = normalised * normalised;
-    let weight = (FREEDOM + 1.0) / (FREEDOM + square) / (scale * scale);
-    (weight, f64::from((FREEDOM + 1.0) * (square / FREEDOM).ln_1p()))
+    let weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + square) / (scale * scale);
+    (weight, f64::from((DEGREES_OF_FREEDOM + 1.0) * (square / DEGREES_OF_FREEDOM).ln_1p()))
 }
 
-/// By ρ and φ of the centre, ν and ω of the velocity, and the tone.
+/// One row of derivatives: by ρ and φ of the centre, ν and ω of the velocity, and the tone.
 fn jacobian(by_motion: [Vec3<f32>; 4], by_tone: [f32; 4]) -> [f64; UNKNOWNS] {
     let mut all = [0.0; UNKNOWNS];
     let by_motion = by_motion.map(Vec3::to_array);
@@ -211,13 +220,11 @@ fn jacobian(by_motion: [Vec3<f32>; 4], by_tone: [f32; 4]) -> [f64; UNKNOWNS] {
     all
 }
 
-/// Depth and its derivatives at a tap whose four pixels lie on one surface.
-///
-/// The inverse of depth is what is interpolated: it is linear over the picture of a plane, so a
-/// floor seen at a grazing angle comes out without the bias that linear depth has there.
-fn surface(tap: Tap<f32>, depths: &[f32]) -> Option<(f32, f32, f32)> {
+/// Depth and its derivatives at a tap whose four pixels lie on one surface, from interpolated inverse
+/// depth.
+fn depth_at(tap: Tap<f32>, depths: &[f32]) -> Option<(f32, f32, f32)> {
     let values = tap.values(depths);
-    if !one_surface(values) {
+    if !is_one_surface(values) {
         return None;
     }
     let (inverse, by_u, by_v) = tap.interpolate(values.map(|d| 1.0 / d));
@@ -231,7 +238,7 @@ fn a_grazing_plane_is_interpolated_without_bias() {
     let depth = |u: f32| 1.0 / (0.3 + 0.01 * u);
     let row = [depth(0.5), depth(1.5)];
     let tap = Tap::new(2, 2, 1.2, 0.9).expect("inside");
-    let (d, by_u, by_v) = surface(tap, &[row[0], row[1], row[0], row[1]]).expect("a surface");
+    let (d, by_u, by_v) = depth_at(tap, &[row[0], row[1], row[0], row[1]]).expect("a surface");
     let analytic = -0.01 * depth(1.2).powi(2);
     assert!((d - depth(1.2)).abs() < 1e-6 && (by_u - analytic).abs() < 1e-5 && by_v == 0.0);
 }

@@ -1,11 +1,12 @@
-//! The lanes against the reference, the reference against differences of the cost.
+//! Vector lanes against the reference lane, the gradient against differences of the cost.
 
+use super::level::{DepthSamples, roughness};
 use super::*;
 use i2slam_check::{central_differences, relative_error};
 use i2slam_formation::{
     CameraResponse, CentreVelocity, FrameTone, NodeSpacing, StartCurve, TrajectoryScale,
 };
-use i2slam_geometry::{Image, Rotation, Tangent};
+use i2slam_geometry::{Camera, Image, Rotation, Tangent, Vec3};
 
 const SIZE: (usize, usize) = (48, 36);
 
@@ -22,8 +23,8 @@ fn picture(channels: usize, value: impl Fn(usize, f32, f32) -> f32) -> Image<f32
     image
 }
 
-fn model() -> Model {
-    Model::new(
+fn target() -> TargetLevel {
+    TargetLevel::new(
         picture(3, |c, u, v| {
             0.3 + 0.1 * (0.35 * u + c as f32).sin() + 0.1 * (0.3 * v - 0.1 * u).cos()
         }),
@@ -32,9 +33,9 @@ fn model() -> Model {
 }
 
 /// Depth away from the border, so that every residual stays while the camera moves.
-fn observed() -> Observed {
+fn frame() -> FrameLevel {
     let inside = |u: f32, v: f32| (8.0..40.0).contains(&u) && (8.0..28.0).contains(&v);
-    Observed::new(
+    FrameLevel::new(
         Camera { width: 48, height: 36, fx: 45.0, fy: 45.0, cx: 24.0, cy: 18.0 },
         picture(3, |c, u, v| 0.55 + 0.12 * (0.33 * u + c as f32).sin() + 0.1 * (0.3 * v).cos()),
         picture(1, |_, u, v| if inside(u, v) { 2.02 + 0.009 * u - 0.005 * v } else { 0.0 }),
@@ -42,14 +43,14 @@ fn observed() -> Observed {
     )
 }
 
-fn state(x: &[f64]) -> State {
+fn state(x: &[f64]) -> TrackingState {
     let start = CentreVelocity {
         // Between pixel centres: at one, a bilinear picture has a kink.
         centre: Pose::new(Rotation::identity(), Vec3::new(0.013, 0.017, 0.0)),
         velocity: Tangent::from_array([0.05, -0.02, 0.01, 0.01, 0.02, 0.015]),
     };
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
-    State {
+    TrackingState {
         motion: start.retract(part(0), part(6)),
         readout: 1.6 + x[READOUT],
         tone: FrameTone {
@@ -61,10 +62,10 @@ fn state(x: &[f64]) -> State {
     }
 }
 
-/// A scene, the moments of its exposure and how its residuals weigh.
+/// Levels, exposure and weights of one evaluation.
 struct Case<'a> {
-    model: Model,
-    observed: Observed,
+    target: TargetLevel,
+    frame: FrameLevel,
     curve: Option<&'a ResponseCurve<f32>>,
     cameras: usize,
     image_weight: f32,
@@ -74,30 +75,30 @@ struct Case<'a> {
 
 impl<'a> Case<'a> {
     fn smooth(curve: Option<&'a ResponseCurve<f32>>, image_weight: f32) -> Self {
-        let (model, observed) = (model(), observed());
-        Self { model, observed, curve, cameras: 3, image_weight, lead: 0.0, rolling: false }
+        let (target, frame) = (target(), frame());
+        Self { target, frame, curve, cameras: 3, image_weight, lead: 0.0, rolling: false }
     }
 
-    fn task<'b>(&'b self, state: &'b State) -> Linearization<'b> {
+    fn task<'b>(&'b self, state: &'b TrackingState) -> Linearization<'b> {
         let lead = Tangent::from_array([0.02, -0.03, 0.04, 0.005, 0.01, -0.01]);
         Linearization {
-            model: &self.model,
-            observed: &self.observed,
-            model_from_world: Pose::identity(),
+            target: &self.target,
+            frame: &self.frame,
+            target_from_world: Pose::identity(),
             state,
             curve: self.curve,
             cameras: self.cameras,
             rolling_height: self.rolling.then_some(36.0),
             quadrature: Quadrature::Midpoints,
             world_from_depth: state.motion.centre.retract(lead.scaled(self.lead)),
-            depth_lead: self.lead,
-            scales: Scales { depth: 0.02, image: 0.1 },
+            depth_offset_ratio: self.lead,
+            scales: RobustScales { depth: 0.02, image: 0.1 },
             image_weight: self.image_weight,
             derivatives: true,
         }
     }
 
-    fn sums(&self, x: &[f64]) -> Sums {
+    fn sums(&self, x: &[f64]) -> ResidualSums {
         self.task(&state(x)).accumulate()
     }
 }
@@ -137,7 +138,7 @@ fn the_step_finds_a_small_motion() {
     let mut x = [0.0; UNKNOWNS];
     for _ in 0..8 {
         let mut equations = case.sums(&x).equations;
-        super::super::priors::freeze(&mut equations, 3..UNKNOWNS);
+        crate::tracking::alignment::priors::freeze(&mut equations, 3..UNKNOWNS);
         let step = equations.step(1e-6).expect("depth of a slanted plane fixes one direction");
         x.iter_mut().zip(step).for_each(|(x, s)| *x += s);
     }
@@ -152,18 +153,17 @@ fn rough_case(curve: Option<&ResponseCurve<f32>>, cameras: usize, lead: f64) -> 
         if hole { 0.0 } else { 1.5 + step + 0.02 * v + 0.003 * (u * v).sin() }
     };
     let smooth = Case::smooth(curve, 0.4);
-    let camera = smooth.observed.camera;
-    let observed =
-        Observed::new(camera, smooth.observed.colour, picture(1, |_, u, v| depth(u, v)), 1);
+    let camera = smooth.frame.camera;
+    let frame = FrameLevel::new(camera, smooth.frame.colour, picture(1, |_, u, v| depth(u, v)), 1);
     let far = |u: f32, v: f32| if u + v < 12.0 { 9.0 } else { 0.01 + 1.5 + 0.02 * v };
-    let model = Model::new(
-        smooth.model.radiance,
+    let target = TargetLevel::new(
+        smooth.target.radiance,
         picture(1, |_, u, v| if (15.0..25.0).contains(&u) { depth(u, v) } else { far(u, v) }),
     );
-    Case { model, observed, curve, cameras, image_weight: 0.4, lead, rolling: false }
+    Case { target, frame, curve, cameras, image_weight: 0.4, lead, rolling: false }
 }
 
-/// Largest difference of two symmetric matrices and vectors, each entry by its unknowns' own size.
+/// Largest difference of cost, gradient and Hessian, each entry relative to its unknowns' own size.
 fn worst(lanes: &Equations, pixels: &Equations) -> f64 {
     let size = |a: usize| pixels.hessian[a][a].sqrt().max(1e-9);
     let root = pixels.cost.sqrt();
@@ -182,7 +182,7 @@ fn worst(lanes: &Equations, pixels: &Equations) -> f64 {
 }
 
 #[test]
-fn lanes_agree_with_pixels() {
+fn lanes_agree_with_the_reference() {
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.5)).curve();
     let x: [f64; UNKNOWNS] = std::array::from_fn(|i| 0.002 * (i as f64 - 7.0));
     let state = state(&x);
@@ -232,9 +232,9 @@ fn the_number_of_threads_changes_nothing() {
 #[test]
 fn every_other_pixel_is_a_quarter_of_them() {
     let case = rough_case(None, 1, 0.0);
-    let Observed { camera, depth, .. } = &case.observed;
-    let relief = super::super::pyramid::relief(depth);
-    let some = Samples::new(camera, depth, &relief, 2);
+    let FrameLevel { camera, depth, .. } = &case.frame;
+    let roughness = roughness(depth);
+    let some = DepthSamples::new(camera, depth, &roughness, 2);
     let expected = (0..SIZE.1).step_by(2).flat_map(|row| {
         (0..SIZE.0).step_by(2).map(move |column| depth.at(0, column, row)).filter(|&z| z > 0.0)
     });

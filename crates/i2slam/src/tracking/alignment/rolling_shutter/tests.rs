@@ -1,4 +1,4 @@
-//! The prior against its cost, and what frames say.
+//! The prior's normal equations against its cost, and the measurement on known motions.
 
 use super::*;
 use crate::objective::Observation;
@@ -13,13 +13,13 @@ use i2slam_geometry::{Camera, Image, Pose};
 fn normal_equations_are_half_the_derivative_of_the_cost() {
     let values = noise(3, 6);
     let prior = ReadoutPrior {
-        pixels: [130.0, 130.0, 130.0, 260.0, 260.0, 260.0],
+        pixels_per_unit: [130.0, 130.0, 130.0, 260.0, 260.0, 260.0],
         direction: [0.1, -0.7, 0.2, 0.5, 0.3, 0.35],
         length: 7.0,
-        share: 0.6,
-        deviation: 0.9,
-        hold: 1.5,
-        hold_deviation: 0.4,
+        readout_ratio: 0.6,
+        motion_sigma: 0.9,
+        predicted_readout: 1.5,
+        readout_sigma: 0.4,
         weight: 20.0,
     };
     let x: Vec<f64> = values.iter().map(|v| 0.02 * v).chain([2.3]).collect();
@@ -43,9 +43,9 @@ fn turned(pixels: f64) -> Pose<f64> {
     Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.0, pixels / CAMERA.fx, 0.0]))
 }
 
-/// What the last of some frames says of the readout, which all frames before were tracked with.
-/// Each is given by its time [frame intervals] and turn [px]; the last turns by `speed` px per
-/// frame interval while it is exposed.
+/// The readout as measured by the last of `frames`, each given by its time [frame intervals] and
+/// rotation [px]; all earlier ones were tracked with the true readout. The last rotates by `speed` px
+/// per frame interval while it is exposed.
 fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
     let config = Config::default();
     let (&(now, turn), before) = frames.split_last()?;
@@ -71,18 +71,18 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
         keyframe: None,
         cancellation: &CancellationToken::default(),
     };
-    let frame = Frame {
+    let frame = FrameAlignment {
         context: &context,
-        observed: Vec::new(),
+        levels: Vec::new(),
         observation: &observation,
         curve: None,
-        pixels: [50.0, 50.0, 50.0, 100.0, 100.0, 100.0],
-        previous: estimates.last()?.middle(),
-        white_balance: [0.0; 3],
-        readout_start: SHARE / OPEN,
+        pixels_per_unit: [50.0, 50.0, 50.0, 100.0, 100.0, 100.0],
+        previous_pose: estimates.last()?.middle(),
+        predicted_white_balance: [0.0; 3],
+        predicted_readout: SHARE / OPEN,
     };
     let velocity = Tangent::from_array([0.0, 0.0, 0.0, 0.0, OPEN * speed / CAMERA.fx, 0.0]);
-    frame.measured_readout(&State {
+    frame.measured_readout(&TrackingState {
         motion: CentreVelocity { centre: turned(turn), velocity },
         readout: SHARE / OPEN,
         tone: FrameTone::default(),
@@ -92,7 +92,7 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
 }
 
 #[test]
-fn constant_speed_says_nothing_though_frames_are_missing() {
+fn constant_speed_measures_nothing_even_with_gaps() {
     let even = |times: &[f64]| times.iter().map(|t| (*t, 10.0 * t)).collect::<Vec<_>>();
     for times in [[0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 3.0, 4.0, 5.0], [0.0, 1.0, 2.0, 3.0, 5.0]] {
         assert!(measured(&even(&times), 10.0).is_none(), "{times:?}");
@@ -100,12 +100,12 @@ fn constant_speed_says_nothing_though_frames_are_missing() {
 }
 
 #[test]
-fn another_speed_tells_the_readout_though_frames_are_missing() {
+fn a_change_of_speed_measures_the_readout_even_with_gaps() {
     let before = [(0.0, 0.0), (1.0, 10.0), (3.0, 30.0)];
     for (time, turn) in [(4.0, 50.0), (5.0, 70.0)] {
         let found = measured(&[&before[..], &[(time, turn)]].concat(), 20.0).expect("motion");
         assert!((found.seconds * RATE - SHARE).abs() < 1e-9, "{found:?}");
-        let deviation = (UNSURE + BEND * 10.0) / 10.0;
+        let deviation = (MEASUREMENT_SIGMA_PX + MOTION_CHANGE_SIGMA_RATIO * 10.0) / 10.0;
         assert!((found.deviation * RATE - deviation).abs() < 1e-9, "{found:?}");
     }
 }

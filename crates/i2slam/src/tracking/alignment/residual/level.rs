@@ -1,0 +1,316 @@
+//! One pyramid level of frame or target, laid out for blocks of samples.
+
+use super::block::{BLOCK, Row};
+use i2slam_compute::median;
+use i2slam_compute::simd::{Lanes, Mask};
+use i2slam_geometry::{Camera, Image};
+use pulp::Simd;
+use std::sync::Arc;
+
+/// Largest relative depth difference of neighbouring pixels on one surface.
+const MAX_DEPTH_STEP_RATIO: f32 = 0.05;
+
+/// One pyramid level of the observed frame.
+pub(in super::super) struct FrameLevel {
+    pub(in super::super) camera: Camera<f32>,
+    pub(in super::super) colour: Arc<Image<f32>>,
+    pub(in super::super) depth: Arc<Image<f32>>,
+    pub(super) samples: DepthSamples,
+    pub(super) texels: PackedColour,
+}
+
+/// One pyramid level of an alignment target: radiance and depth seen from the target's pose.
+pub(in super::super) struct TargetLevel {
+    /// Linear radiance, three planes.
+    pub(in super::super) radiance: Image<f32>,
+    /// Depth divided by opacity [m]; 0 where the target has no surface.
+    pub(in super::super) depth: Image<f32>,
+    pub(super) surface: InverseDepth,
+    pub(super) texels: PackedColour,
+    /// Standard deviation of the depth, estimated from its roughness [m at 1 m].
+    pub(in super::super) noise: f32,
+}
+
+impl TargetLevel {
+    pub(in super::super) fn new(radiance: Image<f32>, depth: Image<f32>) -> Self {
+        let roughness = roughness(&depth);
+        Self {
+            noise: depth_noise(&depth, &roughness),
+            surface: InverseDepth::new(&depth, &roughness),
+            texels: PackedColour::new(&radiance),
+            radiance,
+            depth,
+        }
+    }
+}
+
+impl FrameLevel {
+    /// With a sample at every `stride`-th pixel.
+    pub(in super::super) fn new(
+        camera: Camera<f32>,
+        colour: impl Into<Arc<Image<f32>>>,
+        depth: impl Into<Arc<Image<f32>>>,
+        stride: usize,
+    ) -> Self {
+        let (colour, depth) = (colour.into(), depth.into());
+        let samples = DepthSamples::new(&camera, &depth, &roughness(&depth), stride);
+        Self { camera, samples, texels: PackedColour::new(&colour), colour, depth }
+    }
+}
+
+/// Distance of each pixel's depth from a plane through its neighbours in the row or the column, the
+/// larger of the two [m]. Large at edges and beside holes; 0 where there is no depth.
+pub(super) fn roughness(depth: &Image<f32>) -> Image<f32> {
+    let (width, height) = (depth.width, depth.height);
+    let inverse: Vec<f32> =
+        depth.data.iter().map(|&d| if d > 0.0 { 1.0 / d } else { 0.0 }).collect();
+    let mut out = Image::new(width, height, 1);
+    for row in 0..height {
+        for column in 0..width {
+            let i = row * width + column;
+            let bend = |a: usize, b: usize| (inverse[a] + inverse[b] - 2.0 * inverse[i]).abs();
+            let inside = |at: usize, size: usize| at > 0 && at + 1 < size;
+            let along = if inside(column, width) { bend(i - 1, i + 1) } else { 0.0 };
+            let across = if inside(row, height) { bend(i - width, i + width) } else { 0.0 };
+            out.data[i] = along.max(across) * depth.data[i] * depth.data[i];
+        }
+    }
+    out
+}
+
+/// Standard deviation of depth noise [m at 1 m]. The second difference of independent noise has `√6`
+/// times its standard deviation, and the median of the larger of two such has about that size; most
+/// of a picture is no edge.
+fn depth_noise(depth: &Image<f32>, roughness: &Image<f32>) -> f32 {
+    let pixels = depth.data.iter().zip(&roughness.data).step_by(5);
+    let mut all: Vec<f32> =
+        pixels.filter(|(d, _)| **d > 0.0).map(|(d, r)| r / (d * d.max(1.0))).collect();
+    median(&mut all).map_or(f32::INFINITY, |roughness| roughness / 6.0_f32.sqrt())
+}
+
+/// Whether four depths [m] of neighbouring pixels are readings of one surface.
+pub(in super::super) fn is_one_surface(depths: [f32; 4]) -> bool {
+    let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
+    let most = depths.iter().copied().fold(0.0, f32::max);
+    least > 0.0 && most - least < MAX_DEPTH_STEP_RATIO * least
+}
+
+/// The points of pixels with depth, in raster order; the last block is padded with depth 0.
+pub(in super::super) struct DepthSamples {
+    pub(super) blocks: Vec<SampleBlock>,
+    /// Number of pixels with depth.
+    pub(super) count: usize,
+}
+
+/// [`BLOCK`] samples.
+pub(super) struct SampleBlock {
+    /// The point in the camera that took the depth picture.
+    pub(super) point: [Row; 3],
+    pub(super) roughness: Row,
+}
+
+impl DepthSamples {
+    /// Samples every `stride`-th column and row.
+    pub(super) fn new(
+        camera: &Camera<f32>,
+        depth: &Image<f32>,
+        roughness: &Image<f32>,
+        stride: usize,
+    ) -> Self {
+        let mut samples = Self { blocks: Vec::new(), count: 0 };
+        for row in (0..depth.height).step_by(stride) {
+            for column in (0..depth.width).step_by(stride) {
+                let z = depth.at(0, column, row);
+                if z > 0.0 {
+                    let (u, v) = Camera::<f32>::pixel_centre(column, row);
+                    let point = camera.unproject(u, v, z);
+                    samples.push(point.to_array(), roughness.at(0, column, row));
+                }
+            }
+        }
+        samples
+    }
+
+    fn push(&mut self, point: [f32; 3], roughness: f32) {
+        let lane = self.count % BLOCK;
+        if lane == 0 {
+            self.blocks.push(SampleBlock { point: [Row::ZERO; 3], roughness: Row::ZERO });
+        }
+        if let Some(block) = self.blocks.last_mut() {
+            block.point.iter_mut().zip(point).for_each(|(row, value)| row.0[lane] = value);
+            block.roughness.0[lane] = roughness;
+        }
+        self.count += 1;
+    }
+}
+
+/// Bilinear taps of a block: upper left pixels, and fractions to the right and down.
+pub(super) struct BilinearTaps {
+    index: [u32; BLOCK],
+    right: Row,
+    down: Row,
+}
+
+impl BilinearTaps {
+    pub(super) const EMPTY: Self = Self { index: [0; BLOCK], right: Row::ZERO, down: Row::ZERO };
+
+    /// Stores the image positions `(u, v)` of a group; returns the mask of those between the outermost
+    /// pixel centres, the others are stored as 0.
+    #[inline(always)]
+    pub(super) fn store_positions<S: Simd>(
+        &mut self,
+        simd: S,
+        group: usize,
+        (u, v): (Lanes<S>, Lanes<S>),
+        camera: &Camera<f32>,
+    ) -> Mask<S> {
+        let number = |value| Lanes::splat(simd, value);
+        let (x, y) = (u - number(0.5), v - number(0.5));
+        let most = |size: usize| number(size.saturating_sub(1) as f32);
+        let inside = number(0.0).le(x)
+            & number(0.0).le(y)
+            & x.lt(most(camera.width))
+            & y.lt(most(camera.height));
+        inside.keep(x).store_group(&mut self.right, group);
+        inside.keep(y).store_group(&mut self.down, group);
+        inside
+    }
+
+    /// Splits the stored positions into pixels and fractions.
+    #[inline(always)]
+    pub(super) fn split(&mut self, camera: &Camera<f32>) {
+        let width = camera.width as u32;
+        for i in 0..BLOCK {
+            let (column, row) = (self.right.0[i] as u32, self.down.0[i] as u32);
+            self.index[i] = row * width + column;
+            self.right.0[i] -= column as f32;
+            self.down.0[i] -= row as f32;
+        }
+    }
+
+    /// Value and derivatives by `u` and `v` from the values of the four pixels.
+    #[inline(always)]
+    pub(super) fn interpolate<S: Simd>(
+        &self,
+        simd: S,
+        group: usize,
+        corners: &[Row; 4],
+    ) -> [Lanes<S>; 3] {
+        let [a, b, c, d] = [0, 1, 2, 3].map(|i| Lanes::load_group(simd, &corners[i], group));
+        let (right, down) = (
+            Lanes::load_group(simd, &self.right, group),
+            Lanes::load_group(simd, &self.down, group),
+        );
+        let (top, bottom) = ((b - a).mul_add(right, a), (d - c).mul_add(right, c));
+        let by_u = ((d - c) - (b - a)).mul_add(down, b - a);
+        [(bottom - top).mul_add(down, top), by_u, bottom - top]
+    }
+}
+
+/// A depth picture prepared for interpolation: inverse depth is linear over the image of a plane, so
+/// that a floor seen at a grazing angle has no bias.
+pub(in super::super) struct InverseDepth {
+    width: usize,
+    /// Inverse depth of each pixel [1/m]; 0 where there is none.
+    inverse: Vec<f32>,
+    /// The largest roughness of the four pixels from each on to the right and down; negative where
+    /// they do not lie on one surface.
+    roughness: Vec<f32>,
+}
+
+impl InverseDepth {
+    fn new(depth: &Image<f32>, roughness: &Image<f32>) -> Self {
+        let (width, pixels) = (depth.width, depth.pixels());
+        // Beyond the last pixel, so that taps of empty lanes may be read from pixel 0.
+        let padded = pixels + width + 2;
+        let mut surface = Self { width, inverse: vec![0.0; padded], roughness: vec![-1.0; padded] };
+        for (inverse, &d) in surface.inverse.iter_mut().zip(&depth.data) {
+            *inverse = if d > 0.0 { 1.0 / d } else { 0.0 };
+        }
+        for i in 0..pixels.saturating_sub(width + 1) {
+            let of = |data: &[f32]| [data[i], data[i + 1], data[i + width], data[i + width + 1]];
+            if is_one_surface(of(&depth.data)) {
+                surface.roughness[i] = of(&roughness.data).into_iter().fold(0.0, f32::max);
+            }
+        }
+        surface
+    }
+
+    /// Inverse depths of the four pixels of each tap, and their roughness.
+    #[inline(always)]
+    pub(super) fn gather(&self, taps: &BilinearTaps, corners: &mut [Row; 4], roughness: &mut Row) {
+        for i in 0..BLOCK {
+            let index = taps.index[i] as usize;
+            let (top, bottom) = (&self.inverse[index..][..2], &self.inverse[index + self.width..]);
+            (corners[0].0[i], corners[1].0[i]) = (top[0], top[1]);
+            (corners[2].0[i], corners[3].0[i]) = (bottom[0], bottom[1]);
+            roughness.0[i] = self.roughness[index];
+        }
+    }
+}
+
+/// A picture of three channels with the channels of a pixel side by side.
+pub(in super::super) struct PackedColour {
+    width: usize,
+    data: Vec<[f32; 4]>,
+}
+
+impl PackedColour {
+    fn new(image: &Image<f32>) -> Self {
+        let (width, pixels) = (image.width, image.pixels());
+        let mut data = vec![[0.0; 4]; pixels + width + 2];
+        for channel in 0..image.channels.min(3) {
+            for (texel, &value) in data.iter_mut().zip(image.plane(channel)) {
+                texel[channel] = value;
+            }
+        }
+        Self { width, data }
+    }
+
+    /// Interpolates each channel: value and derivatives by `u` and `v`.
+    #[inline(always)]
+    pub(super) fn sample(&self, taps: &BilinearTaps, out: &mut [[Row; 3]; 3]) {
+        for i in 0..BLOCK {
+            let index = taps.index[i] as usize;
+            let (right, down) = (taps.right.0[i], taps.down.0[i]);
+            let (top, bottom) = (&self.data[index..][..2], &self.data[index + self.width..][..2]);
+            let (a, b, c, d) = (top[0], top[1], bottom[0], bottom[1]);
+            let (mut value, mut by_u, mut by_v) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+            for k in 0..4 {
+                let (across, below) = (b[k] - a[k], d[k] - c[k]);
+                let (upper, lower) = (a[k] + across * right, c[k] + below * right);
+                by_v[k] = lower - upper;
+                by_u[k] = across + (below - across) * down;
+                value[k] = upper + by_v[k] * down;
+            }
+            for k in 0..3 {
+                out[k][0].0[i] = value[k];
+                out[k][1].0[i] = by_u[k];
+                out[k][2].0[i] = by_v[k];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depth_noise_is_separated_from_edges_and_slopes() {
+        let mut random = i2slam_compute::Random::new(3);
+        let sigma = 0.004;
+        let mut plane = Image::new(60, 40, 1);
+        for (i, d) in plane.data.iter_mut().enumerate() {
+            let edge = if i % 60 < 30 { 0.3 } else { 0.0 };
+            *d = 1.0 / (0.8 + edge + 0.004 * (i / 60) as f32);
+        }
+        let clean = TargetLevel::new(Image::default(), plane.clone()).noise;
+        plane
+            .data
+            .iter_mut()
+            .for_each(|d| *d += sigma * (12.0_f64.sqrt() * (random.uniform() - 0.5)) as f32);
+        let noisy = TargetLevel::new(Image::default(), plane).noise;
+        assert!(clean < 1e-5 && (0.7..1.4).contains(&(noisy / sigma)), "{clean} {noisy}");
+    }
+}
