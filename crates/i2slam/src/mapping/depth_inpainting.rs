@@ -1,11 +1,12 @@
-//! A guess of depth where the sensor has none, so that such places can have radiance too.
+//! Inpainting of missing depth, so that every pixel can add to the map. Inpainted depth is never
+//! compared with the map.
 //!
-//! A hole is mostly what lies behind an edge, or a surface that the sensor cannot see (sky,
-//! windows, black objects): it takes the farthest of the nearest readings along its row and its
-//! column, and a place behind everything where no reading is near. No depth is compared there.
+//! A hole in measured depth mostly lies behind an edge or on a surface that the sensor cannot see
+//! (sky, windows, black objects): it takes the farthest of the nearest readings along its row and
+//! column, or lies behind everything where no reading is near.
 //!
-//! Depth that was estimated is also missing in large parts, on smooth surfaces or where the camera
-//! only turned: where no reading is near, it goes on smoothly.
+//! Estimated depth is also missing in large parts, on smooth surfaces or after pure rotation: far
+//! from any reading it is interpolated smoothly.
 
 use crate::config::MappingConfig;
 use crate::objective::Observation;
@@ -13,18 +14,18 @@ use i2slam_geometry::Image;
 use i2slam_radiance::Render;
 use std::sync::Arc;
 
-/// A reading counts as near within this share of the image's width.
-const REACH: f64 = 0.05;
-/// Depth of places without any reading near, as a multiple of the largest reading.
-const BEHIND: f32 = 1.25;
+/// Distance within which a reading counts as near, as a share of the image's width.
+const MAX_GAP: f64 = 0.05;
+/// Depth far from any reading, as a multiple of the largest reading.
+const BACKGROUND_DEPTH: f32 = 1.25;
 
-/// Rendered opacity from which the map has a surface.
+/// Least rendered opacity of a pixel at which the map has a surface.
 pub(super) const MIN_SURFACE_OPACITY: f32 = 0.9;
 
-/// Depth at which a frame adds Gaussians: its own, with holes filled if `settings` say so, and
-/// none where the camera recorded nothing. Estimated depth goes on smoothly from what is known, and
-/// from the surfaces of the map as it is seen from there.
-pub(crate) fn placement_depth(
+/// Depth at which a frame extends the map [m]: observed depth, inpainted if `settings.fill_depth`,
+/// and 0 where the camera recorded nothing. Estimated depth is completed by the surfaces of the
+/// map in `render` first.
+pub(super) fn placement_depth(
     observation: &Observation,
     settings: &MappingConfig,
     covered: Option<&Image<bool>>,
@@ -45,36 +46,36 @@ pub(crate) fn placement_depth(
     depth
 }
 
-/// `depth` with every hole filled; all zero if there is no reading at all.
-pub(crate) fn inpaint_measured(depth: &Image<f32>) -> Image<f32> {
+/// Fills all holes of measured depth; all zero without any reading.
+fn inpaint_measured(depth: &Image<f32>) -> Image<f32> {
     let farthest = depth.data.iter().copied().fold(0.0, f32::max);
     let mut out = depth.clone();
-    for (d, near) in out.data.iter_mut().zip(nearest(depth)) {
+    for (d, near) in out.data.iter_mut().zip(nearest_readings(depth)) {
         if *d <= 0.0 {
-            *d = if near > 0.0 { near } else { BEHIND * farthest };
+            *d = if near > 0.0 { near } else { BACKGROUND_DEPTH * farthest };
         }
     }
     out
 }
 
 /// The farthest of the nearest readings along rows and columns, 0 where none is near.
-fn nearest(depth: &Image<f32>) -> Vec<f32> {
+fn nearest_readings(depth: &Image<f32>) -> Vec<f32> {
     let (width, height) = (depth.width, depth.height);
-    let reach = ((width as f64 * REACH) as usize).max(1);
+    let reach = ((width as f64 * MAX_GAP) as usize).max(1);
     let mut nearest = vec![0.0_f32; depth.data.len()];
     for row in 0..height {
-        spread(&depth.data, &mut nearest, (0..width).map(|c| row * width + c), reach);
-        spread(&depth.data, &mut nearest, (0..width).rev().map(|c| row * width + c), reach);
+        propagate(&depth.data, &mut nearest, (0..width).map(|c| row * width + c), reach);
+        propagate(&depth.data, &mut nearest, (0..width).rev().map(|c| row * width + c), reach);
     }
     for column in 0..width {
-        spread(&depth.data, &mut nearest, (0..height).map(|r| r * width + column), reach);
-        spread(&depth.data, &mut nearest, (0..height).rev().map(|r| r * width + column), reach);
+        propagate(&depth.data, &mut nearest, (0..height).map(|r| r * width + column), reach);
+        propagate(&depth.data, &mut nearest, (0..height).rev().map(|r| r * width + column), reach);
     }
     nearest
 }
 
 /// Along one line, raises `nearest` to the last reading at most `reach` pixels back.
-fn spread(depth: &[f32], nearest: &mut [f32], line: impl Iterator<Item = usize>, reach: usize) {
+fn propagate(depth: &[f32], nearest: &mut [f32], line: impl Iterator<Item = usize>, reach: usize) {
     let (mut last, mut age) = (0.0_f32, 0);
     for i in line {
         age += 1;
@@ -86,11 +87,11 @@ fn spread(depth: &[f32], nearest: &mut [f32], line: impl Iterator<Item = usize>,
     }
 }
 
-/// The same for depth that was estimated, with `surfaces` known beside it: what no reading is near
-/// goes on smoothly.
-pub(crate) fn inpaint_estimated(depth: &Image<f32>, surfaces: Option<&Image<f32>>) -> Image<f32> {
+/// Fills all holes of estimated depth: from near readings, then from rendered `surfaces`, then
+/// smoothly.
+pub(super) fn inpaint_estimated(depth: &Image<f32>, surfaces: Option<&Image<f32>>) -> Image<f32> {
     let mut known = depth.clone();
-    for (pixel, near) in nearest(depth).into_iter().enumerate() {
+    for (pixel, near) in nearest_readings(depth).into_iter().enumerate() {
         if known.data[pixel] <= 0.0 {
             let surface = || surfaces.map_or(0.0, |s| s.data[pixel]);
             known.data[pixel] = if near > 0.0 { near } else { surface() };
@@ -99,8 +100,7 @@ pub(crate) fn inpaint_estimated(depth: &Image<f32>, surfaces: Option<&Image<f32>
     inpaint_smoothly(&known)
 }
 
-/// `depth` with every hole filled smoothly in inverse depth, from what surrounds it, at the least
-/// size at which it is surrounded; all zero if no depth is known.
+/// Fills all holes by pull-push interpolation of inverse depth; all zero without any depth.
 fn inpaint_smoothly(depth: &Image<f32>) -> Image<f32> {
     let inverse = |d: &f32| if *d > 0.0 { (1.0 / d, 1.0) } else { (0.0, 0.0) };
     let (values, weights) = depth.data.iter().map(inverse).unzip();
@@ -109,7 +109,7 @@ fn inpaint_smoothly(depth: &Image<f32>) -> Image<f32> {
         levels.push(last.halved());
     }
     let coarse_to_fine = levels.into_iter().rev().reduce(|coarse, mut fine| {
-        fine.take_from(&coarse);
+        fine.complete_from(&coarse);
         fine
     });
     let values = coarse_to_fine.map_or_else(Vec::new, |full| full.values);
@@ -119,7 +119,7 @@ fn inpaint_smoothly(depth: &Image<f32>) -> Image<f32> {
     out
 }
 
-/// Values at one size, and how far each is known, in [0, 1].
+/// One pyramid level: values and their confidences in [0, 1].
 struct Level {
     width: usize,
     height: usize,
@@ -128,7 +128,7 @@ struct Level {
 }
 
 impl Level {
-    /// Means of four.
+    /// Half the size: weighted means of 2 × 2 values.
     fn halved(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let (mut values, mut weights) = (vec![0.0; width * height], vec![0.0; width * height]);
@@ -144,8 +144,8 @@ impl Level {
         Self { width, height, values, weights }
     }
 
-    /// Fills up what is not known from half the size, linear between its values.
-    fn take_from(&mut self, coarse: &Self) {
+    /// Completes uncertain values by bilinear interpolation of the coarser level.
+    fn complete_from(&mut self, coarse: &Self) {
         let (last_column, last_row) = (coarse.width - 1, coarse.height - 1);
         for (i, (value, weight)) in self.values.iter_mut().zip(&mut self.weights).enumerate() {
             if *weight >= 1.0 {

@@ -1,4 +1,4 @@
-//! Steps of what belongs to frames: exposure, white balance, response, and poses of keyframes.
+//! Optimiser steps on exposure, white balance, responses and keyframe poses.
 
 use super::mapper::MappingContext;
 use crate::config::ResponseScope;
@@ -10,16 +10,17 @@ use i2slam_formation::{
 };
 use i2slam_geometry::{Tangent, Vec3};
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
-/// SplaTAM's epsilon while mapping.
+/// Epsilon of Adam in SplaTAM's mapping.
 const EPSILON: f32 = 1e-15;
 
-/// An optimiser of mapping without history.
+/// A new Adam optimiser with the settings of mapping.
 pub(super) fn adam() -> Adam {
     Adam::new(AdamSettings { epsilon: EPSILON, ..AdamSettings::default() })
 }
 
-/// Optimiser state of responses and keyframes.
+/// Optimiser state of all responses and keyframes.
 #[derive(Default)]
 pub(super) struct FrameOptimizers {
     responses: BTreeMap<usize, Vec<Adam>>,
@@ -34,8 +35,25 @@ struct FrameOptimizer {
     rotation: Adam,
 }
 
+/// Derivatives of the responses that the frames of a batch were formed with, by response index.
+#[derive(Default)]
+pub(super) struct ResponseGradients(BTreeMap<usize, CurveGradient<f32>>);
+
+impl ResponseGradients {
+    /// Adds the derivative of one frame.
+    pub(super) fn add(&mut self, response: usize, gradient: CurveGradient<f32>) {
+        match self.0.entry(response) {
+            Entry::Vacant(entry) => drop(entry.insert(gradient)),
+            Entry::Occupied(mut entry) => {
+                let sums = entry.get_mut().values.iter_mut().flatten();
+                sums.zip(gradient.values.iter().flatten()).for_each(|(sum, g)| *sum += g);
+            }
+        }
+    }
+}
+
 impl FrameOptimizers {
-    /// One step of everything that belongs to a keyframe.
+    /// One step on tone, response and pose of a keyframe; the gauge frame keeps tone and pose.
     pub(super) fn step(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -64,7 +82,7 @@ impl FrameOptimizers {
         })
     }
 
-    /// Exposure and white balance. Those of the gauge frame must stay, which fixes the gauge.
+    /// One step on exposure and white balance. Callers leave out the gauge frame.
     pub(super) fn step_tone(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -83,8 +101,19 @@ impl FrameOptimizers {
         *tone = FrameTone::from_array(values);
     }
 
-    /// The nodes of a response, with its prior.
-    pub(super) fn step_response(
+    /// One step on every response of a batch.
+    pub(super) fn step_responses(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        gradients: ResponseGradients,
+    ) {
+        for (index, mut d_curve) in gradients.0 {
+            self.step_response(context, index, &mut d_curve);
+        }
+    }
+
+    /// One step on the nodes of a response, with its prior.
+    fn step_response(
         &mut self,
         context: &mut MappingContext<'_>,
         index: usize,
@@ -107,7 +136,7 @@ impl FrameOptimizers {
         }
     }
 
-    /// Start and end pose, each by a tangent of its own; none with rates of zero.
+    /// One step on start and end pose, each by its own tangent; none at rates of zero.
     pub(super) fn step_pose(
         &mut self,
         context: &mut MappingContext<'_>,

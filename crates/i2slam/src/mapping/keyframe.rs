@@ -1,4 +1,4 @@
-//! Which frames stay in memory for mapping.
+//! Keyframes: frames that stay in memory for mapping, and their choice.
 
 use crate::config::MappingConfig;
 use crate::objective::{Observation, blur_length};
@@ -16,8 +16,8 @@ pub(crate) struct Keyframe {
     pub(crate) adjacent: AdjacentFrames,
 }
 
-/// The frames before and after a keyframe in the video, where their source knows them: stamps [s],
-/// and poses in the camera of the keyframe, with which they move.
+/// Video frames before and after a keyframe where known: time stamp [s], and pose relative to the
+/// keyframe (`keyframe_from_other`), which stays when the keyframe moves.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct AdjacentFrames {
     pub(crate) before: Option<(f64, Pose<f64>)>,
@@ -25,42 +25,46 @@ pub(crate) struct AdjacentFrames {
 }
 
 impl AdjacentFrames {
-    /// What one other frame tells of a frame.
-    pub(crate) fn of(frame: &FrameEstimate, other: &FrameEstimate) -> Self {
-        let way = Some((other.timestamp, frame.middle().inverse() * other.middle()));
+    /// One known neighbour, before or after `frame`.
+    pub(crate) fn from_neighbour(frame: &FrameEstimate, other: &FrameEstimate) -> Self {
+        let relative = Some((other.timestamp, frame.middle().inverse() * other.middle()));
         match other.timestamp < frame.timestamp {
-            true => Self { before: way, after: None },
-            false => Self { before: None, after: way },
+            true => Self { before: relative, after: None },
+            false => Self { before: None, after: relative },
         }
     }
 
-    /// The frame before a keyframe, as far from it as its source said.
-    pub(crate) fn frame_before(&self, keyframe: &FrameEstimate) -> Option<FrameEstimate> {
+    /// The frame before a keyframe, at its relative pose, with the tone of the keyframe.
+    pub(crate) fn previous_frame(&self, keyframe: &FrameEstimate) -> Option<FrameEstimate> {
         let (timestamp, pose) = self.before?;
         let shutter = ShutterPoses::still(keyframe.middle() * pose);
         let posed = FrameEstimate::posed(keyframe.index, timestamp, shutter);
         Some(FrameEstimate { tone: keyframe.tone, ..posed })
     }
 
-    /// Both frames beside a keyframe of this stamp; the camera moves on evenly to one that is not
-    /// known. None if neither is.
+    /// Frames before and after a keyframe of this time stamp; an unknown one is extrapolated from
+    /// the other at constant velocity. `None` if neither is known.
     pub(crate) fn both(&self, timestamp: f64) -> Option<[(f64, Pose<f64>); 2]> {
-        let across = |(stamp, pose): (f64, Pose<f64>)| (2.0 * timestamp - stamp, pose.inverse());
-        let before = self.before.or(self.after.map(across))?;
-        Some([before, self.after.unwrap_or_else(|| across(before))])
+        let mirrored = |(stamp, pose): (f64, Pose<f64>)| (2.0 * timestamp - stamp, pose.inverse());
+        let before = self.before.or(self.after.map(mirrored))?;
+        Some([before, self.after.unwrap_or_else(|| mirrored(before))])
     }
 
-    /// Motion of the camera at a keyframe of this stamp during a frame interval of the video.
-    pub(crate) fn motion(&self, timestamp: f64, frame_rate: f64) -> Option<Tangent<f64>> {
-        let ways = self.both(timestamp)?.map(|(stamp, pose)| {
+    /// Camera motion at a keyframe of this time stamp, per frame interval of the video.
+    pub(crate) fn motion_per_interval(
+        &self,
+        timestamp: f64,
+        frame_rate: f64,
+    ) -> Option<Tangent<f64>> {
+        let motions = self.both(timestamp)?.map(|(stamp, pose)| {
             let intervals = intervals(frame_rate, timestamp.min(stamp), timestamp.max(stamp));
             Pose::identity().local(pose).scaled((stamp - timestamp).signum() / intervals)
         });
-        Some(ways[0].plus(ways[1]).scaled(0.5))
+        Some(motions[0].plus(motions[1]).scaled(0.5))
     }
 }
 
-/// Frame intervals of the video between two stamps [s].
+/// Number of frame intervals of the video between two time stamps [s], at least 1.
 pub(crate) fn intervals(frame_rate: f64, earlier: f64, later: f64) -> f64 {
     let intervals = (later - earlier) * frame_rate;
     if intervals.is_finite() { intervals.max(1.0) } else { 1.0 }
@@ -112,7 +116,7 @@ mod tests {
     const CAMERA: Camera<f64> =
         Camera { width: 100, height: 80, fx: 100.0, fy: 100.0, cx: 50.0, cy: 40.0 };
 
-    /// A frame turned by `pixels` from the first, with a blur of `blur` pixels.
+    /// A frame rotated by `pixels` from the first, with a blur of `blur` pixels.
     fn frame(index: usize, pixels: f64, blur: f64) -> FrameEstimate {
         let turn = Rotation::exp(Vec3::new(0.0, pixels / 100.0, 0.0));
         FrameEstimate {

@@ -1,4 +1,4 @@
-//! Finding frames in a map from poses that are roughly known.
+//! Localisation of frames in a map from roughly known poses.
 
 use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::mapper::MappingContext;
@@ -11,8 +11,8 @@ use i2slam_radiance::Render;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// What finding one frame leaves for the next.
-pub(crate) struct FrameLocator {
+/// Localises frames in a map; trajectory scale and readout carry over from frame to frame.
+pub(super) struct FrameLocator {
     frame_rate: f64,
     scale: TrajectoryScale<f64>,
     readout: SequenceReadout,
@@ -20,25 +20,27 @@ pub(crate) struct FrameLocator {
 
 impl FrameLocator {
     /// For frames of a video of `frame_rate` frames per second.
-    pub(crate) fn new(frame_rate: f64, readout: SequenceReadout) -> Self {
+    pub(super) fn new(frame_rate: f64, readout: SequenceReadout) -> Self {
         Self { frame_rate, scale: TrajectoryScale::from_frame_rate(frame_rate), readout }
     }
 
-    /// Moves `estimate`, whose pose is roughly known, to where its picture fits the map best, with
-    /// the motion over its exposure and its gains; `before` is the frame before it, if known, and
-    /// `others` say how well frames usually fit. Returns whether that was found, which
-    /// `estimate.tracked` says too; a frame that was not stays where it is. No depth is compared: that of the map says where its surfaces are.
-    pub(crate) fn locate<M: SceneMap>(
+    /// Moves `estimate` from its initial pose to where its picture fits the map best, and estimates
+    /// its motion during exposure and its tone. `previous` is the frame before it if known;
+    /// the losses of `others` set what counts as a good fit. Returns whether the frame was found,
+    /// as `estimate.tracked` does; a frame that was not found stays.
+    ///
+    /// Depth is not compared: the observation takes that of the map.
+    pub(super) fn locate<M: SceneMap>(
         &mut self,
         context: &MappingContext<'_>,
         (map, objective): (&M, &mut FrameObjective<M>),
         (estimate, colour): (&mut FrameEstimate, &Arc<Image<f32>>),
-        before: Option<&FrameEstimate>,
+        previous: Option<&FrameEstimate>,
         others: &[FrameEstimate],
     ) -> bool {
         let clock = Instant::now();
         let expected = estimate.middle();
-        let observation = seen(colour, objective.render(map, expected));
+        let observation = with_map_depth(colour, objective.render(map, expected));
         let tracking = TrackingContext {
             tracking: &context.config.tracking,
             formation: &context.config.formation,
@@ -48,7 +50,7 @@ impl FrameLocator {
             readout: self.readout,
             timestamps: (estimate.timestamp, estimate.timestamp),
             frames: others,
-            previous: before,
+            previous,
             before_previous: None,
             expected: Some(expected),
             keyframe: None,
@@ -72,8 +74,8 @@ impl FrameLocator {
     }
 }
 
-/// A picture with the depth of the map.
-fn seen(colour: &Arc<Image<f32>>, render: &Render) -> Observation {
+/// A picture with the depth of the map, all pixels at unit variance.
+fn with_map_depth(colour: &Arc<Image<f32>>, render: &Render) -> Observation {
     let depth = render.surface(MIN_SURFACE_OPACITY);
     let mut variance = Image::new(depth.width, depth.height, 1);
     variance.data.fill(1.0);

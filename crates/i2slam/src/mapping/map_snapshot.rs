@@ -1,4 +1,4 @@
-//! A copy of the map that frames are tracked against while the map itself is refined.
+//! Tracking against a map, or against a copy of it while the map itself is optimised.
 
 use crate::objective::{FrameObjective, Observation, SceneMap};
 use crate::tracking::{TrackingContext, TrackingResult, track};
@@ -7,9 +7,9 @@ use i2slam_geometry::Image;
 use std::any::Any;
 use std::sync::Arc;
 
-/// Something that finds frames in a map.
+/// Tracks frames against a map of some kind.
 pub(crate) trait Tracker: Any + Send {
-    /// Shutter poses and tone of a frame, from what the map shows.
+    /// Shutter poses and tone of a frame.
     fn track(
         &mut self,
         context: &TrackingContext<'_>,
@@ -19,37 +19,10 @@ pub(crate) trait Tracker: Any + Send {
     ) -> TrackingResult;
 }
 
-/// The copy, and what draws it.
-pub(crate) struct MapSnapshot<M: SceneMap> {
-    map: M,
-    objective: FrameObjective<M>,
-}
-
-impl<M: SceneMap + Clone + Send + 'static> MapSnapshot<M>
-where
-    FrameObjective<M>: Send,
-{
-    /// The snapshot before, brought up to date; the first draws with `objective`, which compares
-    /// pixels that are `covered`.
-    pub(crate) fn update(
-        last: Option<Box<dyn Tracker>>,
-        map: &M,
-        covered: Option<Arc<Image<bool>>>,
-        objective: impl FnOnce() -> FrameObjective<M>,
-    ) -> Box<dyn Tracker> {
-        let last = last.map(|last| last as Box<dyn Any>);
-        match last.map(<Box<dyn Any>>::downcast::<Self>) {
-            Some(Ok(mut snapshot)) => {
-                snapshot.map.clone_from(map);
-                snapshot
-            }
-            _ => {
-                let mut objective = objective();
-                covered.into_iter().for_each(|covered| objective.set_covered(covered));
-                Box::new(Self { map: map.clone(), objective })
-            }
-        }
-    }
+/// A map, or a copy of one, and the objective that compares pictures with it.
+pub(super) struct MapSnapshot<M: SceneMap> {
+    pub(super) map: M,
+    pub(super) objective: FrameObjective<M>,
 }
 
 impl<M: SceneMap + Send + 'static> Tracker for MapSnapshot<M>
@@ -64,5 +37,30 @@ where
         scale: TrajectoryScale<f64>,
     ) -> TrackingResult {
         track(context, &mut self.objective, &self.map, observation, response, scale)
+    }
+}
+
+/// Copies `map` into the snapshot `last`, or into a new one with `objective`, restricted to the
+/// `covered` pixels.
+pub(super) fn update_snapshot<M: SceneMap + Clone + Send + 'static>(
+    last: Option<Box<dyn Tracker>>,
+    map: &M,
+    covered: Option<Arc<Image<bool>>>,
+    objective: impl FnOnce() -> FrameObjective<M>,
+) -> Box<dyn Tracker>
+where
+    FrameObjective<M>: Send,
+{
+    let last = last.map(|last| last as Box<dyn Any>);
+    match last.map(<Box<dyn Any>>::downcast::<MapSnapshot<M>>) {
+        Some(Ok(mut snapshot)) => {
+            snapshot.map.clone_from(map);
+            snapshot
+        }
+        _ => {
+            let mut objective = objective();
+            covered.into_iter().for_each(|covered| objective.set_covered(covered));
+            Box::new(MapSnapshot { map: map.clone(), objective })
+        }
     }
 }

@@ -1,18 +1,18 @@
-//! Which keyframes a mapping round looks at (SplaTAM's rule).
+//! Keyframes that a mapping step is taken on.
 
 use super::keyframe::Keyframe;
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::Random;
-use i2slam_geometry::{Camera, Vec3};
+use i2slam_geometry::{Camera, Image, Vec3};
 
-/// Pixels of the current frame that are looked up in every keyframe.
+/// Pixels of the current frame that are looked up in every keyframe (SplaTAM).
 const PROBES: usize = 1600;
-/// Border of a keyframe that does not count, as a share of its width (20 px of 640).
+/// Border of a keyframe that does not count, as a share of its width (SplaTAM: 20 px of 640).
 const BORDER: f64 = 20.0 / 640.0;
 
-/// The current frame, the last keyframe, and `size - 2` keyframes chosen at random among those
-/// that see part of the current frame.
-pub(crate) fn select_window(
+/// The current frame, the last keyframe, and `size - 2` keyframes drawn from those that see part
+/// of the current frame (SplaTAM's rule).
+pub(super) fn overlapping_window(
     keyframes: &[Keyframe],
     current: &Keyframe,
     frames: &[FrameEstimate],
@@ -26,7 +26,7 @@ pub(crate) fn select_window(
     if size > 1 {
         window.push((*last).clone());
     }
-    let points = probe(current, frames, camera, random);
+    let points = random_points(current, frames, camera, random);
     let mut overlapping: Vec<&Keyframe> =
         earlier.iter().copied().filter(|k| sees_any(&frames[k.frame], camera, &points)).collect();
     random.shuffle(&mut overlapping);
@@ -34,8 +34,50 @@ pub(crate) fn select_window(
     window
 }
 
-/// Random points of the current frame, in the world.
-fn probe(
+/// The current frame if there is one, the last keyframe, and others drawn from all, `size` in all.
+pub(super) fn recent_window(
+    keyframes: &[Keyframe],
+    current: Option<&Keyframe>,
+    size: usize,
+    random: &mut Random,
+) -> Vec<Keyframe> {
+    let mut window: Vec<Keyframe> = current.into_iter().cloned().collect();
+    let is_current = |k: &Keyframe| current.is_some_and(|current| k.frame == current.frame);
+    let mut others: Vec<&Keyframe> = keyframes.iter().filter(|k| !is_current(k)).collect();
+    if window.len() < size {
+        window.extend(others.pop().cloned());
+    }
+    random.shuffle(&mut others);
+    let missing = size.saturating_sub(window.len());
+    window.extend(others.into_iter().take(missing).cloned());
+    window
+}
+
+/// `size` keyframes drawn from all.
+pub(super) fn random_window(
+    keyframes: &[Keyframe],
+    size: usize,
+    random: &mut Random,
+) -> Vec<Keyframe> {
+    let mut order: Vec<&Keyframe> = keyframes.iter().collect();
+    random.shuffle(&mut order);
+    order.into_iter().take(size).cloned().collect()
+}
+
+/// `count` pixels of an image of `size` pixels, drawn with replacement; those that the camera did
+/// not record are left out.
+pub(super) fn random_pixels(
+    size: usize,
+    count: usize,
+    covered: Option<&Image<bool>>,
+    random: &mut Random,
+) -> Vec<usize> {
+    let recorded = |pixel: &usize| covered.is_none_or(|covered| covered.data[*pixel]);
+    (0..count).map(|_| random.below(size)).filter(recorded).collect()
+}
+
+/// Random surface points of the current frame, in the world.
+fn random_points(
     current: &Keyframe,
     frames: &[FrameEstimate],
     camera: &Camera<f64>,

@@ -191,10 +191,7 @@ impl Session {
             response: (last, &responses[last]),
             cancellation,
         };
-        let tracker: Option<&mut dyn Tracker> = match usable && !mapper.is_empty() {
-            true => Some(mapper.as_mut()),
-            false => None,
-        };
+        let tracker = if usable { mapper.tracker() } else { None };
         look.at(tracker, frame, observation)
     }
 

@@ -85,7 +85,7 @@ fn steps(config: &Config) -> (f64, f64) {
 /// Times that all keyframes are found anew at the end.
 fn searches(config: &Config) -> usize {
     match config.map.kind {
-        MapKind::Gaussian => JointGaussianMapper::SEARCHES,
+        MapKind::Gaussian => JointGaussianMapper::RELOCALIZATIONS,
         MapKind::HashGrid => config.keyframed.surface_searches,
     }
 }

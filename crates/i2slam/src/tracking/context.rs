@@ -122,26 +122,6 @@ pub(crate) struct TrackingResult {
 }
 
 impl TrackingResult {
-    /// The result for a frame without overlap with the map: the predicted pose at rest.
-    pub(crate) fn lost(
-        context: &TrackingContext<'_>,
-        response: Option<&CameraResponse<f32>>,
-        scale: TrajectoryScale<f64>,
-    ) -> Self {
-        Self {
-            shutter: ShutterPoses::still(predict_pose(context)),
-            readout: 0.0,
-            measured_readout: None,
-            depth_offset: Tangent::zero(),
-            tone: context.previous.map_or_else(FrameTone::default, |p| p.tone),
-            response: response.cloned(),
-            scale,
-            losses: Losses::default(),
-            convergence: Convergence::default(),
-            tracked: false,
-        }
-    }
-
     pub(super) fn from_first_order(
         state: TrackingState,
         evaluation: &Evaluation,

@@ -1,4 +1,4 @@
-//! How large a field is and how finely it is sampled.
+//! Cube and occupancy cells of a radiance field.
 
 use crate::config::HashGridConfig;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
@@ -10,13 +10,13 @@ use i2slam_radiance::hashgrid::{
 
 /// Least half edge of a cube [m].
 const MIN_BOUND: f64 = 0.1;
-/// A cube that is too small grows by this factor at least, so that it seldom does.
-pub(in crate::mapping) const GROWTH: f64 = 1.5;
-/// Share of the surfaces that the cube holds: single wrong depths at edges do not size it.
+/// Least growth of a cube that is too small: retraining a field in it is expensive.
+pub(in crate::mapping) const MIN_CUBE_GROWTH: f64 = 1.5;
+/// Share of the surface points that a cube holds: outliers at depth edges do not size it.
 const SURFACE_QUANTILE: f64 = 0.99;
 
 /// Surface points of a depth picture, in the camera.
-fn points<'a>(
+fn surface_points<'a>(
     camera: &'a Camera<f64>,
     depth: &'a Image<f32>,
 ) -> impl Iterator<Item = Vec3<f64>> + 'a {
@@ -27,26 +27,29 @@ fn points<'a>(
     })
 }
 
-/// Half edge [m] of a cube around the camera that holds all surfaces but the farthest 1 %, the
-/// camera turned in whatever direction, with the margin of the settings.
-pub(super) fn bound(config: &HashGridConfig, camera: &Camera<f64>, depth: &Image<f32>) -> f64 {
+/// Half edge [m] of a cube around the camera that holds 99 % of the surfaces in any orientation,
+/// with the margin of the settings.
+pub(super) fn initial_bound(
+    config: &HashGridConfig,
+    camera: &Camera<f64>,
+    depth: &Image<f32>,
+) -> f64 {
     if config.bound > 0.0 {
         return f64::from(config.bound);
     }
-    let far = surface_distance(camera, depth);
-    far.map_or(MIN_BOUND, |far| (f64::from(config.margin) * far).max(MIN_BOUND))
+    let distance = surface_distance(camera, depth);
+    distance.map_or(MIN_BOUND, |d| (f64::from(config.margin) * d).max(MIN_BOUND))
 }
 
-/// Distance from the camera [m] within which all surfaces lie but the farthest 1 %; none without
-/// any.
+/// Distance from the camera [m] that 99 % of the surfaces lie within; `None` without depth.
 pub(in crate::mapping) fn surface_distance(
     camera: &Camera<f64>,
     depth: &Image<f32>,
 ) -> Option<f64> {
-    surface_quantile(points(camera, depth).map(|p| p.norm()).collect())
+    surface_quantile(surface_points(camera, depth).map(|p| p.norm()).collect())
 }
 
-/// What all `distances` but the largest 1 % stay within; none without any.
+/// The 99 % quantile of `distances`; `None` without any.
 fn surface_quantile(mut distances: Vec<f64>) -> Option<f64> {
     let inside = (SURFACE_QUANTILE * distances.len() as f64).ceil() as usize;
     let (_, far, _) =
@@ -54,54 +57,54 @@ fn surface_quantile(mut distances: Vec<f64>) -> Option<f64> {
     Some(*far)
 }
 
-/// Half edge [m] of a cube around `centre` that holds all surfaces of a frame but the farthest 1 %.
+/// Half edge [m] of the cube around `centre` that holds 99 % of the surfaces of a frame.
 pub(super) fn required_extent(
     centre: [f64; 3],
     camera: &Camera<f64>,
     world_from_camera: Pose<f64>,
     depth: &Image<f32>,
 ) -> f64 {
-    let places = points(camera, depth).map(|point| world_from_camera * point);
+    let places = surface_points(camera, depth).map(|point| world_from_camera * point);
     surface_quantile(places.map(|place| chebyshev_distance(place, centre)).collect()).unwrap_or(0.0)
 }
 
-/// Half edge [m] of the smallest cube around `centre` that holds a place.
-pub(in crate::mapping) fn chebyshev_distance(place: Vec3<f64>, centre: [f64; 3]) -> f64 {
-    let apart = place.to_array().into_iter().zip(centre).map(|(p, c)| (p - c).abs());
-    apart.fold(0.0, f64::max)
+/// Chebyshev distance: half edge [m] of the smallest cube around `centre` that holds a point.
+pub(in crate::mapping) fn chebyshev_distance(point: Vec3<f64>, centre: [f64; 3]) -> f64 {
+    let offsets = point.to_array().into_iter().zip(centre).map(|(p, c)| (p - c).abs());
+    offsets.fold(0.0, f64::max)
 }
 
-/// Share of the pixels whose surface lies outside of a field's cube.
+/// Share of all pixels whose surface lies outside of a field's cube.
 pub(super) fn share_outside(
     field: &FieldSettings,
     camera: &Camera<f64>,
     world_from_camera: Pose<f64>,
     depth: &Image<f32>,
 ) -> f64 {
-    let outside = points(camera, depth)
+    let outside = surface_points(camera, depth)
         .filter(|&point| chebyshev_distance(world_from_camera * point, field.centre) > field.bound);
     outside.count() as f64 / depth.data.len().max(1) as f64
 }
 
-/// Most rays along a side of a pixel.
-const MAX_RAYS: f32 = 8.0;
+/// Most rays along a side of a pixel when cells are marked.
+const MAX_RAYS_PER_SIDE: f32 = 8.0;
 
-/// Rays along each side of a pixel that lie closer than the cells of edge `cell` \[m\] at the
-/// largest depth: without them the pixels of a small picture leave gaps of empty cells.
+/// Rays along each side of a pixel whose spacing at the largest depth is below the cell edge
+/// `cell` [m]: the pixels of a small picture would leave gaps of empty cells.
 fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32) -> usize {
     let far = depth.data.iter().fold(0.0_f32, |far, &d| far.max(d));
     let apart = far / camera.fx.min(camera.fy);
-    (apart / cell).ceil().clamp(1.0, MAX_RAYS) as usize
+    (apart / cell).ceil().clamp(1.0, MAX_RAYS_PER_SIDE) as usize
 }
 
-/// Samples from now on what the rays of a picture with depth cross `between` two depths, those of a
-/// pixel and its depth.
+/// Marks the occupancy cells that the rays of a depth picture cross within the depth range that
+/// `range` returns for a pixel and its depth.
 pub(in crate::mapping) fn mark_cells(
     occupancy: &mut Occupancy,
     field: &HashGridField,
     (camera, world_from_camera): (&Camera<f32>, Pose<f64>),
     depth: &Image<f32>,
-    between: impl Fn(usize, f32) -> (f32, f32),
+    range: impl Fn(usize, f32) -> (f32, f32),
 ) {
     let cell = 2.0 * field.settings().bound as f32 / occupancy.settings().resolution as f32;
     let fine = rays_per_side(camera, depth, cell);
@@ -109,7 +112,7 @@ pub(in crate::mapping) fn mark_cells(
     let view = View { camera, world_from_camera: world_from_camera.cast() };
     for (pixel, &d) in depth.data.iter().enumerate().filter(|(_, d)| **d > 0.0) {
         let (column, row) = (fine * (pixel % depth.width), fine * (pixel / depth.width));
-        let (from, to) = between(pixel, d);
+        let (from, to) = range(pixel, d);
         for (i, j) in (0..fine).flat_map(|j| (0..fine).map(move |i| (i, j))) {
             let ray = Ray::through_pixel(&view, column + i, row + j);
             occupancy.hold(field, &ray, from, to);
@@ -117,9 +120,8 @@ pub(in crate::mapping) fn mark_cells(
     }
 }
 
-/// An untrained field in a cube of half edge `bound` [m] around `centre`, in which nothing is
-/// sampled yet.
-pub(in crate::mapping) fn untrained(
+/// An untrained field in a cube of half edge `bound` [m] around `centre`; all cells are empty.
+pub(in crate::mapping) fn untrained_field(
     config: &HashGridConfig,
     centre: [f64; 3],
     bound: f64,
@@ -167,21 +169,21 @@ mod tests {
         depth.data[3] = 2.0;
         assert_eq!(rays_per_side(&camera, &depth, 0.2), 1);
         assert_eq!(rays_per_side(&camera, &depth, 0.04), 3);
-        assert_eq!(rays_per_side(&camera, &depth, 1e-6), MAX_RAYS as usize);
+        assert_eq!(rays_per_side(&camera, &depth, 1e-6), MAX_RAYS_PER_SIDE as usize);
     }
 
     #[test]
     fn a_spike_of_depth_does_not_size_the_cube() {
         let config = Config::default().hashgrid;
         let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
-        assert_eq!(bound(&config, &CAMERA, &depth), MIN_BOUND);
+        assert_eq!(initial_bound(&config, &CAMERA, &depth), MIN_BOUND);
         depth.data.fill(2.0);
-        let plain = bound(&config, &CAMERA, &depth);
+        let plain = initial_bound(&config, &CAMERA, &depth);
         assert!((plain - 2.0 * f64::from(config.margin)).abs() < 1e-6, "{plain}");
         depth.data[77] = 40.0;
-        assert_eq!(bound(&config, &CAMERA, &depth), plain);
+        assert_eq!(initial_bound(&config, &CAMERA, &depth), plain);
         // Three pixels of two hundred are a surface.
         depth.data[78..80].fill(40.0);
-        assert!(bound(&config, &CAMERA, &depth) > 15.0 * plain);
+        assert!(initial_bound(&config, &CAMERA, &depth) > 15.0 * plain);
     }
 }

@@ -1,4 +1,4 @@
-//! Adding and removing Gaussians (SplaTAM's rules).
+//! Densification and pruning of Gaussians (SplaTAM's rules).
 
 use crate::config::GaussianParameters;
 use crate::objective::{Observation, Tone};
@@ -16,7 +16,7 @@ const MIN_OPACITY: f32 = 0.005;
 /// Standard deviation over the scene's radius above which a Gaussian is removed (SplaTAM).
 const MAX_SCALE: f32 = 0.1;
 
-/// What "large" means in this scene.
+/// Extent of the scene, against which Gaussians count as large.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SceneScale {
     /// Largest depth of the first frame over the preset's ratio [m].
@@ -30,15 +30,16 @@ impl SceneScale {
     }
 }
 
-/// A frame that adds Gaussians.
+/// A frame as a source of new Gaussians.
 pub(crate) struct Source<'a> {
     pub(crate) camera: &'a Camera<f64>,
-    /// When the depth picture was taken.
+    /// Camera pose when the depth picture was taken.
     pub(crate) world_from_depth: Pose<f64>,
-    /// From there to the camera at mid-exposure.
+    /// From that camera to the one at mid-exposure.
     pub(crate) colour_from_depth: Pose<f64>,
-    /// Motion over the exposure, and the time in which the rows are read [exposures].
+    /// Camera motion over the exposure.
     pub(crate) velocity: Tangent<f64>,
+    /// Time from the first to the last row [exposures].
     pub(crate) readout: f64,
     pub(crate) observation: &'a Observation,
     /// Depth at which Gaussians are placed [m]; 0 places none.
@@ -46,18 +47,18 @@ pub(crate) struct Source<'a> {
     pub(crate) tone: Option<Tone<'a>>,
 }
 
-/// One Gaussian for every pixel.
+/// Adds one Gaussian per pixel; returns their number.
 pub(crate) fn seed_map(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
     source: &Source<'_>,
 ) -> usize {
     let every: Vec<usize> = (0..source.observation.depth.data.len()).collect();
-    push(map, parameters, source, &every)
+    push_gaussians(map, parameters, source, &every)
 }
 
-/// One Gaussian for every pixel that the map does not explain: opacity below the
-/// threshold, or a surface much nearer than the rendered one. Returns how many were added.
+/// Adds one Gaussian per pixel that the map does not explain, by low opacity or a surface much
+/// nearer than the rendered one; returns their number.
 pub(crate) fn add_gaussians(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
@@ -72,7 +73,7 @@ pub(crate) fn add_gaussians(
         .zip(observed)
         .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
         .collect();
-    let limit = MAX_DEPTH_ERROR * usual_error(source.observation, &errors);
+    let limit = MAX_DEPTH_ERROR * median_depth_error(source.observation, &errors);
     let unexplained: Vec<usize> = (0..observed.len())
         .filter(|&i| {
             let open = render.opacity.data[i] < MAX_OPEN_OPACITY;
@@ -80,12 +81,12 @@ pub(crate) fn add_gaussians(
             open || in_front
         })
         .collect();
-    push(map, parameters, source, &unexplained)
+    push_gaussians(map, parameters, source, &unexplained)
 }
 
-/// The median error of depth. SplaTAM counts pixels without one as exact, which says nothing where
-/// an estimate is missing in half the picture: then only the others count.
-fn usual_error(observation: &Observation, errors: &[f32]) -> f32 {
+/// Median absolute depth error. SplaTAM counts pixels without depth as exact; where estimated depth
+/// is missing in half the picture they would decide the median and are left out.
+fn median_depth_error(observation: &Observation, errors: &[f32]) -> f32 {
     let sparse = observation.is_estimated() && 2 * observation.valid_depths() <= errors.len();
     let all = errors.iter().zip(&observation.depth.data);
     let mut counted: Vec<f32> =
@@ -93,15 +94,16 @@ fn usual_error(observation: &Observation, errors: &[f32]) -> f32 {
     median(&mut counted).unwrap_or(0.0)
 }
 
-/// Removes Gaussians that are nearly transparent, too large or not finite. Returns which stay.
+/// Removes Gaussians that are nearly transparent, too large or not finite; returns the mask of
+/// those kept.
 pub(crate) fn prune(map: &mut GaussianMap, scene: SceneScale) -> Vec<bool> {
-    let least_logit = logit(MIN_OPACITY);
-    let most_scale = (MAX_SCALE * scene.radius).ln();
+    let min_logit = logit(MIN_OPACITY);
+    let max_log_scale = (MAX_SCALE * scene.radius).ln();
     let keep: Vec<bool> = (0..map.len())
         .map(|i| {
             let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
             let finite = map.means[i].iter().chain(&map.colours[i]).all(|v| v.is_finite());
-            finite && map.opacity_logits[i] >= least_logit && scale <= most_scale
+            finite && map.opacity_logits[i] >= min_logit && scale <= max_log_scale
         })
         .collect();
     if keep.contains(&false) {
@@ -110,7 +112,7 @@ pub(crate) fn prune(map: &mut GaussianMap, scene: SceneScale) -> Vec<bool> {
     keep
 }
 
-fn push(
+fn push_gaussians(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
     source: &Source<'_>,
@@ -143,14 +145,15 @@ fn push(
     map.len() - before
 }
 
-/// Steps that find the row in which a point is seen: each leaves the share of a picture's height
-/// by which the point moves during the readout.
-const ROW_STEPS: usize = 3;
+/// Fixed-point iterations that find the row which saw a point; each multiplies the error by the
+/// share of the picture's height by which the point moves during readout.
+const ROW_ITERATIONS: usize = 3;
 
-/// Where the picture shows a point, given in the camera at mid-exposure of the middle row.
-fn position(source: &Source<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
+/// Projection of a point, given in the camera at mid-exposure of the middle row, by the rolling
+/// shutter [px].
+fn project_rolling(source: &Source<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
     let mut seen = point;
-    let steps = if source.readout == 0.0 { 0 } else { ROW_STEPS };
+    let steps = if source.readout == 0.0 { 0 } else { ROW_ITERATIONS };
     for _ in 0..steps {
         let (_, v) = (seen.z > 0.0).then(|| source.camera.project(seen))?;
         let time = source.readout * (v / source.camera.height as f64 - 0.5);
@@ -159,11 +162,11 @@ fn position(source: &Source<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
     (seen.z > 0.0).then(|| source.camera.project(seen))
 }
 
-/// The radiance that formation turns into the picture's value at a point in front of the camera
-/// at mid-exposure, if the picture shows it.
+/// Radiance of a point in the camera at mid-exposure, from the picture by inverse formation;
+/// `None` outside of the picture.
 fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
     let colour = &source.observation.colour;
-    let (u, v) = position(source, point)?;
+    let (u, v) = project_rolling(source, point)?;
     if !source.camera.contains(u, v, 0.0) {
         return None;
     }
@@ -172,9 +175,9 @@ fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> 
     let picture: [f32; 3] = std::array::from_fn(|c| tap.sample(colour.plane(c)).0);
     let Some(tone) = &source.tone else { return Some(picture) };
     let gains = tone.frame.gains();
-    // Code values 0 and 1 only say "at most" and "at least": stay inside them.
-    let inside = |v: f32| v.clamp(1.0 / 512.0, 1.0 - 1.0 / 512.0);
-    Some(std::array::from_fn(|c| tone.curve.inverse(c, inside(picture[c])) / gains[c]))
+    // Values 0 and 1 are clipped: stay half a code value of 8 bits inside.
+    let unclipped = |v: f32| v.clamp(1.0 / 512.0, 1.0 - 1.0 / 512.0);
+    Some(std::array::from_fn(|c| tone.curve.inverse(c, unclipped(picture[c])) / gains[c]))
 }
 
 pub(super) fn logit(share: f32) -> f32 {
@@ -185,7 +188,6 @@ pub(super) fn logit(share: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// The row in which a point is found sees it there.
     #[test]
     fn a_point_is_read_where_its_row_saw_it() {
         let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
@@ -202,14 +204,14 @@ mod tests {
             tone: None,
         };
         let point = camera.unproject(20.3, 8.7, 1.8);
-        let (u, v) = position(&source, point).expect("in front");
+        let (u, v) = project_rolling(&source, point).expect("in front");
         let time = source.readout * (v / 48.0 - 0.5);
         let seen = Pose::identity().retract(velocity.scaled(time)).inverse() * point;
         let (x, y) = camera.project(seen);
         assert!((u - x).hypot(v - y) < 1e-3, "{u} {v} {x} {y}");
         assert!((u - 20.3).hypot(v - 8.7) > 0.5, "{u} {v}");
         source.readout = 0.0;
-        let (u, v) = position(&source, point).expect("in front");
+        let (u, v) = project_rolling(&source, point).expect("in front");
         assert!((u - 20.3).hypot(v - 8.7) < 1e-9);
     }
 }

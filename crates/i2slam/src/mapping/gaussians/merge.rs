@@ -1,31 +1,32 @@
-//! Making room in a full map: neighbours that look alike become one Gaussian.
+//! Merging of similar neighbouring Gaussians, to keep a map within its capacity.
 
+use super::density_control::logit;
 use i2slam_geometry::{Mat3, Rotation, Vec3, symmetric_eigen};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Shape};
 use rayon::slice::ParallelSliceMut;
 use std::ops::{Range, RangeInclusive};
 
-/// Edge of the cells in which Gaussians are merged, in their standard deviations: about four of
-/// those that cover a surface at one a pixel.
-const CELL: f32 = 2.0;
-/// Rounds of merging; each makes what it merges about twice as wide.
-const ROUNDS: usize = 12;
-/// Growth of the cells from round to round, to reach neighbours of another size.
-const GROWTH: f32 = 1.2;
-/// Least variance of an axis, of that of the largest: what rounding leaves of nothing.
-const THINNEST: f64 = 1e-12;
+/// Edge of the cells in which Gaussians are merged [standard deviations]: holds about four of the
+/// Gaussians that cover a surface at one per pixel.
+const CELL_EDGE: f32 = 2.0;
+/// Most passes of merging; each about doubles the width of what it merges.
+const MAX_PASSES: usize = 12;
+/// Growth of the cells per pass, to reach neighbours of another size.
+const CELL_GROWTH: f32 = 1.2;
+/// Least variance of an axis, as a share of the largest: rounding error of a flat ellipsoid.
+const MIN_VARIANCE_RATIO: f64 = 1e-12;
 
-/// Merges until the lower end of `size` is reached, the most alike first, or until nothing shares
-/// a cell; what is then beyond its upper end is dropped, the newest first. Returns which stay; a
-/// merged Gaussian takes the place of the first of its group.
+/// Merges the groups of least contrast first, down to the lower end of `size` or until no two
+/// Gaussians share a cell; the newest beyond its upper end are then dropped. Returns the mask of
+/// those kept; a merged Gaussian replaces the first of its group.
 pub(super) fn merge(map: &mut GaussianMap, size: RangeInclusive<usize>) -> Vec<bool> {
     let mut keep = vec![true; map.len()];
     let mut left = map.len();
-    for round in 0..ROUNDS {
+    for pass in 0..MAX_PASSES {
         if left <= *size.start() {
             break;
         }
-        let cells = cells(map, &keep, CELL * GROWTH.powi(round as i32));
+        let cells = cells(map, &keep, CELL_EDGE * CELL_GROWTH.powi(pass as i32));
         let mut groups = groups(map, &cells);
         if groups.is_empty() {
             break;
@@ -55,19 +56,19 @@ fn set(map: &mut GaussianMap, index: usize, gaussian: Gaussian<f32>) {
     map.colours[index] = gaussian.colour;
 }
 
-/// A place in space at a size, and who is there.
+/// Cell key and index of a Gaussian.
 type Member = (u64, u32);
 
-/// All that are kept, by cell.
+/// The kept Gaussians, sorted by cell.
 fn cells(map: &GaussianMap, keep: &[bool], edge: f32) -> Vec<Member> {
     let kept = keep.iter().enumerate().filter(|(_, keep)| **keep);
-    let mut cells: Vec<Member> = kept.map(|(i, _)| (cell(map, i, edge), i as u32)).collect();
+    let mut cells: Vec<Member> = kept.map(|(i, _)| (cell_key(map, i, edge), i as u32)).collect();
     cells.par_sort_unstable();
     cells
 }
 
-/// The cell of a Gaussian among those of its size, within a doubling.
-fn cell(map: &GaussianMap, index: usize, edge: f32) -> u64 {
+/// Cell of a Gaussian: position on a grid of its size class, a factor of two wide.
+fn cell_key(map: &GaussianMap, index: usize, edge: f32) -> u64 {
     let size = (0.5 * log_area(map, index) / std::f32::consts::LN_2).round();
     let part = |v: f32, bits: u32| (v.floor() as i64 as u64) & ((1 << bits) - 1);
     let edge = edge * size.exp2();
@@ -75,7 +76,7 @@ fn cell(map: &GaussianMap, index: usize, edge: f32) -> u64 {
     place << 10 | part(size, 10)
 }
 
-/// Cells of two and more, with how much their colours differ.
+/// Colour contrast and range of every cell with two or more Gaussians.
 fn groups(map: &GaussianMap, cells: &[Member]) -> Vec<(f32, Range<usize>)> {
     let mut groups = Vec::new();
     let mut start = 0;
@@ -89,34 +90,37 @@ fn groups(map: &GaussianMap, cells: &[Member]) -> Vec<(f32, Range<usize>)> {
     groups
 }
 
-/// Weighted variance of the stored colours.
+/// Weighted variance of the colours of a group.
 fn contrast(map: &GaussianMap, members: &[Member]) -> f32 {
     let mean = average(map, members, |i| map.colours[i]);
-    average(map, members, |i| distances(map.colours[i], mean)).iter().sum()
+    average(map, members, |i| squared_differences(map.colours[i], mean)).iter().sum()
 }
 
-/// The Gaussian that covers the same surface: the mean of place, colour and opacity; as wide as
-/// halfway (in area) between the spread of its members, which would leave gaps between merged
-/// neighbours, and their areas together, which would smear.
+/// One Gaussian that covers the surface of several: means of position, colour and opacity. Its area
+/// lies halfway between the spread of its members, which would leave gaps between merged
+/// neighbours, and the sum of their areas, which would smear.
 fn merge_gaussians(map: &GaussianMap, members: &[Member]) -> Gaussian<f32> {
     let mean = average(map, members, |i| map.means[i]);
     let opacity = average(map, members, |i| [opacity(map, i); 3])[0].clamp(1e-4, 1.0 - 1e-4);
     let (log_scale, rotation) = match map.shape {
-        Shape::Isotropic => (ball(map, members, mean), map.rotations[members[0].1 as usize]),
-        Shape::Anisotropic => ellipsoid(map, members, mean),
+        Shape::Isotropic => {
+            (merge_isotropic(map, members, mean), map.rotations[members[0].1 as usize])
+        }
+        Shape::Anisotropic => merge_anisotropic(map, members, mean),
     };
     Gaussian {
         mean,
         log_scale,
         rotation,
-        opacity_logit: (opacity / (1.0 - opacity)).ln(),
+        opacity_logit: logit(opacity),
         colour: average(map, members, |i| map.colours[i]),
     }
 }
 
-/// Logarithms of the standard deviations of a ball on a surface.
-fn ball(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> [f32; 3] {
-    let spread = average(map, members, |i| distances(map.means[i], mean)).iter().sum::<f32>();
+/// Log standard deviations of a ball on a surface.
+fn merge_isotropic(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> [f32; 3] {
+    let spread =
+        average(map, members, |i| squared_differences(map.means[i], mean)).iter().sum::<f32>();
     let own = average(map, members, |i| map.log_scales[i].map(|s| (2.0 * s).exp()));
     own.map(|own| {
         let together = own * members.len() as f32;
@@ -124,10 +128,14 @@ fn ball(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> [f32; 3] {
     })
 }
 
-/// Logarithms of the standard deviations, largest first, and the axes: those of the covariance of
-/// all members around `mean`; the area is that of the two large axes, and the third is left as it
-/// is, so that discs of a wall become a disc of that wall.
-fn ellipsoid(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> ([f32; 3], [f32; 4]) {
+/// Log standard deviations, largest first, and rotation of the members' joint covariance around
+/// `mean`. Only the two large axes, which make the area, grow: discs of a wall become a disc of
+/// that wall.
+fn merge_anisotropic(
+    map: &GaussianMap,
+    members: &[Member],
+    mean: [f32; 3],
+) -> ([f32; 3], [f32; 4]) {
     let mean = Vec3::from_array(mean).cast::<f64>();
     let (mut sum, mut area, mut total) = (Mat3::<f64>::zero(), 0.0, 0.0);
     for index in members.iter().map(|&(_, index)| index as usize) {
@@ -140,7 +148,7 @@ fn ellipsoid(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> ([f32; 3]
     let total = total.max(f64::MIN_POSITIVE);
     let (variances, axes) = symmetric_eigen(&sum.scaled(total.recip()));
     let largest = variances.x.max(f64::MIN_POSITIVE);
-    let [first, second, third] = variances.to_array().map(|v| v.max(THINNEST * largest));
+    let [first, second, third] = variances.to_array().map(|v| v.max(MIN_VARIANCE_RATIO * largest));
     let spread = (first * second).sqrt();
     let together = area / total * members.len() as f64;
     let growth = 0.5 * (1.0 + together / spread);
@@ -157,7 +165,7 @@ fn covariance(map: &GaussianMap, index: usize) -> Mat3<f64> {
     axes * Mat3::diagonal(Vec3::from_array(variances)) * axes.transpose()
 }
 
-/// Mean of a triple over members, weighted by what they cover: opacity times area.
+/// Mean of a triple over members, weighted by opacity times area.
 fn average(map: &GaussianMap, members: &[Member], value: impl Fn(usize) -> [f32; 3]) -> [f32; 3] {
     let (mut sum, mut total) = ([0.0; 3], 0.0);
     for &(_, index) in members {
@@ -170,7 +178,7 @@ fn average(map: &GaussianMap, members: &[Member], value: impl Fn(usize) -> [f32;
     sum.map(|s| s / total.max(f32::MIN_POSITIVE))
 }
 
-/// What a Gaussian covers.
+/// Opacity times area.
 fn weight(map: &GaussianMap, index: usize) -> f32 {
     opacity(map, index) * log_area(map, index).exp()
 }
@@ -188,7 +196,7 @@ fn opacity(map: &GaussianMap, index: usize) -> f32 {
     1.0 / (1.0 + (-map.opacity_logits[index]).exp())
 }
 
-fn distances(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+fn squared_differences(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|k| (a[k] - b[k]).powi(2))
 }
 

@@ -1,4 +1,4 @@
-//! Mapping with Gaussians: adding, refining, pruning.
+//! Mapping with 3D Gaussians.
 
 mod density_control;
 mod merge;
@@ -7,33 +7,33 @@ mod optimizer;
 use super::depth_inpainting::placement_depth;
 use super::iteration_budget::IterationBudget;
 use super::keyframe::Keyframe;
-use super::map_snapshot::{MapSnapshot, Tracker};
+use super::map_snapshot::{MapSnapshot, Tracker, update_snapshot};
 use super::mapper::{Mapper, MappingContext};
-use super::window::select_window;
+use super::window::overlapping_window;
 use crate::config::Config;
-use crate::objective::{FrameObjective, Observation, Tone};
+use crate::objective::{FrameObjective, Tone};
 use crate::reconstruction::Map;
-use crate::tracking::{TrackingContext, TrackingResult, sampling, track};
+use crate::tracking::sampling;
 use density_control::{SceneScale, Source, add_gaussians, prune, seed_map};
-use i2slam_formation::{CameraResponse, CentreVelocity, TrajectoryScale};
+use i2slam_formation::CentreVelocity;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
 use merge::merge;
-use optimizer::MapOptimizer;
+use optimizer::GaussianOptimizer;
 use std::sync::Arc;
 
-/// Share of the capacity that is left when a full map was merged.
-const ROOMY: f64 = 0.9;
-/// SplaTAM prunes at this step of a round, beside the first.
-const PRUNE_STEP: usize = 20;
+/// Share of the capacity to which a full map is merged.
+const MERGED_SHARE: f64 = 0.9;
+/// Iteration at which SplaTAM prunes, besides the first.
+const PRUNE_ITERATION: usize = 20;
 
 /// A map of Gaussians that grows with the frames.
 pub(crate) struct GaussianMapper {
-    map: GaussianMap,
-    objective: FrameObjective<GaussianMap>,
-    optimizer: MapOptimizer,
+    current: MapSnapshot<GaussianMap>,
+    optimizer: GaussianOptimizer,
     scene: SceneScale,
-    full: bool,
+    /// Whether the warning of a full map was given.
+    is_full: bool,
 }
 
 /// An empty map: log-radiance, or SplaTAM's raw colours with `tone` off.
@@ -50,28 +50,30 @@ impl GaussianMapper {
     /// An empty map for frames of `camera`.
     pub(crate) fn new(config: &Config, camera: &Camera<f64>) -> Self {
         Self {
-            map: empty_map(config),
-            objective: FrameObjective::new(camera.cast(), RasterSettings::default()),
-            optimizer: MapOptimizer::new(),
+            current: MapSnapshot {
+                map: empty_map(config),
+                objective: FrameObjective::new(camera.cast(), RasterSettings::default()),
+            },
+            optimizer: GaussianOptimizer::new(),
             scene: SceneScale { radius: f32::INFINITY },
-            full: false,
+            is_full: false,
         }
     }
 
-    /// The map and what draws it.
-    pub(super) fn scene(&mut self) -> (&GaussianMap, &mut FrameObjective<GaussianMap>) {
-        (&self.map, &mut self.objective)
+    /// The map and its objective.
+    pub(super) fn map_and_objective(&mut self) -> (&GaussianMap, &mut FrameObjective<GaussianMap>) {
+        (&self.current.map, &mut self.current.objective)
     }
 
-    /// Steps over all keyframes in random order, each as often as the others, then prunes;
-    /// `on_step(done)` says whether to go on. Returns whether it did.
+    /// Takes `steps` over all keyframes in random order, each equally often, then prunes. Stops
+    /// when `on_step(done)` returns false, and returns its last value.
     pub(super) fn refine_all(
         &mut self,
         context: &mut MappingContext<'_>,
         steps: usize,
         on_step: &mut dyn FnMut(usize) -> bool,
     ) -> bool {
-        let (mut order, mut goes_on): (Vec<usize>, bool) = (Vec::new(), true);
+        let (mut order, mut continues): (Vec<usize>, bool) = (Vec::new(), true);
         for step in 0..steps {
             if order.is_empty() {
                 order = (0..context.keyframes.len()).collect();
@@ -80,74 +82,65 @@ impl GaussianMapper {
             let Some(next) = order.pop() else { break };
             let keyframe = context.keyframes[next].clone();
             self.step(context, &keyframe);
-            goes_on = on_step(step + 1);
-            if !goes_on {
+            continues = on_step(step + 1);
+            if !continues {
                 break;
             }
         }
         self.prune();
-        goes_on
+        continues
     }
 
     fn step(&mut self, context: &mut MappingContext<'_>, keyframe: &Keyframe) {
         let estimate = &context.frames[keyframe.frame];
-        let exposed = (estimate.shutter, estimate.readout);
+        let exposure = (estimate.shutter, estimate.readout);
         let formation = &context.config.formation;
-        let sampling = sampling(formation, context.camera, exposed, &keyframe.observation);
-        let scene = (&mut self.map, &mut self.objective);
-        self.optimizer.step(context, scene, keyframe, sampling);
+        let sampling = sampling(formation, context.camera, exposure, &keyframe.observation);
+        self.optimizer.step(context, &mut self.current, keyframe, sampling);
     }
 
     fn prune(&mut self) {
-        let keep = prune(&mut self.map, self.scene);
+        let keep = prune(&mut self.current.map, self.scene);
         if keep.contains(&false) {
             self.optimizer.retain(&keep);
         }
     }
 
-    /// Keeps the map within its capacity, and then with some room for the next frames.
-    fn make_room(&mut self, context: &mut MappingContext<'_>) {
+    /// Merges Gaussians of a map beyond its capacity, with room for the next frames.
+    fn enforce_capacity(&mut self, context: &mut MappingContext<'_>) {
         let capacity = context.config.map.capacity;
-        if self.map.len() <= capacity {
+        if self.current.map.len() <= capacity {
             return;
         }
-        let aim = (ROOMY * capacity as f64) as usize;
-        let keep = merge(&mut self.map, aim..=capacity);
+        let target = (MERGED_SHARE * capacity as f64) as usize;
+        let keep = merge(&mut self.current.map, target..=capacity);
         self.optimizer.retain(&keep);
-        if !self.full {
-            self.full = true;
-            let full = format!(
+        if !self.is_full {
+            self.is_full = true;
+            let warning = format!(
                 "the map is full: from now on similar neighbours are merged to keep it at \
                  {capacity} Gaussians; map.capacity sets the limit"
             );
-            context.warnings.push(full.into());
+            context.warnings.push(warning.into());
         }
-    }
-}
-
-impl Tracker for GaussianMapper {
-    fn track(
-        &mut self,
-        context: &TrackingContext<'_>,
-        observation: &Observation,
-        response: Option<&CameraResponse<f32>>,
-        scale: TrajectoryScale<f64>,
-    ) -> TrackingResult {
-        track(context, &mut self.objective, &self.map, observation, response, scale)
     }
 }
 
 impl Mapper for GaussianMapper {
     fn is_empty(&self) -> bool {
-        self.map.is_empty()
+        self.current.map.is_empty()
     }
 
     fn gaussians(&self) -> usize {
-        self.map.len()
+        self.current.map.len()
     }
 
     fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.objective.set_covered(covered);
+        self.current.objective.set_covered(covered);
+    }
+
+    fn tracker(&mut self) -> Option<&mut dyn Tracker> {
+        if self.is_empty() { None } else { Some(&mut self.current) }
     }
 
     fn snapshot(
@@ -157,15 +150,17 @@ impl Mapper for GaussianMapper {
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
         let objective = || FrameObjective::new(camera.cast(), RasterSettings::default());
-        (!self.map.is_empty()).then(|| MapSnapshot::update(last, &self.map, covered, objective))
+        (!self.current.map.is_empty())
+            .then(|| update_snapshot(last, &self.current.map, covered, objective))
     }
 
     fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe) {
         let config = context.config;
         let estimate = &context.frames[current.frame];
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
-        let render = (!self.map.is_empty())
-            .then(|| self.objective.render(&self.map, estimate.depth_pose()).clone());
+        let render = (!self.current.map.is_empty()).then(|| {
+            self.current.objective.render(&self.current.map, estimate.depth_pose()).clone()
+        });
         let (parameters, observation) = (&config.parameters.gaussians, &current.observation);
         let source = Source {
             camera: context.camera,
@@ -178,12 +173,12 @@ impl Mapper for GaussianMapper {
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
         };
         if let Some(render) = &render {
-            add_gaussians(&mut self.map, parameters, &source, render);
+            add_gaussians(&mut self.current.map, parameters, &source, render);
         } else {
             self.scene = SceneScale::new(observation, parameters.scene_radius_ratio);
-            seed_map(&mut self.map, parameters, &source);
+            seed_map(&mut self.current.map, parameters, &source);
         }
-        self.make_room(context);
+        self.enforce_capacity(context);
     }
 
     fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool) {
@@ -193,7 +188,7 @@ impl Mapper for GaussianMapper {
         if fresh {
             self.optimizer.reset();
         }
-        let window = select_window(
+        let window = overlapping_window(
             context.keyframes,
             current,
             context.frames,
@@ -201,14 +196,14 @@ impl Mapper for GaussianMapper {
             mapping.window,
             context.random,
         );
-        let round = IterationBudget::begin(context.config);
+        let budget = IterationBudget::start(context.config);
         for iteration in 0..iterations {
-            if round.is_over(iteration, context.cancellation) {
+            if budget.is_exhausted(iteration, context.cancellation) {
                 break;
             }
             let chosen = &window[context.random.below(window.len())];
             self.step(context, chosen);
-            if fresh && (iteration == 0 || iteration == PRUNE_STEP) {
+            if fresh && (iteration == 0 || iteration == PRUNE_ITERATION) {
                 self.prune();
             }
         }
@@ -227,6 +222,6 @@ impl Mapper for GaussianMapper {
     }
 
     fn map(&self) -> Map {
-        Map::Gaussians(self.map.clone())
+        Map::Gaussians(self.current.map.clone())
     }
 }

@@ -1,10 +1,11 @@
-//! One step of mapping: the joint optimisation of Gaussians, tone, response and keyframe poses.
+//! Gradient steps on Gaussians together with tone, response and keyframe poses.
 
 use crate::config::Config;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
+use crate::mapping::map_snapshot::MapSnapshot;
 use crate::mapping::mapper::MappingContext;
-use crate::objective::{Evaluation, Exposure, FrameObjective, FrameVariables, Sampling, Tone};
+use crate::objective::{Evaluation, Exposure, FrameVariables, Sampling, Tone};
 use i2slam_compute::Adam;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
 
@@ -18,7 +19,7 @@ const OPACITY_RATE: f32 = 0.05;
 const ROTATION_RATE: f32 = 1e-3;
 
 /// Optimiser state of map, response and keyframes.
-pub(crate) struct MapOptimizer {
+pub(crate) struct GaussianOptimizer {
     gradient: MapGradient,
     means: Adam,
     log_scales: Adam,
@@ -29,7 +30,7 @@ pub(crate) struct MapOptimizer {
     frames: FrameOptimizers,
 }
 
-impl MapOptimizer {
+impl GaussianOptimizer {
     pub(crate) fn new() -> Self {
         Self {
             gradient: MapGradient::new(0),
@@ -43,7 +44,7 @@ impl MapOptimizer {
         }
     }
 
-    /// Forgets all moments.
+    /// Resets all moments and step counts.
     pub(crate) fn reset(&mut self) {
         let gradient = std::mem::replace(&mut self.gradient, MapGradient::new(0));
         *self = Self { gradient, ..Self::new() };
@@ -63,10 +64,11 @@ impl MapOptimizer {
     pub(crate) fn step(
         &mut self,
         context: &mut MappingContext<'_>,
-        (map, objective): (&mut GaussianMap, &mut FrameObjective<GaussianMap>),
+        target: &mut MapSnapshot<GaussianMap>,
         keyframe: &Keyframe,
         sampling: Sampling,
     ) -> Evaluation {
+        let MapSnapshot { map, objective } = target;
         let config = context.config;
         let estimate = &context.frames[keyframe.frame];
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
@@ -133,31 +135,32 @@ impl MapOptimizer {
     }
 }
 
-/// Steps per Gaussian.
+/// Optimiser steps that each Gaussian has taken.
 #[derive(Default)]
 struct StepCounts {
     steps: Vec<u32>,
-    now: Vec<u32>,
+    /// Scratch: counts returned by [`Self::advance`].
+    active: Vec<u32>,
 }
 
 impl StepCounts {
-    /// Counts a step; the step_counts of the Gaussians that take it, 0 for the others. `only_seen` leaves
-    /// out those without a gradient, which would otherwise go on with the momentum of pictures
-    /// that do not show them.
+    /// Counts a step; returns the counts of the Gaussians that take it, 0 for the others. With
+    /// `only_seen`, Gaussians without a gradient take none: the momentum of other pictures would
+    /// move them on.
     fn advance(&mut self, gradient: &MapGradient, only_seen: bool) -> &[u32] {
         let count = gradient.opacity_logits.len();
         self.steps.resize(count, 0);
-        self.now.clear();
+        self.active.clear();
         let colours = gradient.colours.iter().zip(&gradient.means).zip(&gradient.opacity_logits);
         let seen = colours.map(|((colour, mean), &opacity)| {
             opacity != 0.0 || colour.iter().chain(mean).any(|&g| g != 0.0)
         });
-        self.now.extend(self.steps.iter_mut().zip(seen).map(|(steps, seen)| {
+        self.active.extend(self.steps.iter_mut().zip(seen).map(|(steps, seen)| {
             let moves = seen || !only_seen;
             *steps += u32::from(moves);
             if moves { *steps } else { 0 }
         }));
-        &self.now
+        &self.active
     }
 
     fn retain(&mut self, keep: &[bool]) {
@@ -172,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_was_seen_grows_older() {
+    fn only_seen_gaussians_count_a_step() {
         let mut step_counts = StepCounts::default();
         let mut gradient = MapGradient::new(3);
         gradient.colours[1][2] = 0.5;

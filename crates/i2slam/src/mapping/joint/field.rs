@@ -1,52 +1,49 @@
-//! Joint refinement of a radiance field and of keyframes that came with poses.
+//! Joint optimisation of a radiance field and keyframes.
 //!
-//! Keyframes enter the training set one by one. A step draws pixels from several of them, forms
-//! and compares them, and moves the field, start and end poses, exposure, white balance and
-//! response together. Depth may be unknown: rays are sampled where the field itself has turned out
-//! to be dense. Where keyframes come with estimated depth in most pixels, they are sampled only
-//! around these surfaces, which takes a tenth of the time and leaves no fog.
+//! Keyframes enter the training set one by one. A step forms random pixels of several keyframes,
+//! compares them, and moves field, start and end poses, tone and response. Without depth, rays are
+//! sampled where the field itself is dense. With estimated depth in most pixels they are sampled
+//! only in shells around these surfaces: a tenth of the time, and no fog.
 
 use super::JointMapper;
 use super::field_extent::{self, Extent};
-use super::field_step::{active_levels, any, blur_length_at_depth, draw, pixel_budget, window};
+use super::field_step::{active_levels, blur_length_at_depth, pixel_budget, sample_pixels};
 use super::pose_optimizer::PoseOptimizers;
 use super::surface_shells as shells;
 use super::trajectory_term::TrajectoryTerm;
 use crate::config::{Config, Preconditioning};
-use crate::mapping::field::{GROWTH, add, curves, untrained};
-use crate::mapping::frame_optimizer::FrameOptimizers;
+use crate::mapping::field::{MIN_CUBE_GROWTH, untrained_field};
+use crate::mapping::frame_optimizer::{FrameOptimizers, ResponseGradients};
 use crate::mapping::iteration_budget::IterationBudget;
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::localization::FrameLocator;
 use crate::mapping::mapper::MappingContext;
+use crate::mapping::window::{random_window, recent_window};
 use crate::objective::{Evaluation, FrameObjective, RayObjective, RayView};
 use crate::reconstruction::{FrameEstimate, Losses, Map};
 use crate::tracking::SequenceReadout;
-use i2slam_formation::CurveGradient;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldRenderer, HashGridMap, Occupancy, SettingsError, decayed_rate,
 };
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Steps from one look at which cells are dense to the next (torch-ngp).
-const LOOK: usize = 16;
-/// Looks for which all cells around surfaces are sampled once keyframes were found anew.
-const SECOND_LOOKS: i32 = 24;
-/// Where keyframes are found anew, rays that met little are sampled again between these shares of
-/// the steps after the last keyframe: from soon after the first search on, before which poses and
-/// fog would have them filled wherever they happen to be, until what was opened can still be
-/// trained or emptied.
-const UNMET: std::ops::Range<f32> = 0.4..0.9;
-/// Looks for which the cells along such a ray are sampled.
-const UNMET_LOOKS: i32 = 8;
-/// Share of `reach` that is not sampled before a camera (torch-ngp: 0.2 of 4).
-const NEAR: f32 = 0.05;
-/// Pixels of a Jacobian.
+/// Steps between refreshes of the occupancy grid (torch-ngp).
+const OCCUPANCY_INTERVAL: usize = 16;
+/// Refreshes for which all cells of the shells stay open after a relocalisation.
+const REOPENED_REFRESHES: i32 = 24;
+/// Part of the final optimisation in which rays of low opacity reopen occupancy cells: after the
+/// first relocalisation, before which wrong poses would fill them anywhere, and early enough to
+/// train or empty them again.
+const REOPENING_PHASE: std::ops::Range<f32> = 0.4..0.9;
+/// Refreshes for which the cells along such a ray stay open.
+const REOPENED_RAY_REFRESHES: i32 = 8;
+/// Near plane as a share of `keyframed.reach` (torch-ngp: 0.2 of 4).
+const NEAR_SHARE: f32 = 0.05;
+/// Pixels that the Jacobian of a preconditioner is computed from.
 const JACOBIAN_PIXELS: usize = 96;
 
-/// A field that is refined together with keyframes.
+/// A radiance field that is optimised together with keyframe poses.
 pub(crate) struct JointFieldMapper {
     camera: Camera<f32>,
     field: Option<Field>,
@@ -54,25 +51,25 @@ pub(crate) struct JointFieldMapper {
     poses: PoseOptimizers,
     trajectory: TrajectoryTerm,
     frame_rate: f64,
-    finder: Option<Finder>,
-    /// Steps since the field began.
+    locator: Option<FieldLocator>,
+    /// Steps since the field was started.
     steps: usize,
 }
 
-/// A field and what trains it.
+/// A field with the state of its training.
 struct Field {
     map: HashGridMap,
-    /// Where it may be sampled; everywhere if no keyframe has depth in most pixels.
+    /// Cells around surfaces; `None` (all cells) without depth in most pixels of any keyframe.
     shells: Option<Occupancy>,
     batch: RayObjective,
-    looker: FieldRenderer,
+    renderer: FieldRenderer,
     gradient: FieldGradient,
     adam: FieldAdam,
 }
 
 impl Field {
-    /// Renews how a keyframe is stepped where that is due.
-    fn precondition(
+    /// Updates the pose preconditioner of a keyframe if due.
+    fn update_preconditioner(
         &mut self,
         context: &mut MappingContext<'_>,
         poses: &mut PoseOptimizers,
@@ -80,7 +77,7 @@ impl Field {
         frame: usize,
     ) {
         let settings = &context.config.keyframed;
-        if !poses.is_due(frame, settings.preconditioning_interval) {
+        if !poses.is_preconditioner_due(frame, settings.preconditioning_interval) {
             return;
         }
         let pixels = view.pixels.iter().copied().take(JACOBIAN_PIXELS).collect();
@@ -90,44 +87,44 @@ impl Field {
     }
 }
 
-/// How far a step goes, and what depth weighs in it.
+/// Learning rates and depth weight of one step.
 #[derive(Clone, Copy)]
-struct Rates {
-    field: f32,
-    camera: f32,
+struct StepWeights {
+    field_rate: f32,
+    camera_rate: f32,
     depth_weight: f32,
 }
 
-/// What the settings ask for, which depends on whether surfaces are known.
-struct Plan {
+/// Settings of the final optimisation, which depend on whether surfaces are known.
+struct Schedule {
     depth_weight: f32,
-    /// Share of it that is left at the last step.
-    depth_left: f32,
+    /// Share of the depth weight at the last step.
+    final_depth_share: f32,
     camera_rate: f32,
-    /// Steps after the last keyframe.
+    /// Number of steps.
     steps: usize,
-    /// Times during them that all keyframes are found anew.
-    searches: usize,
+    /// Relocalisations of all keyframes during these steps.
+    relocalizations: usize,
 }
 
 impl JointFieldMapper {
-    /// The plan for the field as it is.
-    fn plan(&self, config: &Config) -> Plan {
+    /// The schedule for the current field.
+    fn schedule(&self, config: &Config) -> Schedule {
         let (keyframed, steps) = (&config.keyframed, config.hashgrid.final_iterations);
         match self.field.as_ref().is_some_and(|field| field.shells.is_some()) {
-            true => Plan {
+            true => Schedule {
                 depth_weight: keyframed.surface_depth_weight,
-                depth_left: keyframed.surface_depth_left,
+                final_depth_share: keyframed.surface_depth_left,
                 camera_rate: keyframed.surface_camera_rate,
                 steps: (keyframed.surface_steps * steps as f32) as usize,
-                searches: keyframed.surface_searches,
+                relocalizations: keyframed.surface_searches,
             },
-            false => Plan {
+            false => Schedule {
                 depth_weight: config.hashgrid.depth_weight,
-                depth_left: 1.0,
+                final_depth_share: 1.0,
                 camera_rate: keyframed.camera_rate,
                 steps,
-                searches: 0,
+                relocalizations: 0,
             },
         }
     }
@@ -141,55 +138,26 @@ impl JointFieldMapper {
             poses: PoseOptimizers::default(),
             trajectory: TrajectoryTerm::new(frame_rate),
             frame_rate,
-            finder: None,
+            locator: None,
             steps: 0,
         }
     }
 
-    /// Takes in a keyframe, the last of the context: waits for the first few, then begins a field
-    /// that holds what they see, and begins it anew in a larger cube where a keyframe sees farther.
-    pub(crate) fn add(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
-        let settings = &context.config.hashgrid;
-        let first = match &self.field {
-            None if context.keyframes.len() < context.config.keyframed.first_keyframes => {
-                return Ok(());
-            }
-            None => true,
-            Some(field) => !field_extent::contains(field.map.field.settings(), context),
-        };
-        if first {
-            self.begin(context)?;
-        } else {
-            self.hold_last(context);
-        }
-        let iterations = if first { settings.first_iterations } else { settings.iterations };
-        let Plan { camera_rate, depth_weight, .. } = self.plan(context.config);
-        let rates = Rates { field: settings.rate, camera: camera_rate, depth_weight };
-        let round = IterationBudget::begin(context.config);
-        for iteration in 0..iterations {
-            if round.is_over(iteration, context.cancellation) {
-                break;
-            }
-            let window = window(context);
-            self.step(context, &window, rates);
-        }
-        Ok(())
-    }
-
-    /// An untrained field that holds what all keyframes see.
-    fn begin(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
-        let Extent { centre, mut bound } = Extent::of(context);
+    /// Starts an untrained field that holds what all keyframes see.
+    fn start(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
+        let Extent { centre, mut bound } = Extent::of_keyframes(context);
         if let Some(field) = &self.field {
-            bound = bound.max(GROWTH * field.map.field.settings().bound);
+            bound = bound.max(MIN_CUBE_GROWTH * field.map.field.settings().bound);
         }
         let config = context.config;
         let settings = match shells::are_known(context) {
-            true => shells::settings(context).with_growth(bound, config.keyframed.surface_growth),
+            true => shells::surface_settings(context)
+                .with_growth(bound, config.keyframed.surface_growth),
             false => config.hashgrid.clone(),
         };
-        let empty = untrained(&settings, centre, bound, config.seed)?;
+        let empty = untrained_field(&settings, centre, bound, config.seed)?;
         let mut march = empty.march;
-        march.near = NEAR * config.keyframed.reach;
+        march.near = NEAR_SHARE * config.keyframed.reach;
         let occupancy = Occupancy::new(*empty.occupancy.settings());
         let map = HashGridMap { occupancy, march, ..empty };
         let mut batch = RayObjective::new(self.camera, march);
@@ -197,21 +165,21 @@ impl JointFieldMapper {
         batch.set_moment_jitter(settings.moment_jitter);
         self.field = Some(Field {
             batch,
-            looker: FieldRenderer::new(march),
+            renderer: FieldRenderer::new(march),
             gradient: FieldGradient::zeros(&map.field),
             adam: FieldAdam::new(),
             shells: None,
             map,
         });
         self.confine(context);
-        // What was known of steps in the field before says nothing of this one.
+        // Moments and preconditioners belong to the gradients of the field before.
         self.poses = PoseOptimizers::default();
         self.frames = FrameOptimizers::default();
         self.steps = 0;
         Ok(())
     }
 
-    /// Samples around what all keyframes see from where they are now, if depth tells.
+    /// Confines sampling to shells around the surfaces of all keyframes, if their depth is known.
     fn confine(&mut self, context: &MappingContext<'_>) {
         let Some(field) = &mut self.field else { return };
         field.shells = shells::shells(&field.map, &self.camera, context);
@@ -220,47 +188,46 @@ impl JointFieldMapper {
         }
     }
 
-    /// Samples again what was emptied around surfaces before poses were as good as they are now.
+    /// Reopens the cells of the shells: with worse poses some were emptied that hold surfaces.
     fn reopen(&mut self) {
         if let Some(field) = self.field.as_mut().filter(|field| field.shells.is_some()) {
-            field.map.occupancy.reopen(SECOND_LOOKS);
+            field.map.occupancy.reopen(REOPENED_REFRESHES);
         }
     }
 
-    /// Samples again along the rays of the last step that met little: where all cells around a
-    /// surface were emptied too early, a hole would stay.
-    fn reopen_unmet(&mut self) {
+    /// Reopens the cells along rays of low opacity in the last step: a surface whose cells were all
+    /// emptied would stay a hole.
+    fn reopen_transparent_rays(&mut self) {
         if let Some(Field { map, batch, shells: Some(_), .. }) = &mut self.field {
             for ray in batch.unmet() {
-                map.occupancy.reopen_along(&map.field, ray, UNMET_LOOKS);
+                map.occupancy.reopen_along(&map.field, ray, REOPENED_RAY_REFRESHES);
             }
         }
     }
 
-    /// Samples around what the last keyframe sees too.
-    fn hold_last(&mut self, context: &MappingContext<'_>) {
+    /// Adds the cells of the last keyframe.
+    fn mark_last_keyframe(&mut self, context: &MappingContext<'_>) {
         let (Some(field), Some(last)) = (&mut self.field, context.keyframes.last()) else { return };
         match &mut field.shells {
             Some(shells) => {
-                shells::hold(shells, &field.map, &self.camera, context, last);
+                shells::mark_keyframe(shells, &field.map, &self.camera, context, last);
                 field.map.occupancy.confine(shells);
             }
             None => self.confine(context),
         }
     }
 
-    /// Finds all keyframes anew in the field as it is, one after another; the gains of the first
-    /// stay.
-    fn relocate(&mut self, context: &mut MappingContext<'_>) {
+    /// Localises all keyframes again in their order; the tone of the gauge frame stays.
+    fn relocalize(&mut self, context: &mut MappingContext<'_>) {
         for keyframe in
             context.keyframes.iter().take_while(|_| !context.cancellation.is_cancelled())
         {
             let mut estimate = context.frames[keyframe.frame].clone();
-            let before = keyframe.adjacent.frame_before(&estimate);
+            let previous = keyframe.adjacent.previous_frame(&estimate);
             let last = || keyframe.frame.checked_sub(1).map(|i| context.frames[i].clone());
-            let before = before.or_else(last);
+            let previous = previous.or_else(last);
             let frame = (&mut estimate, &keyframe.observation.colour);
-            JointMapper::locate(self, context, frame, before.as_ref());
+            JointMapper::locate(self, context, frame, previous.as_ref());
             if keyframe.frame == context.gauge_frame(keyframe) {
                 estimate.tone = context.frames[keyframe.frame].tone;
             }
@@ -268,70 +235,33 @@ impl JointFieldMapper {
         }
     }
 
-    /// Steps over all keyframes after the last; `on_step(done, of)` says whether to go on.
-    pub(crate) fn finish(
-        &mut self,
-        context: &mut MappingContext<'_>,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
-    ) -> Result<(), SettingsError> {
-        if self.field.is_none() {
-            self.begin(context)?;
-        }
-        let rate = context.config.hashgrid.rate;
-        let Plan { camera_rate, depth_weight, depth_left, steps, searches } =
-            self.plan(context.config);
-        let part = steps.div_ceil(1 + searches).max(1);
-        self.confine(context);
-        for step in 0..steps {
-            if step > 0 && step.is_multiple_of(part) {
-                self.relocate(context);
-                self.confine(context);
-                self.reopen();
-            }
-            let window = any(context, context.config.mapping.window);
-            let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);
-            let rates = Rates {
-                field: decayed(rate),
-                camera: decayed(camera_rate),
-                depth_weight: depth_weight * depth_left.powf(step as f32 / steps as f32),
-            };
-            self.step(context, &window, rates);
-            if searches > 0 && UNMET.contains(&(step as f32 / steps as f32)) {
-                self.reopen_unmet();
-            }
-            if !on_step(step + 1, steps) {
-                break;
-            }
-        }
-        Ok(())
-    }
-
-    /// One step on pixels of all `views`.
-    fn step(&mut self, context: &mut MappingContext<'_>, views: &[Keyframe], rates: Rates) {
+    /// One step on random pixels of all `views`.
+    fn step(&mut self, context: &mut MappingContext<'_>, views: &[Keyframe], weights: StepWeights) {
         let config = context.config;
-        let curves = curves(context, views);
+        let curves = context.response_curves(views);
         let Some(field) = &mut self.field else { return };
-        if self.steps.is_multiple_of(LOOK) {
-            let Field { map, looker, .. } = &mut *field;
-            map.occupancy.refresh(&map.field, looker, config.seed);
+        if self.steps.is_multiple_of(OCCUPANCY_INTERVAL) {
+            let Field { map, renderer, .. } = &mut *field;
+            map.occupancy.refresh(&map.field, renderer, config.seed);
         }
         let samples = field.shells.as_ref().map_or(0, |_| config.keyframed.surface_samples);
-        let most = (config.hashgrid.rays, samples);
-        let pixels = pixel_budget(most, field.batch.samples_per_pixel()) / views.len().max(1);
+        let limits = (config.hashgrid.rays, samples);
+        let pixels = pixel_budget(limits, field.batch.samples_per_pixel()) / views.len().max(1);
         let drawn: Vec<RayView<'_>> =
-            views.iter().map(|view| draw(context, view, &curves, pixels)).collect();
-        let with_poses = rates.camera > 0.0 && self.steps >= config.keyframed.pose_delay;
+            views.iter().map(|view| sample_pixels(context, view, &curves, pixels)).collect();
+        let with_poses = weights.camera_rate > 0.0 && self.steps >= config.keyframed.pose_delay;
         if with_poses
             && config.formation.blur
             && config.keyframed.preconditioning != Preconditioning::Off
         {
             for (view, keyframe) in drawn.iter().zip(views) {
-                field.precondition(context, &mut self.poses, view, keyframe.frame);
+                field.update_preconditioner(context, &mut self.poses, view, keyframe.frame);
             }
         }
-        let weights = (config.hashgrid.image_weight, rates.depth_weight);
+        let loss_weights = (config.hashgrid.image_weight, weights.depth_weight);
         let Field { map, batch, gradient, adam, .. } = &mut *field;
-        let evaluations = batch.map(map, &drawn, weights, with_poses, context.random, gradient);
+        let evaluations =
+            batch.map(map, &drawn, loss_weights, with_poses, context.random, gradient);
         for (view, index) in views.iter().zip(0..) {
             if let Some(depth) = batch.seen_depth(index) {
                 let estimate = &mut context.frames[view.frame];
@@ -343,12 +273,12 @@ impl JointFieldMapper {
             &map.field,
             active_levels(self.steps, config.keyframed.coarse_steps, levels),
         );
-        adam.step(&mut map.field, gradient, rates.field);
+        adam.step(&mut map.field, gradient, weights.field_rate);
         self.steps += 1;
-        self.step_frames(context, views, evaluations, with_poses.then_some(rates.camera));
+        self.step_frames(context, views, evaluations, with_poses.then_some(weights.camera_rate));
     }
 
-    /// Tone and poses of the keyframes that took part, and their responses, each once.
+    /// Steps tone and poses of all `views`, and every response once.
     fn step_frames(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -356,15 +286,11 @@ impl JointFieldMapper {
         evaluations: Vec<Evaluation>,
         camera_rate: Option<f32>,
     ) {
-        let mut responses: BTreeMap<usize, CurveGradient<f32>> = BTreeMap::new();
+        let mut responses = ResponseGradients::default();
         let share = 1.0 / views.len().max(1) as f64;
         for (view, mut evaluation) in views.iter().zip(evaluations) {
-            let response = context.frames[view.frame].response;
             if let Some(d_curve) = evaluation.curve.take() {
-                match responses.get_mut(&response) {
-                    Some(sum) => add(sum, &d_curve),
-                    None => drop(responses.insert(response, d_curve)),
-                }
+                responses.add(context.frames[view.frame].response, d_curve);
             }
             let trajectory = self.trajectory.add(context, view, share, &mut evaluation);
             context.frames[view.frame].losses =
@@ -377,29 +303,46 @@ impl JointFieldMapper {
             }
         }
         self.trajectory.step_scale(context.config);
-        for (index, mut d_curve) in responses {
-            self.frames.step_response(context, index, &mut d_curve);
-        }
-    }
-
-    /// The map as it is now.
-    pub(crate) fn map(&self) -> Map {
-        match &self.field {
-            Some(field) => Map::HashGrid(Box::new(field.map.clone())),
-            None => Map::default(),
-        }
+        self.frames.step_responses(context, responses);
     }
 }
 
-/// What frames are found with once the field is finished.
-struct Finder {
+/// Localiser of frames and the objective it renders the field with.
+struct FieldLocator {
     locator: FrameLocator,
     objective: FrameObjective<HashGridMap>,
 }
 
 impl JointMapper for JointFieldMapper {
+    /// Waits for the first few keyframes, then starts a field that holds what they see, and starts
+    /// it again in a larger cube for a keyframe that sees farther.
     fn add(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
-        Self::add(self, context)
+        let settings = &context.config.hashgrid;
+        let first = match &self.field {
+            None if context.keyframes.len() < context.config.keyframed.first_keyframes => {
+                return Ok(());
+            }
+            None => true,
+            Some(field) => !field_extent::contains(field.map.field.settings(), context),
+        };
+        if first {
+            self.start(context)?;
+        } else {
+            self.mark_last_keyframe(context);
+        }
+        let iterations = if first { settings.first_iterations } else { settings.iterations };
+        let Schedule { camera_rate, depth_weight, .. } = self.schedule(context.config);
+        let weights = StepWeights { field_rate: settings.rate, camera_rate, depth_weight };
+        let budget = IterationBudget::start(context.config);
+        for iteration in 0..iterations {
+            if budget.is_exhausted(iteration, context.cancellation) {
+                break;
+            }
+            let size = context.config.mapping.window;
+            let window = recent_window(context.keyframes, None, size, context.random);
+            self.step(context, &window, weights);
+        }
+        Ok(())
     }
 
     fn finish(
@@ -407,31 +350,64 @@ impl JointMapper for JointFieldMapper {
         context: &mut MappingContext<'_>,
         on_step: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<(), SettingsError> {
-        Self::finish(self, context, on_step)
+        if self.field.is_none() {
+            self.start(context)?;
+        }
+        let rate = context.config.hashgrid.rate;
+        let Schedule { camera_rate, depth_weight, final_depth_share, steps, relocalizations } =
+            self.schedule(context.config);
+        let part = steps.div_ceil(1 + relocalizations).max(1);
+        self.confine(context);
+        for step in 0..steps {
+            if step > 0 && step.is_multiple_of(part) {
+                self.relocalize(context);
+                self.confine(context);
+                self.reopen();
+            }
+            let size = context.config.mapping.window;
+            let window = random_window(context.keyframes, size, context.random);
+            let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);
+            let weights = StepWeights {
+                field_rate: decayed(rate),
+                camera_rate: decayed(camera_rate),
+                depth_weight: depth_weight * final_depth_share.powf(step as f32 / steps as f32),
+            };
+            self.step(context, &window, weights);
+            if relocalizations > 0 && REOPENING_PHASE.contains(&(step as f32 / steps as f32)) {
+                self.reopen_transparent_rays();
+            }
+            if !on_step(step + 1, steps) {
+                break;
+            }
+        }
+        Ok(())
     }
 
     fn locate(
         &mut self,
         context: &MappingContext<'_>,
         frame: (&mut FrameEstimate, &Arc<Image<f32>>),
-        before: Option<&FrameEstimate>,
+        previous: Option<&FrameEstimate>,
     ) -> bool {
         let Some(field) = &self.field else { return false };
         let map = &field.map;
-        let finder = self.finder.get_or_insert_with(|| Finder {
+        let locator = self.locator.get_or_insert_with(|| FieldLocator {
             locator: FrameLocator::new(
                 self.frame_rate,
                 SequenceReadout::new(&context.config.input),
             ),
             objective: FrameObjective::new(self.camera, map.march),
         });
-        let scene = (map, &mut finder.objective);
-        finder.locator.locate(context, scene, frame, before, context.frames)
+        let target = (map, &mut locator.objective);
+        locator.locator.locate(context, target, frame, previous, context.frames)
     }
 
     fn set_covered(&mut self, _covered: Arc<Image<bool>>) {}
 
     fn map(&self) -> Map {
-        Self::map(self)
+        match &self.field {
+            Some(field) => Map::HashGrid(Box::new(field.map.clone())),
+            None => Map::default(),
+        }
     }
 }

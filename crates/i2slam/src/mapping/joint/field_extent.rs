@@ -1,28 +1,28 @@
-//! How large a field has to be for what keyframes see.
-//!
-//! The cube lies around the middle of all cameras. It holds, in whatever direction a camera looks,
-//! all depths of its keyframe but the farthest 1 %, or, without depth, what lies within `reach`.
+//! Cube of a jointly optimised field: centred on the cameras' bounding box, and large enough to hold
+//! 99 % of the depths of every keyframe in any orientation, or `keyframed.reach` without depth.
 
 use crate::mapping::field::{chebyshev_distance, surface_distance};
-use crate::mapping::{Keyframe, MappingContext};
+use crate::mapping::keyframe::Keyframe;
+use crate::mapping::mapper::MappingContext;
 use i2slam_geometry::Vec3;
 use i2slam_radiance::hashgrid::FieldSettings;
 
-/// Share of `reach` that a camera without depth must have before it; at first it has all.
-const ENOUGH: f64 = 0.5;
+/// Share of `keyframed.reach` that a later camera without depth needs; a new cube grants all of it.
+const MIN_REACH_SHARE: f64 = 0.5;
 
-/// A cube: its middle, and half of its edge [unit of the poses].
+/// A cube: centre and half edge [unit of the poses].
 pub(super) struct Extent {
     pub(super) centre: [f64; 3],
     pub(super) bound: f64,
 }
 
 impl Extent {
-    /// A cube for all keyframes of a context.
-    pub(super) fn of(context: &MappingContext<'_>) -> Self {
-        let places: Vec<Vec3<f64>> = context.keyframes.iter().map(|k| place(context, k)).collect();
+    /// The cube for all keyframes.
+    pub(super) fn of_keyframes(context: &MappingContext<'_>) -> Self {
+        let positions: Vec<Vec3<f64>> =
+            context.keyframes.iter().map(|k| position(context, k)).collect();
         let axis = |k: usize| {
-            let along = places.iter().map(|p| p.to_array()[k]);
+            let along = positions.iter().map(|p| p.to_array()[k]);
             let (low, high) =
                 along.fold((f64::MAX, f64::MIN), |(low, high), x| (low.min(x), high.max(x)));
             if low > high { 0.0 } else { 0.5 * (low + high) }
@@ -32,31 +32,35 @@ impl Extent {
         if settings.bound > 0.0 {
             return Self { centre, bound: f64::from(settings.bound) };
         }
-        let needs = context.keyframes.iter().map(|k| required_extent(context, k, centre, 1.0));
-        Self { centre, bound: f64::from(settings.margin) * needs.fold(1e-3, f64::max) }
+        let extents = context.keyframes.iter().map(|k| required_extent(context, k, centre, 1.0));
+        Self { centre, bound: f64::from(settings.margin) * extents.fold(1e-3, f64::max) }
     }
 }
 
-/// Whether a field holds what the last keyframe sees. One of a set size is never too small.
+/// Whether a field holds what the last keyframe sees; always with `hashgrid.bound`.
 pub(super) fn contains(field: &FieldSettings, context: &MappingContext<'_>) -> bool {
     let last = context.keyframes.last();
     context.config.hashgrid.bound > 0.0
-        || last.is_none_or(|k| required_extent(context, k, field.centre, ENOUGH) <= field.bound)
+        || last.is_none_or(|k| {
+            required_extent(context, k, field.centre, MIN_REACH_SHARE) <= field.bound
+        })
 }
 
-fn place(context: &MappingContext<'_>, keyframe: &Keyframe) -> Vec3<f64> {
+/// Camera position of a keyframe.
+fn position(context: &MappingContext<'_>, keyframe: &Keyframe) -> Vec3<f64> {
     context.frames[keyframe.frame].middle().translation
 }
 
-/// Half edge of the cube around `centre` that one keyframe needs, `share` of `reach` being enough.
+/// Half edge of the cube around `centre` that a keyframe needs, with `share` of the reach where it
+/// has no depth.
 fn required_extent(
     context: &MappingContext<'_>,
     keyframe: &Keyframe,
     centre: [f64; 3],
     share: f64,
 ) -> f64 {
-    let from_centre = chebyshev_distance(place(context, keyframe), centre);
+    let from_centre = chebyshev_distance(position(context, keyframe), centre);
     let depth = &keyframe.observation.depth;
-    let sees = surface_distance(context.camera, depth);
-    from_centre + sees.unwrap_or(share * f64::from(context.config.keyframed.reach))
+    let view_distance = surface_distance(context.camera, depth);
+    from_centre + view_distance.unwrap_or(share * f64::from(context.config.keyframed.reach))
 }

@@ -1,6 +1,8 @@
-//! What a step is made of.
+//! Pixels, resolution levels and blur of one step of a jointly optimised field.
 
-use crate::mapping::{Keyframe, MappingContext};
+use crate::mapping::keyframe::Keyframe;
+use crate::mapping::mapper::MappingContext;
+use crate::mapping::window::random_pixels;
 use crate::objective::{
     BlurRoute, Exposure, FrameVariables, RayView, Sampling, Tone, blur_length_at,
 };
@@ -9,8 +11,8 @@ use i2slam_formation::ResponseCurve;
 use i2slam_geometry::Camera;
 use std::collections::BTreeMap;
 
-/// `count` random pixels of a keyframe; each takes a ray for every virtual camera.
-pub(super) fn draw<'a>(
+/// Random pixels of a keyframe, at most `count`; each takes a ray per virtual camera.
+pub(super) fn sample_pixels<'a>(
     context: &mut MappingContext<'_>,
     keyframe: &'a Keyframe,
     curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
@@ -26,31 +28,12 @@ pub(super) fn draw<'a>(
     let tone = curves.get(&estimate.response).map(|curve| Tone { frame: estimate.tone, curve });
     let variables = FrameVariables { exposure, tone };
     let observation = &*keyframe.observation;
-    let all = observation.depth.pixels();
-    let recorded = |p: &usize| context.covered.is_none_or(|c| c.data[*p]);
-    let random = &mut *context.random;
-    let pixels = (0..count.max(1)).map(|_| random.below(all)).filter(recorded).collect();
+    let size = observation.depth.pixels();
+    let pixels = random_pixels(size, count.max(1), context.covered, context.random);
     RayView { observation, variables, pixels }
 }
 
-/// The last keyframe and others drawn at random from all.
-pub(super) fn window(context: &mut MappingContext<'_>) -> Vec<Keyframe> {
-    let size = context.config.mapping.window;
-    let mut others: Vec<&Keyframe> = context.keyframes.iter().collect();
-    let mut window: Vec<Keyframe> = others.pop().into_iter().cloned().collect();
-    context.random.shuffle(&mut others);
-    window.extend(others.into_iter().take(size.saturating_sub(1)).cloned());
-    window
-}
-
-/// Keyframes drawn at random from all.
-pub(super) fn any(context: &mut MappingContext<'_>, size: usize) -> Vec<Keyframe> {
-    let mut order: Vec<&Keyframe> = context.keyframes.iter().collect();
-    context.random.shuffle(&mut order);
-    order.into_iter().take(size).cloned().collect()
-}
-
-/// Length of a frame's streaks [px], all of its surfaces being at one depth.
+/// Blur length of a frame [px] if all surfaces lie at `depth`.
 pub(super) fn blur_length_at_depth(
     camera: &Camera<f64>,
     estimate: &FrameEstimate,
@@ -59,16 +42,16 @@ pub(super) fn blur_length_at_depth(
     blur_length_at(camera, &estimate.shutter, |_, _| depth)
 }
 
-/// Pixels of a step that is to have at most so many pixels and, unless that is 0, about so many
-/// samples, if each takes as many as those of the last step.
-pub(super) fn pixel_budget((pixels, samples): (usize, usize), each: Option<f32>) -> usize {
-    match (samples, each) {
+/// Pixels of a step limited to `pixels` and, unless 0, to about `samples`, at `per_pixel` samples
+/// as in the last step.
+pub(super) fn pixel_budget((pixels, samples): (usize, usize), per_pixel: Option<f32>) -> usize {
+    match (samples, per_pixel) {
         (0, _) | (_, None) => pixels,
-        (samples, Some(each)) => pixels.min((samples as f32 / each) as usize),
+        (samples, Some(per_pixel)) => pixels.min((samples as f32 / per_pixel) as usize),
     }
 }
 
-/// Grids that are trained: half of them from the start, the others one after another.
+/// Grid levels trained at `step`: the coarse half from the start, then one after another.
 pub(super) fn active_levels(step: usize, coarse_steps: usize, levels: usize) -> usize {
     let first = levels.div_ceil(2);
     match coarse_steps {
@@ -82,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fog_is_seen_through_by_fewer_pixels() {
+    fn expensive_pixels_are_fewer() {
         let pixels = |samples, each| pixel_budget((500, samples), each);
         assert_eq!(
             [pixels(0, Some(400.0)), pixels(9000, None), pixels(9000, Some(10.0))],
@@ -92,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn grids_come_in_from_coarse_to_fine() {
+    fn levels_open_from_coarse_to_fine() {
         let open: Vec<usize> = [0, 9, 10, 55, 60, 99].map(|s| active_levels(s, 60, 12)).to_vec();
         assert_eq!(open, [6, 6, 7, 11, 12, 12]);
         assert_eq!((active_levels(0, 0, 12), active_levels(0, 5, 1)), (12, 1));

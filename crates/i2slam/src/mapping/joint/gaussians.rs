@@ -1,8 +1,8 @@
-//! Joint refinement of Gaussians and of keyframes that came with poses.
+//! Joint optimisation of Gaussians and keyframes.
 //!
-//! Each keyframe is first found in the map that those before it made, which tells the motion over
-//! its exposure and its gains; then it adds Gaussians at its estimated depth, and all steps move
-//! Gaussians, start and end poses, tone and response together.
+//! Each keyframe is first localised in the map of those before it, which initialises its motion
+//! during exposure and its tone. Then it adds Gaussians at its estimated depth, and every step moves
+//! Gaussians, start and end poses, tone and response.
 
 use super::JointMapper;
 use crate::config::Config;
@@ -16,15 +16,15 @@ use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::SettingsError;
 use std::sync::Arc;
 
-/// Gaussians that are refined together with keyframes.
+/// Gaussians that are optimised together with keyframe poses.
 pub(crate) struct JointGaussianMapper {
     mapper: GaussianMapper,
     locator: FrameLocator,
 }
 
 impl JointGaussianMapper {
-    /// Times that all keyframes are found anew during the last steps.
-    pub(crate) const SEARCHES: usize = 2;
+    /// Relocalisations of all keyframes during the final optimisation.
+    pub(crate) const RELOCALIZATIONS: usize = 2;
 
     /// For keyframes of `camera`, taken from a video of `frame_rate` frames per second.
     pub(crate) fn new(config: &Config, camera: &Camera<f64>, frame_rate: f64) -> Self {
@@ -35,27 +35,33 @@ impl JointGaussianMapper {
         }
     }
 
-    /// Finds all keyframes anew, one after another; the gains of the first stay.
-    fn relocate(&mut self, context: &mut MappingContext<'_>) {
+    /// Localises all keyframes again in their order; the tone of the gauge frame stays.
+    fn relocalize(&mut self, context: &mut MappingContext<'_>) {
         for keyframe in
             context.keyframes.iter().take_while(|_| !context.cancellation.is_cancelled())
         {
             let tone = context.frames[keyframe.frame].tone;
-            self.find(context, keyframe);
+            self.localize(context, keyframe);
             if keyframe.frame == context.gauge_frame(keyframe) {
                 context.frames[keyframe.frame].tone = tone;
             }
         }
     }
 
-    /// Finds a keyframe in the map as it is; one that is not found stays where it was.
-    fn find(&mut self, context: &mut MappingContext<'_>, at: &Keyframe) {
-        let mut estimate = context.frames[at.frame].clone();
-        let before = at.adjacent.frame_before(&estimate);
-        let others = &context.frames[..at.frame];
-        let frame = (&mut estimate, &at.observation.colour);
-        self.locator.locate(context, self.mapper.scene(), frame, before.as_ref(), others);
-        context.frames[at.frame] = estimate;
+    /// Localises a keyframe; one that is not found stays.
+    fn localize(&mut self, context: &mut MappingContext<'_>, keyframe: &Keyframe) {
+        let mut estimate = context.frames[keyframe.frame].clone();
+        let previous = keyframe.adjacent.previous_frame(&estimate);
+        let others = &context.frames[..keyframe.frame];
+        let frame = (&mut estimate, &keyframe.observation.colour);
+        self.locator.locate(
+            context,
+            self.mapper.map_and_objective(),
+            frame,
+            previous.as_ref(),
+            others,
+        );
+        context.frames[keyframe.frame] = estimate;
     }
 }
 
@@ -65,7 +71,7 @@ impl JointMapper for JointGaussianMapper {
         let mut context = context.with_keyframes(earlier);
         let first = self.mapper.is_empty();
         if !first {
-            self.find(&mut context, current);
+            self.localize(&mut context, current);
         }
         self.mapper.add(&mut context, current);
         self.mapper.refine(&mut context, current, first);
@@ -84,15 +90,15 @@ impl JointMapper for JointGaussianMapper {
             context.warnings.push(reason.into());
         }
         let steps = context.config.mapping.final_iterations;
-        let part = steps.div_ceil(Self::SEARCHES + 1);
-        for round in 0..=Self::SEARCHES {
+        let part = steps.div_ceil(Self::RELOCALIZATIONS + 1);
+        for round in 0..=Self::RELOCALIZATIONS {
             let done = (round * part).min(steps);
             let count = part.min(steps - done);
             if !self.mapper.refine_all(context, count, &mut |step| on_step(done + step, steps)) {
                 break;
             }
-            if round < Self::SEARCHES {
-                self.relocate(context);
+            if round < Self::RELOCALIZATIONS {
+                self.relocalize(context);
             }
         }
         Ok(())
@@ -102,10 +108,16 @@ impl JointMapper for JointGaussianMapper {
         &mut self,
         context: &MappingContext<'_>,
         frame: (&mut FrameEstimate, &Arc<Image<f32>>),
-        before: Option<&FrameEstimate>,
+        previous: Option<&FrameEstimate>,
     ) -> bool {
         !self.mapper.is_empty()
-            && self.locator.locate(context, self.mapper.scene(), frame, before, context.frames)
+            && self.locator.locate(
+                context,
+                self.mapper.map_and_objective(),
+                frame,
+                previous,
+                context.frames,
+            )
     }
 
     fn set_covered(&mut self, covered: Arc<Image<bool>>) {

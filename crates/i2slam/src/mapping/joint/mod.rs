@@ -1,4 +1,4 @@
-//! What a session on keyframes that come with poses asks of its map.
+//! Joint optimisation of a map and of keyframes whose poses are only roughly known.
 
 mod field;
 mod field_extent;
@@ -17,31 +17,39 @@ use i2slam_geometry::Image;
 use i2slam_radiance::hashgrid::SettingsError;
 use std::sync::Arc;
 
-/// A map that is refined together with keyframes that came with poses.
+/// A map that is optimised together with the poses of its keyframes.
 pub(crate) trait JointMapper: Send {
-    /// Takes in a keyframe, the last of the context.
+    /// Adds the last keyframe of the context and optimises for some steps.
+    ///
+    /// # Errors
+    ///
+    /// Settings that allow no map.
     fn add(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError>;
 
-    /// Steps over all keyframes after the last; `on_step(done, of)` says whether to go on.
+    /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
+    ///
+    /// # Errors
+    ///
+    /// Settings that allow no map.
     fn finish(
         &mut self,
         context: &mut MappingContext<'_>,
         on_step: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<(), SettingsError>;
 
-    /// Moves a frame whose pose is roughly known to where its picture fits the map best, with the
-    /// motion over its exposure and its gains, which start from those of the frame before it.
-    /// Returns whether that was found; a frame that was not stays as it is.
+    /// Localises a frame in the map from its roughly known pose, and estimates its motion during
+    /// exposure and its tone, starting from those of `previous`. Returns whether it was found; a
+    /// frame that was not stays.
     fn locate(
         &mut self,
         context: &MappingContext<'_>,
         frame: (&mut FrameEstimate, &Arc<Image<f32>>),
-        before: Option<&FrameEstimate>,
+        previous: Option<&FrameEstimate>,
     ) -> bool;
 
     /// Restricts the image terms to recorded pixels.
     fn set_covered(&mut self, covered: Arc<Image<bool>>);
 
-    /// The map as it is now.
+    /// A copy of the map.
     fn map(&self) -> Map;
 }

@@ -12,10 +12,10 @@ use i2slam_formation::{
 };
 use i2slam_geometry::Pose;
 
-/// Share of the frame interval for which the shutter of the first frame is taken to be open.
-const OPEN: f64 = 0.5;
+/// Assumed share of the frame interval for which the shutter of the first frame is open.
+const INITIAL_OPEN_SHARE: f64 = 0.5;
 
-/// The loss's own parameter, and what it asks of it.
+/// Trajectory loss with its free scale `a` and the optimiser of that.
 pub(super) struct TrajectoryTerm {
     frame_rate: f64,
     /// `a`, in frame intervals over exposures of the first frame.
@@ -24,9 +24,9 @@ pub(super) struct TrajectoryTerm {
     d_scale: f64,
 }
 
-/// Loss of a frame with its neighbours, and derivatives by what is the frame's own and by `a`.
+/// Loss of a frame with its neighbours, and derivatives by its own poses, exposure and by `a`.
 #[derive(Default)]
-struct Part {
+struct FrameLoss {
     loss: f64,
     shutter: ShutterTangent<f64>,
     log_exposure: f64,
@@ -35,12 +35,12 @@ struct Part {
 
 impl TrajectoryTerm {
     pub(super) fn new(frame_rate: f64) -> Self {
-        let scale = TrajectoryScale::from_open_share(OPEN);
+        let scale = TrajectoryScale::from_open_share(INITIAL_OPEN_SHARE);
         Self { frame_rate, scale, optimizer: adam(), d_scale: 0.0 }
     }
 
-    /// Adds the loss of a frame with its neighbours to its evaluation, `share` times; returns the
-    /// loss itself.
+    /// Adds the weighted loss of a frame, times `share`, to its evaluation; returns the unweighted
+    /// loss.
     pub(super) fn add(
         &mut self,
         context: &MappingContext<'_>,
@@ -55,8 +55,8 @@ impl TrajectoryTerm {
         let weight = share * f64::from(context.config.keyframed.trajectory_weight);
         let estimate = &context.frames[keyframe.frame];
         let part = match keyframe.adjacent.both(estimate.timestamp) {
-            Some(beside) => self.between(estimate, beside),
-            None => self.around(context.frames, keyframe.frame),
+            Some(adjacent) => self.with_adjacent(estimate, adjacent),
+            None => self.with_neighbours(context.frames, keyframe.frame),
         };
         evaluation.total += weight * part.loss;
         evaluation.shutter = evaluation.shutter.plus(part.shutter.scaled(weight));
@@ -65,9 +65,9 @@ impl TrajectoryTerm {
         part.loss
     }
 
-    /// What a frame and its neighbours on both sides say.
-    fn around(&self, frames: &[FrameEstimate], frame: usize) -> Part {
-        let mut part = Part::default();
+    /// Loss of a frame with the session's frames before and after it.
+    fn with_neighbours(&self, frames: &[FrameEstimate], frame: usize) -> FrameLoss {
+        let mut part = FrameLoss::default();
         for last in [frame, frame + 1] {
             let Some((loss, gradient)) = self.pair(frames, last) else { continue };
             let (shutter, log_exposure) = match last == frame {
@@ -82,18 +82,18 @@ impl TrajectoryTerm {
         part
     }
 
-    /// What the frames beside a keyframe say, which move along with it.
-    fn between(&self, frame: &FrameEstimate, beside: [(f64, Pose<f64>); 2]) -> Part {
+    /// Loss of a keyframe with its adjacent video frames, which move along with it.
+    fn with_adjacent(&self, frame: &FrameEstimate, adjacent: [(f64, Pose<f64>); 2]) -> FrameLoss {
         let (middle, own) = (frame.middle(), frame.shutter);
-        let mut part = Part::default();
-        for (stamp, way) in beside {
-            let there = middle * way;
+        let mut part = FrameLoss::default();
+        for (stamp, relative) in adjacent {
+            let other = middle * relative;
             let is_before = stamp < frame.timestamp;
             let (earlier, later) = (stamp.min(frame.timestamp), stamp.max(frame.timestamp));
             let exposure = f64::from(frame.tone.log_exposure).exp()
                 / intervals(self.frame_rate, earlier, later);
-            // The exposure of the other is of no length, so that nothing is said of it.
-            let still = (ShutterPoses::still(there), 0.0);
+            // The other frame has no known motion during exposure: zero exposure drops its terms.
+            let still = (ShutterPoses::still(other), 0.0);
             let pair =
                 |(previous, exposure_previous), (current, exposure_current)| TrajectoryPair {
                     previous,
@@ -105,11 +105,11 @@ impl TrajectoryTerm {
             let pair =
                 if is_before { pair(still, (own, exposure)) } else { pair((own, exposure), still) };
             let (loss, gradient) = pair.loss_and_gradient();
-            let (d_own, d_there, d_exposure) = match is_before {
+            let (d_own, d_other, d_exposure) = match is_before {
                 true => (gradient.current, gradient.previous, gradient.log_exposure_current),
                 false => (gradient.previous, gradient.current, gradient.log_exposure_previous),
             };
-            let d_middle = carried_to_middle(middle, there, d_there.start.plus(d_there.end));
+            let d_middle = carried_to_middle(middle, other, d_other.start.plus(d_other.end));
             part.loss += loss.total();
             part.shutter = part.shutter.plus(d_own).plus(own.pull_back(0.5, d_middle));
             part.log_exposure += d_exposure;
@@ -118,7 +118,7 @@ impl TrajectoryTerm {
         part
     }
 
-    /// Loss and gradient between frame `last` and the one before it.
+    /// Loss and gradient of frame `last` with the one before it.
     fn pair(
         &self,
         frames: &[FrameEstimate],
@@ -139,7 +139,7 @@ impl TrajectoryTerm {
         Some((loss.total(), gradient))
     }
 
-    /// One step of `a` by all that was added since the last.
+    /// One step on `a` by the derivatives added since the last step.
     pub(super) fn step_scale(&mut self, config: &Config) {
         if self.d_scale == 0.0 {
             return;
@@ -177,10 +177,10 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_of_a_frame_between_two_agree_with_differences() {
+    fn derivatives_with_neighbours_agree_with_differences() {
         let frames = [frame(0, 0.0), frame(1, 0.1), frame(2, 0.4)];
         let term = TrajectoryTerm::new(20.0);
-        let part = term.around(&frames, 1);
+        let part = term.with_neighbours(&frames, 1);
         let mut analytic = part.shutter.to_array().to_vec();
         analytic.extend([part.log_exposure, part.scale]);
         // Exposures are kept in `f32`, which holds this step exactly.
@@ -191,21 +191,21 @@ mod tests {
             moved[1].shutter = moved[1].shutter.retract(&step);
             moved[1].tone.log_exposure += x[12] as f32;
             let scale = TrajectoryScale { a: term.scale.a + x[13] };
-            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.around(&moved, 1).loss
+            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.with_neighbours(&moved, 1).loss
         });
-        assert_eq!(term.around(&frames[..1], 0).loss, 0.0);
+        assert_eq!(term.with_neighbours(&frames[..1], 0).loss, 0.0);
     }
 
     #[test]
-    fn derivatives_beside_known_frames_agree_with_differences() {
+    fn derivatives_with_adjacent_frames_agree_with_differences() {
         let frame = frame(1, 0.1);
-        let way = |scale: f64| {
-            let way = [-0.03, 0.02, 0.01, 0.04, -0.02, 0.05].map(|v| scale * v);
-            Pose::identity().retract(Tangent::from_array(way))
+        let relative = |scale: f64| {
+            let step = [-0.03, 0.02, 0.01, 0.04, -0.02, 0.05].map(|v| scale * v);
+            Pose::identity().retract(Tangent::from_array(step))
         };
-        let beside = [(0.05, way(1.0)), (0.2, way(-1.7))];
+        let adjacent = [(0.05, relative(1.0)), (0.2, relative(-1.7))];
         let term = TrajectoryTerm::new(20.0);
-        let part = term.between(&frame, beside);
+        let part = term.with_adjacent(&frame, adjacent);
         let mut analytic = part.shutter.to_array().to_vec();
         analytic.extend([part.log_exposure, part.scale]);
         let step = 1.0 / 1024.0;
@@ -215,7 +215,9 @@ mod tests {
             moved.shutter = moved.shutter.retract(&step);
             moved.tone.log_exposure += x[12] as f32;
             let scale = TrajectoryScale { a: term.scale.a + x[13] };
-            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.between(&moved, beside).loss
+            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }
+                .with_adjacent(&moved, adjacent)
+                .loss
         });
     }
 

@@ -209,9 +209,10 @@ impl KeyframeSession {
             keyframe: seen,
             ..FrameEstimate::posed(index, timestamp, ShutterPoses::still(world_from_camera))
         };
-        let known = adjacent.motion(timestamp, self.frame_rate);
+        let known = adjacent.motion_per_interval(timestamp, self.frame_rate);
         let from_last = || {
-            AdjacentFrames::of(&estimate, self.frames.last()?).motion(timestamp, self.frame_rate)
+            AdjacentFrames::from_neighbour(&estimate, self.frames.last()?)
+                .motion_per_interval(timestamp, self.frame_rate)
         };
         if let Some(motion) = known.or_else(from_last) {
             estimate.shutter = self.split(&estimate, motion);
@@ -237,7 +238,8 @@ impl KeyframeSession {
         if position != 1 || first.shutter.start != first.shutter.end {
             return;
         }
-        let motion = AdjacentFrames::of(first, second).motion(first.timestamp, self.frame_rate);
+        let motion = AdjacentFrames::from_neighbour(first, second)
+            .motion_per_interval(first.timestamp, self.frame_rate);
         if let Some(motion) = motion {
             self.frames[0].shutter = self.split(first, motion);
         }
