@@ -1,7 +1,7 @@
 //! Ctrl-C, and what else a system ends programs by (SIGTERM, SIGHUP): the first ends the run
 //! cleanly, the second at once.
 
-use crate::output::complain;
+use crate::output::print_status;
 use i2slam::CancellationToken;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -16,14 +16,14 @@ pub(crate) fn listen() {
         if REQUESTED.swap(true, Ordering::SeqCst) {
             std::process::exit(130);
         }
-        complain(if READING.load(Ordering::SeqCst) {
+        print_status(if READING.load(Ordering::SeqCst) {
             "\nending the stream and going on with what came; once more ends at once"
         } else {
             "\nending the run and writing what there is; once more ends at once"
         });
     };
     if ctrlc::set_handler(handler).is_err() {
-        complain("warning: Ctrl-C will end this run without writing results");
+        print_status("warning: Ctrl-C will end this run without writing results");
     }
 }
 

@@ -2,25 +2,26 @@
 
 mod arguments;
 mod commands;
-mod destination;
 mod failure;
+mod ground_truth;
+mod image_files;
 mod interrupt;
+mod messages;
 mod output;
-mod picture;
-mod pipeline;
+mod output_dir;
 mod progress;
-mod truth;
+mod reconstruction;
 
 use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let arguments = arguments::Arguments::parse();
+    let arguments = commands::Arguments::parse();
     match failure::without_panics(|| commands::dispatch(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             if let Some(message) = failure.message() {
-                output::complain(&format!("error: {message}"));
+                output::print_status(&format!("error: {message}"));
             }
             ExitCode::from(failure.exit_code())
         }

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 /// One line of result on standard output.
-pub(crate) fn say(line: &str) {
+pub(crate) fn print(line: &str) {
     let mut out = io::stdout().lock();
     writeln!(out, "{line}").and_then(|()| out.flush()).ok();
 }
@@ -14,6 +14,6 @@ pub(crate) fn counted(count: usize, word: &str) -> String {
 }
 
 /// One line on standard error: a warning, an error, progress.
-pub(crate) fn complain(line: &str) {
+pub(crate) fn print_status(line: &str) {
     writeln!(io::stderr().lock(), "{line}").ok();
 }

@@ -1,8 +1,8 @@
 //! Progress of a command on standard error: a bar on a terminal, otherwise a line now and then.
 
 use crate::interrupt;
-use crate::output::complain;
-use crate::pipeline::messages;
+use crate::messages;
+use crate::output::print_status;
 use i2slam::run::{CameraEstimate, Observer, RuntimeForecast, Stage};
 use i2slam::{CancellationToken, FrameEstimate, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -115,7 +115,7 @@ impl Progress {
         match &self.display {
             Display::Bar(bar) => bar.set_position(done as u64),
             Display::Lines(lines) if lines.is_due() => {
-                complain(&format!("{name} {done}/{total}{}", phase.rest(done)));
+                print_status(&format!("{name} {done}/{total}{}", phase.rest(done)));
             }
             Display::Lines(_) | Display::Quiet => {}
         }
@@ -124,8 +124,8 @@ impl Progress {
     /// Prints a line above the bar, unless quiet.
     pub(crate) fn note(&self, line: &str) {
         match &self.display {
-            Display::Bar(bar) => bar.suspend(|| complain(line)),
-            Display::Lines(_) => complain(line),
+            Display::Bar(bar) => bar.suspend(|| print_status(line)),
+            Display::Lines(_) => print_status(line),
             Display::Quiet => {}
         }
     }
@@ -134,8 +134,8 @@ impl Progress {
     pub(crate) fn warn(&self, warning: &str) {
         let line = format!("warning: {warning}");
         match &self.display {
-            Display::Bar(bar) => bar.suspend(|| complain(&line)),
-            _ => complain(&line),
+            Display::Bar(bar) => bar.suspend(|| print_status(&line)),
+            _ => print_status(&line),
         }
     }
 
@@ -170,7 +170,9 @@ impl Observer for Progress {
             }
             Display::Lines(lines) if lines.is_due() || done == total => {
                 let (name, left) = (phase.name, seconds * (total - done) as f64);
-                complain(&format!("{name} {done}/{total}  {figures}  {left:.0} s left of these"));
+                print_status(&format!(
+                    "{name} {done}/{total}  {figures}  {left:.0} s left of these"
+                ));
             }
             Display::Lines(_) | Display::Quiet => {}
         }
@@ -202,7 +204,7 @@ impl Lines {
     fn name_once(&self, name: &'static str) {
         let Ok(mut named) = self.named.lock() else { return };
         if !named.contains(&name) {
-            complain(name);
+            print_status(name);
             named.push(name);
             if let Ok(mut last) = self.last.lock() {
                 *last = Instant::now();

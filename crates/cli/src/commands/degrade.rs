@@ -1,12 +1,11 @@
 //! `i2slam degrade`: a sequence made worse in known ways.
 
 use super::synth::failure;
-use super::use_threads;
 use crate::arguments::{Machine, frame_range};
-use crate::destination::{Destination, degraded_layout};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{counted, say};
+use crate::output::{counted, print};
+use crate::output_dir::{OutputDir, degraded_layout};
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};
 use i2slam_synthetic::{Degradation, Degrading, ExposureStep, KinectNoise, NoiseSpec, Response};
@@ -63,12 +62,12 @@ pub(crate) enum Curve {
 }
 
 pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
-    use_threads(&arguments.machine)?;
+    arguments.machine.use_threads()?;
     let what = degradation(arguments);
     let work = Degrading::open(&arguments.dataset, &arguments.out, &what).map_err(failure)?;
     let (layout, overwrite) = (degraded_layout(), arguments.overwrite);
     let path = arguments.out.as_path();
-    let destination = Destination { path, layout, command: "i2slam degrade", overwrite };
+    let destination = OutputDir { path, layout, command: "i2slam degrade", overwrite };
     destination.check()?;
     destination.clear()?;
     interrupt::listen();
@@ -80,7 +79,7 @@ pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     let done = work.write(&arguments.out, step);
     progress.clear();
     let done = done.map_err(failure)?;
-    say(&format!(
+    print(&format!(
         "{} in {}, {} left out, {} covered",
         counted(done.frames, "frame"),
         arguments.out.display(),

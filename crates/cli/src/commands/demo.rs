@@ -1,24 +1,36 @@
 //! `i2slam demo`: the clip inside the program, reconstructed.
 
-use super::use_threads;
-use crate::arguments::{Demo, Draw};
-use crate::destination::refuse_file;
+use crate::arguments::Machine;
 use crate::failure::Failure;
-use crate::output::complain;
-use crate::pipeline::{self, Job};
+use crate::output::print_status;
+use crate::output_dir::refuse_file;
+use crate::reconstruction::{self, Draw, Job};
+use clap::Args;
 use i2slam::RunOptions;
 use i2slam_result::ResultFolder;
 use std::path::{Path, PathBuf};
 
+#[derive(Args, Debug)]
+pub(crate) struct Demo {
+    /// Folder for clip and results
+    #[arg(long, value_name = "DIR", default_value = "i2slam-demo")]
+    pub(crate) out: PathBuf,
+    /// By colour alone: the clip's depth is not looked at
+    #[arg(long)]
+    pub(crate) rgb: bool,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
+}
+
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
 pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
-    use_threads(&arguments.machine)?;
+    arguments.machine.use_threads()?;
     refuse_file(&arguments.out)?;
     let dataset = unpack(&arguments.out)?;
     if !arguments.machine.quiet {
         let how = if arguments.rgb { ", by colour alone" } else { "" };
-        complain(&format!(
+        print_status(&format!(
             "reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0){how}"
         ));
     }
@@ -26,7 +38,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         true => RunOptions::colour_alone(),
         false => RunOptions::with_depth(),
     };
-    pipeline::run(&Job {
+    reconstruction::run(&Job {
         dataset,
         out: arguments.out.clone(),
         options,

@@ -10,14 +10,39 @@ mod render;
 mod run;
 mod synth;
 
-pub(crate) use bench::Bench as BenchArguments;
-pub(crate) use degrade::Degrade as DegradeArguments;
-pub(crate) use info::Info as InfoArguments;
-pub(crate) use synth::Synth as SynthArguments;
-
-use crate::arguments::{Command, Machine};
 use crate::failure::Failure;
-use crate::output::counted;
+use clap::{Parser, Subcommand};
+
+/// SLAM that inverts image formation: a blurred, exposure-drifting video goes in, with depth or
+/// without, and a sharp HDR map and a camera path come out.
+#[derive(Parser, Debug)]
+#[command(name = "i2slam", version, max_term_width = 100)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+pub(crate) enum Command {
+    /// Reconstruct a sequence
+    Run(Box<run::Run>),
+    /// Draw pictures of a result: sharp, blurred as observed, HDR, depth
+    Render(render::Render),
+    /// Measure a result against the truth
+    Eval(eval::Eval),
+    /// Reconstruct the clip that comes with the program (2 s, hand-held, blurred)
+    Demo(demo::Demo),
+    /// List the presets, or print every value of one
+    Presets(presets::Presets),
+    /// Render a test sequence with known truth: a furnished room, blur, exposure changes
+    Synth(synth::Synth),
+    /// Put noise, exposure steps, gaps or a covered lens on a sequence
+    Degrade(degrade::Degrade),
+    /// Run sequences x configurations x seeds, and put the figures into tables
+    Bench(bench::Bench),
+    /// Tell what is known of a sequence before it is run: layout, times, camera, depth, exposure
+    Info(info::Info),
+}
 
 /// Do what was typed.
 pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
@@ -34,13 +59,13 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
     }
 }
 
-/// Set the number of threads for everything that follows.
-fn use_threads(machine: &Machine) -> Result<(), Failure> {
-    let Some(threads) = machine.threads else { return Ok(()) };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
-    let failed = |e| {
-        let count = counted(usize::from(threads), "thread");
-        Failure::Failed(format!("cannot start {count}: {e}"))
-    };
-    pool.build_global().map_err(failed)
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn definitions_are_sound() {
+        Arguments::command().debug_assert();
+    }
 }

@@ -1,18 +1,24 @@
 //! `i2slam presets`: the names, or one preset as a file.
 
-use crate::arguments::Presets;
 use crate::failure::Failure;
-use crate::output::say;
+use crate::output::print;
+use clap::Args;
 use i2slam::Config;
 use i2slam::config::PRESET_NAMES;
 
+#[derive(Args, Debug)]
+pub(crate) struct Presets {
+    /// Print this preset as a file for --config
+    pub(crate) name: Option<String>,
+}
+
 pub(crate) fn presets(arguments: &Presets) -> Result<(), Failure> {
     if let Some(name) = &arguments.name {
-        say(Config::preset(name)?.to_commented_toml().trim_end());
+        print(Config::preset(name)?.to_commented_toml().trim_end());
         return Ok(());
     }
     for name in PRESET_NAMES {
-        say(&format!("{name:<20}{}", meaning(name)));
+        print(&format!("{name:<20}{}", meaning(name)));
     }
     Ok(())
 }

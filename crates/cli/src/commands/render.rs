@@ -1,16 +1,48 @@
 //! `i2slam render`: pictures of a saved result, from its own poses or from others.
 
-use crate::arguments::Render;
-use crate::destination::{Destination, POSES, POSES_HEADER, render_layout};
+use crate::arguments::frame_range;
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{counted, say};
+use crate::output::{counted, print};
+use crate::output_dir::{OutputDir, POSES, POSES_HEADER, render_layout};
 use crate::progress::Progress;
+use clap::Args;
 use i2slam::dataset::read_trajectory;
 use i2slam::geometry::{Image, Pose, Rotation, Vec3};
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
 use i2slam_result::{RenderKind, ResultFolder, save_render};
-use std::path::Path;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+#[derive(Args, Debug)]
+pub(crate) struct Render {
+    /// Result folder of a run
+    pub(crate) result: PathBuf,
+    /// Only frames A to B-1 of the associated stream
+    #[arg(long, value_name = "A..B", value_parser = frame_range, conflicts_with_all = ["pose", "poses"])]
+    pub(crate) frames: Option<Range<usize>>,
+    /// A pose of your own, world from camera
+    #[arg(
+        long,
+        value_name = "\"tx ty tz qx qy qz qw\"",
+        allow_hyphen_values = true,
+        conflicts_with = "poses"
+    )]
+    pub(crate) pose: Option<String>,
+    /// Poses of your own, a file in the TUM format
+    #[arg(long, value_name = "FILE")]
+    pub(crate) poses: Option<PathBuf>,
+    /// What to draw: sharp, blurred, hdr, depth [default: all that apply]
+    #[arg(long, value_name = "KINDS", value_delimiter = ',')]
+    pub(crate) kinds: Option<Vec<String>>,
+    /// Folder for the pictures, with their poses [default: renders/ of the result, views/ for poses
+    /// of your own, numbered after those that are there]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// Replace what was drawn into that folder before; other files in it stay
+    #[arg(long, requires = "out")]
+    pub(crate) overwrite: bool,
+}
 
 pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let own_poses = arguments.pose.is_some() || arguments.poses.is_some();
@@ -42,7 +74,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     progress.clear();
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
     let (done_frames, names) = (counted(done, "frame"), names.join(", "));
-    say(&format!("{done_frames}, {names}, in {}", folder.path().display()));
+    print(&format!("{done_frames}, {names}, in {}", folder.path().display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
 }
 
@@ -68,7 +100,7 @@ fn place(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
         return Ok(ResultFolder::create(&arguments.result.join(own))?);
     };
     let (layout, overwrite) = (render_layout(), arguments.overwrite);
-    let destination = Destination { path: out, layout, command: "i2slam render", overwrite };
+    let destination = OutputDir { path: out, layout, command: "i2slam render", overwrite };
     destination.check()?;
     destination.clear()?;
     Ok(ResultFolder::create(out)?)

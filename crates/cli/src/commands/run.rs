@@ -1,21 +1,123 @@
 //! `i2slam run`: a sequence to a result folder.
 
-use super::use_threads;
-use crate::arguments::{Distortion, Draw, Formation, Input, KeyframeDepth, Map, Run};
+use crate::arguments::{Input, Machine};
 use crate::failure::Failure;
-use crate::output::complain;
-use crate::pipeline::{self, Job};
+use crate::output::print_status;
+use crate::reconstruction::{self, Draw, Job};
+use clap::{Args, ValueEnum};
 use i2slam::config::{MapKind, line_of_key};
-use i2slam::dataset::{OpenOptions, is_video, is_without_depth};
+use i2slam::dataset::{is_video, is_without_depth};
 use i2slam::keyframes::ImportDepth;
 use i2slam::{Config, PoseSource, RunOptions};
 use std::path::{Path, PathBuf};
+
+#[derive(Args, Clone, Debug)]
+pub(crate) struct Run {
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, a video
+    /// (colour alone; ffmpeg decodes it), or a stream: an address such as rtsp://HOST/PATH, a named
+    /// pipe, - for the standard input
+    pub(crate) dataset: PathBuf,
+    /// Folder for the results
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Settings to start from, see `i2slam presets` [default: default]
+    #[arg(long, value_name = "NAME")]
+    pub(crate) preset: Option<String>,
+    /// TOML file whose values replace those of the preset
+    #[arg(long, value_name = "FILE.toml")]
+    pub(crate) config: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) input: Input,
+    /// Colour alone, as always for a video: the path is found from the pictures, or comes with
+    /// --keyframes, and poses, tone and map are refined together [default preset: default-rgb]
+    #[arg(long)]
+    pub(crate) rgb: bool,
+    /// With --rgb, lens distortion: that of the camera file, if there is one, or estimated from the
+    /// pictures (k1, k2) together with the focal length, where nothing gives the camera
+    #[arg(long, value_enum, value_name = "WHICH", default_value_t = Distortion::Given)]
+    pub(crate) distortion: Distortion,
+    /// With --rgb, keyframes and poses that another program found (docs/import.md)
+    #[arg(long, value_name = "PATH", requires = "rgb")]
+    pub(crate) keyframes: Option<PathBuf>,
+    /// Which depth the keyframes get
+    #[arg(long, value_enum, default_value_t = KeyframeDepth::Imported, requires = "keyframes")]
+    pub(crate) keyframe_depth: KeyframeDepth,
+    /// Folder with the variance of depth pictures (.npy [m²], or 16-bit PNG of the deviation)
+    #[arg(long, value_name = "DIR", requires = "keyframes")]
+    pub(crate) depth_variance: Option<PathBuf>,
+    /// What the map consists of [default: that of --preset or --config; without these gaussian, or
+    /// hashgrid with --keyframes]
+    #[arg(long, value_enum, value_name = "KIND")]
+    pub(crate) map: Option<Map>,
+    #[command(flatten)]
+    pub(crate) formation: Formation,
+    /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
+    #[arg(long, value_name = "N")]
+    pub(crate) hold_out: Option<usize>,
+    /// Which frames to draw under renders/ [default: all; none of a video on a hash grid, which is
+    /// slow to draw: `i2slam render` does it later]
+    #[arg(long, value_enum, value_name = "WHICH")]
+    pub(crate) render: Option<Draw>,
+    /// Replace the earlier result in the folder; other files in it stay
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+    /// Seed of all random choices; the same seed gives the same bytes
+    #[arg(long, value_name = "N")]
+    pub(crate) seed: Option<u64>,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
+}
+
+/// Switches of the image-formation module.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct Formation {
+    /// Virtual cameras over the exposure
+    #[arg(long, value_name = "N")]
+    pub(crate) virtual_cameras: Option<usize>,
+    /// Take pictures as sharp
+    #[arg(long)]
+    pub(crate) no_blur: bool,
+    /// Take pictures as they are: no exposure, white balance or camera response
+    #[arg(long)]
+    pub(crate) no_tone: bool,
+    /// Do not tie the motion during an exposure to the motion between frames
+    #[arg(long)]
+    pub(crate) no_trajectory_loss: bool,
+}
+
+/// What a map consists of.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Map {
+    /// 3D Gaussians
+    Gaussian,
+    /// A radiance field in a multi-resolution hash grid
+    Hashgrid,
+}
+
+/// Lens distortion.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Distortion {
+    /// That of the camera file; none where the camera is unknown
+    Given,
+    /// Found in the pictures, and removed from them
+    Estimate,
+}
+
+/// Depth of keyframes.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum KeyframeDepth {
+    None,
+    /// That of the imported files, if they have any
+    Imported,
+    /// That of the dataset's depth pictures
+    Pictures,
+}
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
     if is_by_itself_rgb(arguments) {
         if !arguments.machine.quiet {
             let name = arguments.dataset.display();
-            complain(&format!(
+            print_status(&format!(
                 "{name} has pictures and no depth: run by colour alone, as with --rgb"
             ));
         }
@@ -31,12 +133,12 @@ fn is_by_itself_rgb(arguments: &Run) -> bool {
 
 fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let config = settings(arguments)?;
-    use_threads(&arguments.machine)?;
+    arguments.machine.use_threads()?;
     let poses = pose_source(arguments, &config)?;
     let draw = arguments.render.unwrap_or_else(|| usual_drawing(arguments, &config));
     let options = RunOptions::new(config, poses);
-    let open = open_options(&arguments.input, options.open)?;
-    pipeline::run(&Job {
+    let open = arguments.input.open_options(options.open)?;
+    reconstruction::run(&Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
         options: RunOptions { open, ..options },
@@ -155,59 +257,4 @@ pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, 
     }
     config.validate()?;
     Ok(config)
-}
-
-/// The options of `usual` that flags do not replace. `--scale` replaces the usual size, too.
-pub(super) fn open_options(input: &Input, usual: OpenOptions) -> Result<OpenOptions, Failure> {
-    let given = input.intrinsics.as_deref().map(intrinsics).transpose()?;
-    let (file, intrinsics) = given.unwrap_or_default();
-    let usual_side = usual.max_side.filter(|_| input.scale.is_none());
-    Ok(OpenOptions {
-        camera: file.or_else(|| input.camera.clone()),
-        intrinsics,
-        field_of_view: input.fov,
-        depth_scale: input.depth_scale,
-        frames: input.frames.clone(),
-        stride: input.stride,
-        scale: input.scale.unwrap_or(1.0),
-        max_side: input.max_side.map(|side| side as usize).or(usual_side),
-        ..usual
-    })
-}
-
-/// What stands behind `--intrinsics`: a file, or four numbers.
-fn intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4]>), Failure> {
-    let refuse = |why: &str| {
-        let words = words.join(" ");
-        Failure::Usage(format!(
-            "--intrinsics {words}: {why}; it takes a file, or the four numbers FX FY CX CY"
-        ))
-    };
-    let numbers: Option<Vec<f64>> = words.iter().map(|word| word.parse().ok()).collect();
-    match (words, numbers) {
-        (_, Some(numbers)) => match <[f64; 4]>::try_from(numbers) {
-            Ok(four) => Ok((None, Some(four))),
-            Err(_) => Err(refuse("not four numbers")),
-        },
-        ([file], None) => Ok((Some(file.into()), None)),
-        _ => Err(refuse("not a file and not four numbers (the sequence stands before the flags)")),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn intrinsics_are_a_file_or_four_numbers() {
-        let of = |text: &str| {
-            let words: Vec<String> = text.split(' ').map(str::to_owned).collect();
-            intrinsics(&words)
-        };
-        assert!(matches!(of("500 501 -3.5 240"), Ok((None, Some([500.0, 501.0, -3.5, 240.0])))));
-        assert!(matches!(of("cam.json"), Ok((Some(file), None)) if file.ends_with("cam.json")));
-        for wrong in ["500", "500 501 320", "cam.json video.mp4", "1 2 3 x"] {
-            assert!(matches!(of(wrong), Err(Failure::Usage(_))), "{wrong}");
-        }
-    }
 }

@@ -1,11 +1,10 @@
 //! `i2slam synth`: a specification to a sequence.
 
-use super::use_threads;
 use crate::arguments::Machine;
-use crate::destination::{Destination, synthetic_layout};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{counted, say};
+use crate::output::{counted, print};
+use crate::output_dir::{OutputDir, synthetic_layout};
 use crate::progress::Progress;
 use clap::Args;
 use i2slam::config::line_of_key;
@@ -40,16 +39,16 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
     }
     match &arguments.out {
         Some(out) if !arguments.print_spec => {
-            use_threads(&arguments.machine)?;
+            arguments.machine.use_threads()?;
             let layout = synthetic_layout();
             let (command, overwrite) = ("i2slam synth", arguments.overwrite);
-            let destination = Destination { path: out, layout, command, overwrite };
+            let destination = OutputDir { path: out, layout, command, overwrite };
             destination.check()?;
             destination.clear()?;
             make(&spec, out, arguments.machine.quiet)
         }
         _ => {
-            say(spec.to_toml().trim_end());
+            print(spec.to_toml().trim_end());
             Ok(())
         }
     }
@@ -85,15 +84,15 @@ fn make(spec: &Spec, out: &Path, quiet: bool) -> Result<(), Failure> {
 
 fn report(summary: &Summary, out: &Path) {
     let s = summary;
-    say(&format!("{} in {}", counted(s.frames, "frame"), out.display()));
+    print(&format!("{} in {}", counted(s.frames, "frame"), out.display()));
     let [slow, fast] = s.rotation_rate;
-    say(&format!("path {:.2} m, rotation {slow:.0} to {fast:.0} degrees/s", s.path_metres));
+    print(&format!("path {:.2} m, rotation {slow:.0} to {fast:.0} degrees/s", s.path_metres));
     let [low, high] = s.exposure_values;
     let stops = high - low;
     let [least, most] = s.shutter;
-    say(&format!("exposure over {stops:.2} stops, shutter open {least:.2} to {most:.2}"));
+    print(&format!("exposure over {stops:.2} stops, shutter open {least:.2} to {most:.2}"));
     let [median, _, largest] = s.blur;
-    say(&format!("blur {median:.1} px in the median frame, {largest:.1} px at most"));
+    print(&format!("blur {median:.1} px in the median frame, {largest:.1} px at most"));
 }
 
 /// What is wrong with a specification is the user's; what is wrong with a disk is not.

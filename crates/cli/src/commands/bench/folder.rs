@@ -1,7 +1,7 @@
 //! Whose folder a benchmark writes into: a suite goes on in its own, and in no other.
 
-use crate::destination::refuse_file;
 use crate::failure::Failure;
+use crate::output_dir::refuse_file;
 use i2slam_result::{FolderContents, Layout, ResultFolder};
 use serde::{Deserialize, Serialize};
 use std::fs;

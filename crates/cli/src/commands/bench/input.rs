@@ -2,8 +2,9 @@
 
 use super::plan::{Setting, slug};
 use super::suite::{Configuration, SequenceEntry};
-use crate::arguments::{Arguments, Command, Run};
+use crate::commands::run::Run;
 use crate::commands::run::with_flags;
+use crate::commands::{Arguments, Command};
 use crate::failure::Failure;
 use clap::Parser;
 use i2slam::config::line_of_key;

@@ -22,7 +22,7 @@ mod table;
 use crate::arguments::Machine;
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{complain, counted, say};
+use crate::output::{counted, print, print_status};
 use cell::{Bench as Work, Record};
 use clap::Args;
 use figures::Figures;
@@ -85,7 +85,7 @@ pub(crate) fn bench(arguments: &Bench) -> Result<(), Failure> {
     };
     let origin = suite::open(name)?;
     if arguments.print {
-        return print(name);
+        return print_suite(name);
     }
     let plan = Plan::new(origin, &wanted(arguments))?;
     let out = arguments.out.clone().unwrap_or_default();
@@ -114,18 +114,18 @@ pub(crate) fn bench(arguments: &Bench) -> Result<(), Failure> {
 fn list() -> Result<(), Failure> {
     for (name, text) in suite::SHIPPED {
         let suite = suite::parse(text, name)?;
-        say(&format!("{name:<20}{}", suite.title));
+        print(&format!("{name:<20}{}", suite.title));
     }
     Ok(())
 }
 
-fn print(name: &Path) -> Result<(), Failure> {
+fn print_suite(name: &Path) -> Result<(), Failure> {
     let text = match suite::shipped(&name.to_string_lossy()) {
         Some(text) if !name.is_file() => text.to_owned(),
         _ => std::fs::read_to_string(name)
             .map_err(|e| Failure::Failed(format!("{}: {e}", name.display())))?,
     };
-    say(text.trim_end());
+    print(text.trim_end());
     Ok(())
 }
 
@@ -153,7 +153,7 @@ fn build(program: &Path) -> Result<String, Failure> {
 
 fn dry_run(work: &Work<'_>, fresh: bool) {
     for note in &work.plan.notes {
-        complain(&format!("note: {note}"));
+        print_status(&format!("note: {note}"));
     }
     let mut left = 0;
     for cell in &work.plan.cells {
@@ -164,11 +164,11 @@ fn dry_run(work: &Work<'_>, fresh: bool) {
             None => "to do",
         };
         left += usize::from(state != "finished");
-        say(&format!("{state:<10}{}", work.plan.title(cell)));
+        print(&format!("{state:<10}{}", work.plan.title(cell)));
     }
     let (count, jobs, threads) = (work.plan.cells.len(), work.jobs, work.threads);
     let (cells, threads) = (counted(count, "cell"), counted(threads, "thread"));
-    say(&format!("{left} of {cells} to run, {jobs} at once, {threads} each"));
+    print(&format!("{left} of {cells} to run, {jobs} at once, {threads} each"));
 }
 
 fn run(work: &Work<'_>, threads: usize, arguments: &Bench) -> Result<(), Failure> {
@@ -176,7 +176,7 @@ fn run(work: &Work<'_>, threads: usize, arguments: &Bench) -> Result<(), Failure
     interrupt::listen();
     let quiet = arguments.machine.quiet;
     for note in work.plan.notes.iter().filter(|_| !quiet) {
-        complain(&format!("note: {note}"));
+        print_status(&format!("note: {note}"));
     }
     let mut outcomes = known(work, arguments.fresh);
     let waiting: Vec<usize> = (0..outcomes.len())
@@ -184,7 +184,7 @@ fn run(work: &Work<'_>, threads: usize, arguments: &Bench) -> Result<(), Failure
         .collect();
     let total = waiting.len();
     if !quiet && total < outcomes.len() {
-        complain(&match outcomes.len() - total {
+        print_status(&match outcomes.len() - total {
             1 => "1 cell is finished already".to_owned(),
             finished => format!("{finished} cells are finished already"),
         });
@@ -194,7 +194,7 @@ fn run(work: &Work<'_>, threads: usize, arguments: &Bench) -> Result<(), Failure
     let records = queue::run(work, ready, |place, record| {
         let number = count.fetch_add(1, Ordering::SeqCst) + 1;
         if !quiet {
-            complain(&format!("{number}/{total}  {}", progress(work, place, record)));
+            print_status(&format!("{number}/{total}  {}", progress(work, place, record)));
         }
     });
     place(&mut outcomes, records, unmade);
@@ -256,10 +256,10 @@ fn finish(work: &Work<'_>, outcomes: Vec<Outcome>) -> Result<(), Failure> {
         .collect();
     let results = Results { plan: work.plan, outcomes, figures };
     page::write(&results, work.out)?;
-    say(&page::state(&results));
+    print(&page::state(&results));
     let absolute = std::path::absolute(work.out).unwrap_or_else(|_| work.out.to_owned());
-    say(&format!("tables in {}", absolute.join("results.md").display()));
-    say(&absolute.join("results.html").display().to_string());
+    print(&format!("tables in {}", absolute.join("results.md").display()));
+    print(&absolute.join("results.html").display().to_string());
     let [_, failed, left] = page::counts(&results);
     if left > 0 && interrupt::requested() {
         return Err(Failure::Interrupted);

@@ -1,21 +1,21 @@
-//! All figures of an evaluation, and the forms they are given in.
+//! All results of an evaluation, as a table, as JSON and as a section of the report.
 
-use super::figure::{Figure, Row};
-use super::pictures::Judged;
-use super::trajectory;
-use crate::arguments::{Eval, Protocol};
+use super::pictures::PictureErrors;
+use super::{Eval, Protocol, failed, trajectory};
 use crate::failure::Failure;
-use crate::output::{complain, say};
-use i2slam_result::report::{EvaluationSection, EvaluationSource, TruthSource};
+use crate::output::{print, print_status};
+use i2slam_result::ResultFolder;
+use i2slam_result::report::{EvaluationSection, EvaluationSource, TruthSource, put_evaluations};
 use serde_json::{Map, Value, json};
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 /// All figures of an evaluation.
 #[derive(Default)]
 pub(super) struct Evaluation {
     pub(super) protocol: &'static str,
     pub(super) trajectory: Option<trajectory::Errors>,
-    pub(super) pictures: Option<Judged>,
+    pub(super) pictures: Option<PictureErrors>,
     /// How far poses were optimised; `None` where they were not.
     pub(super) corrections: Option<Vec<Figure>>,
     pub(super) radiance: Vec<Figure>,
@@ -55,8 +55,8 @@ impl Evaluation {
     }
 
     pub(super) fn print(&self) {
-        self.rows().iter().for_each(|row| say(&row.line()));
-        self.remarks().iter().for_each(|line| complain(line));
+        self.rows().iter().for_each(|row| print(&row.line()));
+        self.remarks().iter().for_each(|line| print_status(line));
     }
 
     /// What a reader of the numbers must know.
@@ -74,7 +74,7 @@ impl Evaluation {
         if self.as_taken {
             remarks.push("note: compared with the pictures taken, no sharp ones are known".into());
         }
-        remarks.extend(self.pictures.iter().flat_map(Judged::remarks));
+        remarks.extend(self.pictures.iter().flat_map(PictureErrors::remarks));
         remarks
     }
 
@@ -83,7 +83,7 @@ impl Evaluation {
         if self.corrections.is_some() {
             rows.iter_mut().for_each(|row| row.rest += ", poses as tracked");
         }
-        rows.extend(self.pictures.iter().flat_map(Judged::rows));
+        rows.extend(self.pictures.iter().flat_map(PictureErrors::rows));
         rows.extend(self.corrections.iter().flatten().map(Figure::row));
         rows.extend(self.radiance.iter().map(Figure::row));
         rows
@@ -122,9 +122,85 @@ impl Evaluation {
         EvaluationSource {
             protocol: self.protocol.to_owned(),
             list: pictures.and_then(|pictures| pictures.list.clone()),
-            frames: pictures.map(Judged::frames).unwrap_or_default(),
+            frames: pictures.map(PictureErrors::frames).unwrap_or_default(),
             trajectory: self.true_trajectory.clone(),
             pictures: self.true_pictures.clone(),
         }
     }
+}
+
+/// A number with its names.
+#[derive(Clone, Debug)]
+pub(super) struct Figure {
+    /// In JSON; ends with the unit.
+    pub(super) key: &'static str,
+    /// In the table.
+    pub(super) label: &'static str,
+    pub(super) unit: &'static str,
+    pub(super) decimals: usize,
+    /// `None` if it cannot be measured.
+    pub(super) value: Option<f64>,
+}
+
+/// A line of the table, in its parts.
+#[derive(Clone, Debug)]
+pub(super) struct Row {
+    pub(super) name: String,
+    pub(super) number: String,
+    /// Unit and remark, with what parts them from the number.
+    pub(super) rest: String,
+}
+
+impl Row {
+    pub(super) fn line(&self) -> String {
+        format!("{:<30}{:>9}{}", self.name, self.number, self.rest).trim_end().to_owned()
+    }
+}
+
+impl Figure {
+    /// A row of the table.
+    pub(super) fn row(&self) -> Row {
+        let number = self.value.map(|value| format!("{value:.*}", self.decimals));
+        let number = number.unwrap_or_else(|| "–".to_owned());
+        Row { name: self.label.to_owned(), number, rest: format!(" {}", self.unit) }
+    }
+
+    /// What is not finite (the PSNR of equal pictures) is `null`.
+    pub(super) fn json(&self) -> (String, Value) {
+        (self.key.to_owned(), self.value.map_or(Value::Null, Value::from))
+    }
+}
+
+const FILE: &str = "evaluation.json";
+const PAGE: &str = "report.html";
+
+/// Adds a section to the result of a run, or replaces the one with its title. A folder without a
+/// page is of another program, and left as it is.
+pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result<(), Failure> {
+    let page = result.join(PAGE);
+    if !page.is_file() {
+        return Ok(());
+    }
+    let text = fs::read_to_string(&page).map_err(|e| failed(&page, e))?;
+    let mut sections = known(&result.join(FILE))?;
+    match sections.iter_mut().find(|known| known.title == section.title) {
+        Some(known) => *known = section,
+        None => sections.push(section),
+    }
+    let Some(text) = put_evaluations(&text, &sections) else {
+        return Err(failed(&page, "has no place for evaluations: an older program wrote it"));
+    };
+    let json = serde_json::to_string_pretty(&sections);
+    let json = json.map_err(|e| Failure::Failed(e.to_string()))?;
+    let folder = ResultFolder::create(result)?;
+    folder.write_text(FILE, &(json + "\n"))?;
+    Ok(folder.write_text(PAGE, &text)?)
+}
+
+fn known(file: &Path) -> Result<Vec<EvaluationSection>, Failure> {
+    if !file.is_file() {
+        return Ok(Vec::new());
+    }
+    let text = fs::read_to_string(file).map_err(|e| failed(file, e))?;
+    serde_json::from_str(&text).map_err(|e| failed(file, e))
 }

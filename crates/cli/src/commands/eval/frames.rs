@@ -1,19 +1,25 @@
-//! Which frames a protocol judges.
+//! Selection of the evaluated frames: by protocol, by a list, or by sharpness.
 
-use super::lists;
+use super::estimate::{Estimate, Pictures, RunFrame, pictures};
 use super::reference::Reference;
-use super::subject::{Pictures, RunFrame, Subject};
-use crate::arguments::{Eval, Protocol};
+use super::{Eval, Protocol, failed};
 use crate::failure::Failure;
-use crate::output::counted;
-use std::path::PathBuf;
+use crate::image_files::read_png;
+use crate::output::{counted, print};
+use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::geometry::Image;
+use i2slam_eval::frame_list;
+use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// MonoGS judges every so many frames.
 const MONOGS_INTERVAL: usize = 5;
 
 /// The frames to judge, ascending.
 #[derive(Debug)]
-pub(super) struct Chosen {
+pub(super) struct FrameSelection {
     /// Frame and its render.
     pub(super) frames: Vec<(usize, PathBuf)>,
     /// Frames that should be judged and have no render.
@@ -25,10 +31,10 @@ pub(super) struct Chosen {
 /// The frames that protocol and list name and that have a true picture, rendered or not.
 pub(super) fn wanted(
     arguments: &Eval,
-    subject: &Subject,
+    estimate: &Estimate,
     reference: &Reference,
 ) -> Result<Vec<usize>, Failure> {
-    let run = subject.run_frames()?;
+    let run = estimate.run_frames()?;
     let known = reference.frames();
     let demanded = demanded(arguments, run.as_deref(), reference)?;
     let wanted: Vec<usize> = match &demanded {
@@ -50,14 +56,14 @@ pub(super) fn wanted(
 /// Those of them that are drawn.
 pub(super) fn choose(
     arguments: &Eval,
-    subject: &Subject,
+    estimate: &Estimate,
     reference: &Reference,
     wanted: Vec<usize>,
-) -> Result<Chosen, Failure> {
+) -> Result<FrameSelection, Failure> {
     let kind = if arguments.optimise_poses { "optimised/sharp" } else { "sharp" };
-    let renders = subject.renders(kind, "png")?;
-    let chosen = Chosen { list: list(arguments), ..split(wanted, &renders) };
-    check(arguments, subject, reference, &renders, &chosen)?;
+    let renders = estimate.renders(kind, "png")?;
+    let chosen = FrameSelection { list: list(arguments), ..split(wanted, &renders) };
+    check(arguments, estimate, reference, &renders, &chosen)?;
     Ok(chosen)
 }
 
@@ -67,7 +73,7 @@ fn demanded(
     run: Option<&[RunFrame]>,
     reference: &Reference,
 ) -> Result<Option<Vec<usize>>, Failure> {
-    let listed = |list: &str| lists::frames(list, reference);
+    let listed = |list: &str| listed_frames(list, reference);
     let frames = match arguments.protocol {
         Protocol::AllFrames | Protocol::I2slam => {
             list(arguments).as_deref().map(listed).transpose()?
@@ -142,7 +148,7 @@ fn within_run(frames: &[usize], run: Option<&[RunFrame]>) -> Vec<usize> {
     frames.iter().copied().filter(processed).collect()
 }
 
-fn split(judged: Vec<usize>, renders: &Pictures) -> Chosen {
+fn split(judged: Vec<usize>, renders: &Pictures) -> FrameSelection {
     let (mut frames, mut missing) = (Vec::new(), Vec::new());
     for frame in judged {
         match renders.get(&frame) {
@@ -150,19 +156,19 @@ fn split(judged: Vec<usize>, renders: &Pictures) -> Chosen {
             None => missing.push(frame),
         }
     }
-    Chosen { frames, missing, list: None }
+    FrameSelection { frames, missing, list: None }
 }
 
 /// A render that is missing must not make the mean better without a word.
 fn check(
     arguments: &Eval,
-    subject: &Subject,
+    estimate: &Estimate,
     reference: &Reference,
     renders: &Pictures,
-    chosen: &Chosen,
+    chosen: &FrameSelection,
 ) -> Result<(), Failure> {
     let path = arguments.estimate.display();
-    let pictures = matches!(subject, Subject::Pictures(_));
+    let pictures = matches!(estimate, Estimate::Pictures(_));
     let only_radiance = renders.is_empty() && pictures;
     if chosen.frames.is_empty() && !only_radiance && (pictures || chosen.missing.is_empty()) {
         return Err(Failure::Failed(format!(
@@ -192,6 +198,113 @@ pub(super) fn shortened(frames: &[usize]) -> String {
     let first: Vec<String> = frames.iter().take(5).map(|f| format!("{f:06}")).collect();
     let more = if frames.len() > first.len() { ", …" } else { "" };
     first.join(", ") + more
+}
+
+/// Names and first lines of the published lists.
+pub(super) fn published_lists() -> Vec<String> {
+    let line = |(name, text): &(&str, &str)| {
+        let about = text.lines().next().unwrap_or_default().trim_start_matches("# ");
+        format!("{name:<26}{about}")
+    };
+    frame_list::PUBLISHED.iter().map(line).collect()
+}
+
+/// The frames of a list: its name, its file, or `auto`.
+fn listed_frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Failure> {
+    if list == "auto" {
+        return match reference {
+            Reference::Dataset { sequence, .. } => sharp_in_sequence(sequence),
+            Reference::Folder { .. } => {
+                let message = "--list auto needs the dataset as --reference, not pictures";
+                Err(Failure::Usage(message.to_owned()))
+            }
+        };
+    }
+    let path = Path::new(list);
+    let text = match frame_list::published(list) {
+        Some(text) if !path.is_file() => text.to_owned(),
+        _ if path.is_file() => std::fs::read_to_string(path).map_err(|e| failed(path, e))?,
+        _ => {
+            let known: Vec<&str> = frame_list::PUBLISHED.iter().map(|(name, _)| *name).collect();
+            let known = known.join(", ");
+            let message = format!("`{list}` is neither a file nor a published list ({known})");
+            return Err(Failure::Usage(message));
+        }
+    };
+    let frames = frame_list::parse(&text);
+    let frames = frames.map_err(|n| failed(path, format!("line {n} is no frame number")))?;
+    if frames.is_empty() { Err(failed(path, "lists no frame")) } else { Ok(frames) }
+}
+
+/// How every list begins that is written here.
+const ORIGIN: &str = "# Sharp frames of ";
+
+/// `--write-list`: the sharp frames of a dataset or a folder of pictures.
+pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(), Failure> {
+    if !video.is_dir() {
+        let reason = if video.exists() { "is no folder" } else { "no such folder" };
+        return Err(failed(video, reason));
+    }
+    refuse_to_replace(file, overwrite)?;
+    let files = pictures(video, "png")?;
+    let (count, frames) = if files.is_empty() {
+        let sequence = Sequence::open(video, &OpenOptions::default())?;
+        (sequence.len(), sharp_in_sequence(&sequence)?)
+    } else {
+        let (indices, paths): (Vec<_>, Vec<_>) = files.into_iter().unzip();
+        (indices.len(), sharp(&indices, |place| read_png(&paths[place]))?)
+    };
+    let rule = SharpnessRule::default();
+    let whole = video.canonicalize().unwrap_or_else(|_| video.to_owned());
+    let name = whole.file_name().unwrap_or_default().to_string_lossy();
+    let origin = format!(
+        "Sharp frames of {name}, {} of {count}. Position in the associated stream, one per line.\n\
+         Variance of the Laplacian at least {} times its median over {} frames, and the largest \
+         of {} (i2slam {}).",
+        frames.len(),
+        rule.ratio,
+        2 * rule.window + 1,
+        2 * rule.apart + 1,
+        env!("CARGO_PKG_VERSION"),
+    );
+    std::fs::write(file, frame_list::write(&origin, &frames)).map_err(|e| failed(file, e))?;
+    let (of, file) = (counted(count, "frame"), file.display());
+    print(&match frames.len() {
+        0 => format!("none of {of} stands out as sharp: {file} lists none"),
+        1 => format!("1 of {of} is sharp, listed in {file}"),
+        sharp => format!("{sharp} of {of} are sharp, listed in {file}"),
+    });
+    Ok(())
+}
+
+/// A list is replaced where the user says so, another file never.
+fn refuse_to_replace(file: &Path, overwrite: bool) -> Result<(), Failure> {
+    let shown = file.display();
+    let message = match std::fs::read_to_string(file) {
+        Err(_) if file.symlink_metadata().is_err() => return Ok(()),
+        Ok(text) if text.starts_with(ORIGIN) && overwrite => return Ok(()),
+        Ok(text) if text.starts_with(ORIGIN) => {
+            "is an earlier list: choose another name, or replace it with --overwrite"
+        }
+        _ => "is there already, and no list of this program: choose another name",
+    };
+    Err(Failure::Usage(format!("--write-list {shown} {message}")))
+}
+
+fn sharp_in_sequence(sequence: &Sequence) -> Result<Vec<usize>, Failure> {
+    let indices: Vec<usize> = sequence.entries.iter().map(|entry| entry.index).collect();
+    sharp(&indices, |place| Ok(Arc::unwrap_or_clone(sequence.load(place)?.colour)))
+}
+
+fn sharp(
+    indices: &[usize],
+    picture: impl Fn(usize) -> Result<Image<f32>, Failure> + Sync,
+) -> Result<Vec<usize>, Failure> {
+    let sharpness = |place: usize| Ok(laplacian_variance(&picture(place)?)?);
+    let all: Result<Vec<f64>, Failure> =
+        (0..indices.len()).into_par_iter().map(sharpness).collect();
+    let places = sharp_frames(&all?, SharpnessRule::default())?;
+    Ok(places.into_iter().map(|place| indices[place]).collect())
 }
 
 #[cfg(test)]

@@ -1,66 +1,150 @@
 //! `i2slam eval`: a result, a trajectory or pictures against the truth.
 
+mod estimate;
 mod evaluation;
-mod figure;
 mod frames;
-mod lists;
-mod metrics;
-mod optimise;
 mod pictures;
-mod radiance;
+mod pose_optimization;
 mod reference;
-mod report;
-mod source;
-mod subject;
 mod trajectory;
 
-use crate::arguments::{Eval, Protocol};
 use crate::failure::Failure;
-use crate::output::{complain, say};
+use crate::output::{print, print_status};
+use clap::{Args, ValueEnum};
+use estimate::Estimate;
 use evaluation::Evaluation;
 use i2slam::dataset::read_trajectory;
 use reference::Reference;
-use std::path::Path;
-use subject::Subject;
+use std::path::{Path, PathBuf};
+
+#[derive(Args, Debug)]
+pub(crate) struct Eval {
+    /// Result folder of a run, a trajectory in the TUM format, or a folder of pictures
+    pub(crate) estimate: PathBuf,
+    /// True trajectory in the TUM format [default: that of the dataset]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) groundtruth: Option<PathBuf>,
+    /// True pictures: a folder of NNNNNN.png (or .exr) named as the renders, or the dataset of the
+    /// run (its sharp/ if there is one, else the pictures taken) [default: the dataset that the
+    /// result names]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) reference: Option<PathBuf>,
+    /// Which frames are judged, and by which numbers
+    #[arg(long, value_enum, default_value_t = Protocol::AllFrames, value_name = "NAME")]
+    pub(crate) protocol: Protocol,
+    /// Judge these frames only: a file with one frame number a line, a published list (names:
+    /// --list help), or `auto` for the sharp frames of the dataset
+    #[arg(long, value_name = "LIST")]
+    pub(crate) list: Option<String>,
+    /// Write the list of the sharp frames of ESTIMATE, a dataset or a folder of pictures
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["reference", "groundtruth", "list"])]
+    pub(crate) write_list: Option<PathBuf>,
+    /// Replace an earlier list of that name
+    #[arg(long, requires = "write_list")]
+    pub(crate) overwrite: bool,
+    /// With --protocol splatam, the first and every N-th frame
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) every: u32,
+    /// Move every judged frame to where the map fits its true picture best, and judge what is seen
+    /// from there: leaves pose errors out. Needs the map of the result
+    #[arg(long)]
+    pub(crate) optimise_poses: bool,
+    /// Judge the renders that are there, though others are missing
+    #[arg(long)]
+    pub(crate) partial: bool,
+    /// What may be fitted before errors are measured: se3, but sim3 where the trajectory says that
+    /// its unit of length is unknown
+    #[arg(long, value_enum, value_name = "GROUP")]
+    pub(crate) align: Option<Fit>,
+    /// Step of the relative pose error: frames (`1`, `30`) or seconds (`0.5s`)
+    #[arg(long, value_name = "STEP", default_value = "1", value_parser = relative_step)]
+    pub(crate) rpe: RelativeStep,
+    /// Print JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Published ways to judge a run.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Protocol {
+    /// Every frame that has a true picture
+    AllFrames,
+    /// I2-SLAM: listed sharp frames, poses at mid-exposure
+    I2slam,
+    /// SplaTAM: the first and every N-th frame, pixels with true depth
+    Splatam,
+    /// MonoGS: every fifth frame that is no keyframe; trajectory error of keyframes
+    Monogs,
+    /// Frames that the map never saw (`i2slam run --hold-out N`)
+    HeldOut,
+}
+
+/// Step of the relative pose error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum RelativeStep {
+    Frames(usize),
+    Seconds(f64),
+}
+
+/// Alignment of two trajectories.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Fit {
+    /// Rotation and translation
+    Se3,
+    /// Rotation, translation and scale
+    Sim3,
+}
+
+fn relative_step(text: &str) -> Result<RelativeStep, String> {
+    let step = match text.trim().strip_suffix('s') {
+        Some(seconds) => seconds.parse().ok().map(RelativeStep::Seconds),
+        None => text.trim().parse().ok().map(RelativeStep::Frames),
+    };
+    let sound = |step: &RelativeStep| match *step {
+        RelativeStep::Frames(n) => n > 0,
+        RelativeStep::Seconds(s) => s.is_finite() && s > 0.0,
+    };
+    step.filter(sound).ok_or_else(|| "expected frames as in 30, or seconds as in 0.5s".to_owned())
+}
 
 pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     if arguments.list.as_deref() == Some("help") {
-        lists::published().iter().for_each(|line| say(line));
+        frames::published_lists().iter().for_each(|line| print(line));
         return Ok(());
     }
     if let Some(file) = &arguments.write_list {
-        return lists::write(&arguments.estimate, file, arguments.overwrite);
+        return frames::write_list(&arguments.estimate, file, arguments.overwrite);
     }
     let lists = matches!(arguments.protocol, Protocol::AllFrames | Protocol::I2slam);
     if !lists && arguments.list.is_some() {
         let message = "--list goes with the protocols all-frames and i2slam";
         return Err(Failure::Usage(message.to_owned()));
     }
-    let subject = Subject::find(&arguments.estimate)?;
-    let evaluation = judge(arguments, &subject)?;
+    let estimate = Estimate::find(&arguments.estimate)?;
+    let evaluation = evaluate(arguments, &estimate)?;
     if arguments.json {
         let text = serde_json::to_string_pretty(&evaluation.json()?);
-        say(&text.map_err(|e| Failure::Failed(e.to_string()))?);
+        print(&text.map_err(|e| Failure::Failed(e.to_string()))?);
     } else {
         evaluation.print();
     }
-    if let (Some(result), None) = (subject.result(), &evaluation.problem) {
-        let added = report::add(result, evaluation.section(arguments));
+    if let (Some(result), None) = (estimate.result(), &evaluation.problem) {
+        let added = evaluation::add_to_report(result, evaluation.section(arguments));
         if let Some(reason) = added.err().as_ref().and_then(Failure::message) {
-            complain(&format!("warning: the report is not updated: {reason}"));
+            print_status(&format!("warning: the report is not updated: {reason}"));
         }
     }
     evaluation.problem.map_or(Ok(()), Err)
 }
 
-fn judge(arguments: &Eval, subject: &Subject) -> Result<Evaluation, Failure> {
+fn evaluate(arguments: &Eval, estimate: &Estimate) -> Result<Evaluation, Failure> {
     if arguments.optimise_poses {
-        optimise::check(arguments, subject)?;
+        pose_optimization::check(arguments, estimate)?;
     }
-    let reference = reference(arguments, subject)?;
+    let reference = reference(arguments, estimate)?;
     let mut evaluation = Evaluation { protocol: name(arguments.protocol), ..Default::default() };
-    evaluation.foreign = source::foreign(arguments, subject, reference.as_ref())?;
-    judge_trajectory(arguments, subject, reference.as_ref(), &mut evaluation)?;
+    evaluation.foreign = reference::foreign_sources(arguments, estimate, reference.as_ref())?;
+    evaluate_trajectory(arguments, estimate, reference.as_ref(), &mut evaluation)?;
     let Some(reference) = &reference else {
         return match (&evaluation.trajectory, evaluation.not_judged.pop()) {
             (Some(_), _) => Ok(evaluation),
@@ -71,7 +155,7 @@ fn judge(arguments: &Eval, subject: &Subject) -> Result<Evaluation, Failure> {
             }
         };
     };
-    match judge_pictures(arguments, subject, reference, &mut evaluation) {
+    match evaluate_pictures(arguments, estimate, reference, &mut evaluation) {
         Err(Failure::Failed(reason))
             if evaluation.trajectory.is_some() || !evaluation.not_judged.is_empty() =>
         {
@@ -82,14 +166,14 @@ fn judge(arguments: &Eval, subject: &Subject) -> Result<Evaluation, Failure> {
     Ok(evaluation)
 }
 
-fn judge_trajectory(
+fn evaluate_trajectory(
     arguments: &Eval,
-    subject: &Subject,
+    estimate: &Estimate,
     reference: Option<&Reference>,
     evaluation: &mut Evaluation,
 ) -> Result<(), Failure> {
     let truth = trajectory::truth(arguments, reference)?;
-    let Some(file) = subject.trajectory() else {
+    let Some(file) = estimate.trajectory() else {
         if arguments.groundtruth.is_some() {
             let message = "--groundtruth needs a result folder or a trajectory, not pictures";
             return Err(Failure::Usage(message.to_owned()));
@@ -102,12 +186,12 @@ fn judge_trajectory(
         evaluation.not_judged.extend(none);
         return Ok(());
     };
-    if let Some(reason) = trajectory::too_few_keyframes(arguments, subject)? {
+    if let Some(reason) = trajectory::too_few_keyframes(arguments, estimate)? {
         evaluation.not_judged.push(reason);
         return Ok(());
     }
-    let estimate = read_trajectory(&file)?;
-    match trajectory::judge(arguments, subject, estimate, &truth) {
+    let poses = read_trajectory(&file)?;
+    match trajectory::evaluate(arguments, estimate, poses, &truth) {
         Ok(errors) => evaluation.trajectory = Some(errors),
         // The dataset's own truth was not asked for: its pictures are judged all the same.
         Err(Failure::Failed(reason)) if arguments.groundtruth.is_none() => {
@@ -116,22 +200,22 @@ fn judge_trajectory(
         }
         Err(failure) => return Err(failure),
     }
-    evaluation.true_trajectory = source::of_trajectory(arguments, reference, &truth);
+    evaluation.true_trajectory = reference::trajectory_source(arguments, reference, &truth);
     Ok(())
 }
 
-fn judge_pictures(
+fn evaluate_pictures(
     arguments: &Eval,
-    subject: &Subject,
+    estimate: &Estimate,
     reference: &Reference,
     evaluation: &mut Evaluation,
 ) -> Result<(), Failure> {
-    let wanted = frames::wanted(arguments, subject, reference)?;
+    let wanted = frames::wanted(arguments, estimate, reference)?;
     if arguments.optimise_poses {
-        let drawn = optimise::draw(subject, reference, &wanted)?;
+        let drawn = pose_optimization::draw(estimate, reference, &wanted)?;
         evaluation.corrections = Some(drawn);
-    } else if let (Some(result), Some(_)) = (subject.result(), &evaluation.trajectory)
-        && subject.renders("sharp", "png")?.is_empty()
+    } else if let (Some(result), Some(_)) = (estimate.result(), &evaluation.trajectory)
+        && estimate.renders("sharp", "png")?.is_empty()
     {
         let result = result.display();
         evaluation.not_judged.push(format!(
@@ -139,14 +223,14 @@ fn judge_pictures(
         ));
         return Ok(());
     }
-    let chosen = frames::choose(arguments, subject, reference, wanted)?;
+    let chosen = frames::choose(arguments, estimate, reference, wanted)?;
     if !arguments.optimise_poses {
-        evaluation.radiance = radiance::judge(subject, reference, &chosen)?;
+        evaluation.radiance = pictures::evaluate_radiance(estimate, reference, &chosen)?;
     }
     let only_radiance = chosen.frames.is_empty() && !evaluation.radiance.is_empty();
     if !only_radiance {
-        let judged = pictures::judge(arguments, subject, reference, chosen)?;
-        evaluation.true_pictures = Some(source::of_pictures(reference, &judged.checksums));
+        let judged = pictures::evaluate(arguments, estimate, reference, chosen)?;
+        evaluation.true_pictures = Some(reference::picture_source(reference, &judged.checksums));
         evaluation.pictures = Some(judged);
         evaluation.as_taken = reference.is_as_taken();
     }
@@ -154,19 +238,19 @@ fn judge_pictures(
 }
 
 /// What is given, else the dataset that the result names, unless a trajectory alone is asked for.
-fn reference(arguments: &Eval, subject: &Subject) -> Result<Option<Reference>, Failure> {
-    match (&arguments.reference, subject) {
-        (Some(_), Subject::Trajectory(_)) => {
+fn reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Reference>, Failure> {
+    match (&arguments.reference, estimate) {
+        (Some(_), Estimate::Trajectory(_)) => {
             let message = "--reference needs a result folder or pictures, not a trajectory";
             Err(Failure::Usage(message.to_owned()))
         }
-        (Some(folder), _) => Reference::open(folder, subject).map(Some),
-        (None, Subject::Pictures(_)) => {
+        (Some(folder), _) => Reference::open(folder, estimate).map(Some),
+        (None, Estimate::Pictures(_)) => {
             let message = "a folder of pictures needs --reference, or --write-list";
             Err(Failure::Usage(message.to_owned()))
         }
         (None, _) if arguments.groundtruth.is_some() && !arguments.optimise_poses => Ok(None),
-        (None, _) => Reference::recorded(subject),
+        (None, _) => Reference::recorded(estimate),
     }
 }
 
@@ -184,4 +268,18 @@ fn name(protocol: Protocol) -> &'static str {
 /// `PATH: reason`.
 fn failed(path: &Path, reason: impl std::fmt::Display) -> Failure {
     Failure::Failed(format!("{}: {reason}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_frames_or_seconds() {
+        assert_eq!(relative_step("30"), Ok(RelativeStep::Frames(30)));
+        assert_eq!(relative_step("0.5s"), Ok(RelativeStep::Seconds(0.5)));
+        for wrong in ["0", "0s", "-1s", "1.5", "x", "", "infs"] {
+            assert!(relative_step(wrong).is_err(), "{wrong}");
+        }
+    }
 }

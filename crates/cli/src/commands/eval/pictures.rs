@@ -1,24 +1,29 @@
-//! Renders against true pictures.
+//! Errors of rendered pictures and radiance, by the metrics of each protocol.
 
-use super::failed;
-use super::figure::{Figure, Row};
-use super::frames::{Chosen, shortened};
-use super::metrics::{self, Metric, Pair};
-use super::reference::Reference;
-use super::source::checksum;
-use super::subject::Subject;
-use crate::arguments::{Eval, Protocol};
+use super::estimate::Estimate;
+use super::evaluation::{Figure, Row};
+use super::frames::{FrameSelection, shortened};
+use super::reference::{Reference, checksum};
+use super::{Eval, Protocol, failed};
 use crate::failure::Failure;
+use crate::image_files::{at_size_of, read_depth, read_exr, read_png};
 use crate::output::counted;
-use crate::picture::{at_size_of, read_depth, read_png};
 use crate::progress::Progress;
+use i2slam::geometry::Image;
+use i2slam_eval::EvalError;
+use i2slam_eval::depth::depth_error;
+use i2slam_eval::hdr::{Gain, HdrError, hdr_error_after};
+use i2slam_eval::image::{
+    lpips, ms_ssim, psnr, psnr_channel_mean, psnr_masked, psnr_monogs, psnr_splatam, ssim,
+    ssim_padded,
+};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What was measured.
-pub(super) struct Judged {
+pub(super) struct PictureErrors {
     metrics: &'static [Metric],
     /// Frame, and one number per metric.
     rows: Vec<(usize, Vec<Option<f64>>)>,
@@ -30,21 +35,21 @@ pub(super) struct Judged {
 }
 
 /// Measures every chosen frame.
-pub(super) fn judge(
+pub(super) fn evaluate(
     arguments: &Eval,
-    subject: &Subject,
+    estimate: &Estimate,
     reference: &Reference,
-    chosen: Chosen,
-) -> Result<Judged, Failure> {
+    chosen: FrameSelection,
+) -> Result<PictureErrors, Failure> {
     if arguments.protocol == Protocol::Splatam && matches!(reference, Reference::Folder { .. }) {
         let message = "--protocol splatam needs true depth: give the dataset as --reference";
         return Err(Failure::Usage(message.to_owned()));
     }
-    let metrics = metrics::of(arguments.protocol);
+    let metrics = metrics_of(arguments.protocol);
     let progress = Progress::new(chosen.frames.len(), false);
     let done = AtomicUsize::new(0);
     let row = |(frame, render): &(usize, std::path::PathBuf)| {
-        let mut pair = pair(subject, reference, *frame, render)?;
+        let mut pair = pair(estimate, reference, *frame, render)?;
         // Depth was drawn at the estimated pose.
         pair.depth = pair.depth.filter(|_| !arguments.optimise_poses);
         let values = metrics.iter().map(|metric| (metric.of)(&pair));
@@ -57,11 +62,11 @@ pub(super) fn judge(
     let rows: Result<Vec<_>, Failure> = chosen.frames.par_iter().map(row).collect();
     progress.clear();
     let (rows, checksums) = rows?.into_iter().unzip();
-    Ok(Judged { metrics, rows, checksums, missing: chosen.missing, list: chosen.list })
+    Ok(PictureErrors { metrics, rows, checksums, missing: chosen.missing, list: chosen.list })
 }
 
 fn pair(
-    subject: &Subject,
+    estimate: &Estimate,
     reference: &Reference,
     frame: usize,
     render: &Path,
@@ -80,19 +85,19 @@ fn pair(
         )
     };
     // Renders of a run may be smaller than a reference that was made for the recorded size.
-    let colour = match subject {
-        Subject::Result(_) => at_size_of(truth.colour, &picture),
+    let colour = match estimate {
+        Estimate::Result(_) => at_size_of(truth.colour, &picture),
         _ => (size == (picture.width, picture.height)).then_some(truth.colour),
     };
     let colour = colour.ok_or_else(|| failed(render, sizes()))?;
     let valid = truth.depth.as_ref().map(|d| d.data.iter().map(|z| *z > 0.0).collect::<Vec<_>>());
     let valid = valid.filter(|valid| valid.len() == colour.pixels());
-    let drawn = subject.result().map(|r| r.join(format!("renders/depth/{frame:06}.png")));
+    let drawn = estimate.result().map(|r| r.join(format!("renders/depth/{frame:06}.png")));
     let drawn = drawn.filter(|file| file.is_file()).map(|file| read_depth(&file)).transpose()?;
     Ok(Pair { picture, truth: colour, depth: drawn.zip(truth.depth), valid })
 }
 
-impl Judged {
+impl PictureErrors {
     /// The frames judged.
     pub(super) fn frames(&self) -> Vec<usize> {
         self.rows.iter().map(|(frame, _)| *frame).collect()
@@ -164,4 +169,192 @@ impl Judged {
         object.insert("frames".to_owned(), Value::Array(frames));
         object
     }
+}
+
+/// A render and its truth.
+pub(super) struct Pair {
+    pub(super) picture: Image<f32>,
+    pub(super) truth: Image<f32>,
+    /// Rendered and true depth [m].
+    pub(super) depth: Option<(Image<f32>, Image<f32>)>,
+    /// Where the true depth is valid.
+    pub(super) valid: Option<Vec<bool>>,
+}
+
+/// How one number is measured; `None` where the pair does not allow it.
+pub(super) struct Metric {
+    pub(super) key: &'static str,
+    pub(super) label: &'static str,
+    pub(super) unit: &'static str,
+    pub(super) decimals: usize,
+    pub(super) of: fn(&Pair) -> Result<Option<f64>, EvalError>,
+}
+
+const fn metric(
+    key: &'static str,
+    label: &'static str,
+    unit: &'static str,
+    of: fn(&Pair) -> Result<Option<f64>, EvalError>,
+) -> Metric {
+    let decimals = if unit.is_empty() { 4 } else { 2 };
+    Metric { key, label, unit, decimals, of }
+}
+
+const DEPTH: Metric = Metric {
+    key: "depth_l1_m",
+    label: "depth L1",
+    unit: "m",
+    decimals: 4,
+    of: |p| match &p.depth {
+        Some((estimate, truth)) => measurable(depth_error(estimate, truth).map(|e| e.l1_m)),
+        None => Ok(None),
+    },
+};
+
+/// Of the whole picture.
+const WHOLE: &[Metric] = &[
+    metric("psnr_sharp_db", "sharp PSNR", "dB", |p| Ok(Some(psnr(&p.picture, &p.truth)?))),
+    metric("psnr_channel_mean_db", "PSNR, mean over channels", "dB", |p| {
+        Ok(Some(psnr_channel_mean(&p.picture, &p.truth)?))
+    }),
+    metric("psnr_valid_depth_db", "PSNR where depth is known", "dB", |p| match &p.valid {
+        Some(valid) => measurable(psnr_masked(&p.picture, &p.truth, valid)),
+        None => Ok(None),
+    }),
+    metric("ssim_sharp", "sharp SSIM", "", |p| measurable(ssim(&p.picture, &p.truth))),
+    metric("ms_ssim_sharp", "MS-SSIM", "", |p| measurable(ms_ssim(&p.picture, &p.truth))),
+    metric("lpips_sharp", "LPIPS (AlexNet)", "", |p| measurable(lpips(&p.picture, &p.truth))),
+    DEPTH,
+];
+
+/// Both pictures black where the true depth is not known; needs [`Pair::valid`].
+const SPLATAM: &[Metric] = &[
+    metric("psnr_splatam_db", "PSNR as SplaTAM", "dB", |p| match &p.valid {
+        Some(valid) => Ok(Some(psnr_splatam(&p.picture, &p.truth, valid)?)),
+        None => Ok(None),
+    }),
+    metric("ms_ssim_splatam", "MS-SSIM as SplaTAM", "", |p| masked(p, ms_ssim)),
+    metric("lpips_splatam", "LPIPS as SplaTAM", "", |p| masked(p, lpips)),
+    DEPTH,
+];
+
+const MONOGS: &[Metric] = &[
+    metric("psnr_monogs_db", "PSNR as MonoGS", "dB", |p| {
+        measurable(psnr_monogs(&p.picture, &p.truth))
+    }),
+    metric("ssim_monogs", "SSIM as MonoGS", "", |p| Ok(Some(ssim_padded(&p.picture, &p.truth)?))),
+    metric("lpips_monogs", "LPIPS (AlexNet)", "", |p| measurable(lpips(&p.picture, &p.truth))),
+];
+
+/// The numbers of a protocol, in the order of the table.
+fn metrics_of(protocol: Protocol) -> &'static [Metric] {
+    match protocol {
+        Protocol::AllFrames | Protocol::I2slam | Protocol::HeldOut => WHOLE,
+        Protocol::Splatam => SPLATAM,
+        Protocol::Monogs => MONOGS,
+    }
+}
+
+/// Pictures too small for a measure, or without a pixel to judge, have no such number.
+fn measurable(result: Result<f64, EvalError>) -> Result<Option<f64>, EvalError> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(EvalError::TooFew { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+fn masked(
+    pair: &Pair,
+    measure: fn(&Image<f32>, &Image<f32>) -> Result<f64, EvalError>,
+) -> Result<Option<f64>, EvalError> {
+    let Some(valid) = &pair.valid else { return Ok(None) };
+    let black = |image: &Image<f32>| {
+        let mut image = image.clone();
+        for channel in 0..image.channels {
+            for (value, valid) in image.plane_mut(channel).iter_mut().zip(valid) {
+                *value *= f32::from(*valid);
+            }
+        }
+        image
+    };
+    measurable(measure(&black(&pair.picture), &black(&pair.truth)))
+}
+
+/// All frames are held at once; of more, every n-th is judged.
+const MAX_RADIANCE_FRAMES: usize = 100;
+
+/// The figures, none if there is no radiance to compare. A frame that lacks a render is left to
+/// the judging of pictures.
+pub(super) fn evaluate_radiance(
+    estimate: &Estimate,
+    reference: &Reference,
+    chosen: &FrameSelection,
+) -> Result<Vec<Figure>, Failure> {
+    let renders = estimate.renders("hdr", "exr")?;
+    let listed =
+        |frame: &usize| chosen.frames.is_empty() || chosen.frames.iter().any(|(f, _)| f == frame);
+    let pairs: Vec<_> = renders
+        .iter()
+        .filter(|(frame, _)| listed(frame))
+        .filter_map(|(frame, render)| Some((render, reference.radiance(*frame)?)))
+        .collect();
+    let mut frames: [Vec<Image<f32>>; 2] = [Vec::new(), Vec::new()];
+    for (render, truth) in pairs.iter().step_by(pairs.len().div_ceil(MAX_RADIANCE_FRAMES).max(1)) {
+        let drawn = read_exr(render)?;
+        let known = at_size_of(read_exr(truth)?, &drawn);
+        let known = known.ok_or_else(|| failed(render, "has another size than its truth"))?;
+        if frames[0].first().is_some_and(|first| first.width != drawn.width) {
+            return Err(failed(render, "has another width than the frames before"));
+        }
+        frames[0].push(drawn);
+        frames[1].push(known);
+    }
+    if frames[0].is_empty() {
+        return Ok(Vec::new());
+    }
+    let count = frames[0].len();
+    let [drawn, known] = frames.map(|frames| below_each_other(&frames));
+    let common = hdr_error_after(Gain::Common, &drawn, &known, None)?;
+    let each = hdr_error_after(Gain::PerChannel, &drawn, &known, None)?;
+    Ok(radiance_figures(&common, &each, count))
+}
+
+/// One picture of pictures of equal width.
+fn below_each_other(frames: &[Image<f32>]) -> Image<f32> {
+    let (width, channels) = frames.first().map_or((0, 0), |f| (f.width, f.channels));
+    let height = frames.iter().map(|f| f.height).sum();
+    let planes = (0..channels).flat_map(|c| frames.iter().map(move |f| f.plane(c)));
+    Image { width, height, channels, data: planes.collect::<Vec<_>>().concat() }
+}
+
+fn radiance_figures(common: &HdrError, each: &HdrError, frames: usize) -> Vec<Figure> {
+    let figure = |key, label, unit, decimals, value| Figure {
+        key,
+        label,
+        unit,
+        decimals,
+        value: Some(value),
+    };
+    let (stops, db) = ("stops", "dB");
+    vec![
+        figure("hdr_frames", "radiance: frames judged", "", 0, frames as f64),
+        figure("hdr_log2_rmse_stops", "log2 radiance RMSE", stops, 3, common.log2_rmse_stops),
+        figure("hdr_log2_psnr_db", "log2 radiance PSNR", db, 2, common.log2_psnr_db),
+        figure("hdr_mu_law_psnr_db", "mu-law PSNR", db, 2, common.mu_law_psnr_db),
+        figure(
+            "hdr_log2_psnr_channel_gains_db",
+            "log2 PSNR, gain per channel",
+            db,
+            2,
+            each.log2_psnr_db,
+        ),
+        figure(
+            "hdr_mu_law_psnr_channel_gains_db",
+            "mu-law, gain per channel",
+            db,
+            2,
+            each.mu_law_psnr_db,
+        ),
+    ]
 }

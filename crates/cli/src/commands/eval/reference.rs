@@ -1,14 +1,15 @@
-//! The true pictures: a folder of them, or the dataset that was run.
+//! Ground truth of an evaluation: a folder of pictures or a dataset, and its checksums.
 
-use super::failed;
-use super::subject::{Pictures, Subject, pictures};
+use super::estimate::{Estimate, Pictures, pictures};
+use super::{Eval, failed};
 use crate::failure::Failure;
-use crate::picture::read_png;
-use crate::truth::Truth;
+use crate::ground_truth::GroundTruth;
+use crate::image_files::read_png;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::{Image, StampedPose};
 use i2slam_result::Input;
+use i2slam_result::report::TruthSource;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -17,7 +18,7 @@ pub(super) enum Reference {
     /// PNG and EXR files by frame.
     Folder { path: PathBuf, colour: Pictures, radiance: Pictures },
     /// A dataset with what lies beside its frames.
-    Dataset { path: PathBuf, sequence: Box<Sequence>, truth: Box<Truth> },
+    Dataset { path: PathBuf, sequence: Box<Sequence>, truth: Box<GroundTruth> },
 }
 
 /// The truth of one frame.
@@ -29,23 +30,23 @@ pub(super) struct TrueFrame {
 
 impl Reference {
     /// What can be opened as a sequence is one; the settings of the run decide how.
-    pub(super) fn open(path: &Path, subject: &Subject) -> Result<Self, Failure> {
+    pub(super) fn open(path: &Path, estimate: &Estimate) -> Result<Self, Failure> {
         if path.is_file() {
-            return Self::dataset(path, subject);
+            return Self::dataset(path, estimate);
         }
         if !path.is_dir() {
             return Err(failed(path, "no such file or folder"));
         }
         let (colour, radiance) = (pictures(path, "png")?, pictures(path, "exr")?);
         if path.join("rgb.txt").is_file() || (colour.is_empty() && radiance.is_empty()) {
-            return Self::dataset(path, subject);
+            return Self::dataset(path, estimate);
         }
         Ok(Self::Folder { path: path.to_owned(), colour, radiance })
     }
 
     /// The dataset that a result folder names, if it names one.
-    pub(super) fn recorded(subject: &Subject) -> Result<Option<Self>, Failure> {
-        let Some(result) = subject.result() else { return Ok(None) };
+    pub(super) fn recorded(estimate: &Estimate) -> Result<Option<Self>, Failure> {
+        let Some(result) = estimate.result() else { return Ok(None) };
         let Some(input) = Input::load(result)? else { return Ok(None) };
         let dataset = &input.dataset;
         if !dataset.exists() {
@@ -53,15 +54,15 @@ impl Reference {
                           or a trajectory as --groundtruth";
             return Err(failed(dataset, reason));
         }
-        Self::dataset(dataset, subject).map(Some)
+        Self::dataset(dataset, estimate).map(Some)
     }
 
-    fn dataset(path: &Path, subject: &Subject) -> Result<Self, Failure> {
-        let sequence = match subject.result() {
+    fn dataset(path: &Path, estimate: &Estimate) -> Result<Self, Failure> {
+        let sequence = match estimate.result() {
             Some(result) => as_run(path, result)?,
             None => Sequence::open(path, &OpenOptions::default())?,
         };
-        let truth = Truth::of(path, &sequence);
+        let truth = GroundTruth::of(path, &sequence);
         let (sequence, truth) = (Box::new(sequence), Box::new(truth));
         Ok(Self::Dataset { path: path.to_owned(), sequence, truth })
     }
@@ -174,4 +175,58 @@ fn render_width(camera: &Path) -> Option<usize> {
     let text = std::fs::read_to_string(camera).ok()?;
     let camera: serde_json::Value = serde_json::from_str(&text).ok()?;
     camera.get("width")?.as_u64().map(|width| width as usize)
+}
+
+/// The true trajectory: a file, or the dataset that has it.
+pub(super) fn trajectory_source(
+    arguments: &Eval,
+    reference: Option<&Reference>,
+    truth: &[StampedPose],
+) -> Option<TruthSource> {
+    let path = arguments.groundtruth.as_deref().or(reference.map(Reference::path))?;
+    let mut sum = crc32fast::Hasher::new();
+    for pose in truth {
+        let (q, t) = (pose.world_from_camera.rotation, pose.world_from_camera.translation);
+        let numbers = [pose.timestamp, t.x, t.y, t.z, q.w, q.v.x, q.v.y, q.v.z];
+        numbers.iter().for_each(|number| sum.update(&number.to_le_bytes()));
+    }
+    Some(source(path, truth.len(), sum.finalize()))
+}
+
+/// True pictures, by the checksums of those that were judged.
+pub(super) fn picture_source(reference: &Reference, checksums: &[u32]) -> TruthSource {
+    let mut sum = crc32fast::Hasher::new();
+    checksums.iter().for_each(|one| sum.update(&one.to_le_bytes()));
+    source(reference.path(), checksums.len(), sum.finalize())
+}
+
+/// CRC-32 of a picture's values.
+pub(super) fn checksum(picture: &Image<f32>) -> u32 {
+    let mut sum = crc32fast::Hasher::new();
+    for values in picture.data.chunks(1 << 12) {
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        sum.update(&bytes);
+    }
+    sum.finalize()
+}
+
+fn source(path: &Path, count: usize, crc32: u32) -> TruthSource {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    TruthSource { path, count, crc32: format!("{crc32:08x}") }
+}
+
+/// The truths that are not of the dataset which the run read, and that dataset.
+pub(super) fn foreign_sources(
+    arguments: &Eval,
+    estimate: &Estimate,
+    reference: Option<&Reference>,
+) -> Result<Option<(Vec<PathBuf>, PathBuf)>, Failure> {
+    let Some(result) = estimate.result() else { return Ok(None) };
+    let Some(input) = Input::load(result)? else { return Ok(None) };
+    let whole = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let read = whole(&input.dataset);
+    let truths = arguments.groundtruth.iter().map(PathBuf::as_path);
+    let truths = truths.chain(reference.map(Reference::path)).map(whole);
+    let others: Vec<PathBuf> = truths.filter(|truth| !truth.starts_with(&read)).collect();
+    Ok((!others.is_empty()).then_some((others, input.dataset)))
 }

@@ -1,9 +1,9 @@
 //! Trajectory errors of a result or a trajectory file.
 
-use super::figure::Row;
+use super::estimate::Estimate;
+use super::evaluation::Row;
 use super::reference::Reference;
-use super::subject::Subject;
-use crate::arguments::{Eval, Fit, Protocol, RelativeStep};
+use super::{Eval, Fit, Protocol, RelativeStep};
 use crate::failure::Failure;
 use crate::output::counted;
 use i2slam::dataset::read_trajectory;
@@ -39,17 +39,17 @@ pub(super) fn truth(
     }
 }
 
-pub(super) fn judge(
+pub(super) fn evaluate(
     arguments: &Eval,
-    subject: &Subject,
-    mut estimate: Vec<StampedPose>,
+    estimate: &Estimate,
+    mut poses: Vec<StampedPose>,
     truth: &[StampedPose],
 ) -> Result<Errors, Failure> {
     if arguments.protocol == Protocol::Monogs {
-        keep_keyframes(&mut estimate, subject)?;
+        keep_keyframes(&mut poses, estimate)?;
     }
-    let alignment = alignment(arguments, subject)?;
-    let absolute = absolute_trajectory_error(&estimate, truth, alignment, DEFAULT_TOLERANCE)?;
+    let alignment = alignment(arguments, estimate)?;
+    let absolute = absolute_trajectory_error(&poses, truth, alignment, DEFAULT_TOLERANCE)?;
     let step = match arguments.rpe {
         RelativeStep::Frames(frames) => Step::Frames(frames),
         RelativeStep::Seconds(seconds) => Step::Seconds(seconds),
@@ -60,10 +60,10 @@ pub(super) fn judge(
 }
 
 /// What was asked for, else what the trajectory's unit of length allows.
-fn alignment(arguments: &Eval, subject: &Subject) -> Result<Alignment, Failure> {
+fn alignment(arguments: &Eval, estimate: &Estimate) -> Result<Alignment, Failure> {
     let fit = match arguments.align {
         Some(fit) => fit,
-        None if subject.unit_of_length()? == UnitOfLength::Unknown => Fit::Sim3,
+        None if estimate.unit_of_length()? == UnitOfLength::Unknown => Fit::Sim3,
         None => Fit::Se3,
     };
     Ok(match fit {
@@ -75,12 +75,12 @@ fn alignment(arguments: &Eval, subject: &Subject) -> Result<Alignment, Failure> 
 /// Why keyframes alone cannot be judged: three poses are needed.
 pub(super) fn too_few_keyframes(
     arguments: &Eval,
-    subject: &Subject,
+    estimate: &Estimate,
 ) -> Result<Option<String>, Failure> {
     if arguments.protocol != Protocol::Monogs {
         return Ok(None);
     }
-    let frames = subject.run_frames()?.unwrap_or_default();
+    let frames = estimate.run_frames()?.unwrap_or_default();
     let keyframes = frames.iter().filter(|frame| frame.keyframe).count();
     Ok((!frames.is_empty() && keyframes < 3).then(|| {
         let have = counted(keyframes, "keyframe");
@@ -91,14 +91,14 @@ pub(super) fn too_few_keyframes(
     }))
 }
 
-fn keep_keyframes(estimate: &mut Vec<StampedPose>, subject: &Subject) -> Result<(), Failure> {
-    let frames = subject.run_frames()?.ok_or_else(|| {
+fn keep_keyframes(poses: &mut Vec<StampedPose>, estimate: &Estimate) -> Result<(), Failure> {
+    let frames = estimate.run_frames()?.ok_or_else(|| {
         Failure::Usage("--protocol monogs needs a result folder with frames.csv".to_owned())
     })?;
     let stamps: Vec<f64> = frames.iter().filter(|f| f.keyframe).map(|f| f.timestamp).collect();
     let same =
         |pose: &StampedPose| stamps.iter().any(|stamp| (stamp - pose.timestamp).abs() < SAME_STAMP);
-    estimate.retain(same);
+    poses.retain(same);
     Ok(())
 }
 

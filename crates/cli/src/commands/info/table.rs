@@ -1,7 +1,7 @@
 //! What is told, as lines for people.
 
-use super::pictures::Pictures;
-use super::sequence::{CameraFacts, Known, Times};
+use super::frames::PictureStats;
+use super::sequence::{CameraFacts, SequenceInfo, Times};
 use crate::output::counted;
 
 /// Gaps named one by one.
@@ -11,7 +11,7 @@ const GAPS_NAMED: usize = 3;
 const FRAMES_NAMED: usize = 5;
 
 /// The table, a line each.
-pub(super) fn lines(known: &Known, pictures: Option<&Pictures>) -> Vec<String> {
+pub(super) fn lines(known: &SequenceInfo, pictures: Option<&PictureStats>) -> Vec<String> {
     let mut rows = of_sequence(known);
     if let Some(pictures) = pictures {
         rows.extend(of_pictures(pictures));
@@ -21,7 +21,7 @@ pub(super) fn lines(known: &Known, pictures: Option<&Pictures>) -> Vec<String> {
 
 type Row = (&'static str, String);
 
-fn of_sequence(known: &Known) -> Vec<Row> {
+fn of_sequence(known: &SequenceInfo) -> Vec<Row> {
     let (times, camera) = (&known.times, &known.camera);
     let mut rows = vec![
         ("sequence", known.name.clone()),
@@ -61,11 +61,11 @@ fn of_sequence(known: &Known) -> Vec<Row> {
 fn camera_source(camera: &CameraFacts) -> String {
     match camera.is_guess {
         false => camera.source.clone(),
-        true => format!("{} (a run looks for the focal length in the pictures)", camera.source),
+        true => format!("{} (a run stats for the focal length in the pictures)", camera.source),
     }
 }
 
-fn frames(known: &Known) -> String {
+fn frames(known: &SequenceInfo) -> String {
     let left_out = &known.left_out;
     let counts = [
         (left_out.without_depth, "without depth"),
@@ -101,7 +101,7 @@ fn gaps(times: &Times) -> String {
     format!("{}, longest: {}{apart}", times.gaps.len(), named.join(", "))
 }
 
-fn truth(known: &Known) -> String {
+fn truth(known: &SequenceInfo) -> String {
     let truth = &known.truth;
     if truth.kinds.is_empty() {
         return "none".to_owned();
@@ -116,7 +116,7 @@ fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
 }
 
-fn depth(pictures: &Pictures) -> String {
+fn depth(pictures: &PictureStats) -> String {
     pictures.depth.as_ref().map_or("none".to_owned(), |depth| {
         format!(
             "{:.2} to {:.2} m (1 to 99 %), median {:.2} m; {} of pixels, worst frame {}",
@@ -129,7 +129,7 @@ fn depth(pictures: &Pictures) -> String {
     })
 }
 
-fn of_pictures(pictures: &Pictures) -> Vec<Row> {
+fn of_pictures(pictures: &PictureStats) -> Vec<Row> {
     let (light, sharp) = (&pictures.brightness, &pictures.sharpness);
     let mut rows = vec![
         ("depth", depth(pictures)),

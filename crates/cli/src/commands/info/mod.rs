@@ -1,23 +1,20 @@
 //! `i2slam info`: what is known of a sequence before it is run.
 
-mod keyframes;
-mod pictures;
+mod frames;
 mod sequence;
 mod table;
 
-use super::run::open_options;
-use super::use_threads;
 use crate::arguments::{Input, Machine};
 use crate::failure::Failure;
+use crate::ground_truth::GroundTruth;
 use crate::interrupt;
-use crate::output::{complain, say};
+use crate::output::{print, print_status};
 use crate::progress::Progress;
-use crate::truth::Truth;
 use clap::Args;
+use frames::PictureStats;
 use i2slam::dataset::{DatasetError, Sequence, is_video};
 use i2slam::{Config, PoseSource, RunOptions};
-use pictures::Pictures;
-use sequence::Known;
+use sequence::SequenceInfo;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -43,11 +40,11 @@ pub(crate) struct Info {
 
 /// All that is told; the JSON object.
 #[derive(Serialize)]
-struct Told {
+struct InfoReport {
     #[serde(flatten)]
-    known: Known,
+    known: SequenceInfo,
     /// `null` with `--quick`.
-    pictures: Option<Pictures>,
+    pictures: Option<PictureStats>,
     warnings: Vec<String>,
 }
 
@@ -57,7 +54,7 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
     let path = &arguments.dataset;
     let config = Config::preset(&arguments.preset)?;
     let options = |poses: PoseSource| {
-        open_options(&arguments.input, RunOptions::new(config.clone(), poses).open)
+        arguments.input.open_options(RunOptions::new(config.clone(), poses).open)
     };
     let with_depth = options(PoseSource::Depth)?;
     let colour_alone = options(PoseSource::Odometry { estimate_distortion: false })?;
@@ -66,7 +63,7 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
     }
     match Sequence::open(path, &with_depth) {
         Ok(sequence) => Ok(Some(sequence)),
-        Err(error) if keyframes::tell(arguments, with_depth, &error)? => Ok(None),
+        Err(error) if sequence::print_keyframes(arguments, with_depth, &error)? => Ok(None),
         Err(DatasetError::UnknownLayout { has_colour: true, .. }) => {
             Ok(Some(Sequence::open(path, &colour_alone)?))
         }
@@ -75,32 +72,32 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
 }
 
 pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
-    use_threads(&arguments.machine)?;
+    arguments.machine.use_threads()?;
     let Some(sequence) = open(arguments)? else { return Ok(()) };
-    let truth = Truth::of(&arguments.dataset, &sequence);
+    let truth = GroundTruth::of(&arguments.dataset, &sequence);
     let mut warnings = sequence.warnings.clone();
     warnings.extend(truth.warnings.iter().cloned());
-    let known = Known::of(&sequence, &truth);
+    let known = SequenceInfo::of(&sequence, &truth);
     let pictures = if arguments.quick {
         None
     } else {
         let progress = Progress::new(sequence.len(), arguments.machine.quiet);
         interrupt::listen();
-        let pictures = Pictures::of(&sequence, &truth, &progress);
+        let pictures = PictureStats::of(&sequence, &truth, &progress);
         progress.clear();
         Some(pictures?)
     };
-    let told = Told { known, pictures, warnings };
+    let report = InfoReport { known, pictures, warnings };
     if arguments.json {
-        let text = serde_json::to_string_pretty(&told);
-        say(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
+        let text = serde_json::to_string_pretty(&report);
+        print(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
         return Ok(());
     }
-    for line in table::lines(&told.known, told.pictures.as_ref()) {
-        say(&line);
+    for line in table::lines(&report.known, report.pictures.as_ref()) {
+        print(&line);
     }
-    for warning in &told.warnings {
-        complain(&format!("warning: {warning}"));
+    for warning in &report.warnings {
+        print_status(&format!("warning: {warning}"));
     }
     Ok(())
 }

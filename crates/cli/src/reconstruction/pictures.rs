@@ -1,10 +1,10 @@
 //! The pictures of a run: files under `renders/`, pairs for the report, and what they measure.
 
-use crate::arguments::Draw;
+use crate::ground_truth::GroundTruth;
+use crate::image_files::{at_size_of, read_exr};
 use crate::interrupt;
-use crate::picture::{at_size_of, read_exr};
 use crate::progress::Progress;
-use crate::truth::Truth;
+use clap::ValueEnum;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::Image;
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
@@ -22,10 +22,18 @@ const DRAWING: &str = "drawing";
 /// Stops of the report's exposures.
 const STOPS: [f64; 3] = [-2.0, 0.0, 2.0];
 
+/// Which frames are drawn.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Draw {
+    All,
+    Keyframes,
+    None,
+}
+
 /// What to draw.
 pub(crate) struct Drawing<'a> {
     pub(crate) sequence: &'a Sequence,
-    pub(crate) truth: &'a Truth,
+    pub(crate) truth: &'a GroundTruth,
     pub(crate) reconstruction: &'a Reconstruction,
     pub(crate) draw: Draw,
 }
@@ -182,7 +190,7 @@ impl Measures {
         self.ssim_sharp.extend(ssim(&drawn, truth).ok());
     }
 
-    fn radiance(&mut self, drawn: &Image<f32>, truth: &Truth, index: usize) {
+    fn radiance(&mut self, drawn: &Image<f32>, truth: &GroundTruth, index: usize) {
         let known = truth.radiance(index).and_then(|path| read_exr(&path).ok());
         let Some(known) = known.and_then(|known| at_size_of(known, drawn)) else { return };
         let empty = || RadianceStack {

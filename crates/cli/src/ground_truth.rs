@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The truth that lies in a dataset's folder; all of it may be missing.
-pub(crate) struct Truth {
+pub(crate) struct GroundTruth {
     folder: PathBuf,
     /// The sequence with its sharp pictures in place of those taken.
     sharp: Option<Sequence>,
@@ -22,7 +22,7 @@ pub(crate) struct Truth {
     pub(crate) warnings: Vec<String>,
 }
 
-impl Truth {
+impl GroundTruth {
     /// Look for poses (a ground-truth file or those that came with the frames), `sharp/`,
     /// `exposure.csv` and `hdr/` beside the frames.
     pub(crate) fn of(folder: &Path, sequence: &Sequence) -> Self {

@@ -1,13 +1,12 @@
 //! Test-time pose optimisation: frames drawn from where the map fits their true pictures best.
 
-use super::failed;
-use super::figure::Figure;
+use super::estimate::Estimate;
+use super::evaluation::Figure;
 use super::reference::Reference;
-use super::subject::Subject;
-use crate::arguments::{Eval, Protocol};
+use super::{Eval, Protocol, failed};
 use crate::failure::Failure;
+use crate::image_files::at_size_of;
 use crate::interrupt;
-use crate::picture::at_size_of;
 use crate::progress::Progress;
 use i2slam::FrameEstimate;
 use i2slam::geometry::{Image, Pose, StampedPose};
@@ -17,12 +16,12 @@ use i2slam_result::{RenderKind, ResultFolder, UnitOfLength, save_render, save_tr
 const BELOW: &str = "renders/optimised";
 
 /// Refuses what makes no sense before anything is done.
-pub(super) fn check(arguments: &Eval, subject: &Subject) -> Result<(), Failure> {
+pub(super) fn check(arguments: &Eval, estimate: &Estimate) -> Result<(), Failure> {
     let refuse = |message: &str| Err(Failure::Usage(format!("--optimise-poses {message}")));
     if matches!(arguments.protocol, Protocol::Splatam | Protocol::Monogs) {
         return refuse("is no part of this protocol: take i2slam, held-out or all-frames");
     }
-    if subject.result().is_none_or(|result| !result.join("map.i2slam").is_file()) {
+    if estimate.result().is_none_or(|result| !result.join("map.i2slam").is_file()) {
         return refuse("needs a result folder with its map");
     }
     Ok(())
@@ -31,11 +30,11 @@ pub(super) fn check(arguments: &Eval, subject: &Subject) -> Result<(), Failure> 
 /// Draws `frames` to `renders/optimised/sharp/`, writes their poses to
 /// `trajectory_optimised.txt`, and tells how far they were moved.
 pub(super) fn draw(
-    subject: &Subject,
+    estimate: &Estimate,
     reference: &Reference,
     frames: &[usize],
 ) -> Result<Vec<Figure>, Failure> {
-    let Some(result) = subject.result() else { return Ok(Vec::new()) };
+    let Some(result) = estimate.result() else { return Ok(Vec::new()) };
     let reconstruction = i2slam_result::load(result)?;
     let folder = ResultFolder::create(result)?;
     let camera = &reconstruction.camera;

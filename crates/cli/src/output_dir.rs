@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Where a command writes.
-pub(crate) struct Destination<'a> {
+pub(crate) struct OutputDir<'a> {
     pub(crate) path: &'a Path,
     /// What the command writes there.
     pub(crate) layout: Layout,
@@ -19,7 +19,7 @@ pub(crate) struct Destination<'a> {
     pub(crate) overwrite: bool,
 }
 
-impl Destination<'_> {
+impl OutputDir<'_> {
     /// Whether the command may write there; nothing is changed.
     pub(crate) fn check(&self) -> Result<(), Failure> {
         refuse_file(self.path)?;
@@ -55,9 +55,9 @@ impl Destination<'_> {
 }
 
 /// The folders that have to be made for a path, deepest first.
-pub(crate) struct MadeFolders(Vec<PathBuf>);
+pub(crate) struct CreatedDirs(Vec<PathBuf>);
 
-impl MadeFolders {
+impl CreatedDirs {
     /// Before they are made.
     pub(crate) fn for_path(path: &Path) -> Self {
         let missing = path.ancestors().take_while(|above| !above.as_os_str().is_empty());

@@ -1,21 +1,18 @@
 //! A whole run: frames in, result folder out. Used by `run` and `demo`.
 
-mod draw;
-mod earlier;
-mod figures;
-pub(crate) mod messages;
+mod pictures;
 mod write;
 
-use crate::arguments::Draw;
-use crate::destination::{Destination, MadeFolders};
 use crate::failure::Failure;
-use crate::interrupt;
-use crate::output::complain;
+use crate::ground_truth::GroundTruth;
+use crate::output::print_status;
+use crate::output_dir::{CreatedDirs, OutputDir};
 use crate::progress::Progress;
-use crate::truth::Truth;
+use crate::{interrupt, messages};
 use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
 use i2slam::{PoseSource, RunOptions, Warning, reconstruct};
 use i2slam_result::{Layout, ResultFolder};
+pub(crate) use pictures::Draw;
 use std::path::{Path, PathBuf};
 use write::{Finished, Written};
 
@@ -39,12 +36,12 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     let recording = stream.as_ref().map(Recording::path);
     let dataset = recording.as_ref().unwrap_or(&job.dataset);
     if is_video(dataset) && !job.quiet {
-        complain(&format!("looking through {}", job.dataset.display()));
+        print_status(&format!("looking through {}", job.dataset.display()));
     }
     let sequence = job.options.open_sequence(dataset)?;
     job.options.validate(&sequence)?;
     refuse_to_overwrite(job)?;
-    let made = MadeFolders::for_path(&job.out);
+    let made = CreatedDirs::for_path(&job.out);
     let folder = ResultFolder::create(&job.out)?;
     let warnings = stream.iter().flat_map(|stream| stream.warnings.clone()).collect();
     let ended = reconstruct_into(&folder, job, (dataset, &sequence), warnings);
@@ -61,7 +58,7 @@ fn reconstruct_into(
     (dataset, sequence): (&Path, &Sequence),
     mut warnings: Vec<String>,
 ) -> Result<(), Failure> {
-    let truth = Truth::of(dataset, sequence);
+    let truth = GroundTruth::of(dataset, sequence);
     let mut progress = Progress::new(sequence.len(), job.quiet);
     if job.title.is_some() {
         progress = progress.without_advice();
@@ -75,7 +72,8 @@ fn reconstruct_into(
     let written = outcome.map_err(|error| Failure::of_run(error, &progress)).and_then(|outcome| {
         let undistorted = outcome.undistorted.clone();
         // True pictures come through the same lens.
-        let undistorted_truth = undistorted.as_ref().map(|sequence| Truth::of(dataset, sequence));
+        let undistorted_truth =
+            undistorted.as_ref().map(|sequence| GroundTruth::of(dataset, sequence));
         let truth = undistorted_truth.as_ref().unwrap_or(&truth);
         let sequence = undistorted.as_ref().unwrap_or(sequence);
         let warnings = warnings.into_iter().map(Warning::from).chain(outcome.warnings.clone());
@@ -103,7 +101,7 @@ fn recorded(job: &Job) -> Result<Option<Recording>, Failure> {
     refuse_to_overwrite(job)?;
     if !job.quiet {
         let name = job.dataset.display();
-        complain(&format!(
+        print_status(&format!(
             "reading the stream {name} (Ctrl-C ends it, and goes on with what came)"
         ));
     }
@@ -128,9 +126,9 @@ fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
     destination(job).check()
 }
 
-fn destination(job: &Job) -> Destination<'_> {
+fn destination(job: &Job) -> OutputDir<'_> {
     let (layout, overwrite) = (Layout::of_result(), job.overwrite);
-    Destination { path: &job.out, layout, command: "i2slam run", overwrite }
+    OutputDir { path: &job.out, layout, command: "i2slam run", overwrite }
 }
 
 /// Failures first, then whether the user ended it.
@@ -138,7 +136,7 @@ fn end(problems: Vec<String>) -> Result<(), Failure> {
     match problems.split_last() {
         Some((last, others)) => {
             for problem in others {
-                complain(&format!("error: {problem}"));
+                print_status(&format!("error: {problem}"));
             }
             Err(Failure::Failed(last.clone()))
         }

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// What is judged.
-pub(super) enum Subject {
+pub(super) enum Estimate {
     /// `trajectory.txt`, `frames.csv`, `renders/`; of another system without `frames.csv`.
     Result(PathBuf),
     /// A trajectory file.
@@ -27,7 +27,7 @@ pub(super) struct RunFrame {
     pub(super) held_out: bool,
 }
 
-impl Subject {
+impl Estimate {
     pub(super) fn find(path: &Path) -> Result<Self, Failure> {
         if !path.exists() {
             return Err(failed(path, "no such file or folder"));
@@ -92,7 +92,7 @@ impl Subject {
     }
 }
 
-/// Why a folder can be no subject.
+/// Why a folder can be no estimate.
 fn neither(path: &Path) -> String {
     let shown = path.display();
     if path.read_dir().is_ok_and(|mut entries| entries.next().is_none()) {

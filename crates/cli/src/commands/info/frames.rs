@@ -1,9 +1,9 @@
 //! What the pictures tell: depth, brightness, sharpness.
 
 use crate::failure::Failure;
+use crate::ground_truth::GroundTruth;
 use crate::interrupt;
 use crate::progress::Progress;
-use crate::truth::Truth;
 use i2slam::dataset::{DatasetError, Frame, Layout, Sequence};
 use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
 use i2slam_eval::statistics::percentile;
@@ -20,7 +20,7 @@ const BLACK: f32 = 1.0 / 255.0;
 
 /// Sums over all frames that could be read.
 #[derive(Debug, Serialize)]
-pub(super) struct Pictures {
+pub(super) struct PictureStats {
     pub(super) measured_frames: usize,
     /// What could not be read, in words.
     pub(super) unreadable: Vec<String>,
@@ -72,7 +72,7 @@ pub(super) struct Sharpness {
 }
 
 /// One frame.
-struct Look {
+struct FrameStats {
     index: usize,
     depths: Vec<f64>,
     valid_share: f64,
@@ -84,20 +84,20 @@ struct Look {
     odd: Vec<String>,
 }
 
-impl Pictures {
+impl PictureStats {
     pub(super) fn of(
         sequence: &Sequence,
-        truth: &Truth,
+        truth: &GroundTruth,
         progress: &Progress,
     ) -> Result<Self, Failure> {
-        let (seen, unreadable) = look_at_all(sequence, progress)?;
+        let (seen, unreadable) = measure_all(sequence, progress)?;
         if seen.is_empty() {
             let first = unreadable.into_iter().next().unwrap_or_default();
             return Err(Failure::Failed(format!("no frame can be read: {first}")));
         }
-        let odd = seen
-            .iter()
-            .flat_map(|look| look.odd.iter().map(|what| format!("frame {}: {what}", look.index)));
+        let odd = seen.iter().flat_map(|frame| {
+            frame.odd.iter().map(|what| format!("frame {}: {what}", frame.index))
+        });
         Ok(Self {
             measured_frames: seen.len(),
             unreadable,
@@ -111,43 +111,45 @@ impl Pictures {
 }
 
 /// All frames that can be read, in order, and why the others cannot.
-fn look_at_all(
+fn measure_all(
     sequence: &Sequence,
     progress: &Progress,
-) -> Result<(Vec<Look>, Vec<String>), Failure> {
+) -> Result<(Vec<FrameStats>, Vec<String>), Failure> {
     let done = AtomicUsize::new(0);
-    let look = |place: usize, frame: Result<Frame, DatasetError>| {
+    let measure = |place: usize, frame: Result<Frame, DatasetError>| {
         if interrupt::requested() {
             return Err(Failure::Interrupted);
         }
         let index = sequence.entries[place].index;
-        let look = match frame {
-            Ok(frame) => Ok(Look::at(&frame)?),
+        let stats = match frame {
+            Ok(frame) => Ok(FrameStats::new(&frame)?),
             Err(error) => Err(format!("frame {index}: {error}")),
         };
         progress.step("frames", done.fetch_add(1, Ordering::Relaxed) + 1, sequence.len());
-        Ok(look)
+        Ok(stats)
     };
-    let looks: Result<Vec<Result<Look, String>>, Failure> = match sequence.layout {
+    let stats: Result<Vec<Result<FrameStats, String>>, Failure> = match sequence.layout {
         // A video is decoded from front to back.
-        Layout::Video => sequence.stream().enumerate().map(|(i, frame)| look(i, frame)).collect(),
+        Layout::Video => {
+            sequence.stream().enumerate().map(|(i, frame)| measure(i, frame)).collect()
+        }
         _ => {
             let places = (0..sequence.len()).into_par_iter();
-            places.map(|place| look(place, sequence.load(place))).collect()
+            places.map(|place| measure(place, sequence.load(place))).collect()
         }
     };
     let (mut seen, mut unreadable) = (Vec::new(), Vec::new());
-    for look in looks? {
-        match look {
-            Ok(look) => seen.push(look),
+    for stats in stats? {
+        match stats {
+            Ok(stats) => seen.push(stats),
             Err(reason) => unreadable.push(reason),
         }
     }
     Ok((seen, unreadable))
 }
 
-impl Look {
-    fn at(frame: &Frame) -> Result<Self, Failure> {
+impl FrameStats {
+    fn new(frame: &Frame) -> Result<Self, Failure> {
         let values = &frame.colour.data;
         let share = |is: &dyn Fn(f32) -> bool| {
             values.iter().filter(|&&v| is(v)).count() as f64 / values.len() as f64
@@ -177,56 +179,57 @@ fn linear(v: f64) -> f64 {
 }
 
 impl DepthFacts {
-    fn of(looks: &[Look]) -> Result<Option<Self>, Failure> {
-        let all: Vec<f64> = looks.iter().flat_map(|look| look.depths.iter().copied()).collect();
+    fn of(stats: &[FrameStats]) -> Result<Option<Self>, Failure> {
+        let all: Vec<f64> = stats.iter().flat_map(|frame| frame.depths.iter().copied()).collect();
         if all.is_empty() {
             return Ok(None);
         }
-        let shares = looks.iter().map(|look| look.valid_share);
+        let shares = stats.iter().map(|frame| frame.valid_share);
         Ok(Some(Self {
             low_m: percentile(&all, 1.0)?,
             median_m: percentile(&all, 50.0)?,
             high_m: percentile(&all, 99.0)?,
-            valid_share: shares.clone().sum::<f64>() / looks.len() as f64,
+            valid_share: shares.clone().sum::<f64>() / stats.len() as f64,
             valid_share_worst: shares.fold(1.0, f64::min),
         }))
     }
 }
 
 impl Brightness {
-    fn of(looks: &[Look]) -> Result<Self, Failure> {
-        let grey: Vec<f64> = looks.iter().map(|look| look.brightness).collect();
+    fn of(stats: &[FrameStats]) -> Result<Self, Failure> {
+        let grey: Vec<f64> = stats.iter().map(|frame| frame.brightness).collect();
         // Black frames (a covered lens) have no brightness in stops: half a level stands for them.
-        let stops = |look: &Look| look.linear.max(linear(0.5 / 255.0)).log2();
-        let stops: Vec<f64> = looks.iter().map(stops).collect();
+        let stops = |frame: &FrameStats| frame.linear.max(linear(0.5 / 255.0)).log2();
+        let stops: Vec<f64> = stats.iter().map(stops).collect();
         let steps = stops.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-        let mean = |of: fn(&Look) -> f64| looks.iter().map(of).sum::<f64>() / looks.len() as f64;
+        let mean =
+            |of: fn(&FrameStats) -> f64| stats.iter().map(of).sum::<f64>() / stats.len() as f64;
         Ok(Self {
             lowest: percentile(&grey, 0.0)?,
             median: percentile(&grey, 50.0)?,
             highest: percentile(&grey, 100.0)?,
             range_stops: percentile(&stops, 100.0)? - percentile(&stops, 0.0)?,
             largest_step_stops: steps.fold(0.0, f64::max),
-            white_share: mean(|look| look.white_share),
-            black_share: mean(|look| look.black_share),
+            white_share: mean(|frame| frame.white_share),
+            black_share: mean(|frame| frame.black_share),
         })
     }
 }
 
 impl Sharpness {
-    fn of(looks: &[Look]) -> Result<Self, Failure> {
-        let all: Vec<f64> = looks.iter().map(|look| look.sharpness).collect();
+    fn of(stats: &[FrameStats]) -> Result<Self, Failure> {
+        let all: Vec<f64> = stats.iter().map(|frame| frame.sharpness).collect();
         let sharp = sharp_frames(&all, SharpnessRule::default())?;
         Ok(Self {
             lowest: percentile(&all, 0.0)?,
             median: percentile(&all, 50.0)?,
             highest: percentile(&all, 100.0)?,
-            sharp_frames: sharp.into_iter().map(|place| looks[place].index).collect(),
+            sharp_frames: sharp.into_iter().map(|place| stats[place].index).collect(),
         })
     }
 }
 
-fn exposure_range(truth: &Truth) -> Option<f64> {
+fn exposure_range(truth: &GroundTruth) -> Option<f64> {
     let stops = truth.exposure.iter().map(|(_, exposure)| exposure.log2());
     let (low, high) = stops.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), stop| {
         (low.min(stop), high.max(stop))
