@@ -50,14 +50,3 @@ fn a_field_is_saved_drawn_again_and_judged() {
     let truth = data.to_str().expect("a name");
     run(["eval", a_name, "--reference", truth]).ended_with(0);
 }
-
-#[test]
-fn a_field_has_no_splats_to_move() {
-    let scratch = Scratch::new("splats");
-    let config = scratch.join("splat.toml");
-    fs::write(&config, "[formation]\nblur_model = \"splat\"\n").expect("room");
-    let config = config.to_str().expect("a name");
-    run(["run", "data", "--out", "out", "--map", "hashgrid", "--config", config])
-        .ended_with(2)
-        .complaining("no splats");
-}

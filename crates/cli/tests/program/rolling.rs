@@ -79,5 +79,5 @@ fn exact_renders_cannot_roll() {
     let (data, out) = (scratch.join("none"), scratch.join("out"));
     let paths = [data, out, config].map(|path| path.display().to_string());
     let words = ["run", &paths[0], "--out", &paths[1], "--config", &paths[2]].map(str::to_owned);
-    run(words).ended_with(2).complaining("formation.blur_model").complaining("splat");
+    run(words).ended_with(2).complaining("formation.blur_model").complaining("image");
 }

@@ -22,22 +22,20 @@ const FRAMES: [usize; 3] = [6, 15, 24];
 /// PSNR in decibels: the mean over the frames, and the least for the route `image`.
 pub(crate) fn print() -> Outcome {
     let mut fitted = Fitted::demo()?;
-    println!(
-        "motion,blur_px,views,margin_px,sharp,exact,splat,image,image_least,image_without_margin"
-    );
+    println!("motion,blur_px,views,margin_px,sharp,exact,image,image_least,image_without_margin");
     for (name, direction) in MOTIONS {
         for length in LENGTHS {
             let sampling = fitted.sampling(length, BlurRoute::Image);
-            let mut sums = [0.0; 5];
+            let mut sums = [0.0; 4];
             let mut least = f64::MAX;
             for index in FRAMES {
                 let values = compare(&mut fitted, index, direction, length);
-                (0..5).for_each(|k| sums[k] += values[k] / FRAMES.len() as f64);
-                least = least.min(values[3]);
+                (0..4).for_each(|k| sums[k] += values[k] / FRAMES.len() as f64);
+                least = least.min(values[2]);
             }
-            let [sharp, exact, splat, image, without] = sums;
+            let [sharp, exact, image, without] = sums;
             println!(
-                "{name},{length},{},{},{sharp:.1},{exact:.1},{splat:.1},{image:.1},{least:.1},\
+                "{name},{length},{},{},{sharp:.1},{exact:.1},{image:.1},{least:.1},\
                  {without:.1}",
                 sampling.virtual_cameras, sampling.margin
             );
@@ -46,20 +44,15 @@ pub(crate) fn print() -> Outcome {
     Ok(())
 }
 
-/// Sharp, exact, splat, image and image without a margin, against the exact exposure.
-fn compare(fitted: &mut Fitted, index: usize, direction: [f64; 6], length: f64) -> [f64; 5] {
+/// Sharp, exact, image and image without a margin, against the exact exposure.
+fn compare(fitted: &mut Fitted, index: usize, direction: [f64; 6], length: f64) -> [f64; 4] {
     let frame = fitted.scene.frames[index].clone();
     let depth = fitted.depth(frame.middle());
     let shutter = fitted.exposure(frame.middle(), &depth, direction, length);
     let sampling = |route| fitted.sampling(length, route);
     let image = sampling(BlurRoute::Image);
-    let routes = [
-        Sampling::SHARP,
-        sampling(BlurRoute::Exact),
-        sampling(BlurRoute::Splat),
-        image,
-        Sampling { margin: 0, ..image },
-    ];
+    let routes =
+        [Sampling::SHARP, sampling(BlurRoute::Exact), image, Sampling { margin: 0, ..image }];
     let exact = Sampling { virtual_cameras: EXACT, ..sampling(BlurRoute::Exact) };
     let reference = fitted.predict(&frame, shutter, exact);
     routes.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &reference))

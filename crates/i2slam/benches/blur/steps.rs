@@ -31,12 +31,11 @@ pub(crate) fn print() -> Outcome {
         ("image", blurred, image),
         ("image with 7 views", blurred, Sampling { virtual_cameras: 7, ..image }),
         ("image without a margin", blurred, Sampling { margin: 0, ..image }),
-        ("splat", blurred, with(BlurRoute::Splat)),
         ("exact", blurred, with(BlurRoute::Exact)),
     ];
     let curve = fitted.scene.responses[frame.response].curve();
     let mut gradient = MapGradient::new(fitted.map.len());
-    let (mut best, mut busy) = ([f64::MAX; 6], [0.0; 6]);
+    let (mut best, mut busy) = ([f64::MAX; 5], [0.0; 5]);
     for _ in 0..ROUNDS {
         for (k, (_, shutter, sampling)) in cases.iter().enumerate() {
             let exposure =

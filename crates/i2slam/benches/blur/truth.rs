@@ -19,7 +19,7 @@ const EDGES: [f64; 6] = [0.0, 0.5, 1.0, 2.0, 4.0, f64::INFINITY];
 /// Mean PSNR in decibels by class of blur length. What is left is the error of the map.
 pub(crate) fn print() -> Outcome {
     let data = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
-    println!("sequence,blur_from_px,blur_to_px,frames,sharp,exact,splat,image,exact_32");
+    println!("sequence,blur_from_px,blur_to_px,frames,sharp,exact,image,exact_32");
     for name in SEQUENCES {
         let folder = PathBuf::from(data).join(name);
         if !folder.is_dir() {
@@ -32,21 +32,21 @@ pub(crate) fn print() -> Outcome {
         let values: Vec<_> =
             (0..fitted.frames.len()).map(|i| compare(&mut fitted, i, &exposures)).collect();
         for edges in EDGES.windows(2) {
-            let inside = |(length, _): &&(f64, [f64; 5])| (edges[0]..edges[1]).contains(length);
+            let inside = |(length, _): &&(f64, [f64; 4])| (edges[0]..edges[1]).contains(length);
             let class: Vec<_> = values.iter().filter(inside).map(|(_, psnr)| psnr).collect();
             if class.is_empty() {
                 continue;
             }
             let mean = |k: usize| class.iter().map(|v| v[k]).sum::<f64>() / class.len() as f64;
-            let means: Vec<_> = (0..5).map(|k| format!("{:.2}", mean(k))).collect();
+            let means: Vec<_> = (0..4).map(|k| format!("{:.2}", mean(k))).collect();
             println!("{name},{},{},{},{}", edges[0], edges[1], class.len(), means.join(","));
         }
     }
     Ok(())
 }
 
-/// The blur of a frame [px], and how close sharp, exact, splat, image and 32 exact views come.
-fn compare(fitted: &mut Fitted, index: usize, exposures: &[ShutterPoses<f64>]) -> (f64, [f64; 5]) {
+/// The blur of a frame [px], and how close sharp, exact, image and 32 exact views come.
+fn compare(fitted: &mut Fitted, index: usize, exposures: &[ShutterPoses<f64>]) -> (f64, [f64; 4]) {
     let frame = fitted.scene.frames[index].clone();
     let shutter = exposures[index];
     let length = blur_length(&fitted.scene.camera, &shutter, &fitted.frames[index].depth);
@@ -54,7 +54,6 @@ fn compare(fitted: &mut Fitted, index: usize, exposures: &[ShutterPoses<f64>]) -
     let routes = [
         Sampling::SHARP,
         fitted.sampling(length, BlurRoute::Exact),
-        fitted.sampling(length, BlurRoute::Splat),
         fitted.sampling(length, BlurRoute::Image),
         Sampling { virtual_cameras: 32, ..fitted.sampling(length, BlurRoute::Exact) },
     ];

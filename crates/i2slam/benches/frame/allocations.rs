@@ -45,7 +45,6 @@ pub(crate) fn print() -> Outcome {
     let routes = [
         ("sharp", BlurRoute::Exact, 1),
         ("image", BlurRoute::Image, 5),
-        ("splat", BlurRoute::Splat, 5),
         ("exact", BlurRoute::Exact, 5),
     ];
     for (name, route, virtual_cameras) in routes {

@@ -207,7 +207,7 @@ mod tests {
     #[test]
     fn choices_are_named_as_they_are_written() {
         let meaning = Declared::read().meaning("formation.blur_model").expect("a key");
-        for choice in ["`exact`: One render", "`splat`: ", "`image`: ", "`auto`: "] {
+        for choice in ["`exact`: One render", "`image`: ", "`auto`: "] {
             assert!(meaning.contains(choice), "{meaning}");
         }
         let kind = Declared::read().meaning("map.kind").expect("a key");

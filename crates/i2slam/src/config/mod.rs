@@ -109,12 +109,10 @@ pub struct FormationConfig {
 pub enum BlurModel {
     /// One render per virtual camera (eqs. 5 and 6).
     Exact,
-    /// Every Gaussian is projected once and moves with its pixel velocity.
-    Splat,
     /// One sharp render at mid-exposure, re-projected to the virtual cameras by its depth.
     Image,
-    /// `image`, and beyond 40 px of motion while the picture is taken `exact`, or `splat` with a
-    /// rolling shutter.
+    /// `image`, and beyond 40 px of motion while the picture is taken `exact`, unless the shutter
+    /// rolls.
     Auto,
 }
 

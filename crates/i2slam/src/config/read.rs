@@ -416,9 +416,9 @@ mod tests {
         refused("mapping = 3\n", "a.toml, line 1: mapping: ", "section");
         refused("preset = 3\n", "a.toml, line 1: preset: ", "string");
         let model = "formation.blur_model = \"blurry\"\n";
-        refused(model, "a.toml, line 1: formation.blur_model: ", "splat");
-        // Two values that do not go together: the one that is refused stands in the preset.
-        let both = "map.kind = \"hashgrid\"\nformation.blur_model = \"splat\"\n";
-        refused(both, "a.toml, line 2: formation.blur_model = splat", "no splats");
+        refused(model, "a.toml, line 1: formation.blur_model: ", "image");
+        // Two values that do not go together.
+        let both = "input.rolling_shutter_readout = 0.02\nformation.blur_model = \"exact\"\n";
+        refused(both, "a.toml, line 2: formation.blur_model = \"exact\"", "every row");
     }
 }

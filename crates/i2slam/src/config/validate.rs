@@ -57,8 +57,8 @@ impl Config {
             return refuse("formation.blur", "false".to_owned(), expected);
         }
         if formation.blur_model == BlurModel::Exact {
-            let expected = "\"image\", \"splat\" or \"auto\" with a rolling shutter: \"exact\" would \
-                            need a render for every row";
+            let expected = "\"image\" or \"auto\" with a rolling shutter: \"exact\" would need a \
+                            render for every row";
             return refuse("formation.blur_model", "\"exact\"".to_owned(), expected);
         }
         if self.map.kind == MapKind::HashGrid && formation.blur_model != BlurModel::Image {
@@ -103,10 +103,6 @@ impl Config {
         positive("hashgrid.finest_cell", h.finest_cell)?;
         positive("hashgrid.step_min", h.step_min)?;
         inside("hashgrid.shell", h.shell)?;
-        if self.map.kind == MapKind::HashGrid && self.formation.blur_model == BlurModel::Splat {
-            let expected = "exact, image or auto with map.kind \"hashgrid\": a field has no splats";
-            return refuse("formation.blur_model", "splat".to_owned(), expected);
-        }
         Ok(())
     }
 
@@ -231,7 +227,7 @@ mod tests {
             Config::from_toml(&text, "test", None).expect_err(rest).to_string()
         };
         let message = refusal("[formation]\nblur_model = \"exact\"");
-        assert!(message.contains("splat") && message.contains("blur_model"), "{message}");
+        assert!(message.contains("image") && message.contains("blur_model"), "{message}");
         assert!(refusal("[formation]\nblur = false").contains("formation.blur"));
         let text = "[input]\nrolling_shutter_readout = -0.02";
         assert!(Config::from_toml(text, "test", None).is_ok());

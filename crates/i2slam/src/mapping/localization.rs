@@ -2,11 +2,12 @@
 
 use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::mapper::MappingContext;
-use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
+use crate::objective::{FrameObjective, Observation, blur_length};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{SequenceReadout, TrackingContext, track};
 use i2slam_formation::TrajectoryScale;
 use i2slam_geometry::Image;
+use i2slam_radiance::RadianceMap;
 use i2slam_radiance::Render;
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,7 +31,7 @@ impl FrameLocator {
     /// as `estimate.tracked` does; a frame that was not found stays.
     ///
     /// Depth is not compared: the observation takes that of the map.
-    pub(super) fn locate<M: SceneMap>(
+    pub(super) fn locate<M: RadianceMap>(
         &mut self,
         context: &MappingContext<'_>,
         (map, objective): (&M, &mut FrameObjective<M>),

@@ -1,9 +1,10 @@
 //! Tracking against a map, or against a copy of it while the map itself is optimised.
 
-use crate::objective::{FrameObjective, Observation, SceneMap};
+use crate::objective::{FrameObjective, Observation};
 use crate::tracking::{TrackingContext, TrackingResult, track};
 use i2slam_formation::{CameraResponse, TrajectoryScale};
 use i2slam_geometry::Image;
+use i2slam_radiance::RadianceMap;
 use std::any::Any;
 use std::sync::Arc;
 
@@ -20,12 +21,12 @@ pub(crate) trait Tracker: Any + Send {
 }
 
 /// A map, or a copy of one, and the objective that compares pictures with it.
-pub(super) struct MapSnapshot<M: SceneMap> {
+pub(super) struct MapSnapshot<M: RadianceMap> {
     pub(super) map: M,
     pub(super) objective: FrameObjective<M>,
 }
 
-impl<M: SceneMap + Send + 'static> Tracker for MapSnapshot<M>
+impl<M: RadianceMap + Send + 'static> Tracker for MapSnapshot<M>
 where
     FrameObjective<M>: Send,
 {
@@ -42,7 +43,7 @@ where
 
 /// Copies `map` into the snapshot `last`, or into a new one with `objective`, restricted to the
 /// `covered` pixels.
-pub(super) fn update_snapshot<M: SceneMap + Clone + Send + 'static>(
+pub(super) fn update_snapshot<M: RadianceMap + Clone + Send + 'static>(
     last: Option<Box<dyn Tracker>>,
     map: &M,
     covered: Option<Arc<Image<bool>>>,

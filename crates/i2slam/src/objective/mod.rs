@@ -9,7 +9,6 @@ mod frame;
 mod observation;
 mod photometric;
 mod rays;
-mod scene;
 mod ssim;
 mod window;
 
@@ -20,4 +19,3 @@ pub(crate) use frame::form;
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;
 pub use rays::{RayObjective, RayView, ShutterGram};
-pub use scene::SceneMap;

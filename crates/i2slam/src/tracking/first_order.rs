@@ -3,13 +3,14 @@
 use super::context::{TrackingContext, TrackingResult, TrackingState};
 use crate::config::{FormationConfig, TrackingParameters, WhiteBalanceModel};
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, SceneMap, Tone,
+    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
 };
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
     CameraResponse, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
 };
 use i2slam_geometry::{Tangent, Vec3};
+use i2slam_radiance::RadianceMap;
 
 /// λ_img of eq. 12, a sum over pixels (SplaTAM).
 const IMAGE_WEIGHT: f32 = 0.5;
@@ -48,7 +49,7 @@ impl Optimizers {
 
 /// Takes `tracking.iterations` steps from `start`, fewer once cancelled, and returns the state with
 /// the smallest loss.
-pub(super) fn refine<M: SceneMap>(
+pub(super) fn refine<M: RadianceMap>(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
     map: &M,
@@ -86,7 +87,7 @@ pub(super) fn refine<M: SceneMap>(
     }
 }
 
-fn evaluate<M: SceneMap>(
+fn evaluate<M: RadianceMap>(
     objective: &mut FrameObjective<M>,
     map: &M,
     observation: &Observation,

@@ -13,17 +13,18 @@ pub(crate) use first_order::{RESPONSE_NODE_SPACING, mask_white_balance};
 pub(crate) use readout::SequenceReadout;
 
 use crate::config::{FormationConfig, TrackingMethod};
-use crate::objective::{FrameObjective, Observation, Sampling, SceneMap, blur_length};
+use crate::objective::{FrameObjective, Observation, Sampling, blur_length};
 use context::{PredictedMotion, TrackingState};
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::Camera;
+use i2slam_radiance::RadianceMap;
 
 /// Motion between start and end pose that first-order tracking begins with, over the motion since the
 /// last frame (the paper's appendix A).
 const INITIAL_SPLIT: f32 = 0.1;
 
 /// Finds shutter poses, tone and (where it belongs to the frame) response of a frame.
-pub(crate) fn track<M: SceneMap>(
+pub(crate) fn track<M: RadianceMap>(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
     map: &M,

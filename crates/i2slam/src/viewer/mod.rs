@@ -4,12 +4,11 @@ mod pose_optimization;
 
 pub use pose_optimization::OptimisedPose;
 
-use crate::objective::{
-    BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, SceneMap, Tone, form,
-};
+use crate::objective::{BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, Tone, form};
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use i2slam_formation::ResponseCurve;
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::RadianceMap;
 use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::RasterSettings;
 
@@ -28,17 +27,11 @@ pub struct Viewer<'a> {
 
 /// A map that can be looked at.
 trait Scene {
-    /// Whether its elements have pixel velocities.
-    fn moves(&self) -> bool;
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render;
     fn predict(&mut self, variables: &FrameVariables<'_>) -> &Image<f32>;
 }
 
-impl<M: SceneMap> Scene for (&M, FrameObjective<M>) {
-    fn moves(&self) -> bool {
-        M::MOVES
-    }
-
+impl<M: RadianceMap> Scene for (&M, FrameObjective<M>) {
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render {
         self.1.render(self.0, world_from_camera)
     }
@@ -114,7 +107,7 @@ impl Viewer<'_> {
     /// How a frame is sampled by renders of their own where rows are read at once.
     fn sampling(&self, frame: &FrameEstimate) -> Sampling {
         let formation = &self.reconstruction.config.formation;
-        let route = BlurRoute::Exact.able(frame.readout, self.scene.moves());
+        let route = BlurRoute::Exact.with_readout(frame.readout);
         Sampling::by_route(route, formation, frame.blur_length, frame.readout)
     }
 

@@ -22,7 +22,6 @@
 mod bin;
 mod gradient;
 mod map;
-mod motion;
 mod project;
 mod rasterize;
 mod settings;
@@ -31,10 +30,9 @@ mod sort;
 #[cfg(test)]
 mod tests;
 
-pub use crate::{Render, RenderCotangent, View};
+pub use crate::{Moment, MotionGradient, Render, RenderCotangent, ShutterMotion, View};
 pub use bin::TILE;
 pub use gradient::MapGradient;
 pub use map::{ColourActivation, Gaussian, GaussianMap, Shape};
-pub use motion::{Moment, MotionGradient, ShutterMotion};
-pub use rasterize::{GaussianRadiance, Rasterizer, StageSeconds, Work, reference};
+pub use rasterize::{Rasterizer, StageSeconds, Work, reference};
 pub use settings::RasterSettings;

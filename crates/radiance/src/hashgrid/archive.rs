@@ -8,8 +8,7 @@
 //! before.
 
 use super::{
-    FieldRenderer, FieldSettings, HashGridField, HashGridRadiance, MarchSettings, Occupancy,
-    OccupancySettings, SettingsError,
+    FieldSettings, HashGridField, MarchSettings, Occupancy, OccupancySettings, SettingsError,
 };
 use std::fmt;
 
@@ -109,20 +108,7 @@ fn settings(n: &[f64; NUMBERS]) -> (FieldSettings, MarchSettings, OccupancySetti
     (field, march, occupancy)
 }
 
-impl HashGridRadiance {
-    /// Every number of the field and of its occupancy, bit for bit.
-    pub fn to_bytes(&self) -> Vec<u8> {
-        to_bytes(&self.field, &self.occupancy, self.renderer.settings())
-    }
-
-    /// Back from [`to_bytes`](Self::to_bytes).
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, FieldFileError> {
-        let HashGridMap { field, occupancy, march } = HashGridMap::from_bytes(bytes)?;
-        Ok(Self { field, occupancy, renderer: FieldRenderer::new(march) })
-    }
-}
-
-/// A field with what is needed to draw it, but for the buffers.
+/// A field with its occupancy and how densely rays are sampled.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HashGridMap {
     /// Radiance and density.
@@ -133,33 +119,30 @@ pub struct HashGridMap {
     pub march: MarchSettings,
 }
 
-fn to_bytes(field: &HashGridField, occupancy: &Occupancy, march: &MarchSettings) -> Vec<u8> {
-    let p = field.parameters();
-    let cells = occupancy.densities();
-    let dense: Vec<f32> = cells.iter().copied().filter(|d| *d > 0.0).collect();
-    let arrays = [&dense, &p.table, &p.density, &p.colour];
-    let values: usize = arrays.iter().map(|a| a.len()).sum();
-    let bits = cells.len().div_ceil(8);
-    let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + bits + 4 * values + 4);
-    bytes.extend_from_slice(MAGIC);
-    bytes.extend_from_slice(&VERSION.to_le_bytes());
-    let mut all = numbers(field.settings(), march, occupancy.settings());
-    all.push(f64::from(occupancy.looks()));
-    all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
-    let bit = |byte: u8, (i, d): (usize, &f32)| byte | u8::from(*d > 0.0) << i;
-    bytes.extend(cells.chunks(8).map(|cells| cells.iter().enumerate().fold(0, bit)));
-    for array in arrays {
-        array.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
-    }
-    let sum = crc32fast::hash(&bytes);
-    bytes.extend_from_slice(&sum.to_le_bytes());
-    bytes
-}
-
 impl HashGridMap {
     /// Every number of the field and of its occupancy, bit for bit.
     pub fn to_bytes(&self) -> Vec<u8> {
-        to_bytes(&self.field, &self.occupancy, &self.march)
+        let Self { field, occupancy, march } = self;
+        let p = field.parameters();
+        let cells = occupancy.densities();
+        let dense: Vec<f32> = cells.iter().copied().filter(|d| *d > 0.0).collect();
+        let arrays = [&dense, &p.table, &p.density, &p.colour];
+        let values: usize = arrays.iter().map(|a| a.len()).sum();
+        let bits = cells.len().div_ceil(8);
+        let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + bits + 4 * values + 4);
+        bytes.extend_from_slice(MAGIC);
+        bytes.extend_from_slice(&VERSION.to_le_bytes());
+        let mut all = numbers(field.settings(), march, occupancy.settings());
+        all.push(f64::from(occupancy.looks()));
+        all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        let bit = |byte: u8, (i, d): (usize, &f32)| byte | u8::from(*d > 0.0) << i;
+        bytes.extend(cells.chunks(8).map(|cells| cells.iter().enumerate().fold(0, bit)));
+        for array in arrays {
+            array.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        }
+        let sum = crc32fast::hash(&bytes);
+        bytes.extend_from_slice(&sum.to_le_bytes());
+        bytes
     }
 
     /// Back from [`to_bytes`](Self::to_bytes).

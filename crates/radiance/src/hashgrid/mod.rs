@@ -3,8 +3,8 @@
 //!
 //! * [`HashGridField`]: the parameters, and what they mean.
 //! * [`FieldRenderer`]: batches of rays from any number of frames, forward and back, for training.
-//! * [`HashGridMap`]: a field with what is needed to draw it, as it is saved.
-//! * [`HashGridRadiance`]: the same as a [`RadianceMap`](crate::RadianceMap), for pictures.
+//! * [`HashGridMap`]: a field with its occupancy, a [`RadianceMap`](crate::RadianceMap) as it is
+//!   saved.
 //! * [`Occupancy`]: which parts of a ray are sampled.
 //! * [`FieldAdam`]: the optimiser.
 //!
@@ -27,5 +27,5 @@ pub use archive::{FieldFileError, HashGridMap};
 pub use field::{FieldGradient, FieldParameters, HashGridField};
 pub use march::{Occupancy, Ray, Sample};
 pub use optimizer::{FieldAdam, decayed_rate};
-pub use render::{FieldRenderer, HashGridRadiance, RayGradient, RayRender, reference};
+pub use render::{FieldRenderer, RayGradient, RayRender, reference};
 pub use settings::{FieldSettings, MarchSettings, OccupancySettings, SettingsError};

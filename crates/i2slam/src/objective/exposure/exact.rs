@@ -1,11 +1,11 @@
 //! One render per virtual camera.
 
-use super::super::SceneMap;
 use super::{Exposure, ExposureRenderer};
 use i2slam_formation::{ShutterTangent, accumulate, scale_into};
 use i2slam_geometry::Image;
+use i2slam_radiance::RadianceMap;
 
-impl<M: SceneMap> ExposureRenderer<M> {
+impl<M: RadianceMap> ExposureRenderer<M> {
     pub(super) fn forward_exact(&mut self, map: &M, exposure: &Exposure) -> usize {
         let cameras = exposure.cameras();
         let count = cameras.len();

@@ -1,12 +1,11 @@
 //! One render at mid-exposure, re-projected by its depth, with [`Patches`] where it hides too much.
 
-use super::super::SceneMap;
 use super::patches::Patches;
 use super::{Exposure, ExposureRenderer};
 use i2slam_formation::reproject::Reprojection;
 use i2slam_formation::{CentreVelocity, ShutterTangent};
 use i2slam_geometry::Image;
-use i2slam_radiance::{Render, RenderCotangent, View};
+use i2slam_radiance::{RadianceMap, Render, RenderCotangent, View};
 
 /// Opacity from which a pixel's depth leads its radiance through the exposure.
 const SOLID: f32 = 0.5;
@@ -43,7 +42,7 @@ impl WideRender {
     }
 }
 
-impl<M: SceneMap> ExposureRenderer<M> {
+impl<M: RadianceMap> ExposureRenderer<M> {
     fn wide_view(&self, exposure: &Exposure) -> View<f32> {
         let view = self.view(exposure.shutter.middle());
         View { camera: self.camera.widened(exposure.sampling.margin), ..view }
@@ -69,7 +68,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
         wide.render.depth.crop_into(sampling.margin, &mut picture.depth);
         wide.render.opacity.crop_into(sampling.margin, &mut picture.opacity);
         (self.depths, self.middle) = (0..1, 0);
-        if M::MOVES { 1 + self.patch(map, exposure) } else { 1 }
+        if M::RENDERS_MOTION { 1 + self.patch(map, exposure) } else { 1 }
     }
 
     /// Draws what the re-projection cannot tell; gives the number of renders that it took.
@@ -81,7 +80,7 @@ impl<M: SceneMap> ExposureRenderer<M> {
         let Some(wanted) = patches.wanted() else { return 0 };
         let (drawn, motion) = (&mut self.renders[1], exposure.motion());
         let [first, renderer] = &mut self.renderers[..2] else { return 0 };
-        map.render_moving(renderer, &view, &motion, Some((wanted, first)), drawn);
+        map.render_moving(renderer, &view, &motion, wanted, first, drawn);
         patches.paste(&drawn.radiance, &mut self.hdr);
         1
     }

@@ -1,25 +1,22 @@
-//! The exposure integral (eqs. 5 and 6) by one of three routes, forward and back.
+//! The exposure integral (eqs. 5 and 6) by one of two routes, forward and back.
 //!
 //! | route | rendered | what repeats for every virtual camera |
 //! |---|---|---|
 //! | exact | every virtual camera | everything |
-//! | splat | the map once with the pixel velocity of every Gaussian, and once still, for depth | the blend |
 //! | image | the map once, at mid-exposure, with a margin | a look-up by depth, the blend in a few tiles |
 
 mod exact;
 mod image;
 mod patches;
 mod sampling;
-mod splat;
 #[cfg(test)]
 mod tests;
 
 pub use sampling::{BlurRoute, Sampling};
 
-use super::SceneMap;
-use i2slam_formation::{ShutterPoses, ShutterTangent, VirtualCamera};
+use i2slam_formation::{CentreVelocity, ShutterPoses, ShutterTangent, VirtualCamera};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
-use i2slam_radiance::{Render, RenderCotangent, View};
+use i2slam_radiance::{Moment, RadianceMap, Render, RenderCotangent, ShutterMotion, View};
 use image::WideRender;
 use std::ops::Range;
 
@@ -41,16 +38,29 @@ pub struct Exposure {
 
 impl Exposure {
     /// One camera needs no route.
-    fn route(&self, moves: bool) -> BlurRoute {
+    fn route(&self) -> BlurRoute {
         match self.sampling.route {
             _ if self.sampling.virtual_cameras <= 1 && self.readout == 0.0 => BlurRoute::Exact,
-            route => route.able(self.readout, moves),
+            route => route.with_readout(self.readout),
         }
     }
 
     fn cameras(&self) -> impl ExactSizeIterator<Item = VirtualCamera<f64>> + use<> {
         let sampling = self.sampling;
         self.shutter.each_virtual_camera(sampling.virtual_cameras, sampling.quadrature)
+    }
+
+    /// The motion and moments for a map that renders motion.
+    pub(super) fn motion(&self) -> ShutterMotion<f32> {
+        let moment = |camera: VirtualCamera<f64>| Moment {
+            time: (camera.u - 0.5) as f32,
+            weight: camera.weight as f32,
+        };
+        ShutterMotion {
+            velocity: CentreVelocity::from(self.shutter).velocity.cast(),
+            readout: self.readout as f32,
+            moments: self.cameras().map(moment).collect(),
+        }
     }
 }
 
@@ -71,7 +81,7 @@ pub(crate) fn carried_to_middle(
 }
 
 /// Renders exposures; owns every buffer that this takes.
-pub(super) struct ExposureRenderer<M: SceneMap> {
+pub(super) struct ExposureRenderer<M: RadianceMap> {
     camera: Camera<f32>,
     settings: M::Settings,
     renderers: Vec<M::Renderer>,
@@ -84,7 +94,7 @@ pub(super) struct ExposureRenderer<M: SceneMap> {
     pub(super) hdr: Image<f32>,
 }
 
-impl<M: SceneMap> ExposureRenderer<M> {
+impl<M: RadianceMap> ExposureRenderer<M> {
     pub(super) fn new(camera: Camera<f32>, settings: M::Settings) -> Self {
         let none = Image::new(camera.width, camera.height, 1);
         Self {
@@ -126,9 +136,8 @@ impl<M: SceneMap> ExposureRenderer<M> {
 
     /// Computes `hdr`, and the renders that depth is compared with.
     pub(super) fn forward(&mut self, map: &M, exposure: &Exposure) {
-        let rendered = match exposure.route(M::MOVES) {
+        let rendered = match exposure.route() {
             BlurRoute::Exact => self.forward_exact(map, exposure),
-            BlurRoute::Splat => self.forward_splat(map, exposure),
             BlurRoute::Image => self.forward_image(map, exposure),
         };
         if let Some(pose) = exposure.depth_pose {
@@ -147,13 +156,10 @@ impl<M: SceneMap> ExposureRenderer<M> {
         (depth, d_depth): (usize, &mut Image<f32>),
         mut d_map: Option<&mut M::Gradient>,
     ) -> (ShutterTangent<f64>, f64) {
-        let (mut d_shutter, d_readout) = match exposure.route(M::MOVES) {
+        let (mut d_shutter, d_readout) = match exposure.route() {
             BlurRoute::Exact => {
                 let depth = (depth, &mut *d_depth);
                 (self.backward_exact(map, exposure, d_hdr, depth, d_map.as_deref_mut()), 0.0)
-            }
-            BlurRoute::Splat => {
-                self.backward_splat(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())
             }
             BlurRoute::Image => {
                 self.backward_image(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())

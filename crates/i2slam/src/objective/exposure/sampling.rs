@@ -26,21 +26,14 @@ const MAX_MARGIN: usize = 32;
 pub enum BlurRoute {
     /// One render per virtual camera.
     Exact,
-    /// One projection; Gaussians move with their pixel velocity.
-    Splat,
     /// One render at mid-exposure, re-projected by its depth.
     Image,
 }
 
 impl BlurRoute {
-    /// The route that is taken in place of one that cannot be: exact renders cannot show rows of
-    /// different times, and not every map [moves](super::super::SceneMap::MOVES).
-    pub(crate) fn able(self, readout: f64, moves: bool) -> Self {
-        match self {
-            Self::Exact if readout == 0.0 => Self::Exact,
-            Self::Exact | Self::Splat if moves => Self::Splat,
-            _ => Self::Image,
-        }
+    /// The route with a rolling shutter, which exact renders cannot show.
+    pub(crate) fn with_readout(self, readout: f64) -> Self {
+        if readout == 0.0 { self } else { Self::Image }
     }
 }
 
@@ -72,7 +65,6 @@ impl Sampling {
         let several = views(formation, length, formation.virtual_cameras) > 1;
         let route = match formation.blur_model {
             BlurModel::Exact => BlurRoute::Exact,
-            BlurModel::Splat => BlurRoute::Splat,
             BlurModel::Image => BlurRoute::Image,
             BlurModel::Auto if reach(several, length, readout) < LONG_BLUR => BlurRoute::Image,
             BlurModel::Auto => BlurRoute::Exact,
@@ -164,13 +156,10 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_different_times_need_a_route_that_shows_them() {
-        use BlurRoute::{Exact, Image, Splat};
-        let able = |readout, moves| [Exact, Splat, Image].map(|r| r.able(readout, moves));
-        assert_eq!(able(0.0, true), [Exact, Splat, Image]);
-        assert_eq!(able(0.0, false), [Exact, Image, Image]);
-        assert_eq!(able(-0.5, true), [Splat, Splat, Image]);
-        assert_eq!(able(0.5, false), [Image, Image, Image]);
+    fn rows_of_different_times_are_reprojected() {
+        let with = |readout| [BlurRoute::Exact, BlurRoute::Image].map(|r| r.with_readout(readout));
+        assert_eq!(with(0.0), [BlurRoute::Exact, BlurRoute::Image]);
+        assert_eq!(with(-0.5), [BlurRoute::Image; 2]);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::*;
 use i2slam_check::{central_differences, noise, relative_error};
 use i2slam_formation::Quadrature;
 use i2slam_radiance::gaussian::{
-    ColourActivation, Gaussian, GaussianMap, MapGradient, RasterSettings, Shape, TILE,
+    ColourActivation, Gaussian, GaussianMap, MapGradient, RasterSettings, Rasterizer, Shape, TILE,
 };
 
 const CAMERA: Camera<f32> =
@@ -89,14 +89,16 @@ fn only_what_is_uncovered_is_drawn() {
     let chosen = patches(&image);
     assert!(chosen.contains(&0), "{chosen:?} of {:?}", image.wide.reprojection.uncovered());
     assert!(!chosen.contains(&2) && !chosen.contains(&5), "{chosen:?}");
-    let mut splat = renderer();
-    splat.forward(&map(true), &moving(&[0.0; 12], BlurRoute::Splat, 0.0));
-    for (i, (a, b)) in image.hdr.data.iter().zip(&splat.hdr.data).enumerate() {
+    let exposure = moving(&[0.0; 12], BlurRoute::Image, 0.0);
+    let (view, motion) = (image.view(exposure.shutter.middle()), exposure.motion());
+    let mut whole = Render::default();
+    Rasterizer::new(smooth()).render_moving(&map(true), &view, &motion, None, &mut whole);
+    for (i, (a, b)) in image.hdr.data.iter().zip(&whole.radiance.data).enumerate() {
         if i % CAMERA.width < TILE && i / CAMERA.width % CAMERA.height < TILE {
             assert_eq!(a, b, "patched pixel {i}");
         }
     }
-    assert!(image.hdr.data != splat.hdr.data);
+    assert!(image.hdr.data != whole.radiance.data);
 }
 
 /// The edge of the board uncovers wall that one render hides.

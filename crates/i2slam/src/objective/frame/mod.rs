@@ -2,13 +2,14 @@
 
 use super::exposure::{Exposure, ExposureRenderer};
 use super::{
-    Observation, SceneMap, depth,
+    Observation, depth,
     photometric::{Similarity, image_loss},
 };
 use i2slam_formation::{
     CurveGradient, Formation, FrameTone, FrameToneGradient, ResponseCurve, ShutterTangent,
 };
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::RadianceMap;
 use i2slam_radiance::Render;
 use std::sync::Arc;
 
@@ -66,7 +67,7 @@ pub struct Evaluation {
 }
 
 /// Renders, forms and compares frames; owns every buffer that this takes.
-pub struct FrameObjective<M: SceneMap> {
+pub struct FrameObjective<M: RadianceMap> {
     renderer: ExposureRenderer<M>,
     picture: Image<f32>,
     d_picture: Image<f32>,
@@ -77,7 +78,7 @@ pub struct FrameObjective<M: SceneMap> {
     covered: Option<Arc<Image<bool>>>,
 }
 
-impl<M: SceneMap> FrameObjective<M> {
+impl<M: RadianceMap> FrameObjective<M> {
     /// An objective for pictures of `camera`.
     pub fn new(camera: Camera<f32>, settings: M::Settings) -> Self {
         Self {

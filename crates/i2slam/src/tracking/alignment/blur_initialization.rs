@@ -6,8 +6,9 @@
 use super::levenberg_marquardt::EvaluationMode;
 use super::target::AlignmentTarget;
 use super::{FrameAlignment, TrackingState, mean_losses};
-use crate::objective::{FrameObjective, SceneMap};
+use crate::objective::FrameObjective;
 use i2slam_geometry::Tangent;
+use i2slam_radiance::RadianceMap;
 
 /// Rotation axes that are tried (horizontal, vertical), of unit length.
 const AXES: [[f64; 2]; 4] = [[1.0, 0.0], [0.0, 1.0], [0.71, 0.71], [0.71, -0.71]];
@@ -19,7 +20,7 @@ const LEVEL: usize = 1;
 impl FrameAlignment<'_> {
     /// `start` with the rotational velocity whose blur suits the picture best; `None` if that is no
     /// motion.
-    pub(super) fn with_initial_blur<M: SceneMap>(
+    pub(super) fn with_initial_blur<M: RadianceMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,

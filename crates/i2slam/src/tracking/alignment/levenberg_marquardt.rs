@@ -7,8 +7,9 @@ use super::rolling_shutter::ReadoutPrior;
 use super::target::{AlignmentTarget, active_targets};
 use super::{FrameAlignment, TrackingState};
 use crate::config::WhiteBalanceModel;
-use crate::objective::{FrameObjective, SceneMap, virtual_camera_count};
+use crate::objective::{FrameObjective, virtual_camera_count};
 use i2slam_geometry::Tangent;
+use i2slam_radiance::RadianceMap;
 
 /// Step length at which a level ends [px at that level].
 const MIN_STEP_PX: f64 = 2e-3;
@@ -81,7 +82,7 @@ pub(super) enum EvaluationMode {
 impl FrameAlignment<'_> {
     /// Optimises from the coarsest level to the finest, then again on the finest against renders at
     /// the improved pose.
-    pub(super) fn coarse_to_fine<M: SceneMap>(
+    pub(super) fn coarse_to_fine<M: RadianceMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,

@@ -17,11 +17,12 @@ mod rolling_shutter;
 mod target;
 
 use super::context::{PredictedMotion, TrackingContext, TrackingResult, TrackingState};
-use crate::objective::{FrameObjective, Observation, SceneMap, blur_length};
+use crate::objective::{FrameObjective, Observation, blur_length};
 use crate::reconstruction::{Convergence, Losses};
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
+use i2slam_radiance::RadianceMap;
 use levenberg_marquardt::AlignmentOutcome;
 use priors::MotionPrior;
 use pyramid::frame_levels;
@@ -75,7 +76,7 @@ struct FrameAlignment<'a> {
 /// Aligns a frame from the constant-velocity prediction or, where that end is rejected, from the
 /// last pose at rest. Where both fail, and no pose was expected, the frame is relocalised against
 /// the keyframes.
-pub(super) fn align<M: SceneMap>(
+pub(super) fn align<M: RadianceMap>(
     context: &TrackingContext<'_>,
     objective: &mut FrameObjective<M>,
     map: &M,
@@ -141,7 +142,7 @@ fn pixels_per_unit(context: &TrackingContext<'_>, observation: &Observation) -> 
 impl FrameAlignment<'_> {
     /// Optimises from `start`; where the motion before is unknown, once more with the initial blur
     /// that suits the picture best, and keeps the better end.
-    fn optimize<M: SceneMap>(
+    fn optimize<M: RadianceMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,

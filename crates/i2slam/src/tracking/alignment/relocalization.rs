@@ -3,8 +3,9 @@
 use super::levenberg_marquardt::{AlignmentOutcome, EvaluationMode};
 use super::target::AlignmentTarget;
 use super::{FrameAlignment, TrackingState};
-use crate::objective::{FrameObjective, SceneMap};
+use crate::objective::FrameObjective;
 use i2slam_geometry::{Pose, Rotation, Vec3};
+use i2slam_radiance::RadianceMap;
 
 /// Rotations about the camera's vertical axis that are tried at every candidate pose [deg].
 const YAWS: [f64; 5] = [-24.0, -12.0, 0.0, 12.0, 24.0];
@@ -18,7 +19,7 @@ const MAX_STARTS: usize = 4;
 impl FrameAlignment<'_> {
     /// Optimises from the last tracked pose and the keyframes' poses, rotated by up to a third of a
     /// picture; returns the accepted end with the largest overlap.
-    pub(super) fn relocalize<M: SceneMap>(
+    pub(super) fn relocalize<M: RadianceMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,
@@ -46,7 +47,7 @@ impl FrameAlignment<'_> {
     }
 
     /// States rotated around `pose`, each with its overlap on the coarsest level.
-    fn candidates_around<M: SceneMap>(
+    fn candidates_around<M: RadianceMap>(
         &self,
         objective: &mut FrameObjective<M>,
         map: &M,

@@ -4,8 +4,9 @@ use super::FrameAlignment;
 use super::pyramid::{depth_levels, map_levels};
 use super::residual::{AbsoluteErrors, RobustScales, TargetLevel};
 use crate::config::TrackingParameters;
-use crate::objective::{FrameObjective, SceneMap};
+use crate::objective::FrameObjective;
 use i2slam_geometry::Pose;
+use i2slam_radiance::RadianceMap;
 
 /// Robust scales of the first iteration.
 const INITIAL_SCALES: RobustScales = RobustScales { depth: 0.02, image: 0.08 };
@@ -40,7 +41,7 @@ pub(super) struct AlignmentTarget {
 
 impl AlignmentTarget {
     /// The map rendered from `world_from_camera`.
-    pub(super) fn from_map<M: SceneMap>(
+    pub(super) fn from_map<M: RadianceMap>(
         frame: &FrameAlignment<'_>,
         objective: &mut FrameObjective<M>,
         map: &M,

@@ -4,7 +4,6 @@ mod cost;
 mod cpu_backward;
 mod cpu_forward;
 mod moving;
-mod radiance;
 pub mod reference;
 mod tile;
 
@@ -17,6 +16,7 @@ use super::{
     GaussianMap, MapGradient, MotionGradient, RasterSettings, Render, RenderCotangent,
     ShutterMotion, View,
 };
+use crate::RadianceMap;
 use cost::timed;
 pub use cost::{StageSeconds, Work};
 pub(crate) use cpu_backward::Slot;
@@ -24,7 +24,6 @@ use i2slam_geometry::Tangent;
 pub(crate) use moving::MotionSlot;
 use moving::{Clock, MomentRow};
 use pulp::Arch;
-pub use radiance::GaussianRadiance;
 use tile::TilePixels;
 
 /// The fast lane: all threads of the current `rayon` pool and the widest vectors found at run
@@ -342,5 +341,54 @@ impl Rasterizer {
 impl Default for Rasterizer {
     fn default() -> Self {
         Self::new(RasterSettings::default())
+    }
+}
+
+impl RadianceMap for GaussianMap {
+    type Settings = RasterSettings;
+    type Renderer = Rasterizer;
+    type Gradient = MapGradient;
+
+    const RENDERS_MOTION: bool = true;
+
+    fn renderer(settings: &RasterSettings) -> Rasterizer {
+        Rasterizer::new(*settings)
+    }
+
+    fn render(&self, rasterizer: &mut Rasterizer, view: &View<f32>, out: &mut Render) {
+        rasterizer.render(self, view, out);
+    }
+
+    fn pull_back(
+        &self,
+        rasterizer: &mut Rasterizer,
+        view: &View<f32>,
+        cotangent: &RenderCotangent,
+        gradient: Option<&mut MapGradient>,
+    ) -> Tangent<f64> {
+        rasterizer.pull_back(self, view, cotangent, gradient)
+    }
+
+    fn render_moving(
+        &self,
+        rasterizer: &mut Rasterizer,
+        view: &View<f32>,
+        motion: &ShutterMotion,
+        tiles: &[bool],
+        still: &Rasterizer,
+        out: &mut Render,
+    ) {
+        rasterizer.render_moving_shown_by(still, self, view, motion, tiles, out);
+    }
+
+    fn pull_back_moving(
+        &self,
+        rasterizer: &mut Rasterizer,
+        view: &View<f32>,
+        motion: &ShutterMotion,
+        cotangent: &RenderCotangent,
+        gradient: Option<&mut MapGradient>,
+    ) -> MotionGradient {
+        rasterizer.pull_back_moving(self, view, motion, cotangent, gradient)
     }
 }

@@ -3,7 +3,6 @@
 //! Every pixel visits every Gaussian that passed projection, so time is pixels times Gaussians:
 //! it is there to be read, to check gradients in `f64`, and to judge the fast lane.
 
-use crate::gaussian::motion::row_place;
 use crate::gaussian::project::reference::{
     Footprint, FootprintCotangent, PoseCotangents, Projector,
 };
@@ -11,6 +10,7 @@ use crate::gaussian::{
     GaussianMap, MapGradient, MotionGradient, RasterSettings, Render, RenderCotangent,
     ShutterMotion, View,
 };
+use crate::shutter_motion::row_place;
 use i2slam_geometry::{Camera, Real, Tangent};
 
 /// What `view` shows.

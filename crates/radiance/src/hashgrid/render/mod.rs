@@ -23,4 +23,3 @@ mod view;
 
 pub use rays::{RayGradient, RayRender};
 pub use renderer::FieldRenderer;
-pub use view::HashGridRadiance;

@@ -1,22 +1,12 @@
 //! The field as a radiance map: pictures from a pose.
 
 use super::{FieldRenderer, RayGradient, RayRender};
-use crate::hashgrid::{FieldGradient, HashGridField, Occupancy, Ray};
+use crate::hashgrid::{FieldGradient, HashGridField, HashGridMap, MarchSettings, Occupancy, Ray};
 use crate::{RadianceMap, Render, RenderCotangent, View};
 use i2slam_geometry::{Camera, Real, Tangent, Vec3};
 
 /// Rays of a picture that are kept at once.
 const BATCH: usize = 4096;
-
-/// A field together with its occupancy and its renderer.
-pub struct HashGridRadiance {
-    /// Radiance and density.
-    pub field: HashGridField,
-    /// Where rays are sampled.
-    pub occupancy: Occupancy,
-    /// What draws it.
-    pub renderer: FieldRenderer,
-}
 
 /// Direction of the ray through a pixel's centre, 1 m along the optical axis, in the camera.
 fn direction_in_camera<T: Real>(camera: &Camera<T>, column: usize, row: usize) -> Vec3<T> {
@@ -127,20 +117,28 @@ impl FieldRenderer {
     }
 }
 
-impl RadianceMap for HashGridRadiance {
+impl RadianceMap for HashGridMap {
+    type Settings = MarchSettings;
+    type Renderer = FieldRenderer;
     type Gradient = FieldGradient;
 
-    fn render(&mut self, view: &View<f32>, out: &mut Render) {
-        self.renderer.render_view(&self.field, &self.occupancy, view, out);
+    const RENDERS_MOTION: bool = false;
+
+    fn renderer(settings: &MarchSettings) -> FieldRenderer {
+        FieldRenderer::new(*settings)
+    }
+
+    fn render(&self, renderer: &mut FieldRenderer, view: &View<f32>, out: &mut Render) {
+        renderer.render_view(&self.field, &self.occupancy, view, out);
     }
 
     fn pull_back(
-        &mut self,
+        &self,
+        renderer: &mut FieldRenderer,
         view: &View<f32>,
         cotangent: &RenderCotangent,
         gradient: Option<&mut FieldGradient>,
     ) -> Tangent<f64> {
-        let Self { field, occupancy, renderer } = self;
-        renderer.pull_back_view(field, occupancy, view, cotangent, gradient)
+        renderer.pull_back_view(&self.field, &self.occupancy, view, cotangent, gradient)
     }
 }

@@ -41,7 +41,7 @@ fn view(seed: u64) -> View<f32> {
     View { camera, world_from_camera: Pose::new(Rotation::exp(turn), position) }
 }
 
-fn radiance() -> HashGridRadiance {
+fn map() -> (HashGridMap, FieldRenderer) {
     let settings = FieldSettings {
         levels: 6,
         log2_table: 14,
@@ -52,11 +52,12 @@ fn radiance() -> HashGridRadiance {
     };
     let march = MarchSettings { step_min: 0.02, step_max: 0.04, ..MarchSettings::cube(1.1) };
     let occupancy = OccupancySettings { resolution: 24, ..OccupancySettings::default() };
-    HashGridRadiance {
+    let map = HashGridMap {
         field: HashGridField::new(settings, 1).expect("settings in range"),
         occupancy: Occupancy::new(occupancy),
-        renderer: FieldRenderer::new(march),
-    }
+        march,
+    };
+    (map, FieldRenderer::new(march))
 }
 
 /// Derivatives of the mean squared errors of radiance and depth.
@@ -70,9 +71,9 @@ fn cotangents(rays: &[Ray], renders: &[RayRender]) -> Vec<RayRender> {
     rays.iter().zip(renders).map(of).collect()
 }
 
-fn train(radiance: &mut HashGridRadiance, steps: i32) {
+fn train(map: &mut HashGridMap, renderer: &mut FieldRenderer, steps: i32) {
     let views: Vec<_> = (0..24).map(|i| view(100 + i)).collect();
-    let HashGridRadiance { field, occupancy, renderer } = radiance;
+    let HashGridMap { field, occupancy, .. } = map;
     let (mut adam, mut random) = (FieldAdam::new(), Random::new(7));
     let (mut gradient, mut renders) = (FieldGradient::zeros(field), Vec::new());
     for step in 0..steps {
@@ -99,9 +100,9 @@ fn truth(view: &View<f32>) -> Vec<([f32; 3], f32)> {
 }
 
 /// PSNR of radiance \[dB\] and mean error of depth \[m\] in a view.
-fn quality(radiance: &mut HashGridRadiance, view: &View<f32>) -> (f64, f64) {
+fn quality(map: &HashGridMap, renderer: &mut FieldRenderer, view: &View<f32>) -> (f64, f64) {
     let mut render = Render::default();
-    radiance.render(view, &mut render);
+    map.render(renderer, view, &mut render);
     let (mut squared, mut depth_error) = (0.0, 0.0);
     let pixels = SIZE * SIZE;
     for (i, (colour, depth)) in truth(view).into_iter().enumerate() {
@@ -116,21 +117,21 @@ fn quality(radiance: &mut HashGridRadiance, view: &View<f32>) -> (f64, f64) {
 
 #[test]
 fn a_room_is_learnt_from_a_few_pictures() {
-    let mut radiance = radiance();
+    let (mut map, mut renderer) = map();
     let held_out = view(7);
-    let (before, _) = quality(&mut radiance, &held_out);
-    train(&mut radiance, 350);
-    let (after, depth) = quality(&mut radiance, &held_out);
-    let share = radiance.occupancy.share();
+    let (before, _) = quality(&map, &mut renderer, &held_out);
+    train(&mut map, &mut renderer, 350);
+    let (after, depth) = quality(&map, &mut renderer, &held_out);
+    let share = map.occupancy.share();
     eprintln!("{before:.1} -> {after:.1} dB, depth {depth:.3} m, occupied {share:.2}");
     assert!(before < 20.0 && after > 25.0, "{before:.1} dB before, {after:.1} dB after");
     assert!(depth < 0.05, "depth error {depth:.3} m");
     assert!(share < 0.6, "{share:.2} of the cells are occupied");
-    pose_is_found(&mut radiance, &held_out);
+    pose_is_found(&map, &mut renderer, &held_out);
 }
 
 /// Descent on the pose alone, through the trait, brings a moved camera back.
-fn pose_is_found(radiance: &mut HashGridRadiance, view: &View<f32>) {
+fn pose_is_found(map: &HashGridMap, renderer: &mut FieldRenderer, view: &View<f32>) {
     let moved = Tangent::from_array([0.03, -0.02, 0.02, 0.01, 0.02, -0.015]);
     let mut guess = View { world_from_camera: view.world_from_camera.retract(moved), ..*view };
     let away = |guess: &View<f32>| {
@@ -140,9 +141,9 @@ fn pose_is_found(radiance: &mut HashGridRadiance, view: &View<f32>) {
     let (start, truth) = (away(&guess), truth(view));
     let (mut adam, mut render) = (Adam::new(AdamSettings::default()), Render::default());
     for step in 0..60 {
-        radiance.render(&guess, &mut render);
+        map.render(renderer, &guess, &mut render);
         let cotangent = against(&render, &truth);
-        let tangent = radiance.pull_back(&guess, &cotangent, None);
+        let tangent = map.pull_back(renderer, &guess, &cotangent, None);
         let mut x = [0.0; 6];
         let gradient = tangent.to_array().map(|g| g as f32);
         adam.step(&mut x, &gradient, decayed_rate(3e-3, step, 60));

@@ -3,29 +3,27 @@
 use super::scenes::*;
 use crate::hashgrid::*;
 
-fn radiance() -> HashGridRadiance {
+fn map() -> HashGridMap {
     let field = field(settings(), 3).cast::<f32>();
-    let mut renderer = FieldRenderer::new(MarchSettings::cube(1.5));
+    let march = MarchSettings::cube(1.5);
     let settings = OccupancySettings { resolution: 8, density: 1.0, ..Default::default() };
     let mut occupancy = Occupancy::new(settings);
-    occupancy.refresh(&field, &mut renderer, 1);
-    HashGridRadiance { field, occupancy, renderer }
+    occupancy.refresh(&field, &mut FieldRenderer::new(march), 1);
+    HashGridMap { field, occupancy, march }
 }
 
 #[test]
 fn reads_back_every_bit() {
-    let radiance = radiance();
-    let back = HashGridRadiance::from_bytes(&radiance.to_bytes()).expect("its own bytes");
-    assert_eq!(back.field, radiance.field);
-    assert_eq!(back.occupancy, radiance.occupancy);
-    assert_eq!(back.renderer.settings(), radiance.renderer.settings());
-    assert_eq!(back.to_bytes(), radiance.to_bytes());
+    let map = map();
+    let back = HashGridMap::from_bytes(&map.to_bytes()).expect("its own bytes");
+    assert_eq!(back, map);
+    assert_eq!(back.to_bytes(), map.to_bytes());
 }
 
 #[test]
 fn says_what_is_wrong() {
-    let bytes = radiance().to_bytes();
-    let refusal = |bytes: &[u8]| HashGridRadiance::from_bytes(bytes).err();
+    let bytes = map().to_bytes();
+    let refusal = |bytes: &[u8]| HashGridMap::from_bytes(bytes).err();
     assert_eq!(refusal(b"I2SLAM\r\nabcdefgh"), Some(FieldFileError::NotAField));
     for length in [0, 5, 10, 14] {
         assert_eq!(refusal(&bytes[..length]), Some(FieldFileError::Length), "{length}");
@@ -42,13 +40,13 @@ fn says_what_is_wrong() {
 /// Bytes with a right checksum and wrong content.
 #[test]
 fn refuses_settings_and_lengths_that_cannot_be() {
-    let bytes = radiance().to_bytes();
+    let bytes = map().to_bytes();
     let with = |change: &dyn Fn(&mut Vec<u8>)| {
         let mut inner = bytes[..bytes.len() - 4].to_vec();
         change(&mut inner);
         let sum = crc32fast::hash(&inner);
         inner.extend_from_slice(&sum.to_le_bytes());
-        HashGridRadiance::from_bytes(&inner).err()
+        HashGridMap::from_bytes(&inner).err()
     };
     let put = |at: usize, v: f64| {
         move |b: &mut Vec<u8>| b[12 + 8 * at..20 + 8 * at].copy_from_slice(&v.to_le_bytes())

@@ -44,30 +44,31 @@ fn pose_gradient_agrees_with_central_differences() {
     });
 }
 
-fn radiance() -> HashGridRadiance {
+fn map() -> (HashGridMap, FieldRenderer) {
     let march = MarchSettings { step_min: 0.05, step_max: 0.1, ..MarchSettings::cube(1.5) };
-    HashGridRadiance {
+    let map = HashGridMap {
         field: field(settings(), 4).cast(),
         occupancy: Occupancy::new(OccupancySettings { resolution: 4, ..Default::default() }),
-        renderer: FieldRenderer::new(march),
-    }
+        march,
+    };
+    (map, FieldRenderer::new(march))
 }
 
 /// A picture of more pixels than are kept at once is what its rays show, forward and back.
 #[test]
 fn a_picture_is_its_rays() {
     let [width, height] = [80, 60];
-    let (view, mut radiance) = (view(width, height).cast(), radiance());
+    let (view, (map, mut renderer)) = (view(width, height).cast(), map());
     let (mut render, cotangent) = (Render::default(), cotangent(width, height));
-    radiance.render(&view, &mut render);
-    let mut gradient = FieldGradient::zeros(&radiance.field);
-    let tangent = radiance.pull_back(&view, &cotangent, Some(&mut gradient));
+    map.render(&mut renderer, &view, &mut render);
+    let mut gradient = FieldGradient::zeros(&map.field);
+    let tangent = map.pull_back(&mut renderer, &view, &cotangent, Some(&mut gradient));
 
     let pixel = |i: usize| (i % width, i / width);
     let count = width * height;
     let rays: Vec<Ray> =
         (0..count).map(|i| Ray::through_pixel(&view, pixel(i).0, pixel(i).1)).collect();
-    let HashGridRadiance { field, occupancy, renderer } = &mut radiance;
+    let HashGridMap { field, occupancy, .. } = &map;
     let (mut renders, mut by_rays) = (Vec::new(), Vec::new());
     renderer.render(field, occupancy, &rays, &mut renders);
     for (i, ray) in renders.iter().enumerate() {
@@ -94,17 +95,16 @@ fn a_picture_is_its_rays() {
 /// Depth is that along the optical axis: a wall at a distance has one depth in all pixels.
 #[test]
 fn depth_is_along_the_optical_axis() {
-    let (mut radiance, camera) = (radiance(), view(9, 7).camera.cast());
+    let ((mut map, _), camera) = (map(), view(9, 7).camera.cast());
     let view = View { camera, world_from_camera: Pose::identity() };
-    radiance.field.parameters_mut()[0].fill(0.0);
+    map.field.parameters_mut()[0].fill(0.0);
     // Only the cells behind z = 0.4 m (the middle of the cube) are there.
     let settings = OccupancySettings { resolution: 2, ..Default::default() };
     let there = |p: Vec3<f32>| p.z > 0.4;
-    radiance.occupancy = Occupancy::of_cells([0.2, -0.1, 0.4], 1.5, settings, there);
+    map.occupancy = Occupancy::of_cells([0.2, -0.1, 0.4], 1.5, settings, there);
     let rays = (0..63).map(|i| Ray::through_pixel(&view, i % 9, i / 9));
     for ray in rays {
-        let march = radiance.renderer.settings();
-        let first = radiance.occupancy.samples(&radiance.field, march, &ray)[0];
+        let first = map.occupancy.samples(&map.field, &map.march, &ray)[0];
         assert!((0.4..0.5).contains(&first.depth), "{first:?}");
     }
 }
@@ -112,15 +112,15 @@ fn depth_is_along_the_optical_axis() {
 /// A cotangent without some planes is one with zeros.
 #[test]
 fn missing_planes_are_zeros() {
-    let (view, mut radiance) = (view(12, 9).cast(), radiance());
-    radiance.render(&view, &mut Render::default());
+    let (view, (map, mut renderer)) = (view(12, 9).cast(), map());
+    map.render(&mut renderer, &view, &mut Render::default());
     let mut zeros = cotangent(12, 9);
     zeros.depth.data.fill(0.0);
     zeros.opacity.data.fill(0.0);
     let missing = RenderCotangent { radiance: zeros.radiance.clone(), ..Default::default() };
-    let tangent = radiance.pull_back(&view, &zeros, None);
-    assert_eq!(tangent, radiance.pull_back(&view, &missing, None));
+    let tangent = map.pull_back(&mut renderer, &view, &zeros, None);
+    assert_eq!(tangent, map.pull_back(&mut renderer, &view, &missing, None));
     assert_ne!(tangent, Tangent::zero());
-    let nothing = radiance.pull_back(&view, &RenderCotangent::default(), None);
+    let nothing = map.pull_back(&mut renderer, &view, &RenderCotangent::default(), None);
     assert_eq!(nothing, Tangent::zero());
 }

@@ -2,8 +2,8 @@
 
 use super::PACK;
 use crate::gaussian::bin::{TILE, TileGrid};
-use crate::gaussian::motion::row_place;
 use crate::gaussian::{Moment, ShutterMotion};
+use crate::shutter_motion::row_place;
 use i2slam_compute::simd::Column;
 use std::ops::Range;
 

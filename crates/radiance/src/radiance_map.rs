@@ -1,5 +1,6 @@
-//! What a radiance map is asked: a picture from a pose, and the way back.
+//! The trait of all maps, with views, renders and their cotangents.
 
+use crate::{MotionGradient, ShutterMotion};
 use i2slam_geometry::{Camera, Image, Pose, Real, Tangent};
 
 /// From where a map is looked at.
@@ -118,21 +119,63 @@ impl<T: Real> RenderCotangent<T> {
     }
 }
 
-/// A map of linear radiance that can be looked at from any pose and differentiated.
+/// A map of linear radiance that can be rendered from any pose and differentiated.
+///
+/// Buffers of a render belong to a renderer: one exposure draws several views, each with a renderer
+/// of its own, and pulls back through all of them.
 pub trait RadianceMap {
-    /// Derivatives with respect to the parameters of the map.
+    /// Settings of a renderer.
+    type Settings: Clone;
+    /// Draws a view, and keeps what `pull_back` needs.
+    type Renderer;
+    /// Derivatives by the parameters of the map.
     type Gradient;
 
-    /// Write what `view` shows into `out`, whose allocation is reused.
-    fn render(&mut self, view: &View<f32>, out: &mut Render);
+    /// Whether [`render_moving`](Self::render_moving) is implemented.
+    const RENDERS_MOTION: bool;
 
-    /// Pull `∂L/∂render` back through the last [`render`](Self::render), which must have been of
-    /// this `view` and of the map as it is now. Adds `∂L/∂map` to `gradient` when it is given and
-    /// returns `∂L/∂ξ` for the pose `world_from_camera.retract(ξ)`.
+    /// A renderer that has drawn nothing yet.
+    fn renderer(settings: &Self::Settings) -> Self::Renderer;
+
+    /// Writes what `view` shows into `out`, whose allocation is reused.
+    fn render(&self, renderer: &mut Self::Renderer, view: &View<f32>, out: &mut Render);
+
+    /// Pulls `∂L/∂render` back through the last [`render`](Self::render) of `renderer`, which must
+    /// have been of this view. Adds `∂L/∂map` to `gradient` when it is given, and returns `∂L/∂ξ`
+    /// for the pose `world_from_camera.retract(ξ)`.
     fn pull_back(
-        &mut self,
+        &self,
+        renderer: &mut Self::Renderer,
         view: &View<f32>,
         cotangent: &RenderCotangent,
         gradient: Option<&mut Self::Gradient>,
     ) -> Tangent<f64>;
+
+    /// Writes the average over the exposure of a moving camera in the marked tiles, black elsewhere.
+    /// Only elements that the last picture of `still` shows are drawn. A map that does not
+    /// [render motion](Self::RENDERS_MOTION) draws the view at mid-exposure.
+    fn render_moving(
+        &self,
+        renderer: &mut Self::Renderer,
+        view: &View<f32>,
+        _motion: &ShutterMotion,
+        _tiles: &[bool],
+        _still: &Self::Renderer,
+        out: &mut Render,
+    ) {
+        self.render(renderer, view, out);
+    }
+
+    /// Pulls back through the last [`render_moving`](Self::render_moving).
+    fn pull_back_moving(
+        &self,
+        renderer: &mut Self::Renderer,
+        view: &View<f32>,
+        _motion: &ShutterMotion,
+        cotangent: &RenderCotangent,
+        gradient: Option<&mut Self::Gradient>,
+    ) -> MotionGradient {
+        let pose = self.pull_back(renderer, view, cotangent, gradient);
+        MotionGradient { pose, velocity: Tangent::zero(), readout: 0.0 }
+    }
 }
