@@ -1,21 +1,21 @@
-//! Why a sequence, or a picture, gives nothing.
+//! Errors of the odometry.
 
 use thiserror::Error;
 
-/// Why no camera path could be found at all.
+/// Reason why there is no camera path.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum OdometryError {
-    /// Too few pictures came.
+    /// Too few pictures.
     #[error(
         "{frames} pictures are too few: a path needs at least {needed} that show the same scene from different places"
     )]
     TooFewFrames {
-        /// Pictures that came.
+        /// Accepted pictures.
         frames: usize,
-        /// How many are needed.
+        /// Pictures needed.
         needed: usize,
     },
-    /// Hardly any point could be followed from picture to picture.
+    /// Hardly any point could be tracked from picture to picture.
     #[error(
         "too few points could be followed from picture to picture: the scene has too little texture, or pictures are too dark, too blurred or too unlike each other"
     )]
@@ -33,10 +33,10 @@ pub enum OdometryError {
         "the camera only turned: a rotation explains all motion up to {residual:.1} pixels; depth shows only when the camera changes its place"
     )]
     RotationOnly {
-        /// Largest median that a rotation leaves unexplained between two keyframes [px].
+        /// Largest median residual of a rotation between two keyframes [px].
         residual: f64,
     },
-    /// Points move, but not as those of a rigid scene do.
+    /// The motion is not that of a camera in a rigid scene.
     #[error(
         "no two pictures agree on one motion of the camera: the scene moves itself, or the intrinsics are far from true; check them or have the focal length looked for, and film what stands still"
     )]
@@ -46,10 +46,10 @@ pub enum OdometryError {
     Cancelled,
 }
 
-/// Why a picture was refused.
+/// Reason why a picture was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum PictureError {
-    /// Not of the camera's size.
+    /// Size other than the camera's.
     #[error(
         "a picture of {width}x{height} pixels, but the camera's are {expected_width}x{expected_height}"
     )]
@@ -63,7 +63,7 @@ pub enum PictureError {
         /// Height of the camera's pictures [px].
         expected_height: usize,
     },
-    /// Smaller than points can be followed in.
+    /// Too small for tracking.
     #[error(
         "a picture of {width}x{height} pixels is too small: points need at least {least} a side"
     )]
@@ -72,10 +72,10 @@ pub enum PictureError {
         width: usize,
         /// Height of the picture [px].
         height: usize,
-        /// Least side [px].
+        /// Smallest side [px].
         least: usize,
     },
-    /// Neither one plane nor three, or not as many values as that needs.
+    /// Neither one plane nor three, or incomplete ones.
     #[error(
         "a picture of {channels} planes and {values} values: it takes one plane or three, complete"
     )]
@@ -85,12 +85,12 @@ pub enum PictureError {
         /// Values that it has.
         values: usize,
     },
-    /// Stamps must rise.
+    /// Timestamp not above the one before.
     #[error("a picture of {timestamp} s after one of {last} s: stamps must rise")]
     Stamp {
-        /// Stamp of the picture [s].
+        /// Timestamp of the picture [s].
         timestamp: f64,
-        /// Stamp of the one before [s].
+        /// Timestamp of the one before [s].
         last: f64,
     },
 }

@@ -1,4 +1,4 @@
-//! Pictures in, camera path out.
+//! The odometry pipeline: pictures in, reconstruction out.
 
 use crate::error::{OdometryError, PictureError};
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
@@ -17,15 +17,16 @@ use crate::sfm_state::SfmState;
 use crate::track::tracker::{FrameReport, Tracker};
 use i2slam_geometry::Image;
 
-/// Pictures without which nothing is tried.
+/// Smallest number of pictures.
 pub const MIN_FRAMES: usize = 4;
-/// What changes by less than this share is settled; all is adjusted so often at most.
+/// Relative change of cost and focal length at convergence, and largest number of global
+/// adjustments.
 const CONVERGED_CHANGE: f64 = 1e-3;
 const MAX_ADJUSTMENT_ROUNDS: usize = 5;
-/// Least side of a picture [px].
+/// Shorter side of a picture, at least [px].
 pub const MIN_SIDE: usize = 48;
 
-/// A monocular front end: [`push`](Self::push) every picture in order, then
+/// Monocular visual odometry: [`push`](Self::push) every picture in order, then
 /// [`finish`](Self::finish).
 #[derive(Clone, Debug)]
 pub struct FrontEnd {
@@ -36,23 +37,23 @@ pub struct FrontEnd {
 }
 
 impl FrontEnd {
-    /// A front end for pictures of one pinhole camera.
+    /// A front end for pictures of one camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
         let (tracker, timestamps) = (Tracker::default(), Vec::new());
         Self { intrinsics, tracker, timestamps, close_loops: true }
     }
 
-    /// The same, without looking for places that are seen again after their points were lost.
+    /// Disables loop closure.
     pub fn without_loop_closure(self) -> Self {
         Self { close_loops: false, ..self }
     }
 
-    /// Follows points into the next picture: planes R, G, B in [0, 1], or one plane of
-    /// brightness; stamp [s].
+    /// Tracks points into the next picture: planes R, G, B in [0, 1], or one plane of brightness;
+    /// timestamp [s].
     ///
     /// # Errors
     ///
-    /// A picture that does not fit is refused and counts as if it had not come.
+    /// A picture that does not fit is refused; the state stays as it was.
     pub fn push(
         &mut self,
         picture: &Image<f32>,
@@ -79,20 +80,20 @@ impl FrontEnd {
         Ok(self.tracker.track(picture))
     }
 
-    /// Finds the path of the camera.
+    /// Reconstructs the camera path from all pictures so far.
     ///
     /// # Errors
     ///
-    /// Why there is none.
+    /// The reason why there is no path.
     pub fn finish(self) -> Result<Reconstruction, OdometryError> {
         self.finish_with_progress(Progress::default())
     }
 
-    /// The same while somebody watches.
+    /// Reconstructs the camera path with progress reports and cancellation.
     ///
     /// # Errors
     ///
-    /// Why there is none; [`OdometryError::Cancelled`] where `progress` ended it.
+    /// The reason why there is no path; [`OdometryError::Cancelled`] after cancellation.
     pub fn finish_with_progress(self, progress: Progress) -> Result<Reconstruction, OdometryError> {
         let frames = self.timestamps.len();
         if frames < MIN_FRAMES {
@@ -132,7 +133,7 @@ impl FrontEnd {
     }
 }
 
-/// Camera, poses and landmarks, of rows as they seem to have been read.
+/// Initial readout, focal length, and the map.
 fn estimate_path(
     state: &mut SfmState,
     adjust_focal: bool,
@@ -148,8 +149,8 @@ fn estimate_path(
     build_map(state, adjust_focal)
 }
 
-/// Adjusts everything until cost and focal length stay where they are: a path that bends as a whole
-/// hardly changes what is seen, and neither does a focal length beside rows that were read in turn.
+/// Adjusts all frames until cost and focal length converge: a slow bend of the whole path, or a
+/// focal length beside a rolling shutter, hardly changes the cost of one adjustment.
 fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
     let mut before = (f64::INFINITY, state.camera.fx);
     for _ in 0..MAX_ADJUSTMENT_ROUNDS {
@@ -165,7 +166,7 @@ fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
     }
 }
 
-/// Poses and landmarks from tracks alone.
+/// Builds the map from tracks alone: poses of all frames, and landmarks.
 fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
     initialize(state)?;
     let mut was_lost = register_and_relocalize(state, adjust_focal);
@@ -181,7 +182,7 @@ fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryErr
     Ok(())
 }
 
-/// Poses all keyframes that can be reached or recognised; returns whether some had been lost.
+/// Registers and relocalizes keyframes until none is left; returns whether some were relocalized.
 fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
     let (mut failed, mut was_lost) = (FailedPairs::default(), false);
     loop {
@@ -194,8 +195,9 @@ fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
     }
 }
 
-/// The scene from another start, where keyframes in a row that were not reached stand for more
-/// frames than those that were, if more are reached from there; and whether some had been lost.
+/// The state initialized in the longest run of unregistered keyframes, where that run represents
+/// more frames than those registered, and registers more from there; and whether some were
+/// relocalized.
 fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, bool)> {
     let is_posed = |place: usize| state.poses[state.tracks.keyframes[place]].is_some();
     let places: Vec<usize> = (0..state.tracks.keyframes.len()).collect();
@@ -211,13 +213,13 @@ fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, 
     (self::frames_covered(&other) > frames_covered).then_some((other, was_lost))
 }
 
-/// Number of frames from a keyframe, given by its place among them, to the next one.
+/// Number of frames from a keyframe, given by its index among them, to the next one.
 fn frames_represented(state: &SfmState, place: usize) -> usize {
     let keyframes = &state.tracks.keyframes;
     keyframes.get(place + 1).copied().unwrap_or(state.poses.len()) - keyframes[place]
 }
 
-/// Number of frames that keyframes with a pose stand for.
+/// Number of frames represented by registered keyframes.
 fn frames_covered(state: &SfmState) -> usize {
     let keyframes = state.tracks.keyframes.iter().enumerate();
     let posed = keyframes.filter(|(_, frame)| state.poses[**frame].is_some());

@@ -1,33 +1,33 @@
-//! Who watches the search for a path: how far it is, and whether it is to end.
+//! Progress reports and cancellation of a reconstruction.
 
 use i2slam_compute::CancellationToken;
 use std::fmt;
 use std::sync::Arc;
 
-/// What a front end is at.
+/// Stage of the odometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Follows points from picture to picture; counts pictures.
+    /// Tracking points; counts pictures.
     Tracking {
         /// Keyframes among those so far.
         keyframes: usize,
     },
-    /// Looks for the focal length from several starts.
+    /// Searching for the focal length.
     FocalLength,
-    /// Finds where keyframes were taken; counts those that are found, of all.
+    /// Registering keyframes; counts registered ones, of all.
     Registration,
-    /// Adjusts all poses and points together; counts steps, of which there may be fewer.
+    /// Bundle adjustment; counts steps, of which there may be fewer.
     BundleAdjustment,
-    /// Looks for the time between the first and the last row of a picture.
+    /// Estimating the rolling-shutter readout.
     RollingShutter,
-    /// Looks for places that are seen again.
+    /// Closing loops.
     LoopClosure,
 }
 
-/// Told of stages, with how much of them is done, and of how much (0 where that is not known).
+/// Receives a stage, the amount done and the total (0 if unknown).
 type Listener = Arc<dyn Fn(Stage, usize, usize) + Send + Sync>;
 
-/// Who watches. The default is nobody.
+/// Listener to progress, with a cancellation token. The default has neither.
 #[derive(Clone, Default)]
 pub struct Progress {
     cancellation: CancellationToken,
@@ -35,8 +35,8 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Ends the search where `cancellation` is cancelled; `listener` is told what is done, of how much (0
-    /// where that is not known), on the thread that searches.
+    /// Stops at the next step once `cancellation` is cancelled; calls `listener(stage, done,
+    /// total)` on the reconstructing thread, with a total of 0 where it is unknown.
     pub fn new(
         cancellation: CancellationToken,
         listener: impl Fn(Stage, usize, usize) + Send + Sync + 'static,
@@ -44,17 +44,17 @@ impl Progress {
         Self { cancellation, listener: Some(Arc::new(listener)) }
     }
 
-    /// Whether the search is to end.
+    /// Whether the reconstruction shall stop.
     pub fn is_cancelled(&self) -> bool {
         self.cancellation.is_cancelled()
     }
 
-    /// Tells how far it is.
+    /// Reports progress to the listener.
     pub fn report(&self, stage: Stage, done: usize, of: usize) {
         self.listener.iter().for_each(|listener| listener(stage, done, of));
     }
 
-    /// For trials, of which nothing is told.
+    /// The same cancellation without a listener, for trial runs.
     pub(crate) fn without_listener(&self) -> Self {
         Self { cancellation: self.cancellation.clone(), listener: None }
     }

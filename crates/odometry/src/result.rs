@@ -1,4 +1,4 @@
-//! What the front end delivers.
+//! Result of the odometry.
 
 use crate::intrinsics::focal_length::Intrinsics;
 use crate::intrinsics::observability::reestimate_intrinsics;
@@ -9,79 +9,78 @@ use crate::warning::Warning;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
-/// Frames in a row without poses that are named, and points in them that make a place.
+/// Consecutive lost frames that get a warning of their own, and points tracked in them that show
+/// another place.
 const MIN_LISTED_FRAMES: usize = 4;
 const MIN_TRACKED_POINTS: usize = 40;
-/// Deviation of an inverse depth up to which a point nearer than usual is believed, as a share of
-/// the usual inverse depth.
+/// Largest deviation of the inverse depth of a point nearer than the median, as a ratio of the
+/// median inverse depth.
 const MAX_NEAR_DEVIATION: f64 = 0.3;
 
-/// What became of a frame.
+/// Registration status of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FrameStatus {
-    /// Its pose was found.
+    /// The frame has a pose.
     Posed {
         /// `world_from_camera` at mid-exposure.
         world_from_camera: Pose<f64>,
-        /// Landmarks that agree on it.
+        /// Landmarks that agree with it.
         landmarks: usize,
     },
-    /// It shows too little of what the other frames show.
+    /// The frame shares too little with the others.
     Lost,
 }
 
-/// A point of the scene that a keyframe shows.
+/// A landmark observed in a keyframe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SparseDepth {
-    /// Image position in the keyframe as the pinhole camera would show it, all rows exposed with
-    /// the middle one [px].
+    /// Image position of the undistorted pinhole camera, all rows exposed with the middle one [px].
     pub at: [f64; 2],
     /// Depth along the optical axis, in the unit of the poses.
     pub depth: f64,
-    /// Its variance, in that unit squared, poses taken as exact.
+    /// Variance of the depth with poses fixed, in that unit squared.
     pub variance: f64,
 }
 
-/// A keyframe with what is known of its depth.
+/// A keyframe with its landmarks.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
-    /// Place of the frame in the sequence of accepted pictures.
+    /// Index of the frame among the accepted pictures.
     pub index: usize,
-    /// Stamp [s].
+    /// Timestamp [s].
     pub timestamp: f64,
     /// Pose at mid-exposure.
     pub world_from_camera: Pose<f64>,
-    /// Landmarks in it, in no particular order.
+    /// Landmarks, in no particular order.
     pub depths: Vec<SparseDepth>,
 }
 
-/// A camera path with sparse structure. The unit of length is the median depth of all landmarks in
-/// keyframes, since pictures alone do not tell metres.
+/// Camera path with sparse structure. Monocular scale is not observable: the unit of length is the
+/// median depth of all landmarks in keyframes.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// The pinhole camera: as given, or with the focal length found.
+    /// The pinhole camera: as given, or with the estimated focal length.
     pub camera: Camera<f64>,
-    /// Radial distortion `(k1, k2)` as in OpenCV, where it was looked for, zero where it was not
-    /// found: a point that the pinhole camera sees at `c + f x` is shown at `c + f x (1 + k1 ‖x‖² +
-    /// k2 ‖x‖⁴)`.
+    /// Radial distortion `(k1, k2)` as in OpenCV, where it was estimated, zero if not observable: a
+    /// point at `c + f x` of the pinhole camera is seen at `c + f x (1 + k1 ‖x‖² + k2 ‖x‖⁴)`.
     pub distortion: Option<[f64; 2]>,
-    /// Relative standard deviation of the focal length, where it was looked for and is determined.
+    /// Relative standard deviation of the focal length, where it was estimated and is observable.
     pub focal_deviation: Option<f64>,
-    /// Time from the first to the last row [s], positive if the top row comes first; 0 where all
-    /// rows fit one moment. Poses are of the middle row.
+    /// Rolling-shutter readout from the first to the last row [s], positive if the top row comes
+    /// first; 0 for a global shutter. Poses are of the middle row.
     pub rolling_shutter_readout: f64,
-    /// One entry per picture that was accepted.
+    /// Status of every accepted picture.
     pub frames: Vec<FrameStatus>,
-    /// Stamps of all frames [s].
+    /// Timestamps of all frames [s].
     pub timestamps: Vec<f64>,
-    /// Keyframes that have a pose, in order.
+    /// Registered keyframes, in order.
     pub keyframes: Vec<Keyframe>,
     /// Degradations that a user should know of.
     pub warnings: Vec<Warning>,
 }
 
 impl Reconstruction {
-    /// The same as pictures of another size show it: camera, image positions and warnings.
+    /// Scales camera, image positions and warnings to pictures of another size.
     #[must_use]
     pub fn resized(mut self, width: usize, height: usize) -> Self {
         let scale =
@@ -93,7 +92,7 @@ impl Reconstruction {
         self
     }
 
-    /// Poses of all frames that have one.
+    /// Poses of all registered frames.
     pub fn trajectory(&self) -> Trajectory {
         let stamped = self.frames.iter().zip(&self.timestamps);
         stamped
@@ -108,7 +107,7 @@ impl Reconstruction {
     }
 }
 
-/// Puts the parts together. The first posed frame becomes the world, and the median depth of all
+/// Builds the result. The first registered frame becomes the world, and the median depth of all
 /// landmarks in keyframes the unit of length.
 pub(crate) fn build_reconstruction(
     state: SfmState,
@@ -171,7 +170,7 @@ pub(crate) fn build_reconstruction(
     }
 }
 
-/// What is the matter with frames in a row that have no pose.
+/// Warnings for long runs of frames without a pose.
 fn lost_frame_warnings(state: &SfmState) -> Vec<Warning> {
     let is_lost: Vec<bool> = state.poses.iter().map(Option::is_none).collect();
     let mut out = Vec::new();
@@ -190,7 +189,8 @@ fn lost_frame_warnings(state: &SfmState) -> Vec<Warning> {
     out
 }
 
-/// A focal length that was given is let go once, to see whether another one fits.
+/// Relative deviation of an estimated focal length, with warnings; a given one is re-estimated to
+/// see whether another fits better.
 fn focal_deviation(
     state: &SfmState,
     intrinsics: &Intrinsics,
@@ -256,10 +256,10 @@ fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
     state.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
 }
 
-/// The landmarks of a keyframe without those that are near by chance. While a camera hardly moves, a
-/// point that was followed a pixel astray fits best right before the lens, where its depth has a
-/// small deviation: `σ_z = z² σ_ρ` for inverse depth ρ. Whether sights measure depth at all, `σ_ρ`
-/// tells: it has to be small beside the usual ρ.
+/// Discards landmarks that are near only by chance. While a camera hardly moves, a point tracked a
+/// pixel off fits best right before the lens, where its depth has a small deviation, `σ_z = z² σ_ρ`
+/// for inverse depth ρ. The deviation `σ_ρ` shows whether its depth is measured: it has to be small
+/// compared with the usual ρ.
 fn discard_unreliable_near_points(mut depths: Vec<SparseDepth>) -> Vec<SparseDepth> {
     let usual = weighted_median_inverse_depth(&depths);
     depths.retain(|d| {
@@ -274,8 +274,8 @@ fn inverse_depth(of: &SparseDepth) -> (f64, f64) {
     (1.0 / of.depth, of.variance.sqrt() / of.depth.powi(2))
 }
 
-/// The median inverse depth, each counting by its certainty `1 / σ`, so that few points that are
-/// measured well outweigh many that are not; 0 without any.
+/// Median inverse depth weighted by `1 / σ`, so that few precise points outweigh many vague ones; 0
+/// without any.
 fn weighted_median_inverse_depth(depths: &[SparseDepth]) -> f64 {
     let mut weighed: Vec<(f64, f64)> = depths
         .iter()
@@ -298,8 +298,8 @@ mod tests {
     use super::*;
     use crate::track::tracks::Tracks;
 
-    /// Even where most points of a keyframe lie before the lens, those that were measured decide;
-    /// one that is as near and was measured well stays.
+    /// Precise points decide even where most of a keyframe lie before the lens; a precise near one
+    /// stays.
     #[test]
     fn points_right_before_the_lens_are_left_out() {
         let point = |(depth, share): (f64, f64)| SparseDepth {
@@ -315,7 +315,7 @@ mod tests {
         assert_eq!(discard_unreliable_near_points(Vec::new()), []);
     }
 
-    /// A scene that says nothing of the camera: that is told where the camera was looked for.
+    /// A state that does not determine the focal length: a warning where it was estimated.
     #[test]
     fn a_focal_length_that_nothing_determines_is_said_to_be_a_guess() {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };

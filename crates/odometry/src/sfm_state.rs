@@ -1,4 +1,4 @@
-//! What is known so far: poses of frames, landmarks of tracks.
+//! State of the reconstruction: camera, tracks, poses and landmarks.
 
 use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics};
 use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
@@ -11,43 +11,44 @@ use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Residuals beyond this are wrong matches [standard deviations].
+/// Reprojection error of an outlier [standard deviations].
 const OUTLIER_ERROR: f64 = 6.0;
-/// The tracker's deviations are never taken as wrong by more than this.
+/// Largest factor between residuals and the tracker's deviations.
 const MAX_NOISE_SCALE: f64 = 4.0;
-/// Fewer frames do not tell the lens, nor the readout.
+/// Frames from which on distortion or readout are adjusted.
 const MIN_SELF_CALIBRATION_FRAMES: usize = 8;
 /// Longest rolling-shutter readout [frame intervals].
 pub(crate) const MAX_READOUT: f64 = 1.0;
-/// Poses that are adjusted together at most.
+/// Largest number of poses in one bundle adjustment.
 pub(crate) const MAX_JOINT_POSES: usize = 1000;
 
-/// Poses and landmarks, and the tracks that they explain.
+/// Camera, poses and landmarks of a sequence, with the tracks that they explain.
 #[derive(Clone, Debug)]
 pub(crate) struct SfmState {
     pub(crate) camera: Camera<f64>,
     pub(crate) tracks: Tracks,
-    /// For every frame the tracks that it shows.
+    /// Tracks of every frame.
     by_frame: Arc<Vec<Vec<usize>>>,
-    /// `world_from_camera` of every frame that has one.
+    /// `world_from_camera` of every registered frame.
     pub(crate) poses: Vec<Option<Pose<f64>>>,
-    /// For every track its landmark, if it has one.
+    /// Landmark of every triangulated track.
     pub(crate) landmarks: Vec<Option<Landmark>>,
-    /// How many times as large residuals are as the tracker says, at least 1.
+    /// Ratio of residuals to the tracker's deviations, at least 1.
     pub(crate) noise: f64,
-    /// The coefficients of the lens, and whether they are looked for: see [`distortion`](crate::multiview::lens_distortion).
+    /// Coefficients of [`lens_distortion`](crate::multiview::lens_distortion), and whether they are
+    /// adjusted.
     pub(crate) distortion: [f64; 2],
     pub(crate) estimates_distortion: bool,
-    /// The readout that sights are freed of, 0 for none [frame intervals], and whether a better one
-    /// is looked for with the camera.
+    /// Readout that observations are corrected for, 0 for a global shutter [frame intervals], and
+    /// whether it is adjusted.
     pub(crate) readout: f64,
     pub(crate) estimates_readout: bool,
-    /// Who watches.
+    /// Listener and cancellation.
     pub(crate) progress: Progress,
 }
 
 impl SfmState {
-    /// Nothing is known yet.
+    /// No pose and no landmark.
     pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
         let by_frame = Arc::new(tracks.by_frame());
@@ -66,7 +67,7 @@ impl SfmState {
         }
     }
 
-    /// The scene of the keyframes of one of which nothing is known but the camera.
+    /// An empty state of the keyframes alone, with the same camera.
     pub(crate) fn keyframes_only(state: &Self) -> Self {
         let (estimates_distortion, progress) =
             (state.estimates_distortion, state.progress.without_listener());
@@ -77,7 +78,7 @@ impl SfmState {
         }
     }
 
-    /// Takes back all poses and landmarks; tracks, camera and lens stay.
+    /// Removes all poses and landmarks; tracks, camera and distortion stay.
     pub(crate) fn reset(&mut self) {
         self.poses.fill(None);
         self.landmarks.fill(None);
@@ -86,7 +87,7 @@ impl SfmState {
         observations.for_each(|o| o.is_outlier = false);
     }
 
-    /// Landmarks that a frame shows.
+    /// Landmarks observed in a frame.
     pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
         let pair = |i: &usize| {
             let landmark = self.landmarks[*i].as_ref()?;
@@ -95,7 +96,7 @@ impl SfmState {
         self.by_frame[frame].iter().filter_map(pair).collect()
     }
 
-    /// Tracks that a frame shows, with where it shows them.
+    /// Observations in a frame, with their tracks.
     pub(crate) fn observations_in(
         &self,
         frame: usize,
@@ -104,7 +105,7 @@ impl SfmState {
         self.by_frame[frame].iter().filter_map(observation)
     }
 
-    /// The same without where.
+    /// Tracks observed in a frame.
     pub(crate) fn tracks_in_frame(&self, frame: usize) -> &[usize] {
         &self.by_frame[frame]
     }
@@ -115,7 +116,7 @@ impl SfmState {
         self.by_frame[first].iter().filter(both).count()
     }
 
-    /// Number of tracks with at least three sights in the frames from `first` to `last`.
+    /// Number of tracks with at least three observations in the frames from `first` to `last`.
     pub(crate) fn tracked_points_within(&self, first: usize, last: usize) -> usize {
         let seen = |track: &&crate::track::tracks::Track| {
             let within = |o: &&Observation| (first..=last).contains(&o.frame);
@@ -124,7 +125,7 @@ impl SfmState {
         self.tracks.tracks.iter().filter(seen).count()
     }
 
-    /// Adds sights to tracks; of a frame that a track has already, none.
+    /// Adds observations to tracks, at most one per track and frame.
     pub(crate) fn add_observations(&mut self, observations: Vec<(usize, Observation)>) {
         let by_frame = Arc::make_mut(&mut self.by_frame);
         for (track, observation) in observations {
@@ -148,12 +149,12 @@ impl SfmState {
         (0..self.poses.len()).filter(|f| self.poses[*f].is_some()).collect()
     }
 
-    /// Gives a landmark to every track without one that enough posed frames show.
+    /// Triangulates every track without a landmark that enough registered frames observe.
     pub(crate) fn triangulate_missing(&mut self) {
         self.triangulate((0..self.landmarks.len()).collect());
     }
 
-    /// The same for the tracks that one frame shows.
+    /// Triangulates the tracks of one frame that have no landmark.
     pub(crate) fn triangulate_missing_in(&mut self, frame: usize) {
         self.triangulate(self.by_frame[frame].clone());
     }
@@ -170,11 +171,10 @@ impl SfmState {
         tracks.into_iter().zip(found).for_each(|(i, found)| self.landmarks[i] = found);
     }
 
-    /// Adjusts the poses of `free` frames, the landmarks that they see, and the focal length if
-    /// asked, all other posed frames fixed. Returns the cost per sight.
+    /// Adjusts the poses of `free` frames, their landmarks and, on demand, the intrinsics; all
+    /// other frames stay. Returns the mean cost per observation.
     ///
-    /// More than [`MAX_JOINT_POSES`] are adjusted part by part, so that memory stays in proportion to
-    /// the number of frames whatever they see.
+    /// More than [`MAX_JOINT_POSES`] are adjusted in overlapping parts, which bounds the memory.
     pub(crate) fn adjust(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
         if free.len() <= MAX_JOINT_POSES {
             return self.adjust_together(free, adjust_focal, steps);
@@ -208,7 +208,7 @@ impl SfmState {
         cost
     }
 
-    /// Frees all sights of a lens that differs from the one so far.
+    /// Corrects all observations for a change of the distortion.
     pub(crate) fn update_distortion(&mut self, camera_change: [f64; 2]) {
         (0..2).for_each(|i| self.distortion[i] += camera_change[i]);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
@@ -217,8 +217,8 @@ impl SfmState {
         }
     }
 
-    /// Frees all sights of a readout that differs from the one so far, in proportion: rows are read
-    /// at the speeds that are known.
+    /// Corrects all observations for a change of the readout, in proportion: the correction is the
+    /// readout times a speed that is already known.
     fn update_readout(&mut self, camera_change: f64) {
         let readout = (self.readout + camera_change).clamp(-MAX_READOUT, MAX_READOUT);
         let ratio = readout / self.readout;
@@ -233,7 +233,7 @@ impl SfmState {
         }
     }
 
-    /// What a bundle of so many frames may find of the camera.
+    /// Intrinsics that a bundle of so many frames adjusts.
     fn free_intrinsics(&self, adjust_focal: bool, frames: usize) -> FreeIntrinsics {
         let is_enough = frames >= MIN_SELF_CALIBRATION_FRAMES;
         match (self.estimates_distortion && is_enough, self.estimates_readout && is_enough) {
@@ -244,8 +244,8 @@ impl SfmState {
         }
     }
 
-    /// What the unknowns of the camera move a sight by: rows by what they were moved by so far, for
-    /// one frame interval.
+    /// Derivatives of a corrected position by the adjusted camera parameters; by the readout, the
+    /// present correction per frame interval.
     fn camera_jacobian(&self, free_intrinsics: FreeIntrinsics, o: &Observation) -> CameraJacobian {
         if free_intrinsics != FreeIntrinsics::FocalLengthAndReadout {
             return distortion_jacobian(&self.camera, o.raw);
@@ -254,15 +254,15 @@ impl SfmState {
         [std::array::from_fn(|i| (o.at[i] - flat[i]) / self.readout), [0.0; 2]]
     }
 
-    /// Tracks that some frames show, in order.
+    /// Tracks observed in any of some frames, in order.
     fn tracks_in(&self, frames: &[usize]) -> Vec<usize> {
         let mut is_shown = vec![false; self.landmarks.len()];
         frames.iter().flat_map(|f| &self.by_frame[*f]).for_each(|t| is_shown[*t] = true);
         (0..is_shown.len()).filter(|t| is_shown[*t]).collect()
     }
 
-    /// The bundle of `free` frames and all others that see the same landmarks, the frames of its
-    /// poses and the tracks of its landmarks. Where none would be fixed, the first one is.
+    /// The bundle of `free` frames and all others that share landmarks with them, with the frames
+    /// of its poses and the tracks of its landmarks. The first frame is fixed where none would be.
     pub(crate) fn bundle(
         &self,
         free: &[usize],
@@ -306,13 +306,13 @@ impl SfmState {
         (bundle, frames, tracks)
     }
 
-    /// Marks the sights that their landmark does not explain, and gives up landmarks that are left
-    /// with fewer than two: all their sights may be tried again.
+    /// Marks observations that their landmark does not explain as outliers, and drops landmarks
+    /// left with fewer than two inliers; their observations may be tried again.
     pub(crate) fn reject_outliers(&mut self) {
         self.reject_outliers_of((0..self.landmarks.len()).collect());
     }
 
-    /// The same for the landmarks that some frames show.
+    /// Rejects outliers among the landmarks that some frames observe.
     pub(crate) fn reject_outliers_in(&mut self, frames: &[usize]) {
         self.reject_outliers_of(self.tracks_in(frames));
     }
@@ -336,12 +336,12 @@ impl SfmState {
         }
     }
 
-    /// Sets [`noise`](Self::noise) to what half of all sights in posed frames keep to.
+    /// Updates [`noise`](Self::noise) from the residuals of all registered frames.
     pub(crate) fn update_noise_scale(&mut self) {
         self.noise = self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE_SCALE));
     }
 
-    /// How many times as large residuals are as the tracker says, by their median.
+    /// Median residual over that expected from the tracker's deviations.
     pub(crate) fn residual_scale(&self) -> Option<f64> {
         let mut all = Vec::new();
         for frame in self.posed_frames() {
@@ -354,7 +354,7 @@ impl SfmState {
         median(&mut all).map(|m| m / usual)
     }
 
-    /// Number of the landmarks in a frame that agree with its pose.
+    /// Number of landmarks within [`MAX_INLIER_ERROR`] in a frame.
     pub(crate) fn count_inliers(&self, frame: usize) -> usize {
         let Some(pose) = self.poses[frame] else { return 0 };
         let agrees = |m: &&Match<'_>| {

@@ -1,6 +1,6 @@
-//! What a user should know of a result.
+//! Warnings about a reconstruction.
 
-/// A degradation of a result.
+/// Degradation of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Warning {
     /// Frames without a pose.
@@ -11,7 +11,8 @@ pub enum Warning {
         /// All frames.
         frames: usize,
     },
-    /// Frames in a row that show points, but not those of the others: as after a cut.
+    /// Consecutive frames with points of their own, but too few in common with the others, as after
+    /// a cut.
     #[error(
         "frames {first} to {last} could not be joined to the others: they show another place, or too little of the same one: to have it mapped, run those frames alone"
     )]
@@ -21,7 +22,7 @@ pub enum Warning {
         /// Last frame.
         last: usize,
     },
-    /// Frames in a row in which no points could be followed.
+    /// Consecutive frames without points to track.
     #[error(
         "frames {first} to {last} show nothing that could be followed: the lens was covered, or they are too dark or too blurred"
     )]
@@ -31,7 +32,7 @@ pub enum Warning {
         /// Last frame.
         last: usize,
     },
-    /// The given focal length is not the one that fits.
+    /// Another focal length than the given one fits much better.
     #[error(
         "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or have it looked for instead of giving it",
         across(*.width, *.given), across(*.width, *.fitting)
@@ -39,12 +40,12 @@ pub enum Warning {
     FocalLengthMismatch {
         /// As given [px].
         given: f64,
-        /// That fits best [px].
+        /// Best fit [px].
         fitting: f64,
         /// Width of the pictures [px].
         width: usize,
     },
-    /// The pictures hardly determine the focal length.
+    /// The focal length is only vaguely observable.
     #[error(
         "the pictures tell the focal length only to {percent:.0} percent: give it where it is known; walking to all sides and turning about while filming would tell it better"
     )]
@@ -52,36 +53,36 @@ pub enum Warning {
         /// Relative standard deviation, in percent.
         percent: f64,
     },
-    /// The pictures do not determine the focal length at all.
+    /// The focal length is not observable.
     #[error(
         "the pictures do not determine the focal length beside the path, {focal_length:.1} px ({:.1} degrees across) is no more than a guess: give it where it is known; walking to all sides and turning about while filming would tell it",
         across(*.width, *.focal_length)
     )]
     FocalLengthUndetermined {
-        /// That the path was found with [px].
+        /// Focal length that was used [px].
         focal_length: f64,
         /// Width of the pictures [px].
         width: usize,
     },
-    /// Rows were read in turn, and the focal length was looked for.
+    /// The focal length was estimated together with a rolling shutter.
     #[error(
         "rows were read in turn, which pictures of a turning camera hardly tell from another focal length: it may be off by more than its deviation says: give it where it is known"
     )]
     RollingShutterFocalLength,
-    /// The distortion of the lens was looked for, and is not told from none.
+    /// The distortion was estimated and is not observable.
     #[error(
         "the pictures do not determine the distortion of the lens beside focal length and path: none is assumed (k1 and k2 are 0); walking to all sides and turning about while filming would show it"
     )]
     DistortionUndetermined,
 }
 
-/// Horizontal field of view of pictures [degrees].
+/// Horizontal field of view [degrees].
 fn across(width: usize, focal_length: f64) -> f64 {
     2.0 * (0.5 * width as f64 / focal_length).atan().to_degrees()
 }
 
 impl Warning {
-    /// The same of pictures of another width [px].
+    /// The warning for pictures of another width [px].
     #[must_use]
     pub fn resized(self, to: usize) -> Self {
         match self {
@@ -98,7 +99,7 @@ impl Warning {
         }
     }
 
-    /// The first and the last frame that it is about, if it is about some in a row.
+    /// First and last frame of a warning about consecutive frames.
     pub fn frame_range(&self) -> Option<(usize, usize)> {
         match *self {
             Self::DisconnectedFrames { first, last } | Self::UntrackableFrames { first, last } => {
@@ -108,7 +109,7 @@ impl Warning {
         }
     }
 
-    /// The same with the numbers that frames have elsewhere.
+    /// The warning with other frame numbers.
     #[must_use]
     pub fn with_frame_numbers(self, number: impl Fn(usize) -> usize) -> Self {
         match self {

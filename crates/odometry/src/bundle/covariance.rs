@@ -1,12 +1,12 @@
-//! How well a bundle tells what all sights share: focal length, and lens or readout.
+//! Covariance of the intrinsics that all observations share: focal length, and distortion or
+//! readout.
 //!
-//! Residuals are not independent. Those of one point share the look that it is compared with, and
-//! those of one region, or of one picture, share what no model has: blur, a lens, edges that are no
-//! points. So the covariance is not the inverse of the normal equations but `H⁻¹ M H⁻¹` (Huber
-//! 1967), with `H` the curvature of the robust cost itself, which is less than that of the weighted
-//! squares that steps are taken by, and `M` the sum over clusters of the outer products of their
-//! gradients (Liang & Zeger 1986). Of several ways to form clusters the one that leaves the focal
-//! length least certain counts.
+//! Residuals are not independent: those of one point share its anchor patch, those of one region or
+//! picture share model errors such as blur and distortion. So the covariance is the sandwich `H⁻¹ M
+//! H⁻¹` (Huber 1967), with `H` the exact curvature of the robust cost and `M` the sum over clusters
+//! of the outer products of their gradients (Liang and Zeger 1986). Observations are clustered by
+//! point, by region and by picture; the clustering with the largest variance of the focal length is
+//! reported.
 
 use super::normal_equations::{Curvature, SchurSystem, Step, gradient_along};
 use super::sparsity::BlockSparsity;
@@ -15,13 +15,13 @@ use super::{Bundle, GLOBALS};
 /// Regions of the picture, across and down.
 const REGIONS: [usize; 2] = [4, 3];
 
-/// Covariance of the logarithm of the focal length and of the two coefficients of the lens, or of
+/// Covariance of the logarithm of the focal length and of the two distortion coefficients, or of
 /// the readout [frame intervals].
 pub(crate) type IntrinsicsCovariance = [[f64; GLOBALS]; GLOBALS];
 
 impl Bundle {
-    /// The covariance of what is unknown of the camera, zero for what is not; `None` where the
-    /// sights do not determine it. For a bundle that was adjusted.
+    /// Covariance of the free intrinsics of an adjusted bundle, zero for fixed ones; `None` where
+    /// the observations do not determine it.
     pub(crate) fn camera_covariance(&self) -> Option<IntrinsicsCovariance> {
         let structure = BlockSparsity::new(self);
         let linear = SchurSystem::new(self, &structure, Curvature::Exact);
@@ -40,8 +40,8 @@ impl Bundle {
         is_sound.then_some(worst)
     }
 
-    /// The covariance where residuals of one cluster belong together; `cluster` of a landmark and a
-    /// pose.
+    /// The sandwich covariance for one clustering: `cluster` gives the index of a cluster from
+    /// landmark and pose.
     fn clustered_covariance(
         &self,
         inverse_columns: &[Step],
@@ -68,7 +68,7 @@ impl Bundle {
         out.map(|row| row.map(|v| few * v))
     }
 
-    /// The region in which a landmark is seen first.
+    /// Region of the picture in which a landmark was first observed.
     fn region(&self, landmark: usize) -> usize {
         let at = self.observations[landmark].first().map_or([0.0; 2], |observation| observation.at);
         let size = [self.camera.width, self.camera.height];

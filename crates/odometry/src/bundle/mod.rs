@@ -1,8 +1,8 @@
-//! Bundle adjustment: poses, landmarks and, when asked, focal length and lens or readout of the
-//! rows, all at once.
+//! Bundle adjustment of poses, landmarks and, on demand, focal length with lens distortion or
+//! rolling-shutter readout.
 //!
 //! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
-//! eliminated first (Schur complement; Triggs et al. 2000, section 6).
+//! eliminated by the Schur complement (Triggs et al. 2000, section 6).
 
 mod covariance;
 mod normal_equations;
@@ -22,50 +22,51 @@ use std::sync::Arc;
 
 /// Landmarks per task.
 const LANDMARKS_PER_TASK: usize = 128;
-/// A landmark behind a camera costs what a residual of so many standard deviations does.
+/// Residual of a landmark behind a camera [standard deviations].
 const BEHIND_CAMERA_ERROR: f64 = 50.0;
-/// Damping beyond which no step lowers the cost.
+/// Damping at which the iteration gives up.
 const MAX_DAMPING: f64 = 1e6;
-/// Steps of so few poses are not worth telling.
+/// Poses from which on progress is reported: smaller bundles take milliseconds.
 const MIN_REPORTED_POSES: usize = 64;
-/// A step that lowers the cost by less than this share is the last one.
+/// Relative decrease of the cost at which the iteration has converged.
 const MIN_RELATIVE_DECREASE: f64 = 1e-5;
-/// Unknowns that all sights share: the logarithm of the focal length, two [`CameraJacobian`].
+/// Parameters shared by all observations: the logarithm of the focal length and those of
+/// [`CameraJacobian`].
 const GLOBALS: usize = 3;
-/// The most that a step changes each of them.
+/// Largest change of each of them per step.
 const MAX_GLOBAL_STEP: [f64; GLOBALS] = [0.2, 0.1, 0.1];
 
-/// A landmark as one camera sees it.
+/// Observation of a landmark by one pose of the bundle.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BundleObservation {
-    /// Which pose of the bundle.
+    /// Index of the pose.
     pub(crate) pose: usize,
-    /// Image position [px].
+    /// Corrected image position [px].
     pub(crate) at: [f64; 2],
     /// Its standard deviation [px].
     pub(crate) sigma: f64,
-    /// What lens or rows move it by.
+    /// Its derivatives by distortion or readout.
     pub(crate) camera_jacobian: CameraJacobian,
 }
 
-/// All that is adjusted, and what it is adjusted to.
+/// A bundle adjustment problem and its current solution.
 #[derive(Clone, Debug)]
 pub(crate) struct Bundle {
     pub(crate) camera: Camera<f64>,
     /// `world_from_camera`.
     pub(crate) poses: Vec<Pose<f64>>,
-    /// Poses that stay.
+    /// Poses that are not adjusted.
     pub(crate) fixed: Vec<bool>,
     pub(crate) landmarks: Vec<Landmark>,
-    /// For every landmark its sights in order of poses, no two by one camera.
+    /// Observations of every landmark in order of poses, at most one per pose.
     pub(crate) observations: Arc<Vec<Vec<BundleObservation>>>,
-    /// By how much lens or readout differ from those that the sights are free of.
+    /// Change of distortion or readout relative to what the observations are corrected for.
     pub(crate) camera_change: [f64; 2],
-    /// What is unknown of the camera.
+    /// Intrinsics that are adjusted.
     pub(crate) free_intrinsics: FreeIntrinsics,
 }
 
-/// What of the camera is adjusted with the poses.
+/// Intrinsics that are adjusted with the poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FreeIntrinsics {
     None,
@@ -75,7 +76,7 @@ pub(crate) enum FreeIntrinsics {
 }
 
 impl BundleObservation {
-    /// Where another lens or readout would leave it [px].
+    /// The position corrected for changed distortion or readout [px].
     fn corrected(&self, camera_change: [f64; 2]) -> [f64; 2] {
         std::array::from_fn(|i| {
             self.at[i]
@@ -86,8 +87,8 @@ impl BundleObservation {
 }
 
 impl Bundle {
-    /// Takes at most `steps` steps, fewer where `progress` has had enough; returns the cost per sight,
-    /// in variances.
+    /// Takes at most `steps` steps, fewer on convergence or cancellation; returns the mean cost per
+    /// observation [variances].
     pub(crate) fn adjust(&mut self, steps: usize, progress: &Progress) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
@@ -120,14 +121,13 @@ impl Bundle {
         cost / self.observations.iter().map(Vec::len).sum::<usize>().max(1) as f64
     }
 
-    /// Variance of every landmark's inverse depth while poses stay; `None` where it is not
-    /// defined.
+    /// Variance of every landmark's inverse depth with poses fixed; `None` where it is not defined.
     pub(crate) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
         let structure = BlockSparsity::new(self);
         SchurSystem::new(self, &structure, Curvature::Majorizing).inverse_depth_variances()
     }
 
-    /// How many of the unknowns that all sights share are looked for.
+    /// Number of adjusted global parameters.
     fn globals(&self) -> usize {
         match self.free_intrinsics {
             FreeIntrinsics::None => 0,
@@ -137,7 +137,7 @@ impl Bundle {
         }
     }
 
-    /// The cost of all sights, in variances.
+    /// Robust cost of all observations [variances].
     fn cost(&self) -> f64 {
         let part = |range: std::ops::Range<usize>| -> f64 {
             range

@@ -1,7 +1,7 @@
-//! The normal equations of a bundle, and their solution with the landmarks eliminated.
+//! Normal equations of a bundle, solved with the landmarks eliminated (Schur complement).
 //!
-//! Every row of the cameras' system is computed by one task, its landmarks in order, so that the
-//! system is kept once, however many tasks there are.
+//! Every block row of the reduced camera system is computed by one task, its landmarks in order, so
+//! that the result does not depend on the number of threads and the matrix is kept once.
 
 use super::sparsity::BlockSparsity;
 use super::{Bundle, BundleObservation, GLOBALS, LANDMARKS_PER_TASK};
@@ -12,10 +12,10 @@ use i2slam_compute::{SkylineMatrix, reduce_in_order};
 use i2slam_geometry::{Mat3, Vec3};
 use rayon::prelude::*;
 
-/// Damping that only keeps the unit of length, which nothing tells, where it is.
+/// Damping that only fixes the gauge: scale is not observable.
 const GAUGE_DAMPING: f64 = 1e-7;
 
-/// A change of all unknowns.
+/// A change of all parameters.
 pub(super) struct Step {
     /// Tangent of every pose, zero for fixed ones.
     pub(super) poses: Vec<[f64; 6]>,
@@ -26,7 +26,7 @@ pub(super) struct Step {
 /// Normal equations: cameras (`U`), landmarks (`C`) and couplings (`E`).
 pub(super) struct SchurSystem<'a> {
     structure: &'a BlockSparsity,
-    /// How many of the globals are unknown.
+    /// Number of adjusted global parameters.
     globals: usize,
     parts: Vec<LandmarkBlock>,
     poses: Vec<PoseBlock>,
@@ -53,8 +53,8 @@ impl<'a> SchurSystem<'a> {
         matrix.solve(&mut solved).then(|| self.back_substitute(&solved, damping, 1.0))
     }
 
-    /// How all unknowns answer a unit force on each of those that all sights share: columns of the
-    /// inverse of the whole system. `None` where they are not determined.
+    /// Columns of the inverse of the whole system for the global parameters; `None` where they are
+    /// not determined.
     pub(super) fn inverse_columns(&self) -> Option<Vec<Step>> {
         let (mut matrix, right) = self.reduced_camera_system(GAUGE_DAMPING);
         if !matrix.factorise() {
@@ -69,7 +69,8 @@ impl<'a> SchurSystem<'a> {
         Some((0..self.globals).map(unit).collect())
     }
 
-    /// What the landmarks do when the cameras do what was solved, `pulled` by their own gradients.
+    /// Back-substitutes the landmarks for solved cameras and globals; `pulled` weights the
+    /// landmarks' own gradients.
     fn back_substitute(&self, solved: &[f64], damping: f64, pulled: f64) -> Step {
         let pose = |block: &Option<usize>| {
             block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
@@ -92,7 +93,7 @@ impl<'a> SchurSystem<'a> {
         Step { poses, landmarks: parts.map(landmark).collect(), globals }
     }
 
-    /// The cameras' system, `U - E C⁻¹ Eᵀ`, and its right side.
+    /// The reduced camera system `U - E C⁻¹ Eᵀ` and its right-hand side.
     fn reduced_camera_system(&self, damping: f64) -> (SkylineMatrix, Vec<f64>) {
         let inverses: Vec<Mat3<f64>> =
             self.parts.par_iter().map(|p| p.damped_inverse(damping)).collect();
@@ -117,7 +118,8 @@ impl<'a> SchurSystem<'a> {
         (matrix, right)
     }
 
-    /// The six rows of a block; returns its right side and its entries in the globals' rows.
+    /// Fills the six rows of a block; returns its right-hand side and its coupling with the
+    /// globals.
     fn fill_block_rows(
         &self,
         block: usize,
@@ -179,7 +181,7 @@ impl<'a> SchurSystem<'a> {
         out
     }
 
-    /// Half the cost's gradient: first free pose, a landmark, globals.
+    /// Half the cost's gradient by the first free pose, a landmark and the globals.
     #[cfg(test)]
     pub(super) fn half_gradient(&self, landmark: usize) -> Vec<f64> {
         let mut out = self.poses[0].gradient.to_vec();
@@ -188,23 +190,25 @@ impl<'a> SchurSystem<'a> {
         out
     }
 
-    /// Variance of every inverse depth, poses and globals fixed.
+    /// Variance of every inverse depth with poses and globals fixed.
     pub(super) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
         let variance = |p: &LandmarkBlock| Some(p.damped_inverse(0.0)[(2, 2)]).filter(|v| *v > 0.0);
         self.parts.iter().map(variance).collect()
     }
 }
 
-/// How the cost curves along a change of the residuals.
+/// Approximation of the robust cost's curvature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curvature {
-    /// As weighted squares do, which it lies under everywhere: for steps.
+    /// Weighted squares (iteratively reweighted least squares), which bound the cost from above:
+    /// for steps.
     Majorizing,
-    /// As it does itself, `w I` and beyond the bend `w (I - r rᵀ/‖r‖²)`: for covariances.
+    /// The exact curvature, `w I` and beyond the Huber threshold `w (I - r rᵀ/‖r‖²)`: for
+    /// covariances.
     Exact,
 }
 
-/// What one landmark brings: `C`, its gradient, and its coupling with every camera that sees it.
+/// Blocks of one landmark: `C`, its gradient, and its couplings with the cameras that observe it.
 pub(super) struct LandmarkBlock {
     pub(super) hessian: [[f64; 3]; 3],
     pub(super) gradient: [f64; 3],
@@ -213,7 +217,7 @@ pub(super) struct LandmarkBlock {
     pub(super) globals: [[f64; 3]; GLOBALS],
 }
 
-/// What one pose brings: its block of `U`, its gradient and its coupling with the globals.
+/// Blocks of one pose: its part of `U`, its gradient and its coupling with the globals.
 #[derive(Clone)]
 pub(super) struct PoseBlock {
     pub(super) hessian: [[f64; 6]; 6],
@@ -221,14 +225,14 @@ pub(super) struct PoseBlock {
     pub(super) globals: [[f64; GLOBALS]; 6],
 }
 
-/// The same of the unknowns that all sights share.
+/// Block of the global parameters.
 #[derive(Clone, Copy, Default)]
 pub(super) struct GlobalBlock {
     pub(super) hessian: [[f64; GLOBALS]; GLOBALS],
     pub(super) gradient: [f64; GLOBALS],
 }
 
-/// A residual, weighted, with its derivatives.
+/// A weighted residual with its derivatives.
 struct WeightedResidual {
     projection: Projection,
     camera_jacobian: CameraJacobian,
@@ -244,7 +248,7 @@ impl LandmarkBlock {
     }
 }
 
-/// `None` behind the camera.
+/// The weighted residual of an observation; `None` behind the camera.
 fn weighted_residual(
     bundle: &Bundle,
     landmark: usize,
@@ -269,7 +273,7 @@ fn weighted_residual(
     Some(out)
 }
 
-/// How far a sight alone pulls along a change of all unknowns: its gradient times that change.
+/// Derivative of one observation's cost along a change of all parameters.
 pub(super) fn gradient_along(
     bundle: &Bundle,
     landmark: usize,
@@ -289,7 +293,7 @@ pub(super) fn gradient_along(
     w.weight * (w.residual[0] * along(0) + w.residual[1] * along(1))
 }
 
-/// All sights of a landmark; `cameras` are those of free poses.
+/// Sums over the observations of a landmark; `cameras` are those of free poses.
 pub(super) fn landmark_block(
     bundle: &Bundle,
     landmark: usize,
@@ -322,7 +326,7 @@ pub(super) fn landmark_block(
     LandmarkBlock { hessian, gradient, couplings: cameras.iter().map(coupling).collect(), globals }
 }
 
-/// All sights by the pose of a block.
+/// Sums over the observations of a block's pose.
 pub(super) fn pose_block(
     bundle: &Bundle,
     structure: &BlockSparsity,
@@ -381,7 +385,8 @@ pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock
 }
 
 impl WeightedResidual {
-    /// Leaves of the derivatives what is across the residual: along it the cost grows straight.
+    /// Keeps only the component of the derivatives across the residual: along it the Huber cost is
+    /// linear, its curvature zero.
     fn project_across_residual(&mut self) {
         let length = self.residual[0].hypot(self.residual[1]);
         let across = [-self.residual[1] / length, self.residual[0] / length];
@@ -397,7 +402,7 @@ impl WeightedResidual {
         self.camera_jacobian.iter_mut().for_each(|by| keep(by.each_mut()));
     }
 
-    /// Derivatives by the unknowns that all sights share.
+    /// Derivatives by the global parameters.
     fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
         [
             self.projection.by_focal[axis],
@@ -407,7 +412,7 @@ impl WeightedResidual {
     }
 }
 
-/// The inverse of a symmetric positive definite matrix, by its cofactors.
+/// Inverse of a symmetric positive definite matrix by cofactors.
 fn inverse(m: &Mat3<f64>) -> Mat3<f64> {
     let [a, b, c] = m.rows.map(Vec3::from_array);
     let columns = [b.cross(c), c.cross(a), a.cross(b)];

@@ -1,24 +1,23 @@
-//! Which cameras share landmarks, and in which order they take least room.
+//! Sparsity of the reduced camera system, and the order of poses that keeps its profile narrow.
 
 use super::{Bundle, GLOBALS};
 use i2slam_compute::reverse_cuthill_mckee;
 
-/// With fewer free poses than this their order is that of the bundle.
+/// Free poses from which on reordering pays.
 const MIN_REORDERED_POSES: usize = 64;
 
-/// Places in a list that never has more than four thousand million entries.
+/// An index; bundles have fewer than 2³² landmarks and observations.
 pub(super) type Index = u32;
 
-/// The free poses of a bundle as blocks of unknowns, and where landmarks couple them. It is the
-/// same as long as nobody adds sights.
+/// The free poses of a bundle as blocks of unknowns, and their couplings by landmarks.
 pub(super) struct BlockSparsity {
     /// Block of every pose; `None` for fixed ones.
     pub(super) blocks: Vec<Option<usize>>,
     /// Pose of every block.
     pub(super) poses: Vec<usize>,
-    /// For every landmark the block and the place of each sight by a free pose, in order of blocks.
+    /// Block and observation index of every free observation of each landmark, in order of blocks.
     pub(super) cameras: Vec<Vec<(Index, Index)>>,
-    /// For every block its landmarks, and the place in `cameras` of each.
+    /// Landmarks of every block, with the place of the observation in `cameras`.
     pub(super) seen: Vec<Vec<(Index, Index)>>,
     /// The first block that every block shares a landmark with.
     pub(super) first: Vec<usize>,
@@ -60,21 +59,21 @@ impl BlockSparsity {
         Self { blocks, poses, cameras, seen, first }
     }
 
-    /// Column of the first entry of every row of the cameras' system: six rows a block, then
-    /// those of the camera's own unknowns, which everything is coupled with.
+    /// Column of the first entry of every row of the reduced camera system: six rows a block, then
+    /// the global parameters, whose rows are full.
     pub(super) fn first_columns(&self, globals: usize) -> Vec<usize> {
         let rows = self.first.iter().flat_map(|block| [6 * block; 6]);
         rows.chain([0; GLOBALS].into_iter().take(globals)).collect()
     }
 
-    /// Blocks that the cameras' system keeps.
+    /// Number of stored blocks.
     pub(super) fn entries(&self) -> usize {
         self.first.iter().enumerate().map(|(block, first)| block + 1 - first).sum()
     }
 }
 
-/// Blocks next to every block: each is joined with the first one of every landmark that it sees,
-/// which is enough to tell what lies near.
+/// Adjacency of blocks. Each is joined only with the first block of every landmark, which suffices
+/// for the ordering.
 fn neighbours(cameras: &[Vec<(Index, Index)>], blocks: usize) -> Vec<Vec<usize>> {
     let mut out = vec![Vec::new(); blocks];
     let mut pairs: Vec<(Index, Index)> = Vec::new();

@@ -4,7 +4,7 @@ use crate::progress::Progress;
 use i2slam_check::{assert_gradient, noise};
 use i2slam_geometry::{Rotation, Vec3};
 
-/// Six cameras along an arc, 60 points; sights with `spread` pixels of noise.
+/// Six cameras along an arc, 60 points; observations with `spread` pixels of noise.
 fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
     let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
     let pose = |i: usize| {
@@ -76,8 +76,8 @@ fn disturbed_poses_and_points_return() {
     }
 }
 
-/// Error of the logarithm of the focal length and what is said of it, where sights have `own` noise
-/// of their own and `shared` noise that all sights of a point but the first share [px].
+/// Error of the logarithm of the focal length and its claimed deviation, where observations have
+/// `own` independent noise and `shared` noise common to all but the first of a point [px].
 fn focal_error(seed: u64, own: f64, shared: f64) -> (f64, f64) {
     let (truth, _) = scene(0.0);
     let mut bundle = truth.clone();
@@ -97,8 +97,8 @@ fn focal_error(seed: u64, own: f64, shared: f64) -> (f64, f64) {
     ((bundle.camera.fx / 250.0).ln(), deviation)
 }
 
-/// The deviation is as large as errors are, also where residuals along a track are the same, and
-/// where they are far smaller or far larger than the sights claim.
+/// The deviation covers the error, also where residuals along a track are equal, and where they are
+/// far smaller or larger than claimed.
 #[test]
 fn the_deviation_of_the_focal_length_covers_its_error() {
     for (own, shared) in [(0.3, 0.0), (0.05, 0.0), (0.1, 0.4), (1.5, 0.0)] {
@@ -149,8 +149,8 @@ fn the_gradient_agrees_with_differences() {
     assert_gradient("bundle", &[0.0; 12], &gradient, 1e-6, 1e-6, f);
 }
 
-/// A camera that goes round `count` poses, every one beginning `each` points that the next
-/// `seen` poses see; the last poses see the points of the first ones if the path is `closed`.
+/// A camera that goes round `count` poses, every one beginning `each` points that the next `seen`
+/// poses observe; the last poses observe the points of the first if the path is `closed`.
 fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
     let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
     let pose = |i: usize| {

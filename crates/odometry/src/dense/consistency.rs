@@ -1,17 +1,17 @@
-//! Estimates of several keyframes compared with each other: what agrees is kept and averaged.
+//! Cross-view consistency: inverse depths that other keyframes confirm are kept and fused.
 
 use super::inverse_depth::Estimate;
 use i2slam_geometry::{Camera, Image, Pose};
 
-/// Difference of inverse depths that agree, in standard deviations of both, ...
+/// Largest difference of consistent inverse depths, in standard deviations of both, ...
 const MAX_DEVIATIONS: f32 = 3.0;
-/// ... or as a share of them, whichever is more.
+/// ... or relative to them, whichever is more.
 const MAX_RELATIVE_DIFFERENCE: f32 = 0.03;
-/// Of two other keyframes that see a pixel one must agree, of more than that two.
+/// Views that must agree; one where only one or two see the pixel.
 const MIN_AGREEING_VIEWS: usize = 2;
 
-/// What of an estimate others agree with; `others` are estimates with `other_from_keyframe`. The
-/// inverse depths that agree are averaged by their variances.
+/// Keeps the inverse depths that enough other estimates confirm and averages them by their
+/// variances; `others` are estimates with `other_from_keyframe`.
 pub(super) fn fuse_consistent(
     camera: &Camera<f64>,
     own: &Estimate,
@@ -76,7 +76,7 @@ mod tests {
         Estimate { inverse_depth: image(inverse_depth), variance: image(variance) }
     }
 
-    /// A plane of depth 2 that a camera 0.8 nearer to it also saw, 0.004 farther than it is.
+    /// A plane of depth 2, also estimated 0.004 too far by a camera 0.8 nearer to it.
     fn seen_from_nearer() -> Estimate {
         let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
         let (own, other) = (flat(1.0 / 2.0, 1e-4), flat(1.0 / 1.204, 9e-4));
@@ -84,7 +84,7 @@ mod tests {
         fuse_consistent(&camera, &own, &[(&other, forward)])
     }
 
-    /// Variances of the depth, `z⁴` times those of its inverse, tell what each is worth.
+    /// Estimates are weighted by the variance of the depth, `z⁴` times that of its inverse.
     #[test]
     fn a_camera_that_moved_forward_counts_by_its_depth() {
         let found = seen_from_nearer();

@@ -1,16 +1,15 @@
-//! Depth beside edges: a window that lies on two surfaces may have been matched by either, so that
-//! near surfaces come out too large by up to half a window.
+//! Uncertainty at depth edges: a window across two surfaces may have matched either, so that near
+//! surfaces come out too large by up to half a window.
 
 use super::DenseDepth;
 
-/// Least difference of depths that is an edge, as a share of the nearer one.
+/// Relative difference of depths at an edge.
 const EDGE_CONTRAST: f32 = 0.1;
-/// Standard deviation of the depth beside an edge, as a share of the step there: the other surface
-/// is three of them away.
+/// Standard deviation at an edge over its step: the other surface is three deviations away.
 const STEP_DEVIATION_RATIO: f32 = 1.0 / 3.0;
 
-/// Adds to the variance of every pixel what other surfaces within `reach` pixels, along rows and
-/// columns each, make doubtful.
+/// Adds the uncertainty by edges within `reach` pixels, along rows and columns each, to the
+/// variance of every pixel.
 pub(super) fn inflate_variance_at_edges(found: &mut DenseDepth, reach: usize) {
     let (width, height) = (found.depth.width, found.depth.height);
     let depth = &found.depth.data;
@@ -28,7 +27,7 @@ pub(super) fn inflate_variance_at_edges(found: &mut DenseDepth, reach: usize) {
     }
 }
 
-/// `pick` over squares of `2 reach + 1` pixels a side.
+/// Reduces squares of `2 reach + 1` pixels a side by `pick`.
 fn square_filter(
     values: &[f32],
     (width, height): (usize, usize),
@@ -50,8 +49,8 @@ mod tests {
     use super::*;
     use i2slam_geometry::Image;
 
-    /// A near half beside a far one, a column that is not known, and a slope of one in a hundred
-    /// down.
+    /// A near half beside a far one, with an unknown column and a slope of one in a hundred
+    /// downward.
     fn halves() -> DenseDepth {
         let mut depth = Image::new(20, 12, 1);
         for (i, d) in depth.data.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! The inverse depth of one keyframe, from a coarse sweep to single windows.
+//! Inverse depth of one keyframe: a coarse plane sweep with semi-global aggregation, refined twice.
 
 use super::plane_sweep::{CostVolume, PlaneSweep};
 use super::semi_global::aggregate_costs;
@@ -6,30 +6,30 @@ use crate::track::pyramid::Pyramid;
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 
-/// Half the side of a window, of the picture and of that of half its size [px].
+/// Half the side of a window, at full size and at half size [px].
 pub(super) const HALF_WINDOWS: [usize; 2] = [3, 2];
-/// How far a plane of the sweep moves the coarse picture of the neighbour that it moves most [px].
+/// Largest motion of a neighbour's half-size picture from one plane of the sweep to the next [px].
 const PLANE_STEP: f64 = 0.7;
-/// Bounds of the number of planes.
+/// Smallest and largest number of planes.
 const PLANE_COUNT_RANGE: (usize, usize) = (24, 128);
-/// Labels of a refinement on either side, and their distances in steps of the sweep.
+/// Labels to either side of each refinement, and their distance in steps of the sweep.
 const REFINEMENTS: [(usize, f32); 2] = [(4, 0.5), (3, 0.25)];
 /// Mean cost that noise alone leaves.
 const MIN_COST: f32 = 0.01;
-/// A match is worth nothing above this cost.
+/// Cost above which a match has no value.
 const MAX_COST: f32 = 0.6;
 
-/// Inverse depth, 0 where it is not known, and its variance, for every pixel.
+/// Inverse depth, 0 where unknown, with its variance for every pixel.
 #[derive(Clone, Debug)]
 pub(super) struct Estimate {
     pub(super) inverse_depth: Image<f32>,
     pub(super) variance: Image<f32>,
 }
 
-/// What another keyframe shows: brightness at several sizes, and `other_from_keyframe`.
+/// Another keyframe: pyramid and `other_from_keyframe`.
 pub(super) type NeighbourView<'a> = (&'a Pyramid, Pose<f64>);
 
-/// The inverse depth of a keyframe between two bounds; `None` if `cancellation` was cancelled.
+/// Estimates the inverse depth of a keyframe between two bounds; `None` if cancelled.
 pub(super) fn estimate_inverse_depth(
     camera: &Camera<f64>,
     keyframe: &Pyramid,
@@ -103,9 +103,7 @@ fn sweep<'a>(
     PlaneSweep::new(camera, picture, HALF_WINDOWS[level], &others)
 }
 
-/// Number of planes that move no neighbour's picture by more than [`PLANE_STEP`] from one to the
-/// next, within [`PLANE_COUNT_RANGE`]: where that takes more of them, as in wide ranges at close quarters,
-/// steps are longer.
+/// Number of planes by [`PLANE_STEP`], within [`PLANE_COUNT_RANGE`].
 fn planes(camera: &Camera<f64>, others: &[NeighbourView<'_>], [least, most]: [f64; 2]) -> usize {
     let at = |pose: &Pose<f64>, u: f64, v: f64, rho: f64| {
         let ray: Vec3<f64> = camera.unproject(u, v, 1.0);
@@ -124,7 +122,7 @@ fn planes(camera: &Camera<f64>, others: &[NeighbourView<'_>], [least, most]: [f6
     ((longest / PLANE_STEP) as usize + 1).clamp(PLANE_COUNT_RANGE.0, PLANE_COUNT_RANGE.1)
 }
 
-/// Where the cost is lowest, between labels, and the nearest label.
+/// Minimum of the costs by a parabola [labels], and the label of least cost.
 fn subpixel_minimum(costs: &[f32]) -> (f32, usize) {
     let mut label = 0;
     for (k, cost) in costs.iter().enumerate() {
@@ -141,10 +139,10 @@ fn subpixel_minimum(costs: &[f32]) -> (f32, usize) {
     (label as f32 + shift.clamp(-0.5, 0.5), label)
 }
 
-/// Variance of the place of the lowest cost [labels²]; infinite where nothing tells it.
+/// Variance of the minimum [labels²]; infinite without one.
 ///
-/// Of windows that differ by noise the cost is `C + c x²/2` with `C = N σ²/(2 |I|²)` and
-/// `c = Σ(∂I)²/|I|²`, so that the variance of its lowest place, `σ²/Σ(∂I)²`, is `2 C/(N c)`.
+/// For windows of `N` pixels that differ by noise σ the cost is `C + c x²/2` with `C = N σ²/(2
+/// |I|²)` and `c = Σ(∂I)²/|I|²`, so that the variance of the minimum, `σ²/Σ(∂I)²`, is `2 C/(N c)`.
 fn minimum_variance(volume: &CostVolume, pixel: usize, label: usize) -> f32 {
     let costs = volume.of(pixel);
     let label = label.clamp(2, costs.len() - 3);
@@ -157,7 +155,7 @@ fn minimum_variance(volume: &CostVolume, pixel: usize, label: usize) -> f32 {
     2.0 * here.max(MIN_COST) / (windows * curvature)
 }
 
-/// The median of every pixel's 3 x 3 surroundings.
+/// Median filter of 3 x 3 pixels.
 fn median_filtered(image: &Image<f32>) -> Image<f32> {
     let mut out = image.clone();
     for row in 1..image.height.saturating_sub(1) {
@@ -172,7 +170,7 @@ fn median_filtered(image: &Image<f32>) -> Image<f32> {
     out
 }
 
-/// A coarse image at the size of the picture, linear between pixels of one surface.
+/// Enlarges a coarse image, linearly between pixels of one surface.
 fn enlarged(image: &Image<f32>, width: usize, height: usize) -> Image<f32> {
     let mut out = Image::new(width, height, 1);
     let place = |i: usize, from: usize, to: usize| {

@@ -1,10 +1,9 @@
-//! Depth with its variance for most pixels of keyframes whose poses are known.
+//! Dense depth with variance for keyframes whose poses are known.
 //!
-//! A keyframe is compared with a few others at a row of inverse depths, by windows' zero-mean
-//! normalised correlation, which neither exposure nor a smooth response changes. Costs are
-//! aggregated along straight paths, and refined twice around what was found, which bends windows
-//! along surfaces. What the estimates of other keyframes contradict is given up, and beside edges
-//! depth is doubtful.
+//! A keyframe is matched with a few others by plane sweep: zero-mean normalised correlation of
+//! windows, independent of exposure and of a smooth response. Costs are aggregated semi-globally
+//! and refined twice around the result with windows that follow the surface. Depth that other
+//! keyframes contradict is dropped; variances are inflated at depth edges.
 
 mod consistency;
 mod depth_edges;
@@ -23,28 +22,28 @@ use inverse_depth::{Estimate, HALF_WINDOWS, estimate_inverse_depth};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Keyframes before and after one, in their order, that it may be matched with.
+/// Distance of matched keyframes in their order.
 const MAX_KEYFRAME_DISTANCE: usize = 8;
-/// Keyframes that one is matched with, and that its estimate is compared with.
+/// Keyframes that one is matched with, and compared with for consistency.
 const MAX_VIEWS: usize = 5;
-/// How far beyond the landmarks' inverse depths surfaces are looked for, as a share.
+/// Margin of the search range around the landmarks' inverse depths, relative.
 const RANGE_MARGIN: f64 = 0.5;
-/// Share of landmarks that may lie outside on either side.
+/// Ratio of landmarks outside the range on either side.
 const OUTLIER_RATIO: f64 = 0.01;
-/// An inverse depth is known if its standard deviation is at most this share of it.
+/// Largest relative standard deviation of a known inverse depth.
 const MAX_RELATIVE_DEVIATION: f32 = 0.1;
 
-/// Depth along the optical axis, 0 where it is not known, with its variance; in the unit of the
-/// poses and that squared.
+/// Depth along the optical axis, 0 where unknown, with its variance; in the unit of the poses and
+/// that squared.
 #[derive(Clone, Debug)]
 pub struct DenseDepth {
     /// Depth.
     pub depth: Image<f32>,
-    /// Its variance; 0 where the depth is not known.
+    /// Its variance; 0 where the depth is unknown.
     pub variance: Image<f32>,
 }
 
-/// A keyframe whose depth is looked for.
+/// A keyframe with its pose and the depths of its landmarks.
 #[derive(Clone, Debug)]
 pub struct PosedView {
     /// Pose at mid-exposure.
@@ -53,8 +52,7 @@ pub struct PosedView {
     pub landmarks: Vec<f64>,
 }
 
-/// Finds the dense depth of keyframes one after another; only those near the one that is asked for
-/// are held in memory.
+/// Estimates dense depth of keyframes one after another; keeps only neighbouring ones in memory.
 #[derive(Clone, Debug)]
 pub struct DenseDepthEstimator {
     camera: Camera<f64>,
@@ -71,14 +69,14 @@ impl DenseDepthEstimator {
         Self { camera, views, pictures, estimates, cancellation: CancellationToken::default() }
     }
 
-    /// The same, which finds nothing any more once `cancellation` is cancelled.
+    /// Returns `None` from every estimate once `cancellation` is cancelled.
     #[must_use]
     pub fn with_cancellation(self, cancellation: CancellationToken) -> Self {
         Self { cancellation, ..self }
     }
 
-    /// The depth of keyframe `index`. `load` gives the picture of a keyframe (planes R, G, B or one
-    /// of brightness), or `None`, and is asked once for each while indices rise.
+    /// Estimates the depth of keyframe `index`. `load` gives the picture of a keyframe (planes R,
+    /// G, B or one of brightness), or `None`; it is called once for each while indices rise.
     pub fn estimate(
         &mut self,
         index: usize,
@@ -111,7 +109,7 @@ impl DenseDepthEstimator {
         Some(found)
     }
 
-    /// The keyframes that serve one best.
+    /// The keyframes to match one with.
     fn selected_views(&self, index: usize) -> Vec<usize> {
         let Some(depth) = self.median_depth(index) else { return Vec::new() };
         let last = (index + MAX_KEYFRAME_DISTANCE + 1).min(self.views.len());
@@ -136,7 +134,7 @@ impl DenseDepthEstimator {
         Some([least / (1.0 + RANGE_MARGIN), most * (1.0 + RANGE_MARGIN)])
     }
 
-    /// Makes the estimate of one keyframe alone, once.
+    /// Estimates one keyframe alone, unless done before.
     fn ensure_estimate(
         &mut self,
         index: usize,
@@ -170,7 +168,7 @@ impl DenseDepthEstimator {
     }
 }
 
-/// Depth and its variance, `dz = z² dρ`.
+/// Depth with variance `σ_z = z² σ_ρ`, where that is small enough.
 fn depth_from_inverse(estimate: &Estimate) -> DenseDepth {
     let (width, height) = (estimate.inverse_depth.width, estimate.inverse_depth.height);
     let mut out =

@@ -1,27 +1,27 @@
-//! A keyframe compared with its neighbours as if its surfaces were at given inverse depths.
+//! Plane sweep: matching costs of a keyframe with its neighbours at given inverse depths.
 
 use super::window_correlation::WindowStatistics;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use rayon::prelude::*;
 
-/// Labels that are compared at once, so that few planes are kept beside the volume.
+/// Labels that are compared in parallel, which bounds the planes in memory.
 const LABELS_PER_BATCH: usize = 16;
 
-/// A picture of another camera, and the way there: a pixel `(u, v)` of the keyframe at inverse
-/// depth `ρ` is seen at `turn (u, v, 1) + ρ shift`, in homogeneous pixels.
+/// A neighbour's picture: a pixel `(u, v)` of the keyframe at inverse depth `ρ` projects to `turn
+/// (u, v, 1) + ρ shift`, in homogeneous pixels.
 struct Neighbour<'a> {
     image: &'a Image<f32>,
     turn: [Vec3<f32>; 3],
     shift: Vec3<f32>,
 }
 
-/// What is compared: one size of the keyframe and of its neighbours.
+/// A keyframe and its neighbours on one pyramid level.
 pub(super) struct PlaneSweep<'a> {
     windows: WindowStatistics,
     neighbours: Vec<Neighbour<'a>>,
 }
 
-/// Costs of every pixel at a row of labels: `values[pixel * labels + label]`, in [0, 1].
+/// Matching costs of every pixel and label: `values[pixel * labels + label]`, in [0, 1].
 pub(super) struct CostVolume {
     pub(super) values: Vec<f32>,
     pub(super) labels: usize,
@@ -35,7 +35,7 @@ impl CostVolume {
 }
 
 impl<'a> PlaneSweep<'a> {
-    /// `others`: brightness, and `other_from_keyframe`. All are of `camera`.
+    /// `others`: brightness, and `other_from_keyframe`. All have the intrinsics of `camera`.
     pub(super) fn new(
         camera: &Camera<f64>,
         keyframe: &Image<f32>,
@@ -57,7 +57,7 @@ impl<'a> PlaneSweep<'a> {
         }
     }
 
-    /// Costs with the surfaces at `inverse_depth(pixel) + offset` for each of the offsets.
+    /// Costs at `inverse_depth(pixel) + offset` for each of the offsets.
     pub(super) fn costs(
         &self,
         inverse_depth: impl Fn(usize) -> f32 + Sync,
@@ -77,7 +77,8 @@ impl<'a> PlaneSweep<'a> {
         CostVolume { values, labels }
     }
 
-    /// Mean cost of the better half of the neighbours that show a pixel: the others may be hidden.
+    /// Mean cost of the better half of the neighbours that see a pixel; in the others it may be
+    /// occluded.
     fn mean_plane_costs(&self, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
         let pixels = self.windows.image.data.len();
         let each: Vec<Vec<f32>> =
@@ -94,7 +95,7 @@ impl<'a> PlaneSweep<'a> {
             .collect()
     }
 
-    /// Costs of one neighbour; above 1 where it does not show the pixel.
+    /// Costs of one neighbour; above 1 where it does not see the pixel.
     fn neighbour_costs(
         &self,
         neighbour: &Neighbour<'_>,
@@ -108,8 +109,8 @@ impl<'a> PlaneSweep<'a> {
 }
 
 impl Neighbour<'_> {
-    /// The neighbour as the keyframe would see it, and whether it shows the pixel at all: beyond
-    /// its border the last value is repeated.
+    /// The neighbour's picture warped to the keyframe, its border repeated, and whether it sees the
+    /// pixel.
     fn warp_to_keyframe(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
         let (width, height) = (self.image.width, self.image.height);
         let (right, low) = ((width - 1) as f32 - 1e-3, (height - 1) as f32 - 1e-3);

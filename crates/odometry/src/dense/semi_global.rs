@@ -1,27 +1,27 @@
-//! Semi-global aggregation: costs along straight paths from all sides, with a price on changes of
-//! the label (Hirschmüller 2008).
+//! Semi-global aggregation of matching costs along straight paths with penalties on changes of the
+//! label (Hirschmüller 2008).
 
 use super::plane_sweep::CostVolume;
 use i2slam_geometry::Image;
 use rayon::prelude::*;
 
-/// Price of a change by one label, and of any larger one where the picture has no edge.
+/// Penalty of a change by one label, and of any larger change where the picture has no edge.
 const STEP_PENALTY: f32 = 0.04;
 const JUMP_PENALTY: f32 = 0.35;
-/// Difference of brightness that halves the price of a jump.
+/// Difference of brightness that halves the penalty of a jump.
 const EDGE_CONTRAST: f32 = 0.04;
 
-/// Number of directions that paths come from.
+/// Number of path directions.
 const PATHS: f32 = 8.0;
-/// Columns that paths come from to the next row: straight down, and from either side.
+/// Column offsets of the paths from one row to the next.
 const COLUMN_OFFSETS: [isize; 3] = [0, 1, -1];
-/// Costs that a task works on at least.
+/// Costs per task, at least.
 const MIN_COSTS_PER_TASK: usize = 8192;
 
 /// Mean over all paths of the least cost of a path that ends at a pixel with a label, less the
-/// least of all labels on the way.
+/// minimum over labels on the way.
 ///
-/// A path is known one row at a time, so that no direction takes a volume of its own.
+/// Paths are computed row by row, so that no direction takes a volume of its own.
 pub(super) fn aggregate_costs(volume: &CostVolume, guide: &Image<f32>) -> CostVolume {
     let rows = 0..guide.height;
     let (mut values, upward) = rayon::join(
@@ -38,7 +38,7 @@ pub(super) fn aggregate_costs(volume: &CostVolume, guide: &Image<f32>) -> CostVo
     CostVolume { values, labels: volume.labels }
 }
 
-/// The sum over the three paths that come to every pixel from the row before it in `rows`.
+/// Sum of the three paths into every pixel from the row before it in `rows`.
 fn aggregate_across_rows(
     volume: &CostVolume,
     guide: &Image<f32>,
@@ -98,14 +98,13 @@ fn aggregate_along_row(volume: &CostVolume, guide: &Image<f32>, row: usize, sums
     along(&mut (0..width).rev());
 }
 
-/// Price of a jump between two pixels.
+/// Penalty of a jump between two pixels.
 fn jump_penalty(guide: &Image<f32>, here: usize, there: usize) -> f32 {
     let edge = (guide.data[here] - guide.data[there]).abs();
     (JUMP_PENALTY / (1.0 + edge / EDGE_CONTRAST)).max(1.5 * STEP_PENALTY)
 }
 
-/// Costs of a path at a pixel, from its costs at the last one and the price of a jump, if there is
-/// one.
+/// Costs of a path at a pixel, from those at the pixel before and the penalty of a jump.
 fn advance_path(own: &[f32], last: Option<(&[f32], f32)>, costs: &mut [f32]) {
     costs.copy_from_slice(own);
     let Some((before, jump)) = last else { return };
@@ -123,7 +122,7 @@ mod tests {
     use super::*;
     use i2slam_check::noise;
 
-    /// One path, written down pixel by pixel.
+    /// One path, pixel by pixel.
     fn path(volume: &CostVolume, guide: &Image<f32>, (across, down): (isize, isize)) -> Vec<f32> {
         let (width, height, labels) = (guide.width, guide.height, volume.labels);
         let mut out = volume.values.clone();
@@ -149,7 +148,7 @@ mod tests {
         out
     }
 
-    /// Rows at a time give what whole paths give, to the rounding of eight sums.
+    /// Rows at a time give the same as whole paths, to the rounding of eight sums.
     #[test]
     fn all_eight_paths_are_summed() {
         let (width, height, labels) = (23, 17, 5);
@@ -166,7 +165,7 @@ mod tests {
         }
     }
 
-    /// Labels without support take those of their surroundings, up to an edge of the picture.
+    /// Labels without support follow their surroundings, up to an edge of the picture.
     #[test]
     fn flat_regions_are_filled_from_their_sides() {
         let (width, height, labels) = (20, 12, 6);

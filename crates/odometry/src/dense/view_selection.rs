@@ -1,11 +1,10 @@
-//! Which other keyframes a keyframe is matched with.
+//! Selection of the keyframes that a keyframe is matched with.
 
 use i2slam_geometry::{Camera, Pose};
 
-/// Angle between the sights of a point that serves best [rad]: less tells little of the depth, more
-/// shows other surfaces.
+/// Best parallax [rad]: less is imprecise, more shows other surfaces.
 const BEST_PARALLAX: f64 = 0.1;
-/// Share of the picture that must be seen by both.
+/// Smallest ratio of the picture that both see.
 const MIN_OVERLAP: f64 = 0.5;
 
 /// The `count` most useful of `others` for a keyframe whose median depth is `depth`, best first.
@@ -30,7 +29,7 @@ pub(super) fn select_views(
     worths.into_iter().map(|(_, index)| index).collect()
 }
 
-/// Share of a picture at one depth that another camera sees.
+/// Ratio of a picture at one depth that another camera sees.
 fn overlap(camera: &Camera<f64>, from: Pose<f64>, to: Pose<f64>, depth: f64) -> f64 {
     let to_from = to.inverse() * from;
     let mut seen = 0;

@@ -1,11 +1,11 @@
-//! How alike two pictures are, window by window, whatever their brightness and contrast.
+//! Zero-mean normalised correlation of windows, for all pixels at once by box filters.
 
 use i2slam_geometry::Image;
 
-/// Variance that noise gives a window of an 8-bit picture: windows with less contrast say nothing.
+/// Variance of noise in a window of an 8-bit picture: windows with less contrast match nothing.
 const WINDOW_NOISE_VARIANCE: f32 = 5e-5;
 
-/// A picture with the mean and the spread of the window around every pixel.
+/// A picture with mean and deviation of the window around every pixel.
 pub(super) struct WindowStatistics {
     pub(super) image: Image<f32>,
     means: Vec<f32>,
@@ -25,8 +25,8 @@ impl WindowStatistics {
         Self { image, means, sharpness, half }
     }
 
-    /// 1 less the zero-mean normalised correlation with the windows of another picture of the same
-    /// size, in [0, 1]; 1 says nothing.
+    /// Costs `1 - correlation` with the windows of another picture of the same size, in [0, 1];
+    /// flat windows cost 1.
     pub(super) fn costs(&self, other: &[f32]) -> Vec<f32> {
         let (width, height) = (self.image.width, self.image.height);
         let squares: Vec<f32> = other.iter().map(|v| v * v).collect();
@@ -47,7 +47,7 @@ fn inverse_spread(mean: f32, mean_square: f32) -> f32 {
     ((mean_square - mean * mean).max(0.0) + WINDOW_NOISE_VARIANCE).sqrt().recip()
 }
 
-/// Means over windows; beyond the border the last value is repeated.
+/// Window means; the border value is repeated beyond the border.
 fn window_means(plane: &[f32], width: usize, height: usize, half: usize) -> Vec<f32> {
     let side = 2 * half + 1;
     let mut rows = vec![0.0; plane.len()];

@@ -1,4 +1,4 @@
-//! The focal length of a camera of which it is not known, and its lens if asked.
+//! Camera intrinsics of the input, and the search for an unknown focal length.
 
 use crate::error::OdometryError;
 use crate::progress::Stage;
@@ -8,32 +8,31 @@ use crate::sfm_state::SfmState;
 use i2slam_geometry::Camera;
 use rayon::prelude::*;
 
-/// Starts, as factors of the guess.
+/// Initial focal lengths, as factors of the guess.
 const START_FACTORS: [f64; 5] = [1.0, 0.75, 1.3, 0.6, 1.7];
-/// Keyframes that decide between the starts.
+/// Keyframes that decide between them.
 const SEARCH_KEYFRAMES: usize = 16;
 
-/// What is known of the camera.
+/// Knowledge of the camera's intrinsics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Intrinsics {
-    /// Calibrated: stays as it is.
+    /// Calibrated: fixed.
     Known(Camera<f64>),
-    /// A guess; the focal length is looked for, the principal point stays.
+    /// A guess: the focal length is estimated, the principal point is fixed.
     Guess(Camera<f64>),
-    /// The same, and the pictures are bent by a lens whose radial distortion is looked for.
+    /// A guess for a lens with radial distortion: focal length and distortion are estimated.
     GuessWithDistortion(Camera<f64>),
 }
 
 impl Intrinsics {
-    /// The guess for a picture of which nothing is known: a field of view of 60 degrees across the
-    /// longer side.
+    /// A guess from the size of the pictures: field of view of 60 degrees across the longer side.
     pub fn unknown(width: usize, height: usize) -> Self {
         let f = 0.5 * width.max(height) as f64 / 30_f64.to_radians().tan();
         let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
         Self::Guess(Camera { width, height, fx: f, fy: f, cx, cy })
     }
 
-    /// The same guess for pictures that a lens has bent: its radial distortion is looked for.
+    /// The guess of [`unknown`](Self::unknown), with radial distortion to be estimated.
     pub fn unknown_with_distortion(width: usize, height: usize) -> Self {
         Self::GuessWithDistortion(*Self::unknown(width, height).camera())
     }
@@ -46,7 +45,7 @@ impl Intrinsics {
     }
 }
 
-/// A camera, its lens, and a score: smaller is better.
+/// An estimated camera with its score; smaller is better.
 #[derive(Clone, Copy)]
 struct FocalCandidate {
     score: f64,
@@ -54,7 +53,7 @@ struct FocalCandidate {
     distortion: [f64; 2],
 }
 
-/// Takes the camera whose focal length explains most: from several starts, each refined over some
+/// Sets the focal length of best score, from several initial ones, each adjusted with some
 /// keyframes.
 pub(crate) fn search_focal_length(state: &mut SfmState) -> Result<(), OdometryError> {
     state.progress.report(Stage::FocalLength, 0, 0);
@@ -77,7 +76,7 @@ pub(crate) fn search_focal_length(state: &mut SfmState) -> Result<(), OdometryEr
     Ok(())
 }
 
-/// The refined camera from one start.
+/// The camera adjusted from one initial focal length.
 fn evaluate_start(state: &SfmState, factor: f64) -> Result<FocalCandidate, OdometryError> {
     let mut tried = state.clone();
     let camera = state.camera;

@@ -1,20 +1,19 @@
-//! What of the camera the pictures tell, and how well.
+//! Observability of focal length and distortion.
 
 use crate::bundle::IntrinsicsCovariance;
 use crate::register::registration::{adjust_globally, refine_all_frames};
 use crate::sfm_state::{MAX_JOINT_POSES, SfmState};
 
-/// A lens counts if pictures of a camera without one would seem to have as much in one of a hundred
-/// cases: the 99th percentile of a sum of two squared normal numbers.
+/// Significance of a distortion: the 99th percentile of a sum of two squared normal variables.
 const DISTORTION_SIGNIFICANCE: f64 = 9.21;
-/// With a lens the focal length must be known to this relative deviation, or be no more than so
-/// many times less certain than without: with more, pinhole pictures of a camera that moved along a
-/// line were given lenses, and focal lengths that were off by 5 and by 50 percent.
+/// Relative deviation of the focal length with distortion that is always accepted, and its largest
+/// ratio to that without. Looser bounds accepted spurious distortion of pinhole pictures from a
+/// camera moving along a line, with focal lengths off by 5 and by 50 percent.
 const MAX_FOCAL_DEVIATION: f64 = 0.005;
 const MAX_DEVIATION_RATIO: f64 = 1.5;
 
-/// The keyframes alone, their camera let go once more, with its covariance: the first ones of a
-/// long sequence, those that its camera is found from.
+/// Adjusts the first [`MAX_JOINT_POSES`] keyframes with free intrinsics; returns them with the
+/// covariance.
 pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<IntrinsicsCovariance>) {
     let keyframes = state.tracks.keyframes.iter().copied();
     let posed = keyframes.filter(|f| state.poses[*f].is_some());
@@ -28,11 +27,10 @@ pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<Intri
     (reestimated, covariance)
 }
 
-/// Gives up a lens that the pictures do not determine, so that it would make focal length and path
-/// worse: one that is not told from none, one that leaves the focal length far less certain than
-/// without it (where a camera moves along a line, the two make up for each other), and one of
-/// pictures whose rows were read in turn, which bends what a turning camera sees much as a lens
-/// does. Returns whether it was given up.
+/// Drops a distortion that the pictures do not determine: one that is not significant, one that
+/// leaves the focal length far less certain (both are confused where a camera moves along a line),
+/// and any beside a rolling shutter, which bends the pictures of a turning camera in a similar way.
+/// Returns whether it was dropped.
 pub(crate) fn drop_unobservable_distortion(state: &mut SfmState) -> bool {
     if !state.estimates_distortion || state.distortion == [0.0; 2] {
         return false;
@@ -54,7 +52,7 @@ pub(crate) fn drop_unobservable_distortion(state: &mut SfmState) -> bool {
     !is_observable
 }
 
-/// Whether the focal length stays about as certain beside a lens as `without_distortion`.
+/// Whether the focal length stays about as certain as without distortion.
 fn keeps_focal_length_certain(
     with_distortion: &IntrinsicsCovariance,
     without_distortion: Option<IntrinsicsCovariance>,
@@ -67,7 +65,7 @@ fn keeps_focal_length_certain(
         })
 }
 
-/// Whether two coefficients differ from zero by more than chance, `lensᵀ Σ⁻¹ distortion`.
+/// Whether two coefficients are significant by `lensᵀ Σ⁻¹ lens`.
 fn is_significant(distortion: [f64; 2], covariance: &IntrinsicsCovariance) -> bool {
     let [_, [_, aa, ab], [_, _, bb]] = covariance;
     let [a, b] = distortion;
@@ -83,7 +81,7 @@ mod tests {
     use i2slam_check::noise;
     use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
 
-    /// A camera on a winding way, every frame a keyframe that begins three points.
+    /// A camera on a winding path, every frame a keyframe that begins three points.
     fn winding(frames: usize) -> SfmState {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
         let pose = |f: usize| {
@@ -112,7 +110,7 @@ mod tests {
         state
     }
 
-    /// The camera of a long sequence is judged by as many keyframes as are adjusted together.
+    /// The camera of a long sequence is estimated from the first keyframes alone.
     #[test]
     fn a_long_sequence_takes_no_more_room_than_its_first_keyframes() {
         let (reestimated, covariance) = reestimate_intrinsics(&winding(MAX_JOINT_POSES + 60));

@@ -1,8 +1,8 @@
-//! Places that are seen again after their points were lost.
+//! Loop closure.
 //!
-//! Keyframes that look alike and share no points are compared as in `match_and_verify`. Where two
-//! neighbours agree on how the world must be moved, keyframes are moved so (`pose_graph`), and the
-//! old points get the new sights, so that bundle adjustment keeps the place together.
+//! Keyframes with similar thumbnails that share no points are verified geometrically. Where two
+//! neighbouring candidates agree on the drift, a pose graph distributes it, and the old tracks get
+//! the new observations, so that bundle adjustment keeps the loop closed.
 
 use crate::loops::pose_graph::{PoseGraphEdge, optimize_pose_graph};
 use crate::multiview::landmark::Landmark;
@@ -21,44 +21,43 @@ use i2slam_geometry::{Pose, Similarity};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Keyframes nearer than this in order are no return.
+/// Distance in keyframes of a loop.
 const MIN_LOOP_GAP: usize = 8;
-/// Keyframes that share so many points need no help.
+/// Shared points from which on two keyframes are connected already.
 const MAX_SHARED_POINTS: usize = 15;
-/// Keyframes so near in order must agree on a return.
+/// Distance in keyframes within which another candidate must agree.
 const CONSISTENCY_WINDOW: usize = 4;
-/// How far they may disagree: turn [rad], distance over that of the scene, logarithm of scale.
+/// Largest disagreement: rotation [rad], translation over the scene's distance, logarithm of scale.
 const MAX_DISAGREEMENT: [f64; 3] = [0.06, 0.12, 0.15];
-/// Keyframes are joined with so many others at most, of which so many of some landmarks lie in the
-/// picture, and which look no farther aside [rad].
+/// Keyframes that one is merged with, at most; landmarks sampled for the overlap and the number
+/// that must be visible; angle between the viewing directions [rad].
 const MAX_MERGED_KEYFRAMES: usize = 3;
 const SAMPLED_LANDMARKS: usize = 24;
 const MIN_VISIBLE_LANDMARKS: usize = 12;
 const MAX_VIEW_ANGLE: f64 = 0.7;
-/// The most that a path may drift: share of the way, or of the scene's distance if that is more;
-/// turn [rad]; logarithm of scale.
+/// Largest plausible drift: translation as a ratio of the path's length, or of the scene's distance
+/// if that is more; rotation [rad]; logarithm of scale.
 const MAX_TRANSLATION_DRIFT: f64 = 0.25;
 const MIN_TRANSLATION_BOUND: f64 = 0.3;
 const MAX_ROTATION_DRIFT: f64 = 0.6;
 const MAX_LOG_SCALE_DRIFT: f64 = 0.8;
-/// Keyframes so near in order keep their places to each other if they share so many points.
+/// Distance in keyframes of sequential edges, and points that the two must share.
 const SEQUENTIAL_EDGE_SPAN: usize = 3;
 const MIN_EDGE_POINTS: usize = 8;
-/// What a return counts, when neighbours in order count 1.
+/// Weight of a loop's edge, where that of a sequential one is 1.
 const LOOP_EDGE_WEIGHT: f64 = 20.0;
 
-/// A keyframe that shows what an old one does.
+/// A keyframe that observes the place of a much older one.
 struct LoopCandidate {
-    /// Places among the keyframes.
+    /// Indices among the keyframes.
     new: usize,
     old: usize,
     found: Relocalization,
-    /// Where the new one is in the world of the old one.
+    /// Pose of the new one in the world of the old one.
     place: Similarity<f64>,
 }
 
-/// Looks for places that are seen again, and closes the path there. Returns at how many
-/// keyframes.
+/// Finds loops, distributes the drift and adjusts all frames. Returns the number of loop keyframes.
 pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) -> usize {
     state.progress.report(Stage::LoopClosure, 0, 0);
     let unit = median_landmark_distance(state);
@@ -78,8 +77,8 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) -> usize {
     count
 }
 
-/// Gives keyframes that see one place at different times the points of each other, by the poses
-/// that are known.
+/// Adds observations of each other's tracks to keyframes that overlap by their poses, and adjusts
+/// all frames.
 pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bool) {
     let find_overlaps = |(new, image): (usize, &KeyframeImage)| {
         if state.progress.is_cancelled() {
@@ -106,7 +105,7 @@ pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bo
     }
 }
 
-/// How many of some landmarks of another keyframe lie in the picture of this one.
+/// Number of sampled landmarks of another keyframe that project into this one's picture.
 fn count_visible_landmarks(
     state: &SfmState,
     image: &KeyframeImage,
@@ -128,14 +127,14 @@ fn count_visible_landmarks(
     some.take(SAMPLED_LANDMARKS).filter_map(known).filter(inside).count()
 }
 
-/// Median distance of landmarks from where they were first seen.
+/// Median distance of landmarks from their first camera.
 fn median_landmark_distance(state: &SfmState) -> f64 {
     let near = |l: &Landmark| (l.values[2] > 1e-6).then(|| l.values[2].recip());
     median(&mut state.landmarks.iter().flatten().filter_map(near).collect::<Vec<_>>())
         .unwrap_or(1.0)
 }
 
-/// Keyframes that show what a much earlier one does.
+/// Keyframes verified against much older ones.
 fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
     let search = |(new, image): (usize, &KeyframeImage)| {
         state.poses[image.frame].filter(|_| !state.progress.is_cancelled())?;
@@ -159,8 +158,7 @@ fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
     state.tracks.keyframe_images.par_iter().enumerate().filter_map(search).collect()
 }
 
-/// Whether a path may drift as far as a return says: whole ways between places that only look
-/// alike do not vanish.
+/// Whether a path can have drifted as far as a candidate says: rejects places that only look alike.
 fn is_plausible_drift(state: &SfmState, r: &LoopCandidate, unit: f64) -> bool {
     let between = &state.tracks.keyframe_images[r.old..=r.new];
     let places: Vec<Pose<f64>> = between.iter().filter_map(|l| state.poses[l.frame]).collect();
@@ -174,7 +172,7 @@ fn is_plausible_drift(state: &SfmState, r: &LoopCandidate, unit: f64) -> bool {
         && r.place.scale.ln().abs() < MAX_LOG_SCALE_DRIFT
 }
 
-/// Those that a neighbour in order agrees with.
+/// Candidates that a neighbouring one agrees with.
 fn consistent_candidates(
     state: &SfmState,
     candidates: Vec<LoopCandidate>,
@@ -202,8 +200,7 @@ fn consistent_candidates(
     candidates.into_iter().zip(keep).filter_map(|(r, keep)| keep.then_some(r)).collect()
 }
 
-/// Moves keyframes, and with them the frames behind each and the landmarks first seen there, so
-/// that the path closes.
+/// Distributes the drift over keyframes by a pose graph, and moves frames and landmarks with them.
 fn distribute_drift(state: &mut SfmState, candidates: &[LoopCandidate], unit: f64) {
     let keyframe_images = &state.tracks.keyframe_images;
     let posed: Vec<usize> = (0..keyframe_images.len())
@@ -236,7 +233,7 @@ fn distribute_drift(state: &mut SfmState, candidates: &[LoopCandidate], unit: f6
     apply_corrections(state, &frames, &moves);
 }
 
-/// Pairs of keyframes, by their places among `frames`, that are near in order and share points.
+/// Pairs of neighbouring keyframes that share points, as indices into `frames`.
 fn sequential_edges(state: &SfmState, frames: &[usize]) -> Vec<(usize, usize)> {
     let before = |second: usize| {
         (second.saturating_sub(SEQUENTIAL_EDGE_SPAN)..second).map(move |f| (f, second))
@@ -247,8 +244,8 @@ fn sequential_edges(state: &SfmState, frames: &[usize]) -> Vec<(usize, usize)> {
     (0..frames.len()).flat_map(before).filter(share).collect()
 }
 
-/// Pairs of keyframes that share points which were not followed from one to the other, but
-/// recognised: a place that was found again already stays one place.
+/// Pairs of keyframes that share points by relocalization, not by tracking: they must stay
+/// together.
 fn relocalized_edges(state: &SfmState, frames: &[usize]) -> Vec<(usize, usize)> {
     let mut place = vec![None; state.poses.len()];
     frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
@@ -271,7 +268,7 @@ fn relocalized_edges(state: &SfmState, frames: &[usize]) -> Vec<(usize, usize)> 
         .collect()
 }
 
-/// Moves every frame, and every landmark, as the keyframe at or before it.
+/// Moves every frame and landmark with the keyframe at or before it.
 fn apply_corrections(state: &mut SfmState, keyframes: &[usize], moves: &[Similarity<f64>]) {
     let by = |frame: usize| {
         let place = keyframes.partition_point(|k| *k <= frame).saturating_sub(1);
@@ -297,14 +294,14 @@ mod tests {
     use crate::track::tracks::{Track, Tracks};
     use i2slam_geometry::{Camera, Rotation, Vec3};
 
-    /// Keyframes of the first way, which ends where the lens is covered; all are of the second one.
+    /// Keyframes of the first path, which ends with a covered lens, and of both paths.
     const CUT: usize = 20;
     const KEYFRAMES: usize = 40;
-    /// The old keyframe that the first one after the cut was recognised at.
+    /// The old keyframe at which the first one after the cut was relocalized.
     const RECOGNISED: usize = 8;
 
-    /// A track of every three keyframes in a row, ten times, none across the cut; ten of
-    /// [`RECOGNISED`] are seen again in the first keyframe after it.
+    /// Ten tracks of every three consecutive keyframes, none across the cut; ten of [`RECOGNISED`]
+    /// are observed again in the first keyframe after it.
     fn two_ways() -> SfmState {
         let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
         let at = |index: usize, k: usize| [20.0 + 30.0 * k as f64, 20.0 + 4.0 * index as f64];
@@ -341,8 +338,8 @@ mod tests {
         state
     }
 
-    /// The end of the second way is found at the end of the first, 0.4 aside: all keyframes share
-    /// the drift, and the one that was recognised stays at its place.
+    /// The end of the second path is found at the end of the first, 0.4 aside: all keyframes share
+    /// the drift, and the relocalized one stays in place.
     #[test]
     fn a_place_that_was_recognised_is_not_torn_by_a_closed_loop() {
         let mut state = two_ways();

@@ -1,5 +1,4 @@
-//! Keyframes moved so that their neighbours keep their places to each other, and a place that is
-//! seen again is one place: a pose graph of similarities (Strasdat, Montiel and Davison 2010).
+//! Pose graph of similarities (Strasdat, Montiel and Davison 2010).
 
 use i2slam_compute::reverse_cuthill_mckee;
 
@@ -7,26 +6,26 @@ use i2slam_compute::SkylineMatrix;
 use i2slam_geometry::{Mat3, Similarity, right_jacobian_inverse};
 
 const MAX_STEPS: usize = 20;
-/// A step that lowers the cost by less than this share is the last one.
+/// Relative decrease of the cost at which the iteration has converged.
 const MIN_RELATIVE_DECREASE: f64 = 1e-6;
 const MAX_DAMPING: f64 = 1e6;
 
-/// What is known of two places relative to each other.
+/// Measured relative transform of two nodes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PoseGraphEdge {
     pub(crate) first: usize,
     pub(crate) second: usize,
-    /// The second place in the first: `first⁻¹ second`.
+    /// The second node in the first: `first⁻¹ second`.
     pub(crate) measured: Similarity<f64>,
-    /// How much its square counts.
+    /// Weight of the squared error.
     pub(crate) weight: f64,
 }
 
 /// Derivative of seven numbers by seven.
 type Block = [[f64; 7]; 7];
 
-/// Moves all places but the first so that `Σ weight ‖chart(measured⁻¹ first⁻¹ second)‖²` is least;
-/// lengths count in `unit`.
+/// Moves all nodes but the first so that `Σ weight ‖coordinates(measured⁻¹ first⁻¹ second)‖²` is
+/// least; lengths count in `unit`.
 pub(crate) fn optimize_pose_graph(
     places: &mut Vec<Similarity<f64>>,
     edges: &[PoseGraphEdge],
@@ -54,7 +53,8 @@ pub(crate) fn optimize_pose_graph(
     }
 }
 
-/// For every place its block of unknowns; the first has none.
+/// Block of unknowns of every node, in an order that keeps the matrix narrow; the first node has
+/// none.
 fn variable_order(count: usize, edges: &[PoseGraphEdge]) -> Vec<Option<usize>> {
     let mut neighbours = vec![Vec::new(); count.saturating_sub(1)];
     for edge in edges.iter().filter(|e| e.first > 0 && e.second > 0) {
@@ -76,7 +76,7 @@ fn error(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> Similarity<f64> {
     edge.measured.inverse().compose(&between)
 }
 
-/// What every one of the seven numbers of an edge counts.
+/// Weight of each of an edge's seven errors.
 fn weights(edge: &PoseGraphEdge, unit: f64) -> [f64; 7] {
     std::array::from_fn(|i| if i < 3 { edge.weight / (unit * unit) } else { edge.weight })
 }
@@ -89,7 +89,7 @@ fn total_cost(places: &[Similarity<f64>], edges: &[PoseGraphEdge], unit: f64) ->
     edges.iter().map(of).sum()
 }
 
-/// Derivatives of an edge's seven numbers by the tangents of its two places.
+/// Derivatives of an edge's seven errors by the tangents of its two nodes.
 fn derivatives(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> [Block; 2] {
     let error = error(places, edge);
     let between = places[edge.first].inverse().compose(&places[edge.second]);
@@ -117,7 +117,7 @@ fn write_block(block: &mut Block, row: usize, column: usize, values: &Mat3<f64>)
     }
 }
 
-/// The places after a Levenberg-Marquardt step.
+/// The nodes after a Levenberg-Marquardt step.
 fn step(
     places: &[Similarity<f64>],
     edges: &[PoseGraphEdge],

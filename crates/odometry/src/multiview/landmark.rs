@@ -1,17 +1,17 @@
-//! Points of the scene and how cameras see them.
+//! Landmarks in inverse-depth parametrisation, and their projection.
 
 use crate::track::tracks::Observation;
 use i2slam_geometry::{Camera, Mat3, Pose, Similarity, Vec3};
 
-/// A point by its direction and inverse depth from an origin that stays where it is:
-/// `p = origin + frame (a, b, 1) / ρ`. Points far away have `ρ` near zero and give no trouble.
+/// A scene point by direction and inverse depth from a fixed origin (Civera et al. 2008): `p =
+/// origin + frame (a, b, 1) / ρ`. Points at infinity have `ρ = 0` and cause no singularity.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Landmark {
-    /// Where the point was first seen from, in the world; fixed.
+    /// Centre of the camera that first observed the point, in the world; fixed.
     pub(crate) origin: Vec3<f64>,
     /// `world_from_camera` rotation of that camera; fixed.
     pub(crate) frame: Mat3<f64>,
-    /// `(a, b, ρ)`.
+    /// `(a, b, ρ)`, adjusted.
     pub(crate) values: [f64; 3],
 }
 
@@ -42,7 +42,7 @@ impl Landmark {
         }
     }
 
-    /// The same point of a part of the world that is moved.
+    /// The point after a similarity transform of the world.
     pub(crate) fn moved(&self, by: &Similarity<f64>) -> Self {
         let [a, b, rho] = self.values;
         Self {
@@ -73,7 +73,7 @@ impl Landmark {
         inverse.rotate(offset * rho + self.frame * Vec3::new(a, b, 1.0))
     }
 
-    /// Where a camera sees the point; `None` behind it.
+    /// Projection into a camera; `None` behind it.
     pub(crate) fn image_position(
         &self,
         camera: &Camera<f64>,
@@ -84,7 +84,7 @@ impl Landmark {
         (q.z > 1e-6).then_some([u, v])
     }
 
-    /// The same with derivatives.
+    /// Projection with derivatives; `None` behind the camera.
     pub(crate) fn project(
         &self,
         camera: &Camera<f64>,
@@ -158,7 +158,7 @@ mod tests {
         }
     }
 
-    /// In a camera that has moved forward the depth changes by other than its square.
+    /// In a camera that has moved forward the slope is not minus the squared depth.
     #[test]
     fn slope_of_the_depth_agrees_with_differences() {
         let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };

@@ -1,17 +1,17 @@
-//! Radial distortion of a lens.
+//! Radial lens distortion.
 //!
-//! Positions are freed of it by `u = c + (s - c) (1 + a r² + b r⁴)`, where `s` is where the picture
-//! shows a point, `c` the principal point and `r` the distance of `s` from it over half the
-//! picture's diagonal: linear in `(a, b)`, which bundle adjustment finds.
+//! Positions are corrected by `u = c + (s - c) (1 + a r² + b r⁴)`, with `s` the measured position,
+//! `c` the principal point and `r` the distance of `s` from it over half the picture's diagonal.
+//! The model is linear in `(a, b)`, which bundle adjustment estimates.
 
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::Camera;
 
-/// Derivatives of a corrected image position by the camera parameters beside the focal length
-/// [px]: two distortion coefficients, or the readout and an unused second.
+/// Derivatives of a corrected image position by the camera parameters beside the focal length [px]:
+/// two distortion coefficients, or the readout and an unused second.
 pub(crate) type CameraJacobian = [[f64; 2]; 2];
 
-/// Radii from which the usual coefficients are read off.
+/// Radii at which the model of Brown is fitted.
 const RADII: usize = 40;
 
 /// Half the diagonal of the picture [px].
@@ -19,21 +19,22 @@ fn half_diagonal(camera: &Camera<f64>) -> f64 {
     0.5 * (camera.width as f64).hypot(camera.height as f64)
 }
 
-/// What a position moves by for each coefficient: `(s - c) r²` and `(s - c) r⁴` [px].
+/// Derivatives of the corrected position by both coefficients: `(s - c) r²` and `(s - c) r⁴` [px].
 pub(crate) fn distortion_jacobian(camera: &Camera<f64>, seen: [f64; 2]) -> CameraJacobian {
     let off = [seen[0] - camera.cx, seen[1] - camera.cy];
     let square = (off[0] * off[0] + off[1] * off[1]) / half_diagonal(camera).powi(2);
     [off.map(|v| v * square), off.map(|v| v * square * square)]
 }
 
-/// A position freed of a lens.
+/// Removes distortion from a measured position.
 pub(crate) fn undistort(camera: &Camera<f64>, lens: [f64; 2], seen: [f64; 2]) -> [f64; 2] {
     let radial = distortion_jacobian(camera, seen);
     std::array::from_fn(|i| seen[i] + lens[0] * radial[0][i] + lens[1] * radial[1][i])
 }
 
-/// The coefficients `(k1, k2)` of the usual model (Brown 1971, as in OpenCV), which gives where the
-/// lens shows a point: `s = c + (u - c) (1 + k1 r² + k2 r⁴)` with `r` in focal lengths.
+/// Fits the coefficients `(k1, k2)` of the model of Brown (1971), as in OpenCV, which maps
+/// undistorted to distorted positions: `s = c + (u - c) (1 + k1 r² + k2 r⁴)` with `r` in focal
+/// lengths.
 pub(crate) fn brown_coefficients(camera: &Camera<f64>, lens: [f64; 2]) -> [f64; 2] {
     let mut sum = NormalEquations::<2>::default();
     for i in 1..=RADII {

@@ -1,24 +1,24 @@
-//! The pose of a picture from landmarks that are known already.
+//! Perspective-n-point: the pose of a picture from known landmarks.
 
 use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
 use crate::multiview::robust_loss::cauchy;
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Tangent};
 
-/// Widths of the influence of a residual [standard deviations], one stage after the other: the
-/// wide ones pull a poor start in, and wrong matches fade in the narrow ones.
+/// Widths of the Cauchy loss, one stage after the other [standard deviations]: wide ones converge
+/// from a poor start, narrow ones suppress wrong matches.
 const LOSS_WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
 const MAX_STEPS: usize = 12;
-/// A pose that fits.
+/// A pose with its support.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PnpSolution {
     pub(crate) world_from_camera: Pose<f64>,
-    /// Landmarks whose residual agrees.
+    /// Matches within [`MAX_INLIER_ERROR`].
     pub(crate) inliers: usize,
 }
 
-/// The pose that fits best, from `start` on, where residuals are `noise` times as large as their
-/// deviations say. `None` without at least six matches.
+/// The pose of least robust cost from `start` on; residuals are `noise` times as large as their
+/// deviations say. `None` for fewer than six matches.
 pub(crate) fn solve_pnp(
     camera: &Camera<f64>,
     start: Pose<f64>,
@@ -39,7 +39,7 @@ pub(crate) fn solve_pnp(
     pose.is_finite().then_some(PnpSolution { world_from_camera: pose, inliers })
 }
 
-/// The pose that a few matches give, all of them taken as right, from `start` on.
+/// The least-squares pose of a minimal sample of matches, from `start` on.
 pub(crate) fn solve_pnp_minimal(
     camera: &Camera<f64>,
     start: Pose<f64>,
@@ -48,7 +48,7 @@ pub(crate) fn solve_pnp_minimal(
     minimize(camera, start, matches, |n| (1.0, n * n))
 }
 
-/// Levenberg-Marquardt on the six numbers of a pose.
+/// Levenberg-Marquardt on the six parameters of a pose.
 fn minimize(
     camera: &Camera<f64>,
     start: Pose<f64>,
@@ -77,8 +77,8 @@ fn minimize(
     pose
 }
 
-/// Sums over all matches; `cost` is that of the loss. A landmark behind the camera costs what a
-/// residual of a hundred standard deviations does.
+/// Sums over all matches; `cost` is that of the loss. A landmark behind the camera costs as much as
+/// a residual of 100 standard deviations.
 fn normal_equations(
     camera: &Camera<f64>,
     pose: &Pose<f64>,

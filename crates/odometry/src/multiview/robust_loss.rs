@@ -1,15 +1,15 @@
-//! Weights that keep wrong measurements from deciding.
+//! Robust losses: weight and cost of a residual.
 
-/// Beyond so many standard deviations a residual counts by its length, not its square
-/// (Huber 1964).
+/// Residual at which the Huber loss turns from quadratic to linear [standard deviations] (Huber
+/// 1964).
 pub(crate) const HUBER: f64 = 1.5;
 
-/// Weight of a residual of length `n` (in standard deviations), and its cost.
+/// Huber weight and cost of a residual of length `n` [standard deviations].
 pub(crate) fn huber(n: f64) -> (f64, f64) {
     if n <= HUBER { (1.0, n * n) } else { (HUBER / n, HUBER * (2.0 * n - HUBER)) }
 }
 
-/// Weight and cost of a residual whose influence fades beyond `width` (Cauchy).
+/// Cauchy weight and cost of a residual of length `n`, with scale `width`.
 pub(crate) fn cauchy(n: f64, width: f64) -> (f64, f64) {
     let s = (n / width) * (n / width);
     (1.0 / (1.0 + s), width * width * s.ln_1p())

@@ -1,4 +1,4 @@
-//! A landmark from its sights in cameras whose poses are known.
+//! Triangulation of landmarks from cameras with known poses.
 
 use crate::multiview::landmark::{Landmark, reprojection_error};
 use crate::multiview::robust_loss::huber;
@@ -7,14 +7,14 @@ use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Vec3};
 
 const MAX_STEPS: usize = 10;
-/// Mean residual that a landmark may have [standard deviations].
+/// Largest mean residual of a landmark [standard deviations].
 const MAX_MEAN_ERROR: f64 = 4.0;
 
-/// A sight and the pose of its camera.
+/// An observation and the pose of its camera.
 pub(crate) type PosedObservation<'a> = (&'a Observation, Pose<f64>);
 
-/// The landmark of at least two sights, anchored in the first; `None` if they do not agree, where
-/// residuals are `noise` times as large as their deviations say.
+/// Triangulates at least two observations; the landmark originates in the first. `None` if they are
+/// inconsistent, where residuals are `noise` times as large as their deviations say.
 pub(crate) fn triangulate(
     camera: &Camera<f64>,
     observations: &[PosedObservation<'_>],
@@ -34,7 +34,7 @@ pub(crate) fn triangulate(
     (sum / observations.len() as f64 <= MAX_MEAN_ERROR * noise).then_some(landmark)
 }
 
-/// The angle between the rays of the two sights that lie farthest apart in place [rad].
+/// Largest angle at a landmark between its origin and other cameras [rad].
 pub(crate) fn parallax(landmark: &Landmark, poses: impl Iterator<Item = Pose<f64>>) -> f64 {
     let point = landmark.position();
     let first = point - landmark.origin;
@@ -45,7 +45,7 @@ pub(crate) fn parallax(landmark: &Landmark, poses: impl Iterator<Item = Pose<f64
     poses.map(angle).fold(0.0, f64::max)
 }
 
-/// Least squares of `x × Rᵀ (ρ (o - t) + d) = 0` over all sights.
+/// Inverse depth of least `Σ ‖x × Rᵀ (ρ (o - t) + d)‖²`.
 fn inverse_depth(
     camera: &Camera<f64>,
     landmark: &Landmark,
@@ -86,7 +86,7 @@ fn refine(
     Some(landmark)
 }
 
-/// `None` where a sight has the landmark behind its camera.
+/// Sums over all observations; `None` where the landmark is behind a camera.
 fn normal_equations(
     camera: &Camera<f64>,
     landmark: &Landmark,

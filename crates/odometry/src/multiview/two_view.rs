@@ -1,27 +1,27 @@
-//! Two pictures of a rigid scene: has the camera only turned, or also moved, and where to?
+//! Two-view geometry: rotation alone, or rotation and direction of translation.
 
 use crate::multiview::robust_loss::cauchy;
 use i2slam_compute::{NormalEquations, Random, median};
 use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
 
-/// Hypotheses of the random search.
+/// Hypotheses of RANSAC.
 const HYPOTHESES: usize = 300;
 /// Points per hypothesis.
 const SAMPLE_SIZE: usize = 5;
-/// Residuals beyond this do not count any worse [px].
+/// Epipolar distance at which the RANSAC cost is truncated [px].
 const MAX_RANSAC_ERROR: f64 = 2.0;
-/// Shared points without which nothing is said.
+/// Smallest number of shared points.
 const MIN_SHARED: usize = 24;
 
 /// Rays of one point in both cameras, third component 1.
 pub(crate) type RayPair = (Vec3<f64>, Vec3<f64>);
 
-/// How two cameras stand to each other.
+/// Relative pose of two cameras up to scale.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RelativePose {
     /// Rotation and direction of the translation (length 1).
     pub(crate) second_from_first: Pose<f64>,
-    /// Share of the points that fit and lie in front of both cameras.
+    /// Ratio of points that fit and lie in front of both cameras.
     pub(crate) inlier_ratio: f64,
 }
 
@@ -31,8 +31,8 @@ pub(crate) fn ray_pairs(camera: &Camera<f64>, pairs: &[([f64; 2], [f64; 2])]) ->
     pairs.iter().map(|(first, second)| (ray(*first), ray(*second))).collect()
 }
 
-/// The rotation that explains best what moved, and the median of what it leaves [px]: small if
-/// the camera only turned.
+/// Fits a rotation to ray pairs; returns it and the median residual [px], which is small if the
+/// camera only turned.
 pub(crate) fn fit_rotation(focal: f64, ray_pairs: &[RayPair]) -> Option<(Rotation<f64>, f64)> {
     if ray_pairs.len() < MIN_SHARED {
         return None;
@@ -68,8 +68,8 @@ pub(crate) fn fit_rotation(focal: f64, ray_pairs: &[RayPair]) -> Option<(Rotatio
     median(&mut left).map(|m| (rotation, m))
 }
 
-/// The essential matrix of most points, by random samples of five, each solved by iteration
-/// (Lui and Drummond 2013), from `rotation` on, and refined on all.
+/// Estimates the relative pose by RANSAC: samples of five points, each solved by iteration (Lui and
+/// Drummond 2013) from `rotation` on; the best one is refined on all points.
 pub(crate) fn estimate_relative_pose(
     focal: f64,
     ray_pairs: &[RayPair],
@@ -98,7 +98,7 @@ pub(crate) fn estimate_relative_pose(
     Some(resolve_translation_sign(focal, ray_pairs, refined))
 }
 
-/// A random direction.
+/// A uniformly random direction.
 fn random_direction(random: &mut Random) -> Vec3<f64> {
     let z = 2.0 * random.uniform() - 1.0;
     let (sine, cosine) = (std::f64::consts::TAU * random.uniform()).sin_cos();
@@ -174,8 +174,8 @@ fn resolve_translation_sign(focal: f64, ray_pairs: &[RayPair], pose: Pose<f64>) 
     RelativePose { second_from_first: pose, inlier_ratio: most as f64 / ray_pairs.len() as f64 }
 }
 
-/// Whether the inverse depth in the first camera, by least squares, is positive, or so near zero
-/// that a pixel decides.
+/// Whether the least-squares inverse depth in the first camera is positive, or within one pixel of
+/// disparity of zero.
 fn has_positive_depth(pose: &Pose<f64>, (first, second): &RayPair, focal: f64) -> bool {
     // x₂ × (R x₁ + ρ t) = 0.
     let (a, b) = (second.cross(pose.translation), second.cross(pose.rotation.rotate(*first)));

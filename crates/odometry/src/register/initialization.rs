@@ -1,4 +1,4 @@
-//! The first two poses.
+//! Initialization from two keyframes.
 
 use crate::error::OdometryError;
 use crate::multiview::triangulation::parallax;
@@ -9,44 +9,44 @@ use i2slam_geometry::{Pose, Rotation};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Keyframes between the two of a pair, at most.
+/// Largest number of keyframes from the first to the second of a pair.
 const MAX_KEYFRAME_GAP: usize = 12;
-/// Pairs that are tried.
+/// Pairs for which a relative pose is estimated.
 const MAX_CANDIDATES: usize = 12;
 /// Points that a pair must share.
 const MIN_SHARED: usize = 40;
-/// Share of a pair's points that must fit.
+/// Inlier ratio of a pair's relative pose.
 const MIN_INLIER_RATIO: f64 = 0.6;
-/// What a rotation must leave unexplained for a camera to have moved, over the focal length: a
-/// pixel at 250.
+/// Median residual of a rotation for a camera that has moved, over the focal length: a pixel at
+/// 250.
 const MIN_PARALLAX: f64 = 0.004;
-/// More than this makes a pair no better, over the focal length.
+/// Residual at which more parallax makes a pair no better, over the focal length.
 const SUFFICIENT_PARALLAX: f64 = 0.06;
 /// Median motion below which a camera stands still, over the picture's width.
 const MAX_STILL_MOTION: f64 = 0.005;
-/// Landmarks with an angle of at least so much [rad] that a pair must give.
+/// Landmarks with a parallax of at least [`MIN_ANGLE`] [rad] that a pair must give.
 const MIN_LANDMARKS: usize = 20;
 const MIN_ANGLE: f64 = 0.01;
 
-/// A pair of keyframes and what a rotation leaves unexplained between them.
+/// A pair of keyframes with the rotation between them.
 #[derive(Clone, Copy, Debug)]
 struct KeyframePair {
     first: usize,
     second: usize,
     shared: usize,
     rotation: Rotation<f64>,
-    /// [px]
+    /// Median residual of the rotation [px].
     rotation_residual: f64,
     /// Median motion [px].
     motion: f64,
 }
 
-/// Poses two keyframes of a scene without poses, and triangulates what they share.
+/// Poses two keyframes of an empty state and triangulates their shared points.
 pub(crate) fn initialize(state: &mut SfmState) -> Result<(), OdometryError> {
     initialize_within(state, 0..state.tracks.keyframes.len())
 }
 
-/// The same with two of some keyframes.
+/// Initializes from two of the keyframes in `places`.
 pub(crate) fn initialize_within(
     state: &mut SfmState,
     places: Range<usize>,
@@ -91,7 +91,7 @@ pub(crate) fn initialize_within(
     Err(OdometryError::NoConsistentMotion)
 }
 
-/// All pairs of some keyframes that share enough points.
+/// All pairs of keyframes in `places` that share enough points.
 fn pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
     let keyframes = &state.tracks.keyframes[places];
     let indices: Vec<(usize, usize)> = (0..keyframes.len())
@@ -125,7 +125,7 @@ fn shared_rays(state: &SfmState, pair: &KeyframePair) -> Vec<crate::multiview::t
     ray_pairs(&state.camera, &state.shared_positions(pair.first, pair.second))
 }
 
-/// Poses a pair, adjusts both views; returns how many landmarks have a good angle.
+/// Poses a pair and adjusts both views; returns the number of landmarks with enough parallax.
 fn reconstruct_pair(state: &mut SfmState, pair: &KeyframePair, view: RelativePose) -> usize {
     state.poses[pair.first] = Some(Pose::identity());
     state.poses[pair.second] = Some(view.second_from_first.inverse());
@@ -140,7 +140,7 @@ fn reconstruct_pair(state: &mut SfmState, pair: &KeyframePair, view: RelativePos
     wide.count()
 }
 
-/// Why no pair shows a motion.
+/// Reason why no pair has parallax.
 fn diagnose_failure(state: &SfmState, pairs: &[KeyframePair]) -> OdometryError {
     let most = |f: fn(&KeyframePair) -> f64| pairs.iter().map(f).fold(0.0, f64::max);
     if pairs.is_empty() {

@@ -1,4 +1,4 @@
-//! From two poses to all of them.
+//! Registration of frames to the map, with local and global bundle adjustment.
 
 use crate::multiview::pnp::{PnpSolution, solve_pnp};
 use crate::progress::Stage;
@@ -6,21 +6,21 @@ use crate::sfm_state::SfmState;
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
 
-/// Landmarks that must agree on a frame's pose, and their share of those that it shows.
+/// Inliers of a frame's pose, and their ratio of the landmarks that it observes.
 const MIN_INLIERS: usize = 12;
 const MIN_INLIER_RATIO: f64 = 0.5;
 /// Poses that are adjusted after each new one.
 const LOCAL_WINDOW: usize = 8;
-/// All poses are adjusted whenever there are so many times as many.
+/// Growth of the number of poses at which all are adjusted.
 const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
-/// Keyframes this near in order to a posed one are tried first.
+/// Distance in keyframes from a registered one within which keyframes are tried first.
 const NEIGHBOURHOOD: usize = 3;
-/// Of more frames than this, those between keyframes are adjusted one by one.
+/// Frames up to which all are adjusted jointly; otherwise those between keyframes one by one.
 const MAX_JOINTLY_REFINED_FRAMES: usize = 300;
 const LOCAL_STEPS: usize = 6;
 const GLOBAL_STEPS: usize = 20;
 
-/// Poses all keyframes that can be reached from those that have a pose, up to `most`.
+/// Registers all keyframes that share enough landmarks with registered ones, up to `most`.
 pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most: usize) {
     let mut adjusted_at = state.posed_frames().len();
     while state.posed_frames().len() < most && !state.progress.is_cancelled() {
@@ -39,7 +39,8 @@ pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most:
     }
 }
 
-/// Adjusts everything, drops what is wrong, looks for landmarks again, and adjusts once more.
+/// Adjusts all poses, rejects outliers, triangulates again and adjusts once more. Returns the mean
+/// cost per observation.
 pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
     let all = state.posed_frames();
     state.adjust(&all, adjust_focal, GLOBAL_STEPS);
@@ -51,8 +52,8 @@ pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
     cost
 }
 
-/// Adjusts all frames; of a long sequence the keyframes, and then every other frame alone. Returns
-/// the cost per sight.
+/// Adjusts all frames; of a long sequence the keyframes jointly, then every other frame alone.
+/// Returns the mean cost per observation.
 pub(crate) fn refine_all_frames(state: &mut SfmState, adjust_focal: bool) -> f64 {
     let posed = state.posed_frames();
     if posed.len() <= MAX_JOINTLY_REFINED_FRAMES {
@@ -77,8 +78,7 @@ pub(crate) fn refine_all_frames(state: &mut SfmState, adjust_focal: bool) -> f64
     cost
 }
 
-/// Finds poses of the frames between keyframes and, again, of keyframes that were not reached,
-/// as long as there are more.
+/// Registers frames between keyframes and remaining keyframes, until none succeeds.
 pub(crate) fn register_remaining_frames(state: &mut SfmState) {
     loop {
         let unposed: Vec<usize> =
@@ -97,8 +97,7 @@ pub(crate) fn register_remaining_frames(state: &mut SfmState) {
     }
 }
 
-/// Poses the keyframe that shows most landmarks and can be posed: of those near posed ones in
-/// order, or else of all.
+/// Registers the keyframe with most landmarks: of those near registered ones, or else of all.
 fn register_next_keyframe(state: &mut SfmState) -> Option<usize> {
     let keyframes = &state.tracks.keyframes;
     let is_near = |i: usize| {
@@ -132,7 +131,7 @@ fn register_best_of(state: &mut SfmState, frames: &[usize]) -> Option<usize> {
     None
 }
 
-/// The pose of a frame from its landmarks, from several starts.
+/// The pose of a frame from its landmarks, from several initial poses.
 fn estimate_pose(state: &SfmState, frame: usize) -> Option<PnpSolution> {
     if state.progress.is_cancelled() {
         return None;
@@ -145,12 +144,12 @@ fn estimate_pose(state: &SfmState, frame: usize) -> Option<PnpSolution> {
     has_enough_inliers(&best, matches.len()).then_some(best)
 }
 
-/// Whether a pose that so many landmarks were tried for can be trusted.
+/// Whether a pose has enough inliers among so many matches.
 fn has_enough_inliers(found: &PnpSolution, matches: usize) -> bool {
     found.inliers >= MIN_INLIERS && found.inliers as f64 >= MIN_INLIER_RATIO * matches as f64
 }
 
-/// Where a frame may be: as its neighbours in time say, and where they are.
+/// Initial poses of a frame: interpolated between, extrapolated from, and equal to its neighbours'.
 fn initial_poses(state: &SfmState, frame: usize) -> Vec<Pose<f64>> {
     let pose = |f: usize| state.poses[f].map(|p| (f as f64, p));
     let before: Vec<_> = (0..frame).rev().filter_map(pose).take(2).collect();
@@ -170,7 +169,7 @@ fn initial_poses(state: &SfmState, frame: usize) -> Vec<Pose<f64>> {
     initial_poses
 }
 
-/// The posed frames nearest to one in order.
+/// The registered frames nearest to one in order.
 fn nearest_posed(posed: &[usize], frame: usize) -> Vec<usize> {
     let mut near = posed.to_vec();
     near.sort_by_key(|f| f.abs_diff(frame));

@@ -1,34 +1,35 @@
-//! Points of two pictures matched by what is around them, wherever they are.
+//! Matching of points between two pictures by descriptors.
 //!
-//! A descriptor is the blurred, coarsely sampled surroundings of a point, of mean 0 and length 1
-//! (Brown, Szeliski and Winder 2005, upright), so that exposure does not count.
+//! A descriptor is the blurred, coarsely sampled surroundings of a point, upright and of one scale,
+//! normalised to mean 0 and length 1 (Brown, Szeliski and Winder 2005), so that exposure does not
+//! matter.
 
 use crate::track::pyramid::Pyramid;
 use i2slam_geometry::{Image, Tap};
 
-/// Samples along a side, and their distance on the second level [px].
+/// Samples along a side, and their distance on the second pyramid level [px].
 const SAMPLES_PER_SIDE: usize = 8;
 const SAMPLE_SPACING: f32 = 2.0;
 const DESCRIPTOR_LENGTH: usize = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE;
-/// Least standard deviation of the surroundings (brightness): below it is noise.
+/// Standard deviation of a descriptor's samples (brightness); below it is noise.
 const MIN_CONTRAST: f32 = 0.01;
-/// Squared distance that a match may have, and what share of the second best's it must be.
+/// Largest squared distance of a match, and its largest ratio to that of the second best.
 const MAX_DESCRIPTOR_DISTANCE: f32 = 0.5;
 const MAX_DISTANCE_RATIO: f32 = 0.7;
 
-/// What is around a point.
+/// Normalised samples around a point.
 type Descriptor = [f32; DESCRIPTOR_LENGTH];
 
 /// Points with their descriptors.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct DescribedPoints {
-    /// Place of every point in the list that was described.
+    /// Index of every described point in the input list.
     indices: Vec<usize>,
     descriptors: Vec<Descriptor>,
 }
 
 impl DescribedPoints {
-    /// Describes points of a picture (positions on its finest level); those without contrast are
+    /// Describes points of a picture (positions on its finest level); points without contrast are
     /// left out.
     pub(crate) fn new(pyramid: &Pyramid, points: &[[f64; 2]]) -> Self {
         let level = pyramid.levels.len().min(2) - 1;
@@ -43,7 +44,7 @@ impl DescribedPoints {
         out
     }
 
-    /// Places of the points that are each other's best, and clearly so.
+    /// Indices of mutually best matches that pass the ratio test.
     pub(crate) fn matches(&self, other: &Self) -> Vec<(usize, usize)> {
         let back = other.best(self);
         let here = self.best(other);
@@ -54,7 +55,7 @@ impl DescribedPoints {
         mutual.collect()
     }
 
-    /// For every descriptor the most alike of another list.
+    /// Best match of every descriptor in another list, if it passes the ratio test.
     fn best(&self, other: &Self) -> Vec<Option<usize>> {
         let of = |d: &Descriptor| {
             let (mut best, mut least, mut second) = (None, MAX_DESCRIPTOR_DISTANCE, f32::INFINITY);

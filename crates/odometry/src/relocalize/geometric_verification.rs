@@ -1,8 +1,9 @@
-//! A keyframe recognised in another one that shares no points with it.
+//! Geometric verification: the pose of a keyframe in the map around another one.
 //!
-//! Points of both are matched by what is around them; random samples of four matches give poses
-//! by iteration, and the best is put to the test: most points of the old keyframe must be found
-//! where it says, as they looked there. One poster twice on different walls does not pass.
+//! Points of both are matched by descriptors, RANSAC over samples of four gives a pose, and the
+//! pose is verified: most points of the old keyframe must be found where it predicts them, with
+//! their patches, in nearly all regions of the picture. A poster that hangs on two walls does not
+//! pass.
 
 use crate::multiview::landmark::{Landmark, Match, reprojection_error};
 use crate::multiview::pnp::{solve_pnp, solve_pnp_minimal};
@@ -16,51 +17,52 @@ use crate::track::tracks::Observation;
 use i2slam_compute::{Random, median};
 use i2slam_geometry::Pose;
 
-/// Standard deviation of matched corners [px of the kept picture].
+/// Standard deviation of descriptor matches [px of the kept picture].
 const DESCRIPTOR_SIGMA: f64 = 1.5;
-/// Hypotheses of the random search, and matches of each.
+/// Hypotheses of RANSAC, and matches of each.
 const HYPOTHESES: usize = 300;
 const SAMPLE_SIZE: usize = 4;
-/// Residuals beyond this do not count any worse, and do not agree [standard deviations].
+/// Residual at which the RANSAC cost is truncated, and up to which matches are inliers [standard
+/// deviations].
 const MAX_RANSAC_ERROR: f64 = 3.0;
-/// Matches that must agree, and their share.
+/// Inliers of the RANSAC pose, and their ratio of all matches.
 const MIN_RANSAC_INLIERS: usize = 12;
 const MIN_RANSAC_INLIER_RATIO: f64 = 0.25;
-/// Points of the old keyframe that are looked for, at most.
+/// Points of the old keyframe that are searched.
 const MAX_SEARCHED_POINTS: usize = 200;
-/// Correlation with the old look, and distance from where a point should be [px].
+/// Correlation with the old patch, and distance from the predicted position [px].
 const MIN_PATCH_CORRELATION: f32 = 0.75;
 const MAX_SEARCH_DISTANCE: f32 = 4.0;
-/// Points nearer to the edge are not looked for [px].
+/// Distance from the edge within which points are not searched [px].
 const BORDER: f64 = 8.0;
-/// Points that must be found, and their share of those looked for.
+/// Points that must be found, and their ratio of those searched.
 const MIN_VERIFIED_POINTS: usize = 20;
 const MIN_VERIFIED_RATIO: f64 = 0.45;
-/// The picture is cut into so many columns and rows. Of the cells with so many points or more, most
-/// must show such a share of them: what only looks alike differs in whole regions.
+/// Cells of the picture per side; a cell with enough points is verified if enough of them are
+/// found. Places that only look alike differ in whole regions.
 const CELLS_PER_SIDE: usize = 4;
 const MIN_POINTS_PER_CELL: usize = 4;
 const MIN_VERIFIED_RATIO_PER_CELL: f64 = 0.3;
 const MIN_VERIFIED_CELLS: usize = 5;
 const MIN_VERIFIED_CELL_RATIO: f64 = 0.7;
-/// Points with a depth in both parts without which their scales are not compared.
+/// Points with a depth in both maps needed for the ratio of scales.
 const MIN_SCALE_POINTS: usize = 8;
 
-/// A keyframe in the place of another one.
+/// A keyframe localised in the map around another one.
 #[derive(Clone, Debug)]
 pub(crate) struct Relocalization {
-    /// Its pose in the part of the world that the other one belongs to.
+    /// Its pose in the map of the other keyframe.
     pub(crate) world_from_camera: Pose<f64>,
-    /// How many times as large lengths are there as in the keyframe's own part, if it has one.
+    /// Ratio of lengths in the other map to those in the keyframe's own one, if it has a pose.
     pub(crate) scale: Option<f64>,
-    /// The other one's tracks as this one shows them.
+    /// Observations of the other keyframe's tracks in this one.
     pub(crate) observations: Vec<(usize, Observation)>,
 }
 
-/// A track of the old keyframe, its landmark and where that keyframe shows it.
+/// A track of the old keyframe, its landmark and its observation there.
 type Known<'a> = (usize, &'a Landmark, &'a Observation);
 
-/// Looks for the place of `new` in what `old`, a keyframe with a pose, shows.
+/// Localises `new` by the landmarks of `old`, a keyframe with a pose.
 pub(crate) fn match_and_verify(
     state: &SfmState,
     new: &KeyframeImage,
@@ -84,7 +86,7 @@ pub(crate) fn match_and_verify(
     Some(Relocalization { world_from_camera: pose, scale, observations })
 }
 
-/// The tracks of `old` as `new` shows them, if their poses agree with what both look like.
+/// Observations of the tracks of `old` in `new`, if the known poses of both pass verification.
 pub(crate) fn verify_known_pose(
     state: &SfmState,
     new: &KeyframeImage,
@@ -122,8 +124,8 @@ impl<'a> KeyframeComparison<'a> {
         })
     }
 
-    /// Matched points by what is around them: track of the new one and place among the known, and
-    /// where the new one shows them.
+    /// Descriptor matches as pairs of (track of the new one, index of the known landmark), with the
+    /// observations in the new one.
     fn match_descriptors(&self) -> (Vec<(usize, usize)>, Vec<Observation>) {
         let (new, old) = (self.new, self.old);
         let at = |o: &Observation, image: &KeyframeImage| o.raw.map(|v| v / image.scale);
@@ -139,7 +141,8 @@ impl<'a> KeyframeComparison<'a> {
         (pairs.into_iter().map(|(i, j)| (seen[i].0, j)).collect(), observations)
     }
 
-    /// The old one's points as the new one shows them, if enough of them are where `pose` says.
+    /// Observations of the old one's points in the new one, if enough of them are found where
+    /// `pose` predicts them.
     fn verify_pose(&self, pose: Pose<f64>) -> Option<Vec<(usize, Observation)>> {
         let camera = &self.state.camera;
         let visible: Vec<(Known<'_>, [f64; 2])> = self
@@ -174,7 +177,7 @@ impl<'a> KeyframeComparison<'a> {
         enough.then_some(observations)
     }
 
-    /// Looks for a point of the old one in the new one, around `at`.
+    /// Searches for a point of the old one in the new one around `at`.
     fn search_landmark(
         &self,
         (track, landmark, shown): &Known<'_>,
@@ -198,7 +201,7 @@ impl<'a> KeyframeComparison<'a> {
     }
 }
 
-/// The pose that most matches agree on.
+/// The pose with most inliers by RANSAC.
 fn ransac_pose(state: &SfmState, start: Pose<f64>, matches: &[Match<'_>]) -> Option<Pose<f64>> {
     if matches.len() < MIN_RANSAC_INLIERS {
         return None;
@@ -225,14 +228,14 @@ fn ransac_pose(state: &SfmState, start: Pose<f64>, matches: &[Match<'_>]) -> Opt
     enough.then(|| solve_pnp(camera, pose, &inliers, 1.0).map(|r| r.world_from_camera)).flatten()
 }
 
-/// By how much a rolling shutter moves what a frame shows near a place [px].
+/// Correction for the rolling shutter near a position of a frame [px].
 fn rolling_shutter_offset(state: &SfmState, frame: usize, at: [f64; 2]) -> [f64; 2] {
     let far = |o: &Observation| (o.at[0] - at[0]).powi(2) + (o.at[1] - at[1]).powi(2);
     let near = state.observations_in(frame).min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
     near.map_or([0.0; 2], |(_, o)| [o.raw[0] - o.at[0], o.raw[1] - o.at[1]])
 }
 
-/// How the surroundings of a landmark in one camera, taken to face it, look in another one.
+/// Affine warp of the surroundings of a landmark, taken to face the old camera, into the new one.
 fn warp_between_views(
     state: &SfmState,
     landmark: &Landmark,
@@ -254,7 +257,7 @@ fn warp_between_views(
     ])
 }
 
-/// The median of depths in the old part over those in the new one, of points that have both.
+/// Median ratio of depths in the old map to those in the new one, over points that have both.
 fn relative_scale<'a>(
     state: &SfmState,
     frame: usize,

@@ -1,4 +1,4 @@
-//! Keyframes that were lost, after a cut or behind a covered lens, found again by their looks.
+//! Relocalization of keyframes without a pose, as after a cut or a covered lens.
 
 use crate::relocalize::geometric_verification::{Relocalization, match_and_verify};
 use crate::sfm_state::SfmState;
@@ -6,21 +6,20 @@ use crate::track::thumbnail::KeyframeImage;
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 
-/// Likeness that a keyframe must have to be compared, and how many are compared.
+/// Thumbnail correlation of a candidate, and number of candidates.
 const MIN_THUMBNAIL_CORRELATION: f32 = 0.5;
 const MAX_CANDIDATES: usize = 3;
-/// Keyframes nearer than this in order to a better one are not compared.
+/// Distance in keyframes between two candidates.
 const MIN_CANDIDATE_GAP: usize = 3;
-/// Keyframes that one is compared with in vain at most, so that work stays in proportion to the
-/// number of those that are lost.
+/// Failed verifications after which a keyframe is given up; bounds the work per lost keyframe.
 const MAX_ATTEMPTS: usize = 30;
-/// Keyframes that are tried at once.
+/// Keyframes that are verified in parallel.
 const KEYFRAMES_PER_BATCH: usize = 8;
 
-/// A keyframe and an older one.
+/// Frames of a keyframe and an older one.
 type Pair = (usize, usize);
 
-/// Pairs of keyframes that were compared in vain.
+/// Pairs of keyframes whose verification failed.
 #[derive(Debug, Default)]
 pub(crate) struct FailedPairs {
     pairs: HashSet<Pair>,
@@ -39,13 +38,13 @@ impl FailedPairs {
         self.pairs.contains(&pair)
     }
 
-    /// Whether a frame was compared often enough.
+    /// Whether verification of a frame has failed too often.
     fn is_given_up(&self, frame: usize) -> bool {
         self.counts.get(&frame).is_some_and(|count| *count >= MAX_ATTEMPTS)
     }
 }
 
-/// The keyframes that look most like one, of those that may be compared.
+/// The keyframes with the most similar thumbnails, of those that `may` be compared.
 pub(crate) fn candidate_keyframes<'a>(
     state: &'a SfmState,
     image: &KeyframeImage,
@@ -72,7 +71,8 @@ pub(crate) fn candidate_keyframes<'a>(
     chosen.into_iter().map(|(_, other)| other).collect()
 }
 
-/// Poses keyframes that show a place which is known; returns which, none if there are no more.
+/// Localises lost keyframes in the map; returns the frames of the first batch with a success, none
+/// if there are no more.
 pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> Vec<usize> {
     let keyframe_images = state.tracks.keyframe_images.iter().enumerate();
     let lost = keyframe_images.filter(|(_, image)| {

@@ -1,8 +1,8 @@
-//! Rows that are exposed one after the other.
+//! Rolling shutter: estimation of the readout and correction of observations.
 //!
-//! A camera with a rolling shutter takes row `r` of `H` at `stamp + readout (r / H - ½)`. The
-//! motion between frames tells how far a point moves in that time, so that its position can be
-//! given as the middle row's moment would have shown it; the readout is what fits best.
+//! Row `r` of `H` is exposed at `stamp + readout (r / H - ½)`. The camera's velocity tells how far
+//! a point moves in that time; its position is corrected to the moment of the middle row. The
+//! readout of least cost is searched.
 
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::undistort;
@@ -11,22 +11,21 @@ use crate::sfm_state::{MAX_READOUT, SfmState};
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
 
-/// Distance of the readouts that are compared first, and later [frame intervals].
+/// Steps of the first and of later searches [frame intervals].
 const COARSE_STEP: f64 = 0.5;
 const FINE_STEP: f64 = 0.2;
-/// A readout must lower the cost to this share, or all rows count as exposed together.
+/// Largest cost relative to a global shutter at which a readout is accepted.
 pub(crate) const MAX_COST_RATIO: f64 = 0.97;
 const ADJUSTMENT_STEPS: usize = 8;
-/// A long sequence is judged by so many stretches of so many frames.
+/// Stretches of a long sequence that are searched, and frames of each.
 const SAMPLE_STRETCHES: usize = 3;
 const STRETCH_FRAMES: usize = 100;
-/// Frames farther apart than so many intervals tell no velocity.
+/// Largest distance of a neighbouring frame for a velocity [frame intervals].
 const MAX_VELOCITY_GAP: f64 = 4.5;
 
-/// Looks for the readout that fits best, together with the focal length if asked, positive if the
-/// top row comes first; none if it is not clearly better than that. Image positions in the scene
-/// are corrected for it. A readout that they have been corrected for already is where the search
-/// begins.
+/// Estimates the readout, together with the focal length on demand, and corrects the observations;
+/// positive if the top row comes first, none if not clearly better than a global shutter. The
+/// search starts from the present readout, if there is one.
 pub(crate) fn estimate_rolling_shutter(
     state: &mut SfmState,
     timestamps: &[f64],
@@ -44,13 +43,13 @@ pub(crate) fn estimate_rolling_shutter(
     correct_observations(state, timestamps, state.readout * interval, interval);
 }
 
-/// The frames that decide on the readout: all, or some stretches of a long sequence.
+/// The frames that the readout is searched with: all, or some stretches of a long sequence.
 struct ReadoutSearch<'a> {
     state: SfmState,
     /// All of them but the first of every stretch, which stay.
     free: Vec<usize>,
     timestamps: &'a [f64],
-    /// [s]
+    /// Median frame interval [s].
     interval: f64,
     adjust_focal: bool,
 }
@@ -73,14 +72,14 @@ impl<'a> ReadoutSearch<'a> {
         Self { state: sample, free, timestamps, interval, adjust_focal }
     }
 
-    /// Cost per sight once all is adjusted to a readout [intervals].
+    /// Mean cost per observation after adjustment to a readout [intervals].
     fn cost(&self, readout: f64) -> f64 {
         let mut tried = self.state.clone();
         correct_observations(&mut tried, self.timestamps, readout * self.interval, self.interval);
         tried.adjust(&self.free, self.adjust_focal, ADJUSTMENT_STEPS)
     }
 
-    /// The best of all readouts [intervals] and its cost, when that of none is known.
+    /// The best of all readouts [intervals] and its cost, given the cost of none.
     fn search_coarse(&self, none: f64) -> (f64, f64) {
         let mut costs = [self.cost(-COARSE_STEP), none, self.cost(COARSE_STEP)];
         let side = if costs[0] < costs[2] { -COARSE_STEP } else { COARSE_STEP };
@@ -96,7 +95,7 @@ impl<'a> ReadoutSearch<'a> {
         (best, self.cost(best))
     }
 
-    /// The best readout near one [intervals], and the cost of that one.
+    /// The best readout near a given one [intervals], and the cost of the given one.
     fn refine_near(&self, about: f64) -> (f64, f64) {
         let costs = [about - FINE_STEP, about, about + FINE_STEP].map(|r| self.cost(r));
         let change = parabola_minimum(FINE_STEP, costs).unwrap_or(0.0);
@@ -117,20 +116,20 @@ fn fastest_turning_stretch<'a>(state: &SfmState, frames: &'a [usize]) -> &'a [us
     &frames[begin..(begin + STRETCH_FRAMES).min(frames.len())]
 }
 
-/// The median time between frames [s].
+/// Median time between frames [s].
 pub(crate) fn median_frame_interval(timestamps: &[f64]) -> Option<f64> {
     median(&mut timestamps.windows(2).map(|p| p[1] - p[0]).collect::<Vec<_>>())
 }
 
-/// Where the parabola through the costs at `-step`, 0 and `step` is lowest, within twice `step`.
+/// Minimum of the parabola through the costs at `-step`, 0 and `step`, within twice `step`.
 pub(crate) fn parabola_minimum(step: f64, [before, middle, after]: [f64; 3]) -> Option<f64> {
     let curvature = before - 2.0 * middle + after;
     let lowest = 0.5 * step * (before - after) / curvature;
     (curvature > 0.0 && lowest.is_finite()).then(|| lowest.clamp(-2.0 * step, 2.0 * step))
 }
 
-/// Sets every observation's position to that of the middle row's moment. Where nothing tells how
-/// the camera moved, it stays as it was, or becomes what was seen if all rows share one moment.
+/// Corrects every observation to the moment of the middle row. Without a known velocity it stays,
+/// or is only undistorted for a readout of zero.
 fn correct_observations(state: &mut SfmState, timestamps: &[f64], readout: f64, interval: f64) {
     let velocities: Vec<Option<Tangent<f64>>> =
         (0..state.poses.len()).map(|f| camera_velocity(state, timestamps, f, interval)).collect();
@@ -158,7 +157,7 @@ fn correct_observations(state: &mut SfmState, timestamps: &[f64], readout: f64, 
     }
 }
 
-/// Motion of a frame's camera per second, in its own frame, from its neighbours.
+/// Velocity of a frame's camera per second, in its own frame, from its neighbours.
 fn camera_velocity(
     state: &SfmState,
     timestamps: &[f64],
@@ -239,7 +238,7 @@ mod tests {
         assert_eq!(rolling.posed_frames().len(), 420);
     }
 
-    /// Each of both would be found wrong beside a wrong other one.
+    /// Each would be wrong if the other were fixed at a wrong value.
     #[test]
     fn readout_and_focal_length_are_found_together() {
         let (mut rolling, timestamps) = state(60, 0.6);

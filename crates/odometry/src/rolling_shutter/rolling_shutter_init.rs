@@ -1,8 +1,7 @@
-//! A first correction for rows that are exposed one after the other, before anything is posed.
+//! Initial readout from rotations alone, before any frame has a pose.
 //!
-//! Between neighbouring frames most motion is rotation. Its rate moves the rows of a frame apart,
-//! and where the rate changes, frames some intervals apart fit a rotation badly unless their rows
-//! are moved back.
+//! Between neighbouring frames most motion is rotation. Where its rate changes, frames some
+//! intervals apart fit a rotation badly unless their rows are corrected for the readout.
 
 use crate::multiview::two_view::{RayPair, fit_rotation};
 use crate::progress::{Progress, Stage};
@@ -11,15 +10,15 @@ use crate::track::tracks::{Tracks, shared_positions};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
 
-/// Readouts that are compared, in frame intervals: multiples of the step up to so many times it.
+/// Step of the compared readouts [frame intervals], and number of steps to either side.
 const STEP: f64 = 0.3;
 const STEPS_PER_SIDE: i32 = 4;
-/// Frames apart of those that are compared.
+/// Distance of the compared frames.
 const FRAME_GAP: usize = 4;
 
-/// Moves all observations to where the middle row's moment would have shown them if the camera
-/// only turned. Returns the readout that fits best, in frame intervals, 0 if none is clearly
-/// better.
+/// Estimates the readout from rotation rates and corrects all observations to the moment of the
+/// middle row. Returns the readout [frame intervals], 0 if none is clearly better than a global
+/// shutter.
 pub(crate) fn initialize_readout(
     tracks: &mut Tracks,
     camera: &Camera<f64>,
@@ -53,15 +52,14 @@ pub(crate) fn initialize_readout(
     best
 }
 
-/// Time between frames in whole intervals: pictures that are missing count, stamps that tremble do
-/// not.
+/// Times between frames in whole intervals: counts missing pictures, ignores jitter of stamps.
 fn whole_intervals(timestamps: &[f64]) -> Option<Vec<f64>> {
     let interval = median_frame_interval(timestamps)?;
     let whole = |pair: &[f64]| ((pair[1] - pair[0]) / interval).round().max(1.0);
     Some(timestamps.windows(2).map(whole).collect())
 }
 
-/// The readout of least cost, by the parabola through the least of `costs` and its neighbours.
+/// Readout of least cost, by a parabola through the least of `costs` and its neighbours.
 fn best_readout(costs: &[f64]) -> Option<f64> {
     let inner = 1..costs.len() - 1;
     let least = inner.min_by(|a, b| costs[*a].total_cmp(&costs[*b]))?;
@@ -69,8 +67,8 @@ fn best_readout(costs: &[f64]) -> Option<f64> {
     Some(STEP * (least as f64 - f64::from(STEPS_PER_SIDE)) + parabola_minimum(STEP, around)?)
 }
 
-/// Rotation of every frame's camera per interval, in its own frame: the mean of that to both
-/// neighbours, `times` between them [intervals].
+/// Angular velocity of every frame's camera per interval, in its own frame: the mean of those to
+/// both neighbours, `times` intervals apart.
 fn rotation_rates(
     tracks: &Tracks,
     by_frame: &[Vec<usize>],
@@ -97,7 +95,7 @@ fn rotation_rates(
         .collect()
 }
 
-/// What a rotation leaves unexplained between a frame and a later one [px].
+/// Median residual of a rotation between a frame and a later one [px].
 fn rotation_misfit(
     tracks: &Tracks,
     by_frame: &[Vec<usize>],
@@ -116,8 +114,7 @@ fn rotation_misfit(
     fit_rotation(camera.fx, &rays).map(|(_, left)| left)
 }
 
-/// The ray of an image position as the middle row's moment would have seen it; its third
-/// component is 1.
+/// The ray of an image position at the moment of the middle row; its third component is 1.
 fn row_corrected_ray(
     camera: &Camera<f64>,
     rates: &[Vec3<f64>],

@@ -1,17 +1,16 @@
-//! Places worth following: corners (Shi and Tomasi 1994), spread over the picture.
+//! Corner detection (Shi and Tomasi 1994), at most one corner per cell of the picture.
 
 use i2slam_geometry::Image;
 
 /// Half the side of the window over which gradients are summed [px].
 const WINDOW: usize = 3;
-/// A corner's smaller eigenvalue must reach this share of the best in the picture.
+/// Smaller eigenvalue of a corner, as a ratio of the largest one in the picture.
 const RELATIVE_STRENGTH: f32 = 0.002;
-/// A corner's smaller eigenvalue, per pixel of the window, must reach this (brightness per pixel,
-/// squared): below it is noise.
+/// Smaller eigenvalue of a corner, per pixel of the window [brightness²/px²]; below it is noise.
 const MIN_STRENGTH: f32 = 2e-5;
 
-/// Image positions of corners, at most one per cell of `cell x cell` pixels, none in a cell that
-/// holds a position of `taken`, none nearer than `border` to the edge, strongest of its cell.
+/// Detects corners: image positions of the strongest of every cell of `cell x cell` pixels, none in
+/// a cell that holds a position of `taken`, none nearer than `border` to the edge.
 pub(crate) fn detect_corners(
     image: &Image<f32>,
     cell: usize,
@@ -71,7 +70,7 @@ fn is_peak(strength: &Image<f32>, column: usize, row: usize) -> bool {
     (row - 1..=row + 1).all(|r| (column - 1..=column + 1).all(|c| strength.at(0, c, r) <= value))
 }
 
-/// For every pixel the smaller eigenvalue of the mean over the window of `∇I ∇Iᵀ`.
+/// Smaller eigenvalue of the window mean of `∇I ∇Iᵀ` for every pixel.
 fn smaller_eigenvalues(image: &Image<f32>) -> Image<f32> {
     let (w, h) = (image.width, image.height);
     let mut products = Image::new(w, h, 3);

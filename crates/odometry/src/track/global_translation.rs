@@ -1,20 +1,21 @@
-//! By how much one picture is another one moved: a first guess for everything that is followed.
+//! Whole-picture translation between two pictures: the starting point of every point search.
 
 use i2slam_geometry::Image;
 
-/// The best whole-pixel move between two small pictures, and how well they agree there.
+/// The best whole-pixel translation between two pictures, and their correlation there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct GlobalTranslation {
-    /// Where what was at `x` in the first picture is in the second, less `x` [px].
+    /// Position in the second picture less that in the first [px].
     pub(crate) translation: [f32; 2],
-    /// Correlation of what both show; at most 1.
+    /// Normalised correlation of the overlap, at most 1.
     pub(crate) correlation: f32,
 }
 
-/// Moves up to this share of a side are tried.
+/// Largest translation tried, as a ratio of each side.
 const MAX_TRANSLATION_RATIO: f32 = 0.3;
 
-/// Compares two pictures of one size at every whole-pixel move within reach.
+/// Compares two pictures of one size at every whole-pixel translation within
+/// [`MAX_TRANSLATION_RATIO`].
 pub(crate) fn estimate_global_translation(
     first: &Image<f32>,
     second: &Image<f32>,
@@ -36,9 +37,8 @@ pub(crate) fn estimate_global_translation(
     best
 }
 
-/// Normalised correlation of what two pictures of one size share where the second is moved by
-/// whole pixels: `first(x)` is compared with `second(x + (dx, dy))`. 0 where the product of their
-/// variances, times the fourth power of the pixel count, is at most `min_spread`.
+/// Normalised correlation of the overlap of two pictures of one size, `first(x)` with `second(x +
+/// (dx, dy))`; 0 where `n⁴ σ₁² σ₂²`, with `n` the number of pixels, is at most `min_spread`.
 pub(crate) fn overlap_correlation(
     first: &Image<f32>,
     second: &Image<f32>,

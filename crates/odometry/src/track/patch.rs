@@ -1,9 +1,12 @@
-//! Alignment of a patch: Lucas and Kanade, inverse compositional (Baker and Matthews 2004), with
-//! gain and bias.
+//! Patch alignment: inverse-compositional Lucas-Kanade (Baker and Matthews 2004) with gain and
+//! bias.
 //!
-//! The picture under the warp is explained as `I(W(x)) ≈ α T(x) + β + α ∇T(x) · D(x) δ`. For
-//! fixed `T` all unknowns `(α, β, α δ)` are linear with one constant matrix, so that a change of
-//! exposure costs nothing.
+//! The picture under the warp is modelled as `I(W(x)) ≈ α T(x) + β + α ∇T(x) · D(x) δ`. For a fixed
+//! template `T` the unknowns `(α, β, α δ)` are linear with one constant matrix, so that changes of
+//! exposure cost nothing.
+//!
+//! The correlation here comes from products that the alignment needs anyway; `overlap_correlation`
+//! and `WindowStatistics` serve whole pictures.
 
 use i2slam_compute::solve_positive_definite;
 use i2slam_geometry::Image;
@@ -13,15 +16,15 @@ pub(crate) const RADIUS: usize = 7;
 const SIDE: usize = 2 * RADIUS + 1;
 /// Pixels of a patch.
 const AREA: usize = SIDE * SIDE;
-/// A pixel more on every side, for slopes.
+/// Side of a patch with one more pixel on every side, for central differences.
 const WIDE: usize = SIDE + 2;
 const ITERATIONS: usize = 15;
-/// An update shorter than this ends the iteration [px].
+/// Update at which the iteration ends [px].
 const CONVERGED: f32 = 0.01;
-/// Of the squared length of a picture's patch, what is added so that flat ones match nothing.
+/// Added to the squared length of the picture's patch, so that flat ones match nothing.
 const CONTRAST_FLOOR: f32 = 1e-4;
 
-/// Where a patch lies in a picture: `x = centre + matrix · offset`.
+/// Affine warp of a patch into a picture: `x = centre + matrix · offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Warp {
     pub(crate) matrix: [[f32; 2]; 2],
@@ -29,12 +32,12 @@ pub(crate) struct Warp {
 }
 
 impl Warp {
-    /// The patch as it was, moved to `centre`.
+    /// Translation to `centre`.
     pub(crate) fn at(centre: [f32; 2]) -> Self {
         Self { matrix: [[1.0, 0.0], [0.0, 1.0]], centre }
     }
 
-    /// The same warp on a level whose positions are `scale` times as large.
+    /// This warp on a pyramid level whose positions are `scale` times as large.
     pub(crate) fn scaled(self, scale: f32) -> Self {
         Self { centre: self.centre.map(|v| v * scale), ..self }
     }
@@ -56,8 +59,8 @@ impl Warp {
     }
 }
 
-/// What a patch looks like, with all that does not depend on the picture it is looked for in. `N`
-/// is 4 (moves only) or 8 (any linear map of the patch).
+/// A patch prepared for alignment. `N` is the number of unknowns: 4 (gain, bias, translation) or 8
+/// (gain, bias, affine warp).
 #[derive(Clone, Debug)]
 pub(crate) struct PatchTemplate<const N: usize> {
     /// Row `k`: `α`, `β`, then the derivatives by the warp.
@@ -67,7 +70,7 @@ pub(crate) struct PatchTemplate<const N: usize> {
     norm: f32,
 }
 
-/// Where a template was found.
+/// Result of an alignment.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PatchMatch {
     pub(crate) warp: Warp,
@@ -76,7 +79,7 @@ pub(crate) struct PatchMatch {
 }
 
 impl<const N: usize> PatchTemplate<N> {
-    /// The patch around `centre`; `None` where nothing is seen that could be aligned.
+    /// The patch around `centre`; `None` without texture to align.
     pub(crate) fn new(image: &Image<f32>, centre: [f32; 2]) -> Option<Self> {
         let wide = sample::<WIDE>(image, &Warp::at(centre));
         let at = |i: usize, dx: usize, dy: usize| wide[i / SIDE + dy][i % SIDE + dx];
@@ -99,7 +102,7 @@ impl<const N: usize> PatchTemplate<N> {
         (norm > 1e-3).then_some(Self { basis, inverse, norm })
     }
 
-    /// Looks for the patch in `image` from `start` on; `None` if it runs away.
+    /// Aligns the patch with `image` from `start` on; `None` if the iteration diverges.
     pub(crate) fn align(&self, image: &Image<f32>, start: Warp) -> Option<PatchMatch> {
         let mut warp = start;
         let mut correlation = 0.0;
@@ -137,7 +140,7 @@ impl<const N: usize> PatchTemplate<N> {
     }
 }
 
-/// The inverse of all inner products, each basis vector scaled to length 1 while inverting.
+/// Inverse of the matrix of inner products, each basis vector scaled to length 1 while inverting.
 fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32; N]; N]> {
     let lengths: [f64; N] = std::array::from_fn(|k| f64::from(dot(&basis[k], &basis[k])).sqrt());
     if lengths.iter().any(|l| *l < 1e-4) {
@@ -164,7 +167,7 @@ fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32;
     Some(out)
 }
 
-/// Inner product, in eight lanes so that it becomes vectors.
+/// Inner product in eight partial sums, so that it compiles to vector instructions.
 fn dot(a: &[f32; AREA], b: &[f32; AREA]) -> f32 {
     let mut lanes = [0.0_f32; 8];
     for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
@@ -180,8 +183,8 @@ fn inside(image: &Image<f32>, at: [f32; 2]) -> bool {
     at[0] >= 0.0 && at[1] >= 0.0 && at[0] < image.width as f32 && at[1] < image.height as f32
 }
 
-/// The picture under a warp, `S x S` rows and columns; beyond the border the last pixel is
-/// repeated.
+/// The picture under a warp, `S x S` rows and columns; the border pixel is repeated beyond the
+/// border.
 fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
     let half = (S / 2) as f32;
     let first = warp.centre.map(|v| v - half - 0.5);
@@ -208,7 +211,7 @@ fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
     })
 }
 
-/// The same for a patch that is only moved and lies inside: all pixels share their weights.
+/// [`sample`] for a pure translation inside the picture: all pixels share their bilinear weights.
 fn sample_translated<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f32; S]; S] {
     let (column, row) = (first[0] as usize, first[1] as usize);
     let (u, v) = (first[0] - column as f32, first[1] - row as f32);
@@ -229,7 +232,7 @@ fn sample_translated<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f
 mod tests {
     use super::*;
 
-    /// A smooth picture, `(x, y)` of another one drawn at `(x - dx, y - dy)` after a linear map.
+    /// A smooth picture, drawn at `map` of every pixel centre.
     fn waves(map: impl Fn(f32, f32) -> (f32, f32), gain: f32, bias: f32) -> Image<f32> {
         let mut image = Image::new(64, 48, 1);
         for row in 0..48 {

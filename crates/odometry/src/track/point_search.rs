@@ -1,50 +1,50 @@
-//! How one point is found in the next picture.
+//! Search for one point in the next picture.
 //!
-//! A point is looked for with its look in the last frame, coarse to fine, and then with its look
-//! in the keyframe in which it began (its anchor), which does not drift. Both allow for gain and
-//! bias. Only the anchor makes a sight certain: where it is not recognised, as in a blurred frame,
-//! the point is followed on, but nothing is measured.
+//! A point is first followed by its patch in the last frame, coarse to fine, and then aligned with
+//! its patch in the keyframe in which it began (its anchor), which does not drift. Only the anchor
+//! yields a measurement: where it does not match, as in a blurred frame, the point is followed on
+//! and nothing is measured.
 
 use crate::track::patch::{PatchMatch, PatchTemplate, Warp};
 use crate::track::pyramid::Pyramid;
 use crate::track::tracks::Observation;
 use i2slam_geometry::Image;
 
-/// Levels on which a point's anchor is compared.
+/// Pyramid levels on which a point's anchor is compared.
 const ANCHOR_LEVELS: usize = 3;
-/// A point followed forth and back must end this near to its start [px].
+/// Largest distance from its start of a point followed forth and back [px].
 const MAX_ROUND_TRIP_ERROR: f32 = 1.2;
-/// Least correlation with the last frame, and with the anchor.
+/// Smallest correlation with the last frame, and with the anchor.
 const MIN_CORRELATION: f32 = 0.6;
 const MIN_ANCHOR_CORRELATION: f32 = 0.7;
-/// Standard deviation of a position where a point looks as in its anchor, ...
+/// Standard deviation of a position at correlation 1 with the anchor, ...
 pub(crate) const MIN_POSITION_SIGMA: f64 = 0.4;
-/// ... and what is added for each unit of correlation that is missing [px].
+/// ... and its growth per unit of missing correlation [px].
 const SIGMA_PER_CORRELATION: f64 = 1.5;
-/// What the anchor may move a position that the last frame gave [px].
+/// Largest correction of the followed position by the anchor [px].
 const MAX_ANCHOR_CORRECTION: f32 = 3.0;
-/// Points nearer to the edge than this are not looked for [px].
+/// Distance from the edge within which points are not searched [px].
 const BORDER: f32 = 3.0;
 
-/// How a point looked when it began.
+/// Patch of a point in its first keyframe, on several levels.
 #[derive(Clone, Debug)]
 pub(crate) struct AnchorPatch {
     templates: Vec<PatchTemplate<8>>,
 }
 
-/// What a search for a point gave.
+/// Outcome of the search for a point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum TrackOutcome {
-    /// The anchor was recognised.
+    /// Aligned with the anchor: a measurement.
     Measured { warp: Warp, correlation: f32 },
-    /// Only the look in the last frame was.
+    /// Followed from the last frame, but the anchor does not match.
     Followed { warp: Warp },
-    /// Nothing was; moved as the whole picture was.
+    /// Not found: moved with the whole picture.
     Extrapolated { warp: Warp },
 }
 
 impl TrackOutcome {
-    /// Where the point is taken to be.
+    /// Assumed position of the point.
     pub(crate) fn warp(&self) -> Warp {
         match self {
             Self::Measured { warp, .. } | Self::Followed { warp } | Self::Extrapolated { warp } => {
@@ -53,7 +53,7 @@ impl TrackOutcome {
         }
     }
 
-    /// Whether the picture shows the point somewhere near.
+    /// Whether the point was found in the picture at all.
     pub(crate) fn is_followed(&self) -> bool {
         !matches!(self, Self::Extrapolated { .. })
     }
@@ -65,13 +65,13 @@ impl TrackOutcome {
     }
 }
 
-/// Standard deviation of the place of a point that looks so much like its anchor [px].
+/// Standard deviation of a position, from the correlation with the anchor [px].
 pub(crate) fn position_sigma(correlation: f32) -> f64 {
     MIN_POSITION_SIGMA + SIGMA_PER_CORRELATION * f64::from(1.0 - correlation)
 }
 
 impl AnchorPatch {
-    /// The look of a point; `None` where there is nothing to align.
+    /// The anchor at a position; `None` without texture.
     pub(crate) fn new(pyramid: &Pyramid, at: [f32; 2]) -> Option<Self> {
         let levels = pyramid.levels.iter().take(ANCHOR_LEVELS).enumerate();
         let template = |(l, image): (usize, &Image<f32>)| {
@@ -81,7 +81,7 @@ impl AnchorPatch {
         templates.map(|templates| Self { templates })
     }
 
-    /// Looks for the anchor from `start` on, from level `from` down to the finest.
+    /// Aligns the anchor from `start` on, from level `from` down to the finest.
     pub(crate) fn align(&self, next: &Pyramid, start: Warp, from: usize) -> Option<PatchMatch> {
         let mut warp = start;
         let mut found = None;
@@ -96,8 +96,8 @@ impl AnchorPatch {
     }
 }
 
-/// Finds a point that was at `warp` in the last picture (exactly so if `is_followed`), when the whole
-/// picture has moved by `shift` [px].
+/// Searches for a point that was at `warp` in the last picture (a real position if `is_followed`),
+/// where the whole picture has moved by `shift` [px].
 pub(crate) fn search_point(
     anchor: &AnchorPatch,
     warp: Warp,
@@ -137,7 +137,7 @@ fn inside(next: &Pyramid, [x, y]: [f32; 2]) -> bool {
     x >= BORDER && y >= BORDER && x < most[0] && y < most[1]
 }
 
-/// Coarse to fine with the look in the last frame, and back again.
+/// Follows a point from the last frame coarse to fine, and checks it back again.
 fn follow_from_last_frame(
     last: &Pyramid,
     next: &Pyramid,

@@ -1,12 +1,12 @@
-//! Brightness at several scales.
+//! Image pyramid of brightness.
 
 use i2slam_geometry::Image;
 
-/// The coarsest level is the last one whose shorter side is at least this long [px].
+/// Shorter side of the coarsest level, at least [px].
 const COARSEST_SIDE: usize = 24;
 
-/// Brightness of a picture, each level half as large as the one before. The centre rule of pixels
-/// makes a position on level `l` that on level 0 divided by `2^l`.
+/// Brightness of a picture, each level half as large as the one before. With pixel centres at half
+/// integers a position on level `l` is that on level 0 divided by `2^l`.
 #[derive(Clone, Debug)]
 pub(crate) struct Pyramid {
     pub(crate) levels: Vec<Image<f32>>,
@@ -26,20 +26,19 @@ impl Pyramid {
         Self { levels }
     }
 
-    /// The level with most pixels.
+    /// The full-size level.
     pub(crate) fn finest(&self) -> &Image<f32> {
         &self.levels[0]
     }
 
-    /// The level with fewest pixels, and what its positions are multiplied by to be those of the
-    /// finest.
+    /// The smallest level, and the factor from its positions to those of the finest.
     pub(crate) fn coarsest(&self) -> (&Image<f32>, f32) {
         let last = self.levels.len() - 1;
         (&self.levels[last], (1_usize << last) as f32)
     }
 }
 
-/// Luma (Rec. 601) of an encoded picture; what is not finite counts as black.
+/// Luma (Rec. 601) of an encoded picture; values that are not finite count as black.
 fn brightness(picture: &Image<f32>) -> Image<f32> {
     let mut out = Image::new(picture.width, picture.height, 1);
     let weights: &[f32] = if picture.channels >= 3 { &[0.299, 0.587, 0.114] } else { &[1.0] };

@@ -1,34 +1,34 @@
-//! What a keyframe looks like: kept small, to know its place again.
+//! Keyframe pictures kept small for relocalization and loop closure.
 
 use crate::track::global_translation::overlap_correlation;
 use crate::track::pyramid::Pyramid;
 use i2slam_geometry::Image;
 
-/// The kept picture is the finest level with at most so many pixels.
+/// Pixels of the kept picture: the finest pyramid level with at most so many.
 const MAX_PIXELS: usize = 160_000;
 /// Columns and rows of a thumbnail.
 const COLUMNS: usize = 16;
 const ROWS: usize = 12;
-/// Thumbnails are compared at moves of up to so many of their pixels.
+/// Largest shift at which thumbnails are compared [thumbnail px].
 const MAX_THUMBNAIL_SHIFT: isize = 2;
-/// Thumbnails with less contrast correlate with nothing: a bound for `overlap_correlation`.
+/// Contrast bound of `overlap_correlation`: flatter thumbnails correlate with nothing.
 const MIN_SPREAD: f32 = 1e-6;
 
-/// A keyframe's picture, in a byte a pixel, and a thumbnail of it.
+/// A keyframe's picture in 8 bits per pixel, with a thumbnail.
 #[derive(Clone, Debug)]
 pub(crate) struct KeyframeImage {
-    /// The keyframe.
+    /// Index of the frame.
     pub(crate) frame: usize,
     width: usize,
     height: usize,
     brightness: Vec<u8>,
-    /// What positions in it are multiplied by to be those of the whole picture.
+    /// Factor from positions in the kept picture to those in the full one.
     pub(crate) scale: f64,
     thumbnail: Image<f32>,
 }
 
 impl KeyframeImage {
-    /// The look of a frame.
+    /// Keeps the picture of a frame.
     pub(crate) fn new(pyramid: &Pyramid, frame: usize) -> Self {
         let small = |image: &Image<f32>| image.width * image.height <= MAX_PIXELS;
         let last = pyramid.levels.len() - 1;
@@ -41,7 +41,7 @@ impl KeyframeImage {
         Self { frame, width: image.width, height: image.height, brightness, scale, thumbnail }
     }
 
-    /// The picture, coarse to fine.
+    /// The kept picture as a pyramid.
     pub(crate) fn pyramid(&self) -> Pyramid {
         let mut image = Image::new(self.width, self.height, 1);
         for (value, byte) in image.data.iter_mut().zip(&self.brightness) {
@@ -50,7 +50,7 @@ impl KeyframeImage {
         Pyramid::new(&image)
     }
 
-    /// Correlation of the thumbnails, at the move that makes them most alike.
+    /// Correlation of the thumbnails at the best shift.
     pub(crate) fn thumbnail_correlation(&self, other: &Self) -> f32 {
         let moves = (-MAX_THUMBNAIL_SHIFT..=MAX_THUMBNAIL_SHIFT)
             .flat_map(|dy| (-MAX_THUMBNAIL_SHIFT..=MAX_THUMBNAIL_SHIFT).map(move |dx| (dx, dy)));

@@ -1,7 +1,7 @@
-//! Following points from picture to picture.
+//! Tracks points through a sequence and chooses keyframes.
 //!
-//! Points begin in keyframes, wherever none is followed, and are looked for backward from there,
-//! too. How one point is found again is told in `outcome`.
+//! Points begin in keyframes, in cells without a tracked point, and are also tracked backward from
+//! there.
 
 use crate::track::corners::detect_corners;
 use crate::track::global_translation::estimate_global_translation;
@@ -16,38 +16,38 @@ use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Cells of a picture, each with a point of its own if it shows a corner.
+/// Cells of a picture, each with one point if it has a corner.
 const MAX_CORNERS: f32 = 800.0;
-/// Frames in a row in which a point may be hidden.
+/// Consecutive frames in which a point may be missing.
 const MAX_HIDDEN_FRAMES: usize = 3;
 /// Correlation below which a keyframe gives a point a new anchor.
 const REANCHOR_CORRELATION: f32 = 0.85;
-/// A keyframe is due when points have moved by this share of the picture's width, ...
+/// A keyframe is due when points have moved by this ratio of the picture's width, ...
 const KEYFRAME_DUE_MOTION: f32 = 0.03;
-/// ... or when this share of those of the last one is left.
+/// ... or when this ratio of the last keyframe's points is left, ...
 const KEYFRAME_DUE_OVERLAP: f32 = 0.7;
-/// ... or after so many frames in which they have moved by this share of the width at least.
+/// ... or after so many frames in which points have moved by this ratio of the width.
 const KEYFRAME_INTERVAL: usize = 8;
 const MIN_KEYFRAME_MOTION: f32 = 0.006;
-/// Frames before a keyframe in which points that begin there are looked for, too.
+/// Frames before a keyframe through which its new points are tracked backward.
 const BACKWARD_FRAMES: usize = 16;
-/// A keyframe waits for a frame of this share of the usual sharpness, for so many frames.
+/// A keyframe waits for a frame of this ratio of the median sharpness, for so many frames.
 const MIN_KEYFRAME_SHARPNESS: f32 = 0.85;
 const MAX_KEYFRAME_DELAY: usize = 3;
-/// A picture that shows fewer points is no keyframe: nothing could be posed by it.
+/// Points that a keyframe must show: with fewer it could not be registered.
 const MIN_POINTS: usize = 12;
-/// Pictures this unlike their predecessor begin another scene.
+/// Correlation of consecutive pictures below which the scene has changed.
 const CUT_CORRELATION: f32 = 0.3;
 
-/// A point that is being followed.
+/// A point being tracked.
 #[derive(Clone, Debug)]
 struct TrackedPoint {
     track: usize,
     warp: Warp,
     anchor: AnchorPatch,
-    /// Frames since it was last seen for certain.
+    /// Frames since the last measurement.
     hidden_frames: usize,
-    /// Whether its place in the last frame is known at least roughly.
+    /// Whether its position in the last frame is a real one, not an extrapolation.
     is_followed: bool,
     /// Position in the last keyframe.
     at_keyframe: Option<[f32; 2]>,
@@ -57,7 +57,7 @@ struct TrackedPoint {
 /// Tracking summary of one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameReport {
-    /// Points followed into it.
+    /// Points tracked into it.
     pub points: usize,
     /// Their median motion since the last picture [px].
     pub motion: f64,
@@ -67,22 +67,23 @@ pub struct FrameReport {
     pub is_keyframe: bool,
 }
 
-/// Points followed through a sequence.
+/// Tracker of points through a sequence.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tracker {
     tracks: Tracks,
     points: Vec<TrackedPoint>,
-    /// The last frames, the newest at the back, each with its move since the one before [px].
+    /// The last frames, newest at the back, each with the picture's translation since the one
+    /// before [px].
     recent: VecDeque<(Pyramid, [f32; 2])>,
     sharpness: Vec<f32>,
-    /// Points that the last keyframe had.
+    /// Points of the last keyframe.
     keyframe_points: usize,
     /// Frames for which a keyframe has been due.
     frames_due: usize,
 }
 
 impl Tracker {
-    /// Follows all points into the next picture.
+    /// Tracks all points into the next picture.
     pub(crate) fn track(&mut self, picture: &Image<f32>) -> FrameReport {
         let frame = self.tracks.frames;
         let next = Pyramid::new(picture);
@@ -107,7 +108,7 @@ impl Tracker {
         self.tracks
     }
 
-    /// Follows all points; returns the move of the whole picture [px].
+    /// Tracks all points; returns the translation of the whole picture [px].
     fn track_points(&mut self, next: &Pyramid, frame: usize, report: &mut FrameReport) -> [f32; 2] {
         let Some((last, _)) = self.recent.back() else { return [0.0; 2] };
         let shift = estimate_global_translation(last.coarsest().0, next.coarsest().0);
@@ -171,7 +172,7 @@ impl Tracker {
         now >= MIN_KEYFRAME_SHARPNESS * usual || self.frames_due > MAX_KEYFRAME_DELAY
     }
 
-    /// Whether a picture shows hardly anything that is followed or could be.
+    /// Whether a picture has too few points and corners for a keyframe.
     fn is_textureless(&self, image: &Image<f32>) -> bool {
         let followed: Vec<[f32; 2]> =
             self.points.iter().filter(|p| p.hidden_frames == 0).map(|p| p.warp.centre).collect();
@@ -179,7 +180,7 @@ impl Tracker {
             && followed.len() + new_corners(image, &followed).len() < MIN_POINTS
     }
 
-    /// Gives aged points a new anchor and starts new points where there are none.
+    /// Gives points that have changed a new anchor and starts points in empty cells.
     fn begin_keyframe(&mut self, next: &Pyramid, frame: usize, shift: [f32; 2]) {
         self.frames_due = 0;
         self.tracks.keyframes.push(frame);
@@ -209,7 +210,7 @@ impl Tracker {
 }
 
 impl Tracker {
-    /// A point that begins in `next`, with its sights in the frames before.
+    /// A point that begins in `next`, with its observations in the frames before.
     fn start_point(
         &self,
         next: &Pyramid,
@@ -240,17 +241,18 @@ impl Tracker {
     }
 }
 
-/// Where points may begin beside those that are followed.
+/// Corners in cells without a tracked point.
 fn new_corners(image: &Image<f32>, taken: &[[f32; 2]]) -> Vec<[f32; 2]> {
     detect_corners(image, cell_size(image), RADIUS + 2, taken)
 }
 
-/// Side of the cells of which each gets one point [px]: some 600 points a picture.
+/// Side of the cells [px]; some 600 of 800 have a corner.
 fn cell_size(image: &Image<f32>) -> usize {
     (((image.width * image.height) as f32 / MAX_CORNERS).sqrt() as usize).max(8)
 }
 
-/// Mean difference of neighbours, relative to the mean brightness: blur lowers it, exposure hardly.
+/// Mean absolute difference of neighbours over mean brightness: lowered by blur, hardly by
+/// exposure.
 fn sharpness(image: &Image<f32>) -> f32 {
     let differences: f32 = image
         .data
@@ -271,7 +273,7 @@ mod tests {
         Image { width, height, channels: 1, data }
     }
 
-    /// Nothing to follow, black or all but even, makes no keyframes; what comes after does.
+    /// Black or nearly even pictures make no keyframes; the next textured one does.
     #[test]
     fn pictures_without_points_are_no_keyframes() {
         let wave = |i: usize, j: usize| (0.7 * i as f32).sin() * (0.6 * j as f32).cos();

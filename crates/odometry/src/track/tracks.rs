@@ -1,20 +1,20 @@
-//! Points of the scene as pictures show them: where, in which frames.
+//! Tracks: observations of scene points over frames.
 
 use crate::track::thumbnail::KeyframeImage;
 use std::sync::Arc;
 
-/// One sight of a point.
+/// Observation of a point in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Observation {
-    /// Place of the frame in the sequence.
+    /// Index of the frame.
     pub(crate) frame: usize,
-    /// Image position [px].
+    /// Image position as measured [px].
     pub(crate) raw: [f64; 2],
-    /// The same as if all rows had been exposed with the middle one [px].
+    /// Position corrected for lens distortion and rolling shutter [px].
     pub(crate) at: [f64; 2],
-    /// How far it may be wrong [px].
+    /// Standard deviation [px].
     pub(crate) sigma: f64,
-    /// Does not belong to the point.
+    /// Not explained by the point's landmark.
     pub(crate) is_outlier: bool,
 }
 
@@ -24,20 +24,20 @@ impl Observation {
     }
 }
 
-/// All sights of one point, in order of frames.
+/// Observations of one point, in order of frames.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Track {
     pub(crate) observations: Vec<Observation>,
 }
 
 impl Track {
-    /// The sight in a frame, if there is one.
+    /// The observation in a frame.
     pub(crate) fn in_frame(&self, frame: usize) -> Option<&Observation> {
         let i = self.observations.partition_point(|o| o.frame < frame);
         self.observations.get(i).filter(|o| o.frame == frame)
     }
 
-    /// Adds a sight; returns whether there was none of that frame.
+    /// Adds an observation; false if the frame has one already.
     pub(crate) fn insert(&mut self, observation: Observation) -> bool {
         let i = self.observations.partition_point(|o| o.frame < observation.frame);
         let is_new = self.observations.get(i).is_none_or(|o| o.frame != observation.frame);
@@ -48,20 +48,20 @@ impl Track {
     }
 }
 
-/// What following points through all pictures gave.
+/// All tracks of a sequence, and its keyframes.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tracks {
     pub(crate) tracks: Vec<Track>,
-    /// Frames that were chosen as keyframes, in order.
+    /// Keyframes, in order.
     pub(crate) keyframes: Vec<usize>,
-    /// What keyframes look like, in order.
+    /// Their pictures, in order.
     pub(crate) keyframe_images: Arc<Vec<KeyframeImage>>,
-    /// Number of frames seen.
+    /// Number of frames.
     pub(crate) frames: usize,
 }
 
 impl Tracks {
-    /// The same, with the last frame as a keyframe where there is only one.
+    /// Makes the last frame a keyframe where there is only one.
     pub(crate) fn with_two_keyframes(mut self) -> Self {
         if self.keyframes.len() == 1 && self.frames > 1 {
             self.keyframes.push(self.frames - 1);
@@ -69,7 +69,7 @@ impl Tracks {
         self
     }
 
-    /// What keyframes alone show of the same tracks.
+    /// The tracks reduced to observations in keyframes.
     pub(crate) fn keyframes_only(&self) -> Self {
         let mut is_keyframe = vec![false; self.frames];
         self.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
@@ -87,7 +87,7 @@ impl Tracks {
         }
     }
 
-    /// For every frame the tracks that it shows.
+    /// Tracks of every frame.
     pub(crate) fn by_frame(&self) -> Vec<Vec<usize>> {
         let mut out = vec![Vec::new(); self.frames];
         for (index, track) in self.tracks.iter().enumerate() {
@@ -97,7 +97,7 @@ impl Tracks {
     }
 }
 
-/// Positions in two frames of the points that both show.
+/// Positions in two frames of the points that both observe.
 pub(crate) fn shared_positions(
     tracks: &[Track],
     by_frame: &[Vec<usize>],
