@@ -229,7 +229,7 @@ fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
     let (mut bundle, _, tracks) = state.bundle(&state.posed_frames(), false);
     // Poses stay, and take no room among the unknowns.
     bundle.fixed.fill(true);
-    let noise = state.residual_scale().unwrap_or(1.0);
+    let noise_scale = state.residual_scale().unwrap_or(1.0);
     let mut variances = vec![None; state.landmarks.len()];
     for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
         variances[*track] = variance;
@@ -243,8 +243,8 @@ fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
             }
             let point_in_camera = pose.inverse() * landmark.position();
             let usable = landmark.values[2] > 1e-4 && point_in_camera.z > 0.0;
-            let slope = landmark.depth_slope(&pose);
-            let variance = variance * (noise * slope).powi(2);
+            let slope = landmark.depth_by_inverse_depth(&pose);
+            let variance = variance * (noise_scale * slope).powi(2);
             usable.then_some(SparseDepth { at: observation.at, depth: point_in_camera.z, variance })
         };
         let depths = discard_unreliable_near_points(

@@ -34,7 +34,7 @@ pub(crate) struct SfmState {
     /// Landmark of every triangulated track.
     pub(crate) landmarks: Vec<Option<Landmark>>,
     /// Ratio of residuals to the tracker's deviations, at least 1.
-    pub(crate) noise: f64,
+    pub(crate) noise_scale: f64,
     /// Coefficients of [`lens_distortion`](crate::multiview::lens_distortion), and whether they are
     /// adjusted.
     pub(crate) distortion: [f64; 2],
@@ -58,7 +58,7 @@ impl SfmState {
             by_frame,
             poses,
             landmarks,
-            noise: 1.0,
+            noise_scale: 1.0,
             distortion: [0.0; 2],
             estimates_distortion: false,
             readout: 0.0,
@@ -82,7 +82,7 @@ impl SfmState {
     pub(crate) fn reset(&mut self) {
         self.poses.fill(None);
         self.landmarks.fill(None);
-        self.noise = 1.0;
+        self.noise_scale = 1.0;
         let observations = self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
         observations.for_each(|o| o.is_outlier = false);
     }
@@ -165,7 +165,7 @@ impl SfmState {
             let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_outlier);
             let observations: Vec<PosedObservation<'_>> =
                 right.filter_map(|o| Some((o, self.poses[o.frame]?))).collect();
-            triangulate(&self.camera, &observations, self.noise)
+            triangulate(&self.camera, &observations, self.noise_scale)
         };
         let found: Vec<Option<Landmark>> = tracks.par_iter().map(landmark).collect();
         tracks.into_iter().zip(found).for_each(|(i, found)| self.landmarks[i] = found);
@@ -318,7 +318,7 @@ impl SfmState {
     }
 
     fn reject_outliers_of(&mut self, tracks: Vec<usize>) {
-        let (camera, poses, worst) = (self.camera, &self.poses, OUTLIER_ERROR * self.noise);
+        let (camera, poses, worst) = (self.camera, &self.poses, OUTLIER_ERROR * self.noise_scale);
         for index in tracks {
             let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
             let Some(known) = landmark else { continue };
@@ -336,9 +336,10 @@ impl SfmState {
         }
     }
 
-    /// Updates [`noise`](Self::noise) from the residuals of all registered frames.
+    /// Updates [`noise_scale`](Self::noise_scale) from the residuals of all registered frames.
     pub(crate) fn update_noise_scale(&mut self) {
-        self.noise = self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE_SCALE));
+        self.noise_scale =
+            self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE_SCALE));
     }
 
     /// Median residual over that expected from the tracker's deviations.
@@ -358,7 +359,7 @@ impl SfmState {
     pub(crate) fn count_inliers(&self, frame: usize) -> usize {
         let Some(pose) = self.poses[frame] else { return 0 };
         let agrees = |m: &&Match<'_>| {
-            reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise
+            reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise_scale
         };
         self.matches(frame).iter().filter(agrees).count()
     }

@@ -23,8 +23,8 @@ impl Bundle {
     /// Covariance of the free intrinsics of an adjusted bundle, zero for fixed ones; `None` where
     /// the observations do not determine it.
     pub(crate) fn camera_covariance(&self) -> Option<IntrinsicsCovariance> {
-        let structure = BlockSparsity::new(self);
-        let linear = SchurSystem::new(self, &structure, Curvature::Exact);
+        let sparsity = BlockSparsity::new(self);
+        let linear = SchurSystem::new(self, &sparsity, Curvature::Exact);
         let inverse_columns = linear.inverse_columns()?;
         let points = self.landmarks.len();
         let by_point = self.clustered_covariance(&inverse_columns, points, |landmark, _| landmark);

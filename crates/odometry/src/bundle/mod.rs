@@ -92,8 +92,8 @@ impl Bundle {
     pub(crate) fn adjust(&mut self, steps: usize, progress: &Progress) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
-        let structure = BlockSparsity::new(self);
-        let mut linear = SchurSystem::new(self, &structure, Curvature::Majorizing);
+        let sparsity = BlockSparsity::new(self);
+        let mut linear = SchurSystem::new(self, &sparsity, Curvature::Majorizing);
         for done in 0..steps {
             if progress.is_cancelled() {
                 break;
@@ -110,7 +110,7 @@ impl Bundle {
                     if gained < MIN_RELATIVE_DECREASE * cost {
                         break;
                     }
-                    linear = SchurSystem::new(self, &structure, Curvature::Majorizing);
+                    linear = SchurSystem::new(self, &sparsity, Curvature::Majorizing);
                 }
                 _ => damping *= 8.0,
             }
@@ -123,8 +123,8 @@ impl Bundle {
 
     /// Variance of every landmark's inverse depth with poses fixed; `None` where it is not defined.
     pub(crate) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
-        let structure = BlockSparsity::new(self);
-        SchurSystem::new(self, &structure, Curvature::Majorizing).inverse_depth_variances()
+        let sparsity = BlockSparsity::new(self);
+        SchurSystem::new(self, &sparsity, Curvature::Majorizing).inverse_depth_variances()
     }
 
     /// Number of adjusted global parameters.
@@ -152,11 +152,15 @@ impl Bundle {
     }
 
     fn observation_cost(&self, landmark: usize, observation: &BundleObservation) -> f64 {
-        huber(self.residual(landmark, observation)).1
+        huber(self.reprojection_error(landmark, observation)).1
     }
 
     /// Length of a residual [standard deviations].
-    pub(crate) fn residual(&self, landmark: usize, observation: &BundleObservation) -> f64 {
+    pub(crate) fn reprojection_error(
+        &self,
+        landmark: usize,
+        observation: &BundleObservation,
+    ) -> f64 {
         let at =
             self.landmarks[landmark].image_position(&self.camera, &self.poses[observation.pose]);
         let seen = observation.corrected(self.camera_change);

@@ -25,7 +25,7 @@ pub(super) struct Step {
 
 /// Normal equations: cameras (`U`), landmarks (`C`) and couplings (`E`).
 pub(super) struct SchurSystem<'a> {
-    structure: &'a BlockSparsity,
+    sparsity: &'a BlockSparsity,
     /// Number of adjusted global parameters.
     globals: usize,
     parts: Vec<LandmarkBlock>,
@@ -34,17 +34,18 @@ pub(super) struct SchurSystem<'a> {
 }
 
 impl<'a> SchurSystem<'a> {
-    pub(super) fn new(bundle: &Bundle, structure: &'a BlockSparsity, curvature: Curvature) -> Self {
+    pub(super) fn new(bundle: &Bundle, sparsity: &'a BlockSparsity, curvature: Curvature) -> Self {
         let globals = bundle.globals();
         let landmarks = 0..bundle.landmarks.len();
-        let landmark = |i: usize| landmark_block(bundle, i, &structure.cameras[i], curvature);
+        let landmark =
+            |i: usize| landmark_block(bundle, i, &sparsity.landmark_observations[i], curvature);
         let parts = landmarks.into_par_iter().map(landmark);
-        let block = |block: usize| pose_block(bundle, structure, block, curvature);
-        let poses = (0..structure.poses.len()).into_par_iter().map(block);
+        let block = |block: usize| pose_block(bundle, sparsity, block, curvature);
+        let poses = (0..sparsity.poses.len()).into_par_iter().map(block);
         let (parts, poses) = (parts.collect(), poses.collect());
         let global =
             if globals == 0 { GlobalBlock::default() } else { global_block(bundle, curvature) };
-        Self { structure, globals, parts, poses, global }
+        Self { sparsity, globals, parts, poses, global }
     }
 
     /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
@@ -69,16 +70,16 @@ impl<'a> SchurSystem<'a> {
         Some((0..self.globals).map(unit).collect())
     }
 
-    /// Back-substitutes the landmarks for solved cameras and globals; `pulled` weights the
+    /// Back-substitutes the landmarks for solved cameras and globals; `gradient_weight` weights the
     /// landmarks' own gradients.
-    fn back_substitute(&self, solved: &[f64], damping: f64, pulled: f64) -> Step {
+    fn back_substitute(&self, solved: &[f64], damping: f64, gradient_weight: f64) -> Step {
         let pose = |block: &Option<usize>| {
             block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
         };
         let mut globals = [0.0; GLOBALS];
         globals.iter_mut().zip(&solved[6 * self.poses.len()..]).for_each(|(g, s)| *g = *s);
         let landmark = |(part, cameras): (&LandmarkBlock, &Vec<(u32, u32)>)| {
-            let mut right = part.gradient.map(|g| -pulled * g);
+            let mut right = part.gradient.map(|g| -gradient_weight * g);
             for i in 0..3 {
                 for (e, (block, _)) in part.couplings.iter().zip(cameras) {
                     let tangent = &solved[6 * *block as usize..][..6];
@@ -88,8 +89,8 @@ impl<'a> SchurSystem<'a> {
             }
             (part.damped_inverse(damping) * Vec3::from_array(right)).to_array()
         };
-        let parts = self.parts.par_iter().zip(&self.structure.cameras);
-        let poses = self.structure.blocks.iter().map(pose).collect();
+        let parts = self.parts.par_iter().zip(&self.sparsity.landmark_observations);
+        let poses = self.sparsity.blocks.iter().map(pose).collect();
         Step { poses, landmarks: parts.map(landmark).collect(), globals }
     }
 
@@ -97,7 +98,7 @@ impl<'a> SchurSystem<'a> {
     fn reduced_camera_system(&self, damping: f64) -> (SkylineMatrix, Vec<f64>) {
         let inverses: Vec<Mat3<f64>> =
             self.parts.par_iter().map(|p| p.damped_inverse(damping)).collect();
-        let mut matrix = SkylineMatrix::new(self.structure.first_columns(self.globals));
+        let mut matrix = SkylineMatrix::new(self.sparsity.first_columns(self.globals));
         let rows = matrix.split((1..=self.poses.len()).map(|block| 6 * block));
         let fill = |(block, rows): (usize, &mut [f64])| {
             self.fill_block_rows(block, rows, &inverses, damping)
@@ -129,7 +130,7 @@ impl<'a> SchurSystem<'a> {
     ) -> PoseBlock {
         let mut side = self.poses[block].clone();
         side.gradient = side.gradient.map(|g| -g);
-        let first = self.structure.first[block];
+        let first = self.sparsity.first[block];
         let width = 6 * (block - first);
         // Rows grow by one column each.
         let row_at = |a: usize| a * width + a * (a + 1) / 2;
@@ -138,10 +139,10 @@ impl<'a> SchurSystem<'a> {
             row.copy_from_slice(&side.hessian[a][..=a]);
             row[a] += damping * row[a] + 1e-9;
         }
-        for (landmark, k) in &self.structure.seen[block] {
+        for (landmark, k) in &self.sparsity.block_observations[block] {
             let (landmark, k) = (*landmark as usize, *k as usize);
             let (part, inverse) = (&self.parts[landmark], &inverses[landmark]);
-            let cameras = &self.structure.cameras[landmark][..k];
+            let cameras = &self.sparsity.landmark_observations[landmark][..k];
             for a in 0..6 {
                 let weighted = *inverse * Vec3::from_array(part.couplings[k][a]);
                 side.gradient[a] += weighted.dot(Vec3::from_array(part.gradient));
@@ -293,11 +294,11 @@ pub(super) fn gradient_along(
     w.weight * (w.residual[0] * along(0) + w.residual[1] * along(1))
 }
 
-/// Sums over the observations of a landmark; `cameras` are those of free poses.
+/// Sums over the observations of a landmark; `landmark_observations` are those by free poses.
 pub(super) fn landmark_block(
     bundle: &Bundle,
     landmark: usize,
-    cameras: &[(u32, u32)],
+    landmark_observations: &[(u32, u32)],
     curvature: Curvature,
 ) -> LandmarkBlock {
     let observations = bundle.observations[landmark].iter();
@@ -323,22 +324,27 @@ pub(super) fn landmark_block(
         };
         std::array::from_fn(|a| std::array::from_fn(|b| w.weight * entry(a, b)))
     };
-    LandmarkBlock { hessian, gradient, couplings: cameras.iter().map(coupling).collect(), globals }
+    LandmarkBlock {
+        hessian,
+        gradient,
+        couplings: landmark_observations.iter().map(coupling).collect(),
+        globals,
+    }
 }
 
 /// Sums over the observations of a block's pose.
 pub(super) fn pose_block(
     bundle: &Bundle,
-    structure: &BlockSparsity,
+    sparsity: &BlockSparsity,
     block: usize,
     curvature: Curvature,
 ) -> PoseBlock {
     let mut out =
         PoseBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
-    for (landmark, k) in &structure.seen[block] {
+    for (landmark, k) in &sparsity.block_observations[block] {
         let landmark = *landmark as usize;
-        let observation =
-            &bundle.observations[landmark][structure.cameras[landmark][*k as usize].1 as usize];
+        let observation = &bundle.observations[landmark]
+            [sparsity.landmark_observations[landmark][*k as usize].1 as usize];
         let Some(w) = weighted_residual(bundle, landmark, observation, curvature) else { continue };
         for i in 0..2 {
             let row = &w.projection.by_pose[i];

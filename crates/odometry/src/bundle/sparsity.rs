@@ -16,9 +16,9 @@ pub(super) struct BlockSparsity {
     /// Pose of every block.
     pub(super) poses: Vec<usize>,
     /// Block and observation index of every free observation of each landmark, in order of blocks.
-    pub(super) cameras: Vec<Vec<(Index, Index)>>,
+    pub(super) landmark_observations: Vec<Vec<(Index, Index)>>,
     /// Landmarks of every block, with the place of the observation in `cameras`.
-    pub(super) seen: Vec<Vec<(Index, Index)>>,
+    pub(super) block_observations: Vec<Vec<(Index, Index)>>,
     /// The first block that every block shares a landmark with.
     pub(super) first: Vec<usize>,
 }
@@ -30,17 +30,20 @@ impl BlockSparsity {
         if natural.poses.len() < MIN_REORDERED_POSES {
             return natural;
         }
-        let order = reverse_cuthill_mckee(&neighbours(&natural.cameras, natural.poses.len()));
+        let order = reverse_cuthill_mckee(&block_adjacency(
+            &natural.landmark_observations,
+            natural.poses.len(),
+        ));
         let narrow = Self::of(bundle, order.into_iter().map(|b| natural.poses[b]).collect());
-        if narrow.entries() < natural.entries() { narrow } else { natural }
+        if narrow.block_count() < natural.block_count() { narrow } else { natural }
     }
 
     fn of(bundle: &Bundle, poses: Vec<usize>) -> Self {
         let mut blocks = vec![None; bundle.poses.len()];
         poses.iter().enumerate().for_each(|(block, pose)| blocks[*pose] = Some(block));
-        let mut seen = vec![Vec::new(); poses.len()];
+        let mut block_observations = vec![Vec::new(); poses.len()];
         let mut first: Vec<usize> = (0..poses.len()).collect();
-        let mut cameras = Vec::with_capacity(bundle.observations.len());
+        let mut landmark_observations = Vec::with_capacity(bundle.observations.len());
         for (landmark, observations) in bundle.observations.iter().enumerate() {
             let place = |(i, s): (usize, &super::BundleObservation)| {
                 Some((blocks[s.pose]? as Index, i as Index))
@@ -51,12 +54,12 @@ impl BlockSparsity {
             let least = of.first().map_or(0, |c| c.0 as usize);
             for (k, (block, _)) in of.iter().enumerate() {
                 let block = *block as usize;
-                seen[block].push((landmark as Index, k as Index));
+                block_observations[block].push((landmark as Index, k as Index));
                 first[block] = first[block].min(least);
             }
-            cameras.push(of);
+            landmark_observations.push(of);
         }
-        Self { blocks, poses, cameras, seen, first }
+        Self { blocks, poses, landmark_observations, block_observations, first }
     }
 
     /// Column of the first entry of every row of the reduced camera system: six rows a block, then
@@ -67,18 +70,21 @@ impl BlockSparsity {
     }
 
     /// Number of stored blocks.
-    pub(super) fn entries(&self) -> usize {
+    pub(super) fn block_count(&self) -> usize {
         self.first.iter().enumerate().map(|(block, first)| block + 1 - first).sum()
     }
 }
 
 /// Adjacency of blocks. Each is joined only with the first block of every landmark, which suffices
 /// for the ordering.
-fn neighbours(cameras: &[Vec<(Index, Index)>], blocks: usize) -> Vec<Vec<usize>> {
+fn block_adjacency(
+    landmark_observations: &[Vec<(Index, Index)>],
+    blocks: usize,
+) -> Vec<Vec<usize>> {
     let mut out = vec![Vec::new(); blocks];
     let mut pairs: Vec<(Index, Index)> = Vec::new();
     let mut most = 1 << 16;
-    for of in cameras {
+    for of in landmark_observations {
         let Some(((first, _), rest)) = of.split_first() else { continue };
         pairs.extend(rest.iter().flat_map(|(block, _)| [(*first, *block), (*block, *first)]));
         if pairs.len() > most {

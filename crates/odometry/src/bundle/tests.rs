@@ -122,8 +122,8 @@ fn one_step_without_damping_solves_the_normal_equations() {
     bundle.poses[2] =
         bundle.poses[2].retract(Tangent::from_array([1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0]));
     let before = bundle.cost();
-    let structure = BlockSparsity::new(&bundle);
-    let step = SchurSystem::new(&bundle, &structure, Curvature::Majorizing)
+    let sparsity = BlockSparsity::new(&bundle);
+    let step = SchurSystem::new(&bundle, &sparsity, Curvature::Majorizing)
         .step(0.0)
         .expect("positive definite");
     assert!(bundle.apply_step(&step).cost() < 1e-6 * before);
@@ -134,8 +134,8 @@ fn the_gradient_agrees_with_differences() {
     let (bundle, _) = scene(4.0);
     let free_intrinsics = FreeIntrinsics::FocalLengthAndDistortion;
     let bundle = Bundle { free_intrinsics, camera_change: [0.02, -0.01], ..disturbed(bundle) };
-    let structure = BlockSparsity::new(&bundle);
-    let gradient = SchurSystem::new(&bundle, &structure, Curvature::Majorizing).half_gradient(2);
+    let sparsity = BlockSparsity::new(&bundle);
+    let gradient = SchurSystem::new(&bundle, &sparsity, Curvature::Majorizing).half_gradient(2);
     let f = |x: &[f64]| {
         let mut step = Step {
             poses: vec![[0.0; 6]; 6],
@@ -200,7 +200,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
 fn a_thousand_poses_take_room_in_proportion_to_their_number() {
     for closed in [false, true] {
         let entries =
-            |count: usize| BlockSparsity::new(&round_trip(count, 4, 10, closed)).entries();
+            |count: usize| BlockSparsity::new(&round_trip(count, 4, 10, closed)).block_count();
         let (few, many) = (entries(150), entries(1200));
         assert!(many < 9 * few, "{few} {many}");
         // A closed path is folded, which makes the band twice as wide.

@@ -278,7 +278,7 @@ fn apply_corrections(state: &mut SfmState, keyframes: &[usize], moves: &[Similar
         let posed = track.observations.iter().find(|o| state.poses[o.frame].is_some());
         let by = posed.and_then(|o| by(o.frame));
         if let (Some(known), Some(by)) = (&mut *landmark, by) {
-            *known = known.moved(by);
+            *known = known.transformed(by);
         }
     }
     for (frame, pose) in state.poses.iter_mut().enumerate() {

@@ -4,13 +4,13 @@ use crate::track::tracks::Observation;
 use i2slam_geometry::{Camera, Mat3, Pose, Similarity, Vec3};
 
 /// A scene point by direction and inverse depth from a fixed origin (Civera et al. 2008): `p =
-/// origin + frame (a, b, 1) / ρ`. Points at infinity have `ρ = 0` and cause no singularity.
+/// origin + rotation (a, b, 1) / ρ`. Points at infinity have `ρ = 0` and cause no singularity.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Landmark {
     /// Centre of the camera that first observed the point, in the world; fixed.
     pub(crate) origin: Vec3<f64>,
     /// `world_from_camera` rotation of that camera; fixed.
-    pub(crate) frame: Mat3<f64>,
+    pub(crate) rotation: Mat3<f64>,
     /// `(a, b, ρ)`, adjusted.
     pub(crate) values: [f64; 3],
 }
@@ -37,17 +37,17 @@ impl Landmark {
         let ray = camera.unproject(at[0], at[1], 1.0);
         Self {
             origin: world_from_camera.translation,
-            frame: world_from_camera.rotation.matrix(),
+            rotation: world_from_camera.rotation.matrix(),
             values: [ray.x, ray.y, inverse_depth],
         }
     }
 
     /// The point after a similarity transform of the world.
-    pub(crate) fn moved(&self, by: &Similarity<f64>) -> Self {
+    pub(crate) fn transformed(&self, by: &Similarity<f64>) -> Self {
         let [a, b, rho] = self.values;
         Self {
             origin: by.apply(self.origin),
-            frame: by.rotation.matrix() * self.frame,
+            rotation: by.rotation.matrix() * self.rotation,
             values: [a, b, rho / by.scale],
         }
     }
@@ -55,22 +55,22 @@ impl Landmark {
     /// The point in the world; far away where the inverse depth is not positive.
     pub(crate) fn position(&self) -> Vec3<f64> {
         let [a, b, rho] = self.values;
-        self.origin + self.frame * Vec3::new(a, b, 1.0) * (1.0 / rho.max(1e-9))
+        self.origin + self.rotation * Vec3::new(a, b, 1.0) * (1.0 / rho.max(1e-9))
     }
 
-    /// Derivative of the depth in a camera by `ρ`: `-(Rᵀ frame (a, b, 1))_z / ρ²`.
-    pub(crate) fn depth_slope(&self, world_from_camera: &Pose<f64>) -> f64 {
+    /// Derivative of the depth in a camera by `ρ`: `-(Rᵀ rotation (a, b, 1))_z / ρ²`.
+    pub(crate) fn depth_by_inverse_depth(&self, world_from_camera: &Pose<f64>) -> f64 {
         let [a, b, rho] = self.values;
-        let ray = self.frame * Vec3::new(a, b, 1.0);
+        let ray = self.rotation * Vec3::new(a, b, 1.0);
         -world_from_camera.rotation.inverse().rotate(ray).z / (rho * rho)
     }
 
-    /// The point in a camera, times its inverse depth: `Rᵀ (ρ (origin - t) + frame (a, b, 1))`.
-    pub(crate) fn ray_in(&self, world_from_camera: &Pose<f64>) -> Vec3<f64> {
+    /// The point in a camera, times its inverse depth: `Rᵀ (ρ (origin - t) + rotation (a, b, 1))`.
+    pub(crate) fn scaled_point_in(&self, world_from_camera: &Pose<f64>) -> Vec3<f64> {
         let [a, b, rho] = self.values;
         let offset = self.origin - world_from_camera.translation;
         let inverse = world_from_camera.rotation.inverse();
-        inverse.rotate(offset * rho + self.frame * Vec3::new(a, b, 1.0))
+        inverse.rotate(offset * rho + self.rotation * Vec3::new(a, b, 1.0))
     }
 
     /// Projection into a camera; `None` behind it.
@@ -79,7 +79,7 @@ impl Landmark {
         camera: &Camera<f64>,
         world_from_camera: &Pose<f64>,
     ) -> Option<[f64; 2]> {
-        let q = self.ray_in(world_from_camera);
+        let q = self.scaled_point_in(world_from_camera);
         let (u, v) = camera.project(q);
         (q.z > 1e-6).then_some([u, v])
     }
@@ -90,12 +90,12 @@ impl Landmark {
         camera: &Camera<f64>,
         world_from_camera: &Pose<f64>,
     ) -> Option<Projection> {
-        let q = self.ray_in(world_from_camera);
+        let q = self.scaled_point_in(world_from_camera);
         if q.z <= 1e-6 {
             return None;
         }
         let inverse = world_from_camera.rotation.inverse();
-        let rotation = inverse.matrix() * self.frame;
+        let rotation = inverse.matrix() * self.rotation;
         let by_rho = inverse.rotate(self.origin - world_from_camera.translation);
         let (x, y, iz) = (q.x / q.z, q.y / q.z, 1.0 / q.z);
         let rows = [
@@ -171,9 +171,16 @@ mod tests {
                 let there = Landmark { values: [a, b, rho + x[0]], ..landmark };
                 (pose.inverse() * there.position()).z
             };
-            assert_gradient("depth", &[0.0], &[landmark.depth_slope(&pose)], 1e-4, 1e-6, depth);
+            assert_gradient(
+                "depth",
+                &[0.0],
+                &[landmark.depth_by_inverse_depth(&pose)],
+                1e-4,
+                1e-6,
+                depth,
+            );
         }
         let z = (moved.inverse() * landmark.position()).z;
-        assert!(landmark.depth_slope(&moved).abs() > 2.0 * z * z);
+        assert!(landmark.depth_by_inverse_depth(&moved).abs() > 2.0 * z * z);
     }
 }

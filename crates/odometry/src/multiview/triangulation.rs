@@ -51,7 +51,7 @@ fn inverse_depth(
     landmark: &Landmark,
     observations: &[PosedObservation<'_>],
 ) -> f64 {
-    let direction = landmark.frame * Vec3::new(landmark.values[0], landmark.values[1], 1.0);
+    let direction = landmark.rotation * Vec3::new(landmark.values[0], landmark.values[1], 1.0);
     let (mut above, mut below) = (0.0, 1e-12);
     for (observation, pose) in observations {
         let x = camera.unproject(observation.at[0], observation.at[1], 1.0);

@@ -58,14 +58,14 @@ pub(crate) fn fit_rotation(focal: f64, ray_pairs: &[RayPair]) -> Option<(Rotatio
         let step = sum.step(1e-6)?;
         rotation = rotation * Rotation::exp(Vec3::from_array(step));
     }
-    let mut left: Vec<f64> = ray_pairs
+    let mut residual: Vec<f64> = ray_pairs
         .iter()
         .map(|(first, second)| {
             let q = rotation.rotate(*first);
             focal * (q.x / q.z - second.x).hypot(q.y / q.z - second.y)
         })
         .collect();
-    median(&mut left).map(|m| (rotation, m))
+    median(&mut residual).map(|m| (rotation, m))
 }
 
 /// Estimates the relative pose by RANSAC: samples of five points, each solved by iteration (Lui and
@@ -210,8 +210,8 @@ mod tests {
         let random_direction = random_direction * (1.0 / random_direction.norm());
         let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), random_direction * 0.2);
         let ray_pairs = scene(pose);
-        let (rotation, left) = fit_rotation(250.0, &ray_pairs).expect("enough points");
-        assert!(left > 3.0, "a moving camera does not only turn: {left}");
+        let (rotation, residual) = fit_rotation(250.0, &ray_pairs).expect("enough points");
+        assert!(residual > 3.0, "a moving camera does not only turn: {residual}");
         let found = estimate_relative_pose(250.0, &ray_pairs, rotation).expect("enough points");
         let off = (found.second_from_first.translation - random_direction).norm();
         // Some wrong matches lie near their epipolar lines and pull.
@@ -224,8 +224,8 @@ mod tests {
     #[test]
     fn turning_alone_is_recognised() {
         let pose = Pose::new(Rotation::exp(Vec3::new(0.05, -0.1, 0.08)), Vec3::zero());
-        let (rotation, left) = fit_rotation(250.0, &scene(pose)).expect("enough points");
+        let (rotation, residual) = fit_rotation(250.0, &scene(pose)).expect("enough points");
         let off = (rotation.inverse() * pose.rotation).log().norm();
-        assert!(left < 0.05 && off < 1e-3, "{left} {off}");
+        assert!(residual < 0.05 && off < 1e-3, "{residual} {off}");
     }
 }

@@ -67,7 +67,8 @@ pub(crate) fn refine_all_frames(state: &mut SfmState, adjust_focal: bool) -> f64
     let again = |(frame, pose): (&usize, &Option<Pose<f64>>)| {
         let matches = state.matches(*frame);
         let pose = pose.filter(|_| !state.progress.is_cancelled());
-        let found = pose.and_then(|start| solve_pnp(&state.camera, start, &matches, state.noise));
+        let found =
+            pose.and_then(|start| solve_pnp(&state.camera, start, &matches, state.noise_scale));
         found.filter(|f| has_enough_inliers(f, matches.len())).map(|f| f.world_from_camera)
     };
     let found: Vec<_> = between.par_iter().zip(&before).map(again).collect();
@@ -139,7 +140,7 @@ fn estimate_pose(state: &SfmState, frame: usize) -> Option<PnpSolution> {
     let matches = state.matches(frame);
     let best = initial_poses(state, frame)
         .into_iter()
-        .filter_map(|start| solve_pnp(&state.camera, start, &matches, state.noise))
+        .filter_map(|start| solve_pnp(&state.camera, start, &matches, state.noise_scale))
         .max_by(|a, b| a.inliers.cmp(&b.inliers))?;
     has_enough_inliers(&best, matches.len()).then_some(best)
 }

@@ -76,7 +76,7 @@ pub(crate) fn match_and_verify(
     let observations = comparison.verify_pose(pose)?;
     let exact: Vec<Match<'_>> =
         observations.iter().filter_map(|(t, o)| Some((state.landmarks[*t].as_ref()?, o))).collect();
-    let found = solve_pnp(&state.camera, pose, &exact, state.noise)?;
+    let found = solve_pnp(&state.camera, pose, &exact, state.noise_scale)?;
     if found.inliers < MIN_VERIFIED_POINTS {
         return None;
     }
