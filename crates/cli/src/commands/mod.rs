@@ -1,6 +1,5 @@
 //! One file per subcommand.
 
-mod bench;
 mod degrade;
 mod demo;
 mod eval;
@@ -38,8 +37,12 @@ pub(crate) enum Command {
     Synth(synth::Synth),
     /// Put noise, exposure steps, gaps or a covered lens on a sequence
     Degrade(degrade::Degrade),
-    /// Run sequences x configurations x seeds, and put the figures into tables
-    Bench(bench::Bench),
+    /// Moved to the program i2slam-bench
+    #[command(hide = true, disable_help_flag = true)]
+    Bench {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Tell what is known of a sequence before it is run: layout, times, camera, depth, exposure
     Info(info::Info),
 }
@@ -54,7 +57,9 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Presets(arguments) => presets::presets(&arguments),
         Command::Synth(arguments) => synth::synth(&arguments),
         Command::Degrade(arguments) => degrade::degrade(&arguments),
-        Command::Bench(arguments) => bench::bench(&arguments),
+        Command::Bench { .. } => Err(Failure::Usage(
+            "benchmarks are run by the program i2slam-bench: i2slam-bench SUITE --out DIR".into(),
+        )),
         Command::Info(arguments) => info::info(&arguments),
     }
 }

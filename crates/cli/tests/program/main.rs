@@ -1,7 +1,6 @@
 //! The program from outside: tiny made-up sequences in, result folders out.
 
 mod bad_input;
-mod bench;
 mod causes;
 mod commands;
 mod eval;

@@ -1,39 +1,38 @@
 //! A table as Markdown, CSV and HTML.
 
-use super::figures::Figure;
-use super::summary::Value;
+use crate::metrics::Metric;
+use crate::summary::Value;
 use i2slam_result::report::escape;
 
-/// A table with figures.
-pub(super) struct Table {
+/// A table with metrics.
+pub(crate) struct Table {
     /// File name.
-    pub(super) slug: &'static str,
-    pub(super) title: &'static str,
-    /// What is shown, in a sentence.
-    pub(super) note: String,
+    pub(crate) slug: &'static str,
+    pub(crate) title: &'static str,
+    pub(crate) caption: String,
     /// Headings over some columns, with their widths; empty where there is none.
-    pub(super) groups: Vec<(String, usize)>,
-    pub(super) header: Vec<String>,
-    pub(super) rows: Vec<Vec<Entry>>,
+    pub(crate) groups: Vec<(String, usize)>,
+    pub(crate) header: Vec<String>,
+    pub(crate) rows: Vec<Vec<Entry>>,
 }
 
-/// What stands in a table.
+/// Content of a table cell.
 #[derive(Clone)]
-pub(super) enum Entry {
+pub(crate) enum Entry {
     Words(String),
-    Number { value: Value, figure: &'static Figure, best: bool },
+    Number { value: Value, metric: &'static Metric, best: bool },
 }
 
 impl Entry {
-    pub(super) fn number(value: Value, figure: &'static Figure) -> Self {
-        Self::Number { value, figure, best: false }
+    pub(crate) fn number(value: Value, metric: &'static Metric) -> Self {
+        Self::Number { value, metric, best: false }
     }
 
-    /// As read by people.
-    pub(super) fn text(&self) -> String {
-        let (value, figure) = match self {
+    /// The content as shown.
+    pub(crate) fn text(&self) -> String {
+        let (value, metric) = match self {
             Self::Words(words) => return words.clone(),
-            Self::Number { value, figure, .. } => (value, figure),
+            Self::Number { value, metric, .. } => (value, metric),
         };
         let measured = match value {
             Value::Measured(measured) => measured,
@@ -41,10 +40,10 @@ impl Entry {
             Value::Failed => return "failed".to_owned(),
             Value::NotRun => return "not run".to_owned(),
         };
-        let mut text = figure.text(measured.mean);
+        let mut text = metric.text(measured.mean);
         if let Some(spread) = measured.spread {
-            let digits = figure.digits(measured.mean);
-            text += &format!(" ± {:.digits$}", spread * figure.factor);
+            let digits = metric.digits(measured.mean);
+            text += &format!(" ± {:.digits$}", spread * metric.factor);
         }
         if measured.seeds < measured.planned {
             text += &format!(" ({} of {})", measured.seeds, measured.planned);
@@ -56,29 +55,29 @@ impl Entry {
         matches!(self, Self::Number { best: true, .. })
     }
 
-    fn mean(&self) -> Option<(f64, &'static Figure)> {
+    fn mean(&self) -> Option<(f64, &'static Metric)> {
         match self {
-            Self::Number { value, figure, .. } => {
-                value.measured().map(|measured| (measured.mean, *figure))
+            Self::Number { value, metric, .. } => {
+                value.measured().map(|measured| (measured.mean, *metric))
             }
             Self::Words(_) => None,
         }
     }
 }
 
-/// Marks the best of entries that stand for one figure, with those that look the same; one alone
+/// Marks the best of entries that stand for one metric, with those that look the same; one alone
 /// is not the best.
-pub(super) fn mark_best<'a>(entries: impl Iterator<Item = &'a mut Entry>) {
+pub(crate) fn mark_best<'a>(entries: impl Iterator<Item = &'a mut Entry>) {
     let mut entries: Vec<&mut Entry> = entries.collect();
-    let means: Vec<(f64, &'static Figure)> = entries.iter().filter_map(|e| e.mean()).collect();
+    let means: Vec<(f64, &'static Metric)> = entries.iter().filter_map(|e| e.mean()).collect();
     let better = |a: f64, b: f64, lower: bool| if lower { a.min(b) } else { a.max(b) };
     let best = means.iter().copied().reduce(|(a, f), (b, _)| (better(a, b, f.lower), f));
-    let Some((target, figure)) = best.filter(|_| means.len() > 1) else { return };
-    let target = figure.text(target);
+    let Some((target, metric)) = best.filter(|_| means.len() > 1) else { return };
+    let target = metric.text(target);
     for entry in &mut entries {
         let mean = entry.mean();
         if let Entry::Number { best, .. } = entry {
-            *best = mean.is_some_and(|(mean, figure)| figure.text(mean) == target);
+            *best = mean.is_some_and(|(mean, metric)| metric.text(mean) == target);
         }
     }
 }
@@ -94,14 +93,14 @@ impl Table {
         self.header.iter().map(full).collect()
     }
 
-    pub(super) fn markdown(&self) -> String {
+    pub(crate) fn markdown(&self) -> String {
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
         let plain = |text: String| text.replace('|', "\\|").replace('\n', " ");
         let bold = |entry: &Entry| match entry.best() {
             true => format!("**{}**", plain(entry.text())),
             false => plain(entry.text()),
         };
-        let mut text = format!("## {}\n\n{}\n\n", self.title, self.note);
+        let mut text = format!("## {}\n\n{}\n\n", self.title, self.caption);
         text += &line(self.columns().into_iter().map(plain).collect());
         text += &line(vec!["---".to_owned(); self.header.len()]);
         self.rows.iter().for_each(|row| text += &line(row.iter().map(bold).collect()));
@@ -109,7 +108,7 @@ impl Table {
     }
 
     /// A column with numbers becomes three: mean, spread, seeds; units as in `metrics.json`.
-    pub(super) fn csv(&self) -> String {
+    pub(crate) fn csv(&self) -> String {
         let numeric: Vec<bool> = (0..self.header.len())
             .map(|i| self.rows.iter().any(|row| matches!(row.get(i), Some(Entry::Number { .. }))))
             .collect();
@@ -128,13 +127,13 @@ impl Table {
         text
     }
 
-    pub(super) fn html(&self) -> String {
+    pub(crate) fn html(&self) -> String {
         let mut text = format!(
             "<section id=\"{}\"><h2>{}</h2><p>{}</p><div class=\"scroll\"><table class=\"figures\">\
              <thead>",
             self.slug,
             self.title,
-            escape(&self.note)
+            escape(&self.caption)
         );
         if self.groups.iter().any(|(name, _)| !name.is_empty()) {
             let head = |(name, width): &(String, usize)| {
@@ -178,14 +177,14 @@ fn html_cell(entry: &Entry) -> String {
 }
 
 fn csv_cells(entry: &Entry) -> Vec<String> {
-    let (value, figure) = match entry {
+    let (value, metric) = match entry {
         Entry::Words(words) => return vec![words.clone()],
-        Entry::Number { value, figure, .. } => (value, figure),
+        Entry::Number { value, metric, .. } => (value, metric),
     };
     match value.measured() {
         Some(measured) => vec![
-            (measured.mean * figure.factor).to_string(),
-            measured.spread.map(|s| (s * figure.factor).to_string()).unwrap_or_default(),
+            (measured.mean * metric.factor).to_string(),
+            measured.spread.map(|s| (s * metric.factor).to_string()).unwrap_or_default(),
             measured.seeds.to_string(),
         ],
         None => vec![String::new(), String::new(), entry.text()],
@@ -193,7 +192,7 @@ fn csv_cells(entry: &Entry) -> Vec<String> {
 }
 
 /// A line of comma-separated values, quoted where they must be (RFC 4180).
-pub(super) fn csv_line(cells: &[String]) -> String {
+pub(crate) fn csv_line(cells: &[String]) -> String {
     let quoted = |cell: &String| match cell.contains([',', '"', '\n', '\r']) {
         true => format!("\"{}\"", cell.replace('"', "\"\"")),
         false => cell.clone(),
@@ -203,9 +202,9 @@ pub(super) fn csv_line(cells: &[String]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::figures::{ATE, PSNR};
-    use super::super::summary::Measured;
     use super::*;
+    use crate::metrics::{ATE, PSNR};
+    use crate::summary::Measured;
 
     fn measured(mean: f64, seeds: usize) -> Value {
         let spread = (seeds > 1).then_some(0.001);
@@ -226,9 +225,9 @@ mod tests {
 
     #[test]
     fn the_best_is_the_least_error_or_the_greatest_likeness() {
-        let best = |figure: &'static Figure| {
+        let best = |metric: &'static Metric| {
             let values = [measured(2.0, 3), Value::Failed, measured(1.0, 3)];
-            let mut entries = values.map(|value| Entry::number(value, figure));
+            let mut entries = values.map(|value| Entry::number(value, metric));
             mark_best(entries.iter_mut());
             entries.map(|entry| entry.best())
         };
@@ -245,7 +244,7 @@ mod tests {
         let table = Table {
             slug: "tracking",
             title: "Tracking",
-            note: "ATE.".to_owned(),
+            caption: "ATE.".to_owned(),
             groups: vec![(String::new(), 1), ("TUM".to_owned(), 1)],
             header: vec!["Method".to_owned(), "desk ↓".to_owned()],
             rows: vec![row],

@@ -1,21 +1,21 @@
-//! Means and spreads over seeds; what is missing stays visible.
+//! Means and standard deviations over seeds.
 
-use super::figures::{Figure, Figures};
-use super::plan::Plan;
-use super::queue::Outcome;
+use crate::metrics::{Metric, Metrics};
+use crate::plan::Plan;
+use crate::queue::Outcome;
 
-/// A plan with what came of it, cell by cell.
-pub(super) struct Results<'a> {
-    pub(super) plan: &'a Plan,
-    /// As [`Plan::cells`].
-    pub(super) outcomes: Vec<Outcome>,
-    /// As [`Plan::cells`]; empty for a cell that is not finished.
-    pub(super) figures: Vec<Figures>,
+/// A plan with the outcomes and metrics of its jobs.
+pub(crate) struct Results<'a> {
+    pub(crate) plan: &'a Plan,
+    /// In the order of [`Plan::jobs`].
+    pub(crate) outcomes: Vec<Outcome>,
+    /// In the order of [`Plan::jobs`]; empty for a job that is not finished.
+    pub(crate) metrics: Vec<Metrics>,
 }
 
 /// One number of a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Value {
+pub(crate) enum Value {
     /// Over some of the seeds.
     Measured(Measured),
     /// Nothing to measure it with: no truth.
@@ -28,18 +28,18 @@ pub(super) enum Value {
 
 /// A mean over seeds, in the unit of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Measured {
-    pub(super) mean: f64,
+pub(crate) struct Measured {
+    pub(crate) mean: f64,
     /// Standard deviation of one seed, from two seeds on.
-    pub(super) spread: Option<f64>,
-    /// Seeds that have the figure.
-    pub(super) seeds: usize,
+    pub(crate) spread: Option<f64>,
+    /// Seeds that have the metric.
+    pub(crate) seeds: usize,
     /// Seeds that should have it.
-    pub(super) planned: usize,
+    pub(crate) planned: usize,
 }
 
 impl Value {
-    pub(super) fn measured(&self) -> Option<&Measured> {
+    pub(crate) fn measured(&self) -> Option<&Measured> {
         match self {
             Self::Measured(measured) => Some(measured),
             _ => None,
@@ -48,13 +48,13 @@ impl Value {
 }
 
 impl Results<'_> {
-    /// Whether a cell has figures.
-    pub(super) fn finished(&self, place: usize) -> bool {
+    /// Whether a job has metrics.
+    pub(crate) fn finished(&self, place: usize) -> bool {
         matches!(&self.outcomes[place], Outcome::Ended(record) if record.failure.is_none())
     }
 
-    /// Why a cell has none.
-    pub(super) fn failure(&self, place: usize) -> Option<&str> {
+    /// Why a job has none.
+    pub(crate) fn failure(&self, place: usize) -> Option<&str> {
         match &self.outcomes[place] {
             Outcome::Ended(record) => record.failure.as_deref(),
             Outcome::Unstarted(reason) => Some(reason),
@@ -62,33 +62,32 @@ impl Results<'_> {
         }
     }
 
-    fn places(&self, sequence: usize, setting: usize) -> impl Iterator<Item = usize> + '_ {
-        let cells = self.plan.cells.iter().enumerate();
-        cells
-            .filter(move |(_, cell)| cell.sequence == sequence && cell.setting == setting)
+    fn places(&self, sequence: usize, configuration: usize) -> impl Iterator<Item = usize> + '_ {
+        let jobs = self.plan.jobs.iter().enumerate();
+        jobs.filter(move |(_, job)| job.sequence == sequence && job.configuration == configuration)
             .map(|(place, _)| place)
     }
 
-    fn number(&self, place: usize, figure: &Figure) -> Option<f64> {
-        self.figures[place].get(figure.key).copied()
+    fn number(&self, place: usize, metric: &Metric) -> Option<f64> {
+        self.metrics[place].get(metric.key).copied()
     }
 
     /// One sequence, one configuration.
-    pub(super) fn of(&self, sequence: usize, setting: usize, figure: &Figure) -> Value {
-        let places: Vec<usize> = self.places(sequence, setting).collect();
-        let numbers = places.iter().map(|&place| self.number(place, figure)).collect();
+    pub(crate) fn of(&self, sequence: usize, configuration: usize, metric: &Metric) -> Value {
+        let places: Vec<usize> = self.places(sequence, configuration).collect();
+        let numbers = places.iter().map(|&place| self.number(place, metric)).collect();
         self.value(numbers, &places)
     }
 
-    /// The mean over all sequences that have the figure at all. A seed counts where every one of
+    /// The mean over all sequences that have the metric at all. A seed counts where every one of
     /// them has it, so that no row is better for a sequence that it lost.
-    pub(super) fn over_sequences(&self, setting: usize, figure: &Figure) -> Value {
-        let sequences = self.sequences_with(figure);
+    pub(crate) fn over_sequences(&self, configuration: usize, metric: &Metric) -> Value {
+        let sequences = self.sequences_with(metric);
         let by_sequence: Vec<Vec<usize>> =
-            sequences.iter().map(|&s| self.places(s, setting).collect()).collect();
+            sequences.iter().map(|&s| self.places(s, configuration).collect()).collect();
         let seeds = self.plan.suite.seeds.len();
         let mean = |seed: usize| {
-            let numbers = by_sequence.iter().map(|p| self.number(*p.get(seed)?, figure));
+            let numbers = by_sequence.iter().map(|p| self.number(*p.get(seed)?, metric));
             let numbers: Option<Vec<f64>> = numbers.collect();
             numbers.filter(|n| !n.is_empty()).map(|n| n.iter().sum::<f64>() / n.len() as f64)
         };
@@ -96,12 +95,12 @@ impl Results<'_> {
         self.value((0..seeds).map(mean).collect(), &places)
     }
 
-    /// Sequences for which some cell has the figure.
-    pub(super) fn sequences_with(&self, figure: &Figure) -> Vec<usize> {
+    /// Sequences for which some job has the metric.
+    pub(crate) fn sequences_with(&self, metric: &Metric) -> Vec<usize> {
         let known = |sequence: &usize| {
-            let cells = self.plan.cells.iter().enumerate();
-            let mut own = cells.filter(|(_, cell)| cell.sequence == *sequence);
-            own.any(|(place, _)| self.number(place, figure).is_some())
+            let jobs = self.plan.jobs.iter().enumerate();
+            let mut own = jobs.filter(|(_, job)| job.sequence == *sequence);
+            own.any(|(place, _)| self.number(place, metric).is_some())
         };
         (0..self.plan.sequences.len()).filter(known).collect()
     }
@@ -136,61 +135,48 @@ fn mean_and_spread(values: &[f64]) -> Option<(f64, Option<f64>)> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
-    use super::super::figures::{ATE, PSNR};
-    use super::super::plan::Wanted;
-    use super::super::suite::{Origin, parse};
+pub(crate) mod tests {
     use super::*;
-    use std::path::PathBuf;
+    use crate::job::Record;
+    use crate::metrics::{ATE, PSNR};
 
     /// Two sequences, two configurations, two seeds.
-    pub(in super::super) fn plan() -> Plan {
+    pub(crate) fn plan() -> Plan {
         let text = "title = \"t <1>\"\nseeds = [0, 1]\n\
                     tables = [\"rendering\", \"tracking\", \"ablation\", \"runtime\", \"virtual-cameras\"]\n\
                     [[sequence]]\npath = \"a\"\ngroup = \"G\"\n[[sequence]]\npath = \"b\"\n\
                     [[configuration]]\nname = \"on\"\n\
-                    [[configuration]]\nname = \"off | <x>\"\nflags = [\"--no-blur\"]\n";
-        let suite = parse(text, "t").expect("a suite");
-        let origin =
-            Origin { suite, text: String::new(), name: "t".to_owned(), folder: PathBuf::new() };
-        Plan::new(origin, &Wanted::default()).expect("a plan")
+                    [[configuration]]\nname = \"off | <x>\"\nconfig.formation.blur = false\n";
+        crate::plan::tests::plan(text).expect("a plan")
     }
 
-    /// Cell (sequence, setting, seed) has an ATE of 1 + 10 sequence + 100 setting + seed [m]; the
-    /// cells of `failed` failed.
-    pub(in super::super) fn results<'a>(
-        plan: &'a Plan,
-        failed: &[(usize, usize, u64)],
-    ) -> Results<'a> {
-        let (mut outcomes, mut figures) = (Vec::new(), Vec::new());
-        for cell in &plan.cells {
-            if failed.contains(&(cell.sequence, cell.setting, cell.seed)) {
-                outcomes.push(Outcome::Unstarted("no | room".to_owned()));
-                figures.push(Figures::new());
-                continue;
-            }
-            let ate =
-                1.0 + 10.0 * cell.sequence as f64 + 100.0 * cell.setting as f64 + cell.seed as f64;
-            outcomes.push(Outcome::Ended(record()));
-            let seconds = ("seconds_per_frame".to_owned(), 0.5 + cell.setting as f64);
-            figures.push([(ATE.key.to_owned(), ate), seconds].into());
-        }
-        Results { plan, outcomes, figures }
-    }
-
-    fn record() -> super::super::cell::Record {
-        super::super::cell::Record {
-            arguments: Vec::new(),
-            settings: String::new(),
-            list: None,
-            judgement: None,
+    /// Job (sequence, configuration, seed) has an ATE of 1 + 10 sequence + 100 configuration + seed [m]; the
+    /// jobs of `failed` failed.
+    pub(crate) fn results<'a>(plan: &'a Plan, failed: &[(usize, usize, u64)]) -> Results<'a> {
+        let record = Record {
             build: "1".to_owned(),
             threads: 1,
-            jobs: 1,
+            parallel: 1,
             seconds: 2.0,
-            ran: true,
-            failure: None,
+            reconstructed: true,
+            ..Record::default()
+        };
+        let (mut outcomes, mut metrics) = (Vec::new(), Vec::new());
+        for job in &plan.jobs {
+            if failed.contains(&(job.sequence, job.configuration, job.seed)) {
+                outcomes.push(Outcome::Unstarted("no | room".to_owned()));
+                metrics.push(Metrics::new());
+                continue;
+            }
+            let ate = 1.0
+                + 10.0 * job.sequence as f64
+                + 100.0 * job.configuration as f64
+                + job.seed as f64;
+            outcomes.push(Outcome::Ended(record.clone()));
+            let seconds = ("seconds_per_frame".to_owned(), 0.5 + job.configuration as f64);
+            metrics.push([(ATE.key.to_owned(), ate), seconds].into());
         }
+        Results { plan, outcomes, metrics }
     }
 
     #[test]
@@ -206,7 +192,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_lost_cell_makes_no_mean_better() {
+    fn a_lost_job_makes_no_mean_better() {
         let plan = plan();
         let some = results(&plan, &[(1, 0, 0)]);
         let due = Measured { mean: 7.0, spread: None, seeds: 1, planned: 2 };

@@ -1,6 +1,6 @@
-//! This program as a child: its words in a log, its end as a message.
+//! A call of the program `i2slam` as a child process, with its output in a log.
 
-use crate::interrupt;
+use crate::console::interrupted;
 use std::ffi::OsString;
 use std::fs::File;
 use std::io;
@@ -8,27 +8,27 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// Time between two looks at a child.
-const PAUSE: Duration = Duration::from_millis(20);
+/// Interval at which a child is polled.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// A call of this program.
-pub(super) struct Call<'a> {
-    pub(super) program: &'a Path,
-    pub(super) arguments: Vec<OsString>,
-    pub(super) threads: usize,
-    /// Where standard error goes.
-    pub(super) log: &'a Path,
-    /// Where standard output goes; to the log if there is none.
-    pub(super) output: Option<&'a Path>,
-    pub(super) timeout: Option<Duration>,
+/// A call of `i2slam`.
+pub(crate) struct Call<'a> {
+    pub(crate) program: &'a Path,
+    pub(crate) arguments: Vec<OsString>,
+    pub(crate) threads: usize,
+    /// File for standard error.
+    pub(crate) log: &'a Path,
+    /// File for standard output [default: the log].
+    pub(crate) output: Option<&'a Path>,
+    pub(crate) timeout: Option<Duration>,
 }
 
-/// How a call ended other than well.
+/// Why a call did not succeed.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Stopped {
-    /// In one line, why.
+pub(crate) enum Stopped {
+    /// It failed for this reason, in one line.
     Failed(String),
-    /// The user wants to end.
+    /// The user ended the benchmark.
     Interrupted,
 }
 
@@ -39,8 +39,8 @@ impl From<io::Error> for Stopped {
 }
 
 impl Call<'_> {
-    /// Waits for the end; `started` is told the process.
-    pub(super) fn run(&self, started: impl FnOnce(u32)) -> Result<(), Stopped> {
+    /// Runs the program to its end; `started` gets the process id.
+    pub(crate) fn run(&self, started: impl FnOnce(u32)) -> Result<(), Stopped> {
         let log = File::create(self.log)?;
         let output = match self.output {
             Some(path) => File::create(path)?,
@@ -55,7 +55,7 @@ impl Call<'_> {
             .spawn()?;
         started(child.id());
         let status = self.wait(&mut child)?;
-        if interrupt::requested() && !status.success() {
+        if interrupted() && !status.success() {
             return Err(Stopped::Interrupted);
         }
         if status.success() { Ok(()) } else { Err(Stopped::Failed(self.reason(status))) }
@@ -68,7 +68,7 @@ impl Call<'_> {
                 return Ok(status);
             }
             let late = self.timeout.filter(|limit| begun.elapsed() > *limit);
-            if interrupt::requested() || late.is_some() {
+            if interrupted() || late.is_some() {
                 child.kill().ok();
                 child.wait()?;
                 return Err(match late {
@@ -78,25 +78,25 @@ impl Call<'_> {
                     None => Stopped::Interrupted,
                 });
             }
-            std::thread::sleep(PAUSE);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 
-    /// The child's own last error, else how it ended.
+    /// The child's last error message, else its exit status and last line.
     fn reason(&self, status: ExitStatus) -> String {
         let log = std::fs::read(self.log).unwrap_or_default();
         let log = String::from_utf8_lossy(&log);
         let error = log.lines().rev().find_map(|line| line.strip_prefix("error: "));
         match (error, log.lines().rev().find(|line| !line.trim().is_empty())) {
             (Some(error), _) => error.to_owned(),
-            (None, Some(last)) => format!("{}: {last}", ended(status)),
-            (None, None) => ended(status),
+            (None, Some(last)) => format!("{}: {last}", describe(status)),
+            (None, None) => describe(status),
         }
     }
 }
 
 #[cfg(unix)]
-fn ended(status: ExitStatus) -> String {
+fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
         Some(9) => "killed by signal 9 (out of memory?)".to_owned(),
@@ -106,7 +106,7 @@ fn ended(status: ExitStatus) -> String {
 }
 
 #[cfg(not(unix))]
-fn ended(status: ExitStatus) -> String {
+fn describe(status: ExitStatus) -> String {
     format!("ended with {status}")
 }
 

@@ -1,35 +1,35 @@
-//! `results.md`, `results.html` and the CSV files.
+//! The results: `results.md`, `results.html` and CSV files.
 
-use super::layouts;
-use super::notes;
-use super::plots;
-use super::queue::Outcome;
-use super::summary::Results;
-use super::table::{Table, csv_line};
-use crate::failure::Failure;
-use crate::output::counted;
+use crate::console::{Failure, counted};
+use crate::metrics::{ATE, Metric, PSNR, SECONDS};
+use crate::plot::{Plot, Point, Series};
+use crate::queue::Outcome;
+use crate::suite::TableKind;
+use crate::summary::Results;
+use crate::table::{Table, csv_line};
+use crate::tables;
 use i2slam_result::ResultFolder;
 use i2slam_result::report::{STYLE, escape};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-const OWN_STYLE: &str = include_str!("page.css");
+const OWN_STYLE: &str = include_str!("report.css");
 
 /// Writes everything that a reader wants, each file complete or not at all.
-pub(super) fn write(results: &Results<'_>, out: &Path) -> Result<(), Failure> {
+pub(crate) fn write(results: &Results<'_>, out: &Path) -> Result<(), Failure> {
     let folder = ResultFolder::create(out)?;
-    let tables = layouts::tables(results);
+    let tables = tables::tables(results);
     for table in &tables {
         folder.write_text(&format!("tables/{}.csv", table.slug), &table.csv())?;
     }
-    folder.write_text("cells.csv", &cells(results))?;
+    folder.write_text("jobs.csv", &job_table(results))?;
     folder.write_text("results.md", &markdown(results, &tables))?;
     folder.write_text("results.html", &html(results, &tables))?;
     Ok(())
 }
 
-/// How many cells finished, failed, and did not run.
-pub(super) fn counts(results: &Results<'_>) -> [usize; 3] {
+/// How many jobs finished, failed, and did not run.
+pub(crate) fn counts(results: &Results<'_>) -> [usize; 3] {
     let all = 0..results.outcomes.len();
     let finished = all.clone().filter(|&place| results.finished(place)).count();
     let failed = all.filter(|&place| results.failure(place).is_some()).count();
@@ -37,9 +37,9 @@ pub(super) fn counts(results: &Results<'_>) -> [usize; 3] {
 }
 
 /// The same in words.
-pub(super) fn state(results: &Results<'_>) -> String {
+pub(crate) fn state(results: &Results<'_>) -> String {
     let [finished, failed, left] = counts(results);
-    let mut text = format!("{finished} of {} finished", counted(results.outcomes.len(), "cell"));
+    let mut text = format!("{finished} of {} finished", counted(results.outcomes.len(), "job"));
     if failed > 0 {
         text += &format!(", {failed} failed");
     }
@@ -65,7 +65,7 @@ fn remarks(results: &Results<'_>) -> Vec<String> {
         [] => {}
         [build] => remarks.push(format!("Program: i2slam {build}.")),
         builds => remarks.push(format!(
-            "Cells are of different builds of the program ({}); --fresh runs all of them again.",
+            "Jobs are of different builds of the program ({}); --fresh runs all of them again.",
             builds.join(", ")
         )),
     }
@@ -78,10 +78,10 @@ fn remarks(results: &Results<'_>) -> Vec<String> {
         })
         .sum();
     remarks.push(match seconds < 120.0 {
-        true => format!("All cells together took {seconds:.0} seconds."),
-        false => format!("All cells together took {:.0} minutes.", seconds / 60.0),
+        true => format!("All jobs together took {seconds:.0} seconds."),
+        false => format!("All jobs together took {:.0} minutes.", seconds / 60.0),
     });
-    remarks.push(notes::machine(results));
+    remarks.push(tables::machine(results));
     remarks.retain(|remark| !remark.is_empty());
     remarks
 }
@@ -104,13 +104,13 @@ fn markdown(results: &Results<'_>, tables: &[Table]) -> String {
 
 /// Every configuration with what makes it.
 fn configurations(results: &Results<'_>) -> Vec<(String, String)> {
-    let words = |setting: &super::plan::Setting| {
-        let mut parts = vec![format!("preset {}", setting.entry.preset)];
-        parts.extend(setting.entry.flags.iter().cloned());
-        dotted("", &setting.entry.config, &mut parts);
-        (setting.entry.name.clone(), parts.join(", "))
+    let words = |configuration: &crate::plan::Configuration| {
+        let mut parts = vec![format!("preset {}", configuration.entry.preset())];
+        parts.extend(configuration.entry.rgb.then(|| "colour alone".to_owned()));
+        dotted("", &configuration.entry.config, &mut parts);
+        (configuration.entry.name.clone(), parts.join(", "))
     };
-    results.plan.settings.iter().map(words).collect()
+    results.plan.configurations.iter().map(words).collect()
 }
 
 /// `section.key = value` for every value.
@@ -123,13 +123,13 @@ fn dotted(section: &str, table: &toml::Table, parts: &mut Vec<String>) {
     }
 }
 
-/// One line for every cell, with all its figures, units as in `metrics.json`.
-fn cells(results: &Results<'_>) -> String {
-    let keys: BTreeSet<&String> = results.figures.iter().flat_map(|f| f.keys()).collect();
-    let own = ["sequence", "configuration", "cell_seed", "state", "reason", "cell_seconds"];
+/// One line for every job, with all its metrics, units as in `metrics.json`.
+fn job_table(results: &Results<'_>) -> String {
+    let keys: BTreeSet<&String> = results.metrics.iter().flat_map(|f| f.keys()).collect();
+    let own = ["sequence", "configuration", "job_seed", "state", "reason", "job_seconds"];
     let own = own.iter().map(|&name| name.to_owned());
     let mut text = csv_line(&own.chain(keys.iter().map(|&key| key.clone())).collect::<Vec<_>>());
-    for (place, cell) in results.plan.cells.iter().enumerate() {
+    for (place, job) in results.plan.jobs.iter().enumerate() {
         let seconds = match &results.outcomes[place] {
             Outcome::Ended(record) => format!("{:.2}", record.seconds),
             _ => String::new(),
@@ -140,16 +140,16 @@ fn cells(results: &Results<'_>) -> String {
             (false, None) => "not run",
         };
         let mut line = vec![
-            results.plan.sequences[cell.sequence].name.clone(),
-            results.plan.settings[cell.setting].entry.name.clone(),
-            cell.seed.to_string(),
+            results.plan.sequences[job.sequence].name.clone(),
+            results.plan.configurations[job.configuration].entry.name.clone(),
+            job.seed.to_string(),
             state.to_owned(),
             results.failure(place).unwrap_or_default().to_owned(),
             seconds,
         ];
-        let figures = &results.figures[place];
+        let metrics = &results.metrics[place];
         line.extend(
-            keys.iter().map(|&key| figures.get(key).map(f64::to_string).unwrap_or_default()),
+            keys.iter().map(|&key| metrics.get(key).map(f64::to_string).unwrap_or_default()),
         );
         text += &csv_line(&line);
     }
@@ -160,7 +160,7 @@ fn html(results: &Results<'_>, tables: &[Table]) -> String {
     let suite = &results.plan.suite;
     let title = escape(&suite.title);
     let tables: String = tables.iter().map(Table::html).collect();
-    let plots: String = plots::plots(results).iter().map(super::plot::Plot::html).collect();
+    let plots: String = plots(results).iter().map(crate::plot::Plot::html).collect();
     let plots = match plots.is_empty() {
         true => String::new(),
         false => format!(
@@ -184,24 +184,94 @@ fn html(results: &Results<'_>, tables: &[Table]) -> String {
          <section id=\"configurations\"><h2>Configurations</h2><p>What makes each row.</p>\
          <div class=\"scroll\"><table class=\"words\">{configurations}</table></div></section>\n\
          <section id=\"remarks\"><h2>Remarks</h2><ul>{remarks}</ul></section>\n</main>\n\
-         <footer>{} · every figure of every cell is in cells.csv</footer>\n</body>\n</html>\n",
+         <footer>{} · every metric of every job is in jobs.csv</footer>\n</body>\n</html>\n",
         escape(&suite.about),
         escape(&state(results)),
         escape(concat!("i2slam ", env!("CARGO_PKG_VERSION"))),
     )
 }
 
+/// All plots that the suite has metrics for.
+fn plots(results: &Results<'_>) -> Vec<Plot> {
+    let mut plots = Vec::new();
+    let (over_cameras, over_time) = ("over the number of virtual cameras", "over time per frame");
+    if results.plan.suite.tables.contains(&TableKind::VirtualCameras) {
+        let cameras = |place: usize| {
+            Some(results.plan.configurations[place].config.formation.virtual_cameras as f64)
+        };
+        for metric in [&PSNR, &ATE] {
+            plots.push(plot(results, metric, (over_cameras, "virtual cameras", false), cameras));
+        }
+    }
+    let seconds =
+        |place: usize| results.over_sequences(place, &SECONDS).measured().map(|value| value.mean);
+    for metric in [&ATE, &PSNR] {
+        plots.push(plot(results, metric, (over_time, "seconds per frame [s]", true), seconds));
+    }
+    plots
+}
+
+/// A metric over what `x` says of each configuration.
+fn plot(
+    results: &Results<'_>,
+    metric: &'static Metric,
+    (over, x_label, may_be_logarithmic): (&str, &str, bool),
+    x: impl Fn(usize) -> Option<f64>,
+) -> Plot {
+    let mut series: Vec<Series> = Vec::new();
+    for (place, configuration) in results.plan.configurations.iter().enumerate() {
+        let value = results.over_sequences(place, metric);
+        let (Some(x), Some(value)) = (x(place), value.measured()) else { continue };
+        let point = Point {
+            name: configuration.entry.name.clone(),
+            x,
+            y: value.mean * metric.factor,
+            spread: value.spread.unwrap_or(0.0) * metric.factor,
+        };
+        let name = configuration.entry.series.as_ref().unwrap_or(&configuration.entry.name);
+        match series.iter_mut().find(|series| series.name == *name) {
+            Some(series) => series.points.push(point),
+            None => series.push(Series { name: name.clone(), points: vec![point] }),
+        }
+    }
+    for series in &mut series {
+        series.points.sort_by(|a, b| a.x.total_cmp(&b.x));
+    }
+    let better = if metric.lower { "Lower is better" } else { "Higher is better" };
+    let means = match results.sequences_with(metric).len() {
+        0 | 1 => String::new(),
+        count => format!(", mean over {count} sequences"),
+    };
+    let bars = if results.plan.suite.seeds.len() > 1 {
+        "; bars are the standard deviation over seeds"
+    } else {
+        ""
+    };
+    Plot {
+        title: format!("{} {over}", metric.label),
+        explanation: format!("{better}{means}{bars}."),
+        x_label: x_label.to_owned(),
+        y_label: match metric.unit {
+            "" => metric.label.to_owned(),
+            unit => format!("{} [{unit}]", metric.label),
+        },
+        from_zero: metric.lower,
+        may_be_logarithmic,
+        series,
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::summary::tests::{plan, results};
     use super::*;
+    use crate::summary::tests::{plan, results};
 
     #[test]
-    fn failed_cells_are_counted_and_named() {
+    fn failed_jobs_are_counted_and_named() {
         let plan = plan();
         let results = results(&plan, &[(1, 0, 0)]);
-        assert_eq!(state(&results), "7 of 8 cells finished, 1 failed");
-        let csv = cells(&results);
+        assert_eq!(state(&results), "7 of 8 jobs finished, 1 failed");
+        let csv = job_table(&results);
         assert_eq!(csv.lines().count(), 9);
         assert!(csv.contains("b,on,0,failed,no | room,,,"), "{csv}");
     }
@@ -210,11 +280,23 @@ mod tests {
     fn the_page_needs_nothing_else_and_escapes_names() {
         let plan = plan();
         let results = results(&plan, &[(1, 0, 0)]);
-        let page = html(&results, &layouts::tables(&results));
+        let page = html(&results, &tables::tables(&results));
         assert!(page.contains("off | &lt;x&gt;") && page.contains("t &lt;1&gt;"));
         assert!(page.contains("<svg viewBox") && page.contains("no | room"));
         for outside in ["src=", "href=", "@import", "url("] {
             assert!(!page.contains(outside), "{outside}");
         }
+    }
+
+    #[test]
+    fn a_configuration_that_failed_has_no_point() {
+        let plan = plan();
+        let plots = plots(&results(&plan, &[(1, 0, 0), (1, 0, 1)]));
+        assert_eq!(plots.len(), 4);
+        let over_time = &plots[2];
+        assert_eq!(over_time.series.len(), 1);
+        let point = &over_time.series[0].points[0];
+        assert_eq!((point.x, point.y), (1.5, 10650.0));
+        assert_eq!(plots[3].html(), "", "no PSNR was measured");
     }
 }

@@ -1,51 +1,51 @@
-//! Figures of cells, and how they are shown.
+//! Metrics of jobs: keys, units, and format.
 
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Figures by their key in `metrics.json` and `eval --json`.
-pub(super) type Figures = BTreeMap<String, f64>;
+/// Metrics by their key in `metrics.json` and `eval --json`.
+pub(crate) type Metrics = BTreeMap<String, f64>;
 
-/// A figure of the tables.
+/// A metric of the tables.
 #[derive(Debug, PartialEq)]
-pub(super) struct Figure {
-    pub(super) key: &'static str,
-    pub(super) label: &'static str,
-    pub(super) unit: &'static str,
+pub(crate) struct Metric {
+    pub(crate) key: &'static str,
+    pub(crate) label: &'static str,
+    pub(crate) unit: &'static str,
     /// From the unit of the file to the one shown.
-    pub(super) factor: f64,
-    pub(super) decimals: usize,
+    pub(crate) factor: f64,
+    pub(crate) decimals: usize,
     /// Whether less is better.
-    pub(super) lower: bool,
+    pub(crate) lower: bool,
 }
 
-const fn figure(
+const fn metric(
     key: &'static str,
     label: &'static str,
     (unit, factor): (&'static str, f64),
     decimals: usize,
     lower: bool,
-) -> Figure {
-    Figure { key, label, unit, factor, decimals, lower }
+) -> Metric {
+    Metric { key, label, unit, factor, decimals, lower }
 }
 
-pub(super) const ATE: Figure = figure("ate_rmse_m", "ATE", ("cm", 100.0), 2, true);
-pub(super) const PSNR: Figure = figure("psnr_sharp_db", "PSNR", ("dB", 1.0), 2, false);
-pub(super) const SSIM: Figure = figure("ssim_sharp", "SSIM", ("", 1.0), 3, false);
-pub(super) const LPIPS: Figure = figure("lpips_sharp", "LPIPS", ("", 1.0), 3, true);
-pub(super) const DEPTH: Figure = figure("depth_l1_m", "Depth L1", ("cm", 100.0), 2, true);
-pub(super) const MAPPING: Figure =
-    figure("mapping_seconds_per_frame", "Mapping/frame", ("s", 1.0), 3, true);
-pub(super) const TRACKING: Figure =
-    figure("tracking_seconds_per_frame", "Tracking/frame", ("s", 1.0), 3, true);
-pub(super) const SECONDS: Figure =
-    figure("seconds_per_frame", "Whole run/frame", ("s", 1.0), 3, true);
-pub(super) const MEMORY: Figure = figure("peak_memory_bytes", "Peak memory", ("MB", 1e-6), 0, true);
+pub(crate) const ATE: Metric = metric("ate_rmse_m", "ATE", ("cm", 100.0), 2, true);
+pub(crate) const PSNR: Metric = metric("psnr_sharp_db", "PSNR", ("dB", 1.0), 2, false);
+pub(crate) const SSIM: Metric = metric("ssim_sharp", "SSIM", ("", 1.0), 3, false);
+pub(crate) const LPIPS: Metric = metric("lpips_sharp", "LPIPS", ("", 1.0), 3, true);
+pub(crate) const DEPTH: Metric = metric("depth_l1_m", "Depth L1", ("cm", 100.0), 2, true);
+pub(crate) const MAPPING: Metric =
+    metric("mapping_seconds_per_frame", "Mapping/frame", ("s", 1.0), 3, true);
+pub(crate) const TRACKING: Metric =
+    metric("tracking_seconds_per_frame", "Tracking/frame", ("s", 1.0), 3, true);
+pub(crate) const SECONDS: Metric =
+    metric("seconds_per_frame", "Whole run/frame", ("s", 1.0), 3, true);
+pub(crate) const MEMORY: Metric = metric("peak_memory_bytes", "Peak memory", ("MB", 1e-6), 0, true);
 
-impl Figure {
+impl Metric {
     /// `ATE [cm] ↓`.
-    pub(super) fn heading(&self) -> String {
+    pub(crate) fn heading(&self) -> String {
         let arrow = if self.lower { '↓' } else { '↑' };
         match self.unit {
             "" => format!("{} {arrow}", self.label),
@@ -54,23 +54,23 @@ impl Figure {
     }
 
     /// A value in the unit shown; lengths below one unit get a digit more.
-    pub(super) fn text(&self, value: f64) -> String {
+    pub(crate) fn text(&self, value: f64) -> String {
         format!("{:.*}", self.digits(value), value * self.factor)
     }
 
     /// Decimals that a value is shown with.
-    pub(super) fn digits(&self, value: f64) -> usize {
+    pub(crate) fn digits(&self, value: f64) -> usize {
         let small = self.unit == "cm" && (value * self.factor).abs() < 0.995;
         self.decimals + usize::from(small)
     }
 }
 
-/// What a list of frames decides: never the same figure over other frames.
+/// What a list of frames decides: never the same metric over other frames.
 const OF_PICTURES: [&str; 6] =
     ["psnr_sharp_db", "ssim_sharp", "lpips_sharp", "ms_ssim_sharp", "depth_l1_m", "sharp_frames"];
 
 /// All numbers of a flat JSON file.
-pub(super) fn read(file: &Path) -> Option<Figures> {
+pub(crate) fn read(file: &Path) -> Option<Metrics> {
     let text = std::fs::read_to_string(file).ok()?;
     let Ok(Value::Object(object)) = serde_json::from_str(&text) else { return None };
     let number = |(key, value): (String, Value)| {
@@ -79,17 +79,17 @@ pub(super) fn read(file: &Path) -> Option<Figures> {
     Some(object.into_iter().filter_map(number).collect())
 }
 
-/// The figures of a finished cell: those of its `metrics.json`, and from `eval.json` what that
-/// does not have. With a list of frames, figures of pictures come from `eval.json` alone.
-pub(super) fn of_cell(folder: &Path, listed: bool) -> Option<Figures> {
-    let mut figures = read(&folder.join("result/metrics.json"))?;
+/// The metrics of a finished job: those of its `metrics.json`, and from `eval.json` what that
+/// does not have. With a list of frames, metrics of pictures come from `eval.json` alone.
+pub(crate) fn of_job(folder: &Path, listed: bool) -> Option<Metrics> {
+    let mut metrics = read(&folder.join("result/metrics.json"))?;
     if listed {
-        figures.retain(|key, _| !OF_PICTURES.contains(&key.as_str()));
+        metrics.retain(|key, _| !OF_PICTURES.contains(&key.as_str()));
     }
     for (key, value) in read(&folder.join("eval.json")).unwrap_or_default() {
-        figures.entry(key).or_insert(value);
+        metrics.entry(key).or_insert(value);
     }
-    Some(figures)
+    Some(metrics)
 }
 
 #[cfg(test)]
@@ -107,19 +107,19 @@ mod tests {
 
     #[test]
     fn a_list_decides_which_pictures_count() {
-        let folder = std::env::temp_dir().join(format!("i2slam-figures-{}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!("i2slam-metrics-{}", std::process::id()));
         std::fs::create_dir_all(folder.join("result")).expect("a folder");
         let metrics = r#"{"preset": "x", "psnr_sharp_db": 30, "ate_rmse_m": 0.1, "seed": null}"#;
         std::fs::write(folder.join("result/metrics.json"), metrics).expect("room");
         let judged =
             r#"{"psnr_sharp_db": 20, "lpips_sharp": 0.2, "ate_rmse_m": 0.3, "frames": []}"#;
         std::fs::write(folder.join("eval.json"), judged).expect("room");
-        let all = of_cell(&folder, false).expect("figures");
+        let all = of_job(&folder, false).expect("metrics");
         assert_eq!((all["psnr_sharp_db"], all["lpips_sharp"], all["ate_rmse_m"]), (30.0, 0.2, 0.1));
         assert_eq!(all.len(), 3);
-        let listed = of_cell(&folder, true).expect("figures");
+        let listed = of_job(&folder, true).expect("metrics");
         assert_eq!((listed["psnr_sharp_db"], listed["ate_rmse_m"]), (20.0, 0.1));
         std::fs::remove_dir_all(&folder).ok();
-        assert_eq!(of_cell(&folder, false), None);
+        assert_eq!(of_job(&folder, false), None);
     }
 }

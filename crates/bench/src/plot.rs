@@ -17,31 +17,31 @@ const RADIUS: f64 = 4.5;
 const COLOURS: [&str; 8] = ["c1", "c2", "c3", "c4", "red", "green", "blue", "grey"];
 
 /// One configuration.
-pub(super) struct Point {
-    pub(super) name: String,
-    pub(super) x: f64,
-    pub(super) y: f64,
+pub(crate) struct Point {
+    pub(crate) name: String,
+    pub(crate) x: f64,
+    pub(crate) y: f64,
     /// Half the length of the error bar.
-    pub(super) spread: f64,
+    pub(crate) spread: f64,
 }
 
 /// Points joined by a line.
-pub(super) struct Series {
-    pub(super) name: String,
-    pub(super) points: Vec<Point>,
+pub(crate) struct Series {
+    pub(crate) name: String,
+    pub(crate) points: Vec<Point>,
 }
 
 /// A plot of one figure over another.
-pub(super) struct Plot {
-    pub(super) title: String,
-    pub(super) explanation: String,
-    pub(super) x_label: String,
-    pub(super) y_label: String,
+pub(crate) struct Plot {
+    pub(crate) title: String,
+    pub(crate) explanation: String,
+    pub(crate) x_label: String,
+    pub(crate) y_label: String,
     /// Whether the vertical axis begins at zero.
-    pub(super) from_zero: bool,
+    pub(crate) from_zero: bool,
     /// Whether the horizontal axis may be logarithmic.
-    pub(super) may_be_logarithmic: bool,
-    pub(super) series: Vec<Series>,
+    pub(crate) may_be_logarithmic: bool,
+    pub(crate) series: Vec<Series>,
 }
 
 /// A range with ticks, linear or logarithmic.
@@ -98,7 +98,7 @@ impl Frame {
 
 impl Plot {
     /// The plot as an HTML figure; nothing where there is no point.
-    pub(super) fn html(&self) -> String {
+    pub(crate) fn html(&self) -> String {
         let mut out = String::new();
         if self.series.iter().any(|series| !series.points.is_empty()) {
             // Writing to a string cannot fail.

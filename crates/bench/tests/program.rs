@@ -1,10 +1,12 @@
-//! `i2slam bench`: cells, interruptions, failures, tables.
+//! The program from outside: jobs, interruptions, failures, tables.
 
-use crate::scene::Scene;
-use crate::tools::{Ran, Scratch, run};
+use i2slam_check::TemporaryFolder;
+use i2slam_synthetic::{Spec, synthesise};
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::Once;
 use std::time::SystemTime;
 
 const QUICK: &str =
@@ -16,26 +18,81 @@ fn suite(more: &str) -> String {
         "title = \"Tiny\"\nseeds = [3]\ntables = [\"ablation\", \"tracking\", \"rendering\"]\n\n\
          [[sequence]]\npath = \"room\"\n{more}\n\
          [[configuration]]\nname = \"on\"\n{QUICK}\n\n\
-         [[configuration]]\nname = \"off\"\nflags = [\"--no-blur\"]\n{QUICK}\n"
+         [[configuration]]\nname = \"off\"\nconfig.formation.blur = false\n{QUICK}\n"
     )
 }
 
 /// A data folder with one sequence whose sharp pictures are known, and a suite beside it.
-fn prepared(name: &str, suite: &str) -> (Scratch, PathBuf, PathBuf) {
-    let scratch = Scratch::new(name);
-    let room = scratch.join("room");
-    Scene { frames: 4, ..Scene::default() }.write(&room);
-    fs::create_dir(room.join("sharp")).expect("a folder");
-    for entry in fs::read_dir(room.join("rgb")).expect("pictures").flatten() {
-        fs::copy(entry.path(), room.join("sharp").join(entry.file_name())).expect("room");
-    }
-    let (file, out) = (scratch.join("suite.toml"), scratch.join("out"));
+fn prepared(name: &str, suite: &str) -> (TemporaryFolder, PathBuf, PathBuf) {
+    let folder = TemporaryFolder::new(name);
+    let mut spec = Spec { seed: 5, ..Spec::default() };
+    (spec.camera.frames, spec.camera.width, spec.camera.height) = (4, 48, 36);
+    (spec.camera.sub_frames, spec.camera.sharp_samples) = (4, 2);
+    spec.light.texel = 0.12;
+    synthesise(&spec, &folder.0.join("room"), &mut |_| true).expect("a sequence");
+    let (file, out) = (folder.0.join("suite.toml"), folder.0.join("out"));
     fs::write(&file, suite).expect("room");
-    (scratch, file, out)
+    (folder, file, out)
+}
+
+/// `i2slam-bench` with arguments. The program `i2slam` is built beside it, where it is looked for.
+fn program<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Command {
+    static BUILT: Once = Once::new();
+    let own = Path::new(env!("CARGO_BIN_EXE_i2slam-bench"));
+    BUILT.call_once(|| {
+        let mut build = Command::new(env!("CARGO"));
+        build.args(["build", "--quiet", "--package", "i2slam-cli", "--target-dir"]);
+        let folder = own.parent().expect("target/PROFILE");
+        build.arg(folder.parent().expect("target"));
+        if folder.ends_with("release") {
+            build.arg("--release");
+        }
+        assert!(build.status().expect("cargo").success());
+    });
+    let mut command = Command::new(own);
+    command.args(arguments);
+    command
+}
+
+/// Exit code and output of a finished program.
+struct Ran {
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+impl From<Output> for Ran {
+    fn from(output: Output) -> Self {
+        Self {
+            code: output.status.code(),
+            out: String::from_utf8_lossy(&output.stdout).into_owned(),
+            err: String::from_utf8_lossy(&output.stderr).into_owned(),
+        }
+    }
+}
+
+impl Ran {
+    #[track_caller]
+    fn ended_with(self, code: i32) -> Self {
+        let Self { out, err, .. } = &self;
+        assert_eq!(self.code, Some(code), "standard output:\n{out}\nstandard error:\n{err}");
+        assert!(!err.contains("panicked"), "{err}");
+        self
+    }
+
+    #[track_caller]
+    fn warning(self, text: &str) -> Self {
+        assert!(self.err.contains(text), "`{text}` is not in:\n{}", self.err);
+        self
+    }
+}
+
+fn run<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ran {
+    program(arguments).output().expect("the program starts").into()
 }
 
 fn bench(suite: &Path, out: &Path, more: &[&str]) -> Ran {
-    let head: [&OsStr; 4] = ["bench".as_ref(), suite.as_ref(), "--out".as_ref(), out.as_ref()];
+    let head: [&OsStr; 3] = [suite.as_ref(), "--out".as_ref(), out.as_ref()];
     run(head.into_iter().chain(more.iter().map(OsStr::new)))
 }
 
@@ -48,16 +105,16 @@ fn read(file: &Path) -> String {
 }
 
 #[test]
-fn two_cells_run_side_by_side_and_make_tables() {
-    let (_scratch, suite, out) = prepared("bench", &suite(""));
+fn two_jobs_run_side_by_side_and_make_tables() {
+    let (_folder, suite, out) = prepared("bench", &suite(""));
     let ran = bench(&suite, &out, &["--jobs", "2", "--threads", "2"]).ended_with(0);
-    assert_eq!(ran.out.lines().next(), Some("2 of 2 cells finished"), "{}", ran.out);
+    assert_eq!(ran.out.lines().next(), Some("2 of 2 jobs finished"), "{}", ran.out);
     assert_eq!(ran.out.lines().last(), out.join("results.html").to_str());
     let text = read(&out.join("results.md"));
     assert!(text.contains("| on | ✓ | ✓ | ✓ |") && text.contains("| off | ✓ | ✓ | ✗ |"), "{text}");
-    assert!(text.contains("1 thread a cell, 2 cells at once"), "{text}");
+    assert!(text.contains("1 thread a job, 2 jobs at once"), "{text}");
     assert!(!text.contains("failed") && !text.contains("not run"), "{text}");
-    let csv = read(&out.join("cells.csv"));
+    let csv = read(&out.join("jobs.csv"));
     let header = csv.lines().next().expect("a header");
     for key in ["ate_rmse_m", "psnr_sharp_db", "lpips_sharp", "seconds_per_frame"] {
         assert!(header.split(',').any(|name| name == key), "{key} is not in {header}");
@@ -65,54 +122,54 @@ fn two_cells_run_side_by_side_and_make_tables() {
     assert_eq!(csv.lines().count(), 3);
     assert!(read(&out.join("results.html")).contains("ATE over time per frame"));
     assert!(read(&out.join("tables/tracking.csv")).starts_with("Method,room mean,room sd"));
-    let cell = out.join("cells/room/on/seed-3");
-    assert!(cell.join("result/report.html").is_file());
-    assert!(!cell.join("result/renders/sharp/000000.png").exists(), "pictures need much room");
+    let job = out.join("jobs/room/on/seed-3");
+    assert!(job.join("result/report.html").is_file());
+    assert!(!job.join("result/renders/sharp/000000.png").exists(), "pictures need much room");
 }
 
 #[test]
 fn what_is_finished_is_not_run_again() {
-    let (_scratch, suite, out) = prepared("bench-resume", &suite(""));
+    let (_folder, suite, out) = prepared("bench-resume", &suite(""));
     bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
-    let (on, off) = (out.join("cells/room/on/seed-3"), out.join("cells/room/off/seed-3"));
+    let (on, off) = (out.join("jobs/room/on/seed-3"), out.join("jobs/room/off/seed-3"));
     let before = written(&on.join("result/metrics.json"));
-    // What an interrupted cell leaves: a folder without an end.
+    // What an interrupted job leaves: a folder without an end.
     fs::create_dir_all(off.join("result")).expect("a folder");
     fs::write(off.join("result/trajectory.txt"), "half a line").expect("room");
     let dry = bench(&suite, &out, &["--dry-run"]).ended_with(0).out;
     assert!(dry.contains("finished  room, on, seed 3"), "{dry}");
     assert!(dry.contains("to do     room, off, seed 3"), "{dry}");
     let ran = bench(&suite, &out, &[]).ended_with(0);
-    assert!(ran.err.contains("1 cell is finished already"), "{}", ran.err);
+    assert!(ran.err.contains("1 job is finished already"), "{}", ran.err);
     assert_eq!(written(&on.join("result/metrics.json")), before);
     assert!(off.join("result/metrics.json").is_file());
-    // Another value makes other work of the cell.
+    // Another value makes other work of the job.
     fs::write(&suite, read(&suite).replace("final_iterations = 1", "final_iterations = 2"))
         .expect("room");
     let dry = bench(&suite, &out, &["--dry-run"]).ended_with(0).out;
-    assert!(dry.contains("2 of 2 cells to run"), "{dry}");
+    assert!(dry.contains("2 of 2 jobs to run"), "{dry}");
 }
 
 #[test]
-fn a_cell_that_fails_is_in_the_tables() {
+fn a_job_that_fails_is_in_the_tables() {
     let missing = "\n[[sequence]]\npath = \"nowhere\"\n";
-    let (_scratch, suite, out) = prepared("bench-fail", &suite(missing));
+    let (_folder, suite, out) = prepared("bench-fail", &suite(missing));
     let ran = bench(&suite, &out, &["--configurations", "on"]).ended_with(1);
-    ran.complaining("nowhere, on, seed 3: failed").complaining("one cell failed");
+    ran.warning("nowhere, on, seed 3: failed").warning("one job failed");
     let text = read(&out.join("results.md"));
-    assert!(text.contains("1 of 2 cells finished, 1 failed"), "{text}");
+    assert!(text.contains("1 of 2 jobs finished, 1 failed"), "{text}");
     assert!(text.contains("| nowhere | on | 3 |") && text.contains("no file or folder"), "{text}");
-    assert!(text.contains("no cell of nowhere finished: it is in no mean"), "{text}");
-    let record = read(&out.join("cells/nowhere/on/seed-3/cell.json"));
+    assert!(text.contains("no job of nowhere finished: it is in no mean"), "{text}");
+    let record = read(&out.join("jobs/nowhere/on/seed-3/job.json"));
     assert!(record.contains("nowhere"), "{record}");
     assert!(read(&out.join("results.html")).contains("class=\"failed\""));
 }
 
 #[test]
 fn what_could_not_be_judged_is_judged_again_without_a_run() {
-    let (scratch, suite, out) = prepared("bench-judge", &suite(""));
-    let sharp = scratch.join("room/sharp");
-    let list = scratch.join("list.txt");
+    let (folder, suite, out) = prepared("bench-judge", &suite(""));
+    let sharp = folder.0.join("room/sharp");
+    let list = folder.0.join("list.txt");
     fs::write(&list, "2\n").expect("room");
     fs::write(&suite, read(&suite).replace("path = ", "list = \"list.txt\"\npath = "))
         .expect("room");
@@ -122,13 +179,13 @@ fn what_could_not_be_judged_is_judged_again_without_a_run() {
     let whole = fs::read(&pictures[2]).expect("a picture");
     fs::write(&pictures[2], b"no picture").expect("room");
     let ran = bench(&suite, &out, &["--configurations", "on"]).ended_with(1);
-    ran.complaining("room, on, seed 3: failed: not judged").complaining("frame 2");
-    let metrics = out.join("cells/room/on/seed-3/result/metrics.json");
+    ran.warning("room, on, seed 3: failed: not judged").warning("frame 2");
+    let metrics = out.join("jobs/room/on/seed-3/result/metrics.json");
     let before = written(&metrics);
     fs::write(&pictures[2], whole).expect("room");
     bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
     assert_eq!(written(&metrics), before);
-    let judged = read(&out.join("cells/room/on/seed-3/eval.json"));
+    let judged = read(&out.join("jobs/room/on/seed-3/eval.json"));
     assert!(judged.contains("\"sharp_frames\": 1"), "{judged}");
     bench(&suite, &out, &["--configurations", "on", "--fresh"]).ended_with(0);
     assert!(written(&metrics) > before, "--fresh runs it again");
@@ -137,22 +194,22 @@ fn what_could_not_be_judged_is_judged_again_without_a_run() {
 #[test]
 fn held_out_frames_are_judged_alone() {
     let text = format!("protocol = \"held-out\"\noptimise_poses = true\n{}", suite(""));
-    let (_scratch, suite, out) = prepared("bench-held-out", &text);
-    bench(&suite, &out, &[]).ended_with(2).complaining("hold_out");
+    let (_folder, suite, out) = prepared("bench-held-out", &text);
+    bench(&suite, &out, &[]).ended_with(2).warning("hold_out");
     fs::write(&suite, text.replace("{ iterations", "{ hold_out = 2, iterations")).expect("room");
     bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
-    let judged = read(&out.join("cells/room/on/seed-3/eval.json"));
+    let judged = read(&out.join("jobs/room/on/seed-3/eval.json"));
     assert!(judged.contains("\"sharp_frames\": 1"), "{judged}");
     assert!(judged.contains("\"poses_optimised\": true"), "{judged}");
     assert!(read(&out.join("results.md")).contains("that the map never saw"));
 }
 
 #[test]
-fn a_cell_that_takes_too_long_is_ended() {
+fn a_job_that_takes_too_long_is_ended() {
     let slow = suite("").replace("iterations = 4", "iterations = 400000");
-    let (_scratch, suite, out) = prepared("bench-late", &slow);
+    let (_folder, suite, out) = prepared("bench-late", &slow);
     let ran = bench(&suite, &out, &["--configurations", "on", "--timeout", "1"]).ended_with(1);
-    ran.complaining("ended after 1 s (--timeout)");
+    ran.warning("ended after 1 s (--timeout)");
 }
 
 #[test]
@@ -160,9 +217,9 @@ fn mistakes_in_a_suite_are_found_before_anything_runs() {
     let refused = |name: &str, from: &str, to: &str, words: [&str; 2]| {
         let text = suite("");
         assert!(text.contains(from), "{text}");
-        let (_scratch, suite, out) = prepared(name, &text.replace(from, to));
+        let (_folder, suite, out) = prepared(name, &text.replace(from, to));
         let ran = bench(&suite, &out, &[]).ended_with(2);
-        words.iter().fold(ran, |ran, word| ran.complaining(word));
+        words.iter().fold(ran, |ran, word| ran.warning(word));
         assert!(!out.exists());
     };
     refused("bench-key", "seeds", "sedes", ["unknown field `sedes`", "line 2"]);
@@ -172,49 +229,54 @@ fn mistakes_in_a_suite_are_found_before_anything_runs() {
         "last",
         ["configuration `on`", "called `mapping.last`"],
     );
-    refused("bench-flag", "--no-blur", "--no-blurr", ["configuration `off`", "--no-blurr"]);
+    refused(
+        "bench-flags",
+        "config.formation.blur = false",
+        "flags = [\"--no-blur\"]",
+        ["unknown field `flags`", "config.formation.blur = false"],
+    );
     refused("bench-twin", "\"off\"", "\"On\"", ["`On`", "configurations"]);
-    run(["bench", "ablations", "--out", "x"]).ended_with(2).complaining("virtual-cameras");
+    run(["ablations", "--out", "x"]).ended_with(2).warning("virtual-cameras");
 }
 
 #[test]
 fn suites_come_with_the_program() {
-    let list = run(["bench", "--list"]).ended_with(0).out;
-    for name in ["ablation", "virtual-cameras", "runtime", "tum", "scannet", "synthetic", "presets"]
+    let list = run(["--list"]).ended_with(0).out;
+    for name in
+        ["ablation", "virtual-cameras", "runtime", "tum", "scannet", "synthetic", "rgb", "paper"]
     {
         assert!(list.lines().any(|line| line.starts_with(name)), "{name} is not in {list}");
     }
-    let text = run(["bench", "ablation", "--print"]).ended_with(0).out;
+    let text = run(["ablation", "--print"]).ended_with(0).out;
     assert!(text.contains("[[configuration]]"), "{text}");
-    let dry = run(["bench", "ablation", "--data", "/nowhere", "--dry-run"]).ended_with(0);
+    let dry = run(["ablation", "--data", "/nowhere", "--dry-run"]).ended_with(0);
     assert_eq!(dry.out.lines().count(), 16, "{}", dry.out);
     assert!(dry.err.contains("dining-room is left out"), "{}", dry.err);
 }
 
 #[cfg(unix)]
 #[test]
-fn ctrl_c_ends_the_cells_and_writes_what_there_is() {
-    use crate::tools::program;
-    use std::process::{Command, Stdio};
+fn ctrl_c_ends_the_jobs_and_writes_what_there_is() {
+    use std::process::Stdio;
     use std::time::{Duration, Instant};
-    let slow = suite("").replace("flags = [\"--no-blur\"]", "flags = [\"--no-tone\"]");
+    let slow = suite("").replace("formation.blur", "formation.tone");
     let slow = slow.replacen("iterations = 4", "iterations = 400000", 2).replacen("400000", "4", 1);
-    let (_scratch, suite, out) = prepared("bench-ctrl-c", &slow);
-    let arguments = ["bench".as_ref(), suite.as_os_str(), "--out".as_ref(), out.as_os_str()];
+    let (_folder, suite, out) = prepared("bench-ctrl-c", &slow);
+    let arguments = [suite.as_os_str(), "--out".as_ref(), out.as_os_str()];
     let child = program(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
     let child = child.expect("the program starts");
     let begun = Instant::now();
-    // The second cell has begun, the first has its end.
-    while !out.join("cells/room/off/seed-3/run.log").exists() {
-        assert!(begun.elapsed() < Duration::from_secs(60), "the first cell takes too long");
+    // The second job has begun, the first has its end.
+    while !out.join("jobs/room/off/seed-3/run.log").exists() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "the first job takes too long");
         std::thread::sleep(Duration::from_millis(10));
     }
     let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(sent.expect("kill").success());
-    let ran = Ran::of(child.wait_with_output().expect("an end")).ended_with(130);
-    assert!(ran.out.contains("1 of 2 cells finished, 1 not run"), "{}", ran.out);
-    assert!(!out.join("cells/room/off/seed-3/cell.json").exists());
+    let ran = Ran::from(child.wait_with_output().expect("an end")).ended_with(130);
+    assert!(ran.out.contains("1 of 2 jobs finished, 1 not run"), "{}", ran.out);
+    assert!(!out.join("jobs/room/off/seed-3/job.json").exists());
     assert!(read(&out.join("results.md")).contains("| room | off | 3 | not run yet |"));
     let dry = bench(&suite, &out, &["--dry-run"]).ended_with(0).out;
-    assert!(dry.contains("1 of 2 cells to run"), "{dry}");
+    assert!(dry.contains("1 of 2 jobs to run"), "{dry}");
 }

@@ -1,0 +1,315 @@
+//! The paper's tables.
+
+use crate::console::counted;
+use crate::metrics::{ATE, DEPTH, LPIPS, MAPPING, MEMORY, Metric, PSNR, SECONDS, SSIM, TRACKING};
+use crate::queue::Outcome;
+use crate::suite::{Protocol, TableKind};
+use crate::summary::Results;
+use crate::table::{Entry, Table, mark_best};
+
+/// The tables that the suite asks for, and the list of what is missing.
+pub(crate) fn tables(results: &Results<'_>) -> Vec<Table> {
+    let table = |kind: &TableKind| match kind {
+        TableKind::Rendering => rendering(results),
+        TableKind::Tracking => tracking(results),
+        TableKind::Ablation => ablation(results),
+        TableKind::Runtime => runtime(results),
+        TableKind::VirtualCameras => virtual_cameras(results),
+    };
+    let mut tables: Vec<Table> = results.plan.suite.tables.iter().map(table).collect();
+    tables.extend(missing(results));
+    tables
+}
+
+/// Groups over the columns of sequences, after `before` columns and before the mean.
+fn groups(results: &Results<'_>, before: usize) -> Vec<(String, usize)> {
+    let mut groups = vec![(String::new(), before)];
+    for sequence in &results.plan.sequences {
+        match groups.last_mut() {
+            Some((name, width)) if *name == sequence.group => *width += 1,
+            _ => groups.push((sequence.group.clone(), 1)),
+        }
+    }
+    groups
+}
+
+fn sequence_names(results: &Results<'_>, before: &[&str]) -> Vec<String> {
+    let before = before.iter().map(|&name| name.to_owned());
+    let mut header: Vec<String> =
+        before.chain(results.plan.sequences.iter().map(|s| s.name.clone())).collect();
+    if results.plan.sequences.len() > 1 {
+        header.push("mean".to_owned());
+    }
+    header
+}
+
+/// One metric of one configuration on every sequence, and the mean over them.
+fn across(results: &Results<'_>, configuration: usize, metric: &'static Metric) -> Vec<Entry> {
+    let count = results.plan.sequences.len();
+    let mut values: Vec<_> = (0..count).map(|s| results.of(s, configuration, metric)).collect();
+    if count > 1 {
+        values.push(results.over_sequences(configuration, metric));
+    }
+    values.into_iter().map(|value| Entry::number(value, metric)).collect()
+}
+
+/// Table of the rendering quality: a block of metrics for every method.
+fn rendering(results: &Results<'_>) -> Table {
+    let all = [&PSNR, &SSIM, &LPIPS, &DEPTH];
+    let known = all.iter().filter(|metric| !results.sequences_with(metric).is_empty());
+    let mut metrics: Vec<&'static Metric> = known.copied().collect();
+    if metrics.is_empty() {
+        metrics.push(&PSNR);
+    }
+    let mut rows = Vec::new();
+    for (place, configuration) in results.plan.configurations.iter().enumerate() {
+        for metric in &metrics {
+            let heads = [configuration.entry.name.clone(), metric.heading()].map(Entry::Words);
+            rows.push(heads.into_iter().chain(across(results, place, metric)).collect());
+        }
+    }
+    best_by_metric(&mut rows, metrics.len(), 2);
+    let mut groups = groups(results, 2);
+    if results.plan.sequences.len() > 1 {
+        groups.push((String::new(), 1));
+    }
+    let mut what = "Renders at mid-exposure against true sharp pictures, or, where a list of \
+                    frames is given, against the pictures taken of these frames."
+        .to_owned();
+    let suite = &results.plan.suite;
+    if suite.protocol == Some(Protocol::HeldOut) {
+        what += " Only frames that the map never saw.";
+    }
+    if suite.optimise_poses {
+        what += " Each seen from where the map fits its true picture best.";
+    }
+    Table {
+        slug: "rendering",
+        title: "Rendering quality",
+        caption: caption(results, &what),
+        groups,
+        header: sequence_names(results, &["Method", "Metric"]),
+        rows,
+    }
+}
+
+/// Table of the trajectory errors.
+fn tracking(results: &Results<'_>) -> Table {
+    let row = |place: usize| {
+        let name = Entry::Words(results.plan.configurations[place].entry.name.clone());
+        std::iter::once(name).chain(across(results, place, &ATE)).collect()
+    };
+    let mut rows: Vec<Vec<Entry>> = (0..results.plan.configurations.len()).map(row).collect();
+    best_by_metric(&mut rows, 1, 1);
+    let mut groups = groups(results, 1);
+    if results.plan.sequences.len() > 1 {
+        groups.push((String::new(), 1));
+    }
+    Table {
+        slug: "tracking",
+        title: "Tracking accuracy",
+        caption: caption(
+            results,
+            "ATE RMSE of camera centres after rigid alignment, of colour alone with scale [cm]; less \
+             is better.",
+        ),
+        groups,
+        header: sequence_names(results, &["Method"]),
+        rows,
+    }
+}
+
+/// Marks the best of every column among the rows of one metric; rows come in blocks of `block`.
+fn best_by_metric(rows: &mut [Vec<Entry>], block: usize, first: usize) {
+    let columns = rows.first().map_or(0, Vec::len);
+    for offset in 0..block {
+        for column in first..columns {
+            let same = rows.iter_mut().skip(offset).step_by(block);
+            mark_best(same.filter_map(|row| row.get_mut(column)));
+        }
+    }
+}
+
+/// A table with a row for every configuration and a column for every metric, each the mean over
+/// the sequences.
+fn averages(
+    results: &Results<'_>,
+    heads: &[&str],
+    metrics: &[&'static Metric],
+    head: impl Fn(usize) -> Vec<String>,
+) -> (Vec<String>, Vec<Vec<Entry>>) {
+    let header = heads.iter().map(|&name| name.to_owned());
+    let header = header.chain(metrics.iter().map(|metric| metric.heading())).collect();
+    let row = |place: usize| {
+        let numbers = metrics
+            .iter()
+            .map(|metric| Entry::number(results.over_sequences(place, metric), metric));
+        head(place).into_iter().map(Entry::Words).chain(numbers).collect()
+    };
+    let mut rows: Vec<Vec<Entry>> = (0..results.plan.configurations.len()).map(row).collect();
+    best_by_metric(&mut rows, 1, heads.len());
+    (header, rows)
+}
+
+fn ablation(results: &Results<'_>) -> Table {
+    let tick = |on: bool| if on { "✓" } else { "✗" }.to_owned();
+    let head = |place: usize| {
+        let configuration = &results.plan.configurations[place];
+        let parts = &configuration.config.formation;
+        let ticks = [parts.trajectory_loss, parts.tone, parts.blur].map(tick);
+        std::iter::once(configuration.entry.name.clone()).chain(ticks).collect()
+    };
+    let heads = ["Configuration", "Traj. reg.", "Tone mapping", "Motion blur"];
+    let (header, rows) = averages(results, &heads, &[&ATE, &PSNR, &SSIM, &LPIPS], head);
+    let caption = mean_caption(results, "The parts of the image formation model, switched off.");
+    Table { slug: "ablation", title: "Ablation", caption, groups: Vec::new(), header, rows }
+}
+
+fn runtime(results: &Results<'_>) -> Table {
+    let metrics = [&MAPPING, &TRACKING, &SECONDS, &ATE, &PSNR, &SSIM, &LPIPS, &MEMORY];
+    let head = |place: usize| vec![results.plan.configurations[place].entry.name.clone()];
+    let (header, rows) = averages(results, &["Method"], &metrics, head);
+    let what = format!(
+        "Wall time per frame; the whole run also reads frames and refines the map at the end. {}",
+        machine(results)
+    );
+    let caption = mean_caption(results, &what);
+    Table { slug: "runtime", title: "Runtime", caption, groups: Vec::new(), header, rows }
+}
+
+fn virtual_cameras(results: &Results<'_>) -> Table {
+    let head = |place: usize| {
+        let configuration = &results.plan.configurations[place];
+        let count = configuration.config.formation.virtual_cameras;
+        vec![configuration.entry.name.clone(), count.to_string()]
+    };
+    let metrics = [&PSNR, &SSIM, &LPIPS, &ATE, &SECONDS];
+    let (header, rows) = averages(results, &["Configuration", "Virtual cameras"], &metrics, head);
+    let caption = mean_caption(results, "Cameras that draw the blur of one exposure.");
+    Table {
+        slug: "virtual-cameras",
+        title: "Number of virtual cameras",
+        caption,
+        groups: Vec::new(),
+        header,
+        rows,
+    }
+}
+
+/// Every job that has no metrics, with the reason.
+fn missing(results: &Results<'_>) -> Option<Table> {
+    let jobs = results.plan.jobs.iter().enumerate();
+    let row = |(place, job): (usize, &crate::plan::Job)| {
+        let reason = results.failure(place).unwrap_or("not run yet");
+        let plan = results.plan;
+        let words = [
+            plan.sequences[job.sequence].name.clone(),
+            plan.configurations[job.configuration].entry.name.clone(),
+            job.seed.to_string(),
+            reason.to_owned(),
+        ];
+        words.map(Entry::Words).into()
+    };
+    let rows: Vec<Vec<Entry>> =
+        jobs.filter(|(place, _)| !results.finished(*place)).map(row).collect();
+    (!rows.is_empty()).then(|| Table {
+        slug: "missing",
+        title: "Jobs without a result",
+        caption: "The same command runs them again; finished jobs are kept.".to_owned(),
+        groups: Vec::new(),
+        header: ["Sequence", "Configuration", "Seed", "Reason"].map(str::to_owned).into(),
+        rows,
+    })
+}
+
+/// The caption of a table: `what`, its seeds, and sequences without a result.
+fn caption(results: &Results<'_>, what: &str) -> String {
+    let plan = results.plan;
+    let seeds: Vec<String> = plan.suite.seeds.iter().map(u64::to_string).collect();
+    let seeds = match seeds.len() {
+        1 => format!("One seed: {}", seeds[0]),
+        count => {
+            let list = seeds.join(", ");
+            format!("Mean ± standard deviation over {count} seeds ({list})")
+        }
+    };
+    let lost = |sequence: &usize| {
+        let mut jobs = plan.jobs.iter().enumerate();
+        !jobs.any(|(place, job)| job.sequence == *sequence && results.finished(place))
+    };
+    let lost: Vec<&str> = (0..plan.sequences.len())
+        .filter(lost)
+        .map(|sequence| plan.sequences[sequence].name.as_str())
+        .collect();
+    match lost.is_empty() {
+        true => format!("{what} {seeds}."),
+        false => {
+            format!("{what} {seeds}; no job of {} finished: it is in no mean.", lost.join(", "))
+        }
+    }
+}
+
+/// The caption of a table of means over sequences.
+fn mean_caption(results: &Results<'_>, what: &str) -> String {
+    let text = match results.plan.sequences.len() {
+        1 => format!("{what} On {}.", results.plan.sequences[0].name),
+        count => {
+            format!("{what} Means over the {count} sequences, of those with the truth for it.")
+        }
+    };
+    caption(results, &text)
+}
+
+/// Threads of a job and jobs at once.
+pub(crate) fn machine(results: &Results<'_>) -> String {
+    let both = results.outcomes.iter().filter_map(|outcome| match outcome {
+        Outcome::Ended(record) => Some((record.threads, record.parallel)),
+        _ => None,
+    });
+    let mut both: Vec<(usize, usize)> = both.collect();
+    both.sort_unstable();
+    both.dedup();
+    let words: Vec<String> = both
+        .iter()
+        .map(|&(threads, parallel)| {
+            format!("{} a job, {} at once", counted(threads, "thread"), counted(parallel, "job"))
+        })
+        .collect();
+    match words.len() {
+        0 => String::new(),
+        1 => format!("Measured with {}.", words[0]),
+        _ => format!(
+            "Jobs were run in different ways, so that their times cannot be compared: {}.",
+            words.join("; ")
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::summary::tests::{plan, results};
+
+    #[test]
+    fn the_tables_of_the_paper_are_there_with_what_failed() {
+        let plan = plan();
+        let tables = tables(&results(&plan, &[(1, 0, 0), (1, 0, 1)]));
+        let slugs: Vec<&str> = tables.iter().map(|table| table.slug).collect();
+        let due = ["rendering", "tracking", "ablation", "runtime", "virtual-cameras", "missing"];
+        assert_eq!(slugs, due);
+        let tracking = tables[1].markdown();
+        assert!(tracking.contains("| Method | G a | b | mean |"), "{tracking}");
+        let row = "| on | **150.00 ± 70.71** | failed | failed |";
+        assert!(tracking.contains(row), "{tracking}");
+        let ablation = tables[2].markdown();
+        assert!(ablation.contains("| off \\| <x> | ✓ | ✓ | ✗ | 10650.00 ± 70.71 |"), "{ablation}");
+        let missing = tables[5].markdown();
+        assert!(missing.contains("| b | on | 1 | no \\| room |"), "{missing}");
+    }
+
+    #[test]
+    fn nothing_is_missing_where_all_jobs_finished() {
+        let plan = plan();
+        assert_eq!(tables(&results(&plan, &[])).len(), 5);
+    }
+}
