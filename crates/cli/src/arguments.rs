@@ -7,7 +7,7 @@ use i2slam::dataset::OpenOptions;
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// How the sequence is read.
+/// Selection, size and camera of the frames.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Input {
     /// Only frames A to B-1 of the associated stream
@@ -100,7 +100,7 @@ impl Machine {
     }
 }
 
-/// What stands behind `--intrinsics`: a file, or four numbers.
+/// Parses `--intrinsics`: a file, or four numbers.
 fn intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4]>), Failure> {
     let refuse = |why: &str| {
         let words = words.join(" ");

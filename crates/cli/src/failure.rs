@@ -1,4 +1,4 @@
-//! How a command can end other than well, and what the shell is told.
+//! Errors of commands and their exit codes.
 
 use crate::progress::Progress;
 use i2slam::dataset::DatasetError;
@@ -8,14 +8,14 @@ use i2slam_result::ExportError;
 use std::panic::{self, AssertUnwindSafe};
 use std::sync::Mutex;
 
-/// Why a command ended early.
+/// Reason why a command ended without success.
 #[derive(Debug)]
 pub(crate) enum Failure {
-    /// What was typed cannot be meant: exit code 2.
+    /// Wrong arguments: exit code 2.
     Usage(String),
-    /// It was tried and did not work: exit code 1.
+    /// Failure at work: exit code 1.
     Failed(String),
-    /// Ended by the user after everything was written: exit code 130, as shells do.
+    /// Interrupted by the user, after results were written: exit code 130, as in shells.
     Interrupted,
 }
 
@@ -37,7 +37,7 @@ impl Failure {
 }
 
 impl Failure {
-    /// The failure of a run; cancellation is noted, as nothing else tells of it.
+    /// Failure of a run. Cancellation is noted, as its exit code alone says nothing of the results.
     pub(crate) fn of_run(error: RunError, progress: &Progress) -> Self {
         if let RunError::Cancelled { .. } = error {
             progress.note(&error.to_string());
@@ -85,7 +85,7 @@ impl From<DatasetError> for Failure {
     }
 }
 
-/// The flag that sets an option of a dataset; none for those that stand in settings.
+/// Flag that sets an option of a dataset; none for those of the settings.
 fn flag(option: &str) -> Option<&'static str> {
     match option {
         "depth_scale" => Some("--depth-scale"),
@@ -110,11 +110,11 @@ impl From<EvalError> for Failure {
     }
 }
 
-/// The text and place of the last panic.
+/// Text and place of the last panic.
 static PANIC: Mutex<Option<String>> = Mutex::new(None);
 
-/// Runs `work`; a panic, which is a mistake of this program, becomes a message.
-pub(crate) fn without_panics<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+/// Runs `work` and turns a panic, which is a bug, into a message.
+pub(crate) fn catch_panics<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
     let usual = panic::take_hook();
     panic::set_hook(Box::new(|info| {
         if let Ok(mut last) = PANIC.lock() {
@@ -137,8 +137,8 @@ mod tests {
 
     #[test]
     fn a_panic_becomes_a_message_with_its_place() {
-        let outer = without_panics(|| {
-            let inner = without_panics(|| -> Result<(), Failure> { panic!("lost\nthe thread") });
+        let outer = catch_panics(|| {
+            let inner = catch_panics(|| -> Result<(), Failure> { panic!("lost\nthe thread") });
             let message = inner.expect_err("a panic").message().map(str::to_owned);
             let message = message.expect("a message");
             assert!(message.contains("lost the thread") && message.contains("failure.rs"));

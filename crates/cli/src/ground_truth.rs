@@ -1,4 +1,4 @@
-//! What a dataset knows better than any estimate: true poses, sharp pictures, exposures, radiance.
+//! Ground truth in a dataset: poses, sharp pictures, exposures, radiance.
 
 use crate::failure::Failure;
 use i2slam::dataset::Sequence;
@@ -9,7 +9,7 @@ use i2slam_eval::trajectory::{
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The truth that lies in a dataset's folder; all of it may be missing.
+/// Ground truth in a dataset's folder; all of it may be missing.
 pub(crate) struct GroundTruth {
     folder: PathBuf,
     /// The sequence with its sharp pictures in place of those taken.
@@ -18,19 +18,18 @@ pub(crate) struct GroundTruth {
     pub(crate) exposure: Vec<(usize, f64)>,
     /// True poses.
     pub(crate) trajectory: Vec<StampedPose>,
-    /// What lies there and cannot be used.
+    /// Files that cannot be used, with reasons.
     pub(crate) warnings: Vec<String>,
 }
 
 impl GroundTruth {
-    /// Look for poses (a ground-truth file or those that came with the frames), `sharp/`,
-    /// `exposure.csv` and `hdr/` beside the frames.
+    /// Opens poses (of a ground-truth file or of the frames), `sharp/`, `exposure.csv` and `hdr/`.
     pub(crate) fn of(folder: &Path, sequence: &Sequence) -> Self {
         let mut warnings = Vec::new();
         let trajectory = sequence.true_trajectory().unwrap_or_else(|error| {
-            // The sequence warns of a file that it cannot read itself.
-            let told = sequence.warnings.iter().any(|w| w.contains(&error.to_string()));
-            if !told {
+            // The sequence has warned of an unreadable file.
+            let is_known = sequence.warnings.iter().any(|w| w.contains(&error.to_string()));
+            if !is_known {
                 warnings.push(format!("ground truth ignored: {error}"));
             }
             Vec::new()
@@ -59,7 +58,7 @@ impl GroundTruth {
             .flatten()
     }
 
-    /// What lies there, in words.
+    /// Kinds of ground truth, in words.
     pub(crate) fn kinds(&self) -> Vec<&'static str> {
         [
             (!self.trajectory.is_empty(), "poses"),
@@ -78,8 +77,8 @@ impl GroundTruth {
         path.is_file().then_some(path)
     }
 
-    /// Absolute trajectory error, and the truth laid onto the estimate.
-    pub(crate) fn judge(
+    /// Absolute trajectory error, and the true poses aligned to the estimate.
+    pub(crate) fn trajectory_error(
         &self,
         estimate: &[StampedPose],
         alignment: Alignment,
@@ -90,18 +89,18 @@ impl GroundTruth {
         let truth = &self.trajectory;
         let error = absolute_trajectory_error(estimate, truth, alignment, DEFAULT_TOLERANCE)?;
         let estimate_from_truth = error.truth_from_estimate.inverse();
-        let laid = error.associations.iter().map(|pair| StampedPose {
+        let aligned = error.associations.iter().map(|pair| StampedPose {
             timestamp: estimate[pair.estimate].timestamp,
             world_from_camera: estimate_from_truth
                 .apply_to_pose(truth[pair.truth].world_from_camera),
         });
-        let laid = laid.collect();
-        Ok(Some((error, laid)))
+        let aligned = aligned.collect();
+        Ok(Some((error, aligned)))
     }
 }
 
-/// The sequence reading `sharp/` in place of its colour folder, so that the true pictures get the
-/// same crop and scale as those taken.
+/// The sequence with the pictures of `sharp/`, which get the same crop and scale as the recorded
+/// ones.
 fn sharp_sequence(folder: &Path, sequence: &Sequence) -> Option<Sequence> {
     let sharp = folder.join("sharp");
     if !sharp.is_dir() {
@@ -115,7 +114,7 @@ fn sharp_sequence(folder: &Path, sequence: &Sequence) -> Option<Sequence> {
     Some(there)
 }
 
-/// Column `dt` of a CSV file with column names, by column `frame` or else by row.
+/// Reads column `dt` of a CSV file, by column `frame` or else by row.
 fn read_exposure(path: &Path) -> Result<Vec<(usize, f64)>, String> {
     let text = std::fs::read_to_string(path).map_err(|e| e.to_string())?;
     let mut lines = text.lines();

@@ -1,4 +1,4 @@
-//! Pictures read for comparison.
+//! Pictures read from files for comparison.
 
 use crate::failure::Failure;
 use i2slam::geometry::Image;
@@ -11,7 +11,7 @@ fn failed(path: &Path, reason: impl std::fmt::Display) -> Failure {
     Failure::Failed(format!("{}: {reason}", path.display()))
 }
 
-/// An 8- or 16-bit PNG as planes R, G, B in `[0, 1]`.
+/// Reads an 8- or 16-bit PNG as planes R, G, B in `[0, 1]`.
 pub(crate) fn read_png(path: &Path) -> Result<Image<f32>, Failure> {
     let file = File::open(path).map_err(|e| failed(path, e))?;
     let mut decoder = png::Decoder::new(BufReader::new(file));
@@ -33,7 +33,7 @@ pub(crate) fn read_png(path: &Path) -> Result<Image<f32>, Failure> {
     Ok(image)
 }
 
-/// A 16-bit depth PNG of a result folder, in metres.
+/// Reads a 16-bit depth PNG of a result folder [m].
 pub(crate) fn read_depth(path: &Path) -> Result<Image<f32>, Failure> {
     let file = File::open(path).map_err(|e| failed(path, e))?;
     let mut reader =
@@ -50,7 +50,7 @@ pub(crate) fn read_depth(path: &Path) -> Result<Image<f32>, Failure> {
     Ok(Image { width, height, channels: 1, data })
 }
 
-/// The R, G, B channels of an OpenEXR picture.
+/// Reads the R, G, B channels of an OpenEXR picture.
 pub(crate) fn read_exr(path: &Path) -> Result<Image<f32>, Failure> {
     use exr::prelude::{ReadChannels, ReadLayers, Vec2};
     let read = exr::prelude::read()
@@ -72,7 +72,7 @@ pub(crate) fn read_exr(path: &Path) -> Result<Image<f32>, Failure> {
     Ok(read.layer_data.channel_data.pixels)
 }
 
-/// `reference` at the size of `picture`, by averages, if it is the same view at a larger size.
+/// Reduces `reference` to the size of `picture`; `None` if it is smaller or of another shape.
 pub(crate) fn at_size_of(reference: Image<f32>, picture: &Image<f32>) -> Option<Image<f32>> {
     let (width, height) = (picture.width, picture.height);
     if (reference.width, reference.height) == (width, height) {

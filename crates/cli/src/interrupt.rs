@@ -1,5 +1,4 @@
-//! Ctrl-C, and what else a system ends programs by (SIGTERM, SIGHUP): the first ends the run
-//! cleanly, the second at once.
+//! Ctrl-C, SIGTERM and SIGHUP: the first ends a run cleanly, the second ends the program.
 
 use crate::output::print_status;
 use i2slam::CancellationToken;
@@ -7,10 +6,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
 
-/// What is being read and ends with the first Ctrl-C, in place of the run.
+/// Whether a stream is being read, which the first signal ends in place of the run.
 static READING: AtomicBool = AtomicBool::new(false);
 
-/// Begin to listen. Where the system refuses, Ctrl-C ends the program as usual.
+/// Installs the signal handler. Where the system refuses, Ctrl-C ends the program as usual.
 pub(crate) fn listen() {
     let handler = || {
         if REQUESTED.swap(true, Ordering::SeqCst) {
@@ -27,7 +26,8 @@ pub(crate) fn listen() {
     }
 }
 
-/// Reads what may have no end: Ctrl-C ends `read`, which asks [`requested`], and not the run.
+/// Reads a stream that may have no end: Ctrl-C ends `read`, which polls [`requested`], and not the
+/// run.
 pub(crate) fn reading<T>(read: impl FnOnce() -> T) -> T {
     READING.store(true, Ordering::SeqCst);
     let result = read();
@@ -36,12 +36,12 @@ pub(crate) fn reading<T>(read: impl FnOnce() -> T) -> T {
     result
 }
 
-/// The same as a wish that work of the libraries asks for.
+/// Token for the libraries, cancelled by the first signal.
 pub(crate) fn cancellation() -> CancellationToken {
     CancellationToken::when(requested)
 }
 
-/// Whether the user asked to end.
+/// Whether the user asked to stop.
 pub(crate) fn requested() -> bool {
     REQUESTED.load(Ordering::SeqCst)
 }

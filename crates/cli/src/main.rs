@@ -17,7 +17,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let arguments = commands::Arguments::parse();
-    match failure::without_panics(|| commands::dispatch(arguments.command)) {
+    match failure::catch_panics(|| commands::dispatch(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             if let Some(message) = failure.message() {

@@ -1,19 +1,19 @@
-//! Words for the user. A reader that has gone away (a closed pipe) ends no run.
+//! Lines on standard output and standard error. A closed pipe ends no run.
 
 use std::io::{self, Write};
 
-/// One line of result on standard output.
+/// Prints one line of result on standard output.
 pub(crate) fn print(line: &str) {
     let mut out = io::stdout().lock();
     writeln!(out, "{line}").and_then(|()| out.flush()).ok();
 }
 
-/// `1 frame`, `3 frames`: for words that take an s.
+/// Count and noun: `1 frame`, `3 frames`.
 pub(crate) fn counted(count: usize, word: &str) -> String {
     format!("{count} {word}{}", if count == 1 { "" } else { "s" })
 }
 
-/// One line on standard error: a warning, an error, progress.
+/// Prints one line on standard error: a warning, an error, progress.
 pub(crate) fn print_status(line: &str) {
     writeln!(io::stderr().lock(), "{line}").ok();
 }

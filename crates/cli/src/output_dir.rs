@@ -1,26 +1,26 @@
-//! Folders that commands write into: one rule for all of them.
+//! Output folders: one rule for all commands.
 //!
-//! A folder that holds something is refused. `--overwrite` takes away what the same command wrote
-//! there before, and leaves everything else; a file of the user's own is never replaced.
+//! A folder that is not empty is refused. `--overwrite` removes what the same command wrote before,
+//! and nothing else.
 
 use crate::failure::Failure;
 use i2slam_result::{FolderContents, Layout};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where a command writes.
+/// Output folder of a command.
 pub(crate) struct OutputDir<'a> {
     pub(crate) path: &'a Path,
-    /// What the command writes there.
+    /// Files that the command writes.
     pub(crate) layout: Layout,
-    /// As it is typed, for messages.
+    /// Name of the command, for messages.
     pub(crate) command: &'static str,
-    /// Whether its earlier work may be replaced.
+    /// Whether an earlier result may be replaced.
     pub(crate) overwrite: bool,
 }
 
 impl OutputDir<'_> {
-    /// Whether the command may write there; nothing is changed.
+    /// Checks that the command may write there, without changing anything.
     pub(crate) fn check(&self) -> Result<(), Failure> {
         refuse_file(self.path)?;
         let (out, command) = (self.path.display(), self.command);
@@ -44,8 +44,8 @@ impl OutputDir<'_> {
         }
     }
 
-    /// Takes away what the command wrote there before, if that was allowed. Only after
-    /// [`check`](Self::check).
+    /// Removes an earlier result of the command if that is allowed. Call [`check`](Self::check)
+    /// first.
     pub(crate) fn clear(&self) -> Result<(), Failure> {
         if self.overwrite && self.layout.contents(self.path) == FolderContents::Own {
             self.layout.remove(self.path)?;
@@ -54,23 +54,23 @@ impl OutputDir<'_> {
     }
 }
 
-/// The folders that have to be made for a path, deepest first.
+/// Folders created for a path, deepest first.
 pub(crate) struct CreatedDirs(Vec<PathBuf>);
 
 impl CreatedDirs {
-    /// Before they are made.
+    /// Folders missing for a path, before they are created.
     pub(crate) fn for_path(path: &Path) -> Self {
         let missing = path.ancestors().take_while(|above| !above.as_os_str().is_empty());
         Self(missing.take_while(|above| !above.exists()).map(Path::to_owned).collect())
     }
 
-    /// Takes away those that nothing came into.
+    /// Removes the empty ones.
     pub(crate) fn remove_empty(&self) {
         self.0.iter().for_each(|made| drop(fs::remove_dir(made)));
     }
 }
 
-/// A folder cannot be made where a file is.
+/// Refuses a path that is a file.
 pub(crate) fn refuse_file(out: &Path) -> Result<(), Failure> {
     let out_is = out.display();
     match out.is_dir() || out.symlink_metadata().is_err() {
@@ -83,17 +83,18 @@ pub(crate) fn refuse_file(out: &Path) -> Result<(), Failure> {
     }
 }
 
-/// What `i2slam synth` writes.
+/// Files of `i2slam synth`.
 pub(crate) fn synthetic_layout() -> Layout {
     sequence_layout("spec.toml", ("spec.toml", "# Specification of a synthetic sequence"))
 }
 
-/// What `i2slam degrade` writes.
+/// Files of `i2slam degrade`.
 pub(crate) fn degraded_layout() -> Layout {
     sequence_layout("source.csv", ("README.md", "Made by `i2slam degrade`"))
 }
 
-/// A sequence with truth, a `further` file, and the file whose beginning tells who wrote it.
+/// A sequence with ground truth and one more file; `mark` is the file whose first line names the
+/// command.
 fn sequence_layout(further: &'static str, mark: (&'static str, &'static str)) -> Layout {
     let files = vec![
         "rgb.txt",
@@ -114,14 +115,14 @@ fn sequence_pictures() -> Vec<(String, &'static str)> {
         .to_vec()
 }
 
-/// The poses that pictures were drawn from, beside them.
+/// File with the poses of rendered pictures.
 pub(crate) const POSES: &str = "poses.txt";
 
 /// First line of that file.
 pub(crate) const POSES_HEADER: &str =
     "# i2slam render: number of the picture, tx ty tz qx qy qz qw, world from camera";
 
-/// What `i2slam render --out` writes.
+/// Files of `i2slam render --out`.
 pub(crate) fn render_layout() -> Layout {
     let marks = vec![(POSES, POSES_HEADER)];
     Layout { files: vec![POSES], pictures: Layout::renders(""), marks }

@@ -1,4 +1,4 @@
-//! One file per subcommand.
+//! Subcommands with their arguments.
 
 mod degrade;
 mod demo;
@@ -25,15 +25,15 @@ pub(crate) struct Arguments {
 pub(crate) enum Command {
     /// Reconstruct a sequence
     Run(Box<run::Run>),
-    /// Draw pictures of a result: sharp, blurred as observed, HDR, depth
+    /// Render pictures of a result: sharp, blurred as observed, HDR, depth
     Render(render::Render),
-    /// Measure a result against the truth
+    /// Compare a result with ground truth
     Eval(eval::Eval),
     /// Reconstruct the clip that comes with the program (2 s, hand-held, blurred)
     Demo(demo::Demo),
     /// List the presets, or print every value of one
     Presets(presets::Presets),
-    /// Render a test sequence with known truth: a furnished room, blur, exposure changes
+    /// Render a test sequence with ground truth: a furnished room, blur, exposure changes
     Synth(synth::Synth),
     /// Put noise, exposure steps, gaps or a covered lens on a sequence
     Degrade(degrade::Degrade),
@@ -43,11 +43,11 @@ pub(crate) enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// Tell what is known of a sequence before it is run: layout, times, camera, depth, exposure
+    /// Describe a sequence before it is run: layout, times, camera, depth, exposure
     Info(info::Info),
 }
 
-/// Do what was typed.
+/// Runs a subcommand.
 pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
         Command::Run(arguments) => run::run(&arguments),

@@ -1,4 +1,4 @@
-//! `i2slam render`: pictures of a saved result, from its own poses or from others.
+//! `i2slam render`: renders a saved result from its own poses or from others.
 
 use crate::arguments::frame_range;
 use crate::failure::Failure;
@@ -32,7 +32,7 @@ pub(crate) struct Render {
     /// Poses of your own, a file in the TUM format
     #[arg(long, value_name = "FILE")]
     pub(crate) poses: Option<PathBuf>,
-    /// What to draw: sharp, blurred, hdr, depth [default: all that apply]
+    /// Kinds: sharp, blurred, hdr, depth [default: all that apply]
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     pub(crate) kinds: Option<Vec<String>>,
     /// Folder for the pictures, with their poses [default: renders/ of the result, views/ for poses
@@ -78,7 +78,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
 }
 
-/// Says what is wrong with a folder that no run wrote, before one of its files is missed.
+/// Refuses a folder that is no result of a run.
 fn refuse_other_folders(result: &Path) -> Result<(), Failure> {
     let shown = result.display();
     if !result.is_dir() {
@@ -92,8 +92,7 @@ fn refuse_other_folders(result: &Path) -> Result<(), Failure> {
     }
 }
 
-/// The folder of the pictures. One that is named must be new; the result's own is drawn into
-/// again.
+/// Opens the folder of the pictures. A named one must be new; the result's own is reused.
 fn place(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
     let Some(out) = &arguments.out else {
         let own = if own_poses { "views" } else { "renders" };
@@ -106,14 +105,14 @@ fn place(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
     Ok(ResultFolder::create(out)?)
 }
 
-/// Frames numbered after the pictures that lie there already.
+/// Numbers frames after the pictures in the folder.
 fn after_earlier(folder: &ResultFolder, mut frames: Vec<FrameEstimate>) -> Vec<FrameEstimate> {
     let first = render_layout().next_number(folder.path());
     frames.iter_mut().for_each(|frame| frame.index += first);
     frames
 }
 
-/// Adds the poses to the list beside the pictures, by their numbers.
+/// Appends the poses to the list beside the pictures.
 fn note_poses(folder: &ResultFolder, frames: &[FrameEstimate]) -> Result<(), Failure> {
     let earlier = std::fs::read_to_string(folder.path().join(POSES)).unwrap_or_default();
     let mut text = if earlier.is_empty() { format!("{POSES_HEADER}\n") } else { earlier };
@@ -136,7 +135,7 @@ fn picture(viewer: &mut Viewer<'_>, kind: RenderKind, frame: &FrameEstimate) -> 
     }
 }
 
-/// The kinds asked for; by default all, but no blur for poses that do not move.
+/// Kinds asked for; by default all, without blur for single poses, which do not move.
 fn kinds(arguments: &Render, own_poses: bool) -> Result<Vec<RenderKind>, Failure> {
     let Some(names) = &arguments.kinds else {
         let still = |kind: &RenderKind| !own_poses || *kind != RenderKind::Blurred;

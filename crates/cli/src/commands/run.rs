@@ -1,4 +1,4 @@
-//! `i2slam run`: a sequence to a result folder.
+//! `i2slam run`: reconstructs a sequence into a result folder.
 
 use crate::arguments::{Input, Machine};
 use crate::failure::Failure;
@@ -45,7 +45,7 @@ pub(crate) struct Run {
     /// Folder with the variance of depth pictures (.npy [m²], or 16-bit PNG of the deviation)
     #[arg(long, value_name = "DIR", requires = "keyframes")]
     pub(crate) depth_variance: Option<PathBuf>,
-    /// What the map consists of [default: that of --preset or --config; without these gaussian, or
+    /// Kind of map [default: that of --preset or --config; without these gaussian, or
     /// hashgrid with --keyframes]
     #[arg(long, value_enum, value_name = "KIND")]
     pub(crate) map: Option<Map>,
@@ -85,7 +85,7 @@ pub(crate) struct Formation {
     pub(crate) no_trajectory_loss: bool,
 }
 
-/// What a map consists of.
+/// Kind of map.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Map {
     /// 3D Gaussians
@@ -114,7 +114,7 @@ pub(crate) enum KeyframeDepth {
 }
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
-    if is_by_itself_rgb(arguments) {
+    if is_rgb_by_input(arguments) {
         if !arguments.machine.quiet {
             let name = arguments.dataset.display();
             print_status(&format!(
@@ -126,8 +126,8 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
     reconstruct(arguments)
 }
 
-/// Whether nothing but pictures is there, which nobody said.
-fn is_by_itself_rgb(arguments: &Run) -> bool {
+/// Whether the dataset has no depth though `--rgb` is not given.
+fn is_rgb_by_input(arguments: &Run) -> bool {
     !is_rgb(arguments) && is_without_depth(&arguments.dataset)
 }
 
@@ -135,7 +135,7 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let config = settings(arguments)?;
     arguments.machine.use_threads()?;
     let poses = pose_source(arguments, &config)?;
-    let draw = arguments.render.unwrap_or_else(|| usual_drawing(arguments, &config));
+    let draw = arguments.render.unwrap_or_else(|| default_draw(arguments, &config));
     let options = RunOptions::new(config, poses);
     let open = arguments.input.open_options(options.open)?;
     reconstruction::run(&Job {
@@ -149,7 +149,7 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     })
 }
 
-/// Preset, then file, then flags.
+/// Settings of the preset, replaced by those of the file, then by flags.
 fn settings(arguments: &Run) -> Result<Config, Failure> {
     let usual = if is_rgb(arguments) { "default-rgb" } else { "default" };
     let preset = arguments.preset.as_deref();
@@ -205,7 +205,7 @@ fn pose_source(arguments: &Run, config: &Config) -> Result<PoseSource, Failure> 
     }
 }
 
-/// The lens is looked for while the path is found from pictures alone, and the camera with it.
+/// Refuses `--distortion estimate` unless pictures alone have to give the camera.
 fn refuse_estimate(arguments: &Run) -> Result<(), Failure> {
     let Input { camera, intrinsics, fov, .. } = &arguments.input;
     let why = if !is_rgb(arguments) {
@@ -220,20 +220,20 @@ fn refuse_estimate(arguments: &Run) -> Result<(), Failure> {
     Err(Failure::Usage(format!("--distortion estimate {why}")))
 }
 
-/// What is drawn if nothing is said. The report has pictures in any case.
-fn usual_drawing(arguments: &Run, config: &Config) -> Draw {
+/// Default of `--render`. The report has pictures in any case.
+fn default_draw(arguments: &Run, config: &Config) -> Draw {
     match config.map.kind {
         MapKind::HashGrid if is_video(&arguments.dataset) => Draw::None,
         _ => Draw::All,
     }
 }
 
-/// Whether the run is one of colour alone.
+/// Whether the run is by colour alone.
 fn is_rgb(arguments: &Run) -> bool {
     arguments.rgb || is_video(&arguments.dataset)
 }
 
-/// The values of `config` that flags do not replace.
+/// Applies the flags to `config`.
 pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, Failure> {
     let Formation { virtual_cameras, no_blur, no_tone, no_trajectory_loss } = arguments.formation;
     let formation = &mut config.formation;

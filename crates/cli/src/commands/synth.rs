@@ -95,7 +95,7 @@ fn report(summary: &Summary, out: &Path) {
     print(&format!("blur {median:.1} px in the median frame, {largest:.1} px at most"));
 }
 
-/// What is wrong with a specification is the user's; what is wrong with a disk is not.
+/// Wrong specifications are the user's (exit code 2); what is wrong with a disk is not.
 pub(super) fn failure(error: SyntheticError) -> Failure {
     match error {
         SyntheticError::Malformed { .. } | SyntheticError::OutOfRange { .. } => {

@@ -1,4 +1,4 @@
-//! A whole run: frames in, result folder out. Used by `run` and `demo`.
+//! A whole run from the dataset to the result folder, for `run` and `demo`.
 
 mod pictures;
 mod write;
@@ -16,7 +16,7 @@ pub(crate) use pictures::Draw;
 use std::path::{Path, PathBuf};
 use write::{Finished, Written};
 
-/// What to do.
+/// Arguments of a run.
 pub(crate) struct Job {
     pub(crate) dataset: PathBuf,
     pub(crate) out: PathBuf,
@@ -25,14 +25,14 @@ pub(crate) struct Job {
     /// Whether an earlier result in `out` may be replaced.
     pub(crate) overwrite: bool,
     pub(crate) quiet: bool,
-    /// Name for the report; the folder's if there is none.
+    /// Title of the report [default: name of the sequence].
     pub(crate) title: Option<&'static str>,
 }
 
-/// Reconstruct, write everything, print the summary; its last line is the report's path.
+/// Reconstructs, writes everything, and prints a summary that ends with the path of the report.
 pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     interrupt::listen();
-    let stream = recorded(job)?;
+    let stream = record_stream(job)?;
     let recording = stream.as_ref().map(Recording::path);
     let dataset = recording.as_ref().unwrap_or(&job.dataset);
     if is_video(dataset) && !job.quiet {
@@ -71,7 +71,7 @@ fn reconstruct_into(
     let outcome = reconstruct(sequence, &job.options, progress.clone());
     let written = outcome.map_err(|error| Failure::of_run(error, &progress)).and_then(|outcome| {
         let undistorted = outcome.undistorted.clone();
-        // True pictures come through the same lens.
+        // True pictures have the same lens distortion.
         let undistorted_truth =
             undistorted.as_ref().map(|sequence| GroundTruth::of(dataset, sequence));
         let truth = undistorted_truth.as_ref().unwrap_or(&truth);
@@ -87,8 +87,8 @@ fn reconstruct_into(
     end(problems)
 }
 
-/// What a stream gives, read before anything else, as nobody can read it twice.
-fn recorded(job: &Job) -> Result<Option<Recording>, Failure> {
+/// Records a stream into a file before anything else, as a stream cannot be read twice.
+fn record_stream(job: &Job) -> Result<Option<Recording>, Failure> {
     if !is_stream(&job.dataset) {
         return Ok(None);
     }
@@ -109,8 +109,8 @@ fn recorded(job: &Job) -> Result<Option<Recording>, Failure> {
     Ok(Some(interrupt::reading(read)?))
 }
 
-/// The dataset is never written to (a result folder has a `camera.json` of its own), an earlier
-/// result only where the user says so, and files of the user's own never.
+/// Refuses to write into the dataset, as a result has a `camera.json` of its own, over an earlier
+/// result without `--overwrite`, and over other files.
 fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
     let out = job.out.display();
     let same_folder = match (job.out.canonicalize(), job.dataset.canonicalize()) {
@@ -123,15 +123,15 @@ fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
              another folder"
         )));
     }
-    destination(job).check()
+    output_dir(job).check()
 }
 
-fn destination(job: &Job) -> OutputDir<'_> {
+fn output_dir(job: &Job) -> OutputDir<'_> {
     let (layout, overwrite) = (Layout::of_result(), job.overwrite);
     OutputDir { path: &job.out, layout, command: "i2slam run", overwrite }
 }
 
-/// Failures first, then whether the user ended it.
+/// Prints all problems but the last, which is returned.
 fn end(problems: Vec<String>) -> Result<(), Failure> {
     match problems.split_last() {
         Some((last, others)) => {

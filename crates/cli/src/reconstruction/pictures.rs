@@ -1,4 +1,4 @@
-//! The pictures of a run: files under `renders/`, pairs for the report, and what they measure.
+//! Pictures of a run: files under `renders/`, comparisons for the report, and image metrics.
 
 use crate::ground_truth::GroundTruth;
 use crate::image_files::{at_size_of, read_exr};
@@ -13,16 +13,16 @@ use i2slam_eval::image::{psnr, ssim};
 use i2slam_result::report::{Comparison, frames_to_show};
 use i2slam_result::{ExportError, Metrics, RenderKind, ResultFolder, save_render};
 
-/// Frames in the report.
-const SHOWN: usize = 8;
+/// Number of frames in the report.
+const REPORT_FRAMES: usize = 8;
 
 /// Phase of the progress display.
 const DRAWING: &str = "drawing";
 
-/// Stops of the report's exposures.
+/// Exposures shown in the report [stops].
 const STOPS: [f64; 3] = [-2.0, 0.0, 2.0];
 
-/// Which frames are drawn.
+/// Frames whose renders are written.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Draw {
     All,
@@ -30,7 +30,7 @@ pub(crate) enum Draw {
     None,
 }
 
-/// What to draw.
+/// Inputs of rendering.
 pub(crate) struct Drawing<'a> {
     pub(crate) sequence: &'a Sequence,
     pub(crate) truth: &'a GroundTruth,
@@ -38,16 +38,16 @@ pub(crate) struct Drawing<'a> {
     pub(crate) draw: Draw,
 }
 
-/// What was drawn.
+/// Outputs of rendering.
 #[derive(Default)]
 pub(crate) struct Drawn {
     pub(crate) comparisons: Vec<Comparison>,
     pub(crate) measures: Measures,
-    /// The first file that could not be written; the others were not tried.
+    /// First error of writing, after which no file is written.
     pub(crate) failure: Option<ExportError>,
 }
 
-/// Image figures, one entry per measured frame.
+/// Image metrics, one entry per measured frame.
 #[derive(Default)]
 pub(crate) struct Measures {
     psnr_blurred: Vec<f64>,
@@ -56,7 +56,7 @@ pub(crate) struct Measures {
     radiance: Option<RadianceStack>,
 }
 
-/// Estimated and true radiance of many frames, one below the other: one gain fits them all.
+/// Estimated and true radiance of many frames, stacked so that one gain fits them all.
 struct RadianceStack {
     estimate: Image<f32>,
     truth: Image<f32>,
@@ -64,10 +64,10 @@ struct RadianceStack {
 }
 
 impl Drawing<'_> {
-    /// Draw and measure. The user can end it: then only the report's frames are drawn.
+    /// Renders and measures all frames; after an interrupt, those of the report only.
     pub(crate) fn run(&self, folder: &ResultFolder, progress: &Progress) -> Drawn {
         let frames = &self.reconstruction.frames;
-        let shown = frames_to_show(frames, SHOWN);
+        let shown = frames_to_show(frames, REPORT_FRAMES);
         let mut viewer = self.reconstruction.viewer();
         let mut drawn = Drawn::default();
         progress.step(DRAWING, 0, frames.len());
@@ -134,7 +134,7 @@ impl Drawing<'_> {
         }
     }
 
-    /// The frame's place in the sequence.
+    /// Position of a frame in the sequence.
     fn position(&self, frame: &FrameEstimate) -> Option<usize> {
         self.sequence.entries.binary_search_by_key(&frame.index, |entry| entry.index).ok()
     }
@@ -175,7 +175,7 @@ fn keep_widest_range(comparisons: &mut [Comparison]) {
     }
 }
 
-/// Radiance is compared for the whole sequence at once (one gain), on at most so many frames.
+/// Largest number of frames for radiance, which is compared for all of them at once.
 const MAX_RADIANCE: usize = 100;
 
 impl Measures {
@@ -204,7 +204,7 @@ impl Measures {
         stack.frames += 1;
     }
 
-    /// Means of all frames.
+    /// Writes the means over all frames.
     pub(crate) fn fill(&self, metrics: &mut Metrics) {
         metrics.psnr_blurred_db = mean(&self.psnr_blurred);
         metrics.psnr_blurred_frames = self.psnr_blurred.len();
@@ -224,13 +224,13 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// The picture as it is written: cut to `[0, 1]`.
+/// Clamps a picture to `[0, 1]`, as it is written.
 fn in_range(picture: &Image<f32>) -> Image<f32> {
     let data = picture.data.iter().map(|v| v.clamp(0.0, 1.0)).collect();
     Image { data, ..*picture }
 }
 
-/// Adds the rows of `below` to every plane of `image`.
+/// Appends the rows of `below` to every plane of `image`.
 fn append_rows(image: &mut Image<f32>, below: &Image<f32>) {
     let planes = (0..image.channels).map(|c| [image.plane(c), below.plane(c)].concat());
     let data = planes.collect::<Vec<_>>().concat();

@@ -28,19 +28,19 @@ pub(super) struct Finished<'a> {
     pub(super) warnings: Vec<Warning>,
 }
 
-/// What came of writing.
+/// Summary of a written run.
 pub(super) struct Written {
     pub(super) metrics: Metrics,
-    /// The map in words.
+    /// Description of the map.
     pub(super) map: String,
-    /// Where it was written.
+    /// Folder that was written.
     pub(super) folder: PathBuf,
     pub(super) problems: Vec<String>,
 }
 
 impl Finished<'_> {
-    /// What opens the sequence as it was used.
-    fn opened(&self) -> OpenOptions {
+    /// Options that open the sequence as it was used.
+    fn open_options(&self) -> OpenOptions {
         let lens = self.outcome.camera.as_ref().and_then(|camera| camera.lens);
         let before = &self.job.options.open;
         OpenOptions { estimated_camera: lens.or(before.estimated_camera), ..before.clone() }
@@ -51,7 +51,7 @@ impl Finished<'_> {
     fn output_folder(&mut self, progress: &Progress) -> Result<ResultFolder, Failure> {
         let out = self.folder.path();
         let tracked = self.outcome.reconstruction.frames.iter().filter(|f| f.tracked).count();
-        if self.outcome.complete || !is_better_result(out, tracked) {
+        if self.outcome.complete || !has_better_result(out, tracked) {
             return Ok(self.folder.clone());
         }
         let beside = partial_folder(out);
@@ -81,7 +81,7 @@ impl Finished<'_> {
             note(Layout::of_result().remove(folder.path()));
         }
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
-        note(Input::new(&self.job.dataset, &self.opened()).save(folder));
+        note(Input::new(&self.job.dataset, &self.open_options()).save(folder));
         let mut figures = Figures::of(&self.outcome, self.truth);
         figures.warnings.iter().for_each(|warning| progress.warn(warning));
         let later = figures.warnings.iter().map(|warning| Warning::from(warning.as_str()));
@@ -113,14 +113,14 @@ impl Finished<'_> {
     }
 }
 
-/// Exposures that differ by less are constant: a correlation would be one of noise [stops].
+/// Smallest range of true exposures [stops]: below, a correlation would be one of noise.
 const MIN_RANGE: f64 = 0.1;
 
-/// Figures, and the truth laid onto the estimate.
+/// Metrics, and the true poses aligned to the estimate.
 pub(crate) struct Figures {
     pub(crate) metrics: Metrics,
     pub(crate) truth_in_world: Vec<StampedPose>,
-    /// What could not be measured, and why.
+    /// Measurements that failed, with reasons.
     pub(crate) warnings: Vec<String>,
 }
 
@@ -145,21 +145,21 @@ impl Figures {
             }
         }
         let mut figures = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
-        figures.judge_trajectory(outcome, truth);
-        figures.judge_exposure(outcome, truth);
+        figures.measure_trajectory(outcome, truth);
+        figures.measure_exposure(outcome, truth);
         figures
     }
 
-    fn judge_trajectory(&mut self, outcome: &RunOutcome, truth: &GroundTruth) {
+    fn measure_trajectory(&mut self, outcome: &RunOutcome, truth: &GroundTruth) {
         let scaled = outcome.reconstruction.config.is_rgb();
         let alignment = if scaled { Alignment::Sim3 } else { Alignment::Se3 };
         self.metrics.ate_scale_aligned = scaled;
-        match truth.judge(&outcome.reconstruction.trajectory(), alignment) {
-            Ok(Some((error, laid))) => {
+        match truth.trajectory_error(&outcome.reconstruction.trajectory(), alignment) {
+            Ok(Some((error, aligned))) => {
                 self.metrics.ate_rmse_m = Some(error.ate_rmse_m);
                 self.metrics.ate_mean_m = Some(error.ate_mean_m);
                 self.metrics.ate_poses = error.pairs;
-                self.truth_in_world = laid;
+                self.truth_in_world = aligned;
             }
             Ok(None) => {}
             Err(failure) => {
@@ -169,7 +169,7 @@ impl Figures {
         }
     }
 
-    fn judge_exposure(&mut self, outcome: &RunOutcome, truth: &GroundTruth) {
+    fn measure_exposure(&mut self, outcome: &RunOutcome, truth: &GroundTruth) {
         let reconstruction = &outcome.reconstruction;
         if !reconstruction.config.formation.tone || truth.exposure.is_empty() {
             return;
@@ -196,7 +196,7 @@ fn range_stops(exposures: &[f64]) -> f64 {
     low.zip(high).map_or(0.0, |(low, high)| (high / low).log2())
 }
 
-/// The most memory this process ever held [bytes], where the system tells (Linux).
+/// Peak resident memory of the process [bytes]; Linux only.
 pub(super) fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -204,15 +204,15 @@ pub(super) fn peak_memory() -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// Whether a folder holds a result that is complete, or has more than `tracked` frames; of one
-/// whose figures cannot be read that is assumed.
-fn is_better_result(folder: &Path, tracked: usize) -> bool {
+/// Whether a folder holds a result that is complete, has more than `tracked` frames, or whose
+/// `metrics.json` cannot be read.
+fn has_better_result(folder: &Path, tracked: usize) -> bool {
     Layout::of_result().contents(folder) == FolderContents::Own
         && saved_metrics(folder).is_none_or(|earlier| earlier.complete || earlier.tracked > tracked)
 }
 
-/// The folder beside it for what there is of a run that ended early: `NAME-partial`, or with a
-/// number where that holds anything but such a part.
+/// Folder for a run that ended early beside a better result: `NAME-partial`, numbered if that
+/// holds anything else.
 fn partial_folder(folder: &Path) -> PathBuf {
     let whole = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -68,7 +68,7 @@ pub struct RunOptions {
     pub config: Config,
     /// Source of the poses.
     pub poses: PoseSource,
-    /// How the sequence, or the pictures of imported keyframes, are opened.
+    /// Options for opening the sequence, or the pictures of imported keyframes.
     pub open: OpenOptions,
 }
 

@@ -1,4 +1,4 @@
-//! What is judged: a result folder, a trajectory, or pictures.
+//! Input of an evaluation: a result folder, a trajectory, or pictures.
 
 use super::failed;
 use crate::failure::Failure;
@@ -7,9 +7,9 @@ use i2slam_result::UnitOfLength;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What is judged.
+/// Estimate that is compared with ground truth.
 pub(super) enum Estimate {
-    /// `trajectory.txt`, `frames.csv`, `renders/`; of another system without `frames.csv`.
+    /// Folder with `trajectory.txt`, `renders/` and, unless another system wrote it, `frames.csv`.
     Result(PathBuf),
     /// A trajectory file.
     Trajectory(PathBuf),
@@ -23,7 +23,7 @@ pub(super) struct RunFrame {
     pub(super) index: usize,
     pub(super) timestamp: f64,
     pub(super) keyframe: bool,
-    /// Whether the map never saw it; false where the table does not say.
+    /// Whether the map never saw it; false without that column.
     pub(super) held_out: bool,
 }
 
@@ -43,7 +43,7 @@ impl Estimate {
                 return Ok(Self::Pictures(path.to_owned()));
             }
         }
-        Err(failed(path, neither(path)))
+        Err(failed(path, unsuitable(path)))
     }
 
     pub(super) fn trajectory(&self) -> Option<PathBuf> {
@@ -54,7 +54,7 @@ impl Estimate {
         }
     }
 
-    /// What the head of the trajectory says of its unit of length; those of others are metric.
+    /// Unit of length by the header of the trajectory; metres without one.
     pub(super) fn unit_of_length(&self) -> Result<UnitOfLength, Failure> {
         let Some(path) = self.trajectory() else { return Ok(UnitOfLength::Metre) };
         let text = std::fs::read_to_string(&path).map_err(|e| failed(&path, e))?;
@@ -68,7 +68,7 @@ impl Estimate {
         }
     }
 
-    /// The pictures of a kind of render, by frame; of a folder of pictures its own.
+    /// Rendered pictures of one kind by frame; the pictures themselves of a folder of pictures.
     pub(super) fn renders(&self, kind: &str, extension: &str) -> Result<Pictures, Failure> {
         let folder = match self {
             Self::Result(folder) => folder.join("renders").join(kind),
@@ -78,7 +78,7 @@ impl Estimate {
         if folder.is_dir() { pictures(&folder, extension) } else { Ok(Pictures::new()) }
     }
 
-    /// The frames that the run processed; `None` without `frames.csv`.
+    /// Rows of `frames.csv`, if there is one.
     pub(super) fn run_frames(&self) -> Result<Option<Vec<RunFrame>>, Failure> {
         let path = match self.result() {
             Some(folder) => folder.join("frames.csv"),
@@ -93,7 +93,7 @@ impl Estimate {
 }
 
 /// Why a folder can be no estimate.
-fn neither(path: &Path) -> String {
+fn unsuitable(path: &Path) -> String {
     let shown = path.display();
     if path.read_dir().is_ok_and(|mut entries| entries.next().is_none()) {
         return "the folder is empty: a result folder, a trajectory or pictures are judged".into();
@@ -112,10 +112,10 @@ fn neither(path: &Path) -> String {
     }
 }
 
-/// Picture files by frame: the number that is the file's name, else its place by name.
+/// Picture files by frame number: their names, or their positions if not all names are numbers.
 pub(super) type Pictures = BTreeMap<usize, PathBuf>;
 
-/// The pictures with this extension in a folder.
+/// Lists the pictures with this extension in a folder.
 pub(super) fn pictures(folder: &Path, extension: &str) -> Result<Pictures, Failure> {
     let entries = std::fs::read_dir(folder).map_err(|e| failed(folder, e))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();

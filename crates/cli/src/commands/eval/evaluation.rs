@@ -16,25 +16,25 @@ pub(super) struct Evaluation {
     pub(super) protocol: &'static str,
     pub(super) trajectory: Option<trajectory::Errors>,
     pub(super) pictures: Option<PictureErrors>,
-    /// How far poses were optimised; `None` where they were not.
+    /// Mean pose corrections; `None` without pose optimisation.
     pub(super) corrections: Option<Vec<Figure>>,
     pub(super) radiance: Vec<Figure>,
-    /// Whether renders were compared with the pictures taken, blur and all.
+    /// Whether renders were compared with the recorded, blurred pictures.
     pub(super) as_taken: bool,
     /// The true trajectory.
     pub(super) true_trajectory: Option<TruthSource>,
     /// The true pictures.
     pub(super) true_pictures: Option<TruthSource>,
-    /// Truths that are not of the dataset which the run read, and that dataset.
+    /// Ground truth from elsewhere than the dataset of the run, and that dataset.
     pub(super) foreign: Option<(Vec<PathBuf>, PathBuf)>,
-    /// What was not judged, and why.
+    /// Parts that were not evaluated, with reasons.
     pub(super) not_judged: Vec<String>,
-    /// Why pictures that should be judged could not; told after everything else.
+    /// Error of the pictures, reported after all results.
     pub(super) problem: Option<Failure>,
 }
 
 impl Evaluation {
-    /// One flat object, and the frames one by one.
+    /// One flat object with all results, and an array of frames.
     pub(super) fn json(&self) -> Result<Value, Failure> {
         let mut object = Map::new();
         object.insert("protocol".to_owned(), self.protocol.into());
@@ -59,7 +59,7 @@ impl Evaluation {
         self.remarks().iter().for_each(|line| print_status(line));
     }
 
-    /// What a reader of the numbers must know.
+    /// Notes and warnings that qualify the results.
     pub(super) fn remarks(&self) -> Vec<String> {
         let mut remarks: Vec<String> =
             self.not_judged.iter().map(|what| format!("note: {what}")).collect();
@@ -89,7 +89,8 @@ impl Evaluation {
         rows
     }
 
-    /// For the report: the title tells two evaluations apart that judge by other rules.
+    /// Section of the report. Its title names all options that change the results, as a section
+    /// replaces the one with its title.
     pub(super) fn section(&self, arguments: &Eval) -> EvaluationSection {
         let mut title = format!("Protocol {}", self.protocol);
         let list = self.pictures.as_ref().and_then(|pictures| pictures.list.as_ref());
@@ -129,25 +130,25 @@ impl Evaluation {
     }
 }
 
-/// A number with its names.
+/// One result with its names.
 #[derive(Clone, Debug)]
 pub(super) struct Figure {
-    /// In JSON; ends with the unit.
+    /// Key in JSON, ending with the unit.
     pub(super) key: &'static str,
-    /// In the table.
+    /// Name in the table.
     pub(super) label: &'static str,
     pub(super) unit: &'static str,
     pub(super) decimals: usize,
-    /// `None` if it cannot be measured.
+    /// `None` if not measurable.
     pub(super) value: Option<f64>,
 }
 
-/// A line of the table, in its parts.
+/// A line of the table.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
     pub(super) name: String,
     pub(super) number: String,
-    /// Unit and remark, with what parts them from the number.
+    /// Unit and remark, with their separators.
     pub(super) rest: String,
 }
 
@@ -165,7 +166,7 @@ impl Figure {
         Row { name: self.label.to_owned(), number, rest: format!(" {}", self.unit) }
     }
 
-    /// What is not finite (the PSNR of equal pictures) is `null`.
+    /// Key and value; `null` if not finite, such as the PSNR of equal pictures.
     pub(super) fn json(&self) -> (String, Value) {
         (self.key.to_owned(), self.value.map_or(Value::Null, Value::from))
     }
@@ -174,15 +175,15 @@ impl Figure {
 const FILE: &str = "evaluation.json";
 const PAGE: &str = "report.html";
 
-/// Adds a section to the result of a run, or replaces the one with its title. A folder without a
-/// page is of another program, and left as it is.
+/// Adds a section to `evaluation.json` and `report.html`, or replaces the one with its title. A
+/// folder without a report was written by another program and stays as it is.
 pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result<(), Failure> {
     let page = result.join(PAGE);
     if !page.is_file() {
         return Ok(());
     }
     let text = fs::read_to_string(&page).map_err(|e| failed(&page, e))?;
-    let mut sections = known(&result.join(FILE))?;
+    let mut sections = saved_sections(&result.join(FILE))?;
     match sections.iter_mut().find(|known| known.title == section.title) {
         Some(known) => *known = section,
         None => sections.push(section),
@@ -197,7 +198,7 @@ pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result
     Ok(folder.write_text(PAGE, &text)?)
 }
 
-fn known(file: &Path) -> Result<Vec<EvaluationSection>, Failure> {
+fn saved_sections(file: &Path) -> Result<Vec<EvaluationSection>, Failure> {
     if !file.is_file() {
         return Ok(Vec::new());
     }

@@ -14,21 +14,21 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// MonoGS judges every so many frames.
+/// Interval of the frames that MonoGS evaluates.
 const MONOGS_INTERVAL: usize = 5;
 
-/// The frames to judge, ascending.
+/// Frames to evaluate, ascending.
 #[derive(Debug)]
 pub(super) struct FrameSelection {
-    /// Frame and its render.
+    /// Frame number and render.
     pub(super) frames: Vec<(usize, PathBuf)>,
-    /// Frames that should be judged and have no render.
+    /// Frames without a render.
     pub(super) missing: Vec<usize>,
-    /// The list that chose them.
+    /// Name of the list that selected them.
     pub(super) list: Option<String>,
 }
 
-/// The frames that protocol and list name and that have a true picture, rendered or not.
+/// Frames selected by protocol and list that have a true picture, rendered or not.
 pub(super) fn wanted(
     arguments: &Eval,
     estimate: &Estimate,
@@ -53,7 +53,7 @@ pub(super) fn wanted(
     Ok(wanted.into_iter().filter(|frame| known.binary_search(frame).is_ok()).collect())
 }
 
-/// Those of them that are drawn.
+/// Splits selected frames into rendered and missing ones.
 pub(super) fn choose(
     arguments: &Eval,
     estimate: &Estimate,
@@ -67,7 +67,7 @@ pub(super) fn choose(
     Ok(chosen)
 }
 
-/// The frames that protocol and list name; `None` for all.
+/// Frames named by protocol or list; `None` for all.
 fn demanded(
     arguments: &Eval,
     run: Option<&[RunFrame]>,
@@ -85,7 +85,7 @@ fn demanded(
     Ok(frames)
 }
 
-/// The list as typed; the paper's protocol finds the sharp frames itself where none is given.
+/// The given list; by default `auto` for the protocol of the paper.
 fn list(arguments: &Eval) -> Option<String> {
     let own = (arguments.protocol == Protocol::I2slam).then(|| "auto".to_owned());
     arguments.list.clone().or(own)
@@ -98,13 +98,13 @@ fn needed(run: Option<&[RunFrame]>) -> Result<&[RunFrame], Failure> {
     })
 }
 
-/// The first and every n-th: places 0, n - 1, 2n - 1, …
+/// The first and every n-th frame, as SplaTAM: positions 0, n - 1, 2n - 1, …
 fn splatam(run: &[RunFrame], every: usize) -> Vec<usize> {
     let judged = |place: &usize| *place == 0 || (place + 1).is_multiple_of(every);
     (0..run.len()).filter(judged).map(|place| run[place].index).collect()
 }
 
-/// Places 0, 5, 10, … before the last, no keyframes.
+/// Positions 0, 5, 10, … without the last frame and keyframes, as MonoGS.
 fn monogs(run: &[RunFrame]) -> Vec<usize> {
     let end = run.len().saturating_sub(1);
     let frames = run[..end].iter().step_by(MONOGS_INTERVAL).filter(|frame| !frame.keyframe);
@@ -122,7 +122,7 @@ fn held_out(run: &[RunFrame]) -> Result<Vec<usize>, Failure> {
     Ok(frames)
 }
 
-/// Why protocol and list name no frame of the run, and what to do.
+/// Error for a selection without a frame of the run.
 fn nothing_demanded(arguments: &Eval, frames: &[usize], run: Option<&[RunFrame]>) -> Failure {
     let count = run.map_or_else(String::new, |run| format!(" {}", counted(run.len(), "frame")));
     let all = "--protocol all-frames judges every frame";
@@ -159,7 +159,7 @@ fn split(judged: Vec<usize>, renders: &Pictures) -> FrameSelection {
     FrameSelection { frames, missing, list: None }
 }
 
-/// A render that is missing must not make the mean better without a word.
+/// Refuses missing renders unless `--partial`: they must not improve the mean unnoticed.
 fn check(
     arguments: &Eval,
     estimate: &Estimate,
@@ -193,14 +193,14 @@ fn check(
     )))
 }
 
-/// The first of many numbers.
+/// The first few frame numbers as text.
 pub(super) fn shortened(frames: &[usize]) -> String {
     let first: Vec<String> = frames.iter().take(5).map(|f| format!("{f:06}")).collect();
     let more = if frames.len() > first.len() { ", …" } else { "" };
     first.join(", ") + more
 }
 
-/// Names and first lines of the published lists.
+/// Names of the published lists with their first lines.
 pub(super) fn published_lists() -> Vec<String> {
     let line = |(name, text): &(&str, &str)| {
         let about = text.lines().next().unwrap_or_default().trim_start_matches("# ");
@@ -209,7 +209,7 @@ pub(super) fn published_lists() -> Vec<String> {
     frame_list::PUBLISHED.iter().map(line).collect()
 }
 
-/// The frames of a list: its name, its file, or `auto`.
+/// Frames of a published list, of a file, or for `auto` the sharp ones.
 fn listed_frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Failure> {
     if list == "auto" {
         return match reference {
@@ -236,10 +236,10 @@ fn listed_frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Failur
     if frames.is_empty() { Err(failed(path, "lists no frame")) } else { Ok(frames) }
 }
 
-/// How every list begins that is written here.
+/// First words of every list written by this program.
 const ORIGIN: &str = "# Sharp frames of ";
 
-/// `--write-list`: the sharp frames of a dataset or a folder of pictures.
+/// Writes the list of sharp frames of a dataset or a folder of pictures (`--write-list`).
 pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(), Failure> {
     if !video.is_dir() {
         let reason = if video.exists() { "is no folder" } else { "no such folder" };
@@ -277,7 +277,7 @@ pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(
     Ok(())
 }
 
-/// A list is replaced where the user says so, another file never.
+/// Refuses to replace a list without `--overwrite`, and any other file.
 fn refuse_to_replace(file: &Path, overwrite: bool) -> Result<(), Failure> {
     let shown = file.display();
     let message = match std::fs::read_to_string(file) {

@@ -1,4 +1,4 @@
-//! `i2slam eval`: a result, a trajectory or pictures against the truth.
+//! `i2slam eval`: compares a result, a trajectory or pictures with ground truth.
 
 mod estimate;
 mod evaluation;
@@ -29,10 +29,10 @@ pub(crate) struct Eval {
     /// result names]
     #[arg(long, value_name = "DIR")]
     pub(crate) reference: Option<PathBuf>,
-    /// Which frames are judged, and by which numbers
+    /// Which frames are compared, and by which metrics
     #[arg(long, value_enum, default_value_t = Protocol::AllFrames, value_name = "NAME")]
     pub(crate) protocol: Protocol,
-    /// Judge these frames only: a file with one frame number a line, a published list (names:
+    /// Compare these frames only: a file with one frame number a line, a published list (names:
     /// --list help), or `auto` for the sharp frames of the dataset
     #[arg(long, value_name = "LIST")]
     pub(crate) list: Option<String>,
@@ -45,15 +45,15 @@ pub(crate) struct Eval {
     /// With --protocol splatam, the first and every N-th frame
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) every: u32,
-    /// Move every judged frame to where the map fits its true picture best, and judge what is seen
-    /// from there: leaves pose errors out. Needs the map of the result
+    /// Optimise the pose of every frame against its true picture before rendering, which leaves
+    /// pose errors out. Needs the map of the result
     #[arg(long)]
     pub(crate) optimise_poses: bool,
-    /// Judge the renders that are there, though others are missing
+    /// Compare the renders that exist, even if others are missing
     #[arg(long)]
     pub(crate) partial: bool,
-    /// What may be fitted before errors are measured: se3, but sim3 where the trajectory says that
-    /// its unit of length is unknown
+    /// Alignment before trajectory errors are measured [default: se3, or sim3 for a trajectory of
+    /// unknown unit of length]
     #[arg(long, value_enum, value_name = "GROUP")]
     pub(crate) align: Option<Fit>,
     /// Step of the relative pose error: frames (`1`, `30`) or seconds (`0.5s`)
@@ -64,7 +64,7 @@ pub(crate) struct Eval {
     pub(crate) json: bool,
 }
 
-/// Published ways to judge a run.
+/// Published evaluation protocols.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Protocol {
     /// Every frame that has a true picture
@@ -193,7 +193,7 @@ fn evaluate_trajectory(
     let poses = read_trajectory(&file)?;
     match trajectory::evaluate(arguments, estimate, poses, &truth) {
         Ok(errors) => evaluation.trajectory = Some(errors),
-        // The dataset's own truth was not asked for: its pictures are judged all the same.
+        // The dataset's own trajectory was not asked for: go on with its pictures.
         Err(Failure::Failed(reason)) if arguments.groundtruth.is_none() => {
             evaluation.not_judged.push(format!("trajectory: {reason}"));
             return Ok(());
@@ -237,7 +237,8 @@ fn evaluate_pictures(
     Ok(())
 }
 
-/// What is given, else the dataset that the result names, unless a trajectory alone is asked for.
+/// The given reference, else the dataset that the result names; none if only `--groundtruth` is
+/// given.
 fn reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Reference>, Failure> {
     match (&arguments.reference, estimate) {
         (Some(_), Estimate::Trajectory(_)) => {
@@ -254,7 +255,7 @@ fn reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Reference>,
     }
 }
 
-/// As it is typed.
+/// Name on the command line.
 fn name(protocol: Protocol) -> &'static str {
     match protocol {
         Protocol::AllFrames => "all-frames",

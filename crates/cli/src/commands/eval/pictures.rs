@@ -22,19 +22,19 @@ use serde_json::{Map, Value, json};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What was measured.
+/// Metrics of all evaluated frames.
 pub(super) struct PictureErrors {
     metrics: &'static [Metric],
-    /// Frame, and one number per metric.
+    /// Frame number, and one value per metric.
     rows: Vec<(usize, Vec<Option<f64>>)>,
     missing: Vec<usize>,
-    /// CRC-32 of every true picture, as `rows`.
+    /// CRC-32 of the true picture of every row.
     pub(super) checksums: Vec<u32>,
-    /// The list that chose the frames.
+    /// Name of the list that selected the frames.
     pub(super) list: Option<String>,
 }
 
-/// Measures every chosen frame.
+/// Measures every selected frame.
 pub(super) fn evaluate(
     arguments: &Eval,
     estimate: &Estimate,
@@ -98,12 +98,12 @@ fn pair(
 }
 
 impl PictureErrors {
-    /// The frames judged.
+    /// Evaluated frames.
     pub(super) fn frames(&self) -> Vec<usize> {
         self.rows.iter().map(|(frame, _)| *frame).collect()
     }
 
-    /// Means over the frames where the number exists and is finite.
+    /// Mean of every metric over the frames where it is finite.
     pub(super) fn figures(&self) -> Vec<Figure> {
         let column = |i: usize| {
             let values = self.rows.iter().filter_map(move |(_, row)| row[i]);
@@ -120,12 +120,12 @@ impl PictureErrors {
         self.metrics.iter().enumerate().map(figure).collect()
     }
 
-    /// Frames whose render equals the truth: their PSNR is infinite and in no mean.
+    /// Number of renders equal to the true picture: their PSNR is infinite and in no mean.
     fn equal(&self) -> usize {
         self.rows.iter().filter(|(_, row)| row[0] == Some(f64::INFINITY)).count()
     }
 
-    /// Name and value of everything that could be measured.
+    /// Table rows of all measurable metrics.
     pub(super) fn rows(&self) -> Vec<Row> {
         let list = self.list.as_ref().map(|list| format!(", list {list}")).unwrap_or_default();
         let count = self.rows.len().to_string();
@@ -135,7 +135,7 @@ impl PictureErrors {
         rows
     }
 
-    /// What a reader of the table must know.
+    /// Notes and warnings that qualify the table.
     pub(super) fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         if !self.missing.is_empty() {
@@ -177,11 +177,11 @@ pub(super) struct Pair {
     pub(super) truth: Image<f32>,
     /// Rendered and true depth [m].
     pub(super) depth: Option<(Image<f32>, Image<f32>)>,
-    /// Where the true depth is valid.
+    /// Pixels with a true depth.
     pub(super) valid: Option<Vec<bool>>,
 }
 
-/// How one number is measured; `None` where the pair does not allow it.
+/// A metric; `None` for a pair on which it is not defined.
 pub(super) struct Metric {
     pub(super) key: &'static str,
     pub(super) label: &'static str,
@@ -211,7 +211,7 @@ const DEPTH: Metric = Metric {
     },
 };
 
-/// Of the whole picture.
+/// Metrics of whole pictures.
 const WHOLE: &[Metric] = &[
     metric("psnr_sharp_db", "sharp PSNR", "dB", |p| Ok(Some(psnr(&p.picture, &p.truth)?))),
     metric("psnr_channel_mean_db", "PSNR, mean over channels", "dB", |p| {
@@ -227,7 +227,8 @@ const WHOLE: &[Metric] = &[
     DEPTH,
 ];
 
-/// Both pictures black where the true depth is not known; needs [`Pair::valid`].
+/// Metrics of SplaTAM: both pictures are black where there is no true depth. Needs
+/// [`Pair::valid`].
 const SPLATAM: &[Metric] = &[
     metric("psnr_splatam_db", "PSNR as SplaTAM", "dB", |p| match &p.valid {
         Some(valid) => Ok(Some(psnr_splatam(&p.picture, &p.truth, valid)?)),
@@ -246,7 +247,7 @@ const MONOGS: &[Metric] = &[
     metric("lpips_monogs", "LPIPS (AlexNet)", "", |p| measurable(lpips(&p.picture, &p.truth))),
 ];
 
-/// The numbers of a protocol, in the order of the table.
+/// Metrics of a protocol, in the order of the table.
 fn metrics_of(protocol: Protocol) -> &'static [Metric] {
     match protocol {
         Protocol::AllFrames | Protocol::I2slam | Protocol::HeldOut => WHOLE,
@@ -255,7 +256,7 @@ fn metrics_of(protocol: Protocol) -> &'static [Metric] {
     }
 }
 
-/// Pictures too small for a measure, or without a pixel to judge, have no such number.
+/// Turns "too few pixels" into `None`.
 fn measurable(result: Result<f64, EvalError>) -> Result<Option<f64>, EvalError> {
     match result {
         Ok(value) => Ok(Some(value)),
@@ -281,11 +282,11 @@ fn masked(
     measurable(measure(&black(&pair.picture), &black(&pair.truth)))
 }
 
-/// All frames are held at once; of more, every n-th is judged.
+/// Largest number of frames for radiance, as all are held in memory; of more, every n-th is used.
 const MAX_RADIANCE_FRAMES: usize = 100;
 
-/// The figures, none if there is no radiance to compare. A frame that lacks a render is left to
-/// the judging of pictures.
+/// Radiance errors after one common gain; empty if there is no radiance to compare. Missing
+/// renders are reported with the pictures.
 pub(super) fn evaluate_radiance(
     estimate: &Estimate,
     reference: &Reference,
@@ -314,14 +315,14 @@ pub(super) fn evaluate_radiance(
         return Ok(Vec::new());
     }
     let count = frames[0].len();
-    let [drawn, known] = frames.map(|frames| below_each_other(&frames));
+    let [drawn, known] = frames.map(|frames| stacked(&frames));
     let common = hdr_error_after(Gain::Common, &drawn, &known, None)?;
     let each = hdr_error_after(Gain::PerChannel, &drawn, &known, None)?;
     Ok(radiance_figures(&common, &each, count))
 }
 
-/// One picture of pictures of equal width.
-fn below_each_other(frames: &[Image<f32>]) -> Image<f32> {
+/// Stacks pictures of equal width.
+fn stacked(frames: &[Image<f32>]) -> Image<f32> {
     let (width, channels) = frames.first().map_or((0, 0), |f| (f.width, f.channels));
     let height = frames.iter().map(|f| f.height).sum();
     let planes = (0..channels).flat_map(|c| frames.iter().map(move |f| f.plane(c)));

@@ -1,4 +1,4 @@
-//! Test-time pose optimisation: frames drawn from where the map fits their true pictures best.
+//! Test-time pose optimisation: renders from the poses at which the map fits the true pictures.
 
 use super::estimate::Estimate;
 use super::evaluation::Figure;
@@ -12,10 +12,10 @@ use i2slam::FrameEstimate;
 use i2slam::geometry::{Image, Pose, StampedPose};
 use i2slam_result::{RenderKind, ResultFolder, UnitOfLength, save_render, save_trajectory};
 
-/// Where the pictures go.
+/// Folder of the pictures inside the result.
 const BELOW: &str = "renders/optimised";
 
-/// Refuses what makes no sense before anything is done.
+/// Refuses protocols and inputs that pose optimisation is not for.
 pub(super) fn check(arguments: &Eval, estimate: &Estimate) -> Result<(), Failure> {
     let refuse = |message: &str| Err(Failure::Usage(format!("--optimise-poses {message}")));
     if matches!(arguments.protocol, Protocol::Splatam | Protocol::Monogs) {
@@ -27,8 +27,8 @@ pub(super) fn check(arguments: &Eval, estimate: &Estimate) -> Result<(), Failure
     Ok(())
 }
 
-/// Draws `frames` to `renders/optimised/sharp/`, writes their poses to
-/// `trajectory_optimised.txt`, and tells how far they were moved.
+/// Renders `frames` to `renders/optimised/sharp/`, writes their poses to
+/// `trajectory_optimised.txt`, and returns the mean corrections.
 pub(super) fn draw(
     estimate: &Estimate,
     reference: &Reference,

@@ -13,15 +13,15 @@ use i2slam_result::report::TruthSource;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Where true pictures come from.
+/// Ground truth of an evaluation.
 pub(super) enum Reference {
     /// PNG and EXR files by frame.
     Folder { path: PathBuf, colour: Pictures, radiance: Pictures },
-    /// A dataset with what lies beside its frames.
+    /// A dataset with its ground truth.
     Dataset { path: PathBuf, sequence: Box<Sequence>, truth: Box<GroundTruth> },
 }
 
-/// The truth of one frame.
+/// Ground truth of one frame.
 pub(super) struct TrueFrame {
     pub(super) colour: Image<f32>,
     /// Metres; only a dataset has it.
@@ -29,7 +29,7 @@ pub(super) struct TrueFrame {
 }
 
 impl Reference {
-    /// What can be opened as a sequence is one; the settings of the run decide how.
+    /// Opens a dataset, with the settings of the run, or a folder of pictures.
     pub(super) fn open(path: &Path, estimate: &Estimate) -> Result<Self, Failure> {
         if path.is_file() {
             return Self::dataset(path, estimate);
@@ -73,7 +73,7 @@ impl Reference {
         }
     }
 
-    /// Whether the pictures taken stand in for sharp ones that nobody has.
+    /// Whether the recorded pictures are used because there are no sharp ones.
     pub(super) fn is_as_taken(&self) -> bool {
         match self {
             Self::Folder { .. } => false,
@@ -96,7 +96,7 @@ impl Reference {
         }
     }
 
-    /// The truth of one of [`frames`](Self::frames).
+    /// Ground truth of one of [`frames`](Self::frames).
     pub(super) fn load(&self, index: usize) -> Result<TrueFrame, Failure> {
         match self {
             Self::Folder { path, colour, .. } => {
@@ -137,8 +137,8 @@ impl Reference {
     }
 }
 
-/// A dataset as a run read it, but all frames of it, so that `auto` finds the same sharp ones
-/// whichever part was run.
+/// Opens a dataset as the run did, but all of its frames, so that `auto` selects the same sharp
+/// ones whichever part was run.
 fn as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
     let Some(input) = Input::load(result)? else { return as_rendered(path, result) };
     let options = OpenOptions { frames: None, stride: 1, ..input.options() };
@@ -151,7 +151,7 @@ fn as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
     if fits { Ok(sequence) } else { as_rendered(path, result) }
 }
 
-/// A dataset by the settings of a run and the size of its renders.
+/// Opens a dataset with the settings of a run at the size of its renders.
 fn as_rendered(path: &Path, result: &Path) -> Result<Sequence, Failure> {
     let mut options = OpenOptions::default();
     let settings = result.join("config.toml");
@@ -177,7 +177,7 @@ fn render_width(camera: &Path) -> Option<usize> {
     camera.get("width")?.as_u64().map(|width| width as usize)
 }
 
-/// The true trajectory: a file, or the dataset that has it.
+/// Source of the true trajectory: a file, or the dataset.
 pub(super) fn trajectory_source(
     arguments: &Eval,
     reference: Option<&Reference>,
@@ -193,7 +193,7 @@ pub(super) fn trajectory_source(
     Some(source(path, truth.len(), sum.finalize()))
 }
 
-/// True pictures, by the checksums of those that were judged.
+/// Source of the true pictures, with the checksum of all evaluated ones.
 pub(super) fn picture_source(reference: &Reference, checksums: &[u32]) -> TruthSource {
     let mut sum = crc32fast::Hasher::new();
     checksums.iter().for_each(|one| sum.update(&one.to_le_bytes()));
@@ -215,7 +215,7 @@ fn source(path: &Path, count: usize, crc32: u32) -> TruthSource {
     TruthSource { path, count, crc32: format!("{crc32:08x}") }
 }
 
-/// The truths that are not of the dataset which the run read, and that dataset.
+/// Ground truth from elsewhere than the dataset that the run read, and that dataset.
 pub(super) fn foreign_sources(
     arguments: &Eval,
     estimate: &Estimate,

@@ -16,7 +16,7 @@ use i2slam_result::UnitOfLength;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-/// `trajectory.txt` has six decimals; stamps that differ by less are the same frame [s].
+/// Largest difference of two stamps of one frame [s]; `trajectory.txt` has six decimals.
 const SAME_STAMP: f64 = 1e-5;
 
 /// Absolute and relative errors.
@@ -59,7 +59,7 @@ pub(super) fn evaluate(
     Ok(Errors { absolute, relative })
 }
 
-/// What was asked for, else what the trajectory's unit of length allows.
+/// The alignment asked for, else by the unit of length of the trajectory.
 fn alignment(arguments: &Eval, estimate: &Estimate) -> Result<Alignment, Failure> {
     let fit = match arguments.align {
         Some(fit) => fit,
@@ -72,7 +72,7 @@ fn alignment(arguments: &Eval, estimate: &Estimate) -> Result<Alignment, Failure
     })
 }
 
-/// Why keyframes alone cannot be judged: three poses are needed.
+/// Reason why a trajectory of keyframes alone cannot be evaluated: an alignment takes three poses.
 pub(super) fn too_few_keyframes(
     arguments: &Eval,
     estimate: &Estimate,

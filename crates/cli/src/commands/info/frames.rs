@@ -1,4 +1,4 @@
-//! What the pictures tell: depth, brightness, sharpness.
+//! Statistics of the pictures: depth, brightness, sharpness.
 
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
@@ -11,20 +11,20 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Depths of a frame that enter the range over all frames, at most.
+/// Largest number of depth samples per frame.
 const DEPTHS: usize = 500;
 
-/// Grey from which a pixel counts as white, to which as black.
+/// Display values from which a pixel counts as white, and up to which as black.
 const WHITE: f32 = 254.0 / 255.0;
 const BLACK: f32 = 1.0 / 255.0;
 
-/// Sums over all frames that could be read.
+/// Statistics over all readable frames.
 #[derive(Debug, Serialize)]
 pub(super) struct PictureStats {
     pub(super) measured_frames: usize,
-    /// What could not be read, in words.
+    /// Frames that cannot be read, with reasons.
     pub(super) unreadable: Vec<String>,
-    /// Frames that are odd (no depth, black, white), in words.
+    /// Warnings about frames: no depth, black, white.
     pub(super) odd: Vec<String>,
     /// `null` if no pixel has depth.
     pub(super) depth: Option<DepthFacts>,
@@ -67,11 +67,11 @@ pub(super) struct Sharpness {
     pub(super) lowest: f64,
     pub(super) median: f64,
     pub(super) highest: f64,
-    /// Frames that stand out, by place in the associated stream.
+    /// Frames sharper than their neighbours, by index in the associated stream.
     pub(super) sharp_frames: Vec<usize>,
 }
 
-/// One frame.
+/// Statistics of one frame.
 struct FrameStats {
     index: usize,
     depths: Vec<f64>,
@@ -110,7 +110,7 @@ impl PictureStats {
     }
 }
 
-/// All frames that can be read, in order, and why the others cannot.
+/// Measures all frames in order; the second list says why others cannot be read.
 fn measure_all(
     sequence: &Sequence,
     progress: &Progress,

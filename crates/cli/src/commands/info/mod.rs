@@ -1,4 +1,4 @@
-//! `i2slam info`: what is known of a sequence before it is run.
+//! `i2slam info`: describes a sequence before it is run.
 
 mod frames;
 mod sequence;
@@ -28,7 +28,7 @@ pub(crate) struct Info {
     pub(crate) preset: String,
     #[command(flatten)]
     pub(crate) input: Input,
-    /// Lists and headers only: say nothing of depth, brightness and sharpness
+    /// Read lists and headers only, without depth, brightness and sharpness
     #[arg(long)]
     pub(crate) quick: bool,
     /// Print JSON
@@ -38,7 +38,7 @@ pub(crate) struct Info {
     pub(crate) machine: Machine,
 }
 
-/// All that is told; the JSON object.
+/// Everything printed; the JSON object.
 #[derive(Serialize)]
 struct InfoReport {
     #[serde(flatten)]
@@ -48,8 +48,8 @@ struct InfoReport {
     warnings: Vec<String>,
 }
 
-/// The sequence, with depth or else without; `None` if keyframes of another program were told of in
-/// its place.
+/// Opens the sequence, with depth or else without; `None` if the path held keyframes of another
+/// program, which were printed.
 fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
     let path = &arguments.dataset;
     let config = Config::preset(&arguments.preset)?;

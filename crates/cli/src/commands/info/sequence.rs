@@ -9,10 +9,10 @@ use i2slam::dataset::{DatasetError, LeftOut, OpenOptions, Sequence, paper_frames
 use i2slam::geometry::StampedPose;
 use serde::Serialize;
 
-/// A gap in time is so many times as long as the median one.
+/// Smallest ratio of a reported gap to the median gap.
 const LONG_GAP: f64 = 1.5;
 
-/// A sequence without a look at its pictures.
+/// Facts from lists and headers.
 #[derive(Debug, Serialize)]
 pub(super) struct SequenceInfo {
     pub(super) name: String,
@@ -28,7 +28,7 @@ pub(super) struct SequenceInfo {
     pub(super) paper_frames: Option<[usize; 2]>,
 }
 
-/// Colour images that are no frames, and why.
+/// Numbers of colour images that are no frames, by reason.
 #[derive(Debug, Serialize)]
 pub(super) struct Missing {
     pub(super) without_depth: usize,
@@ -67,7 +67,7 @@ pub(super) struct CameraFacts {
     pub(super) cx: f64,
     pub(super) cy: f64,
     pub(super) source: String,
-    /// Whether nobody gave the camera.
+    /// Whether the camera is a guess.
     pub(super) is_guess: bool,
     /// Size of the recorded pictures [px].
     pub(super) recorded: [usize; 2],
@@ -75,7 +75,7 @@ pub(super) struct CameraFacts {
     pub(super) uncovered: f64,
 }
 
-/// The truth beside the frames.
+/// Ground truth in the dataset.
 #[derive(Debug, Serialize)]
 pub(super) struct TruthFacts {
     pub(super) kinds: Vec<&'static str>,
@@ -185,7 +185,8 @@ struct ImportInfo {
     warnings: Vec<String>,
 }
 
-/// Tells of keyframes in what is no sequence, for the reason given; whether there are some.
+/// Prints imported keyframes if the path, which is no sequence for `reason`, holds some; returns
+/// whether it does.
 pub(super) fn print_keyframes(
     arguments: &Info,
     open: OpenOptions,

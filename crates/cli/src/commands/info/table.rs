@@ -1,13 +1,13 @@
-//! What is told, as lines for people.
+//! The facts as a table.
 
 use super::frames::PictureStats;
 use super::sequence::{CameraFacts, SequenceInfo, Times};
 use crate::output::counted;
 
-/// Gaps named one by one.
+/// Number of gaps listed.
 const GAPS_NAMED: usize = 3;
 
-/// Frames named one by one that cannot be read or are odd.
+/// Number of unreadable or odd frames listed.
 const FRAMES_NAMED: usize = 5;
 
 /// The table, a line each.
