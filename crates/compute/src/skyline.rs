@@ -12,7 +12,7 @@ const LANES: usize = 8;
 pub struct SkylineMatrix {
     /// Column of the first entry of every row.
     first: Vec<usize>,
-    /// Where every row begins among the values, and where the last one ends.
+    /// Offset of every row among the values, and their number at the end.
     start: Vec<usize>,
     values: Vec<f64>,
 }

@@ -1,4 +1,4 @@
-//! How well dense depth of keyframes agrees with the depth pictures of a sequence.
+//! Compares dense depth of keyframes with the depth pictures of a sequence.
 //!
 //! `cargo run --release -p i2slam-odometry --example dense -- SEQUENCE [--true-poses]` finds the
 //! camera path from the colour pictures alone, and the depth of every keyframe; compared with the

@@ -17,12 +17,12 @@ pub enum OdometryError {
     },
     /// Hardly any point could be tracked from picture to picture.
     #[error(
-        "too few points could be followed from picture to picture: the scene has too little texture, or pictures are too dark, too blurred or too unlike each other"
+        "too few points could be tracked from picture to picture: the scene has too little texture, or the pictures are too dark, too blurred or too different"
     )]
     TooFewPoints,
     /// Nothing moves in the pictures.
     #[error(
-        "the camera stands still: points move by {motion:.1} pixels at most; depth shows only when the camera changes its place"
+        "the camera stands still: points move by {motion:.1} pixels at most; depth needs a camera that changes its place"
     )]
     StillCamera {
         /// Largest median motion between two keyframes [px].
@@ -30,7 +30,7 @@ pub enum OdometryError {
     },
     /// The camera turned about its own centre.
     #[error(
-        "the camera only turned: a rotation explains all motion up to {residual:.1} pixels; depth shows only when the camera changes its place"
+        "the camera only turned: a rotation explains all motion up to {residual:.1} pixels; depth needs a camera that changes its place"
     )]
     RotationOnly {
         /// Largest median residual of a rotation between two keyframes [px].
@@ -38,7 +38,7 @@ pub enum OdometryError {
     },
     /// The motion is not that of a camera in a rigid scene.
     #[error(
-        "no two pictures agree on one motion of the camera: the scene moves itself, or the intrinsics are far from true; check them or have the focal length looked for, and film what stands still"
+        "no two pictures agree on a motion of the camera: the scene itself moves, or the intrinsics are far off; check them or let the focal length be estimated"
     )]
     NoConsistentMotion,
     /// Cancelled through [`Progress`](crate::Progress).
@@ -64,9 +64,7 @@ pub enum PictureError {
         expected_height: usize,
     },
     /// Too small for tracking.
-    #[error(
-        "a picture of {width}x{height} pixels is too small: points need at least {least} a side"
-    )]
+    #[error("a picture of {width}x{height} pixels is too small: each side needs at least {least}")]
     TooSmall {
         /// Width of the picture [px].
         width: usize,
@@ -77,7 +75,7 @@ pub enum PictureError {
     },
     /// Neither one plane nor three, or incomplete ones.
     #[error(
-        "a picture of {channels} planes and {values} values: it takes one plane or three, complete"
+        "a picture of {channels} planes and {values} values: expected one or three complete planes"
     )]
     Planes {
         /// Planes that the picture claims.
@@ -86,7 +84,7 @@ pub enum PictureError {
         values: usize,
     },
     /// Timestamp not above the one before.
-    #[error("a picture of {timestamp} s after one of {last} s: stamps must rise")]
+    #[error("timestamp {timestamp} s after {last} s: timestamps must increase")]
     Stamp {
         /// Timestamp of the picture [s].
         timestamp: f64,

@@ -54,7 +54,7 @@ impl Progress {
         self.listener.iter().for_each(|listener| listener(stage, done, of));
     }
 
-    /// The same cancellation without a listener, for trial runs.
+    /// A copy with the same cancellation and no listener, for trial runs.
     pub(crate) fn without_listener(&self) -> Self {
         Self { cancellation: self.cancellation.clone(), listener: None }
     }

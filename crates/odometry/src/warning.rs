@@ -4,7 +4,7 @@
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Warning {
     /// Frames without a pose.
-    #[error("{lost} of {frames} frames have no pose: they show too little of what the others show")]
+    #[error("{lost} of {frames} frames have no pose: they share too little with the others")]
     FramesLost {
         /// Frames without a pose.
         lost: usize,
@@ -14,7 +14,7 @@ pub enum Warning {
     /// Consecutive frames with points of their own, but too few in common with the others, as after
     /// a cut.
     #[error(
-        "frames {first} to {last} could not be joined to the others: they show another place, or too little of the same one: to have it mapped, run those frames alone"
+        "frames {first} to {last} could not be connected to the others: they show another place, or too little of the same one; to map them, run those frames alone"
     )]
     DisconnectedFrames {
         /// First frame.
@@ -24,7 +24,7 @@ pub enum Warning {
     },
     /// Consecutive frames without points to track.
     #[error(
-        "frames {first} to {last} show nothing that could be followed: the lens was covered, or they are too dark or too blurred"
+        "frames {first} to {last} have no points to track: the lens was covered, or they are too dark or too blurred"
     )]
     UntrackableFrames {
         /// First frame.
@@ -34,8 +34,8 @@ pub enum Warning {
     },
     /// Another focal length than the given one fits much better.
     #[error(
-        "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or have it looked for instead of giving it",
-        across(*.width, *.given), across(*.width, *.fitting)
+        "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or let it be estimated",
+        field_of_view(*.width, *.given), field_of_view(*.width, *.fitting)
     )]
     FocalLengthMismatch {
         /// As given [px].
@@ -47,7 +47,7 @@ pub enum Warning {
     },
     /// The focal length is only vaguely observable.
     #[error(
-        "the pictures tell the focal length only to {percent:.0} percent: give it where it is known; walking to all sides and turning about while filming would tell it better"
+        "the pictures determine the focal length only to {percent:.0} percent: give it if it is known, or walk to all sides and turn while filming"
     )]
     FocalLengthUncertain {
         /// Relative standard deviation, in percent.
@@ -55,8 +55,8 @@ pub enum Warning {
     },
     /// The focal length is not observable.
     #[error(
-        "the pictures do not determine the focal length beside the path, {focal_length:.1} px ({:.1} degrees across) is no more than a guess: give it where it is known; walking to all sides and turning about while filming would tell it",
-        across(*.width, *.focal_length)
+        "the pictures do not determine the focal length, {focal_length:.1} px ({:.1} degrees across) is a guess: give it if it is known, or walk to all sides and turn while filming",
+        field_of_view(*.width, *.focal_length)
     )]
     FocalLengthUndetermined {
         /// Focal length that was used [px].
@@ -66,18 +66,18 @@ pub enum Warning {
     },
     /// The focal length was estimated together with a rolling shutter.
     #[error(
-        "rows were read in turn, which pictures of a turning camera hardly tell from another focal length: it may be off by more than its deviation says: give it where it is known"
+        "the focal length was estimated together with a rolling shutter, which is hard to tell apart for a turning camera: its error may exceed its deviation; give it if it is known"
     )]
     RollingShutterFocalLength,
     /// The distortion was estimated and is not observable.
     #[error(
-        "the pictures do not determine the distortion of the lens beside focal length and path: none is assumed (k1 and k2 are 0); walking to all sides and turning about while filming would show it"
+        "the pictures do not determine the distortion of the lens: none is assumed (k1 = k2 = 0); walk to all sides and turn while filming"
     )]
     DistortionUndetermined,
 }
 
 /// Horizontal field of view [degrees].
-fn across(width: usize, focal_length: f64) -> f64 {
+fn field_of_view(width: usize, focal_length: f64) -> f64 {
     2.0 * (0.5 * width as f64 / focal_length).atan().to_degrees()
 }
 

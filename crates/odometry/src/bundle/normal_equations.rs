@@ -7,7 +7,7 @@ use super::sparsity::BlockSparsity;
 use super::{Bundle, BundleObservation, GLOBALS, LANDMARKS_PER_TASK};
 use crate::multiview::landmark::Projection;
 use crate::multiview::lens_distortion::CameraJacobian;
-use crate::multiview::robust_loss::{HUBER, huber};
+use crate::multiview::robust_loss::{HUBER_THRESHOLD, huber};
 use i2slam_compute::{SkylineMatrix, reduce_in_order};
 use i2slam_geometry::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -268,7 +268,7 @@ fn weighted_residual(
         residual,
         weight,
     };
-    if curvature == Curvature::Exact && length > HUBER {
+    if curvature == Curvature::Exact && length > HUBER_THRESHOLD {
         out.project_across_residual();
     }
     Some(out)

@@ -12,7 +12,7 @@ use i2slam_geometry::Camera;
 pub(crate) type CameraJacobian = [[f64; 2]; 2];
 
 /// Radii at which the model of Brown is fitted.
-const RADII: usize = 40;
+const FIT_RADII: usize = 40;
 
 /// Half the diagonal of the picture [px].
 fn half_diagonal(camera: &Camera<f64>) -> f64 {
@@ -37,8 +37,8 @@ pub(crate) fn undistort(camera: &Camera<f64>, lens: [f64; 2], seen: [f64; 2]) ->
 /// lengths.
 pub(crate) fn brown_coefficients(camera: &Camera<f64>, lens: [f64; 2]) -> [f64; 2] {
     let mut sum = NormalEquations::<2>::default();
-    for i in 1..=RADII {
-        let r = i as f64 / RADII as f64;
+    for i in 1..=FIT_RADII {
+        let r = i as f64 / FIT_RADII as f64;
         let ratio = 1.0 + lens[0] * r * r + lens[1] * r.powi(4);
         let far = (r * half_diagonal(camera) * ratio / camera.fx).powi(2);
         // Weighted by the radius, so that errors count in pixels.

@@ -2,11 +2,15 @@
 
 /// Residual at which the Huber loss turns from quadratic to linear [standard deviations] (Huber
 /// 1964).
-pub(crate) const HUBER: f64 = 1.5;
+pub(crate) const HUBER_THRESHOLD: f64 = 1.5;
 
 /// Huber weight and cost of a residual of length `n` [standard deviations].
 pub(crate) fn huber(n: f64) -> (f64, f64) {
-    if n <= HUBER { (1.0, n * n) } else { (HUBER / n, HUBER * (2.0 * n - HUBER)) }
+    if n <= HUBER_THRESHOLD {
+        (1.0, n * n)
+    } else {
+        (HUBER_THRESHOLD / n, HUBER_THRESHOLD * (2.0 * n - HUBER_THRESHOLD))
+    }
 }
 
 /// Cauchy weight and cost of a residual of length `n`, with scale `width`.

@@ -5,7 +5,7 @@ use i2slam_geometry::Image;
 /// Half the side of the window over which gradients are summed [px].
 const WINDOW: usize = 3;
 /// Smaller eigenvalue of a corner, as a ratio of the largest one in the picture.
-const RELATIVE_STRENGTH: f32 = 0.002;
+const MIN_RELATIVE_STRENGTH: f32 = 0.002;
 /// Smaller eigenvalue of a corner, per pixel of the window [brightness²/px²]; below it is noise.
 const MIN_STRENGTH: f32 = 2e-5;
 
@@ -19,7 +19,7 @@ pub(crate) fn detect_corners(
 ) -> Vec<[f32; 2]> {
     let strength = smaller_eigenvalues(image);
     let best = strength.data.iter().fold(0.0_f32, |m, v| m.max(*v));
-    let least = (best * RELATIVE_STRENGTH).max(MIN_STRENGTH);
+    let least = (best * MIN_RELATIVE_STRENGTH).max(MIN_STRENGTH);
     let (columns, rows) = (image.width.div_ceil(cell), image.height.div_ceil(cell));
     let mut occupied = vec![false; columns * rows];
     for at in taken {

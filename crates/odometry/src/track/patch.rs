@@ -18,9 +18,9 @@ const SIDE: usize = 2 * RADIUS + 1;
 const AREA: usize = SIDE * SIDE;
 /// Side of a patch with one more pixel on every side, for central differences.
 const WIDE: usize = SIDE + 2;
-const ITERATIONS: usize = 15;
+const MAX_ITERATIONS: usize = 15;
 /// Update at which the iteration ends [px].
-const CONVERGED: f32 = 0.01;
+const MIN_UPDATE: f32 = 0.01;
 /// Added to the squared length of the picture's patch, so that flat ones match nothing.
 const CONTRAST_FLOOR: f32 = 1e-4;
 
@@ -106,7 +106,7 @@ impl<const N: usize> PatchTemplate<N> {
     pub(crate) fn align(&self, image: &Image<f32>, start: Warp) -> Option<PatchMatch> {
         let mut warp = start;
         let mut correlation = 0.0;
-        for _ in 0..ITERATIONS {
+        for _ in 0..MAX_ITERATIONS {
             let rows = sample::<SIDE>(image, &warp);
             let values: [f32; AREA] = std::array::from_fn(|i| rows[i / SIDE][i % SIDE]);
             let products: [f32; N] = std::array::from_fn(|k| dot(&self.basis[k], &values));
@@ -127,7 +127,7 @@ impl<const N: usize> PatchTemplate<N> {
             if !inside(image, warp.centre) {
                 return None;
             }
-            if d[0].hypot(d[1]) < CONVERGED {
+            if d[0].hypot(d[1]) < MIN_UPDATE {
                 break;
             }
         }

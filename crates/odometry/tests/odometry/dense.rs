@@ -1,16 +1,14 @@
 //! Dense depth of keyframes in a room that is known.
 
-mod scene;
-
+use crate::scene::{camera, moving, picture};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{DenseDepthEstimator, PosedView};
-use scene::{camera, moving, picture};
 use std::sync::Arc;
 
 /// The true depth at the centre of every pixel.
 fn depth(world_from_camera: Pose<f64>) -> Vec<f64> {
     let at = |i: usize| Camera::<f64>::pixel_centre(i % camera().width, i / camera().width);
-    let depth = |i: usize| scene::depth(world_from_camera, [at(i).0, at(i).1]);
+    let depth = |i: usize| crate::scene::depth(world_from_camera, [at(i).0, at(i).1]);
     (0..camera().pixels()).map(depth).collect()
 }
 

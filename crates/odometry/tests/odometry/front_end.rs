@@ -1,12 +1,10 @@
 //! The front end on small pictures of a room, good ones and bad ones.
 
-mod scene;
-
+use crate::scene::{INTERVAL, blurred, camera, depth, moving, picture, through_lens};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{
     FrameStatus, FrontEnd, Intrinsics, OdometryError, PictureError, Reconstruction, Warning,
 };
-use scene::{INTERVAL, blurred, camera, depth, moving, picture, through_lens};
 
 /// Runs the front end on `count` pictures.
 fn run(
@@ -85,7 +83,7 @@ fn an_unknown_focal_length_is_found() {
     assert!(found.focal_deviation.is_some_and(|d| d < 0.05), "{:?}", found.focal_deviation);
 }
 
-/// What is said of the focal length covers how far it is off, in several rooms and on several ways.
+/// The deviation of the focal length covers its error, in several rooms and on several paths.
 #[test]
 fn the_deviation_of_the_focal_length_covers_its_error() {
     let guess = Camera { fx: 180.0, fy: 180.0, ..camera() };
@@ -130,7 +128,7 @@ fn the_distortion_of_a_lens_is_found_on_demand() {
 }
 
 /// A pinhole camera that moves to the right and hardly turns does not tell a lens from another
-/// focal length: none is taken, which is said.
+/// focal length: none is taken, with a warning.
 #[test]
 fn a_lens_that_is_not_determined_is_none() {
     let guess = Camera { fx: 170.0, fy: 170.0, ..camera() };

@@ -1,7 +1,5 @@
 //! Small pictures of a textured room, for tests.
 
-#![allow(dead_code, reason = "every test uses some of it")]
-
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 
 /// Stamps of successive pictures lie this far apart [s].

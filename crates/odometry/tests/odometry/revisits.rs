@@ -1,11 +1,9 @@
 //! Places that are left and seen again.
 
-mod scene;
-
+use crate::scene::{INTERVAL, camera, moving, picture, render, texture};
 use i2slam_geometry::{Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{FrameStatus, FrontEnd, Intrinsics, Reconstruction, Warning};
 use rayon::prelude::*;
-use scene::{INTERVAL, camera, moving, picture, render, texture};
 
 fn run(pictures: &[Image<f32>]) -> Reconstruction {
     followed(pictures).finish().expect("a path")
@@ -19,7 +17,7 @@ fn followed(pictures: &[Image<f32>]) -> FrontEnd {
     front_end
 }
 
-/// Where a frame was found, and where it is.
+/// Estimated and true position of a frame.
 type Places = (Vec3<f64>, Vec3<f64>);
 
 /// Root mean square distance of the posed frames from the truth after the similarity of least
