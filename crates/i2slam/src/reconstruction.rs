@@ -1,4 +1,4 @@
-//! What a session leaves behind: poses, tone, map and response of a sequence.
+//! Results of a session: poses, tone, map and responses of a sequence.
 
 use crate::config::Config;
 use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, ShutterPoses};
@@ -7,29 +7,28 @@ use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, Shape};
 use i2slam_radiance::hashgrid::HashGridMap;
 use std::fmt;
 
-/// The three terms of eq. 12 at the end of a frame's tracking, unweighted.
+/// Unweighted terms of eq. 12 at the end of tracking a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Losses {
-    /// Mean absolute difference of pictures, over the pixels that count.
+    /// Mean absolute colour difference over valid pixels.
     pub image: f64,
-    /// Mean absolute difference of depth [m], over the pixels that count.
+    /// Mean absolute depth difference [m] over valid pixels.
     pub depth: f64,
     /// Trajectory loss, eq. 15; zero after second-order tracking, which has a prior in its place.
     pub trajectory: f64,
 }
 
-/// How second-order tracking of a frame ended. First-order tracking and frames that were not
-/// aligned leave it empty.
+/// Convergence of second-order tracking; default for first-order tracking and unaligned frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Convergence {
-    /// Whether the last step was too short to matter (0.02 px).
+    /// Whether the last step was below 0.02 px.
     pub converged: bool,
-    /// Steps tried, over all levels of the pictures.
+    /// Steps tried, over all pyramid levels.
     pub iterations: usize,
-    /// Formal standard deviation of the position at mid-exposure [m]: root of the summed variances
-    /// of its three coordinates, of the residuals' noise alone, taking pixels to be independent.
+    /// Formal standard deviation of the position at mid-exposure [m], root of the summed variances of
+    /// its coordinates, for independent residual noise per pixel.
     pub position_deviation: Option<f64>,
-    /// The same of the rotation [rad].
+    /// Formal standard deviation of the rotation [rad], likewise.
     pub rotation_deviation: Option<f64>,
 }
 
@@ -44,25 +43,24 @@ pub struct FrameEstimate {
     pub shutter: ShutterPoses<f64>,
     /// Time from the first to the last row [exposures]; 0 for a global shutter.
     pub readout: f64,
-    /// Motion from mid-exposure to the moment of the depth picture, in the camera's frame; zero
-    /// where both were taken together.
+    /// Camera motion from mid-exposure to the time of the depth picture; zero if simultaneous.
     pub depth_lead: Tangent<f64>,
     /// Exposure and white balance.
     pub tone: FrameTone<f32>,
-    /// Which of the reconstruction's responses forms this frame.
+    /// Index among the responses of the reconstruction.
     pub response: usize,
-    /// Whether the frame entered the mapping window for good.
+    /// Whether the frame is a keyframe of mapping.
     pub keyframe: bool,
-    /// Whether the map never saw the frame, by `mapping.hold_out` or because it lies between
-    /// keyframes that came with poses: it was tracked alone.
+    /// Whether the frame was tracked but not mapped: by `mapping.hold_out`, or between posed
+    /// keyframes.
     pub held_out: bool,
-    /// Whether tracking converged (otherwise the pose is an extrapolation).
+    /// Whether tracking succeeded; otherwise the pose is predicted.
     pub tracked: bool,
     /// Losses at the end of tracking.
     pub losses: Losses,
-    /// How the descent ended.
+    /// Convergence of tracking.
     pub convergence: Convergence,
-    /// Median length of the streak that a pixel draws during the exposure [px].
+    /// Blur length: median over pixels of the image motion during exposure [px].
     pub blur_length: f64,
     /// Wall time of tracking [s].
     pub tracking_seconds: f64,
@@ -73,8 +71,8 @@ pub struct FrameEstimate {
 }
 
 impl FrameEstimate {
-    /// A frame of which only the pose is known: global shutter, no gains, tracked, not mapped.
-    pub(crate) fn posed(index: usize, timestamp: f64, shutter: ShutterPoses<f64>) -> Self {
+    /// A frame at known shutter poses: global shutter, default tone, tracked, not mapped.
+    pub(crate) fn at_pose(index: usize, timestamp: f64, shutter: ShutterPoses<f64>) -> Self {
         Self {
             index,
             timestamp,
@@ -100,7 +98,7 @@ impl FrameEstimate {
         self.shutter.middle()
     }
 
-    /// Whether the camera moved noticeably (a millimetre, a milliradian) between the two pictures.
+    /// Whether the camera moved by more than 1 mm or 1 mrad between colour and depth picture.
     pub(crate) fn depth_is_apart(&self) -> bool {
         let lead = self.depth_lead;
         lead.translation.norm() > 1e-3 || lead.rotation.norm() > 1e-3
@@ -112,7 +110,7 @@ impl FrameEstimate {
     }
 }
 
-/// A radiance map as a run leaves it.
+/// A radiance map.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Map {
     /// 3D Gaussians.
@@ -122,14 +120,14 @@ pub enum Map {
 }
 
 impl Default for Map {
-    /// A map of nothing: no Gaussians.
+    /// A map without Gaussians.
     fn default() -> Self {
         Self::Gaussians(GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential))
     }
 }
 
 impl Map {
-    /// Number of Gaussians; 0 of a map that has none.
+    /// Number of Gaussians; 0 for a hash grid.
     pub fn gaussians(&self) -> usize {
         match self {
             Self::Gaussians(map) => map.len(),
@@ -155,7 +153,7 @@ impl fmt::Display for Map {
 /// A reconstructed sequence.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// Every setting of the run.
+    /// Settings of the run.
     pub config: Config,
     /// The camera of the processed frames.
     pub camera: Camera<f64>,
@@ -165,7 +163,7 @@ pub struct Reconstruction {
     pub map: Map,
     /// Camera responses: one, or one per frame.
     pub responses: Vec<CameraResponse<f32>>,
-    /// Time in which the rows of a picture are read, as set or found [s]; 0 for a global shutter.
+    /// Readout time of a picture, set or estimated [s]; 0 for a global shutter.
     pub rolling_shutter_readout: f64,
 }
 
@@ -201,7 +199,7 @@ impl Reconstruction {
             tone,
             response,
             gaussians: self.map.gaussians(),
-            ..FrameEstimate::posed(index, 0.0, ShutterPoses::still(world_from_camera))
+            ..FrameEstimate::at_pose(index, 0.0, ShutterPoses::still(world_from_camera))
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What there is to know of a run.
+//! Warnings of a run.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -6,31 +6,31 @@ use std::fmt;
 /// Something unusual, and what was done about it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Warning {
-    /// The frame that it is about, the first of several: position in the associated stream.
+    /// Affected frame, or the first of several: position in the associated stream.
     pub frame: Option<usize>,
-    /// The last of several.
+    /// Last of several affected frames.
     pub last_frame: Option<usize>,
-    /// Stamp of `frame` [s].
+    /// Time stamp of `frame` [s].
     pub time_s: Option<f64>,
-    /// What it is; frames are named in it.
+    /// Message, which names the frames.
     pub text: String,
 }
 
 impl Warning {
-    /// Of one frame.
-    pub fn of_frame(frame: usize, what: impl fmt::Display) -> Self {
-        Self { frame: Some(frame), text: format!("frame {frame}: {what}"), ..Self::default() }
+    /// A warning about one frame.
+    pub fn of_frame(frame: usize, text: impl fmt::Display) -> Self {
+        Self { frame: Some(frame), text: format!("frame {frame}: {text}"), ..Self::default() }
     }
 
-    /// Of frames in a row; `text` names them.
+    /// A warning about a range of frames, named in `text`.
     pub fn of_frames((first, last): (usize, usize), text: impl Into<String>) -> Self {
         let (frame, last_frame) = (Some(first), Some(last));
         Self { frame, last_frame, text: text.into(), ..Self::default() }
     }
 
-    /// The same with the stamp of its frame, where that is known.
+    /// Adds the time stamp of its frame if known.
     #[must_use]
-    pub fn timed(self, stamp: impl Fn(usize) -> Option<f64>) -> Self {
+    pub fn with_time(self, stamp: impl Fn(usize) -> Option<f64>) -> Self {
         Self { time_s: self.time_s.or_else(|| self.frame.and_then(stamp)), ..self }
     }
 }
@@ -60,10 +60,10 @@ mod tests {
     #[test]
     fn frames_are_named_and_timed() {
         let stamp = |frame: usize| (frame == 7).then_some(0.25);
-        let one = Warning::of_frame(7, "it is black").timed(stamp);
+        let one = Warning::of_frame(7, "it is black").with_time(stamp);
         assert_eq!((one.to_string().as_str(), one.time_s), ("frame 7: it is black", Some(0.25)));
-        let some = Warning::of_frames((8, 9), "frames 8 to 9 are lost").timed(stamp);
+        let some = Warning::of_frames((8, 9), "frames 8 to 9 are lost").with_time(stamp);
         assert_eq!((some.frame, some.last_frame, some.time_s), (Some(8), Some(9), None));
-        assert_eq!(Warning::from("no frame").timed(|_| Some(1.0)).time_s, None);
+        assert_eq!(Warning::from("no frame").with_time(|_| Some(1.0)).time_s, None);
     }
 }

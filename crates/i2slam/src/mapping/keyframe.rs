@@ -38,7 +38,7 @@ impl AdjacentFrames {
     pub(crate) fn previous_frame(&self, keyframe: &FrameEstimate) -> Option<FrameEstimate> {
         let (timestamp, pose) = self.before?;
         let shutter = ShutterPoses::still(keyframe.middle() * pose);
-        let posed = FrameEstimate::posed(keyframe.index, timestamp, shutter);
+        let posed = FrameEstimate::at_pose(keyframe.index, timestamp, shutter);
         Some(FrameEstimate { tone: keyframe.tone, ..posed })
     }
 
@@ -121,7 +121,7 @@ mod tests {
         let turn = Rotation::exp(Vec3::new(0.0, pixels / 100.0, 0.0));
         FrameEstimate {
             blur_length: blur,
-            ..FrameEstimate::posed(
+            ..FrameEstimate::at_pose(
                 index,
                 index as f64,
                 ShutterPoses::still(Pose::new(turn, Vec3::zero())),

@@ -319,7 +319,8 @@ impl FrameConsumer for KeyframeConsumer {
 
     fn keep_unprocessed(&mut self) {
         let path = std::mem::take(&mut self.path).into_iter();
-        let kept = path.filter(|(index, stamp, pose)| self.session.place(*index, *stamp, *pose));
+        let kept = path
+            .filter(|(index, stamp, pose)| self.session.insert_unrefined(*index, *stamp, *pose));
         let count = kept.count();
         if count > 0 {
             let frames = if count == 1 { "frame" } else { "frames" };

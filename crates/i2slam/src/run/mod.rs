@@ -189,6 +189,6 @@ pub fn reconstruct(
         Some(sequence.entries[place].timestamp)
     };
     outcome.warnings =
-        context.into_warnings().into_iter().map(|warning| warning.timed(stamp)).collect();
+        context.into_warnings().into_iter().map(|warning| warning.with_time(stamp)).collect();
     Ok(outcome)
 }

@@ -1,4 +1,4 @@
-//! The front end: a frame is found in the map.
+//! Front end of a session: tracking of one frame against the map.
 
 use crate::config::Config;
 use crate::mapping::{Keyframe, Tracker};
@@ -11,23 +11,25 @@ use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale}
 use i2slam_geometry::Camera;
 use std::time::Instant;
 
-/// What tracking may know of a session; the rest of it stays free to be changed.
+/// The parts of a session that tracking reads; mapping may change the rest meanwhile.
 pub(super) struct FrameTracker<'a> {
     pub(super) config: &'a Config,
     pub(super) camera: &'a Camera<f64>,
     pub(super) frame_rate: f64,
     pub(super) scale: TrajectoryScale<f64>,
     pub(super) readout: SequenceReadout,
+    /// All frames before.
     pub(super) frames: &'a [FrameEstimate],
-    pub(super) keyframes: &'a [Keyframe],
-    /// The last response and its index.
+    /// The last keyframe.
+    pub(super) keyframe: Option<&'a Keyframe>,
+    /// Index and value of the last response.
     pub(super) response: (usize, &'a CameraResponse<f32>),
     pub(super) cancellation: &'a CancellationToken,
 }
 
 impl FrameTracker<'_> {
-    /// What is known of a frame, and what `tracker` found; without one the frame is predicted.
-    pub(super) fn at(
+    /// Estimate and tracking result of a frame; without a `tracker` its pose is predicted.
+    pub(super) fn track(
         &self,
         tracker: Option<&mut dyn Tracker>,
         frame: &Frame,
@@ -35,16 +37,13 @@ impl FrameTracker<'_> {
     ) -> (FrameEstimate, Option<TrackingResult>) {
         let clock = Instant::now();
         let context = self.context(frame);
+        let predicted = ShutterPoses::still(predict_pose(&context));
         let mut estimate = FrameEstimate {
             tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
             response: self.response.0,
             tracked: false,
             gaussians: self.frames.last().map_or(0, |f| f.gaussians),
-            ..FrameEstimate::posed(
-                frame.index,
-                frame.timestamp,
-                ShutterPoses::still(predict_pose(&context)),
-            )
+            ..FrameEstimate::at_pose(frame.index, frame.timestamp, predicted)
         };
         let result = tracker.map(|tracker| {
             let response = self.config.formation.tone.then_some(self.response.1);
@@ -70,7 +69,6 @@ impl FrameTracker<'_> {
             true => frame.depth_timestamp + input.depth_delay,
             false => frame.timestamp,
         };
-        let keyframe = self.keyframes.last();
         TrackingContext {
             tracking: &self.config.tracking,
             formation: &self.config.formation,
@@ -83,7 +81,7 @@ impl FrameTracker<'_> {
             previous: frames.last(),
             before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
             expected: None,
-            keyframe: keyframe.map(|k| (&*k.observation, frames[k.frame].depth_pose())),
+            keyframe: self.keyframe.map(|k| (&*k.observation, frames[k.frame].depth_pose())),
             cancellation: self.cancellation,
         }
     }

@@ -1,8 +1,9 @@
-//! The online system: frames go in one by one, a reconstruction comes out.
+//! RGB-D session: every frame is tracked, then mapped.
 
 use super::backend::Backend;
+use super::error::{SessionError, check_image};
 use super::frame_tracker::FrameTracker;
-use super::{MIN_MEAN_BRIGHTNESS, SessionError};
+use super::state::{SessionState, is_black};
 use crate::config::{Config, ResponseScope};
 use crate::mapping::Tracker;
 use crate::objective::Observation;
@@ -23,8 +24,9 @@ pub struct Session {
     scale: TrajectoryScale<f64>,
     readout: SequenceReadout,
     backend: Backend,
-    /// A copy of the map, for tracking beside mapping.
+    /// Copies of map and estimates to track against while mapping changes them.
     snapshot: Option<Box<dyn Tracker>>,
+    frames_before: Vec<FrameEstimate>,
 }
 
 impl Session {
@@ -35,169 +37,154 @@ impl Session {
             readout: SequenceReadout::new(&config.input),
             backend: Backend::new(&config, &camera),
             snapshot: None,
+            frames_before: Vec::new(),
             config,
             camera,
             frame_rate,
         }
     }
 
-    /// Restricts the image terms to recorded pixels (see the dataset's `covered`).
+    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::covered`.
     pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
         self.backend.mapper.set_covered(Arc::clone(&covered));
-        self.backend.covered = Some(covered);
+        self.backend.state.covered = Some(covered);
     }
 
-    /// Once `cancellation` is cancelled, what remains of a frame's mapping, and of its tracking by first-order
-    /// steps, is left undone.
+    /// Sets the token whose cancellation ends mapping and first-order tracking of a frame early.
     pub fn set_cancellation(&mut self, cancellation: CancellationToken) {
-        self.backend.cancellation = cancellation;
+        self.backend.state.cancellation = cancellation;
     }
 
-    /// Tracks one frame, then maps with it; with `mapping.beside_tracking`, the frame before is
+    /// Tracks one frame, then maps with it. With `mapping.beside_tracking`, the frame before is
     /// mapped while this one is tracked.
+    ///
+    /// # Errors
+    ///
+    /// A frame that does not fit the camera, and a map that cannot be started with its settings.
     pub fn process(&mut self, frame: &Frame) -> Result<&FrameEstimate, SessionError> {
-        self.check_size(frame)?;
-        let observation =
-            Arc::new(Observation::new(Arc::clone(&frame.colour), Arc::clone(&frame.depth)));
-        let usable = self.usable(frame.index, &observation);
+        check_image(frame.index, ("colour", 3), &frame.colour, &self.camera)?;
+        check_image(frame.index, ("depth", 1), &frame.depth, &self.camera)?;
+        let (colour, depth) = (Arc::clone(&frame.colour), Arc::clone(&frame.depth));
+        let observation = Arc::new(Observation::new(colour, depth));
+        let usable = self.is_usable(frame.index, &observation);
         let mut estimate = self.track(frame, &observation, usable);
-        let position = self.backend.frames.len();
+        let position = self.backend.state.frames.len();
         estimate.held_out = self.holds_out(position);
         let maps = usable && estimate.tracked && !estimate.held_out;
-        self.backend.frames.push(estimate);
-        self.tell_of_an_emptied_map(frame.index);
+        self.backend.state.frames.push(estimate);
+        self.warn_if_map_emptied(frame.index);
         if maps {
-            self.backend.hand_over(&self.config, &self.camera, observation);
+            self.backend.enqueue(&self.config, &self.camera, observation);
         }
         if !self.config.mapping.beside_tracking {
-            self.backend.work(&self.config, &self.camera);
+            self.backend.map_pending(&self.config, &self.camera);
         }
         match self.backend.mapper.failure() {
             Some(source) => Err(SessionError::Map { source }),
-            None => Ok(&self.backend.frames[position]),
+            None => Ok(&self.backend.state.frames[position]),
         }
     }
 
-    /// Gaussians can all be pruned; a field, once begun, stays.
-    fn tell_of_an_emptied_map(&mut self, index: usize) {
-        let Backend { mapper, keyframes, warnings, .. } = &mut self.backend;
-        if mapper.is_empty() && mapper.failure().is_none() && !keyframes.is_empty() {
-            let what = "the map was empty (all Gaussians pruned) and starts again";
-            warnings.push(Warning::of_frame(index, what));
-        }
-    }
-
-    /// Whether a frame is kept from the map; the one that starts it never is.
-    fn holds_out(&self, position: usize) -> bool {
-        self.config.mapping.holds_out(position) && !self.backend.mapper.is_empty()
-    }
-
-    /// Refines the map over all keyframes; `on_step(done, of)` says whether to go on.
+    /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
     pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
         self.backend.finish(&self.config, &self.camera, on_step);
     }
 
     /// Frames processed so far.
     pub fn frames(&self) -> &[FrameEstimate] {
-        &self.backend.frames
+        &self.backend.state.frames
     }
 
-    /// Messages since the last call: what was unusual and what was done about it.
+    /// Takes the warnings since the last call.
     pub fn take_warnings(&mut self) -> Vec<Warning> {
-        std::mem::take(&mut self.backend.warnings)
+        std::mem::take(&mut self.backend.state.warnings)
     }
 
-    /// Everything estimated so far.
+    /// A copy of everything estimated so far.
     pub fn reconstruction(&self) -> Reconstruction {
-        Reconstruction {
-            config: self.config.clone(),
-            camera: self.camera,
-            frames: self.backend.frames.clone(),
-            map: self.backend.mapper.map(),
-            responses: self.backend.responses.clone(),
-            rolling_shutter_readout: self.readout.seconds,
+        let Backend { mapper, state, .. } = &self.backend;
+        state.reconstruction(&self.config, &self.camera, mapper.map(), self.readout.seconds)
+    }
+
+    /// Warns of a map whose Gaussians were all pruned. A field, once started, stays.
+    fn warn_if_map_emptied(&mut self, index: usize) {
+        let Backend { mapper, state, .. } = &mut self.backend;
+        if mapper.is_empty() && mapper.failure().is_none() && !state.keyframes.is_empty() {
+            state.warn(index, "the map was empty (all Gaussians pruned) and starts again");
         }
     }
 
-    fn check_size(&self, frame: &Frame) -> Result<(), SessionError> {
-        let expected = (self.camera.width, self.camera.height);
-        for (what, image) in [("colour", &frame.colour), ("depth", &frame.depth)] {
-            let actual = (image.width, image.height);
-            if actual != expected {
-                return Err(SessionError::Size { index: frame.index, what, actual, expected });
-            }
-        }
-        Ok(())
+    /// Whether a frame is held out from the map; the one that starts it never is.
+    fn holds_out(&self, position: usize) -> bool {
+        self.config.mapping.holds_out(position) && !self.backend.mapper.is_empty()
     }
 
-    /// Whether a frame can be tracked and mapped; a warning says why not.
-    fn usable(&mut self, index: usize, observation: &Observation) -> bool {
-        let mean = observation.colour.data.iter().sum::<f32>()
-            / observation.colour.data.len().max(1) as f32;
+    /// Whether a frame can be tracked and mapped; warns if not.
+    fn is_usable(&mut self, index: usize, observation: &Observation) -> bool {
         let reason = if observation.valid_depths() == 0 {
             "it has no depth"
-        } else if mean < MIN_MEAN_BRIGHTNESS {
+        } else if is_black(&observation.colour) {
             "its picture is black"
         } else {
             return true;
         };
-        let what = format!("{reason}: its pose is predicted, not measured");
-        self.backend.warnings.push(Warning::of_frame(index, what));
+        let text = format!("{reason}: its pose is predicted, not measured");
+        self.backend.state.warn(index, text);
         false
     }
 
     fn track(&mut self, frame: &Frame, observation: &Observation, usable: bool) -> FrameEstimate {
         let (mut estimate, result) = match self.config.mapping.beside_tracking {
-            true => self.look_beside_mapping(frame, observation, usable),
-            false => self.look(frame, observation, usable),
+            true => self.track_while_mapping(frame, observation, usable),
+            false => self.track_on_map(frame, observation, usable),
         };
-        if let Some(result) = result {
-            self.scale = result.scale;
-            if let Some(measured) = result.measured_readout {
-                self.readout.add(measured, 1.0 / self.frame_rate);
-            }
-            let per_frame = self.config.formation.response_scope == ResponseScope::Frame;
-            if let (true, Some(response)) = (per_frame, result.response) {
-                self.backend.responses.push(response);
-                estimate.response = self.backend.responses.len() - 1;
-            }
-            if !estimate.tracked {
-                let what = "tracking lost: its pose is predicted and it is not mapped";
-                self.backend.warnings.push(Warning::of_frame(frame.index, what));
-            }
-        } else {
+        let Some(result) = result else {
             estimate.tracked = usable && self.backend.mapper.is_empty();
+            return estimate;
+        };
+        self.scale = result.scale;
+        if let Some(measured) = result.measured_readout {
+            self.readout.add(measured, 1.0 / self.frame_rate);
+        }
+        let state = &mut self.backend.state;
+        let per_frame = self.config.formation.response_scope == ResponseScope::Frame;
+        if let (true, Some(response)) = (per_frame, result.response) {
+            state.responses.push(response);
+            estimate.response = state.responses.len() - 1;
+        }
+        if !estimate.tracked {
+            state.warn(frame.index, "tracking lost: its pose is predicted and it is not mapped");
         }
         estimate
     }
 
-    /// Looks for a frame in the map.
-    fn look(
+    /// Tracks a frame against the map itself.
+    fn track_on_map(
         &mut self,
         frame: &Frame,
         observation: &Observation,
         usable: bool,
     ) -> (FrameEstimate, Option<TrackingResult>) {
-        let Backend { mapper, frames, keyframes, responses, cancellation, .. } = &mut self.backend;
+        let Backend { mapper, state, .. } = &mut self.backend;
+        let SessionState { frames, keyframes, responses, cancellation, .. } = state;
         let last = responses.len() - 1;
-        let look = FrameTracker {
+        let frame_tracker = FrameTracker {
             config: &self.config,
             camera: &self.camera,
             frame_rate: self.frame_rate,
             scale: self.scale,
             readout: self.readout,
             frames,
-            keyframes,
+            keyframe: keyframes.last(),
             response: (last, &responses[last]),
             cancellation,
         };
         let tracker = if usable { mapper.tracker() } else { None };
-        look.at(tracker, frame, observation)
+        frame_tracker.track(tracker, frame, observation)
     }
 
-    /// Looks for a frame in the map as it was before the last frame came, and takes that one in at
-    /// the same time.
-    fn look_beside_mapping(
+    /// Tracks a frame against the snapshot of the map, and maps the frame before meanwhile.
+    fn track_while_mapping(
         &mut self,
         frame: &Frame,
         observation: &Observation,
@@ -205,26 +192,30 @@ impl Session {
     ) -> (FrameEstimate, Option<TrackingResult>) {
         let (config, camera, backend) = (&self.config, &self.camera, &mut self.backend);
         if self.snapshot.is_none() {
-            backend.work(config, camera);
+            backend.map_pending(config, camera);
             self.snapshot = backend.snapshot(camera, None);
         }
-        let last = backend.responses.len() - 1;
-        let look = FrameTracker {
+        self.frames_before.clone_from(&backend.state.frames);
+        let last = backend.state.responses.len() - 1;
+        let keyframe = backend.state.keyframes.last().cloned();
+        let frame_tracker = FrameTracker {
             config,
             camera,
             frame_rate: self.frame_rate,
             scale: self.scale,
             readout: self.readout,
-            frames: &backend.frames.clone(),
-            keyframes: &backend.keyframes.clone(),
-            response: (last, &backend.responses[last].clone()),
-            cancellation: &backend.cancellation.clone(),
+            frames: &self.frames_before,
+            keyframe: keyframe.as_ref(),
+            response: (last, &backend.state.responses[last].clone()),
+            cancellation: &backend.state.cancellation.clone(),
         };
         let mut snapshot = self.snapshot.take();
         let tracker = snapshot.as_deref_mut().filter(|_| usable);
-        let (seen, ()) =
-            rayon::join(|| look.at(tracker, frame, observation), || backend.work(config, camera));
+        let (tracked, ()) = rayon::join(
+            || frame_tracker.track(tracker, frame, observation),
+            || backend.map_pending(config, camera),
+        );
         self.snapshot = backend.snapshot(camera, snapshot);
-        seen
+        tracked
     }
 }

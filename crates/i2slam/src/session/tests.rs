@@ -1,13 +1,13 @@
 //! A few synthetic frames through a session.
 
 use super::*;
-use crate::config::{MapKind, TrackingMethod};
+use crate::config::{Config, MapKind, TrackingMethod};
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_formation::ShutterPoses;
-use i2slam_geometry::{Image, Pose, Rotation, Vec3};
+use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use std::sync::Arc;
 
 pub(super) const CAMERA: Camera<f64> =

@@ -1,43 +1,42 @@
-//! Test-time pose optimisation: where the map fits a given picture best, map and tone fixed.
+//! Test-time pose optimisation: the pose at which fixed map and tone fit a given picture best.
 //!
-//! The paper runs it (after BARF) before it grades renders of systems whose pose errors it wants
-//! left out. Levenberg-Marquardt on the mean square error of the sharp picture at mid-exposure,
-//! on quarter, half and full size, each rendered at that size. Slopes are those of the picture
-//! over one pixel each way, times the motion of every pixel's point by the map's depth, so that a
-//! step needs one render, not the twelve of central differences.
+//! The paper runs it (after BARF) to exclude pose errors from the evaluation of renders.
+//! Levenberg-Marquardt on the mean square error of the sharp picture at mid-exposure, at quarter,
+//! half and full size. The Jacobian is the image gradient times the image motion of every pixel at
+//! the map's depth, so that a step needs one render instead of twelve for central differences.
 
 use super::Viewer;
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::{NormalEquations, median, reduce_in_order};
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 
-/// Reductions of the picture, coarse to fine.
+/// Reduction factors of the picture, coarse to fine.
 const REDUCTIONS: [usize; 3] = [4, 2, 1];
-/// Sides below which a reduced picture says too little [px].
+/// Least side of a reduced picture [px]: smaller ones have too little detail.
 const MIN_SIDE: usize = 24;
-/// Most steps on each size.
-const STEPS: usize = 4;
-/// Most dampings tried for a step.
-const TRIALS: usize = 3;
-/// A smaller step ends a size [half pixels of it].
-const SETTLED: f64 = 0.04;
-/// Values summed at once.
+/// Most steps per size.
+const MAX_STEPS: usize = 4;
+/// Most damping values tried per step.
+const MAX_TRIALS: usize = 3;
+/// Step length that ends the optimisation of a size [half pixels].
+const CONVERGED_STEP: f64 = 0.04;
+/// Values per partial sum.
 const CHUNK: usize = 4096;
 
-/// What test-time optimisation found.
+/// Result of test-time pose optimisation.
 #[derive(Clone, Debug)]
 pub struct OptimisedPose {
     /// World-from-camera at mid-exposure.
     pub world_from_camera: Pose<f64>,
-    /// The sharp picture from there, cut to `[0, 1]`.
+    /// The sharp picture at that pose, clamped to `[0, 1]`.
     pub picture: Image<f32>,
     /// Mean square error of the picture at the frame's own pose.
     pub error_before: f64,
-    /// The same at the optimised pose; never larger.
+    /// Mean square error at the optimised pose; never larger.
     pub error_after: f64,
 }
 
-/// A pose and what is seen from it.
+/// A pose with its picture and error.
 struct Candidate {
     pose: Pose<f64>,
     picture: Image<f32>,
@@ -45,9 +44,8 @@ struct Candidate {
 }
 
 impl Viewer<'_> {
-    /// The pose near the frame's at which its sharp picture has the least mean square error
-    /// against `truth`, a picture of the renders' size; map, exposure, white balance and response
-    /// stay. The frame's own pose if none is better.
+    /// Optimises the frame's pose for the least mean square error of its sharp picture to `truth`, a
+    /// picture of the renders' size. Map and tone stay. Returns the frame's pose if none is better.
     pub fn optimise_pose(&mut self, frame: &FrameEstimate, truth: &Image<f32>) -> OptimisedPose {
         let mut best = self.candidate(frame, frame.middle(), truth);
         let error_before = best.error;
@@ -58,14 +56,14 @@ impl Viewer<'_> {
                 continue;
             }
             let pose = if reduction == 1 {
-                self.descend(frame, best.pose, truth, depth)
+                self.minimize(frame, best.pose, truth, depth)
             } else {
                 let small_truth = truth.resized_by_area(size.0, size.1);
-                self.resized(size).descend(frame, best.pose, &small_truth, depth)
+                self.resized(size).minimize(frame, best.pose, &small_truth, depth)
             };
-            let found = self.candidate(frame, pose, truth);
-            if found.error < best.error {
-                best = found;
+            let refined = self.candidate(frame, pose, truth);
+            if refined.error < best.error {
+                best = refined;
             }
         }
         let Candidate { pose, picture, error } = best;
@@ -73,7 +71,7 @@ impl Viewer<'_> {
     }
 
     /// Levenberg-Marquardt from `pose` on pictures of the viewer's size.
-    fn descend(
+    fn minimize(
         &mut self,
         frame: &FrameEstimate,
         mut pose: Pose<f64>,
@@ -83,18 +81,18 @@ impl Viewer<'_> {
         let focal = self.focal_length();
         let (turn, shift) = (0.5 / focal, 0.5 * depth / focal);
         let units = [shift, shift, shift, turn, turn, turn];
-        let mut seen = self.seen_from(frame, pose);
-        let motions = self.motions(pose, units, depth);
+        let mut render = self.sharp_clamped(frame, pose);
+        let motions = self.image_motions(pose, units, depth);
         let mut damping = 1e-3;
-        for _ in 0..STEPS {
-            let equations = equations(&seen, truth, &motions);
+        for _ in 0..MAX_STEPS {
+            let equations = equations(&render, truth, &motions);
             let Some((next, picture, motion)) =
                 self.step(frame, pose, truth, (&equations, units), &mut damping)
             else {
                 break;
             };
-            (pose, seen) = (next, picture);
-            if motion < SETTLED {
+            (pose, render) = (next, picture);
+            if motion < CONVERGED_STEP {
                 break;
             }
         }
@@ -111,10 +109,10 @@ impl Viewer<'_> {
         damping: &mut f64,
     ) -> Option<(Pose<f64>, Image<f32>, f64)> {
         let before = equations.cost / equations.count.max(1) as f64;
-        for _ in 0..TRIALS {
+        for _ in 0..MAX_TRIALS {
             let step = equations.step(*damping)?;
             let next = pose.retract(scaled(step, units));
-            let picture = self.seen_from(frame, next);
+            let picture = self.sharp_clamped(frame, next);
             if mean_square_error(&picture, truth) < before {
                 *damping = (*damping * 0.1).max(1e-6);
                 let motion = step.iter().map(|s| s * s).sum::<f64>().sqrt();
@@ -125,14 +123,19 @@ impl Viewer<'_> {
         None
     }
 
-    /// Motion of every pixel's point over the picture, by one unit of each pose coordinate. Where
-    /// the map has no depth, `typical` stands in.
-    fn motions(&mut self, pose: Pose<f64>, units: [f64; 6], typical: f64) -> Vec<[[f32; 2]; 6]> {
+    /// Image motion of every pixel per unit of each pose coordinate; at depth `typical` where the map
+    /// has none.
+    fn image_motions(
+        &mut self,
+        pose: Pose<f64>,
+        units: [f64; 6],
+        typical: f64,
+    ) -> Vec<[[f32; 2]; 6]> {
         let (depth, camera) = (self.depth(pose), self.camera);
         let motion = |i: usize| {
             let (u, v) = Camera::<f64>::pixel_centre(i % depth.width, i / depth.width);
             let z = if depth.data[i] > 0.0 { f64::from(depth.data[i]) } else { typical };
-            motions_of(&camera, camera.unproject(u, v, z), units)
+            image_motion(&camera, camera.unproject(u, v, z), units)
         };
         (0..depth.pixels()).map(motion).collect()
     }
@@ -143,12 +146,12 @@ impl Viewer<'_> {
         pose: Pose<f64>,
         truth: &Image<f32>,
     ) -> Candidate {
-        let picture = self.seen_from(frame, pose);
+        let picture = self.sharp_clamped(frame, pose);
         let error = mean_square_error(&picture, truth);
         Candidate { pose, picture, error }
     }
 
-    /// Median depth of what the frame sees [m].
+    /// Median depth of the frame [m].
     fn typical_depth(&mut self, frame: &FrameEstimate) -> f64 {
         let depth = self.depth(frame.middle());
         let known = depth.data.iter().filter(|z| **z > 0.0);
@@ -156,9 +159,8 @@ impl Viewer<'_> {
     }
 }
 
-/// Motion over the picture of a point before the camera, `J_π (-ρ - φ × P)`, by one unit of each
-/// pose coordinate [px].
-fn motions_of(camera: &Camera<f64>, p: Vec3<f64>, units: [f64; 6]) -> [[f32; 2]; 6] {
+/// Image motion `J_π (-ρ - φ × P)` of a point in the camera per unit of each pose coordinate [px].
+fn image_motion(camera: &Camera<f64>, p: Vec3<f64>, units: [f64; 6]) -> [[f32; 2]; 6] {
     let over_z = p.z.recip();
     std::array::from_fn(|k| {
         let mut one = [0.0; 6];
@@ -170,7 +172,7 @@ fn motions_of(camera: &Camera<f64>, p: Vec3<f64>, units: [f64; 6]) -> [[f32; 2];
     })
 }
 
-/// Slope of a plane along row and column, by central differences [1/px].
+/// Image gradient along row and column by central differences [1/px].
 fn gradient(picture: &Image<f32>, channel: usize, pixel: usize) -> [f32; 2] {
     let (plane, width) = (picture.plane(channel), picture.width);
     let (column, row) = (pixel % width, pixel / width);
@@ -189,26 +191,25 @@ fn scaled(step: [f64; 6], units: [f64; 6]) -> Tangent<f64> {
     Tangent::from_array(std::array::from_fn(|i| step[i] * units[i]))
 }
 
-/// The normal equations of `seen + slopes · step = truth`: a pixel takes the value that comes to
-/// it, so that its slope is `-∇I · motion`.
+/// Normal equations of `render + J step = truth` with `J = -∇I · motion`.
 fn equations(
-    seen: &Image<f32>,
+    render: &Image<f32>,
     truth: &Image<f32>,
     motions: &[[[f32; 2]; 6]],
 ) -> NormalEquations<6> {
     let mut all = NormalEquations::default();
-    let pixels = seen.pixels();
+    let pixels = render.pixels();
     let part = |range: std::ops::Range<usize>| {
         let mut part = NormalEquations::<6>::default();
         for i in range {
             let (channel, pixel) = (i / pixels, i % pixels);
-            let [across, down] = gradient(seen, channel, pixel);
-            let slope = motions[pixel].map(|m| -f64::from(across * m[0] + down * m[1]));
-            part.add(&slope, f64::from(seen.data[i] - truth.data[i]), 1.0);
+            let [across, down] = gradient(render, channel, pixel);
+            let jacobian = motions[pixel].map(|m| -f64::from(across * m[0] + down * m[1]));
+            part.add(&jacobian, f64::from(render.data[i] - truth.data[i]), 1.0);
         }
         part
     };
-    reduce_in_order(seen.data.len(), CHUNK, part, |part| all.merge(&part));
+    reduce_in_order(render.data.len(), CHUNK, part, |part| all.merge(&part));
     all
 }
 

@@ -41,7 +41,7 @@ fn rows_of_a_frame_without_blur_are_skewed() {
         0.08 * ((row as f64 + 0.5) / height as f64 - 0.5),
         0.0,
     ]));
-    let then = viewer.seen_from(&still, turned);
+    let then = viewer.sharp_clamped(&still, turned);
     let off = |picture: &Image<f32>| {
         let columns = 8..room.camera.width - 8;
         let error = |i| f64::from(picture.at(1, i, row) - then.at(1, i, row)).abs();
@@ -75,6 +75,6 @@ fn pictures_of_one_pose_are_made_of_one_render() {
     assert!(difference(&here, &viewer.hdr(away)) > 0.01);
     assert_eq!(viewer.hdr(away), room.viewer().hdr(away));
     assert_eq!(viewer.depth(away), room.viewer().depth(away));
-    assert_eq!(viewer.seen_from(&frame, away), room.viewer().seen_from(&frame, away));
+    assert_eq!(viewer.sharp_clamped(&frame, away), room.viewer().sharp_clamped(&frame, away));
     assert_eq!((viewer.sharp(&frame), viewer.hdr(frame.middle())), (sharp, here));
 }

@@ -44,7 +44,7 @@ mod tests {
     fn every_warning_is_there_with_its_time_and_many_are_folded() {
         assert_eq!(section(&[]), "");
         let of = |count: usize| -> String {
-            let warning = |i| Warning::of_frame(i, "a < b").timed(|i| Some(0.5 * i as f64));
+            let warning = |i| Warning::of_frame(i, "a < b").with_time(|i| Some(0.5 * i as f64));
             section(&(0..count).map(warning).collect::<Vec<_>>())
         };
         let two = of(2);

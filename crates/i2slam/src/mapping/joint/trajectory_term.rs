@@ -168,7 +168,7 @@ mod tests {
         FrameEstimate {
             tone: FrameTone { log_exposure: 0.25 * t as f32, ..FrameTone::default() },
             keyframe: true,
-            ..FrameEstimate::posed(
+            ..FrameEstimate::at_pose(
                 index,
                 timestamp,
                 ShutterPoses { start: motion(-0.02), end: motion(0.03) },

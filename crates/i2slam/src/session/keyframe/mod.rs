@@ -1,60 +1,57 @@
-//! The session on keyframes that come with poses: posed pictures go in one by one, a reconstruction
-//! comes out. Poses are refined together with the map; the frames between keyframes are found in it
-//! at the end.
+//! Session on keyframes with roughly known poses, which are refined together with the map; the
+//! frames between them are localised in it at the end.
 
 mod localization;
 
-use super::{MIN_MEAN_BRIGHTNESS, SessionError};
+use super::error::{SessionError, check_image};
+use super::state::{SessionState, is_black};
 use crate::config::{Config, MapKind, ResponseScope};
 use crate::keyframes::PosedKeyframe;
-use crate::mapping::{AdjacentFrames, JointMapper, Keyframe, MappingContext};
+use crate::mapping::{
+    AdjacentFrames, JointFieldMapper, JointGaussianMapper, JointMapper, Keyframe, MappingContext,
+};
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::warning::Warning;
-use i2slam_compute::{CancellationToken, Random};
-use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses};
+use i2slam_compute::CancellationToken;
+use i2slam_formation::{FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_radiance::hashgrid::SettingsError;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// RGB SLAM on keyframes whose poses, and perhaps depths, are known roughly.
+/// RGB SLAM on keyframes whose poses, and perhaps depths, are roughly known.
 ///
-/// The world is the camera of the first keyframe as it came; every pose is refined, that one too.
+/// The world is the camera of the first keyframe at its input pose; every pose is refined, that one
+/// too.
 pub struct KeyframeSession {
     config: Config,
     camera: Camera<f64>,
     frame_rate: f64,
     mapper: Box<dyn JointMapper>,
-    /// From the source's world to that of the session.
+    state: SessionState,
+    /// From the world of the keyframe source to that of the session.
     world_from_source: Option<Pose<f64>>,
-    /// Poses as they came, in the world of the session, by index.
+    /// Poses before refinement, in the world of the session, by frame index.
     input_poses: BTreeMap<usize, Pose<f64>>,
-    responses: Vec<CameraResponse<f32>>,
-    frames: Vec<FrameEstimate>,
-    keyframes: Vec<Keyframe>,
-    covered: Option<Arc<Image<bool>>>,
-    warnings: Vec<Warning>,
-    cancellation: CancellationToken,
-    random: Random,
     failure: Option<SettingsError>,
 }
 
 impl KeyframeSession {
     /// A session for keyframes of `camera`, taken from a video of `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
+        let mapper: Box<dyn JointMapper> = match config.map.kind {
+            MapKind::Gaussian => Box::new(JointGaussianMapper::new(&config, &camera, frame_rate)),
+            MapKind::HashGrid => Box::new(JointFieldMapper::new(&camera, frame_rate)),
+        };
+        let mut state = SessionState::new(&config);
+        state.warnings.extend(unused_setting(&config));
         Self {
-            mapper: super::posed_mapper(&config, &camera, frame_rate),
+            mapper,
+            state,
             world_from_source: None,
             input_poses: BTreeMap::new(),
-            responses: vec![super::response(&config)],
-            frames: Vec::new(),
-            keyframes: Vec::new(),
-            covered: None,
-            warnings: unused(&config),
-            cancellation: CancellationToken::default(),
-            random: Random::new(config.seed),
             failure: None,
             config,
             camera,
@@ -62,18 +59,18 @@ impl KeyframeSession {
         }
     }
 
-    /// Restricts the image terms to recorded pixels (see the dataset's `covered`).
+    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::covered`.
     pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
         self.mapper.set_covered(Arc::clone(&covered));
-        self.covered = Some(covered);
+        self.state.covered = Some(covered);
     }
 
-    /// Once `cancellation` is cancelled, what remains of a keyframe's mapping is left undone.
+    /// Sets the token whose cancellation ends mapping of a keyframe early.
     pub fn set_cancellation(&mut self, cancellation: CancellationToken) {
-        self.cancellation = cancellation;
+        self.state.cancellation = cancellation;
     }
 
-    /// Takes in one keyframe and refines map, poses and tone for some steps.
+    /// Adds one keyframe, and refines map, poses and tone for some steps.
     ///
     /// # Errors
     ///
@@ -82,94 +79,74 @@ impl KeyframeSession {
     pub fn process(&mut self, keyframe: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
         self.check(&keyframe)?;
         let clock = Instant::now();
-        let from_keyframe = keyframe.world_from_camera.inverse();
-        let seen_from = |(timestamp, pose)| (timestamp, from_keyframe * pose);
-        let adjacent = AdjacentFrames {
-            before: keyframe.before.map(seen_from),
-            after: keyframe.after.map(seen_from),
-        };
-        let (estimate, observation) = self.take_in(keyframe, adjacent);
-        let position = self.frames.len();
+        let keyframe_from_source = keyframe.world_from_camera.inverse();
+        let relative = |(timestamp, pose)| (timestamp, keyframe_from_source * pose);
+        let (before, after) = (keyframe.before.map(relative), keyframe.after.map(relative));
+        let adjacent = AdjacentFrames { before, after };
+        let (estimate, observation) = self.initial_estimate(keyframe, adjacent);
+        let position = self.state.frames.len();
         let maps = estimate.keyframe;
-        self.frames.push(estimate);
-        self.split_the_first(position);
+        self.state.frames.push(estimate);
+        if position == 1 {
+            self.initialize_first_exposure();
+        }
         if maps {
-            self.keyframes.push(Keyframe { frame: position, observation, adjacent });
-            let (mapper, mut context) = self.context();
+            self.state.keyframes.push(Keyframe { frame: position, observation, adjacent });
+            let (mapper, mut context) = self.mapping();
             if let Err(source) = mapper.add(&mut context) {
                 self.failure = Some(source);
                 return Err(SessionError::Map { source });
             }
         }
-        self.frames[position].mapping_seconds = clock.elapsed().as_secs_f64();
-        Ok(&self.frames[position])
+        let estimate = &mut self.state.frames[position];
+        estimate.mapping_seconds = clock.elapsed().as_secs_f64();
+        Ok(estimate)
     }
 
-    /// Refines everything over all keyframes; `on_step(done, of)` says whether to go on.
+    /// Final optimisation of map and keyframes; stops when `on_step(done, total)` returns false.
     pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
-        if self.keyframes.is_empty() || self.failure.is_some() {
+        if self.state.keyframes.is_empty() || self.failure.is_some() {
             return;
         }
-        let (mapper, mut context) = self.context();
+        let (mapper, mut context) = self.mapping();
         if let Err(error) = mapper.finish(&mut context, on_step) {
-            self.warnings.push(format!("the map is empty: {error}").into());
+            self.state.warnings.push(format!("the map is empty: {error}").into());
             self.failure = Some(error);
         }
-        self.warnings.extend(self.frames.iter().filter(|f| f.keyframe && !f.tracked).map(|f| {
-            let what =
+        let SessionState { frames, warnings, .. } = &mut self.state;
+        warnings.extend(frames.iter().filter(|f| f.keyframe && !f.tracked).map(|f| {
+            let text =
                 "not found in the map: its pose is that of the front end, refined with the map";
-            Warning::of_frame(f.index, what)
+            Warning::of_frame(f.index, text)
         }));
     }
 
-    /// Keyframes processed so far.
+    /// Frames so far, in order of their index.
     pub fn frames(&self) -> &[FrameEstimate] {
-        &self.frames
+        &self.state.frames
     }
 
-    /// Messages since the last call: what was unusual and what was done about it.
+    /// Takes the warnings since the last call.
     pub fn take_warnings(&mut self) -> Vec<Warning> {
-        std::mem::take(&mut self.warnings)
+        std::mem::take(&mut self.state.warnings)
     }
 
-    /// Everything estimated so far.
+    /// A copy of everything estimated so far.
     pub fn reconstruction(&self) -> Reconstruction {
-        Reconstruction {
-            config: self.config.clone(),
-            camera: self.camera,
-            frames: self.frames.clone(),
-            map: self.mapper.map(),
-            responses: self.responses.clone(),
-            rolling_shutter_readout: self.config.input.rolling_shutter_readout,
-        }
+        let readout = self.config.input.rolling_shutter_readout;
+        self.state.reconstruction(&self.config, &self.camera, self.mapper.map(), readout)
     }
 
     fn check(&self, keyframe: &PosedKeyframe) -> Result<(), SessionError> {
         let index = keyframe.index;
-        let expected = (self.camera.width, self.camera.height);
-        let estimated = keyframe.depth.as_ref();
-        let pictures = [
-            ("colour", 3, Some(&*keyframe.colour)),
-            ("depth", 1, estimated.map(|d| &d.depth)),
-            ("depth variance", 1, estimated.and_then(|d| d.variance.as_ref())),
+        let depth = keyframe.depth.as_ref();
+        let images = [
+            (("colour", 3), Some(&*keyframe.colour)),
+            (("depth", 1), depth.map(|d| &d.depth)),
+            (("depth variance", 1), depth.and_then(|d| d.variance.as_ref())),
         ];
-        for (what, channels, image) in pictures {
-            let Some(image) = image else { continue };
-            let actual = (image.width, image.height);
-            if actual != expected {
-                return Err(SessionError::Size { index, what, actual, expected });
-            }
-            let (values, found) = (image.data.len(), image.channels);
-            if found != channels || values != channels * image.pixels() {
-                let expected = channels;
-                return Err(SessionError::Channels {
-                    index,
-                    what,
-                    values,
-                    channels: found,
-                    expected,
-                });
-            }
+        for (kind, image) in images {
+            image.map_or(Ok(()), |image| check_image(index, kind, image, &self.camera))?;
         }
         if !keyframe.timestamp.is_finite() {
             return Err(SessionError::Stamp { index });
@@ -180,116 +157,107 @@ impl KeyframeSession {
         }
     }
 
-    /// What is known of a keyframe before it is refined.
-    fn take_in(
+    /// Estimate and observation of a keyframe before refinement.
+    fn initial_estimate(
         &mut self,
         keyframe: PosedKeyframe,
         adjacent: AdjacentFrames,
     ) -> (FrameEstimate, Arc<Observation>) {
         let PosedKeyframe { index, timestamp, colour, world_from_camera, depth, .. } = keyframe;
         let source = *self.world_from_source.get_or_insert_with(|| world_from_camera.inverse());
-        self.input_poses.insert(index, source * world_from_camera);
-        let values = colour.data.len().max(1) as f32;
-        let seen = colour.data.iter().sum::<f32>() / values >= MIN_MEAN_BRIGHTNESS;
-        if !seen {
-            self.warnings.push(Warning::of_frame(index, "its picture is black: it is not mapped"));
+        let world_from_camera = source * world_from_camera;
+        self.input_poses.insert(index, world_from_camera);
+        let is_black = is_black(&colour);
+        if is_black {
+            self.state.warn(index, "its picture is black: it is not mapped");
         }
-        let empty = || Image::new(self.camera.width, self.camera.height, 1);
         let observation = match depth {
-            None => Observation::new(colour, empty()),
+            None => {
+                let no_depth = Image::new(self.camera.width, self.camera.height, 1);
+                Observation::new(colour, no_depth)
+            }
             Some(estimated) => match estimated.variance {
                 None => Observation::new(colour, estimated.depth),
                 Some(variance) => Observation::estimated(colour, estimated.depth, variance),
             },
         };
-        let world_from_camera = source * world_from_camera;
+        let response = self.next_response();
+        let last = self.state.frames.last();
         let mut estimate = FrameEstimate {
-            tone: self.frames.last().map_or_else(FrameTone::default, |f| f.tone),
-            response: self.response(),
-            keyframe: seen,
-            ..FrameEstimate::posed(index, timestamp, ShutterPoses::still(world_from_camera))
+            tone: last.map_or_else(FrameTone::default, |f| f.tone),
+            response,
+            keyframe: !is_black,
+            ..FrameEstimate::at_pose(index, timestamp, ShutterPoses::still(world_from_camera))
         };
         let known = adjacent.motion_per_interval(timestamp, self.frame_rate);
         let from_last = || {
-            AdjacentFrames::from_neighbour(&estimate, self.frames.last()?)
-                .motion_per_interval(timestamp, self.frame_rate)
+            let adjacent = AdjacentFrames::from_neighbour(&estimate, last?);
+            adjacent.motion_per_interval(timestamp, self.frame_rate)
         };
         if let Some(motion) = known.or_else(from_last) {
-            estimate.shutter = self.split(&estimate, motion);
+            estimate.shutter = self.initial_shutter(&estimate, motion);
         }
         (estimate, Arc::new(observation))
     }
 
-    /// The response of the next keyframe: the sequence's, or one of its own that starts from that
-    /// of the last.
-    fn response(&mut self) -> usize {
-        let last = self.responses.len() - 1;
-        if self.frames.is_empty() || self.config.formation.response_scope == ResponseScope::Sequence
-        {
+    /// Index of the response of the next keyframe: that of the sequence, or its own, which starts
+    /// as a copy of the last.
+    fn next_response(&mut self) -> usize {
+        let SessionState { frames, responses, .. } = &mut self.state;
+        let last = responses.len() - 1;
+        if frames.is_empty() || self.config.formation.response_scope == ResponseScope::Sequence {
             return last;
         }
-        self.responses.push(self.responses[last].clone());
+        responses.push(responses[last].clone());
         last + 1
     }
 
-    /// The motion of the first exposure, known once there is a second, unless its source knew it.
-    fn split_the_first(&mut self, position: usize) {
-        let [first, second] = &self.frames[..] else { return };
-        if position != 1 || first.shutter.start != first.shutter.end {
+    /// Initialises the motion of the first exposure from the second frame, unless its adjacent
+    /// frames did.
+    fn initialize_first_exposure(&mut self) {
+        let [first, second] = &self.state.frames[..] else { return };
+        if first.shutter.start != first.shutter.end {
             return;
         }
-        let motion = AdjacentFrames::from_neighbour(first, second)
-            .motion_per_interval(first.timestamp, self.frame_rate);
-        if let Some(motion) = motion {
-            self.frames[0].shutter = self.split(first, motion);
+        let adjacent = AdjacentFrames::from_neighbour(first, second);
+        if let Some(motion) = adjacent.motion_per_interval(first.timestamp, self.frame_rate) {
+            self.state.frames[0].shutter = self.initial_shutter(first, motion);
         }
     }
 
-    /// Start and end pose of an exposure, `motion` being that of a frame interval.
-    fn split(&self, at: &FrameEstimate, motion: Tangent<f64>) -> ShutterPoses<f64> {
+    /// Start and end pose of an exposure around a frame's pose, from the motion in a frame
+    /// interval.
+    fn initial_shutter(&self, frame: &FrameEstimate, motion: Tangent<f64>) -> ShutterPoses<f64> {
         if !self.config.formation.blur {
-            return ShutterPoses::still(at.middle());
+            return ShutterPoses::still(frame.middle());
         }
-        spread(at.middle(), motion.scaled(f64::from(self.config.keyframed.initial_split)))
+        let motion = motion.scaled(f64::from(self.config.keyframed.initial_split));
+        ShutterPoses {
+            start: frame.middle().retract(motion.scaled(-0.5)),
+            end: frame.middle().retract(motion.scaled(0.5)),
+        }
     }
 
-    fn context(&mut self) -> (&mut dyn JointMapper, MappingContext<'_>) {
-        let context = MappingContext {
-            config: &self.config,
-            camera: &self.camera,
-            frames: &mut self.frames,
-            keyframes: &self.keyframes,
-            responses: &mut self.responses,
-            covered: self.covered.as_deref(),
-            random: &mut self.random,
-            warnings: &mut self.warnings,
-            cancellation: &self.cancellation,
-        };
+    fn mapping(&mut self) -> (&mut dyn JointMapper, MappingContext<'_>) {
+        let keyframes = self.state.keyframes.len();
+        let context = self.state.mapping_context(&self.config, &self.camera, keyframes);
         (self.mapper.as_mut(), context)
     }
 }
 
-/// What was asked for and has no part in this session.
-fn unused(config: &Config) -> Vec<Warning> {
-    let preset = Config::preset(&config.preset).map(|preset| preset.formation.quadrature);
-    let drawn = config.map.kind == MapKind::HashGrid;
-    if drawn && preset.is_ok_and(|quadrature| quadrature != config.formation.quadrature) {
-        let told = "`formation.quadrature` says nothing here: the moments of the exposure are \
-                    drawn at random within equal parts of it";
-        return vec![told.into()];
-    }
-    Vec::new()
-}
-
-/// Poses half of `motion` before and behind a pose.
-fn spread(middle: Pose<f64>, motion: Tangent<f64>) -> ShutterPoses<f64> {
-    ShutterPoses {
-        start: middle.retract(motion.scaled(-0.5)),
-        end: middle.retract(motion.scaled(0.5)),
-    }
+/// Warns of a changed setting that has no effect in this kind of session.
+fn unused_setting(config: &Config) -> Option<Warning> {
+    let preset = Config::preset(&config.preset).ok()?.formation.quadrature;
+    let is_field = config.map.kind == MapKind::HashGrid;
+    (is_field && preset != config.formation.quadrature).then(|| {
+        "`formation.quadrature` has no effect here: the moments of the exposure are drawn at \
+         random within equal parts of it"
+            .into()
+    })
 }
 
 #[cfg(test)]
-mod gaussian_tests;
-#[cfg(test)]
-mod tests;
+mod tests {
+    mod field;
+    mod gaussians;
+}

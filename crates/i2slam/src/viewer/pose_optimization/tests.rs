@@ -45,7 +45,7 @@ fn a_disturbed_pose_returns() {
     let room = room();
     let mut viewer = room.viewer();
     let true_pose = moved([0.02, -0.03, 0.01, 0.01, 0.02, -0.01]);
-    let truth = viewer.seen_from(&room.imagined_frame(0, true_pose), true_pose);
+    let truth = viewer.sharp_clamped(&room.imagined_frame(0, true_pose), true_pose);
     // Two pixels of rotation, one and a half of translation.
     let wrong = true_pose.retract(Tangent::from_array([0.03, -0.02, 0.02, -0.015, 0.02, 0.01]));
     let frame = room.imagined_frame(0, wrong);
@@ -53,14 +53,14 @@ fn a_disturbed_pose_returns() {
     assert!(psnr(found.error_after) > psnr(found.error_before) + 20.0);
     let left = true_pose.local(found.world_from_camera);
     assert!(left.translation.norm() < 1e-3 && left.rotation.norm() < 5e-4, "{left:?}");
-    assert_eq!(found.picture, viewer.seen_from(&frame, found.world_from_camera));
+    assert_eq!(found.picture, viewer.sharp_clamped(&frame, found.world_from_camera));
 }
 
 #[test]
 fn motions_are_those_of_projected_points() {
     let camera = Camera { width: 96, height: 72, fx: 90.0, fy: 85.0, cx: 48.0, cy: 36.0 };
     let (point, units) = (Vec3::new(0.4, -0.3, 1.7), [0.02, 0.02, 0.02, 0.01, 0.01, 0.01]);
-    let motions = motions_of(&camera, point, units);
+    let motions = image_motion(&camera, point, units);
     for (k, motion) in motions.iter().enumerate() {
         let seen = |size: f64| {
             let mut step = [0.0; 6];
@@ -83,7 +83,7 @@ fn the_best_pose_stays() {
     let room = room();
     let mut viewer = room.viewer();
     let frame = room.imagined_frame(0, moved([0.01, 0.0, 0.02, 0.0, 0.01, 0.0]));
-    let truth = viewer.seen_from(&frame, frame.middle());
+    let truth = viewer.sharp_clamped(&frame, frame.middle());
     let found = viewer.optimise_pose(&frame, &truth);
     assert_eq!((found.error_before, found.error_after), (0.0, 0.0));
     assert_eq!(found.world_from_camera, frame.middle());
@@ -95,7 +95,7 @@ fn a_picture_of_something_else_never_makes_it_worse() {
     let mut viewer = room.viewer();
     let frame = room.imagined_frame(0, Pose::identity());
     for seed in 0..3 {
-        let mut other = viewer.seen_from(&frame, Pose::identity());
+        let mut other = viewer.sharp_clamped(&frame, Pose::identity());
         let random = noise(11 + seed, other.data.len());
         other.data.iter_mut().zip(random).for_each(|(v, n)| *v = 0.5 + 0.5 * n as f32);
         let found = viewer.optimise_pose(&frame, &other);

@@ -50,7 +50,7 @@ fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
     let config = Config::default();
     let (&(now, turn), before) = frames.split_last()?;
     let estimate = |(index, &(time, turn)): (usize, &(f64, f64))| {
-        FrameEstimate::posed(index, time / RATE, ShutterPoses::still(turned(turn)))
+        FrameEstimate::at_pose(index, time / RATE, ShutterPoses::still(turned(turn)))
     };
     let estimates: Vec<_> = before.iter().enumerate().map(estimate).collect();
     let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));

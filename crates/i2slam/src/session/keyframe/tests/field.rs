@@ -1,6 +1,6 @@
 //! A few keyframes of a synthetic room, with poses that err.
 
-use super::*;
+use super::super::*;
 use crate::keyframes::EstimatedDepth;
 use crate::reconstruction::Map;
 use crate::session::tests::{CAMERA, frame};

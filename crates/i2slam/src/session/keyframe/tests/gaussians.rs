@@ -1,6 +1,6 @@
 //! Keyframes with estimated depth on Gaussians, and the frames between them.
 
-use super::*;
+use super::super::*;
 use crate::keyframes::EstimatedDepth;
 use crate::reconstruction::Map;
 use crate::session::tests::{CAMERA, frame};
@@ -122,9 +122,9 @@ fn distance(a: Pose<f64>, b: Pose<f64>) -> f64 {
 #[test]
 fn frames_that_were_not_reached_are_placed_beside_their_keyframes() {
     let mut session = session(true);
-    assert!(!session.place(2, 2.0 / 30.0, moved(2)), "it is there");
-    assert!([5, 1, 3].into_iter().all(|i| session.place(i, i as f64 / 30.0, moved(i))));
-    assert!(!session.place(8, f64::NAN, moved(8)));
+    assert!(!session.insert_unrefined(2, 2.0 / 30.0, moved(2)), "it is there");
+    assert!([5, 1, 3].into_iter().all(|i| session.insert_unrefined(i, i as f64 / 30.0, moved(i))));
+    assert!(!session.insert_unrefined(8, f64::NAN, moved(8)));
     let frames = session.frames();
     assert!(frames.iter().map(|f| f.index).eq(0..7), "in order, each once");
     assert!([1, 3, 5].iter().all(|i| frames[*i].held_out && !frames[*i].keyframe));
@@ -138,7 +138,7 @@ fn frames_that_were_not_reached_are_placed_beside_their_keyframes() {
     session.locate(posed(3, false)).expect("it is there");
     assert_eq!(session.take_warnings(), []);
     let mut none = KeyframeSession::new(Config::default(), CAMERA, 30.0);
-    assert!(none.place(4, 0.1, moved(4)) && none.place(5, 0.2, moved(5)));
+    assert!(none.insert_unrefined(4, 0.1, moved(4)) && none.insert_unrefined(5, 0.2, moved(5)));
     let way = none.frames()[0].middle().inverse() * none.frames()[1].middle();
     assert!(distance(way, moved(4).inverse() * moved(5)) < 1e-9);
 }

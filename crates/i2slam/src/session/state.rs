@@ -1,0 +1,101 @@
+//! State that every kind of session keeps.
+
+use crate::config::{Config, FormationConfig};
+use crate::mapping::{Keyframe, MappingContext};
+use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
+use crate::warning::Warning;
+use i2slam_compute::{CancellationToken, Random};
+use i2slam_formation::{CameraResponse, NodeSpacing};
+use i2slam_geometry::{Camera, Image};
+use std::fmt::Display;
+use std::sync::Arc;
+
+/// Mean of a picture in [0, 1] below which it is black, about one 8-bit code value: nothing can be
+/// aligned with it.
+const MIN_MEAN_VALUE: f32 = 0.004;
+
+/// Estimates, keyframes and responses of a session, and what mapping needs besides.
+pub(super) struct SessionState {
+    pub(super) frames: Vec<FrameEstimate>,
+    pub(super) keyframes: Vec<Keyframe>,
+    pub(super) responses: Vec<CameraResponse<f32>>,
+    /// Mask of the pixels that the camera recorded; `None`: all.
+    pub(super) covered: Option<Arc<Image<bool>>>,
+    pub(super) warnings: Vec<Warning>,
+    pub(super) cancellation: CancellationToken,
+    random: Random,
+}
+
+impl SessionState {
+    /// The state before the first frame.
+    pub(super) fn new(config: &Config) -> Self {
+        Self {
+            frames: Vec::new(),
+            keyframes: Vec::new(),
+            responses: vec![initial_response(config)],
+            covered: None,
+            warnings: Vec::new(),
+            cancellation: CancellationToken::default(),
+            random: Random::new(config.seed),
+        }
+    }
+
+    /// The state for mapping with the first `keyframes`.
+    pub(super) fn mapping_context<'a>(
+        &'a mut self,
+        config: &'a Config,
+        camera: &'a Camera<f64>,
+        keyframes: usize,
+    ) -> MappingContext<'a> {
+        MappingContext {
+            config,
+            camera,
+            frames: &mut self.frames,
+            keyframes: &self.keyframes[..keyframes],
+            responses: &mut self.responses,
+            covered: self.covered.as_deref(),
+            random: &mut self.random,
+            warnings: &mut self.warnings,
+            cancellation: &self.cancellation,
+        }
+    }
+
+    /// Adds a warning about a frame.
+    pub(super) fn warn(&mut self, index: usize, text: impl Display) {
+        self.warnings.push(Warning::of_frame(index, text));
+    }
+
+    /// A copy of everything estimated so far.
+    pub(super) fn reconstruction(
+        &self,
+        config: &Config,
+        camera: &Camera<f64>,
+        map: Map,
+        rolling_shutter_readout: f64,
+    ) -> Reconstruction {
+        Reconstruction {
+            config: config.clone(),
+            camera: *camera,
+            frames: self.frames.clone(),
+            map,
+            responses: self.responses.clone(),
+            rolling_shutter_readout,
+        }
+    }
+}
+
+/// The camera response before the first frame.
+fn initial_response(config: &Config) -> CameraResponse<f32> {
+    let FormationConfig { response_curves, response_start, .. } = config.formation;
+    let spacing = match config.parameters.frames.response_node_power {
+        1.0 => NodeSpacing::Uniform,
+        power => NodeSpacing::Power(f64::from(power)),
+    };
+    CameraResponse::new(response_curves, response_start, spacing)
+}
+
+/// Whether a picture is black, or not a number.
+pub(super) fn is_black(colour: &Image<f32>) -> bool {
+    let mean = colour.data.iter().sum::<f32>() / colour.data.len().max(1) as f32;
+    mean.is_nan() || mean < MIN_MEAN_VALUE
+}
