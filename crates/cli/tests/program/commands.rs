@@ -1,7 +1,6 @@
 //! The other commands, on one small result.
 
-use crate::scene::Scene;
-use crate::tools::{Ran, Scratch, reconstruct, run};
+use crate::program::{Ran, Scene, Scratch, reconstruct, run};
 use std::ffi::OsStr;
 use std::fs;
 use std::path::Path;
@@ -9,7 +8,7 @@ use std::path::Path;
 fn result(name: &str) -> Scratch {
     let scratch = Scratch::new(name);
     Scene::default().write(&scratch.join("room"));
-    reconstruct(&scratch.join("room"), &scratch.join("out"), &[]).ended_with(0);
+    reconstruct(&scratch.join("room"), &scratch.join("out"), &[]).exits_with(0);
     scratch
 }
 
@@ -23,7 +22,7 @@ fn a_saved_result_is_drawn_again_as_it_was() {
     let (out, again) = (scratch.join("out"), scratch.join("again"));
     let flags: [&OsStr; 4] =
         ["--frames".as_ref(), "2..4".as_ref(), "--out".as_ref(), again.as_ref()];
-    on("render", &out, &flags).ended_with(0);
+    on("render", &out, &flags).exits_with(0);
     for (kind, extension) in
         [("sharp", "png"), ("blurred", "png"), ("hdr", "exr"), ("depth", "png")]
     {
@@ -40,12 +39,12 @@ fn poses_of_ones_own_are_drawn() {
     let out = scratch.join("out");
     let pose: [&OsStr; 4] =
         ["--pose".as_ref(), "-0.01 0 0 0 0 0 1".as_ref(), "--kinds".as_ref(), "sharp,hdr".as_ref()];
-    on("render", &out, &pose).ended_with(0);
+    on("render", &out, &pose).exits_with(0);
     assert!(out.join("views/sharp/000000.png").is_file());
     assert!(out.join("views/hdr/000000.exr").is_file() && !out.join("views/depth").exists());
     let trajectory = out.join("trajectory.txt");
     let poses: [&OsStr; 2] = ["--poses".as_ref(), trajectory.as_ref()];
-    on("render", &out, &poses).ended_with(0);
+    on("render", &out, &poses).exits_with(0);
     assert!(out.join("views/depth/000005.png").is_file() && !out.join("views/blurred").exists());
 }
 
@@ -55,7 +54,7 @@ fn render_refuses_what_it_cannot_mean() {
     let out = scratch.join("out");
     let refused = |flags: &[&str], word: &str| {
         let flags: Vec<&OsStr> = flags.iter().map(OsStr::new).collect();
-        on("render", &out, &flags).ended_with(2).complaining(word);
+        on("render", &out, &flags).exits_with(2).stderr_contains(word);
     };
     refused(&["--pose", "1 2 3"], "seven numbers");
     refused(&["--pose", "0 0 0 0 0 0 0"], "no pose");
@@ -63,9 +62,9 @@ fn render_refuses_what_it_cannot_mean() {
     refused(&["--kinds", "sharpest"], "sharpest");
     refused(&["--frames", "90..99"], "90..99");
     refused(&["--frames", "4..2"], "holds no frame");
-    let nowhere = on("render", &scratch.join("nowhere"), &[]).ended_with(1);
-    nowhere.complaining("no such folder");
-    on("render", &scratch.join("room"), &[]).ended_with(1).complaining("no result of a run");
+    let nowhere = on("render", &scratch.join("nowhere"), &[]).exits_with(1);
+    nowhere.stderr_contains("no such folder");
+    on("render", &scratch.join("room"), &[]).exits_with(1).stderr_contains("no result of a run");
 }
 
 #[test]
@@ -83,14 +82,14 @@ fn eval_measures_trajectory_and_pictures() {
         reference.as_ref(),
         "--json".as_ref(),
     ];
-    let ran = on("eval", &out, &flags).ended_with(0);
+    let ran = on("eval", &out, &flags).exits_with(0);
     let json: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");
     assert!(json["ate_rmse_m"].as_f64().is_some_and(|v| v < 0.01), "{json}");
     assert_eq!(json["pairs"].as_u64(), Some(6));
     assert!(json["psnr_sharp_db"].as_f64().is_some_and(|v| v > 15.0), "{json}");
     let flags: [&OsStr; 4] =
         ["--groundtruth".as_ref(), truth.as_ref(), "--align".as_ref(), "sim3".as_ref()];
-    let ran = on("eval", &out.join("trajectory.txt"), &flags).ended_with(0);
+    let ran = on("eval", &out.join("trajectory.txt"), &flags).exits_with(0);
     assert!(ran.out.contains("ATE RMSE") && ran.out.contains("scale"), "{}", ran.out);
 }
 
@@ -105,7 +104,7 @@ fn eval_fits_the_scale_of_a_unit_that_is_unknown() {
     let fit = |file: &Path, flags: &[&str]| {
         let mut all: Vec<&OsStr> = vec!["--groundtruth".as_ref(), truth.as_ref()];
         all.extend(flags.iter().map(OsStr::new));
-        on("eval", file, &all).ended_with(0).out
+        on("eval", file, &all).exits_with(0).out
     };
     assert!(fit(&metric, &[]).contains("SE(3)"));
     assert!(fit(&unknown, &[]).contains("Sim(3)"));
@@ -118,39 +117,39 @@ fn eval_names_a_bad_line_of_the_truth() {
     let truth = scratch.join("truth.txt");
     fs::write(&truth, "0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n").expect("room");
     let flags: [&OsStr; 2] = ["--groundtruth".as_ref(), truth.as_ref()];
-    on("eval", &scratch.join("out"), &flags).ended_with(1).complaining("truth.txt, line 2");
+    on("eval", &scratch.join("out"), &flags).exits_with(1).stderr_contains("truth.txt, line 2");
 }
 
 #[test]
 fn usage_is_checked() {
-    run(["run"]).ended_with(2);
-    run(["run", "data", "--out", "out", "--sharpen"]).ended_with(2).complaining("--sharpen");
+    run(["run"]).exits_with(2);
+    run(["run", "data", "--out", "out", "--sharpen"]).exits_with(2).stderr_contains("--sharpen");
     let preset = ["run", "data", "--out", "out", "--preset", "fast"];
-    run(preset).ended_with(2).complaining("paper-tum");
-    run(["run", "data", "--out", "out", "--threads", "0"]).ended_with(2);
+    run(preset).exits_with(2).stderr_contains("paper-tum");
+    run(["run", "data", "--out", "out", "--threads", "0"]).exits_with(2);
     run(["run", "data", "--out", "out", "--virtual-cameras", "0"])
-        .ended_with(2)
-        .complaining("virtual_cameras");
+        .exits_with(2)
+        .stderr_contains("virtual_cameras");
 }
 
 #[test]
 fn presets_are_listed_and_printed() {
-    let list = run(["presets"]).ended_with(0).out;
+    let list = run(["presets"]).exits_with(0).out;
     for name in ["default", "paper-tum", "paper-scannet-s", "paper-synthetic"] {
         assert!(list.contains(name), "{name}");
     }
-    let printed = run(["presets", "paper-synthetic"]).ended_with(0).out;
+    let printed = run(["presets", "paper-synthetic"]).exits_with(0).out;
     assert!(printed.contains("[tracking]"));
     for words in ["# Adam steps per frame", "# Source: ", "`second-order`: "] {
         assert!(printed.contains(words), "{words} is not in\n{printed}");
     }
-    run(["presets", "none"]).ended_with(2);
+    run(["presets", "none"]).exits_with(2);
 }
 
 #[cfg(unix)]
 #[test]
 fn a_reader_that_goes_away_ends_nothing_badly() {
-    use crate::tools::program;
+    use crate::program::program;
     use std::process::Stdio;
     let mut child = program(["presets", "default"])
         .stdout(Stdio::piped())
@@ -158,5 +157,5 @@ fn a_reader_that_goes_away_ends_nothing_badly() {
         .spawn()
         .expect("the program starts");
     drop(child.stdout.take());
-    Ran::of(child.wait_with_output().expect("an end")).ended_with(0);
+    Ran::of(child.wait_with_output().expect("an end")).exits_with(0);
 }

@@ -1,6 +1,6 @@
 //! Made-up videos: raw frames beside an empty file, and a script that answers as ffmpeg would.
 
-use crate::tools::{Ran, Scratch, program};
+use crate::program::{Ran, Scratch, program};
 use std::fmt::Write;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

@@ -1,11 +1,10 @@
 //! `i2slam info`: the table, the JSON object, and what it says to folders that are no sequence.
 
-use crate::scene::{Scene, write_colour};
-use crate::tools::{Scratch, number, reconstruct, run};
+use crate::program::{Ran, Scene, Scratch, number, reconstruct, run, stamp, write_colour};
 use std::fs;
 use std::path::Path;
 
-fn info(dataset: &Path, flags: &[&str]) -> crate::tools::Ran {
+fn info(dataset: &Path, flags: &[&str]) -> Ran {
     let flags = flags.iter().map(|flag| flag.as_ref());
     run(["info".as_ref(), dataset.as_os_str()].into_iter().chain(flags))
 }
@@ -19,7 +18,7 @@ fn scene(name: &str) -> Scratch {
 #[test]
 fn the_table_tells_what_was_recognised() {
     let scratch = scene("info-table");
-    let out = info(&scratch.join(""), &[]).ended_with(0).out;
+    let out = info(&scratch.join(""), &[]).exits_with(0).out;
     let row = |label: &str| {
         let found = out.lines().find(|line| line.starts_with(label));
         found.unwrap_or_else(|| panic!("no row {label} in\n{out}")).to_owned()
@@ -48,7 +47,7 @@ fn json_has_the_numbers() {
     write_colour(&folder.join("rgb/100.080000.png"), (48, 36), &[0; 3 * 48 * 36]);
     fs::write(folder.join("rgb/100.160000.png"), "damaged").expect("room");
     fs::write(folder.join("exposure.csv"), "dt\n1\n2\n1\n8\n1\n1\n").expect("room");
-    let out = info(&folder, &["--json"]).ended_with(0).out;
+    let out = info(&folder, &["--json"]).exits_with(0).out;
     let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!(told["frames"], 6);
     assert_eq!(told["layout"], "TUM RGB-D");
@@ -76,7 +75,7 @@ fn quick_looks_at_no_picture() {
     let folder = scratch.join("");
     let flags = ["--quick", "--json", "--frames", "1..6", "--stride", "2"];
     let told: serde_json::Value =
-        serde_json::from_str(&info(&folder, &flags).ended_with(0).out).expect("JSON");
+        serde_json::from_str(&info(&folder, &flags).exits_with(0).out).expect("JSON");
     assert_eq!((&told["frames"], &told["pictures"]), (&3.into(), &serde_json::Value::Null));
 }
 
@@ -84,13 +83,13 @@ fn quick_looks_at_no_picture() {
 fn an_unknown_folder_is_answered_with_the_layouts() {
     let scratch = Scratch::new("info-unknown");
     fs::write(scratch.join("notes.md"), "").expect("room");
-    let err = info(&scratch.join(""), &[]).ended_with(1).err;
+    let err = info(&scratch.join(""), &[]).exits_with(1).err;
     for word in
         ["no RGB-D sequence", "notes.md", "TUM RGB-D", ".sens", "transforms.json", "Replica"]
     {
         assert!(err.contains(word), "{word} is not in: {err}");
     }
-    let err = info(&scratch.join("none"), &[]).ended_with(1).err;
+    let err = info(&scratch.join("none"), &[]).exits_with(1).err;
     assert!(err.contains("no file or folder"), "{err}");
 }
 
@@ -102,7 +101,7 @@ fn poses_beside_the_frames_judge_a_run() {
     fs::create_dir_all(scene.join("results")).expect("a folder");
     let mut poses = String::new();
     for frame in 0..6 {
-        let time = crate::scene::stamp(frame);
+        let time = stamp(frame);
         for (kind, name) in [("rgb", "frame"), ("depth", "depth")] {
             let file = source.join(format!("{kind}/{time}.png"));
             let to = scene.join(format!("results/{name}{frame:06}.png"));
@@ -115,7 +114,7 @@ fn poses_beside_the_frames_judge_a_run() {
     let camera = r#"{"camera":{"w":48,"h":36,"fx":45,"fy":45,"cx":23.5,"cy":17.5,"scale":5000}}"#;
     fs::write(scratch.join("cam_params.json"), camera).expect("room");
     let out = scratch.join("out");
-    reconstruct(&scene, &out, &["--render", "none"]).ended_with(0);
+    reconstruct(&scene, &out, &["--render", "none"]).exits_with(0);
     let error = number(&out.join("metrics.json"), "ate_rmse_m").expect("judged");
     assert!(error < 0.005, "{error}");
 }
@@ -124,7 +123,7 @@ fn poses_beside_the_frames_judge_a_run() {
 fn keyframes_of_another_program_are_told_too() {
     let scratch = scene("info-keyframes");
     let file = scratch.join("groundtruth.txt");
-    let out = info(&file, &[]).ended_with(0).out;
+    let out = info(&file, &[]).exits_with(0).out;
     for (label, part) in [
         ("keyframes of", "TUM trajectory"),
         ("poses", "groundtruth.txt: world_from_camera, quaternion x y z w"),
@@ -135,11 +134,11 @@ fn keyframes_of_another_program_are_told_too() {
         let found = out.lines().find(|line| line.starts_with(label));
         assert!(found.is_some_and(|row| row.contains(part)), "no {label} with {part} in\n{out}");
     }
-    let out = info(&file, &["--json"]).ended_with(0).out;
+    let out = info(&file, &["--json"]).exits_with(0).out;
     let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!((&told["keyframes"], &told["has_depth"]), (&6.into(), &false.into()));
     fs::write(&file, "100.0 0 0 0 0 0 0 2\n").expect("room");
-    let err = info(&file, &[]).ended_with(1).err;
+    let err = info(&file, &[]).exits_with(1).err;
     assert!(err.contains("line 1") && err.contains("length 2.000"), "{err}");
 }
 
@@ -150,13 +149,13 @@ fn a_folder_of_pictures_is_run_by_colour_alone() {
     let (data, ours) = (scratch.join("room"), scratch.join("ours"));
     Scene { frames: 3, ..Scene::default() }.write(&data);
     fs::rename(data.join("rgb"), &ours).expect("room");
-    let told = run(["info".as_ref(), ours.as_os_str()]).ended_with(0);
+    let told = run(["info".as_ref(), ours.as_os_str()]).exits_with(0);
     assert!(told.out.contains("folder of pictures"), "{}", told.out);
     let out = scratch.join("out");
     let flags = ["run".as_ref(), ours.as_os_str(), "--out".as_ref(), out.as_os_str()];
-    let ran = run(flags).ended_with(1).complaining("run by colour alone");
-    ran.complaining("camera not given").complaining("3 pictures could not be used");
+    let ran = run(flags).exits_with(1).stderr_contains("run by colour alone");
+    ran.stderr_contains("camera not given").stderr_contains("3 pictures could not be used");
     assert!(!out.exists());
     let depth = ["--preset".as_ref(), "paper-tum".as_ref()];
-    run(flags.into_iter().chain(depth)).ended_with(2).complaining("is for RGB-D");
+    run(flags.into_iter().chain(depth)).exits_with(2).stderr_contains("is for RGB-D");
 }

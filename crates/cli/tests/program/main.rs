@@ -1,25 +1,16 @@
 //! The program from outside: tiny made-up sequences in, result folders out.
 
-mod bad_input;
-mod causes;
 mod commands;
 mod eval;
-mod field;
+mod eval_result;
 #[cfg(unix)]
 mod footage;
 mod info;
-mod interrupt;
-mod keyframed;
+mod program;
+mod result_folder;
+mod run_depth;
+mod run_keyframes;
 #[cfg(unix)]
-mod lens;
-mod overwrite;
-mod protocols;
-mod result;
-mod robust;
-mod rolling;
-mod scene;
+mod run_video;
 #[cfg(unix)]
-mod streams;
-mod tools;
-#[cfg(unix)]
-mod video;
+mod signals;

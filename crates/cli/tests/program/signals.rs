@@ -1,0 +1,184 @@
+//! Ctrl-C and SIGTERM; streams, which they end.
+
+use crate::footage::{Footage, View};
+use crate::program::{Ran, Running, Scene, Scratch, number, program, rows, run};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+#[test]
+fn ctrl_c_leaves_a_result_that_can_be_read() {
+    leaves_a_result("-INT");
+}
+
+#[test]
+fn a_wish_of_the_system_leaves_a_result_too() {
+    leaves_a_result("-TERM");
+}
+
+fn leaves_a_result(signal: &str) {
+    let scratch = Scratch::new(&format!("interrupt{signal}"));
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    let frames = 400;
+    Scene { frames, step: 0.001, ..Scene::default() }.write(&data);
+    let arguments = ["run".as_ref(), data.as_os_str(), "--out".as_ref(), out.as_os_str()];
+    let child = program(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    // The program listens before it makes its folder.
+    let begun = Instant::now();
+    while !out.is_dir() && begun.elapsed() < Duration::from_secs(20) {
+        sleep(Duration::from_millis(10));
+    }
+    sleep(Duration::from_millis(500));
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
+    assert!(sent.expect("kill").success());
+    let ran = Ran::of(child.wait_with_output().expect("an end")).exits_with(130);
+    assert!(ran.err.contains("writing what there is"), "{}", ran.err);
+    assert!(ran.out.contains("ended early"), "{}", ran.out);
+    let poses = rows(&out.join("trajectory.txt"));
+    assert!((1..frames).contains(&poses), "{poses}");
+    assert_eq!(number(&out.join("metrics.json"), "frames"), Some(poses as f64));
+    assert!(out.join("report.html").is_file());
+    run(["render".as_ref(), out.as_os_str(), "--frames".as_ref(), "0..1".as_ref()]).exits_with(0);
+}
+
+/// Steps to the right through the made-up scene.
+fn views(frames: u32) -> Vec<(u32, View)> {
+    (0..frames).map(|i| (20 * i, View::moved(0.03 * f64::from(i)))).collect()
+}
+
+#[test]
+fn ctrl_c_during_the_search_leaves_no_folder() {
+    let footage = Footage::new("interrupt-search");
+    let video = footage.video("views.mp4", &views(300));
+    let mut running = Running::start(&mut footage.quick("out", &video, &["--threads", "1"]));
+    running.until("following points");
+    running.interrupted().exits_with(130).stderr_contains("ended before the path");
+    assert!(!footage.scratch.join("out").exists());
+}
+
+/// An earlier result that is complete stays where it is; the path that was found goes beside it.
+#[test]
+fn ctrl_c_keeps_the_path_and_the_earlier_result() {
+    let footage = Footage::new("interrupt-path");
+    let video = footage.video("views.mp4", &views(24));
+    let focal = ["--fov", "63.2", "--threads", "1"];
+    footage.run(&video, &focal).exits_with(0);
+    let (out, beside) = (footage.scratch.join("out"), footage.scratch.join("out-partial"));
+    let earlier = fs::read(out.join("report.html")).expect("a report");
+    let slow = [
+        "--config",
+        "slow.toml",
+        "--map",
+        "gaussian",
+        "--overwrite",
+        "--out",
+        "out",
+        "--fov",
+        "63.2",
+    ];
+    let settings = "[mapping]\nfirst_iterations = 100000\n";
+    fs::write(footage.scratch.join("slow.toml"), settings).expect("room");
+    let interrupted = || {
+        let mut command = footage.command("run", &video, &slow);
+        let mut running = Running::start(command.current_dir(footage.scratch.join("")));
+        running.until("keyframes");
+        running.interrupted().exits_with(130)
+    };
+    for _ in 0..2 {
+        let ran = interrupted().stderr_contains("stays").stderr_contains("out-partial");
+        ran.stderr_contains("those of the front end");
+        assert_eq!(fs::read(out.join("report.html")).ok(), Some(earlier.clone()));
+        assert_eq!(rows(&beside.join("trajectory.txt")), 24, "the whole path");
+        let metrics = fs::read_to_string(beside.join("metrics.json")).expect("figures");
+        let metrics: serde_json::Value = serde_json::from_str(&metrics).expect("JSON");
+        assert_eq!((&metrics["complete"], &metrics["frames"]), (&false.into(), &24.into()));
+        assert!(metrics["warnings"].to_string().contains("those of the front end"));
+        assert!(!footage.scratch.join("out-partial-2").exists(), "a part is replaced");
+    }
+}
+
+/// A video of a walk, and the file of what flows when it is streamed.
+fn walk(footage: &Footage) -> (PathBuf, PathBuf) {
+    let views: Vec<(u32, View)> =
+        (0..12).map(|i| (20 * i, View::moved(0.06 * f64::from(i)))).collect();
+    let video = footage.video("walk.mp4", &views);
+    let flow = footage.scratch.join("flow");
+    fs::write(&flow, video.to_str().expect("a name")).expect("room");
+    (video, flow)
+}
+
+fn path(footage: &Footage, out: &str) -> String {
+    fs::read_to_string(footage.scratch.join(out).join("trajectory.txt")).expect("a path")
+}
+
+const FLAGS: [&str; 2] = ["--fov", "63.2"];
+
+#[test]
+fn an_address_a_pipe_and_the_standard_input_are_as_good_as_a_file() {
+    let footage = Footage::new("stream");
+    let (video, flow) = walk(&footage);
+    let from = |out: &str, source: &Path, stdin: Stdio| {
+        let mut command = footage.quick(out, source, &FLAGS);
+        Ran::of(command.stdin(stdin).output().expect("starts")).exits_with(0)
+    };
+    from("file", &video, Stdio::null());
+    let due = path(&footage, "file");
+    let address = Path::new("http://host/flow");
+    from("address", address, Stdio::null()).stderr_contains("reading the stream http://host/flow");
+    assert_eq!(path(&footage, "address"), due);
+    let input = fs::read_to_string(footage.scratch.join("address/input.json")).expect("a file");
+    assert!(input.contains("\"http://host/flow\""), "{input}");
+    from("input", Path::new("-"), File::open(&flow).expect("a file").into());
+    assert_eq!(path(&footage, "input"), due);
+    let pipe = footage.scratch.join("camera");
+    assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    let (to, words) = (pipe.clone(), fs::read(&flow).expect("a file"));
+    let camera = std::thread::spawn(move || fs::write(to, words));
+    from("pipe", &pipe, Stdio::null());
+    camera.join().expect("no panic").expect("somebody reads");
+    assert_eq!(path(&footage, "pipe"), due);
+    assert!(footage.is_tidy());
+}
+
+#[test]
+fn ctrl_c_ends_a_live_stream_and_not_the_run() {
+    let footage = Footage::new("stream-live");
+    let (_, flow) = walk(&footage);
+    fs::write(flow.with_extension("endless"), "").expect("room");
+    let mut command = footage.quick("live", Path::new("http://host/flow"), &FLAGS);
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    std::thread::sleep(Duration::from_millis(1500));
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    assert!(sent.expect("kill").success());
+    let ran = Ran::of(child.wait_with_output().expect("an end")).exits_with(0);
+    assert!(ran.err.contains("going on with what came"), "{}", ran.err);
+    assert!(ran.out.contains("of 12 frames"), "{}", ran.out);
+    assert!(!path(&footage, "live").is_empty() && footage.is_tidy());
+}
+
+#[test]
+fn streams_that_cannot_be_used_are_told_and_leave_nothing() {
+    let footage = Footage::new("stream-bad");
+    let (_, flow) = walk(&footage);
+    fs::write(footage.scratch.join("silence"), "").expect("room");
+    let silent = Path::new("http://host/silence");
+    footage.run(silent, &[]).exits_with(1).stderr_contains("no frame of it can be decoded");
+    footage.run(Path::new("rtsp://host/nowhere"), &[]).exits_with(1).stderr_contains("nowhere");
+    let address = Path::new("http://host/flow");
+    footage.i2slam("info", address, &[]).exits_with(1).stderr_contains("record it first");
+    let files = ["--rgb", "--keyframes", "poses.txt"];
+    footage.run(address, &files).exits_with(2).stderr_contains("goes with a file or a folder");
+    // What lies in the way is said before a stream is read that may have no end.
+    fs::write(flow.with_extension("endless"), "").expect("room");
+    let out = footage.scratch.join("out");
+    fs::create_dir_all(&out).expect("room");
+    fs::write(out.join("mine.txt"), "mine").expect("room");
+    footage.run(address, &[]).exits_with(2).stderr_contains("--overwrite");
+    assert!(footage.is_tidy());
+}
