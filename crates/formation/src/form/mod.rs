@@ -5,15 +5,15 @@
 //! [`Formation::pull_back`]. Blur is linear in the renders, so every virtual camera of a frame
 //! receives the same image cotangent, times its weight.
 
-mod blur;
-mod planes;
+use crate::tone::{
+    CurveGradient, Even, FrameTone, FrameToneGradient, Locate, NODES, ResponseCurve, Segment,
+    above_slope, below_slope, evaluate,
+};
+use i2slam_geometry::{Image, Real};
+use rayon::prelude::*;
+
 #[cfg(test)]
 mod tests;
-
-pub use blur::{accumulate, scale_into};
-
-use crate::tone::{CurveGradient, Even, FrameTone, FrameToneGradient, ResponseCurve};
-use i2slam_geometry::{Image, Real};
 
 /// How the radiance of one frame becomes its picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +43,7 @@ impl<'a, T: Real> Formation<'a, T> {
     /// The picture of `hdr`, the radiance averaged over the exposure (planes R, G, B).
     /// `picture` is given the shape of `hdr`. Values leave [0, 1] by at most the leaky clip.
     pub fn form(&self, hdr: &Image<T>, picture: &mut Image<T>) {
-        blur::shape_like(hdr, picture);
+        shape_like(hdr, picture);
         let Self::Tone { tone, curve } = self else {
             picture.data.copy_from_slice(&hdr.data);
             return;
@@ -53,8 +53,8 @@ impl<'a, T: Real> Formation<'a, T> {
             let segments = curve.segments(channel);
             let (from, to) = (hdr.plane(channel), picture.plane_mut(channel));
             match curve.grid().binned() {
-                Some(binned) => planes::form(&binned, segments, gain, from, to),
-                None => planes::form(&Even, segments, gain, from, to),
+                Some(binned) => form_plane(&binned, segments, gain, from, to),
+                None => form_plane(&Even, segments, gain, from, to),
             }
         }
     }
@@ -73,8 +73,8 @@ impl<'a, T: Real> Formation<'a, T> {
         d_tone: &mut FrameToneGradient<T>,
         d_curve: &mut CurveGradient<T>,
     ) {
-        blur::assert_same_shape(hdr, d_picture);
-        blur::shape_like(hdr, d_hdr);
+        assert_same_shape(hdr, d_picture);
+        shape_like(hdr, d_hdr);
         let Self::Tone { tone, curve } = self else {
             d_hdr.data.copy_from_slice(&d_picture.data);
             return;
@@ -82,18 +82,150 @@ impl<'a, T: Real> Formation<'a, T> {
         for channel in 0..hdr.channels {
             let gain = tone.gains()[channel.min(2)];
             let segments = curve.segments(channel);
-            let planes = planes::Planes {
+            let planes = Planes {
                 hdr: hdr.plane(channel),
                 d_picture: d_picture.plane(channel),
                 d_hdr: d_hdr.plane_mut(channel),
             };
             let d_values = &mut d_curve.values[curve.curve_of(channel)];
             let d_log_gain = match curve.grid().binned() {
-                Some(binned) => planes::pull_back(&binned, segments, gain, planes, d_values),
-                None => planes::pull_back(&Even, segments, gain, planes, d_values),
+                Some(binned) => pull_back_plane(&binned, segments, gain, planes, d_values),
+                None => pull_back_plane(&Even, segments, gain, planes, d_values),
             };
             d_tone.log_exposure += d_log_gain;
             d_tone.log_white_balance[channel.min(2)] += d_log_gain;
         }
+    }
+}
+
+/// `hdr += weight · radiance`: one virtual camera's share of the exposure.
+///
+/// # Panics
+/// When the images are of different shape.
+pub fn accumulate<T: Real>(hdr: &mut Image<T>, weight: T, radiance: &Image<T>) {
+    assert_same_shape(hdr, radiance);
+    for (sum, &r) in hdr.data.iter_mut().zip(&radiance.data) {
+        *sum += weight * r;
+    }
+}
+
+/// `d_radiance = weight · d_hdr`: what one virtual camera's render is asked to change.
+/// `d_radiance` is given the shape of `d_hdr`.
+pub fn scale_into<T: Real>(d_hdr: &Image<T>, weight: T, d_radiance: &mut Image<T>) {
+    shape_like(d_hdr, d_radiance);
+    for (d, &sum) in d_radiance.data.iter_mut().zip(&d_hdr.data) {
+        *d = weight * sum;
+    }
+}
+
+/// Gives `image` the shape of `model`; its values are then to be overwritten.
+pub(super) fn shape_like<T: Real>(model: &Image<T>, image: &mut Image<T>) {
+    if shape(model) != shape(image) {
+        image.reset(model.width, model.height, model.channels);
+    }
+}
+
+pub(super) fn assert_same_shape<T: Real>(a: &Image<T>, b: &Image<T>) {
+    assert_eq!(shape(a), shape(b), "images of different shape");
+}
+
+fn shape<T>(image: &Image<T>) -> (usize, usize, usize, usize) {
+    (image.width, image.height, image.channels, image.data.len())
+}
+
+/// Parts of a plane. Fixed, so that sums do not depend on the number of threads.
+const PARTS: usize = 8;
+
+fn part(pixels: usize) -> usize {
+    pixels.div_ceil(PARTS).max(1)
+}
+
+/// `picture = CRF_leaky(gain · hdr)`.
+pub(super) fn form_plane<T: Real>(
+    locate: &(impl Locate<T> + Sync),
+    segments: &[Segment<T>],
+    gain: T,
+    hdr: &[T],
+    picture: &mut [T],
+) {
+    let part = part(hdr.len());
+    picture.par_chunks_mut(part).zip(hdr.par_chunks(part)).for_each(|(picture, hdr)| {
+        for (value, &radiance) in picture.iter_mut().zip(hdr) {
+            *value = evaluate(locate, segments, gain * radiance);
+        }
+    });
+}
+
+/// The planes that one channel is pulled back through.
+pub(super) struct Planes<'a, T> {
+    pub(super) hdr: &'a [T],
+    pub(super) d_picture: &'a [T],
+    /// Written.
+    pub(super) d_hdr: &'a mut [T],
+}
+
+/// Writes `d_hdr`, adds to `d_values` (one number per node), returns `∂loss/∂ln gain`.
+///
+/// Between nodes `i` and `i + 1` the curve is `(1 - w) v_i + w v_{i+1}`: per segment, the sums
+/// of `ȳ` and of `w ȳ` over its pixels are all that the nodes need.
+pub(super) fn pull_back_plane<T: Real>(
+    locate: &(impl Locate<T> + Sync),
+    segments: &[Segment<T>],
+    gain: T,
+    planes: Planes<'_, T>,
+    d_values: &mut [T],
+) -> T {
+    let mut parts = [const { Sums { nodes: [[0.0; 2]; NODES], log_gain: 0.0 } }; PARTS];
+    let part = part(planes.hdr.len());
+    let work = planes.hdr.par_chunks(part).zip(planes.d_picture.par_chunks(part));
+    let work = work.zip(planes.d_hdr.par_chunks_mut(part)).zip(parts.par_iter_mut());
+    work.for_each(|(((hdr, d_picture), d_hdr), sums)| {
+        pull_back_part(locate, segments, gain, Planes { hdr, d_picture, d_hdr }, sums);
+    });
+    for i in 0..segments.len() {
+        let sum = |side: usize| parts.iter().map(|part| part.nodes[i][side]).sum::<f64>();
+        let (all, right) = (sum(0), sum(1));
+        d_values[i] += T::of(all - right);
+        d_values[i + 1] += T::of(right);
+    }
+    T::of(parts.iter().map(|part| part.log_gain).sum())
+}
+
+/// Of the pixels of one part.
+struct Sums {
+    /// Per segment, `Σ ȳ` and `Σ w ȳ`.
+    nodes: [[f64; 2]; NODES],
+    log_gain: f64,
+}
+
+fn pull_back_part<T: Real>(
+    locate: &impl Locate<T>,
+    segments: &[Segment<T>],
+    gain: T,
+    planes: Planes<'_, T>,
+    sums: &mut Sums,
+) {
+    let pixels = planes.hdr.iter().zip(planes.d_picture).zip(planes.d_hdr);
+    for ((&radiance, &d_value), d_radiance) in pixels {
+        if d_value == T::zero() {
+            *d_radiance = T::zero();
+            continue;
+        }
+        let x = gain * radiance;
+        let slope = if x < T::zero() {
+            below_slope()
+        } else if x > T::one() {
+            above_slope(x)
+        } else {
+            let i = locate.locate(segments, x);
+            let segment = &segments[i];
+            let share = (x - segment.start) * segment.inverse_width;
+            sums.nodes[i][0] += d_value.to_f64();
+            sums.nodes[i][1] += (share * d_value).to_f64();
+            segment.slope
+        };
+        let d_x = d_value * slope;
+        *d_radiance = d_x * gain;
+        sums.log_gain += (d_x * x).to_f64();
     }
 }

@@ -1,12 +1,12 @@
 //! The fast lane, forward: one band of rows at a time, sixteen pixels of a row at a time.
 
 use super::TILE;
-use super::band::Band;
-use super::landing::between;
-use super::landing_lanes::{Steps, land};
+use super::backward::Band;
+use super::ray_surface::interpolate_in_time;
+use super::ray_surface::{Steps, intersect_lanes};
+use super::sampling::{Corners, Texel};
+use super::sampling::{LANES, Lines, Taps};
 use super::surface::Surface;
-use super::taps::{LANES, Lines, Taps};
-use super::texel::{Corners, Texel};
 use super::views::Views;
 use i2slam_compute::simd::Column;
 use i2slam_geometry::Camera;
@@ -114,11 +114,11 @@ fn blur_chunk(
 fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Column, depths: &mut [Column]) {
     let moving = scene.views.row(y);
     let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
-    let first = land(scene, &Lines::new(scene.camera, first, x, y), own);
-    let last = land(scene, &Lines::new(scene.camera, last, x, y), own);
+    let first = intersect_lanes(scene, &Lines::new(scene.camera, first, x, y), own);
+    let last = intersect_lanes(scene, &Lines::new(scene.camera, last, x, y), own);
     for (view, depths) in moving.iter().zip(depths.iter_mut()) {
         for i in 0..LANES {
-            depths[i] = between(first[i], own[i], last[i], view.moment);
+            depths[i] = interpolate_in_time(first[i], own[i], last[i], view.moment);
         }
     }
 }
@@ -136,7 +136,7 @@ fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, lanes: usize, depths: &mut [
     if scene.views.rolling {
         for (view, depths) in moving.iter().zip(depths.iter_mut()) {
             let lines = Lines::new(scene.camera, view, x, y);
-            *depths = land(scene, &lines, &land(scene, &lines, &own));
+            *depths = intersect_lanes(scene, &lines, &intersect_lanes(scene, &lines, &own));
         }
     } else {
         see_between(scene, (x, y), &own, depths);

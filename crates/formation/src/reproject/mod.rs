@@ -46,17 +46,13 @@
 //! the middle, which is what [`Reprojection::pull_back`] returns.
 
 mod backward;
-mod band;
-mod blocks;
 mod forward;
-mod landing;
-mod landing_lanes;
+mod ray_surface;
 mod reference;
+mod sampling;
 mod surface;
-mod taps;
 #[cfg(test)]
 mod tests;
-mod texel;
 mod upsample;
 mod views;
 
@@ -65,20 +61,20 @@ pub use upsample::Interpolation;
 
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use backward::PullBackBand;
-use band::{BAND, Band};
+use backward::{BAND, Band, lay_bands};
 use forward::{BlurBand, Scene};
 use i2slam_compute::simd::Column;
 use i2slam_geometry::{Camera, Image, Pose};
 use pulp::Arch;
 use rayon::prelude::*;
+use sampling::LANES;
+use sampling::Texel;
 use surface::Surface;
-use taps::LANES;
-use texel::Texel;
 use upsample::UpsampleRow;
 use views::Views;
 
 /// Side of the tiles that [`Reprojection::uncovered`] counts in [px].
-pub const TILE: usize = taps::LANES;
+pub const TILE: usize = sampling::LANES;
 
 /// What [`Reprojection::pull_back`] finds beside the cotangent of the sharp render.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -173,7 +169,7 @@ impl Reprojection {
         self.surface.update(depth);
         let reach = self.views.reach(camera, self.surface.blocks.nearest());
         self.surface.blocks.surround(reach, self.views.largest_parallax(camera));
-        band::lay(&mut self.bands, camera.width, camera.height);
+        lay_bands(&mut self.bands, camera.width, camera.height);
         self.upsample(radiance);
         self.gather(radiance, blurred);
     }
@@ -205,7 +201,7 @@ impl Reprojection {
     fn gather(&mut self, radiance: &Image<f32>, blurred: &mut Image<f32>) {
         let (width, pixels) = (blurred.width, blurred.pixels());
         let count = self.views.count();
-        let depths_per_row = taps::chunks(width) * count;
+        let depths_per_row = sampling::chunks(width) * count;
         self.inverse_depths.resize(blurred.height * depths_per_row, [0.0; LANES]);
         let (stride, margin) = (self.camera.width, self.margin);
         let scene = Scene {
@@ -280,7 +276,7 @@ impl Reprojection {
             fine: &self.fine,
         };
         let kernel = self.interpolation.halfway();
-        let depths_per_row = taps::chunks(width) * self.views.count();
+        let depths_per_row = sampling::chunks(width) * self.views.count();
         let depths = self.inverse_depths.par_chunks(BAND * depths_per_row);
         self.bands.par_iter_mut().zip(depths).for_each(|(band, depths)| {
             let from = band.first_row * width;

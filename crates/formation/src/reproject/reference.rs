@@ -1,6 +1,6 @@
 //! The readable lane: the same equations pixel by pixel, in `f32` or `f64`.
 
-use super::landing::{amplification, between, land, search};
+use super::ray_surface::{amplification, interpolate_in_time, intersect, search};
 use super::surface::Surface;
 use super::upsample::{Interpolation, TAPS, neighbours};
 use super::views::{Line, View, Views};
@@ -149,13 +149,13 @@ impl<T: Real> ReferenceReprojection<T> {
         if let Some(bounds) = bounds.filter(|bounds| bounds.bend > view.steep) {
             return search(&self.surface, &self.line(view, x, y), bounds, own);
         }
-        let land_from = |view, guess| land(&self.surface, &self.line(view, x, y), guess);
+        let intersect_from = |view, guess| intersect(&self.surface, &self.line(view, x, y), guess);
         if self.views.rolling {
-            return (land_from(view, land_from(view, own)), false);
+            return (intersect_from(view, intersect_from(view, own)), false);
         }
         let row = self.views.row(y);
-        let at_end = |end: usize| land_from(&row[end], own);
-        (between(at_end(0), own, at_end(row.len() - 1), view.moment), false)
+        let at_end = |end: usize| intersect_from(&row[end], own);
+        (interpolate_in_time(at_end(0), own, at_end(row.len() - 1), view.moment), false)
     }
 
     /// The cotangent of the view's pose from that of the position [per px].

@@ -7,7 +7,7 @@
 //! Sample `2 i` of the fine grid is pixel `i`; sample `2 i + 1` is the point halfway to pixel
 //! `i + 1`. Beyond the edge the last pixel repeats.
 
-use super::texel::Texel;
+use super::sampling::Texel;
 use i2slam_geometry::Real;
 use pulp::{Simd, WithSimd};
 

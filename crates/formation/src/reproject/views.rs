@@ -1,7 +1,7 @@
 //! The virtual cameras as seen from the sharp render: where a pixel's ray runs in that render.
 
 use super::ReprojectionGradient;
-use super::blocks::steep;
+use super::surface::steep;
 use crate::shutter::{
     CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera, row_place,
 };

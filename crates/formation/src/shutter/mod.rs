@@ -13,13 +13,11 @@
 
 mod centre_velocity;
 mod poses;
-mod tangent;
 #[cfg(test)]
 mod tests;
 
 pub use centre_velocity::CentreVelocity;
-pub use poses::{Quadrature, ShutterPoses, VirtualCamera};
-pub use tangent::ShutterTangent;
+pub use poses::{Quadrature, ShutterPoses, ShutterTangent, VirtualCamera};
 
 use i2slam_geometry::Real;
 

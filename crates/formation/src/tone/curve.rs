@@ -1,6 +1,6 @@
 //! The response as a curve of straight pieces, ready to be looked up.
 
-use super::{Even, Grid, Locate, above_slope, above_value, below_slope, below_value};
+use super::{Even, Grid, Locate};
 use i2slam_geometry::Real;
 use std::sync::Arc;
 
@@ -136,4 +136,49 @@ fn segments<T: Real>(positions: &[T], values: &[f64]) -> Vec<Segment<T>> {
             }
         })
         .collect()
+}
+
+const ALPHA: f64 = 0.01;
+
+/// `α x`, for `x < 0`.
+#[inline(always)]
+pub(crate) fn below_value<T: Real>(x: T) -> T {
+    T::of(ALPHA) * x
+}
+
+/// Slope below 0.
+#[inline(always)]
+pub(crate) fn below_slope<T: Real>() -> T {
+    T::of(ALPHA)
+}
+
+/// `1 + α (1 - 1/√x)`, for `x > 1`.
+#[inline(always)]
+pub(crate) fn above_value<T: Real>(x: T) -> T {
+    T::one() + T::of(ALPHA) * (T::one() - x.sqrt().recip())
+}
+
+/// `α/2 · x^(-3/2)`, for `x > 1`.
+#[inline(always)]
+pub(crate) fn above_slope<T: Real>(x: T) -> T {
+    T::of(0.5 * ALPHA) / (x * x.sqrt())
+}
+
+impl<T: Real> ResponseCurve<T> {
+    /// The smallest linear value in [0, 1] whose picture value is `y`, by binary search: what a
+    /// pixel says about radiance when a map is started from a picture.
+    ///
+    /// `y` outside [0, 1] is clipped to it; NaN stays NaN. Where the curve is level, the left
+    /// end of the level part comes back.
+    pub fn inverse(&self, channel: usize, y: T) -> T {
+        if y.is_nan() {
+            return y;
+        }
+        let y = y.max(T::zero()).min(T::one());
+        let (values, positions) = (self.values(channel), self.positions());
+        let right = values.partition_point(|&v| v < y).min(values.len() - 1);
+        let Some(left) = right.checked_sub(1) else { return T::zero() };
+        let share = (y - values[left]) / (values[right] - values[left]);
+        positions[left] + (positions[right] - positions[left]) * share.min(T::one())
+    }
 }

@@ -3,7 +3,7 @@
 //! Even spacing is one multiplication. Any other spacing goes through a table of bins, fine
 //! enough that the segment of a bin's left end is nearly always the answer.
 
-use super::{NODES, NodeSpacing, Segment};
+use super::{NODES, Segment};
 use i2slam_geometry::Real;
 
 /// Bins of the table. A power of two, so that `x · BINS` is exact and bins start where they say.
@@ -76,5 +76,27 @@ impl<T: Real> Locate<T> for Binned<'_> {
             segment += 1;
         }
         segment
+    }
+}
+
+/// Spacing of the 256 nodes over the domain [0, 1].
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub enum NodeSpacing {
+    /// Node `i` at `i/255` (the paper). The darkest 5 % of sRGB code values share one segment.
+    #[default]
+    Uniform,
+    /// Node `i` at `(i/255)^p`, with `p` in [1/8, 8] (held to that range; NaN is 1).
+    /// `Power(2.2)` puts the nodes evenly in display space.
+    Power(f64),
+}
+
+impl NodeSpacing {
+    /// Position of node `i` on the axis of linear values.
+    pub fn position(&self, i: usize) -> f64 {
+        let even = i as f64 / (NODES - 1) as f64;
+        match *self {
+            Self::Power(p) if !p.is_nan() => even.powf(p.clamp(0.125, 8.0)),
+            _ => even,
+        }
     }
 }

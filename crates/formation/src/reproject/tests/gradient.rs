@@ -1,6 +1,6 @@
 //! The backward lane of the reference against central differences, in `f64`.
 
-use super::scene::{Scene, camera, moving};
+use super::{Scene, camera, moving};
 use crate::reproject::{Interpolation, ReferenceReprojection, ReprojectionGradient};
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use i2slam_check::{assert_close, assert_gradient, central_differences, noise};

@@ -1,6 +1,6 @@
 //! The fast lane against the reference, on any number of threads and on anything odd.
 
-use super::scene::{Scene, camera, moving};
+use super::{Scene, camera, moving};
 use super::{narrow, wide};
 use crate::reproject::{Interpolation, ReferenceReprojection, Reprojection, ReprojectionGradient};
 use crate::shutter::{Quadrature, ShutterPoses};

@@ -1,6 +1,6 @@
 //! How close the re-projected exposure comes to exactly rendered virtual cameras.
 
-use super::scene::{Scene, camera, moving};
+use super::{Scene, camera, moving};
 use super::{narrow, wide};
 use crate::reproject::{Interpolation, Reprojection};
 use crate::shutter::{Quadrature, ShutterPoses};
