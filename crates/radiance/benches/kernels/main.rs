@@ -1,4 +1,4 @@
-//! What the kernels of both maps cost, and what the machine could do.
+//! Time and memory of the kernels of both maps, beside the limits of the machine.
 //!
 //! ```sh
 //! cargo bench -p i2slam-radiance --bench kernels              # all tables
@@ -11,25 +11,21 @@
 //! `scripts/compare` compares them between two commits by the lines that begin with `time,`.
 
 mod counts;
+mod field;
+mod gaussians;
 mod machine;
-mod memory;
-mod rays;
-mod room;
-mod scene;
-mod size;
-mod stages;
 
-/// What a table prints.
+/// Name of a table and the function that prints it.
 type Table = (&'static str, fn());
 
 const TABLES: [Table; 7] = [
     ("machine", machine::print),
-    ("stages", stages::print),
-    ("step", stages::print_step),
-    ("threads", stages::print_threads),
-    ("size", size::print),
-    ("memory", memory::print),
-    ("rays", rays::print),
+    ("stages", gaussians::print_stages),
+    ("step", gaussians::print_step),
+    ("threads", gaussians::print_threads),
+    ("size", gaussians::print_sizes),
+    ("memory", gaussians::print_memory),
+    ("rays", field::print),
 ];
 
 fn main() {

@@ -20,11 +20,9 @@
 //! fast. A Gaussian with a parameter that is not finite is left out by both.
 
 mod bin;
-mod gradient;
 mod map;
 mod project;
 mod rasterize;
-mod settings;
 mod sort;
 
 #[cfg(test)]
@@ -32,7 +30,49 @@ mod tests;
 
 pub use crate::{Moment, MotionGradient, Render, RenderCotangent, ShutterMotion, View};
 pub use bin::TILE;
-pub use gradient::MapGradient;
-pub use map::{ColourActivation, Gaussian, GaussianMap, Shape};
+pub use map::{ColourActivation, Gaussian, GaussianMap, MapGradient, Shape};
 pub use rasterize::{Rasterizer, StageSeconds, Work, reference};
-pub use settings::RasterSettings;
+
+/// Where contributions begin and end. Not differentiated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RasterSettings {
+    /// Gaussians whose mean is nearer than this \[m\] are left out; taken as at least 1e-6.
+    pub near: f32,
+    /// Gaussians whose mean is farther than this \[m\] are left out.
+    pub far: f32,
+    /// Variance of the low-pass filter added to every footprint \[px²\], not negative.
+    pub screen_variance: f32,
+    /// Largest opacity of one contribution; taken as at most 1 - 1e-6.
+    pub alpha_max: f32,
+    /// Contributions of less than this are left out. It sets the extent of a footprint exactly:
+    /// `dᵀ Σ₂⁻¹ d <= 2 ln(opacity / alpha_min)`.
+    pub alpha_min: f32,
+    /// A pixel ends before its transmittance falls under this.
+    pub transmittance_min: f32,
+}
+
+impl RasterSettings {
+    /// The settings within the range where depths sort and gradients are finite.
+    pub(crate) fn bounded(self) -> Self {
+        Self {
+            near: self.near.max(1e-6),
+            alpha_max: self.alpha_max.min(1.0 - 1e-6),
+            screen_variance: self.screen_variance.max(0.0),
+            ..self
+        }
+    }
+}
+
+impl Default for RasterSettings {
+    /// The values of 3D Gaussian splatting, with a near plane for indoor scenes.
+    fn default() -> Self {
+        Self {
+            near: 0.01,
+            far: 100.0,
+            screen_variance: 0.3,
+            alpha_max: 0.99,
+            alpha_min: 1.0 / 255.0,
+            transmittance_min: 1e-4,
+        }
+    }
+}

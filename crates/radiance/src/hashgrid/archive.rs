@@ -49,7 +49,11 @@ impl fmt::Display for FieldFileError {
 impl std::error::Error for FieldFileError {}
 
 /// The settings as numbers, in order of the file.
-fn numbers(field: &FieldSettings, march: &MarchSettings, looks: &OccupancySettings) -> Vec<f64> {
+fn settings_to_numbers(
+    field: &FieldSettings,
+    march: &MarchSettings,
+    looks: &OccupancySettings,
+) -> Vec<f64> {
     let [x, y, z] = field.centre;
     let counts = [
         field.levels,
@@ -75,8 +79,8 @@ fn numbers(field: &FieldSettings, march: &MarchSettings, looks: &OccupancySettin
 /// Numbers of the file before the occupancy's looks so far.
 const NUMBERS: usize = 13 + 6 + 4;
 
-/// The settings back from [`numbers`]. Counts that are none become 0, which no check lets pass.
-fn settings(n: &[f64; NUMBERS]) -> (FieldSettings, MarchSettings, OccupancySettings) {
+/// The settings back from [`settings_to_numbers`]. Counts that are none become 0, which no check lets pass.
+fn settings_from_numbers(n: &[f64; NUMBERS]) -> (FieldSettings, MarchSettings, OccupancySettings) {
     let count = |i: usize| n[i] as usize;
     let field = FieldSettings {
         centre: [n[0], n[1], n[2]],
@@ -132,7 +136,7 @@ impl HashGridMap {
         let mut bytes = Vec::with_capacity(PREAMBLE + 8 * (NUMBERS + 1) + bits + 4 * values + 4);
         bytes.extend_from_slice(MAGIC);
         bytes.extend_from_slice(&VERSION.to_le_bytes());
-        let mut all = numbers(field.settings(), march, occupancy.settings());
+        let mut all = settings_to_numbers(field.settings(), march, occupancy.settings());
         all.push(f64::from(occupancy.looks()));
         all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
         let bit = |byte: u8, (i, d): (usize, &f32)| byte | u8::from(*d > 0.0) << i;
@@ -152,7 +156,7 @@ impl HashGridMap {
         for value in &mut n {
             *value = f64::from_le_bytes(reader.take()?);
         }
-        let (field, march, looks) = settings(&n);
+        let (field, march, looks) = settings_from_numbers(&n);
         let count = HashGridField::<f32>::parameter_count(field);
         let count = count.map_err(FieldFileError::Settings)?;
         if !(1..=512).contains(&looks.resolution) {
@@ -221,5 +225,68 @@ impl<'a> Reader<'a> {
             *v = f32::from_le_bytes(self.take()?);
             Ok(())
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hashgrid::FieldRenderer;
+    use crate::hashgrid::tests::{field, settings};
+    fn map() -> HashGridMap {
+        let field = field(settings(), 3).cast::<f32>();
+        let march = MarchSettings::cube(1.5);
+        let settings = OccupancySettings { resolution: 8, density: 1.0, ..Default::default() };
+        let mut occupancy = Occupancy::new(settings);
+        occupancy.refresh(&field, &mut FieldRenderer::new(march), 1);
+        HashGridMap { field, occupancy, march }
+    }
+
+    #[test]
+    fn reads_back_every_bit() {
+        let map = map();
+        let back = HashGridMap::from_bytes(&map.to_bytes()).expect("its own bytes");
+        assert_eq!(back, map);
+        assert_eq!(back.to_bytes(), map.to_bytes());
+    }
+
+    #[test]
+    fn says_what_is_wrong() {
+        let bytes = map().to_bytes();
+        let refusal = |bytes: &[u8]| HashGridMap::from_bytes(bytes).err();
+        assert_eq!(refusal(b"I2SLAM\r\nabcdefgh"), Some(FieldFileError::NotAField));
+        for length in [0, 5, 10, 14] {
+            assert_eq!(refusal(&bytes[..length]), Some(FieldFileError::Length), "{length}");
+        }
+        assert_eq!(refusal(&bytes[..bytes.len() - 1]), Some(FieldFileError::Damaged));
+        let mut flipped = bytes.clone();
+        flipped[bytes.len() / 2] ^= 1;
+        assert_eq!(refusal(&flipped), Some(FieldFileError::Damaged));
+        let mut newer = bytes.clone();
+        newer[8] = 9;
+        assert_eq!(refusal(&newer), Some(FieldFileError::Version(9)));
+    }
+
+    /// Bytes with a right checksum and wrong content.
+    #[test]
+    fn refuses_settings_and_lengths_that_cannot_be() {
+        let bytes = map().to_bytes();
+        let with = |change: &dyn Fn(&mut Vec<u8>)| {
+            let mut inner = bytes[..bytes.len() - 4].to_vec();
+            change(&mut inner);
+            let sum = crc32fast::hash(&inner);
+            inner.extend_from_slice(&sum.to_le_bytes());
+            HashGridMap::from_bytes(&inner).err()
+        };
+        let put = |at: usize, v: f64| {
+            move |b: &mut Vec<u8>| b[12 + 8 * at..20 + 8 * at].copy_from_slice(&v.to_le_bytes())
+        };
+        let named = |name| Some(FieldFileError::Settings(SettingsError { name }));
+        assert_eq!(with(&|_| ()), None);
+        assert_eq!(with(&put(4, 0.0)), named("levels"));
+        assert_eq!(with(&put(9, f64::NAN)), named("hidden_width"));
+        assert_eq!(with(&put(19, 1e9)), named("occupancy resolution"));
+        assert_eq!(with(&put(4, 2.0)), Some(FieldFileError::Length));
+        assert_eq!(with(&|b| b.truncate(400)), Some(FieldFileError::Length));
     }
 }

@@ -16,7 +16,9 @@ mod encoding;
 mod field;
 mod march;
 mod network;
+mod occupancy;
 mod optimizer;
+mod ray;
 mod render;
 mod settings;
 
@@ -25,7 +27,8 @@ mod tests;
 
 pub use archive::{FieldFileError, HashGridMap};
 pub use field::{FieldGradient, FieldParameters, HashGridField};
-pub use march::{Occupancy, Ray, Sample};
+pub use occupancy::Occupancy;
 pub use optimizer::{FieldAdam, decayed_rate};
+pub use ray::{Ray, Sample};
 pub use render::{FieldRenderer, RayGradient, RayRender, reference};
 pub use settings::{FieldSettings, MarchSettings, OccupancySettings, SettingsError};

@@ -1,26 +1,19 @@
 //! From a Gaussian in the world to its footprint in the image, and back.
 
-mod cotangents;
+use i2slam_geometry::{Camera, Real};
+use std::f32::consts::LN_2;
+
 mod cpu_backward;
-mod cpu_backward_group;
 mod cpu_forward;
-mod cpu_motion;
-mod cpu_wanted;
-mod matrices;
 mod path;
 pub(crate) mod reference;
-mod splat;
 mod stages;
 
 pub(crate) use cpu_backward::{Footprints, PoseSums};
 pub(crate) use cpu_forward::{Projection, project};
-pub(crate) use cpu_motion::MotionFrame;
-use cpu_motion::PathCotangents;
-pub(crate) use path::Path;
-pub(crate) use splat::{CHUNK, Chunk, Splat};
+use path::PathCotangents;
+pub(crate) use path::{MotionFrame, Path};
 pub(crate) use stages::Frame;
-
-use i2slam_geometry::{Camera, Real};
 
 /// The range of `x/z` and `y/z` in which the Jacobian of the projection is taken at the mean;
 /// beyond it the Jacobian is taken at the border, because the linearisation explodes far outside
@@ -48,4 +41,56 @@ impl<T: Real> JacobianRange<T> {
             ],
         }
     }
+}
+
+/// Gaussians that are projected, and whose gradients are summed, together. Fixed, so that sums
+/// do not depend on the number of threads.
+pub(crate) const CHUNK: usize = 256;
+
+/// A footprint, ready for rasterising: one cache line.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub(crate) struct Splat {
+    /// Centre \[px\].
+    pub(crate) centre: [f32; 2],
+    /// `[a, b, c]` of `log₂ α = log2_opacity + a dx² + b dx dy + c dy²`, all of `\[px⁻²\]`.
+    pub(crate) exponent: [f32; 3],
+    /// `log₂` of the opacity.
+    pub(crate) log2_opacity: f32,
+    /// Linear radiance.
+    pub(crate) radiance: [f32; 3],
+    /// Depth of the mean \[m\].
+    pub(crate) depth: f32,
+    /// Half the width and height of the extent \[px\].
+    pub(crate) extent: [f32; 2],
+    /// Half the height of the extent at the column of the centre \[px\].
+    pub(crate) height_at_centre: f32,
+    /// Tiles that the extent's box touches: first column, first row, end column, end row.
+    pub(crate) tiles: [u16; 4],
+    /// Position of the first of this splat's tiles among those of its chunk.
+    pub(crate) first_tile: u32,
+}
+
+impl Splat {
+    /// `Σ₂⁻¹ d`: with it `∂α/∂centre = α Σ₂⁻¹ d` for the offset `d` of a pixel.
+    #[inline(always)]
+    pub(crate) fn gradient(&self, d: [f32; 2]) -> [f32; 2] {
+        let ([a, b, c], [x, y]) = (self.exponent, d);
+        [-LN_2 * (2.0 * a * x + b * y), -LN_2 * (b * x + 2.0 * c * y)]
+    }
+
+    /// Number of tiles that the extent's box touches.
+    pub(crate) fn tile_count(&self) -> u32 {
+        let [x0, y0, x1, y1] = self.tiles.map(u32::from);
+        (x1 - x0) * (y1 - y0)
+    }
+}
+
+/// What a chunk of Gaussians adds to the picture.
+#[derive(Default)]
+pub(crate) struct Chunk {
+    /// Sort items of the Gaussians that touch a tile.
+    pub(crate) visible: Vec<u64>,
+    /// Number of tiles they touch.
+    pub(crate) tile_count: u32,
 }

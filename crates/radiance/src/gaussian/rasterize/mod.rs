@@ -1,10 +1,10 @@
 //! From footprints to pixels, and back.
 
-mod cost;
 mod cpu_backward;
 mod cpu_forward;
 mod moving;
 pub mod reference;
+mod statistics;
 mod tile;
 
 use super::bin::{Bins, TileGrid};
@@ -17,13 +17,13 @@ use super::{
     ShutterMotion, View,
 };
 use crate::RadianceMap;
-use cost::timed;
-pub use cost::{StageSeconds, Work};
 pub(crate) use cpu_backward::Slot;
 use i2slam_geometry::Tangent;
 pub(crate) use moving::MotionSlot;
-use moving::{Clock, MomentRow};
+use moving::{MomentRow, RowTimes};
 use pulp::Arch;
+use statistics::timed;
+pub use statistics::{StageSeconds, Work};
 use tile::TilePixels;
 
 /// The fast lane: all threads of the current `rayon` pool and the widest vectors found at run
@@ -44,7 +44,7 @@ pub struct Rasterizer {
     slots: Vec<Slot>,
     pose_sums: Vec<PoseSums>,
     paths: Vec<Path<f32>>,
-    clock: Clock,
+    row_times: RowTimes,
     states: Vec<MomentRow>,
     motion_slots: Vec<MotionSlot>,
     seconds: StageSeconds,
@@ -66,7 +66,7 @@ impl Rasterizer {
             slots: Vec::new(),
             pose_sums: Vec::new(),
             paths: Vec::new(),
-            clock: Clock::default(),
+            row_times: RowTimes::default(),
             states: Vec::new(),
             motion_slots: Vec::new(),
             seconds: StageSeconds::default(),
@@ -276,16 +276,16 @@ impl Rasterizer {
     ) {
         let (tiles, wanted) = (TileGrid::of(&view.camera).len(), part.wanted);
         assert!(wanted.is_none_or(|wanted| wanted.len() == tiles), "one number per tile");
-        self.clock = Clock::new(motion, view.camera.height);
+        self.row_times = RowTimes::new(motion, view.camera.height);
         let frame = MotionFrame::new(view, motion, &self.settings);
         self.list(map, view, Some(&frame), part);
-        let count = moving::moment_rows(&self.grid, &self.clock);
+        let count = moving::moment_rows(&self.grid, &self.row_times);
         self.states.resize(count, MomentRow::default());
         let scene = moving::Scene {
             arch: self.arch,
             settings: &self.settings,
             grid: &self.grid,
-            clock: &self.clock,
+            row_times: &self.row_times,
             splats: &self.splats,
             paths: &self.paths,
             bins: &self.bins,
@@ -309,7 +309,7 @@ impl Rasterizer {
         cotangent: &RenderCotangent,
         map_gradient: Option<&mut MapGradient>,
     ) -> MotionGradient {
-        let same_motion = self.clock == Clock::new(motion, view.camera.height)
+        let same_motion = self.row_times == RowTimes::new(motion, view.camera.height)
             && self.paths.len() == self.splats.len();
         assert!(self.is_of_last_render(map, view) && same_motion, "{}", NOT_OF_LAST_RENDER);
         self.slots.resize(self.bins.len(), Slot::default());
@@ -318,7 +318,7 @@ impl Rasterizer {
             arch: self.arch,
             settings: &self.settings,
             grid: &self.grid,
-            clock: &self.clock,
+            row_times: &self.row_times,
             splats: &self.splats,
             paths: &self.paths,
             bins: &self.bins,

@@ -2,8 +2,7 @@
 //! itself.
 
 use super::parity::*;
-use super::scenes::*;
-use crate::gaussian::*;
+use super::*;
 use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use pulp::Arch;

@@ -10,8 +10,7 @@
 //!
 //! Every case runs on every instruction set of the machine.
 
-use super::scenes::*;
-use crate::gaussian::*;
+use super::*;
 use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::{Real, Tangent};
 use pulp::Arch;

@@ -1,7 +1,6 @@
 //! Numbers that are not finite and pictures of nothing: both lanes stay clean.
 
-use super::scenes::*;
-use crate::gaussian::*;
+use super::*;
 use i2slam_geometry::{Pose, Real, Tangent, Vec3};
 
 const SIZE: [usize; 2] = [40, 30];

@@ -12,12 +12,9 @@
 //! A grid with no more nodes than the table stores each; of a finer one the nodes share entries,
 //! `index = (x ⊕ 2654435761 y ⊕ 805459861 z) mod size`.
 
-mod corners;
 pub(crate) mod cpu;
-mod cpu_backward;
-mod cpu_forward;
 pub(crate) mod harmonics;
-mod interpolate;
+mod interpolation;
 pub(crate) mod reference;
 
 use super::FieldSettings;

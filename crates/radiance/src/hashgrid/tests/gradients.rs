@@ -1,7 +1,6 @@
 //! The reference lane against central differences in `f64`.
 
-use super::scenes::*;
-use crate::hashgrid::*;
+use super::*;
 use i2slam_check::assert_gradient;
 use i2slam_geometry::Vec3;
 

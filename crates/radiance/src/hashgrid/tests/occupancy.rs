@@ -1,7 +1,6 @@
 //! What the occupancy remembers.
 
-use super::scenes::*;
-use crate::hashgrid::*;
+use super::*;
 use i2slam_geometry::Vec3;
 
 fn renderer() -> FieldRenderer {

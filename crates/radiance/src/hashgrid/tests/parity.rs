@@ -1,8 +1,7 @@
 //! The fast lane against the reference in `f64`, on every instruction set of the machine.
 
-use super::scenes::*;
+use super::*;
 use crate::hashgrid::march::Walk;
-use crate::hashgrid::*;
 use i2slam_check::assert_close;
 use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::Vec3;

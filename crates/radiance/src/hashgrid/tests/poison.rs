@@ -1,7 +1,6 @@
 //! Numbers that are not finite, rays of nothing, settings out of range: clean or an error.
 
-use super::scenes::*;
-use crate::hashgrid::*;
+use super::*;
 use i2slam_geometry::Vec3;
 
 fn render(ray: Ray) -> (RayRender, RayGradient, FieldGradient) {

@@ -1,7 +1,6 @@
 //! Pictures: from rays to a view, and back to its pose.
 
-use super::scenes::*;
-use crate::hashgrid::*;
+use super::*;
 use crate::{RadianceMap, Render, RenderCotangent, View};
 use i2slam_check::{assert_close, assert_gradient, noise};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent, Vec3};

@@ -1,7 +1,7 @@
 //! Compositing of all moments of a tile.
 
-use super::clock::Clock;
-use super::mover::{self, Mover, Stage};
+use super::RowTimes;
+use super::moving_splat::{self, MovingSplat, Stage};
 use super::{MomentRow, PACK};
 use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::{Bins, TILE, TileGrid};
@@ -18,7 +18,7 @@ pub(crate) struct Scene<'a> {
     pub(crate) arch: Arch,
     pub(crate) settings: &'a RasterSettings,
     pub(crate) grid: &'a TileGrid,
-    pub(crate) clock: &'a Clock,
+    pub(crate) row_times: &'a RowTimes,
     pub(crate) splats: &'a [Splat],
     pub(crate) paths: &'a [Path<f32>],
     pub(crate) bins: &'a Bins,
@@ -33,11 +33,11 @@ pub(crate) fn render(
     tiles: &mut [TilePixels],
     states: &mut [MomentRow],
 ) {
-    if scene.clock.moments.is_empty() {
+    if scene.row_times.moments.is_empty() {
         tiles.par_iter_mut().for_each(show_nothing);
         return;
     }
-    let count = TILE * scene.clock.moments.len();
+    let count = TILE * scene.row_times.moments.len();
     let work = tiles.par_iter_mut().zip(states.par_chunks_mut(count)).enumerate();
     work.for_each(|(number, (tile, states))| match wanted {
         Some(wanted) if !wanted[number] => tile.visited = 0,
@@ -52,23 +52,23 @@ fn show_nothing(tile: &mut TilePixels) {
 }
 
 fn render_tile(scene: &Scene<'_>, number: usize, tile: &mut TilePixels, states: &mut [MomentRow]) {
-    let Scene { settings, splats, paths, bins, grid, clock, .. } = *scene;
-    let origin = start(grid, number, clock, states);
+    let Scene { settings, splats, paths, bins, grid, row_times, .. } = *scene;
+    let origin = start(grid, number, row_times, states);
     tile.rows = [[[0.0; TILE]; PLANES]; TILE];
     tile.visited = 0;
-    for pack in clock.packs() {
-        let times = &clock.tile(pack.clone(), grid, number);
+    for pack in row_times.packs() {
+        let times = &row_times.tile(pack.clone(), grid, number);
         let stage = Stage { splats, paths, list: bins.entries(number), origin, times };
-        let weights = clock.moments[pack.clone()].iter();
+        let weights = row_times.moments[pack.clone()].iter();
         let minimum = weights.map(|moment| settings.transmittance_min * moment.weight).collect();
         let rows = &mut tile.rows;
-        let states = States { rows: &mut *states, stride: clock.moments.len(), pack };
+        let states = States { rows: &mut *states, stride: row_times.moments.len(), pack };
         let visited = scene.arch.dispatch(Composite { settings, stage, minimum, states, rows });
         tile.visited = tile.visited.max(visited);
     }
-    for (row, states) in tile.rows.iter_mut().zip(states.chunks(clock.moments.len())) {
+    for (row, states) in tile.rows.iter_mut().zip(states.chunks(row_times.moments.len())) {
         let mut opacity = [0.0; TILE];
-        for (state, moment) in states.iter().zip(&clock.moments) {
+        for (state, moment) in states.iter().zip(&row_times.moments) {
             (0..TILE).for_each(|i| opacity[i] += moment.weight - state.transmittance[i].abs());
         }
         row[0] = opacity.map(|opacity| 1.0 - opacity);
@@ -77,11 +77,16 @@ fn render_tile(scene: &Scene<'_>, number: usize, tile: &mut TilePixels, states: 
 
 /// Set the moments of a tile to nothing seen yet; pixels outside of the image have ended. Gives
 /// the centre of the tile's first pixel.
-fn start(grid: &TileGrid, number: usize, clock: &Clock, states: &mut [MomentRow]) -> [f32; 2] {
+fn start(
+    grid: &TileGrid,
+    number: usize,
+    row_times: &RowTimes,
+    states: &mut [MomentRow],
+) -> [f32; 2] {
     let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);
-    for (j, states) in states.chunks_mut(clock.moments.len()).enumerate() {
+    for (j, states) in states.chunks_mut(row_times.moments.len()).enumerate() {
         let inside = if row + j < grid.height { grid.width - column } else { 0 };
-        for (state, moment) in states.iter_mut().zip(&clock.moments) {
+        for (state, moment) in states.iter_mut().zip(&row_times.moments) {
             for i in 0..TILE {
                 let (sign, ended) = if i < inside { (1.0, f32::MAX) } else { (-1.0, -1.0) };
                 (state.transmittance[i], state.ended[i]) = (sign * moment.weight, ended);
@@ -148,18 +153,18 @@ impl WithSimd for Composite<'_> {
         for (limits, minimum) in limits.iter_mut().zip(&self.minimum) {
             limits.transmittance_min = simd.splat_f32s(*minimum);
         }
-        let (mut movers, mut alive) = (mover::none(), mover::all_alive(stage.times));
+        let (mut moving, mut alive) = (moving_splat::none(), moving_splat::all_alive(stage.times));
         let mut visited = 0;
         while visited < stage.list.len() && states.any_alive(simd, &mut alive) {
-            let count = stage.load(simd, visited, &alive, &mut movers);
-            for mover in &movers[..count] {
+            let count = stage.load(simd, visited, &alive, &mut moving);
+            for moving_splat in &moving[..count] {
                 let blend = Blend {
                     limits: &limits,
-                    mover,
-                    value: Value::new(simd, &mover.splat),
+                    moving_splat,
+                    value: Value::new(simd, &moving_splat.splat),
                     order: simd.splat_f32s(visited as f32),
                 };
-                let [first, end] = mover.rows;
+                let [first, end] = moving_splat.rows;
                 for row in first..end {
                     blend.row(simd, row, states.row(row), &mut rows[row]);
                 }
@@ -173,7 +178,7 @@ impl WithSimd for Composite<'_> {
 /// A splat to composite.
 struct Blend<'a, S: Simd> {
     limits: &'a [Limits<S>; PACK],
-    mover: &'a Mover,
+    moving_splat: &'a MovingSplat,
     value: Value<S>,
     /// Its place in the tile's list.
     order: S::f32s,
@@ -187,10 +192,10 @@ impl<S: Simd> Blend<'_, S> {
             let zero = simd.splat_f32s(0.0);
             let mut weights = zero;
             for (j, state) in states.iter_mut().enumerate().take(PACK) {
-                if !self.mover.touches(j, row) {
+                if !self.moving_splat.touches(j, row) {
                     continue;
                 }
-                let exponent = self.mover.exponent(simd, row, j);
+                let exponent = self.moving_splat.exponent(simd, row, j);
                 let alpha = exponent.alpha(simd, exponent.dx(simd, v));
                 let alpha = simd.min_f32s(alpha, self.limits[j].alpha_max);
                 let transmittance = &mut S::as_mut_simd_f32s(&mut state.transmittance).0[v];

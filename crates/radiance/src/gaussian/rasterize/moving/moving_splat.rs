@@ -5,7 +5,7 @@
 //! polynomial of the row with the coefficients `s₀ (v + s₀ h)`, `κ (v + 2 s₀ h)` and `κ² h`.
 
 use super::PACK;
-use super::clock::TileTimes;
+use super::TileTimes;
 use crate::gaussian::bin::{Ellipse, List, TILE};
 use crate::gaussian::project::{Path, Splat};
 use crate::gaussian::rasterize::cpu_forward::{COLUMNS, ExponentRow};
@@ -19,7 +19,7 @@ pub(super) const BATCH: usize = 16;
 /// A splat and its path over a tile, ready for all moments.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
-pub(super) struct Mover {
+pub(super) struct MovingSplat {
     pub(super) splat: Splat,
     /// From the centre to the tile's first pixel, per axis and moment: for row 0, and what a row
     /// adds to it.
@@ -57,18 +57,18 @@ impl Stage<'_> {
         simd: S,
         start: usize,
         alive: &Column,
-        movers: &mut [Mover; BATCH],
+        moving: &mut [MovingSplat; BATCH],
     ) -> usize {
         let count = (self.list.len() - start).min(BATCH);
         for k in 0..count {
             let index = self.list.get(start + k).splat();
-            movers[k].load(simd, &self.splats[index], &self.paths[index], self, alive);
+            moving[k].load(simd, &self.splats[index], &self.paths[index], self, alive);
         }
         count
     }
 }
 
-impl Mover {
+impl MovingSplat {
     #[inline(always)]
     fn load<S: Simd>(
         &mut self,
@@ -201,9 +201,9 @@ fn half_height<S: Simd>(splat: &Splat, ellipse: &Ellipse, dx: Lanes<S>) -> Lanes
     rest.sqrt().scale(splat.height_at_centre) + dx.constant(0.01)
 }
 
-/// No movers yet.
-pub(super) fn none() -> [Mover; BATCH] {
-    [Mover::default(); BATCH]
+/// No moving yet.
+pub(super) fn none() -> [MovingSplat; BATCH] {
+    [MovingSplat::default(); BATCH]
 }
 
 /// 1 for the moments that a pack has, 0 beyond.

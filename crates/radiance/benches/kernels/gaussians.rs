@@ -1,10 +1,14 @@
-//! The case of the design: 320 x 240 and 50 000 Gaussians of four pixels radius.
+//! The Gaussian rasteriser: time by stage, by size of the problem, and memory.
+//!
+//! The case of the stages is 320 x 240 and 50 000 Gaussians of four pixels radius.
 
 use super::counts::{self, Count};
-use super::{fastest, machine, on_threads, scene};
+use super::{fastest, machine, on_threads};
 use i2slam_compute::{Adam, AdamSettings};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::gaussian::{
-    GaussianMap, MapGradient, Rasterizer, Render, RenderCotangent, StageSeconds, View, Work,
+    ColourActivation, Gaussian, GaussianMap, MapGradient, Rasterizer, Render, RenderCotangent,
+    Shape, StageSeconds, View, Work,
 };
 use std::hint::black_box;
 
@@ -25,11 +29,11 @@ pub(crate) struct Step {
 
 impl Step {
     pub(crate) fn new(count: usize, (width, height): (usize, usize)) -> Self {
-        let view = scene::view(width, height);
+        let view = view(width, height);
         Self {
-            map: scene::map(count, &view),
+            map: map(count, &view),
             view,
-            cotangent: scene::cotangent(&view),
+            cotangent: cotangent(&view),
             rasterizer: Rasterizer::default(),
             out: Render::default(),
             gradient: MapGradient::new(count),
@@ -107,7 +111,7 @@ fn named(seconds: &StageSeconds) -> [Stage; 6] {
 }
 
 /// Time, operations, bytes and share of the machine's limits, per stage, on all threads.
-pub(crate) fn print() {
+pub(crate) fn print_stages() {
     let threads = rayon::current_num_threads();
     let (peak, bandwidth) = (machine::flops(threads), machine::bandwidth(threads).0);
     let mut step = Step::new(COUNT, SIZE);
@@ -171,5 +175,135 @@ pub(crate) fn print_threads() {
     let (Some(one), Some(all)) = (run(1), run(rayon::current_num_threads())) else { return };
     for ((name, one, _), (_, all, _)) in named(&one).into_iter().zip(named(&all)) {
         println!("{name},{:.3},{:.3},{:.2}", one * 1e3, all * 1e3, one / all);
+    }
+}
+
+/// A picture of `width x height` with a horizontal field of view of 63 degrees.
+pub(crate) fn view(width: usize, height: usize) -> View<f32> {
+    let (w, h) = (width as f32, height as f32);
+    let focal = 0.8125 * w;
+    let camera = Camera { width, height, fx: focal, fy: focal, cx: 0.5 * w, cy: 0.5 * h };
+    View { camera, world_from_camera: Pose::identity() }
+}
+
+/// Numbers in 0 to 1 (Knuth's linear congruence, upper bits).
+fn noise(seed: u64) -> impl FnMut() -> f32 {
+    let mut state = seed;
+    move || {
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1 << 24) as f32
+    }
+}
+
+/// `count` balls all over the picture at depths of 1 to 4 m, with a standard deviation of 1.33 px
+/// in the image and an opacity of 0.36.
+pub(crate) fn map(count: usize, view: &View<f32>) -> GaussianMap {
+    let (camera, mut noise) = (view.camera, noise(3));
+    let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential);
+    for _ in 0..count {
+        let z = 1.0 + 3.0 * noise();
+        let (u, v) = (noise() * camera.width as f32, noise() * camera.height as f32);
+        let sigma = (1.33_f32 * 1.33 - 0.3).sqrt() * z / camera.fx;
+        map.push(Gaussian {
+            mean: camera.unproject(u, v, z).to_array(),
+            log_scale: [sigma.ln(); 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit: -0.58,
+            colour: [-noise(), -noise(), -noise()],
+        });
+    }
+    map
+}
+
+/// A cotangent of noise for every plane.
+pub(crate) fn cotangent(view: &View<f32>) -> RenderCotangent {
+    let (width, height, mut noise) = (view.camera.width, view.camera.height, noise(5));
+    let mut image = |channels: usize| {
+        let data = (0..width * height * channels).map(|_| noise() - 0.5).collect();
+        Image { width, height, channels, data }
+    };
+    RenderCotangent { radiance: image(3), depth: image(1), opacity: image(1) }
+}
+
+const SIZE_COUNTS: [usize; 4] = [10_000, 100_000, 1_000_000, 5_000_000];
+const SIZES: [(usize, usize); 4] = [(160, 120), (320, 240), (640, 480), (1280, 960)];
+
+/// Forward and backward of every number of Gaussians at every size of the picture.
+pub(crate) fn print_sizes() {
+    println!("gaussians,width,height,pairs,visited,rows,forward_ms,backward_ms");
+    for count in SIZE_COUNTS {
+        for size in SIZES {
+            let mut step = Step::new(count, size);
+            let (mut forward, mut backward) = (f64::MAX, f64::MAX);
+            fastest(3, 0.7, || {
+                forward = forward.min(fastest(1, 0.0, || step.forward()));
+                backward = backward.min(fastest(1, 0.0, || step.backward()));
+            });
+            let work = step.rasterizer.work();
+            println!(
+                "{count},{},{},{},{},{},{:.3},{:.3}",
+                size.0,
+                size.1,
+                work.pairs,
+                work.visited,
+                work.rows,
+                forward * 1e3,
+                backward * 1e3
+            );
+        }
+    }
+}
+
+const MEMORY_COUNTS: [usize; 4] = [100_000, 300_000, 500_000, 700_000];
+
+/// Bytes per Gaussian of the map: 14 numbers.
+const MAP: usize = 14 * 4;
+/// Of its gradient: as many, and whether it was seen.
+const GRADIENT: usize = 14 * 4 + 1;
+/// Of Adam's two moments of means, colours, opacities and scales, and its age.
+const ADAM: usize = 2 * 10 * 4 + 4;
+/// Of the footprint.
+const FOOTPRINT: usize = 64;
+/// Of a visible one: its item, sorted, and both buffers of the sort.
+const ITEM: usize = 8 + 8 + 2 * 8;
+/// Of a pair with a tile: entry, place, sums on the way back.
+const PAIR: usize = 8 + 4 + 44;
+
+/// Most resident memory of this process so far [bytes].
+fn peak() -> Option<usize> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse::<usize>().ok().map(|kib| kib * 1024)
+}
+
+/// What a number of Gaussians is expected to take, and what the peak of the process grew by, from
+/// one number to the next. Needs a process of its own: the peak never falls.
+pub(crate) fn print_memory() {
+    println!("# bytes\npart,bytes");
+    println!("map,{MAP}\ngradient,{GRADIENT}\nadam,{ADAM}\nfootprint,{FOOTPRINT}");
+    println!("visible,{ITEM}\npair,{PAIR}");
+    println!("# memory\ngaussians,pairs,counted_bytes,peak_bytes,counted_slope,measured_slope");
+    let mut last: Option<(usize, usize, usize)> = None;
+    for count in MEMORY_COUNTS {
+        let mut step = Step::new(count, SIZE);
+        step.forward();
+        step.backward();
+        step.adam();
+        let work = step.rasterizer.work();
+        let each = MAP + GRADIENT + ADAM + FOOTPRINT;
+        let counted = each * count + ITEM * work.visible + PAIR * work.pairs;
+        let Some(peak) = peak() else { return };
+        let slope = |before: usize, now: usize, by: usize| (now - before) as f64 / by as f64;
+        match last {
+            Some((n, c, p)) => println!(
+                "{count},{},{counted},{peak},{:.0},{:.0}",
+                work.pairs,
+                slope(c, counted, count - n),
+                slope(p, peak, count - n)
+            ),
+            None => println!("{count},{},{counted},{peak},,", work.pairs),
+        }
+        last = Some((count, counted, peak));
     }
 }

@@ -1,8 +1,8 @@
 //! Which cells of the cube may hold something.
 
-use super::ray::inside;
-use super::{Ray, Sample, Walk};
-use crate::hashgrid::{FieldRenderer, HashGridField, MarchSettings, OccupancySettings};
+use super::Ray;
+use super::ray::cube_range;
+use crate::hashgrid::{FieldRenderer, HashGridField, OccupancySettings};
 use i2slam_compute::Random;
 use i2slam_geometry::Vec3;
 
@@ -183,7 +183,7 @@ impl Occupancy {
         let origin = std::array::from_fn(|k| o[k] * scale + offset[k]);
         let direction = d.map(|d| d * scale);
         let inverse = direction.map(|d| 1.0 / d);
-        let (enter, leave) = inside(origin, direction);
+        let (enter, leave) = cube_range(origin, direction);
         let (mut depth, to) = (from.max(enter), to.min(leave));
         // What takes a position clearly beyond the side of a cell.
         let least = 1e-3 / (length * scale * self.settings.resolution as f32);
@@ -195,17 +195,6 @@ impl Occupancy {
             // Far away the step may be lost in rounding.
             depth = (depth + step).max(depth.next_up());
         }
-    }
-
-    /// All samples of a ray in occupied cells, also those behind where it would end.
-    pub fn samples(
-        &self,
-        field: &HashGridField,
-        settings: &MarchSettings,
-        ray: &Ray,
-    ) -> Vec<Sample> {
-        let mut walk = Walk::new(field, settings, ray);
-        std::iter::from_fn(|| walk.next(settings, self).map(|(sample, _)| sample)).collect()
     }
 
     /// A grid with densities that it remembered after `looks` looks.

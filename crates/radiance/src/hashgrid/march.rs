@@ -1,51 +1,8 @@
-//! Samples along a ray.
+//! Marching along a ray through occupied cells.
 
-use super::Occupancy;
-use crate::hashgrid::{HashGridField, MarchSettings};
-use i2slam_geometry::{Real, Vec3};
-
-/// A half-line `origin + depth · direction`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ray<T = f32> {
-    /// Where it starts, in the world \[m\].
-    pub origin: Vec3<T>,
-    /// Direction in the world, of any length but zero. Depths count in it: with a direction that
-    /// goes 1 m along the optical axis they are metres along that axis.
-    pub direction: Vec3<T>,
-    /// Where in its step a sample lies, in `[0, 1)`: ½ for pictures, random for training.
-    pub offset: T,
-}
-
-impl<T: Real> Ray<T> {
-    /// The same ray in another scalar type.
-    pub fn cast<U: Real>(&self) -> Ray<U> {
-        let offset = U::of(self.offset.to_f64());
-        Ray { origin: self.origin.cast(), direction: self.direction.cast(), offset }
-    }
-}
-
-/// Where a ray is sampled.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sample<T = f32> {
-    /// Depth \[units of the ray's direction\].
-    pub depth: T,
-    /// The part of the ray that it stands for \[units of the ray's direction\].
-    pub step: T,
-}
-
-/// Between which depths a ray lies in the unit cube; the first is the larger if it never does.
-pub(super) fn inside(origin: [f32; 3], direction: [f32; 3]) -> (f32, f32) {
-    let (mut enter, mut end) = (f32::MIN, f32::MAX);
-    for (o, d) in std::iter::zip(origin, direction) {
-        let (a, b) = ((0.0 - o) / d, (1.0 - o) / d);
-        if d != 0.0 {
-            (enter, end) = (enter.max(a.min(b)), end.min(a.max(b)));
-        } else if !(0.0..=1.0).contains(&o) {
-            end = f32::MIN;
-        }
-    }
-    (enter, end)
-}
+use super::ray::cube_range;
+use super::{Ray, Sample};
+use crate::hashgrid::{HashGridField, MarchSettings, Occupancy};
 
 /// A ray on its way through the occupied cells.
 #[derive(Clone, Copy, Debug)]
@@ -71,7 +28,7 @@ impl Walk {
         let origin = std::array::from_fn(|k| o[k] * scale + offset[k]);
         let direction = d.map(|d| d * scale);
         let length = ray.direction.norm();
-        let (enter, mut end) = inside(origin, direction);
+        let (enter, mut end) = cube_range(origin, direction);
         let depth = enter.max(settings.near).max(0.0);
         let finite = ray.origin.is_finite() && length.is_finite() && ray.offset.is_finite();
         if !finite || length == 0.0 {
@@ -124,5 +81,18 @@ impl Walk {
     fn advance(&mut self, step: f32) {
         self.depth += step;
         self.steps -= 1;
+    }
+}
+
+impl Occupancy {
+    /// All samples of a ray in occupied cells, also those behind where it would end.
+    pub fn samples(
+        &self,
+        field: &HashGridField,
+        settings: &MarchSettings,
+        ray: &Ray,
+    ) -> Vec<Sample> {
+        let mut walk = Walk::new(field, settings, ray);
+        std::iter::from_fn(|| walk.next(settings, self).map(|(sample, _)| sample)).collect()
     }
 }
