@@ -105,7 +105,7 @@ impl FrontEnd {
         state.progress = progress.clone();
         state.estimates_distortion = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
         let found = estimate_path(&mut state, adjust_focal, &self.timestamps);
-        // What was left half done may look like any other failure.
+        // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
@@ -115,6 +115,7 @@ impl FrontEnd {
         if state.readout != 0.0 || had_initial_readout {
             refine_all_frames(&mut state, adjust_focal);
         }
+        // The first readout used velocities of a path fitted to uncorrected rows: estimate it again.
         if state.readout != 0.0 {
             estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
             refine_all_frames(&mut state, adjust_focal);
@@ -204,13 +205,13 @@ fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, 
     let runs = places.chunk_by(|a, b| is_posed(*a) == is_posed(*b)).filter(|r| !is_posed(r[0]));
     let length =
         |run: &[usize]| run.iter().map(|place| frames_represented(state, *place)).sum::<usize>();
-    let frames_covered = frames_covered(state);
-    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > frames_covered)?;
+    let covered = frames_covered(state);
+    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > covered)?;
     let mut other = state.clone();
     other.reset();
     initialize_within(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
     let was_lost = register_and_relocalize(&mut other, adjust_focal);
-    (self::frames_covered(&other) > frames_covered).then_some((other, was_lost))
+    (frames_covered(&other) > covered).then_some((other, was_lost))
 }
 
 /// Number of frames from a keyframe, given by its index among them, to the next one.

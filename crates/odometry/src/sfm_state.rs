@@ -179,6 +179,7 @@ impl SfmState {
         if free.len() <= MAX_JOINT_POSES {
             return self.adjust_together(free, adjust_focal, steps);
         }
+        // Parts overlap by half, so that every pose is adjusted beside neighbours on both sides.
         let (mut sum, mut parts) = (0.0, 0.0);
         for begin in (0..free.len() - MAX_JOINT_POSES / 2).step_by(MAX_JOINT_POSES / 2) {
             let part = &free[begin.max(1)..(begin + MAX_JOINT_POSES).min(free.len())];
@@ -209,18 +210,18 @@ impl SfmState {
     }
 
     /// Corrects all observations for a change of the distortion.
-    pub(crate) fn update_distortion(&mut self, camera_change: [f64; 2]) {
-        (0..2).for_each(|i| self.distortion[i] += camera_change[i]);
+    pub(crate) fn update_distortion(&mut self, change: [f64; 2]) {
+        (0..2).for_each(|i| self.distortion[i] += change[i]);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-            let apply_step = undistort(&self.camera, camera_change, o.raw);
-            (0..2).for_each(|i| o.at[i] += apply_step[i] - o.raw[i]);
+            let moved = undistort(&self.camera, change, o.raw);
+            (0..2).for_each(|i| o.at[i] += moved[i] - o.raw[i]);
         }
     }
 
     /// Corrects all observations for a change of the readout, in proportion: the correction is the
     /// readout times a speed that is already known.
-    fn update_readout(&mut self, camera_change: f64) {
-        let readout = (self.readout + camera_change).clamp(-MAX_READOUT, MAX_READOUT);
+    fn update_readout(&mut self, change: f64) {
+        let readout = (self.readout + change).clamp(-MAX_READOUT, MAX_READOUT);
         let ratio = readout / self.readout;
         if !ratio.is_finite() || ratio <= 0.0 {
             return;
@@ -269,26 +270,23 @@ impl SfmState {
         adjust_focal: bool,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
         let tracks = self.tracks_in(free);
-        let is_right = |o: &&Observation| !o.is_outlier && self.poses[o.frame].is_some();
-        let right = |track: &usize| self.tracks.tracks[*track].observations.iter().filter(is_right);
-        let kept = |track: &usize| self.landmarks[*track].is_some() && right(track).count() > 1;
+        let is_inlier = |o: &&Observation| !o.is_outlier && self.poses[o.frame].is_some();
+        let inliers =
+            |track: &usize| self.tracks.tracks[*track].observations.iter().filter(is_inlier);
+        let kept = |track: &usize| self.landmarks[*track].is_some() && inliers(track).count() > 1;
         let tracks: Vec<usize> = tracks.into_iter().filter(kept).collect();
         let mut place = vec![None; self.poses.len()];
-        tracks.iter().flat_map(right).for_each(|o| place[o.frame] = Some(0));
+        tracks.iter().flat_map(inliers).for_each(|o| place[o.frame] = Some(0));
         let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
         frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
         let free_intrinsics = self.free_intrinsics(adjust_focal, frames.len());
         let observation = |o: &Observation| {
             let camera_jacobian = self.camera_jacobian(free_intrinsics, o);
-            Some(BundleObservation {
-                pose: place[o.frame]?,
-                at: o.at,
-                sigma: o.sigma,
-                camera_jacobian,
-            })
+            let pose = place[o.frame]?;
+            Some(BundleObservation { pose, at: o.at, sigma: o.sigma, camera_jacobian })
         };
         let observations =
-            tracks.iter().map(|t| right(t).filter_map(observation).collect()).collect();
+            tracks.iter().map(|t| inliers(t).filter_map(observation).collect()).collect();
         let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
         free.iter().filter_map(|f| place[*f]).for_each(|i| fixed[i] = false);
         if !fixed.contains(&true) {
@@ -329,6 +327,7 @@ impl SfmState {
                 observation.is_outlier = off > worst;
                 left += usize::from(!observation.is_outlier);
             }
+            // Slightly negative inverse depths are far points with noise.
             if left < 2 || known.values[2] < -0.02 {
                 *landmark = None;
                 track.observations.iter_mut().for_each(|o| o.is_outlier = false);

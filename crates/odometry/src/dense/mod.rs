@@ -11,7 +11,6 @@ mod inverse_depth;
 mod plane_sweep;
 mod semi_global;
 mod view_selection;
-mod window_correlation;
 
 use crate::track::pyramid::Pyramid;
 use consistency::fuse_consistent;

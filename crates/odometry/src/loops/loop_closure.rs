@@ -179,7 +179,7 @@ fn consistent_candidates(
     unit: f64,
 ) -> Vec<LoopCandidate> {
     let pose = |r: &LoopCandidate| state.poses[state.tracks.keyframe_images[r.new].frame];
-    // Where a return moves the camera of another one.
+    // The other camera after the correction of this candidate.
     let moved = |r: &LoopCandidate, other: &LoopCandidate| {
         let (own, there) =
             (Similarity::from_pose(pose(r)?, 1.0), Similarity::from_pose(pose(other)?, 1.0));
@@ -213,9 +213,9 @@ fn distribute_drift(state: &mut SfmState, candidates: &[LoopCandidate], unit: f6
         .iter()
         .filter_map(|f| state.poses[*f].map(|pose| Similarity::from_pose(pose, 1.0)))
         .collect();
-    let tied =
+    let unchanged =
         sequential_edges(state, &frames).into_iter().chain(relocalized_edges(state, &frames));
-    let mut edges: Vec<PoseGraphEdge> = tied
+    let mut edges: Vec<PoseGraphEdge> = unchanged
         .map(|(first, second)| {
             let measured = before[first].inverse().compose(&before[second]);
             PoseGraphEdge { first, second, measured, weight: 1.0 }

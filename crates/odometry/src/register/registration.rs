@@ -30,6 +30,7 @@ pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most:
         state.progress.report(Stage::Registration, count, state.tracks.keyframes.len());
         if count as f64 >= GLOBAL_ADJUSTMENT_GROWTH * adjusted_at as f64 {
             adjusted_at = count;
+            // Few views leave the focal length undetermined.
             adjust_globally(state, adjust_focal && count > 4);
         } else {
             let near = nearest_posed(&state.posed_frames(), frame);
@@ -62,6 +63,7 @@ pub(crate) fn refine_all_frames(state: &mut SfmState, adjust_focal: bool) -> f64
     let mut is_keyframe = vec![false; state.poses.len()];
     state.tracks.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
     let between: Vec<usize> = posed.into_iter().filter(|f| !is_keyframe[*f]).collect();
+    // Without the poses in between the bundle holds keyframes only.
     let before: Vec<Option<Pose<f64>>> = between.iter().map(|f| state.poses[*f].take()).collect();
     let cost = adjust_globally(state, adjust_focal);
     let again = |(frame, pose): (&usize, &Option<Pose<f64>>)| {

@@ -155,7 +155,7 @@ impl<'a> KeyframeComparison<'a> {
         let visible: Vec<_> = visible.into_iter().step_by(step).collect();
         let find = |(known, at): &(Known<'_>, [f64; 2])| self.search_landmark(known, *at, &pose);
         let found: Vec<Option<(usize, Observation)>> = visible.iter().map(find).collect();
-        // Points looked for and points found in every cell.
+        // Points searched and points found in every cell.
         let mut cells = [[0_usize; 2]; CELLS_PER_SIDE * CELLS_PER_SIDE];
         for ((_, at), found) in visible.iter().zip(&found) {
             let part = |v: f64, size: usize| (v * CELLS_PER_SIDE as f64 / size as f64) as usize;

@@ -169,8 +169,8 @@ fn camera_velocity(
     let before = (0..frame).rev().find_map(known).unwrap_or(here);
     let after = (frame + 1..state.poses.len()).find_map(known).unwrap_or(here);
     let time = after.0 - before.0;
-    let refine_near = |(t, _): &(f64, Pose<f64>)| (t - here.0).abs() < MAX_VELOCITY_GAP * interval;
-    if time <= 0.0 || !refine_near(&before) || !refine_near(&after) {
+    let is_near = |(t, _): &(f64, Pose<f64>)| (t - here.0).abs() < MAX_VELOCITY_GAP * interval;
+    if time <= 0.0 || !is_near(&before) || !is_near(&after) {
         return None;
     }
     let moved = after.1.translation - before.1.translation;
@@ -251,7 +251,7 @@ mod tests {
         // Speeds are means over two intervals, which are too low where the camera trembles.
         let found = ((rolling.camera.fx / 250.0).ln(), rolling.readout - 0.6);
         assert!(found.0.abs() < 0.01 && found.1.abs() < 0.08, "{found:?}");
-        // What is told of the focal length leaves the readout open.
+        // The covariance leaves the readout free.
         let (_, covariance) = reestimate_intrinsics(&rolling);
         let covariance = covariance.expect("determined");
         assert!(covariance[1][1] > 0.0 && covariance[0][1] != 0.0);

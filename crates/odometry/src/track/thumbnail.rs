@@ -63,7 +63,7 @@ impl KeyframeImage {
 mod tests {
     use super::*;
 
-    fn look(dx: f32, gain: f32) -> KeyframeImage {
+    fn keyframe_image(dx: f32, gain: f32) -> KeyframeImage {
         let mut image = Image::new(160, 120, 1);
         for (i, value) in image.data.iter_mut().enumerate() {
             let (x, y) = ((i % 160) as f32 - dx, (i / 160) as f32);
@@ -74,9 +74,9 @@ mod tests {
 
     #[test]
     fn a_moved_picture_in_another_light_is_alike_and_another_one_is_not() {
-        let first = look(0.0, 1.0);
-        assert!(first.thumbnail_correlation(&look(12.0, 0.6)) > 0.97);
-        assert!(first.thumbnail_correlation(&look(60.0, 1.0)) < 0.8);
+        let first = keyframe_image(0.0, 1.0);
+        assert!(first.thumbnail_correlation(&keyframe_image(12.0, 0.6)) > 0.97);
+        assert!(first.thumbnail_correlation(&keyframe_image(60.0, 1.0)) < 0.8);
         assert_eq!(first.scale, 1.0);
         let flat = KeyframeImage::new(&Pyramid::new(&Image::new(160, 120, 1)), 0);
         assert_eq!(first.thumbnail_correlation(&flat), 0.0);

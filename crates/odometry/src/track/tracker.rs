@@ -113,9 +113,9 @@ impl Tracker {
         let Some((last, _)) = self.recent.back() else { return [0.0; 2] };
         let shift = estimate_global_translation(last.coarsest().0, next.coarsest().0);
         let by = shift.translation.map(|v| v * last.coarsest().1);
-        let look =
+        let search =
             |p: &TrackedPoint| search_point(&p.anchor, p.warp, p.is_followed, last, next, by);
-        let outcomes: Vec<TrackOutcome> = self.points.par_iter().map(look).collect();
+        let outcomes: Vec<TrackOutcome> = self.points.par_iter().map(search).collect();
         let mut motions = Vec::new();
         for (point, outcome) in self.points.iter_mut().zip(&outcomes) {
             let from = point.warp.centre;
@@ -130,6 +130,7 @@ impl Tracker {
             self.tracks.tracks[point.track].observations.extend(outcome.observation(frame));
         }
         let found = motions.len();
+        // Both tests must agree: a flash spoils the correlation, fast motion loses points.
         let is_cut = shift.correlation < CUT_CORRELATION && 3 * found < self.points.len();
         self.points.retain(|p| p.hidden_frames <= MAX_HIDDEN_FRAMES && !is_cut);
         *report = FrameReport {
@@ -146,18 +147,19 @@ impl Tracker {
 
     /// Whether enough has changed, and the picture is sharp enough to start points in.
     fn keyframe_is_due(&mut self, image: &Image<f32>) -> bool {
-        let seen = |p: &&TrackedPoint| p.hidden_frames == 0;
+        let is_measured = |p: &&TrackedPoint| p.hidden_frames == 0;
         let moved = |p: &TrackedPoint| {
             p.at_keyframe.map(|k| (p.warp.centre[0] - k[0]).hypot(p.warp.centre[1] - k[1]))
         };
-        let mut motions: Vec<f32> = self.points.iter().filter(seen).filter_map(moved).collect();
+        let mut motions: Vec<f32> =
+            self.points.iter().filter(is_measured).filter_map(moved).collect();
         let overlap = motions.len() as f32 / self.keyframe_points.max(1) as f32;
         let motion = median(&mut motions).unwrap_or(f32::INFINITY);
         let width = image.width as f32;
         let last = self.tracks.keyframes.last().copied().unwrap_or(0);
-        let late =
+        let is_late =
             self.tracks.frames >= last + KEYFRAME_INTERVAL && motion > MIN_KEYFRAME_MOTION * width;
-        if motion < KEYFRAME_DUE_MOTION * width && overlap > KEYFRAME_DUE_OVERLAP && !late {
+        if motion < KEYFRAME_DUE_MOTION * width && overlap > KEYFRAME_DUE_OVERLAP && !is_late {
             self.frames_due = 0;
             return false;
         }
