@@ -4,7 +4,7 @@ use i2slam::dataset::{Frame, OpenOptions, Sequence};
 use i2slam::formation::ShutterPoses;
 use i2slam::geometry::{Image, Pose};
 use i2slam::objective::{
-    BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, Tone, blur_length,
+    BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling, Tone, blur_length,
 };
 use i2slam::radiance::gaussian::{GaussianMap, RasterSettings};
 use i2slam::{Config, FrameEstimate, Map, Reconstruction, Session};
@@ -49,9 +49,9 @@ impl Fitted {
         self.scene.viewer().depth(pose)
     }
 
-    /// How a blur of `length` px is sampled by the default preset, by `route`.
-    pub(crate) fn sampling(&self, length: f64, route: BlurRoute) -> Sampling {
-        Sampling::by_route(route, &self.scene.config.formation, length, 0.0)
+    /// How a blur of `length` px is sampled by the default preset, by `method`.
+    pub(crate) fn sampling(&self, length: f64, method: BlurMethod) -> Sampling {
+        Sampling::with_method(method, &self.scene.config.formation, length, 0.0)
     }
 
     /// The picture of an exposure, with a frame's tone.

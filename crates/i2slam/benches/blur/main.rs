@@ -1,4 +1,4 @@
-//! How good, and how dear, the routes of motion blur are.
+//! How good, and how dear, the methods of motion blur are.
 //!
 //! ```sh
 //! cargo bench -p i2slam --bench blur             # all tables

@@ -1,8 +1,8 @@
-//! Each route against an exact exposure of 32 views, on a map of the demo clip.
+//! Each method against an exact exposure of 32 views, on a map of the demo clip.
 
 use super::Outcome;
 use super::fitted::{Fitted, psnr};
-use i2slam::objective::{BlurRoute, Sampling};
+use i2slam::objective::{BlurMethod, Sampling};
 
 const LENGTHS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0];
 
@@ -19,13 +19,13 @@ const EXACT: usize = 32;
 /// Frames whose poses the exposures are laid around.
 const FRAMES: [usize; 3] = [6, 15, 24];
 
-/// PSNR in decibels: the mean over the frames, and the least for the route `image`.
+/// PSNR in decibels: the mean over the frames, and the least for the method `image`.
 pub(crate) fn print() -> Outcome {
     let mut fitted = Fitted::demo()?;
     println!("motion,blur_px,views,margin_px,sharp,exact,image,image_least,image_without_margin");
     for (name, direction) in MOTIONS {
         for length in LENGTHS {
-            let sampling = fitted.sampling(length, BlurRoute::Image);
+            let sampling = fitted.sampling(length, BlurMethod::Image);
             let mut sums = [0.0; 4];
             let mut least = f64::MAX;
             for index in FRAMES {
@@ -49,11 +49,15 @@ fn compare(fitted: &mut Fitted, index: usize, direction: [f64; 6], length: f64) 
     let frame = fitted.scene.frames[index].clone();
     let depth = fitted.depth(frame.middle());
     let shutter = fitted.exposure(frame.middle(), &depth, direction, length);
-    let sampling = |route| fitted.sampling(length, route);
-    let image = sampling(BlurRoute::Image);
-    let routes =
-        [Sampling::SHARP, sampling(BlurRoute::Exact), image, Sampling { margin: 0, ..image }];
-    let exact = Sampling { virtual_cameras: EXACT, ..sampling(BlurRoute::Exact) };
+    let sampling = |method| fitted.sampling(length, method);
+    let image = sampling(BlurMethod::Image);
+    let methods = [
+        Sampling::SINGLE_CAMERA,
+        sampling(BlurMethod::Exact),
+        image,
+        Sampling { margin: 0, ..image },
+    ];
+    let exact = Sampling { virtual_cameras: EXACT, ..sampling(BlurMethod::Exact) };
     let reference = fitted.predict(&frame, shutter, exact);
-    routes.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &reference))
+    methods.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &reference))
 }

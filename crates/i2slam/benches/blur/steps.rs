@@ -4,7 +4,7 @@
 use super::Outcome;
 use super::fitted::Fitted;
 use i2slam::formation::{ShutterPoses, ShutterTangent};
-use i2slam::objective::{BlurRoute, Exposure, FrameVariables, Observation, Sampling, Tone};
+use i2slam::objective::{BlurMethod, Exposure, FrameVariables, Observation, Sampling, Tone};
 use i2slam::radiance::gaussian::MapGradient;
 use i2slam_check::processor_seconds;
 use std::time::Instant;
@@ -14,7 +14,7 @@ const LENGTH: f64 = 10.0;
 const VIEWS: usize = 5;
 const ROUNDS: usize = 60;
 
-/// The fastest and the mean of the processor's time of many rounds, routes in turn, so that a busy
+/// The fastest and the mean of the processor's time of many rounds, methods in turn, so that a busy
 /// machine slows down all of them.
 pub(crate) fn print() -> Outcome {
     let mut fitted = Fitted::demo()?;
@@ -24,14 +24,14 @@ pub(crate) fn print() -> Outcome {
     let blurred = fitted.exposure(frame.middle(), &depth, direction, LENGTH);
     let source = &fitted.frames[15];
     let observation = Observation::new(source.colour.clone(), source.depth.clone());
-    let with = |route| Sampling { virtual_cameras: VIEWS, ..fitted.sampling(LENGTH, route) };
-    let image = with(BlurRoute::Image);
+    let with = |method| Sampling { virtual_cameras: VIEWS, ..fitted.sampling(LENGTH, method) };
+    let image = with(BlurMethod::Image);
     let cases = [
-        ("sharp", ShutterPoses::still(frame.middle()), Sampling::SHARP),
+        ("sharp", ShutterPoses::still(frame.middle()), Sampling::SINGLE_CAMERA),
         ("image", blurred, image),
         ("image with 7 views", blurred, Sampling { virtual_cameras: 7, ..image }),
         ("image without a margin", blurred, Sampling { margin: 0, ..image }),
-        ("exact", blurred, with(BlurRoute::Exact)),
+        ("exact", blurred, with(BlurMethod::Exact)),
     ];
     let curve = fitted.scene.responses[frame.response].curve();
     let mut gradient = MapGradient::new(fitted.map.len());
@@ -51,7 +51,7 @@ pub(crate) fn print() -> Outcome {
             busy[k] += processor_seconds() - before;
         }
     }
-    println!("route,ms,sharp_steps,processor_ms,processor_sharp_steps");
+    println!("method,ms,sharp_steps,processor_ms,processor_sharp_steps");
     for (k, (name, ..)) in cases.iter().enumerate() {
         let processor = busy[k] / ROUNDS as f64;
         println!(

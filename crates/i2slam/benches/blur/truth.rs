@@ -1,10 +1,10 @@
-//! Each route against the true blur of a path tracer, along the true motion of its camera.
+//! Each method against the true blur of a path tracer, along the true motion of its camera.
 
 use super::Outcome;
 use super::fitted::{Fitted, psnr};
 use i2slam::formation::ShutterPoses;
 use i2slam::geometry::{Pose, Rotation, Vec3};
-use i2slam::objective::{BlurRoute, Sampling, blur_length};
+use i2slam::objective::{BlurMethod, Sampling, blur_length};
 use std::error::Error;
 use std::path::PathBuf;
 
@@ -51,13 +51,13 @@ fn compare(fitted: &mut Fitted, index: usize, exposures: &[ShutterPoses<f64>]) -
     let shutter = exposures[index];
     let length = blur_length(&fitted.scene.camera, &shutter, &fitted.frames[index].depth);
     let taken = fitted.frames[index].colour.clone();
-    let routes = [
-        Sampling::SHARP,
-        fitted.sampling(length, BlurRoute::Exact),
-        fitted.sampling(length, BlurRoute::Image),
-        Sampling { virtual_cameras: 32, ..fitted.sampling(length, BlurRoute::Exact) },
+    let methods = [
+        Sampling::SINGLE_CAMERA,
+        fitted.sampling(length, BlurMethod::Exact),
+        fitted.sampling(length, BlurMethod::Image),
+        Sampling { virtual_cameras: 32, ..fitted.sampling(length, BlurMethod::Exact) },
     ];
-    (length, routes.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &taken)))
+    (length, methods.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &taken)))
 }
 
 /// Poses at shutter open and close from lines of a time and twice `t q` (x, y, z, w), in the frame

@@ -6,7 +6,7 @@ use super::presets::Clip;
 use i2slam::formation::ShutterPoses;
 use i2slam::geometry::Tangent;
 use i2slam::objective::{
-    BlurRoute, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
+    BlurMethod, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
 };
 use i2slam::radiance::gaussian::{MapGradient, RasterSettings};
 use i2slam::{Config, Map, Session};
@@ -23,7 +23,7 @@ fn per_step(mut work: impl FnMut()) -> (f64, f64) {
     (each(after.0, before.0), each(after.1, before.1))
 }
 
-/// Allocations per mapping and per tracking step of the objective, by route.
+/// Allocations per mapping and per tracking step of the objective, by method.
 pub(crate) fn print() -> Outcome {
     let clip = Clip::demo(6, 1.0)?;
     let mut session = Session::new(Config::default(), clip.camera, clip.frame_rate);
@@ -42,14 +42,14 @@ pub(crate) fn print() -> Outcome {
     let curve = scene.responses[frame.response].curve();
     let mut gradient = MapGradient::new(map.len());
     println!("step,allocations,bytes");
-    let routes = [
-        ("sharp", BlurRoute::Exact, 1),
-        ("image", BlurRoute::Image, 5),
-        ("exact", BlurRoute::Exact, 5),
+    let methods = [
+        ("sharp", BlurMethod::Exact, 1),
+        ("image", BlurMethod::Image, 5),
+        ("exact", BlurMethod::Exact, 5),
     ];
-    for (name, route, virtual_cameras) in routes {
+    for (name, method, virtual_cameras) in methods {
         let formation = &scene.config.formation;
-        let sampling = Sampling { virtual_cameras, route, ..Sampling::new(formation, 5.0, 0.0) };
+        let sampling = Sampling { virtual_cameras, method, ..Sampling::new(formation, 5.0, 0.0) };
         let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
         let tone = Some(Tone { frame: frame.tone, curve: &curve });
         let variables = FrameVariables { exposure, tone };

@@ -1,21 +1,19 @@
-//! Where map and image formation meet: the losses of eq. 12 and their derivatives.
+//! Objectives of tracking and mapping: pictures formed from a map are compared with observed ones, and
+//! the losses (eq. 12) are differentiated by map, motion and tone.
 //!
-//! A difference that is minimised lives here; a difference that is reported lives in `eval`.
+//! Metrics that are reported, not minimised, are in `i2slam-eval`.
 
-mod blur;
-mod depth;
 mod exposure;
 mod frame;
+mod losses;
 mod observation;
-mod photometric;
 mod rays;
 mod ssim;
-mod window;
 
-pub use blur::{blur_length, blur_length_at, virtual_camera_count};
-pub(crate) use exposure::carried_to_middle;
-pub use exposure::{BlurRoute, Exposure, Sampling};
-pub(crate) use frame::form;
+pub(crate) use exposure::pull_back_to_middle;
+pub use exposure::{BlurMethod, Exposure, Sampling};
+pub use exposure::{blur_length, blur_length_at, virtual_camera_count};
+pub(crate) use frame::form_picture;
 pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
 pub use observation::Observation;
-pub use rays::{RayObjective, RayView, ShutterGram};
+pub use rays::{PixelBatch, RayObjective, ShutterHessian};

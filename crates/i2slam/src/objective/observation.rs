@@ -1,38 +1,35 @@
-//! What the camera saw.
+//! Observed pictures of a frame.
 
-use super::photometric::SsimReference;
+use super::ssim::SsimReference;
 use i2slam_geometry::Image;
 use std::sync::{Arc, OnceLock};
 
-/// Standard deviation of an estimated depth, as a share of it, up to which it counts as a measured
-/// one.
-const TRUSTED: f32 = 0.01;
+/// Relative standard deviation up to which an estimated depth has full weight.
+const FULL_WEIGHT_SIGMA: f32 = 0.01;
 
-/// A frame's pictures as the optimisers use them.
+/// Colour and depth of a frame, cleaned of values that are negative or not finite.
 #[derive(Debug)]
 pub struct Observation {
     /// Colour, three planes in `[0, 1]`.
     pub colour: Arc<Image<f32>>,
     /// Depth along the optical axis [m], 0 where there is no reading.
     pub depth: Arc<Image<f32>>,
-    /// Variance of the depth, in its unit squared, above 0 wherever there is depth; none where
-    /// depth was measured rather than estimated.
+    /// Variance of the depth [m²], above 0 wherever there is depth; `None` for measured depth.
     pub depth_variance: Option<Image<f32>>,
     has_depth: bool,
-    similarity: OnceLock<SsimReference>,
+    ssim_reference: OnceLock<SsimReference>,
 }
 
 impl Observation {
-    /// An observation of both pictures. Depth that is not finite counts as no reading, colour
-    /// that is not finite as black.
+    /// Pictures with measured depth. Invalid depth counts as no reading, invalid colour as black.
     pub fn new(colour: impl Into<Arc<Image<f32>>>, depth: impl Into<Arc<Image<f32>>>) -> Self {
         let (colour, depth) = (sanitized(colour.into()), sanitized(depth.into()));
         let has_depth = depth.data.iter().any(|&d| d > 0.0);
-        Self { colour, depth, depth_variance: None, has_depth, similarity: OnceLock::new() }
+        Self { colour, depth, depth_variance: None, has_depth, ssim_reference: OnceLock::new() }
     }
 
-    /// An observation whose depth was estimated. Depth whose variance is not a number above 0
-    /// counts as no reading.
+    /// Pictures with estimated depth. Depth whose variance is not above 0 and finite counts as no
+    /// reading.
     pub fn estimated(
         colour: impl Into<Arc<Image<f32>>>,
         depth: impl Into<Arc<Image<f32>>>,
@@ -47,17 +44,16 @@ impl Observation {
         Self { depth_variance: Some(variance), ..Self::new(colour, depth) }
     }
 
-    /// Whether the depth was estimated, perhaps from the very pictures that it would be compared
-    /// with.
+    /// Whether the depth was estimated, for example from the pictures themselves.
     pub fn is_estimated(&self) -> bool {
         self.depth_variance.is_some()
     }
 
-    /// How far the depth of a pixel that has one is trusted against one that was measured, in [0,
-    /// 1]: fully if its standard deviation is within a hundredth of it, then as its inverse.
-    pub fn depth_trust(&self, pixel: usize) -> f32 {
+    /// Weight of a pixel's depth in [0, 1]: 1 up to a relative standard deviation of a hundredth, then
+    /// its inverse.
+    pub fn depth_weight(&self, pixel: usize) -> f32 {
         let Some(variance) = &self.depth_variance else { return 1.0 };
-        (TRUSTED * self.depth.data[pixel] / variance.data[pixel].sqrt()).min(1.0)
+        (FULL_WEIGHT_SIGMA * self.depth.data[pixel] / variance.data[pixel].sqrt()).min(1.0)
     }
 
     /// Whether any pixel has a depth reading.
@@ -65,9 +61,9 @@ impl Observation {
         self.has_depth
     }
 
-    /// Window means of the colour planes, computed once.
-    pub(super) fn similarity(&self) -> &SsimReference {
-        self.similarity.get_or_init(|| SsimReference::new(&self.colour))
+    /// Window means of the colour planes for SSIM, computed on first use.
+    pub(super) fn ssim_reference(&self) -> &SsimReference {
+        self.ssim_reference.get_or_init(|| SsimReference::new(&self.colour))
     }
 
     /// Number of pixels with a depth reading.

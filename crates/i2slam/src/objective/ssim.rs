@@ -1,11 +1,11 @@
-//! SSIM (Wang et al. 2004) and its derivative, in four passes over the rows of all planes.
+//! SSIM (Wang et al. 2004) as a loss with its derivative, in four passes over the rows of all planes.
+//! `i2slam-eval` has an SSIM of its own: the judge shares no code with the system.
 //!
 //! With `A1 = 2 μx μy + C1`, `A2 = 2 σxy + C2`, `B1 = μx² + μy² + C1`, `B2 = σx² + σy² + C2`,
 //! `S = A1 A2 / (B1 B2)` and window `G`, the pull-back of `G x`, `G x²` and `G xy` is
 //! `G(∂S/∂μx) + 2 x G(∂S/∂σx²) + y G(∂S/∂σxy)`, where `∂S/∂μx` includes its way through
 //! `σx² = G x² - μx²` and `σxy = G xy - μx μy`.
 
-use super::window::{Window, filter};
 use i2slam_geometry::{Image, Real};
 use pulp::Arch;
 use rayon::prelude::*;
@@ -14,11 +14,73 @@ use rayon::prelude::*;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// Rows that one task takes at least.
-const ROWS: usize = 8;
+/// Least number of rows of a parallel task.
+const MIN_TASK_ROWS: usize = 8;
 
-/// The observed picture's window means, which every step needs: `μy` and `G y²`, planes as in the
-/// picture.
+/// Width of the window, and its radius [px].
+const TAPS: usize = 11;
+const RADIUS: usize = TAPS / 2;
+
+/// The Gaussian window of SSIM along one axis; pictures are continued with zeros.
+#[derive(Clone, Copy)]
+struct Window<T>([T; TAPS]);
+
+impl<T: Real> Window<T> {
+    /// Normalised weights, σ = 1.5 (Wang et al. 2004).
+    fn new() -> Self {
+        let raw: [f64; TAPS] = std::array::from_fn(|i| {
+            let d = i as f64 - RADIUS as f64;
+            (-d * d / (2.0 * 1.5 * 1.5)).exp()
+        });
+        let sum: f64 = raw.iter().sum();
+        Self(raw.map(|w| T::of(w / sum)))
+    }
+
+    /// Filters one row.
+    #[inline(always)]
+    fn along(&self, row: &[T], out: &mut [T]) {
+        out.fill(T::zero());
+        let width = row.len();
+        for (k, &w) in self.0.iter().enumerate() {
+            let (skip, from) = (RADIUS.saturating_sub(k), k.saturating_sub(RADIUS));
+            let count = width.saturating_sub(skip + from);
+            let (out, row) = (out.iter_mut().skip(skip), row.iter().skip(from));
+            for (out, &v) in out.zip(row).take(count) {
+                *out += w * v;
+            }
+        }
+    }
+
+    /// Filters the columns of a plane, for row `y`.
+    #[inline(always)]
+    fn down(&self, plane: &[T], y: usize, out: &mut [T]) {
+        out.fill(T::zero());
+        let width = out.len();
+        for (k, &w) in self.0.iter().enumerate() {
+            let Some(source) = (y + k).checked_sub(RADIUS) else { continue };
+            let Some(row) = plane.get(source * width..(source + 1) * width) else { break };
+            for (out, &v) in out.iter_mut().zip(row) {
+                *out += w * v;
+            }
+        }
+    }
+}
+
+/// A plane of `width` columns filtered by the window. The filter is its own adjoint.
+fn filter<T: Real>(plane: &[T], width: usize) -> Vec<T> {
+    let window = Window::new();
+    let (mut rows, mut out) = (vec![T::zero(); plane.len()], vec![T::zero(); plane.len()]);
+    for (input, row) in plane.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+        window.along(input, row);
+    }
+    for (y, out) in out.chunks_exact_mut(width).enumerate() {
+        window.down(&rows, y, out);
+    }
+    out
+}
+
+/// Window means of the observed picture, computed once for all steps: `μy` and `G y²`, planes as in
+/// the picture.
 #[derive(Clone, Debug)]
 pub(crate) struct SsimReference<T = f32> {
     mean: Vec<T>,
@@ -27,7 +89,7 @@ pub(crate) struct SsimReference<T = f32> {
 
 impl<T: Real> SsimReference<T> {
     pub(crate) fn new(observed: &Image<T>) -> Self {
-        // Every keyframe keeps its own, so that they take no more room than they need.
+        // Exact capacity, because every keyframe keeps them.
         let room = || Vec::with_capacity(observed.data.len());
         let mut means = Self { mean: room(), second: room() };
         for plane in (0..observed.channels).map(|c| observed.plane(c)) {
@@ -39,9 +101,9 @@ impl<T: Real> SsimReference<T> {
     }
 }
 
-/// Buffers between the passes; they keep their allocation from step to step.
+/// Evaluates SSIM; owns the buffers between the passes.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Similarity<T = f32> {
+pub(crate) struct Ssim<T = f32> {
     /// Filtered along rows.
     along: [Vec<T>; 3],
     /// Filtered down columns: `G x`, `G x²` and `G xy`, then `∂S` by each.
@@ -50,7 +112,7 @@ pub(crate) struct Similarity<T = f32> {
     sums: Vec<f64>,
 }
 
-/// What the passes share.
+/// Inputs of the passes.
 struct Pass<'a, T> {
     picture: &'a Image<T>,
     observed: &'a Image<T>,
@@ -59,8 +121,8 @@ struct Pass<'a, T> {
     arch: Arch,
 }
 
-impl<T: Real> Similarity<T> {
-    /// `Σ S(x, y)` over pixels and channels; adds `scale · ∂Σ/∂x` to `gradient`.
+impl<T: Real> Ssim<T> {
+    /// Returns `Σ S(x, y)` over pixels and channels, and adds `scale · ∂Σ/∂x` to `gradient`.
     pub(super) fn pull_back(
         &mut self,
         picture: &Image<T>,
@@ -84,7 +146,7 @@ impl<T: Real> Similarity<T> {
         self.sums.iter().sum()
     }
 
-    /// `x`, `x²` and `x y` filtered along rows; `full` holds the products meanwhile.
+    /// Filters `x`, `x²` and `x y` along rows; `full` holds the products.
     fn moments_along(&mut self, pass: &Pass<'_, T>) {
         let width = pass.picture.width;
         rows(&mut self.along, width).zip(rows(&mut self.full, width)).enumerate().for_each(
@@ -104,7 +166,7 @@ impl<T: Real> Similarity<T> {
         );
     }
 
-    /// The rest of the filter, `S`, and its derivatives by the three filtered planes.
+    /// Filters down columns, and computes `S` and its derivatives by the three filtered planes.
     fn similarity(&mut self, pass: &Pass<'_, T>) {
         let (width, along) = (pass.picture.width, &self.along);
         rows(&mut self.full, width).zip(&mut self.sums).enumerate().for_each(
@@ -117,7 +179,7 @@ impl<T: Real> Similarity<T> {
         );
     }
 
-    /// The derivatives filtered along rows.
+    /// Filters the derivatives along rows.
     fn derivatives_along(&mut self, pass: &Pass<'_, T>) {
         let (width, full) = (pass.picture.width, &self.full);
         rows(&mut self.along, width).enumerate().for_each(|(row, along)| {
@@ -129,7 +191,7 @@ impl<T: Real> Similarity<T> {
         });
     }
 
-    /// The rest of that filter, added to the gradient.
+    /// Filters the derivatives down columns and adds them to the gradient.
     fn derivative(&mut self, pass: &Pass<'_, T>, scale: T, gradient: &mut [T]) {
         let (width, along, two) = (pass.picture.width, &self.along, T::of(2.0));
         let gradient = gradient.par_chunks_mut(width);
@@ -154,7 +216,7 @@ fn rows<T: Real>(
     planes: &mut [Vec<T>; 3],
     width: usize,
 ) -> impl IndexedParallelIterator<Item = [&mut [T]; 3]> {
-    let [a, b, c] = planes.each_mut().map(|p| p.par_chunks_mut(width).with_min_len(ROWS));
+    let [a, b, c] = planes.each_mut().map(|p| p.par_chunks_mut(width).with_min_len(MIN_TASK_ROWS));
     a.zip(b).zip(c).map(|((a, b), c)| [a, b, c])
 }
 
@@ -198,5 +260,26 @@ impl<T: Real> Pass<'_, T> {
                 - my * by_cross[i];
         }
         sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_window_keeps_a_constant_inside_the_border() {
+        let out = filter(&[2.0_f32; 30 * 20], 30);
+        assert!((out[10 * 30 + 15] - 2.0).abs() < 1e-5);
+        assert!(out[0] < 1.0);
+    }
+
+    #[test]
+    fn the_filter_is_its_own_adjoint() {
+        for width in [24, 3] {
+            let (a, b) = (i2slam_check::noise(1, width * 17), i2slam_check::noise(2, width * 17));
+            let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+            assert!((dot(&filter(&a, width), &b) - dot(&a, &filter(&b, width))).abs() < 1e-12);
+        }
     }
 }

@@ -4,7 +4,9 @@ mod pose_optimization;
 
 pub use pose_optimization::OptimisedPose;
 
-use crate::objective::{BlurRoute, Exposure, FrameObjective, FrameVariables, Sampling, Tone, form};
+use crate::objective::{
+    BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling, Tone, form_picture,
+};
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use i2slam_formation::ResponseCurve;
 use i2slam_geometry::{Camera, Image, Pose};
@@ -106,8 +108,8 @@ impl Viewer<'_> {
     /// Sampling of a frame's exposure: exact renders for a global shutter.
     fn sampling(&self, frame: &FrameEstimate) -> Sampling {
         let formation = &self.reconstruction.config.formation;
-        let route = BlurRoute::Exact.with_readout(frame.readout);
-        Sampling::by_route(route, formation, frame.blur_length, frame.readout)
+        let method = BlurMethod::Exact.supporting_readout(frame.readout);
+        Sampling::with_method(method, formation, frame.blur_length, frame.readout)
     }
 
     /// A sharp render from a world-from-camera pose.
@@ -122,7 +124,7 @@ impl Viewer<'_> {
         let curve = self.curve(frame);
         let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
         let mut picture = Image::default();
-        form(tone.as_ref(), &self.render(pose).radiance, &mut picture);
+        form_picture(tone.as_ref(), &self.render(pose).radiance, &mut picture);
         picture
     }
 

@@ -57,8 +57,8 @@ fn a_blurred_picture_takes_no_more_renders_than_configured() {
     let most = room.config.formation.virtual_cameras;
     let sampling = |readout| viewer.sampling(&turning(&room, 0.2, readout));
     let (global, rolling) = (sampling(0.0), sampling(0.5));
-    assert_eq!((global.route, global.virtual_cameras), (BlurRoute::Exact, most));
-    assert_eq!(rolling.route, BlurRoute::Image);
+    assert_eq!((global.method, global.virtual_cameras), (BlurMethod::Exact, most));
+    assert_eq!(rolling.method, BlurMethod::Image);
     assert!(Sampling::new(&room.config.formation, 18.0, 0.0).virtual_cameras > most);
 }
 

@@ -19,7 +19,7 @@ use super::map_snapshot::{MapSnapshot, Tracker, update_snapshot};
 use super::mapper::{Mapper, MappingContext};
 use super::window::{random_pixels, recent_window};
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, RayObjective, RayView, Sampling, Tone,
+    Evaluation, Exposure, FrameObjective, FrameVariables, PixelBatch, RayObjective, Sampling, Tone,
 };
 use crate::reconstruction::Map;
 use crate::tracking::sampling;
@@ -183,7 +183,7 @@ impl FieldMapper {
         let curves = context.response_curves(views);
         let rays = config.hashgrid.rays / views.len().max(1);
         let drawn = views.iter().map(|view| sample_rays(context, view, &curves, rays));
-        let drawn: Vec<RayView<'_>> = drawn.collect();
+        let drawn: Vec<PixelBatch<'_>> = drawn.collect();
         let Some(field) = &mut self.field else { return };
         let rates = &config.parameters.frames;
         let with_poses =
@@ -232,7 +232,7 @@ fn sample_rays<'a>(
     keyframe: &'a Keyframe,
     curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
     rays: usize,
-) -> RayView<'a> {
+) -> PixelBatch<'a> {
     let estimate = &context.frames[keyframe.frame];
     let observation = &*keyframe.observation;
     let formation = &context.config.formation;
@@ -250,7 +250,7 @@ fn sample_rays<'a>(
     let curve = curves.get(&estimate.response);
     let tone = curve.map(|curve| Tone { frame: estimate.tone, curve });
     let variables = FrameVariables { exposure, tone };
-    let mut view = RayView { observation, variables, pixels: Vec::new() };
+    let mut view = PixelBatch { observation, variables, pixels: Vec::new() };
     let count = (rays / view.rays_per_pixel()).max(1);
     let size = observation.depth.pixels();
     view.pixels = random_pixels(size, count, context.covered, context.random);

@@ -19,7 +19,7 @@ use crate::mapping::keyframe::Keyframe;
 use crate::mapping::localization::FrameLocator;
 use crate::mapping::mapper::MappingContext;
 use crate::mapping::window::{random_window, recent_window};
-use crate::objective::{Evaluation, FrameObjective, RayObjective, RayView};
+use crate::objective::{Evaluation, FrameObjective, PixelBatch, RayObjective};
 use crate::reconstruction::{FrameEstimate, Losses, Map};
 use crate::tracking::SequenceReadout;
 use i2slam_geometry::{Camera, Image};
@@ -73,7 +73,7 @@ impl Field {
         &mut self,
         context: &mut MappingContext<'_>,
         poses: &mut PoseOptimizers,
-        view: &RayView<'_>,
+        view: &PixelBatch<'_>,
         frame: usize,
     ) {
         let settings = &context.config.keyframed;
@@ -81,9 +81,9 @@ impl Field {
             return;
         }
         let pixels = view.pixels.iter().copied().take(JACOBIAN_PIXELS).collect();
-        let view = RayView { pixels, ..*view };
-        let gram = self.batch.gram(&self.map, &view, context.random);
-        poses.precondition(frame, &gram, settings);
+        let view = PixelBatch { pixels, ..*view };
+        let hessian = self.batch.shutter_hessian(&self.map, &view, context.random);
+        poses.precondition(frame, &hessian, settings);
     }
 }
 
@@ -199,7 +199,7 @@ impl JointFieldMapper {
     /// emptied would stay a hole.
     fn reopen_transparent_rays(&mut self) {
         if let Some(Field { map, batch, shells: Some(_), .. }) = &mut self.field {
-            for ray in batch.unmet() {
+            for ray in batch.low_opacity_rays() {
                 map.occupancy.reopen_along(&map.field, ray, REOPENED_RAY_REFRESHES);
             }
         }
@@ -247,7 +247,7 @@ impl JointFieldMapper {
         let samples = field.shells.as_ref().map_or(0, |_| config.keyframed.surface_samples);
         let limits = (config.hashgrid.rays, samples);
         let pixels = pixel_budget(limits, field.batch.samples_per_pixel()) / views.len().max(1);
-        let drawn: Vec<RayView<'_>> =
+        let drawn: Vec<PixelBatch<'_>> =
             views.iter().map(|view| sample_pixels(context, view, &curves, pixels)).collect();
         let with_poses = weights.camera_rate > 0.0 && self.steps >= config.keyframed.pose_delay;
         if with_poses
@@ -263,7 +263,7 @@ impl JointFieldMapper {
         let evaluations =
             batch.map(map, &drawn, loss_weights, with_poses, context.random, gradient);
         for (view, index) in views.iter().zip(0..) {
-            if let Some(depth) = batch.seen_depth(index) {
+            if let Some(depth) = batch.median_depth(index) {
                 let estimate = &mut context.frames[view.frame];
                 estimate.blur_length = blur_length_at_depth(context.camera, estimate, depth);
             }

@@ -4,7 +4,7 @@ use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::MappingContext;
 use crate::mapping::window::random_pixels;
 use crate::objective::{
-    BlurRoute, Exposure, FrameVariables, RayView, Sampling, Tone, blur_length_at,
+    BlurMethod, Exposure, FrameVariables, PixelBatch, Sampling, Tone, blur_length_at,
 };
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::ResponseCurve;
@@ -17,11 +17,11 @@ pub(super) fn sample_pixels<'a>(
     keyframe: &'a Keyframe,
     curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
     count: usize,
-) -> RayView<'a> {
+) -> PixelBatch<'a> {
     let (estimate, formation) = (&context.frames[keyframe.frame], &context.config.formation);
     let exposure = Exposure {
         shutter: estimate.shutter,
-        sampling: Sampling::by_route(BlurRoute::Exact, formation, estimate.blur_length, 0.0),
+        sampling: Sampling::with_method(BlurMethod::Exact, formation, estimate.blur_length, 0.0),
         readout: 0.0,
         depth_pose: None,
     };
@@ -30,7 +30,7 @@ pub(super) fn sample_pixels<'a>(
     let observation = &*keyframe.observation;
     let size = observation.depth.pixels();
     let pixels = random_pixels(size, count.max(1), context.covered, context.random);
-    RayView { observation, variables, pixels }
+    PixelBatch { observation, variables, pixels }
 }
 
 /// Blur length of a frame [px] if all surfaces lie at `depth`.

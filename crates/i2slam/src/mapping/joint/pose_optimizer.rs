@@ -3,7 +3,7 @@
 
 use crate::config::{KeyframedConfig, Preconditioning};
 use crate::mapping::MappingContext;
-use crate::objective::ShutterGram;
+use crate::objective::ShutterHessian;
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{ShutterPoses, ShutterTangent};
 use i2slam_geometry::{Tangent, symmetric_eigen_of};
@@ -20,7 +20,7 @@ pub(super) struct PoseOptimizers(BTreeMap<usize, PoseOptimizer>);
 
 struct PoseOptimizer {
     adam: Adam,
-    preconditioner: Option<ShutterGram>,
+    preconditioner: Option<ShutterHessian>,
     steps: usize,
 }
 
@@ -46,7 +46,7 @@ impl PoseOptimizers {
     pub(super) fn precondition(
         &mut self,
         frame: usize,
-        normal_matrix: &ShutterGram,
+        normal_matrix: &ShutterHessian,
         settings: &KeyframedConfig,
     ) {
         let damping = f64::from(settings.preconditioning_damping);
@@ -97,24 +97,25 @@ impl PoseOptimizer {
 
 /// `P = (JᵀJ + diag(max(1e-8, r diag(JᵀJ))))^(-1/2)` with `r` = `damping`: in the coordinates `z` of
 /// `ξ = P z` the picture changes equally and independently.
-fn preconditioner(gram: &ShutterGram, damping: f64) -> ShutterGram {
-    inverse_root(gram, |i| (damping * gram[i][i]).max(MIN_DAMPING))
+fn preconditioner(hessian: &ShutterHessian, damping: f64) -> ShutterHessian {
+    inverse_root(hessian, |i| (damping * hessian[i][i]).max(MIN_DAMPING))
 }
 
 /// [`preconditioner`] with the damping of a coordinate at least that of the mean translation or
 /// rotation, so that weakly observed coordinates get no long steps and do not shorten the others.
-fn block_damped_preconditioner(gram: &ShutterGram, damping: f64) -> ShutterGram {
+fn block_damped_preconditioner(hessian: &ShutterHessian, damping: f64) -> ShutterHessian {
     let rotates = |i: usize| i % 6 >= 3;
-    let mean =
-        |kind: bool| (0..12).filter(|&i| rotates(i) == kind).map(|i| gram[i][i]).sum::<f64>() / 6.0;
+    let mean = |kind: bool| {
+        (0..12).filter(|&i| rotates(i) == kind).map(|i| hessian[i][i]).sum::<f64>() / 6.0
+    };
     let means = [mean(false), mean(true)];
     let least = |i: usize| means[usize::from(rotates(i))];
-    inverse_root(gram, |i| (damping * gram[i][i].max(least(i))).max(MIN_DAMPING))
+    inverse_root(hessian, |i| (damping * hessian[i][i].max(least(i))).max(MIN_DAMPING))
 }
 
 /// Inverse square root of a matrix with `added` diagonal.
-fn inverse_root(gram: &ShutterGram, added: impl Fn(usize) -> f64) -> ShutterGram {
-    let mut damped = *gram;
+fn inverse_root(hessian: &ShutterHessian, added: impl Fn(usize) -> f64) -> ShutterHessian {
+    let mut damped = *hessian;
     for (i, row) in damped.iter_mut().enumerate() {
         row[i] += added(i);
     }
@@ -126,14 +127,14 @@ fn inverse_root(gram: &ShutterGram, added: impl Fn(usize) -> f64) -> ShutterGram
 }
 
 /// `P` scaled to keep the root mean square length of vectors over all directions.
-fn norm_preserving(matrix: &ShutterGram) -> ShutterGram {
+fn norm_preserving(matrix: &ShutterHessian) -> ShutterHessian {
     let squares: f64 = matrix.iter().flatten().map(|v| v * v).sum();
     let factor = (12.0 / squares.max(MIN_DAMPING)).sqrt();
     matrix.map(|row| row.map(|v| factor * v))
 }
 
 /// Product of a symmetric matrix and a vector.
-fn multiply(matrix: &ShutterGram, vector: [f64; 12]) -> [f64; 12] {
+fn multiply(matrix: &ShutterHessian, vector: [f64; 12]) -> [f64; 12] {
     matrix.map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum())
 }
 
@@ -154,7 +155,7 @@ mod tests {
         assert_eq!(steps, [1, 2, 4, 8, 16, 32, 64, 100, 200, 300]);
     }
 
-    fn gram() -> ShutterGram {
+    fn hessian() -> ShutterHessian {
         let rows: Vec<[f64; 12]> = (0..40)
             .map(|n| {
                 std::array::from_fn(|i| ((1 + n * (i + 2)) as f64 * 0.37).sin() * (1 + i) as f64)
@@ -165,11 +166,11 @@ mod tests {
 
     #[test]
     fn the_jacobian_of_preconditioned_coordinates_is_orthonormal() {
-        let gram = gram();
-        let p = preconditioner(&gram, 1e-12);
+        let hessian = hessian();
+        let p = preconditioner(&hessian, 1e-12);
         for c in 0..12 {
             let unit = std::array::from_fn(|i| f64::from(u8::from(i == c)));
-            let back = multiply(&p, multiply(&gram, multiply(&p, unit)));
+            let back = multiply(&p, multiply(&hessian, multiply(&p, unit)));
             for (r, value) in back.into_iter().enumerate() {
                 assert!((value - unit[r]).abs() < 1e-6, "{r} {c}: {value}");
             }
@@ -178,7 +179,7 @@ mod tests {
 
     #[test]
     fn a_step_keeps_its_length() {
-        let p = preconditioner(&gram(), 0.1);
+        let p = preconditioner(&hessian(), 0.1);
         let [once, scaled] =
             [norm_preserving(&p), norm_preserving(&p.map(|row| row.map(|v| 7.0 * v)))];
         let unit = |c: usize| std::array::from_fn(|i| f64::from(u8::from(i == c)));
@@ -190,15 +191,16 @@ mod tests {
 
     #[test]
     fn an_unobserved_coordinate_does_not_shorten_the_others() {
-        let mut gram = gram();
-        let before = norm_preserving(&block_damped_preconditioner(&gram, 0.1));
+        let mut hessian = hessian();
+        let before = norm_preserving(&block_damped_preconditioner(&hessian, 0.1));
         for i in 0..12 {
-            (gram[i][5], gram[5][i]) = (0.0, 0.0);
+            (hessian[i][5], hessian[5][i]) = (0.0, 0.0);
         }
-        let blind = norm_preserving(&block_damped_preconditioner(&gram, 0.1));
-        let plain = norm_preserving(&preconditioner(&gram, 0.1));
-        let others =
-            |p: &ShutterGram| (0..12).filter(|&i| i != 5).map(|i| p[i][i]).fold(f64::MAX, f64::min);
+        let blind = norm_preserving(&block_damped_preconditioner(&hessian, 0.1));
+        let plain = norm_preserving(&preconditioner(&hessian, 0.1));
+        let others = |p: &ShutterHessian| {
+            (0..12).filter(|&i| i != 5).map(|i| p[i][i]).fold(f64::MAX, f64::min)
+        };
         assert!(others(&blind) > 0.3 * others(&before), "{} {}", others(&blind), others(&before));
         assert!(others(&plain) < 0.01 * others(&before), "{}", others(&plain));
         assert!(blind[5][5] < 4.0, "{}", blind[5][5]);
@@ -206,11 +208,11 @@ mod tests {
 
     #[test]
     fn damping_bounds_the_step_of_an_unobserved_coordinate() {
-        let mut gram = gram();
+        let mut hessian = hessian();
         for i in 0..12 {
-            (gram[i][5], gram[5][i]) = (0.0, 0.0);
+            (hessian[i][5], hessian[5][i]) = (0.0, 0.0);
         }
-        let p = preconditioner(&gram, 0.1);
+        let p = preconditioner(&hessian, 0.1);
         assert!((p[5][5] - MIN_DAMPING.sqrt().recip()).abs() < 1e-3);
         assert!(p.iter().flatten().all(|v| v.is_finite()));
     }

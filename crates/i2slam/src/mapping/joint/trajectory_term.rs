@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::mapping::frame_optimizer::adam;
 use crate::mapping::keyframe::{Keyframe, intervals};
 use crate::mapping::mapper::MappingContext;
-use crate::objective::{Evaluation, carried_to_middle};
+use crate::objective::{Evaluation, pull_back_to_middle};
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::Adam;
 use i2slam_formation::{
@@ -109,7 +109,7 @@ impl TrajectoryTerm {
                 true => (gradient.current, gradient.previous, gradient.log_exposure_current),
                 false => (gradient.previous, gradient.current, gradient.log_exposure_previous),
             };
-            let d_middle = carried_to_middle(middle, other, d_other.start.plus(d_other.end));
+            let d_middle = pull_back_to_middle(middle, other, d_other.start.plus(d_other.end));
             part.loss += loss.total();
             part.shutter = part.shutter.plus(d_own).plus(own.pull_back(0.5, d_middle));
             part.log_exposure += d_exposure;

@@ -1,47 +1,46 @@
-//! The exposure integral (eqs. 5 and 6) by one of two routes, forward and back.
+//! The exposure integral (eqs. 5 and 6) by one of two methods, with derivatives.
 //!
-//! | route | rendered | what repeats for every virtual camera |
+//! | method | rendered | repeated for every virtual camera |
 //! |---|---|---|
 //! | exact | every virtual camera | everything |
-//! | image | the map once, at mid-exposure, with a margin | a look-up by depth, the blend in a few tiles |
+//! | image | the map once, at mid-exposure, with a margin | re-projection by depth, the blend in a few tiles |
 
-mod exact;
-mod image;
 mod patches;
+mod reprojected;
 mod sampling;
 #[cfg(test)]
 mod tests;
 
-pub use sampling::{BlurRoute, Sampling};
+pub use sampling::{BlurMethod, Sampling, blur_length, blur_length_at, virtual_camera_count};
 
 use i2slam_formation::{CentreVelocity, ShutterPoses, ShutterTangent, VirtualCamera};
+use i2slam_formation::{accumulate, scale_into};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
 use i2slam_radiance::{Moment, RadianceMap, Render, RenderCotangent, ShutterMotion, View};
-use image::WideRender;
+use reprojected::MarginRender;
 use std::ops::Range;
 
-/// The camera's motion while the shutter is open, and how it is sampled.
+/// Motion of the camera during an exposure, and its sampling.
 #[derive(Clone, Copy, Debug)]
 pub struct Exposure {
     /// World-from-camera at shutter open and close.
     pub shutter: ShutterPoses<f64>,
-    /// How the average over it is computed.
+    /// Virtual cameras and blur method.
     pub sampling: Sampling,
-    /// Time in which the rows are read [exposures]; 0 for a global shutter. The shutter poses are
+    /// Time from the first row to the last [exposures]; 0 for a global shutter. The shutter poses are
     /// those of the middle row.
     pub readout: f64,
-    /// Where the camera was when the depth picture was taken, if that is known; otherwise depth
-    /// is compared at the virtual camera that fits best (eq. 14), or at mid-exposure on a route
-    /// that renders no other.
+    /// World-from-camera pose of the depth picture, if it is known; otherwise depth is compared at the
+    /// virtual camera that fits best (eq. 14), or at mid-exposure where no other is rendered.
     pub depth_pose: Option<Pose<f64>>,
 }
 
 impl Exposure {
-    /// One camera needs no route.
-    fn route(&self) -> BlurRoute {
-        match self.sampling.route {
-            _ if self.sampling.virtual_cameras <= 1 && self.readout == 0.0 => BlurRoute::Exact,
-            route => route.with_readout(self.readout),
+    /// The method used: a single camera is rendered exactly, a rolling shutter is re-projected.
+    fn method(&self) -> BlurMethod {
+        match self.sampling.method {
+            _ if self.sampling.virtual_cameras <= 1 && self.readout == 0.0 => BlurMethod::Exact,
+            method => method.supporting_readout(self.readout),
         }
     }
 
@@ -50,7 +49,7 @@ impl Exposure {
         self.shutter.each_virtual_camera(sampling.virtual_cameras, sampling.quadrature)
     }
 
-    /// The motion and moments for a map that renders motion.
+    /// The motion for maps that render motion.
     pub(super) fn motion(&self) -> ShutterMotion<f32> {
         let moment = |camera: VirtualCamera<f64>| Moment {
             time: (camera.u - 0.5) as f32,
@@ -64,11 +63,11 @@ impl Exposure {
     }
 }
 
-/// The cotangent of a pose that moves rigidly with `middle`, as a cotangent of `middle`.
+/// Pulls the cotangent of a pose that moves rigidly with `middle` back to `middle`.
 ///
 /// With `pose = middle ⊞ (λ, l)` and `E = Exp(l)`: `d.ρ = E d_pose.ρ`,
 /// `d.φ = E d_pose.φ + λ × E d_pose.ρ`.
-pub(crate) fn carried_to_middle(
+pub(crate) fn pull_back_to_middle(
     middle: Pose<f64>,
     pose: Pose<f64>,
     d_pose: Tangent<f64>,
@@ -80,14 +79,15 @@ pub(crate) fn carried_to_middle(
     Tangent { translation, rotation }
 }
 
-/// Renders exposures; owns every buffer that this takes.
+/// Renders exposures; owns the buffers.
 pub(super) struct ExposureRenderer<M: RadianceMap> {
     camera: Camera<f32>,
     settings: M::Settings,
     renderers: Vec<M::Renderer>,
     renders: Vec<Render>,
-    wide: WideRender,
+    margin_render: MarginRender,
     cotangent: RenderCotangent<f32>,
+    /// Renders whose depth may be compared, and the one at mid-exposure.
     depths: Range<usize>,
     middle: usize,
     /// Average radiance over the exposure, linear, three planes.
@@ -102,7 +102,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
             settings,
             renderers: Vec::new(),
             renders: Vec::new(),
-            wide: WideRender::new(),
+            margin_render: MarginRender::new(),
             cotangent: RenderCotangent {
                 radiance: Image::default(),
                 depth: none.clone(),
@@ -116,11 +116,11 @@ impl<M: RadianceMap> ExposureRenderer<M> {
 
     /// Radiance, depth and opacity seen from one pose.
     pub(super) fn render(&mut self, map: &M, pose: Pose<f64>) -> &Render {
-        self.still(map, 0, pose);
+        self.render_still(map, 0, pose);
         &self.renders[0]
     }
 
-    /// The renders of the last exposure whose depth may be compared.
+    /// Indices of the last exposure's renders whose depth may be compared.
     pub(super) fn depths(&self) -> Range<usize> {
         self.depths.clone()
     }
@@ -134,20 +134,20 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         &self.renders[self.middle].opacity
     }
 
-    /// Computes `hdr`, and the renders that depth is compared with.
+    /// Computes `hdr` and the renders whose depth is compared.
     pub(super) fn forward(&mut self, map: &M, exposure: &Exposure) {
-        let rendered = match exposure.route() {
-            BlurRoute::Exact => self.forward_exact(map, exposure),
-            BlurRoute::Image => self.forward_image(map, exposure),
+        let rendered = match exposure.method() {
+            BlurMethod::Exact => self.forward_exact(map, exposure),
+            BlurMethod::Image => self.forward_image(map, exposure),
         };
         if let Some(pose) = exposure.depth_pose {
-            self.still(map, rendered, pose);
+            self.render_still(map, rendered, pose);
             self.depths = rendered..rendered + 1;
         }
     }
 
-    /// From the cotangents of `hdr` and of the depth of render `depth` back to the shutter poses
-    /// (with the readout's own derivative) and, where asked for, to the map.
+    /// Pulls the cotangents of `hdr` and of the depth of render `depth` back to the shutter poses, the
+    /// readout and, if given, the map.
     pub(super) fn backward(
         &mut self,
         map: &M,
@@ -156,21 +156,57 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         (depth, d_depth): (usize, &mut Image<f32>),
         mut d_map: Option<&mut M::Gradient>,
     ) -> (ShutterTangent<f64>, f64) {
-        let (mut d_shutter, d_readout) = match exposure.route() {
-            BlurRoute::Exact => {
+        let (mut d_shutter, d_readout) = match exposure.method() {
+            BlurMethod::Exact => {
                 let depth = (depth, &mut *d_depth);
                 (self.backward_exact(map, exposure, d_hdr, depth, d_map.as_deref_mut()), 0.0)
             }
-            BlurRoute::Image => {
+            BlurMethod::Image => {
                 self.backward_image(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())
             }
         };
         if let Some(pose) = exposure.depth_pose {
             let d_pose = self.backward_depth(map, depth, pose, d_depth, d_map);
-            let d_middle = carried_to_middle(exposure.shutter.middle(), pose, d_pose);
+            let d_middle = pull_back_to_middle(exposure.shutter.middle(), pose, d_pose);
             d_shutter = d_shutter.plus(exposure.shutter.pull_back(0.5, d_middle));
         }
         (d_shutter, d_readout)
+    }
+
+    /// Averages one render per virtual camera; returns their number.
+    fn forward_exact(&mut self, map: &M, exposure: &Exposure) -> usize {
+        let cameras = exposure.cameras();
+        let count = cameras.len();
+        self.hdr.reset(self.camera.width, self.camera.height, 3);
+        for (j, camera) in cameras.enumerate() {
+            self.render_still(map, j, camera.world_from_camera);
+            accumulate(&mut self.hdr, camera.weight as f32, &self.renders[j].radiance);
+        }
+        (self.depths, self.middle) = (0..count, count / 2);
+        count
+    }
+
+    fn backward_exact(
+        &mut self,
+        map: &M,
+        exposure: &Exposure,
+        d_hdr: &Image<f32>,
+        (depth, d_depth): (usize, &mut Image<f32>),
+        mut d_map: Option<&mut M::Gradient>,
+    ) -> ShutterTangent<f64> {
+        let mut d_shutter = ShutterTangent::zero();
+        for (j, camera) in exposure.cameras().enumerate() {
+            let view = self.view(camera.world_from_camera);
+            // Blur is linear: every virtual camera receives the same cotangent times its weight.
+            scale_into(d_hdr, camera.weight as f32, &mut self.cotangent.radiance);
+            let d_pose = if j == depth {
+                self.with_depth(d_depth, |this| this.pull_back(map, j, &view, d_map.as_deref_mut()))
+            } else {
+                self.pull_back(map, j, &view, d_map.as_deref_mut())
+            };
+            d_shutter = d_shutter.plus(exposure.shutter.pull_back(camera.u, d_pose));
+        }
+        d_shutter
     }
 
     fn view(&self, pose: Pose<f64>) -> View<f32> {
@@ -184,13 +220,13 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         }
     }
 
-    fn still(&mut self, map: &M, index: usize, pose: Pose<f64>) {
+    fn render_still(&mut self, map: &M, index: usize, pose: Pose<f64>) {
         self.reserve(index + 1);
         let view = self.view(pose);
         map.render(&mut self.renderers[index], &view, &mut self.renders[index]);
     }
 
-    /// The pose cotangent of a render that only depth is compared with.
+    /// Pulls depth alone back to the pose of its render.
     fn backward_depth(
         &mut self,
         map: &M,

@@ -1,5 +1,5 @@
-//! Tiles whose blur one render cannot tell, because it hides what the motion uncovers: they are
-//! drawn from the map at every moment.
+//! Tiles whose blur cannot be re-projected from one render, because the motion uncovers what that hides:
+//! they are rendered from the map with its motion.
 
 use i2slam_formation::reproject;
 use i2slam_geometry::Image;
@@ -9,81 +9,82 @@ use std::ops::Range;
 
 const _: () = assert!(TILE == reproject::TILE, "both divide the picture alike");
 
-/// Uncovered share of a tile times its contrast from which a tile is drawn from the map.
-///
-/// On a map of a desk a blur of 4 to 10 px then wants 2 to 6 % of the tiles, and half of the energy
-/// of the error is gone.
-const WORTH: f32 = 0.033;
+/// Uncovered share of a tile times its contrast from which the tile is rendered. On a map of a desk, at a
+/// blur of 4 to 10 px, this selects 2 to 6 % of the tiles and removes half of the squared error.
+const MIN_UNCOVERED_CONTRAST: f32 = 0.033;
 
-/// The tiles of one exposure that are drawn from the map, and their share of its cotangent.
+/// The rendered tiles of one exposure, and their share of its cotangent.
 pub(super) struct Patches {
     width: usize,
     height: usize,
-    /// Tile by tile, row by row.
-    wanted: Vec<bool>,
-    /// Cotangent of the patches.
+    /// Whether each tile is rendered, row by row.
+    mask: Vec<bool>,
+    /// Cotangent of the rendered tiles.
     pub(super) cotangent: RenderCotangent<f32>,
-    /// Cotangent of what is not patched.
+    /// Cotangent of the other tiles.
     pub(super) rest: Image<f32>,
 }
 
 impl Patches {
-    pub(super) fn none() -> Self {
+    pub(super) fn empty() -> Self {
         let none = Image::default;
         let cotangent = RenderCotangent { radiance: none(), depth: none(), opacity: none() };
-        Self { width: 0, height: 0, wanted: Vec::new(), cotangent, rest: none() }
+        Self { width: 0, height: 0, mask: Vec::new(), cotangent, rest: none() }
     }
 
-    /// The tiles that are drawn, if there are any.
-    pub(super) fn wanted(&self) -> Option<&[bool]> {
-        self.wanted.contains(&true).then_some(&self.wanted)
+    /// The rendered tiles, if there are any.
+    pub(super) fn tile_mask(&self) -> Option<&[bool]> {
+        self.mask.contains(&true).then_some(&self.mask)
     }
 
-    /// Chooses among the tiles of `blurred`, of which the re-projection left `uncovered` shares to
-    /// guesses (none where it is empty). Guesses are wrong by about the contrast around, which is
-    /// the standard deviation of a tile over its mean: exposure is no part of it.
-    pub(super) fn choose(&mut self, uncovered: &[f32], blurred: &Image<f32>) {
+    /// Selects among the tiles of `blurred`, of each of which the re-projection filled the share
+    /// `uncovered` from the surroundings (nothing where that is empty). The filling is wrong by about
+    /// the contrast of the tile, its standard deviation over its mean.
+    pub(super) fn select(&mut self, uncovered: &[f32], blurred: &Image<f32>) {
         (self.width, self.height) = (blurred.width, blurred.height);
-        self.wanted.clear();
+        self.mask.clear();
         let columns = self.width.div_ceil(TILE).max(1);
-        self.wanted.extend(uncovered.iter().enumerate().map(|(number, &share)| {
-            share > 0.0 && share * contrast(blurred, number % columns, number / columns) > WORTH
+        self.mask.extend(uncovered.iter().enumerate().map(|(number, &share)| {
+            share > 0.0
+                && share * contrast(blurred, number % columns, number / columns)
+                    > MIN_UNCOVERED_CONTRAST
         }));
     }
 
-    /// Copies the patches of `drawn` into `blurred`.
-    pub(super) fn paste(&self, drawn: &Image<f32>, blurred: &mut Image<f32>) {
-        for part in self.parts() {
-            blurred.data[part.clone()].copy_from_slice(&drawn.data[part]);
+    /// Copies the selected tiles of `rendered` into `blurred`.
+    pub(super) fn paste(&self, rendered: &Image<f32>, blurred: &mut Image<f32>) {
+        for range in self.row_ranges() {
+            blurred.data[range.clone()].copy_from_slice(&rendered.data[range]);
         }
     }
 
-    /// Divides the cotangent of a patched picture.
-    pub(super) fn divide(&mut self, d_blurred: &Image<f32>) {
+    /// Splits the cotangent of a patched picture into [`cotangent`](Self::cotangent) and
+    /// [`rest`](Self::rest).
+    pub(super) fn split(&mut self, d_blurred: &Image<f32>) {
         self.rest.clone_from(d_blurred);
         let mut patches = std::mem::take(&mut self.cotangent.radiance);
         patches.reset(d_blurred.width, d_blurred.height, d_blurred.channels);
-        for part in self.parts() {
-            patches.data[part.clone()].copy_from_slice(&d_blurred.data[part.clone()]);
-            self.rest.data[part].fill(0.0);
+        for range in self.row_ranges() {
+            patches.data[range.clone()].copy_from_slice(&d_blurred.data[range.clone()]);
+            self.rest.data[range].fill(0.0);
         }
         self.cotangent.radiance = patches;
     }
 
-    /// Every row of every patch, in each of three planes.
-    fn parts(&self) -> Vec<Range<usize>> {
+    /// Index ranges of all rows of the selected tiles, in each of three planes.
+    fn row_ranges(&self) -> Vec<Range<usize>> {
         let (width, height) = (self.width, self.height);
         let columns = width.div_ceil(TILE).max(1);
-        let mut parts = Vec::new();
-        for number in (0..self.wanted.len()).filter(|&number| self.wanted[number]) {
+        let mut ranges = Vec::new();
+        for number in (0..self.mask.len()).filter(|&number| self.mask[number]) {
             let across = span(number % columns, width);
             for y in span(number / columns, height) {
                 for start in (0..3).map(|plane| (plane * height + y) * width) {
-                    parts.push(start + across.start..start + across.end);
+                    ranges.push(start + across.start..start + across.end);
                 }
             }
         }
-        parts
+        ranges
     }
 }
 
@@ -120,32 +121,32 @@ mod tests {
     }
 
     #[test]
-    fn what_is_uncovered_and_varies_is_wanted() {
-        let mut patches = Patches::none();
-        assert!(patches.wanted().is_none());
-        patches.choose(&[0.0, 0.4, 0.001, 0.0, 0.0, 0.4], &picture());
-        assert_eq!(patches.wanted(), Some(&[false, true, false, false, false, true][..]));
+    fn uncovered_tiles_with_contrast_are_selected() {
+        let mut patches = Patches::empty();
+        assert!(patches.tile_mask().is_none());
+        patches.select(&[0.0, 0.4, 0.001, 0.0, 0.0, 0.4], &picture());
+        assert_eq!(patches.tile_mask(), Some(&[false, true, false, false, false, true][..]));
         let mut brighter = picture();
         brighter.data.iter_mut().for_each(|v| *v *= 50.0);
-        let wanted = patches.wanted.clone();
-        patches.choose(&[0.0, 0.4, 0.001, 0.0, 0.0, 0.4], &brighter);
-        assert_eq!(patches.wanted, wanted);
+        let mask = patches.mask.clone();
+        patches.select(&[0.0, 0.4, 0.001, 0.0, 0.0, 0.4], &brighter);
+        assert_eq!(patches.mask, mask);
         let flat = Image { data: vec![0.7; 2400], ..picture() };
-        patches.choose(&[0.9; 6], &flat);
-        assert!(patches.wanted().is_none());
-        patches.choose(&[0.9; 6], &Image::new(40, 20, 3));
-        assert!(patches.wanted().is_none());
-        patches.choose(&[], &picture());
-        assert!(patches.wanted().is_none());
+        patches.select(&[0.9; 6], &flat);
+        assert!(patches.tile_mask().is_none());
+        patches.select(&[0.9; 6], &Image::new(40, 20, 3));
+        assert!(patches.tile_mask().is_none());
+        patches.select(&[], &picture());
+        assert!(patches.tile_mask().is_none());
     }
 
-    /// Every number goes one way, and patches are where their tiles are.
+    /// Every value goes to exactly one of the two ranges.
     #[test]
-    fn cotangents_are_divided_as_pictures_are_pasted() {
-        let mut patches = Patches::none();
-        patches.choose(&[0.0, 0.4, 0.0, 0.0, 0.0, 0.4], &picture());
+    fn cotangents_are_split_as_pictures_are_pasted() {
+        let mut patches = Patches::empty();
+        patches.select(&[0.0, 0.4, 0.0, 0.0, 0.0, 0.4], &picture());
         let d = Image { data: (1..2401).map(|i| i as f32).collect(), ..picture() };
-        patches.divide(&d);
+        patches.split(&d);
         let mut pasted = Image::new(40, 20, 3);
         patches.paste(&d, &mut pasted);
         assert_eq!(pasted.data, patches.cotangent.radiance.data);

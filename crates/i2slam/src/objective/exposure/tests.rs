@@ -52,7 +52,7 @@ fn smooth() -> RasterSettings {
 }
 
 /// A move to the right, and by the twelve numbers of `x`.
-fn moving(x: &[f64], route: BlurRoute, readout: f64) -> Exposure {
+fn moving(x: &[f64], method: BlurMethod, readout: f64) -> Exposure {
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
     let end = Tangent::from_array([0.6, 0.02, 0.03, 0.01, -0.02, 0.01]);
     let shutter = ShutterPoses {
@@ -60,7 +60,7 @@ fn moving(x: &[f64], route: BlurRoute, readout: f64) -> Exposure {
         end: Pose::identity().retract(end).retract(part(6)),
     };
     let sampling =
-        Sampling { virtual_cameras: 5, quadrature: Quadrature::Midpoints, route, margin: 16 };
+        Sampling { virtual_cameras: 5, quadrature: Quadrature::Midpoints, method, margin: 16 };
     Exposure { shutter, sampling, readout, depth_pose: None }
 }
 
@@ -70,8 +70,8 @@ fn renderer() -> ExposureRenderer<GaussianMap> {
 
 /// The tiles that are drawn.
 fn patches(renderer: &ExposureRenderer<GaussianMap>) -> Vec<usize> {
-    let wanted = renderer.wide.patches.wanted().unwrap_or_default();
-    (0..wanted.len()).filter(|&number| wanted[number]).collect()
+    let mask = renderer.margin_render.patches.tile_mask().unwrap_or_default();
+    (0..mask.len()).filter(|&number| mask[number]).collect()
 }
 
 /// The tile of a number of three planes.
@@ -83,13 +83,17 @@ fn tile(i: usize) -> usize {
 #[test]
 fn only_what_is_uncovered_is_drawn() {
     let mut image = renderer();
-    image.forward(&map(false), &moving(&[0.0; 12], BlurRoute::Image, 0.0));
+    image.forward(&map(false), &moving(&[0.0; 12], BlurMethod::Image, 0.0));
     assert!(patches(&image).is_empty());
-    image.forward(&map(true), &moving(&[0.0; 12], BlurRoute::Image, 0.0));
+    image.forward(&map(true), &moving(&[0.0; 12], BlurMethod::Image, 0.0));
     let chosen = patches(&image);
-    assert!(chosen.contains(&0), "{chosen:?} of {:?}", image.wide.reprojection.uncovered());
+    assert!(
+        chosen.contains(&0),
+        "{chosen:?} of {:?}",
+        image.margin_render.reprojection.uncovered()
+    );
     assert!(!chosen.contains(&2) && !chosen.contains(&5), "{chosen:?}");
-    let exposure = moving(&[0.0; 12], BlurRoute::Image, 0.0);
+    let exposure = moving(&[0.0; 12], BlurMethod::Image, 0.0);
     let (view, motion) = (image.view(exposure.shutter.middle()), exposure.motion());
     let mut whole = Render::default();
     Rasterizer::new(smooth()).render_moving(&map(true), &view, &motion, None, &mut whole);
@@ -104,19 +108,19 @@ fn only_what_is_uncovered_is_drawn() {
 /// The edge of the board uncovers wall that one render hides.
 #[test]
 fn patches_come_closer_to_the_exact_exposure() {
-    let with = |route, virtual_cameras| {
-        let mut exposure = moving(&[0.0; 12], route, 0.0);
+    let with = |method, virtual_cameras| {
+        let mut exposure = moving(&[0.0; 12], method, 0.0);
         exposure.sampling.virtual_cameras = virtual_cameras;
         let mut renderer = renderer();
         renderer.forward(&map(true), &exposure);
         renderer
     };
-    let (exact, mut image) = (with(BlurRoute::Exact, 64), with(BlurRoute::Image, 15));
+    let (exact, mut image) = (with(BlurMethod::Exact, 64), with(BlurMethod::Image, 15));
     let chosen = patches(&image);
     assert!(!chosen.is_empty());
     let mut without = image.hdr.clone();
-    let Exposure { shutter, sampling, .. } = moving(&[0.0; 12], BlurRoute::Image, 0.0);
-    let WideRender { reprojection, render, surface, .. } = &mut image.wide;
+    let Exposure { shutter, sampling, .. } = moving(&[0.0; 12], BlurMethod::Image, 0.0);
+    let MarginRender { reprojection, render, surface, .. } = &mut image.margin_render;
     let (radiance, how) = (&render.radiance, sampling.quadrature);
     reprojection.blur(&CAMERA, &shutter, 0.0, 15, how, radiance, surface, &mut without);
     let error = |hdr: &Image<f32>| -> f32 {
@@ -135,7 +139,8 @@ fn patches_come_closer_to_the_exact_exposure() {
 #[test]
 fn patches_pull_back_to_poses_readout_and_map() {
     for readout in [0.0, 0.4] {
-        let (map, exposure) = (map(true), |x: &[f64]| moving(x, BlurRoute::Image, readout + x[12]));
+        let (map, exposure) =
+            (map(true), |x: &[f64]| moving(x, BlurMethod::Image, readout + x[12]));
         let mut renderer = renderer();
         renderer.forward(&map, &exposure(&[0.0; 13]));
         let chosen = patches(&renderer);

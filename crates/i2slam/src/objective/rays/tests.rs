@@ -1,7 +1,7 @@
-//! The chain from a field to the loss of a batch, against differences.
+//! Derivatives of the objective against differences, and the rays of a batch.
 
 use super::*;
-use crate::objective::{BlurRoute, Exposure, Sampling};
+use crate::objective::{BlurMethod, Exposure, Sampling, Tone};
 use i2slam_check::{central_differences, noise, relative_error};
 use i2slam_formation::{
     CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve,
@@ -47,7 +47,7 @@ fn observation() -> Observation {
     Observation::new(colour, depth)
 }
 
-/// What depth is compared with.
+/// Kind of depth observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Depth {
     Measured,
@@ -110,11 +110,11 @@ fn evaluated(
     let sampling = Sampling {
         virtual_cameras: cameras,
         quadrature: Quadrature::Midpoints,
-        route: BlurRoute::Exact,
+        method: BlurMethod::Exact,
         margin: 0,
     };
     let observation = depth.observation();
-    let view = |shutter: ShutterPoses<f64>, frame| RayView {
+    let view = |shutter: ShutterPoses<f64>, frame| PixelBatch {
         observation: &observation,
         variables: FrameVariables {
             exposure: Exposure {
@@ -131,9 +131,9 @@ fn evaluated(
         [view(shutter, frame), view(ShutterPoses::still(Pose::identity()), FrameTone::default())];
     let mut objective = RayObjective::new(CAMERA, map.march);
     let found = objective.map(map, &views, (0.5, 1.0), true, &mut Random::new(3), d_field);
-    let (part, stride) = (objective.parts[0].clone(), views[0].rays_per_pixel());
+    let (range, stride) = (objective.ranges[0].clone(), views[0].rays_per_pixel());
     let of_ray = |ray| objective.ray_to_shutter(&views[0], pixels()[ray / stride], ray).to_array();
-    let by_ray = part.map(of_ray).collect();
+    let by_ray = range.map(of_ray).collect();
     (found, objective, by_ray)
 }
 
@@ -151,19 +151,19 @@ fn total(evaluations: &[Evaluation]) -> f64 {
     evaluations.iter().map(|e| e.total).sum()
 }
 
-/// What each ray of the first view shows in `f64`, times its cotangents, were start and end pose
-/// moved by `x`: the derivative of their sum is that of the loss.
+/// Radiance and depth of each ray of the first view in `f64`, times its cotangents, with start and end
+/// pose moved by `x`: the derivative of their sum is that of the loss.
 fn first_view(objective: &RayObjective, map: &HashGridMap, x: &[f64], depth: Depth) -> Vec<f64> {
     let (field, moved, pixels) = (map.field.cast::<f64>(), shutter(x), pixels());
     let camera = CAMERA.cast::<f64>();
-    let part = objective.parts[0].clone();
-    let stride = part.len() / pixels.len();
+    let range = objective.ranges[0].clone();
+    let stride = range.len() / pixels.len();
     let value = |ray: usize| {
-        let pixel = pixels[(ray - part.start) / stride];
-        let pose = match objective.moments[ray] {
-            Moment::Exposure(u) => moved.at(u),
-            Moment::Depth if depth == Depth::Beside => beside(&moved),
-            Moment::Depth => moved.middle(),
+        let pixel = pixels[(ray - range.start) / stride];
+        let pose = match objective.times[ray] {
+            RayTime::Exposure(u) => moved.at(u),
+            RayTime::Depth if depth == Depth::Beside => beside(&moved),
+            RayTime::Depth => moved.middle(),
         };
         let drawn = &objective.rays[ray];
         let samples = map.occupancy.samples(&map.field, &map.march, drawn);
@@ -176,7 +176,7 @@ fn first_view(objective: &RayObjective, map: &HashGridMap, x: &[f64], depth: Dep
         let colour: f64 = (0..3).map(|c| f64::from(d.radiance[c]) * shown.radiance[c]).sum();
         colour + f64::from(d.depth) * shown.depth
     };
-    part.clone().map(value).collect()
+    range.clone().map(value).collect()
 }
 
 /// Ray by ray, because much of what a pose changes cancels over a view.
@@ -249,7 +249,7 @@ fn the_gradient_of_the_field_agrees_with_differences() {
     assert!(error < 2e-2, "{error}");
 }
 
-/// Many random moments average to what the exposure integral is.
+/// Many random times average to what the exposure integral is.
 #[test]
 fn random_moments_average_to_the_exposure() {
     let map = map();
@@ -259,7 +259,7 @@ fn random_moments_average_to_the_exposure() {
     let sampling = |virtual_cameras| Sampling {
         virtual_cameras,
         quadrature: Quadrature::Midpoints,
-        route: BlurRoute::Exact,
+        method: BlurMethod::Exact,
         margin: 0,
     };
     let mut mean = |cameras: usize, seeds: u64| {
@@ -270,7 +270,7 @@ fn random_moments_average_to_the_exposure() {
             depth_pose: None,
         };
         let variables = FrameVariables { exposure, tone: None };
-        let view = [RayView { observation: &observation, variables, pixels: vec![70, 101] }];
+        let view = [PixelBatch { observation: &observation, variables, pixels: vec![70, 101] }];
         let mut sum = [0.0_f64; 6];
         for seed in 0..seeds {
             let mut d_field = FieldGradient::zeros(&map.field);
@@ -285,25 +285,25 @@ fn random_moments_average_to_the_exposure() {
     assert!(error(&few) < 0.2 * error(&still), "{} {}", error(&few), error(&still));
 }
 
-/// Moments are evenly spaced without jitter, and within their share of each part with it.
+/// Moments are evenly spaced without jitter, and within their share of each range with it.
 #[test]
 fn moments_keep_to_their_share() {
     let map = map();
     let observation = observation();
-    let sampling = Sampling { virtual_cameras: 4, ..Sampling::SHARP };
+    let sampling = Sampling { virtual_cameras: 4, ..Sampling::SINGLE_CAMERA };
     let shutter = ShutterPoses::still(Pose::identity());
     let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
     let variables = FrameVariables { exposure, tone: None };
-    let view = [RayView { observation: &observation, variables, pixels: pixels() }];
+    let view = [PixelBatch { observation: &observation, variables, pixels: pixels() }];
     let farthest = |share: f32| {
         let mut objective = RayObjective::new(CAMERA, map.march);
         objective.set_moment_jitter(share);
-        objective.draw(&view, &mut Random::new(3));
-        let off_the_middle = |moment: &Moment| match moment {
-            Moment::Exposure(u) => Some(((4.0 * u).fract() - 0.5).abs()),
-            Moment::Depth => None,
+        objective.create_rays(&view, &mut Random::new(3));
+        let off_the_middle = |time: &RayTime| match time {
+            RayTime::Exposure(u) => Some(((4.0 * u).fract() - 0.5).abs()),
+            RayTime::Depth => None,
         };
-        objective.moments.iter().filter_map(off_the_middle).fold(0.0, f64::max)
+        objective.times.iter().filter_map(off_the_middle).fold(0.0, f64::max)
     };
     assert!(farthest(0.0) < 1e-12);
     let (half, whole) = (farthest(0.5), farthest(1.0));
@@ -312,7 +312,7 @@ fn moments_keep_to_their_share() {
 
 /// `JᵀJ` of all colour values against differences of the formed picture.
 #[test]
-fn the_gram_matrix_agrees_with_differences() {
+fn the_shutter_hessian_agrees_with_differences() {
     let map = map();
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
     let observation = observation();
@@ -320,9 +320,9 @@ fn the_gram_matrix_agrees_with_differences() {
     let still = ShutterPoses { start: Pose::identity(), end };
     let view = |x: &[f64]| {
         let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
-        let sampling = Sampling { virtual_cameras: 3, ..Sampling::SHARP };
+        let sampling = Sampling { virtual_cameras: 3, ..Sampling::SINGLE_CAMERA };
         let shutter = still.retract(&step);
-        RayView {
+        PixelBatch {
             observation: &observation,
             variables: FrameVariables {
                 exposure: Exposure { shutter, sampling, readout: 0.0, depth_pose: None },
@@ -332,7 +332,7 @@ fn the_gram_matrix_agrees_with_differences() {
         }
     };
     let mut objective = RayObjective::new(CAMERA, map.march);
-    let gram = objective.gram(&map, &view(&[0.0; 12]), &mut Random::new(3));
+    let hessian = objective.shutter_hessian(&map, &view(&[0.0; 12]), &mut Random::new(3));
     let mut picture = |x: &[f64]| -> Vec<f64> {
         let mut d_field = FieldGradient::zeros(&map.field);
         let mut random = Random::new(3);
@@ -351,52 +351,52 @@ fn the_gram_matrix_agrees_with_differences() {
     let numeric: Vec<f64> = (0..144)
         .map(|i| dot(&columns[i / 12], &columns[i % 12]) / columns[0].len() as f64)
         .collect();
-    let error = relative_error(&gram.concat(), &numeric);
+    let error = relative_error(&hessian.concat(), &numeric);
     assert!(error < 0.1, "{error}");
 }
 
-/// All rays through an empty field are unmet, none through a dense one.
+/// All rays through an empty field, none through a dense one.
 #[test]
-fn rays_that_meet_little_are_told() {
+fn rays_of_low_opacity_are_listed() {
     let observation = observation();
     let exposure = Exposure {
         shutter: ShutterPoses::still(Pose::identity()),
-        sampling: Sampling { virtual_cameras: 3, ..Sampling::SHARP },
+        sampling: Sampling { virtual_cameras: 3, ..Sampling::SINGLE_CAMERA },
         readout: 0.0,
         depth_pose: None,
     };
     let variables = FrameVariables { exposure, tone: None };
-    let view = [RayView { observation: &observation, variables, pixels: vec![70, 101] }];
-    let unmet = |map: &HashGridMap| {
+    let view = [PixelBatch { observation: &observation, variables, pixels: vec![70, 101] }];
+    let low_opacity_rays = |map: &HashGridMap| {
         let mut objective = RayObjective::new(CAMERA, map.march);
         let mut d_field = FieldGradient::zeros(&map.field);
         objective.map(map, &view, (1.0, 0.0), false, &mut Random::new(3), &mut d_field);
-        objective.unmet().count()
+        objective.low_opacity_rays().count()
     };
     let dense = map();
     let settings = *dense.occupancy.settings();
     let empty = HashGridMap { occupancy: Occupancy::empty(settings), ..dense.clone() };
     let rays = 2 * view[0].rays_per_pixel();
-    assert_eq!((unmet(&dense), unmet(&empty)), (0, rays));
+    assert_eq!((low_opacity_rays(&dense), low_opacity_rays(&empty)), (0, rays));
 }
 
 #[test]
-fn rays_tell_how_deep_a_view_is() {
+fn median_depth_and_samples_are_of_the_last_batch() {
     let map = map();
     let observation = observation();
     let exposure = Exposure {
         shutter: ShutterPoses::still(Pose::identity()),
-        sampling: Sampling::SHARP,
+        sampling: Sampling::SINGLE_CAMERA,
         readout: 0.0,
         depth_pose: None,
     };
     let variables = FrameVariables { exposure, tone: None };
-    let view = [RayView { observation: &observation, variables, pixels: vec![70, 101, 120] }];
+    let view = [PixelBatch { observation: &observation, variables, pixels: vec![70, 101, 120] }];
     let mut objective = RayObjective::new(CAMERA, map.march);
-    assert_eq!((objective.seen_depth(0), objective.samples_per_pixel()), (None, None));
+    assert_eq!((objective.median_depth(0), objective.samples_per_pixel()), (None, None));
     let mut d_field = FieldGradient::zeros(&map.field);
     objective.map(&map, &view, (1.0, 0.0), false, &mut Random::new(1), &mut d_field);
-    let depth = objective.seen_depth(0).expect("a dense field");
+    let depth = objective.median_depth(0).expect("a dense field");
     assert!(depth > 0.05 && depth < 2.5, "{depth}");
     let each = objective.samples_per_pixel().expect("samples");
     assert_eq!((3.0 * each).round() as usize, objective.renderer.samples());

@@ -1,0 +1,156 @@
+//! Image and depth terms of the objective (eqs. 12 to 14) with their derivatives.
+
+use super::Observation;
+use super::ssim::{Ssim, SsimReference};
+use i2slam_geometry::{Image, Real};
+use rayon::prelude::*;
+
+/// `weight` times the mean over pixels and channels of `(1 - share) |C - Ĉ| + share (1 - SSIM)`, and the
+/// mean of `|C - Ĉ|` alone. Writes the derivative of the first to `d_picture`.
+pub(crate) fn image_loss<T: Real>(
+    picture: &Image<T>,
+    observed: &Image<T>,
+    reference: &SsimReference<T>,
+    share: f32,
+    weight: f32,
+    ssim: &mut Ssim<T>,
+    d_picture: &mut Image<T>,
+) -> (f64, f64) {
+    d_picture.reset(picture.width, picture.height, picture.channels);
+    let count = picture.data.len() as f64;
+    let (share, weight) = (f64::from(share), f64::from(weight));
+    let scale = T::of(weight * (1.0 - share) / count);
+    let l1 = absolute_difference(&picture.data, &observed.data, scale, &mut d_picture.data) / count;
+    let mut dissimilarity = 0.0;
+    if share > 0.0 {
+        let (scale, gradient) = (T::of(-weight * share / count), &mut d_picture.data);
+        let sum = ssim.pull_back(picture, observed, reference, scale, gradient);
+        dissimilarity = (count - sum) / count;
+    }
+    (weight * ((1.0 - share) * l1 + share * dissimilarity), l1)
+}
+
+/// Parts of the sum of absolute differences; fixed, so that the sum does not depend on the number of
+/// threads.
+const PARTS: usize = 8;
+
+/// `Σ |x - y|`; adds `scale · sign(x - y)` to the gradient.
+fn absolute_difference<T: Real>(x: &[T], y: &[T], scale: T, gradient: &mut [T]) -> f64 {
+    let part = x.len().div_ceil(PARTS).max(1);
+    let mut sums = [0.0; PARTS];
+    let work = x.par_chunks(part).zip(y.par_chunks(part)).zip(gradient.par_chunks_mut(part));
+    work.zip(&mut sums).for_each(|(((x, y), gradient), sum)| {
+        for ((&x, &y), g) in x.iter().zip(y).zip(gradient) {
+            let d = x - y;
+            *sum += d.abs().to_f64();
+            if d != T::zero() {
+                *g += scale * d.signum();
+            }
+        }
+    });
+    sums.iter().sum()
+}
+
+/// `Σ w |d - d̂|` over the pixels of `mask`, weighted by [`Observation::depth_weight`] (eq. 14).
+pub(super) fn depth_error(rendered: &Image<f32>, observation: &Observation, mask: &[bool]) -> f64 {
+    let width = rendered.width.max(1);
+    let rows = rendered.data.par_chunks(width).zip(observation.depth.data.par_chunks(width));
+    let sums: Vec<f64> = rows
+        .zip(mask.par_chunks(width))
+        .enumerate()
+        .map(|(row, ((r, o), m))| {
+            let pixels = r.iter().zip(o).zip(m).enumerate().filter(|(_, (_, m))| **m);
+            let weight = |column: usize| f64::from(observation.depth_weight(row * width + column));
+            pixels.map(|(c, ((r, o), _))| weight(c) * f64::from((r - o).abs())).sum()
+        })
+        .collect();
+    sums.iter().sum()
+}
+
+/// Writes the derivative of `weight` times [`depth_error`] to `d_depth`.
+pub(super) fn depth_gradient(
+    rendered: &Image<f32>,
+    observation: &Observation,
+    mask: &[bool],
+    weight: f32,
+    d_depth: &mut Image<f32>,
+) {
+    d_depth.reset(rendered.width, rendered.height, 1);
+    for (i, g) in d_depth.data.iter_mut().enumerate() {
+        let difference = rendered.data[i] - observation.depth.data[i];
+        if mask[i] && difference != 0.0 {
+            *g = (weight * observation.depth_weight(i)).copysign(difference);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::assert_gradient;
+
+    fn picture(seed: u64) -> Image<f64> {
+        let data = i2slam_check::noise(seed, 16 * 14 * 3);
+        let data = data.iter().map(|v| 0.5 + 0.4 * v).collect();
+        Image { width: 16, height: 14, channels: 3, data }
+    }
+
+    fn loss(x: &Image<f64>, y: &Image<f64>, share: f32) -> (f64, Image<f64>) {
+        let mut gradient = Image::default();
+        let value = image_loss(
+            x,
+            y,
+            &SsimReference::new(y),
+            share,
+            0.5,
+            &mut Ssim::default(),
+            &mut gradient,
+        )
+        .0;
+        (value, gradient)
+    }
+
+    #[test]
+    fn equal_pictures_have_no_loss() {
+        assert!(loss(&picture(1), &picture(1), 0.2).0.abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_derivative_agrees_with_differences() {
+        let (x, y) = (picture(1), picture(2));
+        for share in [0.0, 0.2, 1.0] {
+            let gradient = loss(&x, &y, share).1;
+            assert_gradient("image loss", &x.data, &gradient.data, 1e-5, 1e-6, |data| {
+                loss(&Image { data: data.to_vec(), ..x.clone() }, &y, share).0
+            });
+        }
+    }
+
+    fn row(data: [f32; 3]) -> Image<f32> {
+        Image { width: 3, height: 1, channels: 1, data: data.to_vec() }
+    }
+
+    #[test]
+    fn depth_counts_only_masked_pixels() {
+        let observation = Observation::new(Image::new(3, 1, 3), row([1.5, 0.0, 2.0]));
+        let rendered = row([1.0, 2.0, 3.0]);
+        let mask = [true, false, true];
+        assert!((depth_error(&rendered, &observation, &mask) - 1.5).abs() < 1e-6);
+        let mut d = Image::default();
+        depth_gradient(&rendered, &observation, &mask, 2.0, &mut d);
+        assert_eq!(d.data, vec![-2.0, 0.0, 2.0]);
+    }
+
+    /// Deviations of 1 and 4 hundredths of the depth: full weight, and a quarter.
+    #[test]
+    fn estimated_depth_counts_by_its_deviation() {
+        let variance = row([1e-4, 1.0, 6.4e-3]);
+        let depth = row([1.0, 0.0, 2.0]);
+        let observation = Observation::estimated(Image::new(3, 1, 3), depth, variance);
+        let (rendered, mask) = (row([2.0, 1.0, 4.0]), [true, false, true]);
+        assert!((depth_error(&rendered, &observation, &mask) - 1.5).abs() < 1e-5);
+        let mut d = Image::default();
+        depth_gradient(&rendered, &observation, &mask, 2.0, &mut d);
+        assert!((d.data[0] - 2.0).abs() < 1e-5 && (d.data[2] - 0.5).abs() < 1e-5);
+    }
+}
