@@ -1,4 +1,4 @@
-//! Keyframes read from the files of another program.
+//! Keyframes from files of other programs.
 
 use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_dataset::DatasetError;
@@ -10,15 +10,15 @@ pub use i2slam_dataset::import::{
     Depth as ImportDepth, Kind as ImportKind, Options as ImportOptions,
 };
 
-/// Keyframes of files, one after the other.
+/// Source of the keyframes in files of another program.
 #[derive(Clone, Debug)]
 pub struct Import {
     files: Files,
     next: usize,
 }
 
-/// Opens keyframes of any [kind](ImportKind), recognised by its files, with the pictures of a
-/// sequence; `None`: those beside the poses, or in the same file.
+/// Opens keyframes of any [kind](ImportKind), recognised by its files, with the `pictures` of a
+/// sequence; `None`: those next to the poses, or in the same file.
 ///
 /// # Errors
 ///
@@ -32,12 +32,12 @@ pub fn import(
 }
 
 impl Import {
-    /// What was opened: kind, camera, poses, what was left out, warnings.
+    /// The opened files: kind, camera, poses, omissions, warnings.
     pub fn files(&self) -> &Files {
         &self.files
     }
 
-    /// Number of keyframes, read or not.
+    /// Number of keyframes in total.
     pub fn len(&self) -> usize {
         self.files.len()
     }

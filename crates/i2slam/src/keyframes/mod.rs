@@ -1,4 +1,4 @@
-//! Keyframes that come with poses: what a monocular front end delivers, and what files of one hold.
+//! Sources of keyframes with poses: the monocular front end, and files of other programs.
 
 mod import;
 mod monocular;
@@ -18,28 +18,27 @@ use i2slam_geometry::{Camera, Image, Pose};
 use std::error::Error;
 use std::sync::Arc;
 
-/// What goes wrong with a picture, whatever it is.
+/// Any error of reading a picture.
 pub type PictureError = Box<dyn Error + Send + Sync>;
 
-/// A picture that a front end has found a place for.
+/// A picture with its pose.
 ///
-/// Poses and depths share a unit of length, which is the metre only if the front end knows it.
+/// Poses and depths share a unit of length, which need not be the metre.
 #[derive(Clone, Debug)]
 pub struct PosedKeyframe {
-    /// Place of the picture in its sequence.
+    /// Position of the picture in its sequence.
     pub index: usize,
-    /// Time stamp of the picture [s].
+    /// Time stamp [s].
     pub timestamp: f64,
-    /// The picture, R, G, B in [0, 1], as [`KeyframeSource::camera`] sees it.
+    /// Three planes R, G, B in [0, 1], of [`KeyframeSource::camera`].
     pub colour: Arc<Image<f32>>,
-    /// Pose at the middle of the exposure; of files, that of the nearest stamp in them.
+    /// Pose at mid-exposure; from files, that of the nearest time stamp.
     pub world_from_camera: Pose<f64>,
-    /// Stamp and pose of the picture before it in the video, where known: how fast the camera
-    /// moves.
+    /// Time stamp [s] and pose of the video frame before it, where known.
     pub before: Option<(f64, Pose<f64>)>,
-    /// The same of the picture after it.
+    /// Time stamp [s] and pose of the video frame after it, where known.
     pub after: Option<(f64, Pose<f64>)>,
-    /// What is known of its depth.
+    /// Estimated depth, where known.
     pub depth: Option<EstimatedDepth>,
 }
 
@@ -52,23 +51,22 @@ impl PosedKeyframe {
     }
 }
 
-/// Depth along the optical axis that was estimated rather than measured, with how far it is
-/// trusted.
+/// Estimated depth along the optical axis with its variance.
 #[derive(Clone, Debug)]
 pub struct EstimatedDepth {
-    /// Depth in the unit of the poses, 0 where there is none; as large as the picture.
+    /// Depth in the unit of the poses, 0 where unknown; of the picture's size.
     pub depth: Image<f32>,
-    /// Its variance, in that unit squared (Rosinol et al. 2023, eq. 3); `None`: all alike.
+    /// Variance in that unit squared (Rosinol et al. 2023, eq. 3); `None`: treated as measured.
     pub variance: Option<Image<f32>>,
 }
 
-/// Where keyframes come from, one after the other in the order of their stamps.
+/// Delivers keyframes in the order of their time stamps.
 pub trait KeyframeSource {
     /// Pinhole camera of all pictures and depths.
     fn camera(&self) -> &Camera<f64>;
 
-    /// Time from the first to the last row of the pictures [s], positive if the top row comes
-    /// first; 0 where rows are exposed together, or nothing is known. Poses are of the middle row.
+    /// Time from the first to the last row of the pictures [s], positive if the top row comes first;
+    /// 0 for a global shutter or if unknown. Poses are of the middle row.
     fn readout(&self) -> f64 {
         0.0
     }
@@ -77,6 +75,6 @@ pub trait KeyframeSource {
     ///
     /// # Errors
     ///
-    /// A keyframe that cannot be read; the next call goes on after it.
+    /// A keyframe that cannot be read; the next call continues after it.
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>>;
 }

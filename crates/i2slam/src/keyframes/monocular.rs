@@ -1,7 +1,7 @@
-//! Keyframes that our own monocular front end finds poses for, from the pictures alone.
+//! Keyframes posed by the monocular front end, from pictures alone.
 
-use super::picture_reader::Reader;
-use super::row_rectification::RowMotion;
+use super::picture_reader::PictureReader;
+use super::row_rectification::ReadoutMotion;
 use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
@@ -17,30 +17,30 @@ pub use i2slam_odometry::{
     Reconstruction as OdometryReconstruction, Stage, Warning as OdometryWarning,
 };
 
-/// Median depth of the landmarks in the unit of length that is delivered: about that of a room in
-/// metres, for which the settings of maps are made.
-const MEDIAN_DEPTH: f64 = 2.0;
+/// Median landmark depth in the delivered unit of length: that of a room in metres, for which the
+/// settings of maps are made.
+const DELIVERED_MEDIAN_DEPTH: f64 = 2.0;
 
-/// A depth counts if its standard deviation is at most this share of it.
-const TRUSTED: f64 = 0.3;
+/// Largest relative standard deviation of a delivered landmark depth.
+const MAX_DEVIATION: f64 = 0.3;
 
-/// Factor of the deviations that are delivered: the depth loss is a mean over the few pixels that
-/// have a depth, which would outweigh the picture.
-const SPARSE: f64 = 10.0;
+/// Factor on delivered deviations: the depth loss is a mean over the few pixels with depth, which
+/// would outweigh the picture.
+const SPARSE_DEVIATION_FACTOR: f64 = 10.0;
 
-/// Least standard deviation of a depth as a share of it: that of the landmarks leaves the poses
-/// out, and a pixel shows more than a point.
+/// Least relative standard deviation of a delivered landmark depth: the landmark's own neglects pose
+/// errors and that a pixel covers more than a point.
 const MIN_DEVIATION: f64 = 0.1;
 
-/// Why there are no keyframes.
+/// Failure to find the camera path.
 #[derive(Debug, Error)]
 pub enum MonocularError {
-    /// No path of the camera was found.
+    /// No camera path was found.
     #[error("{failure}{}", first_refusal(.refused))]
     NoPath {
-        /// Why.
+        /// Reason.
         failure: OdometryError,
-        /// Pictures that could not be used: place in the sequence, reason.
+        /// Unusable pictures: position in the sequence, reason.
         refused: Vec<(usize, PictureError)>,
     },
 }
@@ -51,22 +51,21 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
     })
 }
 
-/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]; the unit of length is arbitrary,
-/// half the median depth of the landmarks.
+/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]. Unit of length: half the median
+/// landmark depth.
 pub struct MonocularSource<L> {
     reconstruction: Reconstruction,
     dense: Option<DenseDepthEstimator>,
-    reader: Reader<L>,
-    /// Place in the sequence of every picture that the front end accepted.
-    places: Vec<usize>,
+    reader: PictureReader<L>,
+    /// Position in the sequence of every picture that the front end accepted.
+    positions: Vec<usize>,
     refused: Vec<(usize, PictureError)>,
     next: usize,
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
-    /// Looks for the path of the camera through `count` pictures. `load` gives the picture at a
-    /// place; it is asked for all of them in order, and then for those of the keyframes again, in
-    /// order. `progress` is told how far it is, and may end it.
+    /// Finds the camera path through `count` pictures. `load` reads the picture at a position: all in
+    /// order, then those of the keyframes again in order. `progress` reports and may cancel.
     ///
     /// # Errors
     ///
@@ -79,22 +78,22 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         progress: &OdometryProgress,
     ) -> Result<Self, MonocularError> {
         let mut front_end = FrontEnd::new(intrinsics);
-        let (mut places, mut refused, mut keyframes) = (Vec::new(), Vec::new(), 0);
-        for place in 0..count {
+        let (mut positions, mut refused, mut keyframes) = (Vec::new(), Vec::new(), 0);
+        for position in 0..count {
             if progress.is_cancelled() {
                 break;
             }
-            let pushed = load(place).and_then(|picture| {
+            let pushed = load(position).and_then(|picture| {
                 front_end.push(&picture.colour, picture.timestamp).map_err(PictureError::from)
             });
             match pushed {
                 Ok(report) => {
-                    places.push(place);
+                    positions.push(position);
                     keyframes += usize::from(report.is_keyframe);
                 }
-                Err(why) => refused.push((place, why)),
+                Err(why) => refused.push((position, why)),
             }
-            progress.report(Stage::Tracking { keyframes }, place + 1, count);
+            progress.report(Stage::Tracking { keyframes }, position + 1, count);
         }
         let found = match progress.is_cancelled() {
             true => Err(OdometryError::Cancelled),
@@ -102,29 +101,28 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         };
         match found {
             Ok(reconstruction) => {
-                let reader = Reader::new(places_of(&reconstruction, &places), load);
-                Ok(Self { reconstruction, dense: None, reader, places, refused, next: 0 })
+                let reader =
+                    PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
+                Ok(Self { reconstruction, dense: None, reader, positions, refused, next: 0 })
             }
             Err(failure) => Err(MonocularError::NoPath { failure, refused }),
         }
     }
 
-    /// The same with other pictures of the same places, of `size` [px]: the front end gains by
-    /// larger ones than a map is made of. Of a lens that was found, those that are freed of it, as
-    /// the camera and the landmarks are.
+    /// Replaces the pictures by those of another size [px] without lens distortion, as camera and
+    /// landmarks are. The front end gains from larger pictures than mapping uses.
     #[must_use]
     pub fn with_pictures<R>(self, (width, height): (usize, usize), load: R) -> MonocularSource<R>
     where
         R: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let Self { reconstruction, dense, places, refused, next, .. } = self;
+        let Self { reconstruction, dense, positions, refused, next, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
-        let reader = Reader::new(places_of(&reconstruction, &places), load);
-        MonocularSource { reconstruction, dense, reader, places, refused, next }
+        let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
+        MonocularSource { reconstruction, dense, reader, positions, refused, next }
     }
 
-    /// The same with the depth of most pixels of a keyframe, in place of that of its landmarks
-    /// alone, until `cancellation` is cancelled.
+    /// Delivers dense depth instead of landmarks alone, until `cancellation` is cancelled.
     #[must_use]
     pub fn with_dense_depth(mut self, cancellation: CancellationToken) -> Self {
         let view = |keyframe: &Keyframe| PosedView {
@@ -139,9 +137,9 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
-    /// The frames that have a pose and are no keyframes, in order, without depth; `load` gives the
-    /// picture at a place.
-    pub fn between<R: FnMut(usize) -> Result<Frame, PictureError>>(
+    /// Posed frames that are no keyframes, in order, without depth; `load` reads the picture at a
+    /// position.
+    pub fn non_keyframes<R: FnMut(usize) -> Result<Frame, PictureError>>(
         &self,
         mut load: R,
     ) -> impl ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>> + use<L, R> {
@@ -149,40 +147,40 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         let is_keyframe = |frame: usize| found.keyframes.iter().any(|k| k.index == frame);
         let frames: Vec<(usize, Pose<f64>)> = (0..found.frames.len())
             .filter(|frame| !is_keyframe(*frame))
-            .filter_map(|frame| Some((*self.places.get(frame)?, pose_of(found, frame)?)))
+            .filter_map(|frame| Some((*self.positions.get(frame)?, pose_of(found, frame)?)))
             .collect();
-        frames.into_iter().map(move |(place, world_from_camera)| {
-            Ok(PosedKeyframe::from_frame(load(place)?, world_from_camera))
+        frames.into_iter().map(move |(position, world_from_camera)| {
+            Ok(PosedKeyframe::from_frame(load(position)?, world_from_camera))
         })
     }
 
-    /// The frames that have a pose, in order, without their pictures: place in the sequence, stamp
-    /// [s], pose as it is delivered with keyframes.
-    pub fn path(&self) -> Vec<(usize, f64, Pose<f64>)> {
+    /// All posed frames in order: position in the sequence, time stamp [s], pose in the delivered
+    /// unit.
+    pub fn trajectory(&self) -> Vec<(usize, f64, Pose<f64>)> {
         let found = &self.reconstruction;
         let posed = |frame: usize| {
-            let (place, stamp) = (*self.places.get(frame)?, *found.timestamps.get(frame)?);
-            Some((place, stamp, pose_of(found, frame)?))
+            let (position, stamp) = (*self.positions.get(frame)?, *found.timestamps.get(frame)?);
+            Some((position, stamp, pose_of(found, frame)?))
         };
         (0..found.frames.len()).filter_map(posed).collect()
     }
 
-    /// The whole path, and what there is to warn of.
+    /// The reconstruction of the front end, in its own unit of length.
     pub fn reconstruction(&self) -> &Reconstruction {
         &self.reconstruction
     }
 
-    /// Where in the sequence a frame of the [reconstruction](Self::reconstruction) is.
-    pub fn place(&self, frame: usize) -> Option<usize> {
-        self.places.get(frame).copied()
+    /// Position in the sequence of a frame of the [reconstruction](Self::reconstruction).
+    pub fn position(&self, frame: usize) -> Option<usize> {
+        self.positions.get(frame).copied()
     }
 
-    /// Pictures that could not be used: place in the sequence, reason.
+    /// Unusable pictures: position in the sequence, reason.
     pub fn refused(&self) -> &[(usize, PictureError)] {
         &self.refused
     }
 
-    /// Number of keyframes, taken or not.
+    /// Number of keyframes in total.
     pub fn len(&self) -> usize {
         self.reconstruction.keyframes.len()
     }
@@ -213,8 +211,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
         let dense = self.dense.as_mut().and_then(|dense| {
             let mut picture = |k: usize| {
                 let colour = &self.reader.picture(k)?.colour;
-                Some(match RowMotion::of(found, found.keyframes.get(k)?) {
-                    Some(rows) => Arc::new(rows.undone(&found.camera, colour)),
+                Some(match ReadoutMotion::of_keyframe(found, found.keyframes.get(k)?) {
+                    Some(motion) => Arc::new(motion.rectified(&found.camera, colour)),
                     None => Arc::clone(colour),
                 })
             };
@@ -232,17 +230,17 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
     }
 }
 
-/// Where in the sequence each keyframe is.
-fn places_of(found: &Reconstruction, places: &[usize]) -> Vec<usize> {
-    found.keyframes.iter().filter_map(|keyframe| places.get(keyframe.index).copied()).collect()
+/// Positions of the keyframes in the sequence.
+fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize> {
+    found.keyframes.iter().filter_map(|keyframe| positions.get(keyframe.index).copied()).collect()
 }
 
-/// A pose in the unit of length that is delivered.
+/// A pose in the delivered unit of length.
 fn scaled(pose: Pose<f64>) -> Pose<f64> {
-    Pose { translation: pose.translation * MEDIAN_DEPTH, ..pose }
+    Pose { translation: pose.translation * DELIVERED_MEDIAN_DEPTH, ..pose }
 }
 
-/// The pose of a frame, if it has one.
+/// Pose of a frame in the delivered unit; `None` if lost.
 fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
     match found.frames.get(frame)? {
         FrameStatus::Posed { world_from_camera, .. } => Some(scaled(*world_from_camera)),
@@ -250,13 +248,12 @@ fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
     }
 }
 
-/// Stamp and pose of a frame.
+/// Time stamp and pose of a frame.
 fn stamped(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
     Some((*found.timestamps.get(frame)?, pose_of(found, frame)?))
 }
 
-/// What is known of a keyframe's depth: dense depth, with the landmarks where it is missing in more
-/// than half the picture.
+/// Dense depth of a keyframe, or landmarks completed by it where it covers at most half the picture.
 fn depth(
     dense: Option<DenseDepth>,
     keyframe: &Keyframe,
@@ -277,31 +274,31 @@ fn depth(
     out
 }
 
-/// Dense depth in the unit of length that is delivered.
+/// Dense depth in the delivered unit of length.
 fn dense_depth(found: DenseDepth) -> EstimatedDepth {
     let DenseDepth { mut depth, mut variance } = found;
-    let scale = MEDIAN_DEPTH as f32;
+    let scale = DELIVERED_MEDIAN_DEPTH as f32;
     depth.data.iter_mut().for_each(|d| *d *= scale);
     variance.data.iter_mut().for_each(|v| *v *= scale * scale);
     EstimatedDepth { depth, variance: Some(variance) }
 }
 
-/// The landmarks of a keyframe as images, zero between them; of several in one pixel the nearest,
-/// which hides the others.
+/// Landmark depths of a keyframe as images, zero elsewhere; the nearest landmark per pixel.
 fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDepth {
     let (mut depth, mut variance) = (Image::new(width, height, 1), Image::new(width, height, 1));
     for point in &keyframe.depths {
         let [u, v] = point.at;
         let inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
-        if inside && point.variance.sqrt() <= TRUSTED * point.depth {
+        if inside && point.variance.sqrt() <= MAX_DEVIATION * point.depth {
             let pixel = v as usize * width + u as usize;
-            let (here, known) = ((MEDIAN_DEPTH * point.depth) as f32, depth.data[pixel]);
+            let (here, known) = ((DELIVERED_MEDIAN_DEPTH * point.depth) as f32, depth.data[pixel]);
             if known > 0.0 && known <= here {
                 continue;
             }
             depth.data[pixel] = here;
             let deviation = point.variance.sqrt().hypot(MIN_DEVIATION * point.depth);
-            variance.data[pixel] = (SPARSE * MEDIAN_DEPTH * deviation).powi(2) as f32;
+            variance.data[pixel] =
+                (SPARSE_DEVIATION_FACTOR * DELIVERED_MEDIAN_DEPTH * deviation).powi(2) as f32;
         }
     }
     EstimatedDepth { depth, variance: Some(variance) }

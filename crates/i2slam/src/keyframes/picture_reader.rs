@@ -1,40 +1,39 @@
-//! Pictures of keyframes, read in the order in which they were taken.
+//! Sequential reading of keyframe pictures.
 
 use super::PictureError;
 use i2slam_dataset::Frame;
 use std::collections::BTreeMap;
 
-/// Number of keyframes whose pictures stay for those that come after them: as far as dense depth
-/// looks back.
-const KEPT: usize = 16;
+/// Keyframes whose pictures stay cached for later ones: the reach of dense depth.
+const CACHED: usize = 16;
 
-/// Reads the picture of every keyframe once and in order, whoever asks for it first: to go back in
-/// a video means to decode it anew.
-pub(super) struct Reader<L> {
+/// Reads the picture of every keyframe once and in order, because going back in a video means to
+/// decode it again.
+pub(super) struct PictureReader<L> {
     load: L,
-    /// Where in the sequence each keyframe is.
-    places: Vec<usize>,
-    /// Number of keyframes that were read.
+    /// Position of each keyframe in the sequence.
+    positions: Vec<usize>,
+    /// Number of keyframes read so far.
     read: usize,
     pictures: BTreeMap<usize, Result<Frame, PictureError>>,
 }
 
-impl<L: FnMut(usize) -> Result<Frame, PictureError>> Reader<L> {
-    /// `load` gives the picture at a place.
-    pub(super) fn new(places: Vec<usize>, load: L) -> Self {
-        Self { load, places, read: 0, pictures: BTreeMap::new() }
+impl<L: FnMut(usize) -> Result<Frame, PictureError>> PictureReader<L> {
+    /// A reader of the keyframes at `positions`; `load` reads the picture at a position.
+    pub(super) fn new(positions: Vec<usize>, load: L) -> Self {
+        Self { load, positions, read: 0, pictures: BTreeMap::new() }
     }
 
-    /// The picture of a keyframe, if it can be read and is not long past.
+    /// The picture of a keyframe, if readable and still cached.
     pub(super) fn picture(&mut self, keyframe: usize) -> Option<&Frame> {
         self.read_up_to(keyframe);
         self.pictures.get(&keyframe)?.as_ref().ok()
     }
 
-    /// The picture of the next keyframe, or why it has none; those long past are forgotten.
+    /// The picture of the next keyframe; drops those out of reach from the cache.
     pub(super) fn next(&mut self, keyframe: usize) -> Result<Frame, PictureError> {
         self.read_up_to(keyframe);
-        self.pictures.retain(|k, _| *k + KEPT >= keyframe);
+        self.pictures.retain(|k, _| *k + CACHED >= keyframe);
         match self.pictures.get(&keyframe) {
             Some(Ok(picture)) => Ok(picture.clone()),
             _ => {
@@ -44,8 +43,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> Reader<L> {
     }
 
     fn read_up_to(&mut self, keyframe: usize) {
-        while self.read <= keyframe && self.read < self.places.len() {
-            self.pictures.insert(self.read, (self.load)(self.places[self.read]));
+        while self.read <= keyframe && self.read < self.positions.len() {
+            self.pictures.insert(self.read, (self.load)(self.positions[self.read]));
             self.read += 1;
         }
     }

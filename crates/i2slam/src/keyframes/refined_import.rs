@@ -1,11 +1,10 @@
-//! Keyframes of files without depth whose pictures are a video: with dense depth, and at better
-//! poses where the pictures tell.
+//! Refinement of imported keyframes whose pictures are a video and have no depth.
 //!
-//! The front end follows points through the pictures as if nothing were known of them. Its path, in
-//! the unit of length of the files, takes the place of theirs where it lays the pictures on each
-//! other clearly better; a path of another program that is as good stays as it is.
+//! The monocular front end reconstructs the pictures on its own. Its path, in the unit of length of
+//! the files, replaces theirs where it aligns the pictures clearly better. Dense depth is added in
+//! either case.
 
-use super::picture_reader::Reader;
+use super::picture_reader::PictureReader;
 use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe};
 use i2slam_compute::{CancellationToken, correlation};
 use i2slam_dataset::Frame;
@@ -15,51 +14,51 @@ use i2slam_odometry::{
 };
 use std::sync::Arc;
 
-/// Share of the keyframes that the front end must have found a pose for.
-const FOUND: f64 = 0.6;
-/// By how much the correlation of the pictures must be higher with the path that was found.
-const CLEARLY: f64 = 0.02;
-/// The channel that is compared.
+/// Least share of the keyframes that the front end must pose.
+const MIN_POSED_SHARE: f64 = 0.6;
+/// Least gain in picture correlation for which the poses of the front end are used.
+const MIN_CORRELATION_GAIN: f64 = 0.02;
+/// Channel in which pictures are compared.
 const GREEN: usize = 1;
-/// Half the side of the patches that are compared [px].
+/// Half side of the compared patches [px].
 const HALF_PATCH: i32 = 2;
 
-/// Keyframes of files, their poses refined, with dense depth.
+/// Imported keyframes with refined poses and dense depth.
 pub struct RefinedImport<L> {
     camera: Camera<f64>,
     poses: Vec<Pose<f64>>,
     dense: DenseDepthEstimator,
-    reader: Reader<L>,
+    reader: PictureReader<L>,
     next: usize,
-    /// Mean correlation of the pictures with the poses as they came and as they were found.
+    /// Mean correlation of neighbouring pictures at the imported and at the odometry's poses.
     correlations: [f64; 2],
-    /// Whether poses are those that were found.
-    moved: bool,
+    /// Whether the poses of the odometry are used.
+    is_refined: bool,
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
-    /// Keyframes of `camera` at poses as they came, world from camera, with the path that was found
-    /// from their pictures, of whatever size, in order; `load` gives the picture at a place. None
-    /// where too few of them were found, or their rows were read in turn, which poses of files say
-    /// nothing of. No depth is looked for any more once `cancellation` is cancelled.
+    /// Refines the imported `poses` [world from camera] of keyframes of `camera` by `odometry`, which
+    /// was run on their pictures in any size; `load` reads the picture at a position. `None` if too
+    /// few keyframes were posed, or for a rolling shutter, which the poses of files do not describe.
+    /// After `cancellation` no depth is estimated.
     pub fn new<P>(
         camera: Camera<f64>,
         mut poses: Vec<Pose<f64>>,
-        native: &MonocularSource<P>,
+        odometry: &MonocularSource<P>,
         mut load: L,
         cancellation: CancellationToken,
     ) -> Option<Self>
     where
         P: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let found = native.reconstruction().clone().resized(camera.width, camera.height);
+        let found = odometry.reconstruction().clone().resized(camera.width, camera.height);
         if found.rolling_shutter_readout != 0.0 {
             return None;
         }
-        let path = Path::of(&poses, &found, |frame| native.place(frame))?;
+        let path = OdometryPath::new(&poses, &found, |frame| odometry.position(frame))?;
         let correlations = path.correlations([&poses, &path.poses], &mut load, &cancellation);
-        let moved = correlations[1] > correlations[0] + CLEARLY;
-        if moved {
+        let is_refined = correlations[1] > correlations[0] + MIN_CORRELATION_GAIN;
+        if is_refined {
             poses.clone_from(&path.poses);
         }
         let views = poses.iter().enumerate().map(|(place, pose)| PosedView {
@@ -68,11 +67,11 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         });
         let dense =
             DenseDepthEstimator::new(camera, views.collect()).with_cancellation(cancellation);
-        let reader = Reader::new((0..poses.len()).collect(), load);
-        Some(Self { camera, poses, dense, reader, next: 0, correlations, moved })
+        let reader = PictureReader::new((0..poses.len()).collect(), load);
+        Some(Self { camera, poses, dense, reader, next: 0, correlations, is_refined })
     }
 
-    /// Number of keyframes, taken or not.
+    /// Number of keyframes in total.
     pub fn len(&self) -> usize {
         self.poses.len()
     }
@@ -82,16 +81,16 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         self.poses.is_empty()
     }
 
-    /// What became of the poses, in words.
-    pub fn told(&self) -> String {
-        let [came, found] = self.correlations;
-        let which = match self.moved {
+    /// A sentence on the refinement for the user.
+    pub fn summary(&self) -> String {
+        let [imported, found] = self.correlations;
+        let which = match self.is_refined {
             true => "poses are refined by their pictures",
-            false => "poses stay as they came",
+            false => "the imported poses are kept",
         };
         format!(
-            "{which}: neighbouring pictures correlate by {came:.3} with the poses of the files, by \
-             {found:.3} with those found from the pictures; their depth is found by matching"
+            "{which}: neighbouring pictures correlate by {imported:.3} at the imported poses, by \
+             {found:.3} at those found from the pictures; depth is found by matching"
         )
     }
 }
@@ -117,24 +116,24 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
     }
 }
 
-/// A path through all keyframes, in the world and the unit of length of the files.
-struct Path<'a> {
+/// The path of the odometry at all keyframes, in the world and the unit of length of the files.
+struct OdometryPath<'a> {
     found: &'a Reconstruction,
-    /// Place of every keyframe of `found` among those of the files.
+    /// Index among the imported keyframes of every keyframe of `found`.
     places: Vec<usize>,
-    /// Units of the files in one of `found`.
+    /// Length in the files of one unit of `found`.
     scale: f64,
-    /// One for each keyframe of the files.
+    /// One pose per imported keyframe.
     poses: Vec<Pose<f64>>,
 }
 
-impl<'a> Path<'a> {
-    fn of(
-        came: &[Pose<f64>],
+impl<'a> OdometryPath<'a> {
+    fn new(
+        input_poses: &[Pose<f64>],
         found: &'a Reconstruction,
         place: impl Fn(usize) -> Option<usize>,
     ) -> Option<Self> {
-        let mut at: Vec<Option<Pose<f64>>> = vec![None; came.len()];
+        let mut at: Vec<Option<Pose<f64>>> = vec![None; input_poses.len()];
         for (frame, status) in found.frames.iter().enumerate() {
             if let (Some(place), FrameStatus::Posed { world_from_camera, .. }) =
                 (place(frame), status)
@@ -143,15 +142,15 @@ impl<'a> Path<'a> {
             }
         }
         let posed = at.iter().flatten().count();
-        if (posed as f64) < FOUND * came.len() as f64 || posed < 3 {
+        if (posed as f64) < MIN_POSED_SHARE * input_poses.len() as f64 || posed < 3 {
             return None;
         }
-        let scale = scale(came, &at)?;
+        let scale = scale(input_poses, &at)?;
         let places = found.keyframes.iter().map(|k| place(k.index)).collect::<Option<Vec<_>>>()?;
-        Some(Self { found, places, scale, poses: poses(came, &at, scale)? })
+        Some(Self { found, places, scale, poses: aligned_poses(input_poses, &at, scale)? })
     }
 
-    /// Depths of the landmarks of the keyframe of `found` that is nearest to one of the files.
+    /// Landmark depths of the keyframe of `found` nearest to an imported one.
     fn landmarks_near(&self, place: usize) -> Vec<f64> {
         let near = self.places.iter().zip(&self.found.keyframes);
         let nearest = near.min_by_key(|(other, _)| other.abs_diff(place));
@@ -160,8 +159,8 @@ impl<'a> Path<'a> {
         })
     }
 
-    /// Mean correlation of patches around the landmarks of a keyframe with the next one, if the
-    /// cameras stand at each of `paths`, over what both of them say is seen.
+    /// Mean correlation of patches around landmarks with the next keyframe for each of two `paths`,
+    /// over landmarks that both project into the picture.
     fn correlations(
         &self,
         paths: [&[Pose<f64>]; 2],
@@ -178,9 +177,10 @@ impl<'a> Path<'a> {
             if let Some((before, seen, picture)) = &last {
                 let motions = paths.map(|poses| self.motion(poses, *before, place));
                 for point in &seen.depths {
-                    let both = motions.map(|motion| self.fit(point, motion, picture, &colour));
-                    if let [Some(came), Some(found)] = both {
-                        (sums[0], sums[1], count) = (sums[0] + came, sums[1] + found, count + 1);
+                    let both = motions
+                        .map(|motion| self.landmark_correlation(point, motion, picture, &colour));
+                    if let [Some(first), Some(second)] = both {
+                        (sums[0], sums[1], count) = (sums[0] + first, sums[1] + second, count + 1);
                     }
                 }
             }
@@ -189,8 +189,8 @@ impl<'a> Path<'a> {
         sums.map(|sum| sum / f64::from(count.max(1)))
     }
 
-    /// `next_from_here` on a path, and its unit of length in that of `found` between the two: what
-    /// one of the paths has drifted in scale until here is no fault of the other.
+    /// `next_from_here` on a path, and the landmark scale that fits its local motion: scale drift must
+    /// not count against a path.
     fn motion(&self, poses: &[Pose<f64>], here: usize, next: usize) -> (Pose<f64>, f64) {
         let next_from_here = |poses: &[Pose<f64>]| poses[next].inverse() * poses[here];
         let (motion, own) = (next_from_here(poses), next_from_here(&self.poses));
@@ -199,8 +199,8 @@ impl<'a> Path<'a> {
         (motion, self.scale * ratio)
     }
 
-    /// How well the surroundings of a landmark in one picture fit the next.
-    fn fit(
+    /// Correlation of the patch around a landmark with its projection into the next picture.
+    fn landmark_correlation(
         &self,
         point: &SparseDepth,
         (next_from_here, scale): (Pose<f64>, f64),
@@ -216,38 +216,43 @@ impl<'a> Path<'a> {
     }
 }
 
-/// The factor that makes distances on the path found those of the files, by least squares.
-fn scale(came: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Option<f64> {
-    let both: Vec<_> = came.iter().zip(found).filter_map(|(c, f)| Some((*c, (*f)?))).collect();
+/// Scale from the path of the odometry to the imported one, by least squares on distances.
+fn scale(input_poses: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Option<f64> {
+    let both: Vec<_> =
+        input_poses.iter().zip(found).filter_map(|(input, f)| Some((*input, (*f)?))).collect();
     let apart = |a: Pose<f64>, b: Pose<f64>| (a.translation - b.translation).norm();
     let (mut product, mut square) = (0.0, 0.0);
-    for (i, (came, found)) in both.iter().enumerate() {
-        for (other_came, other_found) in &both[..i] {
+    for (i, (input, found)) in both.iter().enumerate() {
+        for (other_input, other_found) in &both[..i] {
             let distance = apart(*found, *other_found);
-            product += apart(*came, *other_came) * distance;
+            product += apart(*input, *other_input) * distance;
             square += distance * distance;
         }
     }
     Some(product / square).filter(|s| s.is_finite() && *s > 0.0)
 }
 
-/// The path found in the world of the files; where it has no pose, from the last one that it has by
-/// the motion in the files.
-fn poses(came: &[Pose<f64>], found: &[Option<Pose<f64>>], scale: f64) -> Option<Vec<Pose<f64>>> {
+/// Poses of the odometry in the world of the files; missing ones continue from the last by the motion
+/// in the files.
+fn aligned_poses(
+    input_poses: &[Pose<f64>],
+    found: &[Option<Pose<f64>>],
+    scale: f64,
+) -> Option<Vec<Pose<f64>>> {
     let scaled = |pose: Pose<f64>| Pose { translation: pose.translation * scale, ..pose };
     let first = found.iter().position(Option::is_some)?;
-    let world_from_found = came[first] * scaled(found[first]?).inverse();
-    let mut known = (came[first], came[first]);
-    let place = |(came, found): (&Pose<f64>, &Option<Pose<f64>>)| {
+    let world_from_found = input_poses[first] * scaled(found[first]?).inverse();
+    let mut known = (input_poses[first], input_poses[first]);
+    let align = |(input, found): (&Pose<f64>, &Option<Pose<f64>>)| {
         if let Some(found) = found {
-            known = (*came, world_from_found * scaled(*found));
+            known = (*input, world_from_found * scaled(*found));
         }
-        known.1 * (known.0.inverse() * *came)
+        known.1 * (known.0.inverse() * *input)
     };
-    Some(came.iter().zip(found).map(place).collect())
+    Some(input_poses.iter().zip(found).map(align).collect())
 }
 
-/// Normalised correlation of the patches around two points; none at a border or without contrast.
+/// Normalised correlation of the patches around two points; `None` at a border or without contrast.
 fn patch_correlation(
     a: &Image<f32>,
     at: (f64, f64),
@@ -283,8 +288,8 @@ mod tests {
         Pose { translation, ..Pose::identity() }
     }
 
-    /// True poses moved at random by up to so much of the unit and so many radians.
-    fn moved(by: (f64, f64)) -> Vec<Pose<f64>> {
+    /// True poses disturbed at random by up to so much of the unit and so many radians.
+    fn disturbed(by: (f64, f64)) -> Vec<Pose<f64>> {
         let numbers = noise(7, 6 * COUNT);
         let error = |place: usize| {
             let n = &numbers[6 * place..6 * place + 6];
@@ -325,9 +330,9 @@ mod tests {
 
     #[test]
     fn poses_that_do_not_fit_the_pictures_are_refined_and_all_keyframes_have_depth() {
-        let came = moved((0.06, 0.02));
-        let before = errors(came.iter().copied());
-        let keyframes = refined(came);
+        let input_poses = disturbed((0.06, 0.02));
+        let before = errors(input_poses.iter().copied());
+        let keyframes = refined(input_poses);
         let after = errors(keyframes.iter().map(|k| k.world_from_camera));
         assert!(after.0 < 0.3 * before.0 && after.1 < 0.3 * before.1, "{before:?} {after:?}");
         assert_eq!(keyframes.len(), COUNT);
@@ -342,19 +347,19 @@ mod tests {
     }
 
     #[test]
-    fn poses_that_fit_stay_as_they_came() {
-        let came = moved((0.0, 0.0));
-        let keyframes = refined(came.clone());
-        assert!(keyframes.iter().map(|k| k.world_from_camera).eq(came));
+    fn poses_that_fit_are_kept() {
+        let input_poses = disturbed((0.0, 0.0));
+        let keyframes = refined(input_poses.clone());
+        assert!(keyframes.iter().map(|k| k.world_from_camera).eq(input_poses));
     }
 
     #[test]
-    fn keyframes_that_were_not_found_follow_the_motion_in_the_files() {
-        let came: Vec<Pose<f64>> = (0..4).map(truth).collect();
+    fn unposed_keyframes_follow_the_motion_in_the_files() {
+        let input_poses: Vec<Pose<f64>> = (0..4).map(truth).collect();
         let found = [None, Some(truth(1)), None, Some(truth(3))];
-        assert!((scale(&came, &found).expect("a scale") - 1.0).abs() < 1e-12);
-        let poses = poses(&came, &found, 1.0).expect("one is known");
-        for (pose, due) in poses.iter().zip(&came) {
+        assert!((scale(&input_poses, &found).expect("a scale") - 1.0).abs() < 1e-12);
+        let poses = aligned_poses(&input_poses, &found, 1.0).expect("one is known");
+        for (pose, due) in poses.iter().zip(&input_poses) {
             assert!((pose.translation - due.translation).norm() < 1e-12);
         }
     }

@@ -1,25 +1,25 @@
-//! Pictures whose rows were read one after another, as if all had been read at the middle one's
-//! moment.
+//! Rectification of rolling shutter pictures to the exposure of their middle row.
 
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_odometry::{FrameStatus, Keyframe, Reconstruction};
 
-/// Steps that find the row in which a point is seen.
-const STEPS: usize = 3;
+/// Fixed-point iterations that find the row which saw a point.
+const ROW_ITERATIONS: usize = 3;
 
-/// How the camera moved while the rows of a picture were read.
+/// Camera motion during the readout of a picture.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RowMotion {
-    /// Motion from the first to the last row, in the camera.
+pub(super) struct ReadoutMotion {
+    /// Motion from the first to the last row, in the camera's frame.
     pub(super) motion: Tangent<f64>,
-    /// Depth of what is seen: what is moved by a turn does not depend on it.
+    /// Assumed depth of all pixels; rotation does not depend on it.
     pub(super) depth: f64,
 }
 
-impl RowMotion {
-    /// That of a keyframe whose rows were not read at once: as between the frames beside it.
-    pub(super) fn of(found: &Reconstruction, keyframe: &Keyframe) -> Option<Self> {
+impl ReadoutMotion {
+    /// Readout motion of a keyframe, interpolated between its neighbouring frames; `None` for a global
+    /// shutter.
+    pub(super) fn of_keyframe(found: &Reconstruction, keyframe: &Keyframe) -> Option<Self> {
         let known = |frame: usize| match found.frames.get(frame)? {
             FrameStatus::Posed { world_from_camera, .. } => {
                 Some((*found.timestamps.get(frame)?, *world_from_camera))
@@ -29,19 +29,19 @@ impl RowMotion {
         let here = (keyframe.timestamp, keyframe.world_from_camera);
         let before = keyframe.index.checked_sub(1).and_then(known).unwrap_or(here);
         let after = known(keyframe.index + 1).unwrap_or(here);
-        let (time, way) = (after.0 - before.0, before.1.local(after.1));
+        let (time, motion) = (after.0 - before.0, before.1.local(after.1));
         let turn = before.1.rotation.inverse() * here.1.rotation;
-        let motion = Tangent { translation: turn.inverse().rotate(way.translation), ..way };
+        let motion = Tangent { translation: turn.inverse().rotate(motion.translation), ..motion };
         let motion = motion.scaled(found.rolling_shutter_readout / time);
         let mut depths: Vec<f64> = keyframe.depths.iter().map(|d| d.depth).collect();
         let depth = median(&mut depths).filter(|d| *d > 0.0).unwrap_or(1.0);
         (found.rolling_shutter_readout != 0.0 && time > 0.0).then_some(Self { motion, depth })
     }
 
-    /// Where the picture shows a point of the camera at the middle row's moment.
-    fn seen(&self, camera: &Camera<f64>, point: Vec3<f64>) -> Option<(f64, f64)> {
+    /// Rolling shutter projection of a point in the camera of the middle row [px].
+    fn project(&self, camera: &Camera<f64>, point: Vec3<f64>) -> Option<(f64, f64)> {
         let mut at = camera.project(point);
-        for _ in 0..STEPS {
+        for _ in 0..ROW_ITERATIONS {
             let time = at.1 / camera.height as f64 - 0.5;
             let there = Pose::identity().retract(self.motion.scaled(time)).inverse() * point;
             at = (there.z > 0.0).then(|| camera.project(there))?;
@@ -49,14 +49,14 @@ impl RowMotion {
         Some(at)
     }
 
-    /// `picture` at the middle row's moment; beyond its border the last value is repeated.
-    pub(super) fn undone(&self, camera: &Camera<f64>, picture: &Image<f32>) -> Image<f32> {
+    /// `picture` as exposed with the middle row throughout; border values are repeated.
+    pub(super) fn rectified(&self, camera: &Camera<f64>, picture: &Image<f32>) -> Image<f32> {
         let (width, height) = (picture.width, picture.height);
         let inside = |x: f64, size: usize| x.clamp(0.5, size as f64 - 0.5001) as f32;
         let mut out = picture.clone();
         for pixel in 0..width * height {
             let (u, v) = Camera::<f64>::pixel_centre(pixel % width, pixel / width);
-            let at = self.seen(camera, camera.unproject(u, v, self.depth)).unwrap_or((u, v));
+            let at = self.project(camera, camera.unproject(u, v, self.depth)).unwrap_or((u, v));
             let Some(tap) = picture.tap(inside(at.0, width), inside(at.1, height)) else {
                 continue;
             };
@@ -72,9 +72,8 @@ impl RowMotion {
 mod tests {
     use super::*;
 
-    /// A pattern that a turning camera reads row by row is straight again.
     #[test]
-    fn rows_are_seen_at_one_moment() {
+    fn a_rolling_picture_is_rectified() {
         let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
         let motion = Tangent::from_array([0.02, 0.01, 0.0, 0.03, 0.08, -0.05]);
         let scene = |point: Vec3<f64>| (5.0 * point.x).sin() * (4.0 * point.y).cos();
@@ -91,16 +90,16 @@ mod tests {
             out
         };
         let (rolling, still) = (picture(true), picture(false));
-        let undone = RowMotion { motion, depth: 2.0 }.undone(&camera, &rolling);
+        let rectified = ReadoutMotion { motion, depth: 2.0 }.rectified(&camera, &rolling);
         let worst = |a: &Image<f32>| {
             let inner =
                 (0..64 * 48).filter(|p| (6..58).contains(&(p % 64)) && (6..42).contains(&(p / 64)));
             inner.map(|p| (a.data[p] - still.data[p]).abs()).fold(0.0, f32::max)
         };
         assert!(
-            worst(&undone) < 0.02 && worst(&rolling) > 0.1,
+            worst(&rectified) < 0.02 && worst(&rolling) > 0.1,
             "{} {}",
-            worst(&undone),
+            worst(&rectified),
             worst(&rolling)
         );
     }

@@ -100,11 +100,12 @@ pub(super) fn from_odometry(
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
     let others = Arc::clone(&pictures);
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
-    let (count, between) = (source.len(), source.between(move |place| picture(&others, place)));
+    let (count, between) =
+        (source.len(), source.non_keyframes(move |place| picture(&others, place)));
     let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
         Some((sequence.entries.get(place)?.index, stamp, pose))
     };
-    let path = source.path().into_iter().filter_map(by_index).collect();
+    let path = source.trajectory().into_iter().filter_map(by_index).collect();
     // The paper's system has poses of keyframes alone.
     let between: BetweenFrames = match options.config.tracking.method {
         TrackingMethod::SecondOrder => Box::new(between),
@@ -168,7 +169,7 @@ where
     L: FnMut(usize) -> Result<Frame, PictureError>,
 {
     let index = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
-    let number = |frame: usize| found.place(frame).map_or(frame, index);
+    let number = |frame: usize| found.position(frame).map_or(frame, index);
     let left_out = |(place, why): &(usize, PictureError)| {
         Warning::of_frame(index(*place), format!("left out: {why}"))
     };
@@ -244,7 +245,7 @@ fn refined(files: &Files, context: &RunContext) -> Option<Box<dyn KeyframeSource
         note("poses are taken as they came, without depth: the pictures show no path");
         return None;
     };
-    note(&refined.told());
+    note(&refined.summary());
     Some(Box::new(refined))
 }
 

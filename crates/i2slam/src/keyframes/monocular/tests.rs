@@ -34,14 +34,14 @@ fn pictures_become_keyframes_with_poses_and_sparse_depth() {
         3 => Err("damaged".into()),
         _ => Ok(stamped(&camera, place, place as f64 / 30.0)),
     };
-    let mut native =
+    let mut source =
         MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
             .expect("a path");
-    assert_eq!(native.camera(), &camera);
-    assert!(matches!(native.refused(), [(3, why)] if why.to_string() == "damaged"));
-    let count = native.len();
+    assert_eq!(source.camera(), &camera);
+    assert!(matches!(source.refused(), [(3, why)] if why.to_string() == "damaged"));
+    let count = source.len();
     let mut places = Vec::new();
-    while let Some(keyframe) = native.next_keyframe() {
+    while let Some(keyframe) = source.next_keyframe() {
         let keyframe = keyframe.expect("keyframes can be read again");
         let place = keyframe.index / 2;
         assert_eq!(*keyframe.colour, picture(&camera, place));
@@ -52,21 +52,21 @@ fn pictures_become_keyframes_with_poses_and_sparse_depth() {
         places.push(place);
     }
     assert!(places.len() == count && count > 2 && !places.contains(&3), "{places:?}");
-    assert!(places.is_sorted() && native.reconstruction().trajectory().len() == 13);
+    assert!(places.is_sorted() && source.reconstruction().trajectory().len() == 13);
 }
 
 #[test]
-fn dense_depth_and_the_frames_between_are_there_too() {
+fn dense_depth_and_non_keyframes_are_delivered() {
     let camera = camera();
     let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
     let found =
         MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
             .expect("a path");
-    let between: Vec<PosedKeyframe> =
-        found.between(load).map(|frame| frame.expect("read again")).collect();
-    let mut native = found.with_dense_depth(CancellationToken::default());
+    let others: Vec<PosedKeyframe> =
+        found.non_keyframes(load).map(|frame| frame.expect("read again")).collect();
+    let mut source = found.with_dense_depth(CancellationToken::default());
     let (mut known, mut indices) = (0, Vec::new());
-    while let Some(keyframe) = native.next_keyframe() {
+    while let Some(keyframe) = source.next_keyframe() {
         let keyframe = keyframe.expect("keyframes can be read again");
         assert_eq!(keyframe.before.is_some(), keyframe.index > 0);
         let depth = keyframe.depth.expect("depth");
@@ -74,8 +74,8 @@ fn dense_depth_and_the_frames_between_are_there_too() {
         indices.push(keyframe.index);
     }
     assert!(2 * known > indices.len() * camera.pixels(), "{known} of {}", indices.len());
-    assert!(between.iter().all(|frame| frame.depth.is_none()));
-    indices.extend(between.iter().map(|frame| frame.index));
+    assert!(others.iter().all(|frame| frame.depth.is_none()));
+    indices.extend(others.iter().map(|frame| frame.index));
     indices.sort_unstable();
     assert!(indices.into_iter().eq((0..14).map(|place| 2 * place)));
 }
@@ -92,11 +92,11 @@ fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
         let of = stamped(&camera, place, place as f64 / 30.0);
         Ok(Frame { colour: Arc::new(of.colour.resized_by_area(80, 60)), ..of })
     };
-    let mut native =
+    let mut source =
         found.with_pictures((80, 60), reduced).with_dense_depth(CancellationToken::default());
-    assert_eq!(*native.camera(), small);
+    assert_eq!(*source.camera(), small);
     let (mut near, mut all) = (0, 0);
-    while let Some(keyframe) = native.next_keyframe() {
+    while let Some(keyframe) = source.next_keyframe() {
         let keyframe = keyframe.expect("keyframes can be read again");
         assert_eq!((keyframe.colour.width, keyframe.colour.height), (80, 60));
         let depth = keyframe.depth.expect("depth").depth;
@@ -123,18 +123,18 @@ fn pictures_are_read_in_their_order_and_those_of_keyframes_once_more() {
     let found =
         MonocularSource::find(Intrinsics::Known(camera), 30, load, &OdometryProgress::default())
             .expect("a path");
-    let mut native = found.with_dense_depth(CancellationToken::default());
+    let mut source = found.with_dense_depth(CancellationToken::default());
     assert!(places.take().into_iter().eq(0..30));
-    while let Some(keyframe) = native.next_keyframe() {
+    while let Some(keyframe) = source.next_keyframe() {
         keyframe.expect("keyframes can be read again");
     }
     let again = places.take();
     let rising = again.windows(2).all(|pair| pair[0] < pair[1]);
-    assert!(rising && again.len() == native.len() && again.len() > 5, "{again:?}");
+    assert!(rising && again.len() == source.len() && again.len() > 5, "{again:?}");
 }
 
 #[test]
-fn who_has_enough_gets_no_path() {
+fn cancellation_ends_the_search() {
     let camera = camera();
     let asked = Arc::new(AtomicUsize::new(0));
     let load = |place: usize| {
@@ -165,7 +165,7 @@ fn of_two_landmarks_in_a_pixel_the_nearer_is_seen() {
             depths: depths.map(point).to_vec(),
         };
         let depth = sparse_depth(&keyframe, 4, 3).depth;
-        assert_eq!(depth.at(0, 2, 1), MEDIAN_DEPTH as f32);
+        assert_eq!(depth.at(0, 2, 1), DELIVERED_MEDIAN_DEPTH as f32);
     }
 }
 
