@@ -5,7 +5,6 @@ mod console;
 mod job;
 mod metrics;
 mod plan;
-mod plot;
 mod process;
 mod queue;
 mod report;

@@ -2,14 +2,14 @@
 
 use crate::console::{Failure, counted};
 use crate::metrics::{ATE, Metric, PSNR, SECONDS};
-use crate::plot::{Plot, Point, Series};
 use crate::queue::Outcome;
 use crate::suite::TableKind;
 use crate::summary::Results;
 use crate::table::{Table, csv_line};
 use crate::tables;
 use i2slam_result::ResultFolder;
-use i2slam_result::report::{STYLE, escape};
+use i2slam_result::html::{STYLE, escape};
+use i2slam_result::plot::{Horizontal, Plot, Point, Series};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -160,7 +160,7 @@ fn html(results: &Results<'_>, tables: &[Table]) -> String {
     let suite = &results.plan.suite;
     let title = escape(&suite.title);
     let tables: String = tables.iter().map(Table::html).collect();
-    let plots: String = plots(results).iter().map(crate::plot::Plot::html).collect();
+    let plots: String = plots(results).iter().map(Plot::html).collect();
     let plots = match plots.is_empty() {
         true => String::new(),
         false => format!(
@@ -200,14 +200,27 @@ fn plots(results: &Results<'_>) -> Vec<Plot> {
             Some(results.plan.configurations[place].config.formation.virtual_cameras as f64)
         };
         for metric in [&PSNR, &ATE] {
-            plots.push(plot(results, metric, (over_cameras, "virtual cameras", false), cameras));
+            plots.push(plot(
+                results,
+                metric,
+                (over_cameras, "virtual cameras"),
+                Horizontal::FromZero,
+                cameras,
+            ));
         }
     }
     let seconds =
         |place: usize| results.over_sequences(place, &SECONDS).measured().map(|value| value.mean);
     for metric in [&ATE, &PSNR] {
-        plots.push(plot(results, metric, (over_time, "seconds per frame [s]", true), seconds));
+        plots.push(plot(
+            results,
+            metric,
+            (over_time, "seconds per frame [s]"),
+            Horizontal::AutoLogarithmic,
+            seconds,
+        ));
     }
+    plots.retain(|plot| !plot.series.is_empty());
     plots
 }
 
@@ -215,10 +228,11 @@ fn plots(results: &Results<'_>) -> Vec<Plot> {
 fn plot(
     results: &Results<'_>,
     metric: &'static Metric,
-    (over, x_label, may_be_logarithmic): (&str, &str, bool),
+    (over, x_label): (&str, &str),
+    horizontal: Horizontal,
     x: impl Fn(usize) -> Option<f64>,
 ) -> Plot {
-    let mut series: Vec<Series> = Vec::new();
+    let mut series: Vec<(&str, Vec<Point>)> = Vec::new();
     for (place, configuration) in results.plan.configurations.iter().enumerate() {
         let value = results.over_sequences(place, metric);
         let (Some(x), Some(value)) = (x(place), value.measured()) else { continue };
@@ -226,17 +240,18 @@ fn plot(
             name: configuration.entry.name.clone(),
             x,
             y: value.mean * metric.factor,
-            spread: value.spread.unwrap_or(0.0) * metric.factor,
+            deviation: value.spread.unwrap_or(0.0) * metric.factor,
         };
         let name = configuration.entry.series.as_ref().unwrap_or(&configuration.entry.name);
-        match series.iter_mut().find(|series| series.name == *name) {
-            Some(series) => series.points.push(point),
-            None => series.push(Series { name: name.clone(), points: vec![point] }),
+        match series.iter_mut().find(|(known, _)| known == name) {
+            Some((_, points)) => points.push(point),
+            None => series.push((name, vec![point])),
         }
     }
-    for series in &mut series {
-        series.points.sort_by(|a, b| a.x.total_cmp(&b.x));
-    }
+    let series = series.into_iter().enumerate().map(|(index, (name, mut points))| {
+        points.sort_by(|a, b| a.x.total_cmp(&b.x));
+        Series::markers(name, index, points)
+    });
     let better = if metric.lower { "Lower is better" } else { "Higher is better" };
     let means = match results.sequences_with(metric).len() {
         0 | 1 => String::new(),
@@ -255,9 +270,10 @@ fn plot(
             "" => metric.label.to_owned(),
             unit => format!("{} [{unit}]", metric.label),
         },
+        horizontal,
         from_zero: metric.lower,
-        may_be_logarithmic,
-        series,
+        series: series.collect(),
+        marks: Vec::new(),
     }
 }
 
@@ -292,11 +308,10 @@ mod tests {
     fn a_configuration_that_failed_has_no_point() {
         let plan = plan();
         let plots = plots(&results(&plan, &[(1, 0, 0), (1, 0, 1)]));
-        assert_eq!(plots.len(), 4);
-        let over_time = &plots[2];
+        assert_eq!(plots.len(), 2, "no PSNR was measured");
+        let over_time = &plots[1];
         assert_eq!(over_time.series.len(), 1);
         let point = &over_time.series[0].points[0];
         assert_eq!((point.x, point.y), (1.5, 10650.0));
-        assert_eq!(plots[3].html(), "", "no PSNR was measured");
     }
 }

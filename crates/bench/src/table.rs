@@ -2,7 +2,7 @@
 
 use crate::metrics::Metric;
 use crate::summary::Value;
-use i2slam_result::report::escape;
+use i2slam_result::html::escape;
 
 /// A table with metrics.
 pub(crate) struct Table {

@@ -1,9 +1,9 @@
 //! `input.json`: what a run read, so that it can be read again.
 
-use super::{ExportError, ResultFolder, Storage};
+use crate::storage::read_text;
+use crate::{ExportError, ResultFolder, Storage};
 use i2slam::dataset::{EstimatedCamera, OpenOptions, is_stream};
 use serde::{Deserialize, Serialize};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The sequence of a run, and how it was read.
@@ -105,9 +105,7 @@ impl Input {
         if !path.is_file() {
             return Ok(None);
         }
-        let text = fs::read_to_string(&path);
-        let text = text.map_err(|source| ExportError::Read { path: path.clone(), source })?;
-        let input = serde_json::from_str(&text);
+        let input = serde_json::from_str(&read_text(&path)?);
         input.map(Some).map_err(|e| ExportError::Format { path, message: e.to_string() })
     }
 

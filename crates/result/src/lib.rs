@@ -1,30 +1,26 @@
-//! The result folder: what a run leaves on disk, and how it is read back. Its files are
-//! documented in `docs/result-folder.md`.
+//! The result folder: everything that a run leaves on disk, its report, and how it is read back.
+//! The files are documented in `docs/result-folder.md`.
 
 mod archive;
-mod error;
+mod folder;
+pub mod html;
 mod input;
-mod load;
+mod layout;
 mod map;
 mod metrics;
 mod pictures;
-mod ply;
-mod remove;
-mod renders;
+pub mod plot;
 pub mod report;
-mod save;
-mod state;
 mod storage;
-mod table;
+mod tables;
 #[cfg(test)]
 mod tests;
 
-pub use error::ExportError;
+pub use folder::{load, save, save_metrics, save_trajectory};
 pub use input::Input;
-pub use load::load;
+pub use layout::{FolderContents, Layout, remove_renders};
 pub use metrics::{Metrics, UnitOfLength};
-pub use pictures::{DEPTH_UNITS_PER_METRE, write_depth, write_picture, write_radiance};
-pub use remove::{FolderContents, Layout, remove_renders};
-pub use renders::{RenderKind, save_render};
-pub use save::{save, save_metrics, save_trajectory};
-pub use storage::{Disk, ResultFolder, Storage};
+pub use pictures::{
+    DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
+};
+pub use storage::{Disk, ExportError, ResultFolder, Storage};

@@ -1,7 +1,6 @@
 //! The map as files: lossless (`map.i2slam`) and for viewers (`map.ply`).
 
-use super::archive::{Archive, Array};
-use super::ply::{self, Splat};
+use crate::archive::{Archive, Array};
 use i2slam::Map;
 use i2slam::formation::{FrameTone, ResponseCurve};
 use i2slam::radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
@@ -134,7 +133,7 @@ pub(crate) fn write_ply(
         };
         splat(&gaussian, map, tone.as_ref())
     });
-    ply::write(out, splats)
+    write_splats(out, splats)
 }
 
 fn splat(
@@ -161,4 +160,86 @@ fn display_colour(
     };
     let gains = tone.gains();
     std::array::from_fn(|c| curve.evaluate(c, gains[c] * radiance[c]).clamp(0.0, 1.0))
+}
+
+/// The zeroth real spherical harmonic, `1 / (2 √π)`: colour = 0.5 + C0 · f_dc.
+const HARMONIC_ZERO: f32 = 0.282_094_8;
+
+const PROPERTIES: [&str; 17] = [
+    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1",
+    "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+];
+
+/// One Gaussian as viewers expect it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Splat {
+    /// Mean in the world [m].
+    mean: [f32; 3],
+    /// Display colour (sRGB), 0 to 1.
+    colour: [f32; 3],
+    /// Logit of the opacity.
+    opacity_logit: f32,
+    /// Natural logarithms of the standard deviations [log m].
+    log_scale: [f32; 3],
+    /// World-from-Gaussian quaternion `w, x, y, z`.
+    rotation: [f32; 4],
+}
+
+/// Write binary little-endian PLY.
+fn write_splats(
+    out: &mut dyn Write,
+    splats: impl ExactSizeIterator<Item = Splat>,
+) -> io::Result<()> {
+    writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", splats.len())?;
+    for property in PROPERTIES {
+        writeln!(out, "property float {property}")?;
+    }
+    writeln!(out, "end_header")?;
+    for splat in splats {
+        let harmonics = splat.colour.map(|c| (c - 0.5) / HARMONIC_ZERO);
+        let groups: [&[f32]; 6] = [
+            &splat.mean,
+            &[0.0; 3],
+            &harmonics,
+            &[splat.opacity_logit],
+            &splat.log_scale,
+            &splat.rotation,
+        ];
+        for value in groups.into_iter().flatten() {
+            out.write_all(&value.to_le_bytes())?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn header_and_rows_agree() {
+        let splat = Splat {
+            mean: [1.0, 2.0, 3.0],
+            colour: [0.5, 1.0, 0.0],
+            opacity_logit: -0.25,
+            log_scale: [-4.0; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+        };
+        let mut bytes = Vec::new();
+        write_splats(&mut bytes, [splat, splat].into_iter()).expect("memory");
+        let end = b"end_header\n";
+        let start = bytes.windows(end.len()).position(|w| w == end).expect("a header") + end.len();
+        let header = String::from_utf8_lossy(&bytes[..start]);
+        assert!(header.starts_with("ply\nformat binary_little_endian 1.0\nelement vertex 2\n"));
+        let properties = header.matches("property float ").count();
+        assert_eq!(bytes.len() - start, 2 * 4 * properties);
+        let value = |i: usize| {
+            let b = &bytes[start + 4 * i..start + 4 * i + 4];
+            f32::from_le_bytes([b[0], b[1], b[2], b[3]])
+        };
+        assert_eq!([value(0), value(1), value(2)], [1.0, 2.0, 3.0]);
+        assert_eq!(value(6), 0.0);
+        assert!((value(7) - 1.772_454).abs() < 1e-5);
+        assert_eq!([value(9), value(10), value(13)], [-0.25, -4.0, 1.0]);
+    }
 }

@@ -1,6 +1,5 @@
 //! Where results are written: every file appears complete or not at all.
 
-use super::ExportError;
 use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -124,6 +123,70 @@ impl<S: Storage> ResultFolder<S> {
 fn partial_name(path: &Path) -> PathBuf {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     path.with_file_name(format!(".{name}.partial"))
+}
+
+/// A result folder could not be written or read; the message names the file.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// Writing failed: disk full, no permission, folder gone.
+    #[error("cannot write {}: {}", path.display(), reason(source))]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// Reading failed.
+    #[error("cannot read {}: {}", path.display(), reason(source))]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// A file was read but is not what its name says.
+    #[error("{}: {message}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and where.
+        message: String,
+    },
+}
+
+impl ExportError {
+    pub(crate) fn read(path: &Path, source: io::Error) -> Self {
+        Self::Read { path: path.to_owned(), source }
+    }
+
+    pub(crate) fn format(path: &Path, message: String) -> Self {
+        Self::Format { path: path.to_owned(), message }
+    }
+
+    /// Whether the disk or the quota is full.
+    pub fn is_storage_full(&self) -> bool {
+        matches!(self, Self::Write { source, .. } if is_full(source))
+    }
+}
+
+/// The text of a file.
+pub(crate) fn read_text(path: &Path) -> Result<String, ExportError> {
+    fs::read_to_string(path).map_err(|e| ExportError::read(path, e))
+}
+
+fn is_full(source: &io::Error) -> bool {
+    matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}
+
+/// The system's error in words that tell what to do.
+fn reason(source: &io::Error) -> String {
+    match source.kind() {
+        _ if is_full(source) => "no space left on the disk".to_owned(),
+        io::ErrorKind::PermissionDenied => "permission denied".to_owned(),
+        io::ErrorKind::ReadOnlyFilesystem => "the file system is read-only".to_owned(),
+        io::ErrorKind::NotFound => "no such file or folder".to_owned(),
+        _ => source.to_string(),
+    }
 }
 
 #[cfg(test)]

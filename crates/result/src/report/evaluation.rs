@@ -1,6 +1,6 @@
 //! The part of the page that an evaluation fills in later.
 
-use super::escape;
+use crate::html::escape;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::PathBuf;

@@ -1,7 +1,8 @@
 //! Before and after, and one frame at several exposures.
 
-use super::picture::{data_address, depth_colours};
-use super::{Report, headline::significant};
+use super::Report;
+use super::headline::significant;
+use crate::html::data_address;
 use i2slam::FrameEstimate;
 use i2slam::geometry::Image;
 use std::fmt::Write;
@@ -100,4 +101,42 @@ pub(super) fn brackets(comparisons: &[Comparison]) -> String {
         .ok();
     }
     out + "</div>"
+}
+
+/// Depth as colours, near warm and far cool, dark where there is none.
+fn depth_colours(depth: &Image<f32>) -> Image<f32> {
+    let mut valid: Vec<f32> = depth.plane(0).iter().copied().filter(|&d| d > 0.0).collect();
+    valid.sort_by(f32::total_cmp);
+    let quantile = |q: f64| valid.get((q * valid.len() as f64) as usize).copied().unwrap_or(1.0);
+    let (near, far) = (quantile(0.02), quantile(0.98));
+    let mut colours = Image::new(depth.width, depth.height, 3);
+    for (i, &d) in depth.plane(0).iter().enumerate() {
+        let share = ((d - near) / (far - near).max(1e-6)).clamp(0.0, 1.0);
+        let colour = if d > 0.0 { warm_to_cool(share) } else { [0.06, 0.07, 0.09] };
+        for (channel, value) in colour.into_iter().enumerate() {
+            colours.plane_mut(channel)[i] = value;
+        }
+    }
+    colours
+}
+
+/// Sand, coral, violet, night blue.
+fn warm_to_cool(share: f32) -> [f32; 3] {
+    const STOPS: [[f32; 3]; 4] =
+        [[0.99, 0.91, 0.70], [0.93, 0.50, 0.42], [0.48, 0.25, 0.52], [0.10, 0.12, 0.32]];
+    let at = share * 3.0;
+    let i = (at as usize).min(2);
+    let u = at - i as f32;
+    std::array::from_fn(|c| STOPS[i][c] * (1.0 - u) + STOPS[i + 1][c] * u)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depth_without_readings_is_dark() {
+        let colours = depth_colours(&Image::new(4, 3, 1));
+        assert!(colours.data.iter().all(|&v| v < 0.1));
+    }
 }

@@ -1,6 +1,7 @@
 //! The first screen: one sentence and the figures that matter.
 
-use super::{Report, escape};
+use super::Report;
+use crate::html::escape;
 use crate::{Metrics, UnitOfLength};
 use std::fmt::Write;
 

@@ -1,29 +1,23 @@
 //! `report.html`: one self-contained page that shows what a run found, for someone who sees such
 //! a system for the first time.
 
-mod axis;
 mod evaluation;
-mod files;
 mod gallery;
 mod headline;
-mod picture;
-mod plot;
 mod plots;
 #[cfg(test)]
 mod tests;
-mod warnings;
 
-pub use axis::Axis;
 pub use evaluation::{EvaluationSection, EvaluationSource, TruthSource, put_evaluations};
 pub use gallery::Comparison;
 
-use super::{ExportError, Metrics, ResultFolder, Storage};
+use crate::html::{STYLE, escape};
+use crate::{ExportError, Metrics, ResultFolder, Storage};
 use i2slam::geometry::StampedPose;
-use i2slam::{FrameEstimate, Reconstruction};
+use i2slam::{FrameEstimate, Reconstruction, Warning};
+use std::fmt::Write;
 
 const TEMPLATE: &str = include_str!("template.html");
-/// The style sheet of this project's pages.
-pub const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
 
 /// What the page is made of.
@@ -52,14 +46,14 @@ impl Report<'_> {
             ("script", SCRIPT.to_owned()),
             ("lead", headline::lead(self)),
             ("cards", headline::cards(self.metrics)),
-            ("warnings", warnings::section(&self.metrics.warnings)),
+            ("warnings", warning_section(&self.metrics.warnings)),
             ("gallery", gallery::gallery(self)),
             ("brackets", gallery::brackets(self.comparisons)),
             ("trajectory", plots::trajectory(self)),
             ("tone", plots::tone(self)),
             ("motion", plots::motion(self)),
             ("work", plots::work(self)),
-            ("files", files::rows(there)),
+            ("files", file_rows(there)),
             ("settings", escape(&self.reconstruction.config.to_toml())),
             ("version", escape(&self.metrics.version)),
         ];
@@ -96,17 +90,67 @@ fn fill(template: &str, values: &[(&str, String)]) -> String {
     page + rest
 }
 
-/// Text that may stand in HTML.
-pub fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '&' => escaped += "&amp;",
-            '<' => escaped += "&lt;",
-            '>' => escaped += "&gt;",
-            '"' => escaped += "&quot;",
-            other => escaped.push(other),
+/// Warnings that are seen without unfolding the others.
+const UNFOLDED: usize = 6;
+
+/// The section; nothing where nothing was unusual.
+fn warning_section(warnings: &[Warning]) -> String {
+    if warnings.is_empty() {
+        return String::new();
+    }
+    let (open, folded) = warnings.split_at(warnings.len().min(UNFOLDED));
+    let mut out = format!(
+        "<section id=\"warnings\">\n<h2>Warnings</h2>\n<ul class=\"warnings\">{}</ul>",
+        warning_items(open)
+    );
+    if !folded.is_empty() {
+        let (count, items) = (folded.len(), warning_items(folded));
+        write!(
+            out,
+            "<details><summary>{count} more</summary><ul class=\"warnings\">{items}</ul></details>"
+        )
+        .ok();
+    }
+    out + "\n</section>"
+}
+
+fn warning_items(warnings: &[Warning]) -> String {
+    let item = |warning: &Warning| {
+        let time = warning.time_s.map(|time| format!(" <small>at {time:.2} s</small>"));
+        format!("<li>{}{}</li>", escape(&warning.text), time.unwrap_or_default())
+    };
+    warnings.iter().map(item).collect()
+}
+
+/// Names and what they hold, for readers who see such a folder for the first time.
+const FILES: [(&str, &str); 14] = [
+    ("trajectory.txt", "Camera path, TUM format, world from camera, mid-exposure"),
+    ("trajectory_shutter.txt", "Poses at shutter open and close"),
+    ("frames.csv", "Frame by frame: exposure, white balance, blur, losses, times, size of the map"),
+    ("camera_response.csv", "The response curve"),
+    ("map.ply", "The map for 3D Gaussian viewers such as SuperSplat"),
+    ("map.i2slam", "The map in full precision and range"),
+    ("metrics.json", "The figures of the run, as at the top of this page, for programs"),
+    ("renders/sharp", "Pictures without blur, from the middle of each exposure"),
+    ("renders/blurred", "What formation predicts for the pictures taken"),
+    ("renders/hdr", "Linear radiance (OpenEXR)"),
+    ("renders/depth", "Depth, 16 bit, 5000 = 1 m"),
+    ("config.toml", "All settings, for <code>--config</code>"),
+    ("input.json", "The dataset, and how it was read"),
+    (
+        "camera.json, state.json",
+        "Camera of the renders; what else <code>i2slam render</code> reads",
+    ),
+];
+
+/// A row for each that is there; `there` is asked by name.
+fn file_rows(there: impl Fn(&str) -> bool) -> String {
+    let mut out = String::new();
+    for (names, meaning) in FILES {
+        if names.split(", ").all(&there) {
+            // Writing to a string cannot fail.
+            writeln!(out, "<tr><td><code>{names}</code></td><td>{meaning}</td></tr>").ok();
         }
     }
-    escaped
+    out
 }

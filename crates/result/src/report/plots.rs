@@ -1,8 +1,8 @@
 //! The plots of the page, from the estimates of the frames.
 
 use super::Report;
-use super::plot::{Mark, Plot, Series};
 use crate::UnitOfLength;
+use crate::plot::{Horizontal, Plot, Series, Style};
 use i2slam::Config;
 use i2slam::FrameEstimate;
 use i2slam::config::TrackingMethod;
@@ -11,14 +11,14 @@ use i2slam::geometry::{Pose, StampedPose};
 type Points = Vec<(f64, f64)>;
 
 /// A plot over the frames of the sequence.
-fn over_frames(title: &'static str, explanation: &str, y_label: &'static str) -> Plot {
+fn over_frames(title: &str, explanation: &str, y_label: &str) -> Plot {
     Plot {
-        title,
+        title: title.to_owned(),
         explanation: explanation.to_owned(),
-        x_label: "frame",
-        y_label,
+        x_label: "frame".to_owned(),
+        y_label: y_label.to_owned(),
+        horizontal: Horizontal::Tight,
         from_zero: true,
-        equal_scales: false,
         series: Vec::new(),
         marks: Vec::new(),
     }
@@ -58,9 +58,9 @@ fn seen(first_from_world: Pose<f64>, world_from_camera: Pose<f64>) -> [f64; 3] {
 }
 
 fn view(
-    title: &'static str,
-    x_label: &'static str,
-    y_label: &'static str,
+    title: &str,
+    x_label: &str,
+    y_label: &str,
     path: &[[f64; 3]],
     truth: &[[f64; 3]],
     [across, up]: [usize; 2],
@@ -68,7 +68,7 @@ fn view(
     let flat = |path: &[[f64; 3]]| -> Points { path.iter().map(|p| (p[across], p[up])).collect() };
     let mut series = Vec::new();
     if !truth.is_empty() {
-        series.push(Series::line("ground truth", "c2", flat(truth)).marked(Mark::Under));
+        series.push(Series::line("ground truth", "c2", flat(truth)).styled(Style::Under));
     }
     series.push(Series::line("estimate", "c1", flat(path)));
     let ends = [("start", path.first()), ("end", path.last())];
@@ -76,12 +76,12 @@ fn view(
     let explanation =
         "Where the camera was, in the directions of its first frame; one scale on both axes.";
     Plot {
-        title,
+        title: title.to_owned(),
         explanation: explanation.to_owned(),
-        x_label,
-        y_label,
+        x_label: x_label.to_owned(),
+        y_label: y_label.to_owned(),
+        horizontal: Horizontal::EqualScales,
         from_zero: false,
-        equal_scales: true,
         series,
         marks: marks.collect(),
     }
@@ -98,7 +98,7 @@ fn position_error(frames: &[FrameEstimate], truth: &[StampedPose]) -> Option<Plo
     };
     let explanation = "Distance from the true camera position after alignment.";
     let mut plot = over_frames("Position error", explanation, "error [cm]");
-    plot.series = vec![Series::line("error", "c1", points(frames, error)).marked(Mark::Area)];
+    plot.series = vec![Series::line("error", "c1", points(frames, error)).styled(Style::Area)];
     (!truth.is_empty()).then_some(plot)
 }
 
@@ -124,7 +124,7 @@ fn exposure(report: &Report<'_>) -> Plot {
     let estimate = points(frames, stops);
     if !report.true_exposure.is_empty() {
         let truth = lay_onto(&estimate, report.true_exposure);
-        plot.series.push(Series::line("truth", "c2", truth).marked(Mark::Under));
+        plot.series.push(Series::line("truth", "c2", truth).styled(Style::Under));
     }
     plot.series.push(Series::line("recovered", "c1", estimate));
     plot
@@ -168,19 +168,19 @@ fn response(report: &Report<'_>) -> Plot {
          sRGB standard.",
         "picture value",
     );
-    plot.x_label = "light reaching the sensor";
+    plot.x_label = "light reaching the sensor".to_owned();
     let responses = &report.reconstruction.responses;
     let srgb = i2slam::formation::StartCurve::Srgb;
     let Some(response) = responses.get(responses.len() / 2) else { return plot };
     let curve = response.curve();
     let standard = curve.positions().iter().map(|&x| f64::from(x)).map(|x| (x, srgb.evaluate(x)));
-    plot.series.push(Series::line("sRGB", "grey", standard.collect()).marked(Mark::Dashed));
+    plot.series.push(Series::line("sRGB", "grey", standard).styled(Style::Dashed));
     let names: &[&str] =
         if curve.curves() == 1 { &["all colours"] } else { &["red", "green", "blue"] };
     for (channel, name) in names.iter().enumerate() {
         let colour = if curve.curves() == 1 { "c1" } else { ["red", "green", "blue"][channel] };
         let values = curve.positions().iter().zip(curve.values(channel));
-        let values = values.map(|(&x, &y)| (f64::from(x), f64::from(y))).collect();
+        let values = values.map(|(&x, &y)| (f64::from(x), f64::from(y)));
         plot.series.push(Series::line(name, colour, values));
     }
     plot
@@ -193,7 +193,7 @@ pub(super) fn motion(report: &Report<'_>) -> String {
                        open (median over the picture).";
     let mut plot = over_frames("Blur", explanation, "blur [px]");
     plot.series =
-        vec![Series::line("blur", "c1", points(frames, |f| f.blur_length)).marked(Mark::Area)];
+        vec![Series::line("blur", "c1", points(frames, |f| f.blur_length)).styled(Style::Area)];
     plot.html()
 }
 
@@ -220,7 +220,7 @@ pub(super) fn work(report: &Report<'_>) -> String {
     let mut time = over_frames("Time", "Seconds of work on each frame.", "time [s]");
     let total = |f: &FrameEstimate| f.tracking_seconds + f.mapping_seconds;
     time.series = vec![
-        Series::line("tracking and mapping", "c2", points(frames, total)).marked(Mark::Area),
+        Series::line("tracking and mapping", "c2", points(frames, total)).styled(Style::Area),
         Series::line("tracking alone", "c1", points(frames, |f| f.tracking_seconds)),
     ];
     let explanation = "Mean difference between predicted and taken picture when the pose was found \
@@ -243,7 +243,7 @@ pub(super) fn work(report: &Report<'_>) -> String {
     let mut size = over_frames("Map", "Gaussians in the map, in thousands.", "thousands");
     let thousands = |f: &FrameEstimate| f.gaussians as f64 / 1000.0;
     size.series =
-        vec![Series::line("Gaussians", "c4", points(frames, thousands)).marked(Mark::Area)];
+        vec![Series::line("Gaussians", "c4", points(frames, thousands)).styled(Style::Area)];
     plots.push(size);
     plots.iter().map(Plot::html).collect()
 }

@@ -93,3 +93,17 @@ fn shown_frames_are_spread_and_blurred() {
 fn placeholders_in_values_stay() {
     assert_eq!(fill("a {{x}} b {{y}}", &[("x", "{{y}}".into()), ("y", "2".into())]), "a {{y}} b 2");
 }
+
+#[test]
+fn every_warning_is_there_with_its_time_and_many_are_folded() {
+    assert_eq!(warning_section(&[]), "");
+    let of = |count: usize| -> String {
+        let warning = |i| Warning::of_frame(i, "a < b").with_time(|i| Some(0.5 * i as f64));
+        warning_section(&(0..count).map(warning).collect::<Vec<_>>())
+    };
+    let two = of(2);
+    assert!(two.contains("<li>frame 1: a &lt; b <small>at 0.50 s</small></li>"), "{two}");
+    assert!(!two.contains("details"));
+    let many = of(UNFOLDED + 3);
+    assert!(many.contains("3 more") && many.matches("<li>").count() == UNFOLDED + 3, "{many}");
+}

@@ -1,9 +1,13 @@
-//! The text files of a result: trajectories, frames, camera response.
+//! The text tables of a result: trajectories, `frames.csv`, camera response.
 
-use super::UnitOfLength;
-use i2slam::geometry::{Pose, StampedPose};
-use i2slam::{FrameEstimate, Reconstruction};
+use crate::storage::read_text;
+use crate::{ExportError, UnitOfLength};
+use i2slam::formation::{FrameTone, ShutterPoses};
+use i2slam::geometry::{Pose, Rotation, StampedPose, Tangent, Vec3};
+use i2slam::{Convergence, FrameEstimate, Losses, Reconstruction};
 use std::fmt::{Display, Write};
+use std::path::Path;
+use std::str::FromStr;
 
 /// Columns of `frames.csv`, in order.
 pub(crate) const FRAME_COLUMNS: [&str; 28] = [
@@ -163,4 +167,109 @@ pub(crate) fn responses(reconstruction: &Reconstruction) -> String {
 /// The stream index of the first frame that a response forms.
 fn frame_of(reconstruction: &Reconstruction, response: usize) -> Option<usize> {
     reconstruction.frames.iter().find(|f| f.response == response).map(|f| f.index)
+}
+
+/// Reads frames from the two tables, which have one row per frame in the same order.
+pub(crate) fn read_frames(
+    folder: &Path,
+    responses: usize,
+) -> Result<Vec<FrameEstimate>, ExportError> {
+    let path = folder.join("frames.csv");
+    let content = read_text(&path)?;
+    let mut lines = content.lines();
+    if lines.next() != Some(FRAME_COLUMNS.join(",").as_str()) {
+        return Err(ExportError::format(
+            &path,
+            "does not begin with the expected column names".to_owned(),
+        ));
+    }
+    let shutters = shutters(&folder.join("trajectory_shutter.txt"))?;
+    let rows: Vec<&str> = lines.filter(|l| !l.is_empty()).collect();
+    if rows.len() != shutters.len() {
+        let message =
+            format!("has {} rows, but trajectory_shutter.txt has {}", rows.len(), shutters.len());
+        return Err(ExportError::format(&path, message));
+    }
+    let frames = rows.iter().zip(shutters).enumerate().map(|(i, (row, shutter))| {
+        frame(row, shutter, responses)
+            .map_err(|m| ExportError::format(&path, format!("line {}: {m}", i + 2)))
+    });
+    frames.collect()
+}
+
+fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<FrameEstimate, String> {
+    let cells: Vec<&str> = row.split(',').collect();
+    if cells.len() != FRAME_COLUMNS.len() {
+        return Err(format!("{} columns, expected {}", cells.len(), FRAME_COLUMNS.len()));
+    }
+    let log = |column: usize| cell::<f64>(&cells, column).map(|gain| gain.ln() as f32);
+    let response = cell(&cells, 15)?;
+    if response >= responses {
+        return Err(format!("camera response {response} is not in state.json"));
+    }
+    let mut depth_lead = [0.0; 6];
+    for (i, value) in depth_lead.iter_mut().enumerate() {
+        *value = cell(&cells, 16 + i)?;
+    }
+    Ok(FrameEstimate {
+        index: cell(&cells, 0)?,
+        timestamp: cell(&cells, 1)?,
+        shutter,
+        readout: cell(&cells, 23)?,
+        depth_lead: Tangent::from_array(depth_lead),
+        tone: FrameTone::from_array([log(2)?, log(3)?, log(4)?, log(5)?]),
+        response,
+        keyframe: cell::<u8>(&cells, 13)? != 0,
+        held_out: cell::<u8>(&cells, 22)? != 0,
+        tracked: cell::<u8>(&cells, 14)? != 0,
+        losses: Losses {
+            image: cell(&cells, 6)?,
+            depth: cell(&cells, 7)?,
+            trajectory: cell(&cells, 8)?,
+        },
+        convergence: Convergence {
+            converged: cell::<u8>(&cells, 24)? != 0,
+            iterations: cell(&cells, 25)?,
+            position_deviation: optional(&cells, 26)?,
+            rotation_deviation: optional(&cells, 27)?.map(f64::to_radians),
+        },
+        blur_length: cell(&cells, 9)?,
+        tracking_seconds: cell(&cells, 10)?,
+        mapping_seconds: cell(&cells, 11)?,
+        gaussians: cell(&cells, 12)?,
+    })
+}
+
+fn cell<T: FromStr>(cells: &[&str], column: usize) -> Result<T, String> {
+    let text = cells[column];
+    let wrong = |_| format!("`{text}` is no value of {}", FRAME_COLUMNS[column]);
+    text.parse().map_err(wrong)
+}
+
+/// A number, or none in an empty cell.
+fn optional(cells: &[&str], column: usize) -> Result<Option<f64>, String> {
+    if cells[column].is_empty() { Ok(None) } else { cell(cells, column).map(Some) }
+}
+
+fn shutters(path: &Path) -> Result<Vec<ShutterPoses<f64>>, ExportError> {
+    let content = read_text(path)?;
+    let lines = content.lines().enumerate().filter(|(_, l)| !l.is_empty() && !l.starts_with('#'));
+    let shutters = lines.map(|(i, line)| {
+        let numbers: Option<Vec<f64>> = line.split(' ').map(|t| t.parse().ok()).collect();
+        let numbers = numbers.filter(|n| n.len() == 15);
+        let poses = numbers.and_then(|n| Some((pose(&n[1..8])?, pose(&n[8..15])?)));
+        let wrong =
+            || ExportError::format(path, format!("line {}: expected a time and two poses", i + 1));
+        poses.map(|(start, end)| ShutterPoses { start, end }).ok_or_else(wrong)
+    });
+    shutters.collect()
+}
+
+/// A pose from `tx ty tz qx qy qz qw`. Unit quaternions are kept bit for bit.
+fn pose(n: &[f64]) -> Option<Pose<f64>> {
+    let rotation = Rotation::from_wxyz(n[6], n[3], n[4], n[5])?;
+    let exact = Rotation { w: n[6], v: Vec3::new(n[3], n[4], n[5]) };
+    let unit = (rotation.w - exact.w).abs() + (rotation.v - exact.v).norm() < 1e-12;
+    let rotation = if unit { exact } else { rotation };
+    Some(Pose::new(rotation, Vec3::new(n[0], n[1], n[2]))).filter(|p| p.is_finite())
 }

@@ -1,8 +1,7 @@
 //! What a program may take away again: its own files, by name, where a mark says that it wrote
 //! them.
 
-use super::renders::result_pictures;
-use super::{ExportError, RenderKind};
+use crate::{ExportError, RenderKind};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -39,6 +38,15 @@ const FILES: [&str; 15] = [
 /// Files by which a result is known; a dataset has none of them.
 const MARKS: [&str; 5] =
     ["trajectory_shutter.txt", "frames.csv", "state.json", "map.i2slam", "report.html"];
+
+/// Folders of a result that hold pictures by kind: of the run, at optimised poses, at poses of
+/// the user's.
+const PICTURES: [&str; 3] = ["renders/optimised", "renders", "views"];
+
+/// Those folders with the extension of their pictures.
+fn result_pictures() -> Vec<(String, &'static str)> {
+    PICTURES.into_iter().flat_map(Layout::renders).collect()
+}
 
 /// What a folder holds of the names that a command writes.
 #[derive(Clone, Debug, PartialEq, Eq)]

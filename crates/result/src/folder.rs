@@ -1,0 +1,191 @@
+//! A reconstruction saved to a result folder, the most important files first, and loaded from it.
+
+use crate::pictures::DEPTH_UNITS_PER_METRE;
+use crate::storage::read_text;
+use crate::{ExportError, Metrics, ResultFolder, Storage, UnitOfLength, map, tables};
+use i2slam::formation::tone::NODES;
+use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
+use i2slam::geometry::{Camera, StampedPose};
+use i2slam::{Config, Map, Reconstruction};
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+/// Write everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
+/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only;
+/// an older one is removed), in this order.
+///
+/// A file that fails does not keep the others from being tried. The list holds what failed.
+pub fn save<S: Storage>(
+    folder: &ResultFolder<S>,
+    reconstruction: &Reconstruction,
+) -> Vec<ExportError> {
+    let r = reconstruction;
+    let unit = UnitOfLength::of(&r.config);
+    let steps = [
+        save_trajectory(folder, "trajectory.txt", &r.trajectory(), unit),
+        folder.write_text("trajectory_shutter.txt", &tables::shutter_trajectory(&r.frames, unit)),
+        folder.write_text("frames.csv", &tables::frames(&r.frames)),
+        folder.write_text("config.toml", &r.config.to_toml()),
+        folder.write("camera.json", |out| write_json(out, &CameraFile::of(&r.camera))),
+        folder.write_text("camera_response.csv", &tables::responses(r)),
+        folder.write("state.json", |out| {
+            write_json(out, &State::of(&r.responses, r.rolling_shutter_readout))
+        }),
+        folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
+        match &r.map {
+            Map::Gaussians(map) => {
+                folder.write("map.ply", |out| map::write_ply(out, map, r.typical_tone()))
+            }
+            Map::HashGrid(_) => folder.remove("map.ply"),
+        },
+    ];
+    steps.into_iter().filter_map(Result::err).collect()
+}
+
+/// Write mid-exposure poses in the TUM format.
+pub fn save_trajectory<S: Storage>(
+    folder: &ResultFolder<S>,
+    file: &str,
+    poses: &[StampedPose],
+    unit: UnitOfLength,
+) -> Result<(), ExportError> {
+    folder.write_text(file, &tables::trajectory(poses, unit))
+}
+
+/// Write `metrics.json`.
+pub fn save_metrics<S: Storage>(
+    folder: &ResultFolder<S>,
+    metrics: &Metrics,
+) -> Result<(), ExportError> {
+    folder.write("metrics.json", |out| write_json(out, metrics))
+}
+
+fn write_json(out: &mut dyn Write, value: &impl serde::Serialize) -> io::Result<()> {
+    serde_json::to_writer_pretty(&mut *out, value)?;
+    writeln!(out)
+}
+
+/// Read the folder that [`save`] wrote: `config.toml`, `camera.json`,
+/// `trajectory_shutter.txt`, `frames.csv`, `state.json` and `map.i2slam`.
+pub fn load(folder: &Path) -> Result<Reconstruction, ExportError> {
+    let config_path = folder.join("config.toml");
+    let config =
+        Config::from_toml(&read_text(&config_path)?, &config_path.display().to_string(), None)
+            .map_err(|e| ExportError::Format { path: config_path, message: e.to_string() })?;
+    let camera_path = folder.join("camera.json");
+    let camera: CameraFile = read_json(&camera_path)?;
+    let camera = camera.camera().map_err(|m| ExportError::format(&camera_path, m))?;
+    let (responses, rolling_shutter_readout) = state(&folder.join("state.json"))?;
+    let frames = tables::read_frames(folder, responses.len())?;
+    let map_path = folder.join("map.i2slam");
+    let bytes = fs::read(&map_path).map_err(|e| ExportError::read(&map_path, e))?;
+    let map = map::read_native(&bytes).map_err(|m| ExportError::format(&map_path, m))?;
+    Ok(Reconstruction { config, camera, frames, map, responses, rolling_shutter_readout })
+}
+
+/// Camera responses, and the time in which the rows are read.
+fn state(path: &Path) -> Result<(Vec<CameraResponse<f32>>, f64), ExportError> {
+    let state: State = read_json(path)?;
+    if state.format != FORMAT {
+        let message = format!("has format {}, this program reads format {FORMAT}", state.format);
+        return Err(ExportError::format(path, message));
+    }
+    let responses = state.responses.into_iter().map(|r| r.response());
+    let responses =
+        responses.collect::<Result<_, _>>().map_err(|m| ExportError::format(path, m))?;
+    Ok((responses, state.rolling_shutter_readout))
+}
+
+/// Version of the folder's layout.
+const FORMAT: u32 = 1;
+
+/// The free numbers of the camera responses.
+#[derive(Serialize, Deserialize)]
+struct State {
+    format: u32,
+    responses: Vec<ResponseState>,
+    /// First to last row [s].
+    #[serde(default)]
+    rolling_shutter_readout: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct ResponseState {
+    start: StartCurve,
+    /// Exponent of the node spacing; none is uniform.
+    node_power: Option<f64>,
+    nodes: Vec<Vec<f32>>,
+}
+
+impl State {
+    fn of(responses: &[CameraResponse<f32>], rolling_shutter_readout: f64) -> Self {
+        let responses = responses.iter().map(ResponseState::of).collect();
+        Self { format: FORMAT, responses, rolling_shutter_readout }
+    }
+}
+
+impl ResponseState {
+    fn of(response: &CameraResponse<f32>) -> Self {
+        let node_power = match response.spacing() {
+            NodeSpacing::Uniform => None,
+            NodeSpacing::Power(power) => Some(power),
+        };
+        Self { start: response.start(), node_power, nodes: response.nodes.clone() }
+    }
+
+    /// The response, or what is wrong with it.
+    fn response(self) -> Result<CameraResponse<f32>, String> {
+        let spacing = self.node_power.map_or(NodeSpacing::Uniform, NodeSpacing::Power);
+        let curves = self.nodes.len();
+        if !matches!(curves, 1 | 3) || self.nodes.iter().any(|n| n.len() != NODES) {
+            return Err(format!("a camera response needs 1 or 3 curves of {NODES} nodes"));
+        }
+        let mut response = CameraResponse::new(curves, self.start, spacing);
+        response.nodes = self.nodes;
+        Ok(response)
+    }
+}
+
+/// The camera of the pictures under `renders/`, readable as a dataset's `camera.json`.
+#[derive(Serialize, Deserialize)]
+struct CameraFile {
+    width: usize,
+    height: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    /// Where pixel (0, 0) has its centre.
+    pixel_centre: f64,
+    distortion: [f64; 5],
+    depth_scale: f64,
+}
+
+impl CameraFile {
+    fn of(camera: &Camera<f64>) -> Self {
+        let &Camera { width, height, fx, fy, cx, cy } = camera;
+        let depth_scale = f64::from(DEPTH_UNITS_PER_METRE);
+        Self { width, height, fx, fy, cx, cy, pixel_centre: 0.5, distortion: [0.0; 5], depth_scale }
+    }
+
+    fn camera(self) -> Result<Camera<f64>, String> {
+        let shift = 0.5 - self.pixel_centre;
+        let Self { width, height, fx, fy, cx, cy, .. } = self;
+        let numbers = [fx, fy, cx, cy, shift];
+        if width == 0
+            || height == 0
+            || fx <= 0.0
+            || fy <= 0.0
+            || numbers.iter().any(|v| !v.is_finite())
+        {
+            return Err("has no usable camera".to_owned());
+        }
+        Ok(Camera { width, height, fx, fy, cx: cx + shift, cy: cy + shift })
+    }
+}
+
+fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, ExportError> {
+    serde_json::from_str(&read_text(path)?).map_err(|e| ExportError::format(path, e.to_string()))
+}

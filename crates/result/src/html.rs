@@ -1,0 +1,56 @@
+//! Parts of self-contained HTML pages: style sheet, escaped text, embedded pictures.
+
+use crate::pictures::interleaved_bytes;
+use base64::Engine;
+use i2slam::geometry::Image;
+
+/// The style sheet of this project's pages.
+pub const STYLE: &str = include_str!("report/style.css");
+
+/// Quality of embedded JPEG pictures, of 100.
+const JPEG_QUALITY: u8 = 88;
+
+/// Replaces the characters that have a meaning in HTML.
+pub fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => escaped += "&amp;",
+            '<' => escaped += "&lt;",
+            '>' => escaped += "&gt;",
+            '"' => escaped += "&quot;",
+            other => escaped.push(other),
+        }
+    }
+    escaped
+}
+
+/// The picture as a `data:` address (JPEG in base64); empty for an empty picture and one too large
+/// for JPEG (65 535 pixels a side).
+pub(crate) fn data_address(picture: &Image<f32>) -> String {
+    let size = u16::try_from(picture.width).ok().zip(u16::try_from(picture.height).ok());
+    let Some((width, height)) = size.filter(|&(w, h)| w > 0 && h > 0) else {
+        return String::new();
+    };
+    let pixels = interleaved_bytes(picture);
+    let mut bytes = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut bytes, JPEG_QUALITY);
+    if encoder.encode(&pixels, width, height, jpeg_encoder::ColorType::Rgb).is_err() {
+        return String::new();
+    }
+    format!("data:image/jpeg;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_become_jpeg_and_impossible_ones_nothing() {
+        let address = data_address(&Image::new(16, 9, 3));
+        let encoded = address.strip_prefix("data:image/jpeg;base64,").expect("an address");
+        let bytes = base64::engine::general_purpose::STANDARD.decode(encoded).expect("base64");
+        assert_eq!(bytes[..3], [0xff, 0xd8, 0xff]);
+        assert_eq!(data_address(&Image::new(0, 0, 3)), "");
+    }
+}
