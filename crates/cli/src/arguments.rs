@@ -70,7 +70,7 @@ impl Input {
     /// Options for opening a sequence: those of `usual` that flags do not replace. `--scale`
     /// replaces the usual size, too.
     pub(crate) fn open_options(&self, usual: OpenOptions) -> Result<OpenOptions, Failure> {
-        let given = self.intrinsics.as_deref().map(intrinsics).transpose()?;
+        let given = self.intrinsics.as_deref().map(parse_intrinsics).transpose()?;
         let (file, intrinsics) = given.unwrap_or_default();
         let usual_side = usual.max_side.filter(|_| self.scale.is_none());
         Ok(OpenOptions {
@@ -101,7 +101,7 @@ impl Machine {
 }
 
 /// Parses `--intrinsics`: a file, or four numbers.
-fn intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4]>), Failure> {
+fn parse_intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4]>), Failure> {
     let refuse = |why: &str| {
         let words = words.join(" ");
         Failure::Usage(format!(
@@ -135,7 +135,7 @@ mod tests {
     fn intrinsics_are_a_file_or_four_numbers() {
         let of = |text: &str| {
             let words: Vec<String> = text.split(' ').map(str::to_owned).collect();
-            intrinsics(&words)
+            parse_intrinsics(&words)
         };
         assert!(matches!(of("500 501 -3.5 240"), Ok((None, Some([500.0, 501.0, -3.5, 240.0])))));
         assert!(matches!(of("cam.json"), Ok((Some(file), None)) if file.ends_with("cam.json")));

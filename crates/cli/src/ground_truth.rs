@@ -24,7 +24,7 @@ pub(crate) struct GroundTruth {
 
 impl GroundTruth {
     /// Opens poses (of a ground-truth file or of the frames), `sharp/`, `exposure.csv` and `hdr/`.
-    pub(crate) fn of(folder: &Path, sequence: &Sequence) -> Self {
+    pub(crate) fn open(folder: &Path, sequence: &Sequence) -> Self {
         let mut warnings = Vec::new();
         let trajectory = sequence.true_trajectory().unwrap_or_else(|error| {
             // The sequence has warned of an unreadable file.
@@ -106,12 +106,12 @@ fn sharp_sequence(folder: &Path, sequence: &Sequence) -> Option<Sequence> {
     if !sharp.is_dir() {
         return None;
     }
-    let mut there = sequence.clone();
-    for entry in &mut there.entries {
+    let mut sharp_frames = sequence.clone();
+    for entry in &mut sharp_frames.entries {
         let name = entry.colour.file_name()?.to_owned();
         entry.colour = sharp.join(name);
     }
-    Some(there)
+    Some(sharp_frames)
 }
 
 /// Reads column `dt` of a CSV file, by column `frame` or else by row.

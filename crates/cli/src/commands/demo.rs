@@ -4,7 +4,7 @@ use crate::arguments::Machine;
 use crate::failure::Failure;
 use crate::output::print_status;
 use crate::output_dir::refuse_file;
-use crate::reconstruction::{self, Draw, Job};
+use crate::reconstruction::{self, Job, RenderSelection};
 use clap::Args;
 use i2slam::RunOptions;
 use i2slam_result::ResultFolder;
@@ -42,7 +42,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         dataset,
         out: arguments.out.clone(),
         options,
-        draw: Draw::All,
+        draw: RenderSelection::All,
         overwrite: true,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),

@@ -18,12 +18,12 @@ pub(crate) fn presets(arguments: &Presets) -> Result<(), Failure> {
         return Ok(());
     }
     for name in PRESET_NAMES {
-        print(&format!("{name:<20}{}", meaning(name)));
+        print(&format!("{name:<20}{}", description(name)));
     }
     Ok(())
 }
 
-fn meaning(name: &str) -> &'static str {
+fn description(name: &str) -> &'static str {
     match name {
         "default" => "second-order tracking, cheap blur: the best result at a usable speed",
         "paper-tum" => "the paper's settings for TUM RGB-D",

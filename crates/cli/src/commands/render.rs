@@ -48,14 +48,17 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let own_poses = arguments.pose.is_some() || arguments.poses.is_some();
     let kinds = kinds(arguments, own_poses)?;
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
-    refuse_other_folders(&arguments.result)?;
+    refuse_non_results(&arguments.result)?;
     let reconstruction = i2slam_result::load(&arguments.result)?;
     let frames = frames(arguments, pose, &reconstruction)?;
-    let folder = place(arguments, own_poses)?;
-    let frames =
-        if own_poses && arguments.out.is_none() { after_earlier(&folder, frames) } else { frames };
+    let folder = output_folder(arguments, own_poses)?;
+    let frames = if own_poses && arguments.out.is_none() {
+        number_after_existing(&folder, frames)
+    } else {
+        frames
+    };
     if own_poses || arguments.out.is_some() {
-        note_poses(&folder, &frames)?;
+        append_poses(&folder, &frames)?;
     }
     interrupt::listen();
     let progress = Progress::new(frames.len(), false);
@@ -79,7 +82,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
 }
 
 /// Refuses a folder that is no result of a run.
-fn refuse_other_folders(result: &Path) -> Result<(), Failure> {
+fn refuse_non_results(result: &Path) -> Result<(), Failure> {
     let shown = result.display();
     if !result.is_dir() {
         return Err(Failure::Failed(format!("{shown}: no such folder")));
@@ -93,7 +96,7 @@ fn refuse_other_folders(result: &Path) -> Result<(), Failure> {
 }
 
 /// Opens the folder of the pictures. A named one must be new; the result's own is reused.
-fn place(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
+fn output_folder(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
     let Some(out) = &arguments.out else {
         let own = if own_poses { "views" } else { "renders" };
         return Ok(ResultFolder::create(&arguments.result.join(own))?);
@@ -106,14 +109,17 @@ fn place(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
 }
 
 /// Numbers frames after the pictures in the folder.
-fn after_earlier(folder: &ResultFolder, mut frames: Vec<FrameEstimate>) -> Vec<FrameEstimate> {
+fn number_after_existing(
+    folder: &ResultFolder,
+    mut frames: Vec<FrameEstimate>,
+) -> Vec<FrameEstimate> {
     let first = render_layout().next_number(folder.path());
     frames.iter_mut().for_each(|frame| frame.index += first);
     frames
 }
 
 /// Appends the poses to the list beside the pictures.
-fn note_poses(folder: &ResultFolder, frames: &[FrameEstimate]) -> Result<(), Failure> {
+fn append_poses(folder: &ResultFolder, frames: &[FrameEstimate]) -> Result<(), Failure> {
     let earlier = std::fs::read_to_string(folder.path().join(POSES)).unwrap_or_default();
     let mut text = if earlier.is_empty() { format!("{POSES_HEADER}\n") } else { earlier };
     for frame in frames {

@@ -3,7 +3,7 @@
 use crate::arguments::{Input, Machine};
 use crate::failure::Failure;
 use crate::output::print_status;
-use crate::reconstruction::{self, Draw, Job};
+use crate::reconstruction::{self, Job, RenderSelection};
 use clap::{Args, ValueEnum};
 use i2slam::config::{MapKind, line_of_key};
 use i2slam::dataset::{is_video, is_without_depth};
@@ -57,7 +57,7 @@ pub(crate) struct Run {
     /// Which frames to draw under renders/ [default: all; none of a video on a hash grid, which is
     /// slow to draw: `i2slam render` does it later]
     #[arg(long, value_enum, value_name = "WHICH")]
-    pub(crate) render: Option<Draw>,
+    pub(crate) render: Option<RenderSelection>,
     /// Replace the earlier result in the folder; other files in it stay
     #[arg(long)]
     pub(crate) overwrite: bool,
@@ -157,12 +157,12 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
         Some(file) => Config::from_toml_file_on(file, preset.or(Some(usual)))?,
         None => Config::preset(preset.unwrap_or(usual))?,
     };
-    with_flags(with_usual_map(config, arguments), arguments)
+    with_flags(with_default_map(config, arguments), arguments)
 }
 
 /// Keyframes of other programs may lack the depth that Gaussians start from: they become a radiance
 /// field unless the configuration file or a flag names the map.
-fn with_usual_map(mut config: Config, arguments: &Run) -> Config {
+fn with_default_map(mut config: Config, arguments: &Run) -> Config {
     let named = arguments.config.as_deref().is_some_and(names_map_kind);
     if is_rgb(arguments) && arguments.keyframes.is_some() && config.is_rgb() && !named {
         config.map.kind = MapKind::HashGrid;
@@ -221,10 +221,10 @@ fn refuse_estimate(arguments: &Run) -> Result<(), Failure> {
 }
 
 /// Default of `--render`. The report has pictures in any case.
-fn default_draw(arguments: &Run, config: &Config) -> Draw {
+fn default_draw(arguments: &Run, config: &Config) -> RenderSelection {
     match config.map.kind {
-        MapKind::HashGrid if is_video(&arguments.dataset) => Draw::None,
-        _ => Draw::All,
+        MapKind::HashGrid if is_video(&arguments.dataset) => RenderSelection::None,
+        _ => RenderSelection::All,
     }
 }
 

@@ -12,16 +12,16 @@ use crate::{interrupt, messages};
 use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
 use i2slam::{PoseSource, RunOptions, Warning, reconstruct};
 use i2slam_result::{Layout, ResultFolder};
-pub(crate) use pictures::Draw;
+pub(crate) use pictures::RenderSelection;
 use std::path::{Path, PathBuf};
-use write::{Finished, Written};
+use write::{FinishedRun, WrittenRun};
 
 /// Arguments of a run.
 pub(crate) struct Job {
     pub(crate) dataset: PathBuf,
     pub(crate) out: PathBuf,
     pub(crate) options: RunOptions,
-    pub(crate) draw: Draw,
+    pub(crate) draw: RenderSelection,
     /// Whether an earlier result in `out` may be replaced.
     pub(crate) overwrite: bool,
     pub(crate) quiet: bool,
@@ -44,11 +44,11 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
     let made = CreatedDirs::for_path(&job.out);
     let folder = ResultFolder::create(&job.out)?;
     let warnings = stream.iter().flat_map(|stream| stream.warnings.clone()).collect();
-    let ended = reconstruct_into(&folder, job, (dataset, &sequence), warnings);
-    if ended.is_err() {
+    let result = reconstruct_into(&folder, job, (dataset, &sequence), warnings);
+    if result.is_err() {
         made.remove_empty();
     }
-    ended
+    result
 }
 
 /// Reconstructs an opened sequence and writes the result; `warnings` are those about the stream.
@@ -58,7 +58,7 @@ fn reconstruct_into(
     (dataset, sequence): (&Path, &Sequence),
     mut warnings: Vec<String>,
 ) -> Result<(), Failure> {
-    let truth = GroundTruth::of(dataset, sequence);
+    let truth = GroundTruth::open(dataset, sequence);
     let mut progress = Progress::new(sequence.len(), job.quiet);
     if job.title.is_some() {
         progress = progress.without_advice();
@@ -73,18 +73,18 @@ fn reconstruct_into(
         let undistorted = outcome.undistorted.clone();
         // True pictures have the same lens distortion.
         let undistorted_truth =
-            undistorted.as_ref().map(|sequence| GroundTruth::of(dataset, sequence));
+            undistorted.as_ref().map(|sequence| GroundTruth::open(dataset, sequence));
         let truth = undistorted_truth.as_ref().unwrap_or(&truth);
         let sequence = undistorted.as_ref().unwrap_or(sequence);
         let warnings = warnings.into_iter().map(Warning::from).chain(outcome.warnings.clone());
         let warnings = warnings.collect();
-        Finished { job, folder, sequence, truth, outcome, warnings }.write(&progress)
+        FinishedRun { job, folder, sequence, truth, outcome, warnings }.write(&progress)
     });
     progress.clear();
-    let Written { metrics, map, folder, problems } = written?;
+    let WrittenRun { metrics, map, folder, problems } = written?;
     let is_readout_estimated = job.options.config.input.optimise_rolling_shutter;
     messages::print_summary(&metrics, &map, &folder, is_readout_estimated);
-    end(problems)
+    report_problems(problems)
 }
 
 /// Records a stream into a file before anything else, as a stream cannot be read twice.
@@ -132,7 +132,7 @@ fn output_dir(job: &Job) -> OutputDir<'_> {
 }
 
 /// Prints all problems but the last, which is returned.
-fn end(problems: Vec<String>) -> Result<(), Failure> {
+fn report_problems(problems: Vec<String>) -> Result<(), Failure> {
     match problems.split_last() {
         Some((last, others)) => {
             for problem in others {

@@ -24,32 +24,32 @@ const STOPS: [f64; 3] = [-2.0, 0.0, 2.0];
 
 /// Frames whose renders are written.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Draw {
+pub(crate) enum RenderSelection {
     All,
     Keyframes,
     None,
 }
 
 /// Inputs of rendering.
-pub(crate) struct Drawing<'a> {
+pub(crate) struct PictureRenderer<'a> {
     pub(crate) sequence: &'a Sequence,
     pub(crate) truth: &'a GroundTruth,
     pub(crate) reconstruction: &'a Reconstruction,
-    pub(crate) draw: Draw,
+    pub(crate) draw: RenderSelection,
 }
 
 /// Outputs of rendering.
 #[derive(Default)]
-pub(crate) struct Drawn {
+pub(crate) struct RenderedPictures {
     pub(crate) comparisons: Vec<Comparison>,
-    pub(crate) measures: Measures,
+    pub(crate) metrics: ImageMetrics,
     /// First error of writing, after which no file is written.
     pub(crate) failure: Option<ExportError>,
 }
 
 /// Image metrics, one entry per measured frame.
 #[derive(Default)]
-pub(crate) struct Measures {
+pub(crate) struct ImageMetrics {
     psnr_blurred: Vec<f64>,
     psnr_sharp: Vec<f64>,
     ssim_sharp: Vec<f64>,
@@ -63,24 +63,24 @@ struct RadianceStack {
     frames: usize,
 }
 
-impl Drawing<'_> {
-    /// Renders and measures all frames; after an interrupt, those of the report only.
-    pub(crate) fn run(&self, folder: &ResultFolder, progress: &Progress) -> Drawn {
+impl PictureRenderer<'_> {
+    /// Renders and metrics all frames; after an interrupt, those of the report only.
+    pub(crate) fn run(&self, folder: &ResultFolder, progress: &Progress) -> RenderedPictures {
         let frames = &self.reconstruction.frames;
         let shown = frames_to_show(frames, REPORT_FRAMES);
         let mut viewer = self.reconstruction.viewer();
-        let mut drawn = Drawn::default();
+        let mut rendered = RenderedPictures::default();
         progress.step(DRAWING, 0, frames.len());
         for (i, frame) in frames.iter().enumerate() {
             let show = shown.contains(&i);
             if interrupt::requested() && !show {
                 continue;
             }
-            self.frame(frame, show, &mut viewer, folder, &mut drawn);
+            self.frame(frame, show, &mut viewer, folder, &mut rendered);
             progress.step(DRAWING, i + 1, frames.len());
         }
-        keep_widest_range(&mut drawn.comparisons);
-        drawn
+        keep_widest_range(&mut rendered.comparisons);
+        rendered
     }
 
     fn frame(
@@ -89,16 +89,16 @@ impl Drawing<'_> {
         show: bool,
         viewer: &mut Viewer<'_>,
         folder: &ResultFolder,
-        drawn: &mut Drawn,
+        rendered: &mut RenderedPictures,
     ) {
-        let file = drawn.failure.is_none() && !interrupt::requested() && self.wants_files(frame);
+        let file = rendered.failure.is_none() && !interrupt::requested() && self.wants_files(frame);
         let sharp_truth = self.position(frame).and_then(|p| self.truth.sharp(p));
         if !(file || show || sharp_truth.is_some()) {
             return;
         }
         let sharp = viewer.sharp(frame);
         if let Some(truth) = &sharp_truth {
-            drawn.measures.sharp(&sharp, truth);
+            rendered.metrics.sharp(&sharp, truth);
         }
         if !(file || show) {
             return;
@@ -108,29 +108,29 @@ impl Drawing<'_> {
         let depth = viewer.depth(frame.middle());
         let input = self.position(frame).and_then(|p| self.sequence.load(p).ok());
         if let Some(input) = &input {
-            drawn.measures.blurred(&blurred, &input.colour);
+            rendered.metrics.blurred(&blurred, &input.colour);
         }
         let apart = self.sequence.len().div_ceil(MAX_RADIANCE).max(1);
         if frame.index.is_multiple_of(apart) {
-            drawn.measures.radiance(&hdr, self.truth, frame.index);
+            rendered.metrics.radiance(&hdr, self.truth, frame.index);
         }
         if file {
             let pictures = [&sharp, &blurred, &hdr, &depth];
-            drawn.failure = write_all(folder, frame.index, pictures).err();
+            rendered.failure = write_all(folder, frame.index, pictures).err();
         }
         if let (true, Some(input)) = (show, input) {
             let brackets = self.brackets(frame, viewer);
             let input = std::sync::Arc::unwrap_or_clone(input.colour);
             let index = frame.index;
-            drawn.comparisons.push(Comparison { index, input, sharp, blurred, depth, brackets });
+            rendered.comparisons.push(Comparison { index, input, sharp, blurred, depth, brackets });
         }
     }
 
     fn wants_files(&self, frame: &FrameEstimate) -> bool {
         match self.draw {
-            Draw::All => true,
-            Draw::Keyframes => frame.keyframe,
-            Draw::None => false,
+            RenderSelection::All => true,
+            RenderSelection::Keyframes => frame.keyframe,
+            RenderSelection::None => false,
         }
     }
 
@@ -178,34 +178,34 @@ fn keep_widest_range(comparisons: &mut [Comparison]) {
 /// Largest number of frames for radiance, which is compared for all of them at once.
 const MAX_RADIANCE: usize = 100;
 
-impl Measures {
+impl ImageMetrics {
     fn blurred(&mut self, predicted: &Image<f32>, taken: &Image<f32>) {
         let measured = psnr(&in_range(predicted), taken);
         self.psnr_blurred.extend(measured.ok().filter(|v| v.is_finite()));
     }
 
-    fn sharp(&mut self, drawn: &Image<f32>, truth: &Image<f32>) {
-        let drawn = in_range(drawn);
-        self.psnr_sharp.extend(psnr(&drawn, truth).ok().filter(|v| v.is_finite()));
-        self.ssim_sharp.extend(ssim(&drawn, truth).ok());
+    fn sharp(&mut self, rendered: &Image<f32>, truth: &Image<f32>) {
+        let rendered = in_range(rendered);
+        self.psnr_sharp.extend(psnr(&rendered, truth).ok().filter(|v| v.is_finite()));
+        self.ssim_sharp.extend(ssim(&rendered, truth).ok());
     }
 
-    fn radiance(&mut self, drawn: &Image<f32>, truth: &GroundTruth, index: usize) {
+    fn radiance(&mut self, rendered: &Image<f32>, truth: &GroundTruth, index: usize) {
         let known = truth.radiance(index).and_then(|path| read_exr(&path).ok());
-        let Some(known) = known.and_then(|known| at_size_of(known, drawn)) else { return };
+        let Some(known) = known.and_then(|known| at_size_of(known, rendered)) else { return };
         let empty = || RadianceStack {
-            estimate: Image::new(drawn.width, 0, drawn.channels),
-            truth: Image::new(drawn.width, 0, drawn.channels),
+            estimate: Image::new(rendered.width, 0, rendered.channels),
+            truth: Image::new(rendered.width, 0, rendered.channels),
             frames: 0,
         };
         let stack = self.radiance.get_or_insert_with(empty);
-        append_rows(&mut stack.estimate, drawn);
+        append_rows(&mut stack.estimate, rendered);
         append_rows(&mut stack.truth, &known);
         stack.frames += 1;
     }
 
     /// Writes the means over all frames.
-    pub(crate) fn fill(&self, metrics: &mut Metrics) {
+    pub(crate) fn write_to(&self, metrics: &mut Metrics) {
         metrics.psnr_blurred_db = mean(&self.psnr_blurred);
         metrics.psnr_blurred_frames = self.psnr_blurred.len();
         metrics.psnr_sharp_db = mean(&self.psnr_sharp);

@@ -1,7 +1,7 @@
 //! Result folder of a run, with the errors against ground truth.
 
 use super::Job;
-use super::pictures::Drawing;
+use super::pictures::PictureRenderer;
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
 use crate::progress::Progress;
@@ -18,7 +18,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// A run whose frames are done.
-pub(super) struct Finished<'a> {
+pub(super) struct FinishedRun<'a> {
     pub(super) job: &'a Job,
     pub(super) folder: &'a ResultFolder,
     pub(super) sequence: &'a Sequence,
@@ -29,7 +29,7 @@ pub(super) struct Finished<'a> {
 }
 
 /// Summary of a written run.
-pub(super) struct Written {
+pub(super) struct WrittenRun {
     pub(super) metrics: Metrics,
     /// Description of the map.
     pub(super) map: String,
@@ -38,7 +38,7 @@ pub(super) struct Written {
     pub(super) problems: Vec<String>,
 }
 
-impl Finished<'_> {
+impl FinishedRun<'_> {
     /// Options that open the sequence as it was used.
     fn open_options(&self) -> OpenOptions {
         let lens = self.outcome.camera.as_ref().and_then(|camera| camera.lens);
@@ -66,9 +66,9 @@ impl Finished<'_> {
         Ok(ResultFolder::create(&beside)?)
     }
 
-    /// Writes everything, the most important first: poses and map, then figures, then pictures,
+    /// Writes everything, the most important first: poses and map, then measurements, then pictures,
     /// then the report.
-    pub(super) fn write(mut self, progress: &Progress) -> Result<Written, Failure> {
+    pub(super) fn write(mut self, progress: &Progress) -> Result<WrittenRun, Failure> {
         let folder = &self.output_folder(progress)?;
         let reconstruction = &self.outcome.reconstruction;
         let problem = self.outcome.problem.take().map(Failure::from);
@@ -82,34 +82,34 @@ impl Finished<'_> {
         }
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(Input::new(&self.job.dataset, &self.open_options()).save(folder));
-        let mut figures = Figures::of(&self.outcome, self.truth);
-        figures.warnings.iter().for_each(|warning| progress.warn(warning));
-        let later = figures.warnings.iter().map(|warning| Warning::from(warning.as_str()));
-        figures.metrics.warnings = self.warnings.iter().cloned().chain(later).collect();
-        note(save_metrics(folder, &figures.metrics));
-        let drawing = Drawing {
+        let mut measurements = Measurements::new(&self.outcome, self.truth);
+        measurements.warnings.iter().for_each(|warning| progress.warn(warning));
+        let later = measurements.warnings.iter().map(|warning| Warning::from(warning.as_str()));
+        measurements.metrics.warnings = self.warnings.iter().cloned().chain(later).collect();
+        note(save_metrics(folder, &measurements.metrics));
+        let renderer = PictureRenderer {
             sequence: self.sequence,
             truth: self.truth,
             reconstruction,
             draw: self.job.draw,
         };
-        let drawn = drawing.run(folder, progress);
-        drawn.failure.into_iter().for_each(|error| note(Err(error)));
-        drawn.measures.fill(&mut figures.metrics);
-        figures.metrics.peak_memory_bytes = peak_memory();
-        note(save_metrics(folder, &figures.metrics));
+        let rendered = renderer.run(folder, progress);
+        rendered.failure.into_iter().for_each(|error| note(Err(error)));
+        rendered.metrics.write_to(&mut measurements.metrics);
+        measurements.metrics.peak_memory_bytes = peak_memory();
+        note(save_metrics(folder, &measurements.metrics));
         let report = Report {
             title: self.job.title.unwrap_or(&self.sequence.name),
             reconstruction,
-            metrics: &figures.metrics,
-            ground_truth: &figures.truth_in_world,
+            metrics: &measurements.metrics,
+            ground_truth: &measurements.truth_in_world,
             true_exposure: &self.truth.exposure,
-            comparisons: &drawn.comparisons,
+            comparisons: &rendered.comparisons,
         };
         note(report.save(folder));
         let map = reconstruction.map.to_string();
         let folder = folder.path().to_owned();
-        Ok(Written { metrics: figures.metrics, map, folder, problems })
+        Ok(WrittenRun { metrics: measurements.metrics, map, folder, problems })
     }
 }
 
@@ -117,15 +117,15 @@ impl Finished<'_> {
 const MIN_RANGE: f64 = 0.1;
 
 /// Metrics, and the true poses aligned to the estimate.
-pub(crate) struct Figures {
+pub(crate) struct Measurements {
     pub(crate) metrics: Metrics,
     pub(crate) truth_in_world: Vec<StampedPose>,
     /// Measurements that failed, with reasons.
     pub(crate) warnings: Vec<String>,
 }
 
-impl Figures {
-    pub(crate) fn of(outcome: &RunOutcome, truth: &GroundTruth) -> Self {
+impl Measurements {
+    fn new(outcome: &RunOutcome, truth: &GroundTruth) -> Self {
         let reconstruction = &outcome.reconstruction;
         let mut metrics = Metrics::of(reconstruction);
         metrics.complete = outcome.complete;
@@ -144,10 +144,10 @@ impl Figures {
                 metrics.rolling_shutter_readout_s = camera.rolling_shutter_readout;
             }
         }
-        let mut figures = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
-        figures.measure_trajectory(outcome, truth);
-        figures.measure_exposure(outcome, truth);
-        figures
+        let mut measurements = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
+        measurements.measure_trajectory(outcome, truth);
+        measurements.measure_exposure(outcome, truth);
+        measurements
     }
 
     fn measure_trajectory(&mut self, outcome: &RunOutcome, truth: &GroundTruth) {
@@ -184,7 +184,7 @@ impl Figures {
         }
         match exposure_agreement(&estimate, &due) {
             Ok(agreement) => self.metrics.log_exposure_correlation = Some(agreement.pearson),
-            Err(error) => self.warnings.push(format!("exposure not judged: {error}")),
+            Err(error) => self.warnings.push(format!("exposure not compared: {error}")),
         }
     }
 }

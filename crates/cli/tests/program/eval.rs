@@ -53,7 +53,7 @@ fn json(ran: &Ran) -> serde_json::Value {
 fn two_folders_of_pictures_are_compared() {
     let (_scratch, ours, theirs) = folders("eval-folders", 0.02);
     let table = against(&ours, &theirs, &[]).exits_with(0).out;
-    for word in ["sharp PSNR", "sharp SSIM", "LPIPS", "frames judged"] {
+    for word in ["sharp PSNR", "sharp SSIM", "LPIPS", "frames evaluated"] {
         assert!(table.contains(word), "{table}");
     }
     let figures = json(&against(&ours, &theirs, &["--json"]).exits_with(0));

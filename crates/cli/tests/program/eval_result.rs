@@ -216,7 +216,7 @@ fn the_truth_is_on_record_and_another_one_is_pointed_out() {
     let own = eval(&out, &[]).exits_with(0);
     assert!(!own.err.contains("the run read"), "{}", own.err);
     let given = eval(&out, &["--reference", other.to_str().expect("a name")]).exits_with(0);
-    given.stderr_contains("warning: the run read").stderr_contains("is judged against");
+    given.stderr_contains("warning: the run read").stderr_contains("is evaluated against");
     let text = fs::read_to_string(out.join("evaluation.json")).expect("evaluations");
     let sections: serde_json::Value = serde_json::from_str(&text).expect("JSON");
     let sections = sections.as_array().expect("sections");
@@ -248,6 +248,6 @@ fn pictures_alone_are_judged_against_a_dataset_with_poses() {
         fs::copy(entry.path(), ours.join(format!("{place:06}.png"))).expect("room");
     }
     let ran = eval(&ours, &["--reference", data.to_str().expect("a name")]).exits_with(0);
-    assert!(ran.out.contains("frames judged"), "{}", ran.out);
+    assert!(ran.out.contains("frames evaluated"), "{}", ran.out);
     ran.stderr_contains("2 renders equal their truth");
 }

@@ -72,7 +72,7 @@ fn keyframes_that_are_held_out_are_found_in_the_map() {
     assert_eq!(number(&metrics, "keyframes"), Some(FRAMES as f64 - 2.0));
     let judged = run(["eval", out.to_str().expect("a name"), "--protocol", "held-out"]);
     let judged = judged.exits_with(0).out;
-    let frames = judged.lines().find(|line| line.starts_with("frames judged")).expect("a row");
+    let frames = judged.lines().find(|line| line.starts_with("frames evaluated")).expect("a row");
     assert_eq!(frames.split_whitespace().last(), Some("2"), "{judged}");
 }
 

@@ -96,15 +96,16 @@ impl Estimate {
 fn unsuitable(path: &Path) -> String {
     let shown = path.display();
     if path.read_dir().is_ok_and(|mut entries| entries.next().is_none()) {
-        return "the folder is empty: a result folder, a trajectory or pictures are judged".into();
+        return "the folder is empty: a result folder, a trajectory or pictures are evaluated"
+            .into();
     }
     if path.join("frames.csv").is_file() {
-        return "a result without its trajectory.txt: there is nothing to judge".to_owned();
+        return "a result without its trajectory.txt: there is nothing to evaluate".to_owned();
     }
     match Sequence::open(path, &OpenOptions::default()) {
         Ok(_) => format!(
             "a dataset, and no result yet: `i2slam run {shown} --out RESULT` makes one, `i2slam \
-             eval RESULT` judges it"
+             eval RESULT` evaluates it"
         ),
         Err(_) => {
             "holds neither trajectory.txt nor pictures (PNG, EXR): it is no result".to_owned()

@@ -14,13 +14,13 @@ use std::path::{Path, PathBuf};
 #[derive(Default)]
 pub(super) struct Evaluation {
     pub(super) protocol: &'static str,
-    pub(super) trajectory: Option<trajectory::Errors>,
+    pub(super) trajectory: Option<trajectory::TrajectoryErrors>,
     pub(super) pictures: Option<PictureErrors>,
     /// Mean pose corrections; `None` without pose optimisation.
-    pub(super) corrections: Option<Vec<Figure>>,
-    pub(super) radiance: Vec<Figure>,
+    pub(super) corrections: Option<Vec<MetricValue>>,
+    pub(super) radiance: Vec<MetricValue>,
     /// Whether renders were compared with the recorded, blurred pictures.
-    pub(super) as_taken: bool,
+    pub(super) is_against_recorded: bool,
     /// The true trajectory.
     pub(super) true_trajectory: Option<TruthSource>,
     /// The true pictures.
@@ -28,7 +28,7 @@ pub(super) struct Evaluation {
     /// Ground truth from elsewhere than the dataset of the run, and that dataset.
     pub(super) foreign: Option<(Vec<PathBuf>, PathBuf)>,
     /// Parts that were not evaluated, with reasons.
-    pub(super) not_judged: Vec<String>,
+    pub(super) not_evaluated: Vec<String>,
     /// Error of the pictures, reported after all results.
     pub(super) problem: Option<Failure>,
 }
@@ -45,12 +45,12 @@ impl Evaluation {
         if let Some(pictures) = &self.pictures {
             object.extend(pictures.json());
         }
-        object.extend(self.corrections.iter().flatten().map(Figure::json));
-        object.extend(self.radiance.iter().map(Figure::json));
-        object.insert("against_pictures_taken".to_owned(), self.as_taken.into());
+        object.extend(self.corrections.iter().flatten().map(MetricValue::json));
+        object.extend(self.radiance.iter().map(MetricValue::json));
+        object.insert("against_pictures_taken".to_owned(), self.is_against_recorded.into());
         object.insert("true_trajectory".to_owned(), json!(self.true_trajectory));
         object.insert("true_pictures".to_owned(), json!(self.true_pictures));
-        object.insert("not_judged".to_owned(), json!(self.not_judged));
+        object.insert("not_judged".to_owned(), json!(self.not_evaluated));
         Ok(Value::Object(object))
     }
 
@@ -62,30 +62,31 @@ impl Evaluation {
     /// Notes and warnings that qualify the results.
     pub(super) fn remarks(&self) -> Vec<String> {
         let mut remarks: Vec<String> =
-            self.not_judged.iter().map(|what| format!("note: {what}")).collect();
+            self.not_evaluated.iter().map(|what| format!("note: {what}")).collect();
         if let Some((truths, dataset)) = &self.foreign {
             let names: Vec<String> = truths.iter().map(|t| t.display().to_string()).collect();
             remarks.push(format!(
-                "warning: the run read {}, and is judged against {}",
+                "warning: the run read {}, and is evaluated against {}",
                 dataset.display(),
                 names.join(" and ")
             ));
         }
-        if self.as_taken {
+        if self.is_against_recorded {
             remarks.push("note: compared with the pictures taken, no sharp ones are known".into());
         }
         remarks.extend(self.pictures.iter().flat_map(PictureErrors::remarks));
         remarks
     }
 
-    fn rows(&self) -> Vec<Row> {
-        let mut rows: Vec<Row> = self.trajectory.iter().flat_map(|errors| errors.rows()).collect();
+    fn rows(&self) -> Vec<TableRow> {
+        let mut rows: Vec<TableRow> =
+            self.trajectory.iter().flat_map(|errors| errors.rows()).collect();
         if self.corrections.is_some() {
             rows.iter_mut().for_each(|row| row.rest += ", poses as tracked");
         }
         rows.extend(self.pictures.iter().flat_map(PictureErrors::rows));
-        rows.extend(self.corrections.iter().flatten().map(Figure::row));
-        rows.extend(self.radiance.iter().map(Figure::row));
+        rows.extend(self.corrections.iter().flatten().map(MetricValue::row));
+        rows.extend(self.radiance.iter().map(MetricValue::row));
         rows
     }
 
@@ -106,14 +107,14 @@ impl Evaluation {
         if self.corrections.is_some() {
             title += ", poses optimised";
         }
-        if self.trajectory.as_ref().is_some_and(trajectory::Errors::is_scaled) {
+        if self.trajectory.as_ref().is_some_and(trajectory::TrajectoryErrors::is_scaled) {
             title += ", aligned with scale";
         }
         for truth in self.foreign.iter().flat_map(|(truths, _)| truths) {
             title += &format!(", against {}", truth.display());
         }
         let row =
-            |row: Row| (row.name, format!("{}{}", row.number, row.rest).trim_end().to_owned());
+            |row: TableRow| (row.name, format!("{}{}", row.number, row.rest).trim_end().to_owned());
         let rows = self.rows().into_iter().map(row).collect();
         EvaluationSection { title, notes: self.remarks(), rows, source: Some(self.source()) }
     }
@@ -132,7 +133,7 @@ impl Evaluation {
 
 /// One result with its names.
 #[derive(Clone, Debug)]
-pub(super) struct Figure {
+pub(super) struct MetricValue {
     /// Key in JSON, ending with the unit.
     pub(super) key: &'static str,
     /// Name in the table.
@@ -145,25 +146,25 @@ pub(super) struct Figure {
 
 /// A line of the table.
 #[derive(Clone, Debug)]
-pub(super) struct Row {
+pub(super) struct TableRow {
     pub(super) name: String,
     pub(super) number: String,
     /// Unit and remark, with their separators.
     pub(super) rest: String,
 }
 
-impl Row {
+impl TableRow {
     pub(super) fn line(&self) -> String {
         format!("{:<30}{:>9}{}", self.name, self.number, self.rest).trim_end().to_owned()
     }
 }
 
-impl Figure {
+impl MetricValue {
     /// A row of the table.
-    pub(super) fn row(&self) -> Row {
+    pub(super) fn row(&self) -> TableRow {
         let number = self.value.map(|value| format!("{value:.*}", self.decimals));
         let number = number.unwrap_or_else(|| "–".to_owned());
-        Row { name: self.label.to_owned(), number, rest: format!(" {}", self.unit) }
+        TableRow { name: self.label.to_owned(), number, rest: format!(" {}", self.unit) }
     }
 
     /// Key and value; `null` if not finite, such as the PSNR of equal pictures.

@@ -29,19 +29,19 @@ pub(super) struct FrameSelection {
 }
 
 /// Frames selected by protocol and list that have a true picture, rendered or not.
-pub(super) fn wanted(
+pub(super) fn select(
     arguments: &Eval,
     estimate: &Estimate,
     reference: &Reference,
 ) -> Result<Vec<usize>, Failure> {
     let run = estimate.run_frames()?;
     let known = reference.frames();
-    let demanded = demanded(arguments, run.as_deref(), reference)?;
-    let wanted: Vec<usize> = match &demanded {
+    let named_frames = named_frames(arguments, run.as_deref(), reference)?;
+    let wanted: Vec<usize> = match &named_frames {
         Some(frames) => {
             let within = within_run(frames, run.as_deref());
             if within.is_empty() {
-                return Err(nothing_demanded(arguments, frames, run.as_deref()));
+                return Err(no_frame_error(arguments, frames, run.as_deref()));
             }
             within
         }
@@ -54,7 +54,7 @@ pub(super) fn wanted(
 }
 
 /// Splits selected frames into rendered and missing ones.
-pub(super) fn choose(
+pub(super) fn match_renders(
     arguments: &Eval,
     estimate: &Estimate,
     reference: &Reference,
@@ -63,12 +63,12 @@ pub(super) fn choose(
     let kind = if arguments.optimise_poses { "optimised/sharp" } else { "sharp" };
     let renders = estimate.renders(kind, "png")?;
     let chosen = FrameSelection { list: list(arguments), ..split(wanted, &renders) };
-    check(arguments, estimate, reference, &renders, &chosen)?;
+    check_missing(arguments, estimate, reference, &renders, &chosen)?;
     Ok(chosen)
 }
 
 /// Frames named by protocol or list; `None` for all.
-fn demanded(
+fn named_frames(
     arguments: &Eval,
     run: Option<&[RunFrame]>,
     reference: &Reference,
@@ -78,9 +78,9 @@ fn demanded(
         Protocol::AllFrames | Protocol::I2slam => {
             list(arguments).as_deref().map(listed).transpose()?
         }
-        Protocol::Splatam => Some(splatam(needed(run)?, arguments.every as usize)),
-        Protocol::Monogs => Some(monogs(needed(run)?)),
-        Protocol::HeldOut => Some(held_out(needed(run)?)?),
+        Protocol::Splatam => Some(splatam(required_frames(run)?, arguments.every as usize)),
+        Protocol::Monogs => Some(monogs(required_frames(run)?)),
+        Protocol::HeldOut => Some(held_out(required_frames(run)?)?),
     };
     Ok(frames)
 }
@@ -91,7 +91,7 @@ fn list(arguments: &Eval) -> Option<String> {
     arguments.list.clone().or(own)
 }
 
-fn needed(run: Option<&[RunFrame]>) -> Result<&[RunFrame], Failure> {
+fn required_frames(run: Option<&[RunFrame]>) -> Result<&[RunFrame], Failure> {
     run.ok_or_else(|| {
         let message = "this protocol needs a result folder with frames.csv";
         Failure::Usage(message.to_owned())
@@ -100,8 +100,8 @@ fn needed(run: Option<&[RunFrame]>) -> Result<&[RunFrame], Failure> {
 
 /// The first and every n-th frame, as SplaTAM: positions 0, n - 1, 2n - 1, …
 fn splatam(run: &[RunFrame], every: usize) -> Vec<usize> {
-    let judged = |place: &usize| *place == 0 || (place + 1).is_multiple_of(every);
-    (0..run.len()).filter(judged).map(|place| run[place].index).collect()
+    let selected = |place: &usize| *place == 0 || (place + 1).is_multiple_of(every);
+    (0..run.len()).filter(selected).map(|place| run[place].index).collect()
 }
 
 /// Positions 0, 5, 10, … without the last frame and keyframes, as MonoGS.
@@ -123,9 +123,9 @@ fn held_out(run: &[RunFrame]) -> Result<Vec<usize>, Failure> {
 }
 
 /// Error for a selection without a frame of the run.
-fn nothing_demanded(arguments: &Eval, frames: &[usize], run: Option<&[RunFrame]>) -> Failure {
+fn no_frame_error(arguments: &Eval, frames: &[usize], run: Option<&[RunFrame]>) -> Failure {
     let count = run.map_or_else(String::new, |run| format!(" {}", counted(run.len(), "frame")));
-    let all = "--protocol all-frames judges every frame";
+    let all = "--protocol all-frames evaluates every frame";
     let message = match (list(arguments), frames) {
         (Some(list), []) if list == "auto" => format!(
             "none of the frames of this dataset stands out as sharp (list `auto`: an eleven-frame \
@@ -138,7 +138,7 @@ fn nothing_demanded(arguments: &Eval, frames: &[usize], run: Option<&[RunFrame]>
             counted(frames.len(), "frame"),
             shortened(frames)
         ),
-        (None, _) => format!("the protocol judges none of the{count} of this run: {all}"),
+        (None, _) => format!("the protocol evaluates none of the{count} of this run: {all}"),
     };
     Failure::Failed(message)
 }
@@ -148,9 +148,9 @@ fn within_run(frames: &[usize], run: Option<&[RunFrame]>) -> Vec<usize> {
     frames.iter().copied().filter(processed).collect()
 }
 
-fn split(judged: Vec<usize>, renders: &Pictures) -> FrameSelection {
+fn split(selected: Vec<usize>, renders: &Pictures) -> FrameSelection {
     let (mut frames, mut missing) = (Vec::new(), Vec::new());
-    for frame in judged {
+    for frame in selected {
         match renders.get(&frame) {
             Some(file) => frames.push((frame, file.clone())),
             None => missing.push(frame),
@@ -160,7 +160,7 @@ fn split(judged: Vec<usize>, renders: &Pictures) -> FrameSelection {
 }
 
 /// Refuses missing renders unless `--partial`: they must not improve the mean unnoticed.
-fn check(
+fn check_missing(
     arguments: &Eval,
     estimate: &Estimate,
     reference: &Reference,
@@ -172,7 +172,7 @@ fn check(
     let only_radiance = renders.is_empty() && pictures;
     if chosen.frames.is_empty() && !only_radiance && (pictures || chosen.missing.is_empty()) {
         return Err(Failure::Failed(format!(
-            "no picture of {path} has a partner in {} that is to be judged (NNNNNN.png)",
+            "no picture of {path} has a partner in {} that is to be evaluated (NNNNNN.png)",
             reference.path().display()
         )));
     }
@@ -183,13 +183,13 @@ fn check(
     let (count, names) = (counted(chosen.missing.len(), "frame"), shortened(&chosen.missing));
     let remedy = match (chosen.frames.is_empty(), pictures) {
         (true, _) => format!("`i2slam render {path}` draws them"),
-        (false, true) => "--partial judges the others".to_owned(),
+        (false, true) => "--partial evaluates the others".to_owned(),
         (false, false) => {
-            format!("`i2slam render {path}` draws all, --partial judges those that are there")
+            format!("`i2slam render {path}` draws all, --partial evaluates those that are there")
         }
     };
     Err(Failure::Failed(format!(
-        "{path} has no render of {count} to be judged ({names}): {remedy}"
+        "{path} has no render of {count} to be evaluated ({names}): {remedy}"
     )))
 }
 
@@ -322,13 +322,13 @@ mod tests {
     }
 
     #[test]
-    fn splatam_judges_the_first_and_every_nth() {
+    fn splatam_evaluates_the_first_and_every_nth() {
         assert_eq!(splatam(&run(&[]), 5), [100, 104, 109, 114]);
         assert_eq!(splatam(&run(&[]), 500), [100]);
     }
 
     #[test]
-    fn monogs_judges_every_fifth_that_is_no_keyframe_nor_the_last() {
+    fn monogs_evaluates_every_fifth_that_is_no_keyframe_nor_the_last() {
         assert_eq!(monogs(&run(&[0, 10])), [105]);
         assert_eq!(monogs(&run(&[])), [100, 105, 110]);
         assert!(monogs(&[]).is_empty());

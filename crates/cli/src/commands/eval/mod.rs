@@ -55,7 +55,7 @@ pub(crate) struct Eval {
     /// Alignment before trajectory errors are measured [default: se3, or sim3 for a trajectory of
     /// unknown unit of length]
     #[arg(long, value_enum, value_name = "GROUP")]
-    pub(crate) align: Option<Fit>,
+    pub(crate) align: Option<AlignmentGroup>,
     /// Step of the relative pose error: frames (`1`, `30`) or seconds (`0.5s`)
     #[arg(long, value_name = "STEP", default_value = "1", value_parser = relative_step)]
     pub(crate) rpe: RelativeStep,
@@ -88,7 +88,7 @@ pub(crate) enum RelativeStep {
 
 /// Alignment of two trajectories.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Fit {
+pub(crate) enum AlignmentGroup {
     /// Rotation and translation
     Se3,
     /// Rotation, translation and scale
@@ -143,10 +143,10 @@ fn evaluate(arguments: &Eval, estimate: &Estimate) -> Result<Evaluation, Failure
     }
     let reference = reference(arguments, estimate)?;
     let mut evaluation = Evaluation { protocol: name(arguments.protocol), ..Default::default() };
-    evaluation.foreign = reference::foreign_sources(arguments, estimate, reference.as_ref())?;
+    evaluation.foreign = reference::foreign_ground_truth(arguments, estimate, reference.as_ref())?;
     evaluate_trajectory(arguments, estimate, reference.as_ref(), &mut evaluation)?;
     let Some(reference) = &reference else {
-        return match (&evaluation.trajectory, evaluation.not_judged.pop()) {
+        return match (&evaluation.trajectory, evaluation.not_evaluated.pop()) {
             (Some(_), _) => Ok(evaluation),
             (None, Some(reason)) => Err(Failure::Failed(reason)),
             (None, None) => {
@@ -157,7 +157,7 @@ fn evaluate(arguments: &Eval, estimate: &Estimate) -> Result<Evaluation, Failure
     };
     match evaluate_pictures(arguments, estimate, reference, &mut evaluation) {
         Err(Failure::Failed(reason))
-            if evaluation.trajectory.is_some() || !evaluation.not_judged.is_empty() =>
+            if evaluation.trajectory.is_some() || !evaluation.not_evaluated.is_empty() =>
         {
             evaluation.problem = Some(Failure::Failed(reason));
         }
@@ -183,11 +183,11 @@ fn evaluate_trajectory(
     let Some(truth) = truth else {
         let path = reference.map(|reference| reference.path().display());
         let none = path.map(|path| format!("trajectory: {path} has no true poses"));
-        evaluation.not_judged.extend(none);
+        evaluation.not_evaluated.extend(none);
         return Ok(());
     };
     if let Some(reason) = trajectory::too_few_keyframes(arguments, estimate)? {
-        evaluation.not_judged.push(reason);
+        evaluation.not_evaluated.push(reason);
         return Ok(());
     }
     let poses = read_trajectory(&file)?;
@@ -195,7 +195,7 @@ fn evaluate_trajectory(
         Ok(errors) => evaluation.trajectory = Some(errors),
         // The dataset's own trajectory was not asked for: go on with its pictures.
         Err(Failure::Failed(reason)) if arguments.groundtruth.is_none() => {
-            evaluation.not_judged.push(format!("trajectory: {reason}"));
+            evaluation.not_evaluated.push(format!("trajectory: {reason}"));
             return Ok(());
         }
         Err(failure) => return Err(failure),
@@ -210,7 +210,7 @@ fn evaluate_pictures(
     reference: &Reference,
     evaluation: &mut Evaluation,
 ) -> Result<(), Failure> {
-    let wanted = frames::wanted(arguments, estimate, reference)?;
+    let wanted = frames::select(arguments, estimate, reference)?;
     if arguments.optimise_poses {
         let drawn = pose_optimization::draw(estimate, reference, &wanted)?;
         evaluation.corrections = Some(drawn);
@@ -218,21 +218,21 @@ fn evaluate_pictures(
         && estimate.renders("sharp", "png")?.is_empty()
     {
         let result = result.display();
-        evaluation.not_judged.push(format!(
+        evaluation.not_evaluated.push(format!(
             "pictures: {result} has no renders/sharp (`i2slam render {result}` draws them)"
         ));
         return Ok(());
     }
-    let chosen = frames::choose(arguments, estimate, reference, wanted)?;
+    let chosen = frames::match_renders(arguments, estimate, reference, wanted)?;
     if !arguments.optimise_poses {
         evaluation.radiance = pictures::evaluate_radiance(estimate, reference, &chosen)?;
     }
     let only_radiance = chosen.frames.is_empty() && !evaluation.radiance.is_empty();
     if !only_radiance {
-        let judged = pictures::evaluate(arguments, estimate, reference, chosen)?;
-        evaluation.true_pictures = Some(reference::picture_source(reference, &judged.checksums));
-        evaluation.pictures = Some(judged);
-        evaluation.as_taken = reference.is_as_taken();
+        let evaluated = pictures::evaluate(arguments, estimate, reference, chosen)?;
+        evaluation.true_pictures = Some(reference::picture_source(reference, &evaluated.checksums));
+        evaluation.pictures = Some(evaluated);
+        evaluation.is_against_recorded = reference.uses_recorded();
     }
     Ok(())
 }

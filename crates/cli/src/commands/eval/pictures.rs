@@ -1,7 +1,7 @@
 //! Errors of rendered pictures and radiance, by the metrics of each protocol.
 
 use super::estimate::Estimate;
-use super::evaluation::{Figure, Row};
+use super::evaluation::{MetricValue, TableRow};
 use super::frames::{FrameSelection, shortened};
 use super::reference::{Reference, checksum};
 use super::{Eval, Protocol, failed};
@@ -52,7 +52,7 @@ pub(super) fn evaluate(
         let mut pair = pair(estimate, reference, *frame, render)?;
         // Depth was drawn at the estimated pose.
         pair.depth = pair.depth.filter(|_| !arguments.optimise_poses);
-        let values = metrics.iter().map(|metric| (metric.of)(&pair));
+        let values = metrics.iter().map(|metric| (metric.measure)(&pair));
         let values: Result<Vec<_>, _> = values.collect();
         let values = values.map_err(|e| failed(render, e))?;
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -70,7 +70,7 @@ fn pair(
     reference: &Reference,
     frame: usize,
     render: &Path,
-) -> Result<Pair, Failure> {
+) -> Result<PicturePair, Failure> {
     let picture = read_png(render)?;
     let truth = reference.load(frame)?;
     let size = (truth.colour.width, truth.colour.height);
@@ -94,7 +94,7 @@ fn pair(
     let valid = valid.filter(|valid| valid.len() == colour.pixels());
     let drawn = estimate.result().map(|r| r.join(format!("renders/depth/{frame:06}.png")));
     let drawn = drawn.filter(|file| file.is_file()).map(|file| read_depth(&file)).transpose()?;
-    Ok(Pair { picture, truth: colour, depth: drawn.zip(truth.depth), valid })
+    Ok(PicturePair { picture, truth: colour, depth: drawn.zip(truth.depth), valid })
 }
 
 impl PictureErrors {
@@ -104,13 +104,13 @@ impl PictureErrors {
     }
 
     /// Mean of every metric over the frames where it is finite.
-    pub(super) fn figures(&self) -> Vec<Figure> {
+    pub(super) fn metric_values(&self) -> Vec<MetricValue> {
         let column = |i: usize| {
             let values = self.rows.iter().filter_map(move |(_, row)| row[i]);
             let finite: Vec<f64> = values.filter(|v| v.is_finite()).collect();
             (!finite.is_empty()).then(|| finite.iter().sum::<f64>() / finite.len() as f64)
         };
-        let figure = |(i, m): (usize, &Metric)| Figure {
+        let figure = |(i, m): (usize, &Metric)| MetricValue {
             key: m.key,
             label: m.label,
             unit: m.unit,
@@ -126,11 +126,12 @@ impl PictureErrors {
     }
 
     /// Table rows of all measurable metrics.
-    pub(super) fn rows(&self) -> Vec<Row> {
+    pub(super) fn rows(&self) -> Vec<TableRow> {
         let list = self.list.as_ref().map(|list| format!(", list {list}")).unwrap_or_default();
         let count = self.rows.len().to_string();
-        let mut rows = vec![Row { name: "frames judged".to_owned(), number: count, rest: list }];
-        let known = self.figures().into_iter().filter(|figure| figure.value.is_some());
+        let mut rows =
+            vec![TableRow { name: "frames evaluated".to_owned(), number: count, rest: list }];
+        let known = self.metric_values().into_iter().filter(|figure| figure.value.is_some());
         rows.extend(known.map(|figure| figure.row()));
         rows
     }
@@ -141,7 +142,7 @@ impl PictureErrors {
         if !self.missing.is_empty() {
             let (count, names) = (self.missing.len(), shortened(&self.missing));
             let count = counted(count, "frame");
-            remarks.push(format!("warning: {count} without a render not judged ({names})"));
+            remarks.push(format!("warning: {count} without a render not evaluated ({names})"));
         }
         if self.equal() > 0 {
             let words = match self.equal() {
@@ -154,7 +155,8 @@ impl PictureErrors {
     }
 
     pub(super) fn json(&self) -> Map<String, Value> {
-        let mut object: Map<String, Value> = self.figures().iter().map(Figure::json).collect();
+        let mut object: Map<String, Value> =
+            self.metric_values().iter().map(MetricValue::json).collect();
         object.insert("sharp_frames".to_owned(), self.rows.len().into());
         object.insert("list".to_owned(), json!(self.list));
         object.insert("equal_frames".to_owned(), self.equal().into());
@@ -172,7 +174,7 @@ impl PictureErrors {
 }
 
 /// A render and its truth.
-pub(super) struct Pair {
+pub(super) struct PicturePair {
     pub(super) picture: Image<f32>,
     pub(super) truth: Image<f32>,
     /// Rendered and true depth [m].
@@ -187,17 +189,17 @@ pub(super) struct Metric {
     pub(super) label: &'static str,
     pub(super) unit: &'static str,
     pub(super) decimals: usize,
-    pub(super) of: fn(&Pair) -> Result<Option<f64>, EvalError>,
+    pub(super) measure: fn(&PicturePair) -> Result<Option<f64>, EvalError>,
 }
 
 const fn metric(
     key: &'static str,
     label: &'static str,
     unit: &'static str,
-    of: fn(&Pair) -> Result<Option<f64>, EvalError>,
+    measure: fn(&PicturePair) -> Result<Option<f64>, EvalError>,
 ) -> Metric {
     let decimals = if unit.is_empty() { 4 } else { 2 };
-    Metric { key, label, unit, decimals, of }
+    Metric { key, label, unit, decimals, measure }
 }
 
 const DEPTH: Metric = Metric {
@@ -205,7 +207,7 @@ const DEPTH: Metric = Metric {
     label: "depth L1",
     unit: "m",
     decimals: 4,
-    of: |p| match &p.depth {
+    measure: |p| match &p.depth {
         Some((estimate, truth)) => measurable(depth_error(estimate, truth).map(|e| e.l1_m)),
         None => Ok(None),
     },
@@ -228,7 +230,7 @@ const WHOLE: &[Metric] = &[
 ];
 
 /// Metrics of SplaTAM: both pictures are black where there is no true depth. Needs
-/// [`Pair::valid`].
+/// [`PicturePair::valid`].
 const SPLATAM: &[Metric] = &[
     metric("psnr_splatam_db", "PSNR as SplaTAM", "dB", |p| match &p.valid {
         Some(valid) => Ok(Some(psnr_splatam(&p.picture, &p.truth, valid)?)),
@@ -266,7 +268,7 @@ fn measurable(result: Result<f64, EvalError>) -> Result<Option<f64>, EvalError> 
 }
 
 fn masked(
-    pair: &Pair,
+    pair: &PicturePair,
     measure: fn(&Image<f32>, &Image<f32>) -> Result<f64, EvalError>,
 ) -> Result<Option<f64>, EvalError> {
     let Some(valid) = &pair.valid else { return Ok(None) };
@@ -291,7 +293,7 @@ pub(super) fn evaluate_radiance(
     estimate: &Estimate,
     reference: &Reference,
     chosen: &FrameSelection,
-) -> Result<Vec<Figure>, Failure> {
+) -> Result<Vec<MetricValue>, Failure> {
     let renders = estimate.renders("hdr", "exr")?;
     let listed =
         |frame: &usize| chosen.frames.is_empty() || chosen.frames.iter().any(|(f, _)| f == frame);
@@ -318,7 +320,7 @@ pub(super) fn evaluate_radiance(
     let [drawn, known] = frames.map(|frames| stacked(&frames));
     let common = hdr_error_after(Gain::Common, &drawn, &known, None)?;
     let each = hdr_error_after(Gain::PerChannel, &drawn, &known, None)?;
-    Ok(radiance_figures(&common, &each, count))
+    Ok(radiance_values(&common, &each, count))
 }
 
 /// Stacks pictures of equal width.
@@ -329,8 +331,8 @@ fn stacked(frames: &[Image<f32>]) -> Image<f32> {
     Image { width, height, channels, data: planes.collect::<Vec<_>>().concat() }
 }
 
-fn radiance_figures(common: &HdrError, each: &HdrError, frames: usize) -> Vec<Figure> {
-    let figure = |key, label, unit, decimals, value| Figure {
+fn radiance_values(common: &HdrError, each: &HdrError, frames: usize) -> Vec<MetricValue> {
+    let figure = |key, label, unit, decimals, value| MetricValue {
         key,
         label,
         unit,
@@ -339,7 +341,7 @@ fn radiance_figures(common: &HdrError, each: &HdrError, frames: usize) -> Vec<Fi
     };
     let (stops, db) = ("stops", "dB");
     vec![
-        figure("hdr_frames", "radiance: frames judged", "", 0, frames as f64),
+        figure("hdr_frames", "radiance: frames evaluated", "", 0, frames as f64),
         figure("hdr_log2_rmse_stops", "log2 radiance RMSE", stops, 3, common.log2_rmse_stops),
         figure("hdr_log2_psnr_db", "log2 radiance PSNR", db, 2, common.log2_psnr_db),
         figure("hdr_mu_law_psnr_db", "mu-law PSNR", db, 2, common.mu_law_psnr_db),

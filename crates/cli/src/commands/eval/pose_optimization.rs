@@ -1,7 +1,7 @@
 //! Test-time pose optimisation: renders from the poses at which the map fits the true pictures.
 
 use super::estimate::Estimate;
-use super::evaluation::Figure;
+use super::evaluation::MetricValue;
 use super::reference::Reference;
 use super::{Eval, Protocol, failed};
 use crate::failure::Failure;
@@ -33,7 +33,7 @@ pub(super) fn draw(
     estimate: &Estimate,
     reference: &Reference,
     frames: &[usize],
-) -> Result<Vec<Figure>, Failure> {
+) -> Result<Vec<MetricValue>, Failure> {
     let Some(result) = estimate.result() else { return Ok(Vec::new()) };
     let reconstruction = i2slam_result::load(result)?;
     let folder = ResultFolder::create(result)?;
@@ -67,14 +67,14 @@ pub(super) fn draw(
 }
 
 /// Mean motion from the estimated to the optimised pose.
-fn corrections(moved: &[(StampedPose, Pose<f64>)]) -> Vec<Figure> {
+fn corrections(moved: &[(StampedPose, Pose<f64>)]) -> Vec<MetricValue> {
     let count = moved.len().max(1) as f64;
     let steps = moved.iter().map(|(to, from)| from.local(to.world_from_camera));
     let (metres, radians) = steps.fold((0.0, 0.0), |sum, step| {
         (sum.0 + step.translation.norm() / count, sum.1 + step.rotation.norm() / count)
     });
     let figure =
-        |key, label, unit, value| Figure { key, label, unit, decimals: 4, value: Some(value) };
+        |key, label, unit, value| MetricValue { key, label, unit, decimals: 4, value: Some(value) };
     vec![
         figure("pose_correction_m", "poses moved by (mean)", "m", metres),
         figure("pose_correction_deg", "poses turned by (mean)", "degrees", radians.to_degrees()),

@@ -59,10 +59,10 @@ impl Reference {
 
     fn dataset(path: &Path, estimate: &Estimate) -> Result<Self, Failure> {
         let sequence = match estimate.result() {
-            Some(result) => as_run(path, result)?,
+            Some(result) => open_as_run(path, result)?,
             None => Sequence::open(path, &OpenOptions::default())?,
         };
-        let truth = GroundTruth::of(path, &sequence);
+        let truth = GroundTruth::open(path, &sequence);
         let (sequence, truth) = (Box::new(sequence), Box::new(truth));
         Ok(Self::Dataset { path: path.to_owned(), sequence, truth })
     }
@@ -74,7 +74,7 @@ impl Reference {
     }
 
     /// Whether the recorded pictures are used because there are no sharp ones.
-    pub(super) fn is_as_taken(&self) -> bool {
+    pub(super) fn uses_recorded(&self) -> bool {
         match self {
             Self::Folder { .. } => false,
             Self::Dataset { path, .. } => !path.join("sharp").is_dir(),
@@ -139,20 +139,20 @@ impl Reference {
 
 /// Opens a dataset as the run did, but all of its frames, so that `auto` selects the same sharp
 /// ones whichever part was run.
-fn as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
-    let Some(input) = Input::load(result)? else { return as_rendered(path, result) };
+fn open_as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
+    let Some(input) = Input::load(result)? else { return open_as_rendered(path, result) };
     let options = OpenOptions { frames: None, stride: 1, ..input.options() };
-    // A run on colour alone can be judged by depth all the same.
+    // A run on colour alone can be evaluated with depth all the same.
     let with_depth = OpenOptions { colour_only: false, ..options.clone() };
     let sequence = Sequence::open(path, &with_depth).or_else(|_| Sequence::open(path, &options))?;
     let width = render_width(&result.join("camera.json"));
     let fits = width.is_none_or(|width| width == sequence.camera.width);
     // Another copy of the pictures may have another size.
-    if fits { Ok(sequence) } else { as_rendered(path, result) }
+    if fits { Ok(sequence) } else { open_as_rendered(path, result) }
 }
 
 /// Opens a dataset with the settings of a run at the size of its renders.
-fn as_rendered(path: &Path, result: &Path) -> Result<Sequence, Failure> {
+fn open_as_rendered(path: &Path, result: &Path) -> Result<Sequence, Failure> {
     let mut options = OpenOptions::default();
     let settings = result.join("config.toml");
     if settings.is_file() {
@@ -216,7 +216,7 @@ fn source(path: &Path, count: usize, crc32: u32) -> TruthSource {
 }
 
 /// Ground truth from elsewhere than the dataset that the run read, and that dataset.
-pub(super) fn foreign_sources(
+pub(super) fn foreign_ground_truth(
     arguments: &Eval,
     estimate: &Estimate,
     reference: Option<&Reference>,

@@ -1,9 +1,9 @@
 //! Trajectory errors of a result or a trajectory file.
 
 use super::estimate::Estimate;
-use super::evaluation::Row;
+use super::evaluation::TableRow;
 use super::reference::Reference;
-use super::{Eval, Fit, Protocol, RelativeStep};
+use super::{AlignmentGroup, Eval, Protocol, RelativeStep};
 use crate::failure::Failure;
 use crate::output::counted;
 use i2slam::dataset::read_trajectory;
@@ -21,7 +21,7 @@ const SAME_STAMP: f64 = 1e-5;
 
 /// Absolute and relative errors.
 #[derive(Serialize)]
-pub(super) struct Errors {
+pub(super) struct TrajectoryErrors {
     #[serde(flatten)]
     absolute: TrajectoryError,
     #[serde(flatten)]
@@ -44,7 +44,7 @@ pub(super) fn evaluate(
     estimate: &Estimate,
     mut poses: Vec<StampedPose>,
     truth: &[StampedPose],
-) -> Result<Errors, Failure> {
+) -> Result<TrajectoryErrors, Failure> {
     if arguments.protocol == Protocol::Monogs {
         keep_keyframes(&mut poses, estimate)?;
     }
@@ -56,19 +56,19 @@ pub(super) fn evaluate(
     };
     let aligned = &absolute.aligned_estimate;
     let relative = relative_pose_error(aligned, truth, step, DEFAULT_TOLERANCE)?;
-    Ok(Errors { absolute, relative })
+    Ok(TrajectoryErrors { absolute, relative })
 }
 
 /// The alignment asked for, else by the unit of length of the trajectory.
 fn alignment(arguments: &Eval, estimate: &Estimate) -> Result<Alignment, Failure> {
     let fit = match arguments.align {
         Some(fit) => fit,
-        None if estimate.unit_of_length()? == UnitOfLength::Unknown => Fit::Sim3,
-        None => Fit::Se3,
+        None if estimate.unit_of_length()? == UnitOfLength::Unknown => AlignmentGroup::Sim3,
+        None => AlignmentGroup::Se3,
     };
     Ok(match fit {
-        Fit::Se3 => Alignment::Se3,
-        Fit::Sim3 => Alignment::Sim3,
+        AlignmentGroup::Se3 => Alignment::Se3,
+        AlignmentGroup::Sim3 => Alignment::Sim3,
     })
 }
 
@@ -102,18 +102,18 @@ fn keep_keyframes(poses: &mut Vec<StampedPose>, estimate: &Estimate) -> Result<(
     Ok(())
 }
 
-impl Errors {
+impl TrajectoryErrors {
     pub(super) fn is_scaled(&self) -> bool {
         matches!(self.absolute.alignment, Alignment::Sim3)
     }
 
-    pub(super) fn rows(&self) -> Vec<Row> {
+    pub(super) fn rows(&self) -> Vec<TableRow> {
         let (t, r) = (&self.absolute, &self.relative);
         let fit = match t.alignment {
             Alignment::Se3 => ", aligned by SE(3)".to_owned(),
             Alignment::Sim3 => format!(", aligned by Sim(3), scale {:.4}", t.scale),
         };
-        let row = |name: &str, number: String, rest: &str| Row {
+        let row = |name: &str, number: String, rest: &str| TableRow {
             name: name.to_owned(),
             number,
             rest: rest.to_owned(),

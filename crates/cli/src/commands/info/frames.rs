@@ -27,16 +27,16 @@ pub(super) struct PictureStats {
     /// Warnings about frames: no depth, black, white.
     pub(super) odd: Vec<String>,
     /// `null` if no pixel has depth.
-    pub(super) depth: Option<DepthFacts>,
-    pub(super) brightness: Brightness,
-    pub(super) sharpness: Sharpness,
+    pub(super) depth: Option<DepthStats>,
+    pub(super) brightness: BrightnessStats,
+    pub(super) sharpness: SharpnessStats,
     /// Range of the true exposures [stops], where they are known.
     pub(super) true_exposure_range_stops: Option<f64>,
 }
 
 /// Depth over all frames.
 #[derive(Debug, Serialize)]
-pub(super) struct DepthFacts {
+pub(super) struct DepthStats {
     /// 1st, 50th and 99th percentile [m].
     pub(super) low_m: f64,
     pub(super) median_m: f64,
@@ -46,9 +46,9 @@ pub(super) struct DepthFacts {
     pub(super) valid_share_worst: f64,
 }
 
-/// Brightness of frames: the mean of all pixels and channels, display values in `[0, 1]`.
+/// BrightnessStats of frames: the mean of all pixels and channels, display values in `[0, 1]`.
 #[derive(Debug, Serialize)]
-pub(super) struct Brightness {
+pub(super) struct BrightnessStats {
     pub(super) lowest: f64,
     pub(super) median: f64,
     pub(super) highest: f64,
@@ -63,7 +63,7 @@ pub(super) struct Brightness {
 
 /// Variance of the Laplacian of 8-bit grey values.
 #[derive(Debug, Serialize)]
-pub(super) struct Sharpness {
+pub(super) struct SharpnessStats {
     pub(super) lowest: f64,
     pub(super) median: f64,
     pub(super) highest: f64,
@@ -85,7 +85,7 @@ struct FrameStats {
 }
 
 impl PictureStats {
-    pub(super) fn of(
+    pub(super) fn new(
         sequence: &Sequence,
         truth: &GroundTruth,
         progress: &Progress,
@@ -102,9 +102,9 @@ impl PictureStats {
             measured_frames: seen.len(),
             unreadable,
             odd: odd.collect(),
-            depth: DepthFacts::of(&seen)?,
-            brightness: Brightness::of(&seen)?,
-            sharpness: Sharpness::of(&seen)?,
+            depth: DepthStats::new(&seen)?,
+            brightness: BrightnessStats::new(&seen)?,
+            sharpness: SharpnessStats::new(&seen)?,
             true_exposure_range_stops: exposure_range(truth),
         })
     }
@@ -178,8 +178,8 @@ fn linear(v: f64) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-impl DepthFacts {
-    fn of(stats: &[FrameStats]) -> Result<Option<Self>, Failure> {
+impl DepthStats {
+    fn new(stats: &[FrameStats]) -> Result<Option<Self>, Failure> {
         let all: Vec<f64> = stats.iter().flat_map(|frame| frame.depths.iter().copied()).collect();
         if all.is_empty() {
             return Ok(None);
@@ -195,8 +195,8 @@ impl DepthFacts {
     }
 }
 
-impl Brightness {
-    fn of(stats: &[FrameStats]) -> Result<Self, Failure> {
+impl BrightnessStats {
+    fn new(stats: &[FrameStats]) -> Result<Self, Failure> {
         let grey: Vec<f64> = stats.iter().map(|frame| frame.brightness).collect();
         // Black frames (a covered lens) have no brightness in stops: half a level stands for them.
         let stops = |frame: &FrameStats| frame.linear.max(linear(0.5 / 255.0)).log2();
@@ -216,8 +216,8 @@ impl Brightness {
     }
 }
 
-impl Sharpness {
-    fn of(stats: &[FrameStats]) -> Result<Self, Failure> {
+impl SharpnessStats {
+    fn new(stats: &[FrameStats]) -> Result<Self, Failure> {
         let all: Vec<f64> = stats.iter().map(|frame| frame.sharpness).collect();
         let sharp = sharp_frames(&all, SharpnessRule::default())?;
         Ok(Self {

@@ -20,7 +20,7 @@ use std::path::PathBuf;
 
 #[derive(Args, Debug)]
 pub(crate) struct Info {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file or a video;
+    /// Sequence: a folder in one of the sequence_info layouts (docs/datasets.md), a .sens file or a video;
     /// or keyframes of another program (docs/import.md)
     pub(crate) dataset: PathBuf,
     /// Settings that decide which frames there are and how much is cropped
@@ -42,7 +42,7 @@ pub(crate) struct Info {
 #[derive(Serialize)]
 struct InfoReport {
     #[serde(flatten)]
-    known: SequenceInfo,
+    sequence_info: SequenceInfo,
     /// `null` with `--quick`.
     pictures: Option<PictureStats>,
     warnings: Vec<String>,
@@ -74,26 +74,26 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
 pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
     let Some(sequence) = open(arguments)? else { return Ok(()) };
-    let truth = GroundTruth::of(&arguments.dataset, &sequence);
+    let truth = GroundTruth::open(&arguments.dataset, &sequence);
     let mut warnings = sequence.warnings.clone();
     warnings.extend(truth.warnings.iter().cloned());
-    let known = SequenceInfo::of(&sequence, &truth);
+    let sequence_info = SequenceInfo::new(&sequence, &truth);
     let pictures = if arguments.quick {
         None
     } else {
         let progress = Progress::new(sequence.len(), arguments.machine.quiet);
         interrupt::listen();
-        let pictures = PictureStats::of(&sequence, &truth, &progress);
+        let pictures = PictureStats::new(&sequence, &truth, &progress);
         progress.clear();
         Some(pictures?)
     };
-    let report = InfoReport { known, pictures, warnings };
+    let report = InfoReport { sequence_info, pictures, warnings };
     if arguments.json {
         let text = serde_json::to_string_pretty(&report);
         print(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
         return Ok(());
     }
-    for line in table::lines(&report.known, report.pictures.as_ref()) {
+    for line in table::lines(&report.sequence_info, report.pictures.as_ref()) {
         print(&line);
     }
     for warning in &report.warnings {

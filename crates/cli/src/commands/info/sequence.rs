@@ -18,19 +18,19 @@ pub(super) struct SequenceInfo {
     pub(super) name: String,
     pub(super) layout: String,
     pub(super) frames: usize,
-    pub(super) left_out: Missing,
-    pub(super) times: Times,
-    pub(super) camera: CameraFacts,
+    pub(super) left_out: OmittedImages,
+    pub(super) times: TimeInfo,
+    pub(super) camera: CameraInfo,
     /// Depth image value of one metre; `null` without depth.
     pub(super) depth_scale: Option<f64>,
-    pub(super) truth: TruthFacts,
+    pub(super) truth: GroundTruthInfo,
     /// First frame and the one behind the last that the paper uses of this sequence.
     pub(super) paper_frames: Option<[usize; 2]>,
 }
 
 /// Numbers of colour images that are no frames, by reason.
 #[derive(Debug, Serialize)]
-pub(super) struct Missing {
+pub(super) struct OmittedImages {
     pub(super) without_depth: usize,
     pub(super) without_pose: usize,
     pub(super) too_close: usize,
@@ -38,7 +38,7 @@ pub(super) struct Missing {
 
 /// Time stamps of the frames.
 #[derive(Debug, Serialize)]
-pub(super) struct Times {
+pub(super) struct TimeInfo {
     pub(super) first_s: f64,
     pub(super) duration_s: f64,
     pub(super) frames_per_second: f64,
@@ -58,7 +58,7 @@ pub(super) struct Gap {
 
 /// The camera of the delivered frames.
 #[derive(Debug, Serialize)]
-pub(super) struct CameraFacts {
+pub(super) struct CameraInfo {
     pub(super) width: usize,
     pub(super) height: usize,
     pub(super) fx: f64,
@@ -77,26 +77,26 @@ pub(super) struct CameraFacts {
 
 /// Ground truth in the dataset.
 #[derive(Debug, Serialize)]
-pub(super) struct TruthFacts {
+pub(super) struct GroundTruthInfo {
     pub(super) kinds: Vec<&'static str>,
     pub(super) poses: usize,
     pub(super) path_length_m: Option<f64>,
 }
 
 impl SequenceInfo {
-    pub(super) fn of(sequence: &Sequence, truth: &GroundTruth) -> Self {
+    pub(super) fn new(sequence: &Sequence, truth: &GroundTruth) -> Self {
         let LeftOut { without_depth, without_pose, too_close } = sequence.left_out;
         let poses = &truth.trajectory;
         let has_depth = sequence.entries.iter().any(|entry| entry.depth.is_some());
         let path_length_m = (!poses.is_empty()).then(|| path_length(poses));
-        let truth = TruthFacts { kinds: truth.kinds(), poses: poses.len(), path_length_m };
+        let truth = GroundTruthInfo { kinds: truth.kinds(), poses: poses.len(), path_length_m };
         Self {
             name: sequence.name.clone(),
             layout: sequence.layout_name().to_owned(),
             frames: sequence.len(),
-            left_out: Missing { without_depth, without_pose, too_close },
-            times: Times::of(sequence),
-            camera: CameraFacts::of(sequence),
+            left_out: OmittedImages { without_depth, without_pose, too_close },
+            times: TimeInfo::new(sequence),
+            camera: CameraInfo::new(sequence),
             depth_scale: has_depth.then_some(sequence.depth_scale),
             truth,
             paper_frames: paper_frames(&sequence.name).map(|range| [range.start, range.end]),
@@ -104,8 +104,8 @@ impl SequenceInfo {
     }
 }
 
-impl Times {
-    fn of(sequence: &Sequence) -> Self {
+impl TimeInfo {
+    fn new(sequence: &Sequence) -> Self {
         let entries = &sequence.entries;
         let stamps: Vec<(usize, f64)> = entries.iter().map(|e| (e.index, e.timestamp)).collect();
         let first_s = stamps.first().map_or(0.0, |s| s.1);
@@ -132,8 +132,8 @@ fn gaps(stamps: &[(usize, f64)]) -> Vec<Gap> {
     all.into_iter().filter(|gap| gap.seconds >= LONG_GAP * median && gap.seconds > 0.0).collect()
 }
 
-impl CameraFacts {
-    fn of(sequence: &Sequence) -> Self {
+impl CameraInfo {
+    fn new(sequence: &Sequence) -> Self {
         let c = &sequence.camera;
         let uncovered = sequence.covered.as_ref().map_or(0.0, |covered| {
             let missing = covered.data.iter().filter(|&&there| !there).count();
@@ -200,7 +200,7 @@ pub(super) fn print_keyframes(
         Err(DatasetError::UnknownImport { .. }) => return Ok(false),
         files => files?,
     };
-    let info = ImportInfo::of(&files);
+    let info = ImportInfo::new(&files);
     if arguments.json {
         let text = serde_json::to_string_pretty(&info);
         print(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
@@ -216,7 +216,7 @@ pub(super) fn print_keyframes(
 }
 
 impl ImportInfo {
-    fn of(files: &Files) -> Self {
+    fn new(files: &Files) -> Self {
         let (camera, poses) = (&files.camera, &files.keyframes);
         let place = |i: usize| poses[i].world_from_camera.translation;
         let first_s = poses.first().map_or(0.0, |pose| pose.timestamp);

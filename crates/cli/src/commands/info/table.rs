@@ -1,7 +1,7 @@
 //! The facts as a table.
 
 use super::frames::PictureStats;
-use super::sequence::{CameraFacts, SequenceInfo, Times};
+use super::sequence::{CameraInfo, SequenceInfo, TimeInfo};
 use crate::output::counted;
 
 /// Number of gaps listed.
@@ -11,22 +11,22 @@ const GAPS_NAMED: usize = 3;
 const FRAMES_NAMED: usize = 5;
 
 /// The table, a line each.
-pub(super) fn lines(known: &SequenceInfo, pictures: Option<&PictureStats>) -> Vec<String> {
-    let mut rows = of_sequence(known);
+pub(super) fn lines(sequence: &SequenceInfo, pictures: Option<&PictureStats>) -> Vec<String> {
+    let mut rows = sequence_rows(sequence);
     if let Some(pictures) = pictures {
-        rows.extend(of_pictures(pictures));
+        rows.extend(picture_rows(pictures));
     }
     rows.into_iter().map(|(label, text)| format!("{label:<18}{text}")).collect()
 }
 
 type Row = (&'static str, String);
 
-fn of_sequence(known: &SequenceInfo) -> Vec<Row> {
-    let (times, camera) = (&known.times, &known.camera);
+fn sequence_rows(sequence: &SequenceInfo) -> Vec<Row> {
+    let (times, camera) = (&sequence.times, &sequence.camera);
     let mut rows = vec![
-        ("sequence", known.name.clone()),
-        ("layout", known.layout.clone()),
-        ("frames", frames(known)),
+        ("sequence", sequence.name.clone()),
+        ("layout", sequence.layout.clone()),
+        ("frames", frames(sequence)),
         (
             "times",
             format!(
@@ -48,25 +48,25 @@ fn of_sequence(known: &SequenceInfo) -> Vec<Row> {
         let [width, height] = camera.recorded;
         rows.push(("recorded", format!("{width}x{height}")));
     }
-    if let Some(scale) = known.depth_scale {
+    if let Some(scale) = sequence.depth_scale {
         rows.push(("depth scale", format!("{scale} for one metre")));
     }
-    rows.push(("truth", truth(known)));
-    if let Some([first, end]) = known.paper_frames {
+    rows.push(("truth", truth(sequence)));
+    if let Some([first, end]) = sequence.paper_frames {
         rows.push(("the paper uses", format!("--frames {first}..{end}")));
     }
     rows
 }
 
-fn camera_source(camera: &CameraFacts) -> String {
+fn camera_source(camera: &CameraInfo) -> String {
     match camera.is_guess {
         false => camera.source.clone(),
         true => format!("{} (a run stats for the focal length in the pictures)", camera.source),
     }
 }
 
-fn frames(known: &SequenceInfo) -> String {
-    let left_out = &known.left_out;
+fn frames(sequence: &SequenceInfo) -> String {
+    let left_out = &sequence.left_out;
     let counts = [
         (left_out.without_depth, "without depth"),
         (left_out.without_pose, "without a true pose"),
@@ -79,10 +79,10 @@ fn frames(known: &SequenceInfo) -> String {
         .collect();
     let left_out =
         if words.is_empty() { String::new() } else { format!(" (left out: {})", words.join(", ")) };
-    format!("{}{left_out}", known.frames)
+    format!("{}{left_out}", sequence.frames)
 }
 
-fn gaps(times: &Times) -> String {
+fn gaps(times: &TimeInfo) -> String {
     let apart = if times.colour_to_depth_s > 0.0 {
         format!("; colour and depth up to {:.1} ms apart", 1e3 * times.colour_to_depth_s)
     } else {
@@ -101,8 +101,8 @@ fn gaps(times: &Times) -> String {
     format!("{}, longest: {}{apart}", times.gaps.len(), named.join(", "))
 }
 
-fn truth(known: &SequenceInfo) -> String {
-    let truth = &known.truth;
+fn truth(sequence: &SequenceInfo) -> String {
+    let truth = &sequence.truth;
     if truth.kinds.is_empty() {
         return "none".to_owned();
     }
@@ -129,7 +129,7 @@ fn depth(pictures: &PictureStats) -> String {
     })
 }
 
-fn of_pictures(pictures: &PictureStats) -> Vec<Row> {
+fn picture_rows(pictures: &PictureStats) -> Vec<Row> {
     let (light, sharp) = (&pictures.brightness, &pictures.sharpness);
     let mut rows = vec![
         ("depth", depth(pictures)),
@@ -162,13 +162,13 @@ fn of_pictures(pictures: &PictureStats) -> Vec<Row> {
     if let Some(stops) = pictures.true_exposure_range_stops {
         rows.push(("true exposure", format!("{stops:.2} stops")));
     }
-    rows.extend(named("unreadable", &pictures.unreadable));
-    rows.extend(named("odd", &pictures.odd));
+    rows.extend(listed("unreadable", &pictures.unreadable));
+    rows.extend(listed("odd", &pictures.odd));
     rows
 }
 
 /// A row for each of the first frames, and one for how many more there are.
-fn named(label: &'static str, frames: &[String]) -> Vec<Row> {
+fn listed(label: &'static str, frames: &[String]) -> Vec<Row> {
     let mut rows: Vec<Row> =
         frames.iter().take(FRAMES_NAMED).map(|frame| (label, frame.clone())).collect();
     if frames.len() > FRAMES_NAMED {
