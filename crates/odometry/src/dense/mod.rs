@@ -5,16 +5,14 @@
 //! and refined twice around the result with windows that follow the surface. Depth that other
 //! keyframes contradict is dropped; variances are inflated at depth edges.
 
-mod consistency;
-mod depth_edges;
+mod depth_filter;
 mod inverse_depth;
 mod plane_sweep;
 mod semi_global;
 mod view_selection;
 
 use crate::track::pyramid::Pyramid;
-use consistency::fuse_consistent;
-use depth_edges::inflate_variance_at_edges;
+use depth_filter::{fuse_consistent, inflate_variance_at_edges};
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
 use inverse_depth::{Estimate, HALF_WINDOWS, estimate_inverse_depth};
