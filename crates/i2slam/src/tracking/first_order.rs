@@ -21,12 +21,10 @@ const MIN_OPACITY: f32 = 0.99;
 /// Learning rate of the rotational velocity over that of rotations (the paper's appendix A).
 const VELOCITY_ROTATION_RATE: f32 = 0.1;
 
-/// One optimiser per group of variables with a learning rate of its own.
+/// Optimisers, one for each group of variables with a learning rate of its own.
 struct Optimizers {
-    centre_translation: Adam,
-    centre_rotation: Adam,
-    velocity_translation: Adam,
-    velocity_rotation: Adam,
+    centre: TangentOptimizer,
+    velocity: TangentOptimizer,
     tone: Adam,
     response: Vec<Adam>,
     scale: Adam,
@@ -34,15 +32,39 @@ struct Optimizers {
 
 impl Optimizers {
     fn new(curves: usize) -> Self {
-        let adam = || Adam::new(AdamSettings::default());
         Self {
-            centre_translation: adam(),
-            centre_rotation: adam(),
-            velocity_translation: adam(),
-            velocity_rotation: adam(),
+            centre: TangentOptimizer::new(),
+            velocity: TangentOptimizer::new(),
             tone: adam(),
             response: (0..curves).map(|_| adam()).collect(),
             scale: adam(),
+        }
+    }
+}
+
+fn adam() -> Adam {
+    Adam::new(AdamSettings::default())
+}
+
+/// Optimisers of translation and rotation.
+struct TangentOptimizer([Adam; 2]);
+
+impl TangentOptimizer {
+    fn new() -> Self {
+        Self([adam(), adam()])
+    }
+
+    /// The step against `gradient`, with learning rates of translation and rotation.
+    fn step(&mut self, gradient: Tangent<f64>, rates: [f32; 2]) -> Tangent<f64> {
+        let [translation, rotation] = &mut self.0;
+        let step = |adam: &mut Adam, gradient: Vec3<f64>, rate| {
+            let mut step = [0.0_f32; 3];
+            adam.step(&mut step, &gradient.to_array().map(|g| g as f32), rate);
+            Vec3::from_array(step.map(f64::from))
+        };
+        Tangent {
+            translation: step(translation, gradient.translation, rates[0]),
+            rotation: step(rotation, gradient.rotation, rates[1]),
         }
     }
 }
@@ -162,38 +184,13 @@ fn step_motion(
     evaluation: &Evaluation,
 ) {
     let (d_centre, d_velocity) = state.motion.pull_back(evaluation.shutter);
-    let move_by = |adam: &mut Adam, gradient: Vec3<f64>, rate: f32| {
-        let mut step = [0.0_f32; 3];
-        adam.step(&mut step, &gradient.to_array().map(|g| g as f32), rate);
-        Vec3::from_array(step.map(f64::from))
+    let rates = [parameters.translation_rate, parameters.rotation_rate];
+    let centre = optimizers.centre.step(d_centre, rates);
+    let velocity = if formation.blur {
+        optimizers.velocity.step(d_velocity, [rates[0], rates[1] * VELOCITY_ROTATION_RATE])
+    } else {
+        Tangent::zero()
     };
-    let centre = Tangent {
-        translation: move_by(
-            &mut optimizers.centre_translation,
-            d_centre.translation,
-            parameters.translation_rate,
-        ),
-        rotation: move_by(
-            &mut optimizers.centre_rotation,
-            d_centre.rotation,
-            parameters.rotation_rate,
-        ),
-    };
-    let mut velocity = Tangent::zero();
-    if formation.blur {
-        velocity = Tangent {
-            translation: move_by(
-                &mut optimizers.velocity_translation,
-                d_velocity.translation,
-                parameters.translation_rate,
-            ),
-            rotation: move_by(
-                &mut optimizers.velocity_rotation,
-                d_velocity.rotation,
-                parameters.rotation_rate * VELOCITY_ROTATION_RATE,
-            ),
-        };
-    }
     state.motion = state.motion.retract(centre, velocity);
 }
 

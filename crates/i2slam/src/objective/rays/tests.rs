@@ -1,11 +1,9 @@
 //! Derivatives of the objective against differences, and the rays of a batch.
 
 use super::*;
-use crate::objective::{BlurMethod, Exposure, Sampling, Tone};
+use crate::objective::{Exposure, Sampling, Tone};
 use i2slam_check::{central_differences, noise, relative_error};
-use i2slam_formation::{
-    CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve,
-};
+use i2slam_formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
 use i2slam_geometry::Tangent;
 use i2slam_radiance::hashgrid::{
     FieldSettings, HashGridField, Occupancy, OccupancySettings, Sample, reference,
@@ -91,6 +89,18 @@ fn beside(shutter: &ShutterPoses<f64>) -> Pose<f64> {
     shutter.middle().retract(lead)
 }
 
+/// Pixels of a frame without tone, of a global shutter and with depth at mid-exposure.
+fn batch(
+    observation: &Observation,
+    shutter: ShutterPoses<f64>,
+    virtual_cameras: usize,
+    pixels: Vec<usize>,
+) -> PixelBatch<'_> {
+    let sampling = Sampling { virtual_cameras, ..Sampling::SINGLE_CAMERA };
+    let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
+    PixelBatch { observation, variables: FrameVariables { exposure, tone: None }, pixels }
+}
+
 /// Evaluations of two views of the same pixels, of which the first moves by `x`: start pose, end
 /// pose, log exposure and log white balance; what evaluated them, and what every ray of the first
 /// adds to the derivative by its poses.
@@ -107,12 +117,7 @@ fn evaluated(
         log_exposure: x[12] as f32,
         log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
     };
-    let sampling = Sampling {
-        virtual_cameras: cameras,
-        quadrature: Quadrature::Midpoints,
-        method: BlurMethod::Exact,
-        margin: 0,
-    };
+    let sampling = Sampling { virtual_cameras: cameras, ..Sampling::SINGLE_CAMERA };
     let observation = depth.observation();
     let view = |shutter: ShutterPoses<f64>, frame| PixelBatch {
         observation: &observation,
@@ -256,21 +261,9 @@ fn random_moments_average_to_the_exposure() {
     let mut objective = RayObjective::new(CAMERA, map.march);
     let observation = observation();
     let end = Pose::identity().retract(Tangent::from_array([0.2, -0.1, 0.1, 0.2, 0.3, -0.1]));
-    let sampling = |virtual_cameras| Sampling {
-        virtual_cameras,
-        quadrature: Quadrature::Midpoints,
-        method: BlurMethod::Exact,
-        margin: 0,
-    };
+    let shutter = ShutterPoses { start: Pose::identity(), end };
     let mut mean = |cameras: usize, seeds: u64| {
-        let exposure = Exposure {
-            shutter: ShutterPoses { start: Pose::identity(), end },
-            sampling: sampling(cameras),
-            readout: 0.0,
-            depth_pose: None,
-        };
-        let variables = FrameVariables { exposure, tone: None };
-        let view = [PixelBatch { observation: &observation, variables, pixels: vec![70, 101] }];
+        let view = [batch(&observation, shutter, cameras, vec![70, 101])];
         let mut sum = [0.0_f64; 6];
         for seed in 0..seeds {
             let mut d_field = FieldGradient::zeros(&map.field);
@@ -290,11 +283,8 @@ fn random_moments_average_to_the_exposure() {
 fn moments_keep_to_their_share() {
     let map = map();
     let observation = observation();
-    let sampling = Sampling { virtual_cameras: 4, ..Sampling::SINGLE_CAMERA };
-    let shutter = ShutterPoses::still(Pose::identity());
-    let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
-    let variables = FrameVariables { exposure, tone: None };
-    let view = [PixelBatch { observation: &observation, variables, pixels: pixels() }];
+    let still = ShutterPoses::still(Pose::identity());
+    let view = [batch(&observation, still, 4, pixels())];
     let farthest = |share: f32| {
         let mut objective = RayObjective::new(CAMERA, map.march);
         objective.set_moment_jitter(share);
@@ -320,16 +310,10 @@ fn the_shutter_hessian_agrees_with_differences() {
     let still = ShutterPoses { start: Pose::identity(), end };
     let view = |x: &[f64]| {
         let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
-        let sampling = Sampling { virtual_cameras: 3, ..Sampling::SINGLE_CAMERA };
-        let shutter = still.retract(&step);
-        PixelBatch {
-            observation: &observation,
-            variables: FrameVariables {
-                exposure: Exposure { shutter, sampling, readout: 0.0, depth_pose: None },
-                tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
-            },
-            pixels: (0..16 * 12).step_by(5).collect(),
-        }
+        let pixels = (0..16 * 12).step_by(5).collect();
+        let mut view = batch(&observation, still.retract(&step), 3, pixels);
+        view.variables.tone = Some(Tone { frame: FrameTone::default(), curve: &curve });
+        view
     };
     let mut objective = RayObjective::new(CAMERA, map.march);
     let hessian = objective.shutter_hessian(&map, &view(&[0.0; 12]), &mut Random::new(3));
@@ -359,14 +343,8 @@ fn the_shutter_hessian_agrees_with_differences() {
 #[test]
 fn rays_of_low_opacity_are_listed() {
     let observation = observation();
-    let exposure = Exposure {
-        shutter: ShutterPoses::still(Pose::identity()),
-        sampling: Sampling { virtual_cameras: 3, ..Sampling::SINGLE_CAMERA },
-        readout: 0.0,
-        depth_pose: None,
-    };
-    let variables = FrameVariables { exposure, tone: None };
-    let view = [PixelBatch { observation: &observation, variables, pixels: vec![70, 101] }];
+    let still = ShutterPoses::still(Pose::identity());
+    let view = [batch(&observation, still, 3, vec![70, 101])];
     let low_opacity_rays = |map: &HashGridMap| {
         let mut objective = RayObjective::new(CAMERA, map.march);
         let mut d_field = FieldGradient::zeros(&map.field);
@@ -384,14 +362,8 @@ fn rays_of_low_opacity_are_listed() {
 fn median_depth_and_samples_are_of_the_last_batch() {
     let map = map();
     let observation = observation();
-    let exposure = Exposure {
-        shutter: ShutterPoses::still(Pose::identity()),
-        sampling: Sampling::SINGLE_CAMERA,
-        readout: 0.0,
-        depth_pose: None,
-    };
-    let variables = FrameVariables { exposure, tone: None };
-    let view = [PixelBatch { observation: &observation, variables, pixels: vec![70, 101, 120] }];
+    let still = ShutterPoses::still(Pose::identity());
+    let view = [batch(&observation, still, 1, vec![70, 101, 120])];
     let mut objective = RayObjective::new(CAMERA, map.march);
     assert_eq!((objective.median_depth(0), objective.samples_per_pixel()), (None, None));
     let mut d_field = FieldGradient::zeros(&map.field);

@@ -1,9 +1,8 @@
 //! Image residuals of a block of samples, one per channel.
 
-use super::block::{BLOCK, Row, groups};
 use super::depth::DepthBlock;
 use super::geometry::{ExposureSample, Geometry, Points, by_point, placeholder_point, project};
-use super::level::BilinearTaps;
+use super::level::{BLOCK, BilinearTaps, BlockValues, groups};
 use super::{
     DEGREES_OF_FREEDOM, Linearization, MIN_DISTANCE, READOUT, ResidualSums, WHITE_BALANCE,
 };
@@ -14,18 +13,19 @@ use pulp::Simd;
 /// Intermediate values of a block.
 pub(super) struct ColourBlock {
     /// 1 for samples that are visible to all virtual cameras, 0 for others.
-    seen: Row,
+    seen: BlockValues,
     taps: BilinearTaps,
     /// Per channel: the picture's value, then its derivatives, which are not used.
-    pixel: [[Row; 3]; 3],
+    pixel: [[BlockValues; 3]; 3],
     /// With a rolling shutter, relative positions of the picture's rows and times of the samples.
-    row_position: Row,
-    times: Row,
-    /// The points in the camera at a sample, and in the model's.
-    points: [Row; 3],
-    target_points: [Row; 3],
+    row_position: BlockValues,
+    times: BlockValues,
+    /// The points in the camera at mid-exposure, moved as seen by one virtual camera, and in the target's
+    /// camera.
+    points: [BlockValues; 3],
+    target_points: [BlockValues; 3],
     /// Per channel: the target's radiance for one virtual camera and its derivatives by `u` and `v`.
-    target: [[Row; 3]; 3],
+    target: [[BlockValues; 3]; 3],
     channels: [Channel; 3],
 }
 
@@ -33,44 +33,44 @@ pub(super) struct ColourBlock {
 #[derive(Clone, Copy)]
 struct Channel {
     /// Of the target, averaged over the exposure.
-    radiance: Row,
+    radiance: BlockValues,
     /// The predicted picture value, and its derivative by radiance.
-    value: Row,
-    slope: Row,
+    value: BlockValues,
+    slope: BlockValues,
     /// By ρ and φ of the centre, by ν and ω of the velocity.
-    motion: [Row; 12],
+    motion: [BlockValues; 12],
     /// By the logarithm of the gain, and by the readout.
-    gain: Row,
-    readout: Row,
-    residual: Row,
+    gain: BlockValues,
+    readout: BlockValues,
+    residual: BlockValues,
     /// Square root of the weight.
-    root: Row,
+    root: BlockValues,
 }
 
 impl Channel {
     const ZERO: Self = Self {
-        radiance: Row::ZERO,
-        value: Row::ZERO,
-        slope: Row::ZERO,
-        motion: [Row::ZERO; 12],
-        gain: Row::ZERO,
-        readout: Row::ZERO,
-        residual: Row::ZERO,
-        root: Row::ZERO,
+        radiance: BlockValues::ZERO,
+        value: BlockValues::ZERO,
+        slope: BlockValues::ZERO,
+        motion: [BlockValues::ZERO; 12],
+        gain: BlockValues::ZERO,
+        readout: BlockValues::ZERO,
+        residual: BlockValues::ZERO,
+        root: BlockValues::ZERO,
     };
 }
 
 impl ColourBlock {
     pub(super) fn new() -> Self {
         Self {
-            seen: Row::ZERO,
+            seen: BlockValues::ZERO,
             taps: BilinearTaps::EMPTY,
-            pixel: [[Row::ZERO; 3]; 3],
-            row_position: Row::ZERO,
-            times: Row::ZERO,
-            points: [Row::ZERO; 3],
-            target_points: [Row::ZERO; 3],
-            target: [[Row::ZERO; 3]; 3],
+            pixel: [[BlockValues::ZERO; 3]; 3],
+            row_position: BlockValues::ZERO,
+            times: BlockValues::ZERO,
+            points: [BlockValues::ZERO; 3],
+            target_points: [BlockValues::ZERO; 3],
+            target: [[BlockValues::ZERO; 3]; 3],
             channels: [Channel::ZERO; 3],
         }
     }
@@ -133,7 +133,7 @@ impl ColourBlock {
         }
     }
 
-    /// Where the model's picture shows them at one sample.
+    /// Stores the image positions of a group's samples in the target, for one virtual camera.
     #[inline(always)]
     fn project_to_target<S: Simd>(
         &mut self,
@@ -237,7 +237,7 @@ impl ColourBlock {
     }
 }
 
-/// Points of a group at one sample.
+/// Points of a group at one virtual camera.
 struct MovedPoints<S: Simd> {
     /// In the camera at mid-exposure, with and without the camera's translation since then.
     seen: Points<S>,
@@ -249,7 +249,7 @@ struct MovedPoints<S: Simd> {
 
 /// Adds to two triples of rows, or sets them for the `first` virtual camera.
 #[inline(always)]
-fn add_rows<S: Simd>(values: [Points<S>; 2], rows: &mut [Row], group: usize, first: bool) {
+fn add_rows<S: Simd>(values: [Points<S>; 2], rows: &mut [BlockValues], group: usize, first: bool) {
     let [row, spin] = values;
     let values = [row.x, row.y, row.z, spin.x, spin.y, spin.z];
     for k in 0..6 {
@@ -258,7 +258,7 @@ fn add_rows<S: Simd>(values: [Points<S>; 2], rows: &mut [Row], group: usize, fir
 }
 
 #[inline(always)]
-fn accumulate<S: Simd>(value: Lanes<S>, row: &mut Row, group: usize, first: bool) {
+fn accumulate<S: Simd>(value: Lanes<S>, row: &mut BlockValues, group: usize, first: bool) {
     let sum = if first { value } else { value + Lanes::load_group(value.simd(), row, group) };
     sum.store_group(row, group);
 }
@@ -309,8 +309,8 @@ impl Channel {
         &mut self,
         simd: S,
         task: &Linearization<'_>,
-        seen: &Row,
-        pixel: &Row,
+        seen: &BlockValues,
+        pixel: &BlockValues,
         sums: &mut ResidualSums,
     ) {
         let number = |value| Lanes::splat(simd, value);

@@ -1,8 +1,7 @@
 //! Depth residuals of a block of samples.
 
-use super::block::{Row, groups};
 use super::geometry::{Geometry, Points, by_point, placeholder_point, project};
-use super::level::{BilinearTaps, SampleBlock};
+use super::level::{BilinearTaps, BlockValues, SampleBlock, groups};
 use super::{
     DEGREES_OF_FREEDOM, Linearization, MAX_DEPTH_RESIDUAL_RATIO, MIN_DISTANCE,
     ROUGHNESS_SIGMA_RATIO,
@@ -14,17 +13,17 @@ use pulp::Simd;
 /// Intermediate values of a block.
 pub(super) struct DepthBlock {
     /// The points in the camera at mid-exposure.
-    pub(super) points: [Row; 3],
+    pub(super) points: [BlockValues; 3],
     /// The points in the target's camera; a point on the axis where that does not see them.
-    target_points: [Row; 3],
+    target_points: [BlockValues; 3],
     taps: BilinearTaps,
-    corners: [Row; 4],
-    roughness: Row,
+    corners: [BlockValues; 4],
+    roughness: BlockValues,
     /// 1 for samples on the target's surface, 0 for others.
-    pub(super) agreeing: Row,
+    pub(super) agreeing: BlockValues,
     /// Derivatives by ρ and φ of the centre.
-    jacobian: [Row; 6],
-    residual: Row,
+    jacobian: [BlockValues; 6],
+    residual: BlockValues,
 }
 
 /// Sums over the groups of a block, lane by lane.
@@ -37,14 +36,14 @@ struct LaneSums<S: Simd> {
 impl DepthBlock {
     pub(super) fn new() -> Self {
         Self {
-            points: [Row::ZERO; 3],
-            target_points: [Row::ZERO; 3],
+            points: [BlockValues::ZERO; 3],
+            target_points: [BlockValues::ZERO; 3],
             taps: BilinearTaps::EMPTY,
-            corners: [Row::ZERO; 4],
-            roughness: Row::ZERO,
-            agreeing: Row::ZERO,
-            jacobian: [Row::ZERO; 6],
-            residual: Row::ZERO,
+            corners: [BlockValues::ZERO; 4],
+            roughness: BlockValues::ZERO,
+            agreeing: BlockValues::ZERO,
+            jacobian: [BlockValues::ZERO; 6],
+            residual: BlockValues::ZERO,
         }
     }
 

@@ -2,7 +2,7 @@
 //! instruction holds.
 
 use super::Linearization;
-use super::block::Row;
+use super::level::BlockValues;
 use i2slam_compute::simd::{Lanes, Mask};
 use i2slam_formation::{ShutterPoses, VirtualCamera};
 use i2slam_geometry::{Camera, Mat3, Pose, Tangent, Vec3};
@@ -163,7 +163,7 @@ impl<S: Simd> Points<S> {
     }
 
     #[inline(always)]
-    pub(super) fn load_group(simd: S, rows: &[Row; 3], group: usize) -> Self {
+    pub(super) fn load_group(simd: S, rows: &[BlockValues; 3], group: usize) -> Self {
         Self {
             x: Lanes::load_group(simd, &rows[0], group),
             y: Lanes::load_group(simd, &rows[1], group),
@@ -172,7 +172,7 @@ impl<S: Simd> Points<S> {
     }
 
     #[inline(always)]
-    pub(super) fn store_group(self, rows: &mut [Row; 3], group: usize) {
+    pub(super) fn store_group(self, rows: &mut [BlockValues; 3], group: usize) {
         self.x.store_group(&mut rows[0], group);
         self.y.store_group(&mut rows[1], group);
         self.z.store_group(&mut rows[2], group);
@@ -228,7 +228,7 @@ impl<S: Simd> Points<S> {
 }
 
 impl Transform {
-    /// Row `row` of the rotation, in every lane.
+    /// BlockValues `row` of the rotation, in every lane.
     #[inline(always)]
     pub(super) fn row<S: Simd>(&self, simd: S, row: usize) -> Points<S> {
         Points::splat(simd, Vec3::from_array(self.rotation.rows[row]))

@@ -1,14 +1,48 @@
 //! One pyramid level of frame or target, laid out for blocks of samples.
 
-use super::block::{BLOCK, Row};
 use i2slam_compute::median;
 use i2slam_compute::simd::{Lanes, Mask};
 use i2slam_geometry::{Camera, Image};
 use pulp::Simd;
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
 /// Largest relative depth difference of neighbouring pixels on one surface.
 const MAX_DEPTH_STEP_RATIO: f32 = 0.05;
+
+/// Samples of one block; a multiple of the widest instruction.
+pub(super) const BLOCK: usize = 128;
+
+/// One value for each sample of a block.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub(super) struct BlockValues(pub(super) [f32; BLOCK]);
+
+impl BlockValues {
+    pub(super) const ZERO: Self = Self([0.0; BLOCK]);
+}
+
+impl Deref for BlockValues {
+    type Target = [f32];
+
+    #[inline(always)]
+    fn deref(&self) -> &[f32] {
+        &self.0
+    }
+}
+
+impl DerefMut for BlockValues {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [f32] {
+        &mut self.0
+    }
+}
+
+/// Number of vectors of `S` in a block.
+#[inline(always)]
+pub(super) fn groups<S: Simd>() -> usize {
+    BLOCK / S::F32_LANES
+}
 
 /// One pyramid level of the observed frame.
 pub(in super::super) struct FrameLevel {
@@ -105,8 +139,8 @@ pub(in super::super) struct DepthSamples {
 /// [`BLOCK`] samples.
 pub(super) struct SampleBlock {
     /// The point in the camera that took the depth picture.
-    pub(super) point: [Row; 3],
-    pub(super) roughness: Row,
+    pub(super) point: [BlockValues; 3],
+    pub(super) roughness: BlockValues,
 }
 
 impl DepthSamples {
@@ -134,7 +168,8 @@ impl DepthSamples {
     fn push(&mut self, point: [f32; 3], roughness: f32) {
         let lane = self.count % BLOCK;
         if lane == 0 {
-            self.blocks.push(SampleBlock { point: [Row::ZERO; 3], roughness: Row::ZERO });
+            self.blocks
+                .push(SampleBlock { point: [BlockValues::ZERO; 3], roughness: BlockValues::ZERO });
         }
         if let Some(block) = self.blocks.last_mut() {
             block.point.iter_mut().zip(point).for_each(|(row, value)| row.0[lane] = value);
@@ -147,12 +182,13 @@ impl DepthSamples {
 /// Bilinear taps of a block: upper left pixels, and fractions to the right and down.
 pub(super) struct BilinearTaps {
     index: [u32; BLOCK],
-    right: Row,
-    down: Row,
+    right: BlockValues,
+    down: BlockValues,
 }
 
 impl BilinearTaps {
-    pub(super) const EMPTY: Self = Self { index: [0; BLOCK], right: Row::ZERO, down: Row::ZERO };
+    pub(super) const EMPTY: Self =
+        Self { index: [0; BLOCK], right: BlockValues::ZERO, down: BlockValues::ZERO };
 
     /// Stores the image positions `(u, v)` of a group; returns the mask of those between the outermost
     /// pixel centres, the others are stored as 0.
@@ -194,7 +230,7 @@ impl BilinearTaps {
         &self,
         simd: S,
         group: usize,
-        corners: &[Row; 4],
+        corners: &[BlockValues; 4],
     ) -> [Lanes<S>; 3] {
         let [a, b, c, d] = [0, 1, 2, 3].map(|i| Lanes::load_group(simd, &corners[i], group));
         let (right, down) = (
@@ -238,7 +274,12 @@ impl InverseDepth {
 
     /// Inverse depths of the four pixels of each tap, and their roughness.
     #[inline(always)]
-    pub(super) fn gather(&self, taps: &BilinearTaps, corners: &mut [Row; 4], roughness: &mut Row) {
+    pub(super) fn gather(
+        &self,
+        taps: &BilinearTaps,
+        corners: &mut [BlockValues; 4],
+        roughness: &mut BlockValues,
+    ) {
         for i in 0..BLOCK {
             let index = taps.index[i] as usize;
             let (top, bottom) = (&self.inverse[index..][..2], &self.inverse[index + self.width..]);
@@ -269,7 +310,7 @@ impl PackedColour {
 
     /// Interpolates each channel: value and derivatives by `u` and `v`.
     #[inline(always)]
-    pub(super) fn sample(&self, taps: &BilinearTaps, out: &mut [[Row; 3]; 3]) {
+    pub(super) fn sample(&self, taps: &BilinearTaps, out: &mut [[BlockValues; 3]; 3]) {
         for i in 0..BLOCK {
             let index = taps.index[i] as usize;
             let (right, down) = (taps.right.0[i], taps.down.0[i]);

@@ -19,7 +19,6 @@
 //! from sample to sample, and the readout is an unknown with the derivative `(v/H - ½) b · (ν + ω ×
 //! (P - s ν))`. Depth is taken at one time.
 
-mod block;
 mod colour;
 mod depth;
 mod geometry;
@@ -32,7 +31,6 @@ mod tests;
 pub(super) use level::{FrameLevel, TargetLevel, is_one_surface};
 
 use crate::tracking::context::TrackingState;
-use block::{Row, groups};
 use colour::ColourBlock;
 use depth::DepthBlock;
 use geometry::Geometry;
@@ -40,6 +38,7 @@ use i2slam_compute::simd::Lanes;
 use i2slam_compute::{NormalEquations, reduce_in_order};
 use i2slam_formation::{Quadrature, ResponseCurve};
 use i2slam_geometry::Pose;
+use level::{BlockValues, groups};
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
@@ -218,7 +217,7 @@ const PRODUCTS: usize = 4;
 #[inline(always)]
 fn add_normal_equations<S: Simd>(
     simd: S,
-    rows: &[&Row],
+    rows: &[&BlockValues],
     unknowns: &[usize],
     equations: &mut Equations,
 ) {
@@ -238,7 +237,11 @@ fn add_normal_equations<S: Simd>(
 
 /// Sums over the block of `row` times each of `others`.
 #[inline(always)]
-fn products<S: Simd>(simd: S, row: &Row, others: &[&Row; PRODUCTS]) -> [f32; PRODUCTS] {
+fn products<S: Simd>(
+    simd: S,
+    row: &BlockValues,
+    others: &[&BlockValues; PRODUCTS],
+) -> [f32; PRODUCTS] {
     let mut sums = [Lanes::zero(simd); PRODUCTS];
     for group in 0..groups::<S>() {
         let value = Lanes::load_group(simd, row, group);
