@@ -2,7 +2,6 @@
 
 mod import;
 mod monocular;
-mod picture_reader;
 mod refined_import;
 mod row_rectification;
 

@@ -4,7 +4,7 @@
 //! the files, replaces theirs where it aligns the pictures clearly better. Dense depth is added in
 //! either case.
 
-use super::picture_reader::PictureReader;
+use super::monocular::PictureReader;
 use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe};
 use i2slam_compute::{CancellationToken, correlation};
 use i2slam_dataset::Frame;

@@ -1,6 +1,6 @@
 //! Optimiser steps on exposure, white balance, responses and keyframe poses.
 
-use super::mapper::MappingContext;
+use super::context::MappingContext;
 use crate::config::ResponseScope;
 use crate::objective::Evaluation;
 use crate::tracking::{RESPONSE_NODE_SPACING, mask_white_balance};

@@ -1,69 +1,16 @@
-//! The interface between a session of tracked frames and its map.
+//! The interface between a session and its map: mapping, and tracking against the map or a copy.
 
+use super::context::MappingContext;
 use super::keyframe::Keyframe;
-use super::map_snapshot::Tracker;
-use crate::config::Config;
-use crate::reconstruction::{FrameEstimate, Map};
-use crate::warning::Warning;
-use i2slam_compute::{CancellationToken, Random};
-use i2slam_formation::{CameraResponse, ResponseCurve};
+use crate::objective::{FrameObjective, Observation};
+use crate::reconstruction::Map;
+use crate::tracking::{TrackingContext, TrackingResult, track};
+use i2slam_formation::{CameraResponse, TrajectoryScale};
 use i2slam_geometry::{Camera, Image};
+use i2slam_radiance::RadianceMap;
 use i2slam_radiance::hashgrid::SettingsError;
-use std::collections::BTreeMap;
+use std::any::Any;
 use std::sync::Arc;
-
-/// The state of a session that mapping reads and optimises.
-pub(crate) struct MappingContext<'a> {
-    pub(crate) config: &'a Config,
-    pub(crate) camera: &'a Camera<f64>,
-    /// All frames so far.
-    pub(crate) frames: &'a mut [FrameEstimate],
-    /// Keyframes so far, without the current frame.
-    pub(crate) keyframes: &'a [Keyframe],
-    pub(crate) responses: &'a mut [CameraResponse<f32>],
-    /// Mask of the pixels that the camera recorded; `None`: all.
-    pub(crate) covered: Option<&'a Image<bool>>,
-    pub(crate) random: &'a mut Random,
-    pub(crate) warnings: &'a mut Vec<Warning>,
-    pub(crate) cancellation: &'a CancellationToken,
-}
-
-impl MappingContext<'_> {
-    /// A reborrow with other keyframes.
-    pub(crate) fn with_keyframes<'a>(
-        &'a mut self,
-        keyframes: &'a [Keyframe],
-    ) -> MappingContext<'a> {
-        MappingContext {
-            config: self.config,
-            camera: self.camera,
-            frames: self.frames,
-            keyframes,
-            responses: self.responses,
-            covered: self.covered,
-            random: self.random,
-            warnings: self.warnings,
-            cancellation: self.cancellation,
-        }
-    }
-
-    /// The first mapped frame: its pose and tone stay fixed.
-    pub(crate) fn gauge_frame(&self, current: &Keyframe) -> usize {
-        self.keyframes.first().map_or(current.frame, |k| k.frame)
-    }
-
-    /// Response curves of `views` by response index; none with `tone` off.
-    pub(super) fn response_curves(
-        &self,
-        views: &[Keyframe],
-    ) -> BTreeMap<usize, ResponseCurve<f32>> {
-        if !self.config.formation.tone {
-            return BTreeMap::new();
-        }
-        let indices = views.iter().map(|view| self.frames[view.frame].response);
-        indices.map(|index| (index, self.responses[index].curve())).collect()
-    }
-}
 
 /// A map that grows with tracked frames.
 pub(crate) trait Mapper: Send {
@@ -109,4 +56,62 @@ pub(crate) trait Mapper: Send {
 
     /// A copy of the map.
     fn map(&self) -> Map;
+}
+
+/// Tracks frames against a map of some kind.
+pub(crate) trait Tracker: Any + Send {
+    /// Shutter poses and tone of a frame.
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult;
+}
+
+/// A map, or a copy of one, and the objective that compares pictures with it.
+pub(super) struct MapSnapshot<M: RadianceMap> {
+    pub(super) map: M,
+    pub(super) objective: FrameObjective<M>,
+}
+
+impl<M: RadianceMap + Send + 'static> Tracker for MapSnapshot<M>
+where
+    FrameObjective<M>: Send,
+{
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> TrackingResult {
+        track(context, &mut self.objective, &self.map, observation, response, scale)
+    }
+}
+
+/// Copies `map` into the snapshot `last`, or into a new one with `objective`, restricted to the
+/// `covered` pixels.
+pub(super) fn update_snapshot<M: RadianceMap + Clone + Send + 'static>(
+    last: Option<Box<dyn Tracker>>,
+    map: &M,
+    covered: Option<Arc<Image<bool>>>,
+    objective: impl FnOnce() -> FrameObjective<M>,
+) -> Box<dyn Tracker>
+where
+    FrameObjective<M>: Send,
+{
+    let last = last.map(|last| last as Box<dyn Any>);
+    match last.map(<Box<dyn Any>>::downcast::<MapSnapshot<M>>) {
+        Some(Ok(mut snapshot)) => {
+            snapshot.map.clone_from(map);
+            snapshot
+        }
+        _ => {
+            let mut objective = objective();
+            covered.into_iter().for_each(|covered| objective.set_covered(covered));
+            Box::new(MapSnapshot { map: map.clone(), objective })
+        }
+    }
 }

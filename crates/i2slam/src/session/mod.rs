@@ -2,7 +2,6 @@
 
 mod backend;
 mod error;
-mod frame_tracker;
 mod keyframe;
 mod online;
 mod runtime_estimate;

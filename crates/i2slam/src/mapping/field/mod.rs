@@ -11,12 +11,13 @@ pub(super) use bounds::{
     MIN_CUBE_GROWTH, chebyshev_distance, mark_cells, surface_distance, untrained_field,
 };
 
+use super::context::IterationBudget;
+use super::context::MappingContext;
 use super::depth_inpainting::placement_depth;
 use super::frame_optimizer::{FrameOptimizers, ResponseGradients};
-use super::iteration_budget::IterationBudget;
 use super::keyframe::Keyframe;
-use super::map_snapshot::{MapSnapshot, Tracker, update_snapshot};
-use super::mapper::{Mapper, MappingContext};
+use super::mapper::Mapper;
+use super::mapper::{MapSnapshot, Tracker, update_snapshot};
 use super::window::{random_pixels, recent_window};
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, PixelBatch, RayObjective, Sampling, Tone,

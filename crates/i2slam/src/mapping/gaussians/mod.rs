@@ -4,11 +4,12 @@ mod density_control;
 mod merge;
 mod optimizer;
 
+use super::context::IterationBudget;
+use super::context::MappingContext;
 use super::depth_inpainting::placement_depth;
-use super::iteration_budget::IterationBudget;
 use super::keyframe::Keyframe;
-use super::map_snapshot::{MapSnapshot, Tracker, update_snapshot};
-use super::mapper::{Mapper, MappingContext};
+use super::mapper::Mapper;
+use super::mapper::{MapSnapshot, Tracker, update_snapshot};
 use super::window::overlapping_window;
 use crate::config::Config;
 use crate::objective::{FrameObjective, Tone};

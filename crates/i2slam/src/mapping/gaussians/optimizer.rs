@@ -1,10 +1,10 @@
 //! Gradient steps on Gaussians together with tone, response and keyframe poses.
 
 use crate::config::Config;
+use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
-use crate::mapping::map_snapshot::MapSnapshot;
-use crate::mapping::mapper::MappingContext;
+use crate::mapping::mapper::MapSnapshot;
 use crate::objective::{Evaluation, Exposure, FrameVariables, Sampling, Tone};
 use i2slam_compute::Adam;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};

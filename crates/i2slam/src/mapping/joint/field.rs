@@ -6,18 +6,18 @@
 //! only in shells around these surfaces: a tenth of the time, and no fog.
 
 use super::JointMapper;
-use super::field_extent::{self, Extent};
-use super::field_step::{active_levels, blur_length_at_depth, pixel_budget, sample_pixels};
+use super::field_sampling::{
+    FieldCube, active_levels, blur_length_at_depth, contains_last_view, has_surfaces, mark_view,
+    pixel_budget, sample_pixels, surface_settings, surface_shells,
+};
+use super::localization::FrameLocator;
 use super::pose_optimizer::PoseOptimizers;
-use super::surface_shells as shells;
 use super::trajectory_term::TrajectoryTerm;
 use crate::config::{Config, Preconditioning};
+use crate::mapping::context::{IterationBudget, MappingContext};
 use crate::mapping::field::{MIN_CUBE_GROWTH, untrained_field};
 use crate::mapping::frame_optimizer::{FrameOptimizers, ResponseGradients};
-use crate::mapping::iteration_budget::IterationBudget;
 use crate::mapping::keyframe::Keyframe;
-use crate::mapping::localization::FrameLocator;
-use crate::mapping::mapper::MappingContext;
 use crate::mapping::window::{random_window, recent_window};
 use crate::objective::{Evaluation, FrameObjective, PixelBatch, RayObjective};
 use crate::reconstruction::{FrameEstimate, Losses, Map};
@@ -145,14 +145,13 @@ impl JointFieldMapper {
 
     /// Starts an untrained field that holds what all keyframes see.
     fn start(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
-        let Extent { centre, mut bound } = Extent::of_keyframes(context);
+        let FieldCube { centre, mut bound } = FieldCube::of_keyframes(context);
         if let Some(field) = &self.field {
             bound = bound.max(MIN_CUBE_GROWTH * field.map.field.settings().bound);
         }
         let config = context.config;
-        let settings = match shells::are_known(context) {
-            true => shells::surface_settings(context)
-                .with_growth(bound, config.keyframed.surface_growth),
+        let settings = match has_surfaces(context) {
+            true => surface_settings(context).with_growth(bound, config.keyframed.surface_growth),
             false => config.hashgrid.clone(),
         };
         let empty = untrained_field(&settings, centre, bound, config.seed)?;
@@ -182,7 +181,7 @@ impl JointFieldMapper {
     /// Confines sampling to shells around the surfaces of all keyframes, if their depth is known.
     fn confine(&mut self, context: &MappingContext<'_>) {
         let Some(field) = &mut self.field else { return };
-        field.shells = shells::shells(&field.map, &self.camera, context);
+        field.shells = surface_shells(&field.map, &self.camera, context);
         if let Some(shells) = &field.shells {
             field.map.occupancy.confine(shells);
         }
@@ -210,7 +209,7 @@ impl JointFieldMapper {
         let (Some(field), Some(last)) = (&mut self.field, context.keyframes.last()) else { return };
         match &mut field.shells {
             Some(shells) => {
-                shells::mark_keyframe(shells, &field.map, &self.camera, context, last);
+                mark_view(shells, &field.map, &self.camera, context, last);
                 field.map.occupancy.confine(shells);
             }
             None => self.confine(context),
@@ -323,7 +322,7 @@ impl JointMapper for JointFieldMapper {
                 return Ok(());
             }
             None => true,
-            Some(field) => !field_extent::contains(field.map.field.settings(), context),
+            Some(field) => !contains_last_view(field.map.field.settings(), context),
         };
         if first {
             self.start(context)?;

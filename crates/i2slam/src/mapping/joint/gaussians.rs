@@ -5,11 +5,12 @@
 //! Gaussians, start and end poses, tone and response.
 
 use super::JointMapper;
+use super::localization::FrameLocator;
 use crate::config::Config;
+use crate::mapping::context::MappingContext;
 use crate::mapping::gaussians::GaussianMapper;
 use crate::mapping::keyframe::Keyframe;
-use crate::mapping::localization::FrameLocator;
-use crate::mapping::mapper::{Mapper, MappingContext};
+use crate::mapping::mapper::Mapper;
 use crate::reconstruction::{FrameEstimate, Map};
 use crate::tracking::SequenceReadout;
 use i2slam_geometry::{Camera, Image};

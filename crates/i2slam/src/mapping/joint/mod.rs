@@ -1,17 +1,16 @@
 //! Joint optimisation of a map and of keyframes whose poses are only roughly known.
 
 mod field;
-mod field_extent;
-mod field_step;
+mod field_sampling;
 mod gaussians;
+mod localization;
 mod pose_optimizer;
-mod surface_shells;
 mod trajectory_term;
 
 pub(crate) use field::JointFieldMapper;
 pub(crate) use gaussians::JointGaussianMapper;
 
-use super::mapper::MappingContext;
+use super::context::MappingContext;
 use crate::reconstruction::{FrameEstimate, Map};
 use i2slam_geometry::Image;
 use i2slam_radiance::hashgrid::SettingsError;

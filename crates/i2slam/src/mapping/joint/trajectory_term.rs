@@ -1,9 +1,9 @@
 //! The trajectory loss between keyframes (eqs. 15 to 17).
 
 use crate::config::Config;
+use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::adam;
 use crate::mapping::keyframe::{Keyframe, intervals};
-use crate::mapping::mapper::MappingContext;
 use crate::objective::{Evaluation, pull_back_to_middle};
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::Adam;

@@ -1,7 +1,7 @@
 //! Localisation of frames in a map from roughly known poses.
 
-use super::depth_inpainting::MIN_SURFACE_OPACITY;
-use super::mapper::MappingContext;
+use crate::mapping::context::MappingContext;
+use crate::mapping::depth_inpainting::MIN_SURFACE_OPACITY;
 use crate::objective::{FrameObjective, Observation, blur_length};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{SequenceReadout, TrackingContext, track};

@@ -1,0 +1,102 @@
+//! State and time that a session grants mapping.
+
+use super::keyframe::Keyframe;
+use crate::config::Config;
+use crate::reconstruction::FrameEstimate;
+use crate::warning::Warning;
+use i2slam_compute::{CancellationToken, Random};
+use i2slam_formation::{CameraResponse, ResponseCurve};
+use i2slam_geometry::{Camera, Image};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+/// The state of a session that mapping reads and optimises.
+pub(crate) struct MappingContext<'a> {
+    pub(crate) config: &'a Config,
+    pub(crate) camera: &'a Camera<f64>,
+    /// All frames so far.
+    pub(crate) frames: &'a mut [FrameEstimate],
+    /// Keyframes so far, without the current frame.
+    pub(crate) keyframes: &'a [Keyframe],
+    pub(crate) responses: &'a mut [CameraResponse<f32>],
+    /// Mask of the pixels that the camera recorded; `None`: all.
+    pub(crate) covered: Option<&'a Image<bool>>,
+    pub(crate) random: &'a mut Random,
+    pub(crate) warnings: &'a mut Vec<Warning>,
+    pub(crate) cancellation: &'a CancellationToken,
+}
+
+impl MappingContext<'_> {
+    /// A reborrow with other keyframes.
+    pub(crate) fn with_keyframes<'a>(
+        &'a mut self,
+        keyframes: &'a [Keyframe],
+    ) -> MappingContext<'a> {
+        MappingContext {
+            config: self.config,
+            camera: self.camera,
+            frames: self.frames,
+            keyframes,
+            responses: self.responses,
+            covered: self.covered,
+            random: self.random,
+            warnings: self.warnings,
+            cancellation: self.cancellation,
+        }
+    }
+
+    /// The first mapped frame: its pose and tone stay fixed.
+    pub(crate) fn gauge_frame(&self, current: &Keyframe) -> usize {
+        self.keyframes.first().map_or(current.frame, |k| k.frame)
+    }
+
+    /// Response curves of `views` by response index; none with `tone` off.
+    pub(super) fn response_curves(
+        &self,
+        views: &[Keyframe],
+    ) -> BTreeMap<usize, ResponseCurve<f32>> {
+        if !self.config.formation.tone {
+            return BTreeMap::new();
+        }
+        let indices = views.iter().map(|view| self.frames[view.frame].response);
+        indices.map(|index| (index, self.responses[index].curve())).collect()
+    }
+}
+
+/// Time for the steps of one frame: `mapping.seconds_per_frame`, unlimited if that is 0.
+pub(super) struct IterationBudget {
+    start: Instant,
+    /// [s]
+    limit: f64,
+}
+
+impl IterationBudget {
+    /// A budget that starts now.
+    pub(super) fn start(config: &Config) -> Self {
+        Self { start: Instant::now(), limit: f64::from(config.mapping.seconds_per_frame) }
+    }
+
+    /// Whether to stop after `steps` steps, for time or cancellation; never before the first.
+    pub(super) fn is_exhausted(&self, steps: usize, cancellation: &CancellationToken) -> bool {
+        let late = self.limit > 0.0 && self.start.elapsed().as_secs_f64() > self.limit;
+        steps > 0 && (late || cancellation.is_cancelled())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_and_cancellation_exhaust_a_budget_after_its_first_step() {
+        let mut config = Config::default();
+        let (none, cancelled) = (CancellationToken::default(), CancellationToken::when(|| true));
+        let unlimited = IterationBudget::start(&config);
+        assert!(!unlimited.is_exhausted(1000, &none));
+        assert!(!unlimited.is_exhausted(0, &cancelled) && unlimited.is_exhausted(1, &cancelled));
+        config.mapping.seconds_per_frame = 1e-9;
+        let budget = IterationBudget::start(&config);
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        assert!(!budget.is_exhausted(0, &none) && budget.is_exhausted(1, &none));
+    }
+}
