@@ -242,7 +242,7 @@ fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
                 return None;
             }
             let point_in_camera = pose.inverse() * landmark.position();
-            let usable = landmark.values[2] > 1e-4 && point_in_camera.z > 0.0;
+            let usable = landmark.inverse_depth() > 1e-4 && point_in_camera.z > 0.0;
             let slope = landmark.depth_by_inverse_depth(&pose);
             let variance = variance * (noise_scale * slope).powi(2);
             usable.then_some(SparseDepth { at: observation.at, depth: point_in_camera.z, variance })

@@ -328,7 +328,7 @@ impl SfmState {
                 left += usize::from(!observation.is_outlier);
             }
             // Slightly negative inverse depths are far points with noise.
-            if left < 2 || known.values[2] < -0.02 {
+            if left < 2 || known.inverse_depth() < -0.02 {
                 *landmark = None;
                 track.observations.iter_mut().for_each(|o| o.is_outlier = false);
             }

@@ -72,9 +72,9 @@ const MIN_EDGE_STEP: f32 = 0.1;
 /// Standard deviation at an edge over its step: the other surface is three deviations away.
 const STEP_DEVIATION_RATIO: f32 = 1.0 / 3.0;
 
-/// Inflates variances at depth edges: a window across two surfaces may have matched either, so that
-/// near surfaces come out too large by up to half a window. Adds the uncertainty by edges within `reach` pixels, along rows and columns each, to the
-/// variance of every pixel.
+/// Inflates the variance of pixels with a depth edge within `reach` pixels along rows and columns: a
+/// window across two surfaces may have matched either, so that near surfaces come out too large by
+/// up to half a window.
 pub(super) fn inflate_variance_at_edges(found: &mut DenseDepth, reach: usize) {
     let (width, height) = (found.depth.width, found.depth.height);
     let depth = &found.depth.data;

@@ -129,7 +129,7 @@ fn count_visible_landmarks(
 
 /// Median distance of landmarks from their first camera.
 fn median_landmark_distance(state: &SfmState) -> f64 {
-    let near = |l: &Landmark| (l.values[2] > 1e-6).then(|| l.values[2].recip());
+    let near = |l: &Landmark| (l.inverse_depth() > 1e-6).then(|| l.inverse_depth().recip());
     median(&mut state.landmarks.iter().flatten().filter_map(near).collect::<Vec<_>>())
         .unwrap_or(1.0)
 }

@@ -42,6 +42,11 @@ impl Landmark {
         }
     }
 
+    /// Inverse depth `ρ` in the camera of the origin.
+    pub(crate) fn inverse_depth(&self) -> f64 {
+        self.values[2]
+    }
+
     /// The point after a similarity transform of the world.
     pub(crate) fn transformed(&self, by: &Similarity<f64>) -> Self {
         let [a, b, rho] = self.values;

@@ -128,10 +128,10 @@ mod tests {
             let posed = |s: &[Observation; 3]| {
                 triangulate(&camera, &[0, 1, 2].map(|i| (&s[i], pose(i))), 1.0)
             };
-            let found = posed(&observations).expect("sights agree");
+            let found = posed(&observations).expect("observations agree");
             let (p, q) = (found.position(), point);
             assert!((p * p.z.recip() - q * q.z.recip()).norm() < 1e-4, "{p:?}");
-            assert!((found.values[2] - 1.0 / (pose(0).inverse() * point).z).abs() < 1e-6);
+            assert!((found.inverse_depth() - 1.0 / (pose(0).inverse() * point).z).abs() < 1e-6);
             observations[1].at[1] += 30.0;
             assert!(posed(&observations).is_none());
         }

@@ -2,7 +2,9 @@
 
 use crate::error::OdometryError;
 use crate::multiview::triangulation::parallax;
-use crate::multiview::two_view::{RelativePose, estimate_relative_pose, fit_rotation, ray_pairs};
+use crate::multiview::two_view::{
+    RayPair, RelativePose, estimate_relative_pose, fit_rotation, ray_pairs,
+};
 use crate::sfm_state::SfmState;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Rotation};
@@ -121,7 +123,7 @@ fn pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
         .collect()
 }
 
-fn shared_rays(state: &SfmState, pair: &KeyframePair) -> Vec<crate::multiview::two_view::RayPair> {
+fn shared_rays(state: &SfmState, pair: &KeyframePair) -> Vec<RayPair> {
     ray_pairs(&state.camera, &state.shared_positions(pair.first, pair.second))
 }
 
@@ -134,7 +136,7 @@ fn reconstruct_pair(state: &mut SfmState, pair: &KeyframePair, view: RelativePos
     state.update_noise_scale();
     state.reject_outliers();
     let wide = state.landmarks.iter().flatten().filter(|landmark| {
-        landmark.values[2] > 0.0
+        landmark.inverse_depth() > 0.0
             && parallax(landmark, state.poses.iter().flatten().copied()) > MIN_ANGLE
     });
     wide.count()

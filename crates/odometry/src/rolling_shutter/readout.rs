@@ -1,6 +1,6 @@
 //! Rolling shutter: estimation of the readout and correction of observations.
 //!
-//! Row `r` of `H` is exposed at `stamp + readout (r / H - ½)`. The camera's velocity tells how far
+//! Row `r` of `H` is exposed at `stamp + readout (r / H - ½)`. The velocity of the camera gives how far
 //! a point moves in that time; its position is corrected to the moment of the middle row. The
 //! readout of least cost is searched.
 
@@ -264,7 +264,7 @@ mod tests {
     #[test]
     fn a_readout_that_explains_nothing_is_given_up() {
         let (mut global, timestamps) = state(60, 0.0);
-        // Frames without a pose, and one without neighbours, tell nothing of their motion.
+        // Frames without a pose, and one without neighbours, have no known velocity.
         global.poses[20..26].fill(None);
         global.poses[30..40].fill(None);
         global.poses[35] = Some(path(35.0));

@@ -108,7 +108,7 @@ fn the_deviation_of_the_focal_length_covers_its_error() {
     assert!((0.3..1.5).contains(&rms) && ratios.iter().all(|r| r.abs() < 2.5), "{ratios:?}");
 }
 
-/// A camera that moves as the other one and turns about, which tells focal length from distortion.
+/// A camera on the same path that also turns, which separates focal length from distortion.
 fn turning(i: usize) -> Pose<f64> {
     let s = i as f64;
     let turn = Vec3::new(0.2 * (0.5 * s).sin(), 0.3 * (0.22 * s).sin(), 0.25 * (0.35 * s).sin());
@@ -132,7 +132,7 @@ fn the_distortion_of_a_lens_is_found_on_demand() {
     assert_eq!(straight.distortion, None);
 }
 
-/// A pinhole camera that moves to the right and hardly turns does not tell a lens from another
+/// A pinhole camera that moves to the right and hardly turns cannot separate a lens from another
 /// focal length: none is taken, with a warning.
 #[test]
 fn a_lens_that_is_not_determined_is_none() {

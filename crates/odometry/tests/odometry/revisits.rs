@@ -1,4 +1,4 @@
-//! Places that are left and seen again.
+//! Revisited places: loop closure, cuts and covered lenses.
 
 use crate::scene::{INTERVAL, camera, moving, picture, render, texture};
 use i2slam_geometry::{Image, Pose, Rotation, Vec3};
@@ -161,7 +161,7 @@ fn frames_behind_a_covered_lens_are_lost_and_those_on_both_sides_posed() {
 
 #[test]
 fn both_sides_of_a_cut_at_one_place_are_posed() {
-    // The camera has moved on while nothing was taken, and looks from a place seen before.
+    // After the cut the camera continues from a place that it passed before.
     let truth: Vec<Pose<f64>> = (0..14).chain((4..18).rev()).map(moving).collect();
     let mut pictures: Vec<Image<f32>> = truth.par_iter().map(|p| picture(1, *p, 1.0)).collect();
     pictures.splice(14..14, interrupted(3..7, Some(9)).drain(3..7));
