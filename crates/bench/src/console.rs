@@ -1,6 +1,6 @@
 //! Messages, exit codes and Ctrl-C of the program.
 
-use i2slam_result::ExportError;
+use i2slam_result::ResultError;
 use std::fmt;
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -36,8 +36,8 @@ impl fmt::Display for Failure {
     }
 }
 
-impl From<ExportError> for Failure {
-    fn from(error: ExportError) -> Self {
+impl From<ResultError> for Failure {
+    fn from(error: ResultError) -> Self {
         Self::Failed(error.to_string())
     }
 }

@@ -5,7 +5,7 @@ use crate::plan::{Job, Plan};
 use crate::process::{Call, Stopped};
 use crate::sequences::{FrameList, Source};
 use i2slam_eval::frame_list;
-use i2slam_result::{FolderContents, Layout, ResultFolder, remove_renders};
+use i2slam_result::{FolderContents, FolderLayout, ResultFolder, remove_renders};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
 use std::fs;
@@ -315,7 +315,8 @@ fn claim(out: &Path, title: &str) -> Result<(), Failure> {
         }
         Some(_) => {}
         None => {
-            let empty = Layout { files: Vec::new(), pictures: Vec::new(), marks: Vec::new() };
+            let empty =
+                FolderLayout { files: Vec::new(), pictures: Vec::new(), signatures: Vec::new() };
             if let FolderContents::Other(file) = empty.contents(out) {
                 return refuse(format!(
                     "is not empty, it holds {}, and is no benchmark's: choose another folder",

@@ -170,6 +170,9 @@ fn reason(error: &ConfigError) -> String {
         ConfigError::UnknownKey { key, section, known, .. } => {
             format!("no setting is called `{key}`: `{section}` has {known}")
         }
+        ConfigError::RemovedKey { key, .. } => {
+            format!("{key} is no longer a setting: the preset decides it")
+        }
         ConfigError::Malformed { message, .. } => message.clone(),
         ConfigError::WrongValue { key, message, .. } => format!("{key}: {message}"),
         ConfigError::OutOfRange { key, value, expected, .. } => {

@@ -4,7 +4,7 @@ use crate::progress::Progress;
 use i2slam::dataset::DatasetError;
 use i2slam::{ConfigError, RunError};
 use i2slam_eval::EvalError;
-use i2slam_result::ExportError;
+use i2slam_result::ResultError;
 use std::panic::{self, AssertUnwindSafe};
 use std::sync::Mutex;
 
@@ -98,8 +98,8 @@ fn flag(option: &str) -> Option<&'static str> {
     }
 }
 
-impl From<ExportError> for Failure {
-    fn from(error: ExportError) -> Self {
+impl From<ResultError> for Failure {
+    fn from(error: ResultError) -> Self {
         Self::Failed(error.to_string())
     }
 }

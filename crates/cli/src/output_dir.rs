@@ -4,7 +4,7 @@
 //! and nothing else.
 
 use crate::failure::Failure;
-use i2slam_result::{FolderContents, Layout};
+use i2slam_result::{FolderContents, FolderLayout};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 pub(crate) struct OutputDir<'a> {
     pub(crate) path: &'a Path,
     /// Files that the command writes.
-    pub(crate) layout: Layout,
+    pub(crate) layout: FolderLayout,
     /// Name of the command, for messages.
     pub(crate) command: &'static str,
     /// Whether an earlier result may be replaced.
@@ -84,18 +84,18 @@ pub(crate) fn refuse_file(out: &Path) -> Result<(), Failure> {
 }
 
 /// Files of `i2slam synth`.
-pub(crate) fn synthetic_layout() -> Layout {
+pub(crate) fn synthetic_layout() -> FolderLayout {
     sequence_layout("spec.toml", ("spec.toml", "# Specification of a synthetic sequence"))
 }
 
 /// Files of `i2slam degrade`.
-pub(crate) fn degraded_layout() -> Layout {
+pub(crate) fn degraded_layout() -> FolderLayout {
     sequence_layout("source.csv", ("README.md", "Made by `i2slam degrade`"))
 }
 
-/// A sequence with ground truth and one more file; `mark` is the file whose first line names the
+/// A sequence with ground truth and one more file; `signature` is the file whose first line names the
 /// command.
-fn sequence_layout(further: &'static str, mark: (&'static str, &'static str)) -> Layout {
+fn sequence_layout(further: &'static str, signature: (&'static str, &'static str)) -> FolderLayout {
     let files = vec![
         "rgb.txt",
         "depth.txt",
@@ -106,7 +106,7 @@ fn sequence_layout(further: &'static str, mark: (&'static str, &'static str)) ->
         "README.md",
         further,
     ];
-    Layout { files, pictures: sequence_pictures(), marks: vec![mark] }
+    FolderLayout { files, pictures: sequence_pictures(), signatures: vec![signature] }
 }
 
 fn sequence_pictures() -> Vec<(String, &'static str)> {
@@ -123,7 +123,7 @@ pub(crate) const POSES_HEADER: &str =
     "# i2slam render: number of the picture, tx ty tz qx qy qz qw, world from camera";
 
 /// Files of `i2slam render --out`.
-pub(crate) fn render_layout() -> Layout {
-    let marks = vec![(POSES, POSES_HEADER)];
-    Layout { files: vec![POSES], pictures: Layout::renders(""), marks }
+pub(crate) fn render_layout() -> FolderLayout {
+    let signatures = vec![(POSES, POSES_HEADER)];
+    FolderLayout { files: vec![POSES], pictures: FolderLayout::render_folders(""), signatures }
 }

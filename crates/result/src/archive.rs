@@ -19,7 +19,7 @@ pub(crate) struct Array {
     pub(crate) values: Vec<f32>,
 }
 
-/// Arrays and what to know about them.
+/// Arrays with their description.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Archive<M> {
     pub(crate) meta: M,
@@ -40,7 +40,7 @@ struct ArrayHeader {
 }
 
 impl<M> Archive<M> {
-    /// The array of that name, if it has so many columns.
+    /// Takes the values of an array; refuses another number of columns.
     pub(crate) fn take(&mut self, name: &str, columns: usize) -> Result<Vec<f32>, String> {
         let array = self.arrays.iter_mut().find(|a| a.name == name);
         let array = array.ok_or_else(|| format!("has no array \"{name}\""))?;
@@ -54,14 +54,14 @@ impl<M> Archive<M> {
     }
 }
 
-/// Writes through while it sums.
-struct Checked<'a> {
+/// A writer that computes the CRC-32 of its bytes.
+struct ChecksumWriter<'a> {
     out: &'a mut dyn Write,
     sum: crc32fast::Hasher,
 }
 
-impl Checked<'_> {
-    fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
+impl ChecksumWriter<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.sum.update(bytes);
         self.out.write_all(bytes)
     }
@@ -77,15 +77,15 @@ impl<M: Serialize> Archive<M> {
         let header = Header { meta: &self.meta, arrays: arrays.collect() };
         let header = serde_json::to_vec(&header).map_err(io::Error::other)?;
         let length = u32::try_from(header.len()).map_err(io::Error::other)?;
-        let mut checked = Checked { out, sum: crc32fast::Hasher::new() };
-        checked.put(MAGIC)?;
-        checked.put(&VERSION.to_le_bytes())?;
-        checked.put(&length.to_le_bytes())?;
-        checked.put(&header)?;
+        let mut checked = ChecksumWriter { out, sum: crc32fast::Hasher::new() };
+        checked.write(MAGIC)?;
+        checked.write(&VERSION.to_le_bytes())?;
+        checked.write(&length.to_le_bytes())?;
+        checked.write(&header)?;
         for array in &self.arrays {
             for chunk in array.values.chunks(1 << 14) {
                 let bytes: Vec<u8> = chunk.iter().flat_map(|v| v.to_le_bytes()).collect();
-                checked.put(&bytes)?;
+                checked.write(&bytes)?;
             }
         }
         let sum = checked.sum.clone().finalize();
@@ -94,7 +94,7 @@ impl<M: Serialize> Archive<M> {
 }
 
 impl<M: for<'de> Deserialize<'de>> Archive<M> {
-    /// Read back what [`write`](Self::write) wrote, or say what is wrong with it.
+    /// Reads an archive; the error says what is wrong with the file.
     pub(crate) fn read(bytes: &[u8]) -> Result<Self, String> {
         let header_length = check_preamble(bytes)?;
         let truncated = || "is truncated".to_owned();
@@ -119,7 +119,7 @@ impl<M: for<'de> Deserialize<'de>> Archive<M> {
     }
 }
 
-/// Checks magic and version; the length of the header.
+/// Checks magic and version; returns the length of the header.
 fn check_preamble(bytes: &[u8]) -> Result<usize, String> {
     if !bytes.starts_with(MAGIC) {
         let short = bytes.len() < MAGIC.len() && MAGIC.starts_with(bytes);

@@ -2,7 +2,7 @@
 
 use crate::pictures::DEPTH_UNITS_PER_METRE;
 use crate::storage::read_text;
-use crate::{ExportError, Metrics, ResultFolder, Storage, UnitOfLength, map, tables};
+use crate::{Metrics, ResultError, ResultFolder, Storage, UnitOfLength, map, tables};
 use i2slam::formation::tone::NODES;
 use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
 use i2slam::geometry::{Camera, StampedPose};
@@ -12,15 +12,15 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Write everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
+/// Writes everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
 /// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only;
 /// an older one is removed), in this order.
 ///
-/// A file that fails does not keep the others from being tried. The list holds what failed.
+/// Every file is tried; returns the failures.
 pub fn save<S: Storage>(
     folder: &ResultFolder<S>,
     reconstruction: &Reconstruction,
-) -> Vec<ExportError> {
+) -> Vec<ResultError> {
     let r = reconstruction;
     let unit = UnitOfLength::of(&r.config);
     let steps = [
@@ -44,21 +44,21 @@ pub fn save<S: Storage>(
     steps.into_iter().filter_map(Result::err).collect()
 }
 
-/// Write mid-exposure poses in the TUM format.
+/// Writes mid-exposure poses in the TUM format.
 pub fn save_trajectory<S: Storage>(
     folder: &ResultFolder<S>,
     file: &str,
     poses: &[StampedPose],
     unit: UnitOfLength,
-) -> Result<(), ExportError> {
+) -> Result<(), ResultError> {
     folder.write_text(file, &tables::trajectory(poses, unit))
 }
 
-/// Write `metrics.json`.
+/// Writes `metrics.json`.
 pub fn save_metrics<S: Storage>(
     folder: &ResultFolder<S>,
     metrics: &Metrics,
-) -> Result<(), ExportError> {
+) -> Result<(), ResultError> {
     folder.write("metrics.json", |out| write_json(out, metrics))
 }
 
@@ -67,46 +67,45 @@ fn write_json(out: &mut dyn Write, value: &impl serde::Serialize) -> io::Result<
     writeln!(out)
 }
 
-/// Read the folder that [`save`] wrote: `config.toml`, `camera.json`,
-/// `trajectory_shutter.txt`, `frames.csv`, `state.json` and `map.i2slam`.
-pub fn load(folder: &Path) -> Result<Reconstruction, ExportError> {
+/// Reads what [`save`] wrote: `config.toml`, `camera.json`, `trajectory_shutter.txt`, `frames.csv`,
+/// `state.json` and `map.i2slam`. Settings that earlier versions had are ignored.
+pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     let config_path = folder.join("config.toml");
-    let config =
-        Config::from_toml(&read_text(&config_path)?, &config_path.display().to_string(), None)
-            .map_err(|e| ExportError::Format { path: config_path, message: e.to_string() })?;
+    let config = Config::from_stored(&read_text(&config_path)?, &config_path.display().to_string())
+        .map_err(|e| ResultError::Format { path: config_path, message: e.to_string() })?;
     let camera_path = folder.join("camera.json");
     let camera: CameraFile = read_json(&camera_path)?;
-    let camera = camera.camera().map_err(|m| ExportError::format(&camera_path, m))?;
+    let camera = camera.camera().map_err(|m| ResultError::format(&camera_path, m))?;
     let (responses, rolling_shutter_readout) = state(&folder.join("state.json"))?;
     let frames = tables::read_frames(folder, responses.len())?;
     let map_path = folder.join("map.i2slam");
-    let bytes = fs::read(&map_path).map_err(|e| ExportError::read(&map_path, e))?;
-    let map = map::read_native(&bytes).map_err(|m| ExportError::format(&map_path, m))?;
+    let bytes = fs::read(&map_path).map_err(|e| ResultError::read(&map_path, e))?;
+    let map = map::read_native(&bytes).map_err(|m| ResultError::format(&map_path, m))?;
     Ok(Reconstruction { config, camera, frames, map, responses, rolling_shutter_readout })
 }
 
-/// Camera responses, and the time in which the rows are read.
-fn state(path: &Path) -> Result<(Vec<CameraResponse<f32>>, f64), ExportError> {
+/// Reads camera responses and the readout time of the rolling shutter [s].
+fn state(path: &Path) -> Result<(Vec<CameraResponse<f32>>, f64), ResultError> {
     let state: State = read_json(path)?;
     if state.format != FORMAT {
         let message = format!("has format {}, this program reads format {FORMAT}", state.format);
-        return Err(ExportError::format(path, message));
+        return Err(ResultError::format(path, message));
     }
     let responses = state.responses.into_iter().map(|r| r.response());
     let responses =
-        responses.collect::<Result<_, _>>().map_err(|m| ExportError::format(path, m))?;
+        responses.collect::<Result<_, _>>().map_err(|m| ResultError::format(path, m))?;
     Ok((responses, state.rolling_shutter_readout))
 }
 
-/// Version of the folder's layout.
+/// Version of `state.json`, which stands for that of the folder.
 const FORMAT: u32 = 1;
 
-/// The free numbers of the camera responses.
+/// `state.json`: the parameters of the camera responses.
 #[derive(Serialize, Deserialize)]
 struct State {
     format: u32,
     responses: Vec<ResponseState>,
-    /// First to last row [s].
+    /// Time from the first to the last row [s].
     #[serde(default)]
     rolling_shutter_readout: f64,
 }
@@ -114,7 +113,7 @@ struct State {
 #[derive(Serialize, Deserialize)]
 struct ResponseState {
     start: StartCurve,
-    /// Exponent of the node spacing; none is uniform.
+    /// Exponent of the node spacing [default: uniform].
     node_power: Option<f64>,
     nodes: Vec<Vec<f32>>,
 }
@@ -135,7 +134,7 @@ impl ResponseState {
         Self { start: response.start(), node_power, nodes: response.nodes.clone() }
     }
 
-    /// The response, or what is wrong with it.
+    /// The response; the error says what is wrong with it.
     fn response(self) -> Result<CameraResponse<f32>, String> {
         let spacing = self.node_power.map_or(NodeSpacing::Uniform, NodeSpacing::Power);
         let curves = self.nodes.len();
@@ -148,7 +147,7 @@ impl ResponseState {
     }
 }
 
-/// The camera of the pictures under `renders/`, readable as a dataset's `camera.json`.
+/// `camera.json`: the camera of the pictures under `renders/`, readable as a dataset's `camera.json`.
 #[derive(Serialize, Deserialize)]
 struct CameraFile {
     width: usize,
@@ -157,7 +156,7 @@ struct CameraFile {
     fy: f64,
     cx: f64,
     cy: f64,
-    /// Where pixel (0, 0) has its centre.
+    /// Position of the centre of pixel (0, 0) [px].
     pixel_centre: f64,
     distortion: [f64; 5],
     depth_scale: f64,
@@ -186,6 +185,6 @@ impl CameraFile {
     }
 }
 
-fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, ExportError> {
-    serde_json::from_str(&read_text(path)?).map_err(|e| ExportError::format(path, e.to_string()))
+fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, ResultError> {
+    serde_json::from_str(&read_text(path)?).map_err(|e| ResultError::format(path, e.to_string()))
 }

@@ -25,7 +25,7 @@ pub fn escape(text: &str) -> String {
     escaped
 }
 
-/// The picture as a `data:` address (JPEG in base64); empty for an empty picture and one too large
+/// Encodes a picture as a `data:` address (JPEG in base64); empty for an empty picture and one too large
 /// for JPEG (65 535 pixels a side).
 pub(crate) fn data_address(picture: &Image<f32>) -> String {
     let size = u16::try_from(picture.width).ok().zip(u16::try_from(picture.height).ok());

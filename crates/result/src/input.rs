@@ -1,62 +1,62 @@
-//! `input.json`: what a run read, so that it can be read again.
+//! `input.json`: the sequence of a run, and how it was read.
 
 use crate::storage::read_text;
-use crate::{ExportError, ResultFolder, Storage};
+use crate::{ResultError, ResultFolder, Storage};
 use i2slam::dataset::{EstimatedCamera, OpenOptions, is_stream};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// The sequence of a run, and how it was read.
+/// The sequence of a run, and the options by which it was read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Input {
-    /// The dataset, as an absolute path.
+pub struct RunInput {
+    /// Absolute path of the dataset, or the address of a stream.
     pub dataset: PathBuf,
-    /// Camera file that was used instead of the dataset's own, absolute.
+    /// Absolute path of the given camera file.
     pub camera: Option<PathBuf>,
-    /// `[fx, fy, cx, cy]` that went before every camera file [px].
+    /// Given `[fx, fy, cx, cy]` [px]; they go before camera files.
     pub intrinsics: Option<[f64; 4]>,
-    /// Horizontal field of view that was given [degrees].
+    /// Given horizontal field of view [degrees].
     #[serde(default)]
     pub field_of_view: Option<f64>,
-    /// Camera and lens that were found in the pictures.
+    /// Intrinsics and distortion estimated from the pictures.
     #[serde(default)]
     pub estimated_camera: Option<EstimatedCamera>,
-    /// Whether a camera of which nothing is known was guessed.
+    /// Whether unknown intrinsics were guessed.
     #[serde(default)]
     pub guess_camera: bool,
-    /// Depth image value of one metre that was given.
+    /// Given depth image value of one metre.
     pub depth_scale: Option<f64>,
-    /// First frame and the one after the last, by place in the associated stream.
+    /// First frame and the one after the last, by position in the associated stream.
     pub frames: Option<[usize; 2]>,
-    /// Every how many frames.
+    /// Every N-th frame was read.
     pub stride: usize,
     /// Size of the processed pictures over that of the recorded ones.
     pub scale: f64,
-    /// The longer side of processed pictures was at most this [px].
+    /// Limit of the longer side of processed pictures [px].
     #[serde(default)]
     pub max_side: Option<usize>,
     /// Border removed before scaling [px].
     pub crop_border: usize,
-    /// Depth beyond this was taken as invalid [m].
+    /// Larger depth is invalid [m].
     pub max_depth: Option<f64>,
-    /// Most distance in time of a colour and a depth picture [s].
+    /// Largest time difference between colour and depth of a frame [s].
     pub association_tolerance: f64,
-    /// Frames closer in time to the one before were left out [s].
+    /// Smallest time difference between frames; others were left out [s].
     pub minimum_gap: f64,
-    /// Whether only colour was read.
+    /// Whether depth was ignored.
     #[serde(default)]
     pub colour_only: bool,
-    /// Whether pictures alone were turned as their EXIF data ask.
+    /// Whether pictures were turned by their EXIF orientation.
     #[serde(default)]
     pub turn_pictures: bool,
 }
 
-impl Input {
-    /// What a run of `dataset` with these options reads.
+impl RunInput {
+    /// The description of `dataset` read with these options.
     pub fn new(dataset: &Path, options: &OpenOptions) -> Self {
         let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         Self {
-            // A stream has no place.
+            // The address of a stream is no path.
             dataset: if is_stream(dataset) { dataset.to_owned() } else { absolute(dataset) },
             camera: options.camera.as_deref().map(absolute),
             intrinsics: options.intrinsics,
@@ -77,7 +77,7 @@ impl Input {
         }
     }
 
-    /// Options that open the same frames the same way.
+    /// The options that read the same frames again.
     pub fn options(&self) -> OpenOptions {
         OpenOptions {
             camera: self.camera.clone(),
@@ -99,18 +99,18 @@ impl Input {
         }
     }
 
-    /// What the run of a result folder read; `None` for a folder that does not say.
-    pub fn load(folder: &Path) -> Result<Option<Self>, ExportError> {
+    /// Reads `input.json` of a result folder; `None` if there is no such file.
+    pub fn load(folder: &Path) -> Result<Option<Self>, ResultError> {
         let path = folder.join("input.json");
         if !path.is_file() {
             return Ok(None);
         }
         let input = serde_json::from_str(&read_text(&path)?);
-        input.map(Some).map_err(|e| ExportError::Format { path, message: e.to_string() })
+        input.map(Some).map_err(|e| ResultError::Format { path, message: e.to_string() })
     }
 
-    /// Write `input.json`.
-    pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ExportError> {
+    /// Writes `input.json`.
+    pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ResultError> {
         folder.write("input.json", |out| {
             serde_json::to_writer_pretty(&mut *out, self)?;
             writeln!(out)
@@ -124,7 +124,7 @@ mod tests {
     use i2slam_check::TemporaryFolder;
 
     #[test]
-    fn what_was_read_can_be_read_again() {
+    fn options_survive_a_round_trip() {
         let scratch = TemporaryFolder::new("input");
         let options = OpenOptions {
             intrinsics: Some([500.0, 501.0, 320.25, 240.0]),
@@ -141,15 +141,15 @@ mod tests {
             turn_pictures: true,
             ..OpenOptions::default()
         };
-        assert_eq!(Input::load(&scratch.0).expect("nothing"), None);
+        assert_eq!(RunInput::load(&scratch.0).expect("nothing"), None);
         let folder = ResultFolder::create(&scratch.0).expect("a folder");
-        let input = Input::new("data/room".as_ref(), &options);
+        let input = RunInput::new("data/room".as_ref(), &options);
         assert!(input.dataset.is_absolute());
         input.save(&folder).expect("room");
-        let back = Input::load(&scratch.0).expect("a file").expect("an input");
+        let back = RunInput::load(&scratch.0).expect("a file").expect("an input");
         assert_eq!((&back, back.options()), (&input, options));
         folder.write_text("input.json", "{}").expect("room");
-        let message = Input::load(&scratch.0).expect_err("no input").to_string();
+        let message = RunInput::load(&scratch.0).expect_err("no input").to_string();
         assert!(message.contains("input.json") && message.contains("dataset"), "{message}");
     }
 }

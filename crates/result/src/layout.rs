@@ -1,19 +1,19 @@
-//! What a program may take away again: its own files, by name, where a mark says that it wrote
-//! them.
+//! The files that each command writes: recognised by name and removed, so that a command replaces
+//! its own work and never files of the user.
 
-use crate::{ExportError, RenderKind};
+use crate::{RenderKind, ResultError};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The names that a command writes into a folder, and how the folder is known as its work.
+/// The files of a command in its output folder.
 #[derive(Clone, Debug)]
-pub struct Layout {
+pub struct FolderLayout {
     /// Files, with `/` between folders.
     pub files: Vec<&'static str>,
     /// Folders of pictures `NNNNNN.extension`, and that extension.
     pub pictures: Vec<(String, &'static str)>,
-    /// A file, and a text that it holds: one of these tells that the command wrote here.
-    pub marks: Vec<(&'static str, &'static str)>,
+    /// Files and a text that they contain; any of them proves that the command wrote the folder.
+    pub signatures: Vec<(&'static str, &'static str)>,
 }
 
 /// Files of a result folder, as `docs/result-folder.md` lists them.
@@ -35,76 +35,75 @@ const FILES: [&str; 15] = [
     "views/poses.txt",
 ];
 
-/// Files by which a result is known; a dataset has none of them.
-const MARKS: [&str; 5] =
+/// Files that no dataset has: any of them makes a folder a result.
+const SIGNATURES: [&str; 5] =
     ["trajectory_shutter.txt", "frames.csv", "state.json", "map.i2slam", "report.html"];
 
-/// Folders of a result that hold pictures by kind: of the run, at optimised poses, at poses of
-/// the user's.
+/// Folders of a result with pictures by kind: at optimised poses, of the run, at given poses.
 const PICTURES: [&str; 3] = ["renders/optimised", "renders", "views"];
 
-/// Those folders with the extension of their pictures.
+/// All folders of pictures of a result, with the extension of their files.
 fn result_pictures() -> Vec<(String, &'static str)> {
-    PICTURES.into_iter().flat_map(Layout::renders).collect()
+    PICTURES.into_iter().flat_map(FolderLayout::render_folders).collect()
 }
 
-/// What a folder holds of the names that a command writes.
+/// Contents of a folder, seen by a command that is to write there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FolderContents {
-    /// Nothing but hidden files, or there is no such folder.
+    /// No folder, or nothing but hidden files.
     Empty,
-    /// Files, this one first, and none of these names.
+    /// Files of other names; this is the first.
     Other(PathBuf),
-    /// Work of the command.
+    /// Files of the command.
     Own,
-    /// This file has one of the names, and nothing says that the command wrote it: it may be the
-    /// user's own.
+    /// A file of one of the names without a signature: it may be the user's.
     Foreign(PathBuf),
 }
 
-impl Layout {
-    /// The result of a run, with what its evaluation and `i2slam render` add.
+impl FolderLayout {
+    /// The files of `i2slam run`, with those that `i2slam eval` and `i2slam render` add.
     pub fn of_result() -> Self {
         Self {
             files: FILES.to_vec(),
             pictures: result_pictures(),
-            marks: MARKS.map(|name| (name, "")).to_vec(),
+            signatures: SIGNATURES.map(|name| (name, "")).to_vec(),
         }
     }
 
-    /// Folders of pictures by kind, below `below`, which may be empty.
-    pub fn renders(below: &str) -> Vec<(String, &'static str)> {
-        let folder = |kind: RenderKind| match below {
+    /// Folders of renders by kind, with the extension of their files; `parent` may be empty.
+    pub fn render_folders(parent: &str) -> Vec<(String, &'static str)> {
+        let folder = |kind: RenderKind| match parent {
             "" => kind.name().to_owned(),
-            below => format!("{below}/{}", kind.name()),
+            parent => format!("{parent}/{}", kind.name()),
         };
         RenderKind::ALL.map(|kind| (folder(kind), kind.extension())).to_vec()
     }
 
-    /// Looks into a folder, which need not exist.
+    /// Inspects a folder, which need not exist.
     pub fn contents(&self, folder: &Path) -> FolderContents {
-        let says = |(name, text): &(&str, &str)| {
+        let has_signature = |(name, text): &(&str, &str)| {
             let file = folder.join(name);
             file.is_file()
                 && (text.is_empty() || fs::read_to_string(file).is_ok_and(|t| t.contains(text)))
         };
-        if self.marks.iter().any(says) {
+        if self.signatures.iter().any(has_signature) {
             return FolderContents::Own;
         }
-        if let Some(file) = self.there(folder).into_iter().next() {
+        if let Some(file) = self.existing_files(folder).into_iter().next() {
             return FolderContents::Foreign(file);
         }
         first_entry(folder).map_or(FolderContents::Empty, FolderContents::Other)
     }
 
-    /// Delete the files and pictures of these names, folders that this leaves empty, and nothing
-    /// else. The marks go last, so that what was not finished can be repeated.
-    pub fn remove(&self, folder: &Path) -> Result<(), ExportError> {
-        let is_mark =
-            |path: &PathBuf| self.marks.iter().any(|(mark, _)| *path == folder.join(mark));
-        let (marks, others): (Vec<_>, Vec<_>) = self.there(folder).into_iter().partition(is_mark);
-        for path in others.into_iter().chain(marks) {
-            fs::remove_file(&path).map_err(|source| ExportError::Write { path, source })?;
+    /// Deletes these files, and folders that become empty. Signatures go last, so that an
+    /// interrupted removal can be repeated.
+    pub fn remove(&self, folder: &Path) -> Result<(), ResultError> {
+        let is_signature =
+            |path: &PathBuf| self.signatures.iter().any(|(name, _)| *path == folder.join(name));
+        let (signatures, others): (Vec<_>, Vec<_>) =
+            self.existing_files(folder).into_iter().partition(is_signature);
+        for path in others.into_iter().chain(signatures) {
+            fs::remove_file(&path).map_err(|source| ResultError::Write { path, source })?;
         }
         let holders = self.files.iter().filter_map(|file| Path::new(file).parent());
         let mut below: Vec<&Path> = holders.collect();
@@ -118,25 +117,27 @@ impl Layout {
         Ok(())
     }
 
-    /// A number after those of all its pictures in a folder.
+    /// The number after the highest of the pictures in a folder.
     pub fn next_number(&self, folder: &Path) -> usize {
         let number = |path: PathBuf| path.file_stem()?.to_str()?.parse::<usize>().ok();
         let pictures = self.pictures.iter();
-        let pictures = pictures.flat_map(|(name, kind)| numbered(&folder.join(name), kind));
+        let pictures = pictures.flat_map(|(name, kind)| numbered_files(&folder.join(name), kind));
         pictures.filter_map(number).max().map_or(0, |last| last + 1)
     }
 
-    /// What lies there under these names.
-    fn there(&self, folder: &Path) -> Vec<PathBuf> {
+    /// The files of these names that exist.
+    fn existing_files(&self, folder: &Path) -> Vec<PathBuf> {
         let files = self.files.iter().map(|name| folder.join(name));
         let files = files.filter(|path| path.symlink_metadata().is_ok_and(|data| !data.is_dir()));
         let pictures = self.pictures.iter();
-        files.chain(pictures.flat_map(|(name, kind)| numbered(&folder.join(name), kind))).collect()
+        files
+            .chain(pictures.flat_map(|(name, kind)| numbered_files(&folder.join(name), kind)))
+            .collect()
     }
 }
 
-/// The files `NNNNNN.extension` of a folder, by name.
-fn numbered(folder: &Path, extension: &str) -> Vec<PathBuf> {
+/// The files `NNNNNN.extension` of a folder, sorted.
+fn numbered_files(folder: &Path, extension: &str) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
     let ours = |path: &PathBuf| {
         let stem = path.file_stem().and_then(|s| s.to_str()).and_then(|s| s.parse::<usize>().ok());
@@ -148,18 +149,18 @@ fn numbered(folder: &Path, extension: &str) -> Vec<PathBuf> {
     files
 }
 
-/// The first entry of a folder by name, hidden ones left out.
+/// The first entry of a folder by name, without hidden ones.
 fn first_entry(folder: &Path) -> Option<PathBuf> {
     let entries = fs::read_dir(folder).ok()?.flatten();
     let seen = entries.filter(|entry| !entry.file_name().to_string_lossy().starts_with('.'));
     seen.map(|entry| entry.path()).min()
 }
 
-/// Delete the pictures that an earlier run left under `renders/` and `views/` of a result folder,
-/// and nothing else, so that pictures of two runs do not mix.
-pub fn remove_renders(result: &Path) -> Result<(), ExportError> {
+/// Deletes the pictures under `renders/` and `views/` of a result, so that those of two runs do not
+/// mix.
+pub fn remove_renders(result: &Path) -> Result<(), ResultError> {
     let files = vec!["views/poses.txt"];
-    let layout = Layout { files, pictures: result_pictures(), marks: Vec::new() };
+    let layout = FolderLayout { files, pictures: result_pictures(), signatures: Vec::new() };
     layout.remove(result)
 }
 
@@ -174,7 +175,7 @@ mod tests {
     fn only_files_of_a_result_are_removed() {
         let scratch = TemporaryFolder::new("remove");
         let (folder, layout) =
-            (ResultFolder::create(&scratch.0).expect("a folder"), Layout::of_result());
+            (ResultFolder::create(&scratch.0).expect("a folder"), FolderLayout::of_result());
         assert_eq!(layout.contents(&scratch.0), FolderContents::Empty);
         for name in FILES.into_iter().chain(["notes.txt", "rgb.txt"]) {
             folder.write_text(name, "x").expect("room");
@@ -187,26 +188,26 @@ mod tests {
     }
 
     #[test]
-    fn a_result_is_known_by_its_marks() {
+    fn a_result_is_known_by_its_signatures() {
         let others = FILES.into_iter().chain(["renders/sharp/000012.png"]);
         for (case, name) in others.enumerate() {
-            let scratch = TemporaryFolder::new(&format!("marks-{case}"));
+            let scratch = TemporaryFolder::new(&format!("signatures-{case}"));
             let folder = ResultFolder::create(&scratch.0).expect("a folder");
             folder.write_text(name, "x").expect("room");
-            let expected = match MARKS.contains(&name) {
+            let expected = match SIGNATURES.contains(&name) {
                 true => FolderContents::Own,
                 false => FolderContents::Foreign(scratch.0.join(name)),
             };
-            assert_eq!(Layout::of_result().contents(&scratch.0), expected);
+            assert_eq!(FolderLayout::of_result().contents(&scratch.0), expected);
         }
     }
 
     #[test]
-    fn a_mark_may_be_a_text() {
-        let scratch = TemporaryFolder::new("mark-text");
+    fn a_signature_may_be_a_text() {
+        let scratch = TemporaryFolder::new("signature-text");
         let folder = ResultFolder::create(&scratch.0).expect("a folder");
-        let marks = vec![("README.md", "Made by me")];
-        let layout = Layout { files: vec!["README.md"], pictures: Vec::new(), marks };
+        let signatures = vec![("README.md", "Made by me")];
+        let layout = FolderLayout { files: vec!["README.md"], pictures: Vec::new(), signatures };
         folder.write_text("README.md", "# Mine").expect("room");
         let foreign = FolderContents::Foreign(scratch.0.join("README.md"));
         assert_eq!(layout.contents(&scratch.0), foreign);

@@ -17,10 +17,10 @@ mod tables;
 mod tests;
 
 pub use folder::{load, save, save_metrics, save_trajectory};
-pub use input::Input;
-pub use layout::{FolderContents, Layout, remove_renders};
+pub use input::RunInput;
+pub use layout::{FolderContents, FolderLayout, remove_renders};
 pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
-pub use storage::{Disk, ExportError, ResultFolder, Storage};
+pub use storage::{Disk, ResultError, ResultFolder, Storage};

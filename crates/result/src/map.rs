@@ -1,4 +1,5 @@
-//! The map as files: lossless (`map.i2slam`) and for viewers (`map.ply`).
+//! The map as a file: lossless (`map.i2slam`), and in the PLY layout of viewers of 3D Gaussian
+//! splatting (`map.ply`, Kerbl et al. 2023).
 
 use crate::archive::{Archive, Array};
 use i2slam::Map;
@@ -8,13 +9,15 @@ use i2slam::radiance::hashgrid::HashGridMap;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 
-/// What the numbers of `map.i2slam` mean.
+/// Header of Gaussians in `map.i2slam`.
 #[derive(Serialize, Deserialize)]
 struct MapMeta {
     kind: Kind,
     count: usize,
-    shape: ShapeName,
-    colour_activation: ActivationName,
+    #[serde(with = "ShapeName")]
+    shape: Shape,
+    #[serde(with = "ColourActivationName")]
+    colour_activation: ColourActivation,
     written_by: String,
 }
 
@@ -25,23 +28,23 @@ enum Kind {
 }
 
 #[derive(Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(remote = "Shape", rename_all = "kebab-case")]
 enum ShapeName {
     Isotropic,
     Anisotropic,
 }
 
 #[derive(Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum ActivationName {
+#[serde(remote = "ColourActivation", rename_all = "kebab-case")]
+enum ColourActivationName {
     Exponential,
     Linear,
 }
 
-/// How the file of a hash grid begins.
-const HASH_GRID: &[u8] = b"I2FIELD\n";
+/// First bytes of a hash grid in `map.i2slam`.
+const HASH_GRID_MAGIC: &[u8] = b"I2FIELD\n";
 
-/// Write every parameter of the map, bit for bit.
+/// Writes every parameter of the map, bit for bit.
 pub(crate) fn write_native(out: &mut dyn Write, map: &Map) -> io::Result<()> {
     match map {
         Map::Gaussians(map) => write_gaussians(out, map),
@@ -49,9 +52,9 @@ pub(crate) fn write_native(out: &mut dyn Write, map: &Map) -> io::Result<()> {
     }
 }
 
-/// Read what [`write_native`] wrote; the error says what is wrong with the file.
+/// Reads `map.i2slam`; the error says what is wrong with the file.
 pub(crate) fn read_native(bytes: &[u8]) -> Result<Map, String> {
-    if bytes.starts_with(HASH_GRID) {
+    if bytes.starts_with(HASH_GRID_MAGIC) {
         let map = HashGridMap::from_bytes(bytes).map_err(|e| e.to_string())?;
         return Ok(Map::HashGrid(Box::new(map)));
     }
@@ -62,14 +65,8 @@ fn write_gaussians(out: &mut dyn Write, map: &GaussianMap<f32>) -> io::Result<()
     let meta = MapMeta {
         kind: Kind::Gaussians,
         count: map.len(),
-        shape: match map.shape {
-            Shape::Isotropic => ShapeName::Isotropic,
-            Shape::Anisotropic => ShapeName::Anisotropic,
-        },
-        colour_activation: match map.activation {
-            ColourActivation::Exponential => ActivationName::Exponential,
-            ColourActivation::Linear => ActivationName::Linear,
-        },
+        shape: map.shape,
+        colour_activation: map.activation,
         written_by: concat!("i2slam ", env!("CARGO_PKG_VERSION")).to_owned(),
     };
     let array = |name: &str, columns, values| Array { name: name.to_owned(), columns, values };
@@ -85,17 +82,9 @@ fn write_gaussians(out: &mut dyn Write, map: &GaussianMap<f32>) -> io::Result<()
 
 fn read_gaussians(bytes: &[u8]) -> Result<GaussianMap<f32>, String> {
     let mut archive = Archive::<MapMeta>::read(bytes)?;
-    let shape = match archive.meta.shape {
-        ShapeName::Isotropic => Shape::Isotropic,
-        ShapeName::Anisotropic => Shape::Anisotropic,
-    };
-    let activation = match archive.meta.colour_activation {
-        ActivationName::Exponential => ColourActivation::Exponential,
-        ActivationName::Linear => ColourActivation::Linear,
-    };
     let map = GaussianMap {
-        shape,
-        activation,
+        shape: archive.meta.shape,
+        activation: archive.meta.colour_activation,
         means: rows(archive.take("mean", 3)?),
         log_scales: rows(archive.take("log_scale", 3)?),
         rotations: rows(archive.take("rotation", 4)?),
@@ -115,9 +104,8 @@ fn rows<const N: usize>(values: Vec<f32>) -> Vec<[f32; N]> {
     values.chunks_exact(N).map(row).collect()
 }
 
-/// Write Gaussians for viewers of 3D Gaussian splatting. They show display colours without exposure
-/// or response, so that the radiance is formed with `tone`, the [`Reconstruction::typical_tone`](i2slam::Reconstruction::typical_tone) of the run, once
-/// and for all.
+/// Writes Gaussians for viewers. These know neither exposure nor response: colours are formed with
+/// `tone`, the [typical tone](i2slam::Reconstruction::typical_tone) of the run.
 pub(crate) fn write_ply(
     out: &mut dyn Write,
     map: &GaussianMap<f32>,
@@ -185,7 +173,7 @@ struct Splat {
     rotation: [f32; 4],
 }
 
-/// Write binary little-endian PLY.
+/// Writes binary little-endian PLY.
 fn write_splats(
     out: &mut dyn Write,
     splats: impl ExactSizeIterator<Item = Splat>,

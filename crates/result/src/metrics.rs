@@ -1,16 +1,16 @@
-//! `metrics.json`: the numbers of a run.
+//! `metrics.json`: the measurements of a run.
 
 use i2slam::Config;
 use i2slam::Warning;
 use i2slam::{FrameEstimate, Reconstruction};
 use serde::{Deserialize, Serialize};
 
-/// The figures of one run. What could not be measured is `null` in the file.
+/// The measurements of a run; `None` is what could not be measured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
     /// Version of the program.
     pub version: String,
-    /// Name of the preset that the settings started from.
+    /// Name of the preset.
     pub preset: String,
     /// Seed of the run.
     pub seed: u64,
@@ -34,7 +34,7 @@ pub struct Metrics {
     pub tracking_seconds_per_frame: f64,
     /// Wall time of mapping per frame [s].
     pub mapping_seconds_per_frame: f64,
-    /// Most memory held at once [bytes], where the system tells.
+    /// Peak memory [bytes], where the system reports it.
     pub peak_memory_bytes: Option<u64>,
     /// Median over frames of the blur length [px].
     pub blur_length_px_median: f64,
@@ -44,13 +44,12 @@ pub struct Metrics {
     pub psnr_blurred_db: Option<f64>,
     /// Frames in `psnr_blurred_db`.
     pub psnr_blurred_frames: usize,
-    /// Whether the trajectory was brought to the truth's scale before it was judged: the unit of
-    /// length of colour alone is not known.
+    /// Whether the trajectory error is after alignment with scale, as of colour alone.
     pub ate_scale_aligned: bool,
     /// Absolute trajectory error against the ground truth, RMSE of camera centres after rigid
     /// alignment, or with scale [m].
     pub ate_rmse_m: Option<f64>,
-    /// The same, mean [m].
+    /// Mean of the absolute trajectory error [m].
     pub ate_mean_m: Option<f64>,
     /// Poses in the trajectory error.
     pub ate_poses: usize,
@@ -65,39 +64,37 @@ pub struct Metrics {
     pub hdr_log2_rmse_stops: Option<f64>,
     /// PSNR of μ-law compressed radiance after the same gain [dB].
     pub hdr_mu_law_psnr_db: Option<f64>,
-    /// Frames in the HDR figures.
+    /// Frames in `hdr_log2_rmse_stops` and `hdr_mu_law_psnr_db`.
     pub hdr_frames: usize,
-    /// Time in which the rows of a picture are read, as set or found [s]; 0 for a global shutter.
+    /// Time from the first to the last row, given or estimated [s]; 0 for a global shutter.
     pub rolling_shutter_readout_s: f64,
     /// Pearson correlation of recovered and true log exposure.
     pub log_exposure_correlation: Option<f64>,
-    /// Focal length of the camera that the result has, at its size [px].
+    /// Horizontal focal length at the processed size [px].
     #[serde(default)]
     pub focal_length_px: f64,
-    /// Its horizontal field of view [degrees].
+    /// Horizontal field of view [degrees].
     #[serde(default)]
     pub horizontal_fov_deg: f64,
-    /// Where the camera came from, in words.
+    /// Source of the intrinsics, in words.
     #[serde(default)]
     pub camera_source: Option<String>,
-    /// The focal length that was taken first, where it was then looked for in the pictures [px].
+    /// Initial focal length, where it was then estimated from the pictures [px].
     #[serde(default)]
     pub focal_length_assumed_px: Option<f64>,
-    /// Relative standard deviation of the focal length that was found.
+    /// Relative standard deviation of the estimated focal length.
     #[serde(default)]
     pub focal_length_deviation: Option<f64>,
-    /// Radial distortion `k1 k2` as in OpenCV that was found in the pictures, and removed from
-    /// them.
+    /// Radial distortion `k1 k2` (OpenCV) that was estimated from the pictures and removed.
     #[serde(default)]
     pub lens_distortion: Option<[f64; 2]>,
-    /// Unit of length of poses, map and depth: `metre`, or `unknown`, which pictures alone do not
-    /// tell.
+    /// Unit of length of poses, map and depth: `metre`, or `unknown` of colour alone.
     #[serde(default)]
     pub unit_of_length: UnitOfLength,
-    /// Frames that the run was given, those among them that have no pose; `frames` have one.
+    /// Frames of the input, those without a pose included.
     #[serde(default)]
     pub frames_given: usize,
-    /// What was unusual, in the order in which it was told.
+    /// Warnings in the order of the run.
     #[serde(default)]
     pub warnings: Vec<Warning>,
 }
@@ -114,15 +111,15 @@ pub enum UnitOfLength {
 }
 
 impl UnitOfLength {
-    /// That of what a session with these settings made: without depth pictures it is unknown.
+    /// The unit of a run with these settings: unknown without depth pictures.
     pub fn of(config: &Config) -> Self {
         if config.is_rgb() { Self::Unknown } else { Self::Metre }
     }
 }
 
 impl Metrics {
-    /// What the reconstruction itself tells; figures that need a truth or pictures are empty, and
-    /// `seconds` counts tracking and mapping of frames alone.
+    /// The measurements that need no ground truth and no renders; `seconds` is that of tracking
+    /// and mapping.
     pub fn of(reconstruction: &Reconstruction) -> Self {
         let frames = &reconstruction.frames;
         let count = |keep: fn(&FrameEstimate) -> bool| frames.iter().filter(|f| keep(f)).count();

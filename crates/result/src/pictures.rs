@@ -1,19 +1,19 @@
 //! Image files (PNG for pictures and depth, OpenEXR for radiance), and the pictures under
 //! `renders/`.
 
-use crate::{ExportError, ResultFolder, Storage};
+use crate::{ResultError, ResultFolder, Storage};
 use i2slam::geometry::Image;
 use std::io::{self, Cursor, Write};
 
 /// Depth PNGs hold this many units per metre (TUM RGB-D's convention).
 pub const DEPTH_UNITS_PER_METRE: f32 = 5000.0;
 
-/// The byte of a picture value: 0 to 1 becomes 0 to 255, values outside are cut, NaN is black.
+/// Converts 0 to 1 into 0 to 255; values outside are clamped, NaN is black.
 pub(crate) fn byte(value: f32) -> u8 {
     (value * 255.0).round().clamp(0.0, 255.0) as u8
 }
 
-/// The pixels of a picture in the order R, G, B (a single channel is grey).
+/// The pixels of a picture in the order R, G, B; a single channel is repeated.
 pub(crate) fn interleaved_bytes(picture: &Image<f32>) -> Vec<u8> {
     let plane = |c: usize| picture.plane(c.min(picture.channels.saturating_sub(1)));
     let (red, green, blue) = (plane(0), plane(1), plane(2));
@@ -24,14 +24,14 @@ pub(crate) fn interleaved_bytes(picture: &Image<f32>) -> Vec<u8> {
     bytes
 }
 
-/// An 8-bit RGB PNG of a picture in `[0, 1]`.
+/// Writes a picture in `[0, 1]` as an 8-bit RGB PNG.
 pub fn write_picture(out: &mut dyn Write, picture: &Image<f32>) -> io::Result<()> {
     let header = (picture, png::ColorType::Rgb, png::BitDepth::Eight);
     write_png(out, header, &interleaved_bytes(picture))
 }
 
-/// A 16-bit grey PNG of depth in metres; 5000 is 1 m, 0 is no depth. Depth beyond 13.1 m does
-/// not fit 16 bits and becomes 0.
+/// Writes depth [m] as a 16-bit grey PNG: 5000 is 1 m, 0 is no depth. Depth beyond 13.1 m does not
+/// fit 16 bits and becomes 0.
 pub fn write_depth(out: &mut dyn Write, depth: &Image<f32>) -> io::Result<()> {
     let units = depth.plane(0).iter().map(|&metres| {
         let unit = (metres * DEPTH_UNITS_PER_METRE).round();
@@ -61,7 +61,7 @@ fn io_error(error: png::EncodingError) -> io::Error {
     }
 }
 
-/// A half-float linear RGB OpenEXR of radiance (Rec. 709 primaries).
+/// Writes linear radiance (Rec. 709 primaries) as an RGB OpenEXR in half floats.
 pub fn write_radiance(out: &mut dyn Write, radiance: &Image<f32>) -> io::Result<()> {
     use exr::prelude::{Compression, Encoding, SpecificChannels, WritableImage, f16};
     let (width, height) = (radiance.width, radiance.height);
@@ -80,12 +80,12 @@ pub fn write_radiance(out: &mut dyn Write, radiance: &Image<f32>) -> io::Result<
     out.write_all(bytes.get_ref())
 }
 
-/// What is drawn of a frame.
+/// Kinds of renders of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RenderKind {
     /// Seen from mid-exposure, with the frame's own exposure, white balance and response.
     Sharp,
-    /// What formation predicts for the picture taken.
+    /// The picture predicted by image formation, blur included.
     Blurred,
     /// Linear radiance.
     Hdr,
@@ -123,17 +123,16 @@ impl RenderKind {
     }
 }
 
-/// Write one picture as `<below>/<kind>/NNNNNN.png` (or `.exr`); `below` is `renders` in a result
-/// folder and may be empty.
+/// Writes a render as `<parent>/<kind>/NNNNNN.png` (or `.exr`); `parent` may be empty.
 pub fn save_render<S: Storage>(
     folder: &ResultFolder<S>,
-    below: &str,
+    parent: &str,
     kind: RenderKind,
     index: usize,
     image: &Image<f32>,
-) -> Result<(), ExportError> {
+) -> Result<(), ResultError> {
     let file = kind.file(index);
-    let relative = if below.is_empty() { file } else { format!("{below}/{file}") };
+    let relative = if parent.is_empty() { file } else { format!("{parent}/{file}") };
     folder.write(&relative, |out| match kind {
         RenderKind::Sharp | RenderKind::Blurred => write_picture(out, image),
         RenderKind::Hdr => write_radiance(out, image),

@@ -1,19 +1,19 @@
-//! Where results are written: every file appears complete or not at all.
+//! Writing of files: each appears complete or not at all.
 
 use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// The few operations of a file system that results need. [`Disk`] is the real one; tests
-/// inject one that runs full.
+/// The file system operations that results need. [`Disk`] is the real one; tests use one that runs
+/// full.
 pub trait Storage {
-    /// Create the folder and those above it.
+    /// Creates a folder and those above it.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
-    /// Create or empty a file.
+    /// Creates or empties a file.
     fn create(&self, path: &Path) -> io::Result<Box<dyn Write>>;
-    /// Give a complete file its name, replacing an older one.
+    /// Renames a file, replacing an older one.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Delete a file.
+    /// Deletes a file.
     fn remove(&self, path: &Path) -> io::Result<()>;
 }
 
@@ -44,9 +44,8 @@ pub struct ResultFolder<S = Disk> {
 }
 
 impl ResultFolder<Disk> {
-    /// Create the folder if need be and make sure that it can be written, so that a run does not
-    /// find out at its end.
-    pub fn create(root: &Path) -> Result<Self, ExportError> {
+    /// Creates the folder, and checks that it can be written before a run begins.
+    pub fn create(root: &Path) -> Result<Self, ResultError> {
         let folder = Self::on(root, Disk);
         let probe = root.join(".i2slam-probe");
         let result = folder.storage.create_folder(root).map_err(|e| (root, e)).and_then(|()| {
@@ -56,7 +55,7 @@ impl ResultFolder<Disk> {
         });
         result
             .map(|()| folder.clone())
-            .map_err(|(path, source)| ExportError::Write { path: path.to_owned(), source })
+            .map_err(|(path, source)| ResultError::Write { path: path.to_owned(), source })
     }
 }
 
@@ -71,16 +70,16 @@ impl<S: Storage> ResultFolder<S> {
         &self.root
     }
 
-    /// Write `relative` (with `/` between folders) under another name, then rename: a reader never
-    /// sees half a file, and an older file stays until the new one is complete.
+    /// Writes `relative` (with `/` between folders) under another name, then renames it: an older
+    /// file stays until the new one is complete.
     pub fn write(
         &self,
         relative: &str,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-    ) -> Result<(), ExportError> {
+    ) -> Result<(), ResultError> {
         let path = self.root.join(relative);
         let partial = partial_name(&path);
-        let failed = |source| ExportError::Write { path: path.clone(), source };
+        let failed = |source| ResultError::Write { path: path.clone(), source };
         if let Some(parent) = path.parent() {
             self.storage.create_folder(parent).map_err(failed)?;
         }
@@ -93,17 +92,17 @@ impl<S: Storage> ResultFolder<S> {
         })
     }
 
-    /// Write a text file.
-    pub fn write_text(&self, relative: &str, text: &str) -> Result<(), ExportError> {
+    /// Writes a text file.
+    pub fn write_text(&self, relative: &str, text: &str) -> Result<(), ResultError> {
         self.write(relative, |out| out.write_all(text.as_bytes()))
     }
 
-    /// Delete a file of an earlier run, if there is one.
-    pub fn remove(&self, relative: &str) -> Result<(), ExportError> {
+    /// Deletes a file if it exists.
+    pub fn remove(&self, relative: &str) -> Result<(), ResultError> {
         let path = self.root.join(relative);
         match self.storage.remove(&path) {
             Err(source) if source.kind() != io::ErrorKind::NotFound => {
-                Err(ExportError::Write { path, source })
+                Err(ResultError::Write { path, source })
             }
             _ => Ok(()),
         }
@@ -127,7 +126,7 @@ fn partial_name(path: &Path) -> PathBuf {
 
 /// A result folder could not be written or read; the message names the file.
 #[derive(Debug, thiserror::Error)]
-pub enum ExportError {
+pub enum ResultError {
     /// Writing failed: disk full, no permission, folder gone.
     #[error("cannot write {}: {}", path.display(), reason(source))]
     Write {
@@ -144,17 +143,17 @@ pub enum ExportError {
         /// The system's error.
         source: io::Error,
     },
-    /// A file was read but is not what its name says.
+    /// A file has another content than expected.
     #[error("{}: {message}", path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and where.
+        /// The mistake and its place.
         message: String,
     },
 }
 
-impl ExportError {
+impl ResultError {
     pub(crate) fn read(path: &Path, source: io::Error) -> Self {
         Self::Read { path: path.to_owned(), source }
     }
@@ -169,9 +168,9 @@ impl ExportError {
     }
 }
 
-/// The text of a file.
-pub(crate) fn read_text(path: &Path) -> Result<String, ExportError> {
-    fs::read_to_string(path).map_err(|e| ExportError::read(path, e))
+/// Reads a text file.
+pub(crate) fn read_text(path: &Path) -> Result<String, ResultError> {
+    fs::read_to_string(path).map_err(|e| ResultError::read(path, e))
 }
 
 fn is_full(source: &io::Error) -> bool {

@@ -1,7 +1,7 @@
 //! The text tables of a result: trajectories, `frames.csv`, camera response.
 
 use crate::storage::read_text;
-use crate::{ExportError, UnitOfLength};
+use crate::{ResultError, UnitOfLength};
 use i2slam::formation::{FrameTone, ShutterPoses};
 use i2slam::geometry::{Pose, Rotation, StampedPose, Tangent, Vec3};
 use i2slam::{Convergence, FrameEstimate, Losses, Reconstruction};
@@ -43,27 +43,27 @@ pub(crate) const FRAME_COLUMNS: [&str; 28] = [
 
 /// `trajectory.txt`: mid-exposure poses in the TUM format.
 pub(crate) fn trajectory(poses: &[StampedPose], unit: UnitOfLength) -> String {
-    let mut text = format!("# world_from_camera at mid-exposure {}\n", in_words(unit));
+    let mut text = format!("# world_from_camera at mid-exposure {}\n", unit_label(unit));
     text += "# timestamp tx ty tz qx qy qz qw\n";
     for pose in poses {
-        text += &line(pose.timestamp, &[pose.world_from_camera], |v| format!("{v:.9}"));
+        text += &pose_line(pose.timestamp, &[pose.world_from_camera], |v| format!("{v:.9}"));
     }
     text
 }
 
 /// `trajectory_shutter.txt`: poses at shutter open and close, in full precision.
 pub(crate) fn shutter_trajectory(frames: &[FrameEstimate], unit: UnitOfLength) -> String {
-    let unit = in_words(unit);
+    let unit = unit_label(unit);
     let mut text = format!("# world_from_camera at shutter open (0) and close (1) {unit}\n");
     text += "# timestamp tx0 ty0 tz0 qx0 qy0 qz0 qw0 tx1 ty1 tz1 qx1 qy1 qz1 qw1\n";
     for frame in frames {
         let poses = [frame.shutter.start, frame.shutter.end];
-        text += &line(frame.timestamp, &poses, |v| v.to_string());
+        text += &pose_line(frame.timestamp, &poses, |v| v.to_string());
     }
     text
 }
 
-fn in_words(unit: UnitOfLength) -> &'static str {
+fn unit_label(unit: UnitOfLength) -> &'static str {
     match unit {
         UnitOfLength::Metre => "[m]",
         UnitOfLength::Unknown => "[unit of length unknown]",
@@ -71,15 +71,15 @@ fn in_words(unit: UnitOfLength) -> &'static str {
 }
 
 impl UnitOfLength {
-    /// What the first line of a `trajectory.txt` says; metres if it says nothing.
+    /// The unit in the first line of a `trajectory.txt`; metres if it names none.
     pub fn of_trajectory(text: &str) -> Self {
         let head = text.lines().next().unwrap_or_default();
-        let is_unknown = head.starts_with('#') && head.ends_with(in_words(Self::Unknown));
+        let is_unknown = head.starts_with('#') && head.ends_with(unit_label(Self::Unknown));
         if is_unknown { Self::Unknown } else { Self::Metre }
     }
 }
 
-fn line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String) -> String {
+fn pose_line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String) -> String {
     let mut line = format!("{timestamp:.6}");
     for Pose { rotation: q, translation: t } in poses {
         for value in [t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w] {
@@ -91,7 +91,7 @@ fn line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String) -> 
     line
 }
 
-/// `frames.csv`: one row per frame. Numbers that are read back are in full precision.
+/// `frames.csv`: one row per frame, in full precision but for times of work.
 pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
     let mut text = FRAME_COLUMNS.join(",");
     text.push('\n');
@@ -148,7 +148,7 @@ pub(crate) fn responses(reconstruction: &Reconstruction) -> String {
     text += if curves == 1 { ",output\n" } else { ",output_r,output_g,output_b\n" };
     for (i, response) in reconstruction.responses.iter().enumerate() {
         let curve = response.curve();
-        let frame = per_frame.then(|| frame_of(reconstruction, i)).flatten();
+        let frame = per_frame.then(|| first_frame_of(reconstruction, i)).flatten();
         for (node, input) in curve.positions().iter().enumerate() {
             if let Some(frame) = frame {
                 // Writing to a string cannot fail.
@@ -165,7 +165,7 @@ pub(crate) fn responses(reconstruction: &Reconstruction) -> String {
 }
 
 /// The stream index of the first frame that a response forms.
-fn frame_of(reconstruction: &Reconstruction, response: usize) -> Option<usize> {
+fn first_frame_of(reconstruction: &Reconstruction, response: usize) -> Option<usize> {
     reconstruction.frames.iter().find(|f| f.response == response).map(|f| f.index)
 }
 
@@ -173,12 +173,12 @@ fn frame_of(reconstruction: &Reconstruction, response: usize) -> Option<usize> {
 pub(crate) fn read_frames(
     folder: &Path,
     responses: usize,
-) -> Result<Vec<FrameEstimate>, ExportError> {
+) -> Result<Vec<FrameEstimate>, ResultError> {
     let path = folder.join("frames.csv");
     let content = read_text(&path)?;
     let mut lines = content.lines();
     if lines.next() != Some(FRAME_COLUMNS.join(",").as_str()) {
-        return Err(ExportError::format(
+        return Err(ResultError::format(
             &path,
             "does not begin with the expected column names".to_owned(),
         ));
@@ -188,11 +188,11 @@ pub(crate) fn read_frames(
     if rows.len() != shutters.len() {
         let message =
             format!("has {} rows, but trajectory_shutter.txt has {}", rows.len(), shutters.len());
-        return Err(ExportError::format(&path, message));
+        return Err(ResultError::format(&path, message));
     }
     let frames = rows.iter().zip(shutters).enumerate().map(|(i, (row, shutter))| {
         frame(row, shutter, responses)
-            .map_err(|m| ExportError::format(&path, format!("line {}: {m}", i + 2)))
+            .map_err(|m| ResultError::format(&path, format!("line {}: {m}", i + 2)))
     });
     frames.collect()
 }
@@ -246,12 +246,12 @@ fn cell<T: FromStr>(cells: &[&str], column: usize) -> Result<T, String> {
     text.parse().map_err(wrong)
 }
 
-/// A number, or none in an empty cell.
+/// A number; `None` of an empty cell.
 fn optional(cells: &[&str], column: usize) -> Result<Option<f64>, String> {
     if cells[column].is_empty() { Ok(None) } else { cell(cells, column).map(Some) }
 }
 
-fn shutters(path: &Path) -> Result<Vec<ShutterPoses<f64>>, ExportError> {
+fn shutters(path: &Path) -> Result<Vec<ShutterPoses<f64>>, ResultError> {
     let content = read_text(path)?;
     let lines = content.lines().enumerate().filter(|(_, l)| !l.is_empty() && !l.starts_with('#'));
     let shutters = lines.map(|(i, line)| {
@@ -259,7 +259,7 @@ fn shutters(path: &Path) -> Result<Vec<ShutterPoses<f64>>, ExportError> {
         let numbers = numbers.filter(|n| n.len() == 15);
         let poses = numbers.and_then(|n| Some((pose(&n[1..8])?, pose(&n[8..15])?)));
         let wrong =
-            || ExportError::format(path, format!("line {}: expected a time and two poses", i + 1));
+            || ResultError::format(path, format!("line {}: expected a time and two poses", i + 1));
         poses.map(|(start, end)| ShutterPoses { start, end }).ok_or_else(wrong)
     });
     shutters.collect()

@@ -3,6 +3,7 @@
 use super::storage::tests::SmallDisk;
 use super::*;
 use i2slam::Config;
+use i2slam::config::MapKind;
 use i2slam::formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
 use i2slam::geometry::{Camera, Pose, Rotation, Tangent, Vec3};
 use i2slam::radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
@@ -119,6 +120,24 @@ fn a_field_is_saved_and_loaded() {
     assert_eq!(after.viewer().depth(Pose::identity()).data, vec![0.0; 64 * 48]);
 }
 
+/// `config.toml` as it was written when every parameter was a setting.
+const EARLIER_CONFIG: &str = include_str!("../tests/data/config-0.1.toml");
+
+#[test]
+fn a_result_with_settings_of_an_earlier_version_opens() {
+    let scratch = TemporaryFolder::new("earlier");
+    let folder = ResultFolder::create(&scratch.0).expect("a folder");
+    assert!(save(&folder, &example(2)).is_empty());
+    folder.write_text("config.toml", EARLIER_CONFIG).expect("room");
+    let config = load(&scratch.0).expect("a result").config;
+    assert_eq!((config.preset.as_str(), config.map.kind), ("default-rgb", MapKind::HashGrid));
+    let unknown = EARLIER_CONFIG.replace("blur_model", "blur_modell");
+    assert_ne!(unknown, EARLIER_CONFIG);
+    folder.write_text("config.toml", &unknown).expect("room");
+    let message = load(&scratch.0).expect_err("no such setting").to_string();
+    assert!(message.contains("config.toml") && message.contains("blur_modell"), "{message}");
+}
+
 #[test]
 fn damage_is_named() {
     let scratch = TemporaryFolder::new("damage");
@@ -149,7 +168,7 @@ fn a_full_disk_keeps_what_was_written_before() {
     let reconstruction = example(6);
     let room = 5000;
     let failures = save(&ResultFolder::on(&scratch.0, SmallDisk::new(room)), &reconstruction);
-    assert!(!failures.is_empty() && failures.iter().all(ExportError::is_storage_full));
+    assert!(!failures.is_empty() && failures.iter().all(ResultError::is_storage_full));
     for file in ["trajectory.txt", "trajectory_shutter.txt", "frames.csv"] {
         assert!(scratch.0.join(file).exists(), "{file}");
     }

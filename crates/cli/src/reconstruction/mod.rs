@@ -11,7 +11,7 @@ use crate::progress::Progress;
 use crate::{interrupt, messages};
 use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
 use i2slam::{PoseSource, RunOptions, Warning, reconstruct};
-use i2slam_result::{Layout, ResultFolder};
+use i2slam_result::{FolderLayout, ResultFolder};
 pub(crate) use pictures::RenderSelection;
 use std::path::{Path, PathBuf};
 use write::{FinishedRun, WrittenRun};
@@ -127,7 +127,7 @@ fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
 }
 
 fn output_dir(job: &Job) -> OutputDir<'_> {
-    let (layout, overwrite) = (Layout::of_result(), job.overwrite);
+    let (layout, overwrite) = (FolderLayout::of_result(), job.overwrite);
     OutputDir { path: &job.out, layout, command: "i2slam run", overwrite }
 }
 

@@ -11,7 +11,7 @@ use i2slam::{FrameEstimate, Reconstruction, Viewer};
 use i2slam_eval::hdr::hdr_error;
 use i2slam_eval::image::{psnr, ssim};
 use i2slam_result::report::{Comparison, frames_to_show};
-use i2slam_result::{ExportError, Metrics, RenderKind, ResultFolder, save_render};
+use i2slam_result::{Metrics, RenderKind, ResultError, ResultFolder, save_render};
 
 /// Number of frames in the report.
 const REPORT_FRAMES: usize = 8;
@@ -44,7 +44,7 @@ pub(crate) struct RenderedPictures {
     pub(crate) comparisons: Vec<Comparison>,
     pub(crate) metrics: ImageMetrics,
     /// First error of writing, after which no file is written.
-    pub(crate) failure: Option<ExportError>,
+    pub(crate) failure: Option<ResultError>,
 }
 
 /// Image metrics, one entry per measured frame.
@@ -156,7 +156,7 @@ fn write_all(
     folder: &ResultFolder,
     index: usize,
     pictures: [&Image<f32>; 4],
-) -> Result<(), ExportError> {
+) -> Result<(), ResultError> {
     for (kind, picture) in RenderKind::ALL.into_iter().zip(pictures) {
         save_render(folder, "renders", kind, index, picture)?;
     }

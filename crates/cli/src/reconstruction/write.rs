@@ -12,7 +12,7 @@ use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
 use i2slam_result::report::Report;
 use i2slam_result::{
-    ExportError, FolderContents, Input, Layout, Metrics, ResultFolder, save, save_metrics,
+    FolderContents, FolderLayout, Metrics, ResultError, ResultFolder, RunInput, save, save_metrics,
 };
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -74,14 +74,14 @@ impl FinishedRun<'_> {
         let problem = self.outcome.problem.take().map(Failure::from);
         let mut problems: Vec<String> =
             problem.iter().filter_map(Failure::message).map(str::to_owned).collect();
-        let mut note = |result: Result<(), ExportError>| {
+        let mut note = |result: Result<(), ResultError>| {
             problems.extend(result.err().map(|error| error.to_string()));
         };
         if self.job.overwrite {
-            note(Layout::of_result().remove(folder.path()));
+            note(FolderLayout::of_result().remove(folder.path()));
         }
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
-        note(Input::new(&self.job.dataset, &self.open_options()).save(folder));
+        note(RunInput::new(&self.job.dataset, &self.open_options()).save(folder));
         let mut measurements = Measurements::new(&self.outcome, self.truth);
         measurements.warnings.iter().for_each(|warning| progress.warn(warning));
         let later = measurements.warnings.iter().map(|warning| Warning::from(warning.as_str()));
@@ -207,7 +207,7 @@ pub(super) fn peak_memory() -> Option<u64> {
 /// Whether a folder holds a result that is complete, has more than `tracked` frames, or whose
 /// `metrics.json` cannot be read.
 fn has_better_result(folder: &Path, tracked: usize) -> bool {
-    Layout::of_result().contents(folder) == FolderContents::Own
+    FolderLayout::of_result().contents(folder) == FolderContents::Own
         && saved_metrics(folder).is_none_or(|earlier| earlier.complete || earlier.tracked > tracked)
 }
 
@@ -220,7 +220,7 @@ fn partial_folder(folder: &Path) -> PathBuf {
         1 => whole.with_file_name(format!("{name}-partial")),
         number => whole.with_file_name(format!("{name}-partial-{number}")),
     };
-    let is_free = |path: &PathBuf| match Layout::of_result().contents(path) {
+    let is_free = |path: &PathBuf| match FolderLayout::of_result().contents(path) {
         FolderContents::Empty => !path.is_file(),
         FolderContents::Own => saved_metrics(path).is_some_and(|earlier| !earlier.complete),
         FolderContents::Other(_) | FolderContents::Foreign(_) => false,

@@ -32,14 +32,14 @@ pub struct EvaluationSource {
     /// Frames whose pictures were judged, by position in the associated stream.
     pub frames: Vec<usize>,
     /// The true trajectory.
-    pub trajectory: Option<TruthSource>,
+    pub trajectory: Option<GroundTruthSource>,
     /// The true pictures.
-    pub pictures: Option<TruthSource>,
+    pub pictures: Option<GroundTruthSource>,
 }
 
 /// One truth.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TruthSource {
+pub struct GroundTruthSource {
     /// File or folder, absolute.
     pub path: PathBuf,
     /// Poses of the trajectory, or pictures compared with.
@@ -51,7 +51,7 @@ pub struct TruthSource {
 
 /// The page with these sections in place of those that it has; `None` for a page that has no
 /// place for them.
-pub fn put_evaluations(page: &str, sections: &[EvaluationSection]) -> Option<String> {
+pub fn insert_evaluations(page: &str, sections: &[EvaluationSection]) -> Option<String> {
     let (before, rest) = page.split_once(BEGIN)?;
     let (_, after) = rest.split_once(END)?;
     let mut out = String::new();
@@ -85,7 +85,7 @@ fn write_section(out: &mut String, section: &EvaluationSection) {
 
 /// Against which truth.
 fn write_source(out: &mut String, source: &EvaluationSource) {
-    let line = |truth: &TruthSource, what: &str| {
+    let line = |truth: &GroundTruthSource, what: &str| {
         let (path, s) =
             (escape(&truth.path.to_string_lossy()), if truth.count == 1 { "" } else { "s" });
         format!("{} {what}{s} of <code>{path}</code>", truth.count)
@@ -114,22 +114,26 @@ mod tests {
     #[test]
     fn sections_are_put_in_and_replaced() {
         let page = super::super::TEMPLATE;
-        let once = put_evaluations(page, &[section("i2slam", "31.20 dB")]).expect("a place");
+        let once = insert_evaluations(page, &[section("i2slam", "31.20 dB")]).expect("a place");
         assert!(once.contains("<h3>i2slam</h3>") && once.contains("31.20 dB"));
-        let twice = put_evaluations(&once, &[section("<b>", "9 dB"), section("x", "8 dB")]);
+        let twice = insert_evaluations(&once, &[section("<b>", "9 dB"), section("x", "8 dB")]);
         let twice = twice.expect("a place");
         assert!(twice.contains("&lt;b&gt;") && !twice.contains("31.20 dB"));
         assert_eq!(twice.matches("class=\"grades\"").count(), 2);
-        assert_eq!(put_evaluations(&twice, &[]).as_deref(), put_evaluations(page, &[]).as_deref());
-        assert_eq!(put_evaluations("<p>another page</p>", &[]), None);
+        assert_eq!(
+            insert_evaluations(&twice, &[]).as_deref(),
+            insert_evaluations(page, &[]).as_deref()
+        );
+        assert_eq!(insert_evaluations("<p>another page</p>", &[]), None);
     }
 
     #[test]
     fn the_truth_is_named_and_older_files_are_read() {
-        let truth = TruthSource { path: "/data/<room>".into(), count: 1, crc32: "0".to_owned() };
+        let truth =
+            GroundTruthSource { path: "/data/<room>".into(), count: 1, crc32: "0".to_owned() };
         let source = EvaluationSource { trajectory: Some(truth), ..EvaluationSource::default() };
         let section = EvaluationSection { source: Some(source), ..section("x", "1") };
-        let page = put_evaluations(super::super::TEMPLATE, std::slice::from_ref(&section))
+        let page = insert_evaluations(super::super::TEMPLATE, std::slice::from_ref(&section))
             .expect("a place");
         assert!(page.contains("Against 1 true pose of <code>/data/&lt;room&gt;</code>."));
         let text = serde_json::to_string(&section).expect("JSON");

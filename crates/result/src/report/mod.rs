@@ -8,11 +8,11 @@ mod plots;
 #[cfg(test)]
 mod tests;
 
-pub use evaluation::{EvaluationSection, EvaluationSource, TruthSource, put_evaluations};
+pub use evaluation::{EvaluationSection, EvaluationSource, GroundTruthSource, insert_evaluations};
 pub use gallery::Comparison;
 
 use crate::html::{STYLE, escape};
-use crate::{ExportError, Metrics, ResultFolder, Storage};
+use crate::{Metrics, ResultError, ResultFolder, Storage};
 use i2slam::geometry::StampedPose;
 use i2slam::{FrameEstimate, Reconstruction, Warning};
 use std::fmt::Write;
@@ -61,7 +61,7 @@ impl Report<'_> {
     }
 
     /// Write the page as `report.html`, last of all files: it lists those that it finds there.
-    pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ExportError> {
+    pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ResultError> {
         folder.write_text("report.html", &self.html(|name| folder.path().join(name).exists()))
     }
 }

@@ -5,7 +5,9 @@ use super::{Eval, Protocol, failed, trajectory};
 use crate::failure::Failure;
 use crate::output::{print, print_status};
 use i2slam_result::ResultFolder;
-use i2slam_result::report::{EvaluationSection, EvaluationSource, TruthSource, put_evaluations};
+use i2slam_result::report::{
+    EvaluationSection, EvaluationSource, GroundTruthSource, insert_evaluations,
+};
 use serde_json::{Map, Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,9 +24,9 @@ pub(super) struct Evaluation {
     /// Whether renders were compared with the recorded, blurred pictures.
     pub(super) is_against_recorded: bool,
     /// The true trajectory.
-    pub(super) true_trajectory: Option<TruthSource>,
+    pub(super) true_trajectory: Option<GroundTruthSource>,
     /// The true pictures.
-    pub(super) true_pictures: Option<TruthSource>,
+    pub(super) true_pictures: Option<GroundTruthSource>,
     /// Ground truth from elsewhere than the dataset of the run, and that dataset.
     pub(super) foreign: Option<(Vec<PathBuf>, PathBuf)>,
     /// Parts that were not evaluated, with reasons.
@@ -189,7 +191,7 @@ pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result
         Some(known) => *known = section,
         None => sections.push(section),
     }
-    let Some(text) = put_evaluations(&text, &sections) else {
+    let Some(text) = insert_evaluations(&text, &sections) else {
         return Err(failed(&page, "has no place for evaluations: an older program wrote it"));
     };
     let json = serde_json::to_string_pretty(&sections);

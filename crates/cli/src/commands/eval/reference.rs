@@ -8,8 +8,8 @@ use crate::image_files::read_png;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::{Image, StampedPose};
-use i2slam_result::Input;
-use i2slam_result::report::TruthSource;
+use i2slam_result::RunInput;
+use i2slam_result::report::GroundTruthSource;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -47,7 +47,7 @@ impl Reference {
     /// The dataset that a result folder names, if it names one.
     pub(super) fn recorded(estimate: &Estimate) -> Result<Option<Self>, Failure> {
         let Some(result) = estimate.result() else { return Ok(None) };
-        let Some(input) = Input::load(result)? else { return Ok(None) };
+        let Some(input) = RunInput::load(result)? else { return Ok(None) };
         let dataset = &input.dataset;
         if !dataset.exists() {
             let reason = "the dataset of this run is not there any more: give it as --reference, \
@@ -140,7 +140,7 @@ impl Reference {
 /// Opens a dataset as the run did, but all of its frames, so that `auto` selects the same sharp
 /// ones whichever part was run.
 fn open_as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
-    let Some(input) = Input::load(result)? else { return open_as_rendered(path, result) };
+    let Some(input) = RunInput::load(result)? else { return open_as_rendered(path, result) };
     let options = OpenOptions { frames: None, stride: 1, ..input.options() };
     // A run on colour alone can be evaluated with depth all the same.
     let with_depth = OpenOptions { colour_only: false, ..options.clone() };
@@ -182,7 +182,7 @@ pub(super) fn trajectory_source(
     arguments: &Eval,
     reference: Option<&Reference>,
     truth: &[StampedPose],
-) -> Option<TruthSource> {
+) -> Option<GroundTruthSource> {
     let path = arguments.groundtruth.as_deref().or(reference.map(Reference::path))?;
     let mut sum = crc32fast::Hasher::new();
     for pose in truth {
@@ -194,7 +194,7 @@ pub(super) fn trajectory_source(
 }
 
 /// Source of the true pictures, with the checksum of all evaluated ones.
-pub(super) fn picture_source(reference: &Reference, checksums: &[u32]) -> TruthSource {
+pub(super) fn picture_source(reference: &Reference, checksums: &[u32]) -> GroundTruthSource {
     let mut sum = crc32fast::Hasher::new();
     checksums.iter().for_each(|one| sum.update(&one.to_le_bytes()));
     source(reference.path(), checksums.len(), sum.finalize())
@@ -210,9 +210,9 @@ pub(super) fn checksum(picture: &Image<f32>) -> u32 {
     sum.finalize()
 }
 
-fn source(path: &Path, count: usize, crc32: u32) -> TruthSource {
+fn source(path: &Path, count: usize, crc32: u32) -> GroundTruthSource {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    TruthSource { path, count, crc32: format!("{crc32:08x}") }
+    GroundTruthSource { path, count, crc32: format!("{crc32:08x}") }
 }
 
 /// Ground truth from elsewhere than the dataset that the run read, and that dataset.
@@ -222,7 +222,7 @@ pub(super) fn foreign_ground_truth(
     reference: Option<&Reference>,
 ) -> Result<Option<(Vec<PathBuf>, PathBuf)>, Failure> {
     let Some(result) = estimate.result() else { return Ok(None) };
-    let Some(input) = Input::load(result)? else { return Ok(None) };
+    let Some(input) = RunInput::load(result)? else { return Ok(None) };
     let whole = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let read = whole(&input.dataset);
     let truths = arguments.groundtruth.iter().map(PathBuf::as_path);
