@@ -1,10 +1,8 @@
-//! The one error type: what is wrong, where, what was expected, what to do.
+//! The error type: what is wrong and where, what was expected, what to do.
 
-use crate::Layout;
-use crate::import::Kind;
 use std::path::{Path, PathBuf};
 
-/// Why a sequence, a frame or a trajectory could not be read or written.
+/// Failure to read or write a sequence, a frame or a trajectory.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DatasetError {
@@ -20,26 +18,28 @@ pub enum DatasetError {
     },
     /// The folder is there but holds none of the layouts.
     #[error(
-        "{} {}: found {found}; expected one of{}\nor, for colour alone, a video or a folder of \
+        "{} {}: found {found}; expected one of{known}\nor, for colour alone, a video or a folder of \
          pictures (JPEG, PNG, ...)",
-        path.display(), no_sequence(*.has_colour), known_layouts()
+        path.display(), no_sequence(*.has_colour)
     )]
     UnknownLayout {
         /// The folder.
         path: PathBuf,
-        /// What lies in it, in words.
+        /// Description of what lies there.
         found: String,
         /// Whether there are pictures without depth.
         has_colour: bool,
+        /// Known layouts, one per line.
+        known: String,
     },
-    /// The program that decodes videos is not there.
+    /// ffmpeg, which decodes videos, cannot be started.
     #[error(
         "a video needs the program ffmpeg to decode it, and {} cannot be started ({source}){}: \
          install it ({}), or set I2SLAM_FFMPEG to where it is",
         program.display(), if *.named { ", as I2SLAM_FFMPEG names it" } else { "" }, INSTALL
     )]
     NoFfmpeg {
-        /// What was started.
+        /// The program that could not be started.
         program: PathBuf,
         /// Whether the environment variable `I2SLAM_FFMPEG` named it.
         named: bool,
@@ -51,7 +51,7 @@ pub enum DatasetError {
     Video {
         /// The video.
         path: PathBuf,
-        /// What is wrong and what to do.
+        /// Cause and remedy.
         reason: String,
     },
     /// A file that describes the sequence (calibration, frames) cannot be used.
@@ -59,7 +59,7 @@ pub enum DatasetError {
     Metadata {
         /// The file.
         path: PathBuf,
-        /// What is wrong and what was expected.
+        /// Cause, and what was expected.
         reason: String,
     },
     /// A list, a folder or a trajectory without a single entry.
@@ -67,7 +67,7 @@ pub enum DatasetError {
     Empty {
         /// The list, folder or trajectory.
         path: PathBuf,
-        /// What should be in it.
+        /// Expected contents.
         expected: &'static str,
     },
     /// No intrinsics: no `camera.json`, no flag, and the folder's name is no known sequence's.
@@ -86,7 +86,7 @@ pub enum DatasetError {
     Camera {
         /// The camera file.
         path: PathBuf,
-        /// What is wrong and what was expected.
+        /// Cause, and what was expected.
         reason: String,
     },
     /// One line of a text file cannot be used.
@@ -96,21 +96,23 @@ pub enum DatasetError {
         path: PathBuf,
         /// The line, counted from 1.
         line: usize,
-        /// What is wrong and what was expected.
+        /// Cause, and what was expected.
         reason: String,
     },
-    /// The path given holds no keyframes of a kind that can be imported.
+    /// The path holds no keyframes of a known format.
     #[error(
-        "{} holds no keyframes: found {found}; expected one of{}",
-        path.display(), import_kinds()
+        "{} holds no keyframes: found {found}; expected one of{known}",
+        path.display()
     )]
     UnknownImport {
         /// The file or folder.
         path: PathBuf,
-        /// What lies in it, in words.
+        /// Description of what lies there.
         found: String,
+        /// Known formats, one per line.
+        known: String,
     },
-    /// Too few imported poses have a picture that was chosen.
+    /// Fewer than two imported poses have a chosen image.
     #[error(
         "{}: {keyframes} of {poses} poses are keyframes with a picture in {}, expected at least 2: \
          {reason}",
@@ -119,13 +121,13 @@ pub enum DatasetError {
     TooFewKeyframes {
         /// The file or folder of the poses.
         path: PathBuf,
-        /// Where the pictures were looked for.
+        /// Path of the images.
         pictures: PathBuf,
-        /// Poses with a picture that was chosen.
+        /// Poses with a chosen image.
         keyframes: usize,
         /// Poses in all.
         poses: usize,
-        /// What was compared, and what to do.
+        /// Cause and remedy.
         reason: String,
     },
     /// No colour image has a depth image close enough in time.
@@ -163,7 +165,7 @@ pub enum DatasetError {
     Image {
         /// The image file.
         path: PathBuf,
-        /// What is wrong and what was expected.
+        /// Cause, and what was expected.
         reason: String,
     },
     /// An image differs in size from the first frame or from the camera.
@@ -178,17 +180,17 @@ pub enum DatasetError {
         found: (usize, usize),
         /// The width and height expected [px].
         expected: (usize, usize),
-        /// What sets the expectation, in words.
+        /// Description of the reference.
         reference: String,
     },
-    /// Pictures that no single camera takes.
+    /// Images taken with different cameras.
     #[error("{} was not taken as {}: {reason}", path.display(), first.display())]
     OtherCamera {
-        /// The picture that differs.
+        /// The image that differs.
         path: PathBuf,
-        /// The one that it differs from.
+        /// The image it differs from.
         first: PathBuf,
-        /// In what, and what to do.
+        /// The difference, and what to do.
         reason: String,
     },
     /// An option outside its range.
@@ -196,18 +198,18 @@ pub enum DatasetError {
     Option {
         /// The field of [`OpenOptions`](crate::OpenOptions).
         name: &'static str,
-        /// What is wrong and what was expected.
+        /// Cause, and what was expected.
         reason: String,
     },
-    /// A frame was asked for that the sequence does not have.
+    /// A frame index outside the sequence.
     #[error("frame {position} asked for, but the sequence has {frames} frames")]
     NoSuchFrame {
-        /// The position asked for.
+        /// The requested index.
         position: usize,
         /// Number of frames.
         frames: usize,
     },
-    /// The system could not read or write a file.
+    /// A file could not be read or written.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// "read" or "write".
@@ -220,7 +222,7 @@ pub enum DatasetError {
 }
 
 impl DatasetError {
-    /// Whether the error concerns one frame alone, so that a run can leave it out and go on.
+    /// Whether the error concerns a single frame, so that a run can skip it.
     pub fn concerns_one_frame(&self) -> bool {
         matches!(self, Self::Image { .. } | Self::Size { .. } | Self::Io { action: "read", .. })
     }
@@ -254,7 +256,7 @@ impl DatasetError {
     }
 }
 
-/// How ffmpeg is installed on this system.
+/// Commands that install ffmpeg on this system.
 const INSTALL: &str = if cfg!(target_os = "macos") {
     "`brew install ffmpeg`"
 } else if cfg!(windows) {
@@ -269,16 +271,4 @@ fn no_sequence(has_colour: bool) -> &'static str {
         true => "has pictures but no depth, so that it can be run by colour alone (--rgb)",
         false => "is no RGB-D sequence",
     }
-}
-
-/// One line for every kind of keyframes.
-fn import_kinds() -> String {
-    let line = |kind: Kind| format!("\n  {:<26}{}", kind.name(), kind.recognised_by());
-    Kind::ALL.into_iter().map(line).collect()
-}
-
-/// One line for every layout.
-fn known_layouts() -> String {
-    let line = |layout: Layout| format!("\n  {:<26}{}", layout.name(), layout.recognised_by());
-    Layout::ALL.into_iter().map(line).collect()
 }

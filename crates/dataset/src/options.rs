@@ -1,38 +1,37 @@
-//! What to read of a sequence, and how.
+//! Options for opening a sequence.
 
 use crate::{DatasetError, EstimatedCamera};
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// How a sequence is opened. Start from [`OpenOptions::default`].
+/// Options for opening a sequence. Start from [`OpenOptions::default`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenOptions {
     /// A camera file to use instead of the folder's `camera.json`: another `camera.json`, a
     /// `transforms.json`, COLMAP's `cameras.txt` or `cameras.bin`, or a line `fx fy cx cy`.
     pub camera: Option<PathBuf>,
     /// `[fx, fy, cx, cy]` [px] of a camera without lens distortion, pixel centres at integers
-    /// as in OpenCV and TUM. Goes before every camera file.
+    /// as in OpenCV and TUM. Takes precedence over camera files.
     pub intrinsics: Option<[f64; 4]>,
     /// Horizontal field of view of a camera without lens distortion, its principal point in the
-    /// middle [degrees, above 0, below 180]. Goes behind `intrinsics` and `camera`, before what
-    /// the sequence tells.
+    /// middle [degrees, above 0, below 180]. Yields to `intrinsics` and `camera`, precedes the
+    /// sequence's own calibration.
     pub field_of_view: Option<f64>,
-    /// Camera and lens that were found in the pictures before. Goes before every other camera.
+    /// Camera and lens estimated from the images before. Takes precedence over every other camera.
     pub estimated_camera: Option<EstimatedCamera>,
-    /// Where nothing is known of the camera, take what the first picture's EXIF data tell, else a
-    /// usual field of view ([`Sequence::camera_is_guess`](crate::Sequence::camera_is_guess)),
-    /// instead of an error. Default false.
+    /// If no calibration is found, assume the field of view of the first image's EXIF data, else a
+    /// usual one ([`Sequence::camera_is_guess`](crate::Sequence::camera_is_guess)), instead of
+    /// failing. Default false.
     pub guess_camera: bool,
-    /// Depth image value of one metre. Goes before the camera file; 5000 if neither says.
+    /// Depth image value of one metre. Precedes the camera file; 5000 if neither gives it.
     pub depth_scale: Option<f64>,
-    /// Which frames, by their place in the associated stream. Default all.
+    /// Range of frames, by index in the associated stream. Default all.
     pub frames: Option<Range<usize>>,
-    /// Every how many frames, counted from the start of `frames`; at least 1. Default 1.
+    /// Step between frames, from the start of `frames` on; at least 1. Default 1.
     pub stride: usize,
     /// Size of the delivered frames over that of the cropped ones, in `(0, 1]`. Default 1.
     pub scale: f64,
-    /// The longer side of delivered frames is at most this [px]; `scale` is made smaller if it
-    /// must be. Default none.
+    /// Largest longer side of delivered frames [px]; reduces `scale` if necessary. Default none.
     pub max_side: Option<usize>,
     /// Border removed on every side before scaling [px of the recorded colour image; of depth for
     /// ScanNet and 7-Scenes, which are delivered in the pixels of depth]. Default 0.
@@ -42,17 +41,16 @@ pub struct OpenOptions {
     /// A depth image (and, where the folder has ground truth, a pose) must be closer in time
     /// than this [s]. Default 0.08.
     pub association_tolerance: f64,
-    /// Frames that follow the last kept one by no more than this are left out [s]; 0 keeps all.
-    /// Default 1/32: the thinning of SplaTAM's TUM loader, on which published frame numbers
-    /// rest. Frames without time stamps are not thinned.
+    /// Frames that follow the last kept one by no more than this are dropped [s]; 0 keeps all.
+    /// Default 1/32: the thinning of SplaTAM's TUM loader, which published frame numbers count by.
+    /// Frames without time stamps are not thinned.
     pub minimum_gap: f64,
-    /// Only colour is wanted: sequences without depth images open too, and depth is never read
-    /// ([`Frame::depth`](crate::Frame::depth) is 0 everywhere). Where there are lists or names of
-    /// depth images they still decide which frames there are, so that a frame has the same number
-    /// with and without depth. Default false.
+    /// Read colour only: sequences without depth can be opened, and
+    /// [`Frame::depth`](crate::Frame::depth) is 0 everywhere. Depth images that exist still take part
+    /// in the association, so that frame numbers do not depend on this option. Default false.
     pub colour_only: bool,
-    /// Pictures alone, which no depth and no pose lies beside, are shown as the EXIF data of the
-    /// first one ask: turned or mirrored. Default false: as they are stored, with a warning.
+    /// Apply the EXIF orientation of the first image to sequences of colour images alone. Default
+    /// false: images stay as stored, with a warning.
     pub turn_pictures: bool,
 }
 
@@ -80,7 +78,7 @@ impl Default for OpenOptions {
 }
 
 impl OpenOptions {
-    /// Refuses numbers outside their documented range.
+    /// An error for values outside their documented range.
     pub(crate) fn validate(&self) -> Result<(), DatasetError> {
         let positive = |v: f64| v.is_finite() && v > 0.0;
         let refuse = |name, expected: &str, found: String| {
@@ -95,8 +93,9 @@ impl OpenOptions {
             let expected = "an angle above 0 and below 180 degrees";
             return refuse("field_of_view", expected, degrees.to_string());
         }
-        if let Some(found) = self.wrong_estimate() {
-            return refuse("estimated_camera", "finite numbers with fx, fy > 0", found);
+        if let Some(camera) = self.estimated_camera.filter(|camera| !camera.is_valid()) {
+            let expected = "finite numbers with fx, fy > 0";
+            return refuse("estimated_camera", expected, format!("{camera:?}"));
         }
         if let Some(scale) = self.depth_scale.filter(|&v| !positive(v)) {
             return refuse("depth_scale", "a positive number", scale.to_string());

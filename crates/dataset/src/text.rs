@@ -1,9 +1,9 @@
-//! Text tables with time stamps: `timestamp value...`, `#` starts a comment line.
+//! Text files of numbers (`#` starts a comment line), and words for messages.
 
 use crate::DatasetError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// The lines that carry data, with their numbers counted from 1.
+/// Lines that are neither blank nor comments, with their numbers counted from 1.
 pub(crate) fn data_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines()
         .enumerate()
@@ -11,13 +11,13 @@ pub(crate) fn data_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
         .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
-/// A whole text file.
+/// Reads a whole text file.
 pub(crate) fn read_text(path: &Path) -> Result<String, DatasetError> {
     std::fs::read_to_string(path).map_err(|e| DatasetError::read(path, e))
 }
 
-/// A finite number in a column of a line; anything else is an error that names the place.
-pub(crate) fn number(
+/// Parses a finite number; `name` is that of its column, for the error.
+pub(crate) fn parse_number(
     path: &Path,
     line: usize,
     name: &str,
@@ -34,24 +34,26 @@ pub(crate) fn number(
     }
 }
 
-/// Stamped image files of `rgb.txt` or `depth.txt`, in order of time; paths joined to `folder`.
-pub(crate) fn read_image_list(
-    path: &Path,
-    folder: &Path,
-) -> Result<Vec<(f64, PathBuf)>, DatasetError> {
-    let text = read_text(path)?;
-    let mut images = Vec::new();
-    for (line, content) in data_lines(&text) {
-        let Some((stamp, file)) = content.split_once(char::is_whitespace) else {
-            let reason = format!("'{content}', expected a time stamp and a file name");
-            return Err(DatasetError::line(path, line, reason));
-        };
-        images.push((number(path, line, "time stamp", stamp)?, folder.join(file.trim())));
+/// `1 frame`, `3 frames`: for words with a plural in s.
+pub(crate) fn counted(count: usize, word: &str) -> String {
+    format!("{count} {word}{}", if count == 1 { "" } else { "s" })
+}
+
+/// First names in a folder, for error messages.
+pub(crate) fn list_names(folder: &Path) -> String {
+    if folder.is_file() {
+        return "a file of another kind".into();
     }
-    if images.is_empty() {
-        let expected = "lines with a time stamp and a file name";
-        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+    let mut names: Vec<String> = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    match names.len() {
+        0 => "an empty folder".into(),
+        1..=8 => names.join(", "),
+        count => format!("{}, ... ({count} in all)", names[..8].join(", ")),
     }
-    images.sort_by(|a, b| a.0.total_cmp(&b.0));
-    Ok(images)
 }

@@ -139,10 +139,10 @@ fn frames_without_a_depth_partner() {
     let folder = Folder::tum(3);
     folder.write("depth.txt", "0.01 depth/000.png\n0.15 depth/002.png\n");
     let sequence = open(&folder).expect("opens");
-    assert_eq!(sequence.left_out.without_depth, 0);
+    assert_eq!(sequence.dropped.without_depth, 0);
     folder.write("depth.txt", "-0.02 depth/000.png\n");
     let sequence = open(&folder).expect("opens");
-    assert_eq!((sequence.len(), sequence.left_out.without_depth), (2, 1));
+    assert_eq!((sequence.len(), sequence.dropped.without_depth), (2, 1));
     assert!(sequence.warnings[0].contains("1 colour image left out"), "{:?}", sequence.warnings);
     folder.write("depth.txt", "3.066667 depth/000.png\n");
     assert_says(open(&folder), &["none of 3", "0.08 s", "3.000 s away"]);
@@ -224,5 +224,5 @@ fn unusable_ground_truth_is_left_aside() {
     folder.write("groundtruth.txt", "0 0 0 0 0 0 0 1\n");
     folder.write("rgb.txt", "0.0 rgb/000.png\n0.05 rgb/001.png\n0.1 rgb/002.png\n");
     let sequence = open(&folder).expect("opens");
-    assert_eq!((sequence.len(), sequence.left_out.without_pose), (2, 1));
+    assert_eq!((sequence.len(), sequence.dropped.without_pose), (2, 1));
 }

@@ -92,7 +92,7 @@ fn seven_scenes_is_delivered_on_the_grid_of_depth() {
     let sequence = open(&folder).expect("opens");
     assert_eq!((sequence.layout, sequence.len()), (Layout::SevenScenes, 2));
     assert_eq!((sequence.camera.fx, sequence.camera.cx), (585.0, 320.0));
-    assert!(sequence.covered.is_none());
+    assert!(sequence.valid_mask.is_none());
     assert_warns(&sequence, "no calibration between colour and depth");
     let frame = sequence.load(0).expect("loads");
     assert_eq!((frame.colour.at(0, 300, 9), frame.colour.at(0, 340, 9)), (1.0, 0.0));
@@ -152,7 +152,7 @@ fn nerfstudio_frames_come_in_order_with_opencv_axes() {
     let folder = nerfstudio();
     let sequence = open(&folder).expect("opens");
     assert_eq!((sequence.layout, sequence.len()), (Layout::Nerfstudio, 2));
-    assert_eq!(sequence.left_out.without_depth, 1);
+    assert_eq!(sequence.dropped.without_depth, 1);
     assert_eq!((sequence.camera.width, sequence.camera.cx), (32, 16.0));
     let frame = sequence.load(1).expect("loads");
     assert_eq!((frame.depth.width, frame.depth.at(0, 31, 23)), (32, 2.0));

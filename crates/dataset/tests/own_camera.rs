@@ -171,7 +171,7 @@ fn a_lens_found_in_the_pictures_is_removed_from_them() {
         assert!(!straight.camera_is_guess && (straight.warnings.len() == 1) == (scale == 1.0));
         let options = OpenOptions { estimated_camera: Some(estimated), ..options };
         let again = open(&folder, &options);
-        assert_eq!((again.camera, &again.covered), (straight.camera, &straight.covered));
+        assert_eq!((again.camera, &again.valid_mask), (straight.camera, &straight.valid_mask));
         let (one, other) = (straight.load(1).expect("reads"), again.load(1).expect("reads"));
         assert_eq!(one.colour, other.colour);
         assert_ne!(one.colour, bent.load(1).expect("reads").colour);

@@ -14,7 +14,7 @@ fn the_demo_clip_opens_and_every_frame_loads() {
     let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo"));
     let sequence = open(path, &OpenOptions::default());
     assert_eq!((sequence.len(), sequence.warnings.len()), (66, 0), "{:?}", sequence.warnings);
-    assert!(sequence.covered.is_none());
+    assert!(sequence.valid_mask.is_none());
     assert!((sequence.frame_rate - 30.0).abs() < 2.0);
     let truth = read_trajectory(sequence.ground_truth.as_ref().expect("ground truth"));
     let truth = truth.expect("reads");
@@ -46,14 +46,14 @@ fn rendered_sequences_keep_all_frames() {
 fn the_recorded_clip_loses_one_frame_to_thinning() {
     let Some(path) = support::shared_data("tum_fr1_rpy_clip") else { return };
     let thinned = open(&path, &OpenOptions::default());
-    assert_eq!((thinned.len(), thinned.left_out.too_close), (104, 1));
+    assert_eq!((thinned.len(), thinned.dropped.too_close), (104, 1));
     let all = open(&path, &OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() });
     assert_eq!(all.len(), 105);
     assert_eq!((all.camera.cx, all.camera.cy), (319.1, 255.8));
     assert!(all.warnings.iter().any(|w| w.contains("crop_border 18")), "{:?}", all.warnings);
     let cropped = OpenOptions { crop_border: 18, scale: 0.5, ..OpenOptions::default() };
     let sequence = open(&path, &cropped);
-    assert!(sequence.covered.is_none());
+    assert!(sequence.valid_mask.is_none());
     let frame = sequence.load(50).expect("loads");
     assert_eq!((frame.colour.width, frame.colour.height), (302, 222));
 }

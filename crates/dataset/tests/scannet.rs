@@ -90,7 +90,7 @@ fn colour_in_the_size_of_depth_has_the_camera_of_depth() {
         "{:?}",
         sequence.warnings
     );
-    assert!(sequence.covered.is_none());
+    assert!(sequence.valid_mask.is_none());
     assert_eq!(sequence.load(0).expect("loads").colour.at(0, 0, 0), 90.0 / 255.0);
 }
 

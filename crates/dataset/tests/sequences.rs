@@ -99,7 +99,7 @@ fn freiburg_cameras_are_known_by_the_folder() {
         let sequence = Sequence::open(&path, &OpenOptions::default()).expect("opens");
         assert!((sequence.camera.fx - fx).abs() < 1e-9 && (sequence.camera.cx - cx).abs() < 1e-9);
         assert_eq!(sequence.name, name);
-        assert_eq!(sequence.covered.is_some(), name.contains("freiburg2"));
+        assert_eq!(sequence.valid_mask.is_some(), name.contains("freiburg2"));
     }
 }
 
@@ -114,7 +114,7 @@ fn plain_folders_pair_by_number_and_count_frames() {
     folder.write("images/frame3.png", support::rgb_png(WIDTH, HEIGHT, 99));
     folder.write("camera.json", CAMERA.replace('}', r#","fps":60,"depth_scale":1000}"#));
     let sequence = open(&folder);
-    assert_eq!(sequence.left_out.without_depth, 1);
+    assert_eq!(sequence.dropped.without_depth, 1);
     assert!(sequence.warnings[0].contains("1 colour image left out"), "{:?}", sequence.warnings);
     let frames: Vec<_> = sequence.stream().map(|f| f.expect("loads")).collect();
     let seen: Vec<(f32, usize)> = frames.iter().map(|f| (f.depth.at(0, 0, 0), f.index)).collect();

@@ -105,7 +105,7 @@ fn record_stream(job: &Job) -> Result<Option<Recording>, Failure> {
             "reading the stream {name} (Ctrl-C ends it, and goes on with what came)"
         ));
     }
-    let read = || Recording::of(&job.dataset, &interrupt::requested);
+    let read = || Recording::record(&job.dataset, &interrupt::requested);
     Ok(Some(interrupt::reading(read)?))
 }
 

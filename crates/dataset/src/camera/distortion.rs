@@ -1,12 +1,12 @@
 //! Lens distortion after Brown and Conrady, in OpenCV's parametrisation.
 
-/// Coefficients of radial and tangential distortion.
+/// Radial (rational) and tangential distortion coefficients.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Distortion {
     /// `k1 k2 k3`, numerator of the radial factor.
     pub(crate) radial: [f64; 3],
     /// `k4 k5 k6`, its denominator.
-    pub(crate) radial_below: [f64; 3],
+    pub(crate) radial_denominator: [f64; 3],
     /// `p1 p2`.
     pub(crate) tangential: [f64; 2],
 }
@@ -20,17 +20,17 @@ impl Distortion {
         let at = |i: usize| c.get(i).copied().unwrap_or(0.0);
         Some(Self {
             radial: [at(0), at(1), at(4)],
-            radial_below: [at(5), at(6), at(7)],
+            radial_denominator: [at(5), at(6), at(7)],
             tangential: [at(2), at(3)],
         })
     }
 
-    /// Whether the lens is free of distortion.
-    pub(crate) fn is_none(&self) -> bool {
+    /// Whether all coefficients are zero.
+    pub(crate) fn is_zero(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Where the lens puts the ray `(x, y, 1)`:
+    /// Distorted image coordinates of the ray `(x, y, 1)`:
     ///
     /// `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) + 2 p1 x y + p2 (r² + 2
     /// x²)`, `y'` alike with `p1` and `p2` exchanged (OpenCV, *Camera Calibration and 3D
@@ -38,7 +38,7 @@ impl Distortion {
     pub(crate) fn distort(&self, x: f64, y: f64) -> (f64, f64) {
         let r2 = x * x + y * y;
         let series = |k: [f64; 3]| 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]));
-        let factor = series(self.radial) / series(self.radial_below);
+        let factor = series(self.radial) / series(self.radial_denominator);
         let [p1, p2] = self.tangential;
         (
             x * factor + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
@@ -63,8 +63,8 @@ mod tests {
     }
 
     #[test]
-    fn only_opencv_lengths_are_taken() {
-        assert!(Distortion::from_opencv(&[]).is_some_and(|d| d.is_none()));
+    fn only_opencv_coefficient_counts_are_accepted() {
+        assert!(Distortion::from_opencv(&[]).is_some_and(|d| d.is_zero()));
         assert!(Distortion::from_opencv(&[0.1, 0.0]).is_none());
         assert!(Distortion::from_opencv(&[0.1, 0.0, f64::NAN, 0.0]).is_none());
     }

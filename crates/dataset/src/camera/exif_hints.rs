@@ -1,49 +1,51 @@
-//! A camera that is known by its angle of view alone: given, told by a picture, or guessed.
+//! Field of view and orientation from EXIF data.
 
-use crate::orientation::Orientation;
+use super::Orientation;
 use exif::{Exif, In, Reader, Tag, Value};
 use std::fmt;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// Diagonal of a picture on 35 mm film, 36x24 mm [mm].
+/// Diagonal of a 35 mm film frame, 36x24 mm [mm].
 const FILM_DIAGONAL: f64 = 43.266_615;
 
-/// Equivalent focal lengths that can be true [mm]: from a fisheye to a telescope.
-const SENSIBLE: std::ops::RangeInclusive<f64> = 5.0..=2000.0;
+/// Plausible 35 mm equivalent focal lengths [mm]: from fisheye to telescope.
+const PLAUSIBLE_FOCAL: std::ops::RangeInclusive<f64> = 5.0..=2000.0;
 
-/// How much a camera sees.
+/// Field of view of a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum FieldOfView {
-    /// Across the width of the picture [degrees].
+    /// Across the image width [degrees].
     Width(f64),
-    /// Across the longer side of the picture [degrees].
+    /// Across the longer image side [degrees].
     LongerSide(f64),
-    /// The focal length that sees as much on 35 mm film, across the diagonal [mm].
-    Film(f64),
+    /// 35 mm equivalent focal length, by the diagonal [mm].
+    FilmEquivalent(f64),
 }
 
 impl FieldOfView {
-    /// What the main camera of a telephone or a webcam sees, roughly.
-    pub(crate) const USUAL: Self = Self::LongerSide(60.0);
+    /// Assumed where nothing is known: roughly that of phone main cameras and webcams.
+    pub(crate) const ASSUMED: Self = Self::LongerSide(60.0);
 
-    /// Focal length for pictures of a size [px].
+    /// Focal length for images of a size [px].
     pub(crate) fn focal_length(self, width: usize, height: usize) -> f64 {
         let (width, height) = (width as f64, height as f64);
         let of = |degrees: f64, side: f64| 0.5 * side / (0.5 * degrees.to_radians()).tan();
         match self {
             Self::Width(degrees) => of(degrees, width),
             Self::LongerSide(degrees) => of(degrees, width.max(height)),
-            Self::Film(millimetres) => millimetres / FILM_DIAGONAL * width.hypot(height),
+            Self::FilmEquivalent(millimetres) => millimetres / FILM_DIAGONAL * width.hypot(height),
         }
     }
 
-    /// What EXIF data tell of the lens and the sensor.
-    fn of_exif(exif: &Exif) -> Option<Self> {
-        let direct = number(exif, Tag::FocalLengthIn35mmFilm).filter(|f| SENSIBLE.contains(f));
-        let found = direct.or_else(|| of_sensor(exif)).filter(|f| SENSIBLE.contains(f));
-        found.map(Self::Film)
+    /// 35 mm equivalent focal length, given directly or computed from the sensor's size.
+    fn from_exif(exif: &Exif) -> Option<Self> {
+        let direct =
+            number(exif, Tag::FocalLengthIn35mmFilm).filter(|f| PLAUSIBLE_FOCAL.contains(f));
+        let found =
+            direct.or_else(|| focal_from_sensor(exif)).filter(|f| PLAUSIBLE_FOCAL.contains(f));
+        found.map(Self::FilmEquivalent)
     }
 }
 
@@ -52,50 +54,37 @@ impl fmt::Display for FieldOfView {
         match self {
             Self::Width(degrees) => write!(f, "{degrees} degrees across the width"),
             Self::LongerSide(degrees) => write!(f, "{degrees} degrees across the longer side"),
-            Self::Film(millimetres) => write!(f, "as {millimetres:.0} mm on 35 mm film"),
+            Self::FilmEquivalent(millimetres) => write!(f, "as {millimetres:.0} mm on 35 mm film"),
         }
     }
 }
 
-fn exif(path: &Path) -> Option<Exif> {
+fn read_exif(path: &Path) -> Option<Exif> {
     let mut file = BufReader::new(File::open(path).ok()?);
     Reader::new().read_from_container(&mut file).ok()
 }
 
-/// What the EXIF data of a picture tell.
+/// Camera hints in the EXIF data of an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Told {
-    /// How the picture is to be shown.
+pub(crate) struct ExifHints {
+    /// Orientation in which the image is to be shown.
     pub(crate) orientation: Option<Orientation>,
-    /// How much it sees.
+    /// Field of view.
     pub(crate) view: Option<FieldOfView>,
 }
 
-impl Told {
-    /// What those of one file tell; nothing where it has none.
-    pub(crate) fn by(path: &Path) -> Self {
-        let Some(exif) = exif(path) else { return Self::default() };
-        let asked = number(&exif, Tag::Orientation);
-        let orientation = asked.and_then(|asked| Orientation::of_exif(asked as u32));
-        Self { orientation, view: FieldOfView::of_exif(&exif) }
+impl ExifHints {
+    /// Reads the hints of a file; empty if it has no EXIF data.
+    pub(crate) fn read(path: &Path) -> Self {
+        let Some(exif) = read_exif(path) else { return Self::default() };
+        let tag = number(&exif, Tag::Orientation);
+        let orientation = tag.and_then(|tag| Orientation::from_exif(tag as u32));
+        Self { orientation, view: FieldOfView::from_exif(&exif) }
     }
 }
 
-/// What was made of that, in words.
-pub(crate) fn orientation_note(path: &Path, asked: Orientation, is_done: bool) -> String {
-    let (path, how) = (path.display(), asked.words());
-    if is_done {
-        return format!("pictures are {how}, as the EXIF data of {path} ask");
-    }
-    format!(
-        "EXIF data ask that {path} be {how}: what lies beside such pictures (depth, poses, a list) is \
-         of pictures as they are stored, and so are they taken; `mogrify -auto-orient` \
-         (ImageMagick) turns them for good"
-    )
-}
-
-/// The equivalent focal length [mm] by focal length and pixels a unit of length on the sensor.
-fn of_sensor(exif: &Exif) -> Option<f64> {
+/// 35 mm equivalent focal length [mm] from focal length, image size and sensor resolution.
+fn focal_from_sensor(exif: &Exif) -> Option<f64> {
     let focal = number(exif, Tag::FocalLength)?;
     let unit = match number(exif, Tag::FocalPlaneResolutionUnit).unwrap_or(2.0) as u32 {
         2 => 25.4,
@@ -131,7 +120,7 @@ mod tests {
         let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-3 * b, "{a} {b}");
         close(FieldOfView::Width(90.0).focal_length(640, 480), 320.0);
         close(FieldOfView::LongerSide(90.0).focal_length(480, 640), 320.0);
-        close(FieldOfView::Film(FILM_DIAGONAL).focal_length(640, 480), 800.0);
-        close(FieldOfView::USUAL.focal_length(320, 240), 277.1);
+        close(FieldOfView::FilmEquivalent(FILM_DIAGONAL).focal_length(640, 480), 800.0);
+        close(FieldOfView::ASSUMED.focal_length(320, 240), 277.1);
     }
 }

@@ -1,15 +1,15 @@
-//! A camera in a file of its own: `camera.json`, and the files of other programs.
+//! Camera files: `camera.json`, one line of numbers, and the files of other programs.
 
+use super::colmap;
+use super::nerfstudio::TransformsFile;
 use crate::DatasetError;
-use crate::calibration::{Calibration, Traits};
-use crate::distortion::Distortion;
-use crate::import::colmap_camera;
-use crate::layouts::Scene;
-use crate::lists::{data_lines, number, read_text};
+use crate::camera::{Calibration, Distortion, FormatDefaults};
+use crate::text::{data_lines, parse_number, read_text};
+use i2slam_geometry::Camera;
 use serde::Deserialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// The lens models that are Brown-Conrady under some name.
+/// Names of the Brown-Conrady lens model.
 const LENS_MODELS: [&str; 8] = [
     "brown_conrady",
     "brown-conrady",
@@ -21,30 +21,39 @@ const LENS_MODELS: [&str; 8] = [
     "none",
 ];
 
-/// Reads the camera of a file of any kind that is known: `camera.json`, nerfstudio's
+/// Reads a camera file of any known kind: `camera.json`, nerfstudio's
 /// `transforms.json`, COLMAP's `cameras.txt` or `cameras.bin`, or a line `fx fy cx cy`.
-pub(crate) fn read_camera(path: &Path, traits: Traits) -> Result<Calibration, DatasetError> {
+pub(crate) fn read_camera(
+    path: &Path,
+    defaults: FormatDefaults,
+) -> Result<Calibration, DatasetError> {
     if path.extension().is_some_and(|ending| ending == "bin") {
-        return colmap_camera(path);
+        return colmap::read_camera(path);
     }
     let text = read_text(path)?;
     if !text.trim_start().starts_with('{') {
         return match data_lines(&text).next().and_then(|(_, line)| line.split(' ').nth(1)) {
             Some(model) if model.starts_with(|c: char| c.is_ascii_uppercase()) => {
-                colmap_camera(path)
+                colmap::read_camera(path)
             }
-            _ => of_line(path, &text, traits),
+            _ => parse_line(path, &text, defaults),
         };
     }
     match serde_json::from_str::<serde_json::Value>(&text) {
-        Ok(file) if file.get("frames").is_some() => Scene::open(path, false)?.calibration(),
-        _ => of_json(path, &text, traits),
+        Ok(file) if file.get("frames").is_some() => {
+            TransformsFile::open(path, false)?.calibration()
+        }
+        _ => parse_json(path, &text, defaults),
     }
 }
 
 /// `fx fy cx cy [k1 k2 p1 p2 [k3]]` [px] in one line, pixel centres at integers as in TUM's and
 /// ETH3D's files.
-fn of_line(path: &Path, text: &str, traits: Traits) -> Result<Calibration, DatasetError> {
+fn parse_line(
+    path: &Path,
+    text: &str,
+    defaults: FormatDefaults,
+) -> Result<Calibration, DatasetError> {
     let expected = "a camera.json, a transforms.json, COLMAP's cameras.txt, or one line fx fy cx cy \
                     [k1 k2 p1 p2 [k3]]";
     let Some((line, content)) = data_lines(text).next() else {
@@ -52,7 +61,7 @@ fn of_line(path: &Path, text: &str, traits: Traits) -> Result<Calibration, Datas
     };
     let words = content.split([' ', '\t', ',']).filter(|word| !word.is_empty());
     let numbers: Result<Vec<f64>, _> =
-        words.map(|word| number(path, line, "intrinsics", word)).collect();
+        words.map(|word| parse_number(path, line, "intrinsics", word)).collect();
     let refuse = |reason: String| DatasetError::camera(path, reason);
     let numbers = numbers.map_err(|error| refuse(format!("{error}; expected {expected}")))?;
     let (Some(&k), lens) = (numbers.first_chunk::<4>(), numbers.get(4..).unwrap_or_default())
@@ -65,10 +74,14 @@ fn of_line(path: &Path, text: &str, traits: Traits) -> Result<Calibration, Datas
     if k[0] <= 0.0 || k[1] <= 0.0 {
         return Err(refuse("fx and fy must be positive".into()));
     }
-    Ok(Calibration::from_opencv(k, lens, &path.display().to_string(), traits))
+    Ok(Calibration::from_opencv(k, lens, &path.display().to_string(), defaults))
 }
 
-fn of_json(path: &Path, text: &str, traits: Traits) -> Result<Calibration, DatasetError> {
+fn parse_json(
+    path: &Path,
+    text: &str,
+    defaults: FormatDefaults,
+) -> Result<Calibration, DatasetError> {
     let file: CameraFile = serde_json::from_str(text).map_err(|e| {
         DatasetError::camera(
             path,
@@ -85,16 +98,16 @@ fn of_json(path: &Path, text: &str, traits: Traits) -> Result<Calibration, Datas
     // Pixel centres at integers, as the constructor expects them.
     let shift = file.pixel_centre();
     let k = [file.fx, file.fy, file.cx - shift, file.cy - shift];
-    let found = Calibration::from_opencv(k, distortion, &path.display().to_string(), traits);
+    let found = Calibration::from_opencv(k, distortion, &path.display().to_string(), defaults);
     Ok(Calibration {
         size: file.width.zip(file.height),
-        depth_scale: file.depth_scale.unwrap_or(traits.depth_scale),
-        frame_rate: file.fps.or(traits.frame_rate),
+        depth_scale: file.depth_scale.unwrap_or(defaults.depth_scale),
+        frame_rate: file.fps.or(defaults.frame_rate),
         ..found
     })
 }
 
-/// `camera.json` as it is written; keys not listed here are for other readers.
+/// Contents of `camera.json`; unknown keys are ignored.
 #[derive(Deserialize)]
 struct CameraFile {
     fx: f64,
@@ -114,7 +127,7 @@ struct CameraFile {
 }
 
 impl CameraFile {
-    /// Where pixel (0, 0) has its centre: 0.5 where the file says so, else 0 as in OpenCV.
+    /// Centre coordinate of pixel (0, 0): 0.5 where the file says so, else 0 as in OpenCV.
     fn pixel_centre(&self) -> f64 {
         self.pixel_centre.unwrap_or_else(|| {
             let words = self.convention.get("pixel_centres").and_then(|v| v.as_str());
@@ -149,4 +162,29 @@ impl CameraFile {
         }
         Ok(())
     }
+}
+
+/// Writes the `camera.json` of an undistorted sequence.
+///
+/// `depth_scale` is the depth image value of one metre, `frame_rate` in frames a second.
+pub fn write_camera(
+    path: impl Into<PathBuf>,
+    camera: &Camera<f64>,
+    depth_scale: f64,
+    frame_rate: f64,
+) -> Result<(), DatasetError> {
+    let path = path.into();
+    let numbers = [camera.fx, camera.fy, camera.cx, camera.cy, depth_scale, frame_rate];
+    if numbers.iter().any(|v| !v.is_finite()) {
+        return Err(DatasetError::camera(&path, "a number to be written is not finite"));
+    }
+    let [fx, fy, cx, cy, depth_scale, frame_rate] = numbers;
+    let (width, height) = (camera.width, camera.height);
+    let text = format!(
+        "{{\n  \"width\": {width},\n  \"height\": {height},\n  \"fx\": {fx},\n  \"fy\": {fy},\n  \
+         \"cx\": {cx},\n  \"cy\": {cy},\n  \"pixel_centre\": 0.5,\n  \
+         \"distortion\": [0, 0, 0, 0, 0],\n  \"depth_scale\": {depth_scale},\n  \
+         \"fps\": {frame_rate}\n}}\n"
+    );
+    std::fs::write(&path, text).map_err(|e| DatasetError::write(&path, e))
 }

@@ -1,22 +1,31 @@
-//! Poses, time stamps and the camera.
+//! Arrays of DROID-SLAM and NeRF-SLAM: poses, time stamps and intrinsics, each a `.npy` file of a
+//! folder or a member of an `.npz`.
+//!
+//! Poses are seven numbers `camera_from_world`: tx ty tz qx qy qz qw. Intrinsics fx fy cx cy have
+//! pixel centres at integers, and those of DROID-SLAM count pixels of an eighth of the size.
 
-use super::arrays::Arrays;
+use super::npy::NpyArray;
+use super::npz::NpzArchive;
+use super::poses::pose_from_wxyz;
 use crate::DatasetError;
-use crate::checks::is_central;
-use crate::import::npy::Array;
-use crate::trajectory_file::{UNIT_TOLERANCE, not_unit};
-use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+use crate::camera::has_central_principal_point;
+use crate::text::list_names;
+use i2slam_geometry::{Camera, Pose};
+use std::path::{Path, PathBuf};
 
-const POSES: [&str; 3] = ["poses", "cam0_poses", "cam0_T_world"];
-const INTRINSICS: [&str; 2] = ["intrinsics", "cam0_intrinsics"];
-pub(super) const STAMPS: [&str; 3] = ["tstamps", "timestamps", "cam0_timestamps"];
+/// Names of the array of poses.
+const POSE_NAMES: [&str; 3] = ["poses", "cam0_poses", "cam0_T_world"];
+/// Names of the array of intrinsics.
+const INTRINSICS_NAMES: [&str; 2] = ["intrinsics", "cam0_intrinsics"];
+/// Names of the array of time stamps.
+pub(crate) const TIMESTAMP_NAMES: [&str; 3] = ["tstamps", "timestamps", "cam0_timestamps"];
 
-/// DROID-SLAM's features, and with them its intrinsics, have an eighth of the size.
-const REDUCED: f64 = 8.0;
+/// DROID-SLAM's intrinsics are those of its feature maps, an eighth of the image size.
+const FEATURE_STRIDE: f64 = 8.0;
 
-/// The array of the poses, of which there is at least one.
-pub(super) fn pose_numbers(arrays: &Arrays) -> Result<Array, DatasetError> {
-    let array = arrays.find(&POSES)?.ok_or_else(|| arrays.missing(&POSES))?;
+/// Opens the array of poses, at least one.
+pub(crate) fn open_poses(arrays: &Arrays) -> Result<NpyArray, DatasetError> {
+    let array = arrays.find(&POSE_NAMES)?.ok_or_else(|| arrays.missing(&POSE_NAMES))?;
     let &[frames, 7] = array.shape.as_slice() else {
         let reason = format!(
             "shape {:?}, expected [frames, 7]: tx ty tz qx qy qz qw, camera_from_world",
@@ -30,9 +39,9 @@ pub(super) fn pose_numbers(arrays: &Arrays) -> Result<Array, DatasetError> {
     Ok(array)
 }
 
-/// The poses at some places, with these.
-pub(super) fn read_poses(
-    array: &Array,
+/// Reads the poses `world_from_camera` at some indices, with these indices.
+pub(crate) fn read_poses(
+    array: &NpyArray,
     records: &[usize],
 ) -> Result<Vec<(usize, Pose<f64>)>, DatasetError> {
     let numbers = array.all()?;
@@ -44,27 +53,22 @@ pub(super) fn read_poses(
         if v.iter().any(|v| !v.is_finite()) {
             return Err(refuse(format!("the pose {v:?} is not finite, expected seven numbers")));
         }
-        let (t, q) = (Vec3::new(v[0], v[1], v[2]), [v[6], v[3], v[4], v[5]]);
-        if let Some(reason) = not_unit(q, UNIT_TOLERANCE) {
-            return Err(refuse(reason));
-        }
-        let rotation = Rotation::from_wxyz(q[0], q[1], q[2], q[3]);
-        let rotation = rotation.ok_or_else(|| refuse("the quaternion is zero".into()))?;
-        Ok((frame, Pose::new(rotation, t).inverse()))
+        let pose = pose_from_wxyz([v[6], v[3], v[4], v[5]], [v[0], v[1], v[2]]);
+        Ok((frame, pose.map_err(refuse)?.inverse()))
     });
     poses.collect()
 }
 
-/// Time stamps as written: seconds, or frames counted.
+/// Time stamps as written: seconds, or frame numbers.
 #[derive(Clone, Debug)]
-pub(super) enum Stamps {
+pub(crate) enum Timestamps {
     Seconds(Vec<f64>),
     Frames(Vec<usize>),
 }
 
-impl Stamps {
-    /// As they are written.
-    pub(super) fn numbers(&self) -> Vec<f64> {
+impl Timestamps {
+    /// The stamps as numbers, whatever their unit.
+    pub(crate) fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Seconds(times) => times.clone(),
             Self::Frames(counts) => counts.iter().map(|&count| count as f64).collect(),
@@ -72,31 +76,35 @@ impl Stamps {
     }
 }
 
-pub(super) fn read_stamps(arrays: &Arrays, frames: usize) -> Result<Option<Stamps>, DatasetError> {
-    let array =
-        arrays.find_shaped(&STAMPS, frames, "1", |rest| rest.iter().all(|&side| side == 1))?;
+/// Reads the time stamps, if there are any.
+pub(crate) fn read_timestamps(
+    arrays: &Arrays,
+    frames: usize,
+) -> Result<Option<Timestamps>, DatasetError> {
+    let array = arrays
+        .find_shaped(&TIMESTAMP_NAMES, frames, "1", |rest| rest.iter().all(|&side| side == 1))?;
     let Some(array) = array else { return Ok(None) };
     let stamps = array.all()?;
     if let Some(frame) = stamps.iter().position(|stamp| !stamp.is_finite()) {
         let reason = format!("frame {frame}: time stamp {}, expected a number", stamps[frame]);
         return Err(DatasetError::metadata(&array.path, reason));
     }
-    // A video has no whole seconds between all frames, and no 10⁹ frames.
+    // Stamps in seconds are not all whole, and Unix times in nanoseconds are no frame numbers.
     let counts = stamps.iter().all(|&s| s.fract() == 0.0 && (0.0..1e9).contains(&s));
     Ok(Some(match counts {
-        true => Stamps::Frames(stamps.iter().map(|&s| s as usize).collect()),
-        false => Stamps::Seconds(stamps),
+        true => Timestamps::Frames(stamps.iter().map(|&s| s as usize).collect()),
+        false => Timestamps::Seconds(stamps),
     }))
 }
 
-/// The camera of arrays of a size. Intrinsics of another one are recognised by the principal
-/// point, which lies in the middle half of a picture.
-pub(super) fn camera_of(
+/// Reads the camera of arrays of a size. Intrinsics of another size are recognised by the principal
+/// point, which must lie in the middle half of the image.
+pub(crate) fn read_camera(
     arrays: &Arrays,
     frames: usize,
     (width, height): (usize, usize),
 ) -> Result<Camera<f64>, DatasetError> {
-    let array = arrays.find(&INTRINSICS)?.ok_or_else(|| arrays.missing(&INTRINSICS))?;
+    let array = arrays.find(&INTRINSICS_NAMES)?.ok_or_else(|| arrays.missing(&INTRINSICS_NAMES))?;
     let refuse = |reason: String| DatasetError::metadata(&array.path, reason);
     if array.shape != [4] && array.shape != [frames, 4] {
         let shape = &array.shape;
@@ -111,11 +119,72 @@ pub(super) fn camera_of(
         let [fx, fy, cx, cy] = k.map(|v| scale * v);
         Camera { width, height, fx, fy, cx: cx + 0.5, cy: cy + 0.5 }
     };
-    let scales = [1.0, REDUCED, REDUCED.recip()];
-    scales.into_iter().map(camera).find(is_central).ok_or_else(|| {
+    let scales = [1.0, FEATURE_STRIDE, FEATURE_STRIDE.recip()];
+    scales.into_iter().map(camera).find(has_central_principal_point).ok_or_else(|| {
         refuse(format!(
             "{k:?}: the principal point does not lie in the middle of {width}x{height} pixels, nor \
              at 8 times or an eighth of the size"
         ))
     })
+}
+
+/// Named arrays of a folder or an archive.
+pub(crate) enum Arrays {
+    Folder(PathBuf),
+    Archive(PathBuf, NpzArchive),
+}
+
+impl Arrays {
+    /// Opens a folder of `.npy` files or an `.npz` archive.
+    pub(crate) fn open(path: &Path) -> Result<Self, DatasetError> {
+        if path.is_dir() {
+            return Ok(Self::Folder(path.to_path_buf()));
+        }
+        Ok(Self::Archive(path.to_path_buf(), NpzArchive::open(path)?))
+    }
+
+    /// The folder or the archive.
+    pub(crate) fn path(&self) -> &Path {
+        match self {
+            Self::Folder(path) | Self::Archive(path, _) => path,
+        }
+    }
+
+    /// Opens the first array that exists of some names.
+    pub(crate) fn find(&self, names: &[&str]) -> Result<Option<NpyArray>, DatasetError> {
+        let array = |name: &&str| match self {
+            Self::Folder(folder) => {
+                let file = folder.join(format!("{name}.npy"));
+                file.is_file().then(|| NpyArray::open(&file))
+            }
+            Self::Archive(_, archive) => archive.array(name),
+        };
+        names.iter().find_map(array).transpose()
+    }
+
+    /// As [`find`](Self::find); an error unless the shape is `[frames, ..]` with a tail that `fits`.
+    pub(crate) fn find_shaped(
+        &self,
+        names: &[&str],
+        frames: usize,
+        expected: &str,
+        fits: impl Fn(&[usize]) -> bool,
+    ) -> Result<Option<NpyArray>, DatasetError> {
+        let Some(array) = self.find(names)? else { return Ok(None) };
+        if array.shape.first() == Some(&frames) && fits(&array.shape[1..]) {
+            return Ok(Some(array));
+        }
+        let reason = format!("shape {:?}, expected [{frames}, {expected}]", array.shape);
+        Err(DatasetError::metadata(&array.path, reason))
+    }
+
+    /// The error for missing arrays.
+    pub(crate) fn missing(&self, names: &[&str]) -> DatasetError {
+        let found = match self {
+            Self::Folder(folder) => list_names(folder),
+            Self::Archive(_, archive) => archive.names().join(", "),
+        };
+        let reason = format!("no array {}; found {found}", names.join(" or "));
+        DatasetError::metadata(self.path(), reason)
+    }
 }

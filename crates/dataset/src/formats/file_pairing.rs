@@ -1,7 +1,8 @@
-//! Colour and depth files that belong together by name, number or order.
+//! Pairing of colour with depth files by name, number or order.
 
-use super::counted;
-use crate::{DatasetError, Entry};
+use super::FrameEntry;
+use crate::DatasetError;
+use crate::text::counted;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -9,50 +10,50 @@ const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// The two files of a frame.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Pair {
-    /// Place among the colour images.
-    place: usize,
-    /// The number in the names, if they are numbered.
-    pub(crate) number: Option<u64>,
-    pub(crate) colour: PathBuf,
+pub(super) struct FilePair {
+    /// Index among the colour images.
+    image_index: usize,
+    /// Number in the file names, if they are numbered.
+    pub(super) number: Option<u64>,
+    pub(super) colour: PathBuf,
     /// `None`: a sequence without depth.
     depth: Option<PathBuf>,
 }
 
-/// All pairs, in order of number or name.
-pub(crate) struct Pairs {
-    pub(crate) pairs: Vec<Pair>,
+/// Colour files with their depth files, in order of number or name.
+pub(super) struct FilePairs {
+    pub(super) pairs: Vec<FilePair>,
     /// Colour images without a depth image of that name or number.
-    pub(crate) without_depth: usize,
+    pub(super) without_depth: usize,
 }
 
-impl Pairs {
-    /// Pairs the files of a sequence in `folder`, which serves the error message.
-    pub(crate) fn of(
+impl FilePairs {
+    /// Pairs the files of a sequence; `folder` is for the error message.
+    pub(super) fn new(
         folder: &Path,
         colour: Vec<PathBuf>,
         depth: Vec<PathBuf>,
     ) -> Result<Self, DatasetError> {
-        let (colour, depth) = (keyed(colour), keyed(depth));
-        let partners = pair(&colour, &depth).ok_or_else(|| DatasetError::NoCommonNames {
+        let (colour, depth) = (sorted_by_key(colour), sorted_by_key(depth));
+        let partners = pair_by_key(&colour, &depth).ok_or_else(|| DatasetError::NoCommonNames {
             path: folder.to_path_buf(),
             colour: colour.len(),
             depth: depth.len(),
         })?;
         let without_depth = partners.iter().filter(|p| p.is_none()).count();
         let places = colour.into_iter().zip(partners).enumerate();
-        let pairs = places.filter_map(|(place, ((key, colour), partner))| {
+        let pairs = places.filter_map(|(image_index, ((key, colour), partner))| {
             let depth = Some(depth[partner?].1.clone());
-            Some(Pair { place, number: key.number(), colour, depth })
+            Some(FilePair { image_index, number: key.number(), colour, depth })
         });
         Ok(Self { pairs: pairs.collect(), without_depth })
     }
 
-    /// Pictures without depth.
-    pub(crate) fn colour_only(colour: Vec<PathBuf>) -> Self {
-        let files = keyed(colour).into_iter().enumerate();
-        let pair = |(place, (key, colour)): (usize, (Key, PathBuf))| Pair {
-            place,
+    /// Images without depth.
+    pub(super) fn colour_only(colour: Vec<PathBuf>) -> Self {
+        let files = sorted_by_key(colour).into_iter().enumerate();
+        let pair = |(image_index, (key, colour)): (usize, (FileKey, PathBuf))| FilePair {
+            image_index,
             number: key.number(),
             colour,
             depth: None,
@@ -60,30 +61,29 @@ impl Pairs {
         Self { pairs: files.map(pair).collect(), without_depth: 0 }
     }
 
-    /// Entries `place / frame_rate` apart [s].
-    pub(crate) fn by_place(self, frame_rate: f64) -> Vec<Entry> {
-        self.entries(|pair| pair.place as f64 / frame_rate)
+    /// Entries stamped `index / frame_rate` [s].
+    pub(super) fn stamped_by_index(self, frame_rate: f64) -> Vec<FrameEntry> {
+        self.entries(|pair| pair.image_index as f64 / frame_rate)
     }
 
-    /// Entries at `number / frame_rate` [s], so that a gap in the numbers is a gap in time.
-    pub(crate) fn by_number(self, frame_rate: f64) -> Vec<Entry> {
-        self.entries(|pair| pair.number.map_or(pair.place as f64, |n| n as f64) / frame_rate)
+    /// Entries stamped `number / frame_rate` [s], so that gaps in the numbers are gaps in time.
+    pub(super) fn stamped_by_number(self, frame_rate: f64) -> Vec<FrameEntry> {
+        self.entries(|pair| pair.number.map_or(pair.image_index as f64, |n| n as f64) / frame_rate)
     }
 
-    fn entries(self, time: impl Fn(&Pair) -> f64) -> Vec<Entry> {
+    fn entries(self, time: impl Fn(&FilePair) -> f64) -> Vec<FrameEntry> {
         let pairs = self.pairs.into_iter().enumerate();
         pairs
             .map(|(index, pair)| {
                 let timestamp = time(&pair);
-                let Pair { place, colour, depth, .. } = pair;
-                let depth_timestamp = timestamp;
-                Entry { index, place, timestamp, depth_timestamp, colour, depth, parts: None }
+                let FilePair { image_index, colour, depth, .. } = pair;
+                FrameEntry::synchronous((index, image_index), timestamp, colour, depth)
             })
             .collect()
     }
 
-    /// A warning if the numbers jump: places are then no frame numbers.
-    pub(crate) fn gap_warning(&self) -> Option<String> {
+    /// A warning if numbers have gaps, so that indices differ from published frame numbers.
+    pub(super) fn gap_warning(&self) -> Option<String> {
         let numbers: Vec<u64> = self.pairs.iter().filter_map(|pair| pair.number).collect();
         let (first, last) = (numbers.first()?, numbers.last()?);
         let expected = (last - first).saturating_add(1);
@@ -97,8 +97,8 @@ impl Pairs {
     }
 }
 
-/// The image files of a folder whose names (with extension) are to be kept, by name.
-pub(crate) fn images(
+/// Image files of a folder whose names (with extension) pass `keep`, sorted.
+pub(super) fn list_images(
     folder: &Path,
     keep: impl Fn(&str) -> bool,
 ) -> Result<Vec<PathBuf>, DatasetError> {
@@ -106,7 +106,7 @@ pub(crate) fn images(
     let mut files: Vec<PathBuf> = listing
         .flatten()
         .map(|entry| entry.path())
-        .filter(|path| !stem(path).starts_with('.'))
+        .filter(|path| !file_stem(path).starts_with('.'))
         .filter(|path| {
             let extension = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
             extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
@@ -121,23 +121,23 @@ pub(crate) fn images(
     Ok(files)
 }
 
-/// The name of a file without its extension.
-pub(crate) fn stem(path: &Path) -> String {
+/// File name without extension.
+pub(crate) fn file_stem(path: &Path) -> String {
     path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// All files with the stamps in their names, by time; `None` if one name carries none.
-pub(crate) fn stamped(files: &[PathBuf]) -> Option<Vec<(f64, PathBuf)>> {
+/// Files sorted by the time stamps in their names; `None` unless all names have one.
+pub(super) fn stamped_by_name(files: &[PathBuf]) -> Option<Vec<(f64, PathBuf)>> {
     let stamped: Option<Vec<_>> =
-        files.iter().map(|path| Some((stamp(&stem(path))?, path.clone()))).collect();
+        files.iter().map(|path| Some((parse_stamp(&file_stem(path))?, path.clone()))).collect();
     let mut stamped = stamped?;
     stamped.sort_by(|a, b| a.0.total_cmp(&b.0));
     Some(stamped)
 }
 
-/// The time [s] in a name: seconds with a decimal point, or a Unix time of 13, 16 or 19 digits
+/// Time stamp [s] in a name: seconds with a decimal point, or a Unix time of 13, 16 or 19 digits
 /// in milli-, micro- or nanoseconds. Shorter whole numbers count frames.
-fn stamp(stem: &str) -> Option<f64> {
+fn parse_stamp(stem: &str) -> Option<f64> {
     if !stem.bytes().all(|b| b.is_ascii_digit() || b == b'.') {
         return None;
     }
@@ -151,16 +151,16 @@ fn stamp(stem: &str) -> Option<f64> {
     stem.parse::<f64>().ok().map(|value| value / unit)
 }
 
-/// What two names of one frame have in common.
+/// Common part of the file names of one frame.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-enum Key {
+enum FileKey {
     /// The last number in the name.
     Number(u64),
     /// The whole name.
     Name(String),
 }
 
-impl Key {
+impl FileKey {
     fn number(&self) -> Option<u64> {
         match self {
             Self::Number(number) => Some(*number),
@@ -169,24 +169,25 @@ impl Key {
     }
 }
 
-/// Files under their keys, in order of key: numbers if they tell all files apart, else names.
-fn keyed(files: Vec<PathBuf>) -> Vec<(Key, PathBuf)> {
-    let numbers: Option<Vec<u64>> = files.iter().map(|path| last_number(&stem(path))).collect();
+/// Files sorted by key: the number in the name if these are distinct, else the name.
+fn sorted_by_key(files: Vec<PathBuf>) -> Vec<(FileKey, PathBuf)> {
+    let numbers: Option<Vec<u64>> =
+        files.iter().map(|path| last_number(&file_stem(path))).collect();
     let distinct = |numbers: &Vec<u64>| {
         let mut sorted = numbers.clone();
         sorted.sort_unstable();
         sorted.windows(2).all(|pair| pair[0] != pair[1])
     };
-    let keys: Vec<Key> = match numbers.filter(distinct) {
-        Some(numbers) => numbers.into_iter().map(Key::Number).collect(),
-        None => files.iter().map(|path| Key::Name(stem(path))).collect(),
+    let keys: Vec<FileKey> = match numbers.filter(distinct) {
+        Some(numbers) => numbers.into_iter().map(FileKey::Number).collect(),
+        None => files.iter().map(|path| FileKey::Name(file_stem(path))).collect(),
     };
-    let mut keyed: Vec<(Key, PathBuf)> = keys.into_iter().zip(files).collect();
+    let mut keyed: Vec<(FileKey, PathBuf)> = keys.into_iter().zip(files).collect();
     keyed.sort();
     keyed
 }
 
-/// The last number in a name.
+/// Last number in a name.
 pub(crate) fn last_number(stem: &str) -> Option<u64> {
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = stem[..end].rfind(|c: char| !c.is_ascii_digit()).map_or(0, |i| {
@@ -196,9 +197,12 @@ pub(crate) fn last_number(stem: &str) -> Option<u64> {
     stem[start..end].parse().ok()
 }
 
-/// For every colour file the place of its depth file: by key, else by order if the counts agree.
-fn pair(colour: &[(Key, PathBuf)], depth: &[(Key, PathBuf)]) -> Option<Vec<Option<usize>>> {
-    let places: HashMap<&Key, usize> =
+/// Index of the depth file of every colour file: by key, else by order if the counts agree.
+fn pair_by_key(
+    colour: &[(FileKey, PathBuf)],
+    depth: &[(FileKey, PathBuf)],
+) -> Option<Vec<Option<usize>>> {
+    let places: HashMap<&FileKey, usize> =
         depth.iter().enumerate().map(|(place, (key, _))| (key, place)).collect();
     let partners: Vec<Option<usize>> =
         colour.iter().map(|(key, _)| places.get(key).copied()).collect();
@@ -216,12 +220,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_are_times() {
-        assert_eq!(stamp("1305031237.361618"), Some(1305031237.361618));
-        assert_eq!(stamp("1403636579763555584"), Some(1403636579.7635556));
-        assert_eq!(stamp("000123"), None);
-        assert_eq!(stamp("frame-1.5"), None);
-        assert_eq!(stamp("1.2.3"), None);
+    fn time_stamps_in_names_are_parsed() {
+        assert_eq!(parse_stamp("1305031237.361618"), Some(1305031237.361618));
+        assert_eq!(parse_stamp("1403636579763555584"), Some(1403636579.7635556));
+        assert_eq!(parse_stamp("000123"), None);
+        assert_eq!(parse_stamp("frame-1.5"), None);
+        assert_eq!(parse_stamp("1.2.3"), None);
     }
 
     #[test]
@@ -233,10 +237,10 @@ mod tests {
     }
 
     #[test]
-    fn numbers_pair_across_different_names() {
-        let files = |names: &[&str]| keyed(names.iter().map(PathBuf::from).collect());
+    fn numbers_pair_files_of_different_names() {
+        let files = |names: &[&str]| sorted_by_key(names.iter().map(PathBuf::from).collect());
         let colour = files(&["frame10.jpg", "frame2.jpg", "frame3.jpg"]);
         let depth = files(&["depth02.png", "depth10.png"]);
-        assert_eq!(pair(&colour, &depth), Some(vec![Some(0), None, Some(1)]));
+        assert_eq!(pair_by_key(&colour, &depth), Some(vec![Some(0), None, Some(1)]));
     }
 }

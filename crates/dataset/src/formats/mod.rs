@@ -1,27 +1,42 @@
-//! What a folder holds: which layout, and the pairs of colour and depth images in it.
+//! File formats: datasets, videos, and the poses and cameras of other programs. One reader each.
 
-mod associated;
-mod eth3d;
-mod nerfstudio;
-pub(crate) mod pairs;
-mod plain;
+mod association;
+mod camera_file;
+pub(crate) mod colmap;
+pub(crate) mod droid;
+mod file_pairing;
+mod folders;
+mod listing;
+pub(crate) mod nerfstudio;
+pub(crate) mod npy;
+mod npz;
 mod poses;
 mod replica;
 mod scannet;
 mod sens;
 mod seven_scenes;
+mod tum;
 
-pub(crate) use nerfstudio::Scene;
-pub(crate) use plain::below as pictures_below;
+pub use camera_file::write_camera;
+pub use listing::{ByteRanges, DroppedFrames, FrameEntry};
+pub use scannet::paper_frames;
+pub use tum::{read_trajectory, write_trajectory};
 
-use crate::calibration::{Calibration, Traits};
-use crate::decode::DepthCode;
-use crate::video::{Video, is_video};
-use crate::{DatasetError, Entry, LeftOut, OpenOptions};
-use i2slam_geometry::StampedPose;
+pub(crate) use association::associate_poses;
+pub(crate) use camera_file::read_camera;
+pub(crate) use file_pairing::{file_stem, last_number};
+pub(crate) use folders::list_images_below;
+pub(crate) use listing::Listing;
+pub(crate) use tum::{published_calibration, read_unit_trajectory};
+
+use crate::camera::{Calibration, FormatDefaults};
+use crate::text::list_names;
+use crate::video::{Video, VideoListing, is_video};
+use crate::{DatasetError, OpenOptions};
+use nerfstudio::TransformsFile;
 use std::path::{Path, PathBuf};
 
-/// How a sequence lies on disk. See docs/datasets.md for each.
+/// Format of a sequence on disk. See docs/datasets.md for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Layout {
@@ -39,7 +54,7 @@ pub enum Layout {
     SevenScenes,
     /// nerfstudio and instant-ngp: `transforms.json` with `depth_file_path`.
     Nerfstudio,
-    /// A colour folder beside a depth folder, or pictures alone.
+    /// A colour folder beside a depth folder, or colour images alone.
     Plain,
     /// A video file, colour alone.
     Video,
@@ -59,7 +74,7 @@ impl Layout {
         Self::Video,
     ];
 
-    /// Its name for people.
+    /// Name for users.
     pub fn name(self) -> &'static str {
         match self {
             Self::Tum => "TUM RGB-D",
@@ -74,7 +89,7 @@ impl Layout {
         }
     }
 
-    /// The files by which it is recognised.
+    /// Files by which the layout is recognised, for users.
     pub fn recognised_by(self) -> &'static str {
         match self {
             Self::Tum => "rgb.txt, depth.txt",
@@ -96,89 +111,42 @@ impl std::fmt::Display for Layout {
     }
 }
 
-/// The associated stream of a sequence.
-#[derive(Debug)]
-pub(crate) struct Listing {
-    pub(crate) layout: Layout,
-    /// All pairs, in order of time.
-    pub(crate) entries: Vec<Entry>,
-    pub(crate) left_out: LeftOut,
-    /// Whether frames too close in time are left out.
-    pub(crate) is_thinned: bool,
-    /// The folder's ground truth, whether or not it can be read.
-    pub(crate) ground_truth: Option<PathBuf>,
-    /// True poses that came with the frames.
-    pub(crate) poses: Vec<StampedPose>,
-    pub(crate) depth_code: DepthCode,
-    /// What decodes the pictures, if they are those of a video.
-    pub(crate) video: Option<Video>,
-    pub(crate) warnings: Vec<String>,
+/// The error for a path in none of the layouts; `found` says what is there.
+fn unknown_layout(path: &Path, found: String, has_colour: bool) -> DatasetError {
+    let line = |layout: Layout| format!("\n  {:<26}{}", layout.name(), layout.recognised_by());
+    let known = Layout::ALL.into_iter().map(line).collect();
+    DatasetError::UnknownLayout { path: path.to_path_buf(), found, has_colour, known }
 }
 
-impl Listing {
-    /// Frames without anything else known of them.
-    pub(crate) fn new(layout: Layout, entries: Vec<Entry>) -> Self {
-        Self {
-            layout,
-            entries,
-            left_out: LeftOut::default(),
-            is_thinned: false,
-            ground_truth: None,
-            poses: Vec::new(),
-            depth_code: DepthCode::Png,
-            video: None,
-            warnings: Vec::new(),
-        }
-    }
-
-    /// Counts colour images without a depth image of their name or number.
-    fn leave_out_without_depth(&mut self, count: usize) {
-        self.left_out.without_depth = count;
-        if count > 0 {
-            self.warnings.push(format!(
-                "{} left out: no depth image of that name or number",
-                counted(count, "colour image")
-            ));
-        }
-    }
-}
-
-/// `1 frame`, `3 frames`: for words that take an s.
-pub(crate) fn counted(count: usize, word: &str) -> String {
-    format!("{count} {word}{}", if count == 1 { "" } else { "s" })
-}
-
-/// A recognised sequence.
-pub(crate) enum Source {
+/// A recognised sequence, its metadata files opened.
+pub(crate) enum DetectedLayout {
     Tum,
     Eth3d(PathBuf),
-    ScanNet(scannet::Folders),
-    Sens(sens::Stream),
-    Replica(replica::Folders),
+    ScanNet(scannet::ScanNetFolders),
+    Sens(sens::SensFile),
+    Replica(replica::ReplicaFolders),
     SevenScenes,
-    Nerfstudio(Scene),
-    Plain(plain::Folders),
+    Nerfstudio(TransformsFile),
+    Plain(folders::ImageFolders),
     Video,
 }
 
-impl Source {
-    /// Finds out what lies in `path`, an existing folder, `.sens` file or video.
+impl DetectedLayout {
+    /// Recognises the layout of `path`, an existing folder, `.sens` file or video.
     ///
-    /// With `colour_only` also what has no depth, if nothing with depth fits.
-    pub(crate) fn recognise(path: &Path, colour_only: bool) -> Result<Self, DatasetError> {
-        let found = Self::with_depth(path)?;
-        let found = match found {
+    /// With `colour_only`, sequences without depth are accepted where none with depth fits.
+    pub(crate) fn detect(path: &Path, colour_only: bool) -> Result<Self, DatasetError> {
+        let found = match Self::with_depth(path)? {
             None if colour_only => Self::without_depth(path)?,
             found => found,
         };
         found.ok_or_else(|| {
-            let found = contents(path);
             let has_colour = matches!(Self::without_depth(path), Ok(Some(_)));
-            DatasetError::UnknownLayout { path: path.to_path_buf(), found, has_colour }
+            unknown_layout(path, list_names(path), has_colour)
         })
     }
 
-    /// Whether the sequence has no depth at all.
+    /// Whether the sequence is a video.
     pub(crate) fn is_video(&self) -> bool {
         matches!(self, Self::Video)
     }
@@ -188,10 +156,10 @@ impl Source {
             return Ok(Some(Self::Video));
         }
         if path.is_file() {
-            return sens::Stream::open(path).map(Self::Sens).map(Some);
+            return sens::SensFile::open(path).map(Self::Sens).map(Some);
         }
         if let Some(file) = nerfstudio::find(path) {
-            return Scene::open(&file, true).map(Self::Nerfstudio).map(Some);
+            return TransformsFile::open(&file, true).map(Self::Nerfstudio).map(Some);
         }
         if let Some(folders) = replica::find(path) {
             return Ok(Some(Self::Replica(folders)));
@@ -203,51 +171,51 @@ impl Source {
             return Ok(Some(Self::ScanNet(folders)));
         }
         if let Some(file) = sens::find(path) {
-            return sens::Stream::open(&file).map(Self::Sens).map(Some);
+            return sens::SensFile::open(&file).map(Self::Sens).map(Some);
         }
-        if associated::has_lists(path) {
-            return Ok(Some(eth3d::find(path).map_or(Self::Tum, Self::Eth3d)));
+        if tum::has_lists(path) {
+            return Ok(Some(tum::find_eth3d_calibration(path).map_or(Self::Tum, Self::Eth3d)));
         }
-        Ok(plain::find(path).map(Self::Plain))
+        Ok(folders::find(path).map(Self::Plain))
     }
 
     fn without_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
         let transforms = path.join("transforms.json");
         if transforms.is_file() {
-            return Scene::open(&transforms, false).map(Self::Nerfstudio).map(Some);
+            return TransformsFile::open(&transforms, false).map(Self::Nerfstudio).map(Some);
         }
-        if associated::has_colour_list(path) {
-            return Ok(Some(eth3d::find(path).map_or(Self::Tum, Self::Eth3d)));
+        if tum::has_colour_list(path) {
+            return Ok(Some(tum::find_eth3d_calibration(path).map_or(Self::Tum, Self::Eth3d)));
         }
-        Ok(plain::find_colour(path).map(Self::Plain))
+        Ok(folders::find_colour(path).map(Self::Plain))
     }
 
-    /// What the layout says of every sequence of its kind.
-    pub(crate) fn traits(&self) -> Traits {
+    /// Properties of all sequences of this layout.
+    pub(crate) fn defaults(&self) -> FormatDefaults {
         match self {
-            Self::ScanNet(_) => scannet::TRAITS,
-            Self::Sens(stream) => stream.traits(),
-            Self::Replica(_) => replica::TRAITS,
-            Self::SevenScenes => seven_scenes::TRAITS,
-            Self::Nerfstudio(scene) => scene.traits(),
-            Self::Tum | Self::Eth3d(_) | Self::Plain(_) | Self::Video => Traits::default(),
+            Self::ScanNet(_) => scannet::DEFAULTS,
+            Self::Sens(file) => file.defaults(),
+            Self::Replica(_) => replica::DEFAULTS,
+            Self::SevenScenes => seven_scenes::DEFAULTS,
+            Self::Nerfstudio(file) => file.defaults(),
+            Self::Tum | Self::Eth3d(_) | Self::Plain(_) | Self::Video => FormatDefaults::default(),
         }
     }
 
-    /// The camera that the sequence's own files (or its publishers) tell of.
+    /// Calibration in the sequence's own files, or the one published for the dataset.
     pub(crate) fn calibration(&self) -> Result<Option<Calibration>, DatasetError> {
         match self {
             Self::Tum | Self::Plain(_) | Self::Video => Ok(None),
-            Self::Eth3d(file) => eth3d::calibration(file).map(Some),
+            Self::Eth3d(file) => tum::eth3d_calibration(file).map(Some),
             Self::ScanNet(folders) => scannet::calibration(folders).map(Some),
-            Self::Sens(stream) => stream.calibration().map(Some),
+            Self::Sens(file) => file.calibration().map(Some),
             Self::Replica(folders) => replica::calibration(folders).map(Some),
             Self::SevenScenes => Ok(Some(seven_scenes::calibration())),
-            Self::Nerfstudio(scene) => scene.calibration().map(Some),
+            Self::Nerfstudio(file) => file.calibration().map(Some),
         }
     }
 
-    /// Lists the frames. `frame_rate` [1/s] gives stamps to frames that carry none.
+    /// Lists the frames. `frame_rate` [1/s] spaces frames without time stamps.
     pub(crate) fn list(
         &self,
         path: &Path,
@@ -255,34 +223,30 @@ impl Source {
         frame_rate: f64,
     ) -> Result<Listing, DatasetError> {
         match self {
-            Self::Tum => associated::list(path, Layout::Tum, options),
-            Self::Eth3d(_) => associated::list(path, Layout::Eth3d, options),
+            Self::Tum => tum::list(path, Layout::Tum, options),
+            Self::Eth3d(_) => tum::list(path, Layout::Eth3d, options),
             Self::ScanNet(folders) => scannet::list(folders, options, frame_rate),
-            Self::Sens(stream) => stream.list(options, frame_rate),
+            Self::Sens(file) => file.list(options, frame_rate),
             Self::Replica(folders) => replica::list(folders, frame_rate),
             Self::SevenScenes => seven_scenes::list(path, frame_rate),
-            Self::Nerfstudio(scene) => scene.list(frame_rate),
-            Self::Plain(folders) => plain::list(path, folders, options, frame_rate),
-            Self::Video => Video::list(path, options, frame_rate),
+            Self::Nerfstudio(file) => file.list(frame_rate),
+            Self::Plain(folders) => folders::list(path, folders, options, frame_rate),
+            Self::Video => list_video(path, options, frame_rate),
         }
     }
 }
 
-/// The first names in a folder, for an error message.
-pub(crate) fn contents(folder: &Path) -> String {
-    if folder.is_file() {
-        return "a file of another kind".into();
-    }
-    let mut names: Vec<String> = std::fs::read_dir(folder)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .collect();
-    names.sort();
-    match names.len() {
-        0 => "an empty folder".into(),
-        1..=8 => names.join(", "),
-        count => format!("{}, ... ({count} in all)", names[..8].join(", ")),
-    }
+/// Frames of a video, those before the end of `options.frames`.
+fn list_video(
+    path: &Path,
+    options: &OpenOptions,
+    frame_rate: f64,
+) -> Result<Listing, DatasetError> {
+    let end = options.frames.as_ref().map(|range| range.end);
+    let VideoListing { video, timestamps, warnings } = Video::open(path, end, frame_rate)?;
+    let entry = |(index, time): (usize, f64)| {
+        FrameEntry::synchronous((index, index), time, path.to_path_buf(), None)
+    };
+    let entries = timestamps.into_iter().enumerate().map(entry).collect();
+    Ok(Listing { video: Some(video), warnings, ..Listing::new(Layout::Video, entries) })
 }

@@ -1,116 +1,117 @@
-//! nerfstudio and instant-ngp: `transforms.json`, with `depth_file_path` or for its pictures alone.
+//! nerfstudio and instant-ngp: `transforms.json`, with or without depth.
 
-mod file;
-
-use super::pairs::{last_number, stamped as stamps_in_names};
-use super::poses::{rigid, stamped};
-use super::{Layout, Listing, counted};
-use crate::calibration::{Calibration, DepthGrid, Traits};
-use crate::lists::read_text;
-use crate::{DatasetError, Entry};
-use file::{Intrinsics, Pinhole, SceneFile, Shot};
+use super::file_pairing::{last_number, stamped_by_name};
+use super::poses::{pose_from_matrix, stamp_poses};
+use super::{FrameEntry, Layout, Listing};
+use crate::DatasetError;
+use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
+use crate::text::{counted, read_text};
 use i2slam_geometry::Pose;
+use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// Depth image value of one metre where the file does not say: millimetres.
 const DEFAULT_DEPTH_SCALE: f64 = 1000.0;
 
-/// Intrinsics of frames may differ by this share before a warning.
+/// Relative difference of focal lengths between frames above which a warning is given.
 const SAME_INTRINSICS: f64 = 1e-3;
 
-/// A `transforms.json` with its frames (those with depth, if depth is wanted), in order of number
-/// or name.
-pub(crate) struct Scene {
+/// A `transforms.json` with its frames (only those with depth, if asked for), in order of number or
+/// name.
+pub(crate) struct TransformsFile {
     path: PathBuf,
-    file: SceneFile,
-    shots: Vec<Shot>,
+    json: TransformsJson,
+    records: Vec<FrameRecord>,
     without_depth: usize,
 }
 
-/// `transforms.json`, if it speaks of depth.
+/// Path of the folder's `transforms.json`, if it has depth.
 pub(super) fn find(folder: &Path) -> Option<PathBuf> {
     let path = folder.join("transforms.json");
     let text = std::fs::read_to_string(&path).ok()?;
     text.contains("depth_file_path").then_some(path)
 }
 
-impl Scene {
-    /// Reads the file; `with_depth`: frames without `depth_file_path` do not count.
+impl TransformsFile {
+    /// Reads the file; `with_depth` drops frames without `depth_file_path`.
     pub(crate) fn open(path: &Path, with_depth: bool) -> Result<Self, DatasetError> {
         let refuse = |reason: String| DatasetError::Metadata { path: path.into(), reason };
-        let mut file: SceneFile = serde_json::from_str(&read_text(path)?)
+        let mut json: TransformsJson = serde_json::from_str(&read_text(path)?)
             .map_err(|e| refuse(format!("{e}; expected a transforms.json of nerfstudio")))?;
-        file.check().map_err(refuse)?;
-        let all = std::mem::take(&mut file.frames);
+        json.check().map_err(refuse)?;
+        let all = std::mem::take(&mut json.frames);
         let count = all.len();
-        let mut shots: Vec<Shot> =
-            all.into_iter().filter(|shot| !with_depth || shot.depth_file_path.is_some()).collect();
-        if shots.is_empty() {
+        let mut records: Vec<FrameRecord> = all
+            .into_iter()
+            .filter(|record| !with_depth || record.depth_file_path.is_some())
+            .collect();
+        if records.is_empty() {
             let expected = if with_depth { "frames with depth_file_path" } else { "frames" };
             return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
         }
-        shots.sort_by_cached_key(|shot| {
+        records.sort_by_cached_key(|record| {
             (
-                last_number(&shot.file_path.with_extension("").to_string_lossy()),
-                shot.file_path.clone(),
+                last_number(&record.file_path.with_extension("").to_string_lossy()),
+                record.file_path.clone(),
             )
         });
-        let without_depth = count - shots.len();
-        Ok(Self { path: path.to_path_buf(), file, shots, without_depth })
+        let without_depth = count - records.len();
+        Ok(Self { path: path.to_path_buf(), json, records, without_depth })
     }
 
-    /// Whether a frame has depth.
+    /// Whether any frame has depth.
     pub(crate) fn has_depth(&self) -> bool {
-        self.shots.iter().any(|shot| shot.depth_file_path.is_some())
+        self.records.iter().any(|record| record.depth_file_path.is_some())
     }
 
-    pub(super) fn traits(&self) -> Traits {
-        let scale = self.file.integer_depth_scale.map_or(DEFAULT_DEPTH_SCALE, f64::recip);
-        Traits {
+    pub(super) fn defaults(&self) -> FormatDefaults {
+        let scale = self.json.integer_depth_scale.map_or(DEFAULT_DEPTH_SCALE, f64::recip);
+        FormatDefaults {
             depth_scale: scale,
             frame_rate: None,
-            grid: DepthGrid::Spread,
+            grid: DepthGrid::ResizedToColour,
             invalid_depth: None,
         }
     }
 
-    /// The camera of the file, else that of the first frame. Pixel centres at one half.
+    /// Calibration of the file, else of its first frame. Pixel centres at one half.
     pub(crate) fn calibration(&self) -> Result<Calibration, DatasetError> {
         let refuse = |reason: String| DatasetError::Metadata { path: self.path.clone(), reason };
-        let intrinsics = self.intrinsics(&self.shots[0]);
+        let intrinsics = self.intrinsics(&self.records[0]);
         let Pinhole { k, size } = intrinsics.pinhole().map_err(refuse)?;
-        let distortion = self.file.distortion(&intrinsics).map_err(refuse)?;
+        let distortion = self.json.distortion(&intrinsics).map_err(refuse)?;
         let source = self.path.display().to_string();
-        let traits = self.traits();
+        let defaults = self.defaults();
         Ok(Calibration {
             intrinsics: k,
             size,
-            ..Calibration::from_opencv(k, distortion, &source, traits)
+            ..Calibration::from_opencv(k, distortion, &source, defaults)
         })
     }
 
-    fn intrinsics(&self, shot: &Shot) -> Intrinsics {
-        shot.intrinsics.clone().or(&self.file.intrinsics)
+    fn intrinsics(&self, record: &FrameRecord) -> Intrinsics {
+        record.intrinsics.clone().or(&self.json.intrinsics)
     }
 
-    /// The frames, at the times in their names, else `place / frame_rate` [s].
+    /// Lists the frames at the time stamps in their names, else `index / frame_rate` [s].
     pub(super) fn list(&self, frame_rate: f64) -> Result<Listing, DatasetError> {
         let folder = self.path.parent().unwrap_or(Path::new("."));
         let colour: Vec<PathBuf> =
-            self.shots.iter().map(|shot| picture(folder, &shot.file_path)).collect();
-        let times = stamps_in_names(&colour);
+            self.records.iter().map(|record| image_path(folder, &record.file_path)).collect();
+        let times = stamped_by_name(&colour);
         let rising = times.filter(|t| t.windows(2).all(|pair| pair[0].0 < pair[1].0));
-        let entries = self.shots.iter().zip(colour).enumerate().map(|(index, (shot, colour))| {
-            let timestamp = rising.as_ref().map_or(index as f64 / frame_rate, |t| t[index].0);
-            let depth = shot.depth_file_path.as_ref().map(|depth| folder.join(depth));
-            let (place, depth_timestamp) = (index, timestamp);
-            Entry { index, place, timestamp, depth_timestamp, colour, depth, parts: None }
-        });
-        let entries: Vec<Entry> = entries.collect();
-        let poses = entries.iter().zip(&self.shots).map(|(e, shot)| (e.timestamp, self.pose(shot)));
-        let (poses, warning) = stamped(poses);
+        let entries =
+            self.records.iter().zip(colour).enumerate().map(|(index, (record, colour))| {
+                let timestamp = rising.as_ref().map_or(index as f64 / frame_rate, |t| t[index].0);
+                let depth = record.depth_file_path.as_ref().map(|depth| folder.join(depth));
+                FrameEntry::synchronous((index, index), timestamp, colour, depth)
+            });
+        let entries: Vec<FrameEntry> = entries.collect();
+        let poses =
+            entries.iter().zip(&self.records).map(|(e, record)| (e.timestamp, self.pose(record)));
+        let (poses, warning) = stamp_poses(poses);
         let mut listing = Listing { poses, ..Listing::new(Layout::Nerfstudio, entries) };
-        listing.left_out.without_depth = self.without_depth;
+        listing.dropped.without_depth = self.without_depth;
         if self.without_depth > 0 {
             let count = counted(self.without_depth, "frame");
             listing.warnings.push(format!("{count} left out: no depth_file_path"));
@@ -120,25 +121,26 @@ impl Scene {
         Ok(listing)
     }
 
-    /// The pose, from OpenGL's camera axes (y up, z backwards) to OpenCV's. Positions are divided
-    /// by `applied_scale`, so that they are metres as depth is.
-    fn pose(&self, shot: &Shot) -> Option<Pose<f64>> {
-        let rows = shot.transform_matrix.as_ref()?;
+    /// Pose converted from OpenGL's camera axes (y up, z backwards) to OpenCV's; positions are
+    /// divided by `applied_scale`, so that they have the unit of depth.
+    fn pose(&self, record: &FrameRecord) -> Option<Pose<f64>> {
+        let rows = record.transform_matrix.as_ref()?;
         let mut m = [0.0; 16];
         m[15] = 1.0;
         for (i, row) in rows.iter().take(3).enumerate() {
             let [x, y, z, t] = row[..] else { return None };
-            let scale = self.file.applied_scale.unwrap_or(1.0);
+            let scale = self.json.applied_scale.unwrap_or(1.0);
             m[4 * i..4 * i + 4].copy_from_slice(&[x, -y, -z, t / scale]);
         }
-        (rows.len() >= 3).then(|| rigid(&m)).flatten()
+        (rows.len() >= 3).then(|| pose_from_matrix(&m)).flatten()
     }
 
-    /// A warning if the frames were not taken with one camera.
+    /// A warning if focal lengths differ between frames.
     fn intrinsics_warning(&self) -> Option<String> {
-        let focal = |shot: &Shot| self.intrinsics(shot).pinhole().ok().map(|camera| camera.k[0]);
-        let first = focal(&self.shots[0])?;
-        let apart = self.shots.iter().filter_map(focal).map(|f| (f / first - 1.0).abs());
+        let focal =
+            |record: &FrameRecord| self.intrinsics(record).pinhole().ok().map(|camera| camera.k[0]);
+        let first = focal(&self.records[0])?;
+        let apart = self.records.iter().filter_map(focal).map(|f| (f / first - 1.0).abs());
         let most = apart.fold(0.0, f64::max);
         (most > SAME_INTRINSICS).then(|| {
             format!(
@@ -150,8 +152,132 @@ impl Scene {
     }
 }
 
-/// The file of a picture; instant-ngp leaves out the ending of PNG files.
-fn picture(folder: &Path, name: &Path) -> PathBuf {
+/// Path of an image; instant-ngp omits the extension of PNG files.
+fn image_path(folder: &Path, name: &Path) -> PathBuf {
     let path = folder.join(name);
     if path.extension().is_none() && !path.is_file() { path.with_extension("png") } else { path }
+}
+
+/// Supported camera models: pinholes with Brown-Conrady distortion or none.
+const CAMERA_MODELS: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
+
+/// Contents of `transforms.json`; unknown keys are ignored.
+#[derive(Deserialize)]
+struct TransformsJson {
+    camera_model: Option<String>,
+    #[serde(flatten)]
+    pub(super) intrinsics: Intrinsics,
+    /// Metres per unit of the depth images.
+    pub(super) integer_depth_scale: Option<f64>,
+    /// Factor that positions were multiplied by when the file was written.
+    pub(super) applied_scale: Option<f64>,
+    pub(super) frames: Vec<FrameRecord>,
+}
+
+/// One frame of the file.
+#[derive(Deserialize)]
+pub(super) struct FrameRecord {
+    pub(super) file_path: PathBuf,
+    pub(super) depth_file_path: Option<PathBuf>,
+    /// Row-major `world_from_camera`, camera axes of OpenGL.
+    pub(super) transform_matrix: Option<Vec<Vec<f64>>>,
+    #[serde(flatten)]
+    pub(super) intrinsics: Intrinsics,
+}
+
+/// Intrinsics and lens, of all frames or of one. Pixel centres at one half.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(super) struct Intrinsics {
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    /// Horizontal field of view [rad].
+    camera_angle_x: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+/// Intrinsics without the lens.
+pub(super) struct Pinhole {
+    /// `[fx, fy, cx, cy]` [px], pixel centres at one half.
+    pub(super) k: [f64; 4],
+    /// Width and height [px], if they are given.
+    pub(super) size: Option<(usize, usize)>,
+}
+
+impl Intrinsics {
+    /// Fills missing values from `all`.
+    pub(super) fn or(self, all: &Self) -> Self {
+        Self {
+            fl_x: self.fl_x.or(all.fl_x),
+            fl_y: self.fl_y.or(all.fl_y),
+            cx: self.cx.or(all.cx),
+            cy: self.cy.or(all.cy),
+            w: self.w.or(all.w),
+            h: self.h.or(all.h),
+            camera_angle_x: self.camera_angle_x.or(all.camera_angle_x),
+            k1: self.k1.or(all.k1),
+            k2: self.k2.or(all.k2),
+            k3: self.k3.or(all.k3),
+            k4: self.k4.or(all.k4),
+            p1: self.p1.or(all.p1),
+            p2: self.p2.or(all.p2),
+        }
+    }
+
+    /// The pinhole camera; `w` and `h` may be missing.
+    pub(super) fn pinhole(&self) -> Result<Pinhole, String> {
+        let by_angle = self.camera_angle_x.zip(self.w).map(|(a, w)| 0.5 * w / (0.5 * a).tan());
+        let fx = self.fl_x.or(by_angle).ok_or("no fl_x, and no camera_angle_x with w")?;
+        let fy = self.fl_y.unwrap_or(fx);
+        let cx = self.cx.or(self.w.map(|w| 0.5 * w)).ok_or("neither cx nor w")?;
+        let cy = self.cy.or(self.h.map(|h| 0.5 * h)).ok_or("neither cy nor h")?;
+        let k = [fx, fy, cx, cy];
+        if !(k.iter().all(|v| v.is_finite()) && fx > 0.0 && fy > 0.0) {
+            return Err(format!(
+                "intrinsics {k:?}, expected finite numbers, fl_x and fl_y above 0"
+            ));
+        }
+        let whole = |v: f64| (v >= 1.0 && v.fract() == 0.0 && v < 1e6).then_some(v as usize);
+        let size = self.w.zip(self.h).map(|(w, h)| whole(w).zip(whole(h)).ok_or((w, h)));
+        let size = size.transpose().map_err(|(w, h)| format!("w, h are {w}, {h}: no size"))?;
+        Ok(Pinhole { k, size })
+    }
+}
+
+impl TransformsJson {
+    pub(super) fn check(&self) -> Result<(), String> {
+        for (name, value) in [
+            ("integer_depth_scale", self.integer_depth_scale),
+            ("applied_scale", self.applied_scale),
+        ] {
+            if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                return Err(format!("{name} is {value}, expected a positive number"));
+            }
+        }
+        match &self.camera_model {
+            Some(model) if !CAMERA_MODELS.contains(&model.to_uppercase().as_str()) => {
+                Err(format!("camera model '{model}' is not supported: expected OPENCV or PINHOLE"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Lens distortion; nerfstudio's k4 multiplies r⁸, which OpenCV's model does not have.
+    pub(super) fn distortion(&self, camera: &Intrinsics) -> Result<Distortion, String> {
+        let or_zero = |value: Option<f64>| value.unwrap_or(0.0);
+        if or_zero(camera.k4) != 0.0 {
+            return Err("distortion k4 is not supported, expected k1 k2 p1 p2 k3".into());
+        }
+        let [k1, k2, k3] = [camera.k1, camera.k2, camera.k3].map(or_zero);
+        let lens = Distortion::from_opencv(&[k1, k2, or_zero(camera.p1), or_zero(camera.p2), k3]);
+        lens.ok_or_else(|| "a distortion coefficient is not finite".into())
+    }
 }

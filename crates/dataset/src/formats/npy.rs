@@ -1,5 +1,5 @@
-//! Arrays of numbers as numpy writes them (`.npy`, format versions 1 to 3), alone or in an
-//! archive. Only the header is read at first; slices come when they are asked for.
+//! numpy arrays (`.npy`, format versions 1 to 3) in a file or an archive. Opening reads the header
+//! only; slices are read on demand.
 
 use crate::DatasetError;
 use std::fs::File;
@@ -9,12 +9,12 @@ use std::sync::Arc;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// Headers longer than this are no headers of numbers [bytes].
-const MAX_HEADER: usize = 1 << 16;
+/// Longest accepted header [bytes].
+const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// How a number is stored, little-endian.
+/// Type of the stored numbers, little-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Element {
+pub(crate) enum DataType {
     U8,
     U16,
     I32,
@@ -23,8 +23,8 @@ pub(super) enum Element {
     F64,
 }
 
-impl Element {
-    fn of(descr: &str) -> Option<Self> {
+impl DataType {
+    fn parse(descr: &str) -> Option<Self> {
         Some(match descr {
             "|u1" | "<u1" => Self::U8,
             "<u2" => Self::U16,
@@ -60,42 +60,46 @@ impl Element {
     }
 }
 
-/// Where the bytes of an array lie, header included.
+/// Location of an array's bytes, header included.
 #[derive(Clone, Debug)]
-pub(super) enum Store {
+pub(crate) enum ArrayBytes {
     /// `length` bytes of a file from `offset` on.
     File { offset: u64, length: u64 },
-    /// Unpacked.
+    /// Decompressed bytes.
     Memory(Arc<Vec<u8>>),
 }
 
 /// An array of numbers in C order.
 #[derive(Clone, Debug)]
-pub(super) struct Array {
-    /// The file it lies in, with the name of the member for an archive.
-    pub(super) path: PathBuf,
+pub(crate) struct NpyArray {
+    /// File, with the member's name for an archive; for messages.
+    pub(crate) path: PathBuf,
     file: PathBuf,
-    store: Store,
-    /// Where the numbers start, from the start of the bytes.
+    bytes: ArrayBytes,
+    /// Offset of the numbers in the bytes.
     start: usize,
-    pub(super) shape: Vec<usize>,
-    pub(super) element: Element,
+    pub(crate) shape: Vec<usize>,
+    pub(crate) data_type: DataType,
 }
 
-impl Array {
-    /// The array of an `.npy` file.
-    pub(super) fn open(file: &Path) -> Result<Self, DatasetError> {
+impl NpyArray {
+    /// Opens an `.npy` file.
+    pub(crate) fn open(file: &Path) -> Result<Self, DatasetError> {
         let length = std::fs::metadata(file).map_err(|e| DatasetError::read(file, e))?.len();
-        Self::within(file.to_path_buf(), file, Store::File { offset: 0, length })
+        Self::from_bytes(file.to_path_buf(), file, ArrayBytes::File { offset: 0, length })
     }
 
-    /// The array of some bytes; `path` names them in messages.
-    pub(super) fn within(path: PathBuf, file: &Path, store: Store) -> Result<Self, DatasetError> {
+    /// Opens an array stored in `file` at `bytes`; `path` names it in messages.
+    pub(crate) fn from_bytes(
+        path: PathBuf,
+        file: &Path,
+        bytes: ArrayBytes,
+    ) -> Result<Self, DatasetError> {
         let shape = Vec::new();
         let file = file.to_path_buf();
-        let mut array = Self { path, file, store, start: 0, shape, element: Element::U8 };
+        let mut array = Self { path, file, bytes, start: 0, shape, data_type: DataType::U8 };
         let refuse = |reason: String| DatasetError::metadata(&array.path, reason);
-        let head = array.bytes(0, 12.min(array.length()))?;
+        let head = array.read_bytes(0, 12.min(array.length()))?;
         if !head.starts_with(MAGIC) {
             return Err(refuse("no array of numpy (.npy)".into()));
         }
@@ -106,19 +110,20 @@ impl Array {
             [version, ..] => return Err(refuse(format!("version {version}, expected 1 to 3"))),
         };
         let start = from + count;
-        if count > MAX_HEADER || start > array.length() {
+        if count > MAX_HEADER_BYTES || start > array.length() {
             return Err(refuse("cut off within its header".into()));
         }
-        let header = array.bytes(from, count)?;
-        let (shape, element) = read_header(&String::from_utf8_lossy(&header)).map_err(refuse)?;
-        (array.start, array.shape, array.element) = (start, shape, element);
+        let header = array.read_bytes(from, count)?;
+        let (shape, data_type) = read_header(&String::from_utf8_lossy(&header)).map_err(refuse)?;
+        (array.start, array.shape, array.data_type) = (start, shape, data_type);
         array.check_length()?;
         Ok(array)
     }
 
     fn check_length(&self) -> Result<(), DatasetError> {
         let there = self.length() - self.start;
-        let size = self.shape.iter().try_fold(self.element.size(), |n, &side| n.checked_mul(side));
+        let size =
+            self.shape.iter().try_fold(self.data_type.size(), |n, &side| n.checked_mul(side));
         match size {
             Some(size) if size <= there => Ok(()),
             _ => {
@@ -126,7 +131,7 @@ impl Array {
                     "cut off: {there} bytes of numbers, its header says {:?} of {} bytes each; \
                      copy or write it again",
                     self.shape,
-                    self.element.size()
+                    self.data_type.size()
                 );
                 Err(DatasetError::metadata(&self.path, reason))
             }
@@ -134,16 +139,16 @@ impl Array {
     }
 
     fn length(&self) -> usize {
-        match &self.store {
-            Store::File { length, .. } => usize::try_from(*length).unwrap_or(usize::MAX),
-            Store::Memory(bytes) => bytes.len(),
+        match &self.bytes {
+            ArrayBytes::File { length, .. } => usize::try_from(*length).unwrap_or(usize::MAX),
+            ArrayBytes::Memory(bytes) => bytes.len(),
         }
     }
 
-    fn bytes(&self, from: usize, count: usize) -> Result<Vec<u8>, DatasetError> {
-        match &self.store {
-            Store::Memory(bytes) => Ok(bytes[from..from + count].to_vec()),
-            Store::File { offset, .. } => {
+    fn read_bytes(&self, from: usize, count: usize) -> Result<Vec<u8>, DatasetError> {
+        match &self.bytes {
+            ArrayBytes::Memory(bytes) => Ok(bytes[from..from + count].to_vec()),
+            ArrayBytes::File { offset, .. } => {
                 let mut bytes = vec![0; count];
                 let mut read = || {
                     let mut file = File::open(&self.file)?;
@@ -156,26 +161,26 @@ impl Array {
         }
     }
 
-    /// The numbers of one place of the first axis, in C order.
-    pub(super) fn slice(&self, place: usize) -> Result<Vec<f64>, DatasetError> {
+    /// Reads the numbers at one index of the first axis, in C order.
+    pub(crate) fn slice(&self, index: usize) -> Result<Vec<f64>, DatasetError> {
         let count: usize = self.shape.iter().skip(1).product();
-        self.numbers(place * count, count)
+        self.numbers(index * count, count)
     }
 
-    /// All numbers, in C order.
-    pub(super) fn all(&self) -> Result<Vec<f64>, DatasetError> {
+    /// Reads all numbers, in C order.
+    pub(crate) fn all(&self) -> Result<Vec<f64>, DatasetError> {
         self.numbers(0, self.shape.iter().product())
     }
 
     fn numbers(&self, from: usize, count: usize) -> Result<Vec<f64>, DatasetError> {
-        let size = self.element.size();
-        let bytes = self.bytes(self.start + from * size, count * size)?;
-        Ok(bytes.chunks_exact(size).map(|b| self.element.read(b)).collect())
+        let size = self.data_type.size();
+        let bytes = self.read_bytes(self.start + from * size, count * size)?;
+        Ok(bytes.chunks_exact(size).map(|b| self.data_type.read(b)).collect())
     }
 }
 
-/// Shape and element of a header `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }`.
-fn read_header(text: &str) -> Result<(Vec<usize>, Element), String> {
+/// Parses shape and type of a header `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }`.
+fn read_header(text: &str) -> Result<(Vec<usize>, DataType), String> {
     let after = |key: &str| {
         let place = text.find(&format!("'{key}'")).map(|at| at + key.len() + 2);
         let rest = place.and_then(|at| text[at..].trim_start().strip_prefix(':'));
@@ -183,7 +188,7 @@ fn read_header(text: &str) -> Result<(Vec<usize>, Element), String> {
     };
     let descr = after("descr")?.trim_start_matches('\'');
     let descr = descr.split('\'').next().unwrap_or_default();
-    let element = Element::of(descr).ok_or_else(|| {
+    let data_type = DataType::parse(descr).ok_or_else(|| {
         format!("numbers of type {descr}, expected u1, u2, i4, i8, f4 or f8, little-endian")
     })?;
     let shape = after("shape")?.strip_prefix('(').and_then(|rest| rest.split(')').next());
@@ -193,7 +198,7 @@ fn read_header(text: &str) -> Result<(Vec<usize>, Element), String> {
     if after("fortran_order")?.starts_with("True") && shape.len() > 1 {
         return Err("stored in Fortran order, expected C order (np.ascontiguousarray)".into());
     }
-    Ok((shape, element))
+    Ok((shape, data_type))
 }
 
 #[cfg(test)]
@@ -201,17 +206,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn headers_of_numpy_are_read() {
+    fn numpy_headers_are_parsed() {
         let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4), }  \n";
-        assert_eq!(read_header(header), Ok((vec![3, 4], Element::F32)));
+        assert_eq!(read_header(header), Ok((vec![3, 4], DataType::F32)));
         let header = "{'descr': '|u1', 'fortran_order': False, 'shape': (7,), }";
-        assert_eq!(read_header(header), Ok((vec![7], Element::U8)));
+        assert_eq!(read_header(header), Ok((vec![7], DataType::U8)));
         let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (), }";
-        assert_eq!(read_header(header), Ok((vec![], Element::F64)));
+        assert_eq!(read_header(header), Ok((vec![], DataType::F64)));
     }
 
     #[test]
-    fn other_headers_are_refused_with_their_reason() {
+    fn unsupported_headers_are_refused() {
         for (header, part) in [
             ("{'descr': '>f4', 'fortran_order': False, 'shape': (3,)}", ">f4"),
             ("{'descr': '<f4', 'fortran_order': True, 'shape': (3, 2)}", "Fortran"),

@@ -1,35 +1,34 @@
 //! Replica as rendered for NICE-SLAM: `results/frame000000.jpg`, `results/depth000000.png`,
 //! `traj.txt`, and `cam_params.json` there or one folder up.
 
-use super::pairs::{Pairs, images};
-use super::poses::{read_lines, stamped};
+use super::file_pairing::{FilePairs, list_images};
+use super::poses::{read_matrix_lines, stamp_poses};
 use super::{Layout, Listing};
 use crate::DatasetError;
-use crate::calibration::{Calibration, DepthGrid, Traits};
-use crate::distortion::Distortion;
-use crate::lists::read_text;
+use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
+use crate::text::read_text;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// 6553.5 for one metre, rendered with 30 frames a second in mind.
-pub(super) const TRAITS: Traits = Traits {
+/// Depth 6553.5 per metre, 30 frames a second (NICE-SLAM).
+pub(super) const DEFAULTS: FormatDefaults = FormatDefaults {
     depth_scale: 6553.5,
     frame_rate: Some(30.0),
-    grid: DepthGrid::Colour,
+    grid: DepthGrid::Registered,
     invalid_depth: None,
 };
 
-/// The camera of all scenes as published, `[fx, fy, cx, cy]` [px] for 1200x680.
+/// Published camera of all scenes, `[fx, fy, cx, cy]` [px] for 1200x680.
 const PUBLISHED: [f64; 4] = [600.0, 600.0, 599.5, 339.5];
 
-/// Where the parts of a scene lie.
-pub(crate) struct Folders {
+/// Folders of a scene.
+pub(crate) struct ReplicaFolders {
     scene: PathBuf,
     results: PathBuf,
 }
 
-/// The scene in a folder.
-pub(super) fn find(folder: &Path) -> Option<Folders> {
+/// The scene in a folder, if any.
+pub(super) fn find(folder: &Path) -> Option<ReplicaFolders> {
     let results = folder.join("results");
     let names = std::fs::read_dir(&results).ok()?.flatten();
     let (mut colour, mut depth) = (false, false);
@@ -37,7 +36,7 @@ pub(super) fn find(folder: &Path) -> Option<Folders> {
         colour |= is_colour(&name.to_string_lossy());
         depth |= is_depth(&name.to_string_lossy());
         if colour && depth {
-            return Some(Folders { scene: folder.to_path_buf(), results });
+            return Some(ReplicaFolders { scene: folder.to_path_buf(), results });
         }
     }
     None
@@ -67,14 +66,14 @@ struct CameraNumbers {
     scale: f64,
 }
 
-/// The camera of `cam_params.json`, else the published one. Pixel centres at integers.
-pub(super) fn calibration(folders: &Folders) -> Result<Calibration, DatasetError> {
+/// Calibration of `cam_params.json`, else the published one. Pixel centres at integers.
+pub(super) fn calibration(folders: &ReplicaFolders) -> Result<Calibration, DatasetError> {
     let whole = folders.scene.canonicalize().unwrap_or_else(|_| folders.scene.clone());
     let places = [Some(whole.as_path()), whole.parent()];
     let files = places.into_iter().flatten().map(|place| place.join("cam_params.json"));
     let Some(path) = files.into_iter().find(|path| path.is_file()) else {
         let lens = Distortion::default();
-        let found = Calibration::from_opencv(PUBLISHED, lens, "the published camera", TRAITS);
+        let found = Calibration::from_opencv(PUBLISHED, lens, "the published camera", DEFAULTS);
         return Ok(Calibration { size: Some((1200, 680)), ..found });
     };
     let refuse = |reason: String| DatasetError::Metadata { path: path.clone(), reason };
@@ -83,32 +82,33 @@ pub(super) fn calibration(folders: &Folders) -> Result<Calibration, DatasetError
     if [c.fx, c.fy, c.scale].iter().any(|v| *v <= 0.0) {
         return Err(refuse("fx, fy and scale must be positive".into()));
     }
-    let traits = Traits { depth_scale: c.scale, ..TRAITS };
+    let defaults = FormatDefaults { depth_scale: c.scale, ..DEFAULTS };
     let source = path.display().to_string();
     let k = [c.fx, c.fy, c.cx, c.cy];
-    let found = Calibration::from_opencv(k, Distortion::default(), &source, traits);
+    let found = Calibration::from_opencv(k, Distortion::default(), &source, defaults);
     Ok(Calibration { size: Some((c.w, c.h)), ..found })
 }
 
-/// The frames, at `number / frame_rate` [s]; line n of `traj.txt` is the pose of frame n.
-pub(super) fn list(folders: &Folders, frame_rate: f64) -> Result<Listing, DatasetError> {
+/// Lists the frames at `number / frame_rate` [s]; line n of `traj.txt` is the pose of frame n.
+pub(super) fn list(folders: &ReplicaFolders, frame_rate: f64) -> Result<Listing, DatasetError> {
     let results = &folders.results;
-    let pairs = Pairs::of(results, images(results, is_colour)?, images(results, is_depth)?)?;
+    let pairs =
+        FilePairs::new(results, list_images(results, is_colour)?, list_images(results, is_depth)?)?;
     let without_depth = pairs.without_depth;
     let gap = pairs.gap_warning();
-    let places: Vec<Option<usize>> =
+    let numbers: Vec<Option<usize>> =
         pairs.pairs.iter().map(|pair| pair.number.map(|n| n as usize)).collect();
-    let mut listing = Listing::new(Layout::Replica, pairs.by_number(frame_rate));
-    listing.leave_out_without_depth(without_depth);
+    let mut listing = Listing::new(Layout::Replica, pairs.stamped_by_number(frame_rate));
+    listing.drop_without_depth(without_depth);
     listing.warnings.extend(gap);
     let file = folders.scene.join("traj.txt");
     if file.is_file() {
-        match read_lines(&file) {
+        match read_matrix_lines(&file) {
             Ok(lines) => {
-                let numbers = places.iter().enumerate().map(|(i, n)| n.unwrap_or(i));
-                let poses = numbers.map(|n| lines.get(n).copied().flatten());
+                let lines_of_frames = numbers.iter().enumerate().map(|(i, n)| n.unwrap_or(i));
+                let poses = lines_of_frames.map(|n| lines.get(n).copied().flatten());
                 let stamps = listing.entries.iter().map(|entry| entry.timestamp);
-                let (poses, warning) = stamped(stamps.zip(poses));
+                let (poses, warning) = stamp_poses(stamps.zip(poses));
                 listing.poses = poses;
                 listing.warnings.extend(warning);
             }

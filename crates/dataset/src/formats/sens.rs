@@ -3,31 +3,29 @@
 //! Little-endian, version 4: a header, then for every frame the pose `world_from_camera` (16
 //! `f32` in rows), two time stamps [µs], two sizes [bytes], and the two images.
 
-mod read;
-
-use super::poses::{rigid, stamped};
-use super::scannet::{border_warning, from_matrices, of_matrix};
-use super::{Layout, Listing};
-use crate::calibration::{Calibration, DepthGrid, Traits};
-use crate::decode::DepthCode;
-use crate::{DatasetError, Entry, OpenOptions, Parts};
-use i2slam_geometry::Pose;
-use read::{Frame, Header, Reader};
+use super::poses::{pose_from_matrix, stamp_poses};
+use super::scannet::{border_warning, from_intrinsics, intrinsics_of_matrix};
+use super::{ByteRanges, FrameEntry, Layout, Listing, unknown_layout};
+use crate::camera::{Calibration, DepthGrid, FormatDefaults};
+use crate::image::DepthEncoding;
+use crate::{DatasetError, OpenOptions};
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Seek};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Gaps between time stamps that a video can have [s].
-const SENSIBLE_GAP: std::ops::RangeInclusive<f64> = 1e-3..=1.0;
+/// Plausible median gap between time stamps of a video [s].
+const PLAUSIBLE_GAP: std::ops::RangeInclusive<f64> = 1e-3..=1.0;
 
-/// The table of contents of a `.sens` file.
-pub(crate) struct Stream {
+/// Header and frame index of a `.sens` file.
+pub(crate) struct SensFile {
     path: PathBuf,
     header: Header,
-    frames: Vec<Frame>,
-    /// What is odd about the file.
+    frames: Vec<SensFrame>,
     warnings: Vec<String>,
 }
 
-/// The only `.sens` file in a folder.
+/// Path of the only `.sens` file in a folder.
 pub(super) fn find(folder: &Path) -> Option<PathBuf> {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut files = files.map(|entry| entry.path()).filter(|path| is_sens(path));
@@ -39,15 +37,14 @@ fn is_sens(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("sens")) && path.is_file()
 }
 
-impl Stream {
-    /// Reads the header and where every frame lies.
+impl SensFile {
+    /// Reads the header and the position of every frame.
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
         if !is_sens(path) {
             let found = "a file that is no .sens and no video".into();
-            let path = path.to_path_buf();
-            return Err(DatasetError::UnknownLayout { path, found, has_colour: false });
+            return Err(unknown_layout(path, found, false));
         }
-        let mut reader = Reader::open(path)?;
+        let mut reader = SensReader::open(path)?;
         let header = reader.header()?;
         let (mut frames, mut warnings) = (Vec::new(), Vec::new());
         for number in 0..header.frames {
@@ -67,28 +64,28 @@ impl Stream {
         Ok(Self { path: path.to_path_buf(), header, frames, warnings })
     }
 
-    pub(super) fn traits(&self) -> Traits {
-        Traits {
+    pub(super) fn defaults(&self) -> FormatDefaults {
+        FormatDefaults {
             depth_scale: self.header.depth_scale,
             frame_rate: Some(30.0),
-            grid: DepthGrid::Depth(None),
+            grid: DepthGrid::OwnCamera(None),
             invalid_depth: None,
         }
     }
 
     pub(super) fn calibration(&self) -> Result<Calibration, DatasetError> {
-        let colour = of_matrix(&self.header.intrinsic_colour);
+        let colour = intrinsics_of_matrix(&self.header.intrinsic_colour);
         let colour = colour.ok_or_else(|| DatasetError::Metadata {
             path: self.path.clone(),
             reason: "the intrinsics of the colour camera are no numbers above 0".into(),
         })?;
-        let depth = of_matrix(&self.header.intrinsic_depth);
+        let depth = intrinsics_of_matrix(&self.header.intrinsic_depth);
         let source = self.path.display().to_string();
-        let found = from_matrices(colour, depth, &source, self.traits());
+        let found = from_intrinsics(colour, depth, &source, self.defaults());
         Ok(Calibration { size: Some(self.header.colour_size), ..found })
     }
 
-    /// The frames, none thinned: published numbers count frames.
+    /// Lists the frames, unthinned: published numbers count frames.
     pub(super) fn list(
         &self,
         options: &OpenOptions,
@@ -97,20 +94,27 @@ impl Stream {
         let times = self.times();
         let time = |i: usize| times.as_ref().map_or(i as f64 / frame_rate, |t| t[i].0);
         let depth_time = |i: usize| times.as_ref().map_or(i as f64 / frame_rate, |t| t[i].1);
-        let entry = |(index, frame): (usize, &Frame)| Entry {
+        let entry = |(index, frame): (usize, &SensFrame)| FrameEntry {
             index,
-            place: index,
+            image_index: index,
             timestamp: time(index),
             depth_timestamp: depth_time(index),
             colour: self.path.clone(),
             depth: Some(self.path.clone()),
-            parts: Some(Parts { colour: frame.colour.clone(), depth: frame.depth.clone() }),
+            byte_ranges: Some(ByteRanges {
+                colour: frame.colour.clone(),
+                depth: frame.depth.clone(),
+            }),
         };
-        let entries: Vec<Entry> = self.frames.iter().enumerate().map(entry).collect();
-        let poses = self.frames.iter().enumerate().map(|(i, frame)| (time(i), pose(frame)));
-        let (poses, warning) = stamped(poses);
+        let entries: Vec<FrameEntry> = self.frames.iter().enumerate().map(entry).collect();
+        let poses = self
+            .frames
+            .iter()
+            .enumerate()
+            .map(|(i, frame)| (time(i), pose_from_matrix(&frame.world_from_camera)));
+        let (poses, warning) = stamp_poses(poses);
         let mut listing = Listing { poses, ..Listing::new(Layout::Sens, entries) };
-        listing.depth_code = self.depth_code();
+        listing.depth_encoding = self.depth_encoding();
         listing.warnings = self.warnings.clone();
         if times.is_none() {
             let rate = format!("no usable time stamps: {frame_rate} frames a second assumed");
@@ -121,17 +125,17 @@ impl Stream {
         Ok(listing)
     }
 
-    fn depth_code(&self) -> DepthCode {
+    fn depth_encoding(&self) -> DepthEncoding {
         let (width, height) = self.header.depth_size;
         if self.header.depth_is_compressed {
-            DepthCode::Zlib { width, height }
+            DepthEncoding::Zlib { width, height }
         } else {
-            DepthCode::Raw { width, height }
+            DepthEncoding::Raw { width, height }
         }
     }
 
-    /// Times of colour and depth [s] after the first colour image, if they can be those of a
-    /// video: rising, and not as far apart as another unit would make them.
+    /// Time stamps of colour and depth [s] from the first colour image on; `None` unless they
+    /// increase by plausible gaps (other writers use other units).
     fn times(&self) -> Option<Vec<(f64, f64)>> {
         let first = self.frames.first()?.stamps.0 as f64;
         let seconds = |stamp: u64| (stamp as f64 - first) * 1e-6;
@@ -139,16 +143,176 @@ impl Stream {
             self.frames.iter().map(|f| (seconds(f.stamps.0), seconds(f.stamps.1))).collect();
         let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
         gaps.sort_by(f64::total_cmp);
-        let rising = *gaps.first()? > 0.0;
+        let increases = *gaps.first()? > 0.0;
         let together = times.iter().all(|(colour, depth)| (colour - depth).abs() <= 1.0);
-        let sensible = rising && SENSIBLE_GAP.contains(gaps.get(gaps.len() / 2)?);
-        sensible.then(|| match together {
+        let is_plausible = increases && PLAUSIBLE_GAP.contains(gaps.get(gaps.len() / 2)?);
+        is_plausible.then(|| match together {
             true => times,
             false => times.into_iter().map(|(colour, _)| (colour, colour)).collect(),
         })
     }
 }
 
-fn pose(frame: &Frame) -> Option<Pose<f64>> {
-    rigid(&frame.world_from_camera)
+const VERSION: u32 = 4;
+
+/// Colour codes of PNG and JPEG.
+const COLOUR_CODES: [i32; 2] = [1, 2];
+
+/// Depth code of raw 16-bit values.
+const DEPTH_RAW: i32 = 0;
+/// Depth code of deflated values (zlib).
+const DEPTH_ZLIB: i32 = 1;
+
+/// Longest accepted sensor name [bytes]; anything longer is a damaged file.
+const MAX_NAME_BYTES: u64 = 4096;
+
+/// Largest accepted image side [px]; anything larger is a damaged file.
+const MAX_SIDE: u32 = 1 << 14;
+
+/// Properties of all frames.
+struct Header {
+    /// Row-major 4x4, pixel centres at integers.
+    intrinsic_colour: [f64; 16],
+    intrinsic_depth: [f64; 16],
+    depth_is_compressed: bool,
+    /// Width and height [px].
+    colour_size: (usize, usize),
+    depth_size: (usize, usize),
+    /// Depth image value of one metre.
+    depth_scale: f64,
+    frames: u64,
+}
+
+/// Pose, time stamps and byte ranges of a frame.
+struct SensFrame {
+    /// Row-major 4x4; not finite where tracking was lost.
+    world_from_camera: [f64; 16],
+    /// Time stamps of colour and depth [µs].
+    stamps: (u64, u64),
+    colour: Range<u64>,
+    depth: Range<u64>,
+}
+
+/// Sequential reader of a `.sens` file.
+struct SensReader {
+    path: PathBuf,
+    file: BufReader<File>,
+    /// Length of the file [bytes].
+    length: u64,
+}
+
+impl SensReader {
+    fn open(path: &Path) -> Result<Self, DatasetError> {
+        let file = File::open(path).map_err(|e| DatasetError::read(path, e))?;
+        let length = file.metadata().map_err(|e| DatasetError::read(path, e))?.len();
+        Ok(Self { path: path.to_path_buf(), file: BufReader::new(file), length })
+    }
+
+    /// Reads the header at the start of the file.
+    fn header(&mut self) -> Result<Header, DatasetError> {
+        let version = u32::from_le_bytes(self.take()?);
+        if version != VERSION {
+            return Err(self.refuse(format!("version {version}, expected {VERSION}")));
+        }
+        let name = u64::from_le_bytes(self.take()?);
+        if name > MAX_NAME_BYTES {
+            return Err(self.refuse("the name of the sensor is too long: damaged?"));
+        }
+        self.skip(name)?;
+        let intrinsic_colour = self.matrix()?;
+        let _extrinsic_colour = self.matrix()?;
+        let intrinsic_depth = self.matrix()?;
+        let _extrinsic_depth = self.matrix()?;
+        let colour_code = i32::from_le_bytes(self.take()?);
+        let depth_encoding = i32::from_le_bytes(self.take()?);
+        let colour_size = self.size()?;
+        let depth_size = self.size()?;
+        let depth_scale = f64::from(f32::from_le_bytes(self.take()?));
+        let frames = u64::from_le_bytes(self.take()?);
+        self.check_codes(colour_code, depth_encoding, depth_scale)?;
+        Ok(Header {
+            intrinsic_colour,
+            intrinsic_depth,
+            depth_is_compressed: depth_encoding == DEPTH_ZLIB,
+            colour_size,
+            depth_size,
+            depth_scale,
+            frames,
+        })
+    }
+
+    fn check_codes(&self, colour: i32, depth: i32, depth_scale: f64) -> Result<(), DatasetError> {
+        if !COLOUR_CODES.contains(&colour) {
+            return Err(self.refuse(format!("colour code {colour}, expected PNG or JPEG")));
+        }
+        if ![DEPTH_RAW, DEPTH_ZLIB].contains(&depth) {
+            return Err(self.refuse(format!("depth code {depth}, expected raw (0) or zlib (1)")));
+        }
+        if !(depth_scale.is_finite() && depth_scale > 0.0) {
+            return Err(self.refuse(format!("depth scale {depth_scale}, expected above 0")));
+        }
+        Ok(())
+    }
+
+    /// Reads the next frame; `None` if the file ends within it.
+    fn frame(&mut self) -> Result<Option<SensFrame>, DatasetError> {
+        let mut bytes = [0; 96];
+        match self.file.read_exact(&mut bytes) {
+            Err(e) if e.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+            read => read.map_err(|e| DatasetError::read(&self.path, e))?,
+        }
+        let word = |at: usize| {
+            let mut word = [0; 8];
+            word.copy_from_slice(&bytes[at..at + 8]);
+            u64::from_le_bytes(word)
+        };
+        let world_from_camera = matrix(&bytes);
+        let stamps = (word(64), word(72));
+        let start = self.file.stream_position().map_err(|e| DatasetError::read(&self.path, e))?;
+        let middle = start.checked_add(word(80));
+        let end = middle.and_then(|middle| middle.checked_add(word(88)));
+        let (Some(middle), Some(end)) = (middle, end.filter(|&end| end <= self.length)) else {
+            return Ok(None);
+        };
+        self.skip(end - start)?;
+        Ok(Some(SensFrame { world_from_camera, stamps, colour: start..middle, depth: middle..end }))
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], DatasetError> {
+        let mut bytes = [0; N];
+        self.file.read_exact(&mut bytes).map_err(|e| DatasetError::read(&self.path, e))?;
+        Ok(bytes)
+    }
+
+    fn skip(&mut self, bytes: u64) -> Result<(), DatasetError> {
+        let Ok(bytes) = i64::try_from(bytes) else {
+            return Err(self.refuse("a length that no file has: damaged?"));
+        };
+        self.file.seek_relative(bytes).map_err(|e| DatasetError::read(&self.path, e))
+    }
+
+    fn matrix(&mut self) -> Result<[f64; 16], DatasetError> {
+        Ok(matrix(&self.take::<64>()?))
+    }
+
+    fn size(&mut self) -> Result<(usize, usize), DatasetError> {
+        let sides = [u32::from_le_bytes(self.take()?), u32::from_le_bytes(self.take()?)];
+        if sides.iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
+            return Err(self.refuse(format!("images of {}x{} px: damaged?", sides[0], sides[1])));
+        }
+        Ok((sides[0] as usize, sides[1] as usize))
+    }
+
+    fn refuse(&self, reason: impl Into<String>) -> DatasetError {
+        DatasetError::Metadata { path: self.path.clone(), reason: reason.into() }
+    }
+}
+
+/// 16 `f32` at the start of `bytes`.
+fn matrix(bytes: &[u8]) -> [f64; 16] {
+    let mut out = [0.0; 16];
+    for (value, word) in out.iter_mut().zip(bytes.chunks_exact(4)) {
+        *value = f64::from(f32::from_le_bytes([word[0], word[1], word[2], word[3]]));
+    }
+    out
 }

@@ -1,13 +1,14 @@
-//! Trajectories in the TUM format: `timestamp tx ty tz qx qy qz qw`, one pose a line.
+//! TUM RGB-D and ETH3D SLAM: stamped image lists, trajectories, published calibrations.
 
-use crate::DatasetError;
-use crate::lists::{data_lines, number, read_text};
+use super::association::{Association, AssociationRules, associate};
+use super::poses::{UNIT_TOLERANCE, unit_length_error};
+use super::{DroppedFrames, FrameEntry, Layout, Listing};
+use crate::camera::{Calibration, Distortion, FormatDefaults};
+use crate::text::{counted, data_lines, parse_number, read_text};
+use crate::{DatasetError, OpenOptions};
 use i2slam_geometry::{Pose, Rotation, StampedPose, Trajectory, Vec3};
 use std::fmt::Write;
-use std::path::Path;
-
-/// How far the length of a quaternion that was written with few digits may be from 1.
-pub(crate) const UNIT_TOLERANCE: f64 = 0.01;
+use std::path::{Path, PathBuf};
 
 const COLUMNS: [&str; 8] = ["time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"];
 
@@ -16,15 +17,15 @@ const COLUMNS: [&str; 8] = ["time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "q
 /// `#` starts a comment line. A number that is not finite, a wrong count of columns or a zero
 /// quaternion is an error that names file and line; so is a file without a pose.
 pub fn read_trajectory(path: impl AsRef<Path>) -> Result<Trajectory, DatasetError> {
-    read(path.as_ref(), f64::INFINITY)
+    read_poses(path.as_ref(), f64::INFINITY)
 }
 
-/// The same, but a quaternion whose length is not 1 is an error.
+/// As [`read_trajectory`], but refuses quaternions whose length is not 1.
 pub(crate) fn read_unit_trajectory(path: &Path) -> Result<Trajectory, DatasetError> {
-    read(path, UNIT_TOLERANCE)
+    read_poses(path, UNIT_TOLERANCE)
 }
 
-fn read(path: &Path, tolerance: f64) -> Result<Trajectory, DatasetError> {
+fn read_poses(path: &Path, tolerance: f64) -> Result<Trajectory, DatasetError> {
     let text = read_text(path)?;
     let mut trajectory = data_lines(&text)
         .map(|(line, content)| read_pose(path, line, content, tolerance))
@@ -46,35 +47,24 @@ fn read_pose(
     let columns: Vec<&str> = content.split_whitespace().collect();
     if columns.len() != COLUMNS.len() {
         let reason = format!(
-            "{} columns, expected 8: timestamp tx ty tz qx qy qz qw, parted by spaces",
+            "{} columns, expected 8: timestamp tx ty tz qx qy qz qw, separated by spaces",
             columns.len()
         );
         return Err(DatasetError::line(path, line, reason));
     }
     let mut v = [0.0; 8];
     for ((value, text), name) in v.iter_mut().zip(columns).zip(COLUMNS) {
-        *value = number(path, line, name, text)?;
+        *value = parse_number(path, line, name, text)?;
     }
     let [timestamp, tx, ty, tz, qx, qy, qz, qw] = v;
     let rotation = Rotation::from_wxyz(qw, qx, qy, qz).ok_or_else(|| {
         DatasetError::line(path, line, "the quaternion is zero, expected one of length 1")
     })?;
-    if let Some(reason) = not_unit([qw, qx, qy, qz], tolerance) {
+    if let Some(reason) = unit_length_error([qw, qx, qy, qz], tolerance) {
         return Err(DatasetError::line(path, line, reason));
     }
     let world_from_camera = Pose::new(rotation, Vec3::new(tx, ty, tz));
     Ok(StampedPose { timestamp, world_from_camera })
-}
-
-/// What is wrong with a quaternion whose length is farther than `tolerance` from 1.
-pub(crate) fn not_unit(quaternion: [f64; 4], tolerance: f64) -> Option<String> {
-    let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
-    ((length - 1.0).abs() > tolerance).then(|| {
-        format!(
-            "the quaternion has length {length:.3}, expected 1 within {tolerance}: are the columns \
-             in order, and is it normalised?"
-        )
-    })
 }
 
 /// Writes `world_from_camera` poses [s, m] in the TUM format.
@@ -94,4 +84,236 @@ pub fn write_trajectory(
         );
     }
     std::fs::write(path, text).map_err(|e| DatasetError::write(path, e))
+}
+
+/// Reads the stamped image files of `rgb.txt` or `depth.txt`, sorted by time; paths joined to
+/// `folder`.
+fn read_image_list(path: &Path, folder: &Path) -> Result<Vec<(f64, PathBuf)>, DatasetError> {
+    let text = read_text(path)?;
+    let mut images = Vec::new();
+    for (line, content) in data_lines(&text) {
+        let Some((stamp, file)) = content.split_once(char::is_whitespace) else {
+            let reason = format!("'{content}', expected a time stamp and a file name");
+            return Err(DatasetError::line(path, line, reason));
+        };
+        images.push((parse_number(path, line, "time stamp", stamp)?, folder.join(file.trim())));
+    }
+    if images.is_empty() {
+        let expected = "lines with a time stamp and a file name";
+        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+    }
+    images.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Ok(images)
+}
+
+/// Colour and depth files with their time stamps [s], each in order of time.
+pub(super) struct StampedImages {
+    pub(crate) colour: Vec<(f64, PathBuf)>,
+    /// `None`: a sequence without depth.
+    pub(crate) depth: Option<Vec<(f64, PathBuf)>>,
+}
+
+/// Whether `rgb.txt` and `depth.txt` lie in the folder.
+pub(super) fn has_lists(folder: &Path) -> bool {
+    folder.join("rgb.txt").is_file() && folder.join("depth.txt").is_file()
+}
+
+/// Whether `rgb.txt` lies in the folder.
+pub(super) fn has_colour_list(folder: &Path) -> bool {
+    folder.join("rgb.txt").is_file()
+}
+
+/// Lists the frames of `rgb.txt` and `depth.txt`; of `rgb.txt` alone with `colour_only` if there is
+/// no depth list.
+pub(super) fn list(
+    folder: &Path,
+    layout: Layout,
+    options: &OpenOptions,
+) -> Result<Listing, DatasetError> {
+    let colour = read_image_list(&folder.join("rgb.txt"), folder)?;
+    let list = folder.join("depth.txt");
+    let alone = options.colour_only && !list.is_file();
+    let depth = if alone { None } else { Some(read_image_list(&list, folder)?) };
+    list_by_time(folder, layout, StampedImages { colour, depth }, options)
+}
+
+/// Associates colour with depth and, if the folder has ground truth, with its poses.
+pub(super) fn list_by_time(
+    folder: &Path,
+    layout: Layout,
+    stamped: StampedImages,
+    options: &OpenOptions,
+) -> Result<Listing, DatasetError> {
+    let stamps = |files: &[(f64, PathBuf)]| files.iter().map(|f| f.0).collect::<Vec<f64>>();
+    let colour = stamps(&stamped.colour);
+    // Without depth an image is associated with itself.
+    let depth = stamps(stamped.depth.as_ref().unwrap_or(&stamped.colour));
+    let rules = AssociationRules {
+        tolerance: options.association_tolerance,
+        minimum_gap: options.minimum_gap,
+    };
+    let ground_truth = ground_truth(folder);
+    let mut warnings = Vec::new();
+    let poses = ground_truth.as_deref().and_then(|path| pose_stamps(path, &mut warnings));
+    let mut association = associate(&colour, &depth, poses.as_deref(), rules);
+    if association.pairs.is_empty() && association.without_pose > 0 {
+        warnings.push("no frame has a ground-truth pose in time: ground truth ignored".into());
+        association = associate(&colour, &depth, None, rules);
+    }
+    if association.pairs.is_empty() {
+        return Err(DatasetError::NoDepthPartner {
+            path: folder.to_path_buf(),
+            frames: colour.len(),
+            tolerance: rules.tolerance,
+            nearest_gap: association.nearest_gap,
+        });
+    }
+    let entries = entries(&association, &stamped);
+    let dropped = DroppedFrames {
+        without_depth: association.without_depth,
+        without_pose: association.without_pose,
+        too_close: association.too_close,
+    };
+    warnings.extend(time_warnings(&dropped, rules));
+    let listing = Listing::new(layout, entries);
+    Ok(Listing { dropped, is_thinned: true, ground_truth, warnings, ..listing })
+}
+
+fn entries(association: &Association, stamped: &StampedImages) -> Vec<FrameEntry> {
+    let pairs = association.pairs.iter().enumerate();
+    pairs
+        .map(|(index, &(i, j))| {
+            let (timestamp, colour) = stamped.colour[i].clone();
+            let depth = stamped.depth.as_ref().map(|depth| depth[j].clone());
+            let depth_timestamp = depth.as_ref().map_or(timestamp, |depth| depth.0);
+            let depth = depth.map(|depth| depth.1);
+            FrameEntry {
+                index,
+                image_index: i,
+                timestamp,
+                depth_timestamp,
+                colour,
+                depth,
+                byte_ranges: None,
+            }
+        })
+        .collect()
+}
+
+/// Path of the folder's ground truth, if there is a file.
+pub(super) fn ground_truth(folder: &Path) -> Option<PathBuf> {
+    ["groundtruth.txt", "pose.txt"].iter().map(|name| folder.join(name)).find(|p| p.is_file())
+}
+
+fn pose_stamps(path: &Path, warnings: &mut Vec<String>) -> Option<Vec<f64>> {
+    match read_trajectory(path) {
+        Ok(trajectory) => Some(trajectory.iter().map(|pose| pose.timestamp).collect()),
+        Err(error) => {
+            warnings.push(format!("ground truth ignored: {error}"));
+            None
+        }
+    }
+}
+
+fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if dropped.without_depth > 0 {
+        warnings.push(format!(
+            "{} left out: no depth image within {} s",
+            counted(dropped.without_depth, "colour image"),
+            rules.tolerance
+        ));
+    }
+    if dropped.without_pose > 0 {
+        warnings.push(format!(
+            "{} left out: no ground-truth pose within {} s",
+            counted(dropped.without_pose, "frame"),
+            rules.tolerance
+        ));
+    }
+    if dropped.too_close > 0 {
+        warnings.push(format!(
+            "{} left out: no more than {} s after the frame before (minimum_gap; 0 keeps all)",
+            counted(dropped.too_close, "frame"),
+            rules.minimum_gap
+        ));
+    }
+    warnings
+}
+
+/// ETH3D's calibration file beside the lists.
+pub(super) fn find_eth3d_calibration(folder: &Path) -> Option<PathBuf> {
+    Some(folder.join("calibration.txt")).filter(|path| path.is_file())
+}
+
+/// Reads ETH3D's `fx fy cx cy`, one line, pixel centres at integers, images undistorted.
+pub(super) fn eth3d_calibration(path: &Path) -> Result<Calibration, DatasetError> {
+    let text = read_text(path)?;
+    let expected = "the four numbers fx fy cx cy";
+    let Some((line, content)) = data_lines(&text).next() else {
+        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+    };
+    let words: Vec<&str> = content.split_whitespace().collect();
+    let [fx, fy, cx, cy] = words[..] else {
+        let reason = format!("{} numbers, expected {expected}", words.len());
+        return Err(DatasetError::line(path, line, reason));
+    };
+    let names = ["fx", "fy", "cx", "cy"];
+    let mut k = [0.0; 4];
+    for ((value, word), name) in k.iter_mut().zip([fx, fy, cx, cy]).zip(names) {
+        *value = parse_number(path, line, name, word)?;
+    }
+    if k[0] <= 0.0 || k[1] <= 0.0 {
+        return Err(DatasetError::line(path, line, "fx and fy must be positive"));
+    }
+    let source = path.display().to_string();
+    Ok(Calibration::from_opencv(k, Distortion::default(), &source, FormatDefaults::default()))
+}
+
+/// The published calibration of a TUM RGB-D sequence (depth is registered to colour), recognised by
+/// the name of the folder or of its parent.
+pub(crate) fn published_calibration(folder: &Path) -> Option<Calibration> {
+    let whole = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
+    let number = [Some(whole.as_path()), whole.parent()]
+        .into_iter()
+        .flatten()
+        .filter_map(|p| p.file_name()?.to_str().map(str::to_lowercase))
+        .find_map(|name| freiburg_number(&name))?;
+    let (k, lens): ([f64; 4], [f64; 5]) = match number {
+        1 => ([517.3, 516.5, 318.6, 255.3], [0.2624, -0.9531, -0.0054, 0.0026, 1.1633]),
+        2 => ([520.9, 521.0, 325.1, 249.7], [0.2312, -0.7849, -0.0033, -0.0001, 0.9172]),
+        _ => ([535.4, 539.2, 320.1, 247.6], [0.0; 5]),
+    };
+    let lens = Distortion::from_opencv(&lens)?;
+    let source = format!("the calibration of freiburg{number}");
+    let found = Calibration::from_opencv(k, lens, &source, FormatDefaults::default());
+    Some(Calibration { size: Some((640, 480)), frame_rate: Some(30.0), ..found })
+}
+
+/// The number in `...freiburg2...`, or in `fr2` as a word of its own.
+fn freiburg_number(name: &str) -> Option<u32> {
+    let words = name.split(|c: char| !c.is_ascii_alphanumeric());
+    words
+        .filter_map(|word| word.strip_prefix("freiburg").or_else(|| word.strip_prefix("fr")))
+        .find_map(|rest| match rest {
+            "1" => Some(1),
+            "2" => Some(2),
+            "3" => Some(3),
+            _ => None,
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::freiburg_number;
+
+    #[test]
+    fn sequences_are_recognised_by_name() {
+        assert_eq!(freiburg_number("rgbd_dataset_freiburg1_desk"), Some(1));
+        assert_eq!(freiburg_number("tum_fr2_xyz"), Some(2));
+        assert_eq!(freiburg_number("fr3"), Some(3));
+        assert_eq!(freiburg_number("fr4"), None);
+        assert_eq!(freiburg_number("fr12"), None);
+        assert_eq!(freiburg_number("offr1"), None);
+    }
 }

@@ -1,27 +1,26 @@
-//! Colour averaged onto the pixel grid of another camera at the same place.
+//! Area-averaging resampling onto the grid of another camera with the same centre and orientation.
 
 use i2slam_geometry::{Camera, Image};
 
-/// The source pixels along one axis that a target pixel covers, with weights that add up to 1.
+/// Source pixels along one axis covered by a target pixel, with weights that add up to 1.
 #[derive(Clone, Debug, PartialEq)]
-struct Span {
+struct PixelSpan {
     first: usize,
     weights: Vec<f32>,
     /// Whether the centre of the target pixel lies in the source.
     inside: bool,
 }
 
-/// Averages over the area of every target pixel; where target pixels are smaller than source
-/// pixels, over the area of a source pixel (linear interpolation).
+/// Weights of a separable box filter as wide as a target pixel, or as a source pixel where that is
+/// wider (linear interpolation).
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct AreaMap {
-    columns: Vec<Span>,
-    rows: Vec<Span>,
+pub(crate) struct AreaResampler {
+    columns: Vec<PixelSpan>,
+    rows: Vec<PixelSpan>,
 }
 
-impl AreaMap {
-    /// From the pictures of one pinhole to those of another that looks the same way from the same
-    /// place: `u_source = fx_source / fx_target (u_target - cx_target) + cx_source`, `v` alike.
+impl AreaResampler {
+    /// Maps images of `source` to those of `target`: `u_source = fx_source / fx_target (u_target - cx_target) + cx_source`, `v` alike.
     pub(crate) fn new(source: &Camera<f64>, target: &Camera<f64>) -> Self {
         let columns =
             spans((source.fx, source.cx, source.width), (target.fx, target.cx, target.width));
@@ -30,7 +29,7 @@ impl AreaMap {
         Self { columns, rows }
     }
 
-    /// The picture on the target's grid. Beyond the source its edge is repeated.
+    /// Resamples an image; beyond the source its edge is repeated.
     pub(crate) fn apply(&self, source: &Image<f32>) -> Image<f32> {
         let mut out = Image::new(self.columns.len(), self.rows.len(), source.channels);
         let mut row_sums = vec![0.0; source.width];
@@ -54,10 +53,10 @@ impl AreaMap {
         out
     }
 
-    /// 1 plane, true where the source covers the target pixel; `None`: everywhere.
-    pub(crate) fn covered(&self) -> Option<Image<bool>> {
+    /// 1 plane, true where the source covers the target pixel; `None` if it covers all.
+    pub(crate) fn valid_mask(&self) -> Option<Image<bool>> {
         let all = self.rows.iter().chain(&self.columns).all(|span| span.inside);
-        let row = |row: &Span| {
+        let row = |row: &PixelSpan| {
             let inside = row.inside;
             self.columns.iter().map(move |column| column.inside && inside)
         };
@@ -69,10 +68,10 @@ impl AreaMap {
         })
     }
 
-    /// The widest border of target pixels, over all four sides, with a pixel not covered.
+    /// The widest border of target pixels, over all four sides, with a pixel outside the source.
     pub(crate) fn uncovered_border(&self) -> usize {
-        let leading = |spans: &[Span]| {
-            let outside = |span: &&Span| !span.inside;
+        let leading = |spans: &[PixelSpan]| {
+            let outside = |span: &&PixelSpan| !span.inside;
             let before = spans.iter().take_while(outside).count();
             before.max(spans.iter().rev().take_while(outside).count())
         };
@@ -81,7 +80,7 @@ impl AreaMap {
 }
 
 /// Spans along one axis; `(focal length, principal point, size)` of source and target [px].
-fn spans(source: (f64, f64, usize), target: (f64, f64, usize)) -> Vec<Span> {
+fn spans(source: (f64, f64, usize), target: (f64, f64, usize)) -> Vec<PixelSpan> {
     let step = source.0 / target.0;
     let half = 0.5 * step.max(1.0);
     let centre = |i: usize| step * (i as f64 + 0.5 - target.1) + source.1;
@@ -89,17 +88,17 @@ fn spans(source: (f64, f64, usize), target: (f64, f64, usize)) -> Vec<Span> {
 }
 
 /// The pixels of `0..size` in `centre ± half`, moved to the edge where it lies beyond.
-fn span(centre: f64, half: f64, size: usize) -> Span {
+fn span(centre: f64, half: f64, size: usize) -> PixelSpan {
     let end = size as f64;
     let inside = (0.0..end).contains(&centre);
     let (from, to) = ((centre - half).max(0.0), (centre + half).min(end));
     if to <= from {
         let first = if centre < 0.0 { 0 } else { size - 1 };
-        return Span { first, weights: vec![1.0], inside };
+        return PixelSpan { first, weights: vec![1.0], inside };
     }
     let (first, last) = (from as usize, (to.ceil() as usize).min(size));
     let share = |i: usize| (to.min(i as f64 + 1.0) - from.max(i as f64)).max(0.0) / (to - from);
-    Span { first, weights: (first..last).map(|i| share(i) as f32).collect(), inside }
+    PixelSpan { first, weights: (first..last).map(|i| share(i) as f32).collect(), inside }
 }
 
 #[cfg(test)]
@@ -120,19 +119,19 @@ mod tests {
     #[test]
     fn a_resized_camera_gives_the_average_over_areas() {
         let (source, picture) = (camera(25, 15, 20.0), ramp(25, 15));
-        let map = AreaMap::new(&source, &source.resized(10, 6));
+        let map = AreaResampler::new(&source, &source.resized(10, 6));
         let (ours, due) = (map.apply(&picture), picture.resized_by_area(10, 6));
         for (a, b) in ours.data.iter().zip(&due.data) {
             assert!((a - b).abs() < 1e-4, "{a} {b}");
         }
-        assert!(map.covered().is_none());
+        assert!(map.valid_mask().is_none());
         assert_eq!(map.uncovered_border(), 0);
     }
 
     #[test]
-    fn a_longer_focal_length_sees_the_middle_linearly() {
+    fn magnification_interpolates_linearly() {
         let (source, target) = (camera(20, 16, 10.0), camera(10, 8, 12.5));
-        let out = AreaMap::new(&source, &target).apply(&ramp(20, 16));
+        let out = AreaResampler::new(&source, &target).apply(&ramp(20, 16));
         for column in 0..10 {
             let u = 0.8 * (column as f64 + 0.5 - 5.0) + 10.0;
             let due = u - 0.5 + 10.0 * (0.8 * (3.0 + 0.5 - 4.0) + 8.0 - 0.5);
@@ -141,11 +140,11 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_recorded_is_known() {
+    fn pixels_outside_the_source_are_marked() {
         let (source, target) = (camera(20, 16, 20.0), camera(20, 16, 16.0));
-        let map = AreaMap::new(&source, &target);
-        let covered = map.covered().expect("not all");
-        let columns = (0..20).filter(|&c| covered.at(0, c, 8)).count();
+        let map = AreaResampler::new(&source, &target);
+        let mask = map.valid_mask().expect("not all");
+        let columns = (0..20).filter(|&c| mask.at(0, c, 8)).count();
         assert_eq!((columns, map.uncovered_border()), (16, 2));
         let out = map.apply(&ramp(20, 16));
         assert_eq!(out.at(0, 0, 8), out.at(0, 1, 8));

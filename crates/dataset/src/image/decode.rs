@@ -1,5 +1,5 @@
-//! Images to pixel grids: PNG (every kind) and JPEG for colour, 16-bit PNG or bare 16-bit values
-//! for depth. An image is a file of its own or a range of bytes in one.
+//! Image decoding: PNG (every kind) and JPEG for colour, 16-bit PNG or raw 16-bit values for depth,
+//! from whole files or byte ranges.
 
 use crate::DatasetError;
 use i2slam_geometry::Image;
@@ -11,67 +11,70 @@ use std::path::Path;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 
-/// Images that need more memory than this are refused [bytes].
-const MEMORY_LIMIT: usize = 1 << 30;
+/// Largest accepted size of a decoded image [bytes].
+const MAX_IMAGE_BYTES: usize = 1 << 30;
 
-enum Kind {
+enum ImageFormat {
     Png,
     Jpeg,
 }
 
-/// How depth values are written.
+/// Encoding of depth images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) enum DepthCode {
+pub(crate) enum DepthEncoding {
     /// A 16-bit grey PNG.
     #[default]
     Png,
-    /// Bare little-endian values, row by row.
+    /// Raw little-endian values, row by row.
     Raw { width: usize, height: usize },
-    /// The same, deflated (zlib).
+    /// Raw values, deflated (zlib).
     Zlib { width: usize, height: usize },
 }
 
-/// The bytes of an image: a whole file or a part of it.
-fn read_bytes(path: &Path, part: Option<&Range<u64>>) -> Result<Vec<u8>, DatasetError> {
-    let Some(part) = part else {
+/// Reads a whole file, or `range` of it.
+fn read_bytes(path: &Path, range: Option<&Range<u64>>) -> Result<Vec<u8>, DatasetError> {
+    let Some(range) = range else {
         return std::fs::read(path).map_err(|e| DatasetError::read(path, e));
     };
-    let length = usize::try_from(part.end.saturating_sub(part.start)).unwrap_or(usize::MAX);
-    if length > MEMORY_LIMIT {
+    let length = usize::try_from(range.end.saturating_sub(range.start)).unwrap_or(usize::MAX);
+    if length > MAX_IMAGE_BYTES {
         return Err(DatasetError::image(path, "the image is too large"));
     }
     let mut bytes = vec![0; length];
     let mut file = File::open(path).map_err(|e| DatasetError::read(path, e))?;
-    file.seek(SeekFrom::Start(part.start))
+    file.seek(SeekFrom::Start(range.start))
         .and_then(|_| file.read_exact(&mut bytes))
         .map_err(|e| DatasetError::read(path, e))?;
     Ok(bytes)
 }
 
-fn read(path: &Path, part: Option<&Range<u64>>) -> Result<(Vec<u8>, Kind), DatasetError> {
-    let bytes = read_bytes(path, part)?;
-    let kind = match bytes.as_slice() {
-        [0x89, b'P', b'N', b'G', ..] => Kind::Png,
-        [0xff, 0xd8, 0xff, ..] => Kind::Jpeg,
+fn read_image(
+    path: &Path,
+    range: Option<&Range<u64>>,
+) -> Result<(Vec<u8>, ImageFormat), DatasetError> {
+    let bytes = read_bytes(path, range)?;
+    let format = match bytes.as_slice() {
+        [0x89, b'P', b'N', b'G', ..] => ImageFormat::Png,
+        [0xff, 0xd8, 0xff, ..] => ImageFormat::Jpeg,
         [] => return Err(DatasetError::image(path, "the file is empty, expected an image")),
         _ => return Err(DatasetError::image(path, "neither PNG nor JPEG")),
     };
-    Ok((bytes, kind))
+    Ok((bytes, format))
 }
 
-/// Width and height [px] by the header alone.
+/// Width and height [px], from the header alone.
 pub(crate) fn image_size(
     path: &Path,
-    part: Option<&Range<u64>>,
+    range: Option<&Range<u64>>,
 ) -> Result<(usize, usize), DatasetError> {
-    let (bytes, kind) = read(path, part)?;
-    match kind {
-        Kind::Png => {
+    let (bytes, format) = read_image(path, range)?;
+    match format {
+        ImageFormat::Png => {
             let mut decoder = png_decoder(&bytes);
             let info = decoder.read_header_info().map_err(|e| png_error(path, &e))?;
             Ok((info.width as usize, info.height as usize))
         }
-        Kind::Jpeg => {
+        ImageFormat::Jpeg => {
             let mut decoder = jpeg_decoder(&bytes);
             decoder.decode_headers().map_err(|e| jpeg_error(path, &e))?;
             decoder.dimensions().ok_or_else(|| DatasetError::image(path, "JPEG without a size"))
@@ -79,42 +82,43 @@ pub(crate) fn image_size(
     }
 }
 
-/// A colour picture: 3 planes in `[0, 1]`; grey is repeated, palettes are looked up, alpha is
-/// ignored.
+/// Decodes a colour image to 3 planes in `[0, 1]`; grey is repeated, alpha ignored.
 pub(crate) fn decode_colour(
     path: &Path,
-    part: Option<&Range<u64>>,
+    range: Option<&Range<u64>>,
 ) -> Result<Image<f32>, DatasetError> {
-    let (bytes, kind) = read(path, part)?;
-    match kind {
-        Kind::Png => colour_from_png(path, &bytes),
-        Kind::Jpeg => colour_from_jpeg(path, &bytes),
+    let (bytes, format) = read_image(path, range)?;
+    match format {
+        ImageFormat::Png => colour_from_png(path, &bytes),
+        ImageFormat::Jpeg => colour_from_jpeg(path, &bytes),
     }
 }
 
 /// Width and height [px] of a depth image.
 pub(crate) fn depth_size(
     path: &Path,
-    part: Option<&Range<u64>>,
-    code: DepthCode,
+    range: Option<&Range<u64>>,
+    code: DepthEncoding,
 ) -> Result<(usize, usize), DatasetError> {
     match code {
-        DepthCode::Png => image_size(path, part),
-        DepthCode::Raw { width, height } | DepthCode::Zlib { width, height } => Ok((width, height)),
+        DepthEncoding::Png => image_size(path, range),
+        DepthEncoding::Raw { width, height } | DepthEncoding::Zlib { width, height } => {
+            Ok((width, height))
+        }
     }
 }
 
-/// A depth picture: 1 plane of 16-bit values as written.
+/// Decodes a depth image to 1 plane of the stored 16-bit values.
 pub(crate) fn decode_depth(
     path: &Path,
-    part: Option<&Range<u64>>,
-    code: DepthCode,
+    range: Option<&Range<u64>>,
+    code: DepthEncoding,
 ) -> Result<Image<u16>, DatasetError> {
     let (bytes, width, height) = match code {
-        DepthCode::Png => return depth_from_png(path, part),
-        DepthCode::Raw { width, height } => (read_bytes(path, part)?, width, height),
-        DepthCode::Zlib { width, height } => {
-            let packed = read_bytes(path, part)?;
+        DepthEncoding::Png => return depth_from_png(path, range),
+        DepthEncoding::Raw { width, height } => (read_bytes(path, range)?, width, height),
+        DepthEncoding::Zlib { width, height } => {
+            let packed = read_bytes(path, range)?;
             let limit = 2 * width * height;
             let bytes = miniz_oxide::inflate::decompress_to_vec_zlib_with_limit(&packed, limit);
             let damaged = |_| DatasetError::image(path, "damaged depth (zlib)");
@@ -129,9 +133,9 @@ pub(crate) fn decode_depth(
     Ok(Image { width, height, channels: 1, data })
 }
 
-fn depth_from_png(path: &Path, part: Option<&Range<u64>>) -> Result<Image<u16>, DatasetError> {
-    let (bytes, kind) = read(path, part)?;
-    if matches!(kind, Kind::Jpeg) {
+fn depth_from_png(path: &Path, range: Option<&Range<u64>>) -> Result<Image<u16>, DatasetError> {
+    let (bytes, format) = read_image(path, range)?;
+    if matches!(format, ImageFormat::Jpeg) {
         return Err(DatasetError::image(path, "depth is a JPEG, expected a 16-bit grey PNG"));
     }
     let png = read_png(path, &bytes, Transformations::IDENTITY)?;
@@ -155,7 +159,7 @@ struct Png {
 }
 
 fn png_decoder(bytes: &[u8]) -> Decoder<Cursor<&[u8]>> {
-    Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MEMORY_LIMIT })
+    Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MAX_IMAGE_BYTES })
 }
 
 fn png_error(path: &Path, error: &png::DecodingError) -> DatasetError {
@@ -166,7 +170,7 @@ fn read_png(path: &Path, bytes: &[u8], transform: Transformations) -> Result<Png
     let mut decoder = png_decoder(bytes);
     decoder.set_transformations(transform);
     let mut reader = decoder.read_info().map_err(|e| png_error(path, &e))?;
-    let size = reader.output_buffer_size().filter(|&n| n <= MEMORY_LIMIT);
+    let size = reader.output_buffer_size().filter(|&n| n <= MAX_IMAGE_BYTES);
     let size = size.ok_or_else(|| DatasetError::image(path, "the image is too large"))?;
     let mut bytes = vec![0; size];
     let info = reader.next_frame(&mut bytes).map_err(|e| png_error(path, &e))?;
@@ -206,7 +210,7 @@ fn jpeg_error(path: &Path, error: &dyn std::fmt::Debug) -> DatasetError {
     DatasetError::image(path, format!("damaged or cut-off JPEG ({error:?})"))
 }
 
-/// Whether an end marker follows the last scan: the decoder fills up a picture that breaks off.
+/// Whether an end marker follows the last scan: the decoder silently fills up truncated images.
 fn jpeg_is_whole(bytes: &[u8]) -> bool {
     let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
     last(0xd9).is_some_and(|end| last(0xda).is_some_and(|scan| scan < end))

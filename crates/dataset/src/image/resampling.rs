@@ -1,4 +1,4 @@
-//! From the recorded pixel grid to the delivered one: lens, crop, scale.
+//! Resampling from recorded to delivered images: undistortion, crop, scale.
 //!
 //! Colour: lens removed by bilinear sampling at full resolution, then averaged over the area of
 //! each delivered pixel. The average is taken of the values as recorded (display space), as the
@@ -9,11 +9,11 @@
 //! Colour and depth may have been recorded by cameras of different size and focal length at one
 //! place; frames are delivered on the grid of one of them.
 
-use crate::area::AreaMap;
-use crate::distortion::Distortion;
+use super::area_resampling::AreaResampler;
+use crate::camera::Distortion;
 use i2slam_geometry::{Camera, Image};
 
-/// In the depth lookup: the pixel was not recorded.
+/// Marks pixels of the depth lookup that were not recorded.
 const OUTSIDE: u32 = u32::MAX;
 
 /// Bilinear sampling of four neighbours, the top left one at `index`.
@@ -25,17 +25,17 @@ struct Tap {
     lower: f32,
 }
 
-/// The cameras of a sequence as recorded, sizes at least 2x2.
+/// Pinhole cameras of recorded images, sizes at least 2x2.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Recorded {
+pub(crate) struct RecordingCameras {
     pub(crate) colour: Camera<f64>,
     pub(crate) depth: Camera<f64>,
-    /// The one of them whose pixels are delivered, after crop and scale.
+    /// The one whose grid is delivered, after crop and scale.
     pub(crate) grid: Camera<f64>,
 }
 
-impl Recorded {
-    /// The same cameras if they had recorded frames of another size.
+impl RecordingCameras {
+    /// Scales all cameras to images of another size [px].
     pub(crate) fn resized(&self, (width, height): (usize, usize)) -> Self {
         let resized = |camera: &Camera<f64>| camera.resized(width, height);
         Self {
@@ -46,31 +46,32 @@ impl Recorded {
     }
 }
 
-/// Precomputed maps from recorded to delivered frames.
+/// Precomputed lookup tables from recorded to delivered images.
 #[derive(Clone, Debug)]
 pub(crate) struct Resampler {
     colour_size: (usize, usize),
     depth_size: (usize, usize),
     border: usize,
-    /// Per pixel of the cropped frame; `None` for a lens without distortion.
+    /// Bilinear taps per cropped pixel; `None` for a lens without distortion.
     taps: Option<Vec<Tap>>,
-    /// Straight to the delivered frame, where colour is not on the delivered grid.
-    areas: Option<AreaMap>,
-    /// Per pixel of the delivered frame: place in the recorded frame, or [`OUTSIDE`].
+    /// Area resampling straight to the delivered image, if colour has another grid.
+    areas: Option<AreaResampler>,
+    /// Index of the recorded pixel per delivered pixel, or [`OUTSIDE`].
     depth_lookup: Vec<u32>,
     cropped: (usize, usize),
-    /// The pinhole camera of the delivered frames.
+    /// Pinhole camera of the delivered frames.
     pub(crate) camera: Camera<f64>,
-    /// 1 plane, true where the recorded picture covers the delivered pixel; `None`: everywhere.
-    pub(crate) covered: Option<Image<bool>>,
-    /// The smallest border that removes every pixel not covered [px recorded].
-    pub(crate) full_cover_border: usize,
+    /// 1 plane, true where the recorded image covers the delivered pixel; `None` if everywhere.
+    pub(crate) valid_mask: Option<Image<bool>>,
+    /// Smallest border that removes all unrecorded pixels [px recorded].
+    pub(crate) full_coverage_border: usize,
 }
 
 impl Resampler {
-    /// Maps for the recording cameras, their lens, a border [px of the grid] and a delivered size.
+    /// Builds the tables for the recording cameras, their lens, a border [px of the grid] and a
+    /// delivered size [px].
     pub(crate) fn new(
-        recorded: &Recorded,
+        recorded: &RecordingCameras,
         lens: &Distortion,
         border: usize,
         delivered: (usize, usize),
@@ -86,11 +87,11 @@ impl Resampler {
             depth_lookup: Vec::new(),
             cropped: (cropped.width, cropped.height),
             camera: cropped.resized(delivered.0, delivered.1),
-            covered: None,
-            full_cover_border: border,
+            valid_mask: None,
+            full_coverage_border: border,
         };
         resampler.depth_lookup = resampler.depth_map(recorded, lens);
-        if !lens.is_none() {
+        if !lens.is_zero() {
             resampler.taps = Some(resampler.colour_map(recorded, lens));
         } else if recorded.colour != recorded.grid {
             resampler.areas = Some(resampler.area_map(recorded));
@@ -103,20 +104,20 @@ impl Resampler {
         self.border
     }
 
-    /// The same maps for other cameras of these sizes, and their lens.
-    pub(crate) fn with_camera(&self, recorded: &Recorded, lens: &Distortion) -> Self {
+    /// Rebuilds the tables for other cameras of the same sizes.
+    pub(crate) fn with_camera(&self, recorded: &RecordingCameras, lens: &Distortion) -> Self {
         Self::new(recorded, lens, self.border, (self.camera.width, self.camera.height))
     }
 
-    fn area_map(&mut self, recorded: &Recorded) -> AreaMap {
-        let map = AreaMap::new(&recorded.colour, &self.camera);
-        self.covered = map.covered();
+    fn area_map(&mut self, recorded: &RecordingCameras) -> AreaResampler {
+        let map = AreaResampler::new(&recorded.colour, &self.camera);
+        self.valid_mask = map.valid_mask();
         let step = self.cropped.0 as f64 / self.camera.width as f64;
-        self.full_cover_border += (map.uncovered_border() as f64 * step).ceil() as usize;
+        self.full_coverage_border += (map.uncovered_border() as f64 * step).ceil() as usize;
         map
     }
 
-    fn colour_map(&mut self, recorded: &Recorded, lens: &Distortion) -> Vec<Tap> {
+    fn colour_map(&mut self, recorded: &RecordingCameras, lens: &Distortion) -> Vec<Tap> {
         let (width, height) = self.cropped;
         let (grid, colour) = (&recorded.grid, &recorded.colour);
         let mut outside = Image::<f32>::new(width, height, 1);
@@ -124,18 +125,18 @@ impl Resampler {
         for row in 0..height {
             for column in 0..width {
                 let (i, j) = (column + self.border, row + self.border);
-                let (u, v) = through_lens(grid, lens, colour, i as f64 + 0.5, j as f64 + 0.5);
-                if pixel_at(colour, u, v) == OUTSIDE {
+                let (u, v) = distort_pixel(grid, lens, colour, i as f64 + 0.5, j as f64 + 0.5);
+                if pixel_index(colour, u, v) == OUTSIDE {
                     outside.data[row * width + column] = 1.0;
                     let edge = i.min(j).min(grid.width - 1 - i).min(grid.height - 1 - j);
-                    self.full_cover_border = self.full_cover_border.max(edge + 1);
+                    self.full_coverage_border = self.full_coverage_border.max(edge + 1);
                 }
                 taps.push(tap_at(colour, u, v));
             }
         }
         if outside.data.contains(&1.0) {
             let share = outside.resized_by_area(self.camera.width, self.camera.height);
-            self.covered = Some(Image {
+            self.valid_mask = Some(Image {
                 width: share.width,
                 height: share.height,
                 channels: 1,
@@ -145,7 +146,7 @@ impl Resampler {
         taps
     }
 
-    fn depth_map(&self, recorded: &Recorded, lens: &Distortion) -> Vec<u32> {
+    fn depth_map(&self, recorded: &RecordingCameras, lens: &Distortion) -> Vec<u32> {
         let (width, height) = (self.camera.width, self.camera.height);
         let step_x = self.cropped.0 as f64 / width as f64;
         let step_y = self.cropped.1 as f64 / height as f64;
@@ -155,15 +156,14 @@ impl Resampler {
             for column in 0..width {
                 let u = (column as f64 + 0.5) * step_x + border;
                 let v = (row as f64 + 0.5) * step_y + border;
-                let (u, v) = through_lens(&recorded.grid, lens, &recorded.depth, u, v);
-                lookup.push(pixel_at(&recorded.depth, u, v));
+                let (u, v) = distort_pixel(&recorded.grid, lens, &recorded.depth, u, v);
+                lookup.push(pixel_index(&recorded.depth, u, v));
             }
         }
         lookup
     }
 
-    /// The delivered colour of a recorded picture. Where the lens reaches beyond the recorded
-    /// picture its edge is repeated.
+    /// Resamples a recorded colour image. Beyond its edge the edge is repeated.
     pub(crate) fn colour(&self, recorded: &Image<f32>) -> Image<f32> {
         if let Some(areas) = &self.areas {
             return areas.apply(recorded);
@@ -183,8 +183,8 @@ impl Resampler {
         }
     }
 
-    /// The delivered depth [m] of a recorded depth image: values over `scale`, 0 where invalid,
-    /// not recorded, or beyond `max_depth`.
+    /// Resamples a depth image to metres: values over `scale`, 0 where invalid, not recorded, or
+    /// beyond `max_depth`.
     pub(crate) fn depth(&self, recorded: &Image<u16>, scale: f64, max_depth: f64) -> Image<f32> {
         self.depth_values(recorded, |raw| {
             let z = f64::from(raw) / scale;
@@ -192,16 +192,16 @@ impl Resampler {
         })
     }
 
-    /// `of` the recorded value that every delivered pixel takes from an image with the pixels of
-    /// depth; 0 where nothing was recorded.
+    /// Resamples an image with the pixels of depth by nearest neighbour and maps its values by `of`;
+    /// 0 where nothing was recorded.
     pub(crate) fn depth_values<T: Copy>(
         &self,
         recorded: &Image<T>,
         of: impl Fn(T) -> f32,
     ) -> Image<f32> {
-        let value = |&place: &u32| match place {
+        let value = |&index: &u32| match index {
             OUTSIDE => 0.0,
-            place => of(recorded.data[place as usize]),
+            index => of(recorded.data[index as usize]),
         };
         Image {
             width: self.camera.width,
@@ -217,23 +217,23 @@ impl Resampler {
     }
 }
 
-/// Where the lens of camera `to` puts what the pinhole `from` at its place sees at `(u, v)`.
-fn through_lens(
+/// Maps pixel `(u, v)` of the pinhole `from` to the distorted image of camera `to`.
+fn distort_pixel(
     from: &Camera<f64>,
     lens: &Distortion,
     to: &Camera<f64>,
     u: f64,
     v: f64,
 ) -> (f64, f64) {
-    if lens.is_none() && from == to {
+    if lens.is_zero() && from == to {
         return (u, v);
     }
     let (x, y) = lens.distort((u - from.cx) / from.fx, (v - from.cy) / from.fy);
     (to.fx * x + to.cx, to.fy * y + to.cy)
 }
 
-/// The pixel that `(u, v)` falls into.
-fn pixel_at(camera: &Camera<f64>, u: f64, v: f64) -> u32 {
+/// Index of the pixel that contains `(u, v)`.
+fn pixel_index(camera: &Camera<f64>, u: f64, v: f64) -> u32 {
     if camera.contains(u, v, 0.0) {
         (v as usize * camera.width + u as usize) as u32
     } else {
@@ -241,7 +241,7 @@ fn pixel_at(camera: &Camera<f64>, u: f64, v: f64) -> u32 {
     }
 }
 
-/// Bilinear weights at `(u, v)`, moved to the nearest edge where it lies beyond.
+/// Bilinear weights at `(u, v)`, clamped to the image.
 fn tap_at(camera: &Camera<f64>, u: f64, v: f64) -> Tap {
     let split = |position: f64, size: usize| {
         let centred = (position - 0.5).clamp(0.0, (size - 1) as f64);
@@ -278,7 +278,7 @@ fn crop(image: &Image<f32>, border: usize, size: (usize, usize)) -> Image<f32> {
     Image { width: size.0, height: size.1, channels: image.channels, data }
 }
 
-/// Area average for exactly half the size.
+/// Area average at exactly half the size.
 fn halved(image: &Image<f32>) -> Image<f32> {
     let mut out = Image::new(image.width / 2, image.height / 2, image.channels);
     let rows = image.data.chunks_exact(2 * image.width);
@@ -293,4 +293,121 @@ fn halved(image: &Image<f32>) -> Image<f32> {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use i2slam_geometry::Vec3;
+
+    fn camera() -> Camera<f64> {
+        Camera { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 33.0, cy: 23.0 }
+    }
+
+    /// One camera for colour and depth.
+    fn single(camera: Camera<f64>) -> RecordingCameras {
+        RecordingCameras { colour: camera, depth: camera, grid: camera }
+    }
+
+    fn lens() -> Distortion {
+        Distortion {
+            radial: [-0.2, 0.05, 0.0],
+            tangential: [0.01, -0.004],
+            ..Distortion::default()
+        }
+    }
+
+    /// A distorted image of a linear function of the ray.
+    fn recorded_ramp(lens: &Distortion) -> Image<f32> {
+        let mut image = Image::new(64, 48, 3);
+        for row in 0..48 {
+            for column in 0..64 {
+                let (x, y) = undistort(lens, column as f64 + 0.5, row as f64 + 0.5);
+                for channel in 0..3 {
+                    image.data[(channel * 48 + row) * 64 + column] = ramp(channel, x, y);
+                }
+            }
+        }
+        image
+    }
+
+    fn ramp(channel: usize, x: f64, y: f64) -> f32 {
+        (0.5 + [0.4, -0.3, 0.2][channel] * x + [0.1, 0.3, -0.4][channel] * y) as f32
+    }
+
+    /// Inverse distortion by fixed-point iteration.
+    fn undistort(lens: &Distortion, u: f64, v: f64) -> (f64, f64) {
+        let target = ((u - camera().cx) / camera().fx, (v - camera().cy) / camera().fy);
+        let (mut x, mut y) = target;
+        for _ in 0..200 {
+            let (dx, dy) = lens.distort(x, y);
+            (x, y) = (x + target.0 - dx, y + target.1 - dy);
+        }
+        (x, y)
+    }
+
+    #[test]
+    fn undistortion_gives_the_pinhole_image() {
+        for delivered in [(56, 40), (28, 20), (19, 13)] {
+            let resampler = Resampler::new(&single(camera()), &lens(), 4, delivered);
+            assert!(resampler.valid_mask.is_none());
+            let out = resampler.colour(&recorded_ramp(&lens()));
+            for row in 0..delivered.1 {
+                for column in 0..delivered.0 {
+                    let ray =
+                        resampler.camera.unproject(column as f64 + 0.5, row as f64 + 0.5, 1.0);
+                    for channel in 0..3 {
+                        let expected = ramp(channel, ray.x, ray.y);
+                        assert!((out.at(channel, column, row) - expected).abs() < 2e-4);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn depth_comes_from_the_pixel_the_ray_was_recorded_in() {
+        let resampler = Resampler::new(&single(camera()), &lens(), 4, (28, 20));
+        let point = resampler.camera.unproject(10.5, 4.5, 2.0);
+        let (x, y) = lens().distort(point.x / point.z, point.y / point.z);
+        let (u, v) = camera().project(Vec3::new(x, y, 1.0));
+        let mut recorded = Image::<u16>::new(64, 48, 1);
+        recorded.data[v as usize * 64 + u as usize] = 10_000;
+        assert_eq!(resampler.depth(&recorded, 5000.0, 10.0).at(0, 10, 4), 2.0);
+        assert_eq!(resampler.depth(&recorded, 5000.0, 1.9).at(0, 10, 4), 0.0);
+        let valid =
+            resampler.depth(&recorded, 5000.0, 10.0).data.iter().filter(|&&z| z > 0.0).count();
+        assert_eq!(valid, 1);
+    }
+
+    #[test]
+    fn without_distortion_resampling_agrees_with_area_and_nearest() {
+        let image = recorded_ramp(&Distortion::default());
+        let whole = Resampler::new(&single(camera()), &Distortion::default(), 0, (64, 48));
+        assert_eq!(whole.colour(&image), image);
+        let half = Resampler::new(&single(camera()), &Distortion::default(), 0, (32, 24));
+        let expected = image.resized_by_area(32, 24);
+        for (a, b) in half.colour(&image).data.iter().zip(&expected.data) {
+            assert!((a - b).abs() < 1e-6);
+        }
+        let depth = Image { width: 64, height: 48, channels: 1, data: (0..64 * 48).collect() };
+        let metres = depth.data.iter().map(|&v| f32::from(v)).collect();
+        let expected = Image { width: 64, height: 48, channels: 1, data: metres };
+        assert_eq!(half.depth(&depth, 1.0, 1e9), expected.resized_by_nearest(32, 24));
+    }
+
+    #[test]
+    fn unrecorded_pixels_are_marked() {
+        let outward = Distortion { radial: [0.3, 0.0, 0.0], ..Distortion::default() };
+        let resampler = Resampler::new(&single(camera()), &outward, 0, (64, 48));
+        let valid_mask = resampler.valid_mask.clone().expect("the corners are outside");
+        assert!(!valid_mask.at(0, 0, 0) && valid_mask.at(0, 32, 24));
+        let depth = Image { width: 64, height: 48, channels: 1, data: vec![1000; 64 * 48] };
+        let depth = resampler.depth(&depth, 1000.0, 10.0);
+        for (z, is_valid) in depth.data.iter().zip(&valid_mask.data) {
+            assert_eq!(*z > 0.0, *is_valid);
+        }
+        let border = resampler.full_coverage_border;
+        let size = (64 - 2 * border, 48 - 2 * border);
+        assert!(Resampler::new(&single(camera()), &outward, border, size).valid_mask.is_none());
+        let size = (size.0 + 2, size.1 + 2);
+        assert!(Resampler::new(&single(camera()), &outward, border - 1, size).valid_mask.is_some());
+    }
+}

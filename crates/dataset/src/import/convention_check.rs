@@ -1,129 +1,257 @@
-//! Whether depths and poses fit together, and which other convention would.
+//! Consistency of depths and poses, and the pose convention that would explain a mismatch.
 //!
-//! Depth of a keyframe, carried to the next one by their poses, must meet that one's depth and
-//! colour. Poses read by a wrong convention miss both, and those read by the right one do not.
+//! Pixels of a keyframe, reprojected into the next one with depth and poses, must agree with its
+//! depth and colour. Poses in a wrong convention agree with neither.
 
-mod miss;
-mod reading;
+use super::pose_convention::PoseConvention;
+use super::{ImportFormat, ImportedKeyframes, Keyframe};
+use i2slam_geometry::{Camera, Pose, Tap};
 
-use super::{Files, Kind};
-use i2slam_geometry::Pose;
-use miss::{Miss, mean};
-use reading::Reading;
-
-/// Pairs of keyframes that are looked at.
+/// Pairs of keyframes that are compared.
 const PAIRS: usize = 6;
 
-/// One pair may miss for reasons of its own.
+/// Fewest comparable pairs for a warning: a single pair may disagree by occlusion alone.
 const MIN_PAIRS: usize = 2;
 
-/// Another convention must miss by less than this share of what the given one misses by.
-const BETTER: f64 = 0.6;
+/// Largest error of another convention, as a share of that of the given one, to be reported.
+const BETTER_RATIO: f64 = 0.6;
 
-/// Factors of positions that are tried: powers of 2 up to this one, and their inverses.
-const MAX_SCALE: i32 = 10;
+/// Largest scale of positions that is tried, as a power of 2; also its inverse.
+const MAX_SCALE_EXPONENT: i32 = 10;
 
-/// Mean miss of pixels seen again above which depths and poses do not fit at all: colours that have
-/// nothing to do with each other miss by a half, depths by nearly 1.
-const UNFIT: f64 = 0.6;
+/// Mean error of overlapping pixels above which depths and poses disagree whatever the convention:
+/// unrelated colours have an error of 0.5, unrelated depths of nearly 1.
+const MAX_OVERLAP_ERROR: f64 = 0.6;
 
-/// Another way to take the poses.
+/// Pixels reprojected per pair, approximately.
+const SAMPLES: usize = 1500;
+
+/// Fewest overlapping pixels for a comparison of colours.
+const MIN_OVERLAP_PIXELS: usize = 30;
+
+/// Smallest share of overlapping pixels for an error of the overlap alone.
+const MIN_OVERLAP: f64 = 0.3;
+
+/// Share of pixels that leave the image between neighbouring keyframes without penalty.
+const USUAL_SHARE_OUTSIDE: f64 = 0.3;
+
+/// Relative difference of depths that counts as an error of 1.
+const FULL_DEPTH_ERROR: f64 = 0.1;
+
+/// A hypothesis about how the poses were written.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Candidate {
-    Read(Reading),
+    Convention(PoseConvention),
     /// Positions multiplied by this.
     Scaled(f64),
 }
 
 impl Candidate {
-    /// As given first, then other readings, then other units.
-    fn all(kind: Kind) -> Vec<Self> {
-        let has_order = matches!(kind, Kind::Droid | Kind::Trajectory);
-        let readings = Reading::ALL.into_iter().filter(|reading| has_order || !reading.order);
-        let powers = (-MAX_SCALE..=MAX_SCALE).filter(|&power| power != 0);
-        let scales = powers.map(|power| Self::Scaled(2_f64.powi(power)));
-        readings.map(Self::Read).chain(scales).collect()
+    /// All hypotheses: the convention of the format first, then others, then other units.
+    fn all(format: ImportFormat) -> Vec<Self> {
+        let has_order = matches!(format, ImportFormat::Droid | ImportFormat::Trajectory);
+        let conventions = PoseConvention::ALL.into_iter().filter(|c| has_order || !c.order);
+        let exponents = (-MAX_SCALE_EXPONENT..=MAX_SCALE_EXPONENT).filter(|&e| e != 0);
+        let scales = exponents.map(|exponent| Self::Scaled(2_f64.powi(exponent)));
+        conventions.map(Self::Convention).chain(scales).collect()
     }
 
-    fn pose(self, pose: Pose<f64>, kind: Kind) -> Pose<f64> {
+    /// The pose under this hypothesis.
+    fn reinterpret(self, pose: Pose<f64>, format: ImportFormat) -> Pose<f64> {
         match self {
-            Self::Read(reading) => reading.of(pose, kind),
+            Self::Convention(convention) => convention.reinterpret(pose, format),
             Self::Scaled(scale) => Pose { translation: pose.translation * scale, ..pose },
         }
     }
 }
 
 /// A warning if depths and poses disagree, with the convention that fits better if there is one.
-pub(super) fn warning(files: &Files) -> Option<String> {
-    if !files.has_depth {
+pub(super) fn convention_warning(keyframes: &ImportedKeyframes) -> Option<String> {
+    if !keyframes.has_depth {
         return None;
     }
-    let candidates = Candidate::all(files.kind);
-    let pairs = misses(files, &candidates);
+    let candidates = Candidate::all(keyframes.format);
+    let pairs = pair_errors(keyframes, &candidates);
     if pairs.len() < MIN_PAIRS {
         return None;
     }
-    let of = |which: usize| pairs.iter().map(|pair| pair[which].whole).collect::<Vec<f64>>();
-    let given = of(0);
-    let from = "from one keyframe to the next the mismatch (colour and depth) is";
-    let miss = mean(&given)?;
-    let better = |is_reading: bool| {
-        let places = (1..candidates.len())
-            .filter(|&which| matches!(candidates[which], Candidate::Read(_)) == is_reading);
-        best(places.map(|which| (candidates[which], of(which))), &given)
+    let errors_of = |candidate: usize| -> Vec<f64> {
+        pairs.iter().map(|errors| errors[candidate].total).collect()
     };
-    match better(true).or_else(|| better(false)) {
-        Some((Candidate::Read(reading), other)) => Some(format!(
-            "wrong convention? {from} {miss:.2} of 1, and {other:.2} if the poses are {}: {} is \
+    let given = errors_of(0);
+    let from = "from one keyframe to the next the mismatch (colour and depth) is";
+    let error = mean(&given)?;
+    let best_of = |is_convention: bool| {
+        let others = (1..candidates.len())
+            .filter(|&i| matches!(candidates[i], Candidate::Convention(_)) == is_convention);
+        best(others.map(|i| (candidates[i], errors_of(i))), &given)
+    };
+    match best_of(true).or_else(|| best_of(false)) {
+        Some((Candidate::Convention(convention), other)) => Some(format!(
+            "wrong convention? {from} {error:.2} of 1, and {other:.2} if the poses are {}: {} is \
              expected to hold {}",
-            reading.words(files.kind),
-            files.path.display(),
-            files.kind.convention()
+            convention.description(keyframes.format),
+            keyframes.path.display(),
+            keyframes.format.convention()
         )),
         Some((Candidate::Scaled(scale), other)) => Some(format!(
-            "depths and poses in different units? {from} {miss:.2} of 1, and {other:.2} if \
+            "depths and poses in different units? {from} {error:.2} of 1, and {other:.2} if \
              positions are multiplied by about {scale}"
         )),
         None => {
-            let seen: Vec<f64> = pairs.iter().filter_map(|pair| pair[0].seen).collect();
-            let miss = mean(&seen).filter(|&miss| seen.len() >= MIN_PAIRS && miss > UNFIT)?;
+            let overlap: Vec<f64> = pairs.iter().filter_map(|errors| errors[0].overlap).collect();
+            let error = mean(&overlap)
+                .filter(|&error| overlap.len() >= MIN_PAIRS && error > MAX_OVERLAP_ERROR)?;
             Some(format!(
-                "depths and poses disagree: {from} {miss:.2} of 1, and no other convention fits \
+                "depths and poses disagree: {from} {error:.2} of 1, and no other convention fits \
                  better; are they of these pictures?"
             ))
         }
     }
 }
 
-/// The candidate that misses least and its mean miss, if that is clearly less than what is given.
+/// The candidate of the least mean error and that error, if clearly smaller than the given one's.
 fn best<T>(candidates: impl Iterator<Item = (T, Vec<f64>)>, given: &[f64]) -> Option<(T, f64)> {
-    let means = candidates.filter_map(|(what, misses)| Some((what, mean(&misses)?, misses)));
-    let (what, mean_miss, misses) = means.min_by(|a, b| a.1.total_cmp(&b.1))?;
-    let often = misses.iter().zip(given).filter(|(other, given)| other < given).count();
-    let clearly = mean_miss < BETTER * mean(given)? && 3 * often > 2 * given.len();
-    clearly.then_some((what, mean_miss))
+    let means = candidates.filter_map(|(what, errors)| Some((what, mean(&errors)?, errors)));
+    let (what, mean_error, errors) = means.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let wins = errors.iter().zip(given).filter(|(other, given)| other < given).count();
+    let clearly = mean_error < BETTER_RATIO * mean(given)? && 3 * wins > 2 * given.len();
+    clearly.then_some((what, mean_error))
 }
 
-/// What every candidate misses by, for every pair that can be compared. No more than two keyframes
-/// are held at once.
-fn misses(files: &Files, candidates: &[Candidate]) -> Vec<Vec<Miss>> {
+/// Errors of all candidates, for every pair of keyframes that can be compared. Holds two keyframes
+/// at a time.
+fn pair_errors(
+    keyframes: &ImportedKeyframes,
+    candidates: &[Candidate],
+) -> Vec<Vec<ReprojectionError>> {
     let of_pair = |(first, second): (usize, usize)| {
-        let (a, b) = (files.load(first).ok()?, files.load(second).ok()?);
-        let miss = |candidate: &Candidate| {
-            let pose = |pose: Pose<f64>| candidate.pose(pose, files.kind);
+        let (a, b) = (keyframes.load(first).ok()?, keyframes.load(second).ok()?);
+        let error = |candidate: &Candidate| {
+            let pose = |pose: Pose<f64>| candidate.reinterpret(pose, keyframes.format);
             let b_from_a = pose(b.world_from_camera).inverse() * pose(a.world_from_camera);
-            Miss::of(&files.camera, &a, &b, b_from_a)
+            ReprojectionError::between(&keyframes.camera, &a, &b, b_from_a)
         };
-        candidates.iter().map(miss).collect::<Option<Vec<Miss>>>()
+        candidates.iter().map(error).collect::<Option<Vec<ReprojectionError>>>()
     };
-    pairs(files).into_iter().filter_map(of_pair).collect()
+    choose_pairs(keyframes).into_iter().filter_map(of_pair).collect()
 }
 
-/// Pairs spread over all keyframes: neighbours in time, or those that share most points.
-fn pairs(files: &Files) -> Vec<(usize, usize)> {
-    let last = files.len().saturating_sub(1);
-    let mut places: Vec<usize> = (0..PAIRS).map(|k| k * last / PAIRS).collect();
-    places.dedup();
-    let other = |place: usize| files.source.shares_most(&files.keyframes, place);
-    places.into_iter().map(|place| (place, other(place).unwrap_or(place + 1))).collect()
+/// Pairs spread over all keyframes: neighbours in time, or the most covisible ones.
+fn choose_pairs(keyframes: &ImportedKeyframes) -> Vec<(usize, usize)> {
+    let last = keyframes.len().saturating_sub(1);
+    let mut firsts: Vec<usize> = (0..PAIRS).map(|k| k * last / PAIRS).collect();
+    firsts.dedup();
+    let covisible = |index: usize| keyframes.source.most_covisible(&keyframes.keyframes, index);
+    firsts.into_iter().map(|index| (index, covisible(index).unwrap_or(index + 1))).collect()
+}
+
+/// Disagreement of depth and colour between two keyframes, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct ReprojectionError {
+    /// Error of all pixels; those outside the other image beyond the usual share count as 1.
+    total: f64,
+    /// Error of overlapping pixels; `None` if these are few.
+    overlap: Option<f64>,
+}
+
+impl ReprojectionError {
+    /// Reprojects `a` into `b`; `None` if `a` has too little depth.
+    fn between(
+        camera: &Camera<f64>,
+        a: &Keyframe,
+        b: &Keyframe,
+        b_from_a: Pose<f64>,
+    ) -> Option<Self> {
+        let pixels = reproject(camera, a, b_from_a)?;
+        let colour = colour_error(&pixels, a, b);
+        let error = depth_error(&pixels, b).map_or(colour, |depth| 0.5 * (colour + depth));
+        let count = pixels.iter().filter(|pixel| pixel.target.is_some()).count();
+        let share = count as f64 / pixels.len() as f64;
+        let has_overlap = count >= MIN_OVERLAP_PIXELS && share >= MIN_OVERLAP;
+        let total = with_outside(error, 1.0 - share);
+        Some(Self { total, overlap: has_overlap.then_some(error) })
+    }
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// A pixel of one image in another one.
+struct Reprojected {
+    /// Index of the pixel in its own image.
+    source: usize,
+    /// Position in the other image, and depth there; `None`: outside.
+    target: Option<(Tap<f32>, f64)>,
+}
+
+fn reproject(camera: &Camera<f64>, a: &Keyframe, b_from_a: Pose<f64>) -> Option<Vec<Reprojected>> {
+    let depth = &a.depth.as_ref()?.data;
+    let valid = depth.iter().filter(|&&z| z > 0.0).count();
+    let every = (valid / SAMPLES).max(1);
+    let chosen = depth.iter().enumerate().filter(|(_, z)| **z > 0.0).step_by(every);
+    let pixels = chosen.map(|(source, &z)| {
+        let (u, v) = Camera::<f64>::pixel_centre(source % camera.width, source / camera.width);
+        let p = b_from_a * camera.unproject(u, v, f64::from(z));
+        let (u, v) = camera.project(p);
+        let tap = Tap::new(camera.width, camera.height, u as f32, v as f32);
+        let target = tap.filter(|_| p.z > 0.0).map(|tap| (tap, p.z));
+        Reprojected { source, target }
+    });
+    let pixels: Vec<Reprojected> = pixels.collect();
+    (pixels.len() >= MIN_OVERLAP_PIXELS).then_some(pixels)
+}
+
+/// Mixes the error of overlapping pixels with 1 for the share `outside` beyond the usual one.
+fn with_outside(error: f64, outside: f64) -> f64 {
+    let unusual = ((outside - USUAL_SHARE_OUTSIDE) / (1.0 - USUAL_SHARE_OUTSIDE)).max(0.0);
+    error * (1.0 - unusual) + unusual
+}
+
+/// Mean relative difference of depths, 0 to 1; `None` if the other depth is too sparse.
+fn depth_error(pixels: &[Reprojected], b: &Keyframe) -> Option<f64> {
+    let depth = &b.depth.as_ref()?.data;
+    let overlap: Vec<(Tap<f32>, f64)> = pixels.iter().filter_map(|pixel| pixel.target).collect();
+    let difference = |&(tap, z): &(Tap<f32>, f64)| {
+        let around = tap.values(depth);
+        // Inverse depth is linear in the image of a plane.
+        let inverse = || f64::from(tap.interpolate(around.map(f32::recip)).0);
+        let is_known = around.iter().all(|&z| z > 0.0);
+        is_known.then(|| ((inverse() * z - 1.0).abs() / FULL_DEPTH_ERROR).min(1.0))
+    };
+    let errors: Vec<f64> = overlap.iter().filter_map(difference).collect();
+    if overlap.is_empty() {
+        return Some(1.0);
+    }
+    (2 * errors.len() >= overlap.len()).then(|| mean(&errors).unwrap_or(1.0))
+}
+
+/// `(1 - correlation) / 2` of the brightness of overlapping pixels.
+fn colour_error(pixels: &[Reprojected], a: &Keyframe, b: &Keyframe) -> f64 {
+    let brightness = |keyframe: &Keyframe, value: &dyn Fn(&[f32]) -> f32| -> f64 {
+        (0..3).map(|channel| f64::from(value(keyframe.colour.plane(channel)))).sum()
+    };
+    let both = |pixel: &Reprojected| {
+        let (tap, _) = pixel.target?;
+        let here = brightness(a, &|plane| plane[pixel.source]);
+        Some((here, brightness(b, &|plane| tap.sample(plane).0)))
+    };
+    let overlap: Vec<(f64, f64)> = pixels.iter().filter_map(both).collect();
+    if overlap.len() < MIN_OVERLAP_PIXELS { 1.0 } else { 0.5 * (1.0 - correlation(&overlap)) }
+}
+
+fn correlation(pairs: &[(f64, f64)]) -> f64 {
+    let count = pairs.len() as f64;
+    let mean = pairs.iter().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
+    let mean = (mean.0 / count, mean.1 / count);
+    let (mut both, mut first, mut second) = (0.0, 0.0, 0.0);
+    for pair in pairs {
+        let (x, y) = (pair.0 - mean.0, pair.1 - mean.1);
+        both += x * y;
+        first += x * x;
+        second += y * y;
+    }
+    let scale = (first * second).sqrt();
+    if scale > 0.0 { both / scale } else { 0.0 }
 }

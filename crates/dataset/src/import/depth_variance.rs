@@ -1,34 +1,34 @@
-//! Pictures of how far depth pictures are trusted.
+//! Variance of depth images, from files.
 
-use super::keyframe::KeyframePose;
-use super::npy::Array;
-use crate::decode::{DepthCode, decode_depth};
-use crate::layouts::pairs::{last_number, stem};
+use super::source::KeyframePose;
+use crate::formats::npy::NpyArray;
+use crate::formats::{file_stem, last_number};
+use crate::image::{DepthEncoding, decode_depth};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::Image;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// A folder of them: `.npy` arrays `[height, width]` of the variance of depth [m²], or 16-bit grey
-/// PNG of the standard deviation on the scale of the depth pictures. As large as these.
+/// Folder of `.npy` arrays `[height, width]` of the variance of depth [m²], or of 16-bit grey PNG of
+/// the standard deviation on the scale of the depth images. Same size as these.
 #[derive(Clone, Debug)]
-pub(super) struct VariancePictures {
+pub(super) struct VarianceImages {
     folder: PathBuf,
     by_name: HashMap<String, PathBuf>,
-    /// By the last number in the name; none if two files have the same.
+    /// By the last number in the name; empty if two files share one.
     by_number: HashMap<u64, PathBuf>,
-    /// Two files with one number, for messages.
+    /// Two files that share a number, for messages.
     same_number: Option<(PathBuf, PathBuf)>,
 }
 
-impl VariancePictures {
+impl VarianceImages {
     pub(super) fn open(folder: &Path) -> Result<Self, DatasetError> {
         let listing = std::fs::read_dir(folder).map_err(|e| DatasetError::read(folder, e))?;
-        let of_interest = |path: &PathBuf| {
+        let is_variance = |path: &PathBuf| {
             path.extension().is_some_and(|e| ["npy", "png"].iter().any(|end| e == *end))
         };
         let mut files: Vec<PathBuf> =
-            listing.flatten().map(|entry| entry.path()).filter(of_interest).collect();
+            listing.flatten().map(|entry| entry.path()).filter(is_variance).collect();
         files.sort();
         if files.is_empty() {
             let expected = ".npy arrays of variance or 16-bit PNG of standard deviation";
@@ -50,7 +50,7 @@ impl VariancePictures {
     }
 
     fn add(&mut self, file: PathBuf) -> Result<(), DatasetError> {
-        let name = stem(&file);
+        let name = file_stem(&file);
         if let Some(number) = last_number(&name)
             && let Some(other) = self.by_number.insert(number, file.clone())
         {
@@ -65,7 +65,8 @@ impl VariancePictures {
         }
     }
 
-    /// The delivered variance [m²] of a keyframe. Depth without a variance above 0 becomes none.
+    /// Reads and resamples the variance [m²] of a keyframe. Depth without a positive variance is
+    /// removed.
     pub(super) fn load(
         &self,
         sequence: &Sequence,
@@ -83,13 +84,13 @@ impl VariancePictures {
             let reason = format!("no variance with the name or number of {beside}{same}");
             DatasetError::image(&self.folder, reason)
         })?;
-        let resampler = &sequence.preparation.resampler;
+        let resampler = &sequence.loader.resampler;
         let (_, size) = resampler.recorded_sizes();
         let mut variance = if file.extension().is_some_and(|e| e == "npy") {
             let recorded = read_array(file, size)?;
             resampler.depth_values(&recorded, |variance| variance)
         } else {
-            let recorded = decode_depth(file, None, DepthCode::Png)?;
+            let recorded = decode_depth(file, None, DepthEncoding::Png)?;
             check_size(file, (recorded.width, recorded.height), size)?;
             let scale = sequence.depth_scale;
             resampler.depth_values(&recorded, |v| (f64::from(v) / scale).powi(2) as f32)
@@ -102,16 +103,16 @@ impl VariancePictures {
         Ok(variance)
     }
 
-    /// The file of that name, else of the last number in it.
+    /// Finds the file with the name of another, else with the last number in it.
     fn find(&self, beside: &Path) -> Option<&Path> {
-        let name = stem(beside);
+        let name = file_stem(beside);
         let by_number = || self.by_number.get(&last_number(&name)?);
         self.by_name.get(&name).or_else(by_number).map(PathBuf::as_path)
     }
 }
 
 fn read_array(file: &Path, size: (usize, usize)) -> Result<Image<f32>, DatasetError> {
-    let array = Array::open(file).map_err(of_one_frame)?;
+    let array = NpyArray::open(file).map_err(as_frame_error)?;
     let &[height, width] = array.shape.as_slice() else {
         let reason = format!("shape {:?}, expected [height, width]", array.shape);
         return Err(DatasetError::image(file, reason));
@@ -121,8 +122,8 @@ fn read_array(file: &Path, size: (usize, usize)) -> Result<Image<f32>, DatasetEr
     Ok(Image { width, height, channels: 1, data })
 }
 
-/// A broken file of variance concerns the keyframe that it belongs to.
-fn of_one_frame(error: DatasetError) -> DatasetError {
+/// A damaged variance file affects its keyframe only, unlike other metadata.
+fn as_frame_error(error: DatasetError) -> DatasetError {
     match error {
         DatasetError::Metadata { path, reason } => DatasetError::Image { path, reason },
         other => other,

@@ -1,17 +1,16 @@
-//! What a file or folder of keyframes is.
+//! Recognition of the formats of imported keyframes.
 
-use super::colmap;
 use crate::DatasetError;
-use crate::layouts::contents;
-use crate::lists::data_lines;
+use crate::formats::colmap;
+use crate::text::{data_lines, list_names};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// How imported keyframes lie on disk. See docs/import.md for each.
+/// Format of imported keyframes. See docs/import.md for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
-pub enum Kind {
+pub enum ImportFormat {
     /// nerfstudio's and instant-ngp's `transforms.json`.
     Nerfstudio,
     /// A sparse model of COLMAP, text or binary.
@@ -22,11 +21,11 @@ pub enum Kind {
     Trajectory,
 }
 
-impl Kind {
-    /// All kinds, in the order in which they are looked for.
+impl ImportFormat {
+    /// All formats, in the order in which they are looked for.
     pub const ALL: [Self; 4] = [Self::Nerfstudio, Self::Colmap, Self::Droid, Self::Trajectory];
 
-    /// Its name for people.
+    /// Name for users.
     pub fn name(self) -> &'static str {
         match self {
             Self::Nerfstudio => "nerfstudio",
@@ -36,8 +35,7 @@ impl Kind {
         }
     }
 
-    /// What it says of a camera and the world, before it is turned to `world_from_camera` with
-    /// OpenCV's axes.
+    /// Pose convention of the files, for users.
     pub fn convention(self) -> &'static str {
         match self {
             Self::Nerfstudio => "world_from_camera, OpenGL axes (y up, z backwards)",
@@ -47,7 +45,7 @@ impl Kind {
         }
     }
 
-    /// The files by which it is recognised.
+    /// Files by which the format is recognised, for users.
     pub fn recognised_by(self) -> &'static str {
         match self {
             Self::Nerfstudio => "transforms.json, or its folder",
@@ -63,39 +61,45 @@ impl Kind {
     }
 }
 
-impl std::fmt::Display for Kind {
+impl std::fmt::Display for ImportFormat {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.name())
     }
 }
 
-/// A kind with its files.
-pub(super) enum Recognised {
+/// A recognised format with its files.
+pub(super) enum DetectedFormat {
     Nerfstudio(PathBuf),
     Colmap(colmap::Model),
     Droid(PathBuf),
     Trajectory(PathBuf),
 }
 
-impl Recognised {
-    /// Finds out what `path` is.
-    pub(super) fn in_path(path: &Path) -> Result<Self, DatasetError> {
-        let unknown =
-            |found: String| Err(DatasetError::UnknownImport { path: path.to_path_buf(), found });
-        let found = if path.is_file() { Self::file(path) } else { Self::folder(path) };
+impl DetectedFormat {
+    /// Recognises the format of `path`.
+    pub(super) fn detect(path: &Path) -> Result<Self, DatasetError> {
+        let unknown = |found: String| {
+            let line = |format: ImportFormat| {
+                format!("\n  {:<26}{}", format.name(), format.recognised_by())
+            };
+            let known = ImportFormat::ALL.into_iter().map(line).collect();
+            Err(DatasetError::UnknownImport { path: path.to_path_buf(), found, known })
+        };
+        let found =
+            if path.is_file() { Self::detect_file(path) } else { Self::detect_folder(path) };
         match found {
             Some(found) => Ok(found),
             None if !path.exists() => unknown("nothing".into()),
-            None if is_of_torch(path) => unknown(
+            None if is_torch_file(path) => unknown(
                 "a file of torch.save: write its arrays with np.savez (docs/import.md, DROID-SLAM)"
                     .into(),
             ),
             None if path.is_file() => unknown("a file of another kind".into()),
-            None => unknown(contents(path)),
+            None => unknown(list_names(path)),
         }
     }
 
-    fn file(path: &Path) -> Option<Self> {
+    fn detect_file(path: &Path) -> Option<Self> {
         let has_end = |end: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(end));
         let folder = path.parent().unwrap_or(Path::new("."));
         let is_model = ["cameras", "images", "points3D"]
@@ -113,7 +117,7 @@ impl Recognised {
         is_trajectory(path).then(|| Self::Trajectory(path.to_path_buf()))
     }
 
-    fn folder(path: &Path) -> Option<Self> {
+    fn detect_folder(path: &Path) -> Option<Self> {
         let file = |name: &str| Some(path.join(name)).filter(|file| file.is_file());
         let archive = || {
             let files = std::fs::read_dir(path).into_iter().flatten().flatten();
@@ -130,8 +134,8 @@ impl Recognised {
     }
 }
 
-/// Whether a file has a name as torch.save is given them, or starts with a member that it writes.
-fn is_of_torch(path: &Path) -> bool {
+/// Whether a file was written by torch.save, by its extension or first archive member.
+fn is_torch_file(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = |file: File| file.take(128).read_to_end(&mut head);
     let is_file = path.is_file() && File::open(path).and_then(read).is_ok();
@@ -139,7 +143,7 @@ fn is_of_torch(path: &Path) -> bool {
     is_file && (named || head.windows(8).any(|word| word == b"data.pkl"))
 }
 
-/// Whether a file is text whose first line with data starts with a number and has several.
+/// Whether the first data line of a text file starts with a number and has at least 7 columns.
 fn is_trajectory(path: &Path) -> bool {
     let Ok(text) = std::fs::read_to_string(path) else { return false };
     data_lines(&text).next().is_none_or(|(_, line)| {

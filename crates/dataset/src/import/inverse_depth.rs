@@ -1,43 +1,42 @@
-//! Inverse depth on a grid of its own, and its variance, looked up where a picture has its pixels.
+//! Dense depth or inverse depth on a grid of its own, with variance, resampled to the images.
 
-use super::keyframe::measured;
-use super::npy::Array;
+use super::source::as_valid_f32;
 use crate::DatasetError;
+use crate::formats::npy::NpyArray;
 use i2slam_geometry::{Camera, Image, Tap};
 
-/// Neighbours whose inverse depths differ by this factor lie on two surfaces.
-const ONE_SURFACE: f64 = 1.2;
+/// Ratio of neighbouring inverse depths from which they count as two surfaces.
+const SURFACE_RATIO: f64 = 1.2;
 
-/// What a variance is of.
+/// Quantity that a variance belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Variance {
-    OfDepth,
-    OfInverse,
+pub(super) enum VarianceKind {
+    Depth,
+    InverseDepth,
 }
 
-/// Maps of depth or inverse depth, one a keyframe.
+/// Maps of depth or inverse depth, one per keyframe.
 #[derive(Clone, Debug)]
 pub(super) struct InverseDepth {
-    pub(super) values: Array,
+    pub(super) values: NpyArray,
     pub(super) is_inverse: bool,
-    /// As large as `values`.
-    pub(super) variance: Option<(Array, Variance)>,
-    /// The camera of the maps' pixels.
+    /// Same shape as `values`.
+    pub(super) variance: Option<(NpyArray, VarianceKind)>,
+    /// Camera of the maps.
     pub(super) camera: Camera<f64>,
-    /// Depth beyond this is none.
+    /// Depth beyond this is invalid.
     pub(super) max_depth: f64,
 }
 
 impl InverseDepth {
-    /// Depth and variance of a keyframe in the pixels of `camera`, which stands where the maps'
-    /// does. 0 where there is no depth.
+    /// Depth and variance of a keyframe in the pixels of `camera`, which shares centre and
+    /// orientation with the maps' camera; 0 where there is no depth.
     ///
-    /// Inverse depth `d` is interpolated, which is linear over the picture of a plane; beyond the
-    /// outermost pixel centres theirs are repeated. Beside a pixel without depth, and between
-    /// pixels whose inverse depths differ by a fifth, the nearest is taken. The variance of `d` is
-    /// interpolated alike, and that of depth is `Σ_z = Σ_d / d⁴` (first order; Rosinol et al. 2023,
+    /// Inverse depth `d` is interpolated linearly, because it is linear in the image of a plane; at
+    /// depth discontinuities and beside invalid pixels the nearest value is used. The variance of `d`
+    /// is interpolated alike; that of depth is `Σ_z = Σ_d / d⁴` (first order; Rosinol et al. 2023,
     /// section 3.2).
-    pub(super) fn at(
+    pub(super) fn resample(
         &self,
         record: usize,
         camera: &Camera<f64>,
@@ -49,15 +48,17 @@ impl InverseDepth {
             for column in 0..camera.width {
                 let (u, v) = Camera::<f64>::pixel_centre(column, row);
                 let ray = camera.unproject(u, v, 1.0);
-                let Some(place) = self.place(&inverse, self.camera.project(ray)) else { continue };
-                let d = place.of(&inverse);
+                let Some(sample) = self.sample_at(&inverse, self.camera.project(ray)) else {
+                    continue;
+                };
+                let d = sample.value_in(&inverse);
                 let z = d.recip();
                 if z > self.max_depth {
                     continue;
                 }
                 let at = row * camera.width + column;
-                let spread = spread.as_ref().map(|spread| place.of(spread) * z.powi(4));
-                let Some((z, spread)) = measured(z, spread) else { continue };
+                let spread = spread.as_ref().map(|spread| sample.value_in(spread) * z.powi(4));
+                let Some((z, spread)) = as_valid_f32(z, spread) else { continue };
                 depth.data[at] = z;
                 if let (Some(variance), Some(spread)) = (&mut variance, spread) {
                     variance.data[at] = spread;
@@ -67,7 +68,7 @@ impl InverseDepth {
         Ok((depth, variance))
     }
 
-    /// Inverse depth (0: none) and its variance, where there is one.
+    /// Reads inverse depth (0: none) and its variance, if there is one.
     fn read(&self, record: usize) -> Result<(Vec<f64>, Option<Vec<f64>>), DatasetError> {
         let mut inverse = self.values.slice(record)?;
         if !self.is_inverse {
@@ -77,7 +78,7 @@ impl InverseDepth {
         let Some((array, kind)) = &self.variance else { return Ok((inverse, None)) };
         let mut spread = array.slice(record)?;
         for (spread, d) in spread.iter_mut().zip(&mut inverse) {
-            if *kind == Variance::OfDepth {
+            if *kind == VarianceKind::Depth {
                 *spread *= d.powi(4);
             }
             if !(spread.is_finite() && *spread > 0.0) {
@@ -87,11 +88,10 @@ impl InverseDepth {
         Ok((inverse, Some(spread)))
     }
 
-    /// Where a map is read at `(u, v)`; `None` where it has no depth.
-    fn place(&self, inverse: &[f64], (u, v): (f64, f64)) -> Option<Place> {
+    /// Chooses the sample of a map at `(u, v)`; `None` where it has no depth.
+    fn sample_at(&self, inverse: &[f64], (u, v): (f64, f64)) -> Option<Sample> {
         let (width, height) = (self.camera.width, self.camera.height);
-        // Maps of an eighth of the size have their first pixel at the picture's first: the last one
-        // stands for what lies beyond it.
+        // Maps of an eighth of the size cover slightly less than the image: their edge is repeated.
         if !self.camera.contains(u, v, -0.5) {
             return None;
         }
@@ -102,31 +102,30 @@ impl InverseDepth {
         let at = |at: f64, side: usize| (at.max(0.0) as usize).min(side - 1);
         let nearest = at(v, height) * width + at(u, width);
         match all {
-            Some(tap) => Some(Place::Between(tap)),
-            None => (inverse[nearest] > 0.0).then_some(Place::At(nearest)),
+            Some(tap) => Some(Sample::Bilinear(tap)),
+            None => (inverse[nearest] > 0.0).then_some(Sample::Nearest(nearest)),
         }
     }
 }
 
-/// Whether inverse depths around a place are all known, and near enough to lie on one surface:
-/// between two of them there is nothing.
+/// Whether four neighbouring inverse depths are valid and similar enough to lie on one surface.
 fn is_one_surface(around: [f64; 4]) -> bool {
     let least = around.into_iter().fold(f64::INFINITY, f64::min);
     let most = around.into_iter().fold(0.0, f64::max);
-    least > 0.0 && most < ONE_SURFACE * least
+    least > 0.0 && most < SURFACE_RATIO * least
 }
 
-/// A place in a map.
-enum Place {
-    Between(Tap<f64>),
-    At(usize),
+/// Interpolation weights, or a single pixel.
+enum Sample {
+    Bilinear(Tap<f64>),
+    Nearest(usize),
 }
 
-impl Place {
-    fn of(&self, plane: &[f64]) -> f64 {
+impl Sample {
+    fn value_in(&self, plane: &[f64]) -> f64 {
         match self {
-            Self::Between(tap) => tap.sample(plane).0,
-            Self::At(index) => plane[*index],
+            Self::Bilinear(tap) => tap.sample(plane).0,
+            Self::Nearest(index) => plane[*index],
         }
     }
 }

@@ -1,21 +1,21 @@
-//! How poses may have been written in another way than their kind says.
+//! Pose conventions: direction, camera axes and quaternion order.
 
-use crate::import::Kind;
+use super::ImportFormat;
 use i2slam_geometry::{Pose, Rotation, Vec3};
 
-/// How poses may have been written in another way than their kind says.
+/// Deviation of a file's poses from the convention of its format.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Reading {
-    /// The other way round: `world_from_camera` for `camera_from_world`.
+pub(super) struct PoseConvention {
+    /// Inverted: `world_from_camera` for `camera_from_world` or vice versa.
     inverse: bool,
-    /// Camera axes of OpenGL for those of OpenCV, or the other way round.
+    /// Camera axes of OpenGL for those of OpenCV or vice versa.
     axes: bool,
     /// Quaternions w x y z for x y z w.
     pub(super) order: bool,
 }
 
-impl Reading {
-    /// The given one first, the simplest before others.
+impl PoseConvention {
+    /// All conventions, that of the format first, the simplest before others.
     pub(super) const ALL: [Self; 8] = [
         Self::new(false, false, false),
         Self::new(true, false, false),
@@ -31,9 +31,13 @@ impl Reading {
         Self { inverse, axes, order }
     }
 
-    /// The pose that the files hold by this reading, from the pose as it was read.
-    pub(super) fn of(self, world_from_camera: Pose<f64>, kind: Kind) -> Pose<f64> {
-        let is_inverse = matches!(kind, Kind::Colmap | Kind::Droid);
+    /// Reinterprets a pose that was read by the convention of the format.
+    pub(super) fn reinterpret(
+        self,
+        world_from_camera: Pose<f64>,
+        format: ImportFormat,
+    ) -> Pose<f64> {
+        let is_inverse = matches!(format, ImportFormat::Colmap | ImportFormat::Droid);
         let mut pose = if is_inverse { world_from_camera.inverse() } else { world_from_camera };
         if self.order {
             let Rotation { w, v } = pose.rotation;
@@ -50,13 +54,14 @@ impl Reading {
         pose
     }
 
-    pub(super) fn words(self, kind: Kind) -> String {
-        let inverse = match kind {
-            Kind::Colmap | Kind::Droid => "world_from_camera",
-            Kind::Nerfstudio | Kind::Trajectory => "camera_from_world",
+    /// Description for messages.
+    pub(super) fn description(self, format: ImportFormat) -> String {
+        let inverse = match format {
+            ImportFormat::Colmap | ImportFormat::Droid => "world_from_camera",
+            ImportFormat::Nerfstudio | ImportFormat::Trajectory => "camera_from_world",
         };
-        let axes = match kind {
-            Kind::Nerfstudio => "camera axes of OpenCV (y down, z forwards)",
+        let axes = match format {
+            ImportFormat::Nerfstudio => "camera axes of OpenCV (y down, z forwards)",
             _ => "camera axes of OpenGL (y up, z backwards)",
         };
         let parts = [
@@ -74,20 +79,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn readings_undo_what_was_written_otherwise() {
+    fn reinterpretation_undoes_other_conventions() {
         let pose = Pose::new(Rotation::exp(Vec3::new(0.4, -0.2, 0.9)), Vec3::new(1.0, -2.0, 0.5));
         let near = |a: Pose<f64>, b: Pose<f64>| {
             let apart = a.local(b);
             assert!(apart.translation.norm() + apart.rotation.norm() < 1e-12, "{a:?} {b:?}");
         };
-        for kind in Kind::ALL {
-            near(Reading::ALL[0].of(pose, kind), pose);
-            near(Reading::new(true, false, false).of(pose.inverse(), kind), pose);
+        for format in ImportFormat::ALL {
+            near(PoseConvention::ALL[0].reinterpret(pose, format), pose);
+            near(PoseConvention::new(true, false, false).reinterpret(pose.inverse(), format), pose);
         }
         // A file with w x y z, read as x y z w.
         let Rotation { w, v } = pose.rotation;
         let misread = Rotation::from_wxyz(v.z, w, v.x, v.y).expect("a rotation");
         let misread = Pose::new(misread, pose.translation);
-        near(Reading::new(false, false, true).of(misread, Kind::Trajectory), pose);
+        near(
+            PoseConvention::new(false, false, true).reinterpret(misread, ImportFormat::Trajectory),
+            pose,
+        );
     }
 }

@@ -1,79 +1,80 @@
-//! Poses that have found their pictures.
+//! Matching of poses with images.
 
-use super::join::join;
-use super::keyframe::{DepthSource, KeyframePose, Pictures, Source};
-use super::{Depth, Kind, Options};
-use crate::{DatasetError, Entry, OpenOptions, Sequence};
+use super::source::{DepthSource, ImageSource, KeyframePose, KeyframeSource};
+use super::{ImportDepth, ImportFormat, ImportOptions};
+use crate::formats::{FrameEntry, associate_poses};
+use crate::{DatasetError, OpenOptions, Sequence};
 use i2slam_geometry::{Pose, StampedPose};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// A pose this share of the picture interval away from its picture is worth a warning.
-const ODD_GAP: f64 = 0.25;
+/// Distance in time between pose and image above which a warning is given [frame intervals].
+const MAX_SILENT_GAP: f64 = 0.25;
 
-/// How many poses and pictures are no keyframes.
+/// Numbers of poses and images that are no keyframes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct LeftOut {
-    /// Poses without a picture.
-    pub poses_without_picture: usize,
-    /// Pictures of the sequence without a pose: what lies between keyframes.
-    pub pictures_without_pose: usize,
-    /// Poses with a picture, before the choice by range and stride.
-    pub(super) with_picture: usize,
-    /// Why poses have no picture, and what to do.
+pub struct UnmatchedCounts {
+    /// Poses without an image.
+    pub poses_without_image: usize,
+    /// Images without a pose: those between keyframes.
+    pub images_without_pose: usize,
+    /// Poses with an image, before the choice by range and stride.
+    pub(super) with_image: usize,
+    /// Why poses have no image, and what to do.
     pub(super) reason: String,
 }
 
-/// What a reader has found.
-pub(super) struct Found {
-    pub(super) kind: Kind,
+/// Keyframes as read, before the choice by range and stride.
+pub(super) struct ReadKeyframes {
+    pub(super) format: ImportFormat,
     pub(super) path: PathBuf,
-    pub(super) source: Source,
+    pub(super) source: KeyframeSource,
     pub(super) keyframes: Vec<KeyframePose>,
-    pub(super) left_out: LeftOut,
+    pub(super) unmatched: UnmatchedCounts,
     pub(super) warnings: Vec<String>,
 }
 
-impl Found {
-    /// Options that say nothing of what was found, a sentence each.
-    pub(super) fn ignored(&self, options: &Options) -> Vec<String> {
-        let mut words = Vec::new();
-        let takes_pictures = matches!(&self.source.depth, DepthSource::Pictures(_));
-        if options.variance.is_some() && !takes_pictures {
-            words.push("pictures of the variance ignored: no depth pictures are taken".to_owned());
+impl ReadKeyframes {
+    /// Warnings about options without effect.
+    pub(super) fn ignored_options(&self, options: &ImportOptions) -> Vec<String> {
+        let mut warnings = Vec::new();
+        let uses_depth_images = matches!(&self.source.depth, DepthSource::Images(_));
+        if options.variance.is_some() && !uses_depth_images {
+            warnings
+                .push("pictures of the variance ignored: no depth pictures are taken".to_owned());
         }
-        let has_camera = self.kind == Kind::Colmap || self.source.sequence().is_none();
+        let has_camera = self.format == ImportFormat::Colmap || self.source.sequence().is_none();
         let (file, intrinsics) = (&options.open.camera, &options.open.intrinsics);
         if has_camera && (file.is_some() || intrinsics.is_some()) {
             let source = self.source.camera_source();
-            words.push(format!("the given camera ignored: that of {source} counts"));
+            warnings.push(format!("the given camera ignored: that of {source} counts"));
         }
-        let has_depth = |pictures: &Sequence| pictures.entries.iter().any(|e| e.depth.is_some());
-        let unread = self.kind == Kind::Trajectory
-            && options.depth == Depth::Imported
+        let has_depth = |images: &Sequence| images.entries.iter().any(|e| e.depth.is_some());
+        let unread = self.format == ImportFormat::Trajectory
+            && options.depth == ImportDepth::Imported
             && self.source.sequence().is_some_and(has_depth);
         if unread {
-            let words_of = "a trajectory has no depth of its own, and the depth pictures of the \
+            let warning = "a trajectory has no depth of its own, and the depth pictures of the \
                             dataset are not read: ask for the depth of pictures, or for none";
-            words.push(words_of.to_owned());
+            warnings.push(warning.to_owned());
         }
-        words
+        warnings
     }
 }
 
-/// The sequence of the pictures: all of its frames, so that poses without pictures can be told
-/// from poses of pictures that were not chosen.
-pub(super) fn open_pictures(
+/// Opens all frames of the sequence of images: only then do poses without an image differ from poses
+/// of images that were not chosen.
+pub(super) fn open_images(
     path: &Path,
-    options: &Options,
+    options: &ImportOptions,
     with_depth: bool,
 ) -> Result<Sequence, DatasetError> {
     Sequence::open(path, &all_frames(options, with_depth))
 }
 
-/// The options that open all pictures, none thinned: a pose must not get the neighbour of a picture
-/// that is left out.
-pub(super) fn all_frames(options: &Options, with_depth: bool) -> OpenOptions {
+/// The options that open all images, unthinned: a pose must not be matched with the neighbour of a
+/// dropped image.
+pub(super) fn all_frames(options: &ImportOptions, with_depth: bool) -> OpenOptions {
     OpenOptions {
         frames: None,
         stride: 1,
@@ -83,86 +84,84 @@ pub(super) fn all_frames(options: &Options, with_depth: bool) -> OpenOptions {
     }
 }
 
-/// The keyframes of stamped poses (their place in the files, themselves), in order of time.
-pub(super) fn by_time(
+/// Matches poses (with their index in the files) with images by time, in order of time.
+pub(super) fn match_by_time(
     mut poses: Vec<(usize, StampedPose)>,
-    pictures: &Sequence,
-    options: &Options,
+    images: &Sequence,
+    options: &ImportOptions,
     warnings: &mut Vec<String>,
-) -> (Vec<KeyframePose>, LeftOut) {
+) -> (Vec<KeyframePose>, UnmatchedCounts) {
     poses.sort_by(|a, b| a.1.timestamp.total_cmp(&b.1.timestamp));
     let stamps: Vec<f64> = poses.iter().map(|(_, pose)| pose.timestamp).collect();
-    let times: Vec<f64> = pictures.entries.iter().map(|entry| entry.timestamp).collect();
+    let times: Vec<f64> = images.entries.iter().map(|entry| entry.timestamp).collect();
     let tolerance = options.open.association_tolerance;
-    let joined = join(&stamps, &times, tolerance);
-    let keyframe = |&(place, position): &(usize, usize)| {
-        let (record, pose) = &poses[place];
-        keyframe(pictures, position, *record, pose.world_from_camera)
+    let associated = associate_poses(&stamps, &times, tolerance);
+    let keyframe = |&(index, position): &(usize, usize)| {
+        let (record, pose) = &poses[index];
+        keyframe(images, position, *record, pose.world_from_camera)
     };
-    let keyframes: Vec<KeyframePose> = joined.pairs.iter().map(keyframe).collect();
-    if joined.widest_gap * pictures.frame_rate > ODD_GAP {
+    let keyframes: Vec<KeyframePose> = associated.pairs.iter().map(keyframe).collect();
+    if associated.widest_gap * images.frame_rate > MAX_SILENT_GAP {
         warnings.push(format!(
             "poses lie up to {:.3} s from their pictures, which are {:.3} s apart: are pictures \
              missing, or is it another clock?",
-            joined.widest_gap,
-            pictures.frame_rate.recip()
+            associated.widest_gap,
+            images.frame_rate.recip()
         ));
     }
     let reason = format!(
         "a pose and its picture must be less than {tolerance} s apart and each other's nearest, \
          and the nearest of all are {:.3} s apart: check that both use one clock",
-        joined.nearest_gap
+        associated.nearest_gap
     );
     let why = format!("no picture within {tolerance} s that has no nearer pose");
-    let left_out = left_out(poses.len(), &keyframes, pictures, reason, &why, warnings);
-    (keyframes, left_out)
+    let unmatched = count_unmatched(poses.len(), &keyframes, images, reason, &why, warnings);
+    (keyframes, unmatched)
 }
 
-/// The keyframes of poses (their place in the files, that of their picture among all colour
-/// images, themselves), in order of the pictures.
-///
-/// Who counts pictures counts files: also those that have no depth or no pose and are no frames.
-pub(super) fn by_place(
+/// Matches poses with images by number: triples of index in the files, index among all colour image
+/// files (including those that are no frames of the sequence), and pose. In order of the images.
+pub(super) fn match_by_number(
     poses: Vec<(usize, usize, Pose<f64>)>,
-    pictures: &Sequence,
+    images: &Sequence,
     warnings: &mut Vec<String>,
-) -> (Vec<KeyframePose>, LeftOut) {
-    let places: HashMap<usize, usize> =
-        pictures.entries.iter().enumerate().map(|(at, entry)| (entry.place, at)).collect();
+) -> (Vec<KeyframePose>, UnmatchedCounts) {
+    let positions: HashMap<usize, usize> =
+        images.entries.iter().enumerate().map(|(at, entry)| (entry.image_index, at)).collect();
     let count = poses.len();
-    let last = poses.iter().map(|&(_, place, _)| place).max().unwrap_or(0);
-    warnings.extend(short_reach(last, pictures));
-    let with_picture = poses
+    let last = poses.iter().map(|&(_, number, _)| number).max().unwrap_or(0);
+    warnings.extend(stride_warning(last, images));
+    let with_image = poses
         .into_iter()
-        .filter_map(|(record, place, pose)| Some((record, *places.get(&place)?, pose)));
-    let keyframes = at_positions(with_picture, pictures);
+        .filter_map(|(record, number, pose)| Some((record, *positions.get(&number)?, pose)));
+    let keyframes = at_positions(with_image, images);
     let reason = format!(
         "time stamps count frames, up to {last}, and there are {} pictures: are these the pictures \
          of this run, and with its stride?",
-        pictures.len()
+        images.len()
     );
-    let left_out =
-        left_out(count, &keyframes, pictures, reason, "no picture of its number", warnings);
-    (keyframes, left_out)
+    let unmatched =
+        count_unmatched(count, &keyframes, images, reason, "no picture of its number", warnings);
+    (keyframes, unmatched)
 }
 
-/// The keyframes of poses (their place in the files, the position of their picture, themselves), in
-/// order of the pictures; the first where several have one picture.
+/// The keyframes of poses, given as triples of index in the files, position of the image, and pose;
+/// in order of the images, the first of several poses of one image.
 pub(super) fn at_positions(
     poses: impl Iterator<Item = (usize, usize, Pose<f64>)>,
-    pictures: &Sequence,
+    images: &Sequence,
 ) -> Vec<KeyframePose> {
-    let placed = poses.map(|(record, position, pose)| keyframe(pictures, position, record, pose));
-    let mut keyframes: Vec<KeyframePose> = placed.collect();
+    let keyframes = poses.map(|(record, position, pose)| keyframe(images, position, record, pose));
+    let mut keyframes: Vec<KeyframePose> = keyframes.collect();
     keyframes.sort_by_key(|keyframe| (keyframe.position, keyframe.record));
     keyframes.dedup_by_key(|keyframe| keyframe.position);
     keyframes
 }
 
-/// A warning if frame numbers end before the middle of the pictures: stamps of a program that
-/// skips pictures count those that it took.
-fn short_reach(last: usize, pictures: &Sequence) -> Option<String> {
-    let count = pictures.entries.iter().map(|entry| entry.place + 1).max()?;
+/// A warning if frame numbers end before the middle of the images: programs that skip images number
+/// only those that they used.
+fn stride_warning(last: usize, images: &Sequence) -> Option<String> {
+    let count = images.entries.iter().map(|entry| entry.image_index + 1).max()?;
     let reached = last.saturating_add(1);
     (reached.saturating_mul(2) < count).then(|| {
         format!(
@@ -173,51 +172,51 @@ fn short_reach(last: usize, pictures: &Sequence) -> Option<String> {
 }
 
 fn keyframe(
-    pictures: &Sequence,
+    images: &Sequence,
     position: usize,
     record: usize,
     world_from_camera: Pose<f64>,
 ) -> KeyframePose {
-    let entry = &pictures.entries[position];
+    let entry = &images.entries[position];
     let (index, timestamp) = (entry.index, entry.timestamp);
     KeyframePose { index, timestamp, world_from_camera, position, record }
 }
 
-/// Counts what is no keyframe, with a warning where poses are left out.
-pub(super) fn left_out(
+/// Counts poses and images that are no keyframes, with a warning about dropped poses.
+pub(super) fn count_unmatched(
     poses: usize,
     keyframes: &[KeyframePose],
-    pictures: &Sequence,
+    images: &Sequence,
     reason: String,
     why: &str,
     warnings: &mut Vec<String>,
-) -> LeftOut {
+) -> UnmatchedCounts {
     let without = poses - keyframes.len();
     if without > 0 {
         warnings.push(format!("{without} of {poses} poses left out: {why}"));
     }
-    LeftOut {
-        poses_without_picture: without,
-        pictures_without_pose: pictures.len() - keyframes.len(),
-        with_picture: keyframes.len(),
+    UnmatchedCounts {
+        poses_without_image: without,
+        images_without_pose: images.len() - keyframes.len(),
+        with_image: keyframes.len(),
         reason,
     }
 }
 
-/// Numbers keyframes as frames of the sequence thinned by `minimum_gap` [s], and leaves those out
-/// whose pictures it leaves out.
-pub(super) fn thin(found: &mut Found, minimum_gap: f64) {
-    let Pictures::Sequence(pictures) = &found.source.pictures else { return };
-    if !pictures.is_thinned || minimum_gap == 0.0 {
+/// Drops keyframes whose images are within `minimum_gap` [s] after a kept one, and renumbers the
+/// others as frames of the sequence thinned alike.
+pub(super) fn thin(found: &mut ReadKeyframes, minimum_gap: f64) {
+    let ImageSource::Sequence(images) = &found.source.images else { return };
+    if !images.is_thinned || minimum_gap == 0.0 {
         return;
     }
     let (mut last_kept, mut kept) = (f64::NEG_INFINITY, 0..);
-    let index = |entry: &Entry| {
+    let index = |entry: &FrameEntry| {
         let follows = entry.timestamp - last_kept > minimum_gap;
         last_kept = if follows { entry.timestamp } else { last_kept };
         if follows { kept.next() } else { None }
     };
-    let indices: Vec<Option<usize>> = pictures.entries.iter().map(index).collect();
+    let indices: Vec<Option<usize>> = images.entries.iter().map(index).collect();
     let all = found.keyframes.len();
     found.keyframes.retain_mut(|keyframe| {
         keyframe.index = indices[keyframe.position].unwrap_or(keyframe.index);
@@ -225,28 +224,28 @@ pub(super) fn thin(found: &mut Found, minimum_gap: f64) {
     });
     let count = all - found.keyframes.len();
     if count > 0 {
-        let words = format!(
+        let reason = format!(
             "{count} of {all} poses left out: their pictures follow others by no more than \
              {minimum_gap} s (minimum_gap; 0 keeps all)"
         );
-        found.left_out.poses_without_picture += count;
-        found.left_out.with_picture -= count;
-        found.left_out.reason = words.clone();
-        found.warnings.push(words);
+        found.unmatched.poses_without_image += count;
+        found.unmatched.with_image -= count;
+        found.unmatched.reason = reason.clone();
+        found.warnings.push(reason);
     }
 }
 
-/// Leaves keyframes out whose picture files are gone.
-pub(super) fn leave_out_missing_files(found: &mut Found) {
-    let Pictures::Sequence(pictures) = &found.source.pictures else { return };
-    let file = |keyframe: &KeyframePose| &pictures.entries[keyframe.position].colour;
+/// Drops keyframes whose image files do not exist.
+pub(super) fn drop_missing_files(found: &mut ReadKeyframes) {
+    let ImageSource::Sequence(images) = &found.source.images else { return };
+    let file = |keyframe: &KeyframePose| &images.entries[keyframe.position].colour;
     let missing: Vec<_> = found.keyframes.iter().map(file).filter(|file| !file.is_file()).collect();
     let Some(first) = missing.first() else { return };
     let (count, all) = (missing.len(), found.keyframes.len());
-    let words = format!("{count} of {all} pictures are missing, the first is {}", first.display());
+    let reason = format!("{count} of {all} pictures are missing, the first is {}", first.display());
     found.keyframes.retain(|keyframe| file(keyframe).is_file());
-    found.left_out.poses_without_picture += count;
-    found.left_out.with_picture -= count;
-    found.left_out.reason = words.clone();
-    found.warnings.push(words);
+    found.unmatched.poses_without_image += count;
+    found.unmatched.with_image -= count;
+    found.unmatched.reason = reason.clone();
+    found.warnings.push(reason);
 }

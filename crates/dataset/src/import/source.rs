@@ -1,41 +1,44 @@
-//! From the place of a keyframe to its picture, depth and variance.
+//! Keyframes and the sources of their images and depth.
 
+use super::depth_variance::VarianceImages;
 use super::inverse_depth::InverseDepth;
-use super::pictures::ArrayPictures;
-use super::sparse::SparseDepth;
-use super::variance::VariancePictures;
-use super::{Depth, Options};
+use super::sparse_depth::SparseDepth;
+use super::{ImportDepth, ImportOptions};
+use crate::camera::Distortion;
+use crate::formats::npy::NpyArray;
+use crate::image::{RecordingCameras, Resampler};
+use crate::sequence::delivered_size;
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::{Camera, Image, Pose};
 use std::sync::Arc;
 
-/// A keyframe before its picture is read.
+/// A keyframe whose image is not yet read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeyframePose {
-    /// Place of the picture in the associated stream of its sequence, or in the imported file.
+    /// Index of the image in the associated stream of its sequence, or in the imported file.
     pub index: usize,
-    /// Time stamp of the picture [s].
+    /// Time stamp of the image [s].
     pub timestamp: f64,
-    /// Pose of the nearest stamp in the files, not interpolated to the picture's; OpenCV's camera
-    /// axes, in the unit of the files.
+    /// Pose at the nearest time stamp in the files, not interpolated; OpenCV's camera axes, in the
+    /// unit of the files.
     pub world_from_camera: Pose<f64>,
-    /// Place in the source of the pictures.
+    /// Index in the source of the images.
     pub(super) position: usize,
-    /// Place in the imported files.
+    /// Index in the imported files.
     pub(super) record: usize,
 }
 
-/// A keyframe, ready to use.
+/// A keyframe with its image, ready to use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Keyframe {
-    /// Place of the picture in the associated stream of its sequence, or in the imported file.
+    /// Index of the image in the associated stream of its sequence, or in the imported file.
     pub index: usize,
-    /// Time stamp of the picture [s].
+    /// Time stamp of the image [s].
     pub timestamp: f64,
     /// 3 planes R, G, B in `[0, 1]`, as recorded (display space).
     pub colour: Arc<Image<f32>>,
-    /// Pose of the nearest stamp in the files, not interpolated to the picture's; OpenCV's camera
-    /// axes, in the unit of the files.
+    /// Pose at the nearest time stamp in the files, not interpolated; OpenCV's camera axes, in the
+    /// unit of the files.
     pub world_from_camera: Pose<f64>,
     /// 1 plane, depth along the optical axis in the unit of the poses, 0 where there is none.
     pub depth: Option<Image<f32>>,
@@ -43,9 +46,8 @@ pub struct Keyframe {
     pub variance: Option<Image<f32>>,
 }
 
-/// A depth and its variance as they are kept, in single precision; `None` unless both are finite
-/// and above 0 there.
-pub(super) fn measured(depth: f64, variance: Option<f64>) -> Option<(f32, Option<f32>)> {
+/// Depth and variance in single precision; `None` unless both are finite and positive there.
+pub(super) fn as_valid_f32(depth: f64, variance: Option<f64>) -> Option<(f32, Option<f32>)> {
     let kept = |value: f64| Some(value as f32).filter(|value| value.is_finite() && *value > 0.0);
     match variance {
         None => Some((kept(depth)?, None)),
@@ -53,73 +55,75 @@ pub(super) fn measured(depth: f64, variance: Option<f64>) -> Option<(f32, Option
     }
 }
 
-/// Where pictures and depths come from.
+/// Sources of images and depth.
 #[derive(Clone, Debug)]
-pub(super) struct Source {
-    pub(super) pictures: Pictures,
+pub(super) struct KeyframeSource {
+    pub(super) images: ImageSource,
     pub(super) depth: DepthSource,
 }
 
-/// Where pictures come from.
+/// Source of images.
 #[derive(Clone, Debug)]
-pub(super) enum Pictures {
+pub(super) enum ImageSource {
     Sequence(Box<Sequence>),
-    Arrays(Box<ArrayPictures>),
+    Arrays(Box<ArrayImages>),
 }
 
-/// Where depth comes from.
+/// Source of depth.
 #[derive(Clone, Debug)]
 pub(super) enum DepthSource {
     None,
-    /// The depth pictures of the sequence, perhaps with pictures of their variance.
-    Pictures(Option<VariancePictures>),
+    /// Depth images of the sequence, optionally with images of their variance.
+    Images(Option<VarianceImages>),
     Inverse(Box<InverseDepth>),
     Sparse(Box<SparseDepth>),
 }
 
 impl DepthSource {
-    /// The depth pictures of the sequence.
-    pub(super) fn pictures(options: &Options) -> Result<Self, DatasetError> {
-        let variance = options.variance.as_deref().map(VariancePictures::open).transpose()?;
-        Ok(Self::Pictures(variance))
+    /// Depth images of the sequence.
+    pub(super) fn images(options: &ImportOptions) -> Result<Self, DatasetError> {
+        let variance = options.variance.as_deref().map(VarianceImages::open).transpose()?;
+        Ok(Self::Images(variance))
     }
 
-    /// The same if they are asked for, else none.
-    pub(super) fn pictures_if_wanted(options: &Options) -> Result<Self, DatasetError> {
+    /// Depth images of the sequence if the options ask for them, else none.
+    pub(super) fn images_if_requested(options: &ImportOptions) -> Result<Self, DatasetError> {
         match options.depth {
-            Depth::Pictures => Self::pictures(options),
-            Depth::None | Depth::Imported => Ok(Self::None),
+            ImportDepth::Pictures => Self::images(options),
+            ImportDepth::None | ImportDepth::Imported => Ok(Self::None),
         }
     }
 }
 
-impl Source {
+impl KeyframeSource {
     pub(super) fn camera(&self) -> Camera<f64> {
-        match &self.pictures {
-            Pictures::Sequence(sequence) => sequence.camera,
-            Pictures::Arrays(pictures) => pictures.camera(),
+        match &self.images {
+            ImageSource::Sequence(sequence) => sequence.camera,
+            ImageSource::Arrays(images) => images.camera(),
         }
     }
 
     pub(super) fn at_least(&self, side: usize) -> Self {
-        let pictures = match &self.pictures {
-            Pictures::Sequence(sequence) => Pictures::Sequence(Box::new(sequence.at_least(side))),
-            arrays @ Pictures::Arrays(_) => arrays.clone(),
+        let images = match &self.images {
+            ImageSource::Sequence(sequence) => {
+                ImageSource::Sequence(Box::new(sequence.at_least(side)))
+            }
+            arrays @ ImageSource::Arrays(_) => arrays.clone(),
         };
-        Self { pictures, depth: self.depth.clone() }
+        Self { images, depth: self.depth.clone() }
     }
 
     pub(super) fn camera_source(&self) -> String {
-        match &self.pictures {
-            Pictures::Sequence(sequence) => sequence.camera_source.clone(),
-            Pictures::Arrays(pictures) => pictures.source.clone(),
+        match &self.images {
+            ImageSource::Sequence(sequence) => sequence.camera_source.clone(),
+            ImageSource::Arrays(images) => images.source.clone(),
         }
     }
 
     pub(super) fn frame_rate(&self) -> f64 {
-        match &self.pictures {
-            Pictures::Sequence(sequence) => sequence.frame_rate,
-            Pictures::Arrays(pictures) => pictures.frame_rate,
+        match &self.images {
+            ImageSource::Sequence(sequence) => sequence.frame_rate,
+            ImageSource::Arrays(images) => images.frame_rate,
         }
     }
 
@@ -130,38 +134,37 @@ impl Source {
     pub(super) fn has_variance(&self) -> bool {
         match &self.depth {
             DepthSource::None => false,
-            DepthSource::Pictures(variance) => variance.is_some(),
+            DepthSource::Images(variance) => variance.is_some(),
             DepthSource::Inverse(depth) => depth.variance.is_some(),
             DepthSource::Sparse(_) => true,
         }
     }
 
     pub(super) fn sequence(&self) -> Option<&Sequence> {
-        match &self.pictures {
-            Pictures::Sequence(sequence) => Some(sequence),
-            Pictures::Arrays(_) => None,
+        match &self.images {
+            ImageSource::Sequence(sequence) => Some(sequence),
+            ImageSource::Arrays(_) => None,
         }
     }
 
-    /// The keyframe that sees most of the points that one sees; `None` where depth is not of
-    /// points.
-    pub(super) fn shares_most(&self, keyframes: &[KeyframePose], place: usize) -> Option<usize> {
+    /// The keyframe that shares most points with another; `None` if depth is not sparse.
+    pub(super) fn most_covisible(&self, keyframes: &[KeyframePose], index: usize) -> Option<usize> {
         let DepthSource::Sparse(points) = &self.depth else { return None };
         let records: Vec<usize> = keyframes.iter().map(|keyframe| keyframe.record).collect();
-        points.shares_most(&records, place)
+        points.most_covisible(&records, index)
     }
 
-    /// Reads the picture of a keyframe and its depth.
+    /// Reads the image and depth of a keyframe.
     pub(super) fn load(&self, pose: &KeyframePose) -> Result<Keyframe, DatasetError> {
-        let (colour, measured) = match &self.pictures {
-            Pictures::Sequence(sequence) => {
+        let (colour, image_depth) = match &self.images {
+            ImageSource::Sequence(sequence) => {
                 let frame = sequence.load(pose.position)?;
                 (frame.colour, Some(Arc::unwrap_or_clone(frame.depth)))
             }
-            Pictures::Arrays(pictures) => (Arc::new(pictures.load(pose.position)?), None),
+            ImageSource::Arrays(images) => (Arc::new(images.load(pose.position)?), None),
         };
-        let (depth, variance) = match (&self.depth, measured) {
-            (DepthSource::Pictures(variance), Some(mut depth)) => {
+        let (depth, variance) = match (&self.depth, image_depth) {
+            (DepthSource::Images(variance), Some(mut depth)) => {
                 let sequence = self.sequence().zip(variance.as_ref());
                 let variance = sequence
                     .map(|(sequence, variance)| variance.load(sequence, pose, &mut depth))
@@ -169,21 +172,22 @@ impl Source {
                 (Some(depth), variance)
             }
             (DepthSource::Inverse(maps), _) => {
-                let (depth, variance) = maps.at(pose.record, &self.camera())?;
+                let (depth, variance) = maps.resample(pose.record, &self.camera())?;
                 (Some(depth), variance)
             }
             (DepthSource::Sparse(points), _) => {
-                let (depth, variance) = points.at(pose, &self.camera());
+                let (depth, variance) = points.rasterise(pose, &self.camera());
                 (Some(depth), Some(variance))
             }
-            (DepthSource::None | DepthSource::Pictures(_), _) => (None, None),
+            (DepthSource::None | DepthSource::Images(_), _) => (None, None),
         };
         let (mut depth, mut variance) = (depth, variance);
-        if let Some(covered) = self.sequence().and_then(|sequence| sequence.covered.as_ref()) {
-            // Colour beyond the recorded picture repeats its edge, and belongs to no depth.
+        if let Some(valid_mask) = self.sequence().and_then(|sequence| sequence.valid_mask.as_ref())
+        {
+            // Colour beyond the recorded image repeats its edge, so depth there would be wrong.
             for map in depth.iter_mut().chain(variance.iter_mut()) {
-                let values = map.data.iter_mut().zip(&covered.data);
-                values.filter(|(_, covered)| !**covered).for_each(|(value, _)| *value = 0.0);
+                let values = map.data.iter_mut().zip(&valid_mask.data);
+                values.filter(|(_, is_valid)| !**is_valid).for_each(|(value, _)| *value = 0.0);
             }
         }
         Ok(Keyframe {
@@ -194,5 +198,58 @@ impl Source {
             depth,
             variance,
         })
+    }
+}
+
+/// Images in an array of bytes, `[frames, 3, height, width]` or `[frames, height, width, 3]`.
+#[derive(Clone, Debug)]
+pub(super) struct ArrayImages {
+    images: NpyArray,
+    /// Whether channels are R, G, B rather than B, G, R.
+    is_rgb: bool,
+    resampler: Resampler,
+    pub(super) source: String,
+    pub(super) frame_rate: f64,
+}
+
+impl ArrayImages {
+    pub(super) fn new(
+        images: NpyArray,
+        camera: Camera<f64>,
+        source: String,
+        frame_rate: f64,
+        is_rgb: bool,
+        options: &ImportOptions,
+    ) -> Result<Self, DatasetError> {
+        let cameras = RecordingCameras { colour: camera, depth: camera, grid: camera };
+        let delivered = delivered_size(&camera, &options.open)?;
+        let lens = Distortion::default();
+        let resampler = Resampler::new(&cameras, &lens, options.open.crop_border, delivered);
+        Ok(Self { images, is_rgb, resampler, source, frame_rate })
+    }
+
+    /// Camera of the delivered images.
+    pub(super) fn camera(&self) -> Camera<f64> {
+        self.resampler.camera
+    }
+
+    /// Reads and resamples an image: R, G, B in `[0, 1]`.
+    pub(super) fn load(&self, index: usize) -> Result<Image<f32>, DatasetError> {
+        let values = self.images.slice(index)?;
+        let (planar, height, width) = match self.images.shape[1..] {
+            [3, height, width] => (true, height, width),
+            [height, width, _] => (false, height, width),
+            _ => (true, 0, 0),
+        };
+        let mut image = Image::new(width, height, 3);
+        let pixels = image.pixels();
+        for channel in 0..3 {
+            let from = if self.is_rgb { channel } else { 2 - channel };
+            for (pixel, value) in image.plane_mut(channel).iter_mut().enumerate() {
+                let at = if planar { from * pixels + pixel } else { 3 * pixel + from };
+                *value = (values[at] / 255.0) as f32;
+            }
+        }
+        Ok(self.resampler.colour(&image))
     }
 }

@@ -1,35 +1,36 @@
-//! Whether pictures that lie together were taken with one lens, by their EXIF data.
+//! EXIF data of a folder of images: orientation of the first, consistency of all.
 
-use crate::guess::{FieldOfView, Told};
-use crate::layouts::counted;
-use crate::orientation::Orientation;
-use crate::{DatasetError, Entry};
+use crate::DatasetError;
+use crate::camera::{ExifHints, FieldOfView, Orientation};
+use crate::formats::FrameEntry;
+use crate::text::counted;
 use std::path::Path;
 
-/// Focal lengths that differ by this share are those of two lenses, or of one that zooms.
-const SAME_LENS: f64 = 0.01;
+/// Relative difference of focal lengths up to which images count as taken with one lens.
+const SAME_LENS_TOLERANCE: f64 = 0.01;
 
-/// A warning if EXIF data ask for some pictures to be turned otherwise than the first: all are
-/// shown alike, because a sensor does not turn in its camera.
+/// Checks that one camera took all images; `shown` is the orientation applied to all. Returns a
+/// warning if some ask for another rotation than the first, which is ignored: rotating the camera
+/// does not change where a ray falls on the sensor.
 ///
 /// # Errors
 ///
-/// A picture of another focal length than the first that tells one, or one that is mirrored where
-/// the first is not: no single camera sees both.
-pub(crate) fn check_alike(
-    entries: &[Entry],
+/// Images of another focal length than the first that has one, and mirrored ones beside others.
+pub(crate) fn check_exif_consistency(
+    entries: &[FrameEntry],
     shown: Orientation,
 ) -> Result<Option<String>, DatasetError> {
     let Some(first) = entries.first().map(|entry| entry.colour.as_path()) else { return Ok(None) };
-    let of_first = Told::by(first);
-    let reads_all = of_first != Told::default();
-    let may_tell = |path: &&Path| reads_all || is_jpeg(path);
-    let asked_first = of_first.orientation.unwrap_or_default();
-    let mut lens = of_first.view.map(|view| (first, view));
-    let mut turned: Vec<(&Path, Orientation)> = Vec::new();
-    for path in entries.iter().skip(1).map(|entry| entry.colour.as_path()).filter(may_tell) {
-        let told = Told::by(path);
-        if let Some(view) = told.view {
+    let first_hints = ExifHints::read(first);
+    // Without hints in the first image only JPEG files are read, see `is_jpeg`.
+    let reads_all = first_hints != ExifHints::default();
+    let may_have_exif = |path: &&Path| reads_all || is_jpeg(path);
+    let first_orientation = first_hints.orientation.unwrap_or_default();
+    let mut lens = first_hints.view.map(|view| (first, view));
+    let mut rotated: Vec<(&Path, Orientation)> = Vec::new();
+    for path in entries.iter().skip(1).map(|entry| entry.colour.as_path()).filter(may_have_exif) {
+        let hints = ExifHints::read(path);
+        if let Some(view) = hints.view {
             let (known, expected) = *lens.get_or_insert((path, view));
             if !is_same_lens(view, expected) {
                 let reason = format!(
@@ -39,9 +40,13 @@ pub(crate) fn check_alike(
                 return Err(other_camera(path, known, reason));
             }
         }
-        let Some(asked) = told.orientation.filter(|asked| *asked != asked_first) else { continue };
-        if asked.is_mirrored() != asked_first.is_mirrored() {
-            let ways = (asked.words(), asked_first.words());
+        let Some(orientation) =
+            hints.orientation.filter(|orientation| *orientation != first_orientation)
+        else {
+            continue;
+        };
+        if orientation.is_mirrored() != first_orientation.is_mirrored() {
+            let ways = (orientation.description(), first_orientation.description());
             let reason = format!(
                 "EXIF data ask that it be {}, and that one be {}; `mogrify -auto-orient` \
                  (ImageMagick) makes mirrored pictures those of a camera",
@@ -49,33 +54,46 @@ pub(crate) fn check_alike(
             );
             return Err(other_camera(path, first, reason));
         }
-        turned.push((path, asked));
+        rotated.push((path, orientation));
     }
-    let Some((path, asked)) = turned.first() else { return Ok(None) };
+    let Some((path, orientation)) = rotated.first() else { return Ok(None) };
     Ok(Some(format!(
         "EXIF data ask that {} be shown otherwise than {}, the first of them, {}, {}: all are {} \
          alike, because a sensor does not turn in its camera; if some were turned before they were stored, \
          `mogrify -auto-orient` (ImageMagick) turns the others, too",
-        counted(turned.len(), "picture"),
+        counted(rotated.len(), "picture"),
         first.display(),
         path.display(),
-        asked.words(),
-        shown.words(),
+        orientation.description(),
+        shown.description(),
     )))
 }
 
-/// PNG files may keep EXIF data behind everything else, so that all of a file would be read.
+/// Whether EXIF data are cheap to read: PNG files may keep them at their end.
 fn is_jpeg(path: &Path) -> bool {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     ["jpg", "jpeg"].iter().any(|known| extension.eq_ignore_ascii_case(known))
 }
 
-/// Whether two pictures of one size have the same focal length.
+/// Whether two fields of view give images of one size the same focal length.
 fn is_same_lens(view: FieldOfView, other: FieldOfView) -> bool {
     let ratio = view.focal_length(3, 4) / other.focal_length(3, 4);
-    (ratio - 1.0).abs() <= SAME_LENS
+    (ratio - 1.0).abs() <= SAME_LENS_TOLERANCE
 }
 
 fn other_camera(path: &Path, first: &Path, reason: String) -> DatasetError {
     DatasetError::OtherCamera { path: path.to_path_buf(), first: first.to_path_buf(), reason }
+}
+
+/// Message about the EXIF orientation of the first image, applied or not.
+pub(crate) fn orientation_note(path: &Path, orientation: Orientation, is_applied: bool) -> String {
+    let (path, how) = (path.display(), orientation.description());
+    if is_applied {
+        return format!("pictures are {how}, as the EXIF data of {path} ask");
+    }
+    format!(
+        "EXIF data ask that {path} be {how}: what lies beside such pictures (depth, poses, a list) is \
+         of pictures as they are stored, and so are they taken; `mogrify -auto-orient` \
+         (ImageMagick) turns them for good"
+    )
 }

@@ -1,15 +1,18 @@
-//! From the two image files of an entry to a frame.
+//! Loading of frames from their files, on demand or ahead on a thread.
 
-use crate::decode::{DepthCode, decode_colour, decode_depth};
-use crate::orientation::Orientation;
-use crate::resample::Resampler;
+use crate::DatasetError;
+use crate::camera::Orientation;
+use crate::formats::FrameEntry;
+use crate::image::{DepthEncoding, Resampler, decode_colour, decode_depth};
 use crate::video::Video;
-use crate::{DatasetError, Entry};
 use i2slam_geometry::Image;
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::JoinHandle;
 
-/// Mean colour value below which a frame counts as black (two steps of 8 bits).
+/// Mean colour value below which a frame counts as black: two steps of 8 bits.
 const BLACK: f64 = 2.0 / 255.0;
 
 /// Mean colour value above which a frame counts as white.
@@ -18,7 +21,7 @@ const WHITE: f64 = 253.0 / 255.0;
 /// One RGB-D frame, ready to use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Place in the associated stream, before the choice by range and stride.
+    /// Index in the associated stream, before the choice by range and stride.
     pub index: usize,
     /// Time stamp of the colour image [s].
     pub timestamp: f64,
@@ -28,12 +31,12 @@ pub struct Frame {
     pub colour: Arc<Image<f32>>,
     /// 1 plane, depth along the optical axis [m], 0 where invalid.
     pub depth: Arc<Image<f32>>,
-    /// What is odd about the frame: no valid depth, a black or a white picture.
+    /// Warnings: no valid depth, a black or a white image.
     pub warnings: Vec<String>,
 }
 
 impl Frame {
-    /// A frame without depth, whose image is empty.
+    /// A frame whose depth image is empty.
     pub fn colour_only(index: usize, timestamp: f64, colour: impl Into<Arc<Image<f32>>>) -> Self {
         Self {
             index,
@@ -46,32 +49,32 @@ impl Frame {
     }
 }
 
-/// Everything that turns files into frames, fixed when the sequence is opened.
+/// Loads frames from files as configured when the sequence was opened.
 #[derive(Clone, Debug)]
-pub(crate) struct Preparation {
+pub(crate) struct FrameLoader {
     pub(crate) resampler: Resampler,
     /// Depth image value of one metre.
     pub(crate) depth_scale: f64,
     /// Depth beyond this is invalid [m]; infinite for none.
     pub(crate) max_depth: f64,
-    /// How depth values are written.
-    pub(crate) depth_code: DepthCode,
-    /// A depth image value beside 0 that means "no reading".
+    /// Encoding of depth images.
+    pub(crate) depth_encoding: DepthEncoding,
+    /// Depth image value that means "no reading", beside 0.
     pub(crate) invalid_depth: Option<u16>,
-    /// Depth is not read.
+    /// Whether depth is not read.
     pub(crate) colour_only: bool,
-    /// How pictures are shown.
+    /// Orientation applied to colour images.
     pub(crate) orientation: Orientation,
-    /// What decodes the pictures, if they are those of a video.
+    /// Decoder of the images, if the sequence is a video.
     pub(crate) video: Option<Arc<Video>>,
 }
 
-impl Preparation {
-    /// Reads both images of an entry.
-    pub(crate) fn load(&self, entry: &Entry) -> Result<Frame, DatasetError> {
-        let colour = match self.video.as_deref().filter(|video| video.is(&entry.colour)) {
-            Some(video) => video.picture(entry.place)?,
-            None => self.orientation.shown(decode_colour(&entry.colour, entry.colour_part())?),
+impl FrameLoader {
+    /// Reads and resamples both images of a frame.
+    pub(crate) fn load(&self, entry: &FrameEntry) -> Result<Frame, DatasetError> {
+        let colour = match self.video.as_deref().filter(|video| video.is_at(&entry.colour)) {
+            Some(video) => video.decode(entry.image_index)?,
+            None => self.orientation.apply(decode_colour(&entry.colour, entry.colour_range())?),
         };
         let (colour_size, _) = self.resampler.recorded_sizes();
         check_size(&entry.colour, (colour.width, colour.height), colour_size, "colour")?;
@@ -79,7 +82,7 @@ impl Preparation {
         let mut warnings = Vec::new();
         let depth = match entry.depth.as_deref().filter(|_| !self.colour_only) {
             Some(path) => {
-                let depth = self.depth(path, entry)?;
+                let depth = self.load_depth(path, entry)?;
                 warnings.extend(depth_warning(&depth));
                 depth
             }
@@ -96,9 +99,9 @@ impl Preparation {
         })
     }
 
-    /// The delivered depth [m] of an entry.
-    fn depth(&self, path: &Path, entry: &Entry) -> Result<Image<f32>, DatasetError> {
-        let mut depth = decode_depth(path, entry.depth_part(), self.depth_code)?;
+    /// Reads and resamples the depth image of a frame [m].
+    fn load_depth(&self, path: &Path, entry: &FrameEntry) -> Result<Image<f32>, DatasetError> {
+        let mut depth = decode_depth(path, entry.depth_range(), self.depth_encoding)?;
         let (colour_size, depth_size) = self.resampler.recorded_sizes();
         let like = if depth_size == colour_size { "colour" } else { "depth" };
         check_size(path, (depth.width, depth.height), depth_size, like)?;
@@ -109,7 +112,7 @@ impl Preparation {
     }
 }
 
-/// Refuses an image of another size than the first one of its kind.
+/// An error if an image has another size than the first of its `kind`.
 fn check_size(
     path: &Path,
     found: (usize, usize),
@@ -136,5 +139,80 @@ fn colour_warning(colour: &Image<f32>) -> Option<String> {
         Some("the colour image is white".to_owned())
     } else {
         None
+    }
+}
+
+/// Frames buffered ahead, which bounds memory.
+const READ_AHEAD: usize = 4;
+
+/// Iterator over all frames of a sequence in order; dropping it stops the reading thread.
+#[derive(Debug)]
+pub struct FrameStream {
+    source: StreamSource,
+}
+
+#[derive(Debug)]
+enum StreamSource {
+    /// A thread reads ahead; `None` only while the stream is being dropped.
+    Ahead { frames: Option<Receiver<Result<Frame, DatasetError>>>, thread: Option<JoinHandle<()>> },
+    /// No thread could be started: frames are read on demand.
+    OnDemand { entries: VecDeque<FrameEntry>, loader: Arc<FrameLoader> },
+}
+
+impl FrameStream {
+    pub(crate) fn start(entries: Vec<FrameEntry>, loader: Arc<FrameLoader>) -> Self {
+        let (sender, receiver) = sync_channel(READ_AHEAD);
+        let (thread_entries, thread_loader) = (entries.clone(), Arc::clone(&loader));
+        let read = move || {
+            for entry in &thread_entries {
+                if sender.send(thread_loader.load(entry)).is_err() {
+                    break;
+                }
+            }
+        };
+        let source = match std::thread::Builder::new().name("read frames".into()).spawn(read) {
+            Ok(thread) => StreamSource::Ahead { frames: Some(receiver), thread: Some(thread) },
+            Err(_) => StreamSource::OnDemand { entries: entries.into(), loader },
+        };
+        Self { source }
+    }
+}
+
+impl Iterator for FrameStream {
+    type Item = Result<Frame, DatasetError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        match &mut self.source {
+            StreamSource::Ahead { frames, thread } => match frames.as_ref()?.recv() {
+                Ok(frame) => Some(frame),
+                Err(_) => {
+                    propagate_panic(thread.take());
+                    None
+                }
+            },
+            StreamSource::OnDemand { entries, loader } => {
+                entries.pop_front().map(|entry| loader.load(&entry))
+            }
+        }
+    }
+}
+
+/// Propagates a panic of the reading thread, which must not look like the end of the sequence.
+fn propagate_panic(thread: Option<JoinHandle<()>>) {
+    if let Some(Err(panic)) = thread.map(JoinHandle::join) {
+        std::panic::resume_unwind(panic);
+    }
+}
+
+impl Drop for FrameStream {
+    fn drop(&mut self) {
+        if let StreamSource::Ahead { frames, thread } = &mut self.source {
+            // Without a receiver the thread ends at its next frame.
+            drop(frames.take());
+            if let Some(thread) = thread.take() {
+                // Its frames are no longer wanted, so a panic there does not matter.
+                let _ = thread.join();
+            }
+        }
     }
 }

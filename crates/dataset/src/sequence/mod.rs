@@ -1,86 +1,44 @@
-//! A sequence of RGB-D frames on disk.
+//! Opened sequences: which frames there are, their camera, and how frames are loaded.
 
-use crate::alike::check_alike;
-use crate::calibration::Calibration;
-use crate::checks::{camera_warning, cover_warning, depth_scale_warning, recorded};
-use crate::decode::image_size;
-use crate::distortion::Distortion;
-use crate::guess::{Told, orientation_note};
-use crate::layouts::{Listing, Source};
-use crate::prepare::Preparation;
-use crate::resample::Recorded;
-use crate::sizes::{delivered_size, resampled};
+mod checks;
+mod exif_consistency;
+mod find_calibration;
+mod frames;
+mod redeliver;
+
+pub use frames::{Frame, FrameStream};
+
+pub(crate) use redeliver::delivered_size;
+
+use crate::camera::{Calibration, Distortion, ExifHints};
+use crate::formats::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing, read_trajectory};
+use crate::image::{RecordingCameras, image_size};
 use crate::video::refused_stream;
-use crate::{DatasetError, Frame, FrameStream, Layout, OpenOptions, read_trajectory};
+use crate::{DatasetError, OpenOptions};
+use checks::{camera_warning, coverage_warning, depth_scale_warning, recording_cameras};
+use exif_consistency::{check_exif_consistency, orientation_note};
+use find_calibration::find_calibration;
+use frames::FrameLoader;
 use i2slam_geometry::{Camera, Image, Trajectory};
-use std::ops::Range;
+use redeliver::delivery;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Frames a second where neither the camera file nor the stamps say.
+/// Frames a second where neither the camera file nor the time stamps tell.
 pub(crate) const DEFAULT_FRAME_RATE: f64 = 30.0;
 
-/// The two files of a frame; of a video, the file with all frames.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
-    /// Place in the associated stream, before the choice by range and stride.
-    pub index: usize,
-    /// Place among all colour images, also those that did not enter the associated stream.
-    pub place: usize,
-    /// Time stamp of the colour image [s].
-    pub timestamp: f64,
-    /// Time stamp of the depth image [s]; the colour's where depth has none of its own.
-    pub depth_timestamp: f64,
-    /// The colour image file.
-    pub colour: PathBuf,
-    /// The depth image file; `None` only in a sequence without depth images.
-    pub depth: Option<PathBuf>,
-    /// Where the images lie in their files; `None`: each is a whole file.
-    pub parts: Option<Parts>,
-}
-
-/// Where the two images of a frame lie in one file [bytes].
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Parts {
-    /// The colour image.
-    pub colour: Range<u64>,
-    /// The depth image.
-    pub depth: Range<u64>,
-}
-
-impl Entry {
-    pub(crate) fn colour_part(&self) -> Option<&Range<u64>> {
-        self.parts.as_ref().map(|parts| &parts.colour)
-    }
-
-    pub(crate) fn depth_part(&self) -> Option<&Range<u64>> {
-        self.parts.as_ref().map(|parts| &parts.depth)
-    }
-}
-
-/// How many colour images did not enter the associated stream, and why.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LeftOut {
-    /// No depth image within the tolerance, or of that name.
-    pub without_depth: usize,
-    /// No ground-truth pose within the tolerance (only where the folder has ground truth).
-    pub without_pose: usize,
-    /// No more than the minimum gap after the last kept frame.
-    pub too_close: usize,
-}
-
-/// An opened sequence: which frames there are and how they are delivered.
+/// An opened sequence of frames.
 #[derive(Clone, Debug)]
 pub struct Sequence {
-    /// Name of the folder, or of the file.
+    /// Name of the folder or file.
     pub name: String,
-    /// How it lies on disk.
+    /// Format on disk.
     pub layout: Layout,
-    /// Where the camera comes from: a file, a flag or a name, in words.
+    /// Source of the camera for messages: a file, a flag or a dataset name.
     pub camera_source: String,
-    /// Whether nobody gave the camera, so that its focal length is to be looked for.
+    /// Whether the camera is assumed, so that its focal length should be estimated.
     pub camera_is_guess: bool,
-    /// Width and height of the recorded colour pictures, before crop and scale [px].
+    /// Width and height of recorded colour images, before crop and scale [px].
     pub recorded_size: (usize, usize),
     /// Pinhole camera of the delivered frames: lens removed, cropped, scaled.
     pub camera: Camera<f64>,
@@ -88,37 +46,36 @@ pub struct Sequence {
     pub frame_rate: f64,
     /// Depth image value of one metre.
     pub depth_scale: f64,
-    /// The frames chosen, in order of time.
-    pub entries: Vec<Entry>,
-    /// What did not enter the associated stream.
-    pub left_out: LeftOut,
+    /// The chosen frames, in order of time.
+    pub entries: Vec<FrameEntry>,
+    /// Counts of colour images that are not in the associated stream.
+    pub dropped: DroppedFrames,
     /// The folder's `groundtruth.txt` (or `pose.txt`), for
     /// [`read_trajectory`](crate::read_trajectory).
     pub ground_truth: Option<PathBuf>,
     /// True poses `world_from_camera` that came with the frames themselves, at their times; empty
     /// for layouts that have a ground-truth file. See [`true_trajectory`](Self::true_trajectory).
     pub poses: Trajectory,
-    /// 1 plane at the delivered size, false where removing the lens distortion reached beyond
-    /// the recorded picture: there depth is 0 and colour repeats the edge. `None`: all covered.
-    pub covered: Option<Arc<Image<bool>>>,
-    /// What a user should know before the run.
+    /// 1 plane at the delivered size, false where undistortion reaches beyond the recorded image:
+    /// there depth is 0 and colour repeats the edge. `None`: all pixels are valid.
+    pub valid_mask: Option<Arc<Image<bool>>>,
+    /// Warnings for the user, a sentence each.
     pub warnings: Vec<String>,
-    /// The cameras as they recorded.
-    pub(crate) recorded: Recorded,
+    pub(crate) cameras: RecordingCameras,
     pub(crate) lens: Distortion,
-    pub(crate) preparation: Arc<Preparation>,
-    /// Whether the layout leaves out frames too close in time ([`OpenOptions::minimum_gap`]).
+    pub(crate) loader: Arc<FrameLoader>,
+    /// Whether frames too close in time are dropped ([`OpenOptions::minimum_gap`]).
     pub(crate) is_thinned: bool,
 }
 
-/// Whether a folder holds pictures, and no depth in any of the known layouts.
+/// Whether a folder holds images, but no depth in any known layout.
 pub fn is_without_depth(path: &Path) -> bool {
-    let found = Source::recognise(path, false);
+    let found = DetectedLayout::detect(path, false);
     matches!(found, Err(DatasetError::UnknownLayout { has_colour: true, .. }))
 }
 
 impl Sequence {
-    /// How it lies on disk, for people.
+    /// Name of the format on disk, for users.
     pub fn layout_name(&self) -> &'static str {
         let has_depth = self.entries.iter().any(|entry| entry.depth.is_some());
         match self.layout {
@@ -127,8 +84,8 @@ impl Sequence {
         }
     }
 
-    /// Opens the sequence in a folder, in a `.sens` file, or a video. Reads lists, headers and a
-    /// few depth images, no more; a video is decoded once.
+    /// Opens a folder, a `.sens` file or a video. Reads lists, headers and a few depth images only;
+    /// a video is decoded once.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
         options.validate()?;
         if let Some(refusal) = refused_stream(path) {
@@ -137,27 +94,27 @@ impl Sequence {
         if !path.exists() {
             return Err(DatasetError::MissingFolder { path: path.to_path_buf() });
         }
-        // A folder that is no sequence at all is worth saying before a missing camera.
-        let source = Source::recognise(path, options.colour_only)?;
-        Self::from_source(path, &source, options)
+        // Detected first: that a folder holds no sequence matters more than a missing camera.
+        let layout = DetectedLayout::detect(path, options.colour_only)?;
+        Self::from_layout(path, &layout, options)
     }
 
-    /// Opens what was recognised in `path`, under validated options.
-    pub(crate) fn from_source(
+    /// Opens a detected layout with validated options.
+    pub(crate) fn from_layout(
         path: &Path,
-        source: &Source,
+        layout: &DetectedLayout,
         options: &OpenOptions,
     ) -> Result<Self, DatasetError> {
         let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
-        let calibration = Calibration::find(folder, source, options);
+        let calibration = find_calibration(folder, layout, options);
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.frame_rate);
         let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);
-        let listing = source.list(path, options, assumed_rate)?;
-        Self::of(name_of(path), listing, calibration?, options, assumed_rate)
+        let listing = layout.list(path, options, assumed_rate)?;
+        Self::from_listing(name_of(path), listing, calibration?, options, assumed_rate)
     }
 
-    /// Chooses the frames of a listing and prepares how they are delivered.
-    pub(crate) fn of(
+    /// Chooses the frames of a listing and prepares their loading.
+    pub(crate) fn from_listing(
         name: String,
         listing: Listing,
         calibration: Calibration,
@@ -169,82 +126,83 @@ impl Sequence {
         let entries = choose(listing.entries, options, &mut warnings)?;
         let video = listing.video;
         let first = entries.first().filter(|_| video.is_none());
-        let file = first.filter(|entry| entry.parts.is_none());
-        let asked = file.and_then(|entry| Told::by(&entry.colour).orientation);
+        let file = first.filter(|entry| entry.byte_ranges.is_none());
+        // Depth, poses and lists refer to images as stored, so only plain colour images are rotated.
+        let exif = file.and_then(|entry| ExifHints::read(&entry.colour).orientation);
         let is_alone = listing.layout == Layout::Plain && first.is_some_and(|e| e.depth.is_none());
-        let turns = options.turn_pictures && is_alone;
-        let orientation = asked.filter(|_| turns).unwrap_or_default();
-        let told = file.zip(asked.filter(|asked| !asked.is_none()));
-        warnings.extend(told.map(|(entry, asked)| orientation_note(&entry.colour, asked, turns)));
+        let is_applied = options.turn_pictures && is_alone;
+        let orientation = exif.filter(|_| is_applied).unwrap_or_default();
+        let noted = file.zip(exif.filter(|exif| !exif.is_identity()));
+        warnings
+            .extend(noted.map(|(entry, exif)| orientation_note(&entry.colour, exif, is_applied)));
         if file.is_some() && is_alone {
-            warnings.extend(check_alike(&entries, orientation)?);
+            warnings.extend(check_exif_consistency(&entries, orientation)?);
         }
-        let calibration = calibration.asking(first.map(|entry| entry.colour.as_path()));
-        let calibration = match first.filter(|_| !orientation.is_none()) {
+        let calibration = calibration.refined_by_exif(first.map(|entry| entry.colour.as_path()));
+        let calibration = match first.filter(|_| !orientation.is_identity()) {
             Some(entry) => {
-                let stored = image_size(&entry.colour, entry.colour_part())?;
-                orientation.calibration(calibration, stored)
+                let stored = image_size(&entry.colour, entry.colour_range())?;
+                orientation.apply_to_calibration(calibration, stored)
             }
             None => calibration,
         };
-        let shown = (orientation, video.as_ref());
-        let recorded = recorded(&entries, &calibration, listing.depth_code, shown)?;
-        let recorded_size = (recorded.colour.width, recorded.colour.height);
-        let delivered = delivered_size(&recorded.grid, options)?;
+        let source = (orientation, video.as_ref());
+        let cameras = recording_cameras(&entries, &calibration, listing.depth_encoding, source)?;
+        let recorded_size = (cameras.colour.width, cameras.colour.height);
+        let delivered = delivered_size(&cameras.grid, options)?;
         let lens = calibration.distortion;
         let (resampler, video) =
-            resampled(&recorded, &lens, options.crop_border, delivered, video.as_ref());
-        let preparation = Preparation {
+            delivery(&cameras, &lens, options.crop_border, delivered, video.as_ref());
+        let loader = FrameLoader {
             resampler,
             depth_scale: calibration.depth_scale,
             max_depth: options.max_depth.unwrap_or(f64::INFINITY),
-            depth_code: listing.depth_code,
+            depth_encoding: listing.depth_encoding,
             invalid_depth: calibration.invalid_depth,
             colour_only: options.colour_only,
             orientation,
             video,
         };
-        warnings.extend(camera_warning(&recorded, &calibration.source));
-        warnings.extend(depth_scale_warning(&entries, &preparation));
-        warnings.extend(cover_warning(&preparation.resampler));
+        warnings.extend(camera_warning(&cameras, &calibration.source));
+        warnings.extend(depth_scale_warning(&entries, &loader));
+        warnings.extend(coverage_warning(&loader.resampler));
         Ok(Self {
             name,
             layout: listing.layout,
             camera_source: calibration.source,
             camera_is_guess: calibration.is_guess,
             recorded_size,
-            camera: preparation.resampler.camera,
+            camera: loader.resampler.camera,
             frame_rate,
             depth_scale: calibration.depth_scale,
             entries,
-            left_out: listing.left_out,
+            dropped: listing.dropped,
             ground_truth: listing.ground_truth,
             poses: listing.poses,
-            covered: preparation.resampler.covered.clone().map(Arc::new),
+            valid_mask: loader.resampler.valid_mask.clone().map(Arc::new),
             warnings,
-            recorded,
+            cameras,
             lens,
-            preparation: Arc::new(preparation),
+            loader: Arc::new(loader),
             is_thinned: listing.is_thinned,
         })
     }
 
-    /// The true poses `world_from_camera`, in order of time: those of the ground-truth file, else
-    /// those that came with the frames. Empty where there is neither; an error where the file
-    /// cannot be read.
+    /// True poses `world_from_camera` in order of time: of the ground-truth file, else those that came
+    /// with the frames. Empty if there is neither; an error if the file cannot be read.
     pub fn true_trajectory(&self) -> Result<Trajectory, DatasetError> {
         self.ground_truth.as_ref().map_or_else(|| Ok(self.poses.clone()), read_trajectory)
     }
 
-    /// Reads the frame at a place of [`entries`](Self::entries).
+    /// Reads the frame at an index of [`entries`](Self::entries).
     pub fn load(&self, position: usize) -> Result<Frame, DatasetError> {
         let frames = self.entries.len();
         let entry =
             self.entries.get(position).ok_or(DatasetError::NoSuchFrame { position, frames })?;
-        self.preparation.load(entry)
+        self.loader.load(entry)
     }
 
-    /// Number of frames chosen.
+    /// Number of chosen frames.
     pub fn len(&self) -> usize {
         self.entries.len()
     }
@@ -254,33 +212,34 @@ impl Sequence {
         self.entries.is_empty()
     }
 
-    /// All frames in order, read ahead on another thread. A frame that cannot be read is an
-    /// `Err` item, and the stream goes on behind it.
+    /// Iterates over all frames in order, read ahead on another thread. A frame that cannot be read
+    /// is an `Err` item, and the stream continues.
     pub fn stream(&self) -> FrameStream {
-        FrameStream::start(self.entries.clone(), Arc::clone(&self.preparation))
+        FrameStream::start(self.entries.clone(), Arc::clone(&self.loader))
     }
 }
 
+/// Name of a sequence: that of its folder, or of its file without extension.
 pub(crate) fn name_of(path: &Path) -> String {
     let whole = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
     let name = if whole.is_file() { whole.file_stem() } else { whole.file_name() };
     name.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The median of the frame rates between neighbours [1/s].
-fn median_rate(entries: &[Entry]) -> Option<f64> {
+/// Median frame rate between neighbours [1/s].
+fn median_rate(entries: &[FrameEntry]) -> Option<f64> {
     let gaps = entries.windows(2).map(|pair| pair[1].timestamp - pair[0].timestamp);
     let mut gaps: Vec<f64> = gaps.filter(|&gap| gap > 0.0).collect();
     gaps.sort_by(f64::total_cmp);
     gaps.get(gaps.len() / 2).map(|gap| gap.recip())
 }
 
-/// The entries within the range, every `stride`-th.
+/// Selects the entries within the range, every `stride`-th.
 fn choose(
-    entries: Vec<Entry>,
+    entries: Vec<FrameEntry>,
     options: &OpenOptions,
     warnings: &mut Vec<String>,
-) -> Result<Vec<Entry>, DatasetError> {
+) -> Result<Vec<FrameEntry>, DatasetError> {
     let count = entries.len();
     let range = options.frames.clone().unwrap_or(0..count);
     if range.start >= range.end.min(count) {

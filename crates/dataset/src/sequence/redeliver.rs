@@ -1,26 +1,26 @@
-//! The size of delivered frames, and the same frames at another one.
+//! The size of delivered frames; reopening a sequence at another size or with another camera.
 
-use crate::checks::cover_warning;
-use crate::distortion::Distortion;
-use crate::prepare::Preparation;
-use crate::resample::{Recorded, Resampler};
+use super::Sequence;
+use super::checks::coverage_warning;
+use super::frames::FrameLoader;
+use crate::camera::{Distortion, ESTIMATED_SOURCE};
+use crate::image::{RecordingCameras, Resampler};
 use crate::video::Video;
-use crate::{DatasetError, OpenOptions, Sequence};
+use crate::{DatasetError, EstimatedCamera, OpenOptions};
 use i2slam_geometry::Camera;
 use std::sync::Arc;
 
-/// Delivered frames must have at least this many pixels a side.
+/// Smallest side of delivered frames [px].
 const MIN_SIDE: usize = 8;
 
 impl Sequence {
-    /// The same frames with a longer side of `side` [px], or as large as they were recorded where
-    /// that is less; never smaller than they are. [`warnings`](Self::warnings) are those of that
-    /// size alone.
+    /// Enlarges frames to a longer side of `side` [px], at most the recorded size; never smaller than
+    /// before. [`warnings`](Self::warnings) are those of the new size alone.
     #[must_use]
     pub fn at_least(&self, side: usize) -> Self {
-        let before = &self.preparation;
-        let border = before.resampler.border();
-        let whole = self.recorded.grid.cropped(border);
+        let loader = &self.loader;
+        let border = loader.resampler.border();
+        let whole = self.cameras.grid.cropped(border);
         let now = self.camera.width.max(self.camera.height);
         let share = (side.max(now) as f64 / whole.width.max(whole.height) as f64).min(1.0);
         let scaled = |side: usize| (side as f64 * share).round() as usize;
@@ -28,44 +28,86 @@ impl Sequence {
         if size.0 <= self.camera.width {
             return Self { warnings: Vec::new(), ..self.clone() };
         }
-        let video = before.video.as_deref();
-        let (resampler, video) = resampled(&self.recorded, &self.lens, border, size, video);
+        let video = loader.video.as_deref();
+        let (resampler, video) = delivery(&self.cameras, &self.lens, border, size, video);
         Self {
             camera: resampler.camera,
-            covered: resampler.covered.clone().map(Arc::new),
-            warnings: cover_warning(&resampler).into_iter().collect(),
-            preparation: Arc::new(Preparation { resampler, video, ..Preparation::clone(before) }),
+            valid_mask: resampler.valid_mask.clone().map(Arc::new),
+            warnings: coverage_warning(&resampler).into_iter().collect(),
+            loader: Arc::new(FrameLoader { resampler, video, ..FrameLoader::clone(loader) }),
+            ..self.clone()
+        }
+    }
+
+    /// The estimated camera of recorded images, from that of the delivered frames: pinhole `found`
+    /// with the assumed principal point, and lens `k1 k2`.
+    pub fn estimated_camera(&self, found: &Camera<f64>, distortion: [f64; 2]) -> EstimatedCamera {
+        let colour = &self.cameras.colour;
+        let (x, y) = (found.fx / self.camera.fx, found.fy / self.camera.fy);
+        let intrinsics = [colour.fx * x, colour.fy * y, colour.cx - 0.5, colour.cy - 0.5];
+        EstimatedCamera { intrinsics, distortion }
+    }
+
+    /// Replaces the camera and undistorts accordingly, as opening with
+    /// [`OpenOptions::estimated_camera`] does. [`warnings`](Self::warnings) are those of the new
+    /// camera alone.
+    #[must_use]
+    pub fn with_estimated_camera(&self, camera: &EstimatedCamera) -> Self {
+        let cameras = estimated_cameras(camera, &self.cameras);
+        let loader = &self.loader;
+        let (size, _) = loader.resampler.recorded_sizes();
+        // A video may be scaled by ffmpeg before it is resampled here.
+        let is_whole = size == (cameras.colour.width, cameras.colour.height);
+        let read = if is_whole { cameras } else { cameras.resized(size) };
+        let resampler = loader.resampler.with_camera(&read, &camera.lens());
+        Self {
+            camera_source: ESTIMATED_SOURCE.to_owned(),
+            camera_is_guess: false,
+            camera: resampler.camera,
+            valid_mask: resampler.valid_mask.clone().map(Arc::new),
+            warnings: coverage_warning(&resampler).into_iter().collect(),
+            cameras,
+            lens: camera.lens(),
+            loader: Arc::new(FrameLoader { resampler, ..FrameLoader::clone(loader) }),
             ..self.clone()
         }
     }
 }
 
-/// What turns recorded pictures into frames of a size, and the video that they come from, if any:
-/// it is scaled where it is decoded, which spares the pipe, unless a border is cut off.
-pub(crate) fn resampled(
-    recorded: &Recorded,
+/// The recording cameras with estimated intrinsics in place of the assumed ones.
+fn estimated_cameras(estimated: &EstimatedCamera, assumed: &RecordingCameras) -> RecordingCameras {
+    let [fx, fy, cx, cy] = estimated.intrinsics;
+    let colour = Camera { fx, fy, cx: cx + 0.5, cy: cy + 0.5, ..assumed.colour };
+    let resized = |camera: &Camera<f64>| colour.resized(camera.width, camera.height);
+    RecordingCameras { colour, depth: resized(&assumed.depth), grid: resized(&assumed.grid) }
+}
+
+/// The resampler for frames of a size, and the video they come from, if any. Without a border
+/// ffmpeg scales the video, which saves bandwidth of the pipe.
+pub(super) fn delivery(
+    cameras: &RecordingCameras,
     lens: &Distortion,
     border: usize,
     delivered: (usize, usize),
     video: Option<&Video>,
 ) -> (Resampler, Option<Arc<Video>>) {
     let read = match video {
-        Some(_) if border == 0 => recorded.resized(delivered),
-        _ => *recorded,
+        Some(_) if border == 0 => cameras.resized(delivered),
+        _ => *cameras,
     };
-    let video = video.map(|v| Arc::new(v.delivering((read.colour.width, read.colour.height))));
+    let video = video.map(|v| Arc::new(v.with_size((read.colour.width, read.colour.height))));
     (Resampler::new(&read, lens, border, delivered), video)
 }
 
-/// Size of the frames from the grid `recorded` that they are delivered on, cropped and scaled.
+/// Width and height of the frames delivered on `grid`, cropped and scaled [px].
 pub(crate) fn delivered_size(
-    recorded: &Camera<f64>,
+    grid: &Camera<f64>,
     options: &OpenOptions,
 ) -> Result<(usize, usize), DatasetError> {
-    let cropped = recorded.cropped(options.crop_border);
+    let cropped = grid.cropped(options.crop_border);
     let longest = cropped.width.max(cropped.height);
-    let most = options.max_side.map_or(1.0, |side| side as f64 / longest as f64);
-    let scale = options.scale.min(most);
+    let max_scale = options.max_side.map_or(1.0, |side| side as f64 / longest as f64);
+    let scale = options.scale.min(max_scale);
     let scaled = |side: usize| (side as f64 * scale).round() as usize;
     let (width, height) = (scaled(cropped.width), scaled(cropped.height));
     if width.min(height) >= MIN_SIDE {
@@ -74,7 +116,7 @@ pub(crate) fn delivered_size(
     let reason = format!(
         "a border of {} and a scale of {} leave {width}x{height} px of {}x{}, expected at least \
          {MIN_SIDE} a side",
-        options.crop_border, scale, recorded.width, recorded.height
+        options.crop_border, scale, grid.width, grid.height
     );
     Err(DatasetError::Option { name: "crop_border, scale", reason })
 }

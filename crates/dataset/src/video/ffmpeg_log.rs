@@ -1,97 +1,98 @@
-//! What ffmpeg says of a video, line by line.
+//! Parser of ffmpeg's log.
 
-use super::stamps::{Stamps, mended};
+use super::timestamps::{RepairedTimestamps, repaired};
 
-/// Beginnings of lines that only repeat what was said before.
-const REPEATS: [&str; 4] =
+/// Beginnings of errors that only repeat an earlier one.
+const SECONDARY_ERRORS: [&str; 4] =
     ["Error opening output", "Error opening input", "Conversion failed", "Error parsing options"];
 
-/// What was said.
+/// Contents of the log.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Words {
+pub(super) struct FfmpegLog {
     /// Frames that came through the filter `showinfo`, in order.
-    pub(super) frames: Vec<Shown>,
-    /// Seconds of one tick of their stamps.
-    tick: Option<f64>,
-    /// Length that the file claims [s].
+    pub(super) frames: Vec<LoggedFrame>,
+    /// Unit of their time stamps [s].
+    time_base: Option<f64>,
+    /// Length claimed by the file [s].
     pub(super) duration: Option<f64>,
-    /// The first codec of a video in it.
+    /// Codec of the first video stream.
     pub(super) codec: Option<String>,
-    /// The first error that says something, and the last one of all.
+    /// First error that is not [secondary](SECONDARY_ERRORS).
     error: Option<String>,
+    /// Last error of any kind.
     last_error: Option<String>,
-    /// The last line that is neither empty nor about a frame.
-    last: Option<String>,
+    /// Last line that is neither empty nor about a frame.
+    last_line: Option<String>,
 }
 
-/// A frame.
+/// A frame logged by the filter `showinfo`.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Shown {
+pub(super) struct LoggedFrame {
     /// Presentation time [ticks].
     ticks: Option<f64>,
-    /// Width and height [px], turned as the file asks.
+    /// Width and height [px] after the rotation that the file asks for.
     pub(super) size: (usize, usize),
     /// Width of a pixel over its height.
     pub(super) pixel_aspect: f64,
 }
 
-impl Words {
-    /// Takes in the next line.
-    pub(super) fn take_in(&mut self, line: &str) {
+impl FfmpegLog {
+    /// Parses the next line.
+    pub(super) fn push_line(&mut self, line: &str) {
         if line.contains("showinfo") {
             if let Some(base) = after(line, "config in time_base:") {
-                self.tick = ratio(base.split([',', ' ']).next().unwrap_or_default(), '/');
+                self.time_base = ratio(base.split([',', ' ']).next().unwrap_or_default(), '/');
             }
-            self.frames.extend(Shown::read(line));
+            self.frames.extend(LoggedFrame::parse(line));
             return;
         }
         if let Some(length) = after(line, "Duration:").filter(|_| self.duration.is_none()) {
-            self.duration = seconds(length.split(',').next().unwrap_or_default());
+            self.duration = parse_duration(length.split(',').next().unwrap_or_default());
         }
         if let Some(video) = after(line, " Video:").filter(|_| self.codec.is_none()) {
             self.codec = video.split(',').next().map(str::to_owned);
         }
         let is_error = line.contains("[error]") || line.contains("[fatal]");
-        let line = without_brackets(line);
+        let line = without_prefix(line);
         if line.is_empty() {
             return;
         }
         if is_error {
             self.last_error = Some(line.to_owned());
-            if !REPEATS.iter().any(|start| line.starts_with(start)) {
+            if !SECONDARY_ERRORS.iter().any(|start| line.starts_with(start)) {
                 self.error.get_or_insert_with(|| line.to_owned());
             }
         }
-        self.last = Some(line.to_owned());
+        self.last_line = Some(line.to_owned());
     }
 
-    /// The line that tells most about what went wrong, if an error was told.
+    /// The most informative error, if any.
     pub(super) fn error(&self) -> Option<&str> {
         self.error.as_deref().or(self.last_error.as_deref())
     }
 
-    /// That line, else the last one.
-    pub(super) fn blame(&self) -> &str {
-        self.error().or(self.last.as_deref()).unwrap_or("nothing")
+    /// The most informative error, else the last line.
+    pub(super) fn message(&self) -> &str {
+        self.error().or(self.last_line.as_deref()).unwrap_or("nothing")
     }
 
-    /// Whether the error is about `what`.
-    pub(super) fn blames(&self, what: &str) -> bool {
-        self.blame().contains(what)
+    /// Whether that message contains `what`.
+    pub(super) fn mentions(&self, what: &str) -> bool {
+        self.message().contains(what)
     }
 
-    /// Stamps of the frames [s]; see [`mended`](super::stamps::mended).
-    pub(super) fn stamps(&self) -> Option<Stamps> {
-        let tick = self.tick?;
+    /// Time stamps of the frames [s], see [`repaired`].
+    pub(super) fn timestamps(&self) -> Option<RepairedTimestamps> {
+        let time_base = self.time_base?;
         let stamps: Vec<Option<f64>> =
-            self.frames.iter().map(|frame| frame.ticks.map(|ticks| ticks * tick)).collect();
-        mended(&stamps)
+            self.frames.iter().map(|frame| frame.ticks.map(|ticks| ticks * time_base)).collect();
+        repaired(&stamps)
     }
 }
 
-impl Shown {
-    /// From a line such as `n:  1 pts:  512 pts_time:0.03 fmt:yuv420p sar:0/1 s:320x240 i:P ...`.
-    fn read(line: &str) -> Option<Self> {
+impl LoggedFrame {
+    /// Parses a line such as `n:  1 pts:  512 pts_time:0.03 fmt:yuv420p sar:0/1 s:320x240 i:P ...`.
+    fn parse(line: &str) -> Option<Self> {
         let ticks = after(line, " pts:")?;
         let size = word(line, " s:")?;
         let (width, height) = size.split_once('x')?;
@@ -104,7 +105,7 @@ impl Shown {
     }
 }
 
-/// What follows `name` in a line, without leading blanks.
+/// Rest of a line behind `name`, without leading blanks.
 fn after<'a>(line: &'a str, name: &str) -> Option<&'a str> {
     line.find(name).map(|at| line[at + name.len()..].trim_start())
 }
@@ -118,13 +119,13 @@ fn ratio(text: &str, sign: char) -> Option<f64> {
     Some(above.parse::<f64>().ok()? / below.parse::<f64>().ok()?).filter(|r| r.is_finite())
 }
 
-/// Seconds of `HH:MM:SS.cc`.
-fn seconds(text: &str) -> Option<f64> {
+/// Parses `HH:MM:SS.cc` [s].
+fn parse_duration(text: &str) -> Option<f64> {
     text.trim().split(':').try_fold(0.0, |sum, part| Some(60.0 * sum + part.parse::<f64>().ok()?))
 }
 
-/// A line without the names and levels in brackets before it.
-fn without_brackets(line: &str) -> &str {
+/// A line without the `[context] [level]` prefix.
+fn without_prefix(line: &str) -> &str {
     let mut rest = line.trim();
     while let Some((_, behind)) = rest.strip_prefix('[').and_then(|inner| inner.split_once(']')) {
         rest = behind.trim_start();
@@ -136,15 +137,15 @@ fn without_brackets(line: &str) -> &str {
 mod tests {
     use super::*;
 
-    fn heard(text: &str) -> Words {
-        let mut words = Words::default();
-        text.lines().for_each(|line| words.take_in(line));
-        words
+    fn log_of(text: &str) -> FfmpegLog {
+        let mut log = FfmpegLog::default();
+        text.lines().for_each(|line| log.push_line(line));
+        log
     }
 
     #[test]
-    fn frames_have_times_and_sizes() {
-        let words = heard(
+    fn frames_sizes_and_durations_are_parsed() {
+        let log = log_of(
             "[info]   Duration: 00:01:02.50, start: 0.000000, bitrate: 920 kb/s\n\
              [info]   Stream #0:0(und): Video: h264 (High) (avc1 / 0x3163), yuv420p, 320x240\n\
              [Parsed_showinfo_0 @ 0x7f7e] [info] config in time_base: 1/15360, frame_rate: 30/1\n\
@@ -155,21 +156,21 @@ mod tests {
              [Parsed_showinfo_0 @ 0x7f7e] [info] n:   1 pts:    512 pts_time:0.0333333 pos: 48 \
              fmt:yuv420p sar:4/3 s:320x240 i:P",
         );
-        assert_eq!(words.duration, Some(62.5));
-        assert_eq!(words.codec.as_deref(), Some("h264 (High) (avc1 / 0x3163)"));
-        assert_eq!(words.stamps().map(|s| s.seconds), Some(vec![0.0, 512.0 / 15360.0]));
-        assert_eq!((words.frames[0].size, words.frames[0].pixel_aspect), ((320, 240), 1.0));
-        assert_eq!(words.frames[1].pixel_aspect, 4.0 / 3.0);
-        assert_eq!(words.error(), None);
+        assert_eq!(log.duration, Some(62.5));
+        assert_eq!(log.codec.as_deref(), Some("h264 (High) (avc1 / 0x3163)"));
+        assert_eq!(log.timestamps().map(|s| s.seconds), Some(vec![0.0, 512.0 / 15360.0]));
+        assert_eq!((log.frames[0].size, log.frames[0].pixel_aspect), ((320, 240), 1.0));
+        assert_eq!(log.frames[1].pixel_aspect, 4.0 / 3.0);
+        assert_eq!(log.error(), None);
     }
 
     #[test]
-    fn stamps_count_in_their_ticks() {
+    fn time_stamps_are_scaled_by_the_time_base() {
         let base = "showinfo config in time_base: 1/10, frame_rate: 30/1\n";
         let frame = |ticks: &str| format!("showinfo n: 0 pts: {ticks} pts_time:x s:8x8 i:P\n");
         let of = |ticks: &[&str]| {
             let frames: String = ticks.iter().map(|t| frame(t)).collect();
-            heard(&(base.to_owned() + &frames)).stamps().map(|s| (s.seconds, s.bad))
+            log_of(&(base.to_owned() + &frames)).timestamps().map(|s| (s.seconds, s.repaired))
         };
         assert_eq!(of(&["3", "5"]), Some((vec![3.0 * 0.1, 5.0 * 0.1], vec![])));
         assert_eq!(of(&["3", "3"]), None);
@@ -178,16 +179,16 @@ mod tests {
     }
 
     #[test]
-    fn the_telling_error_is_found() {
-        let words = heard(
+    fn the_informative_error_is_chosen() {
+        let log = log_of(
             "[in#0 @ 0x5622e4265100] [error] moov atom not found\n\
              [in#0 @ 0x5622e4264d80] [error] Error opening input: Invalid data found\n\
              [fatal] Error opening input files: Invalid data found",
         );
-        assert_eq!(words.error(), Some("moov atom not found"));
-        let words = heard("[error] Error opening input: Permission denied");
-        assert_eq!(words.blame(), "Error opening input: Permission denied");
-        assert_eq!(heard("no such thing\n\n").blame(), "no such thing");
-        assert_eq!(heard("").blame(), "nothing");
+        assert_eq!(log.error(), Some("moov atom not found"));
+        let log = log_of("[error] Error opening input: Permission denied");
+        assert_eq!(log.message(), "Error opening input: Permission denied");
+        assert_eq!(log_of("no such thing\n\n").message(), "no such thing");
+        assert_eq!(log_of("").message(), "nothing");
     }
 }

@@ -1,10 +1,10 @@
-//! Decoded pictures of a video by their number, with bounded memory.
+//! Random access to the frames of a video, with bounded memory.
 //!
-//! A running decoder gives its frames in order. Whoever goes through a sequence from front to back
-//! gets them as they come; a short way back leads to pictures that are kept, a longer one starts
-//! the decoder anew at the first frame, which is slow but exact in every format.
+//! The decoder outputs frames in order. Steps forward wait for it, short steps back hit a cache of
+//! recent frames, and longer ones restart the decoder at the first frame: slow, but exact in every
+//! format, which seeking is not.
 
-use super::program::{Ffmpeg, words};
+use super::ffmpeg::{Ffmpeg, parse_log};
 use crate::DatasetError;
 use std::collections::VecDeque;
 use std::io::{BufReader, ErrorKind, Read};
@@ -13,127 +13,127 @@ use std::process::{Child, ChildStdout};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-/// Pictures kept take this much memory at most [bytes].
-const KEPT: usize = 64 << 20;
+/// Size of the cache of decoded frames [bytes].
+const CACHE_BYTES: usize = 64 << 20;
 
-/// Bytes of the pipe that are read at once.
-const BUFFER: usize = 1 << 18;
+/// Buffer size of the pipe [bytes].
+const BUFFER_BYTES: usize = 1 << 18;
 
-/// The pictures of a video: three bytes a pixel, R G B.
+/// Reader of a video's frames: three bytes a pixel, R G B.
 #[derive(Debug)]
-pub(super) struct Reader {
+pub(super) struct FrameReader {
     ffmpeg: Ffmpeg,
     size: (usize, usize),
-    running: Option<Running>,
-    /// The first frame that did not come.
+    decoder: Option<Decoder>,
+    /// First frame that could not be decoded.
     ends_at: Option<usize>,
-    /// How many pictures are kept.
-    most: usize,
-    /// The last pictures decoded, in order, under their numbers.
-    kept: VecDeque<(usize, Arc<Vec<u8>>)>,
+    /// Capacity of the cache [frames].
+    capacity: usize,
+    /// The last frames decoded, in order, with their numbers.
+    cache: VecDeque<(usize, Arc<Vec<u8>>)>,
 }
 
-/// A decoder at work.
+/// A running ffmpeg.
 #[derive(Debug)]
-struct Running {
+struct Decoder {
     child: Child,
-    pictures: BufReader<ChildStdout>,
-    /// What it complains of; it would stand still if nobody listened.
-    complaints: Option<JoinHandle<String>>,
+    images: BufReader<ChildStdout>,
+    /// Thread that drains the log, which would block ffmpeg otherwise; gives the error.
+    log: Option<JoinHandle<String>>,
     /// Number of the frame that comes next.
     next: usize,
 }
 
-impl Reader {
+impl FrameReader {
     pub(super) fn new(ffmpeg: Ffmpeg, size: (usize, usize)) -> Self {
-        let most = (KEPT / (3 * size.0 * size.1).max(1)).max(1);
-        Self { ffmpeg, size, running: None, ends_at: None, most, kept: VecDeque::new() }
+        let capacity = (CACHE_BYTES / (3 * size.0 * size.1).max(1)).max(1);
+        Self { ffmpeg, size, decoder: None, ends_at: None, capacity, cache: VecDeque::new() }
     }
 
-    /// The same, with so many pictures kept at most.
+    /// Sets the capacity of the cache [frames].
     #[cfg(test)]
-    pub(super) fn keeping(self, most: usize) -> Self {
-        Self { most, ..self }
+    pub(super) fn with_capacity(self, capacity: usize) -> Self {
+        Self { capacity, ..self }
     }
 
-    /// The picture with a number.
-    pub(super) fn picture(
+    /// Decodes the frame with a number, or takes it from the cache.
+    pub(super) fn frame(
         &mut self,
         path: &Path,
         number: usize,
     ) -> Result<Arc<Vec<u8>>, DatasetError> {
-        if let Some((_, picture)) = self.kept.iter().find(|(kept, _)| *kept == number) {
-            return Ok(Arc::clone(picture));
+        if let Some((_, image)) = self.cache.iter().find(|(cached, _)| *cached == number) {
+            return Ok(Arc::clone(image));
         }
         if self.ends_at.is_some_and(|end| number >= end) {
             return Err(DatasetError::image(path, format!("frame {number} cannot be decoded")));
         }
-        if self.running.as_ref().is_none_or(|running| running.next > number) {
-            self.running = None;
-            self.running = Some(Running::start(&self.ffmpeg, path, self.size)?);
-            self.kept.clear();
+        if self.decoder.as_ref().is_none_or(|decoder| decoder.next > number) {
+            self.decoder = None;
+            self.decoder = Some(Decoder::start(&self.ffmpeg, path, self.size)?);
+            self.cache.clear();
         }
         let length = 3 * self.size.0 * self.size.1;
-        while let Some(running) = &mut self.running {
-            let this = running.next;
+        while let Some(decoder) = &mut self.decoder {
+            let this = decoder.next;
             let mut bytes = vec![0; length];
-            if let Err(error) = running.pictures.read_exact(&mut bytes) {
+            if let Err(error) = decoder.images.read_exact(&mut bytes) {
                 self.ends_at = Some(this);
-                let complaint = self.running.take().map(Running::end).unwrap_or_default();
-                return Err(broken_off(path, this, &error, &complaint));
+                let message = self.decoder.take().map(Decoder::end).unwrap_or_default();
+                return Err(decode_error(path, this, &error, &message));
             }
-            running.next += 1;
-            let picture = Arc::new(bytes);
-            self.keep(this, &picture);
+            decoder.next += 1;
+            let image = Arc::new(bytes);
+            self.add_to_cache(this, &image);
             if this == number {
-                return Ok(picture);
+                return Ok(image);
             }
         }
         Err(DatasetError::video(path, format!("frame {number} cannot be decoded")))
     }
 
-    fn keep(&mut self, number: usize, picture: &Arc<Vec<u8>>) {
-        self.kept.push_back((number, Arc::clone(picture)));
-        while self.kept.len() > self.most {
-            self.kept.pop_front();
+    fn add_to_cache(&mut self, number: usize, image: &Arc<Vec<u8>>) {
+        self.cache.push_back((number, Arc::clone(image)));
+        while self.cache.len() > self.capacity {
+            self.cache.pop_front();
         }
     }
 }
 
-fn broken_off(path: &Path, at: usize, error: &std::io::Error, complaint: &str) -> DatasetError {
+fn decode_error(path: &Path, at: usize, error: &std::io::Error, message: &str) -> DatasetError {
     let why = match error.kind() {
-        ErrorKind::UnexpectedEof if complaint.is_empty() => "the decoder ended".to_owned(),
-        ErrorKind::UnexpectedEof => format!("ffmpeg says: {complaint}"),
+        ErrorKind::UnexpectedEof if message.is_empty() => "the decoder ended".to_owned(),
+        ErrorKind::UnexpectedEof => format!("ffmpeg says: {message}"),
         _ => error.to_string(),
     };
     DatasetError::image(path, format!("frame {at} cannot be decoded: {why}"))
 }
 
-impl Running {
+impl Decoder {
     fn start(ffmpeg: &Ffmpeg, path: &Path, size: (usize, usize)) -> Result<Self, DatasetError> {
         let mut child = ffmpeg.decode(path, size)?;
-        let Some(pictures) = child.stdout.take() else {
+        let Some(images) = child.stdout.take() else {
             return Err(DatasetError::video(path, "ffmpeg gives no pictures"));
         };
-        let complaints = child.stderr.take().and_then(|stream| {
-            let listen = move || words(stream).error().unwrap_or_default().to_owned();
-            std::thread::Builder::new().name("hear ffmpeg".into()).spawn(listen).ok()
+        let log = child.stderr.take().and_then(|stream| {
+            let read = move || parse_log(stream).error().unwrap_or_default().to_owned();
+            std::thread::Builder::new().name("ffmpeg log".into()).spawn(read).ok()
         });
-        let pictures = BufReader::with_capacity(BUFFER, pictures);
-        Ok(Self { child, pictures, complaints, next: 0 })
+        let images = BufReader::with_capacity(BUFFER_BYTES, images);
+        Ok(Self { child, images, log, next: 0 })
     }
 
-    /// Ends it; what it complained of.
+    /// Stops ffmpeg; returns its error, empty if there is none.
     fn end(mut self) -> String {
-        let complaints = self.complaints.take();
+        let log = self.log.take();
         drop(self);
-        complaints.and_then(|thread| thread.join().ok()).unwrap_or_default()
+        log.and_then(|thread| thread.join().ok()).unwrap_or_default()
     }
 }
 
-impl Drop for Running {
+impl Drop for Decoder {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // Fails only if ffmpeg has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,13 +1,11 @@
-//! Streams: what the program ffmpeg can read and nobody can read twice, such as an address, a named
-//! pipe or the standard input.
+//! Streams that can be read only once: network addresses, named pipes and the standard input.
 //!
-//! A run needs its pictures several times. So a stream is decoded once, from its beginning to its
-//! end, and kept without loss (FFV1) in a file of its own, which is a video like any other and goes
-//! when the recording does.
+//! A run reads its images several times, so a stream is first transcoded without loss (FFV1) into a
+//! temporary video file.
 
-use super::program::{Ffmpeg, words};
-use super::refusal;
-use super::words::Words;
+use super::ffmpeg::{Ffmpeg, parse_log};
+use super::ffmpeg_log::FfmpegLog;
+use super::undecodable;
 use crate::DatasetError;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal, Read, Write};
@@ -18,18 +16,18 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// A recording takes about this much of the disk at most [bytes].
+/// Largest recording, approximately [bytes].
 pub const MAX_RECORDING_BYTES: u64 = 8 << 30;
 
-/// How often it is asked whether the reading should end.
-const PATIENCE: Duration = Duration::from_millis(20);
-/// How long it may take to end once it is asked to, before it is stopped.
-const GRACE: Duration = Duration::from_secs(3);
-/// Bytes that are copied at once.
-const BUFFER: usize = 1 << 18;
+/// Interval at which the end condition is checked.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Time that ffmpeg gets to finish after an interrupt, before it is killed.
+const GRACE_PERIOD: Duration = Duration::from_secs(3);
+/// Buffer size of the pipe [bytes].
+const BUFFER_BYTES: usize = 1 << 18;
 
-/// Whether a path is no file but something that flows: `-` for the standard input, an address such
-/// as `rtsp://camera/1`, or a named pipe.
+/// Whether a path is a stream: `-` for the standard input, an address such as `rtsp://camera/1`, or
+/// a named pipe.
 pub fn is_stream(path: &Path) -> bool {
     is_standard_input(path) || is_address(path) || is_pipe(path)
 }
@@ -53,7 +51,7 @@ fn is_pipe(_: &Path) -> bool {
     false
 }
 
-/// Why a stream is no sequence as it is.
+/// The error for opening a stream as a sequence, if `path` is one.
 pub(crate) fn refused_stream(path: &Path) -> Option<DatasetError> {
     is_stream(path).then(|| {
         let from = path.display();
@@ -65,50 +63,50 @@ pub(crate) fn refused_stream(path: &Path) -> Option<DatasetError> {
     })
 }
 
-/// What a stream gave, in a file that is removed with it.
+/// A recorded stream in a temporary file, which is removed on drop.
 #[derive(Debug)]
 pub struct Recording {
     folder: PathBuf,
-    /// What a user should know of it.
+    /// Warnings for the user, a sentence each.
     pub warnings: Vec<String>,
 }
 
 impl Recording {
-    /// Reads a stream until it ends, until `should_end` says so, or until there is no more room for
-    /// it ([`MAX_RECORDING_BYTES`]).
+    /// Records a stream until it ends, `should_end` returns true, or [`MAX_RECORDING_BYTES`] are
+    /// reached.
     ///
     /// # Errors
     ///
     /// No ffmpeg, a stream that gives no picture, no room on the disk.
-    pub fn of(stream: &Path, should_end: &dyn Fn() -> bool) -> Result<Self, DatasetError> {
+    pub fn record(stream: &Path, should_end: &dyn Fn() -> bool) -> Result<Self, DatasetError> {
         if is_standard_input(stream) && io::stdin().is_terminal() {
             let reason = "the standard input is a terminal, expected a video: \
                           `some program | i2slam run - --out DIR`";
             return Err(DatasetError::video(stream, reason));
         }
-        Self::with(Ffmpeg::find(), stream, MAX_RECORDING_BYTES, should_end)
+        Self::record_with(Ffmpeg::find(), stream, MAX_RECORDING_BYTES, should_end)
     }
 
-    pub(super) fn with(
+    pub(super) fn record_with(
         mut ffmpeg: Ffmpeg,
         stream: &Path,
-        most: u64,
+        max_bytes: u64,
         should_end: &dyn Fn() -> bool,
     ) -> Result<Self, DatasetError> {
         let mut recording = Self { folder: new_folder()?, warnings: Vec::new() };
-        let mut ended = recording.read(&ffmpeg, stream, most, should_end)?;
-        if ended.bytes == 0 && ffmpeg.is_older(&ended.words) {
-            // It refused the words it was called with, before it opened the stream.
-            ended = recording.read(&ffmpeg, stream, most, should_end)?;
+        let mut ended = recording.read(&ffmpeg, stream, max_bytes, should_end)?;
+        if ended.bytes == 0 && ffmpeg.retry_with_older_options(&ended.log) {
+            // The options were refused before the stream was opened, so nothing is lost.
+            ended = recording.read(&ffmpeg, stream, max_bytes, should_end)?;
         }
         if ended.bytes == 0 {
-            return Err(refusal(stream, &ended.words));
+            return Err(undecodable(stream, &ended.log));
         }
-        recording.warnings.extend(ended.warning(most));
+        recording.warnings.extend(ended.warning(max_bytes));
         Ok(recording)
     }
 
-    /// The video.
+    /// Path of the recorded video.
     pub fn path(&self) -> PathBuf {
         self.folder.join("stream.nut")
     }
@@ -117,37 +115,37 @@ impl Recording {
         &self,
         ffmpeg: &Ffmpeg,
         stream: &Path,
-        most: u64,
+        max_bytes: u64,
         should_end: &dyn Fn() -> bool,
-    ) -> Result<Ended, DatasetError> {
+    ) -> Result<RecordingEnd, DatasetError> {
         let path = self.path();
         let file = File::create(&path).map_err(|e| DatasetError::write(&path, e))?;
-        let mut running = Running::start(ffmpeg, stream, file)?;
-        let mut asked = None;
+        let mut running = RecordingProcess::start(ffmpeg, stream, file)?;
+        let mut interrupted_at = None;
         while !running.copying.is_finished() {
-            let is_full = running.copied.load(Ordering::Relaxed) >= most;
-            match asked {
+            let is_full = running.copied.load(Ordering::Relaxed) >= max_bytes;
+            match interrupted_at {
                 None if is_full || should_end() => {
-                    running.ask_to_end();
-                    asked = Some(Instant::now());
+                    running.interrupt();
+                    interrupted_at = Some(Instant::now());
                 }
-                Some(when) if when.elapsed() > GRACE => running.stop(),
+                Some(when) if when.elapsed() > GRACE_PERIOD => running.kill(),
                 _ => {}
             }
-            std::thread::sleep(PATIENCE);
+            std::thread::sleep(POLL_INTERVAL);
         }
-        running.end(asked.is_none()).map_err(|e| DatasetError::write(&path, e))
+        running.end(interrupted_at.is_none()).map_err(|e| DatasetError::write(&path, e))
     }
 }
 
 impl Drop for Recording {
     fn drop(&mut self) {
-        // What cannot be removed is left to the system.
+        // Failure leaves a file in the temporary folder, which the system cleans.
         let _ = fs::remove_dir_all(&self.folder);
     }
 }
 
-/// An empty folder of our own.
+/// Creates an empty temporary folder.
 fn new_folder() -> Result<PathBuf, DatasetError> {
     static COUNT: AtomicU64 = AtomicU64::new(0);
     loop {
@@ -162,51 +160,51 @@ fn new_folder() -> Result<PathBuf, DatasetError> {
     }
 }
 
-/// How the reading came to its end.
-struct Ended {
+/// Outcome of a recording.
+struct RecordingEnd {
     bytes: u64,
-    words: Words,
-    /// Nobody asked it to.
+    log: FfmpegLog,
+    /// Whether the stream ended without being interrupted.
     by_itself: bool,
 }
 
-impl Ended {
-    fn warning(&self, most: u64) -> Option<String> {
-        if self.bytes >= most {
-            let gigabytes = most as f64 / f64::from(1 << 30);
+impl RecordingEnd {
+    fn warning(&self, max_bytes: u64) -> Option<String> {
+        if self.bytes >= max_bytes {
+            let gigabytes = max_bytes as f64 / f64::from(1 << 30);
             return Some(format!(
                 "the stream was read up to {gigabytes:.0} GB of pictures, which is all that is kept \
                  of one"
             ));
         }
-        let error = self.words.error().filter(|_| self.by_itself)?;
+        let error = self.log.error().filter(|_| self.by_itself)?;
         Some(format!("parts of the stream may be missing (ffmpeg says: {error})"))
     }
 }
 
-/// A decoder at work, and who copies what it gives.
-struct Running {
+/// A running ffmpeg and the threads that drain its output and its log.
+struct RecordingProcess {
     child: Child,
     copying: JoinHandle<io::Result<()>>,
-    hearing: JoinHandle<Words>,
+    log: JoinHandle<FfmpegLog>,
     copied: Arc<AtomicU64>,
 }
 
-impl Running {
+impl RecordingProcess {
     fn start(ffmpeg: &Ffmpeg, stream: &Path, file: File) -> Result<Self, DatasetError> {
         let mut child = ffmpeg.record(stream)?;
-        let (Some(pictures), Some(said)) = (child.stdout.take(), child.stderr.take()) else {
+        let (Some(images), Some(log)) = (child.stdout.take(), child.stderr.take()) else {
             return Err(DatasetError::video(stream, "ffmpeg gives no pictures"));
         };
         let copied = Arc::new(AtomicU64::new(0));
         let count = Arc::clone(&copied);
-        let copying = std::thread::spawn(move || copy(pictures, file, &count));
-        let hearing = std::thread::spawn(move || words(said));
-        Ok(Self { child, copying, hearing, copied })
+        let copying = std::thread::spawn(move || copy(images, file, &count));
+        let log = std::thread::spawn(move || parse_log(log));
+        Ok(Self { child, copying, log, copied })
     }
 
-    /// As Ctrl-C asks it: its last frame is then whole.
-    fn ask_to_end(&mut self) {
+    /// Interrupts ffmpeg as Ctrl-C does, so that it completes the last frame.
+    fn interrupt(&mut self) {
         #[cfg(unix)]
         let asked = {
             let mut kill = std::process::Command::new("kill");
@@ -216,29 +214,29 @@ impl Running {
         #[cfg(not(unix))]
         let asked = false;
         if !asked {
-            self.stop();
+            self.kill();
         }
     }
 
-    fn stop(&mut self) {
-        // It may have ended by itself.
+    fn kill(&mut self) {
+        // Fails only if ffmpeg has already ended.
         let _ = self.child.kill();
     }
 
-    fn end(mut self, by_itself: bool) -> io::Result<Ended> {
+    fn end(mut self, by_itself: bool) -> io::Result<RecordingEnd> {
         let copied = self.copying.join().unwrap_or_else(|_| Err(io::Error::other("broken off")));
-        // Where nothing more can be written it would go on.
+        // If writing failed, ffmpeg is still running.
         let _ = self.child.kill();
         let _ = self.child.wait();
-        let words = self.hearing.join().unwrap_or_default();
+        let log = self.log.join().unwrap_or_default();
         copied?;
-        Ok(Ended { bytes: self.copied.load(Ordering::Relaxed), words, by_itself })
+        Ok(RecordingEnd { bytes: self.copied.load(Ordering::Relaxed), log, by_itself })
     }
 }
 
-/// Copies until the end.
+/// Copies to the end, counting bytes.
 fn copy(mut from: impl Read, mut to: File, copied: &AtomicU64) -> io::Result<()> {
-    let mut buffer = vec![0; BUFFER];
+    let mut buffer = vec![0; BUFFER_BYTES];
     loop {
         let length = from.read(&mut buffer)?;
         if length == 0 {

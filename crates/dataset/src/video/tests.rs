@@ -1,10 +1,10 @@
-//! A script in place of ffmpeg: what is asked of it, and what is made of its answers.
+//! Calls of ffmpeg and handling of its output, with a script in its place.
 
 use super::*;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 
-/// Frames of 2x2 px whose bytes are all their number; `fps_mode` is unknown to it, as to old ones.
+/// Outputs frames of 2x2 px whose bytes are their number; refuses `fps_mode`, as old versions do.
 const SCRIPT: &str = r#"#!/bin/sh
 here=$(dirname "$0")
 echo "$@" >> "$here/asked"
@@ -19,7 +19,7 @@ esac
 struct Folder(PathBuf);
 
 impl Folder {
-    /// A folder with the script, a video of `listed` frames, of which `given` can be decoded.
+    /// A folder with the script and a video of `listed` frames, `given` of which can be decoded.
     fn new(name: &str, listed: usize, given: u8) -> Self {
         let path = std::env::temp_dir().join(format!("i2slam-video-{name}-{}", std::process::id()));
         fs::remove_dir_all(&path).ok();
@@ -38,9 +38,9 @@ impl Folder {
         Self(path)
     }
 
-    fn list(&self, options: &OpenOptions) -> Result<Listing, DatasetError> {
+    fn open(&self, end: Option<usize>) -> Result<VideoListing, DatasetError> {
         let ffmpeg = Ffmpeg::at(self.0.join("ffmpeg"));
-        Video::list_with(ffmpeg, &self.0.join("a.mp4"), options, 30.0)
+        Video::open_with(ffmpeg, &self.0.join("a.mp4"), end, 30.0)
     }
 
     fn decodings(&self) -> usize {
@@ -56,16 +56,16 @@ impl Drop for Folder {
 }
 
 fn shown(video: &Video, number: usize) -> f32 {
-    video.picture(number).expect("a picture").data[0] * 255.0
+    video.decode(number).expect("a picture").data[0] * 255.0
 }
 
 #[test]
-fn pictures_come_by_number_from_one_decoder() {
+fn frames_are_decoded_once_and_cached() {
     let folder = Folder::new("order", 10, 10);
-    let listing = folder.list(&OpenOptions::default()).expect("a video");
-    assert_eq!(listing.entries.len(), 10);
-    assert!((listing.entries[7].timestamp - 0.7).abs() < 1e-12 && listing.warnings.is_empty());
-    let video = listing.video.expect("a decoder");
+    let listing = folder.open(None).expect("a video");
+    assert_eq!(listing.timestamps.len(), 10);
+    assert!((listing.timestamps[7] - 0.7).abs() < 1e-12 && listing.warnings.is_empty());
+    let video = listing.video;
     for number in [0, 1, 4, 9, 3, 9, 0] {
         assert_eq!(shown(&video, number), number as f32);
     }
@@ -73,46 +73,45 @@ fn pictures_come_by_number_from_one_decoder() {
 }
 
 #[test]
-fn going_far_back_decodes_again() {
+fn steps_beyond_the_cache_restart_the_decoder() {
     let folder = Folder::new("back", 10, 10);
-    let video = folder.list(&OpenOptions::default()).expect("a video").video.expect("a decoder");
-    let mut reader = Reader::new(video.ffmpeg.clone(), (2, 2)).keeping(2);
-    let mut picture = |number| reader.picture(&video.path, number).expect("a picture")[0];
+    let video = folder.open(None).expect("a video").video;
+    let mut reader = FrameReader::new(video.ffmpeg.clone(), (2, 2)).with_capacity(2);
+    let mut picture = |number| reader.frame(&video.path, number).expect("a picture")[0];
     assert_eq!([picture(6), picture(5), picture(2), picture(3)], [6, 5, 2, 3]);
     assert_eq!(folder.decodings(), 2);
 }
 
 #[test]
-fn a_frame_that_does_not_come_is_an_error_with_its_cause() {
+fn a_missing_frame_is_an_error_with_its_cause() {
     let folder = Folder::new("short", 10, 4);
-    let video = folder.list(&OpenOptions::default()).expect("a video").video.expect("a decoder");
+    let video = folder.open(None).expect("a video").video;
     assert_eq!(shown(&video, 3), 3.0);
-    let error = video.picture(5).expect_err("no such frame");
+    let error = video.decode(5).expect_err("no such frame");
     assert!(error.concerns_one_frame());
     let message = error.to_string();
     assert!(message.contains("frame 4 cannot be decoded: ffmpeg says: it broke"), "{message}");
     let decodings = folder.decodings();
-    assert!(video.picture(6).is_err() && video.picture(4).is_err());
+    assert!(video.decode(6).is_err() && video.decode(4).is_err());
     assert_eq!(folder.decodings(), decodings, "what cannot be decoded is not tried again");
     assert_eq!(shown(&video, 2), 2.0);
 }
 
 #[test]
-fn a_video_that_was_cut_off_is_told() {
+fn a_cut_off_video_gives_a_warning() {
     let folder = Folder::new("claims", 3, 3);
-    let listing = folder.list(&OpenOptions::default()).expect("a video");
+    let listing = folder.open(None).expect("a video");
     assert!(
         listing.warnings[0].contains("lasts 1.0 s, but 3 frames of 0.2 s"),
         "{:?}",
         listing.warnings
     );
-    let options = OpenOptions { frames: Some(0..2), ..OpenOptions::default() };
-    let listing = folder.list(&options).expect("a video");
-    assert_eq!((listing.entries.len(), listing.warnings.len()), (2, 0));
+    let listing = folder.open(Some(2)).expect("a video");
+    assert_eq!((listing.timestamps.len(), listing.warnings.len()), (2, 0));
 }
 
 #[test]
-fn streams_are_known_by_what_they_are() {
+fn streams_are_recognised() {
     let folder = Folder::new("kinds", 1, 1);
     let pipe = folder.0.join("camera");
     let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
@@ -129,12 +128,12 @@ fn streams_are_known_by_what_they_are() {
 impl Folder {
     fn record(&self, most: u64, should_end: &dyn Fn() -> bool) -> Result<Recording, DatasetError> {
         let ffmpeg = Ffmpeg::at(self.0.join("ffmpeg"));
-        Recording::with(ffmpeg, Path::new("rtsp://a/b"), most, should_end)
+        Recording::record_with(ffmpeg, Path::new("rtsp://a/b"), most, should_end)
     }
 }
 
 #[test]
-fn a_stream_is_decoded_once_into_a_file_that_goes_with_it() {
+fn a_stream_is_decoded_once_into_a_temporary_file() {
     let folder = Folder::new("stream", 3, 4);
     let recording = folder.record(1 << 20, &|| false).expect("a stream");
     let path = recording.path();
@@ -144,18 +143,18 @@ fn a_stream_is_decoded_once_into_a_file_that_goes_with_it() {
     );
     assert!(recording.warnings[0].contains("it hung up"), "{:?}", recording.warnings);
     let asked = fs::read_to_string(folder.0.join("asked")).expect("questions");
-    // The script is old: it refuses the first words before it reads.
+    // The script refuses the options of new versions before it reads.
     assert_eq!(asked.lines().filter(|l| l.contains("-vsync 0 -c:v ffv1")).count(), 1, "{asked}");
     assert!(asked.lines().all(|line| line.contains("-i rtsp://a/b ")), "{asked}");
     let ffmpeg = Ffmpeg::at(folder.0.join("ffmpeg"));
-    let listing = Video::list_with(ffmpeg, &path, &OpenOptions::default(), 30.0).expect("a video");
-    assert!(listing.entries.len() == 3 && is_video(&path));
+    let listing = Video::open_with(ffmpeg, &path, None, 30.0).expect("a video");
+    assert!(listing.timestamps.len() == 3 && is_video(&path));
     drop(recording);
     assert!(!path.exists());
 }
 
 #[test]
-fn a_live_stream_ends_when_it_is_asked_to() {
+fn a_live_stream_ends_on_request() {
     let folder = Folder::new("live", 1, 4);
     fs::write(folder.0.join("endless"), "").expect("room");
     let begin = std::time::Instant::now();
@@ -167,7 +166,7 @@ fn a_live_stream_ends_when_it_is_asked_to() {
 }
 
 #[test]
-fn a_recording_has_a_bound_and_no_recording_a_reason() {
+fn recordings_are_bounded_and_failures_explained() {
     let folder = Folder::new("bound", 1, 4);
     fs::write(folder.0.join("endless"), "").expect("room");
     let recording = folder.record(30, &|| false).expect("what fits");

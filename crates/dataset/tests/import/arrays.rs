@@ -1,4 +1,4 @@
-//! Files as numpy writes them.
+//! ImportedKeyframes as numpy writes them.
 
 /// An `.npy` file of numbers of a type such as `<f4`.
 pub(crate) fn npy(descr: &str, shape: &[usize], numbers: &[f64]) -> Vec<u8> {

@@ -5,7 +5,7 @@ use crate::scene::{
 };
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{Depth, Files, Kind, Options};
+use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
 use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::{Camera, Vec3};
 
@@ -114,17 +114,17 @@ pub(crate) fn write_binary(folder: &Folder, frames: &[usize]) {
     folder.write("sparse/0/points3D.bin", points_binary(frames));
 }
 
-fn open(folder: &Folder) -> Result<Files, DatasetError> {
-    Files::open(&folder.0, None, &Options::default())
+fn open(folder: &Folder) -> Result<ImportedKeyframes, DatasetError> {
+    ImportedKeyframes::open(&folder.0, None, &ImportOptions::default())
 }
 
 #[test]
 fn a_text_model_gives_poses_and_sparse_depth() {
     let folder = text_model(5, &[0, 2, 3]);
     let files = open(&folder).expect("opens");
-    assert_eq!((files.kind, files.len()), (Kind::Colmap, 3));
+    assert_eq!((files.format, files.len()), (ImportFormat::Colmap, 3));
     assert_eq!(
-        (files.left_out.poses_without_picture, files.left_out.pictures_without_pose),
+        (files.unmatched.poses_without_image, files.unmatched.images_without_pose),
         (0, 2)
     );
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
@@ -147,14 +147,14 @@ fn a_text_model_gives_poses_and_sparse_depth() {
 fn a_binary_model_holds_the_same() {
     let folder = text_model(4, &[0, 1, 3]);
     let text = open(&folder).expect("opens");
-    let all = |files: &Files| (0..3).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>();
+    let all = |files: &ImportedKeyframes| (0..3).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>();
     write_binary(&folder, &[0, 1, 3]);
     for name in ["cameras", "images", "points3D"] {
         std::fs::remove_file(folder.join(&format!("sparse/0/{name}.txt"))).expect("removes");
     }
     let binary = open(&folder).expect("opens");
     assert_eq!(all(&binary), all(&text));
-    let by_file = Files::open(&folder.join("sparse/0/images.bin"), None, &Options::default());
+    let by_file = ImportedKeyframes::open(&folder.join("sparse/0/images.bin"), None, &ImportOptions::default());
     assert_eq!(by_file.expect("opens").keyframes, text.keyframes);
 }
 
@@ -263,7 +263,7 @@ fn unusable_lines_are_named() {
 fn missing_pictures_are_counted_and_named() {
     let folder = text_model(3, &[0, 1, 2, 5, 6]);
     let files = open(&folder).expect("opens");
-    assert_eq!((files.len(), files.left_out.poses_without_picture), (3, 2));
+    assert_eq!((files.len(), files.unmatched.poses_without_image), (3, 2));
     assert_warns(&files.warnings, &["2 of 5 poses left out", "the first is 005.png"]);
     let folder = text_model(3, &[1, 5, 6]);
     assert_says(open(&folder), &["1 of 3 poses", "by name", "005.png"]);
@@ -276,15 +276,15 @@ fn pictures_of_a_sequence_bring_their_times_and_depth() {
     let model = text_model(1, &[0, 2, 4]);
     let pictures = sequence(6);
     pictures.write("camera.json", CAMERA_JSON);
-    let options = Options { depth: Depth::Pictures, ..Options::default() };
-    let files = Files::open(&model.0, Some(&pictures.0), &options).expect("opens");
+    let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
+    let files = ImportedKeyframes::open(&model.0, Some(&pictures.0), &options).expect("opens");
     let keyframe = files.load(2).expect("loads");
     assert_eq!((keyframe.index, keyframe.timestamp), (4, stamp(4)));
     let due = render(4).0[8 * WIDTH + 8];
     assert!((f64::from(keyframe.depth.expect("depth").at(0, 8, 8)) - due).abs() < 2e-4);
     let open = OpenOptions { scale: 0.5, ..OpenOptions::default() };
-    let options = Options { open, ..Options::default() };
-    let files = Files::open(&model.0, Some(&pictures.0), &options).expect("opens");
+    let options = ImportOptions { open, ..ImportOptions::default() };
+    let files = ImportedKeyframes::open(&model.0, Some(&pictures.0), &options).expect("opens");
     let keyframe = files.load(0).expect("loads");
     let (depth, due) = (keyframe.depth.expect("depth"), render(0).0[16 * WIDTH + 24]);
     assert!((f64::from(depth.at(0, 12, 8)) - due).abs() < 1e-5);

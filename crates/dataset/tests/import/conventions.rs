@@ -7,12 +7,12 @@ use crate::nerfstudio::transforms;
 use crate::scene::{HEIGHT, WIDTH, grey16_png, line, pose, sequence, stamp, trajectory};
 use crate::support::Folder;
 use i2slam_dataset::OpenOptions;
-use i2slam_dataset::import::{Depth, Files, Options};
+use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportOptions};
 use i2slam_geometry::{Pose, Rotation, Vec3};
 
-fn warnings_of(folder: &Folder, options: Options) -> Vec<String> {
-    let options = Options { depth: Depth::Pictures, ..options };
-    let files = Files::open(&folder.join("keyframes.txt"), None, &options).expect("opens");
+fn warnings_of(folder: &Folder, options: ImportOptions) -> Vec<String> {
+    let options = ImportOptions { depth: ImportDepth::Pictures, ..options };
+    let files = ImportedKeyframes::open(&folder.join("keyframes.txt"), None, &options).expect("opens");
     files.warnings
 }
 
@@ -29,24 +29,24 @@ fn opengl(pose: Pose<f64>) -> Pose<f64> {
 fn trajectories_written_otherwise_are_noticed() {
     let folder = sequence(6);
     folder.write("keyframes.txt", trajectory(0..6));
-    assert_eq!(warnings_of(&folder, Options::default()), [""; 0]);
+    assert_eq!(warnings_of(&folder, ImportOptions::default()), [""; 0]);
     folder.write("keyframes.txt", written(Pose::inverse));
     let parts = ["wrong convention", "if the poses are camera_from_world:", "keyframes.txt"];
-    assert_warns(&warnings_of(&folder, Options::default()), &parts);
-    let off = Options { check_conventions: false, ..Options::default() };
+    assert_warns(&warnings_of(&folder, ImportOptions::default()), &parts);
+    let off = ImportOptions { check_conventions: false, ..ImportOptions::default() };
     assert_eq!(warnings_of(&folder, off), [""; 0]);
     folder.write("keyframes.txt", written(opengl));
-    assert_warns(&warnings_of(&folder, Options::default()), &["camera axes of OpenGL (y up"]);
+    assert_warns(&warnings_of(&folder, ImportOptions::default()), &["camera axes of OpenGL (y up"]);
     folder.write("keyframes.txt", written(|pose| opengl(pose).inverse()));
     let parts = ["camera_from_world with camera axes of OpenGL"];
-    assert_warns(&warnings_of(&folder, Options::default()), &parts);
+    assert_warns(&warnings_of(&folder, ImportOptions::default()), &parts);
     let reordered = (0..6).map(|i| {
         let (t, q) = (pose(i).translation, pose(i).rotation);
         let (x, y, z) = (q.v.x, q.v.y, q.v.z);
         format!("{:.6} {} {} {} {} {x} {y} {z}\n", stamp(i), t.x, t.y, t.z, q.w)
     });
     folder.write("keyframes.txt", reordered.collect::<String>());
-    assert_warns(&warnings_of(&folder, Options::default()), &["in the order w x y z"]);
+    assert_warns(&warnings_of(&folder, ImportOptions::default()), &["in the order w x y z"]);
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn another_unit_of_depth_is_noticed() {
     folder.write("keyframes.txt", trajectory(0..6));
     for (depth_scale, factor) in [(500.0, "by about 8"), (25000.0, "by about 0.25")] {
         let open = OpenOptions { depth_scale: Some(depth_scale), ..OpenOptions::default() };
-        let found = warnings_of(&folder, Options { open, ..Options::default() });
+        let found = warnings_of(&folder, ImportOptions { open, ..ImportOptions::default() });
         assert_warns(&found, &["different units", factor]);
     }
 }
@@ -67,7 +67,7 @@ fn poses_of_another_sequence_fit_by_no_convention() {
         let pose = |i: usize| Pose::new(Rotation::exp(turn * i as f64), step * i as f64);
         let poses: String = (0..6).map(|i| line(stamp(i), pose(i))).collect();
         folder.write("keyframes.txt", poses);
-        warnings_of(&folder, Options::default())
+        warnings_of(&folder, ImportOptions::default())
     };
     // Keyframes that see nothing of each other tell nothing.
     let far = written(Vec3::new(0.3, 2.2, -0.4), Vec3::new(0.0, 7.0, 0.0));
@@ -94,7 +94,7 @@ fn arrays_with_poses_of_the_camera_are_noticed() {
     for (name, bytes) in with(members(&frames), "poses", npy("<f8", &[6, 7], &poses)) {
         folder.write(&format!("{name}.npy"), bytes);
     }
-    let files = Files::open(&folder.0, None, &Options::default()).expect("opens");
+    let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens");
     let parts = ["if the poses are world_from_camera:", "hold camera_from_world"];
     assert_warns(&files.warnings, &parts);
 }
@@ -103,15 +103,15 @@ fn arrays_with_poses_of_the_camera_are_noticed() {
 fn one_pair_of_keyframes_tells_nothing() {
     let folder = sequence(6);
     folder.write("keyframes.txt", [0, 3].map(|i| line(stamp(i), pose(i).inverse())).concat());
-    assert_eq!(warnings_of(&folder, Options::default()), [""; 0]);
+    assert_eq!(warnings_of(&folder, ImportOptions::default()), [""; 0]);
     folder.write("keyframes.txt", [0, 3, 5].map(|i| line(stamp(i), pose(i).inverse())).concat());
-    assert_warns(&warnings_of(&folder, Options::default()), &["camera_from_world", "of 1"]);
+    assert_warns(&warnings_of(&folder, ImportOptions::default()), &["camera_from_world", "of 1"]);
 }
 
 #[test]
 fn nerfstudio_with_axes_of_opencv_is_noticed() {
     let folder = sequence(6);
     let file = folder.write("transforms.json", transforms(&[0, 1, 2, 3, 4, 5], true, false));
-    let files = Files::open(&file, None, &Options::default()).expect("opens");
+    let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
     assert_warns(&files.warnings, &["wrong convention", "camera axes of OpenCV (y down"]);
 }

@@ -5,7 +5,7 @@ use crate::assert_warns;
 use crate::droid::{members, with};
 use crate::scene::{colour_sequence, line, pose, sequence, stamp};
 use crate::support::Folder;
-use i2slam_dataset::import::{Files, Options};
+use i2slam_dataset::import::{ImportedKeyframes, ImportOptions};
 use i2slam_dataset::{OpenOptions, Sequence};
 
 fn arrays(frames: &[usize], stamps: &[f64]) -> Folder {
@@ -18,7 +18,7 @@ fn arrays(frames: &[usize], stamps: &[f64]) -> Folder {
 }
 
 /// Time stamps of the pictures that the keyframes get.
-fn times(files: &Files) -> Vec<f64> {
+fn times(files: &ImportedKeyframes) -> Vec<f64> {
     files.keyframes.iter().map(|keyframe| keyframe.timestamp).collect()
 }
 
@@ -33,7 +33,7 @@ fn frame_numbers_count_pictures_that_are_no_frames_too() {
     let frames = [1, 4, 6];
     let stamps = frames.map(|i| i as f64);
     let arrays = arrays(&frames, &stamps);
-    let files = Files::open(&arrays.0, Some(&pictures.0), &Options::default()).expect("opens");
+    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &ImportOptions::default()).expect("opens");
     assert_eq!(times(&files), frames.map(stamp));
 }
 
@@ -41,9 +41,9 @@ fn frame_numbers_count_pictures_that_are_no_frames_too() {
 fn frame_numbers_of_another_stride_are_noticed() {
     let pictures = colour_sequence(9);
     let open = |frames_per_stamp: usize| {
-        let options = Options { frames_per_stamp, ..Options::default() };
+        let options = ImportOptions { frames_per_stamp, ..ImportOptions::default() };
         let arrays = arrays(&[0, 3, 6], &[0.0, 1.0, 2.0]);
-        Files::open(&arrays.0, Some(&pictures.0), &options).expect("opens")
+        ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &options).expect("opens")
     };
     let parts = ["reach picture 3 of 9", "frames_per_stamp", "stride"];
     assert_warns(&open(1).warnings, &parts);
@@ -54,9 +54,9 @@ fn frame_numbers_of_another_stride_are_noticed() {
 #[test]
 fn steps_of_any_size_are_counted() {
     let pictures = colour_sequence(3);
-    let options = Options { frames_per_stamp: usize::MAX, ..Options::default() };
+    let options = ImportOptions { frames_per_stamp: usize::MAX, ..ImportOptions::default() };
     let arrays = arrays(&[0, 1], &[0.0, 2.0]);
-    let files = Files::open(&arrays.0, Some(&pictures.0), &options);
+    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &options);
     crate::assert_says(files, &["1 of 2 poses", "stride"]);
 }
 
@@ -68,7 +68,7 @@ fn pictures_are_thinned_only_where_asked_for() {
     pictures.write("rgb.txt", list);
     let poses: String = [1, 3, 5].map(|i| line(time(i), pose(i))).concat();
     let file = pictures.write("keyframes.txt", poses);
-    let files = Files::open(&file, None, &Options::default()).expect("opens");
+    let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
     let apart = times(&files).into_iter().zip([1, 3, 5]).map(|(t, i)| (t - time(i)).abs());
     assert!(files.len() == 3 && apart.fold(0.0, f64::max) < 1e-5, "{:?}", times(&files));
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
@@ -77,8 +77,8 @@ fn pictures_are_thinned_only_where_asked_for() {
     let open = OpenOptions { colour_only: true, ..OpenOptions::default() };
     let sequence = Sequence::open(&pictures.0, &open).expect("opens");
     pictures.write("keyframes.txt", [1, 2, 3, 6].map(|i| line(time(i), pose(i))).concat());
-    let options = Options { open, ..Options::default() };
-    let files = Files::open(&file, None, &options).expect("opens");
+    let options = ImportOptions { open, ..ImportOptions::default() };
+    let files = ImportedKeyframes::open(&file, None, &options).expect("opens");
     let found = files.keyframes.iter().map(|keyframe| (keyframe.index, keyframe.timestamp));
     let entries = sequence.entries.iter().map(|entry| (entry.index, entry.timestamp));
     let entries: Vec<(usize, f64)> = entries.filter(|(_, t)| *t == 0.033333 || *t == 0.1).collect();

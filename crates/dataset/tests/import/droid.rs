@@ -4,7 +4,7 @@ use crate::arrays::{npy, npz};
 use crate::scene::{HEIGHT, WIDTH, camera, look, pose, render, sequence, stamp};
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{Depth, Files, Kind, Options};
+use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
 use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::Vec3;
 
@@ -61,15 +61,15 @@ pub(crate) fn folder(members: &Members) -> Folder {
     folder
 }
 
-pub(crate) fn open(folder: &Folder) -> Result<Files, DatasetError> {
-    Files::open(&folder.0, None, &Options::default())
+pub(crate) fn open(folder: &Folder) -> Result<ImportedKeyframes, DatasetError> {
+    ImportedKeyframes::open(&folder.0, None, &ImportOptions::default())
 }
 
 #[test]
 fn a_folder_of_arrays_gives_pictures_poses_and_depth() {
     let folder = folder(&members(&[0, 2, 3]));
     let files = open(&folder).expect("opens");
-    assert_eq!((files.kind, files.len()), (Kind::Droid, 3));
+    assert_eq!((files.format, files.len()), (ImportFormat::Droid, 3));
     assert_eq!((files.has_depth, files.has_variance), (true, false));
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
     assert_eq!(files.camera, camera());
@@ -98,9 +98,9 @@ fn channels_are_in_the_order_of_the_program_that_names_them() {
         (nerf_slam.clone(), None, 2),
         (nerf_slam, Some(false), 0),
     ] {
-        let options = Options { arrays_are_rgb, ..Options::default() };
+        let options = ImportOptions { arrays_are_rgb, ..ImportOptions::default() };
         let arrays = folder(&members);
-        let files = Files::open(&arrays.0, None, &options).expect("opens");
+        let files = ImportedKeyframes::open(&arrays.0, None, &options).expect("opens");
         let colour = files.load(0).expect("loads").colour;
         let due = f32::from(render(0).1[3 * 77]) / 255.0;
         assert_eq!(colour.plane(red)[77], due);
@@ -114,7 +114,7 @@ fn archives_hold_the_same() {
     let of_folder = open(&folder).expect("opens");
     for deflate in [false, true] {
         let file = folder.write("run.npz", npz(&members, deflate));
-        let files = Files::open(&file, None, &Options::default()).expect("opens");
+        let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
         assert_eq!(files.keyframes, of_folder.keyframes);
         for place in 0..3 {
             assert_eq!(files.load(place).expect("loads"), of_folder.load(place).expect("loads"));
@@ -189,9 +189,9 @@ fn pictures_of_a_sequence_are_found_by_time_and_by_number() {
     let by_half = with(members(&frames), "tstamps", npy("<i8", &[3], &halves));
     for (members, frames_per_stamp) in [(by_time, 1), (members(&frames), 1), (by_half, 2)] {
         let open = OpenOptions { scale: 0.5, ..OpenOptions::default() };
-        let options = Options { open, frames_per_stamp, ..Options::default() };
+        let options = ImportOptions { open, frames_per_stamp, ..ImportOptions::default() };
         let arrays = folder(&members);
-        let files = Files::open(&arrays.0, Some(&sequence.0), &options).expect("opens");
+        let files = ImportedKeyframes::open(&arrays.0, Some(&sequence.0), &options).expect("opens");
         let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
         assert_eq!(indices, frames);
         let keyframe = files.load(2).expect("loads");
@@ -200,16 +200,16 @@ fn pictures_of_a_sequence_are_found_by_time_and_by_number() {
         let (u, v) = (10.0 * 2.0 + 1.0, 5.0 * 2.0 + 1.0);
         let due = look(6, camera().unproject(u, v, 1.0)).0;
         assert!((f64::from(depth.at(0, 10, 5)) / due - 1.0).abs() < 1e-4);
-        let options = Options { depth: Depth::Pictures, ..options };
-        let files = Files::open(&arrays.0, Some(&sequence.0), &options).expect("opens");
+        let options = ImportOptions { depth: ImportDepth::Pictures, ..options };
+        let files = ImportedKeyframes::open(&arrays.0, Some(&sequence.0), &options).expect("opens");
         let measured = files.load(2).expect("loads").depth.expect("depth");
         assert!((f64::from(measured.at(0, 10, 5)) / due - 1.0).abs() < 0.02);
     }
     let far = with(members(&frames), "tstamps", npy("<i8", &[3], &[0.0, 1.0, 70.0]));
-    let files = Files::open(&folder(&far).0, Some(&sequence.0), &Options::default());
+    let files = ImportedKeyframes::open(&folder(&far).0, Some(&sequence.0), &ImportOptions::default());
     assert_warns(&files.expect("opens").warnings, &["1 of 3 poses left out", "of its number"]);
     let none = with(members(&frames), "tstamps", npy("<i8", &[3], &[50.0, 60.0, 70.0]));
-    let files = Files::open(&folder(&none).0, Some(&sequence.0), &Options::default());
+    let files = ImportedKeyframes::open(&folder(&none).0, Some(&sequence.0), &ImportOptions::default());
     assert_says(files, &["0 of 3 poses", "up to 70", "7 pictures", "stride"]);
 }
 
@@ -245,7 +245,7 @@ fn arrays_of_no_keyframe_are_refused() {
     let pictures = sequence(2);
     for other in [None, Some(pictures.0.as_path())] {
         let arrays = folder(&none.to_vec());
-        let files = Files::open(&arrays.0, other, &Options::default());
+        let files = ImportedKeyframes::open(&arrays.0, other, &ImportOptions::default());
         assert_says(files, &["poses.npy is empty", "keyframes"]);
     }
 }
@@ -258,7 +258,7 @@ fn cut_off_archives_and_arrays_are_refused_wherever_they_end() {
         let whole = npz(&members, deflate);
         for cut in [0, 10, whole.len() / 3, whole.len() - 200, whole.len() - 1] {
             let file = folder.write("run.npz", &whole[..cut]);
-            let files = Files::open(&file, None, &Options::default());
+            let files = ImportedKeyframes::open(&file, None, &ImportOptions::default());
             assert_says(files, &["run.npz", "cut off"]);
         }
     }
@@ -276,7 +276,7 @@ fn a_damaged_member_is_refused() {
     let folder = Folder::new();
     let refused = |bytes: &[u8]| {
         let file = folder.write("run.npz", bytes);
-        let files = Files::open(&file, None, &Options::default());
+        let files = ImportedKeyframes::open(&file, None, &ImportOptions::default());
         assert_says(files, &["run.npz/disps.npy", "damaged"]);
     };
     for deflate in [false, true] {
@@ -314,9 +314,9 @@ fn wrong_shapes_and_missing_arrays_are_named() {
     ] {
         assert_says(open(&folder(&without(all.clone(), name))), parts);
     }
-    let options = Options { depth: Depth::Pictures, ..Options::default() };
+    let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
     let arrays = folder(&all);
-    assert_says(Files::open(&arrays.0, None, &options), &["option depth", "no dataset"]);
+    assert_says(ImportedKeyframes::open(&arrays.0, None, &options), &["option depth", "no dataset"]);
     let alone = open(&folder(&without(all.clone(), "disps"))).expect("poses and pictures alone");
     assert!(!alone.has_depth);
     assert_says(open(&folder(&members(&[0]))), &["1 of 1 poses", "at least 2"]);

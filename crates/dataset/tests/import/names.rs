@@ -4,14 +4,14 @@ use crate::colmap::{images_binary, images_named, text_model, write_binary};
 use crate::scene::{colour_png, colour_sequence};
 use crate::support::Folder;
 use crate::{assert_says, assert_warns};
-use i2slam_dataset::import::{Files, Options};
+use i2slam_dataset::import::{ImportedKeyframes, ImportOptions};
 
-fn open(folder: &Folder) -> Files {
-    Files::open(&folder.0, None, &Options::default()).expect("opens")
+fn open(folder: &Folder) -> ImportedKeyframes {
+    ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens")
 }
 
 /// The picture of every keyframe, below `images/`.
-fn pictures(files: &Files) -> Vec<String> {
+fn pictures(files: &ImportedKeyframes) -> Vec<String> {
     let sequence = files.sequence().expect("a sequence");
     let name = |index: usize| {
         let path = &sequence.entries[index].colour;
@@ -38,7 +38,7 @@ fn pictures_in_folders_are_found_by_their_whole_names() {
     let folder = model(&names, &["left/0.png", "left/1.png", "right/0.png", "right/1.png"]);
     let files = open(&folder);
     assert_eq!(pictures(&files), ["left/0.png", "left/1.png", "right/1.png"]);
-    assert_eq!(files.left_out.pictures_without_pose, 1);
+    assert_eq!(files.unmatched.images_without_pose, 1);
 }
 
 #[test]
@@ -65,7 +65,7 @@ fn blank_lines_may_stand_before_an_image_only() {
     assert_eq!(pictures(&open(&folder)), ["1.png", "2.png"]);
     for (points, count) in [("1 2 -1 3", "4 columns"), (third.as_str(), "10 columns")] {
         folder.write("sparse/0/images.txt", format!("{second}\n{points}\n{third}\n\n"));
-        let files = Files::open(&folder.0, None, &Options::default());
+        let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default());
         assert_says(files, &["images.txt, line 2", count, "2D points"]);
     }
 }
@@ -77,7 +77,7 @@ fn an_image_without_a_name_is_refused() {
     let nameless = images_binary(&[0, 1]);
     let name = nameless.windows(7).position(|word| word == b"000.png").expect("a name");
     folder.write("sparse/0/images.bin", [&nameless[..name], &nameless[name + 7..]].concat());
-    let files = Files::open(&folder.0, None, &Options::default());
+    let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default());
     assert_says(files, &["images.bin", "image 0 of 2", "no name"]);
 }
 
@@ -85,7 +85,7 @@ fn an_image_without_a_name_is_refused() {
 fn pictures_of_a_dataset_keep_their_times() {
     let folder = model(&["rgb/001.png", "rgb/002.png"], &["unused.png"]);
     let dataset = colour_sequence(3);
-    let files = Files::open(&folder.0, Some(&dataset.0), &Options::default()).expect("opens");
+    let files = ImportedKeyframes::open(&folder.0, Some(&dataset.0), &ImportOptions::default()).expect("opens");
     let times: Vec<f64> = files.keyframes.iter().map(|keyframe| keyframe.timestamp).collect();
     assert_eq!(times, [1, 2].map(crate::scene::stamp));
 }

@@ -3,7 +3,7 @@
 use crate::scene::{WIDTH, colour_sequence, pose, render, sequence};
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{Depth, Files, Kind, Options};
+use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
 use i2slam_geometry::{Pose, Vec3};
 
 /// The matrix of a pose, camera axes of OpenGL if asked for.
@@ -46,8 +46,8 @@ fn poses_are_turned_to_opencv_axes() {
     for with_depth in [false, true] {
         let folder = pictures(with_depth);
         let file = folder.write("transforms.json", transforms(&[0, 1, 3], with_depth, true));
-        let files = Files::open(&file, None, &Options::default()).expect("opens");
-        assert_eq!((files.kind, files.len()), (Kind::Nerfstudio, 3));
+        let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
+        assert_eq!((files.format, files.len()), (ImportFormat::Nerfstudio, 3));
         assert_eq!(files.has_depth, with_depth);
         assert!(files.warnings.is_empty(), "{:?}", files.warnings);
         let keyframe = files.load(2).expect("loads");
@@ -58,14 +58,14 @@ fn poses_are_turned_to_opencv_axes() {
             let due = render(3).0[5 * WIDTH + 9];
             assert!((f64::from(depth.at(0, 9, 5)) - due).abs() < 2e-4);
         }
-        let by_folder = Files::open(&folder.0, Some(&folder.0), &Options::default());
+        let by_folder = ImportedKeyframes::open(&folder.0, Some(&folder.0), &ImportOptions::default());
         let by_folder = by_folder.expect("opens");
         assert_eq!((by_folder.keyframes, by_folder.warnings.len()), (files.keyframes, 0));
         let other = pictures(false);
-        let elsewhere = Files::open(&folder.0, Some(&other.0), &Options::default());
+        let elsewhere = ImportedKeyframes::open(&folder.0, Some(&other.0), &ImportOptions::default());
         assert_warns(&elsewhere.expect("opens").warnings, &["transforms.json names, not those of"]);
-        let options = Options { depth: Depth::None, ..Options::default() };
-        assert!(!Files::open(&file, None, &options).expect("opens").has_depth);
+        let options = ImportOptions { depth: ImportDepth::None, ..ImportOptions::default() };
+        assert!(!ImportedKeyframes::open(&file, None, &options).expect("opens").has_depth);
     }
 }
 
@@ -78,26 +78,26 @@ fn frames_without_a_pose_or_a_picture_are_left_out() {
     let broken = format!("{}9{}", &broken[..place], &broken[place..]);
     folder.write("transforms.json", broken);
     std::fs::remove_file(folder.join("rgb/002.png")).expect("removes");
-    let files = Files::open(&folder.0, None, &Options::default()).expect("opens");
+    let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens");
     let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
     assert_eq!(indices, [1, 3]);
     assert_warns(&files.warnings, &["1 frame without a finite, rigid true pose"]);
     assert_warns(&files.warnings, &["1 of 3 pictures are missing", "002.png"]);
     std::fs::remove_file(folder.join("rgb/003.png")).expect("removes");
-    let files = Files::open(&folder.0, None, &Options::default());
+    let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default());
     assert_says(files, &["expected at least 2", "pictures are missing"]);
 }
 
 #[test]
 fn unusable_files_are_named() {
     let folder = pictures(false);
-    let open = || Files::open(&folder.0, None, &Options::default());
+    let open = || ImportedKeyframes::open(&folder.0, None, &ImportOptions::default());
     folder.write("transforms.json", "{");
     assert_says(open(), &["transforms.json", "expected a transforms.json"]);
     folder.write("transforms.json", r#"{"fl_x": 40, "cx": 1, "cy": 1, "frames": []}"#);
     assert_says(open(), &["transforms.json is empty", "frames"]);
     folder.write("transforms.json", transforms(&[0, 1], false, true));
-    let options = Options { depth: Depth::Pictures, ..Options::default() };
-    let files = Files::open(&folder.0, None, &options);
+    let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
+    let files = ImportedKeyframes::open(&folder.0, None, &options);
     assert_says(files, &["transforms.json", "no frame has a depth_file_path"]);
 }

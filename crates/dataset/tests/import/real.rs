@@ -3,13 +3,13 @@
 use crate::assert_warns;
 use crate::scene::line;
 use crate::support::{Folder, shared_data};
-use i2slam_dataset::import::{Depth, Files, Options};
+use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportOptions};
 use i2slam_dataset::{OpenOptions, Sequence};
 use i2slam_geometry::Pose;
 use std::path::Path;
 
 /// The poses of every tenth frame of a sequence, read with its depth pictures.
-fn keyframes(path: &Path, written: impl Fn(Pose<f64>) -> Pose<f64>) -> Files {
+fn keyframes(path: &Path, written: impl Fn(Pose<f64>) -> Pose<f64>) -> ImportedKeyframes {
     let open = OpenOptions { scale: 0.5, ..OpenOptions::default() };
     let sequence = Sequence::open(path, &open).expect("opens");
     let truth = sequence.true_trajectory().expect("poses");
@@ -21,8 +21,8 @@ fn keyframes(path: &Path, written: impl Fn(Pose<f64>) -> Pose<f64>) -> Files {
     let text = chosen.map(|pose| line(pose.timestamp, written(pose.world_from_camera)));
     let folder = Folder::new();
     let file = folder.write("keyframes.txt", text.collect::<String>());
-    let options = Options { open, depth: Depth::Pictures, ..Options::default() };
-    Files::open(&file, Some(path), &options).expect("opens")
+    let options = ImportOptions { open, depth: ImportDepth::Pictures, ..ImportOptions::default() };
+    ImportedKeyframes::open(&file, Some(path), &options).expect("opens")
 }
 
 #[test]

@@ -5,12 +5,12 @@ use crate::scene::{
 };
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{Depth, Files, Kind, Options};
+use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 
-fn open(poses: &Folder, pictures: &Folder) -> Result<Files, DatasetError> {
+fn open(poses: &Folder, pictures: &Folder) -> Result<ImportedKeyframes, DatasetError> {
     let file = poses.join("keyframes.txt");
-    Files::open(&file, Some(&pictures.0), &Options::default())
+    ImportedKeyframes::open(&file, Some(&pictures.0), &ImportOptions::default())
 }
 
 #[test]
@@ -18,9 +18,9 @@ fn keyframes_get_their_pictures() {
     let folder = colour_sequence(7);
     folder.write("keyframes.txt", trajectory([1, 3, 6]));
     let files = open(&folder, &folder).expect("opens");
-    assert_eq!((files.kind, files.len(), files.has_depth), (Kind::Trajectory, 3, false));
-    assert_eq!(files.left_out.pictures_without_pose, 4);
-    assert_eq!(files.left_out.poses_without_picture, 0);
+    assert_eq!((files.format, files.len(), files.has_depth), (ImportFormat::Trajectory, 3, false));
+    assert_eq!(files.unmatched.images_without_pose, 4);
+    assert_eq!(files.unmatched.poses_without_image, 0);
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
     assert_eq!((files.camera.width, files.camera.cx), (WIDTH, 24.0));
     for (place, i) in [1, 3, 6].into_iter().enumerate() {
@@ -38,8 +38,8 @@ fn keyframes_get_their_pictures() {
 fn without_a_folder_of_pictures_those_beside_the_poses_are_taken() {
     let folder = colour_sequence(3);
     let file = folder.write("trajectory.txt", trajectory([0, 2]));
-    let by_file = Files::open(&file, None, &Options::default()).expect("opens");
-    let by_folder = Files::open(&folder.0, None, &Options::default()).expect("opens");
+    let by_file = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
+    let by_folder = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens");
     assert_eq!(by_file.keyframes, by_folder.keyframes);
     assert_eq!(by_file.len(), 2);
 }
@@ -48,16 +48,16 @@ fn without_a_folder_of_pictures_those_beside_the_poses_are_taken() {
 fn depth_pictures_come_when_asked_for() {
     let folder = sequence(4);
     let file = folder.write("keyframes.txt", trajectory([0, 2]));
-    let options = Options { depth: Depth::Pictures, ..Options::default() };
-    let files = Files::open(&file, None, &options).expect("opens");
+    let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
+    let files = ImportedKeyframes::open(&file, None, &options).expect("opens");
     let depth = files.load(1).expect("loads").depth.expect("depth");
     let due = render(2).0[4 * WIDTH + 7];
     assert!((f64::from(depth.at(0, 7, 4)) - due).abs() < 2e-4);
-    let without = Files::open(&file, None, &Options::default()).expect("opens");
+    let without = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
     assert!(without.load(1).expect("loads").depth.is_none());
     let alone = colour_sequence(4);
     assert_says(
-        Files::open(&file, Some(&alone.0), &options),
+        ImportedKeyframes::open(&file, Some(&alone.0), &options),
         &["pictures but no depth", "rgb.txt"],
     );
 }
@@ -67,28 +67,28 @@ fn range_stride_and_scale_hold_for_the_pictures() {
     let folder = colour_sequence(9);
     let file = folder.write("keyframes.txt", trajectory(0..9));
     let open = OpenOptions { frames: Some(2..9), stride: 3, scale: 0.5, ..OpenOptions::default() };
-    let options = Options { open, ..Options::default() };
-    let files = Files::open(&file, None, &options).expect("opens");
+    let options = ImportOptions { open, ..ImportOptions::default() };
+    let files = ImportedKeyframes::open(&file, None, &options).expect("opens");
     let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
     assert_eq!(indices, [2, 5, 8]);
     let colour = files.load(1).expect("loads").colour;
     assert_eq!((colour.width, colour.height), (WIDTH / 2, HEIGHT / 2));
-    assert_eq!(files.left_out.poses_without_picture, 0);
+    assert_eq!(files.unmatched.poses_without_image, 0);
     let open = OpenOptions { frames: Some(8..9), ..OpenOptions::default() };
-    let options = Options { open, ..Options::default() };
+    let options = ImportOptions { open, ..ImportOptions::default() };
     assert_says(
-        Files::open(&file, None, &options),
+        ImportedKeyframes::open(&file, None, &options),
         &["1 of 9 poses", "9 have a picture", "choose 1"],
     );
 }
 
 #[test]
-fn poses_without_pictures_are_counted_and_told() {
+fn poses_without_images_are_counted_and_told() {
     let folder = colour_sequence(5);
     let gone = [line(stamp(7), pose(7)), line(stamp(9), pose(9))].concat();
     folder.write("keyframes.txt", trajectory([0, 2, 4]) + &gone);
     let files = open(&folder, &folder).expect("opens");
-    assert_eq!((files.len(), files.left_out.poses_without_picture), (3, 2));
+    assert_eq!((files.len(), files.unmatched.poses_without_image), (3, 2));
     assert_warns(&files.warnings, &["2 of 5 poses left out", "no picture within 0.08 s"]);
 }
 
@@ -104,7 +104,7 @@ fn a_missing_frame_does_not_pass_its_pose_on_quietly() {
     assert_says(open(&folder, &folder), &parts);
     folder.write("keyframes.txt", trajectory([0, 2, 3]));
     let files = open(&folder, &folder).expect("opens");
-    assert_eq!((files.len(), files.left_out.poses_without_picture), (2, 1));
+    assert_eq!((files.len(), files.unmatched.poses_without_image), (2, 1));
     assert_warns(&files.warnings, &["1 of 3 pictures are missing", "rgb/000.png"]);
     assert!(files.load(0).is_ok());
 }
@@ -142,7 +142,7 @@ fn unusable_lines_are_named() {
 #[test]
 fn what_holds_no_keyframes_is_refused() {
     let folder = colour_sequence(2);
-    let open = |name: &str| Files::open(&folder.join(name), None, &Options::default());
+    let open = |name: &str| ImportedKeyframes::open(&folder.join(name), None, &ImportOptions::default());
     assert_says(open("nothing"), &["no keyframes", "found nothing", "timestamp tx ty tz"]);
     assert_says(open("rgb"), &["found 000.png, 001.png"]);
     folder.write("notes.md", "hello");
@@ -152,10 +152,10 @@ fn what_holds_no_keyframes_is_refused() {
 #[test]
 fn the_order_of_lines_does_not_matter() {
     let folder = sequence(4);
-    let options = Options { depth: Depth::Pictures, ..Options::default() };
+    let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
     let all = |frames: [usize; 3]| {
         let file = folder.write("keyframes.txt", trajectory(frames));
-        let files = Files::open(&file, None, &options).expect("opens");
+        let files = ImportedKeyframes::open(&file, None, &options).expect("opens");
         (0..files.len()).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>()
     };
     assert_eq!(all([3, 0, 1]), all([0, 1, 3]));

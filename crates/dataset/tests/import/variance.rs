@@ -3,11 +3,11 @@
 use crate::arrays::npy;
 use crate::scene::{HEIGHT, WIDTH, grey16_png, sequence, trajectory};
 use crate::{assert_says, assert_warns};
-use i2slam_dataset::import::{Depth, Files, Options};
+use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportOptions};
 
-fn options(folder: &crate::support::Folder) -> Options {
+fn options(folder: &crate::support::Folder) -> ImportOptions {
     let variance = Some(folder.join("variance"));
-    Options { depth: Depth::Pictures, variance, ..Options::default() }
+    ImportOptions { depth: ImportDepth::Pictures, variance, ..ImportOptions::default() }
 }
 
 #[test]
@@ -18,7 +18,7 @@ fn variance_comes_from_arrays_and_from_pictures_of_deviation() {
     (numbers[3], numbers[4]) = (0.0, f64::NAN);
     folder.write("variance/000.npy", npy("<f4", &[HEIGHT, WIDTH], &numbers));
     folder.write("variance/sigma_2.png", grey16_png(&[500; WIDTH * HEIGHT]));
-    let files = Files::open(&file, None, &options(&folder)).expect("opens");
+    let files = ImportedKeyframes::open(&file, None, &options(&folder)).expect("opens");
     assert!(files.has_variance);
     for place in 0..2 {
         let keyframe = files.load(place).expect("loads");
@@ -35,8 +35,8 @@ fn variance_comes_from_arrays_and_from_pictures_of_deviation() {
 fn variance_without_depth_pictures_is_told() {
     let folder = sequence(3);
     let file = folder.write("keyframes.txt", trajectory([0, 2]));
-    let options = Options { depth: Depth::Imported, ..options(&folder) };
-    let files = Files::open(&file, None, &options).expect("opens");
+    let options = ImportOptions { depth: ImportDepth::Imported, ..options(&folder) };
+    let files = ImportedKeyframes::open(&file, None, &options).expect("opens");
     assert_warns(&files.warnings, &["variance ignored"]);
 }
 
@@ -44,7 +44,7 @@ fn variance_without_depth_pictures_is_told() {
 fn unusable_variances_are_named() {
     let folder = sequence(3);
     let file = folder.write("keyframes.txt", trajectory([0, 2]));
-    let open = || Files::open(&file, None, &options(&folder));
+    let open = || ImportedKeyframes::open(&file, None, &options(&folder));
     assert_says(open(), &["cannot read", "variance"]);
     std::fs::create_dir_all(folder.join("variance")).expect("a folder");
     assert_says(open(), &["variance is empty", ".npy"]);
@@ -65,7 +65,7 @@ fn unusable_variances_are_named() {
 fn names_and_numbers_that_repeat_are_not_guessed_at() {
     let folder = sequence(3);
     let file = folder.write("keyframes.txt", trajectory([0, 2]));
-    let open = || Files::open(&file, None, &options(&folder));
+    let open = || ImportedKeyframes::open(&file, None, &options(&folder));
     let array = |value: f64| npy("<f4", &[HEIGHT, WIDTH], &[value; WIDTH * HEIGHT]);
     folder.write("variance/000.npy", array(0.01));
     folder.write("variance/sigma_2.png", grey16_png(&[500; WIDTH * HEIGHT]));

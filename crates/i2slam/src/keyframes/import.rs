@@ -2,22 +2,20 @@
 
 use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_dataset::DatasetError;
-use i2slam_dataset::import::Files;
+use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_geometry::Camera;
 use std::path::Path;
 
-pub use i2slam_dataset::import::{
-    Depth as ImportDepth, Kind as ImportKind, Options as ImportOptions,
-};
+pub use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions};
 
 /// Source of the keyframes in files of another program.
 #[derive(Clone, Debug)]
 pub struct Import {
-    files: Files,
+    files: ImportedKeyframes,
     next: usize,
 }
 
-/// Opens keyframes of any [kind](ImportKind), recognised by its files, with the `pictures` of a
+/// Opens keyframes of any [kind](ImportFormat), recognised by its files, with the `pictures` of a
 /// sequence; `None`: those next to the poses, or in the same file.
 ///
 /// # Errors
@@ -28,12 +26,12 @@ pub fn import(
     pictures: Option<&Path>,
     options: &ImportOptions,
 ) -> Result<Import, DatasetError> {
-    Ok(Import { files: Files::open(path, pictures, options)?, next: 0 })
+    Ok(Import { files: ImportedKeyframes::open(path, pictures, options)?, next: 0 })
 }
 
 impl Import {
     /// The opened files: kind, camera, poses, omissions, warnings.
-    pub fn files(&self) -> &Files {
+    pub fn files(&self) -> &ImportedKeyframes {
         &self.files
     }
 

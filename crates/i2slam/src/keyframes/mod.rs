@@ -5,7 +5,7 @@ mod monocular;
 mod refined_import;
 mod row_rectification;
 
-pub use import::{Import, ImportDepth, ImportKind, ImportOptions, import};
+pub use import::{Import, ImportDepth, ImportFormat, ImportOptions, import};
 pub use monocular::{
     Intrinsics, MonocularError, MonocularSource, OdometryError, OdometryProgress,
     OdometryReconstruction, OdometryWarning, Stage,

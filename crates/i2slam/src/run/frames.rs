@@ -19,7 +19,7 @@ pub(super) fn run(
     let started = Instant::now();
     let mut session = Session::new(options.config.clone(), sequence.camera, sequence.frame_rate);
     session.set_cancellation(context.cancellation.clone());
-    if let Some(covered) = &sequence.covered {
+    if let Some(covered) = &sequence.valid_mask {
         session.set_covered(Arc::clone(covered));
     }
     let none_usable = match sequence.len() {

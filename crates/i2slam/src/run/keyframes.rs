@@ -16,7 +16,7 @@ use crate::keyframes::{
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::{KeyframeSession, SessionError};
 use crate::warning::Warning;
-use i2slam_dataset::import::Files;
+use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::Pose;
 use std::collections::VecDeque;
@@ -67,7 +67,7 @@ pub(super) fn run(
     let config = options.config.clone().with_found_readout(source.readout());
     let mut session = KeyframeSession::new(config, *source.camera(), frame_rate);
     session.set_cancellation(context.cancellation.clone());
-    if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).covered {
+    if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).valid_mask {
         session.set_covered(Arc::clone(covered));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
@@ -216,7 +216,7 @@ pub(super) fn imported(
 
 /// Imported keyframes with poses refined by visual odometry, and its dense depth; none if they
 /// come with depth, or if no path is found in their pictures, which is noted.
-fn refined(files: &Files, context: &RunContext) -> Option<Box<dyn KeyframeSource>> {
+fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn KeyframeSource>> {
     if files.has_depth {
         return None;
     }
@@ -249,7 +249,7 @@ fn refined(files: &Files, context: &RunContext) -> Option<Box<dyn KeyframeSource
     Some(Box::new(refined))
 }
 
-fn imported_picture(files: &Files, place: usize) -> Result<Frame, PictureError> {
+fn imported_picture(files: &ImportedKeyframes, place: usize) -> Result<Frame, PictureError> {
     let keyframe = files.load(place)?;
     let (index, timestamp) = (keyframe.index, keyframe.timestamp);
     Ok(Frame::colour_only(index, timestamp, keyframe.colour))

@@ -236,7 +236,7 @@ impl<'a> Degrading<'a> {
 
     fn write_lists(&self, out: &Path, folder: &Folder) -> Result<(), SyntheticError> {
         let Self { dataset, sequence, what, kept } = self;
-        let stamps = |of: fn(&i2slam_dataset::Entry) -> f64| -> Vec<f64> {
+        let stamps = |of: fn(&i2slam_dataset::FrameEntry) -> f64| -> Vec<f64> {
             kept.iter().map(|&i| of(&sequence.entries[i])).collect()
         };
         folder.write_list("rgb", "colour images", &stamps(|entry| entry.timestamp))?;

@@ -4,8 +4,8 @@ use super::Info;
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
 use crate::output::{counted, print, print_status};
-use i2slam::dataset::import::{Files, Options};
-use i2slam::dataset::{DatasetError, LeftOut, OpenOptions, Sequence, paper_frames};
+use i2slam::dataset::import::{ImportOptions, ImportedKeyframes};
+use i2slam::dataset::{DatasetError, DroppedFrames, OpenOptions, Sequence, paper_frames};
 use i2slam::geometry::StampedPose;
 use serde::Serialize;
 
@@ -85,7 +85,7 @@ pub(super) struct GroundTruthInfo {
 
 impl SequenceInfo {
     pub(super) fn new(sequence: &Sequence, truth: &GroundTruth) -> Self {
-        let LeftOut { without_depth, without_pose, too_close } = sequence.left_out;
+        let DroppedFrames { without_depth, without_pose, too_close } = sequence.dropped;
         let poses = &truth.trajectory;
         let has_depth = sequence.entries.iter().any(|entry| entry.depth.is_some());
         let path_length_m = (!poses.is_empty()).then(|| path_length(poses));
@@ -135,7 +135,7 @@ fn gaps(stamps: &[(usize, f64)]) -> Vec<Gap> {
 impl CameraInfo {
     fn new(sequence: &Sequence) -> Self {
         let c = &sequence.camera;
-        let uncovered = sequence.covered.as_ref().map_or(0.0, |covered| {
+        let uncovered = sequence.valid_mask.as_ref().map_or(0.0, |covered| {
             let missing = covered.data.iter().filter(|&&there| !there).count();
             missing as f64 / covered.data.len() as f64
         });
@@ -195,8 +195,8 @@ pub(super) fn print_keyframes(
     if !matches!(reason, DatasetError::UnknownLayout { .. }) {
         return Ok(false);
     }
-    let options = Options { open, ..Options::default() };
-    let files = match Files::open(&arguments.dataset, None, &options) {
+    let options = ImportOptions { open, ..ImportOptions::default() };
+    let files = match ImportedKeyframes::open(&arguments.dataset, None, &options) {
         Err(DatasetError::UnknownImport { .. }) => return Ok(false),
         files => files?,
     };
@@ -216,16 +216,16 @@ pub(super) fn print_keyframes(
 }
 
 impl ImportInfo {
-    fn new(files: &Files) -> Self {
+    fn new(files: &ImportedKeyframes) -> Self {
         let (camera, poses) = (&files.camera, &files.keyframes);
         let place = |i: usize| poses[i].world_from_camera.translation;
         let first_s = poses.first().map_or(0.0, |pose| pose.timestamp);
         Self {
-            kind: files.kind.name(),
-            poses: format!("{}: {}", files.path.display(), files.kind.convention()),
+            kind: files.format.name(),
+            poses: format!("{}: {}", files.path.display(), files.format.convention()),
             keyframes: files.len(),
-            poses_without_picture: files.left_out.poses_without_picture,
-            pictures_without_pose: files.left_out.pictures_without_pose,
+            poses_without_picture: files.unmatched.poses_without_image,
+            pictures_without_pose: files.unmatched.images_without_pose,
             first_s,
             duration_s: poses.last().map_or(0.0, |pose| pose.timestamp) - first_s,
             path_length: (1..poses.len()).map(|i| (place(i) - place(i - 1)).norm()).sum(),

@@ -1,25 +1,25 @@
-//! `cameras.bin`, `images.bin` and `points3D.bin`: little-endian records behind their count.
+//! Binary models: `cameras.bin`, `images.bin`, `points3D.bin`, little-endian.
 
-use super::camera::{ModelCamera, by_number};
-use super::{ModelImage, ModelPoint, pose};
+use super::camera::{ModelCamera, model_by_id};
+use super::{ModelImage, ModelPoint, parse_pose};
 use crate::DatasetError;
 use i2slam_geometry::Vec3;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The bytes of a file and how far they are read.
-struct Bytes<'a> {
+/// Sequential reader of a file in memory.
+struct ByteReader<'a> {
     file: &'a Path,
     data: Vec<u8>,
-    at: usize,
-    /// What is being read, its number and their count, for messages.
+    position: usize,
+    /// Kind, number and count of the current record, for messages.
     record: Option<(&'static str, u64, u64)>,
 }
 
-impl<'a> Bytes<'a> {
+impl<'a> ByteReader<'a> {
     fn open(file: &'a Path) -> Result<Self, DatasetError> {
         let data = std::fs::read(file).map_err(|e| DatasetError::read(file, e))?;
-        Ok(Self { file, data, at: 0, record: None })
+        Ok(Self { file, data, position: 0, record: None })
     }
 
     fn refuse(&self, reason: &str) -> DatasetError {
@@ -30,8 +30,9 @@ impl<'a> Bytes<'a> {
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N], DatasetError> {
-        let taken = self.data.get(self.at..).and_then(|rest| rest.first_chunk::<N>()).copied();
-        self.at += N;
+        let taken =
+            self.data.get(self.position..).and_then(|rest| rest.first_chunk::<N>()).copied();
+        self.position += N;
         taken.ok_or_else(|| self.refuse("cut off; copy or write the model again"))
     }
 
@@ -55,29 +56,29 @@ impl<'a> Bytes<'a> {
         Ok(values)
     }
 
-    /// Skips `count` records of `size` bytes, which must be there.
+    /// Skips `count` records of `size` bytes; an error if the file ends before.
     fn skip(&mut self, count: u64, size: u64) -> Result<(), DatasetError> {
         let length = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
-        match length.and_then(|length| self.at.checked_add(length)) {
+        match length.and_then(|length| self.position.checked_add(length)) {
             Some(end) if end <= self.data.len() => {
-                self.at = end;
+                self.position = end;
                 Ok(())
             }
             _ => Err(self.refuse("cut off; copy or write the model again")),
         }
     }
 
-    /// A name that ends with a zero byte.
+    /// Reads a zero-terminated name.
     fn name(&mut self) -> Result<String, DatasetError> {
-        let rest = self.data.get(self.at..).unwrap_or_default();
+        let rest = self.data.get(self.position..).unwrap_or_default();
         let end = rest.iter().position(|&byte| byte == 0);
         let end = end.ok_or_else(|| self.refuse("cut off; copy or write the model again"))?;
         let name = String::from_utf8_lossy(&rest[..end]).into_owned();
-        self.at += end + 1;
+        self.position += end + 1;
         Ok(name)
     }
 
-    /// Reads as many records as the file says that it has.
+    /// Reads a count and that many records.
     fn records<T>(
         &mut self,
         what: &'static str,
@@ -94,12 +95,12 @@ impl<'a> Bytes<'a> {
 }
 
 pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, DatasetError> {
-    let mut bytes = Bytes::open(file)?;
+    let mut bytes = ByteReader::open(file)?;
     let cameras = bytes.records("camera", |bytes| {
         let id = bytes.u32()?;
         let number = bytes.take().map(i32::from_le_bytes)?;
         let size = (bytes.u64()? as usize, bytes.u64()? as usize);
-        let (name, count) = by_number(number).map_err(|reason| bytes.refuse(&reason))?;
+        let (name, count) = model_by_id(number).map_err(|reason| bytes.refuse(&reason))?;
         let parameters: Result<Vec<f64>, _> = (0..count).map(|_| bytes.f64()).collect();
         let camera = ModelCamera::new(name, size, &parameters?);
         Ok((id, camera.map_err(|reason| bytes.refuse(&reason))?))
@@ -108,7 +109,7 @@ pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, Dataset
 }
 
 pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
-    Bytes::open(file)?.records("image", |bytes| {
+    ByteReader::open(file)?.records("image", |bytes| {
         let id = bytes.u32()?;
         let (q, t) = (bytes.f64s::<4>()?, bytes.f64s::<3>()?);
         let camera = bytes.u32()?;
@@ -118,13 +119,13 @@ pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
         }
         let points = bytes.u64()?;
         bytes.skip(points, 24)?;
-        let world_from_camera = pose(q, t).map_err(|reason| bytes.refuse(&reason))?;
+        let world_from_camera = parse_pose(q, t).map_err(|reason| bytes.refuse(&reason))?;
         Ok(ModelImage { id, camera, name, world_from_camera })
     })
 }
 
 pub(super) fn points(file: &Path) -> Result<Vec<ModelPoint>, DatasetError> {
-    Bytes::open(file)?.records("point", |bytes| {
+    ByteReader::open(file)?.records("point", |bytes| {
         bytes.u64()?;
         let position = Vec3::from_array(bytes.f64s::<3>()?);
         bytes.skip(3, 1)?;

@@ -1,16 +1,15 @@
-//! Camera models of COLMAP that are pinholes with a lens after Brown and Conrady.
+//! COLMAP's camera models: pinholes with Brown-Conrady distortion.
 
 use super::ModelImage;
 use crate::DatasetError;
-use crate::calibration::{Calibration, Traits};
-use crate::distortion::Distortion;
+use crate::camera::{Calibration, Distortion, FormatDefaults};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Numbers of cameras that are taken for one may differ by this share.
-const SAME_CAMERA: f64 = 1e-3;
+/// Relative difference of parameters up to which cameras count as one.
+const SAME_CAMERA_TOLERANCE: f64 = 1e-3;
 
-/// Name, number in binary files, and count of parameters of every model (COLMAP 3.x,
+/// Name, id in binary files, and number of parameters of every model (COLMAP 3.x,
 /// `sensor/models.h`).
 const MODELS: [(&str, i32, usize); 11] = [
     ("SIMPLE_PINHOLE", 0, 3),
@@ -26,17 +25,18 @@ const MODELS: [(&str, i32, usize); 11] = [
     ("THIN_PRISM_FISHEYE", 10, 12),
 ];
 
-/// A camera as the model has it.
+/// A camera of the model.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct ModelCamera {
-    pub(super) size: (usize, usize),
+pub(crate) struct ModelCamera {
+    /// Width and height [px].
+    pub(crate) size: (usize, usize),
     /// `[fx, fy, cx, cy]` [px], pixel centres at one half.
-    pub(super) k: [f64; 4],
-    pub(super) lens: Distortion,
+    pub(crate) k: [f64; 4],
+    pub(crate) lens: Distortion,
 }
 
-/// Name and count of parameters of a model by its number.
-pub(super) fn by_number(number: i32) -> Result<(&'static str, usize), String> {
+/// Name and number of parameters of a model by its id.
+pub(super) fn model_by_id(number: i32) -> Result<(&'static str, usize), String> {
     let model = MODELS.iter().find(|model| model.1 == number);
     model.map(|model| (model.0, model.2)).ok_or_else(|| unsupported(&format!("number {number}")))
 }
@@ -49,7 +49,7 @@ fn unsupported(model: &str) -> String {
 }
 
 impl ModelCamera {
-    /// The camera of a model's name and parameters.
+    /// From a model's name and parameters; an error message if not supported.
     pub(super) fn new(name: &str, size: (usize, usize), p: &[f64]) -> Result<Self, String> {
         if let Some(&(_, _, count)) = MODELS.iter().find(|model| model.0 == name)
             && count != p.len()
@@ -80,26 +80,26 @@ impl ModelCamera {
 
     fn calibration(&self, file: &Path) -> Calibration {
         let source = file.display().to_string();
-        let found = Calibration::from_opencv(self.k, self.lens, &source, Traits::default());
+        let found = Calibration::from_opencv(self.k, self.lens, &source, FormatDefaults::default());
         Calibration { intrinsics: self.k, size: Some(self.size), ..found }
     }
 
-    fn same(&self, other: &Self) -> bool {
+    fn is_same_as(&self, other: &Self) -> bool {
         let numbers = |camera: &Self| {
             let lens = &camera.lens;
             let all = camera.k.iter().map(|v| v / camera.k[0]).chain([camera.k[0].ln()]);
             all.chain(lens.radial)
-                .chain(lens.radial_below)
+                .chain(lens.radial_denominator)
                 .chain(lens.tangential)
                 .collect::<Vec<f64>>()
         };
         let apart = numbers(self).into_iter().zip(numbers(other)).map(|(a, b)| (a - b).abs());
-        self.size == other.size && apart.fold(0.0, f64::max) <= SAME_CAMERA
+        self.size == other.size && apart.fold(0.0, f64::max) <= SAME_CAMERA_TOLERANCE
     }
 }
 
-/// The one camera of all images, as a calibration.
-pub(super) fn of_all(
+/// Calibration of the camera that all images share; an error if they use different ones.
+pub(crate) fn shared_camera(
     file: &Path,
     cameras: &BTreeMap<u32, ModelCamera>,
     images: &[ModelImage],
@@ -111,7 +111,7 @@ pub(super) fn of_all(
             refuse(format!("no camera {}, which image {} names", image.camera, image.name))
         })?;
         let (number, known) = *first.get_or_insert((image.camera, camera));
-        if !known.same(camera) {
+        if !known.is_same_as(camera) {
             return Err(refuse(format!(
                 "cameras {number} and {} differ, expected one camera for all images: reconstruct \
                  with --ImageReader.single_camera 1",
@@ -127,15 +127,15 @@ pub(super) fn of_all(
     Ok(camera.calibration(file))
 }
 
-/// The camera of a file that has no other.
-pub(super) fn only(
+/// Calibration of the only camera in a file.
+pub(super) fn single_camera(
     file: &Path,
     cameras: &BTreeMap<u32, ModelCamera>,
 ) -> Result<Calibration, DatasetError> {
     let expected = "one camera";
     let first = cameras.values().next();
     let first = first.ok_or(DatasetError::Empty { path: file.to_path_buf(), expected })?;
-    if cameras.values().any(|camera| !camera.same(first)) {
+    if cameras.values().any(|camera| !camera.is_same_as(first)) {
         let reason = format!("it has {} cameras that differ, expected one", cameras.len());
         return Err(DatasetError::camera(file, reason));
     }
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_of_lenses_stand_where_colmap_puts_them() {
+    fn lens_parameters_are_in_colmap_order() {
         let radial = Distortion { radial: [0.1, 0.0, 0.0], ..Distortion::default() };
         assert_eq!(lens("SIMPLE_RADIAL", &[40.0, 24.0, 16.0, 0.1]), radial);
         let radial = Distortion { radial: [0.1, 0.2, 0.0], ..Distortion::default() };
@@ -162,7 +162,7 @@ mod tests {
         let full = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8];
         let due = Distortion {
             radial: [0.1, 0.2, 0.5],
-            radial_below: [0.6, 0.7, 0.8],
+            radial_denominator: [0.6, 0.7, 0.8],
             tangential: [0.3, 0.4],
         };
         assert_eq!(lens("FULL_OPENCV", &[&k[..], &full].concat()), due);

@@ -1,9 +1,9 @@
-//! `cameras.txt`, `images.txt` and `points3D.txt`.
+//! Text models: `cameras.txt`, `images.txt`, `points3D.txt`.
 
 use super::camera::ModelCamera;
-use super::{ModelImage, ModelPoint, pose};
+use super::{ModelImage, ModelPoint, parse_pose};
 use crate::DatasetError;
-use crate::lists::{data_lines, number, read_text};
+use crate::text::{data_lines, parse_number, read_text};
 use i2slam_geometry::Vec3;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,28 +22,31 @@ pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, Dataset
             return Err(DatasetError::line(file, line, reason));
         };
         let parameters: Result<Vec<f64>, _> =
-            parameters.iter().map(|word| number(file, line, "parameter", word)).collect();
-        let size = (whole(file, line, "width", width)?, whole(file, line, "height", height)?);
+            parameters.iter().map(|word| parse_number(file, line, "parameter", word)).collect();
+        let size = (
+            parse_integer(file, line, "width", width)?,
+            parse_integer(file, line, "height", height)?,
+        );
         let camera = ModelCamera::new(model, size, &parameters?)
             .map_err(|reason| DatasetError::line(file, line, reason))?;
-        cameras.insert(whole(file, line, "camera", id)?, camera);
+        cameras.insert(parse_integer(file, line, "camera", id)?, camera);
     }
     Ok(cameras)
 }
 
-/// Two lines an image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then its 2D points, which
+/// Two lines per image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then its 2D points, which
 /// may be none.
 pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
     let text = read_text(file)?;
     let mut lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
     let mut images = Vec::new();
-    // Blank lines and comments may stand before an image, but not between its two lines.
+    // An empty second line is an image without points, so blank lines are skipped before images only.
     while let Some((line, content)) = lines.next() {
         let content = content.trim_start_matches('\u{feff}');
         if content.is_empty() || content.starts_with('#') {
             continue;
         }
-        images.push(image(file, line, content)?);
+        images.push(parse_image(file, line, content)?);
         if let Some((line, content)) = lines.next() {
             check_points(file, line, content)?;
         }
@@ -51,7 +54,7 @@ pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
     Ok(images)
 }
 
-/// Refuses what is no line of 2D points `X Y POINT3D_ID`.
+/// Refuses a line that does not hold 2D points `X Y POINT3D_ID`.
 fn check_points(file: &Path, line: usize, content: &str) -> Result<(), DatasetError> {
     let count = content.split_whitespace().count();
     let first = content.split_whitespace().nth(2);
@@ -65,7 +68,7 @@ fn check_points(file: &Path, line: usize, content: &str) -> Result<(), DatasetEr
     Err(DatasetError::line(file, line, reason))
 }
 
-fn image(file: &Path, line: usize, content: &str) -> Result<ModelImage, DatasetError> {
+fn parse_image(file: &Path, line: usize, content: &str) -> Result<ModelImage, DatasetError> {
     let mut rest = content;
     let mut words = [""; 9];
     for word in &mut words {
@@ -83,12 +86,12 @@ fn image(file: &Path, line: usize, content: &str) -> Result<ModelImage, DatasetE
     let mut v = [0.0; 7];
     let names = ["qw", "qx", "qy", "qz", "tx", "ty", "tz"];
     for ((value, word), name) in v.iter_mut().zip(&words[1..8]).zip(names) {
-        *value = number(file, line, name, word)?;
+        *value = parse_number(file, line, name, word)?;
     }
-    let pose = pose([v[0], v[1], v[2], v[3]], [v[4], v[5], v[6]]);
+    let pose = parse_pose([v[0], v[1], v[2], v[3]], [v[4], v[5], v[6]]);
     Ok(ModelImage {
-        id: whole(file, line, "image", words[0])?,
-        camera: whole(file, line, "camera", words[8])?,
+        id: parse_integer(file, line, "image", words[0])?,
+        camera: parse_integer(file, line, "camera", words[8])?,
         name: rest.to_owned(),
         world_from_camera: pose.map_err(|reason| DatasetError::line(file, line, reason))?,
     })
@@ -106,16 +109,16 @@ pub(super) fn points(file: &Path) -> Result<Vec<ModelPoint>, DatasetError> {
             );
             return Err(DatasetError::line(file, line, reason));
         }
-        let value = |at: usize, name| number(file, line, name, words[at]);
+        let value = |at: usize, name| parse_number(file, line, name, words[at]);
         let position = Vec3::new(value(1, "x")?, value(2, "y")?, value(3, "z")?);
         let images: Result<Vec<u32>, _> =
-            words[8..].chunks(2).map(|pair| whole(file, line, "image", pair[0])).collect();
+            words[8..].chunks(2).map(|pair| parse_integer(file, line, "image", pair[0])).collect();
         Ok(ModelPoint { position, error: value(7, "error")?, images: images? })
     };
     data_lines(&text).map(point).collect()
 }
 
-fn whole<T: std::str::FromStr>(
+fn parse_integer<T: std::str::FromStr>(
     file: &Path,
     line: usize,
     name: &str,

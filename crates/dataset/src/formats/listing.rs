@@ -1,0 +1,116 @@
+//! The frames of a sequence before any image is read.
+
+use super::Layout;
+use crate::image::DepthEncoding;
+use crate::text::counted;
+use crate::video::Video;
+use i2slam_geometry::StampedPose;
+use std::ops::Range;
+use std::path::PathBuf;
+
+/// Files and time stamps of one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameEntry {
+    /// Index in the associated stream, before the choice by range and stride.
+    pub index: usize,
+    /// Index among all colour images, including those dropped from the associated stream.
+    pub image_index: usize,
+    /// Time stamp of the colour image [s].
+    pub timestamp: f64,
+    /// Time stamp of the depth image [s]; the colour's where depth has none of its own.
+    pub depth_timestamp: f64,
+    /// Colour image file, or the video.
+    pub colour: PathBuf,
+    /// Depth image file; `None` only in a sequence without depth images.
+    pub depth: Option<PathBuf>,
+    /// Byte ranges of the images in their files; `None`: each image is a whole file.
+    pub byte_ranges: Option<ByteRanges>,
+}
+
+/// Byte ranges of the two images of a frame in one file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ByteRanges {
+    /// Colour image.
+    pub colour: Range<u64>,
+    /// Depth image.
+    pub depth: Range<u64>,
+}
+
+impl FrameEntry {
+    pub(crate) fn colour_range(&self) -> Option<&Range<u64>> {
+        self.byte_ranges.as_ref().map(|ranges| &ranges.colour)
+    }
+
+    pub(crate) fn depth_range(&self) -> Option<&Range<u64>> {
+        self.byte_ranges.as_ref().map(|ranges| &ranges.depth)
+    }
+
+    /// A frame whose depth, if any, has the colour's time stamp, both images whole files.
+    pub(super) fn synchronous(
+        (index, image_index): (usize, usize),
+        timestamp: f64,
+        colour: PathBuf,
+        depth: Option<PathBuf>,
+    ) -> Self {
+        let (depth_timestamp, byte_ranges) = (timestamp, None);
+        Self { index, image_index, timestamp, depth_timestamp, colour, depth, byte_ranges }
+    }
+}
+
+/// Numbers of colour images that are not in the associated stream, by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DroppedFrames {
+    /// No depth image within the tolerance, or of that name.
+    pub without_depth: usize,
+    /// No ground-truth pose within the tolerance (only where the folder has ground truth).
+    pub without_pose: usize,
+    /// No more than the minimum gap after the last kept frame.
+    pub too_close: usize,
+}
+
+/// The associated stream of a sequence.
+#[derive(Debug)]
+pub(crate) struct Listing {
+    pub(crate) layout: Layout,
+    /// All frames, in order of time.
+    pub(crate) entries: Vec<FrameEntry>,
+    pub(crate) dropped: DroppedFrames,
+    /// Whether frames too close in time are dropped.
+    pub(crate) is_thinned: bool,
+    /// Ground-truth file of the folder, not yet read.
+    pub(crate) ground_truth: Option<PathBuf>,
+    /// True poses that came with the frames.
+    pub(crate) poses: Vec<StampedPose>,
+    pub(crate) depth_encoding: DepthEncoding,
+    /// Decoder of the images, if the sequence is a video.
+    pub(crate) video: Option<Video>,
+    pub(crate) warnings: Vec<String>,
+}
+
+impl Listing {
+    /// Frames without ground truth or warnings.
+    pub(crate) fn new(layout: Layout, entries: Vec<FrameEntry>) -> Self {
+        Self {
+            layout,
+            entries,
+            dropped: DroppedFrames::default(),
+            is_thinned: false,
+            ground_truth: None,
+            poses: Vec::new(),
+            depth_encoding: DepthEncoding::Png,
+            video: None,
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Counts colour images without a depth image of their name or number, with a warning.
+    pub(super) fn drop_without_depth(&mut self, count: usize) {
+        self.dropped.without_depth = count;
+        if count > 0 {
+            self.warnings.push(format!(
+                "{} left out: no depth image of that name or number",
+                counted(count, "colour image")
+            ));
+        }
+    }
+}
