@@ -5,7 +5,7 @@ use crate::scene::{
 };
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::{Camera, Vec3};
 
@@ -123,10 +123,7 @@ fn a_text_model_gives_poses_and_sparse_depth() {
     let folder = text_model(5, &[0, 2, 3]);
     let files = open(&folder).expect("opens");
     assert_eq!((files.format, files.len()), (ImportFormat::Colmap, 3));
-    assert_eq!(
-        (files.unmatched.poses_without_image, files.unmatched.images_without_pose),
-        (0, 2)
-    );
+    assert_eq!((files.unmatched.poses_without_image, files.unmatched.images_without_pose), (0, 2));
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
     assert_eq!(files.camera, camera());
     let keyframe = files.load(1).expect("loads");
@@ -147,14 +144,20 @@ fn a_text_model_gives_poses_and_sparse_depth() {
 fn a_binary_model_holds_the_same() {
     let folder = text_model(4, &[0, 1, 3]);
     let text = open(&folder).expect("opens");
-    let all = |files: &ImportedKeyframes| (0..3).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>();
+    let all = |files: &ImportedKeyframes| {
+        (0..3).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>()
+    };
     write_binary(&folder, &[0, 1, 3]);
     for name in ["cameras", "images", "points3D"] {
         std::fs::remove_file(folder.join(&format!("sparse/0/{name}.txt"))).expect("removes");
     }
     let binary = open(&folder).expect("opens");
     assert_eq!(all(&binary), all(&text));
-    let by_file = ImportedKeyframes::open(&folder.join("sparse/0/images.bin"), None, &ImportOptions::default());
+    let by_file = ImportedKeyframes::open(
+        &folder.join("sparse/0/images.bin"),
+        None,
+        &ImportOptions::default(),
+    );
     assert_eq!(by_file.expect("opens").keyframes, text.keyframes);
 }
 

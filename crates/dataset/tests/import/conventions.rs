@@ -7,12 +7,13 @@ use crate::nerfstudio::transforms;
 use crate::scene::{HEIGHT, WIDTH, grey16_png, line, pose, sequence, stamp, trajectory};
 use crate::support::Folder;
 use i2slam_dataset::OpenOptions;
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
 use i2slam_geometry::{Pose, Rotation, Vec3};
 
 fn warnings_of(folder: &Folder, options: ImportOptions) -> Vec<String> {
     let options = ImportOptions { depth: ImportDepth::Pictures, ..options };
-    let files = ImportedKeyframes::open(&folder.join("keyframes.txt"), None, &options).expect("opens");
+    let files =
+        ImportedKeyframes::open(&folder.join("keyframes.txt"), None, &options).expect("opens");
     files.warnings
 }
 

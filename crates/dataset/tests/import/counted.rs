@@ -5,7 +5,7 @@ use crate::assert_warns;
 use crate::droid::{members, with};
 use crate::scene::{colour_sequence, line, pose, sequence, stamp};
 use crate::support::Folder;
-use i2slam_dataset::import::{ImportedKeyframes, ImportOptions};
+use i2slam_dataset::import::{ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{OpenOptions, Sequence};
 
 fn arrays(frames: &[usize], stamps: &[f64]) -> Folder {
@@ -33,7 +33,8 @@ fn frame_numbers_count_pictures_that_are_no_frames_too() {
     let frames = [1, 4, 6];
     let stamps = frames.map(|i| i as f64);
     let arrays = arrays(&frames, &stamps);
-    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &ImportOptions::default()).expect("opens");
+    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &ImportOptions::default())
+        .expect("opens");
     assert_eq!(times(&files), frames.map(stamp));
 }
 

@@ -4,7 +4,7 @@ use crate::arrays::{npy, npz};
 use crate::scene::{HEIGHT, WIDTH, camera, look, pose, render, sequence, stamp};
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::Vec3;
 
@@ -206,10 +206,12 @@ fn pictures_of_a_sequence_are_found_by_time_and_by_number() {
         assert!((f64::from(measured.at(0, 10, 5)) / due - 1.0).abs() < 0.02);
     }
     let far = with(members(&frames), "tstamps", npy("<i8", &[3], &[0.0, 1.0, 70.0]));
-    let files = ImportedKeyframes::open(&folder(&far).0, Some(&sequence.0), &ImportOptions::default());
+    let files =
+        ImportedKeyframes::open(&folder(&far).0, Some(&sequence.0), &ImportOptions::default());
     assert_warns(&files.expect("opens").warnings, &["1 of 3 poses left out", "of its number"]);
     let none = with(members(&frames), "tstamps", npy("<i8", &[3], &[50.0, 60.0, 70.0]));
-    let files = ImportedKeyframes::open(&folder(&none).0, Some(&sequence.0), &ImportOptions::default());
+    let files =
+        ImportedKeyframes::open(&folder(&none).0, Some(&sequence.0), &ImportOptions::default());
     assert_says(files, &["0 of 3 poses", "up to 70", "7 pictures", "stride"]);
 }
 
@@ -316,7 +318,10 @@ fn wrong_shapes_and_missing_arrays_are_named() {
     }
     let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
     let arrays = folder(&all);
-    assert_says(ImportedKeyframes::open(&arrays.0, None, &options), &["option depth", "no dataset"]);
+    assert_says(
+        ImportedKeyframes::open(&arrays.0, None, &options),
+        &["option depth", "no dataset"],
+    );
     let alone = open(&folder(&without(all.clone(), "disps"))).expect("poses and pictures alone");
     assert!(!alone.has_depth);
     assert_says(open(&folder(&members(&[0]))), &["1 of 1 poses", "at least 2"]);

@@ -3,7 +3,7 @@
 use crate::arrays::npy;
 use crate::droid::{folder, intrinsics, members, open, with};
 use crate::scene::{HEIGHT, WIDTH, sequence};
-use i2slam_dataset::import::{ImportedKeyframes, Keyframe, ImportOptions};
+use i2slam_dataset::import::{ImportOptions, ImportedKeyframes, Keyframe};
 use i2slam_geometry::Camera;
 
 /// Size of the maps of an eighth.
@@ -83,8 +83,10 @@ fn beyond_the_recorded_picture_there_is_no_depth() {
         "distortion":[0.3,0,0,0]}"#;
     pictures.write("camera.json", camera);
     let arrays = folder(&members(&[0, 1]));
-    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &ImportOptions::default()).expect("opens");
-    let valid_mask = files.sequence().and_then(|sequence| sequence.valid_mask.clone()).expect("edges");
+    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &ImportOptions::default())
+        .expect("opens");
+    let valid_mask =
+        files.sequence().and_then(|sequence| sequence.valid_mask.clone()).expect("edges");
     assert!(!valid_mask.data[0] && valid_mask.data[16 * WIDTH + 24]);
     let depth = files.load(1).expect("loads").depth.expect("depth");
     for (z, valid_mask) in depth.data.iter().zip(&valid_mask.data) {

@@ -4,7 +4,7 @@ use crate::colmap::{images_binary, images_named, text_model, write_binary};
 use crate::scene::{colour_png, colour_sequence};
 use crate::support::Folder;
 use crate::{assert_says, assert_warns};
-use i2slam_dataset::import::{ImportedKeyframes, ImportOptions};
+use i2slam_dataset::import::{ImportOptions, ImportedKeyframes};
 
 fn open(folder: &Folder) -> ImportedKeyframes {
     ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens")
@@ -85,7 +85,8 @@ fn an_image_without_a_name_is_refused() {
 fn pictures_of_a_dataset_keep_their_times() {
     let folder = model(&["rgb/001.png", "rgb/002.png"], &["unused.png"]);
     let dataset = colour_sequence(3);
-    let files = ImportedKeyframes::open(&folder.0, Some(&dataset.0), &ImportOptions::default()).expect("opens");
+    let files = ImportedKeyframes::open(&folder.0, Some(&dataset.0), &ImportOptions::default())
+        .expect("opens");
     let times: Vec<f64> = files.keyframes.iter().map(|keyframe| keyframe.timestamp).collect();
     assert_eq!(times, [1, 2].map(crate::scene::stamp));
 }

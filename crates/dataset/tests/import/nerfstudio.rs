@@ -3,7 +3,7 @@
 use crate::scene::{WIDTH, colour_sequence, pose, render, sequence};
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_geometry::{Pose, Vec3};
 
 /// The matrix of a pose, camera axes of OpenGL if asked for.
@@ -58,11 +58,13 @@ fn poses_are_turned_to_opencv_axes() {
             let due = render(3).0[5 * WIDTH + 9];
             assert!((f64::from(depth.at(0, 9, 5)) - due).abs() < 2e-4);
         }
-        let by_folder = ImportedKeyframes::open(&folder.0, Some(&folder.0), &ImportOptions::default());
+        let by_folder =
+            ImportedKeyframes::open(&folder.0, Some(&folder.0), &ImportOptions::default());
         let by_folder = by_folder.expect("opens");
         assert_eq!((by_folder.keyframes, by_folder.warnings.len()), (files.keyframes, 0));
         let other = pictures(false);
-        let elsewhere = ImportedKeyframes::open(&folder.0, Some(&other.0), &ImportOptions::default());
+        let elsewhere =
+            ImportedKeyframes::open(&folder.0, Some(&other.0), &ImportOptions::default());
         assert_warns(&elsewhere.expect("opens").warnings, &["transforms.json names, not those of"]);
         let options = ImportOptions { depth: ImportDepth::None, ..ImportOptions::default() };
         assert!(!ImportedKeyframes::open(&file, None, &options).expect("opens").has_depth);

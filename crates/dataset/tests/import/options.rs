@@ -5,7 +5,7 @@ use crate::droid::{folder, members};
 use crate::scene::{sequence, trajectory};
 use crate::{assert_says, assert_warns};
 use i2slam_dataset::OpenOptions;
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
 
 #[test]
 fn a_camera_that_does_not_count_is_told() {

@@ -3,7 +3,7 @@
 use crate::assert_warns;
 use crate::scene::line;
 use crate::support::{Folder, shared_data};
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{OpenOptions, Sequence};
 use i2slam_geometry::Pose;
 use std::path::Path;

@@ -5,7 +5,7 @@ use crate::scene::{
 };
 use crate::support::Folder;
 use crate::{assert_same, assert_says, assert_warns};
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportFormat, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 
 fn open(poses: &Folder, pictures: &Folder) -> Result<ImportedKeyframes, DatasetError> {
@@ -39,7 +39,8 @@ fn without_a_folder_of_pictures_those_beside_the_poses_are_taken() {
     let folder = colour_sequence(3);
     let file = folder.write("trajectory.txt", trajectory([0, 2]));
     let by_file = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
-    let by_folder = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens");
+    let by_folder =
+        ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens");
     assert_eq!(by_file.keyframes, by_folder.keyframes);
     assert_eq!(by_file.len(), 2);
 }
@@ -142,7 +143,8 @@ fn unusable_lines_are_named() {
 #[test]
 fn what_holds_no_keyframes_is_refused() {
     let folder = colour_sequence(2);
-    let open = |name: &str| ImportedKeyframes::open(&folder.join(name), None, &ImportOptions::default());
+    let open =
+        |name: &str| ImportedKeyframes::open(&folder.join(name), None, &ImportOptions::default());
     assert_says(open("nothing"), &["no keyframes", "found nothing", "timestamp tx ty tz"]);
     assert_says(open("rgb"), &["found 000.png, 001.png"]);
     folder.write("notes.md", "hello");

@@ -3,7 +3,7 @@
 use crate::arrays::npy;
 use crate::scene::{HEIGHT, WIDTH, grey16_png, sequence, trajectory};
 use crate::{assert_says, assert_warns};
-use i2slam_dataset::import::{ImportDepth, ImportedKeyframes, ImportOptions};
+use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
 
 fn options(folder: &crate::support::Folder) -> ImportOptions {
     let variance = Some(folder.join("variance"));
