@@ -1,6 +1,7 @@
 //! Results of a session: poses, tone, map and responses of a sequence.
 
 use crate::config::Config;
+use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, ShutterPoses};
 use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, Shape};
@@ -181,13 +182,12 @@ impl Reconstruction {
         if !self.config.formation.tone || self.frames.is_empty() {
             return None;
         }
-        let median = |i: usize| {
+        let typical = |i: usize| {
             let mut values: Vec<f32> = self.frames.iter().map(|f| f.tone.to_array()[i]).collect();
-            values.sort_by(f32::total_cmp);
-            values[values.len() / 2]
+            median(&mut values).unwrap_or(0.0)
         };
         let response = self.responses.get(self.frames[self.frames.len() / 2].response)?;
-        Some((FrameTone::from_array(std::array::from_fn(median)), response.curve()))
+        Some((FrameTone::from_array(std::array::from_fn(typical)), response.curve()))
     }
 
     /// A frame that was never taken: a camera standing still at `world_from_camera`, with the

@@ -4,6 +4,7 @@
 use crate::response::Response;
 use crate::rgb::luminance;
 use crate::spec::ExposureSpec;
+use i2slam_compute::median;
 use i2slam_geometry::Image;
 
 /// `raw EV = log2(CRF⁻¹(½) / median Y)`: the picture of the median grey would be half of white.
@@ -12,11 +13,7 @@ pub fn raw_exposure_value(radiance: &Image<f32>, response: Response) -> Option<f
     let (red, green, blue) = (radiance.plane(0), radiance.plane(1), radiance.plane(2));
     let grey = (0..radiance.pixels()).map(|i| luminance([red[i], green[i], blue[i]]));
     let mut grey: Vec<f32> = grey.filter(|y| y.is_finite()).collect();
-    let middle = grey.len().checked_div(2)?;
-    if grey.is_empty() {
-        return None;
-    }
-    let median = *grey.select_nth_unstable_by(middle, f32::total_cmp).1;
+    let median = median(&mut grey)?;
     (median > 0.0).then(|| f64::from(response.invert(0.5, 1) / median).log2())
 }
 
