@@ -45,7 +45,7 @@ pub struct FrameEstimate {
     /// Time from the first to the last row [exposures]; 0 for a global shutter.
     pub readout: f64,
     /// Camera motion from mid-exposure to the time of the depth picture; zero if simultaneous.
-    pub depth_lead: Tangent<f64>,
+    pub depth_offset: Tangent<f64>,
     /// Exposure and white balance.
     pub tone: FrameTone<f32>,
     /// Index among the responses of the reconstruction.
@@ -79,7 +79,7 @@ impl FrameEstimate {
             timestamp,
             shutter,
             readout: 0.0,
-            depth_lead: Tangent::zero(),
+            depth_offset: Tangent::zero(),
             tone: FrameTone::default(),
             response: 0,
             keyframe: false,
@@ -101,13 +101,13 @@ impl FrameEstimate {
 
     /// Whether the camera moved by more than 1 mm or 1 mrad between colour and depth picture.
     pub(crate) fn depth_is_apart(&self) -> bool {
-        let lead = self.depth_lead;
+        let lead = self.depth_offset;
         lead.translation.norm() > 1e-3 || lead.rotation.norm() > 1e-3
     }
 
     /// World-from-camera when the depth picture was taken.
     pub fn depth_pose(&self) -> Pose<f64> {
-        self.middle().retract(self.depth_lead)
+        self.middle().retract(self.depth_offset)
     }
 }
 

@@ -98,7 +98,7 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
     for frame in frames {
         let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
         let losses = frame.losses;
-        let [x, y, z, rx, ry, rz] = frame.depth_lead.to_array();
+        let [x, y, z, rx, ry, rz] = frame.depth_offset.to_array();
         let convergence = frame.convergence;
         let [position, rotation] =
             [convergence.position_deviation, convergence.rotation_deviation.map(f64::to_degrees)]
@@ -207,8 +207,8 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
     if response >= responses {
         return Err(format!("camera response {response} is not in state.json"));
     }
-    let mut depth_lead = [0.0; 6];
-    for (i, value) in depth_lead.iter_mut().enumerate() {
+    let mut depth_offset = [0.0; 6];
+    for (i, value) in depth_offset.iter_mut().enumerate() {
         *value = cell(&cells, 16 + i)?;
     }
     Ok(FrameEstimate {
@@ -216,7 +216,7 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
         timestamp: cell(&cells, 1)?,
         shutter,
         readout: cell(&cells, 23)?,
-        depth_lead: Tangent::from_array(depth_lead),
+        depth_offset: Tangent::from_array(depth_offset),
         tone: FrameTone::from_array([log(2)?, log(3)?, log(4)?, log(5)?]),
         response,
         keyframe: cell::<u8>(&cells, 13)? != 0,

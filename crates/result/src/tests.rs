@@ -28,7 +28,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
             timestamp: 1_305_031_237.361_618 + t,
             shutter: ShutterPoses { start: pose(t - 0.01), end: pose(t + 0.01) },
             readout: 0.7 + 0.1 * t,
-            depth_lead: Tangent::from_array([0.001 * t, 0.0, 0.002, 0.0, -0.003, 1e-9]),
+            depth_offset: Tangent::from_array([0.001 * t, 0.0, 0.002, 0.0, -0.003, 1e-9]),
             tone,
             response: 0,
             keyframe: i.is_multiple_of(5),
@@ -84,7 +84,7 @@ fn a_saved_folder_loads_as_it_was() {
     assert_eq!(after.rolling_shutter_readout, before.rolling_shutter_readout);
     for (a, b) in after.frames.iter().zip(&before.frames) {
         assert_eq!((a.shutter, a.tone, a.losses), (b.shutter, b.tone, b.losses));
-        let rest = |f: &FrameEstimate| (f.depth_lead, f.held_out, f.readout);
+        let rest = |f: &FrameEstimate| (f.depth_offset, f.held_out, f.readout);
         assert_eq!(rest(a), rest(b));
         let (found, kept) = (a.convergence, b.convergence);
         assert_eq!(found.converged, kept.converged);

@@ -261,7 +261,7 @@ impl FrameTracker<'_> {
         if let Some(result) = &result {
             estimate.shutter = result.shutter;
             estimate.readout = result.readout;
-            estimate.depth_lead = result.depth_offset;
+            estimate.depth_offset = result.depth_offset;
             estimate.tone = result.tone;
             estimate.losses = result.losses;
             estimate.convergence = result.convergence;

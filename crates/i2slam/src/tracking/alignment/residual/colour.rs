@@ -11,6 +11,7 @@ use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
 
 /// Intermediate values of a block.
+#[derive(Default)]
 pub(super) struct ColourBlock {
     /// 1 for samples that are visible to all virtual cameras, 0 for others.
     seen: BlockValues,
@@ -30,7 +31,7 @@ pub(super) struct ColourBlock {
 }
 
 /// Residual and derivatives of one channel.
-#[derive(Clone, Copy)]
+#[derive(Default)]
 struct Channel {
     /// Of the target, averaged over the exposure.
     radiance: BlockValues,
@@ -47,34 +48,7 @@ struct Channel {
     root: BlockValues,
 }
 
-impl Channel {
-    const ZERO: Self = Self {
-        radiance: BlockValues::ZERO,
-        value: BlockValues::ZERO,
-        slope: BlockValues::ZERO,
-        motion: [BlockValues::ZERO; 12],
-        gain: BlockValues::ZERO,
-        readout: BlockValues::ZERO,
-        residual: BlockValues::ZERO,
-        root: BlockValues::ZERO,
-    };
-}
-
 impl ColourBlock {
-    pub(super) fn new() -> Self {
-        Self {
-            seen: BlockValues::ZERO,
-            taps: BilinearTaps::EMPTY,
-            pixel: [[BlockValues::ZERO; 3]; 3],
-            row_position: BlockValues::ZERO,
-            times: BlockValues::ZERO,
-            points: [BlockValues::ZERO; 3],
-            target_points: [BlockValues::ZERO; 3],
-            target: [[BlockValues::ZERO; 3]; 3],
-            channels: [Channel::ZERO; 3],
-        }
-    }
-
     /// Adds the residuals of the samples that lie on the target's surface.
     #[inline(always)]
     pub(super) fn add<S: Simd>(

@@ -11,6 +11,7 @@ use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
 
 /// Intermediate values of a block.
+#[derive(Default)]
 pub(super) struct DepthBlock {
     /// The points in the camera at mid-exposure.
     pub(super) points: [BlockValues; 3],
@@ -34,19 +35,6 @@ struct LaneSums<S: Simd> {
 }
 
 impl DepthBlock {
-    pub(super) fn new() -> Self {
-        Self {
-            points: [BlockValues::ZERO; 3],
-            target_points: [BlockValues::ZERO; 3],
-            taps: BilinearTaps::EMPTY,
-            corners: [BlockValues::ZERO; 4],
-            roughness: BlockValues::ZERO,
-            agreeing: BlockValues::ZERO,
-            jacobian: [BlockValues::ZERO; 6],
-            residual: BlockValues::ZERO,
-        }
-    }
-
     /// Adds the residuals of `samples` and returns how many lie on the target's surface.
     #[inline(always)]
     pub(super) fn add<S: Simd>(

@@ -18,8 +18,10 @@ pub(super) const BLOCK: usize = 128;
 #[repr(align(64))]
 pub(super) struct BlockValues(pub(super) [f32; BLOCK]);
 
-impl BlockValues {
-    pub(super) const ZERO: Self = Self([0.0; BLOCK]);
+impl Default for BlockValues {
+    fn default() -> Self {
+        Self([0.0; BLOCK])
+    }
 }
 
 impl Deref for BlockValues {
@@ -137,6 +139,7 @@ pub(in super::super) struct DepthSamples {
 }
 
 /// [`BLOCK`] samples.
+#[derive(Default)]
 pub(super) struct SampleBlock {
     /// The point in the camera that took the depth picture.
     pub(super) point: [BlockValues; 3],
@@ -168,8 +171,7 @@ impl DepthSamples {
     fn push(&mut self, point: [f32; 3], roughness: f32) {
         let lane = self.count % BLOCK;
         if lane == 0 {
-            self.blocks
-                .push(SampleBlock { point: [BlockValues::ZERO; 3], roughness: BlockValues::ZERO });
+            self.blocks.push(SampleBlock::default());
         }
         if let Some(block) = self.blocks.last_mut() {
             block.point.iter_mut().zip(point).for_each(|(row, value)| row.0[lane] = value);
@@ -186,10 +188,13 @@ pub(super) struct BilinearTaps {
     down: BlockValues,
 }
 
-impl BilinearTaps {
-    pub(super) const EMPTY: Self =
-        Self { index: [0; BLOCK], right: BlockValues::ZERO, down: BlockValues::ZERO };
+impl Default for BilinearTaps {
+    fn default() -> Self {
+        Self { index: [0; BLOCK], right: BlockValues::default(), down: BlockValues::default() }
+    }
+}
 
+impl BilinearTaps {
     /// Stores the image positions `(u, v)` of a group; returns the mask of those between the outermost
     /// pixel centres, the others are stored as 0.
     #[inline(always)]

@@ -175,7 +175,7 @@ impl WithSimd for Blocks<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> ResidualSums {
         let Self { task, geometry, blocks } = self;
         let mut sums = ResidualSums::default();
-        let (mut depth, mut colour) = (DepthBlock::new(), ColourBlock::new());
+        let (mut depth, mut colour) = (DepthBlock::default(), ColourBlock::default());
         for samples in &task.frame.samples.blocks[blocks] {
             let agreeing = depth.add(simd, task, geometry, samples, &mut sums);
             if agreeing > 0 && task.image_weight > 0.0 {
