@@ -6,10 +6,8 @@ use std::fs;
 use std::path::Path;
 
 const FRAMES: usize = 8;
-const QUICK_KEYFRAMES: &str = "[hashgrid]\nbound = 2.0\nlevels = 6\nlog2_table = 12\nfinest_cell = 0.02\n\
-    hidden_width = 16\noccupancy_cells = 24\nstep = 0.03\nstep_min = 0.04\nrays = 256\n\
-    first_iterations = 40\niterations = 5\nfinal_iterations = 120\n\
-    [keyframed]\nfirst_keyframes = 4\npose_delay = 20\ncoarse_steps = 60\n";
+const QUICK_KEYFRAMES: &str = "[hashgrid]\nbound = 2.0\nlog2_table = 12\nfinest_cell = 0.02\n\
+    rays = 256\nfirst_iterations = 40\niterations = 5\nfinal_iterations = 120\n";
 
 /// The true poses, some a little off.
 fn write_poses(path: &Path) {

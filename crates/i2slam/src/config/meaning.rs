@@ -3,10 +3,8 @@
 use super::Config;
 
 /// The declarations that are read for their documentation: one text for code, program and page.
-const DECLARATIONS: [&str; 6] = [
+const DECLARATIONS: [&str; 4] = [
     include_str!("mod.rs"),
-    include_str!("hashgrid.rs"),
-    include_str!("keyframed.rs"),
     include_str!("../../../formation/src/shutter/poses.rs"),
     include_str!("../../../formation/src/tone/frame.rs"),
     include_str!("../../../formation/src/tone/start.rs"),

@@ -1,7 +1,5 @@
 //! Every number of a run, with its unit, range and default; read from and written to TOML.
 
-mod hashgrid;
-mod keyframed;
 mod lines;
 mod meaning;
 mod parameters;
@@ -9,14 +7,12 @@ mod presets;
 mod read;
 mod validate;
 
-pub use hashgrid::HashGridConfig;
-pub use keyframed::{KeyframedConfig, Preconditioning};
 pub use lines::line_of_key;
 pub use parameters::{
     FieldParameters, FrameParameters, GaussianParameters, KeyframedParameters, Parameters,
     TrackingParameters,
 };
-pub use presets::{PRESET_NAMES, Preset};
+pub use presets::PRESET_NAMES;
 pub use read::ConfigError;
 
 pub use i2slam_formation::{Quadrature, StartCurve, WhiteBalanceModel};
@@ -153,6 +149,58 @@ pub enum MapKind {
     Gaussian,
     /// A radiance field in a multi-resolution hash grid.
     HashGrid,
+}
+
+/// A radiance field in a hash grid. Its keyframes and the rates of frames are those of `mapping`,
+/// whose window is the number of keyframes in a step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HashGridConfig {
+    /// Half edge of the cube around the first camera that is mapped [m]; zero takes it from the
+    /// first frame's depth and enlarges it where a frame sees farther.
+    pub bound: f32,
+    /// Binary logarithm of the largest number of entries of a grid.
+    pub log2_table: u32,
+    /// Cells of the finest grid [m].
+    pub finest_cell: f32,
+    /// Rays of a step, about; with keyframes that have poses, pixels of a step, each of which takes
+    /// a ray for every virtual camera.
+    pub rays: usize,
+    /// Steps per mapping round.
+    pub iterations: usize,
+    /// Steps of the round that starts the map.
+    pub first_iterations: usize,
+    /// Steps after the last frame, over all keyframes; the rate falls tenfold during them.
+    pub final_iterations: usize,
+}
+
+/// Keyframes that come with poses (`run --rgb`) and are refined together with the map. Lengths are
+/// in the unit of the poses, which is the metre only if their source knows it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KeyframedConfig {
+    /// Distance that a keyframe without depth is assumed to see.
+    pub reach: f32,
+    /// Coordinates in which the poses of a field's keyframes are stepped; without `formation.blur`
+    /// always `off`.
+    pub preconditioning: Preconditioning,
+    /// Whether the pictures of keyframes from files without depth are tracked as a video, which
+    /// gives them dense depth and, where it fits the pictures clearly better, other initial poses.
+    pub refine_imported: bool,
+}
+
+/// Coordinates in which poses are stepped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preconditioning {
+    /// Their own: lengths and angles.
+    Off,
+    /// Those of `P = (JᵀJ + damping)^(-1/2)`, J being that of the picture (CamP).
+    Picture,
+    /// The same scaled so that a step is as long as without, in the root mean square of its twelve
+    /// numbers: a map that is still smooth does not make it longer. What the picture hardly shows
+    /// is damped like the mean translation or rotation.
+    Pose,
 }
 
 /// How the pose of a frame is found.

@@ -1,10 +1,4 @@
-//! The presets: the paper's numbers, SplaTAM's where the paper follows it, and our own.
-//!
-//! Sources: the paper's appendix A (RGBD-SLAM) and SplaTAM's published configurations. A rate of
-//! a rotation is twice SplaTAM's, because SplaTAM steps a quaternion and a rotation vector is
-//! twice as long as the quaternion's imaginary part.
-
-mod rgb;
+//! Named sets of values: the paper's, SplaTAM's where the paper follows it, and our own.
 
 use super::*;
 
@@ -22,69 +16,70 @@ pub const PRESET_NAMES: [&str; 10] = [
     "paper-rgb-s",
 ];
 
-/// Those for keyframes that come with poses.
+/// Presets for colour alone.
 const RGB_PRESETS: [&str; 3] = ["default-rgb", "paper-rgb", "paper-rgb-s"];
-
-/// A named set of values.
-pub type Preset = Config;
 
 impl Default for Config {
     fn default() -> Self {
-        ours()
+        default()
     }
 }
 
 impl Config {
     /// The preset called `name`, one of [`PRESET_NAMES`].
-    pub fn preset(name: &str) -> Result<Preset, ConfigError> {
-        let base = name.strip_suffix("-s").unwrap_or(name);
-        let mut config = match base {
-            "default" if base == name => ours(),
+    pub fn preset(name: &str) -> Result<Self, ConfigError> {
+        if !PRESET_NAMES.contains(&name) {
+            return Err(ConfigError::UnknownPreset { name: name.to_owned() });
+        }
+        let mut config = match name.strip_suffix("-s").unwrap_or(name) {
             "paper-tum" => paper_tum(),
             "paper-scannet" => paper_scannet(),
             "paper-synthetic" => paper_synthetic(),
-            "default-rgb" if base == name => rgb::ours(),
-            "paper-rgb" => rgb::paper(),
-            _ => return Err(ConfigError::UnknownPreset { name: name.to_owned() }),
+            "default-rgb" => default_rgb(),
+            "paper-rgb" => paper_rgb(),
+            _ => default(),
         };
-        if base != name && base == "paper-rgb" {
-            rgb::shorten(&mut config);
-        } else if base != name {
-            config.tracking.iterations = config.tracking.iterations.div_ceil(5);
-            config.mapping.iterations = config.mapping.iterations.div_ceil(5);
-            config.mapping.first_iterations = config.mapping.first_iterations.div_ceil(5);
+        if name.ends_with("-s") {
+            config.shorten();
         }
         config.preset = name.to_owned();
         config.parameters = Parameters::of_preset(name);
         Ok(config)
     }
 
-    /// Settings for colour alone on 3D Gaussians: the preset `default-rgb`.
+    /// The preset `default-rgb`, for colour alone.
     pub fn default_rgb() -> Self {
-        rgb::ours()
+        default_rgb()
     }
 
-    /// Whether these settings started from a preset for keyframes that come with poses, of which
-    /// depth may be unknown.
+    /// Whether these settings started from a preset for colour alone: keyframes that come with
+    /// poses, of which depth may be unknown.
     pub fn is_rgb(&self) -> bool {
         RGB_PRESETS.contains(&self.preset.as_str())
     }
+
+    /// Leaves a fifth of the steps (the paper's "-S"), rounded up.
+    fn shorten(&mut self) {
+        let (tracking, mapping, field) =
+            (&mut self.tracking, &mut self.mapping, &mut self.hashgrid);
+        let counts = match self.map.kind {
+            MapKind::Gaussian => {
+                [&mut tracking.iterations, &mut mapping.iterations, &mut mapping.first_iterations]
+            }
+            MapKind::HashGrid => {
+                [&mut field.iterations, &mut field.first_iterations, &mut field.final_iterations]
+            }
+        };
+        counts.into_iter().for_each(|count| *count = count.div_ceil(5));
+    }
 }
 
-/// Interactive speed and the best result we know.
-fn ours() -> Config {
+/// The best result that we know at a usable speed.
+fn default() -> Config {
     let paper = paper_scannet();
     Config {
         preset: "default".to_owned(),
-        seed: 0,
-        input: InputConfig {
-            crop_border: 0,
-            minimum_gap: 0.0,
-            depth_stamps: false,
-            depth_delay: 0.0,
-            rolling_shutter_readout: 0.0,
-            optimise_rolling_shutter: false,
-        },
+        input: InputConfig { crop_border: 0, minimum_gap: 0.0, ..paper.input },
         formation: FormationConfig {
             quadrature: Quadrature::Midpoints,
             blur_per_camera: 1.5,
@@ -94,9 +89,6 @@ fn ours() -> Config {
             response_start: StartCurve::Shoulder,
             ..paper.formation
         },
-        map: paper.map,
-        hashgrid: paper.hashgrid,
-        keyframed: paper.keyframed,
         tracking: TrackingConfig {
             method: TrackingMethod::SecondOrder,
             iterations: 0,
@@ -105,18 +97,19 @@ fn ours() -> Config {
         mapping: MappingConfig {
             iterations: 8,
             first_iterations: 60,
+            final_iterations: 200,
             window: 8,
             keyframe_interval: 4,
             keyframe_motion: 0.004,
-            final_iterations: 200,
             fill_depth: true,
             ..paper.mapping
         },
         parameters: Parameters::of_preset("default"),
+        ..paper
     }
 }
 
-/// SplaTAM's ScanNet configuration with the paper's module.
+/// SplaTAM's configuration of ScanNet with the paper's module.
 fn paper_scannet() -> Config {
     Config {
         preset: "paper-scannet".to_owned(),
@@ -143,8 +136,20 @@ fn paper_scannet() -> Config {
             response_start: StartCurve::Srgb,
         },
         map: MapConfig { kind: MapKind::Gaussian, isotropic: true, capacity: 2_000_000 },
-        hashgrid: hashgrid(),
-        keyframed: rgb::keyframed(),
+        hashgrid: HashGridConfig {
+            bound: 0.0,
+            log2_table: 17,
+            finest_cell: 0.005,
+            rays: 4096,
+            iterations: 10,
+            first_iterations: 200,
+            final_iterations: 300,
+        },
+        keyframed: KeyframedConfig {
+            reach: 4.0,
+            preconditioning: Preconditioning::Picture,
+            refine_imported: false,
+        },
         tracking: TrackingConfig {
             method: TrackingMethod::Adam,
             iterations: 100,
@@ -168,34 +173,9 @@ fn paper_scannet() -> Config {
     }
 }
 
-/// A field for a room: torch-ngp's, with a smaller table.
-fn hashgrid() -> HashGridConfig {
-    HashGridConfig {
-        bound: 0.0,
-        margin: 1.1,
-        levels: 16,
-        log2_table: 17,
-        finest_cell: 0.005,
-        moment_jitter: 1.0,
-        hidden_width: 64,
-        occupancy_cells: 128,
-        shell: 0.03,
-        step: 1.0 / 128.0,
-        step_min: 0.005,
-        rays: 4096,
-        iterations: 10,
-        first_iterations: 200,
-        final_iterations: 300,
-        rate: 1e-2,
-        image_weight: 2.0,
-        depth_weight: 1.0,
-    }
-}
-
-/// SplaTAM's TUM configuration with the paper's module.
+/// SplaTAM's configuration of TUM RGB-D with the paper's module.
 fn paper_tum() -> Config {
     let mut config = paper_scannet();
-    config.preset = "paper-tum".to_owned();
     config.input.crop_border = 8;
     config.tracking.iterations = 200;
     config.mapping.window = 20;
@@ -203,16 +183,59 @@ fn paper_tum() -> Config {
     config
 }
 
-/// The paper's synthetic set: monochrome gain and response, slow camera, mapping every 5 frames.
+/// The paper's synthetic scenes: monochrome gain and response, slow camera, mapping of every fifth
+/// frame.
 fn paper_synthetic() -> Config {
     let mut config = paper_scannet();
-    config.preset = "paper-synthetic".to_owned();
     config.input.crop_border = 0;
     config.formation.response_curves = 1;
     config.tracking.iterations = 200;
     config.tracking.trajectory_weight = 1e4;
     config.mapping.interval = 5;
     config.mapping.window = 24;
+    config
+}
+
+/// The paper's appendix A for colour alone; what it leaves open as in torch-ngp and NeRF-SLAM, whose
+/// mapping ends after 25 000 steps.
+fn paper_rgb() -> Config {
+    let mut config = paper_scannet();
+    (config.input.crop_border, config.input.minimum_gap) = (0, 0.0);
+    config.formation.white_balance = WhiteBalanceModel::PerChannel;
+    config.map.kind = MapKind::HashGrid;
+    config.hashgrid = HashGridConfig {
+        log2_table: 19,
+        finest_cell: 1.0 / 1024.0,
+        iterations: 100,
+        first_iterations: 1000,
+        final_iterations: 20_000,
+        ..config.hashgrid
+    };
+    config
+}
+
+/// The best result that we know for colour alone at a usable speed.
+fn default_rgb() -> Config {
+    let mut config = Config {
+        preset: "default-rgb".to_owned(),
+        parameters: Parameters::of_preset("default-rgb"),
+        ..default()
+    };
+    config.hashgrid = HashGridConfig {
+        log2_table: 17,
+        finest_cell: 0.015,
+        rays: 512,
+        iterations: 10,
+        first_iterations: 150,
+        final_iterations: 700,
+        ..config.hashgrid
+    };
+    config.keyframed.preconditioning = Preconditioning::Pose;
+    config.keyframed.refine_imported = true;
+    config.mapping.window = 10;
+    config.mapping.iterations = 30;
+    config.mapping.final_iterations = 400;
+    config.mapping.depth_weight = 0.3;
     config
 }
 
@@ -227,18 +250,27 @@ mod tests {
             assert_eq!(config.preset, name);
             config.validate().expect(name);
         }
+        assert!(
+            Config::preset("paper-rgb").expect("known").is_rgb() && !Config::default().is_rgb()
+        );
     }
 
     #[test]
     fn the_short_variants_take_a_fifth_of_the_steps() {
         let config = Config::preset("paper-synthetic-s").expect("known");
         assert_eq!((config.tracking.iterations, config.mapping.iterations), (40, 6));
+        let config = Config::preset("paper-rgb-s").expect("known");
+        assert_eq!(
+            (config.hashgrid.first_iterations, config.hashgrid.final_iterations),
+            (200, 4000)
+        );
+        assert_eq!((config.tracking.iterations, config.mapping.iterations), (100, 30));
     }
 
     #[test]
     fn an_unknown_name_lists_the_known_ones() {
         let message = Config::preset("fast").expect_err("unknown").to_string();
         assert!(message.contains("fast") && message.contains("paper-scannet"));
-        assert!(Config::preset("default-s").is_err());
+        assert!(Config::preset("default-s").is_err() && Config::preset("default-rgb-s").is_err());
     }
 }

@@ -152,7 +152,46 @@ impl Config {
 }
 
 /// Keys of earlier versions, by section, whose values the preset decides.
-const REMOVED: [(&str, &[&str]); 5] = [
+const REMOVED: [(&str, &[&str]); 7] = [
+    (
+        "hashgrid",
+        &[
+            "margin",
+            "levels",
+            "moment_jitter",
+            "hidden_width",
+            "occupancy_cells",
+            "shell",
+            "step",
+            "step_min",
+            "rate",
+            "image_weight",
+            "depth_weight",
+        ],
+    ),
+    (
+        "keyframed",
+        &[
+            "first_keyframes",
+            "camera_rate",
+            "pose_delay",
+            "preconditioning_damping",
+            "preconditioning_interval",
+            "trajectory_weight",
+            "initial_split",
+            "depth_outlier",
+            "surface_depth_weight",
+            "surface_depth_left",
+            "surface_camera_rate",
+            "surface_steps",
+            "surface_samples",
+            "surface_detail",
+            "surface_cell",
+            "surface_growth",
+            "surface_searches",
+            "coarse_steps",
+        ],
+    ),
     ("formation", &["response_node_power", "response_prior", "tone_rate"]),
     ("map", &["initial_scale", "initial_opacity", "screen_variance"]),
     (

@@ -1,48 +1,78 @@
-//! Whether settings are in their ranges and agree with each other.
+//! Ranges of settings and their agreement with each other.
 
 use super::*;
 use i2slam_radiance::hashgrid::FieldSettings;
 
 impl Config {
-    /// Whether every value is in its range.
+    /// Checks that every value is in its range and that they agree.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        self.validate_formation()?;
-        self.validate_tracking()?;
-        self.validate_rolling_shutter()?;
-        self.validate_mapping()?;
-        self.validate_map()?;
-        self.validate_hashgrid()?;
-        self.validate_keyframed()?;
+        self.validate_ranges()?;
+        self.validate_depth_stamps()?;
+        self.validate_rolling_shutter()
+    }
+
+    /// Sets the readout that a front end found [s], if settings give none and their map and blur
+    /// model support a rolling shutter.
+    #[must_use]
+    pub fn with_found_readout(self, seconds: f64) -> Self {
+        if self.input.is_rolling() {
+            return self;
+        }
+        let mut rolling = self.clone();
+        rolling.input.rolling_shutter_readout = seconds;
+        if rolling.validate().is_ok() { rolling } else { self }
+    }
+
+    fn validate_ranges(&self) -> Result<(), ConfigError> {
+        let (f, t, m, h) = (&self.formation, &self.tracking, &self.mapping, &self.hashgrid);
         if i64::try_from(self.seed).is_err() {
             return refuse("seed", self.seed.to_string(), "at most 2^63 - 1");
         }
-        self.rates().into_iter().try_for_each(|(key, value)| not_negative(key, value))
-    }
-
-    fn validate_formation(&self) -> Result<(), ConfigError> {
-        let f = &self.formation;
-        between("formation.virtual_cameras", f.virtual_cameras, 1, 64, "1 to 64")?;
         if !matches!(f.response_curves, 1 | 3) {
             return refuse("formation.response_curves", f.response_curves.to_string(), "1 or 3");
         }
-        Ok(())
+        if m.hold_out == 1 {
+            let expected = "0 for none, or 2 and more: a map needs frames";
+            return refuse("mapping.hold_out", "1".to_owned(), expected);
+        }
+        if t.method == TrackingMethod::Adam {
+            at_least_one("tracking.iterations", t.iterations)?;
+        }
+        let table = h.log2_table as usize;
+        between("formation.virtual_cameras", f.virtual_cameras, 1..=64, "1 to 64")?;
+        between(
+            "hashgrid.log2_table",
+            table,
+            4..=FieldSettings::MAX_LOG2_TABLE as usize,
+            "4 to 24",
+        )?;
+        at_least_one("map.capacity", self.map.capacity)?;
+        at_least_one("hashgrid.rays", h.rays)?;
+        at_least_one("mapping.interval", m.interval)?;
+        at_least_one("mapping.window", m.window)?;
+        at_least_one("mapping.keyframe_interval", m.keyframe_interval)?;
+        positive("hashgrid.finest_cell", h.finest_cell)?;
+        positive("keyframed.reach", self.keyframed.reach)?;
+        not_negative("formation.blur_per_camera", f.blur_per_camera)?;
+        not_negative("hashgrid.bound", h.bound)?;
+        not_negative("tracking.trajectory_weight", t.trajectory_weight)?;
+        not_negative("mapping.depth_weight", m.depth_weight)?;
+        not_negative("mapping.keyframe_motion", m.keyframe_motion)?;
+        not_negative("mapping.seconds_per_frame", m.seconds_per_frame)
     }
 
-    fn validate_tracking(&self) -> Result<(), ConfigError> {
-        let t = &self.tracking;
-        let refined = t.method == TrackingMethod::Adam || t.iterations > 0;
-        if self.input.depth_stamps && refined {
+    fn validate_depth_stamps(&self) -> Result<(), ConfigError> {
+        let first_order =
+            self.tracking.method == TrackingMethod::Adam || self.tracking.iterations > 0;
+        if self.input.depth_stamps && first_order {
             let expected = "false, or tracking.method \"second-order\" with tracking.iterations 0: \
                             first-order tracking compares depth at the best pose of the exposure";
             return refuse("input.depth_stamps", "true".to_owned(), expected);
         }
-        match t.method {
-            TrackingMethod::Adam => at_least("tracking.iterations", t.iterations, 1),
-            TrackingMethod::SecondOrder => Ok(()),
-        }
+        Ok(())
     }
 
-    /// Rows that are read in turn are seen by the motion over the exposure, continued.
+    /// A rolling shutter needs a blur model that extrapolates the motion of the exposure to all rows.
     fn validate_rolling_shutter(&self) -> Result<(), ConfigError> {
         let (input, formation) = (&self.input, &self.formation);
         let (readout, key) = (input.rolling_shutter_readout, "input.rolling_shutter_readout");
@@ -69,107 +99,18 @@ impl Config {
             let expected = "false, or tracking.method \"second-order\"";
             return refuse("input.optimise_rolling_shutter", "true".to_owned(), expected);
         }
-        Ok(())
-    }
-
-    fn validate_mapping(&self) -> Result<(), ConfigError> {
-        let m = &self.mapping;
-        at_least("mapping.interval", m.interval, 1)?;
-        if m.hold_out == 1 {
-            let expected = "0 for none, or 2 and more: a map needs frames";
-            return refuse("mapping.hold_out", "1".to_owned(), expected);
-        }
-        at_least("mapping.window", m.window, 1)?;
-        at_least("mapping.keyframe_interval", m.keyframe_interval, 1)?;
-        Ok(())
-    }
-
-    fn validate_map(&self) -> Result<(), ConfigError> {
-        let m = &self.map;
-        at_least("map.capacity", m.capacity, 1)?;
-        Ok(())
-    }
-
-    fn validate_hashgrid(&self) -> Result<(), ConfigError> {
-        let h = &self.hashgrid;
-        between("hashgrid.levels", h.levels, 1, FieldSettings::MAX_LEVELS, "1 to 32")?;
-        let (log2_table, most) = (h.log2_table as usize, FieldSettings::MAX_LOG2_TABLE as usize);
-        between("hashgrid.log2_table", log2_table, 4, most, "4 to 24")?;
-        share("hashgrid.moment_jitter", h.moment_jitter)?;
-        between("hashgrid.hidden_width", h.hidden_width, 1, 1024, "1 to 1024")?;
-        between("hashgrid.occupancy_cells", h.occupancy_cells as usize, 1, 512, "1 to 512")?;
-        at_least("hashgrid.rays", h.rays, 1)?;
-        positive("hashgrid.margin", h.margin)?;
-        positive("hashgrid.finest_cell", h.finest_cell)?;
-        positive("hashgrid.step_min", h.step_min)?;
-        inside("hashgrid.shell", h.shell)?;
-        Ok(())
-    }
-
-    fn validate_keyframed(&self) -> Result<(), ConfigError> {
-        let k = &self.keyframed;
-        at_least("keyframed.first_keyframes", k.first_keyframes, 1)?;
-        at_least("keyframed.preconditioning_interval", k.preconditioning_interval, 1)?;
-        positive("keyframed.reach", k.reach)?;
-        positive("keyframed.surface_depth_left", k.surface_depth_left)?;
-        not_negative("keyframed.surface_cell", k.surface_cell)?;
-        not_negative("keyframed.surface_growth", k.surface_growth)?;
-        if k.surface_growth > 0.0 && k.surface_growth <= 1.0 {
-            let growth = k.surface_growth.to_string();
-            return refuse("keyframed.surface_growth", growth, "0, or above 1");
-        }
-        self.validate_surface_detail()?;
-        if !self.is_rgb() || !self.input.is_rolling() {
+        if !self.is_rgb() {
             return Ok(());
         }
-        if self.input.optimise_rolling_shutter {
+        if input.optimise_rolling_shutter {
             let expected = "false with an RGB preset: the front end finds the readout";
             return refuse("input.optimise_rolling_shutter", "true".to_owned(), expected);
         }
         if self.map.kind == MapKind::HashGrid {
-            let readout = self.input.rolling_shutter_readout.to_string();
             let expected = "0 with an RGB preset and map.kind \"hashgrid\"";
-            return refuse("input.rolling_shutter_readout", readout, expected);
+            return refuse(key, readout.to_string(), expected);
         }
         Ok(())
-    }
-
-    /// Cells are finer around known surfaces, and there may be no more of them than a field can
-    /// hold.
-    fn validate_surface_detail(&self) -> Result<(), ConfigError> {
-        let (key, detail) = ("keyframed.surface_detail", self.keyframed.surface_detail);
-        positive(key, detail)?;
-        if self.hashgrid.finer(detail).occupancy_cells > 512 {
-            let expected = "a factor by which hashgrid.occupancy_cells is at most 512";
-            return refuse(key, detail.to_string(), expected);
-        }
-        Ok(())
-    }
-
-    /// Values that any number of at least zero is good for.
-    fn rates(&self) -> [(&'static str, f32); 18] {
-        let (f, t, m) = (&self.formation, &self.tracking, &self.mapping);
-        let k = &self.keyframed;
-        [
-            ("keyframed.camera_rate", k.camera_rate),
-            ("keyframed.preconditioning_damping", k.preconditioning_damping),
-            ("keyframed.trajectory_weight", k.trajectory_weight),
-            ("keyframed.initial_split", k.initial_split),
-            ("keyframed.depth_outlier", k.depth_outlier),
-            ("keyframed.surface_depth_weight", k.surface_depth_weight),
-            ("keyframed.surface_camera_rate", k.surface_camera_rate),
-            ("keyframed.surface_steps", k.surface_steps),
-            ("hashgrid.bound", self.hashgrid.bound),
-            ("hashgrid.step", self.hashgrid.step),
-            ("hashgrid.rate", self.hashgrid.rate),
-            ("hashgrid.image_weight", self.hashgrid.image_weight),
-            ("hashgrid.depth_weight", self.hashgrid.depth_weight),
-            ("formation.blur_per_camera", f.blur_per_camera),
-            ("tracking.trajectory_weight", t.trajectory_weight),
-            ("mapping.depth_weight", m.depth_weight),
-            ("mapping.keyframe_motion", m.keyframe_motion),
-            ("mapping.seconds_per_frame", m.seconds_per_frame),
-        ]
     }
 }
 
@@ -177,43 +118,27 @@ fn refuse(key: &'static str, value: String, expected: &'static str) -> Result<()
     Err(ConfigError::OutOfRange { place: String::new(), key, value, expected })
 }
 
-fn at_least(key: &'static str, value: usize, least: usize) -> Result<(), ConfigError> {
-    if value >= least { Ok(()) } else { refuse(key, value.to_string(), "at least 1") }
-}
-
-fn check(
-    key: &'static str,
-    value: f32,
-    good: bool,
-    expected: &'static str,
-) -> Result<(), ConfigError> {
-    if good { Ok(()) } else { refuse(key, value.to_string(), expected) }
+fn at_least_one(key: &'static str, value: usize) -> Result<(), ConfigError> {
+    if value >= 1 { Ok(()) } else { refuse(key, value.to_string(), "at least 1") }
 }
 
 fn positive(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, value > 0.0 && value.is_finite(), "a number above 0")
+    let good = value > 0.0 && value.is_finite();
+    if good { Ok(()) } else { refuse(key, value.to_string(), "a number above 0") }
 }
 
 fn not_negative(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, value >= 0.0 && value.is_finite(), "a number of at least 0")
-}
-
-fn inside(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, value > 0.0 && value < 1.0, "above 0 and below 1")
+    let good = value >= 0.0 && value.is_finite();
+    if good { Ok(()) } else { refuse(key, value.to_string(), "a number of at least 0") }
 }
 
 fn between(
     key: &'static str,
     value: usize,
-    least: usize,
-    most: usize,
+    range: std::ops::RangeInclusive<usize>,
     expected: &'static str,
 ) -> Result<(), ConfigError> {
-    if (least..=most).contains(&value) { Ok(()) } else { refuse(key, value.to_string(), expected) }
-}
-
-fn share(key: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(key, value, (0.0..=1.0).contains(&value), "between 0 and 1")
+    if range.contains(&value) { Ok(()) } else { refuse(key, value.to_string(), expected) }
 }
 
 #[cfg(test)]
@@ -239,12 +164,37 @@ mod tests {
         let wrong = [
             "[formation]\nvirtual_cameras = 0",
             "[map]\ncapacity = 0",
-            "[keyframed]\nsurface_detail = 1e9",
-            "[keyframed]\nsurface_growth = 1.0",
+            "[hashgrid]\nlog2_table = 30",
+            "[hashgrid]\nfinest_cell = 0",
+            "[keyframed]\nreach = -1.0",
             "[mapping]\nhold_out = 1",
         ];
         for text in wrong {
             assert!(Config::from_toml(text, "test", None).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn a_readout_that_was_found_goes_to_maps_that_can_see_it() {
+        let config = |kind, preset| {
+            let mut config = Config::preset(preset).expect("known");
+            config.map.kind = kind;
+            config
+        };
+        let readout =
+            |config: Config| config.with_found_readout(0.02).input.rolling_shutter_readout;
+        assert_eq!(readout(config(MapKind::Gaussian, "default-rgb")), 0.02);
+        assert_eq!(readout(config(MapKind::HashGrid, "default-rgb")), 0.0);
+        assert_eq!(readout(config(MapKind::Gaussian, "paper-rgb")), 0.0);
+        let mut still = config(MapKind::Gaussian, "default-rgb");
+        still.formation.blur = false;
+        assert_eq!(readout(still), 0.0);
+        let mut given = config(MapKind::Gaussian, "default-rgb");
+        given.input.rolling_shutter_readout = -0.01;
+        assert_eq!(readout(given), -0.01);
+        let mut searched = config(MapKind::Gaussian, "default-rgb");
+        searched.input.optimise_rolling_shutter = true;
+        let refusal = searched.validate().expect_err("nothing looks for it").to_string();
+        assert!(refusal.contains("optimise_rolling_shutter"), "{refusal}");
     }
 }

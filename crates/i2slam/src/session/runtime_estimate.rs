@@ -77,7 +77,7 @@ fn steps(config: &Config) -> (f64, f64) {
     match config.map.kind {
         MapKind::Gaussian => (mapping.iterations as f64, mapping.final_iterations as f64),
         MapKind::HashGrid => {
-            let share = f64::from(config.keyframed.surface_steps);
+            let share = f64::from(config.parameters.keyframed.surface_steps);
             (field.iterations as f64, share * field.final_iterations as f64)
         }
     }
@@ -87,7 +87,7 @@ fn steps(config: &Config) -> (f64, f64) {
 fn relocalizations(config: &Config) -> usize {
     match config.map.kind {
         MapKind::Gaussian => JointGaussianMapper::RELOCALIZATIONS,
-        MapKind::HashGrid => config.keyframed.surface_searches,
+        MapKind::HashGrid => config.parameters.keyframed.surface_searches,
     }
 }
 
@@ -98,7 +98,8 @@ fn few_steps(config: &Config) -> Config {
     (mapping.first_iterations, mapping.iterations) = (TIMED_STEPS, TIMED_STEPS);
     (field.first_iterations, field.iterations) = (TIMED_STEPS, TIMED_STEPS);
     (mapping.final_iterations, field.final_iterations) = (4 * TIMED_STEPS, 4 * TIMED_STEPS);
-    (few.keyframed.first_keyframes, few.keyframed.surface_steps) = (1, 1.0);
+    let keyframed = &mut few.parameters.keyframed;
+    (keyframed.first_keyframes, keyframed.surface_steps) = (1, 1.0);
     few
 }
 

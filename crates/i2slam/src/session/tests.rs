@@ -59,9 +59,10 @@ fn faster(index: usize) -> Pose<f64> {
 fn config() -> Config {
     let mut config = Config::default();
     config.map.kind = MapKind::HashGrid;
+    let parameters = &mut config.parameters.field;
+    (parameters.levels, parameters.hidden_width, parameters.occupancy_cells) = (6, 16, 48);
     let field = &mut config.hashgrid;
-    (field.levels, field.log2_table, field.finest_cell) = (6, 12, 0.05);
-    (field.hidden_width, field.occupancy_cells) = (16, 48);
+    (field.log2_table, field.finest_cell) = (12, 0.05);
     (field.rays, field.first_iterations, field.iterations) = (1024, 200, 20);
     field.final_iterations = 100;
     config
@@ -131,7 +132,8 @@ fn rows_of_a_field_are_skewed() {
 #[test]
 fn pixels_coarser_than_cells_leave_no_holes() {
     let mut config = config();
-    (config.hashgrid.occupancy_cells, config.hashgrid.first_iterations) = (200, 80);
+    config.parameters.field.occupancy_cells = 200;
+    config.hashgrid.first_iterations = 80;
     let mut session = Session::new(config, CAMERA, 30.0);
     session.process(&frame(0, pose(0))).expect("a frame");
     let reconstruction = session.reconstruction();
@@ -193,7 +195,7 @@ fn the_cube_grows_with_what_is_seen() {
 #[test]
 fn a_field_that_cannot_begin_ends_the_session() {
     let mut config = config();
-    config.hashgrid.levels = 0;
+    config.parameters.field.levels = 0;
     for beside in [false, true] {
         config.mapping.beside_tracking = beside;
         let mut session = Session::new(config.clone(), CAMERA, 30.0);

@@ -1,6 +1,7 @@
 //! Cube and occupancy cells of a radiance field.
 
-use crate::config::HashGridConfig;
+use super::shape::FieldShape;
+use crate::config::Config;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use i2slam_radiance::View;
 use i2slam_radiance::hashgrid::{
@@ -29,16 +30,13 @@ fn surface_points<'a>(
 
 /// Half edge [m] of a cube around the camera that holds 99 % of the surfaces in any orientation,
 /// with the margin of the settings.
-pub(super) fn initial_bound(
-    config: &HashGridConfig,
-    camera: &Camera<f64>,
-    depth: &Image<f32>,
-) -> f64 {
-    if config.bound > 0.0 {
-        return f64::from(config.bound);
+pub(super) fn initial_bound(config: &Config, camera: &Camera<f64>, depth: &Image<f32>) -> f64 {
+    let bound = config.hashgrid.bound;
+    if bound > 0.0 {
+        return f64::from(bound);
     }
     let distance = surface_distance(camera, depth);
-    distance.map_or(MIN_BOUND, |d| (f64::from(config.margin) * d).max(MIN_BOUND))
+    distance.map_or(MIN_BOUND, |d| (f64::from(config.parameters.field.margin) * d).max(MIN_BOUND))
 }
 
 /// Distance from the camera [m] that 99 % of the surfaces lie within; `None` without depth.
@@ -122,26 +120,26 @@ pub(in crate::mapping) fn mark_cells(
 
 /// An untrained field in a cube of half edge `bound` [m] around `centre`; all cells are empty.
 pub(in crate::mapping) fn untrained_field(
-    config: &HashGridConfig,
+    shape: &FieldShape,
     centre: [f64; 3],
     bound: f64,
     seed: u64,
 ) -> Result<HashGridMap, SettingsError> {
     let cube = FieldSettings::cube(centre, bound);
-    let [base_resolution, finest_resolution] = config.cells(bound);
+    let [base_resolution, finest_resolution] = shape.cells(bound);
     let settings = FieldSettings {
-        levels: config.levels,
-        log2_table: config.log2_table,
+        levels: shape.levels,
+        log2_table: shape.log2_table,
         base_resolution,
         finest_resolution,
-        hidden_width: config.hidden_width,
+        hidden_width: shape.hidden_width,
         ..cube
     };
     let occupancy =
-        OccupancySettings { resolution: config.occupancy_cells, ..OccupancySettings::default() };
+        OccupancySettings { resolution: shape.occupancy_cells, ..OccupancySettings::default() };
     let march = MarchSettings {
-        step_min: config.step_min,
-        cone: config.step,
+        step_min: shape.step_min,
+        cone: shape.step,
         steps_max: 1 << 14,
         ..MarchSettings::cube(bound)
     };
@@ -155,7 +153,6 @@ pub(in crate::mapping) fn untrained_field(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
 
     const CAMERA: Camera<f64> =
         Camera { width: 20, height: 10, fx: 1e6, fy: 1e6, cx: 10.0, cy: 5.0 };
@@ -174,12 +171,12 @@ mod tests {
 
     #[test]
     fn a_spike_of_depth_does_not_size_the_cube() {
-        let config = Config::default().hashgrid;
+        let config = Config::default();
         let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
         assert_eq!(initial_bound(&config, &CAMERA, &depth), MIN_BOUND);
         depth.data.fill(2.0);
         let plain = initial_bound(&config, &CAMERA, &depth);
-        assert!((plain - 2.0 * f64::from(config.margin)).abs() < 1e-6, "{plain}");
+        assert!((plain - 2.0 * f64::from(config.parameters.field.margin)).abs() < 1e-6, "{plain}");
         depth.data[77] = 40.0;
         assert_eq!(initial_bound(&config, &CAMERA, &depth), plain);
         // Three pixels of two hundred are a surface.

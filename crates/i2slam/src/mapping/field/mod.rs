@@ -6,10 +6,12 @@
 //! fixed. With `hashgrid.bound` the cube keeps its size, and what lies outside is not mapped.
 
 mod bounds;
+mod shape;
 
 pub(super) use bounds::{
     MIN_CUBE_GROWTH, chebyshev_distance, mark_cells, surface_distance, untrained_field,
 };
+pub(super) use shape::FieldShape;
 
 use super::context::IterationBudget;
 use super::context::MappingContext;
@@ -33,6 +35,10 @@ use i2slam_radiance::hashgrid::{
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// Learning rate of a field (torch-ngp).
+pub(super) const LEARNING_RATE: f32 = 1e-2;
+/// λ_depth of measured depth, a mean over pixels.
+pub(super) const DEPTH_WEIGHT: f32 = 1.0;
 /// Largest share of a frame's pixels whose surface may lie outside of the cube.
 const MAX_SHARE_OUTSIDE: f64 = 0.02;
 
@@ -97,13 +103,13 @@ impl FieldMapper {
 
     /// Starts a field in a cube around the camera that holds the frame's depth and a margin.
     fn start(&mut self, context: &mut MappingContext<'_>, pose: Pose<f64>, depth: &Image<f32>) {
-        let settings = &context.config.hashgrid;
-        let bound = bounds::initial_bound(settings, context.camera, depth);
-        let seed = context.config.seed;
-        match bounds::untrained_field(settings, pose.translation.to_array(), bound, seed) {
+        let config = context.config;
+        let shape = FieldShape::new(config);
+        let bound = bounds::initial_bound(config, context.camera, depth);
+        match bounds::untrained_field(&shape, pose.translation.to_array(), bound, config.seed) {
             Ok(map) => {
                 let field = self.field.insert(Field::new(map, self.camera));
-                field.batch.set_moment_jitter(settings.moment_jitter);
+                field.batch.set_moment_jitter(config.parameters.field.moment_jitter);
             }
             Err(error) => self.failure = Some(error),
         }
@@ -115,11 +121,11 @@ impl FieldMapper {
     /// Replaces the field by an untrained one in a cube of half edge `bound` [m], and marks the
     /// cells of all keyframes.
     fn grow(&mut self, context: &mut MappingContext<'_>, bound: f64) {
-        let (settings, seed) = (&context.config.hashgrid, context.config.seed);
+        let (shape, seed) = (FieldShape::new(context.config), context.config.seed);
         let Some(field) = &mut self.field else { return };
         // The same settings were valid before.
         let centre = field.current.map.field.settings().centre;
-        let Ok(map) = bounds::untrained_field(settings, centre, bound, seed) else { return };
+        let Ok(map) = bounds::untrained_field(&shape, centre, bound, seed) else { return };
         self.lost_steps += std::mem::take(&mut field.steps);
         field.replace(map);
         for keyframe in context.keyframes {
@@ -136,7 +142,7 @@ impl FieldMapper {
     /// Marks the cells around the surfaces of a frame.
     fn mark_surfaces(&mut self, context: &MappingContext<'_>, pose: Pose<f64>, depth: &Image<f32>) {
         let Some(Field { current, .. }) = &mut self.field else { return };
-        let shell = context.config.hashgrid.shell;
+        let shell = context.config.parameters.field.shell;
         let HashGridMap { field, occupancy, .. } = &mut current.map;
         let range = |_, d| (d * (1.0 - shell), d * (1.0 + shell));
         mark_cells(occupancy, field, (&self.camera, pose), depth, range);
@@ -158,7 +164,7 @@ impl FieldMapper {
         }
         let settings = &context.config.hashgrid;
         if settings.bound == 0.0 {
-            let required_extent = f64::from(settings.margin)
+            let required_extent = f64::from(context.config.parameters.field.margin)
                 * bounds::required_extent(centre, context.camera, pose, depth);
             self.grow(context, required_extent.max(bounds::MIN_CUBE_GROWTH * bound));
         } else if !self.warned {
@@ -192,7 +198,7 @@ impl FieldMapper {
         let evaluations = field.batch.map(
             &field.current.map,
             &drawn,
-            (config.hashgrid.image_weight, config.hashgrid.depth_weight),
+            (config.parameters.field.image_weight, DEPTH_WEIGHT),
             with_poses,
             context.random,
             &mut field.gradient,
@@ -316,7 +322,7 @@ impl Mapper for FieldMapper {
             }
             let size = context.config.mapping.window;
             let window = recent_window(context.keyframes, Some(current), size, context.random);
-            self.step(context, &window, settings.rate, iteration < lost);
+            self.step(context, &window, LEARNING_RATE, iteration < lost);
         }
     }
 
@@ -326,13 +332,18 @@ impl Mapper for FieldMapper {
         on_step: &mut dyn FnMut(usize, usize) -> bool,
     ) {
         let settings = &context.config.hashgrid;
-        let (steps, rate) = (settings.final_iterations, settings.rate);
+        let steps = settings.final_iterations;
         let mut order: Vec<usize> = (0..context.keyframes.len()).collect();
         for step in 0..steps {
             context.random.shuffle(&mut order);
             let chosen = order.iter().take(context.config.mapping.window);
             let window: Vec<Keyframe> = chosen.map(|&k| context.keyframes[k].clone()).collect();
-            self.step(context, &window, decayed_rate(rate, step as i32, steps as i32), false);
+            self.step(
+                context,
+                &window,
+                decayed_rate(LEARNING_RATE, step as i32, steps as i32),
+                false,
+            );
             if !on_step(step + 1, steps) {
                 break;
             }

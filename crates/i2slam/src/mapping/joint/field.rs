@@ -8,14 +8,16 @@
 use super::JointMapper;
 use super::field_sampling::{
     FieldCube, active_levels, blur_length_at_depth, contains_last_view, has_surfaces, mark_view,
-    pixel_budget, sample_pixels, surface_settings, surface_shells,
+    pixel_budget, sample_pixels, surface_shape, surface_shells,
 };
 use super::localization::FrameLocator;
 use super::pose_optimizer::PoseOptimizers;
 use super::trajectory_term::TrajectoryTerm;
 use crate::config::{Config, Preconditioning};
 use crate::mapping::context::{IterationBudget, MappingContext};
-use crate::mapping::field::{MIN_CUBE_GROWTH, untrained_field};
+use crate::mapping::field::{
+    DEPTH_WEIGHT, FieldShape, LEARNING_RATE, MIN_CUBE_GROWTH, untrained_field,
+};
 use crate::mapping::frame_optimizer::{FrameOptimizers, ResponseGradients};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::window::{random_window, recent_window};
@@ -38,6 +40,8 @@ const REOPENED_REFRESHES: i32 = 24;
 const REOPENING_PHASE: std::ops::Range<f32> = 0.4..0.9;
 /// Refreshes for which the cells along such a ray stay open.
 const REOPENED_RAY_REFRESHES: i32 = 8;
+/// Learning rate of poses where keyframes have estimated depth in most pixels (the paper's).
+const SURFACE_CAMERA_RATE: f32 = 1e-4;
 /// Near plane as a share of `keyframed.reach` (torch-ngp: 0.2 of 4).
 const NEAR_SHARE: f32 = 0.05;
 /// Pixels that the Jacobian of a preconditioner is computed from.
@@ -76,14 +80,15 @@ impl Field {
         view: &PixelBatch<'_>,
         frame: usize,
     ) {
-        let settings = &context.config.keyframed;
-        if !poses.is_preconditioner_due(frame, settings.preconditioning_interval) {
+        let config = context.config;
+        let interval = config.parameters.keyframed.preconditioning_interval;
+        if !poses.is_preconditioner_due(frame, interval) {
             return;
         }
         let pixels = view.pixels.iter().copied().take(JACOBIAN_PIXELS).collect();
         let view = PixelBatch { pixels, ..*view };
         let hessian = self.batch.shutter_hessian(&self.map, &view, context.random);
-        poses.precondition(frame, &hessian, settings);
+        poses.precondition(frame, &hessian, config.keyframed.preconditioning);
     }
 }
 
@@ -110,17 +115,17 @@ struct Schedule {
 impl JointFieldMapper {
     /// The schedule for the current field.
     fn schedule(&self, config: &Config) -> Schedule {
-        let (keyframed, steps) = (&config.keyframed, config.hashgrid.final_iterations);
+        let (keyframed, steps) = (&config.parameters.keyframed, config.hashgrid.final_iterations);
         match self.field.as_ref().is_some_and(|field| field.shells.is_some()) {
             true => Schedule {
                 depth_weight: keyframed.surface_depth_weight,
                 final_depth_share: keyframed.surface_depth_left,
-                camera_rate: keyframed.surface_camera_rate,
+                camera_rate: SURFACE_CAMERA_RATE,
                 steps: (keyframed.surface_steps * steps as f32) as usize,
                 relocalizations: keyframed.surface_searches,
             },
             false => Schedule {
-                depth_weight: config.hashgrid.depth_weight,
+                depth_weight: DEPTH_WEIGHT,
                 final_depth_share: 1.0,
                 camera_rate: keyframed.camera_rate,
                 steps,
@@ -151,8 +156,9 @@ impl JointFieldMapper {
         }
         let config = context.config;
         let settings = match has_surfaces(context) {
-            true => surface_settings(context).with_growth(bound, config.keyframed.surface_growth),
-            false => config.hashgrid.clone(),
+            true => surface_shape(context)
+                .with_growth(bound, config.parameters.keyframed.surface_growth),
+            false => FieldShape::new(config),
         };
         let empty = untrained_field(&settings, centre, bound, config.seed)?;
         let mut march = empty.march;
@@ -160,8 +166,8 @@ impl JointFieldMapper {
         let occupancy = Occupancy::new(*empty.occupancy.settings());
         let map = HashGridMap { occupancy, march, ..empty };
         let mut batch = RayObjective::new(self.camera, march);
-        batch.set_depth_outlier(config.keyframed.depth_outlier);
-        batch.set_moment_jitter(settings.moment_jitter);
+        batch.set_depth_outlier(config.parameters.keyframed.depth_outlier);
+        batch.set_moment_jitter(config.parameters.field.moment_jitter);
         self.field = Some(Field {
             batch,
             renderer: FieldRenderer::new(march),
@@ -243,12 +249,14 @@ impl JointFieldMapper {
             let Field { map, renderer, .. } = &mut *field;
             map.occupancy.refresh(&map.field, renderer, config.seed);
         }
-        let samples = field.shells.as_ref().map_or(0, |_| config.keyframed.surface_samples);
+        let samples =
+            field.shells.as_ref().map_or(0, |_| config.parameters.keyframed.surface_samples);
         let limits = (config.hashgrid.rays, samples);
         let pixels = pixel_budget(limits, field.batch.samples_per_pixel()) / views.len().max(1);
         let drawn: Vec<PixelBatch<'_>> =
             views.iter().map(|view| sample_pixels(context, view, &curves, pixels)).collect();
-        let with_poses = weights.camera_rate > 0.0 && self.steps >= config.keyframed.pose_delay;
+        let with_poses =
+            weights.camera_rate > 0.0 && self.steps >= config.parameters.keyframed.pose_delay;
         if with_poses
             && config.formation.blur
             && config.keyframed.preconditioning != Preconditioning::Off
@@ -257,7 +265,7 @@ impl JointFieldMapper {
                 field.update_preconditioner(context, &mut self.poses, view, keyframe.frame);
             }
         }
-        let loss_weights = (config.hashgrid.image_weight, weights.depth_weight);
+        let loss_weights = (config.parameters.field.image_weight, weights.depth_weight);
         let Field { map, batch, gradient, adam, .. } = &mut *field;
         let evaluations =
             batch.map(map, &drawn, loss_weights, with_poses, context.random, gradient);
@@ -270,7 +278,7 @@ impl JointFieldMapper {
         let levels = map.field.settings().levels;
         gradient.keep_levels(
             &map.field,
-            active_levels(self.steps, config.keyframed.coarse_steps, levels),
+            active_levels(self.steps, config.parameters.keyframed.coarse_steps, levels),
         );
         adam.step(&mut map.field, gradient, weights.field_rate);
         self.steps += 1;
@@ -318,7 +326,9 @@ impl JointMapper for JointFieldMapper {
     fn add(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
         let settings = &context.config.hashgrid;
         let first = match &self.field {
-            None if context.keyframes.len() < context.config.keyframed.first_keyframes => {
+            None if context.keyframes.len()
+                < context.config.parameters.keyframed.first_keyframes =>
+            {
                 return Ok(());
             }
             None => true,
@@ -331,7 +341,7 @@ impl JointMapper for JointFieldMapper {
         }
         let iterations = if first { settings.first_iterations } else { settings.iterations };
         let Schedule { camera_rate, depth_weight, .. } = self.schedule(context.config);
-        let weights = StepWeights { field_rate: settings.rate, camera_rate, depth_weight };
+        let weights = StepWeights { field_rate: LEARNING_RATE, camera_rate, depth_weight };
         let budget = IterationBudget::start(context.config);
         for iteration in 0..iterations {
             if budget.is_exhausted(iteration, context.cancellation) {
@@ -352,7 +362,6 @@ impl JointMapper for JointFieldMapper {
         if self.field.is_none() {
             self.start(context)?;
         }
-        let rate = context.config.hashgrid.rate;
         let Schedule { camera_rate, depth_weight, final_depth_share, steps, relocalizations } =
             self.schedule(context.config);
         let part = steps.div_ceil(1 + relocalizations).max(1);
@@ -367,7 +376,7 @@ impl JointMapper for JointFieldMapper {
             let window = random_window(context.keyframes, size, context.random);
             let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);
             let weights = StepWeights {
-                field_rate: decayed(rate),
+                field_rate: decayed(LEARNING_RATE),
                 camera_rate: decayed(camera_rate),
                 depth_weight: depth_weight * final_depth_share.powf(step as f32 / steps as f32),
             };

@@ -5,10 +5,9 @@
 //! any orientation, or `keyframed.reach` without depth. Where keyframes have estimated depth in most
 //! pixels, only shells around their surfaces are sampled, thicker where depth is inpainted.
 
-use crate::config::HashGridConfig;
 use crate::mapping::context::MappingContext;
 use crate::mapping::depth_inpainting::inpaint_estimated;
-use crate::mapping::field::{chebyshev_distance, mark_cells, surface_distance};
+use crate::mapping::field::{FieldShape, chebyshev_distance, mark_cells, surface_distance};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::window::random_pixels;
 use crate::objective::{
@@ -96,7 +95,10 @@ impl FieldCube {
             return Self { centre, bound: f64::from(settings.bound) };
         }
         let extents = context.keyframes.iter().map(|k| required_extent(context, k, centre, 1.0));
-        Self { centre, bound: f64::from(settings.margin) * extents.fold(1e-3, f64::max) }
+        Self {
+            centre,
+            bound: f64::from(context.config.parameters.field.margin) * extents.fold(1e-3, f64::max),
+        }
     }
 }
 
@@ -128,7 +130,7 @@ fn required_extent(
     from_centre + view_distance.unwrap_or(share * f64::from(context.config.keyframed.reach))
 }
 
-/// Half thickness [standard deviations of the depth]; at least `hashgrid.shell` of the depth.
+/// Half thickness [standard deviations of the depth]; at least the field's share of the depth.
 const DEVIATIONS: f32 = 3.0;
 /// Factor between an inpainted depth and the bounds of its shell.
 const INPAINTED_RANGE: f32 = 1.3;
@@ -140,9 +142,9 @@ pub(super) fn has_surfaces(context: &MappingContext<'_>) -> bool {
 
 /// Settings of a field around known surfaces: the smaller volume allows denser samples, and cells as
 /// fine as pictures resolve.
-pub(super) fn surface_settings(context: &MappingContext<'_>) -> HashGridConfig {
-    let keyframed = &context.config.keyframed;
-    let finer = context.config.hashgrid.finer(keyframed.surface_detail);
+pub(super) fn surface_shape(context: &MappingContext<'_>) -> FieldShape {
+    let keyframed = &context.config.parameters.keyframed;
+    let finer = FieldShape::new(context.config).finer(keyframed.surface_detail);
     let depth = if keyframed.surface_cell > 0.0 { median_depth(context) } else { None };
     match depth {
         Some(depth) => finer.with_cells(keyframed.surface_cell * depth / context.camera.fx as f32),
@@ -180,7 +182,7 @@ pub(super) fn mark_view(
     let (observation, pose) = (&*keyframe.observation, context.frames[keyframe.frame].middle());
     let inpainted = inpaint_estimated(&observation.depth, None);
     let everywhere = !has_surface_depth(observation);
-    let shell = context.config.hashgrid.shell;
+    let shell = context.config.parameters.field.shell;
     let range = |pixel: usize, depth: f32| match observation.depth.data[pixel] > 0.0 {
         _ if everywhere => (map.march.near, f32::MAX),
         true => {

@@ -1,7 +1,7 @@
 //! Optimisation of start and end poses with camera preconditioning (CamP, Park et al. 2023) on
 //! photometric errors.
 
-use crate::config::{KeyframedConfig, Preconditioning};
+use crate::config::Preconditioning;
 use crate::mapping::MappingContext;
 use crate::objective::ShutterHessian;
 use i2slam_compute::{Adam, AdamSettings};
@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 
 /// Adam settings of CamP.
 const SETTINGS: AdamSettings = AdamSettings { beta1: 0.9, beta2: 0.99, epsilon: 1e-15 };
+/// Share of the diagonal of JᵀJ that is added to it (CamP).
+const DAMPING: f32 = 0.1;
 /// Least damping of a diagonal entry (CamP).
 const MIN_DAMPING: f64 = 1e-8;
 
@@ -47,10 +49,10 @@ impl PoseOptimizers {
         &mut self,
         frame: usize,
         normal_matrix: &ShutterHessian,
-        settings: &KeyframedConfig,
+        coordinates: Preconditioning,
     ) {
-        let damping = f64::from(settings.preconditioning_damping);
-        self.of(frame).preconditioner = Some(match settings.preconditioning {
+        let damping = f64::from(DAMPING);
+        self.of(frame).preconditioner = Some(match coordinates {
             Preconditioning::Pose => {
                 norm_preserving(&block_damped_preconditioner(normal_matrix, damping))
             }

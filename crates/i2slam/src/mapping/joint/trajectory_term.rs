@@ -52,16 +52,15 @@ impl TrajectoryTerm {
         if !formation.trajectory_loss || !formation.blur {
             return 0.0;
         }
-        let weight = share * f64::from(context.config.keyframed.trajectory_weight);
         let estimate = &context.frames[keyframe.frame];
         let part = match keyframe.adjacent.both(estimate.timestamp) {
             Some(adjacent) => self.with_adjacent(estimate, adjacent),
             None => self.with_neighbours(context.frames, keyframe.frame),
         };
-        evaluation.total += weight * part.loss;
-        evaluation.shutter = evaluation.shutter.plus(part.shutter.scaled(weight));
-        evaluation.tone.log_exposure += (weight * part.log_exposure) as f32;
-        self.d_scale += weight * part.scale;
+        evaluation.total += share * part.loss;
+        evaluation.shutter = evaluation.shutter.plus(part.shutter.scaled(share));
+        evaluation.tone.log_exposure += (share * part.log_exposure) as f32;
+        self.d_scale += share * part.scale;
         part.loss
     }
 

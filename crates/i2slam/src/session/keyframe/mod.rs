@@ -229,7 +229,7 @@ impl KeyframeSession {
         if !self.config.formation.blur {
             return ShutterPoses::still(frame.middle());
         }
-        let motion = motion.scaled(f64::from(self.config.keyframed.initial_split));
+        let motion = motion.scaled(f64::from(self.config.parameters.keyframed.initial_split));
         ShutterPoses {
             start: frame.middle().retract(motion.scaled(-0.5)),
             end: frame.middle().retract(motion.scaled(0.5)),

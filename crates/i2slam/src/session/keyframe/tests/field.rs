@@ -38,13 +38,14 @@ fn keyframe(index: usize, world_from_camera: Pose<f64>) -> PosedKeyframe {
 fn config() -> Config {
     let mut config = Config::preset("default-rgb").expect("known");
     config.map.kind = crate::config::MapKind::HashGrid;
+    let parameters = &mut config.parameters.field;
+    (parameters.levels, parameters.hidden_width, parameters.occupancy_cells) = (6, 16, 24);
+    (parameters.step, parameters.step_min, parameters.moment_jitter) = (1.0 / 32.0, 0.05, 1.0);
     let field = &mut config.hashgrid;
-    (field.levels, field.log2_table, field.finest_cell) = (6, 12, 0.05);
-    (field.hidden_width, field.occupancy_cells, field.bound) = (16, 24, 2.0);
-    (field.step, field.step_min, field.rays) = (1.0 / 32.0, 0.05, 256);
-    field.moment_jitter = 1.0;
+    (field.log2_table, field.finest_cell) = (12, 0.05);
+    (field.bound, field.rays) = (2.0, 256);
     (field.first_iterations, field.iterations, field.final_iterations) = (20, 5, 260);
-    let keyframed = &mut config.keyframed;
+    let keyframed = &mut config.parameters.keyframed;
     (keyframed.first_keyframes, keyframed.pose_delay, keyframed.coarse_steps) = (4, 20, 60);
     config
 }
@@ -118,9 +119,9 @@ fn without_the_module_poses_are_one() {
 #[test]
 fn the_cube_grows_with_what_keyframes_see() {
     let mut config = config();
-    (config.hashgrid.bound, config.hashgrid.margin) = (0.0, 1.0);
+    (config.hashgrid.bound, config.parameters.field.margin) = (0.0, 1.0);
     (config.hashgrid.first_iterations, config.hashgrid.iterations) = (1, 1);
-    config.keyframed.first_keyframes = 2;
+    config.parameters.keyframed.first_keyframes = 2;
     let mut session = KeyframeSession::new(config, CAMERA, 30.0);
     let mut bounds = Vec::new();
     for (index, depth) in [1.0, 1.0, 1.2, 5.0].into_iter().enumerate() {
@@ -144,10 +145,10 @@ fn the_cube_grows_with_what_keyframes_see() {
 #[test]
 fn a_field_is_sampled_around_surfaces_where_they_are_known() {
     let mut config = config();
-    (config.hashgrid.final_iterations, config.keyframed.surface_steps) = (20, 2.0);
-    config.keyframed.surface_growth = 1.3;
+    (config.hashgrid.final_iterations, config.parameters.keyframed.surface_steps) = (20, 2.0);
+    config.parameters.keyframed.surface_growth = 1.3;
     config.mapping.hold_out = 5;
-    let asked = config.hashgrid.levels;
+    let asked = config.parameters.field.levels;
     let mut session = KeyframeSession::new(config, CAMERA, 30.0);
     let seen = |index: usize| {
         let depth = Arc::unwrap_or_clone(frame(index, pose(index)).depth);
@@ -250,7 +251,7 @@ fn a_quadrature_that_is_asked_for_is_told_to_say_nothing() {
 #[test]
 fn a_field_that_cannot_begin_ends_the_session() {
     let mut config = config();
-    config.hashgrid.levels = 0;
+    config.parameters.field.levels = 0;
     let mut session = KeyframeSession::new(config, CAMERA, 30.0);
     let error = (0..5).find_map(|i| session.process(keyframe(i, pose(i))).err());
     let message = error.expect("a field of no levels").to_string();
