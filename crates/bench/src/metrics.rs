@@ -7,13 +7,13 @@ use std::path::Path;
 /// Metrics by their key in `metrics.json` and `eval --json`.
 pub(crate) type Metrics = BTreeMap<String, f64>;
 
-/// A metric of the tables.
+/// A metric with key, unit and format.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Metric {
     pub(crate) key: &'static str,
     pub(crate) label: &'static str,
     pub(crate) unit: &'static str,
-    /// From the unit of the file to the one shown.
+    /// Factor from the unit of the file to the one shown.
     pub(crate) factor: f64,
     pub(crate) decimals: usize,
     /// Whether less is better.
@@ -44,7 +44,7 @@ pub(crate) const SECONDS: Metric =
 pub(crate) const MEMORY: Metric = metric("peak_memory_bytes", "Peak memory", ("MB", 1e-6), 0, true);
 
 impl Metric {
-    /// `ATE [cm] ↓`.
+    /// Column heading, as `ATE [cm] ↓`.
     pub(crate) fn heading(&self) -> String {
         let arrow = if self.lower { '↓' } else { '↑' };
         match self.unit {
@@ -53,20 +53,20 @@ impl Metric {
         }
     }
 
-    /// A value in the unit shown; lengths below one unit get a digit more.
+    /// A value in the unit shown.
     pub(crate) fn text(&self, value: f64) -> String {
         format!("{:.*}", self.digits(value), value * self.factor)
     }
 
-    /// Decimals that a value is shown with.
+    /// Decimals of a value; lengths below one unit get one more.
     pub(crate) fn digits(&self, value: f64) -> usize {
         let small = self.unit == "cm" && (value * self.factor).abs() < 0.995;
         self.decimals + usize::from(small)
     }
 }
 
-/// What a list of frames decides: never the same metric over other frames.
-const OF_PICTURES: [&str; 6] =
+/// Metrics that depend on the judged frames.
+const PICTURE_METRICS: [&str; 6] =
     ["psnr_sharp_db", "ssim_sharp", "lpips_sharp", "ms_ssim_sharp", "depth_l1_m", "sharp_frames"];
 
 /// All numbers of a flat JSON file.
@@ -79,12 +79,12 @@ pub(crate) fn read(file: &Path) -> Option<Metrics> {
     Some(object.into_iter().filter_map(number).collect())
 }
 
-/// The metrics of a finished job: those of its `metrics.json`, and from `eval.json` what that
-/// does not have. With a list of frames, metrics of pictures come from `eval.json` alone.
-pub(crate) fn of_job(folder: &Path, listed: bool) -> Option<Metrics> {
+/// The metrics of a finished job: those of `metrics.json`, completed by `eval.json`. Where a protocol
+/// chose the frames, metrics of pictures come from `eval.json` alone.
+pub(crate) fn of_job(folder: &Path, with_protocol: bool) -> Option<Metrics> {
     let mut metrics = read(&folder.join("result/metrics.json"))?;
-    if listed {
-        metrics.retain(|key, _| !OF_PICTURES.contains(&key.as_str()));
+    if with_protocol {
+        metrics.retain(|key, _| !PICTURE_METRICS.contains(&key.as_str()));
     }
     for (key, value) in read(&folder.join("eval.json")).unwrap_or_default() {
         metrics.entry(key).or_insert(value);

@@ -26,11 +26,11 @@ pub(crate) enum Outcome {
     NotRun,
 }
 
-/// Jobs that wait and jobs that run.
+/// Waiting and running jobs.
 struct State {
     waiting: std::vec::IntoIter<usize>,
     running: HashMap<usize, Running>,
-    /// Most memory that a finished job of a sequence held [bytes].
+    /// Peak memory of finished jobs by sequence [bytes].
     peaks: HashMap<usize, u64>,
 }
 
@@ -66,7 +66,7 @@ pub(crate) fn run(
     records.into_inner().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The next job, once there is room for it; `None` when all are given out or the user ends.
+/// Waits until the next job fits into memory; `None` at the end of the queue and on interruption.
 fn next(bench: &Bench<'_>, state: &Mutex<State>) -> Option<usize> {
     loop {
         if interrupted() {

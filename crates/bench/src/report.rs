@@ -15,7 +15,7 @@ use std::path::Path;
 
 const OWN_STYLE: &str = include_str!("report.css");
 
-/// Writes everything that a reader wants, each file complete or not at all.
+/// Writes tables, jobs and report.
 pub(crate) fn write(results: &Results<'_>, out: &Path) -> Result<(), Failure> {
     let folder = ResultFolder::create(out)?;
     let tables = tables::tables(results);
@@ -28,7 +28,7 @@ pub(crate) fn write(results: &Results<'_>, out: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// How many jobs finished, failed, and did not run.
+/// Numbers of jobs that finished, failed, and did not run.
 pub(crate) fn counts(results: &Results<'_>) -> [usize; 3] {
     let all = 0..results.outcomes.len();
     let finished = all.clone().filter(|&place| results.finished(place)).count();
@@ -36,7 +36,7 @@ pub(crate) fn counts(results: &Results<'_>) -> [usize; 3] {
     [finished, failed, results.outcomes.len() - finished - failed]
 }
 
-/// The same in words.
+/// Counts of jobs in words.
 pub(crate) fn state(results: &Results<'_>) -> String {
     let [finished, failed, left] = counts(results);
     let mut text = format!("{finished} of {} finished", counted(results.outcomes.len(), "job"));
@@ -49,7 +49,7 @@ pub(crate) fn state(results: &Results<'_>) -> String {
     text
 }
 
-/// What the reader must know besides the tables.
+/// Notes on sequences, builds and times.
 fn remarks(results: &Results<'_>) -> Vec<String> {
     let mut remarks = results.plan.notes.clone();
     let builds: BTreeSet<&str> = results
@@ -102,7 +102,7 @@ fn markdown(results: &Results<'_>, tables: &[Table]) -> String {
     text
 }
 
-/// Every configuration with what makes it.
+/// Name and settings of every configuration.
 fn configurations(results: &Results<'_>) -> Vec<(String, String)> {
     let words = |configuration: &crate::plan::Configuration| {
         let mut parts = vec![format!("preset {}", configuration.entry.preset())];
@@ -113,7 +113,7 @@ fn configurations(results: &Results<'_>) -> Vec<(String, String)> {
     results.plan.configurations.iter().map(words).collect()
 }
 
-/// `section.key = value` for every value.
+/// Collects `section.key = value` of every value.
 fn dotted(section: &str, table: &toml::Table, parts: &mut Vec<String>) {
     for (key, value) in table {
         match value {
@@ -123,7 +123,7 @@ fn dotted(section: &str, table: &toml::Table, parts: &mut Vec<String>) {
     }
 }
 
-/// One line for every job, with all its metrics, units as in `metrics.json`.
+/// `jobs.csv`: one line per job with all its metrics, units as in `metrics.json`.
 fn job_table(results: &Results<'_>) -> String {
     let keys: BTreeSet<&String> = results.metrics.iter().flat_map(|f| f.keys()).collect();
     let own = ["sequence", "configuration", "job_seed", "state", "reason", "job_seconds"];
@@ -191,7 +191,7 @@ fn html(results: &Results<'_>, tables: &[Table]) -> String {
     )
 }
 
-/// All plots that the suite has metrics for.
+/// The plots for which there are metrics.
 fn plots(results: &Results<'_>) -> Vec<Plot> {
     let mut plots = Vec::new();
     let (over_cameras, over_time) = ("over the number of virtual cameras", "over time per frame");
@@ -224,7 +224,7 @@ fn plots(results: &Results<'_>) -> Vec<Plot> {
     plots
 }
 
-/// A metric over what `x` says of each configuration.
+/// Plots a metric over the value `x` of each configuration.
 fn plot(
     results: &Results<'_>,
     metric: &'static Metric,

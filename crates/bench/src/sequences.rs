@@ -19,7 +19,7 @@ pub(crate) struct Sequence {
     pub(crate) list: Option<FrameList>,
 }
 
-/// Where frames come from.
+/// Origin of the frames.
 pub(crate) enum Source {
     Folder(PathBuf),
     /// The specification, as a file for `i2slam synth`.
@@ -146,7 +146,7 @@ fn matching_folders(within: &Path, pattern: &str) -> Vec<PathBuf> {
     found
 }
 
-/// Whether a name has a pattern's parts between its `*` in their order.
+/// Whether a name matches a pattern, in which `*` stands for any text.
 fn matches(name: &str, pattern: &str) -> bool {
     let Some((first, rest)) = pattern.split_once('*') else { return name == pattern };
     let Some(mut name) = name.strip_prefix(first) else { return false };

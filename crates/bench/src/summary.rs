@@ -16,13 +16,13 @@ pub(crate) struct Results<'a> {
 /// One number of a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Value {
-    /// Over some of the seeds.
+    /// Mean over seeds.
     Measured(Measured),
-    /// Nothing to measure it with: no truth.
+    /// Not measurable, for want of ground truth.
     Unknown,
     /// No seed finished, and some failed.
     Failed,
-    /// No seed finished, and some did not begin.
+    /// No seed finished or failed.
     NotRun,
 }
 
@@ -53,7 +53,7 @@ impl Results<'_> {
         matches!(&self.outcomes[place], Outcome::Ended(record) if record.failure.is_none())
     }
 
-    /// Why a job has none.
+    /// The reason of a failure.
     pub(crate) fn failure(&self, place: usize) -> Option<&str> {
         match &self.outcomes[place] {
             Outcome::Ended(record) => record.failure.as_deref(),
@@ -72,15 +72,15 @@ impl Results<'_> {
         self.metrics[place].get(metric.key).copied()
     }
 
-    /// One sequence, one configuration.
+    /// A metric of one configuration on one sequence.
     pub(crate) fn of(&self, sequence: usize, configuration: usize, metric: &Metric) -> Value {
         let places: Vec<usize> = self.places(sequence, configuration).collect();
         let numbers = places.iter().map(|&place| self.number(place, metric)).collect();
         self.value(numbers, &places)
     }
 
-    /// The mean over all sequences that have the metric at all. A seed counts where every one of
-    /// them has it, so that no row is better for a sequence that it lost.
+    /// The mean over all sequences that have the metric. A seed counts only if all of them have it:
+    /// a lost sequence must not improve a mean.
     pub(crate) fn over_sequences(&self, configuration: usize, metric: &Metric) -> Value {
         let sequences = self.sequences_with(metric);
         let by_sequence: Vec<Vec<usize>> =

@@ -4,7 +4,7 @@ use crate::metrics::Metric;
 use crate::summary::Value;
 use i2slam_result::html::escape;
 
-/// A table with metrics.
+/// A table of the results.
 pub(crate) struct Table {
     /// File name.
     pub(crate) slug: &'static str,
@@ -65,8 +65,7 @@ impl Entry {
     }
 }
 
-/// Marks the best of entries that stand for one metric, with those that look the same; one alone
-/// is not the best.
+/// Marks the best entries of one metric, equal ones included; a single entry is not marked.
 pub(crate) fn mark_best<'a>(entries: impl Iterator<Item = &'a mut Entry>) {
     let mut entries: Vec<&mut Entry> = entries.collect();
     let means: Vec<(f64, &'static Metric)> = entries.iter().filter_map(|e| e.mean()).collect();
@@ -83,7 +82,7 @@ pub(crate) fn mark_best<'a>(entries: impl Iterator<Item = &'a mut Entry>) {
 }
 
 impl Table {
-    /// The column's name with that of its group.
+    /// Names of the columns with those of their groups.
     fn columns(&self) -> Vec<String> {
         let mut groups = self.groups.iter().flat_map(|(name, width)| vec![name.as_str(); *width]);
         let full = |name: &String| match groups.next() {
@@ -107,7 +106,7 @@ impl Table {
         text
     }
 
-    /// A column with numbers becomes three: mean, spread, seeds; units as in `metrics.json`.
+    /// The table as CSV: a column of numbers becomes three (mean, standard deviation, seeds).
     pub(crate) fn csv(&self) -> String {
         let numeric: Vec<bool> = (0..self.header.len())
             .map(|i| self.rows.iter().any(|row| matches!(row.get(i), Some(Entry::Number { .. }))))
@@ -154,7 +153,7 @@ impl Table {
         text + "</tbody></table></div></section>\n"
     }
 
-    /// The first cell of a row, as high as there are rows of the same name.
+    /// The first cell of a row, spanning all rows of its name.
     fn html_head(&self, place: usize) -> String {
         let name = |row: &Vec<Entry>| row.first().map(Entry::text).unwrap_or_default();
         let own = name(&self.rows[place]);
@@ -191,7 +190,7 @@ fn csv_cells(entry: &Entry) -> Vec<String> {
     }
 }
 
-/// A line of comma-separated values, quoted where they must be (RFC 4180).
+/// A line of comma-separated values, quoted where necessary (RFC 4180).
 pub(crate) fn csv_line(cells: &[String]) -> String {
     let quoted = |cell: &String| match cell.contains([',', '"', '\n', '\r']) {
         true => format!("\"{}\"", cell.replace('"', "\"\"")),

@@ -1,4 +1,4 @@
-//! The paper's tables.
+//! The tables of the results, in the layouts of the paper.
 
 use crate::console::counted;
 use crate::metrics::{ATE, DEPTH, LPIPS, MAPPING, MEMORY, Metric, PSNR, SECONDS, SSIM, TRACKING};
@@ -7,7 +7,7 @@ use crate::suite::{Protocol, TableKind};
 use crate::summary::Results;
 use crate::table::{Entry, Table, mark_best};
 
-/// The tables that the suite asks for, and the list of what is missing.
+/// The tables of the suite, and that of jobs without a result.
 pub(crate) fn tables(results: &Results<'_>) -> Vec<Table> {
     let table = |kind: &TableKind| match kind {
         TableKind::Rendering => rendering(results),
@@ -21,7 +21,7 @@ pub(crate) fn tables(results: &Results<'_>) -> Vec<Table> {
     tables
 }
 
-/// Groups over the columns of sequences, after `before` columns and before the mean.
+/// Group headings over the columns of sequences, which come after `before` others.
 fn groups(results: &Results<'_>, before: usize) -> Vec<(String, usize)> {
     let mut groups = vec![(String::new(), before)];
     for sequence in &results.plan.sequences {
@@ -43,7 +43,7 @@ fn sequence_names(results: &Results<'_>, before: &[&str]) -> Vec<String> {
     header
 }
 
-/// One metric of one configuration on every sequence, and the mean over them.
+/// A metric of one configuration on every sequence, and its mean.
 fn across(results: &Results<'_>, configuration: usize, metric: &'static Metric) -> Vec<Entry> {
     let count = results.plan.sequences.len();
     let mut values: Vec<_> = (0..count).map(|s| results.of(s, configuration, metric)).collect();
@@ -53,7 +53,7 @@ fn across(results: &Results<'_>, configuration: usize, metric: &'static Metric) 
     values.into_iter().map(|value| Entry::number(value, metric)).collect()
 }
 
-/// Table of the rendering quality: a block of metrics for every method.
+/// Rendering quality: a block of metrics for every configuration.
 fn rendering(results: &Results<'_>) -> Table {
     let all = [&PSNR, &SSIM, &LPIPS, &DEPTH];
     let known = all.iter().filter(|metric| !results.sequences_with(metric).is_empty());
@@ -93,7 +93,7 @@ fn rendering(results: &Results<'_>) -> Table {
     }
 }
 
-/// Table of the trajectory errors.
+/// Trajectory errors.
 fn tracking(results: &Results<'_>) -> Table {
     let row = |place: usize| {
         let name = Entry::Words(results.plan.configurations[place].entry.name.clone());
@@ -119,7 +119,8 @@ fn tracking(results: &Results<'_>) -> Table {
     }
 }
 
-/// Marks the best of every column among the rows of one metric; rows come in blocks of `block`.
+/// Marks the best of every column among the rows of one metric; there is a row per metric in every
+/// block of `block` rows.
 fn best_by_metric(rows: &mut [Vec<Entry>], block: usize, first: usize) {
     let columns = rows.first().map_or(0, Vec::len);
     for offset in 0..block {
@@ -130,8 +131,7 @@ fn best_by_metric(rows: &mut [Vec<Entry>], block: usize, first: usize) {
     }
 }
 
-/// A table with a row for every configuration and a column for every metric, each the mean over
-/// the sequences.
+/// Header and rows of means over the sequences: configurations down, metrics across.
 fn averages(
     results: &Results<'_>,
     heads: &[&str],
@@ -196,7 +196,7 @@ fn virtual_cameras(results: &Results<'_>) -> Table {
     }
 }
 
-/// Every job that has no metrics, with the reason.
+/// Jobs without metrics, with the reason.
 fn missing(results: &Results<'_>) -> Option<Table> {
     let jobs = results.plan.jobs.iter().enumerate();
     let row = |(place, job): (usize, &crate::plan::Job)| {

@@ -1,4 +1,4 @@
-//! The part of the page that an evaluation fills in later.
+//! The section of the report that `i2slam eval` fills in.
 
 use crate::html::escape;
 use serde::{Deserialize, Serialize};
@@ -8,26 +8,26 @@ use std::path::PathBuf;
 const BEGIN: &str = "<!-- evaluation -->";
 const END: &str = "<!-- /evaluation -->";
 
-/// What one protocol found.
+/// Results of one protocol.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationSection {
-    /// The protocol, and what else decides the numbers.
+    /// The protocol and its options.
     pub title: String,
-    /// Which frames were judged, and what could not be.
+    /// Which frames were judged, and which could not be.
     pub notes: Vec<String>,
     /// Name and value with unit.
     pub rows: Vec<(String, String)>,
-    /// What it rests on; `None` where an older program wrote it.
+    /// Ground truth and frames; `None` in files of earlier versions.
     #[serde(default)]
     pub source: Option<EvaluationSource>,
 }
 
-/// What an evaluation rests on, so that its figures can be made again.
+/// Ground truth and frames of an evaluation, by which it can be repeated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationSource {
     /// Name of the protocol.
     pub protocol: String,
-    /// The list that chose the frames, as it was given.
+    /// The list of frames, as given.
     pub list: Option<String>,
     /// Frames whose pictures were judged, by position in the associated stream.
     pub frames: Vec<usize>,
@@ -37,7 +37,7 @@ pub struct EvaluationSource {
     pub pictures: Option<GroundTruthSource>,
 }
 
-/// One truth.
+/// Ground truth of trajectory or pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GroundTruthSource {
     /// File or folder, absolute.
@@ -49,8 +49,7 @@ pub struct GroundTruthSource {
     pub crc32: String,
 }
 
-/// The page with these sections in place of those that it has; `None` for a page that has no
-/// place for them.
+/// Replaces the evaluation sections of a report; `None` for a page that is no report.
 pub fn insert_evaluations(page: &str, sections: &[EvaluationSection]) -> Option<String> {
     let (before, rest) = page.split_once(BEGIN)?;
     let (_, after) = rest.split_once(END)?;
@@ -83,7 +82,7 @@ fn write_section(out: &mut String, section: &EvaluationSection) {
     *out += "</table></div>\n";
 }
 
-/// Against which truth.
+/// Writes a sentence that names the ground truth.
 fn write_source(out: &mut String, source: &EvaluationSource) {
     let line = |truth: &GroundTruthSource, what: &str| {
         let (path, s) =

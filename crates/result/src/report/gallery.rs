@@ -1,4 +1,4 @@
-//! Before and after, and one frame at several exposures.
+//! Pictures of the report: before and after, and one frame at several exposures.
 
 use super::Report;
 use super::headline::significant;
@@ -12,11 +12,11 @@ use std::fmt::Write;
 pub struct Comparison {
     /// The frame's position in the associated stream.
     pub index: usize,
-    /// The picture taken.
+    /// The input picture.
     pub input: Image<f32>,
     /// The map at mid-exposure, formed without blur.
     pub sharp: Image<f32>,
-    /// What formation predicts for the picture taken.
+    /// The picture predicted by image formation, blur included.
     pub blurred: Image<f32>,
     /// Depth at mid-exposure [m]; 0 where there is none.
     pub depth: Image<f32>,
@@ -24,8 +24,8 @@ pub struct Comparison {
     pub brackets: Vec<(f64, Image<f32>)>,
 }
 
-/// The sliders: input on the left, one of three renders on the right. The most blurred frame is
-/// shown first.
+/// Sliders with the input on the left and one of three renders on the right; the most blurred frame
+/// is shown first.
 pub(super) fn gallery(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
     let estimate = |c: &Comparison| frames.iter().find(|f| f.index == c.index);
@@ -77,7 +77,7 @@ fn write_pair(
     write!(out, "</figcaption></figure>")
 }
 
-/// One frame, darker and brighter than it was taken: the first that comes with such pictures.
+/// The first frame with pictures at other exposures, darker and brighter than it was taken.
 pub(super) fn brackets(comparisons: &[Comparison]) -> String {
     let Some(comparison) = comparisons.iter().find(|c| !c.brackets.is_empty()) else {
         return "<p class=\"none\">This run has no high dynamic range: exposure, white balance and \
@@ -103,7 +103,7 @@ pub(super) fn brackets(comparisons: &[Comparison]) -> String {
     out + "</div>"
 }
 
-/// Depth as colours, near warm and far cool, dark where there is none.
+/// Colours of depth: near is warm, far is cool, dark where there is none.
 fn depth_colours(depth: &Image<f32>) -> Image<f32> {
     let mut valid: Vec<f32> = depth.plane(0).iter().copied().filter(|&d| d > 0.0).collect();
     valid.sort_by(f32::total_cmp);
@@ -120,7 +120,7 @@ fn depth_colours(depth: &Image<f32>) -> Image<f32> {
     colours
 }
 
-/// Sand, coral, violet, night blue.
+/// Colour map from 0 (near) to 1 (far): sand, coral, violet, night blue.
 fn warm_to_cool(share: f32) -> [f32; 3] {
     const STOPS: [[f32; 3]; 4] =
         [[0.99, 0.91, 0.70], [0.93, 0.50, 0.42], [0.48, 0.25, 0.52], [0.10, 0.12, 0.32]];

@@ -1,11 +1,11 @@
-//! The first screen: one sentence and the figures that matter.
+//! The first screen of the report: one sentence and the main figures.
 
 use super::Report;
 use crate::html::escape;
 use crate::{Metrics, UnitOfLength};
 use std::fmt::Write;
 
-/// What was done, in a sentence.
+/// A sentence that sums up the run.
 pub(super) fn lead(report: &Report<'_>) -> String {
     let metrics = report.metrics;
     let end = if metrics.complete { "" } else { " The run was ended before its last frame." };
@@ -31,7 +31,7 @@ pub(super) fn lead(report: &Report<'_>) -> String {
     )
 }
 
-/// The headline figures, each with one line that says what it is.
+/// The main figures, each with a line of explanation.
 pub(super) fn cards(metrics: &Metrics) -> String {
     let mut out = String::new();
     let mut count = 0;
@@ -104,7 +104,7 @@ pub(super) fn cards(metrics: &Metrics) -> String {
     format!("<dl class=\"cards\" style=\"--columns:{columns}\">{out}</dl>")
 }
 
-/// Frames that the run was given; older figures count only those that have a pose.
+/// Frames of the input; earlier versions counted only those with a pose.
 fn given(metrics: &Metrics) -> usize {
     metrics.frames_given.max(metrics.frames)
 }

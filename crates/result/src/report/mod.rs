@@ -1,5 +1,5 @@
-//! `report.html`: one self-contained page that shows what a run found, for someone who sees such
-//! a system for the first time.
+//! `report.html`: a self-contained page with pictures, plots and figures of a run, for readers who
+//! see such a system for the first time.
 
 mod evaluation;
 mod gallery;
@@ -20,16 +20,16 @@ use std::fmt::Write;
 const TEMPLATE: &str = include_str!("template.html");
 const SCRIPT: &str = include_str!("script.js");
 
-/// What the page is made of.
+/// Contents of the page.
 #[derive(Clone, Copy, Debug)]
 pub struct Report<'a> {
     /// Name of the sequence.
     pub title: &'a str,
     /// The run.
     pub reconstruction: &'a Reconstruction,
-    /// Its figures.
+    /// Its measurements.
     pub metrics: &'a Metrics,
-    /// Ground truth laid onto the estimate, in the estimate's world; empty if unknown.
+    /// Ground truth aligned to the estimate, in the estimate's world; empty if unknown.
     pub ground_truth: &'a [StampedPose],
     /// True exposures as (stream index, exposure in any unit); empty if unknown.
     pub true_exposure: &'a [(usize, f64)],
@@ -38,8 +38,8 @@ pub struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// The page; `there` tells which files lie beside it.
-    pub fn html(&self, there: impl Fn(&str) -> bool) -> String {
+    /// The page; it lists those files of the folder for which `exists` is true.
+    pub fn html(&self, exists: impl Fn(&str) -> bool) -> String {
         let values = [
             ("title", escape(self.title)),
             ("style", STYLE.to_owned()),
@@ -51,23 +51,23 @@ impl Report<'_> {
             ("brackets", gallery::brackets(self.comparisons)),
             ("trajectory", plots::trajectory(self)),
             ("tone", plots::tone(self)),
-            ("motion", plots::motion(self)),
-            ("work", plots::work(self)),
-            ("files", file_rows(there)),
+            ("motion", plots::blur(self)),
+            ("work", plots::statistics(self)),
+            ("files", file_rows(exists)),
             ("settings", escape(&self.reconstruction.config.to_toml())),
             ("version", escape(&self.metrics.version)),
         ];
         fill(TEMPLATE, &values)
     }
 
-    /// Write the page as `report.html`, last of all files: it lists those that it finds there.
+    /// Writes `report.html`; it comes last, because it lists the other files.
     pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ResultError> {
         folder.write_text("report.html", &self.html(|name| folder.path().join(name).exists()))
     }
 }
 
-/// At most `count` frames worth showing: the sequence is cut into equal parts, and each gives
-/// its most blurred frame. Returns positions in `frames`, ascending.
+/// Selects at most `count` frames, the most blurred of each of so many equal parts of the sequence.
+/// Returns ascending indices into `frames`.
 pub fn frames_to_show(frames: &[FrameEstimate], count: usize) -> Vec<usize> {
     let parts = count.min(frames.len());
     let most_blurred = |part: usize| {
@@ -77,7 +77,7 @@ pub fn frames_to_show(frames: &[FrameEstimate], count: usize) -> Vec<usize> {
     (0..parts).filter_map(most_blurred).collect()
 }
 
-/// Replaces each `{{key}}` of the template once, left to right; values are not searched again.
+/// Replaces each `{{key}}` of the template, but none in the values.
 fn fill(template: &str, values: &[(&str, String)]) -> String {
     let mut page = String::new();
     let mut rest = template;
@@ -90,10 +90,10 @@ fn fill(template: &str, values: &[(&str, String)]) -> String {
     page + rest
 }
 
-/// Warnings that are seen without unfolding the others.
+/// Number of warnings that are shown without unfolding.
 const UNFOLDED: usize = 6;
 
-/// The section; nothing where nothing was unusual.
+/// The list of warnings; empty if there are none.
 fn warning_section(warnings: &[Warning]) -> String {
     if warnings.is_empty() {
         return String::new();
@@ -122,7 +122,7 @@ fn warning_items(warnings: &[Warning]) -> String {
     warnings.iter().map(item).collect()
 }
 
-/// Names and what they hold, for readers who see such a folder for the first time.
+/// Files of a result with their contents.
 const FILES: [(&str, &str); 14] = [
     ("trajectory.txt", "Camera path, TUM format, world from camera, mid-exposure"),
     ("trajectory_shutter.txt", "Poses at shutter open and close"),
@@ -143,11 +143,11 @@ const FILES: [(&str, &str); 14] = [
     ),
 ];
 
-/// A row for each that is there; `there` is asked by name.
-fn file_rows(there: impl Fn(&str) -> bool) -> String {
+/// A table row for every file that exists.
+fn file_rows(exists: impl Fn(&str) -> bool) -> String {
     let mut out = String::new();
     for (names, meaning) in FILES {
-        if names.split(", ").all(&there) {
+        if names.split(", ").all(&exists) {
             // Writing to a string cannot fail.
             writeln!(out, "<tr><td><code>{names}</code></td><td>{meaning}</td></tr>").ok();
         }

@@ -1,4 +1,4 @@
-//! The plots of the page, from the estimates of the frames.
+//! The plots of the report.
 
 use super::Report;
 use crate::UnitOfLength;
@@ -28,7 +28,7 @@ fn points(frames: &[FrameEstimate], value: impl Fn(&FrameEstimate) -> f64) -> Po
     frames.iter().map(|f| (f.index as f64, value(f))).collect()
 }
 
-/// The path from above and from the side, and its distance from the truth.
+/// The path from above and from the side, and its error.
 pub(super) fn trajectory(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
     let Some(first) = frames.first() else {
@@ -36,15 +36,19 @@ pub(super) fn trajectory(report: &Report<'_>) -> String {
     };
     // Seen from the first camera, whose axes are right, down and forward.
     let first_from_world = first.middle().inverse();
-    let path: Vec<[f64; 3]> = frames.iter().map(|f| seen(first_from_world, f.middle())).collect();
-    let truth = report.ground_truth.iter().map(|p| seen(first_from_world, p.world_from_camera));
+    let path: Vec<[f64; 3]> =
+        frames.iter().map(|f| centre_in_first_camera(first_from_world, f.middle())).collect();
+    let truth = report
+        .ground_truth
+        .iter()
+        .map(|p| centre_in_first_camera(first_from_world, p.world_from_camera));
     let truth: Vec<[f64; 3]> = truth.collect();
     let [right, forward, up] = match report.metrics.unit_of_length {
         UnitOfLength::Metre => ["to the right [m]", "forward [m]", "up [m]"],
         UnitOfLength::Unknown => ["to the right", "forward", "up (unit of length unknown)"],
     };
-    let mut out = view("From above", right, forward, &path, &truth, [0, 2]);
-    out += &view("From the side", forward, up, &path, &truth, [2, 1]);
+    let mut out = path_view("From above", right, forward, &path, &truth, [0, 2]);
+    out += &path_view("From the side", forward, up, &path, &truth, [2, 1]);
     if let Some(error) = position_error(frames, report.ground_truth) {
         out += &error.html();
     }
@@ -52,12 +56,12 @@ pub(super) fn trajectory(report: &Report<'_>) -> String {
 }
 
 /// A camera centre in the frame of the first camera: right, up, forward.
-fn seen(first_from_world: Pose<f64>, world_from_camera: Pose<f64>) -> [f64; 3] {
+fn centre_in_first_camera(first_from_world: Pose<f64>, world_from_camera: Pose<f64>) -> [f64; 3] {
     let centre = first_from_world * world_from_camera.translation;
     [centre.x, -centre.y, centre.z]
 }
 
-fn view(
+fn path_view(
     title: &str,
     x_label: &str,
     y_label: &str,
@@ -88,7 +92,7 @@ fn view(
     .html()
 }
 
-/// Distance of each estimate from the truth, which comes with the same timestamps.
+/// Distance of each estimate from the ground truth of its timestamp.
 fn position_error(frames: &[FrameEstimate], truth: &[StampedPose]) -> Option<Plot> {
     let stamps: Vec<f64> = truth.iter().map(|p| p.timestamp).collect();
     let error = |frame: &FrameEstimate| {
@@ -102,7 +106,7 @@ fn position_error(frames: &[FrameEstimate], truth: &[StampedPose]) -> Option<Plo
     (!truth.is_empty()).then_some(plot)
 }
 
-/// Exposure, white balance, response.
+/// Exposure, white balance and camera response.
 pub(super) fn tone(report: &Report<'_>) -> String {
     let reconstruction = report.reconstruction;
     if !reconstruction.config.formation.tone {
@@ -123,15 +127,15 @@ fn exposure(report: &Report<'_>) -> Plot {
     plot.from_zero = false;
     let estimate = points(frames, stops);
     if !report.true_exposure.is_empty() {
-        let truth = lay_onto(&estimate, report.true_exposure);
+        let truth = align_exposure(&estimate, report.true_exposure);
         plot.series.push(Series::line("truth", "c2", truth).styled(Style::Under));
     }
     plot.series.push(Series::line("recovered", "c1", estimate));
     plot
 }
 
-/// True exposures in stops, with the one free gain removed.
-fn lay_onto(estimate: &[(f64, f64)], truth: &[(usize, f64)]) -> Points {
+/// True exposures [stops], with the mean offset to the estimate removed: one gain is free.
+fn align_exposure(estimate: &[(f64, f64)], truth: &[(usize, f64)]) -> Points {
     let stops = |e: f64| if e > 0.0 { e.log2() } else { f64::NAN };
     let truth: Points = truth.iter().map(|&(i, e)| (i as f64, stops(e))).collect();
     let differences: Vec<f64> = truth
@@ -186,8 +190,8 @@ fn response(report: &Report<'_>) -> Plot {
     plot
 }
 
-/// Blur length.
-pub(super) fn motion(report: &Report<'_>) -> String {
+/// Blur length of the frames.
+pub(super) fn blur(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
     let explanation = "Length of the streak that a point of the scene draws while the shutter is \
                        open (median over the picture).";
@@ -197,7 +201,7 @@ pub(super) fn motion(report: &Report<'_>) -> String {
     plot.html()
 }
 
-/// What the depth loss of a run is, and its axis.
+/// Explanation and axis label of the depth loss.
 fn depth_loss(config: &Config) -> (&'static str, &'static str) {
     let second_order = config.tracking.method == TrackingMethod::SecondOrder;
     match second_order && config.tracking.iterations == 0 {
@@ -214,8 +218,8 @@ fn depth_loss(config: &Config) -> (&'static str, &'static str) {
     }
 }
 
-/// Time, losses and size of the map.
-pub(super) fn work(report: &Report<'_>) -> String {
+/// Time, losses and map size over the frames.
+pub(super) fn statistics(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
     let mut time = over_frames("Time", "Seconds of work on each frame.", "time [s]");
     let total = |f: &FrameEstimate| f.tracking_seconds + f.mapping_seconds;
@@ -229,7 +233,7 @@ pub(super) fn work(report: &Report<'_>) -> String {
     image.series = vec![Series::line("picture", "c1", points(frames, |f| f.losses.image))];
     let mut plots = vec![time, image];
     let config = &report.reconstruction.config;
-    // Of colour alone no depth was measured that the map's could be held against.
+    // Of colour alone there is no measured depth.
     if !config.is_rgb() {
         let (explanation, unit) = depth_loss(config);
         let mut depth = over_frames("Depth loss", explanation, unit);
