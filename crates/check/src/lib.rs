@@ -41,8 +41,8 @@ pub fn central_differences(x: &[f64], step: f64, mut f: impl FnMut(&[f64]) -> f6
         .collect()
 }
 
-/// How far two vectors are apart, relative to the larger of their largest entries.
-/// NaN anywhere gives infinity.
+/// Largest difference of two vectors, relative to the larger of their largest entries; infinity if
+/// anything is NaN.
 pub fn relative_error(actual: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(actual.len(), expected.len(), "vectors of different length");
     if actual.iter().chain(expected).any(|v| !v.is_finite()) {

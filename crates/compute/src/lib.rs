@@ -1,4 +1,5 @@
-//! How to run here: optimisers, small linear systems, random numbers, fixed-order reductions.
+//! Optimisers, small linear systems, vector instructions, random numbers and fixed-order
+//! reductions.
 //!
 //! Everything gives the same bytes for any number of threads.
 

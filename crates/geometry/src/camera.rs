@@ -98,7 +98,7 @@ impl<T: Real> Camera<T> {
             && v < T::of(self.height as f64) - border
     }
 
-    /// The same camera in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> Camera<U> {
         Camera {
             width: self.width,

@@ -48,7 +48,7 @@ impl<T: Real> Tangent<T> {
         Self { translation: self.translation + o.translation, rotation: self.rotation + o.rotation }
     }
 
-    /// The same numbers in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(self) -> Tangent<U> {
         Tangent { translation: self.translation.cast(), rotation: self.rotation.cast() }
     }
@@ -101,7 +101,7 @@ impl<T: Real> Pose<T> {
         }
     }
 
-    /// The same transform in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(self) -> Pose<U> {
         Pose { rotation: self.rotation.cast(), translation: self.translation.cast() }
     }

@@ -108,13 +108,13 @@ impl<T: Real> Rotation<T> {
         self * Self::exp((self.inverse() * other).log() * u)
     }
 
-    /// The same rotation with its quaternion scaled to length one.
+    /// Scales the quaternion to length one.
     pub fn normalized(self) -> Self {
         let norm = (self.w * self.w + self.v.norm_squared()).sqrt();
         Self { w: self.w / norm, v: self.v * norm.recip() }
     }
 
-    /// The same rotation in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(self) -> Rotation<U> {
         Rotation { w: U::of(self.w.to_f64()), v: self.v.cast() }.normalized()
     }

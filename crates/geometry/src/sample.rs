@@ -31,7 +31,7 @@ impl<T: Real> Tap<T> {
         self.interpolate(self.values(plane))
     }
 
-    /// The same of given values of the four pixels.
+    /// Value and slopes by `u` and `v` from given values of the four pixels.
     pub fn interpolate(self, [a, b, c, d]: [T; 4]) -> (T, T, T) {
         let (top, bottom) = (a + (b - a) * self.du, c + (d - c) * self.du);
         let by_u = (b - a) + ((d - c) - (b - a)) * self.dv;

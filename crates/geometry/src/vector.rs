@@ -64,7 +64,7 @@ impl<T: Real> Vec3<T> {
         self * (T::one() - u) + other * u
     }
 
-    /// The same numbers in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(self) -> Vec3<U> {
         Vec3::new(U::of(self.x.to_f64()), U::of(self.y.to_f64()), U::of(self.z.to_f64()))
     }

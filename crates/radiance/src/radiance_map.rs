@@ -3,25 +3,25 @@
 use crate::{MotionGradient, ShutterMotion};
 use i2slam_geometry::{Camera, Image, Pose, Real, Tangent};
 
-/// From where a map is looked at.
+/// A camera and its pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View<T> {
     /// The pinhole camera.
     pub camera: Camera<T>,
-    /// Its pose.
+    /// Camera-to-world pose.
     pub world_from_camera: Pose<T>,
 }
 
 impl<T: Real> View<T> {
-    /// The same view in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> View<U> {
         View { camera: self.camera.cast(), world_from_camera: self.world_from_camera.cast() }
     }
 }
 
-/// What a view shows: for every pixel the sums of equations 3 and 4 of the paper,
-/// over the contributions `i` in order of depth with opacity `α_i` and transmittance
-/// `T_i = Π_{j<i} (1 - α_j)`.
+/// Rendered radiance, depth and opacity: for every pixel the sums of equations 3 and 4 of the paper
+/// over the contributions `i` in order of depth, with opacity `α_i` and transmittance `T_i =
+/// Π_{j<i} (1 - α_j)`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Render<T = f32> {
     /// Linear radiance `Σ c_i α_i T_i`, three planes R, G, B.
@@ -42,14 +42,15 @@ impl<T: Real> Render<T> {
         }
     }
 
-    /// Depth of what is seen \[m\], `depth / opacity`; 0 where the opacity is under `least`.
+    /// Depth of the visible surface \[m\], `depth / opacity`; 0 where the opacity is under
+    /// `least`.
     pub fn surface(&self, least: T) -> Image<T> {
         let mut out = Image::default();
         self.write_surface(least, &mut out);
         out
     }
 
-    /// The same into `out`, whose allocation is reused.
+    /// [`surface`](Self::surface) into `out`, whose allocation is reused.
     pub fn write_surface(&self, least: T, out: &mut Image<T>) {
         out.reset(self.depth.width, self.depth.height, 1);
         let pixels = self.depth.data.iter().zip(&self.opacity.data);
@@ -131,7 +132,7 @@ pub trait RadianceMap {
     /// Derivatives by the parameters of the map.
     type Gradient;
 
-    /// Whether [`render_moving`](Self::render_moving) is implemented.
+    /// True if [`render_moving`](Self::render_moving) is implemented.
     const RENDERS_MOTION: bool;
 
     /// A renderer that has drawn nothing yet.

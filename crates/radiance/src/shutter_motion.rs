@@ -21,7 +21,7 @@ pub struct Moment<T = f32> {
     pub weight: T,
 }
 
-/// How the camera moves while its shutter is open, and when its rows look.
+/// Camera motion while the shutter is open, and the times at which rows are read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShutterMotion<T = f32> {
     /// Motion over the exposure in the frame of the camera at mid-exposure
@@ -60,7 +60,7 @@ impl<T: Real> ShutterMotion<T> {
         Self { velocity, readout: T::zero(), moments: moments.collect() }
     }
 
-    /// The moments that count, their weights scaled to a sum of 1.
+    /// The moments with positive weight, normalised to a sum of 1.
     pub(crate) fn counted(&self) -> Vec<Moment<T>> {
         let counts = |m: &&Moment<T>| {
             let finite = m.time.is_finite() && m.weight.is_finite() && self.readout.is_finite();
@@ -76,7 +76,7 @@ impl<T: Real> ShutterMotion<T> {
         if self.readout.is_finite() { self.readout } else { T::zero() }
     }
 
-    /// What a row adds to the time of a moment.
+    /// Delay of a row relative to the middle one \[exposures\].
     pub(crate) fn row_time(&self, row: usize, height: usize) -> T {
         self.readout * row_place(row, height)
     }
@@ -86,7 +86,7 @@ impl<T: Real> ShutterMotion<T> {
         END_TIMES.map(|s| world_from_camera.retract(self.velocity.scaled(T::of(s))))
     }
 
-    /// The same motion in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> ShutterMotion<U> {
         let of = |v: T| U::of(v.to_f64());
         let moment = |m: &Moment<T>| Moment { time: of(m.time), weight: of(m.weight) };
@@ -101,7 +101,7 @@ impl<T: Real> ShutterMotion<T> {
 /// `s` at shutter open and close.
 const END_TIMES: [f64; 2] = [-0.5, 0.5];
 
-/// Where a row lies between the top edge (-½) and the bottom edge (½).
+/// Place of a row between the top edge (-½) and the bottom edge (½).
 pub(crate) fn row_place<T: Real>(row: usize, height: usize) -> T {
     T::of(row as f64 + 0.5) / T::of(height as f64) - T::of(0.5)
 }

@@ -19,7 +19,7 @@ pub struct Mask<S: Simd> {
 }
 
 impl<S: Simd> Lanes<S> {
-    /// The same number in every lane.
+    /// `value` in every lane.
     #[inline(always)]
     pub fn splat(simd: S, value: f32) -> Self {
         Self { simd, v: simd.splat_f32s(value) }

@@ -1,9 +1,9 @@
-//! The seam: radiance to picture and back, for planar images.
+//! Radiance to picture and back, for planar images.
 //!
-//! A host renders its map from each virtual camera, [`accumulate`]s the radiance, calls
-//! [`Formation::form`], compares with the picture taken, and hands the difference to
-//! [`Formation::pull_back`]. Blur is linear in the renders, so every virtual camera of a frame
-//! receives the same image cotangent, times its weight.
+//! The caller renders its map from each virtual camera, [`accumulate`]s the radiance, calls
+//! [`Formation::form`], compares with the input picture, and passes the gradient to
+//! [`Formation::pull_back`]. Blur is linear in the renders: every virtual camera of a frame
+//! receives the same image gradient, times its weight.
 
 use crate::tone::{
     CurveGradient, Even, FrameTone, FrameToneGradient, Locate, NODES, ResponseCurve, Segment,
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 #[cfg(test)]
 mod tests;
 
-/// How the radiance of one frame becomes its picture.
+/// Radiance to picture, for one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Formation<'a, T> {
     /// `picture = radiance`, without clipping: no tone mapping at all.
@@ -109,8 +109,8 @@ pub fn accumulate<T: Real>(hdr: &mut Image<T>, weight: T, radiance: &Image<T>) {
     }
 }
 
-/// `d_radiance = weight · d_hdr`: what one virtual camera's render is asked to change.
-/// `d_radiance` is given the shape of `d_hdr`.
+/// `d_radiance = weight · d_hdr`: the gradient of one virtual camera's render. `d_radiance` is
+/// given the shape of `d_hdr`.
 pub fn scale_into<T: Real>(d_hdr: &Image<T>, weight: T, d_radiance: &mut Image<T>) {
     shape_like(d_hdr, d_radiance);
     for (d, &sum) in d_radiance.data.iter_mut().zip(&d_hdr.data) {

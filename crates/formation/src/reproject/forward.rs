@@ -12,7 +12,7 @@ use i2slam_compute::simd::Column;
 use i2slam_geometry::Camera;
 use pulp::{Simd, WithSimd};
 
-/// What a band reads.
+/// Inputs of a band.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     /// That of the sharp render.

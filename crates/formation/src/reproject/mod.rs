@@ -76,7 +76,7 @@ use views::Views;
 /// Side of the tiles that [`Reprojection::uncovered`] counts in [px].
 pub const TILE: usize = sampling::LANES;
 
-/// What [`Reprojection::pull_back`] finds beside the cotangent of the sharp render.
+/// Gradients of [`Reprojection::pull_back`] beside that of the sharp render.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ReprojectionGradient {
     /// By start and end pose, through their motion relative to the middle.
@@ -100,7 +100,7 @@ pub struct Reprojection {
     surface: Surface<f32>,
     /// The sharp render at twice its resolution.
     fine: Vec<Texel>,
-    /// What is seen at (row, chunk of a row, moving view) [1/m].
+    /// Inverse depth at (row, chunk of a row, moving view) [1/m].
     inverse_depths: Vec<Column>,
     bands: Vec<Band>,
     /// See [`Reprojection::uncovered`].
@@ -174,9 +174,9 @@ impl Reprojection {
         self.gather(radiance, blurred);
     }
 
-    /// Where the last [`blur`](Self::blur) had to guess: for each tile of [`TILE`] pixels of the
-    /// picture, row by row, the share (0 to 1) of its pixels and moments that see what a foreground
-    /// hides from the sharp render. Pixels beyond the right and lower edge count as seen; empty
+    /// Share (0 to 1) of each tile's pixels and moments that see what a foreground hides from
+    /// the sharp render, so that the last [`blur`](Self::blur) had to guess them: tiles of
+    /// [`TILE`] pixels, row by row. Pixels beyond the right and lower edge count as seen; empty
     /// where nothing moved.
     pub fn uncovered(&self) -> &[f32] {
         &self.uncovered

@@ -1,4 +1,6 @@
-//! Where a ray of a virtual camera lands on the surface that the sharp render shows.
+//! Intersection of a virtual camera's rays with the surface of the sharp render, one by one or
+//! sixteen at a time: the latter takes the same samples in the same order, without a branch per
+//! pixel.
 
 use super::forward::Scene;
 use super::sampling::{LANES, Lines};
@@ -29,8 +31,8 @@ pub(super) fn intersect<T: Real>(surface: &Surface<T>, line: &Line<T>, guess: T)
     intersect_facet(&facet, (line.x - cx, line.y - cy), (line.ex, line.ey))
 }
 
-/// Where a line that ends at infinity at `(from_x, from_y)` [px from the centre of the facet] and
-/// moves by `(ex, ey)` per unit of inverse depth meets the facet's plane.
+/// Inverse depth at which a line meets the plane of a facet; the line ends at infinity at `(from_x,
+/// from_y)` [px from the centre of the facet] and moves by `(ex, ey)` per unit of inverse depth.
 #[inline(always)]
 pub(super) fn intersect_facet<T: Real>(
     facet: &Facet<T>,
@@ -115,7 +117,7 @@ impl<T: Real> Walk<T> {
         (count, range / T::of(f64::from(count)))
     }
 
-    /// Whether a sample at `w` lies on a surface seen at `seen`.
+    /// True if a sample at inverse depth `w` lies on a surface at `seen`.
     #[inline(always)]
     pub(super) fn meets(seen: T, w: T, step: T) -> bool {
         (seen - w).abs() <= step * T::of(0.6)
@@ -160,7 +162,7 @@ fn pixels(camera: &Camera<f32>, lines: &Lines, w: &Column) -> ([u32; LANES], Col
     (index, from_x, from_y)
 }
 
-/// Where `lines` meet the facets of the pixels that they pass at the guessed inverse depths.
+/// [`intersect`] for sixteen pixels.
 #[inline(always)]
 pub(super) fn intersect_lanes(scene: &Scene<'_>, lines: &Lines, guess: &Column) -> Column {
     let (index, from_x, from_y) = pixels(scene.camera, lines, guess);
@@ -267,7 +269,7 @@ struct Walks {
     step: Column,
     /// Number of steps; 0 where there is nothing to walk.
     count: [u32; LANES],
-    /// Where the surface was hit; [`NOWHERE`] where it was not.
+    /// Inverse depth of the hit; [`NOWHERE`] without one.
     at: Column,
     /// The last step in front of the surface; -1 where there was none.
     in_front: Column,

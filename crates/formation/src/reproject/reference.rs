@@ -8,7 +8,7 @@ use super::{ReprojectionGradient, TILE};
 use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Real};
 
-/// What [`Reprojection`](super::Reprojection) computes, written to be read and checked.
+/// [`Reprojection`](super::Reprojection) in plain code, for any scalar.
 #[derive(Clone, Debug)]
 pub struct ReferenceReprojection<T> {
     interpolation: Interpolation,
@@ -77,7 +77,7 @@ impl<T: Real> ReferenceReprojection<T> {
         blurred
     }
 
-    /// Where it had to guess, see [`Reprojection::uncovered`](super::Reprojection::uncovered).
+    /// See [`Reprojection::uncovered`](super::Reprojection::uncovered).
     pub fn uncovered(&self) -> Vec<T> {
         let frame = self.camera.cropped(self.margin);
         let columns = frame.width.div_ceil(TILE);

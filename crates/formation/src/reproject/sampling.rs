@@ -1,4 +1,4 @@
-//! Where sixteen neighbouring pixels of a virtual camera sample the fine grid.
+//! Samples of the fine grid for sixteen neighbouring pixels of a virtual camera.
 //!
 //! All numbers of a chunk live in arrays of fixed length on the stack: loops over those become
 //! vector instructions on any machine.
@@ -10,7 +10,7 @@ use i2slam_geometry::Camera;
 /// Pixels of a row that are treated together.
 pub(super) const LANES: usize = MAX_LANES;
 
-/// How many chunks a row has; the last one may stand over.
+/// Number of chunks in a row; the last one may extend beyond it.
 pub(super) fn chunks(width: usize) -> usize {
     width.div_ceil(LANES)
 }
@@ -49,7 +49,7 @@ impl Lines {
     }
 }
 
-/// Where the fine grid is sampled.
+/// Positions in the fine grid.
 #[derive(Clone, Copy)]
 pub(super) struct Taps {
     /// Upper left sample of each tap.

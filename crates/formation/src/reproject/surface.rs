@@ -1,4 +1,4 @@
-//! What the depth of the sharp render says: a small plane per pixel, bounds per block.
+//! The surface of the sharp render: a small plane per pixel, and bounds of inverse depth per block.
 
 use i2slam_geometry::{Image, Real};
 use pulp::{Arch, Simd, WithSimd};

@@ -14,7 +14,7 @@ use pulp::{Simd, WithSimd};
 /// Pixels that a halfway point is made of, along one axis.
 pub(super) const TAPS: usize = 6;
 
-/// How the sharp render is read between its pixels.
+/// Interpolation between the pixels of the sharp render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Interpolation {
     /// Bilinear: never leaves the range of the four pixels around, dulls detail.

@@ -1,4 +1,4 @@
-//! The virtual cameras as seen from the sharp render: where a pixel's ray runs in that render.
+//! Virtual cameras relative to the sharp render: the line of a pixel's ray in that render.
 
 use super::ReprojectionGradient;
 use super::surface::steep;
@@ -40,7 +40,7 @@ pub(super) struct View<T> {
 /// A pixel's line in the sharp render, `q(w) = (x, y) + (e_x, e_y) w` [px], w in 1/m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Line<T> {
-    /// Where the ray ends at infinity [px].
+    /// End of the ray at infinity [px].
     pub(super) x: T,
     pub(super) y: T,
     /// Motion per unit of inverse depth [px m].
@@ -150,7 +150,7 @@ pub(super) struct Views<T> {
     moving: Vec<View<T>>,
     /// Size of a set.
     count: usize,
-    /// Whether every row of the picture has a set of its own.
+    /// True if every row of the picture has a set of its own.
     pub(super) rolling: bool,
     /// Rows of the render above the picture.
     margin: usize,
@@ -177,7 +177,7 @@ impl<T> Views<T> {
         &self.moving[from..from + self.count]
     }
 
-    /// Where the sums of the views of row `row` of some rows lie, and how many sums `rows` have;
+    /// Index of the first sum of the views of row `row`, and the number of sums of `rows` rows;
     /// rows of the picture.
     pub(super) fn sums(&self, row: usize, rows: usize) -> (usize, usize) {
         if self.rolling { (row * self.count, rows * self.count) } else { (0, self.count) }
@@ -244,8 +244,8 @@ impl<T: Real> Views<T> {
         self.moving.iter().fold(T::zero(), |most, view| most.max(view.parallax(camera)))
     }
 
-    /// How far from its own place a corner of the image looks, at inverse depths up to `nearest`,
-    /// over all views [px].
+    /// Largest distance from a corner of the image to the place that it sees, at inverse depths
+    /// up to `nearest`, over all views [px].
     pub(super) fn reach(&self, camera: &Camera<T>, nearest: T) -> T {
         self.moving.iter().fold(T::zero(), |most, view| most.max(view.reach(camera, nearest)))
     }

@@ -1,8 +1,8 @@
 //! The exposure as its centre pose and a velocity (paper, appendix, RGBD-SLAM).
 //!
-//! The same twelve numbers as [`ShutterPoses`] in the chart that the RGB-D system optimises:
-//! where the camera is, and how far it moves while the shutter is open. The two converge at
-//! very different speeds, so each wants a learning rate of its own.
+//! The same twelve numbers as [`ShutterPoses`] in the chart that the RGB-D system optimises: the
+//! pose at mid-exposure, and the motion while the shutter is open. The two converge at very
+//! different speeds, so each has a learning rate of its own.
 
 use super::{ShutterPoses, ShutterTangent};
 use i2slam_geometry::{Mat3, Pose, Real, Rotation, Tangent, Vec3, right_jacobian};
@@ -106,7 +106,7 @@ impl<T: Real> CentreVelocity<T> {
         }
     }
 
-    /// The same motion in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> CentreVelocity<U> {
         CentreVelocity { centre: self.centre.cast(), velocity: self.velocity.cast() }
     }

@@ -8,7 +8,7 @@
 //! t(u) = (1 - u) t_s + u t_e                         Lerp,   u in [0, 1]
 //! ```
 //!
-//! Only the two end poses are parameters; what the poses between them want is pulled back onto
+//! Only the two end poses are parameters; gradients of the poses between them are pulled back onto
 //! those two by [`ShutterPoses::pull_back`].
 
 mod centre_velocity;
@@ -21,7 +21,7 @@ pub use poses::{Quadrature, ShutterPoses, ShutterTangent, VirtualCamera};
 
 use i2slam_geometry::Real;
 
-/// Where row `row` of `height` lies between the top edge (-½) and the bottom edge (½) of a picture:
+/// Place of row `row` of `height` between the top edge (-½) and the bottom edge (½) of a picture:
 /// with a rolling shutter that reads it in `readout`, the row is exposed `readout · place` after
 /// the middle one.
 pub fn row_place<T: Real>(row: usize, height: usize) -> T {

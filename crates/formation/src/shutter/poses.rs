@@ -15,7 +15,7 @@ pub struct ShutterPoses<T> {
     pub end: Pose<T>,
 }
 
-/// Where the samples of the exposure integral lie.
+/// Samples of the exposure integral.
 ///
 /// A point that moves by `b` pixels is smeared with variance `b²/12`. `N` samples of equal weight
 /// have variance `b²/12 · (N + 1) / (N - 1)` with [`Endpoints`](Self::Endpoints) (five cameras
@@ -61,7 +61,7 @@ pub struct VirtualCamera<T> {
     pub u: T,
     /// Share of the exposure; the shares of one frame sum to 1.
     pub weight: T,
-    /// Where the camera is at that moment.
+    /// Pose at that moment.
     pub world_from_camera: Pose<T>,
 }
 
@@ -133,7 +133,7 @@ impl<T: Real> ShutterPoses<T> {
         Self { start: self.start.retract(tangent.start), end: self.end.retract(tangent.end) }
     }
 
-    /// The same poses in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> ShutterPoses<U> {
         ShutterPoses { start: self.start.cast(), end: self.end.cast() }
     }

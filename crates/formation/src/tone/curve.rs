@@ -1,4 +1,9 @@
-//! The response as a curve of straight pieces, ready to be looked up.
+//!
+//! The response as a tabulated curve of straight pieces, with leaky branches outside [0, 1] (eq.
+//! 11): clipped pixels still have a gradient.
+//!
+//! At 0 and at 1 the values meet. Above 1 the curve is `-α/√x + α + 1` with `α = 0.01`: its slope
+//! starts at α/2 and falls as `x^(-3/2)`; below 0 it is `α x`.
 
 use super::{Even, Grid, Locate};
 use i2slam_geometry::Real;
@@ -165,8 +170,7 @@ pub(crate) fn above_slope<T: Real>(x: T) -> T {
 }
 
 impl<T: Real> ResponseCurve<T> {
-    /// The smallest linear value in [0, 1] whose picture value is `y`, by binary search: what a
-    /// pixel says about radiance when a map is started from a picture.
+    /// Smallest linear value in [0, 1] whose picture value is `y`, by binary search.
     ///
     /// `y` outside [0, 1] is clipped to it; NaN stays NaN. Where the curve is level, the left
     /// end of the level part comes back.

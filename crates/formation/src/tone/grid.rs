@@ -1,4 +1,4 @@
-//! Which segment between two nodes a linear value falls into, quickly.
+//! Spacing of the nodes, and fast search for the segment of a linear value.
 //!
 //! Even spacing is one multiplication. Any other spacing goes through a table of bins, fine
 //! enough that the segment of a bin's left end is nearly always the answer.

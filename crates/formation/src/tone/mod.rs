@@ -1,12 +1,11 @@
-//! What a pixel's value means: exposure, white balance and camera response (eqs. 8 to 11).
+//! Exposure, white balance and camera response (eqs. 8 to 11).
 //!
 //! ```text
 //! picture_c = CRF_leaky(exposure · white_balance_c · radiance_c)
 //! ```
 //!
-//! [`FrameTone`] holds the gains of one frame, [`CameraResponse`] the free numbers of the
-//! response, and [`ResponseCurve`] the monotone curve that they stand for, ready to be looked up
-//! hundreds of thousands of times.
+//! [`FrameTone`] holds the gains of one frame, [`CameraResponse`] the parameters of the response,
+//! and [`ResponseCurve`] the monotone curve that they stand for, tabulated for fast evaluation.
 
 mod curve;
 mod frame;

@@ -30,7 +30,7 @@ impl<T: Real> CameraResponse<T> {
         }
     }
 
-    /// Where the nodes sit.
+    /// Spacing of the nodes.
     pub fn spacing(&self) -> NodeSpacing {
         self.spacing
     }

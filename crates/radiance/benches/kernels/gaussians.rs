@@ -277,8 +277,8 @@ fn peak() -> Option<usize> {
     line.split_whitespace().nth(1)?.parse::<usize>().ok().map(|kib| kib * 1024)
 }
 
-/// What a number of Gaussians is expected to take, and what the peak of the process grew by, from
-/// one number to the next. Needs a process of its own: the peak never falls.
+/// Expected bytes of a number of Gaussians, and growth of the process's peak from one number to the
+/// next. Needs a process of its own: the peak never falls.
 pub(crate) fn print_memory() {
     println!("# bytes\npart,bytes");
     println!("map,{MAP}\ngradient,{GRADIENT}\nadam,{ADAM}\nfootprint,{FOOTPRINT}");

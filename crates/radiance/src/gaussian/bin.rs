@@ -1,4 +1,4 @@
-//! Which splats touch which tile, in order of depth.
+//! Lists of the splats of each tile, in order of depth.
 
 use super::project::{CHUNK, Chunk, Splat};
 use super::sort::{self, take};
@@ -35,8 +35,8 @@ impl TileGrid {
         self.columns * self.rows
     }
 
-    /// The box around the wanted ones among a box of tiles (first column, first row, end column,
-    /// end row).
+    /// Bounding box of the marked tiles within a box (first column, first row, end column, end
+    /// row).
     pub(crate) fn wanted_part(&self, wanted: &[bool], [x0, y0, x1, y1]: [u16; 4]) -> [u16; 4] {
         let mut part = [x1, y1, 0, 0];
         for row in y0..y1 {
@@ -51,7 +51,7 @@ impl TileGrid {
     }
 }
 
-/// One splat in one tile: which, and the rows of the tile that its extent may touch.
+/// A splat in a tile: its index, and the rows of the tile that its extent may touch.
 #[derive(Clone, Copy)]
 pub(crate) struct Entry(u64);
 
@@ -91,12 +91,12 @@ impl List<'_> {
 /// The lists of all tiles, one after another.
 #[derive(Default)]
 pub(crate) struct Bins {
-    /// Where the list of each tile starts, and the end.
+    /// Start of each tile's list, and the end of the last.
     pub(crate) starts: Vec<u32>,
     entries: Vec<AtomicU64>,
     /// For each splat of the map in order, for each of its tiles in order: its place in `entries`.
     places: Vec<AtomicU32>,
-    /// Where the places of each chunk of splats start.
+    /// Start of the places of each chunk of splats.
     chunk_starts: Vec<u32>,
     /// One row of places in `entries`, tile by tile, per chunk of sorted splats.
     counters: Vec<AtomicU32>,
@@ -123,7 +123,7 @@ impl Bins {
         List(&self.entries[self.starts[tile] as usize..self.starts[tile + 1] as usize])
     }
 
-    /// Where a splat stands in the tiles' lists.
+    /// Positions of a splat's entries in the lists.
     #[inline(always)]
     pub(crate) fn places_of(
         &self,
@@ -207,9 +207,9 @@ impl Bins {
     }
 }
 
-/// How many boxes lie over each tile, from four marks per box: +1 where it begins and -1 behind
-/// its end, along both axes. Sums over both axes turn marks into counts, without a loop over the
-/// tiles of each box, whose length no machine guesses.
+/// Counts the boxes over each tile from four marks per box: +1 where it begins and -1 behind its
+/// end, along both axes. Sums over both axes turn marks into counts, without a loop over the tiles
+/// of each box, whose length no branch predictor guesses.
 struct Corners<'a> {
     grid: &'a TileGrid,
     /// One more row and column than there are tiles.
@@ -271,11 +271,11 @@ fn start_lists(starts: &mut Vec<u32>, counters: &[AtomicU32], tiles: usize) {
     starts.push(next);
 }
 
-/// Items whose footprints are fetched together. They lie all over the memory; where nothing
-/// depends on one of them before all are asked for, the machine waits once and not for each.
+/// Items whose footprints are fetched together. They are scattered over memory: independent loads
+/// wait once, dependent ones each.
 const FETCH: usize = 16;
 
-/// What belongs to each of up to [`FETCH`] items.
+/// `get` for each of up to [`FETCH`] items.
 #[inline(always)]
 fn fetch<T: Default>(items: &[u64], get: impl Fn(usize) -> T) -> [T; FETCH] {
     std::array::from_fn(|i| items.get(i).map_or_else(T::default, |item| get(sort::index(*item))))

@@ -1,8 +1,8 @@
-//! The parameters of the map.
+//! The map's parameters and their gradient.
 
 use i2slam_geometry::Real;
 
-/// Whether Gaussians are balls or ellipsoids.
+/// Shape of the Gaussians.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Shape {
     /// One standard deviation in all directions; the rotation is ignored.
@@ -11,7 +11,7 @@ pub enum Shape {
     Anisotropic,
 }
 
-/// How the stored colour becomes linear radiance.
+/// Conversion from stored colour to linear radiance.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum ColourActivation {
     /// `radiance = exp(colour)`: the colour is log-radiance, never negative, without upper bound.
@@ -93,7 +93,7 @@ impl<T: Real> GaussianMap<T> {
         self.means.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
@@ -133,7 +133,7 @@ impl<T: Real> GaussianMap<T> {
         retain_by(&mut self.colours, keep);
     }
 
-    /// The same map in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> GaussianMap<U> {
         fn vectors<T: Real, U: Real, const N: usize>(from: &[[T; N]]) -> Vec<[U; N]> {
             from.iter().map(|v| v.map(|x| U::of(x.to_f64()))).collect()
@@ -188,7 +188,7 @@ impl<T: Real> MapGradient<T> {
         self.means.len()
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }

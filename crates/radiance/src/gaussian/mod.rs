@@ -33,7 +33,7 @@ pub use bin::TILE;
 pub use map::{ColourActivation, Gaussian, GaussianMap, MapGradient, Shape};
 pub use rasterize::{Rasterizer, StageSeconds, Work, reference};
 
-/// Where contributions begin and end. Not differentiated.
+/// Cut-offs of the rasteriser. Not differentiated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RasterSettings {
     /// Gaussians whose mean is nearer than this \[m\] are left out; taken as at least 1e-6.

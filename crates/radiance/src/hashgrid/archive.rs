@@ -16,7 +16,7 @@ const MAGIC: &[u8; 8] = b"I2FIELD\n";
 const VERSION: u32 = 2;
 const PREAMBLE: usize = MAGIC.len() + 4;
 
-/// What is wrong with the bytes of a field.
+/// Error of reading a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FieldFileError {
@@ -117,9 +117,9 @@ fn settings_from_numbers(n: &[f64; NUMBERS]) -> (FieldSettings, MarchSettings, O
 pub struct HashGridMap {
     /// Radiance and density.
     pub field: HashGridField,
-    /// Where rays are sampled.
+    /// Occupied cells, in which rays are sampled.
     pub occupancy: Occupancy,
-    /// How densely.
+    /// Step lengths along rays.
     pub march: MarchSettings,
 }
 

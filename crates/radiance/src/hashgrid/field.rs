@@ -75,7 +75,7 @@ impl<T: Real> FieldParameters<T> {
         }
     }
 
-    /// Whether the lengths agree.
+    /// True if the lengths agree.
     pub(crate) fn fits(&self, other: &Self) -> bool {
         let lengths = |p: &Self| [p.table.len(), p.density.len(), p.colour.len()];
         lengths(self) == lengths(other)
@@ -154,7 +154,7 @@ impl<T: Real> HashGridField<T> {
         [&mut p.table, &mut p.density, &mut p.colour]
     }
 
-    /// The same field in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> HashGridField<U> {
         HashGridField {
             settings: self.settings,

@@ -1,4 +1,4 @@
-//! Which cells of the cube may hold something.
+//! Occupancy grid: the cells of the cube that may hold something.
 
 use super::Ray;
 use super::ray::cube_range;
@@ -15,7 +15,7 @@ pub struct Occupancy {
     densities: Vec<f32>,
     /// One bit per cell.
     occupied: Vec<u64>,
-    /// Whether any cell of a block is occupied, so that empty space is crossed in long steps.
+    /// True for blocks with an occupied cell; the others are crossed in long steps.
     blocks: Vec<bool>,
     looks: u32,
     /// The cells that may ever be occupied; all if empty.
@@ -231,15 +231,15 @@ impl Occupancy {
         is_set(&self.occupied, cell)
     }
 
-    /// Whether the cell of a position in the unit cube is occupied; outside, the nearest cell.
+    /// True if the cell of a position in the unit cube is occupied; outside, the nearest cell.
     #[cfg(test)]
     pub(crate) fn is_occupied(&self, position: [f32; 3]) -> bool {
         self.bit(self.cell(position))
     }
 
-    /// How far a position in the unit cube lies in empty space: none if its cell is occupied, else
-    /// the part of the direction with inverse `inverse` until its cell ends, or its block if all of
-    /// that is empty. Outside, that of the nearest cell.
+    /// Depth from a position in the unit cube to where empty space ends: none if its cell is
+    /// occupied, else to the end of its cell, or of its block if all of that is empty.
+    /// `inverse` holds one over each part of the direction. Outside, that of the nearest cell.
     pub(crate) fn exit(&self, position: [f32; 3], inverse: [f32; 3]) -> Option<f32> {
         let resolution = self.settings.resolution as usize;
         let cell = position.map(|x| self.coordinate(x));
@@ -345,7 +345,7 @@ fn all_bits(count: usize) -> Vec<u64> {
     words
 }
 
-/// Whether a bit is set.
+/// True if a bit is set.
 fn is_set(words: &[u64], bit: usize) -> bool {
     words[bit / 64] >> (bit % 64) & 1 == 1
 }

@@ -83,7 +83,7 @@ impl FieldAdam {
     }
 }
 
-/// What a step has in common for all numbers of a table.
+/// Factors of a step, equal for all numbers of a table.
 struct Factors {
     step: i32,
     /// The learning rate over what the first moment lacks.

@@ -5,24 +5,24 @@ use i2slam_geometry::{Real, Vec3};
 /// A half-line `origin + depth · direction`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray<T = f32> {
-    /// Where it starts, in the world \[m\].
+    /// Origin in the world \[m\].
     pub origin: Vec3<T>,
     /// Direction in the world, of any length but zero. Depths count in it: with a direction that
     /// goes 1 m along the optical axis they are metres along that axis.
     pub direction: Vec3<T>,
-    /// Where in its step a sample lies, in `[0, 1)`: ½ for pictures, random for training.
+    /// Place of a sample in its step, in `[0, 1)`: ½ for pictures, random for training.
     pub offset: T,
 }
 
 impl<T: Real> Ray<T> {
-    /// The same ray in another scalar type.
+    /// Converts to another scalar type.
     pub fn cast<U: Real>(&self) -> Ray<U> {
         let offset = U::of(self.offset.to_f64());
         Ray { origin: self.origin.cast(), direction: self.direction.cast(), offset }
     }
 }
 
-/// Where a ray is sampled.
+/// A sample of a ray.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample<T = f32> {
     /// Depth \[units of the ray's direction\].

@@ -1,4 +1,4 @@
-//! What a field consists of, and where rays are sampled.
+//! Settings of the field, of sampling along rays and of the occupancy grid.
 
 use std::fmt;
 
@@ -54,8 +54,7 @@ impl FieldSettings {
         }
     }
 
-    /// Whether a field of these settings can be made; the error names the first entry out of
-    /// range.
+    /// Checks all ranges; the error names the first entry out of range.
     pub fn check(&self) -> Result<(), SettingsError> {
         let within = |name: &'static str, value: usize, from: usize, to: usize| {
             if (from..=to).contains(&value) { Ok(()) } else { Err(SettingsError { name }) }
@@ -99,7 +98,7 @@ impl fmt::Display for SettingsError {
 
 impl std::error::Error for SettingsError {}
 
-/// Where rays are sampled. Not differentiated.
+/// Sampling along rays. Not differentiated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarchSettings {
     /// Depth before which there are no samples \[units of the ray's direction\].
@@ -138,7 +137,7 @@ impl MarchSettings {
     }
 }
 
-/// Which cells are marched through, and when that is looked up again.
+/// Settings of the occupancy grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OccupancySettings {
     /// Cells along an edge of the cube, from 1 to 512.

@@ -30,7 +30,7 @@ impl Case {
         Self { camera, margin: 0, scene, views, weights, shutter, readout: 0.0 }
     }
 
-    /// The same, read in `readout` exposures.
+    /// With a rolling shutter of `readout` exposures.
     fn rolling(self, readout: f64) -> Self {
         Self { readout, ..self }
     }

@@ -8,13 +8,13 @@ mod gradient;
 mod lanes;
 mod quality;
 
-/// The same image in single precision.
+/// Converts to single precision.
 fn narrow(image: &Image<f64>) -> Image<f32> {
     let data = image.data.iter().map(|&v| v as f32).collect();
     Image { width: image.width, height: image.height, channels: image.channels, data }
 }
 
-/// The same image in double precision.
+/// Converts to double precision.
 fn wide(image: &Image<f32>) -> Image<f64> {
     let data = image.data.iter().map(|&v| f64::from(v)).collect();
     Image { width: image.width, height: image.height, channels: image.channels, data }
@@ -80,7 +80,7 @@ impl Scene {
         Self { boards: vec![wall, board], waves: [1.0, 1.7, 3.1, 7.0].map(wave) }
     }
 
-    /// The same without the board.
+    /// The scene without the board.
     pub(super) fn wall(camera: &Camera<f64>, finest: f64) -> Self {
         let mut scene = Self::new(camera, finest);
         scene.boards.truncate(1);

@@ -1,4 +1,4 @@
-//! How close the re-projected exposure comes to exactly rendered virtual cameras.
+//! Error of the re-projected exposure against exactly rendered virtual cameras.
 
 use super::{Scene, camera, moving};
 use super::{narrow, wide};

@@ -1,4 +1,5 @@
-//! From sums over pixels to the parameters and the pose, in groups of one vector, on all threads.
+//! Backward pass from sums over pixels to the parameters and the pose, in groups of one vector, on
+//! all threads.
 //!
 //! Only Gaussians that touched a tile are visited. With `B = J A` and `A = W R S`, the covariance
 //! in the image is `B Bᵀ` plus the low-pass; a turn of the camera by `φ` moves the columns of `A`
@@ -23,16 +24,16 @@ pub(crate) struct Footprints<'a> {
     pub(crate) chunks: &'a [Chunk],
     pub(crate) bins: &'a Bins,
     pub(crate) slots: &'a [Slot],
-    /// When the camera moves.
+    /// With a moving camera.
     pub(crate) moving: Option<(&'a MotionFrame, &'a [MotionSlot])>,
 }
 
-/// What a chunk of Gaussians, or all, adds to the poses.
+/// Pose gradients of a chunk of Gaussians, or of all.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct PoseSums {
     /// `∂L/∂(ρ, φ)` of the view's pose.
     pub(crate) middle: [f64; 6],
-    /// The same of the poses at both ends of the exposure.
+    /// `∂L/∂(ρ, φ)` of the poses at both ends of the exposure.
     pub(crate) ends: [[f64; 6]; 2],
     /// `∂L/∂readout`.
     pub(crate) readout: f64,
@@ -87,8 +88,8 @@ impl Footprints<'_> {
         }
     }
 
-    /// The first slots of a group of visible Gaussians. They lie all over the memory; here nothing
-    /// depends on one of them before all are asked for.
+    /// First slots of a group of visible Gaussians. They are scattered over memory: loads that
+    /// do not depend on each other wait once.
     #[inline(always)]
     fn first_slots(&self, items: &[u64]) -> [Slot; MAX_LANES] {
         let first = |item: &u64| {
@@ -118,7 +119,7 @@ impl Footprints<'_> {
     }
 }
 
-/// The way back of one chunk; gives its part of the poses' gradients. Without `MAP` there are no
+/// Backward pass of one chunk; returns its part of the poses' gradients. Without `MAP` there are no
 /// rows.
 struct PullBack<'a, const ANISOTROPIC: bool, const MAP: bool> {
     footprints: &'a Footprints<'a>,
@@ -172,7 +173,7 @@ impl<const ANISOTROPIC: bool, const MAP: bool> WithSimd for PullBack<'_, ANISOTR
     }
 }
 
-/// A group on the way back.
+/// Inputs and gradients of a group of Gaussians.
 #[derive(Default)]
 pub(super) struct Group {
     parameters: Parameters,
@@ -190,7 +191,7 @@ pub(super) struct Group {
     curvature: [Column; 2],
     /// `∂L/∂(ρ, φ)`.
     pub(super) pose: [Column; 6],
-    /// The same of the poses at both ends of the exposure, when the camera moves.
+    /// `∂L/∂(ρ, φ)` of the poses at both ends of the exposure, with a moving camera.
     pub(super) ends: [[Column; 6]; 2],
     /// `∂L/∂` of the parameters.
     d_mean: [Column; 3],

@@ -11,17 +11,17 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::f32::consts::{LN_2, LOG2_E};
 
-/// What the projection of a map fills.
+/// Outputs of the projection of a map, and what limits it.
 pub(crate) struct Projection<'a> {
-    /// Written at the index of their Gaussian; those that no chunk has among its `visible` mean
-    /// nothing.
+    /// Written at the index of their Gaussian; undefined for those that are `visible` in no
+    /// chunk.
     pub(crate) splats: &'a mut Vec<Splat>,
     pub(crate) chunks: &'a mut Vec<Chunk>,
     /// One per splat when the camera moves.
     pub(crate) paths: &'a mut Vec<Path<f32>>,
-    /// Tiles outside of which nothing is drawn, if not all are.
+    /// Tiles to draw, if not all.
     pub(crate) wanted: Option<&'a [bool]>,
-    /// Chunks among whose `visible` Gaussians those are that may show in wanted tiles, if known.
+    /// Chunks whose `visible` Gaussians are the only candidates, if known.
     pub(crate) shown: Option<&'a [Chunk]>,
 }
 
@@ -64,12 +64,12 @@ pub(super) struct Project<'a> {
     pub(super) map: &'a GaussianMap,
     pub(super) grid: &'a TileGrid,
     wanted: Option<&'a Wanted<'a>>,
-    /// Sort items of the Gaussians that may be wanted, if not all may.
+    /// Sort items of the candidates, if not all Gaussians are.
     pub(super) shown: Option<&'a [u64]>,
     /// Index of the first Gaussian.
     pub(super) start: usize,
     pub(super) splats: &'a mut [Splat],
-    /// When the camera moves.
+    /// With a moving camera.
     moving: Option<(&'a MotionFrame, &'a mut [Path<f32>])>,
     chunk: &'a mut Chunk,
 }
@@ -152,7 +152,7 @@ struct Group {
     height_at_centre: Column,
     /// First column, first row, end column, end row of the pixels within the extent.
     pixels: [Column; 4],
-    /// When the camera moves.
+    /// With a moving camera.
     paths: PathColumns,
 }
 
@@ -342,7 +342,7 @@ impl<'a> Wanted<'a> {
         Self { tiles, stride, counts }
     }
 
-    /// Whether any is wanted in a box of tiles (first column, first row, end column, end row).
+    /// True if any tile of a box is marked (first column, first row, end column, end row).
     #[inline(always)]
     fn any(&self, [x0, y0, x1, y1]: [usize; 4]) -> bool {
         let count = |x: usize, y: usize| self.counts[y * self.stride + x];

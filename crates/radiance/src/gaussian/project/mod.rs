@@ -1,4 +1,4 @@
-//! From a Gaussian in the world to its footprint in the image, and back.
+//! Projection of Gaussians to footprints in the image, forward and backward.
 
 use i2slam_geometry::{Camera, Real};
 use std::f32::consts::LN_2;
@@ -86,7 +86,7 @@ impl Splat {
     }
 }
 
-/// What a chunk of Gaussians adds to the picture.
+/// Visible Gaussians of a chunk.
 #[derive(Default)]
 pub(crate) struct Chunk {
     /// Sort items of the Gaussians that touch a tile.

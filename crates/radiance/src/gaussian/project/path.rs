@@ -1,4 +1,5 @@
-//! The path of a footprint's centre while the shutter is open, as in the equations.
+//! Path of a footprint's centre while the shutter is open, for one Gaussian of any scalar and for a
+//! group of `f32`.
 //!
 //! The mean is projected exactly at mid-exposure and at both ends of it, `c₀`, `c₋` and `c₊` at
 //! `s = 0, ∓½`, and moves along the parabola through the three:
@@ -13,8 +14,7 @@ use i2slam_compute::simd::{Column, Lanes, Mask, cross, transform};
 use i2slam_geometry::{Camera, Mat3, Pose, Real, Tangent, Vec3};
 use pulp::Simd;
 
-/// Where a footprint's centre moves: `s (velocity + s curvature)` from where it is at
-/// mid-exposure.
+/// Motion of a footprint's centre: `s (velocity + s curvature)` from its place at mid-exposure.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Path<T> {
     /// `v` \[px per exposure\].
@@ -24,7 +24,7 @@ pub(crate) struct Path<T> {
 }
 
 impl<T: Real> Path<T> {
-    /// How far the centre is from where it is at mid-exposure \[px\].
+    /// Offset from the place at mid-exposure \[px\].
     pub(crate) fn shift(&self, s: T) -> [T; 2] {
         [0, 1].map(|k| s * (self.velocity[k] + s * self.curvature[k]))
     }
@@ -95,7 +95,7 @@ impl<T: Real> Ends<T> {
 /// Rounds of narrowing the rows, and with them the times, at which a footprint is seen.
 const ROUNDS: usize = 3;
 
-/// What the paths of all Gaussians of one picture share.
+/// Camera motion shared by all paths of one picture.
 pub(crate) struct MotionFrame {
     camera: Camera<f32>,
     ends: [End; 2],
@@ -128,7 +128,7 @@ impl End {
 pub(crate) struct LanePath<S: Simd> {
     pub(crate) velocity: [Lanes<S>; 2],
     pub(crate) curvature: [Lanes<S>; 2],
-    /// Where the means are beyond the near plane at both ends.
+    /// True where the means are beyond the near plane at both ends.
     pub(crate) accepted: Mask<S>,
 }
 
@@ -183,8 +183,8 @@ impl MotionFrame {
         [x.scale(camera.fx) + x.constant(camera.cx), y.scale(camera.fy) + y.constant(camera.cy)]
     }
 
-    /// Smallest and largest shift of the centres, per axis, over all moments in the rows at which
-    /// the footprints can be seen. The rows tell the times and the times the rows, so that a few
+    /// Smallest and largest shift of the centres, per axis, over all moments in the rows at
+    /// which the footprints can be seen. Rows bound the times and times the rows, so that a few
     /// rounds narrow both down.
     #[inline(always)]
     pub(crate) fn sweep<S: Simd>(
@@ -208,7 +208,7 @@ impl MotionFrame {
         [shifts(path, 0, times), shifts(path, 1, times)]
     }
 
-    /// First and last time at which rows look.
+    /// First and last time at which rows are exposed.
     #[inline(always)]
     fn times<S: Simd>(&self, [first, end]: [Lanes<S>; 2]) -> [Lanes<S>; 2] {
         let scale = self.readout / self.camera.height as f32;
@@ -218,7 +218,7 @@ impl MotionFrame {
         [a.min(b) + a.constant(low), a.max(b) + a.constant(high)]
     }
 
-    /// What paths pull back to.
+    /// Gradients of the means and of both ends' poses from those of the paths.
     #[inline(always)]
     pub(crate) fn pull_back<S: Simd>(
         &self,

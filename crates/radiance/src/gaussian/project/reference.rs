@@ -14,7 +14,7 @@ pub(crate) struct Footprint<T> {
     pub(crate) index: usize,
     /// Centre `μ` at mid-exposure \[px\].
     pub(crate) centre: [T; 2],
-    /// Where the centre moves.
+    /// Motion of the centre.
     pub(crate) path: Path<T>,
     /// `Σ₂⁻¹ = [[A, B], [B, C]]` as `[A, B, C]` \[px⁻²\].
     pub(crate) conic: [T; 3],
@@ -44,7 +44,7 @@ pub(crate) struct PoseCotangents<T> {
     pub(crate) ends: [Tangent<T>; 2],
 }
 
-/// What all Gaussians of one picture share.
+/// Camera, map and settings shared by all Gaussians of one picture.
 pub(crate) struct Projector<T> {
     shape: Shape,
     activation: ColourActivation,

@@ -1,4 +1,4 @@
-//! From parameters to the footprint, for a group of Gaussians: what both directions compute.
+//! Quantities between parameters and footprints of a group of Gaussians, for both directions.
 
 use super::JacobianRange;
 use crate::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape, View};
@@ -6,7 +6,7 @@ use i2slam_compute::simd::{Column, Lanes, MAX_LANES, combine, dot, transform};
 use i2slam_geometry::Camera;
 use pulp::Simd;
 
-/// What all Gaussians of one picture share.
+/// Camera, map and settings shared by all Gaussians of one picture.
 pub(crate) struct Frame {
     pub(crate) activation: ColourActivation,
     pub(crate) shape: Shape,
@@ -73,7 +73,7 @@ pub(crate) struct Stages<S: Simd> {
     pub(crate) axes: Option<Axes<S>>,
 }
 
-/// What only anisotropic Gaussians have.
+/// Rotation and axes of anisotropic Gaussians.
 pub(crate) struct Axes<S: Simd> {
     /// Unit quaternion w, x, y, z, and one over the length of the stored one.
     pub(crate) unit: [Lanes<S>; 4],
@@ -134,7 +134,7 @@ impl Frame {
         Stages { p, inverse_depth, ratio, clamped, jacobian, scale, axes }
     }
 
-    /// Where the means are in the picture [px].
+    /// Projected means [px].
     #[inline(always)]
     pub(crate) fn centre<S: Simd>(&self, stages: &Stages<S>) -> [Lanes<S>; 2] {
         let ([x, y], camera) = (stages.ratio, &self.camera);

@@ -1,4 +1,4 @@
-//! The way back on the CPU, front to back again.
+//! Backward pass on the CPU, front to back again.
 //!
 //! With `q_i = g · v_i` for the cotangent `g` of a pixel and what splat `i` composites,
 //! `v_i = (r, g, b, z, 1)`, and the whole pixel's `S = Σ_j q_j α_j T_j = g · (C, D, O)`, which is
@@ -48,7 +48,7 @@ impl Slot {
     }
 }
 
-/// What the last render left, and the cotangent of its pixels.
+/// State of the last render, and the cotangent of its pixels.
 pub(crate) struct Picture<'a> {
     pub(crate) arch: Arch,
     pub(crate) settings: &'a RasterSettings,
@@ -58,7 +58,7 @@ pub(crate) struct Picture<'a> {
     pub(crate) tiles: &'a [TilePixels],
     /// `∂L/∂[r, g, b, depth, opacity]`.
     pub(crate) cotangent: [Option<&'a [f32]>; 5],
-    /// Whether the sums that only the map needs are wanted.
+    /// Compute the sums that only the map needs.
     pub(crate) with_map: bool,
 }
 
@@ -96,7 +96,7 @@ mod plane {
     pub(super) const COUNT: usize = 8;
 }
 
-/// The state of a tile's pixels on the way back, row by row, plane by plane.
+/// State of a tile's pixels, row by row, plane by plane.
 #[repr(C, align(64))]
 struct Scratch([[Row; plane::COUNT]; TILE]);
 

@@ -13,7 +13,7 @@ use i2slam_compute::simd::exp2;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Splats between two looks whether all pixels have ended.
+/// Splats between two checks whether all pixels have ended.
 pub(super) const LOOK: usize = 32;
 
 /// Composite all tiles.
@@ -67,7 +67,7 @@ impl<L: Iterator<Item = Entry>> WithSimd for Composite<'_, L> {
     }
 }
 
-/// Whether no pixel of the tile has transmittance left.
+/// True if no pixel of the tile has transmittance left.
 #[inline(always)]
 fn all_ended(rows: &[[Row; PLANES]; TILE]) -> bool {
     rows.iter().all(|row| row[0].iter().fold(-1.0_f32, |m, t| m.max(*t)) < 0.0)
@@ -168,7 +168,7 @@ impl<S: Simd> ExponentRow<S> {
     }
 }
 
-/// What a splat composites.
+/// Radiance and depth of a splat, in vectors.
 pub(super) struct Value<S: Simd>(pub(super) [S::f32s; PLANES - 1]);
 
 impl<S: Simd> Value<S> {
@@ -213,13 +213,13 @@ fn composite_row<S: Simd>(
     }
 }
 
-/// What one contribution does to pixels.
+/// Effect of one contribution on a vector of pixels.
 pub(super) struct Step<S: Simd> {
     /// The transmittance behind it, with the sign turned where pixels ended.
     pub(super) next: S::f32s,
     /// `α T`, zero where there is no contribution.
     pub(super) weight: S::f32s,
-    /// Where there is a contribution.
+    /// True where the splat contributes.
     pub(super) counts: S::m32s,
 }
 

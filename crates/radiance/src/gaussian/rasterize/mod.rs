@@ -73,7 +73,7 @@ impl Rasterizer {
         }
     }
 
-    /// The same on a chosen instruction set.
+    /// A rasteriser on a chosen instruction set.
     #[cfg(test)]
     pub(crate) fn on(arch: Arch, settings: RasterSettings) -> Self {
         Self { arch, ..Self::new(settings) }
@@ -100,7 +100,7 @@ impl Rasterizer {
         timed(&mut seconds.copy_out, || tile::copy_out(grid, tiles, None, out));
     }
 
-    /// Project the map and list the splats of each tile, or of those that are `wanted`, in order of
+    /// Projects the map and lists the splats of each tile, or of the marked ones, in order of
     /// depth.
     fn list(
         &mut self,
@@ -202,22 +202,21 @@ impl Rasterizer {
     }
 }
 
-/// What of a picture is drawn; all by default.
+/// Part of a picture to draw; all by default.
 #[derive(Clone, Copy, Default)]
 struct Part<'a> {
-    /// Its tiles, if not all are drawn.
+    /// Tiles to draw, if not all.
     wanted: Option<&'a [bool]>,
-    /// Among whose visible Gaussians those of these tiles are, if that is known.
+    /// Chunks whose visible Gaussians are the only candidates, if known.
     shown: Option<&'a [Chunk]>,
 }
 
 const NOT_OF_LAST_RENDER: &str = "pull_back needs the map and the view of the last render";
 
-/// A camera that moves while its shutter is open.
+/// Rendering with a moving camera.
 impl Rasterizer {
-    /// Write what a camera that moves by `motion` and is at `view` at mid-exposure shows into
-    /// `out`, whose allocation is reused: radiance, depth and opacity, each averaged over the
-    /// moments by their weights.
+    /// Writes the average over `motion` of a camera at `view` at mid-exposure into `out`, whose
+    /// allocation is reused: radiance, depth and opacity, weighted by moment.
     ///
     /// Gaussians are projected, sorted and listed once; only the blend repeats. Exact are the
     /// projections of the means at shutter open, at mid-exposure and at shutter close; in between
@@ -229,9 +228,9 @@ impl Rasterizer {
     /// With zero velocity it shows what [`render`](Self::render) shows: exactly for one moment,
     /// up to rounding for several.
     ///
-    /// `wanted` has a number for each tile of [`TILE`](super::TILE) pixels, row by row, those that
-    /// stand over the right and lower edge included; only what is wanted is drawn, the rest shows
-    /// nothing, and `None` wants everything.
+    /// `wanted` marks tiles of [`TILE`](super::TILE) pixels, row by row, partial ones at the
+    /// right and lower edge included; only marked tiles are drawn, the others are black. `None`
+    /// draws all.
     ///
     /// # Panics
     /// If `wanted` has another size than the picture has tiles.
@@ -246,8 +245,9 @@ impl Rasterizer {
         self.render_part(map, view, motion, Part { wanted, shown: None }, out);
     }
 
-    /// The same of those Gaussians alone that the last picture of `other` shows, which must be of
-    /// this map: where that has drawn more than is wanted now, the others need not be asked.
+    /// [`render_moving`](Self::render_moving) of the Gaussians alone that the last picture of
+    /// `other` shows, which must be of this map and cover the marked tiles: the others are
+    /// skipped before projection.
     ///
     /// # Panics
     /// If `wanted` has another size than the picture has tiles, or the picture of `other` is of

@@ -13,7 +13,7 @@ use crate::gaussian::{
 use crate::shutter_motion::row_place;
 use i2slam_geometry::{Camera, Real, Tangent};
 
-/// What `view` shows.
+/// Renders `view`.
 pub fn render<T: Real>(
     map: &GaussianMap<T>,
     view: &View<T>,
@@ -38,8 +38,8 @@ pub fn pull_back<T: Real>(
     pull_back_moving(map, view, &still, settings, cotangent, map_gradient).pose
 }
 
-/// What a moving camera that is at `view` at mid-exposure shows: the average over the moments,
-/// as [`Rasterizer::render_moving`](crate::gaussian::Rasterizer::render_moving).
+/// Renders the average over a moving camera's moments, as
+/// [`Rasterizer::render_moving`](crate::gaussian::Rasterizer::render_moving).
 pub fn render_moving<T: Real>(
     map: &GaussianMap<T>,
     view: &View<T>,
@@ -133,14 +133,14 @@ struct Contribution<T> {
     offset: [T; 2],
     /// `α`.
     alpha: T,
-    /// Whether `alpha_max` cut it.
+    /// True if `alpha_max` cut it.
     cut: bool,
     /// `T`, before this contribution.
     transmittance: T,
 }
 
 impl<T: Real> Contribution<T> {
-    /// What is composited: `[r, g, b, depth, 1]`.
+    /// The composited value: `[r, g, b, depth, 1]`.
     fn value(&self, footprints: &[Footprint<T>]) -> [T; 5] {
         let f = &footprints[self.footprint];
         [f.radiance[0], f.radiance[1], f.radiance[2], f.depth, T::one()]
@@ -180,7 +180,7 @@ fn contributions<T: Real>(
     visited
 }
 
-/// What pixels add up to.
+/// Sums over all pixels.
 struct Sums<T> {
     cotangents: Vec<FootprintCotangent<T>>,
     seen: Vec<bool>,

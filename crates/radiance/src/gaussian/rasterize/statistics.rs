@@ -1,4 +1,4 @@
-//! What the last picture cost: time by stage, and the work that the stages did.
+//! Statistics of the last picture: time by stage, and amount of work.
 
 use super::Rasterizer;
 use std::time::Instant;
@@ -22,7 +22,7 @@ pub struct StageSeconds {
     pub project_back: f64,
 }
 
-/// How much the stages of the last picture had to do.
+/// Amount of work of the last picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Work {
     /// Gaussians of the map.
@@ -61,7 +61,7 @@ impl Rasterizer {
     }
 }
 
-/// Runs `work`, and notes in `seconds` how long that took.
+/// Runs `work` and writes its duration to `seconds`.
 pub(super) fn timed<R>(seconds: &mut f64, work: impl FnOnce() -> R) -> R {
     let clock = Instant::now();
     let result = work();

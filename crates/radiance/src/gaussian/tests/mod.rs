@@ -23,7 +23,7 @@ pub(super) fn view(width: usize, height: usize) -> View<f64> {
     View { camera: camera(width, height), world_from_camera }
 }
 
-/// How a random scene looks.
+/// Parameters of a random scene.
 #[derive(Clone, Copy)]
 pub(super) struct Recipe {
     pub(super) shape: Shape,
@@ -33,7 +33,7 @@ pub(super) struct Recipe {
     pub(super) sigma: [f64; 2],
     /// Logits of the opacities, from and to.
     pub(super) logit: [f64; 2],
-    /// How far outside of the image centres may lie, as a part of its size.
+    /// Largest distance of centres from the image, as a part of its size.
     pub(super) margin: f64,
     pub(super) seed: u64,
 }
@@ -93,13 +93,13 @@ pub(super) fn cotangent(width: usize, height: usize, seed: u64) -> RenderCotange
     }
 }
 
-/// The same images in `f32`.
+/// Converts to `f32`.
 pub(super) fn single(image: &Image<f64>) -> Image<f32> {
     let data = image.data.iter().map(|v| *v as f32).collect();
     Image { width: image.width, height: image.height, channels: image.channels, data }
 }
 
-/// The same cotangent in `f32`.
+/// Converts to `f32`.
 pub(super) fn single_cotangent(cotangent: &RenderCotangent<f64>) -> RenderCotangent {
     RenderCotangent {
         radiance: single(&cotangent.radiance),

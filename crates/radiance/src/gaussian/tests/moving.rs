@@ -225,8 +225,8 @@ fn another_motion_is_refused() {
     rasterizer.pull_back_moving(&map, &view, &other, &RenderCotangent::default(), None);
 }
 
-/// How the camera moves in the comparison with exact views: names, and twists that move the
-/// median point by about 10 px.
+/// Camera motions of the comparison with exact views: names, and twists that move the median point
+/// by about 10 px.
 const TWISTS: [(&str, [f64; 6]); 5] = [
     ("sideways", [0.09, 0.0, 0.0, 0.0, 0.0, 0.0]),
     ("forward", [0.0, 0.0, 0.24, 0.0, 0.0, 0.0]),

@@ -16,7 +16,7 @@ use i2slam_geometry::{Real, Tangent};
 use pulp::Arch;
 
 const PICTURE: f64 = 1e-4;
-/// What one contribution at the edge of `alpha_min` may change, for values of a few units.
+/// Largest change by one contribution at the edge of `alpha_min`, for values of a few units.
 const EDGE: f64 = 3e-2;
 /// Part of the pixels that may hold such a contribution.
 const EDGE_PART: f64 = 2e-3;
@@ -51,7 +51,7 @@ pub(super) fn cases() -> Vec<Case> {
 }
 
 impl Case {
-    /// Whether a contribution may fall to either side of a cut-off.
+    /// True if a contribution may fall to either side of a cut-off.
     pub(super) fn has_edges(&self) -> bool {
         self.settings.alpha_min > 0.0
     }

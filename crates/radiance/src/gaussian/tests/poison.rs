@@ -103,7 +103,7 @@ fn overflowing_parameters_are_left_out() {
     }
 }
 
-/// What an isotropic Gaussian does not use cannot spoil it.
+/// Unused parameters of an isotropic Gaussian have no effect.
 #[test]
 fn isotropic_gaussians_ignore_rotation_and_further_scales() {
     let view = view(SIZE[0], SIZE[1]);

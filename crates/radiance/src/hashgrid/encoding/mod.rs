@@ -29,7 +29,7 @@ pub(crate) struct Level {
     pub(crate) scale: f64,
     /// Factors of the coordinates.
     pub(crate) factors: [u32; 3],
-    /// Whether the index is a hash.
+    /// True if the index is a hash.
     pub(crate) hashed: bool,
     /// Index of the level's first entry in the table.
     pub(crate) first: usize,

@@ -60,7 +60,7 @@ pub(crate) fn add_gradient(shape: &Shape, from: &[Vec<f32>], to: &mut [f32]) {
     }
 }
 
-/// What the layers hold of a block, `BLOCK x width` each.
+/// Values of all layers for a block, `BLOCK x width` each.
 #[derive(Default)]
 pub(crate) struct Values {
     /// The input, then what every layer gives.

@@ -1,4 +1,4 @@
-//! What is kept of a chunk of rays between the way forward and the way back.
+//! State of a chunk of rays between forward and backward pass.
 
 use super::RayRender;
 use crate::hashgrid::encoding::harmonics::{HARMONICS, harmonics};
@@ -12,13 +12,13 @@ use pulp::{Arch, Simd, WithSimd};
 /// Rays of a chunk: the piece of work of a thread, and of every sum.
 pub(super) const RAYS: usize = 64;
 
-/// The field as the fast lane wants it.
+/// The field, packed for the fast lane.
 pub(super) struct Scene<'a> {
     pub(super) arch: Arch,
     pub(super) field: &'a HashGridField,
     pub(super) density: &'a Packed,
     pub(super) colour: &'a Packed,
-    /// Whether slopes of encodings are kept for the way back.
+    /// Keep the slopes of encodings for the backward pass.
     pub(super) keep_slopes: bool,
 }
 
@@ -34,7 +34,7 @@ impl Scene<'_> {
     }
 }
 
-/// Where rays are sampled.
+/// Sampling of rays.
 pub(super) struct March<'a> {
     pub(super) settings: &'a MarchSettings,
     pub(super) occupancy: &'a Occupancy,
@@ -84,7 +84,7 @@ impl Chunk {
     }
 }
 
-/// What a thread needs to evaluate a block of samples.
+/// Buffers of a thread for a block of samples.
 pub(super) struct Workspace {
     pub(super) density: Values,
     pub(super) colour: Values,
@@ -102,7 +102,7 @@ impl Workspace {
     }
 }
 
-/// What the colour network sees of a ray, and metres per unit of its depth.
+/// Direction of a ray: unit vector, metres per unit of its depth, and the colour network's input.
 #[derive(Clone, Copy)]
 pub(super) struct Direction {
     pub(super) unit: Vec3<f32>,

@@ -1,4 +1,4 @@
-//! From derivatives by what rays show to those by the field and by the rays.
+//! Backward pass, from derivatives by renders to those by the field and by the rays.
 
 use super::chunk::{Chunk, Direction, Scene, Workspace};
 use super::cpu_forward::{colours, densities};
@@ -10,7 +10,7 @@ use crate::hashgrid::network::product::padded;
 use harmonics::HARMONICS;
 use i2slam_geometry::Vec3;
 
-/// What is asked for.
+/// Gradients to compute.
 #[derive(Clone, Copy)]
 pub(super) struct Wanted {
     pub(super) field: bool,

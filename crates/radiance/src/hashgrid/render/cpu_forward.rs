@@ -1,4 +1,4 @@
-//! From rays to what they show, a chunk of rays at a time.
+//! Forward pass, a chunk of rays at a time.
 //!
 //! All rays of a chunk advance together, some samples at a time, so that a ray that has ended
 //! costs no more than the samples of its last advance.
@@ -156,7 +156,7 @@ fn exponents<'a>(
     }
 }
 
-/// What the rays of a chunk show.
+/// Renders the rays of a chunk.
 pub(super) fn render(scene: &Scene<'_>, march: &March<'_>, rays: &[Ray], out: &mut Chunk) {
     debug_assert!(rays.len() <= RAYS);
     out.clear();

@@ -24,7 +24,7 @@ mod view;
 
 pub use renderer::FieldRenderer;
 
-/// What a ray shows; also `∂L/∂` of each of its numbers.
+/// Render of a ray; also `∂L/∂` of each of its numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RayRender<T = f32> {
     /// Linear radiance `Σ w c`, R, G, B.

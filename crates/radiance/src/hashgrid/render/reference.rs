@@ -40,7 +40,7 @@ fn point<T: Real>(field: &HashGridField<T>, ray: &Ray<T>, depth: T) -> Point<T> 
     Point { position, density_values, colour_values, density, colour }
 }
 
-/// What the samples of a ray show.
+/// Renders a ray from its samples.
 pub fn render<T: Real>(
     field: &HashGridField<T>,
     ray: &Ray<T>,

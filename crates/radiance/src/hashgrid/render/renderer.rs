@@ -1,4 +1,4 @@
-//! The fast lane as a whole.
+//! Renderer of batches of rays.
 
 use super::chunk::{Chunk, March, RAYS, Scene, Workspace};
 use super::cpu_backward::{self, Wanted};
@@ -30,7 +30,7 @@ impl FieldRenderer {
         Self { march, arch: Arch::new(), chunks: Vec::new(), rays: 0, keep_slopes: false }
     }
 
-    /// The same on a chosen instruction set.
+    /// A renderer on a chosen instruction set.
     #[cfg(test)]
     pub(crate) fn on(arch: Arch, march: MarchSettings) -> Self {
         Self { arch, ..Self::new(march) }
@@ -41,10 +41,9 @@ impl FieldRenderer {
         &self.march
     }
 
-    /// Whether the next renders keep what derivatives by rays need, so that
-    /// [`pull_back`](Self::pull_back) has not to look at the table again: faster where those are
-    /// wanted, for about twice the memory. Off at the start; gradients are the same up to
-    /// rounding. Returns what held before.
+    /// Makes the next renders keep the slopes that derivatives by rays need, so that
+    /// [`pull_back`](Self::pull_back) reads the table only once: faster, for about twice the
+    /// memory. Off at first; gradients are equal up to rounding. Returns the setting before.
     pub fn keep_slopes(&mut self, keep: bool) -> bool {
         std::mem::replace(&mut self.keep_slopes, keep)
     }

@@ -1,4 +1,4 @@
-//! What the occupancy remembers.
+//! Updates of the occupancy grid.
 
 use super::*;
 use i2slam_geometry::Vec3;
@@ -158,7 +158,7 @@ fn looks_occupy_no_cell_that_is_not_allowed() {
     assert_eq!(occupancy.share(), 1.0);
 }
 
-/// What was emptied is sampled again for as many looks as asked, and only where it is allowed.
+/// Reopened cells stay for the given number of updates, and only where allowed.
 #[test]
 fn reopened_cells_stay_for_some_looks() {
     let mut field = field(settings(), 4).cast::<f32>();

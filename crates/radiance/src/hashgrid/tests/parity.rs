@@ -29,7 +29,7 @@ fn cases() -> Vec<(&'static str, FieldSettings)> {
     ]
 }
 
-/// What both lanes give.
+/// Results of one lane.
 struct Outcome {
     renders: Vec<f64>,
     gradient: [Vec<f64>; 3],
@@ -149,7 +149,7 @@ fn empty_cells_are_marched_over() {
     assert_marched(&field.cast(), &full, &occupancy);
 }
 
-/// The same where the empty cells are many and fill whole blocks.
+/// Parity with many empty cells that fill whole blocks.
 #[test]
 fn empty_blocks_are_marched_over() {
     let field = field(settings(), 4).cast::<f32>();

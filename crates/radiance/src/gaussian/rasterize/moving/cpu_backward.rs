@@ -1,4 +1,4 @@
-//! The way back from all moments of a tile, back to front.
+//! Backward pass of all moments of a tile, back to front.
 //!
 //! With `q_i = g · v_i` for the cotangent `g` of a pixel and what splat `i` composites,
 //! `v_i = (r, g, b, z, 1)`, and at each moment the transmittance `T` behind contribution `i` and
@@ -22,14 +22,14 @@ use crate::gaussian::rasterize::cpu_forward::{ExponentRow, Limits, Value};
 use crate::gaussian::rasterize::tile::{Row, TilePixels};
 use pulp::{Simd, WithSimd};
 
-/// What the last render left, and the cotangent of its pixels.
+/// State of the last render, and the cotangent of its pixels.
 pub(crate) struct Picture<'a> {
     pub(crate) scene: Scene<'a>,
     pub(crate) tiles: &'a [TilePixels],
     pub(crate) states: &'a [MomentRow],
     /// `∂L/∂[r, g, b, depth, opacity]`.
     pub(crate) cotangent: [Option<&'a [f32]>; 5],
-    /// Whether the sums that only the map needs are wanted.
+    /// Compute the sums that only the map needs.
     pub(crate) with_map: bool,
 }
 
@@ -178,7 +178,8 @@ impl<const MAP: bool> WithSimd for Backward<'_, MAP> {
     }
 }
 
-/// What a [`Slot`] lacks of one splat over the pixels of one tile, with `e = α ∂L/∂α`.
+/// Sums by motion of one splat over the pixels of one tile, beside its [`Slot`], with `e = α
+/// ∂L/∂α`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct MotionSlot {
     /// `Σ e s dx, Σ e s dy`.

@@ -13,7 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// What both directions need.
+/// Inputs of both directions.
 pub(crate) struct Scene<'a> {
     pub(crate) arch: Arch,
     pub(crate) settings: &'a RasterSettings,

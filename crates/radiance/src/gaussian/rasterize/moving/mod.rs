@@ -22,7 +22,7 @@ pub(crate) use cpu_forward::{Scene, render};
 /// Moments that are composited together, at most; what is more than that goes in further rounds.
 pub(crate) const PACK: usize = 16;
 
-/// What one row of a tile keeps of one moment.
+/// State of one row of a tile at one moment.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub(crate) struct MomentRow {
@@ -75,7 +75,7 @@ impl RowTimes {
     }
 }
 
-/// When the rows of one tile look.
+/// Times at which the rows of one tile are exposed.
 pub(super) struct TileTimes {
     /// Moments of the pack.
     pub(super) count: usize,

@@ -29,7 +29,7 @@ pub(super) struct MovingSplat {
     first: Column,
     end: Column,
     pub(super) path: Path<f32>,
-    /// What a row's square adds to the offset, per axis.
+    /// Quadratic coefficient of the offset by row, per axis.
     curve: [f32; 2],
     /// First and end row that are touched at any moment.
     pub(super) rows: [usize; 2],
@@ -157,7 +157,7 @@ impl MovingSplat {
         (at_middle, farthest)
     }
 
-    /// Whether the row is touched at the moment.
+    /// True if the splat touches the row at the moment.
     #[inline(always)]
     pub(super) fn touches(&self, moment: usize, row: usize) -> bool {
         let (first, end) = (self.first[moment].to_bits(), self.end[moment].to_bits());
