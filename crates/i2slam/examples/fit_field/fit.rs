@@ -71,7 +71,7 @@ fn untrained(frames: &Frames, asked: &Asked) -> Result<HashGridMap, SettingsErro
     let mut occupancy = Occupancy::empty(looks);
     for &frame in &frames.training() {
         for (ray, depth) in rays_with_depth(frames, frame) {
-            occupancy.hold(&field, &ray, depth * (1.0 - SHELL), depth * (1.0 + SHELL));
+            occupancy.mark_cells(&field, &ray, depth * (1.0 - SHELL), depth * (1.0 + SHELL));
         }
     }
     let march = MarchSettings { step_min: STEP_MIN, cone: CONE, ..MarchSettings::cube(bound) };

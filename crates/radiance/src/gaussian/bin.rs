@@ -37,11 +37,11 @@ impl TileGrid {
 
     /// Bounding box of the marked tiles within a box (first column, first row, end column, end
     /// row).
-    pub(crate) fn wanted_part(&self, wanted: &[bool], [x0, y0, x1, y1]: [u16; 4]) -> [u16; 4] {
+    pub(crate) fn masked_box(&self, mask: &[bool], [x0, y0, x1, y1]: [u16; 4]) -> [u16; 4] {
         let mut part = [x1, y1, 0, 0];
         for row in y0..y1 {
             for column in x0..x1 {
-                if wanted[usize::from(row) * self.columns + usize::from(column)] {
+                if mask[usize::from(row) * self.columns + usize::from(column)] {
                     let [left, top, right, _] = part;
                     part = [left.min(column), top.min(row), right.max(column + 1), row + 1];
                 }

@@ -1,7 +1,7 @@
 //! A field with its occupancy as bytes, lossless.
 //!
 //! Layout, little endian: the 8 bytes `I2FIELD\n`, format version (`u32`), the settings of the
-//! field, of the march and of the occupancy (13 + 6 + 4 numbers, `f64`) and the number of looks so
+//! field, of the march and of the occupancy (13 + 6 + 4 numbers, `f64`) and the number of updates so
 //! far (`f64`), a bit for each of the occupancy's cells (the lowest of a byte first) that says
 //! whether its remembered density is above 0, those that are (`f32`), the table, the weights of the
 //! density network and of the colour network (`f32`), and the CRC-32 (ISO-HDLC) of everything
@@ -52,7 +52,7 @@ impl std::error::Error for FieldFileError {}
 fn settings_to_numbers(
     field: &FieldSettings,
     march: &MarchSettings,
-    looks: &OccupancySettings,
+    occupancy: &OccupancySettings,
 ) -> Vec<f64> {
     let [x, y, z] = field.centre;
     let counts = [
@@ -71,12 +71,12 @@ fn settings_to_numbers(
     let MarchSettings { near, step_min, step_max, cone, steps_max, transmittance_min } = *march;
     all.extend([near, step_min, step_max, cone].map(f64::from));
     all.extend([f64::from(steps_max), f64::from(transmittance_min)]);
-    let OccupancySettings { resolution, decay, density, full_looks } = *looks;
-    all.extend([resolution.into(), decay.into(), density.into(), f64::from(full_looks)]);
+    let OccupancySettings { resolution, decay, density, full_updates } = *occupancy;
+    all.extend([resolution.into(), decay.into(), density.into(), f64::from(full_updates)]);
     all
 }
 
-/// Numbers of the file before the occupancy's looks so far.
+/// Numbers of the file before the occupancy's updates so far.
 const NUMBERS: usize = 13 + 6 + 4;
 
 /// The settings back from [`settings_to_numbers`]. Counts that are none become 0, which no check lets pass.
@@ -107,7 +107,7 @@ fn settings_from_numbers(n: &[f64; NUMBERS]) -> (FieldSettings, MarchSettings, O
         resolution: n[19] as u32,
         decay: n[20] as f32,
         density: n[21] as f32,
-        full_looks: n[22] as u32,
+        full_updates: n[22] as u32,
     };
     (field, march, occupancy)
 }
@@ -137,7 +137,7 @@ impl HashGridMap {
         bytes.extend_from_slice(MAGIC);
         bytes.extend_from_slice(&VERSION.to_le_bytes());
         let mut all = settings_to_numbers(field.settings(), march, occupancy.settings());
-        all.push(f64::from(occupancy.looks()));
+        all.push(f64::from(occupancy.updates()));
         all.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
         let bit = |byte: u8, (i, d): (usize, &f32)| byte | u8::from(*d > 0.0) << i;
         bytes.extend(cells.chunks(8).map(|cells| cells.iter().enumerate().fold(0, bit)));
@@ -156,15 +156,15 @@ impl HashGridMap {
         for value in &mut n {
             *value = f64::from_le_bytes(reader.take()?);
         }
-        let (field, march, looks) = settings_from_numbers(&n);
+        let (field, march, settings) = settings_from_numbers(&n);
         let count = HashGridField::<f32>::parameter_count(field);
         let count = count.map_err(FieldFileError::Settings)?;
-        if !(1..=512).contains(&looks.resolution) {
+        if !(1..=512).contains(&settings.resolution) {
             let error = SettingsError { name: "occupancy resolution" };
             return Err(FieldFileError::Settings(error));
         }
-        let looked = f64::from_le_bytes(reader.take()?) as u32;
-        let cells = (looks.resolution as usize).pow(3);
+        let updates = f64::from_le_bytes(reader.take()?) as u32;
+        let cells = (settings.resolution as usize).pow(3);
         let bits = reader.split(cells.div_ceil(8))?;
         let is_dense = |cell: usize| bits[cell / 8] >> (cell % 8) & 1 == 1;
         let dense = (0..cells).filter(|cell| is_dense(*cell)).count();
@@ -179,7 +179,7 @@ impl HashGridMap {
         for values in field.parameters_mut() {
             reader.fill(values)?;
         }
-        let occupancy = Occupancy::restored(looks, densities, looked);
+        let occupancy = Occupancy::restored(settings, densities, updates);
         Ok(Self { field, occupancy, march })
     }
 }

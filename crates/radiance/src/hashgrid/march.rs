@@ -64,7 +64,7 @@ impl Walk {
     ) -> Option<(Sample, [f32; 3])> {
         while self.depth < self.end && self.steps > 0 {
             let (position, step) = (self.position(self.depth), self.step(settings));
-            let Some(exit) = occupancy.exit(position, self.inverse) else {
+            let Some(exit) = occupancy.empty_until(position, self.inverse) else {
                 let sample = Sample { depth: self.depth, step };
                 self.advance(step);
                 return Some((sample, position));

@@ -17,7 +17,7 @@ pub struct Occupancy {
     occupied: Vec<u64>,
     /// True for blocks with an occupied cell; the others are crossed in long steps.
     blocks: Vec<bool>,
-    looks: u32,
+    updates: u32,
     /// The cells that may ever be occupied; all if empty.
     allowed: Vec<u64>,
 }
@@ -29,7 +29,7 @@ const BLOCK: u32 = 8;
 const CELLS: usize = 1 << 16;
 
 impl Occupancy {
-    /// A grid whose cells all count as occupied until the first look. The resolution is taken
+    /// A grid whose cells all count as occupied until the first update. The resolution is taken
     /// within its range.
     pub fn new(settings: OccupancySettings) -> Self {
         let resolution = settings.resolution.clamp(1, 512);
@@ -39,19 +39,19 @@ impl Occupancy {
             densities: vec![0.0; cells],
             occupied: all_bits(cells),
             blocks: vec![true; (resolution.div_ceil(BLOCK) as usize).pow(3)],
-            looks: 0,
+            updates: 0,
             allowed: Vec::new(),
         }
     }
 
     /// A grid over the cube of half edge `bound` \[m\] around `centre` in which exactly the cells
-    /// whose middle `holds` accepts are occupied until the first look, as known from depth
+    /// whose middle `is_occupied` accepts are occupied until the first update, as known from depth
     /// pictures or a previous map.
     pub fn of_cells(
         centre: [f64; 3],
         bound: f64,
         settings: OccupancySettings,
-        holds: impl Fn(Vec3<f32>) -> bool,
+        is_occupied: impl Fn(Vec3<f32>) -> bool,
     ) -> Self {
         let mut occupancy = Self::new(settings);
         let resolution = occupancy.settings.resolution as usize;
@@ -63,16 +63,16 @@ impl Occupancy {
             let index = [cell % resolution, cell / resolution % resolution];
             let [x, y] = [middle(0, index[0]), middle(1, index[1])];
             let z = middle(2, cell / (resolution * resolution));
-            if holds(Vec3::new(x, y, z).cast()) {
+            if is_occupied(Vec3::new(x, y, z).cast()) {
                 occupancy.occupy(cell);
             }
         }
         occupancy
     }
 
-    /// A grid whose cells are all empty until one is held.
+    /// A grid whose cells are all empty until one is marked.
     pub fn empty(settings: OccupancySettings) -> Self {
-        let mut occupancy = Self { looks: 1, ..Self::new(settings) };
+        let mut occupancy = Self { updates: 1, ..Self::new(settings) };
         occupancy.clear();
         occupancy
     }
@@ -82,7 +82,7 @@ impl Occupancy {
     ///
     /// # Panics
     /// If the grids differ in their cells.
-    pub fn confine(&mut self, others: &Self) {
+    pub fn restrict_to(&mut self, others: &Self) {
         assert_eq!(self.settings.resolution, others.settings.resolution, "grids of other cells");
         let before = std::mem::replace(&mut self.allowed, others.occupied.clone());
         for cell in 0..self.densities.len() {
@@ -102,12 +102,12 @@ impl Occupancy {
         occupied.into_iter().for_each(|cell| self.occupy(cell));
     }
 
-    /// Occupies all cells that may be, for about `looks` looks: what was emptied while the field or
+    /// Occupies all cells that may be, for about `updates` updates: what was emptied while the field or
     /// the poses were still poor gets samples, and with them density, again.
-    pub fn reopen(&mut self, looks: i32) {
-        let density = self.lasting(looks);
+    pub fn reopen(&mut self, updates: i32) {
+        let density = self.density_for(updates);
         let cells: Vec<usize> = self.allowed_cells().collect();
-        cells.into_iter().for_each(|cell| self.keep(cell, density));
+        cells.into_iter().for_each(|cell| self.occupy_with(cell, density));
     }
 
     /// The cells that may be occupied, in order.
@@ -137,37 +137,39 @@ impl Occupancy {
     }
 
     /// Occupy the cells that a ray crosses between two depths \[units of its direction\], as where
-    /// a depth picture saw a surface. A look forgets them like any other cell.
-    pub fn hold(&mut self, field: &HashGridField, ray: &Ray, from: f32, to: f32) {
-        self.looks = self.looks.max(1);
+    /// a depth picture saw a surface. An update forgets them like any other cell.
+    pub fn mark_cells(&mut self, field: &HashGridField, ray: &Ray, from: f32, to: f32) {
+        self.updates = self.updates.max(1);
         let density = self.settings.density;
-        self.crossed(field, ray, (from, to), |occupancy, cell| occupancy.keep(cell, density));
+        self.visit_crossed(field, ray, (from, to), |occupancy, cell| {
+            occupancy.occupy_with(cell, density)
+        });
     }
 
-    /// Occupies the cells that a ray crosses and that may be, for about `looks` looks: where it
+    /// Occupies the cells that a ray crosses and that may be, for about `updates` updates: where it
     /// met little it gets samples, and with them density, again.
-    pub fn reopen_along(&mut self, field: &HashGridField, ray: &Ray, looks: i32) {
-        let density = self.lasting(looks);
-        self.crossed(field, ray, (0.0, f32::MAX), |occupancy, cell| {
+    pub fn reopen_along(&mut self, field: &HashGridField, ray: &Ray, updates: i32) {
+        let density = self.density_for(updates);
+        self.visit_crossed(field, ray, (0.0, f32::MAX), |occupancy, cell| {
             if occupancy.allowed.is_empty() || is_set(&occupancy.allowed, cell) {
-                occupancy.keep(cell, density);
+                occupancy.occupy_with(cell, density);
             }
         });
     }
 
-    /// The density of a cell that stays occupied for about `looks` looks.
-    fn lasting(&self, looks: i32) -> f32 {
-        self.settings.density / self.settings.decay.powi(looks)
+    /// The density of a cell that stays occupied for about `updates` updates.
+    fn density_for(&self, updates: i32) -> f32 {
+        self.settings.density / self.settings.decay.powi(updates)
     }
 
     /// Occupies a cell, remembering at least a density.
-    fn keep(&mut self, cell: usize, density: f32) {
+    fn occupy_with(&mut self, cell: usize, density: f32) {
         self.densities[cell] = self.densities[cell].max(density);
         self.occupy(cell);
     }
 
     /// Visits the cells that a ray crosses between two depths \[units of its direction\].
-    fn crossed(
+    fn visit_crossed(
         &mut self,
         field: &HashGridField,
         ray: &Ray,
@@ -197,18 +199,18 @@ impl Occupancy {
         }
     }
 
-    /// A grid with densities that it remembered after `looks` looks.
-    pub(crate) fn restored(settings: OccupancySettings, densities: Vec<f32>, looks: u32) -> Self {
-        let mut occupancy = Self { densities, looks, ..Self::new(settings) };
-        if looks > 0 {
-            occupancy.mark();
+    /// A grid with densities that it remembered after `updates` updates.
+    pub(crate) fn restored(settings: OccupancySettings, densities: Vec<f32>, updates: u32) -> Self {
+        let mut occupancy = Self { densities, updates, ..Self::new(settings) };
+        if updates > 0 {
+            occupancy.update_bits();
         }
         occupancy
     }
 
-    /// Number of looks so far.
-    pub fn looks(&self) -> u32 {
-        self.looks
+    /// Number of updates so far.
+    pub fn updates(&self) -> u32 {
+        self.updates
     }
 
     /// The settings.
@@ -222,7 +224,7 @@ impl Occupancy {
     }
 
     /// Share of the cells that are occupied, in `[0, 1]`.
-    pub fn share(&self) -> f64 {
+    pub fn occupied_share(&self) -> f64 {
         let cells = 0..self.densities.len();
         cells.clone().filter(|&cell| self.bit(cell)).count() as f64 / cells.len() as f64
     }
@@ -239,8 +241,8 @@ impl Occupancy {
 
     /// Depth from a position in the unit cube to where empty space ends: none if its cell is
     /// occupied, else to the end of its cell, or of its block if all of that is empty.
-    /// `inverse` holds one over each part of the direction. Outside, that of the nearest cell.
-    pub(crate) fn exit(&self, position: [f32; 3], inverse: [f32; 3]) -> Option<f32> {
+    /// `inverse` is_occupied one over each part of the direction. Outside, that of the nearest cell.
+    pub(crate) fn empty_until(&self, position: [f32; 3], inverse: [f32; 3]) -> Option<f32> {
         let resolution = self.settings.resolution as usize;
         let cell = position.map(|x| self.coordinate(x));
         let [x, y, z] = cell.map(|i| i as usize);
@@ -276,14 +278,14 @@ impl Occupancy {
     }
 
     /// Look at the field again, at one random place in each of some cells: all of them the first
-    /// [`full_looks`](OccupancySettings::full_looks) times, later a quarter of all and a quarter
+    /// [`full_updates`](OccupancySettings::full_updates) times, later a quarter of all and a quarter
     /// as many of the occupied ones, both drawn at random. Of a cell that is looked at the larger
-    /// of the decayed old and the new density is kept. Cells that are not [allowed](Self::confine)
-    /// are left out. torch-ngp looks every 16 training steps.
+    /// of the decayed old and the new density is kept. Cells that are not [allowed](Self::restrict_to)
+    /// are left out. torch-ngp updates every 16 training steps.
     pub fn refresh(&mut self, field: &HashGridField, renderer: &mut FieldRenderer, seed: u64) {
-        let mut random = Random::new(seed ^ (u64::from(self.looks) << 32));
+        let mut random = Random::new(seed ^ (u64::from(self.updates) << 32));
         let mut chosen: Vec<usize> = self.allowed_cells().collect();
-        if self.looks >= self.settings.full_looks {
+        if self.updates >= self.settings.full_updates {
             let quarter = (chosen.len() / 4).max(1);
             let occupied: Vec<usize> = chosen.iter().copied().filter(|&c| self.bit(c)).collect();
             let mut draw = |from: &[usize]| -> Vec<usize> {
@@ -294,12 +296,14 @@ impl Occupancy {
             chosen.sort_unstable();
             chosen.dedup();
         }
-        chosen.chunks(CELLS).for_each(|part| self.look(field, renderer, &mut random, part));
-        self.looks = self.looks.saturating_add(1);
-        self.mark();
+        chosen
+            .chunks(CELLS)
+            .for_each(|part| self.sample_densities(field, renderer, &mut random, part));
+        self.updates = self.updates.saturating_add(1);
+        self.update_bits();
     }
 
-    fn look(
+    fn sample_densities(
         &mut self,
         field: &HashGridField,
         renderer: &mut FieldRenderer,
@@ -321,7 +325,7 @@ impl Occupancy {
     }
 
     /// Renew the bits and the blocks.
-    fn mark(&mut self) {
+    fn update_bits(&mut self) {
         let density = |cell: usize| self.densities[cell];
         let cells: Vec<usize> = self.allowed_cells().filter(|&cell| density(cell) > 0.0).collect();
         let sum: f64 = cells.iter().map(|&cell| f64::from(density(cell))).sum();

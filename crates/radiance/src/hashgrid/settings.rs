@@ -5,7 +5,7 @@ use std::fmt;
 /// Shape of a field. Fixed for its life; the defaults are those of torch-ngp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldSettings {
-    /// Centre of the cube that holds the field, in the world \[m\].
+    /// Centre of the cube that is_occupied the field, in the world \[m\].
     pub centre: [f64; 3],
     /// Half of the cube's edge \[m\], positive. There is nothing outside of the cube.
     pub bound: f64,
@@ -142,17 +142,17 @@ impl MarchSettings {
 pub struct OccupancySettings {
     /// Cells along an edge of the cube, from 1 to 512.
     pub resolution: u32,
-    /// Factor of a cell's remembered density at each look, in `[0, 1]`.
+    /// Factor of a cell's remembered density at each update, in `[0, 1]`.
     pub decay: f32,
     /// Density \[1/m\] from which on a cell is occupied, unless half of the mean of all cells with
     /// any is lower. (torch-ngp takes the mean, which empties half of an untrained field.)
     pub density: f32,
-    /// Number of looks at every cell before looks at a part of them.
-    pub full_looks: u32,
+    /// Number of updates at every cell before updates of a part of them.
+    pub full_updates: u32,
 }
 
 impl Default for OccupancySettings {
     fn default() -> Self {
-        Self { resolution: 128, decay: 0.95, density: 10.0, full_looks: 16 }
+        Self { resolution: 128, decay: 0.95, density: 10.0, full_updates: 16 }
     }
 }

@@ -113,7 +113,7 @@ pub(in crate::mapping) fn mark_cells(
         let (from, to) = range(pixel, d);
         for (i, j) in (0..fine).flat_map(|j| (0..fine).map(move |i| (i, j))) {
             let ray = Ray::through_pixel(&view, column + i, row + j);
-            occupancy.hold(field, &ray, from, to);
+            occupancy.mark_cells(field, &ray, from, to);
         }
     }
 }

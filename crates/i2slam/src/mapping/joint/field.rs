@@ -189,7 +189,7 @@ impl JointFieldMapper {
         let Some(field) = &mut self.field else { return };
         field.shells = surface_shells(&field.map, &self.camera, context);
         if let Some(shells) = &field.shells {
-            field.map.occupancy.confine(shells);
+            field.map.occupancy.restrict_to(shells);
         }
     }
 
@@ -216,7 +216,7 @@ impl JointFieldMapper {
         match &mut field.shells {
             Some(shells) => {
                 mark_view(shells, &field.map, &self.camera, context, last);
-                field.map.occupancy.confine(shells);
+                field.map.occupancy.restrict_to(shells);
             }
             None => self.confine(context),
         }

@@ -20,9 +20,9 @@ pub(crate) struct Projection<'a> {
     /// One per splat when the camera moves.
     pub(crate) paths: &'a mut Vec<Path<f32>>,
     /// Tiles to draw, if not all.
-    pub(crate) wanted: Option<&'a [bool]>,
+    pub(crate) mask: Option<&'a [bool]>,
     /// Chunks whose `visible` Gaussians are the only candidates, if known.
-    pub(crate) shown: Option<&'a [Chunk]>,
+    pub(crate) candidates: Option<&'a [Chunk]>,
 }
 
 /// Project the map, with the paths of its splats when the camera moves.
@@ -32,21 +32,21 @@ pub(crate) fn project(
     view: &View<f32>,
     motion: Option<&MotionFrame>,
     settings: &RasterSettings,
-    Projection { splats, chunks, paths, wanted, shown }: Projection<'_>,
+    Projection { splats, chunks, paths, mask, candidates }: Projection<'_>,
 ) {
     let (grid, frame) = (TileGrid::of(&view.camera), Frame::new(map, view, settings));
     splats.resize(map.len(), Splat::default());
     chunks.resize_with(map.len().div_ceil(CHUNK), Chunk::default);
     paths.resize(if motion.is_some() { map.len() } else { 0 }, Path::default());
-    let wanted = wanted.map(|wanted| Wanted::new(&grid, wanted));
+    let mask = mask.map(|mask| TileMask::new(&grid, mask));
     let work = splats.par_chunks_mut(CHUNK).zip(chunks.par_iter_mut()).enumerate();
-    let (frame, grid, wanted) = (&frame, &grid, wanted.as_ref());
+    let (frame, grid, mask) = (&frame, &grid, mask.as_ref());
     let project = |number: usize, splats, chunk: &mut Chunk, moving| {
         chunk.visible.clear();
         chunk.tile_count = 0;
-        let (start, shown) =
-            (number * CHUNK, shown.map(|chunks| chunks[number].visible.as_slice()));
-        arch.dispatch(Project { frame, map, grid, wanted, shown, start, splats, moving, chunk });
+        let (start, candidates) =
+            (number * CHUNK, candidates.map(|chunks| chunks[number].visible.as_slice()));
+        arch.dispatch(Project { frame, map, grid, mask, candidates, start, splats, moving, chunk });
     };
     match motion {
         None => work.for_each(|(number, (splats, chunk))| project(number, splats, chunk, None)),
@@ -63,9 +63,9 @@ pub(super) struct Project<'a> {
     pub(super) frame: &'a Frame,
     pub(super) map: &'a GaussianMap,
     pub(super) grid: &'a TileGrid,
-    wanted: Option<&'a Wanted<'a>>,
+    mask: Option<&'a TileMask<'a>>,
     /// Sort items of the candidates, if not all Gaussians are.
-    pub(super) shown: Option<&'a [u64]>,
+    pub(super) candidates: Option<&'a [u64]>,
     /// Index of the first Gaussian.
     pub(super) start: usize,
     pub(super) splats: &'a mut [Splat],
@@ -81,8 +81,8 @@ impl WithSimd for Project<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) {
         let motion = self.moving.as_ref().map(|(motion, _)| *motion);
         let (mut group, mut chosen) = (Group::default(), ALL);
-        let count = match (self.wanted, motion) {
-            (Some(wanted), Some(motion)) => self.choose(simd, wanted, motion, &mut chosen),
+        let count = match (self.mask, motion) {
+            (Some(mask), Some(motion)) => self.select_rows(simd, mask, motion, &mut chosen),
             _ => self.splats.len(),
         };
         for chosen in chosen[..count].chunks(S::F32_LANES) {
@@ -112,8 +112,8 @@ impl Project<'_> {
     fn write(&mut self, group: &Group, place: usize, row: usize) {
         let splat = &mut self.splats[row];
         group.write(place, splat);
-        if let Some(wanted) = self.wanted {
-            splat.tiles = self.grid.wanted_part(wanted.tiles, splat.tiles);
+        if let Some(mask) = self.mask {
+            splat.tiles = self.grid.masked_box(mask.tiles, splat.tiles);
         }
         splat.first_tile = self.chunk.tile_count;
         if let Some((_, paths)) = &mut self.moving {
@@ -166,8 +166,8 @@ impl Group {
         grid: &TileGrid,
     ) {
         let stages = frame.stages::<S, ANISOTROPIC>(simd, &self.parameters);
-        let unsound = self.unsound::<S, ANISOTROPIC>(simd);
-        let unsound = unsound + self.activate(simd, frame.activation);
+        let invalid = self.invalid::<S, ANISOTROPIC>(simd);
+        let invalid = invalid + self.activate(simd, frame.activation);
         let logit = Lanes::load(simd, &self.parameters.opacity_logit);
         let log2_opacity = -(logit.constant(1.0) + (-logit).exp()).log2();
         let [xx, xy, yy] = stages.covariance(frame.settings.screen_variance);
@@ -175,11 +175,11 @@ impl Group {
         let inverse = determinant.recip();
         let conic = [yy * inverse, -(xy * inverse), xx * inverse];
         let centre = frame.centre(&stages);
-        let unsound = unsound + (centre[0] + centre[1] + determinant).scale(0.0);
-        let unsound = unsound + (conic[0] + conic[1] + conic[2]).scale(0.0);
+        let invalid = invalid + (centre[0] + centre[1] + determinant).scale(0.0);
+        let invalid = invalid + (conic[0] + conic[1] + conic[2]).scale(0.0);
         let depth = stages.p[2].within(frame.settings.near, frame.settings.far);
         let opaque = log2_opacity.within(frame.log2_alpha_min, f32::MAX);
-        let accepted = depth & opaque & unsound.within(0.0, 0.0);
+        let accepted = depth & opaque & invalid.within(0.0, 0.0);
         let accepted = accepted & determinant.within(f32::MIN_POSITIVE, f32::MAX);
 
         let reach2 = (log2_opacity - logit.constant(frame.log2_alpha_min)).scale(2.0 * LN_2);
@@ -221,7 +221,7 @@ impl Group {
 
     /// Not zero where a parameter is not finite.
     #[inline(always)]
-    fn unsound<S: Simd, const ANISOTROPIC: bool>(&self, simd: S) -> Lanes<S> {
+    fn invalid<S: Simd, const ANISOTROPIC: bool>(&self, simd: S) -> Lanes<S> {
         let [x, y, z] = Lanes::load_all(simd, &self.parameters.mean);
         let [r, g, b] = Lanes::load_all(simd, &self.radiance);
         let [s0, s1, s2] = Lanes::load_all(simd, &self.parameters.log_scale);
@@ -318,23 +318,23 @@ pub(super) const ALL: [u8; CHUNK] = {
     rows
 };
 
-/// The wanted tiles of a picture.
-pub(super) struct Wanted<'a> {
+/// The marked tiles of a picture.
+pub(super) struct TileMask<'a> {
     /// Row by row.
     pub(super) tiles: &'a [bool],
     stride: usize,
-    /// For each corner of tiles, row by row: how many wanted ones are above it on its left.
+    /// For each corner of tiles, row by row: how many marked ones are above it on its left.
     counts: Vec<u32>,
 }
 
-impl<'a> Wanted<'a> {
+impl<'a> TileMask<'a> {
     pub(super) fn new(grid: &TileGrid, tiles: &'a [bool]) -> Self {
         let stride = grid.columns + 1;
         let mut counts = vec![0; stride * (grid.rows + 1)];
         for (row, tiles) in tiles.chunks(grid.columns.max(1)).enumerate() {
             let mut along = 0;
-            for (column, &wanted) in tiles.iter().enumerate() {
-                along += u32::from(wanted);
+            for (column, &mask) in tiles.iter().enumerate() {
+                along += u32::from(mask);
                 let corner = row * stride + column + 1;
                 counts[corner + stride] = counts[corner] + along;
             }
@@ -399,18 +399,18 @@ impl Bounds {
 }
 
 impl Project<'_> {
-    /// Put the rows of the Gaussians that may show in wanted tiles first; gives how many there are.
+    /// Put the rows of the Gaussians that may show in marked tiles first; gives how many there are.
     #[inline(always)]
-    pub(super) fn choose<S: Simd>(
+    pub(super) fn select_rows<S: Simd>(
         &self,
         simd: S,
-        wanted: &Wanted<'_>,
+        mask: &TileMask<'_>,
         motion: &MotionFrame,
         chosen: &mut [u8; CHUNK],
     ) -> usize {
         let mut bounds = Bounds::default();
         let (mut rows, mut count) = (ALL, 0);
-        let candidates = self.candidates(&mut rows);
+        let candidates = self.candidate_rows(&mut rows);
         for rows in rows[..candidates].chunks(S::F32_LANES) {
             for (place, &row) in rows.iter().enumerate() {
                 bounds.set(place, self.map, self.start + usize::from(row));
@@ -418,7 +418,7 @@ impl Project<'_> {
             if bounds.find(simd, self.frame, motion, self.grid) {
                 for (place, &row) in rows.iter().enumerate() {
                     chosen[count] = row;
-                    count += usize::from(wanted.any(tiles_within(&bounds.pixels, place)));
+                    count += usize::from(mask.any(tiles_within(&bounds.pixels, place)));
                 }
             }
         }
@@ -427,12 +427,12 @@ impl Project<'_> {
 
     /// Put the rows of the Gaussians that are asked first; gives how many there are.
     #[inline(always)]
-    fn candidates(&self, rows: &mut [u8; CHUNK]) -> usize {
-        let Some(shown) = self.shown else { return self.splats.len() };
-        for (row, &item) in rows.iter_mut().zip(shown) {
+    fn candidate_rows(&self, rows: &mut [u8; CHUNK]) -> usize {
+        let Some(candidates) = self.candidates else { return self.splats.len() };
+        for (row, &item) in rows.iter_mut().zip(candidates) {
             *row = (sort::index(item) - self.start) as u8;
         }
-        shown.len()
+        candidates.len()
     }
 }
 
@@ -444,11 +444,11 @@ mod tests {
     fn boxes_are_asked_of_sums() {
         let grid = TileGrid { width: 60, height: 40, columns: 4, rows: 3 };
         let tiles: Vec<_> = (0..12).map(|number| number % 5 == 1).collect();
-        let wanted = Wanted::new(&grid, &tiles);
+        let mask = TileMask::new(&grid, &tiles);
         for (x0, x1) in (0..5).flat_map(|x0| (x0..5).map(move |x1| (x0, x1))) {
             for (y0, y1) in (0..4).flat_map(|y0| (y0..4).map(move |y1| (y0, y1))) {
                 let any = (y0..y1).any(|y| (x0..x1).any(|x| tiles[y * 4 + x]));
-                assert_eq!(wanted.any([x0, y0, x1, y1]), any);
+                assert_eq!(mask.any([x0, y0, x1, y1]), any);
             }
         }
     }

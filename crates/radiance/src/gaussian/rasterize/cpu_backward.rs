@@ -92,7 +92,7 @@ mod plane {
     /// The cotangent: r, g, b, depth, opacity.
     pub(super) const COTANGENT: usize = 2;
     /// 1 where the cotangent is not zero.
-    pub(super) const WANTED: usize = 7;
+    pub(super) const NONZERO: usize = 7;
     pub(super) const COUNT: usize = 8;
 }
 
@@ -139,11 +139,11 @@ fn load(picture: &Picture<'_>, number: usize, scratch: &mut Scratch) -> bool {
         for i in 0..width {
             let cotangent: [f32; 5] = std::array::from_fn(|k| planes[plane::COTANGENT + k][i]);
             let value = [r[i], g[i], b[i], z[i], 1.0 - t[i].abs()];
-            let wanted = if cotangent == [0.0; 5] { 0.0 } else { 1.0 };
+            let nonzero = if cotangent == [0.0; 5] { 0.0 } else { 1.0 };
             planes[plane::TRANSMITTANCE][i] = 1.0;
             planes[plane::REMAINDER][i] = (0..5).map(|k| cotangent[k] * value[k]).sum();
-            planes[plane::WANTED][i] = wanted;
-            any += wanted;
+            planes[plane::NONZERO][i] = nonzero;
+            any += nonzero;
         }
     }
     any > 0.0
@@ -244,7 +244,7 @@ fn pull_back_row<S: Simd, const MAP: bool>(
     row: &mut [Row; plane::COUNT],
     sums: &mut Sums<S>,
 ) {
-    let [transmittance, remainder, r, g, b, z, o, wanted] = row;
+    let [transmittance, remainder, r, g, b, z, o, nonzero] = row;
     let transmittance = S::as_mut_simd_f32s(transmittance).0;
     let remainder = S::as_mut_simd_f32s(remainder).0;
     let cotangent = [
@@ -254,7 +254,7 @@ fn pull_back_row<S: Simd, const MAP: bool>(
         S::as_simd_f32s(z).0,
         S::as_simd_f32s(o).0,
     ];
-    let wanted = S::as_simd_f32s(wanted).0;
+    let nonzero = S::as_simd_f32s(nonzero).0;
     for v in 0..TILE / S::F32_LANES {
         let dx = exponent.dx(simd, v);
         let free = exponent.alpha(simd, dx);
@@ -280,7 +280,7 @@ fn pull_back_row<S: Simd, const MAP: bool>(
         accumulate(simd, &mut sums.depth, step.weight, cotangent[3][v]);
         if MAP {
             sums.zeroth = simd.add_f32s(sums.zeroth, e);
-            accumulate(simd, &mut sums.weight, step.weight, wanted[v]);
+            accumulate(simd, &mut sums.weight, step.weight, nonzero[v]);
             for k in 0..3 {
                 accumulate(simd, &mut sums.radiance[k], step.weight, cotangent[k][v]);
             }

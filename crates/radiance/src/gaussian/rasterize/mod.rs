@@ -92,7 +92,7 @@ impl Rasterizer {
 
     /// Write what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
-        self.list(map, view, None, Part::default());
+        self.list(map, view, None, TileSelection::default());
         let Self { arch, settings, grid, splats, bins, tiles, seconds, .. } = self;
         timed(&mut seconds.blend, || {
             cpu_forward::render(*arch, settings, grid, splats, bins, tiles);
@@ -107,15 +107,15 @@ impl Rasterizer {
         map: &GaussianMap,
         view: &View<f32>,
         motion: Option<&MotionFrame>,
-        Part { wanted, shown }: Part<'_>,
+        TileSelection { mask, candidates }: TileSelection<'_>,
     ) {
         self.grid = TileGrid::of(&view.camera);
         let projection = Projection {
             splats: &mut self.splats,
             chunks: &mut self.chunks,
             paths: &mut self.paths,
-            wanted,
-            shown,
+            mask,
+            candidates,
         };
         let (arch, settings, seconds) = (self.arch, &self.settings, &mut self.seconds);
         timed(&mut seconds.project, || {
@@ -202,13 +202,13 @@ impl Rasterizer {
     }
 }
 
-/// Part of a picture to draw; all by default.
+/// Tiles and Gaussians to draw; all by default.
 #[derive(Clone, Copy, Default)]
-struct Part<'a> {
+struct TileSelection<'a> {
     /// Tiles to draw, if not all.
-    wanted: Option<&'a [bool]>,
+    mask: Option<&'a [bool]>,
     /// Chunks whose visible Gaussians are the only candidates, if known.
-    shown: Option<&'a [Chunk]>,
+    candidates: Option<&'a [Chunk]>,
 }
 
 const NOT_OF_LAST_RENDER: &str = "pull_back needs the map and the view of the last render";
@@ -228,21 +228,21 @@ impl Rasterizer {
     /// With zero velocity it shows what [`render`](Self::render) shows: exactly for one moment,
     /// up to rounding for several.
     ///
-    /// `wanted` marks tiles of [`TILE`](super::TILE) pixels, row by row, partial ones at the
+    /// `mask` marks tiles of [`TILE`](super::TILE) pixels, row by row, partial ones at the
     /// right and lower edge included; only marked tiles are drawn, the others are black. `None`
     /// draws all.
     ///
     /// # Panics
-    /// If `wanted` has another size than the picture has tiles.
+    /// If `mask` has another size than the picture has tiles.
     pub fn render_moving(
         &mut self,
         map: &GaussianMap,
         view: &View<f32>,
         motion: &ShutterMotion,
-        wanted: Option<&[bool]>,
+        mask: Option<&[bool]>,
         out: &mut Render,
     ) {
-        self.render_part(map, view, motion, Part { wanted, shown: None }, out);
+        self.render_part(map, view, motion, TileSelection { mask, candidates: None }, out);
     }
 
     /// [`render_moving`](Self::render_moving) of the Gaussians alone that the last picture of
@@ -250,20 +250,20 @@ impl Rasterizer {
     /// skipped before projection.
     ///
     /// # Panics
-    /// If `wanted` has another size than the picture has tiles, or the picture of `other` is of
+    /// If `mask` has another size than the picture has tiles, or the picture of `other` is of
     /// a map of another size.
-    pub fn render_moving_shown_by(
+    pub fn render_moving_visible_in(
         &mut self,
         other: &Self,
         map: &GaussianMap,
         view: &View<f32>,
         motion: &ShutterMotion,
-        wanted: &[bool],
+        mask: &[bool],
         out: &mut Render,
     ) {
         assert!(other.splats.len() == map.len(), "{}", NOT_OF_LAST_RENDER);
-        let part = Part { wanted: Some(wanted), shown: Some(&other.chunks) };
-        self.render_part(map, view, motion, part, out);
+        let selection = TileSelection { mask: Some(mask), candidates: Some(&other.chunks) };
+        self.render_part(map, view, motion, selection, out);
     }
 
     fn render_part(
@@ -271,14 +271,14 @@ impl Rasterizer {
         map: &GaussianMap,
         view: &View<f32>,
         motion: &ShutterMotion,
-        part: Part<'_>,
+        selection: TileSelection<'_>,
         out: &mut Render,
     ) {
-        let (tiles, wanted) = (TileGrid::of(&view.camera).len(), part.wanted);
-        assert!(wanted.is_none_or(|wanted| wanted.len() == tiles), "one number per tile");
+        let (tiles, mask) = (TileGrid::of(&view.camera).len(), selection.mask);
+        assert!(mask.is_none_or(|mask| mask.len() == tiles), "one number per tile");
         self.row_times = RowTimes::new(motion, view.camera.height);
         let frame = MotionFrame::new(view, motion, &self.settings);
-        self.list(map, view, Some(&frame), part);
+        self.list(map, view, Some(&frame), selection);
         let count = moving::moment_rows(&self.grid, &self.row_times);
         self.states.resize(count, MomentRow::default());
         let scene = moving::Scene {
@@ -290,8 +290,8 @@ impl Rasterizer {
             paths: &self.paths,
             bins: &self.bins,
         };
-        moving::render(&scene, wanted, &mut self.tiles, &mut self.states);
-        tile::copy_out(&self.grid, &self.tiles, wanted, out);
+        moving::render(&scene, mask, &mut self.tiles, &mut self.states);
+        tile::copy_out(&self.grid, &self.tiles, mask, out);
     }
 
     /// Pull `∂L/∂render` back through the last [`render_moving`](Self::render_moving), which must
@@ -378,7 +378,7 @@ impl RadianceMap for GaussianMap {
         still: &Rasterizer,
         out: &mut Render,
     ) {
-        rasterizer.render_moving_shown_by(still, self, view, motion, tiles, out);
+        rasterizer.render_moving_visible_in(still, self, view, motion, tiles, out);
     }
 
     fn pull_back_moving(

@@ -39,11 +39,11 @@ pub(crate) fn start(tile: &mut TilePixels, grid: &TileGrid, number: usize) -> [f
     [column as f32 + 0.5, row as f32 + 0.5]
 }
 
-/// From tiles to planes; tiles that are not `wanted` show nothing.
+/// From tiles to planes; tiles that `mask` leaves out are black.
 pub(crate) fn copy_out(
     grid: &TileGrid,
     tiles: &[TilePixels],
-    wanted: Option<&[bool]>,
+    mask: Option<&[bool]>,
     out: &mut Render,
 ) {
     out.resize(grid.width, grid.height);
@@ -57,14 +57,14 @@ pub(crate) fn copy_out(
     let scalars = (out.depth.data.par_chunks_mut(band), out.opacity.data.par_chunks_mut(band));
     let work = tiles.par_chunks(grid.columns).zip(bands.into_par_iter()).zip(scalars);
     work.enumerate().for_each(|(row, ((tiles, (r, g, b)), (z, opacity)))| {
-        if wanted.is_some() {
+        if mask.is_some() {
             for plane in [&mut *r, &mut *g, &mut *b, &mut *z, &mut *opacity] {
                 plane.fill(0.0);
             }
         }
         for j in 0..r.len() / width {
             for (column, tile) in tiles.iter().enumerate() {
-                if wanted.is_some_and(|wanted| !wanted[row * grid.columns + column]) {
+                if mask.is_some_and(|mask| !mask[row * grid.columns + column]) {
                     continue;
                 }
                 let [t, planes @ ..] = &tile.rows[j];

@@ -8,7 +8,7 @@ use i2slam_geometry::{Camera, Pose, Tangent};
 use pulp::Arch;
 
 /// A twist that moves points of a picture of `width` pixels by about an eighth of it, moments of
-/// unlike weights and, if wanted, rows that look one after another.
+/// unlike weights and, optionally rows that look one after another.
 fn motion(readout: f64) -> ShutterMotion<f64> {
     let velocity = Tangent::from_array([0.05, -0.1, 0.06, 0.07, -0.06, 0.1]);
     let moments = [(-0.4, 1.0), (-0.1, 0.5), (0.15, 2.5), (0.5, 0.5)];
@@ -90,35 +90,35 @@ fn without_motion_it_is_the_still_picture() {
     }
 }
 
-/// Tiles that are not wanted show nothing and ask for nothing; what the others do stays the same.
+/// Tiles that are not marked show nothing and ask for nothing; what the others do stays the same.
 #[test]
-fn wanted_tiles_are_those_of_the_whole_picture() {
+fn masked_tiles_are_those_of_the_whole_picture() {
     let motion = motion(0.5);
     for case in cases().into_iter().chain([many()]) {
         let (whole, _, _) = fast_on(Arch::new(), &case, &motion);
         let (map, view) = (case.map().cast(), case.view().cast());
         let columns = view.camera.width.div_ceil(TILE);
-        let is_wanted = |number: usize| number % 3 == 1;
+        let is_marked = |number: usize| number % 3 == 1;
         let tiles = columns * view.camera.height.div_ceil(TILE);
-        let wanted: Vec<_> = (0..tiles).map(is_wanted).collect();
+        let mask: Vec<_> = (0..tiles).map(is_marked).collect();
         let at = |i: usize| {
             let (x, y) = (i % view.camera.width, i / view.camera.width % view.camera.height);
-            is_wanted(y / TILE * columns + x / TILE)
+            is_marked(y / TILE * columns + x / TILE)
         };
         let mut cotangent = single_cotangent(&case.cotangent());
         let all = cotangent.clone();
         for plane in [&mut cotangent.radiance, &mut cotangent.depth, &mut cotangent.opacity] {
             plane.data.iter_mut().enumerate().for_each(|(i, d)| *d = if at(i) { *d } else { 0.0 });
         }
-        let run = |wanted: Option<&[bool]>, cotangent: &RenderCotangent| {
+        let run = |mask: Option<&[bool]>, cotangent: &RenderCotangent| {
             let mut rasterizer = Rasterizer::new(case.settings);
             let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
-            rasterizer.render_moving(&map, &view, &motion.cast(), wanted, &mut render);
+            rasterizer.render_moving(&map, &view, &motion.cast(), mask, &mut render);
             let rows = Some(&mut gradient);
             let d = rasterizer.pull_back_moving(&map, &view, &motion.cast(), cotangent, rows);
             (render, gradient, numbers(&d))
         };
-        let (render, gradient, d) = run(Some(&wanted), &all);
+        let (render, gradient, d) = run(Some(&mask), &all);
         for (i, (part, whole)) in planes(&render).iter().zip(&planes(&whole)).enumerate() {
             assert_eq!(*part, if at(i) { *whole } else { 0.0 }, "{} pixel {i}", case.name);
         }
@@ -133,23 +133,23 @@ fn what_a_wider_picture_shows_is_enough() {
     for case in cases().into_iter().chain([many()]) {
         let (map, view) = (case.map().cast(), case.view().cast());
         let grid = [view.camera.width, view.camera.height].map(|size| size.div_ceil(TILE));
-        let wanted: Vec<_> = (0..grid[0] * grid[1]).map(|number| number % 3 == 1).collect();
+        let mask: Vec<_> = (0..grid[0] * grid[1]).map(|number| number % 3 == 1).collect();
         let shown_by = |view: View<f32>| {
             let [mut other, mut rasterizer] = [(); 2].map(|()| Rasterizer::new(case.settings));
             let mut render = Render::default();
             other.render(&map, &view, &mut render);
             let view = case.view().cast();
-            rasterizer.render_moving_shown_by(&other, &map, &view, &motion, &wanted, &mut render);
+            rasterizer.render_moving_visible_in(&other, &map, &view, &motion, &mask, &mut render);
             planes(&render)
         };
         let mut whole = Render::default();
         let mut rasterizer = Rasterizer::new(case.settings);
-        rasterizer.render_moving(&map, &view, &motion, Some(&wanted), &mut whole);
+        rasterizer.render_moving(&map, &view, &motion, Some(&mask), &mut whole);
         let wide = View { camera: view.camera.widened(64), ..view };
         assert!(shown_by(wide) == planes(&whole), "{}", case.name);
         let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]);
         let behind = View { world_from_camera: view.world_from_camera.retract(away), ..view };
-        let any = wanted.contains(&true);
+        let any = mask.contains(&true);
         assert!(!any || shown_by(behind) != planes(&whole), "{} from behind", case.name);
     }
 }

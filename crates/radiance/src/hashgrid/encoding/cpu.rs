@@ -55,7 +55,7 @@ pub(crate) fn scatter(
 }
 
 /// Features of positions in the unit cube, and their slopes. A row of `out` has `width` numbers,
-/// of which the first `levels · F` are written; slopes, if wanted, have three such rows per
+/// of which the first `levels · F` are written; slopes, if any, have three such rows per
 /// position: the derivatives by x, y and z.
 pub(super) struct Encode<'a, const F: usize> {
     pub(super) levels: &'a [Level],

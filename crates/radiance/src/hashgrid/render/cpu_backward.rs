@@ -12,7 +12,7 @@ use i2slam_geometry::Vec3;
 
 /// Gradients to compute.
 #[derive(Clone, Copy)]
-pub(super) struct Wanted {
+pub(super) struct Requested {
     pub(super) field: bool,
     pub(super) rays: bool,
 }
@@ -56,7 +56,7 @@ fn unblend(
 /// Pull the derivatives by what the rays of a chunk show back, after its `render`.
 pub(super) fn pull_back(
     scene: &Scene<'_>,
-    wanted: Wanted,
+    requested: Requested,
     rays: &[Ray],
     cotangents: &[RayRender],
     chunk: &mut Chunk,
@@ -66,7 +66,7 @@ pub(super) fn pull_back(
     let by_exponents = unblend(chunk, &directions, cotangents, &mut by_direction);
     chunk.ray_gradients.clear();
     chunk.ray_gradients.resize(rays.len(), RayGradient::default());
-    if wanted.field {
+    if requested.field {
         scene.density.zero_gradient(&mut chunk.d_density);
         scene.colour.zero_gradient(&mut chunk.d_colour);
         chunk.d_features.resize(chunk.kept.len() * scene.features(), 0.0);
@@ -74,15 +74,15 @@ pub(super) fn pull_back(
     let mut space = Backward::new(scene);
     for first in (0..chunk.kept.len()).step_by(BLOCK) {
         let block = first..(first + BLOCK).min(chunk.kept.len());
-        space.networks(scene, wanted, chunk, &block, &directions, &by_exponents[block.clone()]);
-        if wanted.field {
+        space.networks(scene, requested, chunk, &block, &directions, &by_exponents[block.clone()]);
+        if requested.field {
             space.keep_features(scene, chunk, &block);
         }
-        if wanted.rays {
+        if requested.rays {
             space.add_rays(scene, chunk, &block, &mut by_direction);
         }
     }
-    if wanted.rays {
+    if requested.rays {
         for ((ray, sums), out) in rays.iter().zip(&by_direction).zip(&mut chunk.ray_gradients) {
             if sums.harmonics == [0.0; HARMONICS] && sums.length == 0.0 {
                 continue;
@@ -116,7 +116,7 @@ impl Backward {
     fn networks(
         &mut self,
         scene: &Scene<'_>,
-        wanted: Wanted,
+        requested: Requested,
         chunk: &mut Chunk,
         block: &std::ops::Range<usize>,
         directions: &[Direction],
@@ -138,7 +138,7 @@ impl Backward {
         for (row, by) in rows.zip(by_exponents) {
             row[..3].copy_from_slice(&by[1..]);
         }
-        let gradient = wanted.field.then_some(&mut chunk.d_colour);
+        let gradient = requested.field.then_some(&mut chunk.d_colour);
         let (values, d) = (&self.values.colour, &mut self.d_colour);
         network::pull_back(arch, scene.colour, count, values, d, gradient);
 
@@ -149,7 +149,7 @@ impl Backward {
             row[0] = by[0];
             row[1..1 + geometry].copy_from_slice(&input[HARMONICS..HARMONICS + geometry]);
         }
-        let gradient = wanted.field.then_some(&mut chunk.d_density);
+        let gradient = requested.field.then_some(&mut chunk.d_density);
         let (values, d) = (&self.values.density, &mut self.d_density);
         network::pull_back(arch, scene.density, count, values, d, gradient);
     }

@@ -1,7 +1,7 @@
 //! Renderer of batches of rays.
 
 use super::chunk::{Chunk, March, RAYS, Scene, Workspace};
-use super::cpu_backward::{self, Wanted};
+use super::cpu_backward::{self, Requested};
 use super::{RayGradient, RayRender, cpu_forward};
 use crate::hashgrid::encoding::cpu as encoding;
 use crate::hashgrid::network::cpu::{BLOCK, Packed, add_gradient};
@@ -95,11 +95,11 @@ impl FieldRenderer {
         assert!(as_rendered, "pull_back needs the rays of the last render");
         let networks = Networks::new(field);
         let scene = networks.scene(self.arch, field);
-        let wanted = Wanted { field: gradient.is_some(), rays: ray_gradients.is_some() };
+        let requested = Requested { field: gradient.is_some(), rays: ray_gradients.is_some() };
         let chunks = &mut self.chunks[..rays.len().div_ceil(RAYS)];
         let work = rays.par_chunks(RAYS).zip(cotangents.par_chunks(RAYS));
         chunks.par_iter_mut().zip(work).for_each(|(chunk, (rays, cotangents))| {
-            cpu_backward::pull_back(&scene, wanted, rays, cotangents, chunk);
+            cpu_backward::pull_back(&scene, requested, rays, cotangents, chunk);
         });
         if let Some(gradient) = gradient {
             assert!(gradient.fits(&field.parameters), "a gradient of another field");

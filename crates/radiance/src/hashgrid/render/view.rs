@@ -106,8 +106,8 @@ impl FieldRenderer {
                     RayRender { radiance: [r, g, b], depth, opacity }
                 })
                 .collect();
-            let wanted = Some(&mut ray_gradients);
-            self.pull_back(field, &rays, &cotangents, gradient.as_deref_mut(), wanted);
+            let requested = Some(&mut ray_gradients);
+            self.pull_back(field, &rays, &cotangents, gradient.as_deref_mut(), requested);
             for ((column, row), ray) in pixels(view, first).zip(&ray_gradients) {
                 pose = pose.plus(ray.to_pose(view, column, row));
             }

@@ -122,7 +122,7 @@ fn a_room_is_learnt_from_a_few_pictures() {
     let (before, _) = quality(&map, &mut renderer, &held_out);
     train(&mut map, &mut renderer, 350);
     let (after, depth) = quality(&map, &mut renderer, &held_out);
-    let share = map.occupancy.share();
+    let share = map.occupancy.occupied_share();
     eprintln!("{before:.1} -> {after:.1} dB, depth {depth:.3} m, occupied {share:.2}");
     assert!(before < 20.0 && after > 25.0, "{before:.1} dB before, {after:.1} dB after");
     assert!(depth < 0.05, "depth error {depth:.3} m");

@@ -9,8 +9,8 @@ fn renderer() -> FieldRenderer {
 
 #[test]
 fn all_cells_are_occupied_before_the_first_look() {
-    let settings = OccupancySettings { resolution: 5, ..Default::default() };
-    assert_eq!(Occupancy::new(settings).share(), 1.0);
+    let grid = OccupancySettings { resolution: 5, ..Default::default() };
+    assert_eq!(Occupancy::new(grid).occupied_share(), 1.0);
 }
 
 /// A field of density 1 everywhere is not emptied although it is below the threshold.
@@ -19,7 +19,7 @@ fn an_untrained_field_stays_occupied() {
     let field = HashGridField::<f32>::new(settings(), 1).expect("settings in range");
     let mut occupancy = Occupancy::new(OccupancySettings { resolution: 8, ..Default::default() });
     (0..3).for_each(|_| occupancy.refresh(&field, &mut renderer(), 1));
-    assert_eq!((occupancy.share(), occupancy.looks()), (1.0, 3));
+    assert_eq!((occupancy.occupied_share(), occupancy.updates()), (1.0, 3));
 }
 
 #[test]
@@ -30,12 +30,12 @@ fn densities_are_those_of_places_in_the_cells() {
     assert!(occupancy.densities().iter().all(|d| *d == 1.0));
 }
 
-/// After the full looks only a part of the cells is looked at; the others keep what they had.
+/// After the full updates only a part of the cells is looked at; the others keep what they had.
 #[test]
 fn later_looks_are_partial_and_forget_slowly() {
     let dense = field(settings(), 4).cast::<f32>();
-    let looks = OccupancySettings { resolution: 8, full_looks: 1, ..Default::default() };
-    let mut occupancy = Occupancy::new(looks);
+    let grid = OccupancySettings { resolution: 8, full_updates: 1, ..Default::default() };
+    let mut occupancy = Occupancy::new(grid);
     occupancy.refresh(&dense, &mut renderer(), 1);
     let before = occupancy.densities().to_vec();
     // Hidden units that are all silent: density 1 everywhere.
@@ -51,8 +51,8 @@ fn later_looks_are_partial_and_forget_slowly() {
 fn the_same_seed_gives_the_same_bits() {
     let field = field(settings(), 4).cast::<f32>();
     let look = |seed: u64| {
-        let settings = OccupancySettings { resolution: 8, full_looks: 1, ..Default::default() };
-        let mut occupancy = Occupancy::new(settings);
+        let grid = OccupancySettings { resolution: 8, full_updates: 1, ..Default::default() };
+        let mut occupancy = Occupancy::new(grid);
         (0..4).for_each(|_| occupancy.refresh(&field, &mut renderer(), seed));
         occupancy
     };
@@ -61,10 +61,10 @@ fn the_same_seed_gives_the_same_bits() {
 
 #[test]
 fn cells_are_taken_as_given() {
-    let settings = OccupancySettings { resolution: 4, ..Default::default() };
+    let grid = OccupancySettings { resolution: 4, ..Default::default() };
     let there = |p: Vec3<f32>| p.x > 1.0;
-    let occupancy = Occupancy::of_cells([1.0, 0.0, 0.0], 2.0, settings, there);
-    assert_eq!(occupancy.share(), 0.5);
+    let occupancy = Occupancy::of_cells([1.0, 0.0, 0.0], 2.0, grid, there);
+    assert_eq!(occupancy.occupied_share(), 0.5);
     assert!(occupancy.is_occupied([0.9, 0.1, 0.1]) && !occupancy.is_occupied([0.4, 0.1, 0.1]));
 }
 
@@ -75,10 +75,10 @@ fn cells_around_a_depth_are_held() {
     let [x, y, z] = settings().centre.map(|c| c as f32);
     let origin = Vec3::new(x, y, z);
     let ray = Ray { origin, direction: Vec3::new(0.0, 0.0, 2.0), offset: 0.5 };
-    let looks = OccupancySettings { resolution: 60, ..Default::default() };
-    let mut occupancy = Occupancy::empty(looks);
-    assert_eq!(occupancy.share(), 0.0);
-    occupancy.hold(&field, &ray, 0.45, 0.55);
+    let grid = OccupancySettings { resolution: 60, ..Default::default() };
+    let mut occupancy = Occupancy::empty(grid);
+    assert_eq!(occupancy.occupied_share(), 0.0);
+    occupancy.mark_cells(&field, &ray, 0.45, 0.55);
     let march = MarchSettings { step_min: 0.01, step_max: 0.01, ..MarchSettings::cube(1.5) };
     let samples = occupancy.samples(&field, &march, &ray);
     let depths: Vec<f32> = samples.iter().map(|s| 2.0 * s.depth).collect();
@@ -94,7 +94,7 @@ fn no_crossed_cell_is_missed() {
     let field = HashGridField::<f32>::new(settings(), 1).expect("settings in range");
     let (low, size) =
         (settings().centre.map(|c| (c - settings().bound) as f32), 2.0 * settings().bound as f32);
-    let looks = OccupancySettings { resolution: 40, ..Default::default() };
+    let grid = OccupancySettings { resolution: 40, ..Default::default() };
     let mut random = i2slam_compute::Random::new(5);
     for _ in 0..20 {
         let mut within = || {
@@ -104,8 +104,8 @@ fn no_crossed_cell_is_missed() {
         };
         let (from, to) = (within(), within());
         let ray = Ray { origin: from, direction: to - from, offset: 0.0 };
-        let mut occupancy = Occupancy::empty(looks);
-        occupancy.hold(&field, &ray, 0.0, 1.0);
+        let mut occupancy = Occupancy::empty(grid);
+        occupancy.mark_cells(&field, &ray, 0.0, 1.0);
         let cells: std::collections::BTreeSet<[u32; 3]> = (0..=100_000)
             .map(|i| {
                 let place = (ray.origin + ray.direction * (i as f32 / 100_000.0)).to_array();
@@ -114,25 +114,25 @@ fn no_crossed_cell_is_missed() {
                 unit.map(|x| (x * 40.0) as u32)
             })
             .collect();
-        let held = (occupancy.share() * 64_000.0).round() as usize;
+        let held = (occupancy.occupied_share() * 64_000.0).round() as usize;
         assert!(held.abs_diff(cells.len()) <= 1, "{held} of {}", cells.len());
     }
-    let mut occupancy = Occupancy::empty(looks);
+    let mut occupancy = Occupancy::empty(grid);
     let far = Ray {
         origin: Vec3::new(1e6, low[1] + 0.5 * size, 0.0),
         direction: Vec3::new(-1.0, 0.0, 0.0),
         offset: 0.0,
     };
-    occupancy.hold(&field, &far, 0.0, f32::INFINITY);
-    assert!(occupancy.share() > 0.0);
-    let mut occupancy = Occupancy::empty(looks);
+    occupancy.mark_cells(&field, &far, 0.0, f32::INFINITY);
+    assert!(occupancy.occupied_share() > 0.0);
+    let mut occupancy = Occupancy::empty(grid);
     let away = Ray {
         origin: Vec3::new(f32::MAX, 0.0, 0.0),
         direction: Vec3::new(f32::NAN, 1.0, 0.0),
         offset: 0.0,
     };
-    occupancy.hold(&field, &away, 0.0, f32::INFINITY);
-    assert_eq!(occupancy.share(), 0.0);
+    occupancy.mark_cells(&field, &away, 0.0, f32::INFINITY);
+    assert_eq!(occupancy.occupied_share(), 0.0);
 }
 
 /// Cells outside of others are never occupied, whatever is dense there; cells that come in are
@@ -140,22 +140,22 @@ fn no_crossed_cell_is_missed() {
 #[test]
 fn looks_occupy_no_cell_that_is_not_allowed() {
     let field = HashGridField::<f32>::zeros(settings()).expect("settings in range");
-    let looks = OccupancySettings { resolution: 6, ..Default::default() };
+    let grid = OccupancySettings { resolution: 6, ..Default::default() };
     let (centre, bound) = (settings().centre, settings().bound);
     let up_to = |share: f64| {
         let far = centre[0] + (2.0 * share - 1.0) * bound;
-        Occupancy::of_cells(centre, bound, looks, |p| f64::from(p.x) < far)
+        Occupancy::of_cells(centre, bound, grid, |p| f64::from(p.x) < far)
     };
-    let mut occupancy = Occupancy::new(looks);
-    occupancy.confine(&up_to(0.5));
-    assert_eq!(occupancy.share(), 0.5);
+    let mut occupancy = Occupancy::new(grid);
+    occupancy.restrict_to(&up_to(0.5));
+    assert_eq!(occupancy.occupied_share(), 0.5);
     occupancy.refresh(&field, &mut renderer(), 1);
-    assert_eq!(occupancy.share(), 0.5);
+    assert_eq!(occupancy.occupied_share(), 0.5);
     assert_eq!(occupancy.densities().iter().filter(|d| **d > 0.0).count(), 108);
-    occupancy.confine(&up_to(1.0 / 3.0));
-    assert_eq!(occupancy.share(), 1.0 / 3.0);
-    occupancy.confine(&up_to(1.0));
-    assert_eq!(occupancy.share(), 1.0);
+    occupancy.restrict_to(&up_to(1.0 / 3.0));
+    assert_eq!(occupancy.occupied_share(), 1.0 / 3.0);
+    occupancy.restrict_to(&up_to(1.0));
+    assert_eq!(occupancy.occupied_share(), 1.0);
 }
 
 /// Reopened cells stay for the given number of updates, and only where allowed.
@@ -163,20 +163,20 @@ fn looks_occupy_no_cell_that_is_not_allowed() {
 fn reopened_cells_stay_for_some_looks() {
     let mut field = field(settings(), 4).cast::<f32>();
     field.parameters_mut()[1].iter_mut().for_each(|weight| *weight *= 8.0);
-    let looks = OccupancySettings { resolution: 6, decay: 0.5, ..Default::default() };
+    let grid = OccupancySettings { resolution: 6, decay: 0.5, ..Default::default() };
     let (centre, bound) = (settings().centre, settings().bound);
-    let half = Occupancy::of_cells(centre, bound, looks, |p| f64::from(p.x) < centre[0]);
-    let mut occupancy = Occupancy::new(looks);
-    occupancy.confine(&half);
+    let half = Occupancy::of_cells(centre, bound, grid, |p| f64::from(p.x) < centre[0]);
+    let mut occupancy = Occupancy::new(grid);
+    occupancy.restrict_to(&half);
     let look = |occupancy: &mut Occupancy, times: usize| {
         (0..times).for_each(|_| occupancy.refresh(&field, &mut renderer(), 1));
-        occupancy.share()
+        occupancy.occupied_share()
     };
     let settled = look(&mut occupancy, 12);
     assert!(settled > 0.0 && settled < 0.5, "{settled}");
     let emptied = occupancy.clone();
     occupancy.reopen(3);
-    assert_eq!(occupancy.share(), 0.5);
+    assert_eq!(occupancy.occupied_share(), 0.5);
     assert_eq!(look(&mut occupancy, 3), 0.5);
     assert!(look(&mut occupancy, 12) < 0.5);
 
@@ -201,7 +201,7 @@ fn reopened_cells_stay_for_some_looks() {
         (0..6).map(|column| occupancy.is_occupied(unit(column, row))).collect()
     };
     assert_eq!(open(&occupancy), [true, true, true, false, false, false]);
-    let opened = (occupancy.share() - emptied.share()) * 216.0;
+    let opened = (occupancy.occupied_share() - emptied.occupied_share()) * 216.0;
     assert!(opened > 0.5 && opened < 3.5, "{opened}");
     look(&mut occupancy, 3);
     assert_eq!(open(&occupancy), [true, true, true, false, false, false]);

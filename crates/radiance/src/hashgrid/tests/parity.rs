@@ -66,8 +66,8 @@ fn fast_keeping(
     renderer.render(&field, occupancy, &rays, &mut renders);
     let cotangents: Vec<_> = cotangents(RAYS, 7).iter().map(single).collect();
     let mut gradient = FieldGradient::zeros(&field);
-    let wanted = (Some(&mut gradient), Some(&mut ray_gradients));
-    renderer.pull_back(&field, &rays, &cotangents, wanted.0, wanted.1);
+    let requested = (Some(&mut gradient), Some(&mut ray_gradients));
+    renderer.pull_back(&field, &rays, &cotangents, requested.0, requested.1);
     let wide = |values: &[f32]| values.iter().map(|v| f64::from(*v)).collect();
     let gradient = FieldGradient {
         table: wide(&gradient.table),
@@ -144,7 +144,7 @@ fn empty_cells_are_marched_over() {
     let mut occupancy = Occupancy::new(OccupancySettings { density: 1.0, ..coarse() });
     let full = occupancy.clone();
     occupancy.refresh(&field.cast(), &mut FieldRenderer::new(march()), 1);
-    assert!((0.05..0.95).contains(&occupancy.share()), "{}", occupancy.share());
+    assert!((0.05..0.95).contains(&occupancy.occupied_share()), "{}", occupancy.occupied_share());
     assert_lanes("sparse", &fast(Arch::new(), &field, &occupancy), &plain(&field, &occupancy));
     assert_marched(&field.cast(), &full, &occupancy);
 }
@@ -153,15 +153,15 @@ fn empty_cells_are_marched_over() {
 #[test]
 fn empty_blocks_are_marched_over() {
     let field = field(settings(), 4).cast::<f32>();
-    let looks = OccupancySettings { resolution: 50, ..coarse() };
+    let updates = OccupancySettings { resolution: 50, ..coarse() };
     let (centre, bound) = (settings().centre, settings().bound);
     let shell = |p: Vec3<f32>| {
         let away = (p - Vec3::from_array(centre).cast()).norm();
         (away - 0.7 * bound as f32).abs() < 0.05 * bound as f32
     };
-    let occupancy = Occupancy::of_cells(centre, bound, looks, shell);
-    assert!((0.02..0.3).contains(&occupancy.share()), "{}", occupancy.share());
-    assert_marched(&field, &Occupancy::new(looks), &occupancy);
+    let occupancy = Occupancy::of_cells(centre, bound, updates, shell);
+    assert!((0.02..0.3).contains(&occupancy.occupied_share()), "{}", occupancy.occupied_share());
+    assert_marched(&field, &Occupancy::new(updates), &occupancy);
 }
 
 /// The samples in `occupancy` are those of `full` that lie in its cells.

@@ -11,8 +11,8 @@ fn render(ray: Ray) -> (RayRender, RayGradient, FieldGradient) {
     renderer.render(&field, &occupancy, &[ray], &mut renders);
     let mut gradient = FieldGradient::zeros(&field);
     let cotangent = [single(&cotangents(1, 2)[0])];
-    let wanted = (Some(&mut gradient), Some(&mut rays));
-    renderer.pull_back(&field, &[ray], &cotangent, wanted.0, wanted.1);
+    let requested = (Some(&mut gradient), Some(&mut rays));
+    renderer.pull_back(&field, &[ray], &cotangent, requested.0, requested.1);
     (renders[0], rays[0], gradient)
 }
 
@@ -52,8 +52,8 @@ fn huge_exponents_stay_finite() {
     renderer.render(&field, &occupancy, &[ray()], &mut renders);
     assert!(render_row(&renders[0]).iter().all(|v| v.is_finite()));
     let mut gradient = FieldGradient::zeros(&field);
-    let wanted = (Some(&mut gradient), Some(&mut rays));
-    renderer.pull_back(&field, &[ray()], &[RayRender::default()], wanted.0, wanted.1);
+    let requested = (Some(&mut gradient), Some(&mut rays));
+    renderer.pull_back(&field, &[ray()], &[RayRender::default()], requested.0, requested.1);
     assert!(ray_row(&rays[0]).iter().all(|v| v.is_finite()));
 }
 

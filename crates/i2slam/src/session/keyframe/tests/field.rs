@@ -175,7 +175,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
         Map::HashGrid(map) => map,
         Map::Gaussians(_) => unreachable!("a field was asked for"),
     };
-    let share = map.occupancy.share();
+    let share = map.occupancy.occupied_share();
     assert!(share > 0.001 && share < 0.3, "{share}");
     let field = map.field.settings();
     let finer = f64::from(field.finest_resolution) / f64::from(field.base_resolution);

@@ -24,12 +24,12 @@ pub(crate) struct Scene<'a> {
     pub(crate) bins: &'a Bins,
 }
 
-/// Composite all tiles, or those that are `wanted`: of the others only nothing is visited, whatever
+/// Composite all tiles, or those that `mask` marks; nothing is visited of the others, whatever
 /// their pixels. `states` holds the moments of the first tile,
 /// then of the second.
 pub(crate) fn render(
     scene: &Scene<'_>,
-    wanted: Option<&[bool]>,
+    mask: Option<&[bool]>,
     tiles: &mut [TilePixels],
     states: &mut [MomentRow],
 ) {
@@ -39,8 +39,8 @@ pub(crate) fn render(
     }
     let count = TILE * scene.row_times.moments.len();
     let work = tiles.par_iter_mut().zip(states.par_chunks_mut(count)).enumerate();
-    work.for_each(|(number, (tile, states))| match wanted {
-        Some(wanted) if !wanted[number] => tile.visited = 0,
+    work.for_each(|(number, (tile, states))| match mask {
+        Some(mask) if !mask[number] => tile.visited = 0,
         _ => render_tile(scene, number, tile, states),
     });
 }
