@@ -118,7 +118,7 @@ pub(crate) fn build_reconstruction(
     let posed = state.posed_frames();
     let world = posed.first().and_then(|f| state.poses[*f]).unwrap_or_else(Pose::identity);
     let inverse = world.inverse();
-    let mut keyframes = keyframes(&state, timestamps);
+    let mut keyframes = keyframes_with_depth(&state, timestamps);
     let mut depths: Vec<f64> =
         keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
     let unit = median(&mut depths).filter(|m| *m > 0.0).map_or(1.0, f64::recip);
@@ -225,7 +225,7 @@ fn focal_deviation(
     Some(relative)
 }
 
-fn keyframes(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
+fn keyframes_with_depth(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
     let (mut bundle, _, tracks) = state.bundle(&state.posed_frames(), false);
     // Poses stay, and take no room among the unknowns.
     bundle.fixed.fill(true);

@@ -51,7 +51,7 @@ impl SfmState {
     /// No pose and no landmark.
     pub(crate) fn new(camera: Camera<f64>, tracks: Tracks) -> Self {
         let (poses, landmarks) = (vec![None; tracks.frames], vec![None; tracks.tracks.len()]);
-        let by_frame = Arc::new(tracks.by_frame());
+        let by_frame = Arc::new(tracks.tracks_by_frame());
         Self {
             camera,
             tracks,
@@ -91,7 +91,7 @@ impl SfmState {
     pub(crate) fn matches(&self, frame: usize) -> Vec<Match<'_>> {
         let pair = |i: &usize| {
             let landmark = self.landmarks[*i].as_ref()?;
-            Some((landmark, self.tracks.tracks[*i].in_frame(frame)?))
+            Some((landmark, self.tracks.tracks[*i].observation_in(frame)?))
         };
         self.by_frame[frame].iter().filter_map(pair).collect()
     }
@@ -101,7 +101,8 @@ impl SfmState {
         &self,
         frame: usize,
     ) -> impl Iterator<Item = (usize, &Observation)> {
-        let observation = move |i: &usize| Some((*i, self.tracks.tracks[*i].in_frame(frame)?));
+        let observation =
+            move |i: &usize| Some((*i, self.tracks.tracks[*i].observation_in(frame)?));
         self.by_frame[frame].iter().filter_map(observation)
     }
 
@@ -112,7 +113,7 @@ impl SfmState {
 
     /// Number of tracks that two frames share.
     pub(crate) fn shared_count(&self, first: usize, second: usize) -> usize {
-        let both = |i: &&usize| self.tracks.tracks[**i].in_frame(second).is_some();
+        let both = |i: &&usize| self.tracks.tracks[**i].observation_in(second).is_some();
         self.by_frame[first].iter().filter(both).count()
     }
 

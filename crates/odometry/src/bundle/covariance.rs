@@ -8,7 +8,7 @@
 //! point, by region and by picture; the clustering with the largest variance of the focal length is
 //! reported.
 
-use super::normal_equations::{Curvature, SchurSystem, Step, gradient_along};
+use super::normal_equations::{BundleStep, Curvature, SchurSystem, gradient_along};
 use super::sparsity::BlockSparsity;
 use super::{Bundle, GLOBALS};
 
@@ -28,7 +28,8 @@ impl Bundle {
         let inverse_columns = linear.inverse_columns()?;
         let points = self.landmarks.len();
         let by_point = self.clustered_covariance(&inverse_columns, points, |landmark, _| landmark);
-        let regions: Vec<usize> = (0..points).map(|landmark| self.region(landmark)).collect();
+        let regions: Vec<usize> =
+            (0..points).map(|landmark| self.picture_region(landmark)).collect();
         let count = REGIONS[0] * REGIONS[1];
         let by_region =
             self.clustered_covariance(&inverse_columns, count, |landmark, _| regions[landmark]);
@@ -44,7 +45,7 @@ impl Bundle {
     /// landmark and pose.
     fn clustered_covariance(
         &self,
-        inverse_columns: &[Step],
+        inverse_columns: &[BundleStep],
         count: usize,
         cluster: impl Fn(usize, usize) -> usize,
     ) -> IntrinsicsCovariance {
@@ -69,7 +70,7 @@ impl Bundle {
     }
 
     /// Region of the picture in which a landmark was first observed.
-    fn region(&self, landmark: usize) -> usize {
+    fn picture_region(&self, landmark: usize) -> usize {
         let at = self.observations[landmark].first().map_or([0.0; 2], |observation| observation.at);
         let size = [self.camera.width, self.camera.height];
         let [across, down] = std::array::from_fn(|i| {

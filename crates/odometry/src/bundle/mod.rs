@@ -16,7 +16,7 @@ use crate::multiview::robust_loss::huber;
 use crate::progress::{Progress, Stage};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
-use normal_equations::{Curvature, SchurSystem, Step};
+use normal_equations::{BundleStep, Curvature, SchurSystem};
 use sparsity::BlockSparsity;
 use std::sync::Arc;
 
@@ -128,7 +128,7 @@ impl Bundle {
     }
 
     /// Number of adjusted global parameters.
-    fn globals(&self) -> usize {
+    fn global_count(&self) -> usize {
         match self.free_intrinsics {
             FreeIntrinsics::None => 0,
             FreeIntrinsics::FocalLength => 1,
@@ -169,7 +169,7 @@ impl Bundle {
         })
     }
 
-    fn apply_step(&self, step: &Step) -> Self {
+    fn apply_step(&self, step: &BundleStep) -> Self {
         let mut out = self.clone();
         for (pose, tangent) in out.poses.iter_mut().zip(&step.poses) {
             *pose = pose.retract(Tangent::from_array(*tangent));

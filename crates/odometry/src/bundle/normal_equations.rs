@@ -16,7 +16,7 @@ use rayon::prelude::*;
 const GAUGE_DAMPING: f64 = 1e-7;
 
 /// A change of all parameters.
-pub(super) struct Step {
+pub(super) struct BundleStep {
     /// Tangent of every pose, zero for fixed ones.
     pub(super) poses: Vec<[f64; 6]>,
     pub(super) landmarks: Vec<[f64; 3]>,
@@ -35,7 +35,7 @@ pub(super) struct SchurSystem<'a> {
 
 impl<'a> SchurSystem<'a> {
     pub(super) fn new(bundle: &Bundle, sparsity: &'a BlockSparsity, curvature: Curvature) -> Self {
-        let globals = bundle.globals();
+        let globals = bundle.global_count();
         let landmarks = 0..bundle.landmarks.len();
         let landmark =
             |i: usize| landmark_block(bundle, i, &sparsity.landmark_observations[i], curvature);
@@ -49,14 +49,14 @@ impl<'a> SchurSystem<'a> {
     }
 
     /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
-    pub(super) fn step(&self, damping: f64) -> Option<Step> {
+    pub(super) fn step(&self, damping: f64) -> Option<BundleStep> {
         let (mut matrix, mut solved) = self.reduced_camera_system(damping);
         matrix.solve(&mut solved).then(|| self.back_substitute(&solved, damping, 1.0))
     }
 
     /// Columns of the inverse of the whole system for the global parameters; `None` where they are
     /// not determined.
-    pub(super) fn inverse_columns(&self) -> Option<Vec<Step>> {
+    pub(super) fn inverse_columns(&self) -> Option<Vec<BundleStep>> {
         let (mut matrix, right) = self.reduced_camera_system(GAUGE_DAMPING);
         if !matrix.factorise() {
             return None;
@@ -72,7 +72,7 @@ impl<'a> SchurSystem<'a> {
 
     /// Back-substitutes the landmarks for solved cameras and globals; `gradient_weight` weights the
     /// landmarks' own gradients.
-    fn back_substitute(&self, solved: &[f64], damping: f64, gradient_weight: f64) -> Step {
+    fn back_substitute(&self, solved: &[f64], damping: f64, gradient_weight: f64) -> BundleStep {
         let pose = |block: &Option<usize>| {
             block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
         };
@@ -91,7 +91,7 @@ impl<'a> SchurSystem<'a> {
         };
         let parts = self.parts.par_iter().zip(&self.sparsity.landmark_observations);
         let poses = self.sparsity.blocks.iter().map(pose).collect();
-        Step { poses, landmarks: parts.map(landmark).collect(), globals }
+        BundleStep { poses, landmarks: parts.map(landmark).collect(), globals }
     }
 
     /// The reduced camera system `U - E C⁻¹ Eᵀ` and its right-hand side.
@@ -279,7 +279,7 @@ pub(super) fn gradient_along(
     bundle: &Bundle,
     landmark: usize,
     observation: &BundleObservation,
-    step: &Step,
+    step: &BundleStep,
 ) -> f64 {
     let bounding = Curvature::Majorizing;
     let Some(w) = weighted_residual(bundle, landmark, observation, bounding) else { return 0.0 };

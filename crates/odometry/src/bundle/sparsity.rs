@@ -26,7 +26,7 @@ pub(super) struct BlockSparsity {
 impl BlockSparsity {
     pub(super) fn new(bundle: &Bundle) -> Self {
         let free: Vec<usize> = (0..bundle.poses.len()).filter(|p| !bundle.fixed[*p]).collect();
-        let natural = Self::of(bundle, free);
+        let natural = Self::with_order(bundle, free);
         if natural.poses.len() < MIN_REORDERED_POSES {
             return natural;
         }
@@ -34,11 +34,12 @@ impl BlockSparsity {
             &natural.landmark_observations,
             natural.poses.len(),
         ));
-        let narrow = Self::of(bundle, order.into_iter().map(|b| natural.poses[b]).collect());
+        let narrow =
+            Self::with_order(bundle, order.into_iter().map(|b| natural.poses[b]).collect());
         if narrow.block_count() < natural.block_count() { narrow } else { natural }
     }
 
-    fn of(bundle: &Bundle, poses: Vec<usize>) -> Self {
+    fn with_order(bundle: &Bundle, poses: Vec<usize>) -> Self {
         let mut blocks = vec![None; bundle.poses.len()];
         poses.iter().enumerate().for_each(|(block, pose)| blocks[*pose] = Some(block));
         let mut block_observations = vec![Vec::new(); poses.len()];

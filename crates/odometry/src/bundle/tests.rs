@@ -137,7 +137,7 @@ fn the_gradient_agrees_with_differences() {
     let sparsity = BlockSparsity::new(&bundle);
     let gradient = SchurSystem::new(&bundle, &sparsity, Curvature::Majorizing).half_gradient(2);
     let f = |x: &[f64]| {
-        let mut step = Step {
+        let mut step = BundleStep {
             poses: vec![[0.0; 6]; 6],
             landmarks: vec![[0.0; 3]; 60],
             globals: [x[9], x[10], x[11]],

@@ -1,7 +1,7 @@
 //! Filters of estimated depth: cross-view consistency, and uncertainty at depth edges.
 
 use super::DenseDepth;
-use super::inverse_depth::Estimate;
+use super::inverse_depth::InverseDepthEstimate;
 use i2slam_geometry::{Camera, Image, Pose};
 
 /// Largest difference of consistent inverse depths, in standard deviations of both, ...
@@ -15,11 +15,11 @@ const MIN_AGREEING_VIEWS: usize = 2;
 /// variances; `others` are estimates with `other_from_keyframe`.
 pub(super) fn fuse_consistent(
     camera: &Camera<f64>,
-    own: &Estimate,
-    others: &[(&Estimate, Pose<f64>)],
-) -> Estimate {
+    own: &InverseDepthEstimate,
+    others: &[(&InverseDepthEstimate, Pose<f64>)],
+) -> InverseDepthEstimate {
     let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
-    let mut out = Estimate {
+    let mut out = InverseDepthEstimate {
         inverse_depth: Image::new(width, height, 1),
         variance: Image::new(width, height, 1),
     };
@@ -114,13 +114,13 @@ mod tests {
     use super::*;
     use i2slam_geometry::{Rotation, Vec3};
 
-    fn flat(inverse_depth: f32, variance: f32) -> Estimate {
+    fn flat(inverse_depth: f32, variance: f32) -> InverseDepthEstimate {
         let image = |value: f32| Image { width: 9, height: 9, channels: 1, data: vec![value; 81] };
-        Estimate { inverse_depth: image(inverse_depth), variance: image(variance) }
+        InverseDepthEstimate { inverse_depth: image(inverse_depth), variance: image(variance) }
     }
 
     /// A plane of depth 2, also estimated 0.004 too far by a camera 0.8 nearer to it.
-    fn seen_from_nearer() -> Estimate {
+    fn seen_from_nearer() -> InverseDepthEstimate {
         let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
         let (own, other) = (flat(1.0 / 2.0, 1e-4), flat(1.0 / 1.204, 9e-4));
         let forward = Pose::new(Rotation::identity(), Vec3::new(0.0, 0.0, -0.8));

@@ -21,7 +21,7 @@ const MAX_COST: f32 = 0.6;
 
 /// Inverse depth, 0 where unknown, with its variance for every pixel.
 #[derive(Clone, Debug)]
-pub(super) struct Estimate {
+pub(super) struct InverseDepthEstimate {
     pub(super) inverse_depth: Image<f32>,
     pub(super) variance: Image<f32>,
 }
@@ -36,48 +36,48 @@ pub(super) fn estimate_inverse_depth(
     others: &[NeighbourView<'_>],
     [least, most]: [f64; 2],
     cancellation: &CancellationToken,
-) -> Option<Estimate> {
+) -> Option<InverseDepthEstimate> {
     let goes_on = || (!cancellation.is_cancelled()).then_some(());
     goes_on()?;
     let fine = keyframe.finest();
     let level = usize::from(keyframe.levels.len() > 1);
     let coarse = &keyframe.levels[level];
     let coarse_camera = at_level(camera, coarse, level);
-    let planes = planes(&coarse_camera, others, [least, most]);
-    let step = ((most - least) / (planes - 1) as f64) as f32;
-    let sweep = sweep(&coarse_camera, coarse, others, level);
-    let offsets: Vec<f32> = (0..planes).map(|k| step * k as f32).collect();
+    let plane_count = plane_count(&coarse_camera, others, [least, most]);
+    let step = ((most - least) / (plane_count - 1) as f64) as f32;
+    let sweep = plane_sweep_at(&coarse_camera, coarse, others, level);
+    let offsets: Vec<f32> = (0..plane_count).map(|k| step * k as f32).collect();
     let volume = sweep.costs(|_| least as f32, &offsets);
     goes_on()?;
     let smooth = aggregate_costs(&volume, coarse);
     let mut first = Image::new(coarse.width, coarse.height, 1);
     for (pixel, rho) in first.data.iter_mut().enumerate() {
-        *rho = least as f32 + step * subpixel_minimum(smooth.of(pixel)).0;
+        *rho = least as f32 + step * subpixel_minimum(smooth.costs_at(pixel)).0;
     }
-    let mut found = enlarged(&median_filtered(&first), fine.width, fine.height);
-    let sweep = self::sweep(camera, fine, others, 0);
+    let mut found = upsample(&median_filter(&first), fine.width, fine.height);
+    let sweep = plane_sweep_at(camera, fine, others, 0);
     let mut variance = Image::new(fine.width, fine.height, 1);
     for (reach, share) in REFINEMENTS {
         let distance = share * step;
         let offsets: Vec<f32> =
             (0..=2 * reach).map(|k| (k as f32 - reach as f32) * distance).collect();
         goes_on()?;
-        let base = median_filtered(&found);
+        let base = median_filter(&found);
         let volume = sweep.costs(|pixel| base.data[pixel], &offsets);
         let smooth = aggregate_costs(&volume, fine);
         for pixel in 0..base.data.len() {
-            let (place, label) = subpixel_minimum(smooth.of(pixel));
+            let (place, label) = subpixel_minimum(smooth.costs_at(pixel));
             found.data[pixel] = base.data[pixel] + (place - reach as f32) * distance;
             variance.data[pixel] = minimum_variance(&volume, pixel, label) * distance * distance;
         }
     }
-    let mut variance = median_filtered(&variance);
+    let mut variance = median_filter(&variance);
     for (rho, v) in found.data.iter_mut().zip(&mut variance.data) {
         if !(*rho > 0.0 && v.is_finite()) {
             (*rho, *v) = (0.0, 0.0);
         }
     }
-    Some(Estimate { inverse_depth: found, variance })
+    Some(InverseDepthEstimate { inverse_depth: found, variance })
 }
 
 fn at_level(camera: &Camera<f64>, picture: &Image<f32>, level: usize) -> Camera<f64> {
@@ -92,7 +92,7 @@ fn at_level(camera: &Camera<f64>, picture: &Image<f32>, level: usize) -> Camera<
     }
 }
 
-fn sweep<'a>(
+fn plane_sweep_at<'a>(
     camera: &Camera<f64>,
     picture: &Image<f32>,
     others: &[NeighbourView<'a>],
@@ -104,7 +104,11 @@ fn sweep<'a>(
 }
 
 /// Number of planes by [`PLANE_STEP`], within [`PLANE_COUNT_RANGE`].
-fn planes(camera: &Camera<f64>, others: &[NeighbourView<'_>], [least, most]: [f64; 2]) -> usize {
+fn plane_count(
+    camera: &Camera<f64>,
+    others: &[NeighbourView<'_>],
+    [least, most]: [f64; 2],
+) -> usize {
     let at = |pose: &Pose<f64>, u: f64, v: f64, rho: f64| {
         let ray: Vec3<f64> = camera.unproject(u, v, 1.0);
         let (x, y) = camera.project(pose.rotation.rotate(ray) + pose.translation * rho);
@@ -144,7 +148,7 @@ fn subpixel_minimum(costs: &[f32]) -> (f32, usize) {
 /// For windows of `N` pixels that differ by noise σ the cost is `C + c x²/2` with `C = N σ²/(2
 /// |I|²)` and `c = Σ(∂I)²/|I|²`, so that the variance of the minimum, `σ²/Σ(∂I)²`, is `2 C/(N c)`.
 fn minimum_variance(volume: &CostVolume, pixel: usize, label: usize) -> f32 {
-    let costs = volume.of(pixel);
+    let costs = volume.costs_at(pixel);
     let label = label.clamp(2, costs.len() - 3);
     let here = costs[label];
     let curvature = (costs[label - 2] - 2.0 * here + costs[label + 2]) / 4.0;
@@ -156,7 +160,7 @@ fn minimum_variance(volume: &CostVolume, pixel: usize, label: usize) -> f32 {
 }
 
 /// Median filter of 3 x 3 pixels.
-fn median_filtered(image: &Image<f32>) -> Image<f32> {
+fn median_filter(image: &Image<f32>) -> Image<f32> {
     let mut out = image.clone();
     for row in 1..image.height.saturating_sub(1) {
         for column in 1..image.width.saturating_sub(1) {
@@ -171,7 +175,7 @@ fn median_filtered(image: &Image<f32>) -> Image<f32> {
 }
 
 /// Enlarges a coarse image, linearly between pixels of one surface.
-fn enlarged(image: &Image<f32>, width: usize, height: usize) -> Image<f32> {
+fn upsample(image: &Image<f32>, width: usize, height: usize) -> Image<f32> {
     let mut out = Image::new(width, height, 1);
     let place = |i: usize, from: usize, to: usize| {
         ((i as f32 + 0.5) * from as f32 / to as f32).clamp(0.5, from as f32 - 0.501)

@@ -15,7 +15,7 @@ use crate::track::pyramid::Pyramid;
 use depth_filter::{fuse_consistent, inflate_variance_at_edges};
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image, Pose};
-use inverse_depth::{Estimate, HALF_WINDOWS, estimate_inverse_depth};
+use inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, estimate_inverse_depth};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -55,7 +55,7 @@ pub struct DenseDepthEstimator {
     camera: Camera<f64>,
     views: Vec<PosedView>,
     pictures: BTreeMap<usize, Option<Pyramid>>,
-    estimates: BTreeMap<usize, Estimate>,
+    estimates: BTreeMap<usize, InverseDepthEstimate>,
     cancellation: CancellationToken,
 }
 
@@ -93,7 +93,7 @@ impl DenseDepthEstimator {
         let own = self.estimates.get(&index)?;
         let inverse = |i: usize| self.views[i].world_from_camera.inverse();
         let pose = self.views[index].world_from_camera;
-        let known: Vec<(&Estimate, Pose<f64>)> = others
+        let known: Vec<(&InverseDepthEstimate, Pose<f64>)> = others
             .iter()
             .filter_map(|i| Some((self.estimates.get(i)?, inverse(*i) * pose)))
             .collect();
@@ -122,7 +122,7 @@ impl DenseDepthEstimator {
     }
 
     /// Bounds of the inverse depth, from the landmarks.
-    fn bounds(&self, index: usize) -> Option<[f64; 2]> {
+    fn inverse_depth_bounds(&self, index: usize) -> Option<[f64; 2]> {
         let mut all: Vec<f64> =
             self.views[index].landmarks.iter().filter(|d| **d > 0.0).map(|d| 1.0 / d).collect();
         all.sort_by(f64::total_cmp);
@@ -140,7 +140,7 @@ impl DenseDepthEstimator {
         if self.estimates.contains_key(&index) {
             return Some(());
         }
-        let (chosen, bounds) = (self.selected_views(index), self.bounds(index)?);
+        let (chosen, bounds) = (self.selected_views(index), self.inverse_depth_bounds(index)?);
         for i in chosen.iter().chain([&index]) {
             self.pictures.entry(*i).or_insert_with(|| load(*i).map(|image| Pyramid::new(&image)));
         }
@@ -166,7 +166,7 @@ impl DenseDepthEstimator {
 }
 
 /// Depth with variance `σ_z = z² σ_ρ`, where that is small enough.
-fn depth_from_inverse(estimate: &Estimate) -> DenseDepth {
+fn depth_from_inverse(estimate: &InverseDepthEstimate) -> DenseDepth {
     let (width, height) = (estimate.inverse_depth.width, estimate.inverse_depth.height);
     let mut out =
         DenseDepth { depth: Image::new(width, height, 1), variance: Image::new(width, height, 1) };

@@ -9,7 +9,7 @@ const LABELS_PER_BATCH: usize = 16;
 
 /// A neighbour's picture: a pixel `(u, v)` of the keyframe at inverse depth `ρ` projects to `turn
 /// (u, v, 1) + ρ shift`, in homogeneous pixels.
-struct Neighbour<'a> {
+struct SweptView<'a> {
     image: &'a Image<f32>,
     turn: [Vec3<f32>; 3],
     shift: Vec3<f32>,
@@ -18,7 +18,7 @@ struct Neighbour<'a> {
 /// A keyframe and its neighbours on one pyramid level.
 pub(super) struct PlaneSweep<'a> {
     windows: WindowStatistics,
-    neighbours: Vec<Neighbour<'a>>,
+    neighbours: Vec<SweptView<'a>>,
 }
 
 /// Matching costs of every pixel and label: `values[pixel * labels + label]`, in [0, 1].
@@ -29,7 +29,7 @@ pub(super) struct CostVolume {
 
 impl CostVolume {
     /// The costs of a pixel.
-    pub(super) fn of(&self, pixel: usize) -> &[f32] {
+    pub(super) fn costs_at(&self, pixel: usize) -> &[f32] {
         &self.values[pixel * self.labels..(pixel + 1) * self.labels]
     }
 }
@@ -49,7 +49,7 @@ impl<'a> PlaneSweep<'a> {
             let column = |u: f64, v: f64| pixels(pose.rotation.rotate(camera.unproject(u, v, 1.0)));
             let origin = column(0.0, 0.0);
             let turn = [column(1.0, 0.0) - origin, column(0.0, 1.0) - origin, origin];
-            Neighbour { image, turn: turn.map(Vec3::cast), shift: pixels(pose.translation).cast() }
+            SweptView { image, turn: turn.map(Vec3::cast), shift: pixels(pose.translation).cast() }
         };
         Self {
             windows: WindowStatistics::new(keyframe.clone(), half_window),
@@ -98,7 +98,7 @@ impl<'a> PlaneSweep<'a> {
     /// Costs of one neighbour; above 1 where it does not see the pixel.
     fn neighbour_costs(
         &self,
-        neighbour: &Neighbour<'_>,
+        neighbour: &SweptView<'_>,
         inverse_depth: &dyn Fn(usize) -> f32,
     ) -> Vec<f32> {
         let (warp_to_keyframe, shown) = neighbour.warp_to_keyframe(inverse_depth);
@@ -108,7 +108,7 @@ impl<'a> PlaneSweep<'a> {
     }
 }
 
-impl Neighbour<'_> {
+impl SweptView<'_> {
     /// The neighbour's picture warped to the keyframe, its border repeated, and whether it sees the
     /// pixel.
     fn warp_to_keyframe(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
@@ -159,7 +159,7 @@ impl WindowStatistics {
         let squares: Vec<f32> = image.data.iter().map(|v| v * v).collect();
         let means = window_means(&image.data, width, height, half);
         let squares = window_means(&squares, width, height, half);
-        let sharpness = means.iter().zip(squares).map(|(m, s)| inverse_spread(*m, s)).collect();
+        let sharpness = means.iter().zip(squares).map(|(m, s)| inverse_deviation(*m, s)).collect();
         Self { image, means, sharpness, half }
     }
 
@@ -174,14 +174,14 @@ impl WindowStatistics {
         (0..width * height)
             .map(|i| {
                 let covariance = products[i] - self.means[i] * means[i];
-                let spread = self.sharpness[i] * inverse_spread(means[i], squares[i]);
+                let spread = self.sharpness[i] * inverse_deviation(means[i], squares[i]);
                 (1.0 - covariance * spread).clamp(0.0, 1.0)
             })
             .collect()
     }
 }
 
-fn inverse_spread(mean: f32, mean_square: f32) -> f32 {
+fn inverse_deviation(mean: f32, mean_square: f32) -> f32 {
     ((mean_square - mean * mean).max(0.0) + WINDOW_NOISE_VARIANCE).sqrt().recip()
 }
 

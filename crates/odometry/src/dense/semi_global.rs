@@ -67,7 +67,7 @@ fn aggregate_across_rows(
                         let jump = jump_penalty(guide, pixel, y * width + x);
                         (&before[x * column + k * labels..][..labels], jump)
                     });
-                    advance_path(volume.of(pixel), last, costs);
+                    advance_path(volume.costs_at(pixel), last, costs);
                     sums.iter_mut().zip(&*costs).for_each(|(sum, cost)| *sum += cost);
                 }
             }
@@ -87,7 +87,7 @@ fn aggregate_along_row(volume: &CostVolume, guide: &Image<f32>, row: usize, sums
         for column in columns {
             let pixel = row * width + column;
             let last = last_pixel.map(|last| (before.as_slice(), jump_penalty(guide, pixel, last)));
-            advance_path(volume.of(pixel), last, &mut here);
+            advance_path(volume.costs_at(pixel), last, &mut here);
             let sums = &mut sums[column * labels..][..labels];
             sums.iter_mut().zip(&here).for_each(|(sum, cost)| *sum += cost);
             std::mem::swap(&mut before, &mut here);
@@ -139,7 +139,7 @@ mod tests {
                 let before = out[there * labels..][..labels].to_vec();
                 let jump = jump_penalty(guide, here, there);
                 advance_path(
-                    volume.of(here),
+                    volume.costs_at(here),
                     Some((&before, jump)),
                     &mut out[here * labels..][..labels],
                 );
@@ -181,7 +181,7 @@ mod tests {
         }
         let volume = aggregate_costs(&CostVolume { values, labels }, &guide);
         for pixel in 0..width * height {
-            let costs = volume.of(pixel);
+            let costs = volume.costs_at(pixel);
             let best = (0..labels).min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
             let due = if pixel % width < 10 { 1 } else { 4 };
             assert_eq!(best, Some(due), "pixel {pixel}");

@@ -17,7 +17,7 @@ pub(super) fn select_views(
 ) -> Vec<usize> {
     let worth = |pose: &Pose<f64>| {
         let parallax = (pose.translation - keyframe.translation).norm() / depth;
-        let overlap = overlap(camera, keyframe, *pose, depth);
+        let overlap = overlap_ratio(camera, keyframe, *pose, depth);
         let ratio = parallax / BEST_PARALLAX;
         (overlap >= MIN_OVERLAP).then(|| overlap * ratio.min(ratio.recip()).max(0.0))
     };
@@ -30,7 +30,7 @@ pub(super) fn select_views(
 }
 
 /// Ratio of a picture at one depth that another camera sees.
-fn overlap(camera: &Camera<f64>, from: Pose<f64>, to: Pose<f64>, depth: f64) -> f64 {
+fn overlap_ratio(camera: &Camera<f64>, from: Pose<f64>, to: Pose<f64>, depth: f64) -> f64 {
     let to_from = to.inverse() * from;
     let mut seen = 0;
     for i in 0..64 {

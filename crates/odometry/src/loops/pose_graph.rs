@@ -22,7 +22,7 @@ pub(crate) struct PoseGraphEdge {
 }
 
 /// Derivative of seven numbers by seven.
-type Block = [[f64; 7]; 7];
+type NodeJacobian = [[f64; 7]; 7];
 
 /// Moves all nodes but the first so that `Σ weight ‖coordinates(measured⁻¹ first⁻¹ second)‖²` is
 /// least; lengths count in `unit`.
@@ -34,7 +34,7 @@ pub(crate) fn optimize_pose_graph(
     let variable_order = variable_order(places.len(), edges);
     let (mut damping, mut cost) = (1e-6, total_cost(places, edges, unit));
     for _ in 0..MAX_STEPS {
-        let moved = step(places, edges, unit, &variable_order, damping);
+        let moved = levenberg_marquardt_step(places, edges, unit, &variable_order, damping);
         let next = moved.as_ref().map_or(f64::INFINITY, |m| total_cost(m, edges, unit));
         match moved {
             Some(moved) if next < cost => {
@@ -71,27 +71,27 @@ fn variable_order(count: usize, edges: &[PoseGraphEdge]) -> Vec<Option<usize>> {
     out
 }
 
-fn error(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> Similarity<f64> {
+fn edge_error(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> Similarity<f64> {
     let between = places[edge.first].inverse().compose(&places[edge.second]);
     edge.measured.inverse().compose(&between)
 }
 
 /// Weight of each of an edge's seven errors.
-fn weights(edge: &PoseGraphEdge, unit: f64) -> [f64; 7] {
+fn edge_weights(edge: &PoseGraphEdge, unit: f64) -> [f64; 7] {
     std::array::from_fn(|i| if i < 3 { edge.weight / (unit * unit) } else { edge.weight })
 }
 
 fn total_cost(places: &[Similarity<f64>], edges: &[PoseGraphEdge], unit: f64) -> f64 {
     let of = |edge: &PoseGraphEdge| -> f64 {
-        let chart = error(places, edge).coordinates();
-        chart.iter().zip(weights(edge, unit)).map(|(e, w)| w * e * e).sum()
+        let chart = edge_error(places, edge).coordinates();
+        chart.iter().zip(edge_weights(edge, unit)).map(|(e, w)| w * e * e).sum()
     };
     edges.iter().map(of).sum()
 }
 
 /// Derivatives of an edge's seven errors by the tangents of its two nodes.
-fn derivatives(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> [Block; 2] {
-    let error = error(places, edge);
+fn edge_jacobians(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> [NodeJacobian; 2] {
+    let error = edge_error(places, edge);
     let between = places[edge.first].inverse().compose(&places[edge.second]);
     let inverse = right_jacobian_inverse(error.rotation.log());
     let mut out = [[[0.0; 7]; 7]; 2];
@@ -111,14 +111,14 @@ fn derivatives(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> [Block; 2] {
     out
 }
 
-fn write_block(block: &mut Block, row: usize, column: usize, values: &Mat3<f64>) {
+fn write_block(block: &mut NodeJacobian, row: usize, column: usize, values: &Mat3<f64>) {
     for (i, from) in values.rows.iter().enumerate() {
         block[row + i][column..column + 3].copy_from_slice(from);
     }
 }
 
 /// The nodes after a Levenberg-Marquardt step.
-fn step(
+fn levenberg_marquardt_step(
     places: &[Similarity<f64>],
     edges: &[PoseGraphEdge],
     unit: f64,
@@ -136,11 +136,11 @@ fn step(
     let mut matrix = SkylineMatrix::new(first.iter().flat_map(|b| [7 * b; 7]).collect());
     let (mut right, mut diagonal) = (vec![0.0; 7 * blocks], vec![1e-9; 7 * blocks]);
     for edge in edges {
-        let chart = error(places, edge).coordinates();
-        let weights = weights(edge, unit);
+        let chart = edge_error(places, edge).coordinates();
+        let weights = edge_weights(edge, unit);
         let ends = [variable_order[edge.first], variable_order[edge.second]];
-        let slopes = derivatives(places, edge);
-        let product = |a: &Block, i: usize, b: &Block, j: usize| -> f64 {
+        let slopes = edge_jacobians(places, edge);
+        let product = |a: &NodeJacobian, i: usize, b: &NodeJacobian, j: usize| -> f64 {
             (0..7).map(|k| weights[k] * a[k][i] * b[k][j]).sum()
         };
         for (p, (a, block)) in slopes.iter().zip(ends).enumerate() {
@@ -182,11 +182,11 @@ mod tests {
     fn derivatives_agree_with_differences() {
         let places = [place(1), place(2)];
         let edge = PoseGraphEdge { first: 0, second: 1, measured: place(3), weight: 1.0 };
-        let found = derivatives(&places, &edge);
+        let found = edge_jacobians(&places, &edge);
         for row in 0..7 {
             let f = |x: &[f64]| {
                 let part = |k: usize| places[k].retract(&std::array::from_fn(|i| x[7 * k + i]));
-                error(&[part(0), part(1)], &edge).coordinates()[row]
+                edge_error(&[part(0), part(1)], &edge).coordinates()[row]
             };
             let gradient = [found[0][row], found[1][row]].concat();
             assert_gradient("edge", &[0.0; 14], &gradient, 1e-4, 1e-6, f);

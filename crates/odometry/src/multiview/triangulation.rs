@@ -26,7 +26,7 @@ pub(crate) fn triangulate(
     }
     let mut landmark = Landmark::on_ray(camera, first.1, first.0.at, 0.0);
     landmark.values[2] = inverse_depth(camera, &landmark, rest).max(-1e-3);
-    let landmark = refine(camera, landmark, observations)?;
+    let landmark = refine_landmark(camera, landmark, observations)?;
     let sum = observations
         .iter()
         .map(|(o, pose)| reprojection_error(camera, pose, &(&landmark, *o)))
@@ -65,7 +65,7 @@ fn inverse_depth(
 }
 
 /// Levenberg-Marquardt on the landmark alone.
-fn refine(
+fn refine_landmark(
     camera: &Camera<f64>,
     start: Landmark,
     observations: &[PosedObservation<'_>],

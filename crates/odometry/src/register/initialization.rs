@@ -53,7 +53,7 @@ pub(crate) fn initialize_within(
     state: &mut SfmState,
     places: Range<usize>,
 ) -> Result<(), OdometryError> {
-    let pairs = pairs(state, places);
+    let pairs = candidate_pairs(state, places);
     let enough = SUFFICIENT_PARALLAX * state.camera.fx;
     let worth = |p: &KeyframePair| p.rotation_residual.min(enough) * (p.shared as f64).sqrt();
     let moved: Vec<KeyframePair> = {
@@ -94,7 +94,7 @@ pub(crate) fn initialize_within(
 }
 
 /// All pairs of keyframes in `places` that share enough points.
-fn pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
+fn candidate_pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
     let keyframes = &state.tracks.keyframes[places];
     let indices: Vec<(usize, usize)> = (0..keyframes.len())
         .flat_map(|i| (i + 1..(i + 1 + MAX_KEYFRAME_GAP).min(keyframes.len())).map(move |j| (i, j)))

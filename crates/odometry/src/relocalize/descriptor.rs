@@ -46,8 +46,8 @@ impl DescribedPoints {
 
     /// Indices of mutually best matches that pass the ratio test.
     pub(crate) fn matches(&self, other: &Self) -> Vec<(usize, usize)> {
-        let back = other.best(self);
-        let here = self.best(other);
+        let back = other.best_matches(self);
+        let here = self.best_matches(other);
         let mutual = here.iter().enumerate().filter_map(|(i, to)| {
             let to = (*to)?;
             (back[to]? == i).then_some((self.indices[i], other.indices[to]))
@@ -56,7 +56,7 @@ impl DescribedPoints {
     }
 
     /// Best match of every descriptor in another list, if it passes the ratio test.
-    fn best(&self, other: &Self) -> Vec<Option<usize>> {
+    fn best_matches(&self, other: &Self) -> Vec<Option<usize>> {
         let of = |d: &Descriptor| {
             let (mut best, mut least, mut second) = (None, MAX_DESCRIPTOR_DISTANCE, f32::INFINITY);
             for (i, o) in other.descriptors.iter().enumerate() {

@@ -9,7 +9,7 @@ use crate::multiview::landmark::{Landmark, Match, reprojection_error};
 use crate::multiview::pnp::{solve_pnp, solve_pnp_minimal};
 use crate::relocalize::descriptor::DescribedPoints;
 use crate::sfm_state::SfmState;
-use crate::track::patch::Warp;
+use crate::track::patch::AffineWarp;
 use crate::track::point_search::{AnchorPatch, position_sigma};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
@@ -60,7 +60,7 @@ pub(crate) struct Relocalization {
 }
 
 /// A track of the old keyframe, its landmark and its observation there.
-type Known<'a> = (usize, &'a Landmark, &'a Observation);
+type KnownLandmark<'a> = (usize, &'a Landmark, &'a Observation);
 
 /// Localises `new` by the landmarks of `old`, a keyframe with a pose.
 pub(crate) fn match_and_verify(
@@ -104,7 +104,7 @@ struct KeyframeComparison<'a> {
     new_pyramid: Pyramid,
     old_pyramid: Pyramid,
     /// Landmarks of the old one.
-    known: Vec<Known<'a>>,
+    known: Vec<KnownLandmark<'a>>,
 }
 
 impl<'a> KeyframeComparison<'a> {
@@ -145,7 +145,7 @@ impl<'a> KeyframeComparison<'a> {
     /// `pose` predicts them.
     fn verify_pose(&self, pose: Pose<f64>) -> Option<Vec<(usize, Observation)>> {
         let camera = &self.state.camera;
-        let visible: Vec<(Known<'_>, [f64; 2])> = self
+        let visible: Vec<(KnownLandmark<'_>, [f64; 2])> = self
             .known
             .iter()
             .filter_map(|k| Some((*k, k.1.image_position(camera, &pose)?)))
@@ -153,7 +153,8 @@ impl<'a> KeyframeComparison<'a> {
             .collect();
         let step = visible.len().div_ceil(MAX_SEARCHED_POINTS).max(1);
         let visible: Vec<_> = visible.into_iter().step_by(step).collect();
-        let find = |(known, at): &(Known<'_>, [f64; 2])| self.search_landmark(known, *at, &pose);
+        let find =
+            |(known, at): &(KnownLandmark<'_>, [f64; 2])| self.search_landmark(known, *at, &pose);
         let found: Vec<Option<(usize, Observation)>> = visible.iter().map(find).collect();
         // Points searched and points found in every cell.
         let mut cells = [[0_usize; 2]; CELLS_PER_SIDE * CELLS_PER_SIDE];
@@ -180,7 +181,7 @@ impl<'a> KeyframeComparison<'a> {
     /// Searches for a point of the old one in the new one around `at`.
     fn search_landmark(
         &self,
-        (track, landmark, shown): &Known<'_>,
+        (track, landmark, shown): &KnownLandmark<'_>,
         at: [f64; 2],
         pose: &Pose<f64>,
     ) -> Option<(usize, Observation)> {
@@ -190,7 +191,7 @@ impl<'a> KeyframeComparison<'a> {
         let matrix = warp_between_views(self.state, landmark, &self.old_pose, pose)?;
         let in_old = shown.raw.map(|v| (v / self.old.scale) as f32);
         let anchor = AnchorPatch::new(&self.old_pyramid, in_old)?;
-        let found = anchor.align(&self.new_pyramid, Warp { matrix, centre }, 1)?;
+        let found = anchor.align(&self.new_pyramid, AffineWarp { matrix, centre }, 1)?;
         let moved = (found.warp.centre[0] - centre[0]).hypot(found.warp.centre[1] - centre[1]);
         let is_there = found.correlation > MIN_PATCH_CORRELATION && moved < MAX_SEARCH_DISTANCE;
         let at = found.warp.centre.map(|v| f64::from(v) * scale);

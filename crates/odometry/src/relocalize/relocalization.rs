@@ -17,24 +17,24 @@ const MAX_ATTEMPTS: usize = 30;
 const KEYFRAMES_PER_BATCH: usize = 8;
 
 /// Frames of a keyframe and an older one.
-type Pair = (usize, usize);
+type FramePair = (usize, usize);
 
 /// Pairs of keyframes whose verification failed.
 #[derive(Debug, Default)]
 pub(crate) struct FailedPairs {
-    pairs: HashSet<Pair>,
+    pairs: HashSet<FramePair>,
     /// Number of pairs of every newer frame.
     counts: HashMap<usize, usize>,
 }
 
 impl FailedPairs {
-    fn add(&mut self, pair: Pair) {
+    fn add(&mut self, pair: FramePair) {
         if self.pairs.insert(pair) {
             *self.counts.entry(pair.0).or_default() += 1;
         }
     }
 
-    fn contains(&self, pair: Pair) -> bool {
+    fn contains(&self, pair: FramePair) -> bool {
         self.pairs.contains(&pair)
     }
 
@@ -92,7 +92,7 @@ pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> Vec<
             let found = compared.iter().find_map(|old| match_and_verify(state, image, old));
             (found, compared.iter().map(|old| (image.frame, old.frame)).collect())
         };
-        let (found, compared): (Vec<Option<Relocalization>>, Vec<Vec<Pair>>) =
+        let (found, compared): (Vec<Option<Relocalization>>, Vec<Vec<FramePair>>) =
             some.par_iter().map(search).unzip();
         compared.into_iter().flatten().for_each(|pair| failed.add(pair));
         let mut posed = Vec::new();

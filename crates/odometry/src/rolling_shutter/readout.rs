@@ -33,7 +33,7 @@ pub(crate) fn estimate_rolling_shutter(
 ) {
     let Some(interval) = median_frame_interval(timestamps) else { return };
     state.progress.report(Stage::RollingShutter, 0, 0);
-    let sample = ReadoutSearch::of(state, timestamps, interval, adjust_focal);
+    let sample = ReadoutSearch::new(state, timestamps, interval, adjust_focal);
     let none = sample.cost(0.0);
     let about = state.readout;
     let (best, cost) =
@@ -55,7 +55,7 @@ struct ReadoutSearch<'a> {
 }
 
 impl<'a> ReadoutSearch<'a> {
-    fn of(state: &SfmState, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
+    fn new(state: &SfmState, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
         let posed = state.posed_frames();
         let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
             vec![&posed]

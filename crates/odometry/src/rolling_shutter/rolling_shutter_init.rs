@@ -26,7 +26,7 @@ pub(crate) fn initialize_readout(
     progress: &Progress,
 ) -> f64 {
     progress.report(Stage::RollingShutter, 0, 0);
-    let by_frame = tracks.by_frame();
+    let by_frame = tracks.tracks_by_frame();
     let Some(times) = whole_intervals(timestamps) else { return 0.0 };
     let rates = rotation_rates(tracks, &by_frame, camera, &times);
     let cost = |readout: f64| -> f64 {
@@ -152,7 +152,7 @@ mod tests {
         let stamps: Vec<f64> =
             timestamps.iter().zip(noise(6, 8)).map(|(time, n)| time + 0.1 * n).collect();
         let times = whole_intervals(&stamps).expect("several");
-        for rate in rotation_rates(&tracks, &tracks.by_frame(), &camera, &times) {
+        for rate in rotation_rates(&tracks, &tracks.tracks_by_frame(), &camera, &times) {
             assert!((rate - turn).norm() < 1e-5, "{rate:?}");
         }
     }

@@ -31,7 +31,7 @@ pub(crate) fn detect_corners(
     let mut found = Vec::new();
     for index in (0..columns * rows).filter(|i| !occupied[*i]) {
         let (c0, r0) = (index % columns * cell, index / columns * cell);
-        if let Some(at) = strongest(&strength, (c0, r0), cell, border, least) {
+        if let Some(at) = strongest_corner(&strength, (c0, r0), cell, border, least) {
             let apart =
                 |other: &[f32; 2]| (at[0] - other[0]).hypot(at[1] - other[1]) >= 0.6 * cell as f32;
             if taken.iter().chain(&found).all(apart) {
@@ -43,7 +43,7 @@ pub(crate) fn detect_corners(
 }
 
 /// The strongest local maximum of a cell.
-fn strongest(
+fn strongest_corner(
     strength: &Image<f32>,
     (c0, r0): (usize, usize),
     cell: usize,

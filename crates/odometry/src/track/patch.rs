@@ -26,14 +26,14 @@ const CONTRAST_FLOOR: f32 = 1e-4;
 
 /// Affine warp of a patch into a picture: `x = centre + matrix · offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Warp {
+pub(crate) struct AffineWarp {
     pub(crate) matrix: [[f32; 2]; 2],
     pub(crate) centre: [f32; 2],
 }
 
-impl Warp {
+impl AffineWarp {
     /// Translation to `centre`.
-    pub(crate) fn at(centre: [f32; 2]) -> Self {
+    pub(crate) fn translation(centre: [f32; 2]) -> Self {
         Self { matrix: [[1.0, 0.0], [0.0, 1.0]], centre }
     }
 
@@ -73,7 +73,7 @@ pub(crate) struct PatchTemplate<const N: usize> {
 /// Result of an alignment.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PatchMatch {
-    pub(crate) warp: Warp,
+    pub(crate) warp: AffineWarp,
     /// Correlation of patch and picture, at most 1.
     pub(crate) correlation: f32,
 }
@@ -81,7 +81,7 @@ pub(crate) struct PatchMatch {
 impl<const N: usize> PatchTemplate<N> {
     /// The patch around `centre`; `None` without texture to align.
     pub(crate) fn new(image: &Image<f32>, centre: [f32; 2]) -> Option<Self> {
-        let wide = sample::<WIDE>(image, &Warp::at(centre));
+        let wide = sample_patch::<WIDE>(image, &AffineWarp::translation(centre));
         let at = |i: usize, dx: usize, dy: usize| wide[i / SIDE + dy][i % SIDE + dx];
         let values: [f32; AREA] = std::array::from_fn(|i| at(i, 1, 1));
         let gx: [f32; AREA] = std::array::from_fn(|i| 0.5 * (at(i, 2, 1) - at(i, 0, 1)));
@@ -103,11 +103,11 @@ impl<const N: usize> PatchTemplate<N> {
     }
 
     /// Aligns the patch with `image` from `start` on; `None` if the iteration diverges.
-    pub(crate) fn align(&self, image: &Image<f32>, start: Warp) -> Option<PatchMatch> {
+    pub(crate) fn align(&self, image: &Image<f32>, start: AffineWarp) -> Option<PatchMatch> {
         let mut warp = start;
         let mut correlation = 0.0;
         for _ in 0..MAX_ITERATIONS {
-            let rows = sample::<SIDE>(image, &warp);
+            let rows = sample_patch::<SIDE>(image, &warp);
             let values: [f32; AREA] = std::array::from_fn(|i| rows[i / SIDE][i % SIDE]);
             let products: [f32; N] = std::array::from_fn(|k| dot(&self.basis[k], &values));
             correlation = self.correlation(&products, &values);
@@ -124,7 +124,7 @@ impl<const N: usize> PatchTemplate<N> {
                 [[0.0; 2]; 2]
             };
             warp = warp.compose_inverse(m, d)?;
-            if !inside(image, warp.centre) {
+            if !is_inside(image, warp.centre) {
                 return None;
             }
             if d[0].hypot(d[1]) < MIN_UPDATE {
@@ -179,13 +179,13 @@ fn dot(a: &[f32; AREA], b: &[f32; AREA]) -> f32 {
     lanes.iter().sum::<f32>() + rest
 }
 
-fn inside(image: &Image<f32>, at: [f32; 2]) -> bool {
+fn is_inside(image: &Image<f32>, at: [f32; 2]) -> bool {
     at[0] >= 0.0 && at[1] >= 0.0 && at[0] < image.width as f32 && at[1] < image.height as f32
 }
 
 /// The picture under a warp, `S x S` rows and columns; the border pixel is repeated beyond the
 /// border.
-fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
+fn sample_patch<const S: usize>(image: &Image<f32>, warp: &AffineWarp) -> [[f32; S]; S] {
     let half = (S / 2) as f32;
     let first = warp.centre.map(|v| v - half - 0.5);
     let most = [image.width, image.height].map(|n| n as f32 - 1.001);
@@ -211,7 +211,7 @@ fn sample<const S: usize>(image: &Image<f32>, warp: &Warp) -> [[f32; S]; S] {
     })
 }
 
-/// [`sample`] for a pure translation inside the picture: all pixels share their bilinear weights.
+/// [`sample_patch`] for a translation inside the picture: all pixels share their weights.
 fn sample_translated<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f32; S]; S] {
     let (column, row) = (first[0] as usize, first[1] as usize);
     let (u, v) = (first[0] - column as f32, first[1] - row as f32);
@@ -251,7 +251,7 @@ mod tests {
         let template = PatchTemplate::<4>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0])
             .expect("textured");
         let moved = waves(|x, y| (x - 1.7, y + 1.2), 0.4, 0.2);
-        let found = template.align(&moved, Warp::at([30.0, 24.0])).expect("found");
+        let found = template.align(&moved, AffineWarp::translation([30.0, 24.0])).expect("found");
         assert!((found.warp.centre[0] - 31.7).abs() < 0.02, "{found:?}");
         assert!((found.warp.centre[1] - 22.8).abs() < 0.02, "{found:?}");
         assert!(found.correlation > 0.995);
@@ -266,7 +266,9 @@ mod tests {
             let (x, y) = (x - 31.0, y - 23.5);
             (c * x + s * y + 30.0, c * y - s * x + 24.0)
         };
-        let found = template.align(&waves(turn, 1.3, -0.1), Warp::at([30.0, 24.0])).expect("found");
+        let found = template
+            .align(&waves(turn, 1.3, -0.1), AffineWarp::translation([30.0, 24.0]))
+            .expect("found");
         assert!((found.warp.centre[0] - 31.0).abs() < 0.05, "{found:?}");
         assert!((found.warp.centre[1] - 23.5).abs() < 0.05, "{found:?}");
         assert!((found.warp.matrix[0][1] + s).abs() < 0.02, "{found:?}");

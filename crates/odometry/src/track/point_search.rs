@@ -5,7 +5,7 @@
 //! yields a measurement: where it does not match, as in a blurred frame, the point is followed on
 //! and nothing is measured.
 
-use crate::track::patch::{PatchMatch, PatchTemplate, Warp};
+use crate::track::patch::{AffineWarp, PatchMatch, PatchTemplate};
 use crate::track::pyramid::Pyramid;
 use crate::track::tracks::Observation;
 use i2slam_geometry::Image;
@@ -36,16 +36,16 @@ pub(crate) struct AnchorPatch {
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum TrackOutcome {
     /// Aligned with the anchor: a measurement.
-    Measured { warp: Warp, correlation: f32 },
+    Measured { warp: AffineWarp, correlation: f32 },
     /// Followed from the last frame, but the anchor does not match.
-    Followed { warp: Warp },
+    Followed { warp: AffineWarp },
     /// Not found: moved with the whole picture.
-    Extrapolated { warp: Warp },
+    Extrapolated { warp: AffineWarp },
 }
 
 impl TrackOutcome {
     /// Assumed position of the point.
-    pub(crate) fn warp(&self) -> Warp {
+    pub(crate) fn warp(&self) -> AffineWarp {
         match self {
             Self::Measured { warp, .. } | Self::Followed { warp } | Self::Extrapolated { warp } => {
                 *warp
@@ -82,7 +82,12 @@ impl AnchorPatch {
     }
 
     /// Aligns the anchor from `start` on, from level `from` down to the finest.
-    pub(crate) fn align(&self, next: &Pyramid, start: Warp, from: usize) -> Option<PatchMatch> {
+    pub(crate) fn align(
+        &self,
+        next: &Pyramid,
+        start: AffineWarp,
+        from: usize,
+    ) -> Option<PatchMatch> {
         let mut warp = start;
         let mut found = None;
         for level in (0..=from.min(self.templates.len() - 1)).rev() {
@@ -100,7 +105,7 @@ impl AnchorPatch {
 /// where the whole picture has moved by `shift` [px].
 pub(crate) fn search_point(
     anchor: &AnchorPatch,
-    warp: Warp,
+    warp: AffineWarp,
     is_followed: bool,
     last: &Pyramid,
     next: &Pyramid,
@@ -113,17 +118,17 @@ pub(crate) fn search_point(
         Some(found) => (found.warp.centre, 1),
         None => (guess, ANCHOR_LEVELS - 1),
     };
-    let start = Warp { centre: start, ..warp };
+    let start = AffineWarp { centre: start, ..warp };
     let reached = |f: &PatchMatch| {
         near.is_none() || distance(f.warp.centre, start.centre) < MAX_ANCHOR_CORRECTION
     };
     let anchored = anchor.align(next, start, level).filter(|f| {
-        f.correlation > MIN_ANCHOR_CORRELATION && reached(f) && inside(next, f.warp.centre)
+        f.correlation > MIN_ANCHOR_CORRELATION && reached(f) && is_inside(next, f.warp.centre)
     });
     match (anchored, near) {
         (Some(f), _) => TrackOutcome::Measured { warp: f.warp, correlation: f.correlation },
-        (None, Some(_)) if inside(next, start.centre) => TrackOutcome::Followed { warp: start },
-        _ => TrackOutcome::Extrapolated { warp: Warp { centre: guess, ..warp } },
+        (None, Some(_)) if is_inside(next, start.centre) => TrackOutcome::Followed { warp: start },
+        _ => TrackOutcome::Extrapolated { warp: AffineWarp { centre: guess, ..warp } },
     }
 }
 
@@ -131,7 +136,7 @@ fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-fn inside(next: &Pyramid, [x, y]: [f32; 2]) -> bool {
+fn is_inside(next: &Pyramid, [x, y]: [f32; 2]) -> bool {
     let image = next.finest();
     let most = [image.width as f32 - BORDER, image.height as f32 - BORDER];
     x >= BORDER && y >= BORDER && x < most[0] && y < most[1]
@@ -149,7 +154,7 @@ fn follow_from_last_frame(
     for level in (0..last.levels.len()).rev() {
         let scale = (1_usize << level) as f32;
         let template = PatchTemplate::<4>::new(&last.levels[level], from.map(|v| v / scale));
-        let start = Warp::at(at.map(|v| v / scale));
+        let start = AffineWarp::translation(at.map(|v| v / scale));
         match template.and_then(|t| t.align(&next.levels[level], start)) {
             Some(f) => {
                 at = f.warp.centre.map(|v| v * scale);
@@ -161,6 +166,7 @@ fn follow_from_last_frame(
         }
     }
     let found = found.filter(|f| f.correlation > MIN_CORRELATION)?;
-    let back = PatchTemplate::<4>::new(next.finest(), at)?.align(last.finest(), Warp::at(from))?;
+    let back = PatchTemplate::<4>::new(next.finest(), at)?
+        .align(last.finest(), AffineWarp::translation(from))?;
     (distance(back.warp.centre, from) < MAX_ROUND_TRIP_ERROR).then_some(found)
 }

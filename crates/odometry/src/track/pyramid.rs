@@ -20,7 +20,7 @@ impl Pyramid {
             if (last.width / 2).min(last.height / 2) < COARSEST_SIDE {
                 break;
             }
-            let next = halved(last);
+            let next = downsample(last);
             levels.push(next);
         }
         Self { levels }
@@ -52,25 +52,25 @@ fn brightness(picture: &Image<f32>) -> Image<f32> {
 
 /// Every second pixel in both directions after the filter [1 3 3 1] / 8, which is centred between
 /// two pixels.
-fn halved(image: &Image<f32>) -> Image<f32> {
+fn downsample(image: &Image<f32>) -> Image<f32> {
     let (width, height) = (image.width / 2, image.height / 2);
     let mut rows = Image::new(width, image.height, 1);
     for (from, to) in image.data.chunks_exact(image.width).zip(rows.data.chunks_exact_mut(width)) {
         for (column, value) in to.iter_mut().enumerate() {
-            *value = filtered(2 * column, image.width, |i| from[i]);
+            *value = binomial_filter(2 * column, image.width, |i| from[i]);
         }
     }
     let mut out = Image::new(width, height, 1);
     for row in 0..height {
         for column in 0..width {
             out.data[row * width + column] =
-                filtered(2 * row, image.height, |i| rows.data[i * width + column]);
+                binomial_filter(2 * row, image.height, |i| rows.data[i * width + column]);
         }
     }
     out
 }
 
-fn filtered(first: usize, size: usize, value: impl Fn(usize) -> f32) -> f32 {
+fn binomial_filter(first: usize, size: usize, value: impl Fn(usize) -> f32) -> f32 {
     let (before, after) = (first.saturating_sub(1), (first + 2).min(size - 1));
     0.125 * (value(before) + value(after)) + 0.375 * (value(first) + value(first + 1))
 }

@@ -5,7 +5,7 @@
 
 use crate::track::corners::detect_corners;
 use crate::track::global_translation::estimate_global_translation;
-use crate::track::patch::{RADIUS, Warp};
+use crate::track::patch::{AffineWarp, RADIUS};
 use crate::track::point_search::{AnchorPatch, MIN_POSITION_SIGMA, TrackOutcome, search_point};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
@@ -43,7 +43,7 @@ const CUT_CORRELATION: f32 = 0.3;
 #[derive(Clone, Debug)]
 struct TrackedPoint {
     track: usize,
-    warp: Warp,
+    warp: AffineWarp,
     anchor: AnchorPatch,
     /// Frames since the last measurement.
     hidden_frames: usize,
@@ -192,7 +192,7 @@ impl Tracker {
             if let Some(anchor) =
                 is_aged.then(|| AnchorPatch::new(next, point.warp.centre)).flatten()
             {
-                (point.anchor, point.warp) = (anchor, Warp::at(point.warp.centre));
+                (point.anchor, point.warp) = (anchor, AffineWarp::translation(point.warp.centre));
             }
         }
         let taken: Vec<[f32; 2]> = self.points.iter().map(|p| p.warp.centre).collect();
@@ -222,7 +222,7 @@ impl Tracker {
     ) -> Option<(TrackedPoint, Track)> {
         let anchor = AnchorPatch::new(next, at)?;
         let mut observations = vec![Observation::new(frame, at.map(f64::from), MIN_POSITION_SIGMA)];
-        let (mut warp, mut here, mut by) = (Warp::at(at), next, shift);
+        let (mut warp, mut here, mut by) = (AffineWarp::translation(at), next, shift);
         for (i, (before, shift)) in self.recent.iter().rev().enumerate() {
             let outcome = search_point(&anchor, warp, true, here, before, by.map(|v| -v));
             let Some(observation) = outcome.observation(frame - 1 - i) else { break };
@@ -232,7 +232,7 @@ impl Tracker {
         observations.reverse();
         let point = TrackedPoint {
             track: 0,
-            warp: Warp::at(at),
+            warp: AffineWarp::translation(at),
             anchor,
             hidden_frames: 0,
             is_followed: true,

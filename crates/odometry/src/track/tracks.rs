@@ -32,7 +32,7 @@ pub(crate) struct Track {
 
 impl Track {
     /// The observation in a frame.
-    pub(crate) fn in_frame(&self, frame: usize) -> Option<&Observation> {
+    pub(crate) fn observation_in(&self, frame: usize) -> Option<&Observation> {
         let i = self.observations.partition_point(|o| o.frame < frame);
         self.observations.get(i).filter(|o| o.frame == frame)
     }
@@ -88,7 +88,7 @@ impl Tracks {
     }
 
     /// Tracks of every frame.
-    pub(crate) fn by_frame(&self) -> Vec<Vec<usize>> {
+    pub(crate) fn tracks_by_frame(&self) -> Vec<Vec<usize>> {
         let mut out = vec![Vec::new(); self.frames];
         for (index, track) in self.tracks.iter().enumerate() {
             track.observations.iter().for_each(|o| out[o.frame].push(index));
@@ -106,7 +106,7 @@ pub(crate) fn shared_positions(
 ) -> Vec<([f64; 2], [f64; 2])> {
     let both = |i: &usize| {
         let track = &tracks[*i];
-        Some((track.in_frame(first)?, track.in_frame(second)?))
+        Some((track.observation_in(first)?, track.observation_in(second)?))
     };
     by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at, b.at)).collect()
 }
