@@ -37,8 +37,8 @@ pub(crate) struct Input {
         conflicts_with_all = ["camera", "fov"]
     )]
     pub(crate) intrinsics: Option<Vec<String>>,
-    /// Camera: horizontal field of view, without distortion. For colour alone it is looked for in
-    /// the pictures where nothing is given
+    /// Camera: horizontal field of view, without distortion. For colour alone it is estimated
+    /// from the pictures if no camera is given
     #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, conflicts_with = "camera")]
     pub(crate) fov: Option<f64>,
     /// Value of one metre in the depth images

@@ -1,6 +1,5 @@
 //! Errors of commands and their exit codes.
 
-use crate::progress::Progress;
 use i2slam::dataset::DatasetError;
 use i2slam::{ConfigError, RunError};
 use i2slam_eval::EvalError;
@@ -33,16 +32,6 @@ impl Failure {
             Self::Usage(message) | Self::Failed(message) => Some(message),
             Self::Interrupted => None,
         }
-    }
-}
-
-impl Failure {
-    /// Failure of a run. Cancellation is noted, as its exit code alone says nothing of the results.
-    pub(crate) fn of_run(error: RunError, progress: &Progress) -> Self {
-        if let RunError::Cancelled { .. } = error {
-            progress.note(&error.to_string());
-        }
-        error.into()
     }
 }
 

@@ -25,8 +25,8 @@ pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {
     } else {
         let path = match odometry_size(sequence) {
             size if size == (camera.width, camera.height) => String::new(),
-            size if size == (width, height) => ", the path found as recorded".to_owned(),
-            (width, height) => format!(", the path found at {width}x{height}"),
+            size if size == (width, height) => ", camera path found as recorded".to_owned(),
+            (width, height) => format!(", camera path found at {width}x{height}"),
         };
         format!(", worked on at {}x{} (--max-side, --scale){path}", camera.width, camera.height)
     };
@@ -41,8 +41,8 @@ pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {
     let source = &sequence.camera_source;
     lines.push(if sequence.camera_is_guess {
         format!(
-            "camera not given: its focal length is looked for in the pictures, beginning with \
-             {:.0} px ({source}); --fov or --intrinsics would give it",
+            "camera not given: estimating its focal length from the pictures, beginning with \
+             {:.0} px ({source}); --fov or --intrinsics gives it",
             camera.fx
         )
     } else {
@@ -58,7 +58,7 @@ fn focal_length_line((found, view): (f64, f64), deviation: Option<f64>, assumed:
     let assumed_view = 2.0 * tangent.atan().to_degrees();
     let deviation = deviation.map(|share| format!(" ± {:.1} %", 100.0 * share));
     format!(
-        "camera: focal length {found:.1} px{}, {view:.1} degrees across, found in the pictures \
+        "camera: focal length {found:.1} px{}, {view:.1} degrees across, estimated from the pictures \
          (assumed {assumed:.1} px, {assumed_view:.1} degrees)",
         deviation.unwrap_or_default(),
     )
@@ -73,9 +73,9 @@ pub(crate) fn camera_lines(camera: &CameraEstimate) -> Vec<String> {
         lines.push(focal_length_line(found, deviation, camera.assumed_focal_length));
     }
     if let Some([k1, k2]) = camera.lens.map(|lens| lens.distortion) {
-        lines.push(format!("lens distortion: k1 {k1:.4}, k2 {k2:.4} found in the pictures"));
+        lines.push(format!("lens distortion: k1 {k1:.4}, k2 {k2:.4} estimated from the pictures"));
     } else if camera.is_distortion_estimated {
-        lines.push("lens distortion: not found in the pictures, none is assumed".to_owned());
+        lines.push("lens distortion: not measurable in the pictures, none is assumed".to_owned());
     }
     if camera.rolling_shutter_readout != 0.0 {
         let milliseconds = 1e3 * camera.rolling_shutter_readout;
@@ -147,7 +147,7 @@ pub(super) fn print_summary(
     }
     if let Some([k1, k2]) = metrics.lens_distortion {
         print(&format!(
-            "lens distortion: k1 {k1:.4}, k2 {k2:.4}, found in the pictures and removed"
+            "lens distortion: k1 {k1:.4}, k2 {k2:.4}, estimated from the pictures and removed"
         ));
     }
     if metrics.rolling_shutter_readout_s != 0.0 {

@@ -42,7 +42,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         dataset,
         out: arguments.out.clone(),
         options,
-        draw: RenderSelection::All,
+        renders: RenderSelection::All,
         overwrite: true,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),

@@ -69,7 +69,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
             save_render(&folder, "", kind, frame.index, &picture(&mut viewer, kind, frame))?;
         }
         done += 1;
-        progress.step("drawing", done, frames.len());
+        progress.step("rendering", done, frames.len());
         if interrupt::requested() {
             break;
         }

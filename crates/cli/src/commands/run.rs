@@ -28,8 +28,8 @@ pub(crate) struct Run {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,
-    /// Colour alone, as always for a video: the path is found from the pictures, or comes with
-    /// --keyframes, and poses, tone and map are refined together [default preset: default-rgb]
+    /// Colour alone, as always for a video: poses are estimated from the pictures, or come with
+    /// --keyframes; poses, exposure and map are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
     /// With --rgb, lens distortion: that of the camera file, if there is one, or estimated from the
@@ -54,8 +54,8 @@ pub(crate) struct Run {
     /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
     #[arg(long, value_name = "N")]
     pub(crate) hold_out: Option<usize>,
-    /// Which frames to draw under renders/ [default: all; none of a video on a hash grid, which is
-    /// slow to draw: `i2slam render` does it later]
+    /// Which frames to render under renders/ [default: all; none of a video on a hash grid, which is
+    /// slow to render: `i2slam render` does it later]
     #[arg(long, value_enum, value_name = "WHICH")]
     pub(crate) render: Option<RenderSelection>,
     /// Replace the earlier result in the folder; other files in it stay
@@ -74,10 +74,10 @@ pub(crate) struct Formation {
     /// Virtual cameras over the exposure
     #[arg(long, value_name = "N")]
     pub(crate) virtual_cameras: Option<usize>,
-    /// Take pictures as sharp
+    /// Model pictures as sharp, without motion blur
     #[arg(long)]
     pub(crate) no_blur: bool,
-    /// Take pictures as they are: no exposure, white balance or camera response
+    /// Use pictures as they are, without exposure, white balance or camera response
     #[arg(long)]
     pub(crate) no_tone: bool,
     /// Do not tie the motion during an exposure to the motion between frames
@@ -99,7 +99,7 @@ pub(crate) enum Map {
 pub(crate) enum Distortion {
     /// That of the camera file; none where the camera is unknown
     Given,
-    /// Found in the pictures, and removed from them
+    /// Estimated from the pictures, and removed from them
     Estimate,
 }
 
@@ -135,14 +135,14 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let config = settings(arguments)?;
     arguments.machine.use_threads()?;
     let poses = pose_source(arguments, &config)?;
-    let draw = arguments.render.unwrap_or_else(|| default_draw(arguments, &config));
+    let renders = arguments.render.unwrap_or_else(|| default_renders(arguments, &config));
     let options = RunOptions::new(config, poses);
     let open = arguments.input.open_options(options.open)?;
     reconstruction::run(&Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
         options: RunOptions { open, ..options },
-        draw,
+        renders,
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
         title: None,
@@ -213,7 +213,7 @@ fn refuse_estimate(arguments: &Run) -> Result<(), Failure> {
     } else if arguments.keyframes.is_some() {
         "does not go with --keyframes, whose poses belong to a camera that is known"
     } else if camera.is_some() || intrinsics.is_some() || fov.is_some() {
-        "does not go with --camera, --intrinsics or --fov: the focal length is found with the lens"
+        "does not go with --camera, --intrinsics or --fov: the focal length is estimated with it"
     } else {
         return Ok(());
     };
@@ -221,7 +221,7 @@ fn refuse_estimate(arguments: &Run) -> Result<(), Failure> {
 }
 
 /// Default of `--render`. The report has pictures in any case.
-fn default_draw(arguments: &Run, config: &Config) -> RenderSelection {
+fn default_renders(arguments: &Run, config: &Config) -> RenderSelection {
     match config.map.kind {
         MapKind::HashGrid if is_video(&arguments.dataset) => RenderSelection::None,
         _ => RenderSelection::All,
@@ -234,7 +234,7 @@ fn is_rgb(arguments: &Run) -> bool {
 }
 
 /// Applies the flags to `config`.
-pub(super) fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, Failure> {
+fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, Failure> {
     let Formation { virtual_cameras, no_blur, no_tone, no_trajectory_loss } = arguments.formation;
     let formation = &mut config.formation;
     formation.blur &= !no_blur;

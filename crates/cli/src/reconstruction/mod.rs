@@ -10,7 +10,7 @@ use crate::output_dir::{CreatedDirs, OutputDir};
 use crate::progress::Progress;
 use crate::{interrupt, messages};
 use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
-use i2slam::{PoseSource, RunOptions, Warning, reconstruct};
+use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
 use i2slam_result::{FolderLayout, ResultFolder};
 pub(crate) use pictures::RenderSelection;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,8 @@ pub(crate) struct Job {
     pub(crate) dataset: PathBuf,
     pub(crate) out: PathBuf,
     pub(crate) options: RunOptions,
-    pub(crate) draw: RenderSelection,
+    /// Frames whose renders are written.
+    pub(crate) renders: RenderSelection,
     /// Whether an earlier result in `out` may be replaced.
     pub(crate) overwrite: bool,
     pub(crate) quiet: bool,
@@ -68,8 +69,15 @@ fn reconstruct_into(
     if let PoseSource::Odometry { .. } = job.options.poses {
         messages::input_lines(sequence).iter().for_each(|line| progress.note(line));
     }
+    let failure = |error: RunError| {
+        if let RunError::Cancelled { .. } = error {
+            // An interrupt has an exit code alone.
+            progress.note(&error.to_string());
+        }
+        Failure::from(error)
+    };
     let outcome = reconstruct(sequence, &job.options, progress.clone());
-    let written = outcome.map_err(|error| Failure::of_run(error, &progress)).and_then(|outcome| {
+    let written = outcome.map_err(failure).and_then(|outcome| {
         let undistorted = outcome.undistorted.clone();
         // True pictures have the same lens distortion.
         let undistorted_truth =

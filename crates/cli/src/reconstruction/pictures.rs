@@ -17,7 +17,7 @@ use i2slam_result::{Metrics, RenderKind, ResultError, ResultFolder, save_render}
 const REPORT_FRAMES: usize = 8;
 
 /// Phase of the progress display.
-const DRAWING: &str = "drawing";
+const RENDERING: &str = "rendering";
 
 /// Exposures shown in the report [stops].
 const STOPS: [f64; 3] = [-2.0, 0.0, 2.0];
@@ -35,7 +35,7 @@ pub(crate) struct PictureRenderer<'a> {
     pub(crate) sequence: &'a Sequence,
     pub(crate) truth: &'a GroundTruth,
     pub(crate) reconstruction: &'a Reconstruction,
-    pub(crate) draw: RenderSelection,
+    pub(crate) renders: RenderSelection,
 }
 
 /// Outputs of rendering.
@@ -65,19 +65,19 @@ struct RadianceStack {
 
 impl PictureRenderer<'_> {
     /// Renders and metrics all frames; after an interrupt, those of the report only.
-    pub(crate) fn run(&self, folder: &ResultFolder, progress: &Progress) -> RenderedPictures {
+    pub(crate) fn render(&self, folder: &ResultFolder, progress: &Progress) -> RenderedPictures {
         let frames = &self.reconstruction.frames;
         let shown = frames_to_show(frames, REPORT_FRAMES);
         let mut viewer = self.reconstruction.viewer();
         let mut rendered = RenderedPictures::default();
-        progress.step(DRAWING, 0, frames.len());
+        progress.step(RENDERING, 0, frames.len());
         for (i, frame) in frames.iter().enumerate() {
             let show = shown.contains(&i);
             if interrupt::requested() && !show {
                 continue;
             }
             self.frame(frame, show, &mut viewer, folder, &mut rendered);
-            progress.step(DRAWING, i + 1, frames.len());
+            progress.step(RENDERING, i + 1, frames.len());
         }
         keep_widest_range(&mut rendered.comparisons);
         rendered
@@ -127,7 +127,7 @@ impl PictureRenderer<'_> {
     }
 
     fn wants_files(&self, frame: &FrameEstimate) -> bool {
-        match self.draw {
+        match self.renders {
             RenderSelection::All => true,
             RenderSelection::Keyframes => frame.keyframe,
             RenderSelection::None => false,

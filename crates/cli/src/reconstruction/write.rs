@@ -91,9 +91,9 @@ impl FinishedRun<'_> {
             sequence: self.sequence,
             truth: self.truth,
             reconstruction,
-            draw: self.job.draw,
+            renders: self.job.renders,
         };
-        let rendered = renderer.run(folder, progress);
+        let rendered = renderer.render(folder, progress);
         rendered.failure.into_iter().for_each(|error| note(Err(error)));
         rendered.metrics.write_to(&mut measurements.metrics);
         measurements.metrics.peak_memory_bytes = peak_memory();
@@ -114,14 +114,14 @@ impl FinishedRun<'_> {
 }
 
 /// Smallest range of true exposures [stops]: below, a correlation would be one of noise.
-const MIN_RANGE: f64 = 0.1;
+const MIN_EXPOSURE_RANGE: f64 = 0.1;
 
 /// Metrics, and the true poses aligned to the estimate.
-pub(crate) struct Measurements {
-    pub(crate) metrics: Metrics,
-    pub(crate) truth_in_world: Vec<StampedPose>,
+struct Measurements {
+    metrics: Metrics,
+    truth_in_world: Vec<StampedPose>,
     /// Measurements that failed, with reasons.
-    pub(crate) warnings: Vec<String>,
+    warnings: Vec<String>,
 }
 
 impl Measurements {
@@ -179,7 +179,7 @@ impl Measurements {
             known.map(|&(_, exposure)| (f64::from(frame.tone.exposure()), exposure))
         });
         let (estimate, due): (Vec<f64>, Vec<f64>) = pairs.unzip();
-        if range_stops(&due) < MIN_RANGE {
+        if range_stops(&due) < MIN_EXPOSURE_RANGE {
             return;
         }
         match exposure_agreement(&estimate, &due) {
@@ -197,7 +197,7 @@ fn range_stops(exposures: &[f64]) -> f64 {
 }
 
 /// Peak resident memory of the process [bytes]; Linux only.
-pub(super) fn peak_memory() -> Option<u64> {
+fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;

@@ -57,7 +57,7 @@ fn ctrl_c_during_the_search_leaves_no_folder() {
     let footage = Footage::new("interrupt-search");
     let video = footage.video("views.mp4", &views(300));
     let mut running = Running::start(&mut footage.quick("out", &video, &["--threads", "1"]));
-    running.until("following points");
+    running.until("tracking points");
     running.interrupted().exits_with(130).stderr_contains("ended before the path");
     assert!(!footage.scratch.join("out").exists());
 }
@@ -92,13 +92,13 @@ fn ctrl_c_keeps_the_path_and_the_earlier_result() {
     };
     for _ in 0..2 {
         let ran = interrupted().stderr_contains("stays").stderr_contains("out-partial");
-        ran.stderr_contains("those of the front end");
+        ran.stderr_contains("those of visual odometry");
         assert_eq!(fs::read(out.join("report.html")).ok(), Some(earlier.clone()));
         assert_eq!(rows(&beside.join("trajectory.txt")), 24, "the whole path");
         let metrics = fs::read_to_string(beside.join("metrics.json")).expect("figures");
         let metrics: serde_json::Value = serde_json::from_str(&metrics).expect("JSON");
         assert_eq!((&metrics["complete"], &metrics["frames"]), (&false.into(), &24.into()));
-        assert!(metrics["warnings"].to_string().contains("those of the front end"));
+        assert!(metrics["warnings"].to_string().contains("those of visual odometry"));
         assert!(!footage.scratch.join("out-partial-2").exists(), "a part is replaced");
     }
 }

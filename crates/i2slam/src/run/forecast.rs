@@ -1,6 +1,5 @@
 //! Duration of a run by colour alone, extrapolated from its first frames.
 
-use super::keyframes::picture;
 use crate::config::Config;
 use crate::session::RuntimeEstimate;
 use i2slam_dataset::Sequence;
@@ -47,7 +46,7 @@ impl Forecaster {
         self.is_done = true;
         let following = self.started.elapsed().as_secs_f64() / done as f64 * frames as f64;
         let camera = &self.sequence.camera;
-        let colour = picture(&self.sequence, 0).ok()?.colour;
+        let colour = self.sequence.load(0).ok()?.colour;
         let pace =
             RuntimeEstimate::measure(&self.config, camera, self.sequence.frame_rate, &colour)?;
         let keyframes = (keyframes * frames).div_ceil(done);

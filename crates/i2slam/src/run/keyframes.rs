@@ -175,9 +175,10 @@ where
     };
     let warnings = found.reconstruction().warnings.iter().map(|w| w.with_frame_numbers(number));
     let warnings = warnings.map(|warning| match (warning, warning.frame_range()) {
-        (OdometryWarning::DisconnectedFrames { first, last }, Some(frames)) => {
-            Warning::of_frames(frames, format!("{warning} (--frames {first}..{})", last + 1))
-        }
+        (OdometryWarning::DisconnectedFrames { first, last }, Some(frames)) => Warning::of_frames(
+            frames,
+            format!("{warning} (frames {first}..{} can be reconstructed apart)", last + 1),
+        ),
         (_, Some(frames)) => Warning::of_frames(frames, warning.to_string()),
         (_, None) => warning.to_string().into(),
     });
@@ -185,7 +186,7 @@ where
 }
 
 /// The picture at a place of a sequence.
-pub(super) fn picture(sequence: &Sequence, place: usize) -> Result<Frame, PictureError> {
+fn picture(sequence: &Sequence, place: usize) -> Result<Frame, PictureError> {
     Ok(sequence.load(place)?)
 }
 
@@ -228,11 +229,11 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn Ke
         match MonocularSource::find(camera, large.len(), load, &odometry_progress(context, None)) {
             Ok(found) => found,
             Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
-                note("ended while the pictures were followed: poses stay as they came");
+                note("ended during visual odometry: the imported poses stay as they are");
                 return None;
             }
             Err(failure) => {
-                note(&format!("poses are taken as they came, without depth: {failure}"));
+                note(&format!("the imported poses stay as they are, without depth: {failure}"));
                 return None;
             }
         };
@@ -242,7 +243,10 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn Ke
     let refined =
         RefinedImport::new(files.camera, poses, &found, load, context.cancellation.clone());
     let Some(refined) = refined else {
-        note("poses are taken as they came, without depth: the pictures show no path");
+        note(
+            "the imported poses stay as they are, without depth: odometry found too few of them, or a \
+              rolling shutter",
+        );
         return None;
     };
     note(&refined.summary());
@@ -326,7 +330,7 @@ impl FrameConsumer for KeyframeConsumer {
         if count > 0 {
             let frames = if count == 1 { "frame" } else { "frames" };
             let text = format!(
-                "ended early: the poses of {count} {frames} are those of the front end, not refined"
+                "ended early: the poses of {count} {frames} are those of visual odometry, not refined"
             );
             self.warnings.push(text.into());
         }

@@ -25,7 +25,7 @@ pub use forecast::RuntimeForecast;
 pub use keyframes::odometry_size;
 pub use observer::{Observer, Stage};
 
-use crate::config::Config;
+use crate::config::{Config, MapKind};
 use crate::keyframes::{ImportDepth, ImportOptions};
 use crate::reconstruction::Reconstruction;
 use crate::warning::Warning;
@@ -98,6 +98,15 @@ impl RunOptions {
     /// Gaussians, the longer side of pictures reduced to 640 px, an unknown focal length estimated.
     pub fn colour_alone() -> Self {
         Self::new(Config::default_rgb(), PoseSource::Odometry { estimate_distortion: false })
+    }
+
+    /// Keyframes of another program with the pictures of a dataset, on a radiance field, as
+    /// Gaussians need a depth to start from.
+    pub fn imported_keyframes(keyframes: PathBuf, pictures: PathBuf) -> Self {
+        let mut config = Config::default_rgb();
+        config.map.kind = MapKind::HashGrid;
+        let (depth, variance) = (ImportDepth::Imported, None);
+        Self::new(config, PoseSource::Imported { keyframes, pictures, depth, variance })
     }
 
     /// Opens a sequence with [`open`](Self::open).

@@ -28,12 +28,12 @@ impl Stage {
     /// Words for a progress bar.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Odometry(keyframes::Stage::Tracking { .. }) => "following points",
-            Self::Odometry(keyframes::Stage::FocalLength) => "looking for the focal length",
-            Self::Odometry(keyframes::Stage::Registration) => "finding the path of the camera",
-            Self::Odometry(keyframes::Stage::BundleAdjustment) => "adjusting the path",
-            Self::Odometry(keyframes::Stage::RollingShutter) => "looking for a rolling shutter",
-            Self::Odometry(keyframes::Stage::LoopClosure) => "looking for places seen again",
+            Self::Odometry(keyframes::Stage::Tracking { .. }) => "tracking points",
+            Self::Odometry(keyframes::Stage::FocalLength) => "estimating the focal length",
+            Self::Odometry(keyframes::Stage::Registration) => "finding camera poses",
+            Self::Odometry(keyframes::Stage::BundleAdjustment) => "adjusting camera poses",
+            Self::Odometry(keyframes::Stage::RollingShutter) => "measuring the rolling shutter",
+            Self::Odometry(keyframes::Stage::LoopClosure) => "closing loops",
             Self::Frames => "frames",
             Self::Keyframes => "keyframes",
             Self::MapRefinement => "refining the map",

@@ -92,7 +92,7 @@ impl Estimate {
     }
 }
 
-/// Why a folder can be no estimate.
+/// Reason why a folder cannot be evaluated.
 fn unsuitable(path: &Path) -> String {
     let shown = path.display();
     if path.read_dir().is_ok_and(|mut entries| entries.next().is_none()) {

@@ -3,6 +3,7 @@
 mod estimate;
 mod evaluation;
 mod frames;
+mod metric_value;
 mod pictures;
 mod pose_optimization;
 mod reference;

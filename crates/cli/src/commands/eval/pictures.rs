@@ -1,8 +1,8 @@
 //! Errors of rendered pictures and radiance, by the metrics of each protocol.
 
 use super::estimate::Estimate;
-use super::evaluation::{MetricValue, TableRow};
 use super::frames::{FrameSelection, shortened};
+use super::metric_value::{MetricValue, TableRow};
 use super::reference::{Reference, checksum};
 use super::{Eval, Protocol, failed};
 use crate::failure::Failure;

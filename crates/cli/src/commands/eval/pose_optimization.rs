@@ -1,7 +1,7 @@
 //! Test-time pose optimisation: renders from the poses at which the map fits the true pictures.
 
 use super::estimate::Estimate;
-use super::evaluation::MetricValue;
+use super::metric_value::MetricValue;
 use super::reference::Reference;
 use super::{Eval, Protocol, failed};
 use crate::failure::Failure;

@@ -1,7 +1,7 @@
 //! Trajectory errors of a result or a trajectory file.
 
 use super::estimate::Estimate;
-use super::evaluation::TableRow;
+use super::metric_value::TableRow;
 use super::reference::Reference;
 use super::{AlignmentGroup, Eval, Protocol, RelativeStep};
 use crate::failure::Failure;
