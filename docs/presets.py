@@ -1,4 +1,4 @@
-"""Writes the table of presets.md: values, meanings and sources as the program prints them.
+"""Writes the table of presets.md: the values that the program prints.
 
 usage: presets.py PROGRAM PRESETS.md        (Python 3.11)
 """
@@ -8,15 +8,11 @@ import subprocess
 import sys
 import tomllib
 
-NAMES = ["paper-scannet", "paper-tum", "paper-synthetic", "default", "paper-rgb", "default-rgb"]
+NAMES = ["default", "default-rgb", "paper-scannet", "paper-tum", "paper-synthetic", "paper-rgb"]
 BEGIN, END = "<!-- VALUES -->\n", "<!-- /VALUES -->\n"
 
 
-def printed(program, name):
-    return subprocess.run([program, "presets", name], check=True, capture_output=True).stdout.decode()
-
-
-def values(text):
+def values(program, name):
     """All settings of a preset as {"section.key": value}."""
 
     def flat(table, path):
@@ -26,23 +22,8 @@ def values(text):
             else:
                 yield ".".join(path + [key]), value
 
-    return dict(flat(tomllib.loads(text), []))
-
-
-def words(text):
-    """Meaning and source of every setting, from the comments above it, as {"section.key": (…, …)}."""
-    found, comment, section = {}, [], ""
-    for line in text.splitlines():
-        if line.startswith("#"):
-            comment.append(line[1:].strip())
-            continue
-        if line.startswith("["):
-            section = line.strip("[]") + "."
-        elif " = " in line:
-            meaning, _, source = " ".join(comment).partition("Source: ")
-            found[section + line.split(" = ")[0]] = (meaning.strip(), source.strip())
-        comment = []
-    return found
+    printed = subprocess.run([program, "presets", name], check=True, capture_output=True).stdout
+    return dict(flat(tomllib.loads(printed.decode()), []))
 
 
 def show(value):
@@ -57,15 +38,19 @@ def main():
     program, path = sys.argv[1], pathlib.Path(sys.argv[2])
     before, rest = path.read_text().split(BEGIN)
     _, after = rest.split(END)
-    texts = [printed(program, name) for name in NAMES]
-    presets, about = [values(text) for text in texts], words(texts[-1])
-    heads = ["key", *(f"`{name}`" for name in NAMES), "meaning", "source, and what was chosen"]
+    presets = [values(program, name) for name in NAMES]
+    heads = ["key", *(f"`{name}`" for name in NAMES)]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    same = []
     for key in presets[0]:
         if key in ("preset", "i2slam_version"):
             continue
-        cells = [f"`{key}`", *(show(preset[key]) for preset in presets), *about[key]]
-        lines.append("| " + " | ".join(cells) + " |")
+        cells = [show(preset[key]) for preset in presets]
+        if len(set(cells)) == 1:
+            same.append(f"`{key}` {cells[0]}")
+        else:
+            lines.append("| " + " | ".join([f"`{key}`", *cells]) + " |")
+    lines += ["", "Equal in all presets: " + ", ".join(same) + "."]
     path.write_text(before + BEGIN + "\n".join(lines) + "\n" + END + after)
 
 

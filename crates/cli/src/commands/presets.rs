@@ -1,4 +1,4 @@
-//! `i2slam presets`: the names, or one preset as a file.
+//! `i2slam presets`: lists the presets, or prints one as a file.
 
 use crate::failure::Failure;
 use crate::output::print;

@@ -156,7 +156,7 @@ fn open_as_rendered(path: &Path, result: &Path) -> Result<Sequence, Failure> {
     let mut options = OpenOptions::default();
     let settings = result.join("config.toml");
     if settings.is_file() {
-        let config = Config::from_toml_file_on(&settings, None)?;
+        let config = Config::from_stored_file(&settings)?;
         options.crop_border = config.input.crop_border;
         options.minimum_gap = config.input.minimum_gap;
     }

@@ -1,93 +1,9 @@
-//! Reading and writing settings.
+//! Settings as TOML files: reading, writing, and the help that printed presets carry.
 
 use super::*;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
-
-/// What can be wrong with settings.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ConfigError {
-    /// No preset has this name.
-    #[error("no preset is called `{name}`: choose one of {}", PRESET_NAMES.join(", "))]
-    UnknownPreset {
-        /// What was asked for.
-        name: String,
-    },
-    /// The file cannot be read.
-    #[error("{}: cannot be read: {source}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The text is not TOML.
-    #[error("{origin}: {message}")]
-    Malformed {
-        /// File name.
-        origin: String,
-        /// The parser's words.
-        message: String,
-    },
-    /// A key that no setting has.
-    #[error("{origin}, line {line}: no setting is called `{key}`: `{section}` has {known}")]
-    UnknownKey {
-        /// File name.
-        origin: String,
-        /// Line, counted from 1.
-        line: usize,
-        /// The key with its section.
-        key: String,
-        /// Section it stands in.
-        section: String,
-        /// The keys of that section.
-        known: String,
-    },
-    /// A key of an earlier version whose value is no setting any more.
-    #[error("{place}{key} is no longer a setting: the preset decides it")]
-    RemovedKey {
-        /// File name and line, with `: `.
-        place: String,
-        /// Key with section.
-        key: String,
-    },
-    /// A value of another type, or none of the names that a setting takes.
-    #[error("{place}{key}: {message}")]
-    WrongValue {
-        /// File name and line, with `: `.
-        place: String,
-        /// Key with section.
-        key: String,
-        /// The parser's words.
-        message: String,
-    },
-    /// A value outside its range.
-    #[error("{place}{key} = {value} is out of range: {expected}")]
-    OutOfRange {
-        /// File name and line, with `: `; empty where no file is to blame.
-        place: String,
-        /// Key with section.
-        key: &'static str,
-        /// Its value.
-        value: String,
-        /// What is allowed.
-        expected: &'static str,
-    },
-}
-
-impl ConfigError {
-    /// The key that is to blame, with its section.
-    pub fn key(&self) -> Option<&str> {
-        match self {
-            Self::UnknownKey { key, .. }
-            | Self::RemovedKey { key, .. }
-            | Self::WrongValue { key, .. } => Some(key),
-            Self::OutOfRange { key, .. } => Some(key),
-            _ => None,
-        }
-    }
-}
 
 impl Config {
     /// Settings from a TOML file: `preset` names the start (default: `default`), every other
@@ -99,9 +15,7 @@ impl Config {
     /// As [`from_toml_file`](Self::from_toml_file), starting from `preset` unless the file names
     /// another one.
     pub fn from_toml_file_on(path: &Path, preset: Option<&str>) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
-        Self::from_toml(&text, &path.display().to_string(), preset)
+        Self::from_toml(&text(path)?, &path.display().to_string(), preset)
     }
 
     /// Settings from TOML text; `origin` names it in errors.
@@ -110,15 +24,27 @@ impl Config {
         Self::from_table(&source, source.table()?, preset)
     }
 
-    /// Settings from the `config.toml` of a result. Keys that an earlier version wrote and that are
-    /// settings no more are ignored: the preset decides their values.
+    /// Settings from the `config.toml` of a result. Keys and choices of earlier versions are ignored:
+    /// the preset decides their values.
     pub fn from_stored(text: &str, origin: &str) -> Result<Self, ConfigError> {
         let source = Source { text, origin };
         let mut table = source.table()?;
         for key in removed_keys() {
             remove(&mut table, &key);
         }
+        for (section, key, value) in REMOVED_VALUES {
+            if let Some(Value::Table(section)) = table.get_mut(section)
+                && section.get(key).and_then(Value::as_str) == Some(value)
+            {
+                section.remove(key);
+            }
+        }
         Self::from_table(&source, table, None)
+    }
+
+    /// [`from_stored`](Self::from_stored) of a file.
+    pub fn from_stored_file(path: &Path) -> Result<Self, ConfigError> {
+        Self::from_stored(&text(path)?, &path.display().to_string())
     }
 
     fn from_table(
@@ -149,106 +75,114 @@ impl Config {
         let body = toml::to_string(self).unwrap_or_default();
         format!("i2slam_version = \"{}\"\n{body}", env!("CARGO_PKG_VERSION"))
     }
+
+    /// [`to_toml`](Self::to_toml) with the help of every key as comments.
+    pub fn to_commented_toml(&self) -> String {
+        let mut text = String::from(
+            "# A file for --config: keep what you change, the rest is that of the preset. \"Paper\" is\n\
+             # its appendix A; values of `default` and `default-rgb` are ours.\n\n",
+        );
+        let mut section = String::new();
+        for line in self.to_toml().lines() {
+            if let Some(name) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
+                comment(&mut text, &help("", name));
+                name.clone_into(&mut section);
+            } else if let Some((key, _)) = line.split_once(" = ") {
+                comment(&mut text, &help(&section, key));
+            }
+            text += line;
+            text.push('\n');
+        }
+        text
+    }
+}
+
+fn text(path: &Path) -> Result<String, ConfigError> {
+    let text = std::fs::read_to_string(path);
+    text.map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })
+}
+
+/// Columns of a comment.
+const COMMENT_WIDTH: usize = 96;
+
+/// Help of a key, or with an empty `section` of a section; empty if there is none.
+fn help(section: &str, key: &str) -> String {
+    let keys = match section {
+        "" => Config::HELP,
+        "input" => InputConfig::HELP,
+        "formation" => FormationConfig::HELP,
+        "map" => MapConfig::HELP,
+        "hashgrid" => HashGridConfig::HELP,
+        "keyframed" => KeyframedConfig::HELP,
+        "tracking" => TrackingConfig::HELP,
+        "mapping" => MappingConfig::HELP,
+        _ => &[],
+    };
+    keys.iter().find(|(name, _)| *name == key).map_or_else(String::new, |(_, lines)| lines.concat())
+}
+
+/// Appends `words` as lines of a comment.
+fn comment(text: &mut String, words: &str) {
+    let mut line = String::new();
+    for word in words.split_whitespace() {
+        if line.chars().count() + 1 + word.chars().count() > COMMENT_WIDTH {
+            *text += &format!("#{line}\n");
+            line.clear();
+        }
+        line.push(' ');
+        line += word;
+    }
+    if !line.is_empty() {
+        *text += &format!("#{line}\n");
+    }
 }
 
 /// Keys of earlier versions, by section, whose values the preset decides.
-const REMOVED: [(&str, &[&str]); 7] = [
+const REMOVED_KEYS: [(&str, &str); 7] = [
+    ("formation", "response_node_power response_prior tone_rate"),
+    ("map", "initial_scale initial_opacity screen_variance"),
     (
         "hashgrid",
-        &[
-            "margin",
-            "levels",
-            "moment_jitter",
-            "hidden_width",
-            "occupancy_cells",
-            "shell",
-            "step",
-            "step_min",
-            "rate",
-            "image_weight",
-            "depth_weight",
-        ],
+        "margin levels moment_jitter hidden_width occupancy_cells shell step step_min \
+         rate image_weight depth_weight",
     ),
     (
         "keyframed",
-        &[
-            "first_keyframes",
-            "camera_rate",
-            "pose_delay",
-            "preconditioning_damping",
-            "preconditioning_interval",
-            "trajectory_weight",
-            "initial_split",
-            "depth_outlier",
-            "surface_depth_weight",
-            "surface_depth_left",
-            "surface_camera_rate",
-            "surface_steps",
-            "surface_samples",
-            "surface_detail",
-            "surface_cell",
-            "surface_growth",
-            "surface_searches",
-            "coarse_steps",
-        ],
-    ),
-    ("formation", &["response_node_power", "response_prior", "tone_rate"]),
-    ("map", &["initial_scale", "initial_opacity", "screen_variance"]),
-    (
-        "mapping",
-        &[
-            "image_weight",
-            "ssim_share",
-            "mean_rate",
-            "colour_rate",
-            "opacity_rate",
-            "scale_rate",
-            "rotation_rate",
-            "pose_rotation_rate",
-            "pose_translation_rate",
-            "exposure_rate",
-            "white_balance_rate",
-            "response_rate",
-            "densify_opacity",
-            "densify_depth_medians",
-            "prune_opacity",
-            "prune_scale",
-            "scene_radius_ratio",
-            "only_seen",
-            "fresh_optimizer",
-        ],
+        "first_keyframes camera_rate pose_delay preconditioning_damping \
+         preconditioning_interval trajectory_weight initial_split depth_outlier \
+         surface_depth_weight surface_depth_left surface_camera_rate surface_steps \
+         surface_samples surface_detail surface_cell surface_growth surface_searches \
+         coarse_steps",
     ),
     (
         "tracking",
-        &[
-            "rotation_rate",
-            "translation_rate",
-            "velocity_rotation_share",
-            "velocity_translation_share",
-            "silhouette_threshold",
-            "image_weight",
-            "depth_weight",
-            "initial_split",
-        ],
+        "rotation_rate translation_rate velocity_rotation_share \
+         velocity_translation_share silhouette_threshold image_weight depth_weight \
+         initial_split",
     ),
     (
         "tracking.alignment",
-        &[
-            "levels",
-            "iterations",
-            "keyframe_depth",
-            "renders",
-            "depth_scale_floor",
-            "image_scale_floor",
-            "image_weight",
-            "motion_prior",
-            "white_balance_inertia",
-        ],
+        "levels iterations keyframe_depth renders depth_scale_floor image_scale_floor \
+         image_weight motion_prior white_balance_inertia",
+    ),
+    (
+        "mapping",
+        "image_weight ssim_share mean_rate colour_rate opacity_rate scale_rate \
+         rotation_rate pose_rotation_rate pose_translation_rate exposure_rate \
+         white_balance_rate response_rate densify_opacity densify_depth_medians \
+         prune_opacity prune_scale scene_radius_ratio only_seen fresh_optimizer",
     ),
 ];
 
+/// Values of earlier versions that no key takes any more.
+const REMOVED_VALUES: [(&str, &str, &str); 2] =
+    [("formation", "blur_model", "splat"), ("formation", "response_start", "gamma22")];
+
 fn removed_keys() -> impl Iterator<Item = String> {
-    REMOVED.iter().flat_map(|(section, keys)| keys.iter().map(move |key| joined(section, key)))
+    let of_section = |&(section, keys): &(&'static str, &'static str)| {
+        keys.split_whitespace().map(move |key| joined(section, key))
+    };
+    REMOVED_KEYS.iter().flat_map(of_section)
 }
 
 /// Removes a key from a table, and its section if that is empty then.
@@ -265,7 +199,7 @@ fn remove(table: &mut Table, key: &str) {
     }
 }
 
-/// The text that settings are read from, and its name in errors.
+/// TOML text and its name in errors.
 struct Source<'a> {
     text: &'a str,
     origin: &'a str,
@@ -351,7 +285,7 @@ impl Source<'_> {
     }
 }
 
-/// The parser's words, with types as a user would name them.
+/// Names types in a message of the parser as a user would.
 fn in_words(message: &str) -> String {
     let types = [
         ("expected usize", "expected a whole number of at least 0"),
@@ -388,6 +322,37 @@ fn leaves(table: &Table, path: &str) -> Vec<(String, Table)> {
         }
     }
     all
+}
+
+/// Line, counted from 1, of the key at `path`: names of tables and keys, or the index of a table in
+/// an array of tables. `None` without such a key, or of text that is not TOML.
+pub fn line_of_key(text: &str, path: &[&str]) -> Option<usize> {
+    let table = DeTable::parse(text).ok()?;
+    let at = in_table(table.get_ref(), path)?;
+    Some(text.get(..at)?.matches('\n').count() + 1)
+}
+
+/// Byte at which the key begins.
+fn in_table(table: &DeTable<'_>, path: &[&str]) -> Option<usize> {
+    let (first, rest) = path.split_first()?;
+    let (key, value) = table.iter().find(|(key, _)| key.get_ref() == *first)?;
+    if rest.is_empty() { Some(key.span().start) } else { in_value(value.get_ref(), rest) }
+}
+
+fn in_value(value: &DeValue<'_>, path: &[&str]) -> Option<usize> {
+    match value {
+        DeValue::Table(table) => in_table(table, path),
+        DeValue::Array(array) => {
+            let (place, rest) = path.split_first()?;
+            let element = array.get(place.parse::<usize>().ok()?)?;
+            if rest.is_empty() {
+                Some(element.span().start)
+            } else {
+                in_value(element.get_ref(), rest)
+            }
+        }
+        _ => None,
+    }
 }
 
 #[cfg(test)]
@@ -459,5 +424,38 @@ mod tests {
         // Two values that do not go together.
         let both = "input.rolling_shutter_readout = 0.02\nformation.blur_model = \"exact\"\n";
         refused(both, "a.toml, line 2: formation.blur_model = \"exact\"", "every row");
+    }
+
+    #[test]
+    fn keys_are_found_however_they_are_written() {
+        let text = "seed = 1\n\n[map]\nkind = \"x\"\n[mapping]\nmap.kind = 3\ninner = { a = 1,\n \
+                    b = 2 }\n[[row]]\nname = \"one\"\n\n[[row]]\n# two\nname = \"two\"\n";
+        let line = |path: &[&str]| line_of_key(text, path);
+        assert_eq!(line(&["seed"]), Some(1));
+        assert_eq!(line(&["map", "kind"]), Some(4));
+        assert_eq!(line(&["mapping", "map", "kind"]), Some(6));
+        assert_eq!(line(&["mapping", "inner", "b"]), Some(8));
+        assert_eq!(line(&["row", "1", "name"]), Some(14));
+        assert_eq!(line(&["row", "1"]), Some(12));
+        assert_eq!(line(&["row", "2"]), None);
+        assert_eq!(line(&["seed", "deeper"]), None);
+        assert_eq!(line_of_key("a = [", &["a"]), None);
+    }
+
+    #[test]
+    fn every_key_has_help_that_changes_no_value() {
+        for name in PRESET_NAMES {
+            let config = Config::preset(name).expect("known");
+            let text = config.to_commented_toml();
+            assert_eq!(Config::from_toml(&text, "test", None).ok(), Some(config));
+            let mut last = "";
+            for line in text.lines() {
+                assert!(line.chars().count() <= COMMENT_WIDTH + 2, "{line}");
+                let is_key = line.contains(" = ") && !line.starts_with('#');
+                let needs_help = is_key && !line.starts_with("i2slam_version");
+                assert!(!needs_help || last.starts_with("# "), "{line} has no help");
+                last = line;
+            }
+        }
     }
 }
