@@ -25,7 +25,7 @@ pub(crate) fn print() -> Outcome {
     println!("motion,blur_px,views,margin_px,sharp,exact,image,image_least,image_without_margin");
     for (name, direction) in MOTIONS {
         for length in LENGTHS {
-            let sampling = fitted.sampling(length, BlurMethod::Image);
+            let sampling = fitted.sampling(length, BlurMethod::Reprojected);
             let mut sums = [0.0; 4];
             let mut least = f64::MAX;
             for index in FRAMES {
@@ -50,7 +50,7 @@ fn compare(fitted: &mut Fitted, index: usize, direction: [f64; 6], length: f64) 
     let depth = fitted.depth(frame.middle());
     let shutter = fitted.exposure(frame.middle(), &depth, direction, length);
     let sampling = |method| fitted.sampling(length, method);
-    let image = sampling(BlurMethod::Image);
+    let image = sampling(BlurMethod::Reprojected);
     let methods = [
         Sampling::SINGLE_CAMERA,
         sampling(BlurMethod::Exact),

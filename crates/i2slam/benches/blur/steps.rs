@@ -25,7 +25,7 @@ pub(crate) fn print() -> Outcome {
     let source = &fitted.frames[15];
     let observation = Observation::new(source.colour.clone(), source.depth.clone());
     let with = |method| Sampling { virtual_cameras: VIEWS, ..fitted.sampling(LENGTH, method) };
-    let image = with(BlurMethod::Image);
+    let image = with(BlurMethod::Reprojected);
     let cases = [
         ("sharp", ShutterPoses::still(frame.middle()), Sampling::SINGLE_CAMERA),
         ("image", blurred, image),

@@ -54,7 +54,7 @@ fn compare(fitted: &mut Fitted, index: usize, exposures: &[ShutterPoses<f64>]) -
     let methods = [
         Sampling::SINGLE_CAMERA,
         fitted.sampling(length, BlurMethod::Exact),
-        fitted.sampling(length, BlurMethod::Image),
+        fitted.sampling(length, BlurMethod::Reprojected),
         Sampling { virtual_cameras: 32, ..fitted.sampling(length, BlurMethod::Exact) },
     ];
     (length, methods.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &taken)))

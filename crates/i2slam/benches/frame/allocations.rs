@@ -44,7 +44,7 @@ pub(crate) fn print() -> Outcome {
     println!("step,allocations,bytes");
     let methods = [
         ("sharp", BlurMethod::Exact, 1),
-        ("image", BlurMethod::Image, 5),
+        ("image", BlurMethod::Reprojected, 5),
         ("exact", BlurMethod::Exact, 5),
     ];
     for (name, method, virtual_cameras) in methods {

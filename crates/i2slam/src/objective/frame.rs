@@ -369,8 +369,8 @@ mod tests {
         // Re-projection holds the depth that it looks up by fixed.
         let routes = [
             ((BlurMethod::Exact, 0.0), 5e-3),
-            ((BlurMethod::Image, 0.0), 0.1),
-            ((BlurMethod::Image, 0.8), 0.1),
+            ((BlurMethod::Reprojected, 0.0), 0.1),
+            ((BlurMethod::Reprojected, 0.8), 0.1),
         ];
         for (method, tolerance) in routes {
             for (depth_pose, mapping) in
@@ -425,16 +425,16 @@ mod tests {
         let exact = predict(shutter, (BlurMethod::Exact, 0.0), 9);
         let still = ShutterPoses::still(shutter.middle());
         let sharp = error(&predict(still, (BlurMethod::Exact, 0.0), 1), &exact);
-        let off = error(&predict(shutter, (BlurMethod::Image, 0.0), 9), &exact);
+        let off = error(&predict(shutter, (BlurMethod::Reprojected, 0.0), 9), &exact);
         assert!(off < 0.2 * sharp, "{off} {sharp}");
-        let image = predict(shutter, (BlurMethod::Image, 1.0), 9);
+        let image = predict(shutter, (BlurMethod::Reprojected, 1.0), 9);
         assert_eq!(predict(shutter, (BlurMethod::Exact, 1.0), 9), image);
         let exposure = Exposure {
             shutter,
             sampling: Sampling {
                 virtual_cameras: 9,
                 quadrature: Quadrature::Midpoints,
-                method: BlurMethod::Image,
+                method: BlurMethod::Reprojected,
                 margin: 8,
             },
             readout: 1.0,

@@ -5,8 +5,8 @@ use super::ssim::{Ssim, SsimReference};
 use i2slam_geometry::{Image, Real};
 use rayon::prelude::*;
 
-/// `weight` times the mean over pixels and channels of `(1 - share) |C - Ĉ| + share (1 - SSIM)`, and the
-/// mean of `|C - Ĉ|` alone. Writes the derivative of the first to `d_picture`.
+/// `weight` times the mean over pixels and channels of `(1 - share) |C - Ĉ| + share (1 - SSIM)`,
+/// and the mean of `|C - Ĉ|` alone. Writes the derivative of the first to `d_picture`.
 pub(crate) fn image_loss<T: Real>(
     picture: &Image<T>,
     observed: &Image<T>,
@@ -30,8 +30,8 @@ pub(crate) fn image_loss<T: Real>(
     (weight * ((1.0 - share) * l1 + share * dissimilarity), l1)
 }
 
-/// Parts of the sum of absolute differences; fixed, so that the sum does not depend on the number of
-/// threads.
+/// Parts of the sum of absolute differences; fixed, so that the sum does not depend on the number
+/// of threads.
 const PARTS: usize = 8;
 
 /// `Σ |x - y|`; adds `scale · sign(x - y)` to the gradient.

@@ -1,5 +1,5 @@
-//! Objectives of tracking and mapping: pictures formed from a map are compared with observed ones, and
-//! the losses (eq. 12) are differentiated by map, motion and tone.
+//! Objectives of tracking and mapping: pictures formed from a map are compared with observed ones,
+//! and the losses (eq. 12) are differentiated by map, motion and tone.
 //!
 //! Metrics that are reported, not minimised, are in `i2slam-eval`.
 

@@ -49,8 +49,8 @@ impl Observation {
         self.depth_variance.is_some()
     }
 
-    /// Weight of a pixel's depth in [0, 1]: 1 up to a relative standard deviation of a hundredth, then
-    /// its inverse.
+    /// Weight of a pixel's depth in [0, 1]: 1 up to a relative standard deviation of a hundredth,
+    /// then its inverse.
     pub fn depth_weight(&self, pixel: usize) -> f32 {
         let Some(variance) = &self.depth_variance else { return 1.0 };
         (FULL_WEIGHT_SIGMA * self.depth.data[pixel] / variance.data[pixel].sqrt()).min(1.0)

@@ -1,10 +1,10 @@
-//! SSIM (Wang et al. 2004) as a loss with its derivative, in four passes over the rows of all planes.
-//! `i2slam-eval` has an SSIM of its own: the judge shares no code with the system.
+//! SSIM (Wang et al. 2004) as a loss with its derivative, in four passes over the rows of all
+//! planes. `i2slam-eval` has an SSIM of its own: the judge shares no code with the system.
 //!
-//! With `A1 = 2 μx μy + C1`, `A2 = 2 σxy + C2`, `B1 = μx² + μy² + C1`, `B2 = σx² + σy² + C2`,
-//! `S = A1 A2 / (B1 B2)` and window `G`, the pull-back of `G x`, `G x²` and `G xy` is
-//! `G(∂S/∂μx) + 2 x G(∂S/∂σx²) + y G(∂S/∂σxy)`, where `∂S/∂μx` includes its way through
-//! `σx² = G x² - μx²` and `σxy = G xy - μx μy`.
+//! With `A1 = 2 μx μy + C1`, `A2 = 2 σxy + C2`, `B1 = μx² + μy² + C1`, `B2 = σx² + σy² + C2`, `S =
+//! A1 A2 / (B1 B2)` and window `G`, the pull-back of `G x`, `G x²` and `G xy` is `G(∂S/∂μx) + 2 x
+//! G(∂S/∂σx²) + y G(∂S/∂σxy)`, where `∂S/∂μx` includes its way through `σx² = G x² - μx²` and `σxy
+//! = G xy - μx μy`.
 
 use i2slam_geometry::{Image, Real};
 use pulp::Arch;
@@ -38,7 +38,7 @@ impl<T: Real> Window<T> {
 
     /// Filters one row.
     #[inline(always)]
-    fn along(&self, row: &[T], out: &mut [T]) {
+    fn filter_row(&self, row: &[T], out: &mut [T]) {
         out.fill(T::zero());
         let width = row.len();
         for (k, &w) in self.0.iter().enumerate() {
@@ -53,7 +53,7 @@ impl<T: Real> Window<T> {
 
     /// Filters the columns of a plane, for row `y`.
     #[inline(always)]
-    fn down(&self, plane: &[T], y: usize, out: &mut [T]) {
+    fn filter_columns(&self, plane: &[T], y: usize, out: &mut [T]) {
         out.fill(T::zero());
         let width = out.len();
         for (k, &w) in self.0.iter().enumerate() {
@@ -71,10 +71,10 @@ fn filter<T: Real>(plane: &[T], width: usize) -> Vec<T> {
     let window = Window::new();
     let (mut rows, mut out) = (vec![T::zero(); plane.len()], vec![T::zero(); plane.len()]);
     for (input, row) in plane.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        window.along(input, row);
+        window.filter_row(input, row);
     }
     for (y, out) in out.chunks_exact_mut(width).enumerate() {
-        window.down(&rows, y, out);
+        window.filter_columns(&rows, y, out);
     }
     out
 }
@@ -140,9 +140,9 @@ impl<T: Real> Ssim<T> {
         let (window, arch) = (Window::new(), Arch::new());
         let pass = Pass { picture, observed, reference, window, arch };
         self.moments_along(&pass);
-        self.similarity(&pass);
+        self.ssim_and_derivatives(&pass);
         self.derivatives_along(&pass);
-        self.derivative(&pass, scale, gradient);
+        self.derivatives_down(&pass, scale, gradient);
         self.sums.iter().sum()
     }
 
@@ -158,22 +158,22 @@ impl<T: Real> Ssim<T> {
                         squares[i] = x[i] * x[i];
                         products[i] = x[i] * y[i];
                     }
-                    pass.window.along(x, mean);
-                    pass.window.along(squares, second);
-                    pass.window.along(products, cross);
+                    pass.window.filter_row(x, mean);
+                    pass.window.filter_row(squares, second);
+                    pass.window.filter_row(products, cross);
                 });
             },
         );
     }
 
     /// Filters down columns, and computes `S` and its derivatives by the three filtered planes.
-    fn similarity(&mut self, pass: &Pass<'_, T>) {
+    fn ssim_and_derivatives(&mut self, pass: &Pass<'_, T>) {
         let (width, along) = (pass.picture.width, &self.along);
         rows(&mut self.full, width).zip(&mut self.sums).enumerate().for_each(
             |(row, (mut full, sum))| {
                 pass.arch.dispatch(|| {
-                    pass.down(along, row, &mut full);
-                    *sum = pass.similarity_of_row(row, full);
+                    pass.filter_columns(along, row, &mut full);
+                    *sum = pass.ssim_of_row(row, full);
                 });
             },
         );
@@ -185,20 +185,20 @@ impl<T: Real> Ssim<T> {
         rows(&mut self.along, width).enumerate().for_each(|(row, along)| {
             pass.arch.dispatch(|| {
                 for (full, along) in full.iter().zip(along) {
-                    pass.window.along(pass.row(full, row), along);
+                    pass.window.filter_row(pass.row(full, row), along);
                 }
             });
         });
     }
 
     /// Filters the derivatives down columns and adds them to the gradient.
-    fn derivative(&mut self, pass: &Pass<'_, T>, scale: T, gradient: &mut [T]) {
+    fn derivatives_down(&mut self, pass: &Pass<'_, T>, scale: T, gradient: &mut [T]) {
         let (width, along, two) = (pass.picture.width, &self.along, T::of(2.0));
         let gradient = gradient.par_chunks_mut(width);
         rows(&mut self.full, width).zip(gradient).enumerate().for_each(
             |(row, (mut full, gradient))| {
                 pass.arch.dispatch(|| {
-                    pass.down(along, row, &mut full);
+                    pass.filter_columns(along, row, &mut full);
                     let (x, y) =
                         (pass.row(&pass.picture.data, row), pass.row(&pass.observed.data, row));
                     let [mean, second, cross] = full;
@@ -229,17 +229,17 @@ impl<T: Real> Pass<'_, T> {
 
     /// Filters a row of three stacks of planes down their columns.
     #[inline(always)]
-    fn down(&self, along: &[Vec<T>; 3], row: usize, out: &mut [&mut [T]; 3]) {
+    fn filter_columns(&self, along: &[Vec<T>; 3], row: usize, out: &mut [&mut [T]; 3]) {
         let (pixels, height) = (self.picture.pixels(), self.picture.height);
         let plane = row / height * pixels..(row / height + 1) * pixels;
         for (along, out) in along.iter().zip(out) {
-            self.window.down(&along[plane.clone()], row % height, out);
+            self.window.filter_columns(&along[plane.clone()], row % height, out);
         }
     }
 
     /// `Σ S` of a row; turns the filtered moments into derivatives.
     #[inline(always)]
-    fn similarity_of_row(&self, row: usize, full: [&mut [T]; 3]) -> f64 {
+    fn ssim_of_row(&self, row: usize, full: [&mut [T]; 3]) -> f64 {
         let (c1, c2, two) = (T::of(C1), T::of(C2), T::of(2.0));
         let mean_y = self.row(&self.reference.mean, row);
         let second_y = self.row(&self.reference.second, row);

@@ -129,7 +129,8 @@ fn evaluate<M: RadianceMap>(
     objective.track(map, observation, &variables, MIN_OPACITY, (IMAGE_WEIGHT, DEPTH_WEIGHT))
 }
 
-/// Adds λ_traj L_traj (eq. 15) to the objective and its shutter gradient; returns loss and gradient.
+/// Adds λ_traj L_traj (eq. 15) to the objective and its shutter gradient; returns loss and
+/// gradient.
 fn add_trajectory_loss(
     context: &TrackingContext<'_>,
     state: &TrackingState,
@@ -221,8 +222,9 @@ fn step_tone(
     }
 }
 
-/// Difference between neighbouring nodes of a linear response, the unit of its learning rate: longer
-/// steps make neighbours overtake each other, and keeping the curve monotone then flattens it.
+/// Difference between neighbouring nodes of a linear response, the unit of its learning rate:
+/// longer steps make neighbours overtake each other, and keeping the curve monotone then flattens
+/// it.
 pub(crate) const RESPONSE_NODE_SPACING: f32 = 1.0 / 255.0;
 
 /// Projects the gradient of `[log_exposure, log_white_balance r, g, b]` onto the free gains.

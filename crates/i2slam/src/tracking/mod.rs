@@ -19,8 +19,8 @@ use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale}
 use i2slam_geometry::Camera;
 use i2slam_radiance::RadianceMap;
 
-/// Motion between start and end pose that first-order tracking begins with, over the motion since the
-/// last frame (the paper's appendix A).
+/// Motion between start and end pose that first-order tracking begins with, over the motion since
+/// the last frame (the paper's appendix A).
 const INITIAL_SPLIT: f32 = 0.1;
 
 /// Finds shutter poses, tone and (where it belongs to the frame) response of a frame.
@@ -71,7 +71,7 @@ pub(crate) fn track<M: RadianceMap>(
     }
 }
 
-/// Virtual cameras and blur route of an exposure, from its shutter poses and readout [exposures].
+/// Virtual cameras and blur method of an exposure, from its shutter poses and readout [exposures].
 pub(crate) fn sampling(
     formation: &FormationConfig,
     camera: &Camera<f64>,

@@ -195,7 +195,7 @@ mod tests {
         let sampling = |readout| viewer.sampling(&turning(&room, 0.2, readout));
         let (global, rolling) = (sampling(0.0), sampling(0.5));
         assert_eq!((global.method, global.virtual_cameras), (BlurMethod::Exact, most));
-        assert_eq!(rolling.method, BlurMethod::Image);
+        assert_eq!(rolling.method, BlurMethod::Reprojected);
         assert!(Sampling::new(&room.config.formation, 18.0, 0.0).virtual_cameras > most);
     }
 

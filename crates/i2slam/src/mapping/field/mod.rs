@@ -109,7 +109,7 @@ impl FieldMapper {
         match bounds::untrained_field(&shape, pose.translation.to_array(), bound, config.seed) {
             Ok(map) => {
                 let field = self.field.insert(Field::new(map, self.camera));
-                field.batch.set_moment_jitter(config.parameters.field.moment_jitter);
+                field.batch.set_time_jitter(config.parameters.field.moment_jitter);
             }
             Err(error) => self.failure = Some(error),
         }

@@ -167,7 +167,7 @@ impl JointFieldMapper {
         let map = HashGridMap { occupancy, march, ..empty };
         let mut batch = RayObjective::new(self.camera, march);
         batch.set_depth_outlier(config.parameters.keyframed.depth_outlier);
-        batch.set_moment_jitter(config.parameters.field.moment_jitter);
+        batch.set_time_jitter(config.parameters.field.moment_jitter);
         self.field = Some(Field {
             batch,
             renderer: FieldRenderer::new(march),

@@ -27,11 +27,11 @@ pub struct Exposure {
     pub shutter: ShutterPoses<f64>,
     /// Virtual cameras and blur method.
     pub sampling: Sampling,
-    /// Time from the first row to the last [exposures]; 0 for a global shutter. The shutter poses are
-    /// those of the middle row.
+    /// Time from the first row to the last [exposures]; 0 for a global shutter. The shutter poses
+    /// are those of the middle row.
     pub readout: f64,
-    /// World-from-camera pose of the depth picture, if it is known; otherwise depth is compared at the
-    /// virtual camera that fits best (eq. 14), or at mid-exposure where no other is rendered.
+    /// World-from-camera pose of the depth picture, if it is known; otherwise depth is compared at
+    /// the virtual camera that fits best (eq. 14), or at mid-exposure where no other is rendered.
     pub depth_pose: Option<Pose<f64>>,
 }
 
@@ -116,7 +116,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
 
     /// Radiance, depth and opacity seen from one pose.
     pub(super) fn render(&mut self, map: &M, pose: Pose<f64>) -> &Render {
-        self.render_still(map, 0, pose);
+        self.render_pose(map, 0, pose);
         &self.renders[0]
     }
 
@@ -138,16 +138,16 @@ impl<M: RadianceMap> ExposureRenderer<M> {
     pub(super) fn forward(&mut self, map: &M, exposure: &Exposure) {
         let rendered = match exposure.method() {
             BlurMethod::Exact => self.forward_exact(map, exposure),
-            BlurMethod::Image => self.forward_image(map, exposure),
+            BlurMethod::Reprojected => self.forward_reprojected(map, exposure),
         };
         if let Some(pose) = exposure.depth_pose {
-            self.render_still(map, rendered, pose);
+            self.render_pose(map, rendered, pose);
             self.depths = rendered..rendered + 1;
         }
     }
 
-    /// Pulls the cotangents of `hdr` and of the depth of render `depth` back to the shutter poses, the
-    /// readout and, if given, the map.
+    /// Pulls the cotangents of `hdr` and of the depth of render `depth` back to the shutter poses,
+    /// the readout and, if given, the map.
     pub(super) fn backward(
         &mut self,
         map: &M,
@@ -161,8 +161,8 @@ impl<M: RadianceMap> ExposureRenderer<M> {
                 let depth = (depth, &mut *d_depth);
                 (self.backward_exact(map, exposure, d_hdr, depth, d_map.as_deref_mut()), 0.0)
             }
-            BlurMethod::Image => {
-                self.backward_image(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())
+            BlurMethod::Reprojected => {
+                self.backward_reprojected(map, exposure, d_hdr, d_depth, d_map.as_deref_mut())
             }
         };
         if let Some(pose) = exposure.depth_pose {
@@ -179,7 +179,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         let count = cameras.len();
         self.hdr.reset(self.camera.width, self.camera.height, 3);
         for (j, camera) in cameras.enumerate() {
-            self.render_still(map, j, camera.world_from_camera);
+            self.render_pose(map, j, camera.world_from_camera);
             accumulate(&mut self.hdr, camera.weight as f32, &self.renders[j].radiance);
         }
         (self.depths, self.middle) = (0..count, count / 2);
@@ -220,7 +220,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         }
     }
 
-    fn render_still(&mut self, map: &M, index: usize, pose: Pose<f64>) {
+    fn render_pose(&mut self, map: &M, index: usize, pose: Pose<f64>) {
         self.reserve(index + 1);
         let view = self.view(pose);
         map.render(&mut self.renderers[index], &view, &mut self.renders[index]);

@@ -1,5 +1,5 @@
-//! Tiles whose blur cannot be re-projected from one render, because the motion uncovers what that hides:
-//! they are rendered from the map with its motion.
+//! Tiles whose blur cannot be re-projected from one render, because the motion uncovers what that
+//! hides: they are rendered from the map with its motion.
 
 use i2slam_formation::reproject;
 use i2slam_geometry::Image;
@@ -9,8 +9,9 @@ use std::ops::Range;
 
 const _: () = assert!(TILE == reproject::TILE, "both divide the picture alike");
 
-/// Uncovered share of a tile times its contrast from which the tile is rendered. On a map of a desk, at a
-/// blur of 4 to 10 px, this selects 2 to 6 % of the tiles and removes half of the squared error.
+/// Uncovered share of a tile times its contrast from which the tile is rendered. On a map of a
+/// desk, at a blur of 4 to 10 px, this selects 2 to 6 % of the tiles and removes half of the
+/// squared error.
 const MIN_UNCOVERED_CONTRAST: f32 = 0.033;
 
 /// The rendered tiles of one exposure, and their share of its cotangent.
@@ -38,8 +39,8 @@ impl Patches {
     }
 
     /// Selects among the tiles of `blurred`, of each of which the re-projection filled the share
-    /// `uncovered` from the surroundings (nothing where that is empty). The filling is wrong by about
-    /// the contrast of the tile, its standard deviation over its mean.
+    /// `uncovered` from the surroundings (nothing where that is empty). The filling is wrong by
+    /// about the contrast of the tile, its standard deviation over its mean.
     pub(super) fn select(&mut self, uncovered: &[f32], blurred: &Image<f32>) {
         (self.width, self.height) = (blurred.width, blurred.height);
         self.mask.clear();

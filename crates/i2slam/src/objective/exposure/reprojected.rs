@@ -1,5 +1,5 @@
-//! Blur by re-projection: one render at mid-exposure is moved to every virtual camera by its depth, with
-//! [`Patches`] where it hides too much.
+//! Blur by re-projection: one render at mid-exposure is moved to every virtual camera by its depth,
+//! with [`Patches`] where it hides too much.
 
 use super::patches::Patches;
 use super::{Exposure, ExposureRenderer};
@@ -50,7 +50,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
     }
 
     /// Blurs by re-projection; returns the number of renders.
-    pub(super) fn forward_image(&mut self, map: &M, exposure: &Exposure) -> usize {
+    pub(super) fn forward_reprojected(&mut self, map: &M, exposure: &Exposure) -> usize {
         self.reserve(1);
         let (view, sampling) = (self.margin_view(exposure), exposure.sampling);
         let margin_render = &mut self.margin_render;
@@ -73,8 +73,8 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         if M::RENDERS_MOTION { 1 + self.render_patches(map, exposure) } else { 1 }
     }
 
-    /// Replaces tiles that the re-projection cannot show by renders of the moving map; returns the number
-    /// of renders.
+    /// Replaces tiles that the re-projection cannot show by renders of the moving map; returns the
+    /// number of renders.
     fn render_patches(&mut self, map: &M, exposure: &Exposure) -> usize {
         let view = self.view(exposure.shutter.middle());
         self.reserve(2);
@@ -88,7 +88,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         1
     }
 
-    pub(super) fn backward_image(
+    pub(super) fn backward_reprojected(
         &mut self,
         map: &M,
         exposure: &Exposure,

@@ -5,8 +5,8 @@ use i2slam_compute::median;
 use i2slam_formation::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image};
 
-/// Blur from which [`BlurModel::Auto`] renders every virtual camera [px]. Below, re-projected ones, of
-/// which there are nearly twice as many, come closer to the integral.
+/// Blur from which [`BlurModel::Auto`] renders every virtual camera [px]. Below, re-projected ones,
+/// of which there are nearly twice as many, come closer to the integral.
 const MIN_EXACT_BLUR: f64 = 40.0;
 
 /// Blur below which three re-projected cameras are weighted by Simpson's rule [px]: the middle one,
@@ -31,13 +31,13 @@ pub enum BlurMethod {
     /// One render per virtual camera.
     Exact,
     /// One render at mid-exposure, re-projected by its depth.
-    Image,
+    Reprojected,
 }
 
 impl BlurMethod {
     /// This method, or re-projection where a rolling shutter needs it.
     pub(crate) fn supporting_readout(self, readout: f64) -> Self {
-        if readout == 0.0 { self } else { Self::Image }
+        if readout == 0.0 { self } else { Self::Reprojected }
     }
 }
 
@@ -68,9 +68,9 @@ impl Sampling {
         let several = camera_count(formation, length, formation.virtual_cameras) > 1;
         let method = match formation.blur_model {
             BlurModel::Exact => BlurMethod::Exact,
-            BlurModel::Image => BlurMethod::Image,
+            BlurModel::Image => BlurMethod::Reprojected,
             BlurModel::Auto if image_motion(several, length, readout) < MIN_EXACT_BLUR => {
-                BlurMethod::Image
+                BlurMethod::Reprojected
             }
             BlurModel::Auto => BlurMethod::Exact,
         };
@@ -86,7 +86,7 @@ impl Sampling {
     ) -> Self {
         // A re-projected camera costs a few hundredths of a rendered one.
         let max_cameras = match method {
-            BlurMethod::Image if formation.blur_per_camera > 0.0 => {
+            BlurMethod::Reprojected if formation.blur_per_camera > 0.0 => {
                 let max = 2 * formation.virtual_cameras.max(1) - 1;
                 if length > MEDIUM_BLUR { max } else { max.min(MEDIUM_BLUR_CAMERAS) }
             }
@@ -95,7 +95,7 @@ impl Sampling {
         let virtual_cameras = camera_count(formation, length, max_cameras);
         let quadrature = match formation.quadrature {
             Quadrature::Midpoints
-                if method == BlurMethod::Image
+                if method == BlurMethod::Reprojected
                     && virtual_cameras == 3
                     && length < MAX_SIMPSON_BLUR =>
             {
@@ -120,21 +120,21 @@ fn camera_count(formation: &FormationConfig, length: f64, max: usize) -> usize {
     }
 }
 
-/// Largest image motion between two virtual cameras [px], for a blur of `length` pixels (which counts
-/// with `several` cameras) and a readout of `readout` exposures.
+/// Largest image motion between two virtual cameras [px], for a blur of `length` pixels (which
+/// counts with `several` cameras) and a readout of `readout` exposures.
 fn image_motion(several: bool, length: f64, readout: f64) -> f64 {
     length * (readout.abs() + if several { 1.0 } else { 0.0 })
 }
 
-/// Margin for a median image `motion` [px]: half of it to either side, a quarter more for points nearer
-/// than the median, and a pixel for interpolation.
+/// Margin for a median image `motion` [px]: half of it to either side, a quarter more for points
+/// nearer than the median, and a pixel for interpolation.
 fn margin(motion: f64) -> usize {
     let beyond = (0.5 * 1.25 * motion).ceil() as usize + 1;
     beyond.next_multiple_of(MARGIN_STEP).min(MAX_MARGIN)
 }
 
-/// Blur length [px]: median distance between a point's projections at shutter open and close, over a
-/// grid of pixels with depth; 0 without depth.
+/// Blur length [px]: median distance between a point's projections at shutter open and close, over
+/// a grid of pixels with depth; 0 without depth.
 pub fn blur_length(camera: &Camera<f64>, shutter: &ShutterPoses<f64>, depth: &Image<f32>) -> f64 {
     blur_length_at(camera, shutter, |column, row| f64::from(depth.at(0, column, row)))
 }
@@ -167,9 +167,9 @@ pub fn blur_length_at(
     median(&mut lengths).unwrap_or(0.0)
 }
 
-/// Number of virtual cameras for a blur of `length` pixels: one below half a pixel, then about one for
-/// every `per_camera` pixels, at most `max`. Odd, so that one camera is at mid-exposure, where depth
-/// is mostly taken. `max` where `per_camera` is 0.
+/// Number of virtual cameras for a blur of `length` pixels: one below half a pixel, then about one
+/// for every `per_camera` pixels, at most `max`. Odd, so that one camera is at mid-exposure, where
+/// depth is mostly taken. `max` where `per_camera` is 0.
 pub fn virtual_camera_count(length: f64, per_camera: f64, max: usize) -> usize {
     if per_camera <= 0.0 {
         return max;
@@ -200,20 +200,21 @@ mod tests {
         let method = |length, readout| Sampling::new(&formation, length, readout).method;
         assert_eq!(
             [2.9, 3.1].map(|readout| method(10.0, readout)),
-            [BlurMethod::Image, BlurMethod::Exact]
+            [BlurMethod::Reprojected, BlurMethod::Exact]
         );
         assert_eq!(
             [95.0, 105.0].map(|readout| method(0.4, readout)),
-            [BlurMethod::Image, BlurMethod::Exact]
+            [BlurMethod::Reprojected, BlurMethod::Exact]
         );
     }
 
     #[test]
     fn a_rolling_shutter_is_reprojected() {
-        let with =
-            |readout| [BlurMethod::Exact, BlurMethod::Image].map(|r| r.supporting_readout(readout));
-        assert_eq!(with(0.0), [BlurMethod::Exact, BlurMethod::Image]);
-        assert_eq!(with(-0.5), [BlurMethod::Image; 2]);
+        let with = |readout| {
+            [BlurMethod::Exact, BlurMethod::Reprojected].map(|r| r.supporting_readout(readout))
+        };
+        assert_eq!(with(0.0), [BlurMethod::Exact, BlurMethod::Reprojected]);
+        assert_eq!(with(-0.5), [BlurMethod::Reprojected; 2]);
     }
 
     #[test]
@@ -234,7 +235,7 @@ mod tests {
             Sampling::with_method(method, &formation, length, 0.0).quadrature
         };
         use Quadrature::{Midpoints, Simpson};
-        let image = [1.0, 2.0, 3.0, 10.0].map(|length| quadrature(BlurMethod::Image, length));
+        let image = [1.0, 2.0, 3.0, 10.0].map(|length| quadrature(BlurMethod::Reprojected, length));
         assert_eq!(image, [Simpson, Simpson, Midpoints, Midpoints]);
         assert_eq!(quadrature(BlurMethod::Exact, 1.0), Midpoints);
     }

@@ -83,9 +83,9 @@ fn tile(i: usize) -> usize {
 #[test]
 fn only_what_is_uncovered_is_drawn() {
     let mut image = renderer();
-    image.forward(&map(false), &moving(&[0.0; 12], BlurMethod::Image, 0.0));
+    image.forward(&map(false), &moving(&[0.0; 12], BlurMethod::Reprojected, 0.0));
     assert!(patches(&image).is_empty());
-    image.forward(&map(true), &moving(&[0.0; 12], BlurMethod::Image, 0.0));
+    image.forward(&map(true), &moving(&[0.0; 12], BlurMethod::Reprojected, 0.0));
     let chosen = patches(&image);
     assert!(
         chosen.contains(&0),
@@ -93,7 +93,7 @@ fn only_what_is_uncovered_is_drawn() {
         image.margin_render.reprojection.uncovered()
     );
     assert!(!chosen.contains(&2) && !chosen.contains(&5), "{chosen:?}");
-    let exposure = moving(&[0.0; 12], BlurMethod::Image, 0.0);
+    let exposure = moving(&[0.0; 12], BlurMethod::Reprojected, 0.0);
     let (view, motion) = (image.view(exposure.shutter.middle()), exposure.motion());
     let mut whole = Render::default();
     Rasterizer::new(smooth()).render_moving(&map(true), &view, &motion, None, &mut whole);
@@ -115,11 +115,11 @@ fn patches_come_closer_to_the_exact_exposure() {
         renderer.forward(&map(true), &exposure);
         renderer
     };
-    let (exact, mut image) = (with(BlurMethod::Exact, 64), with(BlurMethod::Image, 15));
+    let (exact, mut image) = (with(BlurMethod::Exact, 64), with(BlurMethod::Reprojected, 15));
     let chosen = patches(&image);
     assert!(!chosen.is_empty());
     let mut without = image.hdr.clone();
-    let Exposure { shutter, sampling, .. } = moving(&[0.0; 12], BlurMethod::Image, 0.0);
+    let Exposure { shutter, sampling, .. } = moving(&[0.0; 12], BlurMethod::Reprojected, 0.0);
     let MarginRender { reprojection, render, surface, .. } = &mut image.margin_render;
     let (radiance, how) = (&render.radiance, sampling.quadrature);
     reprojection.blur(&CAMERA, &shutter, 0.0, 15, how, radiance, surface, &mut without);
@@ -140,7 +140,7 @@ fn patches_come_closer_to_the_exact_exposure() {
 fn patches_pull_back_to_poses_readout_and_map() {
     for readout in [0.0, 0.4] {
         let (map, exposure) =
-            (map(true), |x: &[f64]| moving(x, BlurMethod::Image, readout + x[12]));
+            (map(true), |x: &[f64]| moving(x, BlurMethod::Reprojected, readout + x[12]));
         let mut renderer = renderer();
         renderer.forward(&map, &exposure(&[0.0; 13]));
         let chosen = patches(&renderer);

@@ -9,9 +9,9 @@ use std::ops::Range;
 /// Least opacity of a ray with a surface.
 const MIN_SURFACE_OPACITY: f32 = 0.5;
 
-/// Loss of an estimated depth with residual `r` and variance `v`, and its derivative by `r`: `r² / v`
-/// (Rosinol et al. 2023, eq. 4) or, for an outlier threshold `c` > 0 in standard deviations, Cauchy's
-/// `c² ln(1 + r² / (c² v))`, whose derivative falls beyond `c` deviations.
+/// Loss of an estimated depth with residual `r` and variance `v`, and its derivative by `r`: `r² /
+/// v` (Rosinol et al. 2023, eq. 4) or, for an outlier threshold `c` > 0 in standard deviations,
+/// Cauchy's `c² ln(1 + r² / (c² v))`, whose derivative falls beyond `c` deviations.
 fn estimated_loss<T: Real>(r: T, v: T, c: T) -> (T, T) {
     let (square, slope) = (r * r / v, T::of(2.0) * r / v);
     if c > T::zero() {
@@ -59,8 +59,8 @@ impl RayObjective {
         evaluation.total += f64::from(weight) * sum / count as f64;
     }
 
-    /// Median depth of the rays of a batch in the last call of [`map`](Self::map); `None` if they met
-    /// no surface.
+    /// Median depth of the rays of a batch in the last call of [`map`](Self::map); `None` if they
+    /// met no surface.
     pub fn median_depth(&self, batch: usize) -> Option<f64> {
         let solid = self.renders[self.ranges.get(batch)?.clone()]
             .iter()

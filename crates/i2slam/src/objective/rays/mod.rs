@@ -1,10 +1,11 @@
-//! Objective of mapping on a radiance field: batches of pixels of several frames, with one ray per pixel
-//! and time of the exposure.
+//! Objective of mapping on a radiance field: batches of pixels of several frames, with one ray per
+//! pixel and time of the exposure.
 //!
-//! A pixel's radiance is the mean over `N` times of the exposure, one in each `N`-th of it, jittered
-//! within a share of that. Jitter over all of it makes the mean an unbiased estimate of eq. 5, but its
-//! variance is a loss that shorter motion and softer edges lower; no jitter means the same `N` virtual
-//! cameras in every step. Exposure, white balance and response follow the mean (eq. 8).
+//! A pixel's radiance is the mean over `N` times of the exposure, one in each `N`-th of it,
+//! jittered within a share of that. Jitter over all of it makes the mean an unbiased estimate of
+//! eq. 5, but its variance is a loss that shorter motion and softer edges lower; no jitter means
+//! the same `N` virtual cameras in every step. Exposure, white balance and response follow the mean
+//! (eq. 8).
 
 mod depth;
 
@@ -42,8 +43,9 @@ impl PixelBatch<'_> {
         self.variables.exposure.sampling.virtual_cameras.max(1)
     }
 
-    /// Whether depth has a ray of its own. A still frame needs none; neither does estimated depth, which
-    /// is not more precise than the blur and is compared at one of the `N` times, drawn at random.
+    /// Whether depth has a ray of its own. A still frame needs none; neither does estimated depth,
+    /// which is not more precise than the blur and is compared at one of the `N` times, drawn at
+    /// random.
     fn has_depth_ray(&self) -> bool {
         let exposure = &self.variables.exposure;
         let moving = self.exposure_samples() > 1 || exposure.readout != 0.0;
@@ -65,7 +67,8 @@ impl PixelBatch<'_> {
 /// Time of a ray.
 #[derive(Clone, Copy)]
 enum RayTime {
-    /// From 0 = shutter open to 1 = shutter close, for radiance and for depth without a ray of its own.
+    /// From 0 = shutter open to 1 = shutter close, for radiance and for depth without a ray of its
+    /// own.
     Exposure(f64),
     /// Time of the depth picture, for depth alone.
     Depth,
@@ -76,7 +79,7 @@ pub struct RayObjective {
     camera: Camera<f32>,
     renderer: FieldRenderer,
     depth_outlier: f32,
-    moment_jitter: f64,
+    time_jitter: f64,
     ranges: Vec<Range<usize>>,
     /// Pixels of all batches of the last step.
     pixels: usize,
@@ -98,7 +101,7 @@ impl RayObjective {
             camera,
             renderer: FieldRenderer::new(march),
             depth_outlier: 0.0,
-            moment_jitter: 1.0,
+            time_jitter: 1.0,
             ranges: Vec::new(),
             pixels: 0,
             rays: Vec::new(),
@@ -119,17 +122,17 @@ impl RayObjective {
         self.depth_outlier = deviations;
     }
 
-    /// Sets the share of each `N`-th of the exposure, around its middle, within which times are jittered
-    /// (initially 1).
-    pub fn set_moment_jitter(&mut self, share: f32) {
-        self.moment_jitter = f64::from(share);
+    /// Sets the share of each `N`-th of the exposure, around its middle, within which times are
+    /// jittered (initially 1).
+    pub fn set_time_jitter(&mut self, share: f32) {
+        self.time_jitter = f64::from(share);
     }
 
-    /// Evaluates the mean over `batches` of `w_img · mean |C - Ĉ| + w_depth · mean |d - d̂|`, over the
-    /// pixels of a batch and those of them with a depth reading. Where depth has a variance v,
-    /// (d - d̂)² / v, or Cauchy's function of it, takes the place of |d - d̂|. Adds the derivative by the
-    /// field to `gradient`. Returns each batch's share with the derivatives by its variables; those by
-    /// the poses only `with_poses`.
+    /// Evaluates the mean over `batches` of `w_img · mean |C - Ĉ| + w_depth · mean |d - d̂|`, over
+    /// the pixels of a batch and those of them with a depth reading. Where depth has a variance v,
+    /// (d - d̂)² / v, or Cauchy's function of it, takes the place of |d - d̂|. Adds the derivative
+    /// by the field to `gradient`. Returns each batch's share with the derivatives by its
+    /// variables; those by the poses only `with_poses`.
     pub fn map(
         &mut self,
         map: &HashGridMap,
@@ -196,7 +199,7 @@ impl RayObjective {
         let first = if samples > 1 { random.below(samples) } else { 0 };
         for j in (0..samples).map(|j| (first + j) % samples) {
             let within =
-                if samples > 1 { 0.5 + self.moment_jitter * (random.uniform() - 0.5) } else { 0.5 };
+                if samples > 1 { 0.5 + self.time_jitter * (random.uniform() - 0.5) } else { 0.5 };
             let u = (j as f64 + within) / samples as f64 + lead;
             let pose = batch.variables.exposure.shutter.at(u);
             self.push(pose, pixel, RayTime::Exposure(u), random);
@@ -308,8 +311,8 @@ impl RayObjective {
 }
 
 impl RayObjective {
-    /// `JᵀJ / m` of the `m` picture values of the pixels of `batch`, with `J` their derivative by the
-    /// shutter poses.
+    /// `JᵀJ / m` of the `m` picture values of the pixels of `batch`, with `J` their derivative by
+    /// the shutter poses.
     pub fn shutter_hessian(
         &mut self,
         map: &HashGridMap,
@@ -337,7 +340,8 @@ impl RayObjective {
         hessian.map(|row| row.map(|entry| entry / values))
     }
 
-    /// Writes the derivative of every picture value by its radiance to `d_hdr`; channels do not mix.
+    /// Writes the derivative of every picture value by its radiance to `d_hdr`; channels do not
+    /// mix.
     fn picture_slopes(&mut self, batch: &PixelBatch<'_>) {
         self.d_picture.reset(batch.pixels.len(), 1, 3);
         self.d_picture.data.fill(1.0);

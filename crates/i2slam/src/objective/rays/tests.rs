@@ -156,8 +156,8 @@ fn total(evaluations: &[Evaluation]) -> f64 {
     evaluations.iter().map(|e| e.total).sum()
 }
 
-/// Radiance and depth of each ray of the first view in `f64`, times its cotangents, with start and end
-/// pose moved by `x`: the derivative of their sum is that of the loss.
+/// Radiance and depth of each ray of the first view in `f64`, times its cotangents, with start and
+/// end pose moved by `x`: the derivative of their sum is that of the loss.
 fn first_view(objective: &RayObjective, map: &HashGridMap, x: &[f64], depth: Depth) -> Vec<f64> {
     let (field, moved, pixels) = (map.field.cast::<f64>(), shutter(x), pixels());
     let camera = CAMERA.cast::<f64>();
@@ -278,16 +278,16 @@ fn random_moments_average_to_the_exposure() {
     assert!(error(&few) < 0.2 * error(&still), "{} {}", error(&few), error(&still));
 }
 
-/// Moments are evenly spaced without jitter, and within their share of each range with it.
+/// Times are evenly spaced without jitter, and within their share of each `N`-th with it.
 #[test]
-fn moments_keep_to_their_share() {
+fn times_keep_to_their_share() {
     let map = map();
     let observation = observation();
     let still = ShutterPoses::still(Pose::identity());
     let view = [batch(&observation, still, 4, pixels())];
     let farthest = |share: f32| {
         let mut objective = RayObjective::new(CAMERA, map.march);
-        objective.set_moment_jitter(share);
+        objective.set_time_jitter(share);
         objective.create_rays(&view, &mut Random::new(3));
         let off_the_middle = |time: &RayTime| match time {
             RayTime::Exposure(u) => Some(((4.0 * u).fract() - 0.5).abs()),

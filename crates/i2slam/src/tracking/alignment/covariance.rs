@@ -38,8 +38,8 @@ type Matrix = [[f64; UNKNOWNS]; UNKNOWNS];
 pub(super) struct PoseCovariance(pub(super) [[f64; POSE]; POSE]);
 
 impl PoseCovariance {
-    /// `B⁻¹ M B⁻¹` from the upper triangles of `bread` (`B`) and `meat` (`M`); `None` where `bread` is
-    /// not positive definite.
+    /// `B⁻¹ M B⁻¹` from the upper triangles of `bread` (`B`) and `meat` (`M`); `None` where `bread`
+    /// is not positive definite.
     pub(super) fn new(bread: &Matrix, meat: &Matrix) -> Option<Self> {
         let full = |m: &Matrix, a: usize, b: usize| if a <= b { m[a][b] } else { m[b][a] };
         let mut columns = [[0.0; UNKNOWNS]; POSE];
@@ -229,8 +229,8 @@ mod tests {
         }]
     }
 
-    /// Aligns a frame with `noise` of these standard deviations in depth [m] and picture. Returns the
-    /// final centre, its covariance, and whether the optimisation converged.
+    /// Aligns a frame with `noise` of these standard deviations in depth [m] and picture. Returns
+    /// the final centre, its covariance, and whether the optimisation converged.
     fn align(
         config: &Config,
         noise: (f32, f32),

@@ -30,8 +30,8 @@ use residual::{FrameLevel, ResidualSums};
 
 /// Levels of the image pyramids.
 const LEVELS: usize = 3;
-/// Standard deviation of the motion during the exposure, over the motion since the last frame: across
-/// that motion, and along it, where the shutter time is uncertain.
+/// Standard deviation of the motion during the exposure, over the motion since the last frame:
+/// across that motion, and along it, where the shutter time is uncertain.
 const MOTION_SIGMA_ACROSS: f32 = 0.1;
 const MOTION_SIGMA_ALONG: f64 = 0.5;
 /// Least share of the frame's depth that must lie on the map's surface.
@@ -161,8 +161,8 @@ impl FrameAlignment<'_> {
         }
     }
 
-    /// Acceptance test: enough of the frame lies on the map, and its losses are near the usual ones.
-    /// A frame at a wrong pose would spoil the map.
+    /// Acceptance test: enough of the frame lies on the map, and its losses are near the usual
+    /// ones. A frame at a wrong pose would spoil the map.
     fn is_accepted(&self, end: &AlignmentOutcome) -> bool {
         let losses = mean_losses(&end.sums);
         let depth_ratio = match self.observation.is_estimated() {

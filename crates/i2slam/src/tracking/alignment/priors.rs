@@ -69,8 +69,8 @@ impl MotionPrior {
         }
     }
 
-    /// Share of the motion since the last frame that `velocity` covers, and the length of that motion
-    /// [px].
+    /// Share of the motion since the last frame that `velocity` covers, and the length of that
+    /// motion [px].
     pub(super) fn measured_share(&self, velocity: Tangent<f64>) -> (f64, f64) {
         let (step, now) = (self.to_pixels(self.step), self.to_pixels(velocity));
         let square: f64 = step.iter().map(|v| v * v).sum();

@@ -259,9 +259,9 @@ mod tests {
         Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.0, pixels / CAMERA.fx, 0.0]))
     }
 
-    /// The readout as measured by the last of `frames`, each given by its time [frame intervals] and
-    /// rotation [px]; all earlier ones were tracked with the true readout. The last rotates by `speed` px
-    /// per frame interval while it is exposed.
+    /// The readout as measured by the last of `frames`, each given by its time [frame intervals]
+    /// and rotation [px]; all earlier ones were tracked with the true readout. The last rotates by
+    /// `speed` px per frame interval while it is exposed.
     fn measured(frames: &[(f64, f64)], speed: f64) -> Option<MeasuredReadout> {
         let config = Config::default();
         let (&(now, turn), before) = frames.split_last()?;

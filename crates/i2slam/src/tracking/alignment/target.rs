@@ -116,9 +116,9 @@ impl FrameAlignment<'_> {
     }
 }
 
-/// The targets that count, with their indices: the map, and the keyframe where its depth is far less
-/// noisy than the map's residuals. That holds for exact depth, not for a sensor's, which the map has
-/// averaged. Far from the solution, where the map fits badly, a noisy keyframe counts too.
+/// The targets that count, with their indices: the map, and the keyframe where its depth is far
+/// less noisy than the map's residuals. That holds for exact depth, not for a sensor's, which the
+/// map has averaged. Far from the solution, where the map fits badly, a noisy keyframe counts too.
 pub(super) fn active_targets(
     targets: &[AlignmentTarget],
 ) -> impl Iterator<Item = (usize, &AlignmentTarget)> {

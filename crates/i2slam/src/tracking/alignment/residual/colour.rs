@@ -21,11 +21,12 @@ pub(super) struct ColourBlock {
     /// With a rolling shutter, relative positions of the picture's rows and times of the samples.
     row_position: BlockValues,
     times: BlockValues,
-    /// The points in the camera at mid-exposure, moved as seen by one virtual camera, and in the target's
-    /// camera.
+    /// The points in the camera at mid-exposure, moved as seen by one virtual camera, and in the
+    /// target's camera.
     points: [BlockValues; 3],
     target_points: [BlockValues; 3],
-    /// Per channel: the target's radiance for one virtual camera and its derivatives by `u` and `v`.
+    /// Per channel: the target's radiance for one virtual camera and its derivatives by `u` and
+    /// `v`.
     target: [[BlockValues; 3]; 3],
     channels: [Channel; 3],
 }
@@ -130,8 +131,8 @@ impl ColourBlock {
         target_point.store_group(&mut self.target_points, group);
     }
 
-    /// Moves a group's points from the virtual camera, at the time of their rows, into the camera at
-    /// mid-exposure.
+    /// Moves a group's points from the virtual camera, at the time of their rows, into the camera
+    /// at mid-exposure.
     #[inline(always)]
     fn to_centre<S: Simd>(
         &mut self,
@@ -165,7 +166,7 @@ impl ColourBlock {
         let weight = number(sample.weight);
         for channel in 0..3 {
             let radiance = Lanes::load_group(simd, &self.target[channel][0], group) * weight;
-            accumulate(radiance, &mut self.channels[channel].radiance, group, first);
+            add_or_set(radiance, &mut self.channels[channel].radiance, group, first);
         }
         if !task.derivatives {
             return;
@@ -227,19 +228,20 @@ fn add_rows<S: Simd>(values: [Points<S>; 2], rows: &mut [BlockValues], group: us
     let [row, spin] = values;
     let values = [row.x, row.y, row.z, spin.x, spin.y, spin.z];
     for k in 0..6 {
-        accumulate(values[k], &mut rows[k], group, first);
+        add_or_set(values[k], &mut rows[k], group, first);
     }
 }
 
+/// Adds `value` to a group, or sets it for the `first` virtual camera.
 #[inline(always)]
-fn accumulate<S: Simd>(value: Lanes<S>, row: &mut BlockValues, group: usize, first: bool) {
+fn add_or_set<S: Simd>(value: Lanes<S>, row: &mut BlockValues, group: usize, first: bool) {
     let sum = if first { value } else { value + Lanes::load_group(value.simd(), row, group) };
     sum.store_group(row, group);
 }
 
 impl Channel {
-    /// Adds the derivatives by motion and readout for one virtual camera, from the derivative `row` by
-    /// the points.
+    /// Adds the derivatives by motion and readout for one virtual camera, from the derivative `row`
+    /// by the points.
     #[inline(always)]
     fn add_motion<S: Simd>(
         &mut self,
@@ -253,7 +255,7 @@ impl Channel {
         add_rows([row, points.seen.cross(row)], centre, group, first);
         if let Some(rolling) = &geometry.rolling {
             let by_readout = points.row_position * row.dot(rolling.velocity_of(simd, points.moved));
-            accumulate(by_readout, &mut self.readout, group, first);
+            add_or_set(by_readout, &mut self.readout, group, first);
         }
         if geometry.has_velocity() {
             let row = row.scaled(points.time);

@@ -114,9 +114,9 @@ pub(super) fn roughness(depth: &Image<f32>) -> Image<f32> {
     out
 }
 
-/// Standard deviation of depth noise [m at 1 m]. The second difference of independent noise has `√6`
-/// times its standard deviation, and the median of the larger of two such has about that size; most
-/// of a picture is no edge.
+/// Standard deviation of depth noise [m at 1 m]. The second difference of independent noise has
+/// `√6` times its standard deviation, and the median of the larger of two such has about that size;
+/// most of a picture is no edge.
 fn depth_noise(depth: &Image<f32>, roughness: &Image<f32>) -> f32 {
     let pixels = depth.data.iter().zip(&roughness.data).step_by(5);
     let mut all: Vec<f32> =
@@ -195,8 +195,8 @@ impl Default for BilinearTaps {
 }
 
 impl BilinearTaps {
-    /// Stores the image positions `(u, v)` of a group; returns the mask of those between the outermost
-    /// pixel centres, the others are stored as 0.
+    /// Stores the image positions `(u, v)` of a group; returns the mask of those between the
+    /// outermost pixel centres, the others are stored as 0.
     #[inline(always)]
     pub(super) fn store_positions<S: Simd>(
         &mut self,
@@ -248,8 +248,8 @@ impl BilinearTaps {
     }
 }
 
-/// A depth picture prepared for interpolation: inverse depth is linear over the image of a plane, so
-/// that a floor seen at a grazing angle has no bias.
+/// A depth picture prepared for interpolation: inverse depth is linear over the image of a plane,
+/// so that a floor seen at a grazing angle has no bias.
 pub(in super::super) struct InverseDepth {
     width: usize,
     /// Inverse depth of each pixel [1/m]; 0 where there is none.

@@ -1,8 +1,8 @@
 //! Residuals of a frame against a re-projected alignment target, and their normal equations.
 //!
-//! A pixel `p` of the frame with depth `d` is a point `X` in the camera. At time `u` of the exposure
-//! it lies at `Y_u = target_from_world T(u) X` in the target's camera, where the target has radiance
-//! `M(q_u)` and depth `D(q_u)`, `q_u = π(Y_u)`. The residuals are
+//! A pixel `p` of the frame with depth `d` is a point `X` in the camera. At time `u` of the
+//! exposure it lies at `Y_u = target_from_world T(u) X` in the target's camera, where the target
+//! has radiance `M(q_u)` and depth `D(q_u)`, `q_u = π(Y_u)`. The residuals are
 //!
 //! ```text
 //! r_c = CRF(gain_c · Σ_u w_u M_c(q_u)) - Ĉ_c(p)          blurred target against picture
@@ -11,13 +11,12 @@
 //!
 //! With `s = u - ½` and velocity `(ν, ω)`, the point lies at `P_u = Exp(s ω) X + s ν` in the camera
 //! at mid-exposure. A tangent `(ρ, φ)` of the centre moves it by `ρ + φ × P_u`, a change of the
-//! velocity by `s (δν + δω × (P_u - s ν))`, where `J_l(s ω)` is taken as one, so with the row
-//! `b = ∇M · ∂π/∂Y · R_target_from_centre` the derivatives are `(b, P × b)` and
-//! `s (b, (P - s ν) × b)`.
+//! velocity by `s (δν + δω × (P_u - s ν))`, where `J_l(s ω)` is taken as one, so with the row `b =
+//! ∇M · ∂π/∂Y · R_target_from_centre` the derivatives are `(b, P × b)` and `s (b, (P - s ν) × b)`.
 //!
-//! With a rolling shutter the row at `v` is exposed later by `readout (v/H - ½)`, so that `s` differs
-//! from sample to sample, and the readout is an unknown with the derivative `(v/H - ½) b · (ν + ω ×
-//! (P - s ν))`. Depth is taken at one time.
+//! With a rolling shutter the row at `v` is exposed later by `readout (v/H - ½)`, so that `s`
+//! differs from sample to sample, and the readout is an unknown with the derivative `(v/H - ½) b ·
+//! (ν + ω × (P - s ν))`. Depth is taken at one time.
 
 mod colour;
 mod depth;

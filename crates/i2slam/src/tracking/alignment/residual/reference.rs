@@ -49,8 +49,8 @@ impl Pixels<'_> {
         sums
     }
 
-    /// Adds the depth residual of a pixel with depth `z` and `roughness`, whose point is given in the
-    /// camera at mid-exposure. Returns whether the point lies on the target's surface.
+    /// Adds the depth residual of a pixel with depth `z` and `roughness`, whose point is given in
+    /// the camera at mid-exposure. Returns whether the point lies on the target's surface.
     fn add_depth(
         &self,
         point: Vec3<f32>,
@@ -92,8 +92,8 @@ impl Pixels<'_> {
         true
     }
 
-    /// Adds the image residuals of the three channels at the projection of `point` (in the camera at
-    /// mid-exposure).
+    /// Adds the image residuals of the three channels at the projection of `point` (in the camera
+    /// at mid-exposure).
     fn add_colour(&self, point: Vec3<f32>, sums: &mut ResidualSums) {
         let task = self.task;
         if point.z <= MIN_DISTANCE {
@@ -220,8 +220,8 @@ fn jacobian(by_motion: [Vec3<f32>; 4], by_tone: [f32; 4]) -> [f64; UNKNOWNS] {
     all
 }
 
-/// Depth and its derivatives at a tap whose four pixels lie on one surface, from interpolated inverse
-/// depth.
+/// Depth and its derivatives at a tap whose four pixels lie on one surface, from interpolated
+/// inverse depth.
 fn depth_at(tap: Tap<f32>, depths: &[f32]) -> Option<(f32, f32, f32)> {
     let values = tap.values(depths);
     if !is_one_surface(values) {
