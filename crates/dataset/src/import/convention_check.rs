@@ -5,6 +5,7 @@
 
 use super::pose_convention::PoseConvention;
 use super::{ImportFormat, ImportedKeyframes, Keyframe};
+use i2slam_compute::correlation;
 use i2slam_geometry::{Camera, Pose, Tap};
 
 /// Pairs of keyframes that are compared.
@@ -238,20 +239,8 @@ fn colour_error(pixels: &[Reprojected], a: &Keyframe, b: &Keyframe) -> f64 {
         Some((here, brightness(b, &|plane| tap.sample(plane).0)))
     };
     let overlap: Vec<(f64, f64)> = pixels.iter().filter_map(both).collect();
-    if overlap.len() < MIN_OVERLAP_PIXELS { 1.0 } else { 0.5 * (1.0 - correlation(&overlap)) }
-}
-
-fn correlation(pairs: &[(f64, f64)]) -> f64 {
-    let count = pairs.len() as f64;
-    let mean = pairs.iter().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
-    let mean = (mean.0 / count, mean.1 / count);
-    let (mut both, mut first, mut second) = (0.0, 0.0, 0.0);
-    for pair in pairs {
-        let (x, y) = (pair.0 - mean.0, pair.1 - mean.1);
-        both += x * y;
-        first += x * x;
-        second += y * y;
+    if overlap.len() < MIN_OVERLAP_PIXELS {
+        return 1.0;
     }
-    let scale = (first * second).sqrt();
-    if scale > 0.0 { both / scale } else { 0.0 }
+    0.5 * (1.0 - correlation(&overlap).unwrap_or(0.0))
 }

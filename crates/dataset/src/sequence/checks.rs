@@ -6,6 +6,7 @@ use crate::camera::{Calibration, DepthGrid, Orientation, has_central_principal_p
 use crate::formats::FrameEntry;
 use crate::image::{self, DepthEncoding, RecordingCameras, Resampler, decode_depth};
 use crate::video::Video;
+use i2slam_compute::median;
 use i2slam_geometry::Camera;
 
 /// Depth images read to check the depth scale.
@@ -132,9 +133,7 @@ pub(super) fn depth_scale_warning(entries: &[FrameEntry], loader: &FrameLoader) 
         let valid = |v: &&u16| **v > 0 && Some(**v) != invalid;
         values.extend(depth.data.iter().step_by(7).filter(valid));
     }
-    let middle = values.len() / 2;
-    values.sort_unstable();
-    let median = *values.get(middle)?;
+    let median = median(&mut values)?;
     let metres = f64::from(median) / depth_scale;
     (!PLAUSIBLE_DEPTH.contains(&metres)).then(|| {
         format!(

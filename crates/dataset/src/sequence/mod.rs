@@ -19,6 +19,7 @@ use checks::{camera_warning, coverage_warning, depth_scale_warning, recording_ca
 use exif_consistency::{check_exif_consistency, orientation_note};
 use find_calibration::find_calibration;
 use frames::FrameLoader;
+use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Trajectory};
 use redeliver::delivery;
 use std::path::{Path, PathBuf};
@@ -230,8 +231,7 @@ pub(crate) fn name_of(path: &Path) -> String {
 fn median_rate(entries: &[FrameEntry]) -> Option<f64> {
     let gaps = entries.windows(2).map(|pair| pair[1].timestamp - pair[0].timestamp);
     let mut gaps: Vec<f64> = gaps.filter(|&gap| gap > 0.0).collect();
-    gaps.sort_by(f64::total_cmp);
-    gaps.get(gaps.len() / 2).map(|gap| gap.recip())
+    median(&mut gaps).map(f64::recip)
 }
 
 /// Selects the entries within the range, every `stride`-th.
