@@ -1,11 +1,13 @@
 //! Options for opening a sequence.
 
 use crate::{DatasetError, EstimatedCamera};
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::PathBuf;
 
 /// Options for opening a sequence. Start from [`OpenOptions::default`].
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct OpenOptions {
     /// A camera file to use instead of the folder's `camera.json`: another `camera.json`, a
     /// `transforms.json`, COLMAP's `cameras.txt` or `cameras.bin`, or a line `fx fy cx cy`.
@@ -26,6 +28,7 @@ pub struct OpenOptions {
     /// Depth image value of one metre. Precedes the camera file; 5000 if neither gives it.
     pub depth_scale: Option<f64>,
     /// Range of frames, by index in the associated stream. Default all.
+    #[serde(with = "range_as_pair")]
     pub frames: Option<Range<usize>>,
     /// Step between frames, from the start of `frames` on; at least 1. Default 1.
     pub stride: usize,
@@ -74,6 +77,26 @@ impl Default for OpenOptions {
             colour_only: false,
             turn_pictures: false,
         }
+    }
+}
+
+/// A range in files: `[first, one after the last]`.
+mod range_as_pair {
+    use super::*;
+    use serde::{Deserializer, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(
+        range: &Option<Range<usize>>,
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        range.as_ref().map(|range| [range.start, range.end]).serialize(to)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<Option<Range<usize>>, D::Error> {
+        let pair = Option::<[usize; 2]>::deserialize(from)?;
+        Ok(pair.map(|[start, end]| start..end))
     }
 }
 

@@ -141,7 +141,7 @@ impl Reference {
 /// ones whichever part was run.
 fn open_as_run(path: &Path, result: &Path) -> Result<Sequence, Failure> {
     let Some(input) = RunInput::load(result)? else { return open_as_rendered(path, result) };
-    let options = OpenOptions { frames: None, stride: 1, ..input.options() };
+    let options = OpenOptions { frames: None, stride: 1, ..input.options };
     // A run on colour alone can be evaluated with depth all the same.
     let with_depth = OpenOptions { colour_only: false, ..options.clone() };
     let sequence = Sequence::open(path, &with_depth).or_else(|_| Sequence::open(path, &options))?;
