@@ -4,7 +4,9 @@ use i2slam::dataset::DatasetError;
 use i2slam::{ConfigError, RunError};
 use i2slam_eval::EvalError;
 use i2slam_result::ResultError;
+use std::fmt::Display;
 use std::panic::{self, AssertUnwindSafe};
+use std::path::Path;
 use std::sync::Mutex;
 
 /// Reason why a command ended without success.
@@ -33,6 +35,11 @@ impl Failure {
             Self::Interrupted => None,
         }
     }
+}
+
+/// Failure of a file or folder: `PATH: reason`.
+pub(crate) fn failed(path: &Path, reason: impl Display) -> Failure {
+    Failure::Failed(format!("{}: {reason}", path.display()))
 }
 
 impl From<RunError> for Failure {

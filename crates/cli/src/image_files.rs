@@ -1,15 +1,11 @@
 //! Pictures read from files for comparison.
 
-use crate::failure::Failure;
+use crate::failure::{Failure, failed};
 use i2slam::geometry::Image;
 use i2slam_result::DEPTH_UNITS_PER_METRE;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
-
-fn failed(path: &Path, reason: impl std::fmt::Display) -> Failure {
-    Failure::Failed(format!("{}: {reason}", path.display()))
-}
 
 /// Reads an 8- or 16-bit PNG as planes R, G, B in `[0, 1]`.
 pub(crate) fn read_png(path: &Path) -> Result<Image<f32>, Failure> {

@@ -40,7 +40,7 @@ if [ "$raw" ]; then exec cat "$file.rgb"; fi
 cat "$file.words" >&2
 "#;
 
-/// Where the camera is and what it looks at.
+/// Pose of the camera, scene and lens of a frame.
 #[derive(Clone, Copy)]
 pub(crate) struct View {
     /// To the right of where it began [m].
@@ -76,7 +76,7 @@ impl View {
     }
 }
 
-/// Where a pinhole sees what the lens shows at `shown` (distances from the middle in focal
+/// Undistorts a point `shown` by the lens (distances from the centre in focal
 /// lengths): `shown = seen (1 + k1 ‖seen‖²)`.
 fn straight(shown: [f64; 2], k1: f64) -> [f64; 2] {
     let mut seen = shown;

@@ -180,7 +180,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     entries.flat_map(below).collect()
 }
 
-/// What every such command does: `work` writes into the folder `out`, whose file `made` it makes.
+/// Checks the rule of output folders on `work`, which writes the file `made` into `out`.
 fn keeps_the_rule(work: impl Fn(&[&str]) -> Ran, out: &Path, made: &str, stale: &str) {
     let mine = out.join("notes.txt");
     fs::create_dir_all(out).expect("a folder");

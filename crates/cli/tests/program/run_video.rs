@@ -12,7 +12,7 @@ fn walk(frames: u32, step: f64) -> Vec<(u32, View)> {
     (0..frames).map(|i| (20 * i, View::moved(step * f64::from(i)))).collect()
 }
 
-/// The same, looking around, which shows the focal length.
+/// Steps to the right while looking around, from which the focal length can be estimated.
 fn stroll(frames: u32) -> Vec<(u32, View)> {
     let mut views = walk(frames, 0.05);
     for (i, (_, view)) in views.iter_mut().enumerate() {

@@ -1,7 +1,6 @@
 //! Input of an evaluation: a result folder, a trajectory, or pictures.
 
-use super::failed;
-use crate::failure::Failure;
+use crate::failure::{Failure, failed};
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam_result::UnitOfLength;
 use std::collections::BTreeMap;

@@ -2,8 +2,8 @@
 
 use super::estimate::{Estimate, Pictures, RunFrame, pictures};
 use super::reference::Reference;
-use super::{Eval, Protocol, failed};
-use crate::failure::Failure;
+use super::{Eval, Protocol};
+use crate::failure::{Failure, failed};
 use crate::image_files::read_png;
 use crate::output::{counted, print};
 use i2slam::dataset::{OpenOptions, Sequence};

@@ -10,13 +10,13 @@ mod reference;
 mod trajectory;
 
 use crate::failure::Failure;
-use crate::output::{print, print_status};
+use crate::output::{print, print_json, print_status};
 use clap::{Args, ValueEnum};
 use estimate::Estimate;
 use evaluation::Evaluation;
 use i2slam::dataset::read_trajectory;
 use reference::Reference;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Args, Debug)]
 pub(crate) struct Eval {
@@ -124,8 +124,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     let estimate = Estimate::find(&arguments.estimate)?;
     let evaluation = evaluate(arguments, &estimate)?;
     if arguments.json {
-        let text = serde_json::to_string_pretty(&evaluation.json()?);
-        print(&text.map_err(|e| Failure::Failed(e.to_string()))?);
+        print_json(&evaluation.json()?)?;
     } else {
         evaluation.print();
     }
@@ -265,11 +264,6 @@ fn name(protocol: Protocol) -> &'static str {
         Protocol::Monogs => "monogs",
         Protocol::HeldOut => "held-out",
     }
-}
-
-/// `PATH: reason`.
-fn failed(path: &Path, reason: impl std::fmt::Display) -> Failure {
-    Failure::Failed(format!("{}: {reason}", path.display()))
 }
 
 #[cfg(test)]

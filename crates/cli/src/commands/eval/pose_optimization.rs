@@ -3,8 +3,8 @@
 use super::estimate::Estimate;
 use super::metric_value::MetricValue;
 use super::reference::Reference;
-use super::{Eval, Protocol, failed};
-use crate::failure::Failure;
+use super::{Eval, Protocol};
+use crate::failure::{Failure, failed};
 use crate::image_files::at_size_of;
 use crate::interrupt;
 use crate::progress::Progress;

@@ -1,8 +1,8 @@
 //! Ground truth of an evaluation: a folder of pictures or a dataset, and its checksums.
 
+use super::Eval;
 use super::estimate::{Estimate, Pictures, pictures};
-use super::{Eval, failed};
-use crate::failure::Failure;
+use crate::failure::{Failure, failed};
 use crate::ground_truth::GroundTruth;
 use crate::image_files::read_png;
 use i2slam::Config;

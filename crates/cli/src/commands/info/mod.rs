@@ -7,7 +7,7 @@ use crate::arguments::{Input, Machine};
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
 use crate::interrupt;
-use crate::output::{counted, print, print_status};
+use crate::output::{counted, print, print_json, print_status};
 use crate::progress::Progress;
 use clap::Args;
 use frames::PictureStats;
@@ -88,9 +88,7 @@ pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
     };
     let report = InfoReport { sequence_info, pictures, warnings };
     if arguments.json {
-        let text = serde_json::to_string_pretty(&report);
-        print(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
-        return Ok(());
+        return print_json(&report);
     }
     for line in table_lines(&report.sequence_info, report.pictures.as_ref()) {
         print(&line);

@@ -3,7 +3,7 @@
 use super::Info;
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
-use crate::output::{counted, print, print_status};
+use crate::output::{counted, print, print_json, print_status};
 use i2slam::dataset::import::{ImportOptions, ImportedKeyframes};
 use i2slam::dataset::{DatasetError, DroppedFrames, OpenOptions, Sequence, paper_frames};
 use i2slam::geometry::StampedPose;
@@ -202,8 +202,7 @@ pub(super) fn print_keyframes(
     };
     let info = ImportInfo::new(&files);
     if arguments.json {
-        let text = serde_json::to_string_pretty(&info);
-        print(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
+        print_json(&info)?;
         return Ok(true);
     }
     for (label, text) in info.rows() {
