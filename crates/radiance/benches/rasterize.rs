@@ -1,16 +1,13 @@
-//! Time of one picture and of one way back: 320x240, 50 000 Gaussians of 4 px radius
+//! Time of one picture, forward and backward: 320x240, 50 000 Gaussians of 4 px radius
 //! (standard deviation 1.33 px in the image, opacity about 0.36), about 103 000 pairs of a
 //! Gaussian and a tile, and no pixel that ends early.
-//!
-//! Before that it prints the cost of a moving camera: a sharp picture, exact views at several
-//! moments, and as many moments of a moving camera, in turns within one run.
 //!
 //! `textbook_*` is the reference lane in `f32` on one thread, called tile by tile with the
 //! Gaussians of each tile: the same sums without vectors, threads or row culling. Its lists are
 //! made outside of the measured time.
 
 use divan::{Bencher, black_box};
-use i2slam_geometry::{Camera, Image, Pose, Tangent};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::gaussian::*;
 
 const WIDTH: usize = 320;
@@ -24,7 +21,6 @@ fn main() {
         rasterizer.render(&scene(Shape::Isotropic, opacity), &view(), &mut Render::default());
         println!("{opacity}: {} pairs of a Gaussian and a tile", rasterizer.intersections());
     }
-    OPACITIES.iter().for_each(|opacity| print_ratios(opacity));
     divan::main();
 }
 
@@ -110,99 +106,6 @@ fn backward_pose_and_map_anisotropic(bencher: Bencher<'_, '_>, opacity: &str) {
 #[divan::bench(args = OPACITIES)]
 fn backward_pose(bencher: Bencher<'_, '_>, opacity: &str) {
     backward(bencher, &scene(Shape::Isotropic, opacity), false);
-}
-
-/// Moments of an exposure.
-const MOMENTS: usize = 5;
-
-/// A camera that moves sideways and turns, by about 10 px at the median depth.
-fn motion(moments: usize) -> ShutterMotion {
-    let velocity = Tangent::from_array([0.06, 0.01, 0.02, 0.005, 0.012, 0.01]);
-    ShutterMotion::global(velocity, moments)
-}
-
-#[divan::bench(args = OPACITIES)]
-fn forward_moving(bencher: Bencher<'_, '_>, opacity: &str) {
-    let (map, view, motion) = (scene(Shape::Isotropic, opacity), view(), motion(MOMENTS));
-    let (mut rasterizer, mut out) = (Rasterizer::default(), Render::default());
-    bencher
-        .bench_local(|| rasterizer.render_moving(black_box(&map), &view, &motion, None, &mut out));
-}
-
-#[divan::bench(args = OPACITIES)]
-fn backward_moving_pose_and_map(bencher: Bencher<'_, '_>, opacity: &str) {
-    let (map, view, motion) = (scene(Shape::Isotropic, opacity), view(), motion(MOMENTS));
-    let cotangent = cotangent(WIDTH, HEIGHT);
-    let mut rasterizer = Rasterizer::default();
-    rasterizer.render_moving(&map, &view, &motion, None, &mut Render::default());
-    let mut gradient = MapGradient::new(map.len());
-    bencher.bench_local(|| {
-        let rows = Some(&mut gradient);
-        rasterizer.pull_back_moving(black_box(&map), &view, &motion, &cotangent, rows)
-    });
-}
-
-/// Fastest times of one sharp picture, of [`MOMENTS`] exact views and of as many moments of a
-/// moving camera, forward and backward, taken in turns so that a busy machine slows down all.
-fn print_ratios(opacity: &str) {
-    const ROUNDS: usize = 40;
-    let (map, view, motion) = (scene(Shape::Isotropic, opacity), view(), motion(MOMENTS));
-    let (cotangent, mut out) = (cotangent(WIDTH, HEIGHT), Render::default());
-    let mut gradient = MapGradient::new(map.len());
-    let mut rasterizers: Vec<_> = (0..MOMENTS).map(|_| Rasterizer::default()).collect();
-    let (mut sharp, mut moving) = (Rasterizer::default(), Rasterizer::default());
-    let (mut one_moment, still) = (Rasterizer::default(), ShutterMotion::still());
-    let mut fastest = [f64::MAX; 8];
-    for _ in 0..ROUNDS {
-        let mut time = |entry: usize, work: &mut dyn FnMut()| {
-            let start = std::time::Instant::now();
-            work();
-            fastest[entry] = fastest[entry].min(start.elapsed().as_secs_f64() * 1e3);
-        };
-        time(0, &mut || sharp.render(&map, &view, &mut out));
-        time(1, &mut || {
-            black_box(sharp.pull_back(&map, &view, &cotangent, Some(&mut gradient)));
-        });
-        let views: Vec<_> = motion
-            .moments
-            .iter()
-            .map(|moment| {
-                let tangent = motion.velocity.scaled(moment.time);
-                View { world_from_camera: view.world_from_camera.retract(tangent), ..view }
-            })
-            .collect();
-        time(2, &mut || {
-            for (rasterizer, view) in rasterizers.iter_mut().zip(&views) {
-                rasterizer.render(&map, view, &mut out);
-            }
-        });
-        time(3, &mut || {
-            for (rasterizer, view) in rasterizers.iter_mut().zip(&views) {
-                black_box(rasterizer.pull_back(&map, view, &cotangent, Some(&mut gradient)));
-            }
-        });
-        time(4, &mut || moving.render_moving(&map, &view, &motion, None, &mut out));
-        time(5, &mut || {
-            let rows = Some(&mut gradient);
-            black_box(moving.pull_back_moving(&map, &view, &motion, &cotangent, rows));
-        });
-        time(6, &mut || one_moment.render_moving(&map, &view, &still, None, &mut out));
-        time(7, &mut || {
-            let rows = Some(&mut gradient);
-            black_box(one_moment.pull_back_moving(&map, &view, &still, &cotangent, rows));
-        });
-    }
-    let names = ["sharp", "exact views", "moving", "moving, one still moment"];
-    for (name, times) in names.iter().zip(fastest.chunks(2)) {
-        let (forward, backward) = (times[0] / fastest[0], times[1] / fastest[1]);
-        let both = (times[0] + times[1]) / (fastest[0] + fastest[1]);
-        println!(
-            "{opacity}: {name}: forward {:.2} ms ({forward:.2}), backward {:.2} ms \
-             ({backward:.2}), both {both:.2} of sharp",
-            times[0], times[1]
-        );
-    }
-    println!("{opacity}: {} pairs of a moving Gaussian and a tile", moving.intersections());
 }
 
 /// The view and the Gaussians of every tile.

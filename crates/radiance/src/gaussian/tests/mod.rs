@@ -6,7 +6,6 @@ use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 
 mod gradients;
 mod moving;
-mod moving_gradients;
 mod parity;
 mod poison;
 
