@@ -68,13 +68,11 @@ impl SfmState {
     }
 
     /// An empty state of the keyframes alone, with the same camera.
-    pub(crate) fn keyframes_only(state: &Self) -> Self {
-        let (estimates_distortion, progress) =
-            (state.estimates_distortion, state.progress.without_listener());
+    pub(crate) fn keyframes_only(&self) -> Self {
         Self {
-            estimates_distortion,
-            progress,
-            ..Self::new(state.camera, state.tracks.keyframes_only())
+            estimates_distortion: self.estimates_distortion,
+            progress: self.progress.without_listener(),
+            ..Self::new(self.camera, self.tracks.keyframes_only())
         }
     }
 

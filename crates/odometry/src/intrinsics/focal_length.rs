@@ -58,7 +58,7 @@ struct FocalCandidate {
 pub(crate) fn search_focal_length(state: &mut SfmState) -> Result<(), OdometryError> {
     state.progress.report(Stage::FocalLength, 0, 0);
     // Only keyframes are registered here, and observations in other frames do not affect them.
-    let reduced = SfmState::keyframes_only(state);
+    let reduced = state.keyframes_only();
     let tried: Vec<Result<FocalCandidate, OdometryError>> =
         START_FACTORS.par_iter().map(|factor| evaluate_start(&reduced, *factor)).collect();
     let mut failure = OdometryError::NoConsistentMotion;

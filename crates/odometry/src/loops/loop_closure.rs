@@ -14,7 +14,6 @@ use crate::relocalize::geometric_verification::{
 use crate::relocalize::relocalization::candidate_keyframes;
 use crate::sfm_state::SfmState;
 use crate::track::thumbnail::KeyframeImage;
-
 use crate::track::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};

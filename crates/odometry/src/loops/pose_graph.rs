@@ -1,8 +1,7 @@
 //! Pose graph of similarities (Strasdat, Montiel and Davison 2010).
 
-use i2slam_compute::reverse_cuthill_mckee;
-
 use i2slam_compute::SkylineMatrix;
+use i2slam_compute::reverse_cuthill_mckee;
 use i2slam_geometry::{Mat3, Similarity, right_jacobian_inverse};
 
 const MAX_STEPS: usize = 20;

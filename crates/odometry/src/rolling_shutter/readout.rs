@@ -33,11 +33,11 @@ pub(crate) fn estimate_rolling_shutter(
 ) {
     let Some(interval) = median_frame_interval(timestamps) else { return };
     state.progress.report(Stage::RollingShutter, 0, 0);
-    let sample = ReadoutSearch::new(state, timestamps, interval, adjust_focal);
-    let none = sample.cost(0.0);
+    let search = ReadoutSearch::new(state, timestamps, interval, adjust_focal);
+    let none = search.cost(0.0);
     let about = state.readout;
     let (best, cost) =
-        if about == 0.0 { sample.search_coarse(none) } else { sample.refine_near(about) };
+        if about == 0.0 { search.search_coarse(none) } else { search.refine_near(about) };
     state.readout = if cost < MAX_COST_RATIO * none { best } else { 0.0 };
     state.estimates_readout = state.readout != 0.0;
     correct_observations(state, timestamps, state.readout * interval, interval);
