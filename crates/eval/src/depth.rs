@@ -11,7 +11,7 @@ pub struct DepthError {
     /// `Σ |D̂ - D| / n` over pixels with valid true depth `D` [m]. A missing estimate (0) counts
     /// with the whole depth, as in SplaTAM's and Nice-SLAM's depth L1.
     pub l1_m: f64,
-    /// The same over pixels where the estimate is valid too [m]; `None` if there is none.
+    /// Mean absolute error over pixels where both are valid [m]; `None` if there are none.
     pub l1_seen_m: Option<f64>,
     /// Share of the pixels with valid true depth where the estimate is valid, in `[0, 1]`.
     pub coverage: f64,

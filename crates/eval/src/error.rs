@@ -8,7 +8,7 @@ use std::fmt::{Display, Formatter, Result};
 pub enum EvalError {
     /// The time tolerance is negative or NaN.
     InvalidTolerance {
-        /// What was given [s].
+        /// The tolerance that was given [s].
         tolerance: f64,
     },
     /// A step between poses of no frame, or of a time that is not above zero.
@@ -19,21 +19,21 @@ pub enum EvalError {
         estimate: [f64; 2],
         /// First and last stamp of the truth [s].
         truth: [f64; 2],
-        /// What counts as the same time [s].
+        /// Largest difference of time stamps that match [s].
         tolerance: f64,
     },
     /// Fewer samples (poses, pairs, pixels, numbers) than the measure needs.
     TooFew {
-        /// What there is too little of.
+        /// The kind of sample.
         what: &'static str,
-        /// How many there are.
+        /// Number of samples.
         found: usize,
-        /// How many are needed.
+        /// Least number of samples.
         needed: usize,
     },
     /// All values of one side coincide, so that no alignment or correlation exists.
     Coincident {
-        /// Which side.
+        /// The side whose values coincide.
         what: &'static str,
     },
     /// Both sides vary but share no direction: their covariance is zero.

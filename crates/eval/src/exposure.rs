@@ -3,10 +3,10 @@
 use crate::EvalError;
 use serde::Serialize;
 
-/// How well log exposures `y = ln ê` follow the true `x = ln e`.
+/// Agreement of log exposures `y = ln ê` with the true `x = ln e`.
 ///
 /// One gain between exposures and radiance is not observable, so that a constant offset between
-/// `x` and `y` is no error and none of these numbers sees it.
+/// `x` and `y` is no error and affects none of these numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ExposureAgreement {
     /// Pearson correlation `σ_xy / (σ_x σ_y)`, in `[-1, 1]`.

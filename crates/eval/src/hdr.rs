@@ -20,7 +20,7 @@ pub const MU: f64 = 5000.0;
 /// Percentile of the true radiance that is called white.
 pub const WHITE_PERCENTILE: f64 = 99.0;
 
-/// What is not observable and removed before radiance is compared.
+/// Unobservable gain that is removed before radiance is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Gain {
@@ -45,7 +45,7 @@ pub struct HdrError {
     /// (Kalantari & Ramamoorthi 2017, eq. 4; division by the true picture's 99th percentile and
     /// tanh as in the NTIRE 2021 HDR challenge, Pérez-Pellitero et al. 2021).
     pub mu_law_psnr_db: f64,
-    /// What was called white: the 99th percentile of the true samples.
+    /// White level: the 99th percentile of the true samples.
     pub white: f64,
     /// Number of samples: pixels (inside the mask) times channels.
     pub samples: usize,

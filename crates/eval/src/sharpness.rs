@@ -58,7 +58,7 @@ fn grey(picture: &Image<f32>) -> Result<Vec<f64>, EvalError> {
     Ok((0..picture.pixels()).map(at).collect())
 }
 
-/// How sharp frames are told from the others.
+/// Rule that selects sharp frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SharpnessRule {
     /// The median is taken over so many frames before and behind, and the frame itself.

@@ -25,7 +25,7 @@ fn poses(path: &Path) -> Vec<StampedPose> {
         .collect()
 }
 
-/// The same numbers from this crate, under the same names.
+/// Numbers of this crate under the names of the golden file.
 fn judged(estimate: &[StampedPose], truth: &[StampedPose]) -> Result<Numbers, EvalError> {
     let mut table = Numbers::new();
     let mut put = |group: &str, values: &[(&str, f64)]| {

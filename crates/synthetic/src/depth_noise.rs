@@ -1,6 +1,6 @@
 //! Depth as a first-generation Kinect sees it.
 
-use crate::chance::{gaussian, stream};
+use crate::rng::{gaussian, stream};
 use i2slam_geometry::Image;
 
 /// The model, in order: half-pixel jitter of where depth is read (σ = ½ px, rounded); axial noise

@@ -1,4 +1,4 @@
-//! What can go wrong, in words a user can act on.
+//! Errors of synthesis and degradation.
 
 use i2slam_dataset::DatasetError;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub enum SyntheticError {
         key: String,
         /// Its value.
         value: String,
-        /// What is allowed.
+        /// The allowed values.
         expected: String,
     },
     /// A file or folder cannot be read.

@@ -8,7 +8,6 @@
 //! Both write the TUM layout, which `i2slam_dataset::Sequence` opens. Everything is the same
 //! bytes for the same seed and any number of threads. Formulas are in docs/synthetic.md.
 
-mod chance;
 mod degrade;
 mod depth_noise;
 mod error;
@@ -18,6 +17,7 @@ mod motion;
 mod render;
 mod response;
 mod rgb;
+mod rng;
 mod scene;
 mod sensor;
 mod spec;

@@ -1,6 +1,6 @@
 //! Hand-held motion as a function of time, at every instant.
 
-use crate::chance::{between, gaussian, stream};
+use crate::rng::{between, gaussian, stream};
 use crate::spec::Spec;
 use i2slam_compute::Random;
 use i2slam_geometry::{Mat3, Pose, Rotation, Vec3};

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// Nearest thing that a camera sees [m].
 const NEAR_PLANE: f32 = 0.02;
 
-/// What one frame's exposure looks like in time.
+/// Timing of one frame's exposure.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shutter {
     /// The frame's stamp: mid-exposure of the middle row [s].

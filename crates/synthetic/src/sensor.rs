@@ -1,11 +1,11 @@
 //! From radiance to the bytes of a picture: gains, noise, response.
 
-use crate::chance::{gaussian, stream};
 use crate::response::Response;
+use crate::rng::{gaussian, stream};
 use crate::spec::{NoiseSpec, WhiteBalanceSpec};
 use i2slam_geometry::Image;
 
-/// What a colour sensor does to a frame.
+/// Model of a colour sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
     /// Exposure `Δt = 2^EV`.

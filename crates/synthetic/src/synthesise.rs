@@ -15,10 +15,10 @@ use crate::write::{
 use i2slam_geometry::{Camera, Image, Pose};
 use std::path::Path;
 
-/// How far the work is.
+/// Stage of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// The room is built and lit.
+    /// Building and lighting the room.
     Lighting,
     /// So many sharp frames are done.
     Sharp(usize),
@@ -26,7 +26,7 @@ pub enum Stage {
     Blurred(usize),
 }
 
-/// What is known of a frame after the sharp pass.
+/// Ground truth of a frame after the sharp pass.
 struct FrameTruth {
     stamp: f64,
     exposure_value: f64,

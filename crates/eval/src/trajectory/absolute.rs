@@ -11,7 +11,7 @@ use serde::Serialize;
 /// `e_i = ‖c_i - (s R ĉ_i + t)‖` with estimate `ĉ`, truth `c` (Sturm et al. 2012).
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrajectoryError {
-    /// What was fitted.
+    /// The fitted transform.
     pub alignment: Alignment,
     /// `sqrt(1/n Σ e²)` [m]: the field's ATE.
     pub ate_rmse_m: f64,
@@ -27,7 +27,7 @@ pub struct TrajectoryError {
     pub pairs: usize,
     /// Scale that was multiplied onto the estimate; 1 for [`Alignment::Se3`].
     pub scale: f64,
-    /// What SplaTAM's evaluation prints under the name ATE RMSE [m]: the *mean* distance of the
+    /// The ATE RMSE of SplaTAM's evaluation script [m], which is the *mean* distance of the
     /// *world-to-camera translations*, `t_i = -R_iᵀ c_i`, after a rigid alignment (always without
     /// scale). These vectors depend on the origin of the world; as there, it is the first pose
     /// (here: of the first pair) in both trajectories. Not comparable with `ate_rmse_m`.

@@ -5,7 +5,7 @@ use crate::EvalError;
 use i2slam_geometry::{Mat3, Rotation, Similarity, Vec3};
 use serde::Serialize;
 
-/// What may be fitted before errors are measured.
+/// Transform that is fitted before errors are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Alignment {

@@ -1,4 +1,4 @@
-//! How good, and how dear, the methods of motion blur are.
+//! Quality and cost of the blur methods.
 //!
 //! ```sh
 //! cargo bench -p i2slam --bench blur             # all tables

@@ -1,5 +1,5 @@
-//! What a step with blur costs, in steps without: formation, loss and the way back to map, poses,
-//! exposure, white balance and response.
+//! Time of a step with blur over that of a step without: formation, loss and derivatives by map,
+//! poses, exposure, white balance and response.
 
 use super::Outcome;
 use super::fitted::Fitted;

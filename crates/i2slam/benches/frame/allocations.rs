@@ -1,4 +1,4 @@
-//! How much is allocated per step once all buffers have their size.
+//! Allocations per step once all buffers have their size.
 
 use super::Outcome;
 use super::counting::counted;

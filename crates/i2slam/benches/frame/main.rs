@@ -1,4 +1,4 @@
-//! What a frame costs: tracking and mapping by preset, and allocations in steady state.
+//! Cost of a frame: tracking and mapping by preset, and allocations in steady state.
 //!
 //! ```sh
 //! cargo bench -p i2slam --bench frame              # all tables

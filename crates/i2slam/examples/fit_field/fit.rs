@@ -1,6 +1,6 @@
 //! Training on true poses: random pixels of all frames, mean square error of pictures.
 
-use crate::Asked;
+use crate::Arguments;
 use crate::frames::Frames;
 use i2slam::geometry::Image;
 use i2slam::radiance::hashgrid::*;
@@ -23,7 +23,7 @@ const RATE: f32 = 1e-2;
 /// Least `exposure · radiance` of which a picture tells anything.
 const DARK: f32 = 1e-4;
 
-pub(crate) fn print(frames: &Frames, asked: &Asked) -> Result<(), Box<dyn Error>> {
+pub(crate) fn print(frames: &Frames, asked: &Arguments) -> Result<(), Box<dyn Error>> {
     let mut map = untrained(frames, asked)?;
     let mut trainer = Trainer::new(frames, &map, asked);
     let (mut times, mut samples) = (Vec::new(), 0);
@@ -51,7 +51,7 @@ pub(crate) fn print(frames: &Frames, asked: &Asked) -> Result<(), Box<dyn Error>
 }
 
 /// A field in the cube of all surfaces of the training frames, sampled around them.
-fn untrained(frames: &Frames, asked: &Asked) -> Result<HashGridMap, SettingsError> {
+fn untrained(frames: &Frames, asked: &Arguments) -> Result<HashGridMap, SettingsError> {
     let (mut low, mut high) = ([f64::MAX; 3], [f64::MIN; 3]);
     for &frame in &frames.training() {
         for (ray, depth) in rays_with_depth(frames, frame) {
@@ -95,7 +95,7 @@ fn formed(x: f32) -> (f32, f32) {
     (value, if x > DARK { value / (2.2 * kept * (1.0 + kept)) } else { 0.0 })
 }
 
-/// What a step needs.
+/// Inputs and state of the training steps.
 struct Trainer<'a> {
     frames: &'a Frames,
     training: Vec<usize>,
@@ -108,7 +108,7 @@ struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    fn new(frames: &'a Frames, map: &HashGridMap, asked: &Asked) -> Self {
+    fn new(frames: &'a Frames, map: &HashGridMap, asked: &Arguments) -> Self {
         Self {
             frames,
             training: frames.training(),

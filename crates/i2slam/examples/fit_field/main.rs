@@ -1,6 +1,6 @@
-//! How well a hash-grid field learns a sequence whose poses, exposures and sharp pictures are
-//! known, and how long a step takes; the counterpart of `docs/hashgrid/reference.py`, which does
-//! the same in PyTorch. Then both maps on the same pictures by a whole session.
+//! Trains a hash-grid field on a sequence with known poses, exposures and sharp pictures, and
+//! reports quality and time per step; the counterpart in PyTorch is `docs/hashgrid/reference.py`.
+//! Then runs whole sessions with both maps on the same pictures.
 //!
 //! ```sh
 //! cargo run --release -p i2slam --example fit_field -- DATA [--steps N] [--rays N] [--seed N]
@@ -18,8 +18,8 @@ mod sessions;
 use std::error::Error;
 use std::path::PathBuf;
 
-/// What the command line asks for.
-struct Asked {
+/// Arguments of the command line.
+struct Arguments {
     data: PathBuf,
     sessions: bool,
     steps: usize,
@@ -29,7 +29,7 @@ struct Asked {
     log2_table: u32,
 }
 
-impl Asked {
+impl Arguments {
     fn read(mut words: impl Iterator<Item = String>) -> Result<Self, Box<dyn Error>> {
         let data = words.next().ok_or("a sequence is asked for")?.into();
         let (steps, rays, seed, threads, log2_table) = (1000, 1024, 0, 1, 17);
@@ -54,7 +54,7 @@ impl Asked {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let asked = Asked::read(std::env::args().skip(1))?;
+    let asked = Arguments::read(std::env::args().skip(1))?;
     rayon::ThreadPoolBuilder::new().num_threads(asked.threads).build_global()?;
     let frames = frames::Frames::read(&asked.data)?;
     if asked.sessions { sessions::print(&frames, asked.seed) } else { fit::print(&frames, &asked) }

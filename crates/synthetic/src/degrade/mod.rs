@@ -2,10 +2,10 @@
 
 mod truth;
 
-use crate::chance::{gaussian, stream};
 use crate::depth_noise::KinectNoise;
 use crate::error::SyntheticError;
 use crate::response::Response;
+use crate::rng::{gaussian, stream};
 use crate::sensor::with_noise;
 use crate::spec::NoiseSpec;
 use crate::write::{DEPTH_SCALE, Folder, write_depth, write_picture};
@@ -29,7 +29,7 @@ pub struct ExposureStep {
     pub stops: f64,
 }
 
-/// What is done to a sequence. Frames are counted in the associated stream, nothing thinned.
+/// Degradations of a sequence. Frames are counted in the associated stream, before thinning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Degradation {
     /// Seed of noise and of dropped frames.
@@ -66,7 +66,7 @@ impl Default for Degradation {
     }
 }
 
-/// What became of a sequence.
+/// Summary of a degraded sequence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Degraded {
     /// Frames written.

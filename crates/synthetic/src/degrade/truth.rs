@@ -1,4 +1,4 @@
-//! What a sequence knows of itself, carried along.
+//! Ground truth of a sequence, copied to the degraded one.
 
 use super::Degradation;
 use crate::error::SyntheticError;

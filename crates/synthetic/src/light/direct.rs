@@ -1,7 +1,7 @@
 //! Light that arrives straight from lamps, windows and the sun.
 
-use crate::chance::{between32, stream};
 use crate::rgb::{Rgb, plus, scale};
+use crate::rng::{between32, stream};
 use crate::scene::{Emitter, Ray, Role, Scene, Vec3};
 use i2slam_compute::Random;
 

@@ -2,8 +2,8 @@
 
 use super::atlas::Atlas;
 use super::direct::across;
-use crate::chance::lattice;
 use crate::rgb::{Rgb, plus, scale, times};
+use crate::rng::lattice;
 use crate::scene::{Ray, Role, Scene, Vec3};
 
 /// Rays over the hemisphere.

@@ -4,7 +4,7 @@ use super::{Emitter, Role, Shape, Skin, Surface, Vec3};
 use crate::rgb::{Rgb, scale};
 use crate::texture::Texture;
 
-/// Where a thing stands: local x is right, local y goes away from who looks at it, z is up.
+/// Placement of an object: local x is right, local y points away from the viewer, z is up.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
     pub(super) origin: Vec3,
@@ -45,12 +45,12 @@ impl Skin {
         Self { texture, tint: [1.0; 3], tile: None, role: Role::Matt, radiance: 0.0 }
     }
 
-    /// The same with another tint.
+    /// This with another tint.
     pub(super) fn tinted(self, tint: Rgb) -> Self {
         Self { tint, ..self }
     }
 
-    /// Sends light.
+    /// This as a light source.
     pub(super) fn bright(self, role: Role, radiance: f32) -> Self {
         Self { role, radiance, ..self }
     }

@@ -161,7 +161,7 @@ fn sorted(a: f32, b: f32) -> (f32, f32) {
     if a < b { (a, b) } else { (b, a) }
 }
 
-/// Where the ray enters the node, if it does before `to`.
+/// Ray parameter at which the ray enters the node; `None` if not before `to`.
 #[inline]
 fn enters(node: &Node, ray: &Ray, inverse: Vec3, to: f32) -> Option<f32> {
     let (x0, x1) =
@@ -198,7 +198,7 @@ fn best_cut(items: &mut [Item]) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
-    use crate::chance::{between32, stream};
+    use crate::rng::{between32, stream};
     use crate::scene::{Ray, Vec3, furnished_room};
     use crate::spec::Spec;
 

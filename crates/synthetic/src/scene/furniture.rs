@@ -4,8 +4,8 @@ use super::builder::{Builder, Place};
 use super::library::{Library, small_colour};
 use super::objects;
 use super::{Role, Skin};
-use crate::chance::between32;
 use crate::rgb::{scale, srgb};
+use crate::rng::between32;
 use i2slam_compute::Random;
 
 /// A bookshelf of 1.0 x 0.3 x 1.95 m.

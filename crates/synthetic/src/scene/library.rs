@@ -2,8 +2,8 @@
 
 use super::Skin;
 use super::builder::Builder;
-use crate::chance::stream;
 use crate::rgb::{Rgb, scale, srgb};
+use crate::rng::stream;
 use crate::texture;
 use crate::texture::Texture;
 use i2slam_compute::Random;

@@ -18,12 +18,12 @@ pub(crate) use shape::{Hit, Ray, Shape};
 /// Points and directions in the world.
 pub(crate) type Vec3 = i2slam_geometry::Vec3<f32>;
 
-/// What part a surface takes in the light.
+/// Role of a surface in the light transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     /// Reflects (Lambert).
     Matt,
-    /// Sends light that is counted when light is gathered: glowing shades, displays.
+    /// Emits light that is found when light is gathered: glowing shades, displays.
     Glow,
     /// Sends light that is sampled as an [`Emitter`]: bulbs.
     Lamp,
@@ -31,10 +31,10 @@ pub(crate) enum Role {
     Pane,
 }
 
-/// How a picture lies on a surface.
+/// Texture mapping of a surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Skin {
-    /// Which texture.
+    /// Index of the texture.
     pub(crate) texture: usize,
     /// Factor on its colours.
     pub(crate) tint: Rgb,
@@ -52,7 +52,7 @@ pub(crate) struct Surface {
     pub(crate) skin: Skin,
     /// Repetitions of the texture over the surface.
     pub(crate) repeats: [f32; 2],
-    /// Where the surface starts in the texture [repetitions].
+    /// Texture coordinates of the surface's corner [repetitions].
     pub(crate) start: [f32; 2],
     /// Texels of level 0 a metre.
     pub(crate) texels_per_metre: f32,

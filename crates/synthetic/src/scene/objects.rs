@@ -3,8 +3,8 @@
 use super::builder::{Builder, Place};
 use super::library::{Library, small_colour};
 use super::{Role, Skin, Vec3};
-use crate::chance::between32;
 use crate::rgb::{scale, srgb};
+use crate::rng::between32;
 use i2slam_compute::Random;
 
 /// Books side by side from `x0` to at most `x1`, backs to the front; `depth` of the board, `room`

@@ -12,7 +12,7 @@ pub(crate) struct Ray {
     pub(crate) to: f32,
 }
 
-/// Where a ray met a surface first.
+/// First intersection of a ray.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hit {
     pub(crate) t: f32,
@@ -99,7 +99,7 @@ impl Shape {
         }
     }
 
-    /// Where the ray meets the shape between its ends, with `(s, t)`.
+    /// Ray parameter of the intersection, with surface coordinates `(s, t)`; `None` beyond `to`.
     #[inline]
     pub(crate) fn intersect(&self, ray: &Ray, to: f32) -> Option<(f32, [f32; 2])> {
         match self {

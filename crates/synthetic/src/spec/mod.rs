@@ -1,4 +1,4 @@
-//! What a sequence shall be: every field has a default, a range and a line of explanation.
+//! Specification of a sequence: every field has a default, a range and a line of explanation.
 
 mod section;
 mod sections;
@@ -34,7 +34,7 @@ pub struct Spec {
     pub noise: NoiseSpec,
     /// The depth sensor.
     pub depth: DepthSpec,
-    /// What is written.
+    /// Files that are written.
     pub output: OutputSpec,
 }
 

@@ -1,8 +1,8 @@
 //! Cloth: upholstery, rugs, curtains.
 
 use super::{Canvas, Texture};
-use crate::chance::{fractal, lattice};
 use crate::rgb::{Rgb, mix, scale};
+use crate::rng::{fractal, lattice};
 
 /// A plain weave of `threads` threads a side, brightness near 1.
 fn weave(u: f32, v: f32, threads: f32, seed: u32) -> f32 {

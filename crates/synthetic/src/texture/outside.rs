@@ -1,8 +1,8 @@
-//! What is seen through a window.
+//! The view through a window.
 
 use super::{Canvas, Texture};
-use crate::chance::{fractal, lattice};
 use crate::rgb::{mix, scale, srgb};
+use crate::rng::{fractal, lattice};
 
 /// Sky with clouds over houses and trees.
 pub(crate) fn outside(seed: u32) -> Texture {

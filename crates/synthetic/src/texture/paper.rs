@@ -2,8 +2,8 @@
 
 use super::canvas::invented_word;
 use super::{Canvas, Texture};
-use crate::chance::{between32, fractal, stream};
 use crate::rgb::{Rgb, mix, scale, srgb};
+use crate::rng::{between32, fractal, stream};
 use i2slam_compute::Random;
 
 /// Purpose number of the random streams of printed matter.

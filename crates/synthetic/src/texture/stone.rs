@@ -1,8 +1,8 @@
 //! Walls and hard things: plaster, brick, wallpaper, glaze.
 
 use super::{Canvas, Texture};
-use crate::chance::{fractal, lattice};
 use crate::rgb::{Rgb, mix, scale};
+use crate::rng::{fractal, lattice};
 
 /// Painted plaster: faint stains, roller marks, fine grain.
 pub(crate) fn plaster(base: Rgb, seed: u32) -> Texture {

@@ -1,8 +1,8 @@
 //! Wood: floors, furniture, doors.
 
 use super::{Canvas, Texture};
-use crate::chance::{fractal, lattice, value_noise};
 use crate::rgb::{Rgb, mix, scale};
+use crate::rng::{fractal, lattice, value_noise};
 
 /// Brightness of grain along `u`, near 1.
 fn grain(u: f32, v: f32, seed: u32) -> f32 {

@@ -14,7 +14,7 @@ fn pose(index: usize) -> Pose<f64> {
     Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
 }
 
-/// The same moved by up to a centimetre and half a degree.
+/// [`pose`] moved by up to a centimetre and half a degree.
 fn moved(index: usize) -> Pose<f64> {
     let errors = noise(60 + index as u64, 6);
     pose(index).retract(Tangent::from_array(std::array::from_fn(|i| 0.01 * errors[i])))
@@ -41,7 +41,7 @@ fn session(with_depth: bool) -> KeyframeSession {
     rolling_session(with_depth, 0.0)
 }
 
-/// The same with rows that are read within `readout` [s].
+/// A finished session with a readout of `readout` [s].
 fn rolling_session(with_depth: bool, readout: f64) -> KeyframeSession {
     let mut session = unfinished(with_depth, readout);
     session.finish(&mut |_, _| true);
