@@ -64,7 +64,7 @@ struct RadianceStack {
 }
 
 impl PictureRenderer<'_> {
-    /// Renders and metrics all frames; after an interrupt, those of the report only.
+    /// Renders and measures all frames; after an interrupt, those of the report only.
     pub(crate) fn render(&self, folder: &ResultFolder, progress: &Progress) -> RenderedPictures {
         let frames = &self.reconstruction.frames;
         let shown = frames_to_show(frames, REPORT_FRAMES);

@@ -27,7 +27,7 @@ pub(super) struct RunFrame {
 }
 
 impl Estimate {
-    pub(super) fn find(path: &Path) -> Result<Self, Failure> {
+    pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         if !path.exists() {
             return Err(failed(path, "no such file or folder"));
         }
@@ -38,7 +38,7 @@ impl Estimate {
             return Ok(Self::Result(path.to_owned()));
         }
         for extension in ["png", "exr"] {
-            if !pictures(path, extension)?.is_empty() {
+            if !picture_files(path, extension)?.is_empty() {
                 return Ok(Self::Pictures(path.to_owned()));
             }
         }
@@ -68,13 +68,13 @@ impl Estimate {
     }
 
     /// Rendered pictures of one kind by frame; the pictures themselves of a folder of pictures.
-    pub(super) fn renders(&self, kind: &str, extension: &str) -> Result<Pictures, Failure> {
+    pub(super) fn renders(&self, kind: &str, extension: &str) -> Result<PictureFiles, Failure> {
         let folder = match self {
             Self::Result(folder) => folder.join("renders").join(kind),
             Self::Pictures(folder) => folder.clone(),
-            Self::Trajectory(_) => return Ok(Pictures::new()),
+            Self::Trajectory(_) => return Ok(PictureFiles::new()),
         };
-        if folder.is_dir() { pictures(&folder, extension) } else { Ok(Pictures::new()) }
+        if folder.is_dir() { picture_files(&folder, extension) } else { Ok(PictureFiles::new()) }
     }
 
     /// Rows of `frames.csv`, if there is one.
@@ -113,10 +113,10 @@ fn unsuitable(path: &Path) -> String {
 }
 
 /// Picture files by frame number: their names, or their positions if not all names are numbers.
-pub(super) type Pictures = BTreeMap<usize, PathBuf>;
+pub(super) type PictureFiles = BTreeMap<usize, PathBuf>;
 
 /// Lists the pictures with this extension in a folder.
-pub(super) fn pictures(folder: &Path, extension: &str) -> Result<Pictures, Failure> {
+pub(super) fn picture_files(folder: &Path, extension: &str) -> Result<PictureFiles, Failure> {
     let entries = std::fs::read_dir(folder).map_err(|e| failed(folder, e))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     let alike =

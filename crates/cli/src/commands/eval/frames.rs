@@ -1,6 +1,6 @@
 //! Selection of the evaluated frames: by protocol, by a list, or by sharpness.
 
-use super::estimate::{Estimate, Pictures, RunFrame, pictures};
+use super::estimate::{Estimate, PictureFiles, RunFrame, picture_files};
 use super::reference::Reference;
 use super::{Eval, Protocol};
 use crate::failure::{Failure, failed};
@@ -78,9 +78,9 @@ fn named_frames(
         Protocol::AllFrames | Protocol::I2slam => {
             list(arguments).as_deref().map(listed).transpose()?
         }
-        Protocol::Splatam => Some(splatam(required_frames(run)?, arguments.every as usize)),
-        Protocol::Monogs => Some(monogs(required_frames(run)?)),
-        Protocol::HeldOut => Some(held_out(required_frames(run)?)?),
+        Protocol::Splatam => Some(splatam_frames(required_frames(run)?, arguments.every as usize)),
+        Protocol::Monogs => Some(monogs_frames(required_frames(run)?)),
+        Protocol::HeldOut => Some(held_out_frames(required_frames(run)?)?),
     };
     Ok(frames)
 }
@@ -99,20 +99,20 @@ fn required_frames(run: Option<&[RunFrame]>) -> Result<&[RunFrame], Failure> {
 }
 
 /// The first and every n-th frame, as SplaTAM: positions 0, n - 1, 2n - 1, …
-fn splatam(run: &[RunFrame], every: usize) -> Vec<usize> {
+fn splatam_frames(run: &[RunFrame], every: usize) -> Vec<usize> {
     let selected = |place: &usize| *place == 0 || (place + 1).is_multiple_of(every);
     (0..run.len()).filter(selected).map(|place| run[place].index).collect()
 }
 
 /// Positions 0, 5, 10, … without the last frame and keyframes, as MonoGS.
-fn monogs(run: &[RunFrame]) -> Vec<usize> {
+fn monogs_frames(run: &[RunFrame]) -> Vec<usize> {
     let end = run.len().saturating_sub(1);
     let frames = run[..end].iter().step_by(MONOGS_INTERVAL).filter(|frame| !frame.keyframe);
     frames.map(|frame| frame.index).collect()
 }
 
 /// Frames that the map never saw.
-fn held_out(run: &[RunFrame]) -> Result<Vec<usize>, Failure> {
+fn held_out_frames(run: &[RunFrame]) -> Result<Vec<usize>, Failure> {
     let frames: Vec<usize> = run.iter().filter(|f| f.held_out).map(|f| f.index).collect();
     if frames.is_empty() {
         let message = "this run held no frame out, its map has seen them all: run it again with \
@@ -148,7 +148,7 @@ fn within_run(frames: &[usize], run: Option<&[RunFrame]>) -> Vec<usize> {
     frames.iter().copied().filter(processed).collect()
 }
 
-fn split(selected: Vec<usize>, renders: &Pictures) -> FrameSelection {
+fn split(selected: Vec<usize>, renders: &PictureFiles) -> FrameSelection {
     let (mut frames, mut missing) = (Vec::new(), Vec::new());
     for frame in selected {
         match renders.get(&frame) {
@@ -164,7 +164,7 @@ fn check_missing(
     arguments: &Eval,
     estimate: &Estimate,
     reference: &Reference,
-    renders: &Pictures,
+    renders: &PictureFiles,
     chosen: &FrameSelection,
 ) -> Result<(), Failure> {
     let path = arguments.estimate.display();
@@ -246,7 +246,7 @@ pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(
         return Err(failed(video, reason));
     }
     refuse_to_replace(file, overwrite)?;
-    let files = pictures(video, "png")?;
+    let files = picture_files(video, "png")?;
     let (count, frames) = if files.is_empty() {
         let sequence = Sequence::open(video, &OpenOptions::default())?;
         (sequence.len(), sharp_in_sequence(&sequence)?)
@@ -323,23 +323,23 @@ mod tests {
 
     #[test]
     fn splatam_evaluates_the_first_and_every_nth() {
-        assert_eq!(splatam(&run(&[]), 5), [100, 104, 109, 114]);
-        assert_eq!(splatam(&run(&[]), 500), [100]);
+        assert_eq!(splatam_frames(&run(&[]), 5), [100, 104, 109, 114]);
+        assert_eq!(splatam_frames(&run(&[]), 500), [100]);
     }
 
     #[test]
     fn monogs_evaluates_every_fifth_that_is_no_keyframe_nor_the_last() {
-        assert_eq!(monogs(&run(&[0, 10])), [105]);
-        assert_eq!(monogs(&run(&[])), [100, 105, 110]);
-        assert!(monogs(&[]).is_empty());
+        assert_eq!(monogs_frames(&run(&[0, 10])), [105]);
+        assert_eq!(monogs_frames(&run(&[])), [100, 105, 110]);
+        assert!(monogs_frames(&[]).is_empty());
     }
 
     #[test]
     fn held_out_frames_are_those_of_the_run() {
         let mut frames = run(&[]);
-        let message = held_out(&frames).expect_err("all were mapped");
+        let message = held_out_frames(&frames).expect_err("all were mapped");
         assert!(message.message().is_some_and(|m| m.contains("--hold-out")));
         frames[6].held_out = true;
-        assert_eq!(held_out(&frames).ok(), Some(vec![106]));
+        assert_eq!(held_out_frames(&frames).ok(), Some(vec![106]));
     }
 }

@@ -121,7 +121,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
         let message = "--list goes with the protocols all-frames and i2slam";
         return Err(Failure::Usage(message.to_owned()));
     }
-    let estimate = Estimate::find(&arguments.estimate)?;
+    let estimate = Estimate::open(&arguments.estimate)?;
     let evaluation = evaluate(arguments, &estimate)?;
     if arguments.json {
         print_json(&evaluation.json()?)?;
@@ -141,8 +141,9 @@ fn evaluate(arguments: &Eval, estimate: &Estimate) -> Result<Evaluation, Failure
     if arguments.optimise_poses {
         pose_optimization::check(arguments, estimate)?;
     }
-    let reference = reference(arguments, estimate)?;
-    let mut evaluation = Evaluation { protocol: name(arguments.protocol), ..Default::default() };
+    let reference = find_reference(arguments, estimate)?;
+    let mut evaluation =
+        Evaluation { protocol: protocol_name(arguments.protocol), ..Default::default() };
     evaluation.foreign = reference::foreign_ground_truth(arguments, estimate, reference.as_ref())?;
     evaluate_trajectory(arguments, estimate, reference.as_ref(), &mut evaluation)?;
     let Some(reference) = &reference else {
@@ -239,7 +240,7 @@ fn evaluate_pictures(
 
 /// The given reference, else the dataset that the result names; none if only `--groundtruth` is
 /// given.
-fn reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Reference>, Failure> {
+fn find_reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Reference>, Failure> {
     match (&arguments.reference, estimate) {
         (Some(_), Estimate::Trajectory(_)) => {
             let message = "--reference needs a result folder or pictures, not a trajectory";
@@ -256,7 +257,7 @@ fn reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Reference>,
 }
 
 /// Name on the command line.
-fn name(protocol: Protocol) -> &'static str {
+fn protocol_name(protocol: Protocol) -> &'static str {
     match protocol {
         Protocol::AllFrames => "all-frames",
         Protocol::I2slam => "i2slam",

@@ -1,7 +1,7 @@
 //! Ground truth of an evaluation: a folder of pictures or a dataset, and its checksums.
 
 use super::Eval;
-use super::estimate::{Estimate, Pictures, pictures};
+use super::estimate::{Estimate, PictureFiles, picture_files};
 use crate::failure::{Failure, failed};
 use crate::ground_truth::GroundTruth;
 use crate::image_files::read_png;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Ground truth of an evaluation.
 pub(super) enum Reference {
     /// PNG and EXR files by frame.
-    Folder { path: PathBuf, colour: Pictures, radiance: Pictures },
+    Folder { path: PathBuf, colour: PictureFiles, radiance: PictureFiles },
     /// A dataset with its ground truth.
     Dataset { path: PathBuf, sequence: Box<Sequence>, truth: Box<GroundTruth> },
 }
@@ -37,7 +37,7 @@ impl Reference {
         if !path.is_dir() {
             return Err(failed(path, "no such file or folder"));
         }
-        let (colour, radiance) = (pictures(path, "png")?, pictures(path, "exr")?);
+        let (colour, radiance) = (picture_files(path, "png")?, picture_files(path, "exr")?);
         if path.join("rgb.txt").is_file() || (colour.is_empty() && radiance.is_empty()) {
             return Self::dataset(path, estimate);
         }
@@ -190,14 +190,14 @@ pub(super) fn trajectory_source(
         let numbers = [pose.timestamp, t.x, t.y, t.z, q.w, q.v.x, q.v.y, q.v.z];
         numbers.iter().for_each(|number| sum.update(&number.to_le_bytes()));
     }
-    Some(source(path, truth.len(), sum.finalize()))
+    Some(truth_source(path, truth.len(), sum.finalize()))
 }
 
 /// Source of the true pictures, with the checksum of all evaluated ones.
 pub(super) fn picture_source(reference: &Reference, checksums: &[u32]) -> GroundTruthSource {
     let mut sum = crc32fast::Hasher::new();
     checksums.iter().for_each(|one| sum.update(&one.to_le_bytes()));
-    source(reference.path(), checksums.len(), sum.finalize())
+    truth_source(reference.path(), checksums.len(), sum.finalize())
 }
 
 /// CRC-32 of a picture's values.
@@ -210,7 +210,7 @@ pub(super) fn checksum(picture: &Image<f32>) -> u32 {
     sum.finalize()
 }
 
-fn source(path: &Path, count: usize, crc32: u32) -> GroundTruthSource {
+fn truth_source(path: &Path, count: usize, crc32: u32) -> GroundTruthSource {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     GroundTruthSource { path, count, crc32: format!("{crc32:08x}") }
 }

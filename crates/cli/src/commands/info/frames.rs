@@ -164,7 +164,7 @@ impl FrameStats {
             valid_share: valid.len() as f64 / frame.depth.data.len() as f64,
             depths: valid.iter().copied().step_by(valid.len() / DEPTHS + 1).collect(),
             brightness: mean(&|v| v),
-            linear: mean(&linear),
+            linear: mean(&srgb_to_linear),
             white_share: share(&|v| v >= WHITE),
             black_share: share(&|v| v <= BLACK),
             sharpness: laplacian_variance(&frame.colour)? * 255.0 * 255.0,
@@ -174,7 +174,7 @@ impl FrameStats {
 }
 
 /// Linear light of an sRGB value (IEC 61966-2-1).
-fn linear(v: f64) -> f64 {
+fn srgb_to_linear(v: f64) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
@@ -199,7 +199,7 @@ impl BrightnessStats {
     fn new(stats: &[FrameStats]) -> Result<Self, Failure> {
         let grey: Vec<f64> = stats.iter().map(|frame| frame.brightness).collect();
         // Black frames (a covered lens) have no brightness in stops: half a level stands for them.
-        let stops = |frame: &FrameStats| frame.linear.max(linear(0.5 / 255.0)).log2();
+        let stops = |frame: &FrameStats| frame.linear.max(srgb_to_linear(0.5 / 255.0)).log2();
         let stops: Vec<f64> = stats.iter().map(stops).collect();
         let steps = stops.windows(2).map(|pair| (pair[1] - pair[0]).abs());
         let mean =
