@@ -198,57 +198,79 @@ pub(crate) fn read_frames(
 }
 
 fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<FrameEstimate, String> {
-    let cells: Vec<&str> = row.split(',').collect();
-    if cells.len() != FRAME_COLUMNS.len() {
-        return Err(format!("{} columns, expected {}", cells.len(), FRAME_COLUMNS.len()));
+    let row = Row(row.split(',').collect());
+    if row.0.len() != FRAME_COLUMNS.len() {
+        return Err(format!("{} columns, expected {}", row.0.len(), FRAME_COLUMNS.len()));
     }
-    let log = |column: usize| cell::<f64>(&cells, column).map(|gain| gain.ln() as f32);
-    let response = cell(&cells, 15)?;
+    let log = |column: &str| row.value::<f64>(column).map(|gain| gain.ln() as f32);
+    let response = row.value("response")?;
     if response >= responses {
         return Err(format!("camera response {response} is not in state.json"));
     }
-    let mut depth_offset = [0.0; 6];
-    for (i, value) in depth_offset.iter_mut().enumerate() {
-        *value = cell(&cells, 16 + i)?;
-    }
+    let depth_offset = [
+        row.value("depth_lead_x")?,
+        row.value("depth_lead_y")?,
+        row.value("depth_lead_z")?,
+        row.value("depth_lead_rx")?,
+        row.value("depth_lead_ry")?,
+        row.value("depth_lead_rz")?,
+    ];
     Ok(FrameEstimate {
-        index: cell(&cells, 0)?,
-        timestamp: cell(&cells, 1)?,
+        index: row.value("index")?,
+        timestamp: row.value("timestamp")?,
         shutter,
-        readout: cell(&cells, 23)?,
+        readout: row.value("readout_exposures")?,
         depth_offset: Tangent::from_array(depth_offset),
-        tone: FrameTone::from_array([log(2)?, log(3)?, log(4)?, log(5)?]),
+        tone: FrameTone::from_array([
+            log("exposure")?,
+            log("white_balance_r")?,
+            log("white_balance_g")?,
+            log("white_balance_b")?,
+        ]),
         response,
-        keyframe: cell::<u8>(&cells, 13)? != 0,
-        held_out: cell::<u8>(&cells, 22)? != 0,
-        tracked: cell::<u8>(&cells, 14)? != 0,
+        keyframe: row.flag("keyframe")?,
+        held_out: row.flag("held_out")?,
+        tracked: row.flag("tracked")?,
         losses: Losses {
-            image: cell(&cells, 6)?,
-            depth: cell(&cells, 7)?,
-            trajectory: cell(&cells, 8)?,
+            image: row.value("loss_image")?,
+            depth: row.value("loss_depth")?,
+            trajectory: row.value("loss_trajectory")?,
         },
         convergence: Convergence {
-            converged: cell::<u8>(&cells, 24)? != 0,
-            iterations: cell(&cells, 25)?,
-            position_deviation: optional(&cells, 26)?,
-            rotation_deviation: optional(&cells, 27)?.map(f64::to_radians),
+            converged: row.flag("converged")?,
+            iterations: row.value("iterations")?,
+            position_deviation: row.optional("position_deviation_m")?,
+            rotation_deviation: row.optional("rotation_deviation_deg")?.map(f64::to_radians),
         },
-        blur_length: cell(&cells, 9)?,
-        tracking_seconds: cell(&cells, 10)?,
-        mapping_seconds: cell(&cells, 11)?,
-        gaussians: cell(&cells, 12)?,
+        blur_length: row.value("blur_length_px")?,
+        tracking_seconds: row.value("tracking_seconds")?,
+        mapping_seconds: row.value("mapping_seconds")?,
+        gaussians: row.value("gaussians")?,
     })
 }
 
-fn cell<T: FromStr>(cells: &[&str], column: usize) -> Result<T, String> {
-    let text = cells[column];
-    let wrong = |_| format!("`{text}` is no value of {}", FRAME_COLUMNS[column]);
-    text.parse().map_err(wrong)
-}
+/// The cells of a row of `frames.csv`, read by the names of [`FRAME_COLUMNS`].
+struct Row<'a>(Vec<&'a str>);
 
-/// A number; `None` of an empty cell.
-fn optional(cells: &[&str], column: usize) -> Result<Option<f64>, String> {
-    if cells[column].is_empty() { Ok(None) } else { cell(cells, column).map(Some) }
+impl Row<'_> {
+    fn text(&self, column: &str) -> &str {
+        let place = FRAME_COLUMNS.iter().position(|name| *name == column);
+        place.and_then(|place| self.0.get(place)).copied().unwrap_or_default()
+    }
+
+    fn value<T: FromStr>(&self, column: &str) -> Result<T, String> {
+        let text = self.text(column);
+        text.parse().map_err(|_| format!("`{text}` is no value of {column}"))
+    }
+
+    fn flag(&self, column: &str) -> Result<bool, String> {
+        self.value::<u8>(column).map(|value| value != 0)
+    }
+
+    /// A number; `None` of an empty cell.
+    fn optional(&self, column: &str) -> Result<Option<f64>, String> {
+        if self.text(column).is_empty() { Ok(None) } else { self.value(column).map(Some) }
+    }
 }
 
 fn shutters(path: &Path) -> Result<Vec<ShutterPoses<f64>>, ResultError> {
