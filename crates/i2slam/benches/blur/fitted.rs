@@ -49,7 +49,7 @@ impl Fitted {
         self.scene.viewer().depth(pose)
     }
 
-    /// Sampling of a blur of `length` px by `method`, with the default preset.
+    /// Sampling of a blur of `length` px by the default preset, by `method`.
     pub(crate) fn sampling(&self, length: f64, method: BlurMethod) -> Sampling {
         Sampling::with_method(method, &self.scene.config.formation, length, 0.0)
     }

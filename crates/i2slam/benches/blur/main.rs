@@ -1,4 +1,4 @@
-//! Quality and cost of the blur methods.
+//! Accuracy and cost of the methods of motion blur.
 //!
 //! ```sh
 //! cargo bench -p i2slam --bench blur             # all tables
@@ -6,14 +6,21 @@
 //! ```
 //!
 //! Tables are lines of comma-separated values under a line `# name`; `docs/performance.py` writes
-//! them into `docs/performance.md`. `truth` wants the path-traced sequences in `../shared/data`.
+//! them into `docs/performance.md`. `truth` needs the path-traced sequences in `../shared/data`.
 
 mod fitted;
-mod quality;
-mod steps;
-mod truth;
 
+use fitted::{Fitted, psnr};
+use i2slam::formation::{ShutterPoses, ShutterTangent};
+use i2slam::geometry::{Pose, Rotation, Vec3};
+use i2slam::objective::{
+    BlurMethod, Exposure, FrameVariables, Observation, Sampling, Tone, blur_length,
+};
+use i2slam::radiance::gaussian::MapGradient;
+use i2slam_check::processor_seconds;
 use std::error::Error;
+use std::path::PathBuf;
+use std::time::Instant;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
@@ -21,7 +28,7 @@ type Outcome = Result<(), Box<dyn Error>>;
 type Table = (&'static str, fn() -> Outcome);
 
 const TABLES: [Table; 3] =
-    [("quality", quality::print), ("truth", truth::print), ("steps", steps::print)];
+    [("quality", print_quality), ("truth", print_truth), ("steps", print_steps)];
 
 fn main() -> Outcome {
     let asked: Vec<_> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
@@ -30,6 +37,205 @@ fn main() -> Outcome {
             println!("# {name}");
             print()?;
         }
+    }
+    Ok(())
+}
+
+const LENGTHS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0];
+
+/// Directions of motion, tangents (ρ, φ) of any length.
+const MOTIONS: [(&str, [f64; 6]); 3] = [
+    ("rotation", [0.0, 0.0, 0.0, 0.6, 0.8, 0.5]),
+    ("translation", [0.8, -0.6, 0.2, 0.0, 0.0, 0.0]),
+    ("both", [0.6, 0.0, 0.3, 0.25, -0.1, 0.15]),
+];
+
+/// Views of the exact exposure.
+const EXACT_VIEWS: usize = 32;
+
+/// Frames at whose poses the exposures are centred.
+const FRAME_INDICES: [usize; 3] = [6, 15, 24];
+
+/// Each method against an exact exposure of 32 views, on a map of the demo clip: mean PSNR [dB] over
+/// the frames, and the least for the method `image`.
+fn print_quality() -> Outcome {
+    let mut fitted = Fitted::demo()?;
+    println!("motion,blur_px,views,margin_px,sharp,exact,image,image_least,image_without_margin");
+    for (name, direction) in MOTIONS {
+        for length in LENGTHS {
+            let sampling = fitted.sampling(length, BlurMethod::Reprojected);
+            let mut sums = [0.0; 4];
+            let mut least = f64::MAX;
+            for index in FRAME_INDICES {
+                let values = compare_with_exact(&mut fitted, index, direction, length);
+                (0..4).for_each(|k| sums[k] += values[k] / FRAME_INDICES.len() as f64);
+                least = least.min(values[2]);
+            }
+            let [sharp, exact, image, without] = sums;
+            println!(
+                "{name},{length},{},{},{sharp:.1},{exact:.1},{image:.1},{least:.1},\
+                 {without:.1}",
+                sampling.virtual_cameras, sampling.margin
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Sharp, exact, image and image without a margin, against the exact exposure.
+fn compare_with_exact(
+    fitted: &mut Fitted,
+    index: usize,
+    direction: [f64; 6],
+    length: f64,
+) -> [f64; 4] {
+    let frame = fitted.scene.frames[index].clone();
+    let depth = fitted.depth(frame.middle());
+    let shutter = fitted.exposure(frame.middle(), &depth, direction, length);
+    let sampling = |method| fitted.sampling(length, method);
+    let image = sampling(BlurMethod::Reprojected);
+    let methods = [
+        Sampling::SINGLE_CAMERA,
+        sampling(BlurMethod::Exact),
+        image,
+        Sampling { margin: 0, ..image },
+    ];
+    let exact = Sampling { virtual_cameras: EXACT_VIEWS, ..sampling(BlurMethod::Exact) };
+    let reference = fitted.predict(&frame, shutter, exact);
+    methods.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &reference))
+}
+
+const SEQUENCES: [&str; 2] = ["classroom", "dining-room"];
+
+/// Frames that the map is built from.
+const MAPPED_FRAMES: usize = 80;
+
+/// Edges of the classes of blur length [px].
+const EDGES: [f64; 6] = [0.0, 0.5, 1.0, 2.0, 4.0, f64::INFINITY];
+
+/// Each method against the true blur of a path tracer along the camera's true motion: mean PSNR [dB]
+/// by class of blur length, limited by the error of the map.
+fn print_truth() -> Outcome {
+    let data = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+    println!("sequence,blur_from_px,blur_to_px,frames,sharp,exact,image,exact_32");
+    for name in SEQUENCES {
+        let folder = PathBuf::from(data).join(name);
+        if !folder.is_dir() {
+            eprintln!("truth: {} is not there, left out", folder.display());
+            continue;
+        }
+        let mut fitted = Fitted::new(&folder, MAPPED_FRAMES)?;
+        let exposures =
+            exposures(&std::fs::read_to_string(folder.join("groundtruth_shutter.txt"))?)?;
+        let values: Vec<_> = (0..fitted.frames.len())
+            .map(|i| compare_with_taken(&mut fitted, i, &exposures))
+            .collect();
+        for edges in EDGES.windows(2) {
+            let inside = |(length, _): &&(f64, [f64; 4])| (edges[0]..edges[1]).contains(length);
+            let class: Vec<_> = values.iter().filter(inside).map(|(_, psnr)| psnr).collect();
+            if class.is_empty() {
+                continue;
+            }
+            let mean = |k: usize| class.iter().map(|v| v[k]).sum::<f64>() / class.len() as f64;
+            let means: Vec<_> = (0..4).map(|k| format!("{:.2}", mean(k))).collect();
+            println!("{name},{},{},{},{}", edges[0], edges[1], class.len(), means.join(","));
+        }
+    }
+    Ok(())
+}
+
+/// The blur of a frame [px], and how close sharp, exact, image and 32 exact views come.
+fn compare_with_taken(
+    fitted: &mut Fitted,
+    index: usize,
+    exposures: &[ShutterPoses<f64>],
+) -> (f64, [f64; 4]) {
+    let frame = fitted.scene.frames[index].clone();
+    let shutter = exposures[index];
+    let length = blur_length(&fitted.scene.camera, &shutter, &fitted.frames[index].depth);
+    let taken = fitted.frames[index].colour.clone();
+    let methods = [
+        Sampling::SINGLE_CAMERA,
+        fitted.sampling(length, BlurMethod::Exact),
+        fitted.sampling(length, BlurMethod::Reprojected),
+        Sampling { virtual_cameras: 32, ..fitted.sampling(length, BlurMethod::Exact) },
+    ];
+    (length, methods.map(|sampling| psnr(&fitted.predict(&frame, shutter, sampling), &taken)))
+}
+
+/// Poses at shutter open and close from lines of a time and twice `t q` (x, y, z, w), in the frame
+/// of the first camera at mid-exposure.
+fn exposures(text: &str) -> Result<Vec<ShutterPoses<f64>>, Box<dyn Error>> {
+    let mut all = Vec::new();
+    for line in text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty()) {
+        let numbers = line.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
+        let pose = |n: &[f64]| {
+            let rotation = Rotation::from_wxyz(n[6], n[3], n[4], n[5])?;
+            Some(Pose::new(rotation, Vec3::new(n[0], n[1], n[2])))
+        };
+        let [start, end] = [numbers.get(1..8), numbers.get(8..15)].map(|n| n.and_then(pose));
+        let (Some(start), Some(end)) = (start, end) else { return Err("not two poses".into()) };
+        all.push(ShutterPoses { start, end });
+    }
+    let first = all.first().ok_or("no poses")?.middle().inverse();
+    all.iter_mut().for_each(|s| (s.start, s.end) = (first * s.start, first * s.end));
+    Ok(all)
+}
+
+/// Blur length of the timed steps [px], and virtual cameras of the methods with several.
+const STEP_BLUR: f64 = 10.0;
+const STEP_VIEWS: usize = 5;
+const ROUNDS: usize = 60;
+
+/// Time of a mapping step with blur (formation, loss and all derivatives) relative to one without:
+/// fastest and mean processor time. Methods take turns, so that a busy machine slows all of them.
+fn print_steps() -> Outcome {
+    let mut fitted = Fitted::demo()?;
+    let frame = fitted.scene.frames[15].clone();
+    let depth = fitted.depth(frame.middle());
+    let direction = [0.6, 0.0, 0.3, 0.25, -0.1, 0.15];
+    let blurred = fitted.exposure(frame.middle(), &depth, direction, STEP_BLUR);
+    let source = &fitted.frames[15];
+    let observation = Observation::new(source.colour.clone(), source.depth.clone());
+    let with =
+        |method| Sampling { virtual_cameras: STEP_VIEWS, ..fitted.sampling(STEP_BLUR, method) };
+    let image = with(BlurMethod::Reprojected);
+    let cases = [
+        ("sharp", ShutterPoses::still(frame.middle()), Sampling::SINGLE_CAMERA),
+        ("image", blurred, image),
+        ("image with 7 views", blurred, Sampling { virtual_cameras: 7, ..image }),
+        ("image without a margin", blurred, Sampling { margin: 0, ..image }),
+        ("exact", blurred, with(BlurMethod::Exact)),
+    ];
+    let curve = fitted.scene.responses[frame.response].curve();
+    let mut gradient = MapGradient::new(fitted.map.len());
+    let (mut best, mut busy) = ([f64::MAX; 5], [0.0; 5]);
+    for _ in 0..ROUNDS {
+        for (k, (_, shutter, sampling)) in cases.iter().enumerate() {
+            let exposure =
+                Exposure { shutter: *shutter, sampling: *sampling, readout: 0.0, depth_pose: None };
+            let tone = Some(Tone { frame: frame.tone, curve: &curve });
+            let (clock, before) = (Instant::now(), processor_seconds());
+            let (map, variables) = (&fitted.map, FrameVariables { exposure, tone });
+            let evaluation =
+                fitted.objective.map(map, &observation, &variables, 0.2, (0.5, 1.0), &mut gradient);
+            let seconds = clock.elapsed().as_secs_f64();
+            assert!(k == 0 || evaluation.shutter != ShutterTangent::zero(), "no gradient");
+            best[k] = best[k].min(seconds);
+            busy[k] += processor_seconds() - before;
+        }
+    }
+    println!("method,ms,sharp_steps,processor_ms,processor_sharp_steps");
+    for (k, (name, ..)) in cases.iter().enumerate() {
+        let processor = busy[k] / ROUNDS as f64;
+        println!(
+            "{name},{:.2},{:.2},{:.2},{:.2}",
+            best[k] * 1e3,
+            best[k] / best[0],
+            processor * 1e3,
+            busy[k] / busy[0]
+        );
+        println!("time,steps/{name},{:.6e}", best[k]);
     }
     Ok(())
 }

@@ -5,22 +5,27 @@
 //! cargo bench -p i2slam --bench frame -- presets   # one of: frame, presets, allocations
 //! ```
 
-mod allocations;
 mod counting;
-mod presets;
 
+use counting::counted;
+use i2slam::dataset::{Frame, OpenOptions, Sequence};
+use i2slam::formation::ShutterPoses;
+use i2slam::geometry::{Camera, Tangent};
+use i2slam::objective::{
+    BlurMethod, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
+};
+use i2slam::radiance::gaussian::{MapGradient, RasterSettings};
+use i2slam::{Config, FrameEstimate, Map, Session};
 use std::error::Error;
+use std::path::Path;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
 /// A table's name and what prints it.
 type Table = (&'static str, fn() -> Outcome);
 
-const TABLES: [Table; 3] = [
-    ("frame", presets::print_frame),
-    ("presets", presets::print),
-    ("allocations", allocations::print),
-];
+const TABLES: [Table; 3] =
+    [("frame", print_frame), ("presets", print_presets), ("allocations", print_allocations)];
 
 fn main() -> Outcome {
     let asked: Vec<_> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
@@ -29,6 +34,132 @@ fn main() -> Outcome {
             println!("# {name}");
             print()?;
         }
+    }
+    Ok(())
+}
+
+/// Frames in memory, and what a session needs to know of them.
+struct Clip {
+    frames: Vec<Frame>,
+    camera: Camera<f64>,
+    frame_rate: f64,
+}
+
+impl Clip {
+    /// The first `count` frames of the clip inside the program, resized by `scale`.
+    fn demo(count: usize, scale: f64) -> Result<Self, Box<dyn Error>> {
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo"));
+        let sequence = Sequence::open(folder, &OpenOptions { scale, ..OpenOptions::default() })?;
+        let frames = sequence.stream().take(count).collect::<Result<_, _>>()?;
+        Ok(Self { frames, camera: sequence.camera, frame_rate: sequence.frame_rate })
+    }
+
+    fn run(&self, preset: &str) -> Result<Vec<FrameEstimate>, Box<dyn Error>> {
+        let mut session = Session::new(Config::preset(preset)?, self.camera, self.frame_rate);
+        for frame in &self.frames {
+            session.process(frame)?;
+        }
+        Ok(session.frames().to_vec())
+    }
+}
+
+/// The fastest and the median of the frames after the first, which starts the map [s].
+fn times(frames: &[FrameEstimate], of: impl Fn(&FrameEstimate) -> f64) -> (f64, f64) {
+    let mut seconds: Vec<_> = frames.iter().skip(1).map(of).collect();
+    seconds.sort_by(f64::total_cmp);
+    (seconds[0], seconds[seconds.len() / 2])
+}
+
+/// Tracking and mapping of one frame by the default preset, at the clip's own size.
+fn print_frame() -> Outcome {
+    let clip = Clip::demo(16, 1.0)?;
+    let frames = clip.run("default")?;
+    println!("part,width,height,fastest_ms,median_ms");
+    for mapping in [false, true] {
+        let name = if mapping { "mapping" } else { "tracking" };
+        let of = |f: &FrameEstimate| if mapping { f.mapping_seconds } else { f.tracking_seconds };
+        let (fastest, median) = times(&frames, of);
+        let Camera { width, height, .. } = clip.camera;
+        println!("{name},{width},{height},{:.2},{:.2}", fastest * 1e3, median * 1e3);
+        println!("time,frame/{name},{fastest:.6e}");
+    }
+    Ok(())
+}
+
+/// The mean of the five frames after the first: the paper's presets map every fifth [s].
+fn mean(frames: &[FrameEstimate], of: impl Fn(&FrameEstimate) -> f64) -> f64 {
+    frames.iter().skip(1).map(of).sum::<f64>() / (frames.len() - 1) as f64
+}
+
+/// Presets at a third of the clip's size: the paper's take minutes a frame at full size.
+fn print_presets() -> Outcome {
+    const PRESETS: [&str; 3] = ["default", "paper-synthetic-s", "paper-synthetic"];
+    let clip = Clip::demo(6, 1.0 / 3.0)?;
+    println!("preset,tracking_ms,mapping_ms,frame_ms,times_default");
+    let mut first = None;
+    for preset in PRESETS {
+        let frames = clip.run(preset)?;
+        let tracking = mean(&frames, |f| f.tracking_seconds);
+        let mapping = mean(&frames, |f| f.mapping_seconds);
+        let whole = tracking + mapping;
+        let ratio = whole / *first.get_or_insert(whole);
+        let [tracking, mapping, ms] = [tracking, mapping, whole].map(|s| s * 1e3);
+        println!("{preset},{tracking:.1},{mapping:.1},{ms:.1},{ratio:.1}");
+        println!("time,presets/{preset},{whole:.6e}");
+    }
+    Ok(())
+}
+
+const STEPS: usize = 20;
+
+/// Runs `work` some times and then counts what `STEPS` more of it allocate, per step.
+fn per_step(mut work: impl FnMut()) -> (f64, f64) {
+    (0..3).for_each(|_| work());
+    let before = counted();
+    (0..STEPS).for_each(|_| work());
+    let after = counted();
+    let each = |now: usize, then: usize| (now - then) as f64 / STEPS as f64;
+    (each(after.0, before.0), each(after.1, before.1))
+}
+
+/// Allocations per mapping and per tracking step of the objective, by method.
+fn print_allocations() -> Outcome {
+    let clip = Clip::demo(6, 1.0)?;
+    let mut session = Session::new(Config::default(), clip.camera, clip.frame_rate);
+    for frame in &clip.frames {
+        session.process(frame)?;
+    }
+    let scene = session.reconstruction();
+    let Map::Gaussians(map) = &scene.map else { return Err("no Gaussians".into()) };
+    let (frame, source) = (&scene.frames[5], &clip.frames[5]);
+    let observation = Observation::new(source.colour.clone(), source.depth.clone());
+    let mut objective = FrameObjective::new(scene.camera.cast(), RasterSettings::default());
+    let half = Tangent::from_array([0.004, 0.0, 0.002, 0.002, 0.008, 0.001]);
+    let middle = frame.middle();
+    let shutter =
+        ShutterPoses { start: middle.retract(half.scaled(-1.0)), end: middle.retract(half) };
+    let curve = scene.responses[frame.response].curve();
+    let mut gradient = MapGradient::new(map.len());
+    println!("step,allocations,bytes");
+    let methods = [
+        ("sharp", BlurMethod::Exact, 1),
+        ("image", BlurMethod::Reprojected, 5),
+        ("exact", BlurMethod::Exact, 5),
+    ];
+    for (name, method, virtual_cameras) in methods {
+        let formation = &scene.config.formation;
+        let sampling = Sampling { virtual_cameras, method, ..Sampling::new(formation, 5.0, 0.0) };
+        let exposure = Exposure { shutter, sampling, readout: 0.0, depth_pose: None };
+        let tone = Some(Tone { frame: frame.tone, curve: &curve });
+        let variables = FrameVariables { exposure, tone };
+        let (calls, bytes) = per_step(|| {
+            objective.map(map, &observation, &variables, 0.2, (0.5, 1.0), &mut gradient);
+        });
+        println!("mapping {name},{calls:.1},{bytes:.0}");
+        let (calls, bytes) = per_step(|| {
+            objective.track(map, &observation, &variables, 0.99, (0.5, 1.0));
+        });
+        println!("tracking {name},{calls:.1},{bytes:.0}");
     }
     Ok(())
 }

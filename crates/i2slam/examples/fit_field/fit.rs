@@ -10,40 +10,42 @@ use i2slam_compute::Random;
 use std::error::Error;
 use std::time::Instant;
 
-/// Cells along an edge of the cube, half thickness of what is sampled around a surface as a share
-/// of its depth, distance of samples as a share of theirs from the camera, and its least \[m\].
+/// Occupancy cells along an edge of the cube.
 const CELLS: u32 = 128;
+/// Half thickness of the shell around a surface, as a share of its depth.
 const SHELL: f32 = 0.03;
+/// Sample spacing as a share of the distance from the camera.
 const CONE: f32 = 1.0 / 128.0;
+/// Least sample spacing [m].
 const STEP_MIN: f32 = 0.005;
-/// Cells of the finest grid \[m\].
+/// Cell size of the finest grid [m].
 const FINEST: f64 = 0.005;
 /// Learning rate at the start; it falls tenfold.
 const RATE: f32 = 1e-2;
 /// Least `exposure · radiance` of which a picture tells anything.
 const DARK: f32 = 1e-4;
 
-pub(crate) fn print(frames: &Frames, asked: &Arguments) -> Result<(), Box<dyn Error>> {
-    let mut map = untrained(frames, asked)?;
-    let mut trainer = Trainer::new(frames, &map, asked);
+pub(crate) fn print(frames: &Frames, arguments: &Arguments) -> Result<(), Box<dyn Error>> {
+    let mut map = untrained(frames, arguments)?;
+    let mut trainer = Trainer::new(frames, &map, arguments);
     let (mut times, mut samples) = (Vec::new(), 0);
     let before = processor_seconds();
-    for step in 0..asked.steps {
+    for step in 0..arguments.steps {
         let clock = Instant::now();
-        let rate = decayed_rate(RATE, step as i32, asked.steps as i32);
-        samples += trainer.step(&mut map, asked.rays, rate);
+        let rate = decayed_rate(RATE, step as i32, arguments.steps as i32);
+        samples += trainer.step(&mut map, arguments.rays, rate);
         times.push(clock.elapsed().as_secs_f64());
     }
     let processor = processor_seconds() - before;
     times.sort_by(f64::total_cmp);
     let [fastest, median] = [0, times.len() / 2].map(|i| 1e3 * times.get(i).unwrap_or(&0.0));
     let psnr = held_out(frames, map);
-    let steps = asked.steps.max(1);
+    let steps = arguments.steps.max(1);
     println!(
         "i2slam: {} steps of {} rays, {} samples; a step {fastest:.1} ms fastest, {median:.1} ms \
          median, {:.1} ms of the processor; held out {psnr:.2} dB",
-        asked.steps,
-        asked.rays,
+        arguments.steps,
+        arguments.rays,
         samples / steps,
         1e3 * processor / steps as f64
     );
@@ -51,7 +53,7 @@ pub(crate) fn print(frames: &Frames, asked: &Arguments) -> Result<(), Box<dyn Er
 }
 
 /// A field in the cube of all surfaces of the training frames, sampled around them.
-fn untrained(frames: &Frames, asked: &Arguments) -> Result<HashGridMap, SettingsError> {
+fn untrained(frames: &Frames, arguments: &Arguments) -> Result<HashGridMap, SettingsError> {
     let (mut low, mut high) = ([f64::MAX; 3], [f64::MIN; 3]);
     for &frame in &frames.training() {
         for (ray, depth) in rays_with_depth(frames, frame) {
@@ -65,8 +67,8 @@ fn untrained(frames: &Frames, asked: &Arguments) -> Result<HashGridMap, Settings
     let bound = 0.51 * edge;
     let cube = FieldSettings::cube([0, 1, 2].map(|k| 0.5 * (low[k] + high[k])), bound);
     let finest_resolution = (2.0 * bound / FINEST) as u32;
-    let settings = FieldSettings { log2_table: asked.log2_table, finest_resolution, ..cube };
-    let field = HashGridField::new(settings, asked.seed)?;
+    let settings = FieldSettings { log2_table: arguments.log2_table, finest_resolution, ..cube };
+    let field = HashGridField::new(settings, arguments.seed)?;
     let looks = OccupancySettings { resolution: CELLS, ..OccupancySettings::default() };
     let mut occupancy = Occupancy::empty(looks);
     for &frame in &frames.training() {
@@ -95,7 +97,7 @@ fn formed(x: f32) -> (f32, f32) {
     (value, if x > DARK { value / (2.2 * kept * (1.0 + kept)) } else { 0.0 })
 }
 
-/// Inputs and state of the training steps.
+/// State of training.
 struct Trainer<'a> {
     frames: &'a Frames,
     training: Vec<usize>,
@@ -108,7 +110,7 @@ struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    fn new(frames: &'a Frames, map: &HashGridMap, asked: &Arguments) -> Self {
+    fn new(frames: &'a Frames, map: &HashGridMap, arguments: &Arguments) -> Self {
         Self {
             frames,
             training: frames.training(),
@@ -116,7 +118,7 @@ impl<'a> Trainer<'a> {
             renderer: FieldRenderer::new(map.march),
             gradient: FieldGradient::zeros(&map.field),
             adam: FieldAdam::new(),
-            random: Random::new(asked.seed ^ 0x5eed),
+            random: Random::new(arguments.seed ^ 0x5eed),
             renders: Vec::new(),
         }
     }
