@@ -7,7 +7,7 @@
 //! FACTOR`: that value is claimed; `--lens`: its distortion is looked for too; `--scale S`:
 //! pictures of S times the size; `--stride N`: every N-th picture; `--passes N`: forth and back
 //! through the pictures so many times, as one long video; `--cover N`: the lens is covered for
-//! twelve pictures from the N-th on; `--verbose`: what is known of each.
+//! twelve pictures from the N-th on; `--verbose`: the report of each.
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_geometry::Camera;
