@@ -9,7 +9,7 @@ use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{
     FrameStatus, FrontEnd, Intrinsics, OdometryError, PictureError, Reconstruction, Warning,
 };
-use scene::{INTERVAL, blurred, camera, depth, moving, picture, through_lens};
+use scene::{blurred, camera, depth, moving, picture, through_lens, tracked};
 
 /// Runs the front end on `count` pictures.
 fn run(
@@ -17,11 +17,7 @@ fn run(
     count: usize,
     picture_of: impl Fn(usize) -> Image<f32>,
 ) -> Result<Reconstruction, OdometryError> {
-    let mut front_end = FrontEnd::new(intrinsics);
-    for i in 0..count {
-        front_end.push(&picture_of(i), i as f64 * INTERVAL).expect("a picture of the right size");
-    }
-    front_end.finish()
+    tracked(intrinsics, (0..count).map(picture_of)).finish()
 }
 
 /// Exposure goes up and down by a factor of two.
@@ -88,26 +84,6 @@ fn an_unknown_focal_length_is_found() {
     assert!(found.focal_deviation.is_some_and(|d| d < 0.05), "{:?}", found.focal_deviation);
 }
 
-/// The deviation of the focal length covers its error, in several rooms and on several paths.
-#[test]
-fn the_deviation_of_the_focal_length_covers_its_error() {
-    let guess = Camera { fx: 180.0, fy: 180.0, ..camera() };
-    let mut ratios = Vec::new();
-    for (seed, pose) in
-        [(1, moving as fn(usize) -> Pose<f64>), (2, moving), (3, turning), (4, turning)]
-    {
-        let found = run(Intrinsics::Guess(guess), 24, |i| picture(seed, pose(i), gain(i)));
-        let found = found.expect("a good sequence");
-        let deviation = found.focal_deviation.expect("looked for");
-        let error = (found.camera.fx / camera().fx).ln();
-        println!("room {seed}: error {error:.5}, deviation {deviation:.5}");
-        ratios.push(error / deviation);
-        assert!(deviation < 0.06, "{deviation}");
-    }
-    let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
-    assert!((0.3..1.5).contains(&rms) && ratios.iter().all(|r| r.abs() < 2.5), "{ratios:?}");
-}
-
 /// A camera on the same path that also turns, which separates focal length from distortion.
 fn turning(i: usize) -> Pose<f64> {
     let s = i as f64;
@@ -159,12 +135,6 @@ fn intrinsics_that_are_wrong_by_a_fifth_are_noticed() {
 }
 
 #[test]
-fn three_pictures_are_too_few() {
-    let failure = run(Intrinsics::Known(camera()), 3, moving_picture).expect_err("too few");
-    assert_eq!(failure, OdometryError::TooFewFrames { frames: 3, needed: 4 });
-}
-
-#[test]
 fn a_still_camera_is_recognised() {
     let still = |i: usize| picture(1, moving(0), gain(i));
     let failure = run(Intrinsics::Known(camera()), 12, still).expect_err("nothing moves");
@@ -183,23 +153,6 @@ fn a_camera_that_only_turns_is_recognised() {
         matches!(failure, OdometryError::RotationOnly { residual } if residual < 1.0),
         "{failure}"
     );
-}
-
-#[test]
-fn frames_beyond_a_cut_are_reported_lost() {
-    let cut = 14;
-    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
-    for i in 0..24 {
-        let picture = picture(if i < cut { 1 } else { 7 }, moving(i), 1.0);
-        let report = front_end.push(&picture, i as f64 * INTERVAL).expect("accepted");
-        assert_eq!(report.is_cut, i == cut, "frame {i}");
-    }
-    let found = front_end.finish().expect("one side of the cut is a good sequence");
-    let lost: Vec<bool> = found.frames.iter().map(|f| *f == FrameStatus::Lost).collect();
-    assert!(lost[..cut].iter().all(|l| *l == lost[0]), "{lost:?}");
-    assert!(lost[cut..].iter().all(|l| *l != lost[0]), "{lost:?}");
-    let count = lost.iter().filter(|l| **l).count();
-    assert!(found.warnings.contains(&Warning::FramesLost { lost: count, frames: 24 }));
 }
 
 /// Of an uneven cut the longer side is posed, though the camera moves four times as fast on the

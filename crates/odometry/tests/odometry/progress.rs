@@ -1,8 +1,8 @@
 //! Progress reports and cancellation.
 
-use crate::scene::{INTERVAL, camera, moving, picture};
+use crate::scene::{camera, moving, picture, tracked};
 use i2slam_compute::CancellationToken;
-use i2slam_odometry::{FrontEnd, Intrinsics, OdometryError, Progress, Reconstruction, Stage};
+use i2slam_odometry::{Intrinsics, OdometryError, Progress, Reconstruction, Stage};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -12,10 +12,8 @@ type Reports = Vec<(Stage, usize, usize)>;
 fn reconstruct(
     cancels: impl Fn(Stage, usize) -> bool + Send + Sync + 'static,
 ) -> (Result<Reconstruction, OdometryError>, Reports) {
-    let mut front_end = FrontEnd::new(Intrinsics::Guess(camera()));
-    for i in 0..40 {
-        front_end.push(&picture(1, moving(i), 1.0), i as f64 * INTERVAL).expect("a picture");
-    }
+    let pictures = (0..40).map(|i| picture(1, moving(i), 1.0));
+    let front_end = tracked(Intrinsics::Guess(camera()), pictures);
     let (reports, cancelled) =
         (Arc::new(Mutex::new(Reports::new())), Arc::new(AtomicBool::new(false)));
     let (received, cancel) = (Arc::clone(&reports), Arc::clone(&cancelled));

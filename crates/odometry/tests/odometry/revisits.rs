@@ -1,56 +1,24 @@
 //! Revisited places: loop closure, cuts and covered lenses.
 
-use crate::scene::{INTERVAL, camera, moving, picture, render, texture};
-use i2slam_geometry::{Image, Pose, Rotation, Vec3};
+use crate::scene::{camera, moving, picture, render, texture, tracked};
+use i2slam_eval::trajectory::{Alignment, absolute_trajectory_error};
+use i2slam_geometry::{Image, Pose, Rotation, StampedPose, Vec3};
 use i2slam_odometry::{FrameStatus, FrontEnd, Intrinsics, Reconstruction, Warning};
 use rayon::prelude::*;
 
 fn run(pictures: &[Image<f32>]) -> Reconstruction {
-    followed(pictures).finish().expect("a path")
+    tracked(Intrinsics::Known(camera()), pictures.iter().cloned()).finish().expect("a path")
 }
 
-fn followed(pictures: &[Image<f32>]) -> FrontEnd {
-    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
-    for (i, picture) in pictures.iter().enumerate() {
-        front_end.push(picture, i as f64 * INTERVAL).expect("a picture of the right size");
-    }
-    front_end
-}
-
-/// Estimated and true position of a frame.
-type Places = (Vec3<f64>, Vec3<f64>);
-
-/// Root mean square distance of the posed frames from the truth after the similarity of least
-/// squares, found step by step.
+/// Root mean square error of the posed frames after alignment by a similarity.
 fn path_error(found: &Reconstruction, truth: &[Pose<f64>]) -> f64 {
-    let pairs: Vec<Places> = (found.frames.iter().zip(truth))
-        .filter_map(|(status, truth)| match status {
-            FrameStatus::Posed { world_from_camera, .. } => {
-                Some((world_from_camera.translation, truth.translation))
-            }
-            FrameStatus::Lost => None,
-        })
-        .collect();
-    let centre = |of: fn(&Places) -> Vec3<f64>| {
-        let sum = pairs.iter().map(of).fold(Vec3::zero(), |a, b| a + b);
-        sum * (1.0 / pairs.len() as f64)
+    let stamped = |(world_from_camera, timestamp): (&Pose<f64>, &f64)| StampedPose {
+        timestamp: *timestamp,
+        world_from_camera: *world_from_camera,
     };
-    let (here, there) = (centre(|p| p.0), centre(|p| p.1));
-    let (mut rotation, mut scale) = (truth[0].rotation, 1.0);
-    for _ in 0..50 {
-        let turned = |p: &Places| rotation.rotate(p.0 - here) * scale;
-        let (mut along, mut length) = (0.0, 0.0);
-        let (mut torque, mut inertia) = (Vec3::zero(), 0.0);
-        for p in &pairs {
-            let (a, b) = (turned(p), p.1 - there);
-            (along, length) = (along + a.dot(b), length + a.dot(a));
-            (torque, inertia) = (torque + a.cross(b), inertia + a.dot(b));
-        }
-        scale *= along / length;
-        rotation = Rotation::exp(torque * (1.0 / inertia)) * rotation;
-    }
-    let off = |p: &Places| (rotation.rotate(p.0 - here) * scale - (p.1 - there)).norm_squared();
-    (pairs.iter().map(off).sum::<f64>() / pairs.len() as f64).sqrt()
+    let truth: Vec<StampedPose> = truth.iter().zip(&found.timestamps).map(stamped).collect();
+    let error = absolute_trajectory_error(&found.trajectory(), &truth, Alignment::Sim3, 1e-3);
+    error.expect("enough poses").ate_rmse_m
 }
 
 /// A room of four walls with pillars before them, a floor and a ceiling.
@@ -96,7 +64,7 @@ fn a_path_closes_where_it_comes_back() {
     let truth: Vec<Pose<f64>> = (0..104).map(round).collect();
     let noisy = |i: usize| with_noise(render(truth[i], 1.0, hall), i);
     let pictures: Vec<Image<f32>> = (0..truth.len()).into_par_iter().map(noisy).collect();
-    let front_end = followed(&pictures);
+    let front_end = tracked(Intrinsics::Known(camera()), pictures.iter().cloned());
     let open = front_end.clone().without_loop_closure().finish().expect("a path");
     let closed = front_end.finish().expect("a path");
     assert_eq!(closed.trajectory().len(), truth.len());
@@ -174,8 +142,13 @@ fn both_sides_of_a_cut_at_one_place_are_posed() {
 }
 
 #[test]
-fn a_part_that_shows_another_place_is_named() {
-    let found = run(&interrupted(0..11, Some(7)));
+fn a_cut_is_reported_and_the_part_that_shows_another_place_named() {
+    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+    for (i, picture) in interrupted(0..11, Some(7)).iter().enumerate() {
+        let report = front_end.push(picture, i as f64 / 30.0).expect("a picture of that size");
+        assert_eq!(report.is_cut, i == 11, "frame {i}");
+    }
+    let found = front_end.finish().expect("a path");
     assert_eq!(lost(&found), (0..11).collect::<Vec<_>>());
     let warning = Warning::DisconnectedFrames { first: 0, last: 10 };
     assert!(found.warnings.contains(&warning), "{:?}", found.warnings);

@@ -1,13 +1,26 @@
 //! Small pictures of a textured room, for tests.
 
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
+use i2slam_odometry::{FrontEnd, Intrinsics};
 
-/// Stamps of successive pictures lie this far apart [s].
-pub(crate) const INTERVAL: f64 = 1.0 / 30.0;
+/// Time between pictures [s].
+const INTERVAL: f64 = 1.0 / 30.0;
 
 /// The camera of all pictures.
 pub(crate) fn camera() -> Camera<f64> {
     Camera { width: 192, height: 144, fx: 150.0, fy: 150.0, cx: 96.0, cy: 72.0 }
+}
+
+/// A front end that has tracked some pictures.
+pub(crate) fn tracked(
+    intrinsics: Intrinsics,
+    pictures: impl Iterator<Item = Image<f32>>,
+) -> FrontEnd {
+    let mut front_end = FrontEnd::new(intrinsics);
+    for (i, picture) in pictures.enumerate() {
+        front_end.push(&picture, i as f64 * INTERVAL).expect("a picture of the right size");
+    }
+    front_end
 }
 
 /// A camera that moves to the right and turns, with parallax in every frame.
