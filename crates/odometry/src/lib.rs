@@ -22,6 +22,8 @@
 //! | `dense` | dense depth by plane sweep and semi-global matching; uses `track` only |
 
 mod error;
+#[cfg(test)]
+mod fixtures;
 mod progress;
 mod warning;
 

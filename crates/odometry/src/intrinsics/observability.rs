@@ -77,37 +77,21 @@ fn is_significant(distortion: [f64; 2], covariance: &IntrinsicsCovariance) -> bo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::track::tracks::{Observation, Track, Tracks};
-    use i2slam_check::noise;
-    use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+    use crate::fixtures::{self, camera};
+    use i2slam_geometry::{Pose, Rotation, Vec3};
 
     /// A camera on a winding path, every frame a keyframe that begins three points.
     fn winding(frames: usize) -> SfmState {
-        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
-        let pose = |f: usize| {
-            let s = f as f64;
+        let pose = |frame: usize| {
+            let s = frame as f64;
             let turn = Vec3::new(0.03 * (0.5 * s).sin(), 0.06 * (0.3 * s).cos(), 0.0);
             Pose::new(Rotation::exp(turn), Vec3::new(0.05 * s, 0.0, 0.1 * (0.4 * s).sin()))
         };
-        let track = |index: usize| {
-            let n = noise(index as u64, 27);
-            let begin = index / 3;
-            let ray = camera.unproject(160.0 + 140.0 * n[0], 120.0 + 100.0 * n[1], 2.5 + n[2]);
-            let point = pose(begin) * ray;
-            let observation = |f: usize| {
-                let (u, v) = camera.project(pose(f).inverse() * point);
-                let k = 3 + 2 * (f - begin);
-                Observation::new(f, [u + 0.3 * n[k], v + 0.3 * n[k + 1]], 0.3)
-            };
-            Track { observations: (begin..(begin + 12).min(frames)).map(observation).collect() }
+        let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
+            let (u, v) = camera().project(pose(frame).inverse() * point);
+            Some([u + 0.3 * n[0], v + 0.3 * n[1]])
         };
-        let tracks = (0..3 * frames).map(track).collect();
-        let keyframes = (0..frames).collect();
-        let mut state =
-            SfmState::new(camera, Tracks { tracks, keyframes, frames, ..Tracks::default() });
-        state.poses = (0..frames).map(|f| Some(pose(f))).collect();
-        state.triangulate_missing();
-        state
+        fixtures::state((frames, 3, 1), [140.0, 100.0], pose, observe)
     }
 
     /// The camera of a long sequence is estimated from the first keyframes alone.

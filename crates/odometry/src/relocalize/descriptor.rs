@@ -134,20 +134,4 @@ mod tests {
         assert!(matches.len() > 50, "{}", matches.len());
         assert!(matches.iter().all(|(a, b)| a == b));
     }
-
-    #[test]
-    fn what_repeats_is_not_matched() {
-        let mut image = Image::new(200, 150, 1);
-        for (i, value) in image.data.iter_mut().enumerate() {
-            let (x, y) = ((i % 200) as f32, (i / 200) as f32);
-            *value = 0.5 + 0.2 * (x * 0.4).sin() * (y * 0.4).cos();
-        }
-        let period = std::f64::consts::TAU / 0.4;
-        let points: Vec<[f64; 2]> = (2..10).map(|i| [period * f64::from(i), 70.0]).collect();
-        let near: Vec<[f64; 2]> = points.iter().map(|p| [p[0] + 0.7, p[1] + 0.4]).collect();
-        let pyramid = Pyramid::new(&image);
-        let (first, second) =
-            (DescribedPoints::new(&pyramid, &points), DescribedPoints::new(&pyramid, &near));
-        assert!(first.matches(&second).is_empty());
-    }
 }

@@ -185,11 +185,10 @@ fn camera_velocity(
 mod tests {
     use super::*;
 
+    use crate::fixtures::{self, camera};
     use crate::intrinsics::observability::reestimate_intrinsics;
     use crate::register::registration::refine_all_frames;
-    use crate::track::tracks::{Observation, Track, Tracks};
-    use i2slam_check::noise;
-    use i2slam_geometry::{Camera, Rotation, Vec3};
+    use i2slam_geometry::{Rotation, Vec3};
 
     /// A camera that shakes on its way; `s` in frames.
     fn path(s: f64) -> Pose<f64> {
@@ -200,33 +199,17 @@ mod tests {
 
     /// `frames` frames with their true poses, their rows exposed within `readout` intervals.
     fn state(frames: usize, readout: f64) -> (SfmState, Vec<f64>) {
-        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
-        let observation = |point: Vec3<f64>, frame: usize, error: &[f64]| {
-            let mut at = camera.project(path(frame as f64).inverse() * point);
+        let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
+            let mut at = camera().project(path(frame as f64).inverse() * point);
             for _ in 0..5 {
                 let moment = frame as f64 + readout * (at.1 / 240.0 - 0.5);
-                at = camera.project(path(moment).inverse() * point);
+                at = camera().project(path(moment).inverse() * point);
             }
-            let at = [at.0 + 0.1 * error[0], at.1 + 0.1 * error[1]];
-            camera.contains(at[0], at[1], 1.0).then(|| Observation::new(frame, at, 0.3))
+            let at = [at.0 + 0.1 * n[0], at.1 + 0.1 * n[1]];
+            camera().contains(at[0], at[1], 1.0).then_some(at)
         };
-        let track = |index: usize| {
-            let begin = index / 4;
-            let n = noise(index as u64, 3 + 24);
-            let ray = camera.unproject(160.0 + 150.0 * n[0], 120.0 + 110.0 * n[1], 2.5 + n[2]);
-            let point = path(begin as f64) * ray;
-            let seen = (begin..(begin + 12).min(frames)).filter_map(|f| {
-                let k = 3 + 2 * (f - begin);
-                observation(point, f, &n[k..k + 2])
-            });
-            Track { observations: seen.collect() }
-        };
-        let tracks = (0..4 * frames).map(track).collect();
-        let keyframes = (0..frames).step_by(4).collect();
-        let tracks = Tracks { tracks, keyframes, frames, ..Tracks::default() };
-        let mut state = SfmState::new(camera, tracks);
-        state.poses = (0..frames).map(|f| Some(path(f as f64))).collect();
-        state.triangulate_missing();
+        let pose = |frame: usize| path(frame as f64);
+        let state = fixtures::state((frames, 4, 4), [150.0, 110.0], pose, observe);
         (state, (0..frames).map(|f| f as f64 / 30.0).collect())
     }
 
@@ -277,13 +260,5 @@ mod tests {
             let observations = global.tracks.tracks.iter().flat_map(|t| &t.observations);
             assert!(observations.clone().all(|o| o.at == o.raw));
         }
-    }
-
-    #[test]
-    fn the_lowest_point_of_a_parabola_is_found() {
-        let f = |x: f64| 3.0 * (x - 0.4) * (x - 0.4) + 1.0;
-        let lowest = parabola_minimum(0.6, [f(-0.6), f(0.0), f(0.6)]);
-        assert!((lowest.expect("convex") - 0.4).abs() < 1e-12);
-        assert!(parabola_minimum(0.6, [0.0, 1.0, 0.0]).is_none());
     }
 }

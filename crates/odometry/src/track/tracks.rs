@@ -110,23 +110,3 @@ pub(crate) fn shared_positions(
     };
     by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at, b.at)).collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn keyframes_alone_keep_the_places_of_tracks() {
-        let observation = |frame: usize| Observation::new(frame, [frame as f64; 2], 0.3);
-        let track = |frames: std::ops::Range<usize>| Track {
-            observations: frames.map(observation).collect(),
-        };
-        let tracks = vec![track(0..9), track(1..3), track(4..8)];
-        let all = Tracks { tracks, keyframes: vec![0, 4, 7], frames: 9, ..Tracks::default() };
-        let reduced = all.keyframes_only();
-        let frames = |t: &Track| t.observations.iter().map(|o| o.frame).collect::<Vec<_>>();
-        let shown: Vec<Vec<usize>> = reduced.tracks.iter().map(frames).collect();
-        assert_eq!(shown, [vec![0, 4, 7], vec![], vec![4, 7]]);
-        assert_eq!((reduced.frames, reduced.keyframes), (9, vec![0, 4, 7]));
-    }
-}
