@@ -11,7 +11,7 @@ pub struct DepthError {
     /// `Σ |D̂ - D| / n` over pixels with valid true depth `D` [m]. A missing estimate (0) counts
     /// with the whole depth, as in SplaTAM's and Nice-SLAM's depth L1.
     pub l1_m: f64,
-    /// Mean absolute error over pixels where both are valid [m]; `None` if there are none.
+    /// L1 over pixels where the estimate is valid too [m]; `None` if there are none.
     pub l1_seen_m: Option<f64>,
     /// Share of the pixels with valid true depth where the estimate is valid, in `[0, 1]`.
     pub coverage: f64,
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_judge_is_an_error() {
+    fn images_without_depth_are_refused() {
         let nothing = depth_error(&depth(&[1.0]), &depth(&[0.0]));
         assert!(matches!(nothing, Err(EvalError::TooFew { .. })));
         let poisoned = depth_error(&depth(&[f32::NAN]), &depth(&[1.0]));

@@ -1,14 +1,14 @@
-//! Why something could not be judged.
+//! The error type of all metrics.
 
 use std::error::Error;
 use std::fmt::{Display, Formatter, Result};
 
-/// Why a number could not be computed.
+/// Invalid input of a metric.
 #[derive(Clone, Debug, PartialEq)]
 pub enum EvalError {
     /// The time tolerance is negative or NaN.
     InvalidTolerance {
-        /// The tolerance that was given [s].
+        /// The given tolerance [s].
         tolerance: f64,
     },
     /// A step between poses of no frame, or of a time that is not above zero.
@@ -19,38 +19,38 @@ pub enum EvalError {
         estimate: [f64; 2],
         /// First and last stamp of the truth [s].
         truth: [f64; 2],
-        /// Largest difference of time stamps that match [s].
+        /// Largest accepted time difference [s].
         tolerance: f64,
     },
     /// Fewer samples (poses, pairs, pixels, numbers) than the measure needs.
     TooFew {
-        /// The kind of sample.
+        /// Kind of the samples.
         what: &'static str,
         /// Number of samples.
         found: usize,
-        /// Least number of samples.
+        /// Required number.
         needed: usize,
     },
     /// All values of one side coincide, so that no alignment or correlation exists.
     Coincident {
-        /// The side whose values coincide.
+        /// The input.
         what: &'static str,
     },
     /// Both sides vary but share no direction: their covariance is zero.
     Uncorrelated,
     /// A NaN or an infinity in the input.
     NotFinite {
-        /// In which input.
+        /// The input.
         what: &'static str,
     },
     /// A value that must be above zero is not.
     NotPositive {
-        /// In which input.
+        /// The input.
         what: &'static str,
     },
     /// Two inputs that must have the same shape have not.
     ShapeMismatch {
-        /// Which two.
+        /// The two inputs.
         what: &'static str,
         /// Shape of the first: width, height, channels, or a length.
         first: Vec<usize>,

@@ -1,12 +1,10 @@
-//! Agreement of recovered exposures with the true ones, free of the gauge.
+//! Agreement of estimated exposures with the true ones, up to a common gain.
 
 use crate::EvalError;
 use serde::Serialize;
 
-/// Agreement of log exposures `y = ln ê` with the true `x = ln e`.
-///
-/// One gain between exposures and radiance is not observable, so that a constant offset between
-/// `x` and `y` is no error and affects none of these numbers.
+/// Agreement of log exposures `y = ln ê` with the true `x = ln e`, independent of a constant offset:
+/// one gain between exposures and radiance is not observable.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ExposureAgreement {
     /// Pearson correlation `σ_xy / (σ_x σ_y)`, in `[-1, 1]`.
@@ -90,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_judged_is_an_error() {
+    fn invalid_input_is_refused() {
         let of = exposure_agreement;
         assert!(matches!(of(&[1.0, 1.0], &[1.0, 2.0]), Err(EvalError::Coincident { .. })));
         assert!(matches!(of(&[1.0, 0.0], &[1.0, 2.0]), Err(EvalError::NotPositive { .. })));

@@ -1,6 +1,6 @@
-//! Lists of frames to be judged: text, one position in the associated stream per line.
+//! Lists of frames for evaluation: text, one index in the associated stream per line.
 
-/// Lists that come with the crate, name and text. Their first lines say where they are from.
+/// Published lists, name and text; their first lines give the source.
 pub const PUBLISHED: [(&str, &str); 9] = [
     ("tum-fr1-desk", include_str!("../lists/tum-fr1-desk.txt")),
     ("tum-fr1-desk-keyframes", include_str!("../lists/tum-fr1-desk-keyframes.txt")),
@@ -18,8 +18,8 @@ pub fn published(name: &str) -> Option<&'static str> {
     PUBLISHED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// The positions of a list, ascending and each once. `#` starts a comment. The error is the
-/// number of the first line that is no position, counted from 1.
+/// Parses a list to sorted, unique indices. `#` starts a comment. The error is the number of the
+/// first invalid line, counted from 1.
 pub fn parse(text: &str) -> Result<Vec<usize>, usize> {
     let mut frames = Vec::new();
     for (number, line) in text.lines().enumerate() {
@@ -33,7 +33,7 @@ pub fn parse(text: &str) -> Result<Vec<usize>, usize> {
     Ok(frames)
 }
 
-/// The text of a list, with a comment on its origin (lines of their own).
+/// Formats a list, with its origin in comment lines.
 pub fn write(origin: &str, frames: &[usize]) -> String {
     let comments = origin.lines().map(|line| format!("# {line}\n"));
     comments.chain(frames.iter().map(|frame| format!("{frame}\n"))).collect()

@@ -3,9 +3,8 @@
 //! The product exposure x radiance is observed, so that a run may differ from the truth by one
 //! gain for all pixels and channels. It is removed first, as the *median* over all samples of
 //! `truth / estimate` (pixel and channel, both above zero): unlike least squares in log space it
-//! is not moved by pixels that were never seen or by lamps. Usually there is one gain for all
-//! channels, so that a wrong white balance stays visible; [`Gain::PerChannel`] forgives it, for
-//! systems whose white balance is free.
+//! is robust to unmapped pixels and lamps. One common gain leaves a wrong white balance visible;
+//! [`Gain::PerChannel`] removes it, for systems whose white balance is free.
 
 use crate::EvalError;
 use crate::image::{check_mask, check_shapes};
@@ -17,7 +16,7 @@ use serde::Serialize;
 pub const LOG_RANGE_STOPS: f64 = 16.0;
 /// Compression `μ` of the μ-law.
 pub const MU: f64 = 5000.0;
-/// Percentile of the true radiance that is called white.
+/// Percentile of the true radiance that defines white.
 pub const WHITE_PERCENTILE: f64 = 99.0;
 
 /// Unobservable gain that is removed before radiance is compared.
@@ -212,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_judged_is_an_error() {
+    fn invalid_input_is_refused() {
         let truth = radiance(5);
         let dark = scaled(&truth, |_| 0.0);
         let positive = |r| matches!(r, Err(EvalError::NotPositive { .. }));

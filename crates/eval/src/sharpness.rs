@@ -1,4 +1,4 @@
-//! Which frames of a video are sharp.
+//! Detection of the sharp frames of a video.
 
 use crate::EvalError;
 use crate::statistics::percentile;
@@ -58,14 +58,14 @@ fn grey(picture: &Image<f32>) -> Result<Vec<f64>, EvalError> {
     Ok((0..picture.pixels()).map(at).collect())
 }
 
-/// Rule that selects sharp frames.
+/// Criteria for sharp frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SharpnessRule {
-    /// The median is taken over so many frames before and behind, and the frame itself.
+    /// Half width of the window of the running median [frames].
     pub window: usize,
-    /// A sharp frame has at least so many times the median.
+    /// Smallest ratio of a sharp frame's sharpness to the median.
     pub ratio: f64,
-    /// No frame so near, before or behind, is sharper.
+    /// Distance within which a sharp frame must be the sharpest [frames].
     pub apart: usize,
 }
 
@@ -77,7 +77,7 @@ impl Default for SharpnessRule {
     }
 }
 
-/// Places of the sharp frames of a video, in order, by the sharpness of every frame
+/// Indices of the sharp frames of a video, in order, by the sharpness of every frame
 /// ([`laplacian_variance`]): those that stand out against the running median of their
 /// neighbourhood and are the sharpest nearby (of equals the first).
 ///

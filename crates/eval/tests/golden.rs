@@ -1,15 +1,33 @@
-//! The judge against the public tools: `golden/README.md` says how the numbers were made.
+//! Metrics against the public tools: `golden/README.md` says how the numbers were made.
 
-mod common;
-
-use common::{Numbers, golden, numbers, read};
 use i2slam_eval::EvalError;
+use i2slam_eval::image::{lpips, ms_ssim, psnr, psnr_channel_mean, ssim, ssim_padded};
+use i2slam_eval::sharpness::laplacian_variance;
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, RelativePoseError, Step, TrajectoryError,
     absolute_trajectory_error, relative_pose_error,
 };
-use i2slam_geometry::{Pose, Rotation, StampedPose, Vec3};
-use std::path::Path;
+use i2slam_geometry::{Image, Pose, Rotation, StampedPose, Vec3};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+fn golden(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+type Numbers = BTreeMap<String, f64>;
+
+fn numbers(name: &str) -> Numbers {
+    let text = read(&golden(name));
+    let pairs = text.lines().filter_map(|l| l.split_once(' '));
+    pairs.map(|(k, v)| (k.to_owned(), v.parse().unwrap())).collect()
+}
 
 /// A TUM trajectory file: stamp, position, quaternion x y z w.
 fn poses(path: &Path) -> Vec<StampedPose> {
@@ -25,8 +43,8 @@ fn poses(path: &Path) -> Vec<StampedPose> {
         .collect()
 }
 
-/// Numbers of this crate under the names of the golden file.
-fn judged(estimate: &[StampedPose], truth: &[StampedPose]) -> Result<Numbers, EvalError> {
+/// Metrics of this crate under the names of the golden files.
+fn metrics(estimate: &[StampedPose], truth: &[StampedPose]) -> Result<Numbers, EvalError> {
     let mut table = Numbers::new();
     let mut put = |group: &str, values: &[(&str, f64)]| {
         for (key, value) in values {
@@ -101,13 +119,13 @@ fn walk() -> (Vec<StampedPose>, Vec<StampedPose>) {
 #[test]
 fn walk_agrees_with_evo() {
     let (estimate, truth) = walk();
-    assert_agree(&judged(&estimate, &truth).unwrap(), &numbers("walk.numbers"));
+    assert_agree(&metrics(&estimate, &truth).unwrap(), &numbers("walk.numbers"));
 }
 
 #[test]
 fn an_estimate_with_more_poses_than_the_truth_agrees_with_evo() {
     let (estimate, truth) = walk();
-    assert_agree(&judged(&truth, &estimate).unwrap(), &numbers("swapped.numbers"));
+    assert_agree(&metrics(&truth, &estimate).unwrap(), &numbers("swapped.numbers"));
 }
 
 #[test]
@@ -119,7 +137,7 @@ fn clip_agrees_with_evo() {
         return;
     }
     let estimate = poses(&golden("clip_estimate.txt"));
-    assert_agree(&judged(&estimate, &poses(&truth)).unwrap(), &numbers("clip.numbers"));
+    assert_agree(&metrics(&estimate, &poses(&truth)).unwrap(), &numbers("clip.numbers"));
 }
 
 #[test]
@@ -127,7 +145,7 @@ fn clip_agrees_with_evo() {
 fn a_millimetre_on_one_pose_is_noticed() {
     let (mut estimate, truth) = walk();
     estimate[7].world_from_camera.translation.x += 0.001;
-    assert_agree(&judged(&estimate, &truth).unwrap(), &numbers("walk.numbers"));
+    assert_agree(&metrics(&estimate, &truth).unwrap(), &numbers("walk.numbers"));
 }
 
 #[test]
@@ -150,14 +168,14 @@ fn the_own_frame_of_the_estimate_does_not_matter() {
         .iter()
         .map(|p| StampedPose { world_from_camera: other * p.world_from_camera, ..*p })
         .collect();
-    let (here, there) = (judged(&estimate, &truth).unwrap(), judged(&moved, &truth).unwrap());
+    let (here, there) = (metrics(&estimate, &truth).unwrap(), metrics(&moved, &truth).unwrap());
     assert_agree(&there, &here);
 }
 
 #[test]
 fn the_truth_has_no_error() {
     let (_, truth) = walk();
-    for (key, value) in judged(&truth, &truth).unwrap() {
+    for (key, value) in metrics(&truth, &truth).unwrap() {
         let due = match key.as_str() {
             "ape_se3_scale" | "ape_sim3_scale" => 1.0,
             "ape_se3_count" | "ape_sim3_count" => truth.len() as f64,
@@ -172,7 +190,7 @@ fn the_truth_has_no_error() {
 #[test]
 fn what_cannot_be_judged_is_an_error() {
     let (estimate, truth) = walk();
-    let of = |estimate: &[StampedPose]| judged(estimate, &truth);
+    let of = |estimate: &[StampedPose]| metrics(estimate, &truth);
     assert!(matches!(of(&[]), Err(EvalError::TooFew { found: 0, .. })));
     assert!(matches!(of(&estimate[..2]), Err(EvalError::TooFew { found: 2, .. })));
     let still = |p: &StampedPose| StampedPose { world_from_camera: Pose::identity(), ..*p };
@@ -197,4 +215,83 @@ fn the_report_has_the_agreed_names() {
     due.extend(["ate_std_m", "pairs", "scale", "splatam_mean_m"]);
     assert_eq!(names, due);
     assert_eq!(json["alignment"], "se3");
+}
+
+/// The procedural picture of `make_pictures.py`.
+fn picture([width, height]: [usize; 2], phase: f64) -> Image<f32> {
+    let mut image = Image::new(width, height, 3);
+    for c in 0..3 {
+        for row in 0..height {
+            for column in 0..width {
+                let (x, y) = (0.37 * column as f64 + 0.9 * c as f64 + phase, 0.23 * row as f64);
+                let check = (column / 6 + row / 5 + c) % 2;
+                let value = 0.5 + 0.3 * x.sin() * (y - phase).cos() + 0.15 * check as f64;
+                image.data[(c * height + row) * width + column] = value as f32;
+            }
+        }
+    }
+    image
+}
+
+/// Every golden number of these pictures is met.
+#[track_caller]
+fn assert_images_agree(name: &str, render: &Image<f32>, truth: &Image<f32>) {
+    let due = numbers("pictures.numbers");
+    let close = |key: &str, value: f64, tolerance: f64| {
+        let due = due[&format!("{key}_{name}")];
+        assert!((value - due).abs() < tolerance, "{key} {name}: {value} expected {due}");
+    };
+    let structural = ssim(render, truth).unwrap();
+    close("ssim", structural, 1e-6);
+    close("ssim_torch", structural, 1e-4);
+    close("ssim_padded", ssim_padded(render, truth).unwrap(), 1e-6);
+    close("laplacian_variance", laplacian_variance(render).unwrap(), 1e-9);
+    close("lpips", lpips(render, truth).unwrap(), 1e-3);
+    close("psnr", psnr(render, truth).unwrap(), 1e-4);
+    close("psnr_channel_mean", psnr_channel_mean(render, truth).unwrap(), 1e-4);
+    if due.contains_key(&format!("ms_ssim_{name}")) {
+        close("ms_ssim", ms_ssim(render, truth).unwrap(), 1e-5);
+    }
+}
+
+#[test]
+fn procedural_pictures_agree() {
+    for (prefix, size) in [("", [48, 37]), ("large_", [203, 166])] {
+        for (name, phase) in [("near", 0.05), ("far", 0.8)] {
+            assert_images_agree(&format!("{prefix}{name}"), &picture(size, phase), &picture(size, 0.0));
+        }
+    }
+}
+
+#[test]
+#[should_panic(expected = "expected")]
+fn a_slight_change_is_noticed() {
+    assert_images_agree("large_near", &picture([203, 166], 0.0501), &picture([203, 166], 0.0));
+}
+
+/// An 8-bit PNG without alpha.
+fn read_png(path: &Path) -> Image<f32> {
+    let mut reader =
+        png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    let mut image = Image::new(info.width as usize, info.height as usize, 3);
+    for c in 0..3 {
+        let values = bytes.iter().skip(c).step_by(info.color_type.samples());
+        for (out, &v) in image.plane_mut(c).iter_mut().zip(values) {
+            *out = f32::from(v) / 255.0;
+        }
+    }
+    image
+}
+
+#[test]
+#[ignore = "needs the reference images of LPIPS in ../shared/weights/lpips_ref"]
+fn the_reference_pictures_of_lpips_agree() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/weights/lpips_ref");
+    let folder = Path::new(folder);
+    let truth = read_png(&folder.join("ex_ref.png"));
+    for (name, file) in [("p0", "ex_p0.png"), ("p1", "ex_p1.png")] {
+        assert_images_agree(name, &read_png(&folder.join(file)), &truth);
+    }
 }

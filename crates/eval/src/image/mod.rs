@@ -1,22 +1,19 @@
 //! Picture errors: PSNR, SSIM, MS-SSIM, LPIPS of display-referred pictures in `[0, 1]`.
 //!
-//! Values outside `[0, 1]` are measured as they are: clamp a render first if it is judged as it
-//! would be shown.
+//! Values outside `[0, 1]` are not clamped: clamp a render first to evaluate it as displayed.
 
 mod lpips;
-mod ms_ssim;
 mod psnr;
 mod ssim;
 
 pub use lpips::lpips;
-pub use ms_ssim::ms_ssim;
 pub use psnr::{psnr, psnr_channel_mean, psnr_masked, psnr_monogs, psnr_splatam};
-pub use ssim::{ssim, ssim_padded};
+pub use ssim::{ms_ssim, ssim, ssim_padded};
 
 use crate::EvalError;
 use i2slam_geometry::Image;
 
-/// Refuses pictures of different or empty shape, or whose data do not fill their shape.
+/// An error for images of different or empty shape, or of data that do not match their shape.
 pub(crate) fn check_shapes(picture: &Image<f32>, truth: &Image<f32>) -> Result<(), EvalError> {
     let shape = |i: &Image<f32>| vec![i.width, i.height, i.channels];
     if shape(picture) != shape(truth) {
@@ -36,11 +33,37 @@ pub(crate) fn check_shapes(picture: &Image<f32>, truth: &Image<f32>) -> Result<(
     Ok(())
 }
 
-/// Refuses a mask that does not have one entry per pixel.
+/// An error for a mask that does not have one entry per pixel.
 pub(crate) fn check_mask(mask: &[bool], truth: &Image<f32>) -> Result<(), EvalError> {
     if mask.len() == truth.width * truth.height {
         return Ok(());
     }
     let (first, second) = (vec![mask.len()], vec![truth.width * truth.height]);
     Err(EvalError::ShapeMismatch { what: "mask and picture", first, second })
+}
+
+/// Random images for tests.
+#[cfg(test)]
+mod noise {
+    use i2slam_geometry::Image;
+
+    /// Numbers in `[-1, 1]`.
+    pub(crate) fn values(seed: u64, count: usize) -> Vec<f32> {
+        i2slam_check::noise(seed, count).iter().map(|&v| v as f32).collect()
+    }
+
+    /// Three planes in `[0, 1]`.
+    pub(crate) fn picture(seed: u64, width: usize, height: usize) -> Image<f32> {
+        planes(seed, width, height, 3)
+    }
+
+    /// One plane in `[0, 1]`.
+    pub(crate) fn grey(seed: u64, width: usize, height: usize) -> Image<f32> {
+        planes(seed, width, height, 1)
+    }
+
+    fn planes(seed: u64, width: usize, height: usize, channels: usize) -> Image<f32> {
+        let data = values(seed, width * height * channels).iter().map(|v| 0.5 + 0.5 * v).collect();
+        Image { width, height, channels, data }
+    }
 }

@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn black_values_of_the_truth_are_no_business_of_monogs() {
+    fn psnr_of_monogs_ignores_black_values_of_the_truth() {
         let (truth, picture) = (grey(&[0.0, 0.5, 0.5]), grey(&[0.9, 0.4, 0.6]));
         assert!((psnr_monogs(&picture, &truth).unwrap() - 20.0).abs() < 1e-5);
         let black = psnr_monogs(&picture, &grey(&[0.0; 3]));
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn all_black_pictures_are_judged() {
+    fn black_images_have_a_psnr() {
         let (black, half) = (grey(&[0.0; 2]), grey(&[0.1; 2]));
         assert!((psnr(&black, &half).unwrap() - 20.0).abs() < 1e-5);
         assert_eq!(psnr(&black, &black).unwrap(), f64::INFINITY);

@@ -1,6 +1,6 @@
 //! Absolute trajectory error.
 
-use super::association::pairs_to_judge;
+use super::association::finite_pairs;
 use super::{Alignment, Association, align};
 use crate::EvalError;
 use crate::statistics::Summary;
@@ -11,7 +11,7 @@ use serde::Serialize;
 /// `e_i = ‖c_i - (s R ĉ_i + t)‖` with estimate `ĉ`, truth `c` (Sturm et al. 2012).
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrajectoryError {
-    /// The fitted transform.
+    /// Kind of alignment.
     pub alignment: Alignment,
     /// `sqrt(1/n Σ e²)` [m]: the field's ATE.
     pub ate_rmse_m: f64,
@@ -27,7 +27,7 @@ pub struct TrajectoryError {
     pub pairs: usize,
     /// Scale that was multiplied onto the estimate; 1 for [`Alignment::Se3`].
     pub scale: f64,
-    /// The ATE RMSE of SplaTAM's evaluation script [m], which is the *mean* distance of the
+    /// SplaTAM's "ATE RMSE" [m]: the *mean* distance of the
     /// *world-to-camera translations*, `t_i = -R_iᵀ c_i`, after a rigid alignment (always without
     /// scale). These vectors depend on the origin of the world; as there, it is the first pose
     /// (here: of the first pair) in both trajectories. Not comparable with `ate_rmse_m`.
@@ -38,11 +38,10 @@ pub struct TrajectoryError {
     /// The pairs, in order of time.
     #[serde(skip)]
     pub associations: Vec<Association>,
-    /// The transform that lays the estimate on the truth.
+    /// The transform that aligns the estimate with the truth.
     #[serde(skip)]
     pub truth_from_estimate: Similarity<f64>,
-    /// The whole estimate (poses without a pair too), laid on the truth: for plots, and for
-    /// relative errors of an estimate without scale.
+    /// The whole estimate (including poses without a pair), aligned with the truth.
     #[serde(skip)]
     pub aligned_estimate: Vec<StampedPose>,
 }
@@ -57,7 +56,7 @@ pub fn absolute_trajectory_error(
     alignment: Alignment,
     tolerance: f64,
 ) -> Result<TrajectoryError, EvalError> {
-    let associations = pairs_to_judge(estimate, truth, tolerance, 3)?;
+    let associations = finite_pairs(estimate, truth, tolerance, 3)?;
     let estimated = |p: &Association| estimate[p.estimate];
     let true_pose = |p: &Association| truth[p.truth];
     let source = centres(associations.iter().map(estimated));
@@ -98,7 +97,7 @@ fn distances(fit: &Similarity<f64>, source: &[Vec3<f64>], target: &[Vec3<f64>]) 
     source.iter().zip(target).map(|(&s, &t)| (fit.apply(s) - t).norm()).collect()
 }
 
-/// Translations of `camera_from_world`, the world's origin laid into the first camera.
+/// Translations of `camera_from_world` with the first camera as the world.
 fn world_to_camera_translations(poses: impl Iterator<Item = StampedPose>) -> Vec<Vec3<f64>> {
     let mut poses = poses.map(|p| p.world_from_camera).peekable();
     let Some(&world_from_first) = poses.peek() else { return Vec::new() };

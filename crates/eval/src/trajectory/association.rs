@@ -1,4 +1,4 @@
-//! Which estimated pose belongs to which true pose.
+//! Association of estimated with true poses by time.
 
 use crate::EvalError;
 use i2slam_geometry::{StampedPose, nearest_stamp};
@@ -29,18 +29,18 @@ pub fn associate(
     if tolerance.is_nan() || tolerance < 0.0 {
         return Err(EvalError::InvalidTolerance { tolerance });
     }
-    let estimate = in_order(estimate, "the stamps of the estimate")?;
-    let truth = in_order(truth, "the stamps of the truth")?;
+    let estimate = sort_stamps(estimate, "the stamps of the estimate")?;
+    let truth = sort_stamps(truth, "the stamps of the truth")?;
     let pair = |estimate, truth| Association { estimate, truth };
     Ok(if estimate.stamps.len() <= truth.stamps.len() {
-        each_once(&estimate, &truth, tolerance).map(|(e, t)| pair(e, t)).collect()
+        unique_pairs(&estimate, &truth, tolerance).map(|(e, t)| pair(e, t)).collect()
     } else {
-        each_once(&truth, &estimate, tolerance).map(|(t, e)| pair(e, t)).collect()
+        unique_pairs(&truth, &estimate, tolerance).map(|(t, e)| pair(e, t)).collect()
     })
 }
 
-/// At least `needed` pairs of finite poses, or why there are none.
-pub(super) fn pairs_to_judge(
+/// Associates poses; an error unless there are `needed` pairs and all poses are finite.
+pub(super) fn finite_pairs(
     estimate: &[StampedPose],
     truth: &[StampedPose],
     tolerance: f64,
@@ -68,25 +68,25 @@ fn span(poses: &[StampedPose]) -> [f64; 2] {
     [stamps().fold(f64::INFINITY, f64::min), stamps().fold(f64::NEG_INFINITY, f64::max)]
 }
 
-/// Stamps in ascending order and where they came from.
-struct Ordered {
+/// Time stamps in ascending order with their original indices.
+struct SortedStamps {
     stamps: Vec<f64>,
     source: Vec<usize>,
 }
 
-fn in_order(poses: &[StampedPose], what: &'static str) -> Result<Ordered, EvalError> {
+fn sort_stamps(poses: &[StampedPose], what: &'static str) -> Result<SortedStamps, EvalError> {
     if poses.iter().any(|p| !p.timestamp.is_finite()) {
         return Err(EvalError::NotFinite { what });
     }
     let mut source: Vec<usize> = (0..poses.len()).collect();
     source.sort_by(|&a, &b| poses[a].timestamp.total_cmp(&poses[b].timestamp));
-    Ok(Ordered { stamps: source.iter().map(|&i| poses[i].timestamp).collect(), source })
+    Ok(SortedStamps { stamps: source.iter().map(|&i| poses[i].timestamp).collect(), source })
 }
 
 /// Pairs `(few, many)` of source indices, in order of time.
-fn each_once(
-    few: &Ordered,
-    many: &Ordered,
+fn unique_pairs(
+    few: &SortedStamps,
+    many: &SortedStamps,
     tolerance: f64,
 ) -> impl Iterator<Item = (usize, usize)> {
     let mut taken: Vec<Option<usize>> = vec![None; many.stamps.len()];
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_is_used_once_and_by_the_nearer() {
+    fn duplicate_matches_keep_the_nearer() {
         assert_eq!(pairs(&[0.095, 0.101], &[0.0, 0.1, 0.2]), [(1, 1)]);
         assert_eq!(pairs(&[0.0, 0.095, 0.101], &[0.1, 0.2]), [(2, 0)]);
     }

@@ -7,7 +7,6 @@ mod absolute;
 mod alignment;
 mod association;
 mod relative;
-mod singular;
 
 pub use absolute::{TrajectoryError, absolute_trajectory_error};
 pub use alignment::{Alignment, align};

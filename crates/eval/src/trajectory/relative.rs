@@ -1,14 +1,13 @@
 //! Relative pose error: drift over a step of frames or seconds.
 
 use super::Association;
-use super::association::pairs_to_judge;
+use super::association::finite_pairs;
 use crate::EvalError;
 use crate::statistics::Summary;
 use i2slam_geometry::{Pose, StampedPose, nearest_stamp};
 use serde::Serialize;
 
-/// Over which steps drift is measured. Poses without a partner do not count: they lengthen steps
-/// in frames.
+/// Steps over which drift is measured, counted in associated poses.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Step {
@@ -16,7 +15,7 @@ pub enum Step {
     Frames(usize),
     /// From *every* pose to the n-th after it (`evo_rpe -d n -u f --all_pairs`).
     OverlappingFrames(usize),
-    /// From every pose to that whose estimated stamp is nearest to so many seconds later, by at
+    /// From every pose to the one whose estimated stamp is nearest to this many seconds later, by at
     /// most a tenth of the step or the tolerance of the association; steps that end at the last
     /// pose are left out (the pairs of the TUM benchmark's `evaluate_rpe --fixed_delta
     /// --delta_unit s`).
@@ -33,19 +32,19 @@ pub struct RelativePoseError {
     pub rpe_step: Step,
     /// Root mean square length of the translation of `E` [m per step].
     pub rpe_translation_rmse_m: f64,
-    /// Mean of the same [m per step].
+    /// Mean length [m per step].
     pub rpe_translation_mean_m: f64,
-    /// Median of the same [m per step].
+    /// Median length [m per step].
     pub rpe_translation_median_m: f64,
-    /// Largest of the same [m per step].
+    /// Largest length [m per step].
     pub rpe_translation_max_m: f64,
     /// Root mean square angle of the rotation of `E` [degrees per step].
     pub rpe_rotation_rmse_deg: f64,
-    /// Mean of the same [degrees per step].
+    /// Mean angle [degrees per step].
     pub rpe_rotation_mean_deg: f64,
-    /// Median of the same [degrees per step].
+    /// Median angle [degrees per step].
     pub rpe_rotation_median_deg: f64,
-    /// Largest of the same [degrees per step].
+    /// Largest angle [degrees per step].
     pub rpe_rotation_max_deg: f64,
     /// Number of steps.
     #[serde(rename = "rpe_steps")]
@@ -59,7 +58,7 @@ pub fn relative_pose_error(
     step: Step,
     tolerance: f64,
 ) -> Result<RelativePoseError, EvalError> {
-    let pairs = pairs_to_judge(estimate, truth, tolerance, 2)?;
+    let pairs = finite_pairs(estimate, truth, tolerance, 2)?;
     let moved = |poses: &[StampedPose], from: usize, to: usize| -> Pose<f64> {
         poses[from].world_from_camera.inverse() * poses[to].world_from_camera
     };
@@ -91,7 +90,7 @@ pub fn relative_pose_error(
     })
 }
 
-/// The steps as places in the list of pairs.
+/// The steps as indices into the list of pairs.
 fn steps(
     pairs: &[Association],
     estimate: &[StampedPose],

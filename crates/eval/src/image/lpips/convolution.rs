@@ -3,12 +3,12 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Outputs whose weights lie together.
+/// Output channels whose weights are interleaved.
 pub(super) const GROUP: usize = 32;
-/// Pixels that share every load of weights.
+/// Pixels computed together, which share every load of weights.
 const PIXELS: usize = 6;
-/// Pixels of one task.
-const TASK: usize = 36;
+/// Pixels per parallel task.
+const TASK_PIXELS: usize = 36;
 
 /// Feature maps, channels of a pixel together: `data[(row * width + column) * channels + c]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,25 +36,25 @@ pub(super) struct Convolution {
 
 impl Convolution {
     /// Width or height of the result.
-    pub(super) fn shrink(&self, size: usize) -> usize {
+    pub(super) fn output_size(&self, size: usize) -> usize {
         (size + 2 * self.padding - self.side) / self.stride + 1
     }
 
     /// The result for an input at least as large as the window less its padding.
     pub(super) fn apply(&self, input: &Features) -> Features {
-        let (width, height) = (self.shrink(input.width), self.shrink(input.height));
+        let (width, height) = (self.output_size(input.width), self.output_size(input.height));
         let padded = input.padded(self.padding);
         let mut data = vec![0.0; width * height * self.outputs];
         let arch = Arch::new();
-        data.par_chunks_mut(TASK * self.outputs).enumerate().for_each(|(task, out)| {
-            let (layer, input, first) = (self, &padded, task * TASK);
+        data.par_chunks_mut(TASK_PIXELS * self.outputs).enumerate().for_each(|(task, out)| {
+            let (layer, input, first) = (self, &padded, task * TASK_PIXELS);
             arch.dispatch(Task { layer, input, width, first, out });
         });
         Features { width, height, channels: self.outputs, data }
     }
 }
 
-/// The pixels `first..` of the result, as many as `out` holds.
+/// Computes the pixels `first..` of the result, as many as `out` holds.
 struct Task<'a> {
     layer: &'a Convolution,
     /// With its padding.
@@ -76,7 +76,7 @@ impl WithSimd for Task<'_> {
         for group in 0..layer.outputs / GROUP {
             let weights = &layer.weights[group * window * GROUP..(group + 1) * window * GROUP];
             for block in (0..pixels).step_by(PIXELS) {
-                // Places beyond the end repeat the last pixel and are not written.
+                // Pixels beyond the end repeat the last one and are not written.
                 let start = |p: usize| {
                     let pixel = first + (block + p).min(pixels - 1);
                     let (column, row) = (pixel % width, pixel / width);
@@ -88,7 +88,7 @@ impl WithSimd for Task<'_> {
                     for (p, sum) in sums.iter().enumerate().take(pixels - block) {
                         let place = (block + p) * layer.outputs + group * GROUP + part;
                         let biases = &layer.biases[group * GROUP + part..];
-                        finish(simd, *sum, biases, &mut out[place..]);
+                        write_rectified(simd, *sum, biases, &mut out[place..]);
                     }
                 }
             }
@@ -125,7 +125,7 @@ fn products<S: Simd>(
 
 /// Adds the biases, cuts at zero and writes.
 #[inline(always)]
-fn finish<S: Simd>(simd: S, sum: [S::f32s; 2], biases: &[f32], out: &mut [f32]) {
+fn write_rectified<S: Simd>(simd: S, sum: [S::f32s; 2], biases: &[f32], out: &mut [f32]) {
     let biases = S::as_simd_f32s(&biases[..2 * S::F32_LANES]).0;
     let out = S::as_mut_simd_f32s(&mut out[..2 * S::F32_LANES]).0;
     for i in 0..2 {
@@ -146,8 +146,8 @@ impl Features {
         Self { width, height, channels: self.channels, data }
     }
 
-    /// The largest value of every window of 3 x 3, every second column and row.
-    pub(super) fn pooled(&self) -> Self {
+    /// Max pooling over windows of 3 x 3 with stride 2.
+    pub(super) fn max_pooled(&self) -> Self {
         let (width, height) = ((self.width - 3) / 2 + 1, (self.height - 3) / 2 + 1);
         let mut data = vec![f32::NEG_INFINITY; width * height * self.channels];
         for (pixel, out) in data.chunks_exact_mut(self.channels).enumerate() {
@@ -167,11 +167,11 @@ impl Features {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::noise::values as noise;
+    use crate::image::noise::values as noise;
 
-    /// By the definition, in f64.
-    fn plainly(layer: &Convolution, input: &Features, pixel: usize, output: usize) -> f64 {
-        let width = layer.shrink(input.width);
+    /// Reference implementation in f64.
+    fn reference(layer: &Convolution, input: &Features, pixel: usize, output: usize) -> f64 {
+        let width = layer.output_size(input.width);
         let (left, top) = (pixel % width * layer.stride, pixel / width * layer.stride);
         let mut sum = f64::from(layer.biases[output]);
         let (side, inputs) = (layer.side, layer.inputs);
@@ -207,7 +207,7 @@ mod tests {
             let input = Features { width: 13, height: 11, channels: 5, data };
             let out = layer.apply(&input);
             for (i, &value) in out.data.iter().enumerate() {
-                let due = plainly(&layer, &input, i / 64, i % 64);
+                let due = reference(&layer, &input, i / 64, i % 64);
                 assert!((f64::from(value) - due).abs() < 1e-4, "{i}: {value} expected {due}");
             }
             assert!(out.data.iter().filter(|v| **v > 0.0).count() > out.data.len() / 4);
@@ -217,11 +217,11 @@ mod tests {
     #[test]
     fn pooling_by_hand() {
         let data = (0..6 * 5).map(|i| if i == 14 { 99.0 } else { i as f32 }).collect();
-        let pooled = Features { width: 6, height: 5, channels: 1, data }.pooled();
+        let pooled = Features { width: 6, height: 5, channels: 1, data }.max_pooled();
         assert_eq!((pooled.width, pooled.height), (2, 2));
         assert_eq!(pooled.data, [99.0, 99.0, 99.0, 99.0]);
         let data = (0..2 * 49).map(|i| -(i as f32)).collect();
-        let pooled = Features { width: 7, height: 7, channels: 2, data }.pooled();
+        let pooled = Features { width: 7, height: 7, channels: 2, data }.max_pooled();
         assert_eq!(pooled.data[..4], [0.0, -1.0, -4.0, -5.0]);
         assert_eq!(pooled.data.len(), 18);
     }
