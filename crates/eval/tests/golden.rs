@@ -129,13 +129,10 @@ fn an_estimate_with_more_poses_than_the_truth_agrees_with_evo() {
 }
 
 #[test]
+#[ignore = "needs the sequence ../shared/data/tum_fr1_rpy_clip"]
 fn clip_agrees_with_evo() {
     let shared = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared");
     let truth = Path::new(shared).join("data/tum_fr1_rpy_clip/groundtruth.txt");
-    if !truth.exists() {
-        println!("skipped: no {}", truth.display());
-        return;
-    }
     let estimate = poses(&golden("clip_estimate.txt"));
     assert_agree(&metrics(&estimate, &poses(&truth)).unwrap(), &numbers("clip.numbers"));
 }

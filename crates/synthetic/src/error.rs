@@ -1,9 +1,9 @@
-//! Errors of synthesis and degradation.
+//! The error type.
 
 use i2slam_dataset::DatasetError;
 use std::path::{Path, PathBuf};
 
-/// Why a sequence could not be made.
+/// Failure to render or degrade a sequence.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SyntheticError {
@@ -12,7 +12,7 @@ pub enum SyntheticError {
     Malformed {
         /// File name.
         origin: String,
-        /// The parser's words, with the line.
+        /// The parser's message, with the line.
         message: String,
     },
     /// A value outside its range.
@@ -22,7 +22,7 @@ pub enum SyntheticError {
         key: String,
         /// Its value.
         value: String,
-        /// The allowed values.
+        /// Allowed values.
         expected: String,
     },
     /// A file or folder cannot be read.
@@ -30,7 +30,7 @@ pub enum SyntheticError {
     Read {
         /// The file or folder.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
     /// A file or folder cannot be written.
@@ -38,7 +38,7 @@ pub enum SyntheticError {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The sequence to be degraded cannot be read.

@@ -11,11 +11,9 @@
 mod degrade;
 mod depth_noise;
 mod error;
-mod exposure;
 mod light;
 mod motion;
 mod render;
-mod response;
 mod rgb;
 mod rng;
 mod scene;
@@ -25,13 +23,13 @@ mod synthesise;
 mod texture;
 mod write;
 
-pub use degrade::{Degradation, Degraded, Degrading, ExposureStep, degrade};
+pub use degrade::{Degradation, DegradationCounts, Degrader, ExposureStep, degrade};
 pub use depth_noise::KinectNoise;
 pub use error::SyntheticError;
-pub use exposure::{AutoExposure, ShutterRule, raw_exposure_value};
 pub use motion::Motion;
-pub use response::Response;
-pub use sensor::{Sensor, white_balance_at};
+pub use sensor::{
+    AutoExposure, Response, Sensor, ShutterRule, raw_exposure_value, white_balance_at,
+};
 pub use spec::{
     CameraSpec, DepthSpec, ExposureSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec, RoomSpec,
     Spec, WhiteBalanceSpec,

@@ -1,4 +1,4 @@
-//! Hand-held motion as a function of time, at every instant.
+//! Hand-held camera motion as a continuous function of time.
 
 use crate::rng::{between, gaussian, stream};
 use crate::spec::Spec;
@@ -9,14 +9,14 @@ use std::f64::consts::TAU;
 /// Purpose number of the random stream of motion.
 const MOTION: u64 = 3;
 /// Time between two knots of the splines [s].
-const KNOT: f64 = 0.7;
-/// Frequencies of tremor in each of six directions.
+const KNOT_INTERVAL: f64 = 0.7;
+/// Number of tremor frequencies in each of six directions.
 const TREMORS: usize = 9;
 
-/// A path that can be asked for its pose at any time.
+/// Camera motion with a pose at any time.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    /// Splines over [`KNOT`]: angle on the loop [rad], radius factor, height [m], yaw off the
+    /// Splines over [`KNOT_INTERVAL`]: angle on the loop [rad], radius factor, height [m], yaw off the
     /// middle of the room [rad], pitch [rad], roll [rad].
     splines: [Vec<f64>; 6],
     /// Half axes of the loop around the room [m].
@@ -32,10 +32,10 @@ impl Motion {
     pub fn new(spec: &Spec) -> Self {
         let m = &spec.motion;
         let mut random = stream(spec.seed, MOTION, 0);
-        let seconds = spec.camera.frames as f64 / spec.camera.frame_rate + 2.0 * KNOT;
-        let knots = (seconds / KNOT).ceil() as usize + 4;
+        let seconds = spec.camera.frames as f64 / spec.camera.frame_rate + 2.0 * KNOT_INTERVAL;
+        let knots = (seconds / KNOT_INTERVAL).ceil() as usize + 4;
         let axes = [spec.room.size[0] * 0.27, spec.room.size[1] * 0.27].map(|a| a.max(0.3));
-        let step = m.speed * KNOT / axes[0].hypot(axes[1]) * 2.0_f64.sqrt();
+        let step = m.speed * KNOT_INTERVAL / axes[0].hypot(axes[1]) * 2.0_f64.sqrt();
         let start = between(&mut random, 0.0, TAU);
         let turn = if random.below(2) == 0 { 1.0 } else { -1.0 };
         let walk = step * 0.35;
@@ -45,7 +45,7 @@ impl Motion {
         };
         let swing = m.look_around.to_radians();
         let sweep = |k: usize| {
-            let turns = (k as f64 - 1.5) * KNOT / m.sweep_period;
+            let turns = (k as f64 - 1.5) * KNOT_INTERVAL / m.sweep_period;
             m.sweep.to_radians() * (TAU * turns + phase).sin()
         };
         let splines = [
@@ -66,7 +66,7 @@ impl Motion {
     /// is up, its origin is the middle of the floor.
     pub fn world_from_camera(&self, time: f64) -> Pose<f64> {
         let [angle, radius, height, yaw, pitch, roll] =
-            [0, 1, 2, 3, 4, 5].map(|i| spline(&self.splines[i], time / KNOT + 1.5));
+            [0, 1, 2, 3, 4, 5].map(|i| spline(&self.splines[i], time / KNOT_INTERVAL + 1.5));
         let x = self.loop_axes[0] * radius * angle.cos();
         let y = self.loop_axes[1] * radius * angle.sin();
         let heading = (-y).atan2(-x) + yaw;
@@ -77,14 +77,14 @@ impl Motion {
         for (middle, width, axis) in &self.bursts {
             turned += *axis * (-0.5 * ((time - middle) / width).powi(2)).exp();
         }
-        let rotation = looking(heading, pitch, roll) * Rotation::exp(turned);
+        let rotation = look_rotation(heading, pitch, roll) * Rotation::exp(turned);
         let position = Vec3::new(x + shake[0], y + shake[1], height + shake[2]);
         Pose::new(rotation, position)
     }
 }
 
-/// A camera that looks along `heading` [rad, from x], `pitch` above the horizon, rolled.
-fn looking(heading: f64, pitch: f64, roll: f64) -> Rotation<f64> {
+/// Rotation of a camera that looks along `heading` [rad, from x], `pitch` above the horizon, rolled.
+fn look_rotation(heading: f64, pitch: f64, roll: f64) -> Rotation<f64> {
     let (sine, cosine) = heading.sin_cos();
     let forward = Vec3::new(cosine * pitch.cos(), sine * pitch.cos(), pitch.sin());
     let right = Vec3::new(sine, -cosine, 0.0);
@@ -168,8 +168,8 @@ mod tests {
     }
 
     #[test]
-    fn the_camera_stands_upright_and_looks_where_it_is_told() {
-        let pose = Pose::new(looking(0.7, -0.2, 0.0), Vec3::zero());
+    fn the_camera_is_upright_and_looks_along_its_heading() {
+        let pose = Pose::new(look_rotation(0.7, -0.2, 0.0), Vec3::zero());
         let forward = pose * Vec3::new(0.0, 0.0, 1.0);
         assert!((forward.y.atan2(forward.x) - 0.7).abs() < 1e-9);
         assert!((forward.z - (-0.2_f64).sin()).abs() < 1e-9);

@@ -7,10 +7,10 @@ use crate::scene::{Ray, Vec3};
 use i2slam_geometry::{Camera, Image, Mat3, Pose};
 use rayon::prelude::*;
 
-/// Nearest thing that a camera sees [m].
+/// Distance of the near plane [m].
 const NEAR_PLANE: f32 = 0.02;
 
-/// Timing of one frame's exposure.
+/// Timing of a frame's exposure.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shutter {
     /// The frame's stamp: mid-exposure of the middle row [s].
@@ -56,8 +56,8 @@ impl View {
     }
 }
 
-/// Sample positions that fill the unit square evenly in any order (R2, Roberts 2018).
-fn offset(sample: usize) -> [f32; 2] {
+/// Low-discrepancy positions in the unit square (R2 sequence, Roberts 2018).
+fn r2_sample(sample: usize) -> [f32; 2] {
     let n = sample as f64;
     [(0.5 + 0.754_877_666_2 * n).fract() as f32, (0.5 + 0.569_840_291 * n).fract() as f32]
 }
@@ -87,8 +87,8 @@ pub(crate) fn exposed(
             let u = (sample as f64 + 0.5) / samples as f64;
             let time = shutter.time(row, camera.height, u);
             let view = View::new(camera, motion.world_from_camera(time));
-            let [dx, dy] = offset(sample);
-            let shift = offset(sample + 7)[1] - 0.5;
+            let [dx, dy] = r2_sample(sample);
+            let shift = r2_sample(sample + 7)[1] - 0.5;
             for (column, sum) in sums.iter_mut().enumerate() {
                 let (x, y) = (column as f32 + dx, row as f32 + dy);
                 *sum = plus(*sum, view.radiance(lit, x, y, shift));
@@ -115,7 +115,7 @@ pub(crate) fn sharp(
             for sample in 0..samples {
                 let dx = ((sample % side) as f32 + 0.5) / side as f32;
                 let dy = ((sample / side) as f32 + 0.5) / side as f32;
-                let shift = offset(sample + 7)[1] - 0.5;
+                let shift = r2_sample(sample + 7)[1] - 0.5;
                 let (x, y) = (column as f32 + dx, row as f32 + dy);
                 sum = plus(sum, view.radiance(lit, x, y, shift));
             }
@@ -161,9 +161,9 @@ mod tests {
     }
 
     #[test]
-    fn sample_places_fill_the_pixel() {
+    fn samples_fill_the_pixel() {
         let mut cells = [0; 16];
-        for [x, y] in (0..64).map(offset) {
+        for [x, y] in (0..64).map(r2_sample) {
             cells[(4.0 * x) as usize + 4 * (4.0 * y) as usize] += 1;
         }
         assert!(cells.iter().all(|&n| (2..=6).contains(&n)), "{cells:?}");

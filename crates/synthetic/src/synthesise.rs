@@ -1,28 +1,29 @@
-//! A specification to a sequence on disk.
+//! Rendering of a sequence from a specification.
 
 use crate::depth_noise::KinectNoise;
 use crate::error::SyntheticError;
-use crate::exposure::{AutoExposure, ShutterRule, raw_exposure_value};
-use crate::light::{LitScene, light_up};
+use crate::light::{LitScene, compute_light};
 use crate::motion::Motion;
 use crate::render::{self, Shutter};
 use crate::scene::furnished_room;
+use crate::sensor::{AutoExposure, ShutterRule, raw_exposure_value};
 use crate::sensor::{Sensor, white_balance_at};
 use crate::spec::Spec;
 use crate::write::{
-    Folder, Summary, camera_json, pose_numbers, readme, write_depth, write_picture, write_radiance,
+    OutputFolder, Summary, camera_json, pose_numbers, readme, write_depth, write_picture,
+    write_radiance,
 };
 use i2slam_geometry::{Camera, Image, Pose};
 use std::path::Path;
 
-/// Stage of the work.
+/// Progress of the rendering.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Building and lighting the room.
+    /// The room is built and its light computed.
     Lighting,
-    /// So many sharp frames are done.
+    /// Number of finished sharp frames.
     Sharp(usize),
-    /// So many blurred frames are done.
+    /// Number of finished blurred frames.
     Blurred(usize),
 }
 
@@ -35,30 +36,30 @@ struct FrameTruth {
     median_depth: f64,
 }
 
-/// The tools of a run.
-struct Studio<'a> {
+/// Scene, camera and motion of a run.
+struct Renderer<'a> {
     spec: &'a Spec,
     camera: Camera<f64>,
     motion: Motion,
     lit: LitScene,
-    folder: Folder,
+    folder: OutputFolder,
 }
 
-/// Renders the sequence of a specification into a folder. `progress` is told what is done and
-/// answers whether to go on; a run that was ended leaves `spec.toml` and pictures but no lists.
+/// Renders a sequence into a folder. `progress` receives every finished stage and returns whether to
+/// continue; a cancelled run leaves `spec.toml` and images but no lists.
 pub fn synthesise(
     spec: &Spec,
     out: &Path,
     progress: &mut dyn FnMut(Stage) -> bool,
 ) -> Result<Summary, SyntheticError> {
     spec.validate()?;
-    let folder = Folder::create(out)?;
+    let folder = OutputFolder::create(out)?;
     // First, so that a folder tells what it is even where the work was ended.
     folder.write_text("spec.toml", spec.to_toml())?;
     let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
     go_on(progress(Stage::Lighting))?;
-    let lit = light_up(furnished_room(spec), spec);
-    let studio = Studio { spec, camera: camera(spec), motion: Motion::new(spec), lit, folder };
+    let lit = compute_light(furnished_room(spec), spec);
+    let studio = Renderer { spec, camera: camera(spec), motion: Motion::new(spec), lit, folder };
     let mut automatic = AutoExposure::default();
     let mut frames = Vec::new();
     for index in 0..spec.camera.frames {
@@ -82,7 +83,7 @@ fn camera(spec: &Spec) -> Camera<f64> {
     Camera { width, height, fx: f, fy: f, cx, cy }
 }
 
-impl Studio<'_> {
+impl Renderer<'_> {
     fn sensor(&self, frame: f64, exposure_value: f64) -> Sensor {
         Sensor {
             exposure: exposure_value.exp2(),
@@ -91,7 +92,7 @@ impl Studio<'_> {
         }
     }
 
-    /// Sharp picture, radiance and depth of a frame; its exposure.
+    /// Renders the sharp image, radiance and depth of a frame; returns its exposure.
     fn sharp_frame(
         &self,
         index: usize,
@@ -121,7 +122,7 @@ impl Studio<'_> {
         Ok(FrameTruth { stamp, exposure_value, world_from_camera, depth: small, median_depth })
     }
 
-    /// Blurred picture of a frame; gives the median length of its blur [px].
+    /// Renders the blurred image of a frame; returns the median length of its blur [px].
     fn blurred_frame(
         &self,
         index: usize,
@@ -145,13 +146,13 @@ impl Studio<'_> {
     }
 
     /// Poses at shutter open and close of the middle row.
-    fn ends(&self, shutter: Shutter) -> [Pose<f64>; 2] {
+    fn shutter_poses(&self, shutter: Shutter) -> [Pose<f64>; 2] {
         [-0.5, 0.5].map(|u| self.motion.world_from_camera(shutter.stamp + u * shutter.open))
     }
 
     /// Median distance between a point's places at shutter open and close [px].
     fn blur_length(&self, frame: &FrameTruth, shutter: Shutter) -> f64 {
-        let ends = self.ends(shutter).map(|end| end.inverse() * frame.world_from_camera);
+        let ends = self.shutter_poses(shutter).map(|end| end.inverse() * frame.world_from_camera);
         let small = self.camera.resized(frame.depth.width, frame.depth.height);
         let lengths = (0..frame.depth.pixels()).filter_map(|i| {
             let (u, v) = Camera::pixel_centre(i % frame.depth.width, i / frame.depth.width);
@@ -165,7 +166,7 @@ impl Studio<'_> {
         median(lengths)
     }
 
-    /// Lists, truth and the page.
+    /// Writes lists, ground truth and the README.
     fn finish(
         &self,
         frames: &[FrameTruth],
@@ -203,7 +204,7 @@ impl Studio<'_> {
         for (i, frame) in frames.iter().enumerate() {
             let (stamp, ev) = (frame.stamp, frame.exposure_value);
             let shutter = self.shutter(frame, rule);
-            let [start, end] = self.ends(shutter);
+            let [start, end] = self.shutter_poses(shutter);
             middle.push_str(&format!("{stamp:.6} {}\n", pose_numbers(&frame.world_from_camera)));
             let pair = [pose_numbers(&start), pose_numbers(&end)].join(" ");
             ends.push_str(&format!("{stamp:.6} {pair}\n"));
@@ -249,7 +250,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     quantile(values, 0.5)
 }
 
-/// The value below which a share of the values lies; 0 where there are none.
+/// Quantile of the values; 0 if there are none.
 fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);

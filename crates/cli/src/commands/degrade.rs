@@ -8,7 +8,7 @@ use crate::output::{counted, print};
 use crate::output_dir::{OutputDir, degraded_layout};
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};
-use i2slam_synthetic::{Degradation, Degrading, ExposureStep, KinectNoise, NoiseSpec, Response};
+use i2slam_synthetic::{Degradation, Degrader, ExposureStep, KinectNoise, NoiseSpec, Response};
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -64,7 +64,7 @@ pub(crate) enum Curve {
 pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
     let what = degradation(arguments);
-    let work = Degrading::open(&arguments.dataset, &arguments.out, &what).map_err(failure)?;
+    let work = Degrader::open(&arguments.dataset, &arguments.out, &what).map_err(failure)?;
     let (layout, overwrite) = (degraded_layout(), arguments.overwrite);
     let path = arguments.out.as_path();
     let destination = OutputDir { path, layout, command: "i2slam degrade", overwrite };

@@ -1,23 +1,23 @@
-//! An existing sequence, made worse in known ways.
+//! Controlled degradation of an existing sequence.
 
-mod truth;
+mod ground_truth;
 
 use crate::depth_noise::KinectNoise;
 use crate::error::SyntheticError;
-use crate::response::Response;
 use crate::rng::{gaussian, stream};
+use crate::sensor::Response;
 use crate::sensor::with_noise;
 use crate::spec::NoiseSpec;
-use crate::write::{DEPTH_SCALE, Folder, write_depth, write_picture};
+use crate::write::{DEPTH_SCALE, OutputFolder, write_depth, write_picture};
 use i2slam_dataset::{Frame, OpenOptions, Sequence, write_camera};
 use i2slam_geometry::Image;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
 
-/// Light that still comes through a covering hand [stops].
+/// Exposure change of a covered lens [stops].
 const COVERED_STOPS: f64 = -11.0;
-/// Frames worked on at once; bounds the memory.
+/// Frames processed at once; bounds memory.
 const BATCH: usize = 16;
 
 /// A change of exposure from a frame on.
@@ -29,7 +29,7 @@ pub struct ExposureStep {
     pub stops: f64,
 }
 
-/// Degradations of a sequence. Frames are counted in the associated stream, before thinning.
+/// Degradations of a sequence. Frames are counted in the unthinned associated stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Degradation {
     /// Seed of noise and of dropped frames.
@@ -40,18 +40,18 @@ pub struct Degradation {
     pub sensor_noise: Option<NoiseSpec>,
     /// Exposure changes, each from its frame to the next one's.
     pub exposure_steps: Vec<ExposureStep>,
-    /// Share of frames left out by chance, in `[0, 1)`; the first frame stays.
+    /// Share of frames dropped at random, in `[0, 1)`; the first frame is kept.
     pub drop_share: f64,
-    /// Frames left out.
+    /// Dropped frames.
     pub dropped: Vec<Range<usize>>,
-    /// Frames with a hand over the lens: almost black, no depth.
+    /// Frames with a covered lens: almost black, no depth.
     pub covered: Vec<Range<usize>>,
-    /// The response that pictures are taken to have, for noise and exposure steps.
+    /// Assumed camera response, for noise and exposure steps.
     pub response: Response,
 }
 
 impl Default for Degradation {
-    /// Nothing is done; the response is sRGB's.
+    /// No degradation; sRGB response.
     fn default() -> Self {
         Self {
             seed: 7,
@@ -66,12 +66,12 @@ impl Default for Degradation {
     }
 }
 
-/// Summary of a degraded sequence.
+/// Counts of a degraded sequence.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Degraded {
+pub struct DegradationCounts {
     /// Frames written.
     pub frames: usize,
-    /// Frames left out.
+    /// Dropped frames.
     pub dropped: usize,
     /// Frames with a covered lens.
     pub covered: usize,
@@ -112,7 +112,7 @@ impl Degradation {
         Ok(())
     }
 
-    /// Refuses frames that a sequence of so many does not have.
+    /// An error for frames that a sequence of this length does not have.
     fn validate_on(&self, frames: usize) -> Result<(), SyntheticError> {
         let expected = format!("the sequence has frames 0 to {}", frames.saturating_sub(1));
         for (key, ranges) in [("dropped frames", &self.dropped), ("covered frames", &self.covered)]
@@ -128,8 +128,8 @@ impl Degradation {
         }
     }
 
-    /// The picture of a frame as the worse camera takes it.
-    fn picture(&self, colour: &Image<f32>, index: usize) -> Image<f32> {
+    /// Degrades the image of a frame.
+    fn degrade_image(&self, colour: &Image<f32>, index: usize) -> Image<f32> {
         let covered = if self.covers(index) { COVERED_STOPS } else { 0.0 };
         let gain = (self.stops(index) + covered).exp2() as f32;
         if gain == 1.0 && self.sensor_noise.is_none() {
@@ -166,35 +166,34 @@ fn refuse<T>(key: &str, value: impl ToString, expected: &str) -> Result<T, Synth
     Err(SyntheticError::OutOfRange { key, value, expected: expected.to_owned() })
 }
 
-/// Picture values at which the inverse response is tabulated.
+/// Number of values at which the inverse response is tabulated.
 const LEVELS: usize = 1020;
 
-/// A value of the tabulated inverse response. White is taken as four steps of 1/1020 below it, so
-/// that it stays finite.
+/// Looks up the tabulated inverse response. White is lowered by four steps of 1/1020 to stay finite.
 fn linear_value(table: &[f32], value: f32) -> f32 {
     let at = (value.clamp(0.0, 1.0) * LEVELS as f32).min((LEVELS - 4) as f32);
     let below = at as usize;
     table[below] + (table[below + 1] - table[below]) * (at - below as f32)
 }
 
-/// A sequence that is to be degraded, checked but not yet written.
-pub struct Degrading<'a> {
+/// A sequence opened for degradation, with checked options.
+pub struct Degrader<'a> {
     dataset: &'a Path,
     sequence: Sequence,
     what: &'a Degradation,
-    /// Places of the frames that stay.
+    /// Indices of the kept frames.
     kept: Vec<usize>,
 }
 
-impl<'a> Degrading<'a> {
-    /// Opens the sequence and refuses what cannot be done to it; `out` is where it will be written.
+impl<'a> Degrader<'a> {
+    /// Opens the sequence and checks the options against it; `out` is the output folder.
     pub fn open(
         dataset: &'a Path,
         out: &Path,
         what: &'a Degradation,
     ) -> Result<Self, SyntheticError> {
         what.validate()?;
-        truth::refuse_same_folder(dataset, out)?;
+        ground_truth::refuse_same_folder(dataset, out)?;
         let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
         let sequence = Sequence::open(dataset, &options)?;
         what.validate_on(sequence.len())?;
@@ -205,18 +204,18 @@ impl<'a> Degrading<'a> {
         Ok(Self { dataset, sequence, what, kept })
     }
 
-    /// Writes the degraded sequence into a folder, in the TUM layout, lens distortion removed.
-    /// `sharp/`, `hdr/`, `exposure.csv` and ground truth come along, renumbered. `progress` is
-    /// told how many of how many frames are done and answers whether to go on.
+    /// Writes the degraded sequence in the TUM layout, undistorted, with `sharp/`, `hdr/`,
+    /// `exposure.csv` and ground truth renumbered. `progress` receives the numbers of finished and of
+    /// all frames and returns whether to continue.
     pub fn write(
         &self,
         out: &Path,
         progress: &mut dyn FnMut(usize, usize) -> bool,
-    ) -> Result<Degraded, SyntheticError> {
+    ) -> Result<DegradationCounts, SyntheticError> {
         let Self { sequence, what, kept, .. } = self;
-        let folder = Folder::create(out)?;
+        let folder = OutputFolder::create(out)?;
         // First, so that a folder tells what it is even where the work was ended.
-        folder.write_text("README.md", page(&sequence.name, what, kept))?;
+        folder.write_text("README.md", readme(&sequence.name, what, kept))?;
         for (batch, positions) in kept.chunks(BATCH).enumerate() {
             let write = |(at, &position): (usize, &usize)| {
                 write_frame(&folder, &sequence.load(position)?, what, position, batch * BATCH + at)
@@ -227,14 +226,14 @@ impl<'a> Degrading<'a> {
             }
         }
         self.write_lists(out, &folder)?;
-        Ok(Degraded {
+        Ok(DegradationCounts {
             frames: kept.len(),
             dropped: sequence.len() - kept.len(),
             covered: kept.iter().filter(|&&i| what.covers(i)).count(),
         })
     }
 
-    fn write_lists(&self, out: &Path, folder: &Folder) -> Result<(), SyntheticError> {
+    fn write_lists(&self, out: &Path, folder: &OutputFolder) -> Result<(), SyntheticError> {
         let Self { dataset, sequence, what, kept } = self;
         let stamps = |of: fn(&i2slam_dataset::FrameEntry) -> f64| -> Vec<f64> {
             kept.iter().map(|&i| of(&sequence.entries[i])).collect()
@@ -242,35 +241,35 @@ impl<'a> Degrading<'a> {
         folder.write_list("rgb", "colour images", &stamps(|entry| entry.timestamp))?;
         folder.write_list("depth", "depth images, 5000 = 1 m", &stamps(|e| e.depth_timestamp))?;
         write_camera(out.join("camera.json"), &sequence.camera, DEPTH_SCALE, sequence.frame_rate)?;
-        truth::carry(dataset, out, folder, sequence, kept, what)
+        ground_truth::copy_ground_truth(dataset, out, folder, sequence, kept, what)
     }
 }
 
-/// [`Degrading::open`] and [`Degrading::write`].
+/// [`Degrader::open`] and [`Degrader::write`].
 pub fn degrade(
     dataset: &Path,
     out: &Path,
     what: &Degradation,
     progress: &mut dyn FnMut(usize, usize) -> bool,
-) -> Result<Degraded, SyntheticError> {
-    Degrading::open(dataset, out, what)?.write(out, progress)
+) -> Result<DegradationCounts, SyntheticError> {
+    Degrader::open(dataset, out, what)?.write(out, progress)
 }
 
 fn write_frame(
-    folder: &Folder,
+    folder: &OutputFolder,
     frame: &Frame,
     what: &Degradation,
     position: usize,
     number: usize,
 ) -> Result<(), SyntheticError> {
-    let picture = what.picture(&frame.colour, position);
+    let picture = what.degrade_image(&frame.colour, position);
     folder.write(&format!("rgb/{number:06}.png"), write_picture(&picture))?;
     let depth = what.depth(&frame.depth, position);
     folder.write(&format!("depth/{number:06}.png"), write_depth(&depth))
 }
 
-/// The page beside the data.
-fn page(name: &str, what: &Degradation, kept: &[usize]) -> String {
+/// Contents of the degraded sequence's README.
+fn readme(name: &str, what: &Degradation, kept: &[usize]) -> String {
     let yes = |on: bool| if on { "yes" } else { "no" };
     let ranges = |ranges: &[Range<usize>]| {
         let words: Vec<String> = ranges.iter().map(|r| format!("{}..{}", r.start, r.end)).collect();

@@ -3,8 +3,8 @@
 use crate::rgb::{Rgb, mix};
 use crate::scene::{Scene, Surface};
 
-/// Most texels a side of one surface.
-const MAX_LUMEL: f32 = 1024.0;
+/// Largest number of texels along a side of a surface.
+const MAX_SIDE_TEXELS: f32 = 1024.0;
 
 /// The grid of one surface.
 #[derive(Clone, Copy)]
@@ -14,7 +14,7 @@ pub(super) struct Patch {
     pub(super) height: usize,
 }
 
-/// One colour for every texel of every surface.
+/// Irradiance for every texel of every surface.
 pub(super) struct Atlas {
     pub(super) patches: Vec<Patch>,
     pub(super) values: Vec<Rgb>,
@@ -25,7 +25,7 @@ impl Atlas {
     pub(super) fn new(scene: &Scene, texel: f32) -> Self {
         let mut first = 0;
         let patches = scene.surfaces.iter().map(|surface| {
-            let side = |length: f32| (length / texel).ceil().clamp(2.0, MAX_LUMEL) as usize;
+            let side = |length: f32| (length / texel).ceil().clamp(2.0, MAX_SIDE_TEXELS) as usize;
             let [width, height] = surface.shape.extent().map(side);
             let patch = Patch { first, width, height };
             first += width * height;

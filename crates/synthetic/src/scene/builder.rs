@@ -1,10 +1,10 @@
-//! Putting surfaces together: blocks, boards, discs, balls, frustums.
+//! Construction of surfaces: blocks, quads, discs, balls, frustums.
 
 use super::{Emitter, Role, Shape, Skin, Surface, Vec3};
 use crate::rgb::{Rgb, scale};
 use crate::texture::Texture;
 
-/// Placement of an object: local x is right, local y points away from the viewer, z is up.
+/// Local frame of an object: x right, y away from the viewer, z up.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
     pub(super) origin: Vec3,
@@ -45,13 +45,13 @@ impl Skin {
         Self { texture, tint: [1.0; 3], tile: None, role: Role::Matt, radiance: 0.0 }
     }
 
-    /// This with another tint.
+    /// Replaces the tint.
     pub(super) fn tinted(self, tint: Rgb) -> Self {
         Self { tint, ..self }
     }
 
-    /// This as a light source.
-    pub(super) fn bright(self, role: Role, radiance: f32) -> Self {
+    /// Makes the skin emit light.
+    pub(super) fn emitting(self, role: Role, radiance: f32) -> Self {
         Self { role, radiance, ..self }
     }
 }
@@ -65,14 +65,14 @@ pub(super) struct Builder {
 }
 
 impl Builder {
-    /// Keeps a texture and gives its number.
+    /// Adds a texture and returns its index.
     pub(super) fn texture(&mut self, texture: Texture) -> usize {
         self.textures.push(texture);
         self.textures.len() - 1
     }
 
-    /// Any shape. Tiles start where the surface count says, so that equal boards differ, unless
-    /// `start` [m] is given.
+    /// Adds a shape. Tiles start at an offset that depends on the number of surfaces, so that equal
+    /// boards differ, unless `start` [m] is given.
     pub(super) fn add(&mut self, shape: Shape, skin: Skin, start: Option<[f32; 2]>) {
         let extent = shape.extent();
         let size = self.textures[skin.texture].size as f32;
@@ -94,8 +94,8 @@ impl Builder {
         self.add(Shape::quad(origin, right, down, false), skin, None);
     }
 
-    /// A block between two local corners; `front` dresses the side that is looked at.
-    pub(super) fn dressed(
+    /// A block between two local corners with another skin on its `front`.
+    pub(super) fn block_with_front(
         &mut self,
         place: &Place,
         low: [f32; 3],
@@ -122,11 +122,11 @@ impl Builder {
 
     /// A block of one skin.
     pub(super) fn block(&mut self, place: &Place, low: [f32; 3], high: [f32; 3], skin: Skin) {
-        self.dressed(place, low, high, skin, skin);
+        self.block_with_front(place, low, high, skin, skin);
     }
 
-    /// A round upright thing from `z0` to `z1` with its lids.
-    pub(super) fn turned(
+    /// An upright frustum from `z0` to `z1` with its ends.
+    pub(super) fn frustum(
         &mut self,
         place: &Place,
         [z0, z1]: [f32; 2],
@@ -144,7 +144,7 @@ impl Builder {
         }
     }
 
-    /// A round upright thing without lids.
+    /// An upright frustum without ends.
     pub(super) fn tube(&mut self, place: &Place, [z0, z1]: [f32; 2], radii: [f32; 2], skin: Skin) {
         let base = place.point([0.0, 0.0, z0]);
         self.add(Shape::Frustum { base, height: z1 - z0, radii }, skin, None);
@@ -164,7 +164,7 @@ impl Builder {
         colour: Rgb,
         radiance: f32,
     ) {
-        self.ball(centre, radius, skin.tinted(colour).bright(Role::Lamp, radiance));
+        self.ball(centre, radius, skin.tinted(colour).emitting(Role::Lamp, radiance));
         self.emitters.push(Emitter::Ball { centre, radius, radiance: scale(colour, radiance) });
     }
 }

@@ -1,15 +1,15 @@
-//! A tree of boxes around the surfaces (surface area heuristic, Wald 2007).
+//! Bounding volume hierarchy of the surfaces (surface area heuristic, Wald 2007).
 
 use super::shape::by_component;
 use super::{Hit, Ray, Shape, Surface, Vec3};
 
-/// Surfaces in a leaf, at most.
+/// Largest number of surfaces in a leaf.
 const LEAF: usize = 3;
-/// Places that are tried for a cut.
+/// Split positions tried per axis.
 const BINS: usize = 12;
-/// Below this level surfaces are halved, which bounds the depth of the tree.
+/// Below this level nodes are split in halves, which bounds the depth of the tree.
 const BALANCED: usize = 40;
-/// Room for the far nodes of a descent: [`BALANCED`] levels and as many as halving can add.
+/// Capacity of the traversal stack: [`BALANCED`] levels and as many as halving can add.
 const STACK: usize = BALANCED + 24;
 
 struct Node {
@@ -21,7 +21,7 @@ struct Node {
     count: u32,
 }
 
-/// The tree.
+/// Bounding volume hierarchy.
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
     /// Surfaces in the order of the leaves.
@@ -72,7 +72,7 @@ impl Bvh {
         let cut = match items.len() {
             0..=LEAF => None,
             count if level >= BALANCED => Some(count / 2),
-            _ => best_cut(items),
+            _ => best_split(items),
         };
         let first = self.order.len() as u32;
         let count = if cut.is_none() { items.len() as u32 } else { 0 };
@@ -87,9 +87,9 @@ impl Bvh {
         self.grow(right, level + 1);
     }
 
-    /// The first surface of a leaf before `to`.
+    /// The nearest surface of a leaf before `to`.
     #[inline]
-    fn meet_leaf(&self, node: &Node, ray: &Ray, to: f32) -> Option<Hit> {
+    fn intersect_leaf(&self, node: &Node, ray: &Ray, to: f32) -> Option<Hit> {
         let (mut best, mut to) = (None, to);
         let first = node.first as usize;
         for place in first..first + node.count as usize {
@@ -110,13 +110,13 @@ impl Bvh {
         let mut stack = [(0u32, 0.0f32); STACK];
         let mut depth = 0;
         let mut index = 0;
-        enters(&self.nodes[0], ray, inverse, to)?;
+        entry(&self.nodes[0], ray, inverse, to)?;
         loop {
             let node = &self.nodes[index];
             if node.count == 0 {
                 let (left, right) = (index + 1, node.first as usize);
-                let enter_left = enters(&self.nodes[left], ray, inverse, to);
-                let enter_right = enters(&self.nodes[right], ray, inverse, to);
+                let enter_left = entry(&self.nodes[left], ray, inverse, to);
+                let enter_right = entry(&self.nodes[right], ray, inverse, to);
                 match (enter_left, enter_right) {
                     (Some(a), Some(b)) => {
                         let (near, far, later) =
@@ -137,7 +137,7 @@ impl Bvh {
                     (None, None) => {}
                 }
             } else {
-                best = self.meet_leaf(node, ray, to).or(best);
+                best = self.intersect_leaf(node, ray, to).or(best);
                 to = best.map_or(to, |hit| hit.t);
             }
             loop {
@@ -155,15 +155,15 @@ impl Bvh {
     }
 }
 
-/// The smaller and the larger; NaN is not looked at, which keeps both to one instruction.
+/// Minimum and maximum, one instruction each because NaN is not handled.
 #[inline]
 fn sorted(a: f32, b: f32) -> (f32, f32) {
     if a < b { (a, b) } else { (b, a) }
 }
 
-/// Ray parameter at which the ray enters the node; `None` if not before `to`.
+/// Ray parameter at which the node is entered; `None` if not before `to`.
 #[inline]
-fn enters(node: &Node, ray: &Ray, inverse: Vec3, to: f32) -> Option<f32> {
+fn entry(node: &Node, ray: &Ray, inverse: Vec3, to: f32) -> Option<f32> {
     let (x0, x1) =
         sorted((node.low.x - ray.origin.x) * inverse.x, (node.high.x - ray.origin.x) * inverse.x);
     let (y0, y1) =
@@ -175,8 +175,8 @@ fn enters(node: &Node, ray: &Ray, inverse: Vec3, to: f32) -> Option<f32> {
     (enter <= leave).then_some(enter)
 }
 
-/// The cheapest cut: sorts the items by its axis, gives its place.
-fn best_cut(items: &mut [Item]) -> Option<usize> {
+/// Finds the cheapest split, sorts the items along its axis and returns its index.
+fn best_split(items: &mut [Item]) -> Option<usize> {
     let count = items.len();
     let whole = area(items) * count as f32;
     let (mut best, mut cost) = (None, whole);
@@ -203,7 +203,7 @@ mod tests {
     use crate::spec::Spec;
 
     #[test]
-    fn the_tree_finds_what_a_search_of_all_surfaces_finds() {
+    fn the_tree_agrees_with_brute_force() {
         let scene = furnished_room(&Spec::default());
         let mut random = stream(3, 0, 0);
         let mut met = 0;

@@ -102,7 +102,7 @@ pub(super) fn desk(b: &mut Builder, l: &Library, random: &mut Random, place: &Pl
     }
     let top = place.at([0.0, -0.32, tall], 0.0);
     let black = l.paint.tinted(srgb(0x1d1e21));
-    let shown = l.screen.bright(Role::Glow, light);
+    let shown = l.screen.emitting(Role::Glow, light);
     b.block(&top, [-0.12, 0.05, 0.0], [0.12, 0.22, 0.015], black);
     b.block(&top, [-0.03, 0.14, 0.015], [0.03, 0.17, 0.15], black);
     b.block(&top, [-0.30, 0.10, 0.12], [0.30, 0.135, 0.48], black);
@@ -209,7 +209,7 @@ pub(super) fn radiator(b: &mut Builder, l: &Library, place: &Place) {
 /// A door of 0.9 x 2.05 m with its frame and knob.
 pub(super) fn door(b: &mut Builder, l: &Library, random: &mut Random, place: &Place) {
     let frame = l.woods[2];
-    b.dressed(place, [-0.43, -0.03, 0.0], [0.43, 0.0, 2.03], frame, l.door);
+    b.block_with_front(place, [-0.43, -0.03, 0.0], [0.43, 0.0, 2.03], frame, l.door);
     for (x0, x1, z0, z1) in
         [(-0.51, -0.43, 0.0, 2.11), (0.43, 0.51, 0.0, 2.11), (-0.43, 0.43, 2.03, 2.11)]
     {

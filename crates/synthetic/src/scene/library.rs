@@ -11,7 +11,7 @@ use i2slam_compute::Random;
 /// Purpose number of the random stream that chooses materials.
 const MATERIALS: u64 = 1;
 
-/// Skins to dress things in.
+/// Skins of all objects in a room.
 pub(super) struct Library {
     pub(super) floor: Skin,
     pub(super) plaster: Skin,

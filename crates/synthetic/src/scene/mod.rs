@@ -1,4 +1,4 @@
-//! Rooms: what stands where, what it looks like, and what a ray meets first.
+//! Rooms: geometry, materials and ray casting.
 
 mod builder;
 mod bvh;
@@ -7,7 +7,6 @@ mod library;
 mod objects;
 mod room;
 mod shape;
-mod wall;
 
 use crate::rgb::Rgb;
 use crate::texture::{Decoder, Texture};
@@ -18,20 +17,20 @@ pub(crate) use shape::{Hit, Ray, Shape};
 /// Points and directions in the world.
 pub(crate) type Vec3 = i2slam_geometry::Vec3<f32>;
 
-/// Role of a surface in the light transport.
+/// Role of a surface in light transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     /// Reflects (Lambert).
     Matt,
-    /// Emits light that is found when light is gathered: glowing shades, displays.
+    /// Emits light that is found by hemisphere rays: glowing shades, displays.
     Glow,
-    /// Sends light that is sampled as an [`Emitter`]: bulbs.
+    /// Emits light that is sampled as an [`Emitter`]: bulbs.
     Lamp,
-    /// A window pane: the outside is seen in it, sun comes through it.
+    /// A window pane: shows the outside and lets the sun in.
     Pane,
 }
 
-/// Texture mapping of a surface.
+/// Texture mapping and material of a surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Skin {
     /// Index of the texture.
@@ -40,9 +39,9 @@ pub(crate) struct Skin {
     pub(crate) tint: Rgb,
     /// Side of one repetition [m]; `None`: stretched over the surface once.
     pub(crate) tile: Option<f32>,
-    /// Part in the light.
+    /// Role in light transport.
     pub(crate) role: Role,
-    /// Radiance of white, for what sends light.
+    /// Radiance of white, for emitters.
     pub(crate) radiance: f32,
 }
 
@@ -52,9 +51,9 @@ pub(crate) struct Surface {
     pub(crate) skin: Skin,
     /// Repetitions of the texture over the surface.
     pub(crate) repeats: [f32; 2],
-    /// Texture coordinates of the surface's corner [repetitions].
+    /// Texture coordinates of the surface's origin [repetitions].
     pub(crate) start: [f32; 2],
-    /// Texels of level 0 a metre.
+    /// Texels of level 0 per metre.
     pub(crate) texels_per_metre: f32,
 }
 

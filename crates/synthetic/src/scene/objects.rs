@@ -28,7 +28,7 @@ pub(super) fn books(
         let cover = library.paint.tinted(colour);
         let back = library.spines[random.below(library.spines.len())].tinted(colour);
         let (low, high) = ([x, -depth + inset, 0.0], [x + thick - 0.001, -0.02, tall]);
-        builder.dressed(board, low, high, cover, back);
+        builder.block_with_front(board, low, high, cover, back);
         x += thick;
     }
 }
@@ -56,7 +56,7 @@ pub(super) fn sheet(builder: &mut Builder, library: &Library, random: &mut Rando
 /// A mug with a handle.
 pub(super) fn mug(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
     let glaze = library.paint.tinted(scale(small_colour(random), 1.2));
-    builder.turned(place, [0.0, 0.09], [0.038, 0.042], glaze);
+    builder.frustum(place, [0.0, 0.09], [0.038, 0.042], glaze);
     builder.block(place, [0.04, -0.006, 0.02], [0.065, 0.006, 0.075], glaze);
 }
 
@@ -64,14 +64,14 @@ pub(super) fn mug(builder: &mut Builder, library: &Library, random: &mut Random,
 pub(super) fn vase(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
     let glaze = library.glazes[random.below(3)];
     let r = between32(random, 0.06, 0.09);
-    builder.turned(place, [0.0, 0.10], [0.7 * r, r], glaze);
-    builder.turned(place, [0.10, 0.20], [r, 0.45 * r], glaze);
-    builder.turned(place, [0.20, 0.25], [0.45 * r, 0.65 * r], glaze);
+    builder.frustum(place, [0.0, 0.10], [0.7 * r, r], glaze);
+    builder.frustum(place, [0.10, 0.20], [r, 0.45 * r], glaze);
+    builder.frustum(place, [0.20, 0.25], [0.45 * r, 0.65 * r], glaze);
 }
 
 /// A bowl of fruit.
 pub(super) fn fruit(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
-    builder.turned(place, [0.0, 0.06], [0.07, 0.15], library.glazes[0]);
+    builder.frustum(place, [0.0, 0.06], [0.07, 0.15], library.glazes[0]);
     for i in 0..6 {
         let angle = i as f32 * 1.05 + between32(random, -0.2, 0.2);
         let (s, c) = angle.sin_cos();
@@ -88,7 +88,7 @@ pub(super) fn fruit(builder: &mut Builder, library: &Library, random: &mut Rando
 /// A patterned ball.
 pub(super) fn globe(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
     let r = between32(random, 0.07, 0.13);
-    builder.turned(place, [0.0, 0.02], [0.05, 0.04], library.woods[0]);
+    builder.frustum(place, [0.0, 0.02], [0.05, 0.04], library.woods[0]);
     let glaze = library.glazes[random.below(3)];
     builder.ball(place.point([0.0, 0.0, r + 0.015]), r, glaze);
 }
@@ -102,7 +102,7 @@ pub(super) fn plant(
     tall: f32,
 ) {
     let pot = 0.16 * tall.max(0.6);
-    builder.turned(place, [0.0, 0.26 * tall], [0.75 * pot, pot], library.glazes[1]);
+    builder.frustum(place, [0.0, 0.26 * tall], [0.75 * pot, pot], library.glazes[1]);
     let leaf = library.glazes[2].tinted([0.45, 0.75, 0.35]);
     let stem = library.paint.tinted(srgb(0x4c5a2a));
     builder.tube(place, [0.26 * tall, 0.8 * tall], [0.015, 0.01], stem);
@@ -134,9 +134,9 @@ pub(super) fn lamp(
     light: [f32; 3],
 ) {
     let (size, metal) = (0.22 * tall.powf(0.4), library.paint.tinted(srgb(0x39352f)));
-    builder.turned(place, [0.0, 0.02], [0.6 * size, 0.55 * size], metal);
-    builder.turned(place, [0.02, tall - size], [0.012, 0.012], metal);
-    let shade = library.paint.tinted(srgb(0xf2dfb8)).bright(Role::Glow, 0.8 * light[0]);
+    builder.frustum(place, [0.0, 0.02], [0.6 * size, 0.55 * size], metal);
+    builder.frustum(place, [0.02, tall - size], [0.012, 0.012], metal);
+    let shade = library.paint.tinted(srgb(0xf2dfb8)).emitting(Role::Glow, 0.8 * light[0]);
     builder.tube(place, [tall - size, tall], [0.72 * size, 0.5 * size], shade);
     let bulb = place.point([0.0, 0.0, tall - 0.45 * size]);
     let area = 0.045 * 0.045 * std::f32::consts::PI;

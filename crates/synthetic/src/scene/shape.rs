@@ -1,4 +1,4 @@
-//! The three shapes everything is made of, and where a ray meets them.
+//! The three primitive shapes and their ray intersections.
 
 use super::Vec3;
 
@@ -12,7 +12,7 @@ pub(crate) struct Ray {
     pub(crate) to: f32,
 }
 
-/// First intersection of a ray.
+/// First intersection of a ray with a surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hit {
     pub(crate) t: f32,
@@ -99,7 +99,7 @@ impl Shape {
         }
     }
 
-    /// Ray parameter of the intersection, with surface coordinates `(s, t)`; `None` beyond `to`.
+    /// Ray parameter and `(s, t)` of the intersection between the ray's ends.
     #[inline]
     pub(crate) fn intersect(&self, ray: &Ray, to: f32) -> Option<(f32, [f32; 2])> {
         match self {
@@ -115,13 +115,15 @@ impl Shape {
                 let cut = *round && (st[0] - 0.5).powi(2) + (st[1] - 0.5).powi(2) > 0.25;
                 (inside && !cut).then_some((t, st))
             }
-            Self::Ball { centre, radius } => meet_ball(ray, to, *centre, *radius),
-            Self::Frustum { base, height, radii } => meet_frustum(ray, to, *base, *height, *radii),
+            Self::Ball { centre, radius } => intersect_ball(ray, to, *centre, *radius),
+            Self::Frustum { base, height, radii } => {
+                intersect_frustum(ray, to, *base, *height, *radii)
+            }
         }
     }
 }
 
-fn meet_ball(ray: &Ray, to: f32, centre: Vec3, radius: f32) -> Option<(f32, [f32; 2])> {
+fn intersect_ball(ray: &Ray, to: f32, centre: Vec3, radius: f32) -> Option<(f32, [f32; 2])> {
     let (o, d) = (ray.origin - centre, ray.direction);
     let (a, b) = (d.norm_squared(), o.dot(d));
     let closest = o - d * (b / a);
@@ -134,7 +136,7 @@ fn meet_ball(ray: &Ray, to: f32, centre: Vec3, radius: f32) -> Option<(f32, [f32
     Some((t, octahedron_position((o + d * t) * radius.recip())))
 }
 
-fn meet_frustum(
+fn intersect_frustum(
     ray: &Ray,
     to: f32,
     base: Vec3,
@@ -191,7 +193,7 @@ mod tests {
 
     /// A ray from afar through the surface point must come back at its `(s, t)`.
     #[test]
-    fn rays_meet_the_points_they_aim_at() {
+    fn rays_hit_the_points_they_aim_at() {
         let shapes = [
             Shape::quad(
                 Vec3::new(1.0, 2.0, 3.0),

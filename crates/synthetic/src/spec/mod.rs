@@ -1,15 +1,15 @@
-//! Specification of a sequence: every field has a default, a range and a line of explanation.
+//! Specification of a sequence: every field has a default, a range and a line of documentation.
 
-mod section;
 mod sections;
 
 use crate::error::SyntheticError;
-use crate::response::Response;
-use section::section;
+use crate::sensor::Response;
 pub use sections::{
     CameraSpec, DepthSpec, ExposureSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec, RoomSpec,
     WhiteBalanceSpec,
 };
+use std::fmt::{Debug, Display};
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// A whole specification, `SPEC.toml`.
@@ -34,12 +34,12 @@ pub struct Spec {
     pub noise: NoiseSpec,
     /// The depth sensor.
     pub depth: DepthSpec,
-    /// Files that are written.
+    /// Optional outputs.
     pub output: OutputSpec,
 }
 
 impl Spec {
-    /// The specification of a text, checked. `origin` names it in errors.
+    /// Parses and checks a specification; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, SyntheticError> {
         let malformed = |e: toml::de::Error| SyntheticError::Malformed {
             origin: origin.to_owned(),
@@ -50,13 +50,13 @@ impl Spec {
         Ok(spec)
     }
 
-    /// The specification in a file.
+    /// Reads and checks a specification file.
     pub fn from_toml_file(path: &Path) -> Result<Self, SyntheticError> {
         let text = std::fs::read_to_string(path).map_err(|e| SyntheticError::read(path, e))?;
         Self::from_toml(&text, &path.display().to_string())
     }
 
-    /// The specification as a commented file that reads back to the same values.
+    /// Formats the specification as a commented file that reads back to the same values.
     pub fn to_toml(&self) -> String {
         let mut text = String::from(
             "# Specification of a synthetic sequence. Every line may be left out: these are the\n\
@@ -75,7 +75,7 @@ impl Spec {
         text
     }
 
-    /// Refuses values outside their documented range.
+    /// An error for values outside their documented range.
     pub fn validate(&self) -> Result<(), SyntheticError> {
         self.camera.check()?;
         self.room.check()?;
@@ -98,5 +98,135 @@ impl Spec {
     }
 }
 
+/// A value with an allowed range.
+pub(crate) trait Ranged {
+    /// An error for values outside; `key` names the field.
+    fn within(&self, range: &RangeInclusive<f64>, key: &str) -> Result<(), SyntheticError>;
+}
+
+fn check(value: f64, range: &RangeInclusive<f64>, key: &str) -> Result<(), SyntheticError> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(SyntheticError::OutOfRange {
+        key: key.to_owned(),
+        value: value.to_string(),
+        expected: format!("{} to {}", range.start(), range.end()),
+    })
+}
+
+impl Ranged for f64 {
+    fn within(&self, range: &RangeInclusive<f64>, key: &str) -> Result<(), SyntheticError> {
+        check(*self, range, key)
+    }
+}
+
+impl Ranged for usize {
+    fn within(&self, range: &RangeInclusive<f64>, key: &str) -> Result<(), SyntheticError> {
+        check(*self as f64, range, key)
+    }
+}
+
+impl<const N: usize> Ranged for [f64; N] {
+    fn within(&self, range: &RangeInclusive<f64>, key: &str) -> Result<(), SyntheticError> {
+        self.iter().try_for_each(|value| check(*value, range, key))
+    }
+}
+
+/// Formats a value as TOML.
+pub(crate) fn to_toml_value<T: Debug + serde::Serialize>(value: &T) -> String {
+    toml::Value::try_from(value).map_or_else(|_| format!("{value:?}"), |v| v.to_string())
+}
+
+/// Documentation lines as comments.
+pub(crate) fn comments(text: &mut String, lines: &[&str]) {
+    for line in lines {
+        text.push_str(&format!("#{line}\n"));
+    }
+}
+
+/// The range of a field as a comment.
+pub(crate) fn range_comment(text: &mut String, low: impl Display, high: impl Display) {
+    text.push_str(&format!("# Range: {low} to {high}.\n"));
+}
+
+/// Defines a section of the specification. A field is `/// doc`, `name: Type = default` and,
+/// after a comma, the range of its numbers.
+macro_rules! section {
+    (
+        $(#[doc = $about:literal])+
+        $section:ident : $name:ident {
+            $( $(#[doc = $doc:literal])+ $field:ident : $type:ty = $default:expr $(, $range:expr)? ; )+
+        }
+    ) => {
+        $(#[doc = $about])+
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct $name { $( $(#[doc = $doc])+ pub $field: $type, )+ }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $( $field: $default, )+ }
+            }
+        }
+
+        impl $name {
+            pub(super) fn print(&self, text: &mut String) {
+                text.push('\n');
+                $crate::spec::comments(text, &[$($about),+]);
+                text.push_str(concat!("[", stringify!($section), "]\n"));
+                $(
+                    $crate::spec::comments(text, &[$($doc),+]);
+                    $( $crate::spec::range_comment(text, $range.start(), $range.end()); )?
+                    let value = $crate::spec::to_toml_value(&self.$field);
+                    text.push_str(&format!("{} = {value}\n", stringify!($field)));
+                )+
+            }
+
+            pub(super) fn check(&self) -> Result<(), crate::SyntheticError> {
+                $( $(
+                    let key = concat!(stringify!($section), ".", stringify!($field));
+                    $crate::spec::Ranged::within(&self.$field, &$range, key)?;
+                )? )+
+                Ok(())
+            }
+        }
+    };
+}
+pub(crate) use section;
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_printed_specification_reads_back() {
+        let spec = Spec { seed: 7, ..Spec::default() };
+        let text = spec.to_toml();
+        assert_eq!(Spec::from_toml(&text, "printed").expect("readable"), spec);
+        assert!(text.contains("# Width of the pictures [px].\n# Range: 16 to 8192.\nwidth = 320"));
+    }
+
+    #[test]
+    fn an_empty_specification_is_the_default() {
+        assert_eq!(Spec::from_toml("", "empty").expect("readable"), Spec::default());
+    }
+
+    #[test]
+    fn unknown_keys_and_values_out_of_range_are_named() {
+        let message = |text: &str| Spec::from_toml(text, "a.toml").expect_err(text).to_string();
+        let unknown = message("[camera]\nwidht = 3");
+        assert!(unknown.contains("widht") && unknown.contains("line 2"), "{unknown}");
+        assert!(unknown.contains("`width`"), "{unknown}");
+        assert!(message("[colour]\nx = 1").contains("colour"));
+        assert!(
+            message("[camera]\nwidth = 3").contains("camera.width = 3 is out of range: 16 to 8192")
+        );
+        assert!(message("[room]\nsize = [5.0, 4.0]").contains("line 2"));
+        assert!(message("[exposure]\nresponse = \"gamma\"").contains("reinhard"));
+        assert!(message("[motion]\nspeed = nan").contains("motion.speed = NaN"));
+        assert!(
+            message("[exposure]\nshutter_minimum = 0.5\nshutter_maximum = 0.2").contains("at most")
+        );
+    }
+}

@@ -35,7 +35,7 @@ section! {
         windows: usize = 2, 0.0..=6.0;
         /// Panels with fine text on the walls.
         text_panels: usize = 5, 0.0..=6.0;
-        /// Fill of the shelves.
+        /// Share of shelf space that is filled.
         clutter: f64 = 0.8, 0.0..=1.0;
     }
 }
@@ -55,7 +55,7 @@ section! {
         sun_azimuth: f64 = 28.0, -80.0..=80.0;
         /// Share of reflected light that is kept; less gives darker shades and more contrast.
         reflections: f64 = 0.4, 0.0..=1.0;
-        /// Brightness outside: mean radiance over the room's median [stops].
+        /// Brightness of the outside: mean over the room's median radiance [stops].
         window_stops: f64 = 4.0, -2.0..=10.0;
         /// Spacing at which light is computed on surfaces [m]; reflected light five times wider.
         texel: f64 = 0.02, 0.005..=0.5;
@@ -141,7 +141,7 @@ section! {
 }
 
 section! {
-    /// Files that are written.
+    /// Optional outputs.
     output: OutputSpec {
         /// Radiance (EXR) of every n-th frame; 0 writes none.
         hdr_every: usize = 1, 0.0..=100_000.0;

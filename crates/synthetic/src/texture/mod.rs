@@ -1,22 +1,18 @@
 //! Pictures on surfaces: painted once, read at the resolution of a pixel's footprint.
 
 mod canvas;
-mod fabric;
-mod font;
-mod outside;
+mod materials;
 mod paper;
-mod stone;
-mod wood;
 
 use crate::rgb::{Rgb, decode, encode, plus, scale};
 pub(crate) use canvas::Canvas;
-pub(crate) use fabric::{curtain, rug, upholstery, woven};
-pub(crate) use outside::outside;
+pub(crate) use materials::{
+    brick, ceramic, curtain, door, outside, plain, planks, plaster, rug, timber, upholstery,
+    wallpaper, woven,
+};
 pub(crate) use paper::{
     abstract_painting, calendar, carton, landscape_painting, screen, spine, text_sheet,
 };
-pub(crate) use stone::{brick, ceramic, plain, plaster, wallpaper};
-pub(crate) use wood::{door, planks, timber};
 
 /// A square picture, periodic, with all reductions by two. Values are kept as sRGB codes.
 pub(crate) struct Texture {

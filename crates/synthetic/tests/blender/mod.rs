@@ -1,5 +1,4 @@
-//! The Blender script on its own small room, where Python has `bpy`: the layout opens, and true
-//! depth and pose carry a frame onto the next.
+//! The Blender script: its layout opens, and true depth and poses reproject frames onto each other.
 
 use crate::support::Scratch;
 use i2slam_dataset::{OpenOptions, Sequence};
@@ -9,13 +8,9 @@ use std::process::Command;
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/blender/render_sequence.py");
 
 #[test]
+#[ignore = "needs a Python with bpy and numpy (I2SLAM_BPY_PYTHON names it)"]
 fn the_script_writes_a_sequence_with_its_truth() {
     let python = std::env::var("I2SLAM_BPY_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let known = Command::new(&python).args(["-c", "import bpy, numpy"]).output();
-    if !known.is_ok_and(|ran| ran.status.success()) {
-        println!("skipped: {python} has no bpy (I2SLAM_BPY_PYTHON names one that has)");
-        return;
-    }
     let scratch = Scratch::new("blender");
     std::fs::create_dir_all(&scratch.0).expect("a folder");
     let size = ["--frames", "4", "--width", "64", "--height", "48", "--samples", "8"];

@@ -1,8 +1,120 @@
-//! The page that says what a sequence is, and its camera file.
+//! The files of a sequence, in the TUM layout: images, lists, `camera.json` and a README.
 
-use crate::exposure::ShutterRule;
+use crate::error::SyntheticError;
+use crate::sensor::ShutterRule;
 use crate::spec::Spec;
-use i2slam_geometry::Camera;
+use i2slam_geometry::{Camera, Image, Pose};
+use std::io::{self, Cursor};
+use std::path::{Path, PathBuf};
+
+/// Output folder of a sequence.
+pub(crate) struct OutputFolder {
+    root: PathBuf,
+}
+
+impl OutputFolder {
+    /// Creates the folder if it does not exist.
+    pub(crate) fn create(root: &Path) -> Result<Self, SyntheticError> {
+        std::fs::create_dir_all(root).map_err(|e| SyntheticError::write(root, e))?;
+        Ok(Self { root: root.to_owned() })
+    }
+
+    /// Writes a file, creating the folder it lies in.
+    pub(crate) fn write(
+        &self,
+        relative: &str,
+        bytes: io::Result<Vec<u8>>,
+    ) -> Result<(), SyntheticError> {
+        let path = self.root.join(relative);
+        let failed = |e| SyntheticError::write(&path, e);
+        if let Some(parent) = path.parent() {
+            std::fs::create_dir_all(parent).map_err(failed)?;
+        }
+        std::fs::write(&path, bytes.map_err(failed)?).map_err(failed)
+    }
+
+    /// Writes a text file.
+    pub(crate) fn write_text(&self, relative: &str, text: String) -> Result<(), SyntheticError> {
+        self.write(relative, Ok(text.into_bytes()))
+    }
+
+    /// Writes `rgb.txt` or `depth.txt`, a line for every stamp [s]; frames are numbered.
+    pub(crate) fn write_list(
+        &self,
+        kind: &str,
+        about: &str,
+        stamps: &[f64],
+    ) -> Result<(), SyntheticError> {
+        let mut text = format!("# {about}\n# timestamp filename\n");
+        for (i, stamp) in stamps.iter().enumerate() {
+            text.push_str(&format!("{stamp:.6} {kind}/{i:06}.png\n"));
+        }
+        self.write_text(&format!("{kind}.txt"), text)
+    }
+}
+
+/// `tx ty tz qx qy qz qw`.
+pub(crate) fn pose_numbers(pose: &Pose<f64>) -> String {
+    let (t, q) = (pose.translation, pose.rotation);
+    format!("{:.7} {:.7} {:.7} {:.9} {:.9} {:.9} {:.9}", t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w)
+}
+
+/// Depth image value of one metre.
+pub(crate) const DEPTH_SCALE: f64 = 5000.0;
+
+/// An 8-bit RGB PNG of a picture in `[0, 1]`.
+pub(crate) fn write_picture(picture: &Image<f32>) -> io::Result<Vec<u8>> {
+    let byte = |v: f32| (v * 255.0).round().clamp(0.0, 255.0) as u8;
+    let planes = [0, 1, 2].map(|channel| picture.plane(channel));
+    let pixels = (0..picture.pixels()).flat_map(|i| planes.map(|plane| byte(plane[i])));
+    let bytes: Vec<u8> = pixels.collect();
+    write_png(picture, png::ColorType::Rgb, png::BitDepth::Eight, &bytes)
+}
+
+/// A 16-bit grey PNG of depth in metres; values beyond 16 bits become 0.
+pub(crate) fn write_depth(depth: &Image<f32>) -> io::Result<Vec<u8>> {
+    let units = depth.plane(0).iter().map(|&metres| {
+        let unit = (f64::from(metres) * DEPTH_SCALE).round_ties_even();
+        if unit > 0.0 && unit <= f64::from(u16::MAX) { unit as u16 } else { 0 }
+    });
+    let bytes: Vec<u8> = units.flat_map(u16::to_be_bytes).collect();
+    write_png(depth, png::ColorType::Grayscale, png::BitDepth::Sixteen, &bytes)
+}
+
+fn write_png(
+    image: &Image<f32>,
+    colour: png::ColorType,
+    bits: png::BitDepth,
+    bytes: &[u8],
+) -> io::Result<Vec<u8>> {
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, image.width as u32, image.height as u32);
+    encoder.set_color(colour);
+    encoder.set_depth(bits);
+    let mut writer = encoder.write_header().map_err(io::Error::other)?;
+    writer.write_image_data(bytes).map_err(io::Error::other)?;
+    writer.finish().map_err(io::Error::other)?;
+    Ok(out)
+}
+
+/// A half-float linear RGB OpenEXR of radiance (Rec. 709 primaries).
+pub(crate) fn write_radiance(radiance: &Image<f32>) -> io::Result<Vec<u8>> {
+    use exr::prelude::{Compression, Encoding, SpecificChannels, Vec2, WritableImage, f16};
+    let (width, height) = (radiance.width, radiance.height);
+    let planes = [0, 1, 2].map(|channel| radiance.plane(channel));
+    let pixels = SpecificChannels::rgb(|at: Vec2<usize>| {
+        let [r, g, b] = planes.map(|plane| f16::from_f32(plane[at.y() * width + at.x()]));
+        (r, g, b)
+    });
+    let mut bytes = Cursor::new(Vec::new());
+    let encoding = Encoding { compression: Compression::ZIP16, ..Encoding::default() };
+    exr::prelude::Image::from_encoded_channels((width, height), encoding, pixels)
+        .write()
+        .non_parallel()
+        .to_buffered(&mut bytes)
+        .map_err(io::Error::other)?;
+    Ok(bytes.into_inner())
+}
 
 /// Figures of a finished sequence.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,7 +135,7 @@ pub struct Summary {
     pub depth: [f64; 3],
 }
 
-/// The camera file, with the conventions in words.
+/// Contents of `camera.json`, with its conventions.
 pub(crate) fn camera_json(camera: &Camera<f64>, spec: &Spec, rule: &ShutterRule) -> String {
     let [w, h] = [camera.width, camera.height];
     let (fps, fov) = (spec.camera.frame_rate, spec.camera.field_of_view);
@@ -62,7 +174,7 @@ pub(crate) fn camera_json(camera: &Camera<f64>, spec: &Spec, rule: &ShutterRule)
     )
 }
 
-/// The page beside the data.
+/// Contents of the sequence's README.
 pub(crate) fn readme(spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
     let c = &spec.camera;
     let crf = spec.exposure.response.formula();

@@ -1,12 +1,12 @@
-//! Ground truth of a sequence, copied to the degraded one.
+//! Ground truth of a sequence, copied to its degraded version.
 
 use super::Degradation;
 use crate::error::SyntheticError;
-use crate::write::{Folder, pose_numbers};
+use crate::write::{OutputFolder, pose_numbers};
 use i2slam_dataset::Sequence;
 use std::path::Path;
 
-/// A sequence must not be written over itself.
+/// An error if the output folder is that of the dataset.
 pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), SyntheticError> {
     match (dataset.canonicalize(), out.canonicalize()) {
         (Ok(from), Ok(to)) if from == to => Err(SyntheticError::OutOfRange {
@@ -18,16 +18,16 @@ pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), Synth
     }
 }
 
-/// Copies poses, and sharp pictures, radiance and exposures under their new numbers.
-pub(super) fn carry(
+/// Copies poses, and sharp images, radiance and exposures with their new numbers.
+pub(super) fn copy_ground_truth(
     dataset: &Path,
     out: &Path,
-    folder: &Folder,
+    folder: &OutputFolder,
     sequence: &Sequence,
     kept: &[usize],
     what: &Degradation,
 ) -> Result<(), SyntheticError> {
-    poses(out, folder, sequence)?;
+    write_poses(out, folder, sequence)?;
     let ends = "groundtruth_shutter.txt";
     if dataset.join(ends).is_file() {
         copy(&dataset.join(ends), &out.join(ends))?;
@@ -36,9 +36,9 @@ pub(super) fn carry(
     for (number, &source) in kept.iter().enumerate() {
         let entry = &sequence.entries[source];
         let name = entry.colour.file_name().unwrap_or_default();
-        carry_file(&dataset.join("sharp").join(name), out, &format!("sharp/{number:06}.png"))?;
+        copy_if_present(&dataset.join("sharp").join(name), out, &format!("sharp/{number:06}.png"))?;
         let radiance = dataset.join(format!("hdr/{source:06}.exr"));
-        carry_file(&radiance, out, &format!("hdr/{number:06}.exr"))?;
+        copy_if_present(&radiance, out, &format!("hdr/{number:06}.exr"))?;
         let (stops, covered) = (what.stops(source), what.covers(source));
         sources.push_str(&format!("{number},{source},{stops},{}\n", u8::from(covered)));
     }
@@ -46,13 +46,17 @@ pub(super) fn carry(
     let table = dataset.join("exposure.csv");
     if table.is_file() {
         let text = std::fs::read_to_string(&table).map_err(|e| SyntheticError::read(&table, e))?;
-        folder.write_text("exposure.csv", renumbered(&text, kept, what))?;
+        folder.write_text("exposure.csv", renumber_exposures(&text, kept, what))?;
     }
     Ok(())
 }
 
-/// True poses in the TUM format, whatever the layout of the source keeps them in.
-fn poses(out: &Path, folder: &Folder, sequence: &Sequence) -> Result<(), SyntheticError> {
+/// Writes true poses in the TUM format.
+fn write_poses(
+    out: &Path,
+    folder: &OutputFolder,
+    sequence: &Sequence,
+) -> Result<(), SyntheticError> {
     if let Some(truth) = &sequence.ground_truth {
         return copy(truth, &out.join("groundtruth.txt"));
     }
@@ -72,8 +76,8 @@ fn copy(from: &Path, to: &Path) -> Result<(), SyntheticError> {
     std::fs::copy(from, to).map(|_| ()).map_err(|e| SyntheticError::write(to, e))
 }
 
-/// Copies a PNG or EXR file if it is there.
-fn carry_file(from: &Path, out: &Path, name: &str) -> Result<(), SyntheticError> {
+/// Copies a PNG or EXR file if it exists.
+fn copy_if_present(from: &Path, out: &Path, name: &str) -> Result<(), SyntheticError> {
     let same_kind = from.extension() == Path::new(name).extension();
     if !(same_kind && from.is_file()) {
         return Ok(());
@@ -85,8 +89,8 @@ fn carry_file(from: &Path, out: &Path, name: &str) -> Result<(), SyntheticError>
     copy(from, &to)
 }
 
-/// `exposure.csv` of the frames kept: columns `frame`, `ev` and `dt` follow, others stay.
-fn renumbered(text: &str, kept: &[usize], what: &Degradation) -> String {
+/// `exposure.csv` of the kept frames, with columns `frame`, `ev` and `dt` adjusted.
+fn renumber_exposures(text: &str, kept: &[usize], what: &Degradation) -> String {
     let mut lines = text.lines();
     let header = lines.next().unwrap_or_default();
     let names: Vec<&str> = header.split(',').map(str::trim).collect();
@@ -123,11 +127,11 @@ mod tests {
     use crate::ExposureStep;
 
     #[test]
-    fn exposures_follow_their_frames() {
+    fn exposures_are_renumbered_and_shifted() {
         let text = "frame,timestamp,ev,dt\n0,0.0,0.5,1.414214\n1,0.1,0.0,1.0\n2,0.2,1.0,2.0\n";
         let exposure_steps = vec![ExposureStep { frame: 2, stops: -1.0 }];
         let what = Degradation { exposure_steps, ..Degradation::default() };
         let expected = "frame,timestamp,ev,dt\n0,0.0,0.500000,1.414214\n1,0.2,0.000000,1.000000\n";
-        assert_eq!(renumbered(text, &[0, 2], &what), expected);
+        assert_eq!(renumber_exposures(text, &[0, 2], &what), expected);
     }
 }
