@@ -255,7 +255,11 @@ fn assert_images_agree(name: &str, render: &Image<f32>, truth: &Image<f32>) {
 fn procedural_pictures_agree() {
     for (prefix, size) in [("", [48, 37]), ("large_", [203, 166])] {
         for (name, phase) in [("near", 0.05), ("far", 0.8)] {
-            assert_images_agree(&format!("{prefix}{name}"), &picture(size, phase), &picture(size, 0.0));
+            assert_images_agree(
+                &format!("{prefix}{name}"),
+                &picture(size, phase),
+                &picture(size, 0.0),
+            );
         }
     }
 }
