@@ -1,12 +1,12 @@
 //! Image residuals of a block of samples, one per channel.
 
 use super::depth::DepthBlock;
-use super::geometry::{ExposureSample, Geometry, Points, by_point, placeholder_point, project};
+use super::geometry::{ExposureSample, Points, by_point, placeholder_point, project};
 use super::level::{BLOCK, BilinearTaps, BlockValues, groups};
 use super::{
     DEGREES_OF_FREEDOM, Linearization, MIN_DISTANCE, READOUT, ResidualSums, WHITE_BALANCE,
 };
-use super::{add_normal_equations, cost_of};
+use super::{Kernel, add_normal_equations, cost_of};
 use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
 
@@ -54,32 +54,31 @@ impl ColourBlock {
     #[inline(always)]
     pub(super) fn add<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        kernel: Kernel<'_, S>,
         depth: &DepthBlock,
         sums: &mut ResidualSums,
     ) {
+        let Kernel { task, geometry, .. } = kernel;
         for group in 0..groups::<S>() {
-            self.project_to_frame(simd, task, geometry, depth, group);
+            self.project_to_frame(kernel, depth, group);
         }
         self.taps.split(&task.frame.camera);
         task.frame.texels.sample(&self.taps, &mut self.pixel);
         for (index, sample) in geometry.exposure.iter().enumerate() {
             for group in 0..groups::<S>() {
-                self.project_to_target(simd, task, geometry, (sample, depth), group);
+                self.project_to_target(kernel, (sample, depth), group);
             }
             self.taps.split(&task.frame.camera);
             task.target.texels.sample(&self.taps, &mut self.target);
             for group in 0..groups::<S>() {
-                self.accumulate(simd, task, geometry, (sample, index == 0), group);
+                self.accumulate(kernel, (sample, index == 0), group);
             }
         }
         for channel in 0..3 {
             self.channels[channel].apply_response(task, channel);
-            self.channels[channel].compare(simd, task, &self.seen, &self.pixel[channel][0], sums);
+            self.channels[channel].compare(kernel, &self.seen, &self.pixel[channel][0], sums);
             if task.derivatives {
-                self.channels[channel].add_equations(simd, task, geometry, channel, sums);
+                self.channels[channel].add_equations(kernel, channel, sums);
             }
         }
     }
@@ -88,9 +87,7 @@ impl ColourBlock {
     #[inline(always)]
     fn project_to_frame<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        Kernel { simd, task, geometry }: Kernel<'_, S>,
         depth: &DepthBlock,
         group: usize,
     ) {
@@ -112,14 +109,13 @@ impl ColourBlock {
     #[inline(always)]
     fn project_to_target<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        kernel: Kernel<'_, S>,
         (sample, depth): (&ExposureSample, &DepthBlock),
         group: usize,
     ) {
+        let Kernel { simd, task, geometry } = kernel;
         let point = Points::load_group(simd, &depth.points, group);
-        let seen = self.to_centre(simd, geometry, sample, point, group);
+        let seen = self.to_centre(kernel, sample, point, group);
         let target_point = geometry.target_from_centre.transform(simd, seen);
         seen.store_group(&mut self.points, group);
         let camera = &task.frame.camera;
@@ -136,8 +132,7 @@ impl ColourBlock {
     #[inline(always)]
     fn to_centre<S: Simd>(
         &mut self,
-        simd: S,
-        geometry: &Geometry,
+        Kernel { simd, geometry, .. }: Kernel<'_, S>,
         sample: &ExposureSample,
         point: Points<S>,
         group: usize,
@@ -156,12 +151,11 @@ impl ColourBlock {
     #[inline(always)]
     fn accumulate<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        kernel: Kernel<'_, S>,
         (sample, first): (&ExposureSample, bool),
         group: usize,
     ) {
+        let Kernel { simd, task, geometry } = kernel;
         let number = |value| Lanes::splat(simd, value);
         let weight = number(sample.weight);
         for channel in 0..3 {
@@ -177,12 +171,12 @@ impl ColourBlock {
         let by =
             |u, v| geometry.rotate_to_centre(simd, by_point(simd, camera, target_point, (u, v)));
         let (along_u, along_v) = (by(weight, number(0.0)), by(number(0.0), weight));
-        let points = self.moved_points(simd, geometry, sample, group);
+        let points = self.moved_points(kernel, sample, group);
         for channel in 0..3 {
             let by_u = Lanes::load_group(simd, &self.target[channel][1], group);
             let by_v = Lanes::load_group(simd, &self.target[channel][2], group);
             let row = along_u.mul_add(by_u, along_v.scaled(by_v));
-            self.channels[channel].add_motion(simd, geometry, row, &points, (group, first));
+            self.channels[channel].add_motion(kernel, row, &points, (group, first));
         }
     }
 
@@ -190,8 +184,7 @@ impl ColourBlock {
     #[inline(always)]
     fn moved_points<S: Simd>(
         &self,
-        simd: S,
-        geometry: &Geometry,
+        Kernel { simd, geometry, .. }: Kernel<'_, S>,
         sample: &ExposureSample,
         group: usize,
     ) -> MovedPoints<S> {
@@ -245,8 +238,7 @@ impl Channel {
     #[inline(always)]
     fn add_motion<S: Simd>(
         &mut self,
-        simd: S,
-        geometry: &Geometry,
+        Kernel { simd, geometry, .. }: Kernel<'_, S>,
         row: Points<S>,
         points: &MovedPoints<S>,
         (group, first): (usize, bool),
@@ -283,8 +275,7 @@ impl Channel {
     #[inline(always)]
     fn compare<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
+        Kernel { simd, task, .. }: Kernel<'_, S>,
         seen: &BlockValues,
         pixel: &BlockValues,
         sums: &mut ResidualSums,
@@ -317,9 +308,7 @@ impl Channel {
     #[inline(always)]
     fn add_equations<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        Kernel { simd, task, geometry }: Kernel<'_, S>,
         channel: usize,
         sums: &mut ResidualSums,
     ) {

@@ -1,12 +1,9 @@
 //! Depth residuals of a block of samples.
 
-use super::geometry::{Geometry, Points, by_point, placeholder_point, project};
+use super::geometry::{Points, by_point, placeholder_point, project};
 use super::level::{BilinearTaps, BlockValues, SampleBlock, groups};
-use super::{
-    DEGREES_OF_FREEDOM, Linearization, MAX_DEPTH_RESIDUAL_RATIO, MIN_DISTANCE,
-    ROUGHNESS_SIGMA_RATIO,
-};
-use super::{ResidualSums, add_normal_equations, cost_of};
+use super::{DEGREES_OF_FREEDOM, MAX_DEPTH_RESIDUAL_RATIO, MIN_DISTANCE, ROUGHNESS_SIGMA_RATIO};
+use super::{Kernel, ResidualSums, add_normal_equations, cost_of};
 use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
 
@@ -39,22 +36,21 @@ impl DepthBlock {
     #[inline(always)]
     pub(super) fn add<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        kernel: Kernel<'_, S>,
         samples: &SampleBlock,
         sums: &mut ResidualSums,
     ) -> usize {
+        let Kernel { simd, task, .. } = kernel;
         let camera = &task.frame.camera;
         for group in 0..groups::<S>() {
-            self.project_to_target(simd, task, geometry, samples, group);
+            self.project_to_target(kernel, samples, group);
         }
         self.taps.split(camera);
         task.target.surface.gather(&self.taps, &mut self.corners, &mut self.roughness);
         let zero = Lanes::zero(simd);
         let mut lanes = LaneSums { cost: zero, error: zero, count: zero };
         for group in 0..groups::<S>() {
-            self.compare(simd, task, geometry, samples, group, &mut lanes);
+            self.compare(kernel, samples, group, &mut lanes);
         }
         let count = lanes.count.reduce_sum() as usize;
         sums.equations.cost += f64::from(lanes.cost.reduce_sum());
@@ -74,9 +70,7 @@ impl DepthBlock {
     #[inline(always)]
     fn project_to_target<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        Kernel { simd, task, geometry }: Kernel<'_, S>,
         samples: &SampleBlock,
         group: usize,
     ) {
@@ -98,13 +92,12 @@ impl DepthBlock {
     #[inline(always)]
     fn compare<S: Simd>(
         &mut self,
-        simd: S,
-        task: &Linearization<'_>,
-        geometry: &Geometry,
+        kernel: Kernel<'_, S>,
         samples: &SampleBlock,
         group: usize,
         lanes: &mut LaneSums<S>,
     ) {
+        let Kernel { simd, task, geometry } = kernel;
         let number = |value| Lanes::splat(simd, value);
         let target_point = Points::load_group(simd, &self.target_points, group);
         let [inverse, by_u, by_v] = self.taps.interpolate(simd, group, &self.corners);
@@ -119,7 +112,7 @@ impl DepthBlock {
         let camera = &task.frame.camera;
         let mut gradient = by_point(simd, camera, target_point, (slope * by_u, slope * by_v));
         gradient.z = gradient.z - number(1.0);
-        let (spread, variance) = spread_and_variance(simd, task, samples, roughness, group);
+        let (spread, variance) = spread_and_variance(kernel, samples, roughness, group);
         // By the distance to the surface, not along the optical axis.
         let normal = gradient.dot(gradient).sqrt().max(number(1.0));
         let distance = residual / normal;
@@ -157,8 +150,7 @@ impl DepthBlock {
 /// roughness.
 #[inline(always)]
 fn spread_and_variance<S: Simd>(
-    simd: S,
-    task: &Linearization<'_>,
+    Kernel { simd, task, .. }: Kernel<'_, S>,
     samples: &SampleBlock,
     roughness: Lanes<S>,
     group: usize,

@@ -174,15 +174,24 @@ impl WithSimd for Blocks<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> ResidualSums {
         let Self { task, geometry, blocks } = self;
         let mut sums = ResidualSums::default();
+        let kernel = Kernel { simd, task, geometry };
         let (mut depth, mut colour) = (DepthBlock::default(), ColourBlock::default());
         for samples in &task.frame.samples.blocks[blocks] {
-            let agreeing = depth.add(simd, task, geometry, samples, &mut sums);
+            let agreeing = depth.add(kernel, samples, &mut sums);
             if agreeing > 0 && task.image_weight > 0.0 {
-                colour.add(simd, task, geometry, &depth, &mut sums);
+                colour.add(kernel, &depth, &mut sums);
             }
         }
         sums
     }
+}
+
+/// Common inputs of the functions that process a block.
+#[derive(Clone, Copy)]
+struct Kernel<'a, S> {
+    simd: S,
+    task: &'a Linearization<'a>,
+    geometry: &'a Geometry,
 }
 
 /// Fills in row and column of the exposure: its derivative is the sum of those by the gains of the
