@@ -49,18 +49,8 @@ pub(crate) struct Bench<'a> {
 /// `job.json`: what was run, and how it ended.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Record {
-    /// Folder of the sequence, or `synth: ` and its specification.
-    pub(crate) sequence: String,
-    /// Options of `i2slam run` beside the settings.
-    pub(crate) arguments: Vec<String>,
-    /// The file given as `--config`.
-    pub(crate) settings: String,
-    /// Frames whose pictures are judged, where there is a list.
-    pub(crate) list: Option<String>,
-    /// Protocol that judges pictures; without one the metrics of the run itself count.
-    pub(crate) protocol: Option<String>,
-    /// Whether poses are optimised before pictures are judged.
-    pub(crate) optimise_poses: bool,
+    #[serde(flatten)]
+    pub(crate) work: Work,
     /// Version and checksum of the program.
     pub(crate) build: String,
     pub(crate) threads: usize,
@@ -74,17 +64,25 @@ pub(crate) struct Record {
     pub(crate) failure: Option<String>,
 }
 
-impl Record {
-    /// Whether another record is of the same work, by whichever build.
-    fn same_work(&self, other: &Self) -> bool {
-        self.sequence == other.sequence
-            && self.arguments == other.arguments
-            && self.settings == other.settings
-            && self.list == other.list
-            && self.protocol == other.protocol
-            && self.optimise_poses == other.optimise_poses
-    }
+/// The work of a job, by whichever build of the program: a finished job is not run again while its
+/// work stays the same.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Work {
+    /// Folder of the sequence, or `synth: ` and its specification.
+    sequence: String,
+    /// Options of `i2slam run` beside the settings.
+    arguments: Vec<String>,
+    /// The file given as `--config`.
+    settings: String,
+    /// Frames whose pictures are judged, where there is a list.
+    list: Option<String>,
+    /// Protocol that judges pictures; without one the metrics of the run itself count.
+    protocol: Option<String>,
+    /// Whether poses are optimised before pictures are judged.
+    optimise_poses: bool,
+}
 
+impl Record {
     fn write(&self, folder: &Path) -> Result<(), Stopped> {
         let text =
             serde_json::to_string_pretty(self).map_err(|e| Stopped::Failed(e.to_string()))?;
@@ -125,7 +123,7 @@ impl Bench<'_> {
         };
         let rgb = configuration.entry.rgb.then(|| "--rgb".to_owned());
         let (preset, seed) = (configuration.entry.preset(), job.seed);
-        Record {
+        let work = Work {
             sequence: source,
             arguments: sequence.arguments.iter().cloned().chain(rgb).collect(),
             settings: format!("preset = \"{preset}\"\nseed = {seed}\n{}", configuration.overrides),
@@ -135,18 +133,16 @@ impl Bench<'_> {
             }),
             protocol: self.plan.protocol(job.sequence).map(str::to_owned),
             optimise_poses: self.plan.suite.optimise_poses,
-            build: self.build.clone(),
-            threads: self.threads,
-            parallel: self.parallel,
-            ..Record::default()
-        }
+        };
+        let (build, threads, parallel) = (self.build.clone(), self.threads, self.parallel);
+        Record { work, build, threads, parallel, ..Record::default() }
     }
 
     /// The record of the job from an earlier run of the benchmark, if it is of the same work.
     pub(crate) fn earlier_record(&self, job: &Job) -> Option<Record> {
         let text = fs::read_to_string(self.folder(job).join(RECORD)).ok()?;
         let record: Option<Record> = serde_json::from_str(&text).ok();
-        record.filter(|record| record.same_work(&self.expected_record(job)))
+        record.filter(|record| record.work == self.expected_record(job).work)
     }
 
     /// Runs the missing steps of a job; `started` gets the id of every process. Only an
@@ -189,10 +185,10 @@ impl Bench<'_> {
             if result.exists() {
                 fs::remove_dir_all(&result)?;
             }
-            self.reconstruct(job, folder, record, started)?;
+            self.reconstruct(job, folder, &record.work, started)?;
             record.reconstructed = true;
         }
-        self.evaluate(job, folder, record, started)?;
+        self.evaluate(job, folder, &record.work, started)?;
         if !self.keep_renders {
             remove_renders(&result).map_err(|e| Stopped::Failed(e.to_string()))?;
         }
@@ -203,17 +199,17 @@ impl Bench<'_> {
         &self,
         job: &Job,
         folder: &Path,
-        record: &Record,
+        work: &Work,
         started: &impl Fn(u32),
     ) -> Result<(), Stopped> {
         let settings = folder.join("settings.toml");
-        fs::write(&settings, &record.settings)?;
+        fs::write(&settings, &work.settings)?;
         let mut arguments: Vec<OsString> = vec!["run".into(), self.dataset(job.sequence).into()];
         arguments.extend(["--out".into(), folder.join("result").into()]);
         arguments.extend(["--config".into(), settings.into()]);
         arguments.extend(["--threads".into(), self.threads.to_string().into()]);
         arguments.extend(["--quiet", "--render", "all"].map(OsString::from));
-        arguments.extend(record.arguments.iter().map(OsString::from));
+        arguments.extend(work.arguments.iter().map(OsString::from));
         self.call(arguments, &folder.join("run.log"), None).run(started)
     }
 
@@ -222,16 +218,16 @@ impl Bench<'_> {
         &self,
         job: &Job,
         folder: &Path,
-        record: &Record,
+        work: &Work,
         started: &impl Fn(u32),
     ) -> Result<(), Stopped> {
         let dataset = self.dataset(job.sequence);
-        if record.protocol.is_none() && !dataset.join("sharp").is_dir() {
+        if work.protocol.is_none() && !dataset.join("sharp").is_dir() {
             return Ok(());
         }
         let mut arguments: Vec<OsString> = vec!["eval".into(), folder.join("result").into()];
         arguments.extend(["--reference".into(), dataset.into(), "--json".into()]);
-        if let Some(list) = &record.list {
+        if let Some(list) = &work.list {
             let file = folder.join("list.txt");
             let name: OsString = match list.as_str() {
                 "auto" => "auto".into(),
@@ -242,10 +238,10 @@ impl Bench<'_> {
             };
             arguments.extend(["--list".into(), name]);
         }
-        if let Some(protocol) = &record.protocol {
+        if let Some(protocol) = &work.protocol {
             arguments.extend(["--protocol".into(), protocol.into()]);
         }
-        if record.optimise_poses {
+        if work.optimise_poses {
             arguments.push("--optimise-poses".into());
         }
         let partial = folder.join(".eval.json.partial");

@@ -2,6 +2,7 @@
 
 use crate::console::counted;
 use crate::metrics::{ATE, DEPTH, LPIPS, MAPPING, MEMORY, Metric, PSNR, SECONDS, SSIM, TRACKING};
+use crate::plan::{Configuration, Job};
 use crate::queue::Outcome;
 use crate::suite::{Protocol, TableKind};
 use crate::summary::Results;
@@ -21,36 +22,43 @@ pub(crate) fn tables(results: &Results<'_>) -> Vec<Table> {
     tables
 }
 
-/// Group headings over the columns of sequences, which come after `before` others.
-fn groups(results: &Results<'_>, before: usize) -> Vec<(String, usize)> {
-    let mut groups = vec![(String::new(), before)];
-    for sequence in &results.plan.sequences {
+/// A table with a column for every sequence and their mean, and a row for every configuration and
+/// metric. With several metrics the second column names them.
+fn sequence_table(
+    results: &Results<'_>,
+    (slug, title): (&'static str, &'static str),
+    what: &str,
+    heads: &[&str],
+    metrics: &[&'static Metric],
+) -> Table {
+    let sequences = &results.plan.sequences;
+    let has_mean = sequences.len() > 1;
+    let mut groups = vec![(String::new(), heads.len())];
+    for sequence in sequences {
         match groups.last_mut() {
             Some((name, width)) if *name == sequence.group => *width += 1,
             _ => groups.push((sequence.group.clone(), 1)),
         }
     }
-    groups
-}
-
-fn sequence_names(results: &Results<'_>, before: &[&str]) -> Vec<String> {
-    let before = before.iter().map(|&name| name.to_owned());
-    let mut header: Vec<String> =
-        before.chain(results.plan.sequences.iter().map(|s| s.name.clone())).collect();
-    if results.plan.sequences.len() > 1 {
+    let mut header: Vec<String> = heads.iter().map(|&name| name.to_owned()).collect();
+    header.extend(sequences.iter().map(|sequence| sequence.name.clone()));
+    if has_mean {
+        groups.push((String::new(), 1));
         header.push("mean".to_owned());
     }
-    header
-}
-
-/// A metric of one configuration on every sequence, and its mean.
-fn across(results: &Results<'_>, configuration: usize, metric: &'static Metric) -> Vec<Entry> {
-    let count = results.plan.sequences.len();
-    let mut values: Vec<_> = (0..count).map(|s| results.of(s, configuration, metric)).collect();
-    if count > 1 {
-        values.push(results.over_sequences(configuration, metric));
+    let mut rows = Vec::new();
+    for (place, configuration) in results.plan.configurations.iter().enumerate() {
+        for &metric in metrics {
+            let names = [configuration.entry.name.clone(), metric.heading()];
+            let names = names.into_iter().take(heads.len()).map(Entry::Words);
+            let values = (0..sequences.len()).map(|s| results.of(s, place, metric));
+            let mean = has_mean.then(|| results.over_sequences(place, metric));
+            let numbers = values.chain(mean).map(|value| Entry::number(value, metric));
+            rows.push(names.chain(numbers).collect());
+        }
     }
-    values.into_iter().map(|value| Entry::number(value, metric)).collect()
+    best_by_metric(&mut rows, metrics.len(), heads.len());
+    Table { slug, title, caption: caption(results, what), groups, header, rows }
 }
 
 /// Rendering quality: a block of metrics for every configuration.
@@ -60,18 +68,6 @@ fn rendering(results: &Results<'_>) -> Table {
     let mut metrics: Vec<&'static Metric> = known.copied().collect();
     if metrics.is_empty() {
         metrics.push(&PSNR);
-    }
-    let mut rows = Vec::new();
-    for (place, configuration) in results.plan.configurations.iter().enumerate() {
-        for metric in &metrics {
-            let heads = [configuration.entry.name.clone(), metric.heading()].map(Entry::Words);
-            rows.push(heads.into_iter().chain(across(results, place, metric)).collect());
-        }
-    }
-    best_by_metric(&mut rows, metrics.len(), 2);
-    let mut groups = groups(results, 2);
-    if results.plan.sequences.len() > 1 {
-        groups.push((String::new(), 1));
     }
     let mut what = "Renders at mid-exposure against true sharp pictures, or, where a list of \
                     frames is given, against the pictures taken of these frames."
@@ -83,40 +79,14 @@ fn rendering(results: &Results<'_>) -> Table {
     if suite.optimise_poses {
         what += " Each seen from where the map fits its true picture best.";
     }
-    Table {
-        slug: "rendering",
-        title: "Rendering quality",
-        caption: caption(results, &what),
-        groups,
-        header: sequence_names(results, &["Method", "Metric"]),
-        rows,
-    }
+    let name = ("rendering", "Rendering quality");
+    sequence_table(results, name, &what, &["Method", "Metric"], &metrics)
 }
 
-/// Trajectory errors.
 fn tracking(results: &Results<'_>) -> Table {
-    let row = |place: usize| {
-        let name = Entry::Words(results.plan.configurations[place].entry.name.clone());
-        std::iter::once(name).chain(across(results, place, &ATE)).collect()
-    };
-    let mut rows: Vec<Vec<Entry>> = (0..results.plan.configurations.len()).map(row).collect();
-    best_by_metric(&mut rows, 1, 1);
-    let mut groups = groups(results, 1);
-    if results.plan.sequences.len() > 1 {
-        groups.push((String::new(), 1));
-    }
-    Table {
-        slug: "tracking",
-        title: "Tracking accuracy",
-        caption: caption(
-            results,
-            "ATE RMSE of camera centres after rigid alignment, of colour alone with scale [cm]; less \
-             is better.",
-        ),
-        groups,
-        header: sequence_names(results, &["Method"]),
-        rows,
-    }
+    let what = "ATE RMSE of camera centres after rigid alignment, of colour alone with scale [cm]; \
+                less is better.";
+    sequence_table(results, ("tracking", "Tracking accuracy"), what, &["Method"], &[&ATE])
 }
 
 /// Marks the best of every column among the rows of one metric; there is a row per metric in every
@@ -131,75 +101,66 @@ fn best_by_metric(rows: &mut [Vec<Entry>], block: usize, first: usize) {
     }
 }
 
-/// Header and rows of means over the sequences: configurations down, metrics across.
-fn averages(
+/// A table of means over the sequences: a row for every configuration, which begins with `head`,
+/// and a column for every metric.
+fn mean_table(
     results: &Results<'_>,
+    (slug, title): (&'static str, &'static str),
+    what: &str,
     heads: &[&str],
     metrics: &[&'static Metric],
-    head: impl Fn(usize) -> Vec<String>,
-) -> (Vec<String>, Vec<Vec<Entry>>) {
+    head: impl Fn(&Configuration) -> Vec<String>,
+) -> Table {
     let header = heads.iter().map(|&name| name.to_owned());
     let header = header.chain(metrics.iter().map(|metric| metric.heading())).collect();
-    let row = |place: usize| {
-        let numbers = metrics
-            .iter()
-            .map(|metric| Entry::number(results.over_sequences(place, metric), metric));
-        head(place).into_iter().map(Entry::Words).chain(numbers).collect()
+    let row = |(place, configuration): (usize, &Configuration)| {
+        let names = head(configuration).into_iter().map(Entry::Words);
+        let number = |&metric| Entry::number(results.over_sequences(place, metric), metric);
+        names.chain(metrics.iter().map(number)).collect()
     };
-    let mut rows: Vec<Vec<Entry>> = (0..results.plan.configurations.len()).map(row).collect();
+    let mut rows: Vec<_> = results.plan.configurations.iter().enumerate().map(row).collect();
     best_by_metric(&mut rows, 1, heads.len());
-    (header, rows)
+    Table { slug, title, caption: mean_caption(results, what), groups: Vec::new(), header, rows }
 }
 
 fn ablation(results: &Results<'_>) -> Table {
     let tick = |on: bool| if on { "✓" } else { "✗" }.to_owned();
-    let head = |place: usize| {
-        let configuration = &results.plan.configurations[place];
+    let head = |configuration: &Configuration| {
         let parts = &configuration.config.formation;
         let ticks = [parts.trajectory_loss, parts.tone, parts.blur].map(tick);
         std::iter::once(configuration.entry.name.clone()).chain(ticks).collect()
     };
+    let what = "The parts of the image formation model, switched off.";
     let heads = ["Configuration", "Traj. reg.", "Tone mapping", "Motion blur"];
-    let (header, rows) = averages(results, &heads, &[&ATE, &PSNR, &SSIM, &LPIPS], head);
-    let caption = mean_caption(results, "The parts of the image formation model, switched off.");
-    Table { slug: "ablation", title: "Ablation", caption, groups: Vec::new(), header, rows }
+    let metrics = [&ATE, &PSNR, &SSIM, &LPIPS];
+    mean_table(results, ("ablation", "Ablation"), what, &heads, &metrics, head)
 }
 
 fn runtime(results: &Results<'_>) -> Table {
-    let metrics = [&MAPPING, &TRACKING, &SECONDS, &ATE, &PSNR, &SSIM, &LPIPS, &MEMORY];
-    let head = |place: usize| vec![results.plan.configurations[place].entry.name.clone()];
-    let (header, rows) = averages(results, &["Method"], &metrics, head);
+    let head = |configuration: &Configuration| vec![configuration.entry.name.clone()];
     let what = format!(
         "Wall time per frame; the whole run also reads frames and refines the map at the end. {}",
         machine(results)
     );
-    let caption = mean_caption(results, &what);
-    Table { slug: "runtime", title: "Runtime", caption, groups: Vec::new(), header, rows }
+    let metrics = [&MAPPING, &TRACKING, &SECONDS, &ATE, &PSNR, &SSIM, &LPIPS, &MEMORY];
+    mean_table(results, ("runtime", "Runtime"), &what, &["Method"], &metrics, head)
 }
 
 fn virtual_cameras(results: &Results<'_>) -> Table {
-    let head = |place: usize| {
-        let configuration = &results.plan.configurations[place];
+    let head = |configuration: &Configuration| {
         let count = configuration.config.formation.virtual_cameras;
         vec![configuration.entry.name.clone(), count.to_string()]
     };
+    let what = "Cameras that draw the blur of one exposure.";
+    let name = ("virtual-cameras", "Number of virtual cameras");
     let metrics = [&PSNR, &SSIM, &LPIPS, &ATE, &SECONDS];
-    let (header, rows) = averages(results, &["Configuration", "Virtual cameras"], &metrics, head);
-    let caption = mean_caption(results, "Cameras that draw the blur of one exposure.");
-    Table {
-        slug: "virtual-cameras",
-        title: "Number of virtual cameras",
-        caption,
-        groups: Vec::new(),
-        header,
-        rows,
-    }
+    mean_table(results, name, what, &["Configuration", "Virtual cameras"], &metrics, head)
 }
 
 /// Jobs without metrics, with the reason.
 fn missing(results: &Results<'_>) -> Option<Table> {
     let jobs = results.plan.jobs.iter().enumerate();
-    let row = |(place, job): (usize, &crate::plan::Job)| {
+    let row = |(place, job): (usize, &Job)| {
         let reason = results.failure(place).unwrap_or("not run yet");
         let plan = results.plan;
         let words = [

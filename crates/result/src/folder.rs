@@ -71,8 +71,8 @@ fn write_json(out: &mut dyn Write, value: &impl serde::Serialize) -> io::Result<
 /// `state.json` and `map.i2slam`. Settings that earlier versions had are ignored.
 pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     let config_path = folder.join("config.toml");
-    let config = Config::from_stored(&read_text(&config_path)?, &config_path.display().to_string())
-        .map_err(|e| ResultError::Format { path: config_path, message: e.to_string() })?;
+    let config =
+        Config::from_stored(&read_text(&config_path)?, &config_path.display().to_string())?;
     let camera_path = folder.join("camera.json");
     let camera: CameraFile = read_json(&camera_path)?;
     let camera = camera.camera().map_err(|m| ResultError::format(&camera_path, m))?;

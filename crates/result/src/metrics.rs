@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// The measurements of a run; `None` is what could not be measured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Metrics {
     /// Version of the program.
     pub version: String,
@@ -71,31 +72,22 @@ pub struct Metrics {
     /// Pearson correlation of recovered and true log exposure.
     pub log_exposure_correlation: Option<f64>,
     /// Horizontal focal length at the processed size [px].
-    #[serde(default)]
     pub focal_length_px: f64,
     /// Horizontal field of view [degrees].
-    #[serde(default)]
     pub horizontal_fov_deg: f64,
     /// Source of the intrinsics, in words.
-    #[serde(default)]
     pub camera_source: Option<String>,
     /// Initial focal length, where it was then estimated from the pictures [px].
-    #[serde(default)]
     pub focal_length_assumed_px: Option<f64>,
     /// Relative standard deviation of the estimated focal length.
-    #[serde(default)]
     pub focal_length_deviation: Option<f64>,
     /// Radial distortion `k1 k2` (OpenCV) that was estimated from the pictures and removed.
-    #[serde(default)]
     pub lens_distortion: Option<[f64; 2]>,
     /// Unit of length of poses, map and depth: `metre`, or `unknown` of colour alone.
-    #[serde(default)]
     pub unit_of_length: UnitOfLength,
     /// Frames of the input, those without a pose included.
-    #[serde(default)]
     pub frames_given: usize,
     /// Warnings in the order of the run.
-    #[serde(default)]
     pub warnings: Vec<Warning>,
 }
 

@@ -63,13 +63,13 @@ pub struct Series {
     pub label: String,
     /// Colour class: `c1` to `c4`, `red`, `green`, `blue`, `grey`.
     pub colour: &'static str,
-    /// How the points are drawn.
+    /// Line or markers.
     pub style: Style,
     /// In the order in which they are joined.
     pub points: Vec<Point>,
 }
 
-/// How a series is drawn.
+/// Style of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// A line.
@@ -364,11 +364,9 @@ impl Axis {
         } else {
             ((low / step).floor(), (high / step).ceil())
         };
-        let ticks: Vec<f64> = (first as i64..=last as i64).map(|i| i as f64 * step).collect();
-        match (tight, ticks.first(), ticks.last()) {
-            (false, Some(&low), Some(&high)) => Self { low, high, ticks, step: Some(step) },
-            _ => Self { low, high, ticks, step: Some(step) },
-        }
+        let ticks = (first as i64..=last as i64).map(|i| i as f64 * step).collect();
+        let (low, high) = if tight { (low, high) } else { (first * step, last * step) };
+        Self { low, high, ticks, step: Some(step) }
     }
 
     /// A logarithmic axis around positive values, with ticks at 1, 2 and 5 times powers of ten.

@@ -151,6 +151,9 @@ pub enum ResultError {
         /// The mistake and its place.
         message: String,
     },
+    /// `config.toml` has settings that no version knows.
+    #[error(transparent)]
+    Config(#[from] i2slam::ConfigError),
 }
 
 impl ResultError {
