@@ -306,7 +306,7 @@ fn rolling_metrics(data: &Path, out: &Path, settings: &str) -> [f64; 3] {
     ]
     .map(str::to_owned);
     run(words).exits_with(0);
-    let figure = |key| number(&out.join("rolling_metrics.json"), key).expect(key);
+    let figure = |key| number(&out.join("metrics.json"), key).expect(key);
     ["psnr_sharp_db", "ate_rmse_m", "rolling_shutter_readout_s"].map(figure)
 }
 

@@ -341,9 +341,9 @@ fn the_lens_is_found_and_removed() {
     let ran = ran.stderr_contains("lens distortion: k1 -0.");
     println!("{}", ran.err);
     let out = footage.scratch.join("out");
-    let metrics = read_json(&out.join("metrics.read_json"));
+    let metrics = read_json(&out.join("metrics.json"));
     let found = |i: usize| metrics["lens_distortion"][i].as_f64().expect("a number");
-    let focal = number(&out.join("metrics.read_json"), "focal_length_px").expect("a focal length");
+    let focal = number(&out.join("metrics.json"), "focal_length_px").expect("a focal length");
     println!("k1 {} k2 {} f {focal}", found(0), found(1));
     assert!((focal / FOCAL - 1.0).abs() < 0.05, "{focal}");
     // At the middle of the sides of the picture, where the distortion is best seen.
@@ -351,7 +351,7 @@ fn the_lens_is_found_and_removed() {
     let (shift, due) = (found(0) * square + found(1) * square * square, K1 * square);
     assert!((found(0) - K1).abs() < 0.03 && (shift - due).abs() < 0.005, "{shift}, not {due}");
     // The same lens afterwards.
-    let input = read_json(&out.join("input.read_json"));
+    let input = read_json(&out.join("input.json"));
     assert_eq!(input["estimated_camera"]["distortion"], metrics["lens_distortion"]);
     let page = fs::read_to_string(out.join("report.html")).expect("a report");
     assert!(page.contains("Lens distortion found and removed"));
@@ -377,6 +377,6 @@ fn a_lens_is_looked_for_only_where_it_can_be() {
         run([&head, &estimate[..], more].concat()).exits_with(2)
     };
     words(&[]).stderr_contains("--distortion estimate goes with --rgb or a video");
-    words(&["--rgb"]).stderr_contains("camera.read_json");
+    words(&["--rgb"]).stderr_contains("camera.json");
     assert!(!Path::new(&out).exists());
 }

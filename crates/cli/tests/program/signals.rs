@@ -55,7 +55,7 @@ fn views(frames: u32) -> Vec<(u32, View)> {
 #[test]
 fn ctrl_c_during_the_search_leaves_no_folder() {
     let footage = Footage::new("interrupt-search");
-    let video = footage.video("views.mp4", &views(300));
+    let video = footage.video("walk.mp4", &views(300));
     let mut running = Running::start(&mut footage.quick("out", &video, &["--threads", "1"]));
     running.until("tracking points");
     running.interrupted().exits_with(130).stderr_contains("ended before the path");
@@ -66,7 +66,7 @@ fn ctrl_c_during_the_search_leaves_no_folder() {
 #[test]
 fn ctrl_c_keeps_the_path_and_the_earlier_result() {
     let footage = Footage::new("interrupt-path");
-    let video = footage.video("views.mp4", &views(24));
+    let video = footage.video("walk.mp4", &views(24));
     let focal = ["--fov", "63.2", "--threads", "1"];
     footage.run(&video, &focal).exits_with(0);
     let (out, beside) = (footage.scratch.join("out"), footage.scratch.join("out-partial"));
