@@ -68,32 +68,6 @@ fn render_refuses_what_it_cannot_mean() {
 }
 
 #[test]
-fn eval_measures_trajectory_and_pictures() {
-    let scratch = result("eval");
-    let (out, truth) = (scratch.join("out"), scratch.join("room/groundtruth.txt"));
-    let sharp = out.join("renders/sharp");
-    let reference = scratch.join("reference");
-    fs::create_dir(&reference).expect("a folder");
-    fs::copy(sharp.join("000001.png"), reference.join("000000.png")).expect("room");
-    let flags: [&OsStr; 5] = [
-        "--groundtruth".as_ref(),
-        truth.as_ref(),
-        "--reference".as_ref(),
-        reference.as_ref(),
-        "--json".as_ref(),
-    ];
-    let ran = on("eval", &out, &flags).exits_with(0);
-    let json: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");
-    assert!(json["ate_rmse_m"].as_f64().is_some_and(|v| v < 0.01), "{json}");
-    assert_eq!(json["pairs"].as_u64(), Some(6));
-    assert!(json["psnr_sharp_db"].as_f64().is_some_and(|v| v > 15.0), "{json}");
-    let flags: [&OsStr; 4] =
-        ["--groundtruth".as_ref(), truth.as_ref(), "--align".as_ref(), "sim3".as_ref()];
-    let ran = on("eval", &out.join("trajectory.txt"), &flags).exits_with(0);
-    assert!(ran.out.contains("ATE RMSE") && ran.out.contains("scale"), "{}", ran.out);
-}
-
-#[test]
 fn eval_fits_the_scale_of_a_unit_that_is_unknown() {
     let scratch = result("eval-unit");
     let truth = scratch.join("room/groundtruth.txt");
@@ -109,15 +83,6 @@ fn eval_fits_the_scale_of_a_unit_that_is_unknown() {
     assert!(fit(&metric, &[]).contains("SE(3)"));
     assert!(fit(&unknown, &[]).contains("Sim(3)"));
     assert!(fit(&unknown, &["--align", "se3"]).contains("SE(3)"));
-}
-
-#[test]
-fn eval_names_a_bad_line_of_the_truth() {
-    let scratch = result("bad-truth");
-    let truth = scratch.join("truth.txt");
-    fs::write(&truth, "0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n").expect("room");
-    let flags: [&OsStr; 2] = ["--groundtruth".as_ref(), truth.as_ref()];
-    on("eval", &scratch.join("out"), &flags).exits_with(1).stderr_contains("truth.txt, line 2");
 }
 
 #[test]

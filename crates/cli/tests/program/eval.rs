@@ -196,6 +196,9 @@ fn trajectories_that_cannot_be_compared_are_an_error() {
     fs::write(&ours, "5 1 nan 3 0 0 0 1\n").expect("room");
     compare(&ours, &theirs, &[]).exits_with(1).stderr_contains("ours.txt, line 1");
     compare(&ours, &scratch.join("none.txt"), &[]).exits_with(1).stderr_contains("none.txt");
+    write_trajectory(&ours, 5.0, 20);
+    fs::write(&theirs, "0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n").expect("room");
+    compare(&ours, &theirs, &[]).exits_with(1).stderr_contains("theirs.txt, line 2");
 }
 
 #[test]
