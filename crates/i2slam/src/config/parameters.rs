@@ -314,3 +314,27 @@ impl Parameters {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_keep_their_published_rates() {
+        let rates = |name: &str| {
+            let Parameters { frames, tracking, gaussians, field, keyframed } =
+                Parameters::of_preset(name);
+            let poses = (tracking.rotation_rate, tracking.translation_rate, keyframed.camera_rate);
+            let frames = (frames.tracking_rate, frames.exposure_rate, frames.white_balance_rate);
+            (poses, frames, gaussians.mean_rate, gaussians.scene_radius_ratio, field.levels)
+        };
+        let paper = (1e-2, 1e-2, 1e-2);
+        assert_eq!(rates("paper-scannet"), ((1e-3, 5e-4, 1e-4), paper, 1e-4, 3.0, 16));
+        assert_eq!(rates("paper-tum-s"), ((4e-3, 2e-3, 1e-4), paper, 1e-4, 2.0, 16));
+        assert_eq!(rates("paper-synthetic"), ((1e-4, 5e-5, 1e-4), paper, 1e-4, 3.0, 16));
+        let paper_rgb = ((1e-3, 5e-4, 1e-4), (1e-4, 1e-4, 1e-4), 1e-4, 3.0, 16);
+        assert_eq!(rates("paper-rgb"), paper_rgb);
+        assert_eq!(rates("default"), ((1e-3, 5e-4, 1e-4), (5e-3, 5e-3, 5e-4), 2e-4, 3.0, 16));
+        assert_eq!(rates("default-rgb"), ((1e-3, 5e-4, 1e-3), (5e-3, 5e-3, 5e-3), 2e-4, 3.0, 8));
+    }
+}
