@@ -160,4 +160,10 @@ mod tests {
         assert_eq!(keyframes(4, 0.05, &path(&[0.0, 1.0, 2.0, 7.0, 8.0, 0.5, 3.0])), [0, 5]);
         assert_eq!(keyframes(4, 0.05, &path(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])), [0, 6]);
     }
+
+    #[test]
+    fn intervals_are_counted_and_at_least_one() {
+        assert_eq!(intervals(20.0, 0.0, 0.2), 4.0);
+        assert_eq!(intervals(20.0, 0.2, 0.0), 1.0);
+    }
 }

@@ -175,55 +175,45 @@ mod tests {
         }
     }
 
-    #[test]
-    fn derivatives_with_neighbours_agree_with_differences() {
-        let frames = [frame(0, 0.0), frame(1, 0.1), frame(2, 0.4)];
+    /// Checks the derivatives of a frame's loss by its 12 pose coordinates, log exposure and scale.
+    fn check(
+        frame: &FrameEstimate,
+        tolerance: f64,
+        loss: impl Fn(&TrajectoryTerm, &FrameEstimate) -> FrameLoss,
+    ) {
         let term = TrajectoryTerm::new(20.0);
-        let part = term.with_neighbours(&frames, 1);
-        let mut analytic = part.shutter.to_array().to_vec();
-        analytic.extend([part.log_exposure, part.scale]);
+        let FrameLoss { shutter, log_exposure, scale, .. } = loss(&term, frame);
+        let mut analytic = shutter.to_array().to_vec();
+        analytic.extend([log_exposure, scale]);
         // Exposures are kept in `f32`, which holds this step exactly.
         let step = 1.0 / 1024.0;
-        assert_gradient("trajectory loss", &[0.0; 14], &analytic, step, 1e-6, |x| {
-            let mut moved = frames.clone();
-            let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
-            moved[1].shutter = moved[1].shutter.retract(&step);
-            moved[1].tone.log_exposure += x[12] as f32;
-            let scale = TrajectoryScale { a: term.scale.a + x[13] };
-            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }.with_neighbours(&moved, 1).loss
-        });
-        assert_eq!(term.with_neighbours(&frames[..1], 0).loss, 0.0);
-    }
-
-    #[test]
-    fn derivatives_with_adjacent_frames_agree_with_differences() {
-        let frame = frame(1, 0.1);
-        let relative = |scale: f64| {
-            let step = [-0.03, 0.02, 0.01, 0.04, -0.02, 0.05].map(|v| scale * v);
-            Pose::identity().retract(Tangent::from_array(step))
-        };
-        let adjacent = [(0.05, relative(1.0)), (0.2, relative(-1.7))];
-        let term = TrajectoryTerm::new(20.0);
-        let part = term.with_adjacent(&frame, adjacent);
-        let mut analytic = part.shutter.to_array().to_vec();
-        analytic.extend([part.log_exposure, part.scale]);
-        let step = 1.0 / 1024.0;
-        assert_gradient("trajectory loss", &[0.0; 14], &analytic, step, 1e-5, |x| {
+        assert_gradient("trajectory loss", &[0.0; 14], &analytic, step, tolerance, |x| {
             let mut moved = frame.clone();
             let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
             moved.shutter = moved.shutter.retract(&step);
             moved.tone.log_exposure += x[12] as f32;
             let scale = TrajectoryScale { a: term.scale.a + x[13] };
-            TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }
-                .with_adjacent(&moved, adjacent)
-                .loss
+            loss(&TrajectoryTerm { scale, ..TrajectoryTerm::new(20.0) }, &moved).loss
         });
     }
 
     #[test]
-    fn keyframes_far_apart_reach_a_smaller_share_of_the_way() {
-        let (first, last) = (frame(0, 0.0), frame(1, 0.2));
-        assert_eq!(intervals(20.0, first.timestamp, last.timestamp), 4.0);
-        assert_eq!(intervals(20.0, last.timestamp, first.timestamp), 1.0);
+    fn derivatives_with_neighbours_agree_with_differences() {
+        let frames = [frame(0, 0.0), frame(1, 0.1), frame(2, 0.4)];
+        check(&frames[1], 1e-6, |term, moved| {
+            term.with_neighbours(&[frames[0].clone(), moved.clone(), frames[2].clone()], 1)
+        });
+        let alone = TrajectoryTerm::new(20.0).with_neighbours(&frames[..1], 0);
+        assert_eq!(alone.loss, 0.0);
+    }
+
+    #[test]
+    fn derivatives_with_adjacent_frames_agree_with_differences() {
+        let relative = |scale: f64| {
+            let step = [-0.03, 0.02, 0.01, 0.04, -0.02, 0.05].map(|v| scale * v);
+            Pose::identity().retract(Tangent::from_array(step))
+        };
+        let adjacent = [(0.05, relative(1.0)), (0.2, relative(-1.7))];
+        check(&frame(1, 0.1), 1e-5, |term, moved| term.with_adjacent(moved, adjacent));
     }
 }

@@ -352,7 +352,4 @@ impl KeyframeSession {
 }
 
 #[cfg(test)]
-mod tests {
-    mod field;
-    mod gaussians;
-}
+mod tests;

@@ -1,6 +1,6 @@
-//! A few keyframes of a synthetic room, with poses that err.
+//! Keyframes of a synthetic room with disturbed poses, on both kinds of map.
 
-use super::super::*;
+use super::*;
 use crate::keyframes::EstimatedDepth;
 use crate::reconstruction::Map;
 use crate::session::tests::{CAMERA, frame};
@@ -16,28 +16,19 @@ fn pose(index: usize) -> Pose<f64> {
     Pose::new(Rotation::exp(Vec3::new(0.02 * t.sin(), -0.04 * t, 0.01 * t)), place)
 }
 
-/// Poses moved by some centimetres and degrees.
+/// That pose disturbed by some centimetres and degrees.
 fn moved(index: usize) -> Pose<f64> {
     let errors = noise(40 + index as u64, 6);
     pose(index).retract(Tangent::from_array(std::array::from_fn(|i| 0.03 * errors[i])))
 }
 
 fn keyframe(index: usize, world_from_camera: Pose<f64>) -> PosedKeyframe {
-    let frame = frame(index, pose(index));
-    PosedKeyframe {
-        index,
-        timestamp: frame.timestamp,
-        colour: frame.colour,
-        world_from_camera,
-        before: None,
-        after: None,
-        depth: None,
-    }
+    PosedKeyframe::from_frame(frame(index, pose(index)), world_from_camera)
 }
 
 fn config() -> Config {
     let mut config = Config::preset("default-rgb").expect("known");
-    config.map.kind = crate::config::MapKind::HashGrid;
+    config.map.kind = MapKind::HashGrid;
     let parameters = &mut config.parameters.field;
     (parameters.levels, parameters.hidden_width, parameters.occupancy_cells) = (6, 16, 24);
     (parameters.step, parameters.step_min, parameters.moment_jitter) = (1.0 / 32.0, 0.05, 1.0);
@@ -74,12 +65,11 @@ fn errors(poses: &[Pose<f64>]) -> (f64, f64) {
 }
 
 #[test]
-fn poses_that_err_are_mended_by_colour_alone() {
+fn disturbed_poses_are_refined_by_colour_alone() {
     let before = errors(&(0..KEYFRAMES).map(moved).collect::<Vec<_>>());
     let session = run(config());
     let poses: Vec<Pose<f64>> = session.frames().iter().map(FrameEstimate::middle).collect();
     let after = errors(&poses);
-    eprintln!("{before:?} -> {after:?}");
     assert!(after.0 < 0.6 * before.0 && after.1 < 0.6 * before.1, "{before:?} -> {after:?}");
     let reconstruction = session.reconstruction();
     assert!(matches!(reconstruction.map, Map::HashGrid(_)));
@@ -87,22 +77,7 @@ fn poses_that_err_are_mended_by_colour_alone() {
 }
 
 #[test]
-fn threads_do_not_matter() {
-    let mut config = config();
-    config.hashgrid.final_iterations = 10;
-    let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| run(config.clone())).reconstruction()
-    };
-    let (one, three) = (run(1), run(3));
-    assert!(one.map == three.map);
-    for (a, b) in one.frames.iter().zip(&three.frames) {
-        assert!(a.shutter == b.shutter && a.tone == b.tone);
-    }
-}
-
-#[test]
-fn without_the_module_poses_are_one() {
+fn without_blur_and_tone_both_poses_are_one() {
     let mut config = config();
     let formation = &mut config.formation;
     (formation.blur, formation.tone, formation.trajectory_loss) = (false, false, false);
@@ -196,7 +171,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
 }
 
 #[test]
-fn keyframes_that_cannot_be_used_are_told_of() {
+fn unusable_keyframes_are_refused() {
     let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
     let mut small = keyframe(0, pose(0));
     small.colour = Arc::new(Image::new(10, 10, 3));
@@ -230,7 +205,7 @@ fn keyframes_that_cannot_be_used_are_told_of() {
 }
 
 #[test]
-fn the_first_keyframe_moves_though_the_second_is_black() {
+fn the_first_exposure_is_initialised_from_a_black_second() {
     let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
     session.process(keyframe(0, pose(0))).expect("a keyframe");
     let mut black = keyframe(1, pose(1));
@@ -241,7 +216,7 @@ fn the_first_keyframe_moves_though_the_second_is_black() {
 }
 
 #[test]
-fn a_quadrature_that_is_asked_for_is_told_to_say_nothing() {
+fn an_unused_quadrature_is_warned_of() {
     let mut config = config();
     config.formation.quadrature = crate::config::Quadrature::Endpoints;
     let warnings = KeyframeSession::new(config, CAMERA, 30.0).take_warnings();
@@ -256,4 +231,192 @@ fn a_field_that_cannot_begin_ends_the_session() {
     let error = (0..5).find_map(|i| session.process(keyframe(i, pose(i))).err());
     let message = error.expect("a field of no levels").to_string();
     assert!(message.contains("cannot be started") && message.contains("levels"), "{message}");
+}
+
+/// World-from-camera of frame `index`; every second one is a keyframe.
+fn path_pose(index: usize) -> Pose<f64> {
+    let t = index as f64;
+    let turn = Vec3::new(0.004 * t, 0.008 * t, 0.0);
+    Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
+}
+
+/// [`pose`] moved by up to a centimetre and half a degree.
+fn moved_on_path(index: usize) -> Pose<f64> {
+    let errors = noise(60 + index as u64, 6);
+    path_pose(index).retract(Tangent::from_array(std::array::from_fn(|i| 0.01 * errors[i])))
+}
+
+fn posed_on_path(index: usize, with_depth: bool) -> PosedKeyframe {
+    let frame = frame(index, path_pose(index));
+    let mut variance = (*frame.depth).clone();
+    variance.data.iter_mut().for_each(|v| *v = (0.01 * *v).powi(2));
+    let depth = EstimatedDepth { depth: (*frame.depth).clone(), variance: Some(variance) };
+    PosedKeyframe {
+        before: index.checked_sub(1).map(|i| (i as f64 / 30.0, moved_on_path(i))),
+        depth: with_depth.then_some(depth),
+        ..PosedKeyframe::from_frame(frame, moved_on_path(index))
+    }
+}
+
+fn gaussian_session(with_depth: bool) -> KeyframeSession {
+    rolling_session(with_depth, 0.0)
+}
+
+/// A finished session with a readout of `readout` [s].
+fn rolling_session(with_depth: bool, readout: f64) -> KeyframeSession {
+    let mut session = unfinished(with_depth, readout);
+    session.finish(&mut |_, _| true);
+    session
+}
+
+/// A session before its final optimisation.
+fn unfinished(with_depth: bool, readout: f64) -> KeyframeSession {
+    let mut config = Config::preset("default-rgb").expect("known");
+    config = config.with_found_readout(readout);
+    (config.mapping.iterations, config.mapping.final_iterations) = (15, 60);
+    let mut session = KeyframeSession::new(config, CAMERA, 30.0);
+    for index in [0, 2, 4, 6] {
+        session.process(posed_on_path(index, with_depth)).expect("keyframes of one size");
+    }
+    session
+}
+
+/// Largest position error of a camera relative to the first one [m].
+fn farthest(poses: &[(usize, Pose<f64>)]) -> f64 {
+    let (first, placed) = (path_pose(poses[0].0).inverse(), poses[0].1.inverse());
+    let off = |(index, estimate): &(usize, Pose<f64>)| {
+        ((first * path_pose(*index)).translation - (placed * *estimate).translation).norm()
+    };
+    poses.iter().map(off).fold(0.0, f64::max)
+}
+
+/// Small smooth pictures hardly distinguish rotation from sideways translation, a degree of one being
+/// three centimetres of the other: cameras stay within a decimetre.
+#[test]
+fn frames_are_localised_and_sorted_by_time() {
+    let mut session = gaussian_session(true);
+    assert!(matches!(session.reconstruction().map, Map::Gaussians(map) if map.len() > 500));
+    for index in [1, 3, 5, 4] {
+        session.locate(posed_on_path(index, false)).expect("a frame of that size");
+    }
+    assert_eq!(session.take_warnings(), []);
+    let frames = session.frames();
+    assert!(frames.iter().map(|f| f.index).eq(0..7), "in order of time, each once");
+    for (place, frame) in frames.iter().enumerate() {
+        assert!(frame.tracked && frame.keyframe == (place % 2 == 0), "{place}");
+    }
+    let found: Vec<_> = frames.iter().map(|f| (f.index, f.middle())).collect();
+    let off = farthest(&found);
+    assert!(off < 0.1, "{off} m");
+}
+
+#[test]
+fn a_readout_reaches_every_frame_that_is_found() {
+    let mut session = rolling_session(true, 0.01);
+    session.locate(posed_on_path(3, false)).expect("a frame of that size");
+    assert_eq!(session.reconstruction().rolling_shutter_readout, 0.01);
+    assert!(session.frames().iter().filter(|f| f.tracked).all(|f| f.readout > 0.0));
+    assert!(rolling_session(true, 0.0).frames().iter().all(|f| f.readout == 0.0));
+}
+
+/// Metres and radians between two poses.
+fn pose_distance(a: Pose<f64>, b: Pose<f64>) -> f64 {
+    let off = a.local(b);
+    off.translation.norm() + off.rotation.norm()
+}
+
+#[test]
+fn unrefined_frames_keep_their_pose_relative_to_keyframes() {
+    let mut session = gaussian_session(true);
+    assert!(!session.insert_unrefined(2, 2.0 / 30.0, moved_on_path(2)), "it is there");
+    assert!([5, 1, 3].into_iter().all(|i| session.insert_unrefined(
+        i,
+        i as f64 / 30.0,
+        moved_on_path(i)
+    )));
+    assert!(!session.insert_unrefined(8, f64::NAN, moved_on_path(8)));
+    let frames = session.frames();
+    assert!(frames.iter().map(|f| f.index).eq(0..7), "in order, each once");
+    assert!([1, 3, 5].iter().all(|i| frames[*i].held_out && !frames[*i].keyframe));
+    for (frame, keyframe) in [(1, 0), (3, 2), (5, 4)] {
+        let near = [keyframe, frame + 1].map(|k| moved_on_path(k).inverse() * moved_on_path(frame));
+        let there =
+            [keyframe, frame + 1].map(|k| frames[k].middle().inverse() * frames[frame].middle());
+        let off = |i: usize| pose_distance(near[i], there[i]);
+        assert!(off(0).min(off(1)) < 1e-9, "{frame}: {} {}", off(0), off(1));
+    }
+    session.locate(posed_on_path(3, false)).expect("it is there");
+    assert_eq!(session.take_warnings(), []);
+    let mut none = KeyframeSession::new(Config::default(), CAMERA, 30.0);
+    assert!(
+        none.insert_unrefined(4, 0.1, moved_on_path(4))
+            && none.insert_unrefined(5, 0.2, moved_on_path(5))
+    );
+    let way = none.frames()[0].middle().inverse() * none.frames()[1].middle();
+    assert!(pose_distance(way, moved_on_path(4).inverse() * moved_on_path(5)) < 1e-9);
+}
+
+#[test]
+fn cancellation_leaves_one_step_per_keyframe() {
+    let mapped = |steps: usize, cancellation: CancellationToken| {
+        let mut config = Config::preset("default-rgb").expect("known");
+        (config.mapping.first_iterations, config.mapping.iterations) = (steps, steps);
+        let mut session = KeyframeSession::new(config, CAMERA, 30.0);
+        session.set_cancellation(cancellation);
+        for index in [0, 2] {
+            session.process(posed_on_path(index, true)).expect("keyframes of one size");
+        }
+        session.reconstruction().map
+    };
+    let ended = mapped(30, CancellationToken::when(|| true));
+    assert!(
+        ended == mapped(1, CancellationToken::default())
+            && ended != mapped(30, CancellationToken::default())
+    );
+}
+
+#[test]
+fn a_keyframe_that_is_not_found_is_warned_of() {
+    let mut session = unfinished(true, 0.0);
+    let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+    let frame = posed_on_path(8, false);
+    let turned = PosedKeyframe { world_from_camera: path_pose(8).retract(away), ..frame };
+    session.process(turned).expect("a keyframe of that size");
+    session.finish(&mut |_, _| true);
+    let tracked: Vec<bool> = session.frames().iter().map(|f| f.tracked).collect();
+    assert_eq!(tracked, [true, true, true, true, false]);
+    let warnings = session.take_warnings();
+    let [warning] = &warnings[..] else { panic!("{warnings:?}") };
+    assert!(warning.frame == Some(8) && warning.text.contains("not found"), "{warning:?}");
+}
+
+#[test]
+fn without_any_depth_the_map_stays_empty_with_a_warning() {
+    let mut session = gaussian_session(false);
+    let warnings = session.take_warnings();
+    assert!(
+        warnings.iter().any(|w| w.text.contains("no keyframe came with a depth")),
+        "{warnings:?}"
+    );
+    let frame = session.locate(posed_on_path(1, false)).expect("a frame all the same");
+    assert!(!frame.tracked && !frame.keyframe);
+}
+
+#[test]
+fn results_do_not_depend_on_threads() {
+    let mut config = config();
+    config.hashgrid.final_iterations = 10;
+    let field = || run(config.clone()).reconstruction();
+    let gaussians = || gaussian_session(true).reconstruction();
+    let runs: [&(dyn Fn() -> Reconstruction + Sync); 2] = [&field, &gaussians];
+    for run in runs {
+        let [one, three] = [1, 3].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            pool.expect("threads").install(run)
+        });
+        assert!(one.map == three.map);
+        for (a, b) in one.frames.iter().zip(&three.frames) {
+            assert!(a.shutter == b.shutter && a.tone == b.tone);
+        }
+    }
 }
