@@ -1,7 +1,7 @@
 //! One sharp render of 320 x 240 re-projected to the virtual cameras of an exposure, and back.
 
 use divan::{Bencher, black_box};
-use i2slam_formation::reproject::{Interpolation, Reprojection};
+use i2slam_formation::reproject::Reprojection;
 use i2slam_formation::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 
@@ -49,9 +49,9 @@ struct Frame {
 }
 
 impl Frame {
-    fn new(interpolation: Interpolation) -> Self {
+    fn new() -> Self {
         Self {
-            reprojection: Reprojection::new(interpolation),
+            reprojection: Reprojection::default(),
             radiance: noise(3),
             depth: depth(),
             blurred: Image::default(),
@@ -88,20 +88,20 @@ fn on_threads(bencher: Bencher<'_, '_>, threads: usize, mut work: impl FnMut() +
 
 #[divan::bench(args = [5, 9, 17])]
 fn forward_one_thread(bencher: Bencher<'_, '_>, views: usize) {
-    let mut frame = Frame::new(Interpolation::Sharp);
+    let mut frame = Frame::new();
     on_threads(bencher, 1, || frame.blur(views));
 }
 
 #[divan::bench(args = [5, 9, 17])]
 fn backward_one_thread(bencher: Bencher<'_, '_>, views: usize) {
-    let mut frame = Frame::new(Interpolation::Sharp);
+    let mut frame = Frame::new();
     frame.blur(views);
     on_threads(bencher, 1, || frame.pull_back());
 }
 
 #[divan::bench(args = [1, 2])]
 fn both_ways_five_views(bencher: Bencher<'_, '_>, threads: usize) {
-    let mut frame = Frame::new(Interpolation::Sharp);
+    let mut frame = Frame::new();
     on_threads(bencher, threads, || {
         frame.blur(5);
         frame.pull_back();

@@ -165,20 +165,6 @@ fn identity_passes_both_ways_untouched() {
     assert_eq!(d_tone, FrameToneGradient::default());
 }
 
-#[test]
-fn averaging_views_of_constant_radiance_keeps_it() {
-    let end = Pose::new(Rotation::exp(Vec3::new(0.1, 0.2, 0.0)), Vec3::new(0.3, 0.0, 0.1));
-    let shutter = ShutterPoses { start: Pose::identity(), end };
-    let view = Image { width: 2, height: 1, channels: 3, data: vec![0.7; 6] };
-    for count in [1, 2, 5, 9] {
-        let mut hdr = Image::new(2, 1, 3);
-        for camera in shutter.virtual_cameras(count, Quadrature::Endpoints) {
-            accumulate(&mut hdr, camera.weight, &view);
-        }
-        assert_close("energy", &hdr.data, &view.data, 1e-14);
-    }
-}
-
 /// A radiance field that depends on the pose alone, smooth: `exp(weights · (ρ, φ))`.
 fn field(pose: Pose<f64>, weights: &[f64]) -> f64 {
     let moved = Pose::identity().local(pose).to_array();

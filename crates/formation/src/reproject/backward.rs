@@ -20,7 +20,6 @@ pub(super) struct PullBackBand<'a> {
     /// As [`BlurBand`](super::forward::BlurBand) left them.
     pub(super) inverse_depths: &'a [Column],
     pub(super) d_blurred: [&'a [f32]; 3],
-    pub(super) kernel: &'a [f32; TAPS],
 }
 
 impl WithSimd for PullBackBand<'_> {
@@ -28,7 +27,7 @@ impl WithSimd for PullBackBand<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { scene, band, inverse_depths, d_blurred, kernel } = self;
+        let Self { scene, band, inverse_depths, d_blurred } = self;
         let width = scene.width;
         let rows = d_blurred[0].len() / width;
         let count = scene.views.count();
@@ -47,7 +46,7 @@ impl WithSimd for PullBackBand<'_> {
             }
             band.end_row(scene.views.sums(row, rows).0);
         }
-        pull_back_fine(scene, band, kernel);
+        pull_back_fine(scene, band);
     }
 }
 
@@ -121,7 +120,7 @@ fn add_shares(
 
 /// From `d_fine` to `d_sharp`.
 #[inline(always)]
-fn pull_back_fine(scene: &Scene<'_>, band: &mut Band, kernel: &[f32; TAPS]) {
+fn pull_back_fine(scene: &Scene<'_>, band: &mut Band) {
     let (width, height) = (scene.camera.width, scene.camera.height);
     let (first, last) = (band.fine_first as usize, band.fine_last as usize + 1);
     let rows = (neighbours(first / 2, height)[0], neighbours(last / 2, height)[TAPS - 1] + 1);
@@ -133,7 +132,7 @@ fn pull_back_fine(scene: &Scene<'_>, band: &mut Band, kernel: &[f32; TAPS]) {
         let (red, rest) = band.d_sharp.split_at_mut(plane);
         let (green, blue) = rest.split_at_mut(plane);
         let planes = [red, green, blue];
-        pull_back_row(d_row, y, height, kernel, &mut band.planar_row, rows.0, planes);
+        pull_back_row(d_row, y, height, &mut band.planar_row, rows.0, planes);
     }
 }
 

@@ -23,7 +23,7 @@
 //! a margin of half a blur length all around, see [`Reprojection::blur`].
 //!
 //! **Reading the render.** Once per frame it is brought to twice its resolution (see
-//! [`Interpolation`]); taps are bilinear there.
+//! `upsample.rs`); taps are bilinear there.
 //!
 //! **Backward.** With respect to the sharp render, the exact transpose. With respect to the poses
 //! at shutter open and close, the derivative of `q` relative to the middle, times the slope of
@@ -57,7 +57,6 @@ mod upsample;
 mod views;
 
 pub use reference::ReferenceReprojection;
-pub use upsample::Interpolation;
 
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use backward::PullBackBand;
@@ -90,7 +89,6 @@ pub struct ReprojectionGradient {
 /// number of threads of the current `rayon` pool.
 #[derive(Clone, Debug)]
 pub struct Reprojection {
-    interpolation: Interpolation,
     /// Of the sharp render.
     camera: Camera<f32>,
     /// By how much the render is larger than the picture on every side [px].
@@ -110,15 +108,7 @@ pub struct Reprojection {
 
 impl Default for Reprojection {
     fn default() -> Self {
-        Self::new(Interpolation::default())
-    }
-}
-
-impl Reprojection {
-    /// No frame yet.
-    pub fn new(interpolation: Interpolation) -> Self {
         Self {
-            interpolation,
             camera: Camera { width: 0, height: 0, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
             margin: 0,
             shutter: ShutterPoses::still(Pose::identity()),
@@ -131,7 +121,9 @@ impl Reprojection {
             sums: Vec::new(),
         }
     }
+}
 
+impl Reprojection {
     /// The average of what the virtual cameras see.
     ///
     /// `readout` [exposures] is the time in which the rows are read, 0 for a global shutter.
@@ -185,15 +177,13 @@ impl Reprojection {
     fn upsample(&mut self, radiance: &Image<f32>) {
         let (width, height) = (self.camera.width, self.camera.height);
         self.fine.resize(4 * width * height, Texel::zero());
-        let kernel = self.interpolation.halfway();
         let planes = [0, 1, 2].map(|c| radiance.plane(c));
         let arch = Arch::new();
         let rows = self.fine.par_chunks_mut(2 * BAND * 2 * width);
         rows.zip(&mut self.bands).for_each(|(rows, band)| {
             let scratch = &mut band.planar_row;
             for (y, out) in (2 * band.first_row..).zip(rows.chunks_exact_mut(2 * width)) {
-                let kernel = &kernel;
-                arch.dispatch(UpsampleRow { planes, height, y, kernel, scratch, out });
+                arch.dispatch(UpsampleRow { planes, height, y, scratch, out });
             }
         });
     }
@@ -275,15 +265,14 @@ impl Reprojection {
             surface: &self.surface,
             fine: &self.fine,
         };
-        let kernel = self.interpolation.halfway();
         let depths_per_row = sampling::chunks(width) * self.views.count();
         let depths = self.inverse_depths.par_chunks(BAND * depths_per_row);
         self.bands.par_iter_mut().zip(depths).for_each(|(band, depths)| {
             let from = band.first_row * width;
             let pixels = depths.len() / depths_per_row * width;
             let d_blurred = [0, 1, 2].map(|c| &d_blurred.plane(c)[from..from + pixels]);
-            let (scene, kernel) = (&scene, &kernel);
-            let task = PullBackBand { scene, band, inverse_depths: depths, d_blurred, kernel };
+            let scene = &scene;
+            let task = PullBackBand { scene, band, inverse_depths: depths, d_blurred };
             Arch::new().dispatch(task);
         });
     }

@@ -2,7 +2,7 @@
 
 use super::ray_surface::{amplification, interpolate_in_time, intersect, search};
 use super::surface::Surface;
-use super::upsample::{Interpolation, TAPS, neighbours};
+use super::upsample::{KERNEL, TAPS, neighbours};
 use super::views::{Line, View, Views};
 use super::{ReprojectionGradient, TILE};
 use crate::shutter::{Quadrature, ShutterPoses};
@@ -11,7 +11,6 @@ use i2slam_geometry::{Camera, Image, Real};
 /// [`Reprojection`](super::Reprojection) in plain code, for any scalar.
 #[derive(Clone, Debug)]
 pub struct ReferenceReprojection<T> {
-    interpolation: Interpolation,
     /// Of the sharp render.
     camera: Camera<T>,
     /// By how much the render is larger than the picture on every side [px].
@@ -37,7 +36,6 @@ impl<T: Real> ReferenceReprojection<T> {
     /// `shutter.middle()` by `camera` with any margin; `readout` [exposures]: see
     /// [`Reprojection::blur`](super::Reprojection::blur).
     pub fn new(
-        interpolation: Interpolation,
         camera: &Camera<T>,
         shutter: &ShutterPoses<f64>,
         readout: f64,
@@ -55,7 +53,7 @@ impl<T: Real> ReferenceReprojection<T> {
         let reach = views.reach(camera, surface.blocks.nearest());
         surface.blocks.surround(reach, views.largest_parallax(camera));
         let (camera, shutter, radiance) = (*camera, *shutter, radiance.clone());
-        Self { interpolation, camera, margin, shutter, views, surface, radiance }
+        Self { camera, margin, shutter, views, surface, radiance }
     }
 
     /// The average of what the virtual cameras see.
@@ -195,7 +193,7 @@ impl<T: Real> ReferenceReprojection<T> {
     /// The pixels and weights along one axis that sample `index` of the fine grid is made of.
     fn made_of(&self, index: usize, size: usize) -> [(usize, T); TAPS] {
         let pixels = neighbours(index / 2, size);
-        let mut weights = self.interpolation.halfway();
+        let mut weights = KERNEL.map(|w| T::of(f64::from(w)));
         if index.is_multiple_of(2) {
             weights = [T::zero(); TAPS];
             weights[2] = T::one();

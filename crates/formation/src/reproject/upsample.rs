@@ -8,36 +8,18 @@
 //! `i + 1`. Beyond the edge the last pixel repeats.
 
 use super::sampling::Texel;
-use i2slam_geometry::Real;
 use pulp::{Simd, WithSimd};
 
 /// Pixels that a halfway point is made of, along one axis.
 pub(super) const TAPS: usize = 6;
 
-/// Interpolation between the pixels of the sharp render.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum Interpolation {
-    /// Bilinear: never leaves the range of the four pixels around, dulls detail.
-    Linear,
-    /// Six pixels halfway between two, bilinear from there. Halfway the weights sharpen a little,
-    /// which makes up for what the bilinear step dulls: for pictures whose spectrum falls with
-    /// frequency, the mean square error over all positions between pixels is some 5 dB below that
-    /// of Catmull-Rom's weights. Overshoots at an edge by up to a ninth of its height.
-    #[default]
-    Sharp,
-}
-
-impl Interpolation {
-    /// Weights of the pixels -2 to 3 for the point halfway between 0 and 1.
-    #[inline(always)]
-    pub(super) fn halfway<T: Real>(self) -> [T; TAPS] {
-        let parts = match self {
-            Self::Linear => [0.0, 0.0, 128.0, 128.0, 0.0, 0.0],
-            Self::Sharp => [6.0, -35.0, 157.0, 157.0, -35.0, 6.0],
-        };
-        parts.map(|w| T::of(w / 256.0))
-    }
-}
+/// Weights of the pixels -2 to 3 for the point halfway between 0 and 1.
+///
+/// They sharpen a little, which makes up for what the bilinear step dulls: for pictures whose
+/// spectrum falls with frequency, the mean square error over all positions between pixels is some
+/// 5 dB below that of Catmull-Rom's weights. Overshoots at an edge by up to a ninth of its height.
+pub(super) const KERNEL: [f32; TAPS] =
+    [6.0 / 256.0, -35.0 / 256.0, 157.0 / 256.0, 157.0 / 256.0, -35.0 / 256.0, 6.0 / 256.0];
 
 /// The pixels that a halfway point after pixel `i` of `size` is made of.
 #[inline(always)]
@@ -53,7 +35,6 @@ pub(super) struct UpsampleRow<'a> {
     pub(super) planes: [&'a [f32]; 3],
     pub(super) height: usize,
     pub(super) y: usize,
-    pub(super) kernel: &'a [f32; TAPS],
     /// Room for three rows of the render.
     pub(super) scratch: &'a mut [f32],
     pub(super) out: &'a mut [Texel],
@@ -64,11 +45,11 @@ impl WithSimd for UpsampleRow<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { planes, height, y, kernel, scratch, out } = self;
+        let Self { planes, height, y, scratch, out } = self;
         let width = scratch.len() / 3;
         if y.is_multiple_of(2) {
             let at = y / 2 * width..(y / 2 + 1) * width;
-            return widen(planes.map(|plane| &plane[at.clone()]), kernel, out);
+            return widen(planes.map(|plane| &plane[at.clone()]), out);
         }
         let sources = neighbours(y / 2, height);
         for (plane, to) in planes.into_iter().zip(scratch.chunks_exact_mut(width)) {
@@ -77,18 +58,18 @@ impl WithSimd for UpsampleRow<'_> {
                 (row(0).iter().zip(row(5)), row(1).iter().zip(row(4)), row(2).iter().zip(row(3)));
             for (to, ((outer, middle), inner)) in to.iter_mut().zip(outer.zip(middle).zip(inner)) {
                 let pair =
-                    |k: usize, (a, b): (&f32, &f32)| kernel[k] * a + kernel[TAPS - 1 - k] * b;
+                    |k: usize, (a, b): (&f32, &f32)| KERNEL[k] * a + KERNEL[TAPS - 1 - k] * b;
                 *to = pair(0, outer) + pair(1, middle) + pair(2, inner);
             }
         }
         let (red, rest) = scratch.split_at(width);
         let (green, blue) = rest.split_at(width);
-        widen([red, green, blue], kernel, out);
+        widen([red, green, blue], out);
     }
 }
 
 #[inline(always)]
-fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; TAPS], out: &mut [Texel]) {
+fn widen([red, green, blue]: [&[f32]; 3], out: &mut [Texel]) {
     let width = red.len();
     let (green, blue) = (&green[..width], &blue[..width]);
     let pixel = |i: usize| {
@@ -100,7 +81,7 @@ fn widen([red, green, blue]: [&[f32]; 3], kernel: &[f32; TAPS], out: &mut [Texel
         let [a, b, c, d, e] = window;
         let f = pixel(i + 3);
         pair[0] = c;
-        pair[1] = combine([a, b, c, d, e, f], *kernel);
+        pair[1] = combine([a, b, c, d, e, f], KERNEL);
         window = [b, c, d, e, f];
     }
 }
@@ -112,20 +93,19 @@ pub(super) fn pull_back_row(
     d_out: &[Texel],
     y: usize,
     height: usize,
-    kernel: &[f32; TAPS],
     narrow_row: &mut [f32],
     first: usize,
     d_planes: [&mut [f32]; 3],
 ) {
     let width = narrow_row.len() / 3;
-    narrow(d_out, kernel, narrow_row);
+    narrow(d_out, narrow_row);
     let targets = neighbours(y / 2, height);
     for (d_plane, from) in d_planes.into_iter().zip(narrow_row.chunks_exact(width)) {
         if y.is_multiple_of(2) {
             add_row(d_plane, y / 2 - first, 1.0, from);
             continue;
         }
-        for (&target, &weight) in targets.iter().zip(kernel) {
+        for (&target, &weight) in targets.iter().zip(&KERNEL) {
             add_row(d_plane, target - first, weight, from);
         }
     }
@@ -148,11 +128,11 @@ fn add_row(plane: &mut [f32], y: usize, weight: f32, from: &[f32]) {
 
 /// The transpose of [`widen`], written to three rows in `out`.
 #[inline(always)]
-fn narrow(d: &[Texel], kernel: &[f32; TAPS], out: &mut [f32]) {
+fn narrow(d: &[Texel], out: &mut [f32]) {
     let width = out.len() / 3;
     let (red, rest) = out.split_at_mut(width);
     let (green, blue) = rest.split_at_mut(width);
-    let (zero, [k0, k1, k2, k3, k4, k5]) = (Texel::zero(), *kernel);
+    let (zero, [k0, k1, k2, k3, k4, k5]) = (Texel::zero(), KERNEL);
     let halfway = |i: usize| d.get(2 * i + 1).copied().unwrap_or(zero);
     let mut window = [zero, zero, zero, halfway(0), halfway(1)];
     for i in 0..width {

@@ -113,26 +113,6 @@ fn virtual_cameras_span_the_exposure_with_weights_that_sum_to_one() {
 }
 
 #[test]
-fn without_motion_all_virtual_cameras_are_equal() {
-    let still = ShutterPoses::still(base());
-    for camera in still.virtual_cameras(7, Quadrature::Endpoints) {
-        let d = base().local(camera.world_from_camera);
-        assert!(d.translation.norm() + d.rotation.norm() < 1e-14);
-    }
-}
-
-#[test]
-fn all_cotangents_of_a_pure_translation_add_up() {
-    let shutter = examples()[3];
-    let d_pose = tangent(&[0.3, -0.1, 0.7, 0.0, 0.0, 0.0]);
-    let pulled = shutter.pull_back(0.3, d_pose);
-    let in_world = |pose: Pose<f64>, t: Tangent<f64>| pose.rotation.rotate(t.translation);
-    let sum = in_world(shutter.start, pulled.start) + in_world(shutter.end, pulled.end);
-    let expected = in_world(shutter.at(0.3), d_pose);
-    assert_close("sum", &sum.to_array(), &expected.to_array(), 1e-12);
-}
-
-#[test]
 fn poison_is_passed_on_without_panic() {
     let mut shutter = examples()[3];
     shutter.end.translation.x = f64::NAN;

@@ -1,7 +1,7 @@
 //! The backward lane of the reference against central differences, in `f64`.
 
 use super::{Scene, camera, moving};
-use crate::reproject::{Interpolation, ReferenceReprojection, ReprojectionGradient};
+use crate::reproject::{ReferenceReprojection, ReprojectionGradient};
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use i2slam_check::{assert_close, assert_gradient, central_differences, noise};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
@@ -54,7 +54,6 @@ impl Case {
         depth: &Image<f64>,
     ) -> ReferenceReprojection<f64> {
         ReferenceReprojection::new(
-            Interpolation::Sharp,
             &self.camera,
             shutter,
             self.readout,

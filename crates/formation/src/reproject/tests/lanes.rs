@@ -2,7 +2,7 @@
 
 use super::{Scene, camera, moving};
 use super::{narrow, wide};
-use crate::reproject::{Interpolation, ReferenceReprojection, Reprojection, ReprojectionGradient};
+use crate::reproject::{ReferenceReprojection, Reprojection, ReprojectionGradient};
 use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_check::{assert_close, noise, relative_error};
 use i2slam_geometry::{Camera, Image};
@@ -52,44 +52,39 @@ fn fast_lane_follows_the_reference() {
     let all = [(1, 0.0), (2, 0.0), (5, 0.0), (1, 1.5), (4, -0.8)];
     for (width, height, margin) in [(90, 70, 0), (33, 100, 0), (64, 76, 8), (90, 70, 3)] {
         let frame = Frame::with_margin(width, height, margin);
-        for interpolation in [Interpolation::Linear, Interpolation::Sharp] {
-            for (views, readout) in all {
-                let shutter = moving(MOTION);
-                let mut fast = Reprojection::new(interpolation);
-                let (blurred, d_radiance, d_shutter) =
-                    frame.run(&mut fast, &shutter, (views, readout));
-                let reference = ReferenceReprojection::new(
-                    interpolation,
-                    &frame.camera,
-                    &shutter,
-                    readout,
-                    views,
-                    Quadrature::Endpoints,
-                    &frame.radiance,
-                    &frame.depth,
-                );
-                let (expected, d_shutter_expected) = reference.pull_back(&frame.d_blurred);
-                let name =
-                    format!("{width} x {height} + {margin}, {interpolation:?}, {views}, {readout}");
-                let shares = reference.uncovered();
-                let moves = views > 1 || readout != 0.0;
-                let shown = if moves { &shares[..] } else { &[] };
-                assert_eq!(fast.uncovered().len(), shown.len());
-                most = shown.iter().copied().fold(most, f32::max);
-                for (k, (a, b)) in fast.uncovered().iter().zip(shown).enumerate() {
-                    assert!((a - b).abs() < 1e-3, "uncovered, {name}, tile {k}: {a} {b}");
-                }
-                let picture = wide(&reference.blur()).data;
-                assert_close(&format!("picture, {name}"), &wide(&blurred).data, &picture, 2e-4);
-                let (a, b) = (wide(&d_radiance).data, wide(&expected).data);
-                assert_close(&format!("radiance, {name}"), &a, &b, 2e-4);
-                let (a, b) = (d_shutter.shutter.to_array(), d_shutter_expected.shutter.to_array());
-                // Beyond the exposure the shares of start and end are large and of opposite sign.
-                let tolerance = if readout == 0.0 { 2e-4 } else { 3e-3 };
-                assert_close(&format!("shutter, {name}"), &a, &b, tolerance);
-                let (a, b) = (d_shutter.readout, d_shutter_expected.readout);
-                assert_close(&format!("readout, {name}"), &[a], &[b], 2e-3);
+        for (views, readout) in all {
+            let shutter = moving(MOTION);
+            let mut fast = Reprojection::default();
+            let (blurred, d_radiance, d_shutter) = frame.run(&mut fast, &shutter, (views, readout));
+            let reference = ReferenceReprojection::new(
+                &frame.camera,
+                &shutter,
+                readout,
+                views,
+                Quadrature::Endpoints,
+                &frame.radiance,
+                &frame.depth,
+            );
+            let (expected, d_shutter_expected) = reference.pull_back(&frame.d_blurred);
+            let name = format!("{width} x {height} + {margin}, {views}, {readout}");
+            let shares = reference.uncovered();
+            let moves = views > 1 || readout != 0.0;
+            let shown = if moves { &shares[..] } else { &[] };
+            assert_eq!(fast.uncovered().len(), shown.len());
+            most = shown.iter().copied().fold(most, f32::max);
+            for (k, (a, b)) in fast.uncovered().iter().zip(shown).enumerate() {
+                assert!((a - b).abs() < 1e-3, "uncovered, {name}, tile {k}: {a} {b}");
             }
+            let picture = wide(&reference.blur()).data;
+            assert_close(&format!("picture, {name}"), &wide(&blurred).data, &picture, 2e-4);
+            let (a, b) = (wide(&d_radiance).data, wide(&expected).data);
+            assert_close(&format!("radiance, {name}"), &a, &b, 2e-4);
+            let (a, b) = (d_shutter.shutter.to_array(), d_shutter_expected.shutter.to_array());
+            // Beyond the exposure the shares of start and end are large and of opposite sign.
+            let tolerance = if readout == 0.0 { 2e-4 } else { 3e-3 };
+            assert_close(&format!("shutter, {name}"), &a, &b, tolerance);
+            let (a, b) = (d_shutter.readout, d_shutter_expected.readout);
+            assert_close(&format!("readout, {name}"), &[a], &[b], 2e-3);
         }
     }
     assert!(most > 1e-3, "nothing is uncovered: {most}");

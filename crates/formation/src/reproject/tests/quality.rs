@@ -2,7 +2,7 @@
 
 use super::{Scene, camera, moving};
 use super::{narrow, wide};
-use crate::reproject::{Interpolation, Reprojection};
+use crate::reproject::Reprojection;
 use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image};
 
@@ -42,11 +42,10 @@ fn reproject(
     shutter: &ShutterPoses<f64>,
     (count, quadrature): (usize, Quadrature),
     readout: f64,
-    interpolation: Interpolation,
     (radiance, depth): &(Image<f64>, Image<f64>),
 ) -> Image<f64> {
     let mut blurred = Image::default();
-    Reprojection::new(interpolation).blur(
+    Reprojection::default().blur(
         &camera.cast(),
         shutter,
         readout,
@@ -80,8 +79,7 @@ fn close_to_exactly_rendered_virtual_cameras() {
             print!("{kind:12}{length:3} px {sharp_only:6.1} {five:6.1}");
             for count in [5, 9, 17] {
                 let plan = (count, Quadrature::Midpoints);
-                let of =
-                    |sharp| reproject(&camera, &shutter, plan, 0.0, Interpolation::Sharp, sharp);
+                let of = |sharp| reproject(&camera, &shutter, plan, 0.0, sharp);
                 let blurred = of(&sharp);
                 let (inside, all) = (psnr(&blurred, &exact, border), psnr(&blurred, &exact, 0));
                 let with_margin = psnr(&of(&wide), &exact, 0);
@@ -93,22 +91,6 @@ fn close_to_exactly_rendered_virtual_cameras() {
             println!();
         }
     }
-}
-
-#[test]
-fn six_pixels_keep_detail_that_two_dull() {
-    let camera = camera(SIZE.0, SIZE.1);
-    let scene = Scene::new(&camera, FINEST);
-    let shutter = exposure(&camera, "rotation", 2.0);
-    let plan = (5, Quadrature::Midpoints);
-    let exact = scene.blurred(&camera, &shutter, plan, GRID);
-    let sharp = scene.render(&camera, &shutter.middle(), GRID);
-    let against = |interpolation| {
-        psnr(&reproject(&camera, &shutter, plan, 0.0, interpolation, &sharp), &exact, 2)
-    };
-    let [linear, sharp] = [Interpolation::Linear, Interpolation::Sharp].map(against);
-    println!("2 px of rotation: linear {linear:.1} dB, sharp {sharp:.1} dB");
-    assert!(sharp > linear + 3.0, "{linear} {sharp}");
 }
 
 /// Rows cut out of exactly rendered views, each at its own times.
@@ -144,7 +126,7 @@ fn rows_are_where_exact_views_at_their_times_have_them() {
         let sharp = scene.render(&camera, &shutter.middle(), GRID);
         let plan = (5, Quadrature::Midpoints);
         let of = |readout| {
-            let image = reproject(&camera, &shutter, plan, readout, Interpolation::Sharp, &sharp);
+            let image = reproject(&camera, &shutter, plan, readout, &sharp);
             psnr(&image, &exact, 10)
         };
         let (with, without, wrong) = (of(readout), of(0.0), of(-readout));
