@@ -92,7 +92,7 @@ impl Rasterizer {
 
     /// Write what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
-        self.list(map, view, None, TileSelection::default());
+        self.list(map, view, None, None, None);
         let Self { arch, settings, grid, splats, bins, tiles, seconds, .. } = self;
         timed(&mut seconds.blend, || {
             cpu_forward::render(*arch, settings, grid, splats, bins, tiles);
@@ -100,14 +100,15 @@ impl Rasterizer {
         timed(&mut seconds.copy_out, || tile::copy_out(grid, tiles, None, out));
     }
 
-    /// Projects the map and lists the splats of each tile, or of the marked ones, in order of
-    /// depth.
+    /// Projects the map, or what `candidates` show, and lists the splats of each tile, or of the
+    /// marked ones, in order of depth.
     fn list(
         &mut self,
         map: &GaussianMap,
         view: &View<f32>,
         motion: Option<&MotionFrame>,
-        TileSelection { mask, candidates }: TileSelection<'_>,
+        mask: Option<&[bool]>,
+        candidates: Option<&[Chunk]>,
     ) {
         self.grid = TileGrid::of(&view.camera);
         let projection = Projection {
@@ -202,15 +203,6 @@ impl Rasterizer {
     }
 }
 
-/// Tiles and Gaussians to draw; all by default.
-#[derive(Clone, Copy, Default)]
-struct TileSelection<'a> {
-    /// Tiles to draw, if not all.
-    mask: Option<&'a [bool]>,
-    /// Chunks whose visible Gaussians are the only candidates, if known.
-    candidates: Option<&'a [Chunk]>,
-}
-
 const NOT_OF_LAST_RENDER: &str = "pull_back needs the map and the view of the last render";
 
 /// Rendering with a moving camera.
@@ -232,53 +224,27 @@ impl Rasterizer {
     /// right and lower edge included; only marked tiles are drawn, the others are black. `None`
     /// draws all.
     ///
+    /// With `visible_in`, only Gaussians that its last picture shows are projected; that must be of
+    /// this map and cover the marked tiles.
+    ///
     /// # Panics
-    /// If `mask` has another size than the picture has tiles.
+    /// If `mask` has another size than the picture has tiles, or the picture of `visible_in` is of
+    /// a map of another size.
     pub fn render_moving(
         &mut self,
         map: &GaussianMap,
         view: &View<f32>,
         motion: &ShutterMotion,
         mask: Option<&[bool]>,
+        visible_in: Option<&Self>,
         out: &mut Render,
     ) {
-        self.render_part(map, view, motion, TileSelection { mask, candidates: None }, out);
-    }
-
-    /// [`render_moving`](Self::render_moving) of the Gaussians alone that the last picture of
-    /// `other` shows, which must be of this map and cover the marked tiles: the others are
-    /// skipped before projection.
-    ///
-    /// # Panics
-    /// If `mask` has another size than the picture has tiles, or the picture of `other` is of
-    /// a map of another size.
-    pub fn render_moving_visible_in(
-        &mut self,
-        other: &Self,
-        map: &GaussianMap,
-        view: &View<f32>,
-        motion: &ShutterMotion,
-        mask: &[bool],
-        out: &mut Render,
-    ) {
-        assert!(other.splats.len() == map.len(), "{}", NOT_OF_LAST_RENDER);
-        let selection = TileSelection { mask: Some(mask), candidates: Some(&other.chunks) };
-        self.render_part(map, view, motion, selection, out);
-    }
-
-    fn render_part(
-        &mut self,
-        map: &GaussianMap,
-        view: &View<f32>,
-        motion: &ShutterMotion,
-        selection: TileSelection<'_>,
-        out: &mut Render,
-    ) {
-        let (tiles, mask) = (TileGrid::of(&view.camera).len(), selection.mask);
+        let tiles = TileGrid::of(&view.camera).len();
         assert!(mask.is_none_or(|mask| mask.len() == tiles), "one number per tile");
+        assert!(visible_in.is_none_or(|r| r.splats.len() == map.len()), "{}", NOT_OF_LAST_RENDER);
         self.row_times = RowTimes::new(motion, view.camera.height);
         let frame = MotionFrame::new(view, motion, &self.settings);
-        self.list(map, view, Some(&frame), selection);
+        self.list(map, view, Some(&frame), mask, visible_in.map(|r| r.chunks.as_slice()));
         let count = moving::moment_rows(&self.grid, &self.row_times);
         self.states.resize(count, MomentRow::default());
         let scene = moving::Scene {
@@ -378,7 +344,7 @@ impl RadianceMap for GaussianMap {
         still: &Rasterizer,
         out: &mut Render,
     ) {
-        rasterizer.render_moving_visible_in(still, self, view, motion, tiles, out);
+        rasterizer.render_moving(self, view, motion, Some(tiles), Some(still), out);
     }
 
     fn pull_back_moving(
