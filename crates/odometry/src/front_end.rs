@@ -188,7 +188,7 @@ fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
     let (mut failed, mut was_lost) = (FailedPairs::default(), false);
     loop {
         register_keyframes(state, adjust_focal, usize::MAX);
-        if relocalize(state, &mut failed).is_empty() {
+        if !relocalize(state, &mut failed) {
             return was_lost;
         }
         was_lost = true;

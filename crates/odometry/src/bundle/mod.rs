@@ -152,21 +152,11 @@ impl Bundle {
     }
 
     fn observation_cost(&self, landmark: usize, observation: &BundleObservation) -> f64 {
-        huber(self.reprojection_error(landmark, observation)).1
-    }
-
-    /// Length of a residual [standard deviations].
-    pub(crate) fn reprojection_error(
-        &self,
-        landmark: usize,
-        observation: &BundleObservation,
-    ) -> f64 {
-        let at =
-            self.landmarks[landmark].image_position(&self.camera, &self.poses[observation.pose]);
+        let pose = &self.poses[observation.pose];
+        let at = self.landmarks[landmark].image_position(&self.camera, pose);
         let seen = observation.corrected(self.camera_change);
-        at.map_or(BEHIND_CAMERA_ERROR, |at| {
-            (at[0] - seen[0]).hypot(at[1] - seen[1]) / observation.sigma
-        })
+        let length = |at: [f64; 2]| (at[0] - seen[0]).hypot(at[1] - seen[1]) / observation.sigma;
+        huber(at.map_or(BEHIND_CAMERA_ERROR, length)).1
     }
 
     fn apply_step(&self, step: &BundleStep) -> Self {

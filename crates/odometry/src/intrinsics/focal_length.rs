@@ -32,11 +32,6 @@ impl Intrinsics {
         Self::Guess(Camera { width, height, fx: f, fy: f, cx, cy })
     }
 
-    /// The guess of [`unknown`](Self::unknown), with radial distortion to be estimated.
-    pub fn unknown_with_distortion(width: usize, height: usize) -> Self {
-        Self::GuessWithDistortion(*Self::unknown(width, height).camera())
-    }
-
     /// The camera as given.
     pub fn camera(&self) -> &Camera<f64> {
         match self {

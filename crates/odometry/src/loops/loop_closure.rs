@@ -56,8 +56,8 @@ struct LoopCandidate {
     place: Similarity<f64>,
 }
 
-/// Finds loops, distributes the drift and adjusts all frames. Returns the number of loop keyframes.
-pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) -> usize {
+/// Finds loops, distributes the drift and adjusts all frames.
+pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) {
     state.progress.report(Stage::LoopClosure, 0, 0);
     let unit = median_landmark_distance(state);
     let likely = find_loop_candidates(state)
@@ -66,14 +66,12 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) -> usize {
         .collect();
     let candidates = consistent_candidates(state, likely, unit);
     if candidates.is_empty() {
-        return 0;
+        return;
     }
     distribute_drift(state, &candidates, unit);
-    let count = candidates.len();
     candidates.into_iter().for_each(|r| state.add_observations(r.found.observations));
     refine_all_frames(state, adjust_focal);
     merge_overlapping_keyframes(state, adjust_focal);
-    count
 }
 
 /// Adds observations of each other's tracks to keyframes that overlap by their poses, and adjusts

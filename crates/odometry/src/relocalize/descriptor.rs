@@ -4,6 +4,7 @@
 //! normalised to mean 0 and length 1 (Brown, Szeliski and Winder 2005), so that exposure does not
 //! matter.
 
+use crate::track::patch::dot;
 use crate::track::pyramid::Pyramid;
 use i2slam_geometry::{Image, Tap};
 
@@ -89,16 +90,6 @@ fn describe(image: &Image<f32>, [x, y]: [f32; 2]) -> Option<Descriptor> {
     let norm = dot(&out, &out).sqrt();
     let enough = norm > MIN_CONTRAST * (DESCRIPTOR_LENGTH as f32).sqrt();
     enough.then(|| out.map(|v| v / norm))
-}
-
-fn dot(a: &Descriptor, b: &Descriptor) -> f32 {
-    let mut lanes = [0.0_f32; 8];
-    for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
-        for i in 0..8 {
-            lanes[i] += a[i] * b[i];
-        }
-    }
-    lanes.iter().sum()
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use crate::sfm_state::SfmState;
 use crate::track::thumbnail::KeyframeImage;
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 /// Thumbnail correlation of a candidate, and number of candidates.
 const MIN_THUMBNAIL_CORRELATION: f32 = 0.5;
@@ -51,12 +52,9 @@ pub(crate) fn candidate_keyframes<'a>(
     may: impl Fn(usize, &KeyframeImage) -> bool,
 ) -> Vec<&'a KeyframeImage> {
     let of = |(place, other): (usize, &'a KeyframeImage)| {
-        let thumbnail_correlation = image.thumbnail_correlation(other);
-        (thumbnail_correlation > MIN_THUMBNAIL_CORRELATION && may(place, other)).then_some((
-            thumbnail_correlation,
-            place,
-            other,
-        ))
+        let correlation = image.thumbnail_correlation(other);
+        let is_similar = correlation > MIN_THUMBNAIL_CORRELATION;
+        (is_similar && may(place, other)).then_some((correlation, place, other))
     };
     let mut all: Vec<_> = state.tracks.keyframe_images.iter().enumerate().filter_map(of).collect();
     all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -71,43 +69,40 @@ pub(crate) fn candidate_keyframes<'a>(
     chosen.into_iter().map(|(_, other)| other).collect()
 }
 
-/// Localises lost keyframes in the map; returns the frames of the first batch with a success, none
-/// if there are no more.
-pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> Vec<usize> {
-    let keyframe_images = state.tracks.keyframe_images.iter().enumerate();
-    let lost = keyframe_images.filter(|(_, image)| {
+/// Localises lost keyframes in the map until a batch has a success; returns whether one had.
+pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> bool {
+    let images = Arc::clone(&state.tracks.keyframe_images);
+    let is_lost = |image: &&KeyframeImage| {
         state.poses[image.frame].is_none() && !failed.is_given_up(image.frame)
-    });
-    let lost: Vec<usize> = lost.map(|(place, _)| place).collect();
-    for some in lost.chunks(KEYFRAMES_PER_BATCH) {
+    };
+    let lost: Vec<&KeyframeImage> = images.iter().filter(is_lost).collect();
+    for batch in lost.chunks(KEYFRAMES_PER_BATCH) {
         if state.progress.is_cancelled() {
             break;
         }
-        let may = |image: &KeyframeImage, other: &KeyframeImage| {
-            state.poses[other.frame].is_some() && !failed.contains((image.frame, other.frame))
-        };
-        let search = |place: &usize| {
-            let image = &state.tracks.keyframe_images[*place];
-            let compared = candidate_keyframes(state, image, |_, other| may(image, other));
+        let search = |image: &&KeyframeImage| {
+            let may = |_, other: &KeyframeImage| {
+                state.poses[other.frame].is_some() && !failed.contains((image.frame, other.frame))
+            };
+            let compared = candidate_keyframes(state, image, may);
             let found = compared.iter().find_map(|old| match_and_verify(state, image, old));
             (found, compared.iter().map(|old| (image.frame, old.frame)).collect())
         };
         let (found, compared): (Vec<Option<Relocalization>>, Vec<Vec<FramePair>>) =
-            some.par_iter().map(search).unzip();
+            batch.par_iter().map(search).unzip();
         compared.into_iter().flatten().for_each(|pair| failed.add(pair));
-        let mut posed = Vec::new();
-        for (place, found) in some.iter().zip(found) {
+        let mut is_any_found = false;
+        for (image, found) in batch.iter().zip(found) {
             let Some(found) = found else { continue };
-            let frame = state.tracks.keyframe_images[*place].frame;
-            state.poses[frame] = Some(found.world_from_camera);
+            state.poses[image.frame] = Some(found.world_from_camera);
             state.add_observations(found.observations);
-            posed.push(frame);
+            is_any_found = true;
         }
-        if !posed.is_empty() {
-            return posed;
+        if is_any_found {
+            return true;
         }
     }
-    Vec::new()
+    false
 }
 
 #[cfg(test)]

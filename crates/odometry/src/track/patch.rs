@@ -168,14 +168,14 @@ fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32;
 }
 
 /// Inner product in eight partial sums, so that it compiles to vector instructions.
-fn dot(a: &[f32; AREA], b: &[f32; AREA]) -> f32 {
+pub(crate) fn dot<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f32 {
     let mut lanes = [0.0_f32; 8];
     for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
         for i in 0..8 {
             lanes[i] += a[i] * b[i];
         }
     }
-    let rest: f32 = (AREA / 8 * 8..AREA).map(|i| a[i] * b[i]).sum();
+    let rest: f32 = (N / 8 * 8..N).map(|i| a[i] * b[i]).sum();
     lanes.iter().sum::<f32>() + rest
 }
 

@@ -34,34 +34,20 @@ pub(crate) struct AnchorPatch {
 
 /// Outcome of the search for a point.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum TrackOutcome {
-    /// Aligned with the anchor: a measurement.
-    Measured { warp: AffineWarp, correlation: f32 },
-    /// Followed from the last frame, but the anchor does not match.
-    Followed { warp: AffineWarp },
-    /// Not found: moved with the whole picture.
-    Extrapolated { warp: AffineWarp },
+pub(crate) struct TrackOutcome {
+    /// Where the point is taken to be; moved with the whole picture if it was not found.
+    pub(crate) warp: AffineWarp,
+    /// Whether it was found, by its anchor or at least from the last frame.
+    pub(crate) is_followed: bool,
+    /// Correlation with the anchor, where that matches: only then it is a measurement.
+    pub(crate) correlation: Option<f32>,
 }
 
 impl TrackOutcome {
-    /// Assumed position of the point.
-    pub(crate) fn warp(&self) -> AffineWarp {
-        match self {
-            Self::Measured { warp, .. } | Self::Followed { warp } | Self::Extrapolated { warp } => {
-                *warp
-            }
-        }
-    }
-
-    /// Whether the point was found in the picture at all.
-    pub(crate) fn is_followed(&self) -> bool {
-        !matches!(self, Self::Extrapolated { .. })
-    }
-
     /// The measurement, if there is one.
     pub(crate) fn observation(&self, frame: usize) -> Option<Observation> {
-        let Self::Measured { warp, correlation } = self else { return None };
-        Some(Observation::new(frame, warp.centre.map(f64::from), position_sigma(*correlation)))
+        let at = self.warp.centre.map(f64::from);
+        self.correlation.map(|correlation| Observation::new(frame, at, position_sigma(correlation)))
     }
 }
 
@@ -125,11 +111,12 @@ pub(crate) fn search_point(
     let anchored = anchor.align(next, start, level).filter(|f| {
         f.correlation > MIN_ANCHOR_CORRELATION && reached(f) && is_inside(next, f.warp.centre)
     });
-    match (anchored, near) {
-        (Some(f), _) => TrackOutcome::Measured { warp: f.warp, correlation: f.correlation },
-        (None, Some(_)) if is_inside(next, start.centre) => TrackOutcome::Followed { warp: start },
-        _ => TrackOutcome::Extrapolated { warp: AffineWarp { centre: guess, ..warp } },
-    }
+    let (warp, is_followed) = match (anchored, near) {
+        (Some(f), _) => (f.warp, true),
+        (None, Some(_)) if is_inside(next, start.centre) => (start, true),
+        _ => (AffineWarp { centre: guess, ..warp }, false),
+    };
+    TrackOutcome { warp, is_followed, correlation: anchored.map(|f| f.correlation) }
 }
 
 fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {

@@ -55,7 +55,7 @@ struct TrackedPoint {
 }
 
 /// Tracking summary of one picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameReport {
     /// Points tracked into it.
     pub points: usize,
@@ -87,8 +87,7 @@ impl Tracker {
     pub(crate) fn track(&mut self, picture: &Image<f32>) -> FrameReport {
         let frame = self.tracks.frames;
         let next = Pyramid::new(picture);
-        let mut report =
-            FrameReport { points: 0, motion: 0.0, is_cut: false, is_keyframe: frame == 0 };
+        let mut report = FrameReport::default();
         let shift = self.track_points(&next, frame, &mut report);
         self.sharpness.push(sharpness(next.finest()));
         report.is_keyframe = frame == 0 || report.is_cut || self.keyframe_is_due(next.finest());
@@ -119,14 +118,14 @@ impl Tracker {
         let mut motions = Vec::new();
         for (point, outcome) in self.points.iter_mut().zip(&outcomes) {
             let from = point.warp.centre;
-            (point.is_followed, point.warp) = (outcome.is_followed(), outcome.warp());
-            let TrackOutcome::Measured { correlation, .. } = outcome else {
+            (point.is_followed, point.warp) = (outcome.is_followed, outcome.warp);
+            let Some(correlation) = outcome.correlation else {
                 point.hidden_frames += 1;
                 continue;
             };
             let to = point.warp.centre;
             motions.push((to[0] - from[0]).hypot(to[1] - from[1]));
-            (point.correlation, point.hidden_frames) = (*correlation, 0);
+            (point.correlation, point.hidden_frames) = (correlation, 0);
             self.tracks.tracks[point.track].observations.extend(outcome.observation(frame));
         }
         let found = motions.len();
@@ -227,7 +226,7 @@ impl Tracker {
             let outcome = search_point(&anchor, warp, true, here, before, by.map(|v| -v));
             let Some(observation) = outcome.observation(frame - 1 - i) else { break };
             observations.push(observation);
-            (warp, here, by) = (outcome.warp(), before, *shift);
+            (warp, here, by) = (outcome.warp, before, *shift);
         }
         observations.reverse();
         let point = TrackedPoint {
