@@ -47,7 +47,9 @@ pub(crate) fn run(
     done: impl Fn(usize, &Record) + Sync,
 ) -> HashMap<usize, Record> {
     let workers = bench.parallel.min(places.len());
-    let state = State { waiting: places.into_iter(), running: HashMap::new(), peaks: peaks(bench) };
+    let mut peaks = HashMap::new();
+    bench.plan.jobs.iter().for_each(|job| add_peak(&mut peaks, bench, job));
+    let state = State { waiting: places.into_iter(), running: HashMap::new(), peaks };
     let (state, records) = (Mutex::new(state), Mutex::new(HashMap::new()));
     std::thread::scope(|scope| {
         for _ in 0..workers {
@@ -55,7 +57,10 @@ pub(crate) fn run(
                 while let Some(place) = next(bench, &state) {
                     let job = &bench.plan.jobs[place];
                     let ended = bench.run(job, |process| set_process(&state, place, process));
-                    end(bench, &state, place, job);
+                    let mut queue = lock(&state);
+                    queue.running.remove(&place);
+                    add_peak(&mut queue.peaks, bench, job);
+                    drop(queue);
                     let Ok(record) = ended else { break };
                     done(place, &record);
                     lock(&records).insert(place, record);
@@ -99,32 +104,13 @@ fn set_process(state: &Mutex<State>, place: usize, process: u32) {
     }
 }
 
-fn end(bench: &Bench<'_>, state: &Mutex<State>, place: usize, job: &Job) {
-    let peak = peak(bench, job);
-    let mut state = lock(state);
-    state.running.remove(&place);
-    if let Some(peak) = peak {
-        let known = state.peaks.entry(job.sequence).or_default();
-        *known = peak.max(*known);
+/// Adds the peak memory of a job that ran, now or before, to those by sequence.
+fn add_peak(peaks: &mut HashMap<usize, u64>, bench: &Bench<'_>, job: &Job) {
+    let metrics = crate::metrics::read(&bench.folder(job).join("result/metrics.json"));
+    if let Some(bytes) = metrics.and_then(|metrics| metrics.get("peak_memory_bytes").copied()) {
+        let known = peaks.entry(job.sequence).or_default();
+        *known = (*known).max(bytes as u64);
     }
-}
-
-/// Peak memory by sequence, of jobs that ran before.
-fn peaks(bench: &Bench<'_>) -> HashMap<usize, u64> {
-    let mut peaks = HashMap::new();
-    for job in &bench.plan.jobs {
-        if let Some(peak) = peak(bench, job) {
-            let known = peaks.entry(job.sequence).or_default();
-            *known = peak.max(*known);
-        }
-    }
-    peaks
-}
-
-fn peak(bench: &Bench<'_>, job: &Job) -> Option<u64> {
-    crate::metrics::read(&bench.folder(job).join("result/metrics.json"))?
-        .get("peak_memory_bytes")
-        .map(|bytes| *bytes as u64)
 }
 
 /// Locks also after a panic: the list of jobs stays valid.

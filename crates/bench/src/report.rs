@@ -52,14 +52,7 @@ pub(crate) fn state(results: &Results<'_>) -> String {
 /// Notes on sequences, builds and times.
 fn remarks(results: &Results<'_>) -> Vec<String> {
     let mut remarks = results.plan.notes.clone();
-    let builds: BTreeSet<&str> = results
-        .outcomes
-        .iter()
-        .filter_map(|outcome| match outcome {
-            Outcome::Ended(record) => Some(record.build.as_str()),
-            _ => None,
-        })
-        .collect();
+    let builds: BTreeSet<&str> = results.records().map(|record| record.build.as_str()).collect();
     let builds: Vec<&str> = builds.into_iter().collect();
     match builds.as_slice() {
         [] => {}
@@ -69,14 +62,7 @@ fn remarks(results: &Results<'_>) -> Vec<String> {
             builds.join(", ")
         )),
     }
-    let seconds: f64 = results
-        .outcomes
-        .iter()
-        .map(|outcome| match outcome {
-            Outcome::Ended(record) => record.seconds,
-            _ => 0.0,
-        })
-        .sum();
+    let seconds: f64 = results.records().map(|record| record.seconds).sum();
     remarks.push(match seconds < 120.0 {
         true => format!("All jobs together took {seconds:.0} seconds."),
         false => format!("All jobs together took {:.0} minutes.", seconds / 60.0),
@@ -147,10 +133,8 @@ fn job_table(results: &Results<'_>) -> String {
             results.failure(place).unwrap_or_default().to_owned(),
             seconds,
         ];
-        let metrics = &results.metrics[place];
-        line.extend(
-            keys.iter().map(|&key| metrics.get(key).map(f64::to_string).unwrap_or_default()),
-        );
+        let value = |&key| results.metrics[place].get(key).map(f64::to_string).unwrap_or_default();
+        line.extend(keys.iter().map(value));
         text += &csv_line(&line);
     }
     text

@@ -1,5 +1,6 @@
 //! Means and standard deviations over seeds.
 
+use crate::job::Record;
 use crate::metrics::{Metric, Metrics};
 use crate::plan::Plan;
 use crate::queue::Outcome;
@@ -51,6 +52,14 @@ impl Results<'_> {
     /// Whether a job has metrics.
     pub(crate) fn finished(&self, place: usize) -> bool {
         matches!(&self.outcomes[place], Outcome::Ended(record) if record.failure.is_none())
+    }
+
+    /// The records of jobs that ended, well or not.
+    pub(crate) fn records(&self) -> impl Iterator<Item = &Record> {
+        self.outcomes.iter().filter_map(|outcome| match outcome {
+            Outcome::Ended(record) => Some(record),
+            _ => None,
+        })
     }
 
     /// The reason of a failure.
@@ -137,7 +146,6 @@ fn mean_and_spread(values: &[f64]) -> Option<(f64, Option<f64>)> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::job::Record;
     use crate::metrics::{ATE, PSNR};
 
     /// Two sequences, two configurations, two seeds.

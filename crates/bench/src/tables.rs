@@ -3,10 +3,10 @@
 use crate::console::counted;
 use crate::metrics::{ATE, DEPTH, LPIPS, MAPPING, MEMORY, Metric, PSNR, SECONDS, SSIM, TRACKING};
 use crate::plan::{Configuration, Job};
-use crate::queue::Outcome;
 use crate::suite::{Protocol, TableKind};
 use crate::summary::Results;
 use crate::table::{Entry, Table, mark_best};
+use std::collections::BTreeSet;
 
 /// The tables of the suite, and that of jobs without a result.
 pub(crate) fn tables(results: &Results<'_>) -> Vec<Table> {
@@ -223,14 +223,8 @@ fn mean_caption(results: &Results<'_>, what: &str) -> String {
 
 /// Threads of a job and jobs at once.
 pub(crate) fn machine(results: &Results<'_>) -> String {
-    let both = results.outcomes.iter().filter_map(|outcome| match outcome {
-        Outcome::Ended(record) => Some((record.threads, record.parallel)),
-        _ => None,
-    });
-    let mut both: Vec<(usize, usize)> = both.collect();
-    both.sort_unstable();
-    both.dedup();
-    let words: Vec<String> = both
+    let used: BTreeSet<_> = results.records().map(|r| (r.threads, r.parallel)).collect();
+    let words: Vec<String> = used
         .iter()
         .map(|&(threads, parallel)| {
             format!("{} a job, {} at once", counted(threads, "thread"), counted(parallel, "job"))

@@ -88,6 +88,7 @@ fn eval_fits_the_scale_of_a_unit_that_is_unknown() {
 #[test]
 fn usage_is_checked() {
     run(["run"]).exits_with(2);
+    run(["bench", "ablation", "--out", "x"]).exits_with(2).stderr_contains("i2slam-bench");
     run(["run", "data", "--out", "out", "--sharpen"]).exits_with(2).stderr_contains("--sharpen");
     let preset = ["run", "data", "--out", "out", "--preset", "fast"];
     run(preset).exits_with(2).stderr_contains("paper-tum");
