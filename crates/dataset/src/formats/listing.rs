@@ -5,6 +5,7 @@ use crate::image::DepthEncoding;
 use crate::text::counted;
 use crate::video::Video;
 use i2slam_geometry::StampedPose;
+use serde::Serialize;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -58,7 +59,7 @@ impl FrameEntry {
 }
 
 /// Numbers of colour images that are not in the associated stream, by reason.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DroppedFrames {
     /// No depth image within the tolerance, or of that name.
     pub without_depth: usize,

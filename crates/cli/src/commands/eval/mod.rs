@@ -15,6 +15,7 @@ use clap::{Args, ValueEnum};
 use estimate::Estimate;
 use evaluation::Evaluation;
 use i2slam::dataset::read_trajectory;
+use i2slam_eval::trajectory::Step;
 use reference::Reference;
 use std::path::PathBuf;
 
@@ -59,7 +60,7 @@ pub(crate) struct Eval {
     pub(crate) align: Option<AlignmentGroup>,
     /// Step of the relative pose error: frames (`1`, `30`) or seconds (`0.5s`)
     #[arg(long, value_name = "STEP", default_value = "1", value_parser = relative_step)]
-    pub(crate) rpe: RelativeStep,
+    pub(crate) rpe: Step,
     /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,
@@ -80,13 +81,6 @@ pub(crate) enum Protocol {
     HeldOut,
 }
 
-/// Step of the relative pose error.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum RelativeStep {
-    Frames(usize),
-    Seconds(f64),
-}
-
 /// Alignment of two trajectories.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum AlignmentGroup {
@@ -96,14 +90,14 @@ pub(crate) enum AlignmentGroup {
     Sim3,
 }
 
-fn relative_step(text: &str) -> Result<RelativeStep, String> {
+fn relative_step(text: &str) -> Result<Step, String> {
     let step = match text.trim().strip_suffix('s') {
-        Some(seconds) => seconds.parse().ok().map(RelativeStep::Seconds),
-        None => text.trim().parse().ok().map(RelativeStep::Frames),
+        Some(seconds) => seconds.parse().ok().map(Step::Seconds),
+        None => text.trim().parse().ok().map(Step::Frames),
     };
-    let sound = |step: &RelativeStep| match *step {
-        RelativeStep::Frames(n) => n > 0,
-        RelativeStep::Seconds(s) => s.is_finite() && s > 0.0,
+    let sound = |step: &Step| match *step {
+        Step::Frames(n) | Step::OverlappingFrames(n) => n > 0,
+        Step::Seconds(s) => s.is_finite() && s > 0.0,
     };
     step.filter(sound).ok_or_else(|| "expected frames as in 30, or seconds as in 0.5s".to_owned())
 }
@@ -273,8 +267,8 @@ mod tests {
 
     #[test]
     fn steps_are_frames_or_seconds() {
-        assert_eq!(relative_step("30"), Ok(RelativeStep::Frames(30)));
-        assert_eq!(relative_step("0.5s"), Ok(RelativeStep::Seconds(0.5)));
+        assert_eq!(relative_step("30"), Ok(Step::Frames(30)));
+        assert_eq!(relative_step("0.5s"), Ok(Step::Seconds(0.5)));
         for wrong in ["0", "0s", "-1s", "1.5", "x", "", "infs"] {
             assert!(relative_step(wrong).is_err(), "{wrong}");
         }

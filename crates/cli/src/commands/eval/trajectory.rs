@@ -3,7 +3,7 @@
 use super::estimate::Estimate;
 use super::metric_value::TableRow;
 use super::reference::Reference;
-use super::{AlignmentGroup, Eval, Protocol, RelativeStep};
+use super::{AlignmentGroup, Eval, Protocol};
 use crate::failure::Failure;
 use crate::output::counted;
 use i2slam::dataset::read_trajectory;
@@ -50,12 +50,8 @@ pub(super) fn evaluate(
     }
     let alignment = alignment(arguments, estimate)?;
     let absolute = absolute_trajectory_error(&poses, truth, alignment, DEFAULT_TOLERANCE)?;
-    let step = match arguments.rpe {
-        RelativeStep::Frames(frames) => Step::Frames(frames),
-        RelativeStep::Seconds(seconds) => Step::Seconds(seconds),
-    };
     let aligned = &absolute.aligned_estimate;
-    let relative = relative_pose_error(aligned, truth, step, DEFAULT_TOLERANCE)?;
+    let relative = relative_pose_error(aligned, truth, arguments.rpe, DEFAULT_TOLERANCE)?;
     Ok(TrajectoryErrors { absolute, relative })
 }
 

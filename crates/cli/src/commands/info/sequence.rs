@@ -10,7 +10,7 @@ use i2slam::geometry::StampedPose;
 use serde::Serialize;
 
 /// Smallest ratio of a reported gap to the median gap.
-const LONG_GAP: f64 = 1.5;
+const MIN_GAP_RATIO: f64 = 1.5;
 
 /// Facts from lists and headers.
 #[derive(Debug, Serialize)]
@@ -18,7 +18,7 @@ pub(super) struct SequenceInfo {
     pub(super) name: String,
     pub(super) layout: String,
     pub(super) frames: usize,
-    pub(super) left_out: OmittedImages,
+    pub(super) left_out: DroppedFrames,
     pub(super) times: TimeInfo,
     pub(super) camera: CameraInfo,
     /// Depth image value of one metre; `null` without depth.
@@ -26,14 +26,6 @@ pub(super) struct SequenceInfo {
     pub(super) truth: GroundTruthInfo,
     /// First frame and the one behind the last that the paper uses of this sequence.
     pub(super) paper_frames: Option<[usize; 2]>,
-}
-
-/// Numbers of colour images that are no frames, by reason.
-#[derive(Debug, Serialize)]
-pub(super) struct OmittedImages {
-    pub(super) without_depth: usize,
-    pub(super) without_pose: usize,
-    pub(super) too_close: usize,
 }
 
 /// Time stamps of the frames.
@@ -85,7 +77,6 @@ pub(super) struct GroundTruthInfo {
 
 impl SequenceInfo {
     pub(super) fn new(sequence: &Sequence, truth: &GroundTruth) -> Self {
-        let DroppedFrames { without_depth, without_pose, too_close } = sequence.dropped;
         let poses = &truth.trajectory;
         let has_depth = sequence.entries.iter().any(|entry| entry.depth.is_some());
         let path_length_m = (!poses.is_empty()).then(|| path_length(poses));
@@ -94,7 +85,7 @@ impl SequenceInfo {
             name: sequence.name.clone(),
             layout: sequence.layout_name().to_owned(),
             frames: sequence.len(),
-            left_out: OmittedImages { without_depth, without_pose, too_close },
+            left_out: sequence.dropped,
             times: TimeInfo::new(sequence),
             camera: CameraInfo::new(sequence),
             depth_scale: has_depth.then_some(sequence.depth_scale),
@@ -129,7 +120,9 @@ fn gaps(stamps: &[(usize, f64)]) -> Vec<Gap> {
     let mut sorted: Vec<f64> = all.iter().map(|gap| gap.seconds).collect();
     sorted.sort_by(f64::total_cmp);
     let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    all.into_iter().filter(|gap| gap.seconds >= LONG_GAP * median && gap.seconds > 0.0).collect()
+    all.into_iter()
+        .filter(|gap| gap.seconds >= MIN_GAP_RATIO * median && gap.seconds > 0.0)
+        .collect()
 }
 
 impl CameraInfo {
