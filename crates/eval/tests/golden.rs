@@ -216,18 +216,11 @@ fn the_report_has_the_agreed_names() {
 
 /// The procedural picture of `make_pictures.py`.
 fn picture([width, height]: [usize; 2], phase: f64) -> Image<f32> {
-    let mut image = Image::new(width, height, 3);
-    for c in 0..3 {
-        for row in 0..height {
-            for column in 0..width {
-                let (x, y) = (0.37 * column as f64 + 0.9 * c as f64 + phase, 0.23 * row as f64);
-                let check = (column / 6 + row / 5 + c) % 2;
-                let value = 0.5 + 0.3 * x.sin() * (y - phase).cos() + 0.15 * check as f64;
-                image.data[(c * height + row) * width + column] = value as f32;
-            }
-        }
-    }
-    image
+    Image::from_fn(width, height, 3, |c, column, row| {
+        let (x, y) = (0.37 * column as f64 + 0.9 * c as f64 + phase, 0.23 * row as f64);
+        let check = (column / 6 + row / 5 + c) % 2;
+        (0.5 + 0.3 * x.sin() * (y - phase).cos() + 0.15 * check as f64) as f32
+    })
 }
 
 /// Every golden number of these pictures is met.

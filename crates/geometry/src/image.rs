@@ -21,6 +21,18 @@ impl<T: Copy + Default> Image<T> {
         Self { width, height, channels, data: vec![T::default(); width * height * channels] }
     }
 
+    /// An image of `value(channel, column, row)`.
+    pub fn from_fn(
+        width: usize,
+        height: usize,
+        channels: usize,
+        mut value: impl FnMut(usize, usize, usize) -> T,
+    ) -> Self {
+        let pixels = width * height;
+        let data = (0..channels * pixels).map(|i| value(i / pixels, i % width, i % pixels / width));
+        Self { width, height, channels, data: data.collect() }
+    }
+
     /// Number of pixels of one plane.
     pub fn pixels(&self) -> usize {
         self.width * self.height
@@ -83,7 +95,6 @@ impl<T: Copy + Default> Image<T> {
 impl<T: Real> Image<T> {
     /// The image reduced by the average over blocks (`width` and `height` need not divide).
     pub fn resized_by_area(&self, width: usize, height: usize) -> Self {
-        let mut out = Self::new(width, height, self.channels);
         let spans = |from: usize, to: usize| -> Vec<(usize, usize, f64, f64)> {
             let step = from as f64 / to as f64;
             (0..to)
@@ -94,38 +105,29 @@ impl<T: Real> Image<T> {
                 .collect()
         };
         let (columns, rows) = (spans(self.width, width), spans(self.height, height));
-        for channel in 0..self.channels {
-            for (row, &(r0, r1, ra, rb)) in rows.iter().enumerate() {
-                for (column, &(c0, c1, ca, cb)) in columns.iter().enumerate() {
-                    let (mut sum, mut weight) = (0.0, 0.0);
-                    for r in r0..r1 {
-                        let wr = (rb.min(r as f64 + 1.0) - ra.max(r as f64)).max(0.0);
-                        for c in c0..c1 {
-                            let w = wr * (cb.min(c as f64 + 1.0) - ca.max(c as f64)).max(0.0);
-                            sum += w * self.at(channel, c, r).to_f64();
-                            weight += w;
-                        }
-                    }
-                    out.data[(channel * height + row) * width + column] = T::of(sum / weight);
+        Self::from_fn(width, height, self.channels, |channel, column, row| {
+            let ((c0, c1, ca, cb), (r0, r1, ra, rb)) = (columns[column], rows[row]);
+            let (mut sum, mut weight) = (0.0, 0.0);
+            for r in r0..r1 {
+                let wr = (rb.min(r as f64 + 1.0) - ra.max(r as f64)).max(0.0);
+                for c in c0..c1 {
+                    let w = wr * (cb.min(c as f64 + 1.0) - ca.max(c as f64)).max(0.0);
+                    sum += w * self.at(channel, c, r).to_f64();
+                    weight += w;
                 }
             }
-        }
-        out
+            T::of(sum / weight)
+        })
     }
 
     /// The image sampled at the nearest pixel: for depth, where averages invent surfaces.
     pub fn resized_by_nearest(&self, width: usize, height: usize) -> Self {
-        let mut out = Self::new(width, height, self.channels);
-        for channel in 0..self.channels {
-            for row in 0..height {
-                let r = ((row as f64 + 0.5) * self.height as f64 / height as f64) as usize;
-                for column in 0..width {
-                    let c = ((column as f64 + 0.5) * self.width as f64 / width as f64) as usize;
-                    out.data[(channel * height + row) * width + column] = self.at(channel, c, r);
-                }
-            }
-        }
-        out
+        let nearest = |i: usize, from: usize, to: usize| {
+            ((i as f64 + 0.5) * from as f64 / to as f64) as usize
+        };
+        Self::from_fn(width, height, self.channels, |channel, column, row| {
+            self.at(channel, nearest(column, self.width, width), nearest(row, self.height, height))
+        })
     }
 }
 
@@ -135,10 +137,10 @@ mod tests {
 
     #[test]
     fn area_resize_keeps_the_mean() {
-        let mut image = Image::<f64>::new(7, 5, 2);
-        for (i, v) in image.data.iter_mut().enumerate() {
-            *v = (i * i % 13) as f64;
-        }
+        let image = Image::from_fn(7, 5, 2, |channel, column, row| {
+            let i = (channel * 5 + row) * 7 + column;
+            (i * i % 13) as f64
+        });
         let small = image.resized_by_area(3, 2);
         let mean = |i: &Image<f64>| i.data.iter().sum::<f64>() / i.data.len() as f64;
         assert!((mean(&image) - mean(&small)).abs() < 1e-12);

@@ -6,15 +6,10 @@ use i2slam::geometry::Image;
 
 /// A picture of stripes.
 fn picture(phase: f32, sharpness: f32) -> Image<f32> {
-    let mut picture = Image::new(96, 72, 3);
-    for channel in 0..3 {
-        for i in 0..picture.pixels() {
-            let (x, y) = ((i % 96) as f32, (i / 96) as f32);
-            let wave = (0.4 * x + phase + channel as f32).sin() * (0.3 * y).cos();
-            picture.plane_mut(channel)[i] = 0.5 + sharpness * wave;
-        }
-    }
-    picture
+    Image::from_fn(96, 72, 3, |channel, x, y| {
+        let wave = (0.4 * x as f32 + phase + channel as f32).sin() * (0.3 * y as f32).cos();
+        0.5 + sharpness * wave
+    })
 }
 
 fn comparison(index: usize) -> Comparison {

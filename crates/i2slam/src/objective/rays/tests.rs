@@ -34,14 +34,10 @@ fn map() -> HashGridMap {
 
 /// Values far from anything that the field shows, so that no difference changes its sign.
 fn observation() -> Observation {
-    let mut colour = Image::new(16, 12, 3);
-    let mut depth = Image::new(16, 12, 1);
-    for (i, v) in colour.data.iter_mut().enumerate() {
-        *v = if i % 3 == 0 { 2.0 } else { 0.0 };
-    }
-    for (i, v) in depth.data.iter_mut().enumerate() {
-        *v = if i % 5 == 0 { 0.0 } else { 0.02 };
-    }
+    let index = |channel, column, row| (channel * 12 + row) * 16 + column;
+    let bright = |c, x, y| if index(c, x, y) % 3 == 0 { 2.0 } else { 0.0 };
+    let near = |c, x, y| if index(c, x, y) % 5 == 0 { 0.0 } else { 0.02 };
+    let (colour, depth) = (Image::from_fn(16, 12, 3, bright), Image::from_fn(16, 12, 1, near));
     Observation::new(colour, depth)
 }
 

@@ -189,16 +189,13 @@ mod tests {
     use i2slam_formation::{CentreVelocity, FrameTone, TrajectoryScale};
     use i2slam_geometry::{Camera, Image, Pose, Tangent};
 
-    const SIZE: (usize, usize) = (48, 36);
     const CAMERA: Camera<f32> =
         Camera { width: 48, height: 36, fx: 45.0, fy: 45.0, cx: 24.0, cy: 18.0 };
+
     fn picture(channels: usize, value: impl Fn(usize, f32, f32) -> f32) -> Image<f32> {
-        let mut image = Image::new(SIZE.0, SIZE.1, channels);
-        for (i, v) in image.data.iter_mut().enumerate() {
-            let (channel, pixel) = (i / (SIZE.0 * SIZE.1), i % (SIZE.0 * SIZE.1));
-            *v = value(channel, (pixel % SIZE.0) as f32, (pixel / SIZE.0) as f32);
-        }
-        image
+        Image::from_fn(CAMERA.width, CAMERA.height, channels, |channel, column, row| {
+            value(channel, column as f32, row as f32)
+        })
     }
 
     /// Pictures moved by a part of a pixel: at pixel centres a bilinear picture has a kink.

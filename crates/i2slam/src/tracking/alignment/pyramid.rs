@@ -82,22 +82,16 @@ fn halved_depth(depth: &Image<f32>) -> Image<f32> {
 /// Reduces blocks of 2 × 2 pixels; an odd last row or column is dropped.
 fn halved(image: &Image<f32>, reduce: impl Fn([f32; 4]) -> f32) -> Image<f32> {
     let (width, height) = ((image.width / 2).max(1), (image.height / 2).max(1));
-    let mut out = Image::new(width, height, image.channels);
     let right = |c: usize| (2 * c + 1).min(image.width - 1);
     let below = |r: usize| (2 * r + 1).min(image.height - 1);
-    for channel in 0..image.channels {
-        for row in 0..height {
-            for column in 0..width {
-                out.data[(channel * height + row) * width + column] = reduce([
-                    image.at(channel, 2 * column, 2 * row),
-                    image.at(channel, right(column), 2 * row),
-                    image.at(channel, 2 * column, below(row)),
-                    image.at(channel, right(column), below(row)),
-                ]);
-            }
-        }
-    }
-    out
+    Image::from_fn(width, height, image.channels, |channel, column, row| {
+        reduce([
+            image.at(channel, 2 * column, 2 * row),
+            image.at(channel, right(column), 2 * row),
+            image.at(channel, 2 * column, below(row)),
+            image.at(channel, right(column), below(row)),
+        ])
+    })
 }
 
 #[cfg(test)]

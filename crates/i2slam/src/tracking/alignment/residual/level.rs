@@ -346,11 +346,10 @@ mod tests {
     fn depth_noise_is_separated_from_edges_and_slopes() {
         let mut random = i2slam_compute::Random::new(3);
         let sigma = 0.004;
-        let mut plane = Image::new(60, 40, 1);
-        for (i, d) in plane.data.iter_mut().enumerate() {
-            let edge = if i % 60 < 30 { 0.3 } else { 0.0 };
-            *d = 1.0 / (0.8 + edge + 0.004 * (i / 60) as f32);
-        }
+        let mut plane = Image::from_fn(60, 40, 1, |_, column, row| {
+            let edge = if column < 30 { 0.3 } else { 0.0 };
+            1.0 / (0.8 + edge + 0.004 * row as f32)
+        });
         let clean = TargetLevel::new(Image::default(), plane.clone()).noise;
         plane
             .data

@@ -11,16 +11,9 @@ use i2slam_geometry::{Camera, Image, Rotation, Tangent, Vec3};
 const SIZE: (usize, usize) = (48, 36);
 
 fn picture(channels: usize, value: impl Fn(usize, f32, f32) -> f32) -> Image<f32> {
-    let mut image = Image::new(SIZE.0, SIZE.1, channels);
-    for channel in 0..channels {
-        for row in 0..SIZE.1 {
-            for column in 0..SIZE.0 {
-                let i = (channel * SIZE.1 + row) * SIZE.0 + column;
-                image.data[i] = value(channel, column as f32, row as f32);
-            }
-        }
-    }
-    image
+    Image::from_fn(SIZE.0, SIZE.1, channels, |channel, column, row| {
+        value(channel, column as f32, row as f32)
+    })
 }
 
 fn target() -> TargetLevel {
