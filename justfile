@@ -36,6 +36,11 @@ demo:
 bench:
     cargo bench -p i2slam-radiance -p i2slam-formation
 
+# Run a suite of sequences and configurations: `just suite ablation --data DATA --out DIR`
+suite NAME *OPTIONS:
+    cargo build --release -p i2slam-cli -p i2slam-bench
+    target/release/i2slam-bench {{NAME}} {{OPTIONS}}
+
 # Run the benches and write docs/performance.md; names of tables make only those
 performance *TABLES:
     python3 docs/performance.py {{TABLES}}

@@ -2,7 +2,7 @@
 
 use crate::console::Failure;
 use crate::sequences::{Sequence, resolve};
-use crate::suite::{ConfigurationEntry, Protocol, Suite, SuiteFile};
+use crate::suite::{ConfigurationEntry, Protocol, Suite, SuiteFile, slug};
 use i2slam::config::line_of_key;
 use i2slam::{Config, ConfigError};
 use std::collections::BTreeSet;
@@ -194,15 +194,6 @@ fn jobs(sequences: usize, configurations: usize, seeds: &[u64]) -> Vec<Job> {
     jobs
 }
 
-/// A name as part of a path: lower case, other characters as `-`.
-pub(crate) fn slug(name: &str) -> String {
-    let plain =
-        |c: char| if c.is_alphanumeric() || c == '_' { c.to_ascii_lowercase() } else { '-' };
-    let slug: String = name.chars().map(plain).collect();
-    let parts: Vec<&str> = slug.split('-').filter(|part| !part.is_empty()).collect();
-    parts.join("-")
-}
-
 /// Keeps what was selected; an unknown name is an error.
 fn keep<T>(
     all: &mut Vec<T>,
@@ -274,12 +265,6 @@ pub(crate) mod tests {
 
     const HEAD: &str =
         "title = \"t\"\n[[sequence]]\npath = \"a\"\n[[configuration]]\nname = \"c\"\n";
-
-    #[test]
-    fn names_become_parts_of_paths() {
-        assert_eq!(slug("Paper: no blur, N = 5"), "paper-no-blur-n-5");
-        assert_eq!(slug("../x"), "x");
-    }
 
     #[test]
     fn names_may_hold_commas() {

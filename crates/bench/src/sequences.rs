@@ -1,8 +1,7 @@
 //! The sequences of a suite: where they are, and which frames are judged.
 
 use crate::console::Failure;
-use crate::plan::slug;
-use crate::suite::{SequenceEntry, SuiteFile};
+use crate::suite::{SequenceEntry, SuiteFile, slug};
 use i2slam_eval::frame_list;
 use i2slam_synthetic::Spec;
 use std::path::{Path, PathBuf};

@@ -261,6 +261,15 @@ pub(crate) fn parse(text: &str, origin: &str) -> Result<Suite, Failure> {
     Ok(suite)
 }
 
+/// A name as part of a path: lower case, other characters as `-`.
+pub(crate) fn slug(name: &str) -> String {
+    let plain =
+        |c: char| if c.is_alphanumeric() || c == '_' { c.to_ascii_lowercase() } else { '-' };
+    let slug: String = name.chars().map(plain).collect();
+    let parts: Vec<&str> = slug.split('-').filter(|part| !part.is_empty()).collect();
+    parts.join("-")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -312,5 +321,11 @@ mod tests {
         let arguments = entry.arguments(&|path| Path::new("/data").join(path)).join(" ");
         let expected = "--frames 3..7 --camera /data/cam.json --intrinsics 500 501.5 320 240";
         assert_eq!(arguments, expected);
+    }
+
+    #[test]
+    fn names_become_parts_of_paths() {
+        assert_eq!(slug("Paper: no blur, N = 5"), "paper-no-blur-n-5");
+        assert_eq!(slug("../x"), "x");
     }
 }
