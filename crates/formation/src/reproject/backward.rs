@@ -81,12 +81,12 @@ fn pull_back_chunk(
     }
 }
 
-/// Slopes of the surface from column `x` on in row `y`; zero where the landing was searched.
+/// Slopes of the surface from column `x` on in row `y`; zero where the depth was searched.
 #[inline(always)]
 fn slopes(scene: &Scene<'_>, x: usize, y: usize) -> [Column; 2] {
     let mut slopes = [[0.0; LANES]; 2];
     for (i, facet) in scene.surface.facets(y)[x..].iter().enumerate().take(LANES) {
-        let smooth = scene.surface.blocks.searched(x + i, y).is_none();
+        let smooth = scene.surface.blocks.search_bounds(x + i, y).is_none();
         slopes[0][i] = if smooth { facet.slope_x } else { 0.0 };
         slopes[1][i] = if smooth { facet.slope_y } else { 0.0 };
     }

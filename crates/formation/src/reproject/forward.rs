@@ -3,7 +3,7 @@
 use super::TILE;
 use super::backward::Band;
 use super::ray_surface::interpolate_in_time;
-use super::ray_surface::{Steps, intersect_lanes};
+use super::ray_surface::{DepthEdges, intersect_lanes};
 use super::sampling::{Corners, Texel};
 use super::sampling::{LANES, Lines, Taps};
 use super::surface::Surface;
@@ -60,7 +60,7 @@ impl WithSimd for BlurBand<'_> {
                 let at = row * width + x..row * width + x + lanes;
                 let from = row * scene.camera.width + margin + x;
                 let mut sum = read_chunk(&sharp.map(|plane| &plane[from..from + lanes]), still);
-                *uncovered += see_chunk(scene, x + margin, y, lanes, depths);
+                *uncovered += find_inverse_depths(scene, x + margin, y, lanes, depths);
                 let rows = blur_chunk(scene, x + margin, y, depths, &mut sum);
                 band.fine_first = band.fine_first.min(rows.0);
                 band.fine_last = band.fine_last.max(rows.1);
@@ -111,7 +111,12 @@ fn blur_chunk(
 
 /// Lands the first and the last view and lays a parabola in time through both and the middle.
 #[inline(always)]
-fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Column, depths: &mut [Column]) {
+fn interpolate_inverse_depths(
+    scene: &Scene<'_>,
+    (x, y): (usize, usize),
+    own: &Column,
+    depths: &mut [Column],
+) {
     let moving = scene.views.row(y);
     let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
     let first = intersect_lanes(scene, &Lines::new(scene.camera, first, x, y), own);
@@ -126,7 +131,13 @@ fn see_between(scene: &Scene<'_>, (x, y): (usize, usize), own: &Column, depths: 
 /// The inverse depths that every moving view sees from column `x` of the render on in its row
 /// `y`; gives the share of a tile's exposure that the render hides from the chunk's first `lanes`.
 #[inline(always)]
-fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, lanes: usize, depths: &mut [Column]) -> f32 {
+fn find_inverse_depths(
+    scene: &Scene<'_>,
+    x: usize,
+    y: usize,
+    lanes: usize,
+    depths: &mut [Column],
+) -> f32 {
     let moving = scene.views.row(y);
     let row = scene.surface.row(y);
     let own: Column = match row.get(x..).and_then(|rest| rest.first_chunk()) {
@@ -139,9 +150,9 @@ fn see_chunk(scene: &Scene<'_>, x: usize, y: usize, lanes: usize, depths: &mut [
             *depths = intersect_lanes(scene, &lines, &intersect_lanes(scene, &lines, &own));
         }
     } else {
-        see_between(scene, (x, y), &own, depths);
+        interpolate_inverse_depths(scene, (x, y), &own, depths);
     }
-    let steps = Steps::around(scene, x, y);
+    let steps = DepthEdges::around(scene, x, y);
     let mut uncovered = 0.0;
     if steps.any {
         for (view, depths) in moving.iter().zip(depths.iter_mut()) {

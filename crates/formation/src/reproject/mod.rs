@@ -160,7 +160,7 @@ impl Reprojection {
         }
         self.surface.update(depth);
         let reach = self.views.reach(camera, self.surface.blocks.nearest());
-        self.surface.blocks.surround(reach, self.views.largest_parallax(camera));
+        self.surface.blocks.prepare_search(reach, self.views.largest_parallax(camera));
         lay_bands(&mut self.bands, camera.width, camera.height);
         self.upsample(radiance);
         self.gather(radiance, blurred);

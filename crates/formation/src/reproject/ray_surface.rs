@@ -59,7 +59,7 @@ pub(super) fn interpolate_in_time<T: Real>(first: T, middle: T, last: T, moment:
 /// time. The first sample that lies on the surface (within 0.6 of a step) is what the virtual
 /// camera sees, refined by [`intersect`]; samples in front of the surface are empty space, and those
 /// behind it are hidden from the sharp render. If the walk ends hidden, the virtual camera sees
-/// background that the sharp render does not show ([`Walk::beside`]), and `true` says so.
+/// background that the sharp render does not show ([`RayWalk::background_beside`]), and `true` says so.
 pub(super) fn search<T: Real>(
     surface: &Surface<T>,
     line: &Line<T>,
@@ -67,15 +67,15 @@ pub(super) fn search<T: Real>(
     own: T,
 ) -> (T, bool) {
     let (nearest, farthest) = (bounds.nearest, bounds.farthest);
-    let (count, step) = Walk::steps(line.ex, line.ey, nearest, farthest);
+    let (count, step) = RayWalk::steps(line.ex, line.ey, nearest, farthest);
     if count == 0 {
         return (intersect(surface, line, own), false);
     }
-    let mut walk = Walk { nearest, farthest, step, count, in_front: None, occluder: nearest };
+    let mut walk = RayWalk { nearest, farthest, step, count, in_front: None, occluder: nearest };
     for k in 0..=count {
         let w = walk.at(k);
         let seen = sample(surface, line, w);
-        if Walk::meets(seen, w, step) {
+        if RayWalk::on_surface(seen, w, step) {
             return (intersect(surface, line, w).max(w - step).min(w + step), false);
         }
         if seen < w {
@@ -84,11 +84,11 @@ pub(super) fn search<T: Real>(
             walk.occluder = seen;
         }
     }
-    (walk.beside(surface, line), true)
+    (walk.background_beside(surface, line), true)
 }
 
 /// A walk along a line, from near to far.
-pub(super) struct Walk<T> {
+pub(super) struct RayWalk<T> {
     pub(super) nearest: T,
     pub(super) farthest: T,
     /// Inverse depth per step.
@@ -100,7 +100,7 @@ pub(super) struct Walk<T> {
     pub(super) occluder: T,
 }
 
-impl<T: Real> Walk<T> {
+impl<T: Real> RayWalk<T> {
     /// Number of steps, and inverse depth per step, of a line that moves by `(ex, ey)` per unit of
     /// inverse depth. None (0) if both ends are within half a pixel.
     #[inline(always)]
@@ -119,7 +119,7 @@ impl<T: Real> Walk<T> {
 
     /// True if a sample at inverse depth `w` lies on a surface at `seen`.
     #[inline(always)]
-    pub(super) fn meets(seen: T, w: T, step: T) -> bool {
+    pub(super) fn on_surface(seen: T, w: T, step: T) -> bool {
         (seen - w).abs() <= step * T::of(0.6)
     }
 
@@ -128,7 +128,7 @@ impl<T: Real> Walk<T> {
     }
 
     /// The background beside what hides the end of the line, on the side that is closer.
-    pub(super) fn beside(&self, surface: &Surface<T>, line: &Line<T>) -> T {
+    pub(super) fn background_beside(&self, surface: &Surface<T>, line: &Line<T>) -> T {
         let hidden_for = self.count - self.in_front.unwrap_or(0);
         let background = (self.occluder + self.farthest) * T::of(0.5);
         let beyond = (1..=hidden_for.max(1))
@@ -181,7 +181,7 @@ pub(super) fn intersect_lanes(scene: &Scene<'_>, lines: &Lines, guess: &Column) 
 }
 
 /// The bounds of inverse depth around sixteen pixels, for those that are near a visible step.
-pub(super) struct Steps {
+pub(super) struct DepthEdges {
     pub(super) any: bool,
     /// The largest bends around; 0 where there is no visible step.
     bend: Column,
@@ -189,14 +189,14 @@ pub(super) struct Steps {
     farthest: Column,
 }
 
-impl Steps {
+impl DepthEdges {
     /// For the pixels from column `x` on in row `y`.
     #[inline(always)]
     pub(super) fn around(scene: &Scene<'_>, x: usize, y: usize) -> Self {
         let zero = [0.0; LANES];
         let mut steps = Self { any: false, bend: zero, nearest: zero, farthest: zero };
         for i in 0..LANES.min(scene.camera.width - x) {
-            if let Some(bounds) = scene.surface.blocks.searched(x + i, y) {
+            if let Some(bounds) = scene.surface.blocks.search_bounds(x + i, y) {
                 (steps.any, steps.bend[i]) = (true, bounds.bend);
                 (steps.nearest[i], steps.farthest[i]) = (bounds.nearest, bounds.farthest);
             }
@@ -206,23 +206,23 @@ impl Steps {
 
     /// Those that a view shows for which bends up to `steep` are none, if there are any.
     #[inline(always)]
-    pub(super) fn shown(&self, steep: f32) -> Option<Shown<'_>> {
+    pub(super) fn shown(&self, steep: f32) -> Option<VisibleEdges<'_>> {
         let (mut near_step, mut any) = ([false; LANES], false);
         for i in 0..LANES {
             near_step[i] = self.bend[i] > steep;
             any |= near_step[i];
         }
-        any.then_some(Shown { steps: self, near_step })
+        any.then_some(VisibleEdges { steps: self, near_step })
     }
 }
 
 /// The steps that one view shows.
-pub(super) struct Shown<'a> {
-    steps: &'a Steps,
+pub(super) struct VisibleEdges<'a> {
+    steps: &'a DepthEdges,
     near_step: [bool; LANES],
 }
 
-impl Shown<'_> {
+impl VisibleEdges<'_> {
     /// Replaces the inverse depths `w` of pixels near a step by those of the nearest surface on
     /// their lines, and says at which of them the line ends hidden.
     #[inline(always)]
@@ -233,7 +233,7 @@ impl Shown<'_> {
         own: &Column,
         w: &mut Column,
     ) -> [bool; LANES] {
-        let mut walks = Walks::new(self, lines);
+        let mut walks = RayWalks::new(self, lines);
         walks.run(scene, lines);
         let mut guess = *own;
         for i in 0..LANES {
@@ -252,7 +252,7 @@ impl Shown<'_> {
         }
         for i in 0..LANES {
             if hidden[i] {
-                w[i] = walks.hidden(i).beside(scene.surface, &lines.line(i));
+                w[i] = walks.hidden(i).background_beside(scene.surface, &lines.line(i));
             }
         }
         hidden
@@ -262,8 +262,8 @@ impl Shown<'_> {
 /// Less than any inverse depth, also one rounded to below 0.
 const NOWHERE: f32 = f32::NEG_INFINITY;
 
-/// Sixteen walks from near to far; see [`Walk`].
-struct Walks {
+/// Sixteen walks from near to far; see [`RayWalk`].
+struct RayWalks {
     nearest: Column,
     farthest: Column,
     step: Column,
@@ -276,9 +276,9 @@ struct Walks {
     occluder: Column,
 }
 
-impl Walks {
+impl RayWalks {
     #[inline(always)]
-    fn new(Shown { steps, near_step }: &Shown<'_>, lines: &Lines) -> Self {
+    fn new(VisibleEdges { steps, near_step }: &VisibleEdges<'_>, lines: &Lines) -> Self {
         let mut walks = Self {
             nearest: steps.nearest,
             farthest: steps.farthest,
@@ -290,7 +290,7 @@ impl Walks {
         };
         for i in 0..LANES {
             let (count, step) =
-                Walk::steps(lines.ex[i], lines.ey[i], steps.nearest[i], steps.farthest[i]);
+                RayWalk::steps(lines.ex[i], lines.ey[i], steps.nearest[i], steps.farthest[i]);
             (walks.count[i], walks.step[i]) = (if near_step[i] { count } else { 0 }, step);
         }
         walks
@@ -314,7 +314,7 @@ impl Walks {
             let seen = scene.surface.values_at(&pixels(scene.camera, lines, &w).0);
             for i in 0..LANES {
                 let walking = k < end[i];
-                let met = walking & Walk::meets(seen[i], w[i], step[i]);
+                let met = walking & RayWalk::on_surface(seen[i], w[i], step[i]);
                 let before = seen[i] < w[i];
                 at[i] = if met { w[i] } else { at[i] };
                 in_front[i] = if walking & !met & before { place } else { in_front[i] };
@@ -326,8 +326,8 @@ impl Walks {
     }
 
     /// The walk of one pixel that ended hidden.
-    fn hidden(&self, i: usize) -> Walk<f32> {
-        Walk {
+    fn hidden(&self, i: usize) -> RayWalk<f32> {
+        RayWalk {
             nearest: self.nearest[i],
             farthest: self.farthest[i],
             step: self.step[i],

@@ -51,7 +51,7 @@ impl<T: Real> ReferenceReprojection<T> {
         let mut surface = Surface::default();
         surface.update(depth);
         let reach = views.reach(camera, surface.blocks.nearest());
-        surface.blocks.surround(reach, views.largest_parallax(camera));
+        surface.blocks.prepare_search(reach, views.largest_parallax(camera));
         let (camera, shutter, radiance) = (*camera, *shutter, radiance.clone());
         Self { camera, margin, shutter, views, surface, radiance }
     }
@@ -143,7 +143,7 @@ impl<T: Real> ReferenceReprojection<T> {
     /// The inverse depth that a pixel sees, and whether the render hides it.
     fn lands(&self, view: &View<T>, x: usize, y: usize) -> (T, bool) {
         let own = self.surface.row(y)[x];
-        let bounds = self.surface.blocks.searched(x, y);
+        let bounds = self.surface.blocks.search_bounds(x, y);
         if let Some(bounds) = bounds.filter(|bounds| bounds.bend > view.steep) {
             return search(&self.surface, &self.line(view, x, y), bounds, own);
         }
@@ -162,7 +162,7 @@ impl<T: Real> ReferenceReprojection<T> {
         let direction = view.direction(px, py);
         let line = view.line(&self.camera, direction);
         let facet = self.surface.facets(y)[x];
-        let smooth = self.surface.blocks.searched(x, y).is_none();
+        let smooth = self.surface.blocks.search_bounds(x, y).is_none();
         let slope = |s: T| if smooth { s } else { T::zero() };
         let (slope_x, slope_y) = (slope(facet.slope_x), slope(facet.slope_y));
         let along =

@@ -252,7 +252,7 @@ fn slope<T: Real>(before: T, after: T, has_before: bool, has_after: bool) -> (T,
 /// Side of a block [px].
 pub(super) const BLOCK: usize = 4;
 
-/// Steps whose two sides move apart by less than this are not searched [px].
+/// Depth steps whose sides move apart by less than this are not searched [px].
 const VISIBLE_STEP: f64 = 0.5;
 
 /// A block looks at most this many blocks away for steps (64 px).
@@ -322,9 +322,9 @@ impl<T: Real> Blocks<T> {
         self.own.iter().fold(T::zero(), |most, block| most.max(block.nearest))
     }
 
-    /// Prepares [`searched`](Self::searched) for motion by up to `reach` [px] with at most
+    /// Prepares [`search_bounds`](Self::search_bounds) for motion by up to `reach` [px] with at most
     /// `parallax` pixels per unit of inverse depth.
-    pub(super) fn surround(&mut self, reach: T, parallax: T) {
+    pub(super) fn prepare_search(&mut self, reach: T, parallax: T) {
         self.steep = steep(parallax);
         let blocks = (reach.to_f64() / BLOCK as f64).ceil().clamp(0.0, MAX_REACH) as usize;
         let columns = self.columns.max(1);
@@ -348,7 +348,7 @@ impl<T: Real> Blocks<T> {
     /// The bounds around pixel (`x`, `y`) if a step near it moves visibly for any view, else
     /// `None`.
     #[inline(always)]
-    pub(super) fn searched(&self, x: usize, y: usize) -> Option<Block<T>> {
+    pub(super) fn search_bounds(&self, x: usize, y: usize) -> Option<Block<T>> {
         let block = self.around[(y / BLOCK) * self.columns + x / BLOCK];
         (block.bend > self.steep).then_some(block)
     }

@@ -27,7 +27,7 @@ pub(super) struct View<T> {
     pub(super) moment: T,
     /// Share of the exposure.
     pub(super) weight: T,
-    /// Bends of inverse depth up to this [1/m] move by too little to be searched.
+    /// Bends of inverse depth up to this [1/m] move too little to be searched.
     pub(super) steep: T,
     /// `R K⁻¹`: pixel to ray in the frame of the sharp render.
     ray_from_pixel: Mat3<T>,

@@ -6,7 +6,7 @@ use crate::hashgrid::{HashGridField, MarchSettings, Occupancy};
 
 /// A ray on its way through the occupied cells.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Walk {
+pub(crate) struct RayMarcher {
     /// Position in the unit cube, `origin + depth · direction`.
     origin: [f32; 3],
     direction: [f32; 3],
@@ -20,7 +20,7 @@ pub(crate) struct Walk {
     steps: u32,
 }
 
-impl Walk {
+impl RayMarcher {
     /// From where the ray enters the cube of the field.
     pub(crate) fn new(field: &HashGridField, settings: &MarchSettings, ray: &Ray) -> Self {
         let (scale, offset) = field.to_unit();
@@ -38,9 +38,10 @@ impl Walk {
         let (steps_from, steps_to) = settings.steps();
         let (steps_from, steps_to) = (steps_from / length, steps_to / length);
         let steps = settings.steps_max;
-        let mut walk = Self { origin, direction, inverse, steps_from, steps_to, depth, end, steps };
-        walk.depth += ray.offset.clamp(0.0, 1.0) * walk.step(settings);
-        walk
+        let mut marcher =
+            Self { origin, direction, inverse, steps_from, steps_to, depth, end, steps };
+        marcher.depth += ray.offset.clamp(0.0, 1.0) * marcher.step(settings);
+        marcher
     }
 
     /// Length of the step at the present depth. Comparisons, because this is the longest chain of
@@ -92,7 +93,7 @@ impl Occupancy {
         settings: &MarchSettings,
         ray: &Ray,
     ) -> Vec<Sample> {
-        let mut walk = Walk::new(field, settings, ray);
-        std::iter::from_fn(|| walk.next(settings, self).map(|(sample, _)| sample)).collect()
+        let mut marcher = RayMarcher::new(field, settings, ray);
+        std::iter::from_fn(|| marcher.next(settings, self).map(|(sample, _)| sample)).collect()
     }
 }

@@ -9,7 +9,7 @@ use super::stages::{Axes, Frame, Parameters, Stages, put};
 use super::{CHUNK, Chunk, MotionFrame, PathCotangents, Splat};
 use crate::gaussian::bin::Bins;
 use crate::gaussian::map::GradientRows;
-use crate::gaussian::rasterize::{MotionSlot, Slot};
+use crate::gaussian::rasterize::{MotionTileSums, TileSums};
 use crate::gaussian::{ColourActivation, Gaussian, GaussianMap, MapGradient, Shape, sort};
 use i2slam_compute::simd::{Column, Lanes, MAX_LANES, combine, cross, dot, transform};
 use pulp::{Arch, Simd, WithSimd};
@@ -23,9 +23,9 @@ pub(crate) struct Footprints<'a> {
     pub(crate) splats: &'a [Splat],
     pub(crate) chunks: &'a [Chunk],
     pub(crate) bins: &'a Bins,
-    pub(crate) slots: &'a [Slot],
+    pub(crate) slots: &'a [TileSums],
     /// With a moving camera.
-    pub(crate) moving: Option<(&'a MotionFrame, &'a [MotionSlot])>,
+    pub(crate) moving: Option<(&'a MotionFrame, &'a [MotionTileSums])>,
 }
 
 /// Pose gradients of a chunk of Gaussians, or of all.
@@ -91,13 +91,13 @@ impl Footprints<'_> {
     /// First slots of a group of visible Gaussians. They are scattered over memory: loads that
     /// do not depend on each other wait once.
     #[inline(always)]
-    fn first_slots(&self, items: &[u64]) -> [Slot; MAX_LANES] {
+    fn first_slots(&self, items: &[u64]) -> [TileSums; MAX_LANES] {
         let first = |item: &u64| {
             let index = sort::index(*item);
             let mut places = self.bins.places_of(index, &self.splats[index]);
-            places.next().map_or_else(Slot::default, |at| self.slots[at])
+            places.next().map_or_else(TileSums::default, |at| self.slots[at])
         };
-        std::array::from_fn(|i| items.get(i).map_or_else(Slot::default, first))
+        std::array::from_fn(|i| items.get(i).map_or_else(TileSums::default, first))
     }
 
     fn pull_back_chunk(&self, chunk: usize, rows: Option<GradientRows<'_, f32>>) -> PoseSums {
@@ -140,14 +140,14 @@ impl<const ANISOTROPIC: bool, const MAP: bool> WithSimd for PullBack<'_, ANISOTR
             let firsts = self.footprints.first_slots(items);
             for (place, item) in items.iter().enumerate() {
                 let index = sort::index(*item);
-                let (splat, mut sum) = (&splats[index], Slot::default());
+                let (splat, mut sum) = (&splats[index], TileSums::default());
                 sum.add(&firsts[place]);
                 for at in bins.places_of(index, splat).skip(1) {
                     sum.add(&slots[at]);
                 }
                 group.load(place, map, index, splat, &sum);
                 if let Some((_, slots)) = moving {
-                    let mut sum = MotionSlot::default();
+                    let mut sum = MotionTileSums::default();
                     for at in bins.places_of(index, splat) {
                         sum.add(&slots[at]);
                     }
@@ -179,14 +179,14 @@ pub(super) struct Group {
     parameters: Parameters,
     exponent: [Column; 3],
     radiance: [Column; 3],
-    /// The sums of a [`Slot`].
+    /// The sums of a [`TileSums`].
     first: [Column; 2],
     second: [Column; 3],
     depth: Column,
     zeroth: Column,
     d_radiance: [Column; 3],
     pub(super) weight: Column,
-    /// The sums of a [`MotionSlot`].
+    /// The sums of a [`MotionTileSums`].
     velocity: [Column; 2],
     curvature: [Column; 2],
     /// `∂L/∂(ρ, φ)`.
@@ -209,7 +209,7 @@ impl Group {
         map: &GaussianMap,
         index: usize,
         splat: &Splat,
-        sum: &Slot,
+        sum: &TileSums,
     ) {
         self.parameters.set(place, map, index);
         put(&mut self.exponent, place, &splat.exponent);
@@ -223,7 +223,7 @@ impl Group {
     }
 
     #[inline(always)]
-    pub(super) fn load_motion(&mut self, place: usize, sum: &MotionSlot) {
+    pub(super) fn load_motion(&mut self, place: usize, sum: &MotionTileSums) {
         put(&mut self.velocity, place, &sum.velocity);
         put(&mut self.curvature, place, &sum.curvature);
     }
@@ -252,11 +252,11 @@ impl Group {
         let stages = frame.stages::<S, ANISOTROPIC>(simd, &self.parameters);
         let [a, b, c] = Lanes::load_all(simd, &self.exponent);
         let conic = [a.scale(-2.0 * LN_2), b.scale(-LN_2), c.scale(-2.0 * LN_2)];
-        let mut d_centre = turned(conic, Lanes::load_all(simd, &self.first));
+        let mut d_centre = symmetric_product(conic, Lanes::load_all(simd, &self.first));
         let mut path = None;
         if let Some(motion) = motion {
-            let d_velocity = turned(conic, Lanes::load_all(simd, &self.velocity));
-            let d_curvature = turned(conic, Lanes::load_all(simd, &self.curvature));
+            let d_velocity = symmetric_product(conic, Lanes::load_all(simd, &self.velocity));
+            let d_curvature = symmetric_product(conic, Lanes::load_all(simd, &self.curvature));
             for k in 0..2 {
                 d_centre[k] = d_centre[k] - d_curvature[k].scale(4.0);
             }
@@ -382,7 +382,7 @@ impl Group {
 
 /// `K d` of the symmetric matrix `K = [[a, b], [b, c]]`.
 #[inline(always)]
-fn turned<S: Simd>([a, b, c]: [Lanes<S>; 3], [x, y]: [Lanes<S>; 2]) -> [Lanes<S>; 2] {
+fn symmetric_product<S: Simd>([a, b, c]: [Lanes<S>; 3], [x, y]: [Lanes<S>; 2]) -> [Lanes<S>; 2] {
     [a * x + b * y, b * x + c * y]
 }
 

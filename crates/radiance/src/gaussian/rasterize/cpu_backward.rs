@@ -22,7 +22,7 @@ use pulp::{Arch, Simd, WithSimd};
 /// Sums of one splat over the pixels of one tile, with `e = α ∂L/∂α` and `w = α T`.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
-pub(crate) struct Slot {
+pub(crate) struct TileSums {
     /// `Σ e dx, Σ e dy`.
     pub(crate) first: [f32; 2],
     /// `Σ e dx², Σ e dx dy, Σ e dy²`.
@@ -37,7 +37,7 @@ pub(crate) struct Slot {
     pub(crate) weight: f32,
 }
 
-impl Slot {
+impl TileSums {
     pub(crate) fn add(&mut self, other: &Self) {
         (0..2).for_each(|k| self.first[k] += other.first[k]);
         (0..3).for_each(|k| self.second[k] += other.second[k]);
@@ -63,12 +63,12 @@ pub(crate) struct Picture<'a> {
 }
 
 /// Fill the slots of all entries of all tiles.
-pub(crate) fn pull_back(picture: &Picture<'_>, slots: &mut [Slot]) {
+pub(crate) fn pull_back(picture: &Picture<'_>, slots: &mut [TileSums]) {
     split_tiles(picture, 0, picture.grid.len(), slots);
 }
 
 /// Tiles `first..end`, whose slots these are, halved until one is left.
-fn split_tiles(picture: &Picture<'_>, first: usize, end: usize, slots: &mut [Slot]) {
+fn split_tiles(picture: &Picture<'_>, first: usize, end: usize, slots: &mut [TileSums]) {
     match end - first {
         0 => {}
         1 => pull_back_tile(picture, first, slots),
@@ -100,17 +100,17 @@ mod plane {
 #[repr(C, align(64))]
 struct Scratch([[Row; plane::COUNT]; TILE]);
 
-fn pull_back_tile(picture: &Picture<'_>, number: usize, slots: &mut [Slot]) {
+fn pull_back_tile(picture: &Picture<'_>, number: usize, slots: &mut [TileSums]) {
     let tile = &picture.tiles[number];
     let mut scratch = Scratch([[[0.0; TILE]; plane::COUNT]; TILE]);
     if !load(picture, number, &mut scratch) {
-        slots.fill(Slot::default());
+        slots.fill(TileSums::default());
         return;
     }
     let (column, row) = (number % picture.grid.columns, number / picture.grid.columns);
     let origin = [(column * TILE) as f32 + 0.5, (row * TILE) as f32 + 0.5];
     let (visited, rest) = slots.split_at_mut(tile.visited);
-    rest.fill(Slot::default());
+    rest.fill(TileSums::default());
     let list = picture.bins.list(number).zip(visited);
     let (settings, splats, rows) = (picture.settings, picture.splats, &mut scratch.0);
     if picture.with_map {
@@ -161,7 +161,7 @@ struct Backward<'a, L, const MAP: bool> {
 
 impl<'a, L, const MAP: bool> WithSimd for Backward<'_, L, MAP>
 where
-    L: Iterator<Item = (Entry, &'a mut Slot)>,
+    L: Iterator<Item = (Entry, &'a mut TileSums)>,
 {
     type Output = ();
 
@@ -183,7 +183,7 @@ where
     }
 }
 
-/// The sums of a [`Slot`] in vectors.
+/// The sums of a [`TileSums`] in vectors.
 pub(super) struct Sums<S: Simd> {
     pub(super) first: [S::f32s; 2],
     pub(super) second: [S::f32s; 3],
@@ -208,8 +208,8 @@ impl<S: Simd> Sums<S> {
     }
 
     #[inline(always)]
-    pub(super) fn reduce<const MAP: bool>(&self, simd: S) -> Slot {
-        let mut slot = Slot::default();
+    pub(super) fn reduce<const MAP: bool>(&self, simd: S) -> TileSums {
+        let mut slot = TileSums::default();
         for k in 0..2 {
             slot.first[k] = simd.reduce_sum_f32s(self.first[k]);
         }

@@ -17,9 +17,9 @@ use super::{
     ShutterMotion, View,
 };
 use crate::RadianceMap;
-pub(crate) use cpu_backward::Slot;
+pub(crate) use cpu_backward::TileSums;
 use i2slam_geometry::Tangent;
-pub(crate) use moving::MotionSlot;
+pub(crate) use moving::MotionTileSums;
 use moving::{MomentRow, RowTimes};
 use pulp::Arch;
 use statistics::timed;
@@ -41,12 +41,12 @@ pub struct Rasterizer {
     sorter: Sorter,
     bins: Bins,
     tiles: Vec<TilePixels>,
-    slots: Vec<Slot>,
+    slots: Vec<TileSums>,
     pose_sums: Vec<PoseSums>,
     paths: Vec<Path<f32>>,
     row_times: RowTimes,
     states: Vec<MomentRow>,
-    motion_slots: Vec<MotionSlot>,
+    motion_slots: Vec<MotionTileSums>,
     seconds: StageSeconds,
 }
 
@@ -153,7 +153,7 @@ impl Rasterizer {
             NOT_OF_LAST_RENDER
         );
         let planes = cotangent.planes(self.grid.width, self.grid.height);
-        self.slots.resize(self.bins.len(), Slot::default());
+        self.slots.resize(self.bins.len(), TileSums::default());
         let picture = cpu_backward::Picture {
             arch: self.arch,
             settings: &self.settings,
@@ -278,8 +278,8 @@ impl Rasterizer {
         let same_motion = self.row_times == RowTimes::new(motion, view.camera.height)
             && self.paths.len() == self.splats.len();
         assert!(self.is_of_last_render(map, view) && same_motion, "{}", NOT_OF_LAST_RENDER);
-        self.slots.resize(self.bins.len(), Slot::default());
-        self.motion_slots.resize(self.bins.len(), MotionSlot::default());
+        self.slots.resize(self.bins.len(), TileSums::default());
+        self.motion_slots.resize(self.bins.len(), MotionTileSums::default());
         let scene = moving::Scene {
             arch: self.arch,
             settings: &self.settings,

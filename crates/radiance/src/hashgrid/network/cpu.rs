@@ -60,14 +60,14 @@ pub(crate) fn add_gradient(shape: &Shape, from: &[Vec<f32>], to: &mut [f32]) {
     }
 }
 
-/// Values of all layers for a block, `BLOCK x width` each.
+/// Activations of all layers for a block, `BLOCK x width` each.
 #[derive(Default)]
-pub(crate) struct Values {
+pub(crate) struct Activations {
     /// The input, then what every layer gives.
     layers: Vec<Vec<f32>>,
 }
 
-impl Values {
+impl Activations {
     pub(crate) fn new(packed: &Packed) -> Self {
         let inputs = packed.layers.first().map_or(0, |layer| layer.inputs);
         let widths = std::iter::once(inputs).chain(packed.layers.iter().map(|l| l.outputs));
@@ -85,7 +85,7 @@ impl Values {
 
 /// From the input of `values` to its output, for the first `count` samples rounded up to
 /// [`ROWS`].
-pub(crate) fn forward(arch: Arch, packed: &Packed, count: usize, values: &mut Values) {
+pub(crate) fn forward(arch: Arch, packed: &Packed, count: usize, values: &mut Activations) {
     let rows = count.next_multiple_of(ROWS);
     let last = packed.layers.len() - 1;
     for (l, layer) in packed.layers.iter().enumerate() {
@@ -108,8 +108,8 @@ pub(crate) fn pull_back(
     arch: Arch,
     packed: &Packed,
     count: usize,
-    values: &Values,
-    cotangents: &mut Values,
+    values: &Activations,
+    cotangents: &mut Activations,
     mut gradient: Option<&mut Vec<Vec<f32>>>,
 ) {
     let rows = count.next_multiple_of(ROWS);

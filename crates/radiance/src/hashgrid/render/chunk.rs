@@ -2,7 +2,7 @@
 
 use super::RayRender;
 use crate::hashgrid::encoding::harmonics::{HARMONICS, harmonics};
-use crate::hashgrid::network::cpu::{BLOCK, Packed, Values};
+use crate::hashgrid::network::cpu::{Activations, BLOCK, Packed};
 use crate::hashgrid::network::product::padded;
 use crate::hashgrid::{HashGridField, MarchSettings, Occupancy, Ray, Sample};
 use i2slam_compute::simd;
@@ -13,7 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 pub(super) const RAYS: usize = 64;
 
 /// The field, packed for the fast lane.
-pub(super) struct Scene<'a> {
+pub(super) struct FieldContext<'a> {
     pub(super) arch: Arch,
     pub(super) field: &'a HashGridField,
     pub(super) density: &'a Packed,
@@ -22,7 +22,7 @@ pub(super) struct Scene<'a> {
     pub(super) keep_slopes: bool,
 }
 
-impl Scene<'_> {
+impl FieldContext<'_> {
     /// Width of a row of encodings.
     pub(super) fn width(&self) -> usize {
         padded(self.features())
@@ -35,14 +35,14 @@ impl Scene<'_> {
 }
 
 /// Sampling of rays.
-pub(super) struct March<'a> {
+pub(super) struct RaySampling<'a> {
     pub(super) settings: &'a MarchSettings,
     pub(super) occupancy: &'a Occupancy,
 }
 
 /// A sample that took part in a picture.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Kept {
+pub(super) struct RenderedSample {
     /// Its ray, within the chunk.
     pub(super) ray: u32,
     pub(super) sample: Sample,
@@ -58,7 +58,7 @@ pub(super) struct Kept {
 /// A chunk of rays and its samples, which of each ray are in order of depth.
 #[derive(Default)]
 pub(super) struct Chunk {
-    pub(super) kept: Vec<Kept>,
+    pub(super) kept: Vec<RenderedSample>,
     /// Positions in the unit cube.
     pub(super) positions: Vec<[f32; 3]>,
     /// Encodings, one row per sample.
@@ -86,17 +86,17 @@ impl Chunk {
 
 /// Buffers of a thread for a block of samples.
 pub(super) struct Workspace {
-    pub(super) density: Values,
-    pub(super) colour: Values,
+    pub(super) density: Activations,
+    pub(super) colour: Activations,
     /// Exponents, then their exponentials: density, and the channels one after another.
     pub(super) exponentials: [[f32; BLOCK]; 4],
 }
 
 impl Workspace {
-    pub(super) fn new(scene: &Scene<'_>) -> Self {
+    pub(super) fn new(scene: &FieldContext<'_>) -> Self {
         Self {
-            density: Values::new(scene.density),
-            colour: Values::new(scene.colour),
+            density: Activations::new(scene.density),
+            colour: Activations::new(scene.colour),
             exponentials: [[0.0; BLOCK]; 4],
         }
     }

@@ -1,11 +1,11 @@
 //! Backward pass, from derivatives by renders to those by the field and by the rays.
 
-use super::chunk::{Chunk, Direction, Scene, Workspace};
+use super::chunk::{Chunk, Direction, FieldContext, Workspace};
 use super::cpu_forward::{colours, densities};
 use super::{RayGradient, RayRender};
 use crate::hashgrid::Ray;
 use crate::hashgrid::encoding::{cpu as encoding, harmonics};
-use crate::hashgrid::network::cpu::{self as network, BLOCK, Values};
+use crate::hashgrid::network::cpu::{self as network, Activations, BLOCK};
 use crate::hashgrid::network::product::padded;
 use harmonics::HARMONICS;
 use i2slam_geometry::Vec3;
@@ -30,7 +30,7 @@ struct ByDirection {
 }
 
 /// Undo the blend: from back to front.
-fn unblend(
+fn composite_backward(
     chunk: &Chunk,
     directions: &[Direction],
     cotangents: &[RayRender],
@@ -55,7 +55,7 @@ fn unblend(
 
 /// Pull the derivatives by what the rays of a chunk show back, after its `render`.
 pub(super) fn pull_back(
-    scene: &Scene<'_>,
+    scene: &FieldContext<'_>,
     requested: Requested,
     rays: &[Ray],
     cotangents: &[RayRender],
@@ -63,7 +63,7 @@ pub(super) fn pull_back(
 ) {
     let directions: Vec<_> = rays.iter().map(Direction::new).collect();
     let mut by_direction = vec![ByDirection::default(); rays.len()];
-    let by_exponents = unblend(chunk, &directions, cotangents, &mut by_direction);
+    let by_exponents = composite_backward(chunk, &directions, cotangents, &mut by_direction);
     chunk.ray_gradients.clear();
     chunk.ray_gradients.resize(rays.len(), RayGradient::default());
     if requested.field {
@@ -97,17 +97,17 @@ pub(super) fn pull_back(
 /// Buffers of a block.
 struct Backward {
     values: Workspace,
-    d_density: Values,
-    d_colour: Values,
+    d_density: Activations,
+    d_colour: Activations,
     d_positions: [[f32; 3]; BLOCK],
 }
 
 impl Backward {
-    fn new(scene: &Scene<'_>) -> Self {
+    fn new(scene: &FieldContext<'_>) -> Self {
         Self {
             values: Workspace::new(scene),
-            d_density: Values::new(scene.density),
-            d_colour: Values::new(scene.colour),
+            d_density: Activations::new(scene.density),
+            d_colour: Activations::new(scene.colour),
             d_positions: [[0.0; 3]; BLOCK],
         }
     }
@@ -115,7 +115,7 @@ impl Backward {
     /// Both networks forward again, then back.
     fn networks(
         &mut self,
-        scene: &Scene<'_>,
+        scene: &FieldContext<'_>,
         requested: Requested,
         chunk: &mut Chunk,
         block: &std::ops::Range<usize>,
@@ -157,7 +157,7 @@ impl Backward {
     /// Put the derivatives by the encodings in order of the levels.
     fn keep_features(
         &mut self,
-        scene: &Scene<'_>,
+        scene: &FieldContext<'_>,
         chunk: &mut Chunk,
         block: &std::ops::Range<usize>,
     ) {
@@ -173,7 +173,12 @@ impl Backward {
     }
 
     /// From the derivatives by the encodings to those by the positions in the unit cube.
-    fn by_positions(&mut self, scene: &Scene<'_>, chunk: &Chunk, block: &std::ops::Range<usize>) {
+    fn by_positions(
+        &mut self,
+        scene: &FieldContext<'_>,
+        chunk: &Chunk,
+        block: &std::ops::Range<usize>,
+    ) {
         let (field, width) = (scene.field, scene.width());
         let cotangent = &self.d_density.input()[..block.len() * width];
         let out = &mut self.d_positions[..block.len()];
@@ -190,7 +195,7 @@ impl Backward {
 
     fn add_rays(
         &mut self,
-        scene: &Scene<'_>,
+        scene: &FieldContext<'_>,
         chunk: &mut Chunk,
         block: &std::ops::Range<usize>,
         by_direction: &mut [ByDirection],

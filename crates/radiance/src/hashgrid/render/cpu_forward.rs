@@ -4,23 +4,25 @@
 //! costs no more than the samples of its last advance.
 
 use super::RayRender;
-use super::chunk::{Chunk, Direction, Exponentials, Kept, March, RAYS, Scene, Workspace};
+use super::chunk::{
+    Chunk, Direction, Exponentials, FieldContext, RAYS, RaySampling, RenderedSample, Workspace,
+};
 use crate::hashgrid::encoding::{cpu as encoding, harmonics::HARMONICS};
 use crate::hashgrid::field::EXPONENT_MAX;
-use crate::hashgrid::march::Walk;
+use crate::hashgrid::march::RayMarcher;
 use crate::hashgrid::network::cpu::{self as network, BLOCK};
 use crate::hashgrid::network::product::padded;
 use crate::hashgrid::{Ray, Sample};
 
 /// Samples of an advance, about.
-const WAVE: usize = 512;
+const BATCH_SAMPLES: usize = 512;
 
 /// Samples of one ray in an advance, from and to.
 const ADVANCE: [usize; 2] = [8, 32];
 
 /// The samples of an advance.
 #[derive(Default)]
-struct Wave {
+struct SampleBatch {
     rays: Vec<u32>,
     samples: Vec<Sample>,
     positions: Vec<[f32; 3]>,
@@ -31,16 +33,21 @@ struct Wave {
     fades: Vec<f32>,
 }
 
-impl Wave {
+impl SampleBatch {
     /// Advance the active rays; those that leave the cube are active no longer.
-    fn fill(&mut self, march: &March<'_>, walks: &mut [Walk], active: &mut Vec<u32>) {
+    fn fill(
+        &mut self,
+        march: &RaySampling<'_>,
+        marchers: &mut [RayMarcher],
+        active: &mut Vec<u32>,
+    ) {
         self.rays.clear();
         self.samples.clear();
         self.positions.clear();
-        let most = (WAVE / active.len()).clamp(ADVANCE[0], ADVANCE[1]);
+        let most = (BATCH_SAMPLES / active.len()).clamp(ADVANCE[0], ADVANCE[1]);
         active.retain(|&ray| {
             for _ in 0..most {
-                let next = walks[ray as usize].next(march.settings, march.occupancy);
+                let next = marchers[ray as usize].next(march.settings, march.occupancy);
                 let Some((sample, position)) = next else { return false };
                 self.rays.push(ray);
                 self.samples.push(sample);
@@ -50,7 +57,12 @@ impl Wave {
         });
     }
 
-    fn evaluate(&mut self, scene: &Scene<'_>, directions: &[Direction], space: &mut Workspace) {
+    fn evaluate(
+        &mut self,
+        scene: &FieldContext<'_>,
+        directions: &[Direction],
+        space: &mut Workspace,
+    ) {
         let (count, width) = (self.rays.len(), scene.width());
         self.encodings.resize(count * width, 0.0);
         let kept = if scene.keep_slopes { 3 * count * width } else { 0 };
@@ -77,7 +89,13 @@ impl Wave {
     }
 
     /// Add the samples to their rays up to where those end.
-    fn blend(&self, march: &March<'_>, width: usize, transmittances: &mut [f32], out: &mut Chunk) {
+    fn composite(
+        &self,
+        march: &RaySampling<'_>,
+        width: usize,
+        transmittances: &mut [f32],
+        out: &mut Chunk,
+    ) {
         for (i, (&ray, &sample)) in self.rays.iter().zip(&self.samples).enumerate() {
             let transmittance = transmittances[ray as usize];
             if transmittance < march.settings.transmittance_min {
@@ -87,7 +105,7 @@ impl Wave {
             out.renders[ray as usize].add(transmittance * (1.0 - fade), &colour, sample.depth);
             transmittances[ray as usize] = transmittance * fade;
             let density = self.densities[i];
-            out.kept.push(Kept { ray, sample, density, transmittance, fade, colour });
+            out.kept.push(RenderedSample { ray, sample, density, transmittance, fade, colour });
             out.positions.push(self.positions[i]);
             out.encodings.extend_from_slice(&self.encodings[i * width..(i + 1) * width]);
             if !self.slopes.is_empty() {
@@ -99,7 +117,7 @@ impl Wave {
 
 /// Encodings of positions in the unit cube, and their slopes unless that is empty.
 pub(super) fn encode(
-    scene: &Scene<'_>,
+    scene: &FieldContext<'_>,
     positions: &[[f32; 3]],
     out: &mut [f32],
     slopes: &mut [f32],
@@ -111,7 +129,7 @@ pub(super) fn encode(
 }
 
 /// Density network and density of a block, from its encodings.
-pub(super) fn densities(scene: &Scene<'_>, encodings: &[f32], space: &mut Workspace) {
+pub(super) fn densities(scene: &FieldContext<'_>, encodings: &[f32], space: &mut Workspace) {
     let count = encodings.len() / scene.width();
     space.density.input()[..encodings.len()].copy_from_slice(encodings);
     network::forward(scene.arch, scene.density, count, &mut space.density);
@@ -123,7 +141,7 @@ pub(super) fn densities(scene: &Scene<'_>, encodings: &[f32], space: &mut Worksp
 
 /// Colour network and colours of a block, after [`densities`].
 pub(super) fn colours<'a>(
-    scene: &Scene<'_>,
+    scene: &FieldContext<'_>,
     seen: impl Iterator<Item = &'a [f32; HARMONICS]>,
     count: usize,
     space: &mut Workspace,
@@ -157,20 +175,25 @@ fn exponents<'a>(
 }
 
 /// Renders the rays of a chunk.
-pub(super) fn render(scene: &Scene<'_>, march: &March<'_>, rays: &[Ray], out: &mut Chunk) {
+pub(super) fn render(
+    scene: &FieldContext<'_>,
+    march: &RaySampling<'_>,
+    rays: &[Ray],
+    out: &mut Chunk,
+) {
     debug_assert!(rays.len() <= RAYS);
     out.clear();
     out.renders.resize(rays.len(), RayRender::default());
     let directions: Vec<_> = rays.iter().map(Direction::new).collect();
-    let walk = |ray| Walk::new(scene.field, march.settings, ray);
-    let mut walks: Vec<_> = rays.iter().map(walk).collect();
+    let marcher = |ray| RayMarcher::new(scene.field, march.settings, ray);
+    let mut marchers: Vec<_> = rays.iter().map(marcher).collect();
     let mut active: Vec<u32> = (0..rays.len() as u32).collect();
     let mut transmittances = vec![1.0_f32; rays.len()];
-    let (mut wave, mut space) = (Wave::default(), Workspace::new(scene));
+    let (mut batch, mut space) = (SampleBatch::default(), Workspace::new(scene));
     while !active.is_empty() {
-        wave.fill(march, &mut walks, &mut active);
-        wave.evaluate(scene, &directions, &mut space);
-        wave.blend(march, scene.width(), &mut transmittances, out);
+        batch.fill(march, &mut marchers, &mut active);
+        batch.evaluate(scene, &directions, &mut space);
+        batch.composite(march, scene.width(), &mut transmittances, out);
         active.retain(|&r| transmittances[r as usize] >= march.settings.transmittance_min);
     }
 }

@@ -1,6 +1,6 @@
 //! Renderer of batches of rays.
 
-use super::chunk::{Chunk, March, RAYS, Scene, Workspace};
+use super::chunk::{Chunk, FieldContext, RAYS, RaySampling, Workspace};
 use super::cpu_backward::{self, Requested};
 use super::{RayGradient, RayRender, cpu_forward};
 use crate::hashgrid::encoding::cpu as encoding;
@@ -63,8 +63,9 @@ impl FieldRenderer {
         out: &mut Vec<RayRender>,
     ) {
         let networks = Networks::new(field);
-        let scene = Scene { keep_slopes: self.keep_slopes, ..networks.scene(self.arch, field) };
-        let march = March { settings: &self.march, occupancy };
+        let scene =
+            FieldContext { keep_slopes: self.keep_slopes, ..networks.scene(self.arch, field) };
+        let march = RaySampling { settings: &self.march, occupancy };
         let count = rays.len().div_ceil(RAYS);
         self.rays = rays.len();
         self.chunks.resize_with(self.chunks.len().max(count), Chunk::default);
@@ -164,8 +165,14 @@ impl Networks {
         }
     }
 
-    fn scene<'a>(&'a self, arch: Arch, field: &'a HashGridField) -> Scene<'a> {
-        Scene { arch, field, density: &self.density, colour: &self.colour, keep_slopes: false }
+    fn scene<'a>(&'a self, arch: Arch, field: &'a HashGridField) -> FieldContext<'a> {
+        FieldContext {
+            arch,
+            field,
+            density: &self.density,
+            colour: &self.colour,
+            keep_slopes: false,
+        }
     }
 }
 

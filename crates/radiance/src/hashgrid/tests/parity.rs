@@ -1,7 +1,7 @@
 //! The fast lane against the reference in `f64`, on every instruction set of the machine.
 
 use super::*;
-use crate::hashgrid::march::Walk;
+use crate::hashgrid::march::RayMarcher;
 use i2slam_check::assert_close;
 use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::Vec3;
@@ -84,8 +84,8 @@ fn plain_samples(
     ray: &Ray<f64>,
 ) -> Vec<Sample<f64>> {
     let single = field.cast::<f32>();
-    let mut walk = Walk::new(&single, &march(), &ray.cast());
-    let next = || walk.next(&march(), occupancy).map(|(sample, _)| sample);
+    let mut marcher = RayMarcher::new(&single, &march(), &ray.cast());
+    let next = || marcher.next(&march(), occupancy).map(|(sample, _)| sample);
     let mut samples: Vec<Sample<f64>> = Vec::new();
     for sample in std::iter::from_fn(next) {
         let opacity = reference::render(field, ray, &samples).opacity;
@@ -169,8 +169,8 @@ fn assert_marched(field: &HashGridField, full: &Occupancy, occupancy: &Occupancy
     let mut found = 0;
     for ray in rays(RAYS, 2) {
         let samples = |occupancy: &Occupancy| -> Vec<(f32, [f32; 3])> {
-            let mut walk = Walk::new(field, &march(), &ray.cast());
-            let next = || walk.next(&march(), occupancy).map(|(s, p)| (s.depth, p));
+            let mut marcher = RayMarcher::new(field, &march(), &ray.cast());
+            let next = || marcher.next(&march(), occupancy).map(|(s, p)| (s.depth, p));
             std::iter::from_fn(next).collect()
         };
         let mut expected = samples(full);

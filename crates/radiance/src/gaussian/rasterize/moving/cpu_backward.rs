@@ -17,7 +17,7 @@ use super::moving_splat::{self, BATCH, MovingSplat, Stage};
 use super::{MomentRow, PACK};
 use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::TILE;
-use crate::gaussian::rasterize::cpu_backward::{Slot, Sums, accumulate};
+use crate::gaussian::rasterize::cpu_backward::{Sums, TileSums, accumulate};
 use crate::gaussian::rasterize::cpu_forward::{ExponentRow, Limits, Value};
 use crate::gaussian::rasterize::tile::{Row, TilePixels};
 use pulp::{Simd, WithSimd};
@@ -35,12 +35,16 @@ pub(crate) struct Picture<'a> {
 
 /// The slots of some tiles' entries.
 struct Slots<'a> {
-    slots: &'a mut [Slot],
-    motion: &'a mut [MotionSlot],
+    slots: &'a mut [TileSums],
+    motion: &'a mut [MotionTileSums],
 }
 
 /// Fill the slots of all entries of all tiles.
-pub(crate) fn pull_back(picture: &Picture<'_>, slots: &mut [Slot], motion: &mut [MotionSlot]) {
+pub(crate) fn pull_back(
+    picture: &Picture<'_>,
+    slots: &mut [TileSums],
+    motion: &mut [MotionTileSums],
+) {
     split_tiles(picture, 0, picture.scene.grid.len(), Slots { slots, motion });
 }
 
@@ -75,8 +79,8 @@ struct Cotangent([[Row; PLANES]; TILE]);
 
 fn pull_back_tile(picture: &Picture<'_>, number: usize, Slots { slots, motion }: Slots<'_>) {
     let Scene { arch, settings, grid, row_times, splats, paths, bins } = picture.scene;
-    slots.fill(Slot::default());
-    motion.fill(MotionSlot::default());
+    slots.fill(TileSums::default());
+    motion.fill(MotionTileSums::default());
     let (count, visited) = (row_times.moments.len(), picture.tiles[number].visited);
     let mut cotangent = Cotangent([[[0.0; TILE]; PLANES]; TILE]);
     if count == 0 || visited == 0 || !load(picture, number, &mut cotangent) {
@@ -124,8 +128,8 @@ fn load(picture: &Picture<'_>, number: usize, cotangent: &mut Cotangent) -> bool
 }
 
 /// The transmittance that the render left, and no light from behind.
-fn start<'a>(states: impl Iterator<Item = &'a MomentRow>) -> Vec<Passed> {
-    let one = |state: &MomentRow| Passed {
+fn start<'a>(states: impl Iterator<Item = &'a MomentRow>) -> Vec<MomentState> {
+    let one = |state: &MomentRow| MomentState {
         transmittance: state.transmittance.map(f32::abs),
         behind: [0.0; TILE],
         ended: state.ended,
@@ -140,7 +144,7 @@ struct Backward<'a, const MAP: bool> {
     /// Of the entries that were visited.
     slots: Slots<'a>,
     /// All moments of the tile's first row, then of the second.
-    passed: Vec<Passed>,
+    passed: Vec<MomentState>,
     rows: &'a [[Row; PLANES]; TILE],
 }
 
@@ -178,10 +182,10 @@ impl<const MAP: bool> WithSimd for Backward<'_, MAP> {
     }
 }
 
-/// Sums by motion of one splat over the pixels of one tile, beside its [`Slot`], with `e = α
+/// Sums by motion of one splat over the pixels of one tile, beside its [`TileSums`], with `e = α
 /// ∂L/∂α`.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct MotionSlot {
+pub(crate) struct MotionTileSums {
     /// `Σ e s dx, Σ e s dy`.
     pub(crate) velocity: [f32; 2],
     /// `Σ e s² dx, Σ e s² dy`.
@@ -190,7 +194,7 @@ pub(crate) struct MotionSlot {
     pub(crate) readout: f32,
 }
 
-impl MotionSlot {
+impl MotionTileSums {
     pub(crate) fn add(&mut self, other: &Self) {
         (0..2).for_each(|k| self.velocity[k] += other.velocity[k]);
         (0..2).for_each(|k| self.curvature[k] += other.curvature[k]);
@@ -204,7 +208,7 @@ pub(super) const PLANES: usize = 6;
 /// One row of a tile at one moment on the way back.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
-pub(super) struct Passed {
+pub(super) struct MomentState {
     /// `T`.
     pub(super) transmittance: Row,
     /// `B`.
@@ -213,7 +217,7 @@ pub(super) struct Passed {
     pub(super) ended: Row,
 }
 
-/// The sums of a [`MotionSlot`] in vectors.
+/// The sums of a [`MotionTileSums`] in vectors.
 pub(super) struct MotionSums<S: Simd> {
     velocity: [S::f32s; 2],
     curvature: [S::f32s; 2],
@@ -228,8 +232,8 @@ impl<S: Simd> MotionSums<S> {
     }
 
     #[inline(always)]
-    pub(super) fn reduce(&self, simd: S) -> MotionSlot {
-        let mut slot = MotionSlot::default();
+    pub(super) fn reduce(&self, simd: S) -> MotionTileSums {
+        let mut slot = MotionTileSums::default();
         for k in 0..2 {
             slot.velocity[k] = simd.reduce_sum_f32s(self.velocity[k]);
             slot.curvature[k] = simd.reduce_sum_f32s(self.curvature[k]);
@@ -259,7 +263,7 @@ impl<S: Simd> Step<'_, S> {
         simd: S,
         row: usize,
         cotangent: &[Row; PLANES],
-        passed: &mut [Passed],
+        passed: &mut [MomentState],
     ) {
         for v in 0..TILE / S::F32_LANES {
             let mut g = [simd.splat_f32s(0.0); PLANES];
@@ -298,7 +302,7 @@ impl<S: Simd> Step<'_, S> {
         exponent: &ExponentRow<S>,
         v: usize,
         q: S::f32s,
-        passed: &mut Passed,
+        passed: &mut MomentState,
     ) -> Light<S> {
         let transmittance = &mut S::as_mut_simd_f32s(&mut passed.transmittance).0[v];
         let behind = &mut S::as_mut_simd_f32s(&mut passed.behind).0[v];

@@ -16,7 +16,7 @@ mod cpu_backward;
 mod cpu_forward;
 mod moving_splat;
 
-pub(crate) use cpu_backward::{MotionSlot, Picture, pull_back};
+pub(crate) use cpu_backward::{MotionTileSums, Picture, pull_back};
 pub(crate) use cpu_forward::{Scene, render};
 
 /// Moments that are composited together, at most; what is more than that goes in further rounds.
