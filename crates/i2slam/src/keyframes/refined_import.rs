@@ -71,16 +71,6 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         Some(Self { camera, poses, dense, reader, next: 0, correlations, is_refined })
     }
 
-    /// Number of keyframes in total.
-    pub fn len(&self) -> usize {
-        self.poses.len()
-    }
-
-    /// Whether there is no keyframe.
-    pub fn is_empty(&self) -> bool {
-        self.poses.is_empty()
-    }
-
     /// A sentence on the refinement for the user.
     pub fn summary(&self) -> String {
         let [imported, found] = self.correlations;

@@ -6,7 +6,7 @@ use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, track};
 use i2slam_formation::{CameraResponse, TrajectoryScale};
-use i2slam_geometry::{Camera, Image};
+use i2slam_geometry::Image;
 use i2slam_radiance::RadianceMap;
 use i2slam_radiance::hashgrid::SettingsError;
 use std::any::Any;
@@ -35,7 +35,6 @@ pub(crate) trait Mapper: Send {
     /// `last`; `None` while the map is empty.
     fn snapshot(
         &self,
-        camera: &Camera<f64>,
         covered: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>>;

@@ -88,11 +88,7 @@ impl Backend {
     }
 
     /// A copy of the map to track against, in the memory of `last`.
-    pub(super) fn snapshot(
-        &self,
-        camera: &Camera<f64>,
-        last: Option<Box<dyn Tracker>>,
-    ) -> Option<Box<dyn Tracker>> {
-        self.mapper.snapshot(camera, self.state.covered.clone(), last)
+    pub(super) fn snapshot(&self, last: Option<Box<dyn Tracker>>) -> Option<Box<dyn Tracker>> {
+        self.mapper.snapshot(self.state.covered.clone(), last)
     }
 }

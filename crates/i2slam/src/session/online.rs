@@ -5,7 +5,7 @@ use super::error::{SessionError, check_image};
 use super::state::{SessionState, is_black};
 use crate::config::{Config, ResponseScope};
 use crate::mapping::{Keyframe, Tracker};
-use crate::objective::{Observation, blur_length};
+use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::{SequenceReadout, TrackingContext, TrackingResult, predict_pose};
 use crate::warning::Warning;
@@ -193,7 +193,7 @@ impl Session {
         let (config, camera, backend) = (&self.config, &self.camera, &mut self.backend);
         if self.snapshot.is_none() {
             backend.map_pending(config, camera);
-            self.snapshot = backend.snapshot(camera, None);
+            self.snapshot = backend.snapshot(None);
         }
         self.frames_before.clone_from(&backend.state.frames);
         let last = backend.state.responses.len() - 1;
@@ -215,7 +215,7 @@ impl Session {
             || frame_tracker.track(tracker, frame, observation),
             || backend.map_pending(config, camera),
         );
-        self.snapshot = backend.snapshot(camera, snapshot);
+        self.snapshot = backend.snapshot(snapshot);
         tracked
     }
 }
@@ -259,14 +259,9 @@ impl FrameTracker<'_> {
             tracker.track(&context, observation, response, self.scale)
         });
         if let Some(result) = &result {
-            estimate.shutter = result.shutter;
-            estimate.readout = result.readout;
+            result.write_to(&mut estimate, self.camera, &observation.depth);
             estimate.depth_offset = result.depth_offset;
-            estimate.tone = result.tone;
-            estimate.losses = result.losses;
-            estimate.convergence = result.convergence;
             estimate.tracked = result.tracked;
-            estimate.blur_length = blur_length(self.camera, &result.shutter, &observation.depth);
         }
         estimate.tracking_seconds = clock.elapsed().as_secs_f64();
         (estimate, result)

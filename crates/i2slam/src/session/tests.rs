@@ -43,14 +43,14 @@ pub(super) fn frame(index: usize, pose: Pose<f64>) -> Frame {
     Frame { depth: Arc::new(depth), ..Frame::colour_only(index, timestamp, colour) }
 }
 
-/// World-from-camera of a frame; the first is the world's own.
+/// World-from-camera of a frame; identity for the first.
 fn pose(index: usize) -> Pose<f64> {
     let t = index as f64;
     let turn = Vec3::new(0.004 * t, 0.012 * t, 0.0);
     Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
 }
 
-/// World-from-camera of a camera that turns ever faster.
+/// World-from-camera of a camera that rotates ever faster.
 fn faster(index: usize) -> Pose<f64> {
     let t = index as f64;
     Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * t * t, 0.0)), Vec3::zero())
@@ -68,15 +68,7 @@ fn config() -> Config {
     config
 }
 
-fn run() -> (Reconstruction, Vec<Warning>) {
-    run_with(config())
-}
-
-fn run_with(config: Config) -> (Reconstruction, Vec<Warning>) {
-    run_along(config, pose)
-}
-
-fn run_along(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, Vec<Warning>) {
+fn run(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, Vec<Warning>) {
     let mut session = Session::new(config, CAMERA, 30.0);
     for index in 0..FRAMES {
         session.process(&frame(index, pose(index))).expect("frames of one size");
@@ -85,16 +77,36 @@ fn run_along(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, V
     (session.reconstruction(), session.take_warnings())
 }
 
-#[test]
-fn a_camera_is_tracked_on_a_field() {
-    let (reconstruction, warnings) = run();
-    assert!(warnings.is_empty(), "{warnings:?}");
-    assert!(matches!(reconstruction.map, Map::HashGrid(_)));
+/// All frames are tracked, with errors below the limits [m, rad].
+fn check_poses(
+    reconstruction: &Reconstruction,
+    pose: impl Fn(usize) -> Pose<f64>,
+    limits: (f64, f64),
+) {
     for (index, estimate) in reconstruction.frames.iter().enumerate() {
         let error = estimate.middle().local(pose(index));
         let (metres, radians) = (error.translation.norm(), error.rotation.norm());
-        assert!(estimate.tracked && metres < 0.01 && radians < 0.004, "{index} {metres} {radians}");
+        let is_close = metres < limits.0 && radians < limits.1;
+        assert!(estimate.tracked && is_close, "{index}: {metres} m, {radians} rad");
     }
+}
+
+/// The mean depth error at a frame is below 5 cm.
+fn check_depth(reconstruction: &Reconstruction, index: usize, true_pose: Pose<f64>) {
+    let depth = reconstruction.viewer().depth(reconstruction.frames[index].middle());
+    let truth = frame(0, true_pose).depth;
+    let errors = depth.data.iter().zip(&truth.data).map(|(a, b)| (a - b).abs());
+    let error = errors.sum::<f32>() / depth.data.len() as f32;
+    assert!(error < 0.05, "{error} m");
+}
+
+#[test]
+fn a_camera_is_tracked_on_a_field_the_same_way_twice() {
+    let (reconstruction, warnings) = run(config(), pose);
+    assert!(reconstruction.map == run(config(), pose).0.map);
+    assert!(warnings.is_empty(), "{warnings:?}");
+    assert!(matches!(reconstruction.map, Map::HashGrid(_)));
+    check_poses(&reconstruction, pose, (0.01, 0.004));
     let mut viewer = reconstruction.viewer();
     let last = &reconstruction.frames[FRAMES - 1];
     let truth = frame(0, pose(FRAMES - 1));
@@ -102,15 +114,12 @@ fn a_camera_is_tracked_on_a_field() {
     let squared = picture.data.iter().zip(&truth.colour.data).map(|(a, b)| (a - b).powi(2));
     let psnr = -10.0 * (squared.sum::<f32>() / picture.data.len() as f32).log10();
     assert!(psnr > 24.0, "{psnr} dB");
-    let depth = viewer.depth(last.middle());
-    let wrong = depth.data.iter().zip(&truth.depth.data).map(|(a, b)| (a - b).abs());
-    let error = wrong.sum::<f32>() / depth.data.len() as f32;
-    assert!(error < 0.05, "{error} m");
+    check_depth(&reconstruction, FRAMES - 1, pose(FRAMES - 1));
 }
 
 #[test]
 fn rows_of_a_field_are_skewed() {
-    let (reconstruction, _) = run();
+    let (reconstruction, _) = run(config(), pose);
     let mut viewer = reconstruction.viewer();
     let mut last = reconstruction.frames[FRAMES - 1].clone();
     let at = |turn: f64| Pose::new(Rotation::exp(Vec3::new(0.0, turn, 0.0)), Vec3::zero());
@@ -145,12 +154,7 @@ fn pixels_coarser_than_cells_leave_no_holes() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_field() {
-    assert!(run().0.map == run().0.map);
-}
-
-#[test]
-fn a_scene_beyond_the_cube_is_told_of() {
+fn a_scene_beyond_the_cube_is_warned_of() {
     let mut config = config();
     (config.hashgrid.bound, config.hashgrid.first_iterations) = (1.0, 1);
     let mut session = Session::new(config, CAMERA, 30.0);
@@ -159,7 +163,7 @@ fn a_scene_beyond_the_cube_is_told_of() {
     assert!(warnings.len() == 1 && warnings[0].text.contains("hashgrid.bound"), "{warnings:?}");
 }
 
-/// World-from-camera of a camera that turns away from the near wall on its right.
+/// World-from-camera of a camera that rotates away from the near wall on its right.
 fn turning(index: usize) -> Pose<f64> {
     let angle = std::f64::consts::FRAC_PI_2 - 0.1 * index as f64;
     Pose::new(Rotation::exp(Vec3::new(0.0, angle, 0.0)), Vec3::zero())
@@ -179,21 +183,13 @@ fn the_cube_grows_with_what_is_seen() {
     assert!(bounds[0] < 1.2 && bounds[frames - 1] >= 1.5 * bounds[0], "{bounds:?}");
     let reconstruction = session.reconstruction();
     let world = turning(0).inverse();
-    for (index, estimate) in reconstruction.frames.iter().enumerate() {
-        let error = estimate.middle().local(world * turning(index));
-        let (metres, radians) = (error.translation.norm(), error.rotation.norm());
-        assert!(estimate.tracked && metres < 0.04 && radians < 0.02, "{index} {metres} {radians}");
-    }
-    // What was seen before the cube grew is there still.
-    let depth = reconstruction.viewer().depth(reconstruction.frames[0].middle());
-    let truth = frame(0, turning(0)).depth;
-    let wrong = depth.data.iter().zip(&truth.data).map(|(a, b)| (a - b).abs());
-    let error = wrong.sum::<f32>() / depth.data.len() as f32;
-    assert!(error < 0.05, "{error} m");
+    check_poses(&reconstruction, |index| world * turning(index), (0.04, 0.02));
+    // Surfaces observed before the cube grew are still there.
+    check_depth(&reconstruction, 0, turning(0));
 }
 
 #[test]
-fn a_field_that_cannot_begin_ends_the_session() {
+fn invalid_settings_of_a_field_end_the_session() {
     let mut config = config();
     config.parameters.field.levels = 0;
     for beside in [false, true] {
@@ -218,7 +214,7 @@ fn mapping_beside_tracking_does_not_depend_on_threads() {
         let mut config = config.clone();
         config.mapping.beside_tracking = beside;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| run_with(config)).0
+        pool.install(|| super::tests::run(config, pose)).0
     };
     let (one, three, in_turn) = (run(true, 1), run(true, 3), run(false, 2));
     assert!(one.map == three.map && one.map != in_turn.map);
@@ -231,13 +227,13 @@ fn mapping_beside_tracking_does_not_depend_on_threads() {
 }
 
 #[test]
-fn refinement_keeps_what_alignment_tells() {
+fn first_order_steps_keep_the_convergence_of_alignment() {
     let mut config = Config::default();
     config.tracking.iterations = 1;
     config.mapping.final_iterations = 1;
     config.input.optimise_rolling_shutter = true;
     config.input.rolling_shutter_readout = 0.01;
-    let (reconstruction, _) = run_along(config, faster);
+    let (reconstruction, _) = run(config, faster);
     for estimate in &reconstruction.frames[1..] {
         let found = estimate.convergence;
         assert!(estimate.tracked && found.iterations > 0, "{}: {found:?}", estimate.index);
@@ -246,21 +242,21 @@ fn refinement_keeps_what_alignment_tells() {
     assert_ne!(reconstruction.rolling_shutter_readout, 0.01);
 }
 
-/// The pose of the second frame, found by so many first-order steps; ended from outside or not.
-fn stepped(iterations: usize, ended: bool) -> Pose<f64> {
+/// Pose of the second frame after first-order tracking, cancelled or not.
+fn pose_after_steps(iterations: usize, cancelled: bool) -> Pose<f64> {
     let mut config = Config::default();
     config.tracking.method = TrackingMethod::Adam;
     config.tracking.iterations = iterations;
     let mut session = Session::new(config, CAMERA, 30.0);
     session.process(&frame(0, pose(0))).expect("a frame");
-    if ended {
+    if cancelled {
         session.set_cancellation(CancellationToken::when(|| true));
     }
     session.process(&frame(1, pose(1))).expect("a frame").middle()
 }
 
 #[test]
-fn first_order_steps_end_when_it_is_wished() {
-    assert_eq!(stepped(8, true), stepped(1, false));
-    assert_ne!(stepped(8, true), stepped(8, false));
+fn first_order_steps_can_be_cancelled() {
+    assert_eq!(pose_after_steps(8, true), pose_after_steps(1, false));
+    assert_ne!(pose_after_steps(8, true), pose_after_steps(8, false));
 }

@@ -2,11 +2,11 @@
 
 use super::readout::{MeasuredReadout, SequenceReadout};
 use crate::config::{FormationConfig, Parameters, TrackingConfig};
-use crate::objective::{Evaluation, Observation};
+use crate::objective::{Evaluation, Observation, blur_length};
 use crate::reconstruction::{Convergence, FrameEstimate, Losses};
 use i2slam_compute::CancellationToken;
 use i2slam_formation::{CameraResponse, CentreVelocity, FrameTone, ShutterPoses, TrajectoryScale};
-use i2slam_geometry::{Camera, Pose, Rotation, Tangent};
+use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
 
 /// Share of its speed that a lost camera keeps from frame to frame: the prediction stays near the
 /// last pose that was measured.
@@ -122,6 +122,21 @@ pub(crate) struct TrackingResult {
 }
 
 impl TrackingResult {
+    /// Writes what was estimated into a frame; `depth` weighs its blur length.
+    pub(crate) fn write_to(
+        &self,
+        estimate: &mut FrameEstimate,
+        camera: &Camera<f64>,
+        depth: &Image<f32>,
+    ) {
+        estimate.shutter = self.shutter;
+        estimate.readout = self.readout;
+        estimate.tone = self.tone;
+        estimate.losses = self.losses;
+        estimate.convergence = self.convergence;
+        estimate.blur_length = blur_length(camera, &self.shutter, depth);
+    }
+
     pub(super) fn from_first_order(
         state: TrackingState,
         evaluation: &Evaluation,

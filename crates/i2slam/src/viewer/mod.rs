@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_a_frame_without_blur_are_skewed() {
+    fn readout_skews_a_frame_without_blur() {
         let room = room();
         let mut viewer = room.viewer();
         // 0.36 px during the exposure, 7.2 px from the first row to the last.
@@ -201,7 +201,7 @@ mod tests {
 
     /// A still frame's blurred picture is drawn by a way of its own.
     #[test]
-    fn pictures_of_one_pose_are_made_of_one_render() {
+    fn cached_renders_equal_fresh_ones() {
         let room = room();
         let mut viewer = room.viewer();
         let frame = turning(&room, 0.0, 0.0);

@@ -266,7 +266,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_disturbed_pose_returns() {
+    fn a_disturbed_pose_is_recovered() {
         let room = room();
         let mut viewer = room.viewer();
         let true_pose = moved([0.02, -0.03, 0.01, 0.01, 0.02, -0.01]);
@@ -282,7 +282,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn motions_are_those_of_projected_points() {
+    fn image_motions_agree_with_differences() {
         let camera = Camera { width: 96, height: 72, fx: 90.0, fy: 85.0, cx: 48.0, cy: 36.0 };
         let (point, units) = (Vec3::new(0.4, -0.3, 1.7), [0.02, 0.02, 0.02, 0.01, 0.01, 0.01]);
         let motions = image_motion(&camera, point, units);
@@ -304,7 +304,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_best_pose_stays() {
+    fn an_optimal_pose_stays() {
         let room = room();
         let mut viewer = room.viewer();
         let frame = room.imagined_frame(0, moved([0.01, 0.0, 0.02, 0.0, 0.01, 0.0]));
@@ -315,7 +315,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_picture_of_something_else_never_makes_it_worse() {
+    fn an_unrelated_picture_never_increases_the_error() {
         let room = room();
         let mut viewer = room.viewer();
         let frame = room.imagined_frame(0, Pose::identity());

@@ -2,14 +2,14 @@ use super::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A wall with a step in depth, seen from `place` tenths to the right.
-pub(in crate::keyframes) fn picture(camera: &Camera<f64>, place: usize) -> Image<f32> {
+/// A wall with a step in depth, seen from `position` tenths to the right.
+pub(in crate::keyframes) fn picture(camera: &Camera<f64>, position: usize) -> Image<f32> {
     let mut out = Image::new(camera.width, camera.height, 3);
     let pixels = camera.pixels();
     for i in 0..pixels {
         let (u, v) = Camera::pixel_centre(i % camera.width, i / camera.width);
         let ray = camera.unproject(u, v, 1.0);
-        let at = |z: f64| (ray.x * z + 0.06 * place as f64, ray.y * z);
+        let at = |z: f64| (ray.x * z + 0.06 * position as f64, ray.y * z);
         let near = at(2.0);
         let (x, y) = if near.1 > 0.1 { near } else { at(3.5) };
         let wave = |a: f64, b: f64| (a * x + b * y).sin();
@@ -19,49 +19,62 @@ pub(in crate::keyframes) fn picture(camera: &Camera<f64>, place: usize) -> Image
     out
 }
 
-pub(in crate::keyframes) fn stamped(camera: &Camera<f64>, place: usize, timestamp: f64) -> Frame {
-    Frame::colour_only(2 * place, timestamp, picture(camera, place))
+pub(in crate::keyframes) fn stamped(
+    camera: &Camera<f64>,
+    position: usize,
+    timestamp: f64,
+) -> Frame {
+    Frame::colour_only(2 * position, timestamp, picture(camera, position))
 }
 
 pub(in crate::keyframes) fn camera() -> Camera<f64> {
     Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 }
 }
 
+/// The picture at a position of a video of 30 frames per second.
+fn load(position: usize) -> Result<Frame, PictureError> {
+    Ok(stamped(&camera(), position, position as f64 / 30.0))
+}
+
+/// Reconstructs the first `count` pictures of `load`.
+fn find<L: FnMut(usize) -> Result<Frame, PictureError>>(
+    count: usize,
+    load: L,
+) -> Result<MonocularSource<L>, MonocularError> {
+    let progress = OdometryProgress::default();
+    MonocularSource::find(Intrinsics::Known(camera()), count, load, &progress)
+}
+
 #[test]
 fn pictures_become_keyframes_with_poses_and_sparse_depth() {
     let camera = camera();
-    let load = |place: usize| match place {
+    let load = |position: usize| match position {
         3 => Err("damaged".into()),
-        _ => Ok(stamped(&camera, place, place as f64 / 30.0)),
+        _ => self::load(position),
     };
-    let mut source =
-        MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
-            .expect("a path");
+    let mut source = find(14, load).expect("a path");
     assert_eq!(source.camera(), &camera);
     assert!(matches!(source.refused(), [(3, why)] if why.to_string() == "damaged"));
     let count = source.len();
-    let mut places = Vec::new();
+    let mut positions = Vec::new();
     while let Some(keyframe) = source.next_keyframe() {
         let keyframe = keyframe.expect("keyframes can be read again");
-        let place = keyframe.index / 2;
-        assert_eq!(*keyframe.colour, picture(&camera, place));
+        let position = keyframe.index / 2;
+        assert_eq!(*keyframe.colour, picture(&camera, position));
         let depth = keyframe.depth.expect("sparse depth");
         let variance = depth.variance.expect("with variance");
         let known = depth.depth.data.iter().zip(&variance.data).filter(|(d, _)| **d > 0.0);
         assert!(known.clone().count() > 20 && known.clone().all(|(_, v)| *v > 0.0));
-        places.push(place);
+        positions.push(position);
     }
-    assert!(places.len() == count && count > 2 && !places.contains(&3), "{places:?}");
-    assert!(places.is_sorted() && source.reconstruction().trajectory().len() == 13);
+    assert!(positions.len() == count && count > 2 && !positions.contains(&3), "{positions:?}");
+    assert!(positions.is_sorted() && source.reconstruction().trajectory().len() == 13);
 }
 
 #[test]
 fn dense_depth_and_non_keyframes_are_delivered() {
     let camera = camera();
-    let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
-    let found =
-        MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
-            .expect("a path");
+    let found = find(14, load).expect("a path");
     let others: Vec<PosedKeyframe> =
         found.non_keyframes(load).map(|frame| frame.expect("read again")).collect();
     let mut source = found.with_dense_depth(CancellationToken::default());
@@ -77,19 +90,15 @@ fn dense_depth_and_non_keyframes_are_delivered() {
     assert!(others.iter().all(|frame| frame.depth.is_none()));
     indices.extend(others.iter().map(|frame| frame.index));
     indices.sort_unstable();
-    assert!(indices.into_iter().eq((0..14).map(|place| 2 * place)));
+    assert!(indices.into_iter().eq((0..14).map(|position| 2 * position)));
 }
 
-/// Poses found in large pictures go with the depth of small ones, whose camera is as much smaller.
 #[test]
-fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
-    let (camera, small) = (camera(), camera().resized(80, 60));
-    let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
-    let found =
-        MonocularSource::find(Intrinsics::Known(camera), 14, load, &OdometryProgress::default())
-            .expect("a path");
-    let reduced = move |place: usize| {
-        let of = stamped(&camera, place, place as f64 / 30.0);
+fn keyframes_may_be_smaller_than_the_odometry_pictures() {
+    let small = camera().resized(80, 60);
+    let found = find(14, load).expect("a path");
+    let reduced = move |position: usize| {
+        let of = self::load(position)?;
         Ok(Frame { colour: Arc::new(of.colour.resized_by_area(80, 60)), ..of })
     };
     let mut source =
@@ -113,22 +122,19 @@ fn pictures_may_be_smaller_than_those_that_the_path_was_found_in() {
 }
 
 #[test]
-fn pictures_are_read_in_their_order_and_those_of_keyframes_once_more() {
-    let camera = camera();
-    let places = std::cell::RefCell::new(Vec::new());
-    let load = |place: usize| {
-        places.borrow_mut().push(place);
-        Ok(stamped(&camera, place, place as f64 / 30.0))
+fn pictures_are_read_in_order_and_keyframes_once_more() {
+    let positions = std::cell::RefCell::new(Vec::new());
+    let load = |position: usize| {
+        positions.borrow_mut().push(position);
+        self::load(position)
     };
-    let found =
-        MonocularSource::find(Intrinsics::Known(camera), 30, load, &OdometryProgress::default())
-            .expect("a path");
+    let found = find(30, load).expect("a path");
     let mut source = found.with_dense_depth(CancellationToken::default());
-    assert!(places.take().into_iter().eq(0..30));
+    assert!(positions.take().into_iter().eq(0..30));
     while let Some(keyframe) = source.next_keyframe() {
         keyframe.expect("keyframes can be read again");
     }
-    let again = places.take();
+    let again = positions.take();
     let rising = again.windows(2).all(|pair| pair[0] < pair[1]);
     assert!(rising && again.len() == source.len() && again.len() > 5, "{again:?}");
 }
@@ -137,9 +143,9 @@ fn pictures_are_read_in_their_order_and_those_of_keyframes_once_more() {
 fn cancellation_ends_the_search() {
     let camera = camera();
     let asked = Arc::new(AtomicUsize::new(0));
-    let load = |place: usize| {
+    let load = |position: usize| {
         asked.fetch_add(1, Ordering::SeqCst);
-        Ok(stamped(&camera, place, place as f64 / 30.0))
+        self::load(position)
     };
     let cancellation = CancellationToken::when({
         let asked = Arc::clone(&asked);
@@ -155,7 +161,7 @@ fn cancellation_ends_the_search() {
 }
 
 #[test]
-fn of_two_landmarks_in_a_pixel_the_nearer_is_seen() {
+fn the_nearest_landmark_of_a_pixel_is_delivered() {
     let point = |depth: f64| i2slam_odometry::SparseDepth { at: [2.5, 1.5], depth, variance: 1e-6 };
     for depths in [[1.0, 2.0], [2.0, 1.0]] {
         let keyframe = Keyframe {
@@ -170,14 +176,13 @@ fn of_two_landmarks_in_a_pixel_the_nearer_is_seen() {
 }
 
 #[test]
-fn without_a_path_the_reason_names_the_pictures_that_were_refused() {
+fn errors_name_the_refused_pictures() {
     let camera = camera();
-    let load = |place: usize| match place {
-        0..2 => Ok(stamped(&camera, place, place as f64)),
+    let load = |position: usize| match position {
+        0..2 => Ok(stamped(&camera, position, position as f64)),
         _ => Err("damaged".into()),
     };
-    let found =
-        MonocularSource::find(Intrinsics::Known(camera), 5, load, &OdometryProgress::default());
+    let found = find(5, load);
     let message = found.err().expect("two pictures show no path").to_string();
     assert!(message.contains("2 pictures are too few"), "{message}");
     assert!(message.contains("3 pictures could not be used, the first, 2: damaged"));

@@ -291,7 +291,6 @@ impl Mapper for FieldMapper {
 
     fn snapshot(
         &self,
-        _camera: &Camera<f64>,
         covered: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {

@@ -30,6 +30,7 @@ const PRUNE_ITERATION: usize = 20;
 
 /// A map of Gaussians that grows with the frames.
 pub(crate) struct GaussianMapper {
+    camera: Camera<f32>,
     current: MapSnapshot<GaussianMap>,
     optimizer: GaussianOptimizer,
     scene: SceneScale,
@@ -51,6 +52,7 @@ impl GaussianMapper {
     /// An empty map for frames of `camera`.
     pub(crate) fn new(config: &Config, camera: &Camera<f64>) -> Self {
         Self {
+            camera: camera.cast(),
             current: MapSnapshot {
                 map: empty_map(config),
                 objective: FrameObjective::new(camera.cast(), RasterSettings::default()),
@@ -146,11 +148,10 @@ impl Mapper for GaussianMapper {
 
     fn snapshot(
         &self,
-        camera: &Camera<f64>,
         covered: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
-        let objective = || FrameObjective::new(camera.cast(), RasterSettings::default());
+        let objective = || FrameObjective::new(self.camera, RasterSettings::default());
         (!self.current.map.is_empty())
             .then(|| update_snapshot(last, &self.current.map, covered, objective))
     }

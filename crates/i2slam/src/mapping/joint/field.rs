@@ -55,7 +55,8 @@ pub(crate) struct JointFieldMapper {
     poses: PoseOptimizers,
     trajectory: TrajectoryTerm,
     frame_rate: f64,
-    locator: Option<FieldLocator>,
+    /// Localiser of frames and the objective it renders the field with.
+    locator: Option<(FrameLocator, FrameObjective<HashGridMap>)>,
     /// Steps since the field was started.
     steps: usize,
 }
@@ -314,12 +315,6 @@ impl JointFieldMapper {
     }
 }
 
-/// Localiser of frames and the objective it renders the field with.
-struct FieldLocator {
-    locator: FrameLocator,
-    objective: FrameObjective<HashGridMap>,
-}
-
 impl JointMapper for JointFieldMapper {
     /// Waits for the first few keyframes, then starts a field that holds what they see, and starts
     /// it again in a larger cube for a keyframe that sees farther.
@@ -399,15 +394,12 @@ impl JointMapper for JointFieldMapper {
     ) -> bool {
         let Some(field) = &self.field else { return false };
         let map = &field.map;
-        let locator = self.locator.get_or_insert_with(|| FieldLocator {
-            locator: FrameLocator::new(
-                self.frame_rate,
-                SequenceReadout::new(&context.config.input),
-            ),
-            objective: FrameObjective::new(self.camera, map.march),
+        let (locator, objective) = self.locator.get_or_insert_with(|| {
+            let readout = SequenceReadout::new(&context.config.input);
+            let objective = FrameObjective::new(self.camera, map.march);
+            (FrameLocator::new(self.frame_rate, readout), objective)
         });
-        let target = (map, &mut locator.objective);
-        locator.locator.locate(context, target, frame, previous, context.frames)
+        locator.locate(context, (map, objective), frame, previous, context.frames)
     }
 
     fn set_covered(&mut self, _covered: Arc<Image<bool>>) {}

@@ -2,7 +2,7 @@
 
 use crate::mapping::context::MappingContext;
 use crate::mapping::depth_inpainting::MIN_SURFACE_OPACITY;
-use crate::objective::{FrameObjective, Observation, blur_length};
+use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{SequenceReadout, TrackingContext, track};
 use i2slam_formation::TrajectoryScale;
@@ -65,12 +65,7 @@ impl FrameLocator {
             return false;
         }
         self.scale = result.scale;
-        estimate.blur_length = blur_length(context.camera, &result.shutter, &observation.depth);
-        estimate.shutter = result.shutter;
-        estimate.readout = result.readout;
-        estimate.tone = result.tone;
-        estimate.losses = result.losses;
-        estimate.convergence = result.convergence;
+        result.write_to(estimate, context.camera, &observation.depth);
         true
     }
 }
