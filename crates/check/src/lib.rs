@@ -101,7 +101,7 @@ pub fn noise(seed: u64, count: usize) -> Vec<f64> {
 }
 
 /// Time that the processor spent on all threads of this process so far \[s\]: what other programs
-/// take is no part of it. 0 where the system does not say.
+/// take is no part of it. 0 where the system does not report it.
 pub fn processor_seconds() -> f64 {
     let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
     let nanoseconds = |task: std::fs::DirEntry| -> Option<f64> {

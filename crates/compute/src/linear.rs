@@ -20,7 +20,7 @@ impl<const N: usize> Default for NormalEquations<N> {
 }
 
 impl<const N: usize> NormalEquations<N> {
-    /// Add a residual `r` with derivative `j` and weight `w`.
+    /// Adds a residual `r` with derivative `j` and weight `w`.
     pub fn add(&mut self, j: &[f64; N], r: f64, w: f64) {
         for a in 0..N {
             let wj = w * j[a];
@@ -33,7 +33,7 @@ impl<const N: usize> NormalEquations<N> {
         self.count += 1;
     }
 
-    /// Add the sums of another part.
+    /// Adds the sums of another part.
     pub fn merge(&mut self, other: &Self) {
         for a in 0..N {
             self.gradient[a] += other.gradient[a];

@@ -3,7 +3,7 @@
 use crate::Real;
 use std::ops::{Add, AddAssign, Index, IndexMut, Mul, Neg, Sub};
 
-/// A column of three numbers: a point or a direction; its name says in which frame.
+/// A column of three numbers: a point or a direction; variable names give the frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vec3<T> {
     /// First component (right, in a camera frame).

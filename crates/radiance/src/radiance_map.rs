@@ -59,7 +59,7 @@ impl<T: Real> Render<T> {
         }
     }
 
-    /// Bring the planes to the size of a view, keeping the allocation. What they hold is not
+    /// Brings the planes to the size of a view, keeping the allocation. What they hold is not
     /// specified.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         for (image, channels) in

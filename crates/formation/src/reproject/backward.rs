@@ -1,4 +1,4 @@
-//! The fast lane, backward: the transpose of every tap, and what the positions want.
+//! The fast lane, backward: the transpose of every tap, and the gradient of its position.
 
 use super::forward::{Scene, read_chunk};
 use super::ray_surface::amplification;

@@ -30,7 +30,7 @@ pub(super) struct Scene<'a> {
 pub(super) struct BlurBand<'a> {
     pub(super) scene: &'a Scene<'a>,
     pub(super) band: &'a mut Band,
-    /// (row, chunk, moving view), written for the way back [1/m].
+    /// (row, chunk, moving view), written for the backward pass [1/m].
     pub(super) inverse_depths: &'a mut [Column],
     /// Of the band's tiles, row by row.
     pub(super) uncovered: &'a mut [f32],
@@ -129,7 +129,7 @@ fn interpolate_inverse_depths(
 }
 
 /// The inverse depths that every moving view sees from column `x` of the render on in its row
-/// `y`; gives the share of a tile's exposure that the render hides from the chunk's first `lanes`.
+/// `y`; returns the share of a tile's exposure that the render hides from the chunk's first `lanes`.
 #[inline(always)]
 fn find_inverse_depths(
     scene: &Scene<'_>,

@@ -1,7 +1,7 @@
 //! Blur at the price of a sharp render: one render and its depth stand for all virtual cameras.
 //!
-//! The exposure integral (eqs. 5 and 6) asks for one render per virtual camera. Here the map is
-//! rendered once, at the middle of the exposure, and every virtual camera looks that picture up:
+//! The exposure integral (eqs. 5 and 6) takes one render per virtual camera. Here the map is
+//! rendered once, at the middle of the exposure, and every virtual camera reads that picture:
 //!
 //! ```text
 //! blurred(p) = Σ_j weight_j · sharp(q_j(p))

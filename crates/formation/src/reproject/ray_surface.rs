@@ -224,7 +224,7 @@ pub(super) struct VisibleEdges<'a> {
 
 impl VisibleEdges<'_> {
     /// Replaces the inverse depths `w` of pixels near a step by those of the nearest surface on
-    /// their lines, and says at which of them the line ends hidden.
+    /// their lines, and returns at which of them the line ends hidden.
     #[inline(always)]
     pub(super) fn search(
         &self,

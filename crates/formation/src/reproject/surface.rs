@@ -255,7 +255,7 @@ pub(super) const BLOCK: usize = 4;
 /// Depth steps whose sides move apart by less than this are not searched [px].
 const VISIBLE_STEP: f64 = 0.5;
 
-/// A block looks at most this many blocks away for steps (64 px).
+/// Largest distance [blocks] at which a block searches for depth steps (64 px).
 const MAX_REACH: f64 = 16.0;
 
 /// Bounds of inverse depth [1/m] and the largest bend of some pixels.

@@ -86,7 +86,7 @@ fn widen([red, green, blue]: [&[f32]; 3], out: &mut [Texel]) {
     }
 }
 
-/// The transpose of [`UpsampleRow`]: adds what row `y` of the fine grid asks of three planes.
+/// The transpose of [`UpsampleRow`]: adds the gradient of row `y` of the fine grid to three planes.
 /// Row 0 of each of the `d_planes` is row `first` of the image; `narrow_row` is scratch.
 #[inline(always)]
 pub(super) fn pull_back_row(

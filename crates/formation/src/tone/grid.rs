@@ -6,7 +6,7 @@
 use super::{NODES, Segment};
 use i2slam_geometry::Real;
 
-/// Bins of the table. A power of two, so that `x · BINS` is exact and bins start where they say.
+/// Bins of the table. A power of two, so that `x · BINS` and the starts of bins are exact.
 const BINS: usize = 4096;
 const LAST: usize = NODES - 2;
 

@@ -72,7 +72,7 @@ pub(crate) fn project_back(work: &Work) -> Count {
 }
 
 /// Operations of a sample of a hash-grid field, forward and back to the field. Of its networks
-/// only those that its widths ask for count, not those of the zeros that fill vectors up.
+/// only those of its widths count, not those of the padding.
 pub(crate) struct FieldCount {
     pub(crate) forward: f64,
     pub(crate) backward: f64,

@@ -267,7 +267,7 @@ const ADAM: usize = 2 * 10 * 4 + 4;
 const FOOTPRINT: usize = 64;
 /// Of a visible one: its item, sorted, and both buffers of the sort.
 const ITEM: usize = 8 + 8 + 2 * 8;
-/// Of a pair with a tile: entry, place, sums on the way back.
+/// Of a pair with a tile: entry, place, sums of the backward pass.
 const PAIR: usize = 8 + 4 + 44;
 
 /// Most resident memory of this process so far [bytes].

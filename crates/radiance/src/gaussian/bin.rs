@@ -135,7 +135,7 @@ impl Bins {
         places.iter().map(|place| place.load(Relaxed) as usize)
     }
 
-    /// Fill the lists from the splats and their `sorted` items. Where splats are `moving`, each
+    /// Fills the lists from the splats and their `sorted` items. Where splats are `moving`, each
     /// entry has all rows of its tile.
     pub(crate) fn fill(
         &mut self,
@@ -256,7 +256,7 @@ fn add(counter: &AtomicU32, by: u32) {
     counter.store(counter.load(Relaxed).wrapping_add(by), Relaxed);
 }
 
-/// Turn counts per chunk and tile into places, and note where each tile's list starts.
+/// Turns counts per chunk and tile into places, and note where each tile's list starts.
 fn start_lists(starts: &mut Vec<u32>, counters: &[AtomicU32], tiles: usize) {
     let mut next = 0;
     starts.clear();
@@ -281,7 +281,7 @@ fn fetch<T: Default>(items: &[u64], get: impl Fn(usize) -> T) -> [T; FETCH] {
     std::array::from_fn(|i| items.get(i).map_or_else(T::default, |item| get(sort::index(*item))))
 }
 
-/// Call `f(tile, column, row)` for the tiles that a splat's box touches, row by row.
+/// Calls `f(tile, column, row)` for the tiles that a splat's box touches, row by row.
 #[inline(always)]
 fn for_tiles(tiles: [u16; 4], grid: &TileGrid, mut f: impl FnMut(usize, usize, usize)) {
     let [x0, y0, x1, y1] = tiles.map(usize::from);

@@ -98,7 +98,7 @@ impl<T: Real> GaussianMap<T> {
         self.means.is_empty()
     }
 
-    /// Append one.
+    /// Appends one.
     pub fn push(&mut self, gaussian: Gaussian<T>) {
         self.means.push(gaussian.mean);
         self.log_scales.push(gaussian.log_scale);
@@ -123,7 +123,7 @@ impl<T: Real> GaussianMap<T> {
         (0..self.len()).map_while(|index| self.get(index))
     }
 
-    /// Keep the Gaussians whose entry in `keep` is true, in order; entries that `keep` lacks
+    /// Keeps the Gaussians whose entry in `keep` is true, in order; entries that `keep` lacks
     /// count as true.
     pub fn retain(&mut self, keep: &[bool]) {
         retain_by(&mut self.means, keep);
@@ -150,7 +150,7 @@ impl<T: Real> GaussianMap<T> {
     }
 }
 
-/// Keep the entries marked in `keep`, in order.
+/// Keeps the entries marked in `keep`, in order.
 pub(crate) fn retain_by<V>(values: &mut Vec<V>, keep: &[bool]) {
     let mut marks = keep.iter();
     values.retain(|_| *marks.next().unwrap_or(&true));
@@ -193,7 +193,7 @@ impl<T: Real> MapGradient<T> {
         self.means.is_empty()
     }
 
-    /// Set all to zero, for a map of `count` Gaussians, keeping the allocation.
+    /// Sets all to zero, for a map of `count` Gaussians, keeping the allocation.
     pub fn reset(&mut self, count: usize) {
         refill(&mut self.means, count, [T::zero(); 3]);
         refill(&mut self.log_scales, count, [T::zero(); 3]);
@@ -203,7 +203,7 @@ impl<T: Real> MapGradient<T> {
         refill(&mut self.seen, count, false);
     }
 
-    /// Keep the rows whose entry in `keep` is true, as
+    /// Keeps the rows whose entry in `keep` is true, as
     /// [`GaussianMap::retain`](super::GaussianMap::retain) does.
     pub fn retain(&mut self, keep: &[bool]) {
         retain_by(&mut self.means, keep);
@@ -243,7 +243,7 @@ pub(crate) struct GradientRows<'a, T> {
 }
 
 impl<T: Real> GradientRows<'_, T> {
-    /// Add to one row.
+    /// Adds to one row.
     pub(crate) fn add(&mut self, row: usize, g: &Gaussian<T>, seen: bool) {
         (0..3).for_each(|k| self.means[row][k] += g.mean[k]);
         (0..3).for_each(|k| self.log_scales[row][k] += g.log_scale[k]);

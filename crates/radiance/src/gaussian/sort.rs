@@ -33,7 +33,7 @@ pub(crate) struct Sorter {
 }
 
 impl Sorter {
-    /// Sort `items` by their upper halves, stably.
+    /// Sorts `items` by their upper halves, stably.
     pub(crate) fn sort(&mut self, items: &mut [u64]) {
         let key = |item: &u64| (item >> 32) as u32;
         let low = items.iter().map(key).min().unwrap_or(0);

@@ -51,14 +51,14 @@ impl<T: Real> FieldParameters<T> {
         Self { table: of(&p.table), density: of(&p.density), colour: of(&p.colour) }
     }
 
-    /// Set all to zero.
+    /// Sets all to zero.
     pub fn reset(&mut self) {
         self.table.fill(T::zero());
         self.density.fill(T::zero());
         self.colour.fill(T::zero());
     }
 
-    /// Set those of all but the `count` coarsest grids of `field` to zero, so that a step leaves
+    /// Sets those of all but the `count` coarsest grids of `field` to zero, so that a step leaves
     /// the finer grids as they are: pictures that do not lie on each other yet agree coarsely.
     pub fn keep_levels(&mut self, field: &HashGridField<T>, count: usize) {
         if let Some(level) = field.levels.get(count) {

@@ -136,7 +136,7 @@ impl Occupancy {
         (z * blocks + y) * blocks + x
     }
 
-    /// Occupy the cells that a ray crosses between two depths \[units of its direction\], as where
+    /// Occupies the cells that a ray crosses between two depths \[units of its direction\], as where
     /// a depth picture saw a surface. An update forgets them like any other cell.
     pub fn mark_cells(&mut self, field: &HashGridField, ray: &Ray, from: f32, to: f32) {
         self.updates = self.updates.max(1);

@@ -50,7 +50,7 @@ impl PoseSums {
 }
 
 impl Footprints<'_> {
-    /// Pull the sums back to the map and, one sum per chunk, to the pose.
+    /// Pulls the sums back to the map and, one sum per chunk, to the pose.
     ///
     /// # Panics
     /// If `map_gradient` is not of the map's size.

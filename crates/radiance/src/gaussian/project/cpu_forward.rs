@@ -25,7 +25,7 @@ pub(crate) struct Projection<'a> {
     pub(crate) candidates: Option<&'a [Chunk]>,
 }
 
-/// Project the map, with the paths of its splats when the camera moves.
+/// Projects the map, with the paths of its splats when the camera moves.
 pub(crate) fn project(
     arch: Arch,
     map: &GaussianMap,
@@ -107,7 +107,7 @@ impl WithSimd for Project<'_> {
 }
 
 impl Project<'_> {
-    /// Write what the group has at `place` to a row of the chunk.
+    /// Writes what the group has at `place` to a row of the chunk.
     #[inline(always)]
     fn write(&mut self, group: &Group, place: usize, row: usize) {
         let splat = &mut self.splats[row];
@@ -193,7 +193,7 @@ impl Group {
         stages.p[2].store(&mut self.depth);
     }
 
-    /// Store centre, path, extent and the pixels within, of which there are none where not
+    /// Stores centre, path, extent and the pixels within, of which there are none where not
     /// `accepted`.
     #[inline(always)]
     fn store_extent<S: Simd>(
@@ -236,7 +236,7 @@ impl Group {
         sum
     }
 
-    /// Turn the colour into radiance; gives a number that is not zero where it overflows.
+    /// Turns colour into radiance; returns a non-zero number where it overflows.
     #[inline(always)]
     fn activate<S: Simd>(&mut self, simd: S, activation: ColourActivation) -> Lanes<S> {
         let mut excess = Lanes::splat(simd, 0.0);
@@ -267,7 +267,7 @@ impl Group {
     }
 }
 
-/// Store the pixels within an extent around all places of a centre, given by its smallest and
+/// Stores the pixels within an extent around all places of a centre, given by its smallest and
 /// largest shift per axis; there are none where not `accepted`.
 #[inline(always)]
 pub(super) fn store_box<S: Simd>(
@@ -360,7 +360,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    /// Put the Gaussian at `index` of the map at `place` of the group.
+    /// Puts the Gaussian at `index` of the map at `place` of the group.
     #[inline(always)]
     fn set(&mut self, place: usize, map: &GaussianMap, index: usize) {
         let (mean, [s0, s1, s2]) = (&map.means[index], map.log_scales[index]);
@@ -399,7 +399,7 @@ impl Bounds {
 }
 
 impl Project<'_> {
-    /// Put the rows of the Gaussians that may show in marked tiles first; gives how many there are.
+    /// Writes the rows of Gaussians that may touch marked tiles, and returns their number.
     #[inline(always)]
     pub(super) fn select_rows<S: Simd>(
         &self,
@@ -425,7 +425,7 @@ impl Project<'_> {
         count
     }
 
-    /// Put the rows of the Gaussians that are asked first; gives how many there are.
+    /// Writes the rows of the candidates, and returns their number.
     #[inline(always)]
     fn candidate_rows(&self, rows: &mut [u8; CHUNK]) -> usize {
         let Some(candidates) = self.candidates else { return self.splats.len() };

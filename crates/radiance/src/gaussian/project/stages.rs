@@ -31,7 +31,7 @@ pub(crate) struct Parameters {
 }
 
 impl Parameters {
-    /// Put the Gaussian at `index` of the map at `place` of the group.
+    /// Puts the Gaussian at `index` of the map at `place` of the group.
     #[inline(always)]
     pub(crate) fn set(&mut self, place: usize, map: &GaussianMap, index: usize) {
         let place = place % MAX_LANES;
@@ -44,7 +44,7 @@ impl Parameters {
     }
 }
 
-/// Put the numbers of one Gaussian at its place in the columns.
+/// Puts the numbers of one Gaussian at its place in the columns.
 #[inline(always)]
 pub(crate) fn put<const N: usize>(columns: &mut [Column; N], place: usize, values: &[f32; N]) {
     for k in 0..N {

@@ -62,7 +62,7 @@ pub(crate) struct Picture<'a> {
     pub(crate) with_map: bool,
 }
 
-/// Fill the slots of all entries of all tiles.
+/// Fills the slots of all entries of all tiles.
 pub(crate) fn pull_back(picture: &Picture<'_>, slots: &mut [TileSums]) {
     split_tiles(picture, 0, picture.grid.len(), slots);
 }
@@ -84,7 +84,7 @@ fn split_tiles(picture: &Picture<'_>, first: usize, end: usize, slots: &mut [Til
     }
 }
 
-/// Planes of the state of a pixel on the way back.
+/// Planes of the backward state of a pixel.
 mod plane {
     pub(super) const TRANSMITTANCE: usize = 0;
     /// `S` less what has passed.
@@ -120,7 +120,7 @@ fn pull_back_tile(picture: &Picture<'_>, number: usize, slots: &mut [TileSums]) 
     }
 }
 
-/// Fill the state from the cotangent and the picture; `false` when the cotangent is all zero.
+/// Fills the state from the cotangent and the picture; `false` when the cotangent is all zero.
 fn load(picture: &Picture<'_>, number: usize, scratch: &mut Scratch) -> bool {
     let grid = picture.grid;
     let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);
@@ -149,7 +149,7 @@ fn load(picture: &Picture<'_>, number: usize, scratch: &mut Scratch) -> bool {
     any > 0.0
 }
 
-/// One tile's way back. Without `MAP`, the sums that only the map needs stay zero.
+/// Backward pass of one tile. Without `MAP`, the sums that only the map needs stay zero.
 struct Backward<'a, L, const MAP: bool> {
     settings: &'a RasterSettings,
     splats: &'a [Splat],
@@ -234,7 +234,7 @@ pub(super) fn accumulate<S: Simd>(simd: S, sum: &mut S::f32s, a: S::f32s, b: S::
     *sum = simd.mul_add_e_f32s(a, b, *sum);
 }
 
-/// Pull one row back to the sums of one splat.
+/// Pulls one row back to the sums of one splat.
 #[inline(always)]
 fn pull_back_row<S: Simd, const MAP: bool>(
     simd: S,

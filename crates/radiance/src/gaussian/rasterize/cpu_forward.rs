@@ -16,7 +16,7 @@ use rayon::prelude::*;
 /// Splats between two checks whether all pixels have ended.
 pub(super) const LOOK: usize = 32;
 
-/// Composite all tiles.
+/// Composites all tiles.
 pub(crate) fn render(
     arch: Arch,
     settings: &RasterSettings,
@@ -33,7 +33,7 @@ pub(crate) fn render(
     });
 }
 
-/// One tile's compositing; gives the number of entries visited.
+/// Compositing of one tile; returns the number of entries visited.
 struct Composite<'a, L> {
     settings: &'a RasterSettings,
     splats: &'a [Splat],
@@ -184,7 +184,7 @@ impl<S: Simd> Value<S> {
     }
 }
 
-/// Composite one splat onto one row.
+/// Composites one splat onto one row.
 #[inline(always)]
 fn composite_row<S: Simd>(
     simd: S,

@@ -90,7 +90,7 @@ impl Rasterizer {
         self.bins.len()
     }
 
-    /// Write what `view` shows into `out`, whose allocation is reused.
+    /// Writes what `view` shows into `out`, whose allocation is reused.
     pub fn render(&mut self, map: &GaussianMap, view: &View<f32>, out: &mut Render) {
         self.list(map, view, None, None, None);
         let Self { arch, settings, grid, splats, bins, tiles, seconds, .. } = self;
@@ -133,7 +133,7 @@ impl Rasterizer {
         self.tiles.resize_with(self.grid.len(), TilePixels::default);
     }
 
-    /// Pull `∂L/∂render` back through the last [`render`](Self::render), which must have been of
+    /// Pulls `∂L/∂render` back through the last [`render`](Self::render), which must have been of
     /// this `map` and `view`. Adds `∂L/∂map` to `map_gradient` when given and returns `∂L/∂ξ` for
     /// the pose `world_from_camera.retract(ξ)`, summed in `f64` in a fixed order.
     ///
@@ -212,7 +212,7 @@ impl Rasterizer {
     ///
     /// Gaussians are projected, sorted and listed once; only the blend repeats. Exact are the
     /// projections of the means at shutter open, at mid-exposure and at shutter close; in between
-    /// and beyond, where rows of a rolling shutter look earlier or later, a mean follows the
+    /// and beyond, where rows of a rolling shutter are exposed earlier or later, a mean follows the
     /// parabola through these three (`project/path.rs`). The covariance of a footprint, its
     /// depth and the order of depths are those at mid-exposure. Gaussians that are nearer than
     /// [`RasterSettings::near`] at any of the three are left out.
@@ -260,9 +260,9 @@ impl Rasterizer {
         tile::copy_out(&self.grid, &self.tiles, mask, out);
     }
 
-    /// Pull `∂L/∂render` back through the last [`render_moving`](Self::render_moving), which must
+    /// Pulls `∂L/∂render` back through the last [`render_moving`](Self::render_moving), which must
     /// have been of this `map`, `view` and `motion`. Adds `∂L/∂map` to `map_gradient` when given;
-    /// the way back is that of the approximations named there, which are differentiated exactly.
+    /// the approximations named there are differentiated exactly.
     ///
     /// # Panics
     /// If `map`, `view`, `motion` or `map_gradient` has not the size of the last render, or an

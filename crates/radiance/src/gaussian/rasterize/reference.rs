@@ -1,7 +1,7 @@
 //! The reference lane: plain, one thread, any scalar, pixel by pixel.
 //!
 //! Every pixel visits every Gaussian that passed projection, so time is pixels times Gaussians:
-//! it is there to be read, to check gradients in `f64`, and to judge the fast lane.
+//! it is the readable definition, checks gradients in `f64`, and verifies the fast lane.
 
 use crate::gaussian::project::reference::{
     Footprint, FootprintCotangent, PoseCotangents, Projector,
@@ -22,7 +22,7 @@ pub fn render<T: Real>(
     render_moving(map, view, &ShutterMotion::still(), settings)
 }
 
-/// Pull `∂L/∂render` back to the map (added to `map_gradient` when given) and to the tangent of
+/// Pulls `∂L/∂render` back to the map (added to `map_gradient` when given) and to the tangent of
 /// `world_from_camera`.
 ///
 /// # Panics
@@ -69,7 +69,7 @@ pub fn render_moving<T: Real>(
     out
 }
 
-/// Pull `∂L/∂render` of [`render_moving`] back to the map (added to `map_gradient` when given),
+/// Pulls `∂L/∂render` of [`render_moving`] back to the map (added to `map_gradient` when given),
 /// the pose at mid-exposure and the motion.
 ///
 /// # Panics

@@ -3,7 +3,7 @@
 use super::Rasterizer;
 use std::time::Instant;
 
-/// Wall time \[s\] of the stages of the last picture and of the last way back.
+/// Wall time \[s\] of the stages of the last forward and backward pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StageSeconds {
     /// From Gaussians to footprints.
@@ -40,7 +40,7 @@ pub struct Work {
 }
 
 impl Rasterizer {
-    /// Time by stage of the last picture and way back with a camera at rest.
+    /// Time by stage of the last forward and backward pass with a camera at rest.
     pub fn stage_seconds(&self) -> StageSeconds {
         self.seconds
     }

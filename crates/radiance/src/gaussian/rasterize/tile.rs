@@ -25,7 +25,7 @@ impl Default for TilePixels {
     }
 }
 
-/// Set a tile to nothing seen yet; pixels outside of the image have ended. Gives the centre of
+/// Sets a tile to nothing seen yet; pixels outside of the image have ended. Gives the centre of
 /// the tile's first pixel.
 pub(crate) fn start(tile: &mut TilePixels, grid: &TileGrid, number: usize) -> [f32; 2] {
     let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);

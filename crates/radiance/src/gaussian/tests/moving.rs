@@ -8,7 +8,7 @@ use i2slam_geometry::{Camera, Pose, Tangent};
 use pulp::Arch;
 
 /// A twist that moves points of a picture of `width` pixels by about an eighth of it, moments of
-/// unlike weights and, optionally rows that look one after another.
+/// unlike weights and optionally a rolling shutter.
 fn motion(readout: f64) -> ShutterMotion<f64> {
     let velocity = Tangent::from_array([0.05, -0.1, 0.06, 0.07, -0.06, 0.1]);
     let moments = [(-0.4, 1.0), (-0.1, 0.5), (0.15, 2.5), (0.5, 0.5)];
@@ -92,7 +92,7 @@ fn without_motion_it_is_the_still_picture() {
     }
 }
 
-/// Tiles that are not marked show nothing and ask for nothing; what the others do stays the same.
+/// Unmarked tiles are black and pass no gradient; the others do not change.
 #[test]
 fn masked_tiles_are_those_of_the_whole_picture() {
     let motion = motion(0.5);

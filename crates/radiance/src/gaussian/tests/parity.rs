@@ -237,7 +237,7 @@ fn missing_planes_are_zeros() {
     assert_eq!(Tangent::zero(), rasterizer.pull_back(&map, &view, &missing, None));
 }
 
-/// The tests above can fail: a picture of a slightly brighter map is told apart.
+/// The comparison above fails for a slightly brighter map.
 #[test]
 #[should_panic(expected = "beyond one contribution")]
 fn a_brighter_map_is_told_apart() {

@@ -58,7 +58,7 @@ fn poisons() -> Vec<(&'static str, Poison)> {
     ]
 }
 
-/// A spoiled Gaussian is as good as none: the picture is that of the others.
+/// A Gaussian with a number that is not finite is left out.
 #[test]
 fn a_spoiled_gaussian_is_left_out() {
     let view = view(SIZE[0], SIZE[1]);

@@ -50,7 +50,7 @@ impl Packed {
     }
 }
 
-/// Add padded gradients to those of the weights as stored.
+/// Adds padded gradients to those of the weights as stored.
 pub(crate) fn add_gradient(shape: &Shape, from: &[Vec<f32>], to: &mut [f32]) {
     for (layer, from) in shape.layers().zip(from) {
         let rows = to[layer.range()].chunks_exact_mut(layer.outputs);

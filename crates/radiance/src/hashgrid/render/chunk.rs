@@ -18,7 +18,7 @@ pub(super) struct FieldContext<'a> {
     pub(super) field: &'a HashGridField,
     pub(super) density: &'a Packed,
     pub(super) colour: &'a Packed,
-    /// Keep the slopes of encodings for the backward pass.
+    /// Keeps the slopes of encodings for the backward pass.
     pub(super) keep_slopes: bool,
 }
 

@@ -29,7 +29,7 @@ struct ByDirection {
     behind: f32,
 }
 
-/// Undo the blend: from back to front.
+/// Undoes the blend: from back to front.
 fn composite_backward(
     chunk: &Chunk,
     directions: &[Direction],
@@ -53,7 +53,7 @@ fn composite_backward(
     out
 }
 
-/// Pull the derivatives by what the rays of a chunk show back, after its `render`.
+/// Pulls the derivatives by what the rays of a chunk show back, after its `render`.
 pub(super) fn pull_back(
     scene: &FieldContext<'_>,
     requested: Requested,
@@ -154,7 +154,7 @@ impl Backward {
         network::pull_back(arch, scene.density, count, values, d, gradient);
     }
 
-    /// Put the derivatives by the encodings in order of the levels.
+    /// Puts the derivatives by the encodings in order of the levels.
     fn keep_features(
         &mut self,
         scene: &FieldContext<'_>,

@@ -88,7 +88,7 @@ impl SampleBatch {
         scene.arch.dispatch(Exponentials(&mut self.fades));
     }
 
-    /// Add the samples to their rays up to where those end.
+    /// Adds the samples to their rays up to where those end.
     fn composite(
         &self,
         march: &RaySampling<'_>,

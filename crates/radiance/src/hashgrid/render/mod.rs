@@ -36,7 +36,7 @@ pub struct RayRender<T = f32> {
 }
 
 impl<T: Real> RayRender<T> {
-    /// Add a sample of weight `weight`.
+    /// Adds a sample of weight `weight`.
     pub(crate) fn add(&mut self, weight: T, colour: &[T; 3], depth: T) {
         for c in 0..3 {
             self.radiance[c] += weight * colour[c];
@@ -62,7 +62,7 @@ pub struct RayGradient<T = f32> {
 }
 
 impl<T: Real> RayGradient<T> {
-    /// Add the derivatives by the unit vector along `direction` and by its length.
+    /// Adds the derivatives by the unit vector along `direction` and by its length.
     pub(crate) fn add_shape(&mut self, direction: Vec3<T>, by_unit: Vec3<T>, by_length: T) {
         let length = direction.norm();
         let unit = direction * (T::one() / length);

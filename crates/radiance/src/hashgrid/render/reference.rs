@@ -56,7 +56,7 @@ pub fn render<T: Real>(
     out
 }
 
-/// Pull `∂L/∂render` back: adds `∂L/∂field` to `gradient` when given, returns `∂L/∂ray`.
+/// Pulls `∂L/∂render` back: adds `∂L/∂field` to `gradient` when given, returns `∂L/∂ray`.
 pub fn pull_back<T: Real>(
     field: &HashGridField<T>,
     ray: &Ray<T>,

@@ -53,7 +53,7 @@ impl FieldRenderer {
         self.chunks[..self.rays.div_ceil(RAYS)].iter().map(|chunk| chunk.kept.len()).sum()
     }
 
-    /// Write what each ray shows into `out`, whose allocation is reused. Rays may come from any
+    /// Writes what each ray shows into `out`, whose allocation is reused. Rays may come from any
     /// number of frames, in any order.
     pub fn render(
         &mut self,
@@ -77,7 +77,7 @@ impl FieldRenderer {
         self.chunks[..count].iter().for_each(|chunk| out.extend_from_slice(&chunk.renders));
     }
 
-    /// Pull `∂L/∂render` back through the last [`render`](Self::render), which must have been of
+    /// Pulls `∂L/∂render` back through the last [`render`](Self::render), which must have been of
     /// this `field` and these `rays`. Adds `∂L/∂field` to `gradient` when given, and writes
     /// `∂L/∂ray` into `ray_gradients` when given.
     ///
@@ -176,7 +176,7 @@ impl Networks {
     }
 }
 
-/// Add the derivatives by the encodings to the table: one task per level, which goes through the
+/// Adds the derivatives by the encodings to the table: one task per level, which goes through the
 /// samples in order, so that the sums have one order.
 fn scatter(arch: Arch, field: &HashGridField, chunks: &[Chunk], table: &mut [f32]) {
     let features = field.settings().features;

@@ -49,7 +49,7 @@ fn pixels(view: &View<f32>, first: usize) -> impl Iterator<Item = (usize, usize)
 }
 
 impl FieldRenderer {
-    /// Render pixels `first..first + BATCH` of a view.
+    /// Renders pixels `first..first + BATCH` of a view.
     fn render_batch(
         &mut self,
         (field, occupancy): (&HashGridField, &Occupancy),
@@ -63,7 +63,7 @@ impl FieldRenderer {
         rays
     }
 
-    /// Write what `view` shows into `out`, whose allocation is reused.
+    /// Writes what `view` shows into `out`, whose allocation is reused.
     pub fn render_view(
         &mut self,
         field: &HashGridField,
@@ -83,7 +83,7 @@ impl FieldRenderer {
         }
     }
 
-    /// Pull `∂L/∂render` of a view back: adds `∂L/∂field` to `gradient` when it is given and
+    /// Pulls `∂L/∂render` of a view back: adds `∂L/∂field` to `gradient` when it is given and
     /// returns `∂L/∂ξ` for the pose `world_from_camera.retract(ξ)`. Nothing is kept of a picture:
     /// it is rendered again, 4096 pixels at a time.
     pub fn pull_back_view(

@@ -194,7 +194,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
     assert!(one.is_some() && one == on(2) && one == on(5));
 }
 
-/// The tests above can fail: a slightly different field is told apart.
+/// The comparison above fails for a slightly different field.
 #[test]
 #[should_panic(expected = "relative error")]
 fn another_field_is_told_apart() {

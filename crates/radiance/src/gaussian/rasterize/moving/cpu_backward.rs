@@ -39,7 +39,7 @@ struct Slots<'a> {
     motion: &'a mut [MotionTileSums],
 }
 
-/// Fill the slots of all entries of all tiles.
+/// Fills the slots of all entries of all tiles.
 pub(crate) fn pull_back(
     picture: &Picture<'_>,
     slots: &mut [TileSums],
@@ -103,7 +103,7 @@ fn pull_back_tile(picture: &Picture<'_>, number: usize, Slots { slots, motion }:
     }
 }
 
-/// Fill the cotangent's planes; `false` when it is all zero.
+/// Fills the cotangent's planes; `false` when it is all zero.
 fn load(picture: &Picture<'_>, number: usize, cotangent: &mut Cotangent) -> bool {
     let grid = picture.scene.grid;
     let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);
@@ -137,7 +137,7 @@ fn start<'a>(states: impl Iterator<Item = &'a MomentRow>) -> Vec<MomentState> {
     states.map(one).collect()
 }
 
-/// One tile's way back. Without `MAP`, the sums that only the map needs stay zero.
+/// Backward pass of one tile. Without `MAP`, the sums that only the map needs stay zero.
 struct Backward<'a, const MAP: bool> {
     settings: &'a RasterSettings,
     stage: Stage<'a>,
@@ -205,7 +205,7 @@ impl MotionTileSums {
 /// Planes of the cotangent of a pixel: r, g, b, depth, opacity, and 1 where any is not zero.
 pub(super) const PLANES: usize = 6;
 
-/// One row of a tile at one moment on the way back.
+/// Backward state of one row of a tile at one moment.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct MomentState {
@@ -243,7 +243,7 @@ impl<S: Simd> MotionSums<S> {
     }
 }
 
-/// One splat on its way back.
+/// Backward pass of one splat.
 pub(super) struct Step<'a, S: Simd> {
     pub(super) moving_splat: &'a MovingSplat,
     pub(super) limits: &'a Limits<S>,
@@ -256,7 +256,7 @@ pub(super) struct Step<'a, S: Simd> {
 }
 
 impl<S: Simd> Step<'_, S> {
-    /// Pull one row back at all moments.
+    /// Pulls one row back at all moments.
     #[inline(always)]
     pub(super) fn row<const MAP: bool>(
         &mut self,
@@ -324,7 +324,7 @@ impl<S: Simd> Step<'_, S> {
         Light { e, weight }
     }
 
-    /// Add to the sums what depends on the moment.
+    /// Adds to the sums what depends on the moment.
     #[inline(always)]
     fn add<const MAP: bool>(
         &mut self,
@@ -351,7 +351,7 @@ impl<S: Simd> Step<'_, S> {
         }
     }
 
-    /// Add the sums of a row, which also tell what the readout does: it moves the centre by its
+    /// Adds the sums of a row, and the derivative by the readout, which moves the centre by its
     /// place times `v + 2 s h`.
     #[inline(always)]
     fn add_row(&mut self, simd: S, row: usize, sums: &RowSums<S>) {

@@ -24,7 +24,7 @@ pub(crate) struct Scene<'a> {
     pub(crate) bins: &'a Bins,
 }
 
-/// Composite all tiles, or those that `mask` marks; nothing is visited of the others, whatever
+/// Composites all tiles, or those that `mask` marks; nothing is visited of the others, whatever
 /// their pixels. `states` holds the moments of the first tile,
 /// then of the second.
 pub(crate) fn render(
@@ -75,7 +75,7 @@ fn render_tile(scene: &Scene<'_>, number: usize, tile: &mut TilePixels, states: 
     }
 }
 
-/// Set the moments of a tile to nothing seen yet; pixels outside of the image have ended. Gives
+/// Sets the moments of a tile to nothing seen yet; pixels outside of the image have ended. Gives
 /// the centre of the tile's first pixel.
 fn start(
     grid: &TileGrid,
@@ -133,7 +133,7 @@ impl States<'_> {
     }
 }
 
-/// One tile's compositing; gives the number of entries visited.
+/// Compositing of one tile; returns the number of entries visited.
 struct Composite<'a> {
     settings: &'a RasterSettings,
     stage: Stage<'a>,
@@ -185,7 +185,7 @@ struct Blend<'a, S: Simd> {
 }
 
 impl<S: Simd> Blend<'_, S> {
-    /// Composite all moments onto one row.
+    /// Composites all moments onto one row.
     #[inline(always)]
     fn row(&self, simd: S, row: usize, states: &mut [MomentRow], planes: &mut [Row; PLANES]) {
         for v in 0..TILE / S::F32_LANES {

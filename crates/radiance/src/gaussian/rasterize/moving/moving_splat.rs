@@ -1,7 +1,7 @@
 //! Splats that move over a tile: which rows they touch, and their exponents along them, for all
 //! moments of a pack at a time.
 //!
-//! Row `r` of the tile looks at `s = s₀ + κ r`, so that the shift `s (v + s h)` of a centre is a
+//! Row `r` of the tile is exposed at `s = s₀ + κ r`, so that the shift `s (v + s h)` of a centre is a
 //! polynomial of the row with the coefficients `s₀ (v + s₀ h)`, `κ (v + 2 s₀ h)` and `κ² h`.
 
 use super::PACK;
@@ -49,7 +49,7 @@ pub(super) struct Stage<'a> {
 }
 
 impl Stage<'_> {
-    /// Make the splats of the list from `start` on ready; gives how many there are. No row is
+    /// Prepares the splats of the list from `start` on; returns their number. No row is
     /// touched at moments where `alive` is not 1 but 0.
     #[inline(always)]
     pub(super) fn load<S: Simd>(
