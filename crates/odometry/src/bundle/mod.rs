@@ -66,13 +66,13 @@ pub(crate) struct Bundle {
     pub(crate) free_intrinsics: FreeIntrinsics,
 }
 
-/// Intrinsics that are adjusted with the poses.
+/// Intrinsics that are adjusted with the poses; the value is the number of parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FreeIntrinsics {
-    None,
-    FocalLength,
-    FocalLengthAndReadout,
-    FocalLengthAndDistortion,
+    None = 0,
+    FocalLength = 1,
+    FocalLengthAndReadout = 2,
+    FocalLengthAndDistortion = 3,
 }
 
 impl BundleObservation {
@@ -129,12 +129,7 @@ impl Bundle {
 
     /// Number of adjusted global parameters.
     fn global_count(&self) -> usize {
-        match self.free_intrinsics {
-            FreeIntrinsics::None => 0,
-            FreeIntrinsics::FocalLength => 1,
-            FreeIntrinsics::FocalLengthAndReadout => 2,
-            FreeIntrinsics::FocalLengthAndDistortion => GLOBALS,
-        }
+        self.free_intrinsics as usize
     }
 
     /// Robust cost of all observations [variances].

@@ -35,7 +35,7 @@ pub(crate) struct AnchorPatch {
 /// Outcome of the search for a point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrackOutcome {
-    /// Where the point is taken to be; moved with the whole picture if it was not found.
+    /// Assumed position; moved with the whole picture if the point was not found.
     pub(crate) warp: AffineWarp,
     /// Whether it was found, by its anchor or at least from the last frame.
     pub(crate) is_followed: bool,
