@@ -144,11 +144,10 @@ mod tests {
     /// A near half beside a far one, with an unknown column and a slope of one in a hundred
     /// downward.
     fn halves() -> DenseDepth {
-        let mut depth = Image::new(20, 12, 1);
-        for (i, d) in depth.data.iter_mut().enumerate() {
-            let far = if i % 20 < 10 { 1.0 } else { 2.5 };
-            *d = if i % 20 == 3 { 0.0 } else { far + 0.01 * (i / 20) as f32 };
-        }
+        let depth = Image::from_fn(20, 12, 1, |_, column, row| {
+            let far = if column < 10 { 1.0 } else { 2.5 };
+            if column == 3 { 0.0 } else { far + 0.01 * row as f32 }
+        });
         let variance = Image { data: vec![1e-4; 240], ..depth.clone() };
         DenseDepth { depth, variance }
     }

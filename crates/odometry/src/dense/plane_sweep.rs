@@ -216,11 +216,7 @@ mod tests {
     use super::*;
 
     fn picture(of: impl Fn(f32, f32) -> f32) -> Image<f32> {
-        let mut out = Image::new(24, 18, 1);
-        for (i, value) in out.data.iter_mut().enumerate() {
-            *value = of((i % 24) as f32, (i / 24) as f32);
-        }
-        out
+        Image::from_fn(24, 18, 1, |_, x, y| of(x as f32, y as f32))
     }
 
     #[test]

@@ -101,15 +101,14 @@ mod tests {
     fn blobs(dx: f64, dy: f64, gain: f32) -> Pyramid {
         let numbers = noise(3, 60 * 60);
         let at = |i: usize, j: usize| numbers[(j % 60) * 60 + i % 60];
-        let mut image = Image::new(200, 150, 1);
-        for (i, value) in image.data.iter_mut().enumerate() {
-            let x = ((i % 200) as f64 - dx) / 6.0 + 10.0;
-            let y = ((i / 200) as f64 - dy) / 6.0 + 10.0;
+        let image = Image::from_fn(200, 150, 1, |_, column, row| {
+            let x = (column as f64 - dx) / 6.0 + 10.0;
+            let y = (row as f64 - dy) / 6.0 + 10.0;
             let (c, r, u, v) = (x as usize, y as usize, x.fract(), y.fract());
             let top = at(c, r) * (1.0 - u) + at(c + 1, r) * u;
             let bottom = at(c, r + 1) * (1.0 - u) + at(c + 1, r + 1) * u;
-            *value = gain * (0.5 + 0.3 * (top * (1.0 - v) + bottom * v)) as f32;
-        }
+            gain * (0.5 + 0.3 * (top * (1.0 - v) + bottom * v)) as f32
+        });
         Pyramid::new(&image)
     }
 

@@ -65,12 +65,10 @@ mod tests {
     use super::*;
 
     fn blobs(dx: f32, dy: f32) -> Image<f32> {
-        let mut image = Image::new(40, 30, 1);
-        for (i, value) in image.data.iter_mut().enumerate() {
-            let (x, y) = ((i % 40) as f32 - dx, (i / 40) as f32 - dy);
-            *value = (0.31 * x + 0.2 * y).sin() + (0.17 * y * y * 0.1 - 0.21 * x).cos();
-        }
-        image
+        Image::from_fn(40, 30, 1, |_, column, row| {
+            let (x, y) = (column as f32 - dx, row as f32 - dy);
+            (0.31 * x + 0.2 * y).sin() + (0.17 * y * y * 0.1 - 0.21 * x).cos()
+        })
     }
 
     #[test]

@@ -81,10 +81,7 @@ mod tests {
 
     #[test]
     fn a_slope_keeps_its_place_on_every_level() {
-        let mut picture = Image::new(128, 96, 1);
-        for (i, value) in picture.data.iter_mut().enumerate() {
-            *value = (i % 128) as f32 + 0.5;
-        }
+        let picture = Image::from_fn(128, 96, 1, |_, column, _| column as f32 + 0.5);
         let pyramid = Pyramid::new(&picture);
         assert_eq!(pyramid.levels.len(), 3);
         let coarse = pyramid.coarsest();

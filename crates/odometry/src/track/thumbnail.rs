@@ -64,11 +64,10 @@ mod tests {
     use super::*;
 
     fn keyframe_image(dx: f32, gain: f32) -> KeyframeImage {
-        let mut image = Image::new(160, 120, 1);
-        for (i, value) in image.data.iter_mut().enumerate() {
-            let (x, y) = ((i % 160) as f32 - dx, (i / 160) as f32);
-            *value = gain * (0.5 + 0.2 * (0.05 * x).sin() + 0.2 * (0.07 * y + 0.03 * x).cos());
-        }
+        let image = Image::from_fn(160, 120, 1, |_, column, row| {
+            let (x, y) = (column as f32 - dx, row as f32);
+            gain * (0.5 + 0.2 * (0.05 * x).sin() + 0.2 * (0.07 * y + 0.03 * x).cos())
+        });
         KeyframeImage::new(&Pyramid::new(&image), 0)
     }
 

@@ -269,9 +269,7 @@ mod tests {
     use i2slam_check::noise;
 
     fn picture(value: impl Fn(usize, usize) -> f32) -> Image<f32> {
-        let (width, height) = (96, 72);
-        let data = (0..width * height).map(|i| value(i % width, i / width)).collect();
-        Image { width, height, channels: 1, data }
+        Image::from_fn(96, 72, 1, |_, column, row| value(column, row))
     }
 
     /// Black or nearly even pictures make no keyframes; the next textured one does.

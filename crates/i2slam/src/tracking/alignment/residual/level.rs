@@ -100,18 +100,14 @@ pub(super) fn roughness(depth: &Image<f32>) -> Image<f32> {
     let (width, height) = (depth.width, depth.height);
     let inverse: Vec<f32> =
         depth.data.iter().map(|&d| if d > 0.0 { 1.0 / d } else { 0.0 }).collect();
-    let mut out = Image::new(width, height, 1);
-    for row in 0..height {
-        for column in 0..width {
-            let i = row * width + column;
-            let bend = |a: usize, b: usize| (inverse[a] + inverse[b] - 2.0 * inverse[i]).abs();
-            let inside = |at: usize, size: usize| at > 0 && at + 1 < size;
-            let along = if inside(column, width) { bend(i - 1, i + 1) } else { 0.0 };
-            let across = if inside(row, height) { bend(i - width, i + width) } else { 0.0 };
-            out.data[i] = along.max(across) * depth.data[i] * depth.data[i];
-        }
-    }
-    out
+    Image::from_fn(width, height, 1, |_, column, row| {
+        let i = row * width + column;
+        let bend = |a: usize, b: usize| (inverse[a] + inverse[b] - 2.0 * inverse[i]).abs();
+        let inside = |at: usize, size: usize| at > 0 && at + 1 < size;
+        let along = if inside(column, width) { bend(i - 1, i + 1) } else { 0.0 };
+        let across = if inside(row, height) { bend(i - width, i + width) } else { 0.0 };
+        along.max(across) * depth.data[i] * depth.data[i]
+    })
 }
 
 /// Standard deviation of depth noise [m at 1 m]. The second difference of independent noise has
