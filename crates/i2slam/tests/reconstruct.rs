@@ -79,7 +79,11 @@ fn the_observer_sees_frames_and_stages() {
     let outcome = reconstruct(&open(&options), &options, recorder.clone()).expect("frames");
     assert!(outcome.complete && outcome.camera.is_none());
     assert_eq!(recorder.frames.load(Ordering::SeqCst), 3);
-    assert!(recorder.stages.lock().expect("done").contains(&Stage::MapRefinement));
+    let stages = recorder.stages.lock().expect("done");
+    assert_eq!(
+        (stages.first(), stages.last()),
+        (Some(&Stage::Frames), Some(&Stage::MapRefinement))
+    );
 }
 
 #[test]

@@ -22,6 +22,7 @@ pub(super) fn run(
     if let Some(covered) = &sequence.valid_mask {
         session.set_covered(Arc::clone(covered));
     }
+    context.observer.progress(Stage::Frames, 0, sequence.len());
     let none_usable = match sequence.len() {
         1 => "the only frame could not be used".to_owned(),
         all => format!("none of the {all} frames could be used"),
