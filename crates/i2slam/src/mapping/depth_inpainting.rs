@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn estimated_depth_goes_on_smoothly_where_it_is_missing() {
+    fn estimated_depth_is_inpainted_smoothly() {
         let mut depth = Image::new(40, 30, 1);
         for (pixel, column) in [(5 * 40 + 2, 2), (20 * 40 + 3, 3), (9 * 40 + 37, 37)] {
             depth.data[pixel] = if column < 20 { 1.0 } else { 4.0 };
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn holes_take_the_farther_side_and_empty_regions_lie_behind() {
+    fn holes_take_the_farther_side_and_empty_regions_the_background() {
         let mut depth = Image::new(100, 1, 1);
         depth.data[0] = 1.0;
         depth.data[4] = 2.0;

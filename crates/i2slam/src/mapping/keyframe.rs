@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_stands_still_adds_none() {
+    fn a_still_camera_adds_no_keyframes() {
         assert_eq!(keyframes(2, 0.05, &[(0.0, 0.0); 12]), [0]);
         assert_eq!(keyframes(3, 0.0, &[(0.0, 0.0); 8]), [0, 2, 5]);
     }

@@ -2,11 +2,10 @@
 
 use super::*;
 use crate::config::{Config, MapKind, TrackingMethod};
-use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
+use crate::reconstruction::{Map, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
-use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use std::sync::Arc;
 
@@ -115,26 +114,6 @@ fn a_camera_is_tracked_on_a_field_the_same_way_twice() {
     let psnr = -10.0 * (squared.sum::<f32>() / picture.data.len() as f32).log10();
     assert!(psnr > 24.0, "{psnr} dB");
     check_depth(&reconstruction, FRAMES - 1, pose(FRAMES - 1));
-}
-
-#[test]
-fn rows_of_a_field_are_skewed() {
-    let (reconstruction, _) = run(config(), pose);
-    let mut viewer = reconstruction.viewer();
-    let mut last = reconstruction.frames[FRAMES - 1].clone();
-    let at = |turn: f64| Pose::new(Rotation::exp(Vec3::new(0.0, turn, 0.0)), Vec3::zero());
-    last.shutter = ShutterPoses { start: at(-0.02), end: at(0.02) };
-    (last.blur_length, last.readout) = (1.6, 4.0);
-    let rolled = viewer.blurred(&last);
-    let still = viewer.blurred(&FrameEstimate { readout: 0.0, ..last.clone() });
-    let row = 4;
-    let turned = at(0.04 * 4.0 * ((row as f64 + 0.5) / CAMERA.height as f64 - 0.5));
-    let then = viewer.sharp(&FrameEstimate { shutter: ShutterPoses::still(turned), ..last });
-    let off = |picture: &Image<f32>| {
-        let error = |i| f64::from(picture.at(1, i, row) - then.at(1, i, row)).abs();
-        (8..CAMERA.width - 8).map(error).sum::<f64>()
-    };
-    assert!(off(&rolled) < 0.3 * off(&still), "{} {}", off(&rolled), off(&still));
 }
 
 /// Pixels are 4 cm apart on the far wall, cells 2 cm.

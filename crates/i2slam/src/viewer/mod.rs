@@ -142,12 +142,15 @@ mod tests {
     use i2slam_formation::ShutterPoses;
     use i2slam_geometry::Tangent;
 
-    /// A frame that turns by `angle` [rad] while its shutter is open.
+    /// The world's camera, rotated by `angle` [rad] about y.
+    fn rotated(angle: f64) -> Pose<f64> {
+        Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.0, angle, 0.0]))
+    }
+
+    /// A frame that rotates by `angle` [rad] during its exposure.
     fn turning(room: &Reconstruction, angle: f64, readout: f64) -> FrameEstimate {
-        let half = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 0.5 * angle, 0.0]);
-        let end = |half| Pose::identity().retract(half);
         FrameEstimate {
-            shutter: ShutterPoses { start: end(half.scaled(-1.0)), end: end(half) },
+            shutter: ShutterPoses { start: rotated(-0.5 * angle), end: rotated(0.5 * angle) },
             blur_length: angle * room.camera.fx,
             readout,
             ..room.imagined_frame(0, Pose::identity())
@@ -170,14 +173,7 @@ mod tests {
         let [global, skewed] = [&still, &rolled].map(|frame| viewer.blurred(frame));
         assert!(difference(&global, &skewed) > 0.02);
         let (row, height) = (6, room.camera.height);
-        let turned = Pose::identity().retract(Tangent::from_array([
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.08 * ((row as f64 + 0.5) / height as f64 - 0.5),
-            0.0,
-        ]));
+        let turned = rotated(0.08 * ((row as f64 + 0.5) / height as f64 - 0.5));
         let then = viewer.sharp_clamped(&still, turned);
         let off = |picture: &Image<f32>| {
             let columns = 8..room.camera.width - 8;
@@ -199,7 +195,6 @@ mod tests {
         assert!(Sampling::new(&room.config.formation, 18.0, 0.0).virtual_cameras > most);
     }
 
-    /// A still frame's blurred picture is drawn by a way of its own.
     #[test]
     fn cached_renders_equal_fresh_ones() {
         let room = room();
@@ -208,7 +203,7 @@ mod tests {
         let sharp = viewer.sharp(&frame);
         assert!(difference(&sharp, &viewer.blurred(&frame)) < 1e-6);
         let here = viewer.hdr(frame.middle());
-        let away = Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.0, 0.1, 0.0]));
+        let away = rotated(0.1);
         assert!(difference(&here, &viewer.hdr(away)) > 0.01);
         assert_eq!(viewer.hdr(away), room.viewer().hdr(away));
         assert_eq!(viewer.depth(away), room.viewer().depth(away));

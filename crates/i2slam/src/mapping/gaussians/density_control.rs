@@ -16,55 +16,41 @@ const MIN_OPACITY: f32 = 0.005;
 /// Standard deviation over the scene's radius above which a Gaussian is removed (SplaTAM).
 const MAX_SCALE: f32 = 0.1;
 
-/// Extent of the scene, against which Gaussians count as large.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct SceneScale {
-    /// Largest depth of the first frame over the preset's ratio [m].
-    pub(crate) radius: f32,
-}
-
-impl SceneScale {
-    pub(crate) fn new(observation: &Observation, ratio: f32) -> Self {
-        let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
-        Self { radius: farthest / ratio }
-    }
-}
-
 /// A frame as a source of new Gaussians.
-pub(crate) struct Source<'a> {
-    pub(crate) camera: &'a Camera<f64>,
+pub(super) struct SourceFrame<'a> {
+    pub(super) camera: &'a Camera<f64>,
     /// Camera pose when the depth picture was taken.
-    pub(crate) world_from_depth: Pose<f64>,
+    pub(super) world_from_depth: Pose<f64>,
     /// From that camera to the one at mid-exposure.
-    pub(crate) colour_from_depth: Pose<f64>,
+    pub(super) colour_from_depth: Pose<f64>,
     /// Camera motion over the exposure.
-    pub(crate) velocity: Tangent<f64>,
+    pub(super) velocity: Tangent<f64>,
     /// Time from the first to the last row [exposures].
-    pub(crate) readout: f64,
-    pub(crate) observation: &'a Observation,
+    pub(super) readout: f64,
+    pub(super) observation: &'a Observation,
     /// Depth at which Gaussians are placed [m]; 0 places none.
-    pub(crate) depth: Arc<Image<f32>>,
-    pub(crate) tone: Option<Tone<'a>>,
+    pub(super) depth: Arc<Image<f32>>,
+    pub(super) tone: Option<Tone<'a>>,
 }
 
-/// Adds one Gaussian per pixel; returns their number.
-pub(crate) fn seed_map(
+/// Adds one Gaussian per pixel.
+pub(super) fn seed_map(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
-    source: &Source<'_>,
-) -> usize {
+    source: &SourceFrame<'_>,
+) {
     let every: Vec<usize> = (0..source.observation.depth.data.len()).collect();
-    push_gaussians(map, parameters, source, &every)
+    push_gaussians(map, parameters, source, &every);
 }
 
 /// Adds one Gaussian per pixel that the map does not explain, by low opacity or a surface much
-/// nearer than the rendered one; returns their number.
-pub(crate) fn add_gaussians(
+/// nearer than the rendered one.
+pub(super) fn add_gaussians(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
-    source: &Source<'_>,
+    source: &SourceFrame<'_>,
     render: &Render,
-) -> usize {
+) {
     let observed = &source.observation.depth.data;
     let errors: Vec<f32> = render
         .depth
@@ -81,7 +67,7 @@ pub(crate) fn add_gaussians(
             open || in_front
         })
         .collect();
-    push_gaussians(map, parameters, source, &unexplained)
+    push_gaussians(map, parameters, source, &unexplained);
 }
 
 /// Median absolute depth error. SplaTAM counts pixels without depth as exact; where estimated depth
@@ -96,9 +82,9 @@ fn median_depth_error(observation: &Observation, errors: &[f32]) -> f32 {
 
 /// Removes Gaussians that are nearly transparent, too large or not finite; returns the mask of
 /// those kept.
-pub(crate) fn prune(map: &mut GaussianMap, scene: SceneScale) -> Vec<bool> {
+pub(super) fn prune(map: &mut GaussianMap, scene_radius: f32) -> Vec<bool> {
     let min_logit = logit(MIN_OPACITY);
-    let max_log_scale = (MAX_SCALE * scene.radius).ln();
+    let max_log_scale = (MAX_SCALE * scene_radius).ln();
     let keep: Vec<bool> = (0..map.len())
         .map(|i| {
             let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -115,10 +101,9 @@ pub(crate) fn prune(map: &mut GaussianMap, scene: SceneScale) -> Vec<bool> {
 fn push_gaussians(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
-    source: &Source<'_>,
+    source: &SourceFrame<'_>,
     pixels: &[usize],
-) -> usize {
-    let before = map.len();
+) {
     let focal = 0.5 * (source.camera.fx + source.camera.fy);
     let opacity_logit = logit(parameters.initial_opacity);
     for &pixel in pixels {
@@ -142,7 +127,6 @@ fn push_gaussians(
             colour: map.activation.colour(radiance),
         });
     }
-    map.len() - before
 }
 
 /// Fixed-point iterations that find the row which saw a point; each multiplies the error by the
@@ -151,7 +135,7 @@ const ROW_ITERATIONS: usize = 3;
 
 /// Projection of a point, given in the camera at mid-exposure of the middle row, by the rolling
 /// shutter [px].
-fn project_rolling(source: &Source<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
+fn project_rolling(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
     let mut seen = point;
     let steps = if source.readout == 0.0 { 0 } else { ROW_ITERATIONS };
     for _ in 0..steps {
@@ -164,7 +148,7 @@ fn project_rolling(source: &Source<'_>, point: Vec3<f64>) -> Option<(f64, f64)> 
 
 /// Radiance of a point in the camera at mid-exposure, from the picture by inverse formation;
 /// `None` outside of the picture.
-fn radiance_of_point(source: &Source<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
+fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
     let colour = &source.observation.colour;
     let (u, v) = project_rolling(source, point)?;
     if !source.camera.contains(u, v, 0.0) {
@@ -189,11 +173,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_is_read_where_its_row_saw_it() {
+    fn rolling_projection_agrees_with_the_row_that_saw_the_point() {
         let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
         let velocity = Tangent::from_array([0.01, -0.02, 0.01, 0.03, 0.05, -0.02]);
         let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));
-        let mut source = Source {
+        let mut source = SourceFrame {
             camera: &camera,
             world_from_depth: Pose::identity(),
             colour_from_depth: Pose::identity(),

@@ -223,8 +223,13 @@ mod tests {
         map
     }
 
+    /// Sum of the areas of all Gaussians.
+    fn area(map: &GaussianMap) -> f32 {
+        (0..map.len()).map(|i| log_area(map, i).exp()).sum()
+    }
+
     #[test]
-    fn what_looks_alike_is_merged_first() {
+    fn similar_gaussians_are_merged_first() {
         let mut map = wall();
         let keep = merge(&mut map, SIDE * SIDE * 3 / 4..=SIDE * SIDE);
         assert!(map.len() <= SIDE * SIDE * 3 / 4 && map.len() > SIDE * SIDE / 2);
@@ -235,13 +240,11 @@ mod tests {
     }
 
     #[test]
-    fn area_and_light_stay() {
+    fn merging_keeps_area_and_brightness() {
         let whole = wall();
         let mut map = wall();
         merge(&mut map, SIDE * SIDE / 4..=SIDE * SIDE);
         assert!(map.len() <= SIDE * SIDE / 4);
-        let area =
-            |m: &GaussianMap| -> f32 { m.log_scales.iter().map(|s| (2.0 * s[0]).exp()).sum() };
         let ratio = area(&map) / area(&whole);
         assert!((0.6..1.1).contains(&ratio), "area times {ratio}");
         let light = |m: &GaussianMap| -> f32 {
@@ -252,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn of_scattered_ones_the_oldest_stay() {
+    fn the_newest_scattered_gaussians_are_dropped() {
         let mut map = wall();
         map.means.iter_mut().for_each(|mean| *mean = mean.map(|v| 100.0 * v));
         assert_eq!(merge(&mut map, 10..=SIDE * SIDE), vec![true; SIDE * SIDE]);
@@ -297,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn discs_of_a_wall_stay_discs_of_the_wall() {
+    fn merged_discs_of_a_wall_lie_in_the_wall() {
         let whole = discs();
         let mut map = discs();
         merge(&mut map, SIDE * SIDE / 4..=SIDE * SIDE);
@@ -309,13 +312,12 @@ mod tests {
             let height = normal.dot(Vec3::from_array(map.means[index]).cast()) - 2.0;
             assert!(height.abs() < 1e-5, "{index}: {height} m off the wall");
         }
-        let area = |m: &GaussianMap| (0..m.len()).map(|i| log_area(m, i).exp()).sum::<f32>();
         let ratio = area(&map) / area(&whole);
         assert!((0.5..1.1).contains(&ratio), "area times {ratio}");
     }
 
     #[test]
-    fn a_pair_is_as_wide_as_halfway_between_spread_and_areas() {
+    fn the_area_of_a_pair_lies_between_spread_and_sum() {
         let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
         for side in [-1.0, 1.0] {
             let mean = turn().rotate(Vec3::new(0.02 * side, 0.0, 0.0));
@@ -336,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn round_ellipsoids_grow_as_balls_do() {
+    fn isotropic_ellipsoids_merge_as_balls() {
         let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
         for place in [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
             let mean = Vec3::new(0.01 * place[0], 0.01 * place[1], 0.0);

@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::objective::{FrameObjective, Tone};
 use crate::reconstruction::Map;
 use crate::tracking::sampling;
-use density_control::{SceneScale, Source, add_gaussians, prune, seed_map};
+use density_control::{SourceFrame, add_gaussians, prune, seed_map};
 use i2slam_formation::CentreVelocity;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
@@ -33,7 +33,8 @@ pub(crate) struct GaussianMapper {
     camera: Camera<f32>,
     current: MapSnapshot<GaussianMap>,
     optimizer: GaussianOptimizer,
-    scene: SceneScale,
+    /// Largest depth of the first frame over the preset's ratio [m].
+    scene_radius: f32,
     /// Whether the warning of a full map was given.
     is_full: bool,
 }
@@ -58,7 +59,7 @@ impl GaussianMapper {
                 objective: FrameObjective::new(camera.cast(), RasterSettings::default()),
             },
             optimizer: GaussianOptimizer::new(),
-            scene: SceneScale { radius: f32::INFINITY },
+            scene_radius: f32::INFINITY,
             is_full: false,
         }
     }
@@ -103,7 +104,7 @@ impl GaussianMapper {
     }
 
     fn prune(&mut self) {
-        let keep = prune(&mut self.current.map, self.scene);
+        let keep = prune(&mut self.current.map, self.scene_radius);
         if keep.contains(&false) {
             self.optimizer.retain(&keep);
         }
@@ -164,7 +165,7 @@ impl Mapper for GaussianMapper {
             self.current.objective.render(&self.current.map, estimate.depth_pose()).clone()
         });
         let (parameters, observation) = (&config.parameters.gaussians, &current.observation);
-        let source = Source {
+        let source = SourceFrame {
             camera: context.camera,
             world_from_depth: estimate.depth_pose(),
             colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
@@ -177,7 +178,8 @@ impl Mapper for GaussianMapper {
         if let Some(render) = &render {
             add_gaussians(&mut self.current.map, parameters, &source, render);
         } else {
-            self.scene = SceneScale::new(observation, parameters.scene_radius_ratio);
+            let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
+            self.scene_radius = farthest / parameters.scene_radius_ratio;
             seed_map(&mut self.current.map, parameters, &source);
         }
         self.enforce_capacity(context);
