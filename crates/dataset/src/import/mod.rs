@@ -16,14 +16,12 @@
 //! ```
 
 mod colmap;
-mod convention_check;
 mod depth_variance;
 mod droid;
 mod format;
 mod inverse_depth;
 mod pose_convention;
 mod posed_images;
-mod posed_sequence;
 mod source;
 mod sparse_depth;
 
@@ -133,12 +131,12 @@ impl ImportedKeyframes {
         let other = pictures.filter(|&pictures| pictures != path);
         let mut found = match DetectedFormat::detect(path)? {
             DetectedFormat::Nerfstudio(file) => {
-                posed_sequence::open_nerfstudio(&file, other, options)?
+                posed_images::open_nerfstudio(&file, other, options)?
             }
             DetectedFormat::Colmap(model) => colmap::open(&model, other, options)?,
             DetectedFormat::Droid(path) => droid::open(&path, other, options)?,
             DetectedFormat::Trajectory(file) => {
-                posed_sequence::open_trajectory(&file, other, options)?
+                posed_images::open_trajectory(&file, other, options)?
             }
         };
         posed_images::drop_missing_files(&mut found);
@@ -147,7 +145,7 @@ impl ImportedKeyframes {
         let mut keyframes = Self::select(found, options);
         keyframes.check_count(pictures)?;
         if options.check_conventions {
-            keyframes.warnings.extend(convention_check::convention_warning(&keyframes));
+            keyframes.warnings.extend(pose_convention::convention_warning(&keyframes));
         }
         Ok(keyframes)
     }

@@ -1,8 +1,8 @@
 //! nerfstudio's `transforms.json`.
 
-use crate::scene::{WIDTH, colour_sequence, pose, render, sequence};
-use crate::support::Folder;
-use crate::{assert_same, assert_says, assert_warns};
+use super::assert_same;
+use super::scene::{WIDTH, colour_sequence, pose, render, sequence};
+use crate::support::{Folder, assert_says, assert_warns, import, import_with};
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_geometry::{Pose, Vec3};
 
@@ -17,7 +17,7 @@ fn matrix(pose: Pose<f64>, opengl: bool) -> String {
 }
 
 /// `transforms.json` of some frames.
-pub(crate) fn transforms(frames: &[usize], with_depth: bool, opengl: bool) -> String {
+pub(super) fn transforms(frames: &[usize], with_depth: bool, opengl: bool) -> String {
     let frame = |&i: &usize| {
         let depth = format!(r#""depth_file_path": "depth/{i:03}.png", "#);
         let depth = if with_depth { depth } else { String::new() };
@@ -46,7 +46,7 @@ fn poses_are_turned_to_opencv_axes() {
     for with_depth in [false, true] {
         let folder = pictures(with_depth);
         let file = folder.write("transforms.json", transforms(&[0, 1, 3], with_depth, true));
-        let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
+        let files = import(&file).expect("opens");
         assert_eq!((files.format, files.len()), (ImportFormat::Nerfstudio, 3));
         assert_eq!(files.has_depth, with_depth);
         assert!(files.warnings.is_empty(), "{:?}", files.warnings);
@@ -58,13 +58,11 @@ fn poses_are_turned_to_opencv_axes() {
             let due = render(3).0[5 * WIDTH + 9];
             assert!((f64::from(depth.at(0, 9, 5)) - due).abs() < 2e-4);
         }
-        let by_folder =
-            ImportedKeyframes::open(&folder.0, Some(&folder.0), &ImportOptions::default());
+        let by_folder = import_with(&folder.0, &folder);
         let by_folder = by_folder.expect("opens");
         assert_eq!((by_folder.keyframes, by_folder.warnings.len()), (files.keyframes, 0));
         let other = pictures(false);
-        let elsewhere =
-            ImportedKeyframes::open(&folder.0, Some(&other.0), &ImportOptions::default());
+        let elsewhere = import_with(&folder.0, &other);
         assert_warns(&elsewhere.expect("opens").warnings, &["transforms.json names, not those of"]);
         let options = ImportOptions { depth: ImportDepth::None, ..ImportOptions::default() };
         assert!(!ImportedKeyframes::open(&file, None, &options).expect("opens").has_depth);
@@ -80,20 +78,20 @@ fn frames_without_a_pose_or_a_picture_are_left_out() {
     let broken = format!("{}9{}", &broken[..place], &broken[place..]);
     folder.write("transforms.json", broken);
     std::fs::remove_file(folder.join("rgb/002.png")).expect("removes");
-    let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens");
+    let files = import(&folder.0).expect("opens");
     let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
     assert_eq!(indices, [1, 3]);
     assert_warns(&files.warnings, &["1 frame without a finite, rigid true pose"]);
     assert_warns(&files.warnings, &["1 of 3 pictures are missing", "002.png"]);
     std::fs::remove_file(folder.join("rgb/003.png")).expect("removes");
-    let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default());
+    let files = import(&folder.0);
     assert_says(files, &["expected at least 2", "pictures are missing"]);
 }
 
 #[test]
 fn unusable_files_are_named() {
     let folder = pictures(false);
-    let open = || ImportedKeyframes::open(&folder.0, None, &ImportOptions::default());
+    let open = || import(&folder.0);
     folder.write("transforms.json", "{");
     assert_says(open(), &["transforms.json", "expected a transforms.json"]);
     folder.write("transforms.json", r#"{"fl_x": 40, "cx": 1, "cy": 1, "frames": []}"#);

@@ -1,11 +1,9 @@
-//! Pictures and cameras of one's own: EXIF data, fields of view, camera files of other programs.
+//! Images without a dataset: EXIF data, fields of view, camera files of other programs.
 
-mod support;
-
+use crate::support::{Folder, jpeg};
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use i2slam_geometry::Camera;
 use jpeg_encoder::{ColorType, Encoder};
-use support::Folder;
 
 const SIZE: (u16, u16) = (64, 48);
 
@@ -27,7 +25,7 @@ fn pictures(segment: Option<Vec<u8>>) -> Folder {
     pictures_with(&[segment.clone(), segment.clone(), segment])
 }
 
-/// The same with a segment of its own for every picture.
+/// A folder of images, each with a segment of its own.
 fn pictures_with(segments: &[Option<Vec<u8>>]) -> Folder {
     let folder = Folder::new();
     let grey = vec![120; 3 * usize::from(SIZE.0) * usize::from(SIZE.1)];
@@ -38,7 +36,7 @@ fn pictures_with(segments: &[Option<Vec<u8>>]) -> Folder {
             encoder.add_app_segment(1, segment.clone()).expect("room for it");
         }
         encoder.encode(&grey, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
-        std::fs::write(folder.join(&format!("IMG_{i:04}.jpg")), bytes).expect("room");
+        folder.write(&format!("IMG_{i:04}.jpg"), bytes);
     }
     folder
 }
@@ -155,10 +153,7 @@ fn a_lens_found_in_the_pictures_is_removed_from_them() {
                 bytes
             },
         );
-        let mut bytes = Vec::new();
-        let encoder = Encoder::new(&mut bytes, 95);
-        encoder.encode(&pixels, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
-        std::fs::write(folder.join(&format!("IMG_{i:04}.jpg")), bytes).expect("room");
+        folder.write(&format!("IMG_{i:04}.jpg"), jpeg(64, 48, &pixels));
     }
     for (scale, crop_border) in [(1.0, 0), (0.5, 4)] {
         let options = OpenOptions { scale, crop_border, ..alone() };
@@ -252,7 +247,7 @@ fn pictures_are_turned_as_they_ask_with_their_camera() {
         let mut encoder = Encoder::new(&mut bytes, 95);
         encoder.add_app_segment(1, oriented(6)).expect("room for it");
         encoder.encode(&pixels, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
-        std::fs::write(folder.join(&format!("IMG_{i:04}.jpg")), bytes).expect("room");
+        folder.write(&format!("IMG_{i:04}.jpg"), bytes);
     }
     let turned = OpenOptions { turn_pictures: true, ..alone() };
     let sequence = open(&folder, &turned);

@@ -1,37 +1,15 @@
-//! Replica, 7-Scenes, ETH3D SLAM, nerfstudio: recognised by their files, with camera and poses.
+//! Formats: recognised by their files, with camera and poses.
 
-mod support;
-
-use i2slam_dataset::{DatasetError, Layout, OpenOptions, Sequence};
-use i2slam_geometry::Vec3;
-use support::{Folder, HEIGHT, WIDTH, depth_png, rgb_png};
-
-fn open(folder: &Folder) -> Result<Sequence, DatasetError> {
-    Sequence::open(&folder.0, &OpenOptions::default())
-}
-
-#[track_caller]
-fn assert_says(result: Result<Sequence, DatasetError>, parts: &[&str]) {
-    let message = result.expect_err("an error").to_string();
-    for part in parts {
-        assert!(message.contains(part), "'{part}' is not in: {message}");
-    }
-}
-
-#[track_caller]
-fn assert_warns(sequence: &Sequence, part: &str) {
-    assert!(sequence.warnings.iter().any(|w| w.contains(part)), "{:?}", sequence.warnings);
-}
+use crate::support::{
+    Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, open, rgb_png,
+};
+use i2slam_dataset::{Layout, OpenOptions, Sequence, read_trajectory, write_trajectory};
+use i2slam_geometry::{Pose, Rotation, StampedPose, Vec3};
 
 fn replica(folder: &Folder, scene: &str) {
     for i in 0..3 {
         let name = |kind: &str, end: &str| format!("{scene}results/{kind}{i:06}.{end}");
-        let mut jpeg = Vec::new();
-        let pixels = vec![102; 3 * WIDTH * HEIGHT];
-        jpeg_encoder::Encoder::new(&mut jpeg, 100)
-            .encode(&pixels, WIDTH as u16, HEIGHT as u16, jpeg_encoder::ColorType::Rgb)
-            .expect("encodes");
-        folder.write(&name("frame", "jpg"), jpeg);
+        folder.write(&name("frame", "jpg"), jpeg(WIDTH, HEIGHT, &[102; 3 * WIDTH * HEIGHT]));
         folder.write(&name("depth", "png"), depth_png(WIDTH, HEIGHT, 13107));
     }
     let line = |x: f64| format!("1 0 0 {x} 0 1 0 0 0 0 1 0 0 0 0 1\n");
@@ -71,7 +49,7 @@ fn replica_with_a_bad_camera_or_trajectory() {
     folder.write("cam_params.json", camera.replace(":0}", ":6553.5}"));
     folder.write("traj.txt", "1 0 0\n");
     let sequence = open(&folder).expect("opens");
-    assert_warns(&sequence, "traj.txt, line 1: expected the 16 numbers");
+    assert_warns(&sequence.warnings, &["traj.txt, line 1: expected the 16 numbers"]);
     assert!(sequence.true_trajectory().expect("none").is_empty());
 }
 
@@ -84,7 +62,7 @@ fn seven_scenes_is_delivered_on_the_grid_of_depth() {
         let value = |k: usize| if k.is_multiple_of(3) && k / 3 % 640 < 320 { 255 } else { 0 };
         let data: Vec<u8> = (0..3 * 640 * 480).map(value).collect();
         let (rgb, eight) = (png::ColorType::Rgb, png::BitDepth::Eight);
-        folder.write(&name("color.png"), support::png((640, 480), rgb, eight, None, &data));
+        folder.write(&name("color.png"), crate::support::png((640, 480), rgb, eight, None, &data));
         let depth = if i == 0 { 1500 } else { u16::MAX };
         folder.write(&name("depth.png"), depth_png(640, 480, depth));
         folder.write(&name("pose.txt"), format!("0 0 1 {i}\n0 1 0 2\n-1 0 0 3\n0 0 0 1\n"));
@@ -93,7 +71,7 @@ fn seven_scenes_is_delivered_on_the_grid_of_depth() {
     assert_eq!((sequence.layout, sequence.len()), (Layout::SevenScenes, 2));
     assert_eq!((sequence.camera.fx, sequence.camera.cx), (585.0, 320.0));
     assert!(sequence.valid_mask.is_none());
-    assert_warns(&sequence, "no calibration between colour and depth");
+    assert_warns(&sequence.warnings, &["no calibration between colour and depth"]);
     let frame = sequence.load(0).expect("loads");
     assert_eq!((frame.colour.at(0, 300, 9), frame.colour.at(0, 340, 9)), (1.0, 0.0));
     assert_eq!(frame.depth.at(0, 5, 5), 1.5);
@@ -193,7 +171,10 @@ fn nerfstudio_files_that_cannot_be_used() {
     }
     let own = r#""fl_x": 40, "file_path": "images/frame_00010.png""#;
     folder.write("transforms.json", SCENE.replace(r#""file_path": "images/frame_00010.png""#, own));
-    assert_warns(&open(&folder).expect("opens"), "focal length changes by up to 42.9 %");
+    assert_warns(
+        &open(&folder).expect("opens").warnings,
+        &["focal length changes by up to 42.9 %"],
+    );
 }
 
 #[test]
@@ -211,5 +192,60 @@ fn an_unknown_folder_is_answered_with_all_layouts() {
 fn intrinsics_of_another_size_are_noticed() {
     let folder = Folder::tum(2);
     folder.write("camera.json", r#"{"fx":28,"fy":28,"cx":15.5,"cy":11.5}"#);
-    assert_warns(&open(&folder).expect("opens"), "intrinsics of another size?");
+    assert_warns(&open(&folder).expect("opens").warnings, &["intrinsics of another size?"]);
+}
+
+#[test]
+fn written_poses_are_read_again() {
+    let folder = Folder::new();
+    let poses: Vec<StampedPose> = (0..5)
+        .map(|i| {
+            let s = i as f64;
+            let rotation = Rotation::exp(Vec3::new(0.3 * s, -0.2, 0.1 * s));
+            let world_from_camera = Pose::new(rotation, Vec3::new(s, 0.5 * s, -1.0));
+            StampedPose { timestamp: 1305031237.361618 + s / 30.0, world_from_camera }
+        })
+        .collect();
+    let path = folder.join("trajectory.txt");
+    write_trajectory(&path, &poses).expect("writes");
+    let back = read_trajectory(&path).expect("reads");
+    assert_eq!(back.len(), poses.len());
+    for (a, b) in back.iter().zip(&poses) {
+        let d = a.world_from_camera.local(b.world_from_camera);
+        assert!((a.timestamp - b.timestamp).abs() < 1e-6);
+        assert!(d.translation.norm() < 1e-8 && d.rotation.norm() < 1e-8);
+    }
+}
+
+#[test]
+fn columns_are_in_the_order_of_tum() {
+    let folder = Folder::new();
+    let text = "# t x y z qx qy qz qw\n\n2.5 1 2 3 0 0 1 0\n1.5 4 5 6 0 0 0 2\n";
+    let poses = read_trajectory(folder.write("t.txt", text)).expect("reads");
+    assert_eq!((poses[0].timestamp, poses[1].timestamp), (1.5, 2.5));
+    assert_eq!(poses[0].world_from_camera.rotation, Rotation::identity());
+    let half_turn = poses[1].world_from_camera;
+    assert_eq!(half_turn.translation, Vec3::new(1.0, 2.0, 3.0));
+    assert!((half_turn.rotation.rotate(Vec3::new(1.0, 0.0, 0.0)).x + 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn bad_lines_are_named() {
+    let folder = Folder::new();
+    for (text, parts) in [
+        ("0 0 0 0 0 0 0 1\n1 NaN 0 0 0 0 0 1\n", ["line 2", "tx is NaN"]),
+        ("# c\n1 0 0 0 0 0 1\n", ["line 2", "7 columns, expected 8"]),
+        ("1 0 0 0 0 0 0 0\n", ["line 1", "quaternion is zero"]),
+        ("1 0 0 zero 0 0 0 1\n", ["line 1", "tz is 'zero'"]),
+        ("# only a comment\n", ["is empty", "timestamp tx ty tz"]),
+    ] {
+        let error = read_trajectory(folder.write("t.txt", text)).expect_err("an error").to_string();
+        assert!(error.contains("t.txt"), "{error}");
+        for part in parts {
+            assert!(error.contains(part), "'{part}' is not in: {error}");
+        }
+    }
+    assert!(
+        read_trajectory(folder.join("none.txt")).is_err_and(|e| e.to_string().contains("none"))
+    );
 }

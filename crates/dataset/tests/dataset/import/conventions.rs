@@ -1,14 +1,13 @@
-//! Poses by a wrong convention are noticed, and the right one is named.
+//! Poses in a wrong convention are noticed, and the right one is named.
 
-use crate::arrays::npy;
-use crate::assert_warns;
-use crate::droid::{members, with};
-use crate::nerfstudio::transforms;
-use crate::scene::{HEIGHT, WIDTH, grey16_png, line, pose, sequence, stamp, trajectory};
-use crate::support::Folder;
-use i2slam_dataset::OpenOptions;
+use super::droid::{members, npy, with};
+use super::nerfstudio::transforms;
+use super::scene::{HEIGHT, WIDTH, grey16_png, line, pose, sequence, stamp, trajectory};
+use crate::support::{Folder, assert_warns, import, shared_data};
 use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
+use i2slam_dataset::{OpenOptions, Sequence};
 use i2slam_geometry::{Pose, Rotation, Vec3};
+use std::path::Path;
 
 fn warnings_of(folder: &Folder, options: ImportOptions) -> Vec<String> {
     let options = ImportOptions { depth: ImportDepth::Pictures, ..options };
@@ -95,7 +94,7 @@ fn arrays_with_poses_of_the_camera_are_noticed() {
     for (name, bytes) in with(members(&frames), "poses", npy("<f8", &[6, 7], &poses)) {
         folder.write(&format!("{name}.npy"), bytes);
     }
-    let files = ImportedKeyframes::open(&folder.0, None, &ImportOptions::default()).expect("opens");
+    let files = import(&folder.0).expect("opens");
     let parts = ["if the poses are world_from_camera:", "hold camera_from_world"];
     assert_warns(&files.warnings, &parts);
 }
@@ -113,6 +112,39 @@ fn one_pair_of_keyframes_tells_nothing() {
 fn nerfstudio_with_axes_of_opencv_is_noticed() {
     let folder = sequence(6);
     let file = folder.write("transforms.json", transforms(&[0, 1, 2, 3, 4, 5], true, false));
-    let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
+    let files = import(&file).expect("opens");
     assert_warns(&files.warnings, &["wrong convention", "camera axes of OpenCV (y down"]);
+}
+
+/// The poses of every tenth frame of a sequence, read with its depth pictures.
+fn keyframes(path: &Path, written: impl Fn(Pose<f64>) -> Pose<f64>) -> ImportedKeyframes {
+    let open = OpenOptions { scale: 0.5, ..OpenOptions::default() };
+    let sequence = Sequence::open(path, &open).expect("opens");
+    let truth = sequence.true_trajectory().expect("poses");
+    let nearest = |time: f64| {
+        let apart = |pose: &&i2slam_geometry::StampedPose| (pose.timestamp - time).abs();
+        truth.iter().min_by(|a, b| apart(a).total_cmp(&apart(b))).expect("a pose")
+    };
+    let chosen = sequence.entries.iter().step_by(10).map(|entry| nearest(entry.timestamp));
+    let text = chosen.map(|pose| line(pose.timestamp, written(pose.world_from_camera)));
+    let folder = Folder::new();
+    let file = folder.write("keyframes.txt", text.collect::<String>());
+    let options = ImportOptions { open, depth: ImportDepth::Pictures, ..ImportOptions::default() };
+    ImportedKeyframes::open(&file, Some(path), &options).expect("opens")
+}
+
+#[test]
+#[ignore = "needs the sequences of ../shared/data"]
+fn true_poses_fit_and_their_inverses_do_not() {
+    for name in ["classroom", "dining-room", "tum_fr1_rpy_clip"] {
+        let path = shared_data(name);
+        let files = keyframes(&path, |pose| pose);
+        let odd = |warning: &&String| {
+            ["convention", "unit", "disagree", "poses left out"].iter().any(|w| warning.contains(w))
+        };
+        let odd: Vec<&String> = files.warnings.iter().filter(odd).collect();
+        assert!(odd.is_empty(), "{name}: {odd:?}");
+        let inverse = keyframes(&path, Pose::inverse);
+        assert_warns(&inverse.warnings, &["if the poses are camera_from_world:"]);
+    }
 }

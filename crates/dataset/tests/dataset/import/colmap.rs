@@ -1,10 +1,10 @@
-//! Sparse models of COLMAP.
+//! Sparse models of COLMAP, and the names of their images.
 
-use crate::scene::{
-    CAMERA_JSON, HEIGHT, WIDTH, camera, colour_sequence, pose, render, sequence, stamp,
+use super::assert_same;
+use super::scene::{
+    CAMERA_JSON, HEIGHT, WIDTH, camera, colour_png, colour_sequence, pose, render, sequence, stamp,
 };
-use crate::support::Folder;
-use crate::{assert_same, assert_says, assert_warns};
+use crate::support::{Folder, assert_says, assert_warns, import, import_with};
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::{Camera, Vec3};
@@ -28,7 +28,7 @@ fn numbers(i: usize) -> [f64; 7] {
 }
 
 /// The text of images of some names, at the first poses.
-pub(crate) fn images_named(names: &[&str]) -> String {
+pub(super) fn images_named(names: &[&str]) -> String {
     let image = |(i, name): (usize, &&str)| {
         let words: Vec<String> = numbers(i).iter().map(f64::to_string).collect();
         format!("{} {} 1 {name}\n\n", i + 1, words.join(" "))
@@ -52,7 +52,7 @@ fn points_text(frames: &[usize]) -> String {
 }
 
 /// The pictures of some frames and the model of others.
-pub(crate) fn text_model(pictures: usize, frames: &[usize]) -> Folder {
+pub(super) fn text_model(pictures: usize, frames: &[usize]) -> Folder {
     let folder = pictures_in_images(pictures);
     folder.write("sparse/0/cameras.txt", format!("# cameras\n{CAMERA}"));
     folder.write("sparse/0/images.txt", images_text(frames));
@@ -78,7 +78,7 @@ fn cameras_binary() -> Vec<u8> {
     out
 }
 
-pub(crate) fn images_binary(frames: &[usize]) -> Vec<u8> {
+pub(super) fn images_binary(frames: &[usize]) -> Vec<u8> {
     let mut out = (frames.len() as u64).to_le_bytes().to_vec();
     for &i in frames {
         out.extend((i as u32 + 1).to_le_bytes());
@@ -108,14 +108,14 @@ fn points_binary(frames: &[usize]) -> Vec<u8> {
     out
 }
 
-pub(crate) fn write_binary(folder: &Folder, frames: &[usize]) {
+pub(super) fn write_binary(folder: &Folder, frames: &[usize]) {
     folder.write("sparse/0/cameras.bin", cameras_binary());
     folder.write("sparse/0/images.bin", images_binary(frames));
     folder.write("sparse/0/points3D.bin", points_binary(frames));
 }
 
 fn open(folder: &Folder) -> Result<ImportedKeyframes, DatasetError> {
-    ImportedKeyframes::open(&folder.0, None, &ImportOptions::default())
+    import(&folder.0)
 }
 
 #[test]
@@ -153,11 +153,7 @@ fn a_binary_model_holds_the_same() {
     }
     let binary = open(&folder).expect("opens");
     assert_eq!(all(&binary), all(&text));
-    let by_file = ImportedKeyframes::open(
-        &folder.join("sparse/0/images.bin"),
-        None,
-        &ImportOptions::default(),
-    );
+    let by_file = import(&folder.join("sparse/0/images.bin"));
     assert_eq!(by_file.expect("opens").keyframes, text.keyframes);
 }
 
@@ -291,4 +287,85 @@ fn pictures_of_a_sequence_bring_their_times_and_depth() {
     let keyframe = files.load(0).expect("loads");
     let (depth, due) = (keyframe.depth.expect("depth"), render(0).0[16 * WIDTH + 24]);
     assert!((f64::from(depth.at(0, 12, 8)) - due).abs() < 1e-5);
+}
+
+/// The picture of every keyframe, below `images/`.
+fn pictures(files: &ImportedKeyframes) -> Vec<String> {
+    let sequence = files.sequence().expect("a sequence");
+    let name = |index: usize| {
+        let path = &sequence.entries[index].colour;
+        let (_, below) = path.to_str().expect("a name").rsplit_once("images/").expect("images/");
+        below.to_owned()
+    };
+    files.keyframes.iter().map(|keyframe| name(keyframe.index)).collect()
+}
+
+/// A model of images of some names, and pictures `images/PATH`.
+fn model(names: &[&str], pictures: &[&str]) -> Folder {
+    let folder = text_model(1, &[]);
+    std::fs::remove_dir_all(folder.join("images")).expect("removes");
+    folder.write("sparse/0/images.txt", images_named(names));
+    for (i, path) in pictures.iter().enumerate() {
+        folder.write(&format!("images/{path}"), colour_png(i));
+    }
+    folder
+}
+
+#[test]
+fn pictures_in_folders_are_found_by_their_whole_names() {
+    let names = ["right/1.png", "left/0.png", "left/1.png"];
+    let folder = model(&names, &["left/0.png", "left/1.png", "right/0.png", "right/1.png"]);
+    let files = open(&folder).expect("opens");
+    assert_eq!(pictures(&files), ["left/0.png", "left/1.png", "right/1.png"]);
+    assert_eq!(files.unmatched.images_without_pose, 1);
+}
+
+#[test]
+fn a_name_with_another_folder_takes_no_picture_of_another_image() {
+    let names = ["left/0.png", "right/0.png", "left/1.png", "left/2.png"];
+    let files = open(&model(&names, &["0.png", "1.png", "2.png"])).expect("opens");
+    assert_eq!(pictures(&files), ["1.png", "2.png"]);
+    assert_warns(&files.warnings, &["2 of 4 poses left out", "left/0.png"]);
+    // Two pictures end like the second name, and none is it.
+    let names = ["left/0.png", "1.png", "2.png"];
+    let files = open(&model(&names, &["left/0.png", "left/1.png", "right/1.png", "right/2.png"]))
+        .expect("opens");
+    assert_eq!(pictures(&files), ["left/0.png", "right/2.png"]);
+    assert_warns(&files.warnings, &["1 of 3 poses left out", "1.png"]);
+}
+
+#[test]
+fn blank_lines_may_stand_before_an_image_only() {
+    let folder = model(&["0.png"], &["0.png", "1.png", "2.png"]);
+    let image =
+        |i: usize| images_named(&["", "1.png", "2.png"]).lines().nth(2 * i).map(String::from);
+    let (second, third) = (image(1).expect("a line"), image(2).expect("a line"));
+    let text = format!("# head\n\n{second}\n\n\n# middle\n{third}\n1 2 -1 3 4 5\n\n");
+    folder.write("sparse/0/images.txt", text);
+    assert_eq!(pictures(&open(&folder).expect("opens")), ["1.png", "2.png"]);
+    for (points, count) in [("1 2 -1 3", "4 columns"), (third.as_str(), "10 columns")] {
+        folder.write("sparse/0/images.txt", format!("{second}\n{points}\n{third}\n\n"));
+        let files = import(&folder.0);
+        assert_says(files, &["images.txt, line 2", count, "2D points"]);
+    }
+}
+
+#[test]
+fn an_image_without_a_name_is_refused() {
+    let folder = text_model(2, &[0, 1]);
+    write_binary(&folder, &[0, 1]);
+    let nameless = images_binary(&[0, 1]);
+    let name = nameless.windows(7).position(|word| word == b"000.png").expect("a name");
+    folder.write("sparse/0/images.bin", [&nameless[..name], &nameless[name + 7..]].concat());
+    let files = import(&folder.0);
+    assert_says(files, &["images.bin", "image 0 of 2", "no name"]);
+}
+
+#[test]
+fn pictures_of_a_dataset_keep_their_times() {
+    let folder = model(&["rgb/001.png", "rgb/002.png"], &["unused.png"]);
+    let dataset = colour_sequence(3);
+    let files = import_with(&folder.0, &dataset).expect("opens");
+    let times: Vec<f64> = files.keyframes.iter().map(|keyframe| keyframe.timestamp).collect();
+    assert_eq!(times, [1, 2].map(super::scene::stamp));
 }

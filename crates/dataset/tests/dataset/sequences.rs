@@ -1,19 +1,16 @@
-//! Sequences that can be read: layouts, options, images, streams.
+//! Sequences: options, images, streams, the demo clip.
 
-mod support;
-
-use i2slam_dataset::{OpenOptions, Sequence};
+use crate::support::{
+    CAMERA, Folder, HEIGHT, WIDTH, depth_png, jpeg, open, png, rgb_png, shared_data,
+};
+use i2slam_dataset::{OpenOptions, Sequence, read_trajectory};
 use png::{BitDepth, ColorType};
-use support::{CAMERA, Folder, HEIGHT, WIDTH, png};
-
-fn open(folder: &Folder) -> Sequence {
-    Sequence::open(&folder.0, &OpenOptions::default()).expect("opens")
-}
+use std::path::Path;
 
 #[test]
 fn a_tum_folder_opens_and_every_frame_is_delivered() {
     let folder = Folder::tum(5);
-    let sequence = open(&folder);
+    let sequence = open(&folder).expect("opens");
     assert_eq!((sequence.len(), sequence.warnings.len()), (5, 0), "{:?}", sequence.warnings);
     assert!((sequence.frame_rate - 30.0).abs() < 1e-3);
     assert_eq!((sequence.camera.cx, sequence.camera.cy), (8.0, 6.0));
@@ -54,8 +51,8 @@ fn camera_follows_crop_and_scale() {
     let folder = Folder::new();
     folder.write("rgb.txt", "0 c.png\n");
     folder.write("depth.txt", "0 d.png\n");
-    folder.write("c.png", support::rgb_png(36, 28, 90));
-    folder.write("d.png", support::depth_png(36, 28, 5000));
+    folder.write("c.png", rgb_png(36, 28, 90));
+    folder.write("d.png", depth_png(36, 28, 5000));
     folder.write("camera.json", r#"{"fx":30,"fy":31,"cx":18.0,"cy":14.0,"pixel_centre":0.5}"#);
     let sequence = Sequence::open(&folder.0, &options).expect("opens");
     let camera = sequence.camera;
@@ -93,8 +90,8 @@ fn freiburg_cameras_are_known_by_the_folder() {
     {
         folder.write(&format!("{name}/rgb.txt"), "1.5 c.png\n");
         folder.write(&format!("{name}/depth.txt"), "1.5 d.png\n");
-        folder.write(&format!("{name}/c.png"), support::rgb_png(640, 480, 90));
-        folder.write(&format!("{name}/d.png"), support::depth_png(640, 480, 5000));
+        folder.write(&format!("{name}/c.png"), rgb_png(640, 480, 90));
+        folder.write(&format!("{name}/d.png"), depth_png(640, 480, 5000));
         let path = folder.join(name);
         let sequence = Sequence::open(&path, &OpenOptions::default()).expect("opens");
         assert!((sequence.camera.fx - fx).abs() < 1e-9 && (sequence.camera.cx - cx).abs() < 1e-9);
@@ -107,13 +104,13 @@ fn freiburg_cameras_are_known_by_the_folder() {
 fn plain_folders_pair_by_number_and_count_frames() {
     let folder = Folder::new();
     for i in [1, 2, 10] {
-        let depth = support::depth_png(WIDTH, HEIGHT, 1000 * i);
+        let depth = depth_png(WIDTH, HEIGHT, 1000 * i);
         folder.write(&format!("depth/depth{i}.png"), depth);
-        folder.write(&format!("images/frame{i}.png"), support::rgb_png(WIDTH, HEIGHT, 99));
+        folder.write(&format!("images/frame{i}.png"), rgb_png(WIDTH, HEIGHT, 99));
     }
-    folder.write("images/frame3.png", support::rgb_png(WIDTH, HEIGHT, 99));
+    folder.write("images/frame3.png", rgb_png(WIDTH, HEIGHT, 99));
     folder.write("camera.json", CAMERA.replace('}', r#","fps":60,"depth_scale":1000}"#));
-    let sequence = open(&folder);
+    let sequence = open(&folder).expect("opens");
     assert_eq!(sequence.dropped.without_depth, 1);
     assert!(sequence.warnings[0].contains("1 colour image left out"), "{:?}", sequence.warnings);
     let frames: Vec<_> = sequence.stream().map(|f| f.expect("loads")).collect();
@@ -127,12 +124,12 @@ fn plain_folders_pair_by_number_and_count_frames() {
 fn plain_folders_with_times_for_names_are_associated_by_time() {
     let folder = Folder::new();
     for (i, time) in ["10.000", "10.033", "10.067"].iter().enumerate() {
-        folder.write(&format!("color/{time}.png"), support::rgb_png(WIDTH, HEIGHT, 99));
-        let depth = support::depth_png(WIDTH, HEIGHT, 5000 + i as u16);
+        folder.write(&format!("color/{time}.png"), rgb_png(WIDTH, HEIGHT, 99));
+        let depth = depth_png(WIDTH, HEIGHT, 5000 + i as u16);
         folder.write(&format!("depth/{time}1.png"), depth);
     }
     folder.write("camera.json", CAMERA);
-    let sequence = open(&folder);
+    let sequence = open(&folder).expect("opens");
     let stamps: Vec<f64> = sequence.entries.iter().map(|e| e.timestamp).collect();
     assert_eq!(stamps, [10.0, 10.033, 10.067]);
 }
@@ -160,7 +157,7 @@ fn every_kind_of_colour_image_gives_the_same_picture() {
     ];
     for (kind, bytes) in kinds.iter().enumerate() {
         folder.write("rgb/000.png", bytes);
-        let frame = open(&folder).load(0).expect("loads");
+        let frame = open(&folder).expect("opens").load(0).expect("loads");
         assert_eq!(frame.colour.channels, 3);
         for value in &frame.colour.data {
             assert!((value - 0.4).abs() < 1e-6, "kind {kind}: {value}");
@@ -172,14 +169,10 @@ fn every_kind_of_colour_image_gives_the_same_picture() {
 fn channels_are_red_green_blue() {
     let folder = Folder::tum(1);
     let pixels: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(|_| [250, 120, 10]).collect();
-    let mut jpeg = Vec::new();
-    jpeg_encoder::Encoder::new(&mut jpeg, 100)
-        .encode(&pixels, WIDTH as u16, HEIGHT as u16, jpeg_encoder::ColorType::Rgb)
-        .expect("encodes");
     let png = png((WIDTH, HEIGHT), ColorType::Rgb, BitDepth::Eight, None, &pixels);
-    for bytes in [png, jpeg] {
+    for bytes in [png, jpeg(WIDTH, HEIGHT, &pixels)] {
         folder.write("rgb/000.png", bytes);
-        let colour = open(&folder).load(0).expect("loads").colour;
+        let colour = open(&folder).expect("opens").load(0).expect("loads").colour;
         for (channel, expected) in [250.0, 120.0, 10.0].into_iter().enumerate() {
             assert!((colour.at(channel, 5, 5) * 255.0 - expected).abs() <= 2.0);
         }
@@ -189,7 +182,7 @@ fn channels_are_red_green_blue() {
 #[test]
 fn a_dropped_stream_stops_reading() {
     let folder = Folder::tum(30);
-    let sequence = open(&folder);
+    let sequence = open(&folder).expect("opens");
     let mut stream = sequence.stream();
     assert_eq!(stream.next().expect("a frame").expect("loads").index, 0);
     drop(stream);
@@ -199,7 +192,7 @@ fn a_dropped_stream_stops_reading() {
 #[test]
 fn reading_ahead_is_bounded() {
     let folder = Folder::tum(30);
-    let mut stream = open(&folder).stream();
+    let mut stream = open(&folder).expect("opens").stream();
     assert!(stream.next().is_some_and(|frame| frame.is_ok()));
     // Time for the thread to read as far ahead as it will.
     std::thread::sleep(std::time::Duration::from_millis(100));
@@ -208,4 +201,56 @@ fn reading_ahead_is_bounded() {
     assert_eq!(readable.len(), 29);
     assert_eq!(readable.iter().position(|ok| !ok), Some(9));
     assert_eq!(readable.iter().filter(|ok| !**ok).count(), 1);
+}
+
+#[test]
+fn the_demo_clip_opens_and_every_frame_loads() {
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo"));
+    let sequence = Sequence::open(path, &OpenOptions::default()).expect("opens");
+    assert_eq!((sequence.len(), sequence.warnings.len()), (66, 0), "{:?}", sequence.warnings);
+    assert!(sequence.valid_mask.is_none());
+    assert!((sequence.frame_rate - 30.0).abs() < 2.0);
+    let truth = read_trajectory(sequence.ground_truth.as_ref().expect("ground truth"));
+    let truth = truth.expect("reads");
+    for (i, frame) in sequence.stream().enumerate() {
+        let frame = frame.expect("loads");
+        assert_eq!((frame.index, frame.warnings.len()), (i, 0), "{:?}", frame.warnings);
+        assert_eq!((frame.colour.width, frame.colour.height, frame.colour.channels), (304, 224, 3));
+        let valid = frame.depth.data.iter().filter(|&&z| (0.3..10.0).contains(&z)).count();
+        assert!(valid * 2 > frame.depth.data.len(), "frame {i}: {valid} depths");
+        assert!(truth.iter().any(|pose| (pose.timestamp - frame.timestamp).abs() < 0.02));
+    }
+}
+
+#[test]
+#[ignore = "needs the rendered sequences of ../shared/data"]
+fn rendered_sequences_keep_all_frames() {
+    for name in ["classroom", "dining-room"] {
+        let path = shared_data(name);
+        let sequence = Sequence::open(&path, &OpenOptions::default()).expect("opens");
+        assert_eq!((sequence.len(), sequence.warnings.len()), (80, 0), "{:?}", sequence.warnings);
+        assert_eq!((sequence.camera.cx, sequence.camera.cy), (160.0, 120.0));
+        let frame = sequence.load(79).expect("loads");
+        assert_eq!((frame.index, frame.warnings.len()), (79, 0));
+    }
+}
+
+/// One gap of the recorded clip (after frame 98) is 0.03057 s, below the 1/32 s of the published
+/// protocol: thinning leaves out one frame of the 105.
+#[test]
+#[ignore = "needs ../shared/data/tum_fr1_rpy_clip"]
+fn the_recorded_clip_loses_one_frame_to_thinning() {
+    let path = shared_data("tum_fr1_rpy_clip");
+    let thinned = Sequence::open(&path, &OpenOptions::default()).expect("opens");
+    assert_eq!((thinned.len(), thinned.dropped.too_close), (104, 1));
+    let all = Sequence::open(&path, &OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() })
+        .expect("opens");
+    assert_eq!(all.len(), 105);
+    assert_eq!((all.camera.cx, all.camera.cy), (319.1, 255.8));
+    assert!(all.warnings.iter().any(|w| w.contains("crop_border 18")), "{:?}", all.warnings);
+    let cropped = OpenOptions { crop_border: 18, scale: 0.5, ..OpenOptions::default() };
+    let sequence = Sequence::open(&path, &cropped).expect("opens");
+    assert!(sequence.valid_mask.is_none());
+    let frame = sequence.load(50).expect("loads");
+    assert_eq!((frame.colour.width, frame.colour.height), (302, 222));
 }

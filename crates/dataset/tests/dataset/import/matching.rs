@@ -1,11 +1,10 @@
-//! Which pictures frame numbers and times name, where a sequence leaves frames out.
+//! Matching of frame numbers and times with images, and options without effect.
 
-use crate::arrays::npy;
-use crate::assert_warns;
-use crate::droid::{members, with};
-use crate::scene::{colour_sequence, line, pose, sequence, stamp};
-use crate::support::Folder;
-use i2slam_dataset::import::{ImportOptions, ImportedKeyframes};
+use super::colmap::{text_model, write_binary};
+use super::droid::{folder, members, npy, with};
+use super::scene::{colour_sequence, line, pose, sequence, stamp, trajectory};
+use crate::support::{Folder, assert_says, assert_warns, import, import_with};
+use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{OpenOptions, Sequence};
 
 fn arrays(frames: &[usize], stamps: &[f64]) -> Folder {
@@ -33,8 +32,7 @@ fn frame_numbers_count_pictures_that_are_no_frames_too() {
     let frames = [1, 4, 6];
     let stamps = frames.map(|i| i as f64);
     let arrays = arrays(&frames, &stamps);
-    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &ImportOptions::default())
-        .expect("opens");
+    let files = import_with(&arrays.0, &pictures).expect("opens");
     assert_eq!(times(&files), frames.map(stamp));
 }
 
@@ -58,7 +56,7 @@ fn steps_of_any_size_are_counted() {
     let options = ImportOptions { frames_per_stamp: usize::MAX, ..ImportOptions::default() };
     let arrays = arrays(&[0, 1], &[0.0, 2.0]);
     let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &options);
-    crate::assert_says(files, &["1 of 2 poses", "stride"]);
+    assert_says(files, &["1 of 2 poses", "stride"]);
 }
 
 #[test]
@@ -69,7 +67,7 @@ fn pictures_are_thinned_only_where_asked_for() {
     pictures.write("rgb.txt", list);
     let poses: String = [1, 3, 5].map(|i| line(time(i), pose(i))).concat();
     let file = pictures.write("keyframes.txt", poses);
-    let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
+    let files = import(&file).expect("opens");
     let apart = times(&files).into_iter().zip([1, 3, 5]).map(|(t, i)| (t - time(i)).abs());
     assert!(files.len() == 3 && apart.fold(0.0, f64::max) < 1e-5, "{:?}", times(&files));
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
@@ -85,4 +83,56 @@ fn pictures_are_thinned_only_where_asked_for() {
     let entries: Vec<(usize, f64)> = entries.filter(|(_, t)| *t == 0.033333 || *t == 0.1).collect();
     assert_eq!(found.collect::<Vec<_>>(), entries);
     assert_warns(&files.warnings, &["2 of 4 poses left out", "minimum_gap"]);
+}
+
+#[test]
+fn a_camera_that_does_not_count_is_told() {
+    let intrinsics = Some([99.0, 99.0, 23.5, 15.5]);
+    let open = OpenOptions { intrinsics, ..OpenOptions::default() };
+    let options = ImportOptions { open, check_conventions: false, ..ImportOptions::default() };
+    let (arrays, model) = (folder(&members(&[0, 1])), text_model(3, &[0, 1]));
+    for path in [&arrays.0, &model.0] {
+        let files = ImportedKeyframes::open(path, None, &options).expect("opens");
+        assert_eq!(files.camera.fx, 40.0);
+        assert_warns(&files.warnings, &["the given camera ignored"]);
+    }
+    let pictures = sequence(2);
+    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &options).expect("opens");
+    assert_eq!(files.camera.fx, 99.0);
+    assert!(!files.warnings.iter().any(|warning| warning.contains("ignored")));
+}
+
+#[test]
+fn depth_pictures_that_are_not_read_are_told() {
+    let pictures = sequence(3);
+    let file = pictures.write("keyframes.txt", trajectory(0..3));
+    let open = |depth: ImportDepth| {
+        let options = ImportOptions { depth, ..ImportOptions::default() };
+        ImportedKeyframes::open(&file, None, &options).expect("opens").warnings
+    };
+    assert_warns(&open(ImportDepth::Imported), &["no depth of its own", "not read"]);
+    for depth in [ImportDepth::None, ImportDepth::Pictures] {
+        assert_eq!(open(depth), [""; 0]);
+    }
+}
+
+#[test]
+fn the_text_of_a_model_is_read_where_it_is_named() {
+    let folder = text_model(5, &[0, 2, 3]);
+    write_binary(&folder, &[1, 4]);
+    let len = |path: &str| {
+        let files = import(&folder.join(path));
+        files.expect("opens").len()
+    };
+    assert_eq!(["sparse/0/images.txt", "sparse/0/images.bin", ""].map(len), [3, 2, 2]);
+}
+
+#[test]
+fn a_file_of_torch_is_told_how_to_convert() {
+    let folder = sequence(1);
+    for (name, start) in [("run.pth", "PK"), ("run.pt", "PK"), ("run", "PK run/data.pkl")] {
+        let file = folder.write(name, start);
+        let files = import(&file);
+        assert_says(files, &["torch.save", "np.savez", "docs/import.md"]);
+    }
 }

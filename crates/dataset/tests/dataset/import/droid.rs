@@ -1,23 +1,22 @@
 //! Arrays of DROID-SLAM and NeRF-SLAM.
 
-use crate::arrays::{npy, npz};
-use crate::scene::{HEIGHT, WIDTH, camera, look, pose, render, sequence, stamp};
-use crate::support::Folder;
-use crate::{assert_same, assert_says, assert_warns};
+use super::assert_same;
+use super::scene::{HEIGHT, WIDTH, camera, look, pose, render, sequence, stamp};
+use crate::support::{Folder, assert_says, assert_warns, import};
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::Vec3;
 
 /// Arrays by name.
-pub(crate) type Members = Vec<(&'static str, Vec<u8>)>;
+pub(super) type Members = Vec<(&'static str, Vec<u8>)>;
 
 /// DROID-SLAM's intrinsics of the scene: an eighth, pixel centres at integers.
-pub(crate) fn intrinsics() -> [f64; 4] {
+pub(super) fn intrinsics() -> [f64; 4] {
     [40.0, 40.0, 23.5, 15.5].map(|v| v / 8.0)
 }
 
 /// What DROID-SLAM keeps of some frames.
-pub(crate) fn members(frames: &[usize]) -> Members {
+pub(super) fn members(frames: &[usize]) -> Members {
     let count = frames.len();
     let (mut poses, mut images, mut disps) = (Vec::new(), Vec::new(), Vec::new());
     for &i in frames {
@@ -42,7 +41,7 @@ pub(crate) fn members(frames: &[usize]) -> Members {
 }
 
 /// The members with one of them replaced, or added.
-pub(crate) fn with(mut members: Members, name: &'static str, bytes: Vec<u8>) -> Members {
+pub(super) fn with(mut members: Members, name: &'static str, bytes: Vec<u8>) -> Members {
     members.retain(|member| member.0 != name);
     members.push((name, bytes));
     members
@@ -53,7 +52,7 @@ fn without(mut members: Members, name: &str) -> Members {
     members
 }
 
-pub(crate) fn folder(members: &Members) -> Folder {
+pub(super) fn folder(members: &Members) -> Folder {
     let folder = Folder::new();
     for (name, bytes) in members {
         folder.write(&format!("{name}.npy"), bytes);
@@ -61,8 +60,8 @@ pub(crate) fn folder(members: &Members) -> Folder {
     folder
 }
 
-pub(crate) fn open(folder: &Folder) -> Result<ImportedKeyframes, DatasetError> {
-    ImportedKeyframes::open(&folder.0, None, &ImportOptions::default())
+pub(super) fn open(folder: &Folder) -> Result<ImportedKeyframes, DatasetError> {
+    import(&folder.0)
 }
 
 #[test]
@@ -114,7 +113,7 @@ fn archives_hold_the_same() {
     let of_folder = open(&folder).expect("opens");
     for deflate in [false, true] {
         let file = folder.write("run.npz", npz(&members, deflate));
-        let files = ImportedKeyframes::open(&file, None, &ImportOptions::default()).expect("opens");
+        let files = import(&file).expect("opens");
         assert_eq!(files.keyframes, of_folder.keyframes);
         for place in 0..3 {
             assert_eq!(files.load(place).expect("loads"), of_folder.load(place).expect("loads"));
@@ -165,18 +164,6 @@ fn variances_of_depth_and_of_inverse_depth_agree() {
         assert!((f64::from(*a) / due - 1.0).abs() < 1e-4, "{a} {due}");
         assert!((f64::from(*b) / due - 1.0).abs() < 1e-4, "{b} {due}");
     }
-}
-
-#[test]
-fn numbers_that_are_none_are_no_depth() {
-    let mut disps: Vec<f64> = (0..2).flat_map(|_| vec![0.5; WIDTH * HEIGHT]).collect();
-    (disps[0], disps[1], disps[2]) = (f64::NAN, -1.0, f64::INFINITY);
-    let disps = npy("<f4", &[2, HEIGHT, WIDTH], &disps);
-    let folder = folder(&with(members(&[0, 1]), "disps", disps));
-    let files = open(&folder).expect("opens");
-    let depth = files.load(0).expect("loads").depth.expect("depth");
-    assert_eq!(depth.data[..3], [0.0; 3]);
-    assert!(depth.data[4..].iter().all(|&z| z == 2.0));
 }
 
 #[test]
@@ -260,7 +247,7 @@ fn cut_off_archives_and_arrays_are_refused_wherever_they_end() {
         let whole = npz(&members, deflate);
         for cut in [0, 10, whole.len() / 3, whole.len() - 200, whole.len() - 1] {
             let file = folder.write("run.npz", &whole[..cut]);
-            let files = ImportedKeyframes::open(&file, None, &ImportOptions::default());
+            let files = import(&file);
             assert_says(files, &["run.npz", "cut off"]);
         }
     }
@@ -278,7 +265,7 @@ fn a_damaged_member_is_refused() {
     let folder = Folder::new();
     let refused = |bytes: &[u8]| {
         let file = folder.write("run.npz", bytes);
-        let files = ImportedKeyframes::open(&file, None, &ImportOptions::default());
+        let files = import(&file);
         assert_says(files, &["run.npz/disps.npy", "damaged"]);
     };
     for deflate in [false, true] {
@@ -347,4 +334,66 @@ fn numbers_out_of_range_are_named() {
     );
     let stamps = npy("<f8", &[2], &[0.0, f64::NAN]);
     assert_says(open(&folder(&with(all, "tstamps", stamps))), &["tstamps.npy", "frame 1", "NaN"]);
+}
+
+/// An `.npy` file of numbers of a type such as `<f4`.
+pub(super) fn npy(descr: &str, shape: &[usize], numbers: &[f64]) -> Vec<u8> {
+    let sides: Vec<String> = shape.iter().map(|side| format!("{side},")).collect();
+    let shape = sides.join(" ");
+    let mut header =
+        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+    while (header.len() + 11) % 64 != 0 {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
+    for &number in numbers {
+        match descr {
+            "|u1" => bytes.push(number as u8),
+            "<i8" => bytes.extend((number as i64).to_le_bytes()),
+            "<f8" => bytes.extend(number.to_le_bytes()),
+            _ => bytes.extend((number as f32).to_le_bytes()),
+        }
+    }
+    bytes
+}
+
+/// An archive of members, stored or deflated, as `np.savez` and `np.savez_compressed` write it.
+pub(super) fn npz(members: &[(&str, Vec<u8>)], deflate: bool) -> Vec<u8> {
+    let (mut out, mut table) = (Vec::new(), Vec::new());
+    for (name, bytes) in members {
+        let name = format!("{name}.npy");
+        let packed =
+            if deflate { miniz_oxide::deflate::compress_to_vec(bytes, 6) } else { bytes.clone() };
+        let mut record = vec![20, 0, 0, 0, if deflate { 8 } else { 0 }, 0, 0, 0, 0, 0];
+        record.extend(crc32fast::hash(bytes).to_le_bytes());
+        record.extend((packed.len() as u32).to_le_bytes());
+        record.extend((bytes.len() as u32).to_le_bytes());
+        record.extend((name.len() as u16).to_le_bytes());
+        let offset = out.len() as u32;
+        // numpy leaves room for 64-bit sizes before every member, not in the table.
+        let wide = [1, 0, 16, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        out.extend(b"PK\x03\x04");
+        out.extend(&record);
+        out.extend((wide.len() as u16).to_le_bytes());
+        out.extend(name.bytes());
+        out.extend(wide);
+        out.extend(packed);
+        table.extend(b"PK\x01\x02\x14\x03");
+        table.extend(&record);
+        table.extend([0; 12]);
+        table.extend(offset.to_le_bytes());
+        table.extend(name.bytes());
+    }
+    let place = out.len() as u32;
+    let count = (members.len() as u16).to_le_bytes();
+    out.extend(&table);
+    out.extend(b"PK\x05\x06\x00\x00\x00\x00");
+    out.extend([count, count].concat());
+    out.extend((table.len() as u32).to_le_bytes());
+    out.extend(place.to_le_bytes());
+    out.extend([0, 0]);
+    out
 }

@@ -1,22 +1,10 @@
-//! What goes wrong is said clearly: file, line or frame, what was expected.
+//! Errors and warnings name file, line or frame, and what was expected.
 
-mod support;
-
+use crate::support::{
+    CAMERA, Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, open, png, rgb_png,
+};
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use std::path::Path;
-use support::{CAMERA, Folder, HEIGHT, WIDTH};
-
-fn open(folder: &Folder) -> Result<Sequence, DatasetError> {
-    Sequence::open(&folder.0, &OpenOptions::default())
-}
-
-#[track_caller]
-fn assert_says<T>(result: Result<T, DatasetError>, parts: &[&str]) {
-    let message = result.err().expect("an error").to_string();
-    for part in parts {
-        assert!(message.contains(part), "'{part}' is not in: {message}");
-    }
-}
 
 #[test]
 fn missing_folder() {
@@ -81,10 +69,7 @@ fn camera_for_another_size() {
 fn cut_off_images_are_errors_of_their_frame() {
     let folder = Folder::tum(4);
     let noise: Vec<u8> = (0..3 * WIDTH * HEIGHT).map(|i| (i * i * 31 % 251) as u8).collect();
-    let mut jpeg = Vec::new();
-    jpeg_encoder::Encoder::new(&mut jpeg, 95)
-        .encode(&noise, WIDTH as u16, HEIGHT as u16, jpeg_encoder::ColorType::Rgb)
-        .expect("encodes");
+    let jpeg = jpeg(WIDTH, HEIGHT, &noise);
     let colour = std::fs::read(folder.join("rgb/001.png")).expect("reads");
     let depth = std::fs::read(folder.join("depth/003.png")).expect("reads");
     folder.write("rgb/001.png", &colour[..colour.len() - 20]);
@@ -119,7 +104,7 @@ fn files_that_are_no_images_or_missing() {
 #[test]
 fn depth_of_a_wrong_kind() {
     let folder = Folder::tum(1);
-    folder.write("depth/000.png", support::rgb_png(WIDTH, HEIGHT, 7));
+    folder.write("depth/000.png", rgb_png(WIDTH, HEIGHT, 7));
     let sequence = open(&folder).expect("opens");
     assert_says(sequence.load(0), &["depth is Rgb of 8 bits", "16-bit grey PNG"]);
 }
@@ -127,8 +112,8 @@ fn depth_of_a_wrong_kind() {
 #[test]
 fn sizes_that_differ() {
     let folder = Folder::tum(3);
-    folder.write("rgb/001.png", support::rgb_png(WIDTH, HEIGHT + 1, 7));
-    folder.write("depth/002.png", support::depth_png(WIDTH / 2, HEIGHT, 7));
+    folder.write("rgb/001.png", rgb_png(WIDTH, HEIGHT + 1, 7));
+    folder.write("depth/002.png", depth_png(WIDTH / 2, HEIGHT, 7));
     let sequence = open(&folder).expect("opens");
     assert_says(sequence.load(1), &["001.png is 16x13", "expected 16x12"]);
     assert_says(sequence.load(2), &["002.png is 8x12", "expected 16x12"]);
@@ -143,7 +128,7 @@ fn frames_without_a_depth_partner() {
     folder.write("depth.txt", "-0.02 depth/000.png\n");
     let sequence = open(&folder).expect("opens");
     assert_eq!((sequence.len(), sequence.dropped.without_depth), (2, 1));
-    assert!(sequence.warnings[0].contains("1 colour image left out"), "{:?}", sequence.warnings);
+    assert_warns(&sequence.warnings, &["1 colour image left out"]);
     folder.write("depth.txt", "3.066667 depth/000.png\n");
     assert_says(open(&folder), &["none of 3", "0.08 s", "3.000 s away"]);
 }
@@ -189,11 +174,11 @@ fn options_outside_their_range() {
 #[test]
 fn odd_frames_carry_warnings() {
     let folder = Folder::tum(3);
-    folder.write("depth/000.png", support::depth_png(WIDTH, HEIGHT, 0));
-    folder.write("rgb/001.png", support::rgb_png(WIDTH, HEIGHT, 0));
+    folder.write("depth/000.png", depth_png(WIDTH, HEIGHT, 0));
+    folder.write("rgb/001.png", rgb_png(WIDTH, HEIGHT, 0));
     let n = WIDTH * HEIGHT;
     let (rgb, eight) = (png::ColorType::Rgb, png::BitDepth::Eight);
-    folder.write("rgb/002.png", support::png((WIDTH, HEIGHT), rgb, eight, None, &vec![255; 3 * n]));
+    folder.write("rgb/002.png", png((WIDTH, HEIGHT), rgb, eight, None, &vec![255; 3 * n]));
     let sequence = open(&folder).expect("opens");
     for (i, part) in ["no pixel has a valid depth", "black", "white"].iter().enumerate() {
         let warnings = sequence.load(i).expect("loads").warnings;
@@ -207,7 +192,7 @@ fn a_wrong_depth_scale_is_noticed() {
     let folder = Folder::tum(3);
     let options = OpenOptions { depth_scale: Some(1.0), ..OpenOptions::default() };
     let sequence = Sequence::open(&folder.0, &options).expect("opens");
-    assert!(sequence.warnings[0].contains("wrong depth scale?"), "{:?}", sequence.warnings);
+    assert_warns(&sequence.warnings, &["wrong depth scale?"]);
 }
 
 #[test]
@@ -216,11 +201,11 @@ fn unusable_ground_truth_is_left_aside() {
     folder.write("groundtruth.txt", "0 0 0 0 0 0 0 0\n");
     let sequence = open(&folder).expect("opens");
     assert_eq!(sequence.len(), 3);
-    assert!(sequence.warnings[0].contains("groundtruth.txt, line 1"), "{:?}", sequence.warnings);
+    assert_warns(&sequence.warnings, &["groundtruth.txt, line 1"]);
     folder.write("groundtruth.txt", "900 0 0 0 0 0 0 1\n");
     let sequence = open(&folder).expect("opens");
     assert_eq!(sequence.len(), 3);
-    assert!(sequence.warnings[0].contains("ground truth ignored"), "{:?}", sequence.warnings);
+    assert_warns(&sequence.warnings, &["ground truth ignored"]);
     folder.write("groundtruth.txt", "0 0 0 0 0 0 0 1\n");
     folder.write("rgb.txt", "0.0 rgb/000.png\n0.05 rgb/001.png\n0.1 rgb/002.png\n");
     let sequence = open(&folder).expect("opens");

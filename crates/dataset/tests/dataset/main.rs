@@ -1,0 +1,9 @@
+//! Reading of datasets and of keyframes of other programs, on files made by the tests.
+
+mod failures;
+mod formats;
+mod import;
+mod own_camera;
+mod scannet;
+mod sequences;
+mod support;
