@@ -243,6 +243,10 @@ impl DatasetError {
         Self::Video { path: path.to_path_buf(), reason: reason.into() }
     }
 
+    pub(crate) fn empty(path: &Path, expected: &'static str) -> Self {
+        Self::Empty { path: path.to_path_buf(), expected }
+    }
+
     pub(crate) fn metadata(path: &Path, reason: impl Into<String>) -> Self {
         Self::Metadata { path: path.to_path_buf(), reason: reason.into() }
     }

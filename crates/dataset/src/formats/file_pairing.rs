@@ -1,6 +1,6 @@
 //! Pairing of colour with depth files by name, number or order.
 
-use super::FrameEntry;
+use super::{FrameEntry, Layout, Listing};
 use crate::DatasetError;
 use crate::text::counted;
 use std::collections::HashMap;
@@ -66,9 +66,14 @@ impl FilePairs {
         self.entries(|pair| pair.image_index as f64 / frame_rate)
     }
 
-    /// Entries stamped `number / frame_rate` [s], so that gaps in the numbers are gaps in time.
-    pub(super) fn stamped_by_number(self, frame_rate: f64) -> Vec<FrameEntry> {
-        self.entries(|pair| pair.number.map_or(pair.image_index as f64, |n| n as f64) / frame_rate)
+    /// Lists frames at `number / frame_rate` [s], so that gaps in the numbers are gaps in time.
+    pub(super) fn list_by_number(self, layout: Layout, frame_rate: f64) -> Listing {
+        let (without_depth, gap) = (self.without_depth, self.gap_warning());
+        let number = |pair: &FilePair| pair.number.map_or(pair.image_index as f64, |n| n as f64);
+        let mut listing = Listing::new(layout, self.entries(|pair| number(pair) / frame_rate));
+        listing.drop_without_depth(without_depth);
+        listing.warnings.extend(gap);
+        listing
     }
 
     fn entries(self, time: impl Fn(&FilePair) -> f64) -> Vec<FrameEntry> {
@@ -83,7 +88,7 @@ impl FilePairs {
     }
 
     /// A warning if numbers have gaps, so that indices differ from published frame numbers.
-    pub(super) fn gap_warning(&self) -> Option<String> {
+    fn gap_warning(&self) -> Option<String> {
         let numbers: Vec<u64> = self.pairs.iter().filter_map(|pair| pair.number).collect();
         let (first, last) = (numbers.first()?, numbers.last()?);
         let expected = (last - first).saturating_add(1);
@@ -114,11 +119,28 @@ pub(super) fn list_images(
         .filter(|path| path.file_name().is_some_and(|name| keep(&name.to_string_lossy())))
         .collect();
     if files.is_empty() {
-        let expected = "PNG images (colour may be JPEG)";
-        return Err(DatasetError::Empty { path: folder.to_path_buf(), expected });
+        return Err(DatasetError::empty(folder, "PNG images (colour may be JPEG)"));
     }
     files.sort();
     Ok(files)
+}
+
+/// Whether a folder holds colour and depth images, recognised by their names.
+pub(super) fn holds_both(
+    folder: &Path,
+    is_colour: impl Fn(&str) -> bool,
+    is_depth: impl Fn(&str) -> bool,
+) -> bool {
+    let (mut colour, mut depth) = (false, false);
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        colour |= is_colour(&name.to_string_lossy());
+        depth |= is_depth(&name.to_string_lossy());
+        if colour && depth {
+            return true;
+        }
+    }
+    false
 }
 
 /// File name without extension.

@@ -4,7 +4,7 @@ use super::Layout;
 use crate::image::DepthEncoding;
 use crate::text::counted;
 use crate::video::Video;
-use i2slam_geometry::StampedPose;
+use i2slam_geometry::{Pose, StampedPose};
 use serde::Serialize;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -101,6 +101,23 @@ impl Listing {
             depth_encoding: DepthEncoding::Png,
             video: None,
             warnings: Vec::new(),
+        }
+    }
+
+    /// Sets the true pose of every frame, with a warning if some frames have none.
+    pub(super) fn set_poses(&mut self, pose: impl Fn(usize, &FrameEntry) -> Option<Pose<f64>>) {
+        let mut missing = 0;
+        for (i, entry) in self.entries.iter().enumerate() {
+            match pose(i, entry) {
+                Some(world_from_camera) => {
+                    self.poses.push(StampedPose { timestamp: entry.timestamp, world_from_camera });
+                }
+                None => missing += 1,
+            }
+        }
+        if missing > 0 && !self.poses.is_empty() {
+            let frames = counted(missing, "frame");
+            self.warnings.push(format!("{frames} without a finite, rigid true pose"));
         }
     }
 

@@ -1,7 +1,7 @@
 //! nerfstudio and instant-ngp: `transforms.json`, with or without depth.
 
 use super::file_pairing::{last_number, stamped_by_name};
-use super::poses::{pose_from_matrix, stamp_poses};
+use super::poses::pose_from_matrix;
 use super::{FrameEntry, Layout, Listing};
 use crate::DatasetError;
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
@@ -35,7 +35,7 @@ pub(super) fn find(folder: &Path) -> Option<PathBuf> {
 impl TransformsFile {
     /// Reads the file; `with_depth` drops frames without `depth_file_path`.
     pub(crate) fn open(path: &Path, with_depth: bool) -> Result<Self, DatasetError> {
-        let refuse = |reason: String| DatasetError::Metadata { path: path.into(), reason };
+        let refuse = |reason: String| DatasetError::metadata(path, reason);
         let mut json: TransformsJson = serde_json::from_str(&read_text(path)?)
             .map_err(|e| refuse(format!("{e}; expected a transforms.json of nerfstudio")))?;
         json.check().map_err(refuse)?;
@@ -76,7 +76,7 @@ impl TransformsFile {
 
     /// Calibration of the file, else of its first frame. Pixel centres at one half.
     pub(crate) fn calibration(&self) -> Result<Calibration, DatasetError> {
-        let refuse = |reason: String| DatasetError::Metadata { path: self.path.clone(), reason };
+        let refuse = |reason: String| DatasetError::metadata(&self.path, reason);
         let intrinsics = self.intrinsics(&self.records[0]);
         let Pinhole { k, size } = intrinsics.pinhole().map_err(refuse)?;
         let distortion = self.json.distortion(&intrinsics).map_err(refuse)?;
@@ -106,17 +106,13 @@ impl TransformsFile {
                 let depth = record.depth_file_path.as_ref().map(|depth| folder.join(depth));
                 FrameEntry::synchronous((index, index), timestamp, colour, depth)
             });
-        let entries: Vec<FrameEntry> = entries.collect();
-        let poses =
-            entries.iter().zip(&self.records).map(|(e, record)| (e.timestamp, self.pose(record)));
-        let (poses, warning) = stamp_poses(poses);
-        let mut listing = Listing { poses, ..Listing::new(Layout::Nerfstudio, entries) };
+        let mut listing = Listing::new(Layout::Nerfstudio, entries.collect());
         listing.dropped.without_depth = self.without_depth;
         if self.without_depth > 0 {
             let count = counted(self.without_depth, "frame");
             listing.warnings.push(format!("{count} left out: no depth_file_path"));
         }
-        listing.warnings.extend(warning);
+        listing.set_poses(|i, _| self.pose(&self.records[i]));
         listing.warnings.extend(self.intrinsics_warning());
         Ok(listing)
     }

@@ -1,8 +1,8 @@
 //! Poses as 4x4 matrices or quaternions.
 
 use crate::DatasetError;
-use crate::text::{counted, data_lines, read_text};
-use i2slam_geometry::{Mat3, Pose, Rotation, StampedPose, Vec3};
+use crate::text::{data_lines, read_text};
+use i2slam_geometry::{Mat3, Pose, Rotation, Vec3};
 use std::path::Path;
 
 /// Largest deviation of an entry of `RᵀR` from the identity: rounding errors of text files.
@@ -64,6 +64,11 @@ pub(super) fn read_matrix(path: &Path) -> Option<[f64; 16]> {
     parse_matrix(&std::fs::read_to_string(path).ok()?)
 }
 
+/// Reads a file with the matrix of a pose; `None` unless it is finite and rigid.
+pub(super) fn read_pose(path: &Path) -> Option<Pose<f64>> {
+    pose_from_matrix(&read_matrix(path)?)
+}
+
 /// Reads one matrix per line, as in Replica's `traj.txt`; `None` for matrices that are no pose.
 pub(super) fn read_matrix_lines(path: &Path) -> Result<Vec<Option<Pose<f64>>>, DatasetError> {
     let text = read_text(path)?;
@@ -76,22 +81,6 @@ pub(super) fn read_matrix_lines(path: &Path) -> Result<Vec<Option<Pose<f64>>>, D
             }
         })
         .collect()
-}
-
-/// Stamps the poses that exist, with a warning about those missing.
-pub(super) fn stamp_poses(
-    poses: impl Iterator<Item = (f64, Option<Pose<f64>>)>,
-) -> (Vec<StampedPose>, Option<String>) {
-    let (mut found, mut missing) = (Vec::new(), 0);
-    for (timestamp, pose) in poses {
-        match pose {
-            Some(world_from_camera) => found.push(StampedPose { timestamp, world_from_camera }),
-            None => missing += 1,
-        }
-    }
-    let warning = (missing > 0 && !found.is_empty())
-        .then(|| format!("{} without a finite, rigid true pose", counted(missing, "frame")));
-    (found, warning)
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! Replica as rendered for NICE-SLAM: `results/frame000000.jpg`, `results/depth000000.png`,
 //! `traj.txt`, and `cam_params.json` there or one folder up.
 
-use super::file_pairing::{FilePairs, list_images};
-use super::poses::{read_matrix_lines, stamp_poses};
+use super::file_pairing::{FilePairs, holds_both, list_images};
+use super::poses::read_matrix_lines;
 use super::{Layout, Listing};
 use crate::DatasetError;
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
@@ -30,16 +30,8 @@ pub(crate) struct ReplicaFolders {
 /// The scene in a folder, if any.
 pub(super) fn find(folder: &Path) -> Option<ReplicaFolders> {
     let results = folder.join("results");
-    let names = std::fs::read_dir(&results).ok()?.flatten();
-    let (mut colour, mut depth) = (false, false);
-    for name in names.map(|entry| entry.file_name()) {
-        colour |= is_colour(&name.to_string_lossy());
-        depth |= is_depth(&name.to_string_lossy());
-        if colour && depth {
-            return Some(ReplicaFolders { scene: folder.to_path_buf(), results });
-        }
-    }
-    None
+    let found = ReplicaFolders { scene: folder.to_path_buf(), results };
+    holds_both(&found.results, is_colour, is_depth).then_some(found)
 }
 
 fn is_colour(name: &str) -> bool {
@@ -76,7 +68,7 @@ pub(super) fn calibration(folders: &ReplicaFolders) -> Result<Calibration, Datas
         let found = Calibration::from_opencv(PUBLISHED, lens, "the published camera", DEFAULTS);
         return Ok(Calibration { size: Some((1200, 680)), ..found });
     };
-    let refuse = |reason: String| DatasetError::Metadata { path: path.clone(), reason };
+    let refuse = |reason: String| DatasetError::metadata(&path, reason);
     let CameraFile { camera: c } = serde_json::from_str(&read_text(&path)?)
         .map_err(|e| refuse(format!("{e}; expected camera with w, h, fx, fy, cx, cy, scale")))?;
     if [c.fx, c.fy, c.scale].iter().any(|v| *v <= 0.0) {
@@ -94,24 +86,13 @@ pub(super) fn list(folders: &ReplicaFolders, frame_rate: f64) -> Result<Listing,
     let results = &folders.results;
     let pairs =
         FilePairs::new(results, list_images(results, is_colour)?, list_images(results, is_depth)?)?;
-    let without_depth = pairs.without_depth;
-    let gap = pairs.gap_warning();
     let numbers: Vec<Option<usize>> =
         pairs.pairs.iter().map(|pair| pair.number.map(|n| n as usize)).collect();
-    let mut listing = Listing::new(Layout::Replica, pairs.stamped_by_number(frame_rate));
-    listing.drop_without_depth(without_depth);
-    listing.warnings.extend(gap);
+    let mut listing = pairs.list_by_number(Layout::Replica, frame_rate);
     let file = folders.scene.join("traj.txt");
     if file.is_file() {
         match read_matrix_lines(&file) {
-            Ok(lines) => {
-                let lines_of_frames = numbers.iter().enumerate().map(|(i, n)| n.unwrap_or(i));
-                let poses = lines_of_frames.map(|n| lines.get(n).copied().flatten());
-                let stamps = listing.entries.iter().map(|entry| entry.timestamp);
-                let (poses, warning) = stamp_poses(stamps.zip(poses));
-                listing.poses = poses;
-                listing.warnings.extend(warning);
-            }
+            Ok(lines) => listing.set_poses(|i, _| *lines.get(numbers[i].unwrap_or(i))?),
             Err(error) => listing.warnings.push(format!("ground truth ignored: {error}")),
         }
     }

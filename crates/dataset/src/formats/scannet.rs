@@ -2,7 +2,7 @@
 //! `intrinsic/intrinsic_color.txt` and `intrinsic_depth.txt`.
 
 use super::file_pairing::{FilePairs, list_images};
-use super::poses::{pose_from_matrix, read_matrix, stamp_poses};
+use super::poses::{read_matrix, read_pose};
 use super::{Layout, Listing};
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
 use crate::{DatasetError, OpenOptions};
@@ -61,9 +61,8 @@ pub(super) fn from_intrinsics(
 
 fn read_intrinsics(path: &Path) -> Result<[f64; 4], DatasetError> {
     let k = read_matrix(path).as_ref().and_then(intrinsics_of_matrix);
-    k.ok_or_else(|| DatasetError::Metadata {
-        path: path.to_path_buf(),
-        reason: "expected a 4x4 matrix of intrinsics with fx, fy above 0".into(),
+    k.ok_or_else(|| {
+        DatasetError::metadata(path, "expected a 4x4 matrix of intrinsics with fx, fy above 0")
     })
 }
 
@@ -83,19 +82,11 @@ pub(super) fn list(
     let (colour, depth) = (folder.join("color"), folder.join("depth"));
     let pairs =
         FilePairs::new(folder, list_images(&colour, |_| true)?, list_images(&depth, |_| true)?)?;
-    let without_depth = pairs.without_depth;
-    let gap = pairs.gap_warning();
-    let entries = pairs.stamped_by_number(frame_rate);
-    let poses = entries.iter().map(|entry| {
+    let mut listing = pairs.list_by_number(Layout::ScanNet, frame_rate);
+    listing.set_poses(|_, entry| {
         let name = entry.colour.with_extension("txt");
-        let file = name.file_name().map(|name| folder.join("pose").join(name));
-        (entry.timestamp, file.and_then(|f| read_matrix(&f)).as_ref().and_then(pose_from_matrix))
+        read_pose(&folder.join("pose").join(name.file_name()?))
     });
-    let (poses, warning) = stamp_poses(poses);
-    let mut listing = Listing { poses, ..Listing::new(Layout::ScanNet, entries) };
-    listing.drop_without_depth(without_depth);
-    listing.warnings.extend(gap);
-    listing.warnings.extend(warning);
     listing.warnings.extend(border_warning(options));
     Ok(listing)
 }

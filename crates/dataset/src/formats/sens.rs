@@ -3,7 +3,7 @@
 //! Little-endian, version 4: a header, then for every frame the pose `world_from_camera` (16
 //! `f32` in rows), two time stamps [µs], two sizes [bytes], and the two images.
 
-use super::poses::{pose_from_matrix, stamp_poses};
+use super::poses::pose_from_matrix;
 use super::scannet::{border_warning, from_intrinsics, intrinsics_of_matrix};
 use super::{ByteRanges, FrameEntry, Layout, Listing, unknown_layout};
 use crate::camera::{Calibration, DepthGrid, FormatDefaults};
@@ -58,8 +58,7 @@ impl SensFile {
             }
         }
         if frames.is_empty() {
-            let expected = "at least one whole frame";
-            return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+            return Err(DatasetError::empty(path, "at least one whole frame"));
         }
         Ok(Self { path: path.to_path_buf(), header, frames, warnings })
     }
@@ -75,9 +74,11 @@ impl SensFile {
 
     pub(super) fn calibration(&self) -> Result<Calibration, DatasetError> {
         let colour = intrinsics_of_matrix(&self.header.intrinsic_colour);
-        let colour = colour.ok_or_else(|| DatasetError::Metadata {
-            path: self.path.clone(),
-            reason: "the intrinsics of the colour camera are no numbers above 0".into(),
+        let colour = colour.ok_or_else(|| {
+            DatasetError::metadata(
+                &self.path,
+                "the intrinsics of the colour camera are no numbers above 0",
+            )
         })?;
         let depth = intrinsics_of_matrix(&self.header.intrinsic_depth);
         let source = self.path.display().to_string();
@@ -107,20 +108,14 @@ impl SensFile {
             }),
         };
         let entries: Vec<FrameEntry> = self.frames.iter().enumerate().map(entry).collect();
-        let poses = self
-            .frames
-            .iter()
-            .enumerate()
-            .map(|(i, frame)| (time(i), pose_from_matrix(&frame.world_from_camera)));
-        let (poses, warning) = stamp_poses(poses);
-        let mut listing = Listing { poses, ..Listing::new(Layout::Sens, entries) };
+        let mut listing = Listing::new(Layout::Sens, entries);
         listing.depth_encoding = self.depth_encoding();
         listing.warnings = self.warnings.clone();
         if times.is_none() {
             let rate = format!("no usable time stamps: {frame_rate} frames a second assumed");
             listing.warnings.push(rate);
         }
-        listing.warnings.extend(warning);
+        listing.set_poses(|i, _| pose_from_matrix(&self.frames[i].world_from_camera));
         listing.warnings.extend(border_warning(options));
         Ok(listing)
     }

@@ -1,8 +1,8 @@
 //! 7-Scenes: `frame-000000.color.png`, `frame-000000.depth.png` and `frame-000000.pose.txt` in
 //! the folder of one sequence.
 
-use super::file_pairing::{FilePairs, list_images};
-use super::poses::{pose_from_matrix, read_matrix, stamp_poses};
+use super::file_pairing::{FilePairs, holds_both, list_images};
+use super::poses::read_pose;
 use super::{Layout, Listing};
 use crate::DatasetError;
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
@@ -32,16 +32,7 @@ fn is_depth(name: &str) -> bool {
 
 /// Whether the folder holds a colour and a depth image with these names.
 pub(super) fn is_sequence(folder: &Path) -> bool {
-    let names = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let (mut colour, mut depth) = (false, false);
-    for name in names.map(|entry| entry.file_name()) {
-        colour |= is_colour(&name.to_string_lossy());
-        depth |= is_depth(&name.to_string_lossy());
-        if colour && depth {
-            return true;
-        }
-    }
-    false
+    holds_both(folder, is_colour, is_depth)
 }
 
 /// Calibration of both cameras.
@@ -56,19 +47,11 @@ pub(super) fn calibration() -> Calibration {
 pub(super) fn list(folder: &Path, frame_rate: f64) -> Result<Listing, DatasetError> {
     let pairs =
         FilePairs::new(folder, list_images(folder, is_colour)?, list_images(folder, is_depth)?)?;
-    let without_depth = pairs.without_depth;
-    let gap = pairs.gap_warning();
-    let entries = pairs.stamped_by_number(frame_rate);
-    let poses = entries.iter().map(|entry| {
-        let name = entry.colour.file_name().map(|name| name.to_string_lossy().into_owned());
-        let file = name.map(|name| folder.join(name.replace(".color.png", ".pose.txt")));
-        (entry.timestamp, file.and_then(|f| read_matrix(&f)).as_ref().and_then(pose_from_matrix))
+    let mut listing = pairs.list_by_number(Layout::SevenScenes, frame_rate);
+    listing.set_poses(|_, entry| {
+        let name = entry.colour.file_name()?.to_string_lossy();
+        read_pose(&folder.join(name.replace(".color.png", ".pose.txt")))
     });
-    let (poses, warning) = stamp_poses(poses);
-    let mut listing = Listing { poses, ..Listing::new(Layout::SevenScenes, entries) };
-    listing.drop_without_depth(without_depth);
-    listing.warnings.extend(gap);
-    listing.warnings.extend(warning);
     listing.warnings.push(
         "7-Scenes publishes no calibration between colour and depth: their distance is not \
          corrected, expect a few pixels between them"

@@ -31,8 +31,7 @@ fn read_poses(path: &Path, tolerance: f64) -> Result<Trajectory, DatasetError> {
         .map(|(line, content)| read_pose(path, line, content, tolerance))
         .collect::<Result<Trajectory, _>>()?;
     if trajectory.is_empty() {
-        let expected = "lines with timestamp tx ty tz qx qy qz qw";
-        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+        return Err(DatasetError::empty(path, "lines with timestamp tx ty tz qx qy qz qw"));
     }
     trajectory.sort_by(|a, b| a.timestamp.total_cmp(&b.timestamp));
     Ok(trajectory)
@@ -99,8 +98,7 @@ fn read_image_list(path: &Path, folder: &Path) -> Result<Vec<(f64, PathBuf)>, Da
         images.push((parse_number(path, line, "time stamp", stamp)?, folder.join(file.trim())));
     }
     if images.is_empty() {
-        let expected = "lines with a time stamp and a file name";
-        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+        return Err(DatasetError::empty(path, "lines with a time stamp and a file name"));
     }
     images.sort_by(|a, b| a.0.total_cmp(&b.0));
     Ok(images)

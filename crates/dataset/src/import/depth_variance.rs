@@ -31,8 +31,10 @@ impl VarianceImages {
             listing.flatten().map(|entry| entry.path()).filter(is_variance).collect();
         files.sort();
         if files.is_empty() {
-            let expected = ".npy arrays of variance or 16-bit PNG of standard deviation";
-            return Err(DatasetError::Empty { path: folder.to_path_buf(), expected });
+            return Err(DatasetError::empty(
+                folder,
+                ".npy arrays of variance or 16-bit PNG of standard deviation",
+            ));
         }
         let mut found = Self {
             folder: folder.to_path_buf(),

@@ -178,7 +178,7 @@ fn read_images(
     let source = arrays.path().display().to_string();
     let is_bgr = images.path.file_stem().is_some_and(|name| name == BGR_IMAGES);
     let is_rgb = options.arrays_are_rgb.unwrap_or(!is_bgr);
-    ArrayImages::new(images, camera, source, DEFAULT_FRAME_RATE, is_rgb, options)
+    ArrayImages::new(images, camera, source, is_rgb, options)
 }
 
 /// Opens the depth that the options ask for.

@@ -7,7 +7,7 @@ use super::{ImportDepth, ImportOptions};
 use crate::camera::Distortion;
 use crate::formats::npy::NpyArray;
 use crate::image::{RecordingCameras, Resampler};
-use crate::sequence::delivered_size;
+use crate::sequence::{DEFAULT_FRAME_RATE, delivered_size};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::{Camera, Image, Pose};
 use std::sync::Arc;
@@ -123,7 +123,7 @@ impl KeyframeSource {
     pub(super) fn frame_rate(&self) -> f64 {
         match &self.images {
             ImageSource::Sequence(sequence) => sequence.frame_rate,
-            ImageSource::Arrays(images) => images.frame_rate,
+            ImageSource::Arrays(_) => DEFAULT_FRAME_RATE,
         }
     }
 
@@ -209,7 +209,6 @@ pub(super) struct ArrayImages {
     is_rgb: bool,
     resampler: Resampler,
     pub(super) source: String,
-    pub(super) frame_rate: f64,
 }
 
 impl ArrayImages {
@@ -217,7 +216,6 @@ impl ArrayImages {
         images: NpyArray,
         camera: Camera<f64>,
         source: String,
-        frame_rate: f64,
         is_rgb: bool,
         options: &ImportOptions,
     ) -> Result<Self, DatasetError> {
@@ -225,7 +223,7 @@ impl ArrayImages {
         let delivered = delivered_size(&camera, &options.open)?;
         let lens = Distortion::default();
         let resampler = Resampler::new(&cameras, &lens, options.open.crop_border, delivered);
-        Ok(Self { images, is_rgb, resampler, source, frame_rate })
+        Ok(Self { images, is_rgb, resampler, source })
     }
 
     /// Camera of the delivered images.

@@ -52,7 +52,7 @@ pub struct Sequence {
     /// Counts of colour images that are not in the associated stream.
     pub dropped: DroppedFrames,
     /// The folder's `groundtruth.txt` (or `pose.txt`), for
-    /// [`read_trajectory`](crate::read_trajectory).
+    /// [`read_trajectory`].
     pub ground_truth: Option<PathBuf>,
     /// True poses `world_from_camera` that came with the frames themselves, at their times; empty
     /// for layouts that have a ground-truth file. See [`true_trajectory`](Self::true_trajectory).

@@ -1,7 +1,7 @@
 //! Errors and warnings name file, line or frame, and what was expected.
 
 use crate::support::{
-    CAMERA, Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, open, png, rgb_png,
+    Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, open, png, rgb_png,
 };
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use std::path::Path;
@@ -56,13 +56,6 @@ fn unusable_cameras() {
         folder.write("camera.json", text);
         assert_says(open(&folder), parts);
     }
-}
-
-#[test]
-fn camera_for_another_size() {
-    let folder = Folder::tum(1);
-    folder.write("camera.json", CAMERA.replace("16", "32"));
-    assert_says(open(&folder), &["000.png is 16x12", "expected 32x12", "camera.json says"]);
 }
 
 #[test]

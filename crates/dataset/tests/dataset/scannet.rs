@@ -51,7 +51,7 @@ fn extract(folder: &Folder, prefix: &str, frames: &[usize]) {
     folder.write(&format!("{prefix}intrinsic/intrinsic_depth.txt"), text(matrix(INTRINSIC_DEPTH)));
 }
 
-/// What a `.sens` file is made of.
+/// Contents of a `.sens` file.
 struct Sens {
     version: u32,
     depth_code: i32,

@@ -4,7 +4,7 @@ use super::assert_same;
 use super::scene::{
     CAMERA_JSON, HEIGHT, WIDTH, camera, colour_png, colour_sequence, pose, render, sequence, stamp,
 };
-use crate::support::{Folder, assert_says, assert_warns, import, import_with};
+use crate::support::{Folder, assert_says, assert_warns, import};
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::{Camera, Vec3};
@@ -359,13 +359,4 @@ fn an_image_without_a_name_is_refused() {
     folder.write("sparse/0/images.bin", [&nameless[..name], &nameless[name + 7..]].concat());
     let files = import(&folder.0);
     assert_says(files, &["images.bin", "image 0 of 2", "no name"]);
-}
-
-#[test]
-fn pictures_of_a_dataset_keep_their_times() {
-    let folder = model(&["rgb/001.png", "rgb/002.png"], &["unused.png"]);
-    let dataset = colour_sequence(3);
-    let files = import_with(&folder.0, &dataset).expect("opens");
-    let times: Vec<f64> = files.keyframes.iter().map(|keyframe| keyframe.timestamp).collect();
-    assert_eq!(times, [1, 2].map(super::scene::stamp));
 }

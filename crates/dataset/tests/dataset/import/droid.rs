@@ -15,7 +15,7 @@ pub(super) fn intrinsics() -> [f64; 4] {
     [40.0, 40.0, 23.5, 15.5].map(|v| v / 8.0)
 }
 
-/// What DROID-SLAM keeps of some frames.
+/// Arrays of DROID-SLAM for some frames.
 pub(super) fn members(frames: &[usize]) -> Members {
     let count = frames.len();
     let (mut poses, mut images, mut disps) = (Vec::new(), Vec::new(), Vec::new());

@@ -52,7 +52,7 @@ pub(super) fn look(i: usize, ray: Vec3<f64>) -> (f64, [u8; 3]) {
     (z, shades.map(|s| (128.0 + 100.0 * s) as u8))
 }
 
-/// How often `ray` fits between `from` and the wall that it meets.
+/// Distance from `from` to the nearest wall, in lengths of `ray`.
 fn distance(from: Vec3<f64>, ray: Vec3<f64>) -> f64 {
     let along = from.to_array().into_iter().zip(ray.to_array());
     let walls = along.map(|(o, d)| if d > 0.0 { (HALF - o) / d } else { (-HALF - o) / d });
@@ -86,7 +86,7 @@ pub(super) fn colour_sequence(count: usize) -> Folder {
     folder
 }
 
-/// The same with depth.
+/// A TUM sequence with depth of `count` frames.
 pub(super) fn sequence(count: usize) -> Folder {
     let folder = colour_sequence(count);
     let mut list = String::new();
