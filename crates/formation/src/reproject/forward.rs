@@ -1,30 +1,11 @@
 //! The fast lane, forward: one band of rows at a time, sixteen pixels of a row at a time.
 
 use super::TILE;
-use super::backward::Band;
-use super::ray_surface::interpolate_in_time;
-use super::ray_surface::{DepthEdges, intersect_lanes};
-use super::sampling::{Corners, Texel};
-use super::sampling::{LANES, Lines, Taps};
-use super::surface::Surface;
-use super::views::Views;
+use super::band::{Band, Scene};
+use super::ray_surface::{DepthEdges, interpolate_in_time, intersect_lanes};
+use super::sampling::{Corners, LANES, Lines, Taps, Texel, read_chunk};
 use i2slam_compute::simd::Column;
-use i2slam_geometry::Camera;
 use pulp::{Simd, WithSimd};
-
-/// Inputs of a band.
-#[derive(Clone, Copy)]
-pub(super) struct Scene<'a> {
-    /// That of the sharp render.
-    pub(super) camera: &'a Camera<f32>,
-    /// Width of the blurred picture, and by how much the render is wider on every side [px].
-    pub(super) width: usize,
-    pub(super) margin: usize,
-    pub(super) views: &'a Views<f32>,
-    pub(super) surface: &'a Surface<f32>,
-    /// The sharp render at twice its resolution.
-    pub(super) fine: &'a [Texel],
-}
 
 /// Blurs the rows of one band.
 pub(super) struct BlurBand<'a> {
@@ -72,17 +53,6 @@ impl WithSimd for BlurBand<'_> {
             }
         }
     }
-}
-
-/// Up to sixteen pixels of three planes, times `weight`; zero beyond.
-#[inline(always)]
-pub(super) fn read_chunk(planes: &[&[f32]; 3], weight: f32) -> [Texel; LANES] {
-    let mut texels = [Texel::zero(); LANES];
-    let [red, green, blue] = planes;
-    for (texel, ((red, green), blue)) in texels.iter_mut().zip(red.iter().zip(*green).zip(*blue)) {
-        *texel = Texel::xyz0(*red, *green, *blue) * weight;
-    }
-    texels
 }
 
 /// Adds what the moving views see to `sum`; returns the first and last fine row touched.

@@ -46,6 +46,7 @@
 //! the middle, which is what [`Reprojection::pull_back`] returns.
 
 mod backward;
+mod band;
 mod forward;
 mod ray_surface;
 mod reference;
@@ -60,8 +61,8 @@ pub use reference::ReferenceReprojection;
 
 use crate::shutter::{Quadrature, ShutterPoses, ShutterTangent};
 use backward::PullBackBand;
-use backward::{BAND, Band, lay_bands};
-use forward::{BlurBand, Scene};
+use band::{BAND, Band, Scene, lay_bands};
+use forward::BlurBand;
 use i2slam_compute::simd::Column;
 use i2slam_geometry::{Camera, Image, Pose};
 use pulp::Arch;

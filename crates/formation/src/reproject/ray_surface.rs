@@ -2,7 +2,7 @@
 //! sixteen at a time: the latter takes the same samples in the same order, without a branch per
 //! pixel.
 
-use super::forward::Scene;
+use super::band::Scene;
 use super::sampling::{LANES, Lines};
 use super::surface::{Block, larger};
 use super::surface::{Facet, Surface};

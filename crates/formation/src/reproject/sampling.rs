@@ -155,3 +155,14 @@ pub(super) fn scatter(
     rows[stride] += lower_left;
     rows[stride + 1] += lower_right;
 }
+
+/// Up to sixteen pixels of three planes, times `weight`; zero beyond.
+#[inline(always)]
+pub(super) fn read_chunk(planes: &[&[f32]; 3], weight: f32) -> [Texel; LANES] {
+    let mut texels = [Texel::zero(); LANES];
+    let [red, green, blue] = planes;
+    for (texel, ((red, green), blue)) in texels.iter_mut().zip(red.iter().zip(*green).zip(*blue)) {
+        *texel = Texel::xyz0(*red, *green, *blue) * weight;
+    }
+    texels
+}
