@@ -32,9 +32,7 @@ impl MotionPrior {
     /// share count as constants.
     pub(super) fn cost(&self, velocity: Tangent<f64>) -> f64 {
         let (step, now) = (self.to_pixels(self.step), self.to_pixels(velocity));
-        let length = step.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let across = 1.0 / (MIN_SIGMA_PX + self.sigma_across * length).powi(2);
-        let along = 1.0 / (MIN_SIGMA_PX + self.sigma_along * length).powi(2);
+        let (length, across, along) = self.precisions(&step);
         let (mut square, mut dot) = (0.0, 0.0);
         for i in 0..6 {
             let error = now[i] - self.share * step[i];
@@ -47,9 +45,7 @@ impl MotionPrior {
     /// Adds the prior's normal equations at `velocity`.
     pub(super) fn add_to(&self, velocity: Tangent<f64>, equations: &mut Equations) {
         let step = self.to_pixels(self.step);
-        let length = step.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let across = 1.0 / (MIN_SIGMA_PX + self.sigma_across * length).powi(2);
-        let along = 1.0 / (MIN_SIGMA_PX + self.sigma_along * length).powi(2);
+        let (length, across, along) = self.precisions(&step);
         let direction = step.map(|v| if length > 0.0 { v / length } else { 0.0 });
         let target = step.map(|v| v * self.share);
         let now = self.to_pixels(velocity);
@@ -67,6 +63,13 @@ impl MotionPrior {
             }
             equations.gradient[VELOCITY + a] += self.weight * gradient * self.pixels_per_unit[a];
         }
+    }
+
+    /// Length of the motion [px], and the precisions across and along it [1/px²].
+    fn precisions(&self, step: &[f64; 6]) -> (f64, f64, f64) {
+        let length = step.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let precision = |ratio: f64| 1.0 / (MIN_SIGMA_PX + ratio * length).powi(2);
+        (length, precision(self.sigma_across), precision(self.sigma_along))
     }
 
     /// Share of the motion since the last frame that `velocity` covers, and the length of that

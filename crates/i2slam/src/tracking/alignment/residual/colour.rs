@@ -115,7 +115,7 @@ impl ColourBlock {
     ) {
         let Kernel { simd, task, geometry } = kernel;
         let point = Points::load_group(simd, &depth.points, group);
-        let seen = self.to_centre(kernel, sample, point, group);
+        let seen = self.moved_to_centre(kernel, sample, point, group);
         let target_point = geometry.target_from_centre.transform(simd, seen);
         seen.store_group(&mut self.points, group);
         let camera = &task.frame.camera;
@@ -130,7 +130,7 @@ impl ColourBlock {
     /// Moves a group's points from the virtual camera, at the time of their rows, into the camera
     /// at mid-exposure.
     #[inline(always)]
-    fn to_centre<S: Simd>(
+    fn moved_to_centre<S: Simd>(
         &mut self,
         Kernel { simd, geometry, .. }: Kernel<'_, S>,
         sample: &ExposureSample,
