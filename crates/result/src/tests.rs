@@ -130,7 +130,8 @@ fn a_result_with_settings_of_an_earlier_version_opens() {
     assert!(save(&folder, &example(2)).is_empty());
     folder.write_text("config.toml", EARLIER_CONFIG).expect("room");
     let config = load(&scratch.0).expect("a result").config;
-    assert_eq!((config.preset.as_str(), config.map.kind), ("default-rgb", MapKind::HashGrid));
+    assert_eq!((config.preset.as_str(), config.map.kind), ("default-rgb", MapKind::Gaussian));
+    assert!(config.input.is_rolling());
     let unknown = EARLIER_CONFIG.replace("blur_model", "blur_modell");
     assert_ne!(unknown, EARLIER_CONFIG);
     folder.write_text("config.toml", &unknown).expect("room");

@@ -174,7 +174,5 @@ impl Footage {
     }
 }
 
-const QUICK: &str = "[hashgrid]\nlevels = 4\nlog2_table = 10\nfinest_cell = 0.05\n\
-    hidden_width = 16\noccupancy_cells = 16\nstep = 0.05\nstep_min = 0.1\nrays = 64\n\
-    first_iterations = 10\niterations = 2\nfinal_iterations = 5\n\
-    [keyframed]\nfirst_keyframes = 3\npose_delay = 5\ncoarse_steps = 5\n";
+const QUICK: &str = "map.kind = \"hashgrid\"\n[hashgrid]\nlog2_table = 10\nfinest_cell = 0.05\n\
+    rays = 64\nfirst_iterations = 10\niterations = 2\nfinal_iterations = 1\n";

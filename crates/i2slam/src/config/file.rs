@@ -29,14 +29,9 @@ impl Config {
     pub fn from_stored(text: &str, origin: &str) -> Result<Self, ConfigError> {
         let source = Source { text, origin };
         let mut table = source.table()?;
-        for key in removed_keys() {
-            remove(&mut table, &key);
-        }
-        for (section, key, value) in REMOVED_VALUES {
-            if let Some(Value::Table(section)) = table.get_mut(section)
-                && section.get(key).and_then(Value::as_str) == Some(value)
-            {
-                section.remove(key);
+        for (name, section) in &mut table {
+            if let Value::Table(section) = section {
+                section.retain(|key, value| !is_removed(name, key, Some(value)));
             }
         }
         Self::from_table(&source, table, None)
@@ -138,7 +133,7 @@ fn comment(text: &mut String, words: &str) {
 }
 
 /// Keys of earlier versions, by section, whose values the preset decides.
-const REMOVED_KEYS: [(&str, &str); 7] = [
+const REMOVED_KEYS: [(&str, &str); 6] = [
     ("formation", "response_node_power response_prior tone_rate"),
     ("map", "initial_scale initial_opacity screen_variance"),
     (
@@ -158,12 +153,7 @@ const REMOVED_KEYS: [(&str, &str); 7] = [
         "tracking",
         "rotation_rate translation_rate velocity_rotation_share \
          velocity_translation_share silhouette_threshold image_weight depth_weight \
-         initial_split",
-    ),
-    (
-        "tracking.alignment",
-        "levels iterations keyframe_depth renders depth_scale_floor image_scale_floor \
-         image_weight motion_prior white_balance_inertia",
+         initial_split alignment",
     ),
     (
         "mapping",
@@ -178,25 +168,12 @@ const REMOVED_KEYS: [(&str, &str); 7] = [
 const REMOVED_VALUES: [(&str, &str, &str); 2] =
     [("formation", "blur_model", "splat"), ("formation", "response_start", "gamma22")];
 
-fn removed_keys() -> impl Iterator<Item = String> {
-    let of_section = |&(section, keys): &(&'static str, &'static str)| {
-        keys.split_whitespace().map(move |key| joined(section, key))
-    };
-    REMOVED_KEYS.iter().flat_map(of_section)
-}
-
-/// Removes a key from a table, and its section if that is empty then.
-fn remove(table: &mut Table, key: &str) {
-    let Some((section, rest)) = key.split_once('.') else {
-        table.remove(key);
-        return;
-    };
-    if let Some(Value::Table(inner)) = table.get_mut(section) {
-        remove(inner, rest);
-        if inner.is_empty() {
-            table.remove(section);
-        }
-    }
+/// Whether an earlier version had a key, or a `value` of it, that this one has not.
+fn is_removed(section: &str, key: &str, value: Option<&Value>) -> bool {
+    let value = value.and_then(Value::as_str);
+    let mut keys = REMOVED_KEYS.iter().filter(|(name, _)| *name == section);
+    keys.any(|(_, keys)| keys.split_whitespace().any(|removed| removed == key))
+        || value.is_some_and(|value| REMOVED_VALUES.contains(&(section, key, value)))
 }
 
 /// TOML text and its name in errors.
@@ -246,7 +223,7 @@ impl Source<'_> {
         for (name, value) in changes {
             let key = joined(path, name);
             match (base.get_mut(name), value) {
-                (None, _) if removed_keys().any(|removed| leads_to(&removed, &key)) => {
+                (None, _) if is_removed(path, name, None) => {
                     return Err(ConfigError::RemovedKey { place: self.place(&key), key });
                 }
                 (None, _) => {
@@ -296,11 +273,6 @@ fn in_words(message: &str) -> String {
         ("expected a boolean", "expected true or false"),
     ];
     types.iter().fold(message.to_owned(), |words, (name, plain)| words.replace(name, plain))
-}
-
-/// Whether `key` is `removed` or the section that held it.
-fn leads_to(removed: &str, key: &str) -> bool {
-    removed.strip_prefix(key).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
 
 fn joined(path: &str, name: &str) -> String {
@@ -383,14 +355,18 @@ mod tests {
 
     #[test]
     fn a_removed_key_is_refused_and_ignored_in_results() {
-        let text = "preset = \"paper-tum\"\n[tracking]\nrotation_rate = 1.0\n\
-                    [tracking.alignment]\nlevels = 2\n";
-        let message = Config::from_toml(text, "a.toml", None).expect_err("old").to_string();
-        assert!(message.contains("alignment is no longer a setting"), "{message}");
-        let rate = "[tracking]\n\nrotation_rate = 1.0\n";
-        let message = Config::from_toml(rate, "a.toml", None).expect_err("old").to_string();
+        let refused = |text: &str, expected: &str| {
+            let message = Config::from_toml(text, "a.toml", None).expect_err("old").to_string();
+            assert!(message.starts_with(expected), "{message}");
+        };
         let expected = "a.toml, line 3: tracking.rotation_rate is no longer a setting";
-        assert!(message.starts_with(expected), "{message}");
+        refused("[tracking]\n\nrotation_rate = 1.0\n", expected);
+        refused(
+            "tracking.alignment.levels = 2\n",
+            "a.toml, line 1: tracking.alignment is no longer",
+        );
+        let text = "preset = \"paper-tum\"\n[formation]\nblur_model = \"splat\"\n\
+                    [tracking]\nrotation_rate = 1.0\n[tracking.alignment]\nlevels = 2\n";
         let stored = Config::from_stored(text, "a.toml").expect("readable");
         assert_eq!(stored, Config::preset("paper-tum").expect("known"));
     }
