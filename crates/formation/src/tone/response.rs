@@ -1,4 +1,16 @@
-//! The free numbers of a camera response.
+//! Parameters of a camera response, and the plausible curve that they stand for.
+//!
+//! A response rises, from 0 at 0 to 1 at 1. The paper's rule (after Liu et al. 2020) for nodes
+//! `g_0 .. g_255`, with `d_i = g_{i+1} - g_i`:
+//!
+//! ```text
+//! d'_i = d_i + max(0, -min_j d_j)        shift by the smallest negative derivative
+//! C_k  = Σ_{i<k} d'_i
+//! CRF(node k) = C_k / C_255              normalise
+//! ```
+//!
+//! Derivatives are taken per node, whatever the spacing. Nodes without any rise left after the
+//! shift (constant, or falling evenly) stand for the curve of even steps, with no gradient.
 
 use super::{CurveGradient, Grid, NODES, NodeSpacing, ResponseCurve, StartCurve};
 use i2slam_geometry::Real;

@@ -1,4 +1,7 @@
 //! The projection of all Gaussians, in groups of one vector, on all threads.
+//!
+//! With a tile mask, Gaussians that may touch marked tiles are found first, from bounds that cost
+//! less than their footprints.
 
 use super::path::Path;
 use super::path::{MotionFrame, PathColumns};
