@@ -176,8 +176,9 @@ impl Reconstruction {
             .map(|f| StampedPose { timestamp: f.timestamp, world_from_camera: f.middle() })
             .collect()
     }
-    /// Median exposure and white balance, and the response of the middle frame; `None` where the
-    /// map stores picture values (`tone` off) or there is no frame yet.
+
+    /// Median exposure and white balance, and the response of the middle frame; `None` with
+    /// `tone` off or without frames.
     pub fn typical_tone(&self) -> Option<(FrameTone<f32>, ResponseCurve<f32>)> {
         if !self.config.formation.tone || self.frames.is_empty() {
             return None;
@@ -190,9 +191,8 @@ impl Reconstruction {
         Some((FrameTone::from_array(std::array::from_fn(typical)), response.curve()))
     }
 
-    /// A frame that was never taken: a camera standing still at `world_from_camera`, with the
-    /// median exposure and white balance of the run and the response of its middle frame.
-    pub fn imagined_frame(&self, index: usize, world_from_camera: Pose<f64>) -> FrameEstimate {
+    /// A virtual frame of a still camera with the typical tone.
+    pub fn virtual_frame(&self, index: usize, world_from_camera: Pose<f64>) -> FrameEstimate {
         let tone = self.typical_tone().map_or_else(FrameTone::default, |(tone, _)| tone);
         let response = self.frames.get(self.frames.len() / 2).map_or(0, |f| f.response);
         FrameEstimate {

@@ -169,12 +169,12 @@ fn frames(
     reconstruction: &Reconstruction,
 ) -> Result<Vec<FrameEstimate>, Failure> {
     if let Some(pose) = pose {
-        return Ok(vec![reconstruction.imagined_frame(0, pose)]);
+        return Ok(vec![reconstruction.virtual_frame(0, pose)]);
     }
     if let Some(file) = &arguments.poses {
         let poses = read_trajectory(file)?.into_iter().enumerate();
         return Ok(poses
-            .map(|(i, pose)| reconstruction.imagined_frame(i, pose.world_from_camera))
+            .map(|(i, pose)| reconstruction.virtual_frame(i, pose.world_from_camera))
             .collect());
     }
     let mut frames = reconstruction.frames.clone();

@@ -9,6 +9,8 @@
 //! them into `docs/performance.md`. `truth` needs the path-traced sequences in `../shared/data`.
 
 mod fitted;
+#[path = "../support/tables.rs"]
+mod tables;
 
 use fitted::{Fitted, psnr};
 use i2slam::formation::{ShutterPoses, ShutterTangent};
@@ -21,24 +23,13 @@ use i2slam_check::processor_seconds;
 use std::error::Error;
 use std::path::PathBuf;
 use std::time::Instant;
-
-type Outcome = Result<(), Box<dyn Error>>;
-
-/// A table's name and what prints it.
-type Table = (&'static str, fn() -> Outcome);
+use tables::{Outcome, Table};
 
 const TABLES: [Table; 3] =
     [("quality", print_quality), ("truth", print_truth), ("steps", print_steps)];
 
 fn main() -> Outcome {
-    let asked: Vec<_> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
-    for (name, print) in TABLES {
-        if asked.is_empty() || asked.iter().any(|word| word == name) {
-            println!("# {name}");
-            print()?;
-        }
-    }
-    Ok(())
+    tables::print(&TABLES)
 }
 
 const LENGTHS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0];

@@ -6,6 +6,8 @@
 //! ```
 
 mod counting;
+#[path = "../support/tables.rs"]
+mod tables;
 
 use counting::counted;
 use i2slam::dataset::{Frame, OpenOptions, Sequence};
@@ -18,24 +20,13 @@ use i2slam::radiance::gaussian::{MapGradient, RasterSettings};
 use i2slam::{Config, FrameEstimate, Map, Session};
 use std::error::Error;
 use std::path::Path;
-
-type Outcome = Result<(), Box<dyn Error>>;
-
-/// A table's name and what prints it.
-type Table = (&'static str, fn() -> Outcome);
+use tables::{Outcome, Table};
 
 const TABLES: [Table; 3] =
     [("frame", print_frame), ("presets", print_presets), ("allocations", print_allocations)];
 
 fn main() -> Outcome {
-    let asked: Vec<_> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
-    for (name, print) in TABLES {
-        if asked.is_empty() || asked.iter().any(|word| word == name) {
-            println!("# {name}");
-            print()?;
-        }
-    }
-    Ok(())
+    tables::print(&TABLES)
 }
 
 /// Frames in memory, and what a session needs to know of them.

@@ -10,6 +10,9 @@ use i2slam_geometry::{Camera, Image};
 use std::collections::BTreeMap;
 use std::time::Instant;
 
+/// Called with the steps done and in total after every step; returns whether to continue.
+pub(crate) type OnStep<'a> = &'a mut dyn FnMut(usize, usize) -> bool;
+
 /// The state of a session that mapping reads and optimises.
 pub(crate) struct MappingContext<'a> {
     pub(crate) config: &'a Config,

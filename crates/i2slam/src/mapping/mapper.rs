@@ -1,6 +1,6 @@
 //! The interface between a session and its map: mapping, and tracking against the map or a copy.
 
-use super::context::MappingContext;
+use super::context::{MappingContext, OnStep};
 use super::keyframe::Keyframe;
 use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
@@ -47,11 +47,7 @@ pub(crate) trait Mapper: Send {
     fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool);
 
     /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
-    fn finish(
-        &mut self,
-        context: &mut MappingContext<'_>,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
-    );
+    fn finish(&mut self, context: &mut MappingContext<'_>, on_step: OnStep<'_>);
 
     /// A copy of the map.
     fn map(&self) -> Map;

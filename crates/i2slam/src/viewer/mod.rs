@@ -153,7 +153,7 @@ mod tests {
             shutter: ShutterPoses { start: rotated(-0.5 * angle), end: rotated(0.5 * angle) },
             blur_length: angle * room.camera.fx,
             readout,
-            ..room.imagined_frame(0, Pose::identity())
+            ..room.virtual_frame(0, Pose::identity())
         }
     }
 

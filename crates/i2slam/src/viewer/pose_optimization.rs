@@ -270,10 +270,10 @@ pub(crate) mod tests {
         let room = room();
         let mut viewer = room.viewer();
         let true_pose = moved([0.02, -0.03, 0.01, 0.01, 0.02, -0.01]);
-        let truth = viewer.sharp_clamped(&room.imagined_frame(0, true_pose), true_pose);
+        let truth = viewer.sharp_clamped(&room.virtual_frame(0, true_pose), true_pose);
         // Two pixels of rotation, one and a half of translation.
         let wrong = true_pose.retract(Tangent::from_array([0.03, -0.02, 0.02, -0.015, 0.02, 0.01]));
-        let frame = room.imagined_frame(0, wrong);
+        let frame = room.virtual_frame(0, wrong);
         let found = viewer.optimise_pose(&frame, &truth);
         assert!(psnr(found.error_after) > psnr(found.error_before) + 20.0);
         let left = true_pose.local(found.world_from_camera);
@@ -307,7 +307,7 @@ pub(crate) mod tests {
     fn an_optimal_pose_stays() {
         let room = room();
         let mut viewer = room.viewer();
-        let frame = room.imagined_frame(0, moved([0.01, 0.0, 0.02, 0.0, 0.01, 0.0]));
+        let frame = room.virtual_frame(0, moved([0.01, 0.0, 0.02, 0.0, 0.01, 0.0]));
         let truth = viewer.sharp_clamped(&frame, frame.middle());
         let found = viewer.optimise_pose(&frame, &truth);
         assert_eq!((found.error_before, found.error_after), (0.0, 0.0));
@@ -318,7 +318,7 @@ pub(crate) mod tests {
     fn an_unrelated_picture_never_increases_the_error() {
         let room = room();
         let mut viewer = room.viewer();
-        let frame = room.imagined_frame(0, Pose::identity());
+        let frame = room.virtual_frame(0, Pose::identity());
         for seed in 0..3 {
             let mut other = viewer.sharp_clamped(&frame, Pose::identity());
             let random = noise(11 + seed, other.data.len());

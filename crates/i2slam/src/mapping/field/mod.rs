@@ -14,7 +14,7 @@ pub(super) use bounds::{
 pub(super) use shape::FieldShape;
 
 use super::context::IterationBudget;
-use super::context::MappingContext;
+use super::context::{MappingContext, OnStep};
 use super::depth_inpainting::placement_depth;
 use super::frame_optimizer::{FrameOptimizers, ResponseGradients};
 use super::keyframe::Keyframe;
@@ -325,11 +325,7 @@ impl Mapper for FieldMapper {
         }
     }
 
-    fn finish(
-        &mut self,
-        context: &mut MappingContext<'_>,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
-    ) {
+    fn finish(&mut self, context: &mut MappingContext<'_>, on_step: OnStep<'_>) {
         let settings = &context.config.hashgrid;
         let steps = settings.final_iterations;
         let mut order: Vec<usize> = (0..context.keyframes.len()).collect();

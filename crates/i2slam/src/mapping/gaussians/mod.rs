@@ -5,7 +5,7 @@ mod merge;
 mod optimizer;
 
 use super::context::IterationBudget;
-use super::context::MappingContext;
+use super::context::{MappingContext, OnStep};
 use super::depth_inpainting::placement_depth;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
@@ -216,11 +216,7 @@ impl Mapper for GaussianMapper {
         }
     }
 
-    fn finish(
-        &mut self,
-        context: &mut MappingContext<'_>,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
-    ) {
+    fn finish(&mut self, context: &mut MappingContext<'_>, on_step: OnStep<'_>) {
         let steps = context.config.mapping.final_iterations;
         self.refine_all(context, steps, &mut |step| on_step(step, steps));
     }

@@ -14,7 +14,7 @@ use super::localization::FrameLocator;
 use super::pose_optimizer::PoseOptimizers;
 use super::trajectory_term::TrajectoryTerm;
 use crate::config::{Config, Preconditioning};
-use crate::mapping::context::{IterationBudget, MappingContext};
+use crate::mapping::context::{IterationBudget, MappingContext, OnStep};
 use crate::mapping::field::{
     DEPTH_WEIGHT, FieldShape, LEARNING_RATE, MIN_CUBE_GROWTH, untrained_field,
 };
@@ -352,7 +352,7 @@ impl JointMapper for JointFieldMapper {
     fn finish(
         &mut self,
         context: &mut MappingContext<'_>,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
+        on_step: OnStep<'_>,
     ) -> Result<(), SettingsError> {
         if self.field.is_none() {
             self.start(context)?;

@@ -7,7 +7,7 @@
 use super::JointMapper;
 use super::localization::FrameLocator;
 use crate::config::Config;
-use crate::mapping::context::MappingContext;
+use crate::mapping::context::{MappingContext, OnStep};
 use crate::mapping::gaussians::GaussianMapper;
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::Mapper;
@@ -83,7 +83,7 @@ impl JointMapper for JointGaussianMapper {
     fn finish(
         &mut self,
         context: &mut MappingContext<'_>,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
+        on_step: OnStep<'_>,
     ) -> Result<(), SettingsError> {
         if self.mapper.is_empty() {
             let reason =

@@ -10,7 +10,7 @@ mod trajectory_term;
 pub(crate) use field::JointFieldMapper;
 pub(crate) use gaussians::JointGaussianMapper;
 
-use super::context::MappingContext;
+use super::context::{MappingContext, OnStep};
 use crate::reconstruction::{FrameEstimate, Map};
 use i2slam_geometry::Image;
 use i2slam_radiance::hashgrid::SettingsError;
@@ -33,7 +33,7 @@ pub(crate) trait JointMapper: Send {
     fn finish(
         &mut self,
         context: &mut MappingContext<'_>,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
+        on_step: OnStep<'_>,
     ) -> Result<(), SettingsError>;
 
     /// Localises a frame in the map from its roughly known pose, and estimates its motion during
