@@ -46,17 +46,9 @@ pub enum DatasetError {
         /// The system's answer.
         source: std::io::Error,
     },
-    /// A video that cannot be used.
+    /// A video, or a file that describes cameras, frames or poses, cannot be used.
     #[error("{}: {reason}", path.display())]
-    Video {
-        /// The video.
-        path: PathBuf,
-        /// Cause and remedy.
-        reason: String,
-    },
-    /// A file that describes the sequence (calibration, frames) cannot be used.
-    #[error("{}: {reason}", path.display())]
-    Metadata {
+    File {
         /// The file.
         path: PathBuf,
         /// Cause, and what was expected.
@@ -80,14 +72,6 @@ pub enum DatasetError {
     NoCamera {
         /// The folder of the sequence.
         folder: PathBuf,
-    },
-    /// `camera.json` cannot be used.
-    #[error("{}: {reason}", path.display())]
-    Camera {
-        /// The camera file.
-        path: PathBuf,
-        /// Cause, and what was expected.
-        reason: String,
     },
     /// One line of a text file cannot be used.
     #[error("{}, line {line}: {reason}", path.display())]
@@ -239,24 +223,16 @@ impl DatasetError {
         Self::Image { path: path.to_path_buf(), reason: reason.into() }
     }
 
-    pub(crate) fn video(path: &Path, reason: impl Into<String>) -> Self {
-        Self::Video { path: path.to_path_buf(), reason: reason.into() }
-    }
-
     pub(crate) fn empty(path: &Path, expected: &'static str) -> Self {
         Self::Empty { path: path.to_path_buf(), expected }
     }
 
-    pub(crate) fn metadata(path: &Path, reason: impl Into<String>) -> Self {
-        Self::Metadata { path: path.to_path_buf(), reason: reason.into() }
+    pub(crate) fn file(path: &Path, reason: impl Into<String>) -> Self {
+        Self::File { path: path.to_path_buf(), reason: reason.into() }
     }
 
     pub(crate) fn line(path: &Path, line: usize, reason: impl Into<String>) -> Self {
         Self::Line { path: path.to_path_buf(), line, reason: reason.into() }
-    }
-
-    pub(crate) fn camera(path: &Path, reason: impl Into<String>) -> Self {
-        Self::Camera { path: path.to_path_buf(), reason: reason.into() }
     }
 }
 

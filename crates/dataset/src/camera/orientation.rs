@@ -62,18 +62,12 @@ impl Orientation {
             return stored;
         }
         let (width, height) = self.apply_to_size((stored.width, stored.height));
-        let mut out = Image::new(width, height, stored.channels);
-        for channel in 0..stored.channels {
-            let from = stored.plane(channel);
-            for (place, value) in out.plane_mut(channel).iter_mut().enumerate() {
-                let (mut column, mut row) = (place % width, place / width);
-                column = if self.mirrors[0] { width - 1 - column } else { column };
-                row = if self.mirrors[1] { height - 1 - row } else { row };
-                let (column, row) = if self.transposes { (row, column) } else { (column, row) };
-                *value = from[row * stored.width + column];
-            }
-        }
-        out
+        Image::from_fn(width, height, stored.channels, |channel, column, row| {
+            let column = if self.mirrors[0] { width - 1 - column } else { column };
+            let row = if self.mirrors[1] { height - 1 - row } else { row };
+            let (column, row) = if self.transposes { (row, column) } else { (column, row) };
+            stored.at(channel, column, row)
+        })
     }
 
     /// Transforms a calibration if its image size is that of stored images only; any other is taken

@@ -62,7 +62,7 @@ fn parse_line(
     let words = content.split([' ', '\t', ',']).filter(|word| !word.is_empty());
     let numbers: Result<Vec<f64>, _> =
         words.map(|word| parse_number(path, line, "intrinsics", word)).collect();
-    let refuse = |reason: String| DatasetError::camera(path, reason);
+    let refuse = |reason: String| DatasetError::file(path, reason);
     let numbers = numbers.map_err(|error| refuse(format!("{error}; expected {expected}")))?;
     let (Some(&k), lens) = (numbers.first_chunk::<4>(), numbers.get(4..).unwrap_or_default())
     else {
@@ -83,14 +83,14 @@ fn parse_json(
     defaults: FormatDefaults,
 ) -> Result<Calibration, DatasetError> {
     let file: CameraFile = serde_json::from_str(text).map_err(|e| {
-        DatasetError::camera(
+        DatasetError::file(
             path,
             format!("{e}; expected JSON with the numbers fx, fy, cx, cy, width, height"),
         )
     })?;
     file.check(path)?;
     let distortion = Distortion::from_opencv(&file.distortion).ok_or_else(|| {
-        DatasetError::camera(
+        DatasetError::file(
             path,
             "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]",
         )
@@ -136,7 +136,7 @@ impl CameraFile {
     }
 
     fn check(&self, path: &Path) -> Result<(), DatasetError> {
-        let refuse = |reason: String| Err(DatasetError::camera(path, reason));
+        let refuse = |reason: String| Err(DatasetError::file(path, reason));
         for (name, value) in [
             ("fx", Some(self.fx)),
             ("fy", Some(self.fy)),
@@ -176,7 +176,7 @@ pub fn write_camera(
     let path = path.into();
     let numbers = [camera.fx, camera.fy, camera.cx, camera.cy, depth_scale, frame_rate];
     if numbers.iter().any(|v| !v.is_finite()) {
-        return Err(DatasetError::camera(&path, "a number to be written is not finite"));
+        return Err(DatasetError::file(&path, "a number to be written is not finite"));
     }
     let [fx, fy, cx, cy, depth_scale, frame_rate] = numbers;
     let (width, height) = (camera.width, camera.height);

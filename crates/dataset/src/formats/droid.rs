@@ -31,7 +31,7 @@ pub(crate) fn open_poses(arrays: &Arrays) -> Result<NpyArray, DatasetError> {
             "shape {:?}, expected [frames, 7]: tx ty tz qx qy qz qw, camera_from_world",
             array.shape
         );
-        return Err(DatasetError::metadata(&array.path, reason));
+        return Err(DatasetError::file(&array.path, reason));
     };
     if frames == 0 {
         return Err(DatasetError::Empty { path: array.path, expected: "poses of keyframes" });
@@ -47,9 +47,8 @@ pub(crate) fn read_poses(
     let numbers = array.all()?;
     let poses = records.iter().map(|&frame| {
         let v = &numbers[7 * frame..7 * frame + 7];
-        let refuse = |reason: String| {
-            DatasetError::metadata(&array.path, format!("frame {frame}: {reason}"))
-        };
+        let refuse =
+            |reason: String| DatasetError::file(&array.path, format!("frame {frame}: {reason}"));
         if v.iter().any(|v| !v.is_finite()) {
             return Err(refuse(format!("the pose {v:?} is not finite, expected seven numbers")));
         }
@@ -87,7 +86,7 @@ pub(crate) fn read_timestamps(
     let stamps = array.all()?;
     if let Some(frame) = stamps.iter().position(|stamp| !stamp.is_finite()) {
         let reason = format!("frame {frame}: time stamp {}, expected a number", stamps[frame]);
-        return Err(DatasetError::metadata(&array.path, reason));
+        return Err(DatasetError::file(&array.path, reason));
     }
     // Stamps in seconds are not all whole, and Unix times in nanoseconds are no frame numbers.
     let counts = stamps.iter().all(|&s| s.fract() == 0.0 && (0.0..1e9).contains(&s));
@@ -105,7 +104,7 @@ pub(crate) fn read_camera(
     (width, height): (usize, usize),
 ) -> Result<Camera<f64>, DatasetError> {
     let array = arrays.find(&INTRINSICS_NAMES)?.ok_or_else(|| arrays.missing(&INTRINSICS_NAMES))?;
-    let refuse = |reason: String| DatasetError::metadata(&array.path, reason);
+    let refuse = |reason: String| DatasetError::file(&array.path, reason);
     if array.shape != [4] && array.shape != [frames, 4] {
         let shape = &array.shape;
         return Err(refuse(format!("shape {shape:?}, expected [{frames}, 4]: fx fy cx cy")));
@@ -175,7 +174,7 @@ impl Arrays {
             return Ok(Some(array));
         }
         let reason = format!("shape {:?}, expected [{frames}, {expected}]", array.shape);
-        Err(DatasetError::metadata(&array.path, reason))
+        Err(DatasetError::file(&array.path, reason))
     }
 
     /// The error for missing arrays.
@@ -185,6 +184,6 @@ impl Arrays {
             Self::Archive(_, archive) => archive.names().join(", "),
         };
         let reason = format!("no array {}; found {found}", names.join(" or "));
-        DatasetError::metadata(self.path(), reason)
+        DatasetError::file(self.path(), reason)
     }
 }

@@ -35,7 +35,7 @@ pub(super) fn find(folder: &Path) -> Option<PathBuf> {
 impl TransformsFile {
     /// Reads the file; `with_depth` drops frames without `depth_file_path`.
     pub(crate) fn open(path: &Path, with_depth: bool) -> Result<Self, DatasetError> {
-        let refuse = |reason: String| DatasetError::metadata(path, reason);
+        let refuse = |reason: String| DatasetError::file(path, reason);
         let mut json: TransformsJson = serde_json::from_str(&read_text(path)?)
             .map_err(|e| refuse(format!("{e}; expected a transforms.json of nerfstudio")))?;
         json.check().map_err(refuse)?;
@@ -76,7 +76,7 @@ impl TransformsFile {
 
     /// Calibration of the file, else of its first frame. Pixel centres at one half.
     pub(crate) fn calibration(&self) -> Result<Calibration, DatasetError> {
-        let refuse = |reason: String| DatasetError::metadata(&self.path, reason);
+        let refuse = |reason: String| DatasetError::file(&self.path, reason);
         let intrinsics = self.intrinsics(&self.records[0]);
         let Pinhole { k, size } = intrinsics.pinhole().map_err(refuse)?;
         let distortion = self.json.distortion(&intrinsics).map_err(refuse)?;

@@ -98,7 +98,7 @@ impl NpyArray {
         let shape = Vec::new();
         let file = file.to_path_buf();
         let mut array = Self { path, file, bytes, start: 0, shape, data_type: DataType::U8 };
-        let refuse = |reason: String| DatasetError::metadata(&array.path, reason);
+        let refuse = |reason: String| DatasetError::file(&array.path, reason);
         let head = array.read_bytes(0, 12.min(array.length()))?;
         if !head.starts_with(MAGIC) {
             return Err(refuse("no array of numpy (.npy)".into()));
@@ -133,7 +133,7 @@ impl NpyArray {
                     self.shape,
                     self.data_type.size()
                 );
-                Err(DatasetError::metadata(&self.path, reason))
+                Err(DatasetError::file(&self.path, reason))
             }
         }
     }

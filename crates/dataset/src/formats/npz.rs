@@ -42,7 +42,7 @@ impl NpzArchive {
         let table = read_to_end(path, &mut file, place)?;
         let damaged = || {
             let reason = "its table of contents is damaged; copy or write it again";
-            DatasetError::metadata(path, reason)
+            DatasetError::file(path, reason)
         };
         let (mut members, mut at) = (Vec::new(), 0);
         for _ in 0..count {
@@ -68,7 +68,7 @@ impl NpzArchive {
 
     fn read(&self, member: &ZipMember) -> Result<NpyArray, DatasetError> {
         let path = self.path.join(&member.name);
-        let refuse = |reason: &str| DatasetError::metadata(&path, reason);
+        let refuse = |reason: &str| DatasetError::file(&path, reason);
         let mut file = File::open(&self.path).map_err(|e| DatasetError::read(&path, e))?;
         let length = file.metadata().map_err(|e| DatasetError::read(&path, e))?.len();
         let head = read_part(&path, &mut file, member.header, 30)?;
@@ -112,7 +112,7 @@ fn find_directory(path: &Path, file: &mut File) -> Result<(u64, u64), DatasetErr
     let cut_off = || {
         let reason = "cut off or no archive: its table of contents is missing at the end; copy or \
                       write it again";
-        DatasetError::metadata(path, reason)
+        DatasetError::file(path, reason)
     };
     let end = tail.windows(4).rposition(|word| word == b"PK\x05\x06").ok_or_else(cut_off)?;
     let record = tail.get(end..end + END_RECORD_BYTES).ok_or_else(cut_off)?;
@@ -186,7 +186,7 @@ fn read_part(
     let mut bytes = vec![0; count];
     file.seek(SeekFrom::Start(from))
         .and_then(|_| file.read_exact(&mut bytes))
-        .map_err(|_| DatasetError::metadata(path, "cut off; copy or write it again"))?;
+        .map_err(|_| DatasetError::file(path, "cut off; copy or write it again"))?;
     Ok(bytes)
 }
 

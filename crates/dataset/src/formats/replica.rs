@@ -68,7 +68,7 @@ pub(super) fn calibration(folders: &ReplicaFolders) -> Result<Calibration, Datas
         let found = Calibration::from_opencv(PUBLISHED, lens, "the published camera", DEFAULTS);
         return Ok(Calibration { size: Some((1200, 680)), ..found });
     };
-    let refuse = |reason: String| DatasetError::metadata(&path, reason);
+    let refuse = |reason: String| DatasetError::file(&path, reason);
     let CameraFile { camera: c } = serde_json::from_str(&read_text(&path)?)
         .map_err(|e| refuse(format!("{e}; expected camera with w, h, fx, fy, cx, cy, scale")))?;
     if [c.fx, c.fy, c.scale].iter().any(|v| *v <= 0.0) {

@@ -62,7 +62,7 @@ pub(super) fn from_intrinsics(
 fn read_intrinsics(path: &Path) -> Result<[f64; 4], DatasetError> {
     let k = read_matrix(path).as_ref().and_then(intrinsics_of_matrix);
     k.ok_or_else(|| {
-        DatasetError::metadata(path, "expected a 4x4 matrix of intrinsics with fx, fy above 0")
+        DatasetError::file(path, "expected a 4x4 matrix of intrinsics with fx, fy above 0")
     })
 }
 

@@ -75,7 +75,7 @@ impl SensFile {
     pub(super) fn calibration(&self) -> Result<Calibration, DatasetError> {
         let colour = intrinsics_of_matrix(&self.header.intrinsic_colour);
         let colour = colour.ok_or_else(|| {
-            DatasetError::metadata(
+            DatasetError::file(
                 &self.path,
                 "the intrinsics of the colour camera are no numbers above 0",
             )
@@ -299,7 +299,7 @@ impl SensReader {
     }
 
     fn refuse(&self, reason: impl Into<String>) -> DatasetError {
-        DatasetError::Metadata { path: self.path.clone(), reason: reason.into() }
+        DatasetError::File { path: self.path.clone(), reason: reason.into() }
     }
 }
 

@@ -227,6 +227,11 @@ fn colour_from_jpeg(path: &Path, bytes: &[u8]) -> Result<Image<f32>, DatasetErro
     if pixels.len() != 3 * width * height {
         return Err(DatasetError::image(path, "JPEG of an unknown colour space"));
     }
+    Ok(image_from_rgb(width, height, &pixels))
+}
+
+/// Planes R, G, B in `[0, 1]` of interleaved 8-bit pixels.
+pub(crate) fn image_from_rgb(width: usize, height: usize, pixels: &[u8]) -> Image<f32> {
     let mut out = Image::new(width, height, 3);
     for channel in 0..3 {
         let plane = out.plane_mut(channel).iter_mut();
@@ -234,5 +239,5 @@ fn colour_from_jpeg(path: &Path, bytes: &[u8]) -> Result<Image<f32>, DatasetErro
             *value = f32::from(pixel[channel]) / 255.0;
         }
     }
-    Ok(out)
+    out
 }

@@ -4,5 +4,7 @@ mod area_resampling;
 mod decode;
 mod resampling;
 
-pub(crate) use decode::{DepthEncoding, decode_colour, decode_depth, depth_size, image_size};
+pub(crate) use decode::{
+    DepthEncoding, decode_colour, decode_depth, depth_size, image_from_rgb, image_size,
+};
 pub(crate) use resampling::{RecordingCameras, Resampler};

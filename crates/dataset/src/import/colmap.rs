@@ -84,7 +84,7 @@ fn find_image_folder(model: &Path) -> Result<PathBuf, DatasetError> {
     folders.into_iter().find(|folder| folder.is_dir()).ok_or_else(|| {
         let reason = "no folder images/ beside the model or above it: name the folder of the \
                       pictures";
-        DatasetError::metadata(model, reason)
+        DatasetError::file(model, reason)
     })
 }
 

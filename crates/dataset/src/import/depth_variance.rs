@@ -62,7 +62,7 @@ impl VarianceImages {
             None => Ok(()),
             Some(other) => {
                 let reason = format!("{} has the same name, expected one of them", other.display());
-                Err(DatasetError::metadata(&file, reason))
+                Err(DatasetError::file(&file, reason))
             }
         }
     }
@@ -127,7 +127,7 @@ fn read_array(file: &Path, size: (usize, usize)) -> Result<Image<f32>, DatasetEr
 /// A damaged variance file affects its keyframe only, unlike other metadata.
 fn as_frame_error(error: DatasetError) -> DatasetError {
     match error {
-        DatasetError::Metadata { path, reason } => DatasetError::Image { path, reason },
+        DatasetError::File { path, reason } => DatasetError::Image { path, reason },
         other => other,
     }
 }

@@ -168,7 +168,7 @@ fn read_images(
     let images = images.ok_or_else(|| arrays.missing(&IMAGE_NAMES))?;
     if images.data_type != DataType::U8 {
         let reason = format!("pictures of type {:?}, expected U8 (0 to 255)", images.data_type);
-        return Err(DatasetError::metadata(&images.path, reason));
+        return Err(DatasetError::file(&images.path, reason));
     }
     let size = match images.shape[1..] {
         [3, height, width] | [height, width, 3] => (width, height),

@@ -261,7 +261,7 @@ pub(super) fn open_nerfstudio(
     let with_depth = options.depth != ImportDepth::None && transforms.has_depth();
     if options.depth == ImportDepth::Pictures && !with_depth {
         let reason = "no frame has a depth_file_path, and depth pictures are asked for";
-        return Err(DatasetError::metadata(file, reason));
+        return Err(DatasetError::file(file, reason));
     }
     let layout = DetectedLayout::Nerfstudio(transforms);
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());

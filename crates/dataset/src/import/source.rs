@@ -239,15 +239,13 @@ impl ArrayImages {
             [height, width, _] => (false, height, width),
             _ => (true, 0, 0),
         };
-        let mut image = Image::new(width, height, 3);
-        let pixels = image.pixels();
-        for channel in 0..3 {
-            let from = if self.is_rgb { channel } else { 2 - channel };
-            for (pixel, value) in image.plane_mut(channel).iter_mut().enumerate() {
-                let at = if planar { from * pixels + pixel } else { 3 * pixel + from };
-                *value = (values[at] / 255.0) as f32;
-            }
-        }
+        let pixels = width * height;
+        let image = Image::from_fn(width, height, 3, |channel, column, row| {
+            let channel = if self.is_rgb { channel } else { 2 - channel };
+            let pixel = row * width + column;
+            let at = if planar { channel * pixels + pixel } else { 3 * pixel + channel };
+            (values[at] / 255.0) as f32
+        });
         Ok(self.resampler.colour(&image))
     }
 }

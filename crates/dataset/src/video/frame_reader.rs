@@ -89,7 +89,7 @@ impl FrameReader {
                 return Ok(image);
             }
         }
-        Err(DatasetError::video(path, format!("frame {number} cannot be decoded")))
+        Err(DatasetError::file(path, format!("frame {number} cannot be decoded")))
     }
 
     fn add_to_cache(&mut self, number: usize, image: &Arc<Vec<u8>>) {
@@ -113,7 +113,7 @@ impl Decoder {
     fn start(ffmpeg: &Ffmpeg, path: &Path, size: (usize, usize)) -> Result<Self, DatasetError> {
         let mut child = ffmpeg.decode(path, size)?;
         let Some(images) = child.stdout.take() else {
-            return Err(DatasetError::video(path, "ffmpeg gives no pictures"));
+            return Err(DatasetError::file(path, "ffmpeg gives no pictures"));
         };
         let log = child.stderr.take().and_then(|stream| {
             let read = move || parse_log(stream).error().unwrap_or_default().to_owned();

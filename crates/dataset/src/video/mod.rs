@@ -10,6 +10,7 @@ mod recording;
 mod timestamps;
 
 use crate::DatasetError;
+use crate::image::image_from_rgb;
 use crate::text::counted;
 use ffmpeg::Ffmpeg;
 use ffmpeg_log::FfmpegLog;
@@ -140,14 +141,7 @@ impl Video {
             reader.get_or_insert_with(new).frame(&self.path, number)?
         };
         let (width, height) = self.delivered;
-        let mut image = Image::new(width, height, 3);
-        for channel in 0..3 {
-            let plane = image.plane_mut(channel).iter_mut();
-            for (value, pixel) in plane.zip(bytes.chunks_exact(3)) {
-                *value = f32::from(pixel[channel]) / 255.0;
-            }
-        }
-        Ok(image)
+        Ok(image_from_rgb(width, height, &bytes))
     }
 }
 
@@ -158,7 +152,7 @@ fn image_size(path: &Path, log: &FfmpegLog) -> Result<(usize, usize), DatasetErr
     let width = (width as f64 * frame.pixel_aspect).round() as usize;
     if width.min(height) < 2 || width.max(height) > MAX_SIDE {
         let reason = format!("its pictures are {width}x{height} px, which cannot be used");
-        return Err(DatasetError::video(path, reason));
+        return Err(DatasetError::file(path, reason));
     }
     Ok((width, height))
 }
@@ -182,7 +176,7 @@ fn undecodable(path: &Path, log: &FfmpegLog) -> DatasetError {
     } else {
         format!("no frame of it can be decoded, ffmpeg says: {message}")
     };
-    DatasetError::video(path, reason)
+    DatasetError::file(path, reason)
 }
 
 /// A warning about frames whose time stamps were interpolated.

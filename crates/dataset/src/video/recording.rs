@@ -59,7 +59,7 @@ pub(crate) fn refused_stream(path: &Path) -> Option<DatasetError> {
             "a stream can be read only once, by `i2slam run`: for anything else record it first, for \
              example with `ffmpeg -i {from} -t 60 -c copy clip.mkv`, and take that file"
         );
-        DatasetError::video(path, reason)
+        DatasetError::file(path, reason)
     })
 }
 
@@ -82,7 +82,7 @@ impl Recording {
         if is_standard_input(stream) && io::stdin().is_terminal() {
             let reason = "the standard input is a terminal, expected a video: \
                           `some program | i2slam run - --out DIR`";
-            return Err(DatasetError::video(stream, reason));
+            return Err(DatasetError::file(stream, reason));
         }
         Self::record_with(Ffmpeg::find(), stream, MAX_RECORDING_BYTES, should_end)
     }
@@ -194,7 +194,7 @@ impl RecordingProcess {
     fn start(ffmpeg: &Ffmpeg, stream: &Path, file: File) -> Result<Self, DatasetError> {
         let mut child = ffmpeg.record(stream)?;
         let (Some(images), Some(log)) = (child.stdout.take(), child.stderr.take()) else {
-            return Err(DatasetError::video(stream, "ffmpeg gives no pictures"));
+            return Err(DatasetError::file(stream, "ffmpeg gives no pictures"));
         };
         let copied = Arc::new(AtomicU64::new(0));
         let count = Arc::clone(&copied);

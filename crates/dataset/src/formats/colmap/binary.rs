@@ -26,7 +26,7 @@ impl<'a> ByteReader<'a> {
         let record = self.record.map_or("its count".to_owned(), |(what, number, count)| {
             format!("{what} {number} of {count}")
         });
-        DatasetError::metadata(self.file, format!("{record}: {reason}"))
+        DatasetError::file(self.file, format!("{record}: {reason}"))
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N], DatasetError> {

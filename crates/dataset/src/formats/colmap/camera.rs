@@ -104,7 +104,7 @@ pub(crate) fn shared_camera(
     cameras: &BTreeMap<u32, ModelCamera>,
     images: &[ModelImage],
 ) -> Result<Calibration, DatasetError> {
-    let refuse = |reason: String| DatasetError::metadata(file, reason);
+    let refuse = |reason: String| DatasetError::file(file, reason);
     let mut first: Option<(u32, &ModelCamera)> = None;
     for image in images {
         let camera = cameras.get(&image.camera).ok_or_else(|| {
@@ -137,7 +137,7 @@ pub(super) fn single_camera(
     let first = first.ok_or(DatasetError::Empty { path: file.to_path_buf(), expected })?;
     if cameras.values().any(|camera| !camera.is_same_as(first)) {
         let reason = format!("it has {} cameras that differ, expected one", cameras.len());
-        return Err(DatasetError::camera(file, reason));
+        return Err(DatasetError::file(file, reason));
     }
     Ok(first.calibration(file))
 }
