@@ -170,34 +170,31 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
     assert_eq!(at(pose(0).inverse() * free), 0.0);
 }
 
+fn black_keyframe(index: usize) -> PosedKeyframe {
+    let mut keyframe = keyframe(index, pose(index));
+    Arc::make_mut(&mut keyframe.colour).data.fill(0.0);
+    keyframe
+}
+
 #[test]
 fn unusable_keyframes_are_refused() {
     let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
-    let mut small = keyframe(0, pose(0));
-    small.colour = Arc::new(Image::new(10, 10, 3));
-    let error = session.process(small).expect_err("too small").to_string();
-    assert!(error.contains("colour") && error.contains("10"), "{error}");
-    let mut lost = keyframe(7, pose(0));
-    lost.world_from_camera.translation.x = f64::NAN;
-    let error = session.process(lost).expect_err("no pose").to_string();
-    assert!(error.contains("frame 7") && error.contains("not finite"), "{error}");
-    let mut grey = keyframe(8, pose(0));
-    grey.colour = Arc::new(Image::new(CAMERA.width, CAMERA.height, 1));
-    let error = session.process(grey).expect_err("one channel").to_string();
-    assert!(error.contains("frame 8") && error.contains("3 channels"), "{error}");
-    let mut short = keyframe(9, pose(0));
-    Arc::make_mut(&mut short.colour).data.pop();
-    let error = session.process(short).expect_err("a number too few").to_string();
-    assert!(error.contains("frame 9") && error.contains("colour"), "{error}");
-    for stamp in [f64::NAN, f64::INFINITY] {
-        let late = PosedKeyframe { timestamp: stamp, ..keyframe(4, pose(0)) };
-        let error = session.process(late).expect_err("no time").to_string();
-        assert!(error.contains("frame 4") && error.contains("time stamp"), "{error}");
+    let cases: [(fn(&mut PosedKeyframe), &str); 6] = [
+        (|k| k.colour = Arc::new(Image::new(10, 10, 3)), "its colour is (10, 10) pixels"),
+        (|k| k.colour = Arc::new(Image::new(CAMERA.width, CAMERA.height, 1)), "3 channels"),
+        (|k| drop(Arc::make_mut(&mut k.colour).data.pop()), "its colour holds"),
+        (|k| k.world_from_camera.translation.x = f64::NAN, "not finite"),
+        (|k| k.timestamp = f64::NAN, "time stamp"),
+        (|k| k.timestamp = f64::INFINITY, "time stamp"),
+    ];
+    for (damage, part) in cases {
+        let mut damaged = keyframe(7, pose(0));
+        damage(&mut damaged);
+        let error = session.process(damaged).expect_err("damaged").to_string();
+        assert!(error.contains("frame 7") && error.contains(part), "{error}");
     }
     assert!(session.frames().is_empty());
-    let mut black = keyframe(2, pose(0));
-    Arc::make_mut(&mut black.colour).data.fill(0.0);
-    session.process(black).expect("a picture all the same");
+    session.process(black_keyframe(2)).expect("a picture all the same");
     let warnings = session.take_warnings();
     assert!(warnings.len() == 1 && warnings[0].text.contains("black"), "{warnings:?}");
     session.finish(&mut |_, _| true);
@@ -208,9 +205,7 @@ fn unusable_keyframes_are_refused() {
 fn the_first_exposure_is_initialised_from_a_black_second() {
     let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
     session.process(keyframe(0, pose(0))).expect("a keyframe");
-    let mut black = keyframe(1, pose(1));
-    Arc::make_mut(&mut black.colour).data.fill(0.0);
-    session.process(black).expect("a picture all the same");
+    session.process(black_keyframe(1)).expect("a picture all the same");
     let first = session.frames()[0].shutter;
     assert_ne!(first.start, first.end);
 }
@@ -224,7 +219,7 @@ fn an_unused_quadrature_is_warned_of() {
 }
 
 #[test]
-fn a_field_that_cannot_begin_ends_the_session() {
+fn invalid_settings_of_a_field_end_the_session() {
     let mut config = config();
     config.parameters.field.levels = 0;
     let mut session = KeyframeSession::new(config, CAMERA, 30.0);
