@@ -154,7 +154,7 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
     let usual = if is_rgb(arguments) { "default-rgb" } else { "default" };
     let preset = arguments.preset.as_deref();
     let config = match &arguments.config {
-        Some(file) => Config::from_toml_file_on(file, preset.or(Some(usual)))?,
+        Some(file) => Config::from_toml_file(file, preset.or(Some(usual)))?,
         None => Config::preset(preset.unwrap_or(usual))?,
     };
     with_flags(with_default_map(config, arguments), arguments)

@@ -6,19 +6,13 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 impl Config {
-    /// Settings from a TOML file: `preset` names the start (default: `default`), every other
-    /// key replaces one value of it.
-    pub fn from_toml_file(path: &Path) -> Result<Self, ConfigError> {
-        Self::from_toml_file_on(path, None)
-    }
-
-    /// As [`from_toml_file`](Self::from_toml_file), starting from `preset` unless the file names
-    /// another one.
-    pub fn from_toml_file_on(path: &Path, preset: Option<&str>) -> Result<Self, ConfigError> {
+    /// Settings from a TOML file. Its key `preset` names the start, else `preset`, else `default`;
+    /// every other key replaces one value.
+    pub fn from_toml_file(path: &Path, preset: Option<&str>) -> Result<Self, ConfigError> {
         Self::from_toml(&text(path)?, &path.display().to_string(), preset)
     }
 
-    /// Settings from TOML text; `origin` names it in errors.
+    /// [`from_toml_file`](Self::from_toml_file) of a text; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str, preset: Option<&str>) -> Result<Self, ConfigError> {
         let source = Source { text, origin };
         Self::from_table(&source, source.table()?, preset)
@@ -332,17 +326,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read_back() {
-        let config = Config::preset("paper-tum").expect("known");
-        let back = Config::from_toml(&config.to_toml(), "test", None).expect("valid");
-        assert_eq!(config, back);
-    }
-
-    #[test]
     fn a_file_changes_single_values_of_a_preset() {
-        let text = "preset = \"paper-tum\"\n[mapping]\ndepth_weight = 1\n";
+        let text = "preset = \"paper-tum\"\n[mapping]\ndepth_weight = 2\n";
         let config = Config::from_toml(text, "test", None).expect("valid");
-        assert_eq!(config.mapping.depth_weight, 1.0);
+        assert_eq!(config.mapping.depth_weight, 2.0);
         assert_eq!(config.mapping.window, 20);
     }
 
