@@ -1,14 +1,14 @@
 //! Opened sequences: which frames there are, their camera, and how frames are loaded.
 
 mod checks;
+mod delivery;
 mod exif_consistency;
 mod find_calibration;
 mod frames;
-mod redeliver;
 
 pub use frames::{Frame, FrameStream};
 
-pub(crate) use redeliver::delivered_size;
+pub(crate) use delivery::delivered_size;
 
 use crate::camera::{Calibration, Distortion, ExifHints};
 use crate::formats::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing, read_trajectory};
@@ -16,12 +16,12 @@ use crate::image::{RecordingCameras, image_size};
 use crate::video::refused_stream;
 use crate::{DatasetError, OpenOptions};
 use checks::{camera_warning, coverage_warning, depth_scale_warning, recording_cameras};
+use delivery::delivery;
 use exif_consistency::{check_exif_consistency, orientation_note};
 use find_calibration::find_calibration;
 use frames::FrameLoader;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Trajectory};
-use redeliver::delivery;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

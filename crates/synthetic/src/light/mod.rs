@@ -4,7 +4,7 @@ mod atlas;
 mod transport;
 
 use crate::rgb::{Rgb, luminance, plus, scale, times};
-use crate::scene::{Hit, Role, Scene};
+use crate::scene::{Hit, LightRole, Scene};
 use crate::spec::Spec;
 use atlas::Atlas;
 use transport::{direct_light, reflected_light};
@@ -32,13 +32,15 @@ impl LitScene {
     pub(crate) fn radiance(&self, hit: &Hit, footprint: f32, shift: f32) -> Rgb {
         let surface = &self.scene.surfaces[hit.surface];
         let colour = self.scene.colour(surface, hit.st, footprint, shift);
-        match surface.skin.role {
-            Role::Matt => {
+        match surface.material.role {
+            LightRole::Matt => {
                 let light = self.light.sample(hit.surface, hit.st);
                 scale(times(colour, light), self.gain * std::f32::consts::FRAC_1_PI)
             }
-            Role::Pane => scale(colour, self.outside),
-            Role::Glow | Role::Lamp => scale(colour, self.gain * surface.skin.radiance),
+            LightRole::Pane => scale(colour, self.outside),
+            LightRole::Glow | LightRole::Lamp => {
+                scale(colour, self.gain * surface.material.radiance)
+            }
         }
     }
 }
@@ -79,7 +81,7 @@ fn scale_light(scene: Scene, light: Atlas, spec: &Spec) -> LitScene {
         let patch = light.patches[index];
         let [width, height] = surface.shape.extent();
         let area = width * height / (patch.width * patch.height) as f32;
-        if surface.skin.role == Role::Matt {
+        if surface.material.role == LightRole::Matt {
             let colour = scene.mean_colour(surface);
             let texels = &light.values[patch.first..patch.first + patch.width * patch.height];
             levels.extend(texels.iter().map(|&e| (luminance(times(colour, e)), area)));
@@ -93,7 +95,7 @@ fn scale_light(scene: Scene, light: Atlas, spec: &Spec) -> LitScene {
         below >= half
     });
     let median = median.map_or(1.0, |level| level.0) * std::f32::consts::FRAC_1_PI;
-    let pane = scene.surfaces.iter().find(|s| s.skin.role == Role::Pane);
+    let pane = scene.surfaces.iter().find(|s| s.material.role == LightRole::Pane);
     let bright = pane.map_or(1.0, |pane| luminance(scene.mean_colour(pane)));
     let outside = MEDIAN_RADIANCE * (spec.light.window_stops as f32).exp2() / bright;
     LitScene { gain: MEDIAN_RADIANCE / median.max(1e-9), outside, scene, light }

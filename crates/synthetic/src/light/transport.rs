@@ -3,7 +3,7 @@
 use super::atlas::Atlas;
 use crate::rgb::{Rgb, plus, scale, times};
 use crate::rng::{between32, lattice, stream};
-use crate::scene::{Emitter, Ray, Role, Scene, Vec3};
+use crate::scene::{Emitter, LightRole, Ray, Scene, Vec3};
 use i2slam_compute::Random;
 
 /// Shadow rays to each light source.
@@ -34,8 +34,8 @@ pub(super) fn direct_light(
 
 fn is_open(scene: &Scene, origin: Vec3, towards: Vec3) -> bool {
     let ray = Ray { origin, direction: towards, from: 0.0, to: 0.9995 };
-    let lets_through = |role| matches!(role, Role::Lamp | Role::Pane);
-    scene.first_hit(&ray).is_none_or(|hit| lets_through(scene.surfaces[hit.surface].skin.role))
+    let lets_through = |role| matches!(role, LightRole::Lamp | LightRole::Pane);
+    scene.first_hit(&ray).is_none_or(|hit| lets_through(scene.surfaces[hit.surface].material.role))
 }
 
 /// `E = 1/N Σ L cos θ cos θ' A / r²` over points of the source.
@@ -118,7 +118,8 @@ fn sunlight(scene: &Scene, origin: Vec3, normal: Vec3, sun: Rgb, random: &mut Ra
         let mut draw = || between32(random, -SUN_RADIUS, SUN_RADIUS);
         let direction = towards + x * draw() + y * draw();
         let ray = Ray { origin, direction, from: 0.0, to: f32::INFINITY };
-        let through = |hit: crate::scene::Hit| scene.surfaces[hit.surface].skin.role == Role::Pane;
+        let through =
+            |hit: crate::scene::Hit| scene.surfaces[hit.surface].material.role == LightRole::Pane;
         open += usize::from(scene.first_hit(&ray).is_some_and(through));
     }
     scale(sun, cosine * open as f32 / SUN_SAMPLES as f32)
@@ -153,11 +154,11 @@ pub(super) fn reflected_light(
         let colour = scene.mean_colour(surface);
         sum = plus(
             sum,
-            match surface.skin.role {
+            match surface.material.role {
                 // These are sampled as direct light.
-                Role::Lamp | Role::Pane => [0.0; 3],
-                Role::Glow => scale(colour, surface.skin.radiance * std::f32::consts::PI),
-                Role::Matt => {
+                LightRole::Lamp | LightRole::Pane => [0.0; 3],
+                LightRole::Glow => scale(colour, surface.material.radiance * std::f32::consts::PI),
+                LightRole::Matt => {
                     let light = direct.nearest(hit.surface, hit.st);
                     times(colour, plus(light, reflected.nearest(hit.surface, hit.st)))
                 }

@@ -1,18 +1,18 @@
 //! Construction of surfaces: blocks, quads, discs, balls, frustums.
 
-use super::{Emitter, Role, Shape, Skin, Surface, Vec3};
+use super::{Emitter, LightRole, Material, Shape, Surface, Vec3};
 use crate::rgb::{Rgb, scale};
 use crate::texture::Texture;
 
 /// Local frame of an object: x right, y away from the viewer, z up.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct LocalFrame {
     pub(super) origin: Vec3,
     /// Direction of local x [rad], from the world's x axis.
     pub(super) yaw: f32,
 }
 
-impl Place {
+impl LocalFrame {
     pub(super) fn new(x: f32, y: f32, yaw: f32) -> Self {
         Self { origin: Vec3::new(x, y, 0.0), yaw }
     }
@@ -34,15 +34,15 @@ impl Place {
     }
 }
 
-impl Skin {
+impl Material {
     /// Tiled paint.
     pub(super) fn tiled(texture: usize, tile: f32, tint: Rgb) -> Self {
-        Self { texture, tint, tile: Some(tile), role: Role::Matt, radiance: 0.0 }
+        Self { texture, tint, tile: Some(tile), role: LightRole::Matt, radiance: 0.0 }
     }
 
     /// A picture over the whole surface.
     pub(super) fn picture(texture: usize) -> Self {
-        Self { texture, tint: [1.0; 3], tile: None, role: Role::Matt, radiance: 0.0 }
+        Self { texture, tint: [1.0; 3], tile: None, role: LightRole::Matt, radiance: 0.0 }
     }
 
     /// Replaces the tint.
@@ -50,8 +50,8 @@ impl Skin {
         Self { tint, ..self }
     }
 
-    /// Makes the skin emit light.
-    pub(super) fn emitting(self, role: Role, radiance: f32) -> Self {
+    /// Makes the material emit light.
+    pub(super) fn emitting(self, role: LightRole, radiance: f32) -> Self {
         Self { role, radiance, ..self }
     }
 }
@@ -73,39 +73,39 @@ impl Builder {
 
     /// Adds a shape. Tiles start at an offset that depends on the number of surfaces, so that equal
     /// boards differ, unless `start` [m] is given.
-    pub(super) fn add(&mut self, shape: Shape, skin: Skin, start: Option<[f32; 2]>) {
+    pub(super) fn add(&mut self, shape: Shape, material: Material, start: Option<[f32; 2]>) {
         let extent = shape.extent();
-        let size = self.textures[skin.texture].size as f32;
-        let (repeats, texels) = match skin.tile {
+        let size = self.textures[material.texture].size as f32;
+        let (repeats, texels) = match material.tile {
             Some(tile) => (extent.map(|e| e / tile), size / tile),
             None => ([1.0; 2], size / extent[0].max(extent[1])),
         };
         let golden = self.surfaces.len() as f32 * 0.618_034;
-        let start = match (skin.tile, start) {
+        let start = match (material.tile, start) {
             (Some(tile), Some(start)) => start.map(|s| s / tile),
             (Some(_), None) => [golden.fract(), (golden * 1.7).fract()],
             (None, _) => [0.0; 2],
         };
-        self.surfaces.push(Surface { shape, skin, repeats, start, texels_per_metre: texels });
+        self.surfaces.push(Surface { shape, material, repeats, start, texels_per_metre: texels });
     }
 
     /// A rectangle from its upper left corner.
-    pub(super) fn quad(&mut self, origin: Vec3, right: Vec3, down: Vec3, skin: Skin) {
-        self.add(Shape::quad(origin, right, down, false), skin, None);
+    pub(super) fn quad(&mut self, origin: Vec3, right: Vec3, down: Vec3, material: Material) {
+        self.add(Shape::quad(origin, right, down, false), material, None);
     }
 
-    /// A block between two local corners with another skin on its `front`.
+    /// A block between two local corners with another material on its `front`.
     pub(super) fn block_with_front(
         &mut self,
-        place: &Place,
+        place: &LocalFrame,
         low: [f32; 3],
         high: [f32; 3],
-        sides: Skin,
-        front: Skin,
+        sides: Material,
+        front: Material,
     ) {
         let d: [f32; 3] = std::array::from_fn(|i| high[i] - low[i]);
-        let mut face = |corner: [f32; 3], right: [f32; 3], down: [f32; 3], skin: Skin| {
-            self.quad(place.point(corner), place.turn(right), place.turn(down), skin);
+        let mut face = |corner: [f32; 3], right: [f32; 3], down: [f32; 3], material: Material| {
+            self.quad(place.point(corner), place.turn(right), place.turn(down), material);
         };
         let down = [0.0, 0.0, -d[2]];
         let [x0, y0, z0] = low;
@@ -120,39 +120,51 @@ impl Builder {
         }
     }
 
-    /// A block of one skin.
-    pub(super) fn block(&mut self, place: &Place, low: [f32; 3], high: [f32; 3], skin: Skin) {
-        self.block_with_front(place, low, high, skin, skin);
+    /// A block of one material.
+    pub(super) fn block(
+        &mut self,
+        place: &LocalFrame,
+        low: [f32; 3],
+        high: [f32; 3],
+        material: Material,
+    ) {
+        self.block_with_front(place, low, high, material, material);
     }
 
     /// An upright frustum from `z0` to `z1` with its ends.
     pub(super) fn frustum(
         &mut self,
-        place: &Place,
+        place: &LocalFrame,
         [z0, z1]: [f32; 2],
         radii: [f32; 2],
-        skin: Skin,
+        material: Material,
     ) {
-        self.tube(place, [z0, z1], radii, skin);
+        self.tube(place, [z0, z1], radii, material);
         for (z, radius, side) in [(z1, radii[1], 1.0), (z0, radii[0], -1.0)] {
             if radius > 0.0 && !(side < 0.0 && place.origin.z + z0 < 0.02) {
                 let corner = place.point([-radius, side * radius, z]);
                 let right = place.turn([2.0 * radius, 0.0, 0.0]);
                 let down = place.turn([0.0, -side * 2.0 * radius, 0.0]);
-                self.add(Shape::quad(corner, right, down, true), skin, None);
+                self.add(Shape::quad(corner, right, down, true), material, None);
             }
         }
     }
 
     /// An upright frustum without ends.
-    pub(super) fn tube(&mut self, place: &Place, [z0, z1]: [f32; 2], radii: [f32; 2], skin: Skin) {
+    pub(super) fn tube(
+        &mut self,
+        place: &LocalFrame,
+        [z0, z1]: [f32; 2],
+        radii: [f32; 2],
+        material: Material,
+    ) {
         let base = place.point([0.0, 0.0, z0]);
-        self.add(Shape::Frustum { base, height: z1 - z0, radii }, skin, None);
+        self.add(Shape::Frustum { base, height: z1 - z0, radii }, material, None);
     }
 
     /// A ball.
-    pub(super) fn ball(&mut self, centre: Vec3, radius: f32, skin: Skin) {
-        self.add(Shape::Ball { centre, radius }, skin, None);
+    pub(super) fn ball(&mut self, centre: Vec3, radius: f32, material: Material) {
+        self.add(Shape::Ball { centre, radius }, material, None);
     }
 
     /// A bulb that lights the room.
@@ -160,11 +172,11 @@ impl Builder {
         &mut self,
         centre: Vec3,
         radius: f32,
-        skin: Skin,
+        material: Material,
         colour: Rgb,
         radiance: f32,
     ) {
-        self.ball(centre, radius, skin.tinted(colour).emitting(Role::Lamp, radiance));
+        self.ball(centre, radius, material.tinted(colour).emitting(LightRole::Lamp, radiance));
         self.emitters.push(Emitter::Ball { centre, radius, radiance: scale(colour, radiance) });
     }
 }

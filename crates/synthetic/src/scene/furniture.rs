@@ -1,9 +1,9 @@
 //! Furniture against a wall: x from the middle, y from -depth to 0 at the wall.
 
-use super::builder::{Builder, Place};
-use super::library::{Library, small_colour};
+use super::builder::{Builder, LocalFrame};
+use super::library::{MaterialLibrary, small_colour};
 use super::objects;
-use super::{Role, Skin};
+use super::{LightRole, Material};
 use crate::rgb::{scale, srgb};
 use crate::rng::between32;
 use i2slam_compute::Random;
@@ -11,9 +11,9 @@ use i2slam_compute::Random;
 /// A bookshelf of 1.0 x 0.3 x 1.95 m.
 pub(super) fn bookshelf(
     b: &mut Builder,
-    l: &Library,
+    l: &MaterialLibrary,
     random: &mut Random,
-    place: &Place,
+    place: &LocalFrame,
     clutter: f32,
 ) {
     let (half, depth, tall, board) = (0.5, 0.3, 1.95, 0.025);
@@ -44,7 +44,12 @@ pub(super) fn bookshelf(
 }
 
 /// A sideboard of 1.3 x 0.42 x 0.78 m with drawers.
-pub(super) fn sideboard(b: &mut Builder, l: &Library, random: &mut Random, place: &Place) {
+pub(super) fn sideboard(
+    b: &mut Builder,
+    l: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     let (half, depth, tall) = (0.65, 0.42, 0.78);
     let (wood, front) = (l.woods[0], l.woods[1]);
     b.block(place, [-half, -depth, 0.08], [half, -0.01, tall], wood);
@@ -69,7 +74,7 @@ pub(super) fn sideboard(b: &mut Builder, l: &Library, random: &mut Random, place
 }
 
 /// A sofa of 1.9 x 0.85 x 0.82 m with cushions.
-pub(super) fn sofa(b: &mut Builder, l: &Library, random: &mut Random, place: &Place) {
+pub(super) fn sofa(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, place: &LocalFrame) {
     let (half, depth) = (0.95, 0.85);
     let cloth = l.sofa;
     b.block(place, [-half, -depth, 0.07], [half, -0.02, 0.30], cloth);
@@ -91,7 +96,13 @@ pub(super) fn sofa(b: &mut Builder, l: &Library, random: &mut Random, place: &Pl
 }
 
 /// A desk of 1.4 x 0.65 x 0.74 m with a display, a keyboard and a chair.
-pub(super) fn desk(b: &mut Builder, l: &Library, random: &mut Random, place: &Place, light: f32) {
+pub(super) fn desk(
+    b: &mut Builder,
+    l: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+    light: f32,
+) {
     let (half, depth, tall) = (0.7, 0.65, 0.74);
     let wood = l.woods[2];
     b.block(place, [-half, -depth, tall - 0.03], [half, 0.0, tall], wood);
@@ -102,7 +113,7 @@ pub(super) fn desk(b: &mut Builder, l: &Library, random: &mut Random, place: &Pl
     }
     let top = place.at([0.0, -0.32, tall], 0.0);
     let black = l.paint.tinted(srgb(0x1d1e21));
-    let shown = l.screen.emitting(Role::Glow, light);
+    let shown = l.screen.emitting(LightRole::Glow, light);
     b.block(&top, [-0.12, 0.05, 0.0], [0.12, 0.22, 0.015], black);
     b.block(&top, [-0.03, 0.14, 0.015], [0.03, 0.17, 0.15], black);
     b.block(&top, [-0.30, 0.10, 0.12], [0.30, 0.135, 0.48], black);
@@ -117,7 +128,7 @@ pub(super) fn desk(b: &mut Builder, l: &Library, random: &mut Random, place: &Pl
     chair(b, l, &place.at([0.1, -0.95, 0.0], 0.25), l.woods[0]);
 }
 
-fn keyboard(b: &mut Builder, l: &Library, place: &Place) {
+fn keyboard(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     b.block(place, [-0.22, -0.07, 0.0], [0.22, 0.07, 0.018], l.paint.tinted(srgb(0x2b2c30)));
     let key = l.paint.tinted(srgb(0xc9c9c4));
     for row in 0..4 {
@@ -131,7 +142,7 @@ fn keyboard(b: &mut Builder, l: &Library, place: &Place) {
 }
 
 /// A chair, its back towards local -y, its middle at the origin.
-pub(super) fn chair(b: &mut Builder, l: &Library, place: &Place, wood: Skin) {
+pub(super) fn chair(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame, wood: Material) {
     let half = 0.21;
     for (x, y) in
         [(-half, -half), (half - 0.04, -half), (-half, half - 0.04), (half - 0.04, half - 0.04)]
@@ -152,7 +163,7 @@ pub(super) fn chair(b: &mut Builder, l: &Library, place: &Place, wood: Skin) {
 }
 
 /// A table of 1.3 x 0.8 x 0.75 m in the middle of the room, laid, with chairs around it.
-pub(super) fn table(b: &mut Builder, l: &Library, random: &mut Random, place: &Place) {
+pub(super) fn table(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, place: &LocalFrame) {
     let (hx, hy, tall) = (0.65, 0.40, 0.75);
     let wood = l.woods[1];
     b.block(place, [-hx, -hy, tall - 0.035], [hx, hy, tall], wood);
@@ -185,7 +196,12 @@ pub(super) fn table(b: &mut Builder, l: &Library, random: &mut Random, place: &P
 }
 
 /// Cardboard boxes on each other.
-pub(super) fn cartons(b: &mut Builder, l: &Library, random: &mut Random, place: &Place) {
+pub(super) fn cartons(
+    b: &mut Builder,
+    l: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     let mut z = 0.0;
     for i in 0..2 + random.below(2) {
         let here = place.at([0.0, -0.25, z], between32(random, -0.25, 0.25));
@@ -197,7 +213,7 @@ pub(super) fn cartons(b: &mut Builder, l: &Library, random: &mut Random, place: 
 }
 
 /// A radiator of 1.0 x 0.1 x 0.55 m.
-pub(super) fn radiator(b: &mut Builder, l: &Library, place: &Place) {
+pub(super) fn radiator(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     let white = l.paint.tinted(srgb(0xdfded8));
     b.block(place, [-0.5, -0.09, 0.12], [0.5, -0.05, 0.62], white);
     for i in 0..14 {
@@ -207,7 +223,7 @@ pub(super) fn radiator(b: &mut Builder, l: &Library, place: &Place) {
 }
 
 /// A door of 0.9 x 2.05 m with its frame and knob.
-pub(super) fn door(b: &mut Builder, l: &Library, random: &mut Random, place: &Place) {
+pub(super) fn door(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, place: &LocalFrame) {
     let frame = l.woods[2];
     b.block_with_front(place, [-0.43, -0.03, 0.0], [0.43, 0.0, 2.03], frame, l.door);
     for (x0, x1, z0, z1) in

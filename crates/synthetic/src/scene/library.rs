@@ -1,6 +1,6 @@
 //! The materials of one room, chosen by its seed.
 
-use super::Skin;
+use super::Material;
 use super::builder::Builder;
 use crate::rgb::{Rgb, scale, srgb};
 use crate::rng::stream;
@@ -11,37 +11,37 @@ use i2slam_compute::Random;
 /// Purpose number of the random stream that chooses materials.
 const MATERIALS: u64 = 1;
 
-/// Skins of all objects in a room.
-pub(super) struct Library {
-    pub(super) floor: Skin,
-    pub(super) plaster: Skin,
+/// Materials of all objects in a room.
+pub(super) struct MaterialLibrary {
+    pub(super) floor: Material,
+    pub(super) plaster: Material,
     /// Bricks or wallpaper, for one wall.
-    pub(super) accent: Skin,
-    pub(super) ceiling: Skin,
+    pub(super) accent: Material,
+    pub(super) ceiling: Material,
     /// Dark, middle and pale wood.
-    pub(super) woods: [Skin; 3],
-    pub(super) paint: Skin,
-    pub(super) sofa: Skin,
-    pub(super) cloths: [Skin; 2],
-    pub(super) curtain: Skin,
-    pub(super) rug: Skin,
-    pub(super) glazes: [Skin; 3],
-    pub(super) door: Skin,
-    pub(super) sheets: Vec<Skin>,
-    pub(super) papers: Vec<Skin>,
-    pub(super) paintings: Vec<Skin>,
-    pub(super) calendar: Skin,
-    pub(super) cartons: [Skin; 2],
-    pub(super) spines: Vec<Skin>,
-    pub(super) screen: Skin,
-    pub(super) outside: Skin,
+    pub(super) woods: [Material; 3],
+    pub(super) paint: Material,
+    pub(super) sofa: Material,
+    pub(super) cloths: [Material; 2],
+    pub(super) curtain: Material,
+    pub(super) rug: Material,
+    pub(super) glazes: [Material; 3],
+    pub(super) door: Material,
+    pub(super) sheets: Vec<Material>,
+    pub(super) papers: Vec<Material>,
+    pub(super) paintings: Vec<Material>,
+    pub(super) calendar: Material,
+    pub(super) cartons: [Material; 2],
+    pub(super) spines: Vec<Material>,
+    pub(super) screen: Material,
+    pub(super) outside: Material,
 }
 
 fn one_of(random: &mut Random, codes: &[u32]) -> Rgb {
     srgb(codes[random.below(codes.len())])
 }
 
-impl Library {
+impl MaterialLibrary {
     /// Paints all textures. `sheets` is the number of different text panels.
     pub(super) fn new(builder: &mut Builder, seed: u64, sheets: usize) -> Self {
         let mut random = stream(seed, MATERIALS, 0);
@@ -52,7 +52,7 @@ impl Library {
         };
         let paint_seed = next() as u32;
         let mut keep = |texture: Texture| builder.texture(texture);
-        let tiled = |texture: usize, tile: f32| Skin::tiled(texture, tile, [1.0; 3]);
+        let tiled = |texture: usize, tile: f32| Material::tiled(texture, tile, [1.0; 3]);
         let wall = one_of(&mut random, &[0xd9cfbd, 0xc4cfcb, 0xd8c3b0, 0xbfc6d2, 0xcdd0b8]);
         let bold = one_of(&mut random, &[0x8c3b2f, 0x2e5e6e, 0x54703b, 0x6b4a7a, 0x9a6a1f]);
         let brick = random.below(2) == 0;
@@ -82,16 +82,16 @@ impl Library {
             curtain: tiled(keep(texture::curtain(scale(bold, 1.1), next() as u32)), 0.9),
             rug: {
                 let colours = [scale(bold, 0.8), srgb(0xcbb892), srgb(0x2b2f45)];
-                Skin::picture(keep(texture::rug(colours, next() as u32)))
+                Material::picture(keep(texture::rug(colours, next() as u32)))
             },
             glazes: [(0x2f5d8a, 0xd9d4c5), (0xb5482f, 0xe0b070), (0x4f7a4a, 0xd5d9b0)]
                 .map(|(a, b)| tiled(keep(texture::ceramic(srgb(a), srgb(b), next() as u32)), 0.6)),
-            door: Skin::picture(keep(texture::door(srgb(0xc8bfa9), next() as u32))),
+            door: Material::picture(keep(texture::door(srgb(0xc8bfa9), next() as u32))),
             sheets: (0..sheets)
-                .map(|_| Skin::picture(keep(texture::text_sheet(0.72, next()))))
+                .map(|_| Material::picture(keep(texture::text_sheet(0.72, next()))))
                 .collect(),
             papers: (0..2)
-                .map(|_| Skin::picture(keep(texture::text_sheet(0.71, next()))))
+                .map(|_| Material::picture(keep(texture::text_sheet(0.71, next()))))
                 .collect(),
             paintings: (0..4)
                 .map(|i| {
@@ -99,14 +99,14 @@ impl Library {
                         0 => texture::landscape_painting(next() as u32 >> 8),
                         _ => texture::abstract_painting(next()),
                     };
-                    Skin::picture(keep(texture))
+                    Material::picture(keep(texture))
                 })
                 .collect(),
-            calendar: Skin::picture(keep(texture::calendar(next()))),
-            cartons: [0, 1].map(|_| Skin::picture(keep(texture::carton(next())))),
-            spines: (0..8).map(|_| Skin::picture(keep(texture::spine(next())))).collect(),
-            screen: Skin::picture(keep(texture::screen(next()))),
-            outside: Skin::picture(keep(texture::outside(next() as u32 >> 8))),
+            calendar: Material::picture(keep(texture::calendar(next()))),
+            cartons: [0, 1].map(|_| Material::picture(keep(texture::carton(next())))),
+            spines: (0..8).map(|_| Material::picture(keep(texture::spine(next())))).collect(),
+            screen: Material::picture(keep(texture::screen(next()))),
+            outside: Material::picture(keep(texture::outside(next() as u32 >> 8))),
         }
     }
 }

@@ -17,9 +17,9 @@ pub(crate) use shape::{Hit, Ray, Shape};
 /// Points and directions in the world.
 pub(crate) type Vec3 = i2slam_geometry::Vec3<f32>;
 
-/// Role of a surface in light transport.
+/// LightRole of a surface in light transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Role {
+pub(crate) enum LightRole {
     /// Reflects (Lambert).
     Matt,
     /// Emits light that is found by hemisphere rays: glowing shades, displays.
@@ -32,23 +32,23 @@ pub(crate) enum Role {
 
 /// Texture mapping and material of a surface.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Skin {
+pub(crate) struct Material {
     /// Index of the texture.
     pub(crate) texture: usize,
     /// Factor on its colours.
     pub(crate) tint: Rgb,
     /// Side of one repetition [m]; `None`: stretched over the surface once.
     pub(crate) tile: Option<f32>,
-    /// Role in light transport.
-    pub(crate) role: Role,
+    /// LightRole in light transport.
+    pub(crate) role: LightRole,
     /// Radiance of white, for emitters.
     pub(crate) radiance: f32,
 }
 
-/// A shape with its skin.
+/// A shape with its material.
 pub(crate) struct Surface {
     pub(crate) shape: Shape,
-    pub(crate) skin: Skin,
+    pub(crate) material: Material,
     /// Repetitions of the texture over the surface.
     pub(crate) repeats: [f32; 2],
     /// Texture coordinates of the surface's origin [repetitions].
@@ -84,7 +84,7 @@ impl Scene {
         self.bvh.first_hit(ray)
     }
 
-    /// Colour of the skin at `(s, t)` of a surface, read for a footprint [m]; `shift` in
+    /// Colour of the material at `(s, t)` of a surface, read for a footprint [m]; `shift` in
     /// [-½, ½) chooses between two levels, so that averages over samples blend them.
     #[inline]
     pub(crate) fn colour(
@@ -102,12 +102,12 @@ impl Scene {
         // Several samples are averaged in every pixel: half a level sharper than one sample needs,
         // which cancels the half that rounding would add.
         let level = (logarithm + shift).max(0.0) as i32;
-        let colour = self.textures[surface.skin.texture].sample(&self.decoder, u, v, level);
-        crate::rgb::times(colour, surface.skin.tint)
+        let colour = self.textures[surface.material.texture].sample(&self.decoder, u, v, level);
+        crate::rgb::times(colour, surface.material.tint)
     }
 
     /// Mean colour of a surface.
     pub(crate) fn mean_colour(&self, surface: &Surface) -> Rgb {
-        crate::rgb::times(self.textures[surface.skin.texture].mean, surface.skin.tint)
+        crate::rgb::times(self.textures[surface.material.texture].mean, surface.material.tint)
     }
 }

@@ -1,8 +1,8 @@
 //! Small things that stand on others.
 
-use super::builder::{Builder, Place};
-use super::library::{Library, small_colour};
-use super::{Role, Skin, Vec3};
+use super::builder::{Builder, LocalFrame};
+use super::library::{MaterialLibrary, small_colour};
+use super::{LightRole, Material, Vec3};
 use crate::rgb::{scale, srgb};
 use crate::rng::between32;
 use i2slam_compute::Random;
@@ -11,9 +11,9 @@ use i2slam_compute::Random;
 /// above it [m].
 pub(super) fn books(
     builder: &mut Builder,
-    library: &Library,
+    library: &MaterialLibrary,
     random: &mut Random,
-    board: &Place,
+    board: &LocalFrame,
     ([x0, x1], depth, room): ([f32; 2], f32, f32),
 ) {
     let mut x = x0;
@@ -34,7 +34,12 @@ pub(super) fn books(
 }
 
 /// A pile of lying books.
-pub(super) fn pile(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
+pub(super) fn pile(
+    builder: &mut Builder,
+    library: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     let mut z = 0.0;
     for _ in 0..2 + random.below(3) {
         let here = place.at([0.0, 0.0, z], between32(random, -0.35, 0.35));
@@ -46,7 +51,12 @@ pub(super) fn pile(builder: &mut Builder, library: &Library, random: &mut Random
 }
 
 /// A sheet of paper with text.
-pub(super) fn sheet(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
+pub(super) fn sheet(
+    builder: &mut Builder,
+    library: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     let paper = library.papers[random.below(library.papers.len())];
     let corner = place.point([-0.105, 0.149, 0.0015]);
     let (right, down) = (place.turn([0.21, 0.0, 0.0]), place.turn([0.0, -0.297, 0.0]));
@@ -54,14 +64,24 @@ pub(super) fn sheet(builder: &mut Builder, library: &Library, random: &mut Rando
 }
 
 /// A mug with a handle.
-pub(super) fn mug(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
+pub(super) fn mug(
+    builder: &mut Builder,
+    library: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     let glaze = library.paint.tinted(scale(small_colour(random), 1.2));
     builder.frustum(place, [0.0, 0.09], [0.038, 0.042], glaze);
     builder.block(place, [0.04, -0.006, 0.02], [0.065, 0.006, 0.075], glaze);
 }
 
 /// A vase of turned parts.
-pub(super) fn vase(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
+pub(super) fn vase(
+    builder: &mut Builder,
+    library: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     let glaze = library.glazes[random.below(3)];
     let r = between32(random, 0.06, 0.09);
     builder.frustum(place, [0.0, 0.10], [0.7 * r, r], glaze);
@@ -70,14 +90,19 @@ pub(super) fn vase(builder: &mut Builder, library: &Library, random: &mut Random
 }
 
 /// A bowl of fruit.
-pub(super) fn fruit(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
+pub(super) fn fruit(
+    builder: &mut Builder,
+    library: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     builder.frustum(place, [0.0, 0.06], [0.07, 0.15], library.glazes[0]);
     for i in 0..6 {
         let angle = i as f32 * 1.05 + between32(random, -0.2, 0.2);
         let (s, c) = angle.sin_cos();
         let colour = [0xc0392b, 0xd98e1f, 0x7c9a2e, 0xe0b32c][random.below(4)];
-        let skin = library.glazes[1].tinted([0.0; 3]);
-        let peel = Skin { texture: library.paint.texture, ..skin }.tinted(srgb(colour));
+        let material = library.glazes[1].tinted([0.0; 3]);
+        let peel = Material { texture: library.paint.texture, ..material }.tinted(srgb(colour));
         let r = between32(random, 0.034, 0.042);
         let reach = if i == 5 { 0.0 } else { 0.075 };
         let height = if i == 5 { 0.11 } else { 0.08 };
@@ -86,7 +111,12 @@ pub(super) fn fruit(builder: &mut Builder, library: &Library, random: &mut Rando
 }
 
 /// A patterned ball.
-pub(super) fn globe(builder: &mut Builder, library: &Library, random: &mut Random, place: &Place) {
+pub(super) fn globe(
+    builder: &mut Builder,
+    library: &MaterialLibrary,
+    random: &mut Random,
+    place: &LocalFrame,
+) {
     let r = between32(random, 0.07, 0.13);
     builder.frustum(place, [0.0, 0.02], [0.05, 0.04], library.woods[0]);
     let glaze = library.glazes[random.below(3)];
@@ -96,9 +126,9 @@ pub(super) fn globe(builder: &mut Builder, library: &Library, random: &mut Rando
 /// A plant in a pot: stems and round leaves as tilted discs.
 pub(super) fn plant(
     builder: &mut Builder,
-    library: &Library,
+    library: &MaterialLibrary,
     random: &mut Random,
-    place: &Place,
+    place: &LocalFrame,
     tall: f32,
 ) {
     let pot = 0.16 * tall.max(0.6);
@@ -128,15 +158,15 @@ pub(super) fn plant(
 /// A lamp on a foot with a glowing shade; `tall` [m].
 pub(super) fn lamp(
     builder: &mut Builder,
-    library: &Library,
-    place: &Place,
+    library: &MaterialLibrary,
+    place: &LocalFrame,
     tall: f32,
     light: [f32; 3],
 ) {
     let (size, metal) = (0.22 * tall.powf(0.4), library.paint.tinted(srgb(0x39352f)));
     builder.frustum(place, [0.0, 0.02], [0.6 * size, 0.55 * size], metal);
     builder.frustum(place, [0.02, tall - size], [0.012, 0.012], metal);
-    let shade = library.paint.tinted(srgb(0xf2dfb8)).emitting(Role::Glow, 0.8 * light[0]);
+    let shade = library.paint.tinted(srgb(0xf2dfb8)).emitting(LightRole::Glow, 0.8 * light[0]);
     builder.tube(place, [tall - size, tall], [0.72 * size, 0.5 * size], shade);
     let bulb = place.point([0.0, 0.0, tall - 0.45 * size]);
     let area = 0.045 * 0.045 * std::f32::consts::PI;

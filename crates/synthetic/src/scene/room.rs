@@ -1,8 +1,8 @@
 //! A whole room from a specification.
 
-use super::builder::{Builder, Place};
-use super::library::Library;
-use super::{Bvh, Emitter, Role, Scene, Skin, Vec3, furniture, objects};
+use super::builder::{Builder, LocalFrame};
+use super::library::MaterialLibrary;
+use super::{Bvh, Emitter, LightRole, Material, Scene, Vec3, furniture, objects};
 use crate::rgb::{Rgb, scale, srgb};
 use crate::rng::{between32, stream};
 use crate::spec::Spec;
@@ -21,7 +21,7 @@ const LAMPLIGHT: [f32; 3] = [1.0, 0.76, 0.48];
 /// The room of a specification: the same for the same `seed` and `[room]`, `[light]`.
 pub(crate) fn furnished_room(spec: &Spec) -> Scene {
     let mut builder = Builder::default();
-    let library = Library::new(&mut builder, spec.seed, spec.room.text_panels.max(1));
+    let library = MaterialLibrary::new(&mut builder, spec.seed, spec.room.text_panels.max(1));
     let mut random = stream(spec.seed, FURNITURE, 0);
     let [width, depth, height] = spec.room.size.map(|v| v as f32);
     let walls = walls(width, depth, height, random.below(4));
@@ -52,10 +52,10 @@ pub(crate) fn furnished_room(spec: &Spec) -> Scene {
 fn walls(width: f32, depth: f32, height: f32, first: usize) -> [Wall; 4] {
     let (x, y) = (0.5 * width, 0.5 * depth);
     let all = [
-        (Place::new(-x, y, 0.0), width),
-        (Place::new(x, y, -FRAC_PI_2), depth),
-        (Place::new(x, -y, PI), width),
-        (Place::new(-x, -y, FRAC_PI_2), depth),
+        (LocalFrame::new(-x, y, 0.0), width),
+        (LocalFrame::new(x, y, -FRAC_PI_2), depth),
+        (LocalFrame::new(x, -y, PI), width),
+        (LocalFrame::new(-x, -y, FRAC_PI_2), depth),
     ];
     std::array::from_fn(|i| {
         let (place, length) = all[(first + i) % 4];
@@ -63,14 +63,20 @@ fn walls(width: f32, depth: f32, height: f32, first: usize) -> [Wall; 4] {
     })
 }
 
-fn shell(b: &mut Builder, l: &Library, [width, depth, height]: [f32; 3]) {
+fn shell(b: &mut Builder, l: &MaterialLibrary, [width, depth, height]: [f32; 3]) {
     let (x, y) = (0.5 * width, 0.5 * depth);
     let right = Vec3::new(width, 0.0, 0.0);
     b.quad(Vec3::new(-x, y, 0.0), right, Vec3::new(0.0, -depth, 0.0), l.floor);
     b.quad(Vec3::new(-x, -y, height), right, Vec3::new(0.0, depth, 0.0), l.ceiling);
 }
 
-fn window_wall(b: &mut Builder, l: &Library, random: &mut Random, wall: &Wall, spec: &Spec) {
+fn window_wall(
+    b: &mut Builder,
+    l: &MaterialLibrary,
+    random: &mut Random,
+    wall: &Wall,
+    spec: &Spec,
+) {
     let count = spec.room.windows.min((wall.length / 1.5) as usize);
     let step = wall.length / count.max(1) as f32;
     let (z0, z1) = (0.88, (wall.height - 0.35).min(2.25));
@@ -107,7 +113,7 @@ fn spread(random: &mut Random, length: f32, widths: &[f32]) -> Vec<f32> {
     widths.iter().zip(&gaps).map(place).collect()
 }
 
-fn study_wall(b: &mut Builder, l: &Library, random: &mut Random, wall: &Wall, spec: &Spec) {
+fn study_wall(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, wall: &Wall, spec: &Spec) {
     wall.build(b, l.accent, l.woods[2], &[]);
     let at = spread(random, wall.length, &[1.0, 1.4, 0.6]);
     let clutter = spec.room.clutter as f32;
@@ -128,7 +134,7 @@ fn study_wall(b: &mut Builder, l: &Library, random: &mut Random, wall: &Wall, sp
 }
 
 /// Every other text panel, side by side from `x` on.
-fn sheets(b: &mut Builder, l: &Library, wall: &Wall, (x, z): (f32, f32), first: usize) {
+fn sheets(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, (x, z): (f32, f32), first: usize) {
     let mut x = x;
     for (i, sheet) in l.sheets.iter().skip(first).step_by(2).take(3).enumerate() {
         let size = [[0.50, 0.70], [0.42, 0.58], [0.36, 0.50]][i];
@@ -137,7 +143,7 @@ fn sheets(b: &mut Builder, l: &Library, wall: &Wall, (x, z): (f32, f32), first: 
     }
 }
 
-fn sofa_wall(b: &mut Builder, l: &Library, random: &mut Random, wall: &Wall, spec: &Spec) {
+fn sofa_wall(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, wall: &Wall, spec: &Spec) {
     wall.build(b, l.plaster, l.woods[2], &[]);
     let at = spread(random, wall.length, &[0.5, 1.9, 0.5]);
     furniture::sofa(b, l, random, &wall.place.at([at[1], 0.0, 0.0], 0.0));
@@ -159,7 +165,7 @@ fn sofa_wall(b: &mut Builder, l: &Library, random: &mut Random, wall: &Wall, spe
     }
 }
 
-fn door_wall(b: &mut Builder, l: &Library, random: &mut Random, wall: &Wall, _: &Spec) {
+fn door_wall(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, wall: &Wall, _: &Spec) {
     wall.build(b, l.plaster.tinted([0.95, 0.97, 1.0]), l.woods[2], &[]);
     let at = spread(random, wall.length, &[1.05, 1.35, 0.5]);
     furniture::door(b, l, random, &wall.place.at([at[0], 0.0, 0.0], 0.0));
@@ -169,15 +175,15 @@ fn door_wall(b: &mut Builder, l: &Library, random: &mut Random, wall: &Wall, _: 
     furniture::cartons(b, l, random, &wall.place.at([at[2] + 0.12, 0.0, 0.0], 0.0));
 }
 
-fn middle(b: &mut Builder, l: &Library, random: &mut Random, spec: &Spec) {
-    let place = Place::new(between32(random, -0.1, 0.1), between32(random, -0.1, 0.1), 0.0);
+fn middle(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, spec: &Spec) {
+    let place = LocalFrame::new(between32(random, -0.1, 0.1), between32(random, -0.1, 0.1), 0.0);
     let turned = place.at([0.0; 3], between32(random, -0.25, 0.25));
-    let skin = l.rug;
+    let material = l.rug;
     let corner = turned.point([-1.15, 0.85, 0.006]);
-    b.quad(corner, turned.turn([2.3, 0.0, 0.0]), turned.turn([0.0, -1.7, 0.0]), skin);
+    b.quad(corner, turned.turn([2.3, 0.0, 0.0]), turned.turn([0.0, -1.7, 0.0]), material);
     furniture::table(b, l, random, &turned);
     let top = spec.room.size[2] as f32;
-    let hung = Place { origin: turned.point([0.0, 0.0, top - 0.62]), yaw: 0.0 };
+    let hung = LocalFrame { origin: turned.point([0.0, 0.0, top - 0.62]), yaw: 0.0 };
     let black = l.paint.tinted([0.05; 3]);
     b.frustum(&hung, [0.16, 0.62], [0.008, 0.008], black);
     b.tube(&hung, [-0.02, 0.17], [0.24, 0.05], l.paint.tinted([0.6, 0.25, 0.15]));
@@ -187,12 +193,12 @@ fn middle(b: &mut Builder, l: &Library, random: &mut Random, spec: &Spec) {
 }
 
 /// Depth of the wall behind a window [m].
-const REVEAL: f32 = 0.24;
+const REVEAL_DEPTH: f32 = 0.24;
 
 /// A wall: its place is the lower left corner as seen from the room.
 #[derive(Clone, Copy)]
 pub(super) struct Wall {
-    pub(super) place: Place,
+    pub(super) place: LocalFrame,
     pub(super) length: f32,
     pub(super) height: f32,
 }
@@ -201,7 +207,7 @@ pub(super) struct Wall {
 pub(super) type Opening = [f32; 4];
 
 impl Wall {
-    fn rectangle(&self, builder: &mut Builder, [x0, x1, z0, z1]: Opening, skin: Skin) {
+    fn rectangle(&self, builder: &mut Builder, [x0, x1, z0, z1]: Opening, material: Material) {
         if x1 - x0 < 1e-4 || z1 - z0 < 1e-4 {
             return;
         }
@@ -212,19 +218,25 @@ impl Wall {
             p.turn([0.0, 0.0, z0 - z1]),
             false,
         );
-        builder.add(shape, skin, Some([x0, self.height - z1]));
+        builder.add(shape, material, Some([x0, self.height - z1]));
     }
 
     /// The wall around openings of one height, from left to right, and its skirting board.
-    pub(super) fn build(&self, builder: &mut Builder, skin: Skin, board: Skin, holes: &[Opening]) {
+    pub(super) fn build(
+        &self,
+        builder: &mut Builder,
+        material: Material,
+        board: Material,
+        holes: &[Opening],
+    ) {
         let (mut left, length) = (0.0, self.length);
         for hole in holes {
-            self.rectangle(builder, [left, hole[0], 0.0, self.height], skin);
-            self.rectangle(builder, [hole[0], hole[1], 0.0, hole[2]], skin);
-            self.rectangle(builder, [hole[0], hole[1], hole[3], self.height], skin);
+            self.rectangle(builder, [left, hole[0], 0.0, self.height], material);
+            self.rectangle(builder, [hole[0], hole[1], 0.0, hole[2]], material);
+            self.rectangle(builder, [hole[0], hole[1], hole[3], self.height], material);
             left = hole[1];
         }
-        self.rectangle(builder, [left, length, 0.0, self.height], skin);
+        self.rectangle(builder, [left, length, 0.0, self.height], material);
         builder.block(&self.place, [0.0, -0.018, 0.0], [length, 0.0, 0.09], board);
         let top = [0.0, -0.05, self.height - 0.06];
         builder.block(&self.place, top, [length, 0.0, self.height], board);
@@ -235,21 +247,26 @@ impl Wall {
     pub(super) fn window(
         &self,
         builder: &mut Builder,
-        library: &Library,
+        library: &MaterialLibrary,
         hole: Opening,
         light: Rgb,
     ) {
-        let ([x0, x1, z0, z1], p, r) = (hole, &self.place, REVEAL);
+        let ([x0, x1, z0, z1], p, r) = (hole, &self.place, REVEAL_DEPTH);
         let (w, h) = (x1 - x0, z1 - z0);
-        let mut face = |corner, right, down, skin| {
-            builder.quad(p.point(corner), p.turn(right), p.turn(down), skin);
+        let mut face = |corner, right, down, material| {
+            builder.quad(p.point(corner), p.turn(right), p.turn(down), material);
         };
         let white = library.paint.tinted(srgb(0xe8e6df));
         face([x0, 0.0, z1], [0.0, r, 0.0], [0.0, 0.0, -h], library.plaster);
         face([x1, r, z1], [0.0, -r, 0.0], [0.0, 0.0, -h], library.plaster);
         face([x0, r, z0], [w, 0.0, 0.0], [0.0, -r, 0.0], white);
         face([x0, 0.0, z1], [w, 0.0, 0.0], [0.0, r, 0.0], library.plaster);
-        face([x0, r, z1], [w, 0.0, 0.0], [0.0, 0.0, -h], library.outside.emitting(Role::Pane, 1.0));
+        face(
+            [x0, r, z1],
+            [w, 0.0, 0.0],
+            [0.0, 0.0, -h],
+            library.outside.emitting(LightRole::Pane, 1.0),
+        );
         builder.emitters.push(Emitter::Rectangle {
             origin: p.point([x0, r - 0.002, z1]),
             edges: [p.turn([w, 0.0, 0.0]), p.turn([0.0, 0.0, -h])],
@@ -274,7 +291,12 @@ impl Wall {
         self.curtains(builder, library, hole);
     }
 
-    fn curtains(&self, builder: &mut Builder, library: &Library, [x0, x1, z0, z1]: Opening) {
+    fn curtains(
+        &self,
+        builder: &mut Builder,
+        library: &MaterialLibrary,
+        [x0, x1, z0, z1]: Opening,
+    ) {
         let top = (z1 + 0.12).min(self.height - 0.08);
         for side in [x0 - 0.22, x1 - 0.08] {
             let (low, high) = ([side, -0.09, z0 - 0.25], [side + 0.30, -0.05, top]);
@@ -291,8 +313,8 @@ impl Wall {
         builder: &mut Builder,
         [x, z]: [f32; 2],
         [width, height]: [f32; 2],
-        picture: Skin,
-        frame: Option<Skin>,
+        picture: Material,
+        frame: Option<Material>,
     ) {
         let (x0, x1) = (x - 0.5 * width, x + 0.5 * width);
         let (z0, z1) = (z - 0.5 * height, z + 0.5 * height);

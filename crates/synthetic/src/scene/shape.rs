@@ -22,7 +22,7 @@ pub(crate) struct Hit {
     pub(crate) st: [f32; 2],
 }
 
-/// A surface without its skin.
+/// A surface without its material.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shape {
     /// `origin + s edges[0] + t edges[1]`, perpendicular edges, seen upright from the side of

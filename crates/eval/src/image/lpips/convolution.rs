@@ -48,14 +48,14 @@ impl Convolution {
         let arch = Arch::new();
         data.par_chunks_mut(TASK_PIXELS * self.outputs).enumerate().for_each(|(task, out)| {
             let (layer, input, first) = (self, &padded, task * TASK_PIXELS);
-            arch.dispatch(Task { layer, input, width, first, out });
+            arch.dispatch(ConvolutionTask { layer, input, width, first, out });
         });
         Features { width, height, channels: self.outputs, data }
     }
 }
 
 /// Computes the pixels `first..` of the result, as many as `out` holds.
-struct Task<'a> {
+struct ConvolutionTask<'a> {
     layer: &'a Convolution,
     /// With its padding.
     input: &'a Features,
@@ -65,7 +65,7 @@ struct Task<'a> {
     out: &'a mut [f32],
 }
 
-impl WithSimd for Task<'_> {
+impl WithSimd for ConvolutionTask<'_> {
     type Output = ();
 
     #[inline(always)]
