@@ -30,9 +30,7 @@ RUNS = [
     ("hashgrid/reference.py", None, ["rays_pytorch"]),
     ("blur", "i2slam", ["steps"]),
     ("blur", "i2slam", ["quality"]),
-    ("blur", "i2slam", ["truth"]),
     ("frame", "i2slam", ["frame", "presets"]),
-    ("frame", "i2slam", ["allocations"]),
 ]
 # Tables that come with another.
 WITH = {"stages": ["work"], "memory": ["bytes"]}
@@ -44,7 +42,7 @@ def run(bench, package, words):
         if importlib.util.find_spec("torch") is None:
             print(f"{bench}: no PyTorch here, so its table stays as it was")
             return ""
-        command = [sys.executable, str(HERE / bench), "--throughput"]
+        command = [sys.executable, str(HERE / bench)]
     print("$", " ".join(command), flush=True)
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=HERE.parent)
     return done.stdout
@@ -174,19 +172,9 @@ def plot_quality(rows):
     panels = []
     for motion in dict.fromkeys(row["motion"] for row in rows):
         own = [row for row in rows if row["motion"] == motion and row["blur_px"] > 0]
-        lines = {r.replace("image_without", "no").replace("_", " "): [(row["blur_px"], row[r]) for row in own] for r in routes}
+        lines = {r.replace("image_without", "no").replace("_", " "): [(row["blur_px"], row[r]) for row in own] for r in routes if r in rows[0]}
         panels.append(Panel(motion, "blur [px]", "PSNR to 32 exact views [dB]", lines))
     draw("quality", panels)
-
-
-def plot_truth(rows):
-    routes = ["sharp", "exact", "splat", "image"]
-    panels = []
-    for sequence in dict.fromkeys(row["sequence"] for row in rows):
-        own = [row for row in rows if row["sequence"] == sequence]
-        lines = {r: [(row["blur_from_px"], row[r]) for row in own] for r in routes}
-        panels.append(Panel(sequence, "blur from [px]", "PSNR to the true picture [dB]", lines))
-    draw("truth", panels)
 
 
 def plot_size(rows):
@@ -238,7 +226,7 @@ def main():
         page = put(page, name, markdown(rows))
     PAGE.write_text(page)
     every = {p.stem: columns(list(csv.reader(p.open()))) for p in KEPT.glob("*.csv")}
-    plots = {"quality": plot_quality, "truth": plot_truth, "size": plot_size}
+    plots = {"quality": plot_quality, "size": plot_size}
     for name, plot in plots.items():
         if every.get(name):
             plot(every[name])

@@ -1,39 +1,21 @@
-"""The hash-grid field of crates/radiance/src/hashgrid in PyTorch: the same network, sampling, loss
-and optimiser, to be trained and timed beside it.
+"""The hash-grid field of crates/radiance/src/hashgrid in PyTorch: the table `rays_pytorch` of
+performance.py.
 
-usage: reference.py DATA [--steps N] [--rays N] [--seed N] [--threads N]      train, held-out PSNR
-       reference.py --throughput                                     a table for performance.py
+usage: reference.py        (pip install torch)
 
-    pip install torch numpy pillow
-
-DATA is a sequence of `i2slam synth` or of the tests' path tracer, with sharp/, depth/,
-groundtruth.txt, exposure.csv and camera.json. Pictures are taken at half their size; every eighth
-frame is held out. The counterpart, with the same defaults, is
-
-    cargo run --release -p i2slam --example fit_field -- DATA
-
-What is the same: 16 grids of 2 features from 16 cells along the cube's edge to 5 mm, hashed into
-tables of 2^17; 64 units, one hidden layer for density, two for colour, no biases; harmonics of
-degree 4; exponentials for density and radiance; samples at 1/128 of the distance (at least 5 mm)
-in the cells of 128^3 that lie within 3 % of a surface that a training frame saw; batches of random
-pixels of all training frames; mean square error after exposure and response, which are known;
-Adam (0.9, 0.99, 1e-15) at 1e-2, falling tenfold. Random numbers differ. Adam here is PyTorch's,
-which goes on moving entries that a step did not touch.
+The same network and sampling as in the bench `kernels -- rays`: 16 grids of 2 features from 16
+cells along the cube's edge, hashed into tables of 2^19; 64 units, one hidden layer for density,
+two for colour, no biases; harmonics of degree 4; exponentials for density and radiance; samples at
+1/128 of the distance in the occupied cells of 128^3. Random numbers differ.
 """
 
-import argparse
-import csv
-import json
 import math
-import pathlib
 import time
 
-import numpy
 import torch
-from PIL import Image
 
 LEVELS, FEATURES, BASE, WIDTH, GEOMETRY = 16, 2, 16, 64, 15
-CELLS, SHELL = 128, 0.03
+CELLS = 128
 NEAR, CONE, STEP_MIN = 0.05, 1.0 / 128.0, 0.005
 PRIMES = (1, 2654435761 - 2**32, 805459861)
 
@@ -199,146 +181,10 @@ def composite(rays, ray, place, thickness, colour):
     return thickness.new_zeros(rays, 3).index_add(0, ray, weight.view(-1)[at][:, None] * colour)
 
 
-def picture(radiance, exposure):
-    """((t H) / (t H + 1))^(1/2.2)"""
-    x = (radiance * exposure).clamp(min=1e-4)
-    return (x / (1 + x)) ** (1 / 2.2)
-
-
-class Sequence:
-    """Frames with true poses and exposures, at half size."""
-
-    def __init__(self, folder):
-        folder = pathlib.Path(folder)
-        camera = json.loads((folder / "camera.json").read_text())
-        self.focal = [0.5 * camera["fx"], 0.5 * camera["fy"]]
-        self.centre = [0.5 * camera["cx"], 0.5 * camera["cy"]]
-        rows = list(csv.DictReader((folder / "exposure.csv").open()))
-        self.exposures = torch.tensor([float(row["dt"]) for row in rows])
-        lines = (folder / "groundtruth.txt").read_text().splitlines()
-        poses = [[float(v) for v in line.split()] for line in lines if not line.startswith("#")]
-        poses = torch.tensor(poses, dtype=torch.float64)
-        self.origins = poses[:, 1:4].float()
-        self.rotations = rotation(poses[:, 4:8]).float()
-        names = [f"{i:06d}.png" for i in range(len(poses))]
-        self.pictures = torch.stack([half(folder / "sharp" / name) for name in names])
-        depth = [numpy.array(Image.open(folder / "depth" / name))[1::2, 1::2] for name in names]
-        self.depths = torch.tensor(numpy.stack(depth).astype(numpy.float32)) / camera["depth_scale"]
-        every = range(len(poses))
-        self.held_out = [i for i in every if i > 0 and i % 8 == 0]
-        self.training = torch.tensor([i for i in every if i not in self.held_out])
-
-    def size(self):
-        return self.pictures.shape[1:3]
-
-    def rays(self, frames, rows, columns):
-        """Origins and directions (1 m along the optical axis) of pixels of frames."""
-        x = (columns + 0.5 - self.centre[0]) / self.focal[0]
-        y = (rows + 0.5 - self.centre[1]) / self.focal[1]
-        directions = torch.stack([x, y, torch.ones_like(x)], -1)
-        return self.origins[frames], (self.rotations[frames] @ directions[..., None])[..., 0]
-
-    def whole(self, frame):
-        """Rays of all pixels of a frame, row by row."""
-        height, width = self.size()
-        rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-        frames = torch.full((height * width,), frame)
-        return self.rays(frames, rows.reshape(-1), columns.reshape(-1))
-
-
-def half(path):
-    """A picture in [0, 1] at half its size, means of 2 x 2."""
-    p = torch.tensor(numpy.array(Image.open(path).convert("RGB"))).float() / 255
-    return 0.25 * (p[::2, ::2] + p[1::2, ::2] + p[::2, 1::2] + p[1::2, 1::2])
-
-
-def rotation(q):
-    x, y, z, w = (q / q.norm(dim=1, keepdim=True)).unbind(1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]
-    return torch.stack(rows, 1).view(-1, 3, 3)
-
-
-def surroundings(sequence):
-    """The cube that holds all surfaces of the training frames, and what lies along their rays:
-    (centre, bound, function that marks the occupied cells of a field)."""
-    points = []
-    for frame in sequence.training.tolist():
-        origins, directions = sequence.whole(frame)
-        depth = sequence.depths[frame].reshape(-1, 1)
-        points.append((origins + directions * depth)[depth[:, 0] > 0])
-    points = torch.cat(points)
-    low, high = points.amin(0), points.amax(0)
-
-    def mark(field):
-        occupied = torch.zeros(CELLS**3, dtype=torch.bool)
-        for frame in sequence.training.tolist():
-            origins, directions = sequence.whole(frame)
-            depth = sequence.depths[frame].reshape(-1, 1)
-            for part in torch.linspace(-SHELL, SHELL, 25).tolist():
-                unit = field.to_unit(origins + directions * (depth * (1 + part)))
-                held = ((unit >= 0) & (unit < 1)).all(1) & (depth[:, 0] > 0)
-                cell = (unit[held] * CELLS).to(torch.int64)
-                occupied[(cell[:, 2] * CELLS + cell[:, 1]) * CELLS + cell[:, 0]] = True
-        return occupied
-
-    return (0.5 * (low + high)).tolist(), 0.51 * (high - low).max().item(), mark
-
-
-def psnr(sequence, march):
-    """Mean PSNR [dB] of the held-out frames."""
-    values = []
-    for frame in sequence.held_out:
-        origins, directions = sequence.whole(frame)
-        parts = zip(origins.split(4096), directions.split(4096))
-        with torch.no_grad():
-            shown = [march.render(o, d, torch.full((len(o),), 0.5))[0] for o, d in parts]
-        shown = picture(torch.cat(shown), sequence.exposures[frame]).clamp(0, 1)
-        truth = sequence.pictures[frame].reshape(-1, 3)
-        values.append(-10 * math.log10((shown - truth).square().mean().item()))
-    return sum(values) / len(values)
-
-
-def adam(field):
-    return torch.optim.Adam(field.parameters(), lr=1e-2, betas=(0.9, 0.99), eps=1e-15)
-
-
-def train(asked):
-    sequence = Sequence(asked.data)
-    centre, bound, mark = surroundings(sequence)
-    field = Field(centre, bound, asked.log2_table, int(2 * bound / 0.005))
-    march = March(field, mark(field), 2 * math.sqrt(3) * bound / 128)
-    optimizer, (height, width) = adam(field), sequence.size()
-    times, samples, before = [], 0, time.process_time()
-    for step in range(asked.steps):
-        begun = time.perf_counter()
-        frames = sequence.training[torch.randint(len(sequence.training), (asked.rays,))]
-        rows, columns = torch.randint(height, (asked.rays,)), torch.randint(width, (asked.rays,))
-        origins, directions = sequence.rays(frames, rows, columns)
-        shown, count = march.render(origins, directions, torch.rand(asked.rays))
-        truth = sequence.pictures[frames, rows, columns]
-        loss = (picture(shown, sequence.exposures[frames][:, None]) - truth).square().mean()
-        optimizer.param_groups[0]["lr"] = 1e-2 * 0.1 ** (step / asked.steps)
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        optimizer.step()
-        times.append(time.perf_counter() - begun)
-        samples += count
-    processor = time.process_time() - before
-    times.sort()
-    print(
-        f"PyTorch: {asked.steps} steps of {asked.rays} rays, {samples / asked.steps:.0f} samples; "
-        f"a step {1e3 * times[0]:.1f} ms fastest, {1e3 * times[len(times) // 2]:.1f} ms median, "
-        f"{1e3 * processor / asked.steps:.1f} ms of the processor; "
-        f"held out {psnr(sequence, march):.2f} dB"
-    )
-
-
-def throughput():
+def main():
     """The room of the bench `kernels -- rays`: samples around the walls, forward and back."""
+    torch.manual_seed(0)
+    torch.set_num_threads(1)
     bound, wall, rays = 2.0, 1.8, 4096
     field = Field([0.0] * 3, bound, 19, int(2048 * bound))
     torch.nn.init.uniform_(field.table, -1, 1)
@@ -359,26 +205,6 @@ def throughput():
     print("# rays_pytorch\nlane,rays,samples,forward_ms,backward_ms,rays_per_s,million_samples_per_s")
     rates = f"{rays / both:.0f},{samples / both / 1e6:.3f}"
     print(f"pytorch,{rays},{samples},{1e3 * best[0]:.1f},{1e3 * best[1]:.1f},{rates}")
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", nargs="?")
-    parser.add_argument("--throughput", action="store_true")
-    parser.add_argument("--steps", type=int, default=1000)
-    parser.add_argument("--rays", type=int, default=1024)
-    parser.add_argument("--log2-table", type=int, default=17)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=1)
-    asked = parser.parse_args()
-    torch.manual_seed(asked.seed)
-    torch.set_num_threads(1 if asked.throughput else asked.threads)
-    if asked.throughput:
-        throughput()
-    elif asked.data:
-        train(asked)
-    else:
-        parser.error("DATA or --throughput")
 
 
 if __name__ == "__main__":

@@ -20,13 +20,14 @@ pub(crate) struct Fitted {
 }
 
 impl Fitted {
-    /// The default preset on the first `count` frames of a sequence.
-    pub(crate) fn new(folder: &Path, count: usize) -> Result<Self, Box<dyn Error>> {
+    /// The default preset on half of the demo clip.
+    pub(crate) fn demo() -> Result<Self, Box<dyn Error>> {
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo"));
         let config = Config::default();
         let options =
             OpenOptions { minimum_gap: config.input.minimum_gap, ..OpenOptions::default() };
         let sequence = Sequence::open(folder, &options)?;
-        let frames = sequence.stream().take(count).collect::<Result<Vec<_>, _>>()?;
+        let frames = sequence.stream().take(30).collect::<Result<Vec<_>, _>>()?;
         let mut session = Session::new(config, sequence.camera, sequence.frame_rate);
         for frame in &frames {
             session.process(frame)?;
@@ -37,11 +38,6 @@ impl Fitted {
         let objective = FrameObjective::new(scene.camera.cast(), settings);
         let Map::Gaussians(map) = scene.map.clone() else { return Err("no Gaussians".into()) };
         Ok(Self { scene, frames, map, objective })
-    }
-
-    /// Half of the clip inside the program.
-    pub(crate) fn demo() -> Result<Self, Box<dyn Error>> {
-        Self::new(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo")), 30)
     }
 
     /// Depth seen from a pose [m], 0 where the map is not opaque.
