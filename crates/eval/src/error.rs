@@ -1,19 +1,24 @@
 //! The error type of all metrics.
 
-use std::error::Error;
-use std::fmt::{Display, Formatter, Result};
+use thiserror::Error;
 
 /// Invalid input of a metric.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Error)]
 pub enum EvalError {
     /// The time tolerance is negative or NaN.
+    #[error("the time tolerance must be at least 0 s, not {tolerance}")]
     InvalidTolerance {
         /// The given tolerance [s].
         tolerance: f64,
     },
     /// A step between poses of no frame, or of a time that is not above zero.
+    #[error("the step of a relative error must be at least 1 frame or above 0 s")]
     InvalidStep,
     /// No pose of one trajectory was taken at the time of one of the other.
+    #[error(
+        "no estimated pose is within {tolerance} s of a true one: the estimate covers {} to {} s, the truth {} to {} s",
+        .estimate[0], .estimate[1], .truth[0], .truth[1]
+    )]
     NoOverlap {
         /// First and last stamp of the estimate [s].
         estimate: [f64; 2],
@@ -23,6 +28,7 @@ pub enum EvalError {
         tolerance: f64,
     },
     /// Fewer samples (poses, pairs, pixels, numbers) than the measure needs.
+    #[error("too few {what}: {found}, at least {needed} needed")]
     TooFew {
         /// Kind of the samples.
         what: &'static str,
@@ -32,23 +38,28 @@ pub enum EvalError {
         needed: usize,
     },
     /// All values of one side coincide, so that no alignment or correlation exists.
+    #[error("all {what} coincide")]
     Coincident {
         /// The input.
         what: &'static str,
     },
     /// Both sides vary but share no direction: their covariance is zero.
+    #[error("estimate and truth are uncorrelated: no rotation aligns them")]
     Uncorrelated,
     /// A NaN or an infinity in the input.
+    #[error("NaN or infinity in {what}")]
     NotFinite {
         /// The input.
         what: &'static str,
     },
     /// A value that must be above zero is not.
+    #[error("{what} must be above zero")]
     NotPositive {
         /// The input.
         what: &'static str,
     },
     /// Two inputs that must have the same shape have not.
+    #[error("{what} differ in shape: {first:?} and {second:?}")]
     ShapeMismatch {
         /// The two inputs.
         what: &'static str,
@@ -58,35 +69,3 @@ pub enum EvalError {
         second: Vec<usize>,
     },
 }
-
-impl Display for EvalError {
-    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        match self {
-            Self::InvalidTolerance { tolerance } => {
-                write!(f, "the time tolerance must be at least 0 s, not {tolerance}")
-            }
-            Self::InvalidStep => {
-                write!(f, "the step of a relative error must be at least 1 frame or above 0 s")
-            }
-            Self::NoOverlap { estimate: [e0, e1], truth: [t0, t1], tolerance } => write!(
-                f,
-                "no estimated pose is within {tolerance} s of a true one: the estimate covers \
-                 {e0} to {e1} s, the truth {t0} to {t1} s"
-            ),
-            Self::TooFew { what, found, needed } => {
-                write!(f, "too few {what}: {found}, at least {needed} needed")
-            }
-            Self::Coincident { what } => write!(f, "all {what} coincide"),
-            Self::Uncorrelated => {
-                write!(f, "estimate and truth are uncorrelated: no rotation aligns them")
-            }
-            Self::NotFinite { what } => write!(f, "NaN or infinity in {what}"),
-            Self::NotPositive { what } => write!(f, "{what} must be above zero"),
-            Self::ShapeMismatch { what, first, second } => {
-                write!(f, "{what} differ in shape: {first:?} and {second:?}")
-            }
-        }
-    }
-}
-
-impl Error for EvalError {}

@@ -7,7 +7,7 @@
 //! [`Gain::PerChannel`] removes it, for systems whose white balance is free.
 
 use crate::EvalError;
-use crate::image::{check_mask, check_shapes};
+use crate::image::check_shapes;
 use crate::statistics::percentile;
 use i2slam_geometry::Image;
 use serde::Serialize;
@@ -46,33 +46,20 @@ pub struct HdrError {
     pub mu_law_psnr_db: f64,
     /// White level: the 99th percentile of the true samples.
     pub white: f64,
-    /// Number of samples: pixels (inside the mask) times channels.
+    /// Number of samples: pixels times channels.
     pub samples: usize,
 }
 
-/// Compares linear radiance with the true one after one gain, over the pixels where `mask` (one
-/// entry per pixel) is true, or all. Radiance below zero is measured as zero.
+/// Compares linear radiance with the true one after one gain, or one for each channel. Radiance
+/// below zero is measured as zero.
 pub fn hdr_error(
-    estimate: &Image<f32>,
-    truth: &Image<f32>,
-    mask: Option<&[bool]>,
-) -> Result<HdrError, EvalError> {
-    hdr_error_after(Gain::Common, estimate, truth, mask)
-}
-
-/// As [`hdr_error`], after one gain or one for each channel.
-pub fn hdr_error_after(
     gain: Gain,
     estimate: &Image<f32>,
     truth: &Image<f32>,
-    mask: Option<&[bool]>,
 ) -> Result<HdrError, EvalError> {
     check_shapes(estimate, truth)?;
-    if let Some(mask) = mask {
-        check_mask(mask, truth)?;
-    }
-    let mut estimated = samples(estimate, mask, "the estimated radiance")?;
-    let due = samples(truth, mask, "the true radiance")?;
+    let mut estimated = samples(estimate, "the estimated radiance")?;
+    let due = samples(truth, "the true radiance")?;
     let white = percentile(&due, WHITE_PERCENTILE)?;
     if white <= 0.0 {
         return Err(EvalError::NotPositive { what: "the 99th percentile of the true radiance" });
@@ -96,23 +83,11 @@ pub fn hdr_error_after(
     })
 }
 
-fn samples(
-    image: &Image<f32>,
-    mask: Option<&[bool]>,
-    what: &'static str,
-) -> Result<Vec<f64>, EvalError> {
-    let inside = |pixel: usize| mask.is_none_or(|m| m[pixel]);
-    let pixels = image.width * image.height;
-    let picked = image.data.iter().enumerate().filter(|&(i, _)| inside(i % pixels));
-    let mut values: Vec<f64> = picked.map(|(_, &v)| f64::from(v)).collect();
-    if values.is_empty() {
-        return Err(EvalError::TooFew { what: "pixels in the mask", found: 0, needed: 1 });
-    }
-    if values.iter().any(|v| !v.is_finite()) {
+fn samples(image: &Image<f32>, what: &'static str) -> Result<Vec<f64>, EvalError> {
+    if image.data.iter().any(|v| !v.is_finite()) {
         return Err(EvalError::NotFinite { what });
     }
-    values.iter_mut().for_each(|v| *v = v.max(0.0));
-    Ok(values)
+    Ok(image.data.iter().map(|&v| f64::from(v).max(0.0)).collect())
 }
 
 /// Multiplies the samples by a gain for each run of `together`; gives the gains.
@@ -164,7 +139,7 @@ mod tests {
     #[test]
     fn a_global_gain_is_no_error() {
         let truth = radiance(1);
-        let e = hdr_error(&scaled(&truth, |_| 0.125), &truth, None).unwrap();
+        let e = hdr_error(Gain::Common, &scaled(&truth, |_| 0.125), &truth).unwrap();
         assert!((e.gains[0] - 8.0).abs() < 1e-12 && e.gains.len() == 1);
         assert!(e.log2_psnr_db > 200.0 && e.mu_law_psnr_db > 200.0, "{e:?}");
     }
@@ -172,7 +147,8 @@ mod tests {
     #[test]
     fn half_a_stop_on_some_pixels_by_hand() {
         let truth = radiance(2);
-        let e = hdr_error(&scaled(&truth, |i| if i < 75 { 2.0 } else { 1.0 }), &truth, None);
+        let e =
+            hdr_error(Gain::Common, &scaled(&truth, |i| if i < 75 { 2.0 } else { 1.0 }), &truth);
         let e = e.unwrap();
         assert_eq!(e.gains, [1.0]);
         assert!((e.log2_rmse_stops - 0.5).abs() < 1e-12);
@@ -182,7 +158,7 @@ mod tests {
     #[test]
     fn mu_law_by_hand() {
         let image = |v: [f32; 3]| Image { width: 3, height: 1, channels: 1, data: v.to_vec() };
-        let e = hdr_error(&image([1.0, 1.0, 0.5]), &image([1.0; 3]), None).unwrap();
+        let e = hdr_error(Gain::Common, &image([1.0, 1.0, 0.5]), &image([1.0; 3])).unwrap();
         let shown = |l: f64| (1.0 + 5000.0 * l.tanh()).ln() / 5001.0_f64.ln();
         let expected = -10.0 * ((shown(1.0) - shown(0.5)).powi(2) / 3.0).log10();
         assert!((e.mu_law_psnr_db - expected).abs() < 1e-9);
@@ -192,8 +168,8 @@ mod tests {
     fn a_wrong_white_balance_is_an_error_unless_forgiven() {
         let truth = radiance(3);
         let tinted = scaled(&truth, |i| if i < 100 { 2.0 } else { 1.0 });
-        assert!(hdr_error(&tinted, &truth, None).unwrap().log2_rmse_stops > 0.5);
-        let each = hdr_error_after(Gain::PerChannel, &tinted, &truth, None).unwrap();
+        assert!(hdr_error(Gain::Common, &tinted, &truth).unwrap().log2_rmse_stops > 0.5);
+        let each = hdr_error(Gain::PerChannel, &tinted, &truth).unwrap();
         assert!((each.gains[0] - 0.5).abs() < 1e-12 && each.gains[1..] == [1.0, 1.0]);
         assert!(each.log2_rmse_stops < 1e-12);
     }
@@ -202,12 +178,9 @@ mod tests {
     fn unseen_pixels_cost_but_do_not_move_the_gain() {
         let truth = radiance(4);
         let holes = scaled(&truth, |i| if i % 100 < 20 { 0.0 } else { 1.0 });
-        let mask: Vec<bool> = (0..100).map(|i| i >= 20).collect();
-        let e = hdr_error(&holes, &truth, None).unwrap();
+        let e = hdr_error(Gain::Common, &holes, &truth).unwrap();
         assert_eq!(e.gains, [1.0]);
         assert!(e.log2_rmse_stops > 1.0);
-        let inside = hdr_error(&holes, &truth, Some(&mask)).unwrap();
-        assert_eq!((inside.log2_rmse_stops, inside.samples), (0.0, 240));
     }
 
     #[test]
@@ -215,13 +188,11 @@ mod tests {
         let truth = radiance(5);
         let dark = scaled(&truth, |_| 0.0);
         let positive = |r| matches!(r, Err(EvalError::NotPositive { .. }));
-        assert!(positive(hdr_error(&dark, &truth, None)));
-        assert!(positive(hdr_error(&truth, &dark, None)));
-        let poisoned = hdr_error(&scaled(&truth, |_| f32::NAN), &truth, None);
+        assert!(positive(hdr_error(Gain::Common, &dark, &truth)));
+        assert!(positive(hdr_error(Gain::Common, &truth, &dark)));
+        let poisoned = hdr_error(Gain::Common, &scaled(&truth, |_| f32::NAN), &truth);
         assert!(matches!(poisoned, Err(EvalError::NotFinite { .. })));
-        let nothing = hdr_error(&truth, &truth, Some(&[false; 100]));
-        assert!(matches!(nothing, Err(EvalError::TooFew { .. })));
-        let short = hdr_error(&truth, &truth, Some(&[true; 3]));
+        let short = hdr_error(Gain::Common, &Image::new(3, 1, 3), &truth);
         assert!(matches!(short, Err(EvalError::ShapeMismatch { .. })));
     }
 }

@@ -42,28 +42,6 @@ impl Summary {
     }
 }
 
-/// Mean and spread over repeated runs (seeds).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MeanSpread {
-    /// Arithmetic mean `μ`.
-    pub mean: f64,
-    /// Sample standard deviation `sqrt(Σ (x - μ)² / (n - 1))`: an estimate of the spread of
-    /// further runs. Zero for a single run.
-    pub spread: f64,
-    /// Number of runs.
-    pub count: usize,
-}
-
-impl MeanSpread {
-    /// Mean and spread of `values`; an empty list and values that are not finite are refused.
-    pub fn of(values: &[f64]) -> Result<Self, EvalError> {
-        let summary = Summary::of(values)?;
-        let n = summary.count as f64;
-        let spread = if summary.count > 1 { summary.std * (n / (n - 1.0)).sqrt() } else { 0.0 };
-        Ok(Self { mean: summary.mean, spread, count: summary.count })
-    }
-}
-
 /// The `percent`-th percentile, `percent` in `[0, 100]` (clamped), interpolated linearly between
 /// the order statistics at position `percent/100 · (n - 1)` (numpy's default).
 pub fn percentile(values: &[f64], percent: f64) -> Result<f64, EvalError> {
@@ -99,13 +77,6 @@ mod tests {
         assert_eq!((s.mean, s.median, s.min, s.max, s.count), (3.0, 2.5, 1.0, 6.0, 4));
         assert!((s.std - 3.5_f64.sqrt()).abs() < 1e-15);
         assert!((s.rmse - 12.5_f64.sqrt()).abs() < 1e-15);
-    }
-
-    #[test]
-    fn spread_of_runs_divides_by_one_less() {
-        let m = MeanSpread::of(&[1.0, 2.0, 3.0]).unwrap();
-        assert!((m.spread - 1.0).abs() < 1e-15);
-        assert_eq!(MeanSpread::of(&[4.0]).unwrap().spread, 0.0);
     }
 
     #[test]

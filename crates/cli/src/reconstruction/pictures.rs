@@ -8,7 +8,7 @@ use clap::ValueEnum;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::Image;
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
-use i2slam_eval::hdr::hdr_error;
+use i2slam_eval::hdr::{Gain, hdr_error};
 use i2slam_eval::image::{psnr, ssim};
 use i2slam_result::report::{Comparison, frames_to_show};
 use i2slam_result::{Metrics, RenderKind, ResultError, ResultFolder, save_render};
@@ -212,7 +212,7 @@ impl ImageMetrics {
         metrics.ssim_sharp = mean(&self.ssim_sharp);
         metrics.sharp_frames = self.psnr_sharp.len();
         let Some(stack) = &self.radiance else { return };
-        if let Ok(error) = hdr_error(&stack.estimate, &stack.truth, None) {
+        if let Ok(error) = hdr_error(Gain::Common, &stack.estimate, &stack.truth) {
             metrics.hdr_log2_rmse_stops = Some(error.log2_rmse_stops);
             metrics.hdr_mu_law_psnr_db = Some(error.mu_law_psnr_db);
             metrics.hdr_frames = stack.frames;

@@ -116,23 +116,12 @@ mod tests {
     }
 
     #[test]
-    fn nearest_within_tolerance() {
+    fn pairs_by_hand() {
         assert_eq!(pairs(&[0.0, 0.1, 0.5], &[0.009, 0.05, 0.095, 0.2]), [(0, 0), (1, 2)]);
-    }
-
-    #[test]
-    fn duplicate_matches_keep_the_nearer() {
+        // The nearer of two keeps a stamp.
         assert_eq!(pairs(&[0.095, 0.101], &[0.0, 0.1, 0.2]), [(1, 1)]);
         assert_eq!(pairs(&[0.0, 0.095, 0.101], &[0.1, 0.2]), [(2, 0)]);
-    }
-
-    #[test]
-    fn order_does_not_matter() {
         assert_eq!(pairs(&[0.3, 0.1], &[0.2, 0.3, 0.1]), [(1, 2), (0, 1)]);
-    }
-
-    #[test]
-    fn nothing_to_pair_is_an_empty_list() {
         assert_eq!(pairs(&[], &[1.0]), []);
         assert_eq!(pairs(&[5.0], &[1.0]), []);
     }

@@ -12,7 +12,7 @@ use crate::progress::Progress;
 use i2slam::geometry::Image;
 use i2slam_eval::EvalError;
 use i2slam_eval::depth::depth_error;
-use i2slam_eval::hdr::{Gain, HdrError, hdr_error_after};
+use i2slam_eval::hdr::{Gain, HdrError, hdr_error};
 use i2slam_eval::image::{
     lpips, ms_ssim, psnr, psnr_channel_mean, psnr_masked, psnr_monogs, psnr_splatam, ssim,
     ssim_padded,
@@ -318,8 +318,8 @@ pub(super) fn evaluate_radiance(
     }
     let count = frames[0].len();
     let [drawn, known] = frames.map(|frames| stacked(&frames));
-    let common = hdr_error_after(Gain::Common, &drawn, &known, None)?;
-    let each = hdr_error_after(Gain::PerChannel, &drawn, &known, None)?;
+    let common = hdr_error(Gain::Common, &drawn, &known)?;
+    let each = hdr_error(Gain::PerChannel, &drawn, &known)?;
     Ok(radiance_values(&common, &each, count))
 }
 

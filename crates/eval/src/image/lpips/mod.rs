@@ -175,26 +175,21 @@ mod tests {
 
     #[test]
     fn equal_pictures_have_no_distance_and_the_order_does_not_matter() {
-        let (a, b) = (noise(1, 64, 48), noise(2, 64, 48));
-        assert_eq!(lpips(&a, &a).unwrap(), 0.0);
+        let (a, b) = (noise(1, 64, 48, 3), noise(2, 64, 48, 3));
+        for equal in [&a, &Image::new(64, 48, 3)] {
+            assert_eq!(lpips(equal, equal).unwrap(), 0.0);
+        }
         let (ab, ba) = (lpips(&a, &b).unwrap(), lpips(&b, &a).unwrap());
         assert!(ab > 0.01 && (ab - ba).abs() < 1e-6, "{ab} {ba}");
     }
 
     #[test]
-    fn all_black_pictures_have_a_distance() {
-        let (black, a) = (Image::new(64, 48, 3), noise(3, 64, 48));
-        assert_eq!(lpips(&black, &black).unwrap(), 0.0);
-        assert!(lpips(&black, &a).unwrap() > 0.5);
-    }
-
-    #[test]
     fn invalid_input_is_refused() {
-        let good = noise(4, 40, 31);
+        let good = noise(4, 40, 31, 3);
         let mut bad = good.clone();
         bad.data[100] = f32::NAN;
         assert!(matches!(lpips(&bad, &good), Err(EvalError::NotFinite { .. })));
-        let small = noise(5, 40, 30);
+        let small = noise(5, 40, 30, 3);
         assert!(matches!(lpips(&small, &small), Err(EvalError::TooFew { found: 30, .. })));
         let grey = Image::<f32>::new(40, 40, 1);
         assert!(matches!(lpips(&grey, &grey), Err(EvalError::ShapeMismatch { .. })));
@@ -215,13 +210,6 @@ mod tests {
             assert_eq!(from_half(half), due, "{half:#06x}");
         }
         assert!(from_half(0x7e00).is_nan());
-    }
-
-    #[test]
-    fn weights_are_finite_and_heads_not_negative() {
-        let network = Network::unpack();
-        assert!(network.layers.iter().all(|l| l.weights.iter().all(|w| w.is_finite())));
-        assert!(network.heads.iter().flatten().all(|&w| (0.0..10.0).contains(&w)));
     }
 
     #[test]
