@@ -18,7 +18,7 @@ pub(crate) struct Results<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Value {
     /// Mean over seeds.
-    Measured(Measured),
+    SeedMean(SeedMean),
     /// Not measurable, for want of ground truth.
     Unknown,
     /// No seed finished, and some failed.
@@ -29,7 +29,7 @@ pub(crate) enum Value {
 
 /// A mean over seeds, in the unit of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Measured {
+pub(crate) struct SeedMean {
     pub(crate) mean: f64,
     /// Standard deviation of one seed, from two seeds on.
     pub(crate) spread: Option<f64>,
@@ -40,9 +40,9 @@ pub(crate) struct Measured {
 }
 
 impl Value {
-    pub(crate) fn measured(&self) -> Option<&Measured> {
+    pub(crate) fn measured(&self) -> Option<&SeedMean> {
         match self {
-            Self::Measured(measured) => Some(measured),
+            Self::SeedMean(measured) => Some(measured),
             _ => None,
         }
     }
@@ -118,7 +118,7 @@ impl Results<'_> {
         let planned = numbers.len();
         let known: Vec<f64> = numbers.into_iter().flatten().collect();
         if let Some((mean, spread)) = mean_and_spread(&known) {
-            return Value::Measured(Measured { mean, spread, seeds: known.len(), planned });
+            return Value::SeedMean(SeedMean { mean, spread, seeds: known.len(), planned });
         }
         let any = |test: &dyn Fn(usize) -> bool| places.iter().any(|&place| test(place));
         if any(&|place| self.failure(place).is_some()) {
@@ -192,7 +192,7 @@ pub(crate) mod tests {
         let plan = plan();
         let all = results(&plan, &[]);
         let spread = Some(0.5_f64.sqrt());
-        let due = |mean| Value::Measured(Measured { mean, spread, seeds: 2, planned: 2 });
+        let due = |mean| Value::SeedMean(SeedMean { mean, spread, seeds: 2, planned: 2 });
         assert_eq!(all.of(1, 1, &ATE), due(111.5));
         assert_eq!(all.over_sequences(1, &ATE), due(106.5));
         assert_eq!(all.of(0, 0, &PSNR), Value::Unknown);
@@ -203,10 +203,10 @@ pub(crate) mod tests {
     fn a_lost_job_makes_no_mean_better() {
         let plan = plan();
         let some = results(&plan, &[(1, 0, 0)]);
-        let due = Measured { mean: 7.0, spread: None, seeds: 1, planned: 2 };
-        assert_eq!(some.over_sequences(0, &ATE), Value::Measured(due), "seed 1 alone is complete");
-        let one = Measured { mean: 12.0, spread: None, seeds: 1, planned: 2 };
-        assert_eq!(some.of(1, 0, &ATE), Value::Measured(one));
+        let due = SeedMean { mean: 7.0, spread: None, seeds: 1, planned: 2 };
+        assert_eq!(some.over_sequences(0, &ATE), Value::SeedMean(due), "seed 1 alone is complete");
+        let one = SeedMean { mean: 12.0, spread: None, seeds: 1, planned: 2 };
+        assert_eq!(some.of(1, 0, &ATE), Value::SeedMean(one));
         let both = results(&plan, &[(1, 0, 0), (1, 0, 1)]);
         assert_eq!(both.of(1, 0, &ATE), Value::Failed);
         assert_eq!(both.over_sequences(0, &ATE), Value::Failed);

@@ -35,7 +35,7 @@ impl Entry {
             Self::Number { value, metric, .. } => (value, metric),
         };
         let measured = match value {
-            Value::Measured(measured) => measured,
+            Value::SeedMean(measured) => measured,
             Value::Unknown => return "–".to_owned(),
             Value::Failed => return "failed".to_owned(),
             Value::NotRun => return "not run".to_owned(),
@@ -203,11 +203,11 @@ pub(crate) fn csv_line(cells: &[String]) -> String {
 mod tests {
     use super::*;
     use crate::metrics::{ATE, PSNR};
-    use crate::summary::Measured;
+    use crate::summary::SeedMean;
 
     fn measured(mean: f64, seeds: usize) -> Value {
         let spread = (seeds > 1).then_some(0.001);
-        Value::Measured(Measured { mean, spread, seeds, planned: 3 })
+        Value::SeedMean(SeedMean { mean, spread, seeds, planned: 3 })
     }
 
     #[test]

@@ -232,7 +232,7 @@ pub(crate) fn machine(results: &Results<'_>) -> String {
         .collect();
     match words.len() {
         0 => String::new(),
-        1 => format!("Measured with {}.", words[0]),
+        1 => format!("SeedMean with {}.", words[0]),
         _ => format!(
             "Jobs were run in different ways, so that their times cannot be compared: {}.",
             words.join("; ")

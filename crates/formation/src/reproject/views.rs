@@ -201,13 +201,13 @@ impl<T: Real> Views<T> {
         self.rolling = readout != 0.0 && readout.is_finite();
         self.margin = margin;
         let cameras = || shutter.each_virtual_camera(cameras, quadrature);
-        self.move_along(&camera.cast(), shutter, readout, cameras);
+        self.set_motion(&camera.cast(), shutter, readout, cameras);
         for view in &mut self.moving {
             view.steep = steep(view.parallax(camera));
         }
     }
 
-    fn move_along<I: DoubleEndedIterator<Item = VirtualCamera<f64>> + ExactSizeIterator>(
+    fn set_motion<I: DoubleEndedIterator<Item = VirtualCamera<f64>> + ExactSizeIterator>(
         &mut self,
         camera: &Camera<f64>,
         shutter: &ShutterPoses<f64>,

@@ -88,7 +88,7 @@ fn checked<T: Real>(nodes: &[T]) -> Vec<f64> {
 /// The smallest total rise that is still divided by.
 const MIN_RISE: f64 = 1e-12;
 
-struct Steps {
+struct NodeIncrements {
     /// `d'_i`.
     shifted: Vec<f64>,
     /// The first place of the smallest derivative, if that is negative.
@@ -97,7 +97,7 @@ struct Steps {
     rise: f64,
 }
 
-fn steps(nodes: &[f64]) -> Steps {
+fn steps(nodes: &[f64]) -> NodeIncrements {
     let mut shifted: Vec<f64> = nodes.windows(2).map(|w| w[1] - w[0]).collect();
     let lowest = (0..shifted.len())
         .reduce(|best, i| if shifted[i] < shifted[best] { i } else { best })
@@ -107,7 +107,7 @@ fn steps(nodes: &[f64]) -> Steps {
         shifted.iter_mut().for_each(|d| *d += shift);
     }
     let rise = shifted.iter().sum();
-    Steps { shifted, lowest, rise }
+    NodeIncrements { shifted, lowest, rise }
 }
 
 /// Values of the plausible curve at the nodes; 0 first, 1 last.
@@ -146,7 +146,7 @@ pub(super) fn pull_back(nodes: &[f64], d_values: &[f64]) -> Vec<f64> {
 }
 
 /// `∂/∂d'_i = (Σ_{k>i} v̄_k - Σ_k v̄_k v_k) / C_255`, where `v_k = C_k / C_255`.
-fn pull_back_normalisation(steps: &Steps, d_values: &[f64]) -> Vec<f64> {
+fn pull_back_normalisation(steps: &NodeIncrements, d_values: &[f64]) -> Vec<f64> {
     let (mut sum, mut along) = (0.0, 0.0);
     for (step, d) in steps.shifted.iter().zip(&d_values[1..]) {
         sum += step;

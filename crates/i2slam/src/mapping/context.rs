@@ -23,7 +23,7 @@ pub(crate) struct MappingContext<'a> {
     pub(crate) keyframes: &'a [Keyframe],
     pub(crate) responses: &'a mut [CameraResponse<f32>],
     /// Mask of the pixels that the camera recorded; `None`: all.
-    pub(crate) covered: Option<&'a Image<bool>>,
+    pub(crate) valid_mask: Option<&'a Image<bool>>,
     pub(crate) random: &'a mut Random,
     pub(crate) warnings: &'a mut Vec<Warning>,
     pub(crate) cancellation: &'a CancellationToken,
@@ -41,7 +41,7 @@ impl MappingContext<'_> {
             frames: self.frames,
             keyframes,
             responses: self.responses,
-            covered: self.covered,
+            valid_mask: self.valid_mask,
             random: self.random,
             warnings: self.warnings,
             cancellation: self.cancellation,

@@ -28,7 +28,7 @@ pub(super) const MIN_SURFACE_OPACITY: f32 = 0.9;
 pub(super) fn placement_depth(
     observation: &Observation,
     settings: &MappingConfig,
-    covered: Option<&Image<bool>>,
+    valid_mask: Option<&Image<bool>>,
     render: Option<&Render>,
 ) -> Arc<Image<f32>> {
     let mut depth = match (settings.fill_depth, observation.is_estimated()) {
@@ -39,8 +39,8 @@ pub(super) fn placement_depth(
         (true, false) => Arc::new(inpaint_measured(&observation.depth)),
         (false, _) => Arc::clone(&observation.depth),
     };
-    if let Some(covered) = covered {
-        let values = Arc::make_mut(&mut depth).data.iter_mut().zip(&covered.data);
+    if let Some(valid_mask) = valid_mask {
+        let values = Arc::make_mut(&mut depth).data.iter_mut().zip(&valid_mask.data);
         values.filter(|(_, c)| !**c).for_each(|(d, _)| *d = 0.0);
     }
     depth

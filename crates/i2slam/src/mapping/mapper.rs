@@ -26,7 +26,7 @@ pub(crate) trait Mapper: Send {
     fn gaussians(&self) -> usize;
 
     /// Restricts the image terms to recorded pixels.
-    fn set_covered(&mut self, covered: Arc<Image<bool>>);
+    fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>);
 
     /// Tracks frames against the map; `None` while it is empty.
     fn tracker(&mut self) -> Option<&mut dyn Tracker>;
@@ -35,7 +35,7 @@ pub(crate) trait Mapper: Send {
     /// `last`; `None` while the map is empty.
     fn snapshot(
         &self,
-        covered: Option<Arc<Image<bool>>>,
+        valid_mask: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>>;
 
@@ -87,11 +87,11 @@ where
 }
 
 /// Copies `map` into the snapshot `last`, or into a new one with `objective`, restricted to the
-/// `covered` pixels.
+/// `valid_mask`.
 pub(super) fn update_snapshot<M: RadianceMap + Clone + Send + 'static>(
     last: Option<Box<dyn Tracker>>,
     map: &M,
-    covered: Option<Arc<Image<bool>>>,
+    valid_mask: Option<Arc<Image<bool>>>,
     objective: impl FnOnce() -> FrameObjective<M>,
 ) -> Box<dyn Tracker>
 where
@@ -105,7 +105,7 @@ where
         }
         _ => {
             let mut objective = objective();
-            covered.into_iter().for_each(|covered| objective.set_covered(covered));
+            valid_mask.into_iter().for_each(|valid_mask| objective.set_valid_mask(valid_mask));
             Box::new(MapSnapshot { map: map.clone(), objective })
         }
     }

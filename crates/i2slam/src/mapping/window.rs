@@ -69,10 +69,10 @@ pub(super) fn random_window(
 pub(super) fn random_pixels(
     size: usize,
     count: usize,
-    covered: Option<&Image<bool>>,
+    valid_mask: Option<&Image<bool>>,
     random: &mut Random,
 ) -> Vec<usize> {
-    let recorded = |pixel: &usize| covered.is_none_or(|covered| covered.data[*pixel]);
+    let recorded = |pixel: &usize| valid_mask.is_none_or(|valid_mask| valid_mask.data[*pixel]);
     (0..count).map(|_| random.below(size)).filter(recorded).collect()
 }
 

@@ -93,7 +93,7 @@ pub struct FrameObjective<M: RadianceMap> {
     d_depth: Image<f32>,
     ssim: Ssim,
     mask: Vec<bool>,
-    covered: Option<Arc<Image<bool>>>,
+    valid_mask: Option<Arc<Image<bool>>>,
 }
 
 impl<M: RadianceMap> FrameObjective<M> {
@@ -107,14 +107,14 @@ impl<M: RadianceMap> FrameObjective<M> {
             d_depth: Image::default(),
             ssim: Ssim::default(),
             mask: Vec::new(),
-            covered: None,
+            valid_mask: None,
         }
     }
 
     /// Restricts the image term to pixels that the camera recorded: undistortion leaves a border
     /// without.
-    pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.covered = Some(covered);
+    pub fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
+        self.valid_mask = Some(valid_mask);
     }
 
     /// Radiance, depth and opacity seen from one pose.
@@ -197,11 +197,11 @@ impl<M: RadianceMap> FrameObjective<M> {
     /// Sets pixels that the camera did not record to their observed values, so that they have no
     /// residual.
     fn fill_unrecorded(&mut self, observation: &Observation) {
-        let Some(covered) = &self.covered else { return };
+        let Some(valid_mask) = &self.valid_mask else { return };
         for channel in 0..self.picture.channels {
             let observed = observation.colour.plane(channel);
             let picture = self.picture.plane_mut(channel).iter_mut().zip(observed);
-            for ((p, &o), _) in picture.zip(&covered.data).filter(|(_, c)| !**c) {
+            for ((p, &o), _) in picture.zip(&valid_mask.data).filter(|(_, c)| !**c) {
                 *p = o;
             }
         }
@@ -209,10 +209,10 @@ impl<M: RadianceMap> FrameObjective<M> {
 
     /// Clears the gradient of pixels that the camera did not record.
     fn clear_unrecorded(&mut self) {
-        let Some(covered) = &self.covered else { return };
+        let Some(valid_mask) = &self.valid_mask else { return };
         for channel in 0..self.d_picture.channels {
             let gradient = self.d_picture.plane_mut(channel).iter_mut();
-            gradient.zip(&covered.data).filter(|(_, c)| !**c).for_each(|(g, _)| *g = 0.0);
+            gradient.zip(&valid_mask.data).filter(|(_, c)| !**c).for_each(|(g, _)| *g = 0.0);
         }
     }
 
@@ -452,7 +452,7 @@ mod tests {
 
     #[test]
     fn unrecorded_pixels_do_not_count() {
-        let covered =
+        let valid_mask =
             Arc::new(Image { width: 32, height: 24, channels: 1, data: vec![false; 768] });
         let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Uniform).curve();
         let variables = FrameVariables {
@@ -465,7 +465,7 @@ mod tests {
             tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
-        objective.set_covered(covered);
+        objective.set_valid_mask(valid_mask);
         let mut d_map = MapGradient::new(60);
         objective.map(&map(), &observation(), &variables, 0.2, (0.5, 0.0), &mut d_map);
         assert!(d_map.colours.iter().flatten().all(|&g| g == 0.0));

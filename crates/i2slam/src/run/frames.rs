@@ -19,8 +19,8 @@ pub(super) fn run(
     let started = Instant::now();
     let mut session = Session::new(options.config.clone(), sequence.camera, sequence.frame_rate);
     session.set_cancellation(context.cancellation.clone());
-    if let Some(covered) = &sequence.valid_mask {
-        session.set_covered(Arc::clone(covered));
+    if let Some(valid_mask) = &sequence.valid_mask {
+        session.set_valid_mask(Arc::clone(valid_mask));
     }
     context.observer.progress(Stage::Frames, 0, sequence.len());
     let none_usable = match sequence.len() {

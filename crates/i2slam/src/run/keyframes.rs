@@ -67,8 +67,8 @@ pub(super) fn run(
     let config = options.config.clone().with_found_readout(source.readout());
     let mut session = KeyframeSession::new(config, *source.camera(), frame_rate);
     session.set_cancellation(context.cancellation.clone());
-    if let Some(covered) = &undistorted.as_ref().unwrap_or(sequence).valid_mask {
-        session.set_covered(Arc::clone(covered));
+    if let Some(valid_mask) = &undistorted.as_ref().unwrap_or(sequence).valid_mask {
+        session.set_valid_mask(Arc::clone(valid_mask));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
     let held_out = VecDeque::new();

@@ -89,6 +89,6 @@ impl Backend {
 
     /// A copy of the map to track against, in the memory of `last`.
     pub(super) fn snapshot(&self, last: Option<Box<dyn Tracker>>) -> Option<Box<dyn Tracker>> {
-        self.mapper.snapshot(self.state.covered.clone(), last)
+        self.mapper.snapshot(self.state.valid_mask.clone(), last)
     }
 }

@@ -44,10 +44,10 @@ impl Session {
         }
     }
 
-    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::covered`.
-    pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.backend.mapper.set_covered(Arc::clone(&covered));
-        self.backend.state.covered = Some(covered);
+    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::valid_mask`.
+    pub fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
+        self.backend.mapper.set_valid_mask(Arc::clone(&valid_mask));
+        self.backend.state.valid_mask = Some(valid_mask);
     }
 
     /// Sets the token whose cancellation ends mapping and first-order tracking of a frame early.

@@ -45,7 +45,7 @@ const MAX_SHARE_OUTSIDE: f64 = 0.02;
 /// A radiance field that is trained on tracked frames.
 pub(crate) struct FieldMapper {
     camera: Camera<f32>,
-    covered: Option<Arc<Image<bool>>>,
+    valid_mask: Option<Arc<Image<bool>>>,
     /// `None` until the first frame has sized the cube.
     field: Option<Field>,
     /// Invalid settings for which there is none after the first frame.
@@ -92,7 +92,7 @@ impl FieldMapper {
     pub(crate) fn new(camera: &Camera<f64>) -> Self {
         Self {
             camera: camera.cast(),
-            covered: None,
+            valid_mask: None,
             field: None,
             failure: None,
             frames: FrameOptimizers::default(),
@@ -113,8 +113,8 @@ impl FieldMapper {
             }
             Err(error) => self.failure = Some(error),
         }
-        if let (Some(field), Some(covered)) = (&mut self.field, &self.covered) {
-            field.current.objective.set_covered(Arc::clone(covered));
+        if let (Some(field), Some(valid_mask)) = (&mut self.field, &self.valid_mask) {
+            field.current.objective.set_valid_mask(Arc::clone(valid_mask));
         }
     }
 
@@ -132,7 +132,7 @@ impl FieldMapper {
             let depth = placement_depth(
                 &keyframe.observation,
                 &context.config.mapping,
-                context.covered,
+                context.valid_mask,
                 None,
             );
             self.mark_surfaces(context, context.frames[keyframe.frame].depth_pose(), &depth);
@@ -260,7 +260,7 @@ fn sample_rays<'a>(
     let mut view = PixelBatch { observation, variables, pixels: Vec::new() };
     let count = (rays / view.rays_per_pixel()).max(1);
     let size = observation.depth.pixels();
-    view.pixels = random_pixels(size, count, context.covered, context.random);
+    view.pixels = random_pixels(size, count, context.valid_mask, context.random);
     view
 }
 
@@ -277,11 +277,11 @@ impl Mapper for FieldMapper {
         0
     }
 
-    fn set_covered(&mut self, covered: Arc<Image<bool>>) {
+    fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
         if let Some(field) = &mut self.field {
-            field.current.objective.set_covered(Arc::clone(&covered));
+            field.current.objective.set_valid_mask(Arc::clone(&valid_mask));
         }
-        self.covered = Some(covered);
+        self.valid_mask = Some(valid_mask);
     }
 
     fn tracker(&mut self) -> Option<&mut dyn Tracker> {
@@ -291,17 +291,21 @@ impl Mapper for FieldMapper {
 
     fn snapshot(
         &self,
-        covered: Option<Arc<Image<bool>>>,
+        valid_mask: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
         let map = &self.field.as_ref()?.current.map;
         let objective = || FrameObjective::new(self.camera, map.march);
-        Some(update_snapshot(last, map, covered, objective))
+        Some(update_snapshot(last, map, valid_mask, objective))
     }
 
     fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe) {
-        let depth =
-            placement_depth(&current.observation, &context.config.mapping, context.covered, None);
+        let depth = placement_depth(
+            &current.observation,
+            &context.config.mapping,
+            context.valid_mask,
+            None,
+        );
         let pose = context.frames[current.frame].depth_pose();
         if self.field.is_none() {
             self.start(context, pose, &depth);

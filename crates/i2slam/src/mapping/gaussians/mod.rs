@@ -139,8 +139,8 @@ impl Mapper for GaussianMapper {
         self.current.map.len()
     }
 
-    fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.current.objective.set_covered(covered);
+    fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
+        self.current.objective.set_valid_mask(valid_mask);
     }
 
     fn tracker(&mut self) -> Option<&mut dyn Tracker> {
@@ -149,12 +149,12 @@ impl Mapper for GaussianMapper {
 
     fn snapshot(
         &self,
-        covered: Option<Arc<Image<bool>>>,
+        valid_mask: Option<Arc<Image<bool>>>,
         last: Option<Box<dyn Tracker>>,
     ) -> Option<Box<dyn Tracker>> {
         let objective = || FrameObjective::new(self.camera, RasterSettings::default());
         (!self.current.map.is_empty())
-            .then(|| update_snapshot(last, &self.current.map, covered, objective))
+            .then(|| update_snapshot(last, &self.current.map, valid_mask, objective))
     }
 
     fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe) {
@@ -172,7 +172,12 @@ impl Mapper for GaussianMapper {
             velocity: CentreVelocity::from(estimate.shutter).velocity,
             readout: estimate.readout,
             observation,
-            depth: placement_depth(observation, &config.mapping, context.covered, render.as_ref()),
+            depth: placement_depth(
+                observation,
+                &config.mapping,
+                context.valid_mask,
+                render.as_ref(),
+            ),
             tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
         };
         if let Some(render) = &render {

@@ -402,7 +402,7 @@ impl JointMapper for JointFieldMapper {
         locator.locate(context, (map, objective), frame, previous, context.frames)
     }
 
-    fn set_covered(&mut self, _covered: Arc<Image<bool>>) {}
+    fn set_valid_mask(&mut self, _valid_mask: Arc<Image<bool>>) {}
 
     fn map(&self) -> Map {
         match &self.field {

@@ -38,7 +38,7 @@ pub(super) fn sample_pixels<'a>(
     let variables = FrameVariables { exposure, tone };
     let observation = &*keyframe.observation;
     let size = observation.depth.pixels();
-    let pixels = random_pixels(size, count.max(1), context.covered, context.random);
+    let pixels = random_pixels(size, count.max(1), context.valid_mask, context.random);
     PixelBatch { observation, variables, pixels }
 }
 

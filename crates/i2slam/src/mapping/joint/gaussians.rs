@@ -121,8 +121,8 @@ impl JointMapper for JointGaussianMapper {
             )
     }
 
-    fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.mapper.set_covered(covered);
+    fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
+        self.mapper.set_valid_mask(valid_mask);
     }
 
     fn map(&self) -> Map {

@@ -47,7 +47,7 @@ pub(crate) trait JointMapper: Send {
     ) -> bool;
 
     /// Restricts the image terms to recorded pixels.
-    fn set_covered(&mut self, covered: Arc<Image<bool>>);
+    fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>);
 
     /// A copy of the map.
     fn map(&self) -> Map;

@@ -57,10 +57,10 @@ impl KeyframeSession {
         }
     }
 
-    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::covered`.
-    pub fn set_covered(&mut self, covered: Arc<Image<bool>>) {
-        self.mapper.set_covered(Arc::clone(&covered));
-        self.state.covered = Some(covered);
+    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::valid_mask`.
+    pub fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
+        self.mapper.set_valid_mask(Arc::clone(&valid_mask));
+        self.state.valid_mask = Some(valid_mask);
     }
 
     /// Sets the token whose cancellation ends mapping of a keyframe early.

@@ -76,7 +76,7 @@ pub(super) fn pull_back(
         let block = first..(first + BLOCK).min(chunk.kept.len());
         space.networks(scene, requested, chunk, &block, &directions, &by_exponents[block.clone()]);
         if requested.field {
-            space.keep_features(scene, chunk, &block);
+            space.store_feature_gradients(scene, chunk, &block);
         }
         if requested.rays {
             space.add_rays(scene, chunk, &block, &mut by_direction);
@@ -155,7 +155,7 @@ impl Backward {
     }
 
     /// Puts the derivatives by the encodings in order of the levels.
-    fn keep_features(
+    fn store_feature_gradients(
         &mut self,
         scene: &FieldContext<'_>,
         chunk: &mut Chunk,
