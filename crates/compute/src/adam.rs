@@ -172,13 +172,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn first_step_has_the_length_of_the_rate() {
-        let mut x = [1.0, -2.0];
-        Adam::new(AdamSettings::default()).step(&mut x, &[0.3, -40.0], 0.1);
-        assert!((x[0] - 0.9).abs() < 1e-5 && (x[1] + 1.9).abs() < 1e-5);
-    }
-
-    #[test]
     fn finds_the_minimum_of_a_bowl() {
         let mut x = [3.0, -4.0];
         let mut adam = Adam::new(AdamSettings::default());

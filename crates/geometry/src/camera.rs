@@ -71,10 +71,9 @@ impl<T: Real> Camera<T> {
         Self {
             width: self.width.saturating_sub(2 * border),
             height: self.height.saturating_sub(2 * border),
-            fx: self.fx,
-            fy: self.fy,
             cx: self.cx - T::of(border as f64),
             cy: self.cy - T::of(border as f64),
+            ..*self
         }
     }
 
@@ -83,10 +82,9 @@ impl<T: Real> Camera<T> {
         Self {
             width: self.width + 2 * margin,
             height: self.height + 2 * margin,
-            fx: self.fx,
-            fy: self.fy,
             cx: self.cx + T::of(margin as f64),
             cy: self.cy + T::of(margin as f64),
+            ..*self
         }
     }
 

@@ -6,7 +6,6 @@
 mod camera;
 mod eigen;
 mod image;
-mod jacobi;
 mod pose;
 mod real;
 mod rotation;
@@ -16,12 +15,11 @@ mod trajectory;
 mod vector;
 
 pub use camera::Camera;
-pub use eigen::symmetric_eigen;
+pub use eigen::{symmetric_eigen, symmetric_eigen_of};
 pub use image::Image;
-pub use jacobi::symmetric_eigen_of;
 pub use pose::{Pose, Tangent};
 pub use real::Real;
-pub use rotation::{Rotation, left_jacobian_inverse, right_jacobian, right_jacobian_inverse};
+pub use rotation::{Rotation, right_jacobian, right_jacobian_inverse};
 pub use sample::Tap;
 pub use similarity::Similarity;
 pub use trajectory::{StampedPose, Trajectory, nearest_stamp};

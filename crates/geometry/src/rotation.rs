@@ -146,7 +146,8 @@ pub fn right_jacobian<T: Real>(phi: Vec3<T>) -> Mat3<T> {
     Mat3::identity() + k.scaled(-a) + (k * k).scaled(b)
 }
 
-/// The inverse of [`right_jacobian`] (Solà et al. 2018, eq. 144), for `‖φ‖ < 2π`.
+/// The inverse of [`right_jacobian`] (Solà et al. 2018, eq. 144), for `‖φ‖ < 2π`; that of the left
+/// Jacobian is `J_l⁻¹(φ) = J_r⁻¹(-φ)`.
 pub fn right_jacobian_inverse<T: Real>(phi: Vec3<T>) -> Mat3<T> {
     let theta2 = phi.norm_squared();
     let b = if theta2 < T::of(1e-6) {
@@ -157,11 +158,6 @@ pub fn right_jacobian_inverse<T: Real>(phi: Vec3<T>) -> Mat3<T> {
     };
     let k = Mat3::skew(phi);
     Mat3::identity() + k.scaled(T::of(0.5)) + (k * k).scaled(b)
-}
-
-/// The inverse of the left Jacobian: `J_l⁻¹(φ) = J_r⁻¹(-φ)`.
-pub fn left_jacobian_inverse<T: Real>(phi: Vec3<T>) -> Mat3<T> {
-    right_jacobian_inverse(-phi)
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 //! The two poses that bound an exposure, and the virtual cameras between them.
 
 use i2slam_geometry::{
-    Pose, Real, Rotation, Tangent, Vec3, left_jacobian_inverse, right_jacobian,
-    right_jacobian_inverse,
+    Pose, Real, Rotation, Tangent, Vec3, right_jacobian, right_jacobian_inverse,
 };
 use serde::{Deserialize, Serialize};
 
@@ -149,7 +148,7 @@ fn pull_back_slerp<T: Real>(omega: Vec3<T>, u: T, d_phi: Vec3<T>) -> (Vec3<T>, V
     let turn = omega * u;
     let d_omega = right_jacobian(turn).transpose() * d_phi * u;
     let carried = Rotation::exp(turn).rotate(d_phi);
-    let d_start = carried - left_jacobian_inverse(omega).transpose() * d_omega;
+    let d_start = carried - right_jacobian_inverse(-omega).transpose() * d_omega;
     let d_end = right_jacobian_inverse(omega).transpose() * d_omega;
     (d_start, d_end)
 }
