@@ -51,25 +51,23 @@ pub enum OdometryError {
 pub enum PictureError {
     /// Size other than the camera's.
     #[error(
-        "a picture of {width}x{height} pixels, but the camera's are {expected_width}x{expected_height}"
+        "a picture of {}x{} pixels, but the camera's are {}x{}",
+        .size[0], .size[1], .expected[0], .expected[1]
     )]
     Size {
-        /// Width of the picture [px].
-        width: usize,
-        /// Height of the picture [px].
-        height: usize,
-        /// Width of the camera's pictures [px].
-        expected_width: usize,
-        /// Height of the camera's pictures [px].
-        expected_height: usize,
+        /// Width and height of the picture [px].
+        size: [usize; 2],
+        /// Those of the camera's pictures [px].
+        expected: [usize; 2],
     },
     /// Too small for tracking.
-    #[error("a picture of {width}x{height} pixels is too small: each side needs at least {least}")]
+    #[error(
+        "a picture of {}x{} pixels is too small: each side needs at least {least}",
+        .size[0], .size[1]
+    )]
     TooSmall {
-        /// Width of the picture [px].
-        width: usize,
-        /// Height of the picture [px].
-        height: usize,
+        /// Width and height of the picture [px].
+        size: [usize; 2],
         /// Smallest side [px].
         least: usize,
     },

@@ -60,16 +60,15 @@ impl FrontEnd {
         timestamp: f64,
     ) -> Result<FrameReport, PictureError> {
         let camera = self.intrinsics.camera();
-        let (width, height) = (picture.width, picture.height);
-        if (width, height) != (camera.width, camera.height) {
-            let (expected_width, expected_height) = (camera.width, camera.height);
-            return Err(PictureError::Size { width, height, expected_width, expected_height });
+        let (size, expected) = ([picture.width, picture.height], [camera.width, camera.height]);
+        if size != expected {
+            return Err(PictureError::Size { size, expected });
         }
-        if width.min(height) < MIN_SIDE {
-            return Err(PictureError::TooSmall { width, height, least: MIN_SIDE });
+        if size[0].min(size[1]) < MIN_SIDE {
+            return Err(PictureError::TooSmall { size, least: MIN_SIDE });
         }
         let (channels, values) = (picture.channels, picture.data.len());
-        if !matches!(channels, 1 | 3) || values != width * height * channels {
+        if !matches!(channels, 1 | 3) || values != picture.pixels() * channels {
             return Err(PictureError::Planes { channels, values });
         }
         let last = self.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);

@@ -296,6 +296,7 @@ fn weighted_median_inverse_depth(depths: &[SparseDepth]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::camera;
     use crate::track::tracks::Tracks;
 
     /// Precise points decide even where most of a keyframe lie before the lens; a precise near one
@@ -318,7 +319,7 @@ mod tests {
     /// A state that does not determine the focal length: a warning where it was estimated.
     #[test]
     fn a_focal_length_that_nothing_determines_is_said_to_be_a_guess() {
-        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let camera = camera();
         let tracks = Tracks { keyframes: vec![0, 1], frames: 2, ..Tracks::default() };
         let mut state = SfmState::new(camera, tracks);
         state.poses = vec![Some(Pose::identity()); 2];

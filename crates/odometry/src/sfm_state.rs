@@ -28,7 +28,7 @@ pub(crate) struct SfmState {
     pub(crate) camera: Camera<f64>,
     pub(crate) tracks: Tracks,
     /// Tracks of every frame.
-    by_frame: Arc<Vec<Vec<usize>>>,
+    pub(crate) by_frame: Arc<Vec<Vec<usize>>>,
     /// `world_from_camera` of every registered frame.
     pub(crate) poses: Vec<Option<Pose<f64>>>,
     /// Landmark of every triangulated track.
@@ -102,11 +102,6 @@ impl SfmState {
         let observation =
             move |i: &usize| Some((*i, self.tracks.tracks[*i].observation_in(frame)?));
         self.by_frame[frame].iter().filter_map(observation)
-    }
-
-    /// Tracks observed in a frame.
-    pub(crate) fn tracks_in_frame(&self, frame: usize) -> &[usize] {
-        &self.by_frame[frame]
     }
 
     /// Number of tracks that two frames share.

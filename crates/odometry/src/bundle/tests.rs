@@ -1,4 +1,5 @@
 use super::*;
+use crate::fixtures::camera;
 use crate::multiview::lens_distortion::distortion_jacobian;
 use crate::progress::Progress;
 use i2slam_check::{assert_gradient, noise};
@@ -6,7 +7,7 @@ use i2slam_geometry::{Rotation, Vec3};
 
 /// Six cameras along an arc, 60 points; observations with `spread` pixels of noise.
 fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
-    let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+    let camera = camera();
     let pose = |i: usize| {
         let s = i as f64 * 0.1;
         Pose::new(
@@ -22,32 +23,33 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
         let (u, v) = camera.project(poses[k].inverse() * points[i]);
         let e = &errors[(i * 6 + k) * 2..];
         let at = [u + spread * e[0], v + spread * e[1]];
-        BundleObservation {
-            pose: k,
-            at,
-            sigma: 0.5,
-            camera_jacobian: distortion_jacobian(&camera, at),
-        }
+        let camera_jacobian = distortion_jacobian(&camera, at);
+        BundleObservation { pose: k, at, sigma: 0.5, camera_jacobian }
     };
     let observations: Vec<Vec<BundleObservation>> =
         (0..60).map(|i| (0..6).map(|k| observation(i, k)).collect()).collect();
     let landmarks = (0..60)
         .map(|i| Landmark::on_ray(&camera, poses[0], observations[i][0].at, 1.0 / points[i].z))
         .collect();
-    let fixed = vec![true, false, false, false, false, false];
-    let observations = Arc::new(observations);
-    (
-        Bundle {
-            camera,
-            poses,
-            fixed,
-            landmarks,
-            observations,
-            camera_change: [0.0; 2],
-            free_intrinsics: FreeIntrinsics::None,
-        },
-        points,
-    )
+    (bundle(poses, 1, landmarks, observations), points)
+}
+
+/// A bundle with fixed intrinsics whose first `fixed` poses are fixed.
+fn bundle(
+    poses: Vec<Pose<f64>>,
+    fixed: usize,
+    landmarks: Vec<Landmark>,
+    observations: Vec<Vec<BundleObservation>>,
+) -> Bundle {
+    Bundle {
+        camera: camera(),
+        fixed: (0..poses.len()).map(|i| i < fixed).collect(),
+        poses,
+        landmarks,
+        observations: Arc::new(observations),
+        camera_change: [0.0; 2],
+        free_intrinsics: FreeIntrinsics::None,
+    }
 }
 
 fn disturbed(mut bundle: Bundle) -> Bundle {
@@ -107,7 +109,6 @@ fn the_deviation_of_the_focal_length_covers_its_error() {
             (all.iter().map(|a| of(a) * of(a)).sum::<f64>() / all.len() as f64).sqrt()
         };
         let (error, ratio) = (rms(&|a| a.0), rms(&|a| a.0 / a.1));
-        println!("{own} {shared}: error {error:.5}, {ratio:.3} deviations");
         assert!((0.5..1.4).contains(&ratio) && error > 1e-4, "{own} {shared}: {error} {ratio}");
     }
 }
@@ -135,7 +136,7 @@ fn the_gradient_agrees_with_differences() {
 /// A camera that goes round `count` poses, every one beginning `each` points that the next `seen`
 /// poses observe; the last poses observe the points of the first if the path is `closed`.
 fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
-    let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+    let camera = camera();
     let pose = |i: usize| {
         let angle = std::f64::consts::TAU * i as f64 / count as f64;
         let place = Vec3::new(angle.cos(), 0.0, angle.sin()) * (0.02 * count as f64);
@@ -166,17 +167,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
             observations.push(all);
         }
     }
-    let fixed = (0..count).map(|i| i < 2).collect();
-    let observations = Arc::new(observations);
-    Bundle {
-        camera,
-        poses,
-        fixed,
-        landmarks,
-        observations,
-        camera_change: [0.0; 2],
-        free_intrinsics: FreeIntrinsics::None,
-    }
+    bundle(poses, 2, landmarks, observations)
 }
 
 #[test]

@@ -13,7 +13,7 @@ mod view_selection;
 
 use crate::track::pyramid::Pyramid;
 use depth_filter::{fuse_consistent, inflate_variance_at_edges};
-use i2slam_compute::CancellationToken;
+use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose};
 use inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, estimate_inverse_depth};
 use std::collections::BTreeMap;
@@ -108,17 +108,14 @@ impl DenseDepthEstimator {
 
     /// The keyframes to match one with.
     fn selected_views(&self, index: usize) -> Vec<usize> {
-        let Some(depth) = self.median_depth(index) else { return Vec::new() };
+        let depth = median(&mut self.views[index].landmarks.clone()).filter(|d| *d > 0.0);
+        let Some(depth) = depth else { return Vec::new() };
         let last = (index + MAX_KEYFRAME_DISTANCE + 1).min(self.views.len());
         let near = index.saturating_sub(MAX_KEYFRAME_DISTANCE)..last;
         let others: Vec<(usize, Pose<f64>)> =
             near.filter(|i| *i != index).map(|i| (i, self.views[i].world_from_camera)).collect();
         let pose = self.views[index].world_from_camera;
         view_selection::select_views(&self.camera, pose, &others, depth, MAX_VIEWS)
-    }
-
-    fn median_depth(&self, index: usize) -> Option<f64> {
-        i2slam_compute::median(&mut self.views.get(index)?.landmarks.clone()).filter(|d| *d > 0.0)
     }
 
     /// Bounds of the inverse depth, from the landmarks.

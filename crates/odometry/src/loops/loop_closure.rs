@@ -115,7 +115,7 @@ fn count_visible_landmarks(
         return 0;
     }
     let known = |track: &usize| state.landmarks[*track].as_ref();
-    let shown = state.tracks_in_frame(other.frame);
+    let shown = &state.by_frame[other.frame];
     let some = shown.iter().step_by((shown.len() / SAMPLED_LANDMARKS).max(1));
     let inside = |l: &&Landmark| {
         let at = l.image_position(&state.camera, &pose);
@@ -140,17 +140,12 @@ fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
                 && state.poses[other.frame].is_some()
                 && state.shared_count(image.frame, other.frame) < MAX_SHARED_POINTS
         };
-        let of = |other: &&KeyframeImage| {
+        let of = |(old, other): (usize, &KeyframeImage)| {
             let found = match_and_verify(state, image, other)?;
-            let old = state
-                .tracks
-                .keyframe_images
-                .binary_search_by_key(&other.frame, |l| l.frame)
-                .ok()?;
             let place = Similarity::from_pose(found.world_from_camera, found.scale?);
             Some(LoopCandidate { new, old, found, place })
         };
-        candidate_keyframes(state, image, may).iter().find_map(of)
+        candidate_keyframes(state, image, may).into_iter().find_map(of)
     };
     state.tracks.keyframe_images.par_iter().enumerate().filter_map(search).collect()
 }
@@ -288,8 +283,9 @@ fn apply_corrections(state: &mut SfmState, keyframes: &[usize], moves: &[Similar
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::camera;
     use crate::track::tracks::{Track, Tracks};
-    use i2slam_geometry::{Camera, Rotation, Vec3};
+    use i2slam_geometry::{Rotation, Vec3};
 
     /// Keyframes of the first path, which ends with a covered lens, and of both paths.
     const CUT: usize = 20;
@@ -300,7 +296,7 @@ mod tests {
     /// Ten tracks of every three consecutive keyframes, none across the cut; ten of [`RECOGNISED`]
     /// are observed again in the first keyframe after it.
     fn two_ways() -> SfmState {
-        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let camera = camera();
         let at = |index: usize, k: usize| [20.0 + 30.0 * k as f64, 20.0 + 4.0 * index as f64];
         let observation = |index: usize, k: usize| Observation::new(index, at(index, k), 0.3);
         let mut tracks = Vec::new();

@@ -138,10 +138,16 @@ mod tests {
     use i2slam_check::assert_gradient;
     use i2slam_geometry::{Rotation, Tangent};
 
+    /// A camera, and the pose from which landmarks are first observed.
+    fn view() -> (Camera<f64>, Pose<f64>) {
+        let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };
+        let rotation = Rotation::exp(Vec3::new(0.1, -0.2, 0.05));
+        (camera, Pose::new(rotation, Vec3::new(0.3, 0.1, -0.2)))
+    }
+
     #[test]
     fn derivatives_agree_with_differences() {
-        let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };
-        let first = Pose::new(Rotation::exp(Vec3::new(0.1, -0.2, 0.05)), Vec3::new(0.3, 0.1, -0.2));
+        let (camera, first) = view();
         let pose = Pose::new(Rotation::exp(Vec3::new(0.0, -0.1, 0.1)), Vec3::new(0.5, 0.0, -0.1));
         for rho in [0.6, 1e-4, -0.05] {
             let landmark = Landmark::on_ray(&camera, first, [100.0, 90.0], rho);
@@ -166,8 +172,7 @@ mod tests {
     /// In a camera that has moved forward the slope is not minus the squared depth.
     #[test]
     fn slope_of_the_depth_agrees_with_differences() {
-        let camera = Camera { width: 320, height: 240, fx: 251.0, fy: 249.0, cx: 160.0, cy: 121.0 };
-        let first = Pose::new(Rotation::exp(Vec3::new(0.1, -0.2, 0.05)), Vec3::new(0.3, 0.1, -0.2));
+        let (camera, first) = view();
         let moved = first.retract(Tangent::from_array([0.1, 0.0, 1.0, 0.02, 0.1, 0.0]));
         let landmark = Landmark::on_ray(&camera, first, [100.0, 90.0], 0.4);
         for pose in [first, moved] {
@@ -176,14 +181,8 @@ mod tests {
                 let there = Landmark { values: [a, b, rho + x[0]], ..landmark };
                 (pose.inverse() * there.position()).z
             };
-            assert_gradient(
-                "depth",
-                &[0.0],
-                &[landmark.depth_by_inverse_depth(&pose)],
-                1e-4,
-                1e-6,
-                depth,
-            );
+            let gradient = [landmark.depth_by_inverse_depth(&pose)];
+            assert_gradient("depth", &[0.0], &gradient, 1e-4, 1e-6, depth);
         }
         let z = (moved.inverse() * landmark.position()).z;
         assert!(landmark.depth_by_inverse_depth(&moved).abs() > 2.0 * z * z);

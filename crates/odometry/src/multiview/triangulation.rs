@@ -110,11 +110,12 @@ fn normal_equations(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::camera;
     use i2slam_geometry::Rotation;
 
     #[test]
     fn near_and_far_points_are_found_and_wrong_ones_refused() {
-        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let camera = camera();
         let pose = |i: usize| {
             let i = i as f64;
             Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * i, 0.0)), Vec3::new(0.1 * i, 0.0, 0.02))

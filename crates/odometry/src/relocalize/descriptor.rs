@@ -6,7 +6,7 @@
 
 use crate::track::patch::dot;
 use crate::track::pyramid::Pyramid;
-use i2slam_geometry::{Image, Tap};
+use i2slam_geometry::Image;
 
 /// Samples along a side, and their distance on the second pyramid level [px].
 const SAMPLES_PER_SIDE: usize = 8;
@@ -83,7 +83,7 @@ fn describe(image: &Image<f32>, [x, y]: [f32; 2]) -> Option<Descriptor> {
         let u = x - half + SAMPLE_SPACING * (i % SAMPLES_PER_SIDE) as f32;
         let v = y - half + SAMPLE_SPACING * (i / SAMPLES_PER_SIDE) as f32;
         let (u, v) = (u.clamp(0.51, most[0]), v.clamp(0.51, most[1]));
-        *value = Tap::new(image.width, image.height, u, v)?.sample(&image.data).0;
+        *value = image.tap(u, v)?.sample(&image.data).0;
     }
     let mean = out.iter().sum::<f32>() / DESCRIPTOR_LENGTH as f32;
     out.iter_mut().for_each(|v| *v -= mean);

@@ -17,40 +17,28 @@ const MAX_ATTEMPTS: usize = 30;
 /// Keyframes that are verified in parallel.
 const KEYFRAMES_PER_BATCH: usize = 8;
 
-/// Frames of a keyframe and an older one.
-type FramePair = (usize, usize);
-
-/// Pairs of keyframes whose verification failed.
+/// Frames of older keyframes that every newer one was compared with in vain.
 #[derive(Debug, Default)]
-pub(crate) struct FailedPairs {
-    pairs: HashSet<FramePair>,
-    /// Number of pairs of every newer frame.
-    counts: HashMap<usize, usize>,
-}
+pub(crate) struct FailedPairs(HashMap<usize, HashSet<usize>>);
 
 impl FailedPairs {
-    fn add(&mut self, pair: FramePair) {
-        if self.pairs.insert(pair) {
-            *self.counts.entry(pair.0).or_default() += 1;
-        }
-    }
-
-    fn contains(&self, pair: FramePair) -> bool {
-        self.pairs.contains(&pair)
+    fn contains(&self, new: usize, old: usize) -> bool {
+        self.0.get(&new).is_some_and(|compared| compared.contains(&old))
     }
 
     /// Whether verification of a frame has failed too often.
     fn is_given_up(&self, frame: usize) -> bool {
-        self.counts.get(&frame).is_some_and(|count| *count >= MAX_ATTEMPTS)
+        self.0.get(&frame).is_some_and(|compared| compared.len() >= MAX_ATTEMPTS)
     }
 }
 
-/// The keyframes with the most similar thumbnails, of those that `may` be compared.
+/// The keyframes with the most similar thumbnails, of those that `may` be compared, with their
+/// indices among the keyframes.
 pub(crate) fn candidate_keyframes<'a>(
     state: &'a SfmState,
     image: &KeyframeImage,
     may: impl Fn(usize, &KeyframeImage) -> bool,
-) -> Vec<&'a KeyframeImage> {
+) -> Vec<(usize, &'a KeyframeImage)> {
     let of = |(place, other): (usize, &'a KeyframeImage)| {
         let correlation = image.thumbnail_correlation(other);
         let is_similar = correlation > MIN_THUMBNAIL_CORRELATION;
@@ -66,7 +54,7 @@ pub(crate) fn candidate_keyframes<'a>(
             chosen.push((place, other));
         }
     }
-    chosen.into_iter().map(|(_, other)| other).collect()
+    chosen
 }
 
 /// Localises lost keyframes in the map until a batch has a success; returns whether one had.
@@ -82,17 +70,17 @@ pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> bool
         }
         let search = |image: &&KeyframeImage| {
             let may = |_, other: &KeyframeImage| {
-                state.poses[other.frame].is_some() && !failed.contains((image.frame, other.frame))
+                state.poses[other.frame].is_some() && !failed.contains(image.frame, other.frame)
             };
             let compared = candidate_keyframes(state, image, may);
-            let found = compared.iter().find_map(|old| match_and_verify(state, image, old));
-            (found, compared.iter().map(|old| (image.frame, old.frame)).collect())
+            let found = compared.iter().find_map(|(_, old)| match_and_verify(state, image, old));
+            (found, compared.iter().map(|(_, old)| old.frame).collect())
         };
-        let (found, compared): (Vec<Option<Relocalization>>, Vec<Vec<FramePair>>) =
-            batch.par_iter().map(search).unzip();
-        compared.into_iter().flatten().for_each(|pair| failed.add(pair));
+        let found: Vec<(Option<Relocalization>, Vec<usize>)> =
+            batch.par_iter().map(search).collect();
         let mut is_any_found = false;
-        for (image, found) in batch.iter().zip(found) {
+        for (image, (found, compared)) in batch.iter().zip(found) {
+            failed.0.entry(image.frame).or_default().extend(compared);
             let Some(found) = found else { continue };
             state.poses[image.frame] = Some(found.world_from_camera);
             state.add_observations(found.observations);
@@ -114,8 +102,8 @@ mod tests {
         let mut failed = FailedPairs::default();
         for old in 0..MAX_ATTEMPTS {
             assert!(!failed.is_given_up(99));
-            (0..2).for_each(|_| failed.add((99, old)));
+            failed.0.entry(99).or_default().extend([old, old]);
         }
-        assert!(failed.is_given_up(99) && !failed.is_given_up(98) && failed.contains((99, 0)));
+        assert!(failed.is_given_up(99) && !failed.is_given_up(98) && failed.contains(99, 0));
     }
 }

@@ -3,7 +3,7 @@
 //! Between neighbouring frames most motion is rotation. Where its rate changes, frames some
 //! intervals apart fit a rotation badly unless their rows are corrected for the readout.
 
-use crate::multiview::two_view::{RayPair, fit_rotation};
+use crate::multiview::two_view::{RayPair, fit_rotation, ray_pairs};
 use crate::progress::{Progress, Stage};
 use crate::rolling_shutter::readout::{MAX_COST_RATIO, median_frame_interval, parabola_minimum};
 use crate::track::tracks::{Tracks, shared_positions};
@@ -79,8 +79,7 @@ fn rotation_rates(
         .into_par_iter()
         .map(|f| {
             let shared = shared_positions(&tracks.tracks, by_frame, f - 1, f);
-            let ray = |at: [f64; 2]| camera.unproject(at[0], at[1], 1.0);
-            let rays: Vec<RayPair> = shared.iter().map(|(a, b)| (ray(*a), ray(*b))).collect();
+            let rays = ray_pairs(camera, &shared);
             // The map found takes rays of the first camera to the second.
             fit_rotation(camera.fx, &rays).map(|(r, _)| r.inverse().log() * times[f - 1].recip())
         })
@@ -130,13 +129,14 @@ fn row_corrected_ray(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::camera;
     use crate::track::tracks::{Observation, Track};
     use i2slam_check::noise;
 
     /// A steady turn has one rate, whether or not pictures are missing.
     #[test]
     fn rates_count_in_time_not_in_frames() {
-        let camera = Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 };
+        let camera = camera();
         let timestamps = [0.0, 1.0, 2.0, 5.0, 6.0, 8.0, 9.0, 10.0];
         let turn = Vec3::new(0.002, 0.01, -0.003);
         let track = |n: &[f64]| {

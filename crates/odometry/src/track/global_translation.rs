@@ -2,35 +2,23 @@
 
 use i2slam_geometry::Image;
 
-/// The best whole-pixel translation between two pictures, and their correlation there.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct GlobalTranslation {
-    /// Position in the second picture less that in the first [px].
-    pub(crate) translation: [f32; 2],
-    /// Normalised correlation of the overlap, at most 1.
-    pub(crate) correlation: f32,
-}
-
 /// Largest translation tried, as a ratio of each side.
 const MAX_TRANSLATION_RATIO: f32 = 0.3;
 
-/// Compares two pictures of one size at every whole-pixel translation within
-/// [`MAX_TRANSLATION_RATIO`].
+/// The best whole-pixel translation within [`MAX_TRANSLATION_RATIO`] between two pictures of one
+/// size, second less first [px], and the correlation of their overlap there.
 pub(crate) fn estimate_global_translation(
     first: &Image<f32>,
     second: &Image<f32>,
-) -> GlobalTranslation {
+) -> ([f32; 2], f32) {
     let reach = |side: usize| (side as f32 * MAX_TRANSLATION_RATIO) as isize;
     let (across, down) = (reach(first.width), reach(first.height));
-    let mut best = GlobalTranslation {
-        translation: [0.0, 0.0],
-        correlation: overlap_correlation(first, second, (0, 0), 0.0),
-    };
+    let mut best = ([0.0, 0.0], overlap_correlation(first, second, (0, 0), 0.0));
     for dy in -down..=down {
         for dx in -across..=across {
             let correlation = overlap_correlation(first, second, (dx, dy), 0.0);
-            if correlation > best.correlation {
-                best = GlobalTranslation { translation: [dx as f32, dy as f32], correlation };
+            if correlation > best.1 {
+                best = ([dx as f32, dy as f32], correlation);
             }
         }
     }
@@ -75,8 +63,8 @@ mod tests {
     fn a_move_is_found_whatever_the_exposure() {
         let mut second = blobs(5.0, -3.0);
         second.data.iter_mut().for_each(|v| *v = 0.3 * *v + 1.0);
-        let shift = estimate_global_translation(&blobs(0.0, 0.0), &second);
-        assert_eq!(shift.translation, [5.0, -3.0]);
-        assert!(shift.correlation > 0.99);
+        let (translation, correlation) = estimate_global_translation(&blobs(0.0, 0.0), &second);
+        assert_eq!(translation, [5.0, -3.0]);
+        assert!(correlation > 0.99);
     }
 }

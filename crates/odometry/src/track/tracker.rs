@@ -110,8 +110,9 @@ impl Tracker {
     /// Tracks all points; returns the translation of the whole picture [px].
     fn track_points(&mut self, next: &Pyramid, frame: usize, report: &mut FrameReport) -> [f32; 2] {
         let Some((last, _)) = self.recent.back() else { return [0.0; 2] };
-        let shift = estimate_global_translation(last.coarsest().0, next.coarsest().0);
-        let by = shift.translation.map(|v| v * last.coarsest().1);
+        let (coarse, scale) = last.coarsest();
+        let (translation, correlation) = estimate_global_translation(coarse, next.coarsest().0);
+        let by = translation.map(|v| v * scale);
         let search =
             |p: &TrackedPoint| search_point(&p.anchor, p.warp, p.is_followed, last, next, by);
         let outcomes: Vec<TrackOutcome> = self.points.par_iter().map(search).collect();
@@ -130,7 +131,7 @@ impl Tracker {
         }
         let found = motions.len();
         // Both tests must agree: a flash spoils the correlation, fast motion loses points.
-        let is_cut = shift.correlation < CUT_CORRELATION && 3 * found < self.points.len();
+        let is_cut = correlation < CUT_CORRELATION && 3 * found < self.points.len();
         self.points.retain(|p| p.hidden_frames <= MAX_HIDDEN_FRAMES && !is_cut);
         *report = FrameReport {
             points: found,
@@ -208,9 +209,7 @@ impl Tracker {
         }
         self.keyframe_points = self.points.iter().filter(|p| p.hidden_frames == 0).count();
     }
-}
 
-impl Tracker {
     /// A point that begins in `next`, with its observations in the frames before.
     fn start_point(
         &self,

@@ -188,7 +188,7 @@ fn dark_pictures_and_noise_give_an_error() {
 fn pictures_that_do_not_fit_are_refused_and_values_that_are_not_finite_do_no_harm() {
     let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
     let size = front_end.push(&Image::new(100, 100, 3), 0.0);
-    assert!(matches!(size, Err(PictureError::Size { width: 100, .. })));
+    assert!(matches!(size, Err(PictureError::Size { size: [100, 100], .. })));
     for channels in [0, 2] {
         let planes = front_end.push(&Image::new(192, 144, channels), 0.0);
         assert!(matches!(planes, Err(PictureError::Planes { .. })));
