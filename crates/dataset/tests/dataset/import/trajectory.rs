@@ -10,7 +10,7 @@ use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 
 fn open(poses: &Folder, pictures: &Folder) -> Result<ImportedKeyframes, DatasetError> {
     let file = poses.join("keyframes.txt");
-    import_with(&file, &pictures)
+    import_with(&file, pictures)
 }
 
 #[test]
@@ -114,11 +114,8 @@ fn other_clocks_and_single_keyframes_are_refused() {
 fn unusable_lines_are_named() {
     let folder = colour_sequence(3);
     let good = trajectory([0]);
-    for (bad, parts) in [("100.1 0 0 0 0 0 0 1.3\n", &["line 2", "length 1.300", "expected 1"][..])]
-    {
-        folder.write("keyframes.txt", good.clone() + bad);
-        assert_says(open(&folder, &folder), parts);
-    }
+    folder.write("keyframes.txt", good.clone() + "100.1 0 0 0 0 0 0 1.3\n");
+    assert_says(open(&folder, &folder), &["line 2", "length 1.300", "expected 1"]);
     folder.write("keyframes.txt", good + "100.1 0 0 0 0 0 0 1.003\n");
     assert_eq!(open(&folder, &folder).expect("rounded").len(), 2);
 }
@@ -126,7 +123,7 @@ fn unusable_lines_are_named() {
 #[test]
 fn what_holds_no_keyframes_is_refused() {
     let folder = colour_sequence(2);
-    let open = |name: &str| import(&folder.join(name));
+    let open = |name: &str| import(folder.join(name));
     assert_says(open("nothing"), &["no keyframes", "found nothing", "timestamp tx ty tz"]);
     assert_says(open("rgb"), &["found 000.png, 001.png"]);
     folder.write("notes.md", "hello");

@@ -176,10 +176,12 @@ fn black_keyframe(index: usize) -> PosedKeyframe {
     keyframe
 }
 
+type Damage = fn(&mut PosedKeyframe);
+
 #[test]
 fn unusable_keyframes_are_refused() {
     let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
-    let cases: [(fn(&mut PosedKeyframe), &str); 6] = [
+    let cases: [(Damage, &str); 6] = [
         (|k| k.colour = Arc::new(Image::new(10, 10, 3)), "its colour is (10, 10) pixels"),
         (|k| k.colour = Arc::new(Image::new(CAMERA.width, CAMERA.height, 1)), "3 channels"),
         (|k| Arc::make_mut(&mut k.colour).data.truncate(5), "its colour holds 5 numbers"),

@@ -281,7 +281,7 @@ impl Group {
             let mut d_mean = transform(&frame.world_from_camera, d_p);
             for k in 0..3 {
                 if let Some(path) = &path {
-                    d_mean[k] = d_mean[k] + path.mean[k];
+                    d_mean[k] += path.mean[k];
                 }
                 d_mean[k].store(&mut self.d_mean[k]);
             }
@@ -417,7 +417,7 @@ pub(crate) fn mean_cotangent<S: Simd>(
         let slope = ratio.strictly_within(low, high).keep(last * focal[axis] * inverse_depth);
         lateral[axis] = d_centre[axis] * focal[axis] - slope;
         d_z = d_z - lateral[axis] * ratio;
-        d_z = d_z + (last * stages.clamped[axis] - first) * focal[axis] * inverse_depth;
+        d_z += (last * stages.clamped[axis] - first) * focal[axis] * inverse_depth;
     }
     [lateral[0], lateral[1], d_z]
 }

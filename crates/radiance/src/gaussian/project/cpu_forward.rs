@@ -246,7 +246,7 @@ impl Group {
         if activation == ColourActivation::Exponential {
             for column in &mut self.radiance {
                 let colour = Lanes::load(simd, column);
-                excess = excess + (colour.clamp_min(87.0) - colour.constant(87.0));
+                excess += colour.clamp_min(87.0) - colour.constant(87.0);
                 colour.exp().store(column);
             }
         }

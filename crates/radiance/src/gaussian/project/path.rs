@@ -242,7 +242,7 @@ impl MotionFrame {
             let (moment, world) =
                 (cross(p, d_p), transform(&self.ends[end].world_from_camera, d_p));
             for k in 0..3 {
-                result.mean[k] = result.mean[k] + world[k];
+                result.mean[k] += world[k];
                 result.ends[end][k] = -d_p[k];
                 result.ends[end][3 + k] = -moment[k];
             }
