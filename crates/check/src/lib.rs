@@ -1,5 +1,4 @@
-//! Gradient checks and comparison helpers and temporary folders for tests, a clock for benches. No
-//! dependencies, never shipped.
+//! Gradient checks, comparisons, noise, temporary folders and a clock; never shipped.
 
 use std::path::PathBuf;
 
@@ -41,8 +40,7 @@ pub fn central_differences(x: &[f64], step: f64, mut f: impl FnMut(&[f64]) -> f6
         .collect()
 }
 
-/// Largest difference of two vectors, relative to the larger of their largest entries; infinity if
-/// anything is NaN.
+/// Largest difference over the largest entry of two vectors; infinity if anything is NaN.
 pub fn relative_error(actual: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(actual.len(), expected.len(), "vectors of different length");
     if actual.iter().chain(expected).any(|v| !v.is_finite()) {
@@ -100,8 +98,7 @@ pub fn noise(seed: u64, count: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Time that the processor spent on all threads of this process so far \[s\]: what other programs
-/// take is no part of it. 0 where the system does not report it.
+/// Processor time of all threads of this process \[s\]; 0 where the system does not report it.
 pub fn processor_seconds() -> f64 {
     let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
     let nanoseconds = |task: std::fs::DirEntry| -> Option<f64> {

@@ -32,13 +32,11 @@ pub struct Adam {
 
 /// Parameters per parallel task.
 const CHUNK: usize = 1 << 14;
-/// Age from which the moments of usual settings have no bias left in `f32`: 0.999 to this power is
-/// 1e-9.
+/// Age from which the usual moments have no bias left in `f32`: 0.999 to it is 1e-9.
 const UNBIASED: u32 = 20_800;
 
 impl AdamSettings {
-    /// Moves parameters and both moments of a block by a gradient. No branch depends on a number,
-    /// so that the loop becomes vectors.
+    /// Steps a block. No branch depends on a number, so that the loop becomes vectors.
     fn advance(
         self,
         rate: f32,
@@ -108,9 +106,8 @@ impl Adam {
         self.step_elements(parameters, gradient, rate, 1, &ages);
     }
 
-    /// One step of the elements, `width` parameters each (at most 192), whose age is not zero: an
-    /// element of age `n` takes its `n`-th step, so its moments are corrected as those of an
-    /// optimiser of its own. All others keep parameters and moments.
+    /// One step of the elements, `width` (at most 192) parameters each, whose age is not zero: one
+    /// of age `n` takes its `n`-th step, as in an optimiser of its own. Others keep their state.
     pub fn step_elements(
         &mut self,
         parameters: &mut [f32],

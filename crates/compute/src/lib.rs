@@ -1,7 +1,5 @@
-//! Optimisers, small linear systems, vector instructions, random numbers and fixed-order
-//! reductions.
-//!
-//! Everything gives the same bytes for any number of threads.
+//! Optimisers, linear systems, vector instructions and random numbers, with the same bytes for any
+//! number of threads.
 
 mod adam;
 mod cancellation;

@@ -45,8 +45,7 @@ impl<const N: usize> NormalEquations<N> {
         self.count += other.count;
     }
 
-    /// The Levenberg-Marquardt step `-(H + λ diag H)⁻¹ b`, or `None` if `H` is not positive
-    /// definite.
+    /// The step `-(H + λ diag H)⁻¹ b`; `None` if `H` is not positive definite.
     pub fn step(&self, damping: f64) -> Option<[f64; N]> {
         let mut h = vec![0.0; N * N];
         for a in 0..N {

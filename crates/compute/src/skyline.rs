@@ -108,9 +108,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     lanes.iter().sum::<f64>() + rest
 }
 
-/// An order of a graph's nodes in which neighbours lie near each other (Cuthill and McKee 1969,
-/// reversed): breadth first from the end of every chain, nodes with few neighbours first.
-/// `neighbours[i]` lists those of node `i`.
+/// Reverse Cuthill-McKee (1969) order of nodes by their `neighbours`: breadth first from the ends
+/// of chains, nodes with few neighbours first.
 pub fn reverse_cuthill_mckee(neighbours: &[Vec<usize>]) -> Vec<usize> {
     let blocks = neighbours.len();
     let mut by_degree: Vec<usize> = (0..blocks).collect();

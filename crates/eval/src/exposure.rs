@@ -18,9 +18,7 @@ pub struct ExposureAgreement {
     pub frames: usize,
 }
 
-/// Compares exposures (linear, above zero) of the same frames in the same order.
-///
-/// Constant exposures on either side have no correlation and are refused.
+/// Compares exposures (linear, above zero) of the same frames; constant ones are refused.
 pub fn exposure_agreement(estimate: &[f64], truth: &[f64]) -> Result<ExposureAgreement, EvalError> {
     if estimate.len() != truth.len() {
         let (first, second) = (vec![estimate.len()], vec![truth.len()]);

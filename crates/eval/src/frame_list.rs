@@ -18,8 +18,7 @@ pub fn published(name: &str) -> Option<&'static str> {
     PUBLISHED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// Parses a list to sorted, unique indices. `#` starts a comment. The error is the number of the
-/// first invalid line, counted from 1.
+/// Parses sorted, unique indices with `#` comments; the error is the number of an invalid line.
 pub fn parse(text: &str) -> Result<Vec<usize>, usize> {
     let mut frames = Vec::new();
     for (number, line) in text.lines().enumerate() {

@@ -1,9 +1,7 @@
-//! Errors of linear radiance, which is known up to one gain.
+//! Errors of linear radiance, which is known up to one gain (exposure x radiance is observed).
 //!
-//! The product exposure x radiance is observed, so that a run may differ from the truth by one
-//! gain for all pixels and channels. It is removed first, as the *median* over all samples of
-//! `truth / estimate` (pixel and channel, both above zero): unlike least squares in log space it
-//! is robust to unmapped pixels and lamps. One common gain leaves a wrong white balance visible;
+//! The gain is removed as the *median* of `truth / estimate` over pixels and channels, robust to
+//! unmapped pixels and lamps. One common gain leaves a wrong white balance visible;
 //! [`Gain::PerChannel`] removes it, for systems whose white balance is free.
 
 use crate::EvalError;
@@ -37,8 +35,7 @@ pub struct HdrError {
     /// Root mean square of `log2 max(g L̂, ε) - log2 max(L, ε)` [stops], where `ε` lies
     /// [`LOG_RANGE_STOPS`] below white.
     pub log2_rmse_stops: f64,
-    /// PSNR of log2 radiance [dB], `20 log10(LOG_RANGE_STOPS / log2_rmse_stops)`. The peak is the
-    /// same for all scenes, so that numbers can be compared.
+    /// PSNR of log2 radiance [dB], `20 log10(LOG_RANGE_STOPS / log2_rmse_stops)`.
     pub log2_psnr_db: f64,
     /// PSNR [dB], peak 1, of `T(L) = ln(1 + μ tanh(L / white)) / ln(1 + μ)` with `μ = 5000`
     /// (Kalantari & Ramamoorthi 2017, eq. 4; division by the true picture's 99th percentile and
@@ -50,8 +47,7 @@ pub struct HdrError {
     pub samples: usize,
 }
 
-/// Compares linear radiance with the true one after one gain, or one for each channel. Radiance
-/// below zero is measured as zero.
+/// Compares linear radiance after one gain, or one for each channel; below zero counts as 0.
 pub fn hdr_error(
     gain: Gain,
     estimate: &Image<f32>,

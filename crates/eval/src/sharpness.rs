@@ -70,8 +70,7 @@ pub struct SharpnessRule {
 }
 
 impl Default for SharpnessRule {
-    /// One second of a 30 Hz video, above the median, one frame in eleven at most where sharpness
-    /// changes: the paper's lists hold about one frame in ten.
+    /// One second of 30 Hz, one frame in eleven at most: the paper's lists hold one in ten.
     fn default() -> Self {
         Self { window: 15, ratio: 1.1, apart: 5 }
     }

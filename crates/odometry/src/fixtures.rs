@@ -10,9 +10,8 @@ pub(crate) fn camera() -> Camera<f64> {
     Camera { width: 320, height: 240, fx: 250.0, fy: 250.0, cx: 160.0, cy: 120.0 }
 }
 
-/// A state of `frames` frames with true poses. Each begins `per_frame` points within `spread`
-/// pixels of the centre, which it and the next eleven observe where `observe` projects them, given
-/// two numbers for noise.
+/// A state with true poses. Every frame begins `per_frame` points within `spread` pixels of the
+/// centre, seen in twelve frames where `observe` projects them, given two numbers for noise.
 pub(crate) fn state(
     (frames, per_frame, keyframe_step): (usize, usize, usize),
     spread: [f64; 2],

@@ -19,15 +19,13 @@ use i2slam_geometry::Image;
 
 /// Smallest number of pictures.
 pub const MIN_FRAMES: usize = 4;
-/// Relative change of cost and focal length at convergence, and largest number of global
-/// adjustments.
+/// Relative change of cost and focal length at convergence, and most global adjustments.
 const CONVERGED_CHANGE: f64 = 1e-3;
 const MAX_ADJUSTMENT_ROUNDS: usize = 5;
 /// Shorter side of a picture, at least [px].
 pub const MIN_SIDE: usize = 48;
 
-/// Monocular visual odometry: [`push`](Self::push) every picture in order, then
-/// [`finish`](Self::finish).
+/// Monocular visual odometry: [`push`](Self::push) all pictures, then [`finish`](Self::finish).
 #[derive(Clone, Debug)]
 pub struct FrontEnd {
     intrinsics: Intrinsics,
@@ -149,8 +147,7 @@ fn estimate_path(
     build_map(state, adjust_focal)
 }
 
-/// Adjusts all frames until cost and focal length converge: a slow bend of the whole path, or a
-/// focal length beside a rolling shutter, hardly changes the cost of one adjustment.
+/// Adjusts all frames until cost and focal length converge: slow bends hardly change one cost.
 fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
     let mut before = (f64::INFINITY, state.camera.fx);
     for _ in 0..MAX_ADJUSTMENT_ROUNDS {
@@ -195,9 +192,8 @@ fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
     }
 }
 
-/// The state initialized in the longest run of unregistered keyframes, where that run represents
-/// more frames than those registered, and registers more from there; and whether some were
-/// relocalized.
+/// The state from the longest unregistered run of keyframes, where that registers more frames, and
+/// whether some were relocalized.
 fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, bool)> {
     let is_posed = |place: usize| state.poses[state.tracks.keyframes[place]].is_some();
     let places: Vec<usize> = (0..state.tracks.keyframes.len()).collect();

@@ -9,12 +9,10 @@ use crate::warning::Warning;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
-/// Consecutive lost frames that get a warning of their own, and points tracked in them that show
-/// another place.
+/// Consecutive lost frames of a warning, and points tracked in them that show another place.
 const MIN_LISTED_FRAMES: usize = 4;
 const MIN_TRACKED_POINTS: usize = 40;
-/// Largest deviation of the inverse depth of a point nearer than the median, as a ratio of the
-/// median inverse depth.
+/// Largest deviation of a near point's inverse depth over the median inverse depth.
 const MAX_NEAR_DEVIATION: f64 = 0.3;
 
 /// Registration status of a frame.
@@ -107,8 +105,7 @@ impl Reconstruction {
     }
 }
 
-/// Builds the result. The first registered frame becomes the world, and the median depth of all
-/// landmarks in keyframes the unit of length.
+/// Builds the result in the first registered frame, with the median depth as unit of length.
 pub(crate) fn build_reconstruction(
     state: SfmState,
     timestamps: &[f64],
@@ -189,8 +186,7 @@ fn lost_frame_warnings(state: &SfmState) -> Vec<Warning> {
     out
 }
 
-/// Relative deviation of an estimated focal length, with warnings; a given one is re-estimated to
-/// see whether another fits better.
+/// Relative deviation of an estimated focal length; warns of a given one that fits badly.
 fn focal_deviation(
     state: &SfmState,
     intrinsics: &Intrinsics,
@@ -256,10 +252,8 @@ fn keyframes_with_depth(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
     state.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
 }
 
-/// Discards landmarks that are near only by chance. While a camera hardly moves, a point tracked a
-/// pixel off fits best right before the lens, where its depth has a small deviation, `σ_z = z² σ_ρ`
-/// for inverse depth ρ. The deviation `σ_ρ` shows whether its depth is measured: it has to be small
-/// compared with the usual ρ.
+/// Discards landmarks that are near only by chance: while a camera hardly moves, a point tracked a
+/// pixel off fits best right before the lens, where `σ_z = z² σ_ρ` is small but `σ_ρ` is not.
 fn discard_unreliable_near_points(mut depths: Vec<SparseDepth>) -> Vec<SparseDepth> {
     let usual = weighted_median_inverse_depth(&depths);
     depths.retain(|d| {
@@ -274,8 +268,7 @@ fn inverse_depth(of: &SparseDepth) -> (f64, f64) {
     (1.0 / of.depth, of.variance.sqrt() / of.depth.powi(2))
 }
 
-/// Median inverse depth weighted by `1 / σ`, so that few precise points outweigh many vague ones; 0
-/// without any.
+/// Median inverse depth weighted by `1 / σ` against many vague points; 0 without any.
 fn weighted_median_inverse_depth(depths: &[SparseDepth]) -> f64 {
     let mut weighed: Vec<(f64, f64)> = depths
         .iter()
@@ -299,8 +292,7 @@ mod tests {
     use crate::fixtures::camera;
     use crate::track::tracks::Tracks;
 
-    /// Precise points decide even where most of a keyframe lie before the lens; a precise near one
-    /// stays.
+    /// Precise points decide even where most lie before the lens; a precise near one stays.
     #[test]
     fn points_right_before_the_lens_are_left_out() {
         let point = |(depth, share): (f64, f64)| SparseDepth {

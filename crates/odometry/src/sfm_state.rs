@@ -35,12 +35,10 @@ pub(crate) struct SfmState {
     pub(crate) landmarks: Vec<Option<Landmark>>,
     /// Ratio of residuals to the tracker's deviations, at least 1.
     pub(crate) noise_scale: f64,
-    /// Coefficients of [`lens_distortion`](crate::multiview::lens_distortion), and whether they are
-    /// adjusted.
+    /// [`undistort`]'s coefficients, and whether they are adjusted.
     pub(crate) distortion: [f64; 2],
     pub(crate) estimates_distortion: bool,
-    /// Readout that observations are corrected for, 0 for a global shutter [frame intervals], and
-    /// whether it is adjusted.
+    /// Readout of the observations [frame intervals], and whether it is adjusted.
     pub(crate) readout: f64,
     pub(crate) estimates_readout: bool,
     /// Listener and cancellation.
@@ -212,8 +210,7 @@ impl SfmState {
         }
     }
 
-    /// Corrects all observations for a change of the readout, in proportion: the correction is the
-    /// readout times a speed that is already known.
+    /// Scales all corrections to a changed readout: the speeds in them are known already.
     fn update_readout(&mut self, change: f64) {
         let readout = (self.readout + change).clamp(-MAX_READOUT, MAX_READOUT);
         let ratio = readout / self.readout;
@@ -239,8 +236,7 @@ impl SfmState {
         }
     }
 
-    /// Derivatives of a corrected position by the adjusted camera parameters; by the readout, the
-    /// present correction per frame interval.
+    /// Derivatives by distortion, or by the readout: the present correction per frame interval.
     fn camera_jacobian(&self, free_intrinsics: FreeIntrinsics, o: &Observation) -> CameraJacobian {
         if free_intrinsics != FreeIntrinsics::FocalLengthAndReadout {
             return distortion_jacobian(&self.camera, o.raw);

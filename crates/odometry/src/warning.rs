@@ -11,8 +11,7 @@ pub enum Warning {
         /// All frames.
         frames: usize,
     },
-    /// Consecutive frames with points of their own, but too few in common with the others, as after
-    /// a cut.
+    /// Consecutive frames with points of their own, but too few in common with the others.
     #[error(
         "frames {first} to {last} could not be connected to the others: they show another place, or too little of the same one; to map them, run those frames alone"
     )]

@@ -5,9 +5,8 @@ use pulp::Simd;
 /// Added to a small float it leaves its nearest integer in the low bits (`1.5 · 2²³`).
 const ROUND: f32 = 12_582_912.0;
 
-/// Lower bound of the argument of [`exp2`]: an opacity below every cut-off, and still normal after
-/// products with transmittances and cotangents. One subnormal number in a vector takes a hundred
-/// cycles.
+/// Lower bound of [`exp2`]'s argument: below every opacity cut-off, and normal after products, as
+/// one subnormal number in a vector takes a hundred cycles.
 const MIN_EXPONENT: f32 = -64.0;
 
 /// `2ˣ` for `x < 128`; below -64 it stays at `2⁻⁶⁴`. Relative error below 4e-7.

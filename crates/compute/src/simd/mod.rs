@@ -18,8 +18,7 @@ pub const MAX_LANES: usize = 16;
 /// One number of each member of a group; members beyond the vector's width are not used.
 pub type Column = [f32; MAX_LANES];
 
-/// The instruction sets of this machine that kernels are tested on: the best, none, and AVX2
-/// where there is more.
+/// The instruction sets that kernels are tested on: the best, none, and AVX2.
 pub fn instruction_sets() -> Vec<pulp::Arch> {
     let mut all = vec![pulp::Arch::new(), pulp::Arch::Scalar];
     #[cfg(target_arch = "x86_64")]

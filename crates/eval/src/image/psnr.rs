@@ -4,8 +4,7 @@ use super::{check_mask, check_shapes};
 use crate::EvalError;
 use i2slam_geometry::Image;
 
-/// PSNR of the whole picture [dB]: one mean square error over all pixels and channels.
-/// Equal pictures give `+∞`.
+/// PSNR [dB] of one mean square error over all pixels and channels; `+∞` for equal pictures.
 pub fn psnr(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
     check_shapes(picture, truth)?;
     decibel(squares(&picture.data, &truth.data) / truth.data.len() as f64)
@@ -35,10 +34,8 @@ pub fn psnr_masked(
     decibel(sum / (inside * truth.channels) as f64)
 }
 
-/// PSNR as SplaTAM's evaluation reports it [dB]: both pictures multiplied by the mask (true depth
-/// above zero), then [`psnr_channel_mean`] over *all* pixels. Pixels outside the mask count as
-/// perfect, so that this is above [`psnr_masked`] by `10 log10(pixels / inside)` for a grey
-/// picture: the published convention, not a fair one.
+/// PSNR as SplaTAM reports it [dB]: both pictures times the mask (true depth above zero), then
+/// [`psnr_channel_mean`] over *all* pixels, of which those outside count as perfect.
 pub fn psnr_splatam(
     picture: &Image<f32>,
     truth: &Image<f32>,

@@ -1,5 +1,4 @@
-//! Structural similarity (Wang, Bovik, Sheikh, Simoncelli 2004) and its multi-scale form (Wang,
-//! Simoncelli, Bovik 2003).
+//! SSIM (Wang, Bovik, Sheikh, Simoncelli 2004) and MS-SSIM (Wang, Simoncelli, Bovik 2003).
 
 use super::check_shapes;
 use crate::EvalError;
@@ -43,8 +42,7 @@ pub fn ssim(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> 
 }
 
 /// Mean SSIM as 3D Gaussian splatting and MonoGS compute it, in `[-1, 1]`: as [`ssim`], but over a
-/// window around *every* pixel, the picture continued by zeros. Equal borders of zeros raise it a
-/// little. Pictures of any size.
+/// window around *every* pixel, the picture continued by zeros.
 pub fn ssim_padded(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
     check_shapes(picture, truth)?;
     ssim(&zero_padded(picture), &zero_padded(truth))

@@ -46,10 +46,7 @@ pub struct TrajectoryError {
     pub aligned_estimate: Vec<StampedPose>,
 }
 
-/// Associates (at most `tolerance` seconds apart), aligns and measures the camera centres.
-///
-/// Needs three pairs. Trajectories without a common time, poses that are not finite, and
-/// trajectories that stand still, are errors.
+/// Associates (at most `tolerance` seconds apart) at least three pairs, aligns and measures.
 pub fn absolute_trajectory_error(
     estimate: &[StampedPose],
     truth: &[StampedPose],

@@ -223,8 +223,7 @@ mod tests {
         assert_optimal(&align(&source, &target, Alignment::Sim3).unwrap(), &source, &target);
     }
 
-    /// No small step in any of the seven directions lowers the cost, nor does any of a thousand
-    /// rotations spread over the whole group.
+    /// No small step lowers the cost, nor does any of a thousand rotations.
     fn assert_optimal(fit: &Similarity<f64>, source: &[Vec3<f64>], target: &[Vec3<f64>]) {
         let best = cost(fit, source, target);
         for direction in 0..7 {

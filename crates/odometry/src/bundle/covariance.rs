@@ -41,8 +41,7 @@ impl Bundle {
         is_sound.then_some(worst)
     }
 
-    /// The sandwich covariance for one clustering: `cluster` gives the index of a cluster from
-    /// landmark and pose.
+    /// The sandwich covariance, clustered by the index that `cluster` gives a landmark and a pose.
     fn clustered_covariance(
         &self,
         inverse_columns: &[BundleStep],

@@ -30,8 +30,7 @@ const MAX_DAMPING: f64 = 1e6;
 const MIN_REPORTED_POSES: usize = 64;
 /// Relative decrease of the cost at which the iteration has converged.
 const MIN_RELATIVE_DECREASE: f64 = 1e-5;
-/// Parameters shared by all observations: the logarithm of the focal length and those of
-/// [`CameraJacobian`].
+/// Parameters shared by all observations: logarithm of the focal length, [`CameraJacobian`]'s.
 const GLOBALS: usize = 3;
 /// Largest change of each of them per step.
 const MAX_GLOBAL_STEP: [f64; GLOBALS] = [0.2, 0.1, 0.1];
@@ -87,8 +86,7 @@ impl BundleObservation {
 }
 
 impl Bundle {
-    /// Takes at most `steps` steps, fewer on convergence or cancellation; returns the mean cost per
-    /// observation [variances].
+    /// Takes up to `steps` steps; returns the mean cost per observation [variances].
     pub(crate) fn adjust(&mut self, steps: usize, progress: &Progress) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;

@@ -54,8 +54,7 @@ impl<'a> SchurSystem<'a> {
         matrix.solve(&mut solved).then(|| self.back_substitute(&solved, damping, 1.0))
     }
 
-    /// Columns of the inverse of the whole system for the global parameters; `None` where they are
-    /// not determined.
+    /// Columns of the inverse for the global parameters; `None` where they are not determined.
     pub(super) fn inverse_columns(&self) -> Option<Vec<BundleStep>> {
         let (mut matrix, right) = self.reduced_camera_system(GAUGE_DAMPING);
         if !matrix.factorise() {
@@ -70,8 +69,7 @@ impl<'a> SchurSystem<'a> {
         Some((0..self.globals).map(unit).collect())
     }
 
-    /// Back-substitutes the landmarks for solved cameras and globals; `gradient_weight` weights the
-    /// landmarks' own gradients.
+    /// Back-substitutes the landmarks, whose own gradients have weight `gradient_weight`.
     fn back_substitute(&self, solved: &[f64], damping: f64, gradient_weight: f64) -> BundleStep {
         let pose = |block: &Option<usize>| {
             block.map_or([0.0; 6], |b| std::array::from_fn(|i| solved[6 * b + i]))
@@ -119,8 +117,7 @@ impl<'a> SchurSystem<'a> {
         (matrix, right)
     }
 
-    /// Fills the six rows of a block; returns its right-hand side and its coupling with the
-    /// globals.
+    /// Fills the six rows of a block; returns its right-hand side and coupling with the globals.
     fn fill_block_rows(
         &self,
         block: usize,
@@ -201,11 +198,9 @@ impl<'a> SchurSystem<'a> {
 /// Approximation of the robust cost's curvature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curvature {
-    /// Weighted squares (iteratively reweighted least squares), which bound the cost from above:
-    /// for steps.
+    /// For steps: iteratively reweighted squares, which bound the cost from above.
     Majorizing,
-    /// The exact curvature, `w I` and beyond the Huber threshold `w (I - r rᵀ/‖r‖²)`: for
-    /// covariances.
+    /// For covariances: `w I`, and beyond the Huber threshold `w (I - r rᵀ/‖r‖²)`.
     Exact,
 }
 
@@ -391,8 +386,7 @@ pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock
 }
 
 impl WeightedResidual {
-    /// Keeps only the component of the derivatives across the residual: along it the Huber cost is
-    /// linear, its curvature zero.
+    /// Keeps the derivatives across the residual: along it the Huber cost has no curvature.
     fn project_across_residual(&mut self) {
         let length = self.residual[0].hypot(self.residual[1]);
         let across = [-self.residual[1] / length, self.residual[0] / length];

@@ -76,8 +76,7 @@ impl BlockSparsity {
     }
 }
 
-/// Adjacency of blocks. Each is joined only with the first block of every landmark, which suffices
-/// for the ordering.
+/// Adjacency of blocks, each with the first of every landmark: enough for the ordering.
 fn block_adjacency(
     landmark_observations: &[Vec<(Index, Index)>],
     blocks: usize,

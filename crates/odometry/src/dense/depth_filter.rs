@@ -11,8 +11,7 @@ const MAX_RELATIVE_DIFFERENCE: f32 = 0.03;
 /// Views that must agree; one where only one or two see the pixel.
 const MIN_AGREEING_VIEWS: usize = 2;
 
-/// Keeps the inverse depths that enough other estimates confirm and averages them by their
-/// variances; `others` are estimates with `other_from_keyframe`.
+/// Averages inverse depths that enough `others` (with `other_from_keyframe`) confirm by variance.
 pub(super) fn fuse_consistent(
     camera: &Camera<f64>,
     own: &InverseDepthEstimate,
@@ -72,9 +71,8 @@ const MIN_EDGE_STEP: f32 = 0.1;
 /// Standard deviation at an edge over its step: the other surface is three deviations away.
 const STEP_DEVIATION_RATIO: f32 = 1.0 / 3.0;
 
-/// Inflates the variance of pixels with a depth edge within `reach` pixels along rows and columns: a
-/// window across two surfaces may have matched either, so that near surfaces come out too large by
-/// up to half a window.
+/// Inflates the variance within `reach` pixels of a depth edge along rows and columns: a window
+/// across two surfaces may have matched either.
 pub(super) fn inflate_variance_at_edges(found: &mut DenseDepth, reach: usize) {
     let (width, height) = (found.depth.width, found.depth.height);
     let depth = &found.depth.data;
@@ -141,8 +139,7 @@ mod tests {
         assert!((ratio - 1.0).abs() < 1e-4, "{ratio}");
     }
 
-    /// A near half beside a far one, with an unknown column and a slope of one in a hundred
-    /// downward.
+    /// A near half beside a far one, an unknown column, and a slope of one in a hundred.
     fn halves() -> DenseDepth {
         let depth = Image::from_fn(20, 12, 1, |_, column, row| {
             let far = if column < 10 { 1.0 } else { 2.5 };

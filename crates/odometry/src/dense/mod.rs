@@ -30,8 +30,7 @@ const OUTLIER_RATIO: f64 = 0.01;
 /// Largest relative standard deviation of a known inverse depth.
 const MAX_RELATIVE_DEVIATION: f32 = 0.1;
 
-/// Depth along the optical axis, 0 where unknown, with its variance; in the unit of the poses and
-/// that squared.
+/// Depth along the optical axis with its variance, in the unit of the poses and its square.
 #[derive(Clone, Debug)]
 pub struct DenseDepth {
     /// Depth.

@@ -1,5 +1,4 @@
-//! Plane sweep: matching costs of a keyframe with its neighbours at given inverse depths, by
-//! zero-mean normalised correlation of windows.
+//! Plane sweep: costs of inverse depths by zero-mean normalised correlation of windows.
 
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use rayon::prelude::*;
@@ -7,8 +6,7 @@ use rayon::prelude::*;
 /// Labels that are compared in parallel, which bounds the planes in memory.
 const LABELS_PER_BATCH: usize = 16;
 
-/// A neighbour's picture: a pixel `(u, v)` of the keyframe at inverse depth `ρ` projects to `turn
-/// (u, v, 1) + ρ shift`, in homogeneous pixels.
+/// A picture in which pixel `(u, v)` at inverse depth `ρ` is at `turn (u, v, 1) + ρ shift`.
 struct SweptView<'a> {
     image: &'a Image<f32>,
     turn: [Vec3<f32>; 3],
@@ -77,8 +75,7 @@ impl<'a> PlaneSweep<'a> {
         CostVolume { values, labels }
     }
 
-    /// Mean cost of the better half of the neighbours that see a pixel; in the others it may be
-    /// occluded.
+    /// Mean cost of the better half of the neighbours that see a pixel: others may be occluded.
     fn mean_plane_costs(&self, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
         let pixels = self.windows.image.data.len();
         let each: Vec<Vec<f32>> =
@@ -109,8 +106,7 @@ impl<'a> PlaneSweep<'a> {
 }
 
 impl SweptView<'_> {
-    /// The neighbour's picture warped to the keyframe, its border repeated, and whether it sees the
-    /// pixel.
+    /// The neighbour's picture warped to the keyframe, and whether it sees each pixel.
     fn warp_to_keyframe(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
         let (width, height) = (self.image.width, self.image.height);
         let (right, low) = ((width - 1) as f32 - 1e-3, (height - 1) as f32 - 1e-3);
@@ -163,8 +159,7 @@ impl WindowStatistics {
         Self { image, means, sharpness, half }
     }
 
-    /// Costs `1 - correlation` with the windows of another picture of the same size, in [0, 1];
-    /// flat windows cost 1.
+    /// Costs `1 - correlation` with the windows of another picture, in [0, 1]; 1 for flat ones.
     fn costs(&self, other: &[f32]) -> Vec<f32> {
         let (width, height) = (self.image.width, self.image.height);
         let squares: Vec<f32> = other.iter().map(|v| v * v).collect();

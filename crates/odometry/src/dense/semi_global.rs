@@ -1,5 +1,4 @@
-//! Semi-global aggregation of matching costs along straight paths with penalties on changes of the
-//! label (Hirschmüller 2008).
+//! Semi-global aggregation of matching costs along straight paths (Hirschmüller 2008).
 
 use super::plane_sweep::CostVolume;
 use i2slam_geometry::Image;

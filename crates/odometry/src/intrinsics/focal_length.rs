@@ -48,8 +48,7 @@ struct FocalCandidate {
     distortion: [f64; 2],
 }
 
-/// Sets the focal length of best score, from several initial ones, each adjusted with some
-/// keyframes.
+/// Sets the focal length of best score among several, each adjusted with some keyframes.
 pub(crate) fn search_focal_length(state: &mut SfmState) -> Result<(), OdometryError> {
     state.progress.report(Stage::FocalLength, 0, 0);
     // Only keyframes are registered here, and observations in other frames do not affect them.

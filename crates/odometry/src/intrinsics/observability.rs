@@ -12,8 +12,7 @@ const DISTORTION_SIGNIFICANCE: f64 = 9.21;
 const MAX_FOCAL_DEVIATION: f64 = 0.005;
 const MAX_DEVIATION_RATIO: f64 = 1.5;
 
-/// Adjusts the first [`MAX_JOINT_POSES`] keyframes with free intrinsics; returns them with the
-/// covariance.
+/// Adjusts the first [`MAX_JOINT_POSES`] keyframes with free intrinsics; also their covariance.
 pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<IntrinsicsCovariance>) {
     let keyframes = state.tracks.keyframes.iter().copied();
     let posed = keyframes.filter(|f| state.poses[*f].is_some());
@@ -27,10 +26,9 @@ pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<Intri
     (reestimated, covariance)
 }
 
-/// Drops a distortion that the pictures do not determine: one that is not significant, one that
-/// leaves the focal length far less certain (both are confused where a camera moves along a line),
-/// and any beside a rolling shutter, which bends the pictures of a turning camera in a similar way.
-/// Returns whether it was dropped.
+/// Drops a distortion that is not significant or leaves the focal length far less certain (a camera
+/// on a line confuses both), and any beside a rolling shutter, which bends pictures alike. Returns
+/// whether it was dropped.
 pub(crate) fn drop_unobservable_distortion(state: &mut SfmState) -> bool {
     if !state.estimates_distortion || state.distortion == [0.0; 2] {
         return false;

@@ -74,8 +74,7 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) {
     merge_overlapping_keyframes(state, adjust_focal);
 }
 
-/// Adds observations of each other's tracks to keyframes that overlap by their poses, and adjusts
-/// all frames.
+/// Merges the tracks of keyframes that overlap by their poses, and adjusts all frames.
 pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bool) {
     let find_overlaps = |(new, image): (usize, &KeyframeImage)| {
         if state.progress.is_cancelled() {
@@ -236,8 +235,7 @@ fn sequential_edges(state: &SfmState, frames: &[usize]) -> Vec<(usize, usize)> {
     (0..frames.len()).flat_map(before).filter(share).collect()
 }
 
-/// Pairs of keyframes that share points by relocalization, not by tracking: they must stay
-/// together.
+/// Pairs of keyframes that share points by relocalization and must stay together.
 fn relocalized_edges(state: &SfmState, frames: &[usize]) -> Vec<(usize, usize)> {
     let mut place = vec![None; state.poses.len()];
     frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));

@@ -52,8 +52,7 @@ pub(crate) fn optimize_pose_graph(
     }
 }
 
-/// Block of unknowns of every node, in an order that keeps the matrix narrow; the first node has
-/// none.
+/// Block of every node, none for the first, in an order that keeps the matrix narrow.
 fn variable_order(count: usize, edges: &[PoseGraphEdge]) -> Vec<Option<usize>> {
     let mut neighbours = vec![Vec::new(); count.saturating_sub(1)];
     for edge in edges.iter().filter(|e| e.first > 0 && e.second > 0) {

@@ -5,8 +5,7 @@ use crate::multiview::robust_loss::cauchy;
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Tangent};
 
-/// Widths of the Cauchy loss, one stage after the other [standard deviations]: wide ones converge
-/// from a poor start, narrow ones suppress wrong matches.
+/// Widths of the Cauchy loss in turn [standard deviations]: wide converges, narrow rejects.
 const LOSS_WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
 const MAX_STEPS: usize = 12;
 /// A pose with its support.
@@ -77,8 +76,7 @@ fn minimize(
     pose
 }
 
-/// Sums over all matches; `cost` is that of the loss. A landmark behind the camera costs as much as
-/// a residual of 100 standard deviations.
+/// Sums over all matches with the loss as cost, that of 100 deviations behind the camera.
 fn normal_equations(
     camera: &Camera<f64>,
     pose: &Pose<f64>,

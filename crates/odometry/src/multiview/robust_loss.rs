@@ -1,7 +1,6 @@
 //! Robust losses: weight and cost of a residual.
 
-/// Residual at which the Huber loss turns from quadratic to linear [standard deviations] (Huber
-/// 1964).
+/// Residual at which Huber's loss (1964) turns linear [standard deviations].
 pub(crate) const HUBER_THRESHOLD: f64 = 1.5;
 
 /// Huber weight and cost of a residual of length `n` [standard deviations].

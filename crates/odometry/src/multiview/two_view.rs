@@ -31,8 +31,7 @@ pub(crate) fn ray_pairs(camera: &Camera<f64>, pairs: &[([f64; 2], [f64; 2])]) ->
     pairs.iter().map(|(first, second)| (ray(*first), ray(*second))).collect()
 }
 
-/// Fits a rotation to ray pairs; returns it and the median residual [px], which is small if the
-/// camera only turned.
+/// Fits a rotation; also the median residual [px], small if the camera only turned.
 pub(crate) fn fit_rotation(focal: f64, ray_pairs: &[RayPair]) -> Option<(Rotation<f64>, f64)> {
     if ray_pairs.len() < MIN_SHARED {
         return None;
@@ -174,8 +173,7 @@ fn resolve_translation_sign(focal: f64, ray_pairs: &[RayPair], pose: Pose<f64>) 
     RelativePose { second_from_first: pose, inlier_ratio: most as f64 / ray_pairs.len() as f64 }
 }
 
-/// Whether the least-squares inverse depth in the first camera is positive, or within one pixel of
-/// disparity of zero.
+/// Whether the inverse depth in the first camera is above minus one pixel of disparity.
 fn has_positive_depth(pose: &Pose<f64>, (first, second): &RayPair, focal: f64) -> bool {
     // x₂ × (R x₁ + ρ t) = 0.
     let (a, b) = (second.cross(pose.translation), second.cross(pose.rotation.rotate(*first)));

@@ -19,8 +19,7 @@ const MAX_CANDIDATES: usize = 12;
 const MIN_SHARED: usize = 40;
 /// Inlier ratio of a pair's relative pose.
 const MIN_INLIER_RATIO: f64 = 0.6;
-/// Median residual of a rotation for a camera that has moved, over the focal length: a pixel at
-/// 250.
+/// Least median residual of a rotation over the focal length: a pixel at 250.
 const MIN_PARALLAX: f64 = 0.004;
 /// Residual at which more parallax makes a pair no better, over the focal length.
 const SUFFICIENT_PARALLAX: f64 = 0.06;

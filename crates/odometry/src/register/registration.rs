@@ -40,8 +40,7 @@ pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most:
     }
 }
 
-/// Adjusts all poses, rejects outliers, triangulates again and adjusts once more. Returns the mean
-/// cost per observation.
+/// Adjusts all poses twice, without outliers; returns the mean cost per observation.
 pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
     let all = state.posed_frames();
     state.adjust(&all, adjust_focal, GLOBAL_STEPS);
@@ -53,8 +52,7 @@ pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
     cost
 }
 
-/// Adjusts all frames; of a long sequence the keyframes jointly, then every other frame alone.
-/// Returns the mean cost per observation.
+/// Adjusts all frames, of a long sequence the keyframes jointly; returns the mean cost.
 pub(crate) fn refine_all_frames(state: &mut SfmState, adjust_focal: bool) -> f64 {
     let posed = state.posed_frames();
     if posed.len() <= MAX_JOINTLY_REFINED_FRAMES {

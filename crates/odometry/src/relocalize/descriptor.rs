@@ -1,8 +1,7 @@
 //! Matching of points between two pictures by descriptors.
 //!
 //! A descriptor is the blurred, coarsely sampled surroundings of a point, upright and of one scale,
-//! normalised to mean 0 and length 1 (Brown, Szeliski and Winder 2005), so that exposure does not
-//! matter.
+//! normalised against exposure to mean 0 and length 1 (Brown, Szeliski and Winder 2005).
 
 use crate::track::patch::dot;
 use crate::track::pyramid::Pyramid;
@@ -30,8 +29,7 @@ pub(crate) struct DescribedPoints {
 }
 
 impl DescribedPoints {
-    /// Describes points of a picture (positions on its finest level); points without contrast are
-    /// left out.
+    /// Describes points with contrast, given by their positions on the finest level.
     pub(crate) fn new(pyramid: &Pyramid, points: &[[f64; 2]]) -> Self {
         let level = pyramid.levels.len().min(2) - 1;
         let scale = (1_usize << level) as f64;

@@ -1,9 +1,8 @@
 //! Geometric verification: the pose of a keyframe in the map around another one.
 //!
-//! Points of both are matched by descriptors, RANSAC over samples of four gives a pose, and the
-//! pose is verified: most points of the old keyframe must be found where it predicts them, with
-//! their patches, in nearly all regions of the picture. A poster that hangs on two walls does not
-//! pass.
+//! RANSAC over descriptor matches gives a pose. Most points of the old keyframe must be found where
+//! it predicts them, with their patches, in nearly all regions of the picture: a poster that hangs
+//! on two walls does not pass.
 
 use crate::multiview::landmark::{Landmark, Match, reprojection_error};
 use crate::multiview::pnp::{solve_pnp, solve_pnp_minimal};
@@ -22,8 +21,7 @@ const DESCRIPTOR_SIGMA: f64 = 1.5;
 /// Hypotheses of RANSAC, and matches of each.
 const HYPOTHESES: usize = 300;
 const SAMPLE_SIZE: usize = 4;
-/// Residual at which the RANSAC cost is truncated, and up to which matches are inliers [standard
-/// deviations].
+/// Residual at which the RANSAC cost is truncated, also of inliers [standard deviations].
 const MAX_RANSAC_ERROR: f64 = 3.0;
 /// Inliers of the RANSAC pose, and their ratio of all matches.
 const MIN_RANSAC_INLIERS: usize = 12;
@@ -124,8 +122,7 @@ impl<'a> KeyframeComparison<'a> {
         })
     }
 
-    /// Descriptor matches as pairs of (track of the new one, index of the known landmark), with the
-    /// observations in the new one.
+    /// Descriptor matches: (new track, index of the known landmark), and their new observations.
     fn match_descriptors(&self) -> (Vec<(usize, usize)>, Vec<Observation>) {
         let (new, old) = (self.new, self.old);
         let at = |o: &Observation, image: &KeyframeImage| o.raw.map(|v| v / image.scale);
@@ -141,8 +138,7 @@ impl<'a> KeyframeComparison<'a> {
         (pairs.into_iter().map(|(i, j)| (seen[i].0, j)).collect(), observations)
     }
 
-    /// Observations of the old one's points in the new one, if enough of them are found where
-    /// `pose` predicts them.
+    /// The old one's points observed in the new one, if enough are where `pose` predicts them.
     fn verify_pose(&self, pose: Pose<f64>) -> Option<Vec<(usize, Observation)>> {
         let camera = &self.state.camera;
         let visible: Vec<(KnownLandmark<'_>, [f64; 2])> = self

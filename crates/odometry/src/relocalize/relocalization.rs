@@ -32,8 +32,7 @@ impl FailedPairs {
     }
 }
 
-/// The keyframes with the most similar thumbnails, of those that `may` be compared, with their
-/// indices among the keyframes.
+/// Keyframes that `may` be compared with most similar thumbnails, and their indices.
 pub(crate) fn candidate_keyframes<'a>(
     state: &'a SfmState,
     image: &KeyframeImage,

@@ -23,9 +23,8 @@ const STRETCH_FRAMES: usize = 100;
 /// Largest distance of a neighbouring frame for a velocity [frame intervals].
 const MAX_VELOCITY_GAP: f64 = 4.5;
 
-/// Estimates the readout, together with the focal length on demand, and corrects the observations;
-/// positive if the top row comes first, none if not clearly better than a global shutter. The
-/// search starts from the present readout, if there is one.
+/// Estimates the readout from the present one on, with the focal length on demand, and corrects the
+/// observations; 0 if not clearly better than a global shutter.
 pub(crate) fn estimate_rolling_shutter(
     state: &mut SfmState,
     timestamps: &[f64],
@@ -128,8 +127,7 @@ pub(crate) fn parabola_minimum(step: f64, [before, middle, after]: [f64; 3]) -> 
     (curvature > 0.0 && lowest.is_finite()).then(|| lowest.clamp(-2.0 * step, 2.0 * step))
 }
 
-/// Corrects every observation to the moment of the middle row. Without a known velocity it stays,
-/// or is only undistorted for a readout of zero.
+/// Corrects observations with known velocity to the middle row; readout 0 only undistorts.
 fn correct_observations(state: &mut SfmState, timestamps: &[f64], readout: f64, interval: f64) {
     let velocities: Vec<Option<Tangent<f64>>> =
         (0..state.poses.len()).map(|f| camera_velocity(state, timestamps, f, interval)).collect();

@@ -16,9 +16,8 @@ const STEPS_PER_SIDE: i32 = 4;
 /// Distance of the compared frames.
 const FRAME_GAP: usize = 4;
 
-/// Estimates the readout from rotation rates and corrects all observations to the moment of the
-/// middle row. Returns the readout [frame intervals], 0 if none is clearly better than a global
-/// shutter.
+/// Estimates the readout [frame intervals] from rotation rates and corrects all observations; 0 if
+/// none is clearly better than a global shutter.
 pub(crate) fn initialize_readout(
     tracks: &mut Tracks,
     camera: &Camera<f64>,
@@ -67,8 +66,7 @@ fn best_readout(costs: &[f64]) -> Option<f64> {
     Some(STEP * (least as f64 - f64::from(STEPS_PER_SIDE)) + parabola_minimum(STEP, around)?)
 }
 
-/// Angular velocity of every frame's camera per interval, in its own frame: the mean of those to
-/// both neighbours, `times` intervals apart.
+/// Angular velocity of every camera per interval in its own frame, from both neighbours.
 fn rotation_rates(
     tracks: &Tracks,
     by_frame: &[Vec<usize>],

@@ -1,12 +1,8 @@
-//! Patch alignment: inverse-compositional Lucas-Kanade (Baker and Matthews 2004) with gain and
-//! bias.
+//! Patch alignment: inverse-compositional Lucas-Kanade (Baker and Matthews 2004).
 //!
 //! The picture under the warp is modelled as `I(W(x)) ≈ α T(x) + β + α ∇T(x) · D(x) δ`. For a fixed
 //! template `T` the unknowns `(α, β, α δ)` are linear with one constant matrix, so that changes of
 //! exposure cost nothing.
-//!
-//! The correlation here comes from products that the alignment needs anyway; `overlap_correlation`
-//! and `WindowStatistics` serve whole pictures.
 
 use i2slam_compute::solve_positive_definite;
 use i2slam_geometry::Image;
@@ -183,8 +179,7 @@ fn is_inside(image: &Image<f32>, at: [f32; 2]) -> bool {
     at[0] >= 0.0 && at[1] >= 0.0 && at[0] < image.width as f32 && at[1] < image.height as f32
 }
 
-/// The picture under a warp, `S x S` rows and columns; the border pixel is repeated beyond the
-/// border.
+/// The picture under a warp, `S x S` rows and columns, its border repeated.
 fn sample_patch<const S: usize>(image: &Image<f32>, warp: &AffineWarp) -> [[f32; S]; S] {
     let half = (S / 2) as f32;
     let first = warp.centre.map(|v| v - half - 0.5);

@@ -1,9 +1,8 @@
 //! Search for one point in the next picture.
 //!
-//! A point is first followed by its patch in the last frame, coarse to fine, and then aligned with
-//! its patch in the keyframe in which it began (its anchor), which does not drift. Only the anchor
-//! yields a measurement: where it does not match, as in a blurred frame, the point is followed on
-//! and nothing is measured.
+//! A point is followed by its patch in the last frame and then aligned with that of the keyframe in
+//! which it began (its anchor), which does not drift. Where the anchor does not match, as in a
+//! blurred frame, the point is followed on and nothing is measured.
 
 use crate::track::patch::{AffineWarp, PatchMatch, PatchTemplate};
 use crate::track::pyramid::Pyramid;

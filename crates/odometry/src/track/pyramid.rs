@@ -50,8 +50,7 @@ fn brightness(picture: &Image<f32>) -> Image<f32> {
     out
 }
 
-/// Every second pixel in both directions after the filter [1 3 3 1] / 8, which is centred between
-/// two pixels.
+/// Every second pixel after the filter [1 3 3 1] / 8, centred between two pixels.
 fn downsample(image: &Image<f32>) -> Image<f32> {
     let (width, height) = (image.width / 2, image.height / 2);
     let mut rows = Image::new(width, image.height, 1);

@@ -1,7 +1,4 @@
-//! Tracks points through a sequence and chooses keyframes.
-//!
-//! Points begin in keyframes, in cells without a tracked point, and are also tracked backward from
-//! there.
+//! Tracks points through a sequence, also backward from their first keyframe; chooses keyframes.
 
 use crate::track::corners::detect_corners;
 use crate::track::global_translation::estimate_global_translation;
@@ -72,8 +69,7 @@ pub struct FrameReport {
 pub(crate) struct Tracker {
     tracks: Tracks,
     points: Vec<TrackedPoint>,
-    /// The last frames, newest at the back, each with the picture's translation since the one
-    /// before [px].
+    /// Last frames, newest at the back, and the picture's translation since the one before [px].
     recent: VecDeque<(Pyramid, [f32; 2])>,
     sharpness: Vec<f32>,
     /// Points of the last keyframe.
@@ -251,8 +247,7 @@ fn cell_size(image: &Image<f32>) -> usize {
     (((image.width * image.height) as f32 / MAX_CORNERS).sqrt() as usize).max(8)
 }
 
-/// Mean absolute difference of neighbours over mean brightness: lowered by blur, hardly by
-/// exposure.
+/// Mean difference of neighbours over brightness: lowered by blur, hardly by exposure.
 fn sharpness(image: &Image<f32>) -> f32 {
     let differences: f32 = image
         .data

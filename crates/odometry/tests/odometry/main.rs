@@ -29,8 +29,7 @@ fn moving_picture(i: usize) -> Image<f32> {
     picture(1, moving(i), gain(i))
 }
 
-/// Largest distance from the true place, over the length of the path, after scaling the last
-/// frame's place to the truth.
+/// Largest error of a place over the path's length, scaled to the last frame's true place.
 fn relative_error(found: &Reconstruction, pose: fn(usize) -> Pose<f64>) -> f64 {
     let first = pose(0).inverse();
     let truth: Vec<Vec3<f64>> =
@@ -108,8 +107,7 @@ fn the_distortion_of_a_lens_is_found_on_demand() {
     assert_eq!(straight.distortion, None);
 }
 
-/// A pinhole camera that moves to the right and hardly turns cannot separate a lens from another
-/// focal length: none is taken, with a warning.
+/// On a straight path a lens cannot be told from another focal length: none is taken.
 #[test]
 fn a_lens_that_is_not_determined_is_none() {
     let guess = Camera { fx: 170.0, fy: 170.0, ..camera() };
@@ -155,8 +153,7 @@ fn a_camera_that_only_turns_is_recognised() {
     );
 }
 
-/// Of an uneven cut the longer side is posed, though the camera moves four times as fast on the
-/// shorter one.
+/// Of an uneven cut the longer side is posed, though the shorter moves four times as fast.
 #[test]
 fn the_longer_side_of_a_cut_is_posed() {
     let cut = 10;

@@ -28,8 +28,7 @@ pub(crate) fn moving(i: usize) -> Pose<f64> {
     moving_at(i as f64)
 }
 
-/// A picture of the room from that camera, blurred by its motion over half the time to the next
-/// picture.
+/// A picture of the room, blurred by motion over half the time to the next one.
 pub(crate) fn blurred(seed: u32, i: usize, gain: f32) -> Image<f32> {
     let moments = [-0.2, -0.1, 0.0, 0.1, 0.2].map(|u| moving_at(i as f64 + u));
     let mut out = Image::new(camera().width, camera().height, 3);
@@ -45,8 +44,7 @@ fn moving_at(s: f64) -> Pose<f64> {
     Pose::new(Rotation::exp(turn), Vec3::new(0.04 * s, 0.02 * (0.5 * s).sin(), 0.01 * s))
 }
 
-/// A picture of the room: walls, a floor and a box, `gain` times as bright. Rooms differ by
-/// `seed`.
+/// A picture of the room of `seed`: walls, a floor and a box, `gain` times as bright.
 pub(crate) fn picture(seed: u32, world_from_camera: Pose<f64>, gain: f32) -> Image<f32> {
     render(world_from_camera, gain, |from, direction| radiance(seed, from, direction))
 }
