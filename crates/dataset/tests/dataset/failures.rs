@@ -3,7 +3,7 @@
 use crate::support::{
     Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, open, png, rgb_png,
 };
-use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
+use i2slam_dataset::{Layout, OpenOptions, Sequence};
 use std::path::Path;
 
 #[test]
@@ -17,99 +17,84 @@ fn empty_and_foreign_folders() {
     let folder = Folder::new();
     assert_says(open(&folder), &["no RGB-D sequence", "an empty folder"]);
     folder.write("notes.md", "");
-    assert_says(open(&folder), &["found notes.md", "depth"]);
-}
-
-#[test]
-fn empty_list_and_empty_image_folder() {
-    let folder = Folder::tum(1);
-    folder.write("depth.txt", "# nothing\n");
-    assert_says(open(&folder), &["depth.txt is empty", "time stamp"]);
-    let folder = Folder::new();
+    let message = open(&folder).expect_err("no sequence").to_string();
+    assert!(message.contains("found notes.md"), "{message}");
+    for layout in Layout::ALL {
+        assert!(message.contains(layout.name()) && message.contains(layout.recognised_by()));
+    }
     folder.write("colour/readme.txt", "");
-    folder.write("depth/000.png", "");
+    folder.write("depth/c.png", "");
     assert_says(open(&folder), &["colour is empty", "PNG"]);
+    for name in ["colour/a.png", "colour/b.png"] {
+        folder.write(name, "");
+    }
+    assert_says(open(&folder), &["2 colour and 1 depth", "same number"]);
 }
 
 #[test]
-fn no_camera() {
-    let folder = Folder::tum(1);
-    std::fs::remove_file(folder.join("camera.json")).expect("removes");
-    assert_says(open(&folder), &["no camera", "camera.json", "fx"]);
-}
-
-#[test]
-fn unusable_cameras() {
-    let folder = Folder::tum(1);
-    for (text, parts) in [
-        ("{", &["camera.json", "expected JSON"][..]),
-        (r#"{"fx":1,"fy":1,"cx":1}"#, &["missing field `cy`"][..]),
-        (r#"{"fx":-1,"fy":1,"cx":1,"cy":1}"#, &["fx is -1", "positive"][..]),
-        (r#"{"fx":1,"fy":1,"cx":1,"cy":1,"distortion":[1,2]}"#, &["k1 k2 p1 p2"][..]),
-        (r#"{"fx":1,"fy":1,"cx":1,"cy":1,"pixel_centre":1}"#, &["0 or 0.5"][..]),
-        (r#"{"fx":1,"fy":1,"cx":1,"cy":1,"width":5}"#, &["both width and height"][..]),
-        (
-            r#"{"fx":1,"fy":1,"cx":1,"cy":1,"distortion_model":"fisheye"}"#,
-            &["'fisheye' is not supported"][..],
-        ),
+fn unusable_files_are_named() {
+    let camera = |more: &str| format!(r#"{{"fx":1,"fy":1,"cx":1,"cy":1,{more}}}"#);
+    for (name, text, parts) in [
+        ("camera.json", "{".into(), &["camera.json", "expected JSON"][..]),
+        ("camera.json", r#"{"fx":1,"fy":1,"cx":1}"#.into(), &["missing field `cy`"]),
+        ("camera.json", r#"{"fx":-1,"fy":1,"cx":1,"cy":1}"#.into(), &["fx is -1", "positive"]),
+        ("camera.json", camera(r#""distortion":[1,2]"#), &["k1 k2 p1 p2"]),
+        ("camera.json", camera(r#""pixel_centre":1"#), &["0 or 0.5"]),
+        ("camera.json", camera(r#""width":5"#), &["both width and height"]),
+        ("camera.json", camera(r#""distortion_model":"fisheye""#), &["'fisheye' is not supported"]),
+        ("calibration.txt", String::new(), &["calibration.txt", "is empty"]),
+        ("calibration.txt", "1 2 3".into(), &["calibration.txt", "3 numbers"]),
+        ("calibration.txt", "1 2 3 x".into(), &["calibration.txt", "cy is 'x'"]),
+        ("calibration.txt", "0 1 2 3".into(), &["calibration.txt", "positive"]),
+        ("depth.txt", "# nothing\n".into(), &["depth.txt is empty", "time stamp"]),
+        ("depth.txt", "3.05 depth/0.png\n".into(), &["none of 2", "0.08 s", "3.017 s away"]),
+        ("rgb.txt", "# c\n0.0 a.png\nNaN b.png\n".into(), &["rgb.txt, line 3", "NaN"]),
+        ("rgb.txt", "0.0\n".into(), &["rgb.txt, line 1", "a time stamp and a file name"]),
     ] {
-        folder.write("camera.json", text);
+        let folder = Folder::tum(2);
+        if name == "calibration.txt" {
+            std::fs::remove_file(folder.join("camera.json")).expect("removes");
+            assert_says(open(&folder), &["no camera", "camera.json", "fx"]);
+        }
+        folder.write(name, text);
         assert_says(open(&folder), parts);
     }
 }
 
 #[test]
-fn cut_off_images_are_errors_of_their_frame() {
-    let folder = Folder::tum(4);
+fn unusable_images_are_errors_of_their_frame() {
+    let folder = Folder::tum(2);
     let noise: Vec<u8> = (0..3 * WIDTH * HEIGHT).map(|i| (i * i * 31 % 251) as u8).collect();
     let jpeg = jpeg(WIDTH, HEIGHT, &noise);
-    let colour = std::fs::read(folder.join("rgb/001.png")).expect("reads");
-    let depth = std::fs::read(folder.join("depth/003.png")).expect("reads");
-    folder.write("rgb/001.png", &colour[..colour.len() - 20]);
-    folder.write("rgb/002.png", &jpeg[..jpeg.len() - 30]);
-    folder.write("depth/003.png", &depth[..depth.len() - 20]);
-    let sequence = open(&folder).expect("opens");
-    let frames: Vec<_> = sequence.stream().collect();
-    assert_eq!(frames.iter().filter(|f| f.is_ok()).count(), 1);
-    for (frame, (name, kind)) in frames.into_iter().skip(1).zip([
-        ("rgb/001.png", "PNG"),
-        ("rgb/002.png", "JPEG"),
-        ("depth/003.png", "PNG"),
-    ]) {
-        assert!(frame.as_ref().is_err_and(DatasetError::concerns_one_frame));
-        assert_says(frame, &[name, "cut-off", kind]);
+    let (colour, depth) = (rgb_png(WIDTH, HEIGHT, 61), depth_png(WIDTH, HEIGHT, 5500));
+    let high = rgb_png(WIDTH, HEIGHT + 1, 7);
+    let narrow = depth_png(WIDTH / 2, HEIGHT, 7);
+    for (name, bytes, parts) in [
+        ("rgb/001.png", &colour[..colour.len() - 20], &["cut-off", "PNG"][..]),
+        ("rgb/001.png", &jpeg[..jpeg.len() - 30], &["cut-off", "JPEG"]),
+        ("rgb/001.png", b"GIF89a", &["neither PNG nor JPEG"]),
+        ("rgb/001.png", b"", &["empty"]),
+        ("rgb/001.png", &high, &["is 16x13", "expected 16x12"]),
+        ("depth/001.png", &depth[..depth.len() - 20], &["cut-off", "PNG"]),
+        ("depth/001.png", &colour, &["depth is Rgb of 8 bits", "16-bit grey PNG"]),
+        ("depth/001.png", &narrow, &["is 8x12", "expected 16x12"]),
+    ] {
+        let whole = std::fs::read(folder.join(name)).expect("reads");
+        folder.write(name, bytes);
+        let frames: Vec<_> = open(&folder).expect("opens").stream().collect();
+        let [Ok(_), Err(error)] = &frames[..] else { panic!("{name} {parts:?}") };
+        assert!(error.concerns_one_frame(), "{error}");
+        let message = error.to_string();
+        assert!([name].iter().chain(parts).all(|part| message.contains(part)), "{message}");
+        folder.write(name, whole);
     }
-}
-
-#[test]
-fn files_that_are_no_images_or_missing() {
-    let folder = Folder::tum(3);
+    std::fs::remove_file(folder.join("depth/001.png")).expect("removes");
+    let sequence = open(&folder).expect("opens");
+    assert_says(sequence.load(1), &["cannot read", "001.png"]);
+    assert_says(sequence.load(2), &["frame 2", "2 frames"]);
+    // The size of the frames is that of the first readable one.
     folder.write("rgb/000.png", "GIF89a");
-    folder.write("rgb/001.png", "");
-    std::fs::remove_file(folder.join("depth/002.png")).expect("removes");
-    let sequence = open(&folder).expect("opens by the first readable frame");
-    assert_says(sequence.load(0), &["000.png", "neither PNG nor JPEG"]);
-    assert_says(sequence.load(1), &["001.png", "empty"]);
-    assert_says(sequence.load(2), &["cannot read", "002.png"]);
-    assert_says(sequence.load(3), &["frame 3", "3 frames"]);
-}
-
-#[test]
-fn depth_of_a_wrong_kind() {
-    let folder = Folder::tum(1);
-    folder.write("depth/000.png", rgb_png(WIDTH, HEIGHT, 7));
-    let sequence = open(&folder).expect("opens");
-    assert_says(sequence.load(0), &["depth is Rgb of 8 bits", "16-bit grey PNG"]);
-}
-
-#[test]
-fn sizes_that_differ() {
-    let folder = Folder::tum(3);
-    folder.write("rgb/001.png", rgb_png(WIDTH, HEIGHT + 1, 7));
-    folder.write("depth/002.png", depth_png(WIDTH / 2, HEIGHT, 7));
-    let sequence = open(&folder).expect("opens");
-    assert_says(sequence.load(1), &["001.png is 16x13", "expected 16x12"]);
-    assert_says(sequence.load(2), &["002.png is 8x12", "expected 16x12"]);
+    assert!(open(&folder).is_ok());
 }
 
 #[test]
@@ -122,26 +107,6 @@ fn frames_without_a_depth_partner() {
     let sequence = open(&folder).expect("opens");
     assert_eq!((sequence.len(), sequence.dropped.without_depth), (2, 1));
     assert_warns(&sequence.warnings, &["1 colour image left out"]);
-    folder.write("depth.txt", "3.066667 depth/000.png\n");
-    assert_says(open(&folder), &["none of 3", "0.08 s", "3.000 s away"]);
-}
-
-#[test]
-fn plain_folders_without_common_names() {
-    let folder = Folder::new();
-    for name in ["colour/a.png", "colour/b.png", "depth/c.png"] {
-        folder.write(name, "");
-    }
-    assert_says(open(&folder), &["2 colour and 1 depth", "same number"]);
-}
-
-#[test]
-fn nan_in_a_list() {
-    let folder = Folder::tum(2);
-    folder.write("rgb.txt", "# c\n0.0 rgb/000.png\nNaN rgb/001.png\n");
-    assert_says(open(&folder), &["rgb.txt, line 3", "NaN"]);
-    folder.write("rgb.txt", "0.0\n");
-    assert_says(open(&folder), &["rgb.txt, line 1", "a time stamp and a file name"]);
 }
 
 #[test]

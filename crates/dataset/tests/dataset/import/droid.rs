@@ -223,24 +223,7 @@ fn places_of_arrays_that_hold_nothing_are_left_out() {
 }
 
 #[test]
-fn arrays_of_no_keyframe_are_refused() {
-    let none = [
-        ("tstamps", npy("<f4", &[0], &[])),
-        ("images", npy("|u1", &[0, 3, HEIGHT, WIDTH], &[])),
-        ("disps", npy("<f4", &[0, HEIGHT, WIDTH], &[])),
-        ("poses", npy("<f4", &[0, 7], &[])),
-        ("intrinsics", npy("<f4", &[0, 4], &[])),
-    ];
-    let pictures = sequence(2);
-    for other in [None, Some(pictures.0.as_path())] {
-        let arrays = folder(&none.to_vec());
-        let files = ImportedKeyframes::open(&arrays.0, other, &ImportOptions::default());
-        assert_says(files, &["poses.npy is empty", "keyframes"]);
-    }
-}
-
-#[test]
-fn cut_off_archives_and_arrays_are_refused_wherever_they_end() {
+fn cut_off_archives_are_refused_wherever_they_end() {
     let members = members(&[0, 1]);
     let folder = Folder::new();
     for deflate in [false, true] {
@@ -251,13 +234,6 @@ fn cut_off_archives_and_arrays_are_refused_wherever_they_end() {
             assert_says(files, &["run.npz", "cut off"]);
         }
     }
-    let poses = &members[3].1;
-    for cut in [7, 9, 40, poses.len() - 1] {
-        let arrays = self::folder(&with(members.clone(), "poses", poses[..cut].to_vec()));
-        assert_says(open(&arrays), &["poses.npy", "cut off"]);
-    }
-    let arrays = self::folder(&with(members.clone(), "poses", b"hello".to_vec()));
-    assert_says(open(&arrays), &["poses.npy", "no array of numpy"]);
 }
 
 #[test]
@@ -282,58 +258,52 @@ fn a_damaged_member_is_refused() {
 }
 
 #[test]
-fn wrong_shapes_and_missing_arrays_are_named() {
+fn unusable_arrays_are_named() {
     let all = members(&[0, 1]);
+    let poses = |second: [f64; 7]| {
+        npy("<f8", &[2, 7], &[[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], second].concat())
+    };
+    let not_finite = poses([0.0, f64::NAN, 0.0, 0.0, 0.0, 0.0, 1.0]);
+    let long = poses([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.5]);
+    let camera = npy("<f8", &[4], &[40.0, 40.0, 400.0, 300.0]);
+    let stamps = npy("<f8", &[2], &[0.0, f64::NAN]);
     let zeros = |shape: &[usize]| npy("<f4", shape, &vec![0.0; shape.iter().product()]);
     for (name, bytes, parts) in [
-        ("poses", zeros(&[2, 4, 4]), &["poses.npy", "[2, 4, 4]", "expected [frames, 7]"][..]),
-        ("poses", zeros(&[2, 7]), &["poses.npy", "frame 0", "length 0.000"][..]),
-        ("disps", zeros(&[3, 4, 6]), &["disps.npy", "[3, 4, 6]", "[2, height, width]"][..]),
-        ("images", zeros(&[2, HEIGHT, WIDTH]), &["images.npy", "3, height, width"][..]),
-        ("images", zeros(&[2, 3, HEIGHT, WIDTH]), &["images.npy", "F32", "expected U8"][..]),
-        ("disps_cov", zeros(&[2, 4, 6]), &["disps_cov.npy", "expected [2, 32, 48]"][..]),
-        ("tstamps", zeros(&[5]), &["tstamps.npy", "[5]"][..]),
-        ("intrinsics", zeros(&[2, 3]), &["intrinsics.npy", "[2, 4]"][..]),
+        ("poses", zeros(&[0, 7]), &["poses.npy is empty", "keyframes"][..]),
+        ("poses", zeros(&[2, 4, 4]), &["poses.npy", "[2, 4, 4]", "expected [frames, 7]"]),
+        ("poses", zeros(&[2, 7]), &["poses.npy", "frame 0", "length 0.000"]),
+        ("poses", not_finite, &["poses.npy", "frame 1", "not finite"]),
+        ("poses", long, &["poses.npy", "frame 1", "length 1.500", "expected 1"]),
+        ("poses", b"hello".to_vec(), &["poses.npy", "no array of numpy"]),
+        ("disps", zeros(&[3, 4, 6]), &["disps.npy", "[3, 4, 6]", "[2, height, width]"]),
+        ("images", zeros(&[2, HEIGHT, WIDTH]), &["images.npy", "3, height, width"]),
+        ("images", zeros(&[2, 3, HEIGHT, WIDTH]), &["images.npy", "F32", "expected U8"]),
+        ("disps_cov", zeros(&[2, 4, 6]), &["disps_cov.npy", "expected [2, 32, 48]"]),
+        ("tstamps", zeros(&[5]), &["tstamps.npy", "[5]"]),
+        ("tstamps", stamps, &["tstamps.npy", "frame 1", "NaN"]),
+        ("intrinsics", zeros(&[2, 3]), &["intrinsics.npy", "[2, 4]"]),
+        ("intrinsics", camera, &["intrinsics.npy", "principal point", "48x32"]),
     ] {
         assert_says(open(&folder(&with(all.clone(), name, bytes))), parts);
     }
+    for cut in [7, 9, 40, all[3].1.len() - 1] {
+        let arrays = folder(&with(all.clone(), "poses", all[3].1[..cut].to_vec()));
+        assert_says(open(&arrays), &["poses.npy", "cut off"]);
+    }
     for (name, parts) in [
         ("images", &["no array images", "disps.npy"][..]),
-        ("intrinsics", &["no array intrinsics"][..]),
+        ("intrinsics", &["no array intrinsics"]),
     ] {
         assert_says(open(&folder(&without(all.clone(), name))), parts);
     }
     let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
-    let arrays = folder(&all);
     assert_says(
-        ImportedKeyframes::open(&arrays.0, None, &options),
+        ImportedKeyframes::open(&folder(&all).0, None, &options),
         &["option depth", "no dataset"],
     );
-    let alone = open(&folder(&without(all.clone(), "disps"))).expect("poses and pictures alone");
+    let alone = open(&folder(&without(all, "disps"))).expect("poses and pictures alone");
     assert!(!alone.has_depth);
     assert_says(open(&folder(&members(&[0]))), &["1 of 1 poses", "at least 2"]);
-}
-
-#[test]
-fn numbers_out_of_range_are_named() {
-    let all = members(&[0, 1]);
-    let still = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    let poses = |second: [f64; 7]| npy("<f8", &[2, 7], &[still, second].concat());
-    let mut broken = still;
-    broken[1] = f64::NAN;
-    let arrays = folder(&with(all.clone(), "poses", poses(broken)));
-    assert_says(open(&arrays), &["poses.npy", "frame 1", "not finite"]);
-    let mut long = still;
-    long[6] = 1.5;
-    let arrays = folder(&with(all.clone(), "poses", poses(long)));
-    assert_says(open(&arrays), &["poses.npy", "frame 1", "length 1.500", "expected 1"]);
-    let k = npy("<f8", &[4], &[40.0, 40.0, 400.0, 300.0]);
-    assert_says(
-        open(&folder(&with(all.clone(), "intrinsics", k))),
-        &["intrinsics.npy", "principal point", "48x32"],
-    );
-    let stamps = npy("<f8", &[2], &[0.0, f64::NAN]);
-    assert_says(open(&folder(&with(all, "tstamps", stamps))), &["tstamps.npy", "frame 1", "NaN"]);
 }
 
 /// An `.npy` file of numbers of a type such as `<f4`.

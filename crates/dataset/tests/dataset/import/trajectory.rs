@@ -131,19 +131,6 @@ fn what_holds_no_keyframes_is_refused() {
 }
 
 #[test]
-fn a_sequence_without_depth_opens_when_only_colour_is_wanted() {
-    let folder = colour_sequence(4);
-    let says = Sequence::open(&folder.0, &OpenOptions::default());
-    assert_says(says, &["pictures but no depth"]);
-    let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
-    let sequence = Sequence::open(&folder.0, &options).expect("opens");
-    assert_eq!((sequence.len(), sequence.warnings.len()), (4, 0), "{:?}", sequence.warnings);
-    let frame = sequence.stream().next().expect("a frame").expect("loads");
-    assert!(frame.depth.data.iter().all(|&z| z == 0.0) && frame.warnings.is_empty());
-    assert_eq!((frame.depth.width, frame.depth.height), (WIDTH, HEIGHT));
-}
-
-#[test]
 fn plain_folders_of_pictures_open_too() {
     let from = colour_sequence(3);
     let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
