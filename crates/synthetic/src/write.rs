@@ -2,7 +2,7 @@
 
 use crate::error::SyntheticError;
 use crate::sensor::ShutterRule;
-use crate::spec::Spec;
+use crate::spec::{NoiseSpec, Spec, WhiteBalanceSpec};
 use i2slam_geometry::{Camera, Image, Pose};
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
@@ -178,6 +178,19 @@ pub(crate) fn camera_json(camera: &Camera<f64>, spec: &Spec, rule: &ShutterRule)
 pub(crate) fn readme(spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
     let c = &spec.camera;
     let crf = spec.exposure.response.formula();
+    let (frames, rate, w, h) = (s.frames, c.frame_rate, c.width, c.height);
+    let (fov, readout, sub) = (c.field_of_view, c.readout, c.sub_frames);
+    let (texel, stops) = (spec.light.texel, spec.light.window_stops);
+    let (smoothing, auto) = (spec.exposure.smoothing, spec.exposure.automatic);
+    let ShutterRule { a, b } = rule;
+    let NoiseSpec { read, shot } = spec.noise;
+    let WhiteBalanceSpec { drift, period } = spec.white_balance;
+    let kinect = "noise, steps and holes of a first-generation Kinect";
+    let depth = if spec.depth.kinect { kinect } else { "exact" };
+    let (every, path) = (spec.output.hdr_every, s.path_metres);
+    let ([rot0, rot1], [ev0, ev1]) = (s.rotation_rate, s.exposure_values);
+    let ([sv0, sv1], [bl0, bl1, bl2], [d0, d1, d2]) = (s.shutter, s.blur, s.depth);
+    let range = ev1 - ev0;
     format!(
         "# Synthetic RGB-D sequence with motion blur, exposure changes and a camera response\n\n\
          {frames} frames at {rate} fps (time stamps i/{rate} s = mid-exposure), {w}x{h}, horizontal field of view \
@@ -213,42 +226,5 @@ pub(crate) fn readme(spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
          | shutter share | {sv0:.3} to {sv1:.3} |\n\
          | blur, median / 90 % / largest | {bl0:.2} / {bl1:.2} / {bl2:.2} px |\n\
          | median depth, smallest / middle / largest | {d0:.2} / {d1:.2} / {d2:.2} m |\n",
-        frames = s.frames,
-        rate = c.frame_rate,
-        w = c.width,
-        h = c.height,
-        fov = c.field_of_view,
-        texel = spec.light.texel,
-        stops = spec.light.window_stops,
-        smoothing = spec.exposure.smoothing,
-        auto = spec.exposure.automatic,
-        a = rule.a,
-        b = rule.b,
-        readout = c.readout,
-        sub = c.sub_frames,
-        read = spec.noise.read,
-        shot = spec.noise.shot,
-        period = spec.white_balance.period,
-        drift = spec.white_balance.drift,
-        depth = if spec.depth.kinect {
-            "noise, steps and holes of a first-generation Kinect"
-        } else {
-            "exact"
-        },
-        every = spec.output.hdr_every,
-        path = s.path_metres,
-        rot0 = s.rotation_rate[0],
-        rot1 = s.rotation_rate[1],
-        ev0 = s.exposure_values[0],
-        ev1 = s.exposure_values[1],
-        range = s.exposure_values[1] - s.exposure_values[0],
-        sv0 = s.shutter[0],
-        sv1 = s.shutter[1],
-        bl0 = s.blur[0],
-        bl1 = s.blur[1],
-        bl2 = s.blur[2],
-        d0 = s.depth[0],
-        d1 = s.depth[1],
-        d2 = s.depth[2],
     )
 }

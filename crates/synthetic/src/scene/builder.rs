@@ -3,6 +3,7 @@
 use super::{Emitter, LightRole, Material, Shape, Surface, Vec3};
 use crate::rgb::{Rgb, scale};
 use crate::texture::Texture;
+use i2slam_compute::Random;
 
 /// Local frame of an object: x right, y away from the viewer, z up.
 #[derive(Clone, Copy, Debug)]
@@ -57,14 +58,20 @@ impl Material {
 }
 
 /// Surfaces, textures and lights of a room under construction.
-#[derive(Default)]
 pub(super) struct Builder {
     pub(super) surfaces: Vec<Surface>,
     pub(super) textures: Vec<Texture>,
     pub(super) emitters: Vec<Emitter>,
+    /// Chooses sizes, colours and places.
+    pub(super) random: Random,
 }
 
 impl Builder {
+    /// An empty room.
+    pub(super) fn new(random: Random) -> Self {
+        Self { surfaces: Vec::new(), textures: Vec::new(), emitters: Vec::new(), random }
+    }
+
     /// Adds a texture and returns its index.
     pub(super) fn texture(&mut self, texture: Texture) -> usize {
         self.textures.push(texture);
@@ -94,6 +101,16 @@ impl Builder {
         self.add(Shape::quad(origin, right, down, false), material, None);
     }
 
+    /// A rectangle from its local upper left corner.
+    pub(super) fn panel(
+        &mut self,
+        place: &LocalFrame,
+        [corner, right, down]: [[f32; 3]; 3],
+        material: Material,
+    ) {
+        self.quad(place.point(corner), place.turn(right), place.turn(down), material);
+    }
+
     /// A block between two local corners with another material on its `front`.
     pub(super) fn block_with_front(
         &mut self,
@@ -105,7 +122,7 @@ impl Builder {
     ) {
         let d: [f32; 3] = std::array::from_fn(|i| high[i] - low[i]);
         let mut face = |corner: [f32; 3], right: [f32; 3], down: [f32; 3], material: Material| {
-            self.quad(place.point(corner), place.turn(right), place.turn(down), material);
+            self.panel(place, [corner, right, down], material);
         };
         let down = [0.0, 0.0, -d[2]];
         let [x0, y0, z0] = low;

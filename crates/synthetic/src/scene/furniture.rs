@@ -6,16 +6,9 @@ use super::objects;
 use super::{LightRole, Material};
 use crate::rgb::{scale, srgb};
 use crate::rng::between32;
-use i2slam_compute::Random;
 
 /// A bookshelf of 1.0 x 0.3 x 1.95 m.
-pub(super) fn bookshelf(
-    b: &mut Builder,
-    l: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-    clutter: f32,
-) {
+pub(super) fn bookshelf(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame, clutter: f32) {
     let (half, depth, tall, board) = (0.5, 0.3, 1.95, 0.025);
     let wood = l.woods[1];
     b.block(place, [-half, -depth, 0.0], [-half + board, 0.0, tall], wood);
@@ -30,26 +23,21 @@ pub(super) fn bookshelf(
         }
         let room = (tall - 0.06) / levels as f32 - 2.0 * board;
         let shelf = place.at([0.0, 0.0, z + board], 0.0);
-        let full = -half + 0.04 + 0.9 * clutter * between32(random, 0.45, 1.0);
-        objects::books(b, l, random, &shelf, ([-half + 0.03, full], depth, room));
+        let full = -half + 0.04 + 0.9 * clutter * between32(&mut b.random, 0.45, 1.0);
+        objects::books(b, l, &shelf, ([-half + 0.03, full], depth, room));
         let rest = shelf.at([0.5 * (full + half), -0.15, 0.0], 0.0);
         if half - full > 0.28 {
-            match random.below(3) {
-                0 => objects::vase(b, l, random, &rest),
-                1 => objects::globe(b, l, random, &rest),
-                _ => objects::pile(b, l, random, &rest),
+            match b.random.below(3) {
+                0 => objects::vase(b, l, &rest),
+                1 => objects::globe(b, l, &rest),
+                _ => objects::pile(b, l, &rest),
             }
         }
     }
 }
 
 /// A sideboard of 1.3 x 0.42 x 0.78 m with drawers.
-pub(super) fn sideboard(
-    b: &mut Builder,
-    l: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
+pub(super) fn sideboard(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     let (half, depth, tall) = (0.65, 0.42, 0.78);
     let (wood, front) = (l.woods[0], l.woods[1]);
     b.block(place, [-half, -depth, 0.08], [half, -0.01, tall], wood);
@@ -67,14 +55,14 @@ pub(super) fn sideboard(
         }
     }
     let top = place.at([0.0, -0.21, tall], 0.0);
-    objects::vase(b, l, random, &top.at([-0.45, 0.0, 0.0], 0.0));
-    objects::pile(b, l, random, &top.at([-0.12, -0.03, 0.0], 0.3));
-    objects::globe(b, l, random, &top.at([0.2, 0.03, 0.0], 0.0));
-    objects::plant(b, l, random, &top.at([0.48, 0.02, 0.0], 0.0), 0.45);
+    objects::vase(b, l, &top.at([-0.45, 0.0, 0.0], 0.0));
+    objects::pile(b, l, &top.at([-0.12, -0.03, 0.0], 0.3));
+    objects::globe(b, l, &top.at([0.2, 0.03, 0.0], 0.0));
+    objects::plant(b, l, &top.at([0.48, 0.02, 0.0], 0.0), 0.45);
 }
 
 /// A sofa of 1.9 x 0.85 x 0.82 m with cushions.
-pub(super) fn sofa(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, place: &LocalFrame) {
+pub(super) fn sofa(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     let (half, depth) = (0.95, 0.85);
     let cloth = l.sofa;
     b.block(place, [-half, -depth, 0.07], [half, -0.02, 0.30], cloth);
@@ -89,20 +77,14 @@ pub(super) fn sofa(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, pl
         b.block(place, [x, -depth - 0.01, 0.30], [x + 0.76, -0.25, 0.45], seat);
     }
     for (i, x) in [-0.55_f32, 0.05, 0.52].into_iter().enumerate() {
-        let turn = between32(random, -0.3, 0.3);
+        let turn = between32(&mut b.random, -0.3, 0.3);
         let cushion = place.at([x, -0.33, 0.45], turn);
         b.block(&cushion, [-0.21, -0.07, 0.0], [0.21, 0.05, 0.38], l.cloths[i % 2]);
     }
 }
 
 /// A desk of 1.4 x 0.65 x 0.74 m with a display, a keyboard and a chair.
-pub(super) fn desk(
-    b: &mut Builder,
-    l: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-    light: f32,
-) {
+pub(super) fn desk(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame, light: f32) {
     let (half, depth, tall) = (0.7, 0.65, 0.74);
     let wood = l.woods[2];
     b.block(place, [-half, -depth, tall - 0.03], [half, 0.0, tall], wood);
@@ -117,13 +99,12 @@ pub(super) fn desk(
     b.block(&top, [-0.12, 0.05, 0.0], [0.12, 0.22, 0.015], black);
     b.block(&top, [-0.03, 0.14, 0.015], [0.03, 0.17, 0.15], black);
     b.block(&top, [-0.30, 0.10, 0.12], [0.30, 0.135, 0.48], black);
-    let corner = top.point([-0.285, 0.0985, 0.465]);
-    b.quad(corner, top.turn([0.57, 0.0, 0.0]), top.turn([0.0, 0.0, -0.33]), shown);
+    b.panel(&top, [[-0.285, 0.0985, 0.465], [0.57, 0.0, 0.0], [0.0, 0.0, -0.33]], shown);
     keyboard(b, l, &top.at([0.0, -0.12, 0.0], 0.05));
-    objects::mug(b, l, random, &top.at([0.42, -0.1, 0.0], 0.9));
-    objects::pile(b, l, random, &top.at([-0.5, 0.05, 0.0], 0.2));
+    objects::mug(b, l, &top.at([0.42, -0.1, 0.0], 0.9));
+    objects::pile(b, l, &top.at([-0.5, 0.05, 0.0], 0.2));
     for (x, turn) in [(-0.45, 0.3), (0.5, -0.25)] {
-        objects::sheet(b, l, random, &top.at([x, -0.15, 0.0], turn));
+        objects::sheet(b, l, &top.at([x, -0.15, 0.0], turn));
     }
     chair(b, l, &place.at([0.1, -0.95, 0.0], 0.25), l.woods[0]);
 }
@@ -134,9 +115,7 @@ fn keyboard(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     for row in 0..4 {
         for column in 0..12 {
             let (x, y) = (-0.21 + 0.0352 * column as f32, -0.062 + 0.032 * row as f32);
-            let corner = place.point([x, y + 0.026, 0.022]);
-            let (right, down) = (place.turn([0.029, 0.0, 0.0]), place.turn([0.0, -0.026, 0.0]));
-            b.quad(corner, right, down, key);
+            b.panel(place, [[x, y + 0.026, 0.022], [0.029, 0.0, 0.0], [0.0, -0.026, 0.0]], key);
         }
     }
 }
@@ -163,7 +142,7 @@ pub(super) fn chair(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame, wo
 }
 
 /// A table of 1.3 x 0.8 x 0.75 m in the middle of the room, laid, with chairs around it.
-pub(super) fn table(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, place: &LocalFrame) {
+pub(super) fn table(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     let (hx, hy, tall) = (0.65, 0.40, 0.75);
     let wood = l.woods[1];
     b.block(place, [-hx, -hy, tall - 0.035], [hx, hy, tall], wood);
@@ -182,31 +161,26 @@ pub(super) fn table(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, p
         b.block(place, [x, y, 0.0], [x + 0.06, y + 0.06, tall - 0.035], wood);
     }
     for (x, y, turn) in [(-0.3, -0.55, 0.1), (0.35, 0.58, 3.3), (0.95, 0.0, 1.5)] {
-        chair(b, l, &place.at([x, y, 0.0], turn + between32(random, -0.15, 0.15)), l.woods[0]);
+        let turn = turn + between32(&mut b.random, -0.15, 0.15);
+        chair(b, l, &place.at([x, y, 0.0], turn), l.woods[0]);
     }
     let top = place.at([0.0, 0.0, tall], 0.0);
-    let runner = top.point([-0.55, 0.16, 0.003]);
-    b.quad(runner, top.turn([1.1, 0.0, 0.0]), top.turn([0.0, -0.32, 0.0]), l.cloths[0]);
-    objects::fruit(b, l, random, &top.at([0.05, 0.0, 0.003], 0.0));
-    objects::mug(b, l, random, &top.at([-0.35, 0.22, 0.0], 2.0));
-    objects::mug(b, l, random, &top.at([0.42, -0.2, 0.0], 0.4));
-    objects::pile(b, l, random, &top.at([-0.40, -0.18, 0.0], 0.5));
-    objects::sheet(b, l, random, &top.at([0.25, 0.23, 0.0], 2.8));
-    objects::vase(b, l, random, &top.at([0.40, 0.05, 0.003], 0.0));
+    b.panel(&top, [[-0.55, 0.16, 0.003], [1.1, 0.0, 0.0], [0.0, -0.32, 0.0]], l.cloths[0]);
+    objects::fruit(b, l, &top.at([0.05, 0.0, 0.003], 0.0));
+    objects::mug(b, l, &top.at([-0.35, 0.22, 0.0], 2.0));
+    objects::mug(b, l, &top.at([0.42, -0.2, 0.0], 0.4));
+    objects::pile(b, l, &top.at([-0.40, -0.18, 0.0], 0.5));
+    objects::sheet(b, l, &top.at([0.25, 0.23, 0.0], 2.8));
+    objects::vase(b, l, &top.at([0.40, 0.05, 0.003], 0.0));
 }
 
 /// Cardboard boxes on each other.
-pub(super) fn cartons(
-    b: &mut Builder,
-    l: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
+pub(super) fn cartons(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     let mut z = 0.0;
-    for i in 0..2 + random.below(2) {
-        let here = place.at([0.0, -0.25, z], between32(random, -0.25, 0.25));
-        let half = between32(random, 0.17, 0.23);
-        let tall = between32(random, 0.24, 0.34);
+    for i in 0..2 + b.random.below(2) {
+        let here = place.at([0.0, -0.25, z], between32(&mut b.random, -0.25, 0.25));
+        let half = between32(&mut b.random, 0.17, 0.23);
+        let tall = between32(&mut b.random, 0.24, 0.34);
         b.block(&here, [-half, -half * 0.8, 0.0], [half, half * 0.8, tall], l.cartons[i % 2]);
         z += tall;
     }
@@ -223,7 +197,7 @@ pub(super) fn radiator(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame)
 }
 
 /// A door of 0.9 x 2.05 m with its frame and knob.
-pub(super) fn door(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, place: &LocalFrame) {
+pub(super) fn door(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
     let frame = l.woods[2];
     b.block_with_front(place, [-0.43, -0.03, 0.0], [0.43, 0.0, 2.03], frame, l.door);
     for (x0, x1, z0, z1) in
@@ -231,6 +205,6 @@ pub(super) fn door(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, pl
     {
         b.block(place, [x0, -0.05, z0], [x1, 0.0, z1], frame);
     }
-    let knob = l.paint.tinted(scale(small_colour(random), 0.8));
+    let knob = l.paint.tinted(scale(small_colour(&mut b.random), 0.8));
     b.ball(place.point([0.36, -0.07, 1.02]), 0.03, knob);
 }

@@ -5,28 +5,26 @@ use super::library::{MaterialLibrary, small_colour};
 use super::{LightRole, Material, Vec3};
 use crate::rgb::{scale, srgb};
 use crate::rng::between32;
-use i2slam_compute::Random;
 
 /// Books side by side from `x0` to at most `x1`, backs to the front; `depth` of the board, `room`
 /// above it [m].
 pub(super) fn books(
     builder: &mut Builder,
     library: &MaterialLibrary,
-    random: &mut Random,
     board: &LocalFrame,
     ([x0, x1], depth, room): ([f32; 2], f32, f32),
 ) {
     let mut x = x0;
     loop {
-        let thick = between32(random, 0.018, 0.05);
+        let thick = between32(&mut builder.random, 0.018, 0.05);
         if x + thick > x1 {
             return;
         }
-        let tall = between32(random, 0.62, 0.92) * room;
-        let inset = between32(random, 0.01, 0.05);
-        let colour = scale(small_colour(random), 1.4);
+        let tall = between32(&mut builder.random, 0.62, 0.92) * room;
+        let inset = between32(&mut builder.random, 0.01, 0.05);
+        let colour = scale(small_colour(&mut builder.random), 1.4);
         let cover = library.paint.tinted(colour);
-        let back = library.spines[random.below(library.spines.len())].tinted(colour);
+        let back = library.spines[builder.random.below(library.spines.len())].tinted(colour);
         let (low, high) = ([x, -depth + inset, 0.0], [x + thick - 0.001, -0.02, tall]);
         builder.block_with_front(board, low, high, cover, back);
         x += thick;
@@ -34,76 +32,50 @@ pub(super) fn books(
 }
 
 /// A pile of lying books.
-pub(super) fn pile(
-    builder: &mut Builder,
-    library: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
+pub(super) fn pile(builder: &mut Builder, library: &MaterialLibrary, place: &LocalFrame) {
     let mut z = 0.0;
-    for _ in 0..2 + random.below(3) {
-        let here = place.at([0.0, 0.0, z], between32(random, -0.35, 0.35));
-        let thick = between32(random, 0.018, 0.04);
-        let cover = library.paint.tinted(small_colour(random));
+    for _ in 0..2 + builder.random.below(3) {
+        let here = place.at([0.0, 0.0, z], between32(&mut builder.random, -0.35, 0.35));
+        let thick = between32(&mut builder.random, 0.018, 0.04);
+        let cover = library.paint.tinted(small_colour(&mut builder.random));
         builder.block(&here, [-0.11, -0.08, 0.0], [0.11, 0.08, thick], cover);
         z += thick;
     }
 }
 
 /// A sheet of paper with text.
-pub(super) fn sheet(
-    builder: &mut Builder,
-    library: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
-    let paper = library.papers[random.below(library.papers.len())];
-    let corner = place.point([-0.105, 0.149, 0.0015]);
-    let (right, down) = (place.turn([0.21, 0.0, 0.0]), place.turn([0.0, -0.297, 0.0]));
-    builder.quad(corner, right, down, paper);
+pub(super) fn sheet(builder: &mut Builder, library: &MaterialLibrary, place: &LocalFrame) {
+    let paper = library.papers[builder.random.below(library.papers.len())];
+    let edges = [[-0.105, 0.149, 0.0015], [0.21, 0.0, 0.0], [0.0, -0.297, 0.0]];
+    builder.panel(place, edges, paper);
 }
 
 /// A mug with a handle.
-pub(super) fn mug(
-    builder: &mut Builder,
-    library: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
-    let glaze = library.paint.tinted(scale(small_colour(random), 1.2));
+pub(super) fn mug(builder: &mut Builder, library: &MaterialLibrary, place: &LocalFrame) {
+    let glaze = library.paint.tinted(scale(small_colour(&mut builder.random), 1.2));
     builder.frustum(place, [0.0, 0.09], [0.038, 0.042], glaze);
     builder.block(place, [0.04, -0.006, 0.02], [0.065, 0.006, 0.075], glaze);
 }
 
 /// A vase of turned parts.
-pub(super) fn vase(
-    builder: &mut Builder,
-    library: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
-    let glaze = library.glazes[random.below(3)];
-    let r = between32(random, 0.06, 0.09);
+pub(super) fn vase(builder: &mut Builder, library: &MaterialLibrary, place: &LocalFrame) {
+    let glaze = library.glazes[builder.random.below(3)];
+    let r = between32(&mut builder.random, 0.06, 0.09);
     builder.frustum(place, [0.0, 0.10], [0.7 * r, r], glaze);
     builder.frustum(place, [0.10, 0.20], [r, 0.45 * r], glaze);
     builder.frustum(place, [0.20, 0.25], [0.45 * r, 0.65 * r], glaze);
 }
 
 /// A bowl of fruit.
-pub(super) fn fruit(
-    builder: &mut Builder,
-    library: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
+pub(super) fn fruit(builder: &mut Builder, library: &MaterialLibrary, place: &LocalFrame) {
     builder.frustum(place, [0.0, 0.06], [0.07, 0.15], library.glazes[0]);
     for i in 0..6 {
-        let angle = i as f32 * 1.05 + between32(random, -0.2, 0.2);
+        let angle = i as f32 * 1.05 + between32(&mut builder.random, -0.2, 0.2);
         let (s, c) = angle.sin_cos();
-        let colour = [0xc0392b, 0xd98e1f, 0x7c9a2e, 0xe0b32c][random.below(4)];
+        let colour = [0xc0392b, 0xd98e1f, 0x7c9a2e, 0xe0b32c][builder.random.below(4)];
         let material = library.glazes[1].tinted([0.0; 3]);
         let peel = Material { texture: library.paint.texture, ..material }.tinted(srgb(colour));
-        let r = between32(random, 0.034, 0.042);
+        let r = between32(&mut builder.random, 0.034, 0.042);
         let reach = if i == 5 { 0.0 } else { 0.075 };
         let height = if i == 5 { 0.11 } else { 0.08 };
         builder.ball(place.point([reach * c, reach * s, height]), r, peel);
@@ -111,15 +83,10 @@ pub(super) fn fruit(
 }
 
 /// A patterned ball.
-pub(super) fn globe(
-    builder: &mut Builder,
-    library: &MaterialLibrary,
-    random: &mut Random,
-    place: &LocalFrame,
-) {
-    let r = between32(random, 0.07, 0.13);
+pub(super) fn globe(builder: &mut Builder, library: &MaterialLibrary, place: &LocalFrame) {
+    let r = between32(&mut builder.random, 0.07, 0.13);
     builder.frustum(place, [0.0, 0.02], [0.05, 0.04], library.woods[0]);
-    let glaze = library.glazes[random.below(3)];
+    let glaze = library.glazes[builder.random.below(3)];
     builder.ball(place.point([0.0, 0.0, r + 0.015]), r, glaze);
 }
 
@@ -127,7 +94,6 @@ pub(super) fn globe(
 pub(super) fn plant(
     builder: &mut Builder,
     library: &MaterialLibrary,
-    random: &mut Random,
     place: &LocalFrame,
     tall: f32,
 ) {
@@ -137,12 +103,12 @@ pub(super) fn plant(
     let stem = library.paint.tinted(srgb(0x4c5a2a));
     builder.tube(place, [0.26 * tall, 0.8 * tall], [0.015, 0.01], stem);
     for i in 0..22 {
-        let angle = i as f32 * 2.4 + between32(random, -0.3, 0.3);
-        let z = tall * between32(random, 0.42, 1.0);
-        let reach = tall * between32(random, 0.08, 0.26);
-        let tilt = between32(random, -0.5, 0.9);
+        let angle = i as f32 * 2.4 + between32(&mut builder.random, -0.3, 0.3);
+        let z = tall * between32(&mut builder.random, 0.42, 1.0);
+        let reach = tall * between32(&mut builder.random, 0.08, 0.26);
+        let tilt = between32(&mut builder.random, -0.5, 0.9);
         let (s, c) = angle.sin_cos();
-        let size = tall * between32(random, 0.08, 0.14);
+        let size = tall * between32(&mut builder.random, 0.08, 0.14);
         let middle = place.point([reach * c, reach * s, z]);
         let along = Vec3::new(c * tilt.cos(), s * tilt.cos(), tilt.sin()) * (1.9 * size);
         let across = Vec3::new(-s, c, 0.0) * size;

@@ -20,18 +20,17 @@ const LAMPLIGHT: [f32; 3] = [1.0, 0.76, 0.48];
 
 /// The room of a specification: the same for the same `seed` and `[room]`, `[light]`.
 pub(crate) fn furnished_room(spec: &Spec) -> Scene {
-    let mut builder = Builder::default();
+    let mut builder = Builder::new(stream(spec.seed, FURNITURE, 0));
     let library = MaterialLibrary::new(&mut builder, spec.seed, spec.room.text_panels.max(1));
-    let mut random = stream(spec.seed, FURNITURE, 0);
     let [width, depth, height] = spec.room.size.map(|v| v as f32);
-    let walls = walls(width, depth, height, random.below(4));
+    let walls = walls(width, depth, height, builder.random.below(4));
     shell(&mut builder, &library, [width, depth, height]);
     let b = &mut builder;
-    window_wall(b, &library, &mut random, &walls[0], spec);
-    study_wall(b, &library, &mut random, &walls[1], spec);
-    sofa_wall(b, &library, &mut random, &walls[2], spec);
-    door_wall(b, &library, &mut random, &walls[3], spec);
-    middle(b, &library, &mut random, spec);
+    window_wall(b, &library, &walls[0], spec);
+    study_wall(b, &library, &walls[1], spec);
+    sofa_wall(b, &library, &walls[2], spec);
+    door_wall(b, &library, &walls[3]);
+    middle(b, &library, spec);
     let sun = (spec.light.sun > 0.0 && spec.room.windows > 0).then(|| {
         let (elevation, azimuth) = (spec.light.sun_elevation, spec.light.sun_azimuth);
         let (up, side) = ((elevation as f32).to_radians(), (azimuth as f32).to_radians());
@@ -70,13 +69,7 @@ fn shell(b: &mut Builder, l: &MaterialLibrary, [width, depth, height]: [f32; 3])
     b.quad(Vec3::new(-x, -y, height), right, Vec3::new(0.0, depth, 0.0), l.ceiling);
 }
 
-fn window_wall(
-    b: &mut Builder,
-    l: &MaterialLibrary,
-    random: &mut Random,
-    wall: &Wall,
-    spec: &Spec,
-) {
+fn window_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, spec: &Spec) {
     let count = spec.room.windows.min((wall.length / 1.5) as usize);
     let step = wall.length / count.max(1) as f32;
     let (z0, z1) = (0.88, (wall.height - 0.35).min(2.25));
@@ -92,11 +85,11 @@ fn window_wall(
         let at = 0.5 * (hole[0] + hole[1]);
         furniture::radiator(b, l, &wall.place.at([at, 0.0, 0.0], 0.0));
         let sill = wall.place.at([hole[0] + 0.25, 0.08, z0], 0.0);
-        objects::plant(b, l, random, &sill, 0.34);
+        objects::plant(b, l, &sill, 0.34);
     }
-    objects::plant(b, l, random, &wall.place.at([0.35, -0.38, 0.0], 0.0), 1.15);
+    objects::plant(b, l, &wall.place.at([0.35, -0.38, 0.0], 0.0), 1.15);
     let corner = wall.place.at([wall.length - 0.36, -0.05, 0.0], 0.0);
-    furniture::cartons(b, l, random, &corner);
+    furniture::cartons(b, l, &corner);
 }
 
 /// Middles of things of given widths, spread over a wall with random gaps.
@@ -113,22 +106,22 @@ fn spread(random: &mut Random, length: f32, widths: &[f32]) -> Vec<f32> {
     widths.iter().zip(&gaps).map(place).collect()
 }
 
-fn study_wall(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, wall: &Wall, spec: &Spec) {
+fn study_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, spec: &Spec) {
     wall.build(b, l.accent, l.woods[2], &[]);
-    let at = spread(random, wall.length, &[1.0, 1.4, 0.6]);
+    let at = spread(&mut b.random, wall.length, &[1.0, 1.4, 0.6]);
     let clutter = spec.room.clutter as f32;
-    furniture::bookshelf(b, l, random, &wall.place.at([at[0], 0.0, 0.0], 0.0), clutter);
+    furniture::bookshelf(b, l, &wall.place.at([at[0], 0.0, 0.0], 0.0), clutter);
     let glow = spec.light.lamps as f32;
-    furniture::desk(b, l, random, &wall.place.at([at[1], 0.0, 0.0], 0.0), 0.4 * glow.max(0.3));
+    furniture::desk(b, l, &wall.place.at([at[1], 0.0, 0.0], 0.0), 0.4 * glow.max(0.3));
     sheets(b, l, wall, (at[1] - 0.45, 1.62), 0);
     let shelf = wall.place.at([at[2], 0.0, 0.0], 0.0);
     for (i, z) in [1.05_f32, 1.40, 1.75].into_iter().enumerate() {
         b.block(&shelf, [-0.3, -0.22, z - 0.025], [0.3, 0.0, z], l.woods[1]);
         let board = shelf.at([0.0, 0.0, z], 0.0);
-        let full = -0.28 + 0.5 * clutter * between32(random, 0.5, 1.0);
-        objects::books(b, l, random, &board, ([-0.28, full], 0.22, 0.27));
+        let full = -0.28 + 0.5 * clutter * between32(&mut b.random, 0.5, 1.0);
+        objects::books(b, l, &board, ([-0.28, full], 0.22, 0.27));
         if i != 1 {
-            objects::mug(b, l, random, &board.at([0.23, -0.1, 0.0], 0.0));
+            objects::mug(b, l, &board.at([0.23, -0.1, 0.0], 0.0));
         }
     }
 }
@@ -143,45 +136,44 @@ fn sheets(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, (x, z): (f32, f32),
     }
 }
 
-fn sofa_wall(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, wall: &Wall, spec: &Spec) {
+fn sofa_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, spec: &Spec) {
     wall.build(b, l.plaster, l.woods[2], &[]);
-    let at = spread(random, wall.length, &[0.5, 1.9, 0.5]);
-    furniture::sofa(b, l, random, &wall.place.at([at[1], 0.0, 0.0], 0.0));
+    let at = spread(&mut b.random, wall.length, &[0.5, 1.9, 0.5]);
+    furniture::sofa(b, l, &wall.place.at([at[1], 0.0, 0.0], 0.0));
     let light = scale(LAMPLIGHT, spec.light.lamps as f32 * 6.0);
     let corner = wall.place.at([at[0], -0.32, 0.0], 0.0);
     objects::lamp(b, l, &corner, 1.55, light.map(|v| v.max(1e-3)));
     let side = wall.place.at([at[2], -0.28, 0.0], 0.0);
     b.frustum(&side, [0.0, 0.5], [0.05, 0.05], l.woods[0]);
     b.frustum(&side, [0.5, 0.53], [0.24, 0.24], l.woods[1]);
-    objects::globe(b, l, random, &side.at([0.05, 0.03, 0.53], 0.0));
-    objects::mug(b, l, random, &side.at([-0.1, -0.08, 0.53], 1.0));
+    objects::globe(b, l, &side.at([0.05, 0.03, 0.53], 0.0));
+    objects::mug(b, l, &side.at([-0.1, -0.08, 0.53], 1.0));
     let sizes = [[0.62, 0.46], [0.44, 0.56], [0.50, 0.40], [0.36, 0.36]];
     let mut x = at[1] - 1.05;
     for (i, size) in sizes.into_iter().enumerate() {
         let frame = Some(l.woods[i % 3]);
-        let z = 1.52 + between32(random, -0.06, 0.08);
+        let z = 1.52 + between32(&mut b.random, -0.06, 0.08);
         wall.picture(b, [x + 0.5 * size[0], z], size, l.paintings[i], frame);
         x += size[0] + 0.14;
     }
 }
 
-fn door_wall(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, wall: &Wall, _: &Spec) {
+fn door_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall) {
     wall.build(b, l.plaster.tinted([0.95, 0.97, 1.0]), l.woods[2], &[]);
-    let at = spread(random, wall.length, &[1.05, 1.35, 0.5]);
-    furniture::door(b, l, random, &wall.place.at([at[0], 0.0, 0.0], 0.0));
-    furniture::sideboard(b, l, random, &wall.place.at([at[1], 0.0, 0.0], 0.0));
+    let at = spread(&mut b.random, wall.length, &[1.05, 1.35, 0.5]);
+    furniture::door(b, l, &wall.place.at([at[0], 0.0, 0.0], 0.0));
+    furniture::sideboard(b, l, &wall.place.at([at[1], 0.0, 0.0], 0.0));
     sheets(b, l, wall, (at[1] - 0.72, 1.62), 1);
     wall.picture(b, [at[2] + 0.2, 1.55], [0.34, 0.46], l.calendar, None);
-    furniture::cartons(b, l, random, &wall.place.at([at[2] + 0.12, 0.0, 0.0], 0.0));
+    furniture::cartons(b, l, &wall.place.at([at[2] + 0.12, 0.0, 0.0], 0.0));
 }
 
-fn middle(b: &mut Builder, l: &MaterialLibrary, random: &mut Random, spec: &Spec) {
-    let place = LocalFrame::new(between32(random, -0.1, 0.1), between32(random, -0.1, 0.1), 0.0);
-    let turned = place.at([0.0; 3], between32(random, -0.25, 0.25));
-    let material = l.rug;
-    let corner = turned.point([-1.15, 0.85, 0.006]);
-    b.quad(corner, turned.turn([2.3, 0.0, 0.0]), turned.turn([0.0, -1.7, 0.0]), material);
-    furniture::table(b, l, random, &turned);
+fn middle(b: &mut Builder, l: &MaterialLibrary, spec: &Spec) {
+    let [x, y] = [(); 2].map(|()| between32(&mut b.random, -0.1, 0.1));
+    let place = LocalFrame::new(x, y, 0.0);
+    let turned = place.at([0.0; 3], between32(&mut b.random, -0.25, 0.25));
+    b.panel(&turned, [[-1.15, 0.85, 0.006], [2.3, 0.0, 0.0], [0.0, -1.7, 0.0]], l.rug);
+    furniture::table(b, l, &turned);
     let top = spec.room.size[2] as f32;
     let hung = LocalFrame { origin: turned.point([0.0, 0.0, top - 0.62]), yaw: 0.0 };
     let black = l.paint.tinted([0.05; 3]);
@@ -254,7 +246,7 @@ impl Wall {
         let ([x0, x1, z0, z1], p, r) = (hole, &self.place, REVEAL_DEPTH);
         let (w, h) = (x1 - x0, z1 - z0);
         let mut face = |corner, right, down, material| {
-            builder.quad(p.point(corner), p.turn(right), p.turn(down), material);
+            builder.panel(p, [corner, right, down], material);
         };
         let white = library.paint.tinted(srgb(0xe8e6df));
         face([x0, 0.0, z1], [0.0, r, 0.0], [0.0, 0.0, -h], library.plaster);

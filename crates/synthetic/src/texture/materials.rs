@@ -15,7 +15,7 @@ fn grain(u: f32, v: f32, seed: u32) -> f32 {
 /// Floor boards, eight to a side and running along `u`.
 pub(crate) fn planks(base: Rgb, seed: u32) -> Texture {
     const ROWS: f32 = 8.0;
-    let painted = Canvas::painted(1024, |u, v| {
+    Texture::painted(1024, |u, v| {
         let row = (v * ROWS).floor();
         let shift = lattice(row as i32, 1, seed);
         let along = (u + shift).rem_euclid(1.0) * 2.0;
@@ -29,13 +29,12 @@ pub(crate) fn planks(base: Rgb, seed: u32) -> Texture {
         let knots = fractal(u, v, [6, 12], 3, seed + 20);
         let wear = if knots > 0.72 { 0.75 } else { 1.0 };
         scale(colour, grain(u + tone, v + 0.3 * tone, seed) * (0.30 + 0.70 * gap) * wear)
-    });
-    painted.into_texture()
+    })
 }
 
 /// Furniture boards with grain along `u`.
 pub(crate) fn timber(base: Rgb, seed: u32) -> Texture {
-    Canvas::painted(512, |u, v| scale(base, grain(u, v, seed))).into_texture()
+    Texture::painted(512, |u, v| scale(base, grain(u, v, seed)))
 }
 
 /// A door with four sunk panels and a frame.
@@ -60,19 +59,18 @@ pub(crate) fn door(base: Rgb, seed: u32) -> Texture {
 
 /// Painted plaster: faint stains, roller marks, fine grain.
 pub(crate) fn plaster(base: Rgb, seed: u32) -> Texture {
-    let painted = Canvas::painted(1024, |u, v| {
+    Texture::painted(1024, |u, v| {
         let stains = fractal(u, v, [3, 3], 4, seed) - 0.5;
         let fine = fractal(u, v, [96, 96], 3, seed + 30) - 0.5;
         let marks = fractal(u, v, [40, 6], 2, seed + 60) - 0.5;
         let speck = if fractal(u, v, [150, 150], 1, seed + 80) > 0.965 { -0.16 } else { 0.0 };
         scale(base, 1.0 + 0.22 * stains + 0.20 * fine + 0.08 * marks + speck)
-    });
-    painted.into_texture()
+    })
 }
 
 /// Bricks in running bond, ten courses to a side.
 pub(crate) fn brick(base: Rgb, mortar: Rgb, seed: u32) -> Texture {
-    let painted = Canvas::painted(1024, |u, v| {
+    Texture::painted(1024, |u, v| {
         let course = (v * 10.0).floor();
         let along = u * 4.0 + 0.5 * (course as i32 % 2) as f32;
         let (column, x, y) =
@@ -91,13 +89,12 @@ pub(crate) fn brick(base: Rgb, mortar: Rgb, seed: u32) -> Texture {
             scale(fired, pores),
             ((edge - 0.06) * 25.0).clamp(0.0, 1.0),
         )
-    });
-    painted.into_texture()
+    })
 }
 
 /// Stripes with a leaf-like motif.
 pub(crate) fn wallpaper(base: Rgb, accent: Rgb, seed: u32) -> Texture {
-    let painted = Canvas::painted(512, |u, v| {
+    Texture::painted(512, |u, v| {
         let stripe = (u * 6.0).fract();
         let ground = mix(base, accent, if stripe < 0.5 { 0.18 } else { 0.0 });
         let (x, y) = (
@@ -109,24 +106,21 @@ pub(crate) fn wallpaper(base: Rgb, accent: Rgb, seed: u32) -> Texture {
         let ink = if leaf && !vein { 0.75 } else { 0.0 };
         let paper = 0.94 + 0.12 * fractal(u, v, [64, 64], 2, seed);
         scale(mix(ground, accent, ink), paper)
-    });
-    painted.into_texture()
+    })
 }
 
 /// Glaze with clouds of a second colour and fine specks.
 pub(crate) fn ceramic(base: Rgb, cloud: Rgb, seed: u32) -> Texture {
-    let painted = Canvas::painted(512, |u, v| {
+    Texture::painted(512, |u, v| {
         let clouds = ((fractal(u, v, [5, 5], 4, seed) - 0.42) * 5.0).clamp(0.0, 1.0);
         let speck = if fractal(u, v, [70, 70], 2, seed + 5) > 0.72 { 0.55 } else { 1.0 };
         scale(mix(base, cloud, clouds), speck)
-    });
-    painted.into_texture()
+    })
 }
 
 /// One colour with faint unevenness: paint, plastic, metal.
 pub(crate) fn plain(seed: u32) -> Texture {
-    let painted = Canvas::painted(256, |u, v| [0.86 + 0.14 * fractal(u, v, [8, 8], 4, seed); 3]);
-    painted.into_texture()
+    Texture::painted(256, |u, v| [0.86 + 0.14 * fractal(u, v, [8, 8], 4, seed); 3])
 }
 
 /// A plain weave of `threads` threads a side, brightness near 1.
@@ -140,27 +134,25 @@ fn weave(u: f32, v: f32, threads: f32, seed: u32) -> f32 {
 
 /// Sofa cloth with coarse threads of two colours.
 pub(crate) fn upholstery(base: Rgb, seed: u32) -> Texture {
-    let painted = Canvas::painted(512, |u, v| {
+    Texture::painted(512, |u, v| {
         let patch = 0.85 + 0.3 * fractal(u, v, [4, 4], 4, seed);
         let pale = 0.35 * lattice((u * 64.0) as i32, (v * 64.0) as i32, seed + 4);
         scale(mix(base, [0.5; 3], pale * 0.5), weave(u, v, 64.0, seed) * patch)
-    });
-    painted.into_texture()
+    })
 }
 
 /// A checked cloth: cushions, blankets.
 pub(crate) fn woven(base: Rgb, accent: Rgb, seed: u32) -> Texture {
-    let painted = Canvas::painted(512, |u, v| {
+    Texture::painted(512, |u, v| {
         let band = |x: f32| ((x * 5.0).fract() < 0.4) as u8 + ((x * 5.0).fract() > 0.85) as u8;
         let share = 0.45 * f32::from(band(u) + band(v));
         scale(mix(base, accent, share.min(1.0)), weave(u, v, 96.0, seed))
-    });
-    painted.into_texture()
+    })
 }
 
 /// A rug: border bands and a field of diamonds.
 pub(crate) fn rug(colours: [Rgb; 3], seed: u32) -> Texture {
-    let painted = Canvas::painted(1024, |u, v| {
+    Texture::painted(1024, |u, v| {
         let edge = u.min(1.0 - u).min(v.min(1.0 - v));
         let (x, y) = ((u * 9.0).fract() - 0.5, (v * 9.0).fract() - 0.5);
         let diamond = x.abs() + y.abs();
@@ -174,36 +166,28 @@ pub(crate) fn rug(colours: [Rgb; 3], seed: u32) -> Texture {
         let teeth = ((u + v) * 40.0).fract() < 0.5;
         let colour = match edge {
             e if e < 0.03 => colours[2],
-            e if e < 0.07 => {
-                if teeth {
-                    colours[0]
-                } else {
-                    colours[1]
-                }
-            }
+            e if e < 0.07 => colours[usize::from(!teeth)],
             e if e < 0.09 => colours[2],
             e if e < 0.12 => colours[0],
             _ => field,
         };
         let worn = 0.75 + 0.4 * fractal(u, v, [6, 6], 5, seed);
         scale(colour, weave(u, v, 170.0, seed) * worn)
-    });
-    painted.into_texture()
+    })
 }
 
 /// Pleats of a curtain, along `v`.
 pub(crate) fn curtain(base: Rgb, seed: u32) -> Texture {
-    let painted = Canvas::painted(512, |u, v| {
+    Texture::painted(512, |u, v| {
         let bend = 0.25 * fractal(u, v, [4, 2], 2, seed);
         let fold = (std::f32::consts::TAU * (u * 6.0 + bend)).sin();
         scale(base, (0.72 + 0.28 * fold) * (0.9 + 0.1 * weave(u, v, 128.0, seed)))
-    });
-    painted.into_texture()
+    })
 }
 
 /// Sky with clouds over houses and trees.
 pub(crate) fn outside(seed: u32) -> Texture {
-    let painted = Canvas::painted(1024, |u, v| {
+    Texture::painted(1024, |u, v| {
         let clouds = ((fractal(u, v, [3, 6], 5, seed) - 0.45) * 4.0).clamp(0.0, 1.0);
         let sky = mix(mix(srgb(0x7fb2ea), srgb(0xd3e6f7), v * 1.3), [0.95; 3], clouds * 0.8);
         let house = (u * 6.0).floor() as i32;
@@ -221,6 +205,5 @@ pub(crate) fn outside(seed: u32) -> Texture {
             return scale(wall, if pane { 0.12 } else { 0.45 });
         }
         sky
-    });
-    painted.into_texture()
+    })
 }

@@ -37,6 +37,11 @@ impl Texture {
         Self { size, mean: pixels[0], levels }
     }
 
+    /// A texture of `size` texels a side, painted by a function of `(u, v)` at texel centres.
+    pub(crate) fn painted(size: usize, colour: impl Fn(f32, f32) -> Rgb + Sync) -> Self {
+        Canvas::painted(size, colour).into_texture()
+    }
+
     /// The colour at `(u, v)`, `v` down, period 1, of the given level (0 is the finest).
     #[inline]
     pub(crate) fn sample(&self, decoder: &Decoder, u: f32, v: f32, level: i32) -> Rgb {

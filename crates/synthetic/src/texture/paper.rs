@@ -111,7 +111,7 @@ pub(crate) fn spine(seed: u64) -> Texture {
     flat.text([0.12, 0.25], 0.5, 0.72 / (letters * 6.0 / 7.0 * 0.5), &title, ink);
     let flat = flat.into_texture();
     let decoder = super::Decoder::new();
-    Canvas::painted(256, |u, v| flat.sample(&decoder, v, 1.0 - u, 0)).into_texture()
+    Texture::painted(256, |u, v| flat.sample(&decoder, v, 1.0 - u, 0))
 }
 
 /// A display with windows of text; shown as light.
