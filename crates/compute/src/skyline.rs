@@ -180,11 +180,4 @@ mod tests {
         }
         assert!(!indefinite.solve(&mut [1.0, 1.0]));
     }
-
-    #[test]
-    fn groups_of_rows_are_apart() {
-        let mut a = SkylineMatrix::new(vec![0, 0, 1, 1]);
-        let lengths: Vec<usize> = a.split([2, 4].into_iter()).iter().map(|g| g.len()).collect();
-        assert_eq!(lengths, [3, 5]);
-    }
 }

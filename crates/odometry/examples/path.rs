@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!(
         "{} of {} frames posed, {} keyframes; focal length {:.1} px, deviation {:?}; readout {:.1} ms",
         found.trajectory().len(),
-        found.frames.len(),
+        found.poses.len(),
         found.keyframes.len(),
         found.camera.fx,
         found.focal_deviation,

@@ -96,7 +96,7 @@ impl FrontEnd {
         if frames < MIN_FRAMES {
             return Err(OdometryError::TooFewFrames { frames, needed: MIN_FRAMES });
         }
-        let tracks = self.tracker.finish().with_two_keyframes();
+        let tracks = self.tracker.tracks.with_two_keyframes();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let mut state = SfmState::new(*self.intrinsics.camera(), tracks);
         state.progress = progress.clone();

@@ -86,7 +86,7 @@ pub use error::{OdometryError, PictureError};
 pub use front_end::{FrontEnd, MIN_FRAMES, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;
 pub use progress::{Progress, Stage};
-pub use result::{FrameStatus, Keyframe, Reconstruction, SparseDepth};
+pub use result::{Keyframe, Reconstruction, SparseDepth};
 pub use track::tracker::FrameReport;
 pub use warning::Warning;
 

@@ -15,20 +15,6 @@ const MIN_TRACKED_POINTS: usize = 40;
 /// Largest deviation of a near point's inverse depth over the median inverse depth.
 const MAX_NEAR_DEVIATION: f64 = 0.3;
 
-/// Registration status of a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum FrameStatus {
-    /// The frame has a pose.
-    Posed {
-        /// `world_from_camera` at mid-exposure.
-        world_from_camera: Pose<f64>,
-        /// Landmarks that agree with it.
-        landmarks: usize,
-    },
-    /// The frame shares too little with the others.
-    Lost,
-}
-
 /// A landmark observed in a keyframe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SparseDepth {
@@ -67,8 +53,8 @@ pub struct Reconstruction {
     /// Rolling-shutter readout from the first to the last row [s], positive if the top row comes
     /// first; 0 for a global shutter. Poses are of the middle row.
     pub rolling_shutter_readout: f64,
-    /// Status of every accepted picture.
-    pub frames: Vec<FrameStatus>,
+    /// `world_from_camera` at mid-exposure of every accepted picture; `None` where it is lost.
+    pub poses: Vec<Option<Pose<f64>>>,
     /// Timestamps of all frames [s].
     pub timestamps: Vec<f64>,
     /// Registered keyframes, in order.
@@ -92,16 +78,10 @@ impl Reconstruction {
 
     /// Poses of all registered frames.
     pub fn trajectory(&self) -> Trajectory {
-        let stamped = self.frames.iter().zip(&self.timestamps);
-        stamped
-            .filter_map(|(status, timestamp)| match status {
-                FrameStatus::Posed { world_from_camera, .. } => Some(StampedPose {
-                    timestamp: *timestamp,
-                    world_from_camera: *world_from_camera,
-                }),
-                FrameStatus::Lost => None,
-            })
-            .collect()
+        let stamped = |(pose, timestamp): (&Option<Pose<f64>>, &f64)| {
+            Some(StampedPose { timestamp: *timestamp, world_from_camera: (*pose)? })
+        };
+        self.poses.iter().zip(&self.timestamps).filter_map(stamped).collect()
     }
 }
 
@@ -129,19 +109,11 @@ pub(crate) fn build_reconstruction(
             (d.depth, d.variance) = (d.depth * unit, d.variance * unit * unit);
         }
     }
-    let frames: Vec<FrameStatus> = (0..state.poses.len())
-        .map(|frame| match state.poses[frame] {
-            Some(pose) => FrameStatus::Posed {
-                world_from_camera: placed(pose),
-                landmarks: state.count_inliers(frame),
-            },
-            None => FrameStatus::Lost,
-        })
-        .collect();
+    let poses: Vec<_> = state.poses.iter().map(|pose| pose.map(placed)).collect();
     let mut warnings = Vec::new();
-    let lost = frames.len() - posed.len();
+    let lost = poses.len() - posed.len();
     if lost > 0 {
-        warnings.push(Warning::FramesLost { lost, frames: frames.len() });
+        warnings.push(Warning::FramesLost { lost, frames: poses.len() });
         warnings.extend(lost_frame_warnings(&state));
     }
     let focal_deviation = focal_deviation(&state, intrinsics, &mut warnings);
@@ -160,7 +132,7 @@ pub(crate) fn build_reconstruction(
         distortion,
         focal_deviation,
         rolling_shutter_readout: readout,
-        frames,
+        poses,
         timestamps: timestamps.to_vec(),
         keyframes,
         warnings,
@@ -173,13 +145,13 @@ fn lost_frame_warnings(state: &SfmState) -> Vec<Warning> {
     let mut out = Vec::new();
     let mut begin = 0;
     for run in is_lost.chunk_by(|a, b| a == b) {
-        let (first, last) = (begin, begin + run.len() - 1);
+        let frames = [begin, begin + run.len() - 1];
         begin += run.len();
         if run[0] && run.len() >= MIN_LISTED_FRAMES {
-            let followed = state.tracked_points_within(first, last) >= MIN_TRACKED_POINTS;
+            let followed = state.tracked_points_within(frames) >= MIN_TRACKED_POINTS;
             out.push(match followed {
-                true => Warning::DisconnectedFrames { first, last },
-                false => Warning::UntrackableFrames { first, last },
+                true => Warning::DisconnectedFrames { frames },
+                false => Warning::UntrackableFrames { frames },
             });
         }
     }

@@ -109,7 +109,7 @@ impl SfmState {
     }
 
     /// Number of tracks with at least three observations in the frames from `first` to `last`.
-    pub(crate) fn tracked_points_within(&self, first: usize, last: usize) -> usize {
+    pub(crate) fn tracked_points_within(&self, [first, last]: [usize; 2]) -> usize {
         let seen = |track: &&crate::track::tracks::Track| {
             let within = |o: &&Observation| (first..=last).contains(&o.frame);
             track.observations.iter().filter(within).count() > 2

@@ -13,23 +13,21 @@ pub enum Warning {
     },
     /// Consecutive frames with points of their own, but too few in common with the others.
     #[error(
-        "frames {first} to {last} could not be connected to the others: they show another place, or too little of the same one; to map them, run those frames alone"
+        "frames {} to {} could not be connected to the others: they show another place, or too little of the same one; to map them, run those frames alone",
+        .frames[0], .frames[1]
     )]
     DisconnectedFrames {
-        /// First frame.
-        first: usize,
-        /// Last frame.
-        last: usize,
+        /// First and last frame.
+        frames: [usize; 2],
     },
     /// Consecutive frames without points to track.
     #[error(
-        "frames {first} to {last} have no points to track: the lens was covered, or they are too dark or too blurred"
+        "frames {} to {} have no points to track: the lens was covered, or they are too dark or too blurred",
+        .frames[0], .frames[1]
     )]
     UntrackableFrames {
-        /// First frame.
-        first: usize,
-        /// Last frame.
-        last: usize,
+        /// First and last frame.
+        frames: [usize; 2],
     },
     /// Another focal length than the given one fits much better.
     #[error(
@@ -98,28 +96,14 @@ impl Warning {
         }
     }
 
-    /// First and last frame of a warning about consecutive frames.
-    pub fn frame_range(&self) -> Option<(usize, usize)> {
-        match *self {
-            Self::DisconnectedFrames { first, last } | Self::UntrackableFrames { first, last } => {
-                Some((first, last))
-            }
-            _ => None,
-        }
-    }
-
     /// The warning with other frame numbers.
     #[must_use]
-    pub fn with_frame_numbers(self, number: impl Fn(usize) -> usize) -> Self {
-        match self {
-            Self::DisconnectedFrames { first, last } => {
-                Self::DisconnectedFrames { first: number(first), last: number(last) }
-            }
-            Self::UntrackableFrames { first, last } => {
-                Self::UntrackableFrames { first: number(first), last: number(last) }
-            }
-            other => other,
+    pub fn with_frame_numbers(mut self, number: impl Fn(usize) -> usize) -> Self {
+        if let Self::DisconnectedFrames { frames } | Self::UntrackableFrames { frames } = &mut self
+        {
+            *frames = frames.map(number);
         }
+        self
     }
 }
 
@@ -130,9 +114,8 @@ mod tests {
     #[test]
     fn frames_are_named_as_elsewhere() {
         let number = |frame: usize| 900 + 3 * frame;
-        let lost = Warning::UntrackableFrames { first: 100, last: 104 }.with_frame_numbers(number);
+        let lost = Warning::UntrackableFrames { frames: [100, 104] }.with_frame_numbers(number);
         assert!(lost.to_string().starts_with("frames 1200 to 1212 "), "{lost}");
-        assert_eq!(lost.frame_range(), Some((1200, 1212)));
         let count = Warning::FramesLost { lost: 5, frames: 200 };
         assert_eq!(count.with_frame_numbers(number), count);
     }

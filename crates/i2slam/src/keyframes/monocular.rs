@@ -6,7 +6,7 @@ use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
-    DenseDepth, DenseDepthEstimator, FrameStatus, FrontEnd, Keyframe, PosedView, Reconstruction,
+    DenseDepth, DenseDepthEstimator, FrontEnd, Keyframe, PosedView, Reconstruction,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -145,7 +145,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     ) -> impl ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>> + use<L, R> {
         let found = &self.reconstruction;
         let is_keyframe = |frame: usize| found.keyframes.iter().any(|k| k.index == frame);
-        let frames: Vec<(usize, Pose<f64>)> = (0..found.frames.len())
+        let frames: Vec<(usize, Pose<f64>)> = (0..found.poses.len())
             .filter(|frame| !is_keyframe(*frame))
             .filter_map(|frame| Some((*self.positions.get(frame)?, pose_of(found, frame)?)))
             .collect();
@@ -162,7 +162,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             let (position, stamp) = (*self.positions.get(frame)?, *found.timestamps.get(frame)?);
             Some((position, stamp, pose_of(found, frame)?))
         };
-        (0..found.frames.len()).filter_map(posed).collect()
+        (0..found.poses.len()).filter_map(posed).collect()
     }
 
     /// The reconstruction of the front end, in its own unit of length.
@@ -242,10 +242,7 @@ fn scaled(pose: Pose<f64>) -> Pose<f64> {
 
 /// Pose of a frame in the delivered unit; `None` if lost.
 fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
-    match found.frames.get(frame)? {
-        FrameStatus::Posed { world_from_camera, .. } => Some(scaled(*world_from_camera)),
-        FrameStatus::Lost => None,
-    }
+    found.poses.get(frame)?.map(scaled)
 }
 
 /// Time stamp and pose of a frame.

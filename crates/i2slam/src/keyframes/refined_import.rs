@@ -9,9 +9,7 @@ use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, Posed
 use i2slam_compute::{CancellationToken, correlation};
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_odometry::{
-    DenseDepthEstimator, FrameStatus, Keyframe, PosedView, Reconstruction, SparseDepth,
-};
+use i2slam_odometry::{DenseDepthEstimator, Keyframe, PosedView, Reconstruction, SparseDepth};
 use std::sync::Arc;
 
 /// Least share of the keyframes that the front end must pose.
@@ -124,11 +122,9 @@ impl<'a> OdometryPath<'a> {
         place: impl Fn(usize) -> Option<usize>,
     ) -> Option<Self> {
         let mut at: Vec<Option<Pose<f64>>> = vec![None; input_poses.len()];
-        for (frame, status) in found.frames.iter().enumerate() {
-            if let (Some(place), FrameStatus::Posed { world_from_camera, .. }) =
-                (place(frame), status)
-            {
-                *at.get_mut(place)? = Some(*world_from_camera);
+        for (frame, pose) in found.poses.iter().enumerate() {
+            if let (Some(place), Some(_)) = (place(frame), pose) {
+                *at.get_mut(place)? = *pose;
             }
         }
         let posed = at.iter().flatten().count();

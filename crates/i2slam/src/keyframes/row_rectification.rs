@@ -2,7 +2,7 @@
 
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
-use i2slam_odometry::{FrameStatus, Keyframe, Reconstruction};
+use i2slam_odometry::{Keyframe, Reconstruction};
 
 /// Fixed-point iterations that find the row which saw a point.
 const ROW_ITERATIONS: usize = 3;
@@ -20,12 +20,8 @@ impl ReadoutMotion {
     /// Readout motion of a keyframe, interpolated between its neighbouring frames; `None` for a global
     /// shutter.
     pub(super) fn of_keyframe(found: &Reconstruction, keyframe: &Keyframe) -> Option<Self> {
-        let known = |frame: usize| match found.frames.get(frame)? {
-            FrameStatus::Posed { world_from_camera, .. } => {
-                Some((*found.timestamps.get(frame)?, *world_from_camera))
-            }
-            FrameStatus::Lost => None,
-        };
+        let known =
+            |frame: usize| Some((*found.timestamps.get(frame)?, (*found.poses.get(frame)?)?));
         let here = (keyframe.timestamp, keyframe.world_from_camera);
         let before = keyframe.index.checked_sub(1).and_then(known).unwrap_or(here);
         let after = known(keyframe.index + 1).unwrap_or(here);

@@ -174,13 +174,15 @@ where
         Warning::of_frame(index(*place), format!("left out: {why}"))
     };
     let warnings = found.reconstruction().warnings.iter().map(|w| w.with_frame_numbers(number));
-    let warnings = warnings.map(|warning| match (warning, warning.frame_range()) {
-        (OdometryWarning::DisconnectedFrames { first, last }, Some(frames)) => Warning::of_frames(
-            frames,
+    let warnings = warnings.map(|warning| match warning {
+        OdometryWarning::DisconnectedFrames { frames: [first, last] } => Warning::of_frames(
+            (first, last),
             format!("{warning} (frames {first}..{} can be reconstructed apart)", last + 1),
         ),
-        (_, Some(frames)) => Warning::of_frames(frames, warning.to_string()),
-        (_, None) => warning.to_string().into(),
+        OdometryWarning::UntrackableFrames { frames: [first, last] } => {
+            Warning::of_frames((first, last), warning.to_string())
+        }
+        _ => warning.to_string().into(),
     });
     found.refused().iter().map(left_out).chain(warnings).collect()
 }

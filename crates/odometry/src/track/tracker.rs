@@ -52,12 +52,8 @@ struct TrackedPoint {
 }
 
 /// Tracking summary of one picture.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameReport {
-    /// Points tracked into it.
-    pub points: usize,
-    /// Their median motion since the last picture [px].
-    pub motion: f64,
     /// The picture shows another scene than the one before.
     pub is_cut: bool,
     /// The picture became a keyframe.
@@ -67,7 +63,8 @@ pub struct FrameReport {
 /// Tracker of points through a sequence.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tracker {
-    tracks: Tracks,
+    /// All tracks so far.
+    pub(crate) tracks: Tracks,
     points: Vec<TrackedPoint>,
     /// Last frames, newest at the back, and the picture's translation since the one before [px].
     recent: VecDeque<(Pyramid, [f32; 2])>,
@@ -83,11 +80,10 @@ impl Tracker {
     pub(crate) fn track(&mut self, picture: &Image<f32>) -> FrameReport {
         let frame = self.tracks.frames;
         let next = Pyramid::new(picture);
-        let mut report = FrameReport::default();
-        let shift = self.track_points(&next, frame, &mut report);
+        let (shift, is_cut) = self.track_points(&next, frame);
         self.sharpness.push(sharpness(next.finest()));
-        report.is_keyframe = frame == 0 || report.is_cut || self.keyframe_is_due(next.finest());
-        if report.is_keyframe {
+        let is_keyframe = frame == 0 || is_cut || self.keyframe_is_due(next.finest());
+        if is_keyframe {
             self.begin_keyframe(&next, frame, shift);
         }
         self.tracks.frames += 1;
@@ -95,50 +91,36 @@ impl Tracker {
         if self.recent.len() > BACKWARD_FRAMES {
             self.recent.pop_front();
         }
-        report
+        FrameReport { is_cut, is_keyframe }
     }
 
-    /// All tracks so far.
-    pub(crate) fn finish(self) -> Tracks {
-        self.tracks
-    }
-
-    /// Tracks all points; returns the translation of the whole picture [px].
-    fn track_points(&mut self, next: &Pyramid, frame: usize, report: &mut FrameReport) -> [f32; 2] {
-        let Some((last, _)) = self.recent.back() else { return [0.0; 2] };
+    /// Tracks all points; returns the translation of the picture [px] and whether the scene changed.
+    fn track_points(&mut self, next: &Pyramid, frame: usize) -> ([f32; 2], bool) {
+        let Some((last, _)) = self.recent.back() else { return ([0.0; 2], false) };
         let (coarse, scale) = last.coarsest();
         let (translation, correlation) = estimate_global_translation(coarse, next.coarsest().0);
         let by = translation.map(|v| v * scale);
         let search =
             |p: &TrackedPoint| search_point(&p.anchor, p.warp, p.is_followed, last, next, by);
         let outcomes: Vec<TrackOutcome> = self.points.par_iter().map(search).collect();
-        let mut motions = Vec::new();
+        let mut found = 0;
         for (point, outcome) in self.points.iter_mut().zip(&outcomes) {
-            let from = point.warp.centre;
             (point.is_followed, point.warp) = (outcome.is_followed, outcome.warp);
             let Some(correlation) = outcome.correlation else {
                 point.hidden_frames += 1;
                 continue;
             };
-            let to = point.warp.centre;
-            motions.push((to[0] - from[0]).hypot(to[1] - from[1]));
+            found += 1;
             (point.correlation, point.hidden_frames) = (correlation, 0);
             self.tracks.tracks[point.track].observations.extend(outcome.observation(frame));
         }
-        let found = motions.len();
         // Both tests must agree: a flash spoils the correlation, fast motion loses points.
         let is_cut = correlation < CUT_CORRELATION && 3 * found < self.points.len();
         self.points.retain(|p| p.hidden_frames <= MAX_HIDDEN_FRAMES && !is_cut);
-        *report = FrameReport {
-            points: found,
-            motion: f64::from(median(&mut motions).unwrap_or(0.0)),
-            is_cut,
-            is_keyframe: false,
-        };
         if is_cut {
             self.recent.clear();
         }
-        by
+        (by, is_cut)
     }
 
     /// Whether enough has changed, and the picture is sharp enough to start points in.
@@ -279,7 +261,7 @@ mod tests {
                 tracker.track(&picture(|i, j| spread * (1.0 + n[j * 96 + i] as f32)));
             }
             assert!((0..=MAX_KEYFRAME_DELAY).any(|_| tracker.track(&room).is_keyframe));
-            let keyframes = tracker.finish().keyframes;
+            let keyframes = tracker.tracks.keyframes;
             assert!(keyframes.len() <= 3, "{keyframes:?}");
         }
     }

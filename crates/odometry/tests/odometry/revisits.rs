@@ -3,7 +3,7 @@
 use crate::scene::{camera, moving, picture, render, texture, tracked};
 use i2slam_eval::trajectory::{Alignment, absolute_trajectory_error};
 use i2slam_geometry::{Image, Pose, Rotation, StampedPose, Vec3};
-use i2slam_odometry::{FrameStatus, FrontEnd, Intrinsics, Reconstruction, Warning};
+use i2slam_odometry::{FrontEnd, Intrinsics, Reconstruction, Warning};
 use rayon::prelude::*;
 
 fn run(pictures: &[Image<f32>]) -> Reconstruction {
@@ -112,15 +112,15 @@ fn interrupted(other: std::ops::Range<usize>, seed: Option<u32>) -> Vec<Image<f3
 }
 
 fn lost(found: &Reconstruction) -> Vec<usize> {
-    let is_lost = |i: &usize| found.frames[*i] == FrameStatus::Lost;
-    (0..found.frames.len()).filter(is_lost).collect()
+    let is_lost = |i: &usize| found.poses[*i].is_none();
+    (0..found.poses.len()).filter(is_lost).collect()
 }
 
 #[test]
 fn frames_behind_a_covered_lens_are_lost_and_those_on_both_sides_posed() {
     let found = run(&interrupted(12..18, None));
     assert_eq!(lost(&found), (12..18).collect::<Vec<_>>());
-    let warning = Warning::UntrackableFrames { first: 12, last: 17 };
+    let warning = Warning::UntrackableFrames { frames: [12, 17] };
     assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
     let truth: Vec<Pose<f64>> = (0..30).map(moving).collect();
     let error = path_error(&found, &truth);
@@ -150,7 +150,7 @@ fn a_cut_is_reported_and_the_part_that_shows_another_place_named() {
     }
     let found = front_end.finish().expect("a path");
     assert_eq!(lost(&found), (0..11).collect::<Vec<_>>());
-    let warning = Warning::DisconnectedFrames { first: 0, last: 10 };
+    let warning = Warning::DisconnectedFrames { frames: [0, 10] };
     assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
     assert!(found.warnings.contains(&Warning::FramesLost { lost: 11, frames: 30 }));
 }
