@@ -152,16 +152,23 @@ pub trait RadianceMap {
         gradient: Option<&mut Self::Gradient>,
     ) -> Tangent<f64>;
 
-    /// Writes the average over the exposure of a moving camera in the marked tiles, black elsewhere.
-    /// Only elements that the last picture of `still` shows are drawn. A map that does not
-    /// [render motion](Self::RENDERS_MOTION) draws the view at mid-exposure.
+    /// Writes the average over the moments of a camera in motion, at `view` at mid-exposure. A map
+    /// that does not [render motion](Self::RENDERS_MOTION) draws the view at mid-exposure.
+    ///
+    /// `mask` marks the tiles to draw, of [`TILE`](crate::gaussian::TILE) pixels, row by row, partial
+    /// ones at the right and lower edge included; the others are black. `None` draws all. With
+    /// `still`, only elements that its last picture shows are drawn, which must be of this map and
+    /// cover the marked tiles.
+    ///
+    /// # Panics
+    /// If `mask` has another size than the picture has tiles, or `still` drew a map of another size.
     fn render_moving(
         &self,
         renderer: &mut Self::Renderer,
         view: &View<f32>,
         _motion: &ShutterMotion,
-        _tiles: &[bool],
-        _still: &Self::Renderer,
+        _mask: Option<&[bool]>,
+        _still: Option<&Self::Renderer>,
         out: &mut Render,
     ) {
         self.render(renderer, view, out);

@@ -443,7 +443,8 @@ mod tests {
         let view = View { camera: CAMERA, world_from_camera: shutter.middle().cast() };
         let (mut moved, mut picture) = (Render::default(), Image::default());
         let motion = exposure.motion();
-        Rasterizer::new(smooth()).render_moving(&map(), &view, &motion, None, None, &mut moved);
+        let mut rasterizer = Rasterizer::new(smooth());
+        map().render_moving(&mut rasterizer, &view, &motion, None, None, &mut moved);
         let tone = Tone { frame: FrameTone::default(), curve: &curve };
         form_picture(Some(&tone), &moved.radiance, &mut picture);
         let (off, rolled) = (error(&picture, &image), error(&picture, &exact));

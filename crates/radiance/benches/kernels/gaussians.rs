@@ -6,6 +6,7 @@ use super::counts::{self, Count};
 use super::{fastest, machine, on_threads};
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::RadianceMap;
 use i2slam_radiance::gaussian::{
     ColourActivation, Gaussian, GaussianMap, MapGradient, Rasterizer, Render, RenderCotangent,
     Shape, StageSeconds, View, Work,
@@ -43,14 +44,14 @@ impl Step {
     }
 
     pub(crate) fn forward(&mut self) {
-        self.rasterizer.render(&self.map, &self.view, &mut self.out);
+        self.map.render(&mut self.rasterizer, &self.view, &mut self.out);
     }
 
     /// To all parameters of the map and to the pose.
     pub(crate) fn backward(&mut self) {
         let gradient = Some(&mut self.gradient);
         let Self { rasterizer, map, view, cotangent, .. } = self;
-        black_box(rasterizer.pull_back(map, view, cotangent, gradient));
+        black_box(map.pull_back(rasterizer, view, cotangent, gradient));
     }
 
     /// Means, colours, opacities and scales take a step, so short that the scene stays.

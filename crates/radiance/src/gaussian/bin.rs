@@ -123,6 +123,15 @@ impl Bins {
         List(&self.entries[self.starts[tile] as usize..self.starts[tile + 1] as usize])
     }
 
+    /// The parts of `values`, one per entry, that belong to each tile.
+    pub(crate) fn by_tile<'a, T>(&self, mut values: &'a mut [T]) -> Vec<&'a mut [T]> {
+        let mut parts = Vec::with_capacity(self.starts.len());
+        for range in self.starts.windows(2) {
+            parts.push(values.split_off_mut(..(range[1] - range[0]) as usize).unwrap_or_default());
+        }
+        parts
+    }
+
     /// Positions of a splat's entries in the lists.
     #[inline(always)]
     pub(crate) fn places_of(

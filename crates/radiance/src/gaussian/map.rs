@@ -1,6 +1,7 @@
 //! The map's parameters and their gradient.
 
 use i2slam_geometry::Real;
+use rayon::prelude::*;
 
 /// Shape of the Gaussians.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -225,6 +226,21 @@ impl<T: Real> MapGradient<T> {
             seen: &mut self.seen,
         }
     }
+
+    /// Chunks of `count` rows, to write.
+    pub(crate) fn par_rows(
+        &mut self,
+        count: usize,
+    ) -> impl IndexedParallelIterator<Item = GradientRows<'_, T>> {
+        let places = self.means.par_chunks_mut(count).zip(self.log_scales.par_chunks_mut(count));
+        let shapes = self.rotations.par_chunks_mut(count);
+        let shapes = shapes.zip(self.opacity_logits.par_chunks_mut(count));
+        let colours = self.colours.par_chunks_mut(count).zip(self.seen.par_chunks_mut(count));
+        places.zip(shapes).zip(colours).map(|(((means, log_scales), shapes), (colours, seen))| {
+            let (rotations, opacity_logits) = shapes;
+            GradientRows { means, log_scales, rotations, opacity_logits, colours, seen }
+        })
+    }
 }
 
 fn refill<V: Copy>(values: &mut Vec<V>, count: usize, value: V) {
@@ -251,27 +267,6 @@ impl<T: Real> GradientRows<'_, T> {
         (0..3).for_each(|k| self.colours[row][k] += g.colour[k]);
         self.opacity_logits[row] += g.opacity_logit;
         self.seen[row] |= seen;
-    }
-
-    /// The first `middle` rows and the rest.
-    pub(crate) fn split_at(self, middle: usize) -> (Self, Self) {
-        let (means, means_rest) = self.means.split_at_mut(middle);
-        let (log_scales, log_scales_rest) = self.log_scales.split_at_mut(middle);
-        let (rotations, rotations_rest) = self.rotations.split_at_mut(middle);
-        let (opacity_logits, opacity_logits_rest) = self.opacity_logits.split_at_mut(middle);
-        let (colours, colours_rest) = self.colours.split_at_mut(middle);
-        let (seen, seen_rest) = self.seen.split_at_mut(middle);
-        (
-            Self { means, log_scales, rotations, opacity_logits, colours, seen },
-            Self {
-                means: means_rest,
-                log_scales: log_scales_rest,
-                rotations: rotations_rest,
-                opacity_logits: opacity_logits_rest,
-                colours: colours_rest,
-                seen: seen_rest,
-            },
-        )
     }
 }
 

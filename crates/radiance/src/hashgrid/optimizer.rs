@@ -114,35 +114,21 @@ impl WithSimd for Rows<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        for (index, touched) in self.touched.iter_mut().enumerate() {
-            let from = index * ROW;
-            let to = self.values.len().min(from + ROW);
-            let row = Row {
-                values: &mut self.values[from..to],
-                slopes: &mut self.slopes[from..to],
-                first: &mut self.first[from..to],
-                second: &mut self.second[from..to],
-            };
-            row.step(self.factors, touched);
+    fn with_simd<S: Simd>(mut self, _: S) {
+        for row in 0..self.touched.len() {
+            self.step(row);
         }
     }
 }
 
-/// Numbers of a table, their derivatives and moments.
-struct Row<'a> {
-    values: &'a mut [f32],
-    slopes: &'a mut [f32],
-    first: &'a mut [f32],
-    second: &'a mut [f32],
-}
-
-impl Row<'_> {
-    /// Steps numbers that have had a gradient in the last [`COASTING`] steps.
+impl Rows<'_> {
+    /// Steps the numbers of a row that has had a gradient in the last [`COASTING`] steps.
     #[inline(always)]
-    fn step(self, factors: &Factors, touched: &mut i32) {
+    fn step(&mut self, row: usize) {
+        let range = row * ROW..self.values.len().min((row + 1) * ROW);
+        let (factors, touched) = (self.factors, &mut self.touched[row]);
         let mut still = true;
-        for slope in &*self.slopes {
+        for slope in &self.slopes[range.clone()] {
             still &= *slope == 0.0;
         }
         let idle = factors.step - *touched;
@@ -151,7 +137,8 @@ impl Row<'_> {
         }
         if idle > COASTING + 1 {
             let faded = SETTINGS.beta2.powi(idle - COASTING - 1);
-            for (first, second) in self.first.iter_mut().zip(&mut *self.second) {
+            let first = &mut self.first[range.clone()];
+            for (first, second) in first.iter_mut().zip(&mut self.second[range.clone()]) {
                 (*first, *second) = (0.0, faded * *second);
             }
         }
@@ -159,24 +146,25 @@ impl Row<'_> {
             *touched = factors.step;
         }
         // A length that the compiler knows becomes vectors without a loop.
-        match self.values.len() {
-            ROW => self.advance(factors, ROW),
-            count => self.advance(factors, count),
+        match range.len() {
+            ROW => self.advance(range.start, ROW),
+            count => self.advance(range.start, count),
         }
     }
 
     /// Adam, without a branch that depends on a number: the loop becomes vectors.
     #[inline(always)]
-    fn advance(self, factors: &Factors, count: usize) {
+    fn advance(&mut self, from: usize, count: usize) {
         let AdamSettings { beta1, beta2, epsilon } = SETTINGS;
-        let (values, slopes) = (&mut self.values[..count], &mut self.slopes[..count]);
-        let (first, second) = (&mut self.first[..count], &mut self.second[..count]);
+        let Factors { correct1, correct2, .. } = *self.factors;
+        let (values, slopes) =
+            (&mut self.values[from..][..count], &mut self.slopes[from..][..count]);
+        let (first, second) = (&mut self.first[from..][..count], &mut self.second[from..][..count]);
         for i in 0..count {
             let slope = if slopes[i].is_finite() { slopes[i] } else { 0.0 };
             first[i] = beta1 * first[i] + (1.0 - beta1) * slope;
             second[i] = beta2 * second[i] + (1.0 - beta2) * slope * slope;
-            values[i] -=
-                factors.correct1 * first[i] / ((second[i] * factors.correct2).sqrt() + epsilon);
+            values[i] -= correct1 * first[i] / ((second[i] * correct2).sqrt() + epsilon);
             slopes[i] = 0.0;
         }
     }

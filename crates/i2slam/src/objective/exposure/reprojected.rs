@@ -83,7 +83,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         let Some(mask) = patches.tile_mask() else { return 0 };
         let (rendered, motion) = (&mut self.renders[1], exposure.motion());
         let [first, renderer] = &mut self.renderers[..2] else { return 0 };
-        map.render_moving(renderer, &view, &motion, mask, first, rendered);
+        map.render_moving(renderer, &view, &motion, Some(mask), Some(first), rendered);
         patches.paste(&rendered.radiance, &mut self.hdr);
         1
     }

@@ -96,7 +96,8 @@ fn only_what_is_uncovered_is_drawn() {
     let exposure = moving(&[0.0; 12], BlurMethod::Reprojected, 0.0);
     let (view, motion) = (image.view(exposure.shutter.middle()), exposure.motion());
     let mut whole = Render::default();
-    Rasterizer::new(smooth()).render_moving(&map(true), &view, &motion, None, None, &mut whole);
+    let mut rasterizer = Rasterizer::new(smooth());
+    map(true).render_moving(&mut rasterizer, &view, &motion, None, None, &mut whole);
     for (i, (a, b)) in image.hdr.data.iter().zip(&whole.radiance.data).enumerate() {
         if i % CAMERA.width < TILE && i / CAMERA.width % CAMERA.height < TILE {
             assert_eq!(a, b, "patched pixel {i}");

@@ -13,6 +13,7 @@ use crate::gaussian::rasterize::{MotionTileSums, TileSums};
 use crate::gaussian::{ColourActivation, Gaussian, GaussianMap, MapGradient, Shape, sort};
 use i2slam_compute::simd::{Column, Lanes, MAX_LANES, combine, cross, dot, transform};
 use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
 use std::f32::consts::LN_2;
 
 /// The splats of the last render with the sums over their pixels.
@@ -59,31 +60,14 @@ impl Footprints<'_> {
         map_gradient: Option<&mut MapGradient>,
         pose_sums: &mut [PoseSums],
     ) {
-        let rows = map_gradient.map(|gradient| {
-            assert_eq!(gradient.len(), self.map.len(), "gradient and map differ in size");
-            gradient.rows()
-        });
-        self.split_chunks(0, rows, pose_sums);
-    }
-
-    /// Chunks from `first` on, whose rows and sums these are, halved until one is left.
-    fn split_chunks(
-        &self,
-        first: usize,
-        rows: Option<GradientRows<'_, f32>>,
-        pose_sums: &mut [PoseSums],
-    ) {
-        match pose_sums {
-            [] => {}
-            [sum] => *sum = self.pull_back_chunk(first, rows),
-            _ => {
-                let middle = pose_sums.len() / 2;
-                let (left_sums, right_sums) = pose_sums.split_at_mut(middle);
-                let (left, right) = rows.map(|rows| rows.split_at(middle * CHUNK)).unzip();
-                rayon::join(
-                    || self.split_chunks(first, left, left_sums),
-                    || self.split_chunks(first + middle, right, right_sums),
-                );
+        let sums = pose_sums.par_iter_mut().enumerate();
+        match map_gradient {
+            None => sums.for_each(|(chunk, sum)| *sum = self.pull_back_chunk(chunk, None)),
+            Some(gradient) => {
+                assert_eq!(gradient.len(), self.map.len(), "gradient and map differ in size");
+                sums.zip(gradient.par_rows(CHUNK)).for_each(|((chunk, sum), rows)| {
+                    *sum = self.pull_back_chunk(chunk, Some(rows));
+                });
             }
         }
     }

@@ -18,6 +18,7 @@ use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::{Bins, Entry, TILE, TileGrid};
 use crate::gaussian::project::Splat;
 use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
 
 /// Sums of one splat over the pixels of one tile, with `e = α ∂L/∂α` and `w = α T`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -64,24 +65,8 @@ pub(crate) struct Picture<'a> {
 
 /// Fills the slots of all entries of all tiles.
 pub(crate) fn pull_back(picture: &Picture<'_>, slots: &mut [TileSums]) {
-    split_tiles(picture, 0, picture.grid.len(), slots);
-}
-
-/// Tiles `first..end`, whose slots these are, halved until one is left.
-fn split_tiles(picture: &Picture<'_>, first: usize, end: usize, slots: &mut [TileSums]) {
-    match end - first {
-        0 => {}
-        1 => pull_back_tile(picture, first, slots),
-        count => {
-            let middle = first + count / 2;
-            let starts = &picture.bins.starts;
-            let (left, right) = slots.split_at_mut((starts[middle] - starts[first]) as usize);
-            rayon::join(
-                || split_tiles(picture, first, middle, left),
-                || split_tiles(picture, middle, end, right),
-            );
-        }
-    }
+    let slots = picture.bins.by_tile(slots).into_par_iter().enumerate();
+    slots.for_each(|(number, slots)| pull_back_tile(picture, number, slots));
 }
 
 /// Planes of the backward state of a pixel.

@@ -1,5 +1,6 @@
 //! Tests of both lanes.
 
+use crate::RadianceMap;
 use crate::gaussian::*;
 use i2slam_check::noise;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};

@@ -22,10 +22,10 @@ fn fast_on(arch: Arch, case: &Case, motion: &ShutterMotion<f64>) -> Outcome {
     let (map, view, motion) = (case.map().cast(), case.view().cast(), motion.cast());
     let mut rasterizer = Rasterizer::on(arch, case.settings);
     let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
-    rasterizer.render_moving(&map, &view, &motion, None, None, &mut render);
+    map.render_moving(&mut rasterizer, &view, &motion, None, None, &mut render);
     let cotangent = single_cotangent(&case.cotangent());
     let rows = Some(&mut gradient);
-    let d = rasterizer.pull_back_moving(&map, &view, &motion, &cotangent, rows);
+    let d = map.pull_back_moving(&mut rasterizer, &view, &motion, &cotangent, rows);
     (render, gradient, d)
 }
 
@@ -78,16 +78,16 @@ fn without_motion_it_is_the_still_picture() {
         let (map, view) = (case.map().cast(), case.view().cast());
         let mut rasterizer = Rasterizer::new(case.settings);
         let (mut still, mut moving) = (Render::default(), Render::default());
-        rasterizer.render(&map, &view, &mut still);
+        map.render(&mut rasterizer, &view, &mut still);
         let mut camera = ShutterMotion::still();
-        rasterizer.render_moving(&map, &view, &camera, None, None, &mut moving);
+        map.render_moving(&mut rasterizer, &view, &camera, None, None, &mut moving);
         assert!(still == moving, "{}", case.name);
         camera.velocity = motion(0.0).velocity.cast();
-        rasterizer.render_moving(&map, &view, &camera, None, None, &mut moving);
+        map.render_moving(&mut rasterizer, &view, &camera, None, None, &mut moving);
         let margin_leaves_out = case.recipe.margin > 1.0;
         assert!(still == moving || margin_leaves_out, "{} with a velocity", case.name);
         let several = ShutterMotion::global(Tangent::zero(), 5);
-        rasterizer.render_moving(&map, &view, &several, None, None, &mut moving);
+        map.render_moving(&mut rasterizer, &view, &several, None, None, &mut moving);
         assert_pictures(&case, &planes(&moving), &planes(&still));
     }
 }
@@ -115,9 +115,9 @@ fn masked_tiles_are_those_of_the_whole_picture() {
         let run = |mask: Option<&[bool]>, cotangent: &RenderCotangent| {
             let mut rasterizer = Rasterizer::new(case.settings);
             let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
-            rasterizer.render_moving(&map, &view, &motion.cast(), mask, None, &mut render);
+            map.render_moving(&mut rasterizer, &view, &motion.cast(), mask, None, &mut render);
             let rows = Some(&mut gradient);
-            let d = rasterizer.pull_back_moving(&map, &view, &motion.cast(), cotangent, rows);
+            let d = map.pull_back_moving(&mut rasterizer, &view, &motion.cast(), cotangent, rows);
             (render, gradient, numbers(&d))
         };
         let (render, gradient, d) = run(Some(&mask), &all);
@@ -139,15 +139,15 @@ fn what_a_wider_picture_shows_is_enough() {
         let shown_by = |view: View<f32>| {
             let [mut other, mut rasterizer] = [(); 2].map(|()| Rasterizer::new(case.settings));
             let mut render = Render::default();
-            other.render(&map, &view, &mut render);
+            map.render(&mut other, &view, &mut render);
             let view = case.view().cast();
             let tiles = Some(mask.as_slice());
-            rasterizer.render_moving(&map, &view, &motion, tiles, Some(&other), &mut render);
+            map.render_moving(&mut rasterizer, &view, &motion, tiles, Some(&other), &mut render);
             planes(&render)
         };
         let mut whole = Render::default();
         let mut rasterizer = Rasterizer::new(case.settings);
-        rasterizer.render_moving(&map, &view, &motion, Some(&mask), None, &mut whole);
+        map.render_moving(&mut rasterizer, &view, &motion, Some(&mask), None, &mut whole);
         let wide = View { camera: view.camera.widened(64), ..view };
         assert!(shown_by(wide) == planes(&whole), "{}", case.name);
         let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]);
@@ -207,9 +207,16 @@ fn another_motion_is_refused() {
     let case = &cases()[0];
     let (map, view) = (case.map().cast(), case.view().cast());
     let mut rasterizer = Rasterizer::default();
-    rasterizer.render_moving(&map, &view, &motion(0.0).cast(), None, None, &mut Render::default());
+    map.render_moving(
+        &mut rasterizer,
+        &view,
+        &motion(0.0).cast(),
+        None,
+        None,
+        &mut Render::default(),
+    );
     let other = motion(0.1).cast();
-    rasterizer.pull_back_moving(&map, &view, &other, &RenderCotangent::default(), None);
+    map.pull_back_moving(&mut rasterizer, &view, &other, &RenderCotangent::default(), None);
 }
 
 /// Camera motions of the comparison with exact views: names, and twists that move the median point
@@ -254,7 +261,7 @@ fn exact_views(map: &GaussianMap, view: &View<f32>, motion: &ShutterMotion) -> V
         let tangent = motion.velocity.scaled(moment.time);
         let world_from_camera = view.world_from_camera.retract(tangent);
         let mut render = Render::default();
-        rasterizer.render(map, &View { world_from_camera, ..*view }, &mut render);
+        map.render(&mut rasterizer, &View { world_from_camera, ..*view }, &mut render);
         render
     };
     motion.moments.iter().map(at).collect()
@@ -270,7 +277,7 @@ fn a_moving_camera_shows_the_average_of_exact_views() {
         let mut render = Render::default();
         let mut psnr = |count: usize| {
             let motion = ShutterMotion::global(exact.velocity, count);
-            Rasterizer::default().render_moving(&map, &view, &motion, None, None, &mut render);
+            map.render_moving(&mut Rasterizer::default(), &view, &motion, None, None, &mut render);
             psnr_against_views(&exact, &render, &views)
         };
         let found = [5, 32].map(&mut psnr);
@@ -286,7 +293,7 @@ fn a_rolling_shutter_shows_rows_of_exact_views() {
     let velocity = Tangent::from_array(TWISTS[4].1).cast();
     let motion = ShutterMotion { readout: 1.0, ..ShutterMotion::global(velocity, 5) };
     let mut picture = Render::default();
-    Rasterizer::default().render_moving(&map, &view, &motion, None, None, &mut picture);
+    map.render_moving(&mut Rasterizer::default(), &view, &motion, None, None, &mut picture);
     let (mut squares, mut peak, mut count) = (0.0, 0.0_f64, 0.0);
     for row in (5..240).step_by(30) {
         let mut shifted = motion.clone();

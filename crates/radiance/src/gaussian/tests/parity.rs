@@ -81,9 +81,9 @@ impl Case {
         let (map, view) = (self.map().cast(), self.view().cast());
         let mut rasterizer = Rasterizer::on(arch, self.settings);
         let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
-        rasterizer.render(&map, &view, &mut render);
+        map.render(&mut rasterizer, &view, &mut render);
         let cotangent = single_cotangent(&self.cotangent());
-        let tangent = rasterizer.pull_back(&map, &view, &cotangent, Some(&mut gradient));
+        let tangent = map.pull_back(&mut rasterizer, &view, &cotangent, Some(&mut gradient));
         (render, gradient, tangent)
     }
 }
@@ -177,9 +177,9 @@ fn the_pose_gradient_does_not_need_the_map() {
     for case in cases() {
         let (map, view) = (case.map().cast(), case.view().cast());
         let mut rasterizer = Rasterizer::new(case.settings);
-        rasterizer.render(&map, &view, &mut Render::default());
+        map.render(&mut rasterizer, &view, &mut Render::default());
         let cotangent = single_cotangent(&case.cotangent());
-        let alone = rasterizer.pull_back(&map, &view, &cotangent, None);
+        let alone = map.pull_back(&mut rasterizer, &view, &cotangent, None);
         assert_eq!(alone, case.fast().2, "{}", case.name);
     }
 }
@@ -210,10 +210,10 @@ fn a_used_rasterizer_gives_what_a_new_one_gives() {
     let mut render = Render::default();
     for case in cases().iter().filter(|case| case.settings == RasterSettings::default()) {
         let (map, view) = (case.map().cast(), case.view().cast());
-        rasterizer.render(&map, &view, &mut render);
+        map.render(&mut rasterizer, &view, &mut render);
         let mut gradient = MapGradient::new(map.len());
         let cotangent = single_cotangent(&case.cotangent());
-        let tangent = rasterizer.pull_back(&map, &view, &cotangent, Some(&mut gradient));
+        let tangent = map.pull_back(&mut rasterizer, &view, &cotangent, Some(&mut gradient));
         assert!((render.clone(), gradient, tangent) == case.fast(), "{}", case.name);
     }
 }
@@ -224,17 +224,17 @@ fn missing_planes_are_zeros() {
     let case = &cases()[1];
     let (map, view) = (case.map().cast(), case.view().cast());
     let mut rasterizer = Rasterizer::new(case.settings);
-    rasterizer.render(&map, &view, &mut Render::default());
+    map.render(&mut rasterizer, &view, &mut Render::default());
     let mut with_zeros = single_cotangent(&case.cotangent());
     with_zeros.depth.data.fill(0.0);
     with_zeros.opacity.data.fill(0.0);
     let mut missing =
         RenderCotangent { radiance: with_zeros.radiance.clone(), ..Default::default() };
-    let tangent = rasterizer.pull_back(&map, &view, &with_zeros, None);
-    assert_eq!(tangent, rasterizer.pull_back(&map, &view, &missing, None));
+    let tangent = map.pull_back(&mut rasterizer, &view, &with_zeros, None);
+    assert_eq!(tangent, map.pull_back(&mut rasterizer, &view, &missing, None));
     assert_ne!(tangent, Tangent::zero());
     missing = RenderCotangent::default();
-    assert_eq!(Tangent::zero(), rasterizer.pull_back(&map, &view, &missing, None));
+    assert_eq!(Tangent::zero(), map.pull_back(&mut rasterizer, &view, &missing, None));
 }
 
 /// The comparison above fails for a slightly brighter map.

@@ -17,8 +17,8 @@ fn fast(map: &GaussianMap<f32>, view: &View<f32>) -> Outcome<f32> {
     let mut rasterizer = Rasterizer::default();
     let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
     let cotangent = single_cotangent(&cotangent(view.camera.width, view.camera.height, 3));
-    rasterizer.render(map, view, &mut render);
-    let tangent = rasterizer.pull_back(map, view, &cotangent, Some(&mut gradient));
+    map.render(&mut rasterizer, view, &mut render);
+    let tangent = map.pull_back(&mut rasterizer, view, &cotangent, Some(&mut gradient));
     (render, gradient, tangent)
 }
 
@@ -162,9 +162,9 @@ fn odd_settings_leave_gradients_finite() {
     opaque.opacity_logits.fill(60.0);
     let mut rasterizer = Rasterizer::new(settings);
     let (mut render, mut gradient) = (Render::default(), MapGradient::new(opaque.len()));
-    rasterizer.render(&opaque, &view, &mut render);
+    opaque.render(&mut rasterizer, &view, &mut render);
     let cotangent = single_cotangent(&cotangent(SIZE[0], SIZE[1], 3));
-    let tangent = rasterizer.pull_back(&opaque, &view, &cotangent, Some(&mut gradient));
+    let tangent = opaque.pull_back(&mut rasterizer, &view, &cotangent, Some(&mut gradient));
     assert_finite("odd settings", &(render, gradient, tangent));
 }
 
@@ -182,6 +182,7 @@ fn an_image_without_pixels() {
 fn a_map_of_another_size_is_refused() {
     let (view, map) = (view(SIZE[0], SIZE[1]).cast(), map(Shape::Isotropic).cast());
     let mut rasterizer = Rasterizer::default();
-    rasterizer.render(&GaussianMap::new(map.shape, map.activation), &view, &mut Render::default());
-    rasterizer.pull_back(&map, &view, &RenderCotangent::default(), None);
+    let empty = GaussianMap::new(map.shape, map.activation);
+    empty.render(&mut rasterizer, &view, &mut Render::default());
+    map.pull_back(&mut rasterizer, &view, &RenderCotangent::default(), None);
 }

@@ -3,74 +3,47 @@
 use super::Level;
 use super::interpolation::{Corners, GROUP, axes, entries};
 use super::interpolation::{Rows, gather, interpolate, slopes_of, spread};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
-/// Run a kernel for the number of features of a field, which its settings bound to 1, 2, 4 or 8.
-macro_rules! dispatch {
-    ($arch:expr, $features:expr, $kernel:ident $fields:tt) => {
-        match $features {
-            1 => $arch.dispatch($kernel::<1> $fields),
-            2 => $arch.dispatch($kernel::<2> $fields),
-            4 => $arch.dispatch($kernel::<4> $fields),
-            _ => $arch.dispatch($kernel::<8> $fields),
+/// Runs a kernel for the number of features of a field, which its settings bound to 1, 2, 4 or 8.
+macro_rules! by_features {
+    ($kernel:ident) => {
+        impl WithSimd for $kernel<'_> {
+            type Output = ();
+
+            #[inline(always)]
+            fn with_simd<S: Simd>(self, _: S) {
+                match self.features {
+                    1 => self.run::<1>(),
+                    2 => self.run::<2>(),
+                    4 => self.run::<4>(),
+                    _ => self.run::<8>(),
+                }
+            }
         }
     };
 }
 
-/// [`Encode`] for `features` numbers per entry; `slopes` may be empty.
-pub(crate) fn encode(
-    arch: Arch,
-    features: usize,
-    (levels, table): (&[Level], &[f32]),
-    positions: &[[f32; 3]],
-    width: usize,
-    out: &mut [f32],
-    slopes: &mut [f32],
-) {
-    dispatch!(arch, features, Encode { levels, table, positions, out, width, slopes });
-}
-
-/// [`PositionGradient`] for `features` numbers per entry.
-pub(crate) fn position_gradient(
-    arch: Arch,
-    features: usize,
-    (levels, table): (&[Level], &[f32]),
-    positions: &[[f32; 3]],
-    (cotangent, width): (&[f32], usize),
-    out: &mut [[f32; 3]],
-) {
-    dispatch!(arch, features, PositionGradient { levels, table, positions, cotangent, width, out });
-}
-
-/// [`Scatter`] for `features` numbers per entry.
-pub(crate) fn scatter(
-    arch: Arch,
-    features: usize,
-    level: &Level,
-    positions: &[[f32; 3]],
-    cotangent: &[f32],
-    gradient: &mut [f32],
-) {
-    dispatch!(arch, features, Scatter { level, positions, cotangent, gradient });
-}
+by_features!(Encode);
+by_features!(PositionGradient);
+by_features!(Scatter);
 
 /// Features of positions in the unit cube, and their slopes. A row of `out` has `width` numbers,
-/// of which the first `levels · F` are written; slopes, if any, have three such rows per
+/// of which the first `levels · features` are written; slopes, if any, have three such rows per
 /// position: the derivatives by x, y and z.
-pub(super) struct Encode<'a, const F: usize> {
-    pub(super) levels: &'a [Level],
-    pub(super) table: &'a [f32],
-    pub(super) positions: &'a [[f32; 3]],
-    pub(super) out: &'a mut [f32],
-    pub(super) width: usize,
-    pub(super) slopes: &'a mut [f32],
+pub(crate) struct Encode<'a> {
+    pub(crate) features: usize,
+    pub(crate) levels: &'a [Level],
+    pub(crate) table: &'a [f32],
+    pub(crate) positions: &'a [[f32; 3]],
+    pub(crate) out: &'a mut [f32],
+    pub(crate) width: usize,
+    pub(crate) slopes: &'a mut [f32],
 }
 
-impl<const F: usize> WithSimd for Encode<'_, F> {
-    type Output = ();
-
+impl Encode<'_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn run<const F: usize>(self) {
         let width = self.width;
         let mut slope_rows = self.slopes.chunks_mut(3 * GROUP * width);
         let rows = self.out.chunks_mut(GROUP * width);
@@ -101,20 +74,19 @@ impl<const F: usize> WithSimd for Encode<'_, F> {
 }
 
 /// `∂L/∂x` in the unit cube, from `∂L/∂features` in rows of `width`.
-pub(super) struct PositionGradient<'a, const F: usize> {
-    pub(super) levels: &'a [Level],
-    pub(super) table: &'a [f32],
-    pub(super) positions: &'a [[f32; 3]],
-    pub(super) cotangent: &'a [f32],
-    pub(super) width: usize,
-    pub(super) out: &'a mut [[f32; 3]],
+pub(crate) struct PositionGradient<'a> {
+    pub(crate) features: usize,
+    pub(crate) levels: &'a [Level],
+    pub(crate) table: &'a [f32],
+    pub(crate) positions: &'a [[f32; 3]],
+    pub(crate) cotangent: &'a [f32],
+    pub(crate) width: usize,
+    pub(crate) out: &'a mut [[f32; 3]],
 }
 
-impl<const F: usize> WithSimd for PositionGradient<'_, F> {
-    type Output = ();
-
+impl PositionGradient<'_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn run<const F: usize>(self) {
         let rows = self.cotangent.chunks(GROUP * self.width);
         let groups = self.positions.chunks(GROUP).zip(self.out.chunks_mut(GROUP));
         for ((positions, out), cotangent) in groups.zip(rows) {
@@ -178,20 +150,19 @@ impl WithSimd for BySlopes<'_> {
 }
 
 /// Adds `weight · ∂L/∂features` of one level to its entries, position after position.
-pub(super) struct Scatter<'a, const F: usize> {
-    pub(super) level: &'a Level,
-    pub(super) positions: &'a [[f32; 3]],
-    /// `F` numbers per position.
-    pub(super) cotangent: &'a [f32],
+pub(crate) struct Scatter<'a> {
+    pub(crate) features: usize,
+    pub(crate) level: &'a Level,
+    pub(crate) positions: &'a [[f32; 3]],
+    /// `features` numbers per position.
+    pub(crate) cotangent: &'a [f32],
     /// The gradient of the level's entries.
-    pub(super) gradient: &'a mut [f32],
+    pub(crate) gradient: &'a mut [f32],
 }
 
-impl<const F: usize> WithSimd for Scatter<'_, F> {
-    type Output = ();
-
+impl Scatter<'_> {
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn run<const F: usize>(self) {
         let entries = &mut self.gradient.as_chunks_mut::<F>().0[..self.level.entries];
         let rows = self.cotangent.as_chunks::<F>().0.chunks(GROUP);
         for (positions, cotangent) in self.positions.chunks(GROUP).zip(rows) {

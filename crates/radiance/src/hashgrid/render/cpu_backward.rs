@@ -187,10 +187,15 @@ impl Backward {
             scene.arch.dispatch(encoding::BySlopes { cotangent, slopes, width, out });
             return;
         }
-        let grids = (field.levels.as_slice(), field.parameters.table.as_slice());
-        let (features, positions) = (field.settings().features, &chunk.positions[block.clone()]);
-        let cotangent = (cotangent, width);
-        encoding::position_gradient(scene.arch, features, grids, positions, cotangent, out);
+        scene.arch.dispatch(encoding::PositionGradient {
+            features: field.settings().features,
+            levels: &field.levels,
+            table: &field.parameters.table,
+            positions: &chunk.positions[block.clone()],
+            cotangent,
+            width,
+            out,
+        });
     }
 
     fn add_rays(

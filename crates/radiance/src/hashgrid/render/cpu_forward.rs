@@ -123,9 +123,15 @@ pub(super) fn encode(
     slopes: &mut [f32],
 ) {
     let (field, width) = (scene.field, scene.width());
-    let grids = (field.levels.as_slice(), field.parameters.table.as_slice());
-    let features = field.settings().features;
-    encoding::encode(scene.arch, features, grids, positions, width, out, slopes);
+    scene.arch.dispatch(encoding::Encode {
+        features: field.settings().features,
+        levels: &field.levels,
+        table: &field.parameters.table,
+        positions,
+        out,
+        width,
+        slopes,
+    });
 }
 
 /// Density network and density of a block, from its encodings.

@@ -191,7 +191,8 @@ fn scatter(arch: Arch, field: &HashGridField, chunks: &[Chunk], table: &mut [f32
         for chunk in chunks {
             let count = chunk.kept.len() * features;
             let cotangent = &chunk.d_features[l * count..(l + 1) * count];
-            encoding::scatter(arch, features, level, &chunk.positions, cotangent, gradient);
+            let positions = &chunk.positions;
+            arch.dispatch(encoding::Scatter { features, level, positions, cotangent, gradient });
         }
     });
 }

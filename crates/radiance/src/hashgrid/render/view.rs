@@ -1,7 +1,7 @@
 //! The field as a radiance map: pictures from a pose.
 
 use super::{FieldRenderer, RayGradient, RayRender};
-use crate::hashgrid::{FieldGradient, HashGridField, HashGridMap, MarchSettings, Occupancy, Ray};
+use crate::hashgrid::{FieldGradient, HashGridMap, MarchSettings, Ray};
 use crate::{RadianceMap, Render, RenderCotangent, View};
 use i2slam_geometry::{Camera, Real, Tangent, Vec3};
 
@@ -48,73 +48,18 @@ fn pixels(view: &View<f32>, first: usize) -> impl Iterator<Item = (usize, usize)
     (first..(first + BATCH).min(count)).map(move |i| (i % width, i / width))
 }
 
-impl FieldRenderer {
-    /// Renders pixels `first..first + BATCH` of a view.
-    fn render_batch(
-        &mut self,
-        (field, occupancy): (&HashGridField, &Occupancy),
-        view: &View<f32>,
-        first: usize,
-        out: &mut Vec<RayRender>,
-    ) -> Vec<Ray> {
-        let rays = pixels(view, first).map(|(column, row)| Ray::through_pixel(view, column, row));
-        let rays: Vec<Ray> = rays.collect();
-        self.render(field, occupancy, &rays, out);
-        rays
-    }
-
-    /// Writes what `view` shows into `out`, whose allocation is reused.
-    pub fn render_view(
-        &mut self,
-        field: &HashGridField,
-        occupancy: &Occupancy,
-        view: &View<f32>,
-        out: &mut Render,
-    ) {
-        out.resize(view.camera.width, view.camera.height);
-        let (count, mut batch) = (view.camera.pixels(), Vec::new());
-        for first in (0..count).step_by(BATCH) {
-            self.render_batch((field, occupancy), view, first, &mut batch);
-            for (i, ray) in (first..).zip(&batch) {
-                (0..3).for_each(|c| out.radiance.data[c * count + i] = ray.radiance[c]);
-                out.depth.data[i] = ray.depth;
-                out.opacity.data[i] = ray.opacity;
-            }
-        }
-    }
-
-    /// Pulls `∂L/∂render` of a view back: adds `∂L/∂field` to `gradient` when it is given and
-    /// returns `∂L/∂ξ` for the pose `world_from_camera.retract(ξ)`. Nothing is kept of a picture:
-    /// it is rendered again, 4096 pixels at a time.
-    pub fn pull_back_view(
-        &mut self,
-        field: &HashGridField,
-        occupancy: &Occupancy,
-        view: &View<f32>,
-        cotangent: &RenderCotangent,
-        mut gradient: Option<&mut FieldGradient>,
-    ) -> Tangent<f64> {
-        cotangent.planes(view.camera.width, view.camera.height);
-        let (mut batch, mut ray_gradients) = (Vec::new(), Vec::new());
-        let mut pose = Tangent::zero();
-        let kept = self.keep_slopes(true);
-        for first in (0..view.camera.pixels()).step_by(BATCH) {
-            let rays = self.render_batch((field, occupancy), view, first, &mut batch);
-            let cotangents: Vec<_> = pixels(view, first)
-                .map(|(column, row)| {
-                    let [r, g, b, depth, opacity] = cotangent.at(column, row);
-                    RayRender { radiance: [r, g, b], depth, opacity }
-                })
-                .collect();
-            let requested = Some(&mut ray_gradients);
-            self.pull_back(field, &rays, &cotangents, gradient.as_deref_mut(), requested);
-            for ((column, row), ray) in pixels(view, first).zip(&ray_gradients) {
-                pose = pose.plus(ray.to_pose(view, column, row));
-            }
-        }
-        self.keep_slopes(kept);
-        pose
-    }
+/// Renders pixels `first..first + BATCH` of a view, and gives their rays.
+fn render_batch(
+    map: &HashGridMap,
+    renderer: &mut FieldRenderer,
+    view: &View<f32>,
+    first: usize,
+    out: &mut Vec<RayRender>,
+) -> Vec<Ray> {
+    let rays = pixels(view, first).map(|(column, row)| Ray::through_pixel(view, column, row));
+    let rays: Vec<Ray> = rays.collect();
+    renderer.render(&map.field, &map.occupancy, &rays, out);
+    rays
 }
 
 impl RadianceMap for HashGridMap {
@@ -129,16 +74,45 @@ impl RadianceMap for HashGridMap {
     }
 
     fn render(&self, renderer: &mut FieldRenderer, view: &View<f32>, out: &mut Render) {
-        renderer.render_view(&self.field, &self.occupancy, view, out);
+        out.resize(view.camera.width, view.camera.height);
+        let (count, mut batch) = (view.camera.pixels(), Vec::new());
+        for first in (0..count).step_by(BATCH) {
+            render_batch(self, renderer, view, first, &mut batch);
+            for (i, ray) in (first..).zip(&batch) {
+                (0..3).for_each(|c| out.radiance.data[c * count + i] = ray.radiance[c]);
+                out.depth.data[i] = ray.depth;
+                out.opacity.data[i] = ray.opacity;
+            }
+        }
     }
 
+    /// Nothing is kept of a picture: it is rendered again, [`BATCH`] pixels at a time.
     fn pull_back(
         &self,
         renderer: &mut FieldRenderer,
         view: &View<f32>,
         cotangent: &RenderCotangent,
-        gradient: Option<&mut FieldGradient>,
+        mut gradient: Option<&mut FieldGradient>,
     ) -> Tangent<f64> {
-        renderer.pull_back_view(&self.field, &self.occupancy, view, cotangent, gradient)
+        cotangent.planes(view.camera.width, view.camera.height);
+        let (mut batch, mut ray_gradients) = (Vec::new(), Vec::new());
+        let mut pose = Tangent::zero();
+        let kept = renderer.keep_slopes(true);
+        for first in (0..view.camera.pixels()).step_by(BATCH) {
+            let rays = render_batch(self, renderer, view, first, &mut batch);
+            let cotangents: Vec<_> = pixels(view, first)
+                .map(|(column, row)| {
+                    let [r, g, b, depth, opacity] = cotangent.at(column, row);
+                    RayRender { radiance: [r, g, b], depth, opacity }
+                })
+                .collect();
+            let (field, gradient) = (&self.field, gradient.as_deref_mut());
+            renderer.pull_back(field, &rays, &cotangents, gradient, Some(&mut ray_gradients));
+            for ((column, row), ray) in pixels(view, first).zip(&ray_gradients) {
+                pose = pose.plus(ray.to_pose(view, column, row));
+            }
+        }
+        renderer.keep_slopes(kept);
+        pose
     }
 }

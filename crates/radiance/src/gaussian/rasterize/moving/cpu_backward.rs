@@ -21,6 +21,7 @@ use crate::gaussian::rasterize::cpu_backward::{Sums, TileSums, accumulate};
 use crate::gaussian::rasterize::cpu_forward::{ExponentRow, Limits, Value};
 use crate::gaussian::rasterize::tile::{Row, TilePixels};
 use pulp::{Simd, WithSimd};
+use rayon::prelude::*;
 
 /// State of the last render, and the cotangent of its pixels.
 pub(crate) struct Picture<'a> {
@@ -45,32 +46,11 @@ pub(crate) fn pull_back(
     slots: &mut [TileSums],
     motion: &mut [MotionTileSums],
 ) {
-    split_tiles(picture, 0, picture.scene.grid.len(), Slots { slots, motion });
-}
-
-/// Tiles `first..end`, whose slots these are, halved until one is left.
-fn split_tiles(picture: &Picture<'_>, first: usize, end: usize, slots: Slots<'_>) {
-    match end - first {
-        0 => {}
-        1 => pull_back_tile(picture, first, slots),
-        count => {
-            let middle = first + count / 2;
-            let starts = &picture.scene.bins.starts;
-            let at = (starts[middle] - starts[first]) as usize;
-            let (left, right) = slots.slots.split_at_mut(at);
-            let (left_motion, right_motion) = slots.motion.split_at_mut(at);
-            rayon::join(
-                || {
-                    let slots = Slots { slots: left, motion: left_motion };
-                    split_tiles(picture, first, middle, slots);
-                },
-                || {
-                    let slots = Slots { slots: right, motion: right_motion };
-                    split_tiles(picture, middle, end, slots);
-                },
-            );
-        }
-    }
+    let bins = picture.scene.bins;
+    let slots = bins.by_tile(slots).into_par_iter().zip(bins.by_tile(motion));
+    slots.enumerate().for_each(|(number, (slots, motion))| {
+        pull_back_tile(picture, number, Slots { slots, motion });
+    });
 }
 
 /// The cotangent of a tile's pixels, row by row, plane by plane.
