@@ -231,6 +231,20 @@ impl DatasetError {
         Self::File { path: path.to_path_buf(), reason: reason.into() }
     }
 
+    /// The error for an image of another size than expected, if it has one.
+    pub(crate) fn check_size(
+        path: &Path,
+        found: (usize, usize),
+        expected: (usize, usize),
+        reference: &str,
+    ) -> Result<(), Self> {
+        if found == expected {
+            return Ok(());
+        }
+        let (path, reference) = (path.to_path_buf(), reference.to_owned());
+        Err(Self::Size { path, found, expected, reference })
+    }
+
     pub(crate) fn line(path: &Path, line: usize, reason: impl Into<String>) -> Self {
         Self::Line { path: path.to_path_buf(), line, reason: reason.into() }
     }

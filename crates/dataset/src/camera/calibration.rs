@@ -5,9 +5,6 @@ use i2slam_geometry::Camera;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Depth image value of one metre where nothing else is said (TUM RGB-D).
-const DEFAULT_DEPTH_SCALE: f64 = 5000.0;
-
 /// Relation between the pixel grids of colour and depth images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum DepthGrid {
@@ -33,14 +30,15 @@ pub(crate) struct FormatDefaults {
     pub(crate) invalid_depth: Option<u16>,
 }
 
-impl Default for FormatDefaults {
-    fn default() -> Self {
-        let (depth_scale, grid) = (DEFAULT_DEPTH_SCALE, DepthGrid::Registered);
-        Self { depth_scale, frame_rate: None, grid, invalid_depth: None }
-    }
-}
-
 impl FormatDefaults {
+    /// TUM RGB-D, and whatever says nothing else.
+    pub(crate) const TUM: Self = Self {
+        depth_scale: 5000.0,
+        frame_rate: None,
+        grid: DepthGrid::Registered,
+        invalid_depth: None,
+    };
+
     /// Defaults for a colour camera given by the user: depth intrinsics then follow from it.
     pub(crate) fn with_depth_on_colour_camera(self) -> Self {
         let grid = match self.grid {
@@ -65,14 +63,8 @@ pub(crate) struct Calibration {
     pub(crate) distortion: Distortion,
     /// Width and height of colour images [px], if known.
     pub(crate) size: Option<(usize, usize)>,
-    /// Depth image value of one metre.
-    pub(crate) depth_scale: f64,
-    /// Frames a second, if known.
-    pub(crate) frame_rate: Option<f64>,
-    /// Relation between colour and depth pixels.
-    pub(crate) grid: DepthGrid,
-    /// Depth image value that means "no reading", beside 0.
-    pub(crate) invalid_depth: Option<u16>,
+    /// Depth scale, frame rate and pixel grid.
+    pub(crate) format: FormatDefaults,
     /// Description of the source, for messages: a file, a flag or a dataset name.
     pub(crate) source: String,
 }
@@ -83,7 +75,7 @@ impl Calibration {
         k: [f64; 4],
         distortion: Distortion,
         source: &str,
-        defaults: FormatDefaults,
+        format: FormatDefaults,
     ) -> Self {
         Self {
             intrinsics: [k[0], k[1], k[2] + 0.5, k[3] + 0.5],
@@ -91,10 +83,7 @@ impl Calibration {
             is_guess: false,
             distortion,
             size: None,
-            depth_scale: defaults.depth_scale,
-            frame_rate: defaults.frame_rate,
-            grid: defaults.grid,
-            invalid_depth: defaults.invalid_depth,
+            format,
             source: source.to_owned(),
         }
     }

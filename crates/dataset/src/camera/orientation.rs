@@ -137,12 +137,8 @@ mod tests {
     #[test]
     fn a_calibration_of_stored_images_is_transformed_with_them() {
         let lens = Distortion::from_opencv(&[0.1, -0.05, 0.02, -0.03, 0.01]).expect("a lens");
-        let found = Calibration::from_opencv(
-            [50.0, 52.0, 30.0, 21.0],
-            lens,
-            "a file",
-            FormatDefaults::default(),
-        );
+        let found =
+            Calibration::from_opencv([50.0, 52.0, 30.0, 21.0], lens, "a file", FormatDefaults::TUM);
         let found = Calibration { size: Some((64, 48)), ..found };
         let at = |c: &Calibration, x: f64, y: f64| {
             let (x, y) = c.distortion.distort(x, y);

@@ -98,13 +98,11 @@ fn parse_json(
     // Pixel centres at integers, as the constructor expects them.
     let shift = file.pixel_centre();
     let k = [file.fx, file.fy, file.cx - shift, file.cy - shift];
-    let found = Calibration::from_opencv(k, distortion, &path.display().to_string(), defaults);
-    Ok(Calibration {
-        size: file.width.zip(file.height),
-        depth_scale: file.depth_scale.unwrap_or(defaults.depth_scale),
-        frame_rate: file.fps.or(defaults.frame_rate),
-        ..found
-    })
+    let depth_scale = file.depth_scale.unwrap_or(defaults.depth_scale);
+    let format =
+        FormatDefaults { depth_scale, frame_rate: file.fps.or(defaults.frame_rate), ..defaults };
+    let found = Calibration::from_opencv(k, distortion, &path.display().to_string(), format);
+    Ok(Calibration { size: file.width.zip(file.height), ..found })
 }
 
 /// Contents of `camera.json`; unknown keys are ignored.

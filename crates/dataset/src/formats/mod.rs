@@ -198,7 +198,7 @@ impl DetectedLayout {
             Self::Replica(_) => replica::DEFAULTS,
             Self::SevenScenes => seven_scenes::DEFAULTS,
             Self::Nerfstudio(file) => file.defaults(),
-            Self::Tum | Self::Eth3d(_) | Self::Plain(_) | Self::Video => FormatDefaults::default(),
+            Self::Tum | Self::Eth3d(_) | Self::Plain(_) | Self::Video => FormatDefaults::TUM,
         }
     }
 

@@ -65,13 +65,8 @@ impl TransformsFile {
     }
 
     pub(super) fn defaults(&self) -> FormatDefaults {
-        let scale = self.json.integer_depth_scale.map_or(DEFAULT_DEPTH_SCALE, f64::recip);
-        FormatDefaults {
-            depth_scale: scale,
-            frame_rate: None,
-            grid: DepthGrid::ResizedToColour,
-            invalid_depth: None,
-        }
+        let depth_scale = self.json.integer_depth_scale.map_or(DEFAULT_DEPTH_SCALE, f64::recip);
+        FormatDefaults { depth_scale, grid: DepthGrid::ResizedToColour, ..FormatDefaults::TUM }
     }
 
     /// Calibration of the file, else of its first frame. Pixel centres at one half.
@@ -81,12 +76,8 @@ impl TransformsFile {
         let Pinhole { k, size } = intrinsics.pinhole().map_err(refuse)?;
         let distortion = self.json.distortion(&intrinsics).map_err(refuse)?;
         let source = self.path.display().to_string();
-        let defaults = self.defaults();
-        Ok(Calibration {
-            intrinsics: k,
-            size,
-            ..Calibration::from_opencv(k, distortion, &source, defaults)
-        })
+        let found = Calibration::from_opencv(k, distortion, &source, self.defaults());
+        Ok(Calibration { intrinsics: k, size, ..found })
     }
 
     fn intrinsics(&self, record: &FrameRecord) -> Intrinsics {
@@ -181,24 +172,23 @@ pub(super) struct FrameRecord {
     pub(super) intrinsics: Intrinsics,
 }
 
-/// Intrinsics and lens, of all frames or of one. Pixel centres at one half.
-#[derive(Clone, Debug, Default, Deserialize)]
-pub(super) struct Intrinsics {
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    /// Horizontal field of view [rad].
-    camera_angle_x: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
+/// Intrinsics and lens, of all frames or of one: numbers that may be missing.
+macro_rules! intrinsics {
+    ($($name:ident),+) => {
+        /// Intrinsics and lens. Pixel centres at one half; `camera_angle_x` is the horizontal field
+        /// of view [rad].
+        #[derive(Clone, Debug, Default, Deserialize)]
+        pub(super) struct Intrinsics { $($name: Option<f64>),+ }
+
+        impl Intrinsics {
+            /// Fills missing values from `all`.
+            fn or(self, all: &Self) -> Self {
+                Self { $($name: self.$name.or(all.$name)),+ }
+            }
+        }
+    };
 }
+intrinsics!(fl_x, fl_y, cx, cy, w, h, camera_angle_x, k1, k2, k3, k4, p1, p2);
 
 /// Intrinsics without the lens.
 pub(super) struct Pinhole {
@@ -209,25 +199,6 @@ pub(super) struct Pinhole {
 }
 
 impl Intrinsics {
-    /// Fills missing values from `all`.
-    pub(super) fn or(self, all: &Self) -> Self {
-        Self {
-            fl_x: self.fl_x.or(all.fl_x),
-            fl_y: self.fl_y.or(all.fl_y),
-            cx: self.cx.or(all.cx),
-            cy: self.cy.or(all.cy),
-            w: self.w.or(all.w),
-            h: self.h.or(all.h),
-            camera_angle_x: self.camera_angle_x.or(all.camera_angle_x),
-            k1: self.k1.or(all.k1),
-            k2: self.k2.or(all.k2),
-            k3: self.k3.or(all.k3),
-            k4: self.k4.or(all.k4),
-            p1: self.p1.or(all.p1),
-            p2: self.p2.or(all.p2),
-        }
-    }
-
     /// The pinhole camera; `w` and `h` may be missing.
     pub(super) fn pinhole(&self) -> Result<Pinhole, String> {
         let by_angle = self.camera_angle_x.zip(self.w).map(|(a, w)| 0.5 * w / (0.5 * a).tan());

@@ -5,18 +5,14 @@ use super::file_pairing::{FilePairs, holds_both, list_images};
 use super::poses::read_matrix_lines;
 use super::{Layout, Listing};
 use crate::DatasetError;
-use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
+use crate::camera::{Calibration, Distortion, FormatDefaults};
 use crate::text::read_text;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// Depth 6553.5 per metre, 30 frames a second (NICE-SLAM).
-pub(super) const DEFAULTS: FormatDefaults = FormatDefaults {
-    depth_scale: 6553.5,
-    frame_rate: Some(30.0),
-    grid: DepthGrid::Registered,
-    invalid_depth: None,
-};
+pub(super) const DEFAULTS: FormatDefaults =
+    FormatDefaults { depth_scale: 6553.5, frame_rate: Some(30.0), ..FormatDefaults::TUM };
 
 /// Published camera of all scenes, `[fx, fy, cx, cy]` [px] for 1200x680.
 const PUBLISHED: [f64; 4] = [600.0, 600.0, 599.5, 339.5];

@@ -14,7 +14,7 @@ pub(super) const DEFAULTS: FormatDefaults = FormatDefaults {
     depth_scale: 1000.0,
     frame_rate: Some(30.0),
     grid: DepthGrid::OwnCamera(None),
-    invalid_depth: None,
+    ..FormatDefaults::TUM
 };
 
 /// Width of the border without data that the paper removes [px of depth].

@@ -4,9 +4,9 @@
 //! `f32` in rows), two time stamps [µs], two sizes [bytes], and the two images.
 
 use super::poses::pose_from_matrix;
-use super::scannet::{border_warning, from_intrinsics, intrinsics_of_matrix};
+use super::scannet::{self, border_warning, from_intrinsics, intrinsics_of_matrix};
 use super::{ByteRanges, FrameEntry, Layout, Listing, unknown_layout};
-use crate::camera::{Calibration, DepthGrid, FormatDefaults};
+use crate::camera::{Calibration, FormatDefaults};
 use crate::image::DepthEncoding;
 use crate::{DatasetError, OpenOptions};
 use std::fs::File;
@@ -64,12 +64,7 @@ impl SensFile {
     }
 
     pub(super) fn defaults(&self) -> FormatDefaults {
-        FormatDefaults {
-            depth_scale: self.header.depth_scale,
-            frame_rate: Some(30.0),
-            grid: DepthGrid::OwnCamera(None),
-            invalid_depth: None,
-        }
+        FormatDefaults { depth_scale: self.header.depth_scale, ..scannet::DEFAULTS }
     }
 
     pub(super) fn calibration(&self) -> Result<Calibration, DatasetError> {

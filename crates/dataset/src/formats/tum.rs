@@ -178,24 +178,14 @@ pub(super) fn list_by_time(
 }
 
 fn entries(association: &Association, stamped: &StampedImages) -> Vec<FrameEntry> {
-    let pairs = association.pairs.iter().enumerate();
-    pairs
-        .map(|(index, &(i, j))| {
-            let (timestamp, colour) = stamped.colour[i].clone();
-            let depth = stamped.depth.as_ref().map(|depth| depth[j].clone());
-            let depth_timestamp = depth.as_ref().map_or(timestamp, |depth| depth.0);
-            let depth = depth.map(|depth| depth.1);
-            FrameEntry {
-                index,
-                image_index: i,
-                timestamp,
-                depth_timestamp,
-                colour,
-                depth,
-                byte_ranges: None,
-            }
-        })
-        .collect()
+    let entry = |(index, &(i, j)): (usize, &(usize, usize))| {
+        let (timestamp, colour) = stamped.colour[i].clone();
+        let depth = stamped.depth.as_ref().map(|depth| depth[j].clone());
+        let (depth_timestamp, depth) = depth.map_or((timestamp, None), |(t, file)| (t, Some(file)));
+        let entry = FrameEntry::synchronous((index, i), timestamp, colour, depth);
+        FrameEntry { depth_timestamp, ..entry }
+    };
+    association.pairs.iter().enumerate().map(entry).collect()
 }
 
 /// Path of the folder's ground truth, if there is a file.
@@ -214,29 +204,20 @@ fn pose_stamps(path: &Path, warnings: &mut Vec<String>) -> Option<Vec<f64>> {
 }
 
 fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String> {
-    let mut warnings = Vec::new();
-    if dropped.without_depth > 0 {
-        warnings.push(format!(
-            "{} left out: no depth image within {} s",
-            counted(dropped.without_depth, "colour image"),
-            rules.tolerance
-        ));
-    }
-    if dropped.without_pose > 0 {
-        warnings.push(format!(
-            "{} left out: no ground-truth pose within {} s",
-            counted(dropped.without_pose, "frame"),
-            rules.tolerance
-        ));
-    }
-    if dropped.too_close > 0 {
-        warnings.push(format!(
-            "{} left out: no more than {} s after the frame before (minimum_gap; 0 keeps all)",
-            counted(dropped.too_close, "frame"),
-            rules.minimum_gap
-        ));
-    }
-    warnings
+    let AssociationRules { tolerance, minimum_gap } = rules;
+    let all = [
+        (dropped.without_depth, "colour image", format!("no depth image within {tolerance} s")),
+        (dropped.without_pose, "frame", format!("no ground-truth pose within {tolerance} s")),
+        (
+            dropped.too_close,
+            "frame",
+            format!(
+                "no more than {minimum_gap} s after the frame before (minimum_gap; 0 keeps all)"
+            ),
+        ),
+    ];
+    let some = all.into_iter().filter(|(count, ..)| *count > 0);
+    some.map(|(count, word, why)| format!("{} left out: {why}", counted(count, word))).collect()
 }
 
 /// ETH3D's calibration file beside the lists.
@@ -265,7 +246,7 @@ pub(super) fn eth3d_calibration(path: &Path) -> Result<Calibration, DatasetError
         return Err(DatasetError::line(path, line, "fx and fy must be positive"));
     }
     let source = path.display().to_string();
-    Ok(Calibration::from_opencv(k, Distortion::default(), &source, FormatDefaults::default()))
+    Ok(Calibration::from_opencv(k, Distortion::default(), &source, FormatDefaults::TUM))
 }
 
 /// The published calibration of a TUM RGB-D sequence (depth is registered to colour), recognised by
@@ -284,8 +265,9 @@ pub(crate) fn published_calibration(folder: &Path) -> Option<Calibration> {
     };
     let lens = Distortion::from_opencv(&lens)?;
     let source = format!("the calibration of freiburg{number}");
-    let found = Calibration::from_opencv(k, lens, &source, FormatDefaults::default());
-    Some(Calibration { size: Some((640, 480)), frame_rate: Some(30.0), ..found })
+    let format = FormatDefaults { frame_rate: Some(30.0), ..FormatDefaults::TUM };
+    let found = Calibration::from_opencv(k, lens, &source, format);
+    Some(Calibration { size: Some((640, 480)), ..found })
 }
 
 /// The number in `...freiburg2...`, or in `fr2` as a word of its own.

@@ -101,17 +101,14 @@ fn open_images(
         Ok(source) => (source.list(folder, options, DEFAULT_FRAME_RATE)?, source.defaults()),
         Err(error @ DatasetError::UnknownLayout { .. }) if options.colour_only => {
             let below = list_images_below(folder, DEFAULT_FRAME_RATE);
-            (below.ok_or(error)?, FormatDefaults::default())
+            (below.ok_or(error)?, FormatDefaults::TUM)
         }
         Err(error) => return Err(error),
     };
     let defaults = defaults.with_depth_on_colour_camera();
-    let calibration = Calibration {
-        depth_scale: options.depth_scale.unwrap_or(defaults.depth_scale),
-        grid: defaults.grid,
-        invalid_depth: defaults.invalid_depth,
-        ..calibration
-    };
+    let depth_scale = options.depth_scale.unwrap_or(defaults.depth_scale);
+    let calibration =
+        Calibration { format: FormatDefaults { depth_scale, ..defaults }, ..calibration };
     Sequence::from_listing(name_of(folder), listing, calibration, options, DEFAULT_FRAME_RATE)
 }
 

@@ -9,6 +9,9 @@ use i2slam_geometry::Image;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+/// Images that the variance must have the size of, for messages.
+const REFERENCE: &str = "the depth pictures";
+
 /// Folder of `.npy` arrays `[height, width]` of the variance of depth [m²], or of 16-bit grey PNG of
 /// the standard deviation on the scale of the depth images. Same size as these.
 #[derive(Clone, Debug)]
@@ -93,7 +96,7 @@ impl VarianceImages {
             resampler.depth_values(&recorded, |variance| variance)
         } else {
             let recorded = decode_depth(file, None, DepthEncoding::Png)?;
-            check_size(file, (recorded.width, recorded.height), size)?;
+            DatasetError::check_size(file, (recorded.width, recorded.height), size, REFERENCE)?;
             let scale = sequence.depth_scale;
             resampler.depth_values(&recorded, |v| (f64::from(v) / scale).powi(2) as f32)
         };
@@ -119,7 +122,7 @@ fn read_array(file: &Path, size: (usize, usize)) -> Result<Image<f32>, DatasetEr
         let reason = format!("shape {:?}, expected [height, width]", array.shape);
         return Err(DatasetError::image(file, reason));
     };
-    check_size(file, (width, height), size)?;
+    DatasetError::check_size(file, (width, height), size, REFERENCE)?;
     let data = array.all()?.into_iter().map(|v| v as f32).collect();
     Ok(Image { width, height, channels: 1, data })
 }
@@ -130,16 +133,4 @@ fn as_frame_error(error: DatasetError) -> DatasetError {
         DatasetError::File { path, reason } => DatasetError::Image { path, reason },
         other => other,
     }
-}
-
-fn check_size(
-    path: &Path,
-    found: (usize, usize),
-    expected: (usize, usize),
-) -> Result<(), DatasetError> {
-    if found == expected {
-        return Ok(());
-    }
-    let reference = "the depth pictures".to_owned();
-    Err(DatasetError::Size { path: path.to_path_buf(), found, expected, reference })
 }

@@ -36,6 +36,14 @@ pub(super) struct ReadKeyframes {
 }
 
 impl ReadKeyframes {
+    /// Counts keyframes that were dropped, with a warning.
+    fn count_dropped(&mut self, count: usize, reason: String) {
+        self.unmatched.poses_without_image += count;
+        self.unmatched.with_image -= count;
+        self.unmatched.reason = reason.clone();
+        self.warnings.push(reason);
+    }
+
     /// Warnings about options without effect.
     pub(super) fn ignored_options(&self, options: &ImportOptions) -> Vec<String> {
         let mut warnings = Vec::new();
@@ -229,10 +237,7 @@ pub(super) fn thin(found: &mut ReadKeyframes, minimum_gap: f64) {
             "{count} of {all} poses left out: their pictures follow others by no more than \
              {minimum_gap} s (minimum_gap; 0 keeps all)"
         );
-        found.unmatched.poses_without_image += count;
-        found.unmatched.with_image -= count;
-        found.unmatched.reason = reason.clone();
-        found.warnings.push(reason);
+        found.count_dropped(count, reason);
     }
 }
 
@@ -245,10 +250,7 @@ pub(super) fn drop_missing_files(found: &mut ReadKeyframes) {
     let (count, all) = (missing.len(), found.keyframes.len());
     let reason = format!("{count} of {all} pictures are missing, the first is {}", first.display());
     found.keyframes.retain(|keyframe| file(keyframe).is_file());
-    found.unmatched.poses_without_image += count;
-    found.unmatched.with_image -= count;
-    found.unmatched.reason = reason.clone();
-    found.warnings.push(reason);
+    found.count_dropped(count, reason);
 }
 
 /// Opens a `transforms.json`. It names its images itself; a warning if `pictures` is another folder.

@@ -40,7 +40,7 @@ pub(super) fn recording_cameras(
         });
         size.next().unwrap_or((width, height))
     };
-    Ok(match calibration.grid {
+    Ok(match calibration.format.grid {
         DepthGrid::Registered => RecordingCameras { colour, depth: colour, grid: colour },
         DepthGrid::ResizedToColour => {
             let (width, height) = depth_size();

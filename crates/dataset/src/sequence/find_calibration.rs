@@ -34,7 +34,7 @@ pub(super) fn find_calibration(
         }
     };
     if let Some(scale) = options.depth_scale {
-        found.depth_scale = scale;
+        found.format.depth_scale = scale;
     }
     if let Some(camera) = &options.estimated_camera {
         found = found.replaced_by(camera);

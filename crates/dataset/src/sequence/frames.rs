@@ -77,7 +77,8 @@ impl FrameLoader {
             None => self.orientation.apply(decode_colour(&entry.colour, entry.colour_range())?),
         };
         let (colour_size, _) = self.resampler.recorded_sizes();
-        check_size(&entry.colour, (colour.width, colour.height), colour_size, "colour")?;
+        let found = (colour.width, colour.height);
+        DatasetError::check_size(&entry.colour, found, colour_size, "the first colour image")?;
         let colour = self.resampler.colour(&colour);
         let mut warnings = Vec::new();
         let depth = match entry.depth.as_deref().filter(|_| !self.colour_only) {
@@ -103,27 +104,14 @@ impl FrameLoader {
     fn load_depth(&self, path: &Path, entry: &FrameEntry) -> Result<Image<f32>, DatasetError> {
         let mut depth = decode_depth(path, entry.depth_range(), self.depth_encoding)?;
         let (colour_size, depth_size) = self.resampler.recorded_sizes();
-        let like = if depth_size == colour_size { "colour" } else { "depth" };
-        check_size(path, (depth.width, depth.height), depth_size, like)?;
+        let is_colour = depth_size == colour_size;
+        let like = if is_colour { "the first colour image" } else { "the first depth image" };
+        DatasetError::check_size(path, (depth.width, depth.height), depth_size, like)?;
         if let Some(invalid) = self.invalid_depth {
             depth.data.iter_mut().filter(|value| **value == invalid).for_each(|value| *value = 0);
         }
         Ok(self.resampler.depth(&depth, self.depth_scale, self.max_depth))
     }
-}
-
-/// An error if an image has another size than the first of its `kind`.
-fn check_size(
-    path: &Path,
-    found: (usize, usize),
-    expected: (usize, usize),
-    kind: &str,
-) -> Result<(), DatasetError> {
-    if found == expected {
-        return Ok(());
-    }
-    let reference = format!("the first {kind} image");
-    Err(DatasetError::Size { path: path.to_path_buf(), found, expected, reference })
 }
 
 fn depth_warning(depth: &Image<f32>) -> Option<String> {

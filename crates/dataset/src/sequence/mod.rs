@@ -108,7 +108,7 @@ impl Sequence {
     ) -> Result<Self, DatasetError> {
         let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
         let calibration = find_calibration(folder, layout, options);
-        let assumed_rate = calibration.as_ref().ok().and_then(|c| c.frame_rate);
+        let assumed_rate = calibration.as_ref().ok().and_then(|c| c.format.frame_rate);
         let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);
         let listing = layout.list(path, options, assumed_rate)?;
         Self::from_listing(name_of(path), listing, calibration?, options, assumed_rate)
@@ -156,10 +156,10 @@ impl Sequence {
             delivery(&cameras, &lens, options.crop_border, delivered, video.as_ref());
         let loader = FrameLoader {
             resampler,
-            depth_scale: calibration.depth_scale,
+            depth_scale: calibration.format.depth_scale,
             max_depth: options.max_depth.unwrap_or(f64::INFINITY),
             depth_encoding: listing.depth_encoding,
-            invalid_depth: calibration.invalid_depth,
+            invalid_depth: calibration.format.invalid_depth,
             colour_only: options.colour_only,
             orientation,
             video,
@@ -175,7 +175,7 @@ impl Sequence {
             recorded_size,
             camera: loader.resampler.camera,
             frame_rate,
-            depth_scale: calibration.depth_scale,
+            depth_scale: calibration.format.depth_scale,
             entries,
             dropped: listing.dropped,
             ground_truth: listing.ground_truth,

@@ -80,7 +80,7 @@ impl ModelCamera {
 
     fn calibration(&self, file: &Path) -> Calibration {
         let source = file.display().to_string();
-        let found = Calibration::from_opencv(self.k, self.lens, &source, FormatDefaults::default());
+        let found = Calibration::from_opencv(self.k, self.lens, &source, FormatDefaults::TUM);
         Calibration { intrinsics: self.k, size: Some(self.size), ..found }
     }
 
