@@ -26,7 +26,7 @@ mod rasterize;
 mod sort;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use crate::{Moment, MotionGradient, Render, RenderCotangent, ShutterMotion, View};
 pub use bin::TILE;

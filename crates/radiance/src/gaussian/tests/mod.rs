@@ -10,17 +10,27 @@ mod moving;
 mod parity;
 mod poison;
 
-/// A camera whose principal point is off the middle and whose pixels are not square.
-pub(super) fn camera(width: usize, height: usize) -> Camera<f64> {
+/// A view from a pose that is not the identity, by a camera whose principal point is off the middle
+/// and whose pixels are not square.
+pub(crate) fn view(width: usize, height: usize) -> View<f64> {
     let w = width as f64;
-    Camera { width, height, fx: 0.9 * w, fy: 0.95 * w, cx: 0.53 * w, cy: 0.48 * height as f64 }
+    let camera =
+        Camera { width, height, fx: 0.9 * w, fy: 0.95 * w, cx: 0.53 * w, cy: 0.48 * height as f64 };
+    let rotation = Rotation::exp(Vec3::new(0.2, -0.4, 0.3));
+    View { camera, world_from_camera: Pose::new(rotation, Vec3::new(0.3, -0.2, 0.1)) }
 }
 
-/// A view from a pose that is not the identity.
-pub(super) fn view(width: usize, height: usize) -> View<f64> {
-    let rotation = Rotation::exp(Vec3::new(0.2, -0.4, 0.3));
-    let world_from_camera = Pose::new(rotation, Vec3::new(0.3, -0.2, 0.1));
-    View { camera: camera(width, height), world_from_camera }
+/// Runs `work` on 1, 2 and 5 threads, which must agree, and gives what it returns.
+#[track_caller]
+pub(crate) fn on_any_threads<T: PartialEq + Send>(work: impl Fn() -> T + Sync) -> T {
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("threads").install(&work)
+    };
+    let one = on(1);
+    assert!(one == on(2), "1 and 2 threads differ");
+    assert!(one == on(5), "1 and 5 threads differ");
+    one
 }
 
 /// Parameters of a random scene.
@@ -79,7 +89,7 @@ impl Recipe {
 }
 
 /// Random cotangents of all five planes.
-pub(super) fn cotangent(width: usize, height: usize, seed: u64) -> RenderCotangent<f64> {
+pub(crate) fn cotangent(width: usize, height: usize, seed: u64) -> RenderCotangent<f64> {
     let image = |channels: usize, seed: u64| Image {
         width,
         height,
@@ -94,13 +104,11 @@ pub(super) fn cotangent(width: usize, height: usize, seed: u64) -> RenderCotange
 }
 
 /// Converts to `f32`.
-pub(super) fn single(image: &Image<f64>) -> Image<f32> {
-    let data = image.data.iter().map(|v| *v as f32).collect();
-    Image { width: image.width, height: image.height, channels: image.channels, data }
-}
-
-/// Converts to `f32`.
-pub(super) fn single_cotangent(cotangent: &RenderCotangent<f64>) -> RenderCotangent {
+pub(crate) fn single_cotangent(cotangent: &RenderCotangent<f64>) -> RenderCotangent {
+    let single = |image: &Image<f64>| {
+        let data = image.data.iter().map(|v| *v as f32).collect();
+        Image { width: image.width, height: image.height, channels: image.channels, data }
+    };
     RenderCotangent {
         radiance: single(&cotangent.radiance),
         depth: single(&cotangent.depth),

@@ -3,17 +3,23 @@
 use super::*;
 use i2slam_geometry::Vec3;
 
-fn render(ray: Ray) -> (RayRender, RayGradient, FieldGradient) {
-    let field = field(settings(), 3).cast::<f32>();
+/// What rays show, their gradients and that of the field, and the number of samples.
+type Outcome = (Vec<RayRender>, Vec<RayGradient>, FieldGradient, usize);
+
+fn render(field: &HashGridField, rays: &[Ray], cotangent: RayRender) -> Outcome {
     let mut renderer = FieldRenderer::new(MarchSettings::cube(1.5));
     let occupancy = Occupancy::new(OccupancySettings { resolution: 4, ..Default::default() });
-    let (mut renders, mut rays) = (Vec::new(), Vec::new());
-    renderer.render(&field, &occupancy, &[ray], &mut renders);
-    let mut gradient = FieldGradient::zeros(&field);
-    let cotangent = [single(&cotangents(1, 2)[0])];
-    let requested = (Some(&mut gradient), Some(&mut rays));
-    renderer.pull_back(&field, &[ray], &cotangent, requested.0, requested.1);
-    (renders[0], rays[0], gradient)
+    let (mut renders, mut by_rays) = (vec![RayRender::default()], Vec::new());
+    renderer.render(field, &occupancy, rays, &mut renders);
+    let mut gradient = FieldGradient::zeros(field);
+    let cotangents = vec![cotangent; rays.len()];
+    let requested = (Some(&mut gradient), Some(&mut by_rays));
+    renderer.pull_back(field, rays, &cotangents, requested.0, requested.1);
+    (renders, by_rays, gradient, renderer.samples())
+}
+
+fn usual() -> HashGridField {
+    field(settings(), 3).cast()
 }
 
 fn ray() -> Ray {
@@ -22,8 +28,9 @@ fn ray() -> Ray {
 
 #[test]
 fn poisoned_rays_show_nothing() {
-    let (good, _, gradient) = render(ray());
-    assert!(good.opacity > 0.0 && gradient.table.iter().any(|g| *g != 0.0));
+    let cotangent = single(&cotangents(1, 2)[0]);
+    let (good, _, gradient, _) = render(&usual(), &[ray()], cotangent);
+    assert!(good[0].opacity > 0.0 && gradient.table.iter().any(|g| *g != 0.0));
     let poisons = [
         Ray { origin: Vec3::new(f32::NAN, 0.0, 0.0), ..ray() },
         Ray { direction: Vec3::new(0.0, f32::INFINITY, 1.0), ..ray() },
@@ -34,9 +41,9 @@ fn poisoned_rays_show_nothing() {
         Ray { origin: Vec3::new(0.0, 0.0, 9.0), ..ray() },
     ];
     for poison in poisons {
-        let (render, ray, gradient) = render(poison);
-        assert_eq!(render, RayRender::default(), "{poison:?}");
-        assert_eq!(ray, RayGradient::default(), "{poison:?}");
+        let (renders, rays, gradient, _) = render(&usual(), &[poison], cotangent);
+        assert_eq!(renders, [RayRender::default()], "{poison:?}");
+        assert_eq!(rays, [RayGradient::default()], "{poison:?}");
         assert!(gradient.table.iter().all(|g| *g == 0.0), "{poison:?}");
     }
 }
@@ -46,14 +53,8 @@ fn huge_exponents_stay_finite() {
     let mut field = field(settings(), 3).cast::<f32>();
     field.parameters_mut()[1].iter_mut().for_each(|w| *w *= 1e6);
     field.parameters_mut()[2].iter_mut().for_each(|w| *w *= 1e6);
-    let mut renderer = FieldRenderer::new(MarchSettings::cube(1.5));
-    let occupancy = Occupancy::new(OccupancySettings { resolution: 4, ..Default::default() });
-    let (mut renders, mut rays) = (Vec::new(), Vec::new());
-    renderer.render(&field, &occupancy, &[ray()], &mut renders);
+    let (renders, rays, ..) = render(&field, &[ray()], RayRender::default());
     assert!(render_row(&renders[0]).iter().all(|v| v.is_finite()));
-    let mut gradient = FieldGradient::zeros(&field);
-    let requested = (Some(&mut gradient), Some(&mut rays));
-    renderer.pull_back(&field, &[ray()], &[RayRender::default()], requested.0, requested.1);
     assert!(ray_row(&rays[0]).iter().all(|v| v.is_finite()));
 }
 
@@ -70,19 +71,14 @@ fn settings_out_of_range_are_named() {
 
 #[test]
 fn no_rays_are_no_work() {
-    let field = field(settings(), 3).cast::<f32>();
-    let mut renderer = FieldRenderer::new(MarchSettings::cube(1.5));
-    let occupancy = Occupancy::new(OccupancySettings { resolution: 4, ..Default::default() });
-    let mut renders = vec![RayRender::default()];
-    renderer.render(&field, &occupancy, &[], &mut renders);
-    assert!(renders.is_empty() && renderer.samples() == 0);
+    let (renders, rays, _, samples) = render(&usual(), &[], RayRender::default());
+    assert!(renders.is_empty() && rays.is_empty() && samples == 0);
 }
 
 #[test]
 fn points_outside_have_no_density() {
-    let field = field(settings(), 3).cast::<f32>();
     let renderer = FieldRenderer::new(MarchSettings::cube(1.5));
     let points = [Vec3::new(0.2, 0.0, 0.4), Vec3::new(5.0, 0.0, 0.0)];
-    let densities = renderer.densities(&field, &points);
+    let densities = renderer.densities(&usual(), &points);
     assert!(densities[0] > 0.0 && densities[1] == 0.0);
 }

@@ -1,24 +1,13 @@
 //! Pictures: from rays to a view, and back to its pose.
 
 use super::*;
-use crate::{RadianceMap, Render, RenderCotangent, View};
-use i2slam_check::{assert_close, assert_gradient, noise};
-use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent, Vec3};
-
-fn view(width: usize, height: usize) -> View<f64> {
-    let w = width as f64;
-    let camera =
-        Camera { width, height, fx: 0.9 * w, fy: 0.95 * w, cx: 0.53 * w, cy: 0.48 * height as f64 };
-    let rotation = Rotation::exp(Vec3::new(0.2, -0.4, 0.3));
-    View { camera, world_from_camera: Pose::new(rotation, Vec3::new(0.3, -0.2, 0.1)) }
-}
+use crate::gaussian::tests::{single_cotangent, view};
+use crate::{RadianceMap, Render, RenderCotangent, View, gaussian};
+use i2slam_check::{assert_close, assert_gradient};
+use i2slam_geometry::{Pose, Tangent, Vec3};
 
 fn cotangent(width: usize, height: usize) -> RenderCotangent {
-    let image = |channels: usize, seed: u64| {
-        let data = noise(seed, width * height * channels).iter().map(|v| *v as f32).collect();
-        Image { width, height, channels, data }
-    };
-    RenderCotangent { radiance: image(3, 1), depth: image(1, 2), opacity: image(1, 3) }
+    single_cotangent(&gaussian::tests::cotangent(width, height, 1))
 }
 
 #[test]
