@@ -7,7 +7,7 @@
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_geometry::Camera;
-use i2slam_odometry::{FrontEnd, Intrinsics};
+use i2slam_odometry::{FrontEnd, Intrinsics, Progress};
 use std::error::Error;
 use std::path::Path;
 
@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let frame = frame?;
         front_end.push(&frame.colour, frame.timestamp)?;
     }
-    let found = front_end.finish()?;
+    let found = front_end.finish(Progress::default())?;
     found.warnings.iter().for_each(|warning| println!("warning: {warning}"));
     println!(
         "{} of {} frames posed, {} keyframes; focal length {:.1} px, deviation {:?}; readout {:.1} ms",

@@ -81,17 +81,8 @@ impl FrontEnd {
     ///
     /// # Errors
     ///
-    /// The reason why there is no path.
-    pub fn finish(self) -> Result<Reconstruction, OdometryError> {
-        self.finish_with_progress(Progress::default())
-    }
-
-    /// Reconstructs the camera path with progress reports and cancellation.
-    ///
-    /// # Errors
-    ///
     /// The reason why there is no path; [`OdometryError::Cancelled`] after cancellation.
-    pub fn finish_with_progress(self, progress: Progress) -> Result<Reconstruction, OdometryError> {
+    pub fn finish(self, progress: Progress) -> Result<Reconstruction, OdometryError> {
         let frames = self.timestamps.len();
         if frames < MIN_FRAMES {
             return Err(OdometryError::TooFewFrames { frames, needed: MIN_FRAMES });

@@ -97,7 +97,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         }
         let found = match progress.is_cancelled() {
             true => Err(OdometryError::Cancelled),
-            false => front_end.finish_with_progress(progress.clone()),
+            false => front_end.finish(progress.clone()),
         };
         match found {
             Ok(reconstruction) => {

@@ -6,7 +6,9 @@ mod revisits;
 mod scene;
 
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
-use i2slam_odometry::{FrontEnd, Intrinsics, OdometryError, PictureError, Reconstruction, Warning};
+use i2slam_odometry::{
+    FrontEnd, Intrinsics, OdometryError, PictureError, Progress, Reconstruction, Warning,
+};
 use scene::{blurred, camera, depth, moving, picture, through_lens, tracked};
 
 /// Runs the front end on `count` pictures.
@@ -15,7 +17,7 @@ fn run(
     count: usize,
     picture_of: impl Fn(usize) -> Image<f32>,
 ) -> Result<Reconstruction, OdometryError> {
-    tracked(intrinsics, (0..count).map(picture_of)).finish()
+    tracked(intrinsics, (0..count).map(picture_of)).finish(Progress::default())
 }
 
 /// Exposure goes up and down by a factor of two.

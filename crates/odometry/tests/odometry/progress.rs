@@ -22,7 +22,7 @@ fn reconstruct(
         cancel.fetch_or(cancels(stage, done), Ordering::SeqCst);
     };
     let cancellation = CancellationToken::when(move || cancelled.load(Ordering::SeqCst));
-    let found = front_end.finish_with_progress(Progress::new(cancellation, listener));
+    let found = front_end.finish(Progress::new(cancellation, listener));
     let reports = reports.lock().expect("no panics").clone();
     (found, reports)
 }

@@ -3,11 +3,13 @@
 use crate::scene::{camera, moving, picture, render, texture, tracked};
 use i2slam_eval::trajectory::{Alignment, absolute_trajectory_error};
 use i2slam_geometry::{Image, Pose, Rotation, StampedPose, Vec3};
-use i2slam_odometry::{FrontEnd, Intrinsics, Reconstruction, Warning};
+use i2slam_odometry::{FrontEnd, Intrinsics, Progress, Reconstruction, Warning};
 use rayon::prelude::*;
 
 fn run(pictures: &[Image<f32>]) -> Reconstruction {
-    tracked(Intrinsics::Known(camera()), pictures.iter().cloned()).finish().expect("a path")
+    tracked(Intrinsics::Known(camera()), pictures.iter().cloned())
+        .finish(Progress::default())
+        .expect("a path")
 }
 
 /// Root mean square error of the posed frames after alignment by a similarity.
@@ -65,8 +67,9 @@ fn a_path_closes_where_it_comes_back() {
     let noisy = |i: usize| with_noise(render(truth[i], 1.0, hall), i);
     let pictures: Vec<Image<f32>> = (0..truth.len()).into_par_iter().map(noisy).collect();
     let front_end = tracked(Intrinsics::Known(camera()), pictures.iter().cloned());
-    let open = front_end.clone().without_loop_closure().finish().expect("a path");
-    let closed = front_end.finish().expect("a path");
+    let open =
+        front_end.clone().without_loop_closure().finish(Progress::default()).expect("a path");
+    let closed = front_end.finish(Progress::default()).expect("a path");
     assert_eq!(closed.trajectory().len(), truth.len());
     let (closed, open) = (path_error(&closed, &truth), path_error(&open, &truth));
     assert!(closed < 0.5 * open, "{closed} {open}");
@@ -148,7 +151,7 @@ fn a_cut_is_reported_and_the_part_that_shows_another_place_named() {
         let report = front_end.push(picture, i as f64 / 30.0).expect("a picture of that size");
         assert_eq!(report.is_cut, i == 11, "frame {i}");
     }
-    let found = front_end.finish().expect("a path");
+    let found = front_end.finish(Progress::default()).expect("a path");
     assert_eq!(lost(&found), (0..11).collect::<Vec<_>>());
     let warning = Warning::DisconnectedFrames { frames: [0, 10] };
     assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
