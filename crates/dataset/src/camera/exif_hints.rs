@@ -110,17 +110,3 @@ fn number(exif: &Exif, tag: Tag) -> Option<f64> {
     }
     .filter(|v| v.is_finite())
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn angles_become_focal_lengths() {
-        let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-3 * b, "{a} {b}");
-        close(FieldOfView::Width(90.0).focal_length(640, 480), 320.0);
-        close(FieldOfView::LongerSide(90.0).focal_length(480, 640), 320.0);
-        close(FieldOfView::FilmEquivalent(FILM_DIAGONAL).focal_length(640, 480), 800.0);
-        close(FieldOfView::ASSUMED.focal_length(320, 240), 277.1);
-    }
-}

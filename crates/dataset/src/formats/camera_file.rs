@@ -82,19 +82,14 @@ fn parse_json(
     text: &str,
     defaults: FormatDefaults,
 ) -> Result<Calibration, DatasetError> {
-    let file: CameraFile = serde_json::from_str(text).map_err(|e| {
-        DatasetError::file(
-            path,
-            format!("{e}; expected JSON with the numbers fx, fy, cx, cy, width, height"),
-        )
-    })?;
+    let refuse = |reason: String| DatasetError::file(path, reason);
+    let expected = "expected JSON with the numbers fx, fy, cx, cy, width, height";
+    let file: CameraFile =
+        serde_json::from_str(text).map_err(|e| refuse(format!("{e}; {expected}")))?;
     file.check(path)?;
-    let distortion = Distortion::from_opencv(&file.distortion).ok_or_else(|| {
-        DatasetError::file(
-            path,
-            "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]",
-        )
-    })?;
+    let expected = "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]";
+    let distortion = Distortion::from_opencv(&file.distortion);
+    let distortion = distortion.ok_or_else(|| refuse(expected.into()))?;
     // Pixel centres at integers, as the constructor expects them.
     let shift = file.pixel_centre();
     let k = [file.fx, file.fy, file.cx - shift, file.cy - shift];

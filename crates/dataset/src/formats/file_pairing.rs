@@ -257,12 +257,4 @@ mod tests {
         assert_eq!(last_number("é12é"), Some(12));
         assert_eq!(last_number("left"), None);
     }
-
-    #[test]
-    fn numbers_pair_files_of_different_names() {
-        let files = |names: &[&str]| sorted_by_key(names.iter().map(PathBuf::from).collect());
-        let colour = files(&["frame10.jpg", "frame2.jpg", "frame3.jpg"]);
-        let depth = files(&["depth02.png", "depth10.png"]);
-        assert_eq!(pair_by_key(&colour, &depth), Some(vec![Some(0), None, Some(1)]));
-    }
 }

@@ -76,31 +76,31 @@ impl Layout {
 
     /// Name for users.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Tum => "TUM RGB-D",
-            Self::Eth3d => "ETH3D SLAM",
-            Self::ScanNet => "ScanNet (extracted)",
-            Self::Sens => "ScanNet (.sens)",
-            Self::Replica => "Replica (NICE-SLAM)",
-            Self::SevenScenes => "7-Scenes",
-            Self::Nerfstudio => "nerfstudio",
-            Self::Plain => "colour and depth folders",
-            Self::Video => "video",
-        }
+        self.description().0
     }
 
     /// Files by which the layout is recognised, for users.
     pub fn recognised_by(self) -> &'static str {
+        self.description().1
+    }
+
+    fn description(self) -> (&'static str, &'static str) {
         match self {
-            Self::Tum => "rgb.txt, depth.txt",
-            Self::Eth3d => "rgb.txt, depth.txt, calibration.txt",
-            Self::ScanNet => "color/, depth/, intrinsic/ (or frames/ with them)",
-            Self::Sens => "one .sens file, or its folder",
-            Self::Replica => "results/frame*.jpg, results/depth*.png",
-            Self::SevenScenes => "frame-*.color.png, frame-*.depth.png",
-            Self::Nerfstudio => "transforms.json with depth_file_path",
-            Self::Plain => "colour/ (color/, rgb/, images/), depth/, camera.json",
-            Self::Video => "a video file (.mp4, .mov, .mkv, .webm, .avi, ...), colour alone",
+            Self::Tum => ("TUM RGB-D", "rgb.txt, depth.txt"),
+            Self::Eth3d => ("ETH3D SLAM", "rgb.txt, depth.txt, calibration.txt"),
+            Self::ScanNet => {
+                ("ScanNet (extracted)", "color/, depth/, intrinsic/ (or frames/ with them)")
+            }
+            Self::Sens => ("ScanNet (.sens)", "one .sens file, or its folder"),
+            Self::Replica => ("Replica (NICE-SLAM)", "results/frame*.jpg, results/depth*.png"),
+            Self::SevenScenes => ("7-Scenes", "frame-*.color.png, frame-*.depth.png"),
+            Self::Nerfstudio => ("nerfstudio", "transforms.json with depth_file_path"),
+            Self::Plain => {
+                ("colour and depth folders", "colour/ (color/, rgb/, images/), depth/, camera.json")
+            }
+            Self::Video => {
+                ("video", "a video file (.mp4, .mov, .mkv, .webm, .avi, ...), colour alone")
+            }
         }
     }
 }

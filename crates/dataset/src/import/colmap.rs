@@ -3,7 +3,7 @@
 use super::posed_images::{
     ReadKeyframes, UnmatchedCounts, all_frames, at_positions, count_unmatched,
 };
-use super::source::{DepthSource, ImageSource, KeyframePose, KeyframeSource};
+use super::source::{DepthSource, KeyframePose};
 use super::sparse_depth::{SparseDepth, with_covariance};
 use super::{ImportDepth, ImportFormat, ImportOptions};
 use crate::camera::{Calibration, FormatDefaults};
@@ -32,10 +32,9 @@ pub(super) fn open(
         ImportDepth::None | ImportDepth::Pictures => DepthSource::images_if_requested(options)?,
     };
     let mut warnings = sequence.warnings.clone();
-    let (keyframes, unmatched) = match_by_name(&folder, &images, &sequence, &mut warnings);
-    let source = KeyframeSource { images: ImageSource::Sequence(Box::new(sequence)), depth };
-    let path = model.folder.clone();
-    Ok(ReadKeyframes { format: ImportFormat::Colmap, path, source, keyframes, unmatched, warnings })
+    let matched = match_by_name(&folder, &images, &sequence, &mut warnings);
+    let kind = (ImportFormat::Colmap, model.folder.as_path());
+    Ok(ReadKeyframes::of_sequence(kind, (sequence, depth), matched, warnings))
 }
 
 /// Matches the images of the model with those of the sequence by name, in order of the latter.

@@ -55,21 +55,19 @@ pub(super) fn open(
     let records = used_records(frames, stamps.as_ref(), &mut warnings);
     let poses = read_poses(&numbers, &records)?;
     let depth = read_depth(&arrays, frames, options)?;
-    let (keyframes, unmatched, source);
     if let Some(folder) = pictures {
         let stamps = stamps.ok_or_else(|| arrays.missing(&TIMESTAMP_NAMES))?;
         let sequence = open_images(folder, options, options.depth == ImportDepth::Pictures)?;
         warnings.extend(sequence.warnings.iter().cloned());
-        (keyframes, unmatched) =
-            match_with_sequence(&poses, &stamps, &sequence, options, &mut warnings);
-        source = KeyframeSource { images: ImageSource::Sequence(Box::new(sequence)), depth };
-    } else {
-        (keyframes, unmatched) = without_sequence(&poses, stamps.as_ref());
-        let images = read_images(&arrays, frames, options)?;
-        source = KeyframeSource { images: ImageSource::Arrays(Box::new(images)), depth };
+        let matched = match_with_sequence(&poses, &stamps, &sequence, options, &mut warnings);
+        let kind = (ImportFormat::Droid, path);
+        return Ok(ReadKeyframes::of_sequence(kind, (sequence, depth), matched, warnings));
     }
-    let path = path.to_path_buf();
-    Ok(ReadKeyframes { format: ImportFormat::Droid, path, source, keyframes, unmatched, warnings })
+    let (keyframes, unmatched) = without_sequence(&poses, stamps.as_ref());
+    let images = ImageSource::Arrays(Box::new(read_images(&arrays, frames, options)?));
+    let (format, path) = (ImportFormat::Droid, path.to_path_buf());
+    let source = KeyframeSource { images, depth };
+    Ok(ReadKeyframes { format, path, source, keyframes, unmatched, warnings })
 }
 
 /// Indices of the arrays that hold a keyframe: runs write arrays with room for more keyframes, whose

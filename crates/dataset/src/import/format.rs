@@ -27,36 +27,42 @@ impl ImportFormat {
 
     /// Name for users.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Nerfstudio => "nerfstudio",
-            Self::Colmap => "COLMAP",
-            Self::Droid => "DROID-SLAM arrays",
-            Self::Trajectory => "TUM trajectory",
-        }
+        self.description()[0]
     }
 
     /// Pose convention of the files, for users.
     pub fn convention(self) -> &'static str {
-        match self {
-            Self::Nerfstudio => "world_from_camera, OpenGL axes (y up, z backwards)",
-            Self::Colmap => "camera_from_world, quaternion w x y z, OpenCV axes",
-            Self::Droid => "camera_from_world, quaternion x y z w, OpenCV axes",
-            Self::Trajectory => "world_from_camera, quaternion x y z w, OpenCV axes",
-        }
+        self.description()[1]
     }
 
     /// Files by which the format is recognised, for users.
     pub fn recognised_by(self) -> &'static str {
+        self.description()[2]
+    }
+
+    fn description(self) -> [&'static str; 3] {
         match self {
-            Self::Nerfstudio => "transforms.json, or its folder",
-            Self::Colmap => {
-                "cameras and images as .bin or .txt, in the folder, in sparse/0 or in sparse"
-            }
-            Self::Droid => "poses.npy with others in a folder, or one .npz",
-            Self::Trajectory => {
+            Self::Nerfstudio => [
+                "nerfstudio",
+                "world_from_camera, OpenGL axes (y up, z backwards)",
+                "transforms.json, or its folder",
+            ],
+            Self::Colmap => [
+                "COLMAP",
+                "camera_from_world, quaternion w x y z, OpenCV axes",
+                "cameras and images as .bin or .txt, in the folder, in sparse/0 or in sparse",
+            ],
+            Self::Droid => [
+                "DROID-SLAM arrays",
+                "camera_from_world, quaternion x y z w, OpenCV axes",
+                "poses.npy with others in a folder, or one .npz",
+            ],
+            Self::Trajectory => [
+                "TUM trajectory",
+                "world_from_camera, quaternion x y z w, OpenCV axes",
                 "a text file with lines timestamp tx ty tz qx qy qz qw, or a folder with it as \
-                 trajectory.txt"
-            }
+                 trajectory.txt",
+            ],
         }
     }
 }

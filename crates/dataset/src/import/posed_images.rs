@@ -36,6 +36,17 @@ pub(super) struct ReadKeyframes {
 }
 
 impl ReadKeyframes {
+    /// Keyframes with the images of a sequence.
+    pub(super) fn of_sequence(
+        (format, path): (ImportFormat, &Path),
+        (sequence, depth): (Sequence, DepthSource),
+        (keyframes, unmatched): (Vec<KeyframePose>, UnmatchedCounts),
+        warnings: Vec<String>,
+    ) -> Self {
+        let source = KeyframeSource { images: ImageSource::Sequence(Box::new(sequence)), depth };
+        Self { format, path: path.to_path_buf(), source, keyframes, unmatched, warnings }
+    }
+
     /// Counts keyframes that were dropped, with a warning.
     fn count_dropped(&mut self, count: usize, reason: String) {
         self.unmatched.poses_without_image += count;
@@ -282,16 +293,8 @@ pub(super) fn open_nerfstudio(
     let (keyframes, mut unmatched) = match_by_time(poses, &sequence, options, &mut warnings);
     unmatched.reason = "the other frames have no transform_matrix that is finite and rigid".into();
     let depth = if with_depth { DepthSource::images(options)? } else { DepthSource::None };
-    let source = KeyframeSource { images: ImageSource::Sequence(Box::new(sequence)), depth };
-    let path = file.to_path_buf();
-    Ok(ReadKeyframes {
-        format: ImportFormat::Nerfstudio,
-        path,
-        source,
-        keyframes,
-        unmatched,
-        warnings,
-    })
+    let (kind, images) = ((ImportFormat::Nerfstudio, file), (sequence, depth));
+    Ok(ReadKeyframes::of_sequence(kind, images, (keyframes, unmatched), warnings))
 }
 
 /// Opens a trajectory with the images of `pictures`, by default of the folder it lies in.
@@ -306,16 +309,8 @@ pub(super) fn open_trajectory(
     let depth = DepthSource::images_if_requested(options)?;
     let sequence = open_images(folder, options, options.depth == ImportDepth::Pictures)?;
     let mut warnings = sequence.warnings.clone();
-    let (keyframes, unmatched) =
-        match_by_time(poses.into_iter().enumerate().collect(), &sequence, options, &mut warnings);
-    let source = KeyframeSource { images: ImageSource::Sequence(Box::new(sequence)), depth };
-    let path = file.to_path_buf();
-    Ok(ReadKeyframes {
-        format: ImportFormat::Trajectory,
-        path,
-        source,
-        keyframes,
-        unmatched,
-        warnings,
-    })
+    let poses = poses.into_iter().enumerate().collect();
+    let matched = match_by_time(poses, &sequence, options, &mut warnings);
+    let (kind, images) = ((ImportFormat::Trajectory, file), (sequence, depth));
+    Ok(ReadKeyframes::of_sequence(kind, images, matched, warnings))
 }

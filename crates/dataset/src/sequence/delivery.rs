@@ -30,11 +30,16 @@ impl Sequence {
         }
         let video = loader.video.as_deref();
         let (resampler, video) = delivery(&self.cameras, &self.lens, border, size, video);
+        self.with_loader(FrameLoader { resampler, video, ..FrameLoader::clone(loader) })
+    }
+
+    /// The sequence with frames delivered by another loader.
+    fn with_loader(&self, loader: FrameLoader) -> Self {
         Self {
-            camera: resampler.camera,
-            valid_mask: resampler.valid_mask.clone().map(Arc::new),
-            warnings: coverage_warning(&resampler).into_iter().collect(),
-            loader: Arc::new(FrameLoader { resampler, video, ..FrameLoader::clone(loader) }),
+            camera: loader.resampler.camera,
+            valid_mask: loader.resampler.valid_mask.clone().map(Arc::new),
+            warnings: coverage_warning(&loader.resampler).into_iter().collect(),
+            loader: Arc::new(loader),
             ..self.clone()
         }
     }
@@ -63,13 +68,9 @@ impl Sequence {
         Self {
             camera_source: ESTIMATED_SOURCE.to_owned(),
             camera_is_guess: false,
-            camera: resampler.camera,
-            valid_mask: resampler.valid_mask.clone().map(Arc::new),
-            warnings: coverage_warning(&resampler).into_iter().collect(),
             cameras,
             lens: camera.lens(),
-            loader: Arc::new(FrameLoader { resampler, ..FrameLoader::clone(loader) }),
-            ..self.clone()
+            ..self.with_loader(FrameLoader { resampler, ..FrameLoader::clone(loader) })
         }
     }
 }
