@@ -2,7 +2,7 @@
 
 use crate::pictures::DEPTH_UNITS_PER_METRE;
 use crate::storage::read_text;
-use crate::{Metrics, ResultError, ResultFolder, Storage, UnitOfLength, map, tables};
+use crate::{Metrics, ResultError, ResultFolder, UnitOfLength, map, tables};
 use i2slam::formation::tone::NODES;
 use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
 use i2slam::geometry::{Camera, StampedPose};
@@ -17,10 +17,7 @@ use std::path::Path;
 /// an older one is removed), in this order.
 ///
 /// Every file is tried; returns the failures.
-pub fn save<S: Storage>(
-    folder: &ResultFolder<S>,
-    reconstruction: &Reconstruction,
-) -> Vec<ResultError> {
+pub fn save(folder: &ResultFolder, reconstruction: &Reconstruction) -> Vec<ResultError> {
     let r = reconstruction;
     let unit = UnitOfLength::of(&r.config);
     let steps = [
@@ -45,8 +42,8 @@ pub fn save<S: Storage>(
 }
 
 /// Writes mid-exposure poses in the TUM format.
-pub fn save_trajectory<S: Storage>(
-    folder: &ResultFolder<S>,
+pub fn save_trajectory(
+    folder: &ResultFolder,
     file: &str,
     poses: &[StampedPose],
     unit: UnitOfLength,
@@ -55,10 +52,7 @@ pub fn save_trajectory<S: Storage>(
 }
 
 /// Writes `metrics.json`.
-pub fn save_metrics<S: Storage>(
-    folder: &ResultFolder<S>,
-    metrics: &Metrics,
-) -> Result<(), ResultError> {
+pub fn save_metrics(folder: &ResultFolder, metrics: &Metrics) -> Result<(), ResultError> {
     folder.write("metrics.json", |out| write_json(out, metrics))
 }
 

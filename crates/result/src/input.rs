@@ -1,7 +1,7 @@
 //! `input.json`: the sequence of a run, and how it was read.
 
 use crate::storage::read_text;
-use crate::{ResultError, ResultFolder, Storage};
+use crate::{ResultError, ResultFolder};
 use i2slam::dataset::{OpenOptions, is_stream};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -39,7 +39,7 @@ impl RunInput {
     }
 
     /// Writes `input.json`.
-    pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ResultError> {
+    pub fn save(&self, folder: &ResultFolder) -> Result<(), ResultError> {
         folder.write("input.json", |out| {
             serde_json::to_writer_pretty(&mut *out, self)?;
             writeln!(out)

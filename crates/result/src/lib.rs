@@ -23,4 +23,4 @@ pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
-pub use storage::{Disk, ResultError, ResultFolder, Storage};
+pub use storage::{ResultError, ResultFolder};

@@ -1,7 +1,7 @@
 //! Image files (PNG for pictures and depth, OpenEXR for radiance), and the pictures under
 //! `renders/`.
 
-use crate::{ResultError, ResultFolder, Storage};
+use crate::{ResultError, ResultFolder};
 use i2slam::geometry::Image;
 use std::io::{self, Cursor, Write};
 
@@ -124,8 +124,8 @@ impl RenderKind {
 }
 
 /// Writes a render as `<parent>/<kind>/NNNNNN.png` (or `.exr`); `parent` may be empty.
-pub fn save_render<S: Storage>(
-    folder: &ResultFolder<S>,
+pub fn save_render(
+    folder: &ResultFolder,
     parent: &str,
     kind: RenderKind,
     index: usize,

@@ -1,6 +1,5 @@
-//! Round trips and full disks, on a reconstruction made by hand.
+//! Round trips and failures, on a reconstruction made by hand.
 
-use super::storage::tests::SmallDisk;
 use super::*;
 use i2slam::Config;
 use i2slam::config::MapKind;
@@ -164,18 +163,16 @@ fn damage_is_named() {
 }
 
 #[test]
-fn a_full_disk_keeps_what_was_written_before() {
+fn a_file_that_cannot_be_written_does_not_lose_the_others() {
     let scratch = TemporaryFolder::new("order");
-    let reconstruction = example(6);
-    let room = 5000;
-    let failures = save(&ResultFolder::on(&scratch.0, SmallDisk::new(room)), &reconstruction);
-    assert!(!failures.is_empty() && failures.iter().all(ResultError::is_storage_full));
-    for file in ["trajectory.txt", "trajectory_shutter.txt", "frames.csv"] {
-        assert!(scratch.0.join(file).exists(), "{file}");
+    let folder = ResultFolder::create(&scratch.0).expect("a folder");
+    fs::create_dir_all(scratch.0.join("state.json/in-the-way")).expect("a folder");
+    let failures = save(&folder, &example(6));
+    assert!(failures.len() == 1 && failures[0].to_string().contains("state.json"), "{failures:?}");
+    for file in ["trajectory.txt", "trajectory_shutter.txt", "frames.csv", "map.i2slam"] {
+        assert!(scratch.0.join(file).is_file(), "{file}");
     }
-    let partial = fs::read_dir(&scratch.0).expect("a folder").flatten();
-    let names: Vec<_> = partial.map(|e| e.file_name().to_string_lossy().into_owned()).collect();
-    assert!(names.iter().all(|n| !n.ends_with(".partial")), "{names:?}");
+    assert!(!scratch.0.join(".state.json.partial").exists());
 }
 
 #[test]

@@ -12,7 +12,7 @@ pub use evaluation::{EvaluationSection, EvaluationSource, GroundTruthSource, ins
 pub use gallery::Comparison;
 
 use crate::html::{STYLE, escape};
-use crate::{Metrics, ResultError, ResultFolder, Storage};
+use crate::{Metrics, ResultError, ResultFolder};
 use i2slam::geometry::StampedPose;
 use i2slam::{FrameEstimate, Reconstruction, Warning};
 use std::fmt::Write;
@@ -61,7 +61,7 @@ impl Report<'_> {
     }
 
     /// Writes `report.html`; it comes last, because it lists the other files.
-    pub fn save<S: Storage>(&self, folder: &ResultFolder<S>) -> Result<(), ResultError> {
+    pub fn save(&self, folder: &ResultFolder) -> Result<(), ResultError> {
         folder.write_text("report.html", &self.html(|name| folder.path().join(name).exists()))
     }
 }
