@@ -1,11 +1,11 @@
 //! The program from outside: jobs, interruptions, failures, tables.
 
-use i2slam_check::TemporaryFolder;
+use i2slam_check::{Ran, TemporaryFolder};
 use i2slam_synthetic::{Spec, synthesise};
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 use std::sync::Once;
 use std::time::SystemTime;
 
@@ -54,41 +54,8 @@ fn program<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Command {
     command
 }
 
-/// Exit code and output of a finished program.
-struct Ran {
-    code: Option<i32>,
-    out: String,
-    err: String,
-}
-
-impl From<Output> for Ran {
-    fn from(output: Output) -> Self {
-        Self {
-            code: output.status.code(),
-            out: String::from_utf8_lossy(&output.stdout).into_owned(),
-            err: String::from_utf8_lossy(&output.stderr).into_owned(),
-        }
-    }
-}
-
-impl Ran {
-    #[track_caller]
-    fn ended_with(self, code: i32) -> Self {
-        let Self { out, err, .. } = &self;
-        assert_eq!(self.code, Some(code), "standard output:\n{out}\nstandard error:\n{err}");
-        assert!(!err.contains("panicked"), "{err}");
-        self
-    }
-
-    #[track_caller]
-    fn warning(self, text: &str) -> Self {
-        assert!(self.err.contains(text), "`{text}` is not in:\n{}", self.err);
-        self
-    }
-}
-
 fn run<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ran {
-    program(arguments).output().expect("the program starts").into()
+    Ran::of(&mut program(arguments))
 }
 
 fn bench(suite: &Path, out: &Path, more: &[&str]) -> Ran {
@@ -107,7 +74,7 @@ fn read(file: &Path) -> String {
 #[test]
 fn two_jobs_run_side_by_side_and_make_tables() {
     let (_folder, suite, out) = prepared("bench", &suite(""));
-    let ran = bench(&suite, &out, &["--jobs", "2", "--threads", "2"]).ended_with(0);
+    let ran = bench(&suite, &out, &["--jobs", "2", "--threads", "2"]).exits_with(0);
     assert_eq!(ran.out.lines().next(), Some("2 of 2 jobs finished"), "{}", ran.out);
     assert_eq!(ran.out.lines().last(), out.join("results.html").to_str());
     let text = read(&out.join("results.md"));
@@ -130,23 +97,23 @@ fn two_jobs_run_side_by_side_and_make_tables() {
 #[test]
 fn what_is_finished_is_not_run_again() {
     let (_folder, suite, out) = prepared("bench-resume", &suite(""));
-    bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
+    bench(&suite, &out, &["--configurations", "on"]).exits_with(0);
     let (on, off) = (out.join("jobs/room/on/seed-3"), out.join("jobs/room/off/seed-3"));
     let before = written(&on.join("result/metrics.json"));
     // What an interrupted job leaves: a folder without an end.
     fs::create_dir_all(off.join("result")).expect("a folder");
     fs::write(off.join("result/trajectory.txt"), "half a line").expect("room");
-    let dry = bench(&suite, &out, &["--dry-run"]).ended_with(0).out;
+    let dry = bench(&suite, &out, &["--dry-run"]).exits_with(0).out;
     assert!(dry.contains("finished  room, on, seed 3"), "{dry}");
     assert!(dry.contains("to do     room, off, seed 3"), "{dry}");
-    let ran = bench(&suite, &out, &[]).ended_with(0);
+    let ran = bench(&suite, &out, &[]).exits_with(0);
     assert!(ran.err.contains("1 job is finished already"), "{}", ran.err);
     assert_eq!(written(&on.join("result/metrics.json")), before);
     assert!(off.join("result/metrics.json").is_file());
     // Another value makes other work of the job.
     fs::write(&suite, read(&suite).replace("final_iterations = 1", "final_iterations = 2"))
         .expect("room");
-    let dry = bench(&suite, &out, &["--dry-run"]).ended_with(0).out;
+    let dry = bench(&suite, &out, &["--dry-run"]).exits_with(0).out;
     assert!(dry.contains("2 of 2 jobs to run"), "{dry}");
 }
 
@@ -154,8 +121,8 @@ fn what_is_finished_is_not_run_again() {
 fn a_job_that_fails_is_in_the_tables() {
     let missing = "\n[[sequence]]\npath = \"nowhere\"\n";
     let (_folder, suite, out) = prepared("bench-fail", &suite(missing));
-    let ran = bench(&suite, &out, &["--configurations", "on"]).ended_with(1);
-    ran.warning("nowhere, on, seed 3: failed").warning("one job failed");
+    let ran = bench(&suite, &out, &["--configurations", "on"]).exits_with(1);
+    ran.stderr_contains("nowhere, on, seed 3: failed").stderr_contains("one job failed");
     let text = read(&out.join("results.md"));
     assert!(text.contains("1 of 2 jobs finished, 1 failed"), "{text}");
     assert!(text.contains("| nowhere | on | 3 |") && text.contains("no file or folder"), "{text}");
@@ -178,16 +145,16 @@ fn what_could_not_be_judged_is_judged_again_without_a_run() {
     pictures.sort();
     let whole = fs::read(&pictures[2]).expect("a picture");
     fs::write(&pictures[2], b"no picture").expect("room");
-    let ran = bench(&suite, &out, &["--configurations", "on"]).ended_with(1);
-    ran.warning("room, on, seed 3: failed: not judged").warning("frame 2");
+    let ran = bench(&suite, &out, &["--configurations", "on"]).exits_with(1);
+    ran.stderr_contains("room, on, seed 3: failed: not judged").stderr_contains("frame 2");
     let metrics = out.join("jobs/room/on/seed-3/result/metrics.json");
     let before = written(&metrics);
     fs::write(&pictures[2], whole).expect("room");
-    bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
+    bench(&suite, &out, &["--configurations", "on"]).exits_with(0);
     assert_eq!(written(&metrics), before);
     let judged = read(&out.join("jobs/room/on/seed-3/eval.json"));
     assert!(judged.contains("\"sharp_frames\": 1"), "{judged}");
-    bench(&suite, &out, &["--configurations", "on", "--fresh"]).ended_with(0);
+    bench(&suite, &out, &["--configurations", "on", "--fresh"]).exits_with(0);
     assert!(written(&metrics) > before, "--fresh runs it again");
 }
 
@@ -195,9 +162,9 @@ fn what_could_not_be_judged_is_judged_again_without_a_run() {
 fn held_out_frames_are_judged_alone() {
     let text = format!("protocol = \"held-out\"\noptimise_poses = true\n{}", suite(""));
     let (_folder, suite, out) = prepared("bench-held-out", &text);
-    bench(&suite, &out, &[]).ended_with(2).warning("hold_out");
+    bench(&suite, &out, &[]).exits_with(2).stderr_contains("hold_out");
     fs::write(&suite, text.replace("{ iterations", "{ hold_out = 2, iterations")).expect("room");
-    bench(&suite, &out, &["--configurations", "on"]).ended_with(0);
+    bench(&suite, &out, &["--configurations", "on"]).exits_with(0);
     let judged = read(&out.join("jobs/room/on/seed-3/eval.json"));
     assert!(judged.contains("\"sharp_frames\": 1"), "{judged}");
     assert!(judged.contains("\"poses_optimised\": true"), "{judged}");
@@ -208,8 +175,8 @@ fn held_out_frames_are_judged_alone() {
 fn a_job_that_takes_too_long_is_ended() {
     let slow = suite("").replace("iterations = 4", "iterations = 400000");
     let (_folder, suite, out) = prepared("bench-late", &slow);
-    let ran = bench(&suite, &out, &["--configurations", "on", "--timeout", "1"]).ended_with(1);
-    ran.warning("ended after 1 s (--timeout)");
+    let ran = bench(&suite, &out, &["--configurations", "on", "--timeout", "1"]).exits_with(1);
+    ran.stderr_contains("ended after 1 s (--timeout)");
 }
 
 #[test]
@@ -218,8 +185,8 @@ fn mistakes_in_a_suite_are_found_before_anything_runs() {
         let text = suite("");
         assert!(text.contains(from), "{text}");
         let (_folder, suite, out) = prepared(name, &text.replace(from, to));
-        let ran = bench(&suite, &out, &[]).ended_with(2);
-        words.iter().fold(ran, |ran, word| ran.warning(word));
+        let ran = bench(&suite, &out, &[]).exits_with(2);
+        words.iter().fold(ran, |ran, word| ran.stderr_contains(word));
         assert!(!out.exists());
     };
     refused("bench-key", "seeds", "sedes", ["unknown field `sedes`", "line 2"]);
@@ -236,20 +203,20 @@ fn mistakes_in_a_suite_are_found_before_anything_runs() {
         ["unknown field `flags`", "config.formation.blur = false"],
     );
     refused("bench-twin", "\"off\"", "\"On\"", ["`On`", "configurations"]);
-    run(["ablations", "--out", "x"]).ended_with(2).warning("virtual-cameras");
+    run(["ablations", "--out", "x"]).exits_with(2).stderr_contains("virtual-cameras");
 }
 
 #[test]
 fn suites_come_with_the_program() {
-    let list = run(["--list"]).ended_with(0).out;
+    let list = run(["--list"]).exits_with(0).out;
     for name in
         ["ablation", "virtual-cameras", "runtime", "tum", "scannet", "synthetic", "rgb", "paper"]
     {
         assert!(list.lines().any(|line| line.starts_with(name)), "{name} is not in {list}");
     }
-    let text = run(["ablation", "--print"]).ended_with(0).out;
+    let text = run(["ablation", "--print"]).exits_with(0).out;
     assert!(text.contains("[[configuration]]"), "{text}");
-    let dry = run(["ablation", "--data", "/nowhere", "--dry-run"]).ended_with(0);
+    let dry = run(["ablation", "--data", "/nowhere", "--dry-run"]).exits_with(0);
     assert_eq!(dry.out.lines().count(), 16, "{}", dry.out);
     assert!(dry.err.contains("dining-room is left out"), "{}", dry.err);
 }
@@ -273,10 +240,10 @@ fn ctrl_c_ends_the_jobs_and_writes_what_there_is() {
     }
     let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(sent.expect("kill").success());
-    let ran = Ran::from(child.wait_with_output().expect("an end")).ended_with(130);
+    let ran = Ran::from(child.wait_with_output().expect("an end")).exits_with(130);
     assert!(ran.out.contains("1 of 2 jobs finished, 1 not run"), "{}", ran.out);
     assert!(!out.join("jobs/room/off/seed-3/job.json").exists());
     assert!(read(&out.join("results.md")).contains("| room | off | 3 | not run yet |"));
-    let dry = bench(&suite, &out, &["--dry-run"]).ended_with(0).out;
+    let dry = bench(&suite, &out, &["--dry-run"]).exits_with(0).out;
     assert!(dry.contains("1 of 2 jobs to run"), "{dry}");
 }

@@ -1,5 +1,9 @@
-//! Gradient checks, comparisons, noise, temporary folders and a clock; never shipped.
+//! Gradient checks, comparisons, noise, temporary folders, finished programs and a clock; never
+//! shipped.
 
+mod program;
+
+pub use program::Ran;
 use std::path::PathBuf;
 
 /// An empty folder for one test, removed when dropped.
@@ -12,6 +16,11 @@ impl TemporaryFolder {
         std::fs::remove_dir_all(&path).ok();
         std::fs::create_dir_all(&path).expect("a temporary folder");
         Self(path)
+    }
+
+    /// The path of a file or folder in it.
+    pub fn join(&self, name: &str) -> PathBuf {
+        self.0.join(name)
     }
 }
 

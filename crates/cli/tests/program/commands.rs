@@ -1,28 +1,14 @@
 //! The other commands, on one small result.
 
-use crate::program::{Ran, Scene, Scratch, reconstruct, run};
-use std::ffi::OsStr;
+use crate::program::{Room, Scene, i2slam, run};
 use std::fs;
 use std::path::Path;
 
-fn result(name: &str) -> Scratch {
-    let scratch = Scratch::new(name);
-    Scene::default().write(&scratch.join("room"));
-    reconstruct(&scratch.join("room"), &scratch.join("out"), &[]).exits_with(0);
-    scratch
-}
-
-fn on(command: &str, folder: &Path, more: &[&OsStr]) -> Ran {
-    run([command.as_ref(), folder.as_os_str()].into_iter().chain(more.iter().copied()))
-}
-
 #[test]
-fn a_saved_result_is_drawn_again_as_it_was() {
-    let scratch = result("render");
-    let (out, again) = (scratch.join("out"), scratch.join("again"));
-    let flags: [&OsStr; 4] =
-        ["--frames".as_ref(), "2..4".as_ref(), "--out".as_ref(), again.as_ref()];
-    on("render", &out, &flags).exits_with(0);
+fn a_saved_result_and_poses_of_ones_own_are_drawn() {
+    let room = Room::reconstructed("render", Scene::default(), &[]);
+    let (out, again) = (&room.out, room.scratch.join("again"));
+    i2slam!("render", out, "--frames", "2..4", "--out", again).exits_with(0);
     for (kind, extension) in
         [("sharp", "png"), ("blurred", "png"), ("hdr", "exr"), ("depth", "png")]
     {
@@ -31,54 +17,36 @@ fn a_saved_result_is_drawn_again_as_it_was() {
         assert!(first == fs::read(again.join(file(2))).expect("a new render"), "{kind}");
         assert!(again.join(file(3)).is_file() && !again.join(file(4)).exists());
     }
-}
-
-#[test]
-fn poses_of_ones_own_are_drawn() {
-    let scratch = result("poses");
-    let out = scratch.join("out");
-    let pose: [&OsStr; 4] =
-        ["--pose".as_ref(), "-0.01 0 0 0 0 0 1".as_ref(), "--kinds".as_ref(), "sharp,hdr".as_ref()];
-    on("render", &out, &pose).exits_with(0);
-    assert!(out.join("views/sharp/000000.png").is_file());
-    assert!(out.join("views/hdr/000000.exr").is_file() && !out.join("views/depth").exists());
-    let trajectory = out.join("trajectory.txt");
-    let poses: [&OsStr; 2] = ["--poses".as_ref(), trajectory.as_ref()];
-    on("render", &out, &poses).exits_with(0);
-    assert!(out.join("views/depth/000005.png").is_file() && !out.join("views/blurred").exists());
-}
-
-#[test]
-fn render_refuses_what_it_cannot_mean() {
-    let scratch = result("refuse");
-    let out = scratch.join("out");
-    let refused = |flags: &[&str], word: &str| {
-        let flags: Vec<&OsStr> = flags.iter().map(OsStr::new).collect();
-        on("render", &out, &flags).exits_with(2).stderr_contains(word);
-    };
-    refused(&["--pose", "1 2 3"], "seven numbers");
-    refused(&["--pose", "0 0 0 0 0 0 0"], "no pose");
-    refused(&["--pose", "0 0 0 0 0 0 1", "--kinds", "blurred"], "no motion");
-    refused(&["--kinds", "sharpest"], "sharpest");
-    refused(&["--frames", "90..99"], "90..99");
-    refused(&["--frames", "4..2"], "holds no frame");
-    let nowhere = on("render", &scratch.join("nowhere"), &[]).exits_with(1);
-    nowhere.stderr_contains("no such folder");
-    on("render", &scratch.join("room"), &[]).exits_with(1).stderr_contains("no result of a run");
+    let pose = ["--pose", "-0.01 0 0 0 0 0 1", "--kinds", "sharp,hdr"];
+    i2slam!("render", out; pose).exits_with(0);
+    assert!(room.has("views/sharp/000000.png") && room.has("views/hdr/000000.exr"));
+    assert!(!room.has("views/depth"));
+    i2slam!("render", out, "--poses", out.join("trajectory.txt")).exits_with(0);
+    assert!(room.has("views/depth/000005.png") && !room.has("views/blurred"));
+    for (flags, word) in [
+        (&["--pose", "1 2 3"][..], "seven numbers"),
+        (&["--pose", "0 0 0 0 0 0 0"], "no pose"),
+        (&["--pose", "0 0 0 0 0 0 1", "--kinds", "blurred"], "no motion"),
+        (&["--kinds", "sharpest"], "sharpest"),
+        (&["--frames", "90..99"], "90..99"),
+        (&["--frames", "4..2"], "holds no frame"),
+    ] {
+        i2slam!("render", out; flags).exits_with(2).stderr_contains(word);
+    }
+    let nowhere = room.scratch.join("nowhere");
+    i2slam!("render", nowhere).exits_with(1).stderr_contains("no such folder");
+    i2slam!("render", room.data).exits_with(1).stderr_contains("no result of a run");
 }
 
 #[test]
 fn eval_fits_the_scale_of_a_unit_that_is_unknown() {
-    let scratch = result("eval-unit");
-    let truth = scratch.join("room/groundtruth.txt");
-    let metric = scratch.join("out/trajectory.txt");
-    let text = fs::read_to_string(&metric).expect("a trajectory");
-    let unknown = scratch.join("unknown.txt");
+    let room = Room::reconstructed("eval-unit", Scene::default(), &["--render", "none"]);
+    let (truth, metric) = (room.data.join("groundtruth.txt"), room.out.join("trajectory.txt"));
+    let unknown = room.scratch.join("unknown.txt");
+    let text = room.text("trajectory.txt");
     fs::write(&unknown, text.replacen("[m]", "[unit of length unknown]", 1)).expect("room");
     let fit = |file: &Path, flags: &[&str]| {
-        let mut all: Vec<&OsStr> = vec!["--groundtruth".as_ref(), truth.as_ref()];
-        all.extend(flags.iter().map(OsStr::new));
-        on("eval", file, &all).exits_with(0).out
+        i2slam!("eval", file, "--groundtruth", truth; flags).exits_with(0).out
     };
     assert!(fit(&metric, &[]).contains("SE(3)"));
     assert!(fit(&unknown, &[]).contains("Sim(3)"));
@@ -89,13 +57,17 @@ fn eval_fits_the_scale_of_a_unit_that_is_unknown() {
 fn usage_is_checked() {
     run(["run"]).exits_with(2);
     run(["bench", "ablation", "--out", "x"]).exits_with(2).stderr_contains("i2slam-bench");
-    run(["run", "data", "--out", "out", "--sharpen"]).exits_with(2).stderr_contains("--sharpen");
-    let preset = ["run", "data", "--out", "out", "--preset", "fast"];
-    run(preset).exits_with(2).stderr_contains("paper-tum");
-    run(["run", "data", "--out", "out", "--threads", "0"]).exits_with(2);
-    run(["run", "data", "--out", "out", "--virtual-cameras", "0"])
-        .exits_with(2)
-        .stderr_contains("virtual_cameras");
+    for (flags, word) in [
+        (&["--sharpen"][..], "--sharpen"),
+        (&["--preset", "fast"], "paper-tum"),
+        (&["--threads", "0"], "--threads"),
+        (&["--virtual-cameras", "0"], "virtual_cameras"),
+        (&["--keyframes", "poses.txt"], "--rgb"),
+        (&["--rgb", "--keyframes", "p", "--preset", "paper-tum"], "is for RGB-D"),
+        (&["--preset", "paper-rgb"], "add --rgb"),
+    ] {
+        i2slam!("run", "data", "--out", "out"; flags).exits_with(2).stderr_contains(word);
+    }
 }
 
 #[test]
@@ -105,8 +77,7 @@ fn presets_are_listed_and_printed() {
         assert!(list.contains(name), "{name}");
     }
     let printed = run(["presets", "paper-synthetic"]).exits_with(0).out;
-    assert!(printed.contains("[tracking]"));
-    for words in ["# Adam steps per frame", "# Source: ", "`second-order`: "] {
+    for words in ["[tracking]", "# Adam steps per frame", "# Source: ", "`second-order`: "] {
         assert!(printed.contains(words), "{words} is not in\n{printed}");
     }
     run(["presets", "none"]).exits_with(2);
@@ -115,7 +86,7 @@ fn presets_are_listed_and_printed() {
 #[cfg(unix)]
 #[test]
 fn a_reader_that_goes_away_ends_nothing_badly() {
-    use crate::program::program;
+    use crate::program::{Ran, program};
     use std::process::Stdio;
     let mut child = program(["presets", "default"])
         .stdout(Stdio::piped())
@@ -123,5 +94,5 @@ fn a_reader_that_goes_away_ends_nothing_badly() {
         .spawn()
         .expect("the program starts");
     drop(child.stdout.take());
-    Ran::of(child.wait_with_output().expect("an end")).exits_with(0);
+    Ran::from(child.wait_with_output().expect("an end")).exits_with(0);
 }

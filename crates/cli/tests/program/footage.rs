@@ -1,6 +1,6 @@
 //! Made-up videos: raw frames beside an empty file, and a script that answers as ffmpeg would.
 
-use crate::program::{Ran, Scratch, program};
+use crate::program::{Ran, TemporaryFolder, program};
 use std::fmt::Write;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -96,14 +96,19 @@ fn texture(x: f64, y: f64, scene: u32) -> u8 {
     (127.5 + 30.0 * sum) as u8
 }
 
+/// Steps to the right, evenly in time.
+pub(crate) fn walk(frames: u32, step: f64) -> Vec<(u32, View)> {
+    (0..frames).map(|i| (20 * i, View::moved(step * f64::from(i)))).collect()
+}
+
 /// A folder with videos in it.
 pub(crate) struct Footage {
-    pub(crate) scratch: Scratch,
+    pub(crate) scratch: TemporaryFolder,
 }
 
 impl Footage {
     pub(crate) fn new(name: &str) -> Self {
-        let scratch = Scratch::new(name);
+        let scratch = TemporaryFolder::new(name);
         let script = scratch.join("ffmpeg");
         fs::write(&script, SCRIPT).expect("room");
         fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).expect("a script");
@@ -141,8 +146,7 @@ impl Footage {
 
     /// The program on a video, with this ffmpeg.
     pub(crate) fn i2slam(&self, command: &str, video: &Path, more: &[&str]) -> Ran {
-        let mut command = self.command(command, video, more);
-        Ran::of(command.output().expect("the program starts"))
+        Ran::of(&mut self.command(command, video, more))
     }
 
     pub(crate) fn command(&self, command: &str, video: &Path, more: &[&str]) -> Command {
@@ -161,7 +165,7 @@ impl Footage {
 
     /// A quick run into `out`.
     pub(crate) fn run(&self, video: &Path, more: &[&str]) -> Ran {
-        Ran::of(self.quick("out", video, more).output().expect("the program starts"))
+        Ran::of(&mut self.quick("out", video, more))
     }
 
     /// A quick run into a folder.

@@ -1,16 +1,12 @@
 //! `i2slam info`: the table, the JSON object, and what it says to folders that are no sequence.
 
-use crate::program::{Ran, Scene, Scratch, number, reconstruct, run, stamp, write_colour};
+use crate::program::{
+    Scene, TemporaryFolder, i2slam, json, number, reconstruct, stamp, write_colour,
+};
 use std::fs;
-use std::path::Path;
 
-fn info(dataset: &Path, flags: &[&str]) -> Ran {
-    let flags = flags.iter().map(|flag| flag.as_ref());
-    run(["info".as_ref(), dataset.as_os_str()].into_iter().chain(flags))
-}
-
-fn scene(name: &str) -> Scratch {
-    let scratch = Scratch::new(name);
+fn scene(name: &str) -> TemporaryFolder {
+    let scratch = TemporaryFolder::new(name);
     Scene::default().write(&scratch.join(""));
     scratch
 }
@@ -18,7 +14,7 @@ fn scene(name: &str) -> Scratch {
 #[test]
 fn the_table_tells_what_was_recognised() {
     let scratch = scene("info-table");
-    let out = info(&scratch.join(""), &[]).exits_with(0).out;
+    let out = i2slam!("info", scratch.0).exits_with(0).out;
     let row = |label: &str| {
         let found = out.lines().find(|line| line.starts_with(label));
         found.unwrap_or_else(|| panic!("no row {label} in\n{out}")).to_owned()
@@ -47,8 +43,7 @@ fn json_has_the_numbers() {
     write_colour(&folder.join("rgb/100.080000.png"), (48, 36), &[0; 3 * 48 * 36]);
     fs::write(folder.join("rgb/100.160000.png"), "damaged").expect("room");
     fs::write(folder.join("exposure.csv"), "dt\n1\n2\n1\n8\n1\n1\n").expect("room");
-    let out = info(&folder, &["--json"]).exits_with(0).out;
-    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let told = json(&i2slam!("info", folder, "--json"));
     assert_eq!(told["frames"], 6);
     assert_eq!(told["layout"], "TUM RGB-D");
     assert_eq!(told["camera"]["width"], 48);
@@ -67,29 +62,22 @@ fn json_has_the_numbers() {
     let depth = &pictures["depth"];
     assert!(number(&depth["low_m"]) > 0.3 && number(&depth["high_m"]) < 1.7, "{depth}");
     assert!(number(&depth["low_m"]) < number(&depth["median_m"]));
-}
-
-#[test]
-fn quick_looks_at_no_picture() {
-    let scratch = scene("info-quick");
-    let folder = scratch.join("");
     let flags = ["--quick", "--json", "--frames", "1..6", "--stride", "2"];
-    let told: serde_json::Value =
-        serde_json::from_str(&info(&folder, &flags).exits_with(0).out).expect("JSON");
-    assert_eq!((&told["frames"], &told["pictures"]), (&3.into(), &serde_json::Value::Null));
+    let quick = json(&i2slam!("info", folder; flags));
+    assert_eq!((&quick["frames"], &quick["pictures"]), (&3.into(), &serde_json::Value::Null));
 }
 
 #[test]
 fn an_unknown_folder_is_answered_with_the_layouts() {
-    let scratch = Scratch::new("info-unknown");
+    let scratch = TemporaryFolder::new("info-unknown");
     fs::write(scratch.join("notes.md"), "").expect("room");
-    let err = info(&scratch.join(""), &[]).exits_with(1).err;
+    let err = i2slam!("info", scratch.0).exits_with(1).err;
     for word in
         ["no RGB-D sequence", "notes.md", "TUM RGB-D", ".sens", "transforms.json", "Replica"]
     {
         assert!(err.contains(word), "{word} is not in: {err}");
     }
-    let err = info(&scratch.join("none"), &[]).exits_with(1).err;
+    let err = i2slam!("info", scratch.join("none")).exits_with(1).err;
     assert!(err.contains("no file or folder"), "{err}");
 }
 
@@ -123,7 +111,7 @@ fn poses_beside_the_frames_judge_a_run() {
 fn keyframes_of_another_program_are_told_too() {
     let scratch = scene("info-keyframes");
     let file = scratch.join("groundtruth.txt");
-    let out = info(&file, &[]).exits_with(0).out;
+    let out = i2slam!("info", file).exits_with(0).out;
     for (label, part) in [
         ("keyframes of", "TUM trajectory"),
         ("poses", "groundtruth.txt: world_from_camera, quaternion x y z w"),
@@ -134,28 +122,27 @@ fn keyframes_of_another_program_are_told_too() {
         let found = out.lines().find(|line| line.starts_with(label));
         assert!(found.is_some_and(|row| row.contains(part)), "no {label} with {part} in\n{out}");
     }
-    let out = info(&file, &["--json"]).exits_with(0).out;
-    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let told = json(&i2slam!("info", file, "--json"));
     assert_eq!((&told["keyframes"], &told["has_depth"]), (&6.into(), &false.into()));
     fs::write(&file, "100.0 0 0 0 0 0 0 2\n").expect("room");
-    let err = info(&file, &[]).exits_with(1).err;
+    let err = i2slam!("info", file).exits_with(1).err;
     assert!(err.contains("line 1") && err.contains("length 2.000"), "{err}");
 }
 
 /// Nothing but pictures: what they are is said, and a run goes by colour alone.
 #[test]
 fn a_folder_of_pictures_is_run_by_colour_alone() {
-    let scratch = Scratch::new("pictures-only");
+    let scratch = TemporaryFolder::new("pictures-only");
     let (data, ours) = (scratch.join("room"), scratch.join("ours"));
     Scene { frames: 3, ..Scene::default() }.write(&data);
     fs::rename(data.join("rgb"), &ours).expect("room");
-    let told = run(["info".as_ref(), ours.as_os_str()]).exits_with(0);
+    let told = i2slam!("info", ours).exits_with(0);
     assert!(told.out.contains("folder of pictures"), "{}", told.out);
     let out = scratch.join("out");
-    let flags = ["run".as_ref(), ours.as_os_str(), "--out".as_ref(), out.as_os_str()];
-    let ran = run(flags).exits_with(1).stderr_contains("run by colour alone");
+    let ran = i2slam!("run", ours, "--out", out).exits_with(1);
+    let ran = ran.stderr_contains("run by colour alone");
     ran.stderr_contains("camera not given").stderr_contains("3 pictures could not be used");
     assert!(!out.exists());
-    let depth = ["--preset".as_ref(), "paper-tum".as_ref()];
-    run(flags.into_iter().chain(depth)).exits_with(2).stderr_contains("is for RGB-D");
+    let depth = i2slam!("run", ours, "--out", out, "--preset", "paper-tum").exits_with(2);
+    depth.stderr_contains("is for RGB-D");
 }

@@ -1,75 +1,20 @@
 //! The program as a child process, and a made-up sequence with depth for it: two textured walls and
 //! a floor, seen by a camera that moves a little.
 
+pub(crate) use i2slam_check::{Ran, TemporaryFolder};
+use serde_json::Value;
 use std::ffi::OsStr;
 use std::fmt::Write;
 use std::fs;
 use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, Command, Output, Stdio};
-
-/// An empty folder for one test, removed when dropped.
-pub(crate) struct Scratch {
-    path: PathBuf,
-}
-
-impl Scratch {
-    pub(crate) fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("i2slam-cli-{name}-{}", std::process::id()));
-        fs::remove_dir_all(&path).ok();
-        fs::create_dir_all(&path).expect("a temporary folder");
-        Self { path }
-    }
-
-    pub(crate) fn join(&self, name: &str) -> PathBuf {
-        self.path.join(name)
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        fs::remove_dir_all(&self.path).ok();
-    }
-}
+use std::process::{Child, ChildStderr, Command, Stdio};
 
 /// The program with arguments.
 pub(crate) fn program<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_i2slam"));
     command.args(arguments);
     command
-}
-
-/// Exit code and output of a finished program.
-pub(crate) struct Ran {
-    pub(crate) code: Option<i32>,
-    pub(crate) out: String,
-    pub(crate) err: String,
-}
-
-impl Ran {
-    pub(crate) fn of(output: Output) -> Self {
-        Self {
-            code: output.status.code(),
-            out: String::from_utf8_lossy(&output.stdout).into_owned(),
-            err: String::from_utf8_lossy(&output.stderr).into_owned(),
-        }
-    }
-
-    /// Asserts the exit code, and that nothing panicked.
-    #[track_caller]
-    pub(crate) fn exits_with(self, code: i32) -> Self {
-        let Self { out, err, .. } = &self;
-        assert_eq!(self.code, Some(code), "standard output:\n{out}\nstandard error:\n{err}");
-        assert!(!err.contains("mistake of i2slam") && !err.contains("panicked"), "{err}");
-        self
-    }
-
-    /// Asserts that standard error holds this text.
-    #[track_caller]
-    pub(crate) fn stderr_contains(self, text: &str) -> Self {
-        assert!(self.err.contains(text), "`{text}` is not in:\n{}", self.err);
-        self
-    }
 }
 
 /// A running program whose standard error is read line by line.
@@ -105,31 +50,115 @@ impl Running {
         let sent = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status();
         assert!(sent.expect("kill").success());
         self.heard.extend(self.lines.map_while(Result::ok).map(|line| line + "\n"));
-        let output = self.child.wait_with_output().expect("an end");
-        let ran = Ran::of(output);
+        let ran = Ran::from(self.child.wait_with_output().expect("an end"));
         Ran { err: self.heard, ..ran }
     }
 }
 
 /// Runs the program to its end.
 pub(crate) fn run<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ran {
-    Ran::of(program(arguments).output().expect("the program starts"))
+    Ran::of(&mut program(arguments))
+}
+
+/// Runs the program with texts and paths, and with a slice of further flags behind a semicolon.
+macro_rules! i2slam {
+    ($($argument:expr),+ $(,)?) => { $crate::program::i2slam!($($argument),+; []) };
+    ($($argument:expr),+; $more:expr) => {{
+        let more: &[&str] = &$more;
+        let more = more.iter().map(::std::ffi::OsStr::new);
+        $crate::program::run([$(::std::ffi::OsStr::new(&$argument)),+].into_iter().chain(more))
+    }};
+}
+pub(crate) use i2slam;
+
+/// A made-up sequence, and a folder beside it for the result of its run.
+pub(crate) struct Room {
+    pub(crate) scratch: TemporaryFolder,
+    pub(crate) data: PathBuf,
+    pub(crate) out: PathBuf,
+}
+
+impl Room {
+    pub(crate) fn new(name: &str, scene: Scene) -> Self {
+        let scratch = TemporaryFolder::new(name);
+        let (data, out) = (scratch.join("room"), scratch.join("out"));
+        scene.write(&data);
+        Self { scratch, data, out }
+    }
+
+    /// The sequence with a quick run of it.
+    pub(crate) fn reconstructed(name: &str, scene: Scene, flags: &[&str]) -> Self {
+        let room = Self::new(name, scene);
+        room.run(flags).exits_with(0);
+        room
+    }
+
+    /// The sequence with sharp pictures equal to those taken.
+    pub(crate) fn with_sharp(name: &str) -> Self {
+        let room = Self::new(name, Scene::default());
+        fs::create_dir(room.data.join("sharp")).expect("a folder");
+        for entry in fs::read_dir(room.data.join("rgb")).expect("pictures").flatten() {
+            let to = room.data.join("sharp").join(entry.file_name());
+            fs::copy(entry.path(), to).expect("room");
+        }
+        room
+    }
+
+    pub(crate) fn run(&self, flags: &[&str]) -> Ran {
+        reconstruct(&self.data, &self.out, flags)
+    }
+
+    pub(crate) fn eval(&self, flags: &[&str]) -> Ran {
+        i2slam!("eval", self.out; flags)
+    }
+
+    /// Results of an evaluation.
+    pub(crate) fn eval_json(&self, flags: &[&str]) -> Value {
+        json(&i2slam!("eval", self.out, "--json"; flags))
+    }
+
+    /// A text file of the result.
+    pub(crate) fn text(&self, file: &str) -> String {
+        fs::read_to_string(self.out.join(file)).expect(file)
+    }
+
+    /// A number of `metrics.json`; `None` for null.
+    pub(crate) fn metric(&self, key: &str) -> Option<f64> {
+        number(&self.out.join("metrics.json"), key)
+    }
+
+    /// A column of `frames.csv`.
+    pub(crate) fn column(&self, name: &str) -> Vec<f64> {
+        let table = self.text("frames.csv");
+        let names = table.lines().next().expect("names");
+        let place = names.split(',').position(|n| n == name).expect("a column");
+        let cell = |row: &str| row.split(',').nth(place).and_then(|c| c.parse().ok());
+        table.lines().skip(1).map(|row| cell(row).expect("a number")).collect()
+    }
+
+    pub(crate) fn has(&self, file: &str) -> bool {
+        self.out.join(file).exists()
+    }
+}
+
+/// The object on standard output of a successful call.
+#[track_caller]
+pub(crate) fn json(ran: &Ran) -> Value {
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    serde_json::from_str(&ran.out).expect("JSON")
 }
 
 /// `i2slam run` on a folder with quick settings.
 pub(crate) fn reconstruct(dataset: &Path, out: &Path, more: &[&str]) -> Ran {
     let config = out.with_extension("quick.toml");
     fs::write(&config, "[mapping]\nfinal_iterations = 3\niterations = 12\n").expect("room");
-    let mut arguments: Vec<&OsStr> = vec!["run".as_ref(), dataset.as_ref()];
-    arguments.extend(["--out".as_ref(), out.as_os_str(), "--config".as_ref(), config.as_ref()]);
-    arguments.extend(more.iter().map(OsStr::new));
-    run(arguments)
+    i2slam!("run", dataset, "--out", out, "--config", config; more)
 }
 
 /// Number at a key of a flat JSON file; `None` for null.
 pub(crate) fn number(json: &Path, key: &str) -> Option<f64> {
     let text = fs::read_to_string(json).expect("a JSON file");
-    let object: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let object: Value = serde_json::from_str(&text).expect("JSON");
     let value = object.get(key);
     value.unwrap_or_else(|| panic!("{key} is not in {text}")).as_f64()
 }
@@ -251,10 +280,4 @@ fn write_png(
     encoder.set_depth(bits);
     let mut writer = encoder.write_header().expect("a header");
     writer.write_image_data(bytes).expect("pixels");
-}
-
-/// `i2slam eval` with flags.
-pub(crate) fn eval(estimate: &Path, flags: &[&str]) -> Ran {
-    let flags = flags.iter().map(OsStr::new);
-    run(["eval".as_ref(), estimate.as_os_str()].into_iter().chain(flags))
 }

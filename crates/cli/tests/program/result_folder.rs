@@ -1,96 +1,91 @@
 //! Files of a result folder, and folders that are not empty: refused, or replaced on request.
 
-use crate::program::{HEIGHT, Ran, Scene, Scratch, WIDTH, number, reconstruct, rows, run};
-use std::ffi::OsStr;
+use crate::program::{HEIGHT, Ran, Room, Scene, TemporaryFolder, WIDTH, i2slam, reconstruct, rows};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+fn frames(frames: usize) -> Scene {
+    Scene { frames, ..Scene::default() }
+}
+
 #[test]
 fn every_file_of_the_result_folder_is_written() {
-    let scratch = Scratch::new("result");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene::default().write(&data);
-    let ran = reconstruct(&data, &out, &[]).exits_with(0);
-    let report = out.join("report.html");
-    assert_eq!(ran.out.lines().last(), report.to_str(), "{}", ran.out);
-    assert_eq!(rows(&out.join("trajectory.txt")), 6);
-    assert_eq!(rows(&out.join("trajectory_shutter.txt")), 6);
-    assert_eq!(rows(&out.join("frames.csv")), 7);
-    assert_eq!(rows(&out.join("camera_response.csv")), 257);
+    let room = Room::new("result", Scene::default());
+    let ran = room.run(&[]).exits_with(0);
+    assert_eq!(ran.out.lines().last(), room.out.join("report.html").to_str(), "{}", ran.out);
+    for (file, due) in [
+        ("trajectory.txt", 6),
+        ("trajectory_shutter.txt", 6),
+        ("frames.csv", 7),
+        ("camera_response.csv", 257),
+    ] {
+        assert_eq!(rows(&room.out.join(file)), due, "{file}");
+    }
     for file in ["camera.json", "state.json", "map.i2slam", "map.ply", "config.toml", "input.json"]
     {
-        assert!(out.join(file).is_file(), "{file}");
+        assert!(room.has(file), "{file}");
     }
     for (kind, extension) in
         [("sharp", "png"), ("blurred", "png"), ("hdr", "exr"), ("depth", "png")]
     {
         for frame in 0..6 {
             let file = format!("renders/{kind}/{frame:06}.{extension}");
-            assert!(out.join(&file).is_file(), "{file}");
+            assert!(room.has(&file), "{file}");
         }
     }
-    let config = fs::read_to_string(out.join("config.toml")).expect("settings");
+    let config = room.text("config.toml");
     for part in ["i2slam_version", "seed = ", "preset = \"default\"", "final_iterations = 3"] {
         assert!(config.contains(part), "{part} is not in\n{config}");
     }
-    let metrics = out.join("metrics.json");
-    assert_eq!(number(&metrics, "tracked"), Some(6.0));
-    let error = number(&metrics, "ate_rmse_m").expect("ground truth lies beside the frames");
+    assert_eq!(room.metric("tracked"), Some(6.0));
+    let error = room.metric("ate_rmse_m").expect("ground truth lies beside the frames");
     assert!(error < 0.01, "{error}");
-    let psnr = number(&metrics, "psnr_blurred_db").expect("the input is known");
+    let psnr = room.metric("psnr_blurred_db").expect("the input is known");
     assert!(psnr > 20.0, "{psnr}");
-    let page = fs::read_to_string(&report).expect("a report");
+    let page = room.text("report.html");
     assert!(page.contains("data:image/jpeg") && page.contains("Trajectory error"));
 }
 
 #[test]
 fn an_earlier_result_is_only_replaced_on_request() {
-    let scratch = Scratch::new("overwrite");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene { frames: 4, ..Scene::default() }.write(&data);
-    reconstruct(&data, &out, &[]).exits_with(0);
-    let pose = ["--pose", "0 0 0 0 0 0 1"];
-    run(["render", out.to_str().expect("a name")].into_iter().chain(pose)).exits_with(0);
-    run(["eval", out.to_str().expect("a name")]).exits_with(0);
-    fs::write(out.join("notes.txt"), "mine").expect("room");
-    let before = fs::read(out.join("trajectory.txt")).expect("a result");
-    let refused = reconstruct(&data, &out, &["--frames", "0..2"]).exits_with(2);
+    let room = Room::reconstructed("overwrite", frames(4), &[]);
+    i2slam!("render", room.out, "--pose", "0 0 0 0 0 0 1").exits_with(0);
+    room.eval(&[]).exits_with(0);
+    fs::write(room.out.join("notes.txt"), "mine").expect("room");
+    let before = room.text("trajectory.txt");
+    let refused = room.run(&["--frames", "0..2"]).exits_with(2);
     refused.stderr_contains("holds what `i2slam run` wrote before").stderr_contains("--overwrite");
-    assert_eq!(fs::read(out.join("trajectory.txt")).ok(), Some(before));
-    reconstruct(&data, &out, &["--frames", "0..2", "--overwrite"]).exits_with(0);
-    assert_eq!(rows(&out.join("trajectory.txt")), 2);
+    assert_eq!(room.text("trajectory.txt"), before);
+    room.run(&["--frames", "0..2", "--overwrite"]).exits_with(0);
+    assert_eq!(rows(&room.out.join("trajectory.txt")), 2);
     for stale in ["views", "evaluation.json", "renders/sharp/000003.png"] {
-        assert!(!out.join(stale).exists(), "{stale}");
+        assert!(!room.has(stale), "{stale}");
     }
-    assert!(out.join("notes.txt").is_file() && out.join("renders/sharp/000001.png").is_file());
+    assert!(room.has("notes.txt") && room.has("renders/sharp/000001.png"));
 }
 
 #[test]
 fn files_of_the_user_are_never_replaced() {
-    let scratch = Scratch::new("foreign");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene { frames: 2, ..Scene::default() }.write(&data);
-    fs::create_dir(&out).expect("a folder");
+    let room = Room::new("foreign", frames(2));
+    fs::create_dir(&room.out).expect("a folder");
+    fs::write(room.out.join("camera.json"), "mine").expect("room");
     for flags in [&[][..], &["--overwrite"][..]] {
-        fs::write(out.join("camera.json"), "mine").expect("room");
-        let refused = reconstruct(&data, &out, flags).exits_with(2);
+        let refused = room.run(flags).exits_with(2);
         refused
             .stderr_contains("camera.json would be overwritten")
             .stderr_contains("another folder");
-        assert_eq!(fs::read_to_string(out.join("camera.json")).ok().as_deref(), Some("mine"));
-        assert_eq!(fs::read_dir(&out).map(Iterator::count).ok(), Some(1));
+        assert_eq!(room.text("camera.json"), "mine");
+        assert_eq!(fs::read_dir(&room.out).map(Iterator::count).ok(), Some(1));
     }
 }
 
 #[test]
 fn renders_have_the_size_and_units_that_the_camera_says() {
-    let scratch = Scratch::new("units");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene { frames: 3, ..Scene::default() }.write(&data);
-    reconstruct(&data, &out, &["--render", "keyframes"]).exits_with(0);
-    assert!(!out.join("renders/depth/000001.png").exists(), "only keyframes");
-    let file = fs::File::open(out.join("renders/depth/000000.png")).expect("the first keyframe");
-    let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().expect("a PNG");
+    let room = Room::reconstructed("units", frames(3), &["--render", "keyframes"]);
+    assert!(!room.has("renders/depth/000001.png"), "only keyframes");
+    let file = fs::File::open(room.out.join("renders/depth/000000.png"));
+    let file = std::io::BufReader::new(file.expect("the first keyframe"));
+    let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
     let mut bytes = vec![0; reader.output_buffer_size().expect("a size")];
     let info = reader.next_frame(&mut bytes).expect("pixels");
     assert_eq!((info.width as usize, info.height as usize), (WIDTH, HEIGHT));
@@ -105,42 +100,33 @@ fn renders_have_the_size_and_units_that_the_camera_says() {
 
 #[test]
 fn truth_beside_the_frames_is_measured() {
-    let scratch = Scratch::new("truth");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene::default().write(&data);
-    fs::create_dir(data.join("sharp")).expect("a folder");
-    for entry in fs::read_dir(data.join("rgb")).expect("pictures").flatten() {
-        fs::copy(entry.path(), data.join("sharp").join(entry.file_name())).expect("room");
-    }
+    let room = Room::with_sharp("truth");
     let exposure = "frame,dt\n0,1\n1,1.1\n2,1.2\n3,1.1\n4,1\n5,0.9\n";
-    fs::write(data.join("exposure.csv"), exposure).expect("room");
-    reconstruct(&data, &out, &["--render", "none"]).exits_with(0);
-    let metrics = out.join("metrics.json");
-    assert!(number(&metrics, "psnr_sharp_db").is_some_and(|v| v > 20.0));
-    assert_eq!(number(&metrics, "sharp_frames"), Some(6.0));
-    assert!(number(&metrics, "ssim_sharp").is_some_and(|v| (0.5..=1.0).contains(&v)));
-    assert!(number(&metrics, "log_exposure_correlation").is_some());
-    assert!(!out.join("renders").exists());
-    let page = || fs::read_to_string(out.join("report.html")).expect("a report");
-    assert!(page().contains("<code>map.ply</code>") && !page().contains("<code>renders/"));
-    assert!(page().contains("true log exposure"));
+    fs::write(room.data.join("exposure.csv"), exposure).expect("room");
+    room.run(&["--render", "none"]).exits_with(0);
+    assert!(room.metric("psnr_sharp_db").is_some_and(|v| v > 20.0));
+    assert_eq!(room.metric("sharp_frames"), Some(6.0));
+    assert!(room.metric("ssim_sharp").is_some_and(|v| (0.5..=1.0).contains(&v)));
+    assert!(room.metric("log_exposure_correlation").is_some());
+    assert!(!room.has("renders"));
+    let page = room.text("report.html");
+    assert!(page.contains("<code>map.ply</code>") && !page.contains("<code>renders/"));
+    assert!(page.contains("true log exposure"));
     // A camera of one exposure: there is nothing to correlate.
     let constant = "frame,dt\n0,1\n1,1.001\n2,1\n3,0.999\n4,1\n5,1\n";
-    fs::write(data.join("exposure.csv"), constant).expect("room");
-    reconstruct(&data, &out, &["--render", "none", "--overwrite"]).exits_with(0);
-    assert!(number(&metrics, "log_exposure_correlation").is_none());
-    assert!(!page().contains("true log exposure"));
+    fs::write(room.data.join("exposure.csv"), constant).expect("room");
+    room.run(&["--render", "none", "--overwrite"]).exits_with(0);
+    assert!(room.metric("log_exposure_correlation").is_none());
+    assert!(!room.text("report.html").contains("true log exposure"));
 }
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
-    let scratch = Scratch::new("seed");
-    let data = scratch.join("room");
-    Scene::default().write(&data);
+    let room = Room::new("seed", Scene::default());
     let runs = [("a", "1"), ("b", "1"), ("c", "2")].map(|(name, threads)| {
-        let out = scratch.join(name);
+        let out = room.scratch.join(name);
         let flags = ["--seed", "7", "--threads", threads, "--render", "none", "--quiet"];
-        reconstruct(&data, &out, &flags).exits_with(0);
+        reconstruct(&room.data, &out, &flags).exits_with(0);
         let read = |file: &str| fs::read(out.join(file)).expect("a result");
         (read("trajectory.txt"), read("trajectory_shutter.txt"), read("map.i2slam"))
     });
@@ -150,28 +136,17 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
 
 #[test]
 fn module_switches_change_the_settings() {
-    let scratch = Scratch::new("switches");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene { frames: 3, ..Scene::default() }.write(&data);
     let flags = ["--no-blur", "--no-tone", "--no-trajectory-loss", "--virtual-cameras", "3"];
-    reconstruct(&data, &out, &flags).exits_with(0);
-    let config = fs::read_to_string(out.join("config.toml")).expect("settings");
-    let off = ["blur = false", "tone = false", "trajectory_loss = false", "virtual_cameras = 3"];
-    for line in off {
+    let room = Room::reconstructed("switches", frames(3), &flags);
+    let config = room.text("config.toml");
+    for line in ["blur = false", "tone = false", "trajectory_loss = false", "virtual_cameras = 3"] {
         assert!(config.contains(line), "{line} is not in\n{config}");
     }
-    let page = fs::read_to_string(out.join("report.html")).expect("a report");
-    assert!(page.contains("no high dynamic range"));
+    assert!(room.text("report.html").contains("no high dynamic range"));
 }
 
 const SPEC: &str = "camera = { frames = 2, width = 24, height = 18, sub_frames = 1, \
                     sharp_samples = 1 }\nlight = { texel = 0.4 }\n";
-
-fn call(head: &[&str], paths: [&Path; 2], more: &[&str]) -> Ran {
-    let [first, out] = paths.map(Path::as_os_str);
-    let head = head.iter().map(OsStr::new).chain([first, "--out".as_ref(), out]);
-    run(head.chain(more.iter().map(OsStr::new)))
-}
 
 /// All files below a folder.
 fn files(folder: &Path) -> Vec<PathBuf> {
@@ -206,19 +181,19 @@ fn keeps_the_rule(work: impl Fn(&[&str]) -> Ran, out: &Path, made: &str, stale: 
 
 #[test]
 fn synth_and_degrade_replace_their_own_sequences_only() {
-    let scratch = Scratch::new("over-synth");
+    let scratch = TemporaryFolder::new("over-synth");
     let (spec, room) = (scratch.join("small.toml"), scratch.join("room"));
     fs::write(&spec, SPEC).expect("room");
-    let synth = |more: &[&str]| call(&["synth"], [&spec, &room], more);
+    let synth = |more: &[&str]| i2slam!("synth", spec, "--out", room; more);
     keeps_the_rule(synth, &room, "rgb.txt", "sharp/000777.png");
     let wrong = scratch.join("wrong.toml");
     fs::write(&wrong, "seed = 1\n[camera]\nframes = 0\n").expect("room");
-    let refused = call(&["synth"], [&wrong, &scratch.join("none")], &[]).exits_with(2);
+    let refused = i2slam!("synth", wrong, "--out", scratch.join("none")).exits_with(2);
     refused.stderr_contains("wrong.toml, line 3: camera.frames = 0");
     let data = scratch.join("data");
     Scene { frames: 2, ..Scene::default() }.write(&data);
     let worse = scratch.join("worse");
-    let degrade = |more: &[&str]| call(&["degrade"], [&data, &worse], more);
+    let degrade = |more: &[&str]| i2slam!("degrade", data, "--out", worse; more);
     keeps_the_rule(degrade, &worse, "camera.json", "rgb/000777.png");
     let beyond = |flags: &[&str]| {
         degrade(flags).exits_with(2).stderr_contains("frames 0 to 1");
@@ -232,46 +207,31 @@ fn synth_and_degrade_replace_their_own_sequences_only() {
 
 #[test]
 fn pictures_and_lists_replace_their_own_only() {
-    let scratch = Scratch::new("over-render");
-    let (data, result, out) = (scratch.join("room"), scratch.join("result"), scratch.join("out"));
-    Scene { frames: 3, ..Scene::default() }.write(&data);
-    reconstruct(&data, &result, &["--render", "none"]).exits_with(0);
-    let render = |more: &[&str]| {
-        let flags = ["--frames", "0..2", "--kinds", "sharp"].iter().chain(more);
-        call(&["render"], [&result, &out], &flags.copied().collect::<Vec<_>>())
-    };
+    let room = Room::reconstructed("over-render", frames(3), &["--render", "none"]);
+    let (out, list) = (room.scratch.join("pictures"), room.scratch.join("list.txt"));
+    let flags = ["--frames", "0..2", "--kinds", "sharp"];
+    let render = |more: &[&str]| i2slam!("render", room.out, "--out", out; [&flags, more].concat());
     keeps_the_rule(render, &out, "poses.txt", "sharp/000777.png");
-    let list = scratch.join("list.txt");
-    let write = |more: &[&str]| {
-        let head: [&OsStr; 4] =
-            ["eval".as_ref(), data.as_ref(), "--write-list".as_ref(), list.as_ref()];
-        run(head.into_iter().chain(more.iter().map(OsStr::new)))
-    };
+    let write = |more: &[&str]| i2slam!("eval", room.data, "--write-list", list; more);
     fs::write(&list, "2\n").expect("room");
     write(&["--overwrite"]).exits_with(2).stderr_contains("no list of this program");
     fs::remove_file(&list).expect("a file");
     write(&[]).exits_with(0);
     write(&[]).exits_with(2).stderr_contains("--overwrite");
     write(&["--overwrite"]).exits_with(0);
-}
 
-#[test]
-fn views_are_numbered_on() {
-    let scratch = Scratch::new("views");
-    let (data, out) = (scratch.join("room"), scratch.join("result"));
-    Scene { frames: 2, ..Scene::default() }.write(&data);
-    reconstruct(&data, &out, &["--render", "none"]).exits_with(0);
+    // Views are numbered on.
     let view = |x: &str| {
         let pose = format!("{x} 0 0 0 0 0 1");
-        let result = out.to_str().expect("a name");
-        run(["render", result, "--pose", &pose, "--kinds", "sharp"]).exits_with(0);
+        i2slam!("render", room.out, "--pose", pose, "--kinds", "sharp").exits_with(0);
     };
     view("0");
-    let first = fs::read(out.join("views/sharp/000000.png")).expect("a view");
+    let first = fs::read(room.out.join("views/sharp/000000.png")).expect("a view");
     view("-0.3");
-    assert_eq!(fs::read(out.join("views/sharp/000000.png")).ok(), Some(first.clone()));
-    assert!(fs::read(out.join("views/sharp/000001.png")).is_ok_and(|second| second != first));
-    let poses = fs::read_to_string(out.join("views/poses.txt")).expect("poses");
+    assert_eq!(fs::read(room.out.join("views/sharp/000000.png")).ok(), Some(first.clone()));
+    let second = fs::read(room.out.join("views/sharp/000001.png"));
+    assert!(second.is_ok_and(|second| second != first));
+    let poses = room.text("views/poses.txt");
     let poses: Vec<&str> = poses.lines().filter(|line| !line.starts_with('#')).collect();
     assert_eq!(poses, ["0 0 0 0 0 0 0 1", "1 -0.3 0 0 0 0 0 1"]);
 }

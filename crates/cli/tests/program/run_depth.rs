@@ -1,23 +1,19 @@
 //! `i2slam run` with depth: damaged input, jumps and covered lenses, rolling shutters.
 
 use crate::program::{
-    HEIGHT, Ran, Scene, Scratch, WIDTH, number, reconstruct, rows, run, stamp, write_colour,
-    write_depth,
+    HEIGHT, Ran, Room, Scene, TemporaryFolder, WIDTH, i2slam, number, reconstruct, rows, stamp,
+    write_colour, write_depth,
 };
-use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// A sequence changed by `damage`, reconstructed; the number of poses written.
 fn damaged(name: &str, scene: Scene, damage: impl FnOnce(&Path)) -> (Ran, usize) {
-    let scratch = Scratch::new(name);
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    scene.write(&data);
-    damage(&data);
-    let ran = reconstruct(&data, &out, &["--render", "none"]).exits_with(0);
-    assert!(out.join("map.i2slam").is_file() && out.join("report.html").is_file());
-    let poses = rows(&out.join("trajectory.txt"));
-    (ran, poses)
+    let room = Room::new(name, scene);
+    damage(&room.data);
+    let ran = room.run(&["--render", "none"]).exits_with(0);
+    assert!(room.has("map.i2slam") && room.has("report.html"));
+    (ran, rows(&room.out.join("trajectory.txt")))
 }
 
 fn colour(data: &Path, frame: usize) -> PathBuf {
@@ -38,7 +34,7 @@ fn a_wrong_depth_scale_is_suspected() {
 
 #[test]
 fn a_folder_without_a_sequence_is_named_and_nothing_is_written() {
-    let scratch = Scratch::new("missing");
+    let scratch = TemporaryFolder::new("missing");
     fs::create_dir(scratch.join("empty")).expect("a folder");
     for (folder, text) in [("nowhere", "nowhere"), ("empty", "rgb.txt")] {
         let ran = reconstruct(&scratch.join(folder), &scratch.join("out"), &[]).exits_with(1);
@@ -127,55 +123,42 @@ fn damaged_frames_are_left_out_or_carried_over() {
 
 #[test]
 fn no_usable_image_at_all_is_an_error() {
-    let scratch = Scratch::new("unusable");
-    let data = scratch.join("room");
-    Scene { frames: 3, ..Scene::default() }.write(&data);
+    let room = Room::new("unusable", Scene { frames: 3, ..Scene::default() });
     for frame in 0..3 {
-        fs::write(depth(&data, frame), b"no picture").expect("room");
+        fs::write(depth(&room.data, frame), b"no picture").expect("room");
     }
-    let ran = reconstruct(&data, &scratch.join("out"), &[]).exits_with(1);
-    ran.stderr_contains("none of the 3 frames could be used");
+    room.run(&[]).exits_with(1).stderr_contains("none of the 3 frames could be used");
 }
 
 #[test]
-fn an_unknown_setting_is_named() {
-    let scratch = Scratch::new("setting");
-    let data = scratch.join("room");
-    Scene { frames: 2, ..Scene::default() }.write(&data);
-    let file = scratch.join("mine.toml");
-    fs::write(&file, "[tracking]\niteratons = 3\n").expect("room");
-    let arguments = ["run".as_ref(), data.as_os_str(), "--config".as_ref(), file.as_os_str()];
-    let out = scratch.join("out");
-    let out = ["--out".as_ref(), out.as_os_str()];
-    let ran = run(arguments.into_iter().chain(out)).exits_with(2);
-    ran.stderr_contains("iteratons").stderr_contains("mine.toml, line 2");
-    fs::write(&file, "seed = 2\n[mapping]\nwindow = 0\n").expect("room");
-    let head = ["run".as_ref(), data.as_os_str(), "--config".as_ref(), file.as_os_str()];
-    let ran = run(head.into_iter().chain(out)).exits_with(2);
-    ran.stderr_contains("mine.toml, line 3: mapping.window = 0");
-}
-
-#[test]
-fn a_result_folder_that_cannot_be_written_is_found_out_at_once() {
-    let scratch = Scratch::new("unwritable");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene { frames: 2, ..Scene::default() }.write(&data);
-    fs::write(&out, b"a file").expect("room");
-    reconstruct(&data, &out, &[]).exits_with(2).stderr_contains("out is a file");
-    let below = out.join("deeper");
-    let arguments = ["run".as_ref(), data.as_os_str(), "--out".as_ref(), below.as_os_str()];
-    run(arguments).exits_with(1).stderr_contains("cannot write");
+fn settings_and_folders_that_cannot_be_used_are_named() {
+    let room = Room::new("setting", Scene { frames: 2, ..Scene::default() });
+    let file = room.scratch.join("mine.toml");
+    for (text, words) in [
+        ("[tracking]\niteratons = 3\n", ["iteratons", "mine.toml, line 2"]),
+        ("seed = 2\n[mapping]\nwindow = 0\n", ["mine.toml, line 3", "mapping.window = 0"]),
+        (
+            "[input]\nrolling_shutter_readout = 0.02\n[formation]\nblur_model = \"exact\"\n",
+            ["formation.blur_model", "image"],
+        ),
+    ] {
+        fs::write(&file, text).expect("room");
+        let ran = i2slam!("run", room.data, "--out", room.out, "--config", file).exits_with(2);
+        words.into_iter().fold(ran, |ran, word| ran.stderr_contains(word));
+    }
+    fs::write(&room.out, b"a file").expect("room");
+    room.run(&[]).exits_with(2).stderr_contains("out is a file");
+    let below = i2slam!("run", room.data, "--out", room.out.join("deeper")).exits_with(1);
+    below.stderr_contains("cannot write");
 }
 
 #[test]
 fn a_camera_that_stands_still_stays_where_it_is() {
-    let scratch = Scratch::new("still");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene { step: 0.0, ..Scene::default() }.write(&data);
-    let ran = reconstruct(&data, &out, &["--render", "none"]).exits_with(0);
+    let room = Room::new("still", Scene { step: 0.0, ..Scene::default() });
+    let ran = room.run(&["--render", "none"]).exits_with(0);
     ran.stderr_contains("trajectory error not measured");
-    assert_eq!(number(&out.join("metrics.json"), "tracked"), Some(6.0));
-    let text = fs::read_to_string(out.join("trajectory.txt")).expect("poses");
+    assert_eq!(room.metric("tracked"), Some(6.0));
+    let text = room.text("trajectory.txt");
     for line in text.lines().filter(|line| !line.starts_with('#')) {
         let numbers: Vec<f64> = line.split(' ').map(|n| n.parse().expect("a number")).collect();
         assert!(numbers[1..4].iter().all(|t| t.abs() < 0.005), "{line}");
@@ -185,19 +168,16 @@ fn a_camera_that_stands_still_stays_where_it_is() {
 #[cfg(unix)]
 #[test]
 fn a_file_that_cannot_be_finished_does_not_lose_the_others() {
-    let scratch = Scratch::new("limit");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    Scene::default().write(&data);
+    let room = Room::new("limit", Scene::default());
     // No file may grow beyond 32 blocks of 512 bytes: the map does not fit.
     let limited = "trap '' XFSZ; ulimit -f 32; exec \"$0\" run \"$1\" --out \"$2\"";
-    let program = env!("CARGO_BIN_EXE_i2slam").as_ref();
-    let arguments = ["-c".as_ref(), limited.as_ref(), program, data.as_os_str(), out.as_os_str()];
-    let output = std::process::Command::new("sh").args(arguments).output().expect("a shell");
-    let ran = Ran::of(output).exits_with(1);
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", limited, env!("CARGO_BIN_EXE_i2slam")]).args([&room.data, &room.out]);
+    let ran = Ran::of(&mut shell).exits_with(1);
     ran.stderr_contains("cannot write").stderr_contains("map.i2slam");
-    assert_eq!(rows(&out.join("trajectory.txt")), 6);
-    assert!(out.join("metrics.json").is_file() && out.join("renders/sharp/000005.png").is_file());
-    assert!(!out.join("map.i2slam").exists() && !out.join(".map.i2slam.partial").exists());
+    assert_eq!(rows(&room.out.join("trajectory.txt")), 6);
+    assert!(room.has("metrics.json") && room.has("renders/sharp/000005.png"));
+    assert!(!room.has("map.i2slam") && !room.has(".map.i2slam.partial"));
 }
 
 /// A slow, then ever faster turn through a synthetic room: 21 degrees from frame 10 to frame 22.
@@ -219,51 +199,26 @@ look_around = 0.0
 bursts = 0.0
 ";
 
-fn room(scratch: &Scratch) -> PathBuf {
-    let (specification, room) = (scratch.join("room.toml"), scratch.join("room"));
-    fs::write(&specification, ROOM).expect("room");
-    let arguments = ["synth".as_ref(), specification.as_os_str(), "--out".as_ref(), room.as_ref()];
-    run(arguments).exits_with(0);
-    room
-}
-
-fn degraded(room: &Path, name: &str, how: &[&str]) -> PathBuf {
-    let out = room.with_file_name(name);
-    let mut arguments: Vec<&OsStr> = vec!["degrade".as_ref(), room.as_ref()];
-    arguments.extend(["--out".as_ref(), out.as_os_str()]);
-    arguments.extend(how.iter().map(OsStr::new));
-    run(arguments).exits_with(0);
-    out
+/// A quick run of the room made worse in one way; tracked frames and trajectory error [m].
+fn degraded(room: &Path, name: &str, how: &[&str]) -> (Ran, f64, f64) {
+    let (data, result) = (room.with_file_name(name), room.with_file_name("result"));
+    i2slam!("degrade", room, "--out", data; how).exits_with(0);
+    let ran = reconstruct(&data, &result, &["--render", "none", "--overwrite"]).exits_with(0);
+    let metric = |key| number(&result.join("metrics.json"), key).expect(key);
+    (ran, metric("tracked"), metric("ate_rmse_m"))
 }
 
 #[test]
 fn a_jump_and_a_covered_lens_are_told_and_survived() {
-    let scratch = Scratch::new("robust");
-    let room = room(&scratch);
-
-    let jump = degraded(&room, "jump", &["--drop-frames", "11..22"]);
-    let result = scratch.join("jump-result");
-    reconstruct(&jump, &result, &["--render", "none"]).exits_with(0);
-    let metrics = result.join("metrics.json");
-    assert!(number(&metrics, "tracked").expect("a count") >= 21.0, "of 23 frames");
-    assert!(
-        number(&metrics, "ate_rmse_m").expect("metres") < 0.03,
-        "{:?}",
-        number(&metrics, "ate_rmse_m")
-    );
-
-    let cover = degraded(&room, "cover", &["--cover", "16..21"]);
-    let result = scratch.join("cover-result");
-    reconstruct(&cover, &result, &["--render", "none"])
-        .exits_with(0)
-        .stderr_contains("frame 20: it has no depth");
-    let metrics = result.join("metrics.json");
-    assert_eq!(number(&metrics, "tracked"), Some(29.0), "of 34 frames");
-    assert!(
-        number(&metrics, "ate_rmse_m").expect("metres") < 0.02,
-        "{:?}",
-        number(&metrics, "ate_rmse_m")
-    );
+    let scratch = TemporaryFolder::new("robust");
+    let (specification, room) = (scratch.join("room.toml"), scratch.join("room"));
+    fs::write(&specification, ROOM).expect("room");
+    i2slam!("synth", specification, "--out", room).exits_with(0);
+    let (_, tracked, error) = degraded(&room, "jump", &["--drop-frames", "11..22"]);
+    assert!(tracked >= 21.0 && error < 0.03, "{tracked} of 23 frames, {error} m");
+    let (ran, tracked, error) = degraded(&room, "cover", &["--cover", "16..21"]);
+    ran.stderr_contains("frame 20: it has no depth");
+    assert!(tracked == 29.0 && error < 0.02, "{tracked} of 34 frames, {error} m");
 }
 
 /// Turns of a hundred degrees a second, rows read over half of the frame interval, and depth
@@ -295,29 +250,17 @@ fn rolling_metrics(data: &Path, out: &Path, settings: &str) -> [f64; 3] {
     let config = out.with_extension("toml");
     let quick = "[mapping]\niterations = 8\nfinal_iterations = 40\n";
     fs::write(&config, format!("{settings}{quick}")).expect("room");
-    let words = [
-        "run",
-        &data.display().to_string(),
-        "--out",
-        &out.display().to_string(),
-        "--config",
-        &config.display().to_string(),
-        "--quiet",
-    ]
-    .map(str::to_owned);
-    run(words).exits_with(0);
+    i2slam!("run", data, "--out", out, "--config", config, "--quiet").exits_with(0);
     let figure = |key| number(&out.join("metrics.json"), key).expect(key);
     ["psnr_sharp_db", "ate_rmse_m", "rolling_shutter_readout_s"].map(figure)
 }
 
 #[test]
 fn a_known_or_found_readout_makes_better_maps() {
-    let scratch = Scratch::new("rolling");
+    let scratch = TemporaryFolder::new("rolling");
     let (spec, data) = (scratch.join("spec.toml"), scratch.join("room"));
     fs::write(&spec, SPEC).expect("room");
-    let words = ["synth", &spec.display().to_string(), "--seed", "7", "--out"];
-    let words = words.map(str::to_owned).into_iter().chain([data.display().to_string()]);
-    run(words).exits_with(0);
+    i2slam!("synth", spec, "--seed", "7", "--out", data).exits_with(0);
     let input = |text: &str| format!("[input]\n{text}\n");
     let ignored = rolling_metrics(&data, &scratch.join("ignored"), "");
     let known = input(&format!("rolling_shutter_readout = {READOUT}"));
@@ -331,16 +274,4 @@ fn a_known_or_found_readout_makes_better_maps() {
     assert!(known[1] < 0.8 * ignored[1] && found[1] < 0.9 * ignored[1]);
     // The search could end anywhere from 0 to twice the readout.
     assert!((0.5..1.6).contains(&(found[2] / READOUT)));
-}
-
-#[test]
-fn exact_renders_cannot_roll() {
-    let scratch = Scratch::new("rolling-exact");
-    let config = scratch.join("exact.toml");
-    let text = "[input]\nrolling_shutter_readout = 0.02\n[formation]\nblur_model = \"exact\"\n";
-    fs::write(&config, text).expect("room");
-    let (data, out) = (scratch.join("none"), scratch.join("out"));
-    let paths = [data, out, config].map(|path| path.display().to_string());
-    let words = ["run", &paths[0], "--out", &paths[1], "--config", &paths[2]].map(str::to_owned);
-    run(words).exits_with(2).stderr_contains("formation.blur_model").stderr_contains("image");
 }

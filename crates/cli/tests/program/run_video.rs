@@ -1,16 +1,11 @@
 //! `i2slam run` and `info` on videos, by colour alone, with and without a camera.
 
-use crate::footage::{FOCAL, Footage, HEIGHT, View, WIDTH};
-use crate::program::{Ran, Running, Scene, number, program, run};
+use crate::footage::{FOCAL, Footage, HEIGHT, View, WIDTH, walk};
+use crate::program::{Ran, Running, Scene, i2slam, json, number, program};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
-
-/// Steps to the right, evenly in time.
-fn walk(frames: u32, step: f64) -> Vec<(u32, View)> {
-    (0..frames).map(|i| (20 * i, View::moved(step * f64::from(i)))).collect()
-}
 
 /// Steps to the right while looking around, from which the focal length can be estimated.
 fn stroll(frames: u32) -> Vec<(u32, View)> {
@@ -72,28 +67,16 @@ fn info_tells_of_a_video() {
         assert!(out.contains(part), "{part} is not in\n{out}");
     }
     assert!(!out.contains("depth scale"), "{out}");
-    let flags = [
-        "--json",
-        "--max-side",
-        "80",
-        "--fov",
-        "90",
-        "--frames",
-        "2..9",
-        "--stride",
-        "2",
-        "--quick",
-    ];
-    let out = footage.i2slam("info", &video, &flags).exits_with(0).out;
-    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let flags = "--json --max-side 80 --fov 90 --frames 2..9 --stride 2 --quick";
+    let flags: Vec<&str> = flags.split(' ').collect();
+    let told = json(&footage.i2slam("info", &video, &flags));
     assert_eq!((&told["frames"], &told["camera"]["width"]), (&4.into(), &80.into()));
     assert_eq!(told["camera"]["recorded"], serde_json::json!([WIDTH, HEIGHT]));
     assert!((told["camera"]["fx"].as_f64().expect("a number") - 40.0).abs() < 1e-9);
     let file = footage.scratch.join("camera.txt");
     fs::write(&file, "1 PINHOLE 320 240 260 260 160 120\n").expect("room");
     let flags = ["--json", "--quick", "--intrinsics", file.to_str().expect("a name")];
-    let out = footage.i2slam("info", &video, &flags).exits_with(0).out;
-    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let told = json(&footage.i2slam("info", &video, &flags));
     assert_eq!(
         (&told["camera"]["fx"], &told["camera"]["is_guess"]),
         (&130.0.into(), &false.into())
@@ -117,8 +100,7 @@ fn a_still_camera_is_told() {
     assert!(!footage.scratch.join("out").exists(), "nothing was written");
     // Nor the folders above it, but those that were there.
     fs::create_dir(footage.scratch.join("mine")).expect("room");
-    let deep = footage.quick("mine/a/b", &video, &[]).output().expect("starts");
-    Ran::of(deep).exits_with(1);
+    Ran::of(&mut footage.quick("mine/a/b", &video, &[])).exits_with(1);
     assert!(footage.scratch.join("mine").exists() && !footage.scratch.join("mine/a").exists());
 }
 
@@ -146,7 +128,7 @@ fn behind_a_cut_frames_are_lost_and_counted() {
     let metrics = out.join("metrics.json");
     assert_eq!(number(&metrics, "frames_given"), Some(24.0));
     assert_eq!(number(&metrics, "frames"), Some(16.0));
-    let told: serde_json::Value =
+    let told: Value =
         serde_json::from_str(&fs::read_to_string(&metrics).expect("figures")).expect("JSON");
     let cut = told["warnings"].as_array().expect("warnings").iter().find(|w| w["frame"] == 16);
     let cut = cut.expect("where the cut is");
@@ -167,8 +149,7 @@ fn one_bad_stamp_does_not_spoil_the_others() {
     let mut views = walk(9, 0.06);
     views[4].0 = 100_000;
     let video = footage.video("walk.mp4", &views);
-    let out = footage.i2slam("info", &video, &["--json", "--quick"]).exits_with(0).out;
-    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let told = json(&footage.i2slam("info", &video, &["--json", "--quick"]));
     let seconds = told["times"]["duration_s"].as_f64().expect("a number");
     assert!((seconds - 8.0 / 30.0).abs() < 1e-9, "{seconds}");
     assert_eq!(told["times"]["gaps"], serde_json::json!([]));
@@ -247,11 +228,10 @@ fn without_ffmpeg_the_way_to_it_is_told() {
     let video = footage.video("walk.mp4", &walk(4, 0.06));
     let arguments = ["run", video.to_str().expect("a name"), "--out", "out"];
     let nowhere = footage.scratch.join("nowhere");
-    let named = program(arguments).env("I2SLAM_FFMPEG", &nowhere).output();
-    let named = Ran::of(named.expect("starts")).exits_with(1);
+    let named = Ran::of(program(arguments).env("I2SLAM_FFMPEG", &nowhere)).exits_with(1);
     named.stderr_contains("nowhere").stderr_contains("as I2SLAM_FFMPEG names it");
-    let none = program(arguments).env_remove("I2SLAM_FFMPEG").env("PATH", "").output();
-    let none = Ran::of(none.expect("starts")).exits_with(1);
+    let mut none = program(arguments);
+    let none = Ran::of(none.env_remove("I2SLAM_FFMPEG").env("PATH", "")).exits_with(1);
     none.stderr_contains("needs the program ffmpeg").stderr_contains("install");
 }
 
@@ -305,9 +285,7 @@ fn the_real_ffmpeg_is_understood() {
     let made = succeeds(&[&head[..], &newer].concat()) || succeeds(&[&head[..], &tail].concat());
     assert!(made, "ffmpeg makes a video");
     let mut command = program(["info", to, "--json", "--fov", "63.2"]);
-    command.env("I2SLAM_FFMPEG", &name);
-    let ran = Ran::of(command.output().expect("starts")).exits_with(0);
-    let told: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");
+    let told = json(&Ran::of(command.env("I2SLAM_FFMPEG", &name)));
     assert_eq!((&told["frames"], &told["pictures"]["measured_frames"]), (&17.into(), &17.into()));
     assert_eq!(told["times"]["gaps"][0]["after_frame"], 3);
     let gap = told["times"]["gaps"][0]["seconds"].as_f64().expect("a number");
@@ -371,12 +349,10 @@ fn a_lens_is_looked_for_only_where_it_can_be() {
     ran.stderr_contains("does not go with --camera, --intrinsics or --fov");
     let folder = footage.scratch.join("room");
     Scene::default().write(&folder);
-    let out = footage.scratch.join("out").display().to_string();
-    let words = |more: &[&str]| {
-        let head = ["run", folder.to_str().expect("a name"), "--out", &out];
-        run([&head, &estimate[..], more].concat()).exits_with(2)
-    };
-    words(&[]).stderr_contains("--distortion estimate goes with --rgb or a video");
-    words(&["--rgb"]).stderr_contains("camera.json");
-    assert!(!Path::new(&out).exists());
+    let out = footage.scratch.join("out");
+    let refused =
+        |more: &[&'static str]| i2slam!("run", folder, "--out", out; with(more)).exits_with(2);
+    refused(&[]).stderr_contains("--distortion estimate goes with --rgb or a video");
+    refused(&["--rgb"]).stderr_contains("camera.json");
+    assert!(!out.exists());
 }

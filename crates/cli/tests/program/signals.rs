@@ -1,7 +1,7 @@
 //! Ctrl-C and SIGTERM; streams, which they end.
 
-use crate::footage::{Footage, View};
-use crate::program::{Ran, Running, Scene, Scratch, number, program, rows, run};
+use crate::footage::{Footage, walk as views};
+use crate::program::{Ran, Room, Running, Scene, i2slam, program, rows};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -19,11 +19,10 @@ fn a_wish_of_the_system_leaves_a_result_too() {
 }
 
 fn leaves_a_result(signal: &str) {
-    let scratch = Scratch::new(&format!("interrupt{signal}"));
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
     let frames = 400;
-    Scene { frames, step: 0.001, ..Scene::default() }.write(&data);
-    let arguments = ["run".as_ref(), data.as_os_str(), "--out".as_ref(), out.as_os_str()];
+    let scene = Scene { frames, step: 0.001, ..Scene::default() };
+    let room = Room::new(&format!("interrupt{signal}"), scene);
+    let arguments = ["run".as_ref(), room.data.as_os_str(), "--out".as_ref(), room.out.as_os_str()];
     let child = program(arguments)
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -31,31 +30,26 @@ fn leaves_a_result(signal: &str) {
         .expect("the program starts");
     // The program listens before it makes its folder.
     let begun = Instant::now();
-    while !out.is_dir() && begun.elapsed() < Duration::from_secs(20) {
+    while !room.out.is_dir() && begun.elapsed() < Duration::from_secs(20) {
         sleep(Duration::from_millis(10));
     }
     sleep(Duration::from_millis(500));
     let sent = Command::new("kill").args([signal, &child.id().to_string()]).status();
     assert!(sent.expect("kill").success());
-    let ran = Ran::of(child.wait_with_output().expect("an end")).exits_with(130);
+    let ran = Ran::from(child.wait_with_output().expect("an end")).exits_with(130);
     assert!(ran.err.contains("writing what there is"), "{}", ran.err);
     assert!(ran.out.contains("ended early"), "{}", ran.out);
-    let poses = rows(&out.join("trajectory.txt"));
+    let poses = rows(&room.out.join("trajectory.txt"));
     assert!((1..frames).contains(&poses), "{poses}");
-    assert_eq!(number(&out.join("metrics.json"), "frames"), Some(poses as f64));
-    assert!(out.join("report.html").is_file());
-    run(["render".as_ref(), out.as_os_str(), "--frames".as_ref(), "0..1".as_ref()]).exits_with(0);
-}
-
-/// Steps to the right through the made-up scene.
-fn views(frames: u32) -> Vec<(u32, View)> {
-    (0..frames).map(|i| (20 * i, View::moved(0.03 * f64::from(i)))).collect()
+    assert_eq!(room.metric("frames"), Some(poses as f64));
+    assert!(room.has("report.html"));
+    i2slam!("render", room.out, "--frames", "0..1").exits_with(0);
 }
 
 #[test]
 fn ctrl_c_during_the_search_leaves_no_folder() {
     let footage = Footage::new("interrupt-search");
-    let video = footage.video("walk.mp4", &views(300));
+    let video = footage.video("walk.mp4", &views(300, 0.03));
     let mut running = Running::start(&mut footage.quick("out", &video, &["--threads", "1"]));
     running.until("tracking points");
     running.interrupted().exits_with(130).stderr_contains("ended before the path");
@@ -66,22 +60,13 @@ fn ctrl_c_during_the_search_leaves_no_folder() {
 #[test]
 fn ctrl_c_keeps_the_path_and_the_earlier_result() {
     let footage = Footage::new("interrupt-path");
-    let video = footage.video("walk.mp4", &views(24));
+    let video = footage.video("walk.mp4", &views(24, 0.03));
     let focal = ["--fov", "63.2", "--threads", "1"];
     footage.run(&video, &focal).exits_with(0);
     let (out, beside) = (footage.scratch.join("out"), footage.scratch.join("out-partial"));
     let earlier = fs::read(out.join("report.html")).expect("a report");
-    let slow = [
-        "--config",
-        "slow.toml",
-        "--map",
-        "gaussian",
-        "--overwrite",
-        "--out",
-        "out",
-        "--fov",
-        "63.2",
-    ];
+    let slow = "--config slow.toml --map gaussian --overwrite --out out --fov 63.2";
+    let slow: Vec<&str> = slow.split(' ').collect();
     let settings = "[mapping]\nfirst_iterations = 100000\n";
     fs::write(footage.scratch.join("slow.toml"), settings).expect("room");
     let interrupted = || {
@@ -105,9 +90,7 @@ fn ctrl_c_keeps_the_path_and_the_earlier_result() {
 
 /// A video of a walk, and the file of what flows when it is streamed.
 fn walk(footage: &Footage) -> (PathBuf, PathBuf) {
-    let views: Vec<(u32, View)> =
-        (0..12).map(|i| (20 * i, View::moved(0.06 * f64::from(i)))).collect();
-    let video = footage.video("walk.mp4", &views);
+    let video = footage.video("walk.mp4", &views(12, 0.06));
     let flow = footage.scratch.join("flow");
     fs::write(&flow, video.to_str().expect("a name")).expect("room");
     (video, flow)
@@ -125,7 +108,7 @@ fn an_address_a_pipe_and_the_standard_input_are_as_good_as_a_file() {
     let (video, flow) = walk(&footage);
     let from = |out: &str, source: &Path, stdin: Stdio| {
         let mut command = footage.quick(out, source, &FLAGS);
-        Ran::of(command.stdin(stdin).output().expect("starts")).exits_with(0)
+        Ran::of(command.stdin(stdin)).exits_with(0)
     };
     from("file", &video, Stdio::null());
     let due = path(&footage, "file");
@@ -156,7 +139,7 @@ fn ctrl_c_ends_a_live_stream_and_not_the_run() {
     std::thread::sleep(Duration::from_millis(1500));
     let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(sent.expect("kill").success());
-    let ran = Ran::of(child.wait_with_output().expect("an end")).exits_with(0);
+    let ran = Ran::from(child.wait_with_output().expect("an end")).exits_with(0);
     assert!(ran.err.contains("going on with what came"), "{}", ran.err);
     assert!(ran.out.contains("of 12 frames"), "{}", ran.out);
     assert!(!path(&footage, "live").is_empty() && footage.is_tidy());
