@@ -52,8 +52,7 @@ pub struct FrameEstimate {
     pub response: usize,
     /// Whether the frame is a keyframe of mapping.
     pub keyframe: bool,
-    /// Whether the frame was tracked but not mapped: by `mapping.hold_out`, or between posed
-    /// keyframes.
+    /// Whether it was tracked but not mapped: by `mapping.hold_out`, or between posed keyframes.
     pub held_out: bool,
     /// Whether tracking succeeded; otherwise the pose is predicted.
     pub tracked: bool,
@@ -177,8 +176,7 @@ impl Reconstruction {
             .collect()
     }
 
-    /// Median exposure and white balance, and the response of the middle frame; `None` with
-    /// `tone` off or without frames.
+    /// Median exposure and white balance, and the response of the middle frame, if there are any.
     pub fn typical_tone(&self) -> Option<(FrameTone<f32>, ResponseCurve<f32>)> {
         if !self.config.formation.tone || self.frames.is_empty() {
             return None;

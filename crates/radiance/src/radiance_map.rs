@@ -19,9 +19,8 @@ impl<T: Real> View<T> {
     }
 }
 
-/// Rendered radiance, depth and opacity: for every pixel the sums of equations 3 and 4 of the paper
-/// over the contributions `i` in order of depth, with opacity `α_i` and transmittance `T_i =
-/// Π_{j<i} (1 - α_j)`.
+/// Rendered radiance, depth and opacity: the sums of equations 3 and 4 of the paper over the
+/// contributions `i` in order of depth, with opacity `α_i` and `T_i = Π_{j<i} (1 - α_j)`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Render<T = f32> {
     /// Linear radiance `Σ c_i α_i T_i`, three planes R, G, B.
@@ -42,8 +41,7 @@ impl<T: Real> Render<T> {
         }
     }
 
-    /// Depth of the visible surface \[m\], `depth / opacity`; 0 where the opacity is under
-    /// `least`.
+    /// Depth of the visible surface \[m\], `depth / opacity`; 0 under an opacity of `least`.
     pub fn surface(&self, least: T) -> Image<T> {
         let mut out = Image::default();
         self.write_surface(least, &mut out);
@@ -59,8 +57,7 @@ impl<T: Real> Render<T> {
         }
     }
 
-    /// Brings the planes to the size of a view, keeping the allocation. What they hold is not
-    /// specified.
+    /// Brings the planes to the size of a view, keeping allocation and unspecified values.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         for (image, channels) in
             [(&mut self.radiance, 3), (&mut self.depth, 1), (&mut self.opacity, 1)]
@@ -71,8 +68,7 @@ impl<T: Real> Render<T> {
     }
 }
 
-/// The derivative of a scalar loss with respect to each number of a [`Render`].
-/// An image with no data stands for zeros.
+/// `∂L/∂` of each number of a [`Render`]. An image with no data stands for zeros.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RenderCotangent<T = f32> {
     /// `∂L/∂radiance`, three planes or none.

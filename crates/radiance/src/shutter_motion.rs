@@ -16,8 +16,7 @@ pub struct Moment<T = f32> {
     /// Time from the middle of the exposure, in exposures: `u - ½` for `u` from 0 (open) to
     /// 1 (close).
     pub time: T,
-    /// Share of the exposure, relative to the sum of all shares. A moment whose share is not
-    /// positive is left out.
+    /// Share of the exposure, relative to the sum; a moment with none is left out.
     pub weight: T,
 }
 
@@ -27,8 +26,7 @@ pub struct ShutterMotion<T = f32> {
     /// Motion over the exposure in the frame of the camera at mid-exposure
     /// \[m, rad per exposure\]: the pose at `s` is `world_from_camera.retract(velocity · s)`.
     pub velocity: Tangent<T>,
-    /// Time from the top to the bottom edge of the picture \[exposures\]: 0 for a global shutter,
-    /// positive when the top row comes first.
+    /// Time from the top to the bottom edge \[exposures\]: positive when the top row comes first.
     pub readout: T,
     /// Samples of the exposure. Without any the picture is black.
     pub moments: Vec<Moment<T>>,

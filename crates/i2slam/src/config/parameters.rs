@@ -2,8 +2,7 @@
 //!
 //! Values that all presets share are constants beside the code that uses them.
 
-/// Learning rates, start values and schedules that a preset stands for. They are not written to
-/// files: the name of the preset is.
+/// Learning rates, start values and schedules of a preset; files hold only the preset's name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     /// Exposure, white balance, response and poses of frames.
@@ -91,8 +90,7 @@ pub struct FieldParameters {
     pub step: f32,
     /// Smallest distance of samples [m].
     pub step_min: f32,
-    /// Random part of a virtual camera's moment: 1 draws it from its whole part of the exposure, 0
-    /// takes the middle.
+    /// Random share of a virtual camera's part of the exposure: 0 takes the middle of the part.
     pub moment_jitter: f32,
     /// λ_img, a mean over pixels.
     pub image_weight: f32,
@@ -124,8 +122,7 @@ pub struct KeyframedParameters {
     pub surface_depth_left: f32,
     /// Factor of `hashgrid.final_iterations`: a step takes a tenth of the time.
     pub surface_steps: f32,
-    /// Largest number of samples of a step, about; 0 for any. Rays have many in the fog that a
-    /// field begins as.
+    /// Most samples of a step, about; 0 for any. The fog that a field begins as takes many.
     pub surface_samples: usize,
     /// Factor by which cells and distances of samples are finer.
     pub surface_detail: f32,

@@ -52,8 +52,7 @@ impl Config {
         default_rgb()
     }
 
-    /// Whether these settings started from a preset for colour alone: keyframes that come with
-    /// poses, of which depth may be unknown.
+    /// Whether the preset is for colour alone: keyframes come with poses, and may lack depth.
     pub fn is_rgb(&self) -> bool {
         RGB_PRESETS.contains(&self.preset.as_str())
     }
@@ -183,8 +182,7 @@ fn paper_tum() -> Config {
     config
 }
 
-/// The paper's synthetic scenes: monochrome gain and response, slow camera, mapping of every fifth
-/// frame.
+/// The paper's synthetic scenes: monochrome gain and response, every fifth frame mapped.
 fn paper_synthetic() -> Config {
     let mut config = paper_scannet();
     config.input.crop_border = 0;

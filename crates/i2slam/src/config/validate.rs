@@ -11,8 +11,7 @@ impl Config {
         self.validate_rolling_shutter()
     }
 
-    /// Sets the readout that a front end found [s], if settings give none and their map and blur
-    /// model support a rolling shutter.
+    /// Sets the readout found by a front end [s], if none is set and the settings support one.
     #[must_use]
     pub fn with_found_readout(self, seconds: f64) -> Self {
         if self.input.is_rolling() {

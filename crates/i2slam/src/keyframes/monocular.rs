@@ -17,15 +17,13 @@ pub use i2slam_odometry::{
     Reconstruction as OdometryReconstruction, Stage, Warning as OdometryWarning,
 };
 
-/// Median landmark depth in the delivered unit of length: that of a room in metres, for which the
-/// settings of maps are made.
+/// Median landmark depth in the delivered unit of length: that of a room in metres.
 const DELIVERED_MEDIAN_DEPTH: f64 = 2.0;
 
 /// Largest relative standard deviation of a delivered landmark depth.
 const MAX_DEVIATION: f64 = 0.3;
 
-/// Factor on delivered deviations: the depth loss is a mean over the few pixels with depth, which
-/// would outweigh the picture.
+/// Factor on delivered deviations: the few pixels with depth would outweigh the picture.
 const SPARSE_DEVIATION_FACTOR: f64 = 10.0;
 
 /// Least relative standard deviation of a delivered landmark depth: the landmark's own neglects pose
@@ -51,8 +49,7 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
     })
 }
 
-/// Keyframes of a sequence of pictures, posed by [`FrontEnd`]. Unit of length: half the median
-/// landmark depth.
+/// Keyframes of pictures, posed by [`FrontEnd`]; the unit is half the median landmark depth.
 pub struct MonocularSource<L> {
     reconstruction: Reconstruction,
     dense: Option<DenseDepthEstimator>,
@@ -137,8 +134,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
-    /// Posed frames that are no keyframes, in order, without depth; `load` reads the picture at a
-    /// position.
+    /// Posed frames that are no keyframes, in order, without depth, from the pictures of `load`.
     pub fn non_keyframes<R: FnMut(usize) -> Result<Frame, PictureError>>(
         &self,
         mut load: R,
@@ -154,8 +150,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         })
     }
 
-    /// All posed frames in order: position in the sequence, time stamp [s], pose in the delivered
-    /// unit.
+    /// All posed frames in order: position, time stamp [s], pose in the delivered unit.
     pub fn trajectory(&self) -> Vec<(usize, f64, Pose<f64>)> {
         let found = &self.reconstruction;
         let posed = |frame: usize| {
@@ -304,8 +299,7 @@ fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDe
 /// Keyframes whose pictures stay cached for later ones: the reach of dense depth.
 const CACHED: usize = 16;
 
-/// Reads the picture of every keyframe once and in order, because going back in a video means to
-/// decode it again.
+/// Reads the pictures of keyframes once and in order: going back in a video decodes it again.
 pub(super) struct PictureReader<L> {
     load: L,
     /// Position of each keyframe in the sequence.

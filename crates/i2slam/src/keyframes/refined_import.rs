@@ -218,8 +218,7 @@ fn scale(input_poses: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Option<f64> 
     Some(product / square).filter(|s| s.is_finite() && *s > 0.0)
 }
 
-/// Poses of the odometry in the world of the files; missing ones continue from the last by the motion
-/// in the files.
+/// The odometry's poses in the files' world; missing ones continue by the motion in the files.
 fn aligned_poses(
     input_poses: &[Pose<f64>],
     found: &[Option<Pose<f64>>],

@@ -17,8 +17,7 @@ pub(super) struct ReadoutMotion {
 }
 
 impl ReadoutMotion {
-    /// Readout motion of a keyframe, interpolated between its neighbouring frames; `None` for a global
-    /// shutter.
+    /// Readout motion between the neighbours of a keyframe; `None` for a global shutter.
     pub(super) fn of_keyframe(found: &Reconstruction, keyframe: &Keyframe) -> Option<Self> {
         let known =
             |frame: usize| Some((*found.timestamps.get(frame)?, (*found.poses.get(frame)?)?));

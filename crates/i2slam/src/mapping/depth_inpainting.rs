@@ -22,9 +22,8 @@ const BACKGROUND_DEPTH: f32 = 1.25;
 /// Least rendered opacity of a pixel at which the map has a surface.
 pub(super) const MIN_SURFACE_OPACITY: f32 = 0.9;
 
-/// Depth at which a frame extends the map [m]: observed depth, inpainted if `settings.fill_depth`,
-/// and 0 where the camera recorded nothing. Estimated depth is completed by the surfaces of the
-/// map in `render` first.
+/// Depth at which a frame extends the map [m]: observed, inpainted if `settings.fill_depth` (for
+/// estimated depth from the surfaces in `render` first), and 0 where nothing was recorded.
 pub(super) fn placement_depth(
     observation: &Observation,
     settings: &MappingConfig,
@@ -87,8 +86,7 @@ fn propagate(depth: &[f32], nearest: &mut [f32], line: impl Iterator<Item = usiz
     }
 }
 
-/// Fills all holes of estimated depth: from near readings, then from rendered `surfaces`, then
-/// smoothly.
+/// Fills all holes of estimated depth: from near readings, rendered `surfaces`, then smoothly.
 pub(super) fn inpaint_estimated(depth: &Image<f32>, surfaces: Option<&Image<f32>>) -> Image<f32> {
     let mut known = depth.clone();
     for (pixel, near) in nearest_readings(depth).into_iter().enumerate() {

@@ -42,8 +42,7 @@ impl AdjacentFrames {
         Some(FrameEstimate { tone: keyframe.tone, ..posed })
     }
 
-    /// Frames before and after a keyframe of this time stamp; an unknown one is extrapolated from
-    /// the other at constant velocity. `None` if neither is known.
+    /// Frames before and after a keyframe, an unknown one extrapolated at constant velocity.
     pub(crate) fn both(&self, timestamp: f64) -> Option<[(f64, Pose<f64>); 2]> {
         let mirrored = |(stamp, pose): (f64, Pose<f64>)| (2.0 * timestamp - stamp, pose.inverse());
         let before = self.before.or(self.after.map(mirrored))?;

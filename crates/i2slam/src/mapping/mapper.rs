@@ -31,8 +31,7 @@ pub(crate) trait Mapper: Send {
     /// Tracks frames against the map; `None` while it is empty.
     fn tracker(&mut self) -> Option<&mut dyn Tracker>;
 
-    /// A copy of the map to track against while the map is optimised, reusing the memory of
-    /// `last`; `None` while the map is empty.
+    /// A copy of the map to track against, in the memory of `last`; `None` while it is empty.
     fn snapshot(
         &self,
         valid_mask: Option<Arc<Image<bool>>>,
@@ -42,8 +41,7 @@ pub(crate) trait Mapper: Send {
     /// Extends the map by what the current frame sees for the first time; starts an empty map.
     fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe);
 
-    /// Optimises map and keyframes on the current frame and earlier keyframes; `first` allows the
-    /// iterations of a new map.
+    /// Optimises map and keyframes; `first` allows the iterations of a new map.
     fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool);
 
     /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.

@@ -10,8 +10,7 @@ const PROBES: usize = 1600;
 /// Border of a keyframe that does not count, as a share of its width (SplaTAM: 20 px of 640).
 const BORDER: f64 = 20.0 / 640.0;
 
-/// The current frame, the last keyframe, and `size - 2` keyframes drawn from those that see part
-/// of the current frame (SplaTAM's rule).
+/// The current frame, the last keyframe, and others that see part of the frame (SplaTAM's rule).
 pub(super) fn overlapping_window(
     keyframes: &[Keyframe],
     current: &Keyframe,
@@ -64,8 +63,7 @@ pub(super) fn random_window(
     order.into_iter().take(size).cloned().collect()
 }
 
-/// `count` pixels of an image of `size` pixels, drawn with replacement; those that the camera did
-/// not record are left out.
+/// `count` recorded pixels of an image of `size` pixels, drawn with replacement.
 pub(super) fn random_pixels(
     size: usize,
     count: usize,

@@ -29,8 +29,7 @@ impl Backend {
         Self { mapper, state: SessionState::new(config), pending: None }
     }
 
-    /// Enqueues the last frame for [`map_pending`](Self::map_pending), and decides whether it
-    /// becomes a keyframe.
+    /// Enqueues the last frame for mapping, and decides whether it becomes a keyframe.
     pub(super) fn enqueue(
         &mut self,
         config: &Config,

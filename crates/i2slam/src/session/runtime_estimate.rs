@@ -32,9 +32,8 @@ pub struct RuntimeEstimate {
 }
 
 impl RuntimeEstimate {
-    /// Times a short session on copies of one picture, as large and textured as those of the run, at
-    /// the depth of a room; larger scenes need finer fields and more time. `None` if the settings
-    /// give no map.
+    /// Times a short session on copies of one picture at the depth of a room; larger scenes need
+    /// finer fields and more time. `None` if the settings give no map.
     pub fn measure(
         config: &Config,
         camera: &Camera<f64>,

@@ -10,8 +10,7 @@ use i2slam_geometry::{Camera, Image};
 use std::fmt::Display;
 use std::sync::Arc;
 
-/// Mean of a picture in [0, 1] below which it is black, about one 8-bit code value: nothing can be
-/// aligned with it.
+/// Mean of a picture in [0, 1] below which it is black, about one 8-bit code value.
 const MIN_MEAN_VALUE: f32 = 0.004;
 
 /// Estimates, keyframes and responses of a session, and what mapping needs besides.

@@ -123,8 +123,7 @@ impl Viewer<'_> {
         None
     }
 
-    /// Image motion of every pixel per unit of each pose coordinate; at depth `typical` where the map
-    /// has none.
+    /// Image motion of every pixel per unit of each pose coordinate; at `typical` depth if unknown.
     fn image_motions(
         &mut self,
         pose: Pose<f64>,

@@ -144,8 +144,7 @@ impl Bins {
         places.iter().map(|place| place.load(Relaxed) as usize)
     }
 
-    /// Fills the lists from the splats and their `sorted` items. Where splats are `moving`, each
-    /// entry has all rows of its tile.
+    /// Fills the lists from the sorted splats; those that are `moving` have all rows of a tile.
     pub(crate) fn fill(
         &mut self,
         moving: bool,
@@ -216,9 +215,8 @@ impl Bins {
     }
 }
 
-/// Counts the boxes over each tile from four marks per box: +1 where it begins and -1 behind its
-/// end, along both axes. Sums over both axes turn marks into counts, without a loop over the tiles
-/// of each box, whose length no branch predictor guesses.
+/// Counts the boxes over each tile from marks at their corners, +1 and -1, summed along both axes:
+/// a loop over the tiles of each box would be mispredicted.
 struct Corners<'a> {
     grid: &'a TileGrid,
     /// One more row and column than there are tiles.
@@ -280,8 +278,7 @@ fn start_lists(starts: &mut Vec<u32>, counters: &[AtomicU32], tiles: usize) {
     starts.push(next);
 }
 
-/// Items whose footprints are fetched together. They are scattered over memory: independent loads
-/// wait once, dependent ones each.
+/// Items whose footprints are fetched together: independent loads wait for the memory once.
 const FETCH: usize = 16;
 
 /// `get` for each of up to [`FETCH`] items.

@@ -30,8 +30,7 @@ impl ColourActivation {
         }
     }
 
-    /// The colour to store for a radiance; radiance below 1e-6 is stored as 1e-6 when
-    /// exponential.
+    /// The colour to store for a radiance; exponential radiance is taken as at least 1e-6.
     pub fn colour<T: Real>(self, radiance: [T; 3]) -> [T; 3] {
         match self {
             Self::Exponential => radiance.map(|v| v.max(T::of(1e-6)).ln()),
@@ -64,8 +63,7 @@ pub struct GaussianMap<T = f32> {
     pub activation: ColourActivation,
     /// Centres in the world \[m\].
     pub means: Vec<[T; 3]>,
-    /// Natural logarithms of the standard deviations \[ln m\]; isotropic uses entry 0 only, the
-    /// others mirror it.
+    /// Natural logarithms of the standard deviations \[ln m\]; isotropic uses entry 0 alone.
     pub log_scales: Vec<[T; 3]>,
     /// Quaternions w, x, y, z, not necessarily of unit length; ignored when isotropic.
     pub rotations: Vec<[T; 4]>,
@@ -124,8 +122,7 @@ impl<T: Real> GaussianMap<T> {
         (0..self.len()).map_while(|index| self.get(index))
     }
 
-    /// Keeps the Gaussians whose entry in `keep` is true, in order; entries that `keep` lacks
-    /// count as true.
+    /// Keeps the Gaussians whose entry in `keep` is true or missing, in order.
     pub fn retain(&mut self, keep: &[bool]) {
         retain_by(&mut self.means, keep);
         retain_by(&mut self.log_scales, keep);
@@ -163,8 +160,7 @@ pub(crate) fn retain_by<V>(values: &mut Vec<V>, keep: &[bool]) {
 pub struct MapGradient<T = f32> {
     /// With respect to the centres.
     pub means: Vec<[T; 3]>,
-    /// With respect to the logarithms of the standard deviations; isotropic has entry 0 only,
-    /// the others stay zero.
+    /// With respect to the logarithms of the standard deviations; isotropic has entry 0 alone.
     pub log_scales: Vec<[T; 3]>,
     /// With respect to the quaternions as stored (before normalising); zero when isotropic.
     pub rotations: Vec<[T; 4]>,
@@ -204,8 +200,7 @@ impl<T: Real> MapGradient<T> {
         refill(&mut self.seen, count, false);
     }
 
-    /// Keeps the rows whose entry in `keep` is true, as
-    /// [`GaussianMap::retain`](super::GaussianMap::retain) does.
+    /// Keeps the rows whose entry in `keep` is true or missing, in order.
     pub fn retain(&mut self, keep: &[bool]) {
         retain_by(&mut self.means, keep);
         retain_by(&mut self.log_scales, keep);

@@ -26,16 +26,14 @@ pub struct HashGridField<T = f32> {
     pub(crate) parameters: FieldParameters<T>,
 }
 
-/// One number per parameter: the parameters themselves or `∂L/∂parameter`. Lengths are those of
-/// the field that it belongs to.
+/// One number per parameter of a field: the parameters themselves or `∂L/∂parameter`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FieldParameters<T = f32> {
     /// Entries of all levels, from coarse to fine, `features` numbers each.
     pub table: Vec<T>,
     /// Weights of the density network, layer after layer, `[input][output]`.
     pub density: Vec<T>,
-    /// Weights of the colour network, layer after layer, `[input][output]`; the inputs are the
-    /// 16 harmonics, then the geometry features.
+    /// Weights of the colour network, `[input][output]`; inputs are harmonics, then geometry.
     pub colour: Vec<T>,
 }
 
@@ -58,8 +56,7 @@ impl<T: Real> FieldParameters<T> {
         self.colour.fill(T::zero());
     }
 
-    /// Sets those of all but the `count` coarsest grids of `field` to zero, so that a step leaves
-    /// the finer grids as they are: pictures that do not lie on each other yet agree coarsely.
+    /// Zeros those of all but the `count` coarsest grids, so that a step leaves the finer ones.
     pub fn keep_levels(&mut self, field: &HashGridField<T>, count: usize) {
         if let Some(level) = field.levels.get(count) {
             self.table[level.first * field.settings.features..].fill(T::zero());
@@ -83,8 +80,7 @@ impl<T: Real> FieldParameters<T> {
 }
 
 impl<T: Real> HashGridField<T> {
-    /// A field before training, of density and radiance near 1: entries uniform in
-    /// ±1e-4, weights uniform in ±1/√inputs.
+    /// A field before training: entries uniform in ±1e-4, weights uniform in ±1/√inputs.
     pub fn new(settings: FieldSettings, seed: u64) -> Result<Self, SettingsError> {
         let mut field = Self::zeros(settings)?;
         let mut random = Random::new(seed);

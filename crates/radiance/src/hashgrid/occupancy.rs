@@ -6,8 +6,7 @@ use crate::hashgrid::{FieldRenderer, HashGridField, OccupancySettings};
 use i2slam_compute::Random;
 use i2slam_geometry::Vec3;
 
-/// A grid over the cube of a field that remembers how dense each cell was, so that empty space
-/// is marched over. One grid for the whole cube, no cascades.
+/// A grid over a field's cube that remembers densities, so that empty space is marched over.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Occupancy {
     settings: OccupancySettings,
@@ -29,8 +28,7 @@ const BLOCK: u32 = 8;
 const CELLS: usize = 1 << 16;
 
 impl Occupancy {
-    /// A grid whose cells all count as occupied until the first update. The resolution is taken
-    /// within its range.
+    /// A grid whose cells, 1 to 512 along an edge, all count as occupied until the first update.
     pub fn new(settings: OccupancySettings) -> Self {
         let resolution = settings.resolution.clamp(1, 512);
         let cells = (resolution as usize).pow(3);
@@ -45,8 +43,7 @@ impl Occupancy {
     }
 
     /// A grid over the cube of half edge `bound` \[m\] around `centre` in which exactly the cells
-    /// whose middle `is_occupied` accepts are occupied until the first update, as known from depth
-    /// pictures or a previous map.
+    /// whose middle `is_occupied` accepts are occupied until the first update.
     pub fn of_cells(
         centre: [f64; 3],
         bound: f64,
@@ -102,8 +99,7 @@ impl Occupancy {
         occupied.into_iter().for_each(|cell| self.occupy(cell));
     }
 
-    /// Occupies all cells that may be, for about `updates` updates: what was emptied while the field or
-    /// the poses were still poor gets samples, and with them density, again.
+    /// Occupies all allowed cells for about `updates` updates: emptied ones get samples again.
     pub fn reopen(&mut self, updates: i32) {
         let density = self.density_for(updates);
         let cells: Vec<usize> = self.allowed_cells().collect();
@@ -136,8 +132,7 @@ impl Occupancy {
         (z * blocks + y) * blocks + x
     }
 
-    /// Occupies the cells that a ray crosses between two depths \[units of its direction\], as where
-    /// a depth picture saw a surface. An update forgets them like any other cell.
+    /// Occupies the cells that a ray crosses between two depths until updates forget them.
     pub fn mark_cells(&mut self, field: &HashGridField, ray: &Ray, from: f32, to: f32) {
         self.updates = self.updates.max(1);
         let density = self.settings.density;
@@ -146,8 +141,7 @@ impl Occupancy {
         });
     }
 
-    /// Occupies the cells that a ray crosses and that may be, for about `updates` updates: where it
-    /// met little it gets samples, and with them density, again.
+    /// Occupies the allowed cells that a ray crosses for about `updates` updates.
     pub fn reopen_along(&mut self, field: &HashGridField, ray: &Ray, updates: i32) {
         let density = self.density_for(updates);
         self.visit_crossed(field, ray, (0.0, f32::MAX), |occupancy, cell| {
@@ -239,9 +233,8 @@ impl Occupancy {
         self.bit(self.cell(position))
     }
 
-    /// Depth from a position in the unit cube to where empty space ends: none if its cell is
-    /// occupied, else to the end of its cell, or of its block if all of that is empty.
-    /// `inverse` is_occupied one over each part of the direction. Outside, that of the nearest cell.
+    /// Depth from a position in the unit cube (outside: of the nearest cell) to the end of its
+    /// empty cell or block; none if occupied. `inverse` is one over each part of the direction.
     pub(crate) fn empty_until(&self, position: [f32; 3], inverse: [f32; 3]) -> Option<f32> {
         let resolution = self.settings.resolution as usize;
         let cell = position.map(|x| self.coordinate(x));
@@ -253,8 +246,7 @@ impl Occupancy {
         (!occupied).then(|| self.end(position, inverse, cell, 1))
     }
 
-    /// Depth from a position to where it leaves a box of `edge` cells, the `index`-th along each
-    /// axis.
+    /// Depth from a position to the end of a box of `edge` cells, the `index`-th along each axis.
     fn end(&self, position: [f32; 3], inverse: [f32; 3], index: [u32; 3], edge: u32) -> f32 {
         let size = edge as f32 / self.settings.resolution as f32;
         (0..3).fold(f32::MAX, |end, k| {

@@ -211,8 +211,7 @@ mod tests {
         assert_eq!(rest.parameters.table, field.parameters.table);
     }
 
-    /// The table moves as an optimiser of all numbers moves it, up to what is forgotten: in the
-    /// first part of it and in others, and in the last row, which is shorter.
+    /// The table moves as with an optimiser of all numbers, in the short last row too.
     #[test]
     fn rare_gradients_move_the_table_as_dense_adam() {
         let settings = FieldSettings { log2_table: 13, ..FieldSettings::cube([0.0; 3], 1.0) };

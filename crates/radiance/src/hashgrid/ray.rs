@@ -7,8 +7,7 @@ use i2slam_geometry::{Real, Vec3};
 pub struct Ray<T = f32> {
     /// Origin in the world \[m\].
     pub origin: Vec3<T>,
-    /// Direction in the world, of any length but zero. Depths count in it: with a direction that
-    /// goes 1 m along the optical axis they are metres along that axis.
+    /// Direction in the world, of any length but zero; depths count in its lengths.
     pub direction: Vec3<T>,
     /// Place of a sample in its step, in `[0, 1)`: ½ for pictures, random for training.
     pub offset: T,

@@ -5,7 +5,7 @@ use std::fmt;
 /// Shape of a field. Fixed for its life; the defaults are those of torch-ngp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldSettings {
-    /// Centre of the cube that is_occupied the field, in the world \[m\].
+    /// Centre of the cube that holds the field, in the world \[m\].
     pub centre: [f64; 3],
     /// Half of the cube's edge \[m\], positive. There is nothing outside of the cube.
     pub bound: f64,
@@ -13,8 +13,7 @@ pub struct FieldSettings {
     pub levels: usize,
     /// Numbers per node of a grid: 1, 2, 4 or 8.
     pub features: usize,
-    /// Binary logarithm of the largest number of nodes that a grid stores, from 4 to 24. Finer
-    /// grids share entries by hashing.
+    /// Binary logarithm of the most nodes that a grid stores, from 4 to 24; finer ones are hashed.
     pub log2_table: u32,
     /// Cells along an edge of the coarsest grid, at least 2.
     pub base_resolution: u32,
@@ -116,8 +115,7 @@ pub struct MarchSettings {
 }
 
 impl MarchSettings {
-    /// The settings of torch-ngp for a cube of half edge `bound` \[m\]: at most 1024 steps along
-    /// its diagonal, growing with the distance by 1/128.
+    /// The settings of torch-ngp for a cube of half edge `bound` \[m\]: at most 1024 steps.
     pub fn cube(bound: f64) -> Self {
         let diagonal = 2.0 * 3.0_f64.sqrt() * bound;
         Self {

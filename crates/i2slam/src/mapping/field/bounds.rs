@@ -28,8 +28,7 @@ fn surface_points<'a>(
     })
 }
 
-/// Half edge [m] of a cube around the camera that holds 99 % of the surfaces in any orientation,
-/// with the margin of the settings.
+/// Half edge [m] of a cube around the camera that holds 99 % of the surfaces, with the margin.
 pub(super) fn initial_bound(config: &Config, camera: &Camera<f64>, depth: &Image<f32>) -> f64 {
     let bound = config.hashgrid.bound;
     if bound > 0.0 {
@@ -95,8 +94,7 @@ fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32) -> usize {
     (apart / cell).ceil().clamp(1.0, MAX_RAYS_PER_SIDE) as usize
 }
 
-/// Marks the occupancy cells that the rays of a depth picture cross within the depth range that
-/// `range` returns for a pixel and its depth.
+/// Marks the cells that the rays of a depth picture cross within `range` of pixel and depth.
 pub(in crate::mapping) fn mark_cells(
     occupancy: &mut Occupancy,
     field: &HashGridField,
@@ -162,7 +160,7 @@ mod tests {
         let camera = Camera { fx: 20.0, fy: 25.0, ..CAMERA.cast() };
         let mut depth = Image::new(CAMERA.width, CAMERA.height, 1);
         assert_eq!(rays_per_side(&camera, &depth, 0.05), 1);
-        // Two metres chebyshev_distance pixels are 10 cm wide.
+        // At two metres pixels are 10 cm wide.
         depth.data[3] = 2.0;
         assert_eq!(rays_per_side(&camera, &depth, 0.2), 1);
         assert_eq!(rays_per_side(&camera, &depth, 0.04), 3);

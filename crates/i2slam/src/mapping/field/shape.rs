@@ -48,9 +48,8 @@ impl FieldShape {
         }
     }
 
-    /// Bounds the edge of the finest cells by `most`, with one grid more for each halving. Cells of
-    /// half the edge need four times the entries on a surface, which they get once: beyond that the
-    /// finest grids share entries, so that small cells of a large scene do not fill the memory.
+    /// Bounds the edge of the finest cells by `most`, with one grid more for each halving. The
+    /// table grows fourfold once; beyond that the finest grids share entries, to bound the memory.
     pub(in crate::mapping) fn with_cells(&self, most: f32) -> Self {
         let halvings = (self.finest_cell / most).log2();
         if halvings.is_nan() || halvings <= 0.0 {

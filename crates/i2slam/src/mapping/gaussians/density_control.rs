@@ -43,8 +43,7 @@ pub(super) fn seed_map(
     push_gaussians(map, parameters, source, &every);
 }
 
-/// Adds one Gaussian per pixel that the map does not explain, by low opacity or a surface much
-/// nearer than the rendered one.
+/// Adds Gaussians at pixels of low opacity or far in front of the rendered surface.
 pub(super) fn add_gaussians(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
@@ -80,8 +79,7 @@ fn median_depth_error(observation: &Observation, errors: &[f32]) -> f32 {
     median(&mut counted).unwrap_or(0.0)
 }
 
-/// Removes Gaussians that are nearly transparent, too large or not finite; returns the mask of
-/// those kept.
+/// Removes Gaussians nearly transparent, too large or not finite; returns the mask of the rest.
 pub(super) fn prune(map: &mut GaussianMap, scene_radius: f32) -> Vec<bool> {
     let min_logit = logit(MIN_OPACITY);
     let max_log_scale = (MAX_SCALE * scene_radius).ln();
@@ -133,8 +131,7 @@ fn push_gaussians(
 /// share of the picture's height by which the point moves during readout.
 const ROW_ITERATIONS: usize = 3;
 
-/// Projection of a point, given in the camera at mid-exposure of the middle row, by the rolling
-/// shutter [px].
+/// Rolling shutter projection of a point in the camera of the middle row [px].
 fn project_rolling(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
     let mut seen = point;
     let steps = if source.readout == 0.0 { 0 } else { ROW_ITERATIONS };
@@ -146,8 +143,7 @@ fn project_rolling(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<(f64, f
     (seen.z > 0.0).then(|| source.camera.project(seen))
 }
 
-/// Radiance of a point in the camera at mid-exposure, from the picture by inverse formation;
-/// `None` outside of the picture.
+/// Radiance of a point in the camera at mid-exposure, from the picture; `None` outside of it.
 fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
     let colour = &source.observation.colour;
     let (u, v) = project_rolling(source, point)?;

@@ -16,9 +16,8 @@ const CELL_GROWTH: f32 = 1.2;
 /// Least variance of an axis, as a share of the largest: rounding error of a flat ellipsoid.
 const MIN_VARIANCE_RATIO: f64 = 1e-12;
 
-/// Merges the groups of least contrast first, down to the lower end of `size` or until no two
-/// Gaussians share a cell; the newest beyond its upper end are then dropped. Returns the mask of
-/// those kept; a merged Gaussian replaces the first of its group.
+/// Merges the groups of least contrast first, down to the lower end of `size`; the newest beyond
+/// its upper end are dropped. Returns the mask of those kept; merged ones replace their first.
 pub(super) fn merge(map: &mut GaussianMap, size: RangeInclusive<usize>) -> Vec<bool> {
     let mut keep = vec![true; map.len()];
     let mut left = map.len();
@@ -96,9 +95,8 @@ fn contrast(map: &GaussianMap, members: &[Member]) -> f32 {
     average(map, members, |i| squared_differences(map.colours[i], mean)).iter().sum()
 }
 
-/// One Gaussian that covers the surface of several: means of position, colour and opacity. Its area
-/// lies halfway between the spread of its members, which would leave gaps between merged
-/// neighbours, and the sum of their areas, which would smear.
+/// One Gaussian for several: means of position, colour and opacity. Its area lies halfway between
+/// the members' spread, which would leave gaps, and the sum of their areas, which would smear.
 fn merge_gaussians(map: &GaussianMap, members: &[Member]) -> Gaussian<f32> {
     let mean = average(map, members, |i| map.means[i]);
     let opacity = average(map, members, |i| [opacity(map, i); 3])[0].clamp(1e-4, 1.0 - 1e-4);
@@ -128,9 +126,8 @@ fn merge_isotropic(map: &GaussianMap, members: &[Member], mean: [f32; 3]) -> [f3
     })
 }
 
-/// Log standard deviations, largest first, and rotation of the members' joint covariance around
-/// `mean`. Only the two large axes, which make the area, grow: discs of a wall become a disc of
-/// that wall.
+/// Log standard deviations, largest first, and rotation of the members' covariance around `mean`.
+/// Only the two large axes grow: discs of a wall become a disc of that wall.
 fn merge_anisotropic(
     map: &GaussianMap,
     members: &[Member],
@@ -280,8 +277,7 @@ mod tests {
         }
     }
 
-    /// A tilted wall of one disc a centimetre, each spun about the wall's normal, with its thin
-    /// axis stored first, second or third.
+    /// A tilted wall of one disc a centimetre, with its thin axis stored first, second or third.
     fn discs() -> GaussianMap {
         let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
         for index in 0..SIDE * SIDE {

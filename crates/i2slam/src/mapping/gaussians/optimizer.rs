@@ -145,8 +145,7 @@ struct StepCounts {
 
 impl StepCounts {
     /// Counts a step; returns the counts of the Gaussians that take it, 0 for the others. With
-    /// `only_seen`, Gaussians without a gradient take none: the momentum of other pictures would
-    /// move them on.
+    /// `only_seen`, those without a gradient take none, so that momentum does not move them on.
     fn advance(&mut self, gradient: &MapGradient, only_seen: bool) -> &[u32] {
         let count = gradient.opacity_logits.len();
         self.steps.resize(count, 0);

@@ -34,9 +34,8 @@ use std::sync::Arc;
 const OCCUPANCY_INTERVAL: usize = 16;
 /// Refreshes for which all cells of the shells stay open after a relocalisation.
 const REOPENED_REFRESHES: i32 = 24;
-/// Part of the final optimisation in which rays of low opacity reopen occupancy cells: after the
-/// first relocalisation, before which wrong poses would fill them anywhere, and early enough to
-/// train or empty them again.
+/// Part of the final optimisation in which transparent rays reopen cells: after the first
+/// relocalisation, as wrong poses would fill them anywhere, and in time to train them again.
 const REOPENING_PHASE: std::ops::Range<f32> = 0.4..0.9;
 /// Refreshes for which the cells along such a ray stay open.
 const REOPENED_RAY_REFRESHES: i32 = 8;

@@ -51,8 +51,7 @@ pub(super) fn blur_length_at_depth(
     blur_length_at(camera, &estimate.shutter, |_, _| depth)
 }
 
-/// Pixels of a step limited to `pixels` and, unless 0, to about `samples`, at `per_pixel` samples
-/// as in the last step.
+/// Pixels of a step: at most `pixels`, and about `samples` samples unless that is 0.
 pub(super) fn pixel_budget((pixels, samples): (usize, usize), per_pixel: Option<f32>) -> usize {
     match (samples, per_pixel) {
         (0, _) | (_, None) => pixels,
@@ -116,8 +115,7 @@ fn position(context: &MappingContext<'_>, keyframe: &Keyframe) -> Vec3<f64> {
     context.frames[keyframe.frame].middle().translation
 }
 
-/// Half edge of the cube around `centre` that a keyframe needs, with `share` of the reach where it
-/// has no depth.
+/// Half edge of the cube around `centre` that a keyframe needs; without depth `share` of reach.
 fn required_extent(
     context: &MappingContext<'_>,
     keyframe: &Keyframe,
@@ -140,8 +138,7 @@ pub(super) fn has_surfaces(context: &MappingContext<'_>) -> bool {
     context.keyframes.iter().any(|keyframe| has_surface_depth(&keyframe.observation))
 }
 
-/// Settings of a field around known surfaces: the smaller volume allows denser samples, and cells as
-/// fine as pictures resolve.
+/// Settings of a field around known surfaces: denser samples, and cells as fine as pictures.
 pub(super) fn surface_shape(context: &MappingContext<'_>) -> FieldShape {
     let keyframed = &context.config.parameters.keyframed;
     let finer = FieldShape::new(context.config).finer(keyframed.surface_detail);

@@ -36,9 +36,8 @@ pub(crate) trait JointMapper: Send {
         on_step: OnStep<'_>,
     ) -> Result<(), SettingsError>;
 
-    /// Localises a frame in the map from its roughly known pose, and estimates its motion during
-    /// exposure and its tone, starting from those of `previous`. Returns whether it was found; a
-    /// frame that was not stays.
+    /// Localises a frame from its roughly known pose, with motion during exposure and tone starting
+    /// from `previous`. Returns whether it was found; a frame that was not stays.
     fn locate(
         &mut self,
         context: &MappingContext<'_>,

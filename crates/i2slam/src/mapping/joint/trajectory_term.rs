@@ -39,8 +39,7 @@ impl TrajectoryTerm {
         Self { frame_rate, scale, optimizer: adam(), d_scale: 0.0 }
     }
 
-    /// Adds the weighted loss of a frame, times `share`, to its evaluation; returns the unweighted
-    /// loss.
+    /// Adds a frame's weighted loss, times `share`, to its evaluation; returns the unweighted one.
     pub(super) fn add(
         &mut self,
         context: &MappingContext<'_>,

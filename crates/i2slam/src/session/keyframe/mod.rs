@@ -198,8 +198,7 @@ impl KeyframeSession {
         (estimate, Arc::new(observation))
     }
 
-    /// Index of the response of the next keyframe: that of the sequence, or its own, which starts
-    /// as a copy of the last.
+    /// Index of the next keyframe's response: the sequence's, or its own, a copy of the last.
     fn next_response(&mut self) -> usize {
         let SessionState { frames, responses, .. } = &mut self.state;
         let last = responses.len() - 1;
@@ -210,8 +209,7 @@ impl KeyframeSession {
         last + 1
     }
 
-    /// Initialises the motion of the first exposure from the second frame, unless its adjacent
-    /// frames did.
+    /// Initialises the first exposure's motion from the second frame, if it has none.
     fn initialize_first_exposure(&mut self) {
         let [first, second] = &self.state.frames[..] else { return };
         if first.shutter.start != first.shutter.end {
@@ -223,8 +221,7 @@ impl KeyframeSession {
         }
     }
 
-    /// Start and end pose of an exposure around a frame's pose, from the motion in a frame
-    /// interval.
+    /// Exposure around a frame's pose, from the motion in a frame interval.
     fn initial_shutter(&self, frame: &FrameEstimate, motion: Tangent<f64>) -> ShutterPoses<f64> {
         if !self.config.formation.blur {
             return ShutterPoses::still(frame.middle());
@@ -255,8 +252,7 @@ fn unused_setting(config: &Config) -> Option<Warning> {
 }
 
 impl KeyframeSession {
-    /// Whether the `number`-th keyframe, from 0, is held out from the map (`mapping.hold_out`), to
-    /// be [localised](Self::locate) after [`finish`](Self::finish).
+    /// Whether the `number`-th keyframe, from 0, is held out (`mapping.hold_out`).
     pub fn holds_out(&self, number: usize) -> bool {
         self.config.mapping.holds_out(number)
     }

@@ -287,8 +287,7 @@ fn farthest(poses: &[(usize, Pose<f64>)]) -> f64 {
     poses.iter().map(off).fold(0.0, f64::max)
 }
 
-/// Small smooth pictures hardly distinguish rotation from sideways translation, a degree of one being
-/// three centimetres of the other: cameras stay within a decimetre.
+/// Small pictures hardly tell rotation from sideways translation: a decimetre of error is allowed.
 #[test]
 fn frames_are_localised_and_sorted_by_time() {
     let mut session = gaussian_session(true);

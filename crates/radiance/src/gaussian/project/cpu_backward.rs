@@ -72,8 +72,7 @@ impl Footprints<'_> {
         }
     }
 
-    /// First slots of a group of visible Gaussians. They are scattered over memory: loads that
-    /// do not depend on each other wait once.
+    /// First slots of a group of visible Gaussians: independent loads wait for the memory once.
     #[inline(always)]
     fn first_slots(&self, items: &[u64]) -> [TileSums; MAX_LANES] {
         let first = |item: &u64| {
@@ -103,8 +102,7 @@ impl Footprints<'_> {
     }
 }
 
-/// Backward pass of one chunk; returns its part of the poses' gradients. Without `MAP` there are no
-/// rows.
+/// Backward pass of one chunk; returns its pose gradients. Without `MAP` there are no rows.
 struct PullBack<'a, const ANISOTROPIC: bool, const MAP: bool> {
     footprints: &'a Footprints<'a>,
     chunk: usize,

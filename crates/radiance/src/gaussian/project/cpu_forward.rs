@@ -16,8 +16,7 @@ use std::f32::consts::{LN_2, LOG2_E};
 
 /// Outputs of the projection of a map, and what limits it.
 pub(crate) struct Projection<'a> {
-    /// Written at the index of their Gaussian; undefined for those that are `visible` in no
-    /// chunk.
+    /// By the index of the Gaussian; undefined for those that are `visible` in no chunk.
     pub(crate) splats: &'a mut Vec<Splat>,
     pub(crate) chunks: &'a mut Vec<Chunk>,
     /// One per splat when the camera moves.
@@ -196,8 +195,7 @@ impl Group {
         stages.p[2].store(&mut self.depth);
     }
 
-    /// Stores centre, path, extent and the pixels within, of which there are none where not
-    /// `accepted`.
+    /// Stores centre, path, extent and pixels, of which there are none where not `accepted`.
     #[inline(always)]
     fn store_extent<S: Simd>(
         &mut self,
@@ -270,8 +268,7 @@ impl Group {
     }
 }
 
-/// Stores the pixels within an extent around all places of a centre, given by its smallest and
-/// largest shift per axis; there are none where not `accepted`.
+/// Stores the pixels within an extent around a centre that shifts; none where not `accepted`.
 #[inline(always)]
 pub(super) fn store_box<S: Simd>(
     pixels: &mut [Column; 4],
@@ -291,8 +288,7 @@ pub(super) fn store_box<S: Simd>(
     }
 }
 
-/// Half the size of an extent from the square of the exact one: a part in a thousand and a
-/// hundredth of a pixel make up for rounding here and where rows and tiles are counted.
+/// Half an extent from its exact square, a little more to make up for rounding.
 #[inline(always)]
 pub(super) fn half<S: Simd>(squared: Lanes<S>) -> Lanes<S> {
     squared.sqrt().scale(1.001) + squared.constant(0.01)
@@ -353,8 +349,7 @@ impl<'a> TileMask<'a> {
     }
 }
 
-/// Boxes around the moving footprints of a group: those of opaque balls with the largest standard
-/// deviation.
+/// Boxes around moving footprints, taken as opaque balls of the largest standard deviation.
 #[derive(Default)]
 struct Bounds {
     parameters: Parameters,
@@ -373,8 +368,7 @@ impl Bounds {
         log_scale[0][place] = if several { s0.max(s1).max(s2) } else { s0 };
     }
 
-    /// Find the boxes, and tell whether there are any. There are none where the projection leaves a
-    /// Gaussian out.
+    /// Finds the boxes, and tells whether there are any.
     #[inline(always)]
     fn find<S: Simd>(
         &mut self,

@@ -15,9 +15,8 @@ use path::PathCotangents;
 pub(crate) use path::{MotionFrame, Path};
 pub(crate) use stages::Frame;
 
-/// The range of `x/z` and `y/z` in which the Jacobian of the projection is taken at the mean;
-/// beyond it the Jacobian is taken at the border, because the linearisation explodes far outside
-/// of the picture. The border lies 0.3 of half the field of view outside of the image.
+/// The range of `x/z` and `y/z` in which the Jacobian of the projection is taken at the mean, 0.3
+/// of half the field of view beyond the image; outside it is taken at the border.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct JacobianRange<T> {
     /// Smallest `x/z` and `y/z`.
@@ -43,8 +42,7 @@ impl<T: Real> JacobianRange<T> {
     }
 }
 
-/// Gaussians that are projected, and whose gradients are summed, together. Fixed, so that sums
-/// do not depend on the number of threads.
+/// Gaussians that are projected together; fixed, so that sums do not depend on the threads.
 pub(crate) const CHUNK: usize = 256;
 
 /// A footprint, ready for rasterising: one cache line.

@@ -49,8 +49,7 @@ impl<T: Real> Ends<T> {
         Self { camera, poses, near }
     }
 
-    /// The path of a mean whose projection at mid-exposure is `centre`, if it is beyond the near
-    /// plane at both ends.
+    /// The path of a mean that projects to `centre`, if it is beyond the near plane at both ends.
     pub(crate) fn path(&self, mean: Vec3<T>, centre: [T; 2]) -> Option<Path<T>> {
         let [open, close] = self.points(mean).map(|p| {
             let (u, v) = self.camera.project(p);
@@ -183,9 +182,8 @@ impl MotionFrame {
         [x.scale(camera.fx) + x.constant(camera.cx), y.scale(camera.fy) + y.constant(camera.cy)]
     }
 
-    /// Smallest and largest shift of the centres, per axis, over all moments in the rows at
-    /// which the footprints can be seen. Rows bound the times and times the rows, so that a few
-    /// rounds narrow both down.
+    /// Smallest and largest shift of the centres, per axis, over the moments of all rows that see
+    /// them. Rows bound the times and times the rows: a few rounds narrow both down.
     #[inline(always)]
     pub(crate) fn sweep<S: Simd>(
         &self,

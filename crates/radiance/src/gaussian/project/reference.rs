@@ -99,8 +99,7 @@ impl<T: Real> Projector<T> {
         }
     }
 
-    /// The footprint, or `None` when the Gaussian lies outside of the depth range, is too
-    /// transparent to be seen, or holds a number that is not finite.
+    /// The footprint of a Gaussian in the depth range that can be seen and is finite.
     pub(crate) fn project(&self, index: usize, gaussian: &Gaussian<T>) -> Option<Footprint<T>> {
         let stages = self.stages(gaussian)?;
         let opacity = (T::one() + (-gaussian.opacity_logit).exp()).recip();
@@ -165,8 +164,7 @@ impl<T: Real> Projector<T> {
         [x.dot(v * x) + s, x.dot(v * y), y.dot(v * y) + s]
     }
 
-    /// `∂L/∂` of the parameters and of the poses. `footprint` is what
-    /// [`project`](Self::project) gave for this Gaussian.
+    /// `∂L/∂` of the parameters and of the poses, after [`project`](Self::project).
     pub(crate) fn pull_back(
         &self,
         gaussian: &Gaussian<T>,

@@ -63,8 +63,7 @@ impl Rasterizer {
         Self { arch, ..Self::new(settings) }
     }
 
-    /// Projects the map, or what `candidates` show, and lists the splats of each tile, or of the
-    /// marked ones, in order of depth.
+    /// Projects the candidates and lists the splats of each marked tile in order of depth.
     fn list(
         &mut self,
         map: &GaussianMap,

@@ -25,8 +25,7 @@ impl Default for TilePixels {
     }
 }
 
-/// Sets a tile to nothing seen yet; pixels outside of the image have ended. Gives the centre of
-/// the tile's first pixel.
+/// Sets a tile to nothing seen yet and ended outside of the image; gives its first pixel's centre.
 pub(crate) fn start(tile: &mut TilePixels, grid: &TileGrid, number: usize) -> [f32; 2] {
     let (column, row) = (number % grid.columns * TILE, number / grid.columns * TILE);
     tile.rows = [[[0.0; TILE]; PLANES]; TILE];

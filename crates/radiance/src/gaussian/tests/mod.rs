@@ -54,8 +54,7 @@ impl Recipe {
         Self { shape, activation, count: 300, sigma, logit, margin: 0.1, seed: 1 }
     }
 
-    /// Gaussians in front of the camera at depths from 1 to 4 m, in random order of depth, no two
-    /// nearer than 1 mm in depth.
+    /// Gaussians in front of the camera, at depths from 1 to 4 m in random order and 1 mm apart.
     pub(super) fn build(&self, view: &View<f64>) -> GaussianMap<f64> {
         let camera = &view.camera;
         let mut map = GaussianMap::new(self.shape, self.activation);

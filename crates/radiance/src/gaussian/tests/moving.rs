@@ -202,8 +202,7 @@ fn another_motion_is_refused() {
     map.pull_back_moving(&mut rasterizer, &view, &other, &RenderCotangent::default(), None);
 }
 
-/// Camera motions of the comparison with exact views: names, and twists that move the median point
-/// by about 10 px.
+/// Camera motions that move the median point by about 10 px.
 const TWISTS: [(&str, [f64; 6]); 5] = [
     ("sideways", [0.09, 0.0, 0.0, 0.0, 0.0, 0.0]),
     ("forward", [0.0, 0.0, 0.24, 0.0, 0.0, 0.0]),
@@ -224,8 +223,7 @@ fn small_gaussians() -> (GaussianMap<f32>, View<f32>) {
     (recipe.build(&view).cast(), view.cast())
 }
 
-/// PSNR \[dB\] of pairs of a value and the average of its exact ones, for a peak of the largest
-/// average.
+/// PSNR \[dB\] of pairs of a value and its exact average, for a peak of the largest average.
 fn psnr(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let (mut squares, mut peak, mut count) = (0.0, 0.0_f64, 0.0);
     for (value, average) in pairs {

@@ -28,9 +28,8 @@ by_features!(Encode);
 by_features!(PositionGradient);
 by_features!(Scatter);
 
-/// Features of positions in the unit cube, and their slopes. A row of `out` has `width` numbers,
-/// of which the first `levels · features` are written; slopes, if any, have three such rows per
-/// position: the derivatives by x, y and z.
+/// Features of positions in the unit cube in rows of `width` numbers, and their slopes, unless
+/// empty, in three such rows per position: the derivatives by x, y and z.
 pub(crate) struct Encode<'a> {
     pub(crate) features: usize,
     pub(crate) levels: &'a [Level],

@@ -83,8 +83,7 @@ impl Activations {
     }
 }
 
-/// From the input of `values` to its output, for the first `count` samples rounded up to
-/// [`ROWS`].
+/// From the input of `values` to its output, for `count` samples rounded up to [`ROWS`].
 pub(crate) fn forward(arch: Arch, packed: &Packed, count: usize, values: &mut Activations) {
     let rows = count.next_multiple_of(ROWS);
     let last = packed.layers.len() - 1;
@@ -101,9 +100,8 @@ pub(crate) fn forward(arch: Arch, packed: &Packed, count: usize, values: &mut Ac
     }
 }
 
-/// From the output of `cotangents` to its input; adds to `gradient` when given. `values` are
-/// those of the last [`forward`] of as many samples; samples that fill up to [`ROWS`] must have
-/// zero in the output of `cotangents`.
+/// From the output of `cotangents`, zero in rows beyond `count`, to its input; adds to `gradient`
+/// when given. `values` are those of the last [`forward`] of as many samples.
 pub(crate) fn pull_back(
     arch: Arch,
     packed: &Packed,

@@ -91,8 +91,7 @@ pub fn pull_back<T: Real>(
     out
 }
 
-/// From the derivatives by the exponents of density and colour to those by the position in the
-/// world and by the unit direction.
+/// From derivatives by exponents to those by the position in the world and the unit direction.
 fn pull_back_point<T: Real>(
     field: &HashGridField<T>,
     ray: &Ray<T>,

@@ -53,8 +53,7 @@ impl FieldRenderer {
         self.chunks[..self.rays.div_ceil(RAYS)].iter().map(|chunk| chunk.kept.len()).sum()
     }
 
-    /// Writes what each ray shows into `out`, whose allocation is reused. Rays may come from any
-    /// number of frames, in any order.
+    /// Writes what each ray, of any number of frames, shows into `out`, whose allocation is reused.
     pub fn render(
         &mut self,
         field: &HashGridField,
@@ -176,8 +175,7 @@ impl Networks {
     }
 }
 
-/// Adds the derivatives by the encodings to the table: one task per level, which goes through the
-/// samples in order, so that the sums have one order.
+/// Adds the derivatives by the encodings to the table, level by level in one order of sums.
 fn scatter(arch: Arch, field: &HashGridField, chunks: &[Chunk], table: &mut [f32]) {
     let features = field.settings().features;
     let mut rest = table;

@@ -135,8 +135,7 @@ fn no_crossed_cell_is_missed() {
     assert_eq!(occupancy.occupied_share(), 0.0);
 }
 
-/// Cells outside of others are never occupied, whatever is dense there; cells that come in are
-/// sampled at once.
+/// Cells outside of others are never occupied; cells that come in are sampled at once.
 #[test]
 fn looks_occupy_no_cell_that_is_not_allowed() {
     let field = HashGridField::<f32>::zeros(settings()).expect("settings in range");

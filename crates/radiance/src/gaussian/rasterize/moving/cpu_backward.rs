@@ -162,8 +162,7 @@ impl<const MAP: bool> WithSimd for Backward<'_, MAP> {
     }
 }
 
-/// Sums by motion of one splat over the pixels of one tile, beside its [`TileSums`], with `e = α
-/// ∂L/∂α`.
+/// Sums by motion of one splat over a tile, beside its [`TileSums`]; `e = α ∂L/∂α`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct MotionTileSums {
     /// `Σ e s dx, Σ e s dy`.

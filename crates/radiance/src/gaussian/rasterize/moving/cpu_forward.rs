@@ -24,9 +24,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) bins: &'a Bins,
 }
 
-/// Composites all tiles, or those that `mask` marks; nothing is visited of the others, whatever
-/// their pixels. `states` holds the moments of the first tile,
-/// then of the second.
+/// Composites all tiles, or those that `mask` marks; nothing is visited of the others. `states`
+/// holds the moments of the first tile, then of the second.
 pub(crate) fn render(
     scene: &Scene<'_>,
     mask: Option<&[bool]>,
@@ -75,8 +74,7 @@ fn render_tile(scene: &Scene<'_>, number: usize, tile: &mut TilePixels, states: 
     }
 }
 
-/// Sets the moments of a tile to nothing seen yet; pixels outside of the image have ended. Gives
-/// the centre of the tile's first pixel.
+/// Sets a tile to nothing seen yet and ended outside of the image; gives its first pixel's centre.
 fn start(
     grid: &TileGrid,
     number: usize,

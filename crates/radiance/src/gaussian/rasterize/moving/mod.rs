@@ -28,8 +28,7 @@ pub(crate) const PACK: usize = 16;
 pub(crate) struct MomentRow {
     /// Transmittance times the moment's weight, with the sign turned where pixels ended.
     transmittance: Row,
-    /// The place in the tile's list at which the pixel ended, or `f32::MAX`; -1 outside of the
-    /// image.
+    /// The place in the list at which the pixel ended, or `f32::MAX`; -1 outside of the image.
     ended: Row,
 }
 

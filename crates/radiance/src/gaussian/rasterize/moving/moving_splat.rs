@@ -12,8 +12,7 @@ use crate::gaussian::rasterize::cpu_forward::{COLUMNS, ExponentRow};
 use i2slam_compute::simd::{Column, Lanes, nearest};
 use pulp::Simd;
 
-/// Splats of a tile's list that are made ready together, so that none waits for the memory of
-/// the next.
+/// Splats of a list that are made ready together: independent loads wait for the memory once.
 pub(super) const BATCH: usize = 16;
 
 /// A splat and its path over a tile, ready for all moments.
@@ -21,8 +20,7 @@ pub(super) const BATCH: usize = 16;
 #[repr(C, align(64))]
 pub(super) struct MovingSplat {
     pub(super) splat: Splat,
-    /// From the centre to the tile's first pixel, per axis and moment: for row 0, and what a row
-    /// adds to it.
+    /// From the centre to the tile's first pixel, per axis and moment, and its change by row.
     offset: [Column; 2],
     slope: [Column; 2],
     /// First and end row that are touched, per moment, with [`ROUND`] added.
@@ -49,8 +47,7 @@ pub(super) struct Stage<'a> {
 }
 
 impl Stage<'_> {
-    /// Prepares the splats of the list from `start` on; returns their number. No row is
-    /// touched at moments where `alive` is not 1 but 0.
+    /// Prepares the splats from `start` on; returns their number. None touches where `alive` is 0.
     #[inline(always)]
     pub(super) fn load<S: Simd>(
         &self,
