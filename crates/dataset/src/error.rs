@@ -46,10 +46,10 @@ pub enum DatasetError {
         /// The system's answer.
         source: std::io::Error,
     },
-    /// A video, or a file that describes cameras, frames or poses, cannot be used.
+    /// A video, a folder, or a file that describes cameras, frames or poses, cannot be used.
     #[error("{}: {reason}", path.display())]
     File {
-        /// The file.
+        /// The file or folder.
         path: PathBuf,
         /// Cause, and what was expected.
         reason: String,
@@ -95,54 +95,6 @@ pub enum DatasetError {
         found: String,
         /// Known formats, one per line.
         known: String,
-    },
-    /// Fewer than two imported poses have a chosen image.
-    #[error(
-        "{}: {keyframes} of {poses} poses are keyframes with a picture in {}, expected at least 2: \
-         {reason}",
-        path.display(), pictures.display()
-    )]
-    TooFewKeyframes {
-        /// The file or folder of the poses.
-        path: PathBuf,
-        /// Path of the images.
-        pictures: PathBuf,
-        /// Poses with a chosen image.
-        keyframes: usize,
-        /// Poses in all.
-        poses: usize,
-        /// Cause and remedy.
-        reason: String,
-    },
-    /// No colour image has a depth image close enough in time.
-    #[error(
-        "{}: none of {frames} colour images has a depth image within {tolerance} s; the nearest \
-         is {nearest_gap:.3} s away: check that both use one clock, or raise the tolerance",
-        path.display()
-    )]
-    NoDepthPartner {
-        /// The folder of the sequence.
-        path: PathBuf,
-        /// Number of colour images.
-        frames: usize,
-        /// Largest accepted distance in time [s].
-        tolerance: f64,
-        /// Smallest distance in time that there is [s].
-        nearest_gap: f64,
-    },
-    /// Colour and depth files have neither names nor numbers nor their count in common.
-    #[error(
-        "{}: {colour} colour and {depth} depth images whose names do not match: give the two \
-         images of a frame the same name or the same number",
-        path.display()
-    )]
-    NoCommonNames {
-        /// The folder of the sequence.
-        path: PathBuf,
-        /// Number of colour images.
-        colour: usize,
-        /// Number of depth images.
-        depth: usize,
     },
     /// An image file is damaged or of a kind that cannot be used.
     #[error("{}: {reason}", path.display())]
@@ -221,6 +173,10 @@ impl DatasetError {
 
     pub(crate) fn image(path: &Path, reason: impl Into<String>) -> Self {
         Self::Image { path: path.to_path_buf(), reason: reason.into() }
+    }
+
+    pub(crate) fn option(name: &'static str, reason: impl Into<String>) -> Self {
+        Self::Option { name, reason: reason.into() }
     }
 
     pub(crate) fn empty(path: &Path, expected: &'static str) -> Self {

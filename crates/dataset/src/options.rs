@@ -105,7 +105,7 @@ impl OpenOptions {
     pub(crate) fn validate(&self) -> Result<(), DatasetError> {
         let positive = |v: f64| v.is_finite() && v > 0.0;
         let refuse = |name, expected: &str, found: String| {
-            Err(DatasetError::Option { name, reason: format!("expected {expected}, got {found}") })
+            Err(DatasetError::option(name, format!("expected {expected}, got {found}")))
         };
         if let Some(k) = self.intrinsics
             && !(k.iter().all(|v| v.is_finite()) && k[0] > 0.0 && k[1] > 0.0)

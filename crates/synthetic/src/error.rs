@@ -25,17 +25,11 @@ pub enum SyntheticError {
         /// Allowed values.
         expected: String,
     },
-    /// A file or folder cannot be read.
-    #[error("{}: cannot be read: {source}", path.display())]
-    Read {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// A file or folder cannot be written.
-    #[error("{}: cannot be written: {source}", path.display())]
-    Write {
+    /// A file or folder cannot be read or written.
+    #[error("{}: cannot be {action}: {source}", path.display())]
+    Io {
+        /// "read" or "written".
+        action: &'static str,
         /// The file or folder.
         path: PathBuf,
         /// The system's error.
@@ -51,10 +45,10 @@ pub enum SyntheticError {
 
 impl SyntheticError {
     pub(crate) fn read(path: &Path, source: std::io::Error) -> Self {
-        Self::Read { path: path.to_owned(), source }
+        Self::Io { action: "read", path: path.to_owned(), source }
     }
 
     pub(crate) fn write(path: &Path, source: std::io::Error) -> Self {
-        Self::Write { path: path.to_owned(), source }
+        Self::Io { action: "written", path: path.to_owned(), source }
     }
 }

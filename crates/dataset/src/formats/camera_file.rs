@@ -57,7 +57,7 @@ fn parse_line(
     let expected = "a camera.json, a transforms.json, COLMAP's cameras.txt, or one line fx fy cx cy \
                     [k1 k2 p1 p2 [k3]]";
     let Some((line, content)) = data_lines(text).next() else {
-        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+        return Err(DatasetError::empty(path, expected));
     };
     let words = content.split([' ', '\t', ',']).filter(|word| !word.is_empty());
     let numbers: Result<Vec<f64>, _> =

@@ -34,7 +34,7 @@ pub(crate) fn open_poses(arrays: &Arrays) -> Result<NpyArray, DatasetError> {
         return Err(DatasetError::file(&array.path, reason));
     };
     if frames == 0 {
-        return Err(DatasetError::Empty { path: array.path, expected: "poses of keyframes" });
+        return Err(DatasetError::empty(&array.path, "poses of keyframes"));
     }
     Ok(array)
 }

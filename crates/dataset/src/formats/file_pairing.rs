@@ -35,10 +35,14 @@ impl FilePairs {
         depth: Vec<PathBuf>,
     ) -> Result<Self, DatasetError> {
         let (colour, depth) = (sorted_by_key(colour), sorted_by_key(depth));
-        let partners = pair_by_key(&colour, &depth).ok_or_else(|| DatasetError::NoCommonNames {
-            path: folder.to_path_buf(),
-            colour: colour.len(),
-            depth: depth.len(),
+        let partners = pair_by_key(&colour, &depth).ok_or_else(|| {
+            let reason = format!(
+                "{} colour and {} depth images whose names do not match: give the two images of a \
+                 frame the same name or the same number",
+                colour.len(),
+                depth.len()
+            );
+            DatasetError::file(folder, reason)
         })?;
         let without_depth = partners.iter().filter(|p| p.is_none()).count();
         let places = colour.into_iter().zip(partners).enumerate();

@@ -47,7 +47,7 @@ impl TransformsFile {
             .collect();
         if records.is_empty() {
             let expected = if with_depth { "frames with depth_file_path" } else { "frames" };
-            return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+            return Err(DatasetError::empty(path, expected));
         }
         records.sort_by_cached_key(|record| {
             (

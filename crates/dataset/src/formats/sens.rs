@@ -294,7 +294,7 @@ impl SensReader {
     }
 
     fn refuse(&self, reason: impl Into<String>) -> DatasetError {
-        DatasetError::File { path: self.path.clone(), reason: reason.into() }
+        DatasetError::file(&self.path, reason)
     }
 }
 

@@ -159,12 +159,14 @@ pub(super) fn list_by_time(
         association = associate(&colour, &depth, None, rules);
     }
     if association.pairs.is_empty() {
-        return Err(DatasetError::NoDepthPartner {
-            path: folder.to_path_buf(),
-            frames: colour.len(),
-            tolerance: rules.tolerance,
-            nearest_gap: association.nearest_gap,
-        });
+        let reason = format!(
+            "none of {} colour images has a depth image within {} s; the nearest is {:.3} s away: \
+             check that both use one clock, or raise the tolerance",
+            colour.len(),
+            rules.tolerance,
+            association.nearest_gap
+        );
+        return Err(DatasetError::file(folder, reason));
     }
     let entries = entries(&association, &stamped);
     let dropped = DroppedFrames {
@@ -230,7 +232,7 @@ pub(super) fn eth3d_calibration(path: &Path) -> Result<Calibration, DatasetError
     let text = read_text(path)?;
     let expected = "the four numbers fx fy cx cy";
     let Some((line, content)) = data_lines(&text).next() else {
-        return Err(DatasetError::Empty { path: path.to_path_buf(), expected });
+        return Err(DatasetError::empty(path, expected));
     };
     let words: Vec<&str> = content.split_whitespace().collect();
     let [fx, fy, cx, cy] = words[..] else {

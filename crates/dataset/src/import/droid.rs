@@ -44,8 +44,8 @@ pub(super) fn open(
     options: &ImportOptions,
 ) -> Result<ReadKeyframes, DatasetError> {
     if pictures.is_none() && options.depth == ImportDepth::Pictures {
-        let reason = "depth pictures are asked for, and no dataset with them is named".to_owned();
-        return Err(DatasetError::Option { name: "depth", reason });
+        let reason = "depth pictures are asked for, and no dataset with them is named";
+        return Err(DatasetError::option("depth", reason));
     }
     let arrays = Arrays::open(path)?;
     let numbers = open_poses(&arrays)?;

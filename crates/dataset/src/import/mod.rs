@@ -125,8 +125,7 @@ impl ImportedKeyframes {
     ) -> Result<Self, DatasetError> {
         options.open.validate()?;
         if options.frames_per_stamp == 0 {
-            let reason = "expected 1 or more, got 0".into();
-            return Err(DatasetError::Option { name: "frames_per_stamp", reason });
+            return Err(DatasetError::option("frames_per_stamp", "expected 1 or more, got 0"));
         }
         let other = pictures.filter(|&pictures| pictures != path);
         let mut found = match DetectedFormat::detect(path)? {
@@ -187,13 +186,12 @@ impl ImportedKeyframes {
         } else {
             self.unmatched.reason.clone()
         };
-        Err(DatasetError::TooFewKeyframes {
-            path: self.path.clone(),
-            pictures: pictures.unwrap_or(&self.path).to_path_buf(),
-            keyframes: self.len(),
-            poses,
-            reason,
-        })
+        let (keyframes, pictures) = (self.len(), pictures.unwrap_or(&self.path).display());
+        let reason = format!(
+            "{keyframes} of {poses} poses are keyframes with a picture in {pictures}, expected at \
+             least 2: {reason}"
+        );
+        Err(DatasetError::file(&self.path, reason))
     }
 
     /// Reads a keyframe with its image.

@@ -119,5 +119,5 @@ pub(crate) fn delivered_size(
          {MIN_SIDE} a side",
         options.crop_border, scale, grid.width, grid.height
     );
-    Err(DatasetError::Option { name: "crop_border, scale", reason })
+    Err(DatasetError::option("crop_border, scale", reason))
 }

@@ -247,7 +247,7 @@ fn choose(
             "{}..{} holds no frame: the sequence has the frames 0..{count}",
             range.start, range.end
         );
-        return Err(DatasetError::Option { name: "frames", reason });
+        return Err(DatasetError::option("frames", reason));
     }
     if range.end > count {
         warnings.push(format!(

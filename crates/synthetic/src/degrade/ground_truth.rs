@@ -1,6 +1,6 @@
 //! Ground truth of a sequence, copied to its degraded version.
 
-use super::Degradation;
+use super::{Degradation, refuse};
 use crate::error::SyntheticError;
 use crate::write::{OutputFolder, pose_numbers};
 use i2slam_dataset::Sequence;
@@ -9,11 +9,9 @@ use std::path::Path;
 /// An error if the output folder is that of the dataset.
 pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), SyntheticError> {
     match (dataset.canonicalize(), out.canonicalize()) {
-        (Ok(from), Ok(to)) if from == to => Err(SyntheticError::OutOfRange {
-            key: "output folder".into(),
-            value: out.display().to_string(),
-            expected: "another folder than the dataset's".into(),
-        }),
+        (Ok(from), Ok(to)) if from == to => {
+            refuse("output folder", out.display(), "another folder than the dataset's")
+        }
         _ => Ok(()),
     }
 }

@@ -120,9 +120,7 @@ pub(crate) fn shared_camera(
         }
     }
     let Some((_, camera)) = first else {
-        let expected = "images with poses";
-        let path = file.with_file_name("images");
-        return Err(DatasetError::Empty { path, expected });
+        return Err(DatasetError::empty(&file.with_file_name("images"), "images with poses"));
     };
     Ok(camera.calibration(file))
 }
@@ -132,9 +130,8 @@ pub(super) fn single_camera(
     file: &Path,
     cameras: &BTreeMap<u32, ModelCamera>,
 ) -> Result<Calibration, DatasetError> {
-    let expected = "one camera";
     let first = cameras.values().next();
-    let first = first.ok_or(DatasetError::Empty { path: file.to_path_buf(), expected })?;
+    let first = first.ok_or_else(|| DatasetError::empty(file, "one camera"))?;
     if cameras.values().any(|camera| !camera.is_same_as(first)) {
         let reason = format!("it has {} cameras that differ, expected one", cameras.len());
         return Err(DatasetError::file(file, reason));
