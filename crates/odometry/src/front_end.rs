@@ -5,7 +5,7 @@ use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
 use crate::progress::Progress;
-use crate::register::initialization::{initialize, initialize_within};
+use crate::register::initialization::initialize;
 use crate::register::registration::{
     adjust_globally, refine_all_frames, register_keyframes, register_remaining_frames,
 };
@@ -156,7 +156,7 @@ fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
 
 /// Builds the map from tracks alone: poses of all frames, and landmarks.
 fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
-    initialize(state)?;
+    initialize(state, 0..state.tracks.keyframes.len())?;
     let mut was_lost = register_and_relocalize(state, adjust_focal);
     if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
         (*state, was_lost) = (other, other_was_lost);
@@ -195,7 +195,7 @@ fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, 
     let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > covered)?;
     let mut other = state.clone();
     other.reset();
-    initialize_within(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
+    initialize(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
     let was_lost = register_and_relocalize(&mut other, adjust_focal);
     (frames_covered(&other) > covered).then_some((other, was_lost))
 }

@@ -7,7 +7,7 @@ mod psnr;
 mod ssim;
 
 pub use lpips::lpips;
-pub use psnr::{psnr, psnr_channel_mean, psnr_masked, psnr_monogs, psnr_splatam};
+pub use psnr::{psnr, psnr_channel_mean, psnr_masked, psnr_monogs};
 pub use ssim::{ms_ssim, ssim, ssim_padded};
 
 use crate::EvalError;

@@ -14,7 +14,10 @@ pub fn psnr(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> 
 /// Never below [`psnr`] (the logarithm is concave).
 pub fn psnr_channel_mean(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
     check_shapes(picture, truth)?;
-    mean_over_channels(truth, |c| squares(picture.plane(c), truth.plane(c)))
+    let pixels = truth.pixels() as f64;
+    let channel = |c| decibel(squares(picture.plane(c), truth.plane(c)) / pixels);
+    let sum = (0..truth.channels).map(channel).sum::<Result<f64, _>>()?;
+    Ok(sum / truth.channels as f64)
 }
 
 /// PSNR [dB] over the pixels where `mask` (one entry per pixel, row by row) is true.
@@ -34,18 +37,6 @@ pub fn psnr_masked(
     decibel(sum / (inside * truth.channels) as f64)
 }
 
-/// PSNR as SplaTAM reports it [dB]: both pictures times the mask (true depth above zero), then
-/// [`psnr_channel_mean`] over *all* pixels, of which those outside count as perfect.
-pub fn psnr_splatam(
-    picture: &Image<f32>,
-    truth: &Image<f32>,
-    mask: &[bool],
-) -> Result<f64, EvalError> {
-    check_shapes(picture, truth)?;
-    check_mask(mask, truth)?;
-    mean_over_channels(truth, |c| masked_squares(picture.plane(c), truth.plane(c), mask))
-}
-
 /// PSNR as MonoGS's evaluation reports it [dB]: one mean square error over the *values* (pixel and
 /// channel) where the true picture is above zero. A truth that is black throughout is refused.
 pub fn psnr_monogs(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
@@ -56,15 +47,6 @@ pub fn psnr_monogs(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, Eval
         return Err(EvalError::TooFew { what: "true values above zero", found: 0, needed: 1 });
     }
     decibel(masked_squares(&picture.data, &truth.data, &lit) / count as f64)
-}
-
-fn mean_over_channels(
-    truth: &Image<f32>,
-    squares_of: impl Fn(usize) -> f64,
-) -> Result<f64, EvalError> {
-    let pixels = (truth.width * truth.height) as f64;
-    let each = (0..truth.channels).map(|c| decibel(squares_of(c) / pixels));
-    Ok(each.sum::<Result<f64, _>>()? / truth.channels as f64)
 }
 
 fn squares(a: &[f32], b: &[f32]) -> f64 {
@@ -118,8 +100,6 @@ mod tests {
         let (truth, picture) = (grey(&[0.0; 4]), grey(&[0.1, 0.1, f32::NAN, 0.9]));
         let mask = [true, true, false, false];
         assert!((psnr_masked(&picture, &truth, &mask).unwrap() - 20.0).abs() < 1e-5);
-        let expected = 20.0 + 10.0 * 2.0_f64.log10();
-        assert!((psnr_splatam(&picture, &truth, &mask).unwrap() - expected).abs() < 1e-5);
     }
 
     #[test]

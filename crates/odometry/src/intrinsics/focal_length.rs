@@ -75,7 +75,7 @@ fn evaluate_start(state: &SfmState, factor: f64) -> Result<FocalCandidate, Odome
     let mut tried = state.clone();
     let camera = state.camera;
     tried.camera = Camera { fx: camera.fx * factor, fy: camera.fy * factor, ..camera };
-    initialize(&mut tried)?;
+    initialize(&mut tried, 0..state.tracks.keyframes.len())?;
     register_keyframes(&mut tried, true, SEARCH_KEYFRAMES);
     adjust_globally(&mut tried, true);
     let cost = adjust_globally(&mut tried, true);

@@ -42,16 +42,8 @@ struct KeyframePair {
     motion: f64,
 }
 
-/// Poses two keyframes of an empty state and triangulates their shared points.
-pub(crate) fn initialize(state: &mut SfmState) -> Result<(), OdometryError> {
-    initialize_within(state, 0..state.tracks.keyframes.len())
-}
-
-/// Initializes from two of the keyframes in `places`.
-pub(crate) fn initialize_within(
-    state: &mut SfmState,
-    places: Range<usize>,
-) -> Result<(), OdometryError> {
+/// Poses two of the keyframes in `places` of an empty state and triangulates their shared points.
+pub(crate) fn initialize(state: &mut SfmState, places: Range<usize>) -> Result<(), OdometryError> {
     let pairs = candidate_pairs(state, places);
     let enough = SUFFICIENT_PARALLAX * state.camera.fx;
     let worth = |p: &KeyframePair| p.rotation_residual.min(enough) * (p.shared as f64).sqrt();
