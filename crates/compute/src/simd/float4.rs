@@ -1,6 +1,6 @@
 //! Four numbers in one register, for pixels that are read one by one.
 
-use std::ops::{Add, AddAssign, Mul, Sub};
+use std::ops::{AddAssign, Mul};
 
 /// Four `f32`; one register of every x86-64.
 #[derive(Clone, Copy, Debug)]
@@ -20,6 +20,7 @@ mod register {
         _mm_add_ps, _mm_cvtss_f32, _mm_movehl_ps, _mm_mul_ps, _mm_set1_ps, _mm_setr_ps,
         _mm_shuffle_ps, _mm_sub_ps, _mm_unpackhi_ps, _mm_unpacklo_ps,
     };
+    use std::ops::{Add, Mul, Sub};
 
     // SAFETY of all of these: SSE is part of every x86-64, and none touches memory.
     impl Float4 {
@@ -55,27 +56,30 @@ mod register {
                 (_mm_cvtss_f32(both), _mm_cvtss_f32(_mm_shuffle_ps::<1>(both, both)))
             }
         }
-
-        #[inline(always)]
-        pub(super) fn plus(self, other: Self) -> Self {
-            Self(unsafe { _mm_add_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        pub(super) fn minus(self, other: Self) -> Self {
-            Self(unsafe { _mm_sub_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        pub(super) fn times(self, other: Self) -> Self {
-            Self(unsafe { _mm_mul_ps(self.0, other.0) })
-        }
     }
+
+    /// Gives `Float4` a binary operator.
+    macro_rules! operator {
+        ($operator:ident, $name:ident, $instruction:ident) => {
+            impl $operator for Float4 {
+                type Output = Self;
+                #[inline(always)]
+                fn $name(self, other: Self) -> Self {
+                    Self(unsafe { $instruction(self.0, other.0) })
+                }
+            }
+        };
+    }
+
+    operator!(Add, add, _mm_add_ps);
+    operator!(Sub, sub, _mm_sub_ps);
+    operator!(Mul, mul, _mm_mul_ps);
 }
 
 #[cfg(not(target_arch = "x86_64"))]
 mod register {
     use super::Float4;
+    use std::ops::{Add, Mul, Sub};
 
     impl Float4 {
         /// `[x, y, z, 0]`.
@@ -102,22 +106,24 @@ mod register {
             let sum = |v: [f32; 4]| (v[0] + v[2]) + (v[1] + v[3]);
             (sum(self.0), sum(other.0))
         }
-
-        #[inline(always)]
-        pub(super) fn plus(self, other: Self) -> Self {
-            Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
-        }
-
-        #[inline(always)]
-        pub(super) fn minus(self, other: Self) -> Self {
-            Self(std::array::from_fn(|i| self.0[i] - other.0[i]))
-        }
-
-        #[inline(always)]
-        pub(super) fn times(self, other: Self) -> Self {
-            Self(std::array::from_fn(|i| self.0[i] * other.0[i]))
-        }
     }
+
+    /// Gives `Float4` a binary operator.
+    macro_rules! operator {
+        ($operator:ident, $name:ident, $symbol:tt) => {
+            impl $operator for Float4 {
+                type Output = Self;
+                #[inline(always)]
+                fn $name(self, other: Self) -> Self {
+                    Self(std::array::from_fn(|i| self.0[i] $symbol other.0[i]))
+                }
+            }
+        };
+    }
+
+    operator!(Add, add, +);
+    operator!(Sub, sub, -);
+    operator!(Mul, mul, *);
 }
 
 impl Float4 {
@@ -130,7 +136,7 @@ impl Float4 {
     /// `(self · a, self · b)`.
     #[inline(always)]
     pub fn dots(self, a: Self, b: Self) -> (f32, f32) {
-        self.times(a).sums(self.times(b))
+        (self * a).sums(self * b)
     }
 
     /// `self + (other - self) t`.
@@ -146,14 +152,6 @@ impl Default for Float4 {
     }
 }
 
-impl Add for Float4 {
-    type Output = Self;
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        self.plus(other)
-    }
-}
-
 impl AddAssign for Float4 {
     #[inline(always)]
     fn add_assign(&mut self, other: Self) {
@@ -161,18 +159,10 @@ impl AddAssign for Float4 {
     }
 }
 
-impl Sub for Float4 {
-    type Output = Self;
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        self.minus(other)
-    }
-}
-
 impl Mul<f32> for Float4 {
     type Output = Self;
     #[inline(always)]
     fn mul(self, s: f32) -> Self {
-        self.times(Self::splat(s))
+        self * Self::splat(s)
     }
 }

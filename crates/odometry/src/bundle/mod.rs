@@ -125,11 +125,6 @@ impl Bundle {
         SchurSystem::new(self, &sparsity, Curvature::Majorizing).inverse_depth_variances()
     }
 
-    /// Number of adjusted global parameters.
-    fn global_count(&self) -> usize {
-        self.free_intrinsics as usize
-    }
-
     /// Robust cost of all observations [variances].
     fn cost(&self) -> f64 {
         let part = |range: std::ops::Range<usize>| -> f64 {

@@ -35,7 +35,7 @@ pub(super) struct SchurSystem<'a> {
 
 impl<'a> SchurSystem<'a> {
     pub(super) fn new(bundle: &Bundle, sparsity: &'a BlockSparsity, curvature: Curvature) -> Self {
-        let globals = bundle.global_count();
+        let globals = bundle.free_intrinsics as usize;
         let landmarks = 0..bundle.landmarks.len();
         let landmark =
             |i: usize| landmark_block(bundle, i, &sparsity.landmark_observations[i], curvature);

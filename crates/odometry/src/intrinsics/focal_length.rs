@@ -40,38 +40,30 @@ impl Intrinsics {
     }
 }
 
-/// An estimated camera with its score; smaller is better.
-#[derive(Clone, Copy)]
-struct FocalCandidate {
-    score: f64,
-    camera: Camera<f64>,
-    distortion: [f64; 2],
-}
-
 /// Sets the focal length of best score among several, each adjusted with some keyframes.
 pub(crate) fn search_focal_length(state: &mut SfmState) -> Result<(), OdometryError> {
     state.progress.report(Stage::FocalLength, 0, 0);
     // Only keyframes are registered here, and observations in other frames do not affect them.
     let reduced = state.keyframes_only();
-    let tried: Vec<Result<FocalCandidate, OdometryError>> =
+    let tried: Vec<Result<(f64, SfmState), OdometryError>> =
         START_FACTORS.par_iter().map(|factor| evaluate_start(&reduced, *factor)).collect();
     let mut failure = OdometryError::NoConsistentMotion;
-    let mut best: Option<FocalCandidate> = None;
+    let mut best: Option<(f64, SfmState)> = None;
     for result in tried.into_iter().rev() {
         match result {
-            Ok(found) if best.is_none_or(|b| found.score < b.score) => best = Some(found),
+            Ok(found) if best.as_ref().is_none_or(|b| found.0 < b.0) => best = Some(found),
             Ok(_) => {}
             Err(why) => failure = why,
         }
     }
-    let found = best.ok_or(failure)?;
+    let (_, found) = best.ok_or(failure)?;
     state.camera = found.camera;
     state.update_distortion(found.distortion);
     Ok(())
 }
 
-/// The camera adjusted from one initial focal length.
-fn evaluate_start(state: &SfmState, factor: f64) -> Result<FocalCandidate, OdometryError> {
+/// The state adjusted from one initial focal length with its score, of which the least is best.
+fn evaluate_start(state: &SfmState, factor: f64) -> Result<(f64, SfmState), OdometryError> {
     let mut tried = state.clone();
     let camera = state.camera;
     tried.camera = Camera { fx: camera.fx * factor, fy: camera.fy * factor, ..camera };
@@ -80,8 +72,7 @@ fn evaluate_start(state: &SfmState, factor: f64) -> Result<FocalCandidate, Odome
     adjust_globally(&mut tried, true);
     let cost = adjust_globally(&mut tried, true);
     let explained: usize = tried.posed_frames().iter().map(|f| tried.count_inliers(*f)).sum();
-    let score = cost / (explained.max(1) as f64);
-    Ok(FocalCandidate { score, camera: tried.camera, distortion: tried.distortion })
+    Ok((cost / (explained.max(1) as f64), tried))
 }
 
 #[cfg(test)]
