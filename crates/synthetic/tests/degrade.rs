@@ -96,57 +96,40 @@ fn what_cannot_be_meant_is_refused() {
     assert!(matches!(error, Err(SyntheticError::Dataset(_))));
 }
 
-/// The rendered sequence in the layout of nerfstudio, whose poses stand in `transforms.json`.
-fn as_nerfstudio(source: &std::path::Path, out: &std::path::Path) {
+/// The rendered sequence in the layout of Replica, whose poses stand in `traj.txt`.
+fn as_replica(source: &std::path::Path, out: &std::path::Path) {
     let sequence = open(source);
-    let camera = sequence.camera;
-    let frame = |i: usize| {
-        let pose = sequence.true_trajectory().expect("poses")[i].world_from_camera;
-        let (t, axes) = (pose.translation, pose.rotation.matrix());
-        // OpenGL's camera axes: y up, z backwards.
-        let row = |r: usize, t: f64| {
-            let [x, y, z] = [0, 1, 2].map(|c| {
-                let unit = [0, 1, 2].map(|k| f64::from(u8::from(k == c)));
-                (axes * i2slam_geometry::Vec3::from_array(unit)).to_array()[r]
-            });
-            format!("[{x},{},{},{t}]", -y, -z)
-        };
-        let rows = [row(0, t.x), row(1, t.y), row(2, t.z)].join(",");
-        format!(
-            "{{\"file_path\": \"rgb/{i:06}.png\", \"depth_file_path\": \"depth/{i:06}.png\", \
-             \"transform_matrix\": [{rows},[0,0,0,1]]}}"
-        )
-    };
-    let frames: Vec<String> = (0..sequence.len()).map(frame).collect();
-    let text = format!(
-        "{{\"fl_x\": {}, \"fl_y\": {}, \"cx\": {}, \"cy\": {}, \"w\": {}, \"h\": {}, \
-         \"integer_depth_scale\": 0.0002, \"frames\": [{}]}}",
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.width,
-        camera.height,
-        frames.join(",")
-    );
-    for kind in ["rgb", "depth"] {
-        std::fs::create_dir_all(out.join(kind)).expect("a folder");
-        for i in 0..sequence.len() {
-            let name = format!("{kind}/{i:06}.png");
-            std::fs::copy(source.join(&name), out.join(&name)).expect("room");
+    std::fs::create_dir_all(out.join("results")).expect("a folder");
+    let mut poses = String::new();
+    for (i, pose) in sequence.true_trajectory().expect("poses").iter().enumerate() {
+        let rows = pose.world_from_camera.rotation.matrix().rows;
+        for (row, t) in rows.iter().zip(pose.world_from_camera.translation.to_array()) {
+            poses += &format!("{} {} {} {t} ", row[0], row[1], row[2]);
+        }
+        poses += "0 0 0 1\n";
+        for (kind, name) in [("rgb", "frame"), ("depth", "depth")] {
+            let to = out.join(format!("results/{name}{i:06}.png"));
+            std::fs::copy(source.join(format!("{kind}/{i:06}.png")), to).expect("room");
         }
     }
-    std::fs::write(out.join("transforms.json"), text).expect("room");
+    std::fs::write(out.join("traj.txt"), poses).expect("room");
+    let c = sequence.camera;
+    let (cx, cy) = (c.cx - 0.5, c.cy - 0.5);
+    let camera = format!(
+        r#"{{"camera":{{"w":{},"h":{},"fx":{},"fy":{},"cx":{cx},"cy":{cy},"scale":5000}}}}"#,
+        c.width, c.height, c.fx, c.fy
+    );
+    std::fs::write(out.join("cam_params.json"), camera).expect("room");
 }
 
 #[test]
 fn poses_come_along_whatever_the_layout_keeps_them_in() {
     let scratch = Scratch::new("poses");
-    let (source, other) = (scratch.0.join("source"), scratch.0.join("nerfstudio"));
+    let (source, other) = (scratch.0.join("source"), scratch.0.join("replica"));
     let mut spec = small_spec();
     spec.camera.frames = 4;
     render(&spec, &source);
-    as_nerfstudio(&source, &other);
+    as_replica(&source, &other);
     let out = scratch.0.join("out");
     let what = Degradation { dropped: Vec::from([1..2, 1..1]), ..Degradation::default() };
     degrade(&other, &out, &what, &mut |_, _| true).expect("a sequence");

@@ -7,13 +7,9 @@ use i2slam_dataset::{Layout, OpenOptions, Sequence};
 use std::path::Path;
 
 #[test]
-fn missing_folder() {
-    let result = Sequence::open(Path::new("/no/such/folder"), &OpenOptions::default());
-    assert_says(result, &["no file or folder /no/such/folder", "rgb.txt"]);
-}
-
-#[test]
-fn empty_and_foreign_folders() {
+fn missing_empty_and_foreign_folders() {
+    let missing = Sequence::open(Path::new("/no/such/folder"), &OpenOptions::default());
+    assert_says(missing, &["no file or folder /no/such/folder", "rgb.txt"]);
     let folder = Folder::new();
     assert_says(open(&folder), &["no RGB-D sequence", "an empty folder"]);
     folder.write("notes.md", "");
@@ -146,11 +142,13 @@ fn odd_frames_carry_warnings() {
 }
 
 #[test]
-fn a_wrong_depth_scale_is_noticed() {
+fn wrong_scales_and_intrinsics_are_noticed() {
     let folder = Folder::tum(3);
     let options = OpenOptions { depth_scale: Some(1.0), ..OpenOptions::default() };
     let sequence = Sequence::open(&folder.0, &options).expect("opens");
     assert_warns(&sequence.warnings, &["wrong depth scale?"]);
+    folder.write("camera.json", r#"{"fx":28,"fy":28,"cx":15.5,"cy":11.5}"#);
+    assert_warns(&open(&folder).expect("opens").warnings, &["intrinsics of another size?"]);
 }
 
 #[test]

@@ -169,13 +169,6 @@ fn nerfstudio_files_that_cannot_be_used() {
 }
 
 #[test]
-fn intrinsics_of_another_size_are_noticed() {
-    let folder = Folder::tum(2);
-    folder.write("camera.json", r#"{"fx":28,"fy":28,"cx":15.5,"cy":11.5}"#);
-    assert_warns(&open(&folder).expect("opens").warnings, &["intrinsics of another size?"]);
-}
-
-#[test]
 fn written_poses_are_read_again() {
     let folder = Folder::new();
     let poses: Vec<StampedPose> = (0..5)

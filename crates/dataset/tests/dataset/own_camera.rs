@@ -5,8 +5,6 @@ use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use i2slam_geometry::Camera;
 use jpeg_encoder::{ColorType, Encoder};
 
-const SIZE: (u16, u16) = (64, 48);
-
 /// EXIF data with one number of 16 bits, little-endian.
 fn exif(tag: u16, value: u16) -> Vec<u8> {
     let entry = |tag: u16, kind: u16, value: u32| {
@@ -28,17 +26,22 @@ fn pictures(segment: Option<Vec<u8>>) -> Folder {
 /// A folder of images, each with a segment of its own.
 fn pictures_with(segments: &[Option<Vec<u8>>]) -> Folder {
     let folder = Folder::new();
-    let grey = vec![120; 3 * usize::from(SIZE.0) * usize::from(SIZE.1)];
     for (i, segment) in segments.iter().enumerate() {
-        let mut bytes = Vec::new();
-        let mut encoder = Encoder::new(&mut bytes, 90);
-        if let Some(segment) = segment {
-            encoder.add_app_segment(1, segment.clone()).expect("room for it");
-        }
-        encoder.encode(&grey, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
+        let bytes = picture(segment.as_ref(), &[120; 3 * 64 * 48]);
         folder.write(&format!("IMG_{i:04}.jpg"), bytes);
     }
     folder
+}
+
+/// A JPEG of 64x48 px with a segment of EXIF data.
+fn picture(segment: Option<&Vec<u8>>, pixels: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = Encoder::new(&mut bytes, 95);
+    if let Some(segment) = segment {
+        encoder.add_app_segment(1, segment.clone()).expect("room for it");
+    }
+    encoder.encode(pixels, 64, 48, ColorType::Rgb).expect("a picture");
+    bytes
 }
 
 fn alone() -> OpenOptions {
@@ -243,11 +246,7 @@ fn pictures_are_turned_as_they_ask_with_their_camera() {
     let pixels: Vec<u8> =
         (0..48 * 64).flat_map(|i| [if i % 64 < 16 { 220 } else { 30 }; 3]).collect();
     for i in 0..3 {
-        let mut bytes = Vec::new();
-        let mut encoder = Encoder::new(&mut bytes, 95);
-        encoder.add_app_segment(1, oriented(6)).expect("room for it");
-        encoder.encode(&pixels, SIZE.0, SIZE.1, ColorType::Rgb).expect("a picture");
-        folder.write(&format!("IMG_{i:04}.jpg"), bytes);
+        folder.write(&format!("IMG_{i:04}.jpg"), picture(Some(&oriented(6)), &pixels));
     }
     let turned = OpenOptions { turn_pictures: true, ..alone() };
     let sequence = open(&folder, &turned);

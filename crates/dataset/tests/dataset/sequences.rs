@@ -166,33 +166,22 @@ fn every_kind_of_colour_image_gives_the_same_picture() {
 }
 
 #[test]
-fn channels_are_red_green_blue() {
+fn channels_of_a_jpeg_are_red_green_blue() {
     let folder = Folder::tum(1);
     let pixels: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(|_| [250, 120, 10]).collect();
-    let png = png((WIDTH, HEIGHT), ColorType::Rgb, BitDepth::Eight, None, &pixels);
-    for bytes in [png, jpeg(WIDTH, HEIGHT, &pixels)] {
-        folder.write("rgb/000.png", bytes);
-        let colour = open(&folder).expect("opens").load(0).expect("loads").colour;
-        for (channel, expected) in [250.0, 120.0, 10.0].into_iter().enumerate() {
-            assert!((colour.at(channel, 5, 5) * 255.0 - expected).abs() <= 2.0);
-        }
+    folder.write("rgb/000.png", jpeg(WIDTH, HEIGHT, &pixels));
+    let colour = open(&folder).expect("opens").load(0).expect("loads").colour;
+    for (channel, expected) in [250.0, 120.0, 10.0].into_iter().enumerate() {
+        assert!((colour.at(channel, 5, 5) * 255.0 - expected).abs() <= 2.0);
     }
 }
 
 #[test]
-fn a_dropped_stream_stops_reading() {
+fn reading_ahead_is_bounded_and_ends_with_the_stream() {
     let folder = Folder::tum(30);
     let sequence = open(&folder).expect("opens");
+    assert!(sequence.stream().next().is_some_and(|frame| frame.is_ok()), "dropped after a frame");
     let mut stream = sequence.stream();
-    assert_eq!(stream.next().expect("a frame").expect("loads").index, 0);
-    drop(stream);
-    assert_eq!(sequence.stream().count(), 30);
-}
-
-#[test]
-fn reading_ahead_is_bounded() {
-    let folder = Folder::tum(30);
-    let mut stream = open(&folder).expect("opens").stream();
     assert!(stream.next().is_some_and(|frame| frame.is_ok()));
     // Time for the thread to read as far ahead as it will.
     std::thread::sleep(std::time::Duration::from_millis(100));

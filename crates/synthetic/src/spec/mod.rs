@@ -4,38 +4,49 @@ mod sections;
 
 use crate::error::SyntheticError;
 use crate::sensor::Response;
-pub use sections::{
-    CameraSpec, DepthSpec, ExposureSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec, RoomSpec,
-    WhiteBalanceSpec,
-};
 use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// A whole specification, `SPEC.toml`.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Spec {
-    /// Seed of room, motion and noise.
-    pub seed: u64,
-    /// The camera.
-    pub camera: CameraSpec,
-    /// The room.
-    pub room: RoomSpec,
-    /// The light.
-    pub light: LightSpec,
-    /// The motion.
-    pub motion: MotionSpec,
-    /// Exposure, shutter and response.
-    pub exposure: ExposureSpec,
-    /// White balance.
-    pub white_balance: WhiteBalanceSpec,
-    /// Noise of the colour sensor.
-    pub noise: NoiseSpec,
-    /// The depth sensor.
-    pub depth: DepthSpec,
-    /// Optional outputs.
-    pub output: OutputSpec,
+/// Defines the specification by its sections.
+macro_rules! specification {
+    ($($name:ident : $section:ident),+ $(,)?) => {
+        pub use sections::{ $($section),+ };
+
+        /// A whole specification, `SPEC.toml`.
+        #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct Spec {
+            /// Seed of room, motion and noise.
+            pub seed: u64,
+            $(
+                #[doc = concat!("Section `[", stringify!($name), "]`.")]
+                pub $name: $section,
+            )+
+        }
+
+        impl Spec {
+            fn print_sections(&self, text: &mut String) {
+                $( self.$name.print(text); )+
+            }
+
+            fn check_sections(&self) -> Result<(), SyntheticError> {
+                $( self.$name.check()?; )+
+                Ok(())
+            }
+        }
+    };
+}
+specification! {
+    camera: CameraSpec,
+    room: RoomSpec,
+    light: LightSpec,
+    motion: MotionSpec,
+    exposure: ExposureSpec,
+    white_balance: WhiteBalanceSpec,
+    noise: NoiseSpec,
+    depth: DepthSpec,
+    output: OutputSpec,
 }
 
 impl Spec {
@@ -63,29 +74,13 @@ impl Spec {
              # values then taken.\n\n# Seed of room, motion and noise.\n",
         );
         text.push_str(&format!("seed = {}\n", self.seed));
-        self.camera.print(&mut text);
-        self.room.print(&mut text);
-        self.light.print(&mut text);
-        self.motion.print(&mut text);
-        self.exposure.print(&mut text);
-        self.white_balance.print(&mut text);
-        self.noise.print(&mut text);
-        self.depth.print(&mut text);
-        self.output.print(&mut text);
+        self.print_sections(&mut text);
         text
     }
 
     /// An error for values outside their documented range.
     pub fn validate(&self) -> Result<(), SyntheticError> {
-        self.camera.check()?;
-        self.room.check()?;
-        self.light.check()?;
-        self.motion.check()?;
-        self.exposure.check()?;
-        self.white_balance.check()?;
-        self.noise.check()?;
-        self.depth.check()?;
-        self.output.check()?;
+        self.check_sections()?;
         let (low, high) = (self.exposure.shutter_minimum, self.exposure.shutter_maximum);
         if low > high {
             return Err(SyntheticError::OutOfRange {

@@ -1,6 +1,6 @@
 //! Poses in a wrong convention are noticed, and the right one is named.
 
-use super::droid::{members, npy, with};
+use super::droid::{folder, members, npy, with};
 use super::nerfstudio::transforms;
 use super::scene::{HEIGHT, WIDTH, grey16_png, line, pose, sequence, stamp, trajectory};
 use crate::support::{Folder, assert_warns, import, shared_data};
@@ -90,10 +90,7 @@ fn arrays_with_poses_of_the_camera_are_noticed() {
             [t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w]
         })
         .collect();
-    let folder = Folder::new();
-    for (name, bytes) in with(members(&frames), "poses", npy("<f8", &[6, 7], &poses)) {
-        folder.write(&format!("{name}.npy"), bytes);
-    }
+    let folder = folder(&with(members(&frames), "poses", npy("<f8", &[6, 7], &poses)));
     let files = import(&folder.0).expect("opens");
     let parts = ["if the poses are world_from_camera:", "hold camera_from_world"];
     assert_warns(&files.warnings, &parts);

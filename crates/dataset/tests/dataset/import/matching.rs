@@ -8,12 +8,7 @@ use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
 use i2slam_dataset::{OpenOptions, Sequence};
 
 fn arrays(frames: &[usize], stamps: &[f64]) -> Folder {
-    let folder = Folder::new();
-    let stamps = npy("<i8", &[stamps.len()], stamps);
-    for (name, bytes) in with(members(frames), "tstamps", stamps) {
-        folder.write(&format!("{name}.npy"), bytes);
-    }
-    folder
+    folder(&with(members(frames), "tstamps", npy("<i8", &[stamps.len()], stamps)))
 }
 
 /// Time stamps of the pictures that the keyframes get.
