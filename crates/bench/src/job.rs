@@ -335,7 +335,10 @@ mod tests {
     #[test]
     fn a_suite_goes_on_in_its_own_folder_and_in_no_other() {
         let out = TemporaryFolder::new("claim");
-        let refused = |title| claim(&out.0, title).expect_err("not its folder").to_string();
+        let refused = |title| {
+            let failure = claim(&out.0, title).expect_err("not its folder");
+            failure.message().expect("a message").to_owned()
+        };
         claim(&out.0, "mine").expect("a new folder");
         claim(&out.0, "mine").expect("the same suite");
         assert!(refused("other").contains("\"mine\", not \"other\""));

@@ -1,7 +1,9 @@
 //! `i2slam-bench`: runs sequences × configurations × seeds with the program `i2slam`, each job in
 //! a process of its own, and makes the paper's tables of the results.
 
+#[path = "../../cli/src/console.rs"]
 mod console;
+mod interrupt;
 mod job;
 mod metrics;
 mod plan;
@@ -15,7 +17,8 @@ mod table;
 mod tables;
 
 use clap::Parser;
-use console::{Failure, counted, interrupted, print, print_status};
+use console::{Failure, counted, print, print_status};
+use interrupt::interrupted;
 use job::{Bench, Record};
 use metrics::Metrics;
 use plan::{Plan, Selection};
@@ -85,12 +88,7 @@ struct Arguments {
 fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            if !matches!(failure, Failure::Interrupted) {
-                print_status(&format!("error: {failure}"));
-            }
-            ExitCode::from(failure.exit_code())
-        }
+        Err(failure) => ExitCode::from(failure.report()),
     }
 }
 
@@ -187,7 +185,7 @@ fn dry_run(bench: &Bench<'_>, fresh: bool) {
 /// Runs the jobs that are not finished, then writes tables and report.
 fn run_jobs(bench: &Bench<'_>, threads: usize, arguments: &Arguments) -> Result<(), Failure> {
     bench.claim_folder()?;
-    console::listen();
+    interrupt::listen();
     let quiet = arguments.quiet;
     for note in bench.plan.notes.iter().filter(|_| !quiet) {
         print_status(&format!("note: {note}"));
@@ -291,6 +289,6 @@ mod tests {
         let own = std::env::current_exe().expect("this test");
         assert!(find_program(Some(&own)).is_ok_and(|path| path == own));
         let failure = find_program(Some(Path::new("/nowhere/i2slam"))).expect_err("no file");
-        assert!(failure.to_string().contains("--program /nowhere/i2slam"), "{failure}");
+        assert!(failure.message().is_some_and(|m| m.contains("--program /nowhere/i2slam")));
     }
 }

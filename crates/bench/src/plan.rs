@@ -68,12 +68,11 @@ impl Plan {
         let mut suite = file.suite;
         let all_mapped = configurations.iter().find(|c| c.config.mapping.hold_out == 0);
         if let (Some(Protocol::HeldOut), Some(configuration)) = (suite.protocol, all_mapped) {
-            let message = format!(
+            return Err(Failure::Usage(format!(
                 "{}: protocol \"held-out\" judges frames that the map never saw, and configuration \
                  `{}` holds none out: give it config.mapping.hold_out",
                 file.name, configuration.entry.name
-            );
-            return Err(Failure::Usage(message));
+            )));
         }
         if let Some(seeds) = &selection.seeds {
             suite.seeds.clone_from(seeds);
@@ -82,8 +81,10 @@ impl Plan {
         suite.seeds.dedup();
         if sequences.is_empty() {
             let missing = notes.join("; ");
-            let message = format!("{}: there is no sequence to run on: {missing}", file.name);
-            return Err(Failure::Failed(message));
+            return Err(Failure::Failed(format!(
+                "{}: there is no sequence to run on: {missing}",
+                file.name
+            )));
         }
         let jobs = jobs(sequences.len(), configurations.len(), &suite.seeds);
         Ok(Self { suite, sequences, configurations, jobs, notes })
@@ -243,8 +244,9 @@ fn distinct<'a>(
     let mut seen = BTreeSet::new();
     for (slug, name) in names {
         if slug.is_empty() || !seen.insert(slug) {
-            let message = format!("{origin}: `{name}` has no name of its own among the {kind}");
-            return Err(Failure::Usage(message));
+            return Err(Failure::Usage(format!(
+                "{origin}: `{name}` has no name of its own among the {kind}"
+            )));
         }
     }
     Ok(())
@@ -261,6 +263,11 @@ pub(crate) mod tests {
         let (name, text) = ("t.toml".to_owned(), text.to_owned());
         let file = SuiteFile { suite, text, name, folder: None };
         Plan::new(file, &Selection::default())
+    }
+
+    fn refusal(text: &str) -> String {
+        let failure = plan(text).err().expect("a mistake");
+        failure.message().expect("a message").to_owned()
     }
 
     const HEAD: &str =
@@ -290,7 +297,7 @@ pub(crate) mod tests {
     #[test]
     fn mistakes_in_a_configuration_are_named_with_their_line() {
         let refused = |more: &str, line: usize, words: &str| {
-            let message = plan(&format!("{HEAD}{more}\n")).err().expect("a mistake").to_string();
+            let message = refusal(&format!("{HEAD}{more}\n"));
             let place = format!("t.toml, line {line}, configuration `c`: ");
             assert!(message.starts_with(&place) && message.contains(words), "{message}");
         };
@@ -305,7 +312,7 @@ pub(crate) mod tests {
     #[test]
     fn frames_are_held_out_where_they_are_judged() {
         let text = format!("protocol = \"held-out\"\n{HEAD}");
-        let message = plan(&text).err().expect("nothing is held out").to_string();
+        let message = refusal(&text);
         assert!(message.contains("hold_out"), "{message}");
         let plan = plan(&format!("{text}config.mapping.hold_out = 4\n")).expect("a plan");
         assert_eq!(plan.protocol(0), Some("held-out"));
@@ -322,11 +329,11 @@ pub(crate) mod tests {
     #[test]
     fn shipped_suites_can_be_planned() {
         for (name, text) in SHIPPED {
-            let suite = parse(text, name).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let suite = parse(text, name).unwrap_or_else(|e| panic!("{name}: {e:?}"));
             let count = suite.configurations.len();
             for (place, entry) in suite.configurations.into_iter().enumerate() {
                 let made = Configuration::new(entry, name, text, place);
-                made.unwrap_or_else(|e| panic!("{name}: {e}"));
+                made.unwrap_or_else(|e| panic!("{name}: {e:?}"));
             }
             assert!(count >= 2 && suite.seeds.len() == 3 && !suite.about.is_empty(), "{name}");
         }

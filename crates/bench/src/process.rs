@@ -1,6 +1,6 @@
 //! A call of the program `i2slam` as a child process, with its output in a log.
 
-use crate::console::interrupted;
+use crate::interrupt::interrupted;
 use std::ffi::OsString;
 use std::fs::File;
 use std::io;

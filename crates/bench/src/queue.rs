@@ -1,6 +1,6 @@
 //! The job queue: jobs side by side, as many as threads and memory allow.
 
-use crate::console::interrupted;
+use crate::interrupt::interrupted;
 use crate::job::{Bench, Record};
 use crate::plan::Job;
 use crate::process::Stopped;

@@ -280,7 +280,7 @@ mod tests {
     fn refused(text: &str) -> String {
         let failure = parse(text, "mine.toml").expect_err("a bad suite");
         assert_eq!(failure.exit_code(), 2);
-        failure.to_string()
+        failure.message().expect("a message").to_owned()
     }
 
     #[test]

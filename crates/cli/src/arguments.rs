@@ -1,7 +1,7 @@
 //! Arguments that several commands share.
 
+use crate::console::counted;
 use crate::failure::Failure;
-use crate::output::counted;
 use clap::Args;
 use i2slam::dataset::OpenOptions;
 use std::ops::Range;

@@ -1,39 +1,20 @@
 //! Errors of commands and their exit codes.
 
+pub(crate) use crate::console::Failure;
+use crate::console::print;
 use i2slam::dataset::DatasetError;
 use i2slam::{ConfigError, RunError};
 use i2slam_eval::EvalError;
-use i2slam_result::ResultError;
+use serde::Serialize;
 use std::fmt::Display;
 use std::panic::{self, AssertUnwindSafe};
 use std::path::Path;
 use std::sync::Mutex;
 
-/// Reason why a command ended without success.
-#[derive(Debug)]
-pub(crate) enum Failure {
-    /// Wrong arguments: exit code 2.
-    Usage(String),
-    /// Failure at work: exit code 1.
-    Failed(String),
-    /// Interrupted by the user, after results were written: exit code 130, as in shells.
-    Interrupted,
-}
-
 impl Failure {
-    pub(crate) fn exit_code(&self) -> u8 {
-        match self {
-            Self::Usage(_) => 2,
-            Self::Failed(_) => 1,
-            Self::Interrupted => 130,
-        }
-    }
-
-    pub(crate) fn message(&self) -> Option<&str> {
-        match self {
-            Self::Usage(message) | Self::Failed(message) => Some(message),
-            Self::Interrupted => None,
-        }
+    /// A refusal of the arguments.
+    pub(crate) fn usage(message: &str) -> Self {
+        Self::Usage(message.to_owned())
     }
 }
 
@@ -94,16 +75,17 @@ fn flag(option: &str) -> Option<&'static str> {
     }
 }
 
-impl From<ResultError> for Failure {
-    fn from(error: ResultError) -> Self {
-        Self::Failed(error.to_string())
-    }
-}
-
 impl From<EvalError> for Failure {
     fn from(error: EvalError) -> Self {
         Self::Failed(error.to_string())
     }
+}
+
+/// Prints a value as JSON on standard output.
+pub(crate) fn print_json(value: &impl Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(value);
+    print(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
+    Ok(())
 }
 
 /// Text and place of the last panic.
@@ -141,13 +123,6 @@ mod tests {
             Ok(1)
         });
         assert!(matches!(outer, Ok(1)));
-    }
-
-    #[test]
-    fn exit_codes_are_those_of_shells() {
-        assert_eq!(Failure::Usage(String::new()).exit_code(), 2);
-        assert_eq!(Failure::Failed(String::new()).exit_code(), 1);
-        assert_eq!(Failure::Interrupted.exit_code(), 130);
     }
 
     #[test]

@@ -77,3 +77,11 @@ pub(crate) fn at_size_of(reference: Image<f32>, picture: &Image<f32>) -> Option<
     let same_view = reference.width * height == reference.height * width;
     (same_view && reference.width > width).then(|| reference.resized_by_area(width, height))
 }
+
+/// Stacks pictures of equal width.
+pub(crate) fn stacked(frames: &[Image<f32>]) -> Image<f32> {
+    let (width, channels) = frames.first().map_or((0, 0), |f| (f.width, f.channels));
+    let height = frames.iter().map(|f| f.height).sum();
+    let planes = (0..channels).flat_map(|c| frames.iter().map(move |f| f.plane(c)));
+    Image { width, height, channels, data: planes.collect::<Vec<_>>().concat() }
+}

@@ -1,6 +1,6 @@
 //! Ctrl-C, SIGTERM and SIGHUP: the first ends a run cleanly, the second ends the program.
 
-use crate::output::print_status;
+use crate::console::print_status;
 use i2slam::CancellationToken;
 use std::sync::atomic::{AtomicBool, Ordering};
 

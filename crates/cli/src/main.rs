@@ -2,12 +2,12 @@
 
 mod arguments;
 mod commands;
+mod console;
 mod failure;
 mod ground_truth;
 mod image_files;
 mod interrupt;
 mod messages;
-mod output;
 mod output_dir;
 mod progress;
 mod reconstruction;
@@ -19,11 +19,6 @@ fn main() -> ExitCode {
     let arguments = commands::Arguments::parse();
     match failure::catch_panics(|| commands::dispatch(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            if let Some(message) = failure.message() {
-                output::print_status(&format!("error: {message}"));
-            }
-            ExitCode::from(failure.exit_code())
-        }
+        Err(failure) => ExitCode::from(failure.report()),
     }
 }

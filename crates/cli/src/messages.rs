@@ -1,6 +1,6 @@
 //! Sentences about a run on the terminal: its input, camera, duration and result.
 
-use crate::output::{counted, print};
+use crate::console::{counted, print};
 use i2slam::dataset::{Layout, Sequence};
 use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
 use i2slam_result::{Metrics, UnitOfLength};

@@ -1,8 +1,8 @@
 //! Progress of a command on standard error: a bar on a terminal, otherwise a line now and then.
 
+use crate::console::print_status;
 use crate::interrupt;
 use crate::messages;
-use crate::output::print_status;
 use i2slam::run::{CameraEstimate, Observer, RuntimeForecast, Stage};
 use i2slam::{CancellationToken, FrameEstimate, Warning};
 use indicatif::{ProgressBar, ProgressStyle};

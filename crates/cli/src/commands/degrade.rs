@@ -2,9 +2,9 @@
 
 use super::synth::failure;
 use crate::arguments::{Machine, frame_range};
+use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{counted, print};
 use crate::output_dir::{OutputDir, degraded_layout};
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};

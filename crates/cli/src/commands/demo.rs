@@ -1,8 +1,8 @@
 //! `i2slam demo`: the clip inside the program, reconstructed.
 
 use crate::arguments::Machine;
+use crate::console::print_status;
 use crate::failure::Failure;
-use crate::output::print_status;
 use crate::output_dir::refuse_file;
 use crate::reconstruction::{self, Job, RenderSelection};
 use clap::Args;

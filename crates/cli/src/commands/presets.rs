@@ -1,7 +1,7 @@
 //! `i2slam presets`: lists the presets, or prints one as a file.
 
+use crate::console::print;
 use crate::failure::Failure;
-use crate::output::print;
 use clap::Args;
 use i2slam::Config;
 use i2slam::config::PRESET_NAMES;

@@ -1,9 +1,9 @@
 //! `i2slam render`: renders a saved result from its own poses or from others.
 
 use crate::arguments::frame_range;
+use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{counted, print};
 use crate::output_dir::{OutputDir, POSES, POSES_HEADER, render_layout};
 use crate::progress::Progress;
 use clap::Args;
@@ -150,8 +150,9 @@ fn kinds(arguments: &Render, own_poses: bool) -> Result<Vec<RenderKind>, Failure
     let kinds: Result<Vec<_>, Failure> = names.iter().map(|name| kind(name.trim())).collect();
     let kinds = kinds?;
     if own_poses && kinds.contains(&RenderKind::Blurred) {
-        let message = "a pose of your own has no motion to blur: leave out `blurred`";
-        return Err(Failure::Usage(message.to_owned()));
+        return Err(Failure::usage(
+            "a pose of your own has no motion to blur: leave out `blurred`",
+        ));
     }
     Ok(kinds)
 }

@@ -1,8 +1,8 @@
 //! `i2slam run`: reconstructs a sequence into a result folder.
 
 use crate::arguments::{Input, Machine};
+use crate::console::print_status;
 use crate::failure::Failure;
-use crate::output::print_status;
 use crate::reconstruction::{self, Job, RenderSelection};
 use clap::{Args, ValueEnum};
 use i2slam::config::{MapKind, line_of_key};

@@ -1,9 +1,9 @@
 //! `i2slam synth`: a specification to a sequence.
 
 use crate::arguments::Machine;
+use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output::{counted, print};
 use crate::output_dir::{OutputDir, synthetic_layout};
 use crate::progress::Progress;
 use clap::Args;

@@ -3,9 +3,9 @@
 mod pictures;
 mod write;
 
+use crate::console::print_status;
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
-use crate::output::print_status;
 use crate::output_dir::{CreatedDirs, OutputDir};
 use crate::progress::Progress;
 use crate::{interrupt, messages};

@@ -1,7 +1,7 @@
 //! Pictures of a run: files under `renders/`, comparisons for the report, and image metrics.
 
 use crate::ground_truth::GroundTruth;
-use crate::image_files::{at_size_of, read_exr};
+use crate::image_files::{at_size_of, read_exr, stacked};
 use crate::interrupt;
 use crate::progress::Progress;
 use clap::ValueEnum;
@@ -53,14 +53,8 @@ pub(crate) struct ImageMetrics {
     psnr_blurred: Vec<f64>,
     psnr_sharp: Vec<f64>,
     ssim_sharp: Vec<f64>,
-    radiance: Option<RadianceStack>,
-}
-
-/// Estimated and true radiance of many frames, stacked so that one gain fits them all.
-struct RadianceStack {
-    estimate: Image<f32>,
-    truth: Image<f32>,
-    frames: usize,
+    /// Estimated and true radiance, compared after one gain that fits all frames.
+    radiance: [Vec<Image<f32>>; 2],
 }
 
 impl PictureRenderer<'_> {
@@ -193,15 +187,8 @@ impl ImageMetrics {
     fn radiance(&mut self, rendered: &Image<f32>, truth: &GroundTruth, index: usize) {
         let known = truth.radiance(index).and_then(|path| read_exr(&path).ok());
         let Some(known) = known.and_then(|known| at_size_of(known, rendered)) else { return };
-        let empty = || RadianceStack {
-            estimate: Image::new(rendered.width, 0, rendered.channels),
-            truth: Image::new(rendered.width, 0, rendered.channels),
-            frames: 0,
-        };
-        let stack = self.radiance.get_or_insert_with(empty);
-        append_rows(&mut stack.estimate, rendered);
-        append_rows(&mut stack.truth, &known);
-        stack.frames += 1;
+        self.radiance[0].push(rendered.clone());
+        self.radiance[1].push(known);
     }
 
     /// Writes the means over all frames.
@@ -211,11 +198,14 @@ impl ImageMetrics {
         metrics.psnr_sharp_db = mean(&self.psnr_sharp);
         metrics.ssim_sharp = mean(&self.ssim_sharp);
         metrics.sharp_frames = self.psnr_sharp.len();
-        let Some(stack) = &self.radiance else { return };
-        if let Ok(error) = hdr_error(Gain::Common, &stack.estimate, &stack.truth) {
+        if self.radiance[0].is_empty() {
+            return;
+        }
+        let [estimate, truth] = self.radiance.each_ref().map(|frames| stacked(frames));
+        if let Ok(error) = hdr_error(Gain::Common, &estimate, &truth) {
             metrics.hdr_log2_rmse_stops = Some(error.log2_rmse_stops);
             metrics.hdr_mu_law_psnr_db = Some(error.mu_law_psnr_db);
-            metrics.hdr_frames = stack.frames;
+            metrics.hdr_frames = self.radiance[0].len();
         }
     }
 }
@@ -228,11 +218,4 @@ fn mean(values: &[f64]) -> Option<f64> {
 fn in_range(picture: &Image<f32>) -> Image<f32> {
     let data = picture.data.iter().map(|v| v.clamp(0.0, 1.0)).collect();
     Image { data, ..*picture }
-}
-
-/// Appends the rows of `below` to every plane of `image`.
-fn append_rows(image: &mut Image<f32>, below: &Image<f32>) {
-    let planes = (0..image.channels).map(|c| [image.plane(c), below.plane(c)].concat());
-    let data = planes.collect::<Vec<_>>().concat();
-    *image = Image { height: image.height + below.height, data, ..*image };
 }

@@ -3,8 +3,8 @@
 use super::metric_value::{MetricValue, TableRow};
 use super::pictures::PictureErrors;
 use super::{Eval, Protocol, trajectory};
+use crate::console::{print, print_status};
 use crate::failure::{Failure, failed};
-use crate::output::{print, print_status};
 use i2slam_result::ResultFolder;
 use i2slam_result::report::{
     EvaluationSection, EvaluationSource, GroundTruthSource, insert_evaluations,

@@ -3,9 +3,9 @@
 use super::estimate::{Estimate, PictureFiles, RunFrame, picture_files};
 use super::reference::Reference;
 use super::{Eval, Protocol};
+use crate::console::{counted, print};
 use crate::failure::{Failure, failed};
 use crate::image_files::read_png;
-use crate::output::{counted, print};
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::Image;
 use i2slam_eval::frame_list;
@@ -92,10 +92,7 @@ fn list(arguments: &Eval) -> Option<String> {
 }
 
 fn required_frames(run: Option<&[RunFrame]>) -> Result<&[RunFrame], Failure> {
-    run.ok_or_else(|| {
-        let message = "this protocol needs a result folder with frames.csv";
-        Failure::Usage(message.to_owned())
-    })
+    run.ok_or_else(|| Failure::usage("this protocol needs a result folder with frames.csv"))
 }
 
 /// The first and every n-th frame, as SplaTAM: positions 0, n - 1, 2n - 1, …
@@ -115,9 +112,10 @@ fn monogs_frames(run: &[RunFrame]) -> Vec<usize> {
 fn held_out_frames(run: &[RunFrame]) -> Result<Vec<usize>, Failure> {
     let frames: Vec<usize> = run.iter().filter(|f| f.held_out).map(|f| f.index).collect();
     if frames.is_empty() {
-        let message = "this run held no frame out, its map has seen them all: run it again with \
-                       --hold-out 8";
-        return Err(Failure::Usage(message.to_owned()));
+        return Err(Failure::usage(
+            "this run held no frame out, its map has seen them all: run it again with \
+                       --hold-out 8",
+        ));
     }
     Ok(frames)
 }
@@ -215,8 +213,7 @@ fn listed_frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Failur
         return match reference {
             Reference::Dataset { sequence, .. } => sharp_in_sequence(sequence),
             Reference::Folder { .. } => {
-                let message = "--list auto needs the dataset as --reference, not pictures";
-                Err(Failure::Usage(message.to_owned()))
+                Err(Failure::usage("--list auto needs the dataset as --reference, not pictures"))
             }
         };
     }
@@ -227,8 +224,9 @@ fn listed_frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Failur
         _ => {
             let known: Vec<&str> = frame_list::PUBLISHED.iter().map(|(name, _)| *name).collect();
             let known = known.join(", ");
-            let message = format!("`{list}` is neither a file nor a published list ({known})");
-            return Err(Failure::Usage(message));
+            return Err(Failure::Usage(format!(
+                "`{list}` is neither a file nor a published list ({known})"
+            )));
         }
     };
     let frames = frame_list::parse(&text);

@@ -9,8 +9,8 @@ mod pose_optimization;
 mod reference;
 mod trajectory;
 
-use crate::failure::Failure;
-use crate::output::{print, print_json, print_status};
+use crate::console::{print, print_status};
+use crate::failure::{Failure, print_json};
 use clap::{Args, ValueEnum};
 use estimate::Estimate;
 use evaluation::Evaluation;
@@ -112,8 +112,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     }
     let lists = matches!(arguments.protocol, Protocol::AllFrames | Protocol::I2slam);
     if !lists && arguments.list.is_some() {
-        let message = "--list goes with the protocols all-frames and i2slam";
-        return Err(Failure::Usage(message.to_owned()));
+        return Err(Failure::usage("--list goes with the protocols all-frames and i2slam"));
     }
     let estimate = Estimate::open(&arguments.estimate)?;
     let evaluation = evaluate(arguments, &estimate)?;
@@ -144,10 +143,9 @@ fn evaluate(arguments: &Eval, estimate: &Estimate) -> Result<Evaluation, Failure
         return match (&evaluation.trajectory, evaluation.not_evaluated.pop()) {
             (Some(_), _) => Ok(evaluation),
             (None, Some(reason)) => Err(Failure::Failed(reason)),
-            (None, None) => {
-                let message = "nothing to compare with: give --groundtruth, --reference or both";
-                Err(Failure::Usage(message.to_owned()))
-            }
+            (None, None) => Err(Failure::usage(
+                "nothing to compare with: give --groundtruth, --reference or both",
+            )),
         };
     };
     match evaluate_pictures(arguments, estimate, reference, &mut evaluation) {
@@ -170,8 +168,9 @@ fn evaluate_trajectory(
     let truth = trajectory::truth(arguments, reference)?;
     let Some(file) = estimate.trajectory() else {
         if arguments.groundtruth.is_some() {
-            let message = "--groundtruth needs a result folder or a trajectory, not pictures";
-            return Err(Failure::Usage(message.to_owned()));
+            return Err(Failure::usage(
+                "--groundtruth needs a result folder or a trajectory, not pictures",
+            ));
         }
         return Ok(());
     };
@@ -237,13 +236,11 @@ fn evaluate_pictures(
 fn find_reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Reference>, Failure> {
     match (&arguments.reference, estimate) {
         (Some(_), Estimate::Trajectory(_)) => {
-            let message = "--reference needs a result folder or pictures, not a trajectory";
-            Err(Failure::Usage(message.to_owned()))
+            Err(Failure::usage("--reference needs a result folder or pictures, not a trajectory"))
         }
         (Some(folder), _) => Reference::open(folder, estimate).map(Some),
         (None, Estimate::Pictures(_)) => {
-            let message = "a folder of pictures needs --reference, or --write-list";
-            Err(Failure::Usage(message.to_owned()))
+            Err(Failure::usage("a folder of pictures needs --reference, or --write-list"))
         }
         (None, _) if arguments.groundtruth.is_some() && !arguments.optimise_poses => Ok(None),
         (None, _) => Reference::recorded(estimate),

@@ -5,9 +5,9 @@ use super::frames::{FrameSelection, shortened};
 use super::metric_value::{MetricValue, TableRow};
 use super::reference::{Reference, checksum};
 use super::{Eval, Protocol};
+use crate::console::counted;
 use crate::failure::{Failure, failed};
-use crate::image_files::{at_size_of, read_depth, read_exr, read_png};
-use crate::output::counted;
+use crate::image_files::{at_size_of, read_depth, read_exr, read_png, stacked};
 use crate::progress::Progress;
 use i2slam::geometry::Image;
 use i2slam_eval::EvalError;
@@ -41,8 +41,9 @@ pub(super) fn evaluate(
     chosen: FrameSelection,
 ) -> Result<PictureErrors, Failure> {
     if arguments.protocol == Protocol::Splatam && matches!(reference, Reference::Folder { .. }) {
-        let message = "--protocol splatam needs true depth: give the dataset as --reference";
-        return Err(Failure::Usage(message.to_owned()));
+        return Err(Failure::usage(
+            "--protocol splatam needs true depth: give the dataset as --reference",
+        ));
     }
     let metrics = metrics_of(arguments.protocol);
     let progress = Progress::new(chosen.frames.len(), false);
@@ -317,14 +318,6 @@ pub(super) fn evaluate_radiance(
     let common = hdr_error(Gain::Common, &drawn, &known)?;
     let each = hdr_error(Gain::PerChannel, &drawn, &known)?;
     Ok(radiance_values(&common, &each, count))
-}
-
-/// Stacks pictures of equal width.
-fn stacked(frames: &[Image<f32>]) -> Image<f32> {
-    let (width, channels) = frames.first().map_or((0, 0), |f| (f.width, f.channels));
-    let height = frames.iter().map(|f| f.height).sum();
-    let planes = (0..channels).flat_map(|c| frames.iter().map(move |f| f.plane(c)));
-    Image { width, height, channels, data: planes.collect::<Vec<_>>().concat() }
 }
 
 fn radiance_values(common: &HdrError, each: &HdrError, frames: usize) -> Vec<MetricValue> {

@@ -4,8 +4,8 @@ use super::estimate::Estimate;
 use super::metric_value::TableRow;
 use super::reference::Reference;
 use super::{AlignmentGroup, Eval, Protocol};
+use crate::console::counted;
 use crate::failure::Failure;
-use crate::output::counted;
 use i2slam::dataset::read_trajectory;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::trajectory::{
@@ -88,9 +88,9 @@ pub(super) fn too_few_keyframes(
 }
 
 fn keep_keyframes(poses: &mut Vec<StampedPose>, estimate: &Estimate) -> Result<(), Failure> {
-    let frames = estimate.run_frames()?.ok_or_else(|| {
-        Failure::Usage("--protocol monogs needs a result folder with frames.csv".to_owned())
-    })?;
+    let frames = estimate
+        .run_frames()?
+        .ok_or_else(|| Failure::usage("--protocol monogs needs a result folder with frames.csv"))?;
     let stamps: Vec<f64> = frames.iter().filter(|f| f.keyframe).map(|f| f.timestamp).collect();
     let same =
         |pose: &StampedPose| stamps.iter().any(|stamp| (stamp - pose.timestamp).abs() < SAME_STAMP);

@@ -4,10 +4,10 @@ mod frames;
 mod sequence;
 
 use crate::arguments::{Input, Machine};
-use crate::failure::Failure;
+use crate::console::{counted, print, print_status};
+use crate::failure::{Failure, print_json};
 use crate::ground_truth::GroundTruth;
 use crate::interrupt;
-use crate::output::{counted, print, print_json, print_status};
 use crate::progress::Progress;
 use clap::Args;
 use frames::PictureStats;

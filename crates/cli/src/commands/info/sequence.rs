@@ -1,9 +1,9 @@
 //! Facts about a sequence, or about imported keyframes, that need no look at the pictures.
 
 use super::Info;
-use crate::failure::Failure;
+use crate::console::{counted, print, print_status};
+use crate::failure::{Failure, print_json};
 use crate::ground_truth::GroundTruth;
-use crate::output::{counted, print, print_json, print_status};
 use i2slam::dataset::import::{ImportOptions, ImportedKeyframes};
 use i2slam::dataset::{DatasetError, DroppedFrames, OpenOptions, Sequence, paper_frames};
 use i2slam::geometry::StampedPose;
