@@ -34,16 +34,6 @@ impl Import {
     pub fn files(&self) -> &ImportedKeyframes {
         &self.files
     }
-
-    /// Number of keyframes in total.
-    pub fn len(&self) -> usize {
-        self.files.len()
-    }
-
-    /// Whether there is no keyframe; an opened import has at least two.
-    pub fn is_empty(&self) -> bool {
-        self.files.is_empty()
-    }
 }
 
 impl KeyframeSource for Import {
@@ -112,7 +102,7 @@ mod tests {
         let options = ImportOptions::default();
         let mut source = import(&scratch.0.join("poses.txt"), Some(&scratch.0), &options);
         let source = source.as_mut().expect("opens");
-        assert_eq!((source.len(), source.camera().width), (3, 16));
+        assert_eq!((source.files().len(), source.camera().width), (3, 16));
         let first = source.next_keyframe().expect("one").expect("reads");
         assert_eq!((first.index, first.timestamp, first.depth.is_none()), (0, 0.0, true));
         let second = source.next_keyframe().expect("one").expect_err("damaged");

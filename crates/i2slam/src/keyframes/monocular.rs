@@ -174,16 +174,6 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     pub fn refused(&self) -> &[(usize, PictureError)] {
         &self.refused
     }
-
-    /// Number of keyframes in total.
-    pub fn len(&self) -> usize {
-        self.reconstruction.keyframes.len()
-    }
-
-    /// Whether there is no keyframe.
-    pub fn is_empty(&self) -> bool {
-        self.reconstruction.keyframes.is_empty()
-    }
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for MonocularSource<L> {

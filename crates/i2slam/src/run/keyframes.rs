@@ -100,8 +100,10 @@ pub(super) fn from_odometry(
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
     let others = Arc::clone(&pictures);
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
-    let (count, between) =
-        (source.len(), source.non_keyframes(move |place| picture(&others, place)));
+    let (count, between) = (
+        source.reconstruction().keyframes.len(),
+        source.non_keyframes(move |place| picture(&others, place)),
+    );
     let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
         Some((sequence.entries.get(place)?.index, stamp, pose))
     };
@@ -200,7 +202,7 @@ pub(super) fn imported(
     context: &RunContext,
 ) -> Result<KeyframeInput, RunError> {
     let source = import(keyframes, Some(pictures), import_options)?;
-    let (count, frame_rate) = (source.len(), source.files().frame_rate);
+    let (count, frame_rate) = (source.files().len(), source.files().frame_rate);
     let refines =
         import_options.depth != ImportDepth::None && options.config.keyframed.refine_imported;
     let refined = refines.then(|| refined(source.files(), context)).flatten();

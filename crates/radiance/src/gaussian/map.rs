@@ -181,13 +181,8 @@ impl<T: Real> MapGradient<T> {
     }
 
     /// Number of Gaussians.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.means.len()
-    }
-
-    /// True if there are none.
-    pub fn is_empty(&self) -> bool {
-        self.means.is_empty()
     }
 
     /// Sets all to zero, for a map of `count` Gaussians, keeping the allocation.
@@ -198,16 +193,6 @@ impl<T: Real> MapGradient<T> {
         refill(&mut self.opacity_logits, count, T::zero());
         refill(&mut self.colours, count, [T::zero(); 3]);
         refill(&mut self.seen, count, false);
-    }
-
-    /// Keeps the rows whose entry in `keep` is true or missing, in order.
-    pub fn retain(&mut self, keep: &[bool]) {
-        retain_by(&mut self.means, keep);
-        retain_by(&mut self.log_scales, keep);
-        retain_by(&mut self.rotations, keep);
-        retain_by(&mut self.opacity_logits, keep);
-        retain_by(&mut self.colours, keep);
-        retain_by(&mut self.seen, keep);
     }
 
     /// All rows, to write.

@@ -10,43 +10,31 @@
 use super::{
     FieldSettings, HashGridField, MarchSettings, Occupancy, OccupancySettings, SettingsError,
 };
-use std::fmt;
 
 const MAGIC: &[u8; 8] = b"I2FIELD\n";
 const VERSION: u32 = 2;
 const PREAMBLE: usize = MAGIC.len() + 4;
 
 /// Error of reading a field.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FieldFileError {
     /// They do not begin like a field.
+    #[error("is not a hash grid of i2slam")]
     NotAField,
     /// They are of another format version.
+    #[error("has format version {0}; this program reads version {VERSION}")]
     Version(u32),
     /// They end too early, or go on after the end.
+    #[error("is truncated or too long")]
     Length,
     /// Their checksum does not match.
+    #[error("is damaged (its checksum does not match)")]
     Damaged,
     /// Their settings are out of range.
+    #[error("has settings that cannot be ({0})")]
     Settings(SettingsError),
 }
-
-impl fmt::Display for FieldFileError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NotAField => write!(f, "is not a hash grid of i2slam"),
-            Self::Version(version) => {
-                write!(f, "has format version {version}; this program reads version {VERSION}")
-            }
-            Self::Length => write!(f, "is truncated or too long"),
-            Self::Damaged => write!(f, "is damaged (its checksum does not match)"),
-            Self::Settings(error) => write!(f, "has settings that cannot be ({error})"),
-        }
-    }
-}
-
-impl std::error::Error for FieldFileError {}
 
 /// The settings as numbers, in order of the file.
 fn settings_to_numbers(

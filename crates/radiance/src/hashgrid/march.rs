@@ -35,8 +35,8 @@ impl RayMarcher {
             end = f32::MIN;
         }
         let inverse = direction.map(|d| 1.0 / d);
-        let (steps_from, steps_to) = settings.steps();
-        let (steps_from, steps_to) = (steps_from / length, steps_to / length);
+        let step_min = settings.step_min.max(1e-6);
+        let (steps_from, steps_to) = (step_min / length, settings.step_max.max(step_min) / length);
         let steps = settings.steps_max;
         let mut marcher =
             Self { origin, direction, inverse, steps_from, steps_to, depth, end, steps };

@@ -47,11 +47,6 @@ impl FieldAdam {
         }
     }
 
-    /// Number of steps so far.
-    pub fn steps(&self) -> i32 {
-        self.steps
-    }
-
     /// One step against `gradient` with learning rate `rate` (torch-ngp: 1e-2, decayed), after
     /// which the gradient is zero. A gradient that is not finite counts as zero. Numbers of the
     /// table without a gradient go on by their moments, as in torch-ngp, for some steps.

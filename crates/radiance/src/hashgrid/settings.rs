@@ -1,7 +1,5 @@
 //! Settings of the field, of sampling along rays and of the occupancy grid.
 
-use std::fmt;
-
 /// Shape of a field. Fixed for its life; the defaults are those of torch-ngp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldSettings {
@@ -83,19 +81,12 @@ impl FieldSettings {
 const MAX_CELLS: f64 = (1 << 20) as f64;
 
 /// An entry of [`FieldSettings`] or of a file of them is out of its range.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("hash grid: `{name}` is out of its range")]
 pub struct SettingsError {
     /// Name of the entry.
     pub name: &'static str,
 }
-
-impl fmt::Display for SettingsError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "hash grid: `{}` is out of its range", self.name)
-    }
-}
-
-impl std::error::Error for SettingsError {}
 
 /// Sampling along rays. Not differentiated.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,12 +117,6 @@ impl MarchSettings {
             steps_max: 1024,
             transmittance_min: 1e-4,
         }
-    }
-
-    /// Shortest and longest step \[m\].
-    pub(crate) fn steps(&self) -> (f32, f32) {
-        let step_min = self.step_min.max(1e-6);
-        (step_min, self.step_max.max(step_min))
     }
 }
 

@@ -55,7 +55,7 @@ fn pictures_become_keyframes_with_poses_and_sparse_depth() {
     let mut source = find(14, load).expect("a path");
     assert_eq!(source.camera(), &camera);
     assert!(matches!(source.refused(), [(3, why)] if why.to_string() == "damaged"));
-    let count = source.len();
+    let count = source.reconstruction().keyframes.len();
     let mut positions = Vec::new();
     while let Some(keyframe) = source.next_keyframe() {
         let keyframe = keyframe.expect("keyframes can be read again");
@@ -136,7 +136,10 @@ fn pictures_are_read_in_order_and_keyframes_once_more() {
     }
     let again = positions.take();
     let rising = again.windows(2).all(|pair| pair[0] < pair[1]);
-    assert!(rising && again.len() == source.len() && again.len() > 5, "{again:?}");
+    assert!(
+        rising && again.len() == source.reconstruction().keyframes.len() && again.len() > 5,
+        "{again:?}"
+    );
 }
 
 #[test]

@@ -36,11 +36,6 @@ impl FieldRenderer {
         Self { arch, ..Self::new(march) }
     }
 
-    /// The settings.
-    pub fn settings(&self) -> &MarchSettings {
-        &self.march
-    }
-
     /// Makes the next renders keep the slopes that derivatives by rays need, so that
     /// [`pull_back`](Self::pull_back) reads the table only once: faster, for about twice the
     /// memory. Off at first; gradients are equal up to rounding. Returns the setting before.
