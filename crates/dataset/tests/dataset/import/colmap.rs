@@ -5,8 +5,8 @@ use super::scene::{
     CAMERA_JSON, HEIGHT, WIDTH, camera, colour_png, colour_sequence, pose, render, sequence, stamp,
 };
 use crate::support::{Folder, assert_says, assert_warns, import};
+use i2slam_dataset::OpenOptions;
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
-use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::{Camera, Vec3};
 
 const CAMERA: &str = "1 PINHOLE 48 32 40 40 24 16\n";
@@ -27,20 +27,19 @@ fn numbers(i: usize) -> [f64; 7] {
     [q.w, q.v.x, q.v.y, q.v.z, t.x, t.y, t.z]
 }
 
+/// Two lines for the image with a name at the pose of frame `i`.
+fn image_lines(i: usize, name: &str, points: &str) -> String {
+    let words: Vec<String> = numbers(i).iter().map(f64::to_string).collect();
+    format!("{} {} 1 {name}\n{points}\n", i + 1, words.join(" "))
+}
+
 /// The text of images of some names, at the first poses.
-pub(super) fn images_named(names: &[&str]) -> String {
-    let image = |(i, name): (usize, &&str)| {
-        let words: Vec<String> = numbers(i).iter().map(f64::to_string).collect();
-        format!("{} {} 1 {name}\n\n", i + 1, words.join(" "))
-    };
-    names.iter().enumerate().map(image).collect()
+fn images_named(names: &[&str]) -> String {
+    names.iter().enumerate().map(|(i, name)| image_lines(i, name, "")).collect()
 }
 
 fn images_text(frames: &[usize]) -> String {
-    let image = |&i: &usize| {
-        let words: Vec<String> = numbers(i).iter().map(f64::to_string).collect();
-        format!("{} {} 1 {i:03}.png\n1.5 2.5 -1 3.5 4.5 7\n", i + 1, words.join(" "))
-    };
+    let image = |&i: &usize| image_lines(i, &format!("{i:03}.png"), "1.5 2.5 -1 3.5 4.5 7");
     let head = "# Image list with two lines of data per image:\n";
     head.to_owned() + &frames.iter().map(image).collect::<String>()
 }
@@ -114,14 +113,10 @@ pub(super) fn write_binary(folder: &Folder, frames: &[usize]) {
     folder.write("sparse/0/points3D.bin", points_binary(frames));
 }
 
-fn open(folder: &Folder) -> Result<ImportedKeyframes, DatasetError> {
-    import(&folder.0)
-}
-
 #[test]
 fn a_text_model_gives_poses_and_sparse_depth() {
     let folder = text_model(5, &[0, 2, 3]);
-    let files = open(&folder).expect("opens");
+    let files = import(&folder).expect("opens");
     assert_eq!((files.format, files.len()), (ImportFormat::Colmap, 3));
     assert_eq!((files.unmatched.poses_without_image, files.unmatched.images_without_pose), (0, 2));
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
@@ -143,7 +138,7 @@ fn a_text_model_gives_poses_and_sparse_depth() {
 #[test]
 fn a_binary_model_holds_the_same() {
     let folder = text_model(4, &[0, 1, 3]);
-    let text = open(&folder).expect("opens");
+    let text = import(&folder).expect("opens");
     let all = |files: &ImportedKeyframes| {
         (0..3).map(|i| files.load(i).expect("loads")).collect::<Vec<_>>()
     };
@@ -151,7 +146,7 @@ fn a_binary_model_holds_the_same() {
     for name in ["cameras", "images", "points3D"] {
         std::fs::remove_file(folder.join(&format!("sparse/0/{name}.txt"))).expect("removes");
     }
-    let binary = open(&folder).expect("opens");
+    let binary = import(&folder).expect("opens");
     assert_eq!(all(&binary), all(&text));
     let by_file = import(folder.join("sparse/0/images.bin"));
     assert_eq!(by_file.expect("opens").keyframes, text.keyframes);
@@ -169,23 +164,23 @@ fn a_binary_model_may_end_nowhere() {
         let file = format!("sparse/0/{name}.bin");
         for cut in 0..whole.len() {
             folder.write(&file, &whole[..cut]);
-            assert_says(open(&folder), &[&file, "cut off"]);
+            assert_says(import(&folder), &[&file, "cut off"]);
         }
         folder.write(&file, whole);
     }
-    assert!(open(&folder).is_ok());
+    assert!(import(&folder).is_ok());
     let mut newer = cameras_binary();
     newer[12] = 11;
     folder.write("sparse/0/cameras.bin", newer);
-    assert_says(open(&folder), &["camera 0 of 1", "number 11 is not supported", "undistort"]);
+    assert_says(import(&folder), &["camera 0 of 1", "number 11 is not supported", "undistort"]);
     folder.write("sparse/0/cameras.bin", cameras_binary());
     let mut wrong = images_binary(&[0, 1]);
     wrong[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
     folder.write("sparse/0/images.bin", &wrong);
-    assert_says(open(&folder), &["images.bin", "image 0 of 2", "not finite"]);
+    assert_says(import(&folder), &["images.bin", "image 0 of 2", "not finite"]);
     wrong[12..20].copy_from_slice(&3.0_f64.to_le_bytes());
     folder.write("sparse/0/images.bin", &wrong);
-    assert_says(open(&folder), &["images.bin", "image 0 of 2", "length", "expected 1"]);
+    assert_says(import(&folder), &["images.bin", "image 0 of 2", "length", "expected 1"]);
 }
 
 #[test]
@@ -199,7 +194,7 @@ fn lenses_are_removed() {
         ("1 FULL_OPENCV 48 32 40 40 24 16 -0.1 0.01 0.001 0.002 0 0 0 0\n", true),
     ] {
         folder.write("sparse/0/cameras.txt", text);
-        let files = open(&folder).expect("opens");
+        let files = import(&folder).expect("opens");
         assert_eq!(files.camera, camera());
         let colour = files.load(0).expect("loads").colour;
         let plain = f32::from(render(0).1[0]) / 255.0;
@@ -207,7 +202,7 @@ fn lenses_are_removed() {
     }
     let picture = |camera: &str| {
         folder.write("sparse/0/cameras.txt", camera);
-        open(&folder).expect("opens").load(0).expect("loads").colour
+        import(&folder).expect("opens").load(0).expect("loads").colour
     };
     let radial = picture("1 SIMPLE_RADIAL 48 32 40 24 16 -0.1\n");
     assert_eq!(radial, picture("1 OPENCV 48 32 40 40 24 16 -0.1 0 0 0\n"));
@@ -221,7 +216,7 @@ fn lenses_are_removed() {
         ("1 PINHOLE 96 64 80 80 48 32\n", &["000.png is 48x32", "cameras.txt says"][..]),
     ] {
         folder.write("sparse/0/cameras.txt", text);
-        assert_says(open(&folder), parts);
+        assert_says(import(&folder), parts);
     }
 }
 
@@ -231,9 +226,9 @@ fn two_cameras_are_refused_unless_they_are_one() {
     let images = images_text(&[0, 1]).replace(" 1 001.png", " 2 001.png");
     folder.write("sparse/0/images.txt", images);
     folder.write("sparse/0/cameras.txt", format!("{CAMERA}2 PINHOLE 48 32 44 44 24 16\n"));
-    assert_says(open(&folder), &["cameras 1 and 2 differ", "single_camera"]);
+    assert_says(import(&folder), &["cameras 1 and 2 differ", "single_camera"]);
     folder.write("sparse/0/cameras.txt", format!("{CAMERA}2 PINHOLE 48 32 40.01 40.01 24 16\n"));
-    assert_eq!(open(&folder).expect("opens").len(), 2);
+    assert_eq!(import(&folder).expect("opens").len(), 2);
 }
 
 #[test]
@@ -247,27 +242,27 @@ fn unusable_lines_are_named() {
         ("x 1 0 0 0 0 0 0 1 002.png", &["line 6", "image is 'x'", "whole number"][..]),
     ] {
         folder.write("sparse/0/images.txt", images_text(&[0, 1]) + line + "\n\n");
-        assert_says(open(&folder), parts);
+        assert_says(import(&folder), parts);
     }
     folder.write("sparse/0/images.txt", images_text(&[0, 1]));
     folder.write("sparse/0/points3D.txt", "1 0 0 0 9 9\n");
-    assert_says(open(&folder), &["points3D.txt, line 1", "6 columns"]);
+    assert_says(import(&folder), &["points3D.txt, line 1", "6 columns"]);
     std::fs::remove_file(folder.join("sparse/0/points3D.txt")).expect("removes");
-    assert!(!open(&folder).expect("opens").has_depth);
+    assert!(!import(&folder).expect("opens").has_depth);
     folder.write("sparse/0/images.txt", "# none\n");
-    assert_says(open(&folder), &["images", "is empty"]);
+    assert_says(import(&folder), &["images", "is empty"]);
 }
 
 #[test]
 fn missing_pictures_are_counted_and_named() {
     let folder = text_model(3, &[0, 1, 2, 5, 6]);
-    let files = open(&folder).expect("opens");
+    let files = import(&folder).expect("opens");
     assert_eq!((files.len(), files.unmatched.poses_without_image), (3, 2));
     assert_warns(&files.warnings, &["2 of 5 poses left out", "the first is 005.png"]);
     let folder = text_model(3, &[1, 5, 6]);
-    assert_says(open(&folder), &["1 of 3 poses", "by name", "005.png"]);
+    assert_says(import(&folder), &["1 of 3 poses", "by name", "005.png"]);
     std::fs::remove_dir_all(folder.join("images")).expect("removes");
-    assert_says(open(&folder), &["no folder images/", "name the folder"]);
+    assert_says(import(&folder), &["no folder images/", "name the folder"]);
 }
 
 #[test]
@@ -315,7 +310,7 @@ fn model(names: &[&str], pictures: &[&str]) -> Folder {
 fn pictures_in_folders_are_found_by_their_whole_names() {
     let names = ["right/1.png", "left/0.png", "left/1.png"];
     let folder = model(&names, &["left/0.png", "left/1.png", "right/0.png", "right/1.png"]);
-    let files = open(&folder).expect("opens");
+    let files = import(&folder).expect("opens");
     assert_eq!(pictures(&files), ["left/0.png", "left/1.png", "right/1.png"]);
     assert_eq!(files.unmatched.images_without_pose, 1);
 }
@@ -323,12 +318,12 @@ fn pictures_in_folders_are_found_by_their_whole_names() {
 #[test]
 fn a_name_with_another_folder_takes_no_picture_of_another_image() {
     let names = ["left/0.png", "right/0.png", "left/1.png", "left/2.png"];
-    let files = open(&model(&names, &["0.png", "1.png", "2.png"])).expect("opens");
+    let files = import(&model(&names, &["0.png", "1.png", "2.png"])).expect("opens");
     assert_eq!(pictures(&files), ["1.png", "2.png"]);
     assert_warns(&files.warnings, &["2 of 4 poses left out", "left/0.png"]);
     // Two pictures end like the second name, and none is it.
     let names = ["left/0.png", "1.png", "2.png"];
-    let files = open(&model(&names, &["left/0.png", "left/1.png", "right/1.png", "right/2.png"]))
+    let files = import(&model(&names, &["left/0.png", "left/1.png", "right/1.png", "right/2.png"]))
         .expect("opens");
     assert_eq!(pictures(&files), ["left/0.png", "right/2.png"]);
     assert_warns(&files.warnings, &["1 of 3 poses left out", "1.png"]);
@@ -342,11 +337,10 @@ fn blank_lines_may_stand_before_an_image_only() {
     let (second, third) = (image(1).expect("a line"), image(2).expect("a line"));
     let text = format!("# head\n\n{second}\n\n\n# middle\n{third}\n1 2 -1 3 4 5\n\n");
     folder.write("sparse/0/images.txt", text);
-    assert_eq!(pictures(&open(&folder).expect("opens")), ["1.png", "2.png"]);
+    assert_eq!(pictures(&import(&folder).expect("opens")), ["1.png", "2.png"]);
     for (points, count) in [("1 2 -1 3", "4 columns"), (third.as_str(), "10 columns")] {
         folder.write("sparse/0/images.txt", format!("{second}\n{points}\n{third}\n\n"));
-        let files = import(&folder.0);
-        assert_says(files, &["images.txt, line 2", count, "2D points"]);
+        assert_says(import(&folder), &["images.txt, line 2", count, "2D points"]);
     }
 }
 
@@ -357,6 +351,5 @@ fn an_image_without_a_name_is_refused() {
     let nameless = images_binary(&[0, 1]);
     let name = nameless.windows(7).position(|word| word == b"000.png").expect("a name");
     folder.write("sparse/0/images.bin", [&nameless[..name], &nameless[name + 7..]].concat());
-    let files = import(&folder.0);
-    assert_says(files, &["images.bin", "image 0 of 2", "no name"]);
+    assert_says(import(&folder), &["images.bin", "image 0 of 2", "no name"]);
 }

@@ -91,7 +91,7 @@ fn arrays_with_poses_of_the_camera_are_noticed() {
         })
         .collect();
     let folder = folder(&with(members(&frames), "poses", npy("<f8", &[6, 7], &poses)));
-    let files = import(&folder.0).expect("opens");
+    let files = import(&folder).expect("opens");
     let parts = ["if the poses are world_from_camera:", "hold camera_from_world"];
     assert_warns(&files.warnings, &parts);
 }

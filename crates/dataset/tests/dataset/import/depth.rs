@@ -1,8 +1,8 @@
 //! Depth and variance of keyframes, from arrays and from images.
 
-use super::droid::{folder, intrinsics, members, npy, open, with};
+use super::droid::{folder, intrinsics, members, npy, with};
 use super::scene::{HEIGHT, WIDTH, grey16_png, sequence, trajectory};
-use crate::support::{Folder, assert_says, assert_warns, import_with};
+use crate::support::{Folder, assert_says, assert_warns, import, import_with};
 use i2slam_dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes, Keyframe};
 use i2slam_geometry::Camera;
 
@@ -23,7 +23,7 @@ fn keyframe(disps: Vec<u8>, variance: Option<Vec<u8>>) -> Keyframe {
         arrays = with(arrays, "disps_cov", variance);
     }
     let folder = folder(&arrays);
-    open(&folder).expect("opens").load(1).expect("loads")
+    import(&folder).expect("opens").load(1).expect("loads")
 }
 
 /// The place in a map of an eighth that a column of the picture looks at, `0` the first centre.
@@ -72,7 +72,7 @@ fn numbers_out_of_single_precision_are_no_depth() {
     let arrays = with(members(&[0, 1]), "disps", npy("<f8", &[2, HEIGHT, WIDTH], &disps));
     let arrays = with(arrays, "disps_cov", npy("<f8", &[2, HEIGHT, WIDTH], &variance));
     let folder = folder(&arrays);
-    let found = open(&folder).expect("opens").load(0).expect("loads");
+    let found = import(&folder).expect("opens").load(0).expect("loads");
     let (depth, variance) = (found.depth.expect("depth"), found.variance.expect("variance"));
     assert_eq!((&depth.data[..6], &variance.data[..6]), (&[0.0; 6][..], &[0.0; 6][..]));
     assert!(depth.data[7..].iter().all(|&z| z == 2.0));

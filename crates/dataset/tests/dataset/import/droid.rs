@@ -3,8 +3,8 @@
 use super::assert_same;
 use super::scene::{HEIGHT, WIDTH, camera, look, pose, render, sequence, stamp};
 use crate::support::{Folder, assert_says, assert_warns, import};
+use i2slam_dataset::OpenOptions;
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
-use i2slam_dataset::{DatasetError, OpenOptions};
 use i2slam_geometry::Vec3;
 
 /// Arrays by name.
@@ -60,14 +60,10 @@ pub(super) fn folder(members: &Members) -> Folder {
     folder
 }
 
-pub(super) fn open(folder: &Folder) -> Result<ImportedKeyframes, DatasetError> {
-    import(&folder.0)
-}
-
 #[test]
 fn a_folder_of_arrays_gives_pictures_poses_and_depth() {
     let folder = folder(&members(&[0, 2, 3]));
-    let files = open(&folder).expect("opens");
+    let files = import(&folder).expect("opens");
     assert_eq!((files.format, files.len()), (ImportFormat::Droid, 3));
     assert_eq!((files.has_depth, files.has_variance), (true, false));
     assert!(files.warnings.is_empty(), "{:?}", files.warnings);
@@ -110,7 +106,7 @@ fn channels_are_in_the_order_of_the_program_that_names_them() {
 fn archives_hold_the_same() {
     let members = members(&[0, 1, 4]);
     let folder = folder(&members);
-    let of_folder = open(&folder).expect("opens");
+    let of_folder = import(&folder).expect("opens");
     for deflate in [false, true] {
         let file = folder.write("run.npz", npz(&members, deflate));
         let files = import(&file).expect("opens");
@@ -134,7 +130,7 @@ fn inverse_depth_of_an_eighth_is_looked_up_along_its_rays() {
     }
     let small = npy("<f4", &[2, height, width], &disps);
     let folder = folder(&with(members(&[0, 1]), "disps", small));
-    let files = open(&folder).expect("opens");
+    let files = import(&folder).expect("opens");
     let depth = files.load(1).expect("loads").depth.expect("depth");
     assert_eq!((depth.width, depth.height), (WIDTH, HEIGHT));
     let exact = |&(place, z): &(usize, &f64)| (f64::from(depth.data[place]) / z - 1.0).abs() < 1e-5;
@@ -154,7 +150,7 @@ fn variances_of_depth_and_of_inverse_depth_agree() {
     let of_depth = npy("<f8", &[2, HEIGHT, WIDTH], &of_depth);
     let variance = |name, bytes: &Vec<u8>| {
         let folder = folder(&with(members(&[0, 1]), name, bytes.clone()));
-        let files = open(&folder).expect("opens");
+        let files = import(&folder).expect("opens");
         assert!(files.has_variance);
         files.load(1).expect("loads").variance.expect("variance")
     };
@@ -212,13 +208,13 @@ fn places_of_arrays_that_hold_nothing_are_left_out() {
     // No pose at all, as in a buffer of zeros.
     poses.1[end - 2 * 28..].fill(0);
     let arrays = folder(&unused);
-    let files = open(&arrays).expect("opens");
+    let files = import(&arrays).expect("opens");
     let indices: Vec<usize> = files.keyframes.iter().map(|keyframe| keyframe.index).collect();
     assert_eq!(indices, [1, 2, 4]);
     assert_warns(&files.warnings, &["2 of 5 places", "repeat"]);
     assert_same(files.load(2).expect("loads").world_from_camera, pose(4));
     let again = with(members(&[0, 1, 3]), "tstamps", npy("<f4", &[3], &[0.0, 1.0, 1.0]));
-    let files = open(&folder(&again)).expect("opens");
+    let files = import(&folder(&again)).expect("opens");
     assert_eq!((files.len(), files.keyframes[1].index), (2, 1));
 }
 
@@ -230,8 +226,7 @@ fn cut_off_archives_are_refused_wherever_they_end() {
         let whole = npz(&members, deflate);
         for cut in [0, 10, whole.len() / 3, whole.len() - 200, whole.len() - 1] {
             let file = folder.write("run.npz", &whole[..cut]);
-            let files = import(&file);
-            assert_says(files, &["run.npz", "cut off"]);
+            assert_says(import(&file), &["run.npz", "cut off"]);
         }
     }
 }
@@ -241,8 +236,7 @@ fn a_damaged_member_is_refused() {
     let folder = Folder::new();
     let refused = |bytes: &[u8]| {
         let file = folder.write("run.npz", bytes);
-        let files = import(&file);
-        assert_says(files, &["run.npz/disps.npy", "damaged"]);
+        assert_says(import(&file), &["run.npz/disps.npy", "damaged"]);
     };
     for deflate in [false, true] {
         let mut bytes = npz(&members(&[0, 1]), deflate);
@@ -284,26 +278,26 @@ fn unusable_arrays_are_named() {
         ("intrinsics", zeros(&[2, 3]), &["intrinsics.npy", "[2, 4]"]),
         ("intrinsics", camera, &["intrinsics.npy", "principal point", "48x32"]),
     ] {
-        assert_says(open(&folder(&with(all.clone(), name, bytes))), parts);
+        assert_says(import(&folder(&with(all.clone(), name, bytes))), parts);
     }
     for cut in [7, 9, 40, all[3].1.len() - 1] {
         let arrays = folder(&with(all.clone(), "poses", all[3].1[..cut].to_vec()));
-        assert_says(open(&arrays), &["poses.npy", "cut off"]);
+        assert_says(import(&arrays), &["poses.npy", "cut off"]);
     }
     for (name, parts) in [
         ("images", &["no array images", "disps.npy"][..]),
         ("intrinsics", &["no array intrinsics"]),
     ] {
-        assert_says(open(&folder(&without(all.clone(), name))), parts);
+        assert_says(import(&folder(&without(all.clone(), name))), parts);
     }
     let options = ImportOptions { depth: ImportDepth::Pictures, ..ImportOptions::default() };
     assert_says(
         ImportedKeyframes::open(&folder(&all).0, None, &options),
         &["option depth", "no dataset"],
     );
-    let alone = open(&folder(&without(all, "disps"))).expect("poses and pictures alone");
+    let alone = import(&folder(&without(all, "disps"))).expect("poses and pictures alone");
     assert!(!alone.has_depth);
-    assert_says(open(&folder(&members(&[0]))), &["1 of 1 poses", "at least 2"]);
+    assert_says(import(&folder(&members(&[0]))), &["1 of 1 poses", "at least 2"]);
 }
 
 /// An `.npy` file of numbers of a type such as `<f4`.

@@ -50,8 +50,10 @@ fn steps_of_any_size_are_counted() {
     let pictures = colour_sequence(3);
     let options = ImportOptions { frames_per_stamp: usize::MAX, ..ImportOptions::default() };
     let arrays = arrays(&[0, 1], &[0.0, 2.0]);
-    let files = ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &options);
-    assert_says(files, &["1 of 2 poses", "stride"]);
+    assert_says(
+        ImportedKeyframes::open(&arrays.0, Some(&pictures.0), &options),
+        &["1 of 2 poses", "stride"],
+    );
 }
 
 #[test]
@@ -127,7 +129,6 @@ fn a_file_of_torch_is_told_how_to_convert() {
     let folder = sequence(1);
     for (name, start) in [("run.pth", "PK"), ("run.pt", "PK"), ("run", "PK run/data.pkl")] {
         let file = folder.write(name, start);
-        let files = import(&file);
-        assert_says(files, &["torch.save", "np.savez", "docs/import.md"]);
+        assert_says(import(&file), &["torch.save", "np.savez", "docs/import.md"]);
     }
 }

@@ -39,7 +39,7 @@ fn without_a_folder_of_pictures_those_beside_the_poses_are_taken() {
     let folder = colour_sequence(3);
     let file = folder.write("trajectory.txt", trajectory([0, 2]));
     let by_file = import(&file).expect("opens");
-    let by_folder = import(&folder.0).expect("opens");
+    let by_folder = import(&folder).expect("opens");
     assert_eq!(by_file.keyframes, by_folder.keyframes);
     assert_eq!(by_file.len(), 2);
 }
