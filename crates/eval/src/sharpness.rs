@@ -1,6 +1,7 @@
 //! Detection of the sharp frames of a video.
 
 use crate::EvalError;
+use crate::image::check_side;
 use crate::statistics::percentile;
 use i2slam_geometry::Image;
 
@@ -13,10 +14,7 @@ use i2slam_geometry::Image;
 /// channel or three, at least two pixels a side.
 pub fn laplacian_variance(picture: &Image<f32>) -> Result<f64, EvalError> {
     let (width, height) = (picture.width, picture.height);
-    if width.min(height) < 2 {
-        let (what, found) = ("pixels along the shorter side", width.min(height));
-        return Err(EvalError::TooFew { what, found, needed: 2 });
-    }
+    check_side(picture, 2)?;
     let grey = grey(picture)?;
     let mirrored = |i: usize, step: isize, size: usize| match i.checked_add_signed(step) {
         Some(next) if next < size => next,

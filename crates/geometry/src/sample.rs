@@ -58,12 +58,8 @@ mod tests {
 
     #[test]
     fn a_tap_reproduces_a_plane_and_its_slope() {
-        let mut image = Image::<f64>::new(6, 5, 1);
-        for row in 0..5 {
-            for column in 0..6 {
-                image.data[row * 6 + column] = 2.0 * column as f64 - 3.0 * row as f64;
-            }
-        }
+        let image =
+            Image::from_fn(6, 5, 1, |_, column, row| 2.0 * column as f64 - 3.0 * row as f64);
         let (value, by_u, by_v) = image.tap(3.2, 2.9).expect("inside").sample(&image.data);
         assert!((value - (2.0 * 2.7 - 3.0 * 2.4)).abs() < 1e-12);
         assert!((by_u - 2.0).abs() < 1e-12 && (by_v + 3.0).abs() < 1e-12);

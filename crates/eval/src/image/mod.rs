@@ -33,6 +33,16 @@ pub(crate) fn check_shapes(picture: &Image<f32>, truth: &Image<f32>) -> Result<(
     Ok(())
 }
 
+/// An error for an image whose shorter side has fewer pixels than needed.
+pub(crate) fn check_side(image: &Image<f32>, needed: usize) -> Result<(), EvalError> {
+    match image.width.min(image.height) {
+        found if found < needed => {
+            Err(EvalError::TooFew { what: "pixels along the shorter side", found, needed })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// An error for a mask that does not have one entry per pixel.
 pub(crate) fn check_mask(mask: &[bool], truth: &Image<f32>) -> Result<(), EvalError> {
     if mask.len() == truth.width * truth.height {

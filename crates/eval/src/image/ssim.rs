@@ -1,6 +1,6 @@
 //! SSIM (Wang, Bovik, Sheikh, Simoncelli 2004) and MS-SSIM (Wang, Simoncelli, Bovik 2003).
 
-use super::check_shapes;
+use super::{check_shapes, check_side};
 use crate::EvalError;
 use i2slam_geometry::Image;
 
@@ -26,11 +26,7 @@ const C2: f64 = 0.03 * 0.03;
 /// in flat parts `Σ w x² - μx²` cancels, and f32 would be off by 1e-4.
 pub fn ssim(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
     check_shapes(picture, truth)?;
-    let side = truth.width.min(truth.height);
-    if side < WINDOW {
-        let what = "pixels along the shorter side";
-        return Err(EvalError::TooFew { what, found: side, needed: WINDOW });
-    }
+    check_side(truth, WINDOW)?;
     let sum: f64 = (0..truth.channels)
         .map(|c| plane_means(picture.plane(c), truth.plane(c), truth.width, truth.height).whole)
         .sum();
@@ -168,8 +164,8 @@ impl Moments {
 /// Exponents `β` of the five scales, fine to coarse (Wang et al. 2003, section 3.2).
 const EXPONENTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 
-/// Images must be larger than this [px], so that four halvings leave a window.
-const MIN_SIDE: usize = (WINDOW - 1) << (EXPONENTS.len() - 1);
+/// Smallest side of an image [px], of which four halvings leave a window.
+const MIN_SIDE: usize = ((WINDOW - 1) << (EXPONENTS.len() - 1)) + 1;
 
 /// Multi-scale SSIM, in `[0, 1]`, 1 for equal pictures.
 ///
@@ -181,11 +177,7 @@ const MIN_SIDE: usize = (WINDOW - 1) << (EXPONENTS.len() - 1);
 /// Pictures whose shorter side is not above 160 px are refused.
 pub fn ms_ssim(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError> {
     check_shapes(picture, truth)?;
-    let side = truth.width.min(truth.height);
-    if side <= MIN_SIDE {
-        let what = "pixels along the shorter side";
-        return Err(EvalError::TooFew { what, found: side, needed: MIN_SIDE + 1 });
-    }
+    check_side(truth, MIN_SIDE)?;
     let mut sum = 0.0;
     for channel in 0..truth.channels {
         let plane = |image: &Image<f32>| Image {

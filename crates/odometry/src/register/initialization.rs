@@ -2,9 +2,7 @@
 
 use crate::error::OdometryError;
 use crate::multiview::triangulation::parallax;
-use crate::multiview::two_view::{
-    RayPair, RelativePose, estimate_relative_pose, fit_rotation, ray_pairs,
-};
+use crate::multiview::two_view::{RelativePose, estimate_relative_pose, fit_rotation, ray_pairs};
 use crate::sfm_state::SfmState;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Rotation};
@@ -60,9 +58,12 @@ pub(crate) fn initialize(state: &mut SfmState, places: Range<usize>) -> Result<(
     }
     let tried: Vec<Option<RelativePose>> = moved
         .par_iter()
-        .map(|p| match state.progress.is_cancelled() {
-            true => None,
-            false => estimate_relative_pose(state.camera.fx, &shared_rays(state, p), p.rotation),
+        .map(|p| {
+            if state.progress.is_cancelled() {
+                return None;
+            }
+            let shared = state.shared_positions(p.first, p.second);
+            estimate_relative_pose(state.camera.fx, &ray_pairs(&state.camera, &shared), p.rotation)
         })
         .collect();
     let mut candidates: Vec<(&KeyframePair, RelativePose)> = moved
@@ -112,10 +113,6 @@ fn candidate_pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> 
             })
         })
         .collect()
-}
-
-fn shared_rays(state: &SfmState, pair: &KeyframePair) -> Vec<RayPair> {
-    ray_pairs(&state.camera, &state.shared_positions(pair.first, pair.second))
 }
 
 /// Poses a pair and adjusts both views; returns the number of landmarks with enough parallax.

@@ -119,13 +119,8 @@ mod tests {
     use super::*;
 
     fn square() -> Image<f32> {
-        let mut image = Image::new(64, 48, 1);
-        for row in 16..32 {
-            for column in 20..44 {
-                image.data[row * 64 + column] = 1.0;
-            }
-        }
-        image
+        let inside = |column, row| (20..44).contains(&column) && (16..32).contains(&row);
+        Image::from_fn(64, 48, 1, |_, column, row| f32::from(inside(column, row)))
     }
 
     #[test]

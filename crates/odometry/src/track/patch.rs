@@ -229,24 +229,23 @@ mod tests {
 
     /// A smooth picture, drawn at `map` of every pixel centre.
     fn waves(map: impl Fn(f32, f32) -> (f32, f32), gain: f32, bias: f32) -> Image<f32> {
-        let mut image = Image::new(64, 48, 1);
-        for row in 0..48 {
-            for column in 0..64 {
-                let (x, y) = map(column as f32 + 0.5, row as f32 + 0.5);
-                let value =
-                    0.5 + 0.2 * (0.35 * x + 0.1 * y).sin() + 0.2 * (0.28 * y - 0.07 * x).cos();
-                image.data[row * 64 + column] = gain * value + bias;
-            }
-        }
-        image
+        Image::from_fn(64, 48, 1, |_, column, row| {
+            let (x, y) = map(column as f32 + 0.5, row as f32 + 0.5);
+            let value = 0.5 + 0.2 * (0.35 * x + 0.1 * y).sin() + 0.2 * (0.28 * y - 0.07 * x).cos();
+            gain * value + bias
+        })
+    }
+
+    /// The patch of the unmoved picture at (30, 24), aligned from there with another picture.
+    fn aligned<const N: usize>(image: &Image<f32>) -> PatchMatch {
+        let still = waves(|x, y| (x, y), 1.0, 0.0);
+        let template = PatchTemplate::<N>::new(&still, [30.0, 24.0]).expect("textured");
+        template.align(image, AffineWarp::translation([30.0, 24.0])).expect("found")
     }
 
     #[test]
     fn a_move_is_found_through_a_change_of_exposure() {
-        let template = PatchTemplate::<4>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0])
-            .expect("textured");
-        let moved = waves(|x, y| (x - 1.7, y + 1.2), 0.4, 0.2);
-        let found = template.align(&moved, AffineWarp::translation([30.0, 24.0])).expect("found");
+        let found = aligned::<4>(&waves(|x, y| (x - 1.7, y + 1.2), 0.4, 0.2));
         assert!((found.warp.centre[0] - 31.7).abs() < 0.02, "{found:?}");
         assert!((found.warp.centre[1] - 22.8).abs() < 0.02, "{found:?}");
         assert!(found.correlation > 0.995);
@@ -254,16 +253,12 @@ mod tests {
 
     #[test]
     fn a_turned_patch_is_found() {
-        let template = PatchTemplate::<8>::new(&waves(|x, y| (x, y), 1.0, 0.0), [30.0, 24.0])
-            .expect("textured");
         let (s, c) = 0.12_f32.sin_cos();
         let turn = |x: f32, y: f32| {
             let (x, y) = (x - 31.0, y - 23.5);
             (c * x + s * y + 30.0, c * y - s * x + 24.0)
         };
-        let found = template
-            .align(&waves(turn, 1.3, -0.1), AffineWarp::translation([30.0, 24.0]))
-            .expect("found");
+        let found = aligned::<8>(&waves(turn, 1.3, -0.1));
         assert!((found.warp.centre[0] - 31.0).abs() < 0.05, "{found:?}");
         assert!((found.warp.centre[1] - 23.5).abs() < 0.05, "{found:?}");
         assert!((found.warp.matrix[0][1] + s).abs() < 0.02, "{found:?}");

@@ -2,7 +2,7 @@
 
 mod convolution;
 
-use super::check_shapes;
+use super::{check_shapes, check_side};
 use crate::EvalError;
 use convolution::{Convolution, Features, GROUP};
 use half::f16;
@@ -33,11 +33,7 @@ pub fn lpips(picture: &Image<f32>, truth: &Image<f32>) -> Result<f64, EvalError>
         let (first, second) = (vec![truth.channels], vec![3]);
         return Err(EvalError::ShapeMismatch { what: "picture and R, G, B", first, second });
     }
-    let side = truth.width.min(truth.height);
-    if side < MIN_SIDE {
-        let what = "pixels along the shorter side";
-        return Err(EvalError::TooFew { what, found: side, needed: MIN_SIDE });
-    }
+    check_side(truth, MIN_SIDE)?;
     // Checked here because rectification turns a NaN into a number.
     if [picture, truth].iter().any(|image| image.data.iter().any(|v| !v.is_finite())) {
         return Err(EvalError::NotFinite { what: "the pictures" });
