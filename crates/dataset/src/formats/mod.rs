@@ -173,10 +173,7 @@ impl DetectedLayout {
         if let Some(file) = sens::find(path) {
             return sens::SensFile::open(&file).map(Self::Sens).map(Some);
         }
-        if tum::has_lists(path) {
-            return Ok(Some(tum::find_eth3d_calibration(path).map_or(Self::Tum, Self::Eth3d)));
-        }
-        Ok(folders::find(path).map(Self::Plain))
+        Ok(tum::find(path, true).or_else(|| folders::find(path).map(Self::Plain)))
     }
 
     fn without_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
@@ -184,10 +181,7 @@ impl DetectedLayout {
         if transforms.is_file() {
             return TransformsFile::open(&transforms, false).map(Self::Nerfstudio).map(Some);
         }
-        if tum::has_colour_list(path) {
-            return Ok(Some(tum::find_eth3d_calibration(path).map_or(Self::Tum, Self::Eth3d)));
-        }
-        Ok(folders::find_colour(path).map(Self::Plain))
+        Ok(tum::find(path, false).or_else(|| folders::find_colour(path).map(Self::Plain)))
     }
 
     /// Properties of all sequences of this layout.

@@ -12,53 +12,45 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest accepted header [bytes].
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// Type of the stored numbers, little-endian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum DataType {
-    U8,
-    U16,
-    I32,
-    I64,
-    F32,
-    F64,
-}
+/// Defines the types of numbers by their names in headers.
+macro_rules! data_types {
+    ($($name:ident($number:ty) = $($descr:literal)|+),+ $(,)?) => {
+        /// Type of the stored numbers, little-endian.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub(crate) enum DataType { $($name),+ }
 
-impl DataType {
-    fn parse(descr: &str) -> Option<Self> {
-        Some(match descr {
-            "|u1" | "<u1" => Self::U8,
-            "<u2" => Self::U16,
-            "<i4" => Self::I32,
-            "<i8" => Self::I64,
-            "<f4" => Self::F32,
-            "<f8" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::U8 => 1,
-            Self::U16 => 2,
-            Self::I32 | Self::F32 => 4,
-            Self::I64 | Self::F64 => 8,
-        }
-    }
-
-    fn read(self, b: &[u8]) -> f64 {
-        match (self, b) {
-            (Self::U8, &[a]) => f64::from(a),
-            (Self::U16, &[a, b]) => f64::from(u16::from_le_bytes([a, b])),
-            (Self::I32, &[a, b, c, d]) => f64::from(i32::from_le_bytes([a, b, c, d])),
-            (Self::F32, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
-            (Self::I64, &[a, b, c, d, e, f, g, h]) => {
-                i64::from_le_bytes([a, b, c, d, e, f, g, h]) as f64
+        impl DataType {
+            fn parse(descr: &str) -> Option<Self> {
+                match descr {
+                    $($($descr)|+ => Some(Self::$name),)+
+                    _ => None,
+                }
             }
-            (Self::F64, &[a, b, c, d, e, f, g, h]) => f64::from_le_bytes([a, b, c, d, e, f, g, h]),
-            _ => f64::NAN,
+
+            fn size(self) -> usize {
+                match self {
+                    $(Self::$name => size_of::<$number>()),+
+                }
+            }
+
+            fn read(self, bytes: &[u8]) -> f64 {
+                match self {
+                    $(Self::$name => {
+                        bytes.try_into().map_or(f64::NAN, |bytes| <$number>::from_le_bytes(bytes) as f64)
+                    })+
+                }
+            }
         }
-    }
+    };
 }
+data_types!(
+    U8(u8) = "|u1" | "<u1",
+    U16(u16) = "<u2",
+    I32(i32) = "<i4",
+    I64(i64) = "<i8",
+    F32(f32) = "<f4",
+    F64(f64) = "<f8",
+);
 
 /// Location of an array's bytes, header included.
 #[derive(Clone, Debug)]

@@ -2,7 +2,7 @@
 
 use super::association::{Association, AssociationRules, associate};
 use super::poses::{UNIT_TOLERANCE, unit_length_error};
-use super::{DroppedFrames, FrameEntry, Layout, Listing};
+use super::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing};
 use crate::camera::{Calibration, Distortion, FormatDefaults};
 use crate::text::{counted, data_lines, parse_number, read_text};
 use crate::{DatasetError, OpenOptions};
@@ -111,14 +111,15 @@ pub(super) struct StampedImages {
     pub(crate) depth: Option<Vec<(f64, PathBuf)>>,
 }
 
-/// Whether `rgb.txt` and `depth.txt` lie in the folder.
-pub(super) fn has_lists(folder: &Path) -> bool {
-    folder.join("rgb.txt").is_file() && folder.join("depth.txt").is_file()
-}
-
-/// Whether `rgb.txt` lies in the folder.
-pub(super) fn has_colour_list(folder: &Path) -> bool {
-    folder.join("rgb.txt").is_file()
+/// The layout of a folder with `rgb.txt` (and `depth.txt`, if asked for): ETH3D's if there is a
+/// calibration file.
+pub(super) fn find(folder: &Path, with_depth: bool) -> Option<DetectedLayout> {
+    let has = |name: &str| folder.join(name).is_file();
+    let calibration = folder.join("calibration.txt");
+    (has("rgb.txt") && (!with_depth || has("depth.txt"))).then(|| match calibration.is_file() {
+        true => DetectedLayout::Eth3d(calibration),
+        false => DetectedLayout::Tum,
+    })
 }
 
 /// Lists the frames of `rgb.txt` and `depth.txt`; of `rgb.txt` alone with `colour_only` if there is
@@ -220,11 +221,6 @@ fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String
     ];
     let some = all.into_iter().filter(|(count, ..)| *count > 0);
     some.map(|(count, word, why)| format!("{} left out: {why}", counted(count, word))).collect()
-}
-
-/// ETH3D's calibration file beside the lists.
-pub(super) fn find_eth3d_calibration(folder: &Path) -> Option<PathBuf> {
-    Some(folder.join("calibration.txt")).filter(|path| path.is_file())
 }
 
 /// Reads ETH3D's `fx fy cx cy`, one line, pixel centres at integers, images undistorted.

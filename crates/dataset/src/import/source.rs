@@ -104,13 +104,11 @@ impl KeyframeSource {
     }
 
     pub(super) fn at_least(&self, side: usize) -> Self {
-        let images = match &self.images {
-            ImageSource::Sequence(sequence) => {
-                ImageSource::Sequence(Box::new(sequence.at_least(side)))
-            }
-            arrays @ ImageSource::Arrays(_) => arrays.clone(),
-        };
-        Self { images, depth: self.depth.clone() }
+        let mut enlarged = self.clone();
+        if let ImageSource::Sequence(sequence) = &mut enlarged.images {
+            **sequence = sequence.at_least(side);
+        }
+        enlarged
     }
 
     pub(super) fn camera_source(&self) -> String {

@@ -181,6 +181,10 @@ fn a_binary_model_may_end_nowhere() {
     wrong[12..20].copy_from_slice(&3.0_f64.to_le_bytes());
     folder.write("sparse/0/images.bin", &wrong);
     assert_says(import(&folder), &["images.bin", "image 0 of 2", "length", "expected 1"]);
+    let nameless = images_binary(&[0, 1]);
+    let name = nameless.windows(7).position(|word| word == b"000.png").expect("a name");
+    folder.write("sparse/0/images.bin", [&nameless[..name], &nameless[name + 7..]].concat());
+    assert_says(import(&folder), &["images.bin", "image 0 of 2", "no name"]);
 }
 
 #[test]
@@ -206,18 +210,6 @@ fn lenses_are_removed() {
     };
     let radial = picture("1 SIMPLE_RADIAL 48 32 40 24 16 -0.1\n");
     assert_eq!(radial, picture("1 OPENCV 48 32 40 40 24 16 -0.1 0 0 0\n"));
-    for (text, parts) in [
-        ("1 OPENCV_FISHEYE 48 32 40 40 24 16 0 0 0 0\n", &["OPENCV_FISHEYE is not supported"][..]),
-        ("1 FISHY 48 32 40\n", &["line 1", "FISHY is not supported", "image_undistorter"][..]),
-        ("1 PINHOLE 48 32 40 40 24\n", &["3 parameters of PINHOLE, expected 4"][..]),
-        ("1 PINHOLE 48 32 40 nan 24 16\n", &["line 1", "parameter is NaN"][..]),
-        ("1 PINHOLE 48\n", &["line 1", "3 columns"][..]),
-        ("2 PINHOLE 48 32 40 40 24 16\n", &["no camera 1", "image 000.png"][..]),
-        ("1 PINHOLE 96 64 80 80 48 32\n", &["000.png is 48x32", "cameras.txt says"][..]),
-    ] {
-        folder.write("sparse/0/cameras.txt", text);
-        assert_says(import(&folder), parts);
-    }
 }
 
 #[test]
@@ -233,24 +225,42 @@ fn two_cameras_are_refused_unless_they_are_one() {
 
 #[test]
 fn unusable_lines_are_named() {
-    let folder = text_model(3, &[0, 1]);
-    for (line, parts) in [
-        ("3 1 0 0 0 0 0 0 1", &["images.txt, line 6", "9 columns, expected 10"][..]),
-        ("3 2 0 0 0 0 0 0 1 002.png", &["line 6", "length 2.000", "expected 1"][..]),
-        ("3 0 0 0 0 0 0 0 1 002.png", &["line 6", "length 0.000"][..]),
-        ("3 1 0 inf 0 0 0 0 1 002.png", &["line 6", "qy is inf"][..]),
-        ("x 1 0 0 0 0 0 0 1 002.png", &["line 6", "image is 'x'", "whole number"][..]),
+    let image = |line: &str| images_text(&[0, 1]) + line + "\n\n";
+    for (name, text, parts) in [
+        (
+            "images",
+            image("3 1 0 0 0 0 0 0 1"),
+            &["images.txt, line 6", "9 columns, expected 10"][..],
+        ),
+        ("images", image("3 2 0 0 0 0 0 0 1 002.png"), &["line 6", "length 2.000", "expected 1"]),
+        ("images", image("3 0 0 0 0 0 0 0 1 002.png"), &["line 6", "length 0.000"]),
+        ("images", image("3 1 0 inf 0 0 0 0 1 002.png"), &["line 6", "qy is inf"]),
+        ("images", image("x 1 0 0 0 0 0 0 1 002.png"), &["image is 'x'", "whole number"]),
+        ("images", "# none\n".into(), &["images", "is empty"]),
+        ("points3D", "1 0 0 0 9 9\n".into(), &["points3D.txt, line 1", "6 columns"]),
+        (
+            "cameras",
+            "1 OPENCV_FISHEYE 48 32 40 40 24 16 0 0 0 0\n".into(),
+            &["OPENCV_FISHEYE is not"],
+        ),
+        ("cameras", "1 FISHY 48 32 40\n".into(), &["line 1", "FISHY is not", "image_undistorter"]),
+        ("cameras", "1 PINHOLE 48 32 40 40 24\n".into(), &["3 parameters of PINHOLE, expected 4"]),
+        ("cameras", "1 PINHOLE 48 32 40 nan 24 16\n".into(), &["line 1", "parameter is NaN"]),
+        ("cameras", "1 PINHOLE 48\n".into(), &["line 1", "3 columns"]),
+        ("cameras", "2 PINHOLE 48 32 40 40 24 16\n".into(), &["no camera 1", "image 000.png"]),
+        (
+            "cameras",
+            "1 PINHOLE 96 64 80 80 48 32\n".into(),
+            &["000.png is 48x32", "cameras.txt says"],
+        ),
     ] {
-        folder.write("sparse/0/images.txt", images_text(&[0, 1]) + line + "\n\n");
+        let folder = text_model(3, &[0, 1]);
+        folder.write(&format!("sparse/0/{name}.txt"), text);
         assert_says(import(&folder), parts);
     }
-    folder.write("sparse/0/images.txt", images_text(&[0, 1]));
-    folder.write("sparse/0/points3D.txt", "1 0 0 0 9 9\n");
-    assert_says(import(&folder), &["points3D.txt, line 1", "6 columns"]);
+    let folder = text_model(3, &[0, 1]);
     std::fs::remove_file(folder.join("sparse/0/points3D.txt")).expect("removes");
     assert!(!import(&folder).expect("opens").has_depth);
-    folder.write("sparse/0/images.txt", "# none\n");
-    assert_says(import(&folder), &["images", "is empty"]);
 }
 
 #[test]
@@ -342,14 +352,4 @@ fn blank_lines_may_stand_before_an_image_only() {
         folder.write("sparse/0/images.txt", format!("{second}\n{points}\n{third}\n\n"));
         assert_says(import(&folder), &["images.txt, line 2", count, "2D points"]);
     }
-}
-
-#[test]
-fn an_image_without_a_name_is_refused() {
-    let folder = text_model(2, &[0, 1]);
-    write_binary(&folder, &[0, 1]);
-    let nameless = images_binary(&[0, 1]);
-    let name = nameless.windows(7).position(|word| word == b"000.png").expect("a name");
-    folder.write("sparse/0/images.bin", [&nameless[..name], &nameless[name + 7..]].concat());
-    assert_says(import(&folder), &["images.bin", "image 0 of 2", "no name"]);
 }
