@@ -44,21 +44,11 @@ struct Arguments {
     /// The program i2slam [default: the one beside this program, else on PATH]
     #[arg(long, value_name = "PATH")]
     program: Option<PathBuf>,
-    /// Folder of the data sets that the suite names [default: that of the suite's file]
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
+    #[command(flatten)]
+    selection: Selection,
     /// Jobs at once, each with its share of the threads [default: the suite's, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
-    /// Only these sequences: names separated by commas; may repeat
-    #[arg(long, value_name = "NAMES")]
-    sequences: Vec<String>,
-    /// Only these configurations: names separated by commas; may repeat
-    #[arg(long, value_name = "NAMES")]
-    configurations: Vec<String>,
-    /// These seeds instead of the suite's
-    #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
-    seeds: Option<Vec<u64>>,
     /// End a job that takes longer; it counts as failed
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
     timeout: Option<u64>,
@@ -101,13 +91,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
         print(file.text.trim_end());
         return Ok(());
     }
-    let selection = Selection {
-        data: arguments.data.clone(),
-        sequences: arguments.sequences.clone(),
-        configurations: arguments.configurations.clone(),
-        seeds: arguments.seeds.clone(),
-    };
-    let plan = Plan::new(file, &selection)?;
+    let plan = Plan::new(file, &arguments.selection)?;
     let out = arguments.out.clone().unwrap_or_default();
     let parallel = arguments.jobs.map(usize::from).or(plan.suite.jobs).unwrap_or(1).max(1);
     let cores = || std::thread::available_parallelism().map_or(1, usize::from);

@@ -3,19 +3,26 @@
 use crate::console::Failure;
 use crate::sequences::{Sequence, resolve};
 use crate::suite::{ConfigurationEntry, Protocol, Suite, SuiteFile, slug};
+use clap::Args;
 use i2slam::config::line_of_key;
 use i2slam::{Config, ConfigError};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-/// The part of a suite that is to be run.
-#[derive(Debug, Default)]
+// The part of a suite that is to be run. A doc comment would replace that of the program in --help.
+#[derive(Args, Debug, Default)]
 pub(crate) struct Selection {
-    /// Folder of the data sets.
+    /// Folder of the data sets that the suite names [default: that of the suite's file]
+    #[arg(long, value_name = "DIR")]
     pub(crate) data: Option<PathBuf>,
-    /// As typed: names separated by commas; none selects all.
+    /// Only these sequences: names separated by commas; may repeat
+    #[arg(long, value_name = "NAMES")]
     pub(crate) sequences: Vec<String>,
+    /// Only these configurations: names separated by commas; may repeat
+    #[arg(long, value_name = "NAMES")]
     pub(crate) configurations: Vec<String>,
+    /// These seeds instead of the suite's
+    #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
     pub(crate) seeds: Option<Vec<u64>>,
 }
 

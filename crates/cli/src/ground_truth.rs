@@ -133,3 +133,10 @@ fn read_exposure(path: &Path) -> Result<Vec<(usize, f64)>, String> {
     })
     .collect()
 }
+
+/// Ratio of the largest to the smallest exposure [stops].
+pub(crate) fn range_stops(exposures: &[f64]) -> f64 {
+    let ends = |pick: fn(f64, f64) -> f64| exposures.iter().copied().reduce(pick);
+    let (low, high) = (ends(f64::min), ends(f64::max));
+    low.zip(high).map_or(0.0, |(low, high)| (high / low).log2())
+}

@@ -44,9 +44,9 @@ impl OutputDir<'_> {
         }
     }
 
-    /// Removes an earlier result of the command if that is allowed. Call [`check`](Self::check)
-    /// first.
+    /// Checks that the command may write there, and removes an earlier result if that is allowed.
     pub(crate) fn clear(&self) -> Result<(), Failure> {
+        self.check()?;
         if self.overwrite && self.layout.contents(self.path) == FolderContents::Own {
             self.layout.remove(self.path)?;
         }
@@ -106,13 +106,9 @@ fn sequence_layout(further: &'static str, signature: (&'static str, &'static str
         "README.md",
         further,
     ];
-    FolderLayout { files, pictures: sequence_pictures(), signatures: vec![signature] }
-}
-
-fn sequence_pictures() -> Vec<(String, &'static str)> {
-    [("rgb", "png"), ("depth", "png"), ("sharp", "png"), ("hdr", "exr")]
-        .map(|(folder, extension)| (folder.to_owned(), extension))
-        .to_vec()
+    let pictures = [("rgb", "png"), ("depth", "png"), ("sharp", "png"), ("hdr", "exr")]
+        .map(|(folder, extension)| (folder.to_owned(), extension));
+    FolderLayout { files, pictures: pictures.to_vec(), signatures: vec![signature] }
 }
 
 /// File with the poses of rendered pictures.

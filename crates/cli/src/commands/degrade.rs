@@ -68,7 +68,6 @@ pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     let (layout, overwrite) = (degraded_layout(), arguments.overwrite);
     let path = arguments.out.as_path();
     let destination = OutputDir { path, layout, command: "i2slam degrade", overwrite };
-    destination.check()?;
     destination.clear()?;
     interrupt::listen();
     let progress = Progress::new(0, arguments.machine.quiet);

@@ -103,7 +103,6 @@ fn output_folder(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Fa
     };
     let (layout, overwrite) = (render_layout(), arguments.overwrite);
     let destination = OutputDir { path: out, layout, command: "i2slam render", overwrite };
-    destination.check()?;
     destination.clear()?;
     Ok(ResultFolder::create(out)?)
 }

@@ -43,7 +43,6 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
             let layout = synthetic_layout();
             let (command, overwrite) = ("i2slam synth", arguments.overwrite);
             let destination = OutputDir { path: out, layout, command, overwrite };
-            destination.check()?;
             destination.clear()?;
             make(&spec, out, arguments.machine.quiet)
         }

@@ -3,7 +3,7 @@
 use super::Job;
 use super::pictures::PictureRenderer;
 use crate::failure::Failure;
-use crate::ground_truth::GroundTruth;
+use crate::ground_truth::{GroundTruth, range_stops};
 use crate::progress::Progress;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::StampedPose;
@@ -187,13 +187,6 @@ impl Measurements {
             Err(error) => self.warnings.push(format!("exposure not compared: {error}")),
         }
     }
-}
-
-/// Ratio of the largest to the smallest exposure [stops].
-fn range_stops(exposures: &[f64]) -> f64 {
-    let ends = |pick: fn(f64, f64) -> f64| exposures.iter().copied().reduce(pick);
-    let (low, high) = (ends(f64::min), ends(f64::max));
-    low.zip(high).map_or(0.0, |(low, high)| (high / low).log2())
 }
 
 /// Peak resident memory of the process [bytes]; Linux only.

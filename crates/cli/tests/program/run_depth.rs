@@ -267,8 +267,7 @@ fn a_known_or_found_readout_makes_better_maps() {
     let known = rolling_metrics(&data, &scratch.join("known"), &known);
     let found =
         rolling_metrics(&data, &scratch.join("found"), &input("optimise_rolling_shutter = true"));
-    println!("PSNR [dB], ATE [m], readout [s]: ignored {ignored:?}, known {known:?}");
-    println!("found {found:?}, true {READOUT}");
+    println!("PSNR [dB], ATE [m], readout [s]: {ignored:?}, known {known:?}, found {found:?}");
     assert_eq!((ignored[2], known[2]), (0.0, READOUT));
     assert!(known[0] > ignored[0] + 0.5 && found[0] > ignored[0] + 0.5);
     assert!(known[1] < 0.8 * ignored[1] && found[1] < 0.9 * ignored[1]);

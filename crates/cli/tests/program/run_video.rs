@@ -316,8 +316,7 @@ fn the_lens_is_found_and_removed() {
     let video = footage.video("wide.mp4", &bent(28));
     let ran = footage.run(&video, &["--distortion", "estimate"]).exits_with(0);
     assert!(ran.out.contains("lens distortion: k1 -0."), "{}", ran.out);
-    let ran = ran.stderr_contains("lens distortion: k1 -0.");
-    println!("{}", ran.err);
+    ran.stderr_contains("lens distortion: k1 -0.");
     let out = footage.scratch.join("out");
     let metrics = read_json(&out.join("metrics.json"));
     let found = |i: usize| metrics["lens_distortion"][i].as_f64().expect("a number");

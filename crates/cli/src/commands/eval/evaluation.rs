@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// All figures of an evaluation.
 #[derive(Default)]
 pub(super) struct Evaluation {
-    pub(super) protocol: &'static str,
+    pub(super) protocol: String,
     pub(super) trajectory: Option<trajectory::TrajectoryErrors>,
     pub(super) pictures: Option<PictureErrors>,
     /// Mean pose corrections; `None` without pose optimisation.
@@ -40,7 +40,7 @@ impl Evaluation {
     /// One flat object with all results, and an array of frames.
     pub(super) fn json(&self) -> Result<Value, Failure> {
         let mut object = Map::new();
-        object.insert("protocol".to_owned(), self.protocol.into());
+        object.insert("protocol".to_owned(), self.protocol.as_str().into());
         object.insert("poses_optimised".to_owned(), self.corrections.is_some().into());
         if let Some(errors) = &self.trajectory {
             object.extend(errors.json()?);
@@ -125,7 +125,7 @@ impl Evaluation {
     fn source(&self) -> EvaluationSource {
         let pictures = self.pictures.as_ref();
         EvaluationSource {
-            protocol: self.protocol.to_owned(),
+            protocol: self.protocol.clone(),
             list: pictures.and_then(|pictures| pictures.list.clone()),
             frames: pictures.map(PictureErrors::frames).unwrap_or_default(),
             trajectory: self.true_trajectory.clone(),

@@ -248,14 +248,8 @@ fn find_reference(arguments: &Eval, estimate: &Estimate) -> Result<Option<Refere
 }
 
 /// Name on the command line.
-fn protocol_name(protocol: Protocol) -> &'static str {
-    match protocol {
-        Protocol::AllFrames => "all-frames",
-        Protocol::I2slam => "i2slam",
-        Protocol::Splatam => "splatam",
-        Protocol::Monogs => "monogs",
-        Protocol::HeldOut => "held-out",
-    }
+fn protocol_name(protocol: Protocol) -> String {
+    protocol.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -328,25 +328,14 @@ fn radiance_values(common: &HdrError, each: &HdrError, frames: usize) -> Vec<Met
         decimals,
         value: Some(value),
     };
-    let (stops, db) = ("stops", "dB");
+    let db = |key, label, value| figure(key, label, "dB", 2, value);
+    let (log2, mu_law) = ("log2 PSNR, gain per channel", "mu-law, gain per channel");
     vec![
         figure("hdr_frames", "radiance: frames evaluated", "", 0, frames as f64),
-        figure("hdr_log2_rmse_stops", "log2 radiance RMSE", stops, 3, common.log2_rmse_stops),
-        figure("hdr_log2_psnr_db", "log2 radiance PSNR", db, 2, common.log2_psnr_db),
-        figure("hdr_mu_law_psnr_db", "mu-law PSNR", db, 2, common.mu_law_psnr_db),
-        figure(
-            "hdr_log2_psnr_channel_gains_db",
-            "log2 PSNR, gain per channel",
-            db,
-            2,
-            each.log2_psnr_db,
-        ),
-        figure(
-            "hdr_mu_law_psnr_channel_gains_db",
-            "mu-law, gain per channel",
-            db,
-            2,
-            each.mu_law_psnr_db,
-        ),
+        figure("hdr_log2_rmse_stops", "log2 radiance RMSE", "stops", 3, common.log2_rmse_stops),
+        db("hdr_log2_psnr_db", "log2 radiance PSNR", common.log2_psnr_db),
+        db("hdr_mu_law_psnr_db", "mu-law PSNR", common.mu_law_psnr_db),
+        db("hdr_log2_psnr_channel_gains_db", log2, each.log2_psnr_db),
+        db("hdr_mu_law_psnr_channel_gains_db", mu_law, each.mu_law_psnr_db),
     ]
 }

@@ -1,7 +1,7 @@
 //! Statistics of the pictures: depth, brightness, sharpness.
 
 use crate::failure::Failure;
-use crate::ground_truth::GroundTruth;
+use crate::ground_truth::{GroundTruth, range_stops};
 use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::dataset::{DatasetError, Frame, Layout, Sequence};
@@ -230,9 +230,6 @@ impl SharpnessStats {
 }
 
 fn exposure_range(truth: &GroundTruth) -> Option<f64> {
-    let stops = truth.exposure.iter().map(|(_, exposure)| exposure.log2());
-    let (low, high) = stops.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), stop| {
-        (low.min(stop), high.max(stop))
-    });
-    (!truth.exposure.is_empty()).then_some(high - low)
+    let exposures: Vec<f64> = truth.exposure.iter().map(|(_, exposure)| *exposure).collect();
+    (!exposures.is_empty()).then(|| range_stops(&exposures))
 }
