@@ -16,7 +16,6 @@ pub const PRESET_NAMES: [&str; 10] = [
     "paper-rgb-s",
 ];
 
-/// Presets for colour alone.
 const RGB_PRESETS: [&str; 3] = ["default-rgb", "paper-rgb", "paper-rgb-s"];
 
 impl Default for Config {

@@ -215,7 +215,6 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
     }
 }
 
-/// Positions of the keyframes in the sequence.
 fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize> {
     found.keyframes.iter().filter_map(|keyframe| positions.get(keyframe.index).copied()).collect()
 }

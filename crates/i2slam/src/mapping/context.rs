@@ -17,7 +17,6 @@ pub(crate) type OnStep<'a> = &'a mut dyn FnMut(usize, usize) -> bool;
 pub(crate) struct MappingContext<'a> {
     pub(crate) config: &'a Config,
     pub(crate) camera: &'a Camera<f64>,
-    /// All frames so far.
     pub(crate) frames: &'a mut [FrameEstimate],
     /// Keyframes so far, without the current frame.
     pub(crate) keyframes: &'a [Keyframe],
@@ -74,7 +73,6 @@ pub(super) struct IterationBudget {
 }
 
 impl IterationBudget {
-    /// A budget that starts now.
     pub(super) fn start(config: &Config) -> Self {
         Self { start: Instant::now(), limit: f64::from(config.mapping.seconds_per_frame) }
     }

@@ -27,7 +27,6 @@ pub(super) struct FrameOptimizers {
     frames: BTreeMap<usize, FrameOptimizer>,
 }
 
-/// Optimiser state of one keyframe.
 struct FrameOptimizer {
     exposure: Adam,
     white_balance: Adam,
@@ -40,7 +39,6 @@ struct FrameOptimizer {
 pub(super) struct ResponseGradients(BTreeMap<usize, CurveGradient<f32>>);
 
 impl ResponseGradients {
-    /// Adds the derivative of one frame.
     pub(super) fn add(&mut self, response: usize, gradient: CurveGradient<f32>) {
         match self.0.entry(response) {
             Entry::Vacant(entry) => drop(entry.insert(gradient)),

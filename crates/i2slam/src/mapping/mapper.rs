@@ -14,7 +14,6 @@ use std::sync::Arc;
 
 /// A map that grows with tracked frames.
 pub(crate) trait Mapper: Send {
-    /// Whether the map has no content yet.
     fn is_empty(&self) -> bool;
 
     /// Invalid settings for which the map could not be started.
@@ -47,7 +46,6 @@ pub(crate) trait Mapper: Send {
     /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
     fn finish(&mut self, context: &mut MappingContext<'_>, on_step: OnStep<'_>);
 
-    /// A copy of the map.
     fn map(&self) -> Map;
 }
 

@@ -20,7 +20,6 @@ pub(super) struct Backend {
 }
 
 impl Backend {
-    /// A back end with an empty map.
     pub(super) fn new(config: &Config, camera: &Camera<f64>) -> Self {
         let mapper: Box<dyn Mapper> = match config.map.kind {
             MapKind::Gaussian => Box::new(GaussianMapper::new(config, camera)),
@@ -51,7 +50,6 @@ impl Backend {
         self.pending = Some(current);
     }
 
-    /// Maps the enqueued frame, if any.
     pub(super) fn map_pending(&mut self, config: &Config, camera: &Camera<f64>) {
         let Some(current) = self.pending.take() else { return };
         let clock = Instant::now();

@@ -229,7 +229,6 @@ pub(super) struct FrameTracker<'a> {
     pub(super) readout: SequenceReadout,
     /// All frames before.
     pub(super) frames: &'a [FrameEstimate],
-    /// The last keyframe.
     pub(super) keyframe: Option<&'a Keyframe>,
     /// Index and value of the last response.
     pub(super) response: (usize, &'a CameraResponse<f32>),

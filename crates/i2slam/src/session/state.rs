@@ -26,7 +26,6 @@ pub(super) struct SessionState {
 }
 
 impl SessionState {
-    /// The state before the first frame.
     pub(super) fn new(config: &Config) -> Self {
         Self {
             frames: Vec::new(),
@@ -59,12 +58,10 @@ impl SessionState {
         }
     }
 
-    /// Adds a warning about a frame.
     pub(super) fn warn(&mut self, index: usize, text: impl Display) {
         self.warnings.push(Warning::of_frame(index, text));
     }
 
-    /// A copy of everything estimated so far.
     pub(super) fn reconstruction(
         &self,
         config: &Config,

@@ -112,7 +112,6 @@ impl Viewer<'_> {
         Sampling::with_method(method, formation, frame.blur_length, frame.readout)
     }
 
-    /// A sharp render from a world-from-camera pose.
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render {
         let last = self.last_render.take().filter(|(from, _)| *from == world_from_camera);
         let render =

@@ -36,7 +36,6 @@ pub struct OptimisedPose {
     pub error_after: f64,
 }
 
-/// A pose with its picture and error.
 struct Candidate {
     pose: Pose<f64>,
     picture: Image<f32>,

@@ -21,7 +21,6 @@ pub(crate) struct TileGrid {
     pub(crate) height: usize,
     /// Tiles in a row.
     pub(crate) columns: usize,
-    /// Rows of tiles.
     pub(crate) rows: usize,
 }
 
@@ -60,7 +59,6 @@ impl Entry {
         Self(splat as u64 | (first as u64) << 32 | (end as u64) << 40)
     }
 
-    /// Index of the splat.
     #[inline(always)]
     pub(crate) fn splat(self) -> usize {
         (self.0 & 0xffff_ffff) as usize
@@ -73,7 +71,6 @@ impl Entry {
     }
 }
 
-/// The list of one tile.
 #[derive(Clone, Copy)]
 pub(crate) struct List<'a>(&'a [AtomicU64]);
 
@@ -110,7 +107,6 @@ impl Bins {
         self.entries.len()
     }
 
-    /// The list of one tile.
     #[inline(always)]
     pub(crate) fn list(&self, tile: usize) -> impl ExactSizeIterator<Item = Entry> + '_ {
         let range = self.starts[tile] as usize..self.starts[tile + 1] as usize;

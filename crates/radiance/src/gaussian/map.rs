@@ -180,7 +180,6 @@ impl<T: Real> MapGradient<T> {
         gradient
     }
 
-    /// Number of Gaussians.
     pub(crate) fn len(&self) -> usize {
         self.means.len()
     }
@@ -195,7 +194,6 @@ impl<T: Real> MapGradient<T> {
         refill(&mut self.seen, count, false);
     }
 
-    /// All rows, to write.
     pub(crate) fn rows(&mut self) -> GradientRows<'_, T> {
         GradientRows {
             means: &mut self.means,
@@ -239,7 +237,6 @@ pub(crate) struct GradientRows<'a, T> {
 }
 
 impl<T: Real> GradientRows<'_, T> {
-    /// Adds to one row.
     pub(crate) fn add(&mut self, row: usize, g: &Gaussian<T>, seen: bool) {
         (0..3).for_each(|k| self.means[row][k] += g.mean[k]);
         (0..3).for_each(|k| self.log_scales[row][k] += g.log_scale[k]);

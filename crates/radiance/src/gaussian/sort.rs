@@ -18,7 +18,6 @@ pub(crate) fn item(depth: f32, index: u32) -> u64 {
     (u64::from(depth.to_bits()) << 32) | u64::from(index)
 }
 
-/// The index of an item.
 pub(crate) fn index(item: u64) -> usize {
     (item & 0xffff_ffff) as usize
 }

@@ -72,7 +72,6 @@ impl<T: Real> FieldParameters<T> {
         }
     }
 
-    /// True if the lengths agree.
     pub(crate) fn fits(&self, other: &Self) -> bool {
         let lengths = |p: &Self| [p.table.len(), p.density.len(), p.colour.len()];
         lengths(self) == lengths(other)
@@ -100,7 +99,6 @@ impl<T: Real> HashGridField<T> {
         Ok(field)
     }
 
-    /// A field whose parameters are zero.
     pub(crate) fn zeros(settings: FieldSettings) -> Result<Self, SettingsError> {
         let mut field = Self::without_parameters(settings)?;
         let [table, density, colour] = field.lengths().map(|length| vec![T::zero(); length]);

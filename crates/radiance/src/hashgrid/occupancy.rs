@@ -316,7 +316,6 @@ impl Occupancy {
         }
     }
 
-    /// Renew the bits and the blocks.
     fn update_bits(&mut self) {
         let density = |cell: usize| self.densities[cell];
         let cells: Vec<usize> = self.allowed_cells().filter(|&cell| density(cell) > 0.0).collect();
@@ -341,7 +340,6 @@ fn all_bits(count: usize) -> Vec<u64> {
     words
 }
 
-/// True if a bit is set.
 fn is_set(words: &[u64], bit: usize) -> bool {
     words[bit / 64] >> (bit % 64) & 1 == 1
 }

@@ -88,7 +88,6 @@ impl Field {
 }
 
 impl FieldMapper {
-    /// For frames of `camera`.
     pub(crate) fn new(camera: &Camera<f64>) -> Self {
         Self {
             camera: camera.cast(),
@@ -139,7 +138,6 @@ impl FieldMapper {
         }
     }
 
-    /// Marks the cells around the surfaces of a frame.
     fn mark_surfaces(&mut self, context: &MappingContext<'_>, pose: Pose<f64>, depth: &Image<f32>) {
         let Some(Field { current, .. }) = &mut self.field else { return };
         let shell = context.config.parameters.field.shell;

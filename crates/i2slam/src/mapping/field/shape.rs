@@ -3,27 +3,19 @@
 use crate::config::Config;
 use i2slam_radiance::hashgrid::FieldSettings;
 
-/// Size of a radiance field: grids, cells and distances of samples.
+/// Settings and [`FieldParameters`](crate::config::FieldParameters) that a field is made by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::mapping) struct FieldShape {
-    /// Grids from coarse to fine.
     pub(super) levels: usize,
-    /// Binary logarithm of the entries of a grid.
     pub(super) log2_table: u32,
-    /// Edge of the cells of the finest grid [m].
     pub(super) finest_cell: f32,
-    /// Units of a hidden layer.
     pub(super) hidden_width: usize,
-    /// Occupancy cells along an edge of the cube.
     pub(super) occupancy_cells: u32,
-    /// Distance of samples over their distance from the camera.
     pub(super) step: f32,
-    /// Smallest distance of samples [m].
     pub(super) step_min: f32,
 }
 
 impl FieldShape {
-    /// Shape of a field by the settings alone.
     pub(in crate::mapping) fn new(config: &Config) -> Self {
         let (settings, parameters) = (&config.hashgrid, &config.parameters.field);
         Self {

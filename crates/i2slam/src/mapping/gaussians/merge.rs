@@ -220,7 +220,6 @@ mod tests {
         map
     }
 
-    /// Sum of the areas of all Gaussians.
     fn area(map: &GaussianMap) -> f32 {
         (0..map.len()).map(|i| log_area(map, i).exp()).sum()
     }

@@ -50,7 +50,6 @@ fn empty_map(config: &Config) -> GaussianMap {
 }
 
 impl GaussianMapper {
-    /// An empty map for frames of `camera`.
     pub(crate) fn new(config: &Config, camera: &Camera<f64>) -> Self {
         Self {
             camera: camera.cast(),
@@ -64,7 +63,6 @@ impl GaussianMapper {
         }
     }
 
-    /// The map and its objective.
     pub(super) fn map_and_objective(&mut self) -> (&GaussianMap, &mut FrameObjective<GaussianMap>) {
         (&self.current.map, &mut self.current.objective)
     }

@@ -44,7 +44,6 @@ impl GaussianOptimizer {
         }
     }
 
-    /// Resets all moments and step counts.
     pub(crate) fn reset(&mut self) {
         let gradient = std::mem::replace(&mut self.gradient, MapGradient::new(0));
         *self = Self { gradient, ..Self::new() };

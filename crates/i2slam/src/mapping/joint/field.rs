@@ -113,7 +113,6 @@ struct Schedule {
 }
 
 impl JointFieldMapper {
-    /// The schedule for the current field.
     fn schedule(&self, config: &Config) -> Schedule {
         let (keyframed, steps) = (&config.parameters.keyframed, config.hashgrid.final_iterations);
         match self.field.as_ref().is_some_and(|field| field.shells.is_some()) {

@@ -78,7 +78,6 @@ pub(super) struct FieldCube {
 }
 
 impl FieldCube {
-    /// The cube for all keyframes.
     pub(super) fn of_keyframes(context: &MappingContext<'_>) -> Self {
         let positions: Vec<Vec3<f64>> =
             context.keyframes.iter().map(|k| position(context, k)).collect();

@@ -20,7 +20,6 @@ pub(super) struct FrameLocator {
 }
 
 impl FrameLocator {
-    /// For frames of a video of `frame_rate` frames per second.
     pub(super) fn new(frame_rate: f64, readout: SequenceReadout) -> Self {
         Self { frame_rate, scale: TrajectoryScale::from_frame_rate(frame_rate), readout }
     }

@@ -48,6 +48,5 @@ pub(crate) trait JointMapper: Send {
     /// Restricts the image terms to recorded pixels.
     fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>);
 
-    /// A copy of the map.
     fn map(&self) -> Map;
 }

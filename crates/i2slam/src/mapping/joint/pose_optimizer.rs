@@ -135,7 +135,6 @@ fn norm_preserving(matrix: &ShutterHessian) -> ShutterHessian {
     matrix.map(|row| row.map(|v| factor * v))
 }
 
-/// Product of a symmetric matrix and a vector.
 fn multiply(matrix: &ShutterHessian, vector: [f64; 12]) -> [f64; 12] {
     matrix.map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum())
 }

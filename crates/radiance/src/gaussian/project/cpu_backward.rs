@@ -210,7 +210,6 @@ impl Group {
         put(&mut self.curvature, place, &sum.curvature);
     }
 
-    /// The gradient of the Gaussian at `place`.
     #[inline(always)]
     pub(super) fn gradient(&self, place: usize) -> Gaussian<f32> {
         let [m, s, c] = [&self.d_mean, &self.d_log_scale, &self.d_colour];

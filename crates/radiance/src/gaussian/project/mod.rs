@@ -19,9 +19,7 @@ pub(crate) use stages::Frame;
 /// of half the field of view beyond the image; outside it is taken at the border.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct JacobianRange<T> {
-    /// Smallest `x/z` and `y/z`.
     pub(crate) low: [T; 2],
-    /// Largest `x/z` and `y/z`.
     pub(crate) high: [T; 2],
 }
 

@@ -14,7 +14,6 @@ pub(crate) struct Footprint<T> {
     pub(crate) index: usize,
     /// Centre `μ` at mid-exposure \[px\].
     pub(crate) centre: [T; 2],
-    /// Motion of the centre.
     pub(crate) path: Path<T>,
     /// `Σ₂⁻¹ = [[A, B], [B, C]]` as `[A, B, C]` \[px⁻²\].
     pub(crate) conic: [T; 3],

@@ -16,7 +16,6 @@ use rayon::prelude::*;
 /// Splats between two checks whether all pixels have ended.
 pub(super) const LOOK: usize = 32;
 
-/// Composites all tiles.
 pub(crate) fn render(
     arch: Arch,
     settings: &RasterSettings,

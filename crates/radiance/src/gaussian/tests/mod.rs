@@ -140,7 +140,6 @@ pub(super) fn flat<const N: usize>(values: &[[f64; N]]) -> Vec<f64> {
     values.as_flattened().to_vec()
 }
 
-/// Back from [`flat`].
 pub(super) fn from_flat<const N: usize>(values: &[f64]) -> Vec<[f64; N]> {
     values.as_chunks::<N>().0.to_vec()
 }

@@ -18,7 +18,6 @@ const C3: [f64; 5] = [
     1.445_305_721_320_277,
 ];
 
-/// The functions at the unit vector `n`.
 pub(crate) fn harmonics<T: Real>([x, y, z]: [T; 3]) -> [T; HARMONICS] {
     let k = T::of;
     let (xx, yy, zz) = (x * x, y * y, z * z);

@@ -74,7 +74,6 @@ pub(super) fn slopes_of<const F: usize>(
     out
 }
 
-/// Rows as plain slices.
 #[inline(always)]
 fn flat<const F: usize, const N: usize>(rows: &[Rows<F>; N]) -> [&[f32]; N] {
     let mut out = [rows[0].as_flattened(); N];
@@ -172,7 +171,6 @@ pub(super) fn axes(positions: &[[f32; 3]]) -> [[f32; GROUP]; 3] {
     axes
 }
 
-/// The entries of a level.
 #[inline(always)]
 pub(super) fn entries<'a, const F: usize>(table: &'a [f32], level: &Level) -> &'a [[f32; F]] {
     &table.as_chunks::<F>().0[level.first..level.first + level.entries]

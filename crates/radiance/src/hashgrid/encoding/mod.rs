@@ -27,7 +27,6 @@ pub(crate) const PRIMES: [u32; 3] = [1, 2_654_435_761, 805_459_861];
 pub(crate) struct Level {
     /// `s_l`: nodes per unit of length.
     pub(crate) scale: f64,
-    /// Factors of the coordinates.
     pub(crate) factors: [u32; 3],
     /// True if the index is a hash.
     pub(crate) hashed: bool,

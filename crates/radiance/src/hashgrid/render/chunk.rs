@@ -34,7 +34,6 @@ impl FieldContext<'_> {
     }
 }
 
-/// Sampling of rays.
 pub(super) struct RaySampling<'a> {
     pub(super) settings: &'a MarchSettings,
     pub(super) occupancy: &'a Occupancy,

@@ -10,7 +10,6 @@ use crate::hashgrid::network::product::padded;
 use harmonics::HARMONICS;
 use i2slam_geometry::Vec3;
 
-/// Gradients to compute.
 #[derive(Clone, Copy)]
 pub(super) struct Requested {
     pub(super) field: bool,

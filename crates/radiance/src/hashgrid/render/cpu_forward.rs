@@ -180,7 +180,6 @@ fn exponents<'a>(
     }
 }
 
-/// Renders the rays of a chunk.
 pub(super) fn render(
     scene: &FieldContext<'_>,
     march: &RaySampling<'_>,

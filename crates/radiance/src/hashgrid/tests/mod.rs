@@ -77,7 +77,6 @@ pub(super) fn ray_row<T: Real>(gradient: &RayGradient<T>) -> [f64; 6] {
     [a, b, c, d, e, f].map(Real::to_f64)
 }
 
-/// In `f32`.
 pub(super) fn single(render: &RayRender<f64>) -> RayRender {
     RayRender {
         radiance: render.radiance.map(|v| v as f32),

@@ -135,7 +135,8 @@ impl<const MAP: bool> WithSimd for Backward<'_, MAP> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { stage, slots: Slots { slots, motion }, mut passed, rows, .. } = self;
         let limits = Limits::new(simd, self.settings);
-        let (mut moving, alive) = (moving_splat::none(), moving_splat::all_alive(stage.times));
+        let (mut moving, alive) =
+            ([MovingSplat::default(); BATCH], moving_splat::all_alive(stage.times));
         let moments = stage.times.count;
         for batch in (0..slots.len().div_ceil(BATCH)).rev() {
             let start = batch * BATCH;

@@ -1,7 +1,7 @@
 //! Compositing of all moments of a tile.
 
 use super::RowTimes;
-use super::moving_splat::{self, MovingSplat, Stage};
+use super::moving_splat::{self, BATCH, MovingSplat, Stage};
 use super::{MomentRow, PACK};
 use crate::gaussian::RasterSettings;
 use crate::gaussian::bin::{Bins, TILE, TileGrid};
@@ -151,7 +151,8 @@ impl WithSimd for Composite<'_> {
         for (limits, minimum) in limits.iter_mut().zip(&self.minimum) {
             limits.transmittance_min = simd.splat_f32s(*minimum);
         }
-        let (mut moving, mut alive) = (moving_splat::none(), moving_splat::all_alive(stage.times));
+        let (mut moving, mut alive) =
+            ([MovingSplat::default(); BATCH], moving_splat::all_alive(stage.times));
         let mut visited = 0;
         while visited < stage.list.len() && states.any_alive(simd, &mut alive) {
             let count = stage.load(simd, visited, &alive, &mut moving);

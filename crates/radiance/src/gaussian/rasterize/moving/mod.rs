@@ -51,7 +51,6 @@ impl RowTimes {
         Self { moments: motion.counted(), readout: motion.counted_readout(), height }
     }
 
-    /// The moments in packs.
     pub(super) fn packs(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let count = self.moments.len();
         (0..count).step_by(PACK).map(move |first| first..(first + PACK).min(count))

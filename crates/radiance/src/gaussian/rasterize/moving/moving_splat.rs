@@ -198,11 +198,6 @@ fn half_height<S: Simd>(splat: &Splat, ellipse: &Ellipse, dx: Lanes<S>) -> Lanes
     rest.sqrt().scale(splat.height_at_centre) + dx.constant(0.01)
 }
 
-/// No moving yet.
-pub(super) fn none() -> [MovingSplat; BATCH] {
-    [MovingSplat::default(); BATCH]
-}
-
 /// 1 for the moments that a pack has, 0 beyond.
 pub(super) fn all_alive(times: &TileTimes) -> Column {
     let mut alive = [0.0; PACK];
