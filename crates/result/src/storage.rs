@@ -116,8 +116,8 @@ impl ResultError {
         Self::Read { path: path.to_owned(), source }
     }
 
-    pub(crate) fn format(path: &Path, message: String) -> Self {
-        Self::Format { path: path.to_owned(), message }
+    pub(crate) fn format(path: &Path, message: impl Into<String>) -> Self {
+        Self::Format { path: path.to_owned(), message: message.into() }
     }
 }
 

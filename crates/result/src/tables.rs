@@ -178,10 +178,7 @@ pub(crate) fn read_frames(
     let content = read_text(&path)?;
     let mut lines = content.lines();
     if lines.next() != Some(FRAME_COLUMNS.join(",").as_str()) {
-        return Err(ResultError::format(
-            &path,
-            "does not begin with the expected column names".to_owned(),
-        ));
+        return Err(ResultError::format(&path, "does not begin with the expected column names"));
     }
     let shutters = shutters(&folder.join("trajectory_shutter.txt"))?;
     let rows: Vec<&str> = lines.filter(|l| !l.is_empty()).collect();

@@ -84,34 +84,24 @@ fn info_tells_of_a_video() {
 }
 
 #[test]
-fn three_frames_are_too_few() {
-    let footage = Footage::new("video-three");
-    let video = footage.video("short.mp4", &walk(3, 0.06));
-    let ran = footage.run(&video, &[]).exits_with(1);
-    ran.stderr_contains("no path of the camera was found")
+fn videos_without_a_path_say_why() {
+    let footage = Footage::new("video-no-path");
+    let short = footage.run(&footage.video("short.mp4", &walk(3, 0.06)), &[]).exits_with(1);
+    short
+        .stderr_contains("no path of the camera was found")
         .stderr_contains("3 pictures are too few");
-}
-
-#[test]
-fn a_still_camera_is_told() {
-    let footage = Footage::new("video-still");
-    let video = footage.video("still.mp4", &walk(12, 0.0));
-    footage.run(&video, &[]).exits_with(1).stderr_contains("the camera stands still");
+    let still = footage.video("still.mp4", &walk(12, 0.0));
+    footage.run(&still, &[]).exits_with(1).stderr_contains("the camera stands still");
     assert!(!footage.scratch.join("out").exists(), "nothing was written");
     // Nor the folders above it, but those that were there.
     fs::create_dir(footage.scratch.join("mine")).expect("room");
-    Ran::of(&mut footage.quick("mine/a/b", &video, &[])).exits_with(1);
+    Ran::of(&mut footage.quick("mine/a/b", &still, &[])).exits_with(1);
     assert!(footage.scratch.join("mine").exists() && !footage.scratch.join("mine/a").exists());
-}
-
-#[test]
-fn a_camera_that_only_turns_is_told() {
-    let footage = Footage::new("video-turn");
     let turn = |i: u32| View { turned: 0.02 * f64::from(i), ..View::moved(0.0) };
     let views: Vec<(u32, View)> = (0..16).map(|i| (20 * i, turn(i))).collect();
-    let video = footage.video("turn.mp4", &views);
+    let turning = footage.video("turn.mp4", &views);
     for more in [&[][..], &["--fov", "63.2"]] {
-        footage.run(&video, more).exits_with(1).stderr_contains("the camera only turned");
+        footage.run(&turning, more).exits_with(1).stderr_contains("the camera only turned");
     }
 }
 

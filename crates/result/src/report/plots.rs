@@ -80,14 +80,12 @@ fn path_view(
     let explanation =
         "Where the camera was, in the directions of its first frame; one scale on both axes.";
     Plot {
-        title: title.to_owned(),
-        explanation: explanation.to_owned(),
         x_label: x_label.to_owned(),
-        y_label: y_label.to_owned(),
         horizontal: Horizontal::EqualScales,
         from_zero: false,
         series,
         marks: marks.collect(),
+        ..over_frames(title, explanation, y_label)
     }
     .html()
 }
