@@ -34,6 +34,20 @@ pub(crate) fn parse_number(
     }
 }
 
+/// Parses the first words as finite numbers, with the names of their columns for the error.
+pub(crate) fn parse_numbers<const N: usize>(
+    path: &Path,
+    line: usize,
+    names: [&str; N],
+    words: &[&str],
+) -> Result<[f64; N], DatasetError> {
+    let mut values = [0.0; N];
+    for ((value, word), name) in values.iter_mut().zip(words).zip(names) {
+        *value = parse_number(path, line, name, word)?;
+    }
+    Ok(values)
+}
+
 /// `1 frame`, `3 frames`: for words with a plural in s.
 pub(crate) fn counted(count: usize, word: &str) -> String {
     format!("{count} {word}{}", if count == 1 { "" } else { "s" })

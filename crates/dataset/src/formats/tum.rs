@@ -4,7 +4,7 @@ use super::association::{Association, AssociationRules, associate};
 use super::poses::{UNIT_TOLERANCE, unit_length_error};
 use super::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing};
 use crate::camera::{Calibration, Distortion, FormatDefaults};
-use crate::text::{counted, data_lines, parse_number, read_text};
+use crate::text::{counted, data_lines, parse_number, parse_numbers, read_text};
 use crate::{DatasetError, OpenOptions};
 use i2slam_geometry::{Pose, Rotation, StampedPose, Trajectory, Vec3};
 use std::fmt::Write;
@@ -51,11 +51,7 @@ fn read_pose(
         );
         return Err(DatasetError::line(path, line, reason));
     }
-    let mut v = [0.0; 8];
-    for ((value, text), name) in v.iter_mut().zip(columns).zip(COLUMNS) {
-        *value = parse_number(path, line, name, text)?;
-    }
-    let [timestamp, tx, ty, tz, qx, qy, qz, qw] = v;
+    let [timestamp, tx, ty, tz, qx, qy, qz, qw] = parse_numbers(path, line, COLUMNS, &columns)?;
     let rotation = Rotation::from_wxyz(qw, qx, qy, qz).ok_or_else(|| {
         DatasetError::line(path, line, "the quaternion is zero, expected one of length 1")
     })?;
@@ -231,15 +227,11 @@ pub(super) fn eth3d_calibration(path: &Path) -> Result<Calibration, DatasetError
         return Err(DatasetError::empty(path, expected));
     };
     let words: Vec<&str> = content.split_whitespace().collect();
-    let [fx, fy, cx, cy] = words[..] else {
+    if words.len() != 4 {
         let reason = format!("{} numbers, expected {expected}", words.len());
         return Err(DatasetError::line(path, line, reason));
-    };
-    let names = ["fx", "fy", "cx", "cy"];
-    let mut k = [0.0; 4];
-    for ((value, word), name) in k.iter_mut().zip([fx, fy, cx, cy]).zip(names) {
-        *value = parse_number(path, line, name, word)?;
     }
+    let k = parse_numbers(path, line, ["fx", "fy", "cx", "cy"], &words)?;
     if k[0] <= 0.0 || k[1] <= 0.0 {
         return Err(DatasetError::line(path, line, "fx and fy must be positive"));
     }

@@ -107,6 +107,17 @@ fn large_pictures_are_made_smaller_where_that_is_asked_for() {
 }
 
 #[test]
+fn pictures_may_lie_in_a_folder_of_a_known_name() {
+    let folder = Folder::new();
+    for i in 0..3 {
+        folder.write(&format!("images/frame{i}.jpg"), picture(None, &[120; 3 * 64 * 48]));
+    }
+    let sequence = open(&folder, &alone());
+    assert!(sequence.len() == 3 && sequence.entries[2].depth.is_none());
+    assert_eq!(sequence.entries[2].timestamp, 2.0 / 30.0);
+}
+
+#[test]
 fn cameras_are_read_from_files_of_many_kinds() {
     let folder = pictures(None);
     // Pixel centres at one half: fx 50, fy 51, cx 32, cy 24.

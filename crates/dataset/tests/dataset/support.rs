@@ -111,7 +111,9 @@ pub(crate) fn open(folder: &Folder) -> Result<Sequence, DatasetError> {
 }
 
 /// Opens keyframes without a folder of images, with the default options.
-pub(crate) fn import(path: impl AsRef<Path>) -> Result<ImportedKeyframes, DatasetError> {
+pub(crate) fn import(
+    path: &(impl AsRef<Path> + ?Sized),
+) -> Result<ImportedKeyframes, DatasetError> {
     ImportedKeyframes::open(path.as_ref(), None, &ImportOptions::default())
 }
 

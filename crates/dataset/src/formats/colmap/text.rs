@@ -3,7 +3,7 @@
 use super::camera::ModelCamera;
 use super::{ModelImage, ModelPoint, parse_pose};
 use crate::DatasetError;
-use crate::text::{data_lines, parse_number, read_text};
+use crate::text::{data_lines, parse_number, parse_numbers, read_text};
 use i2slam_geometry::Vec3;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -83,12 +83,9 @@ fn parse_image(file: &Path, line: usize, content: &str) -> Result<ModelImage, Da
         );
         return Err(DatasetError::line(file, line, reason));
     }
-    let mut v = [0.0; 7];
     let names = ["qw", "qx", "qy", "qz", "tx", "ty", "tz"];
-    for ((value, word), name) in v.iter_mut().zip(&words[1..8]).zip(names) {
-        *value = parse_number(file, line, name, word)?;
-    }
-    let pose = parse_pose([v[0], v[1], v[2], v[3]], [v[4], v[5], v[6]]);
+    let [qw, qx, qy, qz, tx, ty, tz] = parse_numbers(file, line, names, &words[1..8])?;
+    let pose = parse_pose([qw, qx, qy, qz], [tx, ty, tz]);
     Ok(ModelImage {
         id: parse_integer(file, line, "image", words[0])?,
         camera: parse_integer(file, line, "camera", words[8])?,

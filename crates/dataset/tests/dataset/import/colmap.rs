@@ -148,7 +148,7 @@ fn a_binary_model_holds_the_same() {
     }
     let binary = import(&folder).expect("opens");
     assert_eq!(all(&binary), all(&text));
-    let by_file = import(folder.join("sparse/0/images.bin"));
+    let by_file = import(&folder.join("sparse/0/images.bin"));
     assert_eq!(by_file.expect("opens").keyframes, text.keyframes);
 }
 

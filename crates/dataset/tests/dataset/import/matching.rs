@@ -118,7 +118,7 @@ fn the_text_of_a_model_is_read_where_it_is_named() {
     let folder = text_model(5, &[0, 2, 3]);
     write_binary(&folder, &[1, 4]);
     let len = |path: &str| {
-        let files = import(folder.join(path));
+        let files = import(&folder.join(path));
         files.expect("opens").len()
     };
     assert_eq!(["sparse/0/images.txt", "sparse/0/images.bin", ""].map(len), [3, 2, 2]);

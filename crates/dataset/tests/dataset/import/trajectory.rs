@@ -123,29 +123,11 @@ fn unusable_lines_are_named() {
 #[test]
 fn what_holds_no_keyframes_is_refused() {
     let folder = colour_sequence(2);
-    let open = |name: &str| import(folder.join(name));
+    let open = |name: &str| import(&folder.join(name));
     assert_says(open("nothing"), &["no keyframes", "found nothing", "timestamp tx ty tz"]);
     assert_says(open("rgb"), &["found 000.png, 001.png"]);
     folder.write("notes.md", "hello");
     assert_says(open("notes.md"), &["notes.md holds no keyframes", "another kind"]);
-}
-
-#[test]
-fn plain_folders_of_pictures_open_too() {
-    let from = colour_sequence(3);
-    let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
-    for prefix in ["", "images/"] {
-        let folder = Folder::new();
-        folder.write("camera.json", std::fs::read(from.join("camera.json")).expect("reads"));
-        for i in 0..3 {
-            let picture = std::fs::read(from.join(&format!("rgb/{i:03}.png"))).expect("reads");
-            folder.write(&format!("{prefix}frame{i}.png"), picture);
-        }
-        let sequence = Sequence::open(&folder.0, &options).expect("opens");
-        assert_eq!(sequence.len(), 3);
-        assert!(sequence.entries[2].depth.is_none());
-        assert_eq!(sequence.entries[2].timestamp, 2.0 / 30.0);
-    }
 }
 
 #[test]
