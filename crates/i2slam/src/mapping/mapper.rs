@@ -22,7 +22,9 @@ pub(crate) trait Mapper: Send {
     }
 
     /// Number of Gaussians; 0 of a map without.
-    fn gaussians(&self) -> usize;
+    fn gaussians(&self) -> usize {
+        0
+    }
 
     /// Restricts the image terms to recorded pixels.
     fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>);

@@ -2,7 +2,7 @@
 
 use super::backend::Backend;
 use super::error::{SessionError, check_image};
-use super::state::{SessionState, is_black};
+use super::state::is_black;
 use crate::config::{Config, ResponseScope};
 use crate::mapping::{Keyframe, Tracker};
 use crate::objective::Observation;
@@ -24,7 +24,7 @@ pub struct Session {
     scale: TrajectoryScale<f64>,
     readout: SequenceReadout,
     backend: Backend,
-    /// Copies of map and estimates to track against while mapping changes them.
+    /// Copies of map and estimates, which mapping may change while a frame is tracked.
     snapshot: Option<Box<dyn Tracker>>,
     frames_before: Vec<FrameEstimate>,
 }
@@ -134,10 +134,7 @@ impl Session {
     }
 
     fn track(&mut self, frame: &Frame, observation: &Observation, usable: bool) -> FrameEstimate {
-        let (mut estimate, result) = match self.config.mapping.beside_tracking {
-            true => self.track_while_mapping(frame, observation, usable),
-            false => self.track_on_map(frame, observation, usable),
-        };
+        let (mut estimate, result) = self.track_on_map(frame, observation, usable);
         let Some(result) = result else {
             estimate.tracked = usable && self.backend.mapper.is_empty();
             return estimate;
@@ -158,40 +155,17 @@ impl Session {
         estimate
     }
 
-    /// Tracks a frame against the map itself.
+    /// Tracks a frame against the map, or with `mapping.beside_tracking` against a snapshot of it,
+    /// and maps the frame before meanwhile.
     fn track_on_map(
         &mut self,
         frame: &Frame,
         observation: &Observation,
         usable: bool,
     ) -> (FrameEstimate, Option<TrackingResult>) {
-        let Backend { mapper, state, .. } = &mut self.backend;
-        let SessionState { frames, keyframes, responses, cancellation, .. } = state;
-        let last = responses.len() - 1;
-        let frame_tracker = FrameTracker {
-            config: &self.config,
-            camera: &self.camera,
-            frame_rate: self.frame_rate,
-            scale: self.scale,
-            readout: self.readout,
-            frames,
-            keyframe: keyframes.last(),
-            response: (last, &responses[last]),
-            cancellation,
-        };
-        let tracker = if usable { mapper.tracker() } else { None };
-        frame_tracker.track(tracker, frame, observation)
-    }
-
-    /// Tracks a frame against the snapshot of the map, and maps the frame before meanwhile.
-    fn track_while_mapping(
-        &mut self,
-        frame: &Frame,
-        observation: &Observation,
-        usable: bool,
-    ) -> (FrameEstimate, Option<TrackingResult>) {
         let (config, camera, backend) = (&self.config, &self.camera, &mut self.backend);
-        if self.snapshot.is_none() {
+        let beside = config.mapping.beside_tracking;
+        if beside && self.snapshot.is_none() {
             backend.map_pending(config, camera);
             self.snapshot = backend.snapshot(None);
         }
@@ -209,6 +183,10 @@ impl Session {
             response: (last, &backend.state.responses[last].clone()),
             cancellation: &backend.state.cancellation.clone(),
         };
+        if !beside {
+            let tracker = if usable { backend.mapper.tracker() } else { None };
+            return frame_tracker.track(tracker, frame, observation);
+        }
         let mut snapshot = self.snapshot.take();
         let tracker = snapshot.as_deref_mut().filter(|_| usable);
         let (tracked, ()) = rayon::join(
@@ -221,23 +199,23 @@ impl Session {
 }
 
 /// The parts of a session that tracking reads; mapping may change the rest meanwhile.
-pub(super) struct FrameTracker<'a> {
-    pub(super) config: &'a Config,
-    pub(super) camera: &'a Camera<f64>,
-    pub(super) frame_rate: f64,
-    pub(super) scale: TrajectoryScale<f64>,
-    pub(super) readout: SequenceReadout,
+struct FrameTracker<'a> {
+    config: &'a Config,
+    camera: &'a Camera<f64>,
+    frame_rate: f64,
+    scale: TrajectoryScale<f64>,
+    readout: SequenceReadout,
     /// All frames before.
-    pub(super) frames: &'a [FrameEstimate],
-    pub(super) keyframe: Option<&'a Keyframe>,
+    frames: &'a [FrameEstimate],
+    keyframe: Option<&'a Keyframe>,
     /// Index and value of the last response.
-    pub(super) response: (usize, &'a CameraResponse<f32>),
-    pub(super) cancellation: &'a CancellationToken,
+    response: (usize, &'a CameraResponse<f32>),
+    cancellation: &'a CancellationToken,
 }
 
 impl FrameTracker<'_> {
     /// Estimate and tracking result of a frame; without a `tracker` its pose is predicted.
-    pub(super) fn track(
+    fn track(
         &self,
         tracker: Option<&mut dyn Tracker>,
         frame: &Frame,

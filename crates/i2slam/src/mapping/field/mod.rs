@@ -271,10 +271,6 @@ impl Mapper for FieldMapper {
         self.failure
     }
 
-    fn gaussians(&self) -> usize {
-        0
-    }
-
     fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
         if let Some(field) = &mut self.field {
             field.current.objective.set_valid_mask(Arc::clone(&valid_mask));

@@ -5,7 +5,7 @@ use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::MapSnapshot;
-use crate::objective::{Evaluation, Exposure, FrameVariables, Sampling, Tone};
+use crate::objective::{Exposure, FrameVariables, Sampling, Tone};
 use i2slam_compute::Adam;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
 
@@ -66,7 +66,7 @@ impl GaussianOptimizer {
         target: &mut MapSnapshot<GaussianMap>,
         keyframe: &Keyframe,
         sampling: Sampling,
-    ) -> Evaluation {
+    ) {
         let MapSnapshot { map, objective } = target;
         let config = context.config;
         let estimate = &context.frames[keyframe.frame];
@@ -92,7 +92,6 @@ impl GaussianOptimizer {
         self.step_map(config, map);
         let gauge_frame = context.gauge_frame(keyframe);
         self.frames.step(context, keyframe.frame, gauge_frame, &mut evaluation);
-        evaluation
     }
 
     fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {

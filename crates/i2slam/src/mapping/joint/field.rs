@@ -7,8 +7,8 @@
 
 use super::JointMapper;
 use super::field_sampling::{
-    FieldCube, active_levels, blur_length_at_depth, contains_last_view, has_surfaces, mark_view,
-    pixel_budget, sample_pixels, surface_shape, surface_shells,
+    active_levels, blur_length_at_depth, contains_last_view, cube_of_keyframes, has_surfaces,
+    mark_view, pixel_budget, sample_pixels, surface_shape, surface_shells,
 };
 use super::localization::FrameLocator;
 use super::pose_optimizer::PoseOptimizers;
@@ -149,7 +149,7 @@ impl JointFieldMapper {
 
     /// Starts an untrained field that holds what all keyframes see.
     fn start(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
-        let FieldCube { centre, mut bound } = FieldCube::of_keyframes(context);
+        let (centre, mut bound) = cube_of_keyframes(context);
         if let Some(field) = &self.field {
             bound = bound.max(MIN_CUBE_GROWTH * field.map.field.settings().bound);
         }
@@ -399,8 +399,6 @@ impl JointMapper for JointFieldMapper {
         });
         locator.locate(context, (map, objective), frame, previous, context.frames)
     }
-
-    fn set_valid_mask(&mut self, _valid_mask: Arc<Image<bool>>) {}
 
     fn map(&self) -> Map {
         match &self.field {

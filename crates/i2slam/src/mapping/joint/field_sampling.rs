@@ -71,33 +71,24 @@ pub(super) fn active_levels(step: usize, coarse_steps: usize, levels: usize) -> 
 /// Share of `keyframed.reach` that a later camera without depth needs; a new cube grants all of it.
 const MIN_REACH_SHARE: f64 = 0.5;
 
-/// A cube: centre and half edge [unit of the poses].
-pub(super) struct FieldCube {
-    pub(super) centre: [f64; 3],
-    pub(super) bound: f64,
-}
-
-impl FieldCube {
-    pub(super) fn of_keyframes(context: &MappingContext<'_>) -> Self {
-        let positions: Vec<Vec3<f64>> =
-            context.keyframes.iter().map(|k| position(context, k)).collect();
-        let axis = |k: usize| {
-            let along = positions.iter().map(|p| p.to_array()[k]);
-            let (low, high) =
-                along.fold((f64::MAX, f64::MIN), |(low, high), x| (low.min(x), high.max(x)));
-            if low > high { 0.0 } else { 0.5 * (low + high) }
-        };
-        let centre = [axis(0), axis(1), axis(2)];
-        let settings = &context.config.hashgrid;
-        if settings.bound > 0.0 {
-            return Self { centre, bound: f64::from(settings.bound) };
-        }
-        let extents = context.keyframes.iter().map(|k| required_extent(context, k, centre, 1.0));
-        Self {
-            centre,
-            bound: f64::from(context.config.parameters.field.margin) * extents.fold(1e-3, f64::max),
-        }
+/// Centre and half edge of the cube for all keyframes [unit of the poses].
+pub(super) fn cube_of_keyframes(context: &MappingContext<'_>) -> ([f64; 3], f64) {
+    let positions: Vec<Vec3<f64>> =
+        context.keyframes.iter().map(|k| position(context, k)).collect();
+    let axis = |k: usize| {
+        let along = positions.iter().map(|p| p.to_array()[k]);
+        let (low, high) =
+            along.fold((f64::MAX, f64::MIN), |(low, high), x| (low.min(x), high.max(x)));
+        if low > high { 0.0 } else { 0.5 * (low + high) }
+    };
+    let centre = [axis(0), axis(1), axis(2)];
+    let settings = &context.config.hashgrid;
+    if settings.bound > 0.0 {
+        return (centre, f64::from(settings.bound));
     }
+    let extents = context.keyframes.iter().map(|k| required_extent(context, k, centre, 1.0));
+    let margin = f64::from(context.config.parameters.field.margin);
+    (centre, margin * extents.fold(1e-3, f64::max))
 }
 
 /// Whether a field holds what the last keyframe sees; always with `hashgrid.bound`.

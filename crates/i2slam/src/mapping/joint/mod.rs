@@ -46,7 +46,7 @@ pub(crate) trait JointMapper: Send {
     ) -> bool;
 
     /// Restricts the image terms to recorded pixels.
-    fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>);
+    fn set_valid_mask(&mut self, _valid_mask: Arc<Image<bool>>) {}
 
     fn map(&self) -> Map;
 }

@@ -238,20 +238,7 @@ impl KeyframeSession {
         let context = self.state.mapping_context(&self.config, &self.camera, keyframes);
         (self.mapper.as_mut(), context)
     }
-}
 
-/// Warns of a changed setting that has no effect in this kind of session.
-fn unused_setting(config: &Config) -> Option<Warning> {
-    let preset = Config::preset(&config.preset).ok()?.formation.quadrature;
-    let is_field = config.map.kind == MapKind::HashGrid;
-    (is_field && preset != config.formation.quadrature).then(|| {
-        "`formation.quadrature` has no effect here: the moments of the exposure are drawn at \
-         random within equal parts of it"
-            .into()
-    })
-}
-
-impl KeyframeSession {
     /// Whether the `number`-th keyframe, from 0, is held out (`mapping.hold_out`).
     pub fn holds_out(&self, number: usize) -> bool {
         self.config.mapping.holds_out(number)
@@ -345,6 +332,17 @@ impl KeyframeSession {
             None => input,
         }
     }
+}
+
+/// Warns of a changed setting that has no effect in this kind of session.
+fn unused_setting(config: &Config) -> Option<Warning> {
+    let preset = Config::preset(&config.preset).ok()?.formation.quadrature;
+    let is_field = config.map.kind == MapKind::HashGrid;
+    (is_field && preset != config.formation.quadrature).then(|| {
+        "`formation.quadrature` has no effect here: the moments of the exposure are drawn at \
+         random within equal parts of it"
+            .into()
+    })
 }
 
 #[cfg(test)]

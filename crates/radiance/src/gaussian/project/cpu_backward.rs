@@ -6,7 +6,7 @@
 //! by `-φ ×` themselves. The covariance of a ball does not turn, so that only `J` is left of it.
 
 use super::stages::{Axes, Frame, Parameters, Stages, put};
-use super::{CHUNK, Chunk, MotionFrame, PathCotangents, Splat};
+use super::{CHUNK, Chunk, MotionFrame, Splat};
 use crate::gaussian::bin::Bins;
 use crate::gaussian::map::GradientRows;
 use crate::gaussian::rasterize::{MotionTileSums, TileSums};
@@ -133,7 +133,8 @@ impl<const ANISOTROPIC: bool, const MAP: bool> WithSimd for PullBack<'_, ANISOTR
                     for at in bins.places_of(index, splat) {
                         sum.add(&slots[at]);
                     }
-                    group.load_motion(place, &sum);
+                    put(&mut group.velocity, place, &sum.velocity);
+                    put(&mut group.curvature, place, &sum.curvature);
                     sums.readout += f64::from(sum.readout);
                 }
             }
@@ -205,12 +206,6 @@ impl Group {
     }
 
     #[inline(always)]
-    pub(super) fn load_motion(&mut self, place: usize, sum: &MotionTileSums) {
-        put(&mut self.velocity, place, &sum.velocity);
-        put(&mut self.curvature, place, &sum.curvature);
-    }
-
-    #[inline(always)]
     pub(super) fn gradient(&self, place: usize) -> Gaussian<f32> {
         let [m, s, c] = [&self.d_mean, &self.d_log_scale, &self.d_colour];
         let q = &self.d_rotation;
@@ -256,7 +251,11 @@ impl Group {
             (turn[k] - moment[k]).store(&mut self.pose[3 + k]);
         }
         if let Some(path) = &path {
-            self.store_ends(path);
+            for end in 0..2 {
+                for k in 0..6 {
+                    path.ends[end][k].store(&mut self.ends[end][k]);
+                }
+            }
         }
         if MAP {
             let mut d_mean = transform(&frame.world_from_camera, d_p);
@@ -267,15 +266,6 @@ impl Group {
                 d_mean[k].store(&mut self.d_mean[k]);
             }
             self.pull_back_appearance(simd, frame.activation);
-        }
-    }
-
-    #[inline(always)]
-    fn store_ends<S: Simd>(&mut self, path: &PathCotangents<S>) {
-        for end in 0..2 {
-            for k in 0..6 {
-                path.ends[end][k].store(&mut self.ends[end][k]);
-            }
         }
     }
 

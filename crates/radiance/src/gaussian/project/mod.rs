@@ -11,7 +11,6 @@ mod stages;
 
 pub(crate) use cpu_backward::{Footprints, PoseSums};
 pub(crate) use cpu_forward::{Projection, project};
-use path::PathCotangents;
 pub(crate) use path::{MotionFrame, Path};
 pub(crate) use stages::Frame;
 

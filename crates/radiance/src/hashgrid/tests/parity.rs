@@ -49,16 +49,7 @@ fn outcome(
     }
 }
 
-fn fast(arch: Arch, field: &HashGridField<f64>, occupancy: &Occupancy) -> Outcome {
-    fast_keeping(true, arch, field, occupancy)
-}
-
-fn fast_keeping(
-    slopes: bool,
-    arch: Arch,
-    field: &HashGridField<f64>,
-    occupancy: &Occupancy,
-) -> Outcome {
+fn fast(slopes: bool, arch: Arch, field: &HashGridField<f64>, occupancy: &Occupancy) -> Outcome {
     let field = field.cast::<f32>();
     let rays: Vec<Ray> = rays(RAYS, 2).iter().map(Ray::cast).collect();
     let mut renderer = FieldRenderer::on(arch, march());
@@ -127,7 +118,7 @@ fn lanes_agree() {
         for arch in instruction_sets() {
             for slopes in [true, false] {
                 let name = format!("{name} {arch:?}, slopes {slopes}");
-                assert_lanes(&name, &fast_keeping(slopes, arch, &field, &occupancy), &expected);
+                assert_lanes(&name, &fast(slopes, arch, &field, &occupancy), &expected);
             }
         }
     }
@@ -146,7 +137,11 @@ fn empty_cells_are_marched_over() {
     let full = occupancy.clone();
     occupancy.refresh(&field.cast(), &mut FieldRenderer::new(march()), 1);
     assert!((0.05..0.95).contains(&occupancy.occupied_share()), "{}", occupancy.occupied_share());
-    assert_lanes("sparse", &fast(Arch::new(), &field, &occupancy), &plain(&field, &occupancy));
+    assert_lanes(
+        "sparse",
+        &fast(true, Arch::new(), &field, &occupancy),
+        &plain(&field, &occupancy),
+    );
     assert_marched(&field.cast(), &full, &occupancy);
 }
 
@@ -186,7 +181,7 @@ fn assert_marched(field: &HashGridField, full: &Occupancy, occupancy: &Occupancy
 fn results_do_not_depend_on_the_number_of_threads() {
     let field = field(FieldSettings { levels: 8, ..settings() }, 4);
     on_any_threads(|| {
-        let outcome = fast(Arch::new(), &field, &Occupancy::new(coarse()));
+        let outcome = fast(true, Arch::new(), &field, &Occupancy::new(coarse()));
         (outcome.renders, outcome.gradient, outcome.rays)
     });
 }
@@ -198,5 +193,5 @@ fn another_field_is_told_apart() {
     let (mut field, occupancy) = (field(settings(), 4), Occupancy::new(coarse()));
     let expected = plain(&field, &occupancy);
     field.parameters_mut()[1][0] += 0.01;
-    assert_lanes("changed", &fast(Arch::new(), &field, &occupancy), &expected);
+    assert_lanes("changed", &fast(true, Arch::new(), &field, &occupancy), &expected);
 }
