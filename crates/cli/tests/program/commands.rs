@@ -77,7 +77,7 @@ fn presets_are_listed_and_printed() {
         assert!(list.contains(name), "{name}");
     }
     let printed = run(["presets", "paper-synthetic"]).exits_with(0).out;
-    for words in ["[tracking]", "# Adam steps per frame", "# Source: ", "`second-order`: "] {
+    for words in ["[tracking]", "# Adam steps per frame", "Paper: 5", "`second-order`"] {
         assert!(printed.contains(words), "{words} is not in\n{printed}");
     }
     run(["presets", "none"]).exits_with(2);
