@@ -94,59 +94,41 @@ mod tests {
     const RULES: AssociationRules = AssociationRules { tolerance: 0.08, minimum_gap: 1.0 / 32.0 };
 
     #[test]
-    fn pairs_with_the_nearest_depth_inside_the_tolerance() {
-        let a = associate(&[0.0, 1.0, 2.0], &[0.07, 0.99, 2.09], None, RULES);
-        assert_eq!(a.pairs, vec![(0, 0), (1, 1)]);
-        assert_eq!((a.without_depth, a.too_close), (1, 0));
-        assert!((a.nearest_gap - 0.01).abs() < 1e-12);
-    }
-
-    #[test]
-    fn thins_against_the_last_kept_frame() {
-        let stamps = [0.0, 0.03, 0.06, 0.0915, 0.125];
-        let a = associate(&stamps, &stamps, None, RULES);
-        assert_eq!(a.pairs, vec![(0, 0), (2, 2), (3, 3), (4, 4)]);
-        assert_eq!(a.too_close, 1);
-        let all = associate(&stamps, &stamps, None, AssociationRules { minimum_gap: 0.0, ..RULES });
-        assert_eq!(all.pairs.len(), 5);
-    }
-
-    #[test]
-    fn thirty_frames_a_second_are_all_kept() {
+    fn colour_pairs_with_the_nearest_depth_and_frames_are_thinned() {
+        let all = AssociationRules { minimum_gap: 0.0, ..RULES };
+        let close = [0.0, 0.03, 0.06, 0.0915, 0.125];
+        let (one, two) = ([0.0, 1.0, 2.0], [0.07, 0.99, 2.09]);
+        // Pairs, then frames without depth, without a pose, and too close to the one before.
+        for (colour, depth, poses, rules, pairs, dropped) in [
+            (&one[..], &two[..], None, RULES, vec![(0, 0), (1, 1)], [1, 0, 0]),
+            (&close, &close, None, RULES, vec![(0, 0), (2, 2), (3, 3), (4, 4)], [0, 0, 1]),
+            (&close, &close, None, all, (0..5).map(|i| (i, i)).collect(), [0, 0, 0]),
+            (&one, &one, Some(&[0.95, 2.05][..]), RULES, vec![(1, 1), (2, 2)], [0, 1, 0]),
+        ] {
+            let a = associate(colour, depth, poses, rules);
+            assert_eq!(a.pairs, pairs);
+            assert_eq!([a.without_depth, a.without_pose, a.too_close], dropped);
+        }
+        assert!((associate(&one, &two, None, RULES).nearest_gap - 0.01).abs() < 1e-12);
         let stamps: Vec<f64> = (0..80).map(|i| (i as f64 / 30.0 * 1e6).round() / 1e6).collect();
         assert_eq!(associate(&stamps, &stamps, None, RULES).pairs.len(), 80);
     }
 
     #[test]
-    fn frames_outside_the_ground_truth_are_dropped() {
-        let stamps = [0.0, 1.0, 2.0];
-        let a = associate(&stamps, &stamps, Some(&[0.95, 2.05]), RULES);
-        assert_eq!(a.pairs, vec![(1, 1), (2, 2)]);
-        assert_eq!(a.without_pose, 1);
-    }
-
-    #[test]
-    fn a_sparse_pose_takes_one_image() {
-        let associated =
-            associate_poses(&[0.034, 0.2], &[0.0, 0.033, 0.066, 0.1, 0.133, 0.166, 0.2], 0.08);
-        assert_eq!(associated.pairs, vec![(0, 1), (1, 6)]);
-        assert!((associated.widest_gap - 0.001).abs() < 1e-12);
-    }
-
-    #[test]
-    fn the_nearest_of_dense_poses_is_taken() {
-        let poses: Vec<f64> = (0..20).map(|i| 0.01 * f64::from(i)).collect();
-        assert_eq!(
-            associate_poses(&poses, &[0.0, 0.031, 0.068], 0.08).pairs,
-            vec![(0, 0), (3, 1), (7, 2)]
-        );
-    }
-
-    #[test]
-    fn other_clocks_and_duplicates_do_not_pair() {
-        let associated = associate_poses(&[5.0, 6.0], &[0.0, 1.0], 0.08);
-        assert_eq!((associated.pairs.len(), associated.nearest_gap), (0, 4.0));
-        assert_eq!(associate_poses(&[1.0, 1.0], &[1.0, 2.0], 0.08).pairs, vec![(0, 0)]);
-        assert!(associate_poses(&[1.0], &[], 0.08).pairs.is_empty());
+    fn poses_pair_with_images_that_are_mutually_nearest() {
+        let dense: Vec<f64> = (0..20).map(|i| 0.01 * f64::from(i)).collect();
+        let video = [0.0, 0.033, 0.066, 0.1, 0.133, 0.166, 0.2];
+        for (poses, images, pairs) in [
+            (&[0.034, 0.2][..], &video[..], vec![(0, 1), (1, 6)]),
+            (&dense, &[0.0, 0.031, 0.068], vec![(0, 0), (3, 1), (7, 2)]),
+            (&[1.0, 1.0], &[1.0, 2.0], vec![(0, 0)]),
+            (&[1.0], &[], vec![]),
+        ] {
+            assert_eq!(associate_poses(poses, images, 0.08).pairs, pairs);
+        }
+        let sparse = associate_poses(&[0.034, 0.2], &video, 0.08);
+        assert!((sparse.widest_gap - 0.001).abs() < 1e-12);
+        let other_clock = associate_poses(&[5.0, 6.0], &[0.0, 1.0], 0.08);
+        assert_eq!((other_clock.pairs.len(), other_clock.nearest_gap), (0, 4.0));
     }
 }
