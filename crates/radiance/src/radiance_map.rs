@@ -94,10 +94,7 @@ impl<T: Real> RenderCotangent<T> {
         ]
     }
 
-    /// The five planes `[r, g, b, depth, opacity]`; `None` stands for zeros.
-    ///
-    /// # Panics
-    /// If an image has data but not the size of the view.
+    /// The planes `[r, g, b, depth, opacity]`, of the size of the view; `None` stands for zeros.
     pub(crate) fn planes(&self, width: usize, height: usize) -> [Option<&[T]>; 5] {
         let plane = |image: &'_ Image<T>, channels: usize| {
             let fits = (image.width, image.height, image.channels) == (width, height, channels);
@@ -137,9 +134,8 @@ pub trait RadianceMap {
     /// Writes what `view` shows into `out`, whose allocation is reused.
     fn render(&self, renderer: &mut Self::Renderer, view: &View<f32>, out: &mut Render);
 
-    /// Pulls `∂L/∂render` back through the last [`render`](Self::render) of `renderer`, which must
-    /// have been of this view. Adds `∂L/∂map` to `gradient` when it is given, and returns `∂L/∂ξ`
-    /// for the pose `world_from_camera.retract(ξ)`.
+    /// Pulls `∂L/∂render` back through the last [`render`](Self::render), which was of this view.
+    /// Adds `∂L/∂map` to `gradient` if given; returns `∂L/∂ξ` for `world_from_camera.retract(ξ)`.
     fn pull_back(
         &self,
         renderer: &mut Self::Renderer,

@@ -35,10 +35,9 @@ pub struct RefinedImport<L> {
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
-    /// Refines the imported `poses` [world from camera] of keyframes of `camera` by `odometry`, which
-    /// was run on their pictures in any size; `load` reads the picture at a position. `None` if too
-    /// few keyframes were posed, or for a rolling shutter, which the poses of files do not describe.
-    /// After `cancellation` no depth is estimated.
+    /// Refines the imported `poses` [world from camera] by `odometry`, which was run on their
+    /// pictures in any size; `load` reads the picture at a position. `None` for a rolling shutter
+    /// or if too few keyframes were posed. After `cancellation` no depth is estimated.
     pub fn new<P>(
         camera: Camera<f64>,
         mut poses: Vec<Pose<f64>>,

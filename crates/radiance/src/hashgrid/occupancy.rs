@@ -269,11 +269,10 @@ impl Occupancy {
         ((x * self.settings.resolution as f32) as u32).min(self.settings.resolution - 1)
     }
 
-    /// Look at the field again, at one random place in each of some cells: all of them the first
-    /// [`full_updates`](OccupancySettings::full_updates) times, later a quarter of all and a quarter
-    /// as many of the occupied ones, both drawn at random. Of a cell that is looked at the larger
-    /// of the decayed old and the new density is kept. Cells that are not [allowed](Self::restrict_to)
-    /// are left out. torch-ngp updates every 16 training steps.
+    /// Samples the field again at a random place of some cells: all of them the first
+    /// [`full_updates`](OccupancySettings::full_updates) times, later a random quarter of all and
+    /// as many occupied ones. Of the decayed old and the new density the larger is kept. Cells that
+    /// are not [allowed](Self::restrict_to) are left out. torch-ngp updates every 16 steps.
     pub fn refresh(&mut self, field: &HashGridField, renderer: &mut FieldRenderer, seed: u64) {
         let mut random = Random::new(seed ^ (u64::from(self.updates) << 32));
         let mut chosen: Vec<usize> = self.allowed_cells().collect();

@@ -24,12 +24,9 @@ impl FrameLocator {
         Self { frame_rate, scale: TrajectoryScale::from_frame_rate(frame_rate), readout }
     }
 
-    /// Moves `estimate` from its initial pose to where its picture fits the map best, and estimates
-    /// its motion during exposure and its tone. `previous` is the frame before it if known;
-    /// the losses of `others` set what counts as a good fit. Returns whether the frame was found,
-    /// as `estimate.tracked` does; a frame that was not found stays.
-    ///
-    /// Depth is not compared: the observation takes that of the map.
+    /// Moves `estimate` to where its picture, without depth, fits the map best, with motion during
+    /// exposure and tone. `previous` is the frame before it if known; the losses of `others` set
+    /// what counts as a good fit. Returns whether it was found; a frame that was not stays.
     pub(super) fn locate<M: RadianceMap>(
         &mut self,
         context: &MappingContext<'_>,

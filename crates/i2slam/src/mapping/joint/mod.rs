@@ -18,18 +18,11 @@ use std::sync::Arc;
 
 /// A map that is optimised together with the poses of its keyframes.
 pub(crate) trait JointMapper: Send {
-    /// Adds the last keyframe of the context and optimises for some steps.
-    ///
-    /// # Errors
-    ///
-    /// Settings that allow no map.
+    /// Adds the last keyframe and optimises for some steps; fails by settings that allow no map.
     fn add(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError>;
 
-    /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
-    ///
-    /// # Errors
-    ///
-    /// Settings that allow no map.
+    /// Final optimisation; stops when `on_step(done, total)` returns false, and fails as
+    /// [`add`](Self::add).
     fn finish(
         &mut self,
         context: &mut MappingContext<'_>,

@@ -244,10 +244,9 @@ impl KeyframeSession {
         self.config.mapping.holds_out(number)
     }
 
-    /// Localises a frame that is no keyframe, after [`finish`](Self::finish): its picture alone
-    /// refines its pose, which starts relative to the nearest keyframe as in the source, and
-    /// estimates its motion during exposure and its tone. Nothing else changes. Frames best come in
-    /// order.
+    /// Localises a frame that is no keyframe, after [`finish`](Self::finish), best in order: its
+    /// picture refines its pose, which starts relative to the nearest keyframe as in the source,
+    /// and estimates its motion during exposure and its tone. Nothing else changes.
     ///
     /// # Errors
     ///

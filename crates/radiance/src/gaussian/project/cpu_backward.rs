@@ -51,10 +51,7 @@ impl PoseSums {
 }
 
 impl Footprints<'_> {
-    /// Pulls the sums back to the map and, one sum per chunk, to the pose.
-    ///
-    /// # Panics
-    /// If `map_gradient` is not of the map's size.
+    /// Pulls the sums back to the pose, one sum per chunk, and to a map gradient of the map's size.
     pub(crate) fn pull_back(
         &self,
         map_gradient: Option<&mut MapGradient>,

@@ -159,11 +159,7 @@ impl RadianceMap for GaussianMap {
         timed(&mut seconds.copy_out, || tile::copy_out(grid, tiles, None, out));
     }
 
-    /// Sums are in `f64`, in a fixed order.
-    ///
-    /// # Panics
-    /// If `self`, `view` or `gradient` has not the size of the last render, or an image of the
-    /// cotangent has data of another size.
+    /// Sums are in `f64`, in a fixed order. Panics if a size is not that of the last render.
     fn pull_back(
         &self,
         rasterizer: &mut Rasterizer,
@@ -194,15 +190,11 @@ impl RadianceMap for GaussianMap {
         Tangent::from_array(sums.middle)
     }
 
-    /// Gaussians are projected, sorted and listed once; only the blend repeats. Exact are the
-    /// projections of the means at shutter open, at mid-exposure and at shutter close; in between
-    /// and beyond, where rows of a rolling shutter are exposed earlier or later, a mean follows the
-    /// parabola through these three (`project/path.rs`). The covariance of a footprint, its depth
-    /// and the order of depths are those at mid-exposure. Gaussians that are nearer than
-    /// [`RasterSettings::near`] at any of the three are left out.
-    ///
-    /// With zero velocity it shows what [`render`](Self::render) shows: exactly for one moment, up
-    /// to rounding for several.
+    /// Gaussians are projected, sorted and listed once; only the blend repeats. Means are projected
+    /// exactly at shutter open, mid-exposure and shutter close, and follow the parabola through
+    /// these three (`project/path.rs`); covariance, depth and order are those at mid-exposure.
+    /// Gaussians nearer than [`RasterSettings::near`] at any of the three are left out. At rest it
+    /// shows what [`render`](Self::render) shows, up to rounding for several moments.
     fn render_moving(
         &self,
         rasterizer: &mut Rasterizer,
@@ -227,10 +219,8 @@ impl RadianceMap for GaussianMap {
         (rasterizer.tiles, rasterizer.states) = (tiles, states);
     }
 
-    /// The approximations of [`render_moving`](Self::render_moving) are differentiated exactly.
-    ///
-    /// # Panics
-    /// As [`pull_back`](Self::pull_back), and if the `motion` is another.
+    /// Differentiates [`render_moving`](Self::render_moving) exactly. Panics as
+    /// [`pull_back`](Self::pull_back), and if the `motion` is another.
     fn pull_back_moving(
         &self,
         rasterizer: &mut Rasterizer,

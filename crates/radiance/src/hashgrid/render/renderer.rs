@@ -36,9 +36,8 @@ impl FieldRenderer {
         Self { arch, ..Self::new(march) }
     }
 
-    /// Makes the next renders keep the slopes that derivatives by rays need, so that
-    /// [`pull_back`](Self::pull_back) reads the table only once: faster, for about twice the
-    /// memory. Off at first; gradients are equal up to rounding. Returns the setting before.
+    /// Makes renders keep the slopes of the table for [`pull_back`](Self::pull_back): faster, for
+    /// twice the memory, equal up to rounding. Returns the setting before.
     pub fn keep_slopes(&mut self, keep: bool) -> bool {
         std::mem::replace(&mut self.keep_slopes, keep)
     }
