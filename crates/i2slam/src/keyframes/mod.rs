@@ -11,6 +11,7 @@ pub use monocular::{
     OdometryReconstruction, OdometryWarning, Stage,
 };
 pub use refined_import::RefinedImport;
+pub(crate) use row_rectification::project_rolling;
 
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};

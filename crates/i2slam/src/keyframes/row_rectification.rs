@@ -4,8 +4,27 @@ use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_odometry::{Keyframe, Reconstruction};
 
-/// Fixed-point iterations that find the row which saw a point.
+/// Fixed-point iterations that find the row which saw a point; each multiplies the error by the
+/// share of the picture's height by which the point moves during readout.
 const ROW_ITERATIONS: usize = 3;
+
+/// Projection \[px\] by a rolling shutter with a readout \[exposures\] of a point, given in the
+/// camera of the middle row; `velocity` is the camera motion over the exposure.
+pub(crate) fn project_rolling(
+    camera: &Camera<f64>,
+    velocity: Tangent<f64>,
+    readout: f64,
+    point: Vec3<f64>,
+) -> Option<(f64, f64)> {
+    let mut seen = point;
+    let steps = if readout == 0.0 { 0 } else { ROW_ITERATIONS };
+    for _ in 0..steps {
+        let (_, v) = (seen.z > 0.0).then(|| camera.project(seen))?;
+        let time = readout * (v / camera.height as f64 - 0.5);
+        seen = Pose::identity().retract(velocity.scaled(time)).inverse() * point;
+    }
+    (seen.z > 0.0).then(|| camera.project(seen))
+}
 
 /// Camera motion during the readout of a picture.
 #[derive(Clone, Copy, Debug)]
@@ -33,17 +52,6 @@ impl ReadoutMotion {
         (found.rolling_shutter_readout != 0.0 && time > 0.0).then_some(Self { motion, depth })
     }
 
-    /// Rolling shutter projection of a point in the camera of the middle row [px].
-    fn project(&self, camera: &Camera<f64>, point: Vec3<f64>) -> Option<(f64, f64)> {
-        let mut at = camera.project(point);
-        for _ in 0..ROW_ITERATIONS {
-            let time = at.1 / camera.height as f64 - 0.5;
-            let there = Pose::identity().retract(self.motion.scaled(time)).inverse() * point;
-            at = (there.z > 0.0).then(|| camera.project(there))?;
-        }
-        Some(at)
-    }
-
     /// `picture` as exposed with the middle row throughout; border values are repeated.
     pub(super) fn rectified(&self, camera: &Camera<f64>, picture: &Image<f32>) -> Image<f32> {
         let (width, height) = (picture.width, picture.height);
@@ -51,7 +59,8 @@ impl ReadoutMotion {
         let mut out = picture.clone();
         for pixel in 0..width * height {
             let (u, v) = Camera::<f64>::pixel_centre(pixel % width, pixel / width);
-            let at = self.project(camera, camera.unproject(u, v, self.depth)).unwrap_or((u, v));
+            let point = camera.unproject(u, v, self.depth);
+            let at = project_rolling(camera, self.motion, 1.0, point).unwrap_or((u, v));
             let Some(tap) = picture.tap(inside(at.0, width), inside(at.1, height)) else {
                 continue;
             };
@@ -66,6 +75,21 @@ impl ReadoutMotion {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rolling_projection_agrees_with_the_row_that_saw_the_point() {
+        let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+        let velocity = Tangent::from_array([0.01, -0.02, 0.01, 0.03, 0.05, -0.02]);
+        let point = camera.unproject(20.3, 8.7, 1.8);
+        let (u, v) = project_rolling(&camera, velocity, 1.5, point).expect("in front");
+        let time = 1.5 * (v / 48.0 - 0.5);
+        let seen = Pose::identity().retract(velocity.scaled(time)).inverse() * point;
+        let (x, y) = camera.project(seen);
+        assert!((u - x).hypot(v - y) < 1e-3, "{u} {v} {x} {y}");
+        assert!((u - 20.3).hypot(v - 8.7) > 0.5, "{u} {v}");
+        let (u, v) = project_rolling(&camera, velocity, 0.0, point).expect("in front");
+        assert!((u - 20.3).hypot(v - 8.7) < 1e-9);
+    }
 
     #[test]
     fn a_rolling_picture_is_rectified() {

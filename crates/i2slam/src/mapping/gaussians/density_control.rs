@@ -1,6 +1,7 @@
 //! Densification and pruning of Gaussians (SplaTAM's rules).
 
 use crate::config::GaussianParameters;
+use crate::keyframes::project_rolling;
 use crate::objective::{Observation, Tone};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
@@ -127,26 +128,10 @@ fn push_gaussians(
     }
 }
 
-/// Fixed-point iterations that find the row which saw a point; each multiplies the error by the
-/// share of the picture's height by which the point moves during readout.
-const ROW_ITERATIONS: usize = 3;
-
-/// Rolling shutter projection of a point in the camera of the middle row [px].
-fn project_rolling(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<(f64, f64)> {
-    let mut seen = point;
-    let steps = if source.readout == 0.0 { 0 } else { ROW_ITERATIONS };
-    for _ in 0..steps {
-        let (_, v) = (seen.z > 0.0).then(|| source.camera.project(seen))?;
-        let time = source.readout * (v / source.camera.height as f64 - 0.5);
-        seen = Pose::identity().retract(source.velocity.scaled(time)).inverse() * point;
-    }
-    (seen.z > 0.0).then(|| source.camera.project(seen))
-}
-
 /// Radiance of a point in the camera at mid-exposure, from the picture; `None` outside of it.
 fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
     let colour = &source.observation.colour;
-    let (u, v) = project_rolling(source, point)?;
+    let (u, v) = project_rolling(source.camera, source.velocity, source.readout, point)?;
     if !source.camera.contains(u, v, 0.0) {
         return None;
     }
@@ -162,36 +147,4 @@ fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<[f32;
 
 pub(super) fn logit(share: f32) -> f32 {
     (share / (1.0 - share)).ln()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rolling_projection_agrees_with_the_row_that_saw_the_point() {
-        let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
-        let velocity = Tangent::from_array([0.01, -0.02, 0.01, 0.03, 0.05, -0.02]);
-        let observation = Observation::new(Image::new(64, 48, 3), Image::new(64, 48, 1));
-        let mut source = SourceFrame {
-            camera: &camera,
-            world_from_depth: Pose::identity(),
-            colour_from_depth: Pose::identity(),
-            velocity,
-            readout: 1.5,
-            observation: &observation,
-            depth: Arc::new(Image::new(64, 48, 1)),
-            tone: None,
-        };
-        let point = camera.unproject(20.3, 8.7, 1.8);
-        let (u, v) = project_rolling(&source, point).expect("in front");
-        let time = source.readout * (v / 48.0 - 0.5);
-        let seen = Pose::identity().retract(velocity.scaled(time)).inverse() * point;
-        let (x, y) = camera.project(seen);
-        assert!((u - x).hypot(v - y) < 1e-3, "{u} {v} {x} {y}");
-        assert!((u - 20.3).hypot(v - 8.7) > 0.5, "{u} {v}");
-        source.readout = 0.0;
-        let (u, v) = project_rolling(&source, point).expect("in front");
-        assert!((u - 20.3).hypot(v - 8.7) < 1e-9);
-    }
 }
