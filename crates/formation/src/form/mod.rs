@@ -15,39 +15,22 @@ use rayon::prelude::*;
 #[cfg(test)]
 mod tests;
 
-/// Radiance to picture, for one frame.
+/// Radiance to picture, for one frame: `picture_c = CRF_leaky(exposure · white_balance_c ·
+/// radiance_c)` (eqs. 8 to 11).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Formation<'a, T> {
-    /// `picture = radiance`, without clipping: no tone mapping at all.
-    Identity,
-    /// `picture_c = CRF_leaky(exposure · white_balance_c · radiance_c)` (eqs. 8 to 11).
-    Tone {
-        /// Exposure and white balance of the frame.
-        tone: &'a FrameTone<T>,
-        /// Response of the camera.
-        curve: &'a ResponseCurve<T>,
-    },
+pub struct Formation<'a, T = f32> {
+    /// Exposure and white balance of the frame.
+    pub tone: FrameTone<T>,
+    /// Response of the camera.
+    pub curve: &'a ResponseCurve<T>,
 }
 
-impl<'a, T: Real> Formation<'a, T> {
-    /// Formation through exposure, white balance and response.
-    pub fn new(tone: &'a FrameTone<T>, curve: &'a ResponseCurve<T>) -> Self {
-        Self::Tone { tone, curve }
-    }
-
-    /// Formation without tone mapping.
-    pub fn identity() -> Self {
-        Self::Identity
-    }
-
+impl<T: Real> Formation<'_, T> {
     /// The picture of `hdr`, the radiance averaged over the exposure (planes R, G, B).
     /// `picture` is given the shape of `hdr`. Values leave [0, 1] by at most the leaky clip.
     pub fn form(&self, hdr: &Image<T>, picture: &mut Image<T>) {
         shape_like(hdr, picture);
-        let Self::Tone { tone, curve } = self else {
-            picture.data.copy_from_slice(&hdr.data);
-            return;
-        };
+        let Self { tone, curve } = self;
         for channel in 0..hdr.channels {
             let gain = tone.gains()[channel.min(2)];
             let segments = curve.segments(channel);
@@ -75,10 +58,7 @@ impl<'a, T: Real> Formation<'a, T> {
     ) {
         assert_same_shape(hdr, d_picture);
         shape_like(hdr, d_hdr);
-        let Self::Tone { tone, curve } = self else {
-            d_hdr.data.copy_from_slice(&d_picture.data);
-            return;
-        };
+        let Self { tone, curve } = self;
         for channel in 0..hdr.channels {
             let gain = tone.gains()[channel.min(2)];
             let segments = curve.segments(channel);

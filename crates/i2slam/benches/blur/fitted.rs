@@ -1,10 +1,10 @@
 //! Maps fitted to recorded frames, and pictures of them.
 
 use i2slam::dataset::{Frame, OpenOptions, Sequence};
-use i2slam::formation::ShutterPoses;
+use i2slam::formation::{Formation, ShutterPoses};
 use i2slam::geometry::{Image, Pose};
 use i2slam::objective::{
-    BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling, Tone, blur_length,
+    BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling, blur_length,
 };
 use i2slam::radiance::gaussian::{GaussianMap, RasterSettings};
 use i2slam::{Config, FrameEstimate, Map, Reconstruction, Session};
@@ -58,7 +58,7 @@ impl Fitted {
         sampling: Sampling,
     ) -> Image<f32> {
         let curve = self.scene.responses[frame.response].curve();
-        let tone = Some(Tone { frame: frame.tone, curve: &curve });
+        let tone = Some(Formation { tone: frame.tone, curve: &curve });
         let variables = FrameVariables {
             exposure: Exposure { shutter, sampling, readout: 0.0, depth_pose: None },
             tone,

@@ -13,8 +13,8 @@ mod fitted;
 mod tables;
 
 use fitted::{Fitted, psnr};
-use i2slam::formation::{ShutterPoses, ShutterTangent};
-use i2slam::objective::{BlurMethod, Exposure, FrameVariables, Observation, Sampling, Tone};
+use i2slam::formation::{Formation, ShutterPoses, ShutterTangent};
+use i2slam::objective::{BlurMethod, Exposure, FrameVariables, Observation, Sampling};
 use i2slam::radiance::gaussian::MapGradient;
 use i2slam_check::processor_seconds;
 use std::time::Instant;
@@ -122,7 +122,7 @@ fn print_steps() -> Outcome {
         for (k, (_, shutter, sampling)) in cases.iter().enumerate() {
             let exposure =
                 Exposure { shutter: *shutter, sampling: *sampling, readout: 0.0, depth_pose: None };
-            let tone = Some(Tone { frame: frame.tone, curve: &curve });
+            let tone = Some(Formation { tone: frame.tone, curve: &curve });
             let (clock, before) = (Instant::now(), processor_seconds());
             let (map, variables) = (&fitted.map, FrameVariables { exposure, tone });
             let evaluation =

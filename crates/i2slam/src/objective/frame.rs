@@ -4,9 +4,7 @@ use super::Observation;
 use super::exposure::{Exposure, ExposureRenderer};
 use super::losses::{depth_error, depth_gradient, image_loss};
 use super::ssim::Ssim;
-use i2slam_formation::{
-    CurveGradient, Formation, FrameTone, FrameToneGradient, ResponseCurve, ShutterTangent,
-};
+use i2slam_formation::{CurveGradient, Formation, FrameToneGradient, ShutterTangent};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::RadianceMap;
 use i2slam_radiance::Render;
@@ -18,16 +16,7 @@ pub struct FrameVariables<'a> {
     /// Motion while the shutter is open.
     pub exposure: Exposure,
     /// Exposure, white balance and response; `None` forms pictures without tone.
-    pub tone: Option<Tone<'a>>,
-}
-
-/// Tone of a frame: the way from radiance to picture values.
-#[derive(Clone, Copy, Debug)]
-pub struct Tone<'a> {
-    /// Exposure and white balance.
-    pub frame: FrameTone<f32>,
-    /// Camera response.
-    pub curve: &'a ResponseCurve<f32>,
+    pub tone: Option<Formation<'a>>,
 }
 
 impl FrameVariables<'_> {
@@ -44,22 +33,25 @@ impl FrameVariables<'_> {
         d_hdr: &mut Image<f32>,
         evaluation: &mut Evaluation,
     ) {
-        let Some(Tone { frame, curve }) = &self.tone else {
+        let Some(formation) = &self.tone else {
             d_hdr.clone_from(d_picture);
             return;
         };
-        let mut d_curve = CurveGradient::zero(curve);
-        let formation = Formation::new(frame, curve);
+        let mut d_curve = CurveGradient::zero(formation.curve);
         formation.pull_back(hdr, d_picture, d_hdr, &mut evaluation.tone, &mut d_curve);
         evaluation.curve = Some(d_curve);
     }
 }
 
-/// Writes the picture formed from linear radiance.
-pub(crate) fn form_picture(tone: Option<&Tone<'_>>, hdr: &Image<f32>, picture: &mut Image<f32>) {
+/// Writes the picture formed from linear radiance; without tone, the radiance itself.
+pub(crate) fn form_picture(
+    tone: Option<&Formation<'_>>,
+    hdr: &Image<f32>,
+    picture: &mut Image<f32>,
+) {
     match tone {
-        Some(tone) => Formation::new(&tone.frame, tone.curve).form(hdr, picture),
-        None => Formation::identity().form(hdr, picture),
+        Some(formation) => formation.form(hdr, picture),
+        None => picture.clone_from(hdr),
     }
 }
 
@@ -279,7 +271,9 @@ mod tests {
     use super::*;
     use crate::objective::{BlurMethod, Sampling};
     use i2slam_check::{central_differences, noise, relative_error};
-    use i2slam_formation::{CameraResponse, NodeSpacing, Quadrature, ShutterPoses, StartCurve};
+    use i2slam_formation::{
+        CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve,
+    };
     use i2slam_geometry::Tangent;
     use i2slam_radiance::View;
     use i2slam_radiance::gaussian::{
@@ -353,7 +347,7 @@ mod tests {
                 readout: readout + x.get(16).unwrap_or(&0.0),
                 depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
             },
-            tone: Some(Tone { frame: tone, curve: &curve }),
+            tone: Some(Formation { tone: tone, curve: &curve }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         let mut d_map = MapGradient::new(60);
@@ -412,7 +406,7 @@ mod tests {
                 Sampling { virtual_cameras, quadrature: Quadrature::Midpoints, method, margin: 8 };
             let variables = FrameVariables {
                 exposure: Exposure { shutter, sampling, readout, depth_pose: None },
-                tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
+                tone: Some(Formation { tone: FrameTone::default(), curve: &curve }),
             };
             objective.predict(&map(), &variables).clone()
         };
@@ -445,7 +439,7 @@ mod tests {
         let motion = exposure.motion();
         let mut rasterizer = Rasterizer::new(smooth());
         map().render_moving(&mut rasterizer, &view, &motion, None, None, &mut moved);
-        let tone = Tone { frame: FrameTone::default(), curve: &curve };
+        let tone = Formation { tone: FrameTone::default(), curve: &curve };
         form_picture(Some(&tone), &moved.radiance, &mut picture);
         let (off, rolled) = (error(&picture, &image), error(&picture, &exact));
         assert!(off < 0.2 * rolled, "rolling: {off} {rolled}");
@@ -463,7 +457,7 @@ mod tests {
                 readout: 0.0,
                 depth_pose: None,
             },
-            tone: Some(Tone { frame: FrameTone::default(), curve: &curve }),
+            tone: Some(Formation { tone: FrameTone::default(), curve: &curve }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         objective.set_valid_mask(valid_mask);

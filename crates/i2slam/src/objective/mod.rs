@@ -14,6 +14,6 @@ pub(crate) use exposure::pull_back_to_middle;
 pub use exposure::{BlurMethod, Exposure, Sampling};
 pub use exposure::{blur_length, blur_length_at, virtual_camera_count};
 pub(crate) use frame::form_picture;
-pub use frame::{Evaluation, FrameObjective, FrameVariables, Tone};
+pub use frame::{Evaluation, FrameObjective, FrameVariables};
 pub use observation::Observation;
 pub use rays::{PixelBatch, RayObjective, ShutterHessian};

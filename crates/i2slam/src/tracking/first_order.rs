@@ -3,11 +3,11 @@
 use super::context::{TrackingContext, TrackingResult, TrackingState};
 use crate::config::{FormationConfig, TrackingParameters, WhiteBalanceModel};
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling, Tone,
+    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling,
 };
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
-    CameraResponse, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
+    CameraResponse, Formation, FrameTone, ResponseCurve, TrajectoryGradient, TrajectoryPair,
 };
 use i2slam_geometry::{Tangent, Vec3};
 use i2slam_radiance::RadianceMap;
@@ -124,7 +124,7 @@ fn evaluate<M: RadianceMap>(
             readout: state.readout,
             depth_pose: None,
         },
-        tone: curve.map(|curve| Tone { frame: state.tone, curve }),
+        tone: curve.map(|curve| Formation { tone: state.tone, curve }),
     };
     objective.track(map, observation, &variables, MIN_OPACITY, (IMAGE_WEIGHT, DEPTH_WEIGHT))
 }

@@ -5,10 +5,10 @@ mod pose_optimization;
 pub use pose_optimization::OptimisedPose;
 
 use crate::objective::{
-    BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling, Tone, form_picture,
+    BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling, form_picture,
 };
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
-use i2slam_formation::ResponseCurve;
+use i2slam_formation::{Formation, ResponseCurve};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::RadianceMap;
 use i2slam_radiance::Render;
@@ -79,7 +79,7 @@ impl Viewer<'_> {
         let (sampling, curve) = (self.sampling(frame), self.curve(frame));
         let (shutter, readout) = (frame.shutter, frame.readout);
         let exposure = Exposure { shutter, sampling, readout, depth_pose: None };
-        let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
+        let tone = curve.as_ref().map(|curve| Formation { tone: frame.tone, curve });
         self.map.predict(&FrameVariables { exposure, tone }).clone()
     }
 
@@ -121,7 +121,7 @@ impl Viewer<'_> {
 
     fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
         let curve = self.curve(frame);
-        let tone = curve.as_ref().map(|curve| Tone { frame: frame.tone, curve });
+        let tone = curve.as_ref().map(|curve| Formation { tone: frame.tone, curve });
         let mut picture = Image::default();
         form_picture(tone.as_ref(), &self.render(pose).radiance, &mut picture);
         picture

@@ -117,17 +117,20 @@ fn pull_back_is_the_transpose() {
 #[test]
 fn relative_motion_agrees_with_differences() {
     let cases = [
-        ("slanted wall", Case::new(Scene::wall, 3, 3)),
-        ("slanted wall, two views", Case::new(Scene::wall, 2, 4)),
-        ("board before a wall", Case::new(Scene::facing, 5, 5)),
-        ("slanted wall with a margin", Case::new(Scene::wall, 3, 9).with_margin(3)),
-        ("rolling shutter", Case::new(Scene::wall, 3, 9).rolling(1.3)),
-        ("rolling shutter, one view", Case::new(Scene::wall, 1, 10).rolling(-0.9).with_margin(3)),
+        (Case::new(Scene::wall, 3, 3), 1e-6),
+        (Case::new(Scene::wall, 2, 4), 1e-6),
+        (Case::new(Scene::facing, 5, 5), 1e-6),
+        // Between the ends, views follow the parabola in time.
+        (Case::new(Scene::wall, 7, 7), 1e-3),
+        (Case::new(Scene::wall, 3, 9).with_margin(3), 1e-6),
+        (Case::new(Scene::wall, 3, 9).rolling(1.3), 1e-6),
+        (Case::new(Scene::wall, 1, 10).rolling(-0.9).with_margin(3), 1e-6),
     ];
-    for (name, case) in cases {
+    for (number, (case, tolerance)) in cases.into_iter().enumerate() {
+        let name = format!("case {number}");
         let (radiance, depth) = case.sharp(&case.shutter);
         let (_, gradient) = case.pull_back();
-        assert_gradient(name, &[0.0; 12], &gradient.shutter.to_array(), STEP, 1e-6, |x| {
+        assert_gradient(&name, &[0.0; 12], &gradient.shutter.to_array(), STEP, tolerance, |x| {
             case.loss(&case.moved(x), &radiance, &depth)
         });
     }
@@ -136,36 +139,21 @@ fn relative_motion_agrees_with_differences() {
 #[test]
 fn the_whole_chain_agrees_with_differences() {
     for margin in [0, 4] {
-        check_chain(&Case::new(Scene::wall, 3, 6).with_margin(margin));
+        let case = Case::new(Scene::wall, 3, 6).with_margin(margin);
+        let (_, depth) = case.sharp(&case.shutter);
+        let (d_radiance, relative) = case.pull_back();
+        let total = relative.shutter.plus(case.through_render(&d_radiance)).to_array();
+        assert_gradient("chain, depth held", &[0.0; 12], &total, STEP, 1e-6, |x| {
+            let shutter = case.moved(x);
+            case.loss(&shutter, &case.sharp(&shutter).0, &depth)
+        });
+        let everything = central_differences(&[0.0; 12], STEP, |x| {
+            let shutter = case.moved(x);
+            let (radiance, depth) = case.sharp(&shutter);
+            case.loss(&shutter, &radiance, &depth)
+        });
+        assert_close("chain, depth rendered anew", &total, &everything, 0.03);
     }
-}
-
-fn check_chain(case: &Case) {
-    let (_, depth) = case.sharp(&case.shutter);
-    let (d_radiance, relative) = case.pull_back();
-    let total = relative.shutter.plus(case.through_render(&d_radiance)).to_array();
-    assert_gradient("chain, depth held", &[0.0; 12], &total, STEP, 1e-6, |x| {
-        let shutter = case.moved(x);
-        case.loss(&shutter, &case.sharp(&shutter).0, &depth)
-    });
-    let everything = central_differences(&[0.0; 12], STEP, |x| {
-        let shutter = case.moved(x);
-        let (radiance, depth) = case.sharp(&shutter);
-        case.loss(&shutter, &radiance, &depth)
-    });
-    assert_close("chain, depth rendered anew", &total, &everything, 0.03);
-    let error = i2slam_check::relative_error(&total, &everything);
-    println!("neglected with the depth: {error:.1e} of the largest entry");
-}
-
-#[test]
-fn more_views_between_the_ends_follow_the_parabola() {
-    let case = Case::new(Scene::wall, 7, 7);
-    let (radiance, depth) = case.sharp(&case.shutter);
-    let (_, gradient) = case.pull_back();
-    let differences =
-        central_differences(&[0.0; 12], STEP, |x| case.loss(&case.moved(x), &radiance, &depth));
-    assert_close("parabola", &gradient.shutter.to_array(), &differences, 1e-3);
 }
 
 #[test]

@@ -22,12 +22,12 @@ use super::mapper::Mapper;
 use super::mapper::{MapSnapshot, Tracker, update_snapshot};
 use super::window::{random_pixels, recent_window};
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, PixelBatch, RayObjective, Sampling, Tone,
+    Evaluation, Exposure, FrameObjective, FrameVariables, PixelBatch, RayObjective, Sampling,
 };
 use crate::reconstruction::Map;
 use crate::tracking::sampling;
 use crate::warning::Warning;
-use i2slam_formation::ResponseCurve;
+use i2slam_formation::{Formation, ResponseCurve};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldSettings, HashGridMap, SettingsError, decayed_rate,
@@ -253,7 +253,7 @@ fn sample_rays<'a>(
         depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
     };
     let curve = curves.get(&estimate.response);
-    let tone = curve.map(|curve| Tone { frame: estimate.tone, curve });
+    let tone = curve.map(|curve| Formation { tone: estimate.tone, curve });
     let variables = FrameVariables { exposure, tone };
     let mut view = PixelBatch { observation, variables, pixels: Vec::new() };
     let count = (rays / view.rays_per_pixel()).max(1);

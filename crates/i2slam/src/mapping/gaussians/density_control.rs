@@ -2,8 +2,9 @@
 
 use crate::config::GaussianParameters;
 use crate::keyframes::project_rolling;
-use crate::objective::{Observation, Tone};
+use crate::objective::Observation;
 use i2slam_compute::median;
+use i2slam_formation::Formation;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
 use std::sync::Arc;
@@ -31,7 +32,7 @@ pub(super) struct SourceFrame<'a> {
     pub(super) observation: &'a Observation,
     /// Depth at which Gaussians are placed [m]; 0 places none.
     pub(super) depth: Arc<Image<f32>>,
-    pub(super) tone: Option<Tone<'a>>,
+    pub(super) tone: Option<Formation<'a>>,
 }
 
 /// Adds one Gaussian per pixel.
@@ -139,7 +140,7 @@ fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<[f32;
     let tap = colour.tap(inside(u, colour.width), inside(v, colour.height))?;
     let picture: [f32; 3] = std::array::from_fn(|c| tap.sample(colour.plane(c)).0);
     let Some(tone) = &source.tone else { return Some(picture) };
-    let gains = tone.frame.gains();
+    let gains = tone.tone.gains();
     // Values 0 and 1 are clipped: stay half a code value of 8 bits inside.
     let unclipped = |v: f32| v.clamp(1.0 / 512.0, 1.0 - 1.0 / 512.0);
     Some(std::array::from_fn(|c| tone.curve.inverse(c, unclipped(picture[c])) / gains[c]))

@@ -12,11 +12,11 @@ use super::mapper::Mapper;
 use super::mapper::{MapSnapshot, Tracker, update_snapshot};
 use super::window::overlapping_window;
 use crate::config::Config;
-use crate::objective::{FrameObjective, Tone};
+use crate::objective::FrameObjective;
 use crate::reconstruction::Map;
 use crate::tracking::sampling;
 use density_control::{SourceFrame, add_gaussians, prune, seed_map};
-use i2slam_formation::CentreVelocity;
+use i2slam_formation::{CentreVelocity, Formation};
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
 use merge::merge;
@@ -176,7 +176,7 @@ impl Mapper for GaussianMapper {
                 context.valid_mask,
                 render.as_ref(),
             ),
-            tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
+            tone: curve.as_ref().map(|curve| Formation { tone: estimate.tone, curve }),
         };
         if let Some(render) = &render {
             add_gaussians(&mut self.current.map, parameters, &source, render);

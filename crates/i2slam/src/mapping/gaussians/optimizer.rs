@@ -5,8 +5,9 @@ use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::MapSnapshot;
-use crate::objective::{Exposure, FrameVariables, Sampling, Tone};
+use crate::objective::{Exposure, FrameVariables, Sampling};
 use i2slam_compute::Adam;
+use i2slam_formation::Formation;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
 
 /// λ_img, a mean over pixels (SplaTAM).
@@ -78,7 +79,7 @@ impl GaussianOptimizer {
                 readout: estimate.readout,
                 depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
             },
-            tone: curve.as_ref().map(|curve| Tone { frame: estimate.tone, curve }),
+            tone: curve.as_ref().map(|curve| Formation { tone: estimate.tone, curve }),
         };
         self.gradient.reset(map.len());
         let mut evaluation = objective.map(

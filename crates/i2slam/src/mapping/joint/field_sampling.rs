@@ -11,11 +11,11 @@ use crate::mapping::field::{FieldShape, chebyshev_distance, mark_cells, surface_
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::window::random_pixels;
 use crate::objective::{
-    BlurMethod, Exposure, FrameVariables, Observation, PixelBatch, Sampling, Tone, blur_length_at,
+    BlurMethod, Exposure, FrameVariables, Observation, PixelBatch, Sampling, blur_length_at,
 };
 use crate::reconstruction::FrameEstimate;
 use i2slam_compute::median;
-use i2slam_formation::ResponseCurve;
+use i2slam_formation::{Formation, ResponseCurve};
 use i2slam_geometry::{Camera, Vec3};
 use i2slam_radiance::hashgrid::{FieldSettings, HashGridMap, Occupancy};
 use std::collections::BTreeMap;
@@ -34,7 +34,7 @@ pub(super) fn sample_pixels<'a>(
         readout: 0.0,
         depth_pose: None,
     };
-    let tone = curves.get(&estimate.response).map(|curve| Tone { frame: estimate.tone, curve });
+    let tone = curves.get(&estimate.response).map(|curve| Formation { tone: estimate.tone, curve });
     let variables = FrameVariables { exposure, tone };
     let observation = &*keyframe.observation;
     let size = observation.depth.pixels();

@@ -1,9 +1,11 @@
 //! Derivatives of the objective against differences, and the rays of a batch.
 
 use super::*;
-use crate::objective::{Exposure, Sampling, Tone};
+use crate::objective::{Exposure, Sampling};
 use i2slam_check::{central_differences, noise, relative_error};
-use i2slam_formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
+use i2slam_formation::{
+    CameraResponse, Formation, FrameTone, NodeSpacing, ShutterPoses, StartCurve,
+};
 use i2slam_geometry::Tangent;
 use i2slam_radiance::hashgrid::{
     FieldSettings, HashGridField, Occupancy, OccupancySettings, Sample, reference,
@@ -124,7 +126,7 @@ fn evaluated(
                 readout: 0.3,
                 depth_pose: (depth == Depth::Beside).then(|| beside(&shutter)),
             },
-            tone: Some(Tone { frame, curve: &curve }),
+            tone: Some(Formation { tone: frame, curve: &curve }),
         },
         pixels: pixels(),
     };
@@ -308,7 +310,7 @@ fn the_shutter_hessian_agrees_with_differences() {
         let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
         let pixels = (0..16 * 12).step_by(5).collect();
         let mut view = batch(&observation, still.retract(&step), 3, pixels);
-        view.variables.tone = Some(Tone { frame: FrameTone::default(), curve: &curve });
+        view.variables.tone = Some(Formation { tone: FrameTone::default(), curve: &curve });
         view
     };
     let mut objective = RayObjective::new(CAMERA, map.march);
