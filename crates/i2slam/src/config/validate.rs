@@ -166,7 +166,6 @@ mod tests {
             "[hashgrid]\nlog2_table = 30",
             "[hashgrid]\nfinest_cell = 0",
             "[keyframed]\nreach = -1.0",
-            "[mapping]\nhold_out = 1",
         ];
         for text in wrong {
             assert!(Config::from_toml(text, "test", None).is_err(), "{text}");

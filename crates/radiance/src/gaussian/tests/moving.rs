@@ -19,13 +19,22 @@ fn motion(readout: f64) -> ShutterMotion<f64> {
 type Outcome = (Render, MapGradient, MotionGradient);
 
 fn fast_on(arch: Arch, case: &Case, motion: &ShutterMotion<f64>) -> Outcome {
+    masked_on(arch, case, motion, None, &single_cotangent(&case.cotangent()))
+}
+
+fn masked_on(
+    arch: Arch,
+    case: &Case,
+    motion: &ShutterMotion<f64>,
+    mask: Option<&[bool]>,
+    cotangent: &RenderCotangent,
+) -> Outcome {
     let (map, view, motion) = (case.map().cast(), case.view().cast(), motion.cast());
     let mut rasterizer = Rasterizer::on(arch, case.settings);
     let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
-    map.render_moving(&mut rasterizer, &view, &motion, None, None, &mut render);
-    let cotangent = single_cotangent(&case.cotangent());
+    map.render_moving(&mut rasterizer, &view, &motion, mask, None, &mut render);
     let rows = Some(&mut gradient);
-    let d = map.pull_back_moving(&mut rasterizer, &view, &motion, &cotangent, rows);
+    let d = map.pull_back_moving(&mut rasterizer, &view, &motion, cotangent, rows);
     (render, gradient, d)
 }
 
@@ -98,7 +107,7 @@ fn masked_tiles_are_those_of_the_whole_picture() {
     let motion = motion(0.5);
     for case in cases().into_iter().chain([many()]) {
         let (whole, _, _) = fast_on(Arch::new(), &case, &motion);
-        let (map, view) = (case.map().cast(), case.view().cast());
+        let view = case.view();
         let columns = view.camera.width.div_ceil(TILE);
         let is_marked = |number: usize| number % 3 == 1;
         let tiles = columns * view.camera.height.div_ceil(TILE);
@@ -113,12 +122,7 @@ fn masked_tiles_are_those_of_the_whole_picture() {
             plane.data.iter_mut().enumerate().for_each(|(i, d)| *d = if at(i) { *d } else { 0.0 });
         }
         let run = |mask: Option<&[bool]>, cotangent: &RenderCotangent| {
-            let mut rasterizer = Rasterizer::new(case.settings);
-            let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
-            map.render_moving(&mut rasterizer, &view, &motion.cast(), mask, None, &mut render);
-            let rows = Some(&mut gradient);
-            let d = map.pull_back_moving(&mut rasterizer, &view, &motion.cast(), cotangent, rows);
-            (render, gradient, numbers(&d))
+            masked_on(Arch::new(), &case, &motion, mask, cotangent)
         };
         let (render, gradient, d) = run(Some(&mask), &all);
         for (i, (part, whole)) in planes(&render).iter().zip(&planes(&whole)).enumerate() {

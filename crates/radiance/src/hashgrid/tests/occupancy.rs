@@ -104,22 +104,15 @@ fn no_crossed_cell_is_missed() {
         let held = (occupancy.occupied_share() * 64_000.0).round() as usize;
         assert!(held.abs_diff(cells.len()) <= 1, "{held} of {}", cells.len());
     }
-    let mut occupancy = Occupancy::empty(grid);
-    let far = Ray {
-        origin: Vec3::new(1e6, low[1] + 0.5 * size, 0.0),
-        direction: Vec3::new(-1.0, 0.0, 0.0),
-        offset: 0.0,
+    let share = |origin: Vec3<f32>, direction: Vec3<f32>| {
+        let mut occupancy = Occupancy::empty(grid);
+        let ray = Ray { origin, direction, offset: 0.0 };
+        occupancy.mark_cells(&field, &ray, 0.0, f32::INFINITY);
+        occupancy.occupied_share()
     };
-    occupancy.mark_cells(&field, &far, 0.0, f32::INFINITY);
-    assert!(occupancy.occupied_share() > 0.0);
-    let mut occupancy = Occupancy::empty(grid);
-    let away = Ray {
-        origin: Vec3::new(f32::MAX, 0.0, 0.0),
-        direction: Vec3::new(f32::NAN, 1.0, 0.0),
-        offset: 0.0,
-    };
-    occupancy.mark_cells(&field, &away, 0.0, f32::INFINITY);
-    assert_eq!(occupancy.occupied_share(), 0.0);
+    let far = Vec3::new(1e6, low[1] + 0.5 * size, 0.0);
+    assert!(share(far, Vec3::new(-1.0, 0.0, 0.0)) > 0.0);
+    assert_eq!(share(Vec3::new(f32::MAX, 0.0, 0.0), Vec3::new(f32::NAN, 1.0, 0.0)), 0.0);
 }
 
 /// Cells outside of others are never occupied; cells that come in are sampled at once.
