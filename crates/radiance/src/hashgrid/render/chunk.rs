@@ -4,7 +4,7 @@ use super::RayRender;
 use crate::hashgrid::encoding::harmonics::{HARMONICS, harmonics};
 use crate::hashgrid::network::cpu::{Activations, BLOCK, Packed};
 use crate::hashgrid::network::product::padded;
-use crate::hashgrid::{HashGridField, MarchSettings, Occupancy, Ray, Sample};
+use crate::hashgrid::{HashGridField, Ray, Sample};
 use i2slam_compute::simd;
 use i2slam_geometry::Vec3;
 use pulp::{Arch, Simd, WithSimd};
@@ -32,11 +32,6 @@ impl FieldContext<'_> {
     pub(super) fn features(&self) -> usize {
         self.field.settings().levels * self.field.settings().features
     }
-}
-
-pub(super) struct RaySampling<'a> {
-    pub(super) settings: &'a MarchSettings,
-    pub(super) occupancy: &'a Occupancy,
 }
 
 /// A sample that took part in a picture.

@@ -4,15 +4,13 @@
 //! costs no more than the samples of its last advance.
 
 use super::RayRender;
-use super::chunk::{
-    Chunk, Direction, Exponentials, FieldContext, RAYS, RaySampling, RenderedSample, Workspace,
-};
+use super::chunk::{Chunk, Direction, Exponentials, FieldContext, RAYS, RenderedSample, Workspace};
 use crate::hashgrid::encoding::{cpu as encoding, harmonics::HARMONICS};
 use crate::hashgrid::field::EXPONENT_MAX;
 use crate::hashgrid::march::RayMarcher;
 use crate::hashgrid::network::cpu::{self as network, BLOCK};
 use crate::hashgrid::network::product::padded;
-use crate::hashgrid::{Ray, Sample};
+use crate::hashgrid::{MarchSettings, Occupancy, Ray, Sample};
 
 /// Samples of an advance, about.
 const BATCH_SAMPLES: usize = 512;
@@ -37,7 +35,7 @@ impl SampleBatch {
     /// Advance the active rays; those that leave the cube are active no longer.
     fn fill(
         &mut self,
-        march: &RaySampling<'_>,
+        (march, occupancy): (&MarchSettings, &Occupancy),
         marchers: &mut [RayMarcher],
         active: &mut Vec<u32>,
     ) {
@@ -47,7 +45,7 @@ impl SampleBatch {
         let most = (BATCH_SAMPLES / active.len()).clamp(ADVANCE[0], ADVANCE[1]);
         active.retain(|&ray| {
             for _ in 0..most {
-                let next = marchers[ray as usize].next(march.settings, march.occupancy);
+                let next = marchers[ray as usize].next(march, occupancy);
                 let Some((sample, position)) = next else { return false };
                 self.rays.push(ray);
                 self.samples.push(sample);
@@ -91,14 +89,14 @@ impl SampleBatch {
     /// Adds the samples to their rays up to where those end.
     fn composite(
         &self,
-        march: &RaySampling<'_>,
+        march: &MarchSettings,
         width: usize,
         transmittances: &mut [f32],
         out: &mut Chunk,
     ) {
         for (i, (&ray, &sample)) in self.rays.iter().zip(&self.samples).enumerate() {
             let transmittance = transmittances[ray as usize];
-            if transmittance < march.settings.transmittance_min {
+            if transmittance < march.transmittance_min {
                 continue;
             }
             let (fade, colour) = (self.fades[i], self.colours[i]);
@@ -182,7 +180,7 @@ fn exponents<'a>(
 
 pub(super) fn render(
     scene: &FieldContext<'_>,
-    march: &RaySampling<'_>,
+    (march, occupancy): (&MarchSettings, &Occupancy),
     rays: &[Ray],
     out: &mut Chunk,
 ) {
@@ -190,15 +188,15 @@ pub(super) fn render(
     out.clear();
     out.renders.resize(rays.len(), RayRender::default());
     let directions: Vec<_> = rays.iter().map(Direction::new).collect();
-    let marcher = |ray| RayMarcher::new(scene.field, march.settings, ray);
+    let marcher = |ray| RayMarcher::new(scene.field, march, ray);
     let mut marchers: Vec<_> = rays.iter().map(marcher).collect();
     let mut active: Vec<u32> = (0..rays.len() as u32).collect();
     let mut transmittances = vec![1.0_f32; rays.len()];
     let (mut batch, mut space) = (SampleBatch::default(), Workspace::new(scene));
     while !active.is_empty() {
-        batch.fill(march, &mut marchers, &mut active);
+        batch.fill((march, occupancy), &mut marchers, &mut active);
         batch.evaluate(scene, &directions, &mut space);
         batch.composite(march, scene.width(), &mut transmittances, out);
-        active.retain(|&r| transmittances[r as usize] >= march.settings.transmittance_min);
+        active.retain(|&r| transmittances[r as usize] >= march.transmittance_min);
     }
 }

@@ -1,6 +1,6 @@
 //! Renderer of batches of rays.
 
-use super::chunk::{Chunk, FieldContext, RAYS, RaySampling, Workspace};
+use super::chunk::{Chunk, FieldContext, RAYS, Workspace};
 use super::cpu_backward::{self, Requested};
 use super::{RayGradient, RayRender, cpu_forward};
 use crate::hashgrid::encoding::cpu as encoding;
@@ -58,14 +58,14 @@ impl FieldRenderer {
         let networks = Networks::new(field);
         let scene =
             FieldContext { keep_slopes: self.keep_slopes, ..networks.scene(self.arch, field) };
-        let march = RaySampling { settings: &self.march, occupancy };
+        let march = (&self.march, occupancy);
         let count = rays.len().div_ceil(RAYS);
         self.rays = rays.len();
         self.chunks.resize_with(self.chunks.len().max(count), Chunk::default);
         let chunks = self.chunks[..count].par_iter_mut();
         chunks
             .zip(rays.par_chunks(RAYS))
-            .for_each(|(chunk, rays)| cpu_forward::render(&scene, &march, rays, chunk));
+            .for_each(|(chunk, rays)| cpu_forward::render(&scene, march, rays, chunk));
         out.clear();
         self.chunks[..count].iter().for_each(|chunk| out.extend_from_slice(&chunk.renders));
     }
