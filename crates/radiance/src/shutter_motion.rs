@@ -13,8 +13,7 @@ use i2slam_geometry::{Pose, Real, Rotation, Tangent, right_jacobian};
 /// One sample of the exposure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment<T = f32> {
-    /// Time from the middle of the exposure, in exposures: `u - ½` for `u` from 0 (open) to
-    /// 1 (close).
+    /// Time from the middle of the exposure \[exposures\], from -½ (open) to ½ (close).
     pub time: T,
     /// Share of the exposure, relative to the sum; a moment with none is left out.
     pub weight: T,

@@ -6,8 +6,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 impl Config {
-    /// Settings from a TOML file. Its key `preset` names the start, else `preset`, else `default`;
-    /// every other key replaces one value.
+    /// Settings from a TOML file over those of its `preset`, else of `preset`, else `default`.
     pub fn from_toml_file(path: &Path, preset: Option<&str>) -> Result<Self, ConfigError> {
         Self::from_toml(&text(path)?, &path.display().to_string(), preset)
     }

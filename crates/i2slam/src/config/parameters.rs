@@ -134,8 +134,7 @@ pub struct KeyframedParameters {
     pub surface_searches: usize,
 }
 
-/// The paper's appendix A on SplaTAM's configuration of ScanNet; radiance fields as torch-ngp, with
-/// a table for a room.
+/// The paper's appendix A on SplaTAM's configuration of ScanNet; radiance fields as torch-ngp.
 const PAPER: Parameters = Parameters {
     frames: FrameParameters {
         response_node_power: 1.0, // the paper: uniform

@@ -26,8 +26,7 @@ const MAX_DEVIATION: f64 = 0.3;
 /// Factor on delivered deviations: the few pixels with depth would outweigh the picture.
 const SPARSE_DEVIATION_FACTOR: f64 = 10.0;
 
-/// Least relative standard deviation of a delivered landmark depth: the landmark's own neglects pose
-/// errors and that a pixel covers more than a point.
+/// Least relative deviation of a delivered landmark depth: its own neglects errors of the poses.
 const MIN_DEVIATION: f64 = 0.1;
 
 /// Failure to find the camera path.

@@ -144,8 +144,7 @@ impl<'a> OdometryPath<'a> {
         })
     }
 
-    /// Mean correlation of patches around landmarks with the next keyframe for each of two `paths`,
-    /// over landmarks that both project into the picture.
+    /// Mean correlation of patches around landmarks with the next keyframe, for two `paths`.
     fn correlations(
         &self,
         paths: [&[Pose<f64>]; 2],
@@ -174,8 +173,7 @@ impl<'a> OdometryPath<'a> {
         sums.map(|sum| sum / f64::from(count.max(1)))
     }
 
-    /// `next_from_here` on a path, and the landmark scale that fits its local motion: scale drift must
-    /// not count against a path.
+    /// `next_from_here` on a path, and the landmark scale that fits it: drift must not count.
     fn motion(&self, poses: &[Pose<f64>], here: usize, next: usize) -> (Pose<f64>, f64) {
         let next_from_here = |poses: &[Pose<f64>]| poses[next].inverse() * poses[here];
         let (motion, own) = (next_from_here(poses), next_from_here(&self.poses));

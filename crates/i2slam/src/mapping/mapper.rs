@@ -84,8 +84,7 @@ where
     }
 }
 
-/// Copies `map` into the snapshot `last`, or into a new one with `objective`, restricted to the
-/// `valid_mask`.
+/// Copies `map` into the snapshot `last`, or a new one with `objective` and `valid_mask`.
 pub(super) fn update_snapshot<M: RadianceMap + Clone + Send + 'static>(
     last: Option<Box<dyn Tracker>>,
     map: &M,

@@ -34,8 +34,7 @@ impl TileGrid {
         self.columns * self.rows
     }
 
-    /// Bounding box of the marked tiles within a box (first column, first row, end column, end
-    /// row).
+    /// Bounding box of the marked tiles in a box (first column and row, end column and row).
     pub(crate) fn masked_box(&self, mask: &[bool], [x0, y0, x1, y1]: [u16; 4]) -> [u16; 4] {
         let mut part = [x1, y1, 0, 0];
         for row in y0..y1 {

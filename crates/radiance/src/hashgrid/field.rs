@@ -37,8 +37,7 @@ pub struct FieldParameters<T = f32> {
     pub colour: Vec<T>,
 }
 
-/// `∂L/∂parameter` of a field, summed over all calls of `pull_back` since the last
-/// [`reset`](FieldParameters::reset).
+/// `∂L/∂parameter` of a field, summed since the last [`reset`](FieldParameters::reset).
 pub type FieldGradient<T = f32> = FieldParameters<T>;
 
 impl<T: Real> FieldParameters<T> {

@@ -44,8 +44,7 @@ impl RayMarcher {
         marcher
     }
 
-    /// Length of the step at the present depth. Comparisons, because this is the longest chain of
-    /// dependent operations of a march, and `max` and `min` also test for NaN.
+    /// Length of the present step. Comparisons are faster than `max` and `min`, which test for NaN.
     fn step(&self, settings: &MarchSettings) -> f32 {
         let step = settings.cone * self.depth;
         let step = if step > self.steps_from { step } else { self.steps_from };

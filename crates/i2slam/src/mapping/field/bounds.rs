@@ -86,8 +86,7 @@ pub(super) fn share_outside(
 /// Most rays along a side of a pixel when cells are marked.
 const MAX_RAYS_PER_SIDE: f32 = 8.0;
 
-/// Rays along each side of a pixel whose spacing at the largest depth is below the cell edge
-/// `cell` [m]: the pixels of a small picture would leave gaps of empty cells.
+/// Rays along each side of a pixel that leave no gap between cells of edge `cell` [m].
 fn rays_per_side(camera: &Camera<f32>, depth: &Image<f32>, cell: f32) -> usize {
     let far = depth.data.iter().fold(0.0_f32, |far, &d| far.max(d));
     let apart = far / camera.fx.min(camera.fy);

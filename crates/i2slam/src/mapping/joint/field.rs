@@ -199,8 +199,7 @@ impl JointFieldMapper {
         }
     }
 
-    /// Reopens the cells along rays of low opacity in the last step: a surface whose cells were all
-    /// emptied would stay a hole.
+    /// Reopens cells along transparent rays: a surface of emptied cells would stay a hole.
     fn reopen_transparent_rays(&mut self) {
         if let Some(Field { map, batch, shells: Some(_), .. }) = &mut self.field {
             for ray in batch.low_opacity_rays() {

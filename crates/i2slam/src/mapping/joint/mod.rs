@@ -21,8 +21,7 @@ pub(crate) trait JointMapper: Send {
     /// Adds the last keyframe and optimises for some steps; fails by settings that allow no map.
     fn add(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError>;
 
-    /// Final optimisation; stops when `on_step(done, total)` returns false, and fails as
-    /// [`add`](Self::add).
+    /// Final optimisation, until `on_step(done, total)` returns false; fails as [`add`](Self::add).
     fn finish(
         &mut self,
         context: &mut MappingContext<'_>,

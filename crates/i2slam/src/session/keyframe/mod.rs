@@ -294,8 +294,7 @@ impl KeyframeSession {
         self.state.frames.binary_search_by_key(&index, |f| f.index)
     }
 
-    /// A held-out frame at its input pose relative to the nearest keyframe, with the tone of the
-    /// frame before its `place`, or else after it.
+    /// A held-out frame relative to the nearest keyframe, with the tone of the one before `place`.
     fn unrefined_estimate(
         &self,
         place: usize,

@@ -129,8 +129,7 @@ impl Project<'_> {
     }
 }
 
-/// Tiles with pixels from the first column and row to the end column and row that the group has at
-/// `place`: first column, first row, end column, end row. None where there are no such pixels.
+/// Tiles of the group's pixels at `place` (first column and row, end column and row), if any.
 #[inline(always)]
 pub(super) fn tiles_within(pixels: &[Column; 4], place: usize) -> [usize; 4] {
     let [x0, y0, x1, y1] = take(pixels, place).map(nearest);

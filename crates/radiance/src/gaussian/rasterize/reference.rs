@@ -38,8 +38,7 @@ pub fn pull_back<T: Real>(
     pull_back_moving(map, view, &still, settings, cotangent, map_gradient).pose
 }
 
-/// Renders the average over a moving camera's moments, as
-/// [`Rasterizer::render_moving`](crate::gaussian::Rasterizer::render_moving).
+/// Renders the average over the moments of a camera in motion.
 pub fn render_moving<T: Real>(
     map: &GaussianMap<T>,
     view: &View<T>,

@@ -10,8 +10,7 @@ mod moving;
 mod parity;
 mod poison;
 
-/// A view from a pose that is not the identity, by a camera whose principal point is off the middle
-/// and whose pixels are not square.
+/// A view with an off-centre principal point and pixels that are not square, from some pose.
 pub(crate) fn view(width: usize, height: usize) -> View<f64> {
     let w = width as f64;
     let camera =

@@ -7,8 +7,7 @@ use i2slam_compute::simd::instruction_sets;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use pulp::Arch;
 
-/// A twist that moves points of a picture of `width` pixels by about an eighth of it, moments of
-/// unlike weights and optionally a rolling shutter.
+/// A twist by about an eighth of the picture, with moments of unlike weights and a readout.
 fn motion(readout: f64) -> ShutterMotion<f64> {
     let velocity = Tangent::from_array([0.05, -0.1, 0.06, 0.07, -0.06, 0.1]);
     let moments = [(-0.4, 1.0), (-0.1, 0.5), (0.15, 2.5), (0.5, 0.5)];

@@ -20,8 +20,7 @@ pub(crate) fn forward<T: Real>(shape: &Shape, weights: &[T], input: Vec<T>) -> V
     values
 }
 
-/// Adds `∂L/∂weights` to `gradient` when given; returns `∂L/∂input`. `values` are what
-/// [`forward`] returned.
+/// Adds `∂L/∂weights` to `gradient` if given; returns `∂L/∂input`. `values` are [`forward`]'s.
 pub(crate) fn pull_back<T: Real>(
     shape: &Shape,
     weights: &[T],

@@ -15,8 +15,7 @@ fn direction_in_camera<T: Real>(camera: &Camera<T>, column: usize, row: usize) -
 }
 
 impl<T: Real> Ray<T> {
-    /// The ray through the centre of a pixel, sampled in the middle of its steps; its depth is
-    /// that along the optical axis \[m\].
+    /// The ray through a pixel's centre, sampled mid-step, with depth along the optical axis \[m\].
     pub fn through_pixel(view: &View<T>, column: usize, row: usize) -> Self {
         let direction = direction_in_camera(&view.camera, column, row);
         Self {

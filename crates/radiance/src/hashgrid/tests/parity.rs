@@ -10,8 +10,7 @@ use pulp::Arch;
 
 const RAYS: usize = 150;
 
-/// Relative to the largest entry. Sums of some hundred products in `f32`, and exponentials of
-/// exponents of a few units: a few hundred roundings of 6e-8.
+/// Relative to the largest entry: a few hundred roundings of 6e-8 in sums and exponentials.
 const TOLERANCE: f64 = 5e-5;
 
 fn march() -> MarchSettings {

@@ -331,8 +331,7 @@ impl<S: Simd> Step<'_, S> {
         }
     }
 
-    /// Adds the sums of a row, and the derivative by the readout, which moves the centre by its
-    /// place times `v + 2 s h`.
+    /// Adds the sums of a row; the readout moves the centre by the row's place times `v + 2 s h`.
     #[inline(always)]
     fn add_row(&mut self, simd: S, row: usize, sums: &RowSums<S>) {
         let MovingSplat { splat, path, .. } = self.moving_splat;
