@@ -164,8 +164,8 @@ impl HashGridMap {
         for (_, density) in densities.iter_mut().enumerate().filter(|(cell, _)| is_dense(*cell)) {
             *density = f32::from_le_bytes(reader.take()?);
         }
-        for values in field.parameters_mut() {
-            reader.fill(values)?;
+        for value in field.parameters_mut().into_iter().flatten() {
+            *value = f32::from_le_bytes(reader.take()?);
         }
         let occupancy = Occupancy::restored(settings, densities, updates);
         Ok(Self { field, occupancy, march })
@@ -206,13 +206,6 @@ impl<'a> Reader<'a> {
         let (taken, rest) = self.rest.split_first_chunk::<N>().ok_or(FieldFileError::Length)?;
         self.rest = rest;
         Ok(*taken)
-    }
-
-    fn fill(&mut self, values: &mut [f32]) -> Result<(), FieldFileError> {
-        values.iter_mut().try_for_each(|v| {
-            *v = f32::from_le_bytes(self.take()?);
-            Ok(())
-        })
     }
 }
 

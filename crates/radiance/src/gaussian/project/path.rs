@@ -84,11 +84,6 @@ impl<T: Real> Ends<T> {
         }
         (d_mean, tangents)
     }
-
-    /// `∂L/∂c₀` from `∂L/∂` of the path.
-    pub(crate) fn centre_cotangent(d_path: &Path<T>) -> [T; 2] {
-        d_path.curvature.map(|d| T::of(-4.0) * d)
-    }
 }
 
 /// Rounds of narrowing the rows, and with them the times, at which a footprint is seen.

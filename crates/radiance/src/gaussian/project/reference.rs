@@ -213,7 +213,8 @@ impl<T: Real> Projector<T> {
         let focal = [self.camera.fx, self.camera.fy];
         let (position, clamped) = ([p.x, p.y], self.clamped(p));
         let (mut lateral, mut d_z) = ([T::zero(); 2], cotangent.depth);
-        let through_path = Ends::centre_cotangent(&cotangent.path);
+        // The curvature is `2 (c₊ + c₋ - 2 c₀)`.
+        let through_path = cotangent.path.curvature.map(|d| T::of(-4.0) * d);
         for axis in 0..2 {
             let d_centre = cotangent.centre[axis] + through_path[axis];
             let f = focal[axis] / p.z;
