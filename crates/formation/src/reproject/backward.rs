@@ -11,7 +11,9 @@ use pulp::{Simd, WithSimd};
 /// Pulls the band's rows of `d_blurred` back to the band's own cotangents: of the sharp render
 /// (`d_sharp`, `sharp_rows`) and of every moving view (`sums`).
 pub(super) struct PullBackBand<'a> {
-    pub(super) scene: &'a Scene<'a>,
+    pub(super) scene: &'a Scene,
+    /// The sharp render at twice its resolution.
+    pub(super) fine: &'a [Texel],
     pub(super) band: &'a mut Band,
     /// As [`BlurBand`](super::forward::BlurBand) left them.
     pub(super) inverse_depths: &'a [Column],
@@ -23,8 +25,8 @@ impl WithSimd for PullBackBand<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { scene, band, inverse_depths, d_blurred } = self;
-        let width = scene.width;
+        let Self { scene, fine, band, inverse_depths, d_blurred } = self;
+        let width = scene.picture_camera().width;
         let rows = d_blurred[0].len() / width;
         let count = scene.views.count();
         band.start_pull_back(count, scene.views.sums(0, rows).1, scene.camera.width);
@@ -38,7 +40,7 @@ impl WithSimd for PullBackBand<'_> {
                     continue;
                 }
                 let d = read_chunk(&d_planes, 1.0);
-                pull_back_chunk(scene, band, (x + scene.margin, y), &d, depths);
+                pull_back_chunk((scene, fine), band, (x + scene.margin, y), &d, depths);
             }
             band.end_row(scene.views.sums(row, rows).0);
         }
@@ -48,7 +50,7 @@ impl WithSimd for PullBackBand<'_> {
 
 #[inline(always)]
 fn pull_back_chunk(
-    scene: &Scene<'_>,
+    (scene, fine): (&Scene, &[Texel]),
     band: &mut Band,
     (x, y): (usize, usize),
     d: &[Texel; LANES],
@@ -58,12 +60,12 @@ fn pull_back_chunk(
     let stride = 2 * scene.camera.width;
     let offset = band.fine_first as usize * stride;
     for (k, (view, w)) in scene.views.row(y).iter().zip(depths).enumerate() {
-        let lines = Lines::new(scene.camera, view, x, y);
-        let taps = Taps::new(scene.camera, &lines, w);
+        let lines = Lines::new(&scene.camera, view, x, y);
+        let taps = Taps::new(&scene.camera, &lines, w);
         let (mut d_x, mut d_y) = ([0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
             let index = taps.index[i] as usize;
-            let Some(corners) = Corners::at(scene.fine, index, stride) else { break };
+            let Some(corners) = Corners::at(fine, index, stride) else { break };
             let d = d[i] * view.weight;
             let (by_x, by_y) = corners.slopes(taps.across[i], taps.down[i]);
             (d_x[i], d_y[i]) = d.dots(by_x, by_y);
@@ -79,7 +81,7 @@ fn pull_back_chunk(
 
 /// Slopes of the surface from column `x` on in row `y`; zero where the depth was searched.
 #[inline(always)]
-fn slopes(scene: &Scene<'_>, x: usize, y: usize) -> [Column; 2] {
+fn slopes(scene: &Scene, x: usize, y: usize) -> [Column; 2] {
     let mut slopes = [[0.0; LANES]; 2];
     for (i, facet) in scene.surface.facets(y)[x..].iter().enumerate().take(LANES) {
         let smooth = scene.surface.blocks.search_bounds(x + i, y).is_none();
@@ -92,7 +94,7 @@ fn slopes(scene: &Scene<'_>, x: usize, y: usize) -> [Column; 2] {
 /// Adds the chunk's shares of one view's six sums, from the cotangent of the positions [per px].
 #[inline(always)]
 fn add_shares(
-    scene: &Scene<'_>,
+    scene: &Scene,
     view: &View<f32>,
     lines: &Lines,
     w: &Column,
@@ -116,7 +118,7 @@ fn add_shares(
 
 /// From `d_fine` to `d_sharp`.
 #[inline(always)]
-fn pull_back_fine(scene: &Scene<'_>, band: &mut Band) {
+fn pull_back_fine(scene: &Scene, band: &mut Band) {
     let (width, height) = (scene.camera.width, scene.camera.height);
     let (first, last) = (band.fine_first as usize, band.fine_last as usize + 1);
     let rows = (neighbours(first / 2, height)[0], neighbours(last / 2, height)[TAPS - 1] + 1);

@@ -1,23 +1,64 @@
-//! The fixed partition of an image into bands of rows: inputs and buffers of a band.
+//! The scene that is re-projected, and its fixed partition into bands of rows.
 
 use super::sampling::Texel;
 use super::surface::Surface;
 use super::views::Views;
+use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_compute::simd::Column;
-use i2slam_geometry::Camera;
+use i2slam_geometry::{Camera, Image, Pose, Real};
 
-/// Inputs of a band.
-#[derive(Clone, Copy)]
-pub(super) struct Scene<'a> {
-    /// That of the sharp render.
-    pub(super) camera: &'a Camera<f32>,
-    /// Width of the blurred picture, and by how much the render is wider on every side [px].
-    pub(super) width: usize,
+/// The sharp render's surface and the virtual cameras that see it.
+#[derive(Clone, Debug)]
+pub(super) struct Scene<T = f32> {
+    /// Of the sharp render.
+    pub(super) camera: Camera<T>,
+    /// By how much the render is larger than the picture on every side [px].
     pub(super) margin: usize,
-    pub(super) views: &'a Views<f32>,
-    pub(super) surface: &'a Surface<f32>,
-    /// The sharp render at twice its resolution.
-    pub(super) fine: &'a [Texel],
+    pub(super) shutter: ShutterPoses<f64>,
+    pub(super) views: Views<T>,
+    pub(super) surface: Surface<T>,
+}
+
+impl<T: Real> Default for Scene<T> {
+    fn default() -> Self {
+        let (zero, one) = (T::zero(), T::one());
+        Self {
+            camera: Camera { width: 0, height: 0, fx: one, fy: one, cx: zero, cy: zero },
+            margin: 0,
+            shutter: ShutterPoses::still(Pose::identity()),
+            views: Views::default(),
+            surface: Surface::default(),
+        }
+    }
+}
+
+impl<T: Real> Scene<T> {
+    /// Sets the virtual cameras of an exposure, for a render that is `width` pixels wide.
+    pub(super) fn set_views(
+        &mut self,
+        camera: &Camera<T>,
+        shutter: &ShutterPoses<f64>,
+        readout: f64,
+        (virtual_cameras, quadrature): (usize, Quadrature),
+        width: usize,
+    ) {
+        self.margin = width.saturating_sub(camera.width) / 2;
+        (self.camera, self.shutter) = (camera.widened(self.margin), *shutter);
+        let seen_by = (&self.camera, self.margin);
+        self.views.update(seen_by, shutter, readout, virtual_cameras, quadrature);
+    }
+
+    /// Reads the depth of the render, and prepares the search for the views' surfaces.
+    pub(super) fn set_depth(&mut self, depth: &Image<T>) {
+        self.surface.update(depth);
+        let reach = self.views.reach(&self.camera, self.surface.blocks.nearest());
+        self.surface.blocks.prepare_search(reach, self.views.largest_parallax(&self.camera));
+    }
+
+    /// Camera of the blurred picture.
+    pub(super) fn picture_camera(&self) -> Camera<T> {
+        self.camera.cropped(self.margin)
+    }
 }
 
 /// Six sums, each over the pixels of one lane.

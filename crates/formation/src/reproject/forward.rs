@@ -9,7 +9,9 @@ use pulp::{Simd, WithSimd};
 
 /// Blurs the rows of one band.
 pub(super) struct BlurBand<'a> {
-    pub(super) scene: &'a Scene<'a>,
+    pub(super) scene: &'a Scene,
+    /// The sharp render at twice its resolution.
+    pub(super) fine: &'a [Texel],
     pub(super) band: &'a mut Band,
     /// (row, chunk, moving view), written for the backward pass [1/m].
     pub(super) inverse_depths: &'a mut [Column],
@@ -26,8 +28,8 @@ impl WithSimd for BlurBand<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { scene, band, inverse_depths, uncovered, sharp, mut blurred } = self;
-        let (width, margin) = (scene.width, scene.margin);
+        let Self { scene, fine, band, inverse_depths, uncovered, sharp, mut blurred } = self;
+        let (width, margin) = (scene.picture_camera().width, scene.margin);
         let still = scene.views.still_weight;
         (band.fine_first, band.fine_last) = (u32::MAX, 0);
         uncovered.fill(0.0);
@@ -42,7 +44,7 @@ impl WithSimd for BlurBand<'_> {
                 let from = row * scene.camera.width + margin + x;
                 let mut sum = read_chunk(&sharp.map(|plane| &plane[from..from + lanes]), still);
                 *uncovered += find_inverse_depths(scene, x + margin, y, lanes, depths);
-                let rows = blur_chunk(scene, x + margin, y, depths, &mut sum);
+                let rows = blur_chunk((scene, fine), (x + margin, y), depths, &mut sum);
                 band.fine_first = band.fine_first.min(rows.0);
                 band.fine_last = band.fine_last.max(rows.1);
                 let [red, green, blue] = &mut blurred;
@@ -58,19 +60,18 @@ impl WithSimd for BlurBand<'_> {
 /// Adds what the moving views see to `sum`; returns the first and last fine row touched.
 #[inline(always)]
 fn blur_chunk(
-    scene: &Scene<'_>,
-    x: usize,
-    y: usize,
+    (scene, fine): (&Scene, &[Texel]),
+    (x, y): (usize, usize),
     depths: &[Column],
     sum: &mut [Texel; LANES],
 ) -> (u32, u32) {
     let stride = 2 * scene.camera.width;
     let (mut first, mut last) = (u32::MAX, 0);
     for (view, w) in scene.views.row(y).iter().zip(depths) {
-        let taps = Taps::new(scene.camera, &Lines::new(scene.camera, view, x, y), w);
+        let taps = Taps::new(&scene.camera, &Lines::new(&scene.camera, view, x, y), w);
         for i in 0..LANES {
             let index = taps.index[i] as usize;
-            let Some(corners) = Corners::at(scene.fine, index, stride) else { break };
+            let Some(corners) = Corners::at(fine, index, stride) else { break };
             sum[i] += corners.interpolate(taps.across[i], taps.down[i]) * view.weight;
         }
         let rows = taps.rows();
@@ -82,15 +83,15 @@ fn blur_chunk(
 /// Lands the first and the last view and lays a parabola in time through both and the middle.
 #[inline(always)]
 fn interpolate_inverse_depths(
-    scene: &Scene<'_>,
+    scene: &Scene,
     (x, y): (usize, usize),
     own: &Column,
     depths: &mut [Column],
 ) {
     let moving = scene.views.row(y);
     let (Some(first), Some(last)) = (moving.first(), moving.last()) else { return };
-    let first = intersect_lanes(scene, &Lines::new(scene.camera, first, x, y), own);
-    let last = intersect_lanes(scene, &Lines::new(scene.camera, last, x, y), own);
+    let first = intersect_lanes(scene, &Lines::new(&scene.camera, first, x, y), own);
+    let last = intersect_lanes(scene, &Lines::new(&scene.camera, last, x, y), own);
     for (view, depths) in moving.iter().zip(depths.iter_mut()) {
         for i in 0..LANES {
             depths[i] = interpolate_in_time(first[i], own[i], last[i], view.moment);
@@ -102,7 +103,7 @@ fn interpolate_inverse_depths(
 /// `y`; returns the share of a tile's exposure that the render hides from the chunk's first `lanes`.
 #[inline(always)]
 fn find_inverse_depths(
-    scene: &Scene<'_>,
+    scene: &Scene,
     x: usize,
     y: usize,
     lanes: usize,
@@ -116,7 +117,7 @@ fn find_inverse_depths(
     };
     if scene.views.rolling {
         for (view, depths) in moving.iter().zip(depths.iter_mut()) {
-            let lines = Lines::new(scene.camera, view, x, y);
+            let lines = Lines::new(&scene.camera, view, x, y);
             *depths = intersect_lanes(scene, &lines, &intersect_lanes(scene, &lines, &own));
         }
     } else {
@@ -127,7 +128,7 @@ fn find_inverse_depths(
     if steps.any {
         for (view, depths) in moving.iter().zip(depths.iter_mut()) {
             let Some(shown) = steps.shown(view.steep) else { continue };
-            let lines = Lines::new(scene.camera, view, x, y);
+            let lines = Lines::new(&scene.camera, view, x, y);
             let hidden = shown.search(scene, &lines, &own, depths);
             let count = hidden[..lanes].iter().filter(|hidden| **hidden).count();
             uncovered += view.weight * count as f32;

@@ -64,14 +64,11 @@ use backward::PullBackBand;
 use band::{BAND, Band, Scene, lay_bands};
 use forward::BlurBand;
 use i2slam_compute::simd::Column;
-use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_geometry::{Camera, Image};
 use pulp::Arch;
 use rayon::prelude::*;
-use sampling::LANES;
-use sampling::Texel;
-use surface::Surface;
+use sampling::{LANES, Texel};
 use upsample::UpsampleRow;
-use views::Views;
 
 /// Side of the tiles that [`Reprojection::uncovered`] counts in [px].
 pub const TILE: usize = sampling::LANES;
@@ -88,15 +85,9 @@ pub struct ReprojectionGradient {
 /// Blurs one sharp render by its depth, and pulls cotangents back. Holds what one frame needs
 /// between the two, and keeps its allocations from frame to frame. Gives the same bytes for any
 /// number of threads of the current `rayon` pool.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Reprojection {
-    /// Of the sharp render.
-    camera: Camera<f32>,
-    /// By how much the render is larger than the picture on every side [px].
-    margin: usize,
-    shutter: ShutterPoses<f64>,
-    views: Views<f32>,
-    surface: Surface<f32>,
+    scene: Scene,
     /// The sharp render at twice its resolution.
     fine: Vec<Texel>,
     /// Inverse depth at (row, chunk of a row, moving view) [1/m].
@@ -105,23 +96,6 @@ pub struct Reprojection {
     /// See [`Reprojection::uncovered`].
     uncovered: Vec<f32>,
     sums: Vec<[f64; 6]>,
-}
-
-impl Default for Reprojection {
-    fn default() -> Self {
-        Self {
-            camera: Camera { width: 0, height: 0, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 },
-            margin: 0,
-            shutter: ShutterPoses::still(Pose::identity()),
-            views: Views::default(),
-            surface: Surface::default(),
-            fine: Vec::new(),
-            inverse_depths: Vec::new(),
-            bands: Vec::new(),
-            uncovered: Vec::new(),
-            sums: Vec::new(),
-        }
-    }
 }
 
 impl Reprojection {
@@ -146,23 +120,19 @@ impl Reprojection {
         depth: &Image<f32>,
         blurred: &mut Image<f32>,
     ) {
-        self.margin = radiance.width.saturating_sub(camera.width) / 2;
-        (self.camera, self.shutter) = (camera.widened(self.margin), *shutter);
-        assert_shape(radiance, self.camera.width, self.camera.height, 3);
-        assert_shape(depth, self.camera.width, self.camera.height, 1);
+        let plan = (virtual_cameras, quadrature);
+        self.scene.set_views(camera, shutter, readout, plan, radiance.width);
+        let Camera { width, height, .. } = self.scene.camera;
+        assert_shape(radiance, width, height, 3);
+        assert_shape(depth, width, height, 1);
         shape(blurred, camera.width, camera.height);
-        let camera = &self.camera;
-        let seen_by = (camera, self.margin);
-        self.views.update(seen_by, shutter, readout, virtual_cameras, quadrature);
-        if self.views.count() == 0 || blurred.data.is_empty() {
-            radiance.crop_into(self.margin, blurred);
+        if self.scene.views.count() == 0 || blurred.data.is_empty() {
+            radiance.crop_into(self.scene.margin, blurred);
             self.uncovered.clear();
             return;
         }
-        self.surface.update(depth);
-        let reach = self.views.reach(camera, self.surface.blocks.nearest());
-        self.surface.blocks.prepare_search(reach, self.views.largest_parallax(camera));
-        lay_bands(&mut self.bands, camera.width, camera.height);
+        self.scene.set_depth(depth);
+        lay_bands(&mut self.bands, width, height);
         self.upsample(radiance);
         self.gather(radiance, blurred);
     }
@@ -176,7 +146,7 @@ impl Reprojection {
     }
 
     fn upsample(&mut self, radiance: &Image<f32>) {
-        let (width, height) = (self.camera.width, self.camera.height);
+        let Camera { width, height, .. } = self.scene.camera;
         self.fine.resize(4 * width * height, Texel::zero());
         let planes = [0, 1, 2].map(|c| radiance.plane(c));
         let arch = Arch::new();
@@ -191,18 +161,10 @@ impl Reprojection {
 
     fn gather(&mut self, radiance: &Image<f32>, blurred: &mut Image<f32>) {
         let (width, pixels) = (blurred.width, blurred.pixels());
-        let count = self.views.count();
-        let depths_per_row = sampling::chunks(width) * count;
+        let (scene, fine) = (&self.scene, &self.fine);
+        let depths_per_row = sampling::chunks(width) * scene.views.count();
         self.inverse_depths.resize(blurred.height * depths_per_row, [0.0; LANES]);
-        let (stride, margin) = (self.camera.width, self.margin);
-        let scene = Scene {
-            camera: &self.camera,
-            width,
-            margin,
-            views: &self.views,
-            surface: &self.surface,
-            fine: &self.fine,
-        };
+        let (stride, margin) = (scene.camera.width, scene.margin);
         let chunk = BAND * width;
         let (red, rest) = blurred.data.split_at_mut(pixels);
         let (green, blue) = rest.split_at_mut(pixels);
@@ -218,9 +180,8 @@ impl Reprojection {
             let rows = band.first_row + margin..band.first_row + margin + red.len() / width;
             let sharp =
                 [0, 1, 2].map(|c| &radiance.plane(c)[rows.start * stride..rows.end * stride]);
-            let (blurred, scene) = ([red, green, blue], &scene);
-            let inverse_depths = depths;
-            let task = BlurBand { scene, band, inverse_depths, uncovered, sharp, blurred };
+            let (blurred, inverse_depths) = ([red, green, blue], depths);
+            let task = BlurBand { scene, fine, band, inverse_depths, uncovered, sharp, blurred };
             Arch::new().dispatch(task);
         });
     }
@@ -236,52 +197,46 @@ impl Reprojection {
         d_blurred: &Image<f32>,
         d_radiance: &mut Image<f32>,
     ) -> ReprojectionGradient {
-        let frame = self.camera.cropped(self.margin);
+        let Scene { camera, margin, views, .. } = &self.scene;
+        let frame = self.scene.picture_camera();
         assert_shape(d_blurred, frame.width, frame.height, 3);
-        shape(d_radiance, self.camera.width, self.camera.height);
-        if self.views.count() == 0 || d_blurred.data.is_empty() {
-            d_blurred.embed_into(self.margin, d_radiance);
+        shape(d_radiance, camera.width, camera.height);
+        if views.count() == 0 || d_blurred.data.is_empty() {
+            d_blurred.embed_into(*margin, d_radiance);
             return ReprojectionGradient::default();
         }
         self.scatter(d_blurred);
         self.merge(d_blurred, d_radiance);
+        let Scene { views, shutter, .. } = &self.scene;
         self.sums.clear();
-        self.sums.resize(self.views.sums(0, frame.height).1, [0.0; 6]);
+        self.sums.resize(views.sums(0, frame.height).1, [0.0; 6]);
         for band in &self.bands[..frame.height.div_ceil(BAND)] {
-            let first = self.views.sums(band.first_row, frame.height).0;
+            let first = views.sums(band.first_row, frame.height).0;
             for (total, sum) in self.sums[first..].iter_mut().zip(&band.sums) {
                 total.iter_mut().zip(sum).for_each(|(total, s)| *total += s);
             }
         }
-        self.views.pull_back(&self.shutter, &self.sums)
+        views.pull_back(shutter, &self.sums)
     }
 
     fn scatter(&mut self, d_blurred: &Image<f32>) {
         let width = d_blurred.width;
-        let scene = Scene {
-            camera: &self.camera,
-            width,
-            margin: self.margin,
-            views: &self.views,
-            surface: &self.surface,
-            fine: &self.fine,
-        };
-        let depths_per_row = sampling::chunks(width) * self.views.count();
+        let (scene, fine) = (&self.scene, &self.fine);
+        let depths_per_row = sampling::chunks(width) * scene.views.count();
         let depths = self.inverse_depths.par_chunks(BAND * depths_per_row);
         self.bands.par_iter_mut().zip(depths).for_each(|(band, depths)| {
             let from = band.first_row * width;
             let pixels = depths.len() / depths_per_row * width;
             let d_blurred = [0, 1, 2].map(|c| &d_blurred.plane(c)[from..from + pixels]);
-            let scene = &scene;
-            let task = PullBackBand { scene, band, inverse_depths: depths, d_blurred };
+            let task = PullBackBand { scene, fine, band, inverse_depths: depths, d_blurred };
             Arch::new().dispatch(task);
         });
     }
 
     /// Sums the bands' cotangents, in the order of the bands.
     fn merge(&self, d_blurred: &Image<f32>, d_radiance: &mut Image<f32>) {
-        let (width, height) = (self.camera.width, self.camera.height);
-        let (still, margin) = (self.views.still_weight, self.margin);
+        let Scene { camera: Camera { width, height, .. }, margin, views, .. } = &self.scene;
+        let (width, height, margin, still) = (*width, *height, *margin, views.still_weight);
         let bands = &self.bands[..d_blurred.height.div_ceil(BAND)];
         let rows = d_radiance.data.par_chunks_mut(width);
         rows.enumerate().with_min_len(BAND).for_each(|(i, to)| {

@@ -164,8 +164,8 @@ fn pixels(camera: &Camera<f32>, lines: &Lines, w: &Column) -> ([u32; LANES], Col
 
 /// [`intersect`] for sixteen pixels.
 #[inline(always)]
-pub(super) fn intersect_lanes(scene: &Scene<'_>, lines: &Lines, guess: &Column) -> Column {
-    let (index, from_x, from_y) = pixels(scene.camera, lines, guess);
+pub(super) fn intersect_lanes(scene: &Scene, lines: &Lines, guess: &Column) -> Column {
+    let (index, from_x, from_y) = pixels(&scene.camera, lines, guess);
     let facets = scene.surface.facets_at(&index);
     let (mut value, mut slope_x, mut slope_y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     for i in 0..LANES {
@@ -192,7 +192,7 @@ pub(super) struct DepthEdges {
 impl DepthEdges {
     /// For the pixels from column `x` on in row `y`.
     #[inline(always)]
-    pub(super) fn around(scene: &Scene<'_>, x: usize, y: usize) -> Self {
+    pub(super) fn around(scene: &Scene, x: usize, y: usize) -> Self {
         let zero = [0.0; LANES];
         let mut steps = Self { any: false, bend: zero, nearest: zero, farthest: zero };
         for i in 0..LANES.min(scene.camera.width - x) {
@@ -228,7 +228,7 @@ impl VisibleEdges<'_> {
     #[inline(always)]
     pub(super) fn search(
         &self,
-        scene: &Scene<'_>,
+        scene: &Scene,
         lines: &Lines,
         own: &Column,
         w: &mut Column,
@@ -252,7 +252,7 @@ impl VisibleEdges<'_> {
         }
         for i in 0..LANES {
             if hidden[i] {
-                w[i] = walks.hidden(i).background_beside(scene.surface, &lines.line(i));
+                w[i] = walks.hidden(i).background_beside(&scene.surface, &lines.line(i));
             }
         }
         hidden
@@ -297,7 +297,7 @@ impl RayWalks {
     }
 
     #[inline(always)]
-    fn run(&mut self, scene: &Scene<'_>, lines: &Lines) {
+    fn run(&mut self, scene: &Scene, lines: &Lines) {
         let Self { nearest, step, at, in_front, occluder, .. } = self;
         // One past the last step of each, 0 where there is none any more. Largest whole numbers are
         // found in a few instructions, largest fractions one by one.
@@ -311,7 +311,7 @@ impl RayWalks {
             for i in 0..LANES {
                 w[i] = nearest[i] - step[i] * place;
             }
-            let seen = scene.surface.values_at(&pixels(scene.camera, lines, &w).0);
+            let seen = scene.surface.values_at(&pixels(&scene.camera, lines, &w).0);
             for i in 0..LANES {
                 let walking = k < end[i];
                 let met = walking & RayWalk::on_surface(seen[i], w[i], step[i]);

@@ -1,9 +1,9 @@
 //! The readable lane: the same equations pixel by pixel, in `f32` or `f64`.
 
+use super::band::Scene;
 use super::ray_surface::{amplification, interpolate_in_time, intersect, search};
-use super::surface::Surface;
 use super::upsample::{KERNEL, TAPS, neighbours};
-use super::views::{Line, View, Views};
+use super::views::{Line, View};
 use super::{ReprojectionGradient, TILE};
 use crate::shutter::{Quadrature, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Real};
@@ -11,13 +11,7 @@ use i2slam_geometry::{Camera, Image, Real};
 /// [`Reprojection`](super::Reprojection) in plain code, for any scalar.
 #[derive(Clone, Debug)]
 pub struct ReferenceReprojection<T> {
-    /// Of the sharp render.
-    camera: Camera<T>,
-    /// By how much the render is larger than the picture on every side [px].
-    margin: usize,
-    shutter: ShutterPoses<f64>,
-    views: Views<T>,
-    surface: Surface<T>,
+    scene: Scene<T>,
     radiance: Image<T>,
 }
 
@@ -44,31 +38,26 @@ impl<T: Real> ReferenceReprojection<T> {
         radiance: &Image<T>,
         depth: &Image<T>,
     ) -> Self {
-        let margin = radiance.width.saturating_sub(camera.width) / 2;
-        let camera = &camera.widened(margin);
-        let mut views = Views::default();
-        views.update((camera, margin), shutter, readout, virtual_cameras, quadrature);
-        let mut surface = Surface::default();
-        surface.update(depth);
-        let reach = views.reach(camera, surface.blocks.nearest());
-        surface.blocks.prepare_search(reach, views.largest_parallax(camera));
-        let (camera, shutter, radiance) = (*camera, *shutter, radiance.clone());
-        Self { camera, margin, shutter, views, surface, radiance }
+        let mut scene = Scene::default();
+        let plan = (virtual_cameras, quadrature);
+        scene.set_views(camera, shutter, readout, plan, radiance.width);
+        scene.set_depth(depth);
+        Self { scene, radiance: radiance.clone() }
     }
 
     /// The average of what the virtual cameras see.
     pub fn blur(&self) -> Image<T> {
-        let frame = self.camera.cropped(self.margin);
+        let frame = self.scene.picture_camera();
         let mut blurred = Image::default();
-        self.radiance.crop_into(self.margin, &mut blurred);
-        blurred.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
+        self.radiance.crop_into(self.scene.margin, &mut blurred);
+        blurred.data.iter_mut().for_each(|v| *v *= self.scene.views.still_weight);
         self.for_each_tap(|view, (x, y), _, tap| {
             for channel in 0..3 {
                 let value = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
                 let top = value[0] + (value[1] - value[0]) * tap.across;
                 let bottom = value[2] + (value[3] - value[2]) * tap.across;
-                let index =
-                    (channel * frame.height + y - self.margin) * frame.width + x - self.margin;
+                let index = (channel * frame.height + y - self.scene.margin) * frame.width + x
+                    - self.scene.margin;
                 blurred.data[index] += view.1.weight * (top + (bottom - top) * tap.down);
             }
         });
@@ -77,14 +66,14 @@ impl<T: Real> ReferenceReprojection<T> {
 
     /// See [`Reprojection::uncovered`](super::Reprojection::uncovered).
     pub fn uncovered(&self) -> Vec<T> {
-        let frame = self.camera.cropped(self.margin);
+        let frame = self.scene.picture_camera();
         let columns = frame.width.div_ceil(TILE);
         let mut shares = vec![T::zero(); columns * frame.height.div_ceil(TILE)];
         let area = T::of((TILE * TILE) as f64);
         for y in 0..frame.height {
             for x in 0..frame.width {
-                for view in self.views.row(y + self.margin) {
-                    if self.lands(view, x + self.margin, y + self.margin).1 {
+                for view in self.scene.views.row(y + self.scene.margin) {
+                    if self.lands(view, x + self.scene.margin, y + self.scene.margin).1 {
                         shares[y / TILE * columns + x / TILE] += view.weight / area;
                     }
                 }
@@ -97,14 +86,15 @@ impl<T: Real> ReferenceReprojection<T> {
     /// middle.
     pub fn pull_back(&self, d_blurred: &Image<T>) -> (Image<T>, ReprojectionGradient) {
         let mut d_radiance = Image::default();
-        d_blurred.embed_into(self.margin, &mut d_radiance);
-        d_radiance.data.iter_mut().for_each(|v| *v *= self.views.still_weight);
+        d_blurred.embed_into(self.scene.margin, &mut d_radiance);
+        d_radiance.data.iter_mut().for_each(|v| *v *= self.scene.views.still_weight);
         let height = d_blurred.height;
-        let mut sums = vec![[0.0; 6]; self.views.sums(0, height).1];
+        let mut sums = vec![[0.0; 6]; self.scene.views.sums(0, height).1];
         self.for_each_tap(|(k, view), (x, y), w, tap| {
             let (mut gx, mut gy) = (T::zero(), T::zero());
             for channel in 0..3 {
-                let d = d_blurred.at(channel, x - self.margin, y - self.margin) * view.weight;
+                let d = d_blurred.at(channel, x - self.scene.margin, y - self.scene.margin)
+                    * view.weight;
                 let [a, b, c, e] = self.corners(&tap).map(|(c, r)| self.fine(channel, c, r));
                 gx += d * ((b - a) * (T::one() - tap.down) + (e - c) * tap.down);
                 gy += d * ((c - a) * (T::one() - tap.across) + (e - b) * tap.across);
@@ -114,19 +104,19 @@ impl<T: Real> ReferenceReprojection<T> {
             let free = |g: T, free: bool| if free { g * two } else { T::zero() };
             let g = (free(gx, tap.free_x), free(gy, tap.free_y));
             let share = self.share(view, (x, y), w, g);
-            sums[self.views.sums(y - self.margin, height).0 + k]
+            sums[self.scene.views.sums(y - self.scene.margin, height).0 + k]
                 .iter_mut()
                 .zip(share)
                 .for_each(|(sum, s)| *sum += s.to_f64());
         });
-        (d_radiance, self.views.pull_back(&self.shutter, &sums))
+        (d_radiance, self.scene.views.pull_back(&self.scene.shutter, &sums))
     }
 
     /// Visits every tap of every pixel of the picture, by its place in the render.
     fn for_each_tap(&self, mut visit: impl FnMut((usize, &View<T>), (usize, usize), T, Tap<T>)) {
-        for y in self.margin..self.camera.height - self.margin {
-            for x in self.margin..self.camera.width - self.margin {
-                for (k, view) in self.views.row(y).iter().enumerate() {
+        for y in self.scene.margin..self.scene.camera.height - self.scene.margin {
+            for x in self.scene.margin..self.scene.camera.width - self.scene.margin {
+                for (k, view) in self.scene.views.row(y).iter().enumerate() {
                     let (w, _) = self.lands(view, x, y);
                     let tap = self.tap(self.line(view, x, y).at(w));
                     visit((k, view), (x, y), w, tap);
@@ -137,21 +127,22 @@ impl<T: Real> ReferenceReprojection<T> {
 
     fn line(&self, view: &View<T>, x: usize, y: usize) -> Line<T> {
         let (px, py) = Camera::pixel_centre(x, y);
-        view.line(&self.camera, view.direction(px, py))
+        view.line(&self.scene.camera, view.direction(px, py))
     }
 
     /// The inverse depth that a pixel sees, and whether the render hides it.
     fn lands(&self, view: &View<T>, x: usize, y: usize) -> (T, bool) {
-        let own = self.surface.row(y)[x];
-        let bounds = self.surface.blocks.search_bounds(x, y);
+        let own = self.scene.surface.row(y)[x];
+        let bounds = self.scene.surface.blocks.search_bounds(x, y);
         if let Some(bounds) = bounds.filter(|bounds| bounds.bend > view.steep) {
-            return search(&self.surface, &self.line(view, x, y), bounds, own);
+            return search(&self.scene.surface, &self.line(view, x, y), bounds, own);
         }
-        let intersect_from = |view, guess| intersect(&self.surface, &self.line(view, x, y), guess);
-        if self.views.rolling {
+        let intersect_from =
+            |view, guess| intersect(&self.scene.surface, &self.line(view, x, y), guess);
+        if self.scene.views.rolling {
             return (intersect_from(view, intersect_from(view, own)), false);
         }
-        let row = self.views.row(y);
+        let row = self.scene.views.row(y);
         let at_end = |end: usize| intersect_from(&row[end], own);
         (interpolate_in_time(at_end(0), own, at_end(row.len() - 1), view.moment), false)
     }
@@ -160,15 +151,15 @@ impl<T: Real> ReferenceReprojection<T> {
     fn share(&self, view: &View<T>, (x, y): (usize, usize), w: T, (gx, gy): (T, T)) -> [T; 6] {
         let (px, py) = Camera::pixel_centre(x, y);
         let direction = view.direction(px, py);
-        let line = view.line(&self.camera, direction);
-        let facet = self.surface.facets(y)[x];
-        let smooth = self.surface.blocks.search_bounds(x, y).is_none();
+        let line = view.line(&self.scene.camera, direction);
+        let facet = self.scene.surface.facets(y)[x];
+        let smooth = self.scene.surface.blocks.search_bounds(x, y).is_none();
         let slope = |s: T| if smooth { s } else { T::zero() };
         let (slope_x, slope_y) = (slope(facet.slope_x), slope(facet.slope_y));
         let along =
             (gx * line.ex + gy * line.ey) * amplification(slope_x, slope_y, line.ex, line.ey);
-        let gx = (gx + slope_x * along) * self.camera.fx;
-        let gy = (gy + slope_y * along) * self.camera.fy;
+        let gx = (gx + slope_x * along) * self.scene.camera.fx;
+        let gy = (gy + slope_y * along) * self.scene.camera.fy;
         view.share(direction, w, gx, gy)
     }
 
@@ -180,8 +171,8 @@ impl<T: Real> ReferenceReprojection<T> {
             let index = held.to_usize().unwrap_or(0);
             (index, held - T::of(index as f64), fine >= T::zero() && fine <= most)
         };
-        let (column, across, free_x) = hold(x, self.camera.width);
-        let (row, down, free_y) = hold(y, self.camera.height);
+        let (column, across, free_x) = hold(x, self.scene.camera.width);
+        let (row, down, free_y) = hold(y, self.scene.camera.height);
         Tap { column, row, across, down, free_x, free_y }
     }
 
@@ -202,9 +193,9 @@ impl<T: Real> ReferenceReprojection<T> {
     }
 
     fn fine(&self, channel: usize, column: usize, row: usize) -> T {
-        let columns = self.made_of(column, self.camera.width);
+        let columns = self.made_of(column, self.scene.camera.width);
         let mut sum = T::zero();
-        for (r, by_row) in self.made_of(row, self.camera.height) {
+        for (r, by_row) in self.made_of(row, self.scene.camera.height) {
             for (c, by_column) in columns {
                 sum += by_row * by_column * self.radiance.at(channel, c, r);
             }
@@ -213,7 +204,7 @@ impl<T: Real> ReferenceReprojection<T> {
     }
 
     fn scatter(&self, d_radiance: &mut Image<T>, channel: usize, tap: &Tap<T>, d: T) {
-        let (width, height) = (self.camera.width, self.camera.height);
+        let (width, height) = (self.scene.camera.width, self.scene.camera.height);
         for (i, (column, row)) in self.corners(tap).into_iter().enumerate() {
             let across = if i % 2 == 0 { T::one() - tap.across } else { tap.across };
             let down = if i < 2 { T::one() - tap.down } else { tap.down };
