@@ -23,7 +23,7 @@ PAGE, KEPT = HERE / "performance.md", HERE / "performance"
 # a package a program beside this one, in PyTorch.
 RUNS = [
     ("kernels", "i2slam-radiance", ["machine"]),
-    ("kernels", "i2slam-radiance", ["stages", "step", "threads"]),
+    ("kernels", "i2slam-radiance", ["stages", "step"]),
     ("kernels", "i2slam-radiance", ["size"]),
     ("kernels", "i2slam-radiance", ["memory"]),
     ("kernels", "i2slam-radiance", ["rays"]),

@@ -67,7 +67,7 @@ impl<T: Copy + Default> Image<T> {
     pub fn crop_into(&self, margin: usize, out: &mut Self) {
         let (width, height) =
             (self.width.saturating_sub(2 * margin), self.height.saturating_sub(2 * margin));
-        out.shape(width, height, self.channels);
+        out.reshape(width, height, self.channels);
         for (i, row) in out.data.chunks_exact_mut(width.max(1)).enumerate() {
             let from = (i / height * self.height + i % height + margin) * self.width + margin;
             row.copy_from_slice(&self.data[from..from + width]);
@@ -85,7 +85,7 @@ impl<T: Copy + Default> Image<T> {
     }
 
     /// As [`reset`](Self::reset), without filling an image that has the shape already.
-    fn shape(&mut self, width: usize, height: usize, channels: usize) {
+    pub fn reshape(&mut self, width: usize, height: usize, channels: usize) {
         if (self.width, self.height, self.channels) != (width, height, channels) {
             self.reset(width, height, channels);
         }

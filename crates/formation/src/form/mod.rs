@@ -29,7 +29,7 @@ impl<T: Real> Formation<'_, T> {
     /// The picture of `hdr`, the radiance averaged over the exposure (planes R, G, B).
     /// `picture` is given the shape of `hdr`. Values leave [0, 1] by at most the leaky clip.
     pub fn form(&self, hdr: &Image<T>, picture: &mut Image<T>) {
-        shape_like(hdr, picture);
+        picture.reshape(hdr.width, hdr.height, hdr.channels);
         let Self { tone, curve } = self;
         for channel in 0..hdr.channels {
             let gain = tone.gains()[channel.min(2)];
@@ -57,7 +57,7 @@ impl<T: Real> Formation<'_, T> {
         d_curve: &mut CurveGradient<T>,
     ) {
         assert_same_shape(hdr, d_picture);
-        shape_like(hdr, d_hdr);
+        d_hdr.reshape(hdr.width, hdr.height, hdr.channels);
         let Self { tone, curve } = self;
         for channel in 0..hdr.channels {
             let gain = tone.gains()[channel.min(2)];
@@ -92,25 +92,15 @@ pub fn accumulate<T: Real>(hdr: &mut Image<T>, weight: T, radiance: &Image<T>) {
 /// `d_radiance = weight · d_hdr`: the gradient of one virtual camera's render. `d_radiance` is
 /// given the shape of `d_hdr`.
 pub fn scale_into<T: Real>(d_hdr: &Image<T>, weight: T, d_radiance: &mut Image<T>) {
-    shape_like(d_hdr, d_radiance);
+    d_radiance.reshape(d_hdr.width, d_hdr.height, d_hdr.channels);
     for (d, &sum) in d_radiance.data.iter_mut().zip(&d_hdr.data) {
         *d = weight * sum;
     }
 }
 
-/// Gives `image` the shape of `model`; its values are then to be overwritten.
-pub(super) fn shape_like<T: Real>(model: &Image<T>, image: &mut Image<T>) {
-    if shape(model) != shape(image) {
-        image.reset(model.width, model.height, model.channels);
-    }
-}
-
 pub(super) fn assert_same_shape<T: Real>(a: &Image<T>, b: &Image<T>) {
+    let shape = |image: &Image<T>| (image.width, image.height, image.channels, image.data.len());
     assert_eq!(shape(a), shape(b), "images of different shape");
-}
-
-fn shape<T>(image: &Image<T>) -> (usize, usize, usize, usize) {
-    (image.width, image.height, image.channels, image.data.len())
 }
 
 /// Parts of a plane. Fixed, so that sums do not depend on the number of threads.

@@ -125,7 +125,7 @@ impl Reprojection {
         let Camera { width, height, .. } = self.scene.camera;
         assert_shape(radiance, width, height, 3);
         assert_shape(depth, width, height, 1);
-        shape(blurred, camera.width, camera.height);
+        blurred.reshape(camera.width, camera.height, 3);
         if self.scene.views.count() == 0 || blurred.data.is_empty() {
             radiance.crop_into(self.scene.margin, blurred);
             self.uncovered.clear();
@@ -200,7 +200,7 @@ impl Reprojection {
         let Scene { camera, margin, views, .. } = &self.scene;
         let frame = self.scene.picture_camera();
         assert_shape(d_blurred, frame.width, frame.height, 3);
-        shape(d_radiance, camera.width, camera.height);
+        d_radiance.reshape(camera.width, camera.height, 3);
         if views.count() == 0 || d_blurred.data.is_empty() {
             d_blurred.embed_into(*margin, d_radiance);
             return ReprojectionGradient::default();
@@ -262,10 +262,4 @@ impl Reprojection {
 fn assert_shape<T>(image: &Image<T>, width: usize, height: usize, channels: usize) {
     let actual = (image.width, image.height, image.channels, image.data.len());
     assert_eq!(actual, (width, height, channels, width * height * channels), "image shape");
-}
-
-fn shape(image: &mut Image<f32>, width: usize, height: usize) {
-    if (image.width, image.height, image.channels) != (width, height, 3) {
-        image.reset(width, height, 3);
-    }
 }

@@ -105,11 +105,6 @@ impl<T: Real> CentreVelocity<T> {
             },
         }
     }
-
-    /// Converts to another scalar type.
-    pub fn cast<U: Real>(&self) -> CentreVelocity<U> {
-        CentreVelocity { centre: self.centre.cast(), velocity: self.velocity.cast() }
-    }
 }
 
 fn sum<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {

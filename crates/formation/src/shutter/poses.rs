@@ -132,11 +132,6 @@ impl<T: Real> ShutterPoses<T> {
         Self { start: self.start.retract(tangent.start), end: self.end.retract(tangent.end) }
     }
 
-    /// Converts to another scalar type.
-    pub fn cast<U: Real>(&self) -> ShutterPoses<U> {
-        ShutterPoses { start: self.start.cast(), end: self.end.cast() }
-    }
-
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.start.is_finite() && self.end.is_finite()

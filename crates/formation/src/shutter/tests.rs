@@ -135,20 +135,6 @@ fn a_start_along_the_trajectory_lies_on_it() {
 }
 
 #[test]
-fn single_precision_follows_double() {
-    for (shutter, seed) in examples().into_iter().zip(50..) {
-        let d_pose = tangent(&noise(seed, 6));
-        let wide = shutter.pull_back(0.25, d_pose).to_array();
-        let narrow = shutter.cast::<f32>().pull_back(0.25, d_pose.cast()).to_array();
-        assert_close("f32", &narrow.map(f64::from), &wide, 1e-4);
-        let motion = CentreVelocity::from(shutter);
-        let (wide, _) = motion.pull_back(shutter_tangent(&wide));
-        let (narrow, _) = motion.cast::<f32>().pull_back(ShutterTangent::from_array(narrow));
-        assert_close("f32 centre", &narrow.to_array().map(f64::from), &wide.to_array(), 1e-4);
-    }
-}
-
-#[test]
 fn samples_have_the_documented_variance() {
     let still = ShutterPoses::still(base());
     for count in [2, 3, 5, 9] {

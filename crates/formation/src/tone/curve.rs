@@ -45,11 +45,6 @@ impl<T: Real> CurveGradient<T> {
     pub fn zero(curve: &ResponseCurve<T>) -> Self {
         Self { values: curve.values.iter().map(|v| vec![T::zero(); v.len()]).collect() }
     }
-
-    /// Sets every number to zero.
-    pub fn clear(&mut self) {
-        self.values.iter_mut().flatten().for_each(|v| *v = T::zero());
-    }
 }
 
 impl<T: Real> ResponseCurve<T> {

@@ -65,19 +65,6 @@ impl<T: Real> TrajectoryLoss<T> {
     }
 }
 
-impl<T: Real> TrajectoryGradient<T> {
-    /// Every number multiplied by `s`, such as the loss's weight.
-    pub fn scaled(&self, s: T) -> Self {
-        Self {
-            previous: self.previous.scaled(s),
-            current: self.current.scaled(s),
-            log_exposure_previous: self.log_exposure_previous * s,
-            log_exposure_current: self.log_exposure_current * s,
-            scale: self.scale * s,
-        }
-    }
-}
-
 impl<T: Real> TrajectoryPair<T> {
     /// The loss.
     pub fn loss(&self) -> TrajectoryLoss<T> {

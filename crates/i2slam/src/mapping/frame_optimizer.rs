@@ -3,7 +3,7 @@
 use super::context::MappingContext;
 use crate::config::ResponseScope;
 use crate::objective::Evaluation;
-use crate::tracking::{RESPONSE_NODE_SPACING, mask_white_balance};
+use crate::tracking::RESPONSE_NODE_SPACING;
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
     CurveGradient, FrameTone, FrameToneGradient, ResponsePrior, ShutterTangent,
@@ -87,8 +87,10 @@ impl FrameOptimizers {
         frame: usize,
         d_tone: &FrameToneGradient<f32>,
     ) {
-        let mut gradient = d_tone.to_array();
-        mask_white_balance(context.config.formation.white_balance, &mut gradient);
+        let mut d_tone = *d_tone;
+        let model = context.config.formation.white_balance;
+        model.project_gradient(&mut d_tone.log_white_balance);
+        let gradient = d_tone.to_array();
         let tone = &mut context.frames[frame].tone;
         let mut values = tone.to_array();
         let rates = &context.config.parameters.frames;

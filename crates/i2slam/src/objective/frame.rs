@@ -20,10 +20,6 @@ pub struct FrameVariables<'a> {
 }
 
 impl FrameVariables<'_> {
-    pub(super) fn form(&self, hdr: &Image<f32>, picture: &mut Image<f32>) {
-        form_picture(self.tone.as_ref(), hdr, picture);
-    }
-
     /// Pulls `d_picture` back through the tone: writes `d_hdr` and the derivatives by tone and
     /// response.
     pub(super) fn pull_back_tone(
@@ -211,7 +207,7 @@ impl<M: RadianceMap> FrameObjective<M> {
     /// Averages radiance over the exposure and forms the picture.
     fn forward(&mut self, map: &M, variables: &FrameVariables<'_>) {
         self.renderer.forward(map, &variables.exposure);
-        variables.form(&self.renderer.hdr, &mut self.picture);
+        form_picture(variables.tone.as_ref(), &self.renderer.hdr, &mut self.picture);
     }
 
     /// The render whose depth fits best over the mask, and its error (eq. 14).
@@ -253,16 +249,12 @@ impl<M: RadianceMap> FrameObjective<M> {
         d_map: Option<&mut M::Gradient>,
     ) -> Evaluation {
         let mut evaluation = Evaluation::default();
-        self.pull_back_tone(variables, &mut evaluation);
+        let hdr = &self.renderer.hdr;
+        variables.pull_back_tone(hdr, &self.d_picture, &mut self.d_hdr, &mut evaluation);
         let depth = (best, &mut self.d_depth);
         (evaluation.shutter, evaluation.readout) =
             self.renderer.backward(map, &variables.exposure, &self.d_hdr, depth, d_map);
         evaluation
-    }
-
-    fn pull_back_tone(&mut self, variables: &FrameVariables<'_>, evaluation: &mut Evaluation) {
-        let hdr = &self.renderer.hdr;
-        variables.pull_back_tone(hdr, &self.d_picture, &mut self.d_hdr, evaluation);
     }
 }
 

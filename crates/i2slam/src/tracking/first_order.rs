@@ -1,7 +1,7 @@
 //! First-order tracking: Adam on the rendered objective (SplaTAM; the paper's section on tracking).
 
 use super::context::{TrackingContext, TrackingResult, TrackingState};
-use crate::config::{FormationConfig, TrackingParameters, WhiteBalanceModel};
+use crate::config::{FormationConfig, TrackingParameters};
 use crate::objective::{
     Evaluation, Exposure, FrameObjective, FrameVariables, Observation, Sampling,
 };
@@ -203,11 +203,11 @@ fn step_tone(
     d_log_exposure: f32,
 ) {
     let (formation, rate) = (context.formation, context.parameters.frames.tracking_rate);
-    let mut gradient = evaluation.tone.to_array();
-    gradient[0] += d_log_exposure;
-    mask_white_balance(formation.white_balance, &mut gradient);
+    let mut gradient = evaluation.tone;
+    gradient.log_exposure += d_log_exposure;
+    formation.white_balance.project_gradient(&mut gradient.log_white_balance);
     let mut values = state.tone.to_array();
-    optimizers.tone.step(&mut values, &gradient, rate);
+    optimizers.tone.step(&mut values, &gradient.to_array(), rate);
     state.tone = FrameTone::from_array(values);
     if formation.response_scope != crate::config::ResponseScope::Frame {
         return;
@@ -226,9 +226,3 @@ fn step_tone(
 /// longer steps make neighbours overtake each other, and keeping the curve monotone then flattens
 /// it.
 pub(crate) const RESPONSE_NODE_SPACING: f32 = 1.0 / 255.0;
-
-/// Projects the gradient of `[log_exposure, log_white_balance r, g, b]` onto the free gains.
-pub(crate) fn mask_white_balance(model: WhiteBalanceModel, gradient: &mut [f32; 4]) {
-    let [_, gains @ ..] = gradient;
-    model.project_gradient(gains);
-}

@@ -9,7 +9,7 @@ mod first_order;
 mod readout;
 
 pub(crate) use context::{TrackingContext, TrackingResult, predict_pose};
-pub(crate) use first_order::{RESPONSE_NODE_SPACING, mask_white_balance};
+pub(crate) use first_order::RESPONSE_NODE_SPACING;
 pub(crate) use readout::SequenceReadout;
 
 use crate::config::{FormationConfig, TrackingMethod};

@@ -70,30 +70,16 @@ impl Step {
     }
 
     /// The fastest times of all stages over some rounds.
-    pub(crate) fn stage_seconds(&mut self, rounds: usize, least: f64) -> StageSeconds {
-        let none = f64::MAX;
-        let mut best = StageSeconds {
-            project: none,
-            sort: none,
-            bin: none,
-            blend: none,
-            copy_out: none,
-            blend_back: none,
-            project_back: none,
-        };
+    fn stages(&mut self, rounds: usize, least: f64) -> [Stage; 6] {
+        let mut best: Option<[Stage; 6]> = None;
         fastest(rounds, least, || {
             self.forward();
             self.backward();
-            let now = self.rasterizer.stage_seconds();
-            best.project = best.project.min(now.project);
-            best.sort = best.sort.min(now.sort);
-            best.bin = best.bin.min(now.bin);
-            best.blend = best.blend.min(now.blend);
-            best.copy_out = best.copy_out.min(now.copy_out);
-            best.blend_back = best.blend_back.min(now.blend_back);
-            best.project_back = best.project_back.min(now.project_back);
+            let now = named(&self.rasterizer.stage_seconds());
+            let best = best.get_or_insert(now);
+            best.iter_mut().zip(now).for_each(|(best, now)| best.1 = best.1.min(now.1));
         });
-        best
+        best.unwrap_or_else(|| named(&self.rasterizer.stage_seconds()))
     }
 }
 
@@ -116,7 +102,7 @@ pub(crate) fn print_stages() {
     let threads = rayon::current_num_threads();
     let (peak, bandwidth) = (machine::flops(threads), machine::bandwidth(threads).0);
     let mut step = Step::new(COUNT, SIZE);
-    let seconds = step.stage_seconds(100, 3.0);
+    let stages = step.stages(100, 3.0);
     let work = step.rasterizer.work();
     println!("# work\ngaussians,visible,pairs,visited,rows,tiles");
     println!(
@@ -126,7 +112,7 @@ pub(crate) fn print_stages() {
     println!(
         "# stages\nstage,ms,mflop,mb,flop_per_byte,share_of_peak,share_of_bandwidth,share_of_roof"
     );
-    for (name, seconds, count) in named(&seconds) {
+    for (name, seconds, count) in stages {
         let Count { operations, bytes } = count(&work);
         let roof = (operations / peak).max(bytes / bandwidth);
         println!(
@@ -166,16 +152,6 @@ pub(crate) fn print_step() {
         };
         println!("{threads},{forward:.3},{backward:.3},{adam:.3},{step:.3}");
         println!("time,step/{threads} threads,{:.6e}", step * 1e-3);
-    }
-}
-
-/// Every stage on one thread and on all.
-pub(crate) fn print_threads() {
-    println!("stage,one_thread_ms,all_threads_ms,speedup");
-    let run = |threads| on_threads(threads, || Step::new(COUNT, SIZE).stage_seconds(60, 2.0));
-    let (Some(one), Some(all)) = (run(1), run(rayon::current_num_threads())) else { return };
-    for ((name, one, _), (_, all, _)) in named(&one).into_iter().zip(named(&all)) {
-        println!("{name},{:.3},{:.3},{:.2}", one * 1e3, all * 1e3, one / all);
     }
 }
 

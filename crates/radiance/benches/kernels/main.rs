@@ -3,7 +3,7 @@
 //! ```sh
 //! cargo bench -p i2slam-radiance --bench kernels              # all tables
 //! cargo bench -p i2slam-radiance --bench kernels -- machine   # one of: machine, stages, step,
-//!                                                             # threads, size, memory, rays
+//!                                                             # size, memory, rays
 //! ```
 //!
 //! Every table is printed as lines of comma-separated values under a line `# name`; every time is
@@ -18,11 +18,10 @@ mod machine;
 /// Name of a table and the function that prints it.
 type Table = (&'static str, fn());
 
-const TABLES: [Table; 7] = [
+const TABLES: [Table; 6] = [
     ("machine", machine::print),
     ("stages", gaussians::print_stages),
     ("step", gaussians::print_step),
-    ("threads", gaussians::print_threads),
     ("size", gaussians::print_sizes),
     ("memory", gaussians::print_memory),
     ("rays", field::print),

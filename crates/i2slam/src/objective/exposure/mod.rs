@@ -102,7 +102,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
             settings,
             renderers: Vec::new(),
             renders: Vec::new(),
-            margin_render: MarginRender::new(),
+            margin_render: MarginRender::default(),
             cotangent: RenderCotangent {
                 radiance: Image::default(),
                 depth: none.clone(),

@@ -15,6 +15,7 @@ const _: () = assert!(TILE == reproject::TILE, "both divide the picture alike");
 const MIN_UNCOVERED_CONTRAST: f32 = 0.033;
 
 /// The rendered tiles of one exposure, and their share of its cotangent.
+#[derive(Default)]
 pub(super) struct Patches {
     width: usize,
     height: usize,
@@ -27,12 +28,6 @@ pub(super) struct Patches {
 }
 
 impl Patches {
-    pub(super) fn empty() -> Self {
-        let none = Image::default;
-        let cotangent = RenderCotangent { radiance: none(), depth: none(), opacity: none() };
-        Self { width: 0, height: 0, mask: Vec::new(), cotangent, rest: none() }
-    }
-
     /// The rendered tiles, if there are any.
     pub(super) fn tile_mask(&self) -> Option<&[bool]> {
         self.mask.contains(&true).then_some(&self.mask)
@@ -123,7 +118,7 @@ mod tests {
 
     #[test]
     fn uncovered_tiles_with_contrast_are_selected() {
-        let mut patches = Patches::empty();
+        let mut patches = Patches::default();
         assert!(patches.tile_mask().is_none());
         patches.select(&[0.0, 0.4, 0.001, 0.0, 0.0, 0.4], &picture());
         assert_eq!(patches.tile_mask(), Some(&[false, true, false, false, false, true][..]));
@@ -144,7 +139,7 @@ mod tests {
     /// Every value goes to exactly one of the two ranges.
     #[test]
     fn cotangents_are_split_as_pictures_are_pasted() {
-        let mut patches = Patches::empty();
+        let mut patches = Patches::default();
         patches.select(&[0.0, 0.4, 0.0, 0.0, 0.0, 0.4], &picture());
         let d = Image { data: (1..2401).map(|i| i as f32).collect(), ..picture() };
         patches.split(&d);

@@ -13,6 +13,7 @@ const MIN_SURFACE_OPACITY: f32 = 0.5;
 
 /// The render that all virtual cameras are re-projected from. It extends beyond the picture by
 /// [`Sampling::margin`](super::Sampling::margin), because they see beyond its border.
+#[derive(Default)]
 pub(super) struct MarginRender {
     pub(super) reprojection: Reprojection,
     pub(super) render: Render,
@@ -20,27 +21,6 @@ pub(super) struct MarginRender {
     pub(super) surface: Image<f32>,
     cotangent: RenderCotangent<f32>,
     pub(super) patches: Patches,
-}
-
-impl MarginRender {
-    pub(super) fn new() -> Self {
-        let cotangent = RenderCotangent {
-            radiance: Image::default(),
-            depth: Image::default(),
-            opacity: Image::default(),
-        };
-        Self {
-            reprojection: Reprojection::default(),
-            render: Render::default(),
-            surface: Image::default(),
-            cotangent,
-            patches: Patches::empty(),
-        }
-    }
-
-    fn find_surface(&mut self) {
-        self.render.write_surface(MIN_SURFACE_OPACITY, &mut self.surface);
-    }
 }
 
 impl<M: RadianceMap> ExposureRenderer<M> {
@@ -55,7 +35,7 @@ impl<M: RadianceMap> ExposureRenderer<M> {
         let (view, sampling) = (self.margin_view(exposure), exposure.sampling);
         let margin_render = &mut self.margin_render;
         map.render(&mut self.renderers[0], &view, &mut margin_render.render);
-        margin_render.find_surface();
+        margin_render.render.write_surface(MIN_SURFACE_OPACITY, &mut margin_render.surface);
         margin_render.reprojection.blur(
             &self.camera,
             &exposure.shutter,

@@ -11,7 +11,7 @@ mod depth;
 
 use super::Observation;
 use super::exposure::pull_back_to_middle;
-use super::frame::{Evaluation, FrameVariables};
+use super::frame::{Evaluation, FrameVariables, form_picture};
 use i2slam_compute::Random;
 use i2slam_formation::ShutterTangent;
 use i2slam_geometry::{Camera, Image, Pose};
@@ -262,7 +262,7 @@ impl RayObjective {
         evaluation: &mut Evaluation,
     ) {
         let count = batch.pixels.len();
-        batch.variables.form(&self.hdr, &mut self.picture);
+        form_picture(batch.variables.tone.as_ref(), &self.hdr, &mut self.picture);
         self.d_picture.reset(count, 1, 3);
         let scale = weight / (3 * count).max(1) as f32;
         let mut sum = 0.0;
@@ -365,8 +365,7 @@ impl RayObjective {
         let stride = batch.rays_per_pixel();
         let rays = i * stride..(i + 1) * stride;
         let each = rays.map(|ray| self.ray_to_shutter(batch, batch.pixels[i], ray));
-        each.fold(Default::default(), |a: i2slam_formation::ShutterTangent<f64>, b| a.plus(b))
-            .to_array()
+        each.fold(ShutterTangent::zero(), ShutterTangent::plus).to_array()
     }
 }
 

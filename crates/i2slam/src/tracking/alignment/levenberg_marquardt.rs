@@ -7,7 +7,7 @@ use super::rolling_shutter::ReadoutPrior;
 use super::target::{AlignmentTarget, active_targets};
 use super::{FrameAlignment, TrackingState};
 use crate::config::WhiteBalanceModel;
-use crate::objective::{FrameObjective, virtual_camera_count};
+use crate::objective::{FrameObjective, blur_length, virtual_camera_count};
 use i2slam_geometry::Tangent;
 use i2slam_radiance::RadianceMap;
 
@@ -129,26 +129,25 @@ impl FrameAlignment<'_> {
                 });
                 target.update_scales(&errors);
             }
-            let end = self.levenberg_marquardt(targets, level, state, MAX_STEPS, progress);
+            let end = self.levenberg_marquardt(targets, level, state, progress);
             (sums, known) = (end.total, end.errors);
         }
         sums
     }
 
-    /// Up to `steps` steps; one that raises the cost is rejected and damped a hundredfold.
+    /// Up to [`MAX_STEPS`] steps; one that raises the cost is rejected and damped a hundredfold.
     fn levenberg_marquardt(
         &self,
         targets: &[AlignmentTarget],
         level: usize,
         state: &mut TrackingState,
-        steps: usize,
         progress: &mut SolverProgress,
     ) -> Evaluation {
         let converged = MIN_STEP_PX * (level + 1) as f64;
         progress.converged = false;
         let mut damping = 1e-5;
         let mut here = self.evaluate(targets, level, state, EvaluationMode::Full);
-        for left in (0..steps).rev() {
+        for left in (0..MAX_STEPS).rev() {
             let mut equations = here.total.equations.clone();
             self.add_priors(state, &mut equations);
             let Some(step) = equations.step(damping) else { break };
@@ -208,7 +207,9 @@ impl FrameAlignment<'_> {
         if !formation.blur {
             return 1;
         }
-        let blur = self.blur(state) / f64::from(1 << level);
+        let shutter = state.motion.into();
+        let blur = blur_length(self.context.camera, &shutter, &self.observation.depth)
+            / f64::from(1 << level);
         let per_camera = f64::from(formation.blur_per_camera);
         virtual_camera_count(blur, per_camera, formation.virtual_cameras)
     }

@@ -17,7 +17,7 @@ mod rolling_shutter;
 mod target;
 
 use super::context::{PredictedMotion, TrackingContext, TrackingResult, TrackingState};
-use crate::objective::{FrameObjective, Observation, blur_length};
+use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::{Convergence, Losses};
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
@@ -30,10 +30,6 @@ use residual::{FrameLevel, ResidualSums};
 
 /// Levels of the image pyramids.
 const LEVELS: usize = 3;
-/// Standard deviation of the motion during the exposure, over the motion since the last frame:
-/// across that motion, and along it, where the shutter time is uncertain.
-const MOTION_SIGMA_ACROSS: f32 = 0.1;
-const MOTION_SIGMA_ALONG: f64 = 0.5;
 /// Least share of the frame's depth that must lie on the map's surface.
 const MIN_OVERLAP: f64 = 0.3;
 /// Least share of the overlap that another start must keep to be preferred: a pose that sees
@@ -190,8 +186,6 @@ impl FrameAlignment<'_> {
             pixels_per_unit: self.pixels_per_unit,
             step: CentreVelocity::along(self.previous_pose, state.motion.centre, 1.0).velocity,
             share: self.open_share(state) * self.context.interval_ratio(),
-            sigma_across: f64::from(MOTION_SIGMA_ACROSS),
-            sigma_along: MOTION_SIGMA_ALONG,
             weight: if free { 1e-3 } else { PRIOR_WEIGHT },
         }
     }
@@ -238,11 +232,6 @@ impl FrameAlignment<'_> {
         let ratio = (share / self.open_share(&state)).ln();
         state.scale.a *= (0.5 * trust * ratio).exp();
         state
-    }
-
-    fn blur(&self, state: &TrackingState) -> f64 {
-        let shutter = state.motion.into();
-        blur_length(self.context.camera, &shutter, &self.observation.depth)
     }
 
     fn norm_in_pixels(&self, tangent: Tangent<f64>) -> f64 {

@@ -6,6 +6,10 @@ use i2slam_geometry::Tangent;
 
 /// Standard deviation of the velocity at rest [px].
 const MIN_SIGMA_PX: f64 = 0.05;
+/// Its growth with the motion since the last frame: across that motion, and along it, where the
+/// shutter time is uncertain.
+const SIGMA_RATIO_ACROSS: f64 = 0.1_f32 as f64;
+const SIGMA_RATIO_ALONG: f64 = 0.5;
 
 /// Prior that the exposure lies on the trajectory.
 ///
@@ -19,10 +23,6 @@ pub(super) struct MotionPrior {
     pub(super) step: Tangent<f64>,
     /// Expected share `κ` of it during the exposure.
     pub(super) share: f64,
-    /// Standard deviation across the trajectory, as a share of the motion.
-    pub(super) sigma_across: f64,
-    /// Standard deviation along it, as a share of the motion.
-    pub(super) sigma_along: f64,
     /// Weight against single residuals.
     pub(super) weight: f64,
 }
@@ -69,7 +69,7 @@ impl MotionPrior {
     fn precisions(&self, step: &[f64; 6]) -> (f64, f64, f64) {
         let length = step.iter().map(|v| v * v).sum::<f64>().sqrt();
         let precision = |ratio: f64| 1.0 / (MIN_SIGMA_PX + ratio * length).powi(2);
-        (length, precision(self.sigma_across), precision(self.sigma_along))
+        (length, precision(SIGMA_RATIO_ACROSS), precision(SIGMA_RATIO_ALONG))
     }
 
     /// Share of the motion since the last frame that `velocity` covers, and the length of that
@@ -150,8 +150,6 @@ mod tests {
                 pixels_per_unit: [130.0, 130.0, 130.0, 260.0, 260.0, 260.0],
                 step,
                 share: 0.4,
-                sigma_across: 0.1,
-                sigma_along: 0.5,
                 weight: 200.0,
             };
             let velocity = tangent(2).to_array();

@@ -3,7 +3,6 @@
 use super::FrameAlignment;
 use super::pyramid::{depth_levels, map_levels};
 use super::residual::{AbsoluteErrors, RobustScales, TargetLevel};
-use crate::config::TrackingParameters;
 use crate::objective::FrameObjective;
 use i2slam_geometry::Pose;
 use i2slam_radiance::RadianceMap;
@@ -72,26 +71,12 @@ impl AlignmentTarget {
 
     /// Sets the robust scales from the mean absolute residuals, no lower than their floors.
     pub(super) fn update_scales(&mut self, errors: &AbsoluteErrors) {
+        let scale = |sum: f64, count: usize| SIGMA_PER_MEAN * (sum / count as f64) as f32;
         if errors.depth_count > 0 {
-            let mean = (errors.depth / errors.depth_count as f64) as f32;
-            self.scales.depth = (SIGMA_PER_MEAN * mean).max(MIN_DEPTH_SCALE);
+            self.scales.depth = scale(errors.depth, errors.depth_count).max(MIN_DEPTH_SCALE);
         }
         if errors.image_count > 0 {
-            let mean = (errors.image / errors.image_count as f64) as f32;
-            self.scales.image = (SIGMA_PER_MEAN * mean).max(MIN_IMAGE_SCALE);
-        }
-    }
-
-    /// Weight of image residuals, reduced where depth is exact: the errors of pictures are not
-    /// independent (a map that is still soft is wrong everywhere in the same way), so they must not
-    /// outvote depth residuals below a millimetre at a metre.
-    fn image_weight(&self, parameters: &TrackingParameters) -> f32 {
-        match self.has_radiance {
-            true => {
-                parameters.image_weight
-                    * (self.scales.depth / FULL_WEIGHT_DEPTH_SCALE).clamp(0.05, 1.0)
-            }
-            false => 0.0,
+            self.scales.image = scale(errors.image, errors.image_count).max(MIN_IMAGE_SCALE);
         }
     }
 }
@@ -106,12 +91,18 @@ impl FrameAlignment<'_> {
         }
     }
 
-    /// Weight of image residuals: in full where depth gives no residuals.
+    /// Weight of image residuals: in full where depth gives no residuals, reduced where depth is
+    /// exact: the errors of pictures are not independent (a map that is still soft is wrong
+    /// everywhere in the same way), so they must not outvote depth residuals below a millimetre at
+    /// a metre.
     pub(super) fn image_weight(&self, target: &AlignmentTarget) -> f32 {
-        let parameters = &self.context.parameters.tracking;
-        match self.observation.is_estimated() && target.has_radiance {
-            true => parameters.image_weight,
-            false => target.image_weight(parameters),
+        let weight = self.context.parameters.tracking.image_weight;
+        match (target.has_radiance, self.observation.is_estimated()) {
+            (false, _) => 0.0,
+            (true, true) => weight,
+            (true, false) => {
+                weight * (target.scales.depth / FULL_WEIGHT_DEPTH_SCALE).clamp(0.05, 1.0)
+            }
         }
     }
 }

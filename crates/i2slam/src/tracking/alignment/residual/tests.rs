@@ -124,20 +124,6 @@ fn gradient_agrees_with_differences_of_the_cost() {
     }
 }
 
-#[test]
-fn the_step_finds_a_small_motion() {
-    let case = Case::smooth(None, 0.0);
-    let still = case.sums(&[0.0; UNKNOWNS]).mean_cost();
-    let mut x = [0.0; UNKNOWNS];
-    for _ in 0..8 {
-        let mut equations = case.sums(&x).equations;
-        crate::tracking::alignment::priors::freeze(&mut equations, 3..UNKNOWNS);
-        let step = equations.step(1e-6).expect("depth of a slanted plane fixes one direction");
-        x.iter_mut().zip(step).for_each(|(x, s)| *x += s);
-    }
-    assert!(case.sums(&x).mean_cost() < 0.5 * still);
-}
-
 /// Edges, holes and a hidden corner, up to the border.
 fn rough_case(curve: Option<&ResponseCurve<f32>>, cameras: usize, lead: f64) -> Case<'_> {
     let depth = |u: f32, v: f32| {
