@@ -1,8 +1,5 @@
-//! The exposure as its centre pose and a velocity (paper, appendix, RGBD-SLAM).
-//!
-//! The same twelve numbers as [`ShutterPoses`] in the chart that the RGB-D system optimises: the
-//! pose at mid-exposure, and the motion while the shutter is open. The two converge at very
-//! different speeds, so each has a learning rate of its own.
+//! The exposure as its centre pose and a velocity (paper, appendix, RGBD-SLAM), which converge at
+//! very different speeds and have a learning rate each.
 
 use super::{ShutterPoses, ShutterTangent};
 use i2slam_geometry::{Mat3, Pose, Real, Rotation, Tangent, Vec3, right_jacobian};

@@ -1,9 +1,5 @@
-//!
 //! The response as a tabulated curve of straight pieces, with leaky branches outside [0, 1] (eq.
-//! 11): clipped pixels still have a gradient.
-//!
-//! At 0 and at 1 the values meet. Above 1 the curve is `-α/√x + α + 1` with `α = 0.01`: its slope
-//! starts at α/2 and falls as `x^(-3/2)`; below 0 it is `α x`.
+//! 11), so that clipped pixels still have a gradient.
 
 use super::{Even, Grid, Locate};
 use i2slam_geometry::Real;
@@ -100,6 +96,21 @@ impl<T: Real> ResponseCurve<T> {
         segments[segment].slope
     }
 
+    /// Smallest linear value in [0, 1] whose picture value is `y`, by binary search.
+    ///
+    /// `y` outside [0, 1] is clipped to it; NaN stays NaN. Where the curve is level, the left
+    /// end of the level part comes back.
+    pub fn inverse(&self, channel: usize, y: T) -> T {
+        if y.is_nan() {
+            return y;
+        }
+        let y = y.max(T::zero()).min(T::one());
+        let (values, positions) = (self.values(channel), self.positions());
+        let right = values.partition_point(|&v| v < y).min(values.len() - 1);
+        let Some(left) = right.checked_sub(1) else { return T::zero() };
+        let share = (y - values[left]) / (values[right] - values[left]);
+        positions[left] + (positions[right] - positions[left]) * share.min(T::one())
+    }
     pub(crate) fn segments(&self, channel: usize) -> &[Segment<T>] {
         &self.segments[self.curve_of(channel)]
     }
@@ -162,22 +173,4 @@ pub(crate) fn above_value<T: Real>(x: T) -> T {
 #[inline(always)]
 pub(crate) fn above_slope<T: Real>(x: T) -> T {
     T::of(0.5 * ALPHA) / (x * x.sqrt())
-}
-
-impl<T: Real> ResponseCurve<T> {
-    /// Smallest linear value in [0, 1] whose picture value is `y`, by binary search.
-    ///
-    /// `y` outside [0, 1] is clipped to it; NaN stays NaN. Where the curve is level, the left
-    /// end of the level part comes back.
-    pub fn inverse(&self, channel: usize, y: T) -> T {
-        if y.is_nan() {
-            return y;
-        }
-        let y = y.max(T::zero()).min(T::one());
-        let (values, positions) = (self.values(channel), self.positions());
-        let right = values.partition_point(|&v| v < y).min(values.len() - 1);
-        let Some(left) = right.checked_sub(1) else { return T::zero() };
-        let share = (y - values[left]) / (values[right] - values[left]);
-        positions[left] + (positions[right] - positions[left]) * share.min(T::one())
-    }
 }

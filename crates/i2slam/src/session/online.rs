@@ -251,9 +251,7 @@ impl FrameTracker<'_> {
             false => frame.timestamp,
         };
         TrackingContext {
-            tracking: &self.config.tracking,
-            formation: &self.config.formation,
-            parameters: &self.config.parameters,
+            config: &self.config,
             camera: self.camera,
             frame_rate: self.frame_rate,
             readout: self.readout,

@@ -1,7 +1,7 @@
 //! Inputs, variables and result of tracking one frame, and the predicted motion it starts from.
 
 use super::readout::{MeasuredReadout, SequenceReadout};
-use crate::config::{FormationConfig, Parameters, TrackingConfig};
+use crate::Config;
 use crate::objective::{Evaluation, Observation, blur_length};
 use crate::reconstruction::{Convergence, FrameEstimate, Losses};
 use i2slam_compute::CancellationToken;
@@ -15,9 +15,7 @@ const LOST_SPEED_DECAY: f64 = 0.8;
 /// Inputs of tracking a frame, beside map and picture.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrackingContext<'a> {
-    pub(crate) tracking: &'a TrackingConfig,
-    pub(crate) formation: &'a FormationConfig,
-    pub(crate) parameters: &'a Parameters,
+    pub(crate) config: &'a Config,
     pub(crate) camera: &'a Camera<f64>,
     /// Frames per second.
     pub(crate) frame_rate: f64,

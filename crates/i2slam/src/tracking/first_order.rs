@@ -82,7 +82,7 @@ pub(super) fn refine<M: RadianceMap>(
     let mut state = start;
     let mut optimizers = Optimizers::new(state.response.as_ref().map_or(0, |r| r.nodes.len()));
     let mut best: Option<(f64, TrackingState, Evaluation, f64)> = None;
-    for _ in 0..context.tracking.iterations {
+    for _ in 0..context.config.tracking.iterations {
         let curve = state.response.as_ref().map(CameraResponse::curve);
         let mut evaluation =
             evaluate(objective, map, observation, &state, curve.as_ref(), sampling);
@@ -136,7 +136,7 @@ fn add_trajectory_loss(
     state: &TrackingState,
     evaluation: &mut Evaluation,
 ) -> Option<(f64, TrajectoryGradient<f64>)> {
-    if !context.formation.trajectory_loss || !context.formation.blur {
+    if !context.config.formation.trajectory_loss || !context.config.formation.blur {
         return None;
     }
     let previous = context.previous?;
@@ -148,7 +148,7 @@ fn add_trajectory_loss(
         scale: state.scale,
     };
     let (loss, gradient) = pair.loss_and_gradient();
-    let weight = f64::from(context.tracking.trajectory_weight);
+    let weight = f64::from(context.config.tracking.trajectory_weight);
     evaluation.total += weight * loss.total();
     evaluation.shutter = evaluation.shutter.plus(gradient.current.scaled(weight));
     Some((loss.total(), gradient))
@@ -161,8 +161,8 @@ fn step(
     evaluation: &Evaluation,
     trajectory: Option<TrajectoryGradient<f64>>,
 ) {
-    let (tracking, formation) = (context.tracking, context.formation);
-    step_motion(&context.parameters.tracking, formation, state, optimizers, evaluation);
+    let (tracking, formation) = (&context.config.tracking, &context.config.formation);
+    step_motion(&context.config.parameters.tracking, formation, state, optimizers, evaluation);
     let weight = tracking.trajectory_weight;
     if formation.tone {
         let by_trajectory = trajectory.map_or(0.0, |t| weight * t.log_exposure_current as f32);
@@ -170,7 +170,7 @@ fn step(
     }
     if let Some(gradient) = trajectory {
         let mut a = [state.scale.a as f32];
-        let rate = context.parameters.frames.tracking_rate * a[0].abs().max(1e-3);
+        let rate = context.config.parameters.frames.tracking_rate * a[0].abs().max(1e-3);
         optimizers.scale.step(&mut a, &[weight * gradient.scale as f32], rate);
         state.scale.a = f64::from(a[0]).max(0.0);
     }
@@ -202,7 +202,8 @@ fn step_tone(
     evaluation: &Evaluation,
     d_log_exposure: f32,
 ) {
-    let (formation, rate) = (context.formation, context.parameters.frames.tracking_rate);
+    let (formation, rate) =
+        (&context.config.formation, context.config.parameters.frames.tracking_rate);
     let mut gradient = evaluation.tone;
     gradient.log_exposure += d_log_exposure;
     formation.white_balance.project_gradient(&mut gradient.log_white_balance);

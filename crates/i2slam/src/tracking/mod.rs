@@ -37,7 +37,7 @@ pub(crate) fn track<M: RadianceMap>(
     let open_share = context.open_share(scale, &tone);
     let initial_split = match context.readout.is_rolling() {
         true => open_share * context.interval_ratio(),
-        false if context.formation.blur => f64::from(INITIAL_SPLIT),
+        false if context.config.formation.blur => f64::from(INITIAL_SPLIT),
         false => 0.0,
     };
     let mut state = TrackingState {
@@ -48,9 +48,9 @@ pub(crate) fn track<M: RadianceMap>(
         scale,
     };
     let mut aligned = None;
-    if context.tracking.method == TrackingMethod::SecondOrder {
+    if context.config.tracking.method == TrackingMethod::SecondOrder {
         let result = alignment::align(context, objective, map, observation, state, predicted);
-        if context.tracking.iterations == 0 {
+        if context.config.tracking.iterations == 0 {
             return result;
         }
         state = TrackingState {
@@ -63,7 +63,7 @@ pub(crate) fn track<M: RadianceMap>(
         aligned = Some(result);
     }
     let exposed = (state.motion.into(), state.readout);
-    let sampling = sampling(context.formation, context.camera, exposed, observation);
+    let sampling = sampling(&context.config.formation, context.camera, exposed, observation);
     let refined = first_order::refine(context, objective, map, observation, state, sampling);
     match aligned {
         Some(aligned) => aligned.refined_by(refined),

@@ -39,10 +39,8 @@ impl FrameLocator {
         let expected = estimate.middle();
         let observation = with_map_depth(colour, objective.render(map, expected));
         let tracking = TrackingContext {
-            tracking: &context.config.tracking,
-            formation: &context.config.formation,
+            config: context.config,
             camera: context.camera,
-            parameters: &context.config.parameters,
             frame_rate: self.frame_rate,
             readout: self.readout,
             timestamps: (estimate.timestamp, estimate.timestamp),

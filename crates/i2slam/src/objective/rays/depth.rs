@@ -1,13 +1,10 @@
 //! Depth term of a batch of rays.
 
-use super::{PixelBatch, RayObjective};
+use super::{MIN_OPACITY, PixelBatch, RayObjective};
 use crate::objective::Evaluation;
 use i2slam_compute::median;
 use i2slam_geometry::Real;
 use std::ops::Range;
-
-/// Least opacity of a ray with a surface.
-const MIN_SURFACE_OPACITY: f32 = 0.5;
 
 /// Loss of an estimated depth with residual `r` and variance `v`, and its derivative by `r`: `r² /
 /// v` (Rosinol et al. 2023, eq. 4) or, for an outlier threshold `c` > 0 in standard deviations,
@@ -64,7 +61,7 @@ impl RayObjective {
     pub fn median_depth(&self, batch: usize) -> Option<f64> {
         let solid = self.renders[self.ranges.get(batch)?.clone()]
             .iter()
-            .filter(|r| r.opacity > MIN_SURFACE_OPACITY);
+            .filter(|r| r.opacity > MIN_OPACITY);
         median(&mut solid.map(|r| f64::from(r.depth / r.opacity)).collect::<Vec<_>>())
     }
 }

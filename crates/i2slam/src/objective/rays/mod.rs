@@ -308,9 +308,7 @@ impl RayObjective {
             }
         }
     }
-}
 
-impl RayObjective {
     /// `JᵀJ / m` of the `m` picture values of the pixels of `batch`, with `J` their derivative by
     /// the shutter poses.
     pub fn shutter_hessian(

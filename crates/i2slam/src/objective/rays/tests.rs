@@ -140,16 +140,6 @@ fn evaluated(
     (found, objective, by_ray)
 }
 
-fn evaluate(
-    x: &[f64],
-    cameras: usize,
-    depth: Depth,
-    d_field: &mut FieldGradient,
-    map: &HashGridMap,
-) -> Vec<Evaluation> {
-    evaluated(x, cameras, depth, d_field, map).0
-}
-
 fn total(evaluations: &[Evaluation]) -> f64 {
     evaluations.iter().map(|e| e.total).sum()
 }
@@ -220,7 +210,7 @@ fn gradients_of_tone_agree_with_differences() {
         let mut d_field = FieldGradient::zeros(&map.field);
         let mut at = |tone: &[f64]| {
             let x: Vec<f64> = [0.0; 12].iter().chain(tone).copied().collect();
-            evaluate(&x, cameras, depth, &mut d_field, &map)
+            evaluated(&x, cameras, depth, &mut d_field, &map).0
         };
         let analytic = at(&[0.0; 4])[0].tone.to_array().map(f64::from);
         let numeric = central_differences(&[0.0; 4], 4e-3, |x| total(&at(x)));
@@ -233,19 +223,14 @@ fn gradients_of_tone_agree_with_differences() {
 fn the_gradient_of_the_field_agrees_with_differences() {
     let map = map();
     let mut d_field = FieldGradient::zeros(&map.field);
-    evaluate(&[0.0; 16], 3, Depth::Beside, &mut d_field, &map);
+    evaluated(&[0.0; 16], 3, Depth::Beside, &mut d_field, &map);
     let start: Vec<f64> = map.field.parameters().colour[..24].iter().map(|v| (*v).into()).collect();
     let numeric = central_differences(&start, 5e-3, |x| {
         let mut moved = map.clone();
         let colour = &mut moved.field.parameters_mut()[2][..24];
         colour.iter_mut().zip(x).for_each(|(c, v)| *c = *v as f32);
-        total(&evaluate(
-            &[0.0; 16],
-            3,
-            Depth::Beside,
-            &mut FieldGradient::zeros(&map.field),
-            &moved,
-        ))
+        let mut unused = FieldGradient::zeros(&map.field);
+        total(&evaluated(&[0.0; 16], 3, Depth::Beside, &mut unused, &moved).0)
     });
     let analytic: Vec<f64> = d_field.colour[..24].iter().map(|v| (*v).into()).collect();
     let error = relative_error(&analytic, &numeric);

@@ -26,12 +26,12 @@ impl FrameAlignment<'_> {
         map: &M,
         start: &TrackingState,
     ) -> Option<TrackingState> {
-        if !self.context.formation.blur {
+        if !self.context.config.formation.blur {
             return None;
         }
         let target = AlignmentTarget::from_map(self, objective, map, start.motion.centre);
         let level = LEVEL.min(self.levels.len() - 1);
-        let cameras = self.context.formation.virtual_cameras;
+        let cameras = self.context.config.formation.virtual_cameras;
         let loss = |state: &TrackingState| {
             let sums = self.residuals(&target, level, state, cameras, EvaluationMode::CostOnly);
             match sums.errors.image_count {

@@ -239,9 +239,7 @@ mod tests {
         let observation = Observation::new(colour.clone(), depth.clone());
         let camera = CAMERA.cast();
         let context = TrackingContext {
-            tracking: &config.tracking,
-            formation: &config.formation,
-            parameters: &config.parameters,
+            config,
             camera: &camera,
             frame_rate: 30.0,
             readout: SequenceReadout::new(&config.input),

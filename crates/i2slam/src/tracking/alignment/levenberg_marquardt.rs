@@ -203,7 +203,7 @@ impl FrameAlignment<'_> {
 
     /// Virtual cameras that a level needs for the blur of `state`.
     pub(super) fn virtual_cameras(&self, level: usize, state: &TrackingState) -> usize {
-        let formation = self.context.formation;
+        let formation = &self.context.config.formation;
         if !formation.blur {
             return 1;
         }
@@ -229,7 +229,7 @@ impl FrameAlignment<'_> {
             state,
             curve: self.curve.as_ref(),
             cameras,
-            quadrature: self.context.formation.quadrature,
+            quadrature: self.context.config.formation.quadrature,
             rolling_height: self
                 .context
                 .readout
@@ -252,14 +252,14 @@ impl FrameAlignment<'_> {
     }
 
     fn priors(&self, state: &TrackingState, equations: &Equations) -> Priors {
-        let motion = self.context.formation.blur.then(|| self.motion_prior(state));
+        let motion = self.context.config.formation.blur.then(|| self.motion_prior(state));
         let white_balance = self.white_balance_prior(equations);
         Priors { motion, readout: self.readout_prior(state), white_balance }
     }
 
     /// Adds the priors' normal equations and freezes the unknowns that the settings fix.
     pub(super) fn add_priors(&self, state: &TrackingState, equations: &mut Equations) {
-        let formation = self.context.formation;
+        let formation = &self.context.config.formation;
         self.white_balance_prior(equations).add_to(state.tone.log_white_balance, equations);
         if formation.blur {
             self.motion_prior(state).add_to(state.motion.velocity, equations);

@@ -181,7 +181,7 @@ impl FrameAlignment<'_> {
     }
 
     fn motion_prior(&self, state: &TrackingState) -> MotionPrior {
-        let free = !self.context.formation.trajectory_loss || !self.has_measured_motion();
+        let free = !self.context.config.formation.trajectory_loss || !self.has_measured_motion();
         MotionPrior {
             pixels_per_unit: self.pixels_per_unit,
             step: CentreVelocity::along(self.previous_pose, state.motion.centre, 1.0).velocity,
@@ -217,7 +217,7 @@ impl FrameAlignment<'_> {
     /// Moves the trajectory scale `a` towards the open share that the blur shows, the more the
     /// longer the motion.
     fn with_measured_scale(&self, mut state: TrackingState) -> TrackingState {
-        let formation = self.context.formation;
+        let formation = &self.context.config.formation;
         if !formation.blur || !formation.trajectory_loss || !self.has_measured_motion() {
             return state;
         }

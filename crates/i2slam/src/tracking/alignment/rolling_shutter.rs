@@ -273,9 +273,7 @@ mod tests {
         let mut input = config.input.clone();
         (input.optimise_rolling_shutter, input.rolling_shutter_readout) = (true, SHARE / RATE);
         let context = TrackingContext {
-            tracking: &config.tracking,
-            formation: &config.formation,
-            parameters: &config.parameters,
+            config: &config,
             camera: &CAMERA,
             frame_rate: RATE,
             readout: SequenceReadout::new(&input),

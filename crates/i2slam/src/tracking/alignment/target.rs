@@ -58,7 +58,9 @@ impl AlignmentTarget {
     /// The last keyframe's depth, where there is one and the settings ask for it.
     pub(super) fn from_keyframe(frame: &FrameAlignment<'_>) -> Option<Self> {
         let (observation, world_from_camera) = frame.context.keyframe?;
-        if !frame.context.parameters.tracking.keyframe_depth || frame.observation.is_estimated() {
+        if !frame.context.config.parameters.tracking.keyframe_depth
+            || frame.observation.is_estimated()
+        {
             return None;
         }
         Some(Self {
@@ -96,7 +98,7 @@ impl FrameAlignment<'_> {
     /// everywhere in the same way), so they must not outvote depth residuals below a millimetre at
     /// a metre.
     pub(super) fn image_weight(&self, target: &AlignmentTarget) -> f32 {
-        let weight = self.context.parameters.tracking.image_weight;
+        let weight = self.context.config.parameters.tracking.image_weight;
         match (target.has_radiance, self.observation.is_estimated()) {
             (false, _) => 0.0,
             (true, true) => weight,

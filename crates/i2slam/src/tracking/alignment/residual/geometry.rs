@@ -33,6 +33,22 @@ impl Transform {
     pub(super) fn apply(&self, point: Vec3<f32>) -> Vec3<f32> {
         self.rotation * point + self.translation
     }
+
+    /// Row `row` of the rotation, in every lane.
+    #[inline(always)]
+    pub(super) fn row<S: Simd>(&self, simd: S, row: usize) -> Points<S> {
+        Points::splat(simd, Vec3::from_array(self.rotation.rows[row]))
+    }
+
+    #[inline(always)]
+    pub(super) fn transform<S: Simd>(&self, simd: S, points: Points<S>) -> Points<S> {
+        let translation = Points::splat(simd, self.translation);
+        Points {
+            x: self.row(simd, 0).dot(points) + translation.x,
+            y: self.row(simd, 1).dot(points) + translation.y,
+            z: self.row(simd, 2).dot(points) + translation.z,
+        }
+    }
 }
 
 /// Transforms of one evaluation; "centre" is the camera at mid-exposure.
@@ -223,24 +239,6 @@ impl<S: Simd> Points<S> {
             x: mask.select(yes.x, no.x),
             y: mask.select(yes.y, no.y),
             z: mask.select(yes.z, no.z),
-        }
-    }
-}
-
-impl Transform {
-    /// BlockValues `row` of the rotation, in every lane.
-    #[inline(always)]
-    pub(super) fn row<S: Simd>(&self, simd: S, row: usize) -> Points<S> {
-        Points::splat(simd, Vec3::from_array(self.rotation.rows[row]))
-    }
-
-    #[inline(always)]
-    pub(super) fn transform<S: Simd>(&self, simd: S, points: Points<S>) -> Points<S> {
-        let translation = Points::splat(simd, self.translation);
-        Points {
-            x: self.row(simd, 0).dot(points) + translation.x,
-            y: self.row(simd, 1).dot(points) + translation.y,
-            z: self.row(simd, 2).dot(points) + translation.z,
         }
     }
 }
