@@ -339,7 +339,7 @@ mod tests {
                 readout: readout + x.get(16).unwrap_or(&0.0),
                 depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
             },
-            tone: Some(Formation { tone: tone, curve: &curve }),
+            tone: Some(Formation { tone, curve: &curve }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         let mut d_map = MapGradient::new(60);

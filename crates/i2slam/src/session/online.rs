@@ -251,7 +251,7 @@ impl FrameTracker<'_> {
             false => frame.timestamp,
         };
         TrackingContext {
-            config: &self.config,
+            config: self.config,
             camera: self.camera,
             frame_rate: self.frame_rate,
             readout: self.readout,
