@@ -8,42 +8,36 @@
 //! q(p):  the place in the sharp render of the surface that virtual camera j sees at pixel p
 //! ```
 //!
-//! **Finding q.** With inverse depth `w = 1/z` of the sharp render, a pixel's ray is a straight
-//! line `q(w) = q_∞ + e w` (exact for any motion), and `q` is where `w` is the inverse depth that
-//! the render has at `q(w)`. Where the surface is smooth one Newton step from the pixel's own depth
-//! solves this for the first and the last virtual camera, and a parabola in time through both and
-//! the middle gives all others. In blocks of 4 x 4 pixels near a step in depth whose sides a
-//! virtual camera moves apart by more than half a pixel, its rays are walked from near to far
-//! instead, and the first surface counts: a foreground covers what is behind it. Background that
-//! the foreground hides from the sharp render takes the background beside the foreground. Along the
-//! edge of a foreground a render holds a mixture of two depths; such pixels go with the foreground.
-//! An unknown depth takes the farther of its row's two nearest known ones; without any it is
-//! infinitely far, where only rotation matters. What lies outside the render takes its edge: to
-//! keep the border of a picture as good as its middle, the render may be larger than the picture by
-//! a margin of half a blur length all around, see [`Reprojection::blur`].
+//! **Finding q.** With inverse depth `w = 1/z` of the sharp render, a pixel's ray is a straight line
+//! `q(w) = q_∞ + e w` (exact for any motion), and `q` is where `w` is the inverse depth that the
+//! render has at `q(w)`. On a smooth surface one Newton step from the pixel's own depth solves this
+//! for the first and the last virtual camera, and a parabola in time through both and the middle
+//! gives all others. In blocks of 4 x 4 pixels near a step in depth whose sides a virtual camera
+//! moves apart by more than half a pixel, its rays are walked from near to far instead, and the
+//! first surface counts; background that a foreground hides from the sharp render takes the
+//! background beside it. Pixels along the edge of a foreground hold a mixture of two depths and go
+//! with the foreground. An unknown depth takes the farther of its row's two nearest known ones, or
+//! is infinitely far without any. What lies outside the render takes its edge, so that the render
+//! may be larger than the picture by a margin of half a blur length.
 //!
-//! **Reading the render.** Once per frame it is brought to twice its resolution (see
-//! `upsample.rs`); taps are bilinear there.
+//! **Reading the render.** It is brought to twice its resolution (see `upsample.rs`); taps are
+//! bilinear there.
 //!
-//! **Backward.** With respect to the sharp render, the exact transpose. With respect to the poses
-//! at shutter open and close, the derivative of `q` relative to the middle, times the slope of
-//! the render at `q`. Depth is held fixed as an image: a surface point keeps its inverse depth
-//! plane (exact for the first and the last virtual camera on a flat surface; for those between, to
-//! the accuracy of the parabola). Neglected are: what the blur does to the *map's* depth (of second
-//! order: it scales the blur's length by the relative change of depth); the slope of the surface in
-//! blocks that were searched; and how the edge of a foreground moves over what it covers there.
+//! **Backward.** With respect to the sharp render, the exact transpose. With respect to the poses at
+//! shutter open and close, the derivative of `q` relative to the middle, times the slope of the
+//! render at `q`; a surface point keeps its inverse depth plane. Neglected are the blur's effect on
+//! the *map's* depth (of second order), the slope of the surface in blocks that were searched, and
+//! how the edge of a foreground moves over what it covers there.
 //!
 //! **Rolling shutter.** With `readout` (first to last row, in exposures; positive when the top row
-//! comes first) row `r` of `H` sees every moment later by `readout ((r + ½)/H - ½)`, and the
-//! shutter poses are those of the middle row. Each row then has virtual cameras of its own, on the
-//! motion continued at its speed beyond the exposure, and each of them lands by itself (two Newton
-//! steps).
+//! comes first) row `r` of `H` sees every moment later by `readout ((r + ½)/H - ½)`; the shutter
+//! poses are those of the middle row. Each row has virtual cameras of its own, on the motion
+//! continued at its speed beyond the exposure, which land by two Newton steps each.
 //!
 //! **The gauge.** The sharp render stands at [`ShutterPoses::middle`], which moves with both poses.
-//! The gradient therefore comes in two parts that add up: `d_radiance`, for the renderer to pull
-//! back to its map and to its own pose, which goes to the shutter by
-//! `ShutterPoses::pull_back(0.5, d_pose)`; and the [`ShutterTangent`] of the motion relative to
-//! the middle, which is what [`Reprojection::pull_back`] returns.
+//! The gradient has two parts that add up: `d_radiance`, for the renderer to pull back to its map
+//! and its own pose, which goes to the shutter by `ShutterPoses::pull_back(0.5, d_pose)`; and the
+//! [`ShutterTangent`] of the motion relative to the middle from [`Reprojection::pull_back`].
 
 mod backward;
 mod band;

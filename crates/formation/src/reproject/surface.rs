@@ -49,7 +49,7 @@ impl<T: Real> Surface<T> {
             .par_chunks_mut(BLOCK * width)
             .zip(depth.plane(0).par_chunks(BLOCK * width))
             .for_each(|(inverse, depth)| {
-                arch.dispatch(Invert { depth, inverse });
+                arch.dispatch(|| invert(depth, inverse));
                 inverse.chunks_exact_mut(width).for_each(fill_holes);
             });
         let inverse = &self.inverse;
@@ -123,21 +123,12 @@ fn clamped<T: Real>(position: T, size: usize) -> usize {
     (-larger(-larger(position, T::zero()), -most)).to_u32().unwrap_or(0) as usize
 }
 
-/// `1 / depth`, 0 where the depth is unknown.
-struct Invert<'a, T> {
-    depth: &'a [T],
-    inverse: &'a mut [T],
-}
-
-impl<T: Real> WithSimd for Invert<'_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        for (w, &z) in self.inverse.iter_mut().zip(self.depth) {
-            let known = z > T::zero() && z < T::infinity();
-            *w = if known { T::one() / z } else { T::zero() };
-        }
+/// Writes `1 / depth`, 0 where the depth is unknown.
+#[inline(always)]
+fn invert<T: Real>(depth: &[T], inverse: &mut [T]) {
+    for (w, &z) in inverse.iter_mut().zip(depth) {
+        let known = z > T::zero() && z < T::infinity();
+        *w = if known { T::one() / z } else { T::zero() };
     }
 }
 

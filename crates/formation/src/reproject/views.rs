@@ -164,7 +164,7 @@ impl<T: Real> Default for Views<T> {
     }
 }
 
-impl<T> Views<T> {
+impl<T: Real> Views<T> {
     /// Moving views of one row.
     pub(super) fn count(&self) -> usize {
         self.count
@@ -182,9 +182,7 @@ impl<T> Views<T> {
     pub(super) fn sums(&self, row: usize, rows: usize) -> (usize, usize) {
         if self.rolling { (row * self.count, rows * self.count) } else { (0, self.count) }
     }
-}
 
-impl<T: Real> Views<T> {
     /// For a render by `camera`, which ends `margin` pixels beyond the picture. Computed in `f64`,
     /// kept in `T`; keeps its allocation. A `readout` [exposures] that is zero
     /// or not finite is a global shutter.
@@ -201,42 +199,32 @@ impl<T: Real> Views<T> {
         self.rolling = readout != 0.0 && readout.is_finite();
         self.margin = margin;
         let cameras = || shutter.each_virtual_camera(cameras, quadrature);
-        self.set_motion(&camera.cast(), shutter, readout, cameras);
-        for view in &mut self.moving {
-            view.steep = steep(view.parallax(camera));
-        }
-    }
-
-    fn set_motion<I: DoubleEndedIterator<Item = VirtualCamera<f64>> + ExactSizeIterator>(
-        &mut self,
-        camera: &Camera<f64>,
-        shutter: &ShutterPoses<f64>,
-        readout: f64,
-        cameras: impl Fn() -> I,
-    ) {
+        let wide = camera.cast();
         if self.rolling {
-            let margin = self.margin;
             let height = camera.height - 2 * margin;
             for place in (0..height).map(|row| row_place(row, height)) {
                 for virtual_camera in cameras() {
                     let u = virtual_camera.u + readout * place;
                     let pose = shutter.at(u);
                     let moved = VirtualCamera { u, world_from_camera: pose, ..virtual_camera };
-                    self.moving.push(View::new(camera, shutter, &moved, 1.0, place));
+                    self.moving.push(View::new(&wide, shutter, &moved, 1.0, place));
                 }
             }
             self.count = cameras().count();
-            return;
-        }
-        let last = cameras().next_back().map_or(1.0, |c| c.u) - 0.5;
-        for virtual_camera in cameras() {
-            if (virtual_camera.u - 0.5).abs() < 1e-9 {
-                self.still_weight += T::of(virtual_camera.weight);
-                continue;
+        } else {
+            let last = cameras().next_back().map_or(1.0, |c| c.u) - 0.5;
+            for virtual_camera in cameras() {
+                if (virtual_camera.u - 0.5).abs() < 1e-9 {
+                    self.still_weight += T::of(virtual_camera.weight);
+                } else {
+                    self.moving.push(View::new(&wide, shutter, &virtual_camera, last, 0.0));
+                }
             }
-            self.moving.push(View::new(camera, shutter, &virtual_camera, last, 0.0));
+            self.count = self.moving.len();
         }
-        self.count = self.moving.len();
+        for view in &mut self.moving {
+            view.steep = steep(view.parallax(camera));
+        }
     }
 
     /// The largest motion per unit of inverse depth at the image's corners, over all views [px m].

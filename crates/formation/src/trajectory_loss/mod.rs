@@ -66,11 +66,6 @@ impl<T: Real> TrajectoryLoss<T> {
 }
 
 impl<T: Real> TrajectoryPair<T> {
-    /// The loss.
-    pub fn loss(&self) -> TrajectoryLoss<T> {
-        self.loss_and_gradient().0
-    }
-
     /// The loss and its gradient with respect to everything in it.
     pub fn loss_and_gradient(&self) -> (TrajectoryLoss<T>, TrajectoryGradient<T>) {
         let path = ShutterPoses { start: self.previous.middle(), end: self.current.middle() };

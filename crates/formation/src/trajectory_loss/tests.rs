@@ -46,7 +46,7 @@ fn gradient_agrees_with_differences() {
         gradient.extend(g.current.to_array());
         gradient.extend([g.log_exposure_previous, g.log_exposure_current, g.scale]);
         assert_gradient("trajectory loss", &[0.0; 27], &gradient, 1e-3, 1e-6, |x| {
-            moved(&pair, x).loss().total()
+            moved(&pair, x).loss_and_gradient().0.total()
         });
     }
 }
@@ -74,9 +74,9 @@ fn steady(f: f64, exposures: [f64; 2]) -> TrajectoryPair<f64> {
 #[test]
 fn steady_motion_at_half_the_frame_rate_costs_nothing() {
     let pair = steady(25.0, [0.01, 0.03]);
-    assert!(pair.loss().total() < 1e-24, "{:?}", pair.loss());
+    assert!(pair.loss_and_gradient().0.total() < 1e-24, "{:?}", pair.loss_and_gradient().0);
     let faster = TrajectoryPair { exposure_current: 0.02, ..pair };
-    assert!(faster.loss().total() > 1e-6, "a wrong exposure is noticed");
+    assert!(faster.loss_and_gradient().0.total() > 1e-6, "a wrong exposure is noticed");
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn the_scale_absorbs_the_unit_of_time() {
         scale: TrajectoryScale::from_open_share(25.0 * unit),
         ..seconds
     };
-    assert!(relative.loss().total() < 1e-24);
+    assert!(relative.loss_and_gradient().0.total() < 1e-24);
 }
 
 #[test]
@@ -100,7 +100,7 @@ fn the_loss_does_not_depend_on_the_world_frame() {
         |s: ShutterPoses<f64>| ShutterPoses { start: other * s.start, end: other * s.end };
     let elsewhere =
         TrajectoryPair { previous: carried(pair.previous), current: carried(pair.current), ..pair };
-    let (here, there) = (pair.loss(), elsewhere.loss());
+    let (here, there) = (pair.loss_and_gradient().0, elsewhere.loss_and_gradient().0);
     assert!((here.rotation - there.rotation).abs() < 1e-12);
     assert!((here.translation - there.translation).abs() < 1e-12);
     assert!(here.rotation > 1e-3 && here.translation > 1e-3);

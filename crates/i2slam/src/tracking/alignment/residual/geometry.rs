@@ -1,5 +1,4 @@
-//! Rigid transforms, rolling-shutter timing and projection, as many points at a time as one
-//! instruction holds.
+//! Rigid transforms, rolling-shutter timing and projection of vectors of points.
 
 use super::Linearization;
 use super::level::BlockValues;
