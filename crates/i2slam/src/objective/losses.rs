@@ -97,16 +97,8 @@ mod tests {
 
     fn loss(x: &Image<f64>, y: &Image<f64>, share: f32) -> (f64, Image<f64>) {
         let mut gradient = Image::default();
-        let value = image_loss(
-            x,
-            y,
-            &SsimReference::new(y),
-            share,
-            0.5,
-            &mut Ssim::default(),
-            &mut gradient,
-        )
-        .0;
+        let (reference, mut ssim) = (SsimReference::new(y), Ssim::default());
+        let value = image_loss(x, y, &reference, share, 0.5, &mut ssim, &mut gradient).0;
         (value, gradient)
     }
 
@@ -130,27 +122,28 @@ mod tests {
         Image { width: 3, height: 1, channels: 1, data: data.to_vec() }
     }
 
+    /// Loss and derivative, for a weight of 2, of the first and the last pixel.
+    fn depth_loss(rendered: [f32; 3], observation: &Observation) -> (f64, Vec<f32>) {
+        let (rendered, mask, mut d) = (row(rendered), [true, false, true], Image::default());
+        depth_gradient(&rendered, observation, &mask, 2.0, &mut d);
+        (depth_error(&rendered, observation, &mask), d.data)
+    }
+
     #[test]
     fn depth_counts_only_masked_pixels() {
         let observation = Observation::new(Image::new(3, 1, 3), row([1.5, 0.0, 2.0]));
-        let rendered = row([1.0, 2.0, 3.0]);
-        let mask = [true, false, true];
-        assert!((depth_error(&rendered, &observation, &mask) - 1.5).abs() < 1e-6);
-        let mut d = Image::default();
-        depth_gradient(&rendered, &observation, &mask, 2.0, &mut d);
-        assert_eq!(d.data, vec![-2.0, 0.0, 2.0]);
+        let (error, d) = depth_loss([1.0, 2.0, 3.0], &observation);
+        assert!((error - 1.5).abs() < 1e-6);
+        assert_eq!(d, vec![-2.0, 0.0, 2.0]);
     }
 
     /// Deviations of 1 and 4 hundredths of the depth: full weight, and a quarter.
     #[test]
     fn estimated_depth_counts_by_its_deviation() {
-        let variance = row([1e-4, 1.0, 6.4e-3]);
-        let depth = row([1.0, 0.0, 2.0]);
+        let (depth, variance) = (row([1.0, 0.0, 2.0]), row([1e-4, 1.0, 6.4e-3]));
         let observation = Observation::estimated(Image::new(3, 1, 3), depth, variance);
-        let (rendered, mask) = (row([2.0, 1.0, 4.0]), [true, false, true]);
-        assert!((depth_error(&rendered, &observation, &mask) - 1.5).abs() < 1e-5);
-        let mut d = Image::default();
-        depth_gradient(&rendered, &observation, &mask, 2.0, &mut d);
-        assert!((d.data[0] - 2.0).abs() < 1e-5 && (d.data[2] - 0.5).abs() < 1e-5);
+        let (error, d) = depth_loss([2.0, 1.0, 4.0], &observation);
+        assert!((error - 1.5).abs() < 1e-5);
+        assert!((d[0] - 2.0).abs() < 1e-5 && (d[2] - 0.5).abs() < 1e-5);
     }
 }

@@ -38,9 +38,14 @@ fn measure() {
         renderer.pull_back(&field, &rays, &cotangents, Some(&mut gradient), None);
         keep(&mut best[0], [between - clock, processor_seconds() - between]);
         let clock = processor_seconds();
-        render_textbook(&field, &parts);
+        for (ray, _, samples) in &parts {
+            black_box(reference::render(&field, ray, samples));
+        }
         let between = processor_seconds();
-        pull_back_textbook(&field, &parts, &mut gradient);
+        for (ray, cotangent, samples) in &parts {
+            let gradient = Some(&mut gradient);
+            black_box(reference::pull_back(&field, ray, samples, cotangent, gradient));
+        }
         keep(&mut best[1], [between - clock, processor_seconds() - between]);
     }
     let count = counts::field(field.settings());
@@ -132,18 +137,4 @@ fn textbook(
         (*ray, *cotangent, occupancy.samples(field, &march(), ray))
     };
     parts.map(part).collect()
-}
-
-/// The plain lane, forward.
-fn render_textbook(field: &HashGridField, parts: &[Part]) {
-    for (ray, _, samples) in parts {
-        black_box(reference::render(field, ray, samples));
-    }
-}
-
-/// The plain lane, back to the field and the rays.
-fn pull_back_textbook(field: &HashGridField, parts: &[Part], gradient: &mut FieldGradient) {
-    for (ray, cotangent, samples) in parts {
-        black_box(reference::pull_back(field, ray, samples, cotangent, Some(gradient)));
-    }
 }

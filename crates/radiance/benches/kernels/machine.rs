@@ -53,7 +53,7 @@ pub(crate) fn flops(threads: usize) -> f64 {
     seconds.map_or(f64::NAN, |seconds| operations / seconds)
 }
 
-/// Numbers per array: far more than any cache is_occupied.
+/// Numbers per array: far more than any cache holds.
 const LONG: usize = 1 << 25;
 
 struct Sum<'a>(&'a [f32]);

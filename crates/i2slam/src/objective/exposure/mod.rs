@@ -199,10 +199,10 @@ impl<M: RadianceMap> ExposureRenderer<M> {
             let view = self.view(camera.world_from_camera);
             // Blur is linear: every virtual camera receives the same cotangent times its weight.
             scale_into(d_hdr, camera.weight as f32, &mut self.cotangent.radiance);
-            let d_pose = if j == depth {
-                self.with_depth(d_depth, |this| this.pull_back(map, j, &view, d_map.as_deref_mut()))
-            } else {
-                self.pull_back(map, j, &view, d_map.as_deref_mut())
+            let d_map = d_map.as_deref_mut();
+            let d_pose = match j == depth {
+                true => self.with_depth(d_depth, |this| this.pull_back(map, j, &view, d_map)),
+                false => self.pull_back(map, j, &view, d_map),
             };
             d_shutter = d_shutter.plus(exposure.shutter.pull_back(camera.u, d_pose));
         }

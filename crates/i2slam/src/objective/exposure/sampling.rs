@@ -246,10 +246,8 @@ mod tests {
 
     #[test]
     fn a_still_frame_needs_one_camera() {
-        assert_eq!(virtual_camera_count(0.2, 1.5, 5), 1);
-        assert_eq!(virtual_camera_count(1.4, 1.5, 5), 3);
-        assert_eq!(virtual_camera_count(3.1, 1.5, 9), 5);
-        assert_eq!(virtual_camera_count(40.0, 1.5, 5), 5);
+        let count = |length| virtual_camera_count(length, 1.5, 5);
+        assert_eq!([0.2, 1.4, 3.1, 40.0].map(count), [1, 3, 5, 5]);
         assert_eq!(virtual_camera_count(0.0, 0.0, 5), 5);
     }
 }
