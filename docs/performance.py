@@ -168,7 +168,7 @@ def columns(rows):
 
 
 def plot_quality(rows):
-    routes = ["sharp", "exact", "splat", "image", "image_without_margin"]
+    routes = ["sharp", "exact", "image", "image_without_margin"]
     panels = []
     for motion in dict.fromkeys(row["motion"] for row in rows):
         own = [row for row in rows if row["motion"] == motion and row["blur_px"] > 0]
