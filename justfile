@@ -32,9 +32,9 @@ test-data *NAMES:
 demo:
     cargo run --release -p i2slam-cli -- demo
 
-# Time of rendering and of image formation
+# Time of rendering, blurred steps and frames
 bench:
-    cargo bench -p i2slam-radiance -p i2slam-formation
+    cargo bench -p i2slam-radiance -p i2slam
 
 # Run a suite of sequences and configurations: `just suite ablation --data DATA --out DIR`
 suite NAME *OPTIONS:
