@@ -85,7 +85,7 @@ impl RadianceMap for HashGridMap {
         }
     }
 
-    /// Nothing is kept of a picture: it is rendered again, [`BATCH`] pixels at a time.
+    /// Nothing is kept of a picture: it is rendered again, `BATCH` pixels at a time.
     fn pull_back(
         &self,
         renderer: &mut FieldRenderer,
