@@ -3,7 +3,7 @@
 use super::*;
 use i2slam_geometry::Vec3;
 
-/// What rays show, their gradients and that of the field, and the number of samples.
+/// Rendered rays, their gradients and that of the field, and the number of samples.
 type Outcome = (Vec<RayRender>, Vec<RayGradient>, FieldGradient, usize);
 
 fn render(field: &HashGridField, rays: &[Ray], cotangent: RayRender) -> Outcome {
