@@ -88,9 +88,8 @@ fn pictures_without_a_path_say_why() {
         .stderr_contains("48x36 pixels is too small");
 }
 
-const QUICK_FIELD: &str = "[hashgrid]\nlevels = 6\nlog2_table = 12\nfinest_cell = 0.02\n\
-    hidden_width = 16\noccupancy_cells = 64\nrays = 1024\nfirst_iterations = 120\n\
-    iterations = 12\nfinal_iterations = 30\n";
+const QUICK_FIELD: &str = "[hashgrid]\nlog2_table = 12\nfinest_cell = 0.02\nrays = 256\n\
+    first_iterations = 120\niterations = 12\nfinal_iterations = 30\n";
 
 #[test]
 fn a_field_is_saved_drawn_again_and_judged() {
