@@ -13,18 +13,19 @@ use std::path::{Path, PathBuf};
 /// ARCHITECTURE.md.
 const ARROWS: &[(&str, &[&str])] = &[
     ("check", &[]),
+    ("storage", &[]),
     ("geometry", &[]),
     ("compute", &["geometry"]),
     ("formation", &["geometry", "compute"]),
     ("radiance", &["geometry", "compute"]),
-    ("dataset", &["geometry", "compute"]),
+    ("dataset", &["storage", "geometry", "compute"]),
     ("odometry", &["geometry", "compute"]),
     ("eval", &["geometry"]),
-    ("synthetic", &["geometry", "compute", "dataset"]),
-    ("i2slam", &["geometry", "compute", "formation", "radiance", "dataset", "odometry"]),
-    ("result", &["i2slam"]),
-    ("cli", &["i2slam", "result", "eval", "synthetic"]),
-    ("bench", &["i2slam", "result", "eval", "synthetic"]),
+    ("synthetic", &["storage", "geometry", "compute", "dataset"]),
+    ("i2slam", &["storage", "geometry", "compute", "formation", "radiance", "dataset", "odometry"]),
+    ("result", &["storage", "i2slam"]),
+    ("cli", &["storage", "i2slam", "result", "eval", "synthetic"]),
+    ("bench", &["storage", "i2slam", "result", "eval", "synthetic"]),
 ];
 
 fn crates() -> PathBuf {

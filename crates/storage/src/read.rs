@@ -1,0 +1,106 @@
+//! Reading of regular files only, up to a limit: a named pipe would wait for a writer, a device may
+//! never end.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Largest text file [bytes]: a list of 100 000 frames takes 10 MB.
+pub const MAX_TEXT: u64 = 256 << 20;
+
+/// Opens a regular file, following links.
+///
+/// # Errors
+/// Those of the system; `InvalidInput` if the path is anything but a regular file.
+pub fn open(path: &Path) -> io::Result<File> {
+    let file = open_without_waiting(path)?;
+    let kind = file.metadata()?.file_type();
+    match kind.is_file() {
+        true => Ok(file),
+        false if kind.is_dir() => Err(refusal("is a folder, expected a file")),
+        false => Err(refusal("is no regular file (a pipe, socket or device)")),
+    }
+}
+
+/// Opening a named pipe waits for its writer, unless it is opened as non-blocking; regular files
+/// are read as always.
+#[cfg(unix)]
+fn open_without_waiting(path: &Path) -> io::Result<File> {
+    use rustix::fs::{Mode, OFlags, open};
+    let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC | OFlags::NOCTTY;
+    Ok(File::from(open(path, flags, Mode::empty())?))
+}
+
+#[cfg(not(unix))]
+fn open_without_waiting(path: &Path) -> io::Result<File> {
+    File::open(path)
+}
+
+/// Reads a regular file of at most `limit` bytes.
+///
+/// # Errors
+/// As [`open`]; `FileTooLarge` beyond the limit.
+pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let size = file.metadata()?.len();
+    let too_large = || {
+        let message = format!("is too large: at most {} MB are read", limit / 1_000_000);
+        io::Error::new(io::ErrorKind::FileTooLarge, message)
+    };
+    if size > limit {
+        return Err(too_large());
+    }
+    let mut bytes = Vec::with_capacity(usize::try_from(size).unwrap_or_default());
+    // A file may grow while it is read.
+    file.take(limit + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit { Err(too_large()) } else { Ok(bytes) }
+}
+
+/// Reads a regular text file of at most [`MAX_TEXT`] bytes.
+///
+/// # Errors
+/// As [`read`]; `InvalidData` if it is not UTF-8.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let text = String::from_utf8(read(path, MAX_TEXT)?);
+    text.map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "is no text (not UTF-8)"))
+}
+
+fn refusal(message: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_check::TemporaryFolder;
+    use std::fs;
+
+    #[test]
+    fn regular_files_are_read_up_to_the_limit() {
+        let scratch = TemporaryFolder::new("read");
+        let path = scratch.join("a.txt");
+        fs::write(&path, "12345").expect("room");
+        assert_eq!(read(&path, 5).expect("five bytes"), b"12345");
+        assert_eq!(read_text(&path).expect("text"), "12345");
+        let kind = |result: io::Result<Vec<u8>>| result.expect_err("a refusal").kind();
+        assert_eq!(kind(read(&path, 4)), io::ErrorKind::FileTooLarge);
+        assert_eq!(kind(read(&scratch.0, 4)), io::ErrorKind::InvalidInput);
+        assert_eq!(kind(read(&scratch.join("none"), 4)), io::ErrorKind::NotFound);
+        fs::write(&path, [0xff, 0xfe]).expect("room");
+        assert_eq!(read_text(&path).expect_err("no text").kind(), io::ErrorKind::InvalidData);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn pipes_and_devices_are_refused_at_once() {
+        let scratch = TemporaryFolder::new("pipe");
+        let pipe = scratch.join("pipe");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.is_ok_and(|status| status.success()), "mkfifo");
+        std::os::unix::fs::symlink("/dev/zero", scratch.join("endless")).expect("a link");
+        for path in [pipe, scratch.join("endless")] {
+            let error = read(&path, 1 << 20).expect_err("no regular file");
+            assert!(error.to_string().contains("no regular file"), "{error}");
+        }
+    }
+}
