@@ -1,5 +1,6 @@
 //! Calls of the program `ffmpeg`.
 
+use super::allowed::Allowed;
 use super::ffmpeg_log::FfmpegLog;
 use crate::DatasetError;
 use std::ffi::{OsStr, OsString};
@@ -89,7 +90,8 @@ impl Ffmpeg {
 
     /// Starts transcoding a stream to standard output: lossless FFV1, every frame once.
     pub(super) fn record(&self, stream: &Path) -> Result<Child, DatasetError> {
-        let mut command = self.input_command("level+warning", stream.as_os_str());
+        let allowed = Allowed::stream(stream);
+        let mut command = self.input_command("level+warning", stream.as_os_str(), &allowed);
         command.args(["-c:v", "ffv1", "-flush_packets", "1", "-f", "nut", "-"]);
         if stream.as_os_str() == "-" {
             command.stdin(Stdio::inherit());
@@ -100,15 +102,17 @@ impl Ffmpeg {
     fn command(&self, level: &str, path: &Path, filter: &str) -> Command {
         // An absolute path is never taken for a protocol or an option.
         let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-        let mut command = self.input_command(level, whole.as_os_str());
+        let mut command = self.input_command(level, whole.as_os_str(), &Allowed::file());
         command.args(["-vf", filter]);
         command
     }
 
     /// The arguments that read the first video of a source, every frame once.
-    fn input_command(&self, level: &str, source: &OsStr) -> Command {
+    fn input_command(&self, level: &str, source: &OsStr, allowed: &Allowed) -> Command {
         let mut command = Command::new(&self.program);
-        command.args(["-hide_banner", "-nostdin", "-nostats", "-v", level, "-i"]).arg(source);
+        command.args(["-hide_banner", "-nostdin", "-nostats", "-v", level]);
+        command.args(["-protocol_whitelist", &allowed.protocols]);
+        command.args(["-format_whitelist", &allowed.containers]).arg("-i").arg(source);
         command.args(["-map", "0:V:0"]).args(PASSTHROUGH[self.option_version]);
         command.stdin(Stdio::null()).stderr(Stdio::piped());
         detach_from_terminal(&mut command);

@@ -3,6 +3,7 @@
 //! Opening a video decodes it once to count its frames and read their time stamps; images are then
 //! piped from ffmpeg on demand ([`frame_reader`]), and nothing is written to disk.
 
+mod allowed;
 mod ffmpeg;
 mod ffmpeg_log;
 mod frame_reader;
@@ -162,6 +163,10 @@ fn undecodable(path: &Path, log: &FfmpegLog) -> DatasetError {
     let message = log.message();
     let reason = if log.mentions("matches no streams") {
         "there is no video in it (only sound, or a cover picture)".to_owned()
+    } else if log.mentions("Format not on whitelist") {
+        "it is a playlist, or in a container that no camera writes; files that name other files are \
+         not followed: give the video itself (MP4, Matroska, AVI, MPEG, ...)"
+            .to_owned()
     } else if log.mentions("no decoder found") {
         format!(
             "this ffmpeg cannot decode its video codec, {} ({message}): install a full build of \

@@ -125,6 +125,81 @@ fn streams_are_recognised() {
     assert!(is_video(Path::new("a/b.MP4")) && !is_video(Path::new("b.sens")));
 }
 
+/// The second word of every question that follows `option`.
+fn asked_after(folder: &Folder, option: &str) -> Vec<String> {
+    let asked = fs::read_to_string(folder.0.join("asked")).expect("questions");
+    let value = |line: &str| {
+        let mut words = line.split(' ').skip_while(|word| *word != option);
+        words.nth(1).unwrap_or_default().to_owned()
+    };
+    asked.lines().map(value).collect()
+}
+
+#[test]
+fn every_call_names_the_protocols_and_containers_it_may_open() {
+    let folder = Folder::new("allowed", 3, 3);
+    shown(&folder.open(None).expect("a video").video, 1);
+    let protocols = asked_after(&folder, "-protocol_whitelist");
+    assert!(protocols.len() >= 3 && protocols.iter().all(|p| p == "file"), "{protocols:?}");
+    let containers = asked_after(&folder, "-format_whitelist");
+    assert!(containers.iter().all(|names| names.contains("matroska") && !names.contains("hls")));
+    drop(folder);
+    let folder = Folder::new("allowed-stream", 3, 3);
+    folder.record(1 << 20, &|| false).expect("a stream");
+    let protocols = asked_after(&folder, "-protocol_whitelist");
+    assert!(protocols.iter().all(|p| p == "rtsp,rtp,srtp,udp,tcp"), "{protocols:?}");
+}
+
+#[test]
+fn a_playlist_is_refused_with_one_message() {
+    let folder = Folder::new("playlist", 0, 0);
+    let words = "[hls @ 0x1] [error] Format not on whitelist 'mov'\n\
+                 [error] a.mp4: Invalid argument\n";
+    fs::write(folder.0.join("words"), words).expect("room");
+    let refusal = folder.open(None).expect_err("a playlist").to_string();
+    assert!(refusal.contains("a.mp4: it is a playlist, or"), "{refusal}");
+}
+
+/// The attack itself: lists in the clothes of videos that lead to another video.
+#[test]
+#[ignore = "needs ffmpeg"]
+fn ffmpeg_follows_no_list_and_reads_what_cameras_write() {
+    let folder = Folder::new("real-playlist", 0, 0);
+    let path = |name: &str| folder.0.join(name);
+    let make = |name: &str, more: &[&str]| {
+        let source = "testsrc=size=64x48:rate=10:duration=1";
+        let mut ffmpeg = std::process::Command::new("ffmpeg");
+        let ffmpeg = ffmpeg.args(["-v", "error", "-f", "lavfi", "-i", source]).args(more);
+        assert!(ffmpeg.arg(path(name)).status().expect("ffmpeg").success(), "{name}");
+    };
+    let open = |name: &str| Video::open_with(Ffmpeg::find(), &path(name), None, 30.0);
+    make("real.mp4", &["-c:v", "mpeg4"]);
+    assert_eq!(open("real.mp4").expect("a video").timestamps.len(), 10);
+    for name in ["a.mkv", "a.avi", "a.mpg", "a.ts", "a.gif", "a.mjpeg", "a.nut", "a.y4m", "a.flv"] {
+        make(name, &["-r", "25", "-pix_fmt", if name == "a.gif" { "rgb8" } else { "yuvj420p" }]);
+        assert!(open(name).is_ok_and(|listing| listing.timestamps.len() >= 10), "{name}");
+    }
+    let real = path("real.mp4");
+    let hls = format!(
+        "#EXTM3U\n#EXT-X-VERSION:3\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nfile:{}\n#EXT-X-ENDLIST\n",
+        real.display()
+    );
+    let session = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\n\
+                   m=video 5000 RTP/AVP 96\na=rtpmap:96 H264/90000\n";
+    for (name, text) in [
+        ("hls.mp4", hls.as_str()),
+        ("concat.mp4", "ffconcat version 1.0\nfile real.mp4\n"),
+        ("concat.gif", "ffconcat version 1.0\nfile real.mp4\n"),
+        ("session.mp4", session),
+    ] {
+        fs::write(path(name), text).expect("room");
+        let refusal = open(name).expect_err("no video").to_string();
+        assert!(refusal.contains(name) && refusal.lines().count() == 1, "{refusal}");
+    }
+    fs::copy(path("a.gif"), path("many-01.gif")).expect("room");
+    assert!(open("many-%02d.gif").is_err(), "a pattern of names");
+}
+
 impl Folder {
     fn record(&self, most: u64, should_end: &dyn Fn() -> bool) -> Result<Recording, DatasetError> {
         let ffmpeg = Ffmpeg::at(self.0.join("ffmpeg"));
