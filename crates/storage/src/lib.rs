@@ -1,5 +1,28 @@
 //! Files: output folders that are written whole or not at all, and bounded reading of regular files.
 
+mod error;
+mod file;
+mod lock;
+mod manifest;
+mod output;
 mod read;
+mod staging;
+mod swap;
+#[cfg(test)]
+mod tests;
 
+pub use error::{StorageError, reason};
+pub use file::write_file;
+pub use lock::FolderLock;
+pub use manifest::{FileRecord, MANIFEST, Manifest};
+pub use output::{Claim, Committed, OutputFolder, first_entry};
 pub use read::{MAX_TEXT, open, read, read_text};
+
+use std::path::Path;
+
+/// Finishes what commands that died left of their work on a folder, before it is read.
+pub fn recover(folder: &Path) {
+    if let Ok(target) = folder.canonicalize() {
+        swap::recover(&target);
+    }
+}
