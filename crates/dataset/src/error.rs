@@ -64,14 +64,16 @@ pub enum DatasetError {
     },
     /// No intrinsics: no `camera.json`, no flag, and the folder's name is no known sequence's.
     #[error(
-        "no camera for {}: put a camera.json there with fx, fy, cx, cy, width, height and \
+        "no camera for {}: {}put a camera.json there with fx, fy, cx, cy, width, height and \
          depth_scale, name one, or give the four intrinsics or the field of view (a folder named \
          after freiburg1, freiburg2 or freiburg3 needs none)",
-        folder.display()
+        folder.display(), mend_first(causes)
     )]
     NoCamera {
         /// The folder of the sequence.
         folder: PathBuf,
+        /// Reasons why files with a camera were not used, each a clause.
+        causes: Vec<String>,
     },
     /// One line of a text file cannot be used.
     #[error("{}, line {line}: {reason}", path.display())]
@@ -215,6 +217,10 @@ const INSTALL: &str = if cfg!(target_os = "macos") {
     "Debian and Ubuntu: `sudo apt install ffmpeg`, Fedora: `sudo dnf install ffmpeg-free`, Arch: \
      `sudo pacman -S ffmpeg`"
 };
+
+fn mend_first(causes: &[String]) -> String {
+    causes.iter().map(|cause| format!("{cause}; ")).collect()
+}
 
 fn no_sequence(has_colour: bool) -> &'static str {
     match has_colour {

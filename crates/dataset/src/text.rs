@@ -13,7 +13,13 @@ pub(crate) fn data_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
 
 /// Reads a whole text file.
 pub(crate) fn read_text(path: &Path) -> Result<String, DatasetError> {
-    std::fs::read_to_string(path).map_err(|e| DatasetError::read(path, e))
+    i2slam_storage::read_text(path).map_err(|e| DatasetError::read(path, e))
+}
+
+/// Whether a folder has an entry of this name, even one that cannot be read (a link to nothing, a
+/// pipe): reading it then says what is wrong, instead of going on as if it were not there.
+pub(crate) fn is_present(path: &Path) -> bool {
+    path.symlink_metadata().is_ok()
 }
 
 /// Parses a finite number; `name` is that of its column, for the error.

@@ -13,12 +13,23 @@ pub const MAX_TEXT: u64 = 256 << 20;
 /// # Errors
 /// Those of the system; `InvalidInput` if the path is anything but a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
-    let file = open_without_waiting(path)?;
+    let file = open_without_waiting(path).map_err(|error| of_dangling_link(path, error))?;
     let kind = file.metadata()?.file_type();
     match kind.is_file() {
         true => Ok(file),
         false if kind.is_dir() => Err(refusal("is a folder, expected a file")),
         false => Err(refusal("is no regular file (a pipe, socket or device)")),
+    }
+}
+
+/// A link to nothing is listed in its folder, so that "no such file" would be a riddle.
+fn of_dangling_link(path: &Path, error: io::Error) -> io::Error {
+    match path.read_link() {
+        Ok(target) if error.kind() == io::ErrorKind::NotFound => {
+            let message = format!("is a link to {}, which is not there", target.display());
+            io::Error::new(io::ErrorKind::NotFound, message)
+        }
+        _ => error,
     }
 }
 
@@ -88,6 +99,17 @@ mod tests {
         assert_eq!(kind(read(&scratch.join("none"), 4)), io::ErrorKind::NotFound);
         fs::write(&path, [0xff, 0xfe]).expect("room");
         assert_eq!(read_text(&path).expect_err("no text").kind(), io::ErrorKind::InvalidData);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_link_to_nothing_is_named() {
+        let scratch = TemporaryFolder::new("dangling");
+        let link = scratch.join("camera.json");
+        std::os::unix::fs::symlink("../elsewhere.json", &link).expect("a link");
+        let error = read(&link, 4).expect_err("nothing there");
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert!(error.to_string().contains("is a link to ../elsewhere.json"), "{error}");
     }
 
     #[test]

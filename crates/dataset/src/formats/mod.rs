@@ -30,7 +30,7 @@ pub(crate) use listing::Listing;
 pub(crate) use tum::{published_calibration, read_unit_trajectory};
 
 use crate::camera::{Calibration, FormatDefaults};
-use crate::text::list_names;
+use crate::text::{is_present, list_names};
 use crate::video::{Video, VideoListing, is_video};
 use crate::{DatasetError, OpenOptions};
 use nerfstudio::TransformsFile;
@@ -178,7 +178,7 @@ impl DetectedLayout {
 
     fn without_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
         let transforms = path.join("transforms.json");
-        if transforms.is_file() {
+        if is_present(&transforms) {
             return TransformsFile::open(&transforms, false).map(Self::Nerfstudio).map(Some);
         }
         Ok(tum::find(path, false).or_else(|| folders::find_colour(path).map(Self::Plain)))
@@ -207,6 +207,11 @@ impl DetectedLayout {
             Self::SevenScenes => Ok(Some(seven_scenes::calibration())),
             Self::Nerfstudio(file) => file.calibration().map(Some),
         }
+    }
+
+    /// Reasons why files that hold a camera in other layouts were not used, each a clause.
+    pub(crate) fn unused_files(folder: &Path) -> Vec<String> {
+        nerfstudio::unused(folder).into_iter().chain(tum::missing_list(folder)).collect()
     }
 
     /// Lists the frames. `frame_rate` [1/s] spaces frames without time stamps.

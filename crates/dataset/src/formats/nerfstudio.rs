@@ -5,7 +5,7 @@ use super::poses::pose_from_matrix;
 use super::{FrameEntry, Layout, Listing};
 use crate::DatasetError;
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
-use crate::text::{counted, read_text};
+use crate::text::{counted, is_present, read_text};
 use i2slam_geometry::Pose;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -25,11 +25,21 @@ pub(crate) struct TransformsFile {
     without_depth: usize,
 }
 
-/// Path of the folder's `transforms.json`, if it has depth.
+/// Path of the folder's `transforms.json`, if it has depth or cannot be read.
 pub(super) fn find(folder: &Path) -> Option<PathBuf> {
     let path = folder.join("transforms.json");
-    let text = std::fs::read_to_string(&path).ok()?;
-    text.contains("depth_file_path").then_some(path)
+    let has_depth = match read_text(&path) {
+        Ok(text) => text.contains("depth_file_path"),
+        Err(_) => is_present(&path),
+    };
+    has_depth.then_some(path)
+}
+
+/// Reason why a folder's `transforms.json` gives no frames with depth, if there is one.
+pub(super) fn unused(folder: &Path) -> Option<String> {
+    let path = folder.join("transforms.json");
+    let opened = is_present(&path).then(|| TransformsFile::open(&path, true))?;
+    opened.err().map(|error| error.to_string())
 }
 
 impl TransformsFile {

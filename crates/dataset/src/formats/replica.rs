@@ -6,7 +6,7 @@ use super::poses::read_matrix_lines;
 use super::{Layout, Listing};
 use crate::DatasetError;
 use crate::camera::{Calibration, Distortion, FormatDefaults};
-use crate::text::read_text;
+use crate::text::{is_present, read_text};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -59,7 +59,7 @@ pub(super) fn calibration(folders: &ReplicaFolders) -> Result<Calibration, Datas
     let whole = folders.scene.canonicalize().unwrap_or_else(|_| folders.scene.clone());
     let places = [Some(whole.as_path()), whole.parent()];
     let files = places.into_iter().flatten().map(|place| place.join("cam_params.json"));
-    let Some(path) = files.into_iter().find(|path| path.is_file()) else {
+    let Some(path) = files.into_iter().find(|path| is_present(path)) else {
         let lens = Distortion::default();
         let found = Calibration::from_opencv(PUBLISHED, lens, "the published camera", DEFAULTS);
         return Ok(Calibration { size: Some((1200, 680)), ..found });
@@ -86,7 +86,7 @@ pub(super) fn list(folders: &ReplicaFolders, frame_rate: f64) -> Result<Listing,
         pairs.pairs.iter().map(|pair| pair.number.map(|n| n as usize)).collect();
     let mut listing = pairs.list_by_number(Layout::Replica, frame_rate);
     let file = folders.scene.join("traj.txt");
-    if file.is_file() {
+    if is_present(&file) {
         match read_matrix_lines(&file) {
             Ok(lines) => listing.set_poses(|i, _| *lines.get(numbers[i].unwrap_or(i))?),
             Err(error) => listing.warnings.push(format!("ground truth ignored: {error}")),

@@ -2,9 +2,10 @@
 //! `intrinsic/intrinsic_color.txt` and `intrinsic_depth.txt`.
 
 use super::file_pairing::{FilePairs, list_images};
-use super::poses::{read_matrix, read_pose};
+use super::poses::{parse_matrix, read_pose};
 use super::{Layout, Listing};
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
+use crate::text::{is_present, read_text};
 use crate::{DatasetError, OpenOptions};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -32,7 +33,7 @@ pub(super) fn find(folder: &Path) -> Option<ScanNetFolders> {
         let images = ["color", "depth"].iter().all(|name| folder.join(name).is_dir());
         let files = ["intrinsic/intrinsic_color.txt", "intrinsic_color.txt"];
         let intrinsic_colour =
-            files.iter().map(|name| folder.join(name)).find(|path| path.is_file())?;
+            files.iter().map(|name| folder.join(name)).find(|path| is_present(path))?;
         images.then_some(ScanNetFolders { folder, intrinsic_colour })
     })
 }
@@ -42,7 +43,7 @@ pub(super) fn find(folder: &Path) -> Option<ScanNetFolders> {
 pub(super) fn calibration(folders: &ScanNetFolders) -> Result<Calibration, DatasetError> {
     let colour = read_intrinsics(&folders.intrinsic_colour)?;
     let beside = folders.intrinsic_colour.with_file_name("intrinsic_depth.txt");
-    let depth = if beside.is_file() { Some(read_intrinsics(&beside)?) } else { None };
+    let depth = if is_present(&beside) { Some(read_intrinsics(&beside)?) } else { None };
     let source = folders.intrinsic_colour.display().to_string();
     Ok(from_intrinsics(colour, depth, &source, DEFAULTS))
 }
@@ -60,7 +61,7 @@ pub(super) fn from_intrinsics(
 }
 
 fn read_intrinsics(path: &Path) -> Result<[f64; 4], DatasetError> {
-    let k = read_matrix(path).as_ref().and_then(intrinsics_of_matrix);
+    let k = parse_matrix(&read_text(path)?).as_ref().and_then(intrinsics_of_matrix);
     k.ok_or_else(|| {
         DatasetError::file(path, "expected a 4x4 matrix of intrinsics with fx, fy above 0")
     })

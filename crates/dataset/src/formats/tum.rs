@@ -4,7 +4,7 @@ use super::association::{Association, AssociationRules, associate};
 use super::poses::{UNIT_TOLERANCE, unit_length_error};
 use super::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing};
 use crate::camera::{Calibration, Distortion, FormatDefaults};
-use crate::text::{counted, data_lines, parse_number, parse_numbers, read_text};
+use crate::text::{counted, data_lines, is_present, parse_number, parse_numbers, read_text};
 use crate::{DatasetError, OpenOptions};
 use i2slam_geometry::{Pose, Rotation, StampedPose, Trajectory, Vec3};
 use std::fmt::Write;
@@ -110,9 +110,9 @@ pub(super) struct StampedImages {
 /// The layout of a folder with `rgb.txt` (and `depth.txt`, if asked for): ETH3D's if there is a
 /// calibration file.
 pub(super) fn find(folder: &Path, with_depth: bool) -> Option<DetectedLayout> {
-    let has = |name: &str| folder.join(name).is_file();
+    let has = |name: &str| is_present(&folder.join(name));
     let calibration = folder.join("calibration.txt");
-    (has("rgb.txt") && (!with_depth || has("depth.txt"))).then(|| match calibration.is_file() {
+    (has("rgb.txt") && (!with_depth || has("depth.txt"))).then(|| match is_present(&calibration) {
         true => DetectedLayout::Eth3d(calibration),
         false => DetectedLayout::Tum,
     })
@@ -127,7 +127,7 @@ pub(super) fn list(
 ) -> Result<Listing, DatasetError> {
     let colour = read_image_list(&folder.join("rgb.txt"), folder)?;
     let list = folder.join("depth.txt");
-    let alone = options.colour_only && !list.is_file();
+    let alone = options.colour_only && !is_present(&list);
     let depth = if alone { None } else { Some(read_image_list(&list, folder)?) };
     list_by_time(folder, layout, StampedImages { colour, depth }, options)
 }
@@ -189,7 +189,7 @@ fn entries(association: &Association, stamped: &StampedImages) -> Vec<FrameEntry
 
 /// Path of the folder's ground truth, if there is a file.
 pub(super) fn ground_truth(folder: &Path) -> Option<PathBuf> {
-    ["groundtruth.txt", "pose.txt"].iter().map(|name| folder.join(name)).find(|p| p.is_file())
+    ["groundtruth.txt", "pose.txt"].iter().map(|name| folder.join(name)).find(|p| is_present(p))
 }
 
 fn pose_stamps(path: &Path, warnings: &mut Vec<String>) -> Option<Vec<f64>> {
@@ -217,6 +217,22 @@ fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String
     ];
     let some = all.into_iter().filter(|(count, ..)| *count > 0);
     some.map(|(count, word, why)| format!("{} left out: {why}", counted(count, word))).collect()
+}
+
+/// Names of the lists that a folder lacks though another file of TUM RGB-D or ETH3D SLAM is there.
+pub(super) fn missing_list(folder: &Path) -> Option<String> {
+    let names = ["rgb.txt", "depth.txt", "calibration.txt"];
+    let (there, missing): (Vec<&str>, Vec<&str>) =
+        names.iter().partition(|name| is_present(&folder.join(name)));
+    let missing: Vec<&str> =
+        missing.into_iter().filter(|name| *name != "calibration.txt").collect();
+    (!there.is_empty() && !missing.is_empty()).then(|| {
+        format!(
+            "{} is there without {}, which TUM RGB-D and ETH3D SLAM need",
+            there.join(" and "),
+            missing.join(" and ")
+        )
+    })
 }
 
 /// Reads ETH3D's `fx fy cx cy`, one line, pixel centres at integers, images undistorted.

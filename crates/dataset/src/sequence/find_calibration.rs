@@ -2,6 +2,7 @@
 
 use crate::camera::{Calibration, Distortion, FieldOfView, FormatDefaults};
 use crate::formats::{DetectedLayout, published_calibration, read_camera};
+use crate::text::is_present;
 use crate::{DatasetError, OpenOptions};
 use std::path::Path;
 
@@ -25,7 +26,7 @@ pub(super) fn find_calibration(
     } else if layout.is_video() {
         // A camera.json in the folder of a video need not belong to it.
         assumed_calibration(folder, options, defaults)?
-    } else if beside.is_file() {
+    } else if is_present(&beside) {
         read_camera(&beside, defaults)?
     } else {
         match layout.calibration()?.or_else(|| published_calibration(folder)) {
@@ -49,7 +50,8 @@ fn assumed_calibration(
     defaults: FormatDefaults,
 ) -> Result<Calibration, DatasetError> {
     if !options.guess_camera {
-        return Err(DatasetError::NoCamera { folder: folder.to_path_buf() });
+        let causes = DetectedLayout::unused_files(folder);
+        return Err(DatasetError::NoCamera { folder: folder.to_path_buf(), causes });
     }
     let view = FieldOfView::ASSUMED;
     let found = Calibration::from_view(view, format!("a guess, {view}"), defaults);

@@ -57,6 +57,52 @@ fn unusable_files_are_named() {
     }
 }
 
+/// Colour and depth folders without a camera, where another layout's files cannot be used.
+#[test]
+fn a_missing_camera_is_told_with_its_cause() {
+    let folder = || {
+        let folder = Folder::new();
+        for i in 0..2 {
+            folder.write(&format!("rgb/{i}.png"), rgb_png(WIDTH, HEIGHT, 9));
+            folder.write(&format!("depth/{i}.png"), depth_png(WIDTH, HEIGHT, 5500));
+        }
+        folder
+    };
+    assert_says(open(&folder()), &["no camera for", ": put a camera.json there"]);
+    let nested = format!("{{\"x\":{}{}}}", "[".repeat(500), "]".repeat(500));
+    for (name, text, parts) in [
+        ("transforms.json", "{}", &["no camera", "transforms.json", "missing field `frames`"][..]),
+        ("transforms.json", &nested, &["no camera", "transforms.json", "recursion limit"]),
+        ("transforms.json", r#"{"frames":[]}"#, &["no camera", "transforms.json is empty"]),
+        ("camera.json", &nested, &["camera.json", "expected JSON"]),
+        ("calibration.txt", "1 1 1 1", &["calibration.txt is there without rgb.txt and depth.txt"]),
+    ] {
+        let folder = folder();
+        folder.write(name, text);
+        assert_says(open(&folder), parts);
+    }
+    let eth3d = folder();
+    eth3d.write("calibration.txt", "14 14 7.5 5.5");
+    eth3d.write("depth.txt", "0.0 depth/0.png\n0.1 depth/1.png\n");
+    let missing = "depth.txt and calibration.txt is there without rgb.txt, which";
+    assert_says(open(&eth3d), &["no camera", missing]);
+    eth3d.write("rgb.txt", "0.0 rgb/0.png\n0.1 rgb/1.png\n");
+    assert_eq!(open(&eth3d).expect("ETH3D").layout, Layout::Eth3d);
+}
+
+#[test]
+#[cfg(unix)]
+fn links_to_nothing_are_named() {
+    for name in ["camera.json", "transforms.json", "rgb.txt", "depth.txt", "calibration.txt"] {
+        let folder = Folder::tum(2);
+        for file in ["camera.json", name] {
+            std::fs::remove_file(folder.join(file)).ok();
+        }
+        std::os::unix::fs::symlink("/no/such/file", folder.join(name)).expect("a link");
+        assert_says(open(&folder), &["cannot read", name, "/no/such/file"]);
+    }
+}
+
 #[test]
 fn unusable_images_are_errors_of_their_frame() {
     let folder = Folder::tum(2);
