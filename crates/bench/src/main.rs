@@ -47,7 +47,7 @@ struct Arguments {
     #[command(flatten)]
     selection: Selection,
     /// Jobs at once, each with its share of the threads [default: the suite's, else 1]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// End a job that takes longer; it counts as failed
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
@@ -68,7 +68,7 @@ struct Arguments {
     #[arg(long)]
     print: bool,
     /// Threads of all jobs together [default: all cores]; results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// Print the summary only
     #[arg(long)]
@@ -243,19 +243,20 @@ fn finish(bench: &Bench<'_>, outcomes: Vec<Outcome>) -> Result<(), Failure> {
         .collect();
     let results = Results { plan: bench.plan, outcomes, metrics };
     report::write(&results, bench.out)?;
+    let [_, failed, left] = report::counts(&results);
+    match failed {
+        0 => {}
+        1 => print_status("error: one job failed; the tables say why"),
+        _ => print_status(&format!("error: {failed} jobs failed; the tables say why")),
+    }
     print(&report::state(&results));
     let absolute = std::path::absolute(bench.out).unwrap_or_else(|_| bench.out.to_owned());
     print(&format!("tables in {}", absolute.join("results.md").display()));
     print(&absolute.join("results.html").display().to_string());
-    let [_, failed, left] = report::counts(&results);
     if left > 0 && interrupted() {
         return Err(Failure::Interrupted);
     }
-    match failed {
-        0 => Ok(()),
-        1 => Err(Failure::Failed("one job failed; the tables say why".to_owned())),
-        _ => Err(Failure::Failed(format!("{failed} jobs failed; the tables say why"))),
-    }
+    if failed > 0 { Err(Failure::Reported) } else { Ok(()) }
 }
 
 #[cfg(test)]

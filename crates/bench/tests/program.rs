@@ -133,6 +133,19 @@ fn a_job_that_fails_is_in_the_tables() {
 }
 
 #[test]
+fn a_job_with_a_degraded_result_has_failed() {
+    // All depth beyond the room: no frame has any.
+    let (_folder, suite, out) = prepared("bench-degraded", &suite("depth_scale = 1e-300"));
+    let ran = bench(&suite, &out, &["--configurations", "on"]).exits_with(1);
+    let reason = "0 of 4 frames were tracked: frame 0: it has no depth";
+    ran.stderr_contains(&format!("room, on, seed 3: failed: {reason}"));
+    assert!(read(&out.join("results.md")).contains(reason));
+    assert!(
+        read(&out.join("jobs/room/on/seed-3/result/metrics.json")).contains("\"degraded\": true")
+    );
+}
+
+#[test]
 fn what_could_not_be_judged_is_judged_again_without_a_run() {
     let (folder, suite, out) = prepared("bench-judge", &suite(""));
     let sharp = folder.0.join("room/sharp");

@@ -49,7 +49,7 @@ pub(crate) struct Input {
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads to use [default: all cores]; results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) threads: Option<u16>,
     /// Print warnings and the summary only
     #[arg(long)]

@@ -11,6 +11,8 @@ pub(crate) enum Failure {
     Usage(String),
     /// Failure at work: exit code 1.
     Failed(String),
+    /// Failure at work whose reasons were printed before the summary: exit code 1.
+    Reported,
     /// Interrupted by the user, after results were written: exit code 130, as in shells.
     Interrupted,
 }
@@ -19,7 +21,7 @@ impl Failure {
     pub(crate) fn exit_code(&self) -> u8 {
         match self {
             Self::Usage(_) => 2,
-            Self::Failed(_) => 1,
+            Self::Failed(_) | Self::Reported => 1,
             Self::Interrupted => 130,
         }
     }
@@ -27,7 +29,7 @@ impl Failure {
     pub(crate) fn message(&self) -> Option<&str> {
         match self {
             Self::Usage(message) | Self::Failed(message) => Some(message),
-            Self::Interrupted => None,
+            Self::Reported | Self::Interrupted => None,
         }
     }
 

@@ -123,7 +123,11 @@ pub(super) fn print_summary(
     folder: &Path,
     is_readout_estimated: bool,
 ) {
-    let unfinished = if metrics.complete { "" } else { " (ended early)" };
+    let unfinished = match (metrics.complete, metrics.degraded) {
+        (false, _) => " (ended early)",
+        (true, true) => " (degraded)",
+        (true, false) => "",
+    };
     let frames = counted(metrics.frames_given, "frame");
     print(&format!("{} of {frames} tracked{unfinished}, {map}", metrics.tracked));
     if let Some(error) = metrics.ate_rmse_m {

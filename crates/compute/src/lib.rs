@@ -4,6 +4,7 @@
 mod adam;
 mod cancellation;
 mod linear;
+mod memory;
 mod random;
 mod reduce;
 pub mod simd;
@@ -13,6 +14,7 @@ mod statistics;
 pub use adam::{Adam, AdamSettings};
 pub use cancellation::CancellationToken;
 pub use linear::{NormalEquations, solve_positive_definite};
+pub use memory::machine_memory;
 pub use random::Random;
 pub use reduce::reduce_in_order;
 pub use skyline::{SkylineMatrix, reverse_cuthill_mckee};

@@ -10,6 +10,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{:.3} s  {:?}", pose.timestamp, pose.world_from_camera.translation);
     }
     println!("map: {}", outcome.reconstruction.map);
+    if !outcome.shortfalls.is_empty() {
+        return Err(outcome.shortfalls.join("; ").into());
+    }
     Ok(())
 }
 

@@ -127,6 +127,11 @@ impl Default for Map {
 }
 
 impl Map {
+    /// Whether there is nothing to render: no Gaussians, as of a hash grid that was never started.
+    pub fn is_empty(&self) -> bool {
+        matches!(self, Self::Gaussians(map) if map.is_empty())
+    }
+
     /// Number of Gaussians; 0 for a hash grid.
     pub fn gaussians(&self) -> usize {
         match self {

@@ -99,6 +99,27 @@ fn a_cancelled_run_keeps_its_frames() {
 }
 
 #[test]
+fn a_run_that_found_nothing_falls_short() {
+    let shortfalls = |change: fn(&mut RunOptions)| {
+        let mut options = quick(RunOptions::with_depth(), 3);
+        change(&mut options);
+        let outcome = reconstruct(&open(&options), &options, ()).expect("frames");
+        assert!(outcome.complete);
+        outcome.shortfalls
+    };
+    let none = shortfalls(|options| options.open.depth_scale = Some(1e-300));
+    let all = shortfalls(|options| options.open.intrinsics = Some([1e-5, 1e-5, 48.0, 36.0]));
+    for (found, cause) in [(none, "frame 0: it has no depth"), (all, "the map was empty")] {
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert!(found[0].starts_with("0 of 3 frames were tracked: "), "{found:?}");
+        assert!(found[0].contains(cause) && found[1].starts_with("the map is empty"), "{found:?}");
+    }
+    assert_eq!(shortfalls(|_| ()), [""; 0]);
+    let held_out = shortfalls(|options| options.config.mapping.hold_out = 3);
+    assert!(held_out.len() == 1 && held_out[0].contains("no frame was held out"), "{held_out:?}");
+}
+
+#[test]
 fn options_that_contradict_each_other_are_refused() {
     let refused = |options: &RunOptions| {
         reconstruct(&open(options), options, ()).expect_err("a contradiction").to_string()

@@ -17,6 +17,10 @@ pub struct Metrics {
     pub seed: u64,
     /// Whether the run reached the end of its frames.
     pub complete: bool,
+    /// Whether the result is not what was asked for, though complete.
+    pub degraded: bool,
+    /// Why it is degraded, a sentence each.
+    pub degraded_because: Vec<String>,
     /// Frames processed.
     pub frames: usize,
     /// Frames whose pose was found.
@@ -110,6 +114,12 @@ impl UnitOfLength {
 }
 
 impl Metrics {
+    /// Marks the result as degraded by these sentences, if there are any.
+    pub fn degrade(&mut self, because: impl IntoIterator<Item = String>) {
+        self.degraded_because.extend(because);
+        self.degraded = !self.degraded_because.is_empty();
+    }
+
     /// The measurements that need no ground truth and no renders; `seconds` is that of tracking
     /// and mapping.
     pub fn of(reconstruction: &Reconstruction) -> Self {

@@ -53,6 +53,7 @@ pub fn synthesise(
     progress: &mut dyn FnMut(Stage) -> bool,
 ) -> Result<Summary, SyntheticError> {
     spec.validate()?;
+    spec.validate_memory()?;
     let folder = OutputFolder::create(out)?;
     // First, so that a folder tells what it is even where the work was ended.
     folder.write_text("spec.toml", spec.to_toml())?;

@@ -42,6 +42,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         dataset,
         out: arguments.out.clone(),
         options,
+        settings_file: None,
         renders: RenderSelection::All,
         overwrite: true,
         quiet: arguments.machine.quiet,

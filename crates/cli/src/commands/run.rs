@@ -142,6 +142,7 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
         options: RunOptions { open, ..options },
+        settings_file: arguments.config.as_deref(),
         renders,
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,

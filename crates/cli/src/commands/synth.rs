@@ -40,6 +40,8 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
     match &arguments.out {
         Some(out) if !arguments.print_spec => {
             arguments.machine.use_threads()?;
+            // Before anything of an earlier sequence is removed.
+            spec.validate_memory().map_err(failure)?;
             let layout = synthetic_layout();
             let (command, overwrite) = ("i2slam synth", arguments.overwrite);
             let destination = OutputDir { path: out, layout, command, overwrite };

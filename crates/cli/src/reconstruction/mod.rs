@@ -1,6 +1,7 @@
 //! A whole run from the dataset to the result folder, for `run` and `demo`.
 
 mod pictures;
+mod shortfall;
 mod write;
 
 use crate::console::print_status;
@@ -13,14 +14,17 @@ use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
 use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
 use i2slam_result::{FolderLayout, ResultFolder};
 pub(crate) use pictures::RenderSelection;
+use shortfall::with_shortfall;
 use std::path::{Path, PathBuf};
 use write::{FinishedRun, WrittenRun};
 
 /// Arguments of a run.
-pub(crate) struct Job {
+pub(crate) struct Job<'a> {
     pub(crate) dataset: PathBuf,
     pub(crate) out: PathBuf,
     pub(crate) options: RunOptions,
+    /// File that settings come from.
+    pub(crate) settings_file: Option<&'a Path>,
     /// Frames whose renders are written.
     pub(crate) renders: RenderSelection,
     /// Whether an earlier result in `out` may be replaced.
@@ -31,7 +35,7 @@ pub(crate) struct Job {
 }
 
 /// Reconstructs, writes everything, and prints a summary that ends with the path of the report.
-pub(crate) fn run(job: &Job) -> Result<(), Failure> {
+pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
     interrupt::listen();
     let stream = record_stream(job)?;
     let recording = stream.as_ref().map(Recording::path);
@@ -40,7 +44,7 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
         print_status(&format!("looking through {}", job.dataset.display()));
     }
     let sequence = job.options.open_sequence(dataset)?;
-    job.options.validate(&sequence)?;
+    job.options.validate(&sequence).map_err(|error| placed(error, job))?;
     refuse_to_overwrite(job)?;
     let made = CreatedDirs::for_path(&job.out);
     let folder = ResultFolder::create(&job.out)?;
@@ -55,7 +59,7 @@ pub(crate) fn run(job: &Job) -> Result<(), Failure> {
 /// Reconstructs an opened sequence and writes the result; `warnings` are those about the stream.
 fn reconstruct_into(
     folder: &ResultFolder,
-    job: &Job,
+    job: &Job<'_>,
     (dataset, sequence): (&Path, &Sequence),
     mut warnings: Vec<String>,
 ) -> Result<(), Failure> {
@@ -90,13 +94,24 @@ fn reconstruct_into(
     });
     progress.clear();
     let WrittenRun { metrics, map, folder, problems } = written?;
+    let interrupted = interrupt::requested();
+    let problems = if interrupted { problems } else { with_shortfall(&metrics, problems) };
+    let ended = report_problems(&problems);
     let is_readout_estimated = job.options.config.input.optimise_rolling_shutter;
     messages::print_summary(&metrics, &map, &folder, is_readout_estimated);
-    report_problems(problems)
+    ended
+}
+
+/// The error with the place of a setting in the file of settings.
+fn placed(error: RunError, job: &Job<'_>) -> RunError {
+    match (error, job.settings_file) {
+        (RunError::Config(error), Some(file)) => error.in_file(file).into(),
+        (error, _) => error,
+    }
 }
 
 /// Records a stream into a file before anything else, as a stream cannot be read twice.
-fn record_stream(job: &Job) -> Result<Option<Recording>, Failure> {
+fn record_stream(job: &Job<'_>) -> Result<Option<Recording>, Failure> {
     if !is_stream(&job.dataset) {
         return Ok(None);
     }
@@ -119,7 +134,7 @@ fn record_stream(job: &Job) -> Result<Option<Recording>, Failure> {
 
 /// Refuses to write into the dataset, as a result has a `camera.json` of its own, over an earlier
 /// result without `--overwrite`, and over other files.
-fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
+fn refuse_to_overwrite(job: &Job<'_>) -> Result<(), Failure> {
     let out = job.out.display();
     let same_folder = match (job.out.canonicalize(), job.dataset.canonicalize()) {
         (Ok(folder), Ok(dataset)) => folder == dataset,
@@ -134,21 +149,17 @@ fn refuse_to_overwrite(job: &Job) -> Result<(), Failure> {
     output_dir(job).check()
 }
 
-fn output_dir(job: &Job) -> OutputDir<'_> {
+fn output_dir<'a>(job: &'a Job<'_>) -> OutputDir<'a> {
     let (layout, overwrite) = (FolderLayout::of_result(), job.overwrite);
     OutputDir { path: &job.out, layout, command: "i2slam run", overwrite }
 }
 
-/// Prints all problems but the last, which is returned.
-fn report_problems(problems: Vec<String>) -> Result<(), Failure> {
-    match problems.split_last() {
-        Some((last, others)) => {
-            for problem in others {
-                print_status(&format!("error: {problem}"));
-            }
-            Err(Failure::Failed(last.clone()))
-        }
-        None if interrupt::requested() => Err(Failure::Interrupted),
-        None => Ok(()),
+/// Prints all problems.
+fn report_problems(problems: &[String]) -> Result<(), Failure> {
+    problems.iter().for_each(|problem| print_status(&format!("error: {problem}")));
+    match problems {
+        [] if interrupt::requested() => Err(Failure::Interrupted),
+        [] => Ok(()),
+        _ => Err(Failure::Reported),
     }
 }

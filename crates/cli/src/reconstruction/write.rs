@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 /// A run whose frames are done.
 pub(super) struct FinishedRun<'a> {
-    pub(super) job: &'a Job,
+    pub(super) job: &'a Job<'a>,
     pub(super) folder: &'a ResultFolder,
     pub(super) sequence: &'a Sequence,
     pub(super) truth: &'a GroundTruth,
@@ -51,12 +51,14 @@ impl FinishedRun<'_> {
     fn output_folder(&mut self, progress: &Progress) -> Result<ResultFolder, Failure> {
         let out = self.folder.path();
         let tracked = self.outcome.reconstruction.frames.iter().filter(|f| f.tracked).count();
-        if self.outcome.complete || !has_better_result(out, tracked) {
+        let falls_short = !self.outcome.shortfalls.is_empty();
+        if self.outcome.complete && !falls_short || !has_better_result(out, tracked) {
             return Ok(self.folder.clone());
         }
         let beside = partial_folder(out);
+        let end = if self.outcome.complete { "found too little" } else { "ended early" };
         let warning = format!(
-            "this run ended early: the earlier result in {} stays, and what there is of this one is \
+            "this run {end}: the earlier result in {} stays, and what there is of this one is \
              in {}",
             out.display(),
             beside.display()
@@ -83,6 +85,9 @@ impl FinishedRun<'_> {
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(RunInput::new(&self.job.dataset, &self.open_options()).save(folder));
         let mut measurements = Measurements::new(&self.outcome, self.truth);
+        measurements
+            .metrics
+            .degrade(problem.iter().filter_map(Failure::message).map(str::to_owned));
         measurements.warnings.iter().for_each(|warning| progress.warn(warning));
         let later = measurements.warnings.iter().map(|warning| Warning::from(warning.as_str()));
         measurements.metrics.warnings = self.warnings.iter().cloned().chain(later).collect();
@@ -94,6 +99,7 @@ impl FinishedRun<'_> {
             renders: self.job.renders,
         };
         let rendered = renderer.render(folder, progress);
+        measurements.metrics.degrade(rendered.failure.iter().map(ToString::to_string));
         rendered.failure.into_iter().for_each(|error| note(Err(error)));
         rendered.metrics.write_to(&mut measurements.metrics);
         measurements.metrics.peak_memory_bytes = peak_memory();
@@ -129,6 +135,7 @@ impl Measurements {
         let reconstruction = &outcome.reconstruction;
         let mut metrics = Metrics::of(reconstruction);
         metrics.complete = outcome.complete;
+        metrics.degrade(outcome.shortfalls.clone());
         metrics.skipped = outcome.frames_skipped;
         metrics.frames_given = outcome.frames_given;
         metrics.seconds = outcome.seconds;
@@ -197,14 +204,20 @@ fn peak_memory() -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// Whether a folder holds a result that is complete, has more than `tracked` frames, or whose
-/// `metrics.json` cannot be read.
+/// Whether a folder holds a result that is complete and not degraded, has more than `tracked`
+/// frames, or whose `metrics.json` cannot be read.
 fn has_better_result(folder: &Path, tracked: usize) -> bool {
     FolderLayout::of_result().contents(folder) == FolderContents::Own
-        && saved_metrics(folder).is_none_or(|earlier| earlier.complete || earlier.tracked > tracked)
+        && saved_metrics(folder)
+            .is_none_or(|earlier| is_sound(&earlier) || earlier.tracked > tracked)
 }
 
-/// Folder for a run that ended early beside a better result: `NAME-partial`, numbered if that
+/// Whether a result is complete and what was asked for.
+fn is_sound(metrics: &Metrics) -> bool {
+    metrics.complete && !metrics.degraded
+}
+
+/// Folder for a run that ended early, or is degraded, beside a better result: `NAME-partial`, numbered if that
 /// holds anything else.
 fn partial_folder(folder: &Path) -> PathBuf {
     let whole = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
@@ -215,7 +228,7 @@ fn partial_folder(folder: &Path) -> PathBuf {
     };
     let is_free = |path: &PathBuf| match FolderLayout::of_result().contents(path) {
         FolderContents::Empty => !path.is_file(),
-        FolderContents::Own => saved_metrics(path).is_some_and(|earlier| !earlier.complete),
+        FolderContents::Own => saved_metrics(path).is_some_and(|earlier| !is_sound(&earlier)),
         FolderContents::Other(_) | FolderContents::Foreign(_) => false,
     };
     (1..).map(numbered).find(is_free).unwrap_or(whole)

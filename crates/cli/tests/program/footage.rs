@@ -178,5 +178,5 @@ impl Footage {
     }
 }
 
-const QUICK: &str = "map.kind = \"hashgrid\"\n[hashgrid]\nlog2_table = 10\nfinest_cell = 0.05\n\
-    rays = 64\nfirst_iterations = 10\niterations = 2\nfinal_iterations = 1\n";
+/// Few steps, and still a map in which the frames are found.
+const QUICK: &str = "[mapping]\nfirst_iterations = 10\niterations = 2\nfinal_iterations = 4\n";

@@ -6,6 +6,7 @@ mod eval_result;
 #[cfg(unix)]
 mod footage;
 mod info;
+mod limits;
 mod program;
 mod result_folder;
 mod run_depth;

@@ -21,6 +21,10 @@ const ASPECT_TOLERANCE: f64 = 0.01;
 /// Plausible median depth [m].
 const PLAUSIBLE_DEPTH: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 
+/// Plausible horizontal field of view of a camera without lens distortion [degrees]: from long
+/// telephoto lenses to the widest that are rectilinear.
+const PLAUSIBLE_VIEW: std::ops::RangeInclusive<f64> = 1.0..=165.0;
+
 /// Determines the cameras of colour and depth and the grid that frames are delivered on.
 pub(super) fn recording_cameras(
     entries: &[FrameEntry],
@@ -62,8 +66,17 @@ pub(super) fn recording_cameras(
     })
 }
 
-/// A warning if the intrinsics seem to belong to another image size.
+/// A warning if the intrinsics seem to belong to another image size, or to be in another unit.
 pub(super) fn camera_warning(recorded: &RecordingCameras, source: &str) -> Option<String> {
+    let camera = &recorded.colour;
+    let degrees = camera.horizontal_field_of_view().to_degrees();
+    if !PLAUSIBLE_VIEW.contains(&degrees) {
+        return Some(format!(
+            "intrinsics that are not in pixels? With a focal length of {} px {source} sees {degrees:.1} \
+             degrees across in pictures of {}x{}",
+            camera.fx, camera.width, camera.height
+        ));
+    }
     let odd = [&recorded.colour, &recorded.depth]
         .into_iter()
         .find(|camera| !has_central_principal_point(camera))?;

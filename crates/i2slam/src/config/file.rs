@@ -85,6 +85,19 @@ impl Config {
     }
 }
 
+impl ConfigError {
+    /// The error with the place of its key in the file that the settings came from; unchanged where
+    /// it has one, or the file cannot be read.
+    #[must_use]
+    pub fn in_file(self, path: &Path) -> Self {
+        let origin = path.display().to_string();
+        match text(path) {
+            Ok(text) => Source { text: &text, origin: &origin }.placed(self),
+            Err(_) => self,
+        }
+    }
+}
+
 fn text(path: &Path) -> Result<String, ConfigError> {
     let text = std::fs::read_to_string(path);
     text.map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })
@@ -206,6 +219,10 @@ impl Source<'_> {
             ConfigError::OutOfRange { key, value, expected, .. } => {
                 ConfigError::OutOfRange { place: self.place(key), key, value, expected }
             }
+            ConfigError::TooMuchMemory { key, value, needed, available, advice, .. } => {
+                let place = self.place(key);
+                ConfigError::TooMuchMemory { place, key, value, needed, available, advice }
+            }
             other => other,
         }
     }
@@ -259,7 +276,7 @@ impl Source<'_> {
 fn in_words(message: &str) -> String {
     let types = [
         ("expected usize", "expected a whole number of at least 0"),
-        ("expected u32", "expected a whole number of at least 0"),
+        ("expected u32", "expected a whole number of 0 to 4294967295"),
         ("expected u64", "expected a whole number of at least 0"),
         ("expected f32", "expected a number"),
         ("expected f64", "expected a number"),
@@ -375,10 +392,10 @@ mod tests {
         refused(
             &value("hold_out = 1"),
             "a.toml, line 5: mapping.hold_out = 1 is out",
-            "2 and more",
+            "2 to 1000000, or 0 for none",
         );
         let other = "[hashgrid]\niterations = 1\n[mapping]\ndepth_weight = -1\n";
-        refused(other, "a.toml, line 4: mapping.depth_weight = -1 is out", "at least 0");
+        refused(other, "a.toml, line 4: mapping.depth_weight = -1 is out", "0 to 1000000000000");
         refused("mapping = 3\n", "a.toml, line 1: mapping: ", "section");
         refused("preset = 3\n", "a.toml, line 1: preset: ", "string");
         let model = "formation.blur_model = \"blurry\"\n";

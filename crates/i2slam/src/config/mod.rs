@@ -6,6 +6,7 @@
 mod file;
 mod parameters;
 mod presets;
+mod ranges;
 mod validate;
 
 pub use file::line_of_key;
@@ -377,7 +378,26 @@ pub enum ConfigError {
         /// Its value.
         value: String,
         /// Allowed values.
-        expected: &'static str,
+        expected: String,
+    },
+    /// A value that needs more memory than the machine has.
+    #[error(
+        "{place}{key} = {value} needs about {} of memory, the whole run {}; this machine has \
+         {available}: {advice}", needed[0], needed[1]
+    )]
+    TooMuchMemory {
+        /// File name and line, with `: `; empty without a file.
+        place: String,
+        /// Key with section.
+        key: &'static str,
+        /// Its value.
+        value: String,
+        /// Memory that it needs, and that of the whole run, with units.
+        needed: [String; 2],
+        /// Memory of the machine, with unit.
+        available: String,
+        /// Change that needs less.
+        advice: &'static str,
     },
 }
 
@@ -388,7 +408,7 @@ impl ConfigError {
             Self::UnknownKey { key, .. }
             | Self::RemovedKey { key, .. }
             | Self::WrongValue { key, .. } => Some(key),
-            Self::OutOfRange { key, .. } => Some(key),
+            Self::OutOfRange { key, .. } | Self::TooMuchMemory { key, .. } => Some(key),
             _ => None,
         }
     }

@@ -15,7 +15,7 @@ mod mapper;
 mod window;
 
 pub(crate) use context::MappingContext;
-pub(crate) use field::FieldMapper;
+pub(crate) use field::{FieldMapper, largest_field};
 pub(crate) use gaussians::GaussianMapper;
 pub(crate) use joint::{JointFieldMapper, JointGaussianMapper, JointMapper};
 pub(crate) use keyframe::{AdjacentFrames, Keyframe, is_keyframe};

@@ -2,7 +2,7 @@
 
 use super::observer::RunContext;
 use super::runner::{self, FrameConsumer};
-use super::{RunError, RunOptions, RunOutcome, Stage};
+use super::{RunError, RunOptions, RunOutcome, Stage, shortfall};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::{Session, SessionError};
 use crate::warning::Warning;
@@ -55,6 +55,16 @@ impl FrameConsumer for Session {
 
     fn take_warnings(&mut self) -> Vec<Warning> {
         Self::take_warnings(self)
+    }
+
+    fn shortfalls(&self) -> Vec<String> {
+        let held_out = shortfall::of_holding_out(self.mapping(), (self.frames().len(), "frame"));
+        let readout = self.is_readout_missing().then(|| {
+            "no readout of a rolling shutter was found: no frame shows it \
+             (input.optimise_rolling_shutter)"
+                .to_owned()
+        });
+        held_out.into_iter().chain(readout).collect()
     }
 
     fn reconstruction(&self) -> Reconstruction {

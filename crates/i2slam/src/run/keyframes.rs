@@ -6,8 +6,8 @@ use super::error::{RunError, catch_panic};
 use super::forecast::Forecaster;
 use super::observer::{Observer, RunContext, Stage};
 use super::runner::{self, FrameConsumer};
-use super::{RunOptions, RunOutcome};
-use crate::config::TrackingMethod;
+use super::{RunOptions, RunOutcome, shortfall};
+use crate::config::{MappingConfig, TrackingMethod};
 use crate::keyframes::{
     self, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError, MonocularSource,
     OdometryError, OdometryProgress, OdometryWarning, PictureError, PosedKeyframe, RefinedImport,
@@ -71,12 +71,18 @@ pub(super) fn run(
         session.set_valid_mask(Arc::clone(valid_mask));
     }
     let items = std::iter::from_fn(|| source.next_keyframe());
-    let held_out = VecDeque::new();
+    // Where the frames between keyframes are localised, too, their tracking tells.
+    let has_path = camera.is_some() && options.config.tracking.method == TrackingMethod::Adam;
+    let few_poses = has_path.then(|| shortfall::of_path(path.len(), frames_given)).flatten();
+    let (mapping, held_out) = (options.config.mapping.clone(), VecDeque::new());
+    let (position, warnings) = (0, Vec::new());
     let consumer =
-        KeyframeConsumer { session, between, position: 0, held_out, path, warnings: Vec::new() };
+        KeyframeConsumer { session, mapping, between, position, held_out, path, warnings };
     let none_usable = "no keyframe could be used";
     let outcome = runner::run(consumer, items, count, (started, none_usable), context)?;
-    Ok(RunOutcome { camera, undistorted, frames_given, ..outcome })
+    let few_poses = few_poses.filter(|_| outcome.complete);
+    let shortfalls = outcome.shortfalls.into_iter().chain(few_poses).collect();
+    Ok(RunOutcome { camera, undistorted, frames_given, shortfalls, ..outcome })
 }
 
 /// Finds the path of the camera from the pictures, with dense depth of the keyframes, and their
@@ -266,6 +272,7 @@ fn imported_picture(files: &ImportedKeyframes, place: usize) -> Result<Frame, Pi
 /// A session on keyframes, and the frames that are localised after the last of them.
 struct KeyframeConsumer {
     session: KeyframeSession,
+    mapping: MappingConfig,
     between: BetweenFrames,
     /// Number of keyframes so far, mapped or held out.
     position: usize,
@@ -298,7 +305,7 @@ impl FrameConsumer for KeyframeConsumer {
 
     fn process(&mut self, keyframe: PosedKeyframe) -> (Result<(), SessionError>, Vec<Warning>) {
         self.position += 1;
-        if self.session.holds_out(self.position - 1) {
+        if self.mapping.holds_out(self.position - 1) {
             self.held_out.push_back(keyframe);
             return (Ok(()), Vec::new());
         }
@@ -338,6 +345,11 @@ impl FrameConsumer for KeyframeConsumer {
             );
             self.warnings.push(text.into());
         }
+    }
+
+    fn shortfalls(&self) -> Vec<String> {
+        let held_out = shortfall::of_holding_out(&self.mapping, (self.position, "keyframe"));
+        held_out.into_iter().collect()
     }
 
     fn take_warnings(&mut self) -> Vec<Warning> {

@@ -16,8 +16,10 @@ mod error;
 mod forecast;
 mod frames;
 mod keyframes;
+mod memory;
 mod observer;
 mod runner;
+mod shortfall;
 
 pub use camera::CameraEstimate;
 pub use error::RunError;
@@ -120,7 +122,8 @@ impl RunOptions {
         Sequence::open(path, &OpenOptions { crop_border, minimum_gap, ..self.open.clone() })
     }
 
-    /// Checks the options against each other and against a sequence.
+    /// Checks the options against each other, against a sequence, and against the memory of this
+    /// machine.
     ///
     /// # Errors
     ///
@@ -135,7 +138,7 @@ impl RunOptions {
             PoseSource::Odometry { estimate_distortion: true } if !sequence.camera_is_guess => {
                 Err(RunError::KnownCamera { source_of_camera: sequence.camera_source.clone() })
             }
-            _ => Ok(()),
+            _ => Ok(memory::check(self, sequence)?),
         }
     }
 }
@@ -155,6 +158,9 @@ pub struct RunOutcome {
     pub complete: bool,
     /// The error that ended the run early; `None` if it was cancelled.
     pub problem: Option<RunError>,
+    /// Why the result is not what was asked for, a sentence each; empty if it is: less than a tenth
+    /// of the frames was tracked, the map is empty, no frame was held out, no readout was found.
+    pub shortfalls: Vec<String>,
     /// Camera as estimated from the pictures; only by colour alone.
     pub camera: Option<CameraEstimate>,
     /// The sequence as it was used, if an estimated lens distortion was removed from it.
@@ -201,5 +207,8 @@ pub fn reconstruct(
     };
     outcome.warnings =
         context.into_warnings().into_iter().map(|warning| warning.with_time(stamp)).collect();
+    let of_session = std::mem::take(&mut outcome.shortfalls);
+    outcome.shortfalls = shortfall::of_result(&outcome, options);
+    outcome.shortfalls.extend(of_session);
     Ok(outcome)
 }

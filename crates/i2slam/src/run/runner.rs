@@ -23,6 +23,8 @@ pub(super) trait FrameConsumer {
     fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool);
     fn frames(&self) -> &[FrameEstimate];
     fn take_warnings(&mut self) -> Vec<Warning>;
+    /// What was asked for and is not in the result, after the last item; a sentence each.
+    fn shortfalls(&self) -> Vec<String>;
     /// Adds the poses that are known of items not processed, after cancellation.
     fn keep_unprocessed(&mut self) {}
     fn reconstruction(&self) -> Reconstruction;
@@ -59,13 +61,15 @@ pub(super) fn run<S: FrameConsumer, E: Display>(
         }
     }
     runner.session.take_warnings().into_iter().for_each(|warning| context.warn(warning));
+    let complete = problem.is_none() && !cancelled();
     Ok(RunOutcome {
         reconstruction: runner.session.reconstruction(),
         frames_given: total,
         frames_skipped: runner.skipped,
         seconds: started.elapsed().as_secs_f64(),
-        complete: problem.is_none() && !cancelled(),
+        complete,
         problem,
+        shortfalls: if complete { runner.session.shortfalls() } else { Vec::new() },
         camera: None,
         undistorted: None,
         warnings: Vec::new(),

@@ -62,6 +62,10 @@ impl Backend {
             self.mapper.refine(&mut context, &current, first);
         }
         let estimate = &mut state.frames[position];
+        if first && self.mapper.is_empty() {
+            // Nothing was measured with a map that did not outlive its first frame.
+            estimate.tracked = false;
+        }
         estimate.mapping_seconds = clock.elapsed().as_secs_f64();
         estimate.gaussians = self.mapper.gaussians();
     }

@@ -3,7 +3,7 @@
 use super::backend::Backend;
 use super::error::{SessionError, check_image};
 use super::state::is_black;
-use crate::config::{Config, ResponseScope};
+use crate::config::{Config, MappingConfig, ResponseScope};
 use crate::mapping::{Keyframe, Tracker};
 use crate::objective::Observation;
 use crate::reconstruction::{FrameEstimate, Reconstruction};
@@ -67,10 +67,10 @@ impl Session {
         let (colour, depth) = (Arc::clone(&frame.colour), Arc::clone(&frame.depth));
         let observation = Arc::new(Observation::new(colour, depth));
         let usable = self.is_usable(frame.index, &observation);
-        let mut estimate = self.track(frame, &observation, usable);
+        let (mut estimate, starts_map) = self.track(frame, &observation, usable);
         let position = self.backend.state.frames.len();
         estimate.held_out = self.holds_out(position);
-        let maps = usable && estimate.tracked && !estimate.held_out;
+        let maps = usable && (estimate.tracked || starts_map) && !estimate.held_out;
         self.backend.state.frames.push(estimate);
         self.warn_if_map_emptied(frame.index);
         if maps {
@@ -93,6 +93,16 @@ impl Session {
     /// Frames processed so far.
     pub fn frames(&self) -> &[FrameEstimate] {
         &self.backend.state.frames
+    }
+
+    /// Settings of mapping.
+    pub(crate) fn mapping(&self) -> &MappingConfig {
+        &self.config.mapping
+    }
+
+    /// Whether the readout of a rolling shutter was to be found, and no frame has measured it.
+    pub(crate) fn is_readout_missing(&self) -> bool {
+        self.readout.optimised && !self.readout.is_measured()
     }
 
     /// Takes the warnings since the last call.
@@ -133,11 +143,19 @@ impl Session {
         false
     }
 
-    fn track(&mut self, frame: &Frame, observation: &Observation, usable: bool) -> FrameEstimate {
+    /// Estimate of a frame, and whether the map starts with it. Such a frame counts as tracked only
+    /// where it starts the path, too: later its pose is predicted.
+    fn track(
+        &mut self,
+        frame: &Frame,
+        observation: &Observation,
+        usable: bool,
+    ) -> (FrameEstimate, bool) {
         let (mut estimate, result) = self.track_on_map(frame, observation, usable);
         let Some(result) = result else {
-            estimate.tracked = usable && self.backend.mapper.is_empty();
-            return estimate;
+            let starts_map = usable && self.backend.mapper.is_empty();
+            estimate.tracked = starts_map && !self.frames().iter().any(|f| f.tracked);
+            return (estimate, starts_map);
         };
         self.scale = result.scale;
         if let Some(measured) = result.measured_readout {
@@ -152,7 +170,7 @@ impl Session {
         if !estimate.tracked {
             state.warn(frame.index, "tracking lost: its pose is predicted and it is not mapped");
         }
-        estimate
+        (estimate, false)
     }
 
     /// Tracks a frame against the map, or with `mapping.beside_tracking` against a snapshot of it,

@@ -185,6 +185,22 @@ fn invalid_settings_of_a_field_end_the_session() {
 }
 
 #[test]
+fn frames_that_start_a_map_which_stays_empty_are_not_tracked() {
+    let mut config = Config::default();
+    // Every Gaussian is larger than the scene, and pruned.
+    config.parameters.gaussians.initial_scale = 1e30;
+    for beside in [false, true] {
+        config.mapping.beside_tracking = beside;
+        let (reconstruction, _) = run(config.clone(), pose);
+        assert!(reconstruction.map.is_empty());
+        let tracked = reconstruction.frames.iter().filter(|f| f.tracked).count();
+        assert_eq!((tracked, reconstruction.frames.len()), (0, FRAMES), "beside: {beside}");
+    }
+    config.parameters.gaussians.initial_scale = 0.5;
+    assert!(run(config, pose).0.frames.iter().all(|f| f.tracked));
+}
+
+#[test]
 fn mapping_beside_tracking_does_not_depend_on_threads() {
     let mut config = config();
     config.map.kind = MapKind::Gaussian;
@@ -219,6 +235,22 @@ fn first_order_steps_keep_the_convergence_of_alignment() {
         assert!(found.position_deviation.is_some() && found.rotation_deviation.is_some());
     }
     assert_ne!(reconstruction.rolling_shutter_readout, 0.01);
+}
+
+#[test]
+fn a_still_camera_shows_no_readout() {
+    let mut config = Config::default();
+    config.input.optimise_rolling_shutter = true;
+    config.mapping.first_iterations = 10;
+    let is_missing = |path: fn(usize) -> Pose<f64>, optimise: bool| {
+        let mut config = config.clone();
+        config.input.optimise_rolling_shutter = optimise;
+        let mut session = Session::new(config, CAMERA, 30.0);
+        (0..FRAMES).for_each(|i| drop(session.process(&frame(i, path(i)))));
+        session.is_readout_missing()
+    };
+    assert!(is_missing(|_| Pose::identity(), true));
+    assert!(!is_missing(|_| Pose::identity(), false) && !is_missing(faster, true));
 }
 
 /// Pose of the second frame after first-order tracking, cancelled or not.

@@ -50,6 +50,11 @@ impl SequenceReadout {
         self.optimised || self.seconds != 0.0
     }
 
+    /// Whether a frame has measured it.
+    pub(crate) fn is_measured(&self) -> bool {
+        self.information > 0.0
+    }
+
     /// `readout`, or 0 where it is estimated and has the wrong sign: beyond 0, blur and rows would
     /// ask for opposite motions, and the optimisation would end between them, at rest.
     pub(crate) fn keep_direction(&self, readout: f64) -> f64 {
@@ -97,10 +102,12 @@ mod tests {
         let mut readout = estimated();
         let interval = 1.0 / 30.0;
         assert_eq!(readout.deviation(interval), interval);
+        assert!(!readout.is_measured());
         for (seconds, deviation) in [(0.02, 0.001), (0.03, 10.0), (0.02, 0.001), (f64::NAN, 0.0)] {
             readout.add(MeasuredReadout { seconds, deviation }, interval);
         }
         assert!((readout.seconds - 0.02).abs() < 1e-5, "{}", readout.seconds);
+        assert!(readout.is_measured());
         assert_eq!(readout.deviation(interval), MIN_PRIOR_SIGMA * interval);
     }
 

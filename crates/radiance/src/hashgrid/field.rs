@@ -106,7 +106,7 @@ impl<T: Real> HashGridField<T> {
     }
 
     /// Shapes alone.
-    fn without_parameters(settings: FieldSettings) -> Result<Self, SettingsError> {
+    pub(super) fn without_parameters(settings: FieldSettings) -> Result<Self, SettingsError> {
         settings.check()?;
         let (width, geometry) = (settings.hidden_width, settings.geometry_features);
         let inputs = settings.levels * settings.features;

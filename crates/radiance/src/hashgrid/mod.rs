@@ -15,6 +15,7 @@ mod archive;
 mod encoding;
 mod field;
 mod march;
+mod memory;
 mod network;
 mod occupancy;
 mod optimizer;

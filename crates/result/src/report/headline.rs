@@ -22,13 +22,23 @@ pub(super) fn lead(report: &Report<'_>) -> String {
         false => given.to_string(),
     };
     format!(
-        "{part} blurred frame{} of <b>{}</b> became one sharp map of light and a camera path. \
+        "{}{part} blurred frame{} of <b>{}</b> became one sharp map of light and a camera path. \
          Preset <code>{}</code>, seed {}.{end}{unit}",
+        degradation(metrics),
         if given == 1 { "" } else { "s" },
         escape(report.title),
         escape(&metrics.preset),
         metrics.seed,
     )
+}
+
+/// Why the result is degraded; empty if it is not.
+fn degradation(metrics: &Metrics) -> String {
+    if !metrics.degraded {
+        return String::new();
+    }
+    let because = escape(&metrics.degraded_because.join("; "));
+    format!("<strong>This result is degraded: {because}.</strong> ")
 }
 
 /// The main figures, each with a line of explanation.

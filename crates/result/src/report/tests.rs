@@ -102,3 +102,26 @@ fn every_warning_is_there_with_its_time_and_many_are_folded() {
     let many = of(UNFOLDED + 3);
     assert!(many.contains("3 more") && many.matches("<li>").count() == UNFOLDED + 3, "{many}");
 }
+
+#[test]
+fn a_degraded_result_says_so_first() {
+    let reconstruction = example(3);
+    let mut metrics = Metrics::of(&reconstruction);
+    let lead = |metrics: &Metrics| {
+        let report = Report {
+            title: "x",
+            reconstruction: &reconstruction,
+            metrics,
+            ground_truth: &[],
+            true_exposure: &[],
+            comparisons: &[],
+        };
+        headline::lead(&report)
+    };
+    metrics.degrade([]);
+    assert!(!metrics.degraded && !lead(&metrics).contains("degraded"));
+    metrics.degrade(["0 of 3 frames were tracked: <b>".to_owned(), "the map is empty".to_owned()]);
+    let due = "<strong>This result is degraded: 0 of 3 frames were tracked: &lt;b&gt;; the map is \
+               empty.</strong> ";
+    assert!(metrics.degraded && lead(&metrics).starts_with(due), "{}", lead(&metrics));
+}

@@ -1,6 +1,7 @@
 //! Specification of a sequence: every field has a default, a range and a line of documentation.
 
 mod sections;
+mod work;
 
 use crate::error::SyntheticError;
 use crate::sensor::Response;
@@ -78,7 +79,8 @@ impl Spec {
         text
     }
 
-    /// An error for values outside their documented range.
+    /// An error for values outside their documented range, and for more pixels or rays than can be
+    /// rendered.
     pub fn validate(&self) -> Result<(), SyntheticError> {
         self.check_sections()?;
         let (low, high) = (self.exposure.shutter_minimum, self.exposure.shutter_maximum);
@@ -89,7 +91,7 @@ impl Spec {
                 expected: format!("at most exposure.shutter_maximum = {high}"),
             });
         }
-        Ok(())
+        self.check_work()
     }
 }
 

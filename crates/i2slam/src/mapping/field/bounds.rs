@@ -122,16 +122,6 @@ pub(in crate::mapping) fn untrained_field(
     bound: f64,
     seed: u64,
 ) -> Result<HashGridMap, SettingsError> {
-    let cube = FieldSettings::cube(centre, bound);
-    let [base_resolution, finest_resolution] = shape.cells(bound);
-    let settings = FieldSettings {
-        levels: shape.levels,
-        log2_table: shape.log2_table,
-        base_resolution,
-        finest_resolution,
-        hidden_width: shape.hidden_width,
-        ..cube
-    };
     let occupancy =
         OccupancySettings { resolution: shape.occupancy_cells, ..OccupancySettings::default() };
     let march = MarchSettings {
@@ -141,7 +131,7 @@ pub(in crate::mapping) fn untrained_field(
         ..MarchSettings::cube(bound)
     };
     Ok(HashGridMap {
-        field: HashGridField::new(settings, seed)?,
+        field: HashGridField::new(shape.settings(centre, bound), seed)?,
         occupancy: Occupancy::empty(occupancy),
         march,
     })

@@ -12,6 +12,7 @@ pub(super) use bounds::{
     MIN_CUBE_GROWTH, chebyshev_distance, mark_cells, surface_distance, untrained_field,
 };
 pub(super) use shape::FieldShape;
+pub(crate) use shape::largest_field;
 
 use super::context::IterationBudget;
 use super::context::{MappingContext, OnStep};

@@ -29,6 +29,36 @@ impl FieldShape {
         }
     }
 
+    /// The largest that a field becomes in a cube of half edge `bound` \[m\]; `with_poses` for
+    /// keyframes with poses, around whose surfaces cells are as fine as pictures. Pictures are taken
+    /// to be twice as fine as the cells.
+    fn largest(config: &Config, bound: f64, with_poses: bool) -> Self {
+        let shape = Self::new(config);
+        if !with_poses {
+            return shape;
+        }
+        let keyframed = &config.parameters.keyframed;
+        let finer = shape.finer(keyframed.surface_detail);
+        let detailed = match keyframed.surface_cell > 0.0 {
+            true => finer.with_cells(0.5 * finer.finest_cell),
+            false => finer,
+        };
+        detailed.with_growth(bound, keyframed.surface_growth)
+    }
+
+    /// Settings of a field in the cube of half edge `bound` \[m\] around `centre`.
+    pub(super) fn settings(&self, centre: [f64; 3], bound: f64) -> FieldSettings {
+        let [base_resolution, finest_resolution] = self.cells(bound);
+        FieldSettings {
+            levels: self.levels,
+            log2_table: self.log2_table,
+            base_resolution,
+            finest_resolution,
+            hidden_width: self.hidden_width,
+            ..FieldSettings::cube(centre, bound)
+        }
+    }
+
     /// Divides cells and distances of samples by `factor`.
     pub(in crate::mapping) fn finer(&self, factor: f32) -> Self {
         Self {
@@ -77,10 +107,26 @@ impl FieldShape {
     }
 }
 
+/// Settings and occupancy cells of the largest field that settings lead to in a cube of half edge
+/// `bound` \[m\], to estimate its memory; `with_poses` for keyframes with poses.
+pub(crate) fn largest_field(config: &Config, bound: f64, with_poses: bool) -> (FieldSettings, u32) {
+    let shape = FieldShape::largest(config, bound, with_poses);
+    (shape.settings([0.0; 3], bound), shape.occupancy_cells)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+
+    #[test]
+    fn a_field_around_surfaces_is_larger() {
+        let config = Config::preset("default-rgb").expect("known");
+        let (plain, cells) = largest_field(&config, 4.0, false);
+        let (fine, fine_cells) = largest_field(&config, 4.0, true);
+        assert_eq!((plain.log2_table, cells), (config.hashgrid.log2_table, 96));
+        assert_eq!((fine.log2_table, fine_cells), (plain.log2_table + 2, 192));
+        assert!(fine.levels > plain.levels && fine.finest_resolution > plain.finest_resolution);
+    }
 
     #[test]
     fn smaller_cells_get_more_grids_and_entries() {

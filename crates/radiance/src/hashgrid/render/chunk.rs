@@ -10,7 +10,7 @@ use i2slam_geometry::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rays of a chunk: the piece of work of a thread, and of every sum.
-pub(super) const RAYS: usize = 64;
+pub(in crate::hashgrid) const RAYS: usize = 64;
 
 /// The field, packed for the fast lane.
 pub(super) struct FieldContext<'a> {
@@ -36,7 +36,7 @@ impl FieldContext<'_> {
 
 /// A sample that took part in a picture.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RenderedSample {
+pub(in crate::hashgrid) struct RenderedSample {
     /// Its ray, within the chunk.
     pub(super) ray: u32,
     pub(super) sample: Sample,

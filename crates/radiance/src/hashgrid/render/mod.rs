@@ -22,6 +22,7 @@ pub mod reference;
 mod renderer;
 mod view;
 
+pub(super) use chunk::{RAYS, RenderedSample};
 pub use renderer::FieldRenderer;
 
 /// Render of a ray; also `∂L/∂` of each of its numbers.

@@ -1,0 +1,152 @@
+//! Shortfalls: reasons for which the result of a run is not what was asked for.
+
+use super::{PoseSource, RunOptions, RunOutcome};
+use crate::config::{MappingConfig, TrackingMethod};
+use crate::reconstruction::FrameEstimate;
+
+/// Part of the frames that has to be tracked, one in so many: a map of fewer shows hardly anything
+/// of what was filmed.
+const TRACKED_ONE_IN: usize = 10;
+
+/// A sentence if too few frames were tracked, and one if the map is empty.
+pub(super) fn of_result(outcome: &RunOutcome, options: &RunOptions) -> Vec<String> {
+    let frames = &outcome.reconstruction.frames;
+    let keyframes_alone = matches!(options.poses, PoseSource::Odometry { .. })
+        && options.config.tracking.method == TrackingMethod::Adam;
+    let given = match outcome.complete && !keyframes_alone {
+        true => outcome.frames_given,
+        false => frames.len(),
+    };
+    let is_empty = outcome.reconstruction.map.is_empty();
+    let empty = is_empty.then(|| "the map is empty: there is nothing to render".to_owned());
+    too_few_tracked(outcome, given).into_iter().chain(empty).collect()
+}
+
+fn too_few_tracked(outcome: &RunOutcome, given: usize) -> Option<String> {
+    let frames = &outcome.reconstruction.frames;
+    let tracked = frames.iter().filter(|f| f.tracked).count();
+    if !is_too_few(tracked, given) {
+        return None;
+    }
+    let is_lost =
+        |index: usize| frames.iter().any(|f: &FrameEstimate| f.index == index && !f.tracked);
+    let mut warnings = outcome.warnings.iter();
+    let cause = match warnings.find(|w| w.frame.is_some_and(is_lost)) {
+        Some(warning) => format!(": {warning}"),
+        None if outcome.frames_skipped > 0 => {
+            format!(": {} could not be used", outcome.frames_skipped)
+        }
+        None => String::new(),
+    };
+    Some(format!("{} tracked{cause}", of_frames(tracked, given)))
+}
+
+/// A sentence if visual odometry found poses of too few frames.
+pub(super) fn of_path(posed: usize, given: usize) -> Option<String> {
+    let few = is_too_few(posed, given);
+    few.then(|| format!("{} given a pose by visual odometry", of_frames(posed, given)))
+}
+
+/// A sentence if frames should have been held out, and none was; `count` are those that could be,
+/// frames or keyframes by `item`.
+pub(super) fn of_holding_out(
+    mapping: &MappingConfig,
+    (count, item): (usize, &str),
+) -> Option<String> {
+    let is_none = mapping.hold_out > 0 && !(0..count).any(|number| mapping.holds_out(number));
+    let plural = if count == 1 { "" } else { "s" };
+    is_none.then(|| {
+        format!(
+            "no {item} was held out: mapping.hold_out = {} of {count} {item}{plural}",
+            mapping.hold_out
+        )
+    })
+}
+
+fn is_too_few(found: usize, given: usize) -> bool {
+    found * TRACKED_ONE_IN < given
+}
+
+fn of_frames(found: usize, given: usize) -> String {
+    let frames = if given == 1 { "frame was" } else { "frames were" };
+    format!("{found} of {given} {frames}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::reconstruction::{Map, Reconstruction};
+    use crate::warning::Warning;
+    use i2slam_formation::ShutterPoses;
+    use i2slam_geometry::{Camera, Pose};
+
+    /// A complete run on `tracked` frames and on frames that were not, with an empty map.
+    fn outcome(tracked: usize, lost: usize) -> RunOutcome {
+        let still = ShutterPoses::still(Pose::identity());
+        let frame = |index: usize| FrameEstimate {
+            tracked: index < tracked,
+            ..FrameEstimate::at_pose(index, 0.0, still)
+        };
+        let camera = Camera { width: 8, height: 8, fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 };
+        RunOutcome {
+            reconstruction: Reconstruction {
+                config: Config::default(),
+                camera,
+                frames: (0..tracked + lost).map(frame).collect(),
+                map: Map::default(),
+                responses: Vec::new(),
+                rolling_shutter_readout: 0.0,
+            },
+            frames_given: tracked + lost,
+            frames_skipped: 0,
+            seconds: 0.0,
+            complete: true,
+            problem: None,
+            shortfalls: Vec::new(),
+            camera: None,
+            undistorted: None,
+            warnings: vec![
+                Warning::of_frame(0, "it is blue"),
+                Warning::of_frame(tracked, "it has no depth"),
+            ],
+        }
+    }
+
+    #[test]
+    fn a_tenth_of_the_frames_has_to_be_tracked() {
+        let options = RunOptions::with_depth();
+        let empty = "the map is empty: there is nothing to render".to_owned();
+        assert_eq!(of_result(&outcome(2, 18), &options), [empty.clone()]);
+        let few = "1 of 20 frames were tracked: frame 1: it has no depth".to_owned();
+        assert_eq!(of_result(&outcome(1, 19), &options), [few, empty]);
+        // Frames that were left out count as well, but not those that a cancelled run never saw.
+        let unread = RunOutcome { frames_given: 40, frames_skipped: 37, ..outcome(3, 0) };
+        let sentences = of_result(&unread, &options);
+        assert_eq!(sentences[0], "3 of 40 frames were tracked: 37 could not be used");
+        let cancelled = RunOutcome { complete: false, ..unread };
+        assert_eq!(of_result(&cancelled, &options).len(), 1);
+    }
+
+    #[test]
+    fn first_order_tracking_of_a_video_is_measured_by_its_keyframes() {
+        let keyframes = || RunOutcome { frames_given: 90, ..outcome(8, 0) };
+        let mut options = RunOptions::colour_alone();
+        assert_eq!(of_result(&keyframes(), &options).len(), 2);
+        options.config.tracking.method = TrackingMethod::Adam;
+        assert_eq!(of_result(&keyframes(), &options).len(), 1);
+        assert!(of_path(9, 90).is_none());
+        let words = "8 of 90 frames were given a pose by visual odometry";
+        assert_eq!(of_path(8, 90).as_deref(), Some(words));
+    }
+
+    #[test]
+    fn frames_to_be_held_out_have_to_be_there() {
+        let mut mapping = Config::default().mapping;
+        assert_eq!(of_holding_out(&mapping, (3, "frame")), None);
+        mapping.hold_out = 3;
+        assert_eq!(of_holding_out(&mapping, (4, "frame")), None);
+        let words = "no frame was held out: mapping.hold_out = 3 of 3 frames";
+        assert_eq!(of_holding_out(&mapping, (3, "frame")).as_deref(), Some(words));
+    }
+}
