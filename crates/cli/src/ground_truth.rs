@@ -35,7 +35,7 @@ impl GroundTruth {
             Vec::new()
         });
         let exposure = folder.join("exposure.csv");
-        let exposure = if exposure.is_file() { read_exposure(&exposure) } else { Ok(Vec::new()) };
+        let exposure = if exposure.exists() { read_exposure(&exposure) } else { Ok(Vec::new()) };
         let exposure = exposure.unwrap_or_else(|reason| {
             warnings.push(format!("exposure.csv ignored: {reason}"));
             Vec::new()
@@ -116,7 +116,7 @@ fn sharp_sequence(folder: &Path, sequence: &Sequence) -> Option<Sequence> {
 
 /// Reads column `dt` of a CSV file, by column `frame` or else by row.
 fn read_exposure(path: &Path) -> Result<Vec<(usize, f64)>, String> {
-    let text = std::fs::read_to_string(path).map_err(|e| e.to_string())?;
+    let text = i2slam_storage::read_text(path).map_err(|e| e.to_string())?;
     let mut lines = text.lines();
     let names: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
     let column = |name: &str| names.iter().position(|n| *n == name);

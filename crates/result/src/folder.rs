@@ -8,7 +8,6 @@ use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
 use i2slam::geometry::{Camera, StampedPose};
 use i2slam::{Config, Map, Reconstruction};
 use serde::{Deserialize, Serialize};
-use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -73,7 +72,8 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     let (responses, rolling_shutter_readout) = state(&folder.join("state.json"))?;
     let frames = tables::read_frames(folder, responses.len())?;
     let map_path = folder.join("map.i2slam");
-    let bytes = fs::read(&map_path).map_err(|e| ResultError::read(&map_path, e))?;
+    let bytes =
+        i2slam_storage::read(&map_path, MAX_MAP).map_err(|e| ResultError::read(&map_path, e))?;
     let map = map::read_native(&bytes).map_err(|m| ResultError::format(&map_path, m))?;
     Ok(Reconstruction { config, camera, frames, map, responses, rolling_shutter_readout })
 }
@@ -90,6 +90,9 @@ fn state(path: &Path) -> Result<(Vec<CameraResponse<f32>>, f64), ResultError> {
         responses.collect::<Result<_, _>>().map_err(|m| ResultError::format(path, m))?;
     Ok((responses, state.rolling_shutter_readout))
 }
+
+/// Largest map [bytes]: 100 million Gaussians of 56 bytes.
+const MAX_MAP: u64 = 6 << 30;
 
 /// Version of `state.json`, which stands for that of the folder.
 const FORMAT: u32 = 1;

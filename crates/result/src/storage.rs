@@ -123,7 +123,7 @@ impl ResultError {
 
 /// Reads a text file.
 pub(crate) fn read_text(path: &Path) -> Result<String, ResultError> {
-    fs::read_to_string(path).map_err(|e| ResultError::read(path, e))
+    i2slam_storage::read_text(path).map_err(|e| ResultError::read(path, e))
 }
 
 /// The system's error in words that tell what to do.

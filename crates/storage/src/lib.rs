@@ -16,7 +16,7 @@ pub use file::write_file;
 pub use lock::FolderLock;
 pub use manifest::{FileRecord, MANIFEST, Manifest};
 pub use output::{Claim, Committed, OutputFolder, first_entry};
-pub use read::{MAX_TEXT, open, read, read_text};
+pub use read::{MAX_TEXT, open, read, read_range, read_text};
 
 use std::path::Path;
 

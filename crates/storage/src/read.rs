@@ -2,7 +2,8 @@
 //! never end.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::Path;
 
 /// Largest text file [bytes]: a list of 100 000 frames takes 10 MB.
@@ -17,8 +18,8 @@ pub fn open(path: &Path) -> io::Result<File> {
     let kind = file.metadata()?.file_type();
     match kind.is_file() {
         true => Ok(file),
-        false if kind.is_dir() => Err(refusal("is a folder, expected a file")),
-        false => Err(refusal("is no regular file (a pipe, socket or device)")),
+        false if kind.is_dir() => Err(refusal("it is a folder, expected a file")),
+        false => Err(refusal("it is no regular file, but a pipe, a socket or a device")),
     }
 }
 
@@ -26,7 +27,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 fn of_dangling_link(path: &Path, error: io::Error) -> io::Error {
     match path.read_link() {
         Ok(target) if error.kind() == io::ErrorKind::NotFound => {
-            let message = format!("is a link to {}, which is not there", target.display());
+            let message = format!("it is a link to {}, which is not there", target.display());
             io::Error::new(io::ErrorKind::NotFound, message)
         }
         _ => error,
@@ -55,7 +56,7 @@ pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let size = file.metadata()?.len();
     let too_large = || {
-        let message = format!("is too large: at most {} MB are read", limit / 1_000_000);
+        let message = format!("it is too large: at most {} MB are read", limit / 1_000_000);
         io::Error::new(io::ErrorKind::FileTooLarge, message)
     };
     if size > limit {
@@ -67,13 +68,30 @@ pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > limit { Err(too_large()) } else { Ok(bytes) }
 }
 
+/// Reads a part of a regular file.
+///
+/// # Errors
+/// As [`open`]; `UnexpectedEof`, before anything is allocated, if the file ends before the part does.
+pub fn read_range(path: &Path, range: Range<u64>) -> io::Result<Vec<u8>> {
+    let mut file = open(path)?;
+    let cut_off = || io::Error::new(io::ErrorKind::UnexpectedEof, "it is cut off");
+    let length = range.end.checked_sub(range.start).ok_or_else(cut_off)?;
+    if range.end > file.metadata()?.len() {
+        return Err(cut_off());
+    }
+    let mut bytes = vec![0; usize::try_from(length).map_err(|_| cut_off())?];
+    file.seek(SeekFrom::Start(range.start))?;
+    file.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
+
 /// Reads a regular text file of at most [`MAX_TEXT`] bytes.
 ///
 /// # Errors
 /// As [`read`]; `InvalidData` if it is not UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let text = String::from_utf8(read(path, MAX_TEXT)?);
-    text.map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "is no text (not UTF-8)"))
+    text.map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is no text (not UTF-8)"))
 }
 
 fn refusal(message: &str) -> io::Error {
@@ -99,6 +117,19 @@ mod tests {
         assert_eq!(kind(read(&scratch.join("none"), 4)), io::ErrorKind::NotFound);
         fs::write(&path, [0xff, 0xfe]).expect("room");
         assert_eq!(read_text(&path).expect_err("no text").kind(), io::ErrorKind::InvalidData);
+    }
+
+    #[test]
+    fn parts_lie_within_their_file() {
+        let scratch = TemporaryFolder::new("range");
+        let path = scratch.join("a.txt");
+        fs::write(&path, "12345").expect("room");
+        assert_eq!(read_range(&path, 1..4).expect("three bytes"), b"234");
+        assert_eq!(read_range(&path, 5..5).expect("nothing"), b"");
+        for beyond in [Range { start: 4, end: 6 }, Range { start: 3, end: 2 }, 0..u64::MAX] {
+            let error = read_range(&path, beyond.clone()).expect_err("no such part");
+            assert_eq!(error.kind(), io::ErrorKind::UnexpectedEof, "{beyond:?}");
+        }
     }
 
     #[test]

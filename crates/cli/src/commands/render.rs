@@ -119,7 +119,7 @@ fn number_after_existing(
 
 /// Appends the poses to the list beside the pictures.
 fn append_poses(folder: &ResultFolder, frames: &[FrameEstimate]) -> Result<(), Failure> {
-    let earlier = std::fs::read_to_string(folder.path().join(POSES)).unwrap_or_default();
+    let earlier = i2slam_storage::read_text(&folder.path().join(POSES)).unwrap_or_default();
     let mut text = if earlier.is_empty() { format!("{POSES_HEADER}\n") } else { earlier };
     for frame in frames {
         let Pose { rotation: q, translation: t } = frame.middle();

@@ -172,7 +172,7 @@ fn with_default_map(mut config: Config, arguments: &Run) -> Config {
 }
 
 fn names_map_kind(file: &Path) -> bool {
-    let text = std::fs::read_to_string(file);
+    let text = i2slam_storage::read_text(file);
     text.is_ok_and(|text| line_of_key(&text, &["map", "kind"]).is_some())
 }
 

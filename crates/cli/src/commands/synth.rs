@@ -59,7 +59,7 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
 fn read(file: &Path) -> Result<Spec, Failure> {
     Spec::from_toml_file(file).map_err(|error| {
         let SyntheticError::OutOfRange { key, .. } = &error else { return failure(error) };
-        let text = std::fs::read_to_string(file).unwrap_or_default();
+        let text = i2slam_storage::read_text(file).unwrap_or_default();
         let line = line_of_key(&text, &key.split('.').collect::<Vec<_>>());
         let line = line.map(|line| format!(", line {line}")).unwrap_or_default();
         Failure::Usage(format!("{}{line}: {error}", file.display()))

@@ -3,7 +3,6 @@
 use super::Orientation;
 use exif::{Exif, In, Reader, Tag, Value};
 use std::fmt;
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -60,7 +59,7 @@ impl fmt::Display for FieldOfView {
 }
 
 fn read_exif(path: &Path) -> Option<Exif> {
-    let mut file = BufReader::new(File::open(path).ok()?);
+    let mut file = BufReader::new(i2slam_storage::open(path).ok()?);
     Reader::new().read_from_container(&mut file).ok()
 }
 

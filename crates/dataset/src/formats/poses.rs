@@ -61,7 +61,7 @@ fn parse_entry(word: &str) -> Option<f64> {
 
 /// Reads a file with one matrix; `None` if it cannot be parsed.
 pub(super) fn read_matrix(path: &Path) -> Option<[f64; 16]> {
-    parse_matrix(&std::fs::read_to_string(path).ok()?)
+    parse_matrix(&read_text(path).ok()?)
 }
 
 /// Reads a file with the matrix of a pose; `None` unless it is finite and rigid.

@@ -7,7 +7,7 @@ use super::poses::pose_from_matrix;
 use super::scannet::{self, border_warning, from_intrinsics, intrinsics_of_matrix};
 use super::{ByteRanges, FrameEntry, Layout, Listing, unknown_layout};
 use crate::camera::{Calibration, FormatDefaults};
-use crate::image::DepthEncoding;
+use crate::image::{DepthEncoding, MAX_DEFLATE_RATIO, check_pixels};
 use crate::{DatasetError, OpenOptions};
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek};
@@ -60,6 +60,7 @@ impl SensFile {
         if frames.is_empty() {
             return Err(DatasetError::empty(path, "at least one whole frame"));
         }
+        header.check_depth(path, &frames)?;
         Ok(Self { path: path.to_path_buf(), header, frames, warnings })
     }
 
@@ -156,9 +157,6 @@ const DEPTH_ZLIB: i32 = 1;
 /// Longest accepted sensor name [bytes]; anything longer is a damaged file.
 const MAX_NAME_BYTES: u64 = 4096;
 
-/// Largest accepted image side [px]; anything larger is a damaged file.
-const MAX_SIDE: u32 = 1 << 14;
-
 /// Properties of all frames.
 struct Header {
     /// Row-major 4x4, pixel centres at integers.
@@ -171,6 +169,25 @@ struct Header {
     /// Depth image value of one metre.
     depth_scale: f64,
     frames: u64,
+}
+
+impl Header {
+    /// An error if no frame has enough bytes for depth of the size in the header, on whose grid all
+    /// frames are delivered.
+    fn check_depth(&self, path: &Path, frames: &[SensFrame]) -> Result<(), DatasetError> {
+        let (width, height) = self.depth_size;
+        let ratio = if self.depth_is_compressed { MAX_DEFLATE_RATIO } else { 1 };
+        let needed = 2 * (width * height) as u64 / ratio;
+        let longest = frames.iter().map(|frame| frame.depth.end - frame.depth.start).max();
+        if longest >= Some(needed) {
+            return Ok(());
+        }
+        let reason = format!(
+            "depth images of {width}x{height} px take {needed} bytes or more, and none has as many: \
+             damaged?"
+        );
+        Err(DatasetError::file(path, reason))
+    }
 }
 
 /// Pose, time stamps and byte ranges of a frame.
@@ -193,7 +210,7 @@ struct SensReader {
 
 impl SensReader {
     fn open(path: &Path) -> Result<Self, DatasetError> {
-        let file = File::open(path).map_err(|e| DatasetError::read(path, e))?;
+        let file = i2slam_storage::open(path).map_err(|e| DatasetError::read(path, e))?;
         let length = file.metadata().map_err(|e| DatasetError::read(path, e))?.len();
         Ok(Self { path: path.to_path_buf(), file: BufReader::new(file), length })
     }
@@ -287,10 +304,12 @@ impl SensReader {
 
     fn size(&mut self) -> Result<(usize, usize), DatasetError> {
         let sides = [u32::from_le_bytes(self.take()?), u32::from_le_bytes(self.take()?)];
-        if sides.iter().any(|side| !(1..=MAX_SIDE).contains(side)) {
-            return Err(self.refuse(format!("images of {}x{} px: damaged?", sides[0], sides[1])));
+        let (width, height) = (sides[0] as usize, sides[1] as usize);
+        if width == 0 || height == 0 {
+            return Err(self.refuse(format!("images of {width}x{height} px: damaged?")));
         }
-        Ok((sides[0] as usize, sides[1] as usize))
+        check_pixels(&self.path, (width, height))?;
+        Ok((width, height))
     }
 
     fn refuse(&self, reason: impl Into<String>) -> DatasetError {

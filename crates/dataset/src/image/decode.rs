@@ -1,23 +1,22 @@
 //! Image decoding: PNG (every kind) and JPEG for colour, 16-bit PNG or raw 16-bit values for depth,
-//! from whole files or byte ranges.
+//! from whole files or byte ranges. The size is read first, so that no image of another size than
+//! expected is decoded.
 
+use super::header::{ImageFormat, ImageHeader, MAX_PIXELS, check_pixels, jpeg_error, png_error};
 use crate::DatasetError;
 use i2slam_geometry::Image;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
-use std::fs::File;
-use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::io::Cursor;
 use std::ops::Range;
 use std::path::Path;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 
-/// Largest accepted size of a decoded image [bytes].
-const MAX_IMAGE_BYTES: usize = 1 << 30;
+/// Bytes of a pixel in the largest encoding, 16-bit RGBA.
+const MAX_PIXEL_BYTES: usize = 8;
 
-enum ImageFormat {
-    Png,
-    Jpeg,
-}
+/// Bytes beside the pixels: colour profile, thumbnails, the short video that phones append.
+const MAX_METADATA_BYTES: usize = 64 << 20;
 
 /// Encoding of depth images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -31,66 +30,78 @@ pub(crate) enum DepthEncoding {
     Zlib { width: usize, height: usize },
 }
 
-/// Reads a whole file, or `range` of it.
-fn read_bytes(path: &Path, range: Option<&Range<u64>>) -> Result<Vec<u8>, DatasetError> {
-    let Some(range) = range else {
-        return std::fs::read(path).map_err(|e| DatasetError::read(path, e));
-    };
-    let length = usize::try_from(range.end.saturating_sub(range.start)).unwrap_or(usize::MAX);
-    if length > MAX_IMAGE_BYTES {
-        return Err(DatasetError::image(path, "the image is too large"));
-    }
-    let mut bytes = vec![0; length];
-    let mut file = File::open(path).map_err(|e| DatasetError::read(path, e))?;
-    file.seek(SeekFrom::Start(range.start))
-        .and_then(|_| file.read_exact(&mut bytes))
-        .map_err(|e| DatasetError::read(path, e))?;
-    Ok(bytes)
+/// Size that an image must have.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ExpectedSize<'a> {
+    /// Width and height [px].
+    pub(crate) size: (usize, usize),
+    /// Images or files that have this size, for messages.
+    pub(crate) reference: &'a str,
 }
 
+impl ExpectedSize<'_> {
+    fn check(&self, path: &Path, found: (usize, usize)) -> Result<(), DatasetError> {
+        DatasetError::check_size(path, found, self.size, self.reference)
+    }
+
+    /// Largest accepted encoded size [bytes].
+    fn max_bytes(&self) -> usize {
+        let pixels = self.size.0.saturating_mul(self.size.1).min(MAX_PIXELS);
+        MAX_PIXEL_BYTES * pixels + MAX_METADATA_BYTES
+    }
+}
+
+/// Reads a whole file, or `range` of it, of at most `limit` bytes.
+fn read_bytes(
+    path: &Path,
+    range: Option<&Range<u64>>,
+    limit: usize,
+) -> Result<Vec<u8>, DatasetError> {
+    let bytes = match range {
+        None => i2slam_storage::read(path, limit as u64),
+        Some(range) if range.end.saturating_sub(range.start) > limit as u64 => {
+            return Err(DatasetError::image(path, "damaged: too many bytes for its size"));
+        }
+        Some(range) => i2slam_storage::read_range(path, range.clone()),
+    };
+    bytes.map_err(|e| DatasetError::read(path, e))
+}
+
+/// Reads an encoded image of the expected size.
 fn read_image(
     path: &Path,
     range: Option<&Range<u64>>,
+    expected: ExpectedSize,
 ) -> Result<(Vec<u8>, ImageFormat), DatasetError> {
-    let bytes = read_bytes(path, range)?;
-    let format = match bytes.as_slice() {
-        [0x89, b'P', b'N', b'G', ..] => ImageFormat::Png,
-        [0xff, 0xd8, 0xff, ..] => ImageFormat::Jpeg,
-        [] => return Err(DatasetError::image(path, "the file is empty, expected an image")),
-        _ => return Err(DatasetError::image(path, "neither PNG nor JPEG")),
-    };
-    Ok((bytes, format))
+    let header = ImageHeader::read(path, range)?;
+    expected.check(path, header.size)?;
+    header.check_length(path)?;
+    Ok((read_bytes(path, range, expected.max_bytes())?, header.format))
 }
 
-/// Width and height [px], from the header alone.
+/// Width and height [px], from the header alone. An image of more than [`MAX_PIXELS`], or of more
+/// than its bytes can hold, is an error.
 pub(crate) fn image_size(
     path: &Path,
     range: Option<&Range<u64>>,
 ) -> Result<(usize, usize), DatasetError> {
-    let (bytes, format) = read_image(path, range)?;
-    match format {
-        ImageFormat::Png => {
-            let mut decoder = png_decoder(&bytes);
-            let info = decoder.read_header_info().map_err(|e| png_error(path, &e))?;
-            Ok((info.width as usize, info.height as usize))
-        }
-        ImageFormat::Jpeg => {
-            let mut decoder = jpeg_decoder(&bytes);
-            decoder.decode_headers().map_err(|e| jpeg_error(path, &e))?;
-            decoder.dimensions().ok_or_else(|| DatasetError::image(path, "JPEG without a size"))
-        }
-    }
+    let header = ImageHeader::read(path, range)?;
+    check_pixels(path, header.size)?;
+    header.check_length(path)?;
+    Ok(header.size)
 }
 
-/// Decodes a colour image to 3 planes in `[0, 1]`; grey is repeated, alpha ignored.
+/// Decodes a colour image to 3 planes in `[0, 1]`; grey is repeated, alpha ignored. An image of
+/// another size is an error, and not decoded.
 pub(crate) fn decode_colour(
     path: &Path,
     range: Option<&Range<u64>>,
+    expected: ExpectedSize,
 ) -> Result<Image<f32>, DatasetError> {
-    let (bytes, format) = read_image(path, range)?;
+    let (bytes, format) = read_image(path, range, expected)?;
     match format {
-        ImageFormat::Png => colour_from_png(path, &bytes),
-        ImageFormat::Jpeg => colour_from_jpeg(path, &bytes),
+        ImageFormat::Png => colour_from_png(path, &bytes, expected),
+        ImageFormat::Jpeg => colour_from_jpeg(path, &bytes, expected),
     }
 }
 
@@ -108,22 +119,27 @@ pub(crate) fn depth_size(
     }
 }
 
-/// Decodes a depth image to 1 plane of the stored 16-bit values.
+/// Decodes a depth image to 1 plane of the stored 16-bit values. An image of another size is an
+/// error, and not decoded.
 pub(crate) fn decode_depth(
     path: &Path,
     range: Option<&Range<u64>>,
     code: DepthEncoding,
+    expected: ExpectedSize,
 ) -> Result<Image<u16>, DatasetError> {
-    let (bytes, width, height) = match code {
-        DepthEncoding::Png => return depth_from_png(path, range),
-        DepthEncoding::Raw { width, height } => (read_bytes(path, range)?, width, height),
-        DepthEncoding::Zlib { width, height } => {
-            let packed = read_bytes(path, range)?;
+    if code == DepthEncoding::Png {
+        return depth_from_png(path, range, expected);
+    }
+    let (width, height) = depth_size(path, range, code)?;
+    expected.check(path, (width, height))?;
+    let bytes = read_bytes(path, range, expected.max_bytes())?;
+    let bytes = match code {
+        DepthEncoding::Zlib { .. } => {
             let limit = 2 * width * height;
-            let bytes = miniz_oxide::inflate::decompress_to_vec_zlib_with_limit(&packed, limit);
-            let damaged = |_| DatasetError::image(path, "damaged depth (zlib)");
-            (bytes.map_err(damaged)?, width, height)
+            let inflated = miniz_oxide::inflate::decompress_to_vec_zlib_with_limit(&bytes, limit);
+            inflated.map_err(|_| DatasetError::image(path, "damaged depth (zlib)"))?
         }
+        _ => bytes,
     };
     if bytes.len() != 2 * width * height {
         let reason = format!("depth of {} bytes, expected {width}x{height} values", bytes.len());
@@ -133,12 +149,16 @@ pub(crate) fn decode_depth(
     Ok(Image { width, height, channels: 1, data })
 }
 
-fn depth_from_png(path: &Path, range: Option<&Range<u64>>) -> Result<Image<u16>, DatasetError> {
-    let (bytes, format) = read_image(path, range)?;
+fn depth_from_png(
+    path: &Path,
+    range: Option<&Range<u64>>,
+    expected: ExpectedSize,
+) -> Result<Image<u16>, DatasetError> {
+    let (bytes, format) = read_image(path, range, expected)?;
     if matches!(format, ImageFormat::Jpeg) {
         return Err(DatasetError::image(path, "depth is a JPEG, expected a 16-bit grey PNG"));
     }
-    let png = read_png(path, &bytes, Transformations::IDENTITY)?;
+    let png = read_png(path, &bytes, Transformations::IDENTITY, expected)?;
     if (png.color, png.depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
         let reason = format!(
             "depth is {:?} of {} bits, expected a 16-bit grey PNG",
@@ -158,29 +178,35 @@ struct Png {
     bytes: Vec<u8>,
 }
 
-fn png_decoder(bytes: &[u8]) -> Decoder<Cursor<&[u8]>> {
-    Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MAX_IMAGE_BYTES })
-}
-
-fn png_error(path: &Path, error: &png::DecodingError) -> DatasetError {
-    DatasetError::image(path, format!("damaged or cut-off PNG ({error})"))
-}
-
-fn read_png(path: &Path, bytes: &[u8], transform: Transformations) -> Result<Png, DatasetError> {
-    let mut decoder = png_decoder(bytes);
+fn read_png(
+    path: &Path,
+    bytes: &[u8],
+    transform: Transformations,
+    expected: ExpectedSize,
+) -> Result<Png, DatasetError> {
+    let limits = Limits { bytes: expected.max_bytes() };
+    let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), limits);
     decoder.set_transformations(transform);
+    decoder.set_ignore_text_chunk(true);
+    decoder.set_ignore_iccp_chunk(true);
     let mut reader = decoder.read_info().map_err(|e| png_error(path, &e))?;
-    let size = reader.output_buffer_size().filter(|&n| n <= MAX_IMAGE_BYTES);
+    let size = reader.output_buffer_size().filter(|&n| n <= expected.max_bytes());
     let size = size.ok_or_else(|| DatasetError::image(path, "the image is too large"))?;
     let mut bytes = vec![0; size];
     let info = reader.next_frame(&mut bytes).map_err(|e| png_error(path, &e))?;
     bytes.truncate(info.buffer_size());
     let (width, height) = (info.width as usize, info.height as usize);
+    // The first frame of an animation may be smaller than the header says.
+    expected.check(path, (width, height))?;
     Ok(Png { width, height, color: info.color_type, depth: info.bit_depth, bytes })
 }
 
-fn colour_from_png(path: &Path, bytes: &[u8]) -> Result<Image<f32>, DatasetError> {
-    let png = read_png(path, bytes, Transformations::EXPAND)?;
+fn colour_from_png(
+    path: &Path,
+    bytes: &[u8],
+    expected: ExpectedSize,
+) -> Result<Image<f32>, DatasetError> {
+    let png = read_png(path, bytes, Transformations::EXPAND, expected)?;
     let samples = png.color.samples();
     let planes = if samples >= 3 { [0, 1, 2] } else { [0, 0, 0] };
     let wide = png.depth == BitDepth::Sixteen;
@@ -201,29 +227,25 @@ fn colour_from_png(path: &Path, bytes: &[u8]) -> Result<Image<f32>, DatasetError
     Ok(out)
 }
 
-fn jpeg_decoder(bytes: &[u8]) -> JpegDecoder<ZCursor<&[u8]>> {
-    let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::RGB);
-    JpegDecoder::new_with_options(ZCursor::new(bytes), options)
-}
-
-fn jpeg_error(path: &Path, error: &dyn std::fmt::Debug) -> DatasetError {
-    DatasetError::image(path, format!("damaged or cut-off JPEG ({error:?})"))
-}
-
 /// Whether an end marker follows the last scan: the decoder silently fills up truncated images.
 fn jpeg_is_whole(bytes: &[u8]) -> bool {
     let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
     last(0xd9).is_some_and(|end| last(0xda).is_some_and(|scan| scan < end))
 }
 
-fn colour_from_jpeg(path: &Path, bytes: &[u8]) -> Result<Image<f32>, DatasetError> {
+fn colour_from_jpeg(
+    path: &Path,
+    bytes: &[u8],
+    expected: ExpectedSize,
+) -> Result<Image<f32>, DatasetError> {
     if !jpeg_is_whole(bytes) {
         return Err(DatasetError::image(path, "cut-off JPEG (no end of image)"));
     }
-    let mut decoder = jpeg_decoder(bytes);
+    let (width, height) = expected.size;
+    let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::RGB);
+    let options = options.set_max_width(width).set_max_height(height);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     let pixels = decoder.decode().map_err(|e| jpeg_error(path, &e))?;
-    let (width, height) =
-        decoder.dimensions().ok_or_else(|| DatasetError::image(path, "JPEG without a size"))?;
     if pixels.len() != 3 * width * height {
         return Err(DatasetError::image(path, "JPEG of an unknown colour space"));
     }

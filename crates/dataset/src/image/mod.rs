@@ -2,9 +2,13 @@
 
 mod area_resampling;
 mod decode;
+mod header;
 mod resampling;
 
 pub(crate) use decode::{
-    DepthEncoding, decode_colour, decode_depth, depth_size, image_from_rgb, image_size,
+    DepthEncoding, ExpectedSize, decode_colour, decode_depth, depth_size, image_from_rgb,
+    image_size,
 };
+pub use header::MAX_PIXELS;
+pub(crate) use header::{MAX_DEFLATE_RATIO, check_pixels};
 pub(crate) use resampling::{RecordingCameras, Resampler};

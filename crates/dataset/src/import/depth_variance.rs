@@ -3,7 +3,7 @@
 use super::source::KeyframePose;
 use crate::formats::npy::NpyArray;
 use crate::formats::{file_stem, last_number};
-use crate::image::{DepthEncoding, decode_depth};
+use crate::image::{DepthEncoding, ExpectedSize, decode_depth};
 use crate::{DatasetError, Sequence};
 use i2slam_geometry::Image;
 use std::collections::HashMap;
@@ -95,8 +95,8 @@ impl VarianceImages {
             let recorded = read_array(file, size)?;
             resampler.depth_values(&recorded, |variance| variance)
         } else {
-            let recorded = decode_depth(file, None, DepthEncoding::Png)?;
-            DatasetError::check_size(file, (recorded.width, recorded.height), size, REFERENCE)?;
+            let expected = ExpectedSize { size, reference: REFERENCE };
+            let recorded = decode_depth(file, None, DepthEncoding::Png, expected)?;
             let scale = sequence.depth_scale;
             resampler.depth_values(&recorded, |v| (f64::from(v) / scale).powi(2) as f32)
         };

@@ -2,7 +2,8 @@
 
 use crate::DatasetError;
 use crate::formats::colmap;
-use crate::text::{data_lines, list_names};
+use crate::sequence::check_kind;
+use crate::text::{data_lines, list_names, read_text};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -91,6 +92,9 @@ impl DetectedFormat {
             let known = ImportFormat::ALL.into_iter().map(line).collect();
             Err(DatasetError::UnknownImport { path: path.to_path_buf(), found, known })
         };
+        if path.exists() {
+            check_kind(path)?;
+        }
         let found =
             if path.is_file() { Self::detect_file(path) } else { Self::detect_folder(path) };
         match found {
@@ -144,14 +148,14 @@ impl DetectedFormat {
 fn is_torch_file(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = |file: File| file.take(128).read_to_end(&mut head);
-    let is_file = path.is_file() && File::open(path).and_then(read).is_ok();
+    let is_file = i2slam_storage::open(path).and_then(read).is_ok();
     let named = path.extension().is_some_and(|end| end == "pth" || end == "pt");
     is_file && (named || head.windows(8).any(|word| word == b"data.pkl"))
 }
 
 /// Whether the first data line of a text file starts with a number and has at least 7 columns.
 fn is_trajectory(path: &Path) -> bool {
-    let Ok(text) = std::fs::read_to_string(path) else { return false };
+    let Ok(text) = read_text(path) else { return false };
     data_lines(&text).next().is_none_or(|(_, line)| {
         let mut words = line.split_whitespace();
         words.next().is_some_and(|word| word.parse::<f64>().is_ok()) && words.count() >= 6

@@ -8,6 +8,7 @@ use crate::image::{self, DepthEncoding, RecordingCameras, Resampler, decode_dept
 use crate::video::Video;
 use i2slam_compute::median;
 use i2slam_geometry::Camera;
+use std::path::PathBuf;
 
 /// Depth images read to check the depth scale.
 const DEPTH_PROBES: usize = 3;
@@ -38,11 +39,11 @@ pub(super) fn recording_cameras(
     };
     let (width, height) = (colour.width, colour.height);
     let depth_size = || {
-        let sizes = entries.iter().take(SIZE_PROBES);
-        let mut size = sizes.filter_map(|entry| {
+        let probes = entries.iter().take(SIZE_PROBES);
+        let sizes = probes.filter_map(|entry| {
             image::depth_size(entry.depth.as_deref()?, entry.depth_range(), code).ok()
         });
-        size.next().unwrap_or((width, height))
+        most_common(&sizes.collect::<Vec<_>>()).unwrap_or((width, height))
     };
     Ok(match calibration.format.grid {
         DepthGrid::Registered => RecordingCameras { colour, depth: colour, grid: colour },
@@ -104,35 +105,44 @@ fn video_camera(
     Ok(calibration.camera(size).resized(width, height))
 }
 
-/// Width and height [px] of the first readable colour image in its orientation; an error if they
-/// differ from the calibration's.
+/// Width and height [px] of the colour images in their orientation: the calibration's, which some of
+/// the first must have, else that of most of the first. Images that cannot be read do not count.
 fn recorded_size(
     entries: &[FrameEntry],
     calibration: &Calibration,
     orientation: Orientation,
 ) -> Result<(usize, usize), DatasetError> {
-    let mut first_error = None;
-    for entry in entries.iter().take(SIZE_PROBES) {
-        let found = match image::image_size(&entry.colour, entry.colour_range()) {
-            Ok(size) => orientation.apply_to_size(size),
-            Err(error) => {
-                first_error.get_or_insert(error);
-                continue;
-            }
-        };
-        let expected = calibration.size.unwrap_or(found);
-        if found != expected || found.0 < 2 || found.1 < 2 {
-            let reference = match calibration.size {
-                Some(_) => format!("{} says", calibration.source),
-                None => "the smallest picture".into(),
-            };
-            let expected = calibration.size.unwrap_or((2, 2));
-            let path = entry.colour.clone();
-            return Err(DatasetError::Size { path, found, expected, reference });
-        }
-        return Ok(found);
+    let probes = entries.iter().take(SIZE_PROBES);
+    let read = |entry: &FrameEntry| {
+        let size = image::image_size(&entry.colour, entry.colour_range())?;
+        Ok((entry.colour.clone(), orientation.apply_to_size(size)))
+    };
+    let (read, failed): (Vec<_>, Vec<_>) = probes.map(read).partition(Result::is_ok);
+    let read: Vec<(PathBuf, (usize, usize))> = read.into_iter().flatten().collect();
+    let sizes: Vec<(usize, usize)> = read.iter().map(|(_, size)| *size).collect();
+    let Some(found) = most_common(&sizes) else {
+        let first_error = failed.into_iter().find_map(Result::err);
+        return Err(first_error.unwrap_or(DatasetError::NoSuchFrame { position: 0, frames: 0 }));
+    };
+    let size = calibration.size.filter(|known| sizes.contains(known)).unwrap_or(found);
+    let expected = calibration.size.unwrap_or(size);
+    if size == expected && size.0 >= 2 && size.1 >= 2 {
+        return Ok(size);
     }
-    Err(first_error.unwrap_or(DatasetError::NoSuchFrame { position: 0, frames: 0 }))
+    let reference = match calibration.size {
+        Some(_) => format!("{} says", calibration.source),
+        None => "the smallest picture".into(),
+    };
+    let expected = calibration.size.unwrap_or((2, 2));
+    let path = read.into_iter().find(|(_, other)| *other == size).map(|(path, _)| path);
+    Err(DatasetError::Size { path: path.unwrap_or_default(), found: size, expected, reference })
+}
+
+/// The most common of some sizes; of several the first.
+fn most_common(sizes: &[(usize, usize)]) -> Option<(usize, usize)> {
+    let count = |size: &(usize, usize)| sizes.iter().filter(|other| *other == size).count();
+    // `max_by_key` takes the last of equal ones.
+    sizes.iter().rev().max_by_key(|size| count(size)).copied()
 }
 
 /// A warning if the median depth of the first frames is implausible.
@@ -142,7 +152,8 @@ pub(super) fn depth_scale_warning(entries: &[FrameEntry], loader: &FrameLoader) 
     let mut values: Vec<u16> = Vec::new();
     for entry in entries.iter().take(DEPTH_PROBES).filter(|_| !loader.colour_only) {
         let Some(path) = entry.depth.as_deref() else { continue };
-        let Ok(depth) = decode_depth(path, entry.depth_range(), code) else { continue };
+        let depth = decode_depth(path, entry.depth_range(), code, loader.expected_depth());
+        let Ok(depth) = depth else { continue };
         let valid = |v: &&u16| **v > 0 && Some(**v) != invalid;
         values.extend(depth.data.iter().step_by(7).filter(valid));
     }

@@ -3,7 +3,7 @@
 use crate::DatasetError;
 use crate::camera::Orientation;
 use crate::formats::FrameEntry;
-use crate::image::{DepthEncoding, Resampler, decode_colour, decode_depth};
+use crate::image::{DepthEncoding, ExpectedSize, Resampler, decode_colour, decode_depth};
 use crate::video::Video;
 use i2slam_geometry::Image;
 use std::collections::VecDeque;
@@ -74,11 +74,15 @@ impl FrameLoader {
     pub(crate) fn load(&self, entry: &FrameEntry) -> Result<Frame, DatasetError> {
         let colour = match self.video.as_deref().filter(|video| video.is_at(&entry.colour)) {
             Some(video) => video.decode(entry.image_index)?,
-            None => self.orientation.apply(decode_colour(&entry.colour, entry.colour_range())?),
+            None => {
+                let (shown, _) = self.resampler.recorded_sizes();
+                // A transposition is its own inverse.
+                let size = self.orientation.apply_to_size(shown);
+                let expected = ExpectedSize { size, reference: "the other colour images" };
+                let stored = decode_colour(&entry.colour, entry.colour_range(), expected)?;
+                self.orientation.apply(stored)
+            }
         };
-        let (colour_size, _) = self.resampler.recorded_sizes();
-        let found = (colour.width, colour.height);
-        DatasetError::check_size(&entry.colour, found, colour_size, "the first colour image")?;
         let colour = self.resampler.colour(&colour);
         let mut warnings = Vec::new();
         let depth = match entry.depth.as_deref().filter(|_| !self.colour_only) {
@@ -100,13 +104,18 @@ impl FrameLoader {
         })
     }
 
+    /// Size of the depth images.
+    pub(super) fn expected_depth(&self) -> ExpectedSize<'static> {
+        let (colour, size) = self.resampler.recorded_sizes();
+        let reference =
+            if size == colour { "the other colour images" } else { "the other depth images" };
+        ExpectedSize { size, reference }
+    }
+
     /// Reads and resamples the depth image of a frame [m].
     fn load_depth(&self, path: &Path, entry: &FrameEntry) -> Result<Image<f32>, DatasetError> {
-        let mut depth = decode_depth(path, entry.depth_range(), self.depth_encoding)?;
-        let (colour_size, depth_size) = self.resampler.recorded_sizes();
-        let is_colour = depth_size == colour_size;
-        let like = if is_colour { "the first colour image" } else { "the first depth image" };
-        DatasetError::check_size(path, (depth.width, depth.height), depth_size, like)?;
+        let (encoding, expected) = (self.depth_encoding, self.expected_depth());
+        let mut depth = decode_depth(path, entry.depth_range(), encoding, expected)?;
         if let Some(invalid) = self.invalid_depth {
             depth.data.iter_mut().filter(|value| **value == invalid).for_each(|value| *value = 0);
         }

@@ -95,6 +95,7 @@ impl Sequence {
         if !path.exists() {
             return Err(DatasetError::MissingFolder { path: path.to_path_buf() });
         }
+        check_kind(path)?;
         // Detected first: that a folder holds no sequence matters more than a missing camera.
         let layout = DetectedLayout::detect(path, options.colour_only)?;
         Self::from_layout(path, &layout, options)
@@ -140,11 +141,10 @@ impl Sequence {
             warnings.extend(check_exif_consistency(&entries, orientation)?);
         }
         let calibration = calibration.refined_by_exif(first.map(|entry| entry.colour.as_path()));
-        let calibration = match first.filter(|_| !orientation.is_identity()) {
-            Some(entry) => {
-                let stored = image_size(&entry.colour, entry.colour_range())?;
-                orientation.apply_to_calibration(calibration, stored)
-            }
+        let turned = first.filter(|_| !orientation.is_identity());
+        let stored = turned.and_then(|e| image_size(&e.colour, e.colour_range()).ok());
+        let calibration = match stored {
+            Some(stored) => orientation.apply_to_calibration(calibration, stored),
             None => calibration,
         };
         let source = (orientation, video.as_ref());
@@ -218,6 +218,14 @@ impl Sequence {
     pub fn stream(&self) -> FrameStream {
         FrameStream::start(self.entries.clone(), Arc::clone(&self.loader))
     }
+}
+
+/// An error for anything that is neither a folder nor a regular file.
+pub(crate) fn check_kind(path: &Path) -> Result<(), DatasetError> {
+    if path.is_dir() {
+        return Ok(());
+    }
+    i2slam_storage::open(path).map(drop).map_err(|e| DatasetError::read(path, e))
 }
 
 /// Name of a sequence: that of its folder, or of its file without extension.

@@ -11,7 +11,7 @@ mod recording;
 mod timestamps;
 
 use crate::DatasetError;
-use crate::image::image_from_rgb;
+use crate::image::{MAX_PIXELS, image_from_rgb};
 use crate::text::counted;
 use ffmpeg::Ffmpeg;
 use ffmpeg_log::FfmpegLog;
@@ -33,9 +33,6 @@ const EXTENSIONS: [&str; 32] = [
 
 /// Filter that logs every frame, cropped first because only time stamps are of interest.
 const LISTING_FILTER: &str = "crop=min(iw\\,32):min(ih\\,32),showinfo";
-
-/// Largest accepted image side [px].
-const MAX_SIDE: usize = 1 << 15;
 
 /// Difference between claimed and decoded length above which a video counts as cut off [s].
 const CUT_OFF_SECONDS: f64 = 0.5;
@@ -151,7 +148,7 @@ fn image_size(path: &Path, log: &FfmpegLog) -> Result<(usize, usize), DatasetErr
     let Some(frame) = log.frames.first() else { return Err(undecodable(path, log)) };
     let (width, height) = frame.size;
     let width = (width as f64 * frame.pixel_aspect).round() as usize;
-    if width.min(height) < 2 || width.max(height) > MAX_SIDE {
+    if width.min(height) < 2 || width.saturating_mul(height) > MAX_PIXELS {
         let reason = format!("its pictures are {width}x{height} px, which cannot be used");
         return Err(DatasetError::file(path, reason));
     }

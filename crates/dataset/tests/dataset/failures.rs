@@ -1,7 +1,8 @@
 //! Errors and warnings name file, line or frame, and what was expected.
 
 use crate::support::{
-    Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, open, png, rgb_png,
+    Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, jpeg_header, open, png,
+    png_header, rgb_png,
 };
 use i2slam_dataset::{Layout, OpenOptions, Sequence};
 use std::path::Path;
@@ -111,12 +112,16 @@ fn unusable_images_are_errors_of_their_frame() {
     let (colour, depth) = (rgb_png(WIDTH, HEIGHT, 61), depth_png(WIDTH, HEIGHT, 5500));
     let high = rgb_png(WIDTH, HEIGHT + 1, 7);
     let narrow = depth_png(WIDTH / 2, HEIGHT, 7);
+    let claims = png_header(32000, 32000);
     for (name, bytes, parts) in [
         ("rgb/001.png", &colour[..colour.len() - 20], &["cut-off", "PNG"][..]),
         ("rgb/001.png", &jpeg[..jpeg.len() - 30], &["cut-off", "JPEG"]),
         ("rgb/001.png", b"GIF89a", &["neither PNG nor JPEG"]),
         ("rgb/001.png", b"", &["empty"]),
-        ("rgb/001.png", &high, &["is 16x13", "expected 16x12"]),
+        ("rgb/001.png", &high, &["is 16x13", "expected 16x12", "the other colour images"]),
+        ("rgb/001.png", &claims, &["is 32000x32000", "expected 16x12"]),
+        ("rgb/001.png", &jpeg_header(jpeg.clone(), 65000, 65000), &["is 65000x65000"]),
+        ("depth/001.png", &claims, &["is 32000x32000", "expected 16x12"]),
         ("depth/001.png", &depth[..depth.len() - 20], &["cut-off", "PNG"]),
         ("depth/001.png", &colour, &["depth is Rgb of 8 bits", "16-bit grey PNG"]),
         ("depth/001.png", &narrow, &["is 8x12", "expected 16x12"]),

@@ -1,5 +1,6 @@
 //! Reading of datasets and of keyframes of other programs, on files made by the tests.
 
+mod bounds;
 mod failures;
 mod formats;
 mod import;

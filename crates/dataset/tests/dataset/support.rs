@@ -149,3 +149,21 @@ pub(crate) fn jpeg(width: usize, height: usize, pixels: &[u8]) -> Vec<u8> {
         .expect("encodes");
     bytes
 }
+
+/// The header of a PNG of a size, without pixels.
+pub(crate) fn png_header(width: u32, height: u32) -> Vec<u8> {
+    let mut bytes = rgb_png(1, 1, 0);
+    bytes[16..20].copy_from_slice(&width.to_be_bytes());
+    bytes[20..24].copy_from_slice(&height.to_be_bytes());
+    let checksum = crc32fast::hash(&bytes[12..29]);
+    bytes[29..33].copy_from_slice(&checksum.to_be_bytes());
+    bytes
+}
+
+/// A JPEG whose header says another size.
+pub(crate) fn jpeg_header(mut bytes: Vec<u8>, width: u16, height: u16) -> Vec<u8> {
+    let frame = bytes.windows(2).position(|marker| marker == [0xff, 0xc0]).expect("a frame");
+    bytes[frame + 5..frame + 7].copy_from_slice(&height.to_be_bytes());
+    bytes[frame + 7..frame + 9].copy_from_slice(&width.to_be_bytes());
+    bytes
+}

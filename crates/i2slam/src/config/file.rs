@@ -99,7 +99,7 @@ impl ConfigError {
 }
 
 fn text(path: &Path) -> Result<String, ConfigError> {
-    let text = std::fs::read_to_string(path);
+    let text = i2slam_storage::read_text(path);
     text.map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })
 }
 

@@ -43,7 +43,8 @@ pub(super) fn copy_ground_truth(
     folder.write_text("source.csv", sources)?;
     let table = dataset.join("exposure.csv");
     if table.is_file() {
-        let text = std::fs::read_to_string(&table).map_err(|e| SyntheticError::read(&table, e))?;
+        let text =
+            i2slam_storage::read_text(&table).map_err(|e| SyntheticError::read(&table, e))?;
         folder.write_text("exposure.csv", renumber_exposures(&text, kept, what))?;
     }
     Ok(())

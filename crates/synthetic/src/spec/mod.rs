@@ -64,7 +64,7 @@ impl Spec {
 
     /// Reads and checks a specification file.
     pub fn from_toml_file(path: &Path) -> Result<Self, SyntheticError> {
-        let text = std::fs::read_to_string(path).map_err(|e| SyntheticError::read(path, e))?;
+        let text = i2slam_storage::read_text(path).map_err(|e| SyntheticError::read(path, e))?;
         Self::from_toml(&text, &path.display().to_string())
     }
 

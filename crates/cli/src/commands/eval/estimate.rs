@@ -56,7 +56,7 @@ impl Estimate {
     /// Unit of length by the header of the trajectory; metres without one.
     pub(super) fn unit_of_length(&self) -> Result<UnitOfLength, Failure> {
         let Some(path) = self.trajectory() else { return Ok(UnitOfLength::Metre) };
-        let text = std::fs::read_to_string(&path).map_err(|e| failed(&path, e))?;
+        let text = i2slam_storage::read_text(&path).map_err(|e| failed(&path, e))?;
         Ok(UnitOfLength::of_trajectory(&text))
     }
 
@@ -86,7 +86,7 @@ impl Estimate {
         if !path.is_file() {
             return Ok(None);
         }
-        let text = std::fs::read_to_string(&path).map_err(|e| failed(&path, e))?;
+        let text = i2slam_storage::read_text(&path).map_err(|e| failed(&path, e))?;
         run_frames(&text).map(Some).map_err(|reason| failed(&path, reason))
     }
 }

@@ -10,7 +10,6 @@ use i2slam_result::report::{
     EvaluationSection, EvaluationSource, GroundTruthSource, insert_evaluations,
 };
 use serde_json::{Map, Value, json};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// All figures of an evaluation.
@@ -144,7 +143,7 @@ pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result
     if !page.is_file() {
         return Ok(());
     }
-    let text = fs::read_to_string(&page).map_err(|e| failed(&page, e))?;
+    let text = i2slam_storage::read_text(&page).map_err(|e| failed(&page, e))?;
     let mut sections = saved_sections(&result.join(FILE))?;
     match sections.iter_mut().find(|known| known.title == section.title) {
         Some(known) => *known = section,
@@ -164,6 +163,6 @@ fn saved_sections(file: &Path) -> Result<Vec<EvaluationSection>, Failure> {
     if !file.is_file() {
         return Ok(Vec::new());
     }
-    let text = fs::read_to_string(file).map_err(|e| failed(file, e))?;
+    let text = i2slam_storage::read_text(file).map_err(|e| failed(file, e))?;
     serde_json::from_str(&text).map_err(|e| failed(file, e))
 }

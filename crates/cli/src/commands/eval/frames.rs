@@ -219,8 +219,8 @@ fn listed_frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Failur
     }
     let path = Path::new(list);
     let text = match frame_list::published(list) {
-        Some(text) if !path.is_file() => text.to_owned(),
-        _ if path.is_file() => std::fs::read_to_string(path).map_err(|e| failed(path, e))?,
+        Some(text) if !path.exists() => text.to_owned(),
+        _ if path.exists() => i2slam_storage::read_text(path).map_err(|e| failed(path, e))?,
         _ => {
             let known: Vec<&str> = frame_list::PUBLISHED.iter().map(|(name, _)| *name).collect();
             let known = known.join(", ");
@@ -278,7 +278,7 @@ pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(
 /// Refuses to replace a list without `--overwrite`, and any other file.
 fn refuse_to_replace(file: &Path, overwrite: bool) -> Result<(), Failure> {
     let shown = file.display();
-    let message = match std::fs::read_to_string(file) {
+    let message = match i2slam_storage::read_text(file) {
         Err(_) if file.symlink_metadata().is_err() => return Ok(()),
         Ok(text) if text.starts_with(ORIGIN) && overwrite => return Ok(()),
         Ok(text) if text.starts_with(ORIGIN) => {

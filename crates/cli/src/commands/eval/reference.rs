@@ -31,11 +31,11 @@ pub(super) struct TrueFrame {
 impl Reference {
     /// Opens a dataset, with the settings of the run, or a folder of pictures.
     pub(super) fn open(path: &Path, estimate: &Estimate) -> Result<Self, Failure> {
-        if path.is_file() {
-            return Self::dataset(path, estimate);
+        if !path.exists() {
+            return Err(failed(path, "no such file or folder"));
         }
         if !path.is_dir() {
-            return Err(failed(path, "no such file or folder"));
+            return Self::dataset(path, estimate);
         }
         let (colour, radiance) = (picture_files(path, "png")?, picture_files(path, "exr")?);
         if path.join("rgb.txt").is_file() || (colour.is_empty() && radiance.is_empty()) {
@@ -172,7 +172,7 @@ fn open_as_rendered(path: &Path, result: &Path) -> Result<Sequence, Failure> {
 
 /// Width of the renders [px].
 fn render_width(camera: &Path) -> Option<usize> {
-    let text = std::fs::read_to_string(camera).ok()?;
+    let text = i2slam_storage::read_text(camera).ok()?;
     let camera: serde_json::Value = serde_json::from_str(&text).ok()?;
     camera.get("width")?.as_u64().map(|width| width as usize)
 }
