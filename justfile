@@ -28,6 +28,10 @@ test:
 test-data *NAMES:
     cargo test --workspace -- --ignored {{NAMES}}
 
+# Damaged files for every reader, for hours: `just fuzz --seconds 7200 tum sens`; the seed is printed
+fuzz *OPTIONS="--seconds 3600":
+    cargo run -p i2slam-fuzz -- {{OPTIONS}}
+
 # Reconstruct the clip that comes with the program; the last line is the path of the report
 demo:
     cargo run --release -p i2slam-cli -- demo

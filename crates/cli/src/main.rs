@@ -8,6 +8,7 @@ mod ground_truth;
 mod image_files;
 mod interrupt;
 mod messages;
+mod output_dir;
 mod progress;
 mod reconstruction;
 

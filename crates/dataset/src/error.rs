@@ -1,5 +1,6 @@
 //! The error type: what is wrong and where, what was expected, what to do.
 
+use i2slam_storage::shortened;
 use std::path::{Path, PathBuf};
 
 /// Failure to read or write a sequence, a frame or a trajectory.
@@ -147,11 +148,8 @@ pub enum DatasetError {
         /// Number of frames.
         frames: usize,
     },
-    /// A file could not be written whole.
-    #[error(transparent)]
-    Storage(#[from] i2slam_storage::StorageError),
     /// A file could not be read or written.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {source}", shortened(&path.display().to_string()))]
     Io {
         /// "read" or "write".
         action: &'static str,
@@ -177,7 +175,7 @@ impl DatasetError {
     }
 
     pub(crate) fn image(path: &Path, reason: impl Into<String>) -> Self {
-        Self::Image { path: path.to_path_buf(), reason: reason.into() }
+        Self::Image { path: path.to_path_buf(), reason: shortened(&reason.into()) }
     }
 
     pub(crate) fn option(name: &'static str, reason: impl Into<String>) -> Self {
@@ -189,7 +187,7 @@ impl DatasetError {
     }
 
     pub(crate) fn file(path: &Path, reason: impl Into<String>) -> Self {
-        Self::File { path: path.to_path_buf(), reason: reason.into() }
+        Self::File { path: path.to_path_buf(), reason: shortened(&reason.into()) }
     }
 
     /// The error for an image of another size than expected, if it has one.
@@ -207,7 +205,7 @@ impl DatasetError {
     }
 
     pub(crate) fn line(path: &Path, line: usize, reason: impl Into<String>) -> Self {
-        Self::Line { path: path.to_path_buf(), line, reason: reason.into() }
+        Self::Line { path: path.to_path_buf(), line, reason: shortened(&reason.into()) }
     }
 }
 

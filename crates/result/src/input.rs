@@ -1,9 +1,8 @@
 //! `input.json`: the sequence of a run, and how it was read.
 
-use crate::ResultError;
-use crate::error::read_text;
+use crate::storage::read_text;
+use crate::{ResultError, ResultFolder};
 use i2slam::dataset::{OpenOptions, is_stream};
-use i2slam_storage::OutputFolder;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -36,15 +35,15 @@ impl RunInput {
             return Ok(None);
         }
         let input = serde_json::from_str(&read_text(&path)?);
-        input.map(Some).map_err(|e| ResultError::Format { path, message: e.to_string() })
+        input.map(Some).map_err(|e| ResultError::format(&path, e.to_string()))
     }
 
     /// Writes `input.json`.
-    pub fn save(&self, folder: &OutputFolder) -> Result<(), ResultError> {
-        Ok(folder.write("input.json", |out| {
+    pub fn save(&self, folder: &ResultFolder) -> Result<(), ResultError> {
+        folder.write("input.json", |out| {
             serde_json::to_writer_pretty(&mut *out, self)?;
             writeln!(out)
-        })?)
+        })
     }
 }
 
@@ -53,7 +52,6 @@ mod tests {
     use super::*;
     use i2slam::dataset::EstimatedCamera;
     use i2slam_check::TemporaryFolder;
-    use std::fs;
 
     #[test]
     fn options_survive_a_round_trip() {
@@ -74,20 +72,18 @@ mod tests {
             ..OpenOptions::default()
         };
         assert_eq!(RunInput::load(&scratch.0).expect("nothing"), None);
-        let mut folder = OutputFolder::extend(&scratch.0, "i2slam run").expect("a folder");
-        let write = |text: &str| fs::write(scratch.join("input.json"), text).expect("room");
+        let folder = ResultFolder::create(&scratch.0).expect("a folder");
         let input = RunInput::new("data/room".as_ref(), &options);
         assert!(input.dataset.is_absolute());
         input.save(&folder).expect("room");
-        folder.commit().expect("room");
         let back = RunInput::load(&scratch.0).expect("a file").expect("an input");
         assert_eq!((&back, &back.options), (&input, &options));
         // Missing keys take their defaults.
         let earlier = r#"{"dataset": "/room", "frames": [3, 9], "stride": 2, "scale": 0.5}"#;
-        write(earlier);
+        folder.write_text("input.json", earlier).expect("room");
         let back = RunInput::load(&scratch.0).expect("a file").expect("an input");
         assert_eq!((back.options.frames, back.options.max_side), (Some(3..9), None));
-        write("{}");
+        folder.write_text("input.json", "{}").expect("room");
         let message = RunInput::load(&scratch.0).expect_err("no input").to_string();
         assert!(message.contains("input.json") && message.contains("dataset"), "{message}");
     }

@@ -1,9 +1,8 @@
 //! Image files (PNG for pictures and depth, OpenEXR for radiance), and the pictures under
 //! `renders/`.
 
-use crate::ResultError;
+use crate::{ResultError, ResultFolder};
 use i2slam::geometry::Image;
-use i2slam_storage::OutputFolder;
 use std::io::{self, Cursor, Write};
 
 /// Depth PNGs hold this many units per metre (TUM RGB-D's convention).
@@ -126,7 +125,7 @@ impl RenderKind {
 
 /// Writes a render as `<parent>/<kind>/NNNNNN.png` (or `.exr`); `parent` may be empty.
 pub fn save_render(
-    folder: &OutputFolder,
+    folder: &ResultFolder,
     parent: &str,
     kind: RenderKind,
     index: usize,
@@ -134,12 +133,11 @@ pub fn save_render(
 ) -> Result<(), ResultError> {
     let file = kind.file(index);
     let relative = if parent.is_empty() { file } else { format!("{parent}/{file}") };
-    let written = folder.write(&relative, |out| match kind {
+    folder.write(&relative, |out| match kind {
         RenderKind::Sharp | RenderKind::Blurred => write_picture(out, image),
         RenderKind::Hdr => write_radiance(out, image),
         RenderKind::Depth => write_depth(out, image),
-    });
-    Ok(written?)
+    })
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ mod error;
 mod file;
 mod lock;
 mod manifest;
+mod message;
 mod output;
 mod read;
 mod staging;
@@ -12,9 +13,10 @@ mod swap;
 mod tests;
 
 pub use error::{StorageError, reason};
-pub use file::{create, write_file};
+pub use file::write_file;
 pub use lock::FolderLock;
 pub use manifest::{FileRecord, MANIFEST, Manifest};
+pub use message::shortened;
 pub use output::{Claim, Committed, OutputFolder, first_entry};
 pub use read::{MAX_TEXT, open, read, read_range, read_text};
 

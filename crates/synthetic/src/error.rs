@@ -1,14 +1,14 @@
 //! The error type.
 
 use i2slam_dataset::DatasetError;
-use i2slam_storage::StorageError;
 use std::path::{Path, PathBuf};
 
 /// Failure to render or degrade a sequence.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SyntheticError {
-    /// The specification is not TOML, has an unknown key, or a value of a wrong type.
+    /// The file of a specification is not TOML, has an unknown key, or a value of a wrong type or out
+    /// of its range.
     #[error("{origin}: {message}")]
     Malformed {
         /// File name.
@@ -26,13 +26,12 @@ pub enum SyntheticError {
         /// Allowed values.
         expected: String,
     },
-    /// The output folder cannot be written, or holds what must not be replaced.
-    #[error(transparent)]
-    Storage(#[from] StorageError),
-    /// A file cannot be read.
-    #[error("{}: cannot be read: {source}", path.display())]
-    Read {
-        /// The file.
+    /// A file or folder cannot be read or written.
+    #[error("{}: cannot be {action}: {source}", path.display())]
+    Io {
+        /// "read" or "written".
+        action: &'static str,
+        /// The file or folder.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,
@@ -47,6 +46,10 @@ pub enum SyntheticError {
 
 impl SyntheticError {
     pub(crate) fn read(path: &Path, source: std::io::Error) -> Self {
-        Self::Read { path: path.to_owned(), source }
+        Self::Io { action: "read", path: path.to_owned(), source }
+    }
+
+    pub(crate) fn write(path: &Path, source: std::io::Error) -> Self {
+        Self::Io { action: "written", path: path.to_owned(), source }
     }
 }

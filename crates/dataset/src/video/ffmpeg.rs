@@ -142,14 +142,31 @@ fn detach_from_terminal(command: &mut Command) {
     let _ = command;
 }
 
+/// Largest part of a line that is parsed at once [bytes]: a file decides what ffmpeg logs about it.
+const MAX_LINE: u64 = 1 << 16;
+
 /// Parses a log to its end.
 pub(super) fn parse_log(stream: impl Read) -> FfmpegLog {
     let mut log = FfmpegLog::default();
     let mut reader = BufReader::new(stream);
     let mut line = Vec::new();
-    while matches!(reader.read_until(b'\n', &mut line), Ok(length) if length > 0) {
+    let mut next = |line: &mut Vec<u8>| (&mut reader).take(MAX_LINE).read_until(b'\n', line);
+    while matches!(next(&mut line), Ok(length) if length > 0) {
         log.push_line(String::from_utf8_lossy(&line).trim());
         line.clear();
     }
     log
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_without_an_end_is_read_in_parts() {
+        let frame = b"\nshowinfo n: 0 pts: 0 pts_time:0 sar:0/1 s:2x2 i:P\n".as_slice();
+        let log = parse_log(std::io::repeat(b'x').take(3 << 16).chain(frame));
+        assert_eq!(log.frames.len(), 1);
+        assert_eq!(log.message().len(), 1 << 16);
+    }
 }

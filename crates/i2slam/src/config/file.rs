@@ -1,6 +1,7 @@
 //! Settings as TOML files: reading, writing, and the help that printed presets carry.
 
 use super::*;
+use i2slam_storage::shortened;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
@@ -47,7 +48,11 @@ impl Config {
             Some(_) => return Err(source.wrong("preset", "must be a string")),
             None => preset.unwrap_or("default").to_owned(),
         };
-        let base = Table::try_from(Self::preset(&name)?);
+        let base = Self::preset(&name).map_err(|error| match changes.contains_key("preset") {
+            true => source.wrong("preset", &error.to_string()),
+            false => error,
+        });
+        let base = Table::try_from(base?);
         let base = base.map_err(|e| source.malformed(&e.to_string()))?;
         let mut table = base.clone();
         source.merge(&mut table, &changes, "")?;
@@ -190,7 +195,7 @@ struct Source<'a> {
 
 impl Source<'_> {
     fn malformed(&self, message: &str) -> ConfigError {
-        let message = message.trim_end().to_owned();
+        let message = shortened(message.trim_end());
         ConfigError::Malformed { origin: self.origin.to_owned(), message }
     }
 
@@ -204,7 +209,7 @@ impl Source<'_> {
 
     fn wrong(&self, key: &str, message: &str) -> ConfigError {
         let (place, key) = (self.place(key), key.to_owned());
-        ConfigError::WrongValue { place, key, message: in_words(message.trim_end()) }
+        ConfigError::WrongValue { place, key, message: in_words(&shortened(message.trim_end())) }
     }
 
     /// `FILE, line N: `, or without a line where the file does not name the key.
@@ -398,6 +403,11 @@ mod tests {
         refused(other, "a.toml, line 4: mapping.depth_weight = -1 is out", "0 to 1000000000000");
         refused("mapping = 3\n", "a.toml, line 1: mapping: ", "section");
         refused("preset = 3\n", "a.toml, line 1: preset: ", "string");
+        refused(
+            "\npreset = \"x\"\n",
+            "a.toml, line 2: preset: no preset is called `x`",
+            "paper-tum",
+        );
         let model = "formation.blur_model = \"blurry\"\n";
         refused(model, "a.toml, line 1: formation.blur_model: ", "image");
         // Two values that do not go together.

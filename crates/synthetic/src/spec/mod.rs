@@ -5,6 +5,7 @@ mod work;
 
 use crate::error::SyntheticError;
 use crate::sensor::Response;
+use i2slam_storage::shortened;
 use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -53,12 +54,12 @@ specification! {
 impl Spec {
     /// Parses and checks a specification; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, SyntheticError> {
-        let malformed = |e: toml::de::Error| SyntheticError::Malformed {
+        let malformed = |message: String| SyntheticError::Malformed {
             origin: origin.to_owned(),
-            message: e.to_string().trim_end().to_owned(),
+            message: shortened(message.trim_end()),
         };
-        let spec: Self = toml::from_str(text).map_err(malformed)?;
-        spec.validate()?;
+        let spec: Self = toml::from_str(text).map_err(|e| malformed(e.to_string()))?;
+        spec.validate().map_err(|e| malformed(e.to_string()))?;
         Ok(spec)
     }
 
@@ -217,7 +218,8 @@ mod tests {
         assert!(unknown.contains("`width`"), "{unknown}");
         assert!(message("[colour]\nx = 1").contains("colour"));
         assert!(
-            message("[camera]\nwidth = 3").contains("camera.width = 3 is out of range: 16 to 8192")
+            message("[camera]\nwidth = 3")
+                .contains("a.toml: camera.width = 3 is out of range: 16 to 8192")
         );
         assert!(message("[room]\nsize = [5.0, 4.0]").contains("line 2"));
         assert!(message("[exposure]\nresponse = \"gamma\"").contains("reinhard"));

@@ -10,7 +10,6 @@ use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::Image;
 use i2slam_eval::frame_list;
 use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
-use i2slam_storage::write_file;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -266,8 +265,7 @@ pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(
         2 * rule.apart + 1,
         env!("CARGO_PKG_VERSION"),
     );
-    let list = frame_list::write(&origin, &frames);
-    write_file(file, |out| out.write_all(list.as_bytes()))?;
+    std::fs::write(file, frame_list::write(&origin, &frames)).map_err(|e| failed(file, e))?;
     let (of, file) = (counted(count, "frame"), file.display());
     print(&match frames.len() {
         0 => format!("none of {of} stands out as sharp: {file} lists none"),
