@@ -129,7 +129,7 @@ fn frame_list(
     };
     let frames = frame_list::parse(&text);
     let frames = frames.map_err(|n| format!("list `{name}`, line {n} is no frame number"))?;
-    Ok(FrameList::Frames(frames.into_iter().map(|frame| frame + offset).collect()))
+    Ok(FrameList::Frames(frames.into_iter().map(|frame| frame.saturating_add(offset)).collect()))
 }
 
 /// Folders directly in `within` whose names match, by name.

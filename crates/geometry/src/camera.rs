@@ -69,8 +69,8 @@ impl<T: Real> Camera<T> {
     /// The camera of the image with `border` pixels removed on every side.
     pub fn cropped(&self, border: usize) -> Self {
         Self {
-            width: self.width.saturating_sub(2 * border),
-            height: self.height.saturating_sub(2 * border),
+            width: self.width.saturating_sub(border.saturating_mul(2)),
+            height: self.height.saturating_sub(border.saturating_mul(2)),
             cx: self.cx - T::of(border as f64),
             cy: self.cy - T::of(border as f64),
             ..*self
@@ -138,6 +138,8 @@ mod tests {
         let (u, v) = example().project(p);
         assert_eq!(example().widened(8).project(p), (u + 8.0, v + 8.0));
         assert_eq!(example().widened(8).cropped(8), example());
+        let nothing = example().cropped(usize::MAX);
+        assert_eq!((nothing.width, nothing.height), (0, 0));
     }
 
     #[test]
