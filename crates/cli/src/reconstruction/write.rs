@@ -217,8 +217,8 @@ fn is_sound(metrics: &Metrics) -> bool {
     metrics.complete && !metrics.degraded
 }
 
-/// Folder for a run that ended early, or is degraded, beside a better result: `NAME-partial`, numbered if that
-/// holds anything else.
+/// Folder for a run that ended early, or is degraded, beside a better result: `NAME-partial`,
+/// numbered if that holds anything else.
 fn partial_folder(folder: &Path) -> PathBuf {
     let whole = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
