@@ -5,7 +5,8 @@ use crate::plan::{Job, Plan};
 use crate::process::{Call, Stopped};
 use crate::sequences::{FrameList, Source};
 use i2slam_eval::frame_list;
-use i2slam_result::{FolderContents, FolderLayout, ResultFolder, remove_renders};
+use i2slam_result::remove_renders;
+use i2slam_storage::{FolderLock, StorageError, first_entry, write_file};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
 use std::fs;
@@ -86,15 +87,14 @@ impl Record {
     fn write(&self, folder: &Path) -> Result<(), Stopped> {
         let text =
             serde_json::to_string_pretty(self).map_err(|e| Stopped::Failed(e.to_string()))?;
-        let written = ResultFolder::create(folder)
-            .and_then(|folder| folder.write_text(RECORD, &(text + "\n")));
-        written.map_err(|e| Stopped::Failed(e.to_string()))
+        Ok(write_text(&folder.join(RECORD), &(text + "\n"))?)
     }
 }
 
 impl Bench<'_> {
-    /// Makes the folder that of the suite: an empty one, or the suite's own.
-    pub(crate) fn claim_folder(&self) -> Result<(), Failure> {
+    /// Makes the folder that of the suite: an empty one, or the suite's own. It is locked until the
+    /// result is dropped.
+    pub(crate) fn claim_folder(&self) -> Result<FolderLock, Failure> {
         claim(self.out, &self.plan.suite.title)
     }
 
@@ -182,9 +182,6 @@ impl Bench<'_> {
         if !record.reconstructed {
             remove_file(&folder.join(RECORD))?;
             remove_file(&folder.join("eval.json"))?;
-            if result.exists() {
-                fs::remove_dir_all(&result)?;
-            }
             self.reconstruct(job, folder, &record.work, started)?;
             record.reconstructed = true;
         }
@@ -203,12 +200,13 @@ impl Bench<'_> {
         started: &impl Fn(u32),
     ) -> Result<(), Stopped> {
         let settings = folder.join("settings.toml");
-        fs::write(&settings, &work.settings)?;
+        write_text(&settings, &work.settings)?;
         let mut arguments: Vec<OsString> = vec!["run".into(), self.dataset(job.sequence).into()];
         arguments.extend(["--out".into(), folder.join("result").into()]);
         arguments.extend(["--config".into(), settings.into()]);
         arguments.extend(["--threads".into(), self.threads.to_string().into()]);
-        arguments.extend(["--quiet", "--render", "all"].map(OsString::from));
+        // A result that an earlier call left is replaced when the new one is whole.
+        arguments.extend(["--overwrite", "--quiet", "--render", "all"].map(OsString::from));
         arguments.extend(work.arguments.iter().map(OsString::from));
         self.call(arguments, &folder.join("run.log"), None).run(started)
     }
@@ -232,7 +230,7 @@ impl Bench<'_> {
             let name: OsString = match list.as_str() {
                 "auto" => "auto".into(),
                 frames => {
-                    fs::write(&file, frames)?;
+                    write_text(&file, frames)?;
                     file.into()
                 }
             };
@@ -261,18 +259,15 @@ impl Bench<'_> {
         if folder.is_dir() && fs::read_to_string(&spec).is_ok_and(|known| known == *text) {
             return Ok(());
         }
-        let partial = folder.with_extension("partial");
-        for stale in [&folder, &partial].into_iter().filter(|stale| stale.exists()) {
-            fs::remove_dir_all(stale)?;
-        }
-        fs::create_dir_all(&partial)?;
-        fs::write(&spec, text)?;
-        let mut arguments: Vec<OsString> = vec!["synth".into(), (&spec).into(), "--out".into()];
-        arguments.extend([(&partial).into(), "--threads".into(), threads.to_string().into()]);
-        arguments.push("--quiet".into());
+        let wanted = folder.with_extension("wanted.toml");
+        write_text(&wanted, text)?;
+        let mut arguments: Vec<OsString> = vec!["synth".into(), (&wanted).into(), "--out".into()];
+        arguments.extend([(&folder).into(), "--threads".into(), threads.to_string().into()]);
+        arguments.extend(["--overwrite", "--quiet"].map(OsString::from));
         let log = folder.with_extension("log");
         self.call(arguments, &log, None).run(|_| ())?;
-        Ok(fs::rename(partial, folder)?)
+        // The specification comes last: it says that the sequence is there.
+        Ok(fs::rename(wanted, spec)?)
     }
 
     fn call<'a>(
@@ -290,8 +285,12 @@ fn remove_file(file: &Path) -> Result<(), Stopped> {
     if file.exists() { Ok(fs::remove_file(file)?) } else { Ok(()) }
 }
 
-/// Marks a folder as that of a suite, or refuses one that holds anything else.
-fn claim(out: &Path, title: &str) -> Result<(), Failure> {
+fn write_text(file: &Path, text: &str) -> Result<(), StorageError> {
+    write_file(file, |out| out.write_all(text.as_bytes()))
+}
+
+/// Marks a folder as that of a suite and locks it, or refuses one that holds anything else.
+fn claim(out: &Path, title: &str) -> Result<FolderLock, Failure> {
     let shown = out.display();
     let refuse = |why: String| Err(Failure::Usage(format!("--out {shown} {why}")));
     if !out.is_dir() && out.symlink_metadata().is_ok() {
@@ -311,20 +310,19 @@ fn claim(out: &Path, title: &str) -> Result<(), Failure> {
         }
         Some(_) => {}
         None => {
-            let empty =
-                FolderLayout { files: Vec::new(), pictures: Vec::new(), signatures: Vec::new() };
-            if let FolderContents::Other(file) = empty.contents(out) {
+            if let Some(name) = first_entry(out) {
                 return refuse(format!(
-                    "is not empty, it holds {}, and is no benchmark's: choose another folder",
-                    file.file_name().unwrap_or_default().display()
+                    "is not empty, it holds {name}, and is no benchmark's: choose another folder"
                 ));
             }
         }
     }
-    let folder = ResultFolder::create(out)?;
+    fs::create_dir_all(out).map_err(|e| StorageError::write(out, e))?;
+    let lock = FolderLock::acquire(out, "i2slam-bench")?;
     let mark = serde_json::to_string_pretty(&Mark { format: FORMAT, suite: title.to_owned() });
     let mark = mark.map_err(|e| Failure::Failed(e.to_string()))?;
-    Ok(folder.write_text(MARK, &(mark + "\n"))?)
+    write_text(&out.join(MARK), &(mark + "\n"))?;
+    Ok(lock)
 }
 
 #[cfg(test)]
@@ -336,11 +334,14 @@ mod tests {
     fn a_suite_goes_on_in_its_own_folder_and_in_no_other() {
         let out = TemporaryFolder::new("claim");
         let refused = |title| {
-            let failure = claim(&out.0, title).expect_err("not its folder");
+            let failure = claim(&out.0, title).map(drop).expect_err("not its folder");
             failure.message().expect("a message").to_owned()
         };
-        claim(&out.0, "mine").expect("a new folder");
-        claim(&out.0, "mine").expect("the same suite");
+        let lock = claim(&out.0, "mine").expect("a new folder");
+        let busy = claim(&out.0, "mine").map(drop).expect_err("another benchmark writes there");
+        assert!(busy.message().is_some_and(|m| m.contains("is being written")));
+        drop(lock);
+        drop(claim(&out.0, "mine").expect("the same suite"));
         assert!(refused("other").contains("\"mine\", not \"other\""));
         fs::write(out.0.join(MARK), "{\"suite\": \"mine\"}").expect("room");
         assert!(refused("mine").contains("of another version"));

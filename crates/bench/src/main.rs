@@ -168,7 +168,7 @@ fn dry_run(bench: &Bench<'_>, fresh: bool) {
 
 /// Runs the jobs that are not finished, then writes tables and report.
 fn run_jobs(bench: &Bench<'_>, threads: usize, arguments: &Arguments) -> Result<(), Failure> {
-    bench.claim_folder()?;
+    let _lock = bench.claim_folder()?;
     interrupt::listen();
     let quiet = arguments.quiet;
     for note in bench.plan.notes.iter().filter(|_| !quiet) {

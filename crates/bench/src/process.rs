@@ -1,8 +1,8 @@
 //! A call of the program `i2slam` as a child process, with its output in a log.
 
 use crate::interrupt::interrupted;
+use i2slam_storage::{StorageError, create};
 use std::ffi::OsString;
-use std::fs::File;
 use std::io;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -38,12 +38,18 @@ impl From<io::Error> for Stopped {
     }
 }
 
+impl From<StorageError> for Stopped {
+    fn from(error: StorageError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
 impl Call<'_> {
     /// Runs the program to its end; `started` gets the process id.
     pub(crate) fn run(&self, started: impl FnOnce(u32)) -> Result<(), Stopped> {
-        let log = File::create(self.log)?;
+        let log = create(self.log)?;
         let output = match self.output {
-            Some(path) => File::create(path)?,
+            Some(path) => create(path)?,
             None => log.try_clone()?,
         };
         let mut child = Command::new(self.program)

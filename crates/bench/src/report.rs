@@ -7,9 +7,9 @@ use crate::suite::TableKind;
 use crate::summary::Results;
 use crate::table::{Table, csv_line};
 use crate::tables;
-use i2slam_result::ResultFolder;
 use i2slam_result::html::{STYLE, escape};
 use i2slam_result::plot::{Horizontal, Plot, Point, Series};
+use i2slam_storage::write_file;
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -17,14 +17,16 @@ const OWN_STYLE: &str = include_str!("report.css");
 
 /// Writes tables, jobs and report.
 pub(crate) fn write(results: &Results<'_>, out: &Path) -> Result<(), Failure> {
-    let folder = ResultFolder::create(out)?;
+    let write = |name: &str, text: &str| {
+        write_file(&out.join(name), |file| file.write_all(text.as_bytes()))
+    };
     let tables = tables::tables(results);
     for table in &tables {
-        folder.write_text(&format!("tables/{}.csv", table.slug), &table.csv())?;
+        write(&format!("tables/{}.csv", table.slug), &table.csv())?;
     }
-    folder.write_text("jobs.csv", &job_table(results))?;
-    folder.write_text("results.md", &markdown(results, &tables))?;
-    folder.write_text("results.html", &html(results, &tables))?;
+    write("jobs.csv", &job_table(results))?;
+    write("results.md", &markdown(results, &tables))?;
+    write("results.html", &html(results, &tables))?;
     Ok(())
 }
 

@@ -29,7 +29,7 @@ fn prepared(name: &str, suite: &str) -> (TemporaryFolder, PathBuf, PathBuf) {
     (spec.camera.frames, spec.camera.width, spec.camera.height) = (4, 48, 36);
     (spec.camera.sub_frames, spec.camera.sharp_samples) = (4, 2);
     spec.light.texel = 0.12;
-    synthesise(&spec, &folder.0.join("room"), &mut |_| true).expect("a sequence");
+    synthesise(&spec, &folder.0.join("room"), false, &mut |_| true).expect("a sequence");
     let (file, out) = (folder.0.join("suite.toml"), folder.0.join("out"));
     fs::write(&file, suite).expect("room");
     (folder, file, out)
@@ -100,9 +100,10 @@ fn what_is_finished_is_not_run_again() {
     bench(&suite, &out, &["--configurations", "on"]).exits_with(0);
     let (on, off) = (out.join("jobs/room/on/seed-3"), out.join("jobs/room/off/seed-3"));
     let before = written(&on.join("result/metrics.json"));
-    // What an interrupted job leaves: a folder without an end.
+    // What a killed job leaves: a folder without an end.
     fs::create_dir_all(off.join("result")).expect("a folder");
-    fs::write(off.join("result/trajectory.txt"), "half a line").expect("room");
+    let lock = "i2slam output process 1, i2slam run\n";
+    fs::write(off.join("result/.i2slam-lock"), lock).expect("room");
     let dry = bench(&suite, &out, &["--dry-run"]).exits_with(0).out;
     assert!(dry.contains("finished  room, on, seed 3"), "{dry}");
     assert!(dry.contains("to do     room, off, seed 3"), "{dry}");

@@ -26,7 +26,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("result", &["storage", "i2slam"]),
     ("cli", &["storage", "i2slam", "result", "eval", "synthetic"]),
     ("bench", &["storage", "i2slam", "result", "eval", "synthetic"]),
-    ("fuzz", &["check", "compute", "i2slam", "result", "eval", "synthetic"]),
+    ("fuzz", &["check", "storage", "compute", "i2slam", "result", "eval", "synthetic"]),
 ];
 
 fn crates() -> PathBuf {

@@ -2,6 +2,7 @@
 //! pipe ends no run.
 
 use i2slam_result::ResultError;
+use i2slam_storage::StorageError;
 use std::io::{self, Write};
 
 /// Reason why a program ended without success.
@@ -44,7 +45,21 @@ impl Failure {
 
 impl From<ResultError> for Failure {
     fn from(error: ResultError) -> Self {
-        Self::Failed(error.to_string())
+        match error {
+            ResultError::Storage(error) => error.into(),
+            error => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<StorageError> for Failure {
+    fn from(error: StorageError) -> Self {
+        match error {
+            StorageError::Refused { .. } => Self::Usage(error.to_string()),
+            StorageError::Write { .. } | StorageError::Busy { .. } => {
+                Self::Failed(error.to_string())
+            }
+        }
     }
 }
 

@@ -8,7 +8,6 @@ mod ground_truth;
 mod image_files;
 mod interrupt;
 mod messages;
-mod output_dir;
 mod progress;
 mod reconstruction;
 

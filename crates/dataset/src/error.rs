@@ -148,6 +148,9 @@ pub enum DatasetError {
         /// Number of frames.
         frames: usize,
     },
+    /// A file could not be written whole.
+    #[error(transparent)]
+    Storage(#[from] i2slam_storage::StorageError),
     /// A file could not be read or written.
     #[error("cannot {action} {}: {source}", shortened(&path.display().to_string()))]
     Io {

@@ -32,7 +32,7 @@ mod video;
 pub use camera::EstimatedCamera;
 pub use error::DatasetError;
 pub use formats::{
-    ByteRanges, DroppedFrames, FrameEntry, Layout, paper_frames, read_trajectory, write_camera,
+    ByteRanges, DroppedFrames, FrameEntry, Layout, camera_json, paper_frames, read_trajectory,
     write_trajectory,
 };
 pub use image::MAX_PIXELS;

@@ -1,8 +1,6 @@
 //! One case: the files given to a reader.
 
-use crate::corpus::{Files, Seed};
-use crate::mutate::mutated;
-use i2slam_compute::Random;
+use crate::corpus::Files;
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -41,20 +39,6 @@ pub(crate) struct Case {
 }
 
 impl Case {
-    /// The case of an identity.
-    pub(crate) fn new(seeds: &[Seed], reader: &str, seed: u64, id: CaseId) -> Self {
-        match id {
-            CaseId::Seed(index) => Self { files: seeds[index].files.clone(), oddities: vec![] },
-            CaseId::Number(number) => {
-                let name = u64::from(crc32fast::hash(reader.as_bytes()));
-                // The first numbers of neighbouring seeds are alike in nothing.
-                let mut random = Random::new(Random::new(seed ^ (name << 32)).bits() ^ number);
-                let mut random = Random::new(random.bits());
-                mutated(seeds, &mut random)
-            }
-        }
-    }
-
     /// Writes the case into an empty folder.
     pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
         fs::create_dir_all(folder)?;

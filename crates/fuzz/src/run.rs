@@ -1,8 +1,9 @@
 //! A run: seeds as they are, then cases of all readers in turn, on several workers.
 
 use crate::arguments::Arguments;
-use crate::case::{Case, CaseId};
+use crate::case::CaseId;
 use crate::corpus::{self, Seed};
+use crate::mutate;
 use crate::protocol::Request;
 use crate::readers::{self, READERS, Reader};
 use crate::report::Report;
@@ -89,7 +90,7 @@ fn run_one(
 ) -> Result<bool, String> {
     let id = CaseId::Number(number);
     if let Some(folder) = &arguments.write {
-        let case = Case::new(seeds, reader.name, seed, id);
+        let case = mutate::case(seeds, reader.name, seed, id);
         if folder.exists() {
             return Err(format!("{} is there already", folder.display()));
         }

@@ -5,6 +5,7 @@ use crate::case::Case;
 use crate::corpus::{self, Seed};
 use crate::failure::{Failure, Outcome, fault_of};
 use crate::memory::{Meter, bound_address_space};
+use crate::mutate;
 use crate::protocol::{Answer, Request};
 use crate::readers::{self, Reader};
 use std::collections::BTreeMap;
@@ -34,7 +35,7 @@ pub(crate) fn serve(arguments: &Arguments, scratch: &Path) -> Result<bool, Strin
             corpora.insert(reader.name, corpus::read(&arguments.corpus, reader.name)?);
         }
         let seed = arguments.seed.unwrap_or_default();
-        let case = Case::new(&corpora[reader.name], reader.name, seed, request.id);
+        let case = mutate::case(&corpora[reader.name], reader.name, seed, request.id);
         let folder = scratch.join("case");
         remove(&folder);
         let written = case.write(&folder);

@@ -1,26 +1,47 @@
 //! A reconstruction saved to a result folder, the most important files first, and loaded from it.
 
+use crate::error::read_text;
 use crate::pictures::DEPTH_UNITS_PER_METRE;
-use crate::storage::read_text;
-use crate::{Metrics, ResultError, ResultFolder, UnitOfLength, map, tables};
+use crate::{Metrics, ResultError, UnitOfLength, map, tables};
 use i2slam::formation::tone::NODES;
 use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
 use i2slam::geometry::{Camera, StampedPose};
 use i2slam::{Config, Map, Reconstruction};
+use i2slam_storage::OutputFolder;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::Path;
 
+/// Names in a result folder: those of `run`, and those that `eval` and `render` add.
+pub const NAMES: &[&str] = &[
+    "trajectory.txt",
+    "trajectory_shutter.txt",
+    "trajectory_optimised.txt",
+    "frames.csv",
+    "config.toml",
+    "input.json",
+    "camera.json",
+    "camera_response.csv",
+    "state.json",
+    "map.i2slam",
+    "map.ply",
+    "metrics.json",
+    "evaluation.json",
+    "report.html",
+    "renders",
+    "views",
+];
+
 /// Writes everything but metrics, report and pictures: trajectories, `frames.csv`, `config.toml`,
-/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only;
-/// an older one is removed), in this order.
+/// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only),
+/// in this order.
 ///
 /// Every file is tried; returns the failures.
-pub fn save(folder: &ResultFolder, reconstruction: &Reconstruction) -> Vec<ResultError> {
+pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<ResultError> {
     let r = reconstruction;
     let unit = UnitOfLength::of(&r.config);
     let steps = [
-        save_trajectory(folder, "trajectory.txt", &r.trajectory(), unit),
+        folder.write_text("trajectory.txt", &tables::trajectory(&r.trajectory(), unit)),
         folder.write_text("trajectory_shutter.txt", &tables::shutter_trajectory(&r.frames, unit)),
         folder.write_text("frames.csv", &tables::frames(&r.frames)),
         folder.write_text("config.toml", &r.config.to_toml()),
@@ -34,25 +55,33 @@ pub fn save(folder: &ResultFolder, reconstruction: &Reconstruction) -> Vec<Resul
             Map::Gaussians(map) => {
                 folder.write("map.ply", |out| map::write_ply(out, map, r.typical_tone()))
             }
-            Map::HashGrid(_) => folder.remove("map.ply"),
+            Map::HashGrid(_) => Ok(()),
         },
     ];
-    steps.into_iter().filter_map(Result::err).collect()
+    steps.into_iter().filter_map(Result::err).map(ResultError::from).collect()
+}
+
+/// Deletes the pictures of a result, with the list of their poses.
+pub fn remove_renders(result: &Path) -> Result<(), ResultError> {
+    let mut folder = OutputFolder::extend(result, "i2slam-bench")?;
+    folder.remove(|name| name.starts_with("renders/") || name.starts_with("views/"));
+    folder.commit()?;
+    Ok(())
 }
 
 /// Writes mid-exposure poses in the TUM format.
 pub fn save_trajectory(
-    folder: &ResultFolder,
+    folder: &OutputFolder,
     file: &str,
     poses: &[StampedPose],
     unit: UnitOfLength,
 ) -> Result<(), ResultError> {
-    folder.write_text(file, &tables::trajectory(poses, unit))
+    Ok(folder.write_text(file, &tables::trajectory(poses, unit))?)
 }
 
 /// Writes `metrics.json`.
-pub fn save_metrics(folder: &ResultFolder, metrics: &Metrics) -> Result<(), ResultError> {
-    folder.write("metrics.json", |out| write_json(out, metrics))
+pub fn save_metrics(folder: &OutputFolder, metrics: &Metrics) -> Result<(), ResultError> {
+    Ok(folder.write("metrics.json", |out| write_json(out, metrics))?)
 }
 
 fn write_json(out: &mut dyn Write, value: &impl serde::Serialize) -> io::Result<()> {

@@ -1,8 +1,9 @@
 //! `input.json`: the sequence of a run, and how it was read.
 
-use crate::storage::read_text;
-use crate::{ResultError, ResultFolder};
+use crate::ResultError;
+use crate::error::read_text;
 use i2slam::dataset::{OpenOptions, is_stream};
+use i2slam_storage::OutputFolder;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -39,11 +40,11 @@ impl RunInput {
     }
 
     /// Writes `input.json`.
-    pub fn save(&self, folder: &ResultFolder) -> Result<(), ResultError> {
-        folder.write("input.json", |out| {
+    pub fn save(&self, folder: &OutputFolder) -> Result<(), ResultError> {
+        Ok(folder.write("input.json", |out| {
             serde_json::to_writer_pretty(&mut *out, self)?;
             writeln!(out)
-        })
+        })?)
     }
 }
 
@@ -52,6 +53,7 @@ mod tests {
     use super::*;
     use i2slam::dataset::EstimatedCamera;
     use i2slam_check::TemporaryFolder;
+    use std::fs;
 
     #[test]
     fn options_survive_a_round_trip() {
@@ -72,18 +74,20 @@ mod tests {
             ..OpenOptions::default()
         };
         assert_eq!(RunInput::load(&scratch.0).expect("nothing"), None);
-        let folder = ResultFolder::create(&scratch.0).expect("a folder");
+        let mut folder = OutputFolder::extend(&scratch.0, "i2slam run").expect("a folder");
+        let write = |text: &str| fs::write(scratch.join("input.json"), text).expect("room");
         let input = RunInput::new("data/room".as_ref(), &options);
         assert!(input.dataset.is_absolute());
         input.save(&folder).expect("room");
+        folder.commit().expect("room");
         let back = RunInput::load(&scratch.0).expect("a file").expect("an input");
         assert_eq!((&back, &back.options), (&input, &options));
         // Missing keys take their defaults.
         let earlier = r#"{"dataset": "/room", "frames": [3, 9], "stride": 2, "scale": 0.5}"#;
-        folder.write_text("input.json", earlier).expect("room");
+        write(earlier);
         let back = RunInput::load(&scratch.0).expect("a file").expect("an input");
         assert_eq!((back.options.frames, back.options.max_side), (Some(3..9), None));
-        folder.write_text("input.json", "{}").expect("room");
+        write("{}");
         let message = RunInput::load(&scratch.0).expect_err("no input").to_string();
         assert!(message.contains("input.json") && message.contains("dataset"), "{message}");
     }

@@ -2,25 +2,23 @@
 //! The files are documented in `docs/result-folder.md`.
 
 mod archive;
+mod error;
 mod folder;
 pub mod html;
 mod input;
-mod layout;
 mod map;
 mod metrics;
 mod pictures;
 pub mod plot;
 pub mod report;
-mod storage;
 mod tables;
 #[cfg(test)]
 mod tests;
 
-pub use folder::{load, save, save_metrics, save_trajectory};
+pub use error::ResultError;
+pub use folder::{NAMES, load, remove_renders, save, save_metrics, save_trajectory};
 pub use input::RunInput;
-pub use layout::{FolderContents, FolderLayout, remove_renders};
 pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
-pub use storage::{ResultError, ResultFolder};

@@ -1,8 +1,9 @@
 //! Image files (PNG for pictures and depth, OpenEXR for radiance), and the pictures under
 //! `renders/`.
 
-use crate::{ResultError, ResultFolder};
+use crate::ResultError;
 use i2slam::geometry::Image;
+use i2slam_storage::OutputFolder;
 use std::io::{self, Cursor, Write};
 
 /// Depth PNGs hold this many units per metre (TUM RGB-D's convention).
@@ -125,7 +126,7 @@ impl RenderKind {
 
 /// Writes a render as `<parent>/<kind>/NNNNNN.png` (or `.exr`); `parent` may be empty.
 pub fn save_render(
-    folder: &ResultFolder,
+    folder: &OutputFolder,
     parent: &str,
     kind: RenderKind,
     index: usize,
@@ -133,11 +134,12 @@ pub fn save_render(
 ) -> Result<(), ResultError> {
     let file = kind.file(index);
     let relative = if parent.is_empty() { file } else { format!("{parent}/{file}") };
-    folder.write(&relative, |out| match kind {
+    let written = folder.write(&relative, |out| match kind {
         RenderKind::Sharp | RenderKind::Blurred => write_picture(out, image),
         RenderKind::Hdr => write_radiance(out, image),
         RenderKind::Depth => write_depth(out, image),
-    })
+    });
+    Ok(written?)
 }
 
 #[cfg(test)]

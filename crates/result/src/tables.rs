@@ -1,6 +1,6 @@
 //! The text tables of a result: trajectories, `frames.csv`, camera response.
 
-use crate::storage::read_text;
+use crate::error::read_text;
 use crate::{ResultError, UnitOfLength};
 use i2slam::formation::{FrameTone, ShutterPoses};
 use i2slam::geometry::{Pose, Rotation, StampedPose, Tangent, Vec3};

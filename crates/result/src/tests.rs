@@ -11,6 +11,7 @@ use i2slam::radiance::hashgrid::{
 };
 use i2slam::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
 use i2slam_check::TemporaryFolder;
+use i2slam_storage::{Claim, OutputFolder};
 use std::fs;
 
 /// Frames along an arc, three response curves, a few Gaussians.
@@ -69,12 +70,24 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
     }
 }
 
+/// Opens a folder of a result, whatever it holds.
+fn output(path: &std::path::Path) -> OutputFolder {
+    let claim = Claim { command: "i2slam run", names: NAMES, overwrite: true };
+    OutputFolder::replace(path, claim).expect("a folder")
+}
+
+/// Saves a reconstruction.
+fn saved(path: &std::path::Path, reconstruction: &Reconstruction) {
+    let mut folder = output(path);
+    assert!(save(&folder, reconstruction).is_empty());
+    folder.commit().expect("room");
+}
+
 #[test]
 fn a_saved_folder_loads_as_it_was() {
     let scratch = TemporaryFolder::new("load");
     let before = example(6);
-    let folder = ResultFolder::create(&scratch.0).expect("a folder");
-    assert!(save(&folder, &before).is_empty());
+    saved(&scratch.0, &before);
     let after = load(&scratch.0).expect("a result");
     assert_eq!(after.map, before.map);
     assert_eq!(after.camera, before.camera);
@@ -110,10 +123,11 @@ fn a_field_is_saved_and_loaded() {
         march: MarchSettings::cube(1.5),
     };
     let scratch = TemporaryFolder::new("field");
-    let folder = ResultFolder::create(&scratch.0).expect("a folder");
-    assert!(save(&folder, &example(2)).is_empty() && scratch.0.join("map.ply").exists());
+    saved(&scratch.0, &example(2));
+    assert!(scratch.0.join("map.ply").exists());
     let before = Reconstruction { map: Map::HashGrid(Box::new(field)), ..example(2) };
-    assert!(save(&folder, &before).is_empty() && !scratch.0.join("map.ply").exists());
+    saved(&scratch.0, &before);
+    assert!(!scratch.0.join("map.ply").exists());
     let after = load(&scratch.0).expect("a result");
     assert_eq!(after.map, before.map);
     assert_eq!(after.viewer().depth(Pose::identity()).data, vec![0.0; 64 * 48]);
@@ -125,15 +139,15 @@ const EARLIER_CONFIG: &str = include_str!("../tests/data/config-0.1.toml");
 #[test]
 fn a_result_with_settings_of_an_earlier_version_opens() {
     let scratch = TemporaryFolder::new("earlier");
-    let folder = ResultFolder::create(&scratch.0).expect("a folder");
-    assert!(save(&folder, &example(2)).is_empty());
-    folder.write_text("config.toml", EARLIER_CONFIG).expect("room");
+    saved(&scratch.0, &example(2));
+    let write = |text: &str| fs::write(scratch.join("config.toml"), text).expect("room");
+    write(EARLIER_CONFIG);
     let config = load(&scratch.0).expect("a result").config;
     assert_eq!((config.preset.as_str(), config.map.kind), ("default-rgb", MapKind::Gaussian));
     assert!(config.input.is_rolling());
     let unknown = EARLIER_CONFIG.replace("blur_model", "blur_modell");
     assert_ne!(unknown, EARLIER_CONFIG);
-    folder.write_text("config.toml", &unknown).expect("room");
+    write(&unknown);
     let message = load(&scratch.0).expect_err("no such setting").to_string();
     assert!(message.contains("config.toml") && message.contains("blur_modell"), "{message}");
 }
@@ -141,8 +155,7 @@ fn a_result_with_settings_of_an_earlier_version_opens() {
 #[test]
 fn damage_is_named() {
     let scratch = TemporaryFolder::new("damage");
-    let folder = ResultFolder::create(&scratch.0).expect("a folder");
-    assert!(save(&folder, &example(4)).is_empty());
+    saved(&scratch.0, &example(4));
     let refusal = |file: &str, content: &[u8]| {
         let path = scratch.0.join(file);
         let good = fs::read(&path).expect("a file");
@@ -165,14 +178,38 @@ fn damage_is_named() {
 #[test]
 fn a_file_that_cannot_be_written_does_not_lose_the_others() {
     let scratch = TemporaryFolder::new("order");
-    let folder = ResultFolder::create(&scratch.0).expect("a folder");
-    fs::create_dir_all(scratch.0.join("state.json/in-the-way")).expect("a folder");
+    let mut folder = output(&scratch.join("out"));
+    fs::write(scratch.join("out/state.json"), "mine").expect("a file in the way");
     let failures = save(&folder, &example(6));
     assert!(failures.len() == 1 && failures[0].to_string().contains("state.json"), "{failures:?}");
+    folder.commit().expect("room");
     for file in ["trajectory.txt", "trajectory_shutter.txt", "frames.csv", "map.i2slam"] {
-        assert!(scratch.0.join(file).is_file(), "{file}");
+        assert!(scratch.join("out").join(file).is_file(), "{file}");
     }
-    assert!(!scratch.0.join(".state.json.partial").exists());
+    assert_eq!(fs::read_to_string(scratch.join("out/state.json")).ok().as_deref(), Some("mine"));
+}
+
+#[test]
+fn renders_are_removed_and_files_of_the_user_stay() {
+    let scratch = TemporaryFolder::new("renders");
+    let mut folder = output(&scratch.0);
+    let image = i2slam::geometry::Image::new(8, 6, 3);
+    for kind in RenderKind::ALL {
+        save_render(&folder, "renders", kind, 12, &image).expect("room");
+    }
+    for parent in ["renders/optimised", "views"] {
+        save_render(&folder, parent, RenderKind::Sharp, 3, &image).expect("room");
+    }
+    folder.write_text("views/poses.txt", "").expect("room");
+    folder.commit().expect("room");
+    drop(folder);
+    assert!(scratch.join("renders/hdr/000012.exr").exists());
+    fs::write(scratch.join("renders/sharp/notes.txt"), "mine").expect("room");
+    remove_renders(&scratch.0).expect("removal");
+    assert!(!scratch.join("renders/hdr").exists() && !scratch.join("views").exists());
+    assert!(!scratch.join("renders/sharp/000012.png").exists());
+    assert!(!scratch.join("renders/optimised").exists());
+    assert!(scratch.join("renders/sharp/notes.txt").exists());
 }
 
 #[test]
@@ -182,9 +219,10 @@ fn an_empty_reconstruction_is_saved_and_loaded() {
     if let Map::Gaussians(map) = &mut nothing.map {
         map.retain(&[false; 7]);
     }
-    let folder = ResultFolder::create(&scratch.0).expect("a folder");
+    let mut folder = output(&scratch.0);
     assert!(save(&folder, &nothing).is_empty());
     assert!(save_metrics(&folder, &Metrics::of(&nothing)).is_ok());
+    folder.commit().expect("room");
     let loaded = load(&scratch.0).expect("a result");
     assert!(loaded.frames.is_empty() && loaded.map.gaussians() == 0);
 }

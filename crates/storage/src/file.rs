@@ -9,7 +9,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// Writes a file under a random name beside it, then renames it: an older file stays until the new
-/// one is complete, and no link is followed.
+/// one is complete, and no link is followed. Folders above it are created.
 ///
 /// # Errors
 /// Those of the system; the message names the file.
@@ -19,6 +19,9 @@ pub fn write_file(
 ) -> Result<(), StorageError> {
     let failed = |source| StorageError::write(path, source);
     let partial = hidden_beside(path);
+    if let Some(parent) = path.parent() {
+        fs::create_dir_all(parent).map_err(failed)?;
+    }
     let written = write_new(&partial, content);
     let placed = written.and_then(|record| fs::rename(&partial, path).map(|()| record));
     placed.map(drop).map_err(|source| {
@@ -26,6 +29,18 @@ pub fn write_file(
         fs::remove_file(&partial).ok();
         failed(source)
     })
+}
+
+/// Opens a new file for writing in place of an older one; a link is removed, not followed.
+///
+/// # Errors
+/// Those of the system.
+pub fn create(path: &Path) -> io::Result<File> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    File::create_new(path)
 }
 
 /// Writes a file that must not exist.

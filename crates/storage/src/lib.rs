@@ -13,7 +13,7 @@ mod swap;
 mod tests;
 
 pub use error::{StorageError, reason};
-pub use file::write_file;
+pub use file::{create, write_file};
 pub use lock::FolderLock;
 pub use manifest::{FileRecord, MANIFEST, Manifest};
 pub use message::shortened;

@@ -193,6 +193,14 @@ impl OutputFolder {
         self.write(relative, |out| out.write_all(text.as_bytes()))
     }
 
+    /// Whether a file was prepared, or a folder that holds one.
+    pub fn has(&self, relative: &str) -> bool {
+        let is_below = |name: &String| {
+            name.strip_prefix(relative).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+        };
+        self.staging.records().keys().any(is_below)
+    }
+
     /// Leaves out files of the earlier result, where files are added to it.
     pub fn remove(&mut self, is_removed: impl Fn(&str) -> bool) {
         self.kept.files.retain(|name, _| !is_removed(name));
@@ -226,14 +234,15 @@ impl OutputFolder {
             let begun = io::Error::other("its files are partly in place: run the command again");
             return Err(StorageError::write(&self.path, begun));
         }
-        let listed = self.write_manifest();
-        let base = if self.is_beside { self.target.clone() } else { self.target.join("result") };
-        let free = free_name(&base, suffix);
         // Files without a list are better than none.
-        drop(listed);
-        fs::rename(&self.staging.root, &free).map_err(|e| StorageError::write(&free, e))?;
-        self.staging.moved_to(&free);
-        Ok(free)
+        drop(self.write_manifest());
+        let outside = free_name(&self.target, suffix);
+        let inside = free_name(&self.target.join("result"), suffix);
+        let placed = fs::rename(&self.staging.root, &outside).map(|()| outside);
+        let placed = placed.or_else(|_| fs::rename(&self.staging.root, &inside).map(|()| inside));
+        let placed = placed.map_err(|e| StorageError::write(&self.path, e))?;
+        self.staging.moved_to(&placed);
+        Ok(placed)
     }
 
     /// Checks that all files arrived, and writes their list.
@@ -302,8 +311,8 @@ impl OutputFolder {
 
 fn foreign(folder: &Path, name: &str) -> StorageError {
     let reason = format!(
-        "holds {name}, which i2slam did not write, or which was changed since: it would be \
-         replaced, move it or choose another folder"
+        "holds {name}, which would be replaced and which i2slam did not write, or which was changed \
+         since: choose another folder"
     );
     StorageError::refused(folder, reason)
 }
@@ -332,12 +341,15 @@ fn check_contents(path: &Path, claim: Claim<'_>) -> Result<(), StorageError> {
     let command = claim.command;
     let refuse = |reason: String| Err(StorageError::refused(path, reason));
     let Some(earlier) = Manifest::of(path) else {
-        return match first_entry(path) {
-            None => Ok(()),
-            Some(name) => refuse(format!(
-                "is not empty, it holds {name} and no {MANIFEST}, so `{command}` did not write it: \
-                 choose another folder"
+        let mut names = claim.names.iter().copied().chain([MANIFEST]);
+        let own = names.find(|name| path.join(name).symlink_metadata().is_ok());
+        return match (first_entry(path), own) {
+            (_, Some(name)) => Err(foreign(path, name)),
+            (Some(name), None) if !claim.overwrite => refuse(format!(
+                "is not empty, it holds {name}: choose another folder, or write beside it with \
+                 --overwrite"
             )),
+            _ => Ok(()),
         };
     };
     if earlier.command != command {

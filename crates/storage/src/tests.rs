@@ -146,14 +146,18 @@ fn only_own_unchanged_results_are_replaced() {
     fs::create_dir(&out).expect("room");
     fs::write(out.join(".hidden"), "").expect("room");
     OutputFolder::check(&out, NEW).expect("hidden files do not count");
-    fs::write(out.join("camera.json"), "mine").expect("room");
+    fs::write(out.join("notes.txt"), "mine").expect("room");
+    assert!(refusal(OutputFolder::replace(&out, NEW)).contains("--overwrite"));
+    OutputFolder::check(&out, CLAIM).expect("nothing is in the way");
+    fs::write(out.join("map.ply"), "mine").expect("room");
     let message = refusal(OutputFolder::replace(&out, CLAIM));
-    assert!(message.contains("camera.json") && message.contains("another folder"), "{message}");
+    assert!(message.contains("map.ply") && message.contains("another folder"), "{message}");
     fs::write(out.join(MANIFEST), "{}").expect("room");
     refusal(OutputFolder::replace(&out, CLAIM));
     assert!(refusal(OutputFolder::extend(&out, "i2slam eval")).contains(MANIFEST));
-    fs::remove_file(out.join(MANIFEST)).expect("a file");
-    fs::remove_file(out.join("camera.json")).expect("a file");
+    for name in [MANIFEST, "map.ply", "notes.txt"] {
+        fs::remove_file(out.join(name)).expect("a file");
+    }
     write_result(&out, "old", 1, Place::Beside).expect("room");
     assert!(refusal(OutputFolder::check(&out, NEW)).contains("--overwrite"));
     let other = Claim { command: "i2slam synth", ..CLAIM };

@@ -1,6 +1,7 @@
 //! The error type.
 
 use i2slam_dataset::DatasetError;
+use i2slam_storage::StorageError;
 use std::path::{Path, PathBuf};
 
 /// Failure to render or degrade a sequence.
@@ -26,12 +27,13 @@ pub enum SyntheticError {
         /// Allowed values.
         expected: String,
     },
-    /// A file or folder cannot be read or written.
-    #[error("{}: cannot be {action}: {source}", path.display())]
-    Io {
-        /// "read" or "written".
-        action: &'static str,
-        /// The file or folder.
+    /// The output folder cannot be written, or holds what must not be replaced.
+    #[error(transparent)]
+    Storage(#[from] StorageError),
+    /// A file cannot be read.
+    #[error("{}: cannot be read: {source}", path.display())]
+    Read {
+        /// The file.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,
@@ -46,10 +48,6 @@ pub enum SyntheticError {
 
 impl SyntheticError {
     pub(crate) fn read(path: &Path, source: std::io::Error) -> Self {
-        Self::Io { action: "read", path: path.to_owned(), source }
-    }
-
-    pub(crate) fn write(path: &Path, source: std::io::Error) -> Self {
-        Self::Io { action: "written", path: path.to_owned(), source }
+        Self::Read { path: path.to_owned(), source }
     }
 }

@@ -23,7 +23,7 @@ mod synthesise;
 mod texture;
 mod write;
 
-pub use degrade::{Degradation, DegradationCounts, Degrader, ExposureStep, degrade};
+pub use degrade::{Degradation, DegradationCounts, ExposureStep, degrade};
 pub use depth_noise::KinectNoise;
 pub use error::SyntheticError;
 pub use motion::Motion;

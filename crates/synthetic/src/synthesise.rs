@@ -10,10 +10,11 @@ use crate::sensor::{AutoExposure, ShutterRule, raw_exposure_value};
 use crate::sensor::{Sensor, white_balance_at};
 use crate::spec::Spec;
 use crate::write::{
-    OutputFolder, Summary, camera_json, pose_numbers, readme, write_depth, write_picture,
-    write_radiance,
+    Summary, camera_json, output_folder, pose_numbers, readme, write_bytes, write_depth,
+    write_list, write_picture, write_radiance,
 };
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_storage::OutputFolder;
 use std::path::Path;
 
 /// Progress of the rendering.
@@ -45,22 +46,24 @@ struct Renderer<'a> {
     folder: OutputFolder,
 }
 
-/// Renders a sequence into a folder. `progress` receives every finished stage and returns whether to
-/// continue; a cancelled run leaves `spec.toml` and images but no lists.
+/// Renders a sequence into a folder, which appears when it is complete; an earlier sequence is
+/// replaced only if `overwrite`. `progress` receives every finished stage and returns whether to
+/// continue.
 pub fn synthesise(
     spec: &Spec,
     out: &Path,
+    overwrite: bool,
     progress: &mut dyn FnMut(Stage) -> bool,
 ) -> Result<Summary, SyntheticError> {
     spec.validate()?;
     spec.validate_memory()?;
-    let folder = OutputFolder::create(out)?;
-    // First, so that a folder tells what it is even where the work was ended.
-    folder.write_text("spec.toml", spec.to_toml())?;
+    let folder = output_folder(out, "i2slam synth", overwrite)?;
+    folder.write_text("spec.toml", &spec.to_toml())?;
     let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
     go_on(progress(Stage::Lighting))?;
     let lit = compute_light(furnished_room(spec), spec);
-    let studio = Renderer { spec, camera: camera(spec), motion: Motion::new(spec), lit, folder };
+    let mut studio =
+        Renderer { spec, camera: camera(spec), motion: Motion::new(spec), lit, folder };
     let mut automatic = AutoExposure::default();
     let mut frames = Vec::new();
     for index in 0..spec.camera.frames {
@@ -74,7 +77,9 @@ pub fn synthesise(
         blurs.push(studio.blurred_frame(index, frame, &rule)?);
         go_on(progress(Stage::Blurred(index + 1)))?;
     }
-    studio.finish(&frames, &rule, &blurs)
+    let summary = studio.finish(&frames, &rule, &blurs)?;
+    studio.folder.commit()?;
+    Ok(summary)
 }
 
 fn camera(spec: &Spec) -> Camera<f64> {
@@ -109,14 +114,18 @@ impl Renderer<'_> {
         let name = |folder: &str, kind: &str| format!("{folder}/{index:06}.{kind}");
         if spec.output.sharp {
             let picture = self.sensor(stamp, exposure_value).picture(&radiance);
-            self.folder.write(&name("sharp", "png"), write_picture(&picture))?;
+            write_bytes(&self.folder, &name("sharp", "png"), write_picture(&picture))?;
         }
         if spec.output.hdr_every > 0 && index.is_multiple_of(spec.output.hdr_every) {
-            self.folder.write(&name("hdr", "exr"), write_radiance(&radiance))?;
+            write_bytes(&self.folder, &name("hdr", "exr"), write_radiance(&radiance))?;
         }
         let kinect = || KinectNoise::default().apply(&depth, spec.seed, index);
         let seen = spec.depth.kinect.then(kinect);
-        self.folder.write(&name("depth", "png"), write_depth(seen.as_ref().unwrap_or(&depth)))?;
+        write_bytes(
+            &self.folder,
+            &name("depth", "png"),
+            write_depth(seen.as_ref().unwrap_or(&depth)),
+        )?;
         let median_depth = median(depth.data.iter().map(|&z| f64::from(z)).filter(|&z| z > 0.0));
         let small = depth.resized_by_nearest(depth.width.min(80), depth.height.min(60));
         let world_from_camera = pose;
@@ -135,7 +144,7 @@ impl Renderer<'_> {
         let radiance = render::exposed(&self.lit, &self.camera, &self.motion, shutter, samples);
         let sensor = self.sensor(frame.stamp, frame.exposure_value);
         let picture = sensor.noisy_picture(&radiance, &self.spec.noise, self.spec.seed, index);
-        self.folder.write(&format!("rgb/{index:06}.png"), write_picture(&picture))?;
+        write_bytes(&self.folder, &format!("rgb/{index:06}.png"), write_picture(&picture))?;
         Ok(self.blur_length(frame, shutter))
     }
 
@@ -175,13 +184,13 @@ impl Renderer<'_> {
         blurs: &[f64],
     ) -> Result<Summary, SyntheticError> {
         let stamps: Vec<f64> = frames.iter().map(|f| f.stamp).collect();
-        self.folder.write_list("rgb", "colour images (motion-blurred)", &stamps)?;
+        write_list(&self.folder, "rgb", "colour images (motion-blurred)", &stamps)?;
         let about = "depth maps (z-depth at mid-exposure, 5000 = 1 m, 0 = invalid)";
-        self.folder.write_list("depth", about, &stamps)?;
+        write_list(&self.folder, "depth", about, &stamps)?;
         self.write_truth(frames, rule, blurs)?;
         let summary = self.summary(frames, rule, blurs);
-        self.folder.write_text("camera.json", camera_json(&self.camera, self.spec, rule))?;
-        self.folder.write_text("README.md", readme(self.spec, rule, &summary))?;
+        self.folder.write_text("camera.json", &camera_json(&self.camera, self.spec, rule))?;
+        self.folder.write_text("README.md", &readme(self.spec, rule, &summary))?;
         Ok(summary)
     }
 
@@ -218,9 +227,9 @@ impl Renderer<'_> {
                 blurs[i]
             ));
         }
-        self.folder.write_text("groundtruth.txt", middle)?;
-        self.folder.write_text("groundtruth_shutter.txt", ends)?;
-        self.folder.write_text("exposure.csv", table)
+        self.folder.write_text("groundtruth.txt", &middle)?;
+        self.folder.write_text("groundtruth_shutter.txt", &ends)?;
+        Ok(self.folder.write_text("exposure.csv", &table)?)
     }
 
     fn summary(&self, frames: &[FrameTruth], rule: &ShutterRule, blurs: &[f64]) -> Summary {

@@ -4,53 +4,57 @@ use crate::error::SyntheticError;
 use crate::sensor::ShutterRule;
 use crate::spec::{NoiseSpec, Spec, WhiteBalanceSpec};
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_storage::{Claim, OutputFolder};
 use std::io::{self, Cursor};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// Output folder of a sequence.
-pub(crate) struct OutputFolder {
-    root: PathBuf,
+/// Names in the folder of a sequence, whether it is rendered or degraded.
+const NAMES: &[&str] = &[
+    "rgb.txt",
+    "depth.txt",
+    "groundtruth.txt",
+    "groundtruth_shutter.txt",
+    "exposure.csv",
+    "camera.json",
+    "README.md",
+    "spec.toml",
+    "source.csv",
+    "rgb",
+    "depth",
+    "sharp",
+    "hdr",
+];
+
+/// Opens the folder of a sequence; an earlier one is replaced only if `overwrite`.
+pub(crate) fn output_folder(
+    out: &Path,
+    command: &str,
+    overwrite: bool,
+) -> Result<OutputFolder, SyntheticError> {
+    Ok(OutputFolder::replace(out, Claim { command, names: NAMES, overwrite })?)
 }
 
-impl OutputFolder {
-    /// Creates the folder if it does not exist.
-    pub(crate) fn create(root: &Path) -> Result<Self, SyntheticError> {
-        std::fs::create_dir_all(root).map_err(|e| SyntheticError::write(root, e))?;
-        Ok(Self { root: root.to_owned() })
-    }
+/// Writes encoded bytes.
+pub(crate) fn write_bytes(
+    folder: &OutputFolder,
+    relative: &str,
+    bytes: io::Result<Vec<u8>>,
+) -> Result<(), SyntheticError> {
+    Ok(folder.write(relative, |out| out.write_all(&bytes?))?)
+}
 
-    /// Writes a file, creating the folder it lies in.
-    pub(crate) fn write(
-        &self,
-        relative: &str,
-        bytes: io::Result<Vec<u8>>,
-    ) -> Result<(), SyntheticError> {
-        let path = self.root.join(relative);
-        let failed = |e| SyntheticError::write(&path, e);
-        if let Some(parent) = path.parent() {
-            std::fs::create_dir_all(parent).map_err(failed)?;
-        }
-        std::fs::write(&path, bytes.map_err(failed)?).map_err(failed)
+/// Writes `rgb.txt` or `depth.txt`, a line for every stamp [s]; frames are numbered.
+pub(crate) fn write_list(
+    folder: &OutputFolder,
+    kind: &str,
+    about: &str,
+    stamps: &[f64],
+) -> Result<(), SyntheticError> {
+    let mut text = format!("# {about}\n# timestamp filename\n");
+    for (i, stamp) in stamps.iter().enumerate() {
+        text.push_str(&format!("{stamp:.6} {kind}/{i:06}.png\n"));
     }
-
-    /// Writes a text file.
-    pub(crate) fn write_text(&self, relative: &str, text: String) -> Result<(), SyntheticError> {
-        self.write(relative, Ok(text.into_bytes()))
-    }
-
-    /// Writes `rgb.txt` or `depth.txt`, a line for every stamp [s]; frames are numbered.
-    pub(crate) fn write_list(
-        &self,
-        kind: &str,
-        about: &str,
-        stamps: &[f64],
-    ) -> Result<(), SyntheticError> {
-        let mut text = format!("# {about}\n# timestamp filename\n");
-        for (i, stamp) in stamps.iter().enumerate() {
-            text.push_str(&format!("{stamp:.6} {kind}/{i:06}.png\n"));
-        }
-        self.write_text(&format!("{kind}.txt"), text)
-    }
+    Ok(folder.write_text(&format!("{kind}.txt"), &text)?)
 }
 
 /// `tx ty tz qx qy qz qw`.

@@ -29,9 +29,9 @@ fn a_sequence_is_made_worse_in_the_ways_asked_for() {
         ..Degradation::default()
     };
     let (one, two) = (scratch.0.join("a/out"), scratch.0.join("b/out"));
-    let done = degrade(&source, &one, &what, &mut |_, _| true).expect("a sequence");
+    let done = degrade(&source, &one, true, &what, &mut |_, _| true).expect("a sequence");
     assert_eq!((done.frames, done.dropped, done.covered), (6, 1, 1));
-    degrade(&source, &two, &what, &mut |_, _| true).expect("a sequence");
+    degrade(&source, &two, true, &what, &mut |_, _| true).expect("a sequence");
     assert!(files(&one) == files(&two), "the same seed gives the same bytes");
     let (before, after) = (open(&source), open(&one));
     let mean = |s: &Sequence, i: usize| {
@@ -58,7 +58,7 @@ fn a_sequence_is_made_worse_in_the_ways_asked_for() {
 }
 
 fn nothing_asked_changes_nothing(source: &std::path::Path, out: &std::path::Path) {
-    degrade(source, out, &Degradation::default(), &mut |_, _| true).expect("a sequence");
+    degrade(source, out, true, &Degradation::default(), &mut |_, _| true).expect("a sequence");
     let (from, to) = (open(source), open(out));
     assert_eq!(from.camera, to.camera);
     for i in 0..from.len() {
@@ -77,7 +77,8 @@ fn frames_left_out_by_chance_come_near_their_share() {
     let source = scratch.0.join("source");
     render(&spec, &source);
     let what = Degradation { drop_share: 0.3, seed: 9, ..Degradation::default() };
-    let done = degrade(&source, &scratch.0.join("out"), &what, &mut |_, _| true).expect("frames");
+    let done =
+        degrade(&source, &scratch.0.join("out"), true, &what, &mut |_, _| true).expect("frames");
     assert!((9..=27).contains(&done.dropped), "{done:?}");
     assert_eq!(done.frames + done.dropped, 60);
 }
@@ -87,12 +88,13 @@ fn what_cannot_be_meant_is_refused() {
     let scratch = Scratch::new("refused");
     let out = scratch.0.join("out");
     let all = Degradation { drop_share: 1.0, ..Degradation::default() };
-    let error = degrade(&out, &out, &all, &mut |_, _| true).expect_err("all frames");
+    let error = degrade(&out, &out, true, &all, &mut |_, _| true).expect_err("all frames");
     assert!(error.to_string().contains("share of dropped frames"), "{error}");
     std::fs::create_dir_all(&out).expect("a folder");
-    let error = degrade(&out, &out, &Degradation::default(), &mut |_, _| true);
+    let error = degrade(&out, &out, true, &Degradation::default(), &mut |_, _| true);
     assert!(matches!(error, Err(SyntheticError::OutOfRange { .. })), "over itself");
-    let error = degrade(&scratch.0.join("none"), &out, &Degradation::default(), &mut |_, _| true);
+    let error =
+        degrade(&scratch.0.join("none"), &out, true, &Degradation::default(), &mut |_, _| true);
     assert!(matches!(error, Err(SyntheticError::Dataset(_))));
 }
 
@@ -132,7 +134,7 @@ fn poses_come_along_whatever_the_layout_keeps_them_in() {
     as_replica(&source, &other);
     let out = scratch.0.join("out");
     let what = Degradation { dropped: Vec::from([1..2, 1..1]), ..Degradation::default() };
-    degrade(&other, &out, &what, &mut |_, _| true).expect("a sequence");
+    degrade(&other, &out, true, &what, &mut |_, _| true).expect("a sequence");
     let (before, after) = (open(&source), open(&out));
     let truth = after.true_trajectory().expect("poses");
     for (entry, was) in after.entries.iter().zip([0, 2, 3]) {

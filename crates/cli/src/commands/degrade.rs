@@ -5,10 +5,11 @@ use crate::arguments::{Machine, frame_range};
 use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output_dir::{OutputDir, degraded_layout};
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};
-use i2slam_synthetic::{Degradation, Degrader, ExposureStep, KinectNoise, NoiseSpec, Response};
+use i2slam_synthetic::{
+    Degradation, ExposureStep, KinectNoise, NoiseSpec, Response, degrade as write_degraded,
+};
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -63,25 +64,20 @@ pub(crate) enum Curve {
 
 pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
-    let what = degradation(arguments);
-    let work = Degrader::open(&arguments.dataset, &arguments.out, &what).map_err(failure)?;
-    let (layout, overwrite) = (degraded_layout(), arguments.overwrite);
-    let path = arguments.out.as_path();
-    let destination = OutputDir { path, layout, command: "i2slam degrade", overwrite };
-    destination.clear()?;
+    let (out, what) = (&arguments.out, degradation(arguments));
     interrupt::listen();
     let progress = Progress::new(0, arguments.machine.quiet);
     let step = &mut |done: usize, total: usize| {
         progress.step("frames", done, total);
         !interrupt::requested()
     };
-    let done = work.write(&arguments.out, step);
+    let done = write_degraded(&arguments.dataset, out, arguments.overwrite, &what, step);
     progress.clear();
     let done = done.map_err(failure)?;
     print(&format!(
         "{} in {}, {} left out, {} covered",
         counted(done.frames, "frame"),
-        arguments.out.display(),
+        out.display(),
         done.dropped,
         done.covered
     ));

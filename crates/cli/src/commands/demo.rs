@@ -3,11 +3,10 @@
 use crate::arguments::Machine;
 use crate::console::print_status;
 use crate::failure::Failure;
-use crate::output_dir::refuse_file;
 use crate::reconstruction::{self, Job, RenderSelection};
 use clap::Args;
 use i2slam::RunOptions;
-use i2slam_result::ResultFolder;
+use i2slam_storage::{Claim, OutputFolder};
 use std::path::{Path, PathBuf};
 
 #[derive(Args, Debug)]
@@ -26,20 +25,12 @@ include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
 pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
-    refuse_file(&arguments.out)?;
-    let dataset = unpack(&arguments.out)?;
-    if !arguments.machine.quiet {
-        let how = if arguments.rgb { ", by colour alone" } else { "" };
-        print_status(&format!(
-            "reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0){how}"
-        ));
-    }
     let options = match arguments.rgb {
         true => RunOptions::colour_alone(),
         false => RunOptions::with_depth(),
     };
-    reconstruction::run(&Job {
-        dataset,
+    let job = Job {
+        dataset: arguments.out.join("clip"),
         out: arguments.out.clone(),
         options,
         settings_file: None,
@@ -47,14 +38,29 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         overwrite: true,
         quiet: arguments.machine.quiet,
         title: Some("demo clip"),
-    })
+    };
+    job.check_output()?;
+    unpack(&job.dataset)?;
+    if !arguments.machine.quiet {
+        let how = if arguments.rgb { ", by colour alone" } else { "" };
+        print_status(&format!(
+            "reconstructing the demo clip: 2 s from the TUM RGB-D benchmark (CC BY 4.0){how}"
+        ));
+    }
+    reconstruction::run(&job)
 }
 
-/// Writes the clip to `clip/` in the folder, so that it can be looked at and run again.
-fn unpack(out: &Path) -> Result<PathBuf, Failure> {
-    let folder = ResultFolder::create(&out.join("clip"))?;
+/// Names of the clip's files and folders.
+const NAMES: &[&str] =
+    &["rgb", "depth", "rgb.txt", "depth.txt", "groundtruth.txt", "camera.json", "README.md"];
+
+/// Writes the clip, so that it can be looked at and run again.
+fn unpack(clip: &Path) -> Result<(), Failure> {
+    let claim = Claim { command: "i2slam demo", names: NAMES, overwrite: true };
+    let mut folder = OutputFolder::replace(clip, claim)?;
     for (name, bytes) in CLIP {
         folder.write(name, |file| file.write_all(bytes))?;
     }
-    Ok(folder.path().to_owned())
+    folder.commit()?;
+    Ok(())
 }

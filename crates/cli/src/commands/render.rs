@@ -4,13 +4,13 @@ use crate::arguments::frame_range;
 use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output_dir::{OutputDir, POSES, POSES_HEADER, render_layout};
 use crate::progress::Progress;
 use clap::Args;
 use i2slam::dataset::read_trajectory;
 use i2slam::geometry::{Image, Pose, Rotation, Vec3};
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
-use i2slam_result::{RenderKind, ResultFolder, save_render};
+use i2slam_result::{RenderKind, save_render};
+use i2slam_storage::{Claim, OutputFolder};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -49,24 +49,20 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let kinds = kinds(arguments, own_poses)?;
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
     refuse_non_results(&arguments.result)?;
+    i2slam_storage::recover(&arguments.result);
     let reconstruction = i2slam_result::load(&arguments.result)?;
     let frames = frames(arguments, pose, &reconstruction)?;
-    let folder = output_folder(arguments, own_poses)?;
-    let frames = if own_poses && arguments.out.is_none() {
-        number_after_existing(&folder, frames)
-    } else {
-        frames
-    };
-    if own_poses || arguments.out.is_some() {
-        append_poses(&folder, &frames)?;
-    }
+    let mut pictures = Pictures::open(arguments, own_poses)?;
+    let frames = pictures.numbered(frames);
+    pictures.write_poses(&frames)?;
     interrupt::listen();
     let progress = Progress::new(frames.len(), false);
     let mut viewer = reconstruction.viewer();
     let mut done = 0;
     for frame in &frames {
         for &kind in &kinds {
-            save_render(&folder, "", kind, frame.index, &picture(&mut viewer, kind, frame))?;
+            let image = picture(&mut viewer, kind, frame);
+            save_render(&pictures.folder, pictures.parent, kind, frame.index, &image)?;
         }
         done += 1;
         progress.step("rendering", done, frames.len());
@@ -77,7 +73,8 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     progress.clear();
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
     let (done_frames, names) = (counted(done, "frame"), names.join(", "));
-    print(&format!("{done_frames}, {names}, in {}", folder.path().display()));
+    pictures.folder.commit()?;
+    print(&format!("{done_frames}, {names}, in {}", pictures.path.display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
 }
 
@@ -95,40 +92,80 @@ fn refuse_non_results(result: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Opens the folder of the pictures. A named one must be new; the result's own is reused.
-fn output_folder(arguments: &Render, own_poses: bool) -> Result<ResultFolder, Failure> {
-    let Some(out) = &arguments.out else {
-        let own = if own_poses { "views" } else { "renders" };
-        return Ok(ResultFolder::create(&arguments.result.join(own))?);
-    };
-    let (layout, overwrite) = (render_layout(), arguments.overwrite);
-    let destination = OutputDir { path: out, layout, command: "i2slam render", overwrite };
-    destination.clear()?;
-    Ok(ResultFolder::create(out)?)
+/// File with the poses of rendered pictures.
+const POSES: &str = "poses.txt";
+
+/// First line of that file.
+const POSES_HEADER: &str =
+    "# i2slam render: number of the picture, tx ty tz qx qy qz qw, world from camera";
+
+/// Names in a folder of pictures.
+const NAMES: &[&str] = &[POSES, "sharp", "blurred", "hdr", "depth"];
+
+/// Folder of the pictures.
+struct Pictures {
+    /// The named folder, or the result.
+    folder: OutputFolder,
+    /// The place of the pictures in it.
+    parent: &'static str,
+    /// Path of the pictures.
+    path: PathBuf,
+    /// Whether a list of poses is written: pictures of the result's own frames need none.
+    has_poses: bool,
 }
 
-/// Numbers frames after the pictures in the folder.
-fn number_after_existing(
-    folder: &ResultFolder,
-    mut frames: Vec<FrameEstimate>,
-) -> Vec<FrameEstimate> {
-    let first = render_layout().next_number(folder.path());
-    frames.iter_mut().for_each(|frame| frame.index += first);
-    frames
-}
-
-/// Appends the poses to the list beside the pictures.
-fn append_poses(folder: &ResultFolder, frames: &[FrameEstimate]) -> Result<(), Failure> {
-    let earlier = i2slam_storage::read_text(&folder.path().join(POSES)).unwrap_or_default();
-    let mut text = if earlier.is_empty() { format!("{POSES_HEADER}\n") } else { earlier };
-    for frame in frames {
-        let Pose { rotation: q, translation: t } = frame.middle();
-        text += &format!(
-            "{} {} {} {} {} {} {} {}\n",
-            frame.index, t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
-        );
+impl Pictures {
+    /// Opens the named folder, which must be new, or else the result.
+    fn open(arguments: &Render, own_poses: bool) -> Result<Self, Failure> {
+        if let Some(out) = &arguments.out {
+            let overwrite = arguments.overwrite;
+            let claim = Claim { command: "i2slam render", names: NAMES, overwrite };
+            let folder = OutputFolder::replace(out, claim)?;
+            return Ok(Self { folder, parent: "", path: out.clone(), has_poses: true });
+        }
+        let parent = if own_poses { "views" } else { "renders" };
+        let folder = OutputFolder::extend(&arguments.result, "i2slam render")?;
+        let path = arguments.result.join(parent);
+        Ok(Self { folder, parent, path, has_poses: own_poses })
     }
-    Ok(folder.write_text(POSES, &text)?)
+
+    /// Numbers views after those that are there.
+    fn numbered(&self, mut frames: Vec<FrameEstimate>) -> Vec<FrameEstimate> {
+        if self.parent == "views" {
+            let first = next_number(&self.path);
+            frames.iter_mut().for_each(|frame| frame.index += first);
+        }
+        frames
+    }
+
+    /// Writes the list of poses, after those of earlier views.
+    fn write_poses(&mut self, frames: &[FrameEstimate]) -> Result<(), Failure> {
+        if !self.has_poses {
+            return Ok(());
+        }
+        let (file, name) = match self.parent {
+            "" => (None, POSES.to_owned()),
+            parent => (Some(self.path.join(POSES)), format!("{parent}/{POSES}")),
+        };
+        let earlier = file.and_then(|file| i2slam_storage::read_text(&file).ok());
+        let mut text = earlier.unwrap_or_else(|| format!("{POSES_HEADER}\n"));
+        for frame in frames {
+            let Pose { rotation: q, translation: t } = frame.middle();
+            text += &format!(
+                "{} {} {} {} {} {} {} {}\n",
+                frame.index, t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
+            );
+        }
+        Ok(self.folder.write_text(&name, &text)?)
+    }
+}
+
+/// The number after the highest of the pictures `KIND/NNNNNN.EXTENSION` in a folder.
+fn next_number(folder: &Path) -> usize {
+    let kinds = RenderKind::ALL.map(|kind| std::fs::read_dir(folder.join(kind.name())));
+    let entries = kinds.into_iter().flatten().flatten().flatten();
+    let number = |entry: std::fs::DirEntry| entry.path().file_stem()?.to_str()?.parse().ok();
+    entries.filter_map(number).max().map_or(0, |last: usize| last + 1)
 }
 
 fn picture(viewer: &mut Viewer<'_>, kind: RenderKind, frame: &FrameEstimate) -> Image<f32> {

@@ -4,7 +4,6 @@ use crate::arguments::Machine;
 use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::output_dir::{OutputDir, synthetic_layout};
 use crate::progress::Progress;
 use clap::Args;
 use i2slam::config::line_of_key;
@@ -40,13 +39,7 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
     match &arguments.out {
         Some(out) if !arguments.print_spec => {
             arguments.machine.use_threads()?;
-            // Before anything of an earlier sequence is removed.
-            spec.validate_memory().map_err(failure)?;
-            let layout = synthetic_layout();
-            let (command, overwrite) = ("i2slam synth", arguments.overwrite);
-            let destination = OutputDir { path: out, layout, command, overwrite };
-            destination.clear()?;
-            make(&spec, out, arguments.machine.quiet)
+            make(&spec, out, arguments)
         }
         _ => {
             print(spec.to_toml().trim_end());
@@ -66,11 +59,11 @@ fn read(file: &Path) -> Result<Spec, Failure> {
     })
 }
 
-fn make(spec: &Spec, out: &Path, quiet: bool) -> Result<(), Failure> {
+fn make(spec: &Spec, out: &Path, arguments: &Synth) -> Result<(), Failure> {
     interrupt::listen();
     let frames = spec.camera.frames;
-    let progress = Progress::new(frames, quiet);
-    let summary = synthesise(spec, out, &mut |stage| {
+    let progress = Progress::new(frames, arguments.machine.quiet);
+    let summary = synthesise(spec, out, arguments.overwrite, &mut |stage| {
         match stage {
             Stage::Lighting => progress.step("lighting the room", 0, 1),
             Stage::Sharp(done) => progress.step("sharp frames", done, frames),
@@ -103,6 +96,7 @@ pub(super) fn failure(error: SyntheticError) -> Failure {
             Failure::Usage(error.to_string())
         }
         SyntheticError::Dataset(error) => error.into(),
+        SyntheticError::Storage(error) => error.into(),
         SyntheticError::Interrupted => Failure::Interrupted,
         _ => Failure::Failed(error.to_string()),
     }

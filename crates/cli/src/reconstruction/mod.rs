@@ -7,12 +7,12 @@ mod write;
 use crate::console::print_status;
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
-use crate::output_dir::{CreatedDirs, OutputDir};
 use crate::progress::Progress;
 use crate::{interrupt, messages};
 use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
 use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
-use i2slam_result::{FolderLayout, ResultFolder};
+use i2slam_result::NAMES;
+use i2slam_storage::{Claim, OutputFolder};
 pub(crate) use pictures::RenderSelection;
 use shortfall::with_shortfall;
 use std::path::{Path, PathBuf};
@@ -34,6 +34,29 @@ pub(crate) struct Job<'a> {
     pub(crate) title: Option<&'static str>,
 }
 
+impl Job<'_> {
+    /// Refuses to write into the dataset, as a result has a `camera.json` of its own, over an
+    /// earlier result without `--overwrite`, and over other files.
+    pub(crate) fn check_output(&self) -> Result<(), Failure> {
+        let same_folder = match (self.out.canonicalize(), self.dataset.canonicalize()) {
+            (Ok(folder), Ok(dataset)) => folder == dataset,
+            _ => false,
+        };
+        if same_folder {
+            return Err(Failure::Usage(format!(
+                "--out {} is the dataset itself: its camera.json would be overwritten, choose \
+                 another folder",
+                self.out.display()
+            )));
+        }
+        Ok(OutputFolder::check(&self.out, self.claim())?)
+    }
+
+    fn claim(&self) -> Claim<'static> {
+        Claim { command: "i2slam run", names: NAMES, overwrite: self.overwrite }
+    }
+}
+
 /// Reconstructs, writes everything, and prints a summary that ends with the path of the report.
 pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
     interrupt::listen();
@@ -45,20 +68,15 @@ pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
     }
     let sequence = job.options.open_sequence(dataset)?;
     job.options.validate(&sequence).map_err(|error| placed(error, job))?;
-    refuse_to_overwrite(job)?;
-    let made = CreatedDirs::for_path(&job.out);
-    let folder = ResultFolder::create(&job.out)?;
+    job.check_output()?;
+    let folder = OutputFolder::replace(&job.out, job.claim())?;
     let warnings = stream.iter().flat_map(|stream| stream.warnings.clone()).collect();
-    let result = reconstruct_into(&folder, job, (dataset, &sequence), warnings);
-    if result.is_err() {
-        made.remove_empty();
-    }
-    result
+    reconstruct_into(folder, job, (dataset, &sequence), warnings)
 }
 
 /// Reconstructs an opened sequence and writes the result; `warnings` are those about the stream.
 fn reconstruct_into(
-    folder: &ResultFolder,
+    folder: OutputFolder,
     job: &Job<'_>,
     (dataset, sequence): (&Path, &Sequence),
     mut warnings: Vec<String>,
@@ -121,7 +139,7 @@ fn record_stream(job: &Job<'_>) -> Result<Option<Recording>, Failure> {
             job.dataset.display()
         )));
     }
-    refuse_to_overwrite(job)?;
+    job.check_output()?;
     if !job.quiet {
         let name = job.dataset.display();
         print_status(&format!(
@@ -130,28 +148,6 @@ fn record_stream(job: &Job<'_>) -> Result<Option<Recording>, Failure> {
     }
     let read = || Recording::record(&job.dataset, &interrupt::requested);
     Ok(Some(interrupt::reading(read)?))
-}
-
-/// Refuses to write into the dataset, as a result has a `camera.json` of its own, over an earlier
-/// result without `--overwrite`, and over other files.
-fn refuse_to_overwrite(job: &Job<'_>) -> Result<(), Failure> {
-    let out = job.out.display();
-    let same_folder = match (job.out.canonicalize(), job.dataset.canonicalize()) {
-        (Ok(folder), Ok(dataset)) => folder == dataset,
-        _ => false,
-    };
-    if same_folder {
-        return Err(Failure::Usage(format!(
-            "--out {out} is the dataset itself: its camera.json would be overwritten, choose \
-             another folder"
-        )));
-    }
-    output_dir(job).check()
-}
-
-fn output_dir<'a>(job: &'a Job<'_>) -> OutputDir<'a> {
-    let (layout, overwrite) = (FolderLayout::of_result(), job.overwrite);
-    OutputDir { path: &job.out, layout, command: "i2slam run", overwrite }
 }
 
 /// Prints all problems.

@@ -11,7 +11,8 @@ use i2slam::{FrameEstimate, Reconstruction, Viewer};
 use i2slam_eval::hdr::{Gain, hdr_error};
 use i2slam_eval::image::{psnr, ssim};
 use i2slam_result::report::{Comparison, frames_to_show};
-use i2slam_result::{Metrics, RenderKind, ResultError, ResultFolder, save_render};
+use i2slam_result::{Metrics, RenderKind, ResultError, save_render};
+use i2slam_storage::OutputFolder;
 
 /// Number of frames in the report.
 const REPORT_FRAMES: usize = 8;
@@ -59,7 +60,7 @@ pub(crate) struct ImageMetrics {
 
 impl PictureRenderer<'_> {
     /// Renders and measures all frames; after an interrupt, those of the report only.
-    pub(crate) fn render(&self, folder: &ResultFolder, progress: &Progress) -> RenderedPictures {
+    pub(crate) fn render(&self, folder: &OutputFolder, progress: &Progress) -> RenderedPictures {
         let frames = &self.reconstruction.frames;
         let shown = frames_to_show(frames, REPORT_FRAMES);
         let mut viewer = self.reconstruction.viewer();
@@ -82,7 +83,7 @@ impl PictureRenderer<'_> {
         frame: &FrameEstimate,
         show: bool,
         viewer: &mut Viewer<'_>,
-        folder: &ResultFolder,
+        folder: &OutputFolder,
         rendered: &mut RenderedPictures,
     ) {
         let file = rendered.failure.is_none() && !interrupt::requested() && self.wants_files(frame);
@@ -147,7 +148,7 @@ impl PictureRenderer<'_> {
 }
 
 fn write_all(
-    folder: &ResultFolder,
+    folder: &OutputFolder,
     index: usize,
     pictures: [&Image<f32>; 4],
 ) -> Result<(), ResultError> {

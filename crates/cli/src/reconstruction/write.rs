@@ -11,16 +11,14 @@ use i2slam::{RunOutcome, Warning};
 use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
 use i2slam_result::report::Report;
-use i2slam_result::{
-    FolderContents, FolderLayout, Metrics, ResultError, ResultFolder, RunInput, save, save_metrics,
-};
-use std::fs;
+use i2slam_result::{Metrics, ResultError, RunInput, save, save_metrics};
+use i2slam_storage::{OutputFolder, StorageError};
 use std::path::{Path, PathBuf};
 
 /// A run whose frames are done.
 pub(super) struct FinishedRun<'a> {
     pub(super) job: &'a Job<'a>,
-    pub(super) folder: &'a ResultFolder,
+    pub(super) folder: OutputFolder,
     pub(super) sequence: &'a Sequence,
     pub(super) truth: &'a GroundTruth,
     pub(super) outcome: RunOutcome,
@@ -46,32 +44,10 @@ impl FinishedRun<'_> {
         OpenOptions { estimated_camera: lens.or(before.estimated_camera), ..before.clone() }
     }
 
-    /// The folder to write to: an earlier result that is better than this run stays, and this one
-    /// goes beside it.
-    fn output_folder(&mut self, progress: &Progress) -> Result<ResultFolder, Failure> {
-        let out = self.folder.path();
-        let tracked = self.outcome.reconstruction.frames.iter().filter(|f| f.tracked).count();
-        let falls_short = !self.outcome.shortfalls.is_empty();
-        if self.outcome.complete && !falls_short || !has_better_result(out, tracked) {
-            return Ok(self.folder.clone());
-        }
-        let beside = partial_folder(out);
-        let end = if self.outcome.complete { "found too little" } else { "ended early" };
-        let warning = format!(
-            "this run {end}: the earlier result in {} stays, and what there is of this one is \
-             in {}",
-            out.display(),
-            beside.display()
-        );
-        progress.warn(&warning);
-        self.warnings.push(warning.into());
-        Ok(ResultFolder::create(&beside)?)
-    }
-
     /// Writes everything, the most important first: poses and map, then measurements, then pictures,
     /// then the report.
     pub(super) fn write(mut self, progress: &Progress) -> Result<WrittenRun, Failure> {
-        let folder = &self.output_folder(progress)?;
+        let folder = &self.folder;
         let reconstruction = &self.outcome.reconstruction;
         let problem = self.outcome.problem.take().map(Failure::from);
         let mut problems: Vec<String> =
@@ -79,9 +55,6 @@ impl FinishedRun<'_> {
         let mut note = |result: Result<(), ResultError>| {
             problems.extend(result.err().map(|error| error.to_string()));
         };
-        if self.job.overwrite {
-            note(FolderLayout::of_result().remove(folder.path()));
-        }
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(RunInput::new(&self.job.dataset, &self.open_options()).save(folder));
         let mut measurements = Measurements::new(&self.outcome, self.truth);
@@ -91,6 +64,8 @@ impl FinishedRun<'_> {
         measurements.warnings.iter().for_each(|warning| progress.warn(warning));
         let later = measurements.warnings.iter().map(|warning| Warning::from(warning.as_str()));
         measurements.metrics.warnings = self.warnings.iter().cloned().chain(later).collect();
+        // Until everything else is written, what there is counts as a part.
+        measurements.metrics.complete = false;
         note(save_metrics(folder, &measurements.metrics));
         let renderer = PictureRenderer {
             sequence: self.sequence,
@@ -103,7 +78,7 @@ impl FinishedRun<'_> {
         rendered.failure.into_iter().for_each(|error| note(Err(error)));
         rendered.metrics.write_to(&mut measurements.metrics);
         measurements.metrics.peak_memory_bytes = peak_memory();
-        note(save_metrics(folder, &measurements.metrics));
+        measurements.metrics.complete = self.outcome.complete;
         let report = Report {
             title: self.job.title.unwrap_or(&self.sequence.name),
             reconstruction,
@@ -113,10 +88,48 @@ impl FinishedRun<'_> {
             comparisons: &rendered.comparisons,
         };
         note(report.save(folder));
+        measurements.metrics.complete &= problems.is_empty();
+        problems.extend(save_metrics(folder, &measurements.metrics).err().map(|e| e.to_string()));
         let map = reconstruction.map.to_string();
-        let folder = folder.path().to_owned();
-        Ok(WrittenRun { metrics: measurements.metrics, map, folder, problems })
+        let metrics = measurements.metrics;
+        let folder = place(&mut self.folder, &metrics, &mut problems, progress)?;
+        Ok(WrittenRun { metrics, map, folder, problems })
     }
+}
+
+/// Puts a result in place; one that is a part, or that cannot take the place of the earlier one,
+/// goes beside.
+fn place(
+    folder: &mut OutputFolder,
+    metrics: &Metrics,
+    problems: &mut Vec<String>,
+    progress: &Progress,
+) -> Result<PathBuf, StorageError> {
+    let out = folder.path().to_owned();
+    let why = match is_sound(metrics) || !has_better_result(folder, metrics.tracked) {
+        true => match folder.commit() {
+            Ok(committed) => {
+                if let Some(kept) = committed.kept {
+                    let kept = kept.display();
+                    progress.warn(&format!("files that appeared in the folder meanwhile: {kept}"));
+                }
+                return Ok(out);
+            }
+            Err(error) => {
+                problems.push(error.to_string());
+                "this result cannot be put in place"
+            }
+        },
+        false if metrics.complete => "this run found too little",
+        false => "this run ended early",
+    };
+    let beside = folder.commit_beside("partial")?;
+    progress.warn(&format!(
+        "{why}: what {} held stays, and what there is of this run is in {}",
+        out.display(),
+        beside.display()
+    ));
+    Ok(beside)
 }
 
 /// Smallest range of true exposures [stops]: below, a correlation would be one of noise.
@@ -204,11 +217,11 @@ fn peak_memory() -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// Whether a folder holds a result that is complete and not degraded, has more than `tracked`
+/// Whether the folder holds a result that is complete and not degraded, has more than `tracked`
 /// frames, or whose `metrics.json` cannot be read.
-fn has_better_result(folder: &Path, tracked: usize) -> bool {
-    FolderLayout::of_result().contents(folder) == FolderContents::Own
-        && saved_metrics(folder)
+fn has_better_result(folder: &OutputFolder, tracked: usize) -> bool {
+    folder.has_earlier_result()
+        && saved_metrics(folder.path())
             .is_none_or(|earlier| is_sound(&earlier) || earlier.tracked > tracked)
 }
 
@@ -217,23 +230,6 @@ fn is_sound(metrics: &Metrics) -> bool {
     metrics.complete && !metrics.degraded
 }
 
-/// Folder for a run that ended early, or is degraded, beside a better result: `NAME-partial`,
-/// numbered if that holds anything else.
-fn partial_folder(folder: &Path) -> PathBuf {
-    let whole = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
-    let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let numbered = |number: usize| match number {
-        1 => whole.with_file_name(format!("{name}-partial")),
-        number => whole.with_file_name(format!("{name}-partial-{number}")),
-    };
-    let is_free = |path: &PathBuf| match FolderLayout::of_result().contents(path) {
-        FolderContents::Empty => !path.is_file(),
-        FolderContents::Own => saved_metrics(path).is_some_and(|earlier| !is_sound(&earlier)),
-        FolderContents::Other(_) | FolderContents::Foreign(_) => false,
-    };
-    (1..).map(numbered).find(is_free).unwrap_or(whole)
-}
-
 fn saved_metrics(folder: &Path) -> Option<Metrics> {
-    serde_json::from_str(&fs::read_to_string(folder.join("metrics.json")).ok()?).ok()
+    serde_json::from_str(&i2slam_storage::read_text(&folder.join("metrics.json")).ok()?).ok()
 }

@@ -13,5 +13,6 @@ mod run_depth;
 mod run_keyframes;
 #[cfg(unix)]
 mod run_video;
+mod safety;
 #[cfg(unix)]
 mod signals;

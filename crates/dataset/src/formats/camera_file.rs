@@ -7,7 +7,7 @@ use crate::camera::{Calibration, Distortion, FormatDefaults};
 use crate::text::{data_lines, parse_number, read_text};
 use i2slam_geometry::Camera;
 use serde::Deserialize;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Names of the Brown-Conrady lens model.
 const LENS_MODELS: [&str; 8] = [
@@ -157,27 +157,15 @@ impl CameraFile {
     }
 }
 
-/// Writes the `camera.json` of an undistorted sequence.
+/// The `camera.json` of an undistorted sequence.
 ///
 /// `depth_scale` is the depth image value of one metre, `frame_rate` in frames a second.
-pub fn write_camera(
-    path: impl Into<PathBuf>,
-    camera: &Camera<f64>,
-    depth_scale: f64,
-    frame_rate: f64,
-) -> Result<(), DatasetError> {
-    let path = path.into();
-    let numbers = [camera.fx, camera.fy, camera.cx, camera.cy, depth_scale, frame_rate];
-    if numbers.iter().any(|v| !v.is_finite()) {
-        return Err(DatasetError::file(&path, "a number to be written is not finite"));
-    }
-    let [fx, fy, cx, cy, depth_scale, frame_rate] = numbers;
-    let (width, height) = (camera.width, camera.height);
-    let text = format!(
+pub fn camera_json(camera: &Camera<f64>, depth_scale: f64, frame_rate: f64) -> String {
+    let &Camera { width, height, fx, fy, cx, cy } = camera;
+    format!(
         "{{\n  \"width\": {width},\n  \"height\": {height},\n  \"fx\": {fx},\n  \"fy\": {fy},\n  \
          \"cx\": {cx},\n  \"cy\": {cy},\n  \"pixel_centre\": 0.5,\n  \
          \"distortion\": [0, 0, 0, 0, 0],\n  \"depth_scale\": {depth_scale},\n  \
          \"fps\": {frame_rate}\n}}\n"
-    );
-    std::fs::write(&path, text).map_err(|e| DatasetError::write(&path, e))
+    )
 }

@@ -17,7 +17,7 @@ mod sens;
 mod seven_scenes;
 mod tum;
 
-pub use camera_file::write_camera;
+pub use camera_file::camera_json;
 pub use listing::{ByteRanges, DroppedFrames, FrameEntry};
 pub use scannet::paper_frames;
 pub use tum::{read_trajectory, write_trajectory};

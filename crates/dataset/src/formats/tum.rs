@@ -78,7 +78,8 @@ pub fn write_trajectory(
             pose.timestamp, t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
         );
     }
-    std::fs::write(path, text).map_err(|e| DatasetError::write(path, e))
+    let written = i2slam_storage::write_file(path, |out| out.write_all(text.as_bytes()));
+    Ok(written?)
 }
 
 /// Reads the stamped image files of `rgb.txt` or `depth.txt`, sorted by time; paths joined to

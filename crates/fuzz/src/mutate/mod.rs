@@ -4,7 +4,7 @@ mod bytes;
 mod text;
 mod tree;
 
-use crate::case::Case;
+use crate::case::{Case, CaseId};
 use crate::container::Container;
 use crate::corpus::{Files, Seed};
 use i2slam_compute::Random;
@@ -16,8 +16,21 @@ const RAW_SHARE: f64 = 0.25;
 /// Share of changes of texts that treat them as bytes.
 const TEXT_AS_BYTES_SHARE: f64 = 0.15;
 
+/// The case of an identity.
+pub(crate) fn case(seeds: &[Seed], reader: &str, seed: u64, id: CaseId) -> Case {
+    match id {
+        CaseId::Seed(index) => Case::from(&seeds[index].files),
+        CaseId::Number(number) => {
+            let name = u64::from(crc32fast::hash(reader.as_bytes()));
+            // Drawn twice: neighbouring seeds and numbers have nothing in common.
+            let mut random = Random::new(Random::new(seed ^ (name << 32)).bits() ^ number);
+            mutated(seeds, &mut Random::new(random.bits()))
+        }
+    }
+}
+
 /// One of the seeds with one or a few changes.
-pub(crate) fn mutated(seeds: &[Seed], random: &mut Random) -> Case {
+fn mutated(seeds: &[Seed], random: &mut Random) -> Case {
     let seed = &seeds[random.below(seeds.len())];
     let mut case = Case { files: seed.files.clone(), oddities: Vec::new() };
     if random.uniform() < TREE_SHARE {
@@ -102,15 +115,15 @@ mod tests {
     #[test]
     fn a_case_depends_on_seed_reader_and_number_alone() {
         use crate::case::CaseId::Number;
-        let case = |reader, seed, number| Case::new(&seeds(), reader, seed, Number(number));
+        let made = |reader, seed, number| case(&seeds(), reader, seed, Number(number));
         for number in 0..200 {
-            assert_eq!(case("a", 7, number), case("a", 7, number));
+            assert_eq!(made("a", 7, number), made("a", 7, number));
         }
         let differ =
             |f: &dyn Fn(u64) -> (Case, Case)| (0..50).map(f).filter(|(a, b)| a != b).count() > 40;
-        assert!(differ(&|n| (case("a", 7, n), case("a", 8, n))), "seeds");
-        assert!(differ(&|n| (case("a", 7, n), case("b", 7, n))), "readers");
-        assert!(differ(&|n| (case("a", 7, n), case("a", 7, n + 1))), "numbers");
+        assert!(differ(&|n| (made("a", 7, n), made("a", 8, n))), "seeds");
+        assert!(differ(&|n| (made("a", 7, n), made("b", 7, n))), "readers");
+        assert!(differ(&|n| (made("a", 7, n), made("a", 7, n + 1))), "numbers");
     }
 
     #[test]

@@ -7,30 +7,35 @@ use i2slam::radiance::hashgrid::{
 };
 use i2slam::{Map, RunOptions, reconstruct};
 use i2slam_check::TemporaryFolder;
-use i2slam_result::{Metrics, ResultFolder, RunInput, save, save_metrics};
+use i2slam_result::{Metrics, NAMES, RunInput, save, save_metrics};
+use i2slam_storage::{Claim, OutputFolder};
 use i2slam_synthetic::{Spec, synthesise};
 use std::path::Path;
 
 pub(super) fn seeds() -> Result<Vec<NamedSeed>, String> {
     let scratch = TemporaryFolder::new("fuzz-results");
     let spec = spec();
-    synthesise(&spec, &scratch.0, &mut |_| true).map_err(|e| e.to_string())?;
+    synthesise(&spec, &scratch.join("room"), false, &mut |_| true).map_err(|e| e.to_string())?;
     let mut options = RunOptions::with_depth();
     options.config.mapping.first_iterations = 5;
     options.config.mapping.iterations = 2;
     options.config.mapping.final_iterations = 2;
     options.config.map.capacity = 300;
-    let sequence = options.open_sequence(&scratch.0).map_err(|e| e.to_string())?;
+    let sequence = options.open_sequence(&scratch.join("room")).map_err(|e| e.to_string())?;
     let outcome = reconstruct(&sequence, &options, ()).map_err(|e| e.to_string())?;
     let mut reconstruction = outcome.reconstruction;
+    let claim = Claim { command: "i2slam run", names: NAMES, overwrite: false };
     let write = |folder: &Path, reconstruction: &_| {
-        let folder = ResultFolder::create(folder).map_err(|e| e.to_string())?;
+        let mut folder = OutputFolder::replace(folder, claim).map_err(|e| e.to_string())?;
         // The path is not that of the machine that makes the seeds.
         let input = RunInput { dataset: "/data/room".into(), options: options.open.clone() };
         let mut errors = save(&folder, reconstruction);
         errors.extend(input.save(&folder).err());
         errors.extend(save_metrics(&folder, &Metrics::of(reconstruction)).err());
-        errors.first().map_or(Ok(()), |error| Err(error.to_string()))
+        if let Some(error) = errors.first() {
+            return Err(error.to_string());
+        }
+        folder.commit().map(drop).map_err(|e| e.to_string())
     };
     let gaussians = made_by("fuzz-gaussians", |folder| write(folder, &reconstruction))?;
     reconstruction.map = Map::HashGrid(Box::new(hash_grid()?));

@@ -12,9 +12,10 @@ pub use evaluation::{EvaluationSection, EvaluationSource, GroundTruthSource, ins
 pub use gallery::Comparison;
 
 use crate::html::{STYLE, escape};
-use crate::{Metrics, ResultError, ResultFolder};
+use crate::{Metrics, ResultError};
 use i2slam::geometry::StampedPose;
 use i2slam::{FrameEstimate, Reconstruction, Warning};
+use i2slam_storage::OutputFolder;
 use std::fmt::Write;
 
 const TEMPLATE: &str = include_str!("template.html");
@@ -61,8 +62,8 @@ impl Report<'_> {
     }
 
     /// Writes `report.html`; it comes last, because it lists the other files.
-    pub fn save(&self, folder: &ResultFolder) -> Result<(), ResultError> {
-        folder.write_text("report.html", &self.html(|name| folder.path().join(name).exists()))
+    pub fn save(&self, folder: &OutputFolder) -> Result<(), ResultError> {
+        Ok(folder.write_text("report.html", &self.html(|name| folder.has(name)))?)
     }
 }
 

@@ -2,8 +2,10 @@
 
 use super::{Degradation, refuse};
 use crate::error::SyntheticError;
-use crate::write::{OutputFolder, pose_numbers};
+use crate::write::pose_numbers;
 use i2slam_dataset::Sequence;
+use i2slam_storage::{OutputFolder, open};
+use std::io;
 use std::path::Path;
 
 /// An error if the output folder is that of the dataset.
@@ -19,45 +21,44 @@ pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), Synth
 /// Copies poses, and sharp images, radiance and exposures with their new numbers.
 pub(super) fn copy_ground_truth(
     dataset: &Path,
-    out: &Path,
     folder: &OutputFolder,
     sequence: &Sequence,
     kept: &[usize],
     what: &Degradation,
 ) -> Result<(), SyntheticError> {
-    write_poses(out, folder, sequence)?;
+    write_poses(folder, sequence)?;
     let ends = "groundtruth_shutter.txt";
     if dataset.join(ends).is_file() {
-        copy(&dataset.join(ends), &out.join(ends))?;
+        copy(&dataset.join(ends), folder, ends)?;
     }
     let mut sources = String::from("frame,source,stops,covered\n");
     for (number, &source) in kept.iter().enumerate() {
         let entry = &sequence.entries[source];
         let name = entry.colour.file_name().unwrap_or_default();
-        copy_if_present(&dataset.join("sharp").join(name), out, &format!("sharp/{number:06}.png"))?;
+        copy_if_present(
+            &dataset.join("sharp").join(name),
+            folder,
+            &format!("sharp/{number:06}.png"),
+        )?;
         let radiance = dataset.join(format!("hdr/{source:06}.exr"));
-        copy_if_present(&radiance, out, &format!("hdr/{number:06}.exr"))?;
+        copy_if_present(&radiance, folder, &format!("hdr/{number:06}.exr"))?;
         let (stops, covered) = (what.stops(source), what.covers(source));
         sources.push_str(&format!("{number},{source},{stops},{}\n", u8::from(covered)));
     }
-    folder.write_text("source.csv", sources)?;
+    folder.write_text("source.csv", &sources)?;
     let table = dataset.join("exposure.csv");
     if table.is_file() {
         let text =
             i2slam_storage::read_text(&table).map_err(|e| SyntheticError::read(&table, e))?;
-        folder.write_text("exposure.csv", renumber_exposures(&text, kept, what))?;
+        folder.write_text("exposure.csv", &renumber_exposures(&text, kept, what))?;
     }
     Ok(())
 }
 
 /// Writes true poses in the TUM format.
-fn write_poses(
-    out: &Path,
-    folder: &OutputFolder,
-    sequence: &Sequence,
-) -> Result<(), SyntheticError> {
+fn write_poses(folder: &OutputFolder, sequence: &Sequence) -> Result<(), SyntheticError> {
     if let Some(truth) = &sequence.ground_truth {
-        return copy(truth, &out.join("groundtruth.txt"));
+        return copy(truth, folder, "groundtruth.txt");
     }
     if sequence.poses.is_empty() {
         return Ok(());
@@ -68,24 +69,18 @@ fn write_poses(
         let numbers = pose_numbers(&pose.world_from_camera);
         text.push_str(&format!("{:.6} {numbers}\n", pose.timestamp));
     }
-    folder.write_text("groundtruth.txt", text)
+    Ok(folder.write_text("groundtruth.txt", &text)?)
 }
 
-fn copy(from: &Path, to: &Path) -> Result<(), SyntheticError> {
-    std::fs::copy(from, to).map(|_| ()).map_err(|e| SyntheticError::write(to, e))
+fn copy(from: &Path, folder: &OutputFolder, name: &str) -> Result<(), SyntheticError> {
+    let mut file = open(from).map_err(|e| SyntheticError::read(from, e))?;
+    Ok(folder.write(name, |out| io::copy(&mut file, out).map(drop))?)
 }
 
 /// Copies a PNG or EXR file if it exists.
-fn copy_if_present(from: &Path, out: &Path, name: &str) -> Result<(), SyntheticError> {
+fn copy_if_present(from: &Path, folder: &OutputFolder, name: &str) -> Result<(), SyntheticError> {
     let same_kind = from.extension() == Path::new(name).extension();
-    if !(same_kind && from.is_file()) {
-        return Ok(());
-    }
-    let to = out.join(name);
-    if let Some(parent) = to.parent() {
-        std::fs::create_dir_all(parent).map_err(|e| SyntheticError::write(parent, e))?;
-    }
-    copy(from, &to)
+    if same_kind && from.is_file() { copy(from, folder, name) } else { Ok(()) }
 }
 
 /// `exposure.csv` of the kept frames, with columns `frame`, `ev` and `dt` adjusted.

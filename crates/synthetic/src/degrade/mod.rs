@@ -8,9 +8,12 @@ use crate::rng::{gaussian, stream};
 use crate::sensor::Response;
 use crate::sensor::with_noise;
 use crate::spec::NoiseSpec;
-use crate::write::{DEPTH_SCALE, OutputFolder, write_depth, write_picture};
-use i2slam_dataset::{Frame, OpenOptions, Sequence, write_camera};
+use crate::write::{
+    DEPTH_SCALE, output_folder, write_bytes, write_depth, write_list, write_picture,
+};
+use i2slam_dataset::{Frame, OpenOptions, Sequence, camera_json};
 use i2slam_geometry::Image;
+use i2slam_storage::OutputFolder;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
@@ -177,7 +180,7 @@ fn linear_value(table: &[f32], value: f32) -> f32 {
 }
 
 /// A sequence opened for degradation, with checked options.
-pub struct Degrader<'a> {
+struct Degrader<'a> {
     dataset: &'a Path,
     sequence: Sequence,
     what: &'a Degradation,
@@ -187,11 +190,7 @@ pub struct Degrader<'a> {
 
 impl<'a> Degrader<'a> {
     /// Opens the sequence and checks the options against it; `out` is the output folder.
-    pub fn open(
-        dataset: &'a Path,
-        out: &Path,
-        what: &'a Degradation,
-    ) -> Result<Self, SyntheticError> {
+    fn open(dataset: &'a Path, out: &Path, what: &'a Degradation) -> Result<Self, SyntheticError> {
         what.validate()?;
         ground_truth::refuse_same_folder(dataset, out)?;
         let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
@@ -204,28 +203,23 @@ impl<'a> Degrader<'a> {
         Ok(Self { dataset, sequence, what, kept })
     }
 
-    /// Writes the degraded sequence in the TUM layout, undistorted, with `sharp/`, `hdr/`,
-    /// `exposure.csv` and ground truth renumbered. `progress` receives the numbers of finished and of
-    /// all frames and returns whether to continue.
-    pub fn write(
+    fn write(
         &self,
-        out: &Path,
+        folder: &OutputFolder,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<DegradationCounts, SyntheticError> {
         let Self { sequence, what, kept, .. } = self;
-        let folder = OutputFolder::create(out)?;
-        // First, so that a folder tells what it is even where the work was ended.
-        folder.write_text("README.md", readme(&sequence.name, what, kept))?;
+        folder.write_text("README.md", &readme(&sequence.name, what, kept))?;
         for (batch, positions) in kept.chunks(BATCH).enumerate() {
             let write = |(at, &position): (usize, &usize)| {
-                write_frame(&folder, &sequence.load(position)?, what, position, batch * BATCH + at)
+                write_frame(folder, &sequence.load(position)?, what, position, batch * BATCH + at)
             };
             positions.par_iter().enumerate().map(write).collect::<Result<(), SyntheticError>>()?;
             if !progress(batch * BATCH + positions.len(), kept.len()) {
                 return Err(SyntheticError::Interrupted);
             }
         }
-        self.write_lists(out, &folder)?;
+        self.write_lists(folder)?;
         Ok(DegradationCounts {
             frames: kept.len(),
             dropped: sequence.len() - kept.len(),
@@ -233,26 +227,35 @@ impl<'a> Degrader<'a> {
         })
     }
 
-    fn write_lists(&self, out: &Path, folder: &OutputFolder) -> Result<(), SyntheticError> {
+    fn write_lists(&self, folder: &OutputFolder) -> Result<(), SyntheticError> {
         let Self { dataset, sequence, what, kept } = self;
         let stamps = |of: fn(&i2slam_dataset::FrameEntry) -> f64| -> Vec<f64> {
             kept.iter().map(|&i| of(&sequence.entries[i])).collect()
         };
-        folder.write_list("rgb", "colour images", &stamps(|entry| entry.timestamp))?;
-        folder.write_list("depth", "depth images, 5000 = 1 m", &stamps(|e| e.depth_timestamp))?;
-        write_camera(out.join("camera.json"), &sequence.camera, DEPTH_SCALE, sequence.frame_rate)?;
-        ground_truth::copy_ground_truth(dataset, out, folder, sequence, kept, what)
+        write_list(folder, "rgb", "colour images", &stamps(|entry| entry.timestamp))?;
+        write_list(folder, "depth", "depth images, 5000 = 1 m", &stamps(|e| e.depth_timestamp))?;
+        let camera = camera_json(&sequence.camera, DEPTH_SCALE, sequence.frame_rate);
+        folder.write_text("camera.json", &camera)?;
+        ground_truth::copy_ground_truth(dataset, folder, sequence, kept, what)
     }
 }
 
-/// [`Degrader::open`] and [`Degrader::write`].
+/// Writes a degraded copy of a sequence in the TUM layout, undistorted, with `sharp/`, `hdr/`,
+/// `exposure.csv` and ground truth renumbered. The folder appears when it is complete; an earlier
+/// copy is replaced only if `overwrite`. `progress` receives the numbers of finished and of all
+/// frames and returns whether to continue.
 pub fn degrade(
     dataset: &Path,
     out: &Path,
+    overwrite: bool,
     what: &Degradation,
     progress: &mut dyn FnMut(usize, usize) -> bool,
 ) -> Result<DegradationCounts, SyntheticError> {
-    Degrader::open(dataset, out, what)?.write(out, progress)
+    let degrader = Degrader::open(dataset, out, what)?;
+    let mut folder = output_folder(out, "i2slam degrade", overwrite)?;
+    let counts = degrader.write(&folder, progress)?;
+    folder.commit()?;
+    Ok(counts)
 }
 
 fn write_frame(
@@ -263,9 +266,9 @@ fn write_frame(
     number: usize,
 ) -> Result<(), SyntheticError> {
     let picture = what.degrade_image(&frame.colour, position);
-    folder.write(&format!("rgb/{number:06}.png"), write_picture(&picture))?;
+    write_bytes(folder, &format!("rgb/{number:06}.png"), write_picture(&picture))?;
     let depth = what.depth(&frame.depth, position);
-    folder.write(&format!("depth/{number:06}.png"), write_depth(&depth))
+    write_bytes(folder, &format!("depth/{number:06}.png"), write_depth(&depth))
 }
 
 /// Contents of the degraded sequence's README.

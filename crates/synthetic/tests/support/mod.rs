@@ -36,7 +36,7 @@ pub(crate) fn small_spec() -> Spec {
 
 /// Renders without asking to stop.
 pub(crate) fn render(spec: &Spec, out: &Path) -> Summary {
-    synthesise(spec, out, &mut |_| true).expect("a sequence")
+    synthesise(spec, out, true, &mut |_| true).expect("a sequence")
 }
 
 /// Every file below a folder with its bytes.

@@ -5,10 +5,10 @@ use super::pictures::PictureErrors;
 use super::{Eval, Protocol, trajectory};
 use crate::console::{print, print_status};
 use crate::failure::{Failure, failed};
-use i2slam_result::ResultFolder;
 use i2slam_result::report::{
     EvaluationSection, EvaluationSource, GroundTruthSource, insert_evaluations,
 };
+use i2slam_storage::OutputFolder;
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 
@@ -143,6 +143,7 @@ pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result
     if !page.is_file() {
         return Ok(());
     }
+    let mut folder = OutputFolder::extend(result, "i2slam eval")?;
     let text = i2slam_storage::read_text(&page).map_err(|e| failed(&page, e))?;
     let mut sections = saved_sections(&result.join(FILE))?;
     match sections.iter_mut().find(|known| known.title == section.title) {
@@ -154,9 +155,10 @@ pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result
     };
     let json = serde_json::to_string_pretty(&sections);
     let json = json.map_err(|e| Failure::Failed(e.to_string()))?;
-    let folder = ResultFolder::create(result)?;
     folder.write_text(FILE, &(json + "\n"))?;
-    Ok(folder.write_text(PAGE, &text)?)
+    folder.write_text(PAGE, &text)?;
+    folder.commit()?;
+    Ok(())
 }
 
 fn saved_sections(file: &Path) -> Result<Vec<EvaluationSection>, Failure> {

@@ -10,6 +10,7 @@ use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::Image;
 use i2slam_eval::frame_list;
 use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
+use i2slam_storage::write_file;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -265,7 +266,8 @@ pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(
         2 * rule.apart + 1,
         env!("CARGO_PKG_VERSION"),
     );
-    std::fs::write(file, frame_list::write(&origin, &frames)).map_err(|e| failed(file, e))?;
+    let list = frame_list::write(&origin, &frames);
+    write_file(file, |out| out.write_all(list.as_bytes()))?;
     let (of, file) = (counted(count, "frame"), file.display());
     print(&match frames.len() {
         0 => format!("none of {of} stands out as sharp: {file} lists none"),

@@ -114,6 +114,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     if !lists && arguments.list.is_some() {
         return Err(Failure::usage("--list goes with the protocols all-frames and i2slam"));
     }
+    i2slam_storage::recover(&arguments.estimate);
     let estimate = Estimate::open(&arguments.estimate)?;
     let evaluation = evaluate(arguments, &estimate)?;
     if arguments.json {

@@ -10,7 +10,8 @@ use crate::interrupt;
 use crate::progress::Progress;
 use i2slam::FrameEstimate;
 use i2slam::geometry::{Image, Pose, StampedPose};
-use i2slam_result::{RenderKind, ResultFolder, UnitOfLength, save_render, save_trajectory};
+use i2slam_result::{RenderKind, UnitOfLength, save_render, save_trajectory};
+use i2slam_storage::OutputFolder;
 
 /// Folder of the pictures inside the result.
 const BELOW: &str = "renders/optimised";
@@ -36,7 +37,7 @@ pub(super) fn draw(
 ) -> Result<Vec<MetricValue>, Failure> {
     let Some(result) = estimate.result() else { return Ok(Vec::new()) };
     let reconstruction = i2slam_result::load(result)?;
-    let folder = ResultFolder::create(result)?;
+    let mut folder = OutputFolder::extend(result, "i2slam eval")?;
     let camera = &reconstruction.camera;
     let size = Image::new(camera.width, camera.height, 3);
     let mut viewer = reconstruction.viewer();
@@ -63,6 +64,7 @@ pub(super) fn draw(
     let poses: Vec<StampedPose> = moved.iter().map(|(pose, _)| *pose).collect();
     let unit = UnitOfLength::of(&reconstruction.config);
     save_trajectory(&folder, "trajectory_optimised.txt", &poses, unit)?;
+    folder.commit()?;
     Ok(corrections(&moved))
 }
 
