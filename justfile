@@ -32,6 +32,10 @@ test-data *NAMES:
 fuzz *OPTIONS="--seconds 3600":
     cargo run -p i2slam-fuzz -- {{OPTIONS}}
 
+# Kill run, render and eval 300 times, and fill a disk at 20 sizes (needs the right to mount)
+lose-nothing:
+    cargo test -p i2slam-cli --test program -- --ignored --nocapture a_hundred_kills a_full_disk
+
 # Reconstruct the clip that comes with the program; the last line is the path of the report
 demo:
     cargo run --release -p i2slam-cli -- demo

@@ -249,7 +249,7 @@ fn a_kill_leaves_the_earlier_or_the_new_result() {
 }
 
 #[test]
-#[ignore = "minutes: 100 kills of run, render and eval each"]
+#[ignore = "minutes: `just lose-nothing`"]
 fn a_hundred_kills_leave_a_whole_result() {
     let room = room_to_be_killed("hundred-kills");
     let struck = kill_at_random(&room, 100);
@@ -285,7 +285,7 @@ impl Drop for SmallDisk {
 }
 
 #[test]
-#[ignore = "needs the right to mount: `just full-disk`"]
+#[ignore = "needs the right to mount: `just lose-nothing`"]
 fn a_full_disk_leaves_the_earlier_result() {
     let mut room = Room::new("full-disk", frames(4));
     let disk = SmallDisk::new(room.scratch.join("disk"), 65_536);
