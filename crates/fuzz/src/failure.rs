@@ -85,7 +85,10 @@ pub(crate) fn fault_of(message: &str, case: &Case, folder: &Path) -> Option<&'st
     let folder = folder.to_string_lossy();
     let names_file = || {
         // The folder's own name is that of any other; a path in it, or a name, is needed.
-        message.contains(folder.as_ref()) || case.file_names().any(|name| message.contains(name))
+        let is_inside = message.contains(folder.as_ref());
+        // A list may name a file elsewhere.
+        let is_elsewhere = ["/dev/", "/etc/"].iter().any(|place| message.contains(place));
+        is_inside || is_elsewhere || case.file_names().any(|name| message.contains(name))
     };
     let shown = message.replace(folder.as_ref(), "");
     if message.trim().is_empty() {

@@ -2,12 +2,15 @@
 //! that what i2slam reads from ffmpeg can be damaged.
 
 use std::fs::File;
-use std::io;
+use std::io::{self, Read};
 use std::path::Path;
 use std::process::ExitCode;
 
 /// First argument with which i2slam starts ffmpeg.
 pub(crate) const FIRST_ARGUMENT: &str = "-hide_banner";
+
+/// Largest answer [bytes]: ffmpeg writes about as much as it reads.
+const MAX_ANSWER: u64 = 1 << 26;
 
 /// Writes the log to standard error and, if pictures are asked for, these to standard output.
 pub(crate) fn answer() -> ExitCode {
@@ -28,5 +31,5 @@ fn copy(path: &str, out: &mut dyn io::Write) -> io::Result<u64> {
     if !Path::new(path).is_file() {
         return Err(io::ErrorKind::NotFound.into());
     }
-    io::copy(&mut File::open(path)?, out)
+    io::copy(&mut File::open(path)?.take(MAX_ANSWER), out)
 }

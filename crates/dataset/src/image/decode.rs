@@ -190,6 +190,11 @@ fn read_png(
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
     let mut reader = decoder.read_info().map_err(|e| png_error(path, &e))?;
+    // The decoder takes three bytes a colour on trust.
+    let is_broken = |palette: &[u8]| palette.is_empty() || !palette.len().is_multiple_of(3);
+    if reader.info().palette.as_deref().is_some_and(is_broken) {
+        return Err(DatasetError::image(path, "damaged PNG (its palette has no whole colours)"));
+    }
     let size = reader.output_buffer_size().filter(|&n| n <= expected.max_bytes());
     let size = size.ok_or_else(|| DatasetError::image(path, "the image is too large"))?;
     let mut bytes = vec![0; size];

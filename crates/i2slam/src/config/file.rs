@@ -245,7 +245,7 @@ impl Source<'_> {
                     return Err(ConfigError::UnknownKey {
                         origin: self.origin.to_owned(),
                         line: self.line(&key).unwrap_or(1),
-                        key,
+                        key: shortened(&key),
                         section: if path.is_empty() { "the top level" } else { path }.to_owned(),
                         known: known.join(", "),
                     });
