@@ -35,7 +35,7 @@ pub use formats::{
     ByteRanges, DroppedFrames, FrameEntry, Layout, camera_json, paper_frames, read_trajectory,
     write_trajectory,
 };
-pub use image::MAX_PIXELS;
+pub use image::{MAX_PIXELS, read_image_size};
 pub use options::OpenOptions;
 pub use sequence::{Frame, FrameStream, Sequence, is_without_depth};
 pub use video::{MAX_RECORDING_BYTES, Recording, is_stream, is_video};

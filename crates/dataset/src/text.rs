@@ -22,6 +22,16 @@ pub(crate) fn is_present(path: &Path) -> bool {
     path.symlink_metadata().is_ok()
 }
 
+/// Largest text of a COLMAP model [bytes]: `images.txt` of 10 000 images with 10 000 points each.
+const MAX_MODEL_TEXT: u64 = 4 << 30;
+
+/// Reads a whole text file of a COLMAP model, which may be larger than other text files.
+pub(crate) fn read_model_text(path: &Path) -> Result<String, DatasetError> {
+    let bytes = i2slam_storage::read(path, MAX_MODEL_TEXT);
+    let bytes = bytes.map_err(|e| DatasetError::read(path, e))?;
+    String::from_utf8(bytes).map_err(|_| DatasetError::file(path, "it is no text (not UTF-8)"))
+}
+
 /// Parses a finite number; `name` is that of its column, for the error.
 pub(crate) fn parse_number(
     path: &Path,

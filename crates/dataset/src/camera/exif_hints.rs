@@ -3,7 +3,7 @@
 use super::Orientation;
 use exif::{Exif, In, Reader, Tag, Value};
 use std::fmt;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 /// Diagonal of a 35 mm film frame, 36x24 mm [mm].
@@ -58,8 +58,19 @@ impl fmt::Display for FieldOfView {
     }
 }
 
+/// Largest file that is searched for EXIF data [bytes].
+const MAX_FILE_BYTES: u64 = 1 << 30;
+
 fn read_exif(path: &Path) -> Option<Exif> {
-    let mut file = BufReader::new(i2slam_storage::open(path).ok()?);
+    let file = i2slam_storage::open(path).ok()?;
+    if file.metadata().ok()?.len() > MAX_FILE_BYTES {
+        return None;
+    }
+    let mut file = BufReader::new(file);
+    // Files of other kinds, which are no pictures of a sequence, would be read as a whole.
+    if !matches!(file.fill_buf().ok()?, [0x89, b'P', b'N', b'G', ..] | [0xff, 0xd8, ..]) {
+        return None;
+    }
     Reader::new().read_from_container(&mut file).ok()
 }
 

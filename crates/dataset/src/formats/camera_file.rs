@@ -4,6 +4,7 @@ use super::colmap;
 use super::nerfstudio::TransformsFile;
 use crate::DatasetError;
 use crate::camera::{Calibration, Distortion, FormatDefaults};
+use crate::image::check_pixels;
 use crate::text::{data_lines, parse_number, read_text};
 use i2slam_geometry::Camera;
 use serde::Deserialize;
@@ -139,6 +140,9 @@ impl CameraFile {
             if let Some(value) = value.filter(|&v| !(v.is_finite() && v > 0.0)) {
                 return refuse(format!("{name} is {value}, expected a positive number"));
             }
+        }
+        if let Some(size) = self.width.zip(self.height) {
+            check_pixels(path, size)?;
         }
         if self.width.is_some() != self.height.is_some() {
             return refuse("expected both width and height, found one".into());

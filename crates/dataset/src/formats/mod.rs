@@ -3,6 +3,7 @@
 mod association;
 mod camera_file;
 pub(crate) mod colmap;
+mod deflate;
 pub(crate) mod droid;
 mod file_pairing;
 mod folders;

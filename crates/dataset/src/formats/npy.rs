@@ -1,13 +1,15 @@
 //! numpy arrays (`.npy`, format versions 1 to 3) in a file or an archive. Opening reads the header
 //! only; slices are read on demand.
 
+use super::deflate::DeflatedBytes;
 use crate::DatasetError;
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// Most numbers that are read at once: a keyframe of 11 megapixels, or the poses of 4 million.
+const MAX_NUMBERS: usize = 1 << 25;
 
 /// Longest accepted header [bytes].
 const MAX_HEADER_BYTES: usize = 1 << 16;
@@ -57,8 +59,8 @@ data_types!(
 pub(crate) enum ArrayBytes {
     /// `length` bytes of a file from `offset` on.
     File { offset: u64, length: u64 },
-    /// Decompressed bytes.
-    Memory(Arc<Vec<u8>>),
+    /// `length` bytes that a part of a file inflates to.
+    Deflated { bytes: Arc<DeflatedBytes>, length: u64 },
 }
 
 /// An array of numbers in C order.
@@ -77,7 +79,8 @@ pub(crate) struct NpyArray {
 impl NpyArray {
     /// Opens an `.npy` file.
     pub(crate) fn open(file: &Path) -> Result<Self, DatasetError> {
-        let length = std::fs::metadata(file).map_err(|e| DatasetError::read(file, e))?.len();
+        let metadata = i2slam_storage::open(file).and_then(|file| file.metadata());
+        let length = metadata.map_err(|e| DatasetError::read(file, e))?.len();
         Self::from_bytes(file.to_path_buf(), file, ArrayBytes::File { offset: 0, length })
     }
 
@@ -117,7 +120,7 @@ impl NpyArray {
         let size =
             self.shape.iter().try_fold(self.data_type.size(), |n, &side| n.checked_mul(side));
         match size {
-            Some(size) if size <= there => Ok(()),
+            Some(size) if size <= there => self.check_slice(),
             _ => {
                 let reason = format!(
                     "cut off: {there} bytes of numbers, its header says {:?} of {} bytes each; \
@@ -130,27 +133,39 @@ impl NpyArray {
         }
     }
 
-    fn length(&self) -> usize {
-        match &self.bytes {
-            ArrayBytes::File { length, .. } => usize::try_from(*length).unwrap_or(usize::MAX),
-            ArrayBytes::Memory(bytes) => bytes.len(),
+    /// An error for more numbers in an entry of the first axis than are read at once.
+    fn check_slice(&self) -> Result<(), DatasetError> {
+        let count: usize = self.shape.iter().skip(1).product();
+        if count <= MAX_NUMBERS {
+            return Ok(());
         }
+        let reason = format!(
+            "shape {:?}: {count} numbers in a frame, expected at most {MAX_NUMBERS}",
+            self.shape
+        );
+        Err(DatasetError::file(&self.path, reason))
+    }
+
+    /// Whether there are bytes behind the numbers.
+    pub(super) fn has_more_bytes(&self) -> bool {
+        let size = self.data_type.size() * self.shape.iter().product::<usize>();
+        self.length() > self.start + size
+    }
+
+    fn length(&self) -> usize {
+        let (ArrayBytes::File { length, .. } | ArrayBytes::Deflated { length, .. }) = &self.bytes;
+        usize::try_from(*length).unwrap_or(usize::MAX)
     }
 
     fn read_bytes(&self, from: usize, count: usize) -> Result<Vec<u8>, DatasetError> {
-        match &self.bytes {
-            ArrayBytes::Memory(bytes) => Ok(bytes[from..from + count].to_vec()),
+        let bytes = match &self.bytes {
+            ArrayBytes::Deflated { bytes, .. } => bytes.read(from as u64, count),
             ArrayBytes::File { offset, .. } => {
-                let mut bytes = vec![0; count];
-                let mut read = || {
-                    let mut file = File::open(&self.file)?;
-                    file.seek(SeekFrom::Start(offset + from as u64))?;
-                    file.read_exact(&mut bytes)
-                };
-                read().map_err(|e| DatasetError::read(&self.path, e))?;
-                Ok(bytes)
+                let from = offset + from as u64;
+                i2slam_storage::read_range(&self.file, from..from + count as u64)
             }
-        }
+        };
+        bytes.map_err(|e| DatasetError::read(&self.path, e))
     }
 
     /// Reads the numbers at one index of the first axis, in C order.
@@ -161,10 +176,17 @@ impl NpyArray {
 
     /// Reads all numbers, in C order.
     pub(crate) fn all(&self) -> Result<Vec<f64>, DatasetError> {
-        self.numbers(0, self.shape.iter().product())
+        let count = self.shape.iter().product();
+        if count > MAX_NUMBERS {
+            let shape = &self.shape;
+            let reason = format!("shape {shape:?}, expected at most {MAX_NUMBERS} numbers");
+            return Err(DatasetError::file(&self.path, reason));
+        }
+        self.numbers(0, count)
     }
 
-    fn numbers(&self, from: usize, count: usize) -> Result<Vec<f64>, DatasetError> {
+    /// Reads `count` numbers from `from` on, in C order; the caller knows that so many are there.
+    pub(crate) fn numbers(&self, from: usize, count: usize) -> Result<Vec<f64>, DatasetError> {
         let size = self.data_type.size();
         let bytes = self.read_bytes(self.start + from * size, count * size)?;
         Ok(bytes.chunks_exact(size).map(|b| self.data_type.read(b)).collect())

@@ -1,10 +1,12 @@
 //! numpy archives (`.npz`): zip files with stored or deflated members, 64-bit sizes included
 //! (PKWARE APPNOTE 4.3).
 
+use super::deflate::DeflatedBytes;
 use super::npy::{ArrayBytes, NpyArray};
 use crate::DatasetError;
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use crate::image::MAX_DEFLATE_RATIO;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -14,8 +16,8 @@ const END_RECORD_BYTES: usize = 22;
 /// Buffer size for checksums [bytes].
 const BUFFER_BYTES: usize = 1 << 18;
 
-/// Largest accepted size of a deflated member [bytes].
-const MAX_MEMBER_BYTES: u64 = 8 << 30;
+/// Largest table of contents [bytes]: that of 65535 members with long names.
+const MAX_TABLE_BYTES: u64 = 16 << 20;
 
 /// Entry of the central directory.
 #[derive(Clone, Debug)]
@@ -32,18 +34,22 @@ struct ZipMember {
 #[derive(Clone, Debug)]
 pub(crate) struct NpzArchive {
     path: PathBuf,
+    /// Length of the file [bytes].
+    length: u64,
     members: Vec<ZipMember>,
 }
 
 impl NpzArchive {
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
-        let mut file = File::open(path).map_err(|e| DatasetError::read(path, e))?;
-        let (place, count) = find_directory(path, &mut file)?;
-        let table = read_to_end(path, &mut file, place)?;
+        let (table, count) = find_directory(path)?;
         let damaged = || {
             let reason = "its table of contents is damaged; copy or write it again";
             DatasetError::file(path, reason)
         };
+        if table.end.saturating_sub(table.start) > MAX_TABLE_BYTES {
+            return Err(damaged());
+        }
+        let table = read_part(path, table)?;
         let (mut members, mut at) = (Vec::new(), 0);
         for _ in 0..count {
             let (member, length) =
@@ -51,7 +57,7 @@ impl NpzArchive {
             members.push(member);
             at += length;
         }
-        Ok(Self { path: path.to_path_buf(), members })
+        Ok(Self { path: path.to_path_buf(), length: length(path)?, members })
     }
 
     /// Opens the member `NAME.npy`, if there is one.
@@ -69,46 +75,69 @@ impl NpzArchive {
     fn read(&self, member: &ZipMember) -> Result<NpyArray, DatasetError> {
         let path = self.path.join(&member.name);
         let refuse = |reason: &str| DatasetError::file(&path, reason);
-        let mut file = File::open(&self.path).map_err(|e| DatasetError::read(&path, e))?;
-        let length = file.metadata().map_err(|e| DatasetError::read(&path, e))?.len();
-        let head = read_part(&path, &mut file, member.header, 30)?;
+        let head = read_part(&self.path, member.header..member.header.saturating_add(30))?;
         let names = u64::from(u16_at(&head, 26)) + u64::from(u16_at(&head, 28));
         let offset = member.header + 30 + names;
-        if offset.saturating_add(member.packed) > length {
+        let part = offset..offset.saturating_add(member.packed);
+        if part.end > self.length {
             return Err(refuse("cut off: the archive ends within it; copy or write it again"));
         }
-        let damaged = || refuse("damaged; copy or write it again");
-        if member.method == 0 {
-            let sum = checksum(&mut file, offset, member.packed);
-            if member.size != member.packed
-                || sum.map_err(|e| DatasetError::read(&path, e))? != member.checksum
-            {
-                return Err(damaged());
+        let length = member.size;
+        let store = match member.method {
+            0 => ArrayBytes::File { offset, length },
+            8 => {
+                let bytes = Arc::new(DeflatedBytes::new(self.path.clone(), part.clone()));
+                ArrayBytes::Deflated { bytes, length }
             }
-            let store = ArrayBytes::File { offset, length: member.packed };
-            return NpyArray::from_bytes(path, &self.path, store);
+            _ => {
+                let reason = "packed by a method that is not supported: use np.savez or \
+                              np.savez_compressed";
+                return Err(refuse(reason));
+            }
+        };
+        let is_whole = is_whole(&self.path, member, &store, &part);
+        if !is_whole.map_err(|e| DatasetError::read(&path, e))? {
+            return Err(refuse("damaged; copy or write it again"));
         }
-        if member.method != 8 || member.size > MAX_MEMBER_BYTES {
-            let reason = "packed by a method or to a size that is not supported: use np.savez or \
-                          np.savez_compressed";
-            return Err(refuse(reason));
+        let array = NpyArray::from_bytes(path.clone(), &self.path, store)?;
+        if array.has_more_bytes() {
+            return Err(refuse("damaged: more bytes than its shape takes; write it again"));
         }
-        let packed = read_part(&path, &mut file, offset, member.packed as usize)?;
-        let bytes =
-            miniz_oxide::inflate::decompress_to_vec_with_limit(&packed, member.size as usize)
-                .map_err(|_| damaged())?;
-        if bytes.len() as u64 != member.size || crc32fast::hash(&bytes) != member.checksum {
-            return Err(damaged());
-        }
-        NpyArray::from_bytes(path, &self.path, ArrayBytes::Memory(Arc::new(bytes)))
+        Ok(array)
     }
 }
 
-/// Offset of the central directory and its number of members.
-fn find_directory(path: &Path, file: &mut File) -> Result<(u64, u64), DatasetError> {
-    let length = file.metadata().map_err(|e| DatasetError::read(path, e))?.len();
+/// Whether a member has the size and checksum that the table of contents says.
+fn is_whole(
+    path: &Path,
+    member: &ZipMember,
+    store: &ArrayBytes,
+    part: &Range<u64>,
+) -> io::Result<bool> {
+    let found = match store {
+        ArrayBytes::Deflated { bytes, .. } => {
+            if member.size / MAX_DEFLATE_RATIO > member.packed {
+                return Ok(false);
+            }
+            checksum(bytes.decoder()?.take(member.size.saturating_add(1)))
+        }
+        ArrayBytes::File { .. } => {
+            let mut file = i2slam_storage::open(path)?;
+            file.seek(SeekFrom::Start(part.start))?;
+            checksum(file.take(member.packed))
+        }
+    };
+    match found {
+        Err(error) if error.kind() == io::ErrorKind::InvalidData => Ok(false),
+        found => Ok(found? == (member.size, member.checksum)),
+    }
+}
+
+/// Place of the central directory and its number of members.
+fn find_directory(path: &Path) -> Result<(Range<u64>, u64), DatasetError> {
+    let length = length(path)?;
     let from = length.saturating_sub((END_RECORD_BYTES + 0xffff) as u64);
-    let tail = read_to_end(path, file, from)?;
+    let tail = read_part(path, from..length)?;
     let cut_off = || {
         let reason = "cut off or no archive: its table of contents is missing at the end; copy or \
                       write it again";
@@ -116,16 +145,24 @@ fn find_directory(path: &Path, file: &mut File) -> Result<(u64, u64), DatasetErr
     };
     let end = tail.windows(4).rposition(|word| word == b"PK\x05\x06").ok_or_else(cut_off)?;
     let record = tail.get(end..end + END_RECORD_BYTES).ok_or_else(cut_off)?;
-    let (count, place) = (u16_at(record, 10), u32_at(record, 16));
+    let (count, size, place) = (u16_at(record, 10), u32_at(record, 12), u32_at(record, 16));
     if count != u16::MAX && place != u32::MAX {
-        return Ok((u64::from(place), u64::from(count)));
+        let place = u64::from(place);
+        return Ok((place..place + u64::from(size), u64::from(count)));
     }
     let locator = end.checked_sub(20).map(|at| &tail[at..end]).ok_or_else(cut_off)?;
-    let record = read_part(path, file, u64_at(locator, 8), 56)?;
+    let wide = u64_at(locator, 8);
+    let record = read_part(path, wide..wide.saturating_add(56))?;
     if &record[..4] != b"PK\x06\x06" {
         return Err(cut_off());
     }
-    Ok((u64_at(&record, 48), u64_at(&record, 32)))
+    let (count, size, place) = (u64_at(&record, 32), u64_at(&record, 40), u64_at(&record, 48));
+    Ok((place..place.saturating_add(size), count))
+}
+
+fn length(path: &Path) -> Result<u64, DatasetError> {
+    let metadata = i2slam_storage::open(path).and_then(|file| file.metadata());
+    metadata.map(|data| data.len()).map_err(|e| DatasetError::read(path, e))
 }
 
 /// Parses a member of the central directory; also the length of its record.
@@ -163,39 +200,25 @@ fn zip64_numbers(mut extra: &[u8]) -> &[u8] {
     &[]
 }
 
-/// CRC-32 of `count` bytes of a file, fewer if the file ends before.
-fn checksum(file: &mut File, from: u64, count: u64) -> std::io::Result<u32> {
-    file.seek(SeekFrom::Start(from))?;
-    let mut part = file.take(count);
-    let mut sum = crc32fast::Hasher::new();
+/// Number and CRC-32 of the bytes of a stream.
+fn checksum(mut stream: impl Read) -> io::Result<(u64, u32)> {
+    let (mut count, mut sum) = (0, crc32fast::Hasher::new());
     let mut piece = vec![0; BUFFER_BYTES];
     loop {
-        match part.read(&mut piece)? {
-            0 => return Ok(sum.finalize()),
-            read => sum.update(&piece[..read]),
+        let read = stream.read(&mut piece)?;
+        if read == 0 {
+            return Ok((count, sum.finalize()));
         }
+        count += read as u64;
+        sum.update(&piece[..read]);
     }
 }
 
-fn read_part(
-    path: &Path,
-    file: &mut File,
-    from: u64,
-    count: usize,
-) -> Result<Vec<u8>, DatasetError> {
-    let mut bytes = vec![0; count];
-    file.seek(SeekFrom::Start(from))
-        .and_then(|_| file.read_exact(&mut bytes))
-        .map_err(|_| DatasetError::file(path, "cut off; copy or write it again"))?;
-    Ok(bytes)
-}
-
-fn read_to_end(path: &Path, file: &mut File, from: u64) -> Result<Vec<u8>, DatasetError> {
-    let mut bytes = Vec::new();
-    file.seek(SeekFrom::Start(from))
-        .and_then(|_| file.read_to_end(&mut bytes))
-        .map_err(|e| DatasetError::read(path, e))?;
-    Ok(bytes)
+fn read_part(path: &Path, part: Range<u64>) -> Result<Vec<u8>, DatasetError> {
+    i2slam_storage::read_range(path, part).map_err(|e| match e.kind() {
+        io::ErrorKind::UnexpectedEof => DatasetError::file(path, "cut off; copy or write it again"),
+        _ => DatasetError::read(path, e),
+    })
 }
 
 /// Little-endian number; bytes beyond the end count as 0.

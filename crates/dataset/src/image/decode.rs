@@ -79,6 +79,12 @@ fn read_image(
     Ok((read_bytes(path, range, expected.max_bytes())?, header.format))
 }
 
+/// Width and height [px] of a PNG or JPEG file, from its header alone. An image of more than
+/// [`MAX_PIXELS`], or of more than its bytes can hold, is an error.
+pub fn read_image_size(path: &Path) -> Result<(usize, usize), DatasetError> {
+    image_size(path, None)
+}
+
 /// Width and height [px], from the header alone. An image of more than [`MAX_PIXELS`], or of more
 /// than its bytes can hold, is an error.
 pub(crate) fn image_size(

@@ -5,6 +5,7 @@ mod decode;
 mod header;
 mod resampling;
 
+pub use decode::read_image_size;
 pub(crate) use decode::{
     DepthEncoding, ExpectedSize, decode_colour, decode_depth, depth_size, image_from_rgb,
     image_size,

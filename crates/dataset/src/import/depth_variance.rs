@@ -123,7 +123,7 @@ fn read_array(file: &Path, size: (usize, usize)) -> Result<Image<f32>, DatasetEr
         return Err(DatasetError::image(file, reason));
     };
     DatasetError::check_size(file, (width, height), size, REFERENCE)?;
-    let data = array.all()?.into_iter().map(|v| v as f32).collect();
+    let data = array.numbers(0, width * height)?.into_iter().map(|v| v as f32).collect();
     Ok(Image { width, height, channels: 1, data })
 }
 

@@ -5,21 +5,29 @@ use super::{ModelImage, ModelPoint, parse_pose};
 use crate::DatasetError;
 use i2slam_geometry::Vec3;
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 
-/// Sequential reader of a file in memory.
+/// Longest accepted name of an image [bytes].
+const MAX_NAME_BYTES: u64 = 1 << 16;
+
+/// Sequential reader of a file; a count is believed only as far as there are bytes for it.
 struct ByteReader<'a> {
     file: &'a Path,
-    data: Vec<u8>,
-    position: usize,
+    data: BufReader<File>,
+    /// Bytes that are not yet read.
+    remaining: u64,
     /// Kind, number and count of the current record, for messages.
     record: Option<(&'static str, u64, u64)>,
 }
 
 impl<'a> ByteReader<'a> {
     fn open(file: &'a Path) -> Result<Self, DatasetError> {
-        let data = std::fs::read(file).map_err(|e| DatasetError::read(file, e))?;
-        Ok(Self { file, data, position: 0, record: None })
+        let failed = |e| DatasetError::read(file, e);
+        let data = i2slam_storage::open(file).map_err(failed)?;
+        let remaining = data.metadata().map_err(failed)?.len();
+        Ok(Self { file, data: BufReader::new(data), remaining, record: None })
     }
 
     fn refuse(&self, reason: &str) -> DatasetError {
@@ -29,11 +37,18 @@ impl<'a> ByteReader<'a> {
         DatasetError::file(self.file, format!("{record}: {reason}"))
     }
 
+    fn cut_off(&self) -> DatasetError {
+        self.refuse("cut off; copy or write the model again")
+    }
+
     fn take<const N: usize>(&mut self) -> Result<[u8; N], DatasetError> {
-        let taken =
-            self.data.get(self.position..).and_then(|rest| rest.first_chunk::<N>()).copied();
-        self.position += N;
-        taken.ok_or_else(|| self.refuse("cut off; copy or write the model again"))
+        let mut bytes = [0; N];
+        self.data.read_exact(&mut bytes).map_err(|e| match e.kind() {
+            ErrorKind::UnexpectedEof => self.cut_off(),
+            _ => DatasetError::read(self.file, e),
+        })?;
+        self.remaining = self.remaining.saturating_sub(N as u64);
+        Ok(bytes)
     }
 
     fn u32(&mut self) -> Result<u32, DatasetError> {
@@ -58,24 +73,24 @@ impl<'a> ByteReader<'a> {
 
     /// Skips `count` records of `size` bytes; an error if the file ends before.
     fn skip(&mut self, count: u64, size: u64) -> Result<(), DatasetError> {
-        let length = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
-        match length.and_then(|length| self.position.checked_add(length)) {
-            Some(end) if end <= self.data.len() => {
-                self.position = end;
-                Ok(())
-            }
-            _ => Err(self.refuse("cut off; copy or write the model again")),
-        }
+        let length = count.checked_mul(size).filter(|&length| length <= self.remaining);
+        let length = length.ok_or_else(|| self.cut_off())?;
+        let step = i64::try_from(length).map_err(|_| self.cut_off())?;
+        self.data.seek_relative(step).map_err(|e| DatasetError::read(self.file, e))?;
+        self.remaining -= length;
+        Ok(())
     }
 
     /// Reads a zero-terminated name.
     fn name(&mut self) -> Result<String, DatasetError> {
-        let rest = self.data.get(self.position..).unwrap_or_default();
-        let end = rest.iter().position(|&byte| byte == 0);
-        let end = end.ok_or_else(|| self.refuse("cut off; copy or write the model again"))?;
-        let name = String::from_utf8_lossy(&rest[..end]).into_owned();
-        self.position += end + 1;
-        Ok(name)
+        let mut name = Vec::new();
+        let read = self.data.by_ref().take(MAX_NAME_BYTES).read_until(0, &mut name);
+        let length = read.map_err(|e| DatasetError::read(self.file, e))?;
+        self.remaining = self.remaining.saturating_sub(length as u64);
+        if name.pop() != Some(0) {
+            return Err(self.cut_off());
+        }
+        Ok(String::from_utf8_lossy(&name).into_owned())
     }
 
     /// Reads a count and that many records.

@@ -3,14 +3,14 @@
 use super::camera::ModelCamera;
 use super::{ModelImage, ModelPoint, parse_pose};
 use crate::DatasetError;
-use crate::text::{data_lines, parse_number, parse_numbers, read_text};
+use crate::text::{data_lines, parse_number, parse_numbers, read_model_text};
 use i2slam_geometry::Vec3;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]`
 pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, DatasetError> {
-    let text = read_text(file)?;
+    let text = read_model_text(file)?;
     let mut cameras = BTreeMap::new();
     for (line, content) in data_lines(&text) {
         let words: Vec<&str> = content.split_whitespace().collect();
@@ -37,7 +37,7 @@ pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, ModelCamera>, Dataset
 /// Two lines per image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then its 2D points, which
 /// may be none.
 pub(super) fn images(file: &Path) -> Result<Vec<ModelImage>, DatasetError> {
-    let text = read_text(file)?;
+    let text = read_model_text(file)?;
     let mut lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
     let mut images = Vec::new();
     // An empty second line is an image without points, so blank lines are skipped before images only.
@@ -96,7 +96,7 @@ fn parse_image(file: &Path, line: usize, content: &str) -> Result<ModelImage, Da
 
 /// `POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]`
 pub(super) fn points(file: &Path) -> Result<Vec<ModelPoint>, DatasetError> {
-    let text = read_text(file)?;
+    let text = read_model_text(file)?;
     let point = |(line, content): (usize, &str)| {
         let words: Vec<&str> = content.split_whitespace().collect();
         if words.len() < 8 || !words.len().is_multiple_of(2) {

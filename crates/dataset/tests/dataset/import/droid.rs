@@ -252,6 +252,36 @@ fn a_damaged_member_is_refused() {
 }
 
 #[test]
+fn arrays_that_claim_more_than_a_run_has_are_refused() {
+    let scratch = Folder::new();
+    let refused = |members: &Members, parts: &[&str]| {
+        let file = scratch.write("run.npz", npz(members, true));
+        assert_says(import(&file), parts);
+    };
+    let all = members(&[0, 1]);
+    // Bytes behind the array, which the archive inflates to.
+    let mut poses = all[3].1.clone();
+    poses.resize(1 << 20, 0);
+    refused(
+        &with(all.clone(), "poses", poses),
+        &["run.npz/poses.npy", "more bytes than its shape"],
+    );
+    // As many poses as its bytes hold, and more than a run of a year has.
+    let many = npy("|u1", &[5_000_000, 7], &[0.0; 35_000_000]);
+    refused(&with(all.clone(), "poses", many), &["poses.npy", "[5000000, 7]", "expected at most"]);
+    // A size that the packed bytes cannot inflate to.
+    let mut claims = npz(&all, true);
+    let place = claims.windows(9).rposition(|word| word == b"poses.npy").expect("a member");
+    claims[place - 22..place - 18].copy_from_slice(&0xf000_0000_u32.to_le_bytes());
+    assert_says(import(&scratch.write("run.npz", claims)), &["run.npz/poses.npy", "damaged"]);
+    // Pictures of 48 megapixels, of which no byte is on the disk.
+    let arrays = folder(&with(all, "images", npy("|u1", &[2, 3, 6000, 8000], &[])));
+    let images = std::fs::File::options().write(true).open(arrays.join("images.npy"));
+    images.expect("a file").set_len(1 << 30).expect("room for nothing");
+    assert_says(import(&arrays), &["images.npy", "144000000 numbers in a frame"]);
+}
+
+#[test]
 fn unusable_arrays_are_named() {
     let all = members(&[0, 1]);
     let poses = |second: [f64; 7]| {
