@@ -105,6 +105,42 @@ fn a_circle_across_folders_is_found() {
     assert!(Sources::new(files).circles().is_empty(), "tests do not count");
 }
 
+/// Calls that wait for ever on a named pipe, or read an endless device, with the crates that may
+/// make them: `storage` checks first, `compute` reads files of the system, `bench` and `check` what
+/// they wrote themselves.
+const UNBOUNDED_READS: [&str; 3] = ["fs::read(", "fs::read_to_string(", "File::open("];
+const READS_ITSELF: [&str; 4] = ["storage", "compute", "bench", "check"];
+
+#[test]
+fn files_of_users_are_read_through_the_crate_storage() {
+    let mut errors = Vec::new();
+    for (name, _) in ARROWS.iter().filter(|(name, _)| !READS_ITSELF.contains(name)) {
+        for file in Sources::read(&crates().join(name).join("src")).files {
+            for line in file.text.lines().filter(|line| reads_unbounded(line)) {
+                errors.push(format!("{name}/src/{}: {}", file.path.display(), line.trim()));
+            }
+        }
+    }
+    let instead = "i2slam_storage::{open, read, read_range, read_text} refuse pipes and devices";
+    assert!(errors.is_empty(), "{instead}:\n{}", errors.join("\n"));
+}
+
+/// Whether a line reads a file that is none of the system's own.
+fn reads_unbounded(line: &str) -> bool {
+    let begins = |at: usize| !line[..at].ends_with(is_identifier);
+    let calls = |call: &str| line.match_indices(call).any(|(at, _)| begins(at));
+    UNBOUNDED_READS.iter().any(|call| calls(call)) && !line.contains("\"/proc/")
+}
+
+#[test]
+fn unbounded_reads_are_found() {
+    assert!(reads_unbounded("    let text = std::fs::read_to_string(path)?;"));
+    assert!(reads_unbounded("File::open(path).and_then(read)"));
+    assert!(!reads_unbounded("i2slam_storage::read(path, limit)"));
+    assert!(!reads_unbounded("std::fs::read_to_string(\"/proc/self/status\")"));
+    assert!(!reads_unbounded("SensFile::open(path)"));
+}
+
 /// One source file without its tests.
 struct File {
     path: PathBuf,

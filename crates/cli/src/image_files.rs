@@ -1,22 +1,20 @@
 //! Pictures read from files for comparison.
 
 use crate::failure::{Failure, failed};
+use i2slam::dataset::{MAX_PIXELS, read_image_size};
 use i2slam::geometry::Image;
 use i2slam_result::DEPTH_UNITS_PER_METRE;
-use std::fs::File;
+use png::{BitDepth, ColorType, Decoder, Limits, OutputInfo, Transformations};
 use std::io::BufReader;
 use std::path::Path;
 
+/// Memory that the decoder of a PNG may take beside the pixels [bytes]: some rows of the widest
+/// picture, and tables.
+const MAX_DECODER_BYTES: usize = 64 << 20;
+
 /// Reads an 8- or 16-bit PNG as planes R, G, B in `[0, 1]`.
 pub(crate) fn read_png(path: &Path) -> Result<Image<f32>, Failure> {
-    let file = File::open(path).map_err(|e| failed(path, e))?;
-    let mut decoder = png::Decoder::new(BufReader::new(file));
-    let eight_bits = png::Transformations::EXPAND | png::Transformations::STRIP_16;
-    decoder.set_transformations(eight_bits);
-    let mut reader = decoder.read_info().map_err(|e| failed(path, e))?;
-    let size = reader.output_buffer_size().ok_or_else(|| failed(path, "is too large"))?;
-    let mut bytes = vec![0; size];
-    let info = reader.next_frame(&mut bytes).map_err(|e| failed(path, e))?;
+    let (info, bytes) = decode_png(path, Transformations::EXPAND | Transformations::STRIP_16)?;
     let samples = info.color_type.samples();
     let mut image = Image::new(info.width as usize, info.height as usize, 3);
     for channel in 0..3 {
@@ -31,24 +29,45 @@ pub(crate) fn read_png(path: &Path) -> Result<Image<f32>, Failure> {
 
 /// Reads a 16-bit depth PNG of a result folder [m].
 pub(crate) fn read_depth(path: &Path) -> Result<Image<f32>, Failure> {
-    let file = File::open(path).map_err(|e| failed(path, e))?;
-    let mut reader =
-        png::Decoder::new(BufReader::new(file)).read_info().map_err(|e| failed(path, e))?;
-    if reader.output_color_type() != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
+    let (info, bytes) = decode_png(path, Transformations::IDENTITY)?;
+    if (info.color_type, info.bit_depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
         return Err(failed(path, "is no 16-bit grey picture"));
     }
-    let size = reader.output_buffer_size().ok_or_else(|| failed(path, "is too large"))?;
-    let mut bytes = vec![0; size];
-    let info = reader.next_frame(&mut bytes).map_err(|e| failed(path, e))?;
     let metres = |b: &[u8]| f32::from(u16::from_be_bytes([b[0], b[1]])) / DEPTH_UNITS_PER_METRE;
     let (width, height) = (info.width as usize, info.height as usize);
     let data = bytes.chunks_exact(2).take(width * height).map(metres).collect();
     Ok(Image { width, height, channels: 1, data })
 }
 
-/// Reads the R, G, B channels of an OpenEXR picture.
+/// Decodes a PNG of at most [`MAX_PIXELS`].
+fn decode_png(path: &Path, transform: Transformations) -> Result<(OutputInfo, Vec<u8>), Failure> {
+    read_image_size(path)?;
+    let file = i2slam_storage::open(path).map_err(|e| failed(path, e))?;
+    let limits = Limits { bytes: MAX_DECODER_BYTES };
+    let mut decoder = Decoder::new_with_limits(BufReader::new(file), limits);
+    decoder.set_transformations(transform);
+    decoder.set_ignore_text_chunk(true);
+    decoder.set_ignore_iccp_chunk(true);
+    let mut reader = decoder.read_info().map_err(|e| failed(path, e))?;
+    let size = reader.output_buffer_size().ok_or_else(|| failed(path, "is too large"))?;
+    let mut bytes = vec![0; size];
+    let info = reader.next_frame(&mut bytes).map_err(|e| failed(path, e))?;
+    Ok((info, bytes))
+}
+
+/// Reads the R, G, B channels of an OpenEXR picture of at most [`MAX_PIXELS`].
 pub(crate) fn read_exr(path: &Path) -> Result<Image<f32>, Failure> {
     use exr::prelude::{ReadChannels, ReadLayers, Vec2};
+    let file = i2slam_storage::open(path).map_err(|e| failed(path, e))?;
+    let chunks = exr::block::read(BufReader::new(file), false).map_err(|e| failed(path, e))?;
+    for header in chunks.headers() {
+        let (width, height) = (header.layer_size.width(), header.layer_size.height());
+        if width.checked_mul(height).is_none_or(|pixels| pixels > MAX_PIXELS) {
+            let most = MAX_PIXELS / 1_000_000;
+            let reason = format!("is {width}x{height} px, and at most {most} megapixels are read");
+            return Err(failed(path, reason));
+        }
+    }
     let read = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -63,7 +82,7 @@ pub(crate) fn read_exr(path: &Path) -> Result<Image<f32>, Failure> {
         )
         .first_valid_layer()
         .all_attributes()
-        .from_file(path)
+        .from_chunks(chunks)
         .map_err(|e| failed(path, e))?;
     Ok(read.layer_data.channel_data.pixels)
 }

@@ -1,5 +1,7 @@
 //! The program from outside: tiny made-up sequences in, result folders out.
 
+#[cfg(unix)]
+mod bounds;
 mod commands;
 mod eval;
 mod eval_result;
