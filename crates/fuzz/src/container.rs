@@ -100,7 +100,7 @@ fn split_png(mut rest: &[u8], inflate: bool) -> Option<Container> {
         parts.extend([kind.to_vec(), data]);
         rest = rest.get(12 + length..)?;
     }
-    Some(Container { kind: Kind::Png(inflate), parts })
+    (!parts.is_empty()).then_some(Container { kind: Kind::Png(inflate), parts })
 }
 
 fn join_png(parts: &[Vec<u8>], inflated: bool) -> Vec<u8> {
@@ -135,7 +135,7 @@ fn split_zip(bytes: &[u8]) -> Option<Container> {
         methods.push(method);
         at = data + packed.len();
     }
-    Some(Container { kind: Kind::Zip(methods), parts })
+    (!parts.is_empty()).then_some(Container { kind: Kind::Zip(methods), parts })
 }
 
 /// A zip file of names and contents, stored (method 0) or deflated (8).
@@ -181,7 +181,9 @@ mod tests {
         assert_same(&with_checksum(archive));
         assert_same(&with_checksum([FIELD, &2_u32.to_le_bytes(), &[7; 300]].concat()));
         assert_same(&crate::seeds::picture::colour((16, 12), 3));
-        assert_eq!(Container::split(b"# a text", true), None);
+        for other in [&b"# a text"[..], PNG, b"PK\x03\x04"] {
+            assert_eq!(Container::split(other, true), None);
+        }
     }
 
     #[test]

@@ -24,6 +24,8 @@ pub(crate) fn serve(arguments: &Arguments, scratch: &Path) -> Result<bool, Strin
     panic::set_hook(Box::new(|info| {
         let mut first = PANIC.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         first.get_or_insert_with(|| info.to_string());
+        // Shown only if the worker dies of it, outside of a reader.
+        eprintln!("{info}");
     }));
     bound_address_space()?;
     let mut corpora: BTreeMap<&str, Vec<Seed>> = BTreeMap::new();
