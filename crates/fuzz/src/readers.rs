@@ -4,7 +4,7 @@ use i2slam::Config;
 use i2slam::dataset::import::{ImportDepth, ImportOptions, ImportedKeyframes};
 use i2slam::dataset::{DatasetError, OpenOptions, Sequence, read_trajectory};
 use i2slam_result::RunInput;
-use i2slam_synthetic::Spec;
+use i2slam_synthetic::{Spec, SyntheticError};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -163,7 +163,12 @@ fn config(folder: &Path) -> Result<(), String> {
 }
 
 fn synth_spec(folder: &Path) -> Result<(), String> {
-    Spec::from_toml_file(&folder.join("spec.toml")).map(drop).map_err(|e| e.to_string())
+    let path = folder.join("spec.toml");
+    Spec::from_toml_file(&path).map(drop).map_err(|error| match error {
+        // The program adds file and line.
+        SyntheticError::OutOfRange { .. } => format!("{}: {error}", path.display()),
+        error => error.to_string(),
+    })
 }
 
 /// Reads a small regular file.

@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SyntheticError {
-    /// The file of a specification is not TOML, has an unknown key, or a value of a wrong type or out
-    /// of its range.
+    /// The specification is not TOML, has an unknown key, or a value of a wrong type.
     #[error("{origin}: {message}")]
     Malformed {
         /// File name.

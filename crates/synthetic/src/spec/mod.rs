@@ -59,7 +59,7 @@ impl Spec {
             message: shortened(message.trim_end()),
         };
         let spec: Self = toml::from_str(text).map_err(|e| malformed(e.to_string()))?;
-        spec.validate().map_err(|e| malformed(e.to_string()))?;
+        spec.validate()?;
         Ok(spec)
     }
 
@@ -218,8 +218,7 @@ mod tests {
         assert!(unknown.contains("`width`"), "{unknown}");
         assert!(message("[colour]\nx = 1").contains("colour"));
         assert!(
-            message("[camera]\nwidth = 3")
-                .contains("a.toml: camera.width = 3 is out of range: 16 to 8192")
+            message("[camera]\nwidth = 3").contains("camera.width = 3 is out of range: 16 to 8192")
         );
         assert!(message("[room]\nsize = [5.0, 4.0]").contains("line 2"));
         assert!(message("[exposure]\nresponse = \"gamma\"").contains("reinhard"));
