@@ -138,10 +138,11 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let renders = arguments.render.unwrap_or_else(|| default_renders(arguments, &config));
     let options = RunOptions::new(config, poses);
     let open = arguments.input.open_options(options.open)?;
+    let options = RunOptions { open, ..options }.with_camera_of_keyframes();
     reconstruction::run(&Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
-        options: RunOptions { open, ..options },
+        options,
         settings_file: arguments.config.as_deref(),
         renders,
         overwrite: arguments.overwrite,

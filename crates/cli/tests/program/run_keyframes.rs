@@ -59,6 +59,42 @@ fn a_trajectory_and_pictures_become_a_field() {
     room.eval(&[]).exits_with(0);
 }
 
+/// A folder of COLMAP, pictures and model, is the dataset and its keyframes.
+#[test]
+fn a_plain_colmap_folder_needs_no_camera_file() {
+    let room = Room::new("colmap", Scene { frames: FRAMES, step: 0.03, ..Scene::default() });
+    let model = room.scratch.join("model");
+    fs::create_dir_all(model.join("sparse/0")).expect("a folder");
+    fs::rename(room.data.join("rgb"), model.join("images")).expect("pictures");
+    let mut images = String::new();
+    for frame in 0..FRAMES {
+        let x = 0.03 * frame as f64;
+        let (number, name) = (frame + 1, stamp(frame));
+        writeln!(images, "{number} 1 0 0 0 {} 0 {} 1 {name}.png\n", -x, -0.3 * x).expect("memory");
+    }
+    fs::write(model.join("sparse/0/images.txt"), images).expect("room");
+    let camera = "1 PINHOLE 48 36 45 45 24 18\n";
+    fs::write(model.join("sparse/0/cameras.txt"), camera).expect("room");
+    let config = room.scratch.join("quick.toml");
+    fs::write(&config, QUICK_KEYFRAMES).expect("room");
+    let ran =
+        i2slam!("run", model, "--out", room.out, "--rgb", "--keyframes", model, "--config", config);
+    let ran = ran.exits_with(0);
+    assert!(!ran.err.contains("ignored"), "{}", ran.err);
+    assert_eq!(room.metric("keyframes"), Some(FRAMES as f64));
+    let input = room.text("input.json");
+    assert!(input.contains("sparse/0/cameras.txt"), "{input}");
+    let poses = model.join("poses.txt");
+    fs::copy(room.data.join("groundtruth.txt"), &poses).expect("room");
+    i2slam!("eval", room.out, "--groundtruth", poses).exits_with(0);
+    // Neither has a camera.
+    fs::remove_dir_all(model.join("sparse")).expect("a model");
+    let again = room.scratch.join("again");
+    i2slam!("run", model, "--out", again, "--rgb", "--keyframes", poses)
+        .exits_with(1)
+        .stderr_contains("no camera for");
+}
+
 #[test]
 fn keyframes_that_are_held_out_are_found_in_the_map() {
     let room = keyframes("keyframed-held-out");

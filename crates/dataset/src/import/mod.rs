@@ -113,6 +113,16 @@ pub struct ImportedKeyframes {
     source: KeyframeSource,
 }
 
+/// Path of the file with the camera of keyframes, if it is a file of its own that a sequence can be
+/// opened with ([`OpenOptions::camera`]): that of COLMAP and of nerfstudio.
+pub fn camera_file(keyframes: &Path) -> Option<PathBuf> {
+    match DetectedFormat::detect(keyframes).ok()? {
+        DetectedFormat::Colmap(model) => Some(model.file("cameras")),
+        DetectedFormat::Nerfstudio(file) => Some(file),
+        DetectedFormat::Droid(_) | DetectedFormat::Trajectory(_) => None,
+    }
+}
+
 impl ImportedKeyframes {
     /// Opens the keyframes of a file or folder.
     ///

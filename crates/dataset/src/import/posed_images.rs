@@ -64,9 +64,10 @@ impl ReadKeyframes {
                 .push("pictures of the variance ignored: no depth pictures are taken".to_owned());
         }
         let has_camera = self.format == ImportFormat::Colmap || self.source.sequence().is_none();
+        let source = self.source.camera_source();
         let (file, intrinsics) = (&options.open.camera, &options.open.intrinsics);
-        if has_camera && (file.is_some() || intrinsics.is_some()) {
-            let source = self.source.camera_source();
+        let is_other = |file: &PathBuf| file.display().to_string() != source;
+        if has_camera && (file.as_ref().is_some_and(is_other) || intrinsics.is_some()) {
             warnings.push(format!("the given camera ignored: that of {source} counts"));
         }
         let has_depth = |images: &Sequence| images.entries.iter().any(|e| e.depth.is_some());

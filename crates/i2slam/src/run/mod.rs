@@ -31,6 +31,7 @@ use crate::config::{Config, MapKind};
 use crate::keyframes::{ImportDepth, ImportOptions};
 use crate::reconstruction::Reconstruction;
 use crate::warning::Warning;
+use i2slam_dataset::import::camera_file;
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use observer::RunContext;
 use std::path::{Path, PathBuf};
@@ -109,6 +110,18 @@ impl RunOptions {
         config.map.kind = MapKind::HashGrid;
         let (depth, variance) = (ImportDepth::Imported, None);
         Self::new(config, PoseSource::Imported { keyframes, pictures, depth, variance })
+    }
+
+    /// Gives the pictures of imported keyframes the camera that comes with these, where neither
+    /// options nor dataset have one.
+    #[must_use]
+    pub fn with_camera_of_keyframes(mut self) -> Self {
+        if let PoseSource::Imported { keyframes, pictures, .. } = &self.poses
+            && let Err(DatasetError::NoCamera { .. }) = self.open_sequence(pictures)
+        {
+            self.open.camera = camera_file(keyframes);
+        }
+        self
     }
 
     /// Opens a sequence with [`open`](Self::open).
