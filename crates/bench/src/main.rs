@@ -17,7 +17,7 @@ mod table;
 mod tables;
 
 use clap::Parser;
-use console::{Failure, counted, print, print_status};
+use console::{Failure, counted, parse_arguments, print, print_status, print_text};
 use interrupt::interrupted;
 use job::{Bench, Record};
 use metrics::Metrics;
@@ -76,7 +76,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    match run(&Arguments::parse()) {
+    match run(&parse_arguments()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => ExitCode::from(failure.report()),
     }
@@ -88,7 +88,7 @@ fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let file = suite::open(name)?;
     if arguments.print {
-        print(file.text.trim_end());
+        print_text(file.text.trim_end());
         return Ok(());
     }
     let plan = Plan::new(file, &arguments.selection)?;

@@ -5,7 +5,7 @@ use crate::metrics::{ATE, Metric, PSNR, SECONDS};
 use crate::queue::Outcome;
 use crate::suite::TableKind;
 use crate::summary::Results;
-use crate::table::{Table, csv_line};
+use crate::table::{Table, csv_line, markdown_text};
 use crate::tables;
 use i2slam_result::html::{STYLE, escape};
 use i2slam_result::plot::{Horizontal, Plot, Point, Series};
@@ -76,16 +76,17 @@ fn remarks(results: &Results<'_>) -> Vec<String> {
 
 fn markdown(results: &Results<'_>, tables: &[Table]) -> String {
     let suite = &results.plan.suite;
-    let mut text = format!("# {}\n\n{}\n\n{}.\n\n", suite.title, suite.about, state(results));
+    let (title, about) = (markdown_text(&suite.title), markdown_text(&suite.about));
+    let mut text = format!("# {title}\n\n{about}\n\n{}.\n\n", state(results));
     for remark in remarks(results) {
-        text += &format!("* {remark}\n");
+        text += &format!("* {}\n", markdown_text(&remark));
     }
     for table in tables {
         text += &format!("\n{}", table.markdown());
     }
     text += "\n## Configurations\n\n";
     for (name, words) in configurations(results) {
-        text += &format!("* **{name}**: {words}\n");
+        text += &format!("* **{}**: {}\n", markdown_text(&name), markdown_text(&words));
     }
     text
 }
@@ -288,6 +289,17 @@ mod tests {
         for outside in ["src=", "href=", "@import", "url("] {
             assert!(!page.contains(outside), "{outside}");
         }
+    }
+
+    #[test]
+    fn the_text_holds_no_markup_of_names() {
+        let mut plan = plan();
+        plan.suite.title = "<svg onload=x>".to_owned();
+        plan.suite.about = "[a](http://b)\n# c".to_owned();
+        let results = results(&plan, &[(1, 0, 0)]);
+        let text = markdown(&results, &tables::tables(&results));
+        assert!(text.starts_with("# &lt;svg onload=x>\n\n\\[a](http://b) # c\n\n"), "{text}");
+        assert!(!text.contains('<'), "{text}");
     }
 
     #[test]

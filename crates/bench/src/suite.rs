@@ -223,7 +223,7 @@ pub(crate) fn parse(text: &str, origin: &str) -> Result<Suite, Failure> {
         let reason = error.to_string();
         match reason.contains("unknown field `flags`") {
             true => wrong(&format!(
-                "{}\n`flags` became configuration: instead of \"--no-blur\", \"--no-tone\", \
+                "{}\n  `flags` became configuration: instead of \"--no-blur\", \"--no-tone\", \
                  \"--map\", ... write config.formation.blur = false, config.formation.tone = false, \
                  config.map.kind = \"hashgrid\", and rgb = true for \"--rgb\"",
                 reason.trim_end()

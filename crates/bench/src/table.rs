@@ -94,13 +94,13 @@ impl Table {
 
     pub(crate) fn markdown(&self) -> String {
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
-        let plain = |text: String| text.replace('|', "\\|").replace('\n', " ");
         let bold = |entry: &Entry| match entry.best() {
-            true => format!("**{}**", plain(entry.text())),
-            false => plain(entry.text()),
+            true => format!("**{}**", markdown_text(&entry.text())),
+            false => markdown_text(&entry.text()),
         };
-        let mut text = format!("## {}\n\n{}\n\n", self.title, self.caption);
-        text += &line(self.columns().into_iter().map(plain).collect());
+        let caption = markdown_text(&self.caption);
+        let mut text = format!("## {}\n\n{caption}\n\n", self.title);
+        text += &line(self.columns().iter().map(|name| markdown_text(name)).collect());
         text += &line(vec!["---".to_owned(); self.header.len()]);
         self.rows.iter().for_each(|row| text += &line(row.iter().map(bold).collect()));
         text
@@ -192,11 +192,36 @@ fn csv_cells(entry: &Entry) -> Vec<String> {
 
 /// A line of comma-separated values, quoted where necessary (RFC 4180).
 pub(crate) fn csv_line(cells: &[String]) -> String {
-    let quoted = |cell: &String| match cell.contains([',', '"', '\n', '\r']) {
-        true => format!("\"{}\"", cell.replace('"', "\"\"")),
-        false => cell.clone(),
+    let quoted = |cell: &String| {
+        let cell = if is_formula(cell) { format!("'{cell}") } else { cell.clone() };
+        match cell.contains([',', '"', '\'', '\t', '\n', '\r']) {
+            true => format!("\"{}\"", cell.replace('"', "\"\"")),
+            false => cell,
+        }
     };
     cells.iter().map(quoted).collect::<Vec<_>>().join(",") + "\n"
+}
+
+/// Whether a spreadsheet would compute a cell instead of showing it. A leading apostrophe, which
+/// such a cell gets, makes it text.
+fn is_formula(cell: &str) -> bool {
+    let signs = ['=', '+', '-', '@', '\t', '\r', '＝', '＋', '－', '＠'];
+    cell.trim_start_matches(' ').starts_with(signs) && cell.parse::<f64>().is_err()
+}
+
+/// A text in one line of Markdown, shown as it is: no HTML, no links, no pictures, no code, no cell
+/// of its own.
+pub(crate) fn markdown_text(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '<' => shown += "&lt;",
+            '\\' | '`' | '*' | '|' | '[' => shown.extend(['\\', character]),
+            other if other.is_control() => shown.push(' '),
+            other => shown.push(other),
+        }
+    }
+    shown
 }
 
 #[cfg(test)]
@@ -238,6 +263,26 @@ mod tests {
     }
 
     #[test]
+    fn cells_are_neither_formulas_nor_markup() {
+        let line = |cell: &str| csv_line(&[cell.to_owned(), "b".to_owned()]);
+        for (cell, due) in [
+            ("=1+1", "\"'=1+1\",b\n"),
+            ("=HYPERLINK(\"x\")", "\"'=HYPERLINK(\"\"x\"\")\",b\n"),
+            ("@SUM(A1)", "\"'@SUM(A1)\",b\n"),
+            ("-cmd", "\"'-cmd\",b\n"),
+            (" +a", "\"' +a\",b\n"),
+            ("\t=1", "\"'\t=1\",b\n"),
+            ("-1.5e-3", "-1.5e-3,b\n"),
+            ("a=b - c", "a=b - c,b\n"),
+        ] {
+            assert_eq!(line(cell), due);
+        }
+        let markup = "<svg onload=x> `a` ![p](http://x) *b*\n\n# c \\";
+        let due = "&lt;svg onload=x> \\`a\\` !\\[p](http://x) \\*b\\*  # c \\\\";
+        assert_eq!(markdown_text(markup), due);
+    }
+
+    #[test]
     fn one_table_in_three_forms() {
         let row = vec![Entry::Words("a|b, <c>".to_owned()), Entry::number(measured(0.02, 3), &ATE)];
         let table = Table {
@@ -249,7 +294,7 @@ mod tests {
             rows: vec![row],
         };
         assert!(table.markdown().contains("| Method | TUM desk ↓ |"), "{}", table.markdown());
-        assert!(table.markdown().contains("| a\\|b, <c> | 2.00 ± 0.10 |"));
+        assert!(table.markdown().contains("| a\\|b, &lt;c> | 2.00 ± 0.10 |"));
         let csv = "Method,TUM desk mean,TUM desk sd,TUM desk seeds\n\"a|b, <c>\",2,0.1,3\n";
         assert_eq!(table.csv(), csv);
         assert!(table.html().contains(">a|b, &lt;c&gt;</th><td>2.00 ± 0.10</td>"));

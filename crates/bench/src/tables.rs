@@ -257,7 +257,10 @@ mod tests {
         let row = "| on | **150.00 ± 70.71** | failed | failed |";
         assert!(tracking.contains(row), "{tracking}");
         let ablation = tables[2].markdown();
-        assert!(ablation.contains("| off \\| <x> | ✓ | ✓ | ✗ | 10650.00 ± 70.71 |"), "{ablation}");
+        assert!(
+            ablation.contains("| off \\| &lt;x> | ✓ | ✓ | ✗ | 10650.00 ± 70.71 |"),
+            "{ablation}"
+        );
         let missing = tables[5].markdown();
         assert!(missing.contains("| b | on | 1 | no \\| room |"), "{missing}");
     }

@@ -1,9 +1,14 @@
 //! Failures with their exit codes and lines on the terminal, for `i2slam` and `i2slam-bench`. A closed
-//! pipe ends no run.
+//! pipe ends no run. Names of files and texts of other programs come here as they are: control
+//! characters in them are escaped, so that they neither steer the terminal nor begin a line.
 
+use clap::Parser;
 use i2slam_result::ResultError;
 use i2slam_storage::StorageError;
+use std::borrow::Cow;
+use std::ffi::OsString;
 use std::io::{self, Write};
+use std::process;
 
 /// Reason why a program ended without success.
 #[derive(Debug)]
@@ -65,16 +70,104 @@ impl From<StorageError> for Failure {
 
 /// Prints one line of result on standard output.
 pub(crate) fn print(line: &str) {
+    print_text(&one_message(line));
+}
+
+/// Prints a text of several lines on standard output: TOML or JSON, in which line breaks of names
+/// are escaped already.
+pub(crate) fn print_text(text: &str) {
     let mut out = io::stdout().lock();
-    writeln!(out, "{line}").and_then(|()| out.flush()).ok();
+    writeln!(out, "{}", without_controls(text)).and_then(|()| out.flush()).ok();
 }
 
 /// Prints one line on standard error: a warning, an error, progress.
 pub(crate) fn print_status(line: &str) {
-    writeln!(io::stderr().lock(), "{line}").ok();
+    writeln!(io::stderr().lock(), "{}", without_controls(&one_message(line))).ok();
+}
+
+/// Escapes line breaks, but for those that a message of several lines is made of: at its beginning,
+/// and before lines that are indented, which cannot be taken for messages of their own.
+fn one_message(text: &str) -> Cow<'_, str> {
+    let (start, rest) = text.split_at(usize::from(text.starts_with('\n')));
+    if !rest.contains('\n') {
+        return text.into();
+    }
+    let mut lines = rest.split('\n');
+    let mut message = format!("{start}{}", lines.next().unwrap_or_default());
+    for line in lines {
+        message += if line.starts_with("  ") { "\n" } else { "\\n" };
+        message += line;
+    }
+    message.into()
+}
+
+/// Escapes as in JSON and TOML what steers a terminal: control characters other than line breaks and
+/// tabs, and marks that change the direction or the lines of text.
+fn without_controls(text: &str) -> Cow<'_, str> {
+    let steers = |c: char| {
+        (c.is_control() && c != '\n' && c != '\t')
+            || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}')
+            || matches!(c, '\u{2066}'..='\u{2069}' | '\u{feff}')
+    };
+    if !text.contains(steers) {
+        return text.into();
+    }
+    let escaped = |c: char| match steers(c) {
+        true => format!("\\u{:04x}", u32::from(c)),
+        false => c.to_string(),
+    };
+    text.chars().map(escaped).collect::<String>().into()
+}
+
+/// Parses the arguments of the program; wrong ones end it with a message in which they are escaped.
+pub(crate) fn parse_arguments<T: Parser>() -> T {
+    T::try_parse().unwrap_or_else(|error| {
+        let escaped = |argument: OsString| {
+            let text = argument.to_string_lossy().replace('\n', "\\n");
+            OsString::from(without_controls(&text).into_owned())
+        };
+        // The message quotes arguments, so that it is made of those that can be printed.
+        match T::try_parse_from(std::env::args_os().map(escaped)) {
+            Err(printable) => printable.exit(),
+            Ok(_) => {
+                let text = error.to_string();
+                writeln!(io::stderr().lock(), "{}", without_controls(&text)).ok();
+                process::exit(error.exit_code())
+            }
+        }
+    })
 }
 
 /// Count and noun: `1 frame`, `3 frames`.
 pub(crate) fn counted(count: usize, word: &str) -> String {
     format!("{count} {word}{}", if count == 1 { "" } else { "s" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn printed(line: &str) -> String {
+        without_controls(&one_message(line)).into_owned()
+    }
+
+    #[test]
+    fn control_characters_are_escaped() {
+        assert_eq!(printed("a \x1b[31mred\x1b[0m"), "a \\u001b[31mred\\u001b[0m");
+        assert_eq!(
+            printed("a\u{9b}31m \u{202e}gpj.\r\u{7f}"),
+            "a\\u009b31m \\u202egpj.\\u000d\\u007f"
+        );
+        for plain in ["", "Grüße 世界 \u{1f600}", "column\tcolumn", "a\\b"] {
+            assert_eq!(printed(plain), plain);
+        }
+    }
+
+    #[test]
+    fn only_indented_lines_go_on_with_a_message() {
+        assert_eq!(printed("a\nerror: b"), "a\\nerror: b");
+        assert_eq!(printed("one of\n  this\n  that"), "one of\n  this\n  that");
+        assert_eq!(printed("\nending the run"), "\nending the run");
+        assert_eq!(printed("a\n\n  b\n"), "a\\n\n  b\\n");
+    }
 }

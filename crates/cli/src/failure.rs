@@ -1,7 +1,7 @@
 //! Errors of commands and their exit codes.
 
 pub(crate) use crate::console::Failure;
-use crate::console::print;
+use crate::console::print_text;
 use i2slam::dataset::DatasetError;
 use i2slam::{ConfigError, RunError};
 use i2slam_eval::EvalError;
@@ -84,7 +84,7 @@ impl From<EvalError> for Failure {
 /// Prints a value as JSON on standard output.
 pub(crate) fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(value);
-    print(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
+    print_text(&text.map_err(|e| Failure::Failed(format!("cannot write JSON: {e}")))?);
     Ok(())
 }
 

@@ -11,11 +11,10 @@ mod messages;
 mod progress;
 mod reconstruction;
 
-use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let arguments = commands::Arguments::parse();
+    let arguments: commands::Arguments = console::parse_arguments();
     match failure::catch_panics(|| commands::dispatch(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => ExitCode::from(failure.report()),

@@ -19,7 +19,7 @@ pub enum DatasetError {
     },
     /// The folder is there but holds none of the layouts.
     #[error(
-        "{} {}: found {found}; expected one of{known}\nor, for colour alone, a video or a folder of \
+        "{} {}: found {found}; expected one of{known}\n  or, for colour alone, a video or a folder of \
          pictures (JPEG, PNG, ...)",
         path.display(), no_sequence(*.has_colour)
     )]

@@ -1,6 +1,6 @@
 //! `i2slam presets`: lists the presets, or prints one as a file.
 
-use crate::console::print;
+use crate::console::{print, print_text};
 use crate::failure::Failure;
 use clap::Args;
 use i2slam::Config;
@@ -14,7 +14,7 @@ pub(crate) struct Presets {
 
 pub(crate) fn presets(arguments: &Presets) -> Result<(), Failure> {
     if let Some(name) = &arguments.name {
-        print(Config::preset(name)?.to_commented_toml().trim_end());
+        print_text(Config::preset(name)?.to_commented_toml().trim_end());
         return Ok(());
     }
     for name in PRESET_NAMES {

@@ -1,7 +1,7 @@
 //! `i2slam synth`: a specification to a sequence.
 
 use crate::arguments::Machine;
-use crate::console::{counted, print};
+use crate::console::{counted, print, print_text};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::progress::Progress;
@@ -42,7 +42,7 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
             make(&spec, out, arguments)
         }
         _ => {
-            print(spec.to_toml().trim_end());
+            print_text(spec.to_toml().trim_end());
             Ok(())
         }
     }

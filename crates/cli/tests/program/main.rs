@@ -18,3 +18,5 @@ mod run_video;
 mod safety;
 #[cfg(unix)]
 mod signals;
+#[cfg(unix)]
+mod terminal;

@@ -282,6 +282,8 @@ fn readme(name: &str, what: &Degradation, kept: &[usize]) -> String {
     let steps: Vec<String> = steps.map(|s| format!("{} stops from {}", s.stops, s.frame)).collect();
     let noise = what.sensor_noise.as_ref();
     let noise = noise.map_or("none".into(), |n| format!("read {}, shot {}", n.read, n.shot));
+    // The name of a folder is no Markdown.
+    let name = name.replace(char::is_control, " ").replace('<', "&lt;").replace('[', "\\[");
     format!(
         "# {name}, degraded\n\nMade by `i2slam degrade` with seed {}. Frames are counted in the source; \
          source.csv names the source of every frame here.\n\n\
