@@ -25,6 +25,7 @@ mod formats;
 mod image;
 pub mod import;
 mod options;
+pub mod path_text;
 mod sequence;
 mod text;
 mod video;

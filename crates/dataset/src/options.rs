@@ -11,6 +11,7 @@ use std::path::PathBuf;
 pub struct OpenOptions {
     /// A camera file to use instead of the folder's `camera.json`: another `camera.json`, a
     /// `transforms.json`, COLMAP's `cameras.txt` or `cameras.bin`, or a line `fx fy cx cy`.
+    #[serde(with = "crate::path_text::optional")]
     pub camera: Option<PathBuf>,
     /// `[fx, fy, cx, cy]` [px] of a camera without lens distortion, pixel centres at integers
     /// as in OpenCV and TUM. Takes precedence over camera files.

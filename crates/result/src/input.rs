@@ -2,7 +2,7 @@
 
 use crate::ResultError;
 use crate::error::read_text;
-use i2slam::dataset::{OpenOptions, is_stream};
+use i2slam::dataset::{OpenOptions, is_stream, path_text};
 use i2slam_storage::OutputFolder;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunInput {
     /// Absolute path of the dataset, or the address of a stream.
+    #[serde(with = "path_text")]
     pub dataset: PathBuf,
     /// The options; paths are absolute.
     #[serde(flatten)]

@@ -201,3 +201,23 @@ fn the_truth_is_on_record_and_another_one_is_pointed_out() {
     let page = room.text("report.html");
     assert!(page.contains("4 true poses of") && page.contains("4 true pictures of"));
 }
+
+/// Names of Linux are bytes; `input.json` and `evaluation.json` hold them all.
+#[test]
+#[cfg(unix)]
+fn a_dataset_whose_name_is_no_unicode_is_found_again() {
+    use std::os::unix::ffi::OsStringExt;
+    let room = Room::new("latin", Scene::default());
+    let odd = |name: &[u8]| room.scratch.0.join(std::ffi::OsString::from_vec(name.to_vec()));
+    let (data, camera) = (odd(b"caf\xe9"), odd(b"cam\xe9ra.json"));
+    fs::rename(&room.data, &data).expect("a folder");
+    fs::rename(data.join("camera.json"), &camera).expect("a file");
+    let quick = room.scratch.join("quick.toml");
+    fs::write(&quick, "[mapping]\nfinal_iterations = 3\niterations = 12\n").expect("room");
+    let out = odd(b"out-\xe9");
+    i2slam!("run", data, "--out", out, "--camera", camera, "--config", quick).exits_with(0);
+    let judged = i2slam!("eval", out).exits_with(0);
+    assert!(judged.out.contains("ATE"), "{}", judged.out);
+    let text = fs::read_to_string(out.join("evaluation.json")).expect("an evaluation");
+    assert!(text.contains("\"bytes\""), "{text}");
+}

@@ -1,6 +1,7 @@
 //! The section of the report that `i2slam eval` fills in.
 
 use crate::html::escape;
+use i2slam::dataset::path_text;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -41,6 +42,7 @@ pub struct EvaluationSource {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GroundTruthSource {
     /// File or folder, absolute.
+    #[serde(with = "path_text")]
     pub path: PathBuf,
     /// Poses of the trajectory, or pictures compared with.
     pub count: usize,
