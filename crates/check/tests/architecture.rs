@@ -106,10 +106,10 @@ fn a_circle_across_folders_is_found() {
 }
 
 /// Calls that wait for ever on a named pipe, or read an endless device, with the crates that may
-/// make them: `storage` checks first, `compute` reads files of the system, `bench` and `check` what
-/// they wrote themselves.
+/// make them: `storage` checks first, `compute` reads files of the system, `bench`, `check` and
+/// `fuzz` what they wrote themselves.
 const UNBOUNDED_READS: [&str; 3] = ["fs::read(", "fs::read_to_string(", "File::open("];
-const READS_ITSELF: [&str; 4] = ["storage", "compute", "bench", "check"];
+const READS_ITSELF: [&str; 5] = ["storage", "compute", "bench", "check", "fuzz"];
 
 #[test]
 fn files_of_users_are_read_through_the_crate_storage() {
