@@ -27,9 +27,8 @@ const MAX_MODEL_TEXT: u64 = 4 << 30;
 
 /// Reads a whole text file of a COLMAP model, which may be larger than other text files.
 pub(crate) fn read_model_text(path: &Path) -> Result<String, DatasetError> {
-    let bytes = i2slam_storage::read(path, MAX_MODEL_TEXT);
-    let bytes = bytes.map_err(|e| DatasetError::read(path, e))?;
-    String::from_utf8(bytes).map_err(|_| DatasetError::file(path, "it is no text (not UTF-8)"))
+    let text = i2slam_storage::read_text_up_to(path, MAX_MODEL_TEXT);
+    text.map_err(|e| DatasetError::read(path, e))
 }
 
 /// Parses a finite number; `name` is that of its column, for the error.

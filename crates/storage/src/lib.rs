@@ -18,7 +18,7 @@ pub use lock::FolderLock;
 pub use manifest::{FileRecord, MANIFEST, Manifest};
 pub use message::shortened;
 pub use output::{Claim, Committed, OutputFolder, first_entry};
-pub use read::{MAX_TEXT, open, read, read_range, read_text};
+pub use read::{MAX_TEXT, open, read, read_range, read_text, read_text_up_to};
 
 use std::path::Path;
 

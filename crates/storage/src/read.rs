@@ -9,6 +9,9 @@ use std::path::Path;
 /// Largest text file [bytes]: a list of 100 000 frames takes 10 MB.
 pub const MAX_TEXT: u64 = 256 << 20;
 
+/// Bytes of a text file that are looked at before it is read whole.
+const TEXT_HEAD: u64 = 1 << 12;
+
 /// Opens a regular file, following links.
 ///
 /// # Errors
@@ -62,7 +65,11 @@ pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     if size > limit {
         return Err(too_large());
     }
-    let mut bytes = Vec::with_capacity(usize::try_from(size).unwrap_or_default());
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(usize::try_from(size).unwrap_or(usize::MAX)).map_err(|_| {
+        let message = format!("there is no memory for its {} MB", size / 1_000_000);
+        io::Error::new(io::ErrorKind::OutOfMemory, message)
+    })?;
     // A file may grow while it is read.
     file.take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit { Err(too_large()) } else { Ok(bytes) }
@@ -88,10 +95,24 @@ pub fn read_range(path: &Path, range: Range<u64>) -> io::Result<Vec<u8>> {
 /// Reads a regular text file of at most [`MAX_TEXT`] bytes.
 ///
 /// # Errors
-/// As [`read`]; `InvalidData` if it is not UTF-8.
+/// As [`read_text_up_to`].
 pub fn read_text(path: &Path) -> io::Result<String> {
-    let text = String::from_utf8(read(path, MAX_TEXT)?);
-    text.map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is no text (not UTF-8)"))
+    read_text_up_to(path, MAX_TEXT)
+}
+
+/// Reads a regular text file of at most `limit` bytes.
+///
+/// # Errors
+/// As [`read`]; `InvalidData` if it is not UTF-8, or begins with zero bytes as a file does that was
+/// set to a size and never written.
+pub fn read_text_up_to(path: &Path, limit: u64) -> io::Result<String> {
+    let no_text = || io::Error::new(io::ErrorKind::InvalidData, "it is no text (not UTF-8)");
+    let mut head = Vec::new();
+    open(path)?.take(TEXT_HEAD).read_to_end(&mut head)?;
+    if head.contains(&0) {
+        return Err(no_text());
+    }
+    String::from_utf8(read(path, limit)?).map_err(|_| no_text())
 }
 
 fn refusal(message: &str) -> io::Error {
@@ -115,6 +136,10 @@ mod tests {
         assert_eq!(kind(read(&path, 4)), io::ErrorKind::FileTooLarge);
         assert_eq!(kind(read(&scratch.0, 4)), io::ErrorKind::InvalidInput);
         assert_eq!(kind(read(&scratch.join("none"), 4)), io::ErrorKind::NotFound);
+        // A file without content takes no room, and would take memory.
+        File::create(&path).and_then(|file| file.set_len(1 << 40)).expect("a sparse file");
+        let sparse = read_text_up_to(&path, u64::MAX).expect_err("no text");
+        assert_eq!(sparse.kind(), io::ErrorKind::InvalidData);
         fs::write(&path, [0xff, 0xfe]).expect("room");
         assert_eq!(read_text(&path).expect_err("no text").kind(), io::ErrorKind::InvalidData);
     }
