@@ -127,7 +127,7 @@ fn import_from(
 }
 
 fn trajectory(folder: &Path) -> Result<(), String> {
-    read_trajectory(&folder.join("trajectory.txt")).map(drop).map_err(text)
+    read_trajectory(folder.join("trajectory.txt")).map(drop).map_err(text)
 }
 
 fn frame_list(folder: &Path) -> Result<(), String> {

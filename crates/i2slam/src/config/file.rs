@@ -224,9 +224,8 @@ impl Source<'_> {
             ConfigError::OutOfRange { key, value, expected, .. } => {
                 ConfigError::OutOfRange { place: self.place(key), key, value, expected }
             }
-            ConfigError::TooMuchMemory { key, value, needed, available, advice, .. } => {
-                let place = self.place(key);
-                ConfigError::TooMuchMemory { place, key, value, needed, available, advice }
+            ConfigError::TooMuchMemory { key, value, memory, .. } => {
+                ConfigError::TooMuchMemory { place: self.place(key), key, value, memory }
             }
             other => other,
         }

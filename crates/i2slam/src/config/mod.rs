@@ -381,10 +381,7 @@ pub enum ConfigError {
         expected: String,
     },
     /// A value that needs more memory than the machine has.
-    #[error(
-        "{place}{key} = {value} needs about {} of memory, the whole run {}; this machine has \
-         {available}: {advice}", needed[0], needed[1]
-    )]
+    #[error("{place}{key} = {value} needs about {memory}")]
     TooMuchMemory {
         /// File name and line, with `: `; empty without a file.
         place: String,
@@ -392,12 +389,8 @@ pub enum ConfigError {
         key: &'static str,
         /// Its value.
         value: String,
-        /// Memory that it needs, and that of the whole run, with units.
-        needed: [String; 2],
-        /// Memory of the machine, with unit.
-        available: String,
-        /// Change that needs less.
-        advice: &'static str,
+        /// Memory that it needs, that of the machine, and a change that needs less.
+        memory: String,
     },
 }
 

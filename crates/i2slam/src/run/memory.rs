@@ -72,9 +72,12 @@ fn check_needs(needs: Vec<Need>, available: u64) -> Result<(), ConfigError> {
             place: String::new(),
             key,
             value,
-            needed: [bytes, all].map(in_gigabytes),
-            available: in_gigabytes(available),
-            advice,
+            memory: format!(
+                "{} of memory, the whole run {}; this machine has {}: {advice}",
+                in_gigabytes(bytes),
+                in_gigabytes(all),
+                in_gigabytes(available)
+            ),
         }),
     }
 }
