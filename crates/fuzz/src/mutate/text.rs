@@ -56,6 +56,9 @@ const WORDS: [&str; 18] = [
 /// Number of repetitions of lines and brackets.
 const MANY: [usize; 4] = [2, 20, 300, 6000];
 
+/// Bytes that repeated lines take at most.
+const MAX_REPEATED: usize = 1 << 22;
+
 /// The text with one change.
 pub(super) fn change(text: &str, donor: &str, random: &mut Random) -> Vec<u8> {
     let changed = match random.below(12) {
@@ -138,7 +141,8 @@ fn change_lines(text: &str, donor: &str, random: &mut Random) -> String {
     match random.below(6) {
         0 | 1 => drop(lines.remove(at)),
         2 => {
-            let copies = vec![lines[at]; MANY[random.below(MANY.len())]];
+            let room = 1 + MAX_REPEATED / lines[at].len().max(1);
+            let copies = vec![lines[at]; MANY[random.below(MANY.len())].min(room)];
             lines.splice(at..at, copies);
         }
         3 => {
