@@ -61,7 +61,7 @@ impl From<StorageError> for Failure {
     fn from(error: StorageError) -> Self {
         match error {
             StorageError::Refused { .. } => Self::Usage(error.to_string()),
-            StorageError::Write { .. } | StorageError::Busy { .. } => {
+            StorageError::Write { .. } | StorageError::Busy { .. } | StorageError::Saved { .. } => {
                 Self::Failed(error.to_string())
             }
         }

@@ -1,15 +1,28 @@
 //! Sentences about a run on the terminal: its input, camera, duration and result.
 
-use crate::console::{counted, print};
+use crate::console::{counted, print, print_status};
 use i2slam::dataset::{Layout, Sequence};
 use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
 use i2slam_result::{Metrics, UnitOfLength};
+use i2slam_storage::Committed;
 use std::path::Path;
 
 /// Longer side below which smaller pictures are not advised [px].
 const MIN_ADVISED_SIDE: usize = 240;
 /// Duration from which a run is forecast [s].
 const MIN_FORECAST: f64 = 60.0;
+
+/// Sentence about files of the user that were in the way of a result.
+pub(super) fn displaced_files(folder: &Path) -> String {
+    format!("files that were in the way of the result are in {}", folder.display())
+}
+
+/// Warns of files of the user that were in the way of a result.
+pub(super) fn note_displaced(committed: &Committed) {
+    if let Some(folder) = &committed.displaced {
+        print_status(&format!("warning: {}", displaced_files(folder)));
+    }
+}
 
 /// Size, duration and camera of a sequence that is reconstructed by colour alone.
 pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {

@@ -63,7 +63,7 @@ pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<Resul
 
 /// Deletes the pictures of a result, with the list of their poses.
 pub fn remove_renders(result: &Path) -> Result<(), ResultError> {
-    let mut folder = OutputFolder::extend(result, "i2slam-bench")?;
+    let mut folder = OutputFolder::extend(result, "i2slam-bench", &[])?;
     folder.remove(|name| name.starts_with("renders/") || name.starts_with("views/"));
     folder.commit()?;
     Ok(())

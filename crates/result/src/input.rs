@@ -75,7 +75,7 @@ mod tests {
             ..OpenOptions::default()
         };
         assert_eq!(RunInput::load(&scratch.0).expect("nothing"), None);
-        let mut folder = OutputFolder::extend(&scratch.0, "i2slam run").expect("a folder");
+        let mut folder = OutputFolder::extend(&scratch.0, "i2slam run", &[]).expect("a folder");
         let write = |text: &str| fs::write(scratch.join("input.json"), text).expect("room");
         let input = RunInput::new("data/room".as_ref(), &options);
         assert!(input.dataset.is_absolute());

@@ -22,6 +22,14 @@ pub enum StorageError {
         /// The obstacle, and what to do.
         reason: String,
     },
+    /// The folder could not take the files, which were saved elsewhere.
+    #[error("{reason}; what was written is in {}", path.display())]
+    Saved {
+        /// The failure.
+        reason: Box<StorageError>,
+        /// The folder of the files.
+        path: PathBuf,
+    },
     /// Another process writes into the folder.
     #[error("{} is being written by {holder}: wait for it, or choose another folder", path.display())]
     Busy {

@@ -23,8 +23,9 @@ pub fn write_file(
         fs::create_dir_all(parent).map_err(failed)?;
     }
     let written = write_new(&partial, content);
-    let placed = written.and_then(|record| fs::rename(&partial, path).map(|()| record));
-    placed.map(drop).map_err(|source| {
+    let written = written.and_then(|_| File::options().write(true).open(&partial)?.sync_all());
+    let placed = written.and_then(|()| fs::rename(&partial, path));
+    placed.map_err(|source| {
         // The first error matters; a partial file that cannot be removed is harmless.
         fs::remove_file(&partial).ok();
         failed(source)
@@ -51,6 +52,7 @@ pub(crate) fn write_new(
     let file = BufWriter::new(File::create_new(path)?);
     let mut out = Checked { out: file, bytes: 0, sum: crc32fast::Hasher::new() };
     content(&mut out)?;
+    // The last bytes are written here, and their errors told.
     out.flush()?;
     Ok(FileRecord::new(out.bytes, out.sum.finalize()))
 }

@@ -1,5 +1,7 @@
 //! Files: output folders that are written whole or not at all, and bounded reading of regular files.
 
+mod carry;
+mod claim;
 mod error;
 mod file;
 mod lock;
@@ -12,12 +14,13 @@ mod swap;
 #[cfg(test)]
 mod tests;
 
+pub use claim::{Claim, first_entry};
 pub use error::{StorageError, reason};
 pub use file::{create, write_file};
 pub use lock::FolderLock;
 pub use manifest::{FileRecord, MANIFEST, Manifest};
 pub use message::shortened;
-pub use output::{Claim, Committed, OutputFolder, first_entry};
+pub use output::{Committed, OutputFolder};
 pub use read::{MAX_TEXT, open, read, read_range, read_text, read_text_up_to};
 
 use std::path::Path;

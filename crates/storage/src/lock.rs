@@ -11,6 +11,9 @@ pub(crate) const LOCK: &str = ".i2slam-lock";
 /// First word of a lock file, by which it is told from a file of the user's.
 const SIGNATURE: &str = "i2slam";
 
+/// Attempts to lock a file that others remove in between.
+const MAX_ATTEMPTS: usize = 100;
+
 /// Longest first line [bytes].
 const MAX_LINE: u64 = 4096;
 
@@ -59,7 +62,7 @@ impl FolderLock {
         command: &str,
         role: Role,
     ) -> Result<Self, StorageError> {
-        let (path, mut file) = Self::take(folder, true)?;
+        let (path, mut file, _) = Self::take(folder, true)?;
         let process = std::process::id();
         let line = format!("{SIGNATURE} {} process {process}, {command}\n", role.name());
         let written = file.set_len(0).and_then(|()| file.rewind());
@@ -72,7 +75,11 @@ impl FolderLock {
     /// Takes over the lock of a folder whose process died, with its role and the lines that follow;
     /// `None` where there is no lock file or a process that holds it.
     pub(crate) fn take_over(folder: &Path) -> Option<(Self, Role, Vec<String>)> {
-        let (path, mut file) = Self::take(folder, false).ok()?;
+        let (path, mut file, is_locked) = Self::take(folder, false).ok()?;
+        // Without locks a living process cannot be told from a dead one.
+        if !is_locked {
+            return None;
+        }
         let mut text = String::new();
         file.read_to_string(&mut text).ok()?;
         let mut lines = text.lines();
@@ -85,21 +92,18 @@ impl FolderLock {
         // A last line without its end was cut off: the file that it names was never created.
         let cut = usize::from(!text.ends_with('\n'));
         let whole = lines.clone().count().saturating_sub(cut);
-        let lines = lines.take(whole).map(str::to_owned).collect();
+        let lines = lines.take(whole).filter(|line| !line.is_empty()).map(str::to_owned).collect();
         Some((Self { path, file, removes: false }, role, lines))
     }
 
-    /// Opens and locks the file of a folder.
-    fn take(folder: &Path, create: bool) -> Result<(PathBuf, File), StorageError> {
+    /// Opens and locks the file of a folder; tells whether the system has locks there.
+    fn take(folder: &Path, create: bool) -> Result<(PathBuf, File, bool), StorageError> {
         let path = folder.join(LOCK);
         let failed = |source| StorageError::write(&path, source);
-        loop {
+        for _ in 0..MAX_ATTEMPTS {
             let mut file = open_lock(&path, create).map_err(failed)?;
-            if !is_ours(&mut file).map_err(failed)? {
-                let reason = format!("holds a file {LOCK} that i2slam did not write");
-                return Err(StorageError::refused(folder, reason));
-            }
-            match file.try_lock() {
+            let is_locked = match file.try_lock() {
+                Ok(()) => true,
                 Err(TryLockError::WouldBlock) => {
                     return Err(StorageError::Busy {
                         path: folder.to_owned(),
@@ -107,18 +111,33 @@ impl FolderLock {
                     });
                 }
                 // Some network file systems have no locks: better no lock than no result.
-                Ok(()) | Err(TryLockError::Error(_)) => {}
+                Err(TryLockError::Error(_)) => false,
+            };
+            if !is_ours(&mut file).map_err(failed)? {
+                let reason = format!("holds a file {LOCK} that i2slam did not write");
+                return Err(StorageError::refused(folder, reason));
             }
             // The one before may have removed the file between opening and locking.
             if is_same_file(&file, &path) {
-                return Ok((path, file));
+                return Ok((path, file, is_locked));
             }
         }
+        Err(failed(io::Error::other("it changes all the time")))
     }
 
-    /// Adds a line to the lock file.
+    /// Adds a line to the lock file; one that a full disk cut off before cannot swallow it.
     pub(crate) fn note(&mut self, line: &str) -> io::Result<()> {
-        self.file.write_all(format!("{line}\n").as_bytes())
+        self.file.write_all(format!("\n{line}\n").as_bytes())
+    }
+
+    /// Waits until the lock file is on the disk.
+    pub(crate) fn synchronise(&self) -> io::Result<()> {
+        self.file.sync_data()
+    }
+
+    /// Leaves the file where it is when the lock is dropped.
+    pub(crate) fn leave(&mut self) {
+        self.removes = false;
     }
 
     /// Follows the folder to another path.

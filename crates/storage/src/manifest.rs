@@ -83,18 +83,6 @@ impl Manifest {
         }
     }
 
-    /// Whether a path is free, or one of the listed files, whatever it holds now.
-    pub(crate) fn is_free_or_listed(&self, folder: &Path, relative: &str) -> bool {
-        let path = folder.join(relative).symlink_metadata();
-        match parents_state(folder, relative) {
-            Some(state) => state == FileState::Missing,
-            None => {
-                path.is_err()
-                    || (self.files.contains_key(relative) && path.is_ok_and(|f| f.is_file()))
-            }
-        }
-    }
-
     /// Names of the listed files that exist.
     pub(crate) fn present<'a>(&'a self, folder: &'a Path) -> impl Iterator<Item = &'a str> {
         let is_there = |name: &&str| {

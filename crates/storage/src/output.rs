@@ -1,11 +1,15 @@
 //! An output folder: what a command writes appears there as a whole.
 
+use crate::carry::carry_over;
+use crate::claim::{Claim, check_contents, foreign, is_unlisted, refuse_file};
 use crate::error::StorageError;
 use crate::file::random;
 use crate::lock::FolderLock;
 use crate::manifest::{FileState, MANIFEST, Manifest};
 use crate::staging::Staging;
-use crate::swap::{apply, exchange, free_name, recover, retire, staging_prefix, synchronise};
+use crate::swap::{
+    apply, create_parents, exchange, free_name, recover, retire, staging_prefix, synchronise,
+};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -35,8 +39,9 @@ pub struct OutputFolder {
     /// Files of the earlier result; of those that stay, if files are added.
     earlier: Option<Manifest>,
     /// The next manifest, without the files that are being written.
-    kept: Manifest,
+    next: Manifest,
     is_beside: bool,
+    place: Place,
 }
 
 /// Place of the prepared files.
@@ -44,20 +49,12 @@ pub struct OutputFolder {
 pub(crate) enum Place {
     /// Beside the folder where that is possible, else inside.
     Beside,
+    /// Beside the folder, as on a file system that cannot exchange folders.
+    #[cfg_attr(not(test), expect(dead_code, reason = "tests choose it"))]
+    BesideAlone,
     /// Inside the folder.
     #[cfg_attr(not(test), expect(dead_code, reason = "tests choose it"))]
     Inside,
-}
-
-/// A command's claim on a folder.
-#[derive(Clone, Copy, Debug)]
-pub struct Claim<'a> {
-    /// The command, as in `i2slam run`: it replaces results of its own only.
-    pub command: &'a str,
-    /// First parts of the paths that it will write.
-    pub names: &'a [&'a str],
-    /// Whether an earlier result may be replaced.
-    pub overwrite: bool,
 }
 
 /// Result of a commit.
@@ -65,12 +62,13 @@ pub struct Claim<'a> {
 pub struct Committed {
     /// The folder.
     pub path: PathBuf,
-    /// Folder of the user's files that appeared meanwhile under names of the result.
-    pub kept: Option<PathBuf>,
+    /// Folder of the user's files that were in the way of the result.
+    pub displaced: Option<PathBuf>,
 }
 
 impl OutputFolder {
-    /// Checks that a command may write a new result, without writing anything.
+    /// Checks that a command may write a new result; writes nothing but what a dead command left to
+    /// be finished.
     ///
     /// # Errors
     /// `Refused` if the folder holds an earlier result and it must stay, or one that was changed,
@@ -96,26 +94,29 @@ impl OutputFolder {
         claim: Claim<'_>,
         place: Place,
     ) -> Result<Self, StorageError> {
-        Self::check(path, claim)?;
+        refuse_file(path)?;
         let (created, target) = create(path)?;
         let lock = FolderLock::acquire(&target, claim.command).map_err(|e| named(e, path))?;
+        recover(&target);
         check_contents(path, claim)?;
-        let (earlier, kept) = (Manifest::of(&target), Manifest::new(claim.command));
-        Self::open(path, target, (created, lock), (earlier, kept), (claim.command, place))
+        let (earlier, next) = (Manifest::of(&target), Manifest::new(claim.command));
+        Self::open(path, target, (created, lock), (earlier, next), (claim.command, place))
     }
 
     /// Opens a folder to add files, or to replace some that an earlier command wrote; it is created
-    /// if it does not exist. Waits for a few seconds if another process writes there.
+    /// if it does not exist. Waits for a few seconds if another process writes there. `names` are the
+    /// first parts of the paths that will be written.
     ///
     /// # Errors
-    /// `Busy` if it still does.
-    pub fn extend(path: &Path, command: &str) -> Result<Self, StorageError> {
-        Self::extend_at(path, command, Place::Beside)
+    /// `Busy` if it still does; `Refused` if one of the names is the user's.
+    pub fn extend(path: &Path, command: &str, names: &[&str]) -> Result<Self, StorageError> {
+        Self::extend_at(path, command, names, Place::Beside)
     }
 
     pub(crate) fn extend_at(
         path: &Path,
         command: &str,
+        names: &[&str],
         place: Place,
     ) -> Result<Self, StorageError> {
         refuse_file(path)?;
@@ -132,20 +133,23 @@ impl OutputFolder {
         if earlier.is_none() && target.join(MANIFEST).symlink_metadata().is_ok() {
             return Err(foreign(path, MANIFEST));
         }
-        let kept = earlier.clone().unwrap_or_else(|| Manifest::new(command));
-        Self::open(path, target, (created, lock), (earlier, kept), (command, place))
+        let next = earlier.clone().unwrap_or_else(|| Manifest::new(command));
+        if let Some(name) = names.iter().find(|name| is_unlisted(&target, name, &next)) {
+            return Err(foreign(path, name));
+        }
+        Self::open(path, target, (created, lock), (earlier, next), (command, place))
     }
 
     fn open(
         path: &Path,
         target: PathBuf,
         (_created, lock): (CreatedFolders, FolderLock),
-        (earlier, kept): (Option<Manifest>, Manifest),
+        (earlier, next): (Option<Manifest>, Manifest),
         (command, place): (&str, Place),
     ) -> Result<Self, StorageError> {
         let beside = match place {
-            Place::Beside => staging_beside(&target, command),
             Place::Inside => None,
+            _ => staging_beside(&target, command),
         };
         let is_beside = beside.is_some();
         let staging = match beside {
@@ -154,7 +158,7 @@ impl OutputFolder {
                 .map_err(|e| named(e, path))?,
         };
         let path = path.to_owned();
-        Ok(Self { staging, lock, _created, path, target, earlier, kept, is_beside })
+        Ok(Self { staging, lock, _created, path, target, earlier, next, is_beside, place })
     }
 
     /// The folder.
@@ -171,16 +175,12 @@ impl OutputFolder {
     /// the first when it is complete.
     ///
     /// # Errors
-    /// Those of the system; `Refused` if a file of the user's has that name.
+    /// Those of the system.
     pub fn write(
         &self,
         relative: &str,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> Result<(), StorageError> {
-        let earlier = self.earlier.as_ref().unwrap_or(&self.kept);
-        if !earlier.is_free_or_listed(&self.target, relative) {
-            return Err(foreign(&self.path, relative));
-        }
         let path = self.path.join(relative);
         self.staging.write(relative, content).map_err(|source| StorageError::write(&path, source))
     }
@@ -203,25 +203,48 @@ impl OutputFolder {
 
     /// Leaves out files of the earlier result, where files are added to it.
     pub fn remove(&mut self, is_removed: impl Fn(&str) -> bool) {
-        self.kept.files.retain(|name, _| !is_removed(name));
+        self.next.files.retain(|name, _| !is_removed(name));
     }
 
-    /// Puts the prepared files in place.
+    /// Keeps what is prepared from now on even if the process dies or the folder is dropped: then it
+    /// goes to `NAME-partial`. To be called when what is there is worth more than its room.
+    pub fn keep(&self) {
+        self.staging.keep();
+    }
+
+    /// Puts the prepared files in place. Files of the user that are in the way are refused.
     ///
     /// # Errors
     /// After an error nothing has changed in the folder, and [`OutputFolder::commit_beside`] can
-    /// still save the files.
+    /// still save the files, unless they are moved one by one: then the next command goes on.
     pub fn commit(&mut self) -> Result<Committed, StorageError> {
+        if self.staging.is_done {
+            let done = io::Error::other("it is committed already");
+            return Err(StorageError::write(&self.path, done));
+        }
         for name in self.staging.records().keys() {
             self.refuse_foreign(name)?;
         }
-        let manifest = self.write_manifest()?;
-        let kept = match self.is_beside && self.link_kept_files() {
-            true => self.exchange()?,
-            false => self.apply().map(|()| None)?,
+        let manifest = self.write_manifest(self.next.clone())?;
+        let exchanges = self.is_beside && self.place == Place::Beside;
+        let displaced = match exchanges && self.carries_over() {
+            true => self.exchange(&manifest)?,
+            false => self.apply(&manifest)?,
         };
         self.earlier = Some(manifest);
-        Ok(Committed { path: self.path.clone(), kept })
+        Ok(Committed { path: self.path.clone(), displaced })
+    }
+
+    /// Puts the prepared files in place; where that fails they are saved beside, which the error
+    /// tells.
+    ///
+    /// # Errors
+    /// As [`OutputFolder::commit`].
+    pub fn commit_or_save(&mut self) -> Result<Committed, StorageError> {
+        self.commit().map_err(|error| match self.commit_beside("partial") {
+            Ok(path) => StorageError::Saved { reason: Box::new(error), path },
+            Err(_) => error,
+        })
     }
 
     /// Puts the prepared files into a new folder `NAME-SUFFIX`, numbered if that exists, beside the
@@ -235,7 +258,7 @@ impl OutputFolder {
             return Err(StorageError::write(&self.path, begun));
         }
         // Files without a list are better than none.
-        drop(self.write_manifest());
+        drop(self.write_manifest(Manifest::new(&self.next.command)));
         let outside = free_name(&self.target, suffix);
         let inside = free_name(&self.target.join("result"), suffix);
         let placed = fs::rename(&self.staging.root, &outside).map(|()| outside);
@@ -246,8 +269,7 @@ impl OutputFolder {
     }
 
     /// Checks that all files arrived, and writes their list.
-    fn write_manifest(&self) -> Result<Manifest, StorageError> {
-        let mut manifest = self.kept.clone();
+    fn write_manifest(&self, mut manifest: Manifest) -> Result<Manifest, StorageError> {
         for (name, record) in self.staging.records() {
             let size = self.staging.root.join(&name).metadata().map(|found| found.len());
             if size.as_ref().ok() != Some(&record.bytes) {
@@ -263,58 +285,49 @@ impl OutputFolder {
         Ok(manifest)
     }
 
-    /// Links the files that stay into the prepared folder; returns whether that was possible.
-    fn link_kept_files(&self) -> bool {
-        let mut linked = Vec::new();
-        for name in self.kept.present(&self.target).filter(|name| !self.staging.contains(name)) {
-            linked.push(name);
-            if self.staging.link(name, &self.target.join(name)).is_err() {
-                self.staging.unlink(&linked);
-                return false;
-            }
-        }
-        true
+    /// Takes over the files that stay; returns whether the folders can be exchanged.
+    fn carries_over(&self) -> bool {
+        carry_over(&self.staging, &self.target, &self.next, self.earlier.as_ref())
     }
 
     /// Exchanges the folder with the prepared one; where the file system cannot, files are moved.
-    fn exchange(&mut self) -> Result<Option<PathBuf>, StorageError> {
-        let old = self.staging.root.clone();
-        if let Ok(found) = self.target.metadata() {
-            fs::set_permissions(&old, found.permissions()).ok();
+    /// Returns the folder of files that were in the way.
+    fn exchange(&mut self, manifest: &Manifest) -> Result<Option<PathBuf>, StorageError> {
+        let (staged, target) = (self.staging.root.clone(), self.target.clone());
+        if exchange(&staged, &target).is_err() {
+            return self.apply(manifest);
         }
-        if exchange(&old, &self.target).is_err() {
-            return self.apply().map(|()| None);
-        }
-        let target = self.target.clone();
         self.staging.moved_to(&target);
-        self.lock.moved_to(&old);
-        Ok(retire(&old, &target))
+        self.lock.moved_to(&staged);
+        Ok(retire(&staged, &target))
     }
 
     /// Moves the prepared files one by one.
-    fn apply(&mut self) -> Result<(), StorageError> {
+    fn apply(&mut self, manifest: &Manifest) -> Result<Option<PathBuf>, StorageError> {
+        create_parents(&self.target, manifest)?;
         self.staging.mark_committed().map_err(|e| StorageError::write(&self.path, e))?;
-        apply(&self.staging.root, &self.target)?;
+        let displaced = apply(&self.staging.root, &self.target, manifest)?;
         self.staging.remove();
-        Ok(())
+        Ok(displaced)
+    }
+
+    /// Ends as a process that dies after its work is marked as committed.
+    #[cfg(test)]
+    pub(crate) fn die_after_mark(mut self) {
+        let manifest = self.write_manifest(self.next.clone()).expect("room");
+        create_parents(&self.target, &manifest).expect("room");
+        self.staging.mark_committed().expect("room");
+        self.staging.leave_lock();
     }
 
     /// Refuses to replace a file that the earlier command did not write, or that was changed since.
     fn refuse_foreign(&self, relative: &str) -> Result<(), StorageError> {
-        let earlier = self.earlier.as_ref().unwrap_or(&self.kept);
+        let earlier = self.earlier.as_ref().unwrap_or(&self.next);
         match earlier.state(&self.target, relative) {
             FileState::Foreign => Err(foreign(&self.path, relative)),
             FileState::Missing | FileState::Unchanged => Ok(()),
         }
     }
-}
-
-fn foreign(folder: &Path, name: &str) -> StorageError {
-    let reason = format!(
-        "holds {name}, which would be replaced and which i2slam did not write, or which was changed \
-         since: choose another folder"
-    );
-    StorageError::refused(folder, reason)
 }
 
 /// Errors name the folder as the user did.
@@ -323,65 +336,8 @@ fn named(error: StorageError, path: &Path) -> StorageError {
         StorageError::Busy { holder, .. } => StorageError::Busy { path: path.to_owned(), holder },
         StorageError::Refused { reason, .. } => StorageError::refused(path, reason),
         StorageError::Write { source, .. } => StorageError::write(path, source),
+        saved @ StorageError::Saved { .. } => saved,
     }
-}
-
-/// Refuses a path that is there and no folder.
-fn refuse_file(path: &Path) -> Result<(), StorageError> {
-    match path.is_dir() || path.symlink_metadata().is_err() {
-        true => Ok(()),
-        false => {
-            Err(StorageError::refused(path, "is a file: a folder is written, name another one"))
-        }
-    }
-}
-
-fn check_contents(path: &Path, claim: Claim<'_>) -> Result<(), StorageError> {
-    refuse_file(path)?;
-    let command = claim.command;
-    let refuse = |reason: String| Err(StorageError::refused(path, reason));
-    let Some(earlier) = Manifest::of(path) else {
-        let mut names = claim.names.iter().copied().chain([MANIFEST]);
-        let own = names.find(|name| path.join(name).symlink_metadata().is_ok());
-        return match (first_entry(path), own) {
-            (_, Some(name)) => Err(foreign(path, name)),
-            (Some(name), None) if !claim.overwrite => refuse(format!(
-                "is not empty, it holds {name}: choose another folder, or write beside it with \
-                 --overwrite"
-            )),
-            _ => Ok(()),
-        };
-    };
-    if earlier.command != command {
-        return refuse(format!(
-            "is not empty, it holds what `{}` wrote: choose another folder",
-            earlier.command
-        ));
-    }
-    if !claim.overwrite {
-        return refuse(format!(
-            "is not empty, it holds what `{command}` wrote before: choose another folder, or \
-             replace that with --overwrite"
-        ));
-    }
-    let unlisted = claim.names.iter().copied().find(|name| is_unlisted(path, name, &earlier));
-    match earlier.first_changed(path).or(unlisted) {
-        Some(name) => Err(foreign(path, name)),
-        None => Ok(()),
-    }
-}
-
-/// Whether a name of the next result is taken by anything but a folder or a file of this one.
-fn is_unlisted(folder: &Path, name: &str, earlier: &Manifest) -> bool {
-    let Ok(found) = folder.join(name).symlink_metadata() else { return false };
-    !found.is_dir() && !earlier.files.contains_key(name)
-}
-
-/// The first entry of a folder that is not hidden.
-pub fn first_entry(folder: &Path) -> Option<String> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    names.filter(|name| !name.starts_with('.')).min()
 }
 
 /// Creates the folder; returns its path without links.
@@ -401,7 +357,22 @@ fn staging_beside(target: &Path, command: &str) -> Option<Staging> {
         return None;
     }
     let staging = Staging::create(target.parent()?, &staging_prefix(target, true), command).ok()?;
-    is_same_mount(&staging, target).then_some(staging)
+    (is_same_mount(&staging, target) && has_same_owner(&staging.root, target)).then_some(staging)
+}
+
+/// Gives the staging folder the permissions of the target; returns whether both have one owner and
+/// group, as the target's must not change.
+#[cfg(unix)]
+fn has_same_owner(staging: &Path, target: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let (Ok(ours), Ok(theirs)) = (staging.metadata(), target.metadata()) else { return false };
+    let is_same = (ours.uid(), ours.gid()) == (theirs.uid(), theirs.gid());
+    is_same && fs::set_permissions(staging, theirs.permissions()).is_ok()
+}
+
+#[cfg(not(unix))]
+fn has_same_owner(_: &Path, _: &Path) -> bool {
+    true
 }
 
 /// Whether files can be moved from the staging folder to the target.
@@ -410,7 +381,12 @@ fn is_same_mount(staging: &Staging, target: &Path) -> bool {
     let (from, to) = (staging.root.join(&name), target.join(&name));
     let created = staging.note(&name).and_then(|()| fs::File::create_new(&from).map(drop));
     let moved = created.and_then(|()| fs::rename(&from, &to));
-    moved.and_then(|()| fs::remove_file(&to)).is_ok()
+    // Another process may have taken it for a rest and removed it.
+    moved.is_ok()
+        && matches!(
+            fs::remove_file(&to).map_err(|e| e.kind()),
+            Ok(()) | Err(io::ErrorKind::NotFound)
+        )
 }
 
 /// Folders created for a path, deepest first; removed when dropped if they are empty.

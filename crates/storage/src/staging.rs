@@ -18,6 +18,9 @@ const PARTIAL: &str = ".partial";
 /// path begins so.
 pub(crate) const COMMITTED: &str = "//committed";
 
+/// Line of the lock file after which a dead process's work is kept instead of discarded.
+pub(crate) const KEPT: &str = "//kept";
+
 /// A new folder of its own, removed when dropped unless it was put in place.
 #[derive(Debug)]
 pub(crate) struct Staging {
@@ -35,6 +38,7 @@ struct State {
     noted: BTreeSet<String>,
     /// Files that are complete.
     records: BTreeMap<String, FileRecord>,
+    is_kept: bool,
 }
 
 impl Staging {
@@ -63,7 +67,8 @@ impl Staging {
                 }
             }
         };
-        let state = State { lock, noted: BTreeSet::new(), records: BTreeMap::new() };
+        let state =
+            State { lock, noted: BTreeSet::new(), records: BTreeMap::new(), is_kept: false };
         Ok(Self { root, state: Mutex::new(state), is_done: false })
     }
 
@@ -109,17 +114,28 @@ impl Staging {
     /// Writes the name of a file into the lock file before it is created.
     pub(crate) fn note(&self, relative: &str) -> io::Result<()> {
         let mut state = self.state();
-        if state.noted.insert(relative.to_owned()) {
+        if !state.noted.contains(relative) {
             state.lock.note(relative)?;
+            state.noted.insert(relative.to_owned());
         }
         Ok(())
     }
 
     /// Marks the work as complete: after this it is finished even if the process dies.
     pub(crate) fn mark_committed(&mut self) -> io::Result<()> {
-        self.state().lock.note(COMMITTED)?;
+        let mut state = self.state();
+        state.lock.note(COMMITTED)?;
+        state.lock.synchronise()?;
+        drop(state);
         self.is_done = true;
         Ok(())
+    }
+
+    /// Marks the work as worth keeping: it is saved beside if the process dies or gives up.
+    pub(crate) fn keep(&self) {
+        let mut state = self.state();
+        // A full disk has no room for the mark, and none for more of the work.
+        state.is_kept = state.is_kept || state.lock.note(KEPT).is_ok();
     }
 
     /// Removes the folder with what is left in it.
@@ -127,6 +143,11 @@ impl Staging {
         let names: Vec<String> = self.state().noted.iter().cloned().collect();
         remove_staged(&self.root, &names);
         self.is_done = true;
+    }
+
+    /// Leaves the lock file, by which the next command tells what to do with the folder.
+    pub(crate) fn leave_lock(&self) {
+        self.state().lock.leave();
     }
 
     /// Files that are complete.
@@ -158,8 +179,12 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        if !self.is_done {
-            self.remove();
+        let is_kept = self.state().is_kept;
+        match (self.is_done, is_kept) {
+            (true, _) => {}
+            // The next command saves it.
+            (false, true) => self.leave_lock(),
+            (false, false) => self.remove(),
         }
     }
 }

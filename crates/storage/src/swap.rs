@@ -3,7 +3,8 @@
 use crate::error::StorageError;
 use crate::lock::{FolderLock, LOCK, Role};
 use crate::manifest::{FileState, MANIFEST, Manifest, is_below, remove_empty_folders, remove_file};
-use crate::staging::{COMMITTED, remove_staged};
+use crate::staging::{COMMITTED, KEPT, remove_staged};
+use std::collections::BTreeSet;
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io;
@@ -31,7 +32,8 @@ pub(crate) fn synchronise(folder: &Path, manifest: &Manifest) -> io::Result<()> 
     #[cfg(not(target_os = "linux"))]
     {
         let files = manifest.files.keys().map(|name| folder.join(name));
-        files.filter(|path| path.is_file()).try_for_each(|path| fs::File::open(path)?.sync_all())
+        let open = |path| fs::File::options().write(true).open(path);
+        files.filter(|path| path.is_file()).try_for_each(|path| open(path)?.sync_all())
     }
 }
 
@@ -51,16 +53,22 @@ pub(crate) fn retire(old: &Path, target: &Path) -> Option<PathBuf> {
     if manifest.is_some() {
         fs::remove_file(old.join(MANIFEST)).ok();
     }
-    move_entries(old, target);
-    fs::remove_file(old.join(LOCK)).ok();
-    if fs::remove_dir(old).is_ok() {
-        return None;
+    move_entries(old, target, true);
+    let is_empty =
+        fs::read_dir(old).is_ok_and(|mut all| all.all(|e| e.is_ok_and(|e| e.file_name() == LOCK)));
+    let (rest, displaced) = match is_empty {
+        true => (old.to_owned(), None),
+        false => {
+            let kept = free_name(target, "kept");
+            let kept = if fs::rename(old, &kept).is_ok() { kept } else { old.to_owned() };
+            (kept.clone(), Some(kept))
+        }
+    };
+    fs::remove_file(rest.join(LOCK)).ok();
+    if is_empty {
+        fs::remove_dir(rest).ok();
     }
-    let kept = free_name(target, "kept");
-    match fs::rename(old, &kept) {
-        Ok(()) => Some(kept),
-        Err(_) => Some(old.to_owned()),
-    }
+    displaced
 }
 
 /// Whether both paths are one file.
@@ -76,45 +84,96 @@ fn is_linked(_: &Path, _: &Path) -> bool {
     false
 }
 
-/// Moves what a folder holds into another, where nothing is in the way.
-fn move_entries(from: &Path, to: &Path) {
+/// Moves what a folder holds into another, where nothing is in the way; files that are linked there
+/// already go. The lock file of the folder itself stays.
+fn move_entries(from: &Path, to: &Path, is_root: bool) {
     for entry in fs::read_dir(from).into_iter().flatten().flatten() {
         let (source, destination) = (entry.path(), to.join(entry.file_name()));
-        if entry.file_name() == LOCK {
+        if is_root && entry.file_name() == LOCK {
             continue;
         }
         match destination.symlink_metadata() {
-            Err(_) => drop(fs::rename(&source, &destination)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                rename_new(&source, &destination).ok();
+            }
+            Err(_) => {}
             Ok(found) if found.is_dir() && entry.file_type().is_ok_and(|kind| kind.is_dir()) => {
-                move_entries(&source, &destination);
+                move_entries(&source, &destination, false);
                 fs::remove_dir(&source).ok();
             }
+            Ok(_) if is_linked(&source, &destination) => drop(fs::remove_file(&source)),
             Ok(_) => {}
         }
     }
 }
 
-/// Puts a prepared folder in place file by file, the manifest last, and removes it. What a dead
-/// process began goes on here.
-pub(crate) fn apply(staged: &Path, target: &Path) -> Result<(), StorageError> {
-    // The manifest is moved last: without it all files are in place.
-    let Some(new) = Manifest::of(staged) else { return Ok(()) };
-    let old = Manifest::of(target);
-    for (old, name) in old.iter().flat_map(|old| old.files.keys().map(move |name| (old, name))) {
-        if !new.files.contains_key(name) && old.state(target, name) == FileState::Unchanged {
+/// Renames a file unless something is in the way.
+#[cfg(any(target_os = "linux", target_os = "android", target_vendor = "apple"))]
+fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
+    use rustix::fs::{CWD, RenameFlags, renameat_with};
+    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // Not every file system has the flag.
+        Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS) => fs::rename(from, to),
+        other => Ok(other?),
+    }
+}
+
+#[cfg(not(any(target_os = "linux", target_os = "android", target_vendor = "apple")))]
+fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
+    fs::rename(from, to)
+}
+
+/// Creates the folders of a result, before anything is moved.
+pub(crate) fn create_parents(target: &Path, manifest: &Manifest) -> Result<(), StorageError> {
+    let paths = manifest.files.keys().map(|name| target.join(name));
+    let parents: BTreeSet<PathBuf> =
+        paths.filter_map(|path| Some(path.parent()?.to_owned())).collect();
+    parents.iter().try_for_each(|parent| {
+        fs::create_dir_all(parent).map_err(|source| StorageError::write(parent, source))
+    })
+}
+
+/// Puts a prepared folder in place file by file, the manifest last. What a dead process began goes
+/// on here. Files of the user that are in the way stay; what they displace goes into the folder
+/// that is returned.
+pub(crate) fn apply(
+    staged: &Path,
+    target: &Path,
+    next: &Manifest,
+) -> Result<Option<PathBuf>, StorageError> {
+    let earlier = Manifest::of(target).unwrap_or_else(|| Manifest::new(""));
+    let mut is_displaced = false;
+    for name in next.files.keys().filter(|name| staged.join(name).is_file()) {
+        let is_ours = earlier.state(target, name) != FileState::Foreign
+            || next.state(target, name) == FileState::Unchanged;
+        match is_ours {
+            true => move_file(staged, target, name)?,
+            false => is_displaced = true,
+        }
+    }
+    for name in earlier.files.keys().filter(|name| !next.files.contains_key(*name)) {
+        if earlier.state(target, name) == FileState::Unchanged {
             remove_file(&target.join(name))?;
         }
     }
-    let written = new.files.keys().map(String::as_str).chain([MANIFEST]);
-    for name in written.filter(|name| staged.join(name).is_file()) {
-        let path = target.join(name);
-        let parent = path.parent().map_or(Ok(()), fs::create_dir_all);
-        let placed = parent.and_then(|()| fs::rename(staged.join(name), &path));
-        placed.map_err(|source| StorageError::write(&path, source))?;
+    remove_empty_folders(target, earlier.files.keys().map(String::as_str));
+    let displaced = is_displaced.then(|| free_name(&target.join("result"), "kept"));
+    for (folder, name) in
+        displaced.iter().flat_map(|f| next.files.keys().map(move |name| (f, name)))
+    {
+        if staged.join(name).is_file() {
+            move_file(staged, folder, name)?;
+        }
     }
-    let old = old.iter().flat_map(|old| old.files.keys().map(String::as_str));
-    remove_empty_folders(target, old);
-    Ok(())
+    move_file(staged, target, MANIFEST)?;
+    Ok(displaced)
+}
+
+fn move_file(from: &Path, to: &Path, name: &str) -> Result<(), StorageError> {
+    let path = to.join(name);
+    let parent = path.parent().map_or(Ok(()), fs::create_dir_all);
+    let placed = parent.and_then(|()| fs::rename(from.join(name), &path));
+    placed.map_err(|source| StorageError::write(&path, source))
 }
 
 /// Names of staging folders: beside their target, or inside where a sibling cannot take its place.
@@ -138,6 +197,8 @@ pub(crate) fn recover(target: &Path) {
                 continue;
             }
             match entry.metadata() {
+                // In a folder that all may write to, others may have made it.
+                Ok(found) if !is_own(&found) => {}
                 Ok(found) if found.is_dir() => recover_staging(&entry.path(), target),
                 // The empty file by which it was found out whether files can be moved.
                 Ok(found) if found.is_file() && found.len() == 0 => {
@@ -161,19 +222,45 @@ fn recover_staging(folder: &Path, target: &Path) {
         fs::remove_dir(folder).ok();
         return;
     };
-    let is_committed = lines.iter().any(|line| line == COMMITTED);
+    let has_mark = |mark: &str| lines.iter().any(|line| line == mark);
+    let (is_committed, is_kept) = (has_mark(COMMITTED), has_mark(KEPT));
     let names: Vec<String> = lines.into_iter().filter(|line| is_below(line)).collect();
     match role {
         // It was the target, and its successor has taken its place.
         Role::Output => drop(retire(folder, target)),
-        Role::Staging if is_committed => {
-            if apply(folder, target).is_ok() {
-                remove_staged(folder, &names);
+        Role::Staging if is_committed => finish(folder, target, &names),
+        Role::Staging if is_kept => {
+            let saved = free_name(target, "partial");
+            if fs::rename(folder, &saved).is_ok() {
+                fs::remove_file(saved.join(LOCK)).ok();
             }
         }
         Role::Staging => remove_staged(folder, &names),
     }
     drop(lock);
+}
+
+/// Finishes a commit that a dead process began.
+fn finish(staged: &Path, target: &Path, names: &[String]) {
+    let applied = match Manifest::of(staged) {
+        Some(next) => apply(staged, target, &next).is_ok(),
+        // It is moved last: all files are in place, unless it cannot be read.
+        None => staged.join(MANIFEST).symlink_metadata().is_err(),
+    };
+    if applied {
+        remove_staged(staged, names);
+    }
+}
+
+#[cfg(unix)]
+fn is_own(found: &fs::Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    found.uid() == rustix::process::geteuid().as_raw()
+}
+
+#[cfg(not(unix))]
+fn is_own(_: &fs::Metadata) -> bool {
+    true
 }
 
 /// `NAME-SUFFIX` beside a folder, numbered if that exists.

@@ -11,7 +11,7 @@ use std::time::Duration;
 const CLAIM: Claim<'_> =
     Claim { command: "i2slam run", names: &["map.ply", "renders"], overwrite: true };
 const NEW: Claim<'_> = Claim { overwrite: false, ..CLAIM };
-const PLACES: [Place; 2] = [Place::Beside, Place::Inside];
+const PLACES: [Place; 3] = [Place::Beside, Place::BesideAlone, Place::Inside];
 
 /// Writes a result whose files all hold `text`.
 fn write_result(
@@ -67,7 +67,7 @@ fn a_result_replaces_the_earlier_one_and_leaves_other_files() {
         fs::create_dir_all(out.join("photos/2025")).expect("room");
         fs::write(out.join("photos/2025/a.jpg"), "mine").expect("room");
         let committed = write_result(&out, "new", 1, place).expect("room");
-        assert_eq!(committed, Committed { path: out.clone(), kept: None });
+        assert_eq!(committed, Committed { path: out.clone(), displaced: None });
         assert!(is_whole(&out) && text(out.join("map.ply")).as_deref() == Some("new"));
         assert_eq!(names(&out), [MANIFEST, "map.ply", "notes.txt", "photos", "renders"]);
         assert_eq!(names(&out.join("renders/sharp")), ["000000.png", "notes.txt"]);
@@ -84,7 +84,8 @@ fn files_are_added_to_a_result_and_removed_from_it() {
         write_result(&out, "old", 2, place).expect("room");
         fs::write(out.join("notes.txt"), "mine").expect("room");
         fs::write(out.join("renders/sharp/000001.png"), "retouched").expect("room");
-        let mut folder = OutputFolder::extend_at(&out, "i2slam eval", place).expect("a result");
+        let mut folder =
+            OutputFolder::extend_at(&out, "i2slam eval", &[], place).expect("a result");
         folder.write_text("report.html", "page").expect("room");
         folder.write_text("report.html", "later page").expect("room");
         folder.commit().expect("room");
@@ -93,7 +94,8 @@ fn files_are_added_to_a_result_and_removed_from_it() {
         assert_eq!((manifest.command.as_str(), manifest.files.len()), ("i2slam run", 4));
         assert_eq!(text(out.join("report.html")).as_deref(), Some("later page"));
         assert_eq!(text(out.join("renders/sharp/000001.png")).as_deref(), Some("retouched"));
-        let mut folder = OutputFolder::extend_at(&out, "i2slam-bench", place).expect("a result");
+        let mut folder =
+            OutputFolder::extend_at(&out, "i2slam-bench", &[], place).expect("a result");
         folder.remove(|name| name.starts_with("renders/"));
         folder.commit().expect("room");
         drop(folder);
@@ -154,7 +156,7 @@ fn only_own_unchanged_results_are_replaced() {
     assert!(message.contains("map.ply") && message.contains("another folder"), "{message}");
     fs::write(out.join(MANIFEST), "{}").expect("room");
     refusal(OutputFolder::replace(&out, CLAIM));
-    assert!(refusal(OutputFolder::extend(&out, "i2slam eval")).contains(MANIFEST));
+    assert!(refusal(OutputFolder::extend(&out, "i2slam eval", &[])).contains(MANIFEST));
     for name in [MANIFEST, "map.ply", "notes.txt"] {
         fs::remove_file(out.join(name)).expect("a file");
     }
@@ -193,8 +195,10 @@ fn no_link_is_followed_out_of_the_folder() {
         fs::remove_dir_all(out.join("renders")).expect("a folder");
         symlink(&photos, out.join("renders")).expect("a link");
         assert!(refusal(write_result(&out, "new", 2, place)).contains("renders"));
-        let folder = OutputFolder::extend_at(&out, "i2slam render", place).expect("a result");
-        refusal(folder.write_text("renders/sharp/000007.png", "new"));
+        refusal(OutputFolder::extend_at(&out, "i2slam render", &["renders"], place));
+        let mut folder = OutputFolder::extend_at(&out, "i2slam render", &[], place).expect("free");
+        folder.write_text("renders/sharp/000007.png", "new").expect("room");
+        refusal(folder.commit());
         drop(folder);
         assert_eq!(names(&photos.join("sharp")), ["000000.png"]);
         assert_eq!(text(photos.join("sharp/000000.png")).as_deref(), Some("old"));
@@ -221,6 +225,48 @@ fn a_second_process_is_refused_until_the_first_ends() {
     OutputFolder::replace(&scratch.join("out"), CLAIM).expect("free");
 }
 
+#[test]
+fn what_is_worth_keeping_survives_its_process() {
+    for (case, place) in PLACES.into_iter().enumerate() {
+        let scratch = TemporaryFolder::new(&format!("keep-{case}"));
+        let out = scratch.join("out");
+        write_result(&out, "old", 1, place).expect("room");
+        let folder = OutputFolder::replace_at(&out, CLAIM, place).expect("its own");
+        folder.write_text("map.ply", "hours of work").expect("room");
+        folder.keep();
+        drop(folder);
+        recover(&out);
+        assert_eq!(text(out.join("map.ply")).as_deref(), Some("old"));
+        assert_eq!(text(scratch.join("out-partial/map.ply")).as_deref(), Some("hours of work"));
+        assert_eq!(names(&scratch.0), ["out", "out-partial"]);
+        // A commit that is refused saves the files, and says where.
+        let mut folder = OutputFolder::replace_at(&out, CLAIM, place).expect("its own");
+        folder.write_text("map.ply", "new").expect("room");
+        fs::write(out.join("map.ply"), "mine now").expect("room");
+        let message = folder.commit_or_save().expect_err("in the way").to_string();
+        assert!(message.contains("map.ply") && message.contains("out-partial-2"), "{message}");
+        assert_eq!(text(scratch.join("out-partial-2/map.ply")).as_deref(), Some("new"));
+    }
+}
+
+#[test]
+fn a_commit_that_goes_on_never_replaces_what_the_user_put_there() {
+    let scratch = TemporaryFolder::new("late");
+    let out = scratch.join("out");
+    write_result(&out, "old", 1, Place::Inside).expect("room");
+    // A dead process had marked its work as committed, and moved nothing yet.
+    let folder = OutputFolder::replace_at(&out, CLAIM, Place::Inside).expect("its own");
+    folder.write_text("map.ply", "new").expect("room");
+    folder.write_text("renders/sharp/000001.png", "new").expect("room");
+    folder.die_after_mark();
+    fs::write(out.join("map.ply"), "mine").expect("room");
+    recover(&out);
+    assert_eq!(text(out.join("map.ply")).as_deref(), Some("mine"));
+    assert_eq!(text(out.join("renders/sharp/000001.png")).as_deref(), Some("new"));
+    assert!(!out.join("renders/sharp/000000.png").exists(), "of the old result");
+    assert_eq!(text(out.join("result-kept/map.ply")).as_deref(), Some("new"));
+}
+
 /// Folder of the process that is killed, and place of its files.
 const CHILD: &str = "I2SLAM_STORAGE_TEST";
 
@@ -230,11 +276,12 @@ const CHILD: &str = "I2SLAM_STORAGE_TEST";
 fn a_process_that_is_killed() {
     let Ok(work) = std::env::var(CHILD) else { return };
     let (place, out) = work.split_once(' ').expect("place and folder");
-    let place = if place == "beside" { Place::Beside } else { Place::Inside };
+    let place = PLACES[place.parse::<usize>().expect("a number")];
     for round in 0.. {
         let text = format!("round {round} ").repeat(40 + 17 * (round % 5));
         write_result(out.as_ref(), &text, 3 + round % 4, place).expect("room");
-        let mut folder = OutputFolder::extend_at(out.as_ref(), "i2slam eval", place).expect("free");
+        let mut folder =
+            OutputFolder::extend_at(out.as_ref(), "i2slam eval", &[], place).expect("free");
         folder.write_text("report.html", &text).expect("room");
         folder.commit().expect("room");
     }
@@ -243,7 +290,7 @@ fn a_process_that_is_killed() {
 #[test]
 #[cfg(unix)]
 fn a_killed_process_leaves_a_whole_result() {
-    for (place, name) in [(Place::Beside, "beside"), (Place::Inside, "inside")] {
+    for (name, place) in PLACES.into_iter().enumerate() {
         let scratch = TemporaryFolder::new(&format!("kill-{name}"));
         let out = scratch.join("out");
         write_result(&out, "first", 2, place).expect("room");
@@ -267,7 +314,9 @@ fn a_killed_process_leaves_a_whole_result() {
             let left =
                 names(&scratch.0).len() > 1 || names(&out).iter().any(|n| n.starts_with('.'));
             died_with_files += u32::from(left);
-            if place == Place::Inside {
+            assert_eq!(text(out.join("notes.txt")).as_deref(), Some("mine"), "kill {kill}");
+            // Files that are moved one by one are a mixture until the next command.
+            if place != Place::Beside {
                 recover(&out);
             }
             assert!(is_whole(&out), "kill {kill}: {:?}", names(&out));

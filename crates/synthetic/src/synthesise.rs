@@ -78,7 +78,7 @@ pub fn synthesise(
         go_on(progress(Stage::Blurred(index + 1)))?;
     }
     let summary = studio.finish(&frames, &rule, &blurs)?;
-    studio.folder.commit()?;
+    studio.folder.commit_or_save()?;
     Ok(summary)
 }
 

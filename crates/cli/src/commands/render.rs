@@ -4,6 +4,7 @@ use crate::arguments::frame_range;
 use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
+use crate::messages::note_displaced;
 use crate::progress::Progress;
 use clap::Args;
 use i2slam::dataset::read_trajectory;
@@ -48,13 +49,12 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let own_poses = arguments.pose.is_some() || arguments.poses.is_some();
     let kinds = kinds(arguments, own_poses)?;
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
-    refuse_non_results(&arguments.result)?;
     i2slam_storage::recover(&arguments.result);
-    let reconstruction = i2slam_result::load(&arguments.result)?;
-    let frames = frames(arguments, pose, &reconstruction)?;
+    refuse_non_results(&arguments.result)?;
+    // Locked before it is read, so that no other command replaces it meanwhile.
     let mut pictures = Pictures::open(arguments, own_poses)?;
-    let frames = pictures.numbered(frames);
-    pictures.write_poses(&frames)?;
+    let reconstruction = i2slam_result::load(&arguments.result)?;
+    let frames = pictures.numbered(frames(arguments, pose, &reconstruction)?);
     interrupt::listen();
     let progress = Progress::new(frames.len(), false);
     let mut viewer = reconstruction.viewer();
@@ -73,8 +73,9 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     progress.clear();
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
     let (done_frames, names) = (counted(done, "frame"), names.join(", "));
-    pictures.folder.commit()?;
-    print(&format!("{done_frames}, {names}, in {}", pictures.path.display()));
+    pictures.write_poses(&frames[..done])?;
+    let path = pictures.place(done < frames.len())?;
+    print(&format!("{done_frames}, {names}, in {}", path.display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
 }
 
@@ -124,7 +125,7 @@ impl Pictures {
             return Ok(Self { folder, parent: "", path: out.clone(), has_poses: true });
         }
         let parent = if own_poses { "views" } else { "renders" };
-        let folder = OutputFolder::extend(&arguments.result, "i2slam render")?;
+        let folder = OutputFolder::extend(&arguments.result, "i2slam render", &[parent])?;
         let path = arguments.result.join(parent);
         Ok(Self { folder, parent, path, has_poses: own_poses })
     }
@@ -136,6 +137,15 @@ impl Pictures {
             frames.iter_mut().for_each(|frame| frame.index += first);
         }
         frames
+    }
+
+    /// Puts the pictures in place; returns their folder. A part of a set goes beside an earlier one.
+    fn place(&mut self, is_part: bool) -> Result<PathBuf, Failure> {
+        if is_part && self.parent.is_empty() && self.folder.has_earlier_result() {
+            return Ok(self.folder.commit_beside("partial")?);
+        }
+        note_displaced(&self.folder.commit_or_save()?);
+        Ok(self.path.clone())
     }
 
     /// Writes the list of poses, after those of earlier views.

@@ -35,9 +35,14 @@ pub(crate) struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Refuses to write into the dataset, as a result has a `camera.json` of its own, over an
-    /// earlier result without `--overwrite`, and over other files.
+    /// Checks that the result may be written, before anything else is done.
     pub(crate) fn check_output(&self) -> Result<(), Failure> {
+        self.refuse_dataset()?;
+        Ok(OutputFolder::check(&self.out, self.claim())?)
+    }
+
+    /// Refuses to write into the dataset, as a result has a `camera.json` of its own.
+    fn refuse_dataset(&self) -> Result<(), Failure> {
         let same_folder = match (self.out.canonicalize(), self.dataset.canonicalize()) {
             (Ok(folder), Ok(dataset)) => folder == dataset,
             _ => false,
@@ -49,7 +54,7 @@ impl Job<'_> {
                 self.out.display()
             )));
         }
-        Ok(OutputFolder::check(&self.out, self.claim())?)
+        Ok(())
     }
 
     fn claim(&self) -> Claim<'static> {
@@ -68,7 +73,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
     }
     let sequence = job.options.open_sequence(dataset)?;
     job.options.validate(&sequence).map_err(|error| placed(error, job))?;
-    job.check_output()?;
+    job.refuse_dataset()?;
     let folder = OutputFolder::replace(&job.out, job.claim())?;
     let warnings = stream.iter().flat_map(|stream| stream.warnings.clone()).collect();
     reconstruct_into(folder, job, (dataset, &sequence), warnings)

@@ -4,6 +4,7 @@ use super::Job;
 use super::pictures::PictureRenderer;
 use crate::failure::Failure;
 use crate::ground_truth::{GroundTruth, range_stops};
+use crate::messages::displaced_files;
 use crate::progress::Progress;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::StampedPose;
@@ -12,7 +13,7 @@ use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
 use i2slam_result::report::Report;
 use i2slam_result::{Metrics, ResultError, RunInput, save, save_metrics};
-use i2slam_storage::{OutputFolder, StorageError};
+use i2slam_storage::OutputFolder;
 use std::path::{Path, PathBuf};
 
 /// A run whose frames are done.
@@ -57,6 +58,8 @@ impl FinishedRun<'_> {
         };
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(RunInput::new(&self.job.dataset, &self.open_options()).save(folder));
+        // Poses and map are there: from here on they survive the process.
+        folder.keep();
         let mut measurements = Measurements::new(&self.outcome, self.truth);
         measurements
             .metrics
@@ -89,10 +92,13 @@ impl FinishedRun<'_> {
         };
         note(report.save(folder));
         measurements.metrics.complete &= problems.is_empty();
-        problems.extend(save_metrics(folder, &measurements.metrics).err().map(|e| e.to_string()));
+        if let Err(error) = save_metrics(folder, &measurements.metrics) {
+            measurements.metrics.complete = false;
+            problems.push(error.to_string());
+        }
         let map = reconstruction.map.to_string();
         let metrics = measurements.metrics;
-        let folder = place(&mut self.folder, &metrics, &mut problems, progress)?;
+        let folder = place(&mut self.folder, &metrics, &mut problems, progress);
         Ok(WrittenRun { metrics, map, folder, problems })
     }
 }
@@ -104,16 +110,15 @@ fn place(
     metrics: &Metrics,
     problems: &mut Vec<String>,
     progress: &Progress,
-) -> Result<PathBuf, StorageError> {
+) -> PathBuf {
     let out = folder.path().to_owned();
     let why = match is_sound(metrics) || !has_better_result(folder, metrics.tracked) {
         true => match folder.commit() {
             Ok(committed) => {
-                if let Some(kept) = committed.kept {
-                    let kept = kept.display();
-                    progress.warn(&format!("files that appeared in the folder meanwhile: {kept}"));
+                if let Some(displaced) = &committed.displaced {
+                    progress.warn(&displaced_files(displaced));
                 }
-                return Ok(out);
+                return out;
             }
             Err(error) => {
                 problems.push(error.to_string());
@@ -123,13 +128,20 @@ fn place(
         false if metrics.complete => "this run found too little",
         false => "this run ended early",
     };
-    let beside = folder.commit_beside("partial")?;
-    progress.warn(&format!(
-        "{why}: what {} held stays, and what there is of this run is in {}",
-        out.display(),
-        beside.display()
-    ));
-    Ok(beside)
+    match folder.commit_beside("partial") {
+        Ok(beside) => {
+            progress.warn(&format!(
+                "{why}: what {} held stays, and what there is of this run is in {}",
+                out.display(),
+                beside.display()
+            ));
+            beside
+        }
+        Err(error) => {
+            problems.push(error.to_string());
+            out
+        }
+    }
 }
 
 /// Smallest range of true exposures [stops]: below, a correlation would be one of noise.

@@ -225,8 +225,14 @@ fn kill_at_random(room: &Room, count: u64) -> u64 {
             child.wait().expect("its end");
             let case = format!("{}, kill {kill}", work.name);
             assert_whole(&room.out, &case);
+            assert_eq!(room.text("notes.txt"), "mine", "{case}");
             i2slam_storage::recover(&room.out);
             assert_whole(&room.out, &case);
+            // A map that was found is kept although its pictures were not drawn.
+            for name in names(&room.scratch.0).iter().filter(|name| name.contains("-partial")) {
+                assert!(room.scratch.join(name).join("map.i2slam").is_file(), "{case}");
+                fs::remove_dir_all(room.scratch.join(name)).expect("a folder");
+            }
             assert_eq!(room.text("notes.txt"), "mine", "{case}");
         }
     }

@@ -254,7 +254,7 @@ pub fn degrade(
     let degrader = Degrader::open(dataset, out, what)?;
     let mut folder = output_folder(out, "i2slam degrade", overwrite)?;
     let counts = degrader.write(&folder, progress)?;
-    folder.commit()?;
+    folder.commit_or_save()?;
     Ok(counts)
 }
 

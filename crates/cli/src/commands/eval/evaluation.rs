@@ -5,6 +5,7 @@ use super::pictures::PictureErrors;
 use super::{Eval, Protocol, trajectory};
 use crate::console::{print, print_status};
 use crate::failure::{Failure, failed};
+use crate::messages::note_displaced;
 use i2slam_result::report::{
     EvaluationSection, EvaluationSource, GroundTruthSource, insert_evaluations,
 };
@@ -143,7 +144,7 @@ pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result
     if !page.is_file() {
         return Ok(());
     }
-    let mut folder = OutputFolder::extend(result, "i2slam eval")?;
+    let mut folder = OutputFolder::extend(result, "i2slam eval", &[FILE, PAGE])?;
     let text = i2slam_storage::read_text(&page).map_err(|e| failed(&page, e))?;
     let mut sections = saved_sections(&result.join(FILE))?;
     match sections.iter_mut().find(|known| known.title == section.title) {
@@ -157,7 +158,7 @@ pub(super) fn add_to_report(result: &Path, section: EvaluationSection) -> Result
     let json = json.map_err(|e| Failure::Failed(e.to_string()))?;
     folder.write_text(FILE, &(json + "\n"))?;
     folder.write_text(PAGE, &text)?;
-    folder.commit()?;
+    note_displaced(&folder.commit()?);
     Ok(())
 }
 

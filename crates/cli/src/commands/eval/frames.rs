@@ -267,6 +267,8 @@ pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(
         env!("CARGO_PKG_VERSION"),
     );
     let list = frame_list::write(&origin, &frames);
+    // It may have appeared meanwhile.
+    refuse_to_replace(file, overwrite)?;
     write_file(file, |out| out.write_all(list.as_bytes()))?;
     let (of, file) = (counted(count, "frame"), file.display());
     print(&match frames.len() {

@@ -7,6 +7,7 @@ use super::{Eval, Protocol};
 use crate::failure::{Failure, failed};
 use crate::image_files::at_size_of;
 use crate::interrupt;
+use crate::messages::note_displaced;
 use crate::progress::Progress;
 use i2slam::FrameEstimate;
 use i2slam::geometry::{Image, Pose, StampedPose};
@@ -37,7 +38,8 @@ pub(super) fn draw(
 ) -> Result<Vec<MetricValue>, Failure> {
     let Some(result) = estimate.result() else { return Ok(Vec::new()) };
     let reconstruction = i2slam_result::load(result)?;
-    let mut folder = OutputFolder::extend(result, "i2slam eval")?;
+    let mut folder =
+        OutputFolder::extend(result, "i2slam eval", &["trajectory_optimised.txt", "renders"])?;
     let camera = &reconstruction.camera;
     let size = Image::new(camera.width, camera.height, 3);
     let mut viewer = reconstruction.viewer();
@@ -64,7 +66,7 @@ pub(super) fn draw(
     let poses: Vec<StampedPose> = moved.iter().map(|(pose, _)| *pose).collect();
     let unit = UnitOfLength::of(&reconstruction.config);
     save_trajectory(&folder, "trajectory_optimised.txt", &poses, unit)?;
-    folder.commit()?;
+    note_displaced(&folder.commit_or_save()?);
     Ok(corrections(&moved))
 }
 
