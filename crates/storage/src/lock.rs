@@ -4,6 +4,8 @@ use crate::error::StorageError;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::Duration;
 
 /// Name of the lock file in its folder.
 pub(crate) const LOCK: &str = ".i2slam-lock";
@@ -13,6 +15,9 @@ const SIGNATURE: &str = "i2slam";
 
 /// Attempts to lock a file that others remove in between.
 const MAX_ATTEMPTS: usize = 100;
+
+/// Attempts after which a lock counts as held.
+const PATIENCE: usize = 10;
 
 /// Longest first line [bytes].
 const MAX_LINE: u64 = 4096;
@@ -100,10 +105,15 @@ impl FolderLock {
     fn take(folder: &Path, create: bool) -> Result<(PathBuf, File, bool), StorageError> {
         let path = folder.join(LOCK);
         let failed = |source| StorageError::write(&path, source);
-        for _ in 0..MAX_ATTEMPTS {
+        for attempt in 0..MAX_ATTEMPTS {
             let mut file = open_lock(&path, create).map_err(failed)?;
             let is_locked = match file.try_lock() {
                 Ok(()) => true,
+                // A process that is being started holds copies of all locks for a moment.
+                Err(TryLockError::WouldBlock) if attempt < PATIENCE => {
+                    sleep(Duration::from_millis(2));
+                    continue;
+                }
                 Err(TryLockError::WouldBlock) => {
                     return Err(StorageError::Busy {
                         path: folder.to_owned(),

@@ -130,10 +130,13 @@ fn place(
     };
     match folder.commit_beside("partial") {
         Ok(beside) => {
+            let earlier = match folder.has_earlier_result() {
+                true => format!("the earlier result in {}", out.display()),
+                false => format!("what {} held", out.display()),
+            };
+            let beside_is = beside.display();
             progress.warn(&format!(
-                "{why}: what {} held stays, and what there is of this run is in {}",
-                out.display(),
-                beside.display()
+                "{why}: {earlier} stays, and what there is of this run is in {beside_is}"
             ));
             beside
         }
