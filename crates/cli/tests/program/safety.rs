@@ -210,11 +210,12 @@ fn kill_at_random(room: &Room, count: u64) -> u64 {
         wait_for_files(&mut whole);
         let begun = Instant::now();
         assert!(whole.wait().expect("its end").success(), "{}", work.name);
-        let window = begun.elapsed().as_micros() as u64 + 1;
+        // The end of the process takes part of it.
+        let window = begun.elapsed().as_micros() as u64 * 6 / 10 + 1;
         for kill in 0..count {
             let mut child = start();
-            // Every fourth kill comes at any time, the others while files are written.
-            if kill % 4 == 0 {
+            // Every eighth kill comes at any time, the others while files are written.
+            if kill % 8 == 0 {
                 sleep(Duration::from_millis(kill * 37 % 300));
             } else {
                 wait_for_files(&mut child);
