@@ -298,27 +298,35 @@ fn a_full_disk_leaves_the_earlier_result() {
     let disk = SmallDisk::new(room.scratch.join("disk"), 65_536);
     room.out = disk.0.join("out");
     room.run(&[]).exits_with(0);
-    let used: u64 =
-        contents(&room.out).iter().map(|(_, bytes)| bytes.len() as u64 / 1024 + 4).sum();
     let (mut kept, mut replaced) = (0, 0);
     for step in 0..20 {
-        let before = contents(&room.out);
-        disk.resize(used + 64 + step * used / 14);
-        let ran = room.run(&["--overwrite", "--seed", &step.to_string()]);
-        assert_whole(&room.out, &format!("step {step}"));
-        match ran.code {
-            Some(0) => replaced += 1,
-            _ => {
-                ran.exits_with(1).stderr_contains("no space left");
-                assert_eq!(contents(&room.out), before, "step {step}");
-                kept += 1;
+        for work in works(&room) {
+            let before = contents(&room.out);
+            let pages = before.iter().map(|(_, bytes)| bytes.len().div_ceil(4096) as u64);
+            let used = 4 * (pages.sum::<u64>() + 4);
+            // A run needs room for a whole result, the others for what they add.
+            let unit = if work.name == "run" { used / 14 } else { 12 };
+            disk.resize(used + step * unit);
+            let ran = Ran::of(&mut program(&work.arguments));
+            assert_whole(&room.out, &format!("{}, size {step}", work.name));
+            match ran.err.contains("no space left") {
+                true => {
+                    assert_eq!(contents(&room.out), before, "{}, size {step}", work.name);
+                    kept += 1;
+                }
+                false => {
+                    ran.exits_with(0);
+                    replaced += 1;
+                }
+            }
+            // What was saved of the run goes, so that the next has as much room.
+            for name in names(&disk.0).iter().filter(|name| name.starts_with("out-")) {
+                fs::remove_dir_all(disk.0.join(name)).expect("a folder");
             }
         }
-        // What was saved of the run goes, so that the next has as much room.
-        for name in names(&disk.0).iter().filter(|name| name.starts_with("out-")) {
-            fs::remove_dir_all(disk.0.join(name)).expect("a folder");
-        }
     }
-    println!("20 sizes: {kept} kept the earlier result, {replaced} hold the new one");
-    assert!(kept >= 5 && replaced >= 2, "{kept} {replaced}");
+    println!(
+        "60 commands at 20 sizes: {kept} kept the earlier result, {replaced} hold the new one"
+    );
+    assert!(kept >= 10 && replaced >= 10, "{kept} {replaced}");
 }
