@@ -219,6 +219,14 @@ fn a_jump_and_a_covered_lens_are_told_and_survived() {
     let (ran, tracked, error) = degraded(&room, "cover", &["--cover", "16..21"]);
     ran.stderr_contains("frame 20: it has no depth");
     assert!(tracked == 29.0 && error < 0.02, "{tracked} of 34 frames, {error} m");
+    // A camera without signal: one grey, and depth as ever.
+    for frame in 16..21 {
+        let picture = room.join(format!("rgb/{frame:06}.png"));
+        write_colour(&picture, (128, 96), &[119; 128 * 96 * 3]);
+    }
+    let (ran, tracked, error) = degraded(&room, "grey", &[]);
+    ran.stderr_contains("frame 17: its picture is of one colour");
+    assert!(tracked == 29.0 && error < 0.02, "{tracked} of 34 frames, {error} m");
 }
 
 /// Turns of a hundred degrees a second, rows read over half of the frame interval, and depth

@@ -2,7 +2,7 @@
 
 use super::backend::Backend;
 use super::error::{SessionError, check_image};
-use super::state::is_black;
+use super::state::blank_reason;
 use crate::config::{Config, MappingConfig, ResponseScope};
 use crate::mapping::{Keyframe, Tracker};
 use crate::objective::Observation;
@@ -133,8 +133,8 @@ impl Session {
     fn is_usable(&mut self, index: usize, observation: &Observation) -> bool {
         let reason = if observation.valid_depths() == 0 {
             "it has no depth"
-        } else if is_black(&observation.colour) {
-            "its picture is black"
+        } else if let Some(reason) = blank_reason(&observation.colour) {
+            reason
         } else {
             return true;
         };

@@ -90,8 +90,19 @@ fn initial_response(config: &Config) -> CameraResponse<f32> {
     CameraResponse::new(response_curves, response_start, spacing)
 }
 
-/// Whether a picture is black, or not a number.
-pub(super) fn is_black(colour: &Image<f32>) -> bool {
+/// Why a picture shows nothing that could be mapped, if so: it is black or not a number, or of one
+/// colour within a step of eight bits, as a camera without signal gives it.
+pub(super) fn blank_reason(colour: &Image<f32>) -> Option<&'static str> {
     let mean = colour.data.iter().sum::<f32>() / colour.data.len().max(1) as f32;
-    mean.is_nan() || mean < MIN_MEAN_VALUE
+    if mean.is_nan() || mean < MIN_MEAN_VALUE {
+        return Some("its picture is black");
+    }
+    let is_uniform = |channel: usize| {
+        let (low, high) = colour
+            .plane(channel)
+            .iter()
+            .fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+        high - low < 1.5 / 255.0
+    };
+    (0..colour.channels).all(is_uniform).then_some("its picture is of one colour")
 }

@@ -2,7 +2,7 @@
 //! frames between them are localised in it at the end.
 
 use super::error::{SessionError, check_image};
-use super::state::{SessionState, is_black};
+use super::state::{SessionState, blank_reason};
 use crate::config::{Config, MapKind, ResponseScope};
 use crate::keyframes::PosedKeyframe;
 use crate::mapping::{
@@ -165,9 +165,9 @@ impl KeyframeSession {
         let source = *self.world_from_source.get_or_insert_with(|| world_from_camera.inverse());
         let world_from_camera = source * world_from_camera;
         self.input_poses.insert(index, world_from_camera);
-        let is_black = is_black(&colour);
-        if is_black {
-            self.state.warn(index, "its picture is black: it is not mapped");
+        let blank = blank_reason(&colour);
+        if let Some(reason) = blank {
+            self.state.warn(index, format!("{reason}: it is not mapped"));
         }
         let observation = match depth {
             None => {
@@ -184,7 +184,7 @@ impl KeyframeSession {
         let mut estimate = FrameEstimate {
             tone: last.map_or_else(FrameTone::default, |f| f.tone),
             response,
-            keyframe: !is_black,
+            keyframe: blank.is_none(),
             ..FrameEstimate::at_pose(index, timestamp, ShutterPoses::still(world_from_camera))
         };
         let known = adjacent.motion_per_interval(timestamp, self.frame_rate);
