@@ -5,12 +5,19 @@ use i2slam::dataset::{Layout, Sequence};
 use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
 use i2slam_result::{Metrics, UnitOfLength};
 use i2slam_storage::Committed;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Longer side below which smaller pictures are not advised [px].
 const MIN_ADVISED_SIDE: usize = 240;
 /// Duration from which a run is forecast [s].
 const MIN_FORECAST: f64 = 60.0;
+
+/// Tells where parts of runs that died are.
+pub(super) fn note_saved_parts(parts: &[PathBuf]) {
+    for part in parts {
+        print_status(&format!("note: what a run that died had found is in {}", part.display()));
+    }
+}
 
 /// Sentence about files of the user that were in the way of a result.
 pub(super) fn displaced_files(folder: &Path) -> String {

@@ -23,11 +23,10 @@ pub use message::shortened;
 pub use output::{Committed, OutputFolder};
 pub use read::{MAX_TEXT, open, read, read_range, read_text, read_text_up_to};
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Finishes what commands that died left of their work on a folder, before it is read.
-pub fn recover(folder: &Path) {
-    if let Ok(target) = folder.canonicalize() {
-        swap::recover(&target);
-    }
+/// Finishes what commands that died left of their work on a folder, before it is read. Returns the
+/// folders of parts that were saved.
+pub fn recover(folder: &Path) -> Vec<PathBuf> {
+    folder.canonicalize().map(|target| swap::recover(&target)).unwrap_or_default()
 }

@@ -42,6 +42,7 @@ pub struct OutputFolder {
     next: Manifest,
     is_beside: bool,
     place: Place,
+    saved: Vec<PathBuf>,
 }
 
 /// Place of the prepared files.
@@ -97,10 +98,10 @@ impl OutputFolder {
         refuse_file(path)?;
         let (created, target) = create(path)?;
         let lock = FolderLock::acquire(&target, claim.command).map_err(|e| named(e, path))?;
-        recover(&target);
+        let saved = recover(&target);
         check_contents(path, claim)?;
         let (earlier, next) = (Manifest::of(&target), Manifest::new(claim.command));
-        Self::open(path, target, (created, lock), (earlier, next), (claim.command, place))
+        Self::open(path, target, (created, lock), (earlier, next), (claim.command, place, saved))
     }
 
     /// Opens a folder to add files, or to replace some that an earlier command wrote; it is created
@@ -128,7 +129,7 @@ impl OutputFolder {
             lock = FolderLock::acquire(&target, command);
         }
         let lock = lock.map_err(|e| named(e, path))?;
-        recover(&target);
+        let saved = recover(&target);
         let earlier = Manifest::of(&target);
         if earlier.is_none() && target.join(MANIFEST).symlink_metadata().is_ok() {
             return Err(foreign(path, MANIFEST));
@@ -137,7 +138,7 @@ impl OutputFolder {
         if let Some(name) = names.iter().find(|name| is_unlisted(&target, name, &next)) {
             return Err(foreign(path, name));
         }
-        Self::open(path, target, (created, lock), (earlier, next), (command, place))
+        Self::open(path, target, (created, lock), (earlier, next), (command, place, saved))
     }
 
     fn open(
@@ -145,7 +146,7 @@ impl OutputFolder {
         target: PathBuf,
         (_created, lock): (CreatedFolders, FolderLock),
         (earlier, next): (Option<Manifest>, Manifest),
-        (command, place): (&str, Place),
+        (command, place, saved): (&str, Place, Vec<PathBuf>),
     ) -> Result<Self, StorageError> {
         let beside = match place {
             Place::Inside => None,
@@ -158,7 +159,7 @@ impl OutputFolder {
                 .map_err(|e| named(e, path))?,
         };
         let path = path.to_owned();
-        Ok(Self { staging, lock, _created, path, target, earlier, next, is_beside, place })
+        Ok(Self { staging, lock, _created, path, target, earlier, next, is_beside, place, saved })
     }
 
     /// The folder.
@@ -204,6 +205,11 @@ impl OutputFolder {
     /// Leaves out files of the earlier result, where files are added to it.
     pub fn remove(&mut self, is_removed: impl Fn(&str) -> bool) {
         self.next.files.retain(|name, _| !is_removed(name));
+    }
+
+    /// Parts of dead processes that were saved when the folder was opened.
+    pub fn saved_parts(&self) -> &[PathBuf] {
+        &self.saved
     }
 
     /// Keeps what is prepared from now on even if the process dies or the folder is dropped: then it

@@ -76,7 +76,7 @@ pub(crate) fn retire(old: &Path, target: &Path) -> Option<PathBuf> {
 fn is_linked(a: &Path, b: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
     let (Ok(a), Ok(b)) = (a.symlink_metadata(), b.symlink_metadata()) else { return false };
-    a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino())
+    !a.is_dir() && (a.dev(), a.ino()) == (b.dev(), b.ino())
 }
 
 #[cfg(not(unix))]
@@ -187,8 +187,10 @@ pub(crate) fn staging_prefix(target: &Path, beside: bool) -> OsString {
     prefix
 }
 
-/// Finishes or removes what processes that died left of their work on a folder.
-pub(crate) fn recover(target: &Path) {
+/// Finishes or removes what processes that died left of their work on a folder. Returns the folders
+/// of parts that were saved.
+pub(crate) fn recover(target: &Path) -> Vec<PathBuf> {
+    let mut saved = Vec::new();
     let (beside, inside) = (staging_prefix(target, true), staging_prefix(target, false));
     let places = [target.parent().map(|parent| (parent, beside)), Some((target, inside))];
     for (parent, prefix) in places.into_iter().flatten() {
@@ -199,7 +201,7 @@ pub(crate) fn recover(target: &Path) {
             match entry.metadata() {
                 // In a folder that all may write to, others may have made it.
                 Ok(found) if !is_own(&found) => {}
-                Ok(found) if found.is_dir() => recover_staging(&entry.path(), target),
+                Ok(found) if found.is_dir() => saved.extend(recover_staging(&entry.path(), target)),
                 // The empty file by which it was found out whether files can be moved.
                 Ok(found) if found.is_file() && found.len() == 0 => {
                     fs::remove_file(entry.path()).ok();
@@ -208,6 +210,7 @@ pub(crate) fn recover(target: &Path) {
             }
         }
     }
+    saved
 }
 
 /// The prefix with sixteen hexadecimal digits.
@@ -216,28 +219,32 @@ fn is_staging_name(name: &OsStr, prefix: &OsStr) -> bool {
     number.is_some_and(|digits| digits.len() == 16 && digits.iter().all(u8::is_ascii_hexdigit))
 }
 
-fn recover_staging(folder: &Path, target: &Path) {
+/// Returns the folder of a part that was saved.
+fn recover_staging(folder: &Path, target: &Path) -> Option<PathBuf> {
     let Some((lock, role, lines)) = FolderLock::take_over(folder) else {
         // Without a lock file it is empty: its process died before or after its work.
         fs::remove_dir(folder).ok();
-        return;
+        return None;
     };
     let has_mark = |mark: &str| lines.iter().any(|line| line == mark);
     let (is_committed, is_kept) = (has_mark(COMMITTED), has_mark(KEPT));
     let names: Vec<String> = lines.into_iter().filter(|line| is_below(line)).collect();
+    let mut saved = None;
     match role {
         // It was the target, and its successor has taken its place.
         Role::Output => drop(retire(folder, target)),
         Role::Staging if is_committed => finish(folder, target, &names),
-        Role::Staging if is_kept => {
-            let saved = free_name(target, "partial");
-            if fs::rename(folder, &saved).is_ok() {
-                fs::remove_file(saved.join(LOCK)).ok();
+        Role::Staging if is_kept && names.iter().any(|name| folder.join(name).is_file()) => {
+            let part = free_name(target, "partial");
+            if fs::rename(folder, &part).is_ok() {
+                fs::remove_file(part.join(LOCK)).ok();
+                saved = Some(part);
             }
         }
         Role::Staging => remove_staged(folder, &names),
     }
     drop(lock);
+    saved
 }
 
 /// Finishes a commit that a dead process began.

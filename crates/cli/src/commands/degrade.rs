@@ -1,6 +1,6 @@
 //! `i2slam degrade`: a sequence made worse in known ways.
 
-use super::synth::failure;
+use super::synth::interrupted;
 use crate::arguments::{Machine, frame_range};
 use crate::console::{counted, print};
 use crate::failure::Failure;
@@ -73,7 +73,7 @@ pub(crate) fn degrade(arguments: &Degrade) -> Result<(), Failure> {
     };
     let done = write_degraded(&arguments.dataset, out, arguments.overwrite, &what, step);
     progress.clear();
-    let done = done.map_err(failure)?;
+    let done = done.map_err(|error| interrupted(error, out))?;
     print(&format!(
         "{} in {}, {} left out, {} covered",
         counted(done.frames, "frame"),

@@ -4,7 +4,7 @@ use crate::arguments::frame_range;
 use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::messages::note_displaced;
+use crate::messages::{note_displaced, note_saved_parts};
 use crate::progress::Progress;
 use clap::Args;
 use i2slam::dataset::read_trajectory;
@@ -49,7 +49,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let own_poses = arguments.pose.is_some() || arguments.poses.is_some();
     let kinds = kinds(arguments, own_poses)?;
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
-    i2slam_storage::recover(&arguments.result);
+    note_saved_parts(&i2slam_storage::recover(&arguments.result));
     refuse_non_results(&arguments.result)?;
     // Locked before it is read, so that no other command replaces it meanwhile.
     let mut pictures = Pictures::open(arguments, own_poses)?;

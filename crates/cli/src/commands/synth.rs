@@ -1,7 +1,7 @@
 //! `i2slam synth`: a specification to a sequence.
 
 use crate::arguments::Machine;
-use crate::console::{counted, print, print_text};
+use crate::console::{counted, print, print_status, print_text};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::progress::Progress;
@@ -72,7 +72,7 @@ fn make(spec: &Spec, out: &Path, arguments: &Synth) -> Result<(), Failure> {
         !interrupt::requested()
     });
     progress.clear();
-    report(&summary.map_err(failure)?, out);
+    report(&summary.map_err(|error| interrupted(error, out))?, out);
     Ok(())
 }
 
@@ -87,6 +87,14 @@ fn report(summary: &Summary, out: &Path) {
     print(&format!("exposure over {stops:.2} stops, shutter open {least:.2} to {most:.2}"));
     let [median, _, largest] = s.blur;
     print(&format!("blur {median:.1} px in the median frame, {largest:.1} px at most"));
+}
+
+/// The failure; an interrupted sequence leaves nothing, which is said.
+pub(super) fn interrupted(error: SyntheticError, out: &Path) -> Failure {
+    if let SyntheticError::Interrupted = error {
+        print_status(&format!("nothing was written to {}", out.display()));
+    }
+    failure(error)
 }
 
 /// Wrong specifications are the user's (exit code 2); what is wrong with a disk is not.

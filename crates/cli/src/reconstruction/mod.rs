@@ -75,6 +75,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
     job.options.validate(&sequence).map_err(|error| placed(error, job))?;
     job.refuse_dataset()?;
     let folder = OutputFolder::replace(&job.out, job.claim())?;
+    messages::note_saved_parts(folder.saved_parts());
     let warnings = stream.iter().flat_map(|stream| stream.warnings.clone()).collect();
     reconstruct_into(folder, job, (dataset, &sequence), warnings)
 }

@@ -56,10 +56,10 @@ impl FinishedRun<'_> {
         let mut note = |result: Result<(), ResultError>| {
             problems.extend(result.err().map(|error| error.to_string()));
         };
+        // From here on what is written survives the process.
+        folder.keep();
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(RunInput::new(&self.job.dataset, &self.open_options()).save(folder));
-        // Poses and map are there: from here on they survive the process.
-        folder.keep();
         let mut measurements = Measurements::new(&self.outcome, self.truth);
         measurements
             .metrics

@@ -219,6 +219,10 @@ fn pictures_and_lists_replace_their_own_only() {
     write(&[]).exits_with(0);
     write(&[]).exits_with(2).stderr_contains("--overwrite");
     write(&["--overwrite"]).exits_with(0);
+    let edited = fs::read_to_string(&list).expect("a list").replace("\n#", "\n3\n#");
+    fs::write(&list, &edited).expect("room");
+    write(&["--overwrite"]).exits_with(2).stderr_contains("was changed since");
+    assert_eq!(fs::read_to_string(&list).ok(), Some(edited));
 
     // Views are numbered on.
     let view = |x: &str| {

@@ -159,10 +159,17 @@ pub(super) fn depth_scale_warning(entries: &[FrameEntry], loader: &FrameLoader) 
     }
     let median = median(&mut values)?;
     let metres = f64::from(median) / depth_scale;
+    // Hundreds of digits are no number to a reader.
+    let shown = |value: f64, plain: String| match (1e-3..1e6).contains(&value) {
+        true => plain,
+        false => format!("{value:.1e}"),
+    };
     (!PLAUSIBLE_DEPTH.contains(&metres)).then(|| {
+        let metres = shown(metres, format!("{metres:.4}"));
+        let scale = shown(depth_scale, depth_scale.to_string());
         format!(
-            "wrong depth scale? The median depth over the first frames is {metres:.4} m (depth \
-             image value {median} at {depth_scale} for one metre); usual are 5000 (TUM) and 1000 \
+            "wrong depth scale? The median depth over the first frames is {metres} m (depth \
+             image value {median} at {scale} for one metre); usual are 5000 (TUM) and 1000 \
              (millimetres)"
         )
     })

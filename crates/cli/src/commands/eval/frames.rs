@@ -238,6 +238,9 @@ fn listed_frames(list: &str, reference: &Reference) -> Result<Vec<usize>, Failur
 /// First words of every list written by this program.
 const ORIGIN: &str = "# Sharp frames of ";
 
+/// Beginning of their last line.
+const CHECKSUM: &str = "# CRC-32 of the lines above: ";
+
 /// Writes the list of sharp frames of a dataset or a folder of pictures (`--write-list`).
 pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(), Failure> {
     if !video.is_dir() {
@@ -267,6 +270,7 @@ pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(
         env!("CARGO_PKG_VERSION"),
     );
     let list = frame_list::write(&origin, &frames);
+    let list = format!("{list}{CHECKSUM}{:08x}\n", crc32fast::hash(list.as_bytes()));
     // It may have appeared meanwhile.
     refuse_to_replace(file, overwrite)?;
     write_file(file, |out| out.write_all(list.as_bytes()))?;
@@ -284,13 +288,24 @@ fn refuse_to_replace(file: &Path, overwrite: bool) -> Result<(), Failure> {
     let shown = file.display();
     let message = match i2slam_storage::read_text(file) {
         Err(_) if file.symlink_metadata().is_err() => return Ok(()),
-        Ok(text) if text.starts_with(ORIGIN) && overwrite => return Ok(()),
-        Ok(text) if text.starts_with(ORIGIN) => {
+        Ok(text) if is_unchanged(&text) && overwrite => return Ok(()),
+        Ok(text) if is_unchanged(&text) => {
             "is an earlier list: choose another name, or replace it with --overwrite"
+        }
+        Ok(text) if text.starts_with(ORIGIN) => {
+            "is a list that was changed since it was written: choose another name"
         }
         _ => "is there already, and no list of this program: choose another name",
     };
     Err(Failure::Usage(format!("--write-list {shown} {message}")))
+}
+
+/// Whether a text is a list as it was written.
+fn is_unchanged(text: &str) -> bool {
+    let parts = text.rsplit_once(CHECKSUM).filter(|_| text.starts_with(ORIGIN));
+    parts.is_some_and(|(list, sum)| {
+        sum.trim_end() == format!("{:08x}", crc32fast::hash(list.as_bytes()))
+    })
 }
 
 fn sharp_in_sequence(sequence: &Sequence) -> Result<Vec<usize>, Failure> {

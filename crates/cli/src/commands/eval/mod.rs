@@ -11,6 +11,7 @@ mod trajectory;
 
 use crate::console::{print, print_status};
 use crate::failure::{Failure, print_json};
+use crate::messages::note_saved_parts;
 use clap::{Args, ValueEnum};
 use estimate::Estimate;
 use evaluation::Evaluation;
@@ -114,7 +115,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
     if !lists && arguments.list.is_some() {
         return Err(Failure::usage("--list goes with the protocols all-frames and i2slam"));
     }
-    i2slam_storage::recover(&arguments.estimate);
+    note_saved_parts(&i2slam_storage::recover(&arguments.estimate));
     let estimate = Estimate::open(&arguments.estimate)?;
     let evaluation = evaluate(arguments, &estimate)?;
     if arguments.json {
