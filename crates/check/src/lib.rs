@@ -4,7 +4,7 @@
 mod program;
 
 pub use program::Ran;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// An empty folder for one test, removed when dropped.
 pub struct TemporaryFolder(pub PathBuf);
@@ -28,6 +28,15 @@ impl Drop for TemporaryFolder {
     fn drop(&mut self) {
         std::fs::remove_dir_all(&self.0).ok();
     }
+}
+
+/// Names in a folder, sorted; none if it does not exist.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
 }
 
 /// The gradient of `f` at `x` by central differences of fourth order,

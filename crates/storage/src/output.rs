@@ -232,8 +232,7 @@ impl OutputFolder {
             self.refuse_foreign(name)?;
         }
         let manifest = self.write_manifest(self.next.clone())?;
-        let exchanges = self.is_beside && self.place == Place::Beside;
-        let displaced = match exchanges && self.carries_over() {
+        let displaced = match self.is_beside && self.carries_over() {
             true => self.exchange(&manifest)?,
             false => self.apply(&manifest)?,
         };
@@ -300,7 +299,7 @@ impl OutputFolder {
     /// Returns the folder of files that were in the way.
     fn exchange(&mut self, manifest: &Manifest) -> Result<Option<PathBuf>, StorageError> {
         let (staged, target) = (self.staging.root.clone(), self.target.clone());
-        if exchange(&staged, &target).is_err() {
+        if self.place != Place::Beside || exchange(&staged, &target).is_err() {
             return self.apply(manifest);
         }
         self.staging.moved_to(&target);

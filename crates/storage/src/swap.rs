@@ -143,7 +143,11 @@ pub(crate) fn apply(
 ) -> Result<Option<PathBuf>, StorageError> {
     let earlier = Manifest::of(target).unwrap_or_else(|| Manifest::new(""));
     let mut is_displaced = false;
-    for name in next.files.keys().filter(|name| staged.join(name).is_file()) {
+    // A file that stays may be linked already, for an exchange that the file system refused.
+    let is_new = |name: &str| {
+        staged.join(name).is_file() && !is_linked(&staged.join(name), &target.join(name))
+    };
+    for name in next.files.keys().filter(|name| is_new(name)) {
         let is_ours = earlier.state(target, name) != FileState::Foreign
             || next.state(target, name) == FileState::Unchanged;
         match is_ours {
@@ -161,7 +165,7 @@ pub(crate) fn apply(
     for (folder, name) in
         displaced.iter().flat_map(|f| next.files.keys().map(move |name| (f, name)))
     {
-        if staged.join(name).is_file() {
+        if is_new(name) {
             move_file(staged, folder, name)?;
         }
     }

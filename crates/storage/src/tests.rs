@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::output::Place;
-use i2slam_check::TemporaryFolder;
+use i2slam_check::{TemporaryFolder, names};
 use std::fs;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -30,15 +30,6 @@ fn write_result(
 
 fn text(path: PathBuf) -> Option<String> {
     fs::read_to_string(path).ok()
-}
-
-/// Names in a folder, sorted.
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut names: Vec<String> =
-        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
 }
 
 /// Whether all listed files of a result are as written.

@@ -1,6 +1,7 @@
 //! Nothing of the user's is lost: links, files of others, two runs at once, kills, full disks.
 
 use crate::program::{Ran, Room, Scene, TemporaryFolder, i2slam, program};
+use i2slam_check::names;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
@@ -42,15 +43,6 @@ fn assert_whole(out: &Path, case: &str) {
         let metrics = fs::read_to_string(out.join("metrics.json")).expect("metrics");
         assert!(metrics.contains("\"complete\": true"), "{case}: {metrics}");
     }
-}
-
-/// Names in a folder, sorted.
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut names: Vec<String> =
-        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
 }
 
 #[test]
