@@ -19,6 +19,7 @@
 //! | `relocalize` | keyframes recognised in others by descriptors and geometric verification |
 //! | `loops` | loop closure by a pose graph of similarities |
 //! | `result`, `front_end` | the result, and the pipeline from pictures to it |
+//! | `alignment` | dense alignment of a frame to a target by picture and depth; stands alone |
 //! | `dense` | dense depth by plane sweep and semi-global matching; uses `track` only |
 
 mod error;
@@ -75,6 +76,8 @@ mod loops {
     pub(crate) mod loop_closure;
     pub(crate) mod pose_graph;
 }
+
+pub mod alignment;
 
 mod front_end;
 mod result;

@@ -15,10 +15,10 @@
 //! a pixel and all errors of the map are taken to be independent.
 
 use super::levenberg_marquardt::{AlignmentOutcome, EvaluationMode};
-use super::residual::{DEGREES_OF_FREEDOM, Equations, ResidualSums, UNKNOWNS};
 use super::target::active_targets;
 use super::{FrameAlignment, TrackingState};
 use i2slam_compute::solve_positive_definite;
+use i2slam_odometry::alignment::{DEGREES_OF_FREEDOM, Equations, ResidualSums, UNKNOWNS};
 
 /// Number of unknowns of the pose at mid-exposure, which come first: ρ, then φ.
 const POSE: usize = 6;
@@ -179,7 +179,6 @@ fn expected(spread: f64, f: impl Fn(f64) -> f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::levenberg_marquardt::SolverProgress;
-    use super::super::residual::{FrameLevel, RobustScales, TargetLevel};
     use super::super::target::AlignmentTarget;
     use super::*;
     use crate::config::Config;
@@ -188,6 +187,7 @@ mod tests {
     use i2slam_compute::{CancellationToken, Random};
     use i2slam_formation::{CentreVelocity, FrameTone, TrajectoryScale};
     use i2slam_geometry::{Camera, Image, Pose, Tangent};
+    use i2slam_odometry::alignment::{FrameLevel, RobustScales, TargetLevel};
 
     const CAMERA: Camera<f32> =
         Camera { width: 48, height: 36, fx: 45.0, fy: 45.0, cx: 24.0, cy: 18.0 };

@@ -1,14 +1,14 @@
 //! Levenberg-Marquardt over the levels of the image pyramid.
 
 use super::priors::{MotionPrior, WhiteBalancePrior, freeze};
-use super::residual::{AbsoluteErrors, Equations, Linearization, ResidualSums};
-use super::residual::{EXPOSURE, READOUT, UNKNOWNS, VELOCITY, WHITE_BALANCE};
 use super::rolling_shutter::ReadoutPrior;
 use super::target::{AlignmentTarget, active_targets};
 use super::{FrameAlignment, TrackingState};
 use crate::config::WhiteBalanceModel;
 use crate::objective::{FrameObjective, blur_length, virtual_camera_count};
 use i2slam_geometry::Tangent;
+use i2slam_odometry::alignment::{AbsoluteErrors, Equations, Linearization, ResidualSums};
+use i2slam_odometry::alignment::{EXPOSURE, READOUT, UNKNOWNS, VELOCITY, WHITE_BALANCE};
 use i2slam_radiance::RadianceMap;
 
 /// Step length at which a level ends [px at that level].
@@ -226,7 +226,9 @@ impl FrameAlignment<'_> {
             target: &target.levels[level],
             frame: &self.levels[level],
             target_from_world: target.world_from_camera.inverse(),
-            state,
+            motion: state.motion,
+            readout: state.readout,
+            tone: state.tone,
             curve: self.curve.as_ref(),
             cameras,
             quadrature: self.context.config.formation.quadrature,

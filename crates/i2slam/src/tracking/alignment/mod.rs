@@ -12,7 +12,6 @@ mod levenberg_marquardt;
 mod priors;
 mod pyramid;
 mod relocalization;
-mod residual;
 mod rolling_shutter;
 mod target;
 
@@ -22,11 +21,11 @@ use crate::reconstruction::{Convergence, Losses};
 use i2slam_compute::median;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
+use i2slam_odometry::alignment::{FrameLevel, ResidualSums};
 use i2slam_radiance::RadianceMap;
 use levenberg_marquardt::AlignmentOutcome;
 use priors::MotionPrior;
 use pyramid::frame_levels;
-use residual::{FrameLevel, ResidualSums};
 
 /// Levels of the image pyramids.
 const LEVELS: usize = 3;

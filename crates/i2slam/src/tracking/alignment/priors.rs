@@ -1,8 +1,8 @@
 //! Gaussian priors of second-order tracking: on the motion during the exposure and on the white
 //! balance.
 
-use super::residual::{Equations, UNKNOWNS, VELOCITY, WHITE_BALANCE};
 use i2slam_geometry::Tangent;
+use i2slam_odometry::alignment::{Equations, UNKNOWNS, VELOCITY, WHITE_BALANCE};
 
 /// Standard deviation of the velocity at rest [px].
 const MIN_SIGMA_PX: f64 = 0.05;

@@ -11,12 +11,12 @@
 //! as far as the speed is constant. Motions of several frames are compared per nominal frame
 //! interval, because frames may be missing between them.
 
-use super::residual::{Equations, READOUT, VELOCITY};
 use super::{FrameAlignment, PRIOR_WEIGHT, TrackingState};
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::readout::MeasuredReadout;
 use i2slam_formation::CentreVelocity;
 use i2slam_geometry::{Pose, Tangent};
+use i2slam_odometry::alignment::{Equations, READOUT, VELOCITY};
 
 /// Standard deviation of the motion during the readout at rest [px].
 const MIN_MOTION_SIGMA_PX: f64 = 0.05;

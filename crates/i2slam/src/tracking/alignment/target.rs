@@ -2,9 +2,9 @@
 
 use super::FrameAlignment;
 use super::pyramid::{depth_levels, map_levels};
-use super::residual::{AbsoluteErrors, RobustScales, TargetLevel};
 use crate::objective::FrameObjective;
 use i2slam_geometry::Pose;
+use i2slam_odometry::alignment::{AbsoluteErrors, RobustScales, TargetLevel};
 use i2slam_radiance::RadianceMap;
 
 /// Robust scales of the first iteration.

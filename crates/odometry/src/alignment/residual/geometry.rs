@@ -60,9 +60,9 @@ pub(super) struct Geometry {
 
 impl Geometry {
     pub(super) fn new(task: &Linearization<'_>) -> Self {
-        let shutter: ShutterPoses<f64> = task.state.motion.into();
+        let shutter: ShutterPoses<f64> = task.motion.into();
         let cameras = shutter.virtual_cameras(task.cameras, task.quadrature);
-        let world_from_centre = task.state.motion.centre;
+        let world_from_centre = task.motion.centre;
         let centre_from_world = world_from_centre.inverse();
         let sample = |camera: &VirtualCamera<f64>| ExposureSample {
             centre_from_camera: Transform::new(centre_from_world * camera.world_from_camera),
@@ -73,9 +73,9 @@ impl Geometry {
             target_from_centre: Transform::new(task.target_from_world * world_from_centre),
             exposure: cameras.iter().map(sample).collect(),
             centre_from_depth: Transform::new(centre_from_world * task.world_from_depth),
-            rolling: task.rolling_height.map(|height| {
-                RowTiming::new(task.state.readout, height, task.state.motion.velocity)
-            }),
+            rolling: task
+                .rolling_height
+                .map(|height| RowTiming::new(task.readout, height, task.motion.velocity)),
         }
     }
 

@@ -263,7 +263,7 @@ impl Channel {
             self.slope.0.fill(1.0);
             return;
         };
-        let gain = task.state.tone.gains()[channel];
+        let gain = task.tone.gains()[channel];
         for i in 0..BLOCK {
             let x = gain * self.radiance.0[i];
             self.value.0[i] = curve.evaluate(channel, x);

@@ -47,28 +47,32 @@ pub(super) fn groups<S: Simd>() -> usize {
 }
 
 /// One pyramid level of the observed frame.
-pub(in super::super) struct FrameLevel {
-    pub(in super::super) camera: Camera<f32>,
-    pub(in super::super) colour: Arc<Image<f32>>,
-    pub(in super::super) depth: Arc<Image<f32>>,
+pub struct FrameLevel {
+    /// Intrinsics at this level, those of the target too.
+    pub camera: Camera<f32>,
+    /// Picture values, three planes.
+    pub colour: Arc<Image<f32>>,
+    /// Depth [m]; 0 = no reading.
+    pub depth: Arc<Image<f32>>,
     pub(super) samples: DepthSamples,
     pub(super) texels: PackedColour,
 }
 
 /// One pyramid level of an alignment target: radiance and depth seen from the target's pose.
-pub(in super::super) struct TargetLevel {
+pub struct TargetLevel {
     /// Linear radiance, three planes.
-    pub(in super::super) radiance: Image<f32>,
+    pub radiance: Image<f32>,
     /// Depth divided by opacity [m]; 0 where the target has no surface.
-    pub(in super::super) depth: Image<f32>,
+    pub depth: Image<f32>,
     pub(super) surface: InverseDepth,
     pub(super) texels: PackedColour,
     /// Standard deviation of the depth, estimated from its roughness [m at 1 m].
-    pub(in super::super) noise: f32,
+    pub noise: f32,
 }
 
 impl TargetLevel {
-    pub(in super::super) fn new(radiance: Image<f32>, depth: Image<f32>) -> Self {
+    /// From linear radiance (empty for a target of depth alone) and depth [m].
+    pub fn new(radiance: Image<f32>, depth: Image<f32>) -> Self {
         let roughness = roughness(&depth);
         Self {
             noise: depth_noise(&depth, &roughness),
@@ -82,7 +86,7 @@ impl TargetLevel {
 
 impl FrameLevel {
     /// With a sample at every `stride`-th pixel.
-    pub(in super::super) fn new(
+    pub fn new(
         camera: Camera<f32>,
         colour: impl Into<Arc<Image<f32>>>,
         depth: impl Into<Arc<Image<f32>>>,
@@ -128,7 +132,7 @@ pub(in super::super) fn is_one_surface(depths: [f32; 4]) -> bool {
 }
 
 /// The points of pixels with depth, in raster order; the last block is padded with depth 0.
-pub(in super::super) struct DepthSamples {
+pub struct DepthSamples {
     pub(super) blocks: Vec<SampleBlock>,
     /// Number of pixels with depth.
     pub(super) count: usize,
@@ -246,7 +250,7 @@ impl BilinearTaps {
 
 /// A depth picture prepared for interpolation: inverse depth is linear over the image of a plane,
 /// so that a floor seen at a grazing angle has no bias.
-pub(in super::super) struct InverseDepth {
+pub(super) struct InverseDepth {
     width: usize,
     /// Inverse depth of each pixel [1/m]; 0 where there is none.
     inverse: Vec<f32>,
@@ -292,7 +296,7 @@ impl InverseDepth {
 }
 
 /// A picture of three channels with the channels of a pixel side by side.
-pub(in super::super) struct PackedColour {
+pub(super) struct PackedColour {
     width: usize,
     data: Vec<[f32; 4]>,
 }

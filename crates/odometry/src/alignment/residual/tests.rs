@@ -3,9 +3,7 @@
 use super::level::{DepthSamples, roughness};
 use super::*;
 use i2slam_check::{central_differences, relative_error};
-use i2slam_formation::{
-    CameraResponse, CentreVelocity, FrameTone, NodeSpacing, StartCurve, TrajectoryScale,
-};
+use i2slam_formation::{CameraResponse, CentreVelocity, FrameTone, NodeSpacing, StartCurve};
 use i2slam_geometry::{Camera, Image, Rotation, Tangent, Vec3};
 
 const SIZE: (usize, usize) = (48, 36);
@@ -36,22 +34,27 @@ fn frame() -> FrameLevel {
     )
 }
 
-fn state(x: &[f64]) -> TrackingState {
+/// Motion, readout and tone of a frame.
+struct State {
+    motion: CentreVelocity<f64>,
+    readout: f64,
+    tone: FrameTone<f32>,
+}
+
+fn state(x: &[f64]) -> State {
     let start = CentreVelocity {
         // Between pixel centres: at one, a bilinear picture has a kink.
         centre: Pose::new(Rotation::identity(), Vec3::new(0.013, 0.017, 0.0)),
         velocity: Tangent::from_array([0.05, -0.02, 0.01, 0.01, 0.02, 0.015]),
     };
     let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
-    TrackingState {
+    State {
         motion: start.retract(part(0), part(6)),
         readout: 1.6 + x[READOUT],
         tone: FrameTone {
             log_exposure: x[12] as f32,
             log_white_balance: [x[13] as f32, x[14] as f32, x[15] as f32],
         },
-        response: None,
-        scale: TrajectoryScale { a: 1.0 },
     }
 }
 
@@ -72,13 +75,15 @@ impl<'a> Case<'a> {
         Self { target, frame, curve, cameras: 3, image_weight, lead: 0.0, rolling: false }
     }
 
-    fn task<'b>(&'b self, state: &'b TrackingState) -> Linearization<'b> {
+    fn task<'b>(&'b self, state: &State) -> Linearization<'b> {
         let lead = Tangent::from_array([0.02, -0.03, 0.04, 0.005, 0.01, -0.01]);
         Linearization {
             target: &self.target,
             frame: &self.frame,
             target_from_world: Pose::identity(),
-            state,
+            motion: state.motion,
+            readout: state.readout,
+            tone: state.tone,
             curve: self.curve,
             cameras: self.cameras,
             rolling_height: self.rolling.then_some(36.0),

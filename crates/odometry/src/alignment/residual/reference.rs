@@ -145,7 +145,7 @@ impl Pixels<'_> {
         sums: &mut ResidualSums,
     ) {
         let task = self.task;
-        let (gain, radiance) = (task.state.tone.gains()[channel], blurred.radiance[channel]);
+        let (gain, radiance) = (task.tone.gains()[channel], blurred.radiance[channel]);
         let (value, slope, by_log_gain) = match task.curve {
             Some(curve) => {
                 let x = gain * radiance;
@@ -172,16 +172,16 @@ impl Pixels<'_> {
 
     /// Pose of a virtual camera at the time of a row, and that time [exposures].
     fn camera_of_row(&self, sample: &ExposureSample, row_position: f32) -> (Transform, f32) {
-        let state = self.task.state;
-        let readout = if self.task.rolling_height.is_some() { state.readout as f32 } else { 0.0 };
+        let task = self.task;
+        let readout = if task.rolling_height.is_some() { task.readout as f32 } else { 0.0 };
         let time = sample.time + readout * row_position;
-        let velocity = state.motion.velocity.scaled(f64::from(time));
+        let velocity = task.motion.velocity.scaled(f64::from(time));
         (Transform::new(Pose::identity().retract(velocity)), time)
     }
 
     /// `ν + ω × x`.
     fn velocity_of(&self, rotated: Vec3<f32>) -> Vec3<f32> {
-        let velocity = self.task.state.motion.velocity.cast::<f32>();
+        let velocity = self.task.motion.velocity.cast::<f32>();
         velocity.translation + velocity.rotation.cross(rotated)
     }
 

@@ -27,27 +27,27 @@ mod reference;
 #[cfg(test)]
 mod tests;
 
-pub(super) use level::{FrameLevel, TargetLevel, is_one_surface};
+pub(super) use level::is_one_surface;
+pub use level::{DepthSamples, FrameLevel, TargetLevel};
 
-use crate::tracking::context::TrackingState;
 use colour::ColourBlock;
 use depth::DepthBlock;
 use geometry::Geometry;
 use i2slam_compute::simd::Lanes;
 use i2slam_compute::{NormalEquations, reduce_in_order};
-use i2slam_formation::{Quadrature, ResponseCurve};
+use i2slam_formation::{CentreVelocity, FrameTone, Quadrature, ResponseCurve};
 use i2slam_geometry::Pose;
 use level::{BlockValues, groups};
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
 /// Unknowns: centre (ρ, φ), velocity (ρ, φ), log exposure, log white balance (r, g, b), readout.
-pub(super) const UNKNOWNS: usize = 17;
+pub const UNKNOWNS: usize = 17;
 /// Normal equations of one frame.
-pub(super) type Equations = NormalEquations<UNKNOWNS>;
+pub type Equations = NormalEquations<UNKNOWNS>;
 
 /// Degrees of freedom of the t-distribution of residuals (Kerl 2013).
-pub(super) const DEGREES_OF_FREEDOM: f32 = 5.0;
+pub const DEGREES_OF_FREEDOM: f32 = 5.0;
 /// Standard deviation of depth over the roughness of target or frame: beside edges an interpolated
 /// depth lies on no surface, and always errs to the same side.
 const ROUGHNESS_SIGMA_RATIO: f32 = 0.5;
@@ -55,73 +55,90 @@ const ROUGHNESS_SIGMA_RATIO: f32 = 0.5;
 const MAX_DEPTH_RESIDUAL_RATIO: f32 = 0.08;
 /// Distance along the optical axis within which points count as not visible [m].
 const MIN_DISTANCE: f32 = 0.05;
-/// Index of the velocity among the unknowns, then of exposure, white balance and readout.
-pub(super) const VELOCITY: usize = 6;
-pub(super) const EXPOSURE: usize = 12;
-pub(super) const WHITE_BALANCE: usize = 13;
-pub(super) const READOUT: usize = 16;
+/// Index of the velocity among the unknowns.
+pub const VELOCITY: usize = 6;
+/// Index of the logarithm of the exposure.
+pub const EXPOSURE: usize = 12;
+/// Index of the logarithms of the white balance, red, green, blue.
+pub const WHITE_BALANCE: usize = 13;
+/// Index of the readout.
+pub const READOUT: usize = 16;
 /// Blocks of samples that one parallel task takes.
 const BLOCKS_PER_TASK: usize = 8;
 
 /// Scales of the t-distributions of the residuals.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RobustScales {
+pub struct RobustScales {
     /// Of depth at 1 m; beyond, the scale grows with the square of the depth [m].
-    pub(super) depth: f32,
+    pub depth: f32,
     /// Of image residuals [picture values].
-    pub(super) image: f32,
+    pub image: f32,
 }
 
 /// Inputs of one evaluation of the residuals.
-pub(super) struct Linearization<'a> {
-    pub(super) target: &'a TargetLevel,
-    pub(super) frame: &'a FrameLevel,
+pub struct Linearization<'a> {
+    /// The target, at the same level.
+    pub target: &'a TargetLevel,
+    /// The frame.
+    pub frame: &'a FrameLevel,
     /// Camera-from-world pose of the target.
-    pub(super) target_from_world: Pose<f64>,
-    pub(super) state: &'a TrackingState,
-    pub(super) curve: Option<&'a ResponseCurve<f32>>,
+    pub target_from_world: Pose<f64>,
+    /// World-from-camera pose at mid-exposure, and the motion during the exposure.
+    pub motion: CentreVelocity<f64>,
+    /// Rolling-shutter readout from the first to the last row [exposures].
+    pub readout: f64,
+    /// Exposure and white balance.
+    pub tone: FrameTone<f32>,
+    /// Camera response; without one, radiance is compared with picture values.
+    pub curve: Option<&'a ResponseCurve<f32>>,
     /// Virtual cameras of the exposure.
-    pub(super) cameras: usize,
+    pub cameras: usize,
     /// Height of the picture at this level [px], an odd last row included; `None` for a global
     /// shutter.
-    pub(super) rolling_height: Option<f64>,
-    pub(super) quadrature: Quadrature,
+    pub rolling_height: Option<f64>,
+    /// Moments of the exposure at which virtual cameras stand.
+    pub quadrature: Quadrature,
     /// World-from-camera pose at the time of the depth picture.
-    pub(super) world_from_depth: Pose<f64>,
+    pub world_from_depth: Pose<f64>,
     /// Motion from mid-exposure to the depth picture over the motion since the last frame.
-    pub(super) depth_offset_ratio: f64,
-    pub(super) scales: RobustScales,
+    pub depth_offset_ratio: f64,
+    /// Scales of the residuals.
+    pub scales: RobustScales,
     /// Weight of image residuals against depth residuals.
-    pub(super) image_weight: f32,
+    pub image_weight: f32,
     /// Whether gradient and Hessian are computed beside cost and errors.
-    pub(super) derivatives: bool,
+    pub derivatives: bool,
 }
 
 /// Sums of absolute residuals, unweighted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct AbsoluteErrors {
+pub struct AbsoluteErrors {
     /// Depth residuals, divided by the growth of depth noise with distance [m at 1 m].
-    pub(super) depth: f64,
-    pub(super) depth_count: usize,
+    pub depth: f64,
+    /// Number of depth residuals.
+    pub depth_count: usize,
     /// Image residuals [picture values].
-    pub(super) image: f64,
-    pub(super) image_count: usize,
+    pub image: f64,
+    /// Number of image residuals.
+    pub image_count: usize,
 }
 
 /// Normal equations of the residuals, their absolute sums and the overlap.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ResidualSums {
+pub struct ResidualSums {
     /// Only cost and number of residuals where no derivatives were asked for.
-    pub(super) equations: Equations,
-    pub(super) errors: AbsoluteErrors,
+    pub equations: Equations,
+    /// Absolute sums.
+    pub errors: AbsoluteErrors,
     /// Sampled pixels with depth, visible in the target or not.
-    pub(super) candidates: usize,
+    pub candidates: usize,
     /// Those that lie on the target's surface.
-    pub(super) agreeing: usize,
+    pub agreeing: usize,
 }
 
 impl ResidualSums {
-    pub(super) fn merge(&mut self, other: &Self) {
+    /// Adds the sums of another part.
+    pub fn merge(&mut self, other: &Self) {
         self.equations.merge(&other.equations);
         self.errors.depth += other.errors.depth;
         self.errors.depth_count += other.errors.depth_count;
@@ -132,19 +149,19 @@ impl ResidualSums {
     }
 
     /// Mean negative log-likelihood of the residuals, the cost that steps minimise.
-    pub(super) fn mean_cost(&self) -> f64 {
+    pub fn mean_cost(&self) -> f64 {
         self.equations.cost / (self.equations.count.max(1) as f64)
     }
 
     /// Share of the frame's depth pixels that lie on the target's surface.
-    pub(super) fn overlap(&self) -> f64 {
+    pub fn overlap(&self) -> f64 {
         self.agreeing as f64 / self.candidates.max(1) as f64
     }
 }
 
 impl Linearization<'_> {
     /// Sums residuals and derivatives over the frame, in an order that does not depend on threads.
-    pub(super) fn accumulate(&self) -> ResidualSums {
+    pub fn accumulate(&self) -> ResidualSums {
         let geometry = Geometry::new(self);
         let arch = Arch::new();
         let samples = &self.frame.samples;
