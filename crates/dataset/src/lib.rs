@@ -33,10 +33,10 @@ mod video;
 pub use camera::EstimatedCamera;
 pub use error::DatasetError;
 pub use formats::{
-    ByteRanges, DroppedFrames, FrameEntry, Layout, camera_json, paper_frames, read_trajectory,
-    write_trajectory,
+    ByteRanges, DepthEntry, DroppedFrames, FrameEntry, Layout, camera_json, paper_frames,
+    read_trajectory, write_trajectory,
 };
 pub use image::{MAX_PIXELS, read_image_size};
-pub use options::OpenOptions;
-pub use sequence::{Frame, FrameStream, Sequence, is_without_depth};
+pub use options::{DepthPairing, OpenOptions};
+pub use sequence::{DepthPicture, Frame, FrameStream, Sequence, is_without_depth};
 pub use video::{MAX_RECORDING_BYTES, Recording, is_stream, is_video};

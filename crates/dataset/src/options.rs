@@ -5,6 +5,26 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::PathBuf;
 
+/// Rule by which depth pictures are given to colour pictures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DepthPairing {
+    /// A depth picture belongs to one colour picture, the two mutually nearest in time. All colour
+    /// pictures are frames, those without a depth picture of their own too.
+    #[default]
+    OneToOne,
+    /// Every colour picture takes the nearest depth picture, so that one may serve several; colour
+    /// pictures without one are dropped. The association of SplaTAM.
+    Nearest,
+}
+
+impl DepthPairing {
+    /// The rule of results written before there was a choice.
+    fn of_earlier_results() -> Self {
+        Self::Nearest
+    }
+}
+
 /// Options for opening a sequence. Start from [`OpenOptions::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -42,16 +62,20 @@ pub struct OpenOptions {
     pub crop_border: usize,
     /// Depth beyond this is taken as invalid [m]. Default none.
     pub max_depth: Option<f64>,
-    /// A depth image (and, where the folder has ground truth, a pose) must be closer in time
-    /// than this [s]. Default 0.08.
+    /// The depth image of a frame (and, where the folder has ground truth, its pose) must be closer
+    /// in time than this [s]. Default 0.08.
     pub association_tolerance: f64,
+    /// Rule by which depth pictures are given to colour pictures. Default
+    /// [`OneToOne`](DepthPairing::OneToOne).
+    #[serde(default = "DepthPairing::of_earlier_results")]
+    pub depth_pairing: DepthPairing,
     /// Frames that follow the last kept one by no more than this are dropped [s]; 0 keeps all.
     /// Default 1/32: the thinning of SplaTAM's TUM loader, which published frame numbers count by.
     /// Frames without time stamps are not thinned.
     pub minimum_gap: f64,
     /// Read colour only: sequences without depth can be opened, and
-    /// [`Frame::depth`](crate::Frame::depth) is 0 everywhere. Depth images that exist still take part
-    /// in the association, so that frame numbers do not depend on this option. Default false.
+    /// [`Frame::depth`](crate::Frame::depth) is `None`. Frame numbers do not depend on this option.
+    /// Default false.
     pub colour_only: bool,
     /// Apply the EXIF orientation of the first image to sequences of colour images alone. Default
     /// false: images stay as stored, with a warning.
@@ -74,6 +98,7 @@ impl Default for OpenOptions {
             crop_border: 0,
             max_depth: None,
             association_tolerance: 0.08,
+            depth_pairing: DepthPairing::OneToOne,
             minimum_gap: 1.0 / 32.0,
             colour_only: false,
             turn_pictures: false,

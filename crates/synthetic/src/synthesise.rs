@@ -183,10 +183,10 @@ impl Renderer<'_> {
         rule: &ShutterRule,
         blurs: &[f64],
     ) -> Result<Summary, SyntheticError> {
-        let stamps: Vec<f64> = frames.iter().map(|f| f.stamp).collect();
-        write_list(&self.folder, "rgb", "colour images (motion-blurred)", &stamps)?;
+        let stamps = || frames.iter().map(|frame| frame.stamp).enumerate();
+        write_list(&self.folder, "rgb", "colour images (motion-blurred)", stamps())?;
         let about = "depth maps (z-depth at mid-exposure, 5000 = 1 m, 0 = invalid)";
-        write_list(&self.folder, "depth", about, &stamps)?;
+        write_list(&self.folder, "depth", about, stamps())?;
         self.write_truth(frames, rule, blurs)?;
         let summary = self.summary(frames, rule, blurs);
         self.folder.write_text("camera.json", &camera_json(&self.camera, self.spec, rule))?;

@@ -43,16 +43,16 @@ pub(crate) fn write_bytes(
     Ok(folder.write(relative, |out| out.write_all(&bytes?))?)
 }
 
-/// Writes `rgb.txt` or `depth.txt`, a line for every stamp [s]; frames are numbered.
+/// Writes `rgb.txt` or `depth.txt`, a line for every numbered frame with its stamp [s].
 pub(crate) fn write_list(
     folder: &OutputFolder,
     kind: &str,
     about: &str,
-    stamps: &[f64],
+    stamps: impl IntoIterator<Item = (usize, f64)>,
 ) -> Result<(), SyntheticError> {
     let mut text = format!("# {about}\n# timestamp filename\n");
-    for (i, stamp) in stamps.iter().enumerate() {
-        text.push_str(&format!("{stamp:.6} {kind}/{i:06}.png\n"));
+    for (number, stamp) in stamps {
+        text.push_str(&format!("{stamp:.6} {kind}/{number:06}.png\n"));
     }
     Ok(folder.write_text(&format!("{kind}.txt"), &text)?)
 }

@@ -60,17 +60,18 @@ fn depth_and_poses_carry_a_frame_onto_another() {
 /// Mean difference of colours over points that `b` sees too, and their share.
 fn warp_error(camera: &Camera<f64>, a: &Frame, b: &Frame, b_from_a: Pose<f64>) -> (f64, f64) {
     let (mut sum, mut count) = (0.0, 0);
-    for pixel in 0..a.depth.pixels() {
-        let (column, row) = (pixel % a.depth.width, pixel / a.depth.width);
+    let [from, to] = [a, b].map(|frame| frame.depth_image().expect("depth"));
+    for pixel in 0..from.pixels() {
+        let (column, row) = (pixel % from.width, pixel / from.width);
         let (u, v) = Camera::<f64>::pixel_centre(column, row);
-        let z = f64::from(a.depth.data[pixel]);
+        let z = f64::from(from.data[pixel]);
         let point = b_from_a * camera.unproject(u, v, z);
         if z <= 0.0 || point.z <= 0.1 {
             continue;
         }
         let (u, v) = camera.project(point);
         let Some(tap) = b.colour.tap(u as f32, v as f32) else { continue };
-        let seen = f64::from(b.depth.at(0, u as usize, v as usize));
+        let seen = f64::from(to.at(0, u as usize, v as usize));
         if (seen - point.z).abs() > 0.03 * point.z {
             continue;
         }
@@ -80,7 +81,7 @@ fn warp_error(camera: &Camera<f64>, a: &Frame, b: &Frame, b_from_a: Pose<f64>) -
         }
         count += 1;
     }
-    (sum / f64::from(count.max(1)), f64::from(count) / a.depth.pixels() as f64)
+    (sum / f64::from(count.max(1)), f64::from(count) / from.pixels() as f64)
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Pairing of colour with depth files by name, number or order.
 
 use super::{FrameEntry, Layout, Listing};
-use crate::DatasetError;
 use crate::text::counted;
+use crate::{DatasetError, DepthPairing};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -16,15 +16,14 @@ pub(super) struct FilePair {
     /// Number in the file names, if they are numbered.
     pub(super) number: Option<u64>,
     pub(super) colour: PathBuf,
-    /// `None`: a sequence without depth.
     depth: Option<PathBuf>,
 }
 
 /// Colour files with their depth files, in order of number or name.
 pub(super) struct FilePairs {
     pub(super) pairs: Vec<FilePair>,
-    /// Colour images without a depth image of that name or number.
-    pub(super) without_depth: usize,
+    /// Colour images that were dropped: no depth image has their name or number.
+    without_depth: usize,
 }
 
 impl FilePairs {
@@ -33,6 +32,7 @@ impl FilePairs {
         folder: &Path,
         colour: Vec<PathBuf>,
         depth: Vec<PathBuf>,
+        pairing: DepthPairing,
     ) -> Result<Self, DatasetError> {
         let (colour, depth) = (sorted_by_key(colour), sorted_by_key(depth));
         let partners = pair_by_key(&colour, &depth).ok_or_else(|| {
@@ -44,13 +44,18 @@ impl FilePairs {
             );
             DatasetError::file(folder, reason)
         })?;
-        let without_depth = partners.iter().filter(|p| p.is_none()).count();
+        let count = colour.len();
         let places = colour.into_iter().zip(partners).enumerate();
-        let pairs = places.filter_map(|(image_index, ((key, colour), partner))| {
-            let depth = Some(depth[partner?].1.clone());
-            Some(FilePair { image_index, number: key.number(), colour, depth })
-        });
-        Ok(Self { pairs: pairs.collect(), without_depth })
+        let mut pairs: Vec<FilePair> = places
+            .map(|(image_index, ((key, colour), partner))| {
+                let depth = partner.map(|partner| depth[partner].1.clone());
+                FilePair { image_index, number: key.number(), colour, depth }
+            })
+            .collect();
+        if pairing == DepthPairing::Nearest {
+            pairs.retain(|pair| pair.depth.is_some());
+        }
+        Ok(Self { without_depth: count - pairs.len(), pairs })
     }
 
     /// Images without depth.
@@ -65,30 +70,32 @@ impl FilePairs {
         Self { pairs: files.map(pair).collect(), without_depth: 0 }
     }
 
-    /// Entries stamped `index / frame_rate` [s].
-    pub(super) fn stamped_by_index(self, frame_rate: f64) -> Vec<FrameEntry> {
-        self.entries(|pair| pair.image_index as f64 / frame_rate)
+    /// Lists frames at `index / frame_rate` [s].
+    pub(super) fn list_by_index(self, layout: Layout, frame_rate: f64) -> Listing {
+        self.list(layout, |pair| pair.image_index as f64 / frame_rate)
     }
 
     /// Lists frames at `number / frame_rate` [s], so that gaps in the numbers are gaps in time.
     pub(super) fn list_by_number(self, layout: Layout, frame_rate: f64) -> Listing {
-        let (without_depth, gap) = (self.without_depth, self.gap_warning());
+        let gap = self.gap_warning();
         let number = |pair: &FilePair| pair.number.map_or(pair.image_index as f64, |n| n as f64);
-        let mut listing = Listing::new(layout, self.entries(|pair| number(pair) / frame_rate));
-        listing.drop_without_depth(without_depth);
+        let mut listing = self.list(layout, |pair| number(pair) / frame_rate);
         listing.warnings.extend(gap);
         listing
     }
 
-    fn entries(self, time: impl Fn(&FilePair) -> f64) -> Vec<FrameEntry> {
+    fn list(self, layout: Layout, time: impl Fn(&FilePair) -> f64) -> Listing {
         let pairs = self.pairs.into_iter().enumerate();
-        pairs
+        let entries = pairs
             .map(|(index, pair)| {
                 let timestamp = time(&pair);
                 let FilePair { image_index, colour, depth, .. } = pair;
                 FrameEntry::synchronous((index, image_index), timestamp, colour, depth)
             })
-            .collect()
+            .collect();
+        let mut listing = Listing::new(layout, entries);
+        listing.drop_without_depth(self.without_depth, "no depth image of that name or number");
+        listing
     }
 
     /// A warning if numbers have gaps, so that indices differ from published frame numbers.

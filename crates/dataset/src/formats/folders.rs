@@ -52,14 +52,11 @@ pub(super) fn list(
         return list_by_time(folder, Layout::Plain, StampedImages { colour, depth }, options);
     }
     let pairs = match depth {
-        Some(depth) => FilePairs::new(folder, colour, depth)?,
+        Some(depth) => FilePairs::new(folder, colour, depth, options.depth_pairing)?,
         None => FilePairs::colour_only(colour),
     };
-    let without_depth = pairs.without_depth;
-    let mut listing = Listing::new(Layout::Plain, pairs.stamped_by_index(frame_rate));
-    listing.drop_without_depth(without_depth);
-    listing.ground_truth = ground_truth(folder);
-    Ok(listing)
+    let listing = pairs.list_by_index(Layout::Plain, frame_rate);
+    Ok(Listing { ground_truth: ground_truth(folder), ..listing })
 }
 
 /// Images without depth in a folder and its subfolders, in order of their paths, `1 / frame_rate`

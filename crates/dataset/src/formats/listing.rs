@@ -7,7 +7,7 @@ use crate::video::Video;
 use i2slam_geometry::{Pose, StampedPose};
 use serde::Serialize;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Files and time stamps of one frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,14 +18,21 @@ pub struct FrameEntry {
     pub image_index: usize,
     /// Time stamp of the colour image [s].
     pub timestamp: f64,
-    /// Time stamp of the depth image [s]; the colour's where depth has none of its own.
-    pub depth_timestamp: f64,
     /// Colour image file, or the video.
     pub colour: PathBuf,
-    /// Depth image file; `None` only in a sequence without depth images.
-    pub depth: Option<PathBuf>,
+    /// Its depth image; `None` for a frame without.
+    pub depth: Option<DepthEntry>,
     /// Byte ranges of the images in their files; `None`: each image is a whole file.
     pub byte_ranges: Option<ByteRanges>,
+}
+
+/// File and time stamp of a depth image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthEntry {
+    /// Depth image file.
+    pub path: PathBuf,
+    /// Time stamp [s]; the colour image's where depth has none of its own.
+    pub timestamp: f64,
 }
 
 /// Byte ranges of the two images of a frame in one file.
@@ -42,6 +49,10 @@ impl FrameEntry {
         self.byte_ranges.as_ref().map(|ranges| &ranges.colour)
     }
 
+    pub(crate) fn depth_path(&self) -> Option<&Path> {
+        self.depth.as_ref().map(|depth| depth.path.as_path())
+    }
+
     pub(crate) fn depth_range(&self) -> Option<&Range<u64>> {
         self.byte_ranges.as_ref().map(|ranges| &ranges.depth)
     }
@@ -53,15 +64,16 @@ impl FrameEntry {
         colour: PathBuf,
         depth: Option<PathBuf>,
     ) -> Self {
-        let (depth_timestamp, byte_ranges) = (timestamp, None);
-        Self { index, image_index, timestamp, depth_timestamp, colour, depth, byte_ranges }
+        let depth = depth.map(|path| DepthEntry { path, timestamp });
+        Self { index, image_index, timestamp, colour, depth, byte_ranges: None }
     }
 }
 
 /// Numbers of colour images that are not in the associated stream, by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DroppedFrames {
-    /// No depth image within the tolerance, or of that name.
+    /// No depth image within the tolerance, or of that name (only by
+    /// [`DepthPairing::Nearest`](crate::DepthPairing::Nearest)).
     pub without_depth: usize,
     /// No ground-truth pose within the tolerance (only where the folder has ground truth).
     pub without_pose: usize,
@@ -121,14 +133,23 @@ impl Listing {
         }
     }
 
-    /// Counts colour images without a depth image of their name or number, with a warning.
-    pub(super) fn drop_without_depth(&mut self, count: usize) {
+    /// Counts colour images that were dropped for lack of a depth image, with a warning; `lack` says
+    /// what they lack.
+    pub(super) fn drop_without_depth(&mut self, count: usize, lack: &str) {
         self.dropped.without_depth = count;
         if count > 0 {
-            self.warnings.push(format!(
-                "{} left out: no depth image of that name or number",
-                counted(count, "colour image")
-            ));
+            self.warnings.push(format!("{} left out: {lack}", counted(count, "colour image")));
         }
+    }
+
+    /// Whether some frames have depth and others have none, as a warning.
+    pub(crate) fn partial_depth_warning(&self) -> Option<String> {
+        let with = self.entries.iter().filter(|entry| entry.depth.is_some()).count();
+        (with > 0 && with < self.entries.len()).then(|| {
+            format!(
+                "{with} of {} have a depth image of their own, the others colour alone",
+                counted(self.entries.len(), "frame")
+            )
+        })
     }
 }

@@ -19,11 +19,11 @@ mod seven_scenes;
 mod tum;
 
 pub use camera_file::camera_json;
-pub use listing::{ByteRanges, DroppedFrames, FrameEntry};
+pub use listing::{ByteRanges, DepthEntry, DroppedFrames, FrameEntry};
 pub use scannet::paper_frames;
 pub use tum::{read_trajectory, write_trajectory};
 
-pub(crate) use association::associate_poses;
+pub(crate) use association::pair_mutually_nearest;
 pub(crate) use camera_file::read_camera;
 pub(crate) use file_pairing::{file_stem, last_number};
 pub(crate) use folders::list_images_below;
@@ -227,9 +227,9 @@ impl DetectedLayout {
             Self::Eth3d(_) => tum::list(path, Layout::Eth3d, options),
             Self::ScanNet(folders) => scannet::list(folders, options, frame_rate),
             Self::Sens(file) => file.list(options, frame_rate),
-            Self::Replica(folders) => replica::list(folders, frame_rate),
-            Self::SevenScenes => seven_scenes::list(path, frame_rate),
-            Self::Nerfstudio(file) => file.list(frame_rate),
+            Self::Replica(folders) => replica::list(folders, options, frame_rate),
+            Self::SevenScenes => seven_scenes::list(path, options, frame_rate),
+            Self::Nerfstudio(file) => file.list(options, frame_rate),
             Self::Plain(folders) => folders::list(path, folders, options, frame_rate),
             Self::Video => list_video(path, options, frame_rate),
         }

@@ -3,9 +3,9 @@
 use super::file_pairing::{last_number, stamped_by_name};
 use super::poses::pose_from_matrix;
 use super::{FrameEntry, Layout, Listing};
-use crate::DatasetError;
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
-use crate::text::{counted, is_present, read_text};
+use crate::text::{is_present, read_text};
+use crate::{DatasetError, DepthPairing, OpenOptions};
 use i2slam_geometry::Pose;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -16,13 +16,13 @@ const DEFAULT_DEPTH_SCALE: f64 = 1000.0;
 /// Relative difference of focal lengths between frames above which a warning is given.
 const SAME_INTRINSICS: f64 = 1e-3;
 
-/// A `transforms.json` with its frames (only those with depth, if asked for), in order of number or
-/// name.
+/// A `transforms.json` with its frames, in order of number or name.
 pub(crate) struct TransformsFile {
     path: PathBuf,
     json: TransformsJson,
     records: Vec<FrameRecord>,
-    without_depth: usize,
+    /// Whether it was opened for its depth.
+    with_depth: bool,
 }
 
 /// Path of the folder's `transforms.json`, if it has depth or cannot be read.
@@ -43,19 +43,15 @@ pub(super) fn unused(folder: &Path) -> Option<String> {
 }
 
 impl TransformsFile {
-    /// Reads the file; `with_depth` drops frames without `depth_file_path`.
+    /// Reads the file; `with_depth` demands a frame with `depth_file_path`.
     pub(crate) fn open(path: &Path, with_depth: bool) -> Result<Self, DatasetError> {
         let refuse = |reason: String| DatasetError::file(path, reason);
         let mut json: TransformsJson = serde_json::from_str(&read_text(path)?)
             .map_err(|e| refuse(format!("{e}; expected a transforms.json of nerfstudio")))?;
         json.check().map_err(refuse)?;
-        let all = std::mem::take(&mut json.frames);
-        let count = all.len();
-        let mut records: Vec<FrameRecord> = all
-            .into_iter()
-            .filter(|record| !with_depth || record.depth_file_path.is_some())
-            .collect();
-        if records.is_empty() {
+        let mut records = std::mem::take(&mut json.frames);
+        let is_enough = |record: &FrameRecord| !with_depth || record.depth_file_path.is_some();
+        if !records.iter().any(is_enough) {
             let expected = if with_depth { "frames with depth_file_path" } else { "frames" };
             return Err(DatasetError::empty(path, expected));
         }
@@ -65,8 +61,7 @@ impl TransformsFile {
                 record.file_path.clone(),
             )
         });
-        let without_depth = count - records.len();
-        Ok(Self { path: path.to_path_buf(), json, records, without_depth })
+        Ok(Self { path: path.to_path_buf(), json, records, with_depth })
     }
 
     /// Whether any frame has depth.
@@ -95,25 +90,27 @@ impl TransformsFile {
     }
 
     /// Lists the frames at the time stamps in their names, else `index / frame_rate` [s].
-    pub(super) fn list(&self, frame_rate: f64) -> Result<Listing, DatasetError> {
+    pub(super) fn list(
+        &self,
+        options: &OpenOptions,
+        frame_rate: f64,
+    ) -> Result<Listing, DatasetError> {
         let folder = self.path.parent().unwrap_or(Path::new("."));
+        let drops = self.with_depth && options.depth_pairing == DepthPairing::Nearest;
+        let is_kept = |record: &&FrameRecord| !drops || record.depth_file_path.is_some();
+        let records: Vec<&FrameRecord> = self.records.iter().filter(is_kept).collect();
         let colour: Vec<PathBuf> =
-            self.records.iter().map(|record| image_path(folder, &record.file_path)).collect();
+            records.iter().map(|record| image_path(folder, &record.file_path)).collect();
         let times = stamped_by_name(&colour);
         let rising = times.filter(|t| t.windows(2).all(|pair| pair[0].0 < pair[1].0));
-        let entries =
-            self.records.iter().zip(colour).enumerate().map(|(index, (record, colour))| {
-                let timestamp = rising.as_ref().map_or(index as f64 / frame_rate, |t| t[index].0);
-                let depth = record.depth_file_path.as_ref().map(|depth| folder.join(depth));
-                FrameEntry::synchronous((index, index), timestamp, colour, depth)
-            });
+        let entries = records.iter().zip(colour).enumerate().map(|(index, (record, colour))| {
+            let timestamp = rising.as_ref().map_or(index as f64 / frame_rate, |t| t[index].0);
+            let depth = record.depth_file_path.as_ref().map(|depth| folder.join(depth));
+            FrameEntry::synchronous((index, index), timestamp, colour, depth)
+        });
         let mut listing = Listing::new(Layout::Nerfstudio, entries.collect());
-        listing.dropped.without_depth = self.without_depth;
-        if self.without_depth > 0 {
-            let count = counted(self.without_depth, "frame");
-            listing.warnings.push(format!("{count} left out: no depth_file_path"));
-        }
-        listing.set_poses(|i, _| self.pose(&self.records[i]));
+        listing.drop_without_depth(self.records.len() - records.len(), "no depth_file_path");
+        listing.set_poses(|i, _| self.pose(records[i]));
         listing.warnings.extend(self.intrinsics_warning());
         Ok(listing)
     }

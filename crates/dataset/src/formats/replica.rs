@@ -4,9 +4,9 @@
 use super::file_pairing::{FilePairs, holds_both, list_images};
 use super::poses::read_matrix_lines;
 use super::{Layout, Listing};
-use crate::DatasetError;
 use crate::camera::{Calibration, Distortion, FormatDefaults};
 use crate::text::{is_present, read_text};
+use crate::{DatasetError, OpenOptions};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -78,10 +78,18 @@ pub(super) fn calibration(folders: &ReplicaFolders) -> Result<Calibration, Datas
 }
 
 /// Lists the frames at `number / frame_rate` [s]; line n of `traj.txt` is the pose of frame n.
-pub(super) fn list(folders: &ReplicaFolders, frame_rate: f64) -> Result<Listing, DatasetError> {
+pub(super) fn list(
+    folders: &ReplicaFolders,
+    options: &OpenOptions,
+    frame_rate: f64,
+) -> Result<Listing, DatasetError> {
     let results = &folders.results;
-    let pairs =
-        FilePairs::new(results, list_images(results, is_colour)?, list_images(results, is_depth)?)?;
+    let pairs = FilePairs::new(
+        results,
+        list_images(results, is_colour)?,
+        list_images(results, is_depth)?,
+        options.depth_pairing,
+    )?;
     let numbers: Vec<Option<usize>> =
         pairs.pairs.iter().map(|pair| pair.number.map(|n| n as usize)).collect();
     let mut listing = pairs.list_by_number(Layout::Replica, frame_rate);

@@ -81,8 +81,12 @@ pub(super) fn list(
 ) -> Result<Listing, DatasetError> {
     let folder = &folders.folder;
     let (colour, depth) = (folder.join("color"), folder.join("depth"));
-    let pairs =
-        FilePairs::new(folder, list_images(&colour, |_| true)?, list_images(&depth, |_| true)?)?;
+    let pairs = FilePairs::new(
+        folder,
+        list_images(&colour, |_| true)?,
+        list_images(&depth, |_| true)?,
+        options.depth_pairing,
+    )?;
     let mut listing = pairs.list_by_number(Layout::ScanNet, frame_rate);
     listing.set_poses(|_, entry| {
         let name = entry.colour.with_extension("txt");

@@ -5,7 +5,7 @@
 
 use super::poses::pose_from_matrix;
 use super::scannet::{self, border_warning, from_intrinsics, intrinsics_of_matrix};
-use super::{ByteRanges, FrameEntry, Layout, Listing, unknown_layout};
+use super::{ByteRanges, DepthEntry, FrameEntry, Layout, Listing, unknown_layout};
 use crate::camera::{Calibration, FormatDefaults};
 use crate::image::{DepthEncoding, MAX_DEFLATE_RATIO, check_pixels};
 use crate::{DatasetError, OpenOptions};
@@ -95,9 +95,8 @@ impl SensFile {
             index,
             image_index: index,
             timestamp: time(index),
-            depth_timestamp: depth_time(index),
             colour: self.path.clone(),
-            depth: Some(self.path.clone()),
+            depth: Some(DepthEntry { path: self.path.clone(), timestamp: depth_time(index) }),
             byte_ranges: Some(ByteRanges {
                 colour: frame.colour.clone(),
                 depth: frame.depth.clone(),

@@ -4,8 +4,8 @@
 use super::file_pairing::{FilePairs, holds_both, list_images};
 use super::poses::read_pose;
 use super::{Layout, Listing};
-use crate::DatasetError;
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
+use crate::{DatasetError, OpenOptions};
 use std::path::Path;
 
 /// Depth in millimetres, 65535 where there is none. Colour and depth come from two cameras without
@@ -44,9 +44,17 @@ pub(super) fn calibration() -> Calibration {
 }
 
 /// Lists the frames at `number / frame_rate` [s].
-pub(super) fn list(folder: &Path, frame_rate: f64) -> Result<Listing, DatasetError> {
-    let pairs =
-        FilePairs::new(folder, list_images(folder, is_colour)?, list_images(folder, is_depth)?)?;
+pub(super) fn list(
+    folder: &Path,
+    options: &OpenOptions,
+    frame_rate: f64,
+) -> Result<Listing, DatasetError> {
+    let pairs = FilePairs::new(
+        folder,
+        list_images(folder, is_colour)?,
+        list_images(folder, is_depth)?,
+        options.depth_pairing,
+    )?;
     let mut listing = pairs.list_by_number(Layout::SevenScenes, frame_rate);
     listing.set_poses(|_, entry| {
         let name = entry.colour.file_name()?.to_string_lossy();

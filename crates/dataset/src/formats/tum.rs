@@ -2,7 +2,7 @@
 
 use super::association::{Association, AssociationRules, associate};
 use super::poses::{UNIT_TOLERANCE, unit_length_error};
-use super::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing};
+use super::{DepthEntry, DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing};
 use crate::camera::{Calibration, Distortion, FormatDefaults};
 use crate::text::{counted, data_lines, is_present, parse_number, parse_numbers, read_text};
 use crate::{DatasetError, OpenOptions};
@@ -142,21 +142,22 @@ pub(super) fn list_by_time(
 ) -> Result<Listing, DatasetError> {
     let stamps = |files: &[(f64, PathBuf)]| files.iter().map(|f| f.0).collect::<Vec<f64>>();
     let colour = stamps(&stamped.colour);
-    // Without depth an image is associated with itself.
-    let depth = stamps(stamped.depth.as_ref().unwrap_or(&stamped.colour));
+    let depth = stamped.depth.as_ref().map(|files| stamps(files));
     let rules = AssociationRules {
+        pairing: options.depth_pairing,
         tolerance: options.association_tolerance,
         minimum_gap: options.minimum_gap,
     };
     let ground_truth = ground_truth(folder);
     let mut warnings = Vec::new();
     let poses = ground_truth.as_deref().and_then(|path| pose_stamps(path, &mut warnings));
-    let mut association = associate(&colour, &depth, poses.as_deref(), rules);
+    let mut association = associate(&colour, depth.as_deref(), poses.as_deref(), rules);
     if association.pairs.is_empty() && association.without_pose > 0 {
         warnings.push("no frame has a ground-truth pose in time: ground truth ignored".into());
-        association = associate(&colour, &depth, None, rules);
+        association = associate(&colour, depth.as_deref(), None, rules);
     }
-    if association.pairs.is_empty() {
+    let needs_depth = depth.is_some() && !options.colour_only;
+    if association.pairs.is_empty() || needs_depth && association.with_depth() == 0 {
         let reason = format!(
             "none of {} colour images has a depth image within {} s; the nearest is {:.3} s away: \
              check that both use one clock, or raise the tolerance",
@@ -178,12 +179,11 @@ pub(super) fn list_by_time(
 }
 
 fn entries(association: &Association, stamped: &StampedImages) -> Vec<FrameEntry> {
-    let entry = |(index, &(i, j)): (usize, &(usize, usize))| {
+    let entry = |(index, &(i, j)): (usize, &(usize, Option<usize>))| {
         let (timestamp, colour) = stamped.colour[i].clone();
-        let depth = stamped.depth.as_ref().map(|depth| depth[j].clone());
-        let (depth_timestamp, depth) = depth.map_or((timestamp, None), |(t, file)| (t, Some(file)));
-        let entry = FrameEntry::synchronous((index, i), timestamp, colour, depth);
-        FrameEntry { depth_timestamp, ..entry }
+        let depth = stamped.depth.as_ref().zip(j).map(|(files, j)| files[j].clone());
+        let depth = depth.map(|(timestamp, path)| DepthEntry { path, timestamp });
+        FrameEntry { depth, ..FrameEntry::synchronous((index, i), timestamp, colour, None) }
     };
     association.pairs.iter().enumerate().map(entry).collect()
 }
@@ -204,7 +204,7 @@ fn pose_stamps(path: &Path, warnings: &mut Vec<String>) -> Option<Vec<f64>> {
 }
 
 fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String> {
-    let AssociationRules { tolerance, minimum_gap } = rules;
+    let AssociationRules { tolerance, minimum_gap, .. } = rules;
     let all = [
         (dropped.without_depth, "colour image", format!("no depth image within {tolerance} s")),
         (dropped.without_pose, "frame", format!("no ground-truth pose within {tolerance} s")),

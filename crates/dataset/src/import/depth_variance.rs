@@ -79,7 +79,7 @@ impl VarianceImages {
         depth: &mut Image<f32>,
     ) -> Result<Image<f32>, DatasetError> {
         let entry = &sequence.entries[pose.position];
-        let beside = entry.depth.as_deref().unwrap_or(&entry.colour);
+        let beside = entry.depth_path().unwrap_or(&entry.colour);
         let file = self.find(beside).or_else(|| self.find(&entry.colour));
         let file = file.ok_or_else(|| {
             let same = self.same_number.as_ref().map_or(String::new(), |(a, b)| {

@@ -3,7 +3,7 @@
 use super::source::{DepthSource, ImageSource, KeyframePose, KeyframeSource};
 use super::{ImportDepth, ImportFormat, ImportOptions};
 use crate::formats::nerfstudio::TransformsFile;
-use crate::formats::{DetectedLayout, FrameEntry, associate_poses, read_unit_trajectory};
+use crate::formats::{DetectedLayout, FrameEntry, pair_mutually_nearest, read_unit_trajectory};
 use crate::{DatasetError, OpenOptions, Sequence};
 use i2slam_geometry::{Pose, StampedPose};
 use std::collections::HashMap;
@@ -70,7 +70,7 @@ impl ReadKeyframes {
         if has_camera && (file.as_ref().is_some_and(is_other) || intrinsics.is_some()) {
             warnings.push(format!("the given camera ignored: that of {source} counts"));
         }
-        let has_depth = |images: &Sequence| images.entries.iter().any(|e| e.depth.is_some());
+        let has_depth = |images: &Sequence| images.frames_with_depth() > 0;
         let unread = self.format == ImportFormat::Trajectory
             && options.depth == ImportDepth::Imported
             && self.source.sequence().is_some_and(has_depth);
@@ -116,7 +116,7 @@ pub(super) fn match_by_time(
     let stamps: Vec<f64> = poses.iter().map(|(_, pose)| pose.timestamp).collect();
     let times: Vec<f64> = images.entries.iter().map(|entry| entry.timestamp).collect();
     let tolerance = options.open.association_tolerance;
-    let associated = associate_poses(&stamps, &times, tolerance);
+    let associated = pair_mutually_nearest(&stamps, &times, tolerance);
     let keyframe = |&(index, position): &(usize, usize)| {
         let (record, pose) = &poses[index];
         keyframe(images, position, *record, pose.world_from_camera)

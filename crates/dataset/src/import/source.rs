@@ -157,7 +157,7 @@ impl KeyframeSource {
         let (colour, image_depth) = match &self.images {
             ImageSource::Sequence(sequence) => {
                 let frame = sequence.load(pose.position)?;
-                (frame.colour, Some(Arc::unwrap_or_clone(frame.depth)))
+                (frame.colour, frame.depth.map(|depth| Arc::unwrap_or_clone(depth.image)))
             }
             ImageSource::Arrays(images) => (Arc::new(images.load(pose.position)?), None),
         };

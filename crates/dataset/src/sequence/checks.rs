@@ -39,10 +39,10 @@ pub(super) fn recording_cameras(
     };
     let (width, height) = (colour.width, colour.height);
     let depth_size = || {
-        let probes = entries.iter().take(SIZE_PROBES);
-        let sizes = probes.filter_map(|entry| {
-            image::depth_size(entry.depth.as_deref()?, entry.depth_range(), code).ok()
-        });
+        let probes = entries.iter().filter_map(|entry| Some((entry, entry.depth_path()?)));
+        let sizes = probes
+            .take(SIZE_PROBES)
+            .filter_map(|(entry, path)| image::depth_size(path, entry.depth_range(), code).ok());
         most_common(&sizes.collect::<Vec<_>>()).unwrap_or((width, height))
     };
     Ok(match calibration.format.grid {
@@ -150,8 +150,8 @@ pub(super) fn depth_scale_warning(entries: &[FrameEntry], loader: &FrameLoader) 
     let (depth_scale, code, invalid) =
         (loader.depth_scale, loader.depth_encoding, loader.invalid_depth);
     let mut values: Vec<u16> = Vec::new();
-    for entry in entries.iter().take(DEPTH_PROBES).filter(|_| !loader.colour_only) {
-        let Some(path) = entry.depth.as_deref() else { continue };
+    let probes = entries.iter().filter_map(|entry| Some((entry, entry.depth_path()?)));
+    for (entry, path) in probes.take(DEPTH_PROBES).filter(|_| !loader.colour_only) {
         let depth = decode_depth(path, entry.depth_range(), code, loader.expected_depth());
         let Ok(depth) = depth else { continue };
         let valid = |v: &&u16| **v > 0 && Some(**v) != invalid;

@@ -18,34 +18,39 @@ const BLACK: f64 = 2.0 / 255.0;
 /// Mean colour value above which a frame counts as white.
 const WHITE: f64 = 253.0 / 255.0;
 
-/// One RGB-D frame, ready to use.
+/// One frame, ready to use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     /// Index in the associated stream, before the choice by range and stride.
     pub index: usize,
     /// Time stamp of the colour image [s].
     pub timestamp: f64,
-    /// Time stamp of the depth image [s]; the colour's where depth has none of its own.
-    pub depth_timestamp: f64,
     /// 3 planes R, G, B in `[0, 1]`, as recorded (display space).
     pub colour: Arc<Image<f32>>,
-    /// 1 plane, depth along the optical axis [m], 0 where invalid.
-    pub depth: Arc<Image<f32>>,
+    /// Its depth; `None` for a frame without, and where only colour is read.
+    pub depth: Option<DepthPicture>,
     /// Warnings: no valid depth, a black or a white image.
     pub warnings: Vec<String>,
 }
 
+/// The depth of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthPicture {
+    /// 1 plane of the size of colour, depth along the optical axis [m], 0 where invalid.
+    pub image: Arc<Image<f32>>,
+    /// Time stamp [s]; the colour image's where depth has none of its own.
+    pub timestamp: f64,
+}
+
 impl Frame {
-    /// A frame whose depth image is empty.
+    /// A frame without depth.
     pub fn colour_only(index: usize, timestamp: f64, colour: impl Into<Arc<Image<f32>>>) -> Self {
-        Self {
-            index,
-            timestamp,
-            depth_timestamp: timestamp,
-            colour: colour.into(),
-            depth: Arc::default(),
-            warnings: Vec::new(),
-        }
+        Self { index, timestamp, colour: colour.into(), depth: None, warnings: Vec::new() }
+    }
+
+    /// Its depth image, if it has one: 1 plane [m], 0 where invalid.
+    pub fn depth_image(&self) -> Option<&Image<f32>> {
+        self.depth.as_ref().map(|depth| &*depth.image)
     }
 }
 
@@ -85,21 +90,20 @@ impl FrameLoader {
         };
         let colour = self.resampler.colour(&colour);
         let mut warnings = Vec::new();
-        let depth = match entry.depth.as_deref().filter(|_| !self.colour_only) {
-            Some(path) => {
-                let depth = self.load_depth(path, entry)?;
-                warnings.extend(depth_warning(&depth));
-                depth
+        let depth = match entry.depth.as_ref().filter(|_| !self.colour_only) {
+            Some(depth) => {
+                let image = self.load_depth(&depth.path, entry)?;
+                warnings.extend(depth_warning(&image));
+                Some(DepthPicture { image: Arc::new(image), timestamp: depth.timestamp })
             }
-            None => Image::new(self.resampler.camera.width, self.resampler.camera.height, 1),
+            None => None,
         };
         warnings.extend(colour_warning(&colour));
         Ok(Frame {
             index: entry.index,
             timestamp: entry.timestamp,
-            depth_timestamp: entry.depth_timestamp,
             colour: Arc::new(colour),
-            depth: Arc::new(depth),
+            depth,
             warnings,
         })
     }

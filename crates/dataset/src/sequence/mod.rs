@@ -6,7 +6,7 @@ mod exif_consistency;
 mod find_calibration;
 mod frames;
 
-pub use frames::{Frame, FrameStream};
+pub use frames::{DepthPicture, Frame, FrameStream};
 
 pub(crate) use delivery::delivered_size;
 
@@ -78,9 +78,8 @@ pub fn is_without_depth(path: &Path) -> bool {
 impl Sequence {
     /// Name of the format on disk, for users.
     pub fn layout_name(&self) -> &'static str {
-        let has_depth = self.entries.iter().any(|entry| entry.depth.is_some());
         match self.layout {
-            Layout::Plain if !has_depth => "folder of pictures",
+            Layout::Plain if self.frames_with_depth() == 0 => "folder of pictures",
             layout => layout.name(),
         }
     }
@@ -124,14 +123,17 @@ impl Sequence {
         assumed_rate: f64,
     ) -> Result<Self, DatasetError> {
         let frame_rate = median_rate(&listing.entries).unwrap_or(assumed_rate);
+        let partial_depth = listing.partial_depth_warning().filter(|_| !options.colour_only);
         let mut warnings = listing.warnings;
+        warnings.extend(partial_depth);
         let entries = choose(listing.entries, options, &mut warnings)?;
         let video = listing.video;
         let first = entries.first().filter(|_| video.is_none());
         let file = first.filter(|entry| entry.byte_ranges.is_none());
         // Depth, poses and lists refer to images as stored, so only plain colour images are rotated.
         let exif = file.and_then(|entry| ExifHints::read(&entry.colour).orientation);
-        let is_alone = listing.layout == Layout::Plain && first.is_some_and(|e| e.depth.is_none());
+        let has_depth = entries.iter().any(|entry| entry.depth.is_some());
+        let is_alone = listing.layout == Layout::Plain && !has_depth;
         let is_applied = options.turn_pictures && is_alone;
         let orientation = exif.filter(|_| is_applied).unwrap_or_default();
         let noted = file.zip(exif.filter(|exif| !exif.is_identity()));
@@ -201,6 +203,11 @@ impl Sequence {
         let entry =
             self.entries.get(position).ok_or(DatasetError::NoSuchFrame { position, frames })?;
         self.loader.load(entry)
+    }
+
+    /// Number of chosen frames that have a depth image, whether it is read or not.
+    pub fn frames_with_depth(&self) -> usize {
+        self.entries.iter().filter(|entry| entry.depth.is_some()).count()
     }
 
     /// Number of chosen frames.

@@ -4,7 +4,7 @@ use crate::support::{
     Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, jpeg_header, open, png,
     png_header, rgb_png,
 };
-use i2slam_dataset::{Layout, OpenOptions, Sequence};
+use i2slam_dataset::{DepthPairing, Layout, OpenOptions, Sequence};
 use std::path::Path;
 
 #[test]
@@ -147,13 +147,30 @@ fn unusable_images_are_errors_of_their_frame() {
 #[test]
 fn frames_without_a_depth_partner() {
     let folder = Folder::tum(3);
+    let counts = |options: &OpenOptions| {
+        let sequence = Sequence::open(&folder.0, options).expect("opens");
+        let frames = (sequence.len(), sequence.dropped.without_depth);
+        let depths: Vec<bool> =
+            (0..sequence.len()).map(|i| sequence.load(i).expect("loads").depth.is_some()).collect();
+        (frames, depths, sequence.warnings.join("; "))
+    };
+    let one_to_one = OpenOptions::default();
+    let nearest = OpenOptions { depth_pairing: DepthPairing::Nearest, ..one_to_one.clone() };
+    let alone = OpenOptions { colour_only: true, ..one_to_one.clone() };
     folder.write("depth.txt", "0.01 depth/000.png\n0.15 depth/002.png\n");
-    let sequence = open(&folder).expect("opens");
-    assert_eq!(sequence.dropped.without_depth, 0);
+    assert_eq!(counts(&nearest), ((3, 0), vec![true; 3], String::new()));
     folder.write("depth.txt", "-0.02 depth/000.png\n");
-    let sequence = open(&folder).expect("opens");
-    assert_eq!((sequence.len(), sequence.dropped.without_depth), (2, 1));
-    assert_warns(&sequence.warnings, &["1 colour image left out"]);
+    let (frames, depths, warnings) = counts(&nearest);
+    assert_eq!((frames, depths), ((2, 1), vec![true; 2]));
+    assert!(warnings.contains("1 colour image left out"), "{warnings}");
+    let (frames, depths, warnings) = counts(&one_to_one);
+    assert_eq!((frames, depths), ((3, 0), vec![true, false, false]));
+    assert!(warnings.contains("1 of 3 frames have a depth image"), "{warnings}");
+    assert_eq!(counts(&alone), ((3, 0), vec![false; 3], String::new()));
+    // Another clock matters only where depth is asked for.
+    folder.write("depth.txt", "-5 depth/000.png\n");
+    assert_says(Sequence::open(&folder.0, &one_to_one), &["within 0.08 s", "5.000 s away"]);
+    assert_eq!(counts(&alone).0, (3, 0));
 }
 
 #[test]

@@ -3,7 +3,9 @@
 use crate::support::{
     Folder, HEIGHT, WIDTH, assert_says, assert_warns, depth_png, jpeg, open, rgb_png,
 };
-use i2slam_dataset::{Layout, OpenOptions, Sequence, read_trajectory, write_trajectory};
+use i2slam_dataset::{
+    DepthPairing, Layout, OpenOptions, Sequence, read_trajectory, write_trajectory,
+};
 use i2slam_geometry::{Pose, Rotation, StampedPose, Vec3};
 
 fn replica(folder: &Folder, scene: &str) {
@@ -28,7 +30,7 @@ fn replica_with_the_camera_one_folder_up() {
     assert_eq!((sequence.camera.cx, sequence.camera.cy), (8.0, 6.0));
     assert_eq!(sequence.warnings, [""; 0]);
     let frame = sequence.load(2).expect("loads");
-    assert!((frame.depth.at(0, 1, 1) - 2.0).abs() < 1e-6);
+    assert!((frame.depth_image().expect("depth").at(0, 1, 1) - 2.0).abs() < 1e-6);
     assert!((frame.timestamp - 2.0 / 30.0).abs() < 1e-9);
     let truth = sequence.true_trajectory().expect("poses");
     let x: Vec<f64> = truth.iter().map(|p| p.world_from_camera.translation.x).collect();
@@ -74,9 +76,9 @@ fn seven_scenes_is_delivered_on_the_grid_of_depth() {
     assert_warns(&sequence.warnings, &["no calibration between colour and depth"]);
     let frame = sequence.load(0).expect("loads");
     assert_eq!((frame.colour.at(0, 300, 9), frame.colour.at(0, 340, 9)), (1.0, 0.0));
-    assert_eq!(frame.depth.at(0, 5, 5), 1.5);
+    assert_eq!(frame.depth_image().expect("depth").at(0, 5, 5), 1.5);
     let invalid = sequence.load(1).expect("loads");
-    assert!(invalid.depth.data.iter().all(|&z| z == 0.0));
+    assert!(invalid.depth_image().expect("depth").data.iter().all(|&z| z == 0.0));
     let pose = sequence.poses[1].world_from_camera;
     assert_eq!(pose.translation, Vec3::new(1.0, 2.0, 3.0));
     assert!((pose.rotation.rotate(Vec3::new(0.0, 0.0, 1.0)).x - 1.0).abs() < 1e-12);
@@ -120,11 +122,21 @@ fn nerfstudio() -> Folder {
 fn nerfstudio_frames_come_in_order_with_opencv_axes() {
     let folder = nerfstudio();
     let sequence = open(&folder).expect("opens");
-    assert_eq!((sequence.layout, sequence.len()), (Layout::Nerfstudio, 2));
-    assert_eq!(sequence.dropped.without_depth, 1);
+    assert_eq!((sequence.layout, sequence.len()), (Layout::Nerfstudio, 3));
+    assert_eq!((sequence.frames_with_depth(), sequence.dropped.without_depth), (2, 0));
+    let nearest = OpenOptions { depth_pairing: DepthPairing::Nearest, ..OpenOptions::default() };
+    let sequence = Sequence::open(&folder.0, &nearest).expect("opens");
+    assert_eq!((sequence.len(), sequence.dropped.without_depth), (2, 1));
+    assert_warns(&sequence.warnings, &["1 colour image left out: no depth_file_path"]);
     assert_eq!((sequence.camera.width, sequence.camera.cx), (32, 16.0));
     let frame = sequence.load(1).expect("loads");
-    assert_eq!((frame.depth.width, frame.depth.at(0, 31, 23)), (32, 2.0));
+    assert_eq!(
+        (
+            frame.depth_image().expect("depth").width,
+            frame.depth_image().expect("depth").at(0, 31, 23)
+        ),
+        (32, 2.0)
+    );
     // y and z of the first camera point against OpenGL's: with OpenCV's axes it is unturned.
     let first = sequence.poses[0].world_from_camera;
     assert_eq!(first.translation, Vec3::new(1.0, 2.0, 3.0));
@@ -139,7 +151,8 @@ fn nerfstudio_scales_are_used() {
     let scales = r#""integer_depth_scale": 0.002, "applied_scale": 0.5, "frames""#;
     folder.write("transforms.json", SCENE.replace(r#""frames""#, scales));
     let sequence = open(&folder).expect("opens");
-    assert!((sequence.load(0).expect("loads").depth.at(0, 9, 9) - 2.0).abs() < 1e-6);
+    let frame = sequence.load(0).expect("loads");
+    assert!((frame.depth_image().expect("depth").at(0, 9, 9) - 2.0).abs() < 1e-6);
     assert_eq!(sequence.poses[0].world_from_camera.translation, Vec3::new(2.0, 4.0, 6.0));
 }
 

@@ -129,7 +129,10 @@ fn assert_frames(sequence: &Sequence) {
             let found = frame.colour.at(1, column, 4);
             assert!((found - due).abs() < 1e-5, "{column}: {found} {due}");
         }
-        assert!((frame.depth.at(0, 3, 4) - f32::from(depth(i)) / 1000.0).abs() < 1e-6);
+        assert!(
+            (frame.depth_image().expect("depth").at(0, 3, 4) - f32::from(depth(i)) / 1000.0).abs()
+                < 1e-6
+        );
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::support::{
     CAMERA, Folder, HEIGHT, WIDTH, assert_warns, depth_png, jpeg, open, png, rgb_png, shared_data,
 };
-use i2slam_dataset::{OpenOptions, Sequence, read_trajectory};
+use i2slam_dataset::{DepthPairing, OpenOptions, Sequence, read_trajectory};
 use png::{BitDepth, ColorType};
 use std::path::Path;
 
@@ -23,7 +23,10 @@ fn a_tum_folder_opens_and_every_frame_is_delivered() {
         for channel in 0..3 {
             assert_eq!(frame.colour.at(channel, 3, 4), expected[channel]);
         }
-        assert!((frame.depth.at(0, 3, 4) - (1.0 + i as f32 / 10.0)).abs() < 1e-6);
+        assert!(
+            (frame.depth_image().expect("depth").at(0, 3, 4) - (1.0 + i as f32 / 10.0)).abs()
+                < 1e-6
+        );
     }
 }
 
@@ -59,8 +62,8 @@ fn camera_follows_crop_and_scale() {
     assert_eq!((camera.width, camera.height), (16, 12));
     assert_eq!((camera.fx, camera.fy, camera.cx, camera.cy), (15.0, 15.5, 8.0, 6.0));
     let frame = sequence.load(0).expect("loads");
-    assert_eq!((frame.colour.width, frame.depth.height), (16, 12));
-    assert_eq!(frame.depth.data, vec![1.0; 16 * 12]);
+    assert_eq!((frame.colour.width, frame.depth_image().expect("depth").height), (16, 12));
+    assert_eq!(frame.depth_image().expect("depth").data, vec![1.0; 16 * 12]);
 }
 
 #[test]
@@ -79,7 +82,7 @@ fn flags_go_before_the_camera_file() {
     assert!(frame.warnings[0].contains("no pixel has a valid depth"));
     let options = OpenOptions { max_depth: None, ..options };
     let frame = Sequence::open(&folder.0, &options).and_then(|s| s.load(0)).expect("loads");
-    assert_eq!(frame.depth.at(0, 0, 0), 5.0);
+    assert_eq!(frame.depth_image().expect("depth").at(0, 0, 0), 5.0);
 }
 
 #[test]
@@ -110,14 +113,26 @@ fn plain_folders_pair_by_number_and_count_frames() {
     }
     folder.write("images/frame3.png", rgb_png(WIDTH, HEIGHT, 99));
     folder.write("camera.json", CAMERA.replace('}', r#","fps":60,"depth_scale":1000}"#));
-    let sequence = open(&folder).expect("opens");
-    assert_eq!(sequence.dropped.without_depth, 1);
-    assert_warns(&sequence.warnings, &["1 colour image left out"]);
-    let frames: Vec<_> = sequence.stream().map(|f| f.expect("loads")).collect();
-    let seen: Vec<(f32, usize)> = frames.iter().map(|f| (f.depth.at(0, 0, 0), f.index)).collect();
-    assert_eq!(seen, [(1.0, 0), (2.0, 1), (10.0, 2)]);
-    let stamps: Vec<f64> = frames.iter().map(|f| f.timestamp * 60.0).collect();
-    assert_eq!(stamps, [0.0, 1.0, 3.0]);
+    let depths = |depth_pairing: DepthPairing, warning: &str| {
+        let options = OpenOptions { depth_pairing, ..OpenOptions::default() };
+        let sequence = Sequence::open(&folder.0, &options).expect("opens");
+        assert_warns(&sequence.warnings, &[warning]);
+        let frames = sequence.stream().map(|f| f.expect("loads"));
+        let seen = frames.map(|f| {
+            let depth = f.depth_image().map(|depth| depth.at(0, 0, 0));
+            (f.index, (f.timestamp * 60.0).round(), depth)
+        });
+        (seen.collect::<Vec<_>>(), sequence.dropped.without_depth)
+    };
+    let (seen, dropped) = depths(DepthPairing::OneToOne, "3 of 4 frames have a depth image");
+    assert_eq!(
+        seen,
+        [(0, 0.0, Some(1.0)), (1, 1.0, Some(2.0)), (2, 2.0, None), (3, 3.0, Some(10.0))]
+    );
+    assert_eq!(dropped, 0);
+    let (seen, dropped) = depths(DepthPairing::Nearest, "1 colour image left out");
+    assert_eq!(seen, [(0, 0.0, Some(1.0)), (1, 1.0, Some(2.0)), (2, 3.0, Some(10.0))]);
+    assert_eq!(dropped, 1);
 }
 
 #[test]
@@ -205,8 +220,17 @@ fn the_demo_clip_opens_and_every_frame_loads() {
         let frame = frame.expect("loads");
         assert_eq!((frame.index, frame.warnings.len()), (i, 0), "{:?}", frame.warnings);
         assert_eq!((frame.colour.width, frame.colour.height, frame.colour.channels), (304, 224, 3));
-        let valid = frame.depth.data.iter().filter(|&&z| (0.3..10.0).contains(&z)).count();
-        assert!(valid * 2 > frame.depth.data.len(), "frame {i}: {valid} depths");
+        let valid = frame
+            .depth_image()
+            .expect("depth")
+            .data
+            .iter()
+            .filter(|&&z| (0.3..10.0).contains(&z))
+            .count();
+        assert!(
+            valid * 2 > frame.depth_image().expect("depth").data.len(),
+            "frame {i}: {valid} depths"
+        );
         assert!(truth.iter().any(|pose| (pose.timestamp - frame.timestamp).abs() < 0.02));
     }
 }

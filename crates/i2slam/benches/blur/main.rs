@@ -104,7 +104,8 @@ fn print_steps() -> Outcome {
     let direction = [0.6, 0.0, 0.3, 0.25, -0.1, 0.15];
     let blurred = fitted.exposure(frame.middle(), &depth, direction, STEP_BLUR);
     let source = &fitted.frames[15];
-    let observation = Observation::new(source.colour.clone(), source.depth.clone());
+    let depth = source.depth_image().ok_or("a frame without depth")?.clone();
+    let observation = Observation::new(source.colour.clone(), depth);
     let with =
         |method| Sampling { virtual_cameras: STEP_VIEWS, ..fitted.sampling(STEP_BLUR, method) };
     let image = with(BlurMethod::Reprojected);

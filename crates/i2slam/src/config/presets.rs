@@ -1,6 +1,7 @@
 //! Named sets of values: the paper's, SplaTAM's where the paper follows it, and our own.
 
 use super::*;
+use i2slam_dataset::DepthPairing;
 
 /// The names that [`Config::preset`] knows, default first.
 pub const PRESET_NAMES: [&str; 10] = [
@@ -54,6 +55,15 @@ impl Config {
     /// Whether the preset is for colour alone: keyframes come with poses, and may lack depth.
     pub fn is_rgb(&self) -> bool {
         RGB_PRESETS.contains(&self.preset.as_str())
+    }
+
+    /// Rule by which the preset gives depth pictures to colour pictures: SplaTAM's for the paper's.
+    pub fn depth_pairing(&self) -> DepthPairing {
+        if self.preset.starts_with("paper-") {
+            DepthPairing::Nearest
+        } else {
+            DepthPairing::OneToOne
+        }
     }
 
     /// Leaves a fifth of the steps (the paper's "-S"), rounded up.
@@ -245,6 +255,8 @@ mod tests {
         for name in PRESET_NAMES {
             let config = Config::preset(name).expect(name);
             assert_eq!(config.preset, name);
+            let is_paper = config.depth_pairing() == DepthPairing::Nearest;
+            assert_eq!(is_paper, !["default", "default-rgb"].contains(&name), "{name}");
             config.validate().expect(name);
         }
         assert!(

@@ -81,6 +81,7 @@ impl RunOptions {
         let mut open = OpenOptions {
             crop_border: config.input.crop_border,
             minimum_gap: config.input.minimum_gap,
+            depth_pairing: config.depth_pairing(),
             colour_only: poses != PoseSource::Depth,
             ..OpenOptions::default()
         };
@@ -131,8 +132,13 @@ impl RunOptions {
     /// A path that is no sequence, and options that do not fit it.
     pub fn open_sequence(&self, path: &Path) -> Result<Sequence, DatasetError> {
         let input = &self.config.input;
-        let (crop_border, minimum_gap) = (input.crop_border, input.minimum_gap);
-        Sequence::open(path, &OpenOptions { crop_border, minimum_gap, ..self.open.clone() })
+        let options = OpenOptions {
+            crop_border: input.crop_border,
+            minimum_gap: input.minimum_gap,
+            depth_pairing: self.config.depth_pairing(),
+            ..self.open.clone()
+        };
+        Sequence::open(path, &options)
     }
 
     /// Checks the options against each other, against a sequence, and against the memory of this

@@ -27,6 +27,8 @@ pub struct Session {
     /// Copies of map and estimates, which mapping may change while a frame is tracked.
     snapshot: Option<Box<dyn Tracker>>,
     frames_before: Vec<FrameEstimate>,
+    /// Whether a frame without a depth picture was warned of.
+    is_missing_depth_told: bool,
 }
 
 impl Session {
@@ -38,6 +40,7 @@ impl Session {
             backend: Backend::new(&config, &camera),
             snapshot: None,
             frames_before: Vec::new(),
+            is_missing_depth_told: false,
             config,
             camera,
             frame_rate,
@@ -63,10 +66,13 @@ impl Session {
     /// A frame that does not fit the camera, and a map that cannot be started with its settings.
     pub fn process(&mut self, frame: &Frame) -> Result<&FrameEstimate, SessionError> {
         check_image(frame.index, ("colour", 3), &frame.colour, &self.camera)?;
-        check_image(frame.index, ("depth", 1), &frame.depth, &self.camera)?;
-        let (colour, depth) = (Arc::clone(&frame.colour), Arc::clone(&frame.depth));
-        let observation = Arc::new(Observation::new(colour, depth));
-        let usable = self.is_usable(frame.index, &observation);
+        let depth = match &frame.depth {
+            Some(depth) => Arc::clone(&depth.image),
+            None => Arc::new(Image::new(self.camera.width, self.camera.height, 1)),
+        };
+        check_image(frame.index, ("depth", 1), &depth, &self.camera)?;
+        let observation = Arc::new(Observation::new(Arc::clone(&frame.colour), depth));
+        let usable = self.is_usable(frame, &observation);
         let (mut estimate, starts_map) = self.track(frame, &observation, usable);
         let position = self.backend.state.frames.len();
         estimate.held_out = self.holds_out(position);
@@ -130,8 +136,11 @@ impl Session {
     }
 
     /// Whether a frame can be tracked and mapped; warns if not.
-    fn is_usable(&mut self, index: usize, observation: &Observation) -> bool {
-        let reason = if observation.valid_depths() == 0 {
+    fn is_usable(&mut self, frame: &Frame, observation: &Observation) -> bool {
+        let reason = if frame.depth.is_none() {
+            self.warn_of_missing_depth(frame.index);
+            return false;
+        } else if observation.valid_depths() == 0 {
             "it has no depth"
         } else if let Some(reason) = blank_reason(&observation.colour) {
             reason
@@ -139,8 +148,17 @@ impl Session {
             return true;
         };
         let text = format!("{reason}: its pose is predicted, not measured");
-        self.backend.state.warn(index, text);
+        self.backend.state.warn(frame.index, text);
         false
+    }
+
+    /// Warns of the first frame without a depth picture.
+    fn warn_of_missing_depth(&mut self, index: usize) {
+        if !std::mem::replace(&mut self.is_missing_depth_told, true) {
+            let text = "it has no depth picture of its own: the poses of such frames are \
+                        predicted, not measured";
+            self.backend.state.warn(index, text);
+        }
     }
 
     /// Estimate of a frame, and whether the map starts with it. Such a frame counts as tracked only
@@ -264,9 +282,9 @@ impl FrameTracker<'_> {
 
     fn context(&self, frame: &Frame) -> TrackingContext<'_> {
         let (input, frames) = (&self.config.input, self.frames);
-        let depth_timestamp = match input.depth_stamps {
-            true => frame.depth_timestamp + input.depth_delay,
-            false => frame.timestamp,
+        let depth_timestamp = match &frame.depth {
+            Some(depth) if input.depth_stamps => depth.timestamp + input.depth_delay,
+            _ => frame.timestamp,
         };
         TrackingContext {
             config: self.config,

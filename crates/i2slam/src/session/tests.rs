@@ -5,7 +5,7 @@ use crate::config::{Config, MapKind, TrackingMethod};
 use crate::reconstruction::{Map, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::CancellationToken;
-use i2slam_dataset::Frame;
+use i2slam_dataset::{DepthPicture, Frame};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use std::sync::Arc;
 
@@ -39,7 +39,8 @@ pub(super) fn frame(index: usize, pose: Pose<f64>) -> Frame {
         }
     }
     let timestamp = index as f64 / 30.0;
-    Frame { depth: Arc::new(depth), ..Frame::colour_only(index, timestamp, colour) }
+    let depth = Some(DepthPicture { image: Arc::new(depth), timestamp });
+    Frame { depth, ..Frame::colour_only(index, timestamp, colour) }
 }
 
 /// World-from-camera of a frame; identity for the first.
@@ -93,7 +94,8 @@ fn check_poses(
 /// The mean depth error at a frame is below 5 cm.
 fn check_depth(reconstruction: &Reconstruction, index: usize, true_pose: Pose<f64>) {
     let depth = reconstruction.viewer().depth(reconstruction.frames[index].middle());
-    let truth = frame(0, true_pose).depth;
+    let truth = frame(0, true_pose);
+    let truth = truth.depth_image().expect("depth");
     let errors = depth.data.iter().zip(&truth.data).map(|(a, b)| (a - b).abs());
     let error = errors.sum::<f32>() / depth.data.len() as f32;
     assert!(error < 0.05, "{error} m");
@@ -198,6 +200,21 @@ fn frames_that_start_a_map_which_stays_empty_are_not_tracked() {
     }
     config.parameters.gaussians.initial_scale = 0.5;
     assert!(run(config, pose).0.frames.iter().all(|f| f.tracked));
+}
+
+#[test]
+fn frames_without_a_depth_picture_are_predicted_and_told_once() {
+    let mut session = Session::new(Config::default(), CAMERA, 30.0);
+    for index in 0..FRAMES {
+        let with = frame(index, pose(index));
+        let given = if index % 2 == 0 { with } else { Frame { depth: None, ..with } };
+        session.process(&given).expect("a frame with or without depth");
+    }
+    let tracked: Vec<bool> = session.frames().iter().map(|frame| frame.tracked).collect();
+    assert_eq!(tracked, [true, false, true, false, true]);
+    let told = session.take_warnings();
+    let told: Vec<_> = told.iter().filter(|w| w.text.contains("no depth picture")).collect();
+    assert!(told.len() == 1 && told[0].frame == Some(1), "{told:?}");
 }
 
 #[test]

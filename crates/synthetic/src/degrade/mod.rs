@@ -229,11 +229,11 @@ impl<'a> Degrader<'a> {
 
     fn write_lists(&self, folder: &OutputFolder) -> Result<(), SyntheticError> {
         let Self { dataset, sequence, what, kept } = self;
-        let stamps = |of: fn(&i2slam_dataset::FrameEntry) -> f64| -> Vec<f64> {
-            kept.iter().map(|&i| of(&sequence.entries[i])).collect()
-        };
-        write_list(folder, "rgb", "colour images", &stamps(|entry| entry.timestamp))?;
-        write_list(folder, "depth", "depth images, 5000 = 1 m", &stamps(|e| e.depth_timestamp))?;
+        let entries = || kept.iter().map(|&i| &sequence.entries[i]).enumerate();
+        let colour = entries().map(|(number, entry)| (number, entry.timestamp));
+        let depth = entries().filter_map(|(i, entry)| Some((i, entry.depth.as_ref()?.timestamp)));
+        write_list(folder, "rgb", "colour images", colour)?;
+        write_list(folder, "depth", "depth images, 5000 = 1 m", depth)?;
         let camera = camera_json(&sequence.camera, DEPTH_SCALE, sequence.frame_rate);
         folder.write_text("camera.json", &camera)?;
         ground_truth::copy_ground_truth(dataset, folder, sequence, kept, what)
@@ -267,7 +267,8 @@ fn write_frame(
 ) -> Result<(), SyntheticError> {
     let picture = what.degrade_image(&frame.colour, position);
     write_bytes(folder, &format!("rgb/{number:06}.png"), write_picture(&picture))?;
-    let depth = what.depth(&frame.depth, position);
+    let Some(depth) = &frame.depth else { return Ok(()) };
+    let depth = what.depth(&depth.image, position);
     write_bytes(folder, &format!("depth/{number:06}.png"), write_depth(&depth))
 }
 

@@ -34,7 +34,8 @@ fn depth_error(sequence: &Sequence, inverse: bool) -> f64 {
     let truth = sequence.true_trajectory().expect("poses");
     let (from, to) = (truth[0].world_from_camera, truth[3].world_from_camera);
     let move_by = if inverse { from.inverse() * to } else { to.inverse() * from };
-    let [first, last] = [0, 3].map(|i| sequence.load(i).expect("a frame").depth);
+    let [first, last] =
+        [0, 3].map(|i| sequence.load(i).expect("a frame").depth.expect("depth").image);
     let camera = sequence.camera;
     let mut errors: Vec<f64> = (0..first.pixels())
         .filter(|&i| first.data[i] > 0.0)

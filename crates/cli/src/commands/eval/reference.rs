@@ -115,7 +115,8 @@ impl Reference {
                 } else {
                     Arc::unwrap_or_clone(taken.colour)
                 };
-                Ok(TrueFrame { colour, depth: Some(Arc::unwrap_or_clone(taken.depth)) })
+                let depth = taken.depth.map(|depth| Arc::unwrap_or_clone(depth.image));
+                Ok(TrueFrame { colour, depth })
             }
         }
     }
@@ -159,6 +160,7 @@ fn open_as_rendered(path: &Path, result: &Path) -> Result<Sequence, Failure> {
         let config = Config::from_stored_file(&settings)?;
         options.crop_border = config.input.crop_border;
         options.minimum_gap = config.input.minimum_gap;
+        options.depth_pairing = config.depth_pairing();
     }
     let sequence = Sequence::open(path, &options)?;
     match render_width(&result.join("camera.json")) {

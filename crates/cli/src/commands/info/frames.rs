@@ -41,7 +41,7 @@ pub(super) struct DepthStats {
     pub(super) low_m: f64,
     pub(super) median_m: f64,
     pub(super) high_m: f64,
-    /// Share of pixels with depth: mean over frames, and the worst frame.
+    /// Share of pixels with depth: mean over frames with a depth image, and the worst of these.
     pub(super) valid_share: f64,
     pub(super) valid_share_worst: f64,
 }
@@ -75,7 +75,8 @@ pub(super) struct SharpnessStats {
 struct FrameStats {
     index: usize,
     depths: Vec<f64>,
-    valid_share: f64,
+    /// `None` without a depth image.
+    valid_share: Option<f64>,
     brightness: f64,
     linear: f64,
     white_share: f64,
@@ -157,11 +158,11 @@ impl FrameStats {
         let mean = |of: &dyn Fn(f64) -> f64| {
             values.iter().map(|&v| of(f64::from(v))).sum::<f64>() / values.len() as f64
         };
-        let valid: Vec<f64> =
-            frame.depth.data.iter().filter(|&&z| z > 0.0).map(|&z| f64::from(z)).collect();
+        let depth = frame.depth.as_ref().map_or(&[][..], |depth| &depth.image.data);
+        let valid: Vec<f64> = depth.iter().filter(|&&z| z > 0.0).map(|&z| f64::from(z)).collect();
         Ok(Self {
             index: frame.index,
-            valid_share: valid.len() as f64 / frame.depth.data.len() as f64,
+            valid_share: (!depth.is_empty()).then(|| valid.len() as f64 / depth.len() as f64),
             depths: valid.iter().copied().step_by(valid.len() / DEPTHS + 1).collect(),
             brightness: mean(&|v| v),
             linear: mean(&srgb_to_linear),
@@ -184,13 +185,13 @@ impl DepthStats {
         if all.is_empty() {
             return Ok(None);
         }
-        let shares = stats.iter().map(|frame| frame.valid_share);
+        let shares: Vec<f64> = stats.iter().filter_map(|frame| frame.valid_share).collect();
         Ok(Some(Self {
             low_m: percentile(&all, 1.0)?,
             median_m: percentile(&all, 50.0)?,
             high_m: percentile(&all, 99.0)?,
-            valid_share: shares.clone().sum::<f64>() / stats.len() as f64,
-            valid_share_worst: shares.fold(1.0, f64::min),
+            valid_share: shares.iter().sum::<f64>() / shares.len() as f64,
+            valid_share_worst: shares.into_iter().fold(1.0, f64::min),
         }))
     }
 }

@@ -143,6 +143,9 @@ fn sequence_rows(sequence: &SequenceInfo) -> Vec<Row> {
         let [width, height] = camera.recorded;
         rows.push(("recorded", format!("{width}x{height}")));
     }
+    if sequence.frames_with_depth > 0 {
+        rows.push(("frames with depth", frames_with_depth(sequence)));
+    }
     if let Some(scale) = sequence.depth_scale {
         rows.push(("depth scale", format!("{scale} for one metre")));
     }
@@ -175,6 +178,13 @@ fn frames(sequence: &SequenceInfo) -> String {
     let left_out =
         if words.is_empty() { String::new() } else { format!(" (left out: {})", words.join(", ")) };
     format!("{}{left_out}", sequence.frames)
+}
+
+fn frames_with_depth(sequence: &SequenceInfo) -> String {
+    match sequence.frames_with_depth {
+        with if with == sequence.frames => "all".to_owned(),
+        with => format!("{with} of {}", sequence.frames),
+    }
 }
 
 fn gaps(times: &TimeInfo) -> String {

@@ -5,7 +5,9 @@ use crate::console::{counted, print, print_status};
 use crate::failure::{Failure, print_json};
 use crate::ground_truth::GroundTruth;
 use i2slam::dataset::import::{ImportOptions, ImportedKeyframes};
-use i2slam::dataset::{DatasetError, DroppedFrames, OpenOptions, Sequence, paper_frames};
+use i2slam::dataset::{
+    DatasetError, DroppedFrames, FrameEntry, OpenOptions, Sequence, paper_frames,
+};
 use i2slam::geometry::StampedPose;
 use serde::Serialize;
 
@@ -18,6 +20,8 @@ pub(super) struct SequenceInfo {
     pub(super) name: String,
     pub(super) layout: String,
     pub(super) frames: usize,
+    /// Frames that have a depth image of their own.
+    pub(super) frames_with_depth: usize,
     pub(super) left_out: DroppedFrames,
     pub(super) times: TimeInfo,
     pub(super) camera: CameraInfo,
@@ -78,17 +82,18 @@ pub(super) struct GroundTruthInfo {
 impl SequenceInfo {
     pub(super) fn new(sequence: &Sequence, truth: &GroundTruth) -> Self {
         let poses = &truth.trajectory;
-        let has_depth = sequence.entries.iter().any(|entry| entry.depth.is_some());
+        let frames_with_depth = sequence.frames_with_depth();
         let path_length_m = (!poses.is_empty()).then(|| path_length(poses));
         let truth = GroundTruthInfo { kinds: truth.kinds(), poses: poses.len(), path_length_m };
         Self {
             name: sequence.name.clone(),
             layout: sequence.layout_name().to_owned(),
             frames: sequence.len(),
+            frames_with_depth,
             left_out: sequence.dropped,
             times: TimeInfo::new(sequence),
             camera: CameraInfo::new(sequence),
-            depth_scale: has_depth.then_some(sequence.depth_scale),
+            depth_scale: (frames_with_depth > 0).then_some(sequence.depth_scale),
             truth,
             paper_frames: paper_frames(&sequence.name).map(|range| [range.start, range.end]),
         }
@@ -101,12 +106,12 @@ impl TimeInfo {
         let stamps: Vec<(usize, f64)> = entries.iter().map(|e| (e.index, e.timestamp)).collect();
         let first_s = stamps.first().map_or(0.0, |s| s.1);
         let duration_s = stamps.last().map_or(0.0, |s| s.1) - first_s;
-        let apart = entries.iter().map(|e| (e.depth_timestamp - e.timestamp).abs());
+        let depth_gap = |e: &FrameEntry| Some((e.depth.as_ref()?.timestamp - e.timestamp).abs());
         let frames_per_second = match stamps.len() {
             2.. if duration_s > 0.0 => (stamps.len() - 1) as f64 / duration_s,
             _ => sequence.frame_rate,
         };
-        let colour_to_depth_s = apart.fold(0.0, f64::max);
+        let colour_to_depth_s = entries.iter().filter_map(depth_gap).fold(0.0, f64::max);
         Self { first_s, duration_s, frames_per_second, gaps: gaps(&stamps), colour_to_depth_s }
     }
 }

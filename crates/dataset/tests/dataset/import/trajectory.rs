@@ -6,7 +6,7 @@ use super::scene::{
 };
 use crate::support::{Folder, assert_says, assert_warns, import, import_with};
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
-use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
+use i2slam_dataset::{DatasetError, DepthPairing, OpenOptions, Sequence};
 
 fn open(poses: &Folder, pictures: &Folder) -> Result<ImportedKeyframes, DatasetError> {
     let file = poses.join("keyframes.txt");
@@ -134,15 +134,17 @@ fn what_holds_no_keyframes_is_refused() {
 fn frames_have_the_same_number_with_and_without_depth() {
     let folder = sequence(5);
     let list = std::fs::read_to_string(folder.join("depth.txt")).expect("reads");
-    folder.write("depth.txt", list.lines().skip(1).collect::<Vec<_>>().join("\n"));
-    let indices = |colour_only| {
-        let options = OpenOptions { colour_only, ..OpenOptions::default() };
+    let last = list.lines().count() - 1;
+    folder.write("depth.txt", list.lines().take(last).collect::<Vec<_>>().join("\n"));
+    let indices = |colour_only, depth_pairing| {
+        let options = OpenOptions { colour_only, depth_pairing, ..OpenOptions::default() };
         let sequence = Sequence::open(&folder.0, &options).expect("opens");
         let frame = sequence.load(0).expect("loads");
-        let valid = frame.depth.data.iter().any(|&z| z > 0.0);
-        assert_eq!(valid, !colour_only);
+        assert_eq!(frame.depth.is_some(), !colour_only);
         sequence.entries.iter().map(|entry| (entry.index, entry.timestamp)).collect::<Vec<_>>()
     };
-    assert_eq!(indices(true), indices(false));
-    assert_eq!(indices(true).len(), 4);
+    for (pairing, frames) in [(DepthPairing::OneToOne, 5), (DepthPairing::Nearest, 4)] {
+        assert_eq!(indices(true, pairing), indices(false, pairing));
+        assert_eq!(indices(true, pairing).len(), frames);
+    }
 }

@@ -126,7 +126,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
     let asked = config.parameters.field.levels;
     let mut session = KeyframeSession::new(config, CAMERA, 30.0);
     let seen = |index: usize| {
-        let depth = Arc::unwrap_or_clone(frame(index, pose(index)).depth);
+        let depth = frame(index, pose(index)).depth_image().expect("depth").clone();
         let mut variance = Image::new(CAMERA.width, CAMERA.height, 1);
         variance.data.fill(1e-4);
         let depth = Some(EstimatedDepth { depth, variance: Some(variance) });
@@ -245,9 +245,10 @@ fn moved_on_path(index: usize) -> Pose<f64> {
 
 fn posed_on_path(index: usize, with_depth: bool) -> PosedKeyframe {
     let frame = frame(index, path_pose(index));
-    let mut variance = (*frame.depth).clone();
+    let depth = (*frame.depth.as_ref().expect("depth").image).clone();
+    let mut variance = depth.clone();
     variance.data.iter_mut().for_each(|v| *v = (0.01 * *v).powi(2));
-    let depth = EstimatedDepth { depth: (*frame.depth).clone(), variance: Some(variance) };
+    let depth = EstimatedDepth { depth, variance: Some(variance) };
     PosedKeyframe {
         before: index.checked_sub(1).map(|i| (i as f64 / 30.0, moved_on_path(i))),
         depth: with_depth.then_some(depth),
