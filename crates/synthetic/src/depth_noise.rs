@@ -1,5 +1,6 @@
 //! Depth as a first-generation Kinect sees it.
 
+use crate::error::SyntheticError;
 use crate::rng::{gaussian, stream};
 use i2slam_geometry::Image;
 
@@ -39,6 +40,33 @@ impl Default for KinectNoise {
 }
 
 impl KinectNoise {
+    /// The model with jitter, axial noise and steps `factor` times as large; holes and range stay.
+    pub fn times(factor: f64) -> Self {
+        let usual = Self::default();
+        Self {
+            lateral: usual.lateral * factor,
+            axial: usual.axial.map(|a| a * factor),
+            steps: usual.steps / factor,
+            ..usual
+        }
+    }
+
+    /// An error for numbers that are no noise.
+    pub(crate) fn validate(&self) -> Result<(), SyntheticError> {
+        let all = [self.lateral, self.axial[0], self.axial[1]];
+        if all.iter().all(|value| (0.0..=100.0).contains(value)) && self.steps > 0.0 {
+            return Ok(());
+        }
+        Err(SyntheticError::OutOfRange {
+            key: "depth noise".to_owned(),
+            value: format!(
+                "lateral {}, axial {:?}, steps {}",
+                self.lateral, self.axial, self.steps
+            ),
+            expected: "numbers from 0 to 100, steps above 0".to_owned(),
+        })
+    }
+
     /// A noisy copy of true depth [m]; 0 is no reading. The same `seed` and `frame` give the same
     /// numbers.
     pub fn apply(&self, depth: &Image<f32>, seed: u64, frame: usize) -> Image<f32> {
@@ -112,6 +140,14 @@ mod tests {
             assert!((sigma / expected - 1.0).abs() < 0.12, "{z}: {sigma} {expected}");
             assert!((mean - z).abs() < 0.25 * expected, "{z}: {mean}");
         }
+    }
+
+    #[test]
+    fn three_times_the_noise_spreads_three_times_as_far() {
+        let spread_of = |factor: f64| spread(&KinectNoise::times(factor).apply(&wall(2.0), 5, 0)).1;
+        let ratio = spread_of(3.0) / spread_of(1.0);
+        assert!((ratio - 3.0).abs() < 0.15, "{ratio}");
+        assert_eq!(KinectNoise::times(1.0), KinectNoise::default());
     }
 
     #[test]

@@ -2,8 +2,8 @@
 //!
 //! * [`synthesise`] renders a procedural room, seen by a hand-held camera with motion blur,
 //!   automatic exposure and a camera response, from a [`Spec`].
-//! * [`degrade`] puts depth noise, sensor noise, exposure steps, dropped frames or a covered lens
-//!   on an existing sequence.
+//! * [`degrade`] puts faults of depth, sensor noise, exposure steps, a moving object, and dropped,
+//!   covered, grey, frozen or shuffled frames on an existing sequence.
 //!
 //! Both write the TUM layout, which `i2slam_dataset::Sequence` opens. Everything is the same
 //! bytes for the same seed and any number of threads. Formulas are in docs/synthetic.md.
@@ -23,7 +23,7 @@ mod synthesise;
 mod texture;
 mod write;
 
-pub use degrade::{Degradation, DegradationCounts, ExposureStep, degrade};
+pub use degrade::{Degradation, DegradationCounts, DepthDegradation, ExposureStep, degrade};
 pub use depth_noise::KinectNoise;
 pub use error::SyntheticError;
 pub use motion::Motion;

@@ -2,13 +2,25 @@
 
 mod support;
 
-use i2slam_dataset::{OpenOptions, Sequence};
+use i2slam_dataset::{FrameEntry, OpenOptions, Sequence};
+use i2slam_synthetic::Spec;
 use i2slam_synthetic::{
-    Degradation, ExposureStep, KinectNoise, NoiseSpec, SyntheticError, degrade,
+    Degradation, DegradationCounts, DepthDegradation, ExposureStep, KinectNoise, NoiseSpec,
+    SyntheticError, degrade,
 };
+use std::path::Path;
+use std::sync::Arc;
 use support::{Scratch, files, render, small_spec};
 
-fn open(folder: &std::path::Path) -> Sequence {
+/// Frames whose light and blur hardly matter.
+fn coarse_spec() -> Spec {
+    let mut spec = small_spec();
+    (spec.camera.sub_frames, spec.camera.sharp_samples) = (1, 1);
+    spec.light.texel = 0.4;
+    spec
+}
+
+fn open(folder: &Path) -> Sequence {
     let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
     Sequence::open(folder, &options).expect("a sequence")
 }
@@ -17,11 +29,14 @@ fn open(folder: &std::path::Path) -> Sequence {
 fn a_sequence_is_made_worse_in_the_ways_asked_for() {
     let scratch = Scratch::new("degrade");
     let source = scratch.0.join("source");
-    render(&small_spec(), &source);
+    render(&coarse_spec(), &source);
     nothing_asked_changes_nothing(&source, &scratch.0.join("same"));
     let what = Degradation {
         seed: 3,
-        depth_noise: Some(KinectNoise::default()),
+        depth: DepthDegradation {
+            noise: Some(KinectNoise::default()),
+            ..DepthDegradation::default()
+        },
         sensor_noise: Some(NoiseSpec { read: 0.002, shot: 0.0005 }),
         exposure_steps: vec![ExposureStep { frame: 4, stops: -1.0 }],
         dropped: Vec::from([1..2, 1..2]),
@@ -48,7 +63,7 @@ fn a_sequence_is_made_worse_in_the_ways_asked_for() {
     assert!(exact.depth != noisy.depth && exact.colour.data != noisy.colour.data);
     assert!((after.entries[1].timestamp - before.entries[2].timestamp).abs() < 1e-9);
     let same = |name: &str, number: usize, was: usize| {
-        let read = |folder: &std::path::Path, i: usize| {
+        let read = |folder: &Path, i: usize| {
             let kind = if name == "hdr" { "exr" } else { "png" };
             std::fs::read(folder.join(format!("{name}/{i:06}.{kind}"))).expect("a file")
         };
@@ -58,7 +73,7 @@ fn a_sequence_is_made_worse_in_the_ways_asked_for() {
     same("hdr", 5, 6);
 }
 
-fn nothing_asked_changes_nothing(source: &std::path::Path, out: &std::path::Path) {
+fn nothing_asked_changes_nothing(source: &Path, out: &Path) {
     degrade(source, out, true, &Degradation::default(), &mut |_, _| true).expect("a sequence");
     let (from, to) = (open(source), open(out));
     assert_eq!(from.camera, to.camera);
@@ -71,7 +86,7 @@ fn nothing_asked_changes_nothing(source: &std::path::Path, out: &std::path::Path
 #[test]
 fn frames_left_out_by_chance_come_near_their_share() {
     let scratch = Scratch::new("drop");
-    let mut spec = small_spec();
+    let mut spec = coarse_spec();
     spec.camera.frames = 60;
     (spec.camera.width, spec.camera.height) = (16, 16);
     (spec.camera.sub_frames, spec.camera.sharp_samples) = (1, 1);
@@ -99,8 +114,219 @@ fn what_cannot_be_meant_is_refused() {
     assert!(matches!(error, Err(SyntheticError::Dataset(_))));
 }
 
+fn what_does_not_fit_the_sequence_is_named(source: &Path, folder: &Path) {
+    let out = folder.join("refused");
+    let message = |change: &dyn Fn(&mut Degradation)| {
+        let mut what = Degradation::default();
+        change(&mut what);
+        let error = degrade(source, &out, true, &what, &mut |_, _| true).expect_err("refused");
+        error.to_string()
+    };
+    let range = |frames: std::ops::Range<usize>| vec![frames];
+    for (error, words) in [
+        (message(&|w| w.grey = range(5..9)), "grey frames = 5..9 is out of range: the sequence"),
+        (message(&|w| w.frozen = range(6..8)), "frozen frames = 6..8"),
+        (message(&|w| w.frozen = range(0..2)), "a frame before the range"),
+        (message(&|w| w.shuffled = range(3..4)), "at least two frames"),
+        (message(&|w| w.moving_object = Some(0.9)), "share of the moving object = 0.9"),
+        (message(&|w| w.depth.shift = [80, 0]), "less than the picture's 80 px"),
+        (message(&|w| w.depth.outliers = 2.0), "share of outliers"),
+        (message(&|w| w.scale = 1.5), "scale"),
+    ] {
+        assert!(error.contains(words), "{error}");
+    }
+}
+
+fn degraded(source: &Path, out: &Path, what: &Degradation) -> Sequence {
+    degrade(source, out, true, what, &mut |_, _| true).expect("a sequence");
+    open(out)
+}
+
+fn depth(sequence: &Sequence, frame: usize) -> Arc<i2slam_geometry::Image<f32>> {
+    sequence.load(frame).expect("a frame").depth.expect("depth").image
+}
+
+/// The mean difference of depth where both frames have a reading [m], and the share of those pixels.
+fn depth_difference(a: &i2slam_geometry::Image<f32>, b: &i2slam_geometry::Image<f32>) -> [f64; 2] {
+    let both = a.data.iter().zip(&b.data).filter(|(a, b)| **a > 0.0 && **b > 0.0);
+    let differences: Vec<f64> = both.map(|(a, b)| f64::from((a - b).abs())).collect();
+    let count = differences.len() as f64;
+    [differences.iter().sum::<f64>() / count, count / a.data.len() as f64]
+}
+
+#[test]
+fn every_kind_of_fault_is_the_one_asked_for() {
+    let scratch = Scratch::new("kinds");
+    let source = scratch.0.join("source");
+    // Few frames a second: what is late differs.
+    let mut spec = coarse_spec();
+    spec.camera.frame_rate = 15.0;
+    render(&spec, &source);
+    for check in [
+        late_depth_shows_the_scene_of_the_moment_before,
+        frozen_grey_and_shuffled_frames_keep_their_truth,
+        a_moving_object_hides_its_share_of_every_picture,
+        all_kinds_combine_and_pictures_may_be_smaller,
+        what_does_not_fit_the_sequence_is_named,
+        without_true_poses_depth_is_late_by_whole_pictures,
+    ] {
+        check(&source, &scratch.0);
+    }
+}
+
+fn late_depth_shows_the_scene_of_the_moment_before(source: &Path, folder: &Path) {
+    let before = open(source);
+    let with_delay = |name: &str, delay: f64| {
+        let depth = DepthDegradation { delay, ..DepthDegradation::default() };
+        let what = Degradation { depth, ..Degradation::default() };
+        degraded(source, &folder.join(name), &what)
+    };
+    // A whole frame interval: the depth of the frame before.
+    let late = with_delay("late", 1.0 / 15.0);
+    for (a, b) in late.entries.iter().zip(&before.entries) {
+        let stamp = |entry: &FrameEntry| entry.depth.as_ref().expect("depth").timestamp;
+        assert_eq!((a.timestamp, stamp(a)), (b.timestamp, stamp(b)));
+    }
+    for frame in 2..7 {
+        let [as_before, share] = depth_difference(&depth(&late, frame), &depth(&before, frame - 1));
+        let [unlike_own, _] = depth_difference(&depth(&late, frame), &depth(&before, frame));
+        assert!(share > 0.97 && as_before < 1e-3, "{frame}: {as_before} over {share}");
+        assert!(unlike_own > 5e-3, "{frame}: {unlike_own}");
+    }
+    // A third of it: carried by the motion, a third of the way.
+    let a_little = with_delay("a-little", 1.0 / 45.0);
+    let early = with_delay("early", -1.0 / 45.0);
+    for frame in 2..6 {
+        let own = depth(&before, frame);
+        let [late_by, share] = depth_difference(&depth(&a_little, frame), &own);
+        let [early_by, _] = depth_difference(&depth(&early, frame), &own);
+        let [apart, _] = depth_difference(&depth(&a_little, frame), &depth(&early, frame));
+        assert!(share > 0.9, "{share}");
+        assert!(apart > 1.4 * late_by.min(early_by), "{late_by} {early_by} {apart}");
+        let [whole, _] = depth_difference(&depth(&before, frame - 1), &own);
+        assert!(late_by < 0.75 * whole && late_by > 0.1 * whole, "{late_by} of {whole}");
+    }
+}
+
+fn without_true_poses_depth_is_late_by_whole_pictures(source: &Path, folder: &Path) {
+    let poses = source.join("groundtruth.txt");
+    std::fs::remove_file(&poses).expect("a file");
+    let late = |delay: f64| {
+        let depth = DepthDegradation { delay, ..DepthDegradation::default() };
+        Degradation { depth, ..Degradation::default() }
+    };
+    let (before, after) = (open(source), degraded(source, &folder.join("out"), &late(0.07)));
+    assert_eq!(depth(&after, 3), depth(&before, 2));
+    assert_eq!(depth(&after, 0), depth(&before, 0));
+    let none = degrade(source, &folder.join("none"), true, &late(0.01), &mut |_, _| true);
+    let message = none.expect_err("no other picture").to_string();
+    assert!(message.contains("10 ms") && message.contains("no true poses"), "{message}");
+}
+
+fn frozen_grey_and_shuffled_frames_keep_their_truth(source: &Path, folder: &Path) {
+    let out = folder.join("out");
+    let what = Degradation {
+        seed: 2,
+        frozen: Vec::from([2..4, 2..2]),
+        grey: Vec::from([1..2, 1..1]),
+        shuffled: std::iter::once(4..7).collect(),
+        sensor_noise: Some(NoiseSpec { read: 0.01, shot: 0.0 }),
+        ..Degradation::default()
+    };
+    let done = degrade(source, &out, true, &what, &mut |_, _| true).expect("a sequence");
+    assert_eq!(done, DegradationCounts { frames: 7, grey: 3, displaced: done.displaced, ..done });
+    assert!(done.displaced >= 4, "{done:?}");
+    let (before, after) = (open(source), open(&out));
+    let grey = after.load(1).expect("a frame");
+    assert!(grey.colour.data.iter().all(|&v| (v - 0.5).abs() < 0.01), "grey");
+    assert_eq!(depth(&after, 1), depth(&before, 1));
+    let bytes = |name: &str| std::fs::read(out.join(name)).expect("a file");
+    for kind in ["rgb", "depth"] {
+        for frame in [2, 3] {
+            let frozen = bytes(&format!("{kind}/{frame:06}.png"));
+            assert!(frozen == bytes(&format!("{kind}/000001.png")), "{kind} {frame}");
+        }
+    }
+    let (truth, source_truth) =
+        (after.true_trajectory().expect("poses"), before.true_trajectory().expect("poses"));
+    let table = std::fs::read_to_string(out.join("source.csv")).expect("a table");
+    let rows: Vec<usize> = table
+        .lines()
+        .skip(1)
+        .map(|line| line.split(',').nth(1).and_then(|cell| cell.parse().ok()).expect("a number"))
+        .collect();
+    for (frame, &shown) in rows.iter().enumerate() {
+        // Where a shuffled picture was taken; where the camera is while a frozen one stays.
+        let due = if (2..4).contains(&frame) { frame } else { shown };
+        let step = source_truth[due].world_from_camera.local(truth[frame].world_from_camera);
+        assert!(step.translation.norm() < 1e-5 && step.rotation.norm() < 1e-5, "frame {frame}");
+        assert_eq!(depth(&after, frame), depth(&before, shown), "frame {frame}");
+        let sharp = bytes(&format!("sharp/{frame:06}.png"));
+        assert!(sharp == std::fs::read(source.join(format!("sharp/{due:06}.png"))).expect("one"));
+        assert!((after.entries[frame].timestamp - before.entries[frame].timestamp).abs() < 1e-9);
+    }
+    assert!(rows[4..] != [4, 5, 6]);
+    let ends = |file: &Path| {
+        let text = std::fs::read_to_string(file.join("groundtruth_shutter.txt")).expect("poses");
+        let lines = text.lines().filter(|line| !line.starts_with('#'));
+        lines.map(|line| line.split_once(' ').expect("numbers").1.to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(ends(&out)[5], ends(source)[rows[5]]);
+}
+
+fn a_moving_object_hides_its_share_of_every_picture(source: &Path, folder: &Path) {
+    let what = Degradation { moving_object: Some(0.2), ..Degradation::default() };
+    let (before, after) = (open(source), degraded(source, &folder.join("out"), &what));
+    for frame in 0..7 {
+        let [a, b] = [&before, &after].map(|sequence| sequence.load(frame).expect("a frame"));
+        let (far, with_ball) = (depth(&before, frame), depth(&after, frame));
+        let near = far.data.iter().zip(&with_ball.data).filter(|(a, b)| *b < *a).count();
+        let share = near as f64 / 4800.0;
+        assert!((share - 0.2).abs() < 0.05, "{frame}: {share}");
+        let changed = a.colour.plane(0).iter().zip(b.colour.plane(0)).filter(|(a, b)| a != b);
+        let changed = changed.count() as f64 / 4800.0;
+        assert!((changed - share).abs() < 0.06, "{frame}: {changed} in colour, {share} in depth");
+    }
+}
+
+fn all_kinds_combine_and_pictures_may_be_smaller(source: &Path, folder: &Path) {
+    let what = Degradation {
+        seed: 5,
+        scale: 0.5,
+        depth: DepthDegradation {
+            delay: 0.02,
+            noise: Some(KinectNoise::times(3.0)),
+            block: 2,
+            smoothing: 1.0,
+            factor: 1.03,
+            shift: [4, 0],
+            outliers: 0.05,
+        },
+        sensor_noise: Some(NoiseSpec { read: 0.002, shot: 0.0005 }),
+        exposure_steps: vec![ExposureStep { frame: 4, stops: -1.0 }],
+        drop_share: 0.1,
+        dropped: Vec::from([1..2, 1..2]),
+        covered: Vec::from([2..3, 2..3]),
+        grey: Vec::from([3..4, 3..4]),
+        frozen: Vec::from([6..7, 6..7]),
+        shuffled: std::iter::once(4..6).collect(),
+        moving_object: Some(0.1),
+        response: i2slam_synthetic::Response::Reinhard,
+    };
+    let (one, two) = (folder.join("a/out"), folder.join("b/out"));
+    let after = degraded(source, &one, &what);
+    degraded(source, &two, &what);
+    assert!(files(&one) == files(&two), "the same seed gives the same bytes");
+    assert_eq!((after.camera.width, after.camera.height), (40, 30));
+    assert!((after.camera.fx / open(source).camera.fx - 0.5).abs() < 1e-9);
+    assert!(!one.join("sharp").exists(), "sharp pictures of another size stay behind");
+    let other = Degradation { seed: 6, ..what };
+    degraded(source, &two, &other);
+    assert!(files(&one) != files(&two), "seeds differ");
+}
+
 /// The rendered sequence in the layout of Replica, whose poses stand in `traj.txt`.
-fn as_replica(source: &std::path::Path, out: &std::path::Path) {
+fn as_replica(source: &Path, out: &Path) {
     let sequence = open(source);
     std::fs::create_dir_all(out.join("results")).expect("a folder");
     let mut poses = String::new();
@@ -129,7 +355,7 @@ fn as_replica(source: &std::path::Path, out: &std::path::Path) {
 fn poses_come_along_whatever_the_layout_keeps_them_in() {
     let scratch = Scratch::new("poses");
     let (source, other) = (scratch.0.join("source"), scratch.0.join("replica"));
-    let mut spec = small_spec();
+    let mut spec = coarse_spec();
     spec.camera.frames = 4;
     render(&spec, &source);
     as_replica(&source, &other);

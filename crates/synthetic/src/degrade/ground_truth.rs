@@ -1,9 +1,12 @@
 //! Ground truth of a sequence, copied to its degraded version.
 
+use super::delay::pose_at;
+use super::order::Shown;
 use super::{Degradation, refuse};
 use crate::error::SyntheticError;
 use crate::write::pose_numbers;
 use i2slam_dataset::Sequence;
+use i2slam_geometry::nearest_stamp;
 use i2slam_storage::{OutputFolder, open};
 use std::io;
 use std::path::Path;
@@ -18,58 +21,116 @@ pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), Synth
     }
 }
 
-/// Copies poses, and sharp images, radiance and exposures with their new numbers.
+/// Copies poses, and sharp images, radiance and exposures with their new numbers. Pictures of
+/// another size than the source's come without sharp images and radiance.
 pub(super) fn copy_ground_truth(
     dataset: &Path,
     folder: &OutputFolder,
     sequence: &Sequence,
-    kept: &[usize],
+    order: &[Shown],
     what: &Degradation,
 ) -> Result<(), SyntheticError> {
-    write_poses(folder, sequence)?;
+    let is_shuffled = order.iter().any(|shown| shown.pose != shown.stamp);
+    write_poses(folder, sequence, is_shuffled.then_some(order))?;
     let ends = "groundtruth_shutter.txt";
     if dataset.join(ends).is_file() {
-        copy(&dataset.join(ends), folder, ends)?;
+        match is_shuffled {
+            false => copy(&dataset.join(ends), folder, ends)?,
+            true => {
+                let text = read(&dataset.join(ends))?;
+                folder.write_text(ends, &reordered_lines(&text, sequence, order))?;
+            }
+        }
     }
-    let mut sources = String::from("frame,source,stops,covered\n");
-    for (number, &source) in kept.iter().enumerate() {
-        let entry = &sequence.entries[source];
-        let name = entry.colour.file_name().unwrap_or_default();
-        copy_if_present(
-            &dataset.join("sharp").join(name),
-            folder,
-            &format!("sharp/{number:06}.png"),
-        )?;
-        let radiance = dataset.join(format!("hdr/{source:06}.exr"));
-        copy_if_present(&radiance, folder, &format!("hdr/{number:06}.exr"))?;
-        let (stops, covered) = (what.stops(source), what.covers(source));
-        sources.push_str(&format!("{number},{source},{stops},{}\n", u8::from(covered)));
+    let mut sources = String::from("frame,source,time_of,stops,covered,grey\n");
+    for (number, shown) in order.iter().enumerate() {
+        if what.scale == 1.0 {
+            copy_pictures(dataset, folder, sequence, (shown.pose, number))?;
+        }
+        let picture = shown.picture;
+        let [covered, grey] = [what.covers(picture), what.is_grey(picture)].map(u8::from);
+        let (stamp, stops) = (shown.stamp, what.stops(picture));
+        sources.push_str(&format!("{number},{picture},{stamp},{stops},{covered},{grey}\n"));
     }
     folder.write_text("source.csv", &sources)?;
     let table = dataset.join("exposure.csv");
     if table.is_file() {
-        let text =
-            i2slam_storage::read_text(&table).map_err(|e| SyntheticError::read(&table, e))?;
-        folder.write_text("exposure.csv", &renumber_exposures(&text, kept, what))?;
+        let stamps: Vec<f64> =
+            order.iter().map(|shown| sequence.entries[shown.stamp].timestamp).collect();
+        let text = renumber_exposures(&read(&table)?, order, &stamps, what);
+        folder.write_text("exposure.csv", &text)?;
     }
     Ok(())
 }
 
-/// Writes true poses in the TUM format.
-fn write_poses(folder: &OutputFolder, sequence: &Sequence) -> Result<(), SyntheticError> {
-    if let Some(truth) = &sequence.ground_truth {
+fn read(path: &Path) -> Result<String, SyntheticError> {
+    i2slam_storage::read_text(path).map_err(|e| SyntheticError::read(path, e))
+}
+
+/// Copies the sharp image and the radiance of frame `source` as those of frame `number`.
+fn copy_pictures(
+    dataset: &Path,
+    folder: &OutputFolder,
+    sequence: &Sequence,
+    (source, number): (usize, usize),
+) -> Result<(), SyntheticError> {
+    let name = sequence.entries[source].colour.file_name().unwrap_or_default();
+    let sharp = dataset.join("sharp").join(name);
+    copy_if_present(&sharp, folder, &format!("sharp/{number:06}.png"))?;
+    let radiance = dataset.join(format!("hdr/{source:06}.exr"));
+    copy_if_present(&radiance, folder, &format!("hdr/{number:06}.exr"))
+}
+
+/// Writes true poses in the TUM format; those of an order are the poses of its frames alone.
+fn write_poses(
+    folder: &OutputFolder,
+    sequence: &Sequence,
+    order: Option<&[Shown]>,
+) -> Result<(), SyntheticError> {
+    if let (Some(truth), None) = (&sequence.ground_truth, order) {
         return copy(truth, folder, "groundtruth.txt");
     }
-    if sequence.poses.is_empty() {
+    let mut poses = sequence.true_trajectory()?;
+    if poses.is_empty() {
         return Ok(());
+    }
+    if let Some(order) = order.filter(|_| poses.len() > 1) {
+        let time = |frame: usize| sequence.entries[frame].timestamp;
+        let of = |shown: &Shown| i2slam_geometry::StampedPose {
+            timestamp: time(shown.stamp),
+            world_from_camera: pose_at(&poses, time(shown.pose)),
+        };
+        poses = order.iter().map(of).collect();
     }
     let mut text = String::from("# world_from_camera at the time stamps of the colour pictures\n");
     text.push_str("# timestamp tx ty tz qx qy qz qw\n");
-    for pose in &sequence.poses {
+    for pose in &poses {
         let numbers = pose_numbers(&pose.world_from_camera);
         text.push_str(&format!("{:.6} {numbers}\n", pose.timestamp));
     }
     Ok(folder.write_text("groundtruth.txt", &text)?)
+}
+
+/// Lines that begin with a time stamp, as those of the frames of an order.
+fn reordered_lines(text: &str, sequence: &Sequence, order: &[Shown]) -> String {
+    let (comments, lines): (Vec<&str>, Vec<&str>) =
+        text.lines().partition(|line| line.trim_start().starts_with('#'));
+    let known: Vec<(f64, &str)> = lines
+        .iter()
+        .filter_map(|line| {
+            let (stamp, rest) = line.trim().split_once(char::is_whitespace)?;
+            Some((stamp.parse().ok()?, rest))
+        })
+        .collect();
+    let stamps: Vec<f64> = known.iter().map(|(stamp, _)| *stamp).collect();
+    let mut out: String = comments.iter().map(|line| format!("{line}\n")).collect();
+    let time = |frame: usize| sequence.entries[frame].timestamp;
+    for shown in order {
+        if let Some(line) = nearest_stamp(&stamps, time(shown.pose), 1e-3) {
+            out.push_str(&format!("{:.6} {}\n", time(shown.stamp), known[line].1));
+        }
+    }
+    out
 }
 
 fn copy(from: &Path, folder: &OutputFolder, name: &str) -> Result<(), SyntheticError> {
@@ -83,8 +144,9 @@ fn copy_if_present(from: &Path, folder: &OutputFolder, name: &str) -> Result<(),
     if same_kind && from.is_file() { copy(from, folder, name) } else { Ok(()) }
 }
 
-/// `exposure.csv` of the kept frames, with columns `frame`, `ev` and `dt` adjusted.
-fn renumber_exposures(text: &str, kept: &[usize], what: &Degradation) -> String {
+/// `exposure.csv` of the pictures of an order, with columns `frame`, `timestamp`, `ev` and `dt`
+/// adjusted; `stamps` are those of the order.
+fn renumber_exposures(text: &str, order: &[Shown], stamps: &[f64], what: &Degradation) -> String {
     let mut lines = text.lines();
     let header = lines.next().unwrap_or_default();
     let names: Vec<&str> = header.split(',').map(str::trim).collect();
@@ -97,13 +159,16 @@ fn renumber_exposures(text: &str, kept: &[usize], what: &Degradation) -> String 
         None => rows.get(source),
     };
     let mut out = format!("{header}\n");
-    for (number, &source) in kept.iter().enumerate() {
-        let Some(row) = row_of(source) else { continue };
-        let stops = what.stops(source);
+    for (number, shown) in order.iter().enumerate() {
+        let Some(row) = row_of(shown.picture) else { continue };
+        let stops = what.stops(shown.picture);
         let cells = row.iter().zip(&names).map(|(cell, name)| {
             let value = cell.parse::<f64>().ok();
             match (*name, value) {
                 ("frame", _) => number.to_string(),
+                ("timestamp", _) if shown.stamp != shown.picture => {
+                    format!("{:.6}", stamps[number])
+                }
                 ("ev", Some(ev)) => format!("{:.6}", ev + stops),
                 ("dt", Some(dt)) => format!("{:.6}", dt * stops.exp2()),
                 _ => (*cell).to_owned(),
@@ -125,7 +190,10 @@ mod tests {
         let text = "frame,timestamp,ev,dt\n0,0.0,0.5,1.414214\n1,0.1,0.0,1.0\n2,0.2,1.0,2.0\n";
         let exposure_steps = vec![ExposureStep { frame: 2, stops: -1.0 }];
         let what = Degradation { exposure_steps, ..Degradation::default() };
-        let expected = "frame,timestamp,ev,dt\n0,0.0,0.500000,1.414214\n1,0.2,0.000000,1.000000\n";
-        assert_eq!(renumber_exposures(text, &[0, 2], &what), expected);
+        let shown = |stamp, picture| Shown { stamp, picture, pose: stamp };
+        let expected = "frame,timestamp,ev,dt\n0,0.0,0.500000,1.414214\n\
+                        1,0.100000,0.500000,1.414214\n2,0.2,0.000000,1.000000\n";
+        let order = [shown(0, 0), shown(1, 0), shown(2, 2)];
+        assert_eq!(renumber_exposures(text, &order, &[0.0, 0.1, 0.2], &what), expected);
     }
 }

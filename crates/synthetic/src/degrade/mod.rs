@@ -1,25 +1,32 @@
 //! Controlled degradation of an existing sequence.
 
+mod colour;
+mod delay;
+mod depth;
 mod ground_truth;
+mod moving_object;
+mod order;
+mod readme;
 
-use crate::depth_noise::KinectNoise;
+pub use depth::DepthDegradation;
+
 use crate::error::SyntheticError;
-use crate::rng::{gaussian, stream};
 use crate::sensor::Response;
-use crate::sensor::with_noise;
 use crate::spec::NoiseSpec;
 use crate::write::{
     DEPTH_SCALE, output_folder, write_bytes, write_depth, write_list, write_picture,
 };
-use i2slam_dataset::{Frame, OpenOptions, Sequence, camera_json};
+use delay::DepthAtTime;
+use i2slam_dataset::{DepthPicture, OpenOptions, Sequence, camera_json};
 use i2slam_geometry::Image;
 use i2slam_storage::OutputFolder;
+use moving_object::MovingObject;
+use order::{Shown, order};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
-/// Exposure change of a covered lens [stops].
-const COVERED_STOPS: f64 = -11.0;
 /// Frames processed at once; bounds memory.
 const BATCH: usize = 16;
 
@@ -35,10 +42,13 @@ pub struct ExposureStep {
 /// Degradations of a sequence. Frames are counted in the unthinned associated stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Degradation {
-    /// Seed of noise and of dropped frames.
+    /// Seed of all random choices.
     pub seed: u64,
-    /// Depth noise, steps and holes.
-    pub depth_noise: Option<KinectNoise>,
+    /// Size of the written pictures over that of the recorded ones, in `(0, 1]`. Lengths in pixels
+    /// are those of the written pictures.
+    pub scale: f64,
+    /// Faults of depth.
+    pub depth: DepthDegradation,
     /// Noise on exposed linear values.
     pub sensor_noise: Option<NoiseSpec>,
     /// Exposure changes, each from its frame to the next one's.
@@ -49,6 +59,14 @@ pub struct Degradation {
     pub dropped: Vec<Range<usize>>,
     /// Frames with a covered lens: almost black, no depth.
     pub covered: Vec<Range<usize>>,
+    /// Frames whose picture is of one grey; depth stays.
+    pub grey: Vec<Range<usize>>,
+    /// Frames that repeat colour and depth of the frame before the range.
+    pub frozen: Vec<Range<usize>>,
+    /// Frames whose pictures come in a random order, while time stamps rise.
+    pub shuffled: Vec<Range<usize>>,
+    /// Share of the picture that a moving object covers.
+    pub moving_object: Option<f64>,
     /// Assumed camera response, for noise and exposure steps.
     pub response: Response,
 }
@@ -58,12 +76,17 @@ impl Default for Degradation {
     fn default() -> Self {
         Self {
             seed: 7,
-            depth_noise: None,
+            scale: 1.0,
+            depth: DepthDegradation::default(),
             sensor_noise: None,
             exposure_steps: Vec::new(),
             drop_share: 0.0,
             dropped: Vec::new(),
             covered: Vec::new(),
+            grey: Vec::new(),
+            frozen: Vec::new(),
+            shuffled: Vec::new(),
+            moving_object: None,
             response: Response::Srgb,
         }
     }
@@ -78,6 +101,10 @@ pub struct DegradationCounts {
     pub dropped: usize,
     /// Frames with a covered lens.
     pub covered: usize,
+    /// Frames of one grey.
+    pub grey: usize,
+    /// Frames that show the picture of another moment: frozen or shuffled.
+    pub displaced: usize,
 }
 
 impl Degradation {
@@ -87,14 +114,12 @@ impl Degradation {
         before.max_by_key(|step| step.frame).map_or(0.0, |step| step.stops)
     }
 
-    fn drops(&self, frame: usize) -> bool {
-        let chance = stream(self.seed, 41, frame as u64).uniform();
-        let by_chance = frame > 0 && chance < self.drop_share;
-        by_chance || self.dropped.iter().any(|range| range.contains(&frame))
-    }
-
     fn covers(&self, frame: usize) -> bool {
         self.covered.iter().any(|range| range.contains(&frame))
+    }
+
+    fn is_grey(&self, frame: usize) -> bool {
+        self.grey.iter().any(|range| range.contains(&frame))
     }
 
     fn validate(&self) -> Result<(), SyntheticError> {
@@ -112,55 +137,33 @@ impl Degradation {
                 }
             }
         }
-        Ok(())
+        self.depth.validate()
     }
 
-    /// An error for frames that a sequence of this length does not have.
-    fn validate_on(&self, frames: usize) -> Result<(), SyntheticError> {
+    /// An error for frames and pixels that a sequence does not have.
+    fn validate_on(&self, sequence: &Sequence) -> Result<(), SyntheticError> {
+        let frames = sequence.len();
         let expected = format!("the sequence has frames 0 to {}", frames.saturating_sub(1));
-        for (key, ranges) in [("dropped frames", &self.dropped), ("covered frames", &self.covered)]
-        {
+        for (key, ranges) in [
+            ("dropped frames", &self.dropped),
+            ("covered frames", &self.covered),
+            ("grey frames", &self.grey),
+            ("frozen frames", &self.frozen),
+            ("shuffled frames", &self.shuffled),
+        ] {
             if let Some(range) = ranges.iter().find(|range| range.end > frames) {
                 let value = format!("{}..{}", range.start, range.end);
                 return refuse(key, value, &expected);
             }
         }
-        match self.exposure_steps.iter().find(|step| step.frame >= frames) {
-            Some(step) => refuse("frame of an exposure step", step.frame, &expected),
-            None => Ok(()),
+        if let Some(range) = self.shuffled.iter().find(|range| range.len() < 2) {
+            let value = format!("{}..{}", range.start, range.end);
+            return refuse("shuffled frames", value, "at least two frames");
         }
-    }
-
-    /// Degrades the image of a frame.
-    fn degrade_image(&self, colour: &Image<f32>, index: usize) -> Image<f32> {
-        let covered = if self.covers(index) { COVERED_STOPS } else { 0.0 };
-        let gain = (self.stops(index) + covered).exp2() as f32;
-        if gain == 1.0 && self.sensor_noise.is_none() {
-            return colour.clone();
+        if let Some(step) = self.exposure_steps.iter().find(|step| step.frame >= frames) {
+            return refuse("frame of an exposure step", step.frame, &expected);
         }
-        let mut random = stream(self.seed, 22, index as u64);
-        let mut out = colour.clone();
-        for channel in 0..3 {
-            let linear: Vec<f32> = (0..=LEVELS)
-                .map(|i| self.response.invert(i as f32 / LEVELS as f32, channel))
-                .collect();
-            for value in out.plane_mut(channel) {
-                let mut exposed = linear_value(&linear, *value) * gain;
-                if let Some(noise) = &self.sensor_noise {
-                    exposed = with_noise(exposed, noise, gaussian(&mut random));
-                }
-                *value = self.response.apply(exposed, channel);
-            }
-        }
-        out
-    }
-
-    fn depth(&self, depth: &Image<f32>, index: usize) -> Image<f32> {
-        if self.covers(index) {
-            return Image::new(depth.width, depth.height, 1);
-        }
-        let noise = self.depth_noise.as_ref();
-        noise.map_or_else(|| depth.clone(), |noise| noise.apply(depth, self.seed, index))
+        self.depth.validate_on(sequence.camera.width, sequence.camera.height)
     }
 }
 
@@ -169,23 +172,16 @@ fn refuse<T>(key: &str, value: impl ToString, expected: &str) -> Result<T, Synth
     Err(SyntheticError::OutOfRange { key, value, expected: expected.to_owned() })
 }
 
-/// Number of values at which the inverse response is tabulated.
-const LEVELS: usize = 1020;
-
-/// Looks up the tabulated inverse response. White is lowered by four steps of 1/1020 to stay finite.
-fn linear_value(table: &[f32], value: f32) -> f32 {
-    let at = (value.clamp(0.0, 1.0) * LEVELS as f32).min((LEVELS - 4) as f32);
-    let below = at as usize;
-    table[below] + (table[below + 1] - table[below]) * (at - below as f32)
-}
-
 /// A sequence opened for degradation, with checked options.
 struct Degrader<'a> {
     dataset: &'a Path,
     sequence: Sequence,
     what: &'a Degradation,
-    /// Indices of the kept frames.
-    kept: Vec<usize>,
+    /// The frames to be written.
+    order: Vec<Shown>,
+    /// Depth of other moments, if depth is late.
+    depth_at_time: Option<DepthAtTime>,
+    object: Option<MovingObject>,
 }
 
 impl<'a> Degrader<'a> {
@@ -193,14 +189,17 @@ impl<'a> Degrader<'a> {
     fn open(dataset: &'a Path, out: &Path, what: &'a Degradation) -> Result<Self, SyntheticError> {
         what.validate()?;
         ground_truth::refuse_same_folder(dataset, out)?;
-        let options = OpenOptions { minimum_gap: 0.0, ..OpenOptions::default() };
+        let options = OpenOptions { minimum_gap: 0.0, scale: what.scale, ..OpenOptions::default() };
         let sequence = Sequence::open(dataset, &options)?;
-        what.validate_on(sequence.len())?;
-        let kept: Vec<usize> = (0..sequence.len()).filter(|&i| !what.drops(i)).collect();
-        if kept.is_empty() {
-            return refuse("dropped frames", "all", "a frame must be left");
-        }
-        Ok(Self { dataset, sequence, what, kept })
+        what.validate_on(&sequence)?;
+        let order = order(what, sequence.len())?;
+        let delay = what.depth.delay;
+        let depth_at_time =
+            (delay != 0.0).then(|| DepthAtTime::new(&sequence, delay)).transpose()?;
+        let object = what.moving_object;
+        let object =
+            object.map(|share| MovingObject::new(share, &sequence, what.seed)).transpose()?;
+        Ok(Self { dataset, sequence, what, order, depth_at_time, object })
     }
 
     fn write(
@@ -208,35 +207,80 @@ impl<'a> Degrader<'a> {
         folder: &OutputFolder,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<DegradationCounts, SyntheticError> {
-        let Self { sequence, what, kept, .. } = self;
-        folder.write_text("README.md", &readme(&sequence.name, what, kept))?;
-        for (batch, positions) in kept.chunks(BATCH).enumerate() {
-            let write = |(at, &position): (usize, &usize)| {
-                write_frame(folder, &sequence.load(position)?, what, position, batch * BATCH + at)
+        let Self { sequence, what, order, .. } = self;
+        folder.write_text("README.md", &readme::readme(&sequence.name, what, order.len()))?;
+        for (batch, frames) in order.chunks(BATCH).enumerate() {
+            let write = |(at, shown): (usize, &Shown)| {
+                self.write_frame(folder, shown.picture, batch * BATCH + at)
             };
-            positions.par_iter().enumerate().map(write).collect::<Result<(), SyntheticError>>()?;
-            if !progress(batch * BATCH + positions.len(), kept.len()) {
+            frames.par_iter().enumerate().map(write).collect::<Result<(), SyntheticError>>()?;
+            if !progress(batch * BATCH + frames.len(), order.len()) {
                 return Err(SyntheticError::Interrupted);
             }
         }
         self.write_lists(folder)?;
+        let count = |is: &dyn Fn(&Shown) -> bool| order.iter().filter(|shown| is(shown)).count();
         Ok(DegradationCounts {
-            frames: kept.len(),
-            dropped: sequence.len() - kept.len(),
-            covered: kept.iter().filter(|&&i| what.covers(i)).count(),
+            frames: order.len(),
+            dropped: sequence.len() - order.len(),
+            covered: count(&|shown| what.covers(shown.picture)),
+            grey: count(&|shown| what.is_grey(shown.picture)),
+            displaced: count(&|shown| shown.picture != shown.stamp),
         })
     }
 
+    /// Writes frame `source` as number `number`.
+    fn write_frame(
+        &self,
+        folder: &OutputFolder,
+        source: usize,
+        number: usize,
+    ) -> Result<(), SyntheticError> {
+        let frame = self.sequence.load(source)?;
+        let colour = match &self.object {
+            Some(object) => {
+                let depth = frame.depth_image();
+                Arc::new(object.draw_colour(&frame.colour, depth, frame.timestamp))
+            }
+            None => Arc::clone(&frame.colour),
+        };
+        let picture = self.what.degrade_colour(&colour, source);
+        write_bytes(folder, &format!("rgb/{number:06}.png"), write_picture(&picture))?;
+        let Some(own) = frame.depth else { return Ok(()) };
+        let depth = self.depth(&own, source)?;
+        write_bytes(folder, &format!("depth/{number:06}.png"), write_depth(&depth))
+    }
+
+    /// Degraded depth of frame `source`, of which `own` is the depth picture.
+    fn depth(&self, own: &DepthPicture, source: usize) -> Result<Image<f32>, SyntheticError> {
+        if self.what.covers(source) {
+            return Ok(Image::new(own.image.width, own.image.height, 1));
+        }
+        let time = own.timestamp - self.what.depth.delay;
+        let mut depth = match &self.depth_at_time {
+            Some(all) => all.load(&self.sequence, time)?,
+            None => Arc::clone(&own.image),
+        };
+        if let Some(object) = &self.object {
+            depth = Arc::new(object.draw_depth(&depth, time));
+        }
+        Ok(self.what.depth.apply(&depth, self.what.seed, source))
+    }
+
     fn write_lists(&self, folder: &OutputFolder) -> Result<(), SyntheticError> {
-        let Self { dataset, sequence, what, kept } = self;
-        let entries = || kept.iter().map(|&i| &sequence.entries[i]).enumerate();
-        let colour = entries().map(|(number, entry)| (number, entry.timestamp));
-        let depth = entries().filter_map(|(i, entry)| Some((i, entry.depth.as_ref()?.timestamp)));
+        let Self { sequence, order, .. } = self;
+        let entry = |frame: usize| &sequence.entries[frame];
+        let colour = order.iter().enumerate().map(|(i, shown)| (i, entry(shown.stamp).timestamp));
         write_list(folder, "rgb", "colour images", colour)?;
+        let depth = order.iter().enumerate().filter_map(|(i, shown)| {
+            let (own, is_shown) = (entry(shown.stamp), entry(shown.picture).depth.is_some());
+            let stamp = own.depth.as_ref().map_or(own.timestamp, |depth| depth.timestamp);
+            is_shown.then_some((i, stamp))
+        });
         write_list(folder, "depth", "depth images, 5000 = 1 m", depth)?;
         let camera = camera_json(&sequence.camera, DEPTH_SCALE, sequence.frame_rate);
         folder.write_text("camera.json", &camera)?;
-        ground_truth::copy_ground_truth(dataset, folder, sequence, kept, what)
+        ground_truth::copy_ground_truth(self.dataset, folder, sequence, order, self.what)
     }
 }
 
@@ -244,6 +288,9 @@ impl<'a> Degrader<'a> {
 /// `exposure.csv` and ground truth renumbered. The folder appears when it is complete; an earlier
 /// copy is replaced only if `overwrite`. `progress` receives the numbers of finished and of all
 /// frames and returns whether to continue.
+///
+/// In each frame a moving object is drawn first, then depth and colour get their faults, then lens
+/// and picture are covered; frozen and shuffled frames show the result.
 pub fn degrade(
     dataset: &Path,
     out: &Path,
@@ -256,47 +303,4 @@ pub fn degrade(
     let counts = degrader.write(&folder, progress)?;
     folder.commit_or_save()?;
     Ok(counts)
-}
-
-fn write_frame(
-    folder: &OutputFolder,
-    frame: &Frame,
-    what: &Degradation,
-    position: usize,
-    number: usize,
-) -> Result<(), SyntheticError> {
-    let picture = what.degrade_image(&frame.colour, position);
-    write_bytes(folder, &format!("rgb/{number:06}.png"), write_picture(&picture))?;
-    let Some(depth) = &frame.depth else { return Ok(()) };
-    let depth = what.depth(&depth.image, position);
-    write_bytes(folder, &format!("depth/{number:06}.png"), write_depth(&depth))
-}
-
-/// Contents of the degraded sequence's README.
-fn readme(name: &str, what: &Degradation, kept: &[usize]) -> String {
-    let yes = |on: bool| if on { "yes" } else { "no" };
-    let ranges = |ranges: &[Range<usize>]| {
-        let words: Vec<String> = ranges.iter().map(|r| format!("{}..{}", r.start, r.end)).collect();
-        if words.is_empty() { "none".into() } else { words.join(", ") }
-    };
-    let steps = what.exposure_steps.iter();
-    let steps: Vec<String> = steps.map(|s| format!("{} stops from {}", s.stops, s.frame)).collect();
-    let noise = what.sensor_noise.as_ref();
-    let noise = noise.map_or("none".into(), |n| format!("read {}, shot {}", n.read, n.shot));
-    // The name of a folder is no Markdown.
-    let name = name.replace(char::is_control, " ").replace('<', "&lt;").replace('[', "\\[");
-    format!(
-        "# {name}, degraded\n\nMade by `i2slam degrade` with seed {}. Frames are counted in the source; \
-         source.csv names the source of every frame here.\n\n\
-         - Kinect-like depth noise: {}\n- sensor noise: {noise}\n- exposure steps: {}\n\
-         - dropped by chance: {}, by range: {}\n- covered lens: {}\n- assumed response: {:?}\n- frames: {}\n",
-        what.seed,
-        yes(what.depth_noise.is_some()),
-        if steps.is_empty() { "none".into() } else { steps.join(", ") },
-        what.drop_share,
-        ranges(&what.dropped),
-        ranges(&what.covered),
-        what.response,
-        kept.len()
-    )
 }
