@@ -1,23 +1,28 @@
-//! The camera path of a sequence or video from its colour pictures alone.
+//! The camera path of a sequence or video.
 //!
-//! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--fov DEGREES]
-//! [--guess FACTOR]` writes `world_from_camera` poses in the TUM format. The focal length is taken
-//! from the sequence or `--fov`; it is estimated where neither gives it, or from FACTOR times that
-//! of the sequence with `--guess`.
+//! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
+//! [--scale FACTOR] [--fov DEGREES] [--guess FACTOR]` writes `world_from_camera` poses in the TUM
+//! format, and prints their error where the sequence has a true path. Depth is used with `--depth`.
+//! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
+//! or from FACTOR times that of the sequence with `--guess`.
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
+use i2slam_eval::trajectory::{Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error};
 use i2slam_geometry::Camera;
-use i2slam_odometry::{FrontEnd, Intrinsics, Progress};
+use i2slam_odometry::{DepthPicture, FrontEnd, Intrinsics, Progress};
 use std::error::Error;
 use std::path::Path;
+use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, out, flags @ ..] = arguments.as_slice() else {
         return Err("usage: path SEQUENCE OUT.txt [--fov DEGREES] [--guess FACTOR]".into());
     };
+    let uses_depth = flags.iter().any(|flag| flag == "--depth");
     let options = OpenOptions {
-        colour_only: true,
+        colour_only: !uses_depth,
+        scale: number(flags, "--scale")?.unwrap_or(1.0),
         guess_camera: true,
         field_of_view: number(flags, "--fov")?,
         minimum_gap: 0.0,
@@ -30,10 +35,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         None if sequence.camera_is_guess => Intrinsics::Guess(camera),
         None => Intrinsics::Known(camera),
     });
+    let started = Instant::now();
     for frame in sequence.stream() {
         let frame = frame?;
-        front_end.push(&frame.colour, frame.timestamp)?;
+        let depth = DepthPicture { depth: &frame.depth, timestamp: frame.depth_timestamp };
+        front_end.push(&frame.colour, frame.timestamp, uses_depth.then_some(&depth))?;
     }
+    let tracked = started.elapsed().as_secs_f64();
     let found = front_end.finish(Progress::default())?;
     found.warnings.iter().for_each(|warning| println!("warning: {warning}"));
     println!(
@@ -45,7 +53,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         found.focal_deviation,
         1e3 * found.rolling_shutter_readout,
     );
+    println!("{tracked:.1} s for tracking, {:.1} s in all", started.elapsed().as_secs_f64());
     write_trajectory(out, &found.trajectory())?;
+    let truth = sequence.true_trajectory()?;
+    for alignment in [Alignment::Se3, Alignment::Sim3] {
+        let path = found.trajectory();
+        let error = absolute_trajectory_error(&path, &truth, alignment, DEFAULT_TOLERANCE);
+        let Ok(TrajectoryError { ate_rmse_m, ate_max_m, pairs, scale, .. }) = error else {
+            continue;
+        };
+        let [rmse, max] = [ate_rmse_m, ate_max_m].map(|v| 100.0 * v);
+        println!("{alignment:?}: {rmse:.3} cm, largest {max:.2}, {pairs} frames, scale {scale:.4}");
+    }
     Ok(())
 }
 

@@ -81,6 +81,17 @@ pub enum PictureError {
         /// Values that it has.
         values: usize,
     },
+    /// Depth of another size than the camera's pictures, or of more than one plane.
+    #[error(
+        "depth of {}x{} pixels: expected one plane of {}x{}",
+        .size[0], .size[1], .expected[0], .expected[1]
+    )]
+    Depth {
+        /// Width and height of the depth picture [px].
+        size: [usize; 2],
+        /// Those of the camera's pictures [px].
+        expected: [usize; 2],
+    },
     /// Timestamp not above the one before.
     #[error("timestamp {timestamp} s after {last} s: timestamps must increase")]
     Stamp {

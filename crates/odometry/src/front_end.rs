@@ -1,5 +1,7 @@
-//! The odometry pipeline: pictures in, reconstruction out.
+//! The odometry pipeline: pictures, with or without depth, in; reconstruction out.
 
+use crate::depth::depth_map::{DepthMap, DepthPicture};
+use crate::depth::readings::read_depth;
 use crate::error::{OdometryError, PictureError};
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
@@ -16,6 +18,7 @@ use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::sfm_state::SfmState;
 use crate::track::tracker::{FrameReport, Tracker};
 use i2slam_geometry::Image;
+use std::sync::Arc;
 
 /// Smallest number of pictures.
 pub const MIN_FRAMES: usize = 4;
@@ -31,14 +34,15 @@ pub struct FrontEnd {
     intrinsics: Intrinsics,
     tracker: Tracker,
     timestamps: Vec<f64>,
+    depth_maps: Vec<Option<DepthMap>>,
     close_loops: bool,
 }
 
 impl FrontEnd {
     /// A front end for pictures of one camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
-        let (tracker, timestamps) = (Tracker::default(), Vec::new());
-        Self { intrinsics, tracker, timestamps, close_loops: true }
+        let (tracker, timestamps, depth_maps) = (Tracker::default(), Vec::new(), Vec::new());
+        Self { intrinsics, tracker, timestamps, depth_maps, close_loops: true }
     }
 
     /// Disables loop closure.
@@ -47,7 +51,7 @@ impl FrontEnd {
     }
 
     /// Tracks points into the next picture: planes R, G, B in [0, 1], or one plane of brightness;
-    /// timestamp [s].
+    /// timestamp [s]; measured depth of the same size, if there is one.
     ///
     /// # Errors
     ///
@@ -56,6 +60,7 @@ impl FrontEnd {
         &mut self,
         picture: &Image<f32>,
         timestamp: f64,
+        depth: Option<&DepthPicture<'_>>,
     ) -> Result<FrameReport, PictureError> {
         let camera = self.intrinsics.camera();
         let (size, expected) = ([picture.width, picture.height], [camera.width, camera.height]);
@@ -73,7 +78,15 @@ impl FrontEnd {
         if !timestamp.is_finite() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });
         }
+        if let Some(DepthPicture { depth, .. }) = depth {
+            let (channels, values) = (depth.channels, depth.data.len());
+            let size = [depth.width, depth.height];
+            if size != expected || channels != 1 || values != depth.pixels() {
+                return Err(PictureError::Depth { size, expected });
+            }
+        }
         self.timestamps.push(timestamp);
+        self.depth_maps.push(depth.map(DepthMap::new));
         Ok(self.tracker.track(picture))
     }
 
@@ -91,6 +104,8 @@ impl FrontEnd {
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let mut state = SfmState::new(*self.intrinsics.camera(), tracks);
         state.progress = progress.clone();
+        state.depth_maps = Arc::new(self.depth_maps);
+        read_depth(&mut state);
         state.estimates_distortion = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
         let found = estimate_path(&mut state, adjust_focal, &self.timestamps);
         // A cancelled search may look like any other failure.

@@ -10,6 +10,7 @@
 //! | folder | |
 //! |---|---|
 //! | `track` | KLT tracking of corners from picture to picture, choice of keyframes |
+//! | `depth` | depth pictures, and the model of the sensor that took them |
 //! | `multiview` | geometry of few views: landmarks, lens distortion, triangulation, PnP, essential matrix |
 //! | `bundle` | bundle adjustment and the covariance of the intrinsics |
 //! | `sfm_state` | camera, poses, landmarks and tracks so far |
@@ -37,6 +38,12 @@ mod track {
     pub(crate) mod thumbnail;
     pub(crate) mod tracker;
     pub(crate) mod tracks;
+}
+
+mod depth {
+    pub(crate) mod depth_map;
+    pub(crate) mod readings;
+    pub(crate) mod sensor_model;
 }
 
 mod multiview {
@@ -85,6 +92,7 @@ mod result;
 mod dense;
 
 pub use dense::{DenseDepth, DenseDepthEstimator, PosedView};
+pub use depth::depth_map::DepthPicture;
 pub use error::{OdometryError, PictureError};
 pub use front_end::{FrontEnd, MIN_FRAMES, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;

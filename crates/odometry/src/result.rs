@@ -39,8 +39,9 @@ pub struct Keyframe {
     pub depths: Vec<SparseDepth>,
 }
 
-/// Camera path with sparse structure. Monocular scale is not observable: the unit of length is the
-/// median depth of all landmarks in keyframes.
+/// Camera path with sparse structure. The unit of length is the metre where depth was measured.
+/// Monocular scale is not observable: without depth it is the median depth of all landmarks in
+/// keyframes.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
     /// The pinhole camera: as given, or with the estimated focal length.
@@ -57,6 +58,8 @@ pub struct Reconstruction {
     pub poses: Vec<Option<Pose<f64>>>,
     /// Timestamps of all frames [s].
     pub timestamps: Vec<f64>,
+    /// Whether lengths are metres, from measured depth.
+    pub is_metric: bool,
     /// Registered keyframes, in order.
     pub keyframes: Vec<Keyframe>,
     /// Degradations that a user should know of.
@@ -85,7 +88,8 @@ impl Reconstruction {
     }
 }
 
-/// Builds the result in the first registered frame, with the median depth as unit of length.
+/// Builds the result in the first registered frame, without measured depth with the median depth as
+/// unit of length.
 pub(crate) fn build_reconstruction(
     state: SfmState,
     timestamps: &[f64],
@@ -98,7 +102,9 @@ pub(crate) fn build_reconstruction(
     let mut keyframes = keyframes_with_depth(&state, timestamps);
     let mut depths: Vec<f64> =
         keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
-    let unit = median(&mut depths).filter(|m| *m > 0.0).map_or(1.0, f64::recip);
+    let is_metric = state.has_depth();
+    let usual = median(&mut depths).filter(|m| *m > 0.0 && !is_metric);
+    let unit = usual.map_or(1.0, f64::recip);
     let placed = |pose: Pose<f64>| {
         let pose = inverse * pose;
         Pose::new(pose.rotation, pose.translation * unit)
@@ -134,6 +140,7 @@ pub(crate) fn build_reconstruction(
         rolling_shutter_readout: readout,
         poses,
         timestamps: timestamps.to_vec(),
+        is_metric,
         keyframes,
         warnings,
     }

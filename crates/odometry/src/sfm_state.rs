@@ -1,11 +1,13 @@
 //! State of the reconstruction: camera, tracks, poses and landmarks.
 
 use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics};
+use crate::depth::depth_map::DepthMap;
+use crate::depth::sensor_model::DepthModel;
 use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
 use crate::multiview::lens_distortion::{CameraJacobian, distortion_jacobian, undistort};
 use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
-use crate::track::tracks::{Observation, Tracks, shared_positions};
+use crate::track::tracks::{DepthReading, Observation, Tracks, shared_positions};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
@@ -41,6 +43,10 @@ pub(crate) struct SfmState {
     /// Readout of the observations [frame intervals], and whether it is adjusted.
     pub(crate) readout: f64,
     pub(crate) estimates_readout: bool,
+    /// Depth picture of every frame that has one; empty by colour alone.
+    pub(crate) depth_maps: Arc<Vec<Option<DepthMap>>>,
+    /// Model of the depth sensor.
+    pub(crate) depth_model: DepthModel,
     /// Listener and cancellation.
     pub(crate) progress: Progress,
 }
@@ -61,6 +67,8 @@ impl SfmState {
             estimates_distortion: false,
             readout: 0.0,
             estimates_readout: false,
+            depth_maps: Arc::default(),
+            depth_model: DepthModel::default(),
             progress: Progress::default(),
         }
     }
@@ -69,9 +77,16 @@ impl SfmState {
     pub(crate) fn keyframes_only(&self) -> Self {
         Self {
             estimates_distortion: self.estimates_distortion,
+            depth_maps: Arc::clone(&self.depth_maps),
+            depth_model: self.depth_model.clone(),
             progress: self.progress.without_listener(),
             ..Self::new(self.camera, self.tracks.keyframes_only())
         }
+    }
+
+    /// Whether any frame has measured depth: lengths are metric then.
+    pub(crate) fn has_depth(&self) -> bool {
+        self.depth_maps.iter().any(Option::is_some)
     }
 
     /// Removes all poses and landmarks; tracks, camera and distortion stay.
@@ -273,7 +288,10 @@ impl SfmState {
         let observation = |o: &Observation| {
             let camera_jacobian = self.camera_jacobian(free_intrinsics, o);
             let pose = place[o.frame]?;
-            Some(BundleObservation { pose, at: o.at, sigma: o.sigma, camera_jacobian })
+            // Deviations of positions are those of the tracker, which residuals exceed.
+            let scaled = |d: DepthReading| DepthReading { sigma: d.sigma / self.noise_scale, ..d };
+            let depth = o.depth.map(scaled);
+            Some(BundleObservation { pose, at: o.at, sigma: o.sigma, camera_jacobian, depth })
         };
         let observations =
             tracks.iter().map(|t| inliers(t).filter_map(observation).collect()).collect();
@@ -288,6 +306,7 @@ impl SfmState {
             fixed,
             landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
             observations: Arc::new(observations),
+            relative_poses: Arc::default(),
             camera_change: [0.0; 2],
             free_intrinsics,
         };
@@ -317,8 +336,9 @@ impl SfmState {
                 observation.is_outlier = off > worst;
                 left += usize::from(!observation.is_outlier);
             }
+            let has_depth = track.observations.iter().any(|o| !o.is_outlier && o.depth.is_some());
             // Slightly negative inverse depths are far points with noise.
-            if left < 2 || known.inverse_depth() < -0.02 {
+            if left < 2 - usize::from(has_depth) || known.inverse_depth() < -0.02 {
                 *landmark = None;
                 track.observations.iter_mut().for_each(|o| o.is_outlier = false);
             }

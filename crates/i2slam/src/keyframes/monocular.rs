@@ -80,7 +80,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
                 break;
             }
             let pushed = load(position).and_then(|picture| {
-                front_end.push(&picture.colour, picture.timestamp).map_err(PictureError::from)
+                front_end.push(&picture.colour, picture.timestamp, None).map_err(PictureError::from)
             });
             match pushed {
                 Ok(report) => {

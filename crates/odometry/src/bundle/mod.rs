@@ -1,19 +1,30 @@
 //! Bundle adjustment of poses, landmarks and, on demand, focal length with lens distortion or
 //! rolling-shutter readout.
 //!
-//! Minimises `Σ huber(‖projection - observation‖ / σ)` by Levenberg-Marquardt; landmarks are
-//! eliminated by the Schur complement (Triggs et al. 2000, section 6).
+//! Minimises
+//!
+//! ```text
+//! Σ huber(‖projection - observation‖ / σ) + Σ huber(|1/z - measured 1/z| / σ_d)
+//!     + Σ huber(‖measured⁻¹ · relative pose‖_Λ)
+//! ```
+//!
+//! over observations, measured depths and relative poses with information `Λ`, by
+//! Levenberg-Marquardt; landmarks are eliminated by the Schur complement (Triggs et al. 2000,
+//! section 6).
 
 mod covariance;
 mod normal_equations;
+mod relative_pose;
 mod sparsity;
 
 pub(crate) use covariance::IntrinsicsCovariance;
+pub(crate) use relative_pose::RelativePoseFactor;
 
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::CameraJacobian;
 use crate::multiview::robust_loss::huber;
 use crate::progress::{Progress, Stage};
+use crate::track::tracks::DepthReading;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use normal_equations::{BundleStep, Curvature, SchurSystem};
@@ -46,6 +57,8 @@ pub(crate) struct BundleObservation {
     pub(crate) sigma: f64,
     /// Its derivatives by distortion or readout.
     pub(crate) camera_jacobian: CameraJacobian,
+    /// The measured inverse depth, if there is one.
+    pub(crate) depth: Option<DepthReading>,
 }
 
 /// A bundle adjustment problem and its current solution.
@@ -59,6 +72,8 @@ pub(crate) struct Bundle {
     pub(crate) landmarks: Vec<Landmark>,
     /// Observations of every landmark in order of poses, at most one per pose.
     pub(crate) observations: Arc<Vec<Vec<BundleObservation>>>,
+    /// Measured relative poses.
+    pub(crate) relative_poses: Arc<Vec<RelativePoseFactor>>,
     /// Change of distortion or readout relative to what the observations are corrected for.
     pub(crate) camera_change: [f64; 2],
     /// Intrinsics that are adjusted.
@@ -134,17 +149,21 @@ impl Bundle {
                 })
                 .sum()
         };
-        let mut total = 0.0;
+        let mut total = self.relative_poses.iter().map(|f| f.cost(&self.poses)).sum::<f64>();
         reduce_in_order(self.landmarks.len(), LANDMARKS_PER_TASK, part, |sum| total += sum);
         if total.is_finite() { total } else { f64::INFINITY }
     }
 
     fn observation_cost(&self, landmark: usize, observation: &BundleObservation) -> f64 {
-        let pose = &self.poses[observation.pose];
-        let at = self.landmarks[landmark].image_position(&self.camera, pose);
+        let (pose, landmark) = (&self.poses[observation.pose], &self.landmarks[landmark]);
+        let at = landmark.image_position(&self.camera, pose);
         let seen = observation.corrected(self.camera_change);
         let length = |at: [f64; 2]| (at[0] - seen[0]).hypot(at[1] - seen[1]) / observation.sigma;
-        huber(at.map_or(BEHIND_CAMERA_ERROR, length)).1
+        let of_position = huber(at.map_or(BEHIND_CAMERA_ERROR, length)).1;
+        let Some(depth) = &observation.depth else { return of_position };
+        let off = |z: f64| (z - depth.inverse).abs() / depth.sigma;
+        let inverse_depth = at.map(|_| landmark.inverse_depth_in(pose));
+        of_position + huber(inverse_depth.map_or(BEHIND_CAMERA_ERROR, off)).1
     }
 
     fn apply_step(&self, step: &BundleStep) -> Self {

@@ -3,6 +3,7 @@
 //! Every block row of the reduced camera system is computed by one task, its landmarks in order, so
 //! that the result does not depend on the number of threads and the matrix is kept once.
 
+use super::relative_pose::LinearRelativePose;
 use super::sparsity::BlockSparsity;
 use super::{Bundle, BundleObservation, GLOBALS, LANDMARKS_PER_TASK};
 use crate::multiview::landmark::Projection;
@@ -30,6 +31,9 @@ pub(super) struct SchurSystem<'a> {
     globals: usize,
     parts: Vec<LandmarkBlock>,
     poses: Vec<PoseBlock>,
+    /// Couplings of pairs of poses by relative poses: rows of the later block, columns of the
+    /// earlier.
+    relative: Vec<(usize, usize, [[f64; 6]; 6])>,
     global: GlobalBlock,
 }
 
@@ -42,10 +46,11 @@ impl<'a> SchurSystem<'a> {
         let parts = landmarks.into_par_iter().map(landmark);
         let block = |block: usize| pose_block(bundle, sparsity, block, curvature);
         let poses = (0..sparsity.poses.len()).into_par_iter().map(block);
-        let (parts, poses) = (parts.collect(), poses.collect());
+        let (parts, mut poses): (_, Vec<PoseBlock>) = (parts.collect(), poses.collect());
+        let relative = relative_pose_blocks(bundle, sparsity, &mut poses);
         let global =
             if globals == 0 { GlobalBlock::default() } else { global_block(bundle, curvature) };
-        Self { sparsity, globals, parts, poses, global }
+        Self { sparsity, globals, parts, poses, relative, global }
     }
 
     /// The Levenberg-Marquardt step; `None` if the damped system is not positive definite.
@@ -102,6 +107,12 @@ impl<'a> SchurSystem<'a> {
             self.fill_block_rows(block, rows, &inverses, damping)
         };
         let sides: Vec<PoseBlock> = rows.into_par_iter().enumerate().map(fill).collect();
+        for (later, earlier, coupling) in &self.relative {
+            for (a, row) in coupling.iter().enumerate() {
+                let columns = row.iter().enumerate();
+                columns.for_each(|(b, v)| matrix.add(6 * later + a, 6 * earlier + b, *v));
+            }
+        }
         let mut right: Vec<f64> = sides.iter().flat_map(|side| side.gradient).collect();
         let begin = right.len();
         for (block, side) in sides.iter().enumerate() {
@@ -228,12 +239,15 @@ pub(super) struct GlobalBlock {
     pub(super) gradient: [f64; GLOBALS],
 }
 
-/// A weighted residual with its derivatives.
+/// A weighted residual with its derivatives: the image position, and the inverse depth if measured.
 struct WeightedResidual {
     projection: Projection,
     camera_jacobian: CameraJacobian,
-    residual: [f64; 2],
-    weight: f64,
+    residual: [f64; 3],
+    /// Weights of the rows of the residual.
+    weights: [f64; 3],
+    /// Number of rows: 2, or 3 with depth.
+    rows: usize,
 }
 
 impl LandmarkBlock {
@@ -254,15 +268,19 @@ fn weighted_residual(
     let pose = &bundle.poses[observation.pose];
     let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
     let seen = observation.corrected(bundle.camera_change);
-    let residual: [f64; 2] = std::array::from_fn(|i| projection.at[i] - seen[i]);
+    let mut residual = [projection.at[0] - seen[0], projection.at[1] - seen[1], 0.0];
     let length = residual[0].hypot(residual[1]) / observation.sigma;
     let weight = huber(length).0 / (observation.sigma * observation.sigma);
-    let mut out = WeightedResidual {
-        projection,
-        camera_jacobian: observation.camera_jacobian,
-        residual,
-        weight,
-    };
+    let (mut weights, mut rows) = ([weight, weight, 0.0], 2);
+    if let Some(depth) = &observation.depth {
+        residual[2] = projection.inverse_depth - depth.inverse;
+        let off = residual[2].abs() / depth.sigma;
+        let is_flat = curvature == Curvature::Exact && off > HUBER_THRESHOLD;
+        weights[2] = if is_flat { 0.0 } else { huber(off).0 / (depth.sigma * depth.sigma) };
+        rows = 3;
+    }
+    let camera_jacobian = observation.camera_jacobian;
+    let mut out = WeightedResidual { projection, camera_jacobian, residual, weights, rows };
     if curvature == Curvature::Exact && length > HUBER_THRESHOLD {
         out.project_across_residual();
     }
@@ -286,7 +304,7 @@ pub(super) fn gradient_along(
             + product(&w.projection.by_landmark[i], &step.landmarks[landmark])
             + product(&w.by_globals(i), &step.globals)
     };
-    w.weight * (w.residual[0] * along(0) + w.residual[1] * along(1))
+    (0..w.rows).map(|i| w.weights[i] * w.residual[i] * along(i)).sum()
 }
 
 /// Sums over the observations of a landmark; `landmark_observations` are those by free poses.
@@ -301,23 +319,26 @@ pub(super) fn landmark_block(
         observations.map(|s| weighted_residual(bundle, landmark, s, curvature)).collect();
     let (mut hessian, mut gradient, mut globals) = ([[0.0; 3]; 3], [0.0; 3], [[0.0; 3]; GLOBALS]);
     for w in all.iter().flatten() {
-        for i in 0..2 {
-            let row = &w.projection.by_landmark[i];
+        for i in 0..w.rows {
+            let (row, weight) = (&w.projection.by_landmark[i], w.weights[i]);
             for a in 0..3 {
-                gradient[a] += w.weight * row[a] * w.residual[i];
-                (0..3).for_each(|b| hessian[a][b] += w.weight * row[a] * row[b]);
+                gradient[a] += weight * row[a] * w.residual[i];
+                (0..3).for_each(|b| hessian[a][b] += weight * row[a] * row[b]);
                 for (global, slope) in globals.iter_mut().zip(w.by_globals(i)) {
-                    global[a] += w.weight * slope * row[a];
+                    global[a] += weight * slope * row[a];
                 }
             }
         }
     }
     let coupling = |(_, observation): &(u32, u32)| {
         let Some(w) = &all[*observation as usize] else { return [[0.0; 3]; 6] };
-        let entry = |a: usize, b: usize| -> f64 {
-            (0..2).map(|i| w.projection.by_pose[i][a] * w.projection.by_landmark[i][b]).sum()
+        let product = |i: usize, a: usize, b: usize| {
+            w.projection.by_pose[i][a] * w.projection.by_landmark[i][b]
         };
-        std::array::from_fn(|a| std::array::from_fn(|b| w.weight * entry(a, b)))
+        let entry = |a: usize, b: usize| {
+            w.weights[0] * (product(0, a, b) + product(1, a, b)) + w.weights[2] * product(2, a, b)
+        };
+        std::array::from_fn(|a| std::array::from_fn(|b| entry(a, b)))
     };
     LandmarkBlock {
         hessian,
@@ -341,10 +362,10 @@ pub(super) fn pose_block(
         let observation = &bundle.observations[landmark]
             [sparsity.landmark_observations[landmark][*k as usize].1 as usize];
         let Some(w) = weighted_residual(bundle, landmark, observation, curvature) else { continue };
-        for i in 0..2 {
+        for i in 0..w.rows {
             let row = &w.projection.by_pose[i];
             for a in 0..6 {
-                let slope = w.weight * row[a];
+                let slope = w.weights[i] * row[a];
                 (0..6).for_each(|b| out.hessian[a][b] += slope * row[b]);
                 out.gradient[a] += slope * w.residual[i];
                 for (sum, global) in out.globals[a].iter_mut().zip(w.by_globals(i)) {
@@ -354,6 +375,39 @@ pub(super) fn pose_block(
         }
     }
     out
+}
+
+/// Adds the relative poses of a bundle to the blocks of their poses; returns the couplings of
+/// pairs that are both free.
+fn relative_pose_blocks(
+    bundle: &Bundle,
+    sparsity: &BlockSparsity,
+    blocks: &mut [PoseBlock],
+) -> Vec<(usize, usize, [[f64; 6]; 6])> {
+    let mut couplings = Vec::new();
+    for factor in bundle.relative_poses.iter() {
+        let LinearRelativePose { hessians, gradients, coupling } = factor.linearize(&bundle.poses);
+        let places = [factor.first, factor.second].map(|pose| sparsity.blocks[pose]);
+        for (side, place) in places.into_iter().enumerate() {
+            let Some(place) = place else { continue };
+            let block = &mut blocks[place];
+            for a in 0..6 {
+                block.gradient[a] += gradients[side][a];
+                (0..6).for_each(|b| block.hessian[a][b] += hessians[side][a][b]);
+            }
+        }
+        if let [Some(first), Some(second)] = places {
+            couplings.push(match first > second {
+                true => (first, second, coupling),
+                false => (second, first, transposed(&coupling)),
+            });
+        }
+    }
+    couplings
+}
+
+fn transposed(m: &[[f64; 6]; 6]) -> [[f64; 6]; 6] {
+    std::array::from_fn(|a| std::array::from_fn(|b| m[b][a]))
 }
 
 pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock {
@@ -366,10 +420,10 @@ pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock
                 continue;
             };
             for i in 0..2 {
-                let row = w.by_globals(i);
+                let (row, weight) = (w.by_globals(i), w.weights[i]);
                 for g in 0..GLOBALS {
-                    sum.gradient[g] += w.weight * row[g] * w.residual[i];
-                    (0..GLOBALS).for_each(|h| sum.hessian[g][h] += w.weight * row[g] * row[h]);
+                    sum.gradient[g] += weight * row[g] * w.residual[i];
+                    (0..GLOBALS).for_each(|h| sum.hessian[g][h] += weight * row[g] * row[h]);
                 }
             }
         }
@@ -394,20 +448,24 @@ impl WeightedResidual {
             let slope = across[0] * *x + across[1] * *y;
             (*x, *y) = (across[0] * slope, across[1] * slope);
         };
-        let [x, y] = &mut self.projection.by_pose;
+        let [x, y, _] = &mut self.projection.by_pose;
         x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
-        let [x, y] = &mut self.projection.by_landmark;
+        let [x, y, _] = &mut self.projection.by_landmark;
         x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
-        keep(self.projection.by_focal.each_mut());
+        let [x, y, _] = &mut self.projection.by_focal;
+        keep([x, y]);
         self.camera_jacobian.iter_mut().for_each(|by| keep(by.each_mut()));
     }
 
     /// Derivatives by the global parameters.
-    fn by_globals(&self, axis: usize) -> [f64; GLOBALS] {
+    fn by_globals(&self, row: usize) -> [f64; GLOBALS] {
+        if row == 2 {
+            return [0.0; GLOBALS];
+        }
         [
-            self.projection.by_focal[axis],
-            -self.camera_jacobian[0][axis],
-            -self.camera_jacobian[1][axis],
+            self.projection.by_focal[row],
+            -self.camera_jacobian[0][row],
+            -self.camera_jacobian[1][row],
         ]
     }
 }

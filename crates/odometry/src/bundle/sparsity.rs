@@ -30,10 +30,12 @@ impl BlockSparsity {
         if natural.poses.len() < MIN_REORDERED_POSES {
             return natural;
         }
-        let order = reverse_cuthill_mckee(&block_adjacency(
-            &natural.landmark_observations,
-            natural.poses.len(),
-        ));
+        let mut adjacency = block_adjacency(&natural.landmark_observations, natural.poses.len());
+        for [a, b] in natural.coupled_blocks(bundle) {
+            adjacency[a].push(b);
+            adjacency[b].push(a);
+        }
+        let order = reverse_cuthill_mckee(&adjacency);
         let narrow =
             Self::with_order(bundle, order.into_iter().map(|b| natural.poses[b]).collect());
         if narrow.block_count() < natural.block_count() { narrow } else { natural }
@@ -60,7 +62,17 @@ impl BlockSparsity {
             }
             landmark_observations.push(of);
         }
-        Self { blocks, poses, landmark_observations, block_observations, first }
+        let mut out = Self { blocks, poses, landmark_observations, block_observations, first };
+        for [a, b] in out.coupled_blocks(bundle) {
+            out.first[a.max(b)] = out.first[a.max(b)].min(a.min(b));
+        }
+        out
+    }
+
+    /// Pairs of free blocks coupled by a relative pose.
+    fn coupled_blocks(&self, bundle: &Bundle) -> Vec<[usize; 2]> {
+        let pairs = bundle.relative_poses.iter();
+        pairs.filter_map(|f| Some([self.blocks[f.first]?, self.blocks[f.second]?])).collect()
     }
 
     /// Column of the first entry of every row of the reduced camera system: six rows a block, then

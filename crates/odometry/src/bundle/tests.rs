@@ -24,7 +24,7 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
         let e = &errors[(i * 6 + k) * 2..];
         let at = [u + spread * e[0], v + spread * e[1]];
         let camera_jacobian = distortion_jacobian(&camera, at);
-        BundleObservation { pose: k, at, sigma: 0.5, camera_jacobian }
+        BundleObservation { pose: k, at, sigma: 0.5, camera_jacobian, depth: None }
     };
     let observations: Vec<Vec<BundleObservation>> =
         (0..60).map(|i| (0..6).map(|k| observation(i, k)).collect()).collect();
@@ -47,6 +47,7 @@ fn bundle(
         poses,
         landmarks,
         observations: Arc::new(observations),
+        relative_poses: Arc::default(),
         camera_change: [0.0; 2],
         free_intrinsics: FreeIntrinsics::None,
     }
@@ -159,7 +160,13 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
         let landmark = Landmark::on_ray(&camera, poses[begin], at, depth.recip());
         let observation = |pose: usize| {
             let at = landmark.image_position(&camera, &poses[pose])?;
-            Some(BundleObservation { pose, at, sigma: 0.5, camera_jacobian: [[0.0; 2]; 2] })
+            Some(BundleObservation {
+                pose,
+                at,
+                sigma: 0.5,
+                camera_jacobian: [[0.0; 2]; 2],
+                depth: None,
+            })
         };
         let all: Vec<BundleObservation> = by.into_iter().filter_map(observation).collect();
         if all.len() > 1 {

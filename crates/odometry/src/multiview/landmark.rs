@@ -15,15 +15,16 @@ pub(crate) struct Landmark {
     pub(crate) values: [f64; 3],
 }
 
-/// An image position with its derivatives.
+/// An image position and the inverse depth there, with derivatives: rows `u`, `v` [px], `1/z`.
 pub(crate) struct Projection {
     pub(crate) at: [f64; 2],
+    pub(crate) inverse_depth: f64,
     /// By the pose's tangent `(ρ, φ)`.
-    pub(crate) by_pose: [[f64; 6]; 2],
+    pub(crate) by_pose: [[f64; 6]; 3],
     /// By `(a, b, ρ)`.
-    pub(crate) by_landmark: [[f64; 3]; 2],
+    pub(crate) by_landmark: [[f64; 3]; 3],
     /// By the logarithm of the focal length.
-    pub(crate) by_focal: [f64; 2],
+    pub(crate) by_focal: [f64; 3],
 }
 
 impl Landmark {
@@ -61,6 +62,11 @@ impl Landmark {
     pub(crate) fn position(&self) -> Vec3<f64> {
         let [a, b, rho] = self.values;
         self.origin + self.rotation * Vec3::new(a, b, 1.0) * (1.0 / rho.max(1e-9))
+    }
+
+    /// Inverse depth in a camera.
+    pub(crate) fn inverse_depth_in(&self, world_from_camera: &Pose<f64>) -> f64 {
+        self.values[2] / self.scaled_point_in(world_from_camera).z
     }
 
     /// Derivative of the depth in a camera by `ρ`: `-(Rᵀ rotation (a, b, 1))_z / ρ²`.
@@ -103,9 +109,11 @@ impl Landmark {
         let rotation = inverse.matrix() * self.rotation;
         let by_rho = inverse.rotate(self.origin - world_from_camera.translation);
         let (x, y, iz) = (q.x / q.z, q.y / q.z, 1.0 / q.z);
+        // The inverse depth in the camera is ρ / q.z.
         let rows = [
             Vec3::new(camera.fx * iz, 0.0, -camera.fx * x * iz),
             Vec3::new(0.0, camera.fy * iz, -camera.fy * y * iz),
+            Vec3::new(0.0, 0.0, -self.values[2] * iz * iz),
         ];
         let rho = self.values[2];
         let columns = rotation.transpose().rows.map(Vec3::from_array);
@@ -114,9 +122,11 @@ impl Landmark {
             let (t, r) = (g * -rho, g.cross(q));
             [t.x, t.y, t.z, r.x, r.y, r.z]
         });
-        let by_landmark = rows.map(|g| [g.dot(columns[0]), g.dot(columns[1]), g.dot(by_rho)]);
+        let mut by_landmark = rows.map(|g| [g.dot(columns[0]), g.dot(columns[1]), g.dot(by_rho)]);
+        by_landmark[2][2] += iz;
         let at = [camera.fx * x + camera.cx, camera.fy * y + camera.cy];
-        Some(Projection { at, by_pose, by_landmark, by_focal: [camera.fx * x, camera.fy * y] })
+        let by_focal = [camera.fx * x, camera.fy * y, 0.0];
+        Some(Projection { at, inverse_depth: rho * iz, by_pose, by_landmark, by_focal })
     }
 }
 
@@ -152,18 +162,19 @@ mod tests {
         for rho in [0.6, 1e-4, -0.05] {
             let landmark = Landmark::on_ray(&camera, first, [100.0, 90.0], rho);
             let projection = landmark.project(&camera, &pose).expect("in front");
-            for axis in 0..2 {
+            for row in 0..3 {
                 let f = |x: &[f64]| {
                     let pose = pose.retract(Tangent::from_array(std::array::from_fn(|i| x[i])));
                     let mut moved = landmark;
                     (0..3).for_each(|i| moved.values[i] += x[6 + i]);
                     let scale = x[9].exp();
                     let camera = Camera { fx: camera.fx * scale, fy: camera.fy * scale, ..camera };
-                    moved.image_position(&camera, &pose).expect("in front")[axis]
+                    let projected = moved.project(&camera, &pose).expect("in front");
+                    [projected.at[0], projected.at[1], projected.inverse_depth][row]
                 };
-                let mut gradient = projection.by_pose[axis].to_vec();
-                gradient.extend(projection.by_landmark[axis]);
-                gradient.push(projection.by_focal[axis]);
+                let mut gradient = projection.by_pose[row].to_vec();
+                gradient.extend(projection.by_landmark[row]);
+                gradient.push(projection.by_focal[row]);
                 assert_gradient("projection", &[0.0; 10], &gradient, 1e-3, 1e-6, f);
             }
         }

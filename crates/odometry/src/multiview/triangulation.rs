@@ -13,20 +13,46 @@ const MAX_MEAN_ERROR: f64 = 4.0;
 /// An observation and the pose of its camera.
 pub(crate) type PosedObservation<'a> = (&'a Observation, Pose<f64>);
 
-/// Triangulates at least two observations; the landmark originates in the first. `None` if they are
-/// inconsistent, where residuals are `noise` times as large as their deviations say.
+/// Triangulates at least two observations, or one with depth; the landmark originates in the first.
+/// `None` if they are inconsistent, where residuals are `noise` times as large as their deviations
+/// say.
 pub(crate) fn triangulate(
     camera: &Camera<f64>,
     observations: &[PosedObservation<'_>],
     noise: f64,
 ) -> Option<Landmark> {
     let (first, rest) = observations.split_first()?;
-    if rest.is_empty() {
-        return None;
+    let on_ray = |inverse: f64| Landmark::on_ray(camera, first.1, first.0.at, inverse);
+    let by_depth = observations.iter().find_map(|o| measured_inverse_depth(camera, first.1, o));
+    let by_depth =
+        by_depth.and_then(|inverse| consistent(camera, on_ray(inverse), observations, noise));
+    if by_depth.is_some() || rest.is_empty() {
+        return by_depth;
     }
-    let mut landmark = Landmark::on_ray(camera, first.1, first.0.at, 0.0);
-    landmark.values[2] = inverse_depth(camera, &landmark, rest).max(-1e-3);
-    let landmark = refine_landmark(camera, landmark, observations)?;
+    let landmark = on_ray(inverse_depth(camera, &on_ray(0.0), rest).max(-1e-3));
+    consistent(camera, landmark, observations, noise)
+}
+
+/// Inverse depth in the camera `first` of a point whose depth was measured in another.
+fn measured_inverse_depth(
+    camera: &Camera<f64>,
+    first: Pose<f64>,
+    (observation, pose): &PosedObservation<'_>,
+) -> Option<f64> {
+    let z = observation.depth?.inverse.recip();
+    let point =
+        first.inverse() * (*pose * camera.unproject(observation.at[0], observation.at[1], z));
+    (point.z > 0.0).then(|| point.z.recip())
+}
+
+/// The refined landmark, if its observations are consistent.
+fn consistent(
+    camera: &Camera<f64>,
+    start: Landmark,
+    observations: &[PosedObservation<'_>],
+    noise: f64,
+) -> Option<Landmark> {
+    let landmark = refine_landmark(camera, start, observations)?;
     let sum = observations
         .iter()
         .map(|(o, pose)| reprojection_error(camera, pose, &(&landmark, *o)))
@@ -101,6 +127,12 @@ fn normal_equations(
         cost += loss;
         for i in 0..2 {
             sum.add(&p.by_landmark[i], r[i], weight / (observation.sigma * observation.sigma));
+        }
+        if let Some(depth) = &observation.depth {
+            let r = p.inverse_depth - depth.inverse;
+            let (weight, loss) = huber(r.abs() / depth.sigma);
+            cost += loss;
+            sum.add(&p.by_landmark[2], r, weight / (depth.sigma * depth.sigma));
         }
     }
     sum.cost = cost;

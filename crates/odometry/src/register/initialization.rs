@@ -40,8 +40,32 @@ struct KeyframePair {
     motion: f64,
 }
 
-/// Poses two of the keyframes in `places` of an empty state and triangulates their shared points.
+/// Poses one of the keyframes in `places` of an empty state whose points have measured depth, or two
+/// of them, and triangulates their shared points.
 pub(crate) fn initialize(state: &mut SfmState, places: Range<usize>) -> Result<(), OdometryError> {
+    if initialize_from_depth(state, places.clone()) {
+        return Ok(());
+    }
+    initialize_from_parallax(state, places)
+}
+
+/// Poses the keyframe with most depth readings; false if none has enough of them.
+fn initialize_from_depth(state: &mut SfmState, places: Range<usize>) -> bool {
+    let readings = |frame: usize| {
+        state.observations_in(frame).filter(|(_, observation)| observation.depth.is_some()).count()
+    };
+    let keyframes = state.tracks.keyframes[places].iter();
+    let best = keyframes.map(|frame| (readings(*frame), *frame)).max_by_key(|(count, _)| *count);
+    let Some((_, frame)) = best.filter(|(count, _)| *count >= MIN_SHARED) else { return false };
+    state.poses[frame] = Some(Pose::identity());
+    state.triangulate_missing_in(frame);
+    true
+}
+
+fn initialize_from_parallax(
+    state: &mut SfmState,
+    places: Range<usize>,
+) -> Result<(), OdometryError> {
     let pairs = candidate_pairs(state, places);
     let enough = SUFFICIENT_PARALLAX * state.camera.fx;
     let worth = |p: &KeyframePair| p.rotation_residual.min(enough) * (p.shared as f64).sqrt();

@@ -1,5 +1,6 @@
 //! Registration of frames to the map, with local and global bundle adjustment.
 
+use crate::depth::readings::update_depth_model;
 use crate::multiview::pnp::{PnpSolution, solve_pnp};
 use crate::progress::Stage;
 use crate::sfm_state::SfmState;
@@ -45,6 +46,7 @@ pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
     let all = state.posed_frames();
     state.adjust(&all, adjust_focal, GLOBAL_STEPS);
     state.update_noise_scale();
+    update_depth_model(state);
     state.reject_outliers();
     state.triangulate_missing();
     let cost = state.adjust(&all, adjust_focal, GLOBAL_STEPS);

@@ -16,11 +16,22 @@ pub(crate) struct Observation {
     pub(crate) sigma: f64,
     /// Not explained by the point's landmark.
     pub(crate) is_outlier: bool,
+    /// Inverse depth measured by a sensor.
+    pub(crate) depth: Option<DepthReading>,
+}
+
+/// An inverse depth measured by a sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct DepthReading {
+    /// `1/z` along the optical axis, in units of the poses.
+    pub(crate) inverse: f64,
+    /// Standard deviation, in the same unit.
+    pub(crate) sigma: f64,
 }
 
 impl Observation {
     pub(crate) fn new(frame: usize, at: [f64; 2], sigma: f64) -> Self {
-        Self { frame, raw: at, at, sigma, is_outlier: false }
+        Self { frame, raw: at, at, sigma, is_outlier: false, depth: None }
     }
 }
 

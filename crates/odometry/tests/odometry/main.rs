@@ -184,21 +184,21 @@ fn dark_pictures_and_noise_give_an_error() {
 #[test]
 fn pictures_that_do_not_fit_are_refused_and_values_that_are_not_finite_do_no_harm() {
     let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
-    let size = front_end.push(&Image::new(100, 100, 3), 0.0);
+    let size = front_end.push(&Image::new(100, 100, 3), 0.0, None);
     assert!(matches!(size, Err(PictureError::Size { size: [100, 100], .. })));
     for channels in [0, 2] {
-        let planes = front_end.push(&Image::new(192, 144, channels), 0.0);
+        let planes = front_end.push(&Image::new(192, 144, channels), 0.0, None);
         assert!(matches!(planes, Err(PictureError::Planes { .. })));
     }
     let mut poisoned = moving_picture(0);
     poisoned.data[5000..9000].fill(f32::NAN);
-    assert!(front_end.push(&poisoned, 1.0).is_ok());
+    assert!(front_end.push(&poisoned, 1.0, None).is_ok());
     for stamp in [1.0, 0.5, f64::NAN] {
-        let refused = front_end.push(&moving_picture(1), stamp);
+        let refused = front_end.push(&moving_picture(1), stamp, None);
         assert!(matches!(refused, Err(PictureError::Stamp { .. })));
     }
     let tiny = Camera { width: 20, height: 20, ..camera() };
-    let refused = FrontEnd::new(Intrinsics::Known(tiny)).push(&Image::new(20, 20, 3), 0.0);
+    let refused = FrontEnd::new(Intrinsics::Known(tiny)).push(&Image::new(20, 20, 3), 0.0, None);
     assert!(matches!(refused, Err(PictureError::TooSmall { .. })));
 }
 

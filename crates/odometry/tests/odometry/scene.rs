@@ -18,7 +18,7 @@ pub(crate) fn tracked(
 ) -> FrontEnd {
     let mut front_end = FrontEnd::new(intrinsics);
     for (i, picture) in pictures.enumerate() {
-        front_end.push(&picture, i as f64 * INTERVAL).expect("a picture of the right size");
+        front_end.push(&picture, i as f64 * INTERVAL, None).expect("a picture of the right size");
     }
     front_end
 }
