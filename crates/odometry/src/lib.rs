@@ -91,8 +91,9 @@ mod result;
 
 mod dense;
 
-pub use dense::{DenseDepth, DenseDepthEstimator, PosedView};
+pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, PosedView};
 pub use depth::depth_map::DepthPicture;
+pub use depth::sensor_model::DepthModel;
 pub use error::{OdometryError, PictureError};
 pub use front_end::{FrontEnd, MIN_FRAMES, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;

@@ -1,5 +1,6 @@
 //! Result of the odometry.
 
+use crate::depth::sensor_model::DepthModel;
 use crate::intrinsics::focal_length::Intrinsics;
 use crate::intrinsics::observability::reestimate_intrinsics;
 use crate::multiview::lens_distortion::brown_coefficients;
@@ -58,8 +59,8 @@ pub struct Reconstruction {
     pub poses: Vec<Option<Pose<f64>>>,
     /// Timestamps of all frames [s].
     pub timestamps: Vec<f64>,
-    /// Whether lengths are metres, from measured depth.
-    pub is_metric: bool,
+    /// Model of the depth sensor; lengths are metres then. `None` by colour alone.
+    pub depth_model: Option<DepthModel>,
     /// Registered keyframes, in order.
     pub keyframes: Vec<Keyframe>,
     /// Degradations that a user should know of.
@@ -140,7 +141,7 @@ pub(crate) fn build_reconstruction(
         rolling_shutter_readout: readout,
         poses,
         timestamps: timestamps.to_vec(),
-        is_metric,
+        depth_model: is_metric.then_some(state.depth_model),
         keyframes,
         warnings,
     }

@@ -293,7 +293,7 @@ const DEFAULT_RGB: Parameters = Parameters {
 
 impl Default for Parameters {
     fn default() -> Self {
-        DEFAULT
+        DEFAULT_RGB
     }
 }
 
@@ -305,8 +305,7 @@ impl Parameters {
             "paper-tum" => PAPER_TUM,
             "paper-synthetic" => PAPER_SYNTHETIC,
             "paper-rgb" => PAPER_RGB,
-            "default-rgb" => DEFAULT_RGB,
-            _ => DEFAULT,
+            _ => DEFAULT_RGB,
         }
     }
 }

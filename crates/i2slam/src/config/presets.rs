@@ -84,6 +84,15 @@ impl Config {
 
 /// The best result that we know at a usable speed.
 fn default() -> Config {
+    Config {
+        preset: "default".to_owned(),
+        parameters: Parameters::of_preset("default"),
+        ..default_rgb()
+    }
+}
+
+/// Settings that our presets share.
+fn ours() -> Config {
     let paper = paper_scannet();
     Config {
         preset: "default".to_owned(),
@@ -226,7 +235,7 @@ fn default_rgb() -> Config {
     let mut config = Config {
         preset: "default-rgb".to_owned(),
         parameters: Parameters::of_preset("default-rgb"),
-        ..default()
+        ..ours()
     };
     config.hashgrid = HashGridConfig {
         log2_table: 17,

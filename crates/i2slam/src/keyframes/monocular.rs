@@ -6,7 +6,8 @@ use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
-    DenseDepth, DenseDepthEstimator, FrontEnd, Keyframe, PosedView, Reconstruction,
+    DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures, PosedView,
+    Reconstruction,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -80,7 +81,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
                 break;
             }
             let pushed = load(position).and_then(|picture| {
-                front_end.push(&picture.colour, picture.timestamp, None).map_err(PictureError::from)
+                let depth = depth_picture(&picture);
+                front_end
+                    .push(&picture.colour, picture.timestamp, depth.as_ref())
+                    .map_err(PictureError::from)
             });
             match pushed {
                 Ok(report) => {
@@ -128,6 +132,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         let views = self.reconstruction.keyframes.iter().map(view).collect();
         self.dense = Some(
             DenseDepthEstimator::new(self.reconstruction.camera, views)
+                .with_depth_model(self.reconstruction.depth_model.clone())
                 .with_cancellation(cancellation),
         );
         self
@@ -194,11 +199,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
         };
         let dense = self.dense.as_mut().and_then(|dense| {
             let mut picture = |k: usize| {
-                let colour = &self.reader.picture(k)?.colour;
-                Some(match ReadoutMotion::of_keyframe(found, found.keyframes.get(k)?) {
-                    Some(motion) => Arc::new(motion.rectified(&found.camera, colour)),
-                    None => Arc::clone(colour),
-                })
+                let frame = self.reader.picture(k)?;
+                let colour = match ReadoutMotion::of_keyframe(found, found.keyframes.get(k)?) {
+                    Some(motion) => Arc::new(motion.rectified(&found.camera, &frame.colour)),
+                    None => Arc::clone(&frame.colour),
+                };
+                let depth = depth_picture(frame).map(|_| Arc::clone(&frame.depth));
+                Some(KeyframePictures { colour, depth })
             };
             dense.estimate(number, &mut picture)
         });
@@ -207,25 +214,37 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
             timestamp: keyframe.timestamp,
             before: keyframe.index.checked_sub(1).and_then(|index| stamped(found, index)),
             after: stamped(found, keyframe.index + 1),
-            depth: Some(depth(dense, keyframe, colour.width, colour.height)),
+            depth: Some(depth(dense, keyframe, (colour.width, colour.height), unit(found))),
             colour,
-            world_from_camera: scaled(keyframe.world_from_camera),
+            world_from_camera: scaled(keyframe.world_from_camera, unit(found)),
         }))
     }
+}
+
+/// Measured depth of a frame, if there is any.
+fn depth_picture(frame: &Frame) -> Option<DepthPicture<'_>> {
+    let is_measured = frame.depth.data.iter().any(|z| *z > 0.0);
+    let (depth, timestamp) = (&*frame.depth, frame.depth_timestamp);
+    is_measured.then_some(DepthPicture { depth, timestamp })
 }
 
 fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize> {
     found.keyframes.iter().filter_map(|keyframe| positions.get(keyframe.index).copied()).collect()
 }
 
+/// The front end's unit of length in the delivered one: metres stay.
+fn unit(found: &Reconstruction) -> f64 {
+    if found.depth_model.is_some() { 1.0 } else { DELIVERED_MEDIAN_DEPTH }
+}
+
 /// A pose in the delivered unit of length.
-fn scaled(pose: Pose<f64>) -> Pose<f64> {
-    Pose { translation: pose.translation * DELIVERED_MEDIAN_DEPTH, ..pose }
+fn scaled(pose: Pose<f64>, unit: f64) -> Pose<f64> {
+    Pose { translation: pose.translation * unit, ..pose }
 }
 
 /// Pose of a frame in the delivered unit; `None` if lost.
 fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
-    found.poses.get(frame)?.map(scaled)
+    found.poses.get(frame)?.map(|pose| scaled(pose, unit(found)))
 }
 
 /// Time stamp and pose of a frame.
@@ -237,11 +256,11 @@ fn stamped(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
 fn depth(
     dense: Option<DenseDepth>,
     keyframe: &Keyframe,
-    width: usize,
-    height: usize,
+    (width, height): (usize, usize),
+    unit: f64,
 ) -> EstimatedDepth {
-    let mut out = sparse_depth(keyframe, width, height);
-    let Some(dense) = dense.map(dense_depth) else { return out };
+    let mut out = sparse_depth(keyframe, (width, height), unit);
+    let Some(dense) = dense.map(|dense| dense_depth(dense, unit)) else { return out };
     if 2 * dense.depth.data.iter().filter(|z| **z > 0.0).count() > width * height {
         return dense;
     }
@@ -255,30 +274,30 @@ fn depth(
 }
 
 /// Dense depth in the delivered unit of length.
-fn dense_depth(found: DenseDepth) -> EstimatedDepth {
+fn dense_depth(found: DenseDepth, unit: f64) -> EstimatedDepth {
     let DenseDepth { mut depth, mut variance } = found;
-    let scale = DELIVERED_MEDIAN_DEPTH as f32;
+    let scale = unit as f32;
     depth.data.iter_mut().for_each(|d| *d *= scale);
     variance.data.iter_mut().for_each(|v| *v *= scale * scale);
     EstimatedDepth { depth, variance: Some(variance) }
 }
 
 /// Landmark depths of a keyframe as images, zero elsewhere; the nearest landmark per pixel.
-fn sparse_depth(keyframe: &Keyframe, width: usize, height: usize) -> EstimatedDepth {
+fn sparse_depth(keyframe: &Keyframe, (width, height): (usize, usize), unit: f64) -> EstimatedDepth {
     let (mut depth, mut variance) = (Image::new(width, height, 1), Image::new(width, height, 1));
     for point in &keyframe.depths {
         let [u, v] = point.at;
         let inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
         if inside && point.variance.sqrt() <= MAX_DEVIATION * point.depth {
             let pixel = v as usize * width + u as usize;
-            let (here, known) = ((DELIVERED_MEDIAN_DEPTH * point.depth) as f32, depth.data[pixel]);
+            let (here, known) = ((unit * point.depth) as f32, depth.data[pixel]);
             if known > 0.0 && known <= here {
                 continue;
             }
             depth.data[pixel] = here;
             let deviation = point.variance.sqrt().hypot(MIN_DEVIATION * point.depth);
             variance.data[pixel] =
-                (SPARSE_DEVIATION_FACTOR * DELIVERED_MEDIAN_DEPTH * deviation).powi(2) as f32;
+                (SPARSE_DEVIATION_FACTOR * unit * deviation).powi(2) as f32;
         }
     }
     EstimatedDepth { depth, variance: Some(variance) }

@@ -9,7 +9,9 @@ use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, Posed
 use i2slam_compute::{CancellationToken, correlation};
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_odometry::{DenseDepthEstimator, Keyframe, PosedView, Reconstruction, SparseDepth};
+use i2slam_odometry::{
+    DenseDepthEstimator, Keyframe, KeyframePictures, PosedView, Reconstruction, SparseDepth,
+};
 use std::sync::Arc;
 
 /// Least share of the keyframes that the front end must pose.
@@ -94,7 +96,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
-        let mut picture = |k: usize| Some(Arc::clone(&self.reader.picture(k)?.colour));
+        let mut picture = |k: usize| {
+            let colour = Arc::clone(&self.reader.picture(k)?.colour);
+            Some(KeyframePictures::colour_only(colour))
+        };
         let depth = self.dense.estimate(number, &mut picture);
         Some(Ok(PosedKeyframe {
             depth: depth.map(|d| EstimatedDepth { depth: d.depth, variance: Some(d.variance) }),

@@ -27,7 +27,7 @@ pub use forecast::RuntimeForecast;
 pub use keyframes::odometry_size;
 pub use observer::{Observer, Stage};
 
-use crate::config::{Config, MapKind};
+use crate::config::{Config, MapKind, TrackingMethod};
 use crate::keyframes::{ImportDepth, ImportOptions};
 use crate::reconstruction::Reconstruction;
 use crate::warning::Warning;
@@ -203,6 +203,10 @@ pub fn reconstruct(
     options.validate(sequence)?;
     let context = RunContext::new(observer);
     let mut outcome = match &options.poses {
+        PoseSource::Depth if options.config.tracking.method == TrackingMethod::SecondOrder => {
+            let open = || keyframes::from_odometry(sequence, false, options, &context);
+            keyframes::run(sequence, options, &context, open)
+        }
         PoseSource::Depth => frames::run(sequence, options, &context),
         PoseSource::Odometry { estimate_distortion } => {
             let open =

@@ -5,7 +5,7 @@ use crate::config::{Config, MapKind};
 use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::mapping::JointGaussianMapper;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
-use i2slam_odometry::{DenseDepthEstimator, PosedView};
+use i2slam_odometry::{DenseDepthEstimator, KeyframePictures, PosedView};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -136,7 +136,7 @@ fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>) -> f64 {
     let views = (0..VIEWS).map(view).collect();
     let mut depths = DenseDepthEstimator::new(camera.resized(width, height), views);
     let clock = Instant::now();
-    depths.estimate(0, &mut |_| Some(Arc::clone(&small)));
+    depths.estimate(0, &mut |_| Some(KeyframePictures::colour_only(Arc::clone(&small))));
     clock.elapsed().as_secs_f64() * (REDUCTION * REDUCTION) as f64 / VIEWS as f64
 }
 

@@ -11,11 +11,19 @@ const MAX_RELATIVE_DIFFERENCE: f32 = 0.03;
 /// Views that must agree; one where only one or two see the pixel.
 const MIN_AGREEING_VIEWS: usize = 2;
 
+/// Treatment of an inverse depth that no other keyframe sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unseen {
+    Kept,
+    Dropped,
+}
+
 /// Averages inverse depths that enough `others` (with `other_from_keyframe`) confirm by variance.
 pub(super) fn fuse_consistent(
     camera: &Camera<f64>,
     own: &InverseDepthEstimate,
     others: &[(&InverseDepthEstimate, Pose<f64>)],
+    unseen: Unseen,
 ) -> InverseDepthEstimate {
     let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
     let mut out = InverseDepthEstimate {
@@ -57,7 +65,8 @@ pub(super) fn fuse_consistent(
             sum += (rho + (found - due) * slope) / its;
             weight += 1.0 / its;
         }
-        if agree >= MIN_AGREEING_VIEWS.min(seen) && agree > 0 {
+        let is_unseen = seen == 0 && unseen == Unseen::Kept;
+        if is_unseen || agree >= MIN_AGREEING_VIEWS.min(seen) && agree > 0 {
             out.inverse_depth.data[pixel] = sum / weight;
             // Neighbours share pictures: their errors are not independent.
             out.variance.data[pixel] = (1 + agree) as f32 / weight;
@@ -122,7 +131,7 @@ mod tests {
         let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
         let (own, other) = (flat(1.0 / 2.0, 1e-4), flat(1.0 / 1.204, 9e-4));
         let forward = Pose::new(Rotation::identity(), Vec3::new(0.0, 0.0, -0.8));
-        fuse_consistent(&camera, &own, &[(&other, forward)])
+        fuse_consistent(&camera, &own, &[(&other, forward)], Unseen::Dropped)
     }
 
     /// Estimates are weighted by the variance of the depth, `z⁴` times that of its inverse.

@@ -4,6 +4,9 @@
 //! windows, independent of exposure and of a smooth response. Costs are aggregated semi-globally
 //! and refined twice around the result with windows that follow the surface. Depth that other
 //! keyframes contradict is dropped; variances are inflated at depth edges.
+//!
+//! Where depth was measured, readings of neighbouring keyframes are averaged in the same way, and
+//! plane sweep completes what the sensor does not see.
 
 mod depth_filter;
 mod inverse_depth;
@@ -12,7 +15,8 @@ mod semi_global;
 mod view_selection;
 
 use crate::track::pyramid::Pyramid;
-use depth_filter::{fuse_consistent, inflate_variance_at_edges};
+use crate::depth::sensor_model::DepthModel;
+use depth_filter::{Unseen, fuse_consistent, inflate_variance_at_edges};
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose};
 use inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, estimate_inverse_depth};
@@ -27,6 +31,8 @@ const MAX_VIEWS: usize = 5;
 const RANGE_MARGIN: f64 = 0.5;
 /// Ratio of landmarks outside the range on either side.
 const OUTLIER_RATIO: f64 = 0.01;
+/// Share of pixels without a reading from which on they are estimated from pictures.
+const MAX_MISSING_SHARE: f64 = 0.05;
 /// Largest relative standard deviation of a known inverse depth.
 const MAX_RELATIVE_DEVIATION: f32 = 0.1;
 
@@ -37,6 +43,22 @@ pub struct DenseDepth {
     pub depth: Image<f32>,
     /// Its variance; 0 where the depth is unknown.
     pub variance: Image<f32>,
+}
+
+/// The pictures of a keyframe.
+#[derive(Clone, Debug)]
+pub struct KeyframePictures {
+    /// Planes R, G, B, or one of brightness.
+    pub colour: Arc<Image<f32>>,
+    /// Measured depth along the optical axis, in the unit of the poses; 0 without a reading.
+    pub depth: Option<Arc<Image<f32>>>,
+}
+
+impl KeyframePictures {
+    /// A keyframe without measured depth.
+    pub fn colour_only(colour: Arc<Image<f32>>) -> Self {
+        Self { colour, depth: None }
+    }
 }
 
 /// A keyframe with its pose and the depths of its landmarks.
@@ -55,14 +77,30 @@ pub struct DenseDepthEstimator {
     views: Vec<PosedView>,
     pictures: BTreeMap<usize, Option<Pyramid>>,
     estimates: BTreeMap<usize, InverseDepthEstimate>,
+    /// Model of the sensor, and the readings of keyframes that have some.
+    depth_model: Option<DepthModel>,
+    measured: BTreeMap<usize, InverseDepthEstimate>,
     cancellation: CancellationToken,
 }
 
 impl DenseDepthEstimator {
     /// For keyframes of one camera, in the order in which they were taken.
     pub fn new(camera: Camera<f64>, views: Vec<PosedView>) -> Self {
-        let (pictures, estimates) = (BTreeMap::new(), BTreeMap::new());
-        Self { camera, views, pictures, estimates, cancellation: CancellationToken::default() }
+        Self {
+            camera,
+            views,
+            pictures: BTreeMap::new(),
+            estimates: BTreeMap::new(),
+            depth_model: None,
+            measured: BTreeMap::new(),
+            cancellation: CancellationToken::default(),
+        }
+    }
+
+    /// Uses measured depth with the deviations of `model`.
+    #[must_use]
+    pub fn with_depth_model(self, model: Option<DepthModel>) -> Self {
+        Self { depth_model: model, ..self }
     }
 
     /// Returns `None` from every estimate once `cancellation` is cancelled.
@@ -71,38 +109,92 @@ impl DenseDepthEstimator {
         Self { cancellation, ..self }
     }
 
-    /// Estimates the depth of keyframe `index`. `load` gives the picture of a keyframe (planes R,
-    /// G, B or one of brightness), or `None`; it is called once for each while indices rise.
+    /// Estimates the depth of keyframe `index`. `load` gives the pictures of a keyframe, or `None`;
+    /// it is called once for each while indices rise.
     pub fn estimate(
         &mut self,
         index: usize,
-        load: &mut dyn FnMut(usize) -> Option<Arc<Image<f32>>>,
+        load: &mut dyn FnMut(usize) -> Option<KeyframePictures>,
     ) -> Option<DenseDepth> {
         if index >= self.views.len() {
             return None;
         }
         let others = self.selected_views(index);
+        others.iter().chain([&index]).for_each(|i| self.ensure_pictures(*i, load));
+        let measured = self.fused_readings(index, &others);
+        let missing = measured.as_ref().map_or(1.0, missing_share);
+        let estimated = if missing > MAX_MISSING_SHARE {
+            self.fused_estimate(index, &others, load)
+        } else {
+            None
+        };
+        let oldest = index.saturating_sub(MAX_KEYFRAME_DISTANCE);
+        self.estimates.retain(|i, _| *i >= oldest);
+        self.measured.retain(|i, _| *i >= oldest);
+        self.pictures.retain(|i, _| *i + MAX_KEYFRAME_DISTANCE >= oldest);
+        match (measured, estimated) {
+            (Some(measured), estimated) => Some(completed(&measured, estimated)),
+            (None, estimated) => estimated,
+        }
+    }
+
+    /// Depth from pictures alone, confirmed by other keyframes.
+    fn fused_estimate(
+        &mut self,
+        index: usize,
+        others: &[usize],
+        load: &mut dyn FnMut(usize) -> Option<KeyframePictures>,
+    ) -> Option<DenseDepth> {
         self.ensure_estimate(index, load)?;
-        for other in &others {
+        for other in others {
             self.ensure_estimate(*other, load);
         }
         if self.cancellation.is_cancelled() {
             return None;
         }
         let own = self.estimates.get(&index)?;
-        let inverse = |i: usize| self.views[i].world_from_camera.inverse();
-        let pose = self.views[index].world_from_camera;
-        let known: Vec<(&InverseDepthEstimate, Pose<f64>)> = others
-            .iter()
-            .filter_map(|i| Some((self.estimates.get(i)?, inverse(*i) * pose)))
-            .collect();
-        let kept = fuse_consistent(&self.camera, own, &known);
-        let oldest = index.saturating_sub(MAX_KEYFRAME_DISTANCE);
-        self.estimates.retain(|i, _| *i >= oldest);
-        self.pictures.retain(|i, _| *i + MAX_KEYFRAME_DISTANCE >= oldest);
+        let known = self.relative_to(index, others, &self.estimates);
+        let kept = fuse_consistent(&self.camera, own, &known, Unseen::Dropped);
         let mut found = depth_from_inverse(&kept);
         inflate_variance_at_edges(&mut found, HALF_WINDOWS[0]);
         Some(found)
+    }
+
+    /// Readings of a keyframe averaged with those of others; what they contradict is left out.
+    fn fused_readings(&self, index: usize, others: &[usize]) -> Option<InverseDepthEstimate> {
+        let known = self.relative_to(index, others, &self.measured);
+        let own = self.measured.get(&index)?;
+        Some(fuse_consistent(&self.camera, own, &known, Unseen::Kept))
+    }
+
+    /// Estimates of other keyframes, with their poses `other_from_keyframe`.
+    fn relative_to<'a>(
+        &self,
+        index: usize,
+        others: &[usize],
+        estimates: &'a BTreeMap<usize, InverseDepthEstimate>,
+    ) -> Vec<(&'a InverseDepthEstimate, Pose<f64>)> {
+        let pose = |i: usize| self.views[i].world_from_camera;
+        let relative =
+            |i: &usize| Some((estimates.get(i)?, pose(*i).inverse() * pose(index)));
+        others.iter().filter_map(relative).collect()
+    }
+
+    /// Loads the pictures of a keyframe, unless done before.
+    fn ensure_pictures(
+        &mut self,
+        index: usize,
+        load: &mut dyn FnMut(usize) -> Option<KeyframePictures>,
+    ) {
+        if self.pictures.contains_key(&index) {
+            return;
+        }
+        let pictures = load(index);
+        let depth = pictures.as_ref().and_then(|p| p.depth.as_ref());
+        if let (Some(model), Some(depth)) = (&self.depth_model, depth) {
+            self.measured.insert(index, readings(depth, model));
+        }
+        self.pictures.insert(index, pictures.map(|p| Pyramid::new(&p.colour)));
     }
 
     /// The keyframes to match one with.
@@ -131,15 +223,13 @@ impl DenseDepthEstimator {
     fn ensure_estimate(
         &mut self,
         index: usize,
-        load: &mut dyn FnMut(usize) -> Option<Arc<Image<f32>>>,
+        load: &mut dyn FnMut(usize) -> Option<KeyframePictures>,
     ) -> Option<()> {
         if self.estimates.contains_key(&index) {
             return Some(());
         }
         let (chosen, bounds) = (self.selected_views(index), self.inverse_depth_bounds(index)?);
-        for i in chosen.iter().chain([&index]) {
-            self.pictures.entry(*i).or_insert_with(|| load(*i).map(|image| Pyramid::new(&image)));
-        }
+        chosen.iter().chain([&index]).for_each(|i| self.ensure_pictures(*i, load));
         let picture = |i: usize| self.pictures.get(&i).and_then(Option::as_ref);
         let pose = self.views[index].world_from_camera;
         let others: Vec<(&Pyramid, Pose<f64>)> = chosen
@@ -159,6 +249,45 @@ impl DenseDepthEstimator {
         self.estimates.insert(index, found);
         Some(())
     }
+}
+
+/// Inverse depths of a sensor, registered to the colour picture, with their variances.
+fn readings(depth: &Image<f32>, model: &DepthModel) -> InverseDepthEstimate {
+    let (width, height) = (depth.width, depth.height);
+    let mut out = InverseDepthEstimate {
+        inverse_depth: Image::new(width, height, 1),
+        variance: Image::new(width, height, 1),
+    };
+    let [right, down] = model.shift.map(|v| v.round() as isize);
+    for pixel in 0..width * height {
+        let column = (pixel % width).checked_add_signed(right).filter(|c| *c < width);
+        let row = (pixel / width).checked_add_signed(down).filter(|r| *r < height);
+        let (Some(column), Some(row)) = (column, row) else { continue };
+        let z = depth.at(0, column, row);
+        if z > 0.0 && z.is_finite() {
+            let rho = z.recip();
+            out.inverse_depth.data[pixel] = rho;
+            out.variance.data[pixel] = model.sigma(f64::from(rho)).powi(2) as f32;
+        }
+    }
+    out
+}
+
+/// Share of pixels without inverse depth.
+fn missing_share(estimate: &InverseDepthEstimate) -> f64 {
+    let all = &estimate.inverse_depth.data;
+    all.iter().filter(|rho| **rho <= 0.0).count() as f64 / all.len().max(1) as f64
+}
+
+/// Measured depth, completed by estimated depth where it is missing.
+fn completed(measured: &InverseDepthEstimate, estimated: Option<DenseDepth>) -> DenseDepth {
+    let mut out = depth_from_inverse(measured);
+    let Some(estimated) = estimated else { return out };
+    for (pixel, z) in out.depth.data.iter_mut().enumerate().filter(|(_, z)| **z <= 0.0) {
+        *z = estimated.depth.data[pixel];
+        out.variance.data[pixel] = estimated.variance.data[pixel];
+    }
+    out
 }
 
 /// Depth with variance `σ_z = z² σ_ρ`, where that is small enough.

@@ -14,18 +14,18 @@ const MIN_DEVIATION: f64 = 1e-5;
 
 /// Standard deviation of inverse depth by inverse depth, and registration to the colour picture.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct DepthModel {
+pub struct DepthModel {
     /// Inverse depth and deviation [1/m], in order; empty before readings were compared.
     nodes: Vec<[f64; 2]>,
     /// Position in the depth picture of what the colour picture shows at the origin [px].
-    pub(crate) shift: [f64; 2],
+    pub shift: [f64; 2],
     /// Time from a depth picture's timestamp to when it was taken [s].
-    pub(crate) delay: f64,
+    pub delay: f64,
 }
 
 impl DepthModel {
-    /// Standard deviation of an inverse depth.
-    pub(crate) fn sigma(&self, inverse: f64) -> f64 {
+    /// Standard deviation of an inverse depth [1/m].
+    pub fn sigma(&self, inverse: f64) -> f64 {
         let (Some(first), Some(last)) = (self.nodes.first(), self.nodes.last()) else {
             return INITIAL_DEVIATION * inverse;
         };
