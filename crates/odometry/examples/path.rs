@@ -7,7 +7,9 @@
 //! or from FACTOR times that of the sequence with `--guess`.
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
-use i2slam_eval::trajectory::{Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error};
+use i2slam_eval::trajectory::{
+    Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error,
+};
 use i2slam_geometry::Camera;
 use i2slam_odometry::{DepthPicture, FrontEnd, Intrinsics, Progress};
 use std::error::Error;
@@ -38,8 +40,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let started = Instant::now();
     for frame in sequence.stream() {
         let frame = frame?;
-        let depth = DepthPicture { depth: &frame.depth, timestamp: frame.depth_timestamp };
-        front_end.push(&frame.colour, frame.timestamp, uses_depth.then_some(&depth))?;
+        let depth = frame
+            .depth
+            .as_ref()
+            .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
+        front_end.push(&frame.colour, frame.timestamp, depth.as_ref())?;
     }
     let tracked = started.elapsed().as_secs_f64();
     let found = front_end.finish(Progress::default())?;

@@ -204,7 +204,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
                     Some(motion) => Arc::new(motion.rectified(&found.camera, &frame.colour)),
                     None => Arc::clone(&frame.colour),
                 };
-                let depth = depth_picture(frame).map(|_| Arc::clone(&frame.depth));
+                let depth = frame.depth.as_ref().map(|depth| Arc::clone(&depth.image));
                 Some(KeyframePictures { colour, depth })
             };
             dense.estimate(number, &mut picture)
@@ -223,9 +223,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
 
 /// Measured depth of a frame, if there is any.
 fn depth_picture(frame: &Frame) -> Option<DepthPicture<'_>> {
-    let is_measured = frame.depth.data.iter().any(|z| *z > 0.0);
-    let (depth, timestamp) = (&*frame.depth, frame.depth_timestamp);
-    is_measured.then_some(DepthPicture { depth, timestamp })
+    let measured = frame.depth.as_ref()?;
+    Some(DepthPicture { depth: &measured.image, timestamp: measured.timestamp })
 }
 
 fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize> {
@@ -296,8 +295,7 @@ fn sparse_depth(keyframe: &Keyframe, (width, height): (usize, usize), unit: f64)
             }
             depth.data[pixel] = here;
             let deviation = point.variance.sqrt().hypot(MIN_DEVIATION * point.depth);
-            variance.data[pixel] =
-                (SPARSE_DEVIATION_FACTOR * unit * deviation).powi(2) as f32;
+            variance.data[pixel] = (SPARSE_DEVIATION_FACTOR * unit * deviation).powi(2) as f32;
         }
     }
     EstimatedDepth { depth, variance: Some(variance) }

@@ -14,8 +14,8 @@ mod plane_sweep;
 mod semi_global;
 mod view_selection;
 
-use crate::track::pyramid::Pyramid;
 use crate::depth::sensor_model::DepthModel;
+use crate::track::pyramid::Pyramid;
 use depth_filter::{Unseen, fuse_consistent, inflate_variance_at_edges};
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -175,8 +175,7 @@ impl DenseDepthEstimator {
         estimates: &'a BTreeMap<usize, InverseDepthEstimate>,
     ) -> Vec<(&'a InverseDepthEstimate, Pose<f64>)> {
         let pose = |i: usize| self.views[i].world_from_camera;
-        let relative =
-            |i: &usize| Some((estimates.get(i)?, pose(*i).inverse() * pose(index)));
+        let relative = |i: &usize| Some((estimates.get(i)?, pose(*i).inverse() * pose(index)));
         others.iter().filter_map(relative).collect()
     }
 

@@ -2,7 +2,7 @@
 
 use crate::scene::{camera, moving, picture};
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_odometry::{DenseDepthEstimator, PosedView};
+use i2slam_odometry::{DenseDepthEstimator, KeyframePictures, PosedView};
 use std::sync::Arc;
 
 /// The true depth at the centre of every pixel.
@@ -35,7 +35,7 @@ fn most_depths_are_found_and_their_variances_are_true() {
     let mut asked = vec![0; pictures.len()];
     let mut load = |k: usize| {
         asked[k] += 1;
-        Some(Arc::new(pictures[k].clone()))
+        Some(KeyframePictures::colour_only(Arc::new(pictures[k].clone())))
     };
     let found = dense.estimate(2, &mut load).expect("neighbours with parallax");
     let again = dense.estimate(3, &mut load).expect("neighbours with parallax");
@@ -63,7 +63,13 @@ fn nothing_is_known_without_parallax_or_pictures() {
     let (views, pictures) = views();
     let alone = vec![views[0].clone(); 3];
     let mut dense = DenseDepthEstimator::new(camera(), alone);
-    assert!(dense.estimate(1, &mut |_| Some(Arc::new(pictures[0].clone()))).is_none());
+    assert!(
+        dense
+            .estimate(1, &mut |_| Some(KeyframePictures::colour_only(Arc::new(
+                pictures[0].clone()
+            ))))
+            .is_none()
+    );
     let mut dense = DenseDepthEstimator::new(camera(), views);
     assert!(dense.estimate(1, &mut |_| None).is_none());
     assert!(dense.estimate(99, &mut |_| None).is_none());

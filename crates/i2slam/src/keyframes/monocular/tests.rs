@@ -173,7 +173,7 @@ fn the_nearest_landmark_of_a_pixel_is_delivered() {
             world_from_camera: Pose::identity(),
             depths: depths.map(point).to_vec(),
         };
-        let depth = sparse_depth(&keyframe, 4, 3).depth;
+        let depth = sparse_depth(&keyframe, (4, 3), DELIVERED_MEDIAN_DEPTH).depth;
         assert_eq!(depth.at(0, 2, 1), DELIVERED_MEDIAN_DEPTH as f32);
     }
 }
