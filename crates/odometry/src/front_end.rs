@@ -105,6 +105,7 @@ impl FrontEnd {
         let mut state = SfmState::new(*self.intrinsics.camera(), tracks);
         state.progress = progress.clone();
         state.depth_maps = Arc::new(self.depth_maps);
+        state.timestamps = Arc::new(self.timestamps.clone());
         read_depth(&mut state);
         state.estimates_distortion = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
         let found = estimate_path(&mut state, adjust_focal, &self.timestamps);

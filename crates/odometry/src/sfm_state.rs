@@ -43,6 +43,8 @@ pub(crate) struct SfmState {
     /// Readout of the observations [frame intervals], and whether it is adjusted.
     pub(crate) readout: f64,
     pub(crate) estimates_readout: bool,
+    /// Timestamp of every frame [s]; empty where depth is not read.
+    pub(crate) timestamps: Arc<Vec<f64>>,
     /// Depth picture of every frame that has one; empty by colour alone.
     pub(crate) depth_maps: Arc<Vec<Option<DepthMap>>>,
     /// Model of the depth sensor.
@@ -67,6 +69,7 @@ impl SfmState {
             estimates_distortion: false,
             readout: 0.0,
             estimates_readout: false,
+            timestamps: Arc::default(),
             depth_maps: Arc::default(),
             depth_model: DepthModel::default(),
             progress: Progress::default(),
@@ -77,6 +80,7 @@ impl SfmState {
     pub(crate) fn keyframes_only(&self) -> Self {
         Self {
             estimates_distortion: self.estimates_distortion,
+            timestamps: Arc::clone(&self.timestamps),
             depth_maps: Arc::clone(&self.depth_maps),
             depth_model: self.depth_model.clone(),
             progress: self.progress.without_listener(),

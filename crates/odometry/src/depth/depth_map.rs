@@ -1,10 +1,10 @@
 //! Depth pictures as they are kept, and their readings between pixels.
 
+use crate::alignment::{halved_depth, is_one_surface};
 use i2slam_geometry::Image;
+use std::sync::Arc;
 
-/// Largest step between neighbouring readings of one surface, over the smaller of them.
-const MAX_SURFACE_STEP: f32 = 0.05;
-/// Longer side up to which depth pictures are kept whole [px].
+/// Longer side up to which pictures are kept whole; larger ones are halved [px].
 const MAX_SIDE: usize = 480;
 
 /// A depth picture of the size of its colour picture.
@@ -16,49 +16,46 @@ pub struct DepthPicture<'a> {
     pub timestamp: f64,
 }
 
-/// Inverse depths of a frame.
+/// Depth of a frame, halved until it is small enough to be kept.
 #[derive(Clone, Debug)]
 pub(crate) struct DepthMap {
-    /// Inverse depth [1/m], 0 where there is no reading.
-    inverse: Image<f32>,
+    /// Depth [m], 0 where there is no reading.
+    pub(crate) depth: Arc<Image<f32>>,
     /// Pixels of the picture from one reading to the next.
     step: usize,
     /// [s]
     pub(crate) timestamp: f64,
 }
 
+/// Times that a picture is halved before it is kept.
+pub(crate) fn halvings(width: usize, height: usize) -> u32 {
+    width.max(height).div_ceil(MAX_SIDE).next_power_of_two().ilog2()
+}
+
 impl DepthMap {
-    /// Keeps every reading, or of a large picture every second or third: no average over edges.
     pub(crate) fn new(picture: &DepthPicture<'_>) -> Self {
-        let depth = picture.depth;
-        let step = depth.width.max(depth.height).div_ceil(MAX_SIDE).max(1);
-        let inverse =
-            Image::from_fn(depth.width / step, depth.height / step, 1, |_, column, row| {
-                let z = depth.at(0, step * column + step / 2, step * row + step / 2);
-                if z > 0.0 && z.is_finite() { z.recip() } else { 0.0 }
-            });
-        Self { inverse, step, timestamp: picture.timestamp }
+        let halvings = halvings(picture.depth.width, picture.depth.height);
+        let mut depth = picture.depth.clone();
+        (0..halvings).for_each(|_| depth = halved_depth(&depth));
+        Self { depth: Arc::new(depth), step: 1 << halvings, timestamp: picture.timestamp }
     }
 
     /// Inverse depth at a position of the picture [px], interpolated between four readings of one
     /// surface; `None` without.
     pub(crate) fn inverse_at(&self, at: [f64; 2]) -> Option<f64> {
-        let (step, half) = (self.step as f64, (self.step / 2) as f64 + 0.5);
-        let [x, y] = at.map(|v| (v - half) / step);
-        let inside = x >= 0.0 && y >= 0.0;
+        let [x, y] = at.map(|v| v / self.step as f64 - 0.5);
         let (column, row) = (x.floor() as usize, y.floor() as usize);
-        if !inside || column + 1 >= self.inverse.width || row + 1 >= self.inverse.height {
+        let depth = &*self.depth;
+        if x < 0.0 || y < 0.0 || column + 1 >= depth.width || row + 1 >= depth.height {
             return None;
         }
-        let reading = |c: usize, r: usize| self.inverse.at(0, column + c, row + r);
+        let reading = |c: usize, r: usize| depth.at(0, column + c, row + r);
         let all = [reading(0, 0), reading(1, 0), reading(0, 1), reading(1, 1)];
-        let (least, most) =
-            all.iter().fold((f32::INFINITY, 0.0_f32), |(a, b), v| (a.min(*v), b.max(*v)));
-        if least <= 0.0 || most - least > MAX_SURFACE_STEP * least {
+        if !is_one_surface(all) {
             return None;
         }
+        let [a, b, c, d] = all.map(|z| f64::from(z).recip());
         let (u, v) = (x - x.floor(), y - y.floor());
-        let [a, b, c, d] = all.map(f64::from);
         Some((1.0 - v) * ((1.0 - u) * a + u * b) + v * ((1.0 - u) * c + u * d))
     }
 }

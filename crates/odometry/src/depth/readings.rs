@@ -1,31 +1,46 @@
 //! Depth readings of observations, compared with the landmarks that they see.
 
 use crate::multiview::landmark::Landmark;
+use crate::multiview::lens_distortion::undistort;
+use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::{DepthReading, Observation};
-use i2slam_geometry::Pose;
+use i2slam_geometry::{Camera, Pose};
 
 /// Difference to the landmark from which on a reading shows something else [standard deviations].
 const MAX_READING_ERROR: f64 = 6.0;
 
 /// Gives every observation of a frame with a depth picture its reading; readings that contradict a
 /// landmark are left out.
+///
+/// A depth picture taken at another time than the colour picture is read where the landmark was
+/// then, and the reading is corrected by how much nearer the landmark came in between.
 pub(crate) fn read_depth(state: &mut SfmState) {
     if !state.has_depth() {
         return;
     }
-    let (maps, model, poses) = (&state.depth_maps, &state.depth_model, &state.poses);
+    let views: Vec<Option<[Pose<f64>; 2]>> =
+        (0..state.poses.len()).map(|frame| poses_at_both_times(state, frame)).collect();
+    let (camera, distortion) = (state.camera, state.distortion);
+    let (maps, model) = (&state.depth_maps, &state.depth_model);
     for (landmark, track) in state.landmarks.iter().zip(&mut state.tracks.tracks) {
         for o in &mut track.observations {
-            let map = maps.get(o.frame).and_then(Option::as_ref);
-            let at = std::array::from_fn(|i| o.raw[i] + model.shift[i]);
-            let inverse = map.and_then(|map| map.inverse_at(at));
-            o.depth = inverse.map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
-            let residual = residual(landmark.as_ref(), poses[o.frame].as_ref(), o);
-            let fits = |reading: DepthReading| {
+            let Some(map) = maps.get(o.frame).and_then(Option::as_ref) else { continue };
+            let flat = undistort(&camera, distortion, o.raw);
+            let mut at: [f64; 2] =
+                std::array::from_fn(|i| o.raw[i] + o.at[i] - flat[i] + model.shift[i]);
+            let view = landmark.as_ref().zip(views[o.frame].as_ref());
+            let between = view.and_then(|(landmark, poses)| motion(&camera, landmark, poses));
+            let (moved, nearer) = between.unwrap_or_default();
+            (0..2).for_each(|i| at[i] += moved[i]);
+            let read = map.inverse_at(at).map(|inverse| inverse - nearer);
+            o.depth = read
+                .filter(|inverse| *inverse > 0.0)
+                .map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
+            let residual = view.and_then(|(landmark, [pose, _])| residual(landmark, pose, o));
+            o.depth = o.depth.filter(|reading| {
                 residual.is_none_or(|r| r.abs() <= MAX_READING_ERROR * reading.sigma)
-            };
-            o.depth = o.depth.filter(|reading| fits(*reading));
+            });
         }
     }
 }
@@ -38,7 +53,8 @@ pub(crate) fn update_depth_model(state: &mut SfmState) {
     let mut residuals = Vec::new();
     for (landmark, track) in state.landmarks.iter().zip(&state.tracks.tracks) {
         for o in track.observations.iter().filter(|o| !o.is_outlier) {
-            let off = residual(landmark.as_ref(), state.poses[o.frame].as_ref(), o);
+            let view = landmark.as_ref().zip(state.poses[o.frame].as_ref());
+            let off = view.and_then(|(landmark, pose)| residual(landmark, pose, o));
             residuals.extend(off.zip(o.depth).map(|(off, reading)| [reading.inverse, off]));
         }
     }
@@ -47,6 +63,28 @@ pub(crate) fn update_depth_model(state: &mut SfmState) {
 }
 
 /// Inverse depth of a landmark in a frame minus the one read there.
-fn residual(landmark: Option<&Landmark>, pose: Option<&Pose<f64>>, o: &Observation) -> Option<f64> {
-    Some(landmark?.inverse_depth_in(pose?) - o.depth?.inverse)
+fn residual(landmark: &Landmark, pose: &Pose<f64>, o: &Observation) -> Option<f64> {
+    Some(landmark.inverse_depth_in(pose) - o.depth?.inverse)
+}
+
+/// Poses of a frame when its colour and its depth picture were taken.
+fn poses_at_both_times(state: &SfmState, frame: usize) -> Option<[Pose<f64>; 2]> {
+    let (pose, map) = (state.poses[frame]?, state.depth_maps.get(frame)?.as_ref()?);
+    let stamp = state.timestamps.get(frame)?;
+    let later = map.timestamp + state.depth_model.delay - stamp;
+    let interval = median_frame_interval(&state.timestamps)?;
+    let velocity = camera_velocity(state, &state.timestamps, frame, interval)?;
+    Some([pose, pose.retract(velocity.scaled(later))])
+}
+
+/// Change of image position [px] and inverse depth of a landmark from one pose to the other.
+fn motion(
+    camera: &Camera<f64>,
+    landmark: &Landmark,
+    poses: &[Pose<f64>; 2],
+) -> Option<([f64; 2], f64)> {
+    let at = |pose: &Pose<f64>| landmark.image_position(camera, pose);
+    let (now, then) = (at(&poses[0])?, at(&poses[1])?);
+    let [before, after] = poses.each_ref().map(|pose| landmark.inverse_depth_in(pose));
+    Some((std::array::from_fn(|i| then[i] - now[i]), after - before))
 }

@@ -70,7 +70,7 @@ mod tests {
             let inverse = 0.3 + 0.25 * (1.0 + n[0]);
             // The sum of twelve uniform numbers in [-1, 1] has a variance of four.
             let normal = 0.5 * n[1..].iter().sum::<f64>();
-            let off = if seed % 10 == 0 { 1.0 } else { truth(inverse) * normal };
+            let off = if seed.is_multiple_of(10) { 1.0 } else { truth(inverse) * normal };
             [inverse, off]
         };
         let mut model = DepthModel::default();

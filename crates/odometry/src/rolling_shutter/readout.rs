@@ -156,7 +156,7 @@ fn correct_observations(state: &mut SfmState, timestamps: &[f64], readout: f64, 
 }
 
 /// Velocity of a frame's camera per second, in its own frame, from its neighbours.
-fn camera_velocity(
+pub(crate) fn camera_velocity(
     state: &SfmState,
     timestamps: &[f64],
     frame: usize,

@@ -125,7 +125,7 @@ fn depth_noise(depth: &Image<f32>, roughness: &Image<f32>) -> f32 {
 }
 
 /// Whether four depths [m] of neighbouring pixels are readings of one surface.
-pub(in super::super) fn is_one_surface(depths: [f32; 4]) -> bool {
+pub fn is_one_surface(depths: [f32; 4]) -> bool {
     let least = depths.iter().copied().fold(f32::INFINITY, f32::min);
     let most = depths.iter().copied().fold(0.0, f32::max);
     least > 0.0 && most - least < MAX_DEPTH_STEP_RATIO * least

@@ -27,7 +27,7 @@ mod reference;
 #[cfg(test)]
 mod tests;
 
-pub(super) use level::is_one_surface;
+pub use level::is_one_surface;
 pub use level::{DepthSamples, FrameLevel, TargetLevel};
 
 use colour::ColourBlock;
