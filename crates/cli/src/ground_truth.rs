@@ -5,6 +5,7 @@ use i2slam::dataset::Sequence;
 use i2slam::geometry::{Image, StampedPose};
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error,
+    count_frames_without_pose,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -96,6 +97,17 @@ impl GroundTruth {
         });
         let aligned = aligned.collect();
         Ok(Some((error, aligned)))
+    }
+
+    /// Number of frames of a sequence that have a true pose and no estimated one.
+    pub(crate) fn frames_without_pose(
+        &self,
+        sequence: &Sequence,
+        estimate: &[StampedPose],
+    ) -> Result<usize, Failure> {
+        let frames: Vec<f64> = sequence.entries.iter().map(|entry| entry.timestamp).collect();
+        let truth = &self.trajectory;
+        Ok(count_frames_without_pose(&frames, estimate, truth, DEFAULT_TOLERANCE)?)
     }
 }
 

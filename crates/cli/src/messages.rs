@@ -154,8 +154,12 @@ pub(super) fn print_summary(
         let centimetres = error * 100.0;
         let digits = if centimetres < 0.1 { 4 } else { 2 };
         print(&format!(
-            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {}{})",
+            "trajectory error {centimetres:.digits$} cm (ATE RMSE over {}{}{})",
             counted(metrics.ate_poses, "pose"),
+            match metrics.ate_frames_without_pose {
+                0 => String::new(),
+                missing => format!(", {} without one", counted(missing, "frame")),
+            },
             if metrics.ate_scale_aligned { ", scale aligned" } else { "" }
         ));
     }

@@ -58,6 +58,8 @@ pub struct Metrics {
     pub ate_mean_m: Option<f64>,
     /// Poses in the trajectory error.
     pub ate_poses: usize,
+    /// Frames that have a true pose and no estimated one: the trajectory error leaves them out.
+    pub ate_frames_without_pose: usize,
     /// Mean PSNR of sharp renders against the true sharp pictures [dB].
     pub psnr_sharp_db: Option<f64>,
     /// Mean SSIM of sharp renders against the true sharp pictures.

@@ -60,7 +60,7 @@ impl FinishedRun<'_> {
         folder.keep();
         save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
         note(RunInput::new(&self.job.dataset, &self.open_options()).save(folder));
-        let mut measurements = Measurements::new(&self.outcome, self.truth);
+        let mut measurements = Measurements::new(&self.outcome, self.sequence, self.truth);
         measurements
             .metrics
             .degrade(problem.iter().filter_map(Failure::message).map(str::to_owned));
@@ -159,7 +159,7 @@ struct Measurements {
 }
 
 impl Measurements {
-    fn new(outcome: &RunOutcome, truth: &GroundTruth) -> Self {
+    fn new(outcome: &RunOutcome, sequence: &Sequence, truth: &GroundTruth) -> Self {
         let reconstruction = &outcome.reconstruction;
         let mut metrics = Metrics::of(reconstruction);
         metrics.complete = outcome.complete;
@@ -180,16 +180,25 @@ impl Measurements {
             }
         }
         let mut measurements = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
-        measurements.measure_trajectory(outcome, truth);
+        measurements.measure_trajectory(outcome, sequence, truth);
         measurements.measure_exposure(outcome, truth);
         measurements
     }
 
-    fn measure_trajectory(&mut self, outcome: &RunOutcome, truth: &GroundTruth) {
+    fn measure_trajectory(
+        &mut self,
+        outcome: &RunOutcome,
+        sequence: &Sequence,
+        truth: &GroundTruth,
+    ) {
+        let path = outcome.reconstruction.trajectory();
+        if let Ok(count) = truth.frames_without_pose(sequence, &path) {
+            self.metrics.ate_frames_without_pose = count;
+        }
         let scaled = outcome.reconstruction.config.is_rgb();
         let alignment = if scaled { Alignment::Sim3 } else { Alignment::Se3 };
         self.metrics.ate_scale_aligned = scaled;
-        match truth.trajectory_error(&outcome.reconstruction.trajectory(), alignment) {
+        match truth.trajectory_error(&path, alignment) {
             Ok(Some((error, aligned))) => {
                 self.metrics.ate_rmse_m = Some(error.ate_rmse_m);
                 self.metrics.ate_mean_m = Some(error.ate_mean_m);

@@ -56,6 +56,14 @@ fn a_result_knows_its_dataset() {
     let given = ["--reference", room.data.to_str().expect("a name")];
     assert_eq!(room.eval_json(&given), figures);
     assert_eq!(figures["against_pictures_taken"].as_bool(), Some(false));
+    let metrics = room.text("metrics.json");
+    assert!(metrics.contains("\"ate_frames_without_pose\": 0"), "{metrics}");
+    assert_eq!(figures["frames_without_pose"].as_u64(), Some(0));
+    let (path, poses) = (room.out.join("trajectory.txt"), room.text("trajectory.txt"));
+    let some: Vec<&str> = poses.lines().take(5).collect();
+    fs::write(&path, some.join("\n")).expect("room");
+    assert_eq!(room.eval_json(&[])["frames_without_pose"].as_u64(), Some(2));
+    fs::write(&path, poses).expect("room");
     fs::remove_dir_all(room.data.join("sharp")).expect("a folder");
     room.eval(&[]).exits_with(0).stderr_contains("compared with the pictures taken");
     let held_out = room.eval(&["--protocol", "held-out"]).exits_with(2);

@@ -39,6 +39,29 @@ pub fn associate(
     })
 }
 
+/// Number of frames, given by their stamps [s], that have a true pose within `tolerance` [s] and no
+/// estimated one. Errors do not count such frames: a path that leaves out what is hard looks better
+/// than it is.
+pub fn count_frames_without_pose(
+    frames: &[f64],
+    estimate: &[StampedPose],
+    truth: &[StampedPose],
+    tolerance: f64,
+) -> Result<usize, EvalError> {
+    let estimate = sort_stamps(estimate, "the stamps of the estimate")?;
+    let truth = sort_stamps(truth, "the stamps of the truth")?;
+    let mut is_missing: Vec<bool> = frames
+        .iter()
+        .map(|stamp| nearest_stamp(&truth.stamps, *stamp, tolerance).is_some())
+        .collect();
+    for stamp in estimate.stamps {
+        if let Some(frame) = nearest_stamp(frames, stamp, tolerance) {
+            is_missing[frame] = false;
+        }
+    }
+    Ok(is_missing.into_iter().filter(|missing| *missing).count())
+}
+
 /// Associates poses; an error unless there are `needed` pairs and all poses are finite.
 pub(super) fn finite_pairs(
     estimate: &[StampedPose],
@@ -124,6 +147,21 @@ mod tests {
         assert_eq!(pairs(&[0.3, 0.1], &[0.2, 0.3, 0.1]), [(1, 2), (0, 1)]);
         assert_eq!(pairs(&[], &[1.0]), []);
         assert_eq!(pairs(&[5.0], &[1.0]), []);
+    }
+
+    #[test]
+    fn frames_without_a_pose_count_where_there_is_a_truth() {
+        let frames: Vec<f64> = (0..10).map(|i| f64::from(i) / 30.0).collect();
+        let truth: Vec<f64> = (0..25).map(|i| 0.001 + f64::from(i) / 100.0).collect();
+        let count = |estimate: &[f64]| {
+            count_frames_without_pose(&frames, &at(estimate), &at(&truth), DEFAULT_TOLERANCE)
+        };
+        // The last two frames have no truth.
+        assert_eq!(count(&frames), Ok(0));
+        assert_eq!(count(&frames[..8]), Ok(0));
+        assert_eq!(count(&[]), Ok(8));
+        // Stamps that another program rounded, and one pose twice.
+        assert_eq!(count(&[0.033, 0.0334, 0.267]), Ok(7));
     }
 
     #[test]

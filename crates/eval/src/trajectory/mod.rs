@@ -10,5 +10,5 @@ mod relative;
 
 pub use absolute::{TrajectoryError, absolute_trajectory_error};
 pub use alignment::{Alignment, align};
-pub use association::{Association, DEFAULT_TOLERANCE, associate};
+pub use association::{Association, DEFAULT_TOLERANCE, associate, count_frames_without_pose};
 pub use relative::{RelativePoseError, Step, relative_pose_error};

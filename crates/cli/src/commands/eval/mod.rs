@@ -187,7 +187,7 @@ fn evaluate_trajectory(
         return Ok(());
     }
     let poses = read_trajectory(&file)?;
-    match trajectory::evaluate(arguments, estimate, poses, &truth) {
+    match trajectory::evaluate(arguments, (estimate, reference), poses, &truth) {
         Ok(errors) => evaluation.trajectory = Some(errors),
         // The dataset's own trajectory was not asked for: go on with its pictures.
         Err(Failure::Failed(reason)) if arguments.groundtruth.is_none() => {

@@ -96,6 +96,20 @@ impl Reference {
         }
     }
 
+    /// Time stamps of the frames that the run was given [s]; `None` where they are not known.
+    pub(super) fn frames_of_run(&self, estimate: &Estimate) -> Result<Option<Vec<f64>>, Failure> {
+        let (Self::Dataset { sequence, .. }, Some(result)) = (self, estimate.result()) else {
+            return Ok(None);
+        };
+        let Some(RunInput { options, .. }) = RunInput::load(result)? else { return Ok(None) };
+        let chosen = options.frames.unwrap_or(0..usize::MAX);
+        let is_given = |index: usize| {
+            chosen.contains(&index) && (index - chosen.start).is_multiple_of(options.stride.max(1))
+        };
+        let given = sequence.entries.iter().filter(|entry| is_given(entry.index));
+        Ok(Some(given.map(|entry| entry.timestamp).collect()))
+    }
+
     /// Ground truth of one of [`frames`](Self::frames).
     pub(super) fn load(&self, index: usize) -> Result<TrueFrame, Failure> {
         match self {

@@ -10,7 +10,7 @@ use i2slam::dataset::read_trajectory;
 use i2slam::geometry::StampedPose;
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, RelativePoseError, Step, TrajectoryError,
-    absolute_trajectory_error, relative_pose_error,
+    absolute_trajectory_error, count_frames_without_pose, relative_pose_error,
 };
 use i2slam_result::UnitOfLength;
 use serde::Serialize;
@@ -26,6 +26,9 @@ pub(super) struct TrajectoryErrors {
     absolute: TrajectoryError,
     #[serde(flatten)]
     relative: RelativePoseError,
+    /// Frames of the run that have a true pose and no estimated one; `None` where the frames of the
+    /// run are not known.
+    frames_without_pose: Option<usize>,
 }
 
 /// The true trajectory: the file given, or that of the dataset given.
@@ -41,10 +44,14 @@ pub(super) fn truth(
 
 pub(super) fn evaluate(
     arguments: &Eval,
-    estimate: &Estimate,
+    (estimate, reference): (&Estimate, Option<&Reference>),
     mut poses: Vec<StampedPose>,
     truth: &[StampedPose],
 ) -> Result<TrajectoryErrors, Failure> {
+    let frames = reference.map(|reference| reference.frames_of_run(estimate)).transpose()?;
+    let missing =
+        |frames: Vec<f64>| count_frames_without_pose(&frames, &poses, truth, DEFAULT_TOLERANCE);
+    let frames_without_pose = frames.flatten().map(missing).transpose()?;
     if arguments.protocol == Protocol::Monogs {
         keep_keyframes(&mut poses, estimate)?;
     }
@@ -52,7 +59,7 @@ pub(super) fn evaluate(
     let absolute = absolute_trajectory_error(&poses, truth, alignment, DEFAULT_TOLERANCE)?;
     let aligned = &absolute.aligned_estimate;
     let relative = relative_pose_error(aligned, truth, arguments.rpe, DEFAULT_TOLERANCE)?;
-    Ok(TrajectoryErrors { absolute, relative })
+    Ok(TrajectoryErrors { absolute, relative, frames_without_pose })
 }
 
 /// The alignment asked for, else by the unit of length of the trajectory.
@@ -115,6 +122,9 @@ impl TrajectoryErrors {
             rest: rest.to_owned(),
         };
         let mut rows = vec![row("poses", t.pairs.to_string(), &fit)];
+        if let Some(missing) = self.frames_without_pose {
+            rows.push(row("frames without a pose", missing.to_string(), ""));
+        }
         let centimetres = [
             ("ATE RMSE", t.ate_rmse_m),
             ("ATE mean", t.ate_mean_m),
