@@ -26,13 +26,12 @@ mod write;
 pub use degrade::{Degradation, DegradationCounts, DepthDegradation, ExposureStep, degrade};
 pub use depth_noise::KinectNoise;
 pub use error::SyntheticError;
-pub use motion::Motion;
 pub use sensor::{
     AutoExposure, Response, Sensor, ShutterRule, raw_exposure_value, white_balance_at,
 };
 pub use spec::{
     CameraSpec, DepthSpec, ExposureSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec, RoomSpec,
-    Spec, WhiteBalanceSpec,
+    SHIPPED as SHIPPED_SPECS, Spec, WhiteBalanceSpec,
 };
 pub use synthesise::{Stage, synthesise};
 pub use write::Summary;

@@ -1,10 +1,11 @@
 //! Hand-held camera motion as a continuous function of time.
 
 use crate::rng::{between, gaussian, stream};
-use crate::spec::Spec;
+use crate::scene::DeskPlace;
+use crate::spec::{MotionSpec, Spec};
 use i2slam_compute::Random;
 use i2slam_geometry::{Mat3, Pose, Rotation, Vec3};
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Purpose number of the random stream of motion.
 const MOTION: u64 = 3;
@@ -12,15 +13,21 @@ const MOTION: u64 = 3;
 const KNOT_INTERVAL: f64 = 0.7;
 /// Number of tremor frequencies in each of six directions.
 const TREMORS: usize = 9;
+/// Distance of a camera before the desk from the wall [m].
+const DESK_DISTANCE: f64 = 1.5;
 
 /// Camera motion with a pose at any time.
 #[derive(Clone, Debug)]
-pub struct Motion {
+pub(crate) struct Motion {
     /// Splines over [`KNOT_INTERVAL`]: angle on the loop [rad], radius factor, height [m], yaw off the
-    /// middle of the room [rad], pitch [rad], roll [rad].
+    /// middle of the room [rad], pitch [rad], roll [rad]. Before the desk: place along the wall and
+    /// distance from it [m], yaw off the wall's normal.
     splines: [Vec<f64>; 6],
     /// Half axes of the loop around the room [m].
     loop_axes: [f64; 2],
+    /// The desk, for a camera that stands before it.
+    desk: Option<DeskPlace>,
+    turn: Turn,
     /// Amplitude, angular frequency and phase of tremor: x, y, z [m], then rotation [rad].
     tremor: [Vec<[f64; 3]>; 6],
     /// Middle [s], width [s] and rotation vector [rad] of the bursts.
@@ -28,9 +35,10 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// The motion of a specification, the same for the same `seed`.
-    pub fn new(spec: &Spec) -> Self {
+    /// The motion of a specification in the room with that desk, the same for the same `seed`.
+    pub(crate) fn new(spec: &Spec, desk: DeskPlace) -> Self {
         let m = &spec.motion;
+        let desk = m.at_desk.then_some(desk);
         let mut random = stream(spec.seed, MOTION, 0);
         let seconds = spec.camera.frames as f64 / spec.camera.frame_rate + 2.0 * KNOT_INTERVAL;
         let knots = (seconds / KNOT_INTERVAL).ceil() as usize + 4;
@@ -38,7 +46,6 @@ impl Motion {
         let step = m.speed * KNOT_INTERVAL / axes[0].hypot(axes[1]) * 2.0_f64.sqrt();
         let start = between(&mut random, 0.0, TAU);
         let turn = if random.below(2) == 0 { 1.0 } else { -1.0 };
-        let walk = step * 0.35;
         let phase = between(&mut random, 0.0, TAU);
         let mut spline = |middle: &dyn Fn(usize) -> f64, spread: f64| -> Vec<f64> {
             (0..knots).map(|k| middle(k) + spread * gaussian(&mut random)).collect()
@@ -48,9 +55,18 @@ impl Motion {
             let turns = (k as f64 - 1.5) * KNOT_INTERVAL / m.sweep_period;
             m.sweep.to_radians() * (TAU * turns + phase).sin()
         };
+        let [first, second] = match desk {
+            Some(_) => {
+                let sway = 0.35 * m.speed * KNOT_INTERVAL;
+                [spline(&|_| 0.0, sway), spline(&|_| DESK_DISTANCE, 0.5 * sway)]
+            }
+            None => {
+                [spline(&|k| start + turn * step * k as f64, 0.35 * step), spline(&|_| 1.0, 0.06)]
+            }
+        };
         let splines = [
-            spline(&|k| start + turn * step * k as f64, walk),
-            spline(&|_| 1.0, 0.06),
+            first,
+            second,
             spline(&|_| m.height, 0.03),
             spline(&sweep, swing),
             spline(&|_| m.pitch.to_radians(), 0.35 * swing),
@@ -59,17 +75,26 @@ impl Motion {
         let sizes = [m.tremor_position, m.tremor_rotation.to_radians()];
         let tremor = std::array::from_fn(|i| tremor(&mut random, sizes[i / 3], m.tremor_band));
         let bursts = bursts(&mut random, spec, seconds);
-        Self { splines, loop_axes: axes, tremor, bursts }
+        Self { splines, loop_axes: axes, desk, turn: Turn::new(m), tremor, bursts }
     }
 
     /// The pose `world_from_camera` at a time [s] from the first frame's stamp on; the world's z
     /// is up, its origin is the middle of the floor.
-    pub fn world_from_camera(&self, time: f64) -> Pose<f64> {
-        let [angle, radius, height, yaw, pitch, roll] =
+    pub(crate) fn world_from_camera(&self, time: f64) -> Pose<f64> {
+        let [first, second, height, yaw, pitch, roll] =
             [0, 1, 2, 3, 4, 5].map(|i| spline(&self.splines[i], time / KNOT_INTERVAL + 1.5));
-        let x = self.loop_axes[0] * radius * angle.cos();
-        let y = self.loop_axes[1] * radius * angle.sin();
-        let heading = (-y).atan2(-x) + yaw;
+        let (x, y, heading) = match self.desk {
+            Some(desk) => {
+                let [x, y] = desk.at(first, second);
+                (x, y, desk.yaw + FRAC_PI_2)
+            }
+            None => {
+                let x = self.loop_axes[0] * second * first.cos();
+                let y = self.loop_axes[1] * second * first.sin();
+                (x, y, (-y).atan2(-x))
+            }
+        };
+        let heading = heading + yaw - self.turn.angle(time);
         let shake: [f64; 6] = std::array::from_fn(|i| {
             self.tremor[i].iter().map(|[a, w, p]| a * (w * time + p).sin()).sum()
         });
@@ -80,6 +105,31 @@ impl Motion {
         let rotation = look_rotation(heading, pitch, roll) * Rotation::exp(turned);
         let position = Vec3::new(x + shake[0], y + shake[1], height + shake[2]);
         Pose::new(rotation, position)
+    }
+}
+
+/// A turn away and back, once.
+#[derive(Clone, Copy, Debug)]
+struct Turn {
+    /// The whole angle [rad].
+    angle: f64,
+    /// Time at which it begins, time of each way, and time between [s].
+    start: f64,
+    way: f64,
+    stay: f64,
+}
+
+impl Turn {
+    fn new(spec: &MotionSpec) -> Self {
+        let angle = spec.turn_away.to_radians();
+        Self { angle, start: spec.turn_start, way: spec.turn_time, stay: spec.turn_stay }
+    }
+
+    /// The angle at a time [s]: half a cosine there, and half a cosine back [rad].
+    fn angle(&self, time: f64) -> f64 {
+        let gone = ((time - self.start) / self.way).clamp(0.0, 1.0);
+        let back = ((time - self.start - self.way - self.stay) / self.way).clamp(0.0, 1.0);
+        0.5 * self.angle * ((PI * back).cos() - (PI * gone).cos())
     }
 }
 
@@ -147,10 +197,56 @@ fn bursts(random: &mut Random, spec: &Spec, seconds: f64) -> Vec<(f64, f64, Vec3
 mod tests {
     use super::*;
 
+    const DESK: DeskPlace = DeskPlace { x: 0.6, y: 2.3, yaw: 0.0 };
+
+    #[test]
+    fn the_camera_turns_away_from_the_desk_and_back() {
+        let mut spec = Spec { seed: 4, ..Spec::default() };
+        spec.motion.at_desk = true;
+        (spec.motion.turn_away, spec.motion.turn_start) = (70.0, 1.0);
+        (spec.motion.sweep, spec.motion.look_around, spec.motion.bursts) = (0.0, 2.0, 0.0);
+        let motion = Motion::new(&spec, DESK);
+        let forward = |time: f64| {
+            let pose = motion.world_from_camera(time);
+            (pose.translation, pose * Vec3::new(0.0, 0.0, 1.0) - pose.translation)
+        };
+        for time in [0.0, 0.9, 3.0, 4.0] {
+            let (place, view) = forward(time);
+            assert!((place.x - 0.6).abs() < 0.35 && (place.y - 0.8).abs() < 0.3, "{place:?}");
+            assert!(view.x.atan2(view.y).to_degrees().abs() < 8.0, "at the wall: {view:?}");
+        }
+        // To the right of a view along y is x.
+        for time in [1.8, 2.0, 2.15] {
+            let view = forward(time).1;
+            assert!((view.x.atan2(view.y).to_degrees() - 70.0).abs() < 8.0, "{time}: {view:?}");
+        }
+        let middle = forward(1.4).1;
+        assert!((middle.x.atan2(middle.y).to_degrees() - 35.0).abs() < 8.0, "{middle:?}");
+    }
+
+    #[test]
+    fn a_round_trip_comes_back_after_it_saw_the_other_side() {
+        for seed in 0..6 {
+            let spec = Spec { seed, ..Spec::shipped("round-trip").expect("a specification") };
+            let motion = Motion::new(&spec, DESK);
+            let end = spec.camera.frames as f64 / spec.camera.frame_rate;
+            let start = motion.world_from_camera(0.0);
+            let away = |time: f64| {
+                let step = start.local(motion.world_from_camera(time));
+                (step.translation.norm(), step.rotation.norm().to_degrees())
+            };
+            let middle = away(0.45 * end);
+            assert!(middle.0 > 1.5 && middle.1 > 100.0, "seed {seed}: {middle:?}");
+            let back = (0..60).map(|i| away(end * (0.8 + 0.2 * f64::from(i) / 60.0)));
+            let nearest = back.min_by(|a, b| a.0.total_cmp(&b.0)).expect("times");
+            assert!(nearest.0 < 0.4 && nearest.1 < 20.0, "seed {seed}: {nearest:?}");
+        }
+    }
+
     #[test]
     fn motion_is_smooth_and_stays_in_the_room() {
         let spec = Spec { seed: 4, ..Spec::default() };
-        let motion = Motion::new(&spec);
+        let motion = Motion::new(&spec, DESK);
         let dt = 1e-3;
         let mut path = 0.0;
         for i in 0..2700 {
@@ -184,7 +280,7 @@ mod tests {
         spec.motion.tremor_rotation = 0.0;
         spec.motion.bursts = 0.0;
         spec.motion.speed = 0.0;
-        let motion = Motion::new(&spec);
+        let motion = Motion::new(&spec, DESK);
         let turned = motion.world_from_camera(0.0).local(motion.world_from_camera(1.0));
         assert!(turned.rotation.norm() > 0.02 && turned.rotation.norm() < 2.0);
     }

@@ -62,8 +62,8 @@ pub fn synthesise(
     let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
     go_on(progress(Stage::Lighting))?;
     let lit = compute_light(furnished_room(spec), spec);
-    let mut studio =
-        Renderer { spec, camera: camera(spec), motion: Motion::new(spec), lit, folder };
+    let motion = Motion::new(spec, lit.scene.desk);
+    let mut studio = Renderer { spec, camera: camera(spec), motion, lit, folder };
     let mut automatic = AutoExposure::default();
     let mut frames = Vec::new();
     for index in 0..spec.camera.frames {

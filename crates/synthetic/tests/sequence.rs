@@ -5,7 +5,7 @@ mod support;
 
 use i2slam_dataset::{Frame, OpenOptions, Sequence, read_trajectory};
 use i2slam_geometry::{Camera, Pose};
-use i2slam_synthetic::{Response, SyntheticError, synthesise};
+use i2slam_synthetic::{Response, Spec, SyntheticError, synthesise};
 use support::{Scratch, files, render, small_spec};
 
 #[test]
@@ -125,6 +125,38 @@ fn median_grey(frame: &Frame) -> f64 {
     let mut grey: Vec<f32> = (0..frame.colour.pixels()).map(grey).collect();
     grey.sort_by(f32::total_cmp);
     f64::from(response.apply(grey[grey.len() / 2], 1))
+}
+
+/// Clipped at the desk, blurred on the way, two stops darker where the camera turns to.
+#[test]
+fn the_camera_turns_away_from_a_bright_desk_with_every_seed() {
+    for seed in [1, 2, 3] {
+        let scratch = Scratch::new("turn-away");
+        let mut spec = Spec { seed, ..Spec::shipped("turn-away").expect("a specification") };
+        (spec.camera.width, spec.camera.height) = (48, 36);
+        (spec.camera.sub_frames, spec.camera.sharp_samples) = (1, 1);
+        (spec.light.texel, spec.output.hdr_every) = (0.2, 0);
+        let summary = render(&spec, &scratch.0);
+        let [low, high] = summary.exposure_values;
+        assert!((1.6..2.6).contains(&(high - low)), "seed {seed}: {} stops", high - low);
+        // 17 px in pictures of 320 px.
+        let blur = 320.0 / 48.0 * summary.blur[2];
+        assert!((14.0..22.0).contains(&blur), "seed {seed}: {blur} px");
+        let sequence = Sequence::open(&scratch.0, &OpenOptions::default()).expect("a sequence");
+        let white = |frame: usize| {
+            let colour = sequence.load(frame).expect("a frame").colour;
+            let green = colour.plane(1).iter().filter(|&&v| v > 0.995).count();
+            green as f64 / colour.pixels() as f64
+        };
+        assert!(white(30) > 0.01, "seed {seed}: {} at the desk", white(30));
+        let poses = sequence.true_trajectory().expect("poses");
+        let turned = |a: usize, b: usize| {
+            let step = poses[a].world_from_camera.local(poses[b].world_from_camera);
+            step.rotation.norm().to_degrees()
+        };
+        assert!((turned(45, 70) - 70.0).abs() < 8.0 && turned(70, 79) < 6.0, "seed {seed}");
+        assert!(turned(45, 104) < 8.0, "seed {seed}: back within two seconds");
+    }
 }
 
 #[test]

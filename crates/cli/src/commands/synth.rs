@@ -7,13 +7,14 @@ use crate::interrupt;
 use crate::progress::Progress;
 use clap::Args;
 use i2slam::config::line_of_key;
-use i2slam_synthetic::{Spec, Stage, Summary, SyntheticError, synthesise};
+use i2slam_synthetic::{SHIPPED_SPECS, Spec, Stage, Summary, SyntheticError, synthesise};
 use std::path::{Path, PathBuf};
 
 #[derive(Args, Debug)]
 pub(crate) struct Synth {
-    /// Specification, see --print-spec; values left out take their defaults [default: all]
-    #[arg(value_name = "SPEC.toml")]
+    /// Specification: a file, see --print-spec, whose values left out take their defaults; or
+    /// turn-away or round-trip, which come with the program [default: all defaults]
+    #[arg(value_name = "SPEC")]
     pub(crate) spec: Option<PathBuf>,
     /// Folder for the sequence
     #[arg(long, value_name = "DIR", required_unless_present = "print_spec")]
@@ -50,6 +51,15 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
 
 /// A specification; a bad value is named with its line.
 fn read(file: &Path) -> Result<Spec, Failure> {
+    let shown = file.display().to_string();
+    if !file.exists() && file.extension().is_none() {
+        let names: Vec<&str> = SHIPPED_SPECS.iter().map(|(name, _)| *name).collect();
+        let known = names.join(", ");
+        return Spec::shipped(&shown).ok_or_else(|| {
+            let reason = "is neither a file nor a specification of the program";
+            Failure::Usage(format!("`{shown}` {reason} ({known})"))
+        });
+    }
     Spec::from_toml_file(file).map_err(|error| {
         let SyntheticError::OutOfRange { key, .. } = &error else { return failure(error) };
         let text = i2slam_storage::read_text(file).unwrap_or_default();

@@ -66,6 +66,25 @@ pub(crate) enum Emitter {
     Ball { centre: Vec3, radius: f32, radiance: Rgb },
 }
 
+/// Place of the desk at its wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct DeskPlace {
+    /// Foot of the wall behind the desk's middle [m].
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    /// Direction along the wall to the right, for one who faces it [rad].
+    pub(crate) yaw: f64,
+}
+
+impl DeskPlace {
+    /// A point of the floor before the desk, `along` the wall to the right of its middle and
+    /// `away` from the wall [m].
+    pub(crate) fn at(&self, along: f64, away: f64) -> [f64; 2] {
+        let (sine, cosine) = self.yaw.sin_cos();
+        [self.x + cosine * along + sine * away, self.y + sine * along - cosine * away]
+    }
+}
+
 /// A furnished room.
 pub(crate) struct Scene {
     pub(crate) surfaces: Vec<Surface>,
@@ -75,6 +94,7 @@ pub(crate) struct Scene {
     pub(crate) bvh: Bvh,
     /// Towards the sun, unit length.
     pub(crate) sun: Option<Vec3>,
+    pub(crate) desk: DeskPlace,
 }
 
 impl Scene {

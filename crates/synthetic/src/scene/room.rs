@@ -2,7 +2,7 @@
 
 use super::builder::{Builder, LocalFrame};
 use super::library::MaterialLibrary;
-use super::{Bvh, Emitter, LightRole, Material, Scene, Vec3, furniture, objects};
+use super::{Bvh, DeskPlace, Emitter, LightRole, Material, Scene, Vec3, furniture, objects};
 use crate::rgb::{Rgb, scale, srgb};
 use crate::rng::{between32, stream};
 use crate::spec::Spec;
@@ -15,6 +15,9 @@ const FURNITURE: u64 = 2;
 
 /// Radiance of white daylight for lighting, before all light is scaled to a set level.
 const DAYLIGHT: [f32; 3] = [0.86, 0.95, 1.1];
+/// Place of the lamp over the desk: right, away from the viewer, up, from the desk's foot at the
+/// wall [m].
+const DESK_LAMP: [f32; 3] = [0.0, -0.55, 1.75];
 /// Colour of lamps.
 const LAMPLIGHT: [f32; 3] = [1.0, 0.76, 0.48];
 
@@ -27,7 +30,7 @@ pub(crate) fn furnished_room(spec: &Spec) -> Scene {
     shell(&mut builder, &library, [width, depth, height]);
     let b = &mut builder;
     window_wall(b, &library, &walls[0], spec);
-    study_wall(b, &library, &walls[1], spec);
+    let desk = study_wall(b, &library, &walls[1], spec);
     sofa_wall(b, &library, &walls[2], spec);
     door_wall(b, &library, &walls[3]);
     middle(b, &library, spec);
@@ -44,6 +47,7 @@ pub(crate) fn furnished_room(spec: &Spec) -> Scene {
         emitters: builder.emitters,
         bvh,
         sun,
+        desk,
     }
 }
 
@@ -106,13 +110,18 @@ fn spread(random: &mut Random, length: f32, widths: &[f32]) -> Vec<f32> {
     widths.iter().zip(&gaps).map(place).collect()
 }
 
-fn study_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, spec: &Spec) {
+fn study_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, spec: &Spec) -> DeskPlace {
     wall.build(b, l.accent, l.woods[2], &[]);
     let at = spread(&mut b.random, wall.length, &[1.0, 1.4, 0.6]);
     let clutter = spec.room.clutter as f32;
     furniture::bookshelf(b, l, &wall.place.at([at[0], 0.0, 0.0], 0.0), clutter);
     let glow = spec.light.lamps as f32;
-    furniture::desk(b, l, &wall.place.at([at[1], 0.0, 0.0], 0.0), 0.4 * glow.max(0.3));
+    let desk = wall.place.at([at[1], 0.0, 0.0], 0.0);
+    furniture::desk(b, l, &desk, 0.4 * glow.max(0.3));
+    if spec.light.desk_lamp > 0.0 {
+        let (bulb, radiance) = (desk.point(DESK_LAMP), 80.0 * spec.light.desk_lamp as f32);
+        b.bulb(bulb, 0.05, l.paint, [1.0; 3], radiance);
+    }
     sheets(b, l, wall, (at[1] - 0.45, 1.62), 0);
     let shelf = wall.place.at([at[2], 0.0, 0.0], 0.0);
     for (i, z) in [1.05_f32, 1.40, 1.75].into_iter().enumerate() {
@@ -124,6 +133,8 @@ fn study_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, spec: &Spec) {
             objects::mug(b, l, &board.at([0.23, -0.1, 0.0], 0.0));
         }
     }
+    let [x, y] = [desk.origin.x, desk.origin.y].map(f64::from);
+    DeskPlace { x, y, yaw: f64::from(desk.yaw) }
 }
 
 /// Every other text panel, side by side from `x` on.

@@ -51,6 +51,12 @@ specification! {
     output: OutputSpec,
 }
 
+/// Specifications that come with the crate: name and text.
+pub const SHIPPED: [(&str, &str); 2] = [
+    ("turn-away", include_str!("../../specs/turn-away.toml")),
+    ("round-trip", include_str!("../../specs/round-trip.toml")),
+];
+
 impl Spec {
     /// Parses and checks a specification; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, SyntheticError> {
@@ -61,6 +67,12 @@ impl Spec {
         let spec: Self = toml::from_str(text).map_err(|e| malformed(e.to_string()))?;
         spec.validate()?;
         Ok(spec)
+    }
+
+    /// A specification that comes with the crate, one of [`SHIPPED`].
+    pub fn shipped(name: &str) -> Option<Self> {
+        let (name, text) = SHIPPED.iter().find(|(known, _)| *known == name)?;
+        Self::from_toml(text, name).ok()
     }
 
     /// Reads and checks a specification file.
@@ -203,6 +215,15 @@ mod tests {
         let text = spec.to_toml();
         assert_eq!(Spec::from_toml(&text, "printed").expect("readable"), spec);
         assert!(text.contains("# Width of the pictures [px].\n# Range: 16 to 8192.\nwidth = 320"));
+    }
+
+    #[test]
+    fn shipped_specifications_are_read() {
+        for (name, text) in SHIPPED {
+            Spec::from_toml(text, name).expect(name);
+            assert!(Spec::shipped(name).is_some_and(|spec| spec != Spec::default()), "{name}");
+        }
+        assert_eq!(Spec::shipped("turn"), None);
     }
 
     #[test]

@@ -47,6 +47,8 @@ section! {
         daylight: f64 = 1.0, 0.0..=100.0;
         /// Light of lamps, relative.
         lamps: f64 = 0.05, 0.0..=100.0;
+        /// Light of a lamp over the desk, relative; 0 is no such lamp.
+        desk_lamp: f64 = 0.0, 0.0..=100.0;
         /// Irradiance of the sun that falls through the windows, relative; 0 is an overcast sky.
         sun: f64 = 5.0, 0.0..=1000.0;
         /// Height of the sun over the horizon [degrees].
@@ -63,7 +65,8 @@ section! {
 }
 
 section! {
-    /// The motion: a spline around the room, hand tremor, rotation bursts.
+    /// The motion: a spline around the room or before the desk, hand tremor, rotation bursts, and a
+    /// turn away and back.
     motion: MotionSpec {
         /// Walking speed [m/s].
         speed: f64 = 0.4, 0.0..=5.0;
@@ -89,6 +92,17 @@ section! {
         burst_angle: f64 = 7.0, 0.0..=90.0;
         /// Time of a burst [s], standard deviation of its bell curve.
         burst_time: f64 = 0.09, 0.01..=2.0;
+        /// Whether the camera stands before the desk and faces it, instead of walking around the
+        /// room; sweep, look_around and pitch are then around that direction.
+        at_desk: bool = false;
+        /// Angle by which the camera turns away to the right, once, and back [degrees]; 0 is not.
+        turn_away: f64 = 0.0, -180.0..=180.0;
+        /// Time at which it begins to turn away [s].
+        turn_start: f64 = 1.5, 0.0..=10_000.0;
+        /// Time of the turn, each way [s]; it is fastest, 1.57 times the mean, in the middle.
+        turn_time: f64 = 0.8, 0.01..=1000.0;
+        /// Time from there until it turns back [s].
+        turn_stay: f64 = 0.35, 0.0..=1000.0;
     }
 }
 
