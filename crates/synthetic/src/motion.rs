@@ -27,6 +27,8 @@ pub(crate) struct Motion {
     loop_axes: [f64; 2],
     /// The desk, for a camera that stands before it.
     desk: Option<DeskPlace>,
+    /// Direction of view to the left of the middle of the room, or of the desk [rad].
+    facing: f64,
     turn: Turn,
     /// Amplitude, angular frequency and phase of tremor: x, y, z [m], then rotation [rad].
     tremor: [Vec<[f64; 3]>; 6],
@@ -75,7 +77,15 @@ impl Motion {
         let sizes = [m.tremor_position, m.tremor_rotation.to_radians()];
         let tremor = std::array::from_fn(|i| tremor(&mut random, sizes[i / 3], m.tremor_band));
         let bursts = bursts(&mut random, spec, seconds);
-        Self { splines, loop_axes: axes, desk, turn: Turn::new(m), tremor, bursts }
+        Self {
+            splines,
+            loop_axes: axes,
+            desk,
+            facing: m.facing.to_radians(),
+            turn: Turn::new(m),
+            tremor,
+            bursts,
+        }
     }
 
     /// The pose `world_from_camera` at a time [s] from the first frame's stamp on; the world's z
@@ -94,7 +104,7 @@ impl Motion {
                 (x, y, (-y).atan2(-x))
             }
         };
-        let heading = heading + yaw - self.turn.angle(time);
+        let heading = heading + self.facing + yaw - self.turn.angle(time);
         let shake: [f64; 6] = std::array::from_fn(|i| {
             self.tremor[i].iter().map(|[a, w, p]| a * (w * time + p).sin()).sum()
         });
@@ -235,6 +245,9 @@ mod tests {
                 let step = start.local(motion.world_from_camera(time));
                 (step.translation.norm(), step.rotation.norm().to_degrees())
             };
+            // Looking outwards: nothing stays in view all the way.
+            let view = start * Vec3::new(0.0, 0.0, 1.0) - start.translation;
+            assert!(view.x * start.translation.x + view.y * start.translation.y > 0.0);
             let middle = away(0.45 * end);
             assert!(middle.0 > 1.5 && middle.1 > 100.0, "seed {seed}: {middle:?}");
             let back = (0..60).map(|i| away(end * (0.8 + 0.2 * f64::from(i) / 60.0)));

@@ -72,7 +72,9 @@ section! {
         speed: f64 = 0.4, 0.0..=5.0;
         /// Height of the camera [m].
         height: f64 = 1.4, 0.3..=3.0;
-        /// Panning to both sides of the middle of the room [degrees].
+        /// Direction of view to the left of the middle of the room [degrees]; 180 looks outwards.
+        facing: f64 = 0.0, -180.0..=180.0;
+        /// Panning to both sides of that direction [degrees].
         sweep: f64 = 40.0, 0.0..=180.0;
         /// Time from one side to the other and back [s].
         sweep_period: f64 = 6.0, 0.2..=1000.0;
@@ -93,7 +95,7 @@ section! {
         /// Time of a burst [s], standard deviation of its bell curve.
         burst_time: f64 = 0.09, 0.01..=2.0;
         /// Whether the camera stands before the desk and faces it, instead of walking around the
-        /// room; sweep, look_around and pitch are then around that direction.
+        /// room; facing, sweep, look_around and pitch are then off that direction.
         at_desk: bool = false;
         /// Angle by which the camera turns away to the right, once, and back [degrees]; 0 is not.
         turn_away: f64 = 0.0, -180.0..=180.0;
