@@ -232,6 +232,7 @@ impl FrameAlignment<'_> {
             curve: self.curve.as_ref(),
             cameras,
             quadrature: self.context.config.formation.quadrature,
+            target_rows: None,
             rolling_height: self
                 .context
                 .readout

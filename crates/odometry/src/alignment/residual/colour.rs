@@ -119,6 +119,10 @@ impl ColourBlock {
         let target_point = geometry.target_from_centre.transform(simd, seen);
         seen.store_group(&mut self.points, group);
         let camera = &task.frame.camera;
+        let target_point = match &geometry.target_rolling {
+            Some(rolling) => rolling.seen_by_row(simd, camera, target_point),
+            None => target_point,
+        };
         let inside =
             self.taps.store_positions(simd, group, project(simd, camera, target_point), camera)
                 & Mask::load_group(simd, &self.seen, group);

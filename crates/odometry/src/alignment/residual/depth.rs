@@ -32,7 +32,8 @@ struct LaneSums<S: Simd> {
 }
 
 impl DepthBlock {
-    /// Adds the residuals of `samples` and returns how many lie on the target's surface.
+    /// Adds the residuals of `samples` and returns how many lie on the target's surface; before a
+    /// target without one, how many it sees.
     #[inline(always)]
     pub(super) fn add<S: Simd>(
         &mut self,
@@ -44,6 +45,15 @@ impl DepthBlock {
         let camera = &task.frame.camera;
         for group in 0..groups::<S>() {
             self.project_to_target(kernel, samples, group);
+        }
+        if !task.target.has_surface {
+            let mut seen = Lanes::zero(simd);
+            for group in 0..groups::<S>() {
+                seen += Lanes::load_group(simd, &self.agreeing, group);
+            }
+            let count = seen.reduce_sum() as usize;
+            sums.agreeing += count;
+            return count;
         }
         self.taps.split(camera);
         task.target.surface.gather(&self.taps, &mut self.corners, &mut self.roughness);

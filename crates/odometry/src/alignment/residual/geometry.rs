@@ -7,6 +7,10 @@ use i2slam_formation::{ShutterPoses, VirtualCamera};
 use i2slam_geometry::{Camera, Mat3, Pose, Tangent, Vec3};
 use pulp::Simd;
 
+/// Iterations for the row in which a target shows a point: each divides the error by the height
+/// over the motion during the readout, both in pixels.
+pub(super) const ROW_ITERATIONS: usize = 2;
+
 /// A virtual camera of the exposure.
 pub(super) struct ExposureSample {
     /// To the camera at mid-exposure.
@@ -56,6 +60,8 @@ pub(super) struct Geometry {
     pub(super) exposure: Vec<ExposureSample>,
     pub(super) centre_from_depth: Transform,
     pub(super) rolling: Option<RowTiming>,
+    /// Of the target's rows, its motion during the readout as unit of time.
+    pub(super) target_rolling: Option<RowTiming>,
 }
 
 impl Geometry {
@@ -73,6 +79,9 @@ impl Geometry {
             target_from_centre: Transform::new(task.target_from_world * world_from_centre),
             exposure: cameras.iter().map(sample).collect(),
             centre_from_depth: Transform::new(centre_from_world * task.world_from_depth),
+            target_rolling: task
+                .target_rows
+                .map(|rows| RowTiming::new(1.0, rows.height, rows.motion)),
             rolling: task
                 .rolling_height
                 .map(|height| RowTiming::new(task.readout, height, task.motion.velocity)),
@@ -143,6 +152,25 @@ impl RowTiming {
         let cosine = s * s * series([0.5, -1.0 / 24.0, 1.0 / 720.0, -1.0 / 40_320.0]);
         let once = spin.cross(point);
         spin.cross(once).mul_add(cosine, once.mul_add(sine, point))
+    }
+
+    /// Points of the camera at the time of the middle row, as the camera sees them at the time of
+    /// the row in which they appear: `Exp(-s ω) (X - s ν)`, `s` by fixed-point iteration.
+    #[inline(always)]
+    pub(super) fn seen_by_row<S: Simd>(
+        &self,
+        simd: S,
+        camera: &Camera<f32>,
+        point: Points<S>,
+    ) -> Points<S> {
+        let mut seen = point;
+        for _ in 0..ROW_ITERATIONS {
+            let (_, v) = project(simd, camera, seen);
+            let time = self.row_position(simd, v) * Lanes::splat(simd, self.readout);
+            let moved = point.minus(self.translation(simd, time));
+            seen = self.rotated(simd, Lanes::zero(simd) - time, moved);
+        }
+        seen
     }
 
     /// `s ν`.

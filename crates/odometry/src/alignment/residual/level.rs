@@ -4,7 +4,7 @@ use i2slam_compute::median;
 use i2slam_compute::simd::{Lanes, Mask};
 use i2slam_geometry::{Camera, Image};
 use pulp::Simd;
-use std::ops::{Deref, DerefMut};
+use std::ops::{Deref, DerefMut, Range};
 use std::sync::Arc;
 
 /// Largest relative depth difference of neighbouring pixels on one surface.
@@ -66,16 +66,19 @@ pub struct TargetLevel {
     pub depth: Image<f32>,
     pub(super) surface: InverseDepth,
     pub(super) texels: PackedColour,
+    /// Whether the target has depth at all; without, every point in view counts as visible.
+    pub(super) has_surface: bool,
     /// Standard deviation of the depth, estimated from its roughness [m at 1 m].
     pub noise: f32,
 }
 
 impl TargetLevel {
-    /// From linear radiance (empty for a target of depth alone) and depth [m].
+    /// From linear radiance and depth [m]; either may be an empty picture.
     pub fn new(radiance: Image<f32>, depth: Image<f32>) -> Self {
         let roughness = roughness(&depth);
         Self {
-            noise: depth_noise(&depth, &roughness),
+            has_surface: depth.pixels() > 0,
+            noise: depth_noise_of(&depth, &roughness),
             surface: InverseDepth::new(&depth, &roughness),
             texels: PackedColour::new(&radiance),
             radiance,
@@ -96,6 +99,19 @@ impl FrameLevel {
         let samples = DepthSamples::new(&camera, &depth, &roughness(&depth), stride);
         Self { camera, samples, texels: PackedColour::new(&colour), colour, depth }
     }
+
+    /// The samples at every `stride`-th pixel, apart by tiles of the picture, `[columns, rows]` of
+    /// them.
+    pub fn tiles(&self, stride: usize, [columns, rows]: [usize; 2]) -> Vec<DepthSamples> {
+        let roughness = roughness(&self.depth);
+        let part = |i: usize, parts: usize, size: usize| i * size / parts..(i + 1) * size / parts;
+        let tile = |i: usize| {
+            let across = part(i % columns, columns, self.depth.width);
+            let down = part(i / columns, rows, self.depth.height);
+            DepthSamples::within(&self.camera, (&self.depth, &roughness), stride, across, down)
+        };
+        (0..columns * rows).map(tile).collect()
+    }
 }
 
 /// Distance of each pixel's depth from a plane through its neighbours in the row or the column, the
@@ -114,13 +130,22 @@ pub(super) fn roughness(depth: &Image<f32>) -> Image<f32> {
     })
 }
 
-/// Standard deviation of depth noise [m at 1 m]. The second difference of independent noise has
-/// `√6` times its standard deviation, and the median of the larger of two such has about that size;
-/// most of a picture is no edge.
-fn depth_noise(depth: &Image<f32>, roughness: &Image<f32>) -> f32 {
+/// Growth of depth noise with distance: with the square of the depth beyond 1 m.
+pub(in super::super) fn depth_spread(z: f32) -> f32 {
+    z * z.max(1.0)
+}
+
+/// Standard deviation of depth noise [m at 1 m], see [`depth_spread`].
+pub(in super::super) fn depth_noise(depth: &Image<f32>) -> f32 {
+    depth_noise_of(depth, &roughness(depth))
+}
+
+/// The second difference of independent noise has `√6` times its standard deviation, and the median
+/// of the larger of two such has about that size; most of a picture is no edge.
+fn depth_noise_of(depth: &Image<f32>, roughness: &Image<f32>) -> f32 {
     let pixels = depth.data.iter().zip(&roughness.data).step_by(5);
     let mut all: Vec<f32> =
-        pixels.filter(|(d, _)| **d > 0.0).map(|(d, r)| r / (d * d.max(1.0))).collect();
+        pixels.filter(|(d, _)| **d > 0.0).map(|(d, r)| r / depth_spread(*d)).collect();
     median(&mut all).map_or(f32::INFINITY, |roughness| roughness / 6.0_f32.sqrt())
 }
 
@@ -154,9 +179,22 @@ impl DepthSamples {
         roughness: &Image<f32>,
         stride: usize,
     ) -> Self {
+        let (across, down) = (0..depth.width, 0..depth.height);
+        Self::within(camera, (depth, roughness), stride, across, down)
+    }
+
+    /// Those within ranges of columns and rows.
+    fn within(
+        camera: &Camera<f32>,
+        (depth, roughness): (&Image<f32>, &Image<f32>),
+        stride: usize,
+        across: Range<usize>,
+        down: Range<usize>,
+    ) -> Self {
         let mut samples = Self { blocks: Vec::new(), count: 0 };
-        for row in (0..depth.height).step_by(stride) {
-            for column in (0..depth.width).step_by(stride) {
+        let first = |range: &Range<usize>| range.start.next_multiple_of(stride);
+        for row in (first(&down)..down.end).step_by(stride) {
+            for column in (first(&across)..across.end).step_by(stride) {
                 let z = depth.at(0, column, row);
                 if z > 0.0 {
                     let (u, v) = Camera::<f32>::pixel_centre(column, row);

@@ -16,7 +16,9 @@
 //!
 //! With a rolling shutter the row at `v` is exposed later by `readout (v/H - ½)`, so that `s`
 //! differs from sample to sample, and the readout is an unknown with the derivative `(v/H - ½) b ·
-//! (ν + ω × (P - s ν))`. Depth is taken at one time.
+//! (ν + ω × (P - s ν))`. Depth is taken at one time. A target whose own rows were read one after
+//! another sees a point `Y` of its middle row at `Exp(-s ω) (Y - s ν)`, `s` the time of the row in
+//! which it appears.
 
 mod colour;
 mod depth;
@@ -29,6 +31,7 @@ mod tests;
 
 pub use level::is_one_surface;
 pub use level::{DepthSamples, FrameLevel, TargetLevel};
+pub(super) use level::{depth_noise, depth_spread};
 
 use colour::ColourBlock;
 use depth::DepthBlock;
@@ -36,10 +39,9 @@ use geometry::Geometry;
 use i2slam_compute::simd::Lanes;
 use i2slam_compute::{NormalEquations, reduce_in_order};
 use i2slam_formation::{CentreVelocity, FrameTone, Quadrature, ResponseCurve};
-use i2slam_geometry::Pose;
-use level::{BlockValues, groups};
+use i2slam_geometry::{Pose, Tangent};
+use level::{BlockValues, SampleBlock, groups};
 use pulp::{Arch, Simd, WithSimd};
-use std::ops::Range;
 
 /// Unknowns: centre (ρ, φ), velocity (ρ, φ), log exposure, log white balance (r, g, b), readout.
 pub const UNKNOWNS: usize = 17;
@@ -93,6 +95,8 @@ pub struct Linearization<'a> {
     pub curve: Option<&'a ResponseCurve<f32>>,
     /// Virtual cameras of the exposure.
     pub cameras: usize,
+    /// Rows of the target's picture, where they were read one after another.
+    pub target_rows: Option<TargetRows>,
     /// Height of the picture at this level [px], an odd last row included; `None` for a global
     /// shutter.
     pub rolling_height: Option<f64>,
@@ -108,6 +112,15 @@ pub struct Linearization<'a> {
     pub image_weight: f32,
     /// Whether gradient and Hessian are computed beside cost and errors.
     pub derivatives: bool,
+}
+
+/// Rolling shutter of a target.
+#[derive(Clone, Copy, Debug)]
+pub struct TargetRows {
+    /// Motion of the target's camera from its first row to its last.
+    pub motion: Tangent<f64>,
+    /// Height of the picture at this level [px], an odd last row included.
+    pub height: f64,
 }
 
 /// Sums of absolute residuals, unweighted.
@@ -162,14 +175,24 @@ impl ResidualSums {
 impl Linearization<'_> {
     /// Sums residuals and derivatives over the frame, in an order that does not depend on threads.
     pub fn accumulate(&self) -> ResidualSums {
+        self.accumulate_over(&self.frame.samples)
+    }
+
+    /// [`accumulate`](Self::accumulate) over some samples of the frame.
+    pub fn accumulate_over(&self, samples: &DepthSamples) -> ResidualSums {
         let geometry = Geometry::new(self);
         let arch = Arch::new();
-        let samples = &self.frame.samples;
         let mut total = ResidualSums { candidates: samples.count, ..ResidualSums::default() };
         reduce_in_order(
             samples.blocks.len(),
             BLOCKS_PER_TASK,
-            |blocks| arch.dispatch(Blocks { task: self, geometry: &geometry, blocks }),
+            |blocks| {
+                arch.dispatch(Blocks {
+                    task: self,
+                    geometry: &geometry,
+                    blocks: &samples.blocks[blocks],
+                })
+            },
             |part| total.merge(&part),
         );
         add_exposure(&mut total.equations);
@@ -181,7 +204,7 @@ impl Linearization<'_> {
 struct Blocks<'a> {
     task: &'a Linearization<'a>,
     geometry: &'a Geometry,
-    blocks: Range<usize>,
+    blocks: &'a [SampleBlock],
 }
 
 impl WithSimd for Blocks<'_> {
@@ -193,7 +216,7 @@ impl WithSimd for Blocks<'_> {
         let mut sums = ResidualSums::default();
         let kernel = Kernel { simd, task, geometry };
         let (mut depth, mut colour) = (DepthBlock::default(), ColourBlock::default());
-        for samples in &task.frame.samples.blocks[blocks] {
+        for samples in blocks {
             let agreeing = depth.add(kernel, samples, &mut sums);
             if agreeing > 0 && task.image_weight > 0.0 {
                 colour.add(kernel, &depth, &mut sums);

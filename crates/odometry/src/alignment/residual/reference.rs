@@ -1,6 +1,6 @@
 //! Reference lane of the residuals: one pixel after another, readable beside the equations.
 
-use super::geometry::{ExposureSample, Geometry, Transform};
+use super::geometry::{ExposureSample, Geometry, ROW_ITERATIONS, Transform};
 use super::level::{is_one_surface, roughness};
 use super::{DEGREES_OF_FREEDOM, Linearization, MAX_DEPTH_RESIDUAL_RATIO, MIN_DISTANCE, READOUT};
 use super::{ROUGHNESS_SIGMA_RATIO, ResidualSums, UNKNOWNS};
@@ -63,6 +63,11 @@ impl Pixels<'_> {
             return false;
         }
         let (u, v) = task.frame.camera.project(target_point);
+        if !task.target.has_surface {
+            let is_seen = task.target.radiance.tap(u, v).is_some();
+            sums.agreeing += usize::from(is_seen);
+            return is_seen;
+        }
         let Some(tap) = task.target.depth.tap(u, v) else { return false };
         let Some((d, d_u, d_v)) = depth_at(tap, &task.target.depth.data) else { return false };
         let residual = d - target_point.z;
@@ -118,7 +123,7 @@ impl Pixels<'_> {
         for sample in &geometry.exposure {
             let (centre_from_camera, time) = self.camera_of_row(sample, row_position);
             let seen = centre_from_camera.apply(point);
-            let target_point = geometry.target_from_centre.apply(seen);
+            let target_point = self.seen_by_row(geometry.target_from_centre.apply(seen));
             let (u, v) = task.frame.camera.project(target_point);
             let tap = task.target.radiance.tap(u, v)?;
             for channel in 0..3 {
@@ -177,6 +182,16 @@ impl Pixels<'_> {
         let time = sample.time + readout * row_position;
         let velocity = task.motion.velocity.scaled(f64::from(time));
         (Transform::new(Pose::identity().retract(velocity)), time)
+    }
+
+    /// A point of the target's camera as the row sees it in which it appears.
+    fn seen_by_row(&self, point: Vec3<f32>) -> Vec3<f32> {
+        let Some(rows) = self.task.target_rows else { return point };
+        (0..ROW_ITERATIONS).fold(point, |seen, _| {
+            let row_position = self.task.frame.camera.project(seen).1 / rows.height as f32 - 0.5;
+            let motion = rows.motion.scaled(f64::from(row_position));
+            Transform::new(Pose::identity().retract(motion).inverse()).apply(point)
+        })
     }
 
     /// `ν + ω × x`.

@@ -86,6 +86,9 @@ impl<'a> Case<'a> {
             tone: state.tone,
             curve: self.curve,
             cameras: self.cameras,
+            target_rows: self
+                .rolling
+                .then_some(TargetRows { motion: lead.scaled(0.3), height: 36.0 }),
             rolling_height: self.rolling.then_some(36.0),
             quadrature: Quadrature::Midpoints,
             world_from_depth: state.motion.centre.retract(lead.scaled(self.lead)),
@@ -224,4 +227,31 @@ fn every_other_pixel_is_a_quarter_of_them() {
     });
     let z = some.blocks.iter().flat_map(|block| block.point[2].0);
     assert!(z.filter(|&z| z > 0.0).eq(expected));
+}
+
+/// A target without depth sees every point in view, by picture alone.
+#[test]
+fn lanes_agree_with_the_reference_before_a_target_without_depth() {
+    let mut case = rough_case(None, 3, 0.0);
+    case.target = TargetLevel::new(target().radiance, Image::default());
+    let state = state(&[0.001; UNKNOWNS]);
+    let task = case.task(&state);
+    let (lanes, pixels) = (task.accumulate(), task.accumulate_pixels());
+    assert_eq!((lanes.agreeing, lanes.errors.depth_count), (pixels.agreeing, 0));
+    assert!(pixels.errors.image_count > 3 * 500);
+    assert!(worst(&lanes.equations, &pixels.equations) < 1e-4);
+}
+
+/// Tiles hold every sample once, and their sums add up to those of all.
+#[test]
+fn tiles_add_up_to_the_picture() {
+    let case = rough_case(None, 1, 0.0);
+    let state = state(&[0.001; UNKNOWNS]);
+    let task = case.task(&state);
+    let tiles = case.frame.tiles(1, [5, 3]);
+    let mut sum = ResidualSums::default();
+    tiles.iter().for_each(|tile| sum.merge(&task.accumulate_over(tile)));
+    let all = task.accumulate();
+    assert_eq!((sum.candidates, sum.agreeing), (task.frame.samples.count, all.agreeing));
+    assert!(worst(&sum.equations, &all.equations) < 1e-5);
 }
