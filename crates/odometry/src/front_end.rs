@@ -2,6 +2,8 @@
 
 use crate::depth::depth_map::{DepthMap, DepthPicture};
 use crate::depth::readings::read_depth;
+use crate::diagnosis::findings::diagnose;
+use crate::diagnosis::pictures::PictureChecks;
 use crate::error::{OdometryError, PictureError};
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
@@ -35,6 +37,7 @@ pub struct FrontEnd {
     tracker: Tracker,
     timestamps: Vec<f64>,
     depth_maps: Vec<Option<DepthMap>>,
+    pictures: PictureChecks,
     close_loops: bool,
 }
 
@@ -42,7 +45,8 @@ impl FrontEnd {
     /// A front end for pictures of one camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
         let (tracker, timestamps, depth_maps) = (Tracker::default(), Vec::new(), Vec::new());
-        Self { intrinsics, tracker, timestamps, depth_maps, close_loops: true }
+        let pictures = PictureChecks::default();
+        Self { intrinsics, tracker, timestamps, depth_maps, pictures, close_loops: true }
     }
 
     /// Disables loop closure.
@@ -86,6 +90,7 @@ impl FrontEnd {
             }
         }
         self.timestamps.push(timestamp);
+        self.pictures.add(picture);
         self.depth_maps.push(depth.map(DepthMap::new));
         Ok(self.tracker.track(picture))
     }
@@ -133,8 +138,9 @@ impl FrontEnd {
             return Err(OdometryError::Cancelled);
         }
         let readout = state.readout * median_frame_interval(&self.timestamps).unwrap_or(0.0);
-        let found = (readout, distortion_dropped);
-        Ok(build_reconstruction(state, &self.timestamps, &self.intrinsics, found))
+        let (found, wrong) = ((readout, distortion_dropped), diagnose(&state, &self.pictures));
+        let built = build_reconstruction(state, &self.timestamps, &self.intrinsics, found);
+        Ok(wrong.applied_to(built))
     }
 }
 

@@ -19,6 +19,7 @@
 //! | `rolling_shutter` | estimation of the readout, correction of image positions |
 //! | `relocalize` | keyframes recognised in others by descriptors and geometric verification |
 //! | `loops` | loop closure by a pose graph of similarities |
+//! | `diagnosis` | wrong input: pictures of one colour, frozen or shuffled frames, large moving objects |
 //! | `result`, `front_end` | the result, and the pipeline from pictures to it |
 //! | `alignment` | dense alignment of a frame to a target by picture and depth; stands alone |
 //! | `dense` | dense depth by plane sweep and semi-global matching; uses `track` only |
@@ -86,6 +87,15 @@ mod loops {
 
 pub mod alignment;
 
+mod diagnosis {
+    pub(crate) mod findings;
+    pub(crate) mod frozen;
+    pub(crate) mod motion;
+    pub(crate) mod moving_object;
+    pub(crate) mod order;
+    pub(crate) mod pictures;
+}
+
 mod front_end;
 mod result;
 
@@ -94,6 +104,7 @@ mod dense;
 pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, PosedView};
 pub use depth::depth_map::DepthPicture;
 pub use depth::sensor_model::DepthModel;
+pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};
 pub use front_end::{FrontEnd, MIN_FRAMES, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;

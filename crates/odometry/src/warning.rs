@@ -29,6 +29,43 @@ pub enum Warning {
         /// First and last frame.
         frames: [usize; 2],
     },
+    /// Consecutive frames whose pictures are black or of one colour.
+    #[error("{} black or of one colour: the lens was covered, or the camera gave no signal", are(*.frames))]
+    BlankFrames {
+        /// First and last frame.
+        frames: [usize; 2],
+    },
+    /// Frames that repeat the picture before them, though the camera has moved on.
+    #[error(
+        "{} the picture before while the camera moves on, as a source does that stalls: they get no pose",
+        repeat(*.frames, *.count)
+    )]
+    FrozenFrames {
+        /// First and last frame.
+        frames: [usize; 2],
+        /// Number of frozen frames among them.
+        count: usize,
+    },
+    /// Consecutive frames whose pictures are in another order than their timestamps.
+    #[error(
+        "{} not in the order of time: in another order the camera moves far less; put the pictures in order, or run the frames before and behind apart",
+        are(*.frames)
+    )]
+    ShuffledFrames {
+        /// First and last frame.
+        frames: [usize; 2],
+    },
+    /// A large part of the picture that moves on its own.
+    #[error(
+        "in frames {} to {} about {:.0} percent of the picture do not move with the rest, as a large moving object or a mirror: poses rest on what does, and may be off",
+        .frames[0], .frames[1], 100.0 * .share
+    )]
+    MovingObject {
+        /// First and last frame.
+        frames: [usize; 2],
+        /// Share of the picture, in [0, 1].
+        share: f64,
+    },
     /// Another focal length than the given one fits much better.
     #[error(
         "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or let it be estimated",
@@ -73,6 +110,23 @@ pub enum Warning {
     DistortionUndetermined,
 }
 
+/// Frames as a subject: "frame 3 is", "frames 3 to 5 are".
+fn are([first, last]: [usize; 2]) -> String {
+    match first == last {
+        true => format!("frame {first} is"),
+        false => format!("frames {first} to {last} are"),
+    }
+}
+
+/// As [`are`] for `count` frames that repeat something.
+fn repeat([first, last]: [usize; 2], count: usize) -> String {
+    match last + 1 - first {
+        1 => format!("frame {first} repeats"),
+        all if all == count => format!("frames {first} to {last} repeat"),
+        _ => format!("{count} of the frames {first} to {last} repeat"),
+    }
+}
+
 /// Horizontal field of view [degrees].
 fn field_of_view(width: usize, focal_length: f64) -> f64 {
     2.0 * (0.5 * width as f64 / focal_length).atan().to_degrees()
@@ -99,11 +153,27 @@ impl Warning {
     /// The warning with other frame numbers.
     #[must_use]
     pub fn with_frame_numbers(mut self, number: impl Fn(usize) -> usize) -> Self {
-        if let Self::DisconnectedFrames { frames } | Self::UntrackableFrames { frames } = &mut self
-        {
+        if let Some(frames) = self.frames_mut() {
             *frames = frames.map(number);
         }
         self
+    }
+
+    /// First and last frame that it is about, if it is about some.
+    pub fn frames(mut self) -> Option<[usize; 2]> {
+        self.frames_mut().copied()
+    }
+
+    fn frames_mut(&mut self) -> Option<&mut [usize; 2]> {
+        match self {
+            Self::DisconnectedFrames { frames }
+            | Self::UntrackableFrames { frames }
+            | Self::BlankFrames { frames }
+            | Self::FrozenFrames { frames, .. }
+            | Self::ShuffledFrames { frames }
+            | Self::MovingObject { frames, .. } => Some(frames),
+            _ => None,
+        }
     }
 }
 
@@ -116,6 +186,9 @@ mod tests {
         let number = |frame: usize| 900 + 3 * frame;
         let lost = Warning::UntrackableFrames { frames: [100, 104] }.with_frame_numbers(number);
         assert!(lost.to_string().starts_with("frames 1200 to 1212 "), "{lost}");
+        assert_eq!(lost.frames(), Some([1200, 1212]));
+        let blank = Warning::BlankFrames { frames: [4, 4] }.with_frame_numbers(number);
+        assert!(blank.to_string().starts_with("frame 912 is black"), "{blank}");
         let count = Warning::FramesLost { lost: 5, frames: 200 };
         assert_eq!(count.with_frame_numbers(number), count);
     }

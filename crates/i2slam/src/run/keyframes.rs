@@ -187,10 +187,10 @@ where
             (first, last),
             format!("{warning} (frames {first}..{} can be reconstructed apart)", last + 1),
         ),
-        OdometryWarning::UntrackableFrames { frames: [first, last] } => {
-            Warning::of_frames((first, last), warning.to_string())
-        }
-        _ => warning.to_string().into(),
+        _ => match warning.frames() {
+            Some([first, last]) => Warning::of_frames((first, last), warning.to_string()),
+            None => warning.to_string().into(),
+        },
     });
     found.refused().iter().map(left_out).chain(warnings).collect()
 }

@@ -2,7 +2,6 @@
 
 use super::backend::Backend;
 use super::error::{SessionError, check_image};
-use super::state::blank_reason;
 use crate::config::{Config, MappingConfig, ResponseScope};
 use crate::mapping::{Keyframe, Tracker};
 use crate::objective::Observation;
@@ -13,6 +12,7 @@ use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Image};
+use i2slam_odometry::blank_reason;
 use std::sync::Arc;
 use std::time::Instant;
 

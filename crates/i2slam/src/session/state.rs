@@ -10,9 +10,6 @@ use i2slam_geometry::{Camera, Image};
 use std::fmt::Display;
 use std::sync::Arc;
 
-/// Mean of a picture in [0, 1] below which it is black, about one 8-bit code value.
-const MIN_MEAN_VALUE: f32 = 0.004;
-
 /// Estimates, keyframes and responses of a session, and what mapping needs besides.
 pub(super) struct SessionState {
     pub(super) frames: Vec<FrameEstimate>,
@@ -88,21 +85,4 @@ fn initial_response(config: &Config) -> CameraResponse<f32> {
         power => NodeSpacing::Power(f64::from(power)),
     };
     CameraResponse::new(response_curves, response_start, spacing)
-}
-
-/// Why a picture shows nothing that could be mapped, if so: it is black or not a number, or of one
-/// colour within a step of eight bits, as a camera without signal gives it.
-pub(super) fn blank_reason(colour: &Image<f32>) -> Option<&'static str> {
-    let mean = colour.data.iter().sum::<f32>() / colour.data.len().max(1) as f32;
-    if mean.is_nan() || mean < MIN_MEAN_VALUE {
-        return Some("its picture is black");
-    }
-    let is_uniform = |channel: usize| {
-        let (low, high) = colour
-            .plane(channel)
-            .iter()
-            .fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
-        high - low < 1.5 / 255.0
-    };
-    (0..colour.channels).all(is_uniform).then_some("its picture is of one colour")
 }

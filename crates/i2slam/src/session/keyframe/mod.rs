@@ -2,7 +2,7 @@
 //! frames between them are localised in it at the end.
 
 use super::error::{SessionError, check_image};
-use super::state::{SessionState, blank_reason};
+use super::state::SessionState;
 use crate::config::{Config, MapKind, ResponseScope};
 use crate::keyframes::PosedKeyframe;
 use crate::mapping::{
@@ -14,6 +14,7 @@ use crate::warning::Warning;
 use i2slam_compute::CancellationToken;
 use i2slam_formation::{FrameTone, ShutterPoses};
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
+use i2slam_odometry::blank_reason;
 use i2slam_radiance::hashgrid::SettingsError;
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,0 +1,91 @@
+//! Moving objects: parts of the picture whose points contradict the pose persistently.
+
+use crate::sfm_state::SfmState;
+use i2slam_compute::median;
+
+/// Cells of the picture, across and down.
+const CELLS: [usize; 2] = [8, 6];
+/// Points of a cell that is judged, and of a track, at least.
+const MIN_POINTS: usize = 3;
+const MIN_OBSERVATIONS: usize = 4;
+/// Frames on each side of a frame whose median share counts.
+const REACH: usize = 4;
+/// Share of the picture from which something is told: on sequences without moving objects the
+/// median share over nine frames stays below half of it.
+const MIN_SHARE: f64 = 0.1;
+/// Frames for which it lasts, at least.
+const MIN_FRAMES: usize = 6;
+
+/// Share of the picture that moves on its own, over frames from `first` to `last`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct MovingPart {
+    pub(crate) frames: [usize; 2],
+    /// Median over the frames, in [0, 1].
+    pub(crate) share: f64,
+}
+
+/// Parts of a sequence in which a large share of the picture does not move with the rest.
+pub(crate) fn moving_parts(state: &SfmState) -> Vec<MovingPart> {
+    let posed = state.posed_frames();
+    let shares = posed.into_iter().map(|frame| (frame, moving_share(state, frame)));
+    persistent_parts(&shares.collect::<Vec<_>>())
+}
+
+/// Share of the cells in a frame where most points have no landmark that explains them.
+fn moving_share(state: &SfmState, frame: usize) -> f64 {
+    let mut cells = [(0, 0); CELLS[0] * CELLS[1]];
+    let size = [state.camera.width, state.camera.height];
+    for (track, observation) in state.observations_in(frame) {
+        let seen = &state.tracks.tracks[track].observations;
+        if seen.iter().filter(|o| state.poses[o.frame].is_some()).count() < MIN_OBSERVATIONS {
+            continue;
+        }
+        let [column, row] = [0, 1].map(|i| {
+            let cell = observation.raw[i] / size[i] as f64 * CELLS[i] as f64;
+            (cell.max(0.0) as usize).min(CELLS[i] - 1)
+        });
+        let (points, unexplained) = &mut cells[row * CELLS[0] + column];
+        *points += 1;
+        *unexplained += usize::from(state.landmarks[track].is_none() || observation.is_outlier);
+    }
+    let judged = cells.iter().filter(|(points, _)| *points >= MIN_POINTS);
+    let moving = judged.clone().filter(|(points, unexplained)| 2 * unexplained > *points);
+    moving.count() as f64 / judged.count().max(1) as f64
+}
+
+/// Runs of frames around which the median share is large.
+fn persistent_parts(shares: &[(usize, f64)]) -> Vec<MovingPart> {
+    let around = |place: usize| {
+        let end = (place + REACH + 1).min(shares.len());
+        let mut near: Vec<f64> =
+            shares[place.saturating_sub(REACH)..end].iter().map(|(_, share)| *share).collect();
+        median(&mut near).unwrap_or(0.0)
+    };
+    let smooth: Vec<(usize, f64)> =
+        shares.iter().enumerate().map(|(place, (frame, _))| (*frame, around(place))).collect();
+    let runs = smooth.chunk_by(|a, b| (a.1 >= MIN_SHARE) == (b.1 >= MIN_SHARE));
+    let part = |run: &[(usize, f64)]| {
+        let mut shares: Vec<f64> = run.iter().map(|(_, share)| *share).collect();
+        let frames = [run[0].0, run[run.len() - 1].0];
+        MovingPart { frames, share: median(&mut shares).unwrap_or(0.0) }
+    };
+    runs.filter(|run| run[0].1 >= MIN_SHARE && run.len() >= MIN_FRAMES).map(part).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_lasts_is_told_and_what_flickers_is_not() {
+        let found = |share: fn(usize) -> f64| {
+            persistent_parts(&(0..60).map(|i| (2 * i, share(i))).collect::<Vec<_>>())
+        };
+        let lasting = |i: usize| if (20..40).contains(&i) { 0.25 } else { 0.03 };
+        let parts = found(lasting);
+        assert_eq!(parts, [MovingPart { frames: [40, 78], share: 0.25 }]);
+        assert_eq!(found(|i| if i % 4 == 0 { 0.3 } else { 0.04 }), []);
+        assert_eq!(found(|i| if (20..24).contains(&i) { 0.3 } else { 0.04 }), []);
+        assert_eq!(persistent_parts(&[]), []);
+    }
+}
