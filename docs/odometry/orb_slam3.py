@@ -1,11 +1,13 @@
-"""ORB-SLAM3 (monocular) on the pictures of a sequence, for the table of docs/results.md.
+"""ORB-SLAM3, by colour alone or with depth, for the table of docs/results.md.
 
     pip install orbslam3-python==2.0.0 numpy
     python3 orb_slam3.py train VOCABULARY.txt SEQUENCE...
     python3 orb_slam3.py run VOCABULARY.txt SEQUENCE OUT.txt [features] [seconds between frames]
+    python3 orb_slam3.py rgbd VOCABULARY.txt SEQUENCE OUT.txt [features] [seconds between frames]
 
 A sequence has rgb.txt and a camera.json with an undistorted camera (pixel centres at one half); without
-one it is taken as TUM fr1. The package brings no vocabulary: `train` makes one of ten to the fourth words
+one it is taken as TUM fr1. `rgbd` needs a copy made by `i2slam degrade`, whose depth has the number of its
+picture, and leaves out pictures without depth. The package brings no vocabulary: `train` makes one of ten to the fourth words
 from every fourth picture. OUT.txt gets `world_from_camera` of every tracked frame in the TUM format.
 """
 
@@ -81,6 +83,7 @@ def settings(sequence, features):
         "Camera.fps": 30, "Camera.RGB": 1,
         "ORBextractor.nFeatures": features, "ORBextractor.scaleFactor": 1.2, "ORBextractor.nLevels": 8,
         "ORBextractor.iniThFAST": 20, "ORBextractor.minThFAST": 7,
+        "Stereo.ThDepth": 40.0, "Stereo.b": 0.07732, "RGBD.DepthMapFactor": 5000.0,
         "Viewer.KeyFrameSize": 0.05, "Viewer.KeyFrameLineWidth": 1.0, "Viewer.GraphLineWidth": 0.9,
         "Viewer.PointSize": 2.0, "Viewer.CameraSize": 0.08, "Viewer.CameraLineWidth": 3.0,
         "Viewer.ViewpointX": 0.0, "Viewer.ViewpointY": -0.7, "Viewer.ViewpointZ": -1.8,
@@ -97,17 +100,25 @@ def quaternion(rotation):
     return [*(np.sin(angle / 2) * axis), np.cos(angle / 2)]
 
 
-def run(vocabulary, sequence, out, features, pause):
+def run(vocabulary, sequence, out, features, pause, with_depth):
     import orbslam3.orbslam3_enhanced as orbslam3
 
     file = pathlib.Path(out).with_suffix(".yaml")
     file.write_text(settings(sequence, features))
-    system = orbslam3.System(vocabulary, str(file), orbslam3.Sensor.MONOCULAR)
+    sensor = orbslam3.Sensor.RGBD if with_depth else orbslam3.Sensor.MONOCULAR
+    system = orbslam3.System(vocabulary, str(file), sensor)
     system.set_use_viewer(False)
     system.initialize()
     frames, tracked = pictures(sequence), 0
     for stamp, path in frames:
-        system.process_image_mono(cv2.cvtColor(cv2.imread(path), cv2.COLOR_BGR2RGB), stamp)
+        colour = cv2.cvtColor(cv2.imread(path), cv2.COLOR_BGR2RGB)
+        depth = sequence / "depth" / pathlib.Path(path).name
+        if not with_depth:
+            system.process_image_mono(colour, stamp)
+        elif depth.is_file():
+            system.process_image_rgbd(colour, cv2.imread(str(depth), cv2.IMREAD_UNCHANGED), stamp)
+        else:
+            continue
         tracked += system.get_tracking_state() == orbslam3.TrackingState.OK
         time.sleep(pause)
     time.sleep(2)
@@ -124,4 +135,5 @@ if sys.argv[1] == "train":
     train(sys.argv[2], [pathlib.Path(name) for name in sys.argv[3:]])
 else:
     name, out, rest = pathlib.Path(sys.argv[3]), sys.argv[4], sys.argv[5:]
-    run(sys.argv[2], name, out, int(rest[0]) if rest else 2000, float(rest[1]) if rest[1:] else 0.15)
+    features, pause = int(rest[0]) if rest else 2000, float(rest[1]) if rest[1:] else 0.15
+    run(sys.argv[2], name, out, features, pause, sys.argv[1] == "rgbd")
