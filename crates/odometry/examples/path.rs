@@ -1,7 +1,7 @@
 //! The camera path of a sequence or video.
 //!
 //! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
-//! [--scale FACTOR] [--fov DEGREES] [--guess FACTOR]` writes `world_from_camera` poses in the TUM
+//! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR]` writes `world_from_camera` poses in the TUM
 //! format, and prints their error where the sequence has a true path. Depth is used with `--depth`.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
@@ -25,6 +25,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = OpenOptions {
         colour_only: !uses_depth,
         scale: number(flags, "--scale")?.unwrap_or(1.0),
+        stride: number(flags, "--stride")?.unwrap_or(1.0) as usize,
         guess_camera: true,
         field_of_view: number(flags, "--fov")?,
         minimum_gap: 0.0,

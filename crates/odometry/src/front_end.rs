@@ -9,6 +9,8 @@ use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
 use crate::progress::Progress;
+use crate::depth::stored_picture::StoredPicture;
+use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
 use crate::register::registration::{
     adjust_globally, refine_all_frames, register_keyframes, register_remaining_frames,
@@ -37,16 +39,24 @@ pub struct FrontEnd {
     tracker: Tracker,
     timestamps: Vec<f64>,
     depth_maps: Vec<Option<DepthMap>>,
-    pictures: PictureChecks,
+    picture_checks: PictureChecks,
+    /// Pictures from the first one with depth on.
+    pictures: Vec<Option<StoredPicture>>,
     close_loops: bool,
 }
 
 impl FrontEnd {
     /// A front end for pictures of one camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
-        let (tracker, timestamps, depth_maps) = (Tracker::default(), Vec::new(), Vec::new());
-        let pictures = PictureChecks::default();
-        Self { intrinsics, tracker, timestamps, depth_maps, pictures, close_loops: true }
+        Self {
+            intrinsics,
+            tracker: Tracker::default(),
+            timestamps: Vec::new(),
+            depth_maps: Vec::new(),
+            picture_checks: PictureChecks::default(),
+            pictures: Vec::new(),
+            close_loops: true,
+        }
     }
 
     /// Disables loop closure.
@@ -90,8 +100,10 @@ impl FrontEnd {
             }
         }
         self.timestamps.push(timestamp);
-        self.pictures.add(picture);
+        self.picture_checks.add(picture);
         self.depth_maps.push(depth.map(DepthMap::new));
+        let has_depth = self.depth_maps.iter().any(Option::is_some);
+        self.pictures.push(has_depth.then(|| StoredPicture::new(picture)));
         Ok(self.tracker.track(picture))
     }
 
@@ -110,6 +122,7 @@ impl FrontEnd {
         let mut state = SfmState::new(*self.intrinsics.camera(), tracks);
         state.progress = progress.clone();
         state.depth_maps = Arc::new(self.depth_maps);
+        state.pictures = Arc::new(self.pictures);
         state.timestamps = Arc::new(self.timestamps.clone());
         read_depth(&mut state);
         state.estimates_distortion = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
@@ -133,12 +146,13 @@ impl FrontEnd {
             close_loops(&mut state, adjust_focal);
         }
         adjust_until_converged(&mut state, adjust_focal);
+        add_dense_constraints(&mut state, adjust_focal);
         let distortion_dropped = drop_unobservable_distortion(&mut state);
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
         let readout = state.readout * median_frame_interval(&self.timestamps).unwrap_or(0.0);
-        let (found, wrong) = ((readout, distortion_dropped), diagnose(&state, &self.pictures));
+        let (found, wrong) = ((readout, distortion_dropped), diagnose(&state, &self.picture_checks));
         let built = build_reconstruction(state, &self.timestamps, &self.intrinsics, found);
         Ok(wrong.applied_to(built))
     }

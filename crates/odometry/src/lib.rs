@@ -44,7 +44,9 @@ mod track {
 mod depth {
     pub(crate) mod depth_map;
     pub(crate) mod readings;
+    pub(crate) mod registration;
     pub(crate) mod sensor_model;
+    pub(crate) mod stored_picture;
 }
 
 mod multiview {
@@ -60,6 +62,7 @@ mod bundle;
 mod sfm_state;
 
 mod register {
+    pub(crate) mod dense_constraints;
     pub(crate) mod initialization;
     pub(crate) mod registration;
 }
@@ -101,7 +104,7 @@ mod result;
 
 mod dense;
 
-pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, PosedView};
+pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, MeasuredDepth, PosedView};
 pub use depth::depth_map::DepthPicture;
 pub use depth::sensor_model::DepthModel;
 pub use diagnosis::pictures::blank_reason;

@@ -8,7 +8,7 @@ use crate::sfm_state::SfmState;
 use crate::track::tracks::Observation;
 use crate::warning::Warning;
 use i2slam_compute::median;
-use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
+use i2slam_geometry::{Camera, Pose, StampedPose, Tangent, Trajectory};
 
 /// Consecutive lost frames of a warning, and points tracked in them that show another place.
 const MIN_LISTED_FRAMES: usize = 4;
@@ -76,8 +76,31 @@ impl Reconstruction {
         self.camera = self.camera.resized(width, height);
         let points = self.keyframes.iter_mut().flat_map(|k| &mut k.depths);
         points.for_each(|point| (0..2).for_each(|i| point.at[i] *= scale[i]));
+        if let Some(model) = &mut self.depth_model {
+            (0..2).for_each(|i| model.shift[i] *= scale[i]);
+        }
         self.warnings.iter_mut().for_each(|warning| *warning = warning.resized(width));
         self
+    }
+
+    /// The camera of a frame as seen from where it was when a depth picture with this timestamp
+    /// \[s\] was taken, at the velocity between the neighbouring frames.
+    pub fn depth_from_colour(&self, frame: usize, depth_timestamp: f64) -> Pose<f64> {
+        let known = |frame: usize| {
+            Some((*self.timestamps.get(frame)?, self.poses.get(frame).copied().flatten()?))
+        };
+        let Some(here) = known(frame) else { return Pose::identity() };
+        let before = frame.checked_sub(1).and_then(known).unwrap_or(here);
+        let after = known(frame + 1).unwrap_or(here);
+        let delay = self.depth_model.as_ref().map_or(0.0, |model| model.delay);
+        let share = (depth_timestamp + delay - here.0) / (after.0 - before.0);
+        if !share.is_finite() {
+            return Pose::identity();
+        }
+        let turn = before.1.local(after.1).rotation * share;
+        let moved = (after.1.translation - before.1.translation) * share;
+        let moved = here.1.rotation.inverse().rotate(moved);
+        Pose::identity().retract(Tangent { translation: moved, rotation: turn }).inverse()
     }
 
     /// Poses of all registered frames.

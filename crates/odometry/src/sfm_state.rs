@@ -1,8 +1,9 @@
 //! State of the reconstruction: camera, tracks, poses and landmarks.
 
-use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics};
+use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics, RelativePoseFactor};
 use crate::depth::depth_map::DepthMap;
 use crate::depth::sensor_model::DepthModel;
+use crate::depth::stored_picture::StoredPicture;
 use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
 use crate::multiview::lens_distortion::{CameraJacobian, distortion_jacobian, undistort};
 use crate::multiview::triangulation::{PosedObservation, triangulate};
@@ -49,6 +50,10 @@ pub(crate) struct SfmState {
     pub(crate) depth_maps: Arc<Vec<Option<DepthMap>>>,
     /// Model of the depth sensor.
     pub(crate) depth_model: DepthModel,
+    /// Picture of every frame, for dense alignment; empty by colour alone.
+    pub(crate) pictures: Arc<Vec<Option<StoredPicture>>>,
+    /// Relative poses of frames by dense alignment.
+    pub(crate) relative_poses: Arc<Vec<RelativePoseFactor>>,
     /// Listener and cancellation.
     pub(crate) progress: Progress,
 }
@@ -72,6 +77,8 @@ impl SfmState {
             timestamps: Arc::default(),
             depth_maps: Arc::default(),
             depth_model: DepthModel::default(),
+            pictures: Arc::default(),
+            relative_poses: Arc::default(),
             progress: Progress::default(),
         }
     }
@@ -310,11 +317,23 @@ impl SfmState {
             fixed,
             landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
             observations: Arc::new(observations),
-            relative_poses: Arc::default(),
+            relative_poses: Arc::new(self.relative_factors(&place)),
             camera_change: [0.0; 2],
             free_intrinsics,
         };
         (bundle, frames, tracks)
+    }
+
+    /// Relative poses between frames at places of a bundle, their deviations scaled as those of
+    /// positions.
+    fn relative_factors(&self, place: &[Option<usize>]) -> Vec<RelativePoseFactor> {
+        let square = self.noise_scale * self.noise_scale;
+        let placed = |f: &RelativePoseFactor| {
+            let information = f.information.map(|row| row.map(|v| square * v));
+            let (first, second) = (place[f.first]?, place[f.second]?);
+            Some(RelativePoseFactor { first, second, information, ..*f })
+        };
+        self.relative_poses.iter().filter_map(placed).collect()
     }
 
     /// Marks observations that their landmark does not explain as outliers, and drops landmarks

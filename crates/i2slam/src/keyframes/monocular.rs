@@ -6,7 +6,7 @@ use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
-    DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures, PosedView,
+    DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures, MeasuredDepth, PosedView,
     Reconstruction,
 };
 use std::collections::BTreeMap;
@@ -199,12 +199,15 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
         };
         let dense = self.dense.as_mut().and_then(|dense| {
             let mut picture = |k: usize| {
-                let frame = self.reader.picture(k)?;
-                let colour = match ReadoutMotion::of_keyframe(found, found.keyframes.get(k)?) {
+                let (frame, keyframe) = (self.reader.picture(k)?, found.keyframes.get(k)?);
+                let colour = match ReadoutMotion::of_keyframe(found, keyframe) {
                     Some(motion) => Arc::new(motion.rectified(&found.camera, &frame.colour)),
                     None => Arc::clone(&frame.colour),
                 };
-                let depth = frame.depth.as_ref().map(|depth| Arc::clone(&depth.image));
+                let depth = frame.depth.as_ref().map(|measured| MeasuredDepth {
+                    depth: Arc::clone(&measured.image),
+                    depth_from_colour: found.depth_from_colour(keyframe.index, measured.timestamp),
+                });
                 Some(KeyframePictures { colour, depth })
             };
             dense.estimate(number, &mut picture)

@@ -14,6 +14,7 @@ mod plane_sweep;
 mod semi_global;
 mod view_selection;
 
+use crate::depth::registration::register_depth;
 use crate::depth::sensor_model::DepthModel;
 use crate::track::pyramid::Pyramid;
 use depth_filter::{Unseen, fuse_consistent, inflate_variance_at_edges};
@@ -50,8 +51,17 @@ pub struct DenseDepth {
 pub struct KeyframePictures {
     /// Planes R, G, B, or one of brightness.
     pub colour: Arc<Image<f32>>,
-    /// Measured depth along the optical axis, in the unit of the poses; 0 without a reading.
-    pub depth: Option<Arc<Image<f32>>>,
+    /// Measured depth, if there is any.
+    pub depth: Option<MeasuredDepth>,
+}
+
+/// Measured depth of a keyframe.
+#[derive(Clone, Debug)]
+pub struct MeasuredDepth {
+    /// Depth along the optical axis, in the unit of the poses; 0 without a reading.
+    pub depth: Arc<Image<f32>>,
+    /// Pose of the keyframe in the camera when the depth was measured.
+    pub depth_from_colour: Pose<f64>,
 }
 
 impl KeyframePictures {
@@ -191,7 +201,7 @@ impl DenseDepthEstimator {
         let pictures = load(index);
         let depth = pictures.as_ref().and_then(|p| p.depth.as_ref());
         if let (Some(model), Some(depth)) = (&self.depth_model, depth) {
-            self.measured.insert(index, readings(depth, model));
+            self.measured.insert(index, readings(depth, &self.camera, model));
         }
         self.pictures.insert(index, pictures.map(|p| Pyramid::new(&p.colour)));
     }
@@ -251,25 +261,20 @@ impl DenseDepthEstimator {
 }
 
 /// Inverse depths of a sensor, registered to the colour picture, with their variances.
-fn readings(depth: &Image<f32>, model: &DepthModel) -> InverseDepthEstimate {
-    let (width, height) = (depth.width, depth.height);
-    let mut out = InverseDepthEstimate {
-        inverse_depth: Image::new(width, height, 1),
-        variance: Image::new(width, height, 1),
-    };
-    let [right, down] = model.shift.map(|v| v.round() as isize);
-    for pixel in 0..width * height {
-        let column = (pixel % width).checked_add_signed(right).filter(|c| *c < width);
-        let row = (pixel / width).checked_add_signed(down).filter(|r| *r < height);
-        let (Some(column), Some(row)) = (column, row) else { continue };
-        let z = depth.at(0, column, row);
-        if z > 0.0 && z.is_finite() {
-            let rho = z.recip();
-            out.inverse_depth.data[pixel] = rho;
-            out.variance.data[pixel] = model.sigma(f64::from(rho)).powi(2) as f32;
-        }
+fn readings(
+    measured: &MeasuredDepth,
+    camera: &Camera<f64>,
+    model: &DepthModel,
+) -> InverseDepthEstimate {
+    let MeasuredDepth { depth, depth_from_colour } = measured;
+    let mut inverse_depth = register_depth(depth, camera, model.shift, depth_from_colour);
+    let mut variance = Image::new(inverse_depth.width, inverse_depth.height, 1);
+    for (value, variance) in inverse_depth.data.iter_mut().zip(&mut variance.data) {
+        let is_read = *value > 0.0 && value.is_finite();
+        *value = if is_read { value.recip() } else { 0.0 };
+        *variance = if is_read { model.sigma(f64::from(*value)).powi(2) as f32 } else { 0.0 };
     }
-    out
+    InverseDepthEstimate { inverse_depth, variance }
 }
 
 /// Share of pixels without inverse depth.

@@ -43,21 +43,26 @@ impl DepthMap {
     /// Inverse depth at a position of the picture [px], interpolated between four readings of one
     /// surface; `None` without.
     pub(crate) fn inverse_at(&self, at: [f64; 2]) -> Option<f64> {
-        let [x, y] = at.map(|v| v / self.step as f64 - 0.5);
-        let (column, row) = (x.floor() as usize, y.floor() as usize);
-        let depth = &*self.depth;
-        if x < 0.0 || y < 0.0 || column + 1 >= depth.width || row + 1 >= depth.height {
-            return None;
-        }
-        let reading = |c: usize, r: usize| depth.at(0, column + c, row + r);
-        let all = [reading(0, 0), reading(1, 0), reading(0, 1), reading(1, 1)];
-        if !is_one_surface(all) {
-            return None;
-        }
-        let [a, b, c, d] = all.map(|z| f64::from(z).recip());
-        let (u, v) = (x - x.floor(), y - y.floor());
-        Some((1.0 - v) * ((1.0 - u) * a + u * b) + v * ((1.0 - u) * c + u * d))
+        interpolated_depth(&self.depth, at.map(|v| v / self.step as f64)).map(f64::recip)
     }
+}
+
+/// Depth at a position [px], by inverse depth between four readings of one surface, which is exact
+/// on planes; `None` without.
+pub(super) fn interpolated_depth(depth: &Image<f32>, at: [f64; 2]) -> Option<f64> {
+    let [x, y] = at.map(|v| v - 0.5);
+    let (column, row) = (x.floor() as usize, y.floor() as usize);
+    if x < 0.0 || y < 0.0 || column + 1 >= depth.width || row + 1 >= depth.height {
+        return None;
+    }
+    let reading = |c: usize, r: usize| depth.at(0, column + c, row + r);
+    let all = [reading(0, 0), reading(1, 0), reading(0, 1), reading(1, 1)];
+    if !is_one_surface(all) {
+        return None;
+    }
+    let [a, b, c, d] = all.map(|z| f64::from(z).recip());
+    let (u, v) = (x - x.floor(), y - y.floor());
+    Some(((1.0 - v) * ((1.0 - u) * a + u * b) + v * ((1.0 - u) * c + u * d)).recip())
 }
 
 #[cfg(test)]

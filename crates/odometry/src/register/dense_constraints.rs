@@ -1,0 +1,115 @@
+//! Dense constraints: relative poses of frames and keyframes by alignment of picture and depth.
+//!
+//! Points use a few hundred pixels of a picture. Where depth is exact, all of them together locate a
+//! frame several times as well; where it is not, the information of the alignment says so.
+
+use crate::alignment::{DenseConstraint, DensePyramid, DenseView, ExposureMotion, align};
+use crate::bundle::RelativePoseFactor;
+use crate::depth::registration::register_depth;
+use crate::progress::Stage;
+use crate::register::registration::adjust_globally;
+use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
+use crate::sfm_state::SfmState;
+use i2slam_geometry::{Camera, Image, Pose, Tangent};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Keyframes before and after one that it is aligned to.
+const KEYFRAME_REACH: usize = 3;
+/// Share of the frame interval for which the shutter is taken to be open: the difference of the
+/// blur of two pictures is a small correction.
+const OPEN_SHARE: f64 = 0.5;
+
+/// Aligns all frames to the keyframes around them, and adjusts all poses.
+pub(crate) fn add_dense_constraints(state: &mut SfmState, adjust_focal: bool) {
+    if !state.has_depth() || state.pictures.is_empty() {
+        return;
+    }
+    state.progress.report(Stage::BundleAdjustment, 0, 0);
+    let keyframes: Vec<usize> =
+        state.tracks.keyframes.iter().copied().filter(|f| state.poses[*f].is_some()).collect();
+    let of_keyframe = |place: usize| {
+        if state.progress.is_cancelled() {
+            return Vec::new();
+        }
+        let reference = keyframes[place];
+        let Some(view) = PreparedView::new(state, reference) else { return Vec::new() };
+        let frames = frames_around(&keyframes, place, state.poses.len());
+        frames.into_iter().filter_map(|frame| constraint(state, &view, reference, frame)).collect()
+    };
+    let found: Vec<Vec<RelativePoseFactor>> =
+        (0..keyframes.len()).into_par_iter().map(of_keyframe).collect();
+    state.relative_poses = Arc::new(found.concat());
+    adjust_globally(state, adjust_focal);
+}
+
+/// Frames between the keyframes before and after one, and a few keyframes after it.
+fn frames_around(keyframes: &[usize], place: usize, frames: usize) -> Vec<usize> {
+    let before = place.checked_sub(1).map_or(0, |place| keyframes[place] + 1);
+    let after = keyframes.get(place + 1).copied().unwrap_or(frames);
+    let near = (before..after).filter(|frame| *frame != keyframes[place]);
+    let later = keyframes.iter().skip(place + 1).take(KEYFRAME_REACH).copied();
+    near.chain(later).collect()
+}
+
+/// Relative pose of a frame in a reference; `None` if they do not align.
+fn constraint(
+    state: &SfmState,
+    reference: &PreparedView,
+    first: usize,
+    second: usize,
+) -> Option<RelativePoseFactor> {
+    let start = state.poses[first]?.inverse() * state.poses[second]?;
+    let frame = PreparedView::new(state, second)?;
+    let DenseConstraint { reference_from_frame, information, .. } =
+        align(reference.view(), frame.view(), start)?;
+    Some(RelativePoseFactor { first, second, first_from_second: reference_from_frame, information })
+}
+
+/// A frame prepared for alignment.
+struct PreparedView {
+    pictures: DensePyramid,
+    motion: ExposureMotion,
+}
+
+impl PreparedView {
+    /// `None` for a frame without picture or pose.
+    fn new(state: &SfmState, frame: usize) -> Option<Self> {
+        let picture = state.pictures.get(frame)?.as_ref()?.picture();
+        let camera = camera_of(&state.camera, &picture);
+        let interval = median_frame_interval(&state.timestamps)?;
+        let velocity = camera_velocity(state, &state.timestamps, frame, interval);
+        let velocity = velocity.unwrap_or_else(Tangent::zero);
+        let depth = match state.depth_maps.get(frame).and_then(Option::as_ref) {
+            Some(map) => {
+                let later = map.timestamp + state.depth_model.delay - state.timestamps[frame];
+                let colour_from_depth = Pose::identity().retract(velocity.scaled(later));
+                let scale = camera.fx / state.camera.fx;
+                let shift = state.depth_model.shift.map(|v| scale * v);
+                register_depth(&map.depth, &camera, shift, &colour_from_depth.inverse())
+            }
+            None => Image::default(),
+        };
+        let motion = ExposureMotion {
+            velocity,
+            exposure: OPEN_SHARE * interval,
+            readout: state.readout * interval,
+        };
+        Some(Self { pictures: DensePyramid::new(&camera, &picture, &depth), motion })
+    }
+
+    fn view(&self) -> DenseView<'_> {
+        DenseView { pictures: &self.pictures, motion: self.motion }
+    }
+}
+
+/// The camera of a picture that was halved some times.
+fn camera_of(camera: &Camera<f64>, picture: &Image<f32>) -> Camera<f64> {
+    let mut small = *camera;
+    while small.width > picture.width {
+        let (width, height) = (small.width / 2, small.height / 2);
+        let [fx, fy, cx, cy] = [small.fx, small.fy, small.cx, small.cy].map(|v| 0.5 * v);
+        small = Camera { width, height, fx, fy, cx, cy };
+    }
+    small
+}
