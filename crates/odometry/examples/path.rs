@@ -59,6 +59,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         found.focal_deviation,
         1e3 * found.rolling_shutter_readout,
     );
+    println!("depth sensor: {:?}", found.depth_model);
     println!("{tracked:.1} s for tracking, {:.1} s in all", started.elapsed().as_secs_f64());
     write_trajectory(out, &found.trajectory())?;
     let truth = sequence.true_trajectory()?;

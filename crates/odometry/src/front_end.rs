@@ -1,15 +1,16 @@
 //! The odometry pipeline: pictures, with or without depth, in; reconstruction out.
 
+use crate::depth::calibration::calibrate_depth;
 use crate::depth::depth_map::{DepthMap, DepthPicture};
 use crate::depth::readings::read_depth;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
+use crate::depth::stored_picture::StoredPicture;
 use crate::error::{OdometryError, PictureError};
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
 use crate::progress::Progress;
-use crate::depth::stored_picture::StoredPicture;
 use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
 use crate::register::registration::{
@@ -29,6 +30,8 @@ pub const MIN_FRAMES: usize = 4;
 /// Relative change of cost and focal length at convergence, and most global adjustments.
 const CONVERGED_CHANGE: f64 = 1e-3;
 const MAX_ADJUSTMENT_ROUNDS: usize = 5;
+/// Searches for offset and delay of depth pictures.
+const DEPTH_CALIBRATION_ROUNDS: usize = 3;
 /// Shorter side of a picture, at least [px].
 pub const MIN_SIDE: usize = 48;
 
@@ -132,6 +135,7 @@ impl FrontEnd {
             return Err(OdometryError::Cancelled);
         }
         found?;
+        register_depth_pictures(&mut state, adjust_focal);
         let had_initial_readout = state.readout != 0.0;
         estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
         if state.readout != 0.0 || had_initial_readout {
@@ -155,6 +159,17 @@ impl FrontEnd {
         let (found, wrong) = ((readout, distortion_dropped), diagnose(&state, &self.picture_checks));
         let built = build_reconstruction(state, &self.timestamps, &self.intrinsics, found);
         Ok(wrong.applied_to(built))
+    }
+}
+
+/// Finds offset and delay of the depth pictures, and adjusts all frames to what is read then. What
+/// unregistered depth did to the landmarks is undone by a second round.
+fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
+    for _ in 0..DEPTH_CALIBRATION_ROUNDS {
+        if state.progress.is_cancelled() || !calibrate_depth(state) {
+            return;
+        }
+        refine_all_frames(state, adjust_focal);
     }
 }
 

@@ -42,6 +42,7 @@ mod track {
 }
 
 mod depth {
+    pub(crate) mod calibration;
     pub(crate) mod depth_map;
     pub(crate) mod readings;
     pub(crate) mod registration;

@@ -6,8 +6,8 @@ use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
-    DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures, MeasuredDepth, PosedView,
-    Reconstruction,
+    DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures,
+    MeasuredDepth, PosedView, Reconstruction,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -40,7 +40,8 @@ fn registered_pixel(
     depth_from_colour: &Pose<f64>,
     ((u, v), start): ((f64, f64), f64),
 ) -> Option<f64> {
-    let mut z = if start > 0.0 { start } else { interpolated_depth(depth, [u + shift[0], v + shift[1]])? };
+    let mut z =
+        if start > 0.0 { start } else { interpolated_depth(depth, [u + shift[0], v + shift[1]])? };
     let mut found = None;
     for _ in 0..ITERATIONS {
         let point = *depth_from_colour * camera.unproject(u, v, z);
@@ -68,7 +69,8 @@ mod tests {
             let ray = pose.rotation.rotate(camera.unproject(u, v, 1.0));
             (2.0 - normal.dot(pose.translation)) / normal.dot(ray)
         };
-        let later = Pose::new(Rotation::exp(Vec3::new(0.01, 0.04, 0.0)), Vec3::new(0.02, 0.0, 0.01));
+        let later =
+            Pose::new(Rotation::exp(Vec3::new(0.01, 0.04, 0.0)), Vec3::new(0.02, 0.0, 0.01));
         let shift = [1.5, -0.75];
         let depth = Image::from_fn(64, 48, 1, |_, column, row| {
             let (u, v) = Camera::<f64>::pixel_centre(column, row);
@@ -78,7 +80,8 @@ mod tests {
         let identity = Pose::identity();
         let mut read = 0;
         for (column, row) in (0..64).flat_map(|c| (0..48).map(move |r| (c, r))) {
-            let (z, (u, v)) = (f64::from(found.at(0, column, row)), Camera::<f64>::pixel_centre(column, row));
+            let (z, (u, v)) =
+                (f64::from(found.at(0, column, row)), Camera::<f64>::pixel_centre(column, row));
             if z > 0.0 {
                 assert!((z - plane(&identity, u, v)).abs() < 2e-4, "{column} {row} {z}");
                 read += 1;
