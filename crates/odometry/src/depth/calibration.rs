@@ -1,18 +1,24 @@
 //! Registration of depth to colour, found from the landmarks: offset in the picture, and delay.
 //!
-//! With landmarks that the pictures determine, the readings of the sensor at displaced positions
-//! tell by which displacement they agree best. A constant one is an offset of the cameras, one
-//! that follows the motion of the picture a delay:
+//! With landmarks that the pictures alone determine, the readings of the sensor at displaced
+//! positions tell by which displacement they agree best. A constant one is an offset of the
+//! cameras, one that follows the motion of the picture a delay:
 //!
 //! ```text
-//! Σ ln(1 + (r / c)²),   r = ρ - ρ̇ t - 1/z(u + u̇ t + shift),   t = stamp of depth + delay - stamp
+//! Σ ln(1 + (q / s - 1)² / c²),   q = (1/z(u + u̇ t + shift) - ρ̇ t) / ρ
 //! ```
+//!
+//! with `t` the time from the colour to the depth picture, delay included, and `s` the median of
+//! `q`: pictures alone leave the scale open.
 
 use crate::depth::readings::update_depth_model;
 use crate::multiview::lens_distortion::undistort;
+use crate::register::registration::adjust_globally;
 use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
+use crate::track::tracks::Observation;
 use i2slam_compute::median;
+use std::sync::Arc;
 
 /// First steps of the search: offset as a ratio of the picture's width, delay in frame intervals.
 const FIRST_SHIFT: f64 = 1.0 / 64.0;
@@ -27,7 +33,9 @@ const MAX_COST_RATIO: f64 = 0.97;
 const SCALE_RATIO: f64 = 0.5;
 /// Observations from which on the registration is looked for, and most that are compared.
 const MIN_OBSERVATIONS: usize = 300;
-const MAX_OBSERVATIONS: usize = 20_000;
+const MAX_OBSERVATIONS: usize = 8_000;
+/// Relative deviation of a landmark's inverse depth by pictures alone, at most.
+const MAX_LANDMARK_DEVIATION: f64 = 0.03;
 
 /// An observation whose depth is predicted by its landmark.
 struct Prediction {
@@ -48,13 +56,13 @@ type Displacement = [f64; 3];
 /// Finds offset and delay of the depth pictures; zero where they are not clearly better. Returns
 /// whether they changed.
 pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
-    let predictions = predictions(state);
+    let predictions = predictions(&adjusted_without_depth(state), state);
     let Some(interval) = median_frame_interval(&state.timestamps) else { return false };
     if predictions.len() < MIN_OBSERVATIONS {
         return false;
     }
-    let Some(scale) = usual_residual(state, &predictions) else { return false };
-    let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * scale);
+    let Some(usual) = usual_deviation(state, &predictions) else { return false };
+    let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * usual);
     let steps = [FIRST_SHIFT * state.camera.width as f64; 2];
     let best = search(&cost, [steps[0], steps[1], FIRST_DELAY * interval]);
     let accepted = cost(&best) < MAX_COST_RATIO * cost(&[0.0; 3]);
@@ -95,53 +103,96 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Disp
     best
 }
 
+/// The keyframes adjusted to their pictures alone.
+fn adjusted_without_depth(state: &SfmState) -> SfmState {
+    let mut visual = state.keyframes_only();
+    visual.poses.clone_from(&state.poses);
+    visual.landmarks.clone_from(&state.landmarks);
+    let mut is_keyframe = vec![false; state.poses.len()];
+    state.tracks.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
+    let others = visual.poses.iter_mut().zip(is_keyframe).filter(|(_, keyframe)| !keyframe);
+    others.for_each(|(pose, _)| *pose = None);
+    (visual.depth_maps, visual.noise_scale) = (Arc::default(), state.noise_scale);
+    (visual.readout, visual.distortion) = (state.readout, state.distortion);
+    visual.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations).for_each(|o| o.depth = None);
+    adjust_globally(&mut visual, false);
+    visual
+}
+
 /// Mean robust cost of the readings at a displacement; a missing reading costs as much as one off
-/// by three scales, so that displacements gain nothing by leaving the picture.
-fn cost(state: &SfmState, predictions: &[Prediction], d: &Displacement, scale: f64) -> f64 {
-    let of = |p: &Prediction| {
-        let off = residual(state, p, d).map_or(3.0, |r| r / (scale * p.inverse));
+/// by three deviations, so that displacements gain nothing by leaving the picture.
+fn cost(state: &SfmState, predictions: &[Prediction], d: &Displacement, deviation: f64) -> f64 {
+    let ratios: Vec<Option<f64>> = predictions.iter().map(|p| ratio(state, p, d)).collect();
+    let Some(scale) = median(&mut ratios.iter().flatten().copied().collect::<Vec<_>>()) else {
+        return f64::INFINITY;
+    };
+    let of = |ratio: &Option<f64>| {
+        let off = ratio.map_or(3.0, |ratio| (ratio / scale - 1.0) / deviation);
         (off * off).ln_1p()
     };
-    predictions.iter().map(of).sum::<f64>() / predictions.len() as f64
+    ratios.iter().map(of).sum::<f64>() / predictions.len() as f64
 }
 
-/// Median absolute residual over inverse depth, of depth that is registered.
-fn usual_residual(state: &SfmState, predictions: &[Prediction]) -> Option<f64> {
+/// Median absolute relative residual of depth that is registered.
+fn usual_deviation(state: &SfmState, predictions: &[Prediction]) -> Option<f64> {
     let none = [0.0; 3];
-    let of = |p: &Prediction| Some(residual(state, p, &none)?.abs() / p.inverse);
-    median(&mut predictions.iter().filter_map(of).collect::<Vec<_>>()).filter(|m| *m > 0.0)
+    let ratios: Vec<f64> = predictions.iter().filter_map(|p| ratio(state, p, &none)).collect();
+    let scale = median(&mut ratios.clone())?;
+    let mut sizes: Vec<f64> = ratios.iter().map(|ratio| (ratio / scale - 1.0).abs()).collect();
+    median(&mut sizes).filter(|m| *m > 0.0)
 }
 
-/// Predicted minus read inverse depth.
-fn residual(state: &SfmState, p: &Prediction, [right, down, delay]: &Displacement) -> Option<f64> {
+/// Read over predicted inverse depth.
+fn ratio(state: &SfmState, p: &Prediction, [right, down, delay]: &Displacement) -> Option<f64> {
     let time = p.later + delay;
     let at = [p.at[0] + right + time * p.velocity[0], p.at[1] + down + time * p.velocity[1]];
     let read = state.depth_maps.get(p.frame)?.as_ref()?.inverse_at(at)?;
-    Some(p.inverse + time * p.rate - read)
+    Some((read - time * p.rate) / p.inverse)
 }
 
-/// Predictions of observations of frames with depth, evenly thinned.
-fn predictions(state: &SfmState) -> Vec<Prediction> {
+/// Predictions of observations in keyframes with depth, evenly thinned.
+fn predictions(visual: &SfmState, state: &SfmState) -> Vec<Prediction> {
     let Some(interval) = median_frame_interval(&state.timestamps) else { return Vec::new() };
-    let frames = (0..state.poses.len()).filter(|f| {
-        state.poses[*f].is_some() && state.depth_maps.get(*f).is_some_and(Option::is_some)
-    });
-    let all: Vec<Prediction> = frames.flat_map(|frame| of_frame(state, frame, interval)).collect();
+    let is_precise = precise_landmarks(visual);
+    let frames = visual.posed_frames().into_iter();
+    let all: Vec<Prediction> =
+        frames.flat_map(|frame| of_frame(visual, state, &is_precise, (frame, interval))).collect();
     let step = all.len().div_ceil(MAX_OBSERVATIONS).max(1);
     all.into_iter().step_by(step).collect()
 }
 
-fn of_frame(state: &SfmState, frame: usize, interval: f64) -> Vec<Prediction> {
-    let (Some(pose), Some(map)) = (state.poses[frame], &state.depth_maps[frame]) else {
-        return Vec::new();
-    };
+/// Landmarks whose depth the pictures determine.
+fn precise_landmarks(visual: &SfmState) -> Vec<bool> {
+    let (mut bundle, _, tracks) = visual.bundle(&visual.posed_frames(), false);
+    bundle.fixed.fill(true);
+    let mut out = vec![false; visual.landmarks.len()];
+    for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
+        let (Some(landmark), Some(variance)) = (visual.landmarks[*track], variance) else {
+            continue;
+        };
+        let deviation = visual.noise_scale * variance.sqrt();
+        out[*track] = deviation < MAX_LANDMARK_DEVIATION * landmark.inverse_depth();
+    }
+    out
+}
+
+fn of_frame(
+    visual: &SfmState,
+    state: &SfmState,
+    is_precise: &[bool],
+    (frame, interval): (usize, f64),
+) -> Vec<Prediction> {
+    let map = state.depth_maps.get(frame).and_then(Option::as_ref);
+    let (Some(pose), Some(map)) = (visual.poses[frame], map) else { return Vec::new() };
+    // Velocities of all frames; lengths of both states differ by little.
     let velocity = camera_velocity(state, &state.timestamps, frame, interval);
     // A short time, so that differences are velocities.
     let short = 1e-3 * interval;
     let soon = velocity.map_or(pose, |v| pose.retract(v.scaled(short)));
-    let (camera, distortion) = (&state.camera, state.distortion);
-    let of = |(track, o): (usize, &crate::track::tracks::Observation)| {
-        let landmark = state.landmarks[track].as_ref().filter(|_| !o.is_outlier)?;
+    let (camera, distortion) = (&visual.camera, visual.distortion);
+    let of = |(track, o): (usize, &Observation)| {
+        let is_usable = is_precise[track] && !o.is_outlier;
+        let landmark = visual.landmarks[track].as_ref().filter(|_| is_usable)?;
         let (now, then) =
             (landmark.image_position(camera, &pose)?, landmark.image_position(camera, &soon)?);
         let flat = undistort(camera, distortion, o.raw);
@@ -155,5 +206,5 @@ fn of_frame(state: &SfmState, frame: usize, interval: f64) -> Vec<Prediction> {
             later: map.timestamp - state.timestamps[frame],
         })
     };
-    state.observations_in(frame).filter_map(of).collect()
+    visual.observations_in(frame).filter_map(of).collect()
 }

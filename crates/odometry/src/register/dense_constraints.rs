@@ -81,21 +81,21 @@ impl PreparedView {
         let velocity = camera_velocity(state, &state.timestamps, frame, interval);
         let velocity = velocity.unwrap_or_else(Tangent::zero);
         let depth = match state.depth_maps.get(frame).and_then(Option::as_ref) {
-            Some(map) => {
+            Some(map) => Some({
                 let later = map.timestamp + state.depth_model.delay - state.timestamps[frame];
                 let colour_from_depth = Pose::identity().retract(velocity.scaled(later));
                 let scale = camera.fx / state.camera.fx;
                 let shift = state.depth_model.shift.map(|v| scale * v);
                 register_depth(&map.depth, &camera, shift, &colour_from_depth.inverse())
-            }
-            None => Image::default(),
+            }),
+            None => None,
         };
         let motion = ExposureMotion {
             velocity,
             exposure: OPEN_SHARE * interval,
             readout: state.readout * interval,
         };
-        Some(Self { pictures: DensePyramid::new(&camera, &picture, &depth), motion })
+        Some(Self { pictures: DensePyramid::new(&camera, &picture, depth.as_ref()), motion })
     }
 
     fn view(&self) -> DenseView<'_> {
