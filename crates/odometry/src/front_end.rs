@@ -3,9 +3,9 @@
 use crate::depth::calibration::calibrate_depth;
 use crate::depth::depth_map::{DepthMap, DepthPicture};
 use crate::depth::readings::read_depth;
+use crate::depth::stored_picture::StoredPicture;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
-use crate::depth::stored_picture::StoredPicture;
 use crate::error::{OdometryError, PictureError};
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
@@ -156,7 +156,8 @@ impl FrontEnd {
             return Err(OdometryError::Cancelled);
         }
         let readout = state.readout * median_frame_interval(&self.timestamps).unwrap_or(0.0);
-        let (found, wrong) = ((readout, distortion_dropped), diagnose(&state, &self.picture_checks));
+        let (found, wrong) =
+            ((readout, distortion_dropped), diagnose(&state, &self.picture_checks));
         let built = build_reconstruction(state, &self.timestamps, &self.intrinsics, found);
         Ok(wrong.applied_to(built))
     }
