@@ -1,7 +1,8 @@
 //! Errors of dense constraints over the deviations that they claim, on a sequence with true poses.
 //!
 //! `cargo run --release -p i2slam-odometry --example dense_constraints -- SEQUENCE [--scale S]
-//! [--open SHARE] [--readout SECONDS] [--truth-noise METRES] [--colour-only 1]` aligns pairs of
+//! [--open SHARE] [--readout SECONDS] [--truth-noise METRES] [--truth-delay SECONDS]
+//! [--colour-only 1] [--first-only 1]` aligns pairs of
 //! frames 1, 3, 5, 10 and 15 frames apart, from their true relative pose moved by 5 mm and a
 //! quarter of a degree on every axis. For each distance it prints the share of pairs with a
 //! constraint, median and largest errors of position and rotation, and medians of |error| over
@@ -10,7 +11,9 @@
 
 use i2slam_dataset::{Frame, OpenOptions, Sequence, read_trajectory};
 use i2slam_geometry::{Pose, StampedPose, Tangent};
-use i2slam_odometry::alignment::{DenseConstraint, DensePyramid, DenseView, ExposureMotion, align};
+use i2slam_odometry::alignment::{
+    DenseConstraint, DensePyramid, DenseView, ExposureMotion, align, moved_depth,
+};
 use std::error::Error;
 use std::path::Path;
 
@@ -37,11 +40,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let open = number(flags, "--open")?.unwrap_or(0.0) * interval;
     let readout = number(flags, "--readout")?.unwrap_or(0.0);
     let noise = number(flags, "--truth-noise")?.unwrap_or(0.0);
+    let truth_delay = number(flags, "--truth-delay")?.unwrap_or(0.0);
     let colour_only = number(flags, "--colour-only")?.is_some();
     let views: Vec<View> = frames
         .iter()
         .filter_map(|frame| {
-            let at = |time: f64| pose_at(&truth, time);
+            let at = |time: f64| pose_at(&truth, time + truth_delay);
             let (before, after) = (at(frame.timestamp - 0.02), at(frame.timestamp + 0.02));
             let world_from_camera = at(frame.timestamp)?;
             let pose = |p: Option<Pose<f64>>| p.unwrap_or(world_from_camera);
@@ -49,8 +53,15 @@ fn main() -> Result<(), Box<dyn Error>> {
             let moved = pose(before).local(pose(after));
             let velocity = moved.scaled(1.0 / time);
             let motion = ExposureMotion { velocity, exposure: open, readout };
-            let depth = frame.depth.as_ref().map(|depth| depth.image.as_ref());
-            let pictures = DensePyramid::new(&sequence.camera, &frame.colour, depth);
+            let depth = frame.depth.as_ref().map(|depth| {
+                let delay = depth.timestamp - frame.timestamp;
+                let pose = Pose::identity().retract(velocity.scaled(delay));
+                match delay == 0.0 {
+                    true => depth.image.as_ref().clone(),
+                    false => moved_depth(&depth.image, &sequence.camera, pose),
+                }
+            });
+            let pictures = DensePyramid::new(&sequence.camera, &frame.colour, depth.as_ref());
             Some(View { pictures, motion, world_from_camera })
         })
         .collect();
@@ -63,7 +74,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!(
         "frames apart  pairs  found  |t| mm median, p90, max   |r| mrad median, p90, max   |e|/sigma x y z  rx ry rz   overlap"
     );
-    for distance in DISTANCES {
+    let distances =
+        if number(flags, "--first-only")?.is_some() { &DISTANCES[..1] } else { &DISTANCES };
+    for &distance in distances {
         let mut errors: Vec<([f64; 6], DenseConstraint)> = Vec::new();
         let pairs = views.len().saturating_sub(distance);
         let began = std::time::Instant::now();

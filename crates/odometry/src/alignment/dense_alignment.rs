@@ -17,7 +17,7 @@ const MIN_SCALES: RobustScales = RobustScales { depth: 3e-5, image: 0.002 };
 /// Standard deviation of a normal distribution over its mean absolute value.
 const SIGMA_PER_MEAN: f32 = 1.25;
 /// Step length at which a level ends [px at that level].
-const MIN_STEP_PX: f64 = 2e-3;
+const MIN_STEP_PX: f64 = 0.01;
 /// Length of the step that is left at the end beyond which there is no constraint [deviations].
 const MAX_REMAINING_STEP: f64 = 1.0;
 /// Times that the weight of the picture is taken from the scatter between tiles.
@@ -160,16 +160,12 @@ impl<'a> Alignment<'a> {
         Self { reference, frame, curve: response(), pixels_per_unit }
     }
 
-    /// Minimises on one level, twice: the scales follow the residuals in between. `None` without
-    /// any residual.
+    /// Minimises on one level, with scales from the residuals at its start. `None` without any
+    /// residual.
     fn minimize_level(&self, level: usize, weight: f64, state: &mut State) -> Option<ResidualSums> {
-        let mut end = None;
-        for _ in 0..2 {
-            let errors = self.evaluate(level, weight, state, false).errors;
-            update_scales(&mut state.scales, &errors);
-            end = Some(self.levenberg_marquardt(level, weight, state)?);
-        }
-        end
+        let errors = self.evaluate(level, weight, state, false).errors;
+        update_scales(&mut state.scales, &errors);
+        self.levenberg_marquardt(level, weight, state)
     }
 
     /// Steps until they are short; one that raises the cost is rejected and damped a hundredfold.
