@@ -30,6 +30,6 @@ pub use i2slam_geometry as geometry;
 pub use i2slam_radiance as radiance;
 pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
 pub use run::{Observer, PoseSource, RunError, RunOptions, RunOutcome, reconstruct};
-pub use session::{KeyframeSession, RuntimeEstimate, Session, SessionError};
+pub use session::{RuntimeEstimate, Session, SessionError};
 pub use viewer::{OptimisedPose, Viewer};
 pub use warning::Warning;

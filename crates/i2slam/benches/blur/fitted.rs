@@ -28,9 +28,9 @@ impl Fitted {
             OpenOptions { minimum_gap: config.input.minimum_gap, ..OpenOptions::default() };
         let sequence = Sequence::open(folder, &options)?;
         let frames = sequence.stream().take(30).collect::<Result<Vec<_>, _>>()?;
-        let mut session = Session::new(config, sequence.camera, sequence.frame_rate);
+        let mut session = Session::tracking(config, sequence.camera, sequence.frame_rate);
         for frame in &frames {
-            session.process(frame)?;
+            session.track(frame)?;
         }
         session.finish(&mut |_, _| true);
         let scene = session.reconstruction();

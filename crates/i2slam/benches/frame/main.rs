@@ -38,9 +38,9 @@ impl Clip {
     }
 
     fn run(&self, preset: &str) -> Result<Vec<FrameEstimate>, Box<dyn Error>> {
-        let mut session = Session::new(Config::preset(preset)?, self.camera, self.frame_rate);
+        let mut session = Session::tracking(Config::preset(preset)?, self.camera, self.frame_rate);
         for frame in &self.frames {
-            session.process(frame)?;
+            session.track(frame)?;
         }
         Ok(session.frames().to_vec())
     }

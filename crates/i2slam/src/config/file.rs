@@ -171,7 +171,8 @@ const REMOVED_KEYS: [(&str, &str); 6] = [
         "image_weight ssim_share mean_rate colour_rate opacity_rate scale_rate \
          rotation_rate pose_rotation_rate pose_translation_rate exposure_rate \
          white_balance_rate response_rate densify_opacity densify_depth_medians \
-         prune_opacity prune_scale scene_radius_ratio only_seen fresh_optimizer",
+         prune_opacity prune_scale scene_radius_ratio only_seen fresh_optimizer \
+         beside_tracking",
     ),
 ];
 

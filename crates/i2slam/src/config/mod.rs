@@ -213,9 +213,6 @@ section! {
         /// Time after which a round ends early [s]; 0 never does. A run with a limit does not give
         /// the same bytes twice.
         seconds_per_frame: f32,
-        /// Map a frame while the next one is tracked against the map before it. Results do not
-        /// depend on the number of threads either way.
-        beside_tracking: bool,
         /// Adam steps of the round that starts the map.
         first_iterations: usize,
         /// Steps after the last frame, over all keyframes. SplaTAM: none.

@@ -176,7 +176,6 @@ fn paper_scannet() -> Config {
             interval: 1,
             iterations: 30,
             seconds_per_frame: 0.0,
-            beside_tracking: false,
             first_iterations: 30,
             final_iterations: 0,
             hold_out: 0,

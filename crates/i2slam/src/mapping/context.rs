@@ -18,7 +18,7 @@ pub(crate) struct MappingContext<'a> {
     pub(crate) config: &'a Config,
     pub(crate) camera: &'a Camera<f64>,
     pub(crate) frames: &'a mut [FrameEstimate],
-    /// Keyframes so far, without the current frame.
+    /// Keyframes so far, the current frame included if it is one.
     pub(crate) keyframes: &'a [Keyframe],
     pub(crate) responses: &'a mut [CameraResponse<f32>],
     /// Mask of the pixels that the camera recorded; `None`: all.
@@ -29,24 +29,6 @@ pub(crate) struct MappingContext<'a> {
 }
 
 impl MappingContext<'_> {
-    /// A reborrow with other keyframes.
-    pub(crate) fn with_keyframes<'a>(
-        &'a mut self,
-        keyframes: &'a [Keyframe],
-    ) -> MappingContext<'a> {
-        MappingContext {
-            config: self.config,
-            camera: self.camera,
-            frames: self.frames,
-            keyframes,
-            responses: self.responses,
-            valid_mask: self.valid_mask,
-            random: self.random,
-            warnings: self.warnings,
-            cancellation: self.cancellation,
-        }
-    }
-
     /// The first mapped frame: its pose and tone stay fixed.
     pub(crate) fn gauge_frame(&self, current: &Keyframe) -> usize {
         self.keyframes.first().map_or(current.frame, |k| k.frame)

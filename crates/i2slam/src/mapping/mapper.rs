@@ -1,25 +1,21 @@
-//! The interface between a session and its map: mapping, and tracking against the map or a copy.
+//! The interface between a session and its map.
 
 use super::context::{MappingContext, OnStep};
+use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::keyframe::Keyframe;
 use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, track};
 use i2slam_formation::{CameraResponse, TrajectoryScale};
-use i2slam_geometry::Image;
+use i2slam_geometry::{Image, Pose};
 use i2slam_radiance::RadianceMap;
 use i2slam_radiance::hashgrid::SettingsError;
-use std::any::Any;
+use std::ops::Range;
 use std::sync::Arc;
 
-/// A map that grows with tracked frames.
+/// A map of some kind, which frames are tracked against and which grows with them.
 pub(crate) trait Mapper: Send {
     fn is_empty(&self) -> bool;
-
-    /// Invalid settings for which the map could not be started.
-    fn failure(&self) -> Option<SettingsError> {
-        None
-    }
 
     /// Number of Gaussians; 0 of a map without.
     fn gaussians(&self) -> usize {
@@ -29,51 +25,77 @@ pub(crate) trait Mapper: Send {
     /// Restricts the image terms to recorded pixels.
     fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>);
 
-    /// Tracks frames against the map; `None` while it is empty.
-    fn tracker(&mut self) -> Option<&mut dyn Tracker>;
-
-    /// A copy of the map to track against, in the memory of `last`; `None` while it is empty.
-    fn snapshot(
-        &self,
-        valid_mask: Option<Arc<Image<bool>>>,
-        last: Option<Box<dyn Tracker>>,
-    ) -> Option<Box<dyn Tracker>>;
-
-    /// Extends the map by what the current frame sees for the first time; starts an empty map.
-    fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe);
-
-    /// Optimises map and keyframes; `first` allows the iterations of a new map.
-    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool);
-
-    /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
-    fn finish(&mut self, context: &mut MappingContext<'_>, on_step: OnStep<'_>);
-
-    fn map(&self) -> Map;
-}
-
-/// Tracks frames against a map of some kind.
-pub(crate) trait Tracker: Any + Send {
-    /// Shutter poses and tone of a frame.
+    /// Shutter poses and tone of a frame; `None` while the map is empty.
     fn track(
         &mut self,
         context: &TrackingContext<'_>,
         observation: &Observation,
         response: Option<&CameraResponse<f32>>,
         scale: TrajectoryScale<f64>,
-    ) -> TrackingResult;
+    ) -> Option<TrackingResult>;
+
+    /// Depth of the surfaces seen from a pose, 0 where there is none; `None` while the map is empty.
+    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>>;
+
+    /// Extends the map by what the current frame sees for the first time; starts an empty map. Fails
+    /// by settings that allow no map.
+    fn add(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        current: &Keyframe,
+    ) -> Result<Growth, SettingsError>;
+
+    /// Optimises map and keyframes for the steps that the growth by the current frame asks for.
+    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, growth: Growth);
+
+    /// Prepares the final optimisation over all keyframes. Fails as [`add`](Self::add).
+    fn plan_final(
+        &mut self,
+        context: &mut MappingContext<'_>,
+    ) -> Result<FinalRefinement, SettingsError>;
+
+    /// Takes the final `steps` out of `total`, until `on_step(done, total)` returns false; returns its
+    /// last value.
+    fn refine_all(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        steps: (Range<usize>, usize),
+        on_step: OnStep<'_>,
+    ) -> bool;
+
+    /// Adapts the map to poses of keyframes that were corrected from outside.
+    fn correct(&mut self, _context: &MappingContext<'_>) {}
+
+    fn map(&self) -> Map;
 }
 
-/// A map, or a copy of one, and the objective that compares pictures with it.
-pub(super) struct MapSnapshot<M: RadianceMap> {
+/// Change of a map by a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Growth {
+    /// It waits for more frames to start with.
+    Waiting,
+    /// It was started, or started again.
+    Started,
+    Extended,
+}
+
+/// Extent of the final optimisation.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FinalRefinement {
+    pub(crate) steps: usize,
+    /// Relocalisations of all keyframes during these steps, where their poses are refined.
+    pub(crate) relocalizations: usize,
+}
+
+/// A map and the objective that compares pictures with it.
+pub(super) struct ComparedMap<M: RadianceMap> {
     pub(super) map: M,
     pub(super) objective: FrameObjective<M>,
 }
 
-impl<M: RadianceMap + Send + 'static> Tracker for MapSnapshot<M>
-where
-    FrameObjective<M>: Send,
-{
-    fn track(
+impl<M: RadianceMap> ComparedMap<M> {
+    /// See [`Mapper::track`].
+    pub(super) fn track(
         &mut self,
         context: &TrackingContext<'_>,
         observation: &Observation,
@@ -82,28 +104,9 @@ where
     ) -> TrackingResult {
         track(context, &mut self.objective, &self.map, observation, response, scale)
     }
-}
 
-/// Copies `map` into the snapshot `last`, or a new one with `objective` and `valid_mask`.
-pub(super) fn update_snapshot<M: RadianceMap + Clone + Send + 'static>(
-    last: Option<Box<dyn Tracker>>,
-    map: &M,
-    valid_mask: Option<Arc<Image<bool>>>,
-    objective: impl FnOnce() -> FrameObjective<M>,
-) -> Box<dyn Tracker>
-where
-    FrameObjective<M>: Send,
-{
-    let last = last.map(|last| last as Box<dyn Any>);
-    match last.map(<Box<dyn Any>>::downcast::<MapSnapshot<M>>) {
-        Some(Ok(mut snapshot)) => {
-            snapshot.map.clone_from(map);
-            snapshot
-        }
-        _ => {
-            let mut objective = objective();
-            valid_mask.into_iter().for_each(|valid_mask| objective.set_valid_mask(valid_mask));
-            Box::new(MapSnapshot { map: map.clone(), objective })
-        }
+    /// See [`Mapper::surface`].
+    pub(super) fn surface(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
+        self.objective.render(&self.map, world_from_camera).surface(MIN_SURFACE_OPACITY)
     }
 }

@@ -1,8 +1,8 @@
 //! Mapping: the map is extended by what a frame sees for the first time, and optimised together
 //! with tone, response and keyframe poses.
 //!
-//! [`Mapper`] is a map for tracked frames, [`JointMapper`] one whose keyframe poses are only
-//! roughly known.
+//! [`Mapper`] is a map of either kind: of frames that are tracked against it and keep their poses,
+//! or of keyframes whose poses are only roughly known and optimised with it.
 
 mod context;
 mod depth_inpainting;
@@ -17,6 +17,6 @@ mod window;
 pub(crate) use context::MappingContext;
 pub(crate) use field::{FieldMapper, largest_field};
 pub(crate) use gaussians::GaussianMapper;
-pub(crate) use joint::{JointFieldMapper, JointGaussianMapper, JointMapper};
+pub(crate) use joint::JointFieldMapper;
 pub(crate) use keyframe::{AdjacentFrames, Keyframe, is_keyframe};
-pub(crate) use mapper::{Mapper, Tracker};
+pub(crate) use mapper::{Growth, Mapper};

@@ -17,7 +17,7 @@ pub(super) fn run(
     context: &RunContext,
 ) -> Result<RunOutcome, RunError> {
     let started = Instant::now();
-    let mut session = Session::new(options.config.clone(), sequence.camera, sequence.frame_rate);
+    let mut session = Session::tracking(options.config.clone(), sequence.camera, sequence.frame_rate);
     session.set_cancellation(context.cancellation.clone());
     if let Some(valid_mask) = &sequence.valid_mask {
         session.set_valid_mask(Arc::clone(valid_mask));
@@ -36,7 +36,7 @@ impl FrameConsumer for Session {
     const LAST_STAGE: Stage = Stage::MapRefinement;
 
     fn process(&mut self, frame: Frame) -> (Result<(), SessionError>, Vec<Warning>) {
-        let processed = Self::process(self, &frame).map(|_| ());
+        let processed = self.track(&frame).map(|_| ());
         let mut warnings = Self::take_warnings(self);
         if warnings.is_empty() {
             let of_file = frame.warnings.iter().map(|w| Warning::of_frame(frame.index, w));
@@ -58,7 +58,7 @@ impl FrameConsumer for Session {
     }
 
     fn shortfalls(&self) -> Vec<String> {
-        let held_out = shortfall::of_holding_out(self.mapping(), (self.frames().len(), "frame"));
+        let held_out = shortfall::of_holding_out(self.mapping_settings(), (self.frames().len(), "frame"));
         let readout = self.is_readout_missing().then(|| {
             "no readout of a rolling shutter was found: no frame shows it \
              (input.optimise_rolling_shutter)"

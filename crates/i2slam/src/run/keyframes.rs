@@ -14,7 +14,7 @@ use crate::keyframes::{
     import,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
-use crate::session::{KeyframeSession, SessionError};
+use crate::session::{Session, SessionError};
 use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{Frame, Sequence};
@@ -65,7 +65,7 @@ pub(super) fn run(
     let KeyframeInput { camera, undistorted, .. } = input;
     context.observer.progress(Stage::Keyframes, 0, count);
     let config = options.config.clone().with_found_readout(source.readout());
-    let mut session = KeyframeSession::new(config, *source.camera(), frame_rate);
+    let mut session = Session::refining(config, *source.camera(), frame_rate);
     session.set_cancellation(context.cancellation.clone());
     if let Some(valid_mask) = &undistorted.as_ref().unwrap_or(sequence).valid_mask {
         session.set_valid_mask(Arc::clone(valid_mask));
@@ -271,7 +271,7 @@ fn imported_picture(files: &ImportedKeyframes, place: usize) -> Result<Frame, Pi
 
 /// A session on keyframes, and the frames that are localised after the last of them.
 struct KeyframeConsumer {
-    session: KeyframeSession,
+    session: Session,
     mapping: MappingConfig,
     between: BetweenFrames,
     /// Number of keyframes so far, mapped or held out.
@@ -286,7 +286,7 @@ impl KeyframeConsumer {
     /// Localises a frame in the finished map; one that cannot be used is left out with a warning.
     fn localize(&mut self, frame: Result<PosedKeyframe, PictureError>) {
         let located = match frame {
-            Ok(frame) => self.session.locate(frame).map(|_| ()).map_err(|e| e.to_string()),
+            Ok(frame) => self.session.localize(frame).map(|_| ()).map_err(|e| e.to_string()),
             Err(error) => Err(error.to_string()),
         };
         let left_out = located.err().map(|reason| format!("frame left out: {reason}").into());
@@ -309,7 +309,7 @@ impl FrameConsumer for KeyframeConsumer {
             self.held_out.push_back(keyframe);
             return (Ok(()), Vec::new());
         }
-        let processed = self.session.process(keyframe).map(|_| ());
+        let processed = self.session.add_keyframe(keyframe).map(|_| ());
         (processed, self.session.take_warnings())
     }
 

@@ -121,14 +121,10 @@ fn field(config: &Config, extent: Extent) -> Vec<Need> {
     let (Ok(training), table) = (settings.training_bytes(), config.hashgrid.log2_table) else {
         return Vec::new();
     };
-    let copies = if config.mapping.beside_tracking { 5 } else { 4 };
     let table = Need {
         key: "hashgrid.log2_table",
         value: table.to_string(),
-        // The copy that frames are tracked against, beside those of training.
-        bytes: (training / 4)
-            .saturating_mul(copies)
-            .saturating_add(2 * FieldSettings::occupancy_bytes(cells)),
+        bytes: training.saturating_add(2 * FieldSettings::occupancy_bytes(cells)),
         advice: "lower it",
     };
     // With poses each pixel takes a ray for every virtual camera.

@@ -1,9 +1,9 @@
 //! Runtime of a colour-only run on this machine, measured on one of its pictures.
 
-use super::KeyframeSession;
+use super::Session;
 use crate::config::{Config, MapKind};
 use crate::keyframes::{EstimatedDepth, PosedKeyframe};
-use crate::mapping::JointGaussianMapper;
+use crate::mapping::GaussianMapper;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{DenseDepthEstimator, KeyframePictures, PosedView};
 use std::sync::Arc;
@@ -40,10 +40,10 @@ impl RuntimeEstimate {
         frame_rate: f64,
         colour: &Arc<Image<f32>>,
     ) -> Option<Self> {
-        let mut session = KeyframeSession::new(few_steps(config), *camera, frame_rate);
-        session.process(test_keyframe(camera, colour, 0)).ok()?;
+        let mut session = Session::refining(few_steps(config), *camera, frame_rate);
+        session.add_keyframe(test_keyframe(camera, colour, 0)).ok()?;
         let clock = Instant::now();
-        session.process(test_keyframe(camera, colour, 2)).ok()?;
+        session.add_keyframe(test_keyframe(camera, colour, 2)).ok()?;
         let second_keyframe = clock.elapsed().as_secs_f64();
         let mut times = Vec::new();
         session.finish(&mut |_, _| {
@@ -53,7 +53,7 @@ impl RuntimeEstimate {
         let duration = *times.last()? - *times.first()?;
         let step = duration.as_secs_f64() / (times.len() - 1).max(1) as f64;
         let clock = Instant::now();
-        session.locate(test_keyframe(camera, colour, 1)).ok()?;
+        session.localize(test_keyframe(camera, colour, 1)).ok()?;
         let frame = clock.elapsed().as_secs_f64();
         let keyframe = (second_keyframe - TIMED_STEPS as f64 * step).max(frame);
         Some(Self { dense_depth: dense_depth(camera, colour), keyframe, step, frame })
@@ -85,7 +85,7 @@ fn steps(config: &Config) -> (f64, f64) {
 /// Relocalisations of all keyframes at the end.
 fn relocalizations(config: &Config) -> usize {
     match config.map.kind {
-        MapKind::Gaussian => JointGaussianMapper::RELOCALIZATIONS,
+        MapKind::Gaussian => GaussianMapper::RELOCALIZATIONS,
         MapKind::HashGrid => config.parameters.keyframed.surface_searches,
     }
 }
@@ -143,7 +143,7 @@ fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::tests::{CAMERA, frame};
+    use crate::session::tracked_tests::{CAMERA, frame};
 
     #[test]
     fn a_run_takes_the_time_of_its_parts() {

@@ -1,4 +1,4 @@
-//! State that every kind of session keeps.
+//! Estimates of a session, and what mapping needs besides.
 
 use crate::config::{Config, FormationConfig};
 use crate::mapping::{Keyframe, MappingContext};
@@ -35,18 +35,17 @@ impl SessionState {
         }
     }
 
-    /// The state for mapping with the first `keyframes`.
+    /// The state for mapping.
     pub(super) fn mapping_context<'a>(
         &'a mut self,
         config: &'a Config,
         camera: &'a Camera<f64>,
-        keyframes: usize,
     ) -> MappingContext<'a> {
         MappingContext {
             config,
             camera,
             frames: &mut self.frames,
-            keyframes: &self.keyframes[..keyframes],
+            keyframes: &self.keyframes,
             responses: &mut self.responses,
             valid_mask: self.valid_mask.as_deref(),
             random: &mut self.random,
@@ -57,6 +56,16 @@ impl SessionState {
 
     pub(super) fn warn(&mut self, index: usize, text: impl Display) {
         self.warnings.push(Warning::of_frame(index, text));
+    }
+
+    /// Warns of keyframes that were not found in the map.
+    pub(super) fn warn_of_keyframes_not_found(&mut self) {
+        let lost = self.frames.iter().filter(|f| f.keyframe && !f.tracked);
+        self.warnings.extend(lost.map(|f| {
+            let text =
+                "not found in the map: its pose is that of the front end, refined with the map";
+            Warning::of_frame(f.index, text)
+        }));
     }
 
     pub(super) fn reconstruction(

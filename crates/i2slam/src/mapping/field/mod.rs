@@ -19,21 +19,22 @@ use super::context::{MappingContext, OnStep};
 use super::depth_inpainting::placement_depth;
 use super::frame_optimizer::{FrameOptimizers, ResponseGradients};
 use super::keyframe::Keyframe;
-use super::mapper::Mapper;
-use super::mapper::{MapSnapshot, Tracker, update_snapshot};
+use super::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use super::window::{random_pixels, recent_window};
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, PixelBatch, RayObjective, Sampling,
+    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, PixelBatch, RayObjective,
+    Sampling,
 };
 use crate::reconstruction::Map;
-use crate::tracking::sampling;
+use crate::tracking::{TrackingContext, TrackingResult, sampling};
 use crate::warning::Warning;
-use i2slam_formation::{Formation, ResponseCurve};
+use i2slam_formation::{CameraResponse, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldSettings, HashGridMap, SettingsError, decayed_rate,
 };
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Learning rate of a field (torch-ngp).
@@ -49,8 +50,6 @@ pub(crate) struct FieldMapper {
     valid_mask: Option<Arc<Image<bool>>>,
     /// `None` until the first frame has sized the cube.
     field: Option<Field>,
-    /// Invalid settings for which there is none after the first frame.
-    failure: Option<SettingsError>,
     frames: FrameOptimizers,
     /// Steps of the field that a larger one has replaced since the last frame.
     lost_steps: usize,
@@ -60,7 +59,7 @@ pub(crate) struct FieldMapper {
 
 /// A field with the state of its training.
 struct Field {
-    current: MapSnapshot<HashGridMap>,
+    current: ComparedMap<HashGridMap>,
     batch: RayObjective,
     gradient: FieldGradient,
     adam: FieldAdam,
@@ -75,7 +74,7 @@ impl Field {
             gradient: FieldGradient::zeros(&map.field),
             adam: FieldAdam::new(),
             steps: 0,
-            current: MapSnapshot { objective: FrameObjective::new(camera, map.march), map },
+            current: ComparedMap { objective: FrameObjective::new(camera, map.march), map },
         }
     }
 
@@ -94,7 +93,6 @@ impl FieldMapper {
             camera: camera.cast(),
             valid_mask: None,
             field: None,
-            failure: None,
             frames: FrameOptimizers::default(),
             lost_steps: 0,
             warned: false,
@@ -102,20 +100,22 @@ impl FieldMapper {
     }
 
     /// Starts a field in a cube around the camera that holds the frame's depth and a margin.
-    fn start(&mut self, context: &mut MappingContext<'_>, pose: Pose<f64>, depth: &Image<f32>) {
+    fn start(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        pose: Pose<f64>,
+        depth: &Image<f32>,
+    ) -> Result<(), SettingsError> {
         let config = context.config;
         let shape = FieldShape::new(config);
         let bound = bounds::initial_bound(config, context.camera, depth);
-        match bounds::untrained_field(&shape, pose.translation.to_array(), bound, config.seed) {
-            Ok(map) => {
-                let field = self.field.insert(Field::new(map, self.camera));
-                field.batch.set_time_jitter(config.parameters.field.moment_jitter);
-            }
-            Err(error) => self.failure = Some(error),
-        }
-        if let (Some(field), Some(valid_mask)) = (&mut self.field, &self.valid_mask) {
+        let map = untrained_field(&shape, pose.translation.to_array(), bound, config.seed)?;
+        let field = self.field.insert(Field::new(map, self.camera));
+        field.batch.set_time_jitter(config.parameters.field.moment_jitter);
+        if let Some(valid_mask) = &self.valid_mask {
             field.current.objective.set_valid_mask(Arc::clone(valid_mask));
         }
+        Ok(())
     }
 
     /// Replaces the field by an untrained one in a cube of half edge `bound` [m], and marks the
@@ -155,7 +155,7 @@ impl FieldMapper {
         pose: Pose<f64>,
         depth: &Image<f32>,
     ) {
-        let Some(Field { current: MapSnapshot { map, .. }, .. }) = &self.field else { return };
+        let Some(Field { current: ComparedMap { map, .. }, .. }) = &self.field else { return };
         let FieldSettings { centre, bound, .. } = *map.field.settings();
         let share = bounds::share_outside(map.field.settings(), context.camera, pose, depth);
         if share <= MAX_SHARE_OUTSIDE {
@@ -268,10 +268,6 @@ impl Mapper for FieldMapper {
         self.field.is_none()
     }
 
-    fn failure(&self) -> Option<SettingsError> {
-        self.failure
-    }
-
     fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
         if let Some(field) = &mut self.field {
             field.current.objective.set_valid_mask(Arc::clone(&valid_mask));
@@ -279,22 +275,25 @@ impl Mapper for FieldMapper {
         self.valid_mask = Some(valid_mask);
     }
 
-    fn tracker(&mut self) -> Option<&mut dyn Tracker> {
-        let field = self.field.as_mut()?;
-        Some(&mut field.current)
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> Option<TrackingResult> {
+        Some(self.field.as_mut()?.current.track(context, observation, response, scale))
     }
 
-    fn snapshot(
-        &self,
-        valid_mask: Option<Arc<Image<bool>>>,
-        last: Option<Box<dyn Tracker>>,
-    ) -> Option<Box<dyn Tracker>> {
-        let map = &self.field.as_ref()?.current.map;
-        let objective = || FrameObjective::new(self.camera, map.march);
-        Some(update_snapshot(last, map, valid_mask, objective))
+    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>> {
+        Some(self.field.as_mut()?.current.surface(world_from_camera))
     }
 
-    fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe) {
+    fn add(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        current: &Keyframe,
+    ) -> Result<Growth, SettingsError> {
         let depth = placement_depth(
             &current.observation,
             &context.config.mapping,
@@ -302,17 +301,22 @@ impl Mapper for FieldMapper {
             None,
         );
         let pose = context.frames[current.frame].depth_pose();
-        if self.field.is_none() {
-            self.start(context, pose, &depth);
+        let growth = if self.field.is_none() { Growth::Started } else { Growth::Extended };
+        if growth == Growth::Started {
+            self.start(context, pose, &depth)?;
         }
         self.ensure_enclosed(context, current.frame, pose, &depth);
         self.mark_surfaces(context, pose, &depth);
+        Ok(growth)
     }
 
-    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool) {
+    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, growth: Growth) {
         let settings = &context.config.hashgrid;
         let lost = std::mem::take(&mut self.lost_steps);
-        let steps = if first { settings.first_iterations } else { settings.iterations };
+        let steps = match growth {
+            Growth::Started => settings.first_iterations,
+            _ => settings.iterations,
+        };
         let budget = IterationBudget::start(context.config);
         for iteration in 0..lost + steps {
             if budget.is_exhausted(iteration, context.cancellation) {
@@ -324,24 +328,32 @@ impl Mapper for FieldMapper {
         }
     }
 
-    fn finish(&mut self, context: &mut MappingContext<'_>, on_step: OnStep<'_>) {
-        let settings = &context.config.hashgrid;
-        let steps = settings.final_iterations;
+    fn plan_final(
+        &mut self,
+        context: &mut MappingContext<'_>,
+    ) -> Result<FinalRefinement, SettingsError> {
+        let steps = context.config.hashgrid.final_iterations;
+        Ok(FinalRefinement { steps, relocalizations: 0 })
+    }
+
+    fn refine_all(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        (steps, total): (Range<usize>, usize),
+        on_step: OnStep<'_>,
+    ) -> bool {
         let mut order: Vec<usize> = (0..context.keyframes.len()).collect();
-        for step in 0..steps {
+        for step in steps {
             context.random.shuffle(&mut order);
             let chosen = order.iter().take(context.config.mapping.window);
             let window: Vec<Keyframe> = chosen.map(|&k| context.keyframes[k].clone()).collect();
-            self.step(
-                context,
-                &window,
-                decayed_rate(LEARNING_RATE, step as i32, steps as i32),
-                false,
-            );
-            if !on_step(step + 1, steps) {
-                break;
+            let rate = decayed_rate(LEARNING_RATE, step as i32, total as i32);
+            self.step(context, &window, rate, false);
+            if !on_step(step + 1, total) {
+                return false;
             }
         }
+        true
     }
 
     fn map(&self) -> Map {

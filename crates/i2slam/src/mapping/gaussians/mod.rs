@@ -8,19 +8,20 @@ use super::context::IterationBudget;
 use super::context::{MappingContext, OnStep};
 use super::depth_inpainting::placement_depth;
 use super::keyframe::Keyframe;
-use super::mapper::Mapper;
-use super::mapper::{MapSnapshot, Tracker, update_snapshot};
+use super::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use super::window::overlapping_window;
 use crate::config::Config;
-use crate::objective::FrameObjective;
+use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
-use crate::tracking::sampling;
+use crate::tracking::{TrackingContext, TrackingResult, sampling};
 use density_control::{SourceFrame, add_gaussians, prune, seed_map};
-use i2slam_formation::{CentreVelocity, Formation};
-use i2slam_geometry::{Camera, Image};
+use i2slam_formation::{CameraResponse, CentreVelocity, Formation, TrajectoryScale};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
+use i2slam_radiance::hashgrid::SettingsError;
 use merge::merge;
 use optimizer::GaussianOptimizer;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Share of the capacity to which a full map is merged.
@@ -30,8 +31,7 @@ const PRUNE_ITERATION: usize = 20;
 
 /// A map of Gaussians that grows with the frames.
 pub(crate) struct GaussianMapper {
-    camera: Camera<f32>,
-    current: MapSnapshot<GaussianMap>,
+    current: ComparedMap<GaussianMap>,
     optimizer: GaussianOptimizer,
     /// Largest depth of the first frame over the preset's ratio [m].
     scene_radius: f32,
@@ -50,10 +50,12 @@ fn empty_map(config: &Config) -> GaussianMap {
 }
 
 impl GaussianMapper {
+    /// Relocalisations of all keyframes during the final optimisation, where poses are refined.
+    pub(crate) const RELOCALIZATIONS: usize = 2;
+
     pub(crate) fn new(config: &Config, camera: &Camera<f64>) -> Self {
         Self {
-            camera: camera.cast(),
-            current: MapSnapshot {
+            current: ComparedMap {
                 map: empty_map(config),
                 objective: FrameObjective::new(camera.cast(), RasterSettings::default()),
             },
@@ -61,36 +63,6 @@ impl GaussianMapper {
             scene_radius: f32::INFINITY,
             is_full: false,
         }
-    }
-
-    pub(super) fn map_and_objective(&mut self) -> (&GaussianMap, &mut FrameObjective<GaussianMap>) {
-        (&self.current.map, &mut self.current.objective)
-    }
-
-    /// Takes `steps` over all keyframes in random order, each equally often, then prunes. Stops
-    /// when `on_step(done)` returns false, and returns its last value.
-    pub(super) fn refine_all(
-        &mut self,
-        context: &mut MappingContext<'_>,
-        steps: usize,
-        on_step: &mut dyn FnMut(usize) -> bool,
-    ) -> bool {
-        let (mut order, mut continues): (Vec<usize>, bool) = (Vec::new(), true);
-        for step in 0..steps {
-            if order.is_empty() {
-                order = (0..context.keyframes.len()).collect();
-                context.random.shuffle(&mut order);
-            }
-            let Some(next) = order.pop() else { break };
-            let keyframe = context.keyframes[next].clone();
-            self.step(context, &keyframe);
-            continues = on_step(step + 1);
-            if !continues {
-                break;
-            }
-        }
-        self.prune();
-        continues
     }
 
     fn step(&mut self, context: &mut MappingContext<'_>, keyframe: &Keyframe) {
@@ -141,21 +113,26 @@ impl Mapper for GaussianMapper {
         self.current.objective.set_valid_mask(valid_mask);
     }
 
-    fn tracker(&mut self) -> Option<&mut dyn Tracker> {
-        if self.is_empty() { None } else { Some(&mut self.current) }
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> Option<TrackingResult> {
+        (!self.is_empty()).then(|| self.current.track(context, observation, response, scale))
     }
 
-    fn snapshot(
-        &self,
-        valid_mask: Option<Arc<Image<bool>>>,
-        last: Option<Box<dyn Tracker>>,
-    ) -> Option<Box<dyn Tracker>> {
-        let objective = || FrameObjective::new(self.camera, RasterSettings::default());
-        (!self.current.map.is_empty())
-            .then(|| update_snapshot(last, &self.current.map, valid_mask, objective))
+    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>> {
+        (!self.is_empty()).then(|| self.current.surface(world_from_camera))
     }
 
-    fn add(&mut self, context: &mut MappingContext<'_>, current: &Keyframe) {
+    fn add(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        current: &Keyframe,
+    ) -> Result<Growth, SettingsError> {
+        let growth = if self.is_empty() { Growth::Started } else { Growth::Extended };
         let config = context.config;
         let estimate = &context.frames[current.frame];
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
@@ -186,11 +163,15 @@ impl Mapper for GaussianMapper {
             seed_map(&mut self.current.map, parameters, &source);
         }
         self.enforce_capacity(context);
+        Ok(growth)
     }
 
-    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, first: bool) {
+    fn refine(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, growth: Growth) {
         let mapping = &context.config.mapping;
-        let iterations = if first { mapping.first_iterations } else { mapping.iterations };
+        let iterations = match growth {
+            Growth::Started => mapping.first_iterations,
+            _ => mapping.iterations,
+        };
         let fresh = context.config.parameters.gaussians.reset_adam;
         if fresh {
             self.optimizer.reset();
@@ -219,9 +200,37 @@ impl Mapper for GaussianMapper {
         }
     }
 
-    fn finish(&mut self, context: &mut MappingContext<'_>, on_step: OnStep<'_>) {
+    fn plan_final(
+        &mut self,
+        context: &mut MappingContext<'_>,
+    ) -> Result<FinalRefinement, SettingsError> {
         let steps = context.config.mapping.final_iterations;
-        self.refine_all(context, steps, &mut |step| on_step(step, steps));
+        Ok(FinalRefinement { steps, relocalizations: Self::RELOCALIZATIONS })
+    }
+
+    /// Steps over all keyframes in random order, each equally often, then prunes.
+    fn refine_all(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        (steps, total): (Range<usize>, usize),
+        on_step: OnStep<'_>,
+    ) -> bool {
+        let (mut order, mut continues): (Vec<usize>, bool) = (Vec::new(), true);
+        for step in steps {
+            if order.is_empty() {
+                order = (0..context.keyframes.len()).collect();
+                context.random.shuffle(&mut order);
+            }
+            let Some(next) = order.pop() else { break };
+            let keyframe = context.keyframes[next].clone();
+            self.step(context, &keyframe);
+            continues = on_step(step + 1, total);
+            if !continues {
+                break;
+            }
+        }
+        self.prune();
+        continues
     }
 
     fn map(&self) -> Map {

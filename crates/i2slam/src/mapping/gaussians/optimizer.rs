@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
-use crate::mapping::mapper::MapSnapshot;
+use crate::mapping::mapper::ComparedMap;
 use crate::objective::{Exposure, FrameVariables, Sampling};
 use i2slam_compute::Adam;
 use i2slam_formation::Formation;
@@ -64,11 +64,11 @@ impl GaussianOptimizer {
     pub(crate) fn step(
         &mut self,
         context: &mut MappingContext<'_>,
-        target: &mut MapSnapshot<GaussianMap>,
+        target: &mut ComparedMap<GaussianMap>,
         keyframe: &Keyframe,
         sampling: Sampling,
     ) {
-        let MapSnapshot { map, objective } = target;
+        let ComparedMap { map, objective } = target;
         let config = context.config;
         let estimate = &context.frames[keyframe.frame];
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());

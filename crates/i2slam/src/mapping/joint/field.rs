@@ -5,12 +5,10 @@
 //! sampled where the field itself is dense. With estimated depth in most pixels they are sampled
 //! only in shells around these surfaces: a tenth of the time, and no fog.
 
-use super::JointMapper;
 use super::field_sampling::{
     active_levels, blur_length_at_depth, contains_last_view, cube_of_keyframes, has_surfaces,
     mark_view, pixel_budget, sample_pixels, surface_shape, surface_shells,
 };
-use super::localization::FrameLocator;
 use super::pose_optimizer::PoseOptimizers;
 use super::trajectory_term::TrajectoryTerm;
 use crate::config::{Config, Preconditioning};
@@ -20,14 +18,17 @@ use crate::mapping::field::{
 };
 use crate::mapping::frame_optimizer::{FrameOptimizers, ResponseGradients};
 use crate::mapping::keyframe::Keyframe;
+use crate::mapping::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use crate::mapping::window::{random_window, recent_window};
-use crate::objective::{Evaluation, FrameObjective, PixelBatch, RayObjective};
-use crate::reconstruction::{FrameEstimate, Losses, Map};
-use crate::tracking::SequenceReadout;
-use i2slam_geometry::{Camera, Image};
+use crate::objective::{Evaluation, FrameObjective, Observation, PixelBatch, RayObjective};
+use crate::reconstruction::{Losses, Map};
+use crate::tracking::{TrackingContext, TrackingResult};
+use i2slam_formation::{CameraResponse, TrajectoryScale};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldRenderer, HashGridMap, Occupancy, SettingsError, decayed_rate,
 };
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Steps between refreshes of the occupancy grid (torch-ngp).
@@ -36,7 +37,7 @@ const OCCUPANCY_INTERVAL: usize = 16;
 const REOPENED_REFRESHES: i32 = 24;
 /// Part of the final optimisation in which transparent rays reopen cells: after the first
 /// relocalisation, as wrong poses would fill them anywhere, and in time to train them again.
-const REOPENING_PHASE: std::ops::Range<f32> = 0.4..0.9;
+const REOPENING_PHASE: Range<f32> = 0.4..0.9;
 /// Refreshes for which the cells along such a ray stay open.
 const REOPENED_RAY_REFRESHES: i32 = 8;
 /// Learning rate of poses where keyframes have estimated depth in most pixels (the paper's).
@@ -49,20 +50,18 @@ const JACOBIAN_PIXELS: usize = 96;
 /// A radiance field that is optimised together with keyframe poses.
 pub(crate) struct JointFieldMapper {
     camera: Camera<f32>,
+    valid_mask: Option<Arc<Image<bool>>>,
     field: Option<Field>,
     frames: FrameOptimizers,
     poses: PoseOptimizers,
     trajectory: TrajectoryTerm,
-    frame_rate: f64,
-    /// Localiser of frames and the objective it renders the field with.
-    locator: Option<(FrameLocator, FrameObjective<HashGridMap>)>,
     /// Steps since the field was started.
     steps: usize,
 }
 
 /// A field with the state of its training.
 struct Field {
-    map: HashGridMap,
+    current: ComparedMap<HashGridMap>,
     /// Cells around surfaces; `None` (all cells) without depth in most pixels of any keyframe.
     shells: Option<Occupancy>,
     batch: RayObjective,
@@ -87,7 +86,7 @@ impl Field {
         }
         let pixels = view.pixels.iter().copied().take(JACOBIAN_PIXELS).collect();
         let view = PixelBatch { pixels, ..*view };
-        let hessian = self.batch.shutter_hessian(&self.map, &view, context.random);
+        let hessian = self.batch.shutter_hessian(&self.current.map, &view, context.random);
         poses.precondition(frame, &hessian, config.keyframed.preconditioning);
     }
 }
@@ -137,12 +136,11 @@ impl JointFieldMapper {
     pub(crate) fn new(camera: &Camera<f64>, frame_rate: f64) -> Self {
         Self {
             camera: camera.cast(),
+            valid_mask: None,
             field: None,
             frames: FrameOptimizers::default(),
             poses: PoseOptimizers::default(),
             trajectory: TrajectoryTerm::new(frame_rate),
-            frame_rate,
-            locator: None,
             steps: 0,
         }
     }
@@ -151,7 +149,7 @@ impl JointFieldMapper {
     fn start(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
         let (centre, mut bound) = cube_of_keyframes(context);
         if let Some(field) = &self.field {
-            bound = bound.max(MIN_CUBE_GROWTH * field.map.field.settings().bound);
+            bound = bound.max(MIN_CUBE_GROWTH * field.current.map.field.settings().bound);
         }
         let config = context.config;
         let settings = match has_surfaces(context) {
@@ -167,13 +165,17 @@ impl JointFieldMapper {
         let mut batch = RayObjective::new(self.camera, march);
         batch.set_depth_outlier(config.parameters.keyframed.depth_outlier);
         batch.set_time_jitter(config.parameters.field.moment_jitter);
+        let mut objective = FrameObjective::new(self.camera, march);
+        if let Some(valid_mask) = &self.valid_mask {
+            objective.set_valid_mask(Arc::clone(valid_mask));
+        }
         self.field = Some(Field {
             batch,
             renderer: FieldRenderer::new(march),
             gradient: FieldGradient::zeros(&map.field),
             adam: FieldAdam::new(),
             shells: None,
-            map,
+            current: ComparedMap { map, objective },
         });
         self.confine(context);
         // Moments and preconditioners belong to the gradients of the field before.
@@ -186,22 +188,24 @@ impl JointFieldMapper {
     /// Confines sampling to shells around the surfaces of all keyframes, if their depth is known.
     fn confine(&mut self, context: &MappingContext<'_>) {
         let Some(field) = &mut self.field else { return };
-        field.shells = surface_shells(&field.map, &self.camera, context);
+        field.shells = surface_shells(&field.current.map, &self.camera, context);
         if let Some(shells) = &field.shells {
-            field.map.occupancy.restrict_to(shells);
+            field.current.map.occupancy.restrict_to(shells);
         }
     }
 
     /// Reopens the cells of the shells: with worse poses some were emptied that hold surfaces.
     fn reopen(&mut self) {
         if let Some(field) = self.field.as_mut().filter(|field| field.shells.is_some()) {
-            field.map.occupancy.reopen(REOPENED_REFRESHES);
+            field.current.map.occupancy.reopen(REOPENED_REFRESHES);
         }
     }
 
     /// Reopens cells along transparent rays: a surface of emptied cells would stay a hole.
     fn reopen_transparent_rays(&mut self) {
-        if let Some(Field { map, batch, shells: Some(_), .. }) = &mut self.field {
+        if let Some(Field { current: ComparedMap { map, .. }, batch, shells: Some(_), .. }) =
+            &mut self.field
+        {
             for ray in batch.low_opacity_rays() {
                 map.occupancy.reopen_along(&map.field, ray, REOPENED_RAY_REFRESHES);
             }
@@ -213,28 +217,10 @@ impl JointFieldMapper {
         let (Some(field), Some(last)) = (&mut self.field, context.keyframes.last()) else { return };
         match &mut field.shells {
             Some(shells) => {
-                mark_view(shells, &field.map, &self.camera, context, last);
-                field.map.occupancy.restrict_to(shells);
+                mark_view(shells, &field.current.map, &self.camera, context, last);
+                field.current.map.occupancy.restrict_to(shells);
             }
             None => self.confine(context),
-        }
-    }
-
-    /// Localises all keyframes again in their order; the tone of the gauge frame stays.
-    fn relocalize(&mut self, context: &mut MappingContext<'_>) {
-        for keyframe in
-            context.keyframes.iter().take_while(|_| !context.cancellation.is_cancelled())
-        {
-            let mut estimate = context.frames[keyframe.frame].clone();
-            let previous = keyframe.adjacent.previous_frame(&estimate);
-            let last = || keyframe.frame.checked_sub(1).map(|i| context.frames[i].clone());
-            let previous = previous.or_else(last);
-            let frame = (&mut estimate, &keyframe.observation.colour);
-            JointMapper::locate(self, context, frame, previous.as_ref());
-            if keyframe.frame == context.gauge_frame(keyframe) {
-                estimate.tone = context.frames[keyframe.frame].tone;
-            }
-            context.frames[keyframe.frame] = estimate;
         }
     }
 
@@ -244,7 +230,7 @@ impl JointFieldMapper {
         let curves = context.response_curves(views);
         let Some(field) = &mut self.field else { return };
         if self.steps.is_multiple_of(OCCUPANCY_INTERVAL) {
-            let Field { map, renderer, .. } = &mut *field;
+            let Field { current: ComparedMap { map, .. }, renderer, .. } = &mut *field;
             map.occupancy.refresh(&map.field, renderer, config.seed);
         }
         let samples =
@@ -264,7 +250,7 @@ impl JointFieldMapper {
             }
         }
         let loss_weights = (config.parameters.field.image_weight, weights.depth_weight);
-        let Field { map, batch, gradient, adam, .. } = &mut *field;
+        let Field { current: ComparedMap { map, .. }, batch, gradient, adam, .. } = &mut *field;
         let evaluations =
             batch.map(map, &drawn, loss_weights, with_poses, context.random, gradient);
         for (view, index) in views.iter().zip(0..) {
@@ -312,26 +298,56 @@ impl JointFieldMapper {
     }
 }
 
-impl JointMapper for JointFieldMapper {
+impl Mapper for JointFieldMapper {
+    fn is_empty(&self) -> bool {
+        self.field.is_none()
+    }
+
+    fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
+        if let Some(field) = &mut self.field {
+            field.current.objective.set_valid_mask(Arc::clone(&valid_mask));
+        }
+        self.valid_mask = Some(valid_mask);
+    }
+
+    fn track(
+        &mut self,
+        context: &TrackingContext<'_>,
+        observation: &Observation,
+        response: Option<&CameraResponse<f32>>,
+        scale: TrajectoryScale<f64>,
+    ) -> Option<TrackingResult> {
+        Some(self.field.as_mut()?.current.track(context, observation, response, scale))
+    }
+
+    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>> {
+        Some(self.field.as_mut()?.current.surface(world_from_camera))
+    }
+
     /// Waits for the first few keyframes, then starts a field that holds what they see, and starts
     /// it again in a larger cube for a keyframe that sees farther.
-    fn add(&mut self, context: &mut MappingContext<'_>) -> Result<(), SettingsError> {
-        let settings = &context.config.hashgrid;
-        let first = match &self.field {
-            None if context.keyframes.len()
-                < context.config.parameters.keyframed.first_keyframes =>
-            {
-                return Ok(());
+    fn add(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        _current: &Keyframe,
+    ) -> Result<Growth, SettingsError> {
+        let first_keyframes = context.config.parameters.keyframed.first_keyframes;
+        match &self.field {
+            None if context.keyframes.len() < first_keyframes => Ok(Growth::Waiting),
+            Some(field) if contains_last_view(field.current.map.field.settings(), context) => {
+                self.mark_last_keyframe(context);
+                Ok(Growth::Extended)
             }
-            None => true,
-            Some(field) => !contains_last_view(field.map.field.settings(), context),
-        };
-        if first {
-            self.start(context)?;
-        } else {
-            self.mark_last_keyframe(context);
+            _ => self.start(context).map(|()| Growth::Started),
         }
-        let iterations = if first { settings.first_iterations } else { settings.iterations };
+    }
+
+    fn refine(&mut self, context: &mut MappingContext<'_>, _current: &Keyframe, growth: Growth) {
+        let settings = &context.config.hashgrid;
+        let iterations = match growth {
+            Growth::Started => settings.first_iterations,
+            _ => settings.iterations,
+        };
         let Schedule { camera_rate, depth_weight, .. } = self.schedule(context.config);
         let weights = StepWeights { field_rate: LEARNING_RATE, camera_rate, depth_weight };
         let budget = IterationBudget::start(context.config);
@@ -343,65 +359,58 @@ impl JointMapper for JointFieldMapper {
             let window = recent_window(context.keyframes, None, size, context.random);
             self.step(context, &window, weights);
         }
-        Ok(())
     }
 
-    fn finish(
+    fn plan_final(
         &mut self,
         context: &mut MappingContext<'_>,
-        on_step: OnStep<'_>,
-    ) -> Result<(), SettingsError> {
+    ) -> Result<FinalRefinement, SettingsError> {
         if self.field.is_none() {
             self.start(context)?;
         }
-        let Schedule { camera_rate, depth_weight, final_depth_share, steps, relocalizations } =
-            self.schedule(context.config);
-        let part = steps.div_ceil(1 + relocalizations).max(1);
+        let Schedule { steps, relocalizations, .. } = self.schedule(context.config);
         self.confine(context);
-        for step in 0..steps {
-            if step > 0 && step.is_multiple_of(part) {
-                self.relocalize(context);
-                self.confine(context);
-                self.reopen();
-            }
+        Ok(FinalRefinement { steps, relocalizations })
+    }
+
+    fn refine_all(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        (steps, total): (Range<usize>, usize),
+        on_step: OnStep<'_>,
+    ) -> bool {
+        let Schedule { camera_rate, depth_weight, final_depth_share, relocalizations, .. } =
+            self.schedule(context.config);
+        for step in steps {
             let size = context.config.mapping.window;
             let window = random_window(context.keyframes, size, context.random);
-            let decayed = |rate| decayed_rate(rate, step as i32, steps as i32);
+            let decayed = |rate| decayed_rate(rate, step as i32, total as i32);
+            let done = step as f32 / total as f32;
             let weights = StepWeights {
                 field_rate: decayed(LEARNING_RATE),
                 camera_rate: decayed(camera_rate),
-                depth_weight: depth_weight * final_depth_share.powf(step as f32 / steps as f32),
+                depth_weight: depth_weight * final_depth_share.powf(done),
             };
             self.step(context, &window, weights);
-            if relocalizations > 0 && REOPENING_PHASE.contains(&(step as f32 / steps as f32)) {
+            if relocalizations > 0 && REOPENING_PHASE.contains(&done) {
                 self.reopen_transparent_rays();
             }
-            if !on_step(step + 1, steps) {
-                break;
+            if !on_step(step + 1, total) {
+                return false;
             }
         }
-        Ok(())
+        true
     }
 
-    fn locate(
-        &mut self,
-        context: &MappingContext<'_>,
-        frame: (&mut FrameEstimate, &Arc<Image<f32>>),
-        previous: Option<&FrameEstimate>,
-    ) -> bool {
-        let Some(field) = &self.field else { return false };
-        let map = &field.map;
-        let (locator, objective) = self.locator.get_or_insert_with(|| {
-            let readout = SequenceReadout::new(&context.config.input);
-            let objective = FrameObjective::new(self.camera, map.march);
-            (FrameLocator::new(self.frame_rate, readout), objective)
-        });
-        locator.locate(context, (map, objective), frame, previous, context.frames)
+    /// Moves the shells with their keyframes, and reopens their cells.
+    fn correct(&mut self, context: &MappingContext<'_>) {
+        self.confine(context);
+        self.reopen();
     }
 
     fn map(&self) -> Map {
         match &self.field {
-            Some(field) => Map::HashGrid(Box::new(field.map.clone())),
+            Some(field) => Map::HashGrid(Box::new(field.current.map.clone())),
             None => Map::default(),
         }
     }

@@ -1,4 +1,4 @@
-//! A few synthetic frames through a session.
+//! A few synthetic frames through a session that tracks them.
 
 use super::*;
 use crate::config::{Config, MapKind, TrackingMethod};
@@ -69,9 +69,9 @@ fn config() -> Config {
 }
 
 fn run(config: Config, pose: fn(usize) -> Pose<f64>) -> (Reconstruction, Vec<Warning>) {
-    let mut session = Session::new(config, CAMERA, 30.0);
+    let mut session = Session::tracking(config, CAMERA, 30.0);
     for index in 0..FRAMES {
-        session.process(&frame(index, pose(index))).expect("frames of one size");
+        session.track(&frame(index, pose(index))).expect("frames of one size");
     }
     session.finish(&mut |_, _| true);
     (session.reconstruction(), session.take_warnings())
@@ -124,8 +124,8 @@ fn pixels_coarser_than_cells_leave_no_holes() {
     let mut config = config();
     config.parameters.field.occupancy_cells = 200;
     config.hashgrid.first_iterations = 80;
-    let mut session = Session::new(config, CAMERA, 30.0);
-    session.process(&frame(0, pose(0))).expect("a frame");
+    let mut session = Session::tracking(config, CAMERA, 30.0);
+    session.track(&frame(0, pose(0))).expect("a frame");
     let reconstruction = session.reconstruction();
     let turn = Vec3::new(0.5 / CAMERA.fy, 0.5 / CAMERA.fx, 0.0);
     let between = Pose::new(Rotation::exp(turn), Vec3::zero());
@@ -138,8 +138,8 @@ fn pixels_coarser_than_cells_leave_no_holes() {
 fn a_scene_beyond_the_cube_is_warned_of() {
     let mut config = config();
     (config.hashgrid.bound, config.hashgrid.first_iterations) = (1.0, 1);
-    let mut session = Session::new(config, CAMERA, 30.0);
-    session.process(&frame(0, pose(0))).expect("a frame");
+    let mut session = Session::tracking(config, CAMERA, 30.0);
+    session.track(&frame(0, pose(0))).expect("a frame");
     let warnings = session.take_warnings();
     assert!(warnings.len() == 1 && warnings[0].text.contains("hashgrid.bound"), "{warnings:?}");
 }
@@ -153,10 +153,10 @@ fn turning(index: usize) -> Pose<f64> {
 #[test]
 fn the_cube_grows_with_what_is_seen() {
     let frames = 7;
-    let mut session = Session::new(config(), CAMERA, 30.0);
+    let mut session = Session::tracking(config(), CAMERA, 30.0);
     let mut bounds = Vec::new();
     for index in 0..frames {
-        session.process(&frame(index, turning(index))).expect("frames of one size");
+        session.track(&frame(index, turning(index))).expect("frames of one size");
         let Map::HashGrid(map) = session.reconstruction().map else { panic!("not a field") };
         bounds.push(map.field.settings().bound);
     }
@@ -173,17 +173,11 @@ fn the_cube_grows_with_what_is_seen() {
 fn invalid_settings_of_a_field_end_the_session() {
     let mut config = config();
     config.parameters.field.levels = 0;
-    for beside in [false, true] {
-        config.mapping.beside_tracking = beside;
-        let mut session = Session::new(config.clone(), CAMERA, 30.0);
-        let error = (0..2).find_map(|i| session.process(&frame(i, pose(i))).err());
-        let message = error.expect("a field of no levels").to_string();
-        assert!(message.contains("cannot be started") && message.contains("levels"), "{message}");
-        assert_eq!(session.take_warnings(), []);
-        session.finish(&mut |_, _| true);
-        let warnings = session.take_warnings();
-        assert!(warnings.len() == 1 && warnings[0].text.contains("levels"), "{warnings:?}");
-    }
+    let mut session = Session::tracking(config, CAMERA, 30.0);
+    let error = session.track(&frame(0, pose(0))).expect_err("a field of no levels").to_string();
+    assert!(error.contains("cannot be started") && error.contains("levels"), "{error}");
+    session.finish(&mut |_, _| panic!("there is no map to refine"));
+    assert_eq!(session.take_warnings(), []);
 }
 
 #[test]
@@ -191,24 +185,21 @@ fn frames_that_start_a_map_which_stays_empty_are_not_tracked() {
     let mut config = Config::default();
     // Every Gaussian is larger than the scene, and pruned.
     config.parameters.gaussians.initial_scale = 1e30;
-    for beside in [false, true] {
-        config.mapping.beside_tracking = beside;
-        let (reconstruction, _) = run(config.clone(), pose);
-        assert!(reconstruction.map.is_empty());
-        let tracked = reconstruction.frames.iter().filter(|f| f.tracked).count();
-        assert_eq!((tracked, reconstruction.frames.len()), (0, FRAMES), "beside: {beside}");
-    }
+    let (reconstruction, _) = run(config.clone(), pose);
+    assert!(reconstruction.map.is_empty());
+    let tracked = reconstruction.frames.iter().filter(|f| f.tracked).count();
+    assert_eq!((tracked, reconstruction.frames.len()), (0, FRAMES));
     config.parameters.gaussians.initial_scale = 0.5;
     assert!(run(config, pose).0.frames.iter().all(|f| f.tracked));
 }
 
 #[test]
 fn frames_without_a_depth_picture_are_predicted_and_told_once() {
-    let mut session = Session::new(Config::default(), CAMERA, 30.0);
+    let mut session = Session::tracking(Config::default(), CAMERA, 30.0);
     for index in 0..FRAMES {
         let with = frame(index, pose(index));
         let given = if index % 2 == 0 { with } else { Frame { depth: None, ..with } };
-        session.process(&given).expect("a frame with or without depth");
+        session.track(&given).expect("a frame with or without depth");
     }
     let tracked: Vec<bool> = session.frames().iter().map(|frame| frame.tracked).collect();
     assert_eq!(tracked, [true, false, true, false, true]);
@@ -218,23 +209,17 @@ fn frames_without_a_depth_picture_are_predicted_and_told_once() {
 }
 
 #[test]
-fn mapping_beside_tracking_does_not_depend_on_threads() {
+fn results_do_not_depend_on_threads() {
     let mut config = config();
     config.map.kind = MapKind::Gaussian;
     config.mapping.final_iterations = 5;
-    let run = |beside: bool, threads: usize| {
-        let mut config = config.clone();
-        config.mapping.beside_tracking = beside;
+    let [one, three] = [1, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| super::tests::run(config, pose)).0
-    };
-    let (one, three, in_turn) = (run(true, 1), run(true, 3), run(false, 2));
-    assert!(one.map == three.map && one.map != in_turn.map);
-    for (index, estimate) in one.frames.iter().enumerate() {
-        assert_eq!(estimate.middle(), three.frames[index].middle());
-        let error = estimate.middle().local(pose(index)).translation.norm();
-        assert!(estimate.tracked && error < 0.01, "{index}: {error} m");
-        assert_eq!(estimate.gaussians > 0, index > 0 || estimate.keyframe);
+        pool.install(|| run(config.clone(), pose)).0
+    });
+    assert!(one.map == three.map);
+    for (a, b) in one.frames.iter().zip(&three.frames) {
+        assert!(a.tracked && a.shutter == b.shutter && a.gaussians > 0);
     }
 }
 
@@ -262,8 +247,8 @@ fn a_still_camera_shows_no_readout() {
     let is_missing = |path: fn(usize) -> Pose<f64>, optimise: bool| {
         let mut config = config.clone();
         config.input.optimise_rolling_shutter = optimise;
-        let mut session = Session::new(config, CAMERA, 30.0);
-        (0..FRAMES).for_each(|i| drop(session.process(&frame(i, path(i)))));
+        let mut session = Session::tracking(config, CAMERA, 30.0);
+        (0..FRAMES).for_each(|i| drop(session.track(&frame(i, path(i)))));
         session.is_readout_missing()
     };
     assert!(is_missing(|_| Pose::identity(), true));
@@ -275,12 +260,12 @@ fn pose_after_steps(iterations: usize, cancelled: bool) -> Pose<f64> {
     let mut config = Config::default();
     config.tracking.method = TrackingMethod::Adam;
     config.tracking.iterations = iterations;
-    let mut session = Session::new(config, CAMERA, 30.0);
-    session.process(&frame(0, pose(0))).expect("a frame");
+    let mut session = Session::tracking(config, CAMERA, 30.0);
+    session.track(&frame(0, pose(0))).expect("a frame");
     if cancelled {
         session.set_cancellation(CancellationToken::when(|| true));
     }
-    session.process(&frame(1, pose(1))).expect("a frame").middle()
+    session.track(&frame(1, pose(1))).expect("a frame").middle()
 }
 
 #[test]

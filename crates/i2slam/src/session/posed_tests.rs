@@ -1,11 +1,12 @@
 //! Keyframes of a synthetic room with disturbed poses, on both kinds of map.
 
 use super::*;
-use crate::keyframes::EstimatedDepth;
+use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::reconstruction::Map;
-use crate::session::tests::{CAMERA, frame};
+use crate::session::tracked_tests::{CAMERA, frame};
 use i2slam_check::noise;
-use i2slam_geometry::{Rotation, Vec3};
+use i2slam_formation::FrameTone;
+use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
 
 const KEYFRAMES: usize = 8;
 
@@ -41,10 +42,10 @@ fn config() -> Config {
     config
 }
 
-fn run(config: Config) -> KeyframeSession {
-    let mut session = KeyframeSession::new(config, CAMERA, 30.0);
+fn run(config: Config) -> Session {
+    let mut session = Session::refining(config, CAMERA, 30.0);
     for index in 0..KEYFRAMES {
-        session.process(keyframe(index, moved(index))).expect("keyframes of one size");
+        session.add_keyframe(keyframe(index, moved(index))).expect("keyframes of one size");
     }
     session.finish(&mut |_, _| true);
     assert_eq!(session.take_warnings(), []);
@@ -97,7 +98,7 @@ fn the_cube_grows_with_what_keyframes_see() {
     (config.hashgrid.bound, config.parameters.field.margin) = (0.0, 1.0);
     (config.hashgrid.first_iterations, config.hashgrid.iterations) = (1, 1);
     config.parameters.keyframed.first_keyframes = 2;
-    let mut session = KeyframeSession::new(config, CAMERA, 30.0);
+    let mut session = Session::refining(config, CAMERA, 30.0);
     let mut bounds = Vec::new();
     for (index, depth) in [1.0, 1.0, 1.2, 5.0].into_iter().enumerate() {
         let mut image = Image::new(CAMERA.width, CAMERA.height, 1);
@@ -105,7 +106,7 @@ fn the_cube_grows_with_what_keyframes_see() {
         let variance = Some(image.clone());
         let depth = Some(EstimatedDepth { depth: image, variance });
         let keyframe = PosedKeyframe { depth, ..keyframe(index, pose(index)) };
-        session.process(keyframe).expect("a keyframe");
+        session.add_keyframe(keyframe).expect("a keyframe");
         bounds.push(match session.reconstruction().map {
             Map::HashGrid(map) => map.field.settings().bound,
             Map::Gaussians(_) => 0.0,
@@ -124,7 +125,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
     config.parameters.keyframed.surface_growth = 1.3;
     config.mapping.hold_out = 5;
     let asked = config.parameters.field.levels;
-    let mut session = KeyframeSession::new(config, CAMERA, 30.0);
+    let mut session = Session::refining(config, CAMERA, 30.0);
     let seen = |index: usize| {
         let depth = frame(index, pose(index)).depth_image().expect("depth").clone();
         let mut variance = Image::new(CAMERA.width, CAMERA.height, 1);
@@ -136,7 +137,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
         (0..KEYFRAMES).partition(|&index| session.holds_out(index));
     assert_eq!(held, [5]);
     for index in mapped {
-        session.process(seen(index)).expect("a keyframe");
+        session.add_keyframe(seen(index)).expect("a keyframe");
     }
     let mut steps = 0;
     session.finish(&mut |_, of| {
@@ -144,7 +145,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
         true
     });
     assert_eq!(steps, 40);
-    let estimate = session.locate(seen(5)).expect("a frame");
+    let estimate = session.localize(seen(5)).expect("a frame");
     assert!(estimate.held_out && !estimate.keyframe);
     let map = match session.reconstruction().map {
         Map::HashGrid(map) => map,
@@ -180,7 +181,7 @@ type Damage = fn(&mut PosedKeyframe);
 
 #[test]
 fn unusable_keyframes_are_refused() {
-    let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
+    let mut session = Session::refining(config(), CAMERA, 30.0);
     let cases: [(Damage, &str); 6] = [
         (|k| k.colour = Arc::new(Image::new(10, 10, 3)), "its colour is (10, 10) pixels"),
         (|k| k.colour = Arc::new(Image::new(CAMERA.width, CAMERA.height, 1)), "3 channels"),
@@ -192,11 +193,11 @@ fn unusable_keyframes_are_refused() {
     for (damage, part) in cases {
         let mut damaged = keyframe(7, pose(0));
         damage(&mut damaged);
-        let error = session.process(damaged).expect_err("damaged").to_string();
+        let error = session.add_keyframe(damaged).expect_err("damaged").to_string();
         assert!(error.contains("frame 7") && error.contains(part), "{error}");
     }
     assert!(session.frames().is_empty());
-    session.process(black_keyframe(2)).expect("a picture all the same");
+    session.add_keyframe(black_keyframe(2)).expect("a picture all the same");
     let warnings = session.take_warnings();
     assert!(warnings.len() == 1 && warnings[0].text.contains("black"), "{warnings:?}");
     session.finish(&mut |_, _| true);
@@ -205,9 +206,9 @@ fn unusable_keyframes_are_refused() {
 
 #[test]
 fn the_first_exposure_is_initialised_from_a_black_second() {
-    let mut session = KeyframeSession::new(config(), CAMERA, 30.0);
-    session.process(keyframe(0, pose(0))).expect("a keyframe");
-    session.process(black_keyframe(1)).expect("a picture all the same");
+    let mut session = Session::refining(config(), CAMERA, 30.0);
+    session.add_keyframe(keyframe(0, pose(0))).expect("a keyframe");
+    session.add_keyframe(black_keyframe(1)).expect("a picture all the same");
     let first = session.frames()[0].shutter;
     assert_ne!(first.start, first.end);
 }
@@ -216,7 +217,7 @@ fn the_first_exposure_is_initialised_from_a_black_second() {
 fn an_unused_quadrature_is_warned_of() {
     let mut config = config();
     config.formation.quadrature = crate::config::Quadrature::Endpoints;
-    let warnings = KeyframeSession::new(config, CAMERA, 30.0).take_warnings();
+    let warnings = Session::refining(config, CAMERA, 30.0).take_warnings();
     assert!(matches!(&warnings[..], [one] if one.text.contains("quadrature")), "{warnings:?}");
 }
 
@@ -224,8 +225,8 @@ fn an_unused_quadrature_is_warned_of() {
 fn invalid_settings_of_a_field_end_the_session() {
     let mut config = config();
     config.parameters.field.levels = 0;
-    let mut session = KeyframeSession::new(config, CAMERA, 30.0);
-    let error = (0..5).find_map(|i| session.process(keyframe(i, pose(i))).err());
+    let mut session = Session::refining(config, CAMERA, 30.0);
+    let error = (0..5).find_map(|i| session.add_keyframe(keyframe(i, pose(i))).err());
     let message = error.expect("a field of no levels").to_string();
     assert!(message.contains("cannot be started") && message.contains("levels"), "{message}");
 }
@@ -256,25 +257,25 @@ fn posed_on_path(index: usize, with_depth: bool) -> PosedKeyframe {
     }
 }
 
-fn gaussian_session(with_depth: bool) -> KeyframeSession {
+fn gaussian_session(with_depth: bool) -> Session {
     rolling_session(with_depth, 0.0)
 }
 
 /// A finished session with a readout of `readout` [s].
-fn rolling_session(with_depth: bool, readout: f64) -> KeyframeSession {
+fn rolling_session(with_depth: bool, readout: f64) -> Session {
     let mut session = unfinished(with_depth, readout);
     session.finish(&mut |_, _| true);
     session
 }
 
 /// A session before its final optimisation.
-fn unfinished(with_depth: bool, readout: f64) -> KeyframeSession {
+fn unfinished(with_depth: bool, readout: f64) -> Session {
     let mut config = Config::preset("default-rgb").expect("known");
     config = config.with_found_readout(readout);
     (config.mapping.iterations, config.mapping.final_iterations) = (15, 60);
-    let mut session = KeyframeSession::new(config, CAMERA, 30.0);
+    let mut session = Session::refining(config, CAMERA, 30.0);
     for index in [0, 2, 4, 6] {
-        session.process(posed_on_path(index, with_depth)).expect("keyframes of one size");
+        session.add_keyframe(posed_on_path(index, with_depth)).expect("keyframes of one size");
     }
     session
 }
@@ -294,7 +295,7 @@ fn frames_are_localised_and_sorted_by_time() {
     let mut session = gaussian_session(true);
     assert!(matches!(session.reconstruction().map, Map::Gaussians(map) if map.len() > 500));
     for index in [1, 3, 5, 4] {
-        session.locate(posed_on_path(index, false)).expect("a frame of that size");
+        session.localize(posed_on_path(index, false)).expect("a frame of that size");
     }
     assert_eq!(session.take_warnings(), []);
     let frames = session.frames();
@@ -310,7 +311,7 @@ fn frames_are_localised_and_sorted_by_time() {
 #[test]
 fn a_readout_reaches_every_frame_that_is_found() {
     let mut session = rolling_session(true, 0.01);
-    session.locate(posed_on_path(3, false)).expect("a frame of that size");
+    session.localize(posed_on_path(3, false)).expect("a frame of that size");
     assert_eq!(session.reconstruction().rolling_shutter_readout, 0.01);
     assert!(session.frames().iter().filter(|f| f.tracked).all(|f| f.readout > 0.0));
     assert!(rolling_session(true, 0.0).frames().iter().all(|f| f.readout == 0.0));
@@ -342,9 +343,9 @@ fn unrefined_frames_keep_their_pose_relative_to_keyframes() {
         let off = |i: usize| pose_distance(near[i], there[i]);
         assert!(off(0).min(off(1)) < 1e-9, "{frame}: {} {}", off(0), off(1));
     }
-    session.locate(posed_on_path(3, false)).expect("it is there");
+    session.localize(posed_on_path(3, false)).expect("it is there");
     assert_eq!(session.take_warnings(), []);
-    let mut none = KeyframeSession::new(Config::default(), CAMERA, 30.0);
+    let mut none = Session::refining(Config::default(), CAMERA, 30.0);
     assert!(
         none.insert_unrefined(4, 0.1, moved_on_path(4))
             && none.insert_unrefined(5, 0.2, moved_on_path(5))
@@ -358,10 +359,10 @@ fn cancellation_leaves_one_step_per_keyframe() {
     let mapped = |steps: usize, cancellation: CancellationToken| {
         let mut config = Config::preset("default-rgb").expect("known");
         (config.mapping.first_iterations, config.mapping.iterations) = (steps, steps);
-        let mut session = KeyframeSession::new(config, CAMERA, 30.0);
+        let mut session = Session::refining(config, CAMERA, 30.0);
         session.set_cancellation(cancellation);
         for index in [0, 2] {
-            session.process(posed_on_path(index, true)).expect("keyframes of one size");
+            session.add_keyframe(posed_on_path(index, true)).expect("keyframes of one size");
         }
         session.reconstruction().map
     };
@@ -378,7 +379,7 @@ fn a_keyframe_that_is_not_found_is_warned_of() {
     let away = Tangent::from_array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
     let frame = posed_on_path(8, false);
     let turned = PosedKeyframe { world_from_camera: path_pose(8).retract(away), ..frame };
-    session.process(turned).expect("a keyframe of that size");
+    session.add_keyframe(turned).expect("a keyframe of that size");
     session.finish(&mut |_, _| true);
     let tracked: Vec<bool> = session.frames().iter().map(|f| f.tracked).collect();
     assert_eq!(tracked, [true, true, true, true, false]);
@@ -395,7 +396,7 @@ fn without_any_depth_the_map_stays_empty_with_a_warning() {
         warnings.iter().any(|w| w.text.contains("no keyframe came with a depth")),
         "{warnings:?}"
     );
-    let frame = session.locate(posed_on_path(1, false)).expect("a frame all the same");
+    let frame = session.localize(posed_on_path(1, false)).expect("a frame all the same");
     assert!(!frame.tracked && !frame.keyframe);
 }
 

@@ -1,81 +1,49 @@
-//! Session on keyframes with roughly known poses, which are refined together with the map; the
-//! frames between them are localised in it at the end.
+//! Keyframes with poses of another source, which are refined together with the map; the frames
+//! between them are localised in it at the end.
 
+use super::Session;
 use super::error::{SessionError, check_image};
 use super::state::SessionState;
-use crate::config::{Config, MapKind, ResponseScope};
+use crate::config::{MapKind, ResponseScope};
 use crate::keyframes::PosedKeyframe;
-use crate::mapping::{
-    AdjacentFrames, JointFieldMapper, JointGaussianMapper, JointMapper, Keyframe, MappingContext,
-};
+use crate::mapping::{AdjacentFrames, Keyframe};
 use crate::objective::Observation;
-use crate::reconstruction::{FrameEstimate, Reconstruction};
-use crate::warning::Warning;
-use i2slam_compute::CancellationToken;
+use crate::reconstruction::FrameEstimate;
 use i2slam_formation::{FrameTone, ShutterPoses};
-use i2slam_geometry::{Camera, Image, Pose, Tangent};
+use i2slam_geometry::{Image, Pose, Tangent};
 use i2slam_odometry::blank_reason;
-use i2slam_radiance::hashgrid::SettingsError;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// RGB SLAM on keyframes whose poses, and perhaps depths, are roughly known.
-///
-/// The world is the camera of the first keyframe at its input pose; every pose is refined, that one
-/// too.
-pub struct KeyframeSession {
-    config: Config,
-    camera: Camera<f64>,
-    frame_rate: f64,
-    mapper: Box<dyn JointMapper>,
-    state: SessionState,
-    /// From the world of the keyframe source to that of the session.
+/// Poses as their source gave them, and the change of world.
+#[derive(Default)]
+pub(super) struct SourcePoses {
+    /// From the world of the source to that of the session.
     world_from_source: Option<Pose<f64>>,
-    /// Poses before refinement, in the world of the session, by frame index.
-    input_poses: BTreeMap<usize, Pose<f64>>,
-    failure: Option<SettingsError>,
+    /// Poses of keyframes before refinement, in the world of the session, by frame index.
+    keyframes: BTreeMap<usize, Pose<f64>>,
 }
 
-impl KeyframeSession {
-    /// A session for keyframes of `camera`, taken from a video of `frame_rate` frames per second.
-    pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
-        let mapper: Box<dyn JointMapper> = match config.map.kind {
-            MapKind::Gaussian => Box::new(JointGaussianMapper::new(&config, &camera, frame_rate)),
-            MapKind::HashGrid => Box::new(JointFieldMapper::new(&camera, frame_rate)),
-        };
-        let mut state = SessionState::new(&config);
-        state.warnings.extend(unused_setting(&config));
-        Self {
-            mapper,
-            state,
-            world_from_source: None,
-            input_poses: BTreeMap::new(),
-            failure: None,
-            config,
-            camera,
-            frame_rate,
-        }
+impl SourcePoses {
+    /// A pose in the world of the session, which is the camera of the first one.
+    fn to_world(&mut self, source_from_camera: Pose<f64>) -> Pose<f64> {
+        let world = self.world_from_source.get_or_insert_with(|| source_from_camera.inverse());
+        *world * source_from_camera
     }
+}
 
-    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::valid_mask`.
-    pub fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
-        self.mapper.set_valid_mask(Arc::clone(&valid_mask));
-        self.state.valid_mask = Some(valid_mask);
-    }
-
-    /// Sets the token whose cancellation ends mapping of a keyframe early.
-    pub fn set_cancellation(&mut self, cancellation: CancellationToken) {
-        self.state.cancellation = cancellation;
-    }
-
+impl Session {
     /// Adds one keyframe, and refines map, poses and tone for some steps.
     ///
     /// # Errors
     ///
     /// A keyframe that does not fit the camera or has no finite pose, and a map that cannot be
     /// started with its settings.
-    pub fn process(&mut self, keyframe: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
+    pub fn add_keyframe(
+        &mut self,
+        keyframe: PosedKeyframe,
+    ) -> Result<&FrameEstimate, SessionError> {
         self.check(&keyframe)?;
         let clock = Instant::now();
         let keyframe_from_source = keyframe.world_from_camera.inverse();
@@ -90,50 +58,30 @@ impl KeyframeSession {
             self.initialize_first_exposure();
         }
         if maps {
-            self.state.keyframes.push(Keyframe { frame: position, observation, adjacent });
-            let (mapper, mut context) = self.mapping();
-            if let Err(source) = mapper.add(&mut context) {
-                self.failure = Some(source);
-                return Err(SessionError::Map { source });
-            }
+            self.map_keyframe(Keyframe { frame: position, observation, adjacent })?;
         }
         let estimate = &mut self.state.frames[position];
         estimate.mapping_seconds = clock.elapsed().as_secs_f64();
         Ok(estimate)
     }
 
-    /// Final optimisation of map and keyframes; stops when `on_step(done, total)` returns false.
-    pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
-        if self.state.keyframes.is_empty() || self.failure.is_some() {
-            return;
+    /// Maps a keyframe; in Gaussians it is localised first, which initialises its motion during
+    /// exposure and its tone. A field that grows is too soft for that.
+    fn map_keyframe(&mut self, keyframe: Keyframe) -> Result<(), SessionError> {
+        let position = keyframe.frame;
+        if self.config.map.kind == MapKind::Gaussian && !self.mapper.is_empty() {
+            let mut estimate = self.state.frames[position].clone();
+            let previous = keyframe.adjacent.previous_frame(&estimate);
+            let (mapper, tracker, context) = self.mapping();
+            let frame = (&mut estimate, &keyframe.observation.colour);
+            let others = &context.frames[..position];
+            tracker.localize(mapper, &context, frame, previous.as_ref(), others);
+            self.state.frames[position] = estimate;
         }
-        let (mapper, mut context) = self.mapping();
-        if let Err(error) = mapper.finish(&mut context, on_step) {
-            self.state.warnings.push(format!("the map is empty: {error}").into());
-            self.failure = Some(error);
-        }
-        let SessionState { frames, warnings, .. } = &mut self.state;
-        warnings.extend(frames.iter().filter(|f| f.keyframe && !f.tracked).map(|f| {
-            let text =
-                "not found in the map: its pose is that of the front end, refined with the map";
-            Warning::of_frame(f.index, text)
-        }));
-    }
-
-    /// Frames so far, in order of their index.
-    pub fn frames(&self) -> &[FrameEstimate] {
-        &self.state.frames
-    }
-
-    /// Takes the warnings since the last call.
-    pub fn take_warnings(&mut self) -> Vec<Warning> {
-        std::mem::take(&mut self.state.warnings)
-    }
-
-    /// A copy of everything estimated so far.
-    pub fn reconstruction(&self) -> Reconstruction {
-        let readout = self.config.input.rolling_shutter_readout;
-        self.state.reconstruction(&self.config, &self.camera, self.mapper.map(), readout)
+        self.state.keyframes.push(keyframe.clone());
+        self.map(&keyframe)?;
+        self.state.frames[position].gaussians = self.mapper.gaussians();
+        Ok(())
     }
 
     fn check(&self, keyframe: &PosedKeyframe) -> Result<(), SessionError> {
@@ -163,9 +111,9 @@ impl KeyframeSession {
         adjacent: AdjacentFrames,
     ) -> (FrameEstimate, Arc<Observation>) {
         let PosedKeyframe { index, timestamp, colour, world_from_camera, depth, .. } = keyframe;
-        let source = *self.world_from_source.get_or_insert_with(|| world_from_camera.inverse());
-        let world_from_camera = source * world_from_camera;
-        self.input_poses.insert(index, world_from_camera);
+        let source = self.source.get_or_insert_default();
+        let world_from_camera = source.to_world(world_from_camera);
+        source.keyframes.insert(index, world_from_camera);
         let blank = blank_reason(&colour);
         if let Some(reason) = blank {
             self.state.warn(index, format!("{reason}: it is not mapped"));
@@ -234,17 +182,6 @@ impl KeyframeSession {
         }
     }
 
-    fn mapping(&mut self) -> (&mut dyn JointMapper, MappingContext<'_>) {
-        let keyframes = self.state.keyframes.len();
-        let context = self.state.mapping_context(&self.config, &self.camera, keyframes);
-        (self.mapper.as_mut(), context)
-    }
-
-    /// Whether the `number`-th keyframe, from 0, is held out (`mapping.hold_out`).
-    pub fn holds_out(&self, number: usize) -> bool {
-        self.config.mapping.holds_out(number)
-    }
-
     /// Localises a frame that is no keyframe, after [`finish`](Self::finish), best in order: its
     /// picture refines its pose, which starts relative to the nearest keyframe as in the source,
     /// and estimates its motion during exposure and its tone. Nothing else changes.
@@ -252,7 +189,10 @@ impl KeyframeSession {
     /// # Errors
     ///
     /// A frame that does not fit the camera or has no finite pose.
-    pub fn locate(&mut self, frame: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
+    pub fn localize(
+        &mut self,
+        frame: PosedKeyframe,
+    ) -> Result<&FrameEstimate, SessionError> {
         self.check(&frame)?;
         let PosedKeyframe { index, timestamp, colour, world_from_camera, .. } = frame;
         let place = match self.position_of(index) {
@@ -261,10 +201,9 @@ impl KeyframeSession {
         };
         let mut estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
         let previous = place.checked_sub(1).map(|i| self.state.frames[i].clone());
-        let (mapper, context) = self.mapping();
-        let found = mapper.locate(&context, (&mut estimate, &colour), previous.as_ref());
-        estimate.tracked = found;
-        if !found {
+        let (mapper, tracker, context) = self.mapping();
+        let frame = (&mut estimate, &colour);
+        if !tracker.localize(mapper, &context, frame, previous.as_ref(), context.frames) {
             let text = "not found in the map: its pose is that of the front end";
             self.state.warn(index, text);
         }
@@ -284,7 +223,7 @@ impl KeyframeSession {
         if !timestamp.is_finite() || !world_from_camera.is_finite() {
             return false;
         }
-        self.world_from_source.get_or_insert_with(|| world_from_camera.inverse());
+        self.source.get_or_insert_default().to_world(world_from_camera);
         let estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
         self.insert(place, estimate);
         true
@@ -321,28 +260,14 @@ impl KeyframeSession {
 
     /// Pose of a frame that keeps its input pose relative to the keyframe nearest in time.
     fn pose_near_keyframe(&self, timestamp: f64, world_from_camera: Pose<f64>) -> Pose<f64> {
-        let source = self.world_from_source.unwrap_or_else(Pose::identity);
-        let input = source * world_from_camera;
+        let world_from_source = self.source.as_ref().and_then(|source| source.world_from_source);
+        let input = world_from_source.unwrap_or_else(Pose::identity) * world_from_camera;
         let distance = |f: &&FrameEstimate| (f.timestamp - timestamp).abs();
         let keyframes = self.state.frames.iter().filter(|f| f.keyframe);
         let nearest = keyframes.min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        match nearest.and_then(|near| Some((near, self.input_poses.get(&near.index)?))) {
+        match nearest.and_then(|near| Some((near, self.source.as_ref()?.keyframes.get(&near.index)?))) {
             Some((near, near_input)) => near.middle() * (near_input.inverse() * input),
             None => input,
         }
     }
 }
-
-/// Warns of a changed setting that has no effect in this kind of session.
-fn unused_setting(config: &Config) -> Option<Warning> {
-    let preset = Config::preset(&config.preset).ok()?.formation.quadrature;
-    let is_field = config.map.kind == MapKind::HashGrid;
-    (is_field && preset != config.formation.quadrature).then(|| {
-        "`formation.quadrature` has no effect here: the moments of the exposure are drawn at \
-         random within equal parts of it"
-            .into()
-    })
-}
-
-#[cfg(test)]
-mod tests;
