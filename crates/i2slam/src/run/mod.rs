@@ -12,13 +12,12 @@
 //! ```
 
 mod camera;
+mod driver;
 mod error;
 mod forecast;
-mod frames;
 mod keyframes;
 mod memory;
 mod observer;
-mod runner;
 mod shortfall;
 
 pub use camera::CameraEstimate;
@@ -31,6 +30,7 @@ use crate::config::{Config, MapKind, TrackingMethod};
 use crate::keyframes::{ImportDepth, ImportOptions};
 use crate::reconstruction::Reconstruction;
 use crate::warning::Warning;
+use driver::Input;
 use i2slam_dataset::import::camera_file;
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use observer::RunContext;
@@ -202,16 +202,13 @@ pub fn reconstruct(
 ) -> Result<RunOutcome, RunError> {
     options.validate(sequence)?;
     let context = RunContext::new(observer);
-    let mut outcome = match &options.poses {
+    let open = || match &options.poses {
         PoseSource::Depth if options.config.tracking.method == TrackingMethod::SecondOrder => {
-            let open = || keyframes::from_odometry(sequence, false, options, &context);
-            keyframes::run(sequence, options, &context, open)
+            keyframes::from_odometry(sequence, false, options, &context)
         }
-        PoseSource::Depth => frames::run(sequence, options, &context),
+        PoseSource::Depth => Ok(Input::frames(sequence)),
         PoseSource::Odometry { estimate_distortion } => {
-            let open =
-                || keyframes::from_odometry(sequence, *estimate_distortion, options, &context);
-            keyframes::run(sequence, options, &context, open)
+            keyframes::from_odometry(sequence, *estimate_distortion, options, &context)
         }
         PoseSource::Imported { keyframes, pictures, depth, variance } => {
             let import = ImportOptions {
@@ -220,10 +217,10 @@ pub fn reconstruct(
                 variance: variance.clone(),
                 ..ImportOptions::default()
             };
-            let open = || keyframes::imported((keyframes, pictures), &import, options, &context);
-            keyframes::run(sequence, options, &context, open)
+            keyframes::imported((keyframes, pictures), &import, options, &context)
         }
-    }?;
+    };
+    let mut outcome = driver::run(sequence, options, &context, open)?;
     let stamp = |index: usize| {
         let place = sequence.entries.binary_search_by_key(&index, |entry| entry.index).ok()?;
         Some(sequence.entries[place].timestamp)

@@ -63,6 +63,15 @@ pub(super) fn of_holding_out(
     })
 }
 
+/// A sentence if the readout of a rolling shutter was to be found, and no frame showed one.
+pub(super) fn of_readout(is_missing: bool) -> Option<String> {
+    is_missing.then(|| {
+        "no readout of a rolling shutter was found: no frame shows it \
+         (input.optimise_rolling_shutter)"
+            .to_owned()
+    })
+}
+
 fn is_too_few(found: usize, given: usize) -> bool {
     found * TRACKED_ONE_IN < given
 }

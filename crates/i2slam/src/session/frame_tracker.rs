@@ -79,7 +79,9 @@ impl FrameTracker {
             let earlier = &context.frames[..keyframe.frame];
             let (previous, others) = match context.config.map.kind {
                 MapKind::Gaussian => (adjacent, earlier),
-                MapKind::HashGrid => (adjacent.or_else(|| earlier.last().cloned()), &*context.frames),
+                MapKind::HashGrid => {
+                    (adjacent.or_else(|| earlier.last().cloned()), &*context.frames)
+                }
             };
             let frame = (&mut estimate, &keyframe.observation.colour);
             self.localize(mapper, context, frame, previous.as_ref(), others);

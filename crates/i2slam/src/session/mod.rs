@@ -70,12 +70,7 @@ impl Session {
         session
     }
 
-    fn new(
-        config: Config,
-        camera: Camera<f64>,
-        frame_rate: f64,
-        mapper: Box<dyn Mapper>,
-    ) -> Self {
+    fn new(config: Config, camera: Camera<f64>, frame_rate: f64, mapper: Box<dyn Mapper>) -> Self {
         Self {
             mapper,
             state: SessionState::new(&config),

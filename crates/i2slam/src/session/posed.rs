@@ -27,7 +27,7 @@ pub(super) struct SourcePoses {
 
 impl SourcePoses {
     /// A pose in the world of the session, which is the camera of the first one.
-    fn to_world(&mut self, source_from_camera: Pose<f64>) -> Pose<f64> {
+    fn place_in_world(&mut self, source_from_camera: Pose<f64>) -> Pose<f64> {
         let world = self.world_from_source.get_or_insert_with(|| source_from_camera.inverse());
         *world * source_from_camera
     }
@@ -112,7 +112,7 @@ impl Session {
     ) -> (FrameEstimate, Arc<Observation>) {
         let PosedKeyframe { index, timestamp, colour, world_from_camera, depth, .. } = keyframe;
         let source = self.source.get_or_insert_default();
-        let world_from_camera = source.to_world(world_from_camera);
+        let world_from_camera = source.place_in_world(world_from_camera);
         source.keyframes.insert(index, world_from_camera);
         let blank = blank_reason(&colour);
         if let Some(reason) = blank {
@@ -189,10 +189,7 @@ impl Session {
     /// # Errors
     ///
     /// A frame that does not fit the camera or has no finite pose.
-    pub fn localize(
-        &mut self,
-        frame: PosedKeyframe,
-    ) -> Result<&FrameEstimate, SessionError> {
+    pub fn localize(&mut self, frame: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
         self.check(&frame)?;
         let PosedKeyframe { index, timestamp, colour, world_from_camera, .. } = frame;
         let place = match self.position_of(index) {
@@ -223,7 +220,7 @@ impl Session {
         if !timestamp.is_finite() || !world_from_camera.is_finite() {
             return false;
         }
-        self.source.get_or_insert_default().to_world(world_from_camera);
+        self.source.get_or_insert_default().place_in_world(world_from_camera);
         let estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
         self.insert(place, estimate);
         true
@@ -265,7 +262,9 @@ impl Session {
         let distance = |f: &&FrameEstimate| (f.timestamp - timestamp).abs();
         let keyframes = self.state.frames.iter().filter(|f| f.keyframe);
         let nearest = keyframes.min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        match nearest.and_then(|near| Some((near, self.source.as_ref()?.keyframes.get(&near.index)?))) {
+        match nearest
+            .and_then(|near| Some((near, self.source.as_ref()?.keyframes.get(&near.index)?)))
+        {
             Some((near, near_input)) => near.middle() * (near_input.inverse() * input),
             None => input,
         }

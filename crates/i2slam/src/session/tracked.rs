@@ -49,7 +49,8 @@ impl Session {
         let starts_map = self.mapper.is_empty();
         let SessionState { frames, keyframes, .. } = &mut self.state;
         let position = frames.len() - 1;
-        let current = Keyframe { frame: position, observation, adjacent: AdjacentFrames::default() };
+        let current =
+            Keyframe { frame: position, observation, adjacent: AdjacentFrames::default() };
         let last = keyframes.last().map(|k| k.frame);
         frames[position].keyframe = starts_map
             || last.is_none_or(|last| {

@@ -1,0 +1,304 @@
+//! Loop over the frames or keyframes of any source of poses, from the first to the finished map.
+
+use super::camera::CameraEstimate;
+use super::error::{RunError, catch_panic};
+use super::observer::RunContext;
+use super::{RunOptions, RunOutcome, Stage, shortfall};
+use crate::config::TrackingMethod;
+use crate::keyframes::{PictureError, PosedKeyframe};
+use crate::session::{Session, SessionError};
+use crate::warning::Warning;
+use i2slam_dataset::{Frame, Sequence};
+use i2slam_geometry::{Camera, Pose};
+use std::collections::VecDeque;
+use std::fmt::Display;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A frame to be tracked against the map, or a keyframe that comes with its pose.
+pub(super) enum Item {
+    Frame(Frame),
+    Keyframe(Box<PosedKeyframe>),
+}
+
+/// Frames with poses between keyframes, in order.
+pub(super) type BetweenFrames =
+    Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>>>;
+
+/// Frames, or keyframes with poses, ready to be mapped.
+pub(super) struct Input<'a> {
+    pub(super) items: Box<dyn Iterator<Item = Result<Item, PictureError>> + 'a>,
+    /// Number of items.
+    pub(super) count: usize,
+    /// Kind of the items.
+    pub(super) kind: &'static ItemKind,
+    /// Camera of all pictures.
+    pub(super) camera: Camera<f64>,
+    /// Readout of a rolling shutter that the source has found [s]; 0 without.
+    pub(super) readout: f64,
+    pub(super) frame_rate: f64,
+    pub(super) between: BetweenFrames,
+    /// Index, stamp [s] and pose of all frames that have one.
+    pub(super) path: Vec<(usize, f64, Pose<f64>)>,
+    /// Frames of the sequence, those without a pose included.
+    pub(super) frames_given: usize,
+    pub(super) estimate: Option<CameraEstimate>,
+    pub(super) undistorted: Option<Sequence>,
+}
+
+/// Words and stages of a kind of items.
+pub(super) struct ItemKind {
+    /// Name in messages.
+    name: &'static str,
+    first: &'static str,
+    stage: Stage,
+    /// Stage after the last item.
+    last_stage: Stage,
+    session: fn(crate::Config, Camera<f64>, f64) -> Session,
+}
+
+pub(super) const FRAMES: ItemKind = ItemKind {
+    name: "frame",
+    first: "the first frame",
+    stage: Stage::Frames,
+    last_stage: Stage::MapRefinement,
+    session: Session::tracking,
+};
+
+pub(super) const KEYFRAMES: ItemKind = ItemKind {
+    name: "keyframe",
+    first: "the first keyframe",
+    stage: Stage::Keyframes,
+    last_stage: Stage::Refinement,
+    session: Session::refining,
+};
+
+impl<'a> Input<'a> {
+    /// All frames of a sequence, to be tracked against the map.
+    pub(super) fn frames(sequence: &'a Sequence) -> Self {
+        let items = sequence.stream().map(|frame| Ok(Item::Frame(frame?)));
+        Self {
+            items: Box::new(items),
+            count: sequence.len(),
+            kind: &FRAMES,
+            camera: sequence.camera,
+            readout: 0.0,
+            frame_rate: sequence.frame_rate,
+            between: Box::new(std::iter::empty()),
+            path: Vec::new(),
+            frames_given: sequence.len(),
+            estimate: None,
+            undistorted: None,
+        }
+    }
+
+    fn none_usable(&self) -> String {
+        match (self.kind.stage, self.count) {
+            (Stage::Keyframes, _) => "no keyframe could be used".to_owned(),
+            (_, 1) => "the only frame could not be used".to_owned(),
+            (_, all) => format!("none of the {all} frames could be used"),
+        }
+    }
+}
+
+/// Maps all items of the input that `open` gives until they end or the run is cancelled. An
+/// unreadable one is left out with a warning.
+pub(super) fn run<'a>(
+    sequence: &'a Sequence,
+    options: &RunOptions,
+    context: &RunContext,
+    open: impl FnOnce() -> Result<Input<'a>, RunError>,
+) -> Result<RunOutcome, RunError> {
+    let started = Instant::now();
+    let mut input = catch_panic(open)?;
+    context.observer.progress(input.kind.stage, 0, input.count);
+    let config = options.config.clone().with_found_readout(input.readout);
+    let mut session = (input.kind.session)(config, input.camera, input.frame_rate);
+    session.set_cancellation(context.cancellation.clone());
+    if let Some(valid_mask) = &input.undistorted.as_ref().unwrap_or(sequence).valid_mask {
+        session.set_valid_mask(Arc::clone(valid_mask));
+    }
+    // Where the frames between keyframes are localised, too, their tracking tells.
+    let is_path =
+        input.estimate.is_some() && options.config.tracking.method == TrackingMethod::Adam;
+    let few_poses = is_path.then(|| shortfall::of_path(input.path.len(), input.frames_given));
+    let none_usable = input.none_usable();
+    let items = std::mem::replace(&mut input.items, Box::new(std::iter::empty()));
+    let (number, held_out, skipped) = (0, VecDeque::new(), 0);
+    let mut driver =
+        Driver { session, input, context, number, held_out, skipped, first_error: None };
+    let mut problem = catch_panic(|| driver.process_all(items)).err();
+    let cancelled = || context.cancellation.is_cancelled();
+    if cancelled() {
+        driver.keep_unprocessed();
+    }
+    if driver.session.frames().is_empty() {
+        return Err(driver.nothing(problem, none_usable));
+    }
+    if problem.is_none() && !cancelled() {
+        problem = catch_panic(|| driver.finish()).err();
+        if cancelled() {
+            driver.keep_unprocessed();
+        }
+    }
+    driver.pass_warnings_on();
+    let complete = problem.is_none() && !cancelled();
+    let Driver { session, input, number, skipped, .. } = driver;
+    let mut shortfalls = Vec::new();
+    if complete {
+        shortfalls.extend(shortfall::of_holding_out(
+            session.mapping_settings(),
+            (number, input.kind.name),
+        ));
+        shortfalls.extend(shortfall::of_readout(session.is_readout_missing()));
+        shortfalls.extend(few_poses.flatten());
+    }
+    Ok(RunOutcome {
+        reconstruction: session.reconstruction(),
+        frames_given: input.frames_given,
+        frames_skipped: skipped,
+        seconds: started.elapsed().as_secs_f64(),
+        complete,
+        problem,
+        shortfalls,
+        camera: input.estimate,
+        undistorted: input.undistorted,
+        warnings: Vec::new(),
+    })
+}
+
+struct Driver<'a, 'b> {
+    session: Session,
+    input: Input<'a>,
+    context: &'b RunContext,
+    /// Number of frames so far, mapped or held out.
+    number: usize,
+    /// Keyframes kept from the map, in order.
+    held_out: VecDeque<PosedKeyframe>,
+    skipped: usize,
+    first_error: Option<String>,
+}
+
+impl Driver<'_, '_> {
+    fn process_all(
+        &mut self,
+        items: impl Iterator<Item = Result<Item, PictureError>>,
+    ) -> Result<(), RunError> {
+        for (done, item) in items.enumerate() {
+            if self.context.cancellation.is_cancelled() {
+                return Ok(());
+            }
+            match item {
+                Ok(item) => self.process(item)?,
+                Err(error) => self.leave_out(&error),
+            }
+            if let Some(estimate) = self.session.frames().last() {
+                self.context.observer.frame(estimate, done + 1, self.input.count);
+            }
+        }
+        Ok(())
+    }
+
+    fn process(&mut self, item: Item) -> Result<(), RunError> {
+        let (processed, of_file) = match item {
+            Item::Frame(frame) => {
+                let processed = self.session.track(&frame).map(|_| ());
+                self.number = self.session.frames().len();
+                (
+                    processed,
+                    frame.warnings.iter().map(|w| Warning::of_frame(frame.index, w)).collect(),
+                )
+            }
+            Item::Keyframe(keyframe) => {
+                self.number += 1;
+                if self.session.holds_out(self.number - 1) {
+                    self.held_out.push_back(*keyframe);
+                    return Ok(());
+                }
+                (self.session.add_keyframe(*keyframe).map(|_| ()), Vec::new())
+            }
+        };
+        match processed {
+            Ok(()) => {}
+            // No later frame can start the map either.
+            Err(error @ SessionError::Map { .. }) => return Err(error.into()),
+            Err(error) => self.leave_out(&error),
+        }
+        let mut warnings: Vec<Warning> = self.session.take_warnings();
+        if warnings.is_empty() {
+            warnings = of_file;
+        }
+        warnings.into_iter().for_each(|warning| self.context.warn(warning));
+        Ok(())
+    }
+
+    fn leave_out(&mut self, error: &dyn Display) {
+        self.context.warn(format!("{} left out: {error}", self.input.kind.name));
+        self.skipped += 1;
+        self.first_error.get_or_insert_with(|| error.to_string());
+    }
+
+    /// Refines the map after the last item, then localises all frames with poses that it was not made
+    /// of.
+    fn finish(&mut self) -> Result<(), RunError> {
+        let count = self.held_out.len() + self.input.between.len();
+        let (mut done, mut steps, mut goes_on) = (0, 0, true);
+        let (context, stage) = (self.context, self.input.kind.last_stage);
+        let on_step = |done: usize, of: usize| {
+            context.observer.progress(stage, done, of);
+            !context.cancellation.is_cancelled()
+        };
+        self.session.finish(&mut |step, of| {
+            (done, steps) = (step, of);
+            goes_on = on_step(step, of + count);
+            goes_on
+        });
+        while goes_on {
+            let next = self.held_out.pop_front().map(Ok).or_else(|| self.input.between.next());
+            let Some(frame) = next else { break };
+            self.localize(frame);
+            done += 1;
+            goes_on = on_step(done, steps + count);
+        }
+        Ok(())
+    }
+
+    /// Localises a frame in the finished map; one that cannot be used is left out with a warning.
+    fn localize(&mut self, frame: Result<PosedKeyframe, PictureError>) {
+        let located = frame.and_then(|frame| Ok(self.session.localize(frame).map(|_| ())?));
+        if let Err(reason) = located {
+            self.context.warn(format!("frame left out: {reason}"));
+        }
+    }
+
+    /// Adds the poses that are known of frames not processed, after cancellation.
+    fn keep_unprocessed(&mut self) {
+        let path = std::mem::take(&mut self.input.path).into_iter();
+        let kept = path
+            .filter(|(index, stamp, pose)| self.session.insert_unrefined(*index, *stamp, *pose));
+        let count = kept.count();
+        if count > 0 {
+            let frames = if count == 1 { "frame" } else { "frames" };
+            self.context.warn(format!(
+                "ended early: the poses of {count} {frames} are those of visual odometry, not refined"
+            ));
+        }
+    }
+
+    fn pass_warnings_on(&mut self) {
+        let warnings = self.session.take_warnings().into_iter();
+        warnings.for_each(|warning| self.context.warn(warning));
+    }
+
+    /// Error of a run without a single frame.
+    fn nothing(self, problem: Option<RunError>, what: String) -> RunError {
+        if self.context.cancellation.is_cancelled() {
+            return RunError::Cancelled { before: self.input.kind.first };
+        }
+        let reason = problem.map(|error| error.to_string()).or(self.first_error);
+        RunError::NoUsableFrame {
+            what,
+            reason: reason.unwrap_or_else(|| "there are none".to_owned()),
+        }
+    }
+}
