@@ -124,7 +124,7 @@ fn options_that_contradict_each_other_are_refused() {
     let refused = |options: &RunOptions| {
         reconstruct(&open(options), options, ()).expect_err("a contradiction").to_string()
     };
-    let odometry = PoseSource::Odometry { estimate_distortion: true };
+    let odometry = PoseSource::FrontEnd { with_depth: false, estimate_distortion: true };
     let with_depth_preset = quick(RunOptions::new(Config::default(), odometry.clone()), 3);
     assert_eq!(refused(&with_depth_preset), "preset default is for colour with depth");
     let known_camera = quick(RunOptions::new(Config::default_rgb(), odometry), 3);

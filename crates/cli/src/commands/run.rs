@@ -185,7 +185,7 @@ fn pose_source(arguments: &Run, config: &Config) -> Result<PoseSource, Failure> 
         refuse_estimate(arguments)?;
     }
     match (is_rgb(arguments), &arguments.keyframes, config.is_rgb()) {
-        (false, _, false) => Ok(PoseSource::Depth),
+        (false, _, false) => Ok(PoseSource::with_depth(config)),
         (false, _, true) => {
             Err(Failure::Usage(format!("preset {preset} is for colour alone: add --rgb")))
         }
@@ -193,8 +193,8 @@ fn pose_source(arguments: &Run, config: &Config) -> Result<PoseSource, Failure> 
             "preset {preset} is for RGB-D: {} goes with default-rgb, paper-rgb or paper-rgb-s",
             if arguments.rgb { "colour alone (--rgb)" } else { "a video, which has no depth," }
         ))),
-        (true, None, true) => Ok(PoseSource::Odometry { estimate_distortion }),
-        (true, Some(path), true) => Ok(PoseSource::Imported {
+        (true, None, true) => Ok(PoseSource::FrontEnd { with_depth: false, estimate_distortion }),
+        (true, Some(path), true) => Ok(PoseSource::Files {
             keyframes: path.clone(),
             pictures: arguments.dataset.clone(),
             depth: match arguments.keyframe_depth {

@@ -94,7 +94,7 @@ fn reconstruct_into(
     }
     warnings.extend(sequence.warnings.iter().chain(&truth.warnings).cloned());
     warnings.iter().for_each(|warning| progress.warn(warning));
-    if let PoseSource::Odometry { .. } = job.options.poses {
+    if let PoseSource::FrontEnd { with_depth: false, .. } = job.options.poses {
         messages::input_lines(sequence).iter().for_each(|line| progress.note(line));
     }
     let failure = |error: RunError| {
@@ -139,7 +139,7 @@ fn record_stream(job: &Job<'_>) -> Result<Option<Recording>, Failure> {
     if !is_stream(&job.dataset) {
         return Ok(None);
     }
-    if let PoseSource::Imported { .. } = job.options.poses {
+    if let PoseSource::Files { .. } = job.options.poses {
         return Err(Failure::Usage(format!(
             "{} is a stream: --keyframes goes with a file or a folder",
             job.dataset.display()

@@ -36,7 +36,8 @@ struct Extent {
     /// Pixels of a frame.
     pixels: u64,
     frames: u64,
-    with_depth: bool,
+    /// Whether frames are tracked against the map, not keyframes refined with it.
+    tracked: bool,
 }
 
 /// Memory that one setting decides.
@@ -56,7 +57,7 @@ pub(super) fn check(options: &RunOptions, sequence: &Sequence) -> Result<(), Con
     let extent = Extent {
         pixels: (camera.width as u64).saturating_mul(camera.height as u64),
         frames: sequence.len() as u64,
-        with_depth: options.poses == PoseSource::Depth,
+        tracked: options.poses == PoseSource::Map,
     };
     let available = i2slam_compute::machine_memory().unwrap_or(USUAL_MEMORY);
     check_needs(needs(&options.config, extent), available)
@@ -117,7 +118,7 @@ fn field(config: &Config, extent: Extent) -> Vec<Need> {
         0.0 => ROOM,
         bound => f64::from(bound),
     };
-    let (settings, cells) = largest_field(config, bound, !extent.with_depth);
+    let (settings, cells) = largest_field(config, bound, !extent.tracked);
     let (Ok(training), table) = (settings.training_bytes(), config.hashgrid.log2_table) else {
         return Vec::new();
     };
@@ -128,7 +129,7 @@ fn field(config: &Config, extent: Extent) -> Vec<Need> {
         advice: "lower it",
     };
     // With poses each pixel takes a ray for every virtual camera.
-    let per_pixel = match (extent.with_depth, config.formation.blur) {
+    let per_pixel = match (extent.tracked, config.formation.blur) {
         (false, true) => config.formation.virtual_cameras as u64,
         _ => 1,
     };
@@ -143,10 +144,10 @@ fn field(config: &Config, extent: Extent) -> Vec<Need> {
 }
 
 /// Keyframes that are kept, where their number is known: every n-th frame is one.
-fn keyframes(config: &Config, Extent { pixels, frames, with_depth }: Extent) -> Option<Need> {
+fn keyframes(config: &Config, Extent { pixels, frames, tracked }: Extent) -> Option<Need> {
     let mapping = &config.mapping;
     let every = mapping.keyframe_interval.max(1) as u64;
-    (with_depth && mapping.keyframe_motion == 0.0).then(|| Need {
+    (tracked && mapping.keyframe_motion == 0.0).then(|| Need {
         key: "mapping.keyframe_interval",
         value: every.to_string(),
         bytes: (frames / every).saturating_mul(pixels * KEYFRAME_NUMBERS * 4),
@@ -174,7 +175,7 @@ fn virtual_cameras(config: &Config, Extent { pixels, .. }: Extent) -> Need {
 mod tests {
     use super::*;
 
-    const VIDEO: Extent = Extent { pixels: 640 * 480, frames: 300, with_depth: true };
+    const VIDEO: Extent = Extent { pixels: 640 * 480, frames: 300, tracked: true };
     const GB: u64 = 1_000_000_000;
 
     fn preset(name: &str) -> Config {
@@ -189,7 +190,7 @@ mod tests {
     fn presets_fit_into_a_small_machine() {
         for name in crate::config::PRESET_NAMES {
             let config = preset(name);
-            let extent = Extent { with_depth: !config.is_rgb(), ..VIDEO };
+            let extent = Extent { tracked: !config.is_rgb(), ..VIDEO };
             check_needs(needs(&config, extent), 4 * GB).expect(name);
         }
     }

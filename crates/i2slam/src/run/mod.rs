@@ -43,15 +43,17 @@ const COLOUR_SIDE: usize = 640;
 /// Source of the camera poses that a map begins with.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PoseSource {
-    /// Tracking of every frame in the map, with depth pictures.
-    Depth,
-    /// Visual odometry on colour pictures alone.
-    Odometry {
+    /// The map itself: every frame with depth is tracked against it (SplaTAM).
+    Map,
+    /// The front end, visual odometry on all pictures.
+    FrontEnd {
+        /// Whether depth pictures are used, where the sequence has them.
+        with_depth: bool,
         /// Whether the radial distortion of an unknown camera is estimated and removed.
         estimate_distortion: bool,
     },
-    /// Keyframes with poses found by another program (docs/import.md).
-    Imported {
+    /// Files of keyframes with poses found by another program (docs/import.md).
+    Files {
         /// File or folder of the poses.
         keyframes: PathBuf,
         /// The dataset that holds the pictures.
@@ -63,11 +65,34 @@ pub enum PoseSource {
     },
 }
 
+impl PoseSource {
+    /// The source that settings ask for of colour and depth: the map where it is tracked by first
+    /// order alone, as the paper's presets do, else the front end.
+    pub fn with_depth(config: &Config) -> Self {
+        match config.tracking.method {
+            TrackingMethod::Adam => Self::Map,
+            TrackingMethod::SecondOrder => {
+                Self::FrontEnd { with_depth: true, estimate_distortion: false }
+            }
+        }
+    }
+
+    /// The front end on colour alone.
+    pub fn colour_alone() -> Self {
+        Self::FrontEnd { with_depth: false, estimate_distortion: false }
+    }
+
+    /// Whether depth pictures of the sequence are used.
+    pub fn uses_depth(&self) -> bool {
+        matches!(self, Self::Map | Self::FrontEnd { with_depth: true, .. })
+    }
+}
+
 /// Settings of a reconstruction.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
-    /// Settings of tracking, mapping and image formation; those of an `-rgb` preset unless poses
-    /// come from [`PoseSource::Depth`].
+    /// Settings of tracking, mapping and image formation; those of an `-rgb` preset unless the
+    /// source of the poses [uses depth](PoseSource::uses_depth).
     pub config: Config,
     /// Source of the poses.
     pub poses: PoseSource,
@@ -82,10 +107,10 @@ impl RunOptions {
             crop_border: config.input.crop_border,
             minimum_gap: config.input.minimum_gap,
             depth_pairing: config.depth_pairing(),
-            colour_only: poses != PoseSource::Depth,
+            colour_only: !poses.uses_depth(),
             ..OpenOptions::default()
         };
-        if let PoseSource::Odometry { .. } = poses {
+        if let PoseSource::FrontEnd { with_depth: false, .. } = poses {
             open.guess_camera = true;
             open.turn_pictures = true;
             open.max_side = Some(COLOUR_SIDE);
@@ -95,13 +120,15 @@ impl RunOptions {
 
     /// Colour and depth with the settings `default`.
     pub fn with_depth() -> Self {
-        Self::new(Config::default(), PoseSource::Depth)
+        let config = Config::default();
+        let poses = PoseSource::with_depth(&config);
+        Self::new(config, poses)
     }
 
     /// A video or a folder of pictures by colour alone, with the settings `default-rgb`: 3D
     /// Gaussians, the longer side of pictures reduced to 640 px, an unknown focal length estimated.
     pub fn colour_alone() -> Self {
-        Self::new(Config::default_rgb(), PoseSource::Odometry { estimate_distortion: false })
+        Self::new(Config::default_rgb(), PoseSource::colour_alone())
     }
 
     /// Keyframes of another program with the pictures of a dataset, on a radiance field, as
@@ -110,14 +137,14 @@ impl RunOptions {
         let mut config = Config::default_rgb();
         config.map.kind = MapKind::HashGrid;
         let (depth, variance) = (ImportDepth::Imported, None);
-        Self::new(config, PoseSource::Imported { keyframes, pictures, depth, variance })
+        Self::new(config, PoseSource::Files { keyframes, pictures, depth, variance })
     }
 
     /// Gives the pictures of imported keyframes the camera that comes with these, where neither
     /// options nor dataset have one.
     #[must_use]
     pub fn with_camera_of_keyframes(mut self) -> Self {
-        if let PoseSource::Imported { keyframes, pictures, .. } = &self.poses
+        if let PoseSource::Files { keyframes, pictures, .. } = &self.poses
             && let Err(DatasetError::NoCamera { .. }) = self.open_sequence(pictures)
         {
             self.open.camera = camera_file(keyframes);
@@ -149,12 +176,12 @@ impl RunOptions {
     /// [`RunError::Config`], [`RunError::Preset`] and [`RunError::KnownCamera`].
     pub fn validate(&self, sequence: &Sequence) -> Result<(), RunError> {
         self.config.validate()?;
-        let with_depth = self.poses == PoseSource::Depth;
+        let with_depth = self.poses.uses_depth();
         if self.config.is_rgb() == with_depth {
             return Err(RunError::Preset { preset: self.config.preset.clone(), with_depth });
         }
         match self.poses {
-            PoseSource::Odometry { estimate_distortion: true } if !sequence.camera_is_guess => {
+            PoseSource::FrontEnd { estimate_distortion: true, .. } if !sequence.camera_is_guess => {
                 Err(RunError::KnownCamera { source_of_camera: sequence.camera_source.clone() })
             }
             _ => Ok(memory::check(self, sequence)?),
@@ -203,14 +230,11 @@ pub fn reconstruct(
     options.validate(sequence)?;
     let context = RunContext::new(observer);
     let open = || match &options.poses {
-        PoseSource::Depth if options.config.tracking.method == TrackingMethod::SecondOrder => {
-            keyframes::from_odometry(sequence, false, options, &context)
-        }
-        PoseSource::Depth => Ok(Input::frames(sequence)),
-        PoseSource::Odometry { estimate_distortion } => {
+        PoseSource::Map => Ok(Input::frames(sequence)),
+        PoseSource::FrontEnd { estimate_distortion, .. } => {
             keyframes::from_odometry(sequence, *estimate_distortion, options, &context)
         }
-        PoseSource::Imported { keyframes, pictures, depth, variance } => {
+        PoseSource::Files { keyframes, pictures, depth, variance } => {
             let import = ImportOptions {
                 open: options.open.clone(),
                 depth: *depth,

@@ -11,7 +11,7 @@ const TRACKED_ONE_IN: usize = 10;
 /// A sentence if too few frames were tracked, and one if the map is empty.
 pub(super) fn of_result(outcome: &RunOutcome, options: &RunOptions) -> Vec<String> {
     let frames = &outcome.reconstruction.frames;
-    let keyframes_alone = matches!(options.poses, PoseSource::Odometry { .. })
+    let keyframes_alone = matches!(options.poses, PoseSource::FrontEnd { .. })
         && options.config.tracking.method == TrackingMethod::Adam;
     let given = match outcome.complete && !keyframes_alone {
         true => outcome.frames_given,

@@ -55,8 +55,8 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
     let options = |poses: PoseSource| {
         arguments.input.open_options(RunOptions::new(config.clone(), poses).open)
     };
-    let with_depth = options(PoseSource::Depth)?;
-    let colour_alone = options(PoseSource::Odometry { estimate_distortion: false })?;
+    let with_depth = options(PoseSource::with_depth(&config))?;
+    let colour_alone = options(PoseSource::colour_alone())?;
     if is_video(path) {
         return Ok(Some(Sequence::open(path, &colour_alone)?));
     }
