@@ -1,7 +1,7 @@
 //! A few synthetic frames through a session that tracks them.
 
 use super::*;
-use crate::config::{Config, MapKind, TrackingMethod};
+use crate::config::{Config, MapKind};
 use crate::reconstruction::{Map, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::CancellationToken;
@@ -56,10 +56,17 @@ fn faster(index: usize) -> Pose<f64> {
     Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * t * t, 0.0)), Vec3::zero())
 }
 
+/// A field as of the paper's presets, whose keyframes keep their poses, with second-order tracking.
 fn config() -> Config {
     let mut config = Config::default();
     config.map.kind = MapKind::HashGrid;
-    let parameters = &mut config.parameters.field;
+    config.mapping.window = 8;
+    let parameters = &mut config.parameters;
+    parameters.field = Config::preset("paper-scannet").expect("known").parameters.field;
+    let frames = &mut parameters.frames;
+    (frames.pose_rotation_rate, frames.pose_translation_rate) = (0.0, 0.0);
+    (frames.white_balance_rate, parameters.tracking.keyframe_depth) = (5e-4, true);
+    let parameters = &mut parameters.field;
     (parameters.levels, parameters.hidden_width, parameters.occupancy_cells) = (6, 16, 48);
     let field = &mut config.hashgrid;
     (field.log2_table, field.finest_cell) = (12, 0.05);
@@ -257,8 +264,7 @@ fn a_still_camera_shows_no_readout() {
 
 /// Pose of the second frame after first-order tracking, cancelled or not.
 fn pose_after_steps(iterations: usize, cancelled: bool) -> Pose<f64> {
-    let mut config = Config::default();
-    config.tracking.method = TrackingMethod::Adam;
+    let mut config = Config::preset("paper-scannet").expect("known");
     config.tracking.iterations = iterations;
     let mut session = Session::tracking(config, CAMERA, 30.0);
     session.track(&frame(0, pose(0))).expect("a frame");
