@@ -14,7 +14,7 @@ const REACH: usize = 4;
 /// median share over nine frames stays below half of it.
 const MIN_SHARE: f64 = 0.1;
 /// Frames for which it lasts, at least.
-const MIN_FRAMES: usize = 6;
+const MIN_FRAMES: usize = 10;
 
 /// Share of the picture that moves on its own, over frames from `first` to `last`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,7 +31,8 @@ pub(crate) fn moving_parts(state: &SfmState) -> Vec<MovingPart> {
     persistent_parts(&shares.collect::<Vec<_>>())
 }
 
-/// Share of the cells in a frame where most points have no landmark that explains them.
+/// Share of the cells in a frame that the largest connected part takes where most points have no
+/// landmark that explains them: an object is in one piece, errors of poses are scattered.
 fn moving_share(state: &SfmState, frame: usize) -> f64 {
     let mut cells = [(0, 0); CELLS[0] * CELLS[1]];
     let size = [state.camera.width, state.camera.height];
@@ -48,9 +49,35 @@ fn moving_share(state: &SfmState, frame: usize) -> f64 {
         *points += 1;
         *unexplained += usize::from(state.landmarks[track].is_none() || observation.is_outlier);
     }
-    let judged = cells.iter().filter(|(points, _)| *points >= MIN_POINTS);
-    let moving = judged.clone().filter(|(points, unexplained)| 2 * unexplained > *points);
-    moving.count() as f64 / judged.count().max(1) as f64
+    let is_judged = cells.map(|(points, _)| points >= MIN_POINTS);
+    let judged = is_judged.iter().filter(|judged| **judged).count();
+    let moves = |(i, (points, unexplained)): (usize, &(usize, usize))| {
+        is_judged[i] && 2 * unexplained > *points
+    };
+    let moving: Vec<bool> = cells.iter().enumerate().map(moves).collect();
+    largest_part(&moving) as f64 / judged.max(1) as f64
+}
+
+/// Number of cells of the largest part that is connected across sides.
+fn largest_part(cells: &[bool]) -> usize {
+    let mut left = cells.to_vec();
+    let mut largest = 0;
+    for start in 0..left.len() {
+        let (mut open, mut size) = (vec![start], 0);
+        while let Some(cell) = open.pop() {
+            if !std::mem::take(&mut left[cell]) {
+                continue;
+            }
+            size += 1;
+            let (column, row) = (cell % CELLS[0], cell / CELLS[0]);
+            open.extend((column > 0).then(|| cell - 1));
+            open.extend((column + 1 < CELLS[0]).then_some(cell + 1));
+            open.extend((row > 0).then(|| cell - CELLS[0]));
+            open.extend((row + 1 < CELLS[1]).then_some(cell + CELLS[0]));
+        }
+        largest = largest.max(size);
+    }
+    largest
 }
 
 /// Runs of frames around which the median share is large.
@@ -75,6 +102,15 @@ fn persistent_parts(shares: &[(usize, f64)]) -> Vec<MovingPart> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_largest_part_is_connected_across_sides() {
+        let cells = |set: &[usize]| (0..48).map(|i| set.contains(&i)).collect::<Vec<_>>();
+        assert_eq!(largest_part(&cells(&[])), 0);
+        // Cells 7 and 8 are neighbours in the list alone, 0 and 9 across a corner.
+        assert_eq!(largest_part(&cells(&[0, 9, 7, 8])), 3);
+        assert_eq!(largest_part(&cells(&[10, 11, 19, 27, 26, 40])), 5);
+    }
 
     #[test]
     fn what_lasts_is_told_and_what_flickers_is_not() {

@@ -4,6 +4,7 @@ mod dense;
 mod progress;
 mod revisits;
 mod scene;
+mod wrong_input;
 
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{

@@ -1,0 +1,80 @@
+//! Wrong input is told with its frames; a clean sequence brings no warning.
+
+use crate::scene::{camera, moving, picture, texture, tracked};
+use i2slam_geometry::{Camera, Image};
+use i2slam_odometry::{Intrinsics, Progress, Reconstruction, Warning};
+
+const FRAMES: usize = 30;
+
+/// The result from pictures of the room; `shown` is the moment that a frame shows.
+fn found(
+    shown: impl Fn(usize) -> usize,
+    change: impl Fn(usize, &mut Image<f32>),
+) -> Reconstruction {
+    let pictures = (0..FRAMES).map(|i| {
+        let mut out = picture(3, moving(shown(i)), 1.0);
+        change(i, &mut out);
+        out
+    });
+    let front_end = tracked(Intrinsics::Known(camera()), pictures);
+    front_end.finish(Progress::default()).expect("a path")
+}
+
+#[test]
+fn a_clean_sequence_brings_no_warning() {
+    assert_eq!(found(|i| i, |_, _| ()).warnings, []);
+}
+
+#[test]
+fn a_stalled_source_and_a_lost_signal_are_told() {
+    let shown = |i: usize| if (12..15).contains(&i) { 11 } else { i };
+    let grey = |i: usize, out: &mut Image<f32>| {
+        if i == 22 {
+            out.data.fill(0.5);
+        }
+    };
+    let found = found(shown, grey);
+    let frozen = Warning::FrozenFrames { frames: [12, 14], count: 3 };
+    assert!(found.warnings.contains(&frozen), "{:?}", found.warnings);
+    assert!(found.warnings.contains(&Warning::BlankFrames { frames: [22, 22] }));
+    let lost: Vec<usize> = (0..FRAMES).filter(|i| found.poses[*i].is_none()).collect();
+    assert_eq!(lost, [12, 13, 14, 22]);
+    assert!(found.keyframes.iter().all(|keyframe| !lost.contains(&keyframe.index)));
+}
+
+#[test]
+fn a_camera_that_rests_keeps_its_poses() {
+    let found = found(|i| i.min(10) + i.saturating_sub(16), |_, _| ());
+    assert_eq!(found.warnings, []);
+    assert!(found.poses.iter().all(Option::is_some));
+}
+
+#[test]
+fn shuffled_pictures_are_told() {
+    let order = [14, 11, 15, 12, 10, 13];
+    let found = found(|i| if (10..16).contains(&i) { order[i - 10] } else { i }, |_, _| ());
+    assert_eq!(found.warnings, [Warning::ShuffledFrames { frames: [10, 15] }]);
+}
+
+/// A disc with a pattern of its own, which crosses a fifth of the picture against the camera.
+#[test]
+fn a_large_moving_object_is_told() {
+    let disc = |i: usize, out: &mut Image<f32>| {
+        let t = i as f64;
+        let (x, y) = (45.0 + 3.5 * t, 72.0 + 14.0 * (0.35 * t).sin());
+        let (width, pixels) = (out.width, out.pixels());
+        for pixel in 0..pixels {
+            let (u, v) = Camera::<f64>::pixel_centre(pixel % width, pixel / width);
+            if (u - x).hypot(v - y) < 42.0 {
+                let value = texture(77, (u - x) / 70.0, (v - y) / 70.0) as f32;
+                (0..3).for_each(|channel| out.data[channel * pixels + pixel] = value);
+            }
+        }
+    };
+    let found = found(|i| i, disc);
+    let told = found.warnings.iter().find_map(|warning| match warning {
+        Warning::MovingObject { share, .. } => Some(*share),
+        _ => None,
+    });
+    assert!(told.is_some_and(|share| (0.1..0.5).contains(&share)), "{:?}", found.warnings);
+}
