@@ -56,16 +56,18 @@ type Displacement = [f64; 3];
 /// Finds offset and delay of the depth pictures; zero where they are not clearly better. Returns
 /// whether they changed.
 pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
-    let predictions = predictions(&adjusted_without_depth(state), state);
-    let Some(interval) = median_frame_interval(&state.timestamps) else { return false };
-    if predictions.len() < MIN_OBSERVATIONS {
+    let Some(best) = displacement_by_pictures(state) else { return false };
+    // Landmarks that the pictures determine badly are off together, which a displacement may fit:
+    // it must also suit landmarks that pictures and depth determine together.
+    let none = adjusted_keyframes(state, Some([0.0; 3]));
+    let Some(usual) = usual_deviation(state, &predictions(&none, state), &[0.0; 3]) else {
         return false;
-    }
-    let Some(usual) = usual_deviation(state, &predictions) else { return false };
-    let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * usual);
-    let steps = [FIRST_SHIFT * state.camera.width as f64; 2];
-    let best = search(&cost, [steps[0], steps[1], FIRST_DELAY * interval]);
-    let accepted = cost(&best) < MAX_COST_RATIO * cost(&[0.0; 3]);
+    };
+    let joint_cost = |adjusted: &SfmState, d: &Displacement| {
+        cost(state, &predictions(adjusted, state), d, SCALE_RATIO * usual)
+    };
+    let with_best = adjusted_keyframes(state, Some(best));
+    let accepted = joint_cost(&with_best, &best) < MAX_COST_RATIO * joint_cost(&none, &[0.0; 3]);
     let [right, down, delay] = if accepted { best } else { [0.0; 3] };
     let model = &mut state.depth_model;
     let changed = model.shift != [right, down] || model.delay != delay;
@@ -74,6 +76,20 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
         update_depth_model(state);
     }
     changed
+}
+
+/// The displacement that suits the landmarks of the pictures alone best; `None` with too few of
+/// them.
+fn displacement_by_pictures(state: &SfmState) -> Option<Displacement> {
+    let interval = median_frame_interval(&state.timestamps)?;
+    let predictions = predictions(&adjusted_keyframes(state, None), state);
+    if predictions.len() < MIN_OBSERVATIONS {
+        return None;
+    }
+    let usual = usual_deviation(state, &predictions, &[0.0; 3])?;
+    let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * usual);
+    let step = FIRST_SHIFT * state.camera.width as f64;
+    Some(search(&cost, [step, step, FIRST_DELAY * interval]))
 }
 
 /// The displacement of least cost: on a grid of offsets, then along each coordinate with steps
@@ -85,6 +101,7 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Disp
     let tried = places.map(|place| (cost(&place), place));
     let (mut least, mut best) =
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, [0.0; 3]));
+    let most = steps.map(|step| f64::from(COARSE_STEPS) * step);
     for _ in 0..HALVINGS {
         let mut moves = true;
         while moves {
@@ -92,6 +109,7 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Disp
             for (axis, side) in (0..3).flat_map(|axis| [(axis, -1.0), (axis, 1.0)]) {
                 let mut next = best;
                 next[axis] += side * steps[axis];
+                next[axis] = next[axis].clamp(-most[axis], most[axis]);
                 let found = cost(&next);
                 if found < least {
                     (least, best, moves) = (found, next, true);
@@ -103,20 +121,28 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Disp
     best
 }
 
-/// The keyframes adjusted to their pictures alone.
-fn adjusted_without_depth(state: &SfmState) -> SfmState {
-    let mut visual = state.keyframes_only();
-    visual.poses.clone_from(&state.poses);
-    visual.landmarks.clone_from(&state.landmarks);
-    let mut is_keyframe = vec![false; state.poses.len()];
-    state.tracks.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
-    let others = visual.poses.iter_mut().zip(is_keyframe).filter(|(_, keyframe)| !keyframe);
-    others.for_each(|(pose, _)| *pose = None);
-    (visual.depth_maps, visual.noise_scale) = (Arc::default(), state.noise_scale);
-    (visual.readout, visual.distortion) = (state.readout, state.distortion);
-    visual.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations).for_each(|o| o.depth = None);
-    adjust_globally(&mut visual, false);
-    visual
+/// The keyframes adjusted to their pictures, and to depth at a displacement if one is given.
+fn adjusted_keyframes(state: &SfmState, displacement: Option<Displacement>) -> SfmState {
+    let mut out = state.keyframes_only();
+    out.landmarks.clone_from(&state.landmarks);
+    for frame in &state.tracks.keyframes {
+        out.poses[*frame] = state.poses[*frame];
+    }
+    (out.readout, out.distortion) = (state.readout, state.distortion);
+    out.noise_scale = state.noise_scale;
+    match displacement {
+        Some([right, down, delay]) => {
+            (out.depth_model.shift, out.depth_model.delay) = ([right, down], delay);
+            update_depth_model(&mut out);
+        }
+        None => {
+            out.depth_maps = Arc::default();
+            let observations = out.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
+            observations.for_each(|o| o.depth = None);
+        }
+    }
+    adjust_globally(&mut out, false);
+    out
 }
 
 /// Mean robust cost of the readings at a displacement; a missing reading costs as much as one off
@@ -133,10 +159,9 @@ fn cost(state: &SfmState, predictions: &[Prediction], d: &Displacement, deviatio
     ratios.iter().map(of).sum::<f64>() / predictions.len() as f64
 }
 
-/// Median absolute relative residual of depth that is registered.
-fn usual_deviation(state: &SfmState, predictions: &[Prediction]) -> Option<f64> {
-    let none = [0.0; 3];
-    let ratios: Vec<f64> = predictions.iter().filter_map(|p| ratio(state, p, &none)).collect();
+/// Median absolute relative residual at a displacement.
+fn usual_deviation(state: &SfmState, predictions: &[Prediction], d: &Displacement) -> Option<f64> {
+    let ratios: Vec<f64> = predictions.iter().filter_map(|p| ratio(state, p, d)).collect();
     let scale = median(&mut ratios.clone())?;
     let mut sizes: Vec<f64> = ratios.iter().map(|ratio| (ratio / scale - 1.0).abs()).collect();
     median(&mut sizes).filter(|m| *m > 0.0)

@@ -5,6 +5,7 @@
 
 use crate::alignment::{DenseConstraint, DensePyramid, DenseView, ExposureMotion, align};
 use crate::bundle::RelativePoseFactor;
+use crate::depth::depth_map::DepthMap;
 use crate::depth::registration::register_depth;
 use crate::progress::Stage;
 use crate::register::registration::adjust_globally;
@@ -80,16 +81,14 @@ impl PreparedView {
         let interval = median_frame_interval(&state.timestamps)?;
         let velocity = camera_velocity(state, &state.timestamps, frame, interval);
         let velocity = velocity.unwrap_or_else(Tangent::zero);
-        let depth = match state.depth_maps.get(frame).and_then(Option::as_ref) {
-            Some(map) => Some({
-                let later = map.timestamp + state.depth_model.delay - state.timestamps[frame];
-                let colour_from_depth = Pose::identity().retract(velocity.scaled(later));
-                let scale = camera.fx / state.camera.fx;
-                let shift = state.depth_model.shift.map(|v| scale * v);
-                register_depth(&map.depth, &camera, shift, &colour_from_depth.inverse())
-            }),
-            None => None,
+        let registered = |map: &DepthMap| {
+            let later = map.timestamp + state.depth_model.delay - state.timestamps[frame];
+            let colour_from_depth = Pose::identity().retract(velocity.scaled(later));
+            let scale = camera.fx / state.camera.fx;
+            let shift = state.depth_model.shift.map(|v| scale * v);
+            register_depth(&map.depth, &camera, shift, &colour_from_depth.inverse())
         };
+        let depth = state.depth_maps.get(frame).and_then(Option::as_ref).map(registered);
         let motion = ExposureMotion {
             velocity,
             exposure: OPEN_SHARE * interval,
