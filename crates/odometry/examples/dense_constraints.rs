@@ -11,9 +11,8 @@
 
 use i2slam_dataset::{Frame, OpenOptions, Sequence, read_trajectory};
 use i2slam_geometry::{Pose, StampedPose, Tangent};
-use i2slam_odometry::alignment::{
-    DenseConstraint, DensePyramid, DenseView, ExposureMotion, align, moved_depth,
-};
+use i2slam_odometry::alignment::{DenseConstraint, DensePyramid, DenseView, ExposureMotion, align};
+use i2slam_odometry::register_depth;
 use std::error::Error;
 use std::path::Path;
 
@@ -58,7 +57,9 @@ fn main() -> Result<(), Box<dyn Error>> {
                 let pose = Pose::identity().retract(velocity.scaled(delay));
                 match delay == 0.0 {
                     true => depth.image.as_ref().clone(),
-                    false => moved_depth(&depth.image, &sequence.camera, pose),
+                    false => {
+                        register_depth(&depth.image, &sequence.camera, [0.0; 2], &pose.inverse())
+                    }
                 }
             });
             let pictures = DensePyramid::new(&sequence.camera, &frame.colour, depth.as_ref());

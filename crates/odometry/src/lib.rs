@@ -107,6 +107,7 @@ mod dense;
 
 pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, MeasuredDepth, PosedView};
 pub use depth::depth_map::DepthPicture;
+pub use depth::registration::register_depth;
 pub use depth::sensor_model::DepthModel;
 pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};

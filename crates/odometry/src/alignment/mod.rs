@@ -23,7 +23,6 @@
 mod block_covariance;
 mod dense_alignment;
 mod depth_smoothing;
-mod moved_depth;
 mod pyramid;
 mod residual;
 #[cfg(test)]
@@ -31,7 +30,6 @@ mod tests;
 mod view;
 
 pub use dense_alignment::{DenseConstraint, align};
-pub use moved_depth::moved_depth;
 pub use pyramid::{halve_repeatedly, halved_by_mean, halved_camera, halved_depth};
 pub use residual::{
     AbsoluteErrors, DEGREES_OF_FREEDOM, DepthSamples, EXPOSURE, Equations, FrameLevel,

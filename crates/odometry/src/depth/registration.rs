@@ -5,12 +5,18 @@ use i2slam_geometry::{Camera, Image, Pose};
 
 /// Fixed-point iterations: each multiplies the error by the slope of the depth along the motion.
 const ITERATIONS: usize = 3;
+/// Largest change of the depth in the last iteration over the depth.
+const MAX_LAST_CHANGE: f64 = 2e-3;
 /// Motion between both pictures below which they count as one view [px].
 const NEGLIGIBLE_MOTION: f64 = 0.02;
 
-/// Depth [m] in the colour camera, 0 without a reading: of every pixel, the point on its ray that
-/// the depth picture shows. `shift` is the offset of positions in the depth picture [px].
-pub(crate) fn register_depth(
+/// Depth \[m\] as the colour camera sees it, 0 where that is not known: of every pixel, the point on
+/// its ray that the depth picture shows. `shift` is the offset of positions in the depth picture
+/// \[px\].
+///
+/// For a depth picture taken `t` later than its colour picture under the velocity `v`, the pose is
+/// `Pose::identity().retract(v.scaled(t)).inverse()`.
+pub fn register_depth(
     depth: &Image<f32>,
     camera: &Camera<f64>,
     shift: [f64; 2],
@@ -42,17 +48,18 @@ fn registered_pixel(
 ) -> Option<f64> {
     let mut z =
         if start > 0.0 { start } else { interpolated_depth(depth, [u + shift[0], v + shift[1]])? };
-    let mut found = None;
+    let mut change = f64::INFINITY;
     for _ in 0..ITERATIONS {
         let point = *depth_from_colour * camera.unproject(u, v, z);
         let (x, y) = (point.z > 0.0).then(|| camera.project(point))?;
         let read = interpolated_depth(depth, [x + shift[0], y + shift[1]])?;
-        let change = read - point.z;
+        change = read - point.z;
         z += change;
-        found = (z > 0.0).then_some(z);
-        found?;
+        if z <= 0.0 {
+            return None;
+        }
     }
-    found
+    (change.abs() <= MAX_LAST_CHANGE * z).then_some(z)
 }
 
 #[cfg(test)]
