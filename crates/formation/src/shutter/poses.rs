@@ -80,6 +80,13 @@ impl<T: Real> ShutterPoses<T> {
         self.at(T::of(0.5))
     }
 
+    /// The same motion around another pose halfway through the exposure.
+    #[must_use]
+    pub fn with_middle(&self, middle: Pose<T>) -> Self {
+        let moved = middle * self.middle().inverse();
+        Self { start: moved * self.start, end: moved * self.end }
+    }
+
     /// `count` poses of equal weight, spread over the exposure by `quadrature`. One camera (or
     /// none asked for) stands in the middle.
     pub fn virtual_cameras(&self, count: usize, quadrature: Quadrature) -> Vec<VirtualCamera<T>> {

@@ -250,7 +250,6 @@ fn default_rgb() -> Config {
     config.mapping.window = 10;
     config.mapping.iterations = 30;
     config.mapping.final_iterations = 400;
-    config.mapping.depth_weight = 0.3;
     config
 }
 

@@ -161,6 +161,9 @@ impl FrameOptimizers {
             rotation: Vec3::new(rotation[at], rotation[at + 1], rotation[at + 2]).cast(),
         };
         let step = ShutterTangent::<f64> { start: side(0), end: side(3) };
-        context.frames[frame].shutter = context.frames[frame].shutter.retract(&step);
+        let before = context.frames[frame].shutter;
+        let moved = before.retract(&step);
+        context.frames[frame].shutter =
+            if rates.keeps_middle { moved.with_middle(before.middle()) } else { moved };
     }
 }

@@ -4,8 +4,8 @@ use super::ssim::SsimReference;
 use i2slam_geometry::Image;
 use std::sync::{Arc, OnceLock};
 
-/// Relative standard deviation up to which an estimated depth has full weight.
-const FULL_WEIGHT_SIGMA: f32 = 0.01;
+/// Relative standard deviation up to which a depth with variance has full weight.
+const FULL_WEIGHT_SIGMA: f32 = 0.003;
 
 /// Colour and depth of a frame, cleaned of values that are negative or not finite.
 #[derive(Debug)]
@@ -49,8 +49,8 @@ impl Observation {
         self.depth_variance.is_some()
     }
 
-    /// Weight of a pixel's depth in [0, 1]: 1 up to a relative standard deviation of a hundredth,
-    /// then its inverse.
+    /// Weight of a pixel's depth in [0, 1]: 1 up to a relative standard deviation of 0.3 %, then
+    /// in inverse proportion.
     pub fn depth_weight(&self, pixel: usize) -> f32 {
         let Some(variance) = &self.depth_variance else { return 1.0 };
         (FULL_WEIGHT_SIGMA * self.depth.data[pixel] / variance.data[pixel].sqrt()).min(1.0)

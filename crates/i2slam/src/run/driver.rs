@@ -36,6 +36,8 @@ pub(super) struct Input<'a> {
     pub(super) camera: Camera<f64>,
     /// Readout of a rolling shutter that the source has found [s]; 0 without.
     pub(super) readout: f64,
+    /// Whether poses are more exact than the map can refine them: those found with depth.
+    pub(super) keeps_poses: bool,
     pub(super) frame_rate: f64,
     pub(super) between: BetweenFrames,
     /// Index, stamp [s] and pose of all frames that have one.
@@ -83,6 +85,7 @@ impl<'a> Input<'a> {
             kind: &FRAMES,
             camera: sequence.camera,
             readout: 0.0,
+            keeps_poses: false,
             frame_rate: sequence.frame_rate,
             between: Box::new(std::iter::empty()),
             path: Vec::new(),
@@ -112,7 +115,8 @@ pub(super) fn run<'a>(
     let started = Instant::now();
     let mut input = catch_panic(open)?;
     context.observer.progress(input.kind.stage, 0, input.count);
-    let config = options.config.clone().with_found_readout(input.readout);
+    let mut config = options.config.clone().with_found_readout(input.readout);
+    config.parameters.frames.keeps_middle = input.keeps_poses;
     let mut session = (input.kind.session)(config, input.camera, input.frame_rate);
     session.set_cancellation(context.cancellation.clone());
     if let Some(valid_mask) = &input.undistorted.as_ref().unwrap_or(sequence).valid_mask {

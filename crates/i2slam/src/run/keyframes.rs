@@ -40,6 +40,7 @@ fn keyframes_of(
         kind: &KEYFRAMES,
         camera: *source.camera(),
         readout: source.readout(),
+        keeps_poses: false,
         items: Box::new(std::iter::from_fn(move || {
             Some(source.next_keyframe()?.map(|keyframe| Item::Keyframe(Box::new(keyframe))))
         })),
@@ -81,6 +82,7 @@ pub(super) fn from_odometry(
         Some((sequence.entries.get(place)?.index, stamp, pose))
     };
     let path = source.trajectory().into_iter().filter_map(by_index).collect();
+    let keeps_poses = source.reconstruction().depth_model.is_some();
     // The paper's system has poses of keyframes alone.
     let between: BetweenFrames = match options.config.tracking.method {
         TrackingMethod::SecondOrder => Box::new(between),
@@ -93,6 +95,7 @@ pub(super) fn from_odometry(
         frames_given: sequence.len(),
         estimate: Some(camera),
         undistorted,
+        keeps_poses,
         ..keyframes_of(source, count, sequence.frame_rate)
     })
 }

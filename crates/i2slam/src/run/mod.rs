@@ -40,6 +40,11 @@ use std::path::{Path, PathBuf};
 /// little.
 const COLOUR_SIDE: usize = 640;
 
+/// Frames, and pixels of the shorter side, from which on the front end finds a path with depth:
+/// below, frames are tracked against the map.
+const MIN_FRONT_END_FRAMES: usize = 8;
+const MIN_FRONT_END_SIDE: usize = 48;
+
 /// Source of the camera poses that a map begins with.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PoseSource {
@@ -215,6 +220,12 @@ pub struct RunOutcome {
     pub warnings: Vec<Warning>,
 }
 
+/// Whether a sequence with depth is too small for the front end, and tracked against the map.
+fn is_small(sequence: &Sequence) -> bool {
+    let (width, height) = odometry_size(sequence);
+    sequence.len() < MIN_FRONT_END_FRAMES || width.min(height) < MIN_FRONT_END_SIDE
+}
+
 /// Reconstructs a sequence: camera path, exposure and map. `observer` is `()`, or sees progress
 /// and may cancel; a run cancelled after its first frame still returns what it has.
 ///
@@ -231,8 +242,18 @@ pub fn reconstruct(
     let context = RunContext::new(observer);
     let open = || match &options.poses {
         PoseSource::Map => Ok(Input::frames(sequence)),
-        PoseSource::FrontEnd { estimate_distortion, .. } => {
-            keyframes::from_odometry(sequence, *estimate_distortion, options, &context)
+        PoseSource::FrontEnd { with_depth: true, .. } if is_small(sequence) => {
+            Ok(Input::frames(sequence))
+        }
+        PoseSource::FrontEnd { with_depth, estimate_distortion } => {
+            let found = keyframes::from_odometry(sequence, *estimate_distortion, options, &context);
+            match found {
+                Err(RunError::NoPath(failure)) if *with_depth => {
+                    context.warn(format!("{failure}: frames are tracked against the map instead"));
+                    Ok(Input::frames(sequence))
+                }
+                found => found,
+            }
         }
         PoseSource::Files { keyframes, pictures, depth, variance } => {
             let import = ImportOptions {

@@ -64,6 +64,9 @@ impl FrameTracker {
         estimate.tracked = true;
         self.scale = result.scale;
         result.write_to(estimate, context.camera, &observation.depth);
+        if context.config.parameters.frames.keeps_middle {
+            estimate.shutter = estimate.shutter.with_middle(expected);
+        }
         true
     }
 

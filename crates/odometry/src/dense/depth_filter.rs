@@ -2,6 +2,7 @@
 
 use super::DenseDepth;
 use super::inverse_depth::InverseDepthEstimate;
+use crate::alignment::is_one_surface;
 use i2slam_geometry::{Camera, Image, Pose};
 
 /// Largest difference of consistent inverse depths, in standard deviations of both, ...
@@ -11,19 +12,11 @@ const MAX_RELATIVE_DIFFERENCE: f32 = 0.03;
 /// Views that must agree; one where only one or two see the pixel.
 const MIN_AGREEING_VIEWS: usize = 2;
 
-/// Treatment of an inverse depth that no other keyframe sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Unseen {
-    Kept,
-    Dropped,
-}
-
 /// Averages inverse depths that enough `others` (with `other_from_keyframe`) confirm by variance.
 pub(super) fn fuse_consistent(
     camera: &Camera<f64>,
     own: &InverseDepthEstimate,
     others: &[(&InverseDepthEstimate, Pose<f64>)],
-    unseen: Unseen,
 ) -> InverseDepthEstimate {
     let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
     let mut out = InverseDepthEstimate {
@@ -65,12 +58,61 @@ pub(super) fn fuse_consistent(
             sum += (rho + (found - due) * slope) / its;
             weight += 1.0 / its;
         }
-        let is_unseen = seen == 0 && unseen == Unseen::Kept;
-        if is_unseen || agree >= MIN_AGREEING_VIEWS.min(seen) && agree > 0 {
+        if agree >= MIN_AGREEING_VIEWS.min(seen) && agree > 0 {
             out.inverse_depth.data[pixel] = sum / weight;
             // Neighbours share pictures: their errors are not independent.
             out.variance.data[pixel] = (1 + agree) as f32 / weight;
         }
+    }
+    out
+}
+
+/// Largest difference of consistent readings: in standard deviations of both, and relative to them,
+/// for what lies between the pixels of a slanted surface.
+const MAX_READING_DEVIATIONS: f32 = 3.0;
+const MAX_READING_DIFFERENCE: f32 = 0.005;
+
+/// Averages the inverse depths of a sensor with the readings of `others` (with
+/// `other_from_keyframe`) by variance, interpolated where they show one surface. A reading that all
+/// others contradict is left out, one that no other sees stays.
+pub(super) fn fuse_readings(
+    camera: &Camera<f64>,
+    own: &InverseDepthEstimate,
+    others: &[(&InverseDepthEstimate, Pose<f64>)],
+) -> InverseDepthEstimate {
+    let mut out = own.clone();
+    let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
+    for pixel in (0..width * height).filter(|p| own.inverse_depth.data[*p] > 0.0) {
+        let (rho, variance) = (own.inverse_depth.data[pixel], own.variance.data[pixel]);
+        let (u, v) = Camera::pixel_centre(pixel % width, pixel / width);
+        let point = camera.unproject(u, v, 1.0 / f64::from(rho));
+        let (mut seen, mut agree) = (0, 0);
+        let (mut sum, mut weight) = (rho / variance, 1.0 / variance);
+        for (other, other_from_own) in others {
+            let there = *other_from_own * point;
+            let at = (there.z > 0.0).then(|| camera.project(there));
+            let tap = at.and_then(|(x, y)| other.inverse_depth.tap(x as f32, y as f32));
+            let Some(tap) = tap else { continue };
+            let values = tap.values(&other.inverse_depth.data);
+            if !is_one_surface(values) {
+                continue;
+            }
+            seen += 1;
+            let (found, due) = (tap.interpolate(values).0, (1.0 / there.z) as f32);
+            // The same error of the depth: `dz = -dρ/ρ²` in both.
+            let slope = (rho / due).powi(2);
+            let its = tap.interpolate(tap.values(&other.variance.data)).0 * slope * slope;
+            let most = MAX_READING_DEVIATIONS * (variance + its).sqrt() / slope;
+            if (found - due).abs() > most.max(MAX_READING_DIFFERENCE * due) {
+                continue;
+            }
+            agree += 1;
+            sum += (rho + (found - due) * slope) / its;
+            weight += 1.0 / its;
+        }
+        let is_contradicted = seen > 1 && agree == 0;
+        out.inverse_depth.data[pixel] = if is_contradicted { 0.0 } else { sum / weight };
+        out.variance.data[pixel] = 1.0 / weight;
     }
     out
 }
@@ -131,7 +173,7 @@ mod tests {
         let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
         let (own, other) = (flat(1.0 / 2.0, 1e-4), flat(1.0 / 1.204, 9e-4));
         let forward = Pose::new(Rotation::identity(), Vec3::new(0.0, 0.0, -0.8));
-        fuse_consistent(&camera, &own, &[(&other, forward)], Unseen::Dropped)
+        fuse_consistent(&camera, &own, &[(&other, forward)])
     }
 
     /// Estimates are weighted by the variance of the depth, `z⁴` times that of its inverse.

@@ -17,7 +17,7 @@ mod view_selection;
 use crate::depth::registration::register_depth;
 use crate::depth::sensor_model::DepthModel;
 use crate::track::pyramid::Pyramid;
-use depth_filter::{Unseen, fuse_consistent, inflate_variance_at_edges};
+use depth_filter::{fuse_consistent, fuse_readings, inflate_variance_at_edges};
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose};
 use inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, estimate_inverse_depth};
@@ -164,7 +164,7 @@ impl DenseDepthEstimator {
         }
         let own = self.estimates.get(&index)?;
         let known = self.relative_to(index, others, &self.estimates);
-        let kept = fuse_consistent(&self.camera, own, &known, Unseen::Dropped);
+        let kept = fuse_consistent(&self.camera, own, &known);
         let mut found = depth_from_inverse(&kept);
         inflate_variance_at_edges(&mut found, HALF_WINDOWS[0]);
         Some(found)
@@ -174,7 +174,7 @@ impl DenseDepthEstimator {
     fn fused_readings(&self, index: usize, others: &[usize]) -> Option<InverseDepthEstimate> {
         let known = self.relative_to(index, others, &self.measured);
         let own = self.measured.get(&index)?;
-        Some(fuse_consistent(&self.camera, own, &known, Unseen::Kept))
+        Some(fuse_readings(&self.camera, own, &known))
     }
 
     /// Estimates of other keyframes, with their poses `other_from_keyframe`.

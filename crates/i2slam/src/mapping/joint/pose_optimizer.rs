@@ -70,10 +70,11 @@ impl PoseOptimizers {
     ) {
         let optimizer = self.of(frame);
         optimizer.steps += 1;
+        let keeps_middle = context.config.parameters.frames.keeps_middle;
         let shutter = &mut context.frames[frame].shutter;
         if !context.config.formation.blur {
             let both = gradient.start.plus(gradient.end).to_array();
-            let step = optimizer.adam_step(both, rate);
+            let step = optimizer.adam_step(both, if keeps_middle { 0.0 } else { rate });
             *shutter = ShutterPoses::still(shutter.start.retract(Tangent::from_array(step)));
             return;
         }
@@ -84,7 +85,8 @@ impl PoseOptimizers {
         };
         let next = shutter.retract(&ShutterTangent::from_array(step));
         if next.is_finite() {
-            *shutter = next;
+            let middle = shutter.middle();
+            *shutter = if keeps_middle { next.with_middle(middle) } else { next };
         }
     }
 }
