@@ -81,7 +81,7 @@ fn add_spikes(path: &Path, random: &mut impl FnMut() -> u64) {
 }
 
 #[test]
-fn depth_full_of_spikes_is_no_success() {
+fn depth_full_of_spikes_leaves_the_path_to_the_pictures() {
     let frames = 16;
     let scratch = TemporaryFolder::new("spikes");
     let (clip, out) = (scratch.join("clip"), scratch.join("out"));
@@ -105,11 +105,10 @@ fn depth_full_of_spikes_is_no_success() {
     depths.iter().take(frames + 4).for_each(|path| add_spikes(path, &mut random));
     let range = format!("0..{frames}");
     let flags = ["--frames", &range, "--max-side", "80", "--render", "none"];
-    let ran = reconstruct(&clip, &out, &flags).exits_with(1);
-    let error = first_error(&ran);
-    assert!(error.starts_with("1 of 16 frames were tracked: frame "), "{error}");
-    assert!(error.contains("tracking lost"), "{error}");
-    assert_eq!(number(&out.join("metrics.json"), "tracked"), Some(1.0));
+    reconstruct(&clip, &out, &flags).exits_with(0);
+    let figure = |key| number(&out.join("metrics.json"), key).expect(key);
+    let (tracked, error) = (figure("tracked"), figure("ate_rmse_m"));
+    assert!(tracked >= 13.0 && error < 0.01, "{tracked} of 16 frames, {error} m");
 }
 
 #[test]

@@ -231,7 +231,7 @@ const PAPER_RGB: Parameters = Parameters {
     ..PAPER
 };
 
-/// Ours, chosen by measurement (docs/results.md).
+/// Ours for frames that are tracked against the map, chosen by measurement (docs/results.md).
 const DEFAULT: Parameters = Parameters {
     frames: FrameParameters {
         response_node_power: 2.5, // dense in the shadows
@@ -256,7 +256,7 @@ const DEFAULT: Parameters = Parameters {
     ..PAPER
 };
 
-/// Ours for colour alone, chosen by measurement (docs/results.md).
+/// Ours for keyframes that come with poses, chosen by measurement (docs/results.md).
 const DEFAULT_RGB: Parameters = Parameters {
     frames: FrameParameters {
         white_balance_rate: 5e-3,
@@ -302,6 +302,11 @@ impl Default for Parameters {
 }
 
 impl Parameters {
+    /// Ours for frames that are tracked against the map.
+    pub(crate) fn tracked() -> Self {
+        DEFAULT
+    }
+
     /// Those of the preset called `name`; of `default` if there is none.
     pub(super) fn of_preset(name: &str) -> Self {
         match name.strip_suffix("-s").unwrap_or(name) {

@@ -137,10 +137,10 @@ mod tests {
         assert_eq!(d, vec![-2.0, 0.0, 2.0]);
     }
 
-    /// Deviations of 1 and 4 hundredths of the depth: full weight, and a quarter.
+    /// Deviations of 0.3 and 1.2 % of the depth: full weight, and a quarter.
     #[test]
     fn estimated_depth_counts_by_its_deviation() {
-        let (depth, variance) = (row([1.0, 0.0, 2.0]), row([1e-4, 1.0, 6.4e-3]));
+        let (depth, variance) = (row([1.0, 0.0, 2.0]), row([9e-6, 1.0, 5.76e-4]));
         let observation = Observation::estimated(Image::new(3, 1, 3), depth, variance);
         let (error, d) = depth_loss([2.0, 1.0, 4.0], &observation);
         assert!((error - 1.5).abs() < 1e-5);

@@ -4,7 +4,7 @@ use super::camera::CameraEstimate;
 use super::error::{RunError, catch_panic};
 use super::observer::RunContext;
 use super::{RunOptions, RunOutcome, Stage, shortfall};
-use crate::config::TrackingMethod;
+use crate::config::{Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
 use crate::session::{Session, SessionError};
 use crate::warning::Warning;
@@ -117,6 +117,9 @@ pub(super) fn run<'a>(
     context.observer.progress(input.kind.stage, 0, input.count);
     let mut config = options.config.clone().with_found_readout(input.readout);
     config.parameters.frames.keeps_middle = input.keeps_poses;
+    if input.kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
+        config.parameters = Parameters::tracked();
+    }
     let mut session = (input.kind.session)(config, input.camera, input.frame_rate);
     session.set_cancellation(context.cancellation.clone());
     if let Some(valid_mask) = &input.undistorted.as_ref().unwrap_or(sequence).valid_mask {

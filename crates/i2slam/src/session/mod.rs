@@ -10,7 +10,7 @@ mod tracked;
 pub use error::SessionError;
 pub use runtime_estimate::RuntimeEstimate;
 
-use crate::config::{Config, MapKind, MappingConfig, Parameters};
+use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
     FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, Mapper, MappingContext,
 };
@@ -46,11 +46,7 @@ pub struct Session {
 
 impl Session {
     /// A session that tracks frames of `camera` at `frame_rate` frames per second.
-    pub fn tracking(mut config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
-        // Frames are tracked against what their keyframes show: poses that move on leave them.
-        let Parameters { frames, tracking, .. } = &mut config.parameters;
-        (frames.pose_rotation_rate, frames.pose_translation_rate) = (0.0, 0.0);
-        tracking.keyframe_depth = true;
+    pub fn tracking(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
         let mapper: Box<dyn Mapper> = match config.map.kind {
             MapKind::Gaussian => Box::new(GaussianMapper::new(&config, &camera)),
             MapKind::HashGrid => Box::new(FieldMapper::new(&camera)),

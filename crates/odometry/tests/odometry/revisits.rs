@@ -123,7 +123,7 @@ fn lost(found: &Reconstruction) -> Vec<usize> {
 fn frames_behind_a_covered_lens_are_lost_and_those_on_both_sides_posed() {
     let found = run(&interrupted(12..18, None));
     assert_eq!(lost(&found), (12..18).collect::<Vec<_>>());
-    let warning = Warning::UntrackableFrames { frames: [12, 17] };
+    let warning = Warning::BlankFrames { frames: [12, 17] };
     assert!(found.warnings.contains(&warning), "{:?}", found.warnings);
     let truth: Vec<Pose<f64>> = (0..30).map(moving).collect();
     let error = path_error(&found, &truth);
