@@ -1,20 +1,23 @@
-//! Monocular visual odometry: pictures in, camera poses, sparse and dense depth out.
+//! Visual odometry: pictures in, with measured depth or without; camera poses, sparse and dense
+//! depth out.
 //!
-//! Points are tracked through all pictures; two keyframes with parallax start a map, to which the
-//! other frames are registered one by one, with bundle adjustment in between. Keyframes without a
-//! pose are relocalized by what they look like, and loops are closed. The unit of length is
-//! arbitrary. [`DenseDepthEstimator`] computes the depth of most pixels of keyframes afterwards.
+//! Points are tracked through all pictures; a keyframe with measured depth, or two keyframes with
+//! parallax, start a map, to which the other frames are registered one by one, with bundle
+//! adjustment in between. Keyframes without a pose are relocalized by what they look like, and
+//! loops are closed. With depth, frames are aligned to the keyframes around them by picture and
+//! depth, too, and lengths are metres; the unit is arbitrary otherwise. [`DenseDepthEstimator`]
+//! computes the depth of most pixels of keyframes afterwards.
 //!
 //! Folders, each using only those above it:
 //!
 //! | folder | |
 //! |---|---|
 //! | `track` | KLT tracking of corners from picture to picture, choice of keyframes |
-//! | `depth` | depth pictures, and the model of the sensor that took them |
+//! | `depth` | depth pictures, their registration, and the model of the sensor that took them |
 //! | `multiview` | geometry of few views: landmarks, lens distortion, triangulation, PnP, essential matrix |
 //! | `bundle` | bundle adjustment and the covariance of the intrinsics |
 //! | `sfm_state` | camera, poses, landmarks and tracks so far |
-//! | `register` | initialization from two keyframes, registration of all others |
+//! | `register` | initialization, registration of all other frames, dense constraints |
 //! | `intrinsics` | search for the focal length, observability of focal length and distortion |
 //! | `rolling_shutter` | estimation of the readout, correction of image positions |
 //! | `relocalize` | keyframes recognised in others by descriptors and geometric verification |
@@ -22,7 +25,7 @@
 //! | `diagnosis` | wrong input: pictures of one colour, frozen or shuffled frames, large moving objects |
 //! | `result`, `front_end` | the result, and the pipeline from pictures to it |
 //! | `alignment` | dense alignment of a frame to a target by picture and depth; stands alone |
-//! | `dense` | dense depth by plane sweep and semi-global matching; uses `track` only |
+//! | `dense` | dense depth by fused readings, plane sweep and semi-global matching; uses `track`, `depth` |
 
 mod error;
 #[cfg(test)]
