@@ -105,8 +105,8 @@ impl FrontEnd {
         self.timestamps.push(timestamp);
         self.picture_checks.add(picture);
         self.depth_maps.push(depth.map(DepthMap::new));
-        let has_depth = self.depth_maps.iter().any(Option::is_some);
-        self.pictures.push(has_depth.then(|| StoredPicture::new(picture)));
+        let is_kept = depth.is_some() || self.pictures.last().is_some_and(Option::is_some);
+        self.pictures.push(is_kept.then(|| StoredPicture::new(picture)));
         Ok(self.tracker.track(picture))
     }
 

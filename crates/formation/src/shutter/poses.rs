@@ -80,7 +80,7 @@ impl<T: Real> ShutterPoses<T> {
         self.at(T::of(0.5))
     }
 
-    /// The same motion around another pose halfway through the exposure.
+    /// Moves the exposure rigidly to another mid-exposure pose.
     #[must_use]
     pub fn with_middle(&self, middle: Pose<T>) -> Self {
         let moved = middle * self.middle().inverse();

@@ -37,8 +37,7 @@ pub struct FrameParameters {
     pub pose_rotation_rate: f32,
     /// Learning rate of translations of keyframes while mapping [m].
     pub pose_translation_rate: f32,
-    /// Whether poses at mid-exposure stay as the source of poses gave them, so that mapping refines
-    /// the motion during exposure alone.
+    /// Keep mid-exposure poses fixed while mapping: only the motion during exposure is refined.
     pub keeps_middle: bool,
 }
 

@@ -36,7 +36,7 @@ pub(super) struct Input<'a> {
     pub(super) camera: Camera<f64>,
     /// Readout of a rolling shutter that the source has found [s]; 0 without.
     pub(super) readout: f64,
-    /// Whether poses are more exact than the map can refine them: those found with depth.
+    /// Keep poses fixed while mapping: those found with depth.
     pub(super) keeps_poses: bool,
     pub(super) frame_rate: f64,
     pub(super) between: BetweenFrames,
