@@ -1,8 +1,9 @@
 //! The camera path of a sequence or video.
 //!
 //! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
-//! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR]` writes `world_from_camera` poses in the TUM
-//! format, and prints their error where the sequence has a true path. Depth is used with `--depth`.
+//! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]` writes `world_from_camera` poses in the TUM
+//! format, and prints their error where the sequence has a true path. Depth is used with `--depth`;
+//! with `--open` no loop is closed.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
 
@@ -19,7 +20,9 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, out, flags @ ..] = arguments.as_slice() else {
-        return Err("usage: path SEQUENCE OUT.txt [--fov DEGREES] [--guess FACTOR]".into());
+        return Err(
+            "usage: path SEQUENCE OUT.txt [FLAGS], see the first lines of its source".into()
+        );
     };
     let uses_depth = flags.iter().any(|flag| flag == "--depth");
     let options = OpenOptions {
@@ -38,6 +41,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         None if sequence.camera_is_guess => Intrinsics::Guess(camera),
         None => Intrinsics::Known(camera),
     });
+    if flags.iter().any(|flag| flag == "--open") {
+        front_end = front_end.without_loop_closure();
+    }
     let started = Instant::now();
     for frame in sequence.stream() {
         let frame = frame?;

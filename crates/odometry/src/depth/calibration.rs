@@ -34,13 +34,16 @@ const SCALE_RATIO: f64 = 0.5;
 /// Observations from which on the registration is looked for, and most that are compared.
 const MIN_OBSERVATIONS: usize = 300;
 const MAX_OBSERVATIONS: usize = 8_000;
+/// Steps of an even sequence in the unit square: `1/φ` and `1/φ²` with `φ³ = φ + 1`.
+const SPREADING_STEPS: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_2];
 /// Relative deviation of a landmark's inverse depth by pictures alone, at most.
 const MAX_LANDMARK_DEVIATION: f64 = 0.03;
 
 /// An observation whose depth is predicted by its landmark.
 struct Prediction {
     frame: usize,
-    /// Position in the colour picture [px], and its velocity [px/s].
+    /// Position in the colour picture, moved within a pixel (see [`spread_over_a_pixel`]) [px], and
+    /// its velocity [px/s].
     at: [f64; 2],
     velocity: [f64; 2],
     /// Inverse depth [1/m], and its rate [1/(m s)].
@@ -183,7 +186,21 @@ fn predictions(visual: &SfmState, state: &SfmState) -> Vec<Prediction> {
     let all: Vec<Prediction> =
         frames.flat_map(|frame| of_frame(visual, state, &is_precise, (frame, interval))).collect();
     let step = all.len().div_ceil(MAX_OBSERVATIONS).max(1);
-    all.into_iter().step_by(step).collect()
+    let mut some: Vec<Prediction> = all.into_iter().step_by(step).collect();
+    spread_over_a_pixel(&mut some);
+    some
+}
+
+/// Moves positions evenly over a pixel (the sequence R2 of Roberts 2018), so that as many fall on
+/// pixel centres at every displacement. Corners begin at pixel centres, where a reading has the
+/// noise of one pixel; between pixels it is an average, and half a pixel of displacement would
+/// always suit noisy depth better.
+fn spread_over_a_pixel(predictions: &mut [Prediction]) {
+    for (index, prediction) in predictions.iter_mut().enumerate() {
+        for (value, step) in prediction.at.iter_mut().zip(SPREADING_STEPS) {
+            *value += (step * index as f64).fract() - 0.5;
+        }
+    }
 }
 
 /// Landmarks whose depth the pictures determine.
@@ -232,4 +249,51 @@ fn of_frame(
         })
     };
     visual.observations_in(frame).filter_map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::depth::depth_map::{DepthMap, DepthPicture};
+    use crate::fixtures::camera;
+    use crate::track::tracks::Tracks;
+    use i2slam_check::noise;
+    use i2slam_geometry::Image;
+
+    /// Corners at the centres of pixels of a wall whose readings are noisy, and cost ratio of half a
+    /// pixel's displacement to none.
+    fn ratio_of_half_a_pixel(is_spread: bool) -> f64 {
+        let camera = camera();
+        let (width, height) = (camera.width, camera.height);
+        let numbers = noise(5, width * height);
+        let depth = Image::from_fn(width, height, 1, |_, column, row| {
+            let inverse = 0.5 * (1.0 + 0.003 * numbers[row * width + column]);
+            inverse.recip() as f32
+        });
+        let mut state = SfmState::new(camera, Tracks { frames: 1, ..Tracks::default() });
+        let map = DepthMap::new(&DepthPicture { depth: &depth, timestamp: 0.0 });
+        state.depth_maps = Arc::new(vec![Some(map)]);
+        let at = |index: usize| [8.5 + 4.0 * (index % 75) as f64, 8.5 + 4.0 * (index / 75) as f64];
+        let of = |index: usize| Prediction {
+            frame: 0,
+            at: at(index),
+            velocity: [0.0; 2],
+            inverse: 0.5,
+            rate: 0.0,
+            later: 0.0,
+        };
+        let mut predictions: Vec<Prediction> = (0..75 * 55).map(of).collect();
+        if is_spread {
+            spread_over_a_pixel(&mut predictions);
+        }
+        let usual = usual_deviation(&state, &predictions, &[0.0; 3]).expect("readings");
+        let cost = |d: &Displacement| cost(&state, &predictions, d, SCALE_RATIO * usual);
+        cost(&[-0.5, 0.5, 0.0]) / cost(&[0.0; 3])
+    }
+
+    #[test]
+    fn averages_between_pixels_are_no_displacement() {
+        assert!(ratio_of_half_a_pixel(false) < 0.8, "{}", ratio_of_half_a_pixel(false));
+        assert!(ratio_of_half_a_pixel(true) > MAX_COST_RATIO, "{}", ratio_of_half_a_pixel(true));
+    }
 }

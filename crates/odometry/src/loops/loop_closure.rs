@@ -4,7 +4,7 @@
 //! neighbouring candidates agree on the drift, a pose graph distributes it, and the old tracks get
 //! the new observations, so that bundle adjustment keeps the loop closed.
 
-use crate::loops::pose_graph::{PoseGraphEdge, optimize_pose_graph};
+use crate::loops::pose_graph::{GraphLengths, PoseGraphEdge, optimize_pose_graph};
 use crate::multiview::landmark::Landmark;
 use crate::progress::Stage;
 use crate::register::registration::refine_all_frames;
@@ -141,7 +141,9 @@ fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
         };
         let of = |(old, other): (usize, &KeyframeImage)| {
             let found = match_and_verify(state, image, other)?;
-            let place = Similarity::from_pose(found.world_from_camera, found.scale?);
+            // Measured lengths do not drift.
+            let scale = if state.has_depth() { 1.0 } else { found.scale? };
+            let place = Similarity::from_pose(found.world_from_camera, scale);
             Some(LoopCandidate { new, old, found, place })
         };
         candidate_keyframes(state, image, may).into_iter().find_map(of)
@@ -218,7 +220,8 @@ fn distribute_drift(state: &mut SfmState, candidates: &[LoopCandidate], unit: f6
         edges.push(PoseGraphEdge { first, second, measured, weight: LOOP_EDGE_WEIGHT });
     }
     let mut after = before.clone();
-    optimize_pose_graph(&mut after, &edges, unit);
+    let lengths = GraphLengths { unit, is_metric: state.has_depth() };
+    optimize_pose_graph(&mut after, &edges, lengths);
     let moves: Vec<Similarity<f64>> =
         after.iter().zip(&before).map(|(after, before)| after.compose(&before.inverse())).collect();
     apply_corrections(state, &frames, &moves);

@@ -1,4 +1,5 @@
-//! Pose graph of similarities (Strasdat, Montiel and Davison 2010).
+//! Pose graph of similarities (Strasdat, Montiel and Davison 2010), or of rigid motions where lengths
+//! are measured.
 
 use i2slam_compute::SkylineMatrix;
 use i2slam_compute::reverse_cuthill_mckee;
@@ -20,21 +21,30 @@ pub(crate) struct PoseGraphEdge {
     pub(crate) weight: f64,
 }
 
+/// Lengths in a pose graph.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct GraphLengths {
+    /// Length whose error counts as much as one of a radian.
+    pub(crate) unit: f64,
+    /// Whether lengths are measured: nodes keep their scale, and errors of scale do not count.
+    pub(crate) is_metric: bool,
+}
+
 /// Derivative of seven numbers by seven.
 type NodeJacobian = [[f64; 7]; 7];
 
 /// Moves all nodes but the first so that `Σ weight ‖coordinates(measured⁻¹ first⁻¹ second)‖²` is
-/// least; lengths count in `unit`.
+/// least.
 pub(crate) fn optimize_pose_graph(
     places: &mut Vec<Similarity<f64>>,
     edges: &[PoseGraphEdge],
-    unit: f64,
+    lengths: GraphLengths,
 ) {
     let variable_order = variable_order(places.len(), edges);
-    let (mut damping, mut cost) = (1e-6, total_cost(places, edges, unit));
+    let (mut damping, mut cost) = (1e-6, total_cost(places, edges, lengths));
     for _ in 0..MAX_STEPS {
-        let moved = levenberg_marquardt_step(places, edges, unit, &variable_order, damping);
-        let next = moved.as_ref().map_or(f64::INFINITY, |m| total_cost(m, edges, unit));
+        let moved = levenberg_marquardt_step(places, edges, lengths, &variable_order, damping);
+        let next = moved.as_ref().map_or(f64::INFINITY, |m| total_cost(m, edges, lengths));
         match moved {
             Some(moved) if next < cost => {
                 let gained = cost - next;
@@ -75,14 +85,19 @@ fn edge_error(places: &[Similarity<f64>], edge: &PoseGraphEdge) -> Similarity<f6
 }
 
 /// Weight of each of an edge's seven errors.
-fn edge_weights(edge: &PoseGraphEdge, unit: f64) -> [f64; 7] {
-    std::array::from_fn(|i| if i < 3 { edge.weight / (unit * unit) } else { edge.weight })
+fn edge_weights(edge: &PoseGraphEdge, lengths: GraphLengths) -> [f64; 7] {
+    let GraphLengths { unit, is_metric } = lengths;
+    std::array::from_fn(|i| match i {
+        0..3 => edge.weight / (unit * unit),
+        6 if is_metric => 0.0,
+        _ => edge.weight,
+    })
 }
 
-fn total_cost(places: &[Similarity<f64>], edges: &[PoseGraphEdge], unit: f64) -> f64 {
+fn total_cost(places: &[Similarity<f64>], edges: &[PoseGraphEdge], lengths: GraphLengths) -> f64 {
     let of = |edge: &PoseGraphEdge| -> f64 {
         let chart = edge_error(places, edge).coordinates();
-        chart.iter().zip(edge_weights(edge, unit)).map(|(e, w)| w * e * e).sum()
+        chart.iter().zip(edge_weights(edge, lengths)).map(|(e, w)| w * e * e).sum()
     };
     edges.iter().map(of).sum()
 }
@@ -119,10 +134,12 @@ fn write_block(block: &mut NodeJacobian, row: usize, column: usize, values: &Mat
 fn levenberg_marquardt_step(
     places: &[Similarity<f64>],
     edges: &[PoseGraphEdge],
-    unit: f64,
+    lengths: GraphLengths,
     variable_order: &[Option<usize>],
     damping: f64,
 ) -> Option<Vec<Similarity<f64>>> {
+    // The scale is the last number of a tangent.
+    let free = if lengths.is_metric { 6 } else { 7 };
     let blocks = places.len().saturating_sub(1);
     let mut first: Vec<usize> = (0..blocks).collect();
     for edge in edges {
@@ -131,11 +148,13 @@ fn levenberg_marquardt_step(
         };
         first[a.max(b)] = first[a.max(b)].min(a.min(b));
     }
-    let mut matrix = SkylineMatrix::new(first.iter().flat_map(|b| [7 * b; 7]).collect());
-    let (mut right, mut diagonal) = (vec![0.0; 7 * blocks], vec![1e-9; 7 * blocks]);
+    let mut matrix = SkylineMatrix::new(
+        first.iter().flat_map(|b| std::iter::repeat_n(free * b, free)).collect(),
+    );
+    let (mut right, mut diagonal) = (vec![0.0; free * blocks], vec![1e-9; free * blocks]);
     for edge in edges {
         let chart = edge_error(places, edge).coordinates();
-        let weights = edge_weights(edge, unit);
+        let weights = edge_weights(edge, lengths);
         let ends = [variable_order[edge.first], variable_order[edge.second]];
         let slopes = edge_jacobians(places, edge);
         let product = |a: &NodeJacobian, i: usize, b: &NodeJacobian, j: usize| -> f64 {
@@ -143,14 +162,14 @@ fn levenberg_marquardt_step(
         };
         for (p, (a, block)) in slopes.iter().zip(ends).enumerate() {
             let Some(block) = block else { continue };
-            for i in 0..7 {
-                right[7 * block + i] -=
-                    (0..7).map(|k| weights[k] * a[k][i] * chart[k]).sum::<f64>();
-                diagonal[7 * block + i] += damping * product(a, i, a, i);
-                (0..=i).for_each(|j| matrix.add(7 * block + i, 7 * block + j, product(a, i, a, j)));
+            for i in 0..free {
+                let row = free * block + i;
+                right[row] -= (0..7).map(|k| weights[k] * a[k][i] * chart[k]).sum::<f64>();
+                diagonal[row] += damping * product(a, i, a, i);
+                (0..=i).for_each(|j| matrix.add(row, free * block + j, product(a, i, a, j)));
                 let Some(other) = ends[1 - p].filter(|other| *other < block) else { continue };
                 let b = &slopes[1 - p];
-                (0..7).for_each(|j| matrix.add(7 * block + i, 7 * other + j, product(a, i, b, j)));
+                (0..free).for_each(|j| matrix.add(row, free * other + j, product(a, i, b, j)));
             }
         }
     }
@@ -159,7 +178,8 @@ fn levenberg_marquardt_step(
         return None;
     }
     let moved = |(place, block): (&Similarity<f64>, &Option<usize>)| {
-        block.map_or(*place, |b| place.retract(&std::array::from_fn(|i| right[7 * b + i])))
+        let step = |b: usize, i: usize| if i < free { right[free * b + i] } else { 0.0 };
+        block.map_or(*place, |b| place.retract(&std::array::from_fn(|i| step(b, i))))
     };
     Some(places.iter().zip(variable_order).map(moved).collect())
 }
@@ -191,34 +211,30 @@ mod tests {
         }
     }
 
-    /// A ring whose steps are each a little too long and turn a little too far.
-    #[test]
-    fn a_ring_that_does_not_close_is_closed() {
-        let count = 60;
-        let turn = std::f64::consts::TAU / f64::from(count);
-        let step = |turn: f64, scale: f64| Similarity {
-            scale,
-            rotation: Rotation::exp(Vec3::new(0.0, turn, 0.0)),
-            translation: Vec3::new(0.0, 0.0, 0.1),
+    /// Steps of a ring [rad, 0.1 ahead each], and nodes after so many of them.
+    const STEPS: usize = 60;
+
+    fn step(turn: f64, scale: f64) -> Similarity<f64> {
+        let turn = turn * std::f64::consts::TAU / STEPS as f64;
+        let rotation = Rotation::exp(Vec3::new(0.0, turn, 0.0));
+        Similarity { scale, rotation, translation: Vec3::new(0.0, 0.0, 0.1) }
+    }
+
+    fn ring(step: &Similarity<f64>) -> Vec<Similarity<f64>> {
+        let mut places = vec![Similarity::from_pose(Pose::identity(), 1.0)];
+        (1..STEPS).for_each(|i| places.push(places[i - 1].compose(step)));
+        places
+    }
+
+    /// The ring of `drifted` steps after its end was seen a true step before its begin.
+    fn closed(drifted: &Similarity<f64>, closing: Similarity<f64>, is_metric: bool) -> [f64; 2] {
+        let edge = |first: usize, second: usize, measured: Similarity<f64>, weight: f64| {
+            PoseGraphEdge { first, second, measured, weight }
         };
-        let (true_step, drifted) = (step(turn, 1.0), step(1.02 * turn, 1.005));
-        let ring = |step: &Similarity<f64>| {
-            let mut places = vec![Similarity::from_pose(Pose::identity(), 1.0)];
-            (1..count as usize).for_each(|i| places.push(places[i - 1].compose(step)));
-            places
-        };
-        let (truth, mut places) = (ring(&true_step), ring(&drifted));
-        let neighbours = (1..count as usize).map(|i| (i - 1, i, drifted, 1.0));
-        let closing = (count as usize - 1, 0, true_step, 100.0);
-        let edges: Vec<PoseGraphEdge> = neighbours
-            .chain([closing])
-            .map(|(first, second, measured, weight)| PoseGraphEdge {
-                first,
-                second,
-                measured,
-                weight,
-            })
-            .collect();
+        let mut edges: Vec<PoseGraphEdge> =
+            (1..STEPS).map(|i| edge(i - 1, i, *drifted, 1.0)).collect();
+        edges.push(edge(STEPS - 1, 0, closing, 100.0));
+        let (truth, mut places) = (ring(&step(1.0, 1.0)), ring(drifted));
         let off = |places: &[Similarity<f64>]| {
             let far = |(a, b): (&Similarity<f64>, &Similarity<f64>)| {
                 (a.translation - b.translation).norm()
@@ -226,7 +242,25 @@ mod tests {
             places.iter().zip(&truth).map(far).fold(0.0, f64::max)
         };
         let before = off(&places);
-        optimize_pose_graph(&mut places, &edges, 1.0);
-        assert!(before > 0.3 && off(&places) < 0.15 * before, "{before} {}", off(&places));
+        optimize_pose_graph(&mut places, &edges, GraphLengths { unit: 1.0, is_metric });
+        assert!(!is_metric || places.iter().all(|place| place.scale == 1.0));
+        [before, off(&places)]
+    }
+
+    /// A ring whose steps are each a little too long and turn a little too far.
+    #[test]
+    fn a_ring_that_does_not_close_is_closed() {
+        let [before, after] = closed(&step(1.02, 1.005), step(1.0, 1.0), false);
+        assert!(before > 0.3 && after < 0.15 * before, "{before} {after}");
+    }
+
+    /// Where lengths are measured, a wrong scale of the closing edge changes nothing.
+    #[test]
+    fn a_metric_ring_is_closed_without_a_change_of_scale() {
+        let [before, after] = closed(&step(1.03, 1.0), step(1.0, 1.0), true);
+        assert!(before > 0.1 && after < 0.15 * before, "{before} {after}");
+        let wrong = closed(&step(1.03, 1.0), step(1.0, 1.2), true);
+        let free = closed(&step(1.03, 1.0), step(1.0, 1.2), false);
+        assert!((wrong[1] - after).abs() < 1e-6 && free[1] > 2.0 * after, "{wrong:?} {free:?}");
     }
 }
