@@ -33,11 +33,13 @@ pub struct FrameParameters {
     pub white_balance_rate: f32,
     /// Learning rate of response nodes while mapping, in steps of a straight curve (1 / 255).
     pub response_rate: f32,
-    /// Learning rate of rotations of keyframes while mapping [rad]; zero keeps poses fixed.
-    pub pose_rotation_rate: f32,
-    /// Learning rate of translations of keyframes while mapping [m].
-    pub pose_translation_rate: f32,
-    /// Keep mid-exposure poses fixed while mapping: only the motion during exposure is refined.
+    /// Gaussians: learning rate of the rotation during the exposure of keyframes that come with
+    /// poses [rad].
+    pub motion_rotation_rate: f32,
+    /// Gaussians: that of the translation [m].
+    pub motion_translation_rate: f32,
+    /// Keep the poses of keyframes at mid-exposure as their source gave them; otherwise first-order
+    /// steps with a field and localisation in the map move them.
     pub keeps_middle: bool,
 }
 
@@ -139,14 +141,14 @@ pub struct KeyframedParameters {
 /// The paper's appendix A on SplaTAM's configuration of ScanNet; radiance fields as torch-ngp.
 const PAPER: Parameters = Parameters {
     frames: FrameParameters {
-        response_node_power: 1.0, // the paper: uniform
-        response_prior: 0.0,      // open
-        tracking_rate: 1e-2,      // the paper; that it steps logarithms is our reading
-        exposure_rate: 1e-2,      // the paper
-        white_balance_rate: 1e-2, // the paper
-        response_rate: 1e-2,      // the paper
-        pose_rotation_rate: 0.0,  // SplaTAM: fixed while mapping
-        pose_translation_rate: 0.0,
+        response_node_power: 1.0,  // the paper: uniform
+        response_prior: 0.0,       // open
+        tracking_rate: 1e-2,       // the paper; that it steps logarithms is our reading
+        exposure_rate: 1e-2,       // the paper
+        white_balance_rate: 1e-2,  // the paper
+        response_rate: 1e-2,       // the paper
+        motion_rotation_rate: 0.0, // SplaTAM: poses are fixed while mapping
+        motion_translation_rate: 0.0,
         keeps_middle: false,
     },
     tracking: TrackingParameters {
@@ -259,8 +261,9 @@ const DEFAULT: Parameters = Parameters {
 const DEFAULT_RGB: Parameters = Parameters {
     frames: FrameParameters {
         white_balance_rate: 5e-3,
-        pose_rotation_rate: 1e-4,
-        pose_translation_rate: 2e-4,
+        motion_rotation_rate: 1e-4,
+        motion_translation_rate: 2e-4,
+        keeps_middle: true, // a step of Adam is as long at the optimum as far from it
         ..DEFAULT.frames
     },
     tracking: TrackingParameters { keyframe_depth: false, ..DEFAULT.tracking },

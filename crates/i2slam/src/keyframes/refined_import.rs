@@ -1,8 +1,8 @@
-//! Refinement of imported keyframes whose pictures are a video and have no depth.
+//! Refinement of imported keyframes whose pictures are a video.
 //!
-//! The monocular front end reconstructs the pictures on its own. Its path, in the unit of length of
-//! the files, replaces theirs where it aligns the pictures clearly better. Dense depth is added in
-//! either case.
+//! The front end reconstructs the pictures on its own, with depth where it was measured. Its path, in
+//! the unit of length of the files or of the depth, replaces theirs where it aligns the pictures
+//! clearly better. Keyframes without depth get dense depth in either case.
 
 use super::monocular::PictureReader;
 use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe};
@@ -34,6 +34,8 @@ pub struct RefinedImport<L> {
     correlations: [f64; 2],
     /// Whether the poses of the odometry are used.
     is_refined: bool,
+    /// Whether depth was measured.
+    has_depth: bool,
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
@@ -67,11 +69,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         let dense =
             DenseDepthEstimator::new(camera, views.collect()).with_cancellation(cancellation);
         let reader = PictureReader::new((0..poses.len()).collect(), load);
-        Some(Self { camera, poses, dense, reader, next: 0, correlations, is_refined })
+        let has_depth = found.depth_model.is_some();
+        Some(Self { camera, poses, dense, reader, next: 0, correlations, is_refined, has_depth })
     }
 
     /// A sentence on the refinement for the user.
     pub fn summary(&self) -> String {
+        let depth = if self.has_depth { "" } else { "; depth is found by matching" };
         let [imported, found] = self.correlations;
         let which = match self.is_refined {
             true => "poses are refined by their pictures",
@@ -79,7 +83,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         };
         format!(
             "{which}: neighbouring pictures correlate by {imported:.3} at the imported poses, by \
-             {found:.3} at those found from the pictures; depth is found by matching"
+             {found:.3} at those found from the pictures{depth}"
         )
     }
 }
@@ -96,6 +100,11 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
+        if let Some(measured) = &seen.depth {
+            let depth = EstimatedDepth { depth: (*measured.image).clone(), variance: None };
+            let keyframe = PosedKeyframe::from_frame(seen, world_from_camera);
+            return Some(Ok(PosedKeyframe { depth: Some(depth), ..keyframe }));
+        }
         let mut picture = |k: usize| {
             let colour = Arc::clone(&self.reader.picture(k)?.colour);
             Some(KeyframePictures::colour_only(colour))
@@ -135,7 +144,10 @@ impl<'a> OdometryPath<'a> {
         if (posed as f64) < MIN_POSED_SHARE * input_poses.len() as f64 || posed < 3 {
             return None;
         }
-        let scale = scale(input_poses, &at)?;
+        let scale = match found.depth_model {
+            Some(_) => 1.0,
+            None => scale(input_poses, &at)?,
+        };
         let places = found.keyframes.iter().map(|k| place(k.index)).collect::<Option<Vec<_>>>()?;
         Some(Self { found, places, scale, poses: aligned_poses(input_poses, &at, scale)? })
     }
@@ -265,6 +277,7 @@ mod tests {
     use super::super::{Intrinsics, OdometryProgress};
     use super::*;
     use i2slam_check::noise;
+    use i2slam_dataset::DepthPicture;
     use i2slam_geometry::{Tangent, Vec3};
 
     const COUNT: usize = 14;
@@ -288,16 +301,33 @@ mod tests {
 
     fn refined(poses: Vec<Pose<f64>>) -> Vec<PosedKeyframe> {
         let camera = camera();
-        let load = |place: usize| Ok(stamped(&camera, place, place as f64 / 30.0));
+        refined_from(poses, |place| Ok(stamped(&camera, place, place as f64 / 30.0)))
+    }
+
+    /// Depth of the wall in the unit of [`truth`].
+    fn wall_depth() -> Image<f32> {
+        let camera = camera();
+        Image::from_fn(camera.width, camera.height, 1, |_, column, row| {
+            let (u, v) = Camera::<f64>::pixel_centre(column, row);
+            let is_near = 2.0 * camera.unproject(u, v, 1.0).y > 0.1;
+            if is_near { 3.0 * 2.0 } else { 3.0 * 3.5 }
+        })
+    }
+
+    fn refined_from(
+        poses: Vec<Pose<f64>>,
+        load: impl Fn(usize) -> Result<Frame, PictureError>,
+    ) -> Vec<PosedKeyframe> {
+        let camera = camera();
         let found = MonocularSource::find(
             Intrinsics::Known(camera),
             COUNT,
-            load,
+            &load,
             &OdometryProgress::default(),
         )
         .expect("a path");
         let mut source =
-            RefinedImport::new(camera, poses, &found, load, CancellationToken::default())
+            RefinedImport::new(camera, poses, &found, &load, CancellationToken::default())
                 .expect("all were found");
         let keyframes = std::iter::from_fn(|| source.next_keyframe());
         keyframes.map(|keyframe| keyframe.expect("pictures can be read")).collect()
@@ -330,6 +360,26 @@ mod tests {
             // The wall is 3.5 of its units away, its lower part 2.
             let inside = known.iter().filter(|d| (4.5..14.0).contains(*d)).count();
             assert!(10 * inside > 9 * known.len(), "{}", keyframe.index);
+        }
+    }
+
+    #[test]
+    fn with_measured_depth_poses_are_refined_in_its_unit_and_it_is_delivered() {
+        let camera = camera();
+        let load = |place: usize| {
+            let frame = stamped(&camera, place, place as f64 / 30.0);
+            let image = Arc::new(wall_depth());
+            let depth = Some(DepthPicture { image, timestamp: frame.timestamp });
+            Ok(Frame { depth, ..frame })
+        };
+        let input_poses = disturbed((0.06, 0.02));
+        let before = errors(input_poses.iter().copied());
+        let keyframes = refined_from(input_poses, load);
+        let after = errors(keyframes.iter().map(|k| k.world_from_camera));
+        assert!(after.0 < 0.1 * before.0 && after.1 < 0.1 * before.1, "{before:?} {after:?}");
+        for keyframe in keyframes {
+            let depth = keyframe.depth.expect("depth");
+            assert!(depth.variance.is_none() && depth.depth == wall_depth());
         }
     }
 

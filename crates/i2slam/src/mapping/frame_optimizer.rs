@@ -1,4 +1,4 @@
-//! Optimiser steps on exposure, white balance, responses and keyframe poses.
+//! Optimiser steps on exposure, white balance, responses and the motion during exposures.
 
 use super::context::MappingContext;
 use crate::config::ResponseScope;
@@ -51,7 +51,8 @@ impl ResponseGradients {
 }
 
 impl FrameOptimizers {
-    /// One step on tone, response and pose of a keyframe; the gauge frame keeps tone and pose.
+    /// One step on tone, response and motion during the exposure of a keyframe; the gauge frame
+    /// keeps tone and motion.
     pub(super) fn step(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -67,7 +68,7 @@ impl FrameOptimizers {
             self.step_response(context, context.frames[frame].response, d_curve);
         }
         if !is_gauge {
-            self.step_pose(context, frame, &evaluation.shutter);
+            self.step_motion(context, frame, &evaluation.shutter);
         }
     }
 
@@ -136,24 +137,25 @@ impl FrameOptimizers {
         }
     }
 
-    /// One step on start and end pose, each by its own tangent; none at rates of zero.
-    pub(super) fn step_pose(
+    /// One step on the motion during the exposure, start and end pose each by its own tangent; the
+    /// pose at mid-exposure stays. None at rates of zero.
+    pub(super) fn step_motion(
         &mut self,
         context: &mut MappingContext<'_>,
         frame: usize,
         d_shutter: &ShutterTangent<f64>,
     ) {
         let rates = &context.config.parameters.frames;
-        if rates.pose_rotation_rate <= 0.0 && rates.pose_translation_rate <= 0.0 {
+        if rates.motion_rotation_rate <= 0.0 && rates.motion_translation_rate <= 0.0 {
             return;
         }
         let optimizer = self.frame(frame);
         let gradient = d_shutter.to_array().map(|g| g as f32);
         let pick = |from: [usize; 6]| from.map(|i| gradient[i]);
         let (mut translation, mut rotation) = ([0.0; 6], [0.0; 6]);
-        let rate = rates.pose_translation_rate;
+        let rate = rates.motion_translation_rate;
         optimizer.translation.step(&mut translation, &pick([0, 1, 2, 6, 7, 8]), rate);
-        let rate = rates.pose_rotation_rate;
+        let rate = rates.motion_rotation_rate;
         optimizer.rotation.step(&mut rotation, &pick([3, 4, 5, 9, 10, 11]), rate);
         let side = |at: usize| Tangent {
             translation: Vec3::new(translation[at], translation[at + 1], translation[at + 2])
@@ -161,9 +163,7 @@ impl FrameOptimizers {
             rotation: Vec3::new(rotation[at], rotation[at + 1], rotation[at + 2]).cast(),
         };
         let step = ShutterTangent::<f64> { start: side(0), end: side(3) };
-        let before = context.frames[frame].shutter;
-        let moved = before.retract(&step);
-        context.frames[frame].shutter =
-            if rates.keeps_middle { moved.with_middle(before.middle()) } else { moved };
+        let shutter = &mut context.frames[frame].shutter;
+        *shutter = shutter.retract(&step).with_middle(shutter.middle());
     }
 }

@@ -36,8 +36,6 @@ pub(super) struct Input<'a> {
     pub(super) camera: Camera<f64>,
     /// Readout of a rolling shutter that the source has found [s]; 0 without.
     pub(super) readout: f64,
-    /// Keep poses fixed while mapping: those found with depth.
-    pub(super) keeps_poses: bool,
     pub(super) frame_rate: f64,
     pub(super) between: BetweenFrames,
     /// Index, stamp [s] and pose of all frames that have one.
@@ -85,7 +83,6 @@ impl<'a> Input<'a> {
             kind: &FRAMES,
             camera: sequence.camera,
             readout: 0.0,
-            keeps_poses: false,
             frame_rate: sequence.frame_rate,
             between: Box::new(std::iter::empty()),
             path: Vec::new(),
@@ -116,7 +113,6 @@ pub(super) fn run<'a>(
     let mut input = catch_panic(open)?;
     context.observer.progress(input.kind.stage, 0, input.count);
     let mut config = options.config.clone().with_found_readout(input.readout);
-    config.parameters.frames.keeps_middle = input.keeps_poses;
     if input.kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
         config.parameters = Parameters::tracked();
     }

@@ -13,7 +13,7 @@ use crate::keyframes::{
 };
 use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
-use i2slam_dataset::{Frame, Sequence};
+use i2slam_dataset::{DepthPicture, Frame, Sequence};
 use i2slam_geometry::Pose;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -40,7 +40,6 @@ fn keyframes_of(
         kind: &KEYFRAMES,
         camera: *source.camera(),
         readout: source.readout(),
-        keeps_poses: false,
         items: Box::new(std::iter::from_fn(move || {
             Some(source.next_keyframe()?.map(|keyframe| Item::Keyframe(Box::new(keyframe))))
         })),
@@ -82,7 +81,6 @@ pub(super) fn from_odometry(
         Some((sequence.entries.get(place)?.index, stamp, pose))
     };
     let path = source.trajectory().into_iter().filter_map(by_index).collect();
-    let keeps_poses = source.reconstruction().depth_model.is_some();
     // The paper's system has poses of keyframes alone.
     let between: BetweenFrames = match options.config.tracking.method {
         TrackingMethod::SecondOrder => Box::new(between),
@@ -95,7 +93,6 @@ pub(super) fn from_odometry(
         frames_given: sequence.len(),
         estimate: Some(camera),
         undistorted,
-        keeps_poses,
         ..keyframes_of(source, count, sequence.frame_rate)
     })
 }
@@ -185,12 +182,17 @@ pub(super) fn imported(
     Ok(keyframes_of(refined.unwrap_or_else(|| Box::new(source)), count, frame_rate))
 }
 
-/// Imported keyframes with poses refined by visual odometry, and its dense depth; none if they
-/// come with depth, or if no path is found in their pictures, which is noted.
+/// Imported keyframes with poses refined by visual odometry, where these come without depth with its
+/// dense depth, too; none if they come with depth that was computed with poses, or if no path is
+/// found in their pictures, which is noted.
 fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn KeyframeSource>> {
-    if files.has_depth {
+    if files.has_variance {
         return None;
     }
+    let kept = match files.has_depth {
+        true => "the imported poses stay as they are",
+        false => "the imported poses stay as they are, without depth",
+    };
     let note = |line: &str| context.observer.note(line);
     let large = files.at_least(ODOMETRY_SIDE);
     let load = |place: usize| imported_picture(&large, place);
@@ -203,7 +205,7 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn Ke
                 return None;
             }
             Err(failure) => {
-                note(&format!("the imported poses stay as they are, without depth: {failure}"));
+                note(&format!("{kept}: {failure}"));
                 return None;
             }
         };
@@ -213,10 +215,7 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn Ke
     let refined =
         RefinedImport::new(files.camera, poses, &found, load, context.cancellation.clone());
     let Some(refined) = refined else {
-        note(
-            "the imported poses stay as they are, without depth: odometry found too few of them, or a \
-              rolling shutter",
-        );
+        note(&format!("{kept}: odometry found too few of them, or a rolling shutter"));
         return None;
     };
     note(&refined.summary());
@@ -226,5 +225,6 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn Ke
 fn imported_picture(files: &ImportedKeyframes, place: usize) -> Result<Frame, PictureError> {
     let keyframe = files.load(place)?;
     let (index, timestamp) = (keyframe.index, keyframe.timestamp);
-    Ok(Frame::colour_only(index, timestamp, keyframe.colour))
+    let depth = keyframe.depth.map(|depth| DepthPicture { image: Arc::new(depth), timestamp });
+    Ok(Frame { depth, ..Frame::colour_only(index, timestamp, keyframe.colour) })
 }

@@ -54,11 +54,12 @@ impl Session {
         Self::new(config, camera, frame_rate, mapper)
     }
 
-    /// A session that refines the poses of keyframes of `camera`, taken from a video of `frame_rate`
+    /// A session on keyframes of `camera` that come with poses, taken from a video of `frame_rate`
     /// frames per second.
     ///
-    /// The world is the camera of the first keyframe at its input pose; every pose is refined, that
-    /// one too.
+    /// The world is the camera of the first keyframe. In `default` poses at mid-exposure stay as they
+    /// came, and the motion during the exposure is refined with the map; the paper's presets for
+    /// colour alone refine both.
     pub fn refining(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
         let mapper: Box<dyn Mapper> = match config.map.kind {
             MapKind::Gaussian => Box::new(GaussianMapper::new(&config, &camera)),

@@ -63,9 +63,8 @@ fn config() -> Config {
     config.mapping.window = 8;
     let parameters = &mut config.parameters;
     parameters.field = Config::preset("paper-scannet").expect("known").parameters.field;
-    let frames = &mut parameters.frames;
-    (frames.pose_rotation_rate, frames.pose_translation_rate) = (0.0, 0.0);
-    (frames.white_balance_rate, parameters.tracking.keyframe_depth) = (5e-4, true);
+    parameters.frames.white_balance_rate = 5e-4;
+    parameters.tracking.keyframe_depth = true;
     let parameters = &mut parameters.field;
     (parameters.levels, parameters.hidden_width, parameters.occupancy_cells) = (6, 16, 48);
     let field = &mut config.hashgrid;
@@ -266,7 +265,7 @@ fn a_still_camera_shows_no_readout() {
 fn pose_after_steps(iterations: usize, cancelled: bool) -> Pose<f64> {
     let mut config = Config::default();
     let frames = &mut config.parameters.frames;
-    (frames.pose_rotation_rate, frames.pose_translation_rate) = (0.0, 0.0);
+    (frames.motion_rotation_rate, frames.motion_translation_rate) = (0.0, 0.0);
     config.tracking.method = TrackingMethod::Adam;
     config.tracking.iterations = iterations;
     let mut session = Session::tracking(config, CAMERA, 30.0);

@@ -177,7 +177,7 @@ impl FieldMapper {
         }
     }
 
-    /// One step on random pixels of all `views`, of the field `alone` or with poses and tone.
+    /// One step on random pixels of all `views`, of the field `alone` or with tone.
     fn step(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -191,14 +191,11 @@ impl FieldMapper {
         let drawn = views.iter().map(|view| sample_rays(context, view, &curves, rays));
         let drawn: Vec<PixelBatch<'_>> = drawn.collect();
         let Some(field) = &mut self.field else { return };
-        let rates = &config.parameters.frames;
-        let with_poses =
-            !alone && (rates.pose_rotation_rate > 0.0 || rates.pose_translation_rate > 0.0);
         let evaluations = field.batch.map(
             &field.current.map,
             &drawn,
             (config.parameters.field.image_weight, DEPTH_WEIGHT),
-            with_poses,
+            false,
             context.random,
             &mut field.gradient,
         );
@@ -209,7 +206,7 @@ impl FieldMapper {
         }
     }
 
-    /// Steps tone and poses of all `views`, and every response once.
+    /// Steps the tone of all `views`, and every response once.
     fn step_frames(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -221,11 +218,8 @@ impl FieldMapper {
             if let Some(d_curve) = evaluation.curve.take() {
                 responses.add(context.frames[view.frame].response, d_curve);
             }
-            if view.frame != context.gauge_frame(view) {
-                if context.config.formation.tone {
-                    self.frames.step_tone(context, view.frame, &evaluation.tone);
-                }
-                self.frames.step_pose(context, view.frame, &evaluation.shutter);
+            if context.config.formation.tone && view.frame != context.gauge_frame(view) {
+                self.frames.step_tone(context, view.frame, &evaluation.tone);
             }
         }
         self.frames.step_responses(context, responses);

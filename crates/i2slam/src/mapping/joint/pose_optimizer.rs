@@ -73,8 +73,11 @@ impl PoseOptimizers {
         let keeps_middle = context.config.parameters.frames.keeps_middle;
         let shutter = &mut context.frames[frame].shutter;
         if !context.config.formation.blur {
+            if keeps_middle {
+                return;
+            }
             let both = gradient.start.plus(gradient.end).to_array();
-            let step = optimizer.adam_step(both, if keeps_middle { 0.0 } else { rate });
+            let step = optimizer.adam_step(both, rate);
             *shutter = ShutterPoses::still(shutter.start.retract(Tangent::from_array(step)));
             return;
         }
