@@ -13,6 +13,7 @@ use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Keyframes before and after one that it is aligned to.
@@ -20,6 +21,9 @@ const KEYFRAME_REACH: usize = 3;
 /// Share of the frame interval for which the shutter is taken to be open: the difference of the
 /// blur of two pictures is a small correction.
 const OPEN_SHARE: f64 = 0.5;
+/// Frames from the first keyframe on whose prepared pictures are kept at once, some 50 bytes per
+/// pixel each.
+const MAX_PART_FRAMES: usize = 24;
 
 /// Aligns all frames to the keyframes around them, and adjusts all poses.
 pub(crate) fn add_dense_constraints(state: &mut SfmState, adjust_focal: bool) {
@@ -29,19 +33,60 @@ pub(crate) fn add_dense_constraints(state: &mut SfmState, adjust_focal: bool) {
     state.progress.report(Stage::BundleAdjustment, 0, 0);
     let keyframes: Vec<usize> =
         state.tracks.keyframes.iter().copied().filter(|f| state.poses[*f].is_some()).collect();
-    let of_keyframe = |place: usize| {
-        if state.progress.is_cancelled() {
-            return Vec::new();
-        }
-        let reference = keyframes[place];
-        let Some(view) = PreparedView::new(state, reference) else { return Vec::new() };
-        let frames = frames_around(&keyframes, place, state.poses.len());
-        frames.into_iter().filter_map(|frame| constraint(state, &view, reference, frame)).collect()
-    };
-    let found: Vec<Vec<RelativePoseFactor>> =
-        (0..keyframes.len()).into_par_iter().map(of_keyframe).collect();
-    state.relative_poses = Arc::new(found.concat());
+    let mut found = Vec::new();
+    for part in parts(&keyframes) {
+        found.extend(constraints(state, &keyframes, part));
+    }
+    state.relative_poses = Arc::new(found);
     adjust_globally(state, adjust_focal);
+}
+
+/// Runs of keyframes, by place, whose frames are prepared together.
+fn parts(keyframes: &[usize]) -> Vec<Range<usize>> {
+    let (mut out, mut begin) = (Vec::new(), 0);
+    for place in 1..=keyframes.len() {
+        let is_full = |next: &usize| next - keyframes[begin] >= MAX_PART_FRAMES;
+        if keyframes.get(place).is_none_or(is_full) {
+            out.push(begin..place);
+            begin = place;
+        }
+    }
+    out
+}
+
+/// Constraints of a run of keyframes, in order; every frame around them is prepared once.
+fn constraints(
+    state: &SfmState,
+    keyframes: &[usize],
+    part: Range<usize>,
+) -> Vec<RelativePoseFactor> {
+    let pairs: Vec<(usize, usize)> = part
+        .flat_map(|place| {
+            let frames = frames_around(keyframes, place, state.poses.len());
+            frames.into_iter().map(move |frame| (keyframes[place], frame))
+        })
+        .collect();
+    let mut frames: Vec<usize> = pairs.iter().flat_map(|(a, b)| [*a, *b]).collect();
+    frames.sort_unstable();
+    frames.dedup();
+    let views: Vec<Option<PreparedView>> =
+        frames
+            .par_iter()
+            .map(|frame| {
+                if state.progress.is_cancelled() { None } else { PreparedView::new(state, *frame) }
+            })
+            .collect();
+    let view = |frame: usize| views[frames.binary_search(&frame).ok()?].as_ref();
+    let found: Vec<Option<RelativePoseFactor>> = pairs
+        .par_iter()
+        .map(|(reference, frame)| {
+            if state.progress.is_cancelled() {
+                return None;
+            }
+            constraint(state, (*reference, view(*reference)?), (*frame, view(*frame)?))
+        })
+        .collect();
+    found.into_iter().flatten().collect()
 }
 
 /// Frames between the keyframes before and after one, and a few keyframes after it.
@@ -56,12 +101,10 @@ fn frames_around(keyframes: &[usize], place: usize, frames: usize) -> Vec<usize>
 /// Relative pose of a frame in a reference; `None` if they do not align.
 fn constraint(
     state: &SfmState,
-    reference: &PreparedView,
-    first: usize,
-    second: usize,
+    (first, reference): (usize, &PreparedView),
+    (second, frame): (usize, &PreparedView),
 ) -> Option<RelativePoseFactor> {
     let start = state.poses[first]?.inverse() * state.poses[second]?;
-    let frame = PreparedView::new(state, second)?;
     let DenseConstraint { reference_from_frame, information, .. } =
         align(reference.view(), frame.view(), start)?;
     Some(RelativePoseFactor { first, second, first_from_second: reference_from_frame, information })
