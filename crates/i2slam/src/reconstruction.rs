@@ -19,17 +19,21 @@ pub struct Losses {
     pub trajectory: f64,
 }
 
-/// Convergence of second-order tracking; default for first-order tracking and unaligned frames.
+/// Convergence and deviations of a pose. Where poses stay as the front end found them (`default`),
+/// these are of its adjustment ([`i2slam_odometry::PoseDeviation`]), against the frames within a
+/// quarter of a second; otherwise of second-order tracking. Default for first-order tracking and
+/// unaligned frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Convergence {
-    /// Whether the last step was below 0.02 px.
+    /// Whether the adjustment ended within a deviation of its minimum and the frame's picture
+    /// is sound, or the last step of tracking was below 0.02 px.
     pub converged: bool,
-    /// Steps tried, over all pyramid levels.
+    /// Steps of tracking tried, over all pyramid levels.
     pub iterations: usize,
-    /// Formal standard deviation of the position at mid-exposure [m], root of the summed variances of
-    /// its coordinates, for independent residual noise per pixel.
+    /// Standard deviation of the position at mid-exposure [m], root of the summed variances of its
+    /// coordinates. That of tracking is formal, for independent residual noise per pixel.
     pub position_deviation: Option<f64>,
-    /// Formal standard deviation of the rotation [rad], likewise.
+    /// Standard deviation of the rotation [rad], likewise.
     pub rotation_deviation: Option<f64>,
 }
 

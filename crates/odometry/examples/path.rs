@@ -2,17 +2,21 @@
 //!
 //! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
 //! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]` writes `world_from_camera` poses in the TUM
-//! format, and prints their error where the sequence has a true path. Depth is used with `--depth`;
+//! format, and prints their error where the sequence has a true path, also over the
+//! deviations that they claim. Depth is used with `--depth`;
 //! with `--open` no loop is closed.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
 
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_eval::trajectory::{
-    Alignment, DEFAULT_TOLERANCE, TrajectoryError, absolute_trajectory_error,
+    Alignment, ClaimedPose, DEFAULT_TOLERANCE, DeviationRatios, TrajectoryError,
+    absolute_trajectory_error, deviation_ratios,
 };
-use i2slam_geometry::Camera;
-use i2slam_odometry::{DepthPicture, FrontEnd, Intrinsics, Progress};
+use i2slam_geometry::{Camera, StampedPose};
+use i2slam_odometry::{
+    DepthPicture, FrontEnd, Intrinsics, LEAST_REACH, Progress, REACH, Reconstruction,
+};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
@@ -69,6 +73,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{tracked:.1} s for tracking, {:.1} s in all", started.elapsed().as_secs_f64());
     write_trajectory(out, &found.trajectory())?;
     let truth = sequence.true_trajectory()?;
+    let mut unit = 1.0;
     for alignment in [Alignment::Se3, Alignment::Sim3] {
         let path = found.trajectory();
         let error = absolute_trajectory_error(&path, &truth, alignment, DEFAULT_TOLERANCE);
@@ -76,8 +81,37 @@ fn main() -> Result<(), Box<dyn Error>> {
             continue;
         };
         let [rmse, max] = [ate_rmse_m, ate_max_m].map(|v| 100.0 * v);
+        unit = if uses_depth { 1.0 } else { scale };
         println!("{alignment:?}: {rmse:.3} cm, largest {max:.2}, {pairs} frames, scale {scale:.4}");
     }
+    print_deviations(&found, &truth, unit)
+}
+
+/// Errors over claimed deviations.
+fn print_deviations(
+    found: &Reconstruction,
+    truth: &[StampedPose],
+    unit: f64,
+) -> Result<(), Box<dyn Error>> {
+    let claimed = |frame: usize| {
+        let (pose, deviation) = (found.poses[frame]?, found.deviations[frame]?);
+        let pose = StampedPose { timestamp: found.timestamps[frame], world_from_camera: pose };
+        Some(ClaimedPose { pose, deviation: [deviation.position, deviation.rotation] })
+    };
+    let all: Vec<ClaimedPose> = (0..found.poses.len()).filter_map(claimed).collect();
+    let converged = found.deviations.iter().flatten().filter(|d| d.converged).count();
+    let DeviationRatios { errors, ratios, truth, offset } =
+        deviation_ratios(&all, truth, unit, (REACH, LEAST_REACH))?;
+    println!(
+        "against neighbours: error {:.3} mm {:.3} mrad, over deviation {:.2} {:.2} (0.89 is due), truth's own {:.2} mm {:.2} mrad, {:.0} ms late; {converged} converged",
+        1e3 * errors[0],
+        1e3 * errors[1],
+        ratios[0],
+        ratios[1],
+        1e3 * truth[0],
+        1e3 * truth[1],
+        1e3 * offset,
+    );
     Ok(())
 }
 

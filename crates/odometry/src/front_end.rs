@@ -22,6 +22,7 @@ use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_int
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::sfm_state::SfmState;
 use crate::track::tracker::{FrameReport, Tracker};
+use crate::track::tracks::repeated_frame;
 use i2slam_geometry::Image;
 use std::sync::Arc;
 
@@ -120,7 +121,13 @@ impl FrontEnd {
         if frames < MIN_FRAMES {
             return Err(OdometryError::TooFewFrames { frames, needed: MIN_FRAMES });
         }
-        let tracks = self.tracker.tracks.with_two_keyframes();
+        let is_repeat = self.picture_checks.is_repeat.clone();
+        let own_pictures = is_repeat.iter().filter(|repeat| !**repeat).count();
+        let tracks = match own_pictures < MIN_FRAMES {
+            true => self.tracker.tracks,
+            false => self.tracker.tracks.without_repeats(&is_repeat),
+        };
+        let tracks = tracks.with_two_keyframes();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let mut state = SfmState::new(*self.intrinsics.camera(), tracks);
         state.progress = progress.clone();
@@ -158,7 +165,11 @@ impl FrontEnd {
         let readout = state.readout * median_frame_interval(&self.timestamps).unwrap_or(0.0);
         let (found, wrong) =
             ((readout, distortion_dropped), diagnose(&state, &self.picture_checks));
-        let built = build_reconstruction(state, &self.timestamps, &self.intrinsics, found);
+        for frame in 0..frames {
+            state.poses[frame] = state.poses[repeated_frame(&is_repeat, frame)];
+        }
+        let (timestamps, intrinsics) = (&self.timestamps, &self.intrinsics);
+        let built = build_reconstruction(state, timestamps, intrinsics, found, &is_repeat);
         Ok(wrong.applied_to(built))
     }
 }

@@ -4,6 +4,7 @@ use crate::depth::sensor_model::DepthModel;
 use crate::intrinsics::focal_length::Intrinsics;
 use crate::intrinsics::observability::reestimate_intrinsics;
 use crate::multiview::lens_distortion::brown_coefficients;
+use crate::pose_deviation::{PoseDeviation, pose_deviations};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::Observation;
 use crate::warning::Warning;
@@ -57,6 +58,9 @@ pub struct Reconstruction {
     pub rolling_shutter_readout: f64,
     /// `world_from_camera` at mid-exposure of every accepted picture; `None` where it is lost.
     pub poses: Vec<Option<Pose<f64>>>,
+    /// Deviation of every pose against those of the frames around it; `None` where it is lost, or
+    /// not determined.
+    pub deviations: Vec<Option<PoseDeviation>>,
     /// Timestamps of all frames [s].
     pub timestamps: Vec<f64>,
     /// Model of the depth sensor; lengths are metres then. `None` by colour alone.
@@ -119,6 +123,7 @@ pub(crate) fn build_reconstruction(
     timestamps: &[f64],
     intrinsics: &Intrinsics,
     (readout, distortion_dropped): (f64, bool),
+    is_repeat: &[bool],
 ) -> Reconstruction {
     let posed = state.posed_frames();
     let world = posed.first().and_then(|f| state.poses[*f]).unwrap_or_else(Pose::identity);
@@ -157,12 +162,16 @@ pub(crate) fn build_reconstruction(
         }
     };
     warnings.extend(distortion_dropped.then_some(Warning::DistortionUndetermined));
+    let scaled = |d: PoseDeviation| PoseDeviation { position: unit * d.position, ..d };
+    let deviations =
+        pose_deviations(&state, is_repeat).into_iter().map(|d| d.map(scaled)).collect();
     Reconstruction {
         camera: state.camera,
         distortion,
         focal_deviation,
         rolling_shutter_readout: readout,
         poses,
+        deviations,
         timestamps: timestamps.to_vec(),
         depth_model: is_metric.then_some(state.depth_model),
         keyframes,

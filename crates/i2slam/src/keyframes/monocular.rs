@@ -7,7 +7,7 @@ use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{
     DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures,
-    MeasuredDepth, PosedView, Reconstruction,
+    MeasuredDepth, PoseDeviation, PosedView, Reconstruction,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -162,6 +162,15 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             Some((position, stamp, pose_of(found, frame)?))
         };
         (0..found.poses.len()).filter_map(posed).collect()
+    }
+
+    /// Deviations of poses: position in the sequence, deviation in the delivered unit.
+    pub fn deviations(&self) -> impl Iterator<Item = (usize, PoseDeviation)> {
+        let unit = unit(&self.reconstruction);
+        self.positions.iter().zip(&self.reconstruction.deviations).filter_map(move |(place, d)| {
+            let deviation = (*d)?;
+            Some((*place, PoseDeviation { position: unit * deviation.position, ..deviation }))
+        })
     }
 
     /// The reconstruction of the front end, in its own unit of length.

@@ -6,11 +6,13 @@ use super::observer::RunContext;
 use super::{RunOptions, RunOutcome, Stage, shortfall};
 use crate::config::{Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
+use crate::reconstruction::Reconstruction;
 use crate::session::{Session, SessionError};
 use crate::warning::Warning;
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::{Camera, Pose};
-use std::collections::VecDeque;
+use i2slam_odometry::PoseDeviation;
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Instant;
@@ -40,6 +42,8 @@ pub(super) struct Input<'a> {
     pub(super) between: BetweenFrames,
     /// Index, stamp [s] and pose of all frames that have one.
     pub(super) path: Vec<(usize, f64, Pose<f64>)>,
+    /// Deviations of poses that stay as the source gave them, by frame index.
+    pub(super) deviations: BTreeMap<usize, PoseDeviation>,
     /// Frames of the sequence, those without a pose included.
     pub(super) frames_given: usize,
     pub(super) estimate: Option<CameraEstimate>,
@@ -86,6 +90,7 @@ impl<'a> Input<'a> {
             frame_rate: sequence.frame_rate,
             between: Box::new(std::iter::empty()),
             path: Vec::new(),
+            deviations: BTreeMap::new(),
             frames_given: sequence.len(),
             estimate: None,
             undistorted: None,
@@ -156,8 +161,12 @@ pub(super) fn run<'a>(
         shortfalls.extend(shortfall::of_readout(session.is_readout_missing()));
         shortfalls.extend(few_poses.flatten());
     }
+    let mut reconstruction = session.reconstruction();
+    if reconstruction.config.parameters.frames.keeps_middle && !input.deviations.is_empty() {
+        claim_deviations(&mut reconstruction, &input.deviations);
+    }
     Ok(RunOutcome {
-        reconstruction: session.reconstruction(),
+        reconstruction,
         frames_given: input.frames_given,
         frames_skipped: skipped,
         seconds: started.elapsed().as_secs_f64(),
@@ -168,6 +177,17 @@ pub(super) fn run<'a>(
         undistorted: input.undistorted,
         warnings: Vec::new(),
     })
+}
+
+/// Poses that stayed as their source gave them have its deviations: localisation in the map measured
+/// something else.
+fn claim_deviations(found: &mut Reconstruction, deviations: &BTreeMap<usize, PoseDeviation>) {
+    for frame in &mut found.frames {
+        let claimed = deviations.get(&frame.index);
+        frame.convergence.converged = claimed.is_some_and(|d| d.converged);
+        frame.convergence.position_deviation = claimed.map(|d| d.position);
+        frame.convergence.rotation_deviation = claimed.map(|d| d.rotation);
+    }
 }
 
 struct Driver<'a, 'b> {

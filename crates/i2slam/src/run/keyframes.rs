@@ -15,6 +15,8 @@ use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{DepthPicture, Frame, Sequence};
 use i2slam_geometry::Pose;
+use i2slam_odometry::PoseDeviation;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -46,6 +48,7 @@ fn keyframes_of(
         frame_rate,
         between: Box::new(std::iter::empty()),
         path: Vec::new(),
+        deviations: BTreeMap::new(),
         frames_given: count,
         estimate: None,
         undistorted: None,
@@ -81,6 +84,10 @@ pub(super) fn from_odometry(
         Some((sequence.entries.get(place)?.index, stamp, pose))
     };
     let path = source.trajectory().into_iter().filter_map(by_index).collect();
+    let by_index = |(place, deviation): (usize, PoseDeviation)| {
+        Some((sequence.entries.get(place)?.index, deviation))
+    };
+    let deviations = source.deviations().filter_map(by_index).collect();
     // The paper's system has poses of keyframes alone.
     let between: BetweenFrames = match options.config.tracking.method {
         TrackingMethod::SecondOrder => Box::new(between),
@@ -93,6 +100,7 @@ pub(super) fn from_odometry(
         frames_given: sequence.len(),
         estimate: Some(camera),
         undistorted,
+        deviations,
         ..keyframes_of(source, count, sequence.frame_rate)
     })
 }

@@ -218,7 +218,7 @@ fn inverse(matrix: &Matrix<SIZE>) -> Option<Matrix<SIZE>> {
 }
 
 /// `L` of `L Lᵀ`; `None` where the matrix is not positive definite.
-fn cholesky(matrix: &Matrix<POSE>) -> Option<Matrix<POSE>> {
+pub(crate) fn cholesky(matrix: &Matrix<POSE>) -> Option<Matrix<POSE>> {
     let mut root = [[0.0; POSE]; POSE];
     for i in 0..POSE {
         for j in 0..=i {

@@ -29,6 +29,7 @@ mod residual;
 mod tests;
 mod view;
 
+pub(crate) use block_covariance::cholesky;
 pub use dense_alignment::{DenseConstraint, align};
 pub use pyramid::{halve_repeatedly, halved_by_mean, halved_camera, halved_depth};
 pub use residual::{

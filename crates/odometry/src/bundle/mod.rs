@@ -14,10 +14,13 @@
 
 mod covariance;
 mod normal_equations;
+mod pose_scatter;
 mod relative_pose;
+mod response;
 mod sparsity;
 
 pub(crate) use covariance::IntrinsicsCovariance;
+pub(crate) use pose_scatter::PoseScatter;
 pub(crate) use relative_pose::RelativePoseFactor;
 
 use crate::multiview::landmark::Landmark;

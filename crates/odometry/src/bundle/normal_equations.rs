@@ -14,7 +14,7 @@ use i2slam_geometry::{Mat3, Vec3};
 use rayon::prelude::*;
 
 /// Damping that only fixes the gauge: scale is not observable.
-const GAUGE_DAMPING: f64 = 1e-7;
+pub(super) const GAUGE_DAMPING: f64 = 1e-7;
 
 /// A change of all parameters.
 pub(super) struct BundleStep {
@@ -26,15 +26,15 @@ pub(super) struct BundleStep {
 
 /// Normal equations: cameras (`U`), landmarks (`C`) and couplings (`E`).
 pub(super) struct SchurSystem<'a> {
-    sparsity: &'a BlockSparsity,
+    pub(super) sparsity: &'a BlockSparsity,
     /// Number of adjusted global parameters.
-    globals: usize,
-    parts: Vec<LandmarkBlock>,
-    poses: Vec<PoseBlock>,
+    pub(super) globals: usize,
+    pub(super) parts: Vec<LandmarkBlock>,
+    pub(super) poses: Vec<PoseBlock>,
     /// Couplings of pairs of poses by relative poses: rows of the later block, columns of the
     /// earlier.
     relative: Vec<(usize, usize, [[f64; 6]; 6])>,
-    global: GlobalBlock,
+    pub(super) global: GlobalBlock,
 }
 
 impl<'a> SchurSystem<'a> {
@@ -98,7 +98,7 @@ impl<'a> SchurSystem<'a> {
     }
 
     /// The reduced camera system `U - E C⁻¹ Eᵀ` and its right-hand side.
-    fn reduced_camera_system(&self, damping: f64) -> (SkylineMatrix, Vec<f64>) {
+    pub(super) fn reduced_camera_system(&self, damping: f64) -> (SkylineMatrix, Vec<f64>) {
         let inverses: Vec<Mat3<f64>> =
             self.parts.par_iter().map(|p| p.damped_inverse(damping)).collect();
         let mut matrix = SkylineMatrix::new(self.sparsity.first_columns(self.globals));
@@ -240,14 +240,14 @@ pub(super) struct GlobalBlock {
 }
 
 /// A weighted residual with its derivatives: the image position, and the inverse depth if measured.
-struct WeightedResidual {
-    projection: Projection,
+pub(super) struct WeightedResidual {
+    pub(super) projection: Projection,
     camera_jacobian: CameraJacobian,
-    residual: [f64; 3],
+    pub(super) residual: [f64; 3],
     /// Weights of the rows of the residual.
-    weights: [f64; 3],
+    pub(super) weights: [f64; 3],
     /// Number of rows: 2, or 3 with depth.
-    rows: usize,
+    pub(super) rows: usize,
 }
 
 impl LandmarkBlock {
@@ -259,7 +259,7 @@ impl LandmarkBlock {
 }
 
 /// The weighted residual of an observation; `None` behind the camera.
-fn weighted_residual(
+pub(super) fn weighted_residual(
     bundle: &Bundle,
     landmark: usize,
     observation: &BundleObservation,
@@ -458,7 +458,7 @@ impl WeightedResidual {
     }
 
     /// Derivatives by the global parameters.
-    fn by_globals(&self, row: usize) -> [f64; GLOBALS] {
+    pub(super) fn by_globals(&self, row: usize) -> [f64; GLOBALS] {
         if row == 2 {
             return [0.0; GLOBALS];
         }

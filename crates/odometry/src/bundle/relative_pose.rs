@@ -1,5 +1,6 @@
 //! Measured relative poses as terms of a bundle adjustment.
 
+use crate::alignment::cholesky;
 use crate::multiview::robust_loss::huber;
 use i2slam_geometry::{Mat3, Pose, Tangent, right_jacobian_inverse};
 
@@ -65,6 +66,16 @@ impl RelativePoseFactor {
         place(1, (0, 0), &(back * turned));
         place(1, (3, 3), &jacobian);
         out
+    }
+
+    /// Half the derivative of the cost by both tangents where the residual is `B noise`, with
+    /// `B Bᵀ` the covariance that the information claims: `w Jᵀ L noise` with `L Lᵀ = Λ`.
+    pub(super) fn noise_gradients(&self, poses: &[Pose<f64>], noise: &[f64; 6]) -> [[f64; 6]; 2] {
+        let weight = huber(self.length(poses) / huber_scale()).0;
+        let root = cholesky(&self.information).unwrap_or_default();
+        let turned: [f64; 6] = root.map(|row| weight * dot(&row, noise));
+        self.jacobians(poses)
+            .map(|j| std::array::from_fn(|c| (0..6).map(|r| j[r][c] * turned[r]).sum()))
     }
 
     pub(super) fn linearize(&self, poses: &[Pose<f64>]) -> LinearRelativePose {

@@ -55,6 +55,17 @@ impl Findings {
         found.keyframes.retain(|keyframe| !is_frozen(keyframe.index));
         let poses = found.poses.iter_mut().enumerate();
         poses.filter(|(frame, _)| is_frozen(*frame)).for_each(|(_, pose)| *pose = None);
+        for (frame, deviation) in found.deviations.iter_mut().enumerate() {
+            *deviation = deviation.filter(|_| !is_frozen(frame));
+            let is_doubtful = self
+                .warnings
+                .iter()
+                .filter_map(|w| w.frames())
+                .any(|[a, b]| (a..=b).contains(&frame));
+            if let Some(known) = deviation {
+                known.converged &= !is_doubtful;
+            }
+        }
         // One cause is enough.
         let is_told = |[first, last]: [usize; 2]| {
             let blank = self.warnings.iter().filter(|w| matches!(w, Warning::BlankFrames { .. }));

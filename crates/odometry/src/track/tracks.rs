@@ -80,6 +80,22 @@ impl Tracks {
         self
     }
 
+    /// The tracks without observations in frames that repeat the picture before them: they say
+    /// nothing new, and nothing of the camera's motion. Keyframes among them become the frame that
+    /// they repeat.
+    pub(crate) fn without_repeats(mut self, is_repeat: &[bool]) -> Self {
+        let repeats = |frame: usize| is_repeat.get(frame).copied().unwrap_or(false);
+        for track in &mut self.tracks {
+            track.observations.retain(|o| !repeats(o.frame));
+        }
+        self.keyframes.iter_mut().for_each(|frame| *frame = repeated_frame(is_repeat, *frame));
+        self.keyframes.dedup();
+        let images = Arc::make_mut(&mut self.keyframe_images);
+        images.iter_mut().for_each(|image| image.frame = repeated_frame(is_repeat, image.frame));
+        images.dedup_by_key(|image| image.frame);
+        self
+    }
+
     /// The tracks reduced to observations in keyframes.
     pub(crate) fn keyframes_only(&self) -> Self {
         let mut is_keyframe = vec![false; self.frames];
@@ -108,6 +124,12 @@ impl Tracks {
     }
 }
 
+/// The last frame up to one that repeats no other.
+pub(crate) fn repeated_frame(is_repeat: &[bool], frame: usize) -> usize {
+    let is_own = |frame: &usize| !is_repeat.get(*frame).copied().unwrap_or(false);
+    (0..=frame).rev().find(is_own).unwrap_or(frame)
+}
+
 /// Positions in two frames of the points that both observe.
 pub(crate) fn shared_positions(
     tracks: &[Track],
@@ -120,4 +142,26 @@ pub(crate) fn shared_positions(
         Some((track.observation_in(first)?, track.observation_in(second)?))
     };
     by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at, b.at)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeated_pictures_are_left_out() {
+        let is_repeat = [false, false, true, true, false, true];
+        assert_eq!([0, 3, 5].map(|frame| repeated_frame(&is_repeat, frame)), [0, 1, 4]);
+        let seen = |frame: usize| Observation::new(frame, [1.0, 2.0], 0.3);
+        let tracks = Tracks {
+            tracks: vec![Track { observations: (0..6).map(seen).collect() }],
+            keyframes: vec![0, 2, 3, 5],
+            frames: 6,
+            ..Tracks::default()
+        };
+        let left = tracks.without_repeats(&is_repeat);
+        assert_eq!(left.keyframes, [0, 1, 4]);
+        let frames: Vec<usize> = left.tracks[0].observations.iter().map(|o| o.frame).collect();
+        assert_eq!(frames, [0, 1, 4]);
+    }
 }
