@@ -74,7 +74,7 @@ pub fn deviation_ratios(
             needed: 3,
         });
     }
-    let all = |of: &dyn Fn(&([f64; 2], [f64; 2]), usize) -> f64| {
+    let all = |of: &dyn Fn(&ErrorAndDeviation, usize) -> f64| {
         [0, 1].map(|i| median(&found.iter().map(|e| of(e, i)).collect::<Vec<_>>()))
     };
     Ok(DeviationRatios {
@@ -85,14 +85,17 @@ pub fn deviation_ratios(
     })
 }
 
-/// Lengths of the errors of position and rotation of every pose with a true one, and its deviations.
+/// Length of an error and its deviation; each of position and rotation.
+type ErrorAndDeviation = ([f64; 2], [f64; 2]);
+
+/// Errors of every pose with a true one.
 fn local_errors(
     estimate: &[ClaimedPose],
     truth: &[StampedPose],
     scale: f64,
     (reach, least): (f64, usize),
     offset: f64,
-) -> Vec<([f64; 2], [f64; 2])> {
+) -> Vec<ErrorAndDeviation> {
     let true_pose = |claimed: &ClaimedPose| pose_at(truth, claimed.pose.timestamp + offset);
     let pairs: Vec<(&ClaimedPose, Pose<f64>)> =
         estimate.iter().filter_map(|c| Some((c, true_pose(c)?))).collect();
@@ -142,8 +145,8 @@ fn own_deviation(truth: &[StampedPose]) -> [f64; 2] {
         let mut sums = [Vec3::zero(); 2];
         for (pose, weight) in poses?.iter().zip(WEIGHTS) {
             let by = middle.world_from_camera.local(*pose);
-            sums[0] = sums[0] + by.translation * weight;
-            sums[1] = sums[1] + by.rotation * weight;
+            sums[0] += by.translation * weight;
+            sums[1] += by.rotation * weight;
         }
         Some(sums.map(Vec3::norm))
     };
