@@ -60,6 +60,7 @@ impl KeyframeSource for Import {
             before: None,
             after: None,
             depth: keyframe.depth.map(|depth| EstimatedDepth { depth, variance }),
+            is_keyframe: true,
         }))
     }
 }

@@ -40,14 +40,17 @@ pub struct PosedKeyframe {
     pub after: Option<(f64, Pose<f64>)>,
     /// Estimated depth, where known.
     pub depth: Option<EstimatedDepth>,
+    /// Whether the map is refined with it to the end. A frame between keyframes only extends and
+    /// refines the map when it comes.
+    pub is_keyframe: bool,
 }
 
 impl PosedKeyframe {
-    /// A frame at its pose [world from camera]; depth and adjacent frames are unknown.
+    /// A keyframe at its pose [world from camera]; depth and adjacent frames are unknown.
     pub fn from_frame(frame: Frame, world_from_camera: Pose<f64>) -> Self {
         let Frame { index, timestamp, colour, .. } = frame;
-        let (before, after, depth) = (None, None, None);
-        Self { index, timestamp, colour, world_from_camera, before, after, depth }
+        let (before, after, depth, is_keyframe) = (None, None, None, true);
+        Self { index, timestamp, colour, world_from_camera, before, after, depth, is_keyframe }
     }
 }
 

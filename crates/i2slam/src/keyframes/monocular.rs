@@ -9,7 +9,7 @@ use i2slam_odometry::{
     DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures,
     MeasuredDepth, PoseDeviation, PosedView, Reconstruction,
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use thiserror::Error;
 
@@ -58,6 +58,17 @@ pub struct MonocularSource<L> {
     positions: Vec<usize>,
     refused: Vec<(usize, PictureError)>,
     next: usize,
+    between: FramesBetween,
+}
+
+/// Reads the picture at a position in the sequence.
+type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError> + Send>;
+
+/// Posed frames between keyframes that are still to be delivered, and what reads their pictures.
+#[derive(Default)]
+struct FramesBetween {
+    frames: VecDeque<usize>,
+    load: Option<BoxedLoader>,
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
@@ -103,7 +114,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             Ok(reconstruction) => {
                 let reader =
                     PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
-                Ok(Self { reconstruction, dense: None, reader, positions, refused, next: 0 })
+                let (dense, next, between) = (None, 0, FramesBetween::default());
+                Ok(Self { reconstruction, dense, reader, positions, refused, next, between })
             }
             Err(failure) => Err(MonocularError::NoPath { failure, refused }),
         }
@@ -116,10 +128,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     where
         R: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let Self { reconstruction, dense, positions, refused, next, .. } = self;
+        let Self { reconstruction, dense, positions, refused, next, between, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
         let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
-        MonocularSource { reconstruction, dense, reader, positions, refused, next }
+        MonocularSource { reconstruction, dense, reader, positions, refused, next, between }
     }
 
     /// Delivers dense depth instead of landmarks alone, until `cancellation` is cancelled.
@@ -138,15 +150,38 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
+    /// Delivers the posed frames between keyframes, too, each with its own measured depth averaged
+    /// with that of keyframes; `load` reads the picture at a position, apart from keyframes.
+    #[must_use]
+    pub fn with_frames_between<R>(mut self, load: R) -> Self
+    where
+        R: FnMut(usize) -> Result<Frame, PictureError> + Send + 'static,
+    {
+        let frames = self.frames_between().collect();
+        self.between = FramesBetween { frames, load: Some(Box::new(load)) };
+        self
+    }
+
+    /// Number of frames that are still to be delivered.
+    pub fn remaining(&self) -> usize {
+        self.reconstruction.keyframes.len() - self.next + self.between.frames.len()
+    }
+
+    /// Posed frames of the reconstruction that are no keyframes, in order.
+    fn frames_between(&self) -> impl Iterator<Item = usize> {
+        let found = &self.reconstruction;
+        let is_keyframe = |frame: usize| found.keyframes.iter().any(|k| k.index == frame);
+        (0..found.poses.len()).filter(move |f| found.poses[*f].is_some() && !is_keyframe(*f))
+    }
+
     /// Posed frames that are no keyframes, in order, without depth, from the pictures of `load`.
     pub fn non_keyframes<R: FnMut(usize) -> Result<Frame, PictureError>>(
         &self,
         mut load: R,
     ) -> impl ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>> + use<L, R> {
         let found = &self.reconstruction;
-        let is_keyframe = |frame: usize| found.keyframes.iter().any(|k| k.index == frame);
-        let frames: Vec<(usize, Pose<f64>)> = (0..found.poses.len())
-            .filter(|frame| !is_keyframe(*frame))
+        let frames: Vec<(usize, Pose<f64>)> = self
+            .frames_between()
             .filter_map(|frame| Some((*self.positions.get(frame)?, pose_of(found, frame)?)))
             .collect();
         frames.into_iter().map(move |(position, world_from_camera)| {
@@ -199,38 +234,86 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
     }
 
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
+        let coming = self.reconstruction.keyframes.get(self.next).map(|keyframe| keyframe.index);
+        let between = self.between.frames.front();
+        match between.is_some_and(|frame| coming.is_none_or(|index| *frame < index)) {
+            true => self.between.frames.pop_front().map(|frame| self.frame_between(frame)),
+            false => self.keyframe(),
+        }
+    }
+}
+
+impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
+    /// The next keyframe.
+    fn keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
         let (number, found) = (self.next, &self.reconstruction);
         let keyframe = found.keyframes.get(number)?;
         self.next += 1;
-        let Frame { index, colour, .. } = match self.reader.next(number) {
+        let frame = match self.reader.next(number) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
         let dense = self.dense.as_mut().and_then(|dense| {
-            let mut picture = |k: usize| {
-                let (frame, keyframe) = (self.reader.picture(k)?, found.keyframes.get(k)?);
-                let colour = match ReadoutMotion::of_keyframe(found, keyframe) {
-                    Some(motion) => Arc::new(motion.rectified(&found.camera, &frame.colour)),
-                    None => Arc::clone(&frame.colour),
-                };
-                let depth = frame.depth.as_ref().map(|measured| MeasuredDepth {
-                    depth: Arc::clone(&measured.image),
-                    depth_from_colour: found.depth_from_colour(keyframe.index, measured.timestamp),
-                });
-                Some(KeyframePictures { colour, depth })
-            };
-            dense.estimate(number, &mut picture)
+            dense.estimate(number, &mut |k| keyframe_pictures(found, &mut self.reader, k))
         });
-        Some(Ok(PosedKeyframe {
-            index,
-            timestamp: keyframe.timestamp,
-            before: keyframe.index.checked_sub(1).and_then(|index| stamped(found, index)),
-            after: stamped(found, keyframe.index + 1),
-            depth: Some(depth(dense, keyframe, (colour.width, colour.height), unit(found))),
-            colour,
-            world_from_camera: scaled(keyframe.world_from_camera, unit(found)),
-        }))
+        let size = (frame.colour.width, frame.colour.height);
+        let depth = Some(depth(dense, keyframe, size, unit(found)));
+        let posed = posed(found, keyframe.index, frame, keyframe.world_from_camera);
+        Some(Ok(PosedKeyframe { depth, ..posed }))
     }
+
+    /// A frame between keyframes.
+    fn frame_between(&mut self, index: usize) -> Result<PosedKeyframe, PictureError> {
+        let found = &self.reconstruction;
+        let place = self.positions.get(index).copied();
+        let (Some(place), Some(load), Some(pose)) =
+            (place, &mut self.between.load, found.poses[index])
+        else {
+            return Err("its pose is not known".into());
+        };
+        let frame = load(place)?;
+        let measured = measured_depth(found, index, &frame);
+        let near = self.next.min(found.keyframes.len().saturating_sub(1));
+        let depth = self.dense.as_mut().zip(measured).and_then(|(dense, measured)| {
+            let mut pictures = |k: usize| keyframe_pictures(found, &mut self.reader, k);
+            dense.fuse(pose, near, &measured, &mut pictures)
+        });
+        let depth = depth.map(|depth| dense_depth(depth, unit(found)));
+        let posed = posed(found, index, frame, pose);
+        Ok(PosedKeyframe { depth, is_keyframe: false, ..posed })
+    }
+}
+
+/// A frame of the reconstruction with its neighbours, in the delivered unit of length.
+fn posed(found: &Reconstruction, index: usize, frame: Frame, pose: Pose<f64>) -> PosedKeyframe {
+    PosedKeyframe {
+        timestamp: found.timestamps[index],
+        before: index.checked_sub(1).and_then(|index| stamped(found, index)),
+        after: stamped(found, index + 1),
+        ..PosedKeyframe::from_frame(frame, scaled(pose, unit(found)))
+    }
+}
+
+/// Pictures of a keyframe for its dense depth, all rows exposed with the middle one.
+fn keyframe_pictures<L: FnMut(usize) -> Result<Frame, PictureError>>(
+    found: &Reconstruction,
+    reader: &mut PictureReader<L>,
+    number: usize,
+) -> Option<KeyframePictures> {
+    let (frame, keyframe) = (reader.picture(number)?, found.keyframes.get(number)?);
+    let colour = match ReadoutMotion::of_keyframe(found, keyframe) {
+        Some(motion) => Arc::new(motion.rectified(&found.camera, &frame.colour)),
+        None => Arc::clone(&frame.colour),
+    };
+    Some(KeyframePictures { colour, depth: measured_depth(found, keyframe.index, frame) })
+}
+
+/// Measured depth of a frame of the reconstruction.
+fn measured_depth(found: &Reconstruction, index: usize, frame: &Frame) -> Option<MeasuredDepth> {
+    frame.depth.as_ref().map(|measured| MeasuredDepth {
+        depth: Arc::clone(&measured.image),
+        depth_from_colour: found.depth_from_colour(index, measured.timestamp),
+    })
 }
 
 /// Measured depth of a frame, if there is any.

@@ -32,6 +32,8 @@ pub(super) struct Input<'a> {
     pub(super) items: Box<dyn Iterator<Item = Result<Item, PictureError>> + 'a>,
     /// Number of items.
     pub(super) count: usize,
+    /// Those of them that are keyframes, whose mapping steps frames between them share.
+    pub(super) keyframes: usize,
     /// Kind of the items.
     pub(super) kind: &'static ItemKind,
     /// Camera of all pictures.
@@ -84,6 +86,7 @@ impl<'a> Input<'a> {
         Self {
             items: Box::new(items),
             count: sequence.len(),
+            keyframes: sequence.len(),
             kind: &FRAMES,
             camera: sequence.camera,
             readout: 0.0,
@@ -121,6 +124,8 @@ pub(super) fn run<'a>(
     if input.kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
         config.parameters = Parameters::tracked();
     }
+    let steps = config.mapping.iterations * input.keyframes;
+    config.mapping.iterations = steps.div_ceil(input.count.max(1));
     let mut session = (input.kind.session)(config, input.camera, input.frame_rate);
     session.set_cancellation(context.cancellation.clone());
     if let Some(valid_mask) = &input.undistorted.as_ref().unwrap_or(sequence).valid_mask {

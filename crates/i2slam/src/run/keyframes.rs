@@ -6,7 +6,7 @@ use super::driver::{BetweenFrames, Input, Item, KEYFRAMES};
 use super::error::RunError;
 use super::forecast::Forecaster;
 use super::observer::{Observer, RunContext, Stage};
-use crate::config::TrackingMethod;
+use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
     self, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError, MonocularSource,
     OdometryError, OdometryProgress, OdometryWarning, PictureError, RefinedImport, import,
@@ -39,6 +39,7 @@ fn keyframes_of(
 ) -> Input<'static> {
     Input {
         count,
+        keyframes: count,
         kind: &KEYFRAMES,
         camera: *source.camera(),
         readout: source.readout(),
@@ -74,12 +75,8 @@ pub(super) fn from_odometry(
         sequence.warnings.iter().for_each(|warning| context.warn(warning.as_str()));
     }
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
-    let others = Arc::clone(&pictures);
+    let (others, mapped) = (Arc::clone(&pictures), Arc::clone(&pictures));
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
-    let (count, between) = (
-        source.reconstruction().keyframes.len(),
-        source.non_keyframes(move |place| picture(&others, place)),
-    );
     let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
         Some((sequence.entries.get(place)?.index, stamp, pose))
     };
@@ -89,14 +86,23 @@ pub(super) fn from_odometry(
     };
     let deviations = source.deviations().filter_map(by_index).collect();
     // The paper's system has poses of keyframes alone.
-    let between: BetweenFrames = match options.config.tracking.method {
-        TrackingMethod::SecondOrder => Box::new(between),
-        TrackingMethod::Adam => Box::new(std::iter::empty()),
+    let is_paper = options.config.tracking.method == TrackingMethod::Adam;
+    let between: BetweenFrames = match is_paper {
+        true => Box::new(std::iter::empty()),
+        false => Box::new(source.non_keyframes(move |place| picture(&others, place))),
     };
+    // Their depth adds what keyframes do not see, and every exposure adds to the radiance.
+    let is_measured = source.reconstruction().depth_model.is_some();
+    let source = match is_measured && !is_paper && options.config.map.kind == MapKind::Gaussian {
+        true => source.with_frames_between(move |place| picture(&mapped, place)),
+        false => source,
+    };
+    let (count, keyframes) = (source.remaining(), source.reconstruction().keyframes.len());
     let source = Box::new(source.with_dense_depth(context.cancellation.clone()));
     Ok(Input {
         between,
         path,
+        keyframes,
         frames_given: sequence.len(),
         estimate: Some(camera),
         undistorted,

@@ -34,7 +34,8 @@ impl SourcePoses {
 }
 
 impl Session {
-    /// Adds one keyframe, and refines map, poses and tone for some steps.
+    /// Adds one keyframe, or a frame between keyframes, and refines map, poses and tone for some
+    /// steps.
     ///
     /// # Errors
     ///
@@ -50,9 +51,11 @@ impl Session {
         let relative = |(timestamp, pose)| (timestamp, keyframe_from_source * pose);
         let (before, after) = (keyframe.before.map(relative), keyframe.after.map(relative));
         let adjacent = AdjacentFrames { before, after };
-        let (estimate, observation) = self.initial_estimate(keyframe, adjacent);
+        let is_keyframe = keyframe.is_keyframe;
+        let (mut estimate, observation) = self.initial_estimate(keyframe, adjacent);
         let position = self.state.frames.len();
         let maps = estimate.keyframe;
+        estimate.keyframe &= is_keyframe;
         self.state.frames.push(estimate);
         if position == 1 {
             self.initialize_first_exposure();
@@ -78,7 +81,9 @@ impl Session {
             tracker.localize(mapper, &context, frame, previous.as_ref(), others);
             self.state.frames[position] = estimate;
         }
-        self.state.keyframes.push(keyframe.clone());
+        if self.state.frames[position].keyframe {
+            self.state.keyframes.push(keyframe.clone());
+        }
         self.map(&keyframe)?;
         self.state.frames[position].gaussians = self.mapper.gaussians();
         Ok(())
@@ -184,7 +189,8 @@ impl Session {
 
     /// Localises a frame that is no keyframe, after [`finish`](Self::finish), best in order: its
     /// picture refines its pose, which starts relative to the nearest keyframe as in the source,
-    /// and estimates its motion during exposure and its tone. Nothing else changes.
+    /// and estimates its motion during exposure and its tone. Nothing else changes. A frame that was
+    /// mapped when it came is localised again, in the finished map.
     ///
     /// # Errors
     ///
@@ -192,11 +198,15 @@ impl Session {
     pub fn localize(&mut self, frame: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
         self.check(&frame)?;
         let PosedKeyframe { index, timestamp, colour, world_from_camera, .. } = frame;
-        let place = match self.position_of(index) {
-            Ok(known) => return Ok(&self.state.frames[known]),
-            Err(place) => place,
+        let (known, place) = match self.position_of(index) {
+            Ok(known) if self.state.frames[known].keyframe => return Ok(&self.state.frames[known]),
+            Ok(known) => (true, known),
+            Err(place) => (false, place),
         };
-        let mut estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
+        let mut estimate = match known {
+            true => self.state.frames[place].clone(),
+            false => self.unrefined_estimate(place, index, timestamp, world_from_camera),
+        };
         let previous = place.checked_sub(1).map(|i| self.state.frames[i].clone());
         let (mapper, tracker, context) = self.mapping();
         let frame = (&mut estimate, &colour);
@@ -204,7 +214,10 @@ impl Session {
             let text = "not found in the map: its pose is that of the front end";
             self.state.warn(index, text);
         }
-        self.insert(place, estimate);
+        match known {
+            true => self.state.frames[place] = estimate,
+            false => self.insert(place, estimate),
+        }
         Ok(&self.state.frames[place])
     }
 

@@ -124,6 +124,25 @@ fn the_cube_grows_with_what_keyframes_see() {
     assert!(grows, "{bounds:?}");
 }
 
+/// A frame between keyframes extends the map, and no later step is taken on it.
+#[test]
+fn a_frame_between_keyframes_is_mapped_and_not_kept() {
+    let mut config = Config::preset("default").expect("known");
+    (config.mapping.first_iterations, config.mapping.iterations) = (20, 4);
+    let mut session = Session::refining(config, CAMERA, 30.0);
+    let seen = |index: usize, is_keyframe: bool| {
+        let depth = frame(index, pose(index)).depth_image().expect("depth").clone();
+        let depth = Some(EstimatedDepth { depth, variance: None });
+        PosedKeyframe { depth, is_keyframe, ..keyframe(index, pose(index)) }
+    };
+    session.add_keyframe(seen(0, true)).expect("a keyframe");
+    let before = session.frames()[0].gaussians;
+    let between = session.add_keyframe(seen(4, false)).expect("a frame");
+    assert!(!between.keyframe && !between.held_out && between.tracked);
+    assert!(between.gaussians > before, "{before} -> {}", between.gaussians);
+    assert_eq!(session.state.keyframes.len(), 1);
+}
+
 /// With depth in most pixels the field is sampled around it alone, and frames are found in it.
 #[test]
 fn a_field_is_sampled_around_surfaces_where_they_are_known() {

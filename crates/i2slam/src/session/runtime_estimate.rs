@@ -119,6 +119,7 @@ fn test_keyframe(camera: &Camera<f64>, colour: &Arc<Image<f32>>, index: usize) -
         before: None,
         after: None,
         depth: Some(EstimatedDepth { depth: constant(DEPTH), variance }),
+        is_keyframe: true,
     }
 }
 

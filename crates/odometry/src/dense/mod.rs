@@ -148,6 +148,37 @@ impl DenseDepthEstimator {
         }
     }
 
+    /// Measured depth of a frame between keyframes, at `world_from_camera` and near keyframe `near`,
+    /// averaged with that of keyframes; holes stay. `load` as for [`estimate`](Self::estimate).
+    /// `None` without a model of the sensor.
+    pub fn fuse(
+        &mut self,
+        world_from_camera: Pose<f64>,
+        near: usize,
+        measured: &MeasuredDepth,
+        load: &mut dyn FnMut(usize) -> Option<KeyframePictures>,
+    ) -> Option<DenseDepth> {
+        let own = readings(measured, &self.camera, self.depth_model.as_ref()?);
+        let mut known: Vec<f64> = own
+            .inverse_depth
+            .data
+            .iter()
+            .filter(|r| **r > 0.0)
+            .map(|r| 1.0 / f64::from(*r))
+            .collect();
+        let others = match median(&mut known) {
+            Some(depth) => self.views_near(near, None, world_from_camera, depth),
+            None => Vec::new(),
+        };
+        others.iter().for_each(|i| self.ensure_pictures(*i, load));
+        let fused = fuse_readings(
+            &self.camera,
+            &own,
+            &self.relative_to(world_from_camera, &others, &self.measured),
+        );
+        Some(depth_from_inverse(&fused))
+    }
+
     /// Depth from pictures alone, confirmed by other keyframes.
     fn fused_estimate(
         &mut self,
@@ -163,7 +194,7 @@ impl DenseDepthEstimator {
             return None;
         }
         let own = self.estimates.get(&index)?;
-        let known = self.relative_to(index, others, &self.estimates);
+        let known = self.relative_to(self.pose(index), others, &self.estimates);
         let kept = fuse_consistent(&self.camera, own, &known);
         let mut found = depth_from_inverse(&kept);
         inflate_variance_at_edges(&mut found, HALF_WINDOWS[0]);
@@ -172,20 +203,24 @@ impl DenseDepthEstimator {
 
     /// Readings of a keyframe averaged with those of others; what they contradict is left out.
     fn fused_readings(&self, index: usize, others: &[usize]) -> Option<InverseDepthEstimate> {
-        let known = self.relative_to(index, others, &self.measured);
+        let known = self.relative_to(self.pose(index), others, &self.measured);
         let own = self.measured.get(&index)?;
         Some(fuse_readings(&self.camera, own, &known))
     }
 
-    /// Estimates of other keyframes, with their poses `other_from_keyframe`.
+    fn pose(&self, index: usize) -> Pose<f64> {
+        self.views[index].world_from_camera
+    }
+
+    /// Estimates of keyframes, with their poses `other_from_camera`.
     fn relative_to<'a>(
         &self,
-        index: usize,
+        world_from_camera: Pose<f64>,
         others: &[usize],
         estimates: &'a BTreeMap<usize, InverseDepthEstimate>,
     ) -> Vec<(&'a InverseDepthEstimate, Pose<f64>)> {
-        let pose = |i: usize| self.views[i].world_from_camera;
-        let relative = |i: &usize| Some((estimates.get(i)?, pose(*i).inverse() * pose(index)));
+        let relative =
+            |i: &usize| Some((estimates.get(i)?, self.pose(*i).inverse() * world_from_camera));
         others.iter().filter_map(relative).collect()
     }
 
@@ -210,12 +245,22 @@ impl DenseDepthEstimator {
     fn selected_views(&self, index: usize) -> Vec<usize> {
         let depth = median(&mut self.views[index].landmarks.clone()).filter(|d| *d > 0.0);
         let Some(depth) = depth else { return Vec::new() };
-        let last = (index + MAX_KEYFRAME_DISTANCE + 1).min(self.views.len());
-        let near = index.saturating_sub(MAX_KEYFRAME_DISTANCE)..last;
+        self.views_near(index, Some(index), self.pose(index), depth)
+    }
+
+    /// Keyframes around number `near`, but for one, that see most of a scene at `depth` from a pose.
+    fn views_near(
+        &self,
+        near: usize,
+        except: Option<usize>,
+        world_from_camera: Pose<f64>,
+        depth: f64,
+    ) -> Vec<usize> {
+        let last = (near + MAX_KEYFRAME_DISTANCE + 1).min(self.views.len());
+        let near = near.saturating_sub(MAX_KEYFRAME_DISTANCE)..last;
         let others: Vec<(usize, Pose<f64>)> =
-            near.filter(|i| *i != index).map(|i| (i, self.views[i].world_from_camera)).collect();
-        let pose = self.views[index].world_from_camera;
-        view_selection::select_views(&self.camera, pose, &others, depth, MAX_VIEWS)
+            near.filter(|i| Some(*i) != except).map(|i| (i, self.pose(i))).collect();
+        view_selection::select_views(&self.camera, world_from_camera, &others, depth, MAX_VIEWS)
     }
 
     /// Bounds of the inverse depth, from the landmarks.

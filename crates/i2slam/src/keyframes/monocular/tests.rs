@@ -1,4 +1,5 @@
 use super::*;
+use i2slam_dataset::DepthPicture;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -91,6 +92,40 @@ fn dense_depth_and_non_keyframes_are_delivered() {
     indices.extend(others.iter().map(|frame| frame.index));
     indices.sort_unstable();
     assert!(indices.into_iter().eq((0..14).map(|position| 2 * position)));
+}
+
+/// The picture at a position with its true depth.
+fn load_with_depth(position: usize) -> Result<Frame, PictureError> {
+    let (camera, frame) = (camera(), load(position)?);
+    let depth = Image::from_fn(camera.width, camera.height, 1, |_, column, row| {
+        let (u, v) = Camera::pixel_centre(column, row);
+        if camera.unproject(u, v, 2.0).y > 0.1 { 2.0 } else { 3.5 }
+    });
+    let measured = DepthPicture { image: Arc::new(depth), timestamp: frame.timestamp };
+    Ok(Frame { depth: Some(measured), ..frame })
+}
+
+#[test]
+fn frames_between_keyframes_come_in_order_with_their_measured_depth() {
+    let found = find(14, load_with_depth).expect("a path");
+    let keyframes = found.reconstruction().keyframes.len();
+    let mut source =
+        found.with_frames_between(load_with_depth).with_dense_depth(CancellationToken::default());
+    assert_eq!(source.remaining(), 14);
+    let mut delivered = Vec::new();
+    while let Some(frame) = source.next_keyframe() {
+        let frame = frame.expect("pictures can be read again");
+        let truth =
+            load_with_depth(frame.index / 2).expect("a picture").depth.expect("depth").image;
+        let depth = frame.depth.expect("depth").depth;
+        let near =
+            depth.data.iter().zip(&truth.data).filter(|(z, due)| (*z / *due - 1.0).abs() < 0.02);
+        assert!(10 * near.count() > 9 * depth.pixels(), "{}", frame.index);
+        delivered.push((frame.index, frame.is_keyframe));
+    }
+    assert!(delivered.iter().map(|(index, _)| *index).eq((0..14).map(|position| 2 * position)));
+    assert_eq!(delivered.iter().filter(|(_, is_keyframe)| *is_keyframe).count(), keyframes);
+    assert!(keyframes < 14 && source.remaining() == 0);
 }
 
 #[test]
