@@ -86,7 +86,7 @@ impl<'a> SchurSystem<'a> {
             for i in 0..3 {
                 for (e, (block, _)) in part.couplings.iter().zip(cameras) {
                     let tangent = &solved[6 * *block as usize..][..6];
-                    right[i] -= (0..6).map(|a| e[a][i] * tangent[a]).sum::<f64>();
+                    right[i] -= (0..6).map(|a| e[i][a] * tangent[a]).sum::<f64>();
                 }
                 right[i] -= (0..self.globals).map(|g| part.globals[g][i] * globals[g]).sum::<f64>();
             }
@@ -151,22 +151,23 @@ impl<'a> SchurSystem<'a> {
             let (landmark, k) = (*landmark as usize, *k as usize);
             let (part, inverse) = (&self.parts[landmark], &inverses[landmark]);
             let cameras = &self.sparsity.landmark_observations[landmark][..k];
-            for a in 0..6 {
-                let weighted = *inverse * Vec3::from_array(part.couplings[k][a]);
+            let own = &part.couplings[k];
+            let weighted: [Vec3<f64>; 6] =
+                std::array::from_fn(|a| *inverse * Vec3::new(own[0][a], own[1][a], own[2][a]));
+            for ((other, _), coupling) in cameras.iter().zip(&part.couplings) {
+                let column = 6 * (*other as usize - first);
+                for (a, weighted) in weighted.iter().enumerate() {
+                    if let Some(entries) = rows[row_at(a) + column..].first_chunk_mut::<6>() {
+                        subtract_products(entries, *weighted, coupling);
+                    }
+                }
+            }
+            for (a, weighted) in weighted.iter().enumerate() {
                 side.gradient[a] += weighted.dot(Vec3::from_array(part.gradient));
                 for g in 0..self.globals {
                     side.globals[a][g] -= weighted.dot(Vec3::from_array(part.globals[g]));
                 }
-                let line = &mut rows[row_at(a)..][..=width + a];
-                for ((other, _), coupling) in cameras.iter().zip(&part.couplings) {
-                    let entries = &mut line[6 * (*other as usize - first)..][..6];
-                    for (entry, row) in entries.iter_mut().zip(coupling) {
-                        *entry -= weighted.dot(Vec3::from_array(*row));
-                    }
-                }
-                for (entry, row) in line[width..].iter_mut().zip(&part.couplings[k]) {
-                    *entry -= weighted.dot(Vec3::from_array(*row));
-                }
+                subtract_products(&mut rows[row_at(a) + width..][..=a], *weighted, own);
             }
         }
         side
@@ -219,8 +220,9 @@ pub(super) enum Curvature {
 pub(super) struct LandmarkBlock {
     pub(super) hessian: [[f64; 3]; 3],
     pub(super) gradient: [f64; 3],
-    /// Coupling `E` with every free pose, in the order of the structure.
-    pub(super) couplings: Vec<[[f64; 3]; 6]>,
+    /// Couplings `Eᵀ` with every free pose, in the order of the structure: a row for every value of
+    /// the landmark, so that six products of a row are formed at once.
+    pub(super) couplings: Vec<[[f64; 6]; 3]>,
     pub(super) globals: [[f64; 3]; GLOBALS],
 }
 
@@ -331,14 +333,14 @@ pub(super) fn landmark_block(
         }
     }
     let coupling = |(_, observation): &(u32, u32)| {
-        let Some(w) = &all[*observation as usize] else { return [[0.0; 3]; 6] };
+        let Some(w) = &all[*observation as usize] else { return [[0.0; 6]; 3] };
         let product = |i: usize, a: usize, b: usize| {
             w.projection.by_pose[i][a] * w.projection.by_landmark[i][b]
         };
         let entry = |a: usize, b: usize| {
             w.weights[0] * (product(0, a, b) + product(1, a, b)) + w.weights[2] * product(2, a, b)
         };
-        std::array::from_fn(|a| std::array::from_fn(|b| entry(a, b)))
+        std::array::from_fn(|b| std::array::from_fn(|a| entry(a, b)))
     };
     LandmarkBlock {
         hessian,
@@ -467,6 +469,15 @@ impl WeightedResidual {
             -self.camera_jacobian[0][row],
             -self.camera_jacobian[1][row],
         ]
+    }
+}
+
+/// Subtracts `weightedᵀ · coupling` from up to six entries of a row.
+#[inline]
+fn subtract_products(entries: &mut [f64], weighted: Vec3<f64>, coupling: &[[f64; 6]; 3]) {
+    for (b, entry) in entries.iter_mut().enumerate() {
+        *entry -=
+            weighted.x * coupling[0][b] + weighted.y * coupling[1][b] + weighted.z * coupling[2][b];
     }
 }
 

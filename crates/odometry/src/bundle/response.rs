@@ -43,9 +43,9 @@ impl SchurSystem<'_> {
             let mut side = g.map(|v| -v);
             for (landmark, k) in &self.sparsity.block_observations[block] {
                 let (landmark, k) = (*landmark as usize, *k as usize);
-                let rows = self.parts[landmark].couplings[k].iter();
-                for (side, row) in side.iter_mut().zip(rows) {
-                    *side += Vec3::from_array(*row).dot(moved[landmark]);
+                let [x, y, z] = &self.parts[landmark].couplings[k];
+                for (a, side) in side.iter_mut().enumerate() {
+                    *side += Vec3::new(x[a], y[a], z[a]).dot(moved[landmark]);
                 }
             }
             right.extend(side);
