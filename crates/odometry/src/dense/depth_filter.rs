@@ -74,7 +74,7 @@ const MAX_READING_DIFFERENCE: f32 = 0.005;
 
 /// Averages the inverse depths of a sensor with the readings of `others` (with
 /// `other_from_keyframe`) by variance, interpolated where they show one surface. A reading that all
-/// others contradict is left out, one that no other sees stays.
+/// others contradict is left out; one that no other sees stays where pixels around it agree.
 pub(super) fn fuse_readings(
     camera: &Camera<f64>,
     own: &InverseDepthEstimate,
@@ -110,11 +110,30 @@ pub(super) fn fuse_readings(
             sum += (rho + (found - due) * slope) / its;
             weight += 1.0 / its;
         }
-        let is_contradicted = seen > 1 && agree == 0;
+        let is_contradicted = agree == 0 && (seen > 1 || !is_supported(own, pixel));
         out.inverse_depth.data[pixel] = if is_contradicted { 0.0 } else { sum / weight };
         out.variance.data[pixel] = 1.0 / weight;
     }
     out
+}
+
+/// Adjacent readings that must agree with one that no other view confirms: spikes stand alone.
+const MIN_AGREEING_NEIGHBOURS: usize = 3;
+
+/// Whether enough of the eight readings around a pixel belong to the same surface as its own.
+fn is_supported(own: &InverseDepthEstimate, pixel: usize) -> bool {
+    let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
+    let (column, row) = (pixel % width, pixel / width);
+    let (rho, variance) = (own.inverse_depth.data[pixel], own.variance.data[pixel]);
+    let columns = column.saturating_sub(1)..(column + 2).min(width);
+    let around = (row.saturating_sub(1)..(row + 2).min(height))
+        .flat_map(|y| columns.clone().map(move |x| y * width + x));
+    let agrees = |at: &usize| {
+        let (other, its) = (own.inverse_depth.data[*at], own.variance.data[*at]);
+        let most = MAX_READING_DEVIATIONS * (variance + its).sqrt();
+        other > 0.0 && (other - rho).abs() <= most.max(MIN_EDGE_STEP * rho)
+    };
+    around.filter(|at| *at != pixel).filter(agrees).count() >= MIN_AGREEING_NEIGHBOURS
 }
 
 /// Relative difference of depths at an edge.
@@ -188,6 +207,19 @@ mod tests {
         assert!(off.abs() < 2e-5, "{off}");
         let ratio = f64::from(found.variance.data[middle]) / variance;
         assert!((ratio - 1.0).abs() < 1e-4, "{ratio}");
+    }
+
+    /// A spike that no other view sees is left out, a surface is not.
+    #[test]
+    fn a_reading_alone_in_its_surroundings_is_left_out() {
+        let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
+        let mut own = flat(0.5, 1e-6);
+        let middle = 4 * 9 + 4;
+        own.inverse_depth.data[middle] = 50.0;
+        let found = fuse_readings(&camera, &own, &[]).inverse_depth.data;
+        assert_eq!(found[middle], 0.0);
+        let others = (0..81).filter(|pixel| *pixel != middle);
+        assert!(others.into_iter().all(|pixel| (found[pixel] - 0.5).abs() < 1e-6));
     }
 
     /// A near half beside a far one, an unknown column, and a slope of one in a hundred.
