@@ -109,6 +109,10 @@ fn depth_full_of_spikes_leaves_the_path_to_the_pictures() {
     let figure = |key| number(&out.join("metrics.json"), key).expect(key);
     let (tracked, error) = (figure("tracked"), figure("ate_rmse_m"));
     assert!(tracked >= 13.0 && error < 0.01, "{tracked} of 16 frames, {error} m");
+    // Frames between keyframes share steps; the result tells those that were set.
+    let config = fs::read_to_string(out.join("config.toml")).expect("the configuration");
+    let mapping = config.split("[mapping]").nth(1).expect("its section");
+    assert!(mapping.contains("\niterations = 12\n"), "{mapping}");
 }
 
 #[test]

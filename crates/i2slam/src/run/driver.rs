@@ -167,6 +167,8 @@ pub(super) fn run<'a>(
         shortfalls.extend(few_poses.flatten());
     }
     let mut reconstruction = session.reconstruction();
+    // As set: a run from its own configuration would share the steps a second time.
+    reconstruction.config.mapping.iterations = options.config.mapping.iterations;
     if reconstruction.config.parameters.frames.keeps_middle && !input.deviations.is_empty() {
         claim_deviations(&mut reconstruction, &input.deviations);
     }

@@ -199,10 +199,12 @@ impl Session {
         self.check(&frame)?;
         let PosedKeyframe { index, timestamp, colour, world_from_camera, .. } = frame;
         let (known, place) = match self.position_of(index) {
-            Ok(known) if self.state.frames[known].keyframe => return Ok(&self.state.frames[known]),
             Ok(known) => (true, known),
             Err(place) => (false, place),
         };
+        if known && (self.state.frames[place].keyframe || self.state.frames[place].held_out) {
+            return Ok(&self.state.frames[place]);
+        }
         let mut estimate = match known {
             true => self.state.frames[place].clone(),
             false => self.unrefined_estimate(place, index, timestamp, world_from_camera),
