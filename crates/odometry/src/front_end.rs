@@ -14,7 +14,8 @@ use crate::progress::Progress;
 use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
 use crate::register::registration::{
-    adjust_globally, refine_all_frames, register_keyframes, register_remaining_frames,
+    adjust_globally, adjust_path, adjust_remaining_frames, register_keyframes,
+    register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize};
 use crate::result::{Reconstruction, build_reconstruction};
@@ -146,18 +147,19 @@ impl FrontEnd {
         let had_initial_readout = state.readout != 0.0;
         estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
         if state.readout != 0.0 || had_initial_readout {
-            refine_all_frames(&mut state, adjust_focal);
+            adjust_path(&mut state, adjust_focal);
         }
         // The first readout used velocities of a path fitted to uncorrected rows: estimate it again.
         if state.readout != 0.0 {
             estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
-            refine_all_frames(&mut state, adjust_focal);
+            adjust_path(&mut state, adjust_focal);
         }
         if self.close_loops {
             close_loops(&mut state, adjust_focal);
         }
         adjust_until_converged(&mut state, adjust_focal);
-        add_dense_constraints(&mut state, adjust_focal);
+        add_dense_constraints(&mut state);
+        adjust_remaining_frames(&mut state, adjust_focal);
         let distortion_dropped = drop_unobservable_distortion(&mut state);
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
@@ -181,7 +183,7 @@ fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
         if state.progress.is_cancelled() || !calibrate_depth(state) {
             return;
         }
-        refine_all_frames(state, adjust_focal);
+        adjust_path(state, adjust_focal);
     }
 }
 
@@ -201,14 +203,14 @@ fn estimate_path(
     build_map(state, adjust_focal)
 }
 
-/// Adjusts all frames until cost and focal length converge: slow bends hardly change one cost.
+/// Adjusts the path until cost and focal length converge: slow bends hardly change one cost.
 fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
     let mut before = (f64::INFINITY, state.camera.fx);
     for _ in 0..MAX_ADJUSTMENT_ROUNDS {
         if state.progress.is_cancelled() {
             return;
         }
-        let now = (refine_all_frames(state, adjust_focal), state.camera.fx);
+        let now = (adjust_path(state, adjust_focal), state.camera.fx);
         let changes = [now.0 / before.0, now.1 / before.1].map(|ratio| ratio.ln().abs());
         if changes.iter().all(|change| *change < CONVERGED_CHANGE) {
             break;
@@ -226,7 +228,7 @@ fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryErr
     }
     adjust_globally(state, adjust_focal);
     register_remaining_frames(state);
-    refine_all_frames(state, adjust_focal);
+    adjust_path(state, adjust_focal);
     if was_lost {
         merge_overlapping_keyframes(state, adjust_focal);
     }

@@ -82,18 +82,25 @@ impl<T: Real> ResponseCurve<T> {
 
     /// Slope of [`evaluate`](Self::evaluate) at `x`; at a node, of one of its two sides.
     pub fn slope(&self, channel: usize, x: T) -> T {
-        let segments = self.segments(channel);
+        self.evaluate_with_slope(channel, x).1
+    }
+
+    /// [`evaluate`](Self::evaluate) and [`slope`](Self::slope) at `x`.
+    #[inline]
+    pub fn evaluate_with_slope(&self, channel: usize, x: T) -> (T, T) {
         if x < T::zero() {
-            return below_slope();
+            return (below_value(x), below_slope());
         }
         if x > T::one() {
-            return above_slope(x);
+            return (above_value(x), above_slope(x));
         }
+        let segments = self.segments(channel);
         let segment = match self.grid.binned() {
             Some(binned) => binned.locate(segments, x),
             None => Even.locate(segments, x),
         };
-        segments[segment].slope
+        let segment = &segments[segment];
+        (segment.value + segment.slope * (x - segment.start), segment.slope)
     }
 
     /// Smallest linear value in [0, 1] whose picture value is `y`, by binary search.

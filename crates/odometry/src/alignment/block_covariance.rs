@@ -73,13 +73,11 @@ pub(super) struct BlockSums {
 }
 
 impl BlockSums {
-    /// From the equations of depth alone and of depth and picture, tile by tile.
+    /// From the equations of depth and of the picture, tile by tile.
     pub(super) fn new(tiles: impl Iterator<Item = [Equations; 2]>) -> Self {
-        let sums = |[depth, both]: [Equations; 2]| {
-            let (depth, both) = (Sums::of(&depth), Sums::of(&both));
-            [depth, both.plus(-1.0, &depth)]
-        };
-        Self { tiles: tiles.filter(|[_, both]| both.count > 0).map(sums).collect() }
+        let has_residuals = |kinds: &[Equations; 2]| kinds.iter().any(|kind| kind.count > 0);
+        let sums = |kinds: [Equations; 2]| kinds.map(|kind| Sums::of(&kind));
+        Self { tiles: tiles.filter(has_residuals).map(sums).collect() }
     }
 
     /// The weight of the picture under which its gradients scatter between tiles as those of depth

@@ -1,9 +1,11 @@
 //! Dense alignment of a frame to a reference by Levenberg-Marquardt, coarse to fine.
 
 use super::block_covariance::{BlockSums, FREE};
-use super::residual::{AbsoluteErrors, Equations, Linearization, ResidualSums, RobustScales};
+use super::residual::{
+    AbsoluteErrors, Derivatives, Equations, Linearization, ResidualSums, RobustScales,
+};
 use super::residual::{TargetRows, UNKNOWNS, WHITE_BALANCE};
-use super::view::{DenseView, ExposureMotion, FINEST_STRIDE, response};
+use super::view::{DenseView, ExposureMotion, response};
 use i2slam_compute::median;
 use i2slam_formation::{CentreVelocity, FrameTone, Quadrature, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
@@ -30,8 +32,6 @@ const MAX_DAMPING: f64 = 1.0;
 /// Blur that one virtual camera stands for [px], and most virtual cameras.
 const BLUR_PER_CAMERA: f64 = 1.5;
 const MAX_CAMERAS: usize = 9;
-/// Columns and rows of tiles of the picture whose errors count as independent.
-const TILES: [usize; 2] = [8, 6];
 /// Bounds of the weight of pictures against depth.
 const IMAGE_WEIGHTS: [f64; 2] = [1e-3, 1e3];
 
@@ -86,15 +86,22 @@ fn align_by_depth_of_frame(
     let mut state = State { pose: start, tone: FrameTone::default(), scales: INITIAL_SCALES };
     let mut weight = 1.0;
     for level in (0..frame.pictures.frames.len()).rev() {
-        alignment.minimize_level(level, weight, &mut state)?;
+        let errors = alignment.errors(level, &state);
+        update_scales(&mut state.scales, &errors);
+        // The finest level follows below, depth and picture weighed.
+        if level > 0 {
+            alignment.levenberg_marquardt(level, weight, &mut state)?;
+        }
     }
     let mut end = None;
     for _ in 0..WEIGHT_ROUNDS {
-        weight = alignment.blocks(weight, &state).image_weight(weight, IMAGE_WEIGHTS);
-        end = Some(alignment.minimize_level(0, weight, &mut state)?);
+        let (blocks, errors) = alignment.blocks(weight, &state);
+        weight = blocks.image_weight(weight, IMAGE_WEIGHTS);
+        update_scales(&mut state.scales, &errors);
+        end = Some(alignment.levenberg_marquardt(0, weight, &mut state)?);
     }
     let sums = end.filter(|sums| sums.overlap() >= MIN_OVERLAP)?;
-    let information = alignment.blocks(weight, &state).information()?;
+    let information = alignment.blocks(weight, &state).0.information()?;
     // Noisy depth has kinks at every pixel, so that steps need not become short; what is left of
     // the way must be within the deviation.
     let step = free_equations(&sums.equations).step(0.0)?;
@@ -160,15 +167,13 @@ impl<'a> Alignment<'a> {
         Self { reference, frame, curve: response(), pixels_per_unit }
     }
 
-    /// Minimises on one level, with scales from the residuals at its start. `None` without any
-    /// residual.
-    fn minimize_level(&self, level: usize, weight: f64, state: &mut State) -> Option<ResidualSums> {
-        let errors = self.evaluate(level, weight, state, false).errors;
-        update_scales(&mut state.scales, &errors);
-        self.levenberg_marquardt(level, weight, state)
+    /// Absolute residuals on one level.
+    fn errors(&self, level: usize, state: &State) -> AbsoluteErrors {
+        self.linearization(level, 1.0, state, Derivatives::None).accumulate().errors
     }
 
-    /// Steps until they are short; one that raises the cost is rejected and damped a hundredfold.
+    /// Minimises on one level by steps until they are short; one that raises the cost is rejected
+    /// and damped a hundredfold. `None` without any residual.
     fn levenberg_marquardt(
         &self,
         level: usize,
@@ -177,12 +182,12 @@ impl<'a> Alignment<'a> {
     ) -> Option<ResidualSums> {
         let converged = MIN_STEP_PX * f64::from(1 << level);
         let mut damping = DAMPING;
-        let mut here = self.evaluate(level, weight, state, true);
+        let mut here = self.evaluate(level, weight, state);
         for _ in 0..MAX_STEPS {
             let step = free_equations(&here.equations).step(damping)?;
             let length = self.length_in_pixels(&step);
             let next = state.retract(&step);
-            let there = self.evaluate(level, weight, &next, true);
+            let there = self.evaluate(level, weight, &next);
             let is_lower = there.mean_cost() <= here.mean_cost() * (1.0 + 1e-6);
             if !is_lower || there.equations.count == 0 {
                 damping *= 100.0;
@@ -200,14 +205,8 @@ impl<'a> Alignment<'a> {
         (here.equations.count > 0).then_some(here)
     }
 
-    fn evaluate(
-        &self,
-        level: usize,
-        weight: f64,
-        state: &State,
-        derivatives: bool,
-    ) -> ResidualSums {
-        self.linearization(level, weight, state, derivatives).accumulate()
+    fn evaluate(&self, level: usize, weight: f64, state: &State) -> ResidualSums {
+        self.linearization(level, weight, state, Derivatives::PoseAndTone).accumulate()
     }
 
     fn linearization(
@@ -215,7 +214,7 @@ impl<'a> Alignment<'a> {
         level: usize,
         weight: f64,
         state: &State,
-        derivatives: bool,
+        derivatives: Derivatives,
     ) -> Linearization<'_> {
         let (cameras, motion, readout) = self.exposure(level);
         let target_rows = |motion| TargetRows { motion, height: self.height(level) };
@@ -284,14 +283,15 @@ impl<'a> Alignment<'a> {
         dot(&pixels, &pixels).sqrt()
     }
 
-    /// Sums of depth and picture by tile of the finest level.
-    fn blocks(&self, weight: f64, state: &State) -> BlockSums {
-        let both = self.linearization(0, weight, state, true);
-        let depth =
-            Linearization { image_weight: 0.0, ..self.linearization(0, weight, state, true) };
-        let tiles = self.frame.pictures.frames[0].tiles(FINEST_STRIDE, TILES);
-        let sums = |tile| [depth.accumulate_over(tile), both.accumulate_over(tile)];
-        BlockSums::new(tiles.iter().map(sums).map(|sums| sums.map(|s| s.equations)))
+    /// Sums of depth and picture by tile of the finest level, and the absolute residuals of all.
+    fn blocks(&self, weight: f64, state: &State) -> (BlockSums, AbsoluteErrors) {
+        let all = self.linearization(0, weight, state, Derivatives::PoseAndTone);
+        let sums = self.frame.pictures.tiles.iter().map(|tile| all.accumulate_kinds_over(tile));
+        let sums: Vec<[ResidualSums; 2]> = sums.collect();
+        let mut total = ResidualSums::default();
+        sums.iter().flatten().for_each(|sums| total.merge(sums));
+        let equations = sums.into_iter().map(|kinds| kinds.map(|sums| sums.equations));
+        (BlockSums::new(equations), total.errors)
     }
 }
 

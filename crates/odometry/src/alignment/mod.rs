@@ -31,9 +31,9 @@ mod view;
 
 pub(crate) use block_covariance::cholesky;
 pub use dense_alignment::{DenseConstraint, align};
-pub use pyramid::{halve_repeatedly, halved_by_mean, halved_camera, halved_depth};
+pub use pyramid::{halved_by_mean, halved_camera, halved_depth};
 pub use residual::{
-    AbsoluteErrors, DEGREES_OF_FREEDOM, DepthSamples, EXPOSURE, Equations, FrameLevel,
+    AbsoluteErrors, DEGREES_OF_FREEDOM, DepthSamples, Derivatives, EXPOSURE, Equations, FrameLevel,
     Linearization, READOUT, ResidualSums, RobustScales, TargetLevel, TargetRows, UNKNOWNS,
     VELOCITY, WHITE_BALANCE, is_one_surface,
 };

@@ -3,16 +3,6 @@
 use super::residual::is_one_surface;
 use i2slam_geometry::{Camera, Image};
 
-/// `levels` sizes from `finest` on, each made from the one before.
-pub fn halve_repeatedly<L>(finest: L, levels: usize, halve: impl Fn(&L) -> L) -> Vec<L> {
-    let mut all = vec![finest];
-    while all.len() < levels {
-        let next = halve(&all[all.len() - 1]);
-        all.push(next);
-    }
-    all
-}
-
 /// Intrinsics at exactly half the scale, also where an odd last row or column is dropped.
 pub fn halved_camera(camera: &Camera<f32>, picture: &Image<f32>) -> Camera<f32> {
     Camera {

@@ -1,13 +1,15 @@
 //! Pictures with depth, prepared for alignment.
 
 use super::depth_smoothing::smoothed_depth;
-use super::pyramid::{halve_repeatedly, halved_by_mean, halved_camera, halved_depth};
-use super::residual::{FrameLevel, TargetLevel};
+use super::pyramid::{halved_by_mean, halved_camera, halved_depth};
+use super::residual::{DepthSamples, FrameLevel, TargetLevel};
 use i2slam_formation::{CameraResponse, NodeSpacing, ResponseCurve, StartCurve};
 use i2slam_geometry::{Camera, Image, Tangent};
 
-/// Distance of samples on the finest level [px]; coarser levels use every pixel.
-pub(super) const FINEST_STRIDE: usize = 2;
+/// Distance of samples [px]; the coarsest level uses every pixel.
+const STRIDE: usize = 2;
+/// Columns and rows of tiles of the picture whose errors count as independent.
+const TILES: [usize; 2] = [8, 6];
 /// Shorter side of the coarsest level, at least [px].
 const COARSEST_SIDE: usize = 48;
 /// Spacing of the nodes of the response, the exponent of the sRGB encoding.
@@ -20,6 +22,8 @@ pub struct DensePyramid {
     /// Finest first.
     pub(super) frames: Vec<FrameLevel>,
     pub(super) targets: Vec<TargetLevel>,
+    /// The samples of the finest level, tile by tile.
+    pub(super) tiles: Vec<DepthSamples>,
     pub(super) has_depth: bool,
 }
 
@@ -39,19 +43,22 @@ impl DensePyramid {
         let empty = || Image::new(camera.width, camera.height, 1);
         let depth = depth.map_or_else(empty, |depth| smoothed_depth(camera, depth));
         let levels = levels(camera);
-        let finest = FrameLevel::new(camera.cast(), colour, depth, FINEST_STRIDE);
-        let frames = halve_repeatedly(finest, levels, |fine| {
+        let stride = |level: usize| if level + 1 == levels { 1 } else { STRIDE };
+        let mut frames = vec![FrameLevel::new(camera.cast(), colour, depth, stride(0))];
+        for level in 1..levels {
+            let fine = &frames[level - 1];
             let colour = halved_by_mean(&fine.colour);
             let camera = halved_camera(&fine.camera, &colour);
-            FrameLevel::new(camera, colour, halved_depth(&fine.depth), 1)
-        });
+            frames.push(FrameLevel::new(camera, colour, halved_depth(&fine.depth), stride(level)));
+        }
         let curve = response();
         let target = |frame: &FrameLevel| {
             let depth = if has_depth { Image::clone(&frame.depth) } else { Image::default() };
             TargetLevel::new(radiance(&curve, &frame.colour), depth)
         };
         let targets = frames.iter().map(target).collect();
-        Self { camera: *camera, frames, targets, has_depth }
+        let tiles = if has_depth { frames[0].tiles(stride(0), TILES) } else { Vec::new() };
+        Self { camera: *camera, frames, targets, tiles, has_depth }
     }
 }
 

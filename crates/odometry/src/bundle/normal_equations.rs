@@ -5,12 +5,13 @@
 
 use super::relative_pose::LinearRelativePose;
 use super::sparsity::BlockSparsity;
-use super::{Bundle, BundleObservation, GLOBALS, LANDMARKS_PER_TASK};
+use super::{Bundle, BundleObservation, FreeIntrinsics, GLOBALS, LANDMARKS_PER_TASK};
 use crate::multiview::landmark::Projection;
 use crate::multiview::lens_distortion::CameraJacobian;
 use crate::multiview::robust_loss::{HUBER_THRESHOLD, huber};
 use i2slam_compute::{SkylineMatrix, reduce_in_order};
 use i2slam_geometry::{Mat3, Vec3};
+use pulp::Arch;
 use rayon::prelude::*;
 
 /// Damping that only fixes the gauge: scale is not observable.
@@ -41,10 +42,13 @@ impl<'a> SchurSystem<'a> {
     pub(super) fn new(bundle: &Bundle, sparsity: &'a BlockSparsity, curvature: Curvature) -> Self {
         let globals = bundle.free_intrinsics as usize;
         let landmarks = 0..bundle.landmarks.len();
-        let landmark =
-            |i: usize| landmark_block(bundle, i, &sparsity.landmark_observations[i], curvature);
+        let arch = Arch::new();
+        let landmark = |i: usize| {
+            let observations = &sparsity.landmark_observations[i];
+            arch.dispatch(|| landmark_block(bundle, i, observations, curvature))
+        };
         let parts = landmarks.into_par_iter().map(landmark);
-        let block = |block: usize| pose_block(bundle, sparsity, block, curvature);
+        let block = |block: usize| arch.dispatch(|| pose_block(bundle, sparsity, block, curvature));
         let poses = (0..sparsity.poses.len()).into_par_iter().map(block);
         let (parts, mut poses): (_, Vec<PoseBlock>) = (parts.collect(), poses.collect());
         let relative = relative_pose_blocks(bundle, sparsity, &mut poses);
@@ -103,8 +107,9 @@ impl<'a> SchurSystem<'a> {
             self.parts.par_iter().map(|p| p.damped_inverse(damping)).collect();
         let mut matrix = SkylineMatrix::new(self.sparsity.first_columns(self.globals));
         let rows = matrix.split((1..=self.poses.len()).map(|block| 6 * block));
+        let arch = Arch::new();
         let fill = |(block, rows): (usize, &mut [f64])| {
-            self.fill_block_rows(block, rows, &inverses, damping)
+            arch.dispatch(|| self.fill_block_rows(block, rows, &inverses, damping))
         };
         let sides: Vec<PoseBlock> = rows.into_par_iter().enumerate().map(fill).collect();
         for (later, earlier, coupling) in &self.relative {
@@ -129,6 +134,7 @@ impl<'a> SchurSystem<'a> {
     }
 
     /// Fills the six rows of a block; returns its right-hand side and coupling with the globals.
+    #[inline(always)]
     fn fill_block_rows(
         &self,
         block: usize,
@@ -147,6 +153,9 @@ impl<'a> SchurSystem<'a> {
             row.copy_from_slice(&side.hessian[a][..=a]);
             row[a] += damping * row[a] + 1e-9;
         }
+        // Blocks one after another: a landmark's products with six entries of six rows far apart
+        // would wait for memory.
+        let mut couplings = vec![[[0.0; 6]; 6]; block - first];
         for (landmark, k) in &self.sparsity.block_observations[block] {
             let (landmark, k) = (*landmark as usize, *k as usize);
             let (part, inverse) = (&self.parts[landmark], &inverses[landmark]);
@@ -155,11 +164,9 @@ impl<'a> SchurSystem<'a> {
             let weighted: [Vec3<f64>; 6] =
                 std::array::from_fn(|a| *inverse * Vec3::new(own[0][a], own[1][a], own[2][a]));
             for ((other, _), coupling) in cameras.iter().zip(&part.couplings) {
-                let column = 6 * (*other as usize - first);
-                for (a, weighted) in weighted.iter().enumerate() {
-                    if let Some(entries) = rows[row_at(a) + column..].first_chunk_mut::<6>() {
-                        subtract_products(entries, *weighted, coupling);
-                    }
+                let sums = &mut couplings[*other as usize - first];
+                for a in 0..6 {
+                    subtract_products(&mut sums[a], weighted[a], coupling);
                 }
             }
             for (a, weighted) in weighted.iter().enumerate() {
@@ -169,6 +176,10 @@ impl<'a> SchurSystem<'a> {
                 }
                 subtract_products(&mut rows[row_at(a) + width..][..=a], *weighted, own);
             }
+        }
+        for a in 0..6 {
+            let row = rows[row_at(a)..][..width].chunks_exact_mut(6);
+            row.zip(&couplings).for_each(|(entries, sums)| entries.copy_from_slice(&sums[a]));
         }
         side
     }
@@ -261,6 +272,7 @@ impl LandmarkBlock {
 }
 
 /// The weighted residual of an observation; `None` behind the camera.
+#[inline(always)]
 pub(super) fn weighted_residual(
     bundle: &Bundle,
     landmark: usize,
@@ -310,6 +322,7 @@ pub(super) fn gradient_along(
 }
 
 /// Sums over the observations of a landmark; `landmark_observations` are those by free poses.
+#[inline(always)]
 pub(super) fn landmark_block(
     bundle: &Bundle,
     landmark: usize,
@@ -319,6 +332,7 @@ pub(super) fn landmark_block(
     let observations = bundle.observations[landmark].iter();
     let all: Vec<Option<WeightedResidual>> =
         observations.map(|s| weighted_residual(bundle, landmark, s, curvature)).collect();
+    let has_globals = bundle.free_intrinsics != FreeIntrinsics::None;
     let (mut hessian, mut gradient, mut globals) = ([[0.0; 3]; 3], [0.0; 3], [[0.0; 3]; GLOBALS]);
     for w in all.iter().flatten() {
         for i in 0..w.rows {
@@ -326,8 +340,9 @@ pub(super) fn landmark_block(
             for a in 0..3 {
                 gradient[a] += weight * row[a] * w.residual[i];
                 (0..3).for_each(|b| hessian[a][b] += weight * row[a] * row[b]);
-                for (global, slope) in globals.iter_mut().zip(w.by_globals(i)) {
-                    global[a] += weight * slope * row[a];
+                if has_globals {
+                    let by_globals = w.by_globals(i);
+                    (0..GLOBALS).for_each(|g| globals[g][a] += weight * by_globals[g] * row[a]);
                 }
             }
         }
@@ -351,12 +366,14 @@ pub(super) fn landmark_block(
 }
 
 /// Sums over the observations of a block's pose.
+#[inline(always)]
 pub(super) fn pose_block(
     bundle: &Bundle,
     sparsity: &BlockSparsity,
     block: usize,
     curvature: Curvature,
 ) -> PoseBlock {
+    let has_globals = bundle.free_intrinsics != FreeIntrinsics::None;
     let mut out =
         PoseBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], globals: [[0.0; GLOBALS]; 6] };
     for (landmark, k) in &sparsity.block_observations[block] {
@@ -370,8 +387,9 @@ pub(super) fn pose_block(
                 let slope = w.weights[i] * row[a];
                 (0..6).for_each(|b| out.hessian[a][b] += slope * row[b]);
                 out.gradient[a] += slope * w.residual[i];
-                for (sum, global) in out.globals[a].iter_mut().zip(w.by_globals(i)) {
-                    *sum += slope * global;
+                if has_globals {
+                    let by_globals = w.by_globals(i);
+                    (0..GLOBALS).for_each(|g| out.globals[a][g] += slope * by_globals[g]);
                 }
             }
         }
@@ -473,7 +491,7 @@ impl WeightedResidual {
 }
 
 /// Subtracts `weightedᵀ · coupling` from up to six entries of a row.
-#[inline]
+#[inline(always)]
 fn subtract_products(entries: &mut [f64], weighted: Vec3<f64>, coupling: &[[f64; 6]; 3]) {
     for (b, entry) in entries.iter_mut().enumerate() {
         *entry -=

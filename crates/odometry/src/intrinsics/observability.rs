@@ -1,7 +1,7 @@
 //! Observability of focal length and distortion.
 
 use crate::bundle::IntrinsicsCovariance;
-use crate::register::registration::{adjust_globally, refine_all_frames};
+use crate::register::registration::{adjust_globally, adjust_path};
 use crate::sfm_state::{MAX_JOINT_POSES, SfmState};
 
 /// Significance of a distortion: the 99th percentile of a sum of two squared normal variables.
@@ -36,7 +36,7 @@ pub(crate) fn drop_unobservable_distortion(state: &mut SfmState) -> bool {
     let mut without = state.clone();
     without.estimates_distortion = false;
     without.update_distortion(state.distortion.map(|v| -v));
-    refine_all_frames(&mut without, true);
+    adjust_path(&mut without, true);
     let (reestimated, with_distortion) = reestimate_intrinsics(state);
     let (_, without_distortion) = reestimate_intrinsics(&without);
     let is_observable = state.readout == 0.0

@@ -7,7 +7,7 @@
 use crate::loops::pose_graph::{GraphLengths, PoseGraphEdge, optimize_pose_graph};
 use crate::multiview::landmark::Landmark;
 use crate::progress::Stage;
-use crate::register::registration::refine_all_frames;
+use crate::register::registration::adjust_path;
 use crate::relocalize::geometric_verification::{
     Relocalization, match_and_verify, verify_known_pose,
 };
@@ -70,7 +70,7 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) {
     }
     distribute_drift(state, &candidates, unit);
     candidates.into_iter().for_each(|r| state.add_observations(r.found.observations));
-    refine_all_frames(state, adjust_focal);
+    adjust_path(state, adjust_focal);
     merge_overlapping_keyframes(state, adjust_focal);
 }
 
@@ -97,7 +97,7 @@ pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bo
     let observations: Vec<Vec<(usize, Observation)>> = keyframe_images.map(find_overlaps).collect();
     if observations.iter().any(|s| !s.is_empty()) {
         observations.into_iter().for_each(|s| state.add_observations(s));
-        refine_all_frames(state, adjust_focal);
+        adjust_path(state, adjust_focal);
     }
 }
 

@@ -96,6 +96,7 @@ impl Landmark {
     }
 
     /// Projection with derivatives; `None` behind the camera.
+    #[inline(always)]
     pub(crate) fn project(
         &self,
         camera: &Camera<f64>,

@@ -8,7 +8,6 @@ use crate::bundle::RelativePoseFactor;
 use crate::depth::depth_map::DepthMap;
 use crate::depth::registration::register_depth;
 use crate::progress::Stage;
-use crate::register::registration::adjust_globally;
 use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
@@ -25,8 +24,8 @@ const OPEN_SHARE: f64 = 0.5;
 /// pixel each.
 const MAX_PART_FRAMES: usize = 24;
 
-/// Aligns all frames to the keyframes around them, and adjusts all poses.
-pub(crate) fn add_dense_constraints(state: &mut SfmState, adjust_focal: bool) {
+/// Aligns all frames to the keyframes around them.
+pub(crate) fn add_dense_constraints(state: &mut SfmState) {
     if !state.has_depth() || state.pictures.is_empty() {
         return;
     }
@@ -38,7 +37,6 @@ pub(crate) fn add_dense_constraints(state: &mut SfmState, adjust_focal: bool) {
         found.extend(constraints(state, &keyframes, part));
     }
     state.relative_poses = Arc::new(found);
-    adjust_globally(state, adjust_focal);
 }
 
 /// Runs of keyframes, by place, whose frames are prepared together.

@@ -16,8 +16,8 @@ const LOCAL_WINDOW: usize = 8;
 const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
 /// Distance in keyframes from a registered one within which keyframes are tried first.
 const NEIGHBOURHOOD: usize = 3;
-/// Frames up to which all are adjusted jointly; otherwise those between keyframes one by one.
-const MAX_JOINTLY_REFINED_FRAMES: usize = 300;
+/// Frames up to which all are adjusted jointly every time.
+const MAX_JOINTLY_ADJUSTED_FRAMES: usize = 300;
 const LOCAL_STEPS: usize = 6;
 const GLOBAL_STEPS: usize = 20;
 
@@ -54,12 +54,33 @@ pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
     cost
 }
 
-/// Adjusts all frames, of a long sequence the keyframes jointly; returns the mean cost.
-pub(crate) fn refine_all_frames(state: &mut SfmState, adjust_focal: bool) -> f64 {
-    let posed = state.posed_frames();
-    if posed.len() <= MAX_JOINTLY_REFINED_FRAMES {
-        return adjust_globally(state, adjust_focal);
+/// Adjusts all frames, or with depth or in a long sequence the keyframes alone, to which
+/// [`adjust_remaining_frames`] adds the others at the end; returns the mean cost.
+///
+/// By colour alone a path bends slowly, which frames between keyframes straighten out; measured
+/// depth leaves no such bends.
+pub(crate) fn adjust_path(state: &mut SfmState, adjust_focal: bool) -> f64 {
+    match adjusts_all(state) {
+        true => adjust_globally(state, adjust_focal),
+        false => adjust_keyframes(state, adjust_focal),
     }
+}
+
+/// Adjusts all frames jointly where [`adjust_path`] did not.
+pub(crate) fn adjust_remaining_frames(state: &mut SfmState, adjust_focal: bool) {
+    if !adjusts_all(state) {
+        adjust_globally(state, adjust_focal);
+    }
+}
+
+fn adjusts_all(state: &SfmState) -> bool {
+    !state.has_depth() && state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES
+}
+
+/// Adjusts the keyframes jointly, and every frame between them to their landmarks; returns the mean
+/// cost.
+fn adjust_keyframes(state: &mut SfmState, adjust_focal: bool) -> f64 {
+    let posed = state.posed_frames();
     let mut is_keyframe = vec![false; state.poses.len()];
     state.tracks.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
     let between: Vec<usize> = posed.into_iter().filter(|f| !is_keyframe[*f]).collect();

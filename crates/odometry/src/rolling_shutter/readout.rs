@@ -185,7 +185,7 @@ mod tests {
 
     use crate::fixtures::{self, camera};
     use crate::intrinsics::observability::reestimate_intrinsics;
-    use crate::register::registration::refine_all_frames;
+    use crate::register::registration::adjust_path;
     use i2slam_geometry::{Rotation, Vec3};
 
     /// A camera that shakes on its way; `s` in frames.
@@ -227,7 +227,7 @@ mod tests {
         (rolling.camera.fx, rolling.camera.fy) = (wrong, wrong);
         for _ in 0..2 {
             estimate_rolling_shutter(&mut rolling, &timestamps, true);
-            refine_all_frames(&mut rolling, true);
+            adjust_path(&mut rolling, true);
         }
         // Speeds are means over two intervals, which are too low where the camera trembles.
         let found = ((rolling.camera.fx / 250.0).ln(), rolling.readout - 0.6);

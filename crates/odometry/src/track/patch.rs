@@ -142,15 +142,16 @@ fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32;
     if lengths.iter().any(|l| *l < 1e-4) {
         return None;
     }
+    let products: Vec<f64> = (0..N * N)
+        .map(|i| {
+            let (r, c) = (i / N, i % N);
+            let ridge = if r == c { 1e-4 } else { 0.0 };
+            f64::from(dot(&basis[r], &basis[c])) / (lengths[r] * lengths[c]) + ridge
+        })
+        .collect();
     let mut out = [[0.0; N]; N];
     for column in 0..N {
-        let mut a: Vec<f64> = (0..N * N)
-            .map(|i| {
-                let (r, c) = (i / N, i % N);
-                let ridge = if r == c { 1e-4 } else { 0.0 };
-                f64::from(dot(&basis[r], &basis[c])) / (lengths[r] * lengths[c]) + ridge
-            })
-            .collect();
+        let mut a = products.clone();
         let mut unit = [0.0; N];
         unit[column] = 1.0;
         if !solve_positive_definite(&mut a, &mut unit) {

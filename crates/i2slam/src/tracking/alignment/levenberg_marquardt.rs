@@ -7,7 +7,9 @@ use super::{FrameAlignment, TrackingState};
 use crate::config::WhiteBalanceModel;
 use crate::objective::{FrameObjective, blur_length, virtual_camera_count};
 use i2slam_geometry::Tangent;
-use i2slam_odometry::alignment::{AbsoluteErrors, Equations, Linearization, ResidualSums};
+use i2slam_odometry::alignment::{
+    AbsoluteErrors, Derivatives, Equations, Linearization, ResidualSums,
+};
 use i2slam_odometry::alignment::{EXPOSURE, READOUT, UNKNOWNS, VELOCITY, WHITE_BALANCE};
 use i2slam_radiance::RadianceMap;
 
@@ -245,7 +247,10 @@ impl FrameAlignment<'_> {
                 EvaluationMode::DepthOnly => 0.0,
                 _ => self.image_weight(target),
             },
-            derivatives: mode != EvaluationMode::CostOnly,
+            derivatives: match mode {
+                EvaluationMode::CostOnly => Derivatives::None,
+                _ => Derivatives::All,
+            },
         }
         .accumulate()
     }

@@ -3,7 +3,7 @@
 use crate::objective::Observation;
 use i2slam_geometry::{Camera, Image};
 use i2slam_odometry::alignment::{
-    FrameLevel, TargetLevel, halve_repeatedly, halved_by_mean, halved_camera, halved_depth,
+    FrameLevel, TargetLevel, halved_by_mean, halved_camera, halved_depth,
 };
 use i2slam_radiance::gaussian::Render;
 use std::sync::Arc;
@@ -45,4 +45,14 @@ pub(super) fn depth_levels(depth: &Image<f32>, levels: usize) -> Vec<TargetLevel
     halve_repeatedly(TargetLevel::new(Image::default(), depth.clone()), levels, |fine| {
         TargetLevel::new(Image::default(), halved_depth(&fine.depth))
     })
+}
+
+/// `levels` sizes from `finest` on, each made from the one before.
+fn halve_repeatedly<L>(finest: L, levels: usize, halve: impl Fn(&L) -> L) -> Vec<L> {
+    let mut all = vec![finest];
+    while all.len() < levels {
+        let next = halve(&all[all.len() - 1]);
+        all.push(next);
+    }
+    all
 }

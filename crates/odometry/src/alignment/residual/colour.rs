@@ -4,7 +4,8 @@ use super::depth::DepthBlock;
 use super::geometry::{ExposureSample, Points, by_point, placeholder_point, project};
 use super::level::{BLOCK, BilinearTaps, BlockValues, groups};
 use super::{
-    DEGREES_OF_FREEDOM, Linearization, MIN_DISTANCE, READOUT, ResidualSums, WHITE_BALANCE,
+    DEGREES_OF_FREEDOM, Derivatives, Linearization, MIN_DISTANCE, READOUT, ResidualSums,
+    WHITE_BALANCE,
 };
 use super::{Kernel, add_normal_equations, cost_of};
 use i2slam_compute::simd::{Lanes, Mask};
@@ -77,7 +78,7 @@ impl ColourBlock {
         for channel in 0..3 {
             self.channels[channel].apply_response(task, channel);
             self.channels[channel].compare(kernel, &self.seen, &self.pixel[channel][0], sums);
-            if task.derivatives {
+            if task.derivatives != Derivatives::None {
                 self.channels[channel].add_equations(kernel, channel, sums);
             }
         }
@@ -166,7 +167,7 @@ impl ColourBlock {
             let radiance = Lanes::load_group(simd, &self.target[channel][0], group) * weight;
             add_or_set(radiance, &mut self.channels[channel].radiance, group, first);
         }
-        if !task.derivatives {
+        if task.derivatives == Derivatives::None {
             return;
         }
         let target_point = Points::load_group(simd, &self.target_points, group);
@@ -242,13 +243,16 @@ impl Channel {
     #[inline(always)]
     fn add_motion<S: Simd>(
         &mut self,
-        Kernel { simd, geometry, .. }: Kernel<'_, S>,
+        Kernel { simd, task, geometry }: Kernel<'_, S>,
         row: Points<S>,
         points: &MovedPoints<S>,
         (group, first): (usize, bool),
     ) {
         let (centre, velocity) = self.motion.split_at_mut(6);
         add_rows([row, points.seen.cross(row)], centre, group, first);
+        if task.derivatives != Derivatives::All {
+            return;
+        }
         if let Some(rolling) = &geometry.rolling {
             let by_readout = points.row_position * row.dot(rolling.velocity_of(simd, points.moved));
             add_or_set(by_readout, &mut self.readout, group, first);
@@ -270,8 +274,8 @@ impl Channel {
         let gain = task.tone.gains()[channel];
         for i in 0..BLOCK {
             let x = gain * self.radiance.0[i];
-            self.value.0[i] = curve.evaluate(channel, x);
-            self.slope.0[i] = curve.slope(channel, x) * gain;
+            let (value, slope) = curve.evaluate_with_slope(channel, x);
+            (self.value.0[i], self.slope.0[i]) = (value, slope * gain);
         }
     }
 
@@ -316,7 +320,9 @@ impl Channel {
         channel: usize,
         sums: &mut ResidualSums,
     ) {
-        let motions = if geometry.has_velocity() { 12 } else { 6 };
+        let is_all = task.derivatives == Derivatives::All;
+        let motions = if is_all && geometry.has_velocity() { 12 } else { 6 };
+        let has_readout = is_all && geometry.rolling.is_some();
         let toned = Lanes::splat(simd, if task.curve.is_some() { 1.0 } else { 0.0 });
         for group in 0..groups::<S>() {
             let root = Lanes::load_group(simd, &self.root, group);
@@ -326,7 +332,7 @@ impl Channel {
             }
             let radiance = Lanes::load_group(simd, &self.radiance, group);
             (radiance * slope * toned).store_group(&mut self.gain, group);
-            if geometry.rolling.is_some() {
+            if has_readout {
                 (Lanes::load_group(simd, &self.readout, group) * slope)
                     .store_group(&mut self.readout, group);
             }
@@ -340,7 +346,7 @@ impl Channel {
         }
         (rows[motions], unknowns[motions]) = (&self.gain, WHITE_BALANCE + channel);
         let mut count = motions + 1;
-        if geometry.rolling.is_some() {
+        if has_readout {
             rows[count] = &self.readout;
             count += 1;
         }

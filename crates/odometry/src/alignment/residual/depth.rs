@@ -2,7 +2,9 @@
 
 use super::geometry::{Points, by_point, placeholder_point, project};
 use super::level::{BilinearTaps, BlockValues, SampleBlock, groups};
-use super::{DEGREES_OF_FREEDOM, MAX_DEPTH_RESIDUAL_RATIO, MIN_DISTANCE, ROUGHNESS_SIGMA_RATIO};
+use super::{
+    DEGREES_OF_FREEDOM, Derivatives, MAX_DEPTH_RESIDUAL_RATIO, MIN_DISTANCE, ROUGHNESS_SIGMA_RATIO,
+};
 use super::{Kernel, ResidualSums, add_normal_equations, cost_of};
 use i2slam_compute::simd::{Lanes, Mask};
 use pulp::Simd;
@@ -68,7 +70,7 @@ impl DepthBlock {
         sums.errors.depth += f64::from(lanes.error.reduce_sum());
         sums.errors.depth_count += count;
         sums.agreeing += count;
-        if task.derivatives && count > 0 {
+        if task.derivatives != Derivatives::None && count > 0 {
             let [a, b, c, d, e, f] = &self.jacobian;
             let rows = [a, b, c, d, e, f, &self.residual];
             add_normal_equations(simd, &rows, &[0, 1, 2, 3, 4, 5], &mut sums.equations);
@@ -130,7 +132,7 @@ impl DepthBlock {
         lanes.cost += agrees.keep(cost_of(simd, square));
         lanes.error += agrees.keep(distance.abs() / spread);
         lanes.count += agrees.ones();
-        if !task.derivatives {
+        if task.derivatives == Derivatives::None {
             return;
         }
         let weight =

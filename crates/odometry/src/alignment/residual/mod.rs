@@ -110,8 +110,19 @@ pub struct Linearization<'a> {
     pub scales: RobustScales,
     /// Weight of image residuals against depth residuals.
     pub image_weight: f32,
-    /// Whether gradient and Hessian are computed beside cost and errors.
-    pub derivatives: bool,
+    /// The derivatives that are computed beside cost and errors.
+    pub derivatives: Derivatives,
+}
+
+/// Derivatives that enter the normal equations; rows and columns of the others stay zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Derivatives {
+    /// None: cost and errors alone.
+    None,
+    /// By the pose at mid-exposure and the tone.
+    PoseAndTone,
+    /// By all unknowns.
+    All,
 }
 
 /// Rolling shutter of a target.
@@ -180,9 +191,17 @@ impl Linearization<'_> {
 
     /// [`accumulate`](Self::accumulate) over some samples of the frame.
     pub fn accumulate_over(&self, samples: &DepthSamples) -> ResidualSums {
+        let [mut total, colour] = self.accumulate_kinds_over(samples);
+        total.merge(&colour);
+        total
+    }
+
+    /// [`accumulate_over`](Self::accumulate_over), the depth residuals apart from those of colour.
+    pub fn accumulate_kinds_over(&self, samples: &DepthSamples) -> [ResidualSums; 2] {
         let geometry = Geometry::new(self);
         let arch = Arch::new();
-        let mut total = ResidualSums { candidates: samples.count, ..ResidualSums::default() };
+        let mut total = [ResidualSums::default(), ResidualSums::default()];
+        total[0].candidates = samples.count;
         reduce_in_order(
             samples.blocks.len(),
             BLOCKS_PER_TASK,
@@ -193,9 +212,9 @@ impl Linearization<'_> {
                     blocks: &samples.blocks[blocks],
                 })
             },
-            |part| total.merge(&part),
+            |parts| total.iter_mut().zip(&parts).for_each(|(sum, part)| sum.merge(part)),
         );
-        add_exposure(&mut total.equations);
+        add_exposure(&mut total[1].equations);
         total
     }
 }
@@ -208,18 +227,19 @@ struct Blocks<'a> {
 }
 
 impl WithSimd for Blocks<'_> {
-    type Output = ResidualSums;
+    /// Of depth and of colour.
+    type Output = [ResidualSums; 2];
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> ResidualSums {
+    fn with_simd<S: Simd>(self, simd: S) -> [ResidualSums; 2] {
         let Self { task, geometry, blocks } = self;
-        let mut sums = ResidualSums::default();
+        let mut sums = [ResidualSums::default(), ResidualSums::default()];
         let kernel = Kernel { simd, task, geometry };
         let (mut depth, mut colour) = (DepthBlock::default(), ColourBlock::default());
         for samples in blocks {
-            let agreeing = depth.add(kernel, samples, &mut sums);
+            let agreeing = depth.add(kernel, samples, &mut sums[0]);
             if agreeing > 0 && task.image_weight > 0.0 {
-                colour.add(kernel, &depth, &mut sums);
+                colour.add(kernel, &depth, &mut sums[1]);
             }
         }
         sums

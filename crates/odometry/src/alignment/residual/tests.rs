@@ -95,7 +95,7 @@ impl<'a> Case<'a> {
             depth_offset_ratio: self.lead,
             scales: RobustScales { depth: 0.02, image: 0.1 },
             image_weight: self.image_weight,
-            derivatives: true,
+            derivatives: Derivatives::All,
         }
     }
 
@@ -196,7 +196,7 @@ fn lanes_agree_with_the_reference() {
         {
             assert!((a / b - 1.0).abs() < 1e-5, "{a} {b}");
         }
-        task.derivatives = false;
+        task.derivatives = Derivatives::None;
         let bare = task.accumulate();
         assert_eq!(bare.equations.cost, lanes.equations.cost);
         assert_eq!(bare.errors, lanes.errors);
