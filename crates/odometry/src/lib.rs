@@ -36,6 +36,7 @@ mod warning;
 mod track {
     pub(crate) mod corners;
     pub(crate) mod global_translation;
+    pub(crate) mod motion_blur;
     pub(crate) mod patch;
     pub(crate) mod point_search;
     pub(crate) mod pyramid;

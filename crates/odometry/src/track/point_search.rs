@@ -1,9 +1,10 @@
 //! Search for one point in the next picture.
 //!
 //! A point is followed by its patch in the last frame and then aligned with that of the keyframe in
-//! which it began (its anchor), which does not drift. Where the anchor does not match, as in a
-//! blurred frame, the point is followed on and nothing is measured.
+//! which it began (its anchor), which does not drift, the sharper of both blurred like the other.
+//! Where the anchor does not match, the point is followed on and nothing is measured.
 
+use crate::track::motion_blur::EqualBlur;
 use crate::track::patch::{AffineWarp, PatchMatch, PatchTemplate};
 use crate::track::pyramid::Pyramid;
 use crate::track::tracks::Observation;
@@ -29,6 +30,16 @@ const BORDER: f32 = 3.0;
 #[derive(Clone, Debug)]
 pub(crate) struct AnchorPatch {
     templates: Vec<PatchTemplate<8>>,
+    at: [f32; 2],
+}
+
+/// A point followed from the last frame, before its anchor is compared.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FollowedPoint {
+    /// Where the patch in the last frame was found again.
+    pub(crate) found: Option<PatchMatch>,
+    /// Position moved with the whole picture.
+    guess: [f32; 2],
 }
 
 /// Outcome of the search for a point.
@@ -63,7 +74,7 @@ impl AnchorPatch {
             PatchTemplate::new(image, at.map(|v| v / (1_usize << l) as f32))
         };
         let templates: Option<Vec<_>> = levels.map(template).collect();
-        templates.map(|templates| Self { templates })
+        templates.map(|templates| Self { templates, at })
     }
 
     /// Aligns the anchor from `start` on, from level `from` down to the finest.
@@ -86,19 +97,35 @@ impl AnchorPatch {
     }
 }
 
-/// Searches for a point that was at `warp` in the last picture (a real position if `is_followed`),
-/// where the whole picture has moved by `shift` [px].
+/// Follows a point that was at `warp` in the last picture (a real position if `is_followed`), where
+/// the whole picture has moved by `shift` [px].
+pub(crate) fn follow_point(
+    warp: AffineWarp,
+    is_followed: bool,
+    [last, next]: [&Pyramid; 2],
+    shift: [f32; 2],
+) -> FollowedPoint {
+    let guess = [warp.centre[0] + shift[0], warp.centre[1] + shift[1]];
+    let search = || follow_from_last_frame(last, next, warp.centre, guess);
+    FollowedPoint { found: is_followed.then(search).flatten(), guess }
+}
+
+/// Searches for the anchor of a point that was at `warp` in the last picture, in the next one, both
+/// with `equal` blur.
 pub(crate) fn search_point(
     anchor: &AnchorPatch,
     warp: AffineWarp,
-    is_followed: bool,
-    last: &Pyramid,
+    followed: &FollowedPoint,
     next: &Pyramid,
-    shift: [f32; 2],
+    equal: &EqualBlur,
 ) -> TrackOutcome {
-    let guess = [warp.centre[0] + shift[0], warp.centre[1] + shift[1]];
-    let near =
-        is_followed.then(|| follow_from_last_frame(last, next, warp.centre, guess)).flatten();
+    let (near, guess) = (followed.found, followed.guess);
+    let blurred = match equal {
+        EqualBlur::First(picture) => AnchorPatch::new(picture, anchor.at),
+        EqualBlur::AsTheyAre | EqualBlur::Second(_) => None,
+    };
+    let anchor = blurred.as_ref().unwrap_or(anchor);
+    let next = if let EqualBlur::Second(picture) = equal { picture } else { next };
     let (start, level) = match near {
         Some(found) => (found.warp.centre, 1),
         None => (guess, ANCHOR_LEVELS - 1),

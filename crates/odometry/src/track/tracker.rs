@@ -2,15 +2,18 @@
 
 use crate::track::corners::detect_corners;
 use crate::track::global_translation::estimate_global_translation;
+use crate::track::motion_blur::{EqualBlur, SHARES, ShutterShare};
 use crate::track::patch::{AffineWarp, RADIUS};
-use crate::track::point_search::{AnchorPatch, MIN_POSITION_SIGMA, TrackOutcome, search_point};
+use crate::track::point_search::{
+    AnchorPatch, FollowedPoint, MIN_POSITION_SIGMA, TrackOutcome, follow_point, search_point,
+};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
 use crate::track::tracks::{Observation, Track, Tracks};
 use i2slam_compute::median;
 use i2slam_geometry::Image;
 use rayon::prelude::*;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 /// Cells of a picture, each with one point if it has a corner.
@@ -35,6 +38,9 @@ const MAX_KEYFRAME_DELAY: usize = 3;
 const MIN_POINTS: usize = 12;
 /// Correlation of consecutive pictures below which the scene has changed.
 const CUT_CORRELATION: f32 = 0.3;
+/// Movement of the picture from which on its blur tells the shutter's share [px], and points needed.
+const MIN_SHUTTER_MOTION: f32 = 4.0;
+const MIN_SHUTTER_POINTS: usize = 24;
 
 /// A point being tracked.
 #[derive(Clone, Debug)]
@@ -42,6 +48,8 @@ struct TrackedPoint {
     track: usize,
     warp: AffineWarp,
     anchor: AnchorPatch,
+    /// Keyframe of the anchor.
+    anchor_frame: usize,
     /// Frames since the last measurement.
     hidden_frames: usize,
     /// Whether its position in the last frame is a real one, not an extrapolation.
@@ -49,6 +57,16 @@ struct TrackedPoint {
     /// Position in the last keyframe.
     at_keyframe: Option<[f32; 2]>,
     correlation: f32,
+}
+
+/// A tracked picture.
+#[derive(Clone, Debug)]
+struct TrackedPicture {
+    pyramid: Pyramid,
+    /// Translation since the picture before [px].
+    shift: [f32; 2],
+    /// Movement while the shutter was open [px].
+    blur: [f32; 2],
 }
 
 /// Tracking summary of one picture.
@@ -66,8 +84,11 @@ pub(crate) struct Tracker {
     /// All tracks so far.
     pub(crate) tracks: Tracks,
     points: Vec<TrackedPoint>,
-    /// Last frames, newest at the back, and the picture's translation since the one before [px].
-    recent: VecDeque<(Pyramid, [f32; 2])>,
+    /// Last frames, newest at the back.
+    recent: VecDeque<TrackedPicture>,
+    /// Keyframes of the points' anchors.
+    anchors: BTreeMap<usize, TrackedPicture>,
+    shutter: ShutterShare,
     sharpness: Vec<f32>,
     /// Points of the last keyframe.
     keyframe_points: usize,
@@ -79,30 +100,40 @@ impl Tracker {
     /// Tracks all points into the next picture.
     pub(crate) fn track(&mut self, picture: &Image<f32>) -> FrameReport {
         let frame = self.tracks.frames;
-        let next = Pyramid::new(picture);
-        let (shift, is_cut) = self.track_points(&next, frame);
-        self.sharpness.push(sharpness(next.finest()));
-        let is_keyframe = frame == 0 || is_cut || self.keyframe_is_due(next.finest());
+        let pyramid = Pyramid::new(picture);
+        let mut next = TrackedPicture { pyramid, shift: [0.0; 2], blur: [0.0; 2] };
+        let is_cut = self.track_points(&mut next, frame);
+        let image = next.pyramid.finest();
+        self.sharpness.push(sharpness(image));
+        let is_keyframe = frame == 0 || is_cut || self.keyframe_is_due(image);
         if is_keyframe {
-            self.begin_keyframe(&next, frame, shift);
+            self.begin_keyframe(&next, frame);
         }
         self.tracks.frames += 1;
-        self.recent.push_back((next, shift));
+        self.recent.push_back(next);
         if self.recent.len() > BACKWARD_FRAMES {
             self.recent.pop_front();
         }
         FrameReport { is_cut, is_keyframe }
     }
 
-    /// Tracks all points; returns the translation of the picture [px] and whether the scene changed.
-    fn track_points(&mut self, next: &Pyramid, frame: usize) -> ([f32; 2], bool) {
-        let Some((last, _)) = self.recent.back() else { return ([0.0; 2], false) };
-        let (coarse, scale) = last.coarsest();
-        let (translation, correlation) = estimate_global_translation(coarse, next.coarsest().0);
-        let by = translation.map(|v| v * scale);
-        let search =
-            |p: &TrackedPoint| search_point(&p.anchor, p.warp, p.is_followed, last, next, by);
-        let outcomes: Vec<TrackOutcome> = self.points.par_iter().map(search).collect();
+    /// Tracks all points, and finds translation and blur of the picture; returns whether the scene
+    /// changed.
+    fn track_points(&mut self, next: &mut TrackedPicture, frame: usize) -> bool {
+        let Some(last) = self.recent.back() else { return false };
+        let (coarse, scale) = last.pyramid.coarsest();
+        let (translation, correlation) =
+            estimate_global_translation(coarse, next.pyramid.coarsest().0);
+        next.shift = translation.map(|v| v * scale);
+        let pair = [&last.pyramid, &next.pyramid];
+        let follow = |p: &TrackedPoint| follow_point(p.warp, p.is_followed, pair, next.shift);
+        let followed: Vec<FollowedPoint> = self.points.par_iter().map(follow).collect();
+        let motion = self.picture_motion(&followed).unwrap_or(next.shift);
+        if motion[0].hypot(motion[1]) >= MIN_SHUTTER_MOTION {
+            self.compare_shutter_shares(&followed, &next.pyramid, motion);
+        }
+        next.blur = motion.map(|v| v * self.shutter.value());
+        let outcomes = self.search_points(&followed, next);
         let mut found = 0;
         for (point, outcome) in self.points.iter_mut().zip(&outcomes) {
             (point.is_followed, point.warp) = (outcome.is_followed, outcome.warp);
@@ -120,7 +151,66 @@ impl Tracker {
         if is_cut {
             self.recent.clear();
         }
-        (by, is_cut)
+        is_cut
+    }
+
+    /// Compares the anchors of all followed points with the next picture.
+    fn search_points(
+        &self,
+        followed: &[FollowedPoint],
+        next: &TrackedPicture,
+    ) -> Vec<TrackOutcome> {
+        let equal: BTreeMap<usize, EqualBlur> =
+            self.anchors.iter().map(|(frame, anchor)| (*frame, anchor.equal_blur(next))).collect();
+        let search = |(p, followed): (&TrackedPoint, &FollowedPoint)| {
+            let equal = equal.get(&p.anchor_frame).unwrap_or(&EqualBlur::AsTheyAre);
+            search_point(&p.anchor, p.warp, followed, &next.pyramid, equal)
+        };
+        self.points.par_iter().zip(followed).map(search).collect()
+    }
+
+    /// Median movement of the points that were followed [px]; `None` for few.
+    fn picture_motion(&self, followed: &[FollowedPoint]) -> Option<[f32; 2]> {
+        let moved = |(p, f): (&TrackedPoint, &FollowedPoint)| {
+            let at = f.found?.warp.centre;
+            Some([at[0] - p.warp.centre[0], at[1] - p.warp.centre[1]])
+        };
+        let all: Vec<[f32; 2]> = self.points.iter().zip(followed).filter_map(moved).collect();
+        let along = |i: usize| median(&mut all.iter().map(|m| m[i]).collect::<Vec<_>>());
+        (all.len() >= MIN_POINTS).then_some([along(0)?, along(1)?])
+    }
+
+    /// Compares the points of the sharpest keyframe with a picture that has moved by `motion` [px],
+    /// for every share of the shutter.
+    fn compare_shutter_shares(
+        &mut self,
+        followed: &[FollowedPoint],
+        next: &Pyramid,
+        motion: [f32; 2],
+    ) {
+        let all = || self.points.iter().zip(followed).filter(|(_, f)| f.found.is_some());
+        let has_points = |(frame, _): &(&usize, &TrackedPicture)| {
+            all().filter(|(p, _)| p.anchor_frame == **frame).count() >= MIN_SHUTTER_POINTS
+        };
+        let length = |p: &TrackedPicture| p.blur[0].hypot(p.blur[1]);
+        let sharpest = self
+            .anchors
+            .iter()
+            .filter(has_points)
+            .min_by(|a, b| length(a.1).total_cmp(&length(b.1)));
+        let Some((frame, anchor)) = sharpest else { return };
+        let points: Vec<_> = all().filter(|(p, _)| p.anchor_frame == *frame).collect();
+        let correlations = SHARES.map(|share| {
+            let blur = motion.map(|v| v * share);
+            let equal = EqualBlur::new((&anchor.pyramid, anchor.blur), (next, blur));
+            let search = |(p, followed): &(&TrackedPoint, &FollowedPoint)| {
+                let outcome = search_point(&p.anchor, p.warp, followed, next, &equal);
+                f64::from(outcome.correlation.unwrap_or(0.0))
+            };
+            let found: Vec<f64> = points.par_iter().map(search).collect();
+            found.iter().sum::<f64>() / points.len() as f64
+        });
+        self.shutter.add(correlations);
     }
 
     /// Whether enough has changed, and the picture is sharp enough to start points in.
@@ -161,22 +251,26 @@ impl Tracker {
     }
 
     /// Gives points that have changed a new anchor and starts points in empty cells.
-    fn begin_keyframe(&mut self, next: &Pyramid, frame: usize, shift: [f32; 2]) {
+    fn begin_keyframe(&mut self, next: &TrackedPicture, frame: usize) {
         self.frames_due = 0;
         self.tracks.keyframes.push(frame);
-        Arc::make_mut(&mut self.tracks.keyframe_images).push(KeyframeImage::new(next, frame));
+        let image = KeyframeImage::new(&next.pyramid, frame);
+        Arc::make_mut(&mut self.tracks.keyframe_images).push(image);
         for point in &mut self.points {
             let is_aged = point.hidden_frames == 0 && point.correlation < REANCHOR_CORRELATION;
             if let Some(anchor) =
-                is_aged.then(|| AnchorPatch::new(next, point.warp.centre)).flatten()
+                is_aged.then(|| AnchorPatch::new(&next.pyramid, point.warp.centre)).flatten()
             {
                 (point.anchor, point.warp) = (anchor, AffineWarp::translation(point.warp.centre));
+                point.anchor_frame = frame;
             }
         }
         let taken: Vec<[f32; 2]> = self.points.iter().map(|p| p.warp.centre).collect();
-        let corners = new_corners(next.finest(), &taken);
-        let started: Vec<Option<(TrackedPoint, Track)>> =
-            corners.par_iter().map(|at| self.start_point(next, *at, frame, shift)).collect();
+        let corners = new_corners(next.pyramid.finest(), &taken);
+        let equal: Vec<EqualBlur> =
+            self.recent.par_iter().rev().map(|before| next.equal_blur(before)).collect();
+        let start = |at: &[f32; 2]| self.start_point(next, *at, frame, &equal);
+        let started: Vec<Option<(TrackedPoint, Track)>> = corners.par_iter().map(start).collect();
         for (mut point, track) in started.into_iter().flatten() {
             point.track = self.tracks.tracks.len();
             self.points.push(point);
@@ -186,36 +280,50 @@ impl Tracker {
             point.at_keyframe = (point.hidden_frames == 0).then_some(point.warp.centre);
         }
         self.keyframe_points = self.points.iter().filter(|p| p.hidden_frames == 0).count();
+        let used: BTreeSet<usize> = self.points.iter().map(|p| p.anchor_frame).collect();
+        self.anchors.insert(frame, next.clone());
+        self.anchors.retain(|frame, _| used.contains(frame));
     }
 
-    /// A point that begins in `next`, with its observations in the frames before.
+    /// A point that begins in `next`, with its observations in the frames before, newest first in
+    /// `equal`.
     fn start_point(
         &self,
-        next: &Pyramid,
+        next: &TrackedPicture,
         at: [f32; 2],
         frame: usize,
-        shift: [f32; 2],
+        equal: &[EqualBlur],
     ) -> Option<(TrackedPoint, Track)> {
-        let anchor = AnchorPatch::new(next, at)?;
+        let anchor = AnchorPatch::new(&next.pyramid, at)?;
         let mut observations = vec![Observation::new(frame, at.map(f64::from), MIN_POSITION_SIGMA)];
-        let (mut warp, mut here, mut by) = (AffineWarp::translation(at), next, shift);
-        for (i, (before, shift)) in self.recent.iter().rev().enumerate() {
-            let outcome = search_point(&anchor, warp, true, here, before, by.map(|v| -v));
+        let (mut warp, mut here) = (AffineWarp::translation(at), next);
+        for (i, (before, equal)) in self.recent.iter().rev().zip(equal).enumerate() {
+            let pair = [&here.pyramid, &before.pyramid];
+            let followed = follow_point(warp, true, pair, here.shift.map(|v| -v));
+            let outcome = search_point(&anchor, warp, &followed, &before.pyramid, equal);
             let Some(observation) = outcome.observation(frame - 1 - i) else { break };
             observations.push(observation);
-            (warp, here, by) = (outcome.warp, before, *shift);
+            (warp, here) = (outcome.warp, before);
         }
         observations.reverse();
         let point = TrackedPoint {
             track: 0,
             warp: AffineWarp::translation(at),
             anchor,
+            anchor_frame: frame,
             hidden_frames: 0,
             is_followed: true,
             at_keyframe: None,
             correlation: 1.0,
         };
         Some((point, Track { observations }))
+    }
+}
+
+impl TrackedPicture {
+    /// This picture as the first and another one as the second, with equal blur.
+    fn equal_blur(&self, other: &Self) -> EqualBlur {
+        EqualBlur::new((&self.pyramid, self.blur), (&other.pyramid, other.blur))
     }
 }
 
