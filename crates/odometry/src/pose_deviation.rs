@@ -24,6 +24,11 @@ pub const LEAST_REACH: usize = 2;
 const PART: usize = 300;
 const MARGIN: usize = 40;
 
+/// Frames before and behind one whose scales are compared.
+const SCALE_REACH: usize = 15;
+/// Deviation of the logarithm of their ratio from which on lengths do not compare.
+const MAX_SCALE_DEVIATION: f64 = 0.1;
+
 /// Standard deviations of a pose against those of the frames within a quarter of a second, two
 /// frames on either side at least: root of the summed variances of three coordinates each. A drift
 /// over longer stretches is not in it.
@@ -38,21 +43,49 @@ pub struct PoseDeviation {
     pub converged: bool,
 }
 
-/// Deviations of all frames with a pose that the observations determine; frames that repeat the
-/// picture before them have its.
-pub(crate) fn pose_deviations(state: &SfmState, is_repeat: &[bool]) -> Vec<Option<PoseDeviation>> {
+/// Frames of a path that hardly bind the scale behind them to that before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct WeakLink {
+    /// First and last frame.
+    pub(crate) frames: [usize; 2],
+    /// Largest deviation of the logarithm of the ratio of both scales.
+    pub(crate) deviation: f64,
+}
+
+/// Deviations of all frames with a pose that the observations determine, and by colour alone the
+/// frames that hardly bind the path's scale; frames that repeat the picture before them have its
+/// deviation, those of weak links have not converged.
+pub(crate) fn pose_deviations(
+    state: &SfmState,
+    is_repeat: &[bool],
+) -> (Vec<Option<PoseDeviation>>, Vec<WeakLink>) {
     // Frames whose observations no landmark explains are not determined.
     let (_, posed, _) = state.bundle(&state.posed_frames(), false);
     let mut out = vec![None; state.poses.len()];
+    let mut weak: Vec<(usize, f64)> = Vec::new();
     for (part, inner) in parts(posed.len()) {
         let frames = &posed[part.clone()];
         let Some(errors) = PoseErrors::new(state, frames) else { continue };
         for place in inner {
             let local = place - part.start;
             out[frames[local]] = errors.deviation(local, &neighbours(state, frames, local));
+            let scale = errors.scale_deviation(local).filter(|_| !state.has_depth());
+            weak.extend(scale.filter(|d| *d > MAX_SCALE_DEVIATION).map(|d| (frames[local], d)));
         }
     }
-    (0..out.len()).map(|frame| out[repeated_frame(is_repeat, frame)]).collect()
+    let links: Vec<WeakLink> =
+        weak.chunk_by(|a, b| b.0 - a.0 <= SCALE_REACH).map(weak_link).collect();
+    let mut out: Vec<Option<PoseDeviation>> =
+        (0..out.len()).map(|frame| out[repeated_frame(is_repeat, frame)]).collect();
+    for WeakLink { frames: [first, last], .. } in &links {
+        out[*first..=*last].iter_mut().flatten().for_each(|known| known.converged = false);
+    }
+    (out, links)
+}
+
+fn weak_link(run: &[(usize, f64)]) -> WeakLink {
+    let deviation = run.iter().map(|(_, deviation)| *deviation).fold(0.0, f64::max);
+    WeakLink { frames: [run[0].0, run[run.len() - 1].0], deviation }
 }
 
 /// Ranges of frames whose scatter is found together, with those among them that are told.
@@ -134,6 +167,37 @@ impl PoseErrors {
     }
 }
 
+impl PoseErrors {
+    /// Deviation of the logarithm of the ratio between the scales of the path behind a frame and
+    /// before it; `None` near the ends of the path.
+    fn scale_deviation(&self, place: usize) -> Option<f64> {
+        let before = place.checked_sub(SCALE_REACH)?..place;
+        let behind = place..place + SCALE_REACH;
+        if behind.end > self.positions.len() {
+            return None;
+        }
+        let square = |errors: &Vec<Error>| {
+            let [a, b] = [&before, &behind].map(|range| self.scale_error(errors, range));
+            (b - a) * (b - a)
+        };
+        let mean = self.samples.iter().map(square).sum::<f64>() / self.samples.len() as f64;
+        Some(mean.sqrt())
+    }
+
+    /// The logarithm of the scale that errors of some frames amount to: `Σ e (t - t̄) / Σ ‖t - t̄‖²`.
+    fn scale_error(&self, errors: &[Error], range: &Range<usize>) -> f64 {
+        let sum = range.clone().fold(Vec3::zero(), |sum, i| sum + self.positions[i]);
+        let centre = sum * (1.0 / range.len() as f64);
+        let (mut along, mut squares) = (0.0, 0.0);
+        for i in range.clone() {
+            let from = self.positions[i] - centre;
+            along += from.dot(errors[i][0]);
+            squares += from.norm_squared();
+        }
+        along / squares
+    }
+}
+
 /// The error of a frame that is left when the frames in a range are brought together.
 fn relative_error(
     positions: &[Vec3<f64>],
@@ -189,7 +253,8 @@ mod tests {
         state.adjust(&frames, false, 40);
         state.update_noise_scale();
         state.adjust(&frames, false, 40);
-        let found = pose_deviations(&state, &[]);
+        let (found, links) = pose_deviations(&state, &[]);
+        assert!(links.is_empty(), "{links:?}");
         let poses: Vec<Pose<f64>> = state.poses.iter().flatten().copied().collect();
         let error = |(frame, pose): (usize, &Pose<f64>)| {
             let turn = pose.rotation * path(frame).rotation.inverse();
@@ -248,6 +313,42 @@ mod tests {
             state.relative_poses = Arc::new(pairs.map(|(a, b)| between(a, b)).collect());
             assert_due(ratios(state));
         }
+    }
+
+    /// Points in the middle of the path that are far away bind its halves by rotation alone.
+    #[test]
+    fn a_link_that_does_not_bind_the_scale_is_told() {
+        let mut state = points(0.3, 0.0);
+        let middle = FRAMES / 2;
+        for (track, landmark) in state.tracks.tracks.iter_mut().zip(&mut state.landmarks) {
+            let seen = &mut track.observations;
+            let is_crossing = seen.first().is_some_and(|o| o.frame < middle)
+                && seen.last().is_some_and(|o| o.frame >= middle);
+            if !is_crossing {
+                continue;
+            }
+            let at = seen[0].at;
+            let ray = path(seen[0].frame)
+                .rotation
+                .rotate(fixtures::camera().unproject(at[0], at[1], 1.0));
+            for o in seen.iter_mut() {
+                let here = path(o.frame).rotation.inverse().rotate(ray);
+                let (u, v) = fixtures::camera().project(here);
+                let n = noise(o.frame as u64 + 77 * at[0] as u64, 2);
+                (o.at, o.raw) = ([u + 0.3 * n[0], v + 0.3 * n[1]], [u, v]);
+            }
+            *landmark = None;
+        }
+        state.triangulate_missing();
+        let frames = state.posed_frames();
+        state.adjust(&frames, false, 40);
+        let (found, links) = pose_deviations(&state, &[]);
+        assert!(!links.is_empty());
+        assert!(
+            links.iter().any(|link| link.frames[0] <= middle + 2 && link.frames[1] + 2 >= middle),
+            "{links:?}"
+        );
+        assert!(found[links[0].frames[0]].is_none_or(|d| !d.converged));
     }
 
     #[test]

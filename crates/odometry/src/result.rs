@@ -163,8 +163,12 @@ pub(crate) fn build_reconstruction(
     };
     warnings.extend(distortion_dropped.then_some(Warning::DistortionUndetermined));
     let scaled = |d: PoseDeviation| PoseDeviation { position: unit * d.position, ..d };
-    let deviations =
-        pose_deviations(&state, is_repeat).into_iter().map(|d| d.map(scaled)).collect();
+    let (deviations, links) = pose_deviations(&state, is_repeat);
+    let deviations = deviations.into_iter().map(|d| d.map(scaled)).collect();
+    warnings.extend(links.iter().map(|link| Warning::ScaleUncertain {
+        frames: link.frames,
+        percent: (100.0 * link.deviation).min(100.0),
+    }));
     Reconstruction {
         camera: state.camera,
         distortion,

@@ -66,6 +66,18 @@ pub enum Warning {
         /// Share of the picture, in [0, 1].
         share: f64,
     },
+    /// Consecutive frames, as in a fast turn, that hardly bind the scale of the path behind them to
+    /// that before.
+    #[error(
+        "frames {} to {} link the path before and behind them weakly: lengths of both compare only to {percent:.0} percent, and the path may jump there; turn slower, or give depth",
+        .frames[0], .frames[1]
+    )]
+    ScaleUncertain {
+        /// First and last frame.
+        frames: [usize; 2],
+        /// Deviation of the ratio of scales, in percent; 100 where it is not determined.
+        percent: f64,
+    },
     /// Another focal length than the given one fits much better.
     #[error(
         "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or let it be estimated",
@@ -171,6 +183,7 @@ impl Warning {
             | Self::BlankFrames { frames }
             | Self::FrozenFrames { frames, .. }
             | Self::ShuffledFrames { frames }
+            | Self::ScaleUncertain { frames, .. }
             | Self::MovingObject { frames, .. } => Some(frames),
             _ => None,
         }
