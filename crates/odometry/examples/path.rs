@@ -15,7 +15,7 @@ use i2slam_eval::trajectory::{
 };
 use i2slam_geometry::{Camera, StampedPose};
 use i2slam_odometry::{
-    DepthPicture, FrontEnd, Intrinsics, LEAST_REACH, Progress, REACH, Reconstruction,
+    DepthPicture, FrontEnd, Intrinsics, MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, Progress, Reconstruction,
 };
 use std::error::Error;
 use std::path::Path;
@@ -101,7 +101,7 @@ fn print_deviations(
     let all: Vec<ClaimedPose> = (0..found.poses.len()).filter_map(claimed).collect();
     let converged = found.deviations.iter().flatten().filter(|d| d.converged).count();
     let DeviationRatios { errors, ratios, truth, offset } =
-        deviation_ratios(&all, truth, unit, (REACH, LEAST_REACH))?;
+        deviation_ratios(&all, truth, unit, (NEIGHBOUR_WINDOW, MIN_NEIGHBOURS))?;
     println!(
         "against neighbours: error {:.3} mm {:.3} mrad, over deviation {:.2} {:.2} (0.89 is due), truth's own {:.2} mm {:.2} mrad, {:.0} ms late; {converged} converged",
         1e3 * errors[0],

@@ -118,7 +118,7 @@ pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};
 pub use front_end::{FrontEnd, MIN_FRAMES, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;
-pub use pose_deviation::{LEAST_REACH, PoseDeviation, REACH};
+pub use pose_deviation::{MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, PoseDeviation};
 pub use progress::{Progress, Stage};
 pub use result::{Keyframe, Reconstruction, SparseDepth};
 pub use track::tracker::FrameReport;

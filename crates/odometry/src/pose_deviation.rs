@@ -2,7 +2,7 @@
 //!
 //! A path may be moved as a whole, and drifts over a long way; what a frame's measurements tell is
 //! its place among the frames around it. So deviations are of the error against the frames within
-//! [`REACH`]: after the paths, found and true, are brought together there by their mean orientation
+//! [`NEIGHBOUR_WINDOW`]: after the paths, found and true, are brought together there by their mean orientation
 //! and position. With errors `e` of position and `r` of orientation in the world, as samples of the
 //! noise give them (`bundle::pose_scatter`),
 //!
@@ -17,9 +17,9 @@ use i2slam_geometry::{Pose, Vec3};
 use std::ops::Range;
 
 /// Time before and after a frame within which frames are compared [s].
-pub const REACH: f64 = 0.25;
+pub const NEIGHBOUR_WINDOW: f64 = 0.25;
 /// Frames before and after one that are compared in any case.
-pub const LEAST_REACH: usize = 2;
+pub const MIN_NEIGHBOURS: usize = 2;
 /// Frames whose scatter is found together, and those at either end that only surround others.
 const PART: usize = 300;
 const MARGIN: usize = 40;
@@ -105,7 +105,8 @@ fn parts(count: usize) -> Vec<(Range<usize>, Range<usize>)> {
 fn neighbours(state: &SfmState, frames: &[usize], place: usize) -> Range<usize> {
     let time = |place: usize| state.timestamps.get(frames[place]).copied().unwrap_or(0.0);
     let is_near = |other: &usize| {
-        other.abs_diff(place) <= LEAST_REACH || (time(*other) - time(place)).abs() <= REACH
+        other.abs_diff(place) <= MIN_NEIGHBOURS
+            || (time(*other) - time(place)).abs() <= NEIGHBOUR_WINDOW
     };
     let first = (0..=place).rev().take_while(is_near).last().unwrap_or(place);
     let last = (place..frames.len()).take_while(is_near).last().unwrap_or(place);

@@ -40,8 +40,8 @@ pub struct PosedKeyframe {
     pub after: Option<(f64, Pose<f64>)>,
     /// Estimated depth, where known.
     pub depth: Option<EstimatedDepth>,
-    /// Whether the map is refined with it to the end. A frame between keyframes only extends and
-    /// refines the map when it comes.
+    /// Whether mapping steps go on choosing it after its turn. A frame between keyframes extends
+    /// and refines the map in its own turn alone.
     pub is_keyframe: bool,
 }
 

@@ -9,7 +9,7 @@ const CELLS: [usize; 2] = [8, 6];
 const MIN_POINTS: usize = 3;
 const MIN_OBSERVATIONS: usize = 4;
 /// Frames on each side of a frame whose median share counts.
-const REACH: usize = 4;
+const MEDIAN_RADIUS: usize = 4;
 /// Share of the picture from which something is told: on sequences without moving objects the
 /// median share over nine frames stays below half of it.
 const MIN_SHARE: f64 = 0.1;
@@ -83,9 +83,11 @@ fn largest_part(cells: &[bool]) -> usize {
 /// Runs of frames around which the median share is large.
 fn persistent_parts(shares: &[(usize, f64)]) -> Vec<MovingPart> {
     let around = |place: usize| {
-        let end = (place + REACH + 1).min(shares.len());
-        let mut near: Vec<f64> =
-            shares[place.saturating_sub(REACH)..end].iter().map(|(_, share)| *share).collect();
+        let end = (place + MEDIAN_RADIUS + 1).min(shares.len());
+        let mut near: Vec<f64> = shares[place.saturating_sub(MEDIAN_RADIUS)..end]
+            .iter()
+            .map(|(_, share)| *share)
+            .collect();
         median(&mut near).unwrap_or(0.0)
     };
     let smooth: Vec<(usize, f64)> =
