@@ -14,7 +14,7 @@ use crate::progress::Progress;
 use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
 use crate::register::registration::{
-    adjust_globally, adjust_path, adjust_remaining_frames, register_keyframes,
+    adjust_all_frames, adjust_globally, adjust_path, adjust_remaining_frames, register_keyframes,
     register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize};
@@ -147,12 +147,12 @@ impl FrontEnd {
         let had_initial_readout = state.readout != 0.0;
         estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
         if state.readout != 0.0 || had_initial_readout {
-            adjust_path(&mut state, adjust_focal);
+            adjust_all_frames(&mut state, adjust_focal);
         }
         // The first readout used velocities of a path fitted to uncorrected rows: estimate it again.
         if state.readout != 0.0 {
             estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
-            adjust_path(&mut state, adjust_focal);
+            adjust_all_frames(&mut state, adjust_focal);
         }
         if self.close_loops {
             close_loops(&mut state, adjust_focal);
@@ -228,7 +228,7 @@ fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryErr
     }
     adjust_globally(state, adjust_focal);
     register_remaining_frames(state);
-    adjust_path(state, adjust_focal);
+    adjust_all_frames(state, adjust_focal);
     if was_lost {
         merge_overlapping_keyframes(state, adjust_focal);
     }

@@ -66,6 +66,15 @@ pub(crate) fn adjust_path(state: &mut SfmState, adjust_focal: bool) -> f64 {
     }
 }
 
+/// Adjusts all frames jointly, or those of a long sequence as [`adjust_path`] does: speeds between
+/// frames, on which the readout rests, need their neighbours adjusted, too.
+pub(crate) fn adjust_all_frames(state: &mut SfmState, adjust_focal: bool) {
+    match state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES {
+        true => adjust_globally(state, adjust_focal),
+        false => adjust_keyframes(state, adjust_focal),
+    };
+}
+
 /// Adjusts all frames jointly where [`adjust_path`] did not.
 pub(crate) fn adjust_remaining_frames(state: &mut SfmState, adjust_focal: bool) {
     if !adjusts_all(state) {

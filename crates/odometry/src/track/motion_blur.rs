@@ -18,10 +18,6 @@ pub(crate) const SHARES: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 const MIN_LENGTH: f32 = 2.0;
 /// Share of what earlier frames told about the shutter that is kept per frame: exposure drifts.
 const MEMORY: f64 = 0.9;
-/// Exponent from encoded to linear values: light adds up, not encoded values. The camera's response
-/// is not known here.
-const GAMMA: f32 = 2.2;
-
 /// Two pictures brought to equal blur.
 #[derive(Clone, Debug)]
 pub(crate) enum EqualBlur {
@@ -77,7 +73,9 @@ impl ShutterShare {
     }
 }
 
-/// A picture averaged in linear light over a movement by `by` [px] around where it is.
+/// A picture averaged in linear light over a movement by `by` [px] around where it is. The camera's
+/// response is not known here: light is taken to be the square of picture values, about as sRGB
+/// encodes it.
 fn blurred(pyramid: &Pyramid, by: [f32; 2]) -> Pyramid {
     let image = pyramid.finest();
     let taps = by[0].hypot(by[1]).ceil().max(2.0) as usize;
@@ -101,7 +99,7 @@ fn blurred(pyramid: &Pyramid, by: [f32; 2]) -> Pyramid {
                     + weights[3] * lower[i + 1];
             }
         }
-        line.iter_mut().for_each(|value| *value = value.powf(1.0 / GAMMA));
+        line.iter_mut().for_each(|value| *value = value.sqrt());
     });
     Pyramid::new(&out)
 }
@@ -113,7 +111,7 @@ fn padded_linear(image: &Image<f32>, margin: usize) -> Vec<f32> {
     let mut out = vec![0.0; width * height];
     out.par_chunks_mut(width).enumerate().for_each(|(row, line)| {
         let from = &image.data[inside(row, image.height) * image.width..][..image.width];
-        let linear: Vec<f32> = from.iter().map(|value| value.max(0.0).powf(GAMMA)).collect();
+        let linear: Vec<f32> = from.iter().map(|value| value * value).collect();
         for (column, value) in line.iter_mut().enumerate() {
             *value = linear[inside(column, image.width)];
         }
@@ -142,9 +140,8 @@ mod tests {
         let taps = 24;
         Pyramid::new(&Image::from_fn(120, 80, 1, |_, column, row| {
             let at = |tap: usize| x + by * ((tap as f32 + 0.5) / taps as f32 - 0.5);
-            let light =
-                |tap: usize| value(column as f32 - at(tap), row as f32).max(0.0).powf(GAMMA);
-            ((0..taps).map(light).sum::<f32>() / taps as f32).powf(1.0 / GAMMA)
+            let light = |tap: usize| value(column as f32 - at(tap), row as f32).max(0.0).powi(2);
+            ((0..taps).map(light).sum::<f32>() / taps as f32).sqrt()
         }))
     }
 
