@@ -25,9 +25,10 @@ const PART: usize = 300;
 const MARGIN: usize = 40;
 
 /// Frames before and behind one whose scales are compared.
-const SCALE_REACH: usize = 15;
-/// Deviation of the logarithm of their ratio from which on lengths do not compare.
-const MAX_SCALE_DEVIATION: f64 = 0.1;
+const SCALE_WINDOW: usize = 15;
+/// Deviation of the logarithm of their ratio beyond which lengths do not compare: a factor of two is
+/// within three deviations.
+const MAX_SCALE_DEVIATION: f64 = std::f64::consts::LN_2 / 3.0;
 
 /// Standard deviations of a pose against those of the frames within a quarter of a second, two
 /// frames on either side at least: root of the summed variances of three coordinates each. A drift
@@ -74,7 +75,7 @@ pub(crate) fn pose_deviations(
         }
     }
     let links: Vec<WeakLink> =
-        weak.chunk_by(|a, b| b.0 - a.0 <= SCALE_REACH).map(weak_link).collect();
+        weak.chunk_by(|a, b| b.0 - a.0 <= SCALE_WINDOW).map(weak_link).collect();
     let mut out: Vec<Option<PoseDeviation>> =
         (0..out.len()).map(|frame| out[repeated_frame(is_repeat, frame)]).collect();
     for WeakLink { frames: [first, last], .. } in &links {
@@ -172,8 +173,8 @@ impl PoseErrors {
     /// Deviation of the logarithm of the ratio between the scales of the path behind a frame and
     /// before it; `None` near the ends of the path.
     fn scale_deviation(&self, place: usize) -> Option<f64> {
-        let before = place.checked_sub(SCALE_REACH)?..place;
-        let behind = place..place + SCALE_REACH;
+        let before = place.checked_sub(SCALE_WINDOW)?..place;
+        let behind = place..place + SCALE_WINDOW;
         if behind.end > self.positions.len() {
             return None;
         }
@@ -336,7 +337,7 @@ mod tests {
                 let here = path(o.frame).rotation.inverse().rotate(ray);
                 let (u, v) = fixtures::camera().project(here);
                 let n = noise(o.frame as u64 + 77 * at[0] as u64, 2);
-                (o.at, o.raw) = ([u + 0.3 * n[0], v + 0.3 * n[1]], [u, v]);
+                (o.at, o.raw) = ([u + n[0], v + n[1]], [u, v]);
             }
             *landmark = None;
         }
