@@ -23,9 +23,10 @@ const MIN_PARALLAX: f64 = 0.004;
 const SUFFICIENT_PARALLAX: f64 = 0.06;
 /// Median motion below which a camera stands still, over the picture's width.
 const MAX_STILL_MOTION: f64 = 0.005;
-/// Landmarks with a parallax of at least [`MIN_ANGLE`] [rad] that a pair must give.
+/// Landmarks with a parallax of at least [`MIN_ANGLE`] that a pair must give.
 const MIN_LANDMARKS: usize = 20;
-const MIN_ANGLE: f64 = 0.01;
+/// Three deviations of a tracked position at a focal length of 250 px [rad].
+const MIN_ANGLE: f64 = 0.005;
 
 /// A pair of keyframes with the rotation between them.
 #[derive(Clone, Copy, Debug)]
