@@ -158,9 +158,9 @@ impl FrontEnd {
             close_loops(&mut state, adjust_focal);
         }
         adjust_until_converged(&mut state, adjust_focal);
+        let distortion_dropped = drop_unobservable_distortion(&mut state);
         add_dense_constraints(&mut state);
         adjust_remaining_frames(&mut state, adjust_focal);
-        let distortion_dropped = drop_unobservable_distortion(&mut state);
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }

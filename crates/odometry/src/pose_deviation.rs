@@ -2,8 +2,8 @@
 //!
 //! A path may be moved as a whole, and drifts over a long way; what a frame's measurements tell is
 //! its place among the frames around it. So deviations are of the error against the frames within
-//! [`NEIGHBOUR_WINDOW`]: after the paths, found and true, are brought together there by their mean orientation
-//! and position. With errors `e` of position and `r` of orientation in the world, as samples of the
+//! [`NEIGHBOUR_WINDOW`]: after the paths, found and true, are brought together there by their mean
+//! orientation and position. With errors `e` of position and `r` of orientation in the world, as samples of the
 //! noise give them (`bundle::pose_scatter`),
 //!
 //! ```text
@@ -23,7 +23,6 @@ pub const MIN_NEIGHBOURS: usize = 2;
 /// Frames whose scatter is found together, and those at either end that only surround others.
 const PART: usize = 300;
 const MARGIN: usize = 40;
-
 /// Frames before and behind one whose scales are compared.
 const SCALE_WINDOW: usize = 15;
 /// Deviation of the logarithm of their ratio beyond which lengths do not compare: a factor of two is
@@ -167,9 +166,7 @@ impl PoseErrors {
             converged: left[0] <= scatter[0] && left[1] <= scatter[1],
         })
     }
-}
 
-impl PoseErrors {
     /// Deviation of the logarithm of the ratio between the scales of the path behind a frame and
     /// before it; `None` near the ends of the path.
     fn scale_deviation(&self, place: usize) -> Option<f64> {

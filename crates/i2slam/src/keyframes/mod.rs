@@ -40,8 +40,8 @@ pub struct PosedKeyframe {
     pub after: Option<(f64, Pose<f64>)>,
     /// Estimated depth, where known.
     pub depth: Option<EstimatedDepth>,
-    /// Whether mapping steps go on choosing it after its turn. A frame between keyframes extends
-    /// and refines the map in its own turn alone.
+    /// Whether later mapping steps may render it again. A frame between keyframes is rendered only
+    /// by the steps that follow its own insertion.
     pub is_keyframe: bool,
 }
 

@@ -8,7 +8,8 @@
 //! point, by region and by picture; the clustering with the largest variance of the focal length is
 //! reported.
 
-use super::normal_equations::{BundleStep, Curvature, SchurSystem, gradient_along};
+use super::blocks::Curvature;
+use super::normal_equations::{BundleStep, SchurSystem, gradient_along};
 use super::sparsity::BlockSparsity;
 use super::{Bundle, GLOBALS};
 

@@ -12,6 +12,7 @@
 //! Levenberg-Marquardt; landmarks are eliminated by the Schur complement (Triggs et al. 2000,
 //! section 6).
 
+mod blocks;
 mod covariance;
 mod normal_equations;
 mod pose_scatter;
@@ -28,9 +29,10 @@ use crate::multiview::lens_distortion::CameraJacobian;
 use crate::multiview::robust_loss::huber;
 use crate::progress::{Progress, Stage};
 use crate::track::tracks::DepthReading;
+use blocks::Curvature;
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Camera, Pose, Tangent};
-use normal_equations::{BundleStep, Curvature, SchurSystem};
+use normal_equations::{BundleStep, SchurSystem};
 use sparsity::BlockSparsity;
 use std::sync::Arc;
 

@@ -18,7 +18,8 @@
 //! are standard normal per frame. Where residuals are longer than claimed, `s` scales them.
 
 use super::Bundle;
-use super::normal_equations::{Curvature, SchurSystem};
+use super::blocks::Curvature;
+use super::normal_equations::SchurSystem;
 use super::response::observation_gradients;
 use super::sparsity::BlockSparsity;
 use i2slam_compute::Random;

@@ -1,6 +1,7 @@
 //! Response of an adjusted bundle to gradients: how far they move the minimum.
 
-use super::normal_equations::{Curvature, GAUGE_DAMPING, SchurSystem, weighted_residual};
+use super::blocks::{Curvature, weighted_residual};
+use super::normal_equations::{GAUGE_DAMPING, SchurSystem};
 use super::sparsity::BlockSparsity;
 use super::{Bundle, GLOBALS};
 use i2slam_compute::SkylineMatrix;

@@ -120,7 +120,8 @@ pub(super) fn fuse_readings(
 /// Adjacent readings that must agree with one that no other view confirms: spikes stand alone.
 const MIN_AGREEING_NEIGHBOURS: usize = 3;
 
-/// Whether enough of the eight readings around a pixel belong to the same surface as its own.
+/// Whether at least [`MIN_AGREEING_NEIGHBOURS`] of the eight adjacent readings lie on the surface of
+/// a pixel's reading.
 fn is_supported(own: &InverseDepthEstimate, pixel: usize) -> bool {
     let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
     let (column, row) = (pixel % width, pixel / width);

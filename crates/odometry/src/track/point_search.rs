@@ -2,7 +2,7 @@
 //!
 //! A point is followed by its patch in the last frame and then aligned with that of the keyframe in
 //! which it began (its anchor), which does not drift, the sharper of both blurred like the other.
-//! Where the anchor does not match, the point is followed on and nothing is measured.
+//! Where the anchor does not match, the position from the last frame is kept without an observation.
 
 use crate::track::motion_blur::EqualBlur;
 use crate::track::patch::{AffineWarp, PatchMatch, PatchTemplate};
@@ -36,7 +36,7 @@ pub(crate) struct AnchorPatch {
 /// A point followed from the last frame, before its anchor is compared.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FollowedPoint {
-    /// Where the patch in the last frame was found again.
+    /// Match of the patch from the last frame.
     pub(crate) found: Option<PatchMatch>,
     /// Position moved with the whole picture.
     guess: [f32; 2],
